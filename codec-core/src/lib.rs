@@ -1,0 +1,5 @@
+//! codec-core
+#![no_std]
+#![forbid(unsafe_code)]
+pub mod gaussian;
+pub use gaussian::Gaussian;

@@ -1,0 +1,4 @@
+//! Cameras.
+/// Camera.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Camera {}

@@ -1,0 +1,3 @@
+//! Pixels.
+pub mod camera;
+pub use camera::Camera;
