@@ -1,0 +1,204 @@
+//! Symbols and a state in, Gaussians at a frame out.
+//!
+//! Deterministic: integers up to the last dequantise, then + − × ÷ √ in a fixed order. Every
+//! state is valid: a block without its base gives [`Gaussian::ABSENT`] values at its fixed
+//! indices, a cluster without its track keeps the last pose of the latest earlier window that has
+//! one (else its canonical pose), and missing refinements leave coarser values. Dropping a packet
+//! therefore changes the Gaussians of its blocks and no others.
+//!
+//! The decoder keeps dequantised canonical Gaussians between frames and redoes only blocks whose
+//! state changed.
+
+mod canonical;
+pub mod motion;
+mod paper;
+
+use crate::{
+    closure::Arrived,
+    error::{Error, ErrorKind, Result},
+    gaussian::{Gaussian, ShDegree},
+    ids::{ClusterId, EpochId, Span},
+    layout::{Shape, rest_len},
+    receiver::{Cell, Content},
+    wire::manifest::{Epoch, Profile},
+};
+
+/// What [`Decoder::frame`] produced.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Decoded {
+    /// The epoch shown.
+    pub epoch: EpochId,
+    /// Gaussians of the epoch: the filled front of the output.
+    pub gaussians: usize,
+    /// Blocks whose base is usable.
+    pub present_blocks: u32,
+    /// Blocks of the epoch.
+    pub blocks: u32,
+    /// Blocks whose canonical attributes were dequantised anew for this frame.
+    pub redone_blocks: u32,
+}
+
+/// The caller's memory for decoding.
+#[derive(Debug, Default)]
+pub struct Memory<'a> {
+    /// Dequantised canonical Gaussians, at least those of the largest epoch.
+    pub canonical: &'a mut [Gaussian],
+    /// Usable levels per canonical block as last dequantised, at least those of the largest epoch.
+    pub known: &'a mut [u8],
+}
+
+/// Dequantises and moves.
+#[derive(Debug)]
+pub struct Decoder<'a> {
+    memory: Memory<'a>,
+    epoch: Option<EpochId>,
+}
+
+/// Mark of a block that has not been dequantised.
+const UNKNOWN: u8 = u8::MAX;
+
+impl<'a> Decoder<'a> {
+    /// A decoder that knows nothing yet.
+    pub const fn new(memory: Memory<'a>) -> Self {
+        Self { memory, epoch: None }
+    }
+
+    /// Forgets what was dequantised; needed only when another stream follows.
+    pub fn reset(&mut self) {
+        self.epoch = None;
+    }
+
+    /// Decodes frame `frame` of `content` into the front of `out`, and the higher bands into
+    /// `sh_rest` ([`ShDegree::rest_len`] of the manifest's degree per Gaussian).
+    ///
+    /// # Errors
+    /// A frame past the end; [`ErrorKind::Capacity`] naming the memory that is too small.
+    pub fn frame(
+        &mut self,
+        content: &Content<'_>,
+        frame: u32,
+        out: &mut [Gaussian],
+        sh_rest: &mut [f32],
+    ) -> Result<Decoded> {
+        let manifest = &content.manifest;
+        let frames = manifest.head().frames;
+        let illegal = Error::illegal("frame", 0, frame.into(), (0, u64::from(frames) - 1));
+        let id = manifest.epoch_at(frame).ok_or(illegal)?;
+        let epoch = manifest.epoch(id).ok_or(illegal)?;
+        let n = epoch.gaussians as usize;
+        let rest = manifest.sh_degree().rest_len();
+        for (field, have, need) in [
+            ("decode.out", out.len(), n),
+            ("decode.canonical", self.memory.canonical.len(), n),
+            ("decode.sh_rest", sh_rest.len(), n * rest),
+        ] {
+            if have < need {
+                return Err(Error::short(field, 0, have, need).kind(ErrorKind::Capacity));
+            }
+        }
+        if self.epoch != Some(id) {
+            self.memory.known.fill(UNKNOWN);
+            self.epoch = Some(id);
+        }
+        let mut decoded = Decoded { epoch: id, gaussians: n, present_blocks: 0, blocks: 0, redone_blocks: 0 };
+        let motion = match manifest.profile() {
+            Profile::Dgs1 => motion::Frame::of(manifest, frame),
+            Profile::Paper => None,
+        };
+        let (mut first, mut first_block) = (0usize, 0usize);
+        for c in 0..epoch.clusters {
+            let cluster = ClusterId(c as u16);
+            let span = Span::Canonical(id);
+            let Some((shape, cell)) = Shape::of(manifest, span, cluster).zip(content.cell(span, cluster))
+            else {
+                continue;
+            };
+            let (count, blocks) = (shape.gaussians(), shape.blocks());
+            let Some(known) = self.memory.known.get_mut(first_block..first_block + blocks) else {
+                let have = self.memory.known.len();
+                let short = Error::short("decode.known", 0, have, first_block + blocks);
+                return Err(short.kind(ErrorKind::Capacity));
+            };
+            let range = first..first + count;
+            let part = Part {
+                content,
+                epoch: &epoch,
+                id,
+                cluster,
+                shape: &shape,
+                cell,
+                canonical: self.memory.canonical.get_mut(range.clone()).unwrap_or(&mut []),
+                out: out.get_mut(range).unwrap_or(&mut []),
+                sh_rest: sh_rest.get_mut(first * rest..(first + count) * rest).unwrap_or(&mut []),
+                rest,
+            };
+            let (present, redone) = match manifest.profile() {
+                Profile::Dgs1 => part.dgs1(known, motion.as_ref()),
+                Profile::Paper => part.paper(frame - epoch.first_frame),
+            };
+            decoded.present_blocks += present;
+            decoded.redone_blocks += redone;
+            decoded.blocks += blocks as u32;
+            first += count;
+            first_block += blocks;
+        }
+        Ok(decoded)
+    }
+}
+
+/// One cluster on its way out.
+struct Part<'p, 'm> {
+    content: &'p Content<'m>,
+    epoch: &'p Epoch,
+    id: EpochId,
+    cluster: ClusterId,
+    shape: &'p Shape,
+    cell: Cell,
+    canonical: &'p mut [Gaussian],
+    out: &'p mut [Gaussian],
+    sh_rest: &'p mut [f32],
+    rest: usize,
+}
+
+impl Part<'_, '_> {
+    /// Symbols of the canonical cell.
+    fn symbols(&self) -> &[i16] {
+        let start = self.cell.symbols as usize;
+        self.content.symbols.get(start..start + self.shape.len()).unwrap_or(&[])
+    }
+
+    /// Blocks that are present, blocks dequantised anew.
+    fn dgs1(mut self, known: &mut [u8], motion: Option<&motion::Frame>) -> (u32, u32) {
+        let (mut present, mut redone) = (0, 0);
+        for (block, known) in known.iter_mut().enumerate() {
+            let usable = self.content.arrived(self.cell, block).usable() as u8;
+            present += u32::from(usable > 0);
+            if *known != usable {
+                canonical::dequantise(&mut self, block, usable);
+                *known = usable;
+                redone += 1;
+            }
+            if self.rest > 0 {
+                // The caller's buffer may be new every frame; bands do not move.
+                canonical::rest(&mut self, block, usable);
+            }
+        }
+        self.out.copy_from_slice(self.canonical);
+        if let Some(frame) = motion {
+            motion::apply(&mut self, frame);
+        }
+        (present, redone)
+    }
+
+    fn paper(mut self, t: u32) -> (u32, u32) {
+        let arrived: Arrived = self.content.arrived(self.cell, 0);
+        paper::dequantise(&mut self, t, arrived.usable());
+        (u32::from(arrived.usable() > 0), 1)
+    }
+}
+
+/// Length of `sh_rest` for `gaussians` Gaussians of `degree`.
+pub const fn sh_rest_len(gaussians: usize, degree: ShDegree) -> usize {
+    gaussians * rest_len(degree.get())
+}

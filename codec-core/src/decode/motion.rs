@@ -1,0 +1,247 @@
+//! Motion of a cluster at a frame: the track moves it, coefficients bend it.
+//!
+//! Position: `c + d(t) + L(t)·(μ̄ − c) + Σ_r b_r(t)·q_r`, the paper's equation 1 with the affine
+//! taken about the cluster's centre c. Tracks, and the coefficients of all classes but position,
+//! are in the orthonormal cosine basis (DCT-II) of the window; position coefficients are in the
+//! window's learned basis.
+
+use glam::{Mat3, Vec3};
+
+use super::Part;
+use crate::{
+    ids::{EpochId, Level, Span, WindowId},
+    layout::Shape,
+    limits::{MAX_BLOCK_LEN, MAX_WINDOW_FRAMES},
+    math,
+    quant::Class,
+    receiver::Cell,
+    wire::manifest::{Manifest, Window},
+};
+
+/// What is common to all clusters at one frame.
+pub(super) struct Frame {
+    id: WindowId,
+    window: Window,
+    /// Cosine basis at this frame, one weight per frequency.
+    cosine: [f32; MAX_WINDOW_FRAMES],
+    /// Learned basis at this frame, one weight per vector.
+    learned: [f32; MAX_WINDOW_FRAMES],
+}
+
+impl Frame {
+    /// The window `frame` lies in, if motion is sent for it.
+    pub(super) fn of(manifest: &Manifest<'_>, frame: u32) -> Option<Self> {
+        let id = manifest.window_at(frame)?;
+        let window = manifest.window(id)?;
+        let t = frame - window.first_frame;
+        let mut learned = [0f32; MAX_WINDOW_FRAMES];
+        for (r, weight) in learned.iter_mut().take(usize::from(window.rank)).enumerate() {
+            let vector = window.basis_first as usize + r * usize::from(window.frames);
+            *weight = manifest.basis(vector + t as usize);
+        }
+        Some(Self { id, window, cosine: cosine(u32::from(window.frames), t), learned })
+    }
+}
+
+/// The orthonormal DCT-II basis of `frames` frames at frame `t`, one weight per frequency.
+pub fn cosine(frames: u32, t: u32) -> [f32; MAX_WINDOW_FRAMES] {
+    let mut weights = [0f32; MAX_WINDOW_FRAMES];
+    let flat = libm::sqrtf(1.0 / frames as f32);
+    let wave = libm::sqrtf(2.0 / frames as f32);
+    for (k, weight) in weights.iter_mut().take(frames as usize).enumerate() {
+        let scale = if k == 0 { flat } else { wave };
+        *weight = scale * math::cos_pi((2 * t + 1) * k as u32, 2 * frames);
+    }
+    weights
+}
+
+/// A cluster's pose: linear part, translation and rotation about its centre.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// I + ΔL.
+    pub linear: Mat3,
+    /// Translation, scene units.
+    pub translation: Vec3,
+    /// Unit quaternion, wxyz.
+    pub rotation: [f32; 4],
+}
+
+impl Pose {
+    /// No motion.
+    pub const IDENTITY: Self =
+        Self { linear: Mat3::IDENTITY, translation: Vec3::ZERO, rotation: [1.0, 0.0, 0.0, 0.0] };
+}
+
+/// Steps of the track's translation and of its linear and rotation parameters.
+pub fn track_steps(shape: &Shape) -> (f32, f32) {
+    let position = shape.quant.canonical[Class::Position.index()];
+    let mut step = position.step(Level::ALL[3]);
+    for _ in 0..shape.motion.track_shift {
+        step *= 2.0;
+    }
+    let radius = f32::from(shape.cluster.radius) * position.step(Level::BASE);
+    (step, step / radius)
+}
+
+/// The pose that `symbols` (16 parameters × frames coefficients) give at `cosine`'s frame.
+pub fn pose(shape: &Shape, symbols: &[i16], cosine: &[f32; MAX_WINDOW_FRAMES]) -> Pose {
+    let (translation, linear) = track_steps(shape);
+    let mut value = [0f32; 16];
+    for (value, run) in value.iter_mut().zip(symbols.chunks_exact((shape.frames as usize).max(1))) {
+        for (&symbol, &weight) in run.iter().zip(cosine) {
+            if symbol != 0 {
+                *value += f32::from(symbol) * weight;
+            }
+        }
+    }
+    let l = |i: usize| value[i] * linear;
+    Pose {
+        linear: Mat3::from_cols(
+            Vec3::new(1.0 + l(0), l(3), l(6)),
+            Vec3::new(l(1), 1.0 + l(4), l(7)),
+            Vec3::new(l(2), l(5), 1.0 + l(8)),
+        ),
+        translation: Vec3::new(value[9], value[10], value[11]) * translation,
+        rotation: math::normalised([1.0 + l(12), l(13), l(14), l(15)]),
+    }
+}
+
+/// Moves the cluster's Gaussians in the output.
+pub(super) fn apply(part: &mut Part<'_, '_>, frame: &Frame) {
+    let span = Span::Motion(frame.id);
+    let content = part.content;
+    let found = Shape::of(&content.manifest, span, part.cluster).zip(content.cell(span, part.cluster));
+    let Some((shape, cell)) = found else { return };
+    let step = part.shape.quant.canonical[Class::Position.index()].step(Level::BASE);
+    let record = part.shape.cluster;
+    let centre = Vec3::new(
+        part.epoch.origin_x + f32::from(record.centre_x) * step,
+        part.epoch.origin_y + f32::from(record.centre_y) * step,
+        part.epoch.origin_z + f32::from(record.centre_z) * step,
+    );
+    let current = track(part, &shape, cell, frame);
+    let pose = match current {
+        Some(pose) => pose,
+        None => held(part, frame).unwrap_or(Pose::IDENTITY),
+    };
+    if pose != Pose::IDENTITY {
+        for gaussian in part.out.iter_mut() {
+            let offset = Vec3::from_array(gaussian.position) - centre;
+            gaussian.position = (pose.linear * offset + centre + pose.translation).to_array();
+            gaussian.rotation = math::quat_mul(pose.rotation, gaussian.rotation);
+        }
+    }
+    for block in 0..shape.blocks() {
+        let usable = content.arrived(cell, block).usable();
+        if let Some(level) = usable.checked_sub(1).and_then(|l| Level::new(l as u8))
+            && level > Level::BASE
+            && content.arrived(part.cell, block).usable() > 0
+        {
+            bend(part, &shape, cell, block, level, frame);
+        }
+    }
+}
+
+/// The pose in the current window, if its track is usable.
+fn track(part: &Part<'_, '_>, shape: &Shape, cell: Cell, frame: &Frame) -> Option<Pose> {
+    if shape.motion.track == 0 {
+        return Some(Pose::IDENTITY);
+    }
+    if !part.content.arrived(cell, 0).has(Level::BASE) {
+        return None;
+    }
+    let start = cell.symbols as usize;
+    let symbols = part.content.symbols.get(start..start + shape.level_len(Level::BASE))?;
+    Some(pose(shape, symbols, &frame.cosine))
+}
+
+/// The last pose of the latest earlier window of the epoch whose track is usable.
+fn held(part: &Part<'_, '_>, frame: &Frame) -> Option<Pose> {
+    let content = part.content;
+    let mut w = frame.id.0;
+    while w > 0 {
+        w -= 1;
+        let id = WindowId(w);
+        let window = content.manifest.window(id)?;
+        if EpochId(window.epoch) != part.id {
+            return None;
+        }
+        let span = Span::Motion(id);
+        let shape = Shape::of(&content.manifest, span, part.cluster)?;
+        let cell = content.cell(span, part.cluster)?;
+        let frames = u32::from(window.frames);
+        let last =
+            Frame { id, window, cosine: cosine(frames, frames - 1), learned: [0.0; MAX_WINDOW_FRAMES] };
+        if let Some(pose) = track(part, &shape, cell, &last) {
+            return Some(pose);
+        }
+    }
+    None
+}
+
+/// Adds the per-Gaussian coefficients of one block.
+fn bend(part: &mut Part<'_, '_>, shape: &Shape, cell: Cell, block: usize, level: Level, frame: &Frame) {
+    let n = shape.block_gaussians(block);
+    let first = block * shape.block_len;
+    let base = cell.symbols as usize;
+    let symbols = part.content.symbols.get(base..base + shape.len()).unwrap_or(&[]);
+    let bending = Level::ALL[1];
+    let mut sums = [0f32; MAX_BLOCK_LEN * 3];
+    for class in Class::ALL.into_iter().take(Class::MOVING) {
+        let rank = shape.motion.rank(class);
+        if rank == 0 {
+            continue;
+        }
+        let dims = class.components();
+        let quantiser = shape.quant.motion[class.index()];
+        let step = quantiser.step(level);
+        let Some(sums) = sums.get_mut(..n * dims) else { return };
+        sums.fill(0.0);
+        let basis = if class == Class::Position { &frame.learned } else { &frame.cosine };
+        let weights = basis.iter().take(usize::from(frame.window.frames));
+        for (k, &weight) in weights.enumerate().take(rank) {
+            for (d, sums) in sums.chunks_exact_mut(n).enumerate() {
+                // The runs of this component at levels 1, 2 and 3; empty where nothing is coded.
+                let runs = [Level::ALL[1], Level::ALL[2], Level::ALL[3]].map(|l| {
+                    if l > level || !quantiser.has_symbol(l, bending) {
+                        return &[][..];
+                    }
+                    let (at, _) = shape.range(l, block..block + 1);
+                    let from = at + (run_offset(shape, l, class, k) + d) * n;
+                    symbols.get(from..from + n).unwrap_or(&[])
+                });
+                let mut previous = 0i32;
+                for (i, sum) in sums.iter_mut().enumerate() {
+                    let symbol = |run: &[i16]| run.get(i).copied().unwrap_or(0);
+                    let mut q = i32::from(symbol(runs[0])).saturating_add(previous);
+                    if quantiser.predicted() {
+                        previous = q;
+                    }
+                    for l in Level::ALL.into_iter().take(level.index() + 1).skip(2) {
+                        q = quantiser.refine(q, symbol(runs[l.index() - 1]), l);
+                    }
+                    *sum += q as f32 * step * weight;
+                }
+            }
+        }
+        let out = part.out.get_mut(first..first + n).unwrap_or(&mut []);
+        for (i, gaussian) in out.iter_mut().enumerate() {
+            let at = |d: usize| sums.get(d * n + i).copied().unwrap_or(0.0);
+            match class {
+                Class::Position => (0..3).for_each(|d| gaussian.position[d] += at(d)),
+                Class::Scale => (0..3).for_each(|d| gaussian.scale[d] *= math::exp(at(d))),
+                Class::Rotation => {
+                    let turn = math::normalised([1.0, at(0), at(1), at(2)]);
+                    gaussian.rotation = math::normalised(math::quat_mul(turn, gaussian.rotation));
+                }
+                Class::Opacity => gaussian.opacity = (gaussian.opacity + at(0)).clamp(0.0, 1.0),
+                _ => (0..3).for_each(|d| gaussian.sh0[d] += at(d)),
+            }
+        }
+    }
+}
+
+/// Components stored before coefficient `k` of `class` in a block at `level`.
+fn run_offset(shape: &Shape, level: Level, class: Class, k: usize) -> usize {
+    shape.components(level).take_while(|&(c, i, _)| (c, i) != (class, k)).map(|(.., dims)| dims).sum()
+}

@@ -1,0 +1,219 @@
+//! Where every symbol lives: the one order that encoder, packets and dequantiser share.
+//!
+//! A *cell* is one cluster in one span. Its symbols are stored level after level. In `dgs1` a
+//! level is stored block after block, a block class after class, component after component, and
+//! a component Gaussian after Gaussian, so that any run of whole blocks is one contiguous range
+//! and a packet decodes straight into place. Motion level 0 (the cluster track) belongs to the
+//! whole cell. In `paper` a level is one range, stored as [`paper`] says.
+
+use crate::{
+    ids::{ClusterId, EpochId, Level, Span},
+    quant::Class,
+    wire::manifest::{Cluster, Manifest, Motion, Profile, Quant, TRACK_PARAMETERS, stream},
+};
+
+/// Sizes of one cell.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shape {
+    /// The cluster.
+    pub cluster: Cluster,
+    /// Its quantisation profile.
+    pub quant: Quant,
+    /// How it moves in the window; all zero for a canonical cell.
+    pub motion: Motion,
+    /// Frames the cell covers.
+    pub frames: u32,
+    /// Whether this is a motion cell.
+    pub is_motion: bool,
+    /// Gaussians per block.
+    pub block_len: usize,
+    /// Symbols of the whole cell per level (track; everything in `paper`).
+    fixed: [usize; Level::COUNT],
+    /// Symbols per Gaussian per level.
+    per_gaussian: [usize; Level::COUNT],
+}
+
+impl Shape {
+    /// The shape of `cluster` in `span`, if there is such a cell.
+    pub fn of(manifest: &Manifest<'_>, span: Span, cluster: ClusterId) -> Option<Self> {
+        let (epoch_id, window) = match span {
+            Span::Canonical(epoch) => (epoch, None),
+            Span::Motion(id) => {
+                let window = manifest.window(id)?;
+                (EpochId(window.epoch), Some((id, window)))
+            }
+        };
+        let epoch = manifest.epoch(epoch_id)?;
+        let record = manifest.cluster(epoch_id, cluster)?;
+        let quant = manifest.quant(record.quant)?;
+        let motion = match window {
+            Some((id, _)) => manifest.motion(id, cluster)?,
+            None => Motion::default(),
+        };
+        let frames = window.map_or(epoch.frames, |(_, w)| u32::from(w.frames));
+        let mut shape = Self {
+            cluster: record,
+            quant,
+            motion,
+            frames,
+            is_motion: window.is_some(),
+            block_len: manifest.block_len(),
+            fixed: [0; Level::COUNT],
+            per_gaussian: [0; Level::COUNT],
+        };
+        if manifest.profile() == Profile::Paper {
+            shape.fixed = paper::symbols(
+                usize::from(record.gaussians),
+                frames as usize,
+                usize::from(epoch.rank),
+                rest_len(record.sh_degree),
+            );
+        } else {
+            for level in Level::ALL {
+                shape.per_gaussian[level.index()] = shape.components(level).map(|(_, _, dims)| dims).sum();
+            }
+            shape.fixed[0] = TRACK_PARAMETERS * frames as usize * usize::from(motion.track);
+        }
+        Some(shape)
+    }
+
+    /// Gaussians in the cell.
+    pub const fn gaussians(&self) -> usize {
+        self.cluster.gaussians as usize
+    }
+
+    /// Blocks in the cell, ≥ 1.
+    pub const fn blocks(&self) -> usize {
+        self.gaussians().div_ceil(self.block_len)
+    }
+
+    /// Gaussians in block `block`.
+    pub const fn block_gaussians(&self, block: usize) -> usize {
+        let left = self.gaussians().saturating_sub(block * self.block_len);
+        if left < self.block_len { left } else { self.block_len }
+    }
+
+    /// Symbols of `level`.
+    pub const fn level_len(&self, level: Level) -> usize {
+        self.fixed[level.index()] + self.per_gaussian[level.index()] * self.gaussians()
+    }
+
+    /// Symbols of the whole cell.
+    pub fn len(&self) -> usize {
+        Level::ALL.into_iter().map(|l| self.level_len(l)).sum()
+    }
+
+    /// True when the cell holds no symbols (a cluster that does not move in the window).
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Whether `level` of this cell is one piece that cannot be split by blocks.
+    pub const fn is_whole(&self, level: Level) -> bool {
+        self.fixed[level.index()] > 0
+    }
+
+    /// Offset in the cell and number of symbols of `blocks` at `level`.
+    pub fn range(&self, level: Level, blocks: core::ops::Range<usize>) -> (usize, usize) {
+        let before: usize = Level::ALL.into_iter().take(level.index()).map(|l| self.level_len(l)).sum();
+        if self.is_whole(level) {
+            return (before, self.level_len(level));
+        }
+        let per = self.per_gaussian[level.index()];
+        let start = (blocks.start * self.block_len).min(self.gaussians());
+        let end = (blocks.end * self.block_len).min(self.gaussians());
+        (before + per * start, per * end.saturating_sub(start))
+    }
+
+    /// The parts of a Gaussian at `level` (`dgs1`), in order: class, coefficient, components.
+    /// Canonical classes have the one coefficient 0.
+    pub fn components(&self, level: Level) -> impl Iterator<Item = (Class, usize, usize)> + use<> {
+        let this = *self;
+        let wanted = move |class: &Class| {
+            if this.is_motion {
+                class.index() < Class::MOVING
+                    && level > Level::BASE
+                    && this
+                        .quant
+                        .motion
+                        .get(class.index())
+                        .is_some_and(|q| q.has_symbol(level, Level::ALL[1]))
+            } else {
+                class.sh_degree() <= this.cluster.sh_degree
+                    && this.quant.canonical[class.index()].has_symbol(level, class.first_level())
+            }
+        };
+        Class::ALL.into_iter().filter(wanted).flat_map(move |class| {
+            let coefficients = if this.is_motion { this.motion.rank(class) } else { 1 };
+            (0..coefficients).map(move |k| (class, k, class.components()))
+        })
+    }
+
+    /// Calls `run` with (stream, symbols) for each run of symbols of `blocks` at `level`, in
+    /// storage order (`dgs1`). Stops at the first error.
+    ///
+    /// # Errors
+    /// Whatever `run` returns.
+    pub fn runs<E>(
+        &self,
+        level: Level,
+        blocks: core::ops::Range<usize>,
+        mut run: impl FnMut(usize, usize) -> Result<(), E>,
+    ) -> Result<(), E> {
+        if self.is_whole(level) {
+            for parameter in 0..TRACK_PARAMETERS {
+                for k in 0..self.frames as usize {
+                    run(stream::track(parameter, k), 1)?;
+                }
+            }
+            return Ok(());
+        }
+        for block in blocks {
+            let n = self.block_gaussians(block);
+            for (class, k, dims) in self.components(level) {
+                let stream = if self.is_motion {
+                    stream::coefficient(class, level, k)
+                } else {
+                    stream::canonical(class, level)
+                };
+                run(stream, n * dims)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Harmonic coefficients above band 0, all channels, of `degree`.
+pub const fn rest_len(degree: u8) -> usize {
+    let d = degree as usize + 1;
+    (d * d - 1) * 3
+}
+
+/// Storage order of the `paper` profile, and its sizes.
+///
+/// With n Gaussians, T frames and rank R, each list component-major, Gaussian inner:
+/// level 0: position 3, log-scale 3, quaternion 4, opacity 1, band 0 3; level 1: q (R × 3), then
+/// per frame the first refinement of the 11 attributes, then the higher bands; levels 2 and 3:
+/// per frame δ (3) and a refinement of the 11 attributes.
+pub mod paper {
+    /// Attributes with refinements: log-scale 3, quaternion 4, opacity 1, band 0 3.
+    pub const ATTRIBUTES: usize = 11;
+    /// Symbols per Gaussian of level 0.
+    pub const BASE: usize = 3 + ATTRIBUTES;
+
+    /// Symbols per level.
+    pub const fn symbols(n: usize, frames: usize, rank: usize, rest: usize) -> [usize; 4] {
+        let fine = n * frames * (3 + ATTRIBUTES);
+        [n * BASE, n * (3 * rank + frames * ATTRIBUTES + rest), fine, fine]
+    }
+
+    /// Offset of the first refinement in level 1.
+    pub const fn refinement1(n: usize, rank: usize) -> usize {
+        n * 3 * rank
+    }
+
+    /// Offset of the higher bands in level 1.
+    pub const fn rest(n: usize, frames: usize, rank: usize) -> usize {
+        n * (3 * rank + frames * ATTRIBUTES)
+    }
+}

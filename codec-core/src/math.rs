@@ -1,0 +1,128 @@
+//! The few functions decoding needs beyond + − × ÷ √, written so that every target computes the
+//! same bits: fixed order, no fused multiply-add, no platform library.
+
+/// e^x for finite x, relative error under 3e-7 in -80..=80; clamped outside.
+///
+/// Range reduction by powers of two and a degree-6 polynomial (minimax on ±ln2/2).
+pub fn exp(x: f32) -> f32 {
+    let x = x.clamp(-80.0, 80.0);
+    // Round to nearest without a float function: the cast truncates towards zero.
+    let scaled = x * core::f32::consts::LOG2_E;
+    let n = (scaled + if scaled < 0.0 { -0.5 } else { 0.5 }) as i32;
+    let nf = n as f32;
+    // ln 2 in two parts keeps the reduced argument exact to about 2^-33.
+    let r = (x - nf * 0.693_359_4) + nf * 2.121_944_4e-4;
+    let mut p = 1.388_888_9e-3;
+    for c in [8.333_333_5e-3, 4.166_666_7e-2, 1.666_666_7e-1, 0.5, 1.0, 1.0] {
+        p = p * r + c;
+    }
+    p * f32::from_bits(((n + 127) as u32) << 23)
+}
+
+/// cos(π · num / den) for `den` ≥ 1, absolute error under 1e-7; exact at multiples of π/2.
+pub fn cos_pi(num: u32, den: u32) -> f32 {
+    let den = u64::from(den.max(1));
+    // Position on the circle in units of π / den, then folded to the first quadrant.
+    let turn = u64::from(num) % (2 * den);
+    let turn = if turn > den { 2 * den - turn } else { turn };
+    let (fold, sign) = if 2 * turn > den { (den - turn, -1.0f64) } else { (turn, 1.0) };
+    let x = core::f64::consts::PI * fold as f64 / den as f64;
+    if 2 * fold == den {
+        return 0.0;
+    }
+    let s = x * x;
+    // Taylor to x^16: below 1e-13 on 0..=π/2.
+    let mut p = 4.779_477_332_387_385e-14;
+    for c in [
+        -1.147_074_559_772_972_5e-11,
+        2.087_675_698_786_81e-9,
+        -2.755_731_922_398_589e-7,
+        2.480_158_730_158_730_2e-5,
+        -1.388_888_888_888_889e-3,
+        4.166_666_666_666_666_4e-2,
+        -0.5,
+        1.0,
+    ] {
+        p = p * s + c;
+    }
+    (sign * p) as f32
+}
+
+/// `q` at unit length; one too short to have a direction becomes the identity.
+pub fn normalised(q: [f32; 4]) -> [f32; 4] {
+    let length2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+    if !(length2 > 1e-12 && length2 < 1e12) {
+        return [1.0, 0.0, 0.0, 0.0];
+    }
+    let scale = 1.0 / libm::sqrtf(length2);
+    q.map(|v| v * scale)
+}
+
+/// Hamilton product a ⊗ b, wxyz.
+pub fn quat_mul(a: [f32; 4], b: [f32; 4]) -> [f32; 4] {
+    let [aw, ax, ay, az] = a;
+    let [bw, bx, by, bz] = b;
+    [
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    ]
+}
+
+/// The unit quaternion of modified Rodrigues parameters `v` = xyz / (1 + w), |v| ≤ 1 for w ≥ 0.
+///
+/// Only + × ÷, no singularity for w ≥ 0: that is why rotations are quantised in this form.
+pub fn quat_from_mrp(v: [f32; 3]) -> [f32; 4] {
+    let n = v[0] * v[0] + v[1] * v[1] + v[2] * v[2];
+    let k = 2.0 / (1.0 + n);
+    [(1.0 - n) / (1.0 + n), v[0] * k, v[1] * k, v[2] * k]
+}
+
+/// Modified Rodrigues parameters of the unit quaternion `q` (or −q, whichever has w ≥ 0).
+pub fn mrp_from_quat(q: [f32; 4]) -> [f32; 3] {
+    let sign = if q[0] < 0.0 { -1.0 } else { 1.0 };
+    let k = sign / (1.0 + q[0] * sign);
+    [q[1] * k, q[2] * k, q[3] * k]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    extern crate std;
+
+    proptest! {
+        #[test]
+        fn exp_is_within_its_stated_error(x in -80f32..80.0) {
+            let exact = f64::from(x).exp();
+            prop_assert!(((f64::from(exp(x)) - exact) / exact).abs() < 3e-7);
+        }
+
+        #[test]
+        fn cos_is_within_its_stated_error(num in 0u32..5000, den in 1u32..300) {
+            let exact = (std::f64::consts::PI * f64::from(num) / f64::from(den)).cos();
+            prop_assert!((f64::from(cos_pi(num, den)) - exact).abs() < 1e-7);
+        }
+
+        #[test]
+        fn rotations_survive_rodrigues(w in 0.0f32..1.0, x in -1f32..1.0, y in -1f32..1.0, z in -1f32..1.0) {
+            prop_assume!(w * w + x * x + y * y + z * z > 1e-3);
+            let q = normalised([w, x, y, z]);
+            let v = mrp_from_quat(q);
+            prop_assert!(v.iter().map(|v| v * v).sum::<f32>() <= 1.0001);
+            let back = quat_from_mrp(v);
+            for (a, b) in q.iter().zip(back) { prop_assert!((a - b).abs() < 1e-6); }
+        }
+    }
+
+    #[test]
+    fn exact_places() {
+        assert_eq!(
+            (exp(0.0), cos_pi(0, 7), cos_pi(1, 2), cos_pi(3, 3), cos_pi(9, 6)),
+            (1.0, 1.0, 0.0, -1.0, 0.0)
+        );
+        assert_eq!(normalised([0.0; 4]), [1.0, 0.0, 0.0, 0.0]);
+        assert_eq!(normalised([f32::NAN; 4]), [1.0, 0.0, 0.0, 0.0]);
+    }
+}

@@ -1,0 +1,249 @@
+//! Nested quantisers: what each level knows of a value, both directions in one file.
+//!
+//! The finest index of a value is `q₃ = round(value / step)`. Level `l` knows
+//! `q_l = round(q_{l+1} / ratio)`, so level `l + 1` adds one small symbol
+//! `r = q_{l+1} − ratio · q_l`. With an odd ratio the cells of level `l + 1` tile those of level
+//! `l` exactly and each is reconstructed at its centre, so the largest error shrinks by the ratio
+//! with every level: monotone by construction. A ratio of 1 means that the level adds nothing,
+//! and then costs nothing.
+
+use crate::{
+    error::Result,
+    ids::Level,
+    wire::cursor::{Reader, in_range},
+};
+
+/// Attribute classes of a Gaussian, in coding order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[repr(u8)]
+pub enum Class {
+    /// Position (canonical) or its temporal coefficients (motion); scene units.
+    Position,
+    /// Natural log of the scale.
+    Scale,
+    /// Rotation: modified Rodrigues parameters (canonical), relative rotation (motion).
+    Rotation,
+    /// Linear opacity, 0..=1.
+    Opacity,
+    /// Band-0 colour coefficients.
+    Sh0,
+    /// Band 1: 3 coefficients × 3 channels.
+    Sh1,
+    /// Band 2: 5 × 3.
+    Sh2,
+    /// Band 3: 7 × 3.
+    Sh3,
+}
+
+impl Class {
+    /// Number of classes.
+    pub const COUNT: usize = 8;
+    /// Number of classes that can move: the first five.
+    pub const MOVING: usize = 5;
+    /// All, in coding order.
+    pub const ALL: [Self; Self::COUNT] = [
+        Self::Position,
+        Self::Scale,
+        Self::Rotation,
+        Self::Opacity,
+        Self::Sh0,
+        Self::Sh1,
+        Self::Sh2,
+        Self::Sh3,
+    ];
+
+    /// As an index, 0..8.
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+
+    /// Components per Gaussian in profile `dgs1`.
+    pub const fn components(self) -> usize {
+        match self {
+            Self::Position | Self::Scale | Self::Rotation | Self::Sh0 => 3,
+            Self::Opacity => 1,
+            Self::Sh1 => 9,
+            Self::Sh2 => 15,
+            Self::Sh3 => 21,
+        }
+    }
+
+    /// The level at which the class appears: harmonic band b waits for level b.
+    pub const fn first_level(self) -> Level {
+        match self {
+            Self::Sh1 => Level::ALL[1],
+            Self::Sh2 => Level::ALL[2],
+            Self::Sh3 => Level::ALL[3],
+            _ => Level::BASE,
+        }
+    }
+
+    /// The harmonic degree a cluster needs for this class to exist.
+    pub const fn sh_degree(self) -> u8 {
+        match self {
+            Self::Sh1 => 1,
+            Self::Sh2 => 2,
+            Self::Sh3 => 3,
+            _ => 0,
+        }
+    }
+}
+
+/// A nested quantiser.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Quantiser {
+    /// Step at level 3. Invariant: finite, in [`Quantiser::STEP_RANGE`].
+    step: f32,
+    /// `ratio[l]`: step of level `l` over step of level `l + 1`. Invariant: ≥ 1.
+    ratio: [u8; 3],
+    /// Whether the first symbol is coded as the difference to the Gaussian before it in its block.
+    predicted: bool,
+}
+
+impl Quantiser {
+    /// Smallest and largest step.
+    pub const STEP_RANGE: (f32, f32) = (1e-9, 1e9);
+    /// Bytes on the wire: step f32, three ratios, flags.
+    pub const BYTES: usize = 8;
+
+    /// A quantiser of `step` at level 3.
+    ///
+    /// # Errors
+    /// A step that is not finite or out of range, or a ratio of 0.
+    pub fn new(step: f32, ratio: [u8; 3], predicted: bool) -> Result<Self> {
+        let (low, high) = Self::STEP_RANGE;
+        if !(step >= low && step <= high) {
+            let bits = |v: f32| u64::from(v.to_bits());
+            return Err(crate::Error::illegal("quantiser.step", 0, bits(step), (bits(low), bits(high))));
+        }
+        for (i, r) in ratio.into_iter().enumerate() {
+            in_range("quantiser.ratio", 4 + i, r, 1, u8::MAX)?;
+        }
+        Ok(Self { step, ratio, predicted })
+    }
+
+    /// Whether symbols of the first level are differences to the previous Gaussian of the block.
+    pub const fn predicted(&self) -> bool {
+        self.predicted
+    }
+
+    /// The ratio by which `level` refines the level below; 1 for the base.
+    pub const fn ratio(&self, level: Level) -> u8 {
+        match level.get() {
+            0 => 1,
+            l => self.ratio[(l - 1) as usize],
+        }
+    }
+
+    /// True if every ratio is odd, as `dgs1` demands: only then do cells nest exactly.
+    pub fn nests(&self) -> bool {
+        self.ratio.iter().all(|r| r % 2 == 1)
+    }
+
+    /// Step known at `level`.
+    pub fn step(&self, level: Level) -> f32 {
+        let mut step = self.step;
+        for &r in self.ratio.iter().skip(level.index()) {
+            step *= f32::from(r);
+        }
+        step
+    }
+
+    /// Whether `level` carries a symbol for a class that appears at `first`.
+    pub const fn has_symbol(&self, level: Level, first: Level) -> bool {
+        level.get() == first.get() || (level.get() > first.get() && self.ratio(level) > 1)
+    }
+
+    /// The index of `value` at the finest level, within ±1e9.
+    pub fn index(&self, value: f32) -> i32 {
+        // ±1e9 leaves room for the sums below in i32; the cast takes NaN to 0.
+        let scaled = (value / self.step).clamp(-1e9, 1e9);
+        (scaled + if scaled < 0.0 { -0.5 } else { 0.5 }) as i32
+    }
+
+    /// Splits finest index `q` into its index at `first` and the refinement symbols above it.
+    /// Entries below `first` are 0.
+    pub fn split(&self, q: i32, first: Level) -> [i32; Level::COUNT] {
+        let mut symbols = [0i32; Level::COUNT];
+        let mut q = q;
+        for level in Level::ALL.into_iter().rev() {
+            if level == first {
+                symbols[level.index()] = q;
+                break;
+            }
+            let m = i32::from(self.ratio(level));
+            let r = (q + m / 2).rem_euclid(m) - m / 2;
+            symbols[level.index()] = r;
+            q = (q - r) / m;
+        }
+        symbols
+    }
+
+    /// The index one level up: `q · ratio + r`, saturating on hostile input.
+    pub const fn refine(&self, q: i32, r: i16, level: Level) -> i32 {
+        q.saturating_mul(self.ratio(level) as i32).saturating_add(r as i32)
+    }
+
+    /// Bytes on the wire.
+    pub fn to_bytes(&self) -> [u8; Self::BYTES] {
+        let [a, b, c, d] = self.step.to_le_bytes();
+        let [x, y, z] = self.ratio;
+        [a, b, c, d, x, y, z, u8::from(self.predicted)]
+    }
+
+    /// From the wire.
+    ///
+    /// # Errors
+    /// Short bytes, or what [`Quantiser::new`] refuses.
+    pub fn read(reader: &mut Reader<'_>) -> Result<Self> {
+        let start = reader.offset();
+        let step = reader.f32("quantiser.step")?;
+        let ratio = reader.array("quantiser.ratio")?;
+        let flags = in_range("quantiser.flags", start + 7, reader.u8("quantiser.flags")?, 0, 1)?;
+        Self::new(step, ratio, flags == 1).map_err(|e| crate::Error { offset: start as u32 + e.offset, ..e })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn levels_nest_and_the_error_bound_shrinks(
+            value in -1000f32..1000.0, ratio in [0u8..4, 0..4, 0..4], first in 0u8..4,
+        ) {
+            let quantiser = Quantiser::new(0.01, ratio.map(|r| 2 * r + 1), false).unwrap();
+            let first = Level::new(first).unwrap();
+            let fine = quantiser.index(value);
+            let symbols = quantiser.split(fine, first);
+            let mut q = symbols[first.index()];
+            for level in Level::ALL.into_iter().skip(first.index()) {
+                if level > first {
+                    let r = symbols[level.index()];
+                    prop_assert!(r.unsigned_abs() <= u32::from(quantiser.ratio(level)) / 2);
+                    q = quantiser.refine(q, r as i16, level);
+                }
+                let step = quantiser.step(level);
+                // Half a cell, and the rounding of f32 at this magnitude.
+                prop_assert!((q as f32 * step - value).abs() <= step * 0.5 + 1e-3);
+            }
+            prop_assert_eq!(q, fine);
+        }
+    }
+
+    #[test]
+    fn hostile_values_do_not_overflow() {
+        let quantiser = Quantiser::new(1e-9, [255; 3], false).unwrap();
+        for value in [f32::NAN, f32::INFINITY, -f32::INFINITY, 1e30] {
+            let q = quantiser.index(value);
+            let _ = quantiser.split(q, Level::BASE);
+        }
+        assert_eq!(quantiser.refine(i32::MAX, i16::MAX, Level::ALL[1]), i32::MAX);
+        assert!(Quantiser::new(f32::NAN, [1; 3], false).is_err());
+        assert!(Quantiser::new(1.0, [1, 0, 1], false).is_err());
+    }
+}

@@ -1,0 +1,645 @@
+//! The receiver: bytes in, usable state out. No socket, no clock, no heap.
+//!
+//! All memory is the caller's ([`Memory`]); [`Requirements`] says from a manifest how much of
+//! each is needed. Media that arrives before the manifest is buffered within that memory, never
+//! decoded. Every packet is checked (CRC, header, lattice, entropy coder's end state) before its
+//! arrival is recorded, decodes straight to its place in the symbol store, and is used at most
+//! once; order does not matter. What is refused is counted by kind and costs bounded work.
+
+use crate::{
+    closure::Arrived,
+    error::{Error, ErrorKind, Result},
+    ids::{ClusterId, EpochId, Level, PacketId, Span, WindowId},
+    layout::Shape,
+    limits::{self, MAX_PACKET_BYTES},
+    rans::{bytes, lanes, table},
+    repair::{ACCUMULATOR_BYTES, Accumulator},
+    wire::{
+        crc::{Crc32, checked, crc32},
+        cursor::in_range,
+        manifest::{self, Manifest, NO_TABLE, Profile, Repair},
+        packet::{Chunk, Packet, Slice, Slices},
+    },
+};
+
+/// Where a cell's data starts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Cell {
+    /// First symbol.
+    pub symbols: u32,
+    /// First block.
+    pub blocks: u32,
+}
+
+/// How much memory a stream needs, in elements of each [`Memory`] field.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Requirements {
+    /// Elements of `cells`.
+    pub cells: usize,
+    /// Elements of `symbols`.
+    pub symbols: usize,
+    /// Elements of `blocks`.
+    pub blocks: usize,
+    /// Elements of `seen`.
+    pub seen: usize,
+    /// Elements of `slots`.
+    pub slots: usize,
+    /// Elements of `progress`.
+    pub progress: usize,
+    /// Bytes of `parity` for full repair; less repairs fewer sets.
+    pub parity: usize,
+}
+
+impl Requirements {
+    /// What `manifest` needs.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Capacity`] if the symbols exceed 2^31.
+    pub fn of(manifest: &Manifest<'_>) -> Result<Self> {
+        let mut need = Self { cells: manifest.cells() + 1, ..Self::default() };
+        for_each_cell(manifest, |_, _, shape| {
+            need.symbols += shape.len();
+            need.blocks += shape.blocks();
+        });
+        in_range("manifest.symbols", 0, need.symbols as u64, 0, 1 << 31)
+            .map_err(|e| e.kind(ErrorKind::Capacity))?;
+        need.seen = (manifest.head().packets as usize).div_ceil(32);
+        need.parity = manifest.repairs().map(|r| r.sets() as usize).sum::<usize>() * ACCUMULATOR_BYTES;
+        match manifest.profile() {
+            Profile::Dgs1 => need.slots = usize::from(manifest.head().tables) * table::SLOTS,
+            Profile::Paper => {
+                need.slots = 2 * bytes::SLOTS / 4;
+                need.progress = manifest.cells() * Level::COUNT;
+            }
+        }
+        Ok(need)
+    }
+}
+
+/// Calls `visit` with every cell in lattice order: canonical cells, then motion cells.
+pub fn for_each_cell(manifest: &Manifest<'_>, mut visit: impl FnMut(Span, ClusterId, Shape)) {
+    let mut walk = |span, clusters: u32| {
+        for c in 0..clusters {
+            let cluster = ClusterId(c as u16);
+            if let Some(shape) = Shape::of(manifest, span, cluster) {
+                visit(span, cluster, shape);
+            }
+        }
+    };
+    for (e, epoch) in manifest.epochs().enumerate() {
+        walk(Span::Canonical(EpochId(e as u16)), epoch.clusters);
+    }
+    for (w, window) in manifest.windows().enumerate() {
+        let clusters = manifest.epoch(EpochId(window.epoch)).map_or(0, |e| e.clusters);
+        walk(Span::Motion(WindowId(w as u16)), clusters);
+    }
+}
+
+/// The caller's memory. Contents do not matter; [`Receiver::control`] initialises what it uses.
+#[derive(Debug, Default)]
+pub struct Memory<'a> {
+    /// The unpacked manifest ([`manifest::Sealed::raw_len`] bytes).
+    pub manifest: &'a mut [u8],
+    /// Where cells start.
+    pub cells: &'a mut [Cell],
+    /// Decoded symbols.
+    pub symbols: &'a mut [i16],
+    /// Arrival masks, one per block and cell.
+    pub blocks: &'a mut [u8],
+    /// Bitmap of packets.
+    pub seen: &'a mut [u32],
+    /// Entropy decode slots.
+    pub slots: &'a mut [u32],
+    /// Symbols arrived per group (`paper`).
+    pub progress: &'a mut [u32],
+    /// Repair accumulators.
+    pub parity: &'a mut [u8],
+    /// Media that arrives before the manifest.
+    pub early: &'a mut [u8],
+}
+
+/// What happened to packets, by kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Counters {
+    /// Media packets accepted and decoded.
+    pub media: u32,
+    /// Parity packets accepted.
+    pub parity: u32,
+    /// Packets buffered before the manifest.
+    pub early: u32,
+    /// Packets recovered by repair.
+    pub recovered: u32,
+    /// Repaired packets that failed their own checks.
+    pub repair_failed: u32,
+    /// Packets refused, by [`ErrorKind::index`].
+    pub refused: [u32; ErrorKind::COUNT],
+}
+
+/// What became of a packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Arrival {
+    /// Kept until the manifest is complete.
+    Buffered,
+    /// Decoded (or, for parity, taken into account).
+    Accepted {
+        /// The packet.
+        id: PacketId,
+        /// A packet of its repair set that this one made recoverable.
+        recovered: Option<PacketId>,
+    },
+}
+
+/// The decoded content of a stream so far, and which of it counts.
+#[derive(Clone, Copy, Debug)]
+pub struct Content<'m> {
+    /// The manifest.
+    pub manifest: Manifest<'m>,
+    /// Where cells start.
+    pub cells: &'m [Cell],
+    /// Symbols.
+    pub symbols: &'m [i16],
+    /// The state: arrival masks. Any list of this length is a valid state.
+    pub blocks: &'m [u8],
+}
+
+impl<'m> Content<'m> {
+    /// The same content in another state.
+    #[must_use]
+    pub const fn with_state(mut self, blocks: &'m [u8]) -> Self {
+        self.blocks = blocks;
+        self
+    }
+
+    /// The cell of `cluster` in `span`.
+    pub fn cell(&self, span: Span, cluster: ClusterId) -> Option<Cell> {
+        self.cells.get(self.manifest.cell(span, cluster)?.index()).copied()
+    }
+
+    /// Levels of block `block` of a cell that have arrived.
+    pub fn arrived(&self, cell: Cell, block: usize) -> Arrived {
+        Arrived(self.blocks.get(cell.blocks as usize + block).copied().unwrap_or(0))
+    }
+}
+
+/// A sans-I/O receiver over caller-owned memory.
+#[derive(Debug)]
+pub struct Receiver<'a> {
+    memory: Memory<'a>,
+    manifest: Option<Manifest<'a>>,
+    crc: Crc32,
+    early_used: usize,
+    counters: Counters,
+}
+
+impl<'a> Receiver<'a> {
+    /// A receiver that waits for its manifest.
+    pub const fn new(memory: Memory<'a>) -> Self {
+        Self::with_crc(memory, crc32)
+    }
+
+    /// A receiver that uses `crc`, a faster CRC-32/ISO-HDLC of the host's.
+    pub const fn with_crc(memory: Memory<'a>, crc: Crc32) -> Self {
+        let counters = Counters {
+            media: 0,
+            parity: 0,
+            early: 0,
+            recovered: 0,
+            repair_failed: 0,
+            refused: [0; ErrorKind::COUNT],
+        };
+        Self { memory, manifest: None, crc, early_used: 0, counters }
+    }
+
+    /// The manifest, once it is complete.
+    pub const fn manifest(&self) -> Option<&Manifest<'a>> {
+        self.manifest.as_ref()
+    }
+
+    /// What happened so far.
+    pub const fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
+    /// What has been decoded so far; `None` before the manifest.
+    pub fn content(&self) -> Option<Content<'_>> {
+        Some(Content {
+            manifest: self.manifest?,
+            cells: self.memory.cells,
+            symbols: self.memory.symbols,
+            blocks: self.memory.blocks,
+        })
+    }
+
+    /// Whether packet `id` has been accepted or recovered.
+    pub fn has(&self, id: PacketId) -> bool {
+        let word = self.memory.seen.get(id.index() / 32).copied().unwrap_or(0);
+        word >> (id.get() % 32) & 1 == 1
+    }
+
+    /// Takes the whole DGSM message, then the media that was waiting for it.
+    ///
+    /// # Errors
+    /// A message that is refused leaves the receiver as it was. [`ErrorKind::Capacity`] names the
+    /// memory that is too small; [`ErrorKind::Duplicate`] if there is a manifest already.
+    pub fn control(&mut self, message: &[u8]) -> Result<()> {
+        if self.manifest.is_some() {
+            return Err(Error::illegal("manifest", 0, 2, (1, 1)).kind(ErrorKind::Duplicate));
+        }
+        let memory = &self.memory;
+        let have = Requirements {
+            cells: memory.cells.len(),
+            symbols: memory.symbols.len(),
+            blocks: memory.blocks.len(),
+            seen: memory.seen.len(),
+            slots: memory.slots.len(),
+            progress: memory.progress.len(),
+            parity: memory.parity.len(),
+        };
+        let raw_len = {
+            let raw = manifest::open(message, self.crc, self.memory.manifest)?;
+            let manifest = Manifest::parse(raw)?;
+            let need = Requirements::of(&manifest)?;
+            for (field, have, need) in [
+                ("memory.cells", have.cells, need.cells),
+                ("memory.symbols", have.symbols, need.symbols),
+                ("memory.blocks", have.blocks, need.blocks),
+                ("memory.seen", have.seen, need.seen),
+                ("memory.slots", have.slots, need.slots),
+                ("memory.progress", have.progress, need.progress),
+            ] {
+                if have < need {
+                    return Err(Error::short(field, 0, have, need).kind(ErrorKind::Capacity));
+                }
+            }
+            raw.len()
+        };
+        let raw: &'a mut [u8] = core::mem::take(&mut self.memory.manifest);
+        let raw: &'a [u8] = raw;
+        let manifest = Manifest::parse(raw.get(..raw_len).unwrap_or(raw))?;
+        self.initialise(&manifest);
+        self.manifest = Some(manifest);
+        self.drain_early();
+        Ok(())
+    }
+
+    fn initialise(&mut self, manifest: &Manifest<'_>) {
+        let Memory { cells, symbols, blocks, seen, slots, progress, parity, .. } = &mut self.memory;
+        let mut next = Cell::default();
+        let mut targets = cells.iter_mut();
+        symbols.fill(0);
+        for_each_cell(manifest, |_, _, shape| {
+            if let Some(cell) = targets.next() {
+                *cell = next;
+            }
+            let empty = Level::ALL.into_iter().filter(|&l| shape.level_len(l) == 0);
+            let mask = empty.fold(Arrived::default(), Arrived::with);
+            let first = next.blocks as usize;
+            next.symbols += shape.len() as u32;
+            next.blocks += shape.blocks() as u32;
+            if let Some(blocks) = blocks.get_mut(first..next.blocks as usize) {
+                blocks.fill(mask.0);
+            }
+        });
+        if let Some(end) = targets.next() {
+            *end = next;
+        }
+        seen.fill(0);
+        progress.fill(0);
+        parity.fill(0);
+        for (table, slots) in manifest.tables().zip(slots.as_chunks_mut::<{ table::SLOTS }>().0) {
+            table.fill_slots(slots);
+        }
+    }
+
+    fn drain_early(&mut self) {
+        let early = core::mem::take(&mut self.memory.early);
+        let mut rest: &[u8] = early.get(..self.early_used).unwrap_or(&[]);
+        while let Some((len, tail)) = rest.split_first_chunk::<2>() {
+            let len = usize::from(u16::from_le_bytes(*len)).min(tail.len());
+            let (packet, tail) = tail.split_at(len);
+            rest = tail;
+            // A refusal is counted by `media`; nobody waits for this packet's answer.
+            let _ = self.media(packet);
+        }
+    }
+
+    /// Takes one media or parity packet.
+    ///
+    /// # Errors
+    /// Why the packet is refused; the receiver is as it was, but for its counters.
+    pub fn media(&mut self, packet: &[u8]) -> Result<Arrival> {
+        let result = self.take(packet);
+        if let Err(error) = &result {
+            self.counters.refused[error.kind.index()] += 1;
+        }
+        result
+    }
+
+    fn take(&mut self, packet: &[u8]) -> Result<Arrival> {
+        in_range("packet", 0, packet.len() as u64, 1, MAX_PACKET_BYTES as u64)?;
+        let content = checked("packet.crc", packet, self.crc)?;
+        let Some(manifest) = self.manifest else {
+            return self.buffer(packet);
+        };
+        let parsed = Packet::parse(content)?;
+        let id = parsed.id();
+        let last = u64::from(manifest.head().packets.saturating_sub(1));
+        if id.get() >= manifest.head().packets {
+            return Err(
+                Error::illegal("packet.id", 1, id.get().into(), (0, last)).kind(ErrorKind::Contradiction)
+            );
+        }
+        if self.has(id) {
+            let seen = u64::from(id.get());
+            return Err(Error::illegal("packet.id", 1, seen, (seen, seen)).kind(ErrorKind::Duplicate));
+        }
+        let mut recovered = None;
+        if let Packet::Parity(parity) = &parsed {
+            let found = protected_set(&manifest, |r, _| id.get().checked_sub(r.first_parity));
+            let Some((index, repair, set)) = found else {
+                return Err(
+                    Error::illegal("parity.id", 1, id.get().into(), (0, last)).kind(ErrorKind::Contradiction)
+                );
+            };
+            self.counters.parity += 1;
+            self.mark(id);
+            if let Some(mut accumulator) = self.accumulator(index) {
+                accumulator.add_parity(parity.length, parity.content);
+                recovered = self.recover(&manifest, index, &repair, set);
+            }
+        } else {
+            self.decode(&manifest, &parsed)?;
+            self.counters.media += 1;
+            self.mark(id);
+            let found = protected_set(&manifest, |r, _| r.set_of(id.get()).map(|(set, _)| set));
+            if let Some((index, repair, set)) = found {
+                let position = repair.set_of(id.get()).map_or(0, |(_, position)| position);
+                if let Some(mut accumulator) = self.accumulator(index) {
+                    accumulator.add(position, packet);
+                    recovered = self.recover(&manifest, index, &repair, set);
+                }
+            }
+        }
+        Ok(Arrival::Accepted { id, recovered })
+    }
+
+    fn buffer(&mut self, packet: &[u8]) -> Result<Arrival> {
+        let room = self.memory.early.len().saturating_sub(self.early_used);
+        let needed = packet.len() + 2;
+        let Some(target) = self.memory.early.get_mut(self.early_used..self.early_used + needed) else {
+            return Err(Error::short("memory.early", 0, room, needed).kind(ErrorKind::Capacity));
+        };
+        let (len, bytes) = target.split_at_mut(2);
+        len.copy_from_slice(&(packet.len() as u16).to_le_bytes());
+        bytes.copy_from_slice(packet);
+        self.early_used += needed;
+        self.counters.early += 1;
+        Ok(Arrival::Buffered)
+    }
+
+    fn mark(&mut self, id: PacketId) {
+        if let Some(word) = self.memory.seen.get_mut(id.index() / 32) {
+            *word |= 1 << (id.get() % 32);
+        }
+    }
+
+    fn accumulator(&mut self, index: usize) -> Option<Accumulator<'_>> {
+        let start = index.checked_mul(ACCUMULATOR_BYTES)?;
+        Accumulator::over(self.memory.parity.get_mut(start..start.checked_add(ACCUMULATOR_BYTES)?)?)
+    }
+
+    /// Decodes the one missing packet of a set, if the set is down to one.
+    fn recover(
+        &mut self,
+        manifest: &Manifest<'_>,
+        index: usize,
+        repair: &Repair,
+        set: u32,
+    ) -> Option<PacketId> {
+        let members = repair.members(set);
+        let mut copy = [0u8; MAX_PACKET_BYTES];
+        let (position, len) = {
+            let accumulator = self.accumulator(index)?;
+            let (position, bytes) = accumulator.missing(members)?;
+            copy.get_mut(..bytes.len())?.copy_from_slice(bytes);
+            (position, bytes.len())
+        };
+        let expected = PacketId::new(repair.first_packet + set + position * repair.sets())?;
+        if self.has(expected) {
+            return None;
+        }
+        let packet = copy.get(..len)?;
+        let decoded = checked("packet.crc", packet, self.crc).and_then(Packet::parse).and_then(|parsed| {
+            let (found, wanted) = (u64::from(parsed.id().get()), u64::from(expected.get()));
+            in_range("packet.id", 1, found, wanted, wanted)?;
+            self.decode(manifest, &parsed)
+        });
+        if decoded.is_err() {
+            self.counters.repair_failed += 1;
+            return None;
+        }
+        self.mark(expected);
+        self.counters.recovered += 1;
+        if let Some(mut accumulator) = self.accumulator(index) {
+            accumulator.add(position, packet);
+        }
+        Some(expected)
+    }
+
+    fn decode(&mut self, manifest: &Manifest<'_>, packet: &Packet<'_>) -> Result<()> {
+        let (wanted, found) = match packet {
+            Packet::Slices(_) => (Profile::Dgs1, manifest.profile()),
+            Packet::Chunk(_) => (Profile::Paper, manifest.profile()),
+            Packet::Parity(_) => return Err(Error::illegal("packet.kind", 0, 6, (4, 5))),
+        };
+        if wanted != found {
+            let allowed = (found as u64, found as u64);
+            return Err(
+                Error::illegal("packet.profile", 0, wanted as u64, allowed).kind(ErrorKind::Contradiction)
+            );
+        }
+        match packet {
+            Packet::Slices(slices) => self.decode_slices(manifest, slices),
+            Packet::Chunk(chunk) => self.decode_chunk(manifest, chunk),
+            Packet::Parity(_) => Ok(()),
+        }
+    }
+
+    fn decode_slices(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>) -> Result<()> {
+        let Memory { cells, symbols, blocks, slots, .. } = &mut self.memory;
+        let slots = slots.as_chunks::<{ table::SLOTS }>().0;
+        let mut raw_bits_of = [0u8; limits::MAX_TABLES];
+        for (bits, table) in raw_bits_of.iter_mut().zip(manifest.tables()) {
+            *bits = table.raw_bits();
+        }
+        let table_at = |stream: usize| -> Result<(&[u32; table::SLOTS], u8)> {
+            let index = manifest.table_of(stream);
+            let found = slots.get(usize::from(index)).zip(raw_bits_of.get(usize::from(index)));
+            let contradiction = Error::illegal("slice.table", 0, index.into(), (0, u64::from(NO_TABLE) - 1));
+            found
+                .filter(|_| index != NO_TABLE)
+                .map(|(slots, &bits)| (slots, bits))
+                .ok_or(contradiction.kind(ErrorKind::Contradiction))
+        };
+        let mut raw_bits = 0usize;
+        for (i, slice) in packet.slices.iter().enumerate() {
+            let place = Place::of(manifest, cells, slice, i)?;
+            let masks = blocks.get(place.masks.clone()).unwrap_or(&[]);
+            if masks.iter().any(|&m| Arrived(m).has(slice.level)) {
+                let level = u64::from(slice.level.get());
+                return Err(Error::illegal("slice", i, level, (level, level)).kind(ErrorKind::Duplicate));
+            }
+            place.shape.runs(slice.level, place.blocks.clone(), |stream, n| {
+                raw_bits += n * usize::from(table_at(stream)?.1);
+                Ok(())
+            })?;
+        }
+        let mut decoder = lanes::Decoder::new(packet.body, raw_bits, usize::from(packet.escapes))?;
+        for (i, slice) in packet.slices.iter().enumerate() {
+            let place = Place::of(manifest, cells, slice, i)?;
+            let mut rest = symbols.get_mut(place.symbols.clone()).unwrap_or(&mut []);
+            place.shape.runs(slice.level, place.blocks.clone(), |stream, n| {
+                let (slots, bits) = table_at(stream)?;
+                let (run, tail) = core::mem::take(&mut rest).split_at_mut(n.min(rest.len()));
+                rest = tail;
+                decoder.run(slots, bits, run)
+            })?;
+        }
+        decoder.finish()?;
+        for (i, slice) in packet.slices.iter().enumerate() {
+            let place = Place::of(manifest, cells, slice, i)?;
+            for mask in blocks.get_mut(place.masks).unwrap_or(&mut []) {
+                *mask = Arrived(*mask).with(slice.level).0;
+            }
+        }
+        Ok(())
+    }
+
+    fn decode_chunk(&mut self, manifest: &Manifest<'_>, chunk: &Chunk<'_>) -> Result<()> {
+        let Memory { cells, symbols, blocks, slots, progress, .. } = &mut self.memory;
+        let contradiction = |field, offset, found: u64, allowed| {
+            Err(Error::illegal(field, offset, found, allowed).kind(ErrorKind::Contradiction))
+        };
+        let cluster = u32::from(chunk.cluster);
+        let found = manifest
+            .epochs()
+            .enumerate()
+            .find(|(_, e)| cluster.checked_sub(e.first_cluster).is_some_and(|offset| offset < e.clusters));
+        let Some((e, epoch)) = found else {
+            let last = u64::from(manifest.head().clusters.saturating_sub(1));
+            return contradiction("chunk.cluster", 4, cluster.into(), (0, last));
+        };
+        let span = Span::Canonical(EpochId(e as u16));
+        let local = ClusterId((cluster - epoch.first_cluster) as u16);
+        let Some(shape) = Shape::of(manifest, span, local) else {
+            return contradiction("chunk.cluster", 4, cluster.into(), (0, 0));
+        };
+        let level_len = shape.level_len(chunk.level) as u64;
+        let end = u64::from(chunk.first_symbol) + u64::from(chunk.symbols);
+        for (field, offset, found, wanted) in [
+            ("chunk.first_frame", 6, u32::from(chunk.first_frame), epoch.first_frame & 0xffff),
+            ("chunk.frames", 8, u32::from(chunk.frames), epoch.frames & 0xffff),
+            ("chunk.quant", 10, u32::from(chunk.quant), u32::from(shape.cluster.quant)),
+        ] {
+            if found != wanted {
+                return contradiction(field, offset, found.into(), (wanted.into(), wanted.into()));
+            }
+        }
+        if end > level_len {
+            return contradiction("chunk.symbols", 18, end, (1, level_len));
+        }
+        let group = cluster * Level::COUNT as u32 + u32::from(chunk.level.get());
+        let needs = usize::from(chunk.level > Level::BASE);
+        if chunk.dependencies.len() != needs {
+            return contradiction(
+                "chunk.dependencies",
+                11,
+                chunk.dependencies.len() as u64,
+                (needs as u64, needs as u64),
+            );
+        }
+        if let Some(&word) = chunk.dependencies.first()
+            && word != group - 1
+        {
+            let below = u64::from(group - 1);
+            return contradiction("chunk.dependency", 22, word.into(), (below, below));
+        }
+        let Some([low, high]) = manifest.byte_tables(cluster as usize, chunk.level) else {
+            return contradiction("chunk.tables", 0, 0, (1, 1));
+        };
+        let slots: &mut [u8] = bytemuck::cast_slice_mut(slots);
+        let Some([low_slots, high_slots]) = slots.as_chunks_mut::<{ bytes::SLOTS }>().0.get_mut(..2) else {
+            return contradiction("memory.slots", 0, 0, (2, 2));
+        };
+        low.fill_slots(low_slots);
+        high.fill_slots(high_slots);
+        let cell = cells.get(cluster as usize).copied().unwrap_or_default();
+        let (level_start, _) = shape.range(chunk.level, 0..1);
+        let start = cell.symbols as usize + level_start + chunk.first_symbol as usize;
+        let target = symbols.get_mut(start..start + usize::from(chunk.symbols)).unwrap_or(&mut []);
+        bytes::decode(chunk.payload, [&low, &high], [low_slots, high_slots], target)?;
+        if let Some(progress) = progress.get_mut(group as usize) {
+            *progress += u32::from(chunk.symbols);
+            if u64::from(*progress) >= level_len
+                && let Some(mask) = blocks.get_mut(cell.blocks as usize)
+            {
+                *mask = Arrived(*mask).with(chunk.level).0;
+            }
+        }
+        Ok(())
+    }
+}
+
+/// The accumulator index, range and set for which `set_in` gives a set number.
+fn protected_set(
+    manifest: &Manifest<'_>,
+    set_in: impl Fn(&Repair, usize) -> Option<u32>,
+) -> Option<(usize, Repair, u32)> {
+    let mut before = 0usize;
+    for (i, repair) in manifest.repairs().enumerate() {
+        if let Some(set) = set_in(&repair, i).filter(|&set| set < repair.sets()) {
+            return Some((before + set as usize, repair, set));
+        }
+        before += repair.sets() as usize;
+    }
+    None
+}
+
+/// Where a slice's symbols and masks lie.
+struct Place {
+    shape: Shape,
+    blocks: core::ops::Range<usize>,
+    symbols: core::ops::Range<usize>,
+    masks: core::ops::Range<usize>,
+}
+
+impl Place {
+    fn of(manifest: &Manifest<'_>, cells: &[Cell], slice: &Slice, index: usize) -> Result<Self> {
+        let contradiction = |field, found: u64, allowed| {
+            Error::illegal(field, index, found, allowed).kind(ErrorKind::Contradiction)
+        };
+        let missing = contradiction("slice.cluster", slice.cluster.0.into(), (0, 0));
+        let cell = manifest.cell(slice.span, slice.cluster).ok_or(missing)?;
+        let cell = cells.get(cell.index()).copied().ok_or(missing)?;
+        let shape = Shape::of(manifest, slice.span, slice.cluster).ok_or(missing)?;
+        let all = shape.blocks();
+        let blocks = match slice.blocks {
+            None => 0..all,
+            Some((first, count)) => first.index()..first.index() + usize::from(count),
+        };
+        if blocks.end > all {
+            return Err(contradiction("slice.blocks", blocks.end as u64, (1, all as u64)));
+        }
+        if shape.is_whole(slice.level) && blocks != (0..all) {
+            return Err(contradiction("slice.blocks", blocks.len() as u64, (all as u64, all as u64)));
+        }
+        let (start, len) = shape.range(slice.level, blocks.clone());
+        if len == 0 {
+            return Err(contradiction("slice.level", slice.level.get().into(), (0, 3)));
+        }
+        let first = cell.symbols as usize + start;
+        let mask = cell.blocks as usize;
+        Ok(Self { shape, symbols: first..first + len, masks: mask + blocks.start..mask + blocks.end, blocks })
+    }
+}

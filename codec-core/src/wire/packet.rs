@@ -1,0 +1,449 @@
+//! DGSP, the packets, in three kinds told apart by the top three bits of the first byte.
+//!
+//! - `0b100`, **chunk** (`paper`): 22-byte header, dependency words, payload ≤ 1200 bytes, CRC.
+//! - `0b101`, **slices** (`dgs1`): packet id, one or more slices, one entropy-coded body, CRC.
+//!   What a slice needs is implied by the lattice and costs no bytes.
+//! - `0b110`, **parity**: packet id, the XOR of the packets of one repair set, CRC.
+//!
+//! Every packet ends with the CRC-32 of all bytes before it. `parse` functions take the bytes
+//! without that CRC (see [`super::crc::checked`]). `SPEC.md` gives every byte.
+
+use heapless::Vec;
+
+use super::{
+    crc::crc32,
+    cursor::{Reader, Writer, in_range},
+};
+use crate::{
+    error::{Error, ErrorKind, Result},
+    ids::{BlockId, ClusterId, EpochId, Level, PacketId, Span, WindowId},
+    limits,
+};
+
+/// Kind of a packet that carries a `paper` chunk.
+pub const KIND_CHUNK: u8 = 0b100;
+/// Kind of a packet that carries `dgs1` slices.
+pub const KIND_SLICES: u8 = 0b101;
+/// Kind of a parity packet.
+pub const KIND_PARITY: u8 = 0b110;
+/// Kind of a receipt (DGSF).
+pub const KIND_RECEIPT: u8 = 0b111;
+/// Bytes of a chunk's fixed header.
+pub const CHUNK_HEADER_BYTES: usize = 22;
+/// Bytes of a parity packet before the XOR-ed content.
+pub const PARITY_HEADER_BYTES: usize = 4;
+/// Bytes by which parity exceeds the longest packet it covers: header, length, CRC.
+pub const PARITY_OVERHEAD_BYTES: usize = PARITY_HEADER_BYTES + 2 + 4;
+
+/// A packet's content, CRC already checked and removed.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Packet<'a> {
+    /// `paper`.
+    Chunk(Chunk<'a>),
+    /// `dgs1`.
+    Slices(Slices<'a>),
+    /// Repair.
+    Parity(Parity<'a>),
+}
+
+impl<'a> Packet<'a> {
+    /// Parses `content`.
+    ///
+    /// # Errors
+    /// An unknown kind, or what the kind's `parse` refuses.
+    pub fn parse(content: &'a [u8]) -> Result<Self> {
+        let Some(&first) = content.first() else {
+            return Err(Error::short("packet.kind", 0, 0, 1));
+        };
+        match first >> 5 {
+            KIND_CHUNK => Chunk::parse(content).map(Self::Chunk),
+            KIND_SLICES => Slices::parse(content).map(Self::Slices),
+            KIND_PARITY => Parity::parse(content).map(Self::Parity),
+            kind => {
+                let allowed = (KIND_CHUNK.into(), KIND_PARITY.into());
+                Err(Error::illegal("packet.kind", 0, kind.into(), allowed).kind(ErrorKind::Unknown))
+            }
+        }
+    }
+
+    /// The packet's id.
+    pub const fn id(&self) -> PacketId {
+        match self {
+            Self::Chunk(chunk) => chunk.id,
+            Self::Slices(slices) => slices.id,
+            Self::Parity(parity) => parity.id,
+        }
+    }
+}
+
+/// A `paper` packet: a run of symbols of one group, entropy-coded on its own.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Chunk<'a> {
+    /// Level of the group.
+    pub level: Level,
+    /// The packet.
+    pub id: PacketId,
+    /// Cluster, counted over all epochs.
+    pub cluster: u16,
+    /// First frame of the group's temporal coverage.
+    pub first_frame: u16,
+    /// Frames of the group's temporal coverage.
+    pub frames: u16,
+    /// Quantisation profile.
+    pub quant: u8,
+    /// First symbol of the group in this chunk.
+    pub first_symbol: u32,
+    /// Symbols in this chunk.
+    pub symbols: u16,
+    /// Groups this one needs, as `4 · cluster + level`.
+    pub dependencies: Vec<u32, { limits::MAX_DEPENDENCIES }>,
+    /// Entropy-coded symbols.
+    pub payload: &'a [u8],
+}
+
+impl<'a> Chunk<'a> {
+    /// Parses `content`.
+    ///
+    /// # Errors
+    /// Short bytes, illegal fields, leftovers.
+    pub fn parse(content: &'a [u8]) -> Result<Self> {
+        let mut reader = Reader::new(content);
+        let first = reader.u8("chunk.kind")?;
+        in_range("chunk.kind", 0, first, KIND_CHUNK << 5, KIND_CHUNK << 5 | 3)?;
+        let level = Level::from_bits(first);
+        let id = PacketId::from_bytes(reader.array("chunk.id")?);
+        let cluster = reader.u16("chunk.cluster")?;
+        let first_frame = reader.u16("chunk.first_frame")?;
+        let frames = in_range("chunk.frames", 8, reader.u16("chunk.frames")?, 1, u16::MAX)?;
+        let quant = reader.u8("chunk.quant")?;
+        let most = limits::MAX_DEPENDENCIES as u8;
+        let count = in_range("chunk.dependencies", 11, reader.u8("chunk.dependencies")?, 0, most)?;
+        let most = limits::MAX_PAYLOAD_BYTES as u16;
+        let payload_len = in_range("chunk.payload_len", 12, reader.u16("chunk.payload_len")?, 1, most)?;
+        let first_symbol = reader.u32("chunk.first_symbol")?;
+        let symbols = in_range("chunk.symbols", 18, reader.u16("chunk.symbols")?, 1, u16::MAX)?;
+        let reserved = reader.offset();
+        in_range("chunk.reserved", reserved, reader.u16("chunk.reserved")?, 0, 0)?;
+        let mut dependencies = Vec::new();
+        for _ in 0..count {
+            // `count` is at most the capacity, so this cannot fail.
+            let _ = dependencies.push(reader.u32("chunk.dependency")?);
+        }
+        let payload = reader.bytes("chunk.payload", usize::from(payload_len))?;
+        reader.finish("chunk.leftover")?;
+        Ok(Self {
+            level,
+            id,
+            cluster,
+            first_frame,
+            frames,
+            quant,
+            first_symbol,
+            symbols,
+            dependencies,
+            payload,
+        })
+    }
+
+    /// Bytes of the whole packet.
+    pub fn wire_len(&self) -> usize {
+        CHUNK_HEADER_BYTES + 4 * self.dependencies.len() + self.payload.len() + 4
+    }
+
+    /// Writes the whole packet, CRC included, to the front of `out`; returns its length.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Capacity`] if `out` is too small, [`ErrorKind::Illegal`] for a payload over
+    /// 1200 bytes.
+    pub fn write(&self, out: &mut [u8]) -> Result<usize> {
+        let most = limits::MAX_PAYLOAD_BYTES;
+        in_range("chunk.payload_len", 12, self.payload.len() as u64, 1, most as u64)?;
+        let mut writer = Writer::new(out);
+        writer.bytes(&[KIND_CHUNK << 5 | self.level.get()])?;
+        writer.bytes(&self.id.to_bytes())?;
+        writer.bytes(&self.cluster.to_le_bytes())?;
+        writer.bytes(&self.first_frame.to_le_bytes())?;
+        writer.bytes(&self.frames.to_le_bytes())?;
+        writer.bytes(&[self.quant, self.dependencies.len() as u8])?;
+        writer.bytes(&(self.payload.len() as u16).to_le_bytes())?;
+        writer.bytes(&self.first_symbol.to_le_bytes())?;
+        writer.bytes(&self.symbols.to_le_bytes())?;
+        writer.bytes(&[0, 0])?;
+        for word in &self.dependencies {
+            writer.bytes(&word.to_le_bytes())?;
+        }
+        writer.bytes(self.payload)?;
+        seal(writer)
+    }
+}
+
+/// One slice: some blocks of one group.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Slice {
+    /// Epoch or window.
+    pub span: Span,
+    /// Cluster inside the epoch.
+    pub cluster: ClusterId,
+    /// Level.
+    pub level: Level,
+    /// First block and number of blocks; `None` is the whole cluster.
+    pub blocks: Option<(BlockId, u16)>,
+}
+
+const FLAG_MOTION: u8 = 1 << 2;
+const FLAG_WHOLE: u8 = 1 << 3;
+const FLAG_LAST: u8 = 1 << 4;
+
+impl Slice {
+    /// Bytes of this slice's header, its flag byte included.
+    pub fn header_len(&self) -> usize {
+        use super::cursor::varint_len;
+        let span = match self.span {
+            Span::Canonical(EpochId(i)) | Span::Motion(WindowId(i)) => i,
+        };
+        let blocks = self
+            .blocks
+            .map_or(0, |(first, count)| varint_len(first.0.into()) + varint_len(u32::from(count) - 1));
+        1 + varint_len(span.into()) + varint_len(self.cluster.0.into()) + blocks
+    }
+
+    fn flags(&self, last: bool) -> u8 {
+        let motion = if matches!(self.span, Span::Motion(_)) { FLAG_MOTION } else { 0 };
+        let whole = if self.blocks.is_none() { FLAG_WHOLE } else { 0 };
+        self.level.get() | motion | whole | if last { FLAG_LAST } else { 0 }
+    }
+
+    fn read(reader: &mut Reader<'_>, flags: u8) -> Result<Self> {
+        let motion = flags & FLAG_MOTION != 0;
+        let most = if motion { limits::MAX_WINDOWS } else { limits::MAX_EPOCHS } as u32 - 1;
+        let span = reader.varint("slice.span", most)? as u16;
+        let span = if motion { Span::Motion(WindowId(span)) } else { Span::Canonical(EpochId(span)) };
+        let cluster = ClusterId(reader.varint("slice.cluster", u16::MAX.into())? as u16);
+        let blocks = if flags & FLAG_WHOLE != 0 {
+            None
+        } else {
+            let most = limits::MAX_CLUSTER_LEN as u32 - 1;
+            let first = reader.varint("slice.first_block", most)? as u16;
+            let count = reader.varint("slice.block_count", most)? as u16 + 1;
+            Some((BlockId(first), count))
+        };
+        Ok(Self { span, cluster, level: Level::from_bits(flags), blocks })
+    }
+}
+
+/// A `dgs1` packet: slices that share one entropy-coded body.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Slices<'a> {
+    /// The packet.
+    pub id: PacketId,
+    /// What the body holds, in order.
+    pub slices: Vec<Slice, { limits::MAX_SLICES }>,
+    /// Escaped values in the body.
+    pub escapes: u16,
+    /// The four-lane rANS body.
+    pub body: &'a [u8],
+}
+
+impl<'a> Slices<'a> {
+    /// Parses `content`.
+    ///
+    /// # Errors
+    /// Short bytes, illegal fields, too many slices.
+    pub fn parse(content: &'a [u8]) -> Result<Self> {
+        let mut reader = Reader::new(content);
+        let first = reader.u8("slice.flags")?;
+        in_range("packet.kind", 0, first >> 5, KIND_SLICES, KIND_SLICES)?;
+        let id = PacketId::from_bytes(reader.array("packet.id")?);
+        let mut slices = Vec::new();
+        let mut flags = first & 0x1f;
+        loop {
+            let place = reader.offset();
+            let slice = Slice::read(&mut reader, flags)?;
+            let most = limits::MAX_SLICES as u64;
+            slices.push(slice).map_err(|_| Error::illegal("packet.slices", place, most + 1, (1, most)))?;
+            if flags & FLAG_LAST != 0 {
+                break;
+            }
+            let place = reader.offset();
+            flags = in_range("slice.flags", place, reader.u8("slice.flags")?, 0, 0x1f)?;
+        }
+        let escapes = reader.varint("packet.escapes", limits::MAX_PACKET_BYTES as u32)? as u16;
+        let left = reader.left();
+        let body = reader.bytes("packet.body", left)?;
+        Ok(Self { id, slices, escapes, body })
+    }
+
+    /// Bytes of the whole packet.
+    pub fn wire_len(&self) -> usize {
+        let headers: usize = self.slices.iter().map(Slice::header_len).sum();
+        3 + headers + super::cursor::varint_len(self.escapes.into()) + self.body.len() + 4
+    }
+
+    /// Writes the whole packet, CRC included, to the front of `out`; returns its length.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Capacity`] if `out` is too small, [`ErrorKind::Illegal`] without a slice.
+    pub fn write(&self, out: &mut [u8]) -> Result<usize> {
+        in_range("packet.slices", 0, self.slices.len() as u64, 1, limits::MAX_SLICES as u64)?;
+        let mut writer = Writer::new(out);
+        for (i, slice) in self.slices.iter().enumerate() {
+            let flags = slice.flags(i + 1 == self.slices.len());
+            if i == 0 {
+                writer.bytes(&[KIND_SLICES << 5 | flags])?;
+                writer.bytes(&self.id.to_bytes())?;
+            } else {
+                writer.bytes(&[flags])?;
+            }
+            let (Span::Canonical(EpochId(span)) | Span::Motion(WindowId(span))) = slice.span;
+            writer.varint(span.into())?;
+            writer.varint(slice.cluster.0.into())?;
+            if let Some((first, count)) = slice.blocks {
+                writer.varint(first.0.into())?;
+                writer.varint(u32::from(count).saturating_sub(1))?;
+            }
+        }
+        writer.varint(self.escapes.into())?;
+        writer.bytes(self.body)?;
+        seal(writer)
+    }
+}
+
+/// A parity packet: the XOR of the packets of one repair set.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Parity<'a> {
+    /// The packet; its id says which set it covers.
+    pub id: PacketId,
+    /// XOR of the covered packets' lengths.
+    pub length: u16,
+    /// XOR of the covered packets' bytes (CRCs included), each padded with zeros.
+    pub content: &'a [u8],
+}
+
+impl<'a> Parity<'a> {
+    /// Parses `content`.
+    ///
+    /// # Errors
+    /// Short bytes, illegal fields.
+    pub fn parse(content: &'a [u8]) -> Result<Self> {
+        let mut reader = Reader::new(content);
+        let first = reader.u8("parity.kind")?;
+        in_range("parity.kind", 0, first, KIND_PARITY << 5, KIND_PARITY << 5)?;
+        let id = PacketId::from_bytes(reader.array("parity.id")?);
+        let length = reader.u16("parity.length")?;
+        let place = reader.offset();
+        let left = reader.left();
+        in_range("parity.content", place, left as u64, 1, limits::MAX_PACKET_BYTES as u64)?;
+        let content = reader.bytes("parity.content", left)?;
+        Ok(Self { id, length, content })
+    }
+
+    /// Writes the whole packet, CRC included, to the front of `out`; returns its length.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Capacity`] if `out` is too small.
+    pub fn write(&self, out: &mut [u8]) -> Result<usize> {
+        let mut writer = Writer::new(out);
+        writer.bytes(&[KIND_PARITY << 5])?;
+        writer.bytes(&self.id.to_bytes())?;
+        writer.bytes(&self.length.to_le_bytes())?;
+        writer.bytes(self.content)?;
+        seal(writer)
+    }
+}
+
+fn seal(mut writer: Writer<'_>) -> Result<usize> {
+    let crc = crc32(writer.written());
+    writer.bytes(&crc.to_le_bytes())?;
+    Ok(writer.len())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::crc::checked, *};
+    use proptest::prelude::*;
+    extern crate std;
+    use std::vec;
+
+    fn slice() -> impl Strategy<Value = Slice> {
+        let blocks = proptest::option::of((0u16..500, 1u16..300));
+        (any::<bool>(), 0u16..4000, 0u16..1000, 0u8..4, blocks).prop_map(|(m, s, c, l, b)| Slice {
+            span: if m { Span::Motion(WindowId(s)) } else { Span::Canonical(EpochId(s)) },
+            cluster: ClusterId(c),
+            level: Level::from_bits(l),
+            blocks: b.map(|(f, n)| (BlockId(f), n)),
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn slices_round_trip_at_their_stated_length(
+            list in proptest::collection::vec(slice(), 1..9), id in 0u32..1 << 24, escapes in 0u16..300,
+            body in proptest::collection::vec(any::<u8>(), 0..900),
+        ) {
+            let packet = Slices {
+                id: PacketId::new(id).unwrap(), slices: list.into_iter().collect(), escapes, body: &body,
+            };
+            let mut out = vec![0u8; 1280];
+            let len = packet.write(&mut out).unwrap();
+            prop_assert_eq!(len, packet.wire_len());
+            let content = checked("packet.crc", &out[..len], crc32).unwrap();
+            prop_assert_eq!(Packet::parse(content).unwrap(), Packet::Slices(packet));
+        }
+
+        #[test]
+        fn chunks_round_trip_at_their_stated_length(
+            level in 0u8..4, id in 0u32..1 << 24, cluster: u16, symbols in 1u16..3000,
+            words in proptest::collection::vec(any::<u32>(), 0..=8),
+            payload in proptest::collection::vec(any::<u8>(), 1..=1200),
+        ) {
+            let packet = Chunk {
+                level: Level::from_bits(level), id: PacketId::new(id).unwrap(), cluster, first_frame: 3,
+                frames: 24, quant: 1, first_symbol: 77, symbols,
+                dependencies: words.into_iter().collect(), payload: &payload,
+            };
+            let mut out = vec![0u8; 1280];
+            let len = packet.write(&mut out).unwrap();
+            prop_assert_eq!(len, packet.wire_len());
+            prop_assert_eq!(len - payload.len() - 4 * packet.dependencies.len(), CHUNK_HEADER_BYTES + 4);
+            let content = checked("packet.crc", &out[..len], crc32).unwrap();
+            prop_assert_eq!(Packet::parse(content).unwrap(), Packet::Chunk(packet));
+        }
+
+        #[test]
+        fn any_bytes_parse_or_are_refused_and_what_parses_writes_back(
+            kind in 4u8..8, bytes in proptest::collection::vec(any::<u8>(), 0..200),
+        ) {
+            let mut bytes = bytes;
+            if let Some(first) = bytes.first_mut() { *first = *first & 0x1f | kind << 5; }
+            if let Ok(packet) = Packet::parse(&bytes) {
+                let mut out = vec![0u8; 1300];
+                let len = match &packet {
+                    Packet::Chunk(p) => p.write(&mut out),
+                    Packet::Slices(p) => p.write(&mut out),
+                    Packet::Parity(p) => p.write(&mut out),
+                }.unwrap();
+                prop_assert_eq!(&out[..len - 4], &bytes[..]);
+            }
+        }
+    }
+
+    #[test]
+    fn literal_bytes_of_a_slices_packet() {
+        let slice = Slice {
+            span: Span::Canonical(EpochId(0)),
+            cluster: ClusterId(5),
+            level: Level::from_bits(2),
+            blocks: Some((BlockId(3), 4)),
+        };
+        let packet = Slices {
+            id: PacketId::new(0x01_02_03).unwrap(),
+            slices: [slice].into_iter().collect(),
+            escapes: 1,
+            body: &[0xaa, 0xbb],
+        };
+        let mut out = [0u8; 32];
+        let len = packet.write(&mut out).unwrap();
+        assert_eq!(out[..len - 4], [0b1011_0010, 3, 2, 1, 0, 5, 3, 3, 1, 0xaa, 0xbb]);
+    }
+}
