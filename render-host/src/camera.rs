@@ -1,4 +1,471 @@
-//! Cameras.
-/// Camera.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Camera {}
+//! The perspective pinhole camera, and every convention that leads to it.
+//!
+//! Inside there is one convention: OpenCV axes (x right, y down, z forward), a world-to-camera rotation
+//! and translation, focal lengths and principal point in pixels, and pixel `(x, y)` centred at
+//! `(x + 0.5, y + 0.5)`, so a centred principal point is `(width / 2, height / 2)`. A `K` measured with
+//! pixel centres on integers needs 0.5 added to `cx` and `cy` first.
+//!
+//! Invariants: every number is finite and in the range its constructor names, the rotation is
+//! orthonormal to 1e-9 and right-handed. A camera that exists can be rendered from.
+//!
+//! Deliberately absent: lens distortion (readers say when they ignored some) and rolling shutter.
+
+pub mod blender;
+pub mod colmap;
+mod error;
+
+pub use error::CameraError;
+
+use serde::{Deserialize, Serialize};
+
+/// Largest width or height of an image, pixels.
+pub const MAX_SIDE: u32 = 16_384;
+/// Near plane a camera starts with, scene units.
+pub const DEFAULT_NEAR: f64 = 0.01;
+
+const FOCAL: (f64, f64) = (1e-3, 1e9);
+const PRINCIPAL: (f64, f64) = (-1e9, 1e9);
+const TRANSLATION: (f64, f64) = (-1e15, 1e15);
+const NEAR: (f64, f64) = (1e-9, 1e9);
+
+/// What the film looks like: image size, focal lengths, principal point. All in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Intrinsics {
+    /// Image width, 1..=16384.
+    pub width: u32,
+    /// Image height, 1..=16384.
+    pub height: u32,
+    /// Focal length along x, 1e-3..=1e9 pixels.
+    pub fx: f64,
+    /// Focal length along y, 1e-3..=1e9 pixels.
+    pub fy: f64,
+    /// Principal point from the left edge, ±1e9 pixels.
+    pub cx: f64,
+    /// Principal point from the top edge, ±1e9 pixels.
+    pub cy: f64,
+}
+
+impl Intrinsics {
+    /// Square pixels and a centred principal point from a horizontal field of view in radians.
+    pub fn from_fov_x(fov_x: f64, width: u32, height: u32) -> Self {
+        let f = 0.5 * f64::from(width) / (0.5 * fov_x).tan();
+        Self::centred(f, width, height)
+    }
+
+    /// Square pixels and a centred principal point from a vertical field of view in radians.
+    pub fn from_fov_y(fov_y: f64, width: u32, height: u32) -> Self {
+        let f = 0.5 * f64::from(height) / (0.5 * fov_y).tan();
+        Self::centred(f, width, height)
+    }
+
+    fn centred(f: f64, width: u32, height: u32) -> Self {
+        Self { width, height, fx: f, fy: f, cx: 0.5 * f64::from(width), cy: 0.5 * f64::from(height) }
+    }
+}
+
+/// A camera with the name and the instant its source gives it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct View {
+    /// Image name or path, as the source wrote it.
+    pub name: String,
+    /// Instant in the source's own unit (0..=1 in D-NeRF files); `None` where the source has none.
+    pub time: Option<f64>,
+    /// The camera.
+    pub camera: Camera,
+}
+
+/// A perspective pinhole camera. See the module documentation for its axes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Plain", into = "Plain")]
+pub struct Camera {
+    /// Every number finite and in range.
+    intrinsics: Intrinsics,
+    /// World to camera, row-major; orthonormal to 1e-9, determinant +1.
+    rotation: [[f64; 3]; 3],
+    /// World to camera, scene units; finite.
+    translation: [f64; 3],
+    /// Finite and above 0, scene units.
+    near: f64,
+}
+
+impl Camera {
+    /// A camera from intrinsics and a world-to-camera `rotation` (row-major) and `translation`.
+    ///
+    /// A rotation that is off by up to 1e-3 (files store few digits) is made orthonormal.
+    ///
+    /// # Errors
+    /// A number out of its range, or a rotation further off.
+    pub fn new(
+        intrinsics: Intrinsics,
+        rotation: [[f64; 3]; 3],
+        translation: [f64; 3],
+    ) -> Result<Self, CameraError> {
+        let Intrinsics { width, height, fx, fy, cx, cy } = intrinsics;
+        let side = (1.0, f64::from(MAX_SIDE));
+        in_range("width", f64::from(width), side)?;
+        in_range("height", f64::from(height), side)?;
+        in_range("fx", fx, FOCAL)?;
+        in_range("fy", fy, FOCAL)?;
+        in_range("cx", cx, PRINCIPAL)?;
+        in_range("cy", cy, PRINCIPAL)?;
+        for t in translation {
+            in_range("translation", t, TRANSLATION)?;
+        }
+        Ok(Self { intrinsics, rotation: orthonormal(rotation)?, translation, near: DEFAULT_NEAR })
+    }
+
+    /// From OpenCV's 3×3 `k` and 4×4 world-to-camera matrix, both row-major.
+    ///
+    /// # Errors
+    /// As [`Camera::new`]; or `k` has skew, or a last row other than 0 0 1.
+    pub fn from_opencv(
+        k: [[f64; 3]; 3],
+        world_to_camera: [[f64; 4]; 4],
+        width: u32,
+        height: u32,
+    ) -> Result<Self, CameraError> {
+        for (row, column, allowed) in [(0, 1, 0.0), (1, 0, 0.0), (2, 0, 0.0), (2, 1, 0.0), (2, 2, 1.0)] {
+            let found = k[row][column];
+            let difference = (found - allowed).abs();
+            if difference > 1e-9 || difference.is_nan() {
+                return Err(CameraError::Matrix { row, column, found, allowed });
+            }
+        }
+        let intrinsics = Intrinsics { width, height, fx: k[0][0], fy: k[1][1], cx: k[0][2], cy: k[1][2] };
+        let (rotation, translation) = split(&world_to_camera);
+        Self::new(intrinsics, rotation, translation)
+    }
+
+    /// From a frame of a Blender/NeRF `transforms_*.json`: a 4×4 row-major camera-to-world matrix with
+    /// OpenGL axes (x right, y up, z backward) and the horizontal field of view in radians.
+    ///
+    /// # Errors
+    /// As [`Camera::new`]; or a field of view outside (0, π).
+    pub fn from_blender(
+        camera_to_world: [[f64; 4]; 4],
+        camera_angle_x: f64,
+        width: u32,
+        height: u32,
+    ) -> Result<Self, CameraError> {
+        fov("camera_angle_x", camera_angle_x)?;
+        Self::from_opengl(camera_to_world, Intrinsics::from_fov_x(camera_angle_x, width, height))
+    }
+
+    /// From a 4×4 row-major camera-to-world matrix with OpenGL axes (x right, y up, z backward).
+    ///
+    /// # Errors
+    /// As [`Camera::new`].
+    pub fn from_opengl(camera_to_world: [[f64; 4]; 4], intrinsics: Intrinsics) -> Result<Self, CameraError> {
+        let (c2w, eye) = split(&camera_to_world);
+        // Rows of world-to-camera are columns of camera-to-world; y and z change sign.
+        let sign = [1.0, -1.0, -1.0];
+        let rotation = std::array::from_fn(|i| std::array::from_fn(|j| sign[i] * c2w[j][i]));
+        let rotation = orthonormal(rotation)?;
+        let translation = std::array::from_fn(|i| -dot(rotation[i], eye));
+        Self::new(intrinsics, rotation, translation)
+    }
+
+    /// From COLMAP's world-to-camera quaternion (wxyz, any length but zero) and translation.
+    ///
+    /// # Errors
+    /// As [`Camera::new`]; or a zero quaternion.
+    pub fn from_colmap(qvec: [f64; 4], tvec: [f64; 3], intrinsics: Intrinsics) -> Result<Self, CameraError> {
+        let length = qvec.iter().map(|v| v * v).sum::<f64>().sqrt();
+        in_range("length of qvec", length, (1e-6, 1e6))?;
+        Self::new(intrinsics, rotation_matrix(qvec.map(|v| v / length)), tvec)
+    }
+
+    /// A camera at `eye` looking at `target` with `up` upwards in the picture; `fov_y` is the vertical
+    /// field of view in radians. Square pixels, centred principal point.
+    ///
+    /// # Errors
+    /// `eye` equals `target`, `up` is along the view, or a number out of range.
+    pub fn look_at(
+        eye: [f64; 3],
+        target: [f64; 3],
+        up: [f64; 3],
+        fov_y: f64,
+        width: u32,
+        height: u32,
+    ) -> Result<Self, CameraError> {
+        fov("fov_y", fov_y)?;
+        let forward = unit(sub(target, eye)).ok_or(CameraError::Direction("target - eye"))?;
+        let up = unit(up).ok_or(CameraError::Direction("up"))?;
+        let right = unit(cross(forward, up)).ok_or(CameraError::Direction("up across the view"))?;
+        let rotation = [right, cross(forward, right), forward];
+        let translation = rotation.map(|row| -dot(row, eye));
+        Self::new(Intrinsics::from_fov_y(fov_y, width, height), rotation, translation)
+    }
+
+    /// The same camera with another near plane, 1e-9..=1e9 scene units: what is nearer is not drawn.
+    ///
+    /// # Errors
+    /// `near` out of range.
+    pub fn with_near(mut self, near: f64) -> Result<Self, CameraError> {
+        in_range("near", near, NEAR)?;
+        self.near = near;
+        Ok(self)
+    }
+
+    /// The same view on a film of `width` × `height`: intrinsics scale by the ratio of sizes.
+    ///
+    /// # Errors
+    /// A size or scaled intrinsic out of range.
+    pub fn resized(&self, width: u32, height: u32) -> Result<Self, CameraError> {
+        let i = &self.intrinsics;
+        let (sx, sy) = (f64::from(width) / f64::from(i.width), f64::from(height) / f64::from(i.height));
+        let intrinsics =
+            Intrinsics { width, height, fx: i.fx * sx, fy: i.fy * sy, cx: i.cx * sx, cy: i.cy * sy };
+        Self::new(intrinsics, self.rotation, self.translation)?.with_near(self.near)
+    }
+
+    /// The same view with both sides `factor` times as long, rounded to whole pixels (at least 1).
+    ///
+    /// # Errors
+    /// A size out of range.
+    pub fn scaled(&self, factor: f64) -> Result<Self, CameraError> {
+        in_range("factor", factor, (1e-6, 1e6))?;
+        let side = |v: u32| (f64::from(v) * factor).round().clamp(1.0, 1e9) as u32;
+        self.resized(side(self.intrinsics.width), side(self.intrinsics.height))
+    }
+
+    /// Image size, focal lengths and principal point.
+    pub fn intrinsics(&self) -> Intrinsics {
+        self.intrinsics
+    }
+
+    /// Image width, pixels.
+    pub fn width(&self) -> u32 {
+        self.intrinsics.width
+    }
+
+    /// Image height, pixels.
+    pub fn height(&self) -> u32 {
+        self.intrinsics.height
+    }
+
+    /// World-to-camera rotation, row-major.
+    pub fn rotation(&self) -> [[f64; 3]; 3] {
+        self.rotation
+    }
+
+    /// World-to-camera translation, scene units.
+    pub fn translation(&self) -> [f64; 3] {
+        self.translation
+    }
+
+    /// Near plane, scene units.
+    pub fn near(&self) -> f64 {
+        self.near
+    }
+
+    /// Where the camera is in the world, scene units.
+    pub fn centre(&self) -> [f64; 3] {
+        std::array::from_fn(|j| -(0..3).map(|i| self.rotation[i][j] * self.translation[i]).sum::<f64>())
+    }
+
+    /// `point` in camera axes, scene units. Both renderers call this one function, so their depth keys
+    /// agree to the last bit.
+    #[inline]
+    pub fn to_camera(&self, point: [f32; 3]) -> [f64; 3] {
+        let p = point.map(f64::from);
+        let (r, t) = (&self.rotation, &self.translation);
+        [dot(r[0], p) + t[0], dot(r[1], p) + t[1], dot(r[2], p) + t[2]]
+    }
+}
+
+/// What is stored of a camera; read back through [`Camera::new`].
+#[derive(Serialize, Deserialize)]
+#[serde(rename = "Camera")]
+struct Plain {
+    #[serde(flatten)]
+    intrinsics: Intrinsics,
+    rotation: [[f64; 3]; 3],
+    translation: [f64; 3],
+    #[serde(default = "default_near")]
+    near: f64,
+}
+
+fn default_near() -> f64 {
+    DEFAULT_NEAR
+}
+
+impl From<Camera> for Plain {
+    fn from(camera: Camera) -> Self {
+        let Camera { intrinsics, rotation, translation, near } = camera;
+        Self { intrinsics, rotation, translation, near }
+    }
+}
+
+impl TryFrom<Plain> for Camera {
+    type Error = CameraError;
+
+    fn try_from(plain: Plain) -> Result<Self, CameraError> {
+        Self::new(plain.intrinsics, plain.rotation, plain.translation)?.with_near(plain.near)
+    }
+}
+
+/// The matrix of a unit quaternion wxyz, row-major.
+pub(crate) fn rotation_matrix([w, x, y, z]: [f64; 4]) -> [[f64; 3]; 3] {
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
+fn in_range(field: &'static str, found: f64, (low, high): (f64, f64)) -> Result<(), CameraError> {
+    if found >= low && found <= high { Ok(()) } else { Err(CameraError::Range { field, found, low, high }) }
+}
+
+fn fov(field: &'static str, found: f64) -> Result<(), CameraError> {
+    in_range(field, found, (1e-6, std::f64::consts::PI - 1e-6))
+}
+
+fn split(m: &[[f64; 4]; 4]) -> ([[f64; 3]; 3], [f64; 3]) {
+    (std::array::from_fn(|i| std::array::from_fn(|j| m[i][j])), std::array::from_fn(|i| m[i][3]))
+}
+
+/// `r` itself when it is orthonormal to 1e-9, made so when it is to 1e-3, else an error.
+fn orthonormal(r: [[f64; 3]; 3]) -> Result<[[f64; 3]; 3], CameraError> {
+    let mut off = (dot(cross(r[0], r[1]), r[2]) - 1.0).abs();
+    for i in 0..3 {
+        for j in 0..3 {
+            let difference = (dot(r[i], r[j]) - f64::from(u8::from(i == j))).abs();
+            off = if difference <= off { off } else { difference };
+        }
+    }
+    if off <= 1e-9 {
+        return Ok(r);
+    }
+    let failed = CameraError::Rotation { found: off };
+    if off > 1e-3 || off.is_nan() {
+        return Err(failed);
+    }
+    let x = unit(r[0]);
+    let z = x.and_then(|x| unit(cross(x, r[1])));
+    match (x, z) {
+        (Some(x), Some(z)) => Ok([x, cross(z, x), z]),
+        _ => Err(failed),
+    }
+}
+
+pub(crate) fn dot(a: [f64; 3], b: [f64; 3]) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+pub(crate) fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+fn sub(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// `v` at length 1, unless it has no direction.
+fn unit(v: [f64; 3]) -> Option<[f64; 3]> {
+    let length = dot(v, v).sqrt();
+    (length > 1e-12 && length.is_finite()).then(|| v.map(|c| c / length))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn close(a: [f64; 3], b: [f64; 3]) -> bool {
+        a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9)
+    }
+
+    fn identity4() -> [[f64; 4]; 4] {
+        std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))))
+    }
+
+    #[test]
+    fn look_at_puts_up_up_and_right_right() {
+        let camera = Camera::look_at([0.0, -3.0, 0.0], [0.0; 3], [0.0, 0.0, 1.0], 1.0, 100, 50).unwrap();
+        assert!(close(camera.to_camera([0.0; 3]), [0.0, 0.0, 3.0]));
+        assert!(close(camera.to_camera([1.0, 0.0, 0.0]), [1.0, 0.0, 3.0]), "world x is on the right");
+        assert!(close(camera.to_camera([0.0, 0.0, 1.0]), [0.0, -1.0, 3.0]), "world z is up, so y < 0");
+        assert!(close(camera.centre(), [0.0, -3.0, 0.0]));
+    }
+
+    #[test]
+    fn every_convention_names_the_same_camera() {
+        let (w, h, fov_x) = (64, 48, 0.9);
+        let eye = [1.0, 2.0, 3.0];
+        // Blender: camera at `eye`, axes of the world; it looks along -z with y up.
+        let mut c2w = identity4();
+        (0..3).for_each(|i| c2w[i][3] = eye[i]);
+        let blender = Camera::from_blender(c2w, fov_x, w, h).unwrap();
+        let fov_y = 2.0 * ((0.5 * fov_x).tan() * f64::from(h) / f64::from(w)).atan();
+        let target = [1.0, 2.0, -5.0];
+        let look = Camera::look_at(eye, target, [0.0, 1.0, 0.0], fov_y, w, h).unwrap();
+        // COLMAP: half a turn about x takes y up / z back to y down / z forward.
+        let i = blender.intrinsics();
+        let colmap = Camera::from_colmap([0.0, 2.0, 0.0, 0.0], [-1.0, 2.0, 3.0], i).unwrap();
+        let k = [[i.fx, 0.0, i.cx], [0.0, i.fy, i.cy], [0.0, 0.0, 1.0]];
+        let mut w2c = identity4();
+        for (i, row) in w2c[..3].iter_mut().enumerate() {
+            row[..3].copy_from_slice(&blender.rotation()[i]);
+            row[3] = blender.translation()[i];
+        }
+        let opencv = Camera::from_opencv(k, w2c, w, h).unwrap();
+        assert_eq!(opencv, blender);
+        for other in [look, colmap] {
+            for p in [[0.0; 3], [4.0, -1.0, 0.5]] {
+                assert!(close(other.to_camera(p), blender.to_camera(p)), "{other:?}");
+            }
+            assert!((other.intrinsics().fx - i.fx).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn resizing_scales_the_film_and_nothing_else() {
+        let camera = Camera::look_at([0.0, 0.0, -2.0], [0.0; 3], [0.0, 1.0, 0.0], 0.8, 200, 100).unwrap();
+        let small = camera.with_near(0.5).unwrap().scaled(0.25).unwrap();
+        assert_eq!((small.width(), small.height(), small.near()), (50, 25, 0.5));
+        assert_eq!(small.intrinsics().cx, 25.0);
+        let error = small.resized(0, 10).unwrap_err().to_string();
+        assert!(error.contains("width is 0") && error.contains("16384"), "{error}");
+    }
+
+    #[test]
+    fn bad_numbers_are_named() {
+        let intrinsics = Intrinsics { width: 8, height: 8, fx: 8.0, fy: f64::NAN, cx: 4.0, cy: 4.0 };
+        let (r, t) = split(&identity4());
+        let error = Camera::new(intrinsics, r, t).unwrap_err().to_string();
+        assert!(error.starts_with("fy is NaN"), "{error}");
+        let mut mirrored = r;
+        mirrored[0][0] = -1.0;
+        let good = Intrinsics { fy: 8.0, ..intrinsics };
+        assert!(matches!(Camera::new(good, mirrored, t), Err(CameraError::Rotation { .. })));
+        assert!(matches!(Camera::new(good, [[f64::NAN; 3]; 3], t), Err(CameraError::Rotation { .. })));
+        let skew = [[8.0, 0.1, 4.0], [0.0, 8.0, 4.0], [0.0, 0.0, 1.0]];
+        let error = Camera::from_opencv(skew, identity4(), 8, 8).unwrap_err().to_string();
+        assert!(error.starts_with("K[0][1] is 0.1"), "{error}");
+        let up = [0.0, 0.0, 2.0];
+        assert!(Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], up, 1.0, 8, 8).is_err());
+        assert!(Camera::from_colmap([0.0; 4], [0.0; 3], good).is_err());
+    }
+
+    #[test]
+    fn a_rotation_with_few_digits_is_made_orthonormal() {
+        let (s, c) = 0.3f64.sin_cos();
+        let r = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]].map(|r| r.map(|v| (v * 1e5).round() / 1e5));
+        let intrinsics = Intrinsics::from_fov_y(1.0, 8, 8);
+        let camera = Camera::new(intrinsics, r, [0.0; 3]).unwrap();
+        let again = Camera::new(intrinsics, camera.rotation(), [0.0; 3]).unwrap();
+        assert_eq!(camera, again, "what is stored is stable");
+    }
+
+    #[test]
+    fn json_keeps_every_bit_and_refuses_nonsense() {
+        let camera =
+            Camera::look_at([0.1, -3.7, 0.3], [0.01, 0.02, 0.03], [0.0, 0.0, 1.0], 0.7, 123, 77).unwrap();
+        let text = serde_json::to_string(&camera).unwrap();
+        assert_eq!(serde_json::from_str::<Camera>(&text).unwrap(), camera);
+        let bad = text.replace("\"width\":123", "\"width\":0");
+        let error = serde_json::from_str::<Camera>(&bad).unwrap_err().to_string();
+        assert!(error.contains("width is 0"), "{error}");
+    }
+}

@@ -1,3 +1,35 @@
-//! Pixels.
+//! Pixels: Gaussians and a camera go in, images and numbers about images come out.
+//!
+//! ```text
+//! Splats + Camera ─▶ stage::{project, sort, bin, blend} ─▶ Rendered { image, transmittance, counters }
+//! Image × Image   ─▶ metric::{psnr, ssim, flip, flicker, distortion, heat}
+//! ```
+//!
+//! [`render`](mod@render) is the tile renderer; [`mod@reference`] is the slow, obvious f64 renderer that judges it.
+//! Both read the same [`Settings`], in which every tolerance and every skip has a name.
+//!
+//! Glossary. *Camera axes*: x right, y down, z forward (OpenCV). *Pixel* `(x, y)` has its centre at
+//! `(x + 0.5, y + 0.5)`; row 0 is at the top. *Transmittance*: the share of the background that still
+//! shows, 1 where nothing was drawn. *World*: one delivery state of a scene; worlds of one call share a
+//! camera and settings.
+//!
+//! Deliberately absent: files of splats (trainer-host reads them), packets (codec-core), clocks.
+
 pub mod camera;
-pub use camera::Camera;
+pub mod counters;
+mod harmonics;
+pub mod image;
+pub mod metric;
+mod parallel;
+pub mod reference;
+pub mod render;
+pub mod settings;
+pub mod splats;
+pub mod stage;
+
+pub use camera::{Camera, CameraError, Intrinsics, View};
+pub use counters::Counters;
+pub use image::{Image, ImageError};
+pub use render::{RenderError, Rendered, Renderer, render, render_many};
+pub use settings::{Settings, SettingsError};
+pub use splats::{Splats, SplatsError};

@@ -1,0 +1,150 @@
+//! The tile renderer against the f64 reference and a naive f32 renderer, same scene, same settings, same
+//! process. After criterion's own report it prints the ratios and the errors, which are the point.
+//!
+//! `cargo bench -p render-host`
+
+#![expect(clippy::unwrap_used, reason = "a helper outside a test function may fail its test")]
+
+#[path = "../tests/support/mod.rs"]
+mod support;
+
+use criterion::Criterion;
+use render_host::{Camera, Renderer, Settings, Splats, reference};
+use std::hint::black_box;
+use support::{Scene, camera};
+
+/// What one writes first: all f32, the covariance by its matrix, `a·c - b²`, splat by splat over its
+/// 3σ box, one thread. Degree 0.
+mod naive {
+    use super::{Camera, Settings, Splats};
+
+    struct Disc {
+        z: f32,
+        mean: [f32; 2],
+        conic: [f32; 3],
+        radius: f32,
+        opacity: f32,
+        colour: [f32; 3],
+    }
+
+    pub fn render(splats: &Splats, camera: &Camera, settings: &Settings) -> Vec<f32> {
+        let (width, height) = (camera.width() as usize, camera.height() as usize);
+        let film = camera.intrinsics();
+        let rotation = camera.rotation().map(|r| r.map(|v| v as f32));
+        let mut discs: Vec<Disc> = Vec::new();
+        for g in splats.gaussians() {
+            let [x, y, z] = camera.to_camera(g.position).map(|v| v as f32);
+            if z < camera.near() as f32 {
+                continue;
+            }
+            let [w, i, j, k] = g.rotation;
+            let local = [
+                [1.0 - 2.0 * (j * j + k * k), 2.0 * (i * j - w * k), 2.0 * (i * k + w * j)],
+                [2.0 * (i * j + w * k), 1.0 - 2.0 * (i * i + k * k), 2.0 * (j * k - w * i)],
+                [2.0 * (i * k - w * j), 2.0 * (j * k + w * i), 1.0 - 2.0 * (i * i + j * j)],
+            ];
+            let (fx, fy) = (film.fx as f32 / z, film.fy as f32 / z);
+            let jacobian = [[fx, 0.0, -fx * x / z], [0.0, fy, -fy * y / z]];
+            let mut m = [[0.0f32; 3]; 2];
+            for (row, j) in m.iter_mut().zip(jacobian) {
+                for (k, out) in row.iter_mut().enumerate() {
+                    for a in 0..3 {
+                        for (b, local) in local.iter().enumerate() {
+                            *out += j[a] * rotation[a][b] * local[k] * g.scale[k];
+                        }
+                    }
+                }
+            }
+            let dot = |a: [f32; 3], b: [f32; 3]| a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+            let low_pass = settings.low_pass as f32;
+            let (a, b, c) = (dot(m[0], m[0]) + low_pass, dot(m[0], m[1]), dot(m[1], m[1]) + low_pass);
+            let det = a * c - b * b;
+            if det <= 0.0 {
+                continue;
+            }
+            let mid = 0.5 * (a + c);
+            let radius = 3.0 * (mid + (mid * mid - det).max(0.1).sqrt()).sqrt();
+            discs.push(Disc {
+                z,
+                mean: [fx * x + film.cx as f32, fy * y + film.cy as f32],
+                conic: [c / det, -b / det, a / det],
+                radius,
+                opacity: g.opacity,
+                colour: g.sh0.map(|v| (0.5 + 0.282_094_8 * v).max(0.0)),
+            });
+        }
+        discs.sort_by(|a, b| a.z.total_cmp(&b.z));
+        let mut rgb = vec![0.0f32; 3 * width * height];
+        let mut transmittance = vec![1.0f32; width * height];
+        for d in &discs {
+            let range = |mean: f32, side: usize| {
+                let (low, high) = (mean - d.radius, mean + d.radius);
+                low.max(0.0) as usize..(high.max(0.0).ceil() as usize).min(side)
+            };
+            for py in range(d.mean[1], height) {
+                for px in range(d.mean[0], width) {
+                    let (dx, dy) = (px as f32 + 0.5 - d.mean[0], py as f32 + 0.5 - d.mean[1]);
+                    let [a, b, c] = d.conic;
+                    let power = -0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy;
+                    let alpha = (d.opacity * power.exp()).min(settings.alpha_max);
+                    let t = &mut transmittance[py * width + px];
+                    if alpha < settings.alpha_cutoff || *t < settings.transmittance_stop {
+                        continue;
+                    }
+                    let pixel = &mut rgb[3 * (py * width + px)..][..3];
+                    for (sum, colour) in pixel.iter_mut().zip(d.colour) {
+                        *sum += *t * alpha * colour;
+                    }
+                    *t *= 1.0 - alpha;
+                }
+            }
+        }
+        rgb
+    }
+}
+
+#[expect(clippy::disallowed_methods, reason = "a bench measures time")]
+fn best_of(runs: usize, mut work: impl FnMut()) -> f64 {
+    let times = (0..runs).map(|_| {
+        let start = std::time::Instant::now();
+        work();
+        start.elapsed().as_secs_f64() * 1e3
+    });
+    times.fold(f64::INFINITY, f64::min)
+}
+
+fn main() {
+    let mut criterion = Criterion::default().sample_size(10).configure_from_args();
+    let settings = Settings::default();
+    let serial = Settings { parallel: false, ..Settings::default() };
+    let mut lines = Vec::new();
+    for (n, side) in [(100_000, 400), (100_000, 800)] {
+        let scene = Scene::random(n, 0, 0.003, 0.02, 42);
+        let (splats, camera) = (scene.splats(), camera(side, side));
+        let (mut renderer, mut out) = (Renderer::new(), Default::default());
+        let mut fast = |settings: &Settings| {
+            renderer.render_into(black_box(&splats), &camera, settings, &mut out).unwrap();
+        };
+        criterion.bench_function(&format!("fast/{n}/{side}"), |b| b.iter(|| fast(&settings)));
+
+        let fast_ms = best_of(9, || fast(&settings));
+        let serial_ms = best_of(5, || fast(&serial));
+        let naive_ms = best_of(2, || drop(black_box(naive::render(&splats, &camera, &settings))));
+        let mut slow = None;
+        let slow_ms = best_of(1, || slow = reference::render(&splats, &camera, &settings).ok());
+        let slow = slow.unwrap();
+        let error = slow.difference(out.image.rgb()).unwrap();
+        let naive_error = slow.difference(&naive::render(&splats, &camera, &settings)).unwrap();
+        let counters = out.counters;
+        lines.push(format!(
+            "{n} splats, {side} x {side}: fast {fast_ms:.1} ms ({serial_ms:.1} on one thread); \
+             naive f32 {naive_ms:.0} ms = {:.1}x ({:.1}x one thread); f64 reference {slow_ms:.0} ms = {:.0}x\n  \
+             fast against f64: {error:?}\n  naive against f64: {naive_error:?}\n  {counters:?}",
+            naive_ms / fast_ms,
+            naive_ms / serial_ms,
+            slow_ms / fast_ms,
+        ));
+    }
+    lines.iter().for_each(|line| println!("{line}"));
+    criterion.final_summary();
+}

@@ -1,0 +1,150 @@
+//! Cameras of a Blender/NeRF `transforms_*.json`.
+//!
+//! The file has `camera_angle_x` (radians) or `fl_x`/`fl_y`/`cx`/`cy` (pixels), optionally `w` and `h`,
+//! and a list of `frames`, each with `file_path`, `transform_matrix` (camera-to-world, OpenGL axes) and,
+//! in dynamic sets, `time`. A frame may override any of the film's numbers. Fields we do not know are
+//! skipped. Memory is bounded by the length of the text.
+
+use serde::Deserialize;
+
+use super::{Camera, CameraError, Intrinsics, View};
+
+#[derive(Clone, Copy, Default, Deserialize)]
+struct Film {
+    camera_angle_x: Option<f64>,
+    camera_angle_y: Option<f64>,
+    w: Option<f64>,
+    h: Option<f64>,
+    fl_x: Option<f64>,
+    fl_y: Option<f64>,
+    cx: Option<f64>,
+    cy: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct Frame {
+    #[serde(default)]
+    file_path: String,
+    transform_matrix: [[f64; 4]; 4],
+    time: Option<f64>,
+    #[serde(flatten)]
+    film: Film,
+}
+
+#[derive(Deserialize)]
+struct Transforms {
+    frames: Vec<Frame>,
+    #[serde(flatten)]
+    film: Film,
+}
+
+/// Reads a `transforms_*.json`: its frames in file order.
+///
+/// `size` is the width and height of the images in pixels, for files that do not say (`w`, `h`); where a
+/// file does say, the file wins.
+///
+/// # Errors
+/// Text that is not such JSON (with line and column), a size nobody gave, or a frame whose camera is not
+/// one (with the frame's name).
+pub fn read(bytes: &[u8], size: Option<(u32, u32)>) -> Result<Vec<View>, CameraError> {
+    let file: Transforms = serde_json::from_slice(bytes).map_err(|e| CameraError::Json {
+        line: e.line(),
+        column: e.column(),
+        message: e.to_string(),
+    })?;
+    let view = |frame: Frame| {
+        let film = frame.film.or(file.film);
+        let camera = film
+            .intrinsics(size)
+            .and_then(|intrinsics| Camera::from_opengl(frame.transform_matrix, intrinsics))
+            .map_err(|e| e.of(&frame.file_path))?;
+        Ok(View { name: frame.file_path, time: frame.time, camera })
+    };
+    file.frames.into_iter().map(view).collect()
+}
+
+impl Film {
+    /// Own numbers first, then those of `other`.
+    fn or(self, other: Self) -> Self {
+        Self {
+            camera_angle_x: self.camera_angle_x.or(other.camera_angle_x),
+            camera_angle_y: self.camera_angle_y.or(other.camera_angle_y),
+            w: self.w.or(other.w),
+            h: self.h.or(other.h),
+            fl_x: self.fl_x.or(other.fl_x),
+            fl_y: self.fl_y.or(other.fl_y),
+            cx: self.cx.or(other.cx),
+            cy: self.cy.or(other.cy),
+        }
+    }
+
+    fn intrinsics(&self, size: Option<(u32, u32)>) -> Result<Intrinsics, CameraError> {
+        let side = |own: Option<f64>, given: Option<u32>| match own {
+            // Anything else, NaN included, becomes a side the camera's constructor refuses by name.
+            Some(v) if (1.0..=1e6).contains(&v) => Ok(v as u32),
+            Some(_) => Ok(0),
+            None => given.ok_or(CameraError::SizeUnknown),
+        };
+        let width = side(self.w, size.map(|s| s.0))?;
+        let height = side(self.h, size.map(|s| s.1))?;
+        let from_angle = |side: u32, angle: f64| 0.5 * f64::from(side) / (0.5 * angle).tan();
+        let fx = self.fl_x.or(self.camera_angle_x.map(|a| from_angle(width, a)));
+        let fy = self.fl_y.or(self.camera_angle_y.map(|a| from_angle(height, a)));
+        // Pixels are square unless the file says otherwise; without any angle both become NaN, refused.
+        let (fx, fy) = (fx.or(fy).unwrap_or(f64::NAN), fy.or(fx).unwrap_or(f64::NAN));
+        let cx = self.cx.unwrap_or(0.5 * f64::from(width));
+        let cy = self.cy.unwrap_or(0.5 * f64::from(height));
+        Ok(Intrinsics { width, height, fx, fy, cx, cy })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const TEXT: &str = r#"{"camera_angle_x": 0.6911112070083618, "frames": [
+        {"file_path": "./train/r_000", "rotation": 0.03, "time": 0.25, "transform_matrix":
+          [[1,0,0,0.5],[0,0,-1,-4],[0,1,0,1],[0,0,0,1]]},
+        {"file_path": "b", "w": 40, "h": 20, "fl_x": 30, "transform_matrix":
+          [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}"#;
+
+    #[test]
+    fn a_d_nerf_file_is_read() {
+        let views = read(TEXT.as_bytes(), Some((800, 800))).unwrap();
+        assert_eq!(views.len(), 2);
+        assert_eq!((views[0].name.as_str(), views[0].time), ("./train/r_000", Some(0.25)));
+        let camera = &views[0].camera;
+        assert!((camera.intrinsics().fx - 1111.111).abs() < 0.01, "{:?}", camera.intrinsics());
+        // Camera-to-world columns: x = (1,0,0), y up = (0,0,1), back = (0,-1,0): it looks along +y.
+        let p = camera.to_camera([0.5, 0.0, 2.0]);
+        assert_eq!(p, [0.0, -1.0, 4.0], "one above the axis, four ahead");
+        let film = views[1].camera.intrinsics();
+        assert_eq!((film.width, film.height, film.fx, film.fy), (40, 20, 30.0, 30.0));
+    }
+
+    #[test]
+    fn errors_name_the_frame_or_the_line() {
+        let error = read(TEXT.as_bytes(), None).unwrap_err().to_string();
+        assert!(error.contains("./train/r_000") && error.contains("no w and h"), "{error}");
+        let error = read(b"{\n \"frames\": 3}", None).unwrap_err().to_string();
+        assert!(error.starts_with("line 2"), "{error}");
+        let flat = TEXT.replace("[1,0,0,0.5]", "[2,0,0,0.5]");
+        let error = read(flat.as_bytes(), Some((8, 8))).unwrap_err().to_string();
+        assert!(error.contains("./train/r_000: rotation differs"), "{error}");
+        let missing = r#"{"frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}"#;
+        let error = read(missing.as_bytes(), Some((8, 8))).unwrap_err().to_string();
+        assert!(error.contains("fx is NaN"), "{error}");
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_panic(at in 0usize..400, with in any::<u8>(), end in 0usize..500) {
+            let mut bytes = TEXT.as_bytes().to_vec();
+            let at = at % bytes.len();
+            bytes[at] = with;
+            bytes.truncate(end);
+            let _ = read(&bytes, Some((16, 16)));
+        }
+    }
+}

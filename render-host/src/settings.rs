@@ -1,0 +1,159 @@
+//! Every tolerance and every skip of the renderers, by name.
+//!
+//! A *tolerance* changes the picture and is part of what an image means; the reference obeys it too. A
+//! *skip* saves work and never changes a bit of the picture (a test says so), except `early_stop`, which
+//! switches the tolerance `transmittance_stop` on and off.
+
+use codec_core::gaussian::ShDegree;
+use serde::{Deserialize, Serialize};
+
+/// How to render. Plain data; checked by [`Settings::validate`] when rendering starts.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Colour behind everything, r g b; finite, ±1e6.
+    pub background: [f32; 3],
+    /// Variance added to both axes of a projected splat, pixels², 0..=100. Source: 0.3 in 3DGS.
+    pub low_pass: f64,
+    /// Dims a splat by √(det / det dilated), at least 0.005, so that `low_pass` adds no energy
+    /// (Mip-Splatting).
+    pub antialiased: bool,
+    /// A splat adds nothing to a pixel where its alpha is below this, 0..=0.5. Source: 1/255 in 3DGS.
+    /// At 0 the support ends at 2⁻¹²⁵, the edge of the normal f32 range.
+    pub alpha_cutoff: f32,
+    /// Alpha is clamped to this, 0.5..=1. Source: 0.99 in 3DGS.
+    pub alpha_max: f32,
+    /// A pixel is finished once its transmittance is below this, 0..=0.5: inclusive, the splat that
+    /// crosses is still blended. Source: 1e-4 in 3DGS, which leaves that splat out.
+    pub transmittance_stop: f32,
+    /// Harmonic bands above this degree (0..=3) are ignored.
+    pub max_sh_degree: u8,
+    /// Uses the current rayon pool. The picture is the same bit for bit either way.
+    pub parallel: bool,
+    /// Skip: leave out what a cheap bound puts wholly outside the image before computing its shape.
+    pub cull_frustum: bool,
+    /// Skip: list a splat only in tiles that its cut-off ellipse touches, not in all of its box.
+    pub exact_tiles: bool,
+    /// Skip: stop a pixel at `transmittance_stop`. Off, every splat is blended.
+    pub early_stop: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            background: [0.0; 3],
+            low_pass: 0.3,
+            antialiased: false,
+            alpha_cutoff: 1.0 / 255.0,
+            alpha_max: 0.99,
+            transmittance_stop: 1e-4,
+            max_sh_degree: 3,
+            parallel: true,
+            cull_frustum: true,
+            exact_tiles: true,
+            early_stop: true,
+        }
+    }
+}
+
+/// A setting out of its range.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("setting {field} is {found}; {low} to {high} is allowed")]
+pub struct SettingsError {
+    /// Which setting.
+    pub field: &'static str,
+    /// Its value.
+    pub found: f64,
+    /// Smallest allowed.
+    pub low: f64,
+    /// Largest allowed.
+    pub high: f64,
+}
+
+impl Settings {
+    /// The defaults over `background`.
+    pub fn over(background: [f32; 3]) -> Self {
+        Self { background, ..Self::default() }
+    }
+
+    /// Nothing cut and nothing stopped early: what the compositing equation says, for judging tolerances.
+    pub fn exact() -> Self {
+        Self { alpha_cutoff: 0.0, early_stop: false, ..Self::default() }
+    }
+
+    /// Checks every range.
+    ///
+    /// # Errors
+    /// The first setting out of its range, NaN included.
+    pub fn validate(&self) -> Result<(), SettingsError> {
+        let check = |field, found: f64, low: f64, high: f64| {
+            if found >= low && found <= high {
+                Ok(())
+            } else {
+                Err(SettingsError { field, found, low, high })
+            }
+        };
+        for channel in self.background {
+            check("background", f64::from(channel), -1e6, 1e6)?;
+        }
+        check("low_pass", self.low_pass, 0.0, 100.0)?;
+        check("alpha_cutoff", f64::from(self.alpha_cutoff), 0.0, 0.5)?;
+        check("alpha_max", f64::from(self.alpha_max), 0.5, 1.0)?;
+        check("transmittance_stop", f64::from(self.transmittance_stop), 0.0, 0.5)?;
+        check("max_sh_degree", f64::from(self.max_sh_degree), 0.0, 3.0)
+    }
+
+    /// The degree actually evaluated for splats of degree `available`.
+    pub(crate) fn degree(&self, available: ShDegree) -> u8 {
+        self.max_sh_degree.min(available.get())
+    }
+
+    /// Transmittance below which a pixel is finished; 0 when `early_stop` is off.
+    pub(crate) fn stop(&self) -> f32 {
+        if self.early_stop { self.transmittance_stop } else { 0.0 }
+    }
+
+    /// Alpha below which a splat adds nothing: never 0, and twice the smallest normal f32 at least, so
+    /// that where the blend's exponential saturates (2⁻¹²⁶) nothing is added, with or without skips.
+    pub(crate) fn cutoff(&self) -> f32 {
+        self.alpha_cutoff.max(2.0 * f32::MIN_POSITIVE)
+    }
+
+    /// log₂ of [`Settings::cutoff`].
+    pub(crate) fn log2_cutoff(&self) -> f64 {
+        f64::from(self.cutoff()).log2()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_are_enforced_by_name() {
+        let good = Settings::default();
+        good.validate().unwrap();
+        Settings::exact().validate().unwrap();
+        let bad = [
+            ("background", Settings { background: [0.0, f32::NAN, 0.0], ..good.clone() }),
+            ("low_pass", Settings { low_pass: -0.1, ..good.clone() }),
+            ("alpha_cutoff", Settings { alpha_cutoff: f32::NAN, ..good.clone() }),
+            ("alpha_max", Settings { alpha_max: 1.5, ..good.clone() }),
+            ("transmittance_stop", Settings { transmittance_stop: -1.0, ..good.clone() }),
+            ("max_sh_degree", Settings { max_sh_degree: 4, ..good.clone() }),
+        ];
+        for (field, settings) in bad {
+            let error = settings.validate().unwrap_err();
+            assert_eq!(error.field, field, "{error}");
+        }
+    }
+
+    #[test]
+    fn settings_survive_json() {
+        let settings = Settings { antialiased: true, background: [1.0; 3], ..Settings::default() };
+        let text = serde_json::to_string(&settings).unwrap();
+        assert_eq!(serde_json::from_str::<Settings>(&text).unwrap(), settings);
+        assert_eq!(serde_json::from_str::<Settings>("{}").unwrap(), Settings::default());
+        assert!(serde_json::from_str::<Settings>(r#"{"lowpass": 1}"#).is_err());
+    }
+}

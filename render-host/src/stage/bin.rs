@@ -1,0 +1,325 @@
+//! Stage 3: which splats touch which tile, nearest first.
+//!
+//! Work is done one *band* of tile rows at a time, so that memory stays bounded however large the image
+//! or the splats ([`bands`]); most pictures are one band. In a band, equal pieces of the depth order each
+//! write down the *spans* of their splats (a run of tiles in one row), sorted by row; then each row
+//! gathers its spans piece by piece into tile lists. Every list comes out in depth order for any number
+//! of threads.
+//!
+//! A span is exact: the cut-off ellipse over the pixel centres of one tile row is a convex piece, whose
+//! left and right ends have a closed form (the idea of SnugBox/AccuTile in Speedy-Splat).
+
+use std::ops::Range;
+
+use super::project::Projected;
+use super::sort::Order;
+use super::{REACH_MARGIN, Splat, TILE};
+use crate::parallel;
+use crate::settings::Settings;
+
+/// Tile lists a band may need at most, by the boxes of its splats. One row is always allowed.
+const BAND_ENTRIES: u64 = 1 << 24;
+/// Pixels a band may have at most. One row is always allowed.
+const BAND_PIXELS: usize = 1 << 22;
+/// Splats in one piece of the depth order.
+const PIECE: usize = 4096;
+
+/// A run of tiles of one row.
+#[derive(Clone, Copy, Debug, Default)]
+struct Span {
+    splat: u32,
+    /// Tile row, counted in the band.
+    row: u16,
+    first: u16,
+    past: u16,
+}
+
+/// The spans of one piece of the depth order.
+#[derive(Debug, Default)]
+struct Piece {
+    found: Vec<Span>,
+    /// `found`, stably sorted by row.
+    by_row: Vec<Span>,
+    /// Row `r` is `by_row[starts[r]..starts[r + 1]]`.
+    starts: Vec<usize>,
+}
+
+/// The tile lists of one tile row.
+#[derive(Debug, Default)]
+pub struct Row {
+    starts: Vec<usize>,
+    entries: Vec<u32>,
+}
+
+impl Row {
+    /// Indices of the splats of tile `column`, nearest first.
+    pub fn tile(&self, column: usize) -> &[u32] {
+        &self.entries[self.starts[column]..self.starts[column + 1]]
+    }
+}
+
+/// Tile lists of a band, and room to make the next one.
+#[derive(Debug, Default)]
+pub struct Bins {
+    pieces: Vec<Piece>,
+    rows: Vec<Row>,
+    height: usize,
+}
+
+impl Bins {
+    /// The rows of the band, top first.
+    pub fn rows(&self) -> &[Row] {
+        &self.rows[..self.height]
+    }
+
+    /// Entries in all lists of the band, and tiles with at least one.
+    pub fn totals(&self) -> (u64, u64) {
+        let entries = self.rows().iter().map(|row| row.entries.len() as u64).sum();
+        let touched = |row: &Row| row.starts.windows(2).filter(|w| w[0] < w[1]).count() as u64;
+        (entries, self.rows().iter().map(touched).sum())
+    }
+}
+
+/// Splits `rows` tile rows of `columns` tiles into bands of bounded memory.
+pub fn bands(projected: &Projected, order: &Order, columns: usize, rows: usize, out: &mut Vec<Range<usize>>) {
+    let mut change = vec![0i64; rows + 1];
+    for index in order.indices() {
+        let splat = &projected.splats[index as usize];
+        let (width, span) = (splat.tile_columns().len() as i64, splat.tile_rows());
+        change[span.start] += width;
+        change[span.end] -= width;
+    }
+    out.clear();
+    let (mut start, mut entries, mut row_entries) = (0, 0u64, 0i64);
+    for (row, change) in change[..rows].iter().enumerate() {
+        row_entries += change;
+        let pixels = (row + 1 - start) * columns * TILE * TILE;
+        if row > start && (entries + row_entries as u64 > BAND_ENTRIES || pixels > BAND_PIXELS) {
+            out.push(start..row);
+            (start, entries) = (row, 0);
+        }
+        entries += row_entries as u64;
+    }
+    out.push(start..rows);
+}
+
+/// Fills `out` with the lists of the tile rows `band` of an image `columns` tiles wide.
+pub fn bin(
+    projected: &Projected,
+    order: &Order,
+    band: &Range<usize>,
+    columns: usize,
+    settings: &Settings,
+    out: &mut Bins,
+) {
+    let pieces = order.entries().len().div_ceil(PIECE);
+    out.pieces.resize_with(pieces, Piece::default);
+    out.height = band.len();
+    if out.rows.len() < band.len() {
+        out.rows.resize_with(band.len(), Row::default);
+    }
+    let log2_cutoff = settings.log2_cutoff();
+    parallel::for_each(settings.parallel, &mut out.pieces, |i, piece| {
+        let entries = &order.entries()[i * PIECE..];
+        piece.found.clear();
+        for &entry in &entries[..entries.len().min(PIECE)] {
+            let index = entry as u32;
+            let splat = &projected.splats[index as usize];
+            if settings.exact_tiles {
+                piece.push_exact(index, splat, band, log2_cutoff);
+            } else {
+                piece.push_box(index, splat, band);
+            }
+        }
+        piece.sort_by_row(band.len());
+    });
+    let Bins { pieces, rows, height } = out;
+    parallel::for_each(settings.parallel, &mut rows[..*height], |row, list| {
+        list.gather(pieces, row, columns)
+    });
+}
+
+impl Piece {
+    fn push(&mut self, splat: u32, row: usize, tiles: Range<usize>) {
+        let (first, past) = (tiles.start as u16, tiles.end as u16);
+        self.found.push(Span { splat, row: row as u16, first, past });
+    }
+
+    fn push_box(&mut self, index: u32, splat: &Splat, band: &Range<usize>) {
+        let rows = splat.tile_rows();
+        for row in rows.start.max(band.start)..rows.end.min(band.end) {
+            self.push(index, row - band.start, splat.tile_columns());
+        }
+    }
+
+    /// Spans of the tiles that hold a pixel centre of the ellipse's bounding strip in each tile row.
+    fn push_exact(&mut self, index: u32, splat: &Splat, band: &Range<usize>, log2_cutoff: f64) {
+        let (rows, columns) = (splat.tile_rows(), splat.tile_columns());
+        let visible = rows.start.max(band.start)..rows.end.min(band.end);
+        // A single tile needs no test: the pixel box already touches the ellipse.
+        if rows.len() == 1 && columns.len() == 1 {
+            if !visible.is_empty() {
+                self.push(index, visible.start - band.start, columns);
+            }
+            return;
+        }
+        let [xx, xy, yy] = splat.root;
+        let reach = f64::from(splat.log2_alpha) - log2_cutoff + f64::from(REACH_MARGIN);
+        // The ellipse is u² + v² ≤ reach. Its rightmost point lies at dy = extreme, its leftmost at -extreme.
+        let (top, extreme) = (reach.sqrt() / yy, -xy * reach.sqrt() / (yy * yy.hypot(xy)));
+        let [x0, x1, y0, y1] = splat.pixels.map(usize::from);
+        for row in visible {
+            let first = (row * TILE).max(y0) as f64 + 0.5 - splat.mean[1];
+            let last = ((row + 1) * TILE).min(y1) as f64 - 0.5 - splat.mean[1];
+            let (low, high) = (first.max(-top), last.min(top));
+            if low > high {
+                continue;
+            }
+            let half = |dy: f64| (reach - (yy * dy) * (yy * dy)).max(0.0).sqrt();
+            let right_at = extreme.clamp(low, high);
+            let left_at = (-extreme).clamp(low, high);
+            let right = splat.mean[0] + (half(right_at) - xy * right_at) / xx;
+            let left = splat.mean[0] - (half(left_at) + xy * left_at) / xx;
+            // Pixel centres are at halves; a hair of slack covers rounding of the two ends.
+            let slack = 1e-6 + 1e-12 * (right - left);
+            let from = (left - 0.5 - slack).ceil().max(x0 as f64);
+            let past = ((right - 0.5 + slack).floor() + 1.0).min(x1 as f64);
+            if from < past {
+                self.push(index, row - band.start, from as usize / TILE..(past as usize).div_ceil(TILE));
+            }
+        }
+    }
+
+    fn sort_by_row(&mut self, rows: usize) {
+        self.starts.clear();
+        self.starts.resize(rows + 1, 0);
+        self.found.iter().for_each(|span| self.starts[usize::from(span.row)] += 1);
+        let mut sum = 0;
+        for start in &mut self.starts {
+            sum += std::mem::replace(start, sum);
+        }
+        self.by_row.resize(self.found.len(), Span::default());
+        for span in &self.found {
+            let slot = &mut self.starts[usize::from(span.row)];
+            self.by_row[*slot] = *span;
+            *slot += 1;
+        }
+        // Each start has moved to the next one; move them back.
+        self.starts.rotate_right(1);
+        self.starts[0] = 0;
+    }
+}
+
+impl Row {
+    fn gather(&mut self, pieces: &[Piece], row: usize, columns: usize) {
+        let spans = || pieces.iter().flat_map(|p| &p.by_row[p.starts[row]..p.starts[row + 1]]);
+        self.starts.clear();
+        self.starts.resize(columns + 1, 0);
+        for span in spans() {
+            for column in span.first..span.past {
+                self.starts[usize::from(column)] += 1;
+            }
+        }
+        let mut sum = 0;
+        for start in &mut self.starts {
+            sum += std::mem::replace(start, sum);
+        }
+        self.entries.resize(sum, 0);
+        for span in spans() {
+            for column in span.first..span.past {
+                let slot = &mut self.starts[usize::from(column)];
+                self.entries[*slot] = span.splat;
+                *slot += 1;
+            }
+        }
+        self.starts.rotate_right(1);
+        self.starts[0] = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stage::sort;
+    use proptest::prelude::*;
+
+    /// Tile lists of a scene of splats whose depth key is their index.
+    fn lists(splats: Vec<Splat>, columns: usize, rows: usize, exact: bool) -> Vec<Vec<u32>> {
+        let keys = (0..splats.len() as u32).collect::<Vec<_>>();
+        let projected = Projected { splats, keys, ..Projected::default() };
+        let (mut order, mut out) = (Order::default(), Bins::default());
+        sort::sort(&projected.keys, false, &mut order);
+        let settings = Settings { exact_tiles: exact, ..Settings::default() };
+        let mut all = Vec::new();
+        let mut parts = Vec::new();
+        bands(&projected, &order, columns, rows, &mut parts);
+        for band in &parts {
+            bin(&projected, &order, band, columns, &settings, &mut out);
+            out.rows().iter().for_each(|row| all.extend((0..columns).map(|c| row.tile(c).to_vec())));
+        }
+        all
+    }
+
+    fn splat(mean: [f64; 2], root: [f64; 3], side: usize) -> Splat {
+        let whole = side as u16;
+        Splat { mean, root, log2_alpha: -0.5, pixels: [0, whole, 0, whole], ..Splat::NONE }
+    }
+
+    proptest! {
+        /// Against the obvious test of every pixel centre: no tile missed, none listed in vain.
+        #[test]
+        fn exact_lists_are_exact(
+            x in -20.0..84.0f64, y in -20.0..84.0f64,
+            xx in 0.02..1.5f64, xy in -1.0..1.0f64, yy in 0.02..1.5f64,
+        ) {
+            let s = splat([x, y], [xx, xy, yy], 64);
+            let reach = -0.5 - Settings::default().log2_cutoff() + f64::from(REACH_MARGIN);
+            let got = lists(vec![s], 4, 4, true);
+            for (tile, list) in got.iter().enumerate() {
+                let inside = |slack: f64| (0..256).any(|p| {
+                    let px = ((tile % 4) * 16 + p % 16) as f64 + 0.5 - x;
+                    let py = ((tile / 4) * 16 + p / 16) as f64 + 0.5 - y;
+                    (xx * px + xy * py).powi(2) + (yy * py).powi(2) <= reach + slack
+                });
+                prop_assert!(!inside(0.0) || list == &[0], "tile {} missed", tile);
+                // The strip is continuous in y, pixels are not, so a tile may be listed for a sliver
+                // between rows; it is never listed when the ellipse is a pixel away.
+                let near = (0..32 * 32).any(|p| {
+                    let px = (tile % 4) as f64 * 16.0 + f64::from(p % 32) * 0.5 + 0.25 - x;
+                    let py = (tile / 4) as f64 * 16.0 + f64::from(p / 32) * 0.5 + 0.25 - y;
+                    let d = 0.75;
+                    let u = ((xx * px + xy * py).abs() - d * (xx + xy.abs())).max(0.0);
+                    let v = ((yy * py).abs() - d * yy).max(0.0);
+                    u * u + v * v <= reach
+                });
+                prop_assert!(near || list.is_empty(), "tile {} listed in vain", tile);
+            }
+        }
+    }
+
+    #[test]
+    fn lists_are_in_depth_order_over_pieces_and_bands() {
+        // Enough full-image splats that the entries do not fit one band: 9000 · 64 · 64 > 2²⁴.
+        let n = 9000;
+        let wide = splat([500.0, 500.0], [1e-4, 0.0, 1e-4], 1024);
+        let exact = lists(vec![wide; n], 64, 64, true);
+        let expected: Vec<u32> = (0..n as u32).collect();
+        assert!(exact.iter().all(|list| *list == expected));
+        assert_eq!(exact.len(), 64 * 64);
+    }
+
+    #[test]
+    fn bands_are_whole_and_bounded() {
+        let n = 9000;
+        let wide = splat([500.0, 500.0], [1e-4, 0.0, 1e-4], 1024);
+        let projected = Projected { splats: vec![wide; n], keys: vec![1; n], ..Projected::default() };
+        let mut order = Order::default();
+        sort::sort(&projected.keys, false, &mut order);
+        let mut parts = Vec::new();
+        bands(&projected, &order, 64, 64, &mut parts);
+        assert!(parts.len() > 1);
+        assert_eq!((parts[0].start, parts.last().unwrap().end), (0, 64));
+        assert!(parts.windows(2).all(|w| w[0].end == w[1].start && !w[0].is_empty()));
+        assert!(parts.iter().all(|b| (b.len() * 64 * n) as u64 <= BAND_ENTRIES));
+    }
+}

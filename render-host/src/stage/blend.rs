@@ -1,0 +1,308 @@
+//! Stage 4: every pixel of a tile takes its list of splats, nearest first.
+//!
+//! `C += T·a·c; T -= T·a`, where alpha `a` is clamped to `alpha_max` and left out below `alpha_cutoff`,
+//! until `T` is below the stop (inclusive: the splat that crosses it is blended).
+//!
+//! A row of a tile is 16 pixels in arrays of fixed size, written so that the compiler turns it into
+//! vectors; `pulp` picks the widest ones at run time. Nothing is fused or reordered, so every vector
+//! width, every machine and every number of threads gives the same bits.
+
+use std::ops::Range;
+
+use super::bin::Bins;
+use super::{REACH_MARGIN, Splat, TILE};
+use crate::parallel;
+use crate::settings::Settings;
+
+/// A value per pixel of one row of a tile.
+type Lanes = [f32; TILE];
+
+/// 0, 1, … 15.
+const LANE: Lanes = {
+    let mut lane = [0.0; TILE];
+    let mut i = 0;
+    while i < TILE {
+        lane[i] = i as f32;
+        i += 1;
+    }
+    lane
+};
+
+/// Splats between two looks at which rows of a tile are finished.
+const LOOK_EVERY: usize = 16;
+
+/// What a tile has gathered.
+#[derive(Clone, Debug)]
+#[repr(align(64))]
+pub struct Tile {
+    /// Rows of 16 pixels: r, g, b (without background) and transmittance.
+    rows: [[Lanes; 4]; TILE],
+    /// Pixels inside the image whose transmittance is below the stop.
+    stopped: u32,
+}
+
+impl Tile {
+    const EMPTY: Self =
+        Self { rows: [[[0.0; TILE], [0.0; TILE], [0.0; TILE], [1.0; TILE]]; TILE], stopped: 0 };
+}
+
+/// Room for the tiles of one band.
+#[derive(Debug, Default)]
+pub struct Tiles {
+    tiles: Vec<Tile>,
+}
+
+/// Blends the tiles of a band. `band` is its tile rows, `size` the image's width and height in pixels.
+/// Returns the number of pixels that finished early.
+pub fn blend(
+    splats: &[Splat],
+    bins: &Bins,
+    band: &Range<usize>,
+    size: [usize; 2],
+    settings: &Settings,
+    out: &mut Tiles,
+) -> u64 {
+    let columns = size[0].div_ceil(TILE);
+    out.tiles.resize(columns * band.len(), Tile::EMPTY);
+    let arch = pulp::Arch::new();
+    let work = |index: usize, tile: &mut Tile| {
+        let (row, column) = (index / columns, index % columns);
+        let corner = [column * TILE, (band.start + row) * TILE];
+        let list = bins.rows()[row].tile(column);
+        arch.dispatch(Blend { splats, list, corner, size, settings, tile });
+    };
+    parallel::for_each(settings.parallel, &mut out.tiles, work);
+    out.tiles.iter().map(|tile| u64::from(tile.stopped)).sum()
+}
+
+/// Copies the tiles of a band to the image rows of that band, over the background. `rgb` and
+/// `transmittance` begin at the band's first pixel row.
+pub fn resolve(tiles: &Tiles, width: usize, settings: &Settings, rgb: &mut [f32], transmittance: &mut [f32]) {
+    let columns = width.div_ceil(TILE);
+    parallel::for_each_chunk(settings.parallel, rgb, width * 3, |y, row| {
+        let tiles = &tiles.tiles[y / TILE * columns..];
+        for (pixels, tile) in row.chunks_mut(3 * TILE).zip(tiles) {
+            let [r, g, b, t] = &tile.rows[y % TILE];
+            let [br, bg, bb] = settings.background;
+            for (i, pixel) in pixels.chunks_exact_mut(3).enumerate() {
+                pixel[0] = r[i] + t[i] * br;
+                pixel[1] = g[i] + t[i] * bg;
+                pixel[2] = b[i] + t[i] * bb;
+            }
+        }
+    });
+    parallel::for_each_chunk(settings.parallel, transmittance, width, |y, row| {
+        let tiles = &tiles.tiles[y / TILE * columns..];
+        for (pixels, tile) in row.chunks_mut(TILE).zip(tiles) {
+            pixels.copy_from_slice(&tile.rows[y % TILE][3][..pixels.len()]);
+        }
+    });
+}
+
+/// One tile's work, as a value, so that it can be compiled once per vector width.
+struct Blend<'a> {
+    splats: &'a [Splat],
+    list: &'a [u32],
+    corner: [usize; 2],
+    size: [usize; 2],
+    settings: &'a Settings,
+    tile: &'a mut Tile,
+}
+
+impl pulp::NullaryFnOnce for Blend<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { splats, list, corner, size, settings, tile } = self;
+        *tile = Tile::EMPTY;
+        let rules = Rules { cutoff: settings.cutoff(), max: settings.alpha_max, stop: settings.stop() };
+        let reach0 = REACH_MARGIN - settings.log2_cutoff() as f32;
+        let centre = [corner[0] as f64 + 0.5, corner[1] as f64 + 0.5];
+        let mut open = u16::MAX;
+        for (k, &index) in list.iter().enumerate() {
+            if k % LOOK_EVERY == 0 && k > 0 && rules.stop > 0.0 {
+                open = open_rows(&tile.rows, rules.stop);
+                if open == 0 {
+                    break;
+                }
+            }
+            let splat = &splats[index as usize];
+            // Position of the tile's first pixel centre in the splat's own axes, in f64: what remains is
+            // at most 16 pixels long.
+            let (dx, dy) = (centre[0] - splat.mean[0], centre[1] - splat.mean[1]);
+            let [xx, xy, yy] = splat.root;
+            let (u0, v0) = ((xx * dx + xy * dy) as f32, (yy * dy) as f32);
+            let (xx, xy, yy) = (xx as f32, xy as f32, yy as f32);
+            let reach = splat.log2_alpha + reach0;
+            let first = usize::from(splat.pixels[2]).saturating_sub(corner[1]);
+            let past = usize::from(splat.pixels[3]).saturating_sub(corner[1]).min(TILE);
+            for y in first..past {
+                let (u, v) = (u0 + xy * y as f32, v0 + yy * y as f32);
+                let left = reach - v * v;
+                // Distance of the row's 16 centres from the splat's axis; 0 when they straddle it.
+                let gap = u.max(-(u + 15.0 * xx)).max(0.0);
+                if gap * gap > left || open >> y & 1 == 0 {
+                    continue;
+                }
+                let exponent = splat.log2_alpha - v * v;
+                blend_row(&mut tile.rows[y], u, xx, exponent, &splat.colour, &rules);
+            }
+        }
+        if rules.stop > 0.0 {
+            let (w, h) = ((size[0] - corner[0]).min(TILE), (size[1] - corner[1]).min(TILE));
+            let finished = |row: &[Lanes; 4]| row[3][..w].iter().filter(|&&t| t < rules.stop).count();
+            tile.stopped = tile.rows[..h].iter().map(finished).sum::<usize>() as u32;
+        }
+    }
+}
+
+#[derive(Clone, Copy)]
+struct Rules {
+    cutoff: f32,
+    max: f32,
+    stop: f32,
+}
+
+#[inline(always)]
+fn blend_row(
+    [r, g, b, t]: &mut [Lanes; 4],
+    u: f32,
+    xx: f32,
+    exponent: f32,
+    colour: &[f32; 3],
+    rules: &Rules,
+) {
+    for i in 0..TILE {
+        let q = u + xx * LANE[i];
+        let alpha = exp2(exponent - q * q);
+        let alpha = if alpha < rules.max { alpha } else { rules.max };
+        let keep = (alpha >= rules.cutoff) & (t[i] >= rules.stop);
+        let weight = if keep { alpha * t[i] } else { 0.0 };
+        r[i] += weight * colour[0];
+        g[i] += weight * colour[1];
+        b[i] += weight * colour[2];
+        t[i] -= weight;
+    }
+}
+
+/// Bit `y` is set while a pixel of row `y` is not finished.
+#[inline(always)]
+fn open_rows(rows: &[[Lanes; 4]; TILE], stop: f32) -> u16 {
+    let mut open = 0;
+    for (y, row) in rows.iter().enumerate() {
+        let mut most = 0.0f32;
+        for t in row[3] {
+            most = if t > most { t } else { most };
+        }
+        open |= u16::from(most >= stop) << y;
+    }
+    open
+}
+
+/// 2ˣ for x ≤ 0, with a relative error below 2e-7; 2⁻¹²⁶ for anything smaller and for NaN.
+///
+/// x = n + f with |f| ≤ 1/2; 2ᶠ by a minimax polynomial, 2ⁿ by exponent bits.
+#[inline(always)]
+fn exp2(x: f32) -> f32 {
+    // Adding 1.5 · 2²³ leaves the nearest integer in the low bits.
+    const ROUND: f32 = 12_582_912.0;
+    let x = if x > -126.0 { x } else { -126.0 };
+    let shifted = x + ROUND;
+    let f = x - (shifted - ROUND);
+    let p = POLY[6] * f + POLY[5];
+    let p = p * f + POLY[4];
+    let p = p * f + POLY[3];
+    let p = p * f + POLY[2];
+    let p = p * f + POLY[1];
+    let p = p * f + POLY[0];
+    p * f32::from_bits(shifted.to_bits().wrapping_add(127) << 23)
+}
+
+/// 2ᶠ on ±1/2, lowest power first: Remez, relative error 1.9e-9 before rounding to f32.
+const POLY: [f32; 7] = [
+    1.0,
+    std::f32::consts::LN_2,
+    0.240_226_47,
+    0.055_503_29,
+    0.009_618_489,
+    0.001_339_993_1,
+    0.000_153_458_12,
+];
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn exp2_is_good_to_two_in_ten_million() {
+        let mut worst = 0.0f64;
+        for i in 0..=126_000 {
+            let x = -(i as f32) / 1000.0;
+            let exact = f64::from(x).exp2();
+            worst = worst.max((f64::from(exp2(x)) / exact - 1.0).abs());
+        }
+        assert!(worst < 2e-7, "{worst}");
+        assert_eq!(exp2(0.0).to_bits(), 1.0f32.to_bits());
+        for x in [f32::NAN, f32::NEG_INFINITY, -1e30, -126.0] {
+            assert!((exp2(x) / f32::MIN_POSITIVE - 1.0).abs() < 1e-6, "{x}");
+        }
+    }
+
+    #[test]
+    fn the_splat_that_crosses_the_stop_is_blended_and_the_next_is_not() {
+        let rules = Rules { cutoff: 0.0, max: 0.99, stop: 0.02 };
+        let mut row = Tile::EMPTY.rows[0];
+        for colour in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
+            blend_row(&mut row, 0.0, 0.0, (0.9f32).log2(), &colour, &rules);
+        }
+        let [r, g, b, t] = row;
+        assert!((r[3] - 0.9).abs() < 1e-6 && (g[3] - 0.09).abs() < 1e-6);
+        assert_eq!(b[3], 0.0, "transmittance was 0.01, below the stop");
+        assert!((t[3] - 0.01).abs() < 1e-6);
+    }
+
+    #[test]
+    fn every_vector_width_gives_the_same_bits() {
+        use pulp::NullaryFnOnce;
+        let splats: Vec<Splat> = (0..200)
+            .map(|i| {
+                let t = f64::from(i);
+                Splat {
+                    mean: [8.0 + 9.0 * (1.7 * t).sin(), 8.0 + 9.0 * (2.3 * t).cos()],
+                    root: [0.1 + 0.002 * t, 0.3 * (0.9 * t).sin(), 0.7 - 0.003 * t],
+                    colour: [0.3, 0.001 * i as f32, 1.5],
+                    log2_alpha: -0.02 * i as f32,
+                    pixels: [0, 16, 0, 16],
+                }
+            })
+            .collect();
+        let list: Vec<u32> = (0..200).collect();
+        let settings = Settings::default();
+        let work = |tile| Blend {
+            splats: &splats,
+            list: &list,
+            corner: [0, 0],
+            size: [16, 16],
+            settings: &settings,
+            tile,
+        };
+        let (mut plain, mut wide) = (Tile::EMPTY, Tile::EMPTY);
+        work(&mut plain).call();
+        pulp::Arch::new().dispatch(work(&mut wide));
+        let bits = |tile: &Tile| {
+            tile.rows.as_flattened().as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>()
+        };
+        assert!(plain.stopped > 0 && plain.stopped == wide.stopped);
+        assert_eq!(bits(&plain), bits(&wide));
+    }
+
+    #[test]
+    fn open_rows_sees_one_open_pixel() {
+        let mut tile = Tile::EMPTY;
+        tile.rows.iter_mut().for_each(|row| row[3] = [0.0; TILE]);
+        assert_eq!(open_rows(&tile.rows, 1e-4), 0);
+        tile.rows[5][3][9] = 1e-3;
+        assert_eq!(open_rows(&tile.rows, 1e-4), 1 << 5);
+    }
+}
