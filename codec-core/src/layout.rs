@@ -51,30 +51,44 @@ impl Shape {
             None => Motion::default(),
         };
         let frames = window.map_or(epoch.frames, |(_, w)| u32::from(w.frames));
-        let mut shape = Self {
-            cluster: record,
-            quant,
-            motion,
-            frames,
-            is_motion: window.is_some(),
-            block_len: manifest.block_len(),
-            fixed: [0; Level::COUNT],
-            per_gaussian: [0; Level::COUNT],
-        };
+        let moving = window.map(|_| motion);
+        let mut shape = Self::dgs1(record, quant, moving, frames, manifest.block_len());
         if manifest.profile() == Profile::Paper {
+            shape.per_gaussian = [0; Level::COUNT];
             shape.fixed = paper::symbols(
                 usize::from(record.gaussians),
                 frames as usize,
                 usize::from(epoch.rank),
                 rest_len(record.sh_degree),
             );
-        } else {
-            for level in Level::ALL {
-                shape.per_gaussian[level.index()] = shape.components(level).map(|(_, _, dims)| dims).sum();
-            }
-            shape.fixed[0] = TRACK_PARAMETERS * frames as usize * usize::from(motion.track);
         }
         Some(shape)
+    }
+
+    /// The shape of a `dgs1` cell: canonical without `motion`, else a motion cell of `frames`
+    /// frames.
+    pub fn dgs1(
+        cluster: Cluster,
+        quant: Quant,
+        motion: Option<Motion>,
+        frames: u32,
+        block_len: usize,
+    ) -> Self {
+        let mut shape = Self {
+            cluster,
+            quant,
+            motion: motion.unwrap_or_default(),
+            frames,
+            is_motion: motion.is_some(),
+            block_len: block_len.max(1),
+            fixed: [0; Level::COUNT],
+            per_gaussian: [0; Level::COUNT],
+        };
+        for level in Level::ALL {
+            shape.per_gaussian[level.index()] = shape.components(level).map(|(_, _, dims)| dims).sum();
+        }
+        shape.fixed[0] = TRACK_PARAMETERS * frames as usize * usize::from(shape.motion.track);
+        shape
     }
 
     /// Gaussians in the cell.

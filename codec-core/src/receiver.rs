@@ -501,7 +501,9 @@ impl<'a> Receiver<'a> {
             let mut rest = symbols.get_mut(place.symbols.clone()).unwrap_or(&mut []);
             place.shape.runs(slice.level, place.blocks.clone(), |stream, n| {
                 let (slots, bits) = table_at(stream)?;
-                let (run, tail) = core::mem::take(&mut rest).split_at_mut(n.min(rest.len()));
+                let whole = core::mem::take(&mut rest);
+                let n = n.min(whole.len());
+                let (run, tail) = whole.split_at_mut(n);
                 rest = tail;
                 decoder.run(slots, bits, run)
             })?;

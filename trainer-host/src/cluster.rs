@@ -1,0 +1,264 @@
+//! Clustering: Gaussians that lie and move together (paper section 3).
+//!
+//! Features, each family normalised to unit variance over the epoch and then weighted: canonical
+//! position (3), displacement over the epoch (mean and standard deviation per axis: 6), velocity
+//! (mean speed and its standard deviation: 2), visibility history (share of frames visible, mean
+//! visible time: 2). A deterministic variance split bounds cluster size: a set that is too large,
+//! or too spread out, is cut across its axis of largest variance where the variance within the
+//! two sides is least, ties by index. Ids are the order of the leaves, a pure function of the
+//! input on any number of threads.
+
+use crate::scene::Epoch;
+
+/// Number of features per Gaussian.
+pub const FEATURES: usize = 13;
+
+/// How to cluster.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Options {
+    /// Most Gaussians in a cluster, 1..=32768.
+    pub max_gaussians: usize,
+    /// Sets of at most this many Gaussians are not cut for their spread alone.
+    pub min_gaussians: usize,
+    /// Largest weighted feature variance of a set that need not be cut; infinite to bound the
+    /// size only.
+    pub max_variance: f64,
+    /// Weights of position, displacement, velocity and visibility.
+    pub weights: [f64; 4],
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { max_gaussians: 512, min_gaussians: 192, max_variance: 0.02, weights: [1.0, 2.0, 1.0, 1.0] }
+    }
+}
+
+/// Clusters of `epoch`: lists of Gaussian indices, each ascending; together a partition.
+pub fn cluster(epoch: &Epoch, options: &Options) -> Vec<Vec<u32>> {
+    let features = features(epoch, &options.weights);
+    let mut leaves = Vec::new();
+    if epoch.count() == 0 {
+        return leaves;
+    }
+    let mut stack = vec![(0..epoch.count() as u32).collect::<Vec<u32>>()];
+    while let Some(set) = stack.pop() {
+        let (axis, variance) = widest(&features, &set);
+        let spread = variance > options.max_variance && set.len() > options.min_gaussians;
+        if set.len() > options.max_gaussians.max(1) || (spread && set.len() > 1) {
+            let (left, right) = split(&features, set, axis);
+            stack.push(right);
+            stack.push(left);
+        } else {
+            leaves.push(set);
+        }
+    }
+    leaves
+}
+
+/// Weighted, normalised features, [`FEATURES`] per Gaussian.
+fn features(epoch: &Epoch, weights: &[f64; 4]) -> Vec<[f64; FEATURES]> {
+    let (n, frames) = (epoch.count(), epoch.frames());
+    let a = epoch.attributes();
+    let mut out = vec![[0.0f64; FEATURES]; n];
+    let start = a.positions.frame(0, n);
+    for (row, p) in out.iter_mut().zip(start) {
+        for d in 0..3 {
+            row[d] = f64::from(p[d]);
+        }
+    }
+    if !a.positions.is_constant() {
+        for (i, row) in out.iter_mut().enumerate() {
+            let (mut sum, mut squares, mut speed, mut speed2) = ([0.0; 3], [0.0; 3], 0.0, 0.0);
+            let mut before = start[i];
+            for t in 0..frames {
+                let p = a.positions.frame(t, n)[i];
+                let mut step2 = 0.0;
+                for d in 0..3 {
+                    let moved = f64::from(p[d]) - f64::from(start[i][d]);
+                    sum[d] += moved;
+                    squares[d] += moved * moved;
+                    step2 += (f64::from(p[d]) - f64::from(before[d])).powi(2);
+                }
+                speed += step2.sqrt();
+                speed2 += step2;
+                before = p;
+            }
+            let t = frames as f64;
+            for d in 0..3 {
+                row[3 + d] = sum[d] / t;
+                row[6 + d] = (squares[d] / t - (sum[d] / t).powi(2)).max(0.0).sqrt();
+            }
+            row[9] = speed / t;
+            row[10] = (speed2 / t - (speed / t).powi(2)).max(0.0).sqrt();
+        }
+    }
+    if !a.opacity_logits.is_constant() {
+        // Visible: more than 5 % opaque.
+        let visible = (0.05f32 / 0.95).ln();
+        for (i, row) in out.iter_mut().enumerate() {
+            let seen: Vec<f64> =
+                (0..frames).filter(|&t| a.opacity_logits.frame(t, n)[i] > visible).map(|t| t as f64).collect();
+            row[11] = seen.len() as f64 / frames as f64;
+            row[12] = seen.iter().sum::<f64>() / (seen.len().max(1) * frames) as f64;
+        }
+    }
+    for (range, weight) in [(0..3, weights[0]), (3..9, weights[1]), (9..11, weights[2]), (11..13, weights[3])] {
+        // One scale per family, so that the shape of a family's distribution is kept.
+        let total: f64 = range.clone().map(|f| variance(&out, f)).sum();
+        let scale = if total > 1e-24 { weight / total.sqrt() } else { 0.0 };
+        out.iter_mut().for_each(|row| row[range.clone()].iter_mut().for_each(|v| *v *= scale));
+    }
+    out
+}
+
+fn variance(rows: &[[f64; FEATURES]], feature: usize) -> f64 {
+    let n = rows.len().max(1) as f64;
+    let mean = rows.iter().map(|r| r[feature]).sum::<f64>() / n;
+    rows.iter().map(|r| (r[feature] - mean).powi(2)).sum::<f64>() / n
+}
+
+/// The feature of largest variance over `set`, lowest index on ties, and that variance.
+fn widest(features: &[[f64; FEATURES]], set: &[u32]) -> (usize, f64) {
+    let n = set.len() as f64;
+    let mut best = (0, -1.0);
+    for f in 0..FEATURES {
+        let mean = set.iter().map(|&i| features[i as usize][f]).sum::<f64>() / n;
+        let variance = set.iter().map(|&i| (features[i as usize][f] - mean).powi(2)).sum::<f64>() / n;
+        if variance > best.1 {
+            best = (f, variance);
+        }
+    }
+    best
+}
+
+/// Cuts `set` across `axis` where the summed squared deviation of both sides is least; each side
+/// keeps at least an eighth.
+fn split(features: &[[f64; FEATURES]], mut set: Vec<u32>, axis: usize) -> (Vec<u32>, Vec<u32>) {
+    let value = |i: u32| features[i as usize][axis];
+    set.sort_by(|&a, &b| value(a).total_cmp(&value(b)).then(a.cmp(&b)));
+    let n = set.len();
+    let least = (n / 8).max(1);
+    let total: f64 = set.iter().map(|&i| value(i)).sum();
+    let (mut left, mut best) = (0.0, (n / 2, f64::NEG_INFINITY));
+    for cut in 1..n {
+        left += value(set[cut - 1]);
+        if cut < least || n - cut < least {
+            continue;
+        }
+        // Between-side variance: maximal where within-side variance is minimal (Otsu's criterion).
+        let (a, b) = (cut as f64, (n - cut) as f64);
+        let gain = left * left / a + (total - left) * (total - left) / b;
+        if gain > best.1 {
+            best = (cut, gain);
+        }
+    }
+    let mut right = set.split_off(best.0);
+    set.sort_unstable();
+    right.sort_unstable();
+    (set, right)
+}
+
+/// `indices` in Morton order of `positions` inside their bounding box, ties by index, so that
+/// neighbours in the list, and so in a block, are neighbours in space.
+pub fn morton_order(indices: &[u32], positions: &[[f32; 3]]) -> Vec<u32> {
+    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for &i in indices {
+        for d in 0..3 {
+            low[d] = low[d].min(positions[i as usize][d]);
+            high[d] = high[d].max(positions[i as usize][d]);
+        }
+    }
+    let extent = (0..3).map(|d| high[d] - low[d]).fold(0.0f32, f32::max).max(1e-20);
+    let code = |i: u32| {
+        let mut code = 0u64;
+        for d in 0..3 {
+            let cell = ((positions[i as usize][d] - low[d]) / extent * 1_048_575.0) as u64;
+            for bit in 0..20 {
+                code |= (cell >> bit & 1) << (3 * bit + d as u64);
+            }
+        }
+        code
+    };
+    let mut keyed: Vec<(u64, u32)> = indices.iter().map(|&i| (code(i), i)).collect();
+    keyed.sort_unstable();
+    keyed.into_iter().map(|(_, i)| i).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{Attributes, Track};
+    use codec_core::gaussian::ShDegree;
+
+    fn epoch(positions: Vec<[f32; 3]>, frames: usize) -> Epoch {
+        let n = positions.len() / frames;
+        Epoch::new(
+            frames,
+            Attributes {
+                positions: Track::PerFrame(positions),
+                rotations: Track::Constant(vec![[1.0, 0.0, 0.0, 0.0]; n]),
+                log_scales: Track::Constant(vec![[-4.0; 3]; n]),
+                opacity_logits: Track::Constant(vec![3.0; n]),
+                sh0: Track::Constant(vec![[0.0; 3]; n]),
+                sh_rest: Vec::new(),
+                sh_degree: ShDegree::ZERO,
+            },
+        )
+        .unwrap()
+    }
+
+    /// A deterministic scatter, no two alike.
+    fn scatter(i: usize) -> f32 {
+        ((i * 7919) % 1009) as f32 / 1009.0
+    }
+
+    #[test]
+    fn clusters_are_a_bounded_partition_and_repeatable() {
+        let positions: Vec<_> = (0..3000).map(|i| [scatter(i), scatter(i + 17), scatter(3 * i)]).collect();
+        let epoch = epoch(positions, 1);
+        let options = Options { max_gaussians: 100, ..Options::default() };
+        let clusters = cluster(&epoch, &options);
+        assert_eq!(clusters, cluster(&epoch, &options));
+        assert!(clusters.iter().all(|c| !c.is_empty() && c.len() <= 100));
+        let mut all: Vec<u32> = clusters.concat();
+        all.sort_unstable();
+        assert_eq!(all, (0..3000).collect::<Vec<u32>>());
+    }
+
+    #[test]
+    fn what_moves_apart_is_not_clustered_together() {
+        // Two interleaved sets in the same place; the second half moves.
+        let (n, frames) = (400, 10);
+        let mut positions = Vec::new();
+        for t in 0..frames {
+            for i in 0..n {
+                let moved = if i % 2 == 1 { 0.3 * t as f32 } else { 0.0 };
+                positions.push([scatter(i) + moved, scatter(i + 5), scatter(2 * i)]);
+            }
+        }
+        let options = Options { max_gaussians: 200, ..Options::default() };
+        for members in cluster(&epoch(positions, frames), &options) {
+            let moving = members.iter().filter(|&&i| i % 2 == 1).count();
+            assert!(moving == 0 || moving == members.len(), "{moving} of {} move", members.len());
+        }
+    }
+
+    #[test]
+    fn morton_order_keeps_neighbours_together_and_permutes() {
+        let positions: Vec<_> = (0..500).map(|i| [scatter(i), scatter(i + 31), scatter(5 * i)]).collect();
+        let indices: Vec<u32> = (0..500).collect();
+        let order = morton_order(&indices, &positions);
+        let length = |order: &[u32]| -> f32 {
+            order
+                .windows(2)
+                .map(|w| {
+                    (0..3).map(|d| (positions[w[0] as usize][d] - positions[w[1] as usize][d]).abs()).sum::<f32>()
+                })
+                .sum()
+        };
+        assert!(length(&order) < 0.4 * length(&indices));
+        let mut sorted = order;
+        sorted.sort_unstable();
+        assert_eq!(sorted, indices);
+    }
+}

@@ -1,0 +1,164 @@
+//! The encoder: a scene in, a stream out. The path is one function, [`encode`], that reads as the
+//! diagram: cluster → factorise → layer → quantise → entropy-code → packetise.
+
+mod dgs1;
+mod ledger;
+mod packetise;
+mod paper;
+mod parity;
+mod statistics;
+mod steps;
+
+pub use ledger::{Ledger, Share};
+pub use steps::Quality;
+
+use codec_core::{ids::PacketId, limits, wire::manifest::Profile};
+
+use crate::{cluster, scene::Scene, stream::Stream};
+
+/// What to encode, and how.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// Format choices.
+    pub profile: Profile,
+    /// Clustering.
+    pub cluster: cluster::Options,
+    /// Gaussians per block, 1..=256 (`dgs1`).
+    pub block_len: usize,
+    /// Most frames in a motion window, 1..=64; default one second.
+    pub window_frames: Option<usize>,
+    /// Most vectors in the shared temporal basis.
+    pub rank: usize,
+    /// Fineness of the quantisers.
+    pub quality: Quality,
+    /// Largest packet, header and CRC included, bytes (`dgs1`); 200..=1226.
+    pub packet_bytes: usize,
+    /// Packets per XOR repair set over base levels, 2..=32; `None` sends no parity.
+    pub repair_set: Option<u8>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            profile: Profile::Dgs1,
+            cluster: cluster::Options::default(),
+            block_len: 64,
+            window_frames: None,
+            rank: 8,
+            quality: Quality::default(),
+            packet_bytes: limits::DEFAULT_PACKET_BYTES,
+            repair_set: None,
+        }
+    }
+}
+
+impl Options {
+    /// Defaults of the `paper` profile: rank 4, four-packet base repair sets off.
+    pub fn paper() -> Self {
+        Self { profile: Profile::Paper, rank: 4, ..Self::default() }
+    }
+
+    fn check(&self) -> Result<(), EncodeError> {
+        let within = |option, found: usize, low: usize, high: usize| {
+            if (low..=high).contains(&found) {
+                return Ok(());
+            }
+            Err(EncodeError::Option { option, found, low, high })
+        };
+        within("block_len", self.block_len, 1, limits::MAX_BLOCK_LEN)?;
+        within("window_frames", self.window_frames.unwrap_or(1), 1, limits::MAX_WINDOW_FRAMES)?;
+        within("rank", self.rank, 0, limits::MAX_RANK)?;
+        within("packet_bytes", self.packet_bytes, 200, 1226)?;
+        within("cluster.max_gaussians", self.cluster.max_gaussians, 1, limits::MAX_CLUSTER_LEN)?;
+        let most = limits::MAX_REPAIR_SET;
+        within("repair_set", self.repair_set.map_or(2, usize::from), 2, most)
+    }
+}
+
+/// Why a scene cannot be encoded.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EncodeError {
+    /// An option is out of range.
+    #[error("option {option} is {found}; {low}..={high} is allowed")]
+    Option {
+        /// Which option.
+        option: &'static str,
+        /// Value found.
+        found: usize,
+        /// Smallest allowed.
+        low: usize,
+        /// Largest allowed.
+        high: usize,
+    },
+    /// The scene exceeds a bound of the format.
+    #[error("the scene has {found} {what}; the format holds up to {most}")]
+    Bound {
+        /// What there is too much of.
+        what: &'static str,
+        /// How much.
+        found: usize,
+        /// How much is allowed.
+        most: usize,
+    },
+    /// The wire format refused what the encoder made of the scene.
+    #[error("the encoder produced something the format refuses: {0}")]
+    Format(#[from] codec_core::Error),
+}
+
+/// Told how far the encoder is: stage name and share done, 0..=1.
+pub type Progress<'p> = &'p (dyn Fn(&'static str, f64) + Sync);
+
+/// Encodes `scene`.
+///
+/// Deterministic: equal scenes and options give equal bytes on any number of threads.
+///
+/// # Errors
+/// An option out of range, or a scene beyond the bounds of the format.
+pub fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
+    options.check()?;
+    check_scene(scene)?;
+    match options.profile {
+        Profile::Dgs1 => {
+            // A block whose symbols do not fit one packet is halved until they do.
+            let mut options = options.clone();
+            loop {
+                match dgs1::encode(scene, &options, progress) {
+                    Err(EncodeError::Format(error)) if error.field == "body" && options.block_len > 1 => {
+                        options.block_len = options.block_len.div_ceil(2);
+                    }
+                    result => return result,
+                }
+            }
+        }
+        Profile::Paper => paper::encode(scene, options, progress),
+    }
+}
+
+fn check_scene(scene: &Scene) -> Result<(), EncodeError> {
+    let within = |what, found: usize, most: usize| {
+        if found <= most { Ok(()) } else { Err(EncodeError::Bound { what, found, most }) }
+    };
+    within("epochs", scene.epochs().len(), limits::MAX_EPOCHS)?;
+    within("frames", scene.frames(), limits::MAX_FRAMES as usize)?;
+    within("Gaussians in an epoch", scene.max_count(), limits::MAX_EPOCH_GAUSSIANS as usize)
+}
+
+/// The frame rate as a fraction: frames, seconds.
+fn rate(scene: &Scene) -> (u32, u32) {
+    let fps = scene.frames_per_second();
+    for seconds in [1u32, 1001, 1000] {
+        let frames = fps * f64::from(seconds);
+        if frames.fract().abs() < 1e-9 && frames <= 1e9 {
+            return ((frames as u32).max(1), seconds);
+        }
+    }
+    (((fps * 1000.0).round().clamp(1.0, 1e9)) as u32, 1000)
+}
+
+fn packet_id(id: usize) -> Result<PacketId, EncodeError> {
+    let most = PacketId::MAX as usize;
+    u32::try_from(id)
+        .ok()
+        .and_then(PacketId::new)
+        .ok_or(EncodeError::Bound { what: "packets", found: id, most })
+}

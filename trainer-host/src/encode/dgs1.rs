@@ -1,0 +1,324 @@
+//! Encoding in profile `dgs1`.
+
+mod canonical;
+mod motion;
+
+use codec_core::{
+    gaussian::ShDegree,
+    ids::{EpochId, Level, Span, WindowId},
+    quant::Class,
+    wire::{
+        manifest::{self, Head, Manifest, NO_TABLE, Profile, Quant, Repair, TRACK_PARAMETERS, stream},
+        packet::PARITY_OVERHEAD_BYTES,
+    },
+};
+use rayon::prelude::*;
+
+use super::{
+    EncodeError, Ledger, Options, Progress, Share, packet_id,
+    packetise::{CellSymbols, Lot, Proto, packetise},
+    parity::parity,
+    rate,
+    statistics::{Model, Streams},
+};
+use crate::{cluster, scene::Scene, stream::Stream};
+
+/// One epoch, quantised.
+struct EpochPlan {
+    record: manifest::Epoch,
+    quant: Quant,
+    clusters: Vec<manifest::Cluster>,
+    canonical: Vec<CellSymbols>,
+    windows: Vec<WindowPlan>,
+    order: Vec<u32>,
+    saturated: u64,
+}
+
+/// One window, quantised.
+struct WindowPlan {
+    frames: usize,
+    first_frame: usize,
+    basis: Vec<Vec<i16>>,
+    cells: Vec<CellSymbols>,
+}
+
+/// Encodes `scene`; see [`super::encode`].
+pub(super) fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
+    let mut plans = Vec::new();
+    let mut first_frame = 0;
+    for (e, epoch) in scene.epochs().iter().enumerate() {
+        progress("cluster", e as f64 / scene.epochs().len() as f64);
+        let members: Vec<Vec<u32>> = cluster::cluster(epoch, &options.cluster)
+            .into_iter()
+            .map(|set| cluster::morton_order(&set, epoch.attributes().positions.frame(0, epoch.count())))
+            .collect();
+        progress("factorise", e as f64 / scene.epochs().len() as f64);
+        let canonical = canonical::quantise(epoch, &members, options)?;
+        let windows = motion::quantise(epoch, first_frame, &members, &canonical, scene, options)?;
+        plans.push(plan(epoch.frames(), first_frame, members, canonical, windows));
+        first_frame += epoch.frames();
+    }
+    progress("entropy-code", 0.0);
+    let streams = histograms(&plans);
+    let model = streams.model()?;
+    progress("packetise", 0.0);
+    let lots = lots(&plans);
+    let limit = |base: bool| match options.repair_set {
+        Some(_) if base => options.packet_bytes - PARITY_OVERHEAD_BYTES,
+        _ => options.packet_bytes,
+    };
+    let protos: Result<Vec<Vec<Proto>>, EncodeError> =
+        lots.par_iter().map(|lot| packetise(lot, &model, limit(lot.level == Level::BASE))).collect();
+    let protos = protos?;
+
+    let mut packets = Vec::new();
+    let mut repairs = Vec::new();
+    let mut ledger = ledger(scene, &plans, &streams, &model);
+    for (lot, protos) in lots.iter().zip(&protos) {
+        let first_packet = packets.len() as u32;
+        for proto in protos {
+            let bytes = proto.write(packet_id(packets.len())?)?;
+            ledger.payload += proto.body_len() as f64;
+            ledger.headers += (bytes.len() - proto.body_len() - 4) as f64;
+            ledger.crc += 4.0;
+            packets.push(bytes);
+        }
+        if let Some(set_len) = options.repair_set.filter(|_| lot.level == Level::BASE && !protos.is_empty()) {
+            let count = packets.len() as u32 - first_packet;
+            repairs.push(Repair { first_packet, packets: count, first_parity: 0, set_len });
+        }
+    }
+    ledger.packets = packets.len() as u64;
+    for range in &mut repairs {
+        range.first_parity = packets.len() as u32;
+        let parity = parity(range, &packets)?;
+        ledger.parity += parity.iter().map(|p| p.len() as f64).sum::<f64>();
+        ledger.parity_packets += parity.len() as u64;
+        packets.extend(parity);
+    }
+    let raw = body(scene, &plans, &model, &repairs, packets.len(), options);
+    Manifest::parse(&raw)?;
+    let order = plans.into_iter().map(|p| p.order).collect();
+    Stream::seal(raw, packets, order, ledger).map_err(EncodeError::Format)
+}
+
+fn plan(
+    frames: usize,
+    first_frame: usize,
+    members: Vec<Vec<u32>>,
+    canonical: canonical::Canonical,
+    (windows, saturated): (Vec<WindowPlan>, u64),
+) -> EpochPlan {
+    let [origin_x, origin_y, origin_z] = canonical.origin;
+    let order: Vec<u32> = members.concat();
+    EpochPlan {
+        record: manifest::Epoch {
+            first_frame: first_frame as u32,
+            frames: frames as u32,
+            gaussians: order.len() as u32,
+            clusters: members.len() as u32,
+            windows: windows.len() as u32,
+            origin_x,
+            origin_y,
+            origin_z,
+            ..manifest::Epoch::default()
+        },
+        quant: canonical.quant,
+        clusters: canonical.cells.iter().map(|c| c.shape.cluster).collect(),
+        canonical: canonical.cells,
+        windows,
+        order,
+        saturated: saturated + canonical.saturated,
+    }
+}
+
+/// All cells with their spans, canonical cells of an epoch before its windows.
+fn spans(plans: &[EpochPlan]) -> impl Iterator<Item = (Span, &[CellSymbols])> {
+    let mut window = 0u16;
+    plans.iter().enumerate().flat_map(move |(e, plan)| {
+        let canonical = (Span::Canonical(EpochId(e as u16)), plan.canonical.as_slice());
+        let first = window;
+        window += plan.windows.len() as u16;
+        let motion = plan.windows.iter().enumerate().map(move |(w, window)| {
+            (Span::Motion(WindowId(first + w as u16)), window.cells.as_slice())
+        });
+        std::iter::once(canonical).chain(motion)
+    })
+}
+
+/// What is packed together, in nominal sending order: per epoch the base of everything, then
+/// level by level.
+fn lots(plans: &[EpochPlan]) -> Vec<Lot<'_>> {
+    let mut lots = Vec::new();
+    let mut spans = spans(plans).peekable();
+    while let Some(first) = spans.next() {
+        let mut epoch = vec![first];
+        while let Some(next) = spans.next_if(|(span, _)| matches!(span, Span::Motion(_))) {
+            epoch.push(next);
+        }
+        for level in Level::ALL {
+            lots.extend(epoch.iter().map(|&(span, cells)| Lot { span, level, cells }));
+        }
+    }
+    lots
+}
+
+/// Calls `run` with the stream and the symbols of each run of a cell.
+fn runs(cell: &CellSymbols, mut run: impl FnMut(Level, usize, &[i16])) {
+    for level in Level::ALL {
+        let mut rest = cell.levels[level.index()].as_slice();
+        let visit = |stream: usize, n: usize| -> Result<(), std::convert::Infallible> {
+            let (symbols, tail) = rest.split_at(n);
+            rest = tail;
+            run(level, stream, symbols);
+            Ok(())
+        };
+        if cell.shape.level_len(level) > 0 {
+            let Ok(()) = cell.shape.runs(level, 0..cell.shape.blocks(), visit);
+        }
+    }
+}
+
+fn histograms(plans: &[EpochPlan]) -> Streams {
+    let mut streams = Streams::default();
+    for (_, cells) in spans(plans) {
+        cells.iter().for_each(|cell| runs(cell, |_, stream, symbols| streams.add(stream, symbols)));
+    }
+    streams
+}
+
+fn ledger(scene: &Scene, plans: &[EpochPlan], streams: &Streams, model: &Model) -> Ledger {
+    let names = ["position", "scale", "rotation", "opacity", "sh0", "sh1", "sh2", "sh3"];
+    let moving =
+        ["position motion", "scale motion", "rotation motion", "opacity motion", "sh0 motion"];
+    let mut ledger = Ledger {
+        gaussians: scene.epochs().iter().map(|e| e.count() as u64).sum(),
+        frames: scene.frames() as u64,
+        saturated: plans.iter().map(|p| p.saturated).sum(),
+        ..Ledger::default()
+    };
+    let name = |stream: usize| -> &'static str {
+        let canonical = stream / Level::COUNT;
+        if stream < stream::TRACK_FIRST {
+            return names[canonical];
+        }
+        let coefficient = stream::coefficient(Class::Position, Level::ALL[1], 0);
+        if stream < coefficient { "track" } else { moving[(stream - coefficient) / 6] }
+    };
+    for (_, cells) in spans(plans) {
+        for cell in cells {
+            runs(cell, |level, stream, symbols| {
+                let bits = model.bits(stream, symbols);
+                ledger.symbols += symbols.len() as u64;
+                let (attribute, level) = (name(stream), level.get());
+                let found = ledger.shares.iter_mut().find(|s| s.attribute == attribute && s.level == level);
+                match found {
+                    Some(share) => share.bits += bits,
+                    None => ledger.shares.push(Share { attribute, level, bits }),
+                }
+            });
+        }
+    }
+    ledger.raw_symbols = 2.0 * ledger.symbols as f64;
+    ledger.empirical_entropy = streams.entropy_bits() / 8.0;
+    let bits: f64 = ledger.shares.iter().map(|s| s.bits).sum();
+    ledger.monolithic = (bits / 8.0).ceil() + 16.0;
+    ledger
+}
+
+/// The unpacked manifest body.
+fn body(
+    scene: &Scene,
+    plans: &[EpochPlan],
+    model: &Model,
+    repairs: &[Repair],
+    packets: usize,
+    options: &Options,
+) -> Vec<u8> {
+    let windows: usize = plans.iter().map(|p| p.windows.len()).sum();
+    let clusters: usize = plans.iter().map(|p| p.clusters.len()).sum();
+    let degree =
+        scene.epochs().iter().map(|e| e.attributes().sh_degree).max().unwrap_or(ShDegree::ZERO);
+    let (rate_frames, rate_seconds) = rate(scene);
+    let quants: Vec<Quant> = plans.iter().map(|p| p.quant).collect();
+    let distinct = distinct(&quants);
+    let mut out = Vec::new();
+    let basis_values = plans
+        .iter()
+        .flat_map(|p| &p.windows)
+        .map(|w| w.basis.iter().map(Vec::len).sum::<usize>())
+        .sum::<usize>();
+    let head = Head {
+        profile: Profile::Dgs1 as u8,
+        sh_degree: degree.get(),
+        block_len: options.block_len as u16,
+        frames: scene.frames() as u32,
+        rate_frames,
+        rate_seconds,
+        packets: packets as u32,
+        epochs: plans.len() as u16,
+        windows: windows as u16,
+        clusters: clusters as u32,
+        quants: distinct.len() as u16,
+        tables: model.tables.len() as u16,
+        repairs: repairs.len() as u16,
+        reserved: 0,
+        basis_values: basis_values as u32,
+        transform_values: 0,
+    };
+    out.extend(head.to_bytes());
+    let (mut first_cluster, mut first_window) = (0, 0);
+    for plan in plans {
+        out.extend(manifest::Epoch { first_cluster, first_window, ..plan.record }.to_bytes());
+        first_cluster += plan.record.clusters;
+        first_window += plan.record.windows;
+    }
+    let (mut first_cell, mut basis_first) = (0u32, 0u32);
+    for (e, plan) in plans.iter().enumerate() {
+        for window in &plan.windows {
+            let record = manifest::Window {
+                epoch: e as u16,
+                frames: window.frames as u16,
+                first_frame: window.first_frame as u32,
+                first_cell,
+                basis_first,
+                rank: window.basis.len() as u8,
+            };
+            out.extend(record.to_bytes());
+            first_cell += plan.record.clusters;
+            basis_first += (window.basis.len() * window.frames) as u32;
+        }
+    }
+    for plan in plans {
+        let quant = distinct.iter().position(|q| *q == plan.quant).unwrap_or(0) as u8;
+        for cluster in &plan.clusters {
+            out.extend(manifest::Cluster { quant, ..*cluster }.to_bytes());
+        }
+    }
+    for window in plans.iter().flat_map(|p| &p.windows) {
+        window.cells.iter().for_each(|cell| out.extend(cell.shape.motion.to_bytes()));
+    }
+    distinct.iter().for_each(|q| q.write(|bytes| out.extend_from_slice(bytes)));
+    out.extend(model.table_of);
+    repairs.iter().for_each(|r| out.extend(r.to_bytes()));
+    for vector in plans.iter().flat_map(|p| &p.windows).flat_map(|w| &w.basis) {
+        vector.iter().for_each(|v| out.extend(v.to_le_bytes()));
+    }
+    model.tables.iter().for_each(|t| t.write(|bytes| out.extend_from_slice(bytes)));
+    debug_assert!(model.table_of.iter().all(|&t| t == NO_TABLE || usize::from(t) < model.tables.len()));
+    out
+}
+
+/// Distinct quantisation profiles, in order of appearance. Steps lie on a coarse ladder, so even
+/// long sequences have few; over 256 the manifest's own check refuses the stream.
+fn distinct(quants: &[Quant]) -> Vec<Quant> {
+    let mut distinct: Vec<Quant> = Vec::new();
+    for quant in quants {
+        if !distinct.contains(quant) {
+            distinct.push(*quant);
+        }
+    }
+    distinct
+}
+
+const _: () = assert!(TRACK_PARAMETERS == 16);

@@ -1,0 +1,168 @@
+//! Canonical attributes to nested symbols.
+
+use codec_core::{
+    ids::Level,
+    layout::Shape,
+    math::mrp_from_quat,
+    quant::{Class, Quantiser},
+    wire::manifest::{Cluster, Quant},
+};
+use rayon::prelude::*;
+
+use super::super::{
+    EncodeError, Options,
+    packetise::CellSymbols,
+    steps::{self, Grid},
+};
+use crate::scene::Epoch;
+
+/// The canonical cells of an epoch.
+pub(super) struct Canonical {
+    pub quant: Quant,
+    pub origin: [f32; 3],
+    pub step: f32,
+    pub cells: Vec<CellSymbols>,
+    pub saturated: u64,
+}
+
+/// Quantises frame 0 of `epoch`, cluster by cluster, Gaussians in the order of `members`.
+pub(super) fn quantise(
+    epoch: &Epoch,
+    members: &[Vec<u32>],
+    options: &Options,
+) -> Result<Canonical, EncodeError> {
+    let grid = Grid::of(epoch, &options.quality, steps::DGS1_BASE_RATIO);
+    let mut predicted = [false; Class::COUNT + Class::MOVING];
+    predicted[Class::COUNT..].fill(true);
+    let plain = steps::dgs1(&options.quality, grid.step, &predicted)?;
+    let indices: Vec<Indices> =
+        members.par_iter().map(|m| indices(epoch, m, &plain, grid.origin)).collect();
+    for class in Class::ALL {
+        predicted[class.index()] = prediction_pays(&indices, class, &plain, options.block_len);
+    }
+    let quant = steps::dgs1(&options.quality, grid.step, &predicted)?;
+    let degree = epoch.attributes().sh_degree.get();
+    let cells: Vec<(CellSymbols, u64)> =
+        indices.par_iter().map(|i| cell(i, &quant, degree, options.block_len)).collect();
+    let saturated = cells.iter().map(|(_, s)| s).sum();
+    let cells = cells.into_iter().map(|(c, _)| c).collect();
+    Ok(Canonical { quant, origin: grid.origin, step: grid.step, cells, saturated })
+}
+
+/// Finest indices of a cluster: per class and component, one per Gaussian.
+type Indices = [Vec<Vec<i32>>; Class::COUNT];
+
+fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, origin: [f32; 3]) -> Indices {
+    let (n, a) = (epoch.count(), epoch.attributes());
+    let (p, q) = (a.positions.frame(0, n), a.rotations.frame(0, n));
+    let (s, o, c) = (a.log_scales.frame(0, n), a.opacity_logits.frame(0, n), a.sh0.frame(0, n));
+    let rest = a.sh_degree.rest_len();
+    let value = |class: Class, component: usize, i: usize| -> f32 {
+        match class {
+            Class::Position => p[i][component] - origin[component],
+            Class::Scale => s[i][component],
+            Class::Rotation => mrp_from_quat(q[i])[component],
+            Class::Opacity => 1.0 / (1.0 + (-o[i]).exp()),
+            Class::Sh0 => c[i][component],
+            Class::Sh1 => a.sh_rest[i * rest + component],
+            Class::Sh2 => a.sh_rest[i * rest + 9 + component],
+            Class::Sh3 => a.sh_rest[i * rest + 24 + component],
+        }
+    };
+    Class::ALL.map(|class| {
+        if class.sh_degree() > a.sh_degree.get() {
+            return Vec::new();
+        }
+        let quantiser = quant.canonical[class.index()];
+        (0..class.components())
+            .map(|d| members.iter().map(|&i| quantiser.index(value(class, d, i as usize))).collect())
+            .collect()
+    })
+}
+
+/// First-level index and refinements of finest index `q`.
+fn split(quantiser: &Quantiser, class: Class, q: i32) -> [i32; Level::COUNT] {
+    quantiser.split(q, class.first_level())
+}
+
+/// Whether differences to the Gaussian before are smaller than the values themselves.
+fn prediction_pays(clusters: &[Indices], class: Class, quant: &Quant, block_len: usize) -> bool {
+    let quantiser = quant.canonical[class.index()];
+    let bits = |v: i32| (1.0 + 2.0 * f64::from(v.unsigned_abs())).log2();
+    let (mut plain, mut differences) = (0.0, 0.0);
+    for component in clusters.iter().flat_map(|c| &c[class.index()]) {
+        for block in component.chunks(block_len) {
+            let mut previous = 0;
+            for &q in block {
+                let q = split(&quantiser, class, q)[class.first_level().index()];
+                plain += bits(q);
+                differences += bits(q.saturating_sub(previous));
+                previous = q;
+            }
+        }
+    }
+    class == Class::Position || differences < plain
+}
+
+fn cell(indices: &Indices, quant: &Quant, sh_degree: u8, block_len: usize) -> (CellSymbols, u64) {
+    let position = quant.canonical[Class::Position.index()];
+    let base = |component: usize| -> Vec<i32> {
+        indices[0][component].iter().map(|&q| split(&position, Class::Position, q)[0]).collect()
+    };
+    let base = [base(0), base(1), base(2)];
+    let n = base[0].len();
+    let centre = [0, 1, 2].map(|d| {
+        let sum: i64 = base[d].iter().map(|&q| i64::from(q)).sum();
+        (sum as f64 / n.max(1) as f64).round() as i16
+    });
+    let radius2 = (0..n)
+        .map(|i| (0..3).map(|d| (f64::from(base[d][i]) - f64::from(centre[d])).powi(2)).sum::<f64>())
+        .fold(0.0f64, f64::max);
+    let cluster = Cluster {
+        gaussians: n as u16,
+        quant: 0,
+        sh_degree,
+        centre_x: centre[0],
+        centre_y: centre[1],
+        centre_z: centre[2],
+        radius: radius2.sqrt().ceil().clamp(1.0, 65_535.0) as u16,
+    };
+    let shape = Shape::dgs1(cluster, *quant, None, 0, block_len);
+    let mut levels: [Vec<i16>; Level::COUNT] = Default::default();
+    let mut saturated = 0;
+    for level in Level::ALL {
+        let out = &mut levels[level.index()];
+        out.reserve(shape.level_len(level));
+        for block in 0..shape.blocks() {
+            let first = block * block_len;
+            let range = first..first + shape.block_gaussians(block);
+            for (class, _, dims) in shape.components(level) {
+                let quantiser = quant.canonical[class.index()];
+                for d in 0..dims {
+                    let start = if class == Class::Position { i32::from(centre[d]) } else { 0 };
+                    let mut previous = start;
+                    for &q in &indices[class.index()][d][range.clone()] {
+                        let symbols = split(&quantiser, class, q);
+                        let mut symbol = symbols[level.index()];
+                        if level == class.first_level() {
+                            symbol -= previous;
+                            if quantiser.predicted() {
+                                previous = symbols[level.index()];
+                            }
+                        }
+                        out.push(to_symbol(symbol, &mut saturated));
+                    }
+                }
+            }
+        }
+    }
+    (CellSymbols { shape, levels }, saturated)
+}
+
+/// `value` as a symbol; what does not fit is clamped and counted.
+pub(super) fn to_symbol(value: i32, saturated: &mut u64) -> i16 {
+    i16::try_from(value).unwrap_or_else(|_| {
+        *saturated += 1;
+        if value < 0 { i16::MIN } else { i16::MAX }
+    })
+}

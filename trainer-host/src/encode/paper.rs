@@ -1,0 +1,511 @@
+//! Encoding in profile `paper`: the baseline, as the paper describes it.
+//!
+//! Equation 1 with one f32 affine per cluster and frame in the manifest, a shared basis of rank
+//! R, i16 residuals δ2 and δ3 per frame, attributes as a static base plus three per-frame
+//! refinement planes, byte-wise rANS with a table pair per group, chunks of at most 1200 bytes,
+//! one dependency word per refinement.
+
+use codec_core::{
+    ids::{Level, PacketId},
+    layout::paper as layout,
+    limits,
+    quant::Class,
+    rans::bytes::{self, ByteTable},
+    wire::{
+        manifest::{self, Cluster, Head, Manifest, Profile, Quant, Repair},
+        packet::{Chunk, PARITY_OVERHEAD_BYTES},
+    },
+};
+use rayon::prelude::*;
+
+use super::{
+    EncodeError, Ledger, Options, Progress, packet_id,
+    parity::parity,
+    rate,
+    steps::{self, Grid},
+};
+use crate::{
+    cluster,
+    factorise::{fit_pose, mean_turn, temporal_basis},
+    scene::{Epoch, Scene},
+    stream::Stream,
+};
+
+/// One epoch, quantised.
+struct EpochPlan {
+    first_frame: usize,
+    frames: usize,
+    origin: [f32; 3],
+    quant: Quant,
+    /// Frame-major, `frames × rank`.
+    basis: Vec<f32>,
+    rank: usize,
+    members: Vec<Vec<u32>>,
+    cells: Vec<Cell>,
+}
+
+/// One cluster: transforms (frames × 12) and the symbols of its four groups.
+struct Cell {
+    transforms: Vec<f32>,
+    levels: [Vec<i16>; Level::COUNT],
+    saturated: u64,
+}
+
+/// Encodes `scene`; see [`super::encode`].
+pub(super) fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
+    let mut plans = Vec::new();
+    let mut first_frame = 0;
+    for (e, epoch) in scene.epochs().iter().enumerate() {
+        progress("factorise", e as f64 / scene.epochs().len() as f64);
+        plans.push(plan(epoch, first_frame, options)?);
+        first_frame += epoch.frames();
+    }
+    let frames = first_frame;
+    if frames > usize::from(u16::MAX) {
+        return Err(EncodeError::Bound { what: "frames in profile paper", found: frames, most: 65_535 });
+    }
+    let clusters: usize = plans.iter().map(|p| p.cells.len()).sum();
+    if clusters > usize::from(u16::MAX) {
+        return Err(EncodeError::Bound { what: "clusters in profile paper", found: clusters, most: 65_535 });
+    }
+    progress("entropy-code", 0.0);
+    let mut quants: Vec<Quant> = Vec::new();
+    for plan in &plans {
+        if !quants.contains(&plan.quant) {
+            quants.push(plan.quant);
+        }
+    }
+    let cells: Vec<(&EpochPlan, &Cell)> = plans.iter().flat_map(|p| p.cells.iter().map(move |c| (p, c))).collect();
+    let groups: Result<Vec<[Group; Level::COUNT]>, EncodeError> =
+        cells.par_iter().enumerate().map(|(c, (plan, cell))| groups(c, plan, cell, &quants, options)).collect();
+    let groups = groups?;
+
+    progress("packetise", 0.0);
+    let mut ledger = Ledger {
+        gaussians: scene.epochs().iter().map(|e| e.count() as u64).sum(),
+        frames: scene.frames() as u64,
+        saturated: cells.iter().map(|(_, c)| c.saturated).sum(),
+        ..Ledger::default()
+    };
+    let mut packets = Vec::new();
+    let mut repairs = Vec::new();
+    let mut start = 0;
+    for plan in &plans {
+        let groups = &groups[start..start + plan.cells.len()];
+        start += plan.cells.len();
+        for level in Level::ALL {
+            let first_packet = packets.len() as u32;
+            for group in groups.iter().map(|g| &g[level.index()]) {
+                ledger.symbols += group.symbols as u64;
+                ledger.empirical_entropy += group.entropy_bytes;
+                ledger.monolithic += group.monolithic as f64;
+                for chunk in &group.chunks {
+                    let id = packet_id(packets.len())?;
+                    let mut bytes = vec![0u8; limits::MAX_PACKET_BYTES];
+                    let len = chunk.packet(id).write(&mut bytes)?;
+                    bytes.truncate(len);
+                    let words = 4 * chunk.packet(id).dependencies.len();
+                    ledger.payload += chunk.payload.len() as f64;
+                    ledger.headers += codec_core::wire::packet::CHUNK_HEADER_BYTES as f64;
+                    ledger.dependencies += words as f64;
+                    ledger.crc += 4.0;
+                    packets.push(bytes);
+                }
+            }
+            let count = packets.len() as u32 - first_packet;
+            if let Some(set_len) = options.repair_set.filter(|_| level == Level::BASE && count > 0) {
+                repairs.push(Repair { first_packet, packets: count, first_parity: 0, set_len });
+            }
+        }
+    }
+    ledger.raw_symbols = 2.0 * ledger.symbols as f64;
+    ledger.packets = packets.len() as u64;
+    for range in &mut repairs {
+        range.first_parity = packets.len() as u32;
+        let parity = parity(range, &packets)?;
+        ledger.parity += parity.iter().map(|p| p.len() as f64).sum::<f64>();
+        ledger.parity_packets += parity.len() as u64;
+        packets.extend(parity);
+    }
+    let raw = body(scene, &plans, &groups, &quants, &repairs, packets.len());
+    Manifest::parse(&raw)?;
+    let order = plans.iter().map(|p| p.members.concat()).collect();
+    Stream::seal(raw, packets, order, ledger).map_err(EncodeError::Format)
+}
+
+fn plan(epoch: &Epoch, first_frame: usize, options: &Options) -> Result<EpochPlan, EncodeError> {
+    let members = cluster::cluster(epoch, &options.cluster);
+    let grid = Grid::of(epoch, &options.quality, 1.0);
+    let quant = steps::paper(&options.quality, grid.step)?;
+    let (n, frames, a) = (epoch.count(), epoch.frames(), epoch.attributes());
+    let position = quant.canonical[Class::Position.index()];
+    let step = position.step(Level::ALL[3]);
+    let index = |i: usize, d: usize| {
+        position.index(a.positions.frame(0, n)[i][d] - grid.origin[d]).clamp(-32_768, 32_767) as i16
+    };
+    let still = |i: usize| [0, 1, 2].map(|d| grid.origin[d] + f32::from(index(i, d)) * step);
+
+    // Affine per cluster and frame, absolute coordinates as in equation 1, and what it leaves.
+    let fits: Vec<(Vec<f32>, Vec<Vec<f64>>)> = members
+        .par_iter()
+        .map(|members| {
+            let p0: Vec<[f32; 3]> = members.iter().map(|&i| still(i as usize)).collect();
+            let before: Vec<[f32; 4]> = members.iter().map(|&i| a.rotations.frame(0, n)[i as usize]).collect();
+            let wide: Vec<[f64; 3]> = p0.iter().map(|p| p.map(f64::from)).collect();
+            let count = wide.len().max(1) as f64;
+            let centre = [0, 1, 2].map(|d| wide.iter().map(|p| p[d]).sum::<f64>() / count);
+            let mut transforms = Vec::with_capacity(frames * 12);
+            let mut left = vec![Vec::with_capacity(frames); members.len() * 3];
+            let mut turn = [1.0, 0.0, 0.0, 0.0];
+            for t in 0..frames {
+                let truth = a.positions.frame(t, n);
+                let target: Vec<[f64; 3]> =
+                    members.iter().map(|&i| truth[i as usize].map(f64::from)).collect();
+                let after: Vec<[f32; 4]> =
+                    members.iter().map(|&i| a.rotations.frame(t, n)[i as usize]).collect();
+                turn = mean_turn(&before, &after, turn);
+                let fit = fit_pose(&wide, &target, centre, turn);
+                let c = nalgebra::Vector3::from(centre);
+                let shift = c + fit.translation - fit.linear * c;
+                let start = transforms.len();
+                for row in 0..3 {
+                    (0..3).for_each(|column| transforms.push(fit.linear[(row, column)] as f32));
+                    transforms.push(shift[row] as f32);
+                }
+                let at = &transforms[start..];
+                for (i, (p, x)) in p0.iter().zip(&target).enumerate() {
+                    for d in 0..3 {
+                        let row = &at[4 * d..4 * d + 4];
+                        let moved = row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + row[3];
+                        left[3 * i + d].push(x[d] - f64::from(moved));
+                    }
+                }
+            }
+            (transforms, left)
+        })
+        .collect();
+    let rank = options.rank.min(frames);
+    let rows = fits.iter().flat_map(|(_, left)| left).map(Vec::as_slice);
+    let (vectors, _) = temporal_basis(rows, frames, rank);
+    let rank = vectors.len();
+    let basis: Vec<f32> = (0..frames).flat_map(|t| vectors.iter().map(move |v| v[t] as f32)).collect();
+    let cells = fits
+        .into_par_iter()
+        .zip(&members)
+        .map(|((transforms, left), members)| {
+            symbols(epoch, members, &quant, &index, transforms, &left, &basis, rank)
+        })
+        .collect();
+    Ok(EpochPlan { first_frame, frames, origin: grid.origin, quant, basis, rank, members, cells })
+}
+
+/// Symbols of one cluster in the order of [`layout`].
+#[allow(clippy::too_many_arguments)]
+fn symbols(
+    epoch: &Epoch,
+    members: &[u32],
+    quant: &Quant,
+    index: &(dyn Fn(usize, usize) -> i16 + Sync),
+    transforms: Vec<f32>,
+    left: &[Vec<f64>],
+    basis: &[f32],
+    rank: usize,
+) -> Cell {
+    let (count, frames, a) = (epoch.count(), epoch.frames(), epoch.attributes());
+    let n = members.len();
+    let mut saturated = 0u64;
+    let mut quantise = |value: f64, step: f32| -> i16 {
+        let q = (value / f64::from(step)).round();
+        if q.abs() > 32_767.0 {
+            saturated += 1;
+        }
+        q.clamp(-32_768.0, 32_767.0) as i16
+    };
+    let rest = a.sh_degree.rest_len();
+    let sizes = layout::symbols(n, frames, rank, rest);
+    let mut levels: [Vec<i16>; Level::COUNT] = sizes.map(|len| vec![0; len]);
+    let attribute = |t: usize, i: usize, c: usize| -> f64 {
+        let g = members[i] as usize;
+        f64::from(match c {
+            0..=2 => a.log_scales.frame(t, count)[g][c],
+            3..=6 => a.rotations.frame(t, count)[g][c - 3],
+            7 => 1.0 / (1.0 + (-a.opacity_logits.frame(t, count)[g]).exp()),
+            _ => a.sh0.frame(t, count)[g][c - 8],
+        })
+    };
+    let class = |c: usize| match c {
+        0..=2 => Class::Scale,
+        3..=6 => Class::Rotation,
+        7 => Class::Opacity,
+        _ => Class::Sh0,
+    };
+    for (i, &g) in members.iter().enumerate() {
+        for d in 0..3 {
+            levels[0][d * n + i] = index(g as usize, d);
+        }
+    }
+    let motion = quant.motion[Class::Position.index()];
+    let steps = [1, 2, 3].map(|l| motion.step(Level::ALL[l]));
+    for (row, left) in left.iter().enumerate() {
+        let (i, d) = (row / 3, row % 3);
+        let mut after = left.clone();
+        for r in 0..rank {
+            let q: f64 = (0..frames).map(|t| left[t] * f64::from(basis[t * rank + r])).sum();
+            let symbol = quantise(q, steps[0]);
+            levels[1][(3 * r + d) * n + i] = symbol;
+            let sent = f64::from(f32::from(symbol) * steps[0]);
+            (0..frames).for_each(|t| after[t] -= sent * f64::from(basis[t * rank + r]));
+        }
+        for (t, value) in after.iter().enumerate() {
+            let at = (t * (3 + layout::ATTRIBUTES) + d) * n + i;
+            let coarse = quantise(*value, steps[1]);
+            levels[2][at] = coarse;
+            levels[3][at] = quantise(value - f64::from(f32::from(coarse) * steps[1]), steps[2]);
+        }
+    }
+    let refinement1 = layout::refinement1(n, rank);
+    for c in 0..layout::ATTRIBUTES {
+        let quantiser = quant.canonical[class(c).index()];
+        let steps = Level::ALL.map(|l| quantiser.step(l));
+        for i in 0..n {
+            let base = quantise(attribute(0, i, c), steps[0]);
+            levels[0][(3 + c) * n + i] = base;
+            let base = f64::from(f32::from(base) * steps[0]);
+            // Quaternion signs may flip between frames; refinements follow the base's.
+            let start = attribute(0, i, 3) * attribute(0, i, 3);
+            for t in 0..frames {
+                let mut value = attribute(t, i, c);
+                if (3..=6).contains(&c) && start >= 0.0 {
+                    let dot: f64 = (3..=6).map(|k| attribute(0, i, k) * attribute(t, i, k)).sum();
+                    value *= if dot < 0.0 { -1.0 } else { 1.0 };
+                }
+                let mut rest = value - base;
+                for level in 1..=3 {
+                    let symbol = quantise(rest, steps[level]);
+                    rest -= f64::from(f32::from(symbol) * steps[level]);
+                    let at = match level {
+                        1 => refinement1 + (t * layout::ATTRIBUTES + c) * n + i,
+                        _ => (t * (3 + layout::ATTRIBUTES) + 3 + c) * n + i,
+                    };
+                    levels[level][at] = symbol;
+                }
+            }
+        }
+    }
+    let step = quant.canonical[Class::Sh1.index()].step(Level::ALL[3]);
+    let offset = layout::rest(n, frames, rank);
+    for (i, &g) in members.iter().enumerate() {
+        for j in 0..rest {
+            let value = a.sh_rest[g as usize * rest + j];
+            levels[1][offset + j * n + i] = quantise(f64::from(value), step);
+        }
+    }
+    Cell { transforms, levels, saturated }
+}
+
+/// One completion group, entropy-coded.
+struct Group {
+    tables: [ByteTable; 2],
+    chunks: Vec<OwnedChunk>,
+    symbols: usize,
+    entropy_bytes: f64,
+    monolithic: usize,
+}
+
+struct OwnedChunk {
+    level: Level,
+    quant: u8,
+    cluster: u16,
+    first_frame: u16,
+    frames: u16,
+    first_symbol: u32,
+    symbols: u16,
+    payload: Vec<u8>,
+}
+
+impl OwnedChunk {
+    fn packet(&self, id: PacketId) -> Chunk<'_> {
+        let group = u32::from(self.cluster) * 4 + u32::from(self.level.get());
+        Chunk {
+            level: self.level,
+            id,
+            cluster: self.cluster,
+            first_frame: self.first_frame,
+            frames: self.frames,
+            quant: self.quant,
+            first_symbol: self.first_symbol,
+            symbols: self.symbols,
+            dependencies: (self.level > Level::BASE).then(|| group - 1).into_iter().collect(),
+            payload: &self.payload,
+        }
+    }
+}
+
+fn groups(
+    cluster: usize,
+    plan: &EpochPlan,
+    cell: &Cell,
+    quants: &[Quant],
+    options: &Options,
+) -> Result<[Group; Level::COUNT], EncodeError> {
+    let mut groups = Vec::with_capacity(Level::COUNT);
+    for level in Level::ALL {
+        let symbols = cell.levels[level.index()].as_slice();
+        let mut counts = [[0u64; 256]; 2];
+        for symbol in symbols {
+            let [low, high] = symbol.to_le_bytes();
+            counts[0][usize::from(low)] += 1;
+            counts[1][usize::from(high)] += 1;
+        }
+        let entropy = |counts: &[u64; 256]| -> f64 {
+            let total = symbols.len() as f64;
+            counts.iter().filter(|&&c| c > 0).map(|&c| c as f64 * (total / c as f64).log2()).sum()
+        };
+        let entropy_bytes = (entropy(&counts[0]) + entropy(&counts[1])) / 8.0;
+        let tables = counts.map(|c| ByteTable::from_counts(&c));
+        let pair = [&tables[0], &tables[1]];
+        let costs = tables.map(|t| costs(&t));
+        let limit = match options.repair_set {
+            Some(_) if level == Level::BASE => limits::MAX_PAYLOAD_BYTES - 32 - PARITY_OVERHEAD_BYTES,
+            _ => limits::MAX_PAYLOAD_BYTES,
+        };
+        let mut scratch = vec![0u8; 4 * limit];
+        let mut chunks = Vec::new();
+        let mut at = 0;
+        while at < symbols.len() {
+            let mut take = expected(&symbols[at..], &costs, limit);
+            let payload = loop {
+                let room = scratch.len();
+                match bytes::encode(&symbols[at..at + take], pair, &mut scratch) {
+                    Ok(start) if room - start <= limit => break scratch[start..].to_vec(),
+                    // A few symbols less: the estimate is within a few bytes of the truth.
+                    _ if take > 1 => take -= (take / 256).max(1),
+                    Ok(_) => {
+                        return Err(EncodeError::Bound { what: "bytes per symbol", found: limit + 1, most: limit });
+                    }
+                    Err(error) => return Err(error.into()),
+                }
+            };
+            chunks.push(OwnedChunk {
+                level,
+                quant: quant_index(quants, plan),
+                cluster: cluster as u16,
+                first_frame: plan.first_frame as u16,
+                frames: plan.frames as u16,
+                first_symbol: at as u32,
+                symbols: take as u16,
+                payload,
+            });
+            at += take;
+        }
+        let mut whole = vec![0u8; symbols.len() * 4 + 16];
+        let monolithic = match symbols.is_empty() {
+            true => 0,
+            false => whole.len() - bytes::encode(symbols, pair, &mut whole)?,
+        };
+        groups.push(Group { tables, chunks, symbols: symbols.len(), entropy_bytes, monolithic });
+    }
+    groups.try_into().map_err(|_| EncodeError::Bound { what: "levels", found: 0, most: 4 })
+}
+
+/// The quantisation profile of an epoch; the manifest's check refuses more than 256 of them.
+fn quant_index(quants: &[Quant], plan: &EpochPlan) -> u8 {
+    quants.iter().position(|q| *q == plan.quant).unwrap_or(0).min(255) as u8
+}
+
+fn costs(table: &ByteTable) -> [f32; 256] {
+    std::array::from_fn(|b| match table.frequency(b as u8) {
+        0 => 0.0,
+        f => (bytes::SCALE as f32 / f as f32).log2(),
+    })
+}
+
+/// How many symbols are expected to fit `limit` bytes.
+fn expected(symbols: &[i16], costs: &[[f32; 256]; 2], limit: usize) -> usize {
+    let budget = 8.0 * (limit - bytes::STATE_BYTES) as f64 + 4.0;
+    let mut bits = 0.0f64;
+    for (n, symbol) in symbols.iter().enumerate().take(usize::from(u16::MAX)) {
+        let [low, high] = symbol.to_le_bytes();
+        bits += f64::from(costs[0][usize::from(low)] + costs[1][usize::from(high)]);
+        if bits > budget {
+            return n.max(1);
+        }
+    }
+    symbols.len().min(usize::from(u16::MAX))
+}
+
+fn body(
+    scene: &Scene,
+    plans: &[EpochPlan],
+    groups: &[[Group; Level::COUNT]],
+    quants: &[Quant],
+    repairs: &[Repair],
+    packets: usize,
+) -> Vec<u8> {
+    let (rate_frames, rate_seconds) = rate(scene);
+    let degree = scene.epochs().iter().map(|e| e.attributes().sh_degree.get()).max().unwrap_or(0);
+    let head = Head {
+        profile: Profile::Paper as u8,
+        sh_degree: degree,
+        block_len: 64,
+        frames: scene.frames() as u32,
+        rate_frames,
+        rate_seconds,
+        packets: packets as u32,
+        epochs: plans.len() as u16,
+        windows: 0,
+        clusters: plans.iter().map(|p| p.cells.len() as u32).sum(),
+        quants: quants.len() as u16,
+        tables: 0,
+        repairs: repairs.len() as u16,
+        reserved: 0,
+        basis_values: plans.iter().map(|p| p.basis.len() as u32).sum(),
+        transform_values: plans.iter().flat_map(|p| &p.cells).map(|c| c.transforms.len() as u32).sum(),
+    };
+    let mut out = head.to_bytes().to_vec();
+    let (mut first_cluster, mut basis_first, mut transform_first) = (0, 0, 0);
+    for plan in plans {
+        let record = manifest::Epoch {
+            first_frame: plan.first_frame as u32,
+            frames: plan.frames as u32,
+            gaussians: plan.members.iter().map(|m| m.len() as u32).sum(),
+            first_cluster,
+            clusters: plan.cells.len() as u32,
+            first_window: 0,
+            windows: 0,
+            origin_x: plan.origin[0],
+            origin_y: plan.origin[1],
+            origin_z: plan.origin[2],
+            basis_first,
+            transform_first,
+            rank: plan.rank as u8,
+        };
+        out.extend(record.to_bytes());
+        first_cluster += record.clusters;
+        basis_first += plan.basis.len() as u32;
+        transform_first += plan.cells.iter().map(|c| c.transforms.len() as u32).sum::<u32>();
+    }
+    for (plan, epoch) in plans.iter().zip(scene.epochs()) {
+        let quant = quant_index(quants, plan);
+        for members in &plan.members {
+            let record = Cluster {
+                gaussians: members.len() as u16,
+                quant,
+                sh_degree: epoch.attributes().sh_degree.get(),
+                radius: 1,
+                ..Cluster::default()
+            };
+            out.extend(record.to_bytes());
+        }
+    }
+    quants.iter().for_each(|q| q.write(|bytes| out.extend_from_slice(bytes)));
+    repairs.iter().for_each(|r| out.extend(r.to_bytes()));
+    plans.iter().flat_map(|p| &p.basis).for_each(|v| out.extend(v.to_le_bytes()));
+    for cell in plans.iter().flat_map(|p| &p.cells) {
+        cell.transforms.iter().for_each(|v| out.extend(v.to_le_bytes()));
+    }
+    for table in groups.iter().flatten().flat_map(|g| &g.tables) {
+        out.extend(table.to_bytes());
+    }
+    out
+}

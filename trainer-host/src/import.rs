@@ -1,0 +1,318 @@
+//! Importers: a file or folder in, a [`Scene`] out.
+//!
+//! [`import`] looks at the content first and at the name only when the content does not tell. Each
+//! format has one file with a `parse` over bytes, free of file access, which is what fuzzing calls.
+//!
+//! No file is trusted. Declared sizes are checked against [`Limits`] and against the bytes at hand
+//! before anything is allocated; whatever is wrong comes back as an [`ImportError`] that names file,
+//! field and place. With `keep_readable`, files that end early give what they still hold, and a note.
+//!
+//! Readers never change axes: every format here is right-handed. They convert domains (log scales,
+//! opacity logits, wxyz, band-0 coefficients) and say in [`Scene::notes`] what a person should know.
+//!
+//! ```no_run
+//! use trainer_host::import::{Options, import};
+//! let scene = import("capture/time_00000.ply".as_ref(), &Options::default())?;
+//! assert_eq!(scene.frames(), 1);
+//! # Ok::<(), trainer_host::import::ImportError>(())
+//! ```
+
+mod archive;
+mod bytes;
+pub mod compressed_ply;
+mod error;
+pub mod gltf;
+pub mod nearest;
+pub mod ply;
+pub mod points_npz;
+mod sequence;
+pub(crate) mod snapshot;
+pub mod sog;
+pub mod splat;
+pub mod spz;
+pub mod synth;
+pub mod unity;
+
+use std::path::Path;
+
+pub use error::{ErrorKind, Format, ImportError};
+pub use snapshot::Snapshot;
+
+use crate::scene::Scene;
+
+/// What a reader accepts of a file it does not trust.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Most Gaussians (or points, or mesh vertices) in one file.
+    pub max_gaussians: usize,
+    /// Most bytes in one file, one decompressed stream, or one sequence.
+    pub max_bytes: u64,
+    /// Give the readable part of a file that ends early or holds values that are not numbers, with a
+    /// note, instead of an error.
+    pub keep_readable: bool,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { max_gaussians: 20_000_000, max_bytes: 2 << 30, keep_readable: false }
+    }
+}
+
+/// Whether row `i` of one frame of a numbered sequence is row `i` of the next.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Identity {
+    /// Nobody knows: each frame is an epoch of its own.
+    #[default]
+    PerFrame,
+    /// The caller knows that rows correspond: all frames are one epoch.
+    Stored,
+}
+
+/// How to import.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// What is accepted.
+    pub limits: Limits,
+    /// What is known of numbered sequences.
+    pub identity: Identity,
+    /// Frame rate of numbered sequences and of single files.
+    pub frames_per_second: f64,
+    /// How animated meshes are sampled.
+    pub gltf: gltf::Options,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            limits: Limits::default(),
+            identity: Identity::default(),
+            frames_per_second: 30.0,
+            gltf: gltf::Options::default(),
+        }
+    }
+}
+
+/// Reads a scene from a file, or from a folder that is a SOG or holds numbered frames.
+///
+/// # Errors
+/// The file cannot be read, is no format known here, or is refused by its reader.
+pub fn import(path: &Path, options: &Options) -> Result<Scene, ImportError> {
+    if path.is_dir() {
+        if path.join("meta.json").is_file() {
+            return import(&path.join("meta.json"), options);
+        }
+        if path.join("lod-meta.json").is_file() {
+            let (found, allowed) = ("levels of detail", "the folder of one level, which holds a meta.json");
+            return Err(Format::Sog.unsupported("lod-meta.json", found, allowed).in_file(path));
+        }
+        return folder(path, options);
+    }
+    let bytes = read(path, options)?;
+    let in_file = |e: ImportError| e.in_file(path);
+    match sniff(&bytes, path) {
+        Format::Gltf => {
+            let beside = |name: &str| read_beside(path, name, options, Format::Gltf);
+            gltf::parse(&bytes, beside, &options.gltf, &options.limits).map_err(in_file)
+        }
+        Format::PointsNpz => {
+            points_npz::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file)
+        }
+        _ => {
+            let frame = snapshot_of(&bytes, path, options)?;
+            sequence::assemble(vec![(path.to_owned(), frame)], options).map_err(in_file)
+        }
+    }
+}
+
+/// The format that `bytes` look like; `path` decides only where content cannot.
+pub fn sniff(bytes: &[u8], path: &Path) -> Format {
+    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let start = bytes.trim_ascii_start();
+    if bytes.starts_with(b"ply") {
+        if compressed_ply::is_compressed(bytes) { Format::CompressedPly } else { Format::Ply }
+    } else if bytes.starts_with(&spz::MAGIC) || bytes.starts_with(&[0x1f, 0x8b]) {
+        Format::Spz
+    } else if bytes.starts_with(b"glTF") {
+        Format::Gltf
+    } else if bytes.starts_with(b"PK") {
+        let names = archive::Archive::new(bytes, &Limits::default(), Format::Unknown);
+        match names {
+            Ok(a) if a.has("meta.json") => Format::Sog,
+            Ok(a) if a.has("means3d.npy") => Format::PointsNpz,
+            _ if extension == "npz" => Format::PointsNpz,
+            _ => Format::Sog,
+        }
+    } else if start.starts_with(b"{") {
+        if sog::is_meta(bytes) || path.file_name().is_some_and(|n| n == "meta.json") {
+            Format::Sog
+        } else {
+            Format::Gltf
+        }
+    } else if bytes.starts_with(b"%YAML") {
+        Format::Unity
+    } else {
+        match extension.as_str() {
+            "ply" => Format::Ply,
+            "spz" => Format::Spz,
+            "sog" => Format::Sog,
+            "npz" => Format::PointsNpz,
+            "glb" | "gltf" => Format::Gltf,
+            "asset" => Format::Unity,
+            "splat" => Format::Splat,
+            _ => Format::Unknown,
+        }
+    }
+}
+
+fn folder(path: &Path, options: &Options) -> Result<Scene, ImportError> {
+    let (files, notes) = sequence::files(path)?;
+    let mut left = options.limits.max_bytes;
+    let mut frames = Vec::with_capacity(files.len());
+    for file in files {
+        let bytes = read(&file, options)?;
+        // What the frames become is bounded too: a compressed frame may hold far more than its bytes.
+        let frame = snapshot_of(&bytes, &file, options)?;
+        let per_gaussian = (14 + frame.epoch.attributes().sh_degree.rest_len()) * 4;
+        let held = (frame.epoch.count() * per_gaussian).max(bytes.len()) as u64;
+        left = left.checked_sub(held).ok_or_else(|| {
+            let allowed = format!("up to {} bytes in all", options.limits.max_bytes);
+            Format::Sequence.error(ErrorKind::TooLarge, "frames", "more", allowed).in_file(&file)
+        })?;
+        frames.push((file, frame));
+    }
+    let mut scene = sequence::assemble(frames, options)?;
+    scene.notes.extend(notes);
+    Ok(scene)
+}
+
+/// Reads one still file of any format that is one.
+fn snapshot_of(bytes: &[u8], path: &Path, options: &Options) -> Result<Snapshot, ImportError> {
+    let limits = &options.limits;
+    match sniff(bytes, path) {
+        Format::Ply => ply::parse(bytes, limits),
+        Format::CompressedPly => compressed_ply::parse(bytes, limits),
+        Format::Spz => spz::parse(bytes, limits),
+        Format::Splat => splat::parse(bytes, limits),
+        Format::Sog if bytes.trim_ascii_start().starts_with(b"{") => {
+            sog::parse_files(bytes, |name| read_beside(path, name, options, Format::Sog), limits)
+        }
+        Format::Sog => sog::parse(bytes, limits),
+        Format::Unity => unity_frame(bytes, path, options),
+        other => {
+            let shown = &bytes[..bytes.len().min(8)];
+            let found =
+                if bytes.is_empty() { "an empty file".to_owned() } else { format!("bytes {shown:02x?}") };
+            Err(other.malformed(
+                "content",
+                found,
+                "PLY, SPZ, SOG, .splat, glTF, a Unity splat asset or NPZ points",
+            ))
+        }
+    }
+    .map_err(|e| e.in_file(path))
+}
+
+fn unity_frame(description: &[u8], path: &Path, options: &Options) -> Result<Snapshot, ImportError> {
+    unity::described_count(description, &options.limits)?;
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    let name = |plane: &str| format!("{stem}_{plane}.bytes");
+    let plane = |which: &str| read_beside(path, &name(which), options, Format::Unity);
+    let [chunks, positions, others, colours] = [plane("chk")?, plane("pos")?, plane("oth")?, plane("col")?];
+    let has_harmonics = path.with_file_name(name("shs")).is_file();
+    let harmonics = if has_harmonics { Some(plane("shs")?) } else { None };
+    let asset = unity::Asset {
+        description,
+        chunks: &chunks,
+        positions: &positions,
+        others: &others,
+        colours: &colours,
+        harmonics: harmonics.as_deref(),
+    };
+    unity::parse(&asset, &options.limits)
+}
+
+fn read(path: &Path, options: &Options) -> Result<Vec<u8>, ImportError> {
+    let io = |e: std::io::Error| Format::Unknown.io(&e, path);
+    let length = std::fs::metadata(path).map_err(io)?.len();
+    options.limits.bytes(Format::Unknown, "file", length).map_err(|e| e.in_file(path))?;
+    let bytes = std::fs::read(path).map_err(io)?;
+    if bytes.is_empty() {
+        return Err(Format::Unknown.empty("file").in_file(path));
+    }
+    Ok(bytes)
+}
+
+/// A file that another one names; names that lead out of its folder are refused.
+fn read_beside(path: &Path, name: &str, options: &Options, format: Format) -> Result<Vec<u8>, ImportError> {
+    let inside = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
+    if !inside {
+        return Err(format.malformed("file name", name, "a name inside the folder").in_file(path));
+    }
+    let file = path.parent().unwrap_or(Path::new("")).join(name);
+    read(&file, options).map_err(|e| ImportError { format, ..e })
+}
+
+#[cfg(test)]
+mod damage;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn file(name: &str, bytes: &[u8]) -> (tempfile::TempDir, std::path::PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join(name);
+        std::fs::write(&path, bytes).unwrap();
+        (folder, path)
+    }
+
+    #[test]
+    fn content_decides_before_the_name() {
+        let (_folder, path) = file("wrong.splat", &ply::tests::sample("binary_little_endian", 0, 5));
+        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 5);
+        let (_folder, path) = file("wrong.ply", &spz::tests::sample(2));
+        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 2);
+        let (_folder, path) = file("scene.zip", &sog::tests::sample());
+        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 6);
+        let (_folder, path) = file("a.splat", &splat::tests::sample(4));
+        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 4);
+        let (_folder, path) = file("a.ply", &compressed_ply::tests::sample(3));
+        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 3);
+    }
+
+    #[test]
+    fn errors_name_the_file() {
+        let (_folder, path) = file("nothing.bin", b"no scene");
+        let error = import(&path, &Options::default()).unwrap_err();
+        assert!(error.to_string().contains("nothing.bin"), "{error}");
+        let (_folder, path) = file("empty.ply", b"");
+        assert_eq!(import(&path, &Options::default()).unwrap_err().kind, ErrorKind::Empty);
+        let missing = import("no/such/file.ply".as_ref(), &Options::default()).unwrap_err();
+        assert_eq!(missing.kind, ErrorKind::Io);
+    }
+
+    #[test]
+    fn files_above_the_limit_are_not_read() {
+        let (_folder, path) = file("a.splat", &splat::tests::sample(4));
+        let limits = Limits { max_bytes: 100, ..Limits::default() };
+        let error = import(&path, &Options { limits, ..Options::default() }).unwrap_err();
+        assert_eq!(error.kind, ErrorKind::TooLarge);
+        let limits = Limits { max_gaussians: 3, ..Limits::default() };
+        let error = import(&path, &Options { limits, ..Options::default() }).unwrap_err();
+        assert_eq!(error.kind, ErrorKind::TooLarge);
+    }
+
+    #[test]
+    fn a_unity_frame_finds_its_planes() {
+        let sample = unity::tests::sample(20);
+        let (folder, path) = file("000001.asset", sample.description.as_bytes());
+        for (plane, bytes) in ["chk", "pos", "oth", "col", "shs"].iter().zip(&sample.planes) {
+            std::fs::write(folder.path().join(format!("000001_{plane}.bytes")), bytes).unwrap();
+        }
+        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 20);
+        assert_eq!(import(folder.path(), &Options::default()).unwrap().frames(), 1);
+        std::fs::remove_file(folder.path().join("000001_oth.bytes")).unwrap();
+        let error = import(&path, &Options::default()).unwrap_err();
+        assert!(error.to_string().contains("000001_oth.bytes"), "{error}");
+    }
+}

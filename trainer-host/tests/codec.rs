@@ -1,0 +1,167 @@
+//! Promises of encoding and decoding that hold for any scene: the complete state is close to the
+//! source, every subset of packets is a valid scene, one packet changes only its own blocks, and
+//! equal input gives equal bytes.
+
+use codec_core::{Gaussian, wire::manifest::Profile};
+use trainer_host::{
+    Scene,
+    encode::{Options, encode},
+    import::{
+        Limits,
+        synth::{self, Kind},
+    },
+    stream::{PacketMap, Player, Stream},
+};
+
+fn scene(kind: Kind) -> Scene {
+    let options = synth::Options { kind, gaussians: 3000, frames: 40, frames_per_second: 20.0, seed: 7 };
+    synth::make(&options, &Limits::default()).unwrap()
+}
+
+fn options(profile: Profile) -> Options {
+    match profile {
+        Profile::Dgs1 => Options::default(),
+        Profile::Paper => Options::paper(),
+    }
+}
+
+fn encoded(scene: &Scene, options: &Options) -> Stream {
+    encode(scene, options, &|_, _| {}).unwrap()
+}
+
+/// Root mean square of (position, display colour, opacity, log-scale, angle in radians).
+fn errors(scene: &Scene, stream: &Stream, frame: usize) -> [f64; 5] {
+    let received = stream.receive().unwrap();
+    let mut player = Player::new(&stream.manifest().unwrap());
+    let decoded = player.instant(&received.content(), frame as u32).unwrap();
+    let (epoch, t) = scene.locate(frame).unwrap();
+    let source = scene.epochs()[epoch].instant(t);
+    let mut sums = [0.0f64; 5];
+    for (d, &s) in decoded.gaussians.iter().zip(&stream.order()[epoch]) {
+        let s = &source.gaussians[s as usize];
+        for k in 0..3 {
+            sums[0] += f64::from(d.position[k] - s.position[k]).powi(2) / 3.0;
+            sums[1] += f64::from(0.282 * (d.sh0[k] - s.sh0[k])).powi(2) / 3.0;
+            sums[3] += f64::from(d.scale[k].ln() - s.scale[k].ln()).powi(2) / 3.0;
+        }
+        sums[2] += f64::from(d.opacity - s.opacity).powi(2);
+        let dot: f32 = (0..4).map(|k| d.rotation[k] * s.rotation[k]).sum();
+        sums[4] += f64::from(2.0 * dot.abs().min(1.0).acos()).powi(2);
+    }
+    sums.map(|s| (s / decoded.gaussians.len() as f64).sqrt())
+}
+
+#[test]
+fn the_complete_state_is_close_to_the_source() {
+    for kind in Kind::ALL {
+        let scene = scene(kind);
+        for profile in [Profile::Dgs1, Profile::Paper] {
+            let stream = encoded(&scene, &options(profile));
+            let ledger = stream.ledger();
+            println!(
+                "{} {profile:?}: {:.0} bits/Gaussian, {} packets, manifest {} bytes, saturated {}",
+                kind.name(),
+                ledger.bits_per_gaussian(),
+                ledger.packets,
+                ledger.manifest,
+                ledger.saturated
+            );
+            for s in &ledger.shares {
+                println!("   {:16} L{} {:8.1} bits/G", s.attribute, s.level, s.bits / ledger.gaussians as f64);
+            }
+            assert_eq!(ledger.saturated, 0);
+            for frame in [0, 17, scene.frames() - 1] {
+                let e = errors(&scene, &stream, frame);
+                println!("   frame {frame}: {e:.5?}");
+                assert!(e[0] < 0.01 && e[1] < 0.01 && e[2] < 0.02 && e[3] < 0.05 && e[4] < 0.15, "{e:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn equal_input_gives_equal_bytes() {
+    let scene = scene(Kind::Figure);
+    for profile in [Profile::Dgs1, Profile::Paper] {
+        let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let one = pool(1).install(|| encoded(&scene, &options(profile)).to_bytes().unwrap());
+        let eight = pool(8).install(|| encoded(&scene, &options(profile)).to_bytes().unwrap());
+        assert!(one == eight);
+        let (back, damage) = Stream::from_bytes(&one).unwrap();
+        assert!(damage.is_none(), "{damage}");
+        assert_eq!(back.to_bytes().unwrap(), one);
+    }
+}
+
+/// A small repeatable generator for picking subsets.
+fn coin(seed: u64, i: usize) -> u64 {
+    let mut x = seed ^ (i as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb) >> 33
+}
+
+fn is_valid(gaussians: &[Gaussian]) -> bool {
+    gaussians.iter().all(|g| {
+        let unit = (g.rotation.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-4;
+        let finite = g.position.iter().chain(&g.scale).chain(&g.sh0).all(|v| v.is_finite());
+        unit && finite && (0.0..=1.0).contains(&g.opacity) && g.scale.iter().all(|&s| s > 0.0)
+    })
+}
+
+#[test]
+fn every_subset_is_valid_and_its_state_needs_no_decoding() {
+    for kind in [Kind::Figure, Kind::Births] {
+        let scene = scene(kind);
+        for profile in [Profile::Dgs1, Profile::Paper] {
+            let stream = encoded(&scene, &options(profile));
+            let map = PacketMap::of(&stream).unwrap();
+            let received = stream.receive().unwrap();
+            println!("{:?}", received.counters());
+            assert_eq!(map.state(|_| true), received.content().blocks);
+            for seed in 0..20u64 {
+                let have = |id: usize| coin(seed, id) % 20 < seed;
+                let state = map.state(have);
+                let mut player = Player::new(&stream.manifest().unwrap());
+                let content = received.content();
+                let frame = (seed as u32 * 7) % scene.frames() as u32;
+                let instant = player.instant(&content.with_state(&state), frame).unwrap();
+                assert!(is_valid(&instant.gaussians));
+            }
+        }
+    }
+}
+
+#[test]
+fn one_lost_packet_changes_only_its_blocks() {
+    let scene = scene(Kind::Figure);
+    let stream = encoded(&scene, &options(Profile::Dgs1));
+    let manifest = stream.manifest().unwrap();
+    let map = PacketMap::of(&stream).unwrap();
+    let received = stream.receive().unwrap();
+    let content = received.content();
+    let mut player = Player::new(&manifest);
+    let frame = 23;
+    let whole = player.instant(&content, frame).unwrap();
+    for lost in 0..stream.packets().len() {
+        let state = map.state(|id| id != lost);
+        let partial = player.instant(&content.with_state(&state), frame).unwrap();
+        let mut own = vec![false; whole.gaussians.len()];
+        let mut first = 0;
+        let epoch = codec_core::ids::EpochId(0);
+        for c in 0..manifest.epoch(epoch).unwrap().clusters {
+            let cluster = codec_core::ids::ClusterId(c as u16);
+            let count = usize::from(manifest.cluster(epoch, cluster).unwrap().gaussians);
+            for mark in map.marks(lost).iter().filter(|m| m.group.cluster == cluster) {
+                let cell = content.cell(mark.group.span, cluster).unwrap();
+                let block = mark.first_block - cell.blocks as usize;
+                let from = block * manifest.block_len();
+                let to = (from + mark.blocks * manifest.block_len()).min(count);
+                own[first + from..first + to].fill(true);
+            }
+            first += count;
+        }
+        for (i, (a, b)) in whole.gaussians.iter().zip(&partial.gaussians).enumerate() {
+            assert!(own[i] || a == b, "packet {lost} changed Gaussian {i}, which is not in its blocks");
+        }
+    }
+}
