@@ -1,0 +1,102 @@
+//! RFC 9002: round-trip estimation, loss detection, probes, congestion windows and pacing, without a packet format.
+//!
+//! [`Recovery`] owns the bookkeeping of what was sent; a [`Controller`] owns the window. One packet-number space, entered
+//! after a completed handshake: rules about Initial and Handshake packets, anti-amplification and key discard have no
+//! place here. All state is integers.
+
+mod bbr_model;
+mod delivery;
+mod newreno;
+mod pacer;
+mod recovery;
+mod rtt;
+
+use std::fmt::Debug;
+
+use crate::clock::{Nanos, Rate};
+
+pub use bbr_model::BbrModel;
+pub use delivery::{DeliveryRate, DeliverySample};
+pub use newreno::NewReno;
+pub use pacer::Pacer;
+pub use recovery::{Outcome, Recovery, Sent, TimerOutcome};
+pub use rtt::Rtt;
+
+/// Initial congestion window in bytes: ten datagrams, at most 14 720 bytes or two datagrams (RFC 9002, 7.2).
+pub fn initial_window(datagram_bytes: u64) -> u64 {
+    (10 * datagram_bytes).min((2 * datagram_bytes).max(14_720))
+}
+
+/// Minimum congestion window in bytes: two datagrams (RFC 9002, 7.2).
+pub fn minimum_window(datagram_bytes: u64) -> u64 {
+    2 * datagram_bytes
+}
+
+/// One acknowledged packet, for a controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Acked {
+    /// Its UDP payload bytes.
+    pub bytes: u64,
+    /// When it was sent.
+    pub sent_at: Nanos,
+    /// Whether, when it was sent, the application had too little to fill the window (RFC 9002, 7.8).
+    pub app_limited: bool,
+}
+
+/// What governs the congestion window. Bytes are UDP payload.
+pub trait Controller: Debug + Send {
+    /// Name in reports.
+    fn name(&self) -> &'static str;
+
+    /// One packet was acknowledged.
+    fn on_ack(&mut self, acked: Acked, rtt: &Rtt, now: Nanos);
+
+    /// All packets of one acknowledgement were handed over; `sample` measures the path, `in_flight` is what is left.
+    fn on_ack_end(&mut self, sample: Option<DeliverySample>, in_flight: u64, rtt: &Rtt, now: Nanos);
+
+    /// Packets were lost, or marked; `sent_at` is when the latest of them was sent. Returns whether a new recovery period
+    /// starts.
+    fn on_congestion(&mut self, sent_at: Nanos, lost_bytes: u64, in_flight: u64, now: Nanos) -> bool;
+
+    /// Persistent congestion was established (RFC 9002, 7.6).
+    fn on_persistent_congestion(&mut self);
+
+    /// Congestion window.
+    fn window(&self) -> u64;
+
+    /// Rate at which the window may be spread, before the cap by the path's estimated rate.
+    fn pacing_rate(&self, rtt: &Rtt) -> Rate;
+
+    /// Whether the window still grows fast, so that a cap by the path's estimated rate must leave it room.
+    fn is_probing(&self) -> bool;
+}
+
+/// The controllers by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum ControllerKind {
+    /// [`NewReno`].
+    NewReno,
+    /// [`BbrModel`].
+    BbrModel,
+}
+
+impl ControllerKind {
+    /// Every controller.
+    pub const ALL: [Self; 2] = [Self::NewReno, Self::BbrModel];
+
+    /// Name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NewReno => "newreno",
+            Self::BbrModel => "bbr-model",
+        }
+    }
+
+    /// A fresh controller for datagrams of up to `datagram_bytes` of UDP payload.
+    pub fn build(self, datagram_bytes: u64) -> Box<dyn Controller> {
+        match self {
+            Self::NewReno => Box::new(NewReno::new(datagram_bytes)),
+            Self::BbrModel => Box::new(BbrModel::new(datagram_bytes)),
+        }
+    }
+}

@@ -1,0 +1,93 @@
+//! Round-trip estimation (RFC 9002, 5 and A.7).
+
+use crate::clock::Nanos;
+
+/// Round trip assumed before the first sample (RFC 9002, 6.2.2).
+const INITIAL: Nanos = Nanos::from_ms(333);
+/// Timer granularity (RFC 9002, A.2).
+pub(super) const GRANULARITY: Nanos = Nanos::from_ms(1);
+
+/// The estimator.
+#[derive(Clone, Debug)]
+pub struct Rtt {
+    latest: Nanos,
+    smoothed: Nanos,
+    variation: Nanos,
+    minimum: Nanos,
+    max_ack_delay: Nanos,
+    first_sample_at: Option<Nanos>,
+}
+
+impl Rtt {
+    /// No sample yet. `max_ack_delay` is what the peer promises not to exceed.
+    pub fn new(max_ack_delay: Nanos) -> Self {
+        Self {
+            latest: Nanos::ZERO,
+            smoothed: INITIAL,
+            variation: Nanos(INITIAL.0 / 2),
+            minimum: Nanos::ZERO,
+            max_ack_delay,
+            first_sample_at: None,
+        }
+    }
+
+    /// Takes a sample at `now`: the time since the largest newly acknowledged packet was sent, and how long the peer says
+    /// that it held the acknowledgement. Order of the lines as in A.7: the variation uses the old smoothed value.
+    pub fn update(&mut self, latest: Nanos, ack_delay: Nanos, now: Nanos) {
+        self.latest = latest;
+        if self.first_sample_at.is_none() {
+            self.first_sample_at = Some(now);
+            self.minimum = latest;
+            self.smoothed = latest;
+            self.variation = Nanos(latest.0 / 2);
+            return;
+        }
+        self.minimum = self.minimum.min(latest);
+        let ack_delay = ack_delay.min(self.max_ack_delay);
+        let adjusted = if latest >= self.minimum + ack_delay { latest - ack_delay } else { latest };
+        let deviation = self.smoothed.abs_diff(adjusted);
+        self.variation = Nanos((3 * self.variation.0 + deviation.0) / 4);
+        self.smoothed = Nanos((7 * self.smoothed.0 + adjusted.0) / 8);
+    }
+
+    /// After persistent congestion the minimum starts again from the newest sample (RFC 9002, 5.2).
+    pub fn on_persistent_congestion(&mut self) {
+        self.minimum = self.latest;
+    }
+
+    /// Smoothed round trip, or 333 ms before the first sample.
+    pub fn smoothed(&self) -> Nanos {
+        self.smoothed
+    }
+
+    /// Mean deviation.
+    pub fn variation(&self) -> Nanos {
+        self.variation
+    }
+
+    /// Smallest sample; zero before the first.
+    pub fn minimum(&self) -> Nanos {
+        self.minimum
+    }
+
+    /// Newest sample; zero before the first.
+    pub fn latest(&self) -> Nanos {
+        self.latest
+    }
+
+    /// When the first sample was taken.
+    pub fn first_sample_at(&self) -> Option<Nanos> {
+        self.first_sample_at
+    }
+
+    /// SRTT + max(4 RTTVAR, 1 ms) + max_ack_delay, without backoff (RFC 9002, 6.2.1; paper, "Congestion control and pacing").
+    pub fn probe_timeout(&self) -> Nanos {
+        self.smoothed + self.variation.times(4).max(GRANULARITY) + self.max_ack_delay
+    }
+
+    /// 9/8 max(smoothed, latest), at least 1 ms (RFC 9002, 6.1.2).
+    pub fn loss_delay(&self) -> Nanos {
+        let longest = self.smoothed.max(self.latest);
+        Nanos(longest.0 + longest.0 / 8).max(GRANULARITY)
+    }
+}

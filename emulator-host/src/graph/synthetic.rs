@@ -1,0 +1,244 @@
+//! Seeded graphs for tests, benches and demos.
+//!
+//! Shape: a canonical stack of levels per cluster over the whole clip, and a motion stack per (window, cluster). A level
+//! needs the level below it and, for motion, the canonical group of its own level. Sizes double with the level, as
+//! refinements cost more than they show.
+
+use super::{
+    GraphError, GraphParts, Group, GroupIndex, Kind, Packet, PacketGraph, PacketIndex, Profile, RepairSet,
+};
+use crate::clock::{Nanos, Rate};
+use crate::rng::{Stream, stream};
+
+/// How utilities are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Utilities {
+    /// The same for all groups.
+    Flat,
+    /// Heavy-tailed over clusters, falling with the level; a tenth of the finest level is negative, as measured in the paper.
+    Unequal,
+}
+
+/// Parameters of a synthetic graph. [`Synthetic::build`] turns them into a [`PacketGraph`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Synthetic {
+    /// Frames in the clip, at least 1.
+    pub frames: u32,
+    /// Time between frames.
+    pub frame_interval: Nanos,
+    /// Frames per motion window, at least 1.
+    pub window_frames: u32,
+    /// Clusters, at least 1.
+    pub clusters: u32,
+    /// Levels, 1 to 8.
+    pub levels: u8,
+    /// Mean media rate of the whole graph over the clip, parity excluded.
+    pub rate: Rate,
+    /// Part of the bytes that is canonical, in percent, 0 to 100.
+    pub canonical_percent: u8,
+    /// Largest packet.
+    pub packet_bytes: u16,
+    /// Bytes of the manifest.
+    pub manifest_bytes: u32,
+    /// Utilities.
+    pub utilities: Utilities,
+    /// XOR parity for every so many base packets, interleaved over clusters; `None` for no repair.
+    pub repair: Option<u32>,
+    /// Closure rule.
+    pub profile: Profile,
+}
+
+impl Default for Synthetic {
+    /// 30 s at 30 frames/s, 1 s windows, 32 clusters of 4 levels, 5 Mbit/s, a tenth of it canonical.
+    fn default() -> Self {
+        Self {
+            frames: 900,
+            frame_interval: Nanos(33_333_333),
+            window_frames: 30,
+            clusters: 32,
+            levels: 4,
+            rate: Rate::from_mbps(5),
+            canonical_percent: 10,
+            packet_bytes: 1150,
+            manifest_bytes: 8192,
+            utilities: Utilities::Unequal,
+            repair: None,
+            profile: Profile::AllOrNothing,
+        }
+    }
+}
+
+impl Synthetic {
+    /// The graph of these parameters and `seed`.
+    ///
+    /// # Errors
+    /// [`GraphError`] if the parameters describe none, such as zero frames or an oversized packet.
+    pub fn build(&self, seed: u64) -> Result<PacketGraph, GraphError> {
+        let clip = self.frame_interval.times(u64::from(self.frames));
+        let media = self.rate.bytes_in(clip).0;
+        let canonical = media * u64::from(self.canonical_percent.min(100)) / 100;
+        let windows = u64::from(self.frames.div_ceil(self.window_frames.max(1))).max(1);
+        let stack = u64::from(self.clusters.max(1)) * ((1 << self.levels.min(8)) - 1).max(1);
+        let mut draft = Draft {
+            spec: self,
+            sizes: stream(seed, "synthetic sizes"),
+            worth: stream(seed, "synthetic utilities"),
+            packets: Vec::new(),
+            groups: Vec::new(),
+        };
+        let weights: Vec<f64> = (0..self.clusters).map(|_| draft.weight()).collect();
+        for (cluster, weight) in weights.iter().enumerate() {
+            let last = self.frames.saturating_sub(1);
+            draft.stack(cluster as u32, *weight, Kind::Canonical, (0, last), canonical / stack);
+        }
+        for window in 0..windows as u32 {
+            let first = window * self.window_frames.max(1);
+            let last = (first + self.window_frames.max(1) - 1).min(self.frames.saturating_sub(1));
+            for (cluster, weight) in weights.iter().enumerate() {
+                draft.stack(
+                    cluster as u32,
+                    *weight,
+                    Kind::Motion,
+                    (first, last),
+                    (media - canonical) / stack / windows,
+                );
+            }
+        }
+        let repair_sets = draft.protect();
+        let Draft { packets, groups, .. } = draft;
+        PacketGraph::new(GraphParts {
+            packets,
+            groups,
+            repair_sets,
+            frames: self.frames,
+            frame_interval: self.frame_interval,
+            manifest_bytes: self.manifest_bytes,
+            profile: self.profile,
+        })
+    }
+}
+
+struct Draft<'a> {
+    spec: &'a Synthetic,
+    sizes: Stream,
+    worth: Stream,
+    packets: Vec<Packet>,
+    groups: Vec<Group>,
+}
+
+impl Draft<'_> {
+    /// Between 1/16 and 16, by squaring a uniform exponent-like draw.
+    fn weight(&mut self) -> f64 {
+        let unit = self.worth.up_to(1_000_000) as f64 / 1e6;
+        0.0625 + 15.9 * unit * unit * unit
+    }
+
+    fn stack(&mut self, cluster: u32, weight: f64, kind: Kind, frames: (u32, u32), base_bytes: u64) {
+        let clusters = self.spec.clusters as usize;
+        let levels = usize::from(self.spec.levels);
+        for level in 0..self.spec.levels {
+            let at = self.groups.len();
+            let mut needs = Vec::new();
+            if level > 0 {
+                needs.push(GroupIndex(at as u32 - 1));
+            }
+            if kind == Kind::Motion {
+                needs.push(GroupIndex((cluster as usize % clusters * levels + usize::from(level)) as u32));
+            }
+            let mean = base_bytes << level;
+            let bytes = (mean / 2 + self.sizes.up_to(mean)).max(40);
+            let packets = self.split(bytes, GroupIndex(at as u32), &needs);
+            let jitter = 0.5 + self.worth.up_to(1_000_000) as f64 / 1e6;
+            let finest = level > 0 && level + 1 == self.spec.levels;
+            let sign = if finest && self.worth.up_to(9) == 0 { -0.1 } else { 1.0 };
+            let utility = match self.spec.utilities {
+                Utilities::Flat => 1.0,
+                Utilities::Unequal => sign * weight * jitter / f64::from(1u32 << (2 * level)),
+            };
+            let (first_frame, last_frame) = frames;
+            self.groups.push(Group {
+                cluster,
+                level,
+                kind,
+                first_frame,
+                last_frame,
+                needs,
+                packets,
+                utility,
+            });
+        }
+    }
+
+    /// Packets of one group; slice `i` needs the slice at the same relative place in every group that this one needs.
+    fn split(&mut self, bytes: u64, group: GroupIndex, needs: &[GroupIndex]) -> Vec<PacketIndex> {
+        let count = bytes.div_ceil(u64::from(self.spec.packet_bytes.max(1)));
+        let mut indices = Vec::with_capacity(count as usize);
+        for slice in 0..count {
+            let wire_bytes = (bytes / count + u64::from(slice < bytes % count)) as u16;
+            let needs_packets = match self.spec.profile {
+                Profile::AllOrNothing => Vec::new(),
+                Profile::Sliced => needs
+                    .iter()
+                    .map(|need| {
+                        let below = &self.groups[need.at()].packets;
+                        below[(slice as usize * below.len()) / count as usize]
+                    })
+                    .collect(),
+            };
+            let index = PacketIndex(self.packets.len() as u32);
+            let id = index.0;
+            self.packets.push(Packet { id, wire_bytes, groups: vec![group], needs_packets, parity_of: None });
+            indices.push(index);
+        }
+        indices
+    }
+
+    fn protect(&mut self) -> Vec<RepairSet> {
+        let Some(size) = self.spec.repair.filter(|size| *size > 0) else { return Vec::new() };
+        let groups = &self.groups;
+        let base: Vec<PacketIndex> = (0..self.packets.len() as u32)
+            .map(PacketIndex)
+            .filter(|p| self.packets[p.at()].groups.iter().all(|group| groups[group.at()].level == 0))
+            .collect();
+        let mut sets = Vec::new();
+        for members in base.chunks(size as usize) {
+            let widest = members.iter().map(|member| self.packets[member.at()].wire_bytes).max().unwrap_or(1);
+            self.packets.push(Packet {
+                id: self.packets.len() as u32,
+                wire_bytes: widest,
+                groups: Vec::new(),
+                needs_packets: Vec::new(),
+                parity_of: Some(sets.len() as u32),
+            });
+            sets.push(RepairSet { members: members.to_vec() });
+        }
+        sets
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_rate_is_as_asked_and_the_seed_decides() {
+        let graph = Synthetic::default().build(3).unwrap();
+        let rate = Rate::over(crate::clock::Bytes(graph.total_bytes()), Nanos::from_s(30)).0;
+        assert!((4_600_000..5_400_000).contains(&rate), "{rate}");
+        assert_eq!(graph.total_bytes(), Synthetic::default().build(3).unwrap().total_bytes());
+        assert_ne!(graph.total_bytes(), Synthetic::default().build(4).unwrap().total_bytes());
+        assert_eq!(graph.groups().len(), 31 * 32 * 4);
+    }
+
+    #[test]
+    fn all_variants_pass_the_checks() {
+        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+            for repair in [None, Some(4)] {
+                let graph =
+                    Synthetic { frames: 90, profile, repair, ..Synthetic::default() }.build(1).unwrap();
+                assert_eq!(repair.is_some(), !graph.repair_sets().is_empty());
+            }
+        }
+        assert!(Synthetic { frames: 0, ..Synthetic::default() }.build(1).is_err());
+    }
+}

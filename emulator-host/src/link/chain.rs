@@ -1,0 +1,106 @@
+//! Boxes one after the other, as one box.
+//!
+//! At one instant the box nearest to the exit moves first, so that in every box departures come before arrivals.
+
+use std::collections::VecDeque;
+
+use super::{Counts, Datagram, LinkBox, Output, Tally};
+use crate::clock::Nanos;
+
+/// A chain of boxes. An empty chain passes everything at once.
+pub struct Chain {
+    label: String,
+    boxes: Vec<Slot>,
+    ready: VecDeque<Datagram>,
+    received: Tally,
+    delivered: Tally,
+    wake: Nanos,
+}
+
+struct Slot {
+    inner: Box<dyn LinkBox>,
+    wake: Nanos,
+}
+
+impl Chain {
+    /// A chain from entry to exit.
+    pub fn new(label: impl Into<String>, boxes: Vec<Box<dyn LinkBox>>) -> Self {
+        Self {
+            label: label.into(),
+            boxes: boxes.into_iter().map(|inner| Slot { inner, wake: Nanos::MAX }).collect(),
+            ready: VecDeque::new(),
+            received: Tally::default(),
+            delivered: Tally::default(),
+            wake: Nanos::MAX,
+        }
+    }
+
+    /// When something may happen inside; [`Nanos::MAX`] for never, zero while a datagram waits at the exit.
+    pub fn next_wake(&self) -> Nanos {
+        if self.ready.is_empty() { self.wake } else { Nanos::ZERO }
+    }
+
+    /// Label and books of every box, from entry to exit.
+    pub fn box_counts(&self) -> impl Iterator<Item = (&str, Counts)> {
+        self.boxes.iter().map(|slot| (slot.inner.label(), slot.inner.counts()))
+    }
+
+    /// Puts `input` into box `at` and carries on whatever comes out, down to the exit.
+    fn feed(&mut self, at: usize, mut input: Option<Datagram>, now: Nanos) {
+        if at == self.boxes.len() {
+            self.ready.extend(input);
+            return;
+        }
+        loop {
+            match self.boxes[at].inner.step(input.take(), now) {
+                Output::Datagram(datagram) => self.feed(at + 1, Some(datagram), now),
+                Output::Wake(wake) => {
+                    self.boxes[at].wake = wake;
+                    return;
+                }
+                Output::Idle => {
+                    self.boxes[at].wake = Nanos::MAX;
+                    return;
+                }
+            }
+        }
+    }
+}
+
+impl LinkBox for Chain {
+    fn label(&self) -> &str {
+        &self.label
+    }
+
+    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> Output {
+        if self.wake <= now {
+            for at in (0..self.boxes.len()).rev() {
+                if self.boxes[at].wake <= now {
+                    self.feed(at, None, now);
+                }
+            }
+        }
+        if let Some(datagram) = input {
+            self.received.add(datagram);
+            self.feed(0, Some(datagram), now);
+        }
+        self.wake = self.boxes.iter().map(|slot| slot.wake).min().unwrap_or(Nanos::MAX);
+        if let Some(datagram) = self.ready.pop_front() {
+            self.delivered.add(datagram);
+            return Output::Datagram(datagram);
+        }
+        if self.wake == Nanos::MAX { Output::Idle } else { Output::Wake(self.wake) }
+    }
+
+    fn counts(&self) -> Counts {
+        let mut counts = Counts { received: self.received, delivered: self.delivered, ..Counts::default() };
+        for (_, inner) in self.box_counts() {
+            for (sum, part) in [(&mut counts.dropped, inner.dropped), (&mut counts.held, inner.held)] {
+                sum.datagrams += part.datagrams;
+                sum.bytes += part.bytes;
+            }
+        }
+        self.ready.iter().for_each(|datagram| counts.held.add(*datagram));
+        counts
+    }
+}

@@ -1,0 +1,88 @@
+//! A box that holds every datagram for a while and keeps their order.
+//!
+//! The delay is constant or follows a [`DelayTrace`], plus uniform jitter from the box's own stream. A datagram never
+//! overtakes: it leaves no earlier than the one before it. Overtaking is the [`super::Reorder`] box's work.
+
+use std::collections::VecDeque;
+
+use super::{Counts, Datagram, LinkBox, Output, Tally};
+use crate::clock::Nanos;
+use crate::rng::{Stream, stream};
+use crate::trace::DelayTrace;
+
+/// Holds datagrams for a base delay plus jitter.
+#[derive(Debug)]
+pub struct Delay {
+    label: String,
+    base: Nanos,
+    trace: Option<DelayTrace>,
+    jitter: Nanos,
+    luck: Stream,
+    held: VecDeque<(Nanos, Datagram)>,
+    last: Nanos,
+    counts: Counts,
+}
+
+impl Delay {
+    /// Delay of `base` plus a uniform draw from `0..=jitter`.
+    pub fn new(label: impl Into<String>, base: Nanos, jitter: Nanos, seed: u64) -> Self {
+        let label = label.into();
+        let luck = stream(seed, &label);
+        Self {
+            label,
+            base,
+            trace: None,
+            jitter,
+            luck,
+            held: VecDeque::new(),
+            last: Nanos::ZERO,
+            counts: Counts::default(),
+        }
+    }
+
+    /// The same, with the delay of `trace` at the time of arrival added to the base.
+    #[must_use]
+    pub fn following(mut self, trace: DelayTrace) -> Self {
+        self.trace = Some(trace);
+        self
+    }
+}
+
+impl LinkBox for Delay {
+    fn label(&self) -> &str {
+        &self.label
+    }
+
+    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> Output {
+        if let Some(datagram) = input {
+            self.counts.received.add(datagram);
+            self.counts.held.add(datagram);
+            let mut span = self.base;
+            if let Some(trace) = &self.trace {
+                span += trace.at(now);
+            }
+            if self.jitter > Nanos::ZERO {
+                span += Nanos(self.luck.up_to(self.jitter.0));
+            }
+            self.last = self.last.max(now + span);
+            self.held.push_back((self.last, datagram));
+        }
+        match self.held.front() {
+            None => Output::Idle,
+            Some((at, _)) if *at > now => Output::Wake(*at),
+            Some((_, datagram)) => {
+                let datagram = *datagram;
+                self.held.pop_front();
+                self.counts.delivered.add(datagram);
+                let held = self.counts.held;
+                self.counts.held =
+                    Tally { datagrams: held.datagrams - 1, bytes: held.bytes - u64::from(datagram.bytes) };
+                Output::Datagram(datagram)
+            }
+        }
+    }
+
+    fn counts(&self) -> Counts {
+        self.counts
+    }
+}

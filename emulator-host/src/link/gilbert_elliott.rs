@@ -1,0 +1,89 @@
+//! A box that loses datagrams in bursts: the two-state Markov channel of Gilbert and Elliott.
+//!
+//! The state changes once per datagram, before the loss is drawn. Mean burst length is 1 / `leave_bad` datagrams; the
+//! long-run share of time in the bad state is `enter_bad / (enter_bad + leave_bad)`.
+
+use super::{Counts, Datagram, LinkBox, Output};
+use crate::clock::Nanos;
+use crate::rng::{Chance, Stream, stream};
+
+/// Chances per datagram.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct GilbertElliottParams {
+    /// Good to bad.
+    pub enter_bad: Chance,
+    /// Bad to good.
+    pub leave_bad: Chance,
+    /// Loss in the good state.
+    pub loss_good: Chance,
+    /// Loss in the bad state.
+    pub loss_bad: Chance,
+}
+
+/// Loses datagrams in bursts.
+#[derive(Debug)]
+pub struct GilbertElliott {
+    label: String,
+    params: GilbertElliottParams,
+    bad: bool,
+    luck: Stream,
+    counts: Counts,
+}
+
+impl GilbertElliott {
+    /// Starts in the good state.
+    pub fn new(label: impl Into<String>, params: GilbertElliottParams, seed: u64) -> Self {
+        let label = label.into();
+        let luck = stream(seed, &label);
+        Self { label, params, bad: false, luck, counts: Counts::default() }
+    }
+}
+
+impl LinkBox for GilbertElliott {
+    fn label(&self) -> &str {
+        &self.label
+    }
+
+    fn step(&mut self, input: Option<Datagram>, _now: Nanos) -> Output {
+        let Some(datagram) = input else { return Output::Idle };
+        self.counts.received.add(datagram);
+        let change = if self.bad { self.params.leave_bad } else { self.params.enter_bad };
+        self.bad ^= self.luck.happens(change);
+        let loss = if self.bad { self.params.loss_bad } else { self.params.loss_good };
+        if self.luck.happens(loss) {
+            self.counts.dropped.add(datagram);
+            return Output::Idle;
+        }
+        self.counts.delivered.add(datagram);
+        Output::Datagram(datagram)
+    }
+
+    fn counts(&self) -> Counts {
+        self.counts
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn losses_come_in_bursts_of_the_asked_length_and_share() {
+        let chance = |p| Chance::new(p).unwrap();
+        let params = GilbertElliottParams {
+            enter_bad: chance(0.01),
+            leave_bad: chance(0.25),
+            loss_good: chance(0.0),
+            loss_bad: chance(1.0),
+        };
+        let mut link = GilbertElliott::new("ge", params, 5);
+        let lost: Vec<bool> = (0..200_000)
+            .map(|tag| link.step(Some(Datagram { tag, bytes: 100 }), Nanos::ZERO) == Output::Idle)
+            .collect();
+        let losses = lost.iter().filter(|lost| **lost).count() as f64;
+        let bursts = lost.windows(2).filter(|pair| !pair[0] && pair[1]).count() as f64;
+        assert!((losses / 200_000.0 - 0.01 / 0.26).abs() < 0.004, "{losses}");
+        assert!((losses / bursts - 4.0).abs() < 0.3, "{}", losses / bursts);
+        assert!(link.counts().balanced());
+    }
+}

@@ -1,0 +1,102 @@
+//! A network as a chain of small boxes with one method.
+//!
+//! A datagram or nothing goes into [`LinkBox::step`] with `now`; out comes a datagram, a time to be woken, or nothing. The
+//! caller goes on with `step(None, now)` until no datagram comes out. Time never runs backwards.
+//!
+//! Every box keeps its books: received = delivered + dropped + held, at every moment ([`Counts::balanced`]). Every box
+//! that draws has its own random stream, so no box changes another's luck.
+
+mod chain;
+mod delay;
+mod gilbert_elliott;
+mod loss;
+mod path;
+mod queue;
+mod rate;
+mod reorder;
+mod serialiser;
+mod trace_rate;
+
+use serde::Serialize;
+
+use crate::clock::Nanos;
+
+pub use chain::Chain;
+pub use delay::Delay;
+pub use gilbert_elliott::{GilbertElliott, GilbertElliottParams};
+pub use loss::IidLoss;
+pub use path::{Capacity, LossModel, PathConfig, PathError, Reordering};
+pub use queue::{DropTail, QueueLimit};
+pub use rate::ConstantRate;
+pub use reorder::Reorder;
+pub use trace_rate::TraceRate;
+
+/// What travels: a size, and a tag that only its sender and receiver understand.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Datagram {
+    /// Opaque to the network.
+    pub tag: u64,
+    /// Bytes on the link, IP and UDP headers included.
+    pub bytes: u32,
+}
+
+/// What a box has to say.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Output {
+    /// A datagram leaves now; ask again.
+    Datagram(Datagram),
+    /// Nothing until this time.
+    Wake(Nanos),
+    /// Nothing until a datagram comes in.
+    Idle,
+}
+
+/// One box.
+pub trait LinkBox: Send {
+    /// Name of the box in reports, and key of its random stream.
+    fn label(&self) -> &str;
+
+    /// Takes a datagram or nothing at `now`; see the module's text for the protocol.
+    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> Output;
+
+    /// The books.
+    fn counts(&self) -> Counts;
+}
+
+/// A number of datagrams and their bytes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Tally {
+    /// Datagrams.
+    pub datagrams: u64,
+    /// Their bytes on the link.
+    pub bytes: u64,
+}
+
+impl Tally {
+    pub(crate) fn add(&mut self, datagram: Datagram) {
+        self.datagrams += 1;
+        self.bytes += u64::from(datagram.bytes);
+    }
+}
+
+/// What a box has received, delivered and dropped; the rest is held.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Counts {
+    /// Came in.
+    pub received: Tally,
+    /// Went out.
+    pub delivered: Tally,
+    /// Will never go out.
+    pub dropped: Tally,
+    /// Inside, counted where it lies and not by subtraction.
+    pub held: Tally,
+}
+
+impl Counts {
+    /// Whether received = delivered + dropped + held, in datagrams and in bytes.
+    pub fn balanced(&self) -> bool {
+        let parts = [self.delivered, self.dropped, self.held];
+        self.received.datagrams == parts.iter().map(|part| part.datagrams).sum::<u64>()
+            && self.received.bytes == parts.iter().map(|part| part.bytes).sum::<u64>()
+    }
+}

@@ -1,0 +1,146 @@
+//! One direction of a path as plain data, from which every run builds fresh boxes.
+//!
+//! Order of the boxes: capacity with its queue, loss, delay, reordering. Loss comes after capacity because a datagram that
+//! is lost on the air has used the air.
+
+use super::{
+    Chain, ConstantRate, Delay, GilbertElliott, GilbertElliottParams, IidLoss, LinkBox, QueueLimit, Reorder,
+    TraceRate,
+};
+use crate::clock::{Nanos, Rate};
+use crate::rng::Chance;
+use crate::trace::{DelayTrace, Trace};
+
+/// How fast a path is.
+#[derive(Clone, Debug)]
+pub enum Capacity {
+    /// No serialisation at all.
+    Unlimited,
+    /// A constant rate.
+    Constant(Rate),
+    /// A trace, looping.
+    Trace(Trace),
+}
+
+/// How a path loses datagrams besides its full queue. All numbers are probabilities per datagram, 0..=1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum LossModel {
+    /// Never.
+    None,
+    /// Independent losses.
+    Iid(f64),
+    /// Bursts; see [`GilbertElliott`].
+    GilbertElliott {
+        /// Good to bad.
+        enter_bad: f64,
+        /// Bad to good.
+        leave_bad: f64,
+        /// Loss in the good state.
+        loss_good: f64,
+        /// Loss in the bad state.
+        loss_bad: f64,
+    },
+}
+
+/// How a path reorders.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reordering {
+    /// Chance that a datagram is held back, 0..=1.
+    pub probability: f64,
+    /// Longest time it is held.
+    pub extra: Nanos,
+}
+
+/// One direction of a path.
+#[derive(Clone, Debug)]
+pub struct PathConfig {
+    /// How fast.
+    pub capacity: Capacity,
+    /// What may wait for capacity.
+    pub queue: QueueLimit,
+    /// Loss on the way.
+    pub loss: LossModel,
+    /// One-way propagation.
+    pub delay: Nanos,
+    /// Varying delay, added to `delay`.
+    pub delay_trace: Option<DelayTrace>,
+    /// Uniform extra delay, order kept.
+    pub jitter: Nanos,
+    /// Overtaking.
+    pub reorder: Option<Reordering>,
+}
+
+impl Default for PathConfig {
+    /// 5 Mbit/s, 150 kB drop-tail, 20 ms one way, nothing else.
+    fn default() -> Self {
+        Self {
+            capacity: Capacity::Constant(Rate::from_mbps(5)),
+            queue: QueueLimit::default(),
+            loss: LossModel::None,
+            delay: Nanos::from_ms(20),
+            delay_trace: None,
+            jitter: Nanos::ZERO,
+            reorder: None,
+        }
+    }
+}
+
+/// A number of a path that is no probability.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("{field} is {found}, allowed 0 to 1")]
+pub struct PathError {
+    /// Which number.
+    pub field: &'static str,
+    /// What it is.
+    pub found: f64,
+}
+
+impl PathConfig {
+    /// Fresh boxes with labels under `label`, each with its own stream of `seed`.
+    ///
+    /// # Errors
+    /// [`PathError`] names the first probability outside 0..=1.
+    pub fn build(&self, label: &str, seed: u64) -> Result<Chain, PathError> {
+        let mut boxes: Vec<Box<dyn LinkBox>> = Vec::new();
+        match &self.capacity {
+            Capacity::Unlimited => {}
+            Capacity::Constant(rate) => {
+                boxes.push(Box::new(ConstantRate::new(format!("{label}/rate"), *rate, self.queue)));
+            }
+            Capacity::Trace(trace) => {
+                boxes.push(Box::new(TraceRate::new(format!("{label}/trace-rate"), trace, self.queue)));
+            }
+        }
+        match self.loss {
+            LossModel::None => {}
+            LossModel::Iid(p) => {
+                boxes.push(Box::new(IidLoss::new(format!("{label}/loss"), chance("loss", p)?, seed)));
+            }
+            LossModel::GilbertElliott { enter_bad, leave_bad, loss_good, loss_bad } => {
+                let params = GilbertElliottParams {
+                    enter_bad: chance("enter_bad", enter_bad)?,
+                    leave_bad: chance("leave_bad", leave_bad)?,
+                    loss_good: chance("loss_good", loss_good)?,
+                    loss_bad: chance("loss_bad", loss_bad)?,
+                };
+                boxes.push(Box::new(GilbertElliott::new(format!("{label}/gilbert-elliott"), params, seed)));
+            }
+        }
+        if self.delay > Nanos::ZERO || self.jitter > Nanos::ZERO || self.delay_trace.is_some() {
+            let mut delay = Delay::new(format!("{label}/delay"), self.delay, self.jitter, seed);
+            if let Some(trace) = &self.delay_trace {
+                delay = delay.following(trace.clone());
+            }
+            boxes.push(Box::new(delay));
+        }
+        if let Some(reorder) = self.reorder {
+            let chance = chance("reorder", reorder.probability)?;
+            boxes.push(Box::new(Reorder::new(format!("{label}/reorder"), chance, reorder.extra, seed)));
+        }
+        Ok(Chain::new(label, boxes))
+    }
+}
+
+fn chance(field: &'static str, probability: f64) -> Result<Chance, PathError> {
+    Chance::new(probability).ok_or(PathError { field, found: probability })
+}

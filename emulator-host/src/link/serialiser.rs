@@ -1,0 +1,61 @@
+//! What the rate boxes share: a drop-tail queue and one datagram in service.
+
+use super::{Counts, Datagram, DropTail, Output, QueueLimit};
+use crate::clock::Nanos;
+
+/// How long the next datagram takes. The state is where the link stands after the last one.
+pub(super) trait Service: Send {
+    /// The link was idle and starts to serve at `now`.
+    fn start(&mut self, now: Nanos);
+
+    /// When the next datagram of this size is through; [`Nanos::MAX`] if never.
+    fn finish(&mut self, bytes: u32) -> Nanos;
+}
+
+#[derive(Debug)]
+pub(super) struct Serialiser<S> {
+    service: S,
+    queue: DropTail,
+    in_service: Option<(Datagram, Nanos)>,
+    counts: Counts,
+}
+
+impl<S: Service> Serialiser<S> {
+    pub(super) fn new(service: S, limit: QueueLimit) -> Self {
+        Self { service, queue: DropTail::new(limit), in_service: None, counts: Counts::default() }
+    }
+
+    /// Departures due at `now` come before arrivals at `now`: capacity that passed unused is lost.
+    pub(super) fn step(&mut self, input: Option<Datagram>, now: Nanos) -> Output {
+        let mut leaving = None;
+        if let Some((datagram, at)) = self.in_service
+            && at <= now
+        {
+            leaving = Some(datagram);
+            self.counts.delivered.add(datagram);
+            self.in_service = self.queue.take().map(|next| (next, self.service.finish(next.bytes)));
+        }
+        if let Some(datagram) = input {
+            self.counts.received.add(datagram);
+            if self.in_service.is_none() {
+                self.service.start(now);
+                self.in_service = Some((datagram, self.service.finish(datagram.bytes)));
+            } else if !self.queue.offer(datagram) {
+                self.counts.dropped.add(datagram);
+            }
+        }
+        match (leaving, self.in_service) {
+            (Some(datagram), _) => Output::Datagram(datagram),
+            (None, Some((_, Nanos::MAX))) | (None, None) => Output::Idle,
+            (None, Some((_, at))) => Output::Wake(at),
+        }
+    }
+
+    pub(super) fn counts(&self) -> Counts {
+        let mut held = self.queue.held();
+        if let Some((datagram, _)) = self.in_service {
+            held.add(datagram);
+        }
+        Counts { held, ..self.counts }
+    }
+}

@@ -1,0 +1,149 @@
+//! What to send next. A scheduler is asked at the moment a datagram may leave, never earlier, so nothing stale is queued.
+//!
+//! Every policy sees the same [`SenderView`] and is served by the same sender: control bytes and retransmissions go first,
+//! parity follows the last member of its set, and what can no longer be shown is never sent.
+
+mod dash;
+mod deadline_utility;
+mod dependency;
+mod layered;
+mod probability;
+
+use crate::clock::{Nanos, Rate};
+use crate::graph::{GroupIndex, PacketGraph, PacketIndex, Profile};
+
+pub use dash::Dash;
+pub use deadline_utility::{DeadlineUtility, DeadlineUtilityConfig};
+pub use dependency::Dependency;
+pub use layered::Layered;
+pub use probability::mean_arrival;
+
+/// What the sender knows of a packet.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PacketStatus {
+    /// Never sent.
+    Waiting,
+    /// Sent, or lost and queued to be sent again.
+    InFlight,
+    /// Acknowledged by the receiver, or recovered there from parity.
+    Delivered,
+    /// Lost, and not to be sent again.
+    Abandoned,
+}
+
+/// What a scheduler may look at.
+#[derive(Clone, Copy, Debug)]
+pub struct SenderView<'a> {
+    /// What is to be delivered.
+    pub graph: &'a PacketGraph,
+    /// One status per packet.
+    pub status: &'a [PacketStatus],
+    /// When frame 0 is shown: known from feedback, or the sender's estimate before playout has started.
+    pub playout_start: Nanos,
+    /// Whether playout has started, as far as the sender knows.
+    pub playing: bool,
+    /// First frame that is too far ahead to send for.
+    pub horizon_frame: u32,
+    /// min(cwnd/srtt, r̂_path) in bits/s of UDP payload.
+    pub rate: Rate,
+    /// Smoothed round trip.
+    pub smoothed_rtt: Nanos,
+    /// Its mean deviation.
+    pub rtt_variation: Nanos,
+    /// Smallest round trip; zero before the first sample.
+    pub minimum_rtt: Nanos,
+    /// Share of datagrams lost so far, 0..=1.
+    pub loss: f64,
+    /// Times that a lost base packet may be sent again.
+    pub retransmissions: u32,
+}
+
+impl SenderView<'_> {
+    /// When `frame` is shown.
+    pub fn playout_at(&self, frame: u32) -> Nanos {
+        self.playout_start + self.graph.frame_interval().times(u64::from(frame))
+    }
+
+    /// Whether a datagram sent at `now` cannot arrive before `frame` is shown, even on an empty path.
+    pub fn is_past(&self, frame: u32, now: Nanos) -> bool {
+        now + Nanos(self.minimum_rtt.0 / 2) >= self.playout_at(frame)
+    }
+
+    /// Whether `packet` can no longer contribute to any frame.
+    pub fn is_expired(&self, packet: PacketIndex, now: Nanos) -> bool {
+        self.is_past(self.graph.useful_until(packet), now)
+    }
+
+    /// Whether `packet` may be sent for the first time: never sent, near enough, not expired.
+    pub fn is_sendable(&self, packet: PacketIndex, now: Nanos) -> bool {
+        self.status[packet.at()] == PacketStatus::Waiting
+            && self.graph.needed_from(packet) < self.horizon_frame
+            && !self.is_expired(packet, now)
+    }
+
+    /// Whether `group` can never be complete because a packet of it was abandoned. Slices stay useful one by one.
+    pub fn is_dead(&self, group: GroupIndex) -> bool {
+        let packets = &self.graph.groups()[group.at()].packets;
+        self.graph.profile() == Profile::AllOrNothing
+            && packets.iter().any(|packet| self.status[packet.at()] == PacketStatus::Abandoned)
+    }
+}
+
+/// Chooses packets.
+pub trait Scheduler {
+    /// Name in reports.
+    fn name(&self) -> &'static str;
+
+    /// The packet to send at `now`, or `None` if nothing is worth sending until the view changes. It must be
+    /// [`SenderView::is_sendable`] and no parity packet. The sender sends what is returned.
+    fn next(&mut self, view: &SenderView<'_>, now: Nanos) -> Option<PacketIndex>;
+
+    /// The status of `packet` has just changed from `before` to `view.status[packet]`.
+    fn on_status(&mut self, _view: &SenderView<'_>, _packet: PacketIndex, _before: PacketStatus) {}
+}
+
+/// The policies by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum PolicyKind {
+    /// [`Layered`].
+    Layered,
+    /// [`Dash`].
+    Dash,
+    /// [`Dependency`].
+    Dependency,
+    /// [`DeadlineUtility`].
+    DeadlineUtility,
+}
+
+impl PolicyKind {
+    /// Every policy.
+    pub const ALL: [Self; 4] = [Self::Dash, Self::DeadlineUtility, Self::Dependency, Self::Layered];
+
+    /// Name in reports, as in the paper's table.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Layered => "layered",
+            Self::Dash => "dash",
+            Self::Dependency => "dependency",
+            Self::DeadlineUtility => "deadline-utility",
+        }
+    }
+
+    /// A fresh scheduler for `graph`.
+    pub fn build(self, graph: &PacketGraph) -> Box<dyn Scheduler> {
+        match self {
+            Self::Layered => Box::new(Layered::new(graph)),
+            Self::Dash => Box::new(Dash::new(graph)),
+            Self::Dependency => Box::new(Dependency::new(graph)),
+            Self::DeadlineUtility => Box::new(DeadlineUtility::new(graph, DeadlineUtilityConfig::default())),
+        }
+    }
+}
+
+/// The first sendable packet of `group`'s closure, needed groups first.
+fn first_of_closure(view: &SenderView<'_>, group: GroupIndex, now: Nanos) -> Option<PacketIndex> {
+    let groups = view.graph.groups();
+    let mut packets =
+        view.graph.closure(group).flat_map(|member| groups[member.at()].packets.iter().copied());
+    packets.find(|packet| view.is_sendable(*packet, now))
+}

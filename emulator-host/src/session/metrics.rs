@@ -1,0 +1,239 @@
+//! What is counted while a run goes on, and the report made of it.
+
+use crate::clock::{Bytes, Nanos, Rate};
+use crate::graph::{GroupIndex, PacketGraph, PacketIndex, Profile};
+use crate::link::Counts;
+use crate::receiver::{Arrival, Snapshot};
+use crate::report::{BoxRow, FrameRow, Report, SenderCounts, SenderRow, Waste};
+
+const NEVER: u32 = u32::MAX;
+
+/// A group that changes pixels now.
+#[derive(Clone, Copy, Debug)]
+struct Active {
+    group: GroupIndex,
+    last_frame: u32,
+    base: bool,
+    utility: f64,
+}
+
+/// Sums over the active groups; renewed only when the set changes, because most snapshots change few groups.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    bases: usize,
+    utility: f64,
+    positive_utility: f64,
+}
+
+pub(super) struct Metrics<'a> {
+    graph: &'a PacketGraph,
+    by_first: Vec<GroupIndex>,
+    entered: usize,
+    active: Vec<Active>,
+    sums: Sums,
+    /// Those of the active groups that were not usable at the last snapshot.
+    missing: Vec<Active>,
+    shown: Snapshot,
+    usable_bytes: u64,
+    /// Usable bytes and all bytes of each group ([`Profile::Sliced`] only).
+    group_bytes: Vec<(u32, u32)>,
+    /// First frame that was still to come when a packet arrived.
+    arrived: Vec<u32>,
+    /// First frame in whose snapshot a packet was usable.
+    used: Vec<u32>,
+    set_used: Vec<bool>,
+    frames: Vec<FrameRow>,
+    samples: Vec<SenderRow>,
+    media_bytes: u64,
+    buffered: u64,
+    recovered: u64,
+    waste: Waste,
+}
+
+impl<'a> Metrics<'a> {
+    pub(super) fn new(graph: &'a PacketGraph) -> Self {
+        let mut by_first: Vec<GroupIndex> = (0..graph.groups().len() as u32).map(GroupIndex).collect();
+        by_first.sort_by_key(|index| (graph.groups()[index.at()].first_frame, *index));
+        let mut group_bytes = Vec::new();
+        if graph.profile() == Profile::Sliced {
+            let bytes = |packet: &PacketIndex| u32::from(graph.packets()[packet.at()].wire_bytes);
+            group_bytes.extend(graph.groups().iter().map(|group| (0, group.packets.iter().map(bytes).sum())));
+        }
+        Self {
+            graph,
+            by_first,
+            entered: 0,
+            active: Vec::new(),
+            sums: Sums::default(),
+            missing: Vec::new(),
+            shown: Snapshot::empty(graph),
+            usable_bytes: 0,
+            group_bytes,
+            arrived: vec![NEVER; graph.packets().len()],
+            used: vec![NEVER; graph.packets().len()],
+            set_used: vec![false; graph.repair_sets().len()],
+            frames: Vec::with_capacity(graph.frames() as usize),
+            samples: Vec::new(),
+            media_bytes: 0,
+            buffered: 0,
+            recovered: 0,
+            waste: Waste::default(),
+        }
+    }
+
+    pub(super) fn sample(&mut self, row: SenderRow) {
+        self.samples.push(row);
+    }
+
+    pub(super) fn arrive(&mut self, packet: PacketIndex, arrival: Arrival, next_frame: u32) {
+        let bytes = u64::from(self.graph.packets()[packet.at()].wire_bytes);
+        self.media_bytes += bytes;
+        match arrival {
+            Arrival::Duplicate => self.waste.duplicate_bytes += bytes,
+            Arrival::Refused => self.waste.refused_bytes += bytes,
+            Arrival::Fresh => self.arrived[packet.at()] = next_frame,
+            Arrival::Buffered => {
+                self.arrived[packet.at()] = next_frame;
+                self.buffered += 1;
+            }
+        }
+    }
+
+    /// All sets of a recovered packet are taken to have helped.
+    pub(super) fn recover(&mut self, packet: PacketIndex) {
+        self.recovered += 1;
+        for set in self.graph.sets_of(packet) {
+            self.set_used[*set as usize] = true;
+        }
+    }
+
+    /// Frame `frame` is shown with what `snapshot` holds.
+    pub(super) fn show(&mut self, frame: u32, now: Nanos, snapshot: &Snapshot) {
+        self.enter_packets(frame, snapshot);
+        self.renew_active(frame);
+        self.missing.retain(|active| !snapshot.has_group(active.group));
+        let mut lacking = 0.0;
+        for active in &self.missing {
+            let part = self.group_bytes.get(active.group.at());
+            let there = part.map_or(0.0, |(part, all)| f64::from(*part) / f64::from(*all));
+            lacking += active.utility * (1.0 - there);
+        }
+        let bases_missed = self.missing.iter().filter(|active| active.base).count();
+        let share = |part: usize, all: usize| if all == 0 { 0.0 } else { part as f64 / all as f64 };
+        let sums = self.sums;
+        self.frames.push(FrameRow {
+            time_ns: now,
+            frame,
+            usable_bytes: self.usable_bytes,
+            utility: if sums.positive_utility > 0.0 {
+                (sums.utility - lacking) / sums.positive_utility
+            } else {
+                1.0
+            },
+            miss: share(self.missing.len(), self.active.len()),
+            base_miss: share(bases_missed, sums.bases),
+        });
+    }
+
+    /// Groups come and go with the frames. After a change everything active counts as missing until looked up.
+    fn renew_active(&mut self, frame: u32) {
+        let before = (self.entered, self.active.len());
+        while let Some(group) = self.by_first.get(self.entered).copied() {
+            let facts = &self.graph.groups()[group.at()];
+            if facts.first_frame > frame {
+                break;
+            }
+            let base = facts.level == 0;
+            self.active.push(Active { group, last_frame: facts.last_frame, base, utility: facts.utility });
+            self.entered += 1;
+        }
+        self.active.retain(|active| active.last_frame >= frame);
+        if before == (self.entered, self.active.len()) {
+            return;
+        }
+        self.missing.clone_from(&self.active);
+        self.sums = Sums::default();
+        for active in &self.active {
+            self.sums.bases += usize::from(active.base);
+            self.sums.utility += active.utility;
+            self.sums.positive_utility += active.utility.max(0.0);
+        }
+    }
+
+    /// Notes the packets that have become usable since the last snapshot.
+    fn enter_packets(&mut self, frame: u32, snapshot: &Snapshot) {
+        for (at, (old, new)) in self.shown.packets.iter_mut().zip(&snapshot.packets).enumerate() {
+            let mut fresh = *new & !*old;
+            *old |= *new;
+            while fresh != 0 {
+                let packet = PacketIndex(at as u32 * 64 + fresh.trailing_zeros());
+                fresh &= fresh - 1;
+                let facts = &self.graph.packets()[packet.at()];
+                self.used[packet.at()] = frame;
+                self.usable_bytes += u64::from(facts.wire_bytes);
+                if !self.group_bytes.is_empty() {
+                    facts
+                        .groups
+                        .iter()
+                        .for_each(|g| self.group_bytes[g.at()].0 += u32::from(facts.wire_bytes));
+                }
+            }
+        }
+    }
+
+    /// Sorts what arrived into used and wasted, and takes the means.
+    pub(super) fn report(mut self, now: Nanos, boxes: Vec<(String, Counts)>) -> Report {
+        let mut used_bytes = 0;
+        for (at, packet) in self.graph.packets().iter().enumerate() {
+            let (index, bytes) = (PacketIndex(at as u32), u64::from(packet.wire_bytes));
+            if self.arrived[at] == NEVER {
+                continue;
+            }
+            let until = self.graph.useful_until(index);
+            if let Some(set) = packet.parity_of {
+                if self.set_used[set as usize] {
+                    used_bytes += bytes;
+                } else {
+                    self.waste.unused_repair_bytes += bytes;
+                }
+            } else if self.used[at] <= until {
+                used_bytes += bytes;
+            } else if self.arrived[at] > until {
+                self.waste.late_bytes += bytes;
+            } else {
+                self.waste.outside_closure_bytes += bytes;
+            }
+        }
+        let count = f64::from(self.graph.frames());
+        let unshown = count - self.frames.len() as f64;
+        let mean = |of: fn(&FrameRow) -> f64, rest: f64| {
+            (self.frames.iter().map(of).sum::<f64>() + rest * unshown) / count
+        };
+        Report {
+            policy: String::new(),
+            controller: String::new(),
+            seed: 0,
+            startup_ms: None,
+            startup_reached: false,
+            miss_rate: mean(|row| row.miss, 1.0),
+            base_miss_rate: mean(|row| row.base_miss, 1.0),
+            utility: mean(|row| row.utility, 0.0),
+            duration_ns: now,
+            goodput_bps: rate(self.media_bytes, now),
+            usable_goodput_bps: rate(used_bytes, now),
+            media_bytes: self.media_bytes,
+            buffered_before_manifest: self.buffered,
+            recovered: self.recovered,
+            waste: self.waste,
+            sender: SenderCounts::default(),
+            frames: self.frames,
+            samples: self.samples,
+            boxes: boxes.into_iter().map(|(label, counts)| BoxRow { label, counts }).collect(),
+            digest: 0,
+        }
+    }
+}
+
+fn rate(bytes: u64, span: Nanos) -> f64 {
+    if span == Nanos::ZERO { 0.0 } else { Rate::over(Bytes(bytes), span).0 as f64 }
+}

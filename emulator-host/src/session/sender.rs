@@ -1,0 +1,411 @@
+//! The sending end: asks the scheduler when a datagram may leave, and learns from receipts.
+
+use std::collections::VecDeque;
+
+use super::client::Receipt;
+use super::control::ControlSender;
+use super::{IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig};
+use crate::clock::{Bytes, Nanos, Rate};
+use crate::congestion::{Outcome, Recovery, TimerOutcome};
+use crate::graph::{Kind, PacketGraph, PacketIndex};
+use crate::link::Datagram;
+use crate::policy::{PacketStatus, Scheduler, SenderView};
+use crate::report::{SenderCounts, SenderRow};
+
+/// What a datagram carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Content {
+    Media(PacketIndex),
+    Control(u32),
+    Ping,
+}
+
+/// What the view holds besides the graph and the status table; renewed when feedback comes.
+#[derive(Clone, Copy, Debug)]
+struct Outlook {
+    playout_start: Nanos,
+    playing: bool,
+    horizon_frame: u32,
+    rate: Rate,
+    smoothed_rtt: Nanos,
+    rtt_variation: Nanos,
+    minimum_rtt: Nanos,
+    loss: f64,
+    retransmissions: u32,
+}
+
+impl Outlook {
+    fn view<'a>(&self, graph: &'a PacketGraph, status: &'a [PacketStatus]) -> SenderView<'a> {
+        SenderView {
+            graph,
+            status,
+            playout_start: self.playout_start,
+            playing: self.playing,
+            horizon_frame: self.horizon_frame,
+            rate: self.rate,
+            smoothed_rtt: self.smoothed_rtt,
+            rtt_variation: self.rtt_variation,
+            minimum_rtt: self.minimum_rtt,
+            loss: self.loss,
+            retransmissions: self.retransmissions,
+        }
+    }
+}
+
+pub(super) struct Sender<'a> {
+    graph: &'a PacketGraph,
+    config: &'a SessionConfig,
+    scheduler: &'a mut dyn Scheduler,
+    recovery: Recovery,
+    control: ControlSender,
+    status: Vec<PacketStatus>,
+    sent_times: Vec<u8>,
+    last_number: Vec<u64>,
+    contents: Vec<Content>,
+    again: VecDeque<PacketIndex>,
+    parity: VecDeque<PacketIndex>,
+    /// Members of each repair set that were never sent.
+    set_waiting: Vec<u32>,
+    /// Level-0 bytes of frame 0 that were never sent.
+    first_base_bytes: u64,
+    outlook: Outlook,
+    known_start: Option<Nanos>,
+    datagram_bytes: u64,
+    serialising: Option<(Content, u32, Nanos)>,
+    pace_at: Nanos,
+    starved: bool,
+    dirty: bool,
+    outcome: Outcome,
+    counts: SenderCounts,
+}
+
+impl<'a> Sender<'a> {
+    pub(super) fn new(
+        graph: &'a PacketGraph,
+        config: &'a SessionConfig,
+        scheduler: &'a mut dyn Scheduler,
+    ) -> Self {
+        let widest = graph.packets().iter().map(|packet| u64::from(packet.wire_bytes)).max().unwrap_or(0);
+        let datagram_bytes = (widest + u64::from(QUIC_OVERHEAD_BYTES)).max(1200);
+        let controller = config.controller.build(datagram_bytes);
+        let recovery = Recovery::new(controller, datagram_bytes, config.max_ack_delay);
+        let first = graph.groups().iter().filter(|group| group.level == 0 && group.first_frame == 0);
+        let first_base = first.flat_map(|group| &group.packets);
+        let mut sender = Self {
+            graph,
+            config,
+            scheduler,
+            control: ControlSender::new(graph.manifest_bytes()),
+            status: vec![PacketStatus::Waiting; graph.packets().len()],
+            sent_times: vec![0; graph.packets().len()],
+            last_number: vec![u64::MAX; graph.packets().len()],
+            contents: Vec::with_capacity(graph.packets().len()),
+            again: VecDeque::new(),
+            parity: VecDeque::new(),
+            set_waiting: graph.repair_sets().iter().map(|set| set.members.len() as u32).collect(),
+            first_base_bytes: first_base
+                .map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes))
+                .sum(),
+            outlook: Outlook {
+                playout_start: Nanos::ZERO,
+                playing: false,
+                horizon_frame: 0,
+                rate: recovery.rate(),
+                smoothed_rtt: recovery.rtt().smoothed(),
+                rtt_variation: recovery.rtt().variation(),
+                minimum_rtt: Nanos::ZERO,
+                loss: 0.0,
+                retransmissions: config.retransmissions,
+            },
+            known_start: None,
+            datagram_bytes,
+            serialising: None,
+            pace_at: Nanos::MAX,
+            starved: false,
+            dirty: true,
+            outcome: Outcome::default(),
+            counts: SenderCounts::default(),
+            recovery,
+        };
+        sender.look(Nanos::ZERO);
+        sender
+    }
+
+    pub(super) fn policy(&self) -> &'static str {
+        self.scheduler.name()
+    }
+
+    pub(super) fn controller(&self) -> &'static str {
+        self.recovery.controller().name()
+    }
+
+    pub(super) fn counts(&self) -> SenderCounts {
+        self.counts
+    }
+
+    pub(super) fn content(&self, number: u64) -> Content {
+        self.contents[number as usize]
+    }
+
+    pub(super) fn row(&self, now: Nanos) -> SenderRow {
+        SenderRow {
+            time_ns: now,
+            window_bytes: self.recovery.controller().window(),
+            in_flight_bytes: self.recovery.in_flight(),
+            smoothed_rtt_ns: self.recovery.rtt().smoothed(),
+            rate_bps: self.outlook.rate.0,
+        }
+    }
+
+    pub(super) fn is_dirty(&self) -> bool {
+        self.dirty
+    }
+
+    pub(super) fn next_time(&self, now: Nanos) -> Nanos {
+        if self.dirty {
+            return now;
+        }
+        let serialised = self.serialising.map_or(Nanos::MAX, |(_, _, at)| at);
+        self.recovery.timer().min(self.pace_at).min(serialised)
+    }
+
+    pub(super) fn on_receipt(&mut self, receipt: Receipt<'_>, now: Nanos) {
+        let mut outcome = std::mem::take(&mut self.outcome);
+        outcome.clear();
+        self.recovery.on_ack(receipt.ranges, receipt.ack_delay, now, &mut outcome);
+        self.settle(&outcome, now);
+        self.outcome = outcome;
+        for packet in receipt.recovered {
+            self.set_status(*packet, PacketStatus::Delivered);
+        }
+        if self.known_start.is_none() && receipt.playout_start.is_some() {
+            self.known_start = receipt.playout_start;
+            self.starved = false;
+        }
+        self.look(now);
+        self.dirty = true;
+    }
+
+    pub(super) fn on_timer(&mut self, now: Nanos) {
+        if self.recovery.timer() > now {
+            return;
+        }
+        let mut outcome = std::mem::take(&mut self.outcome);
+        outcome.clear();
+        match self.recovery.on_timer(now, &mut outcome) {
+            TimerOutcome::NotDue => {}
+            TimerOutcome::Loss => {
+                self.settle(&outcome, now);
+                self.look(now);
+                self.dirty = true;
+            }
+            TimerOutcome::Probe => {
+                self.counts.probe_timeouts += 1;
+                self.dirty = true;
+            }
+        }
+        self.outcome = outcome;
+    }
+
+    /// Time has come to `now`: more of the clip may be within the horizon.
+    pub(super) fn advance(&mut self, now: Nanos) {
+        let before = self.outlook.horizon_frame;
+        self.outlook.horizon_frame = self.horizon(now);
+        self.starved &= self.outlook.horizon_frame == before;
+    }
+
+    /// The next datagram that leaves at `now`.
+    pub(super) fn poll(&mut self, now: Nanos) -> Option<Datagram> {
+        loop {
+            self.dirty = false;
+            if let Some((content, bytes, at)) = self.serialising {
+                if at > now {
+                    return None;
+                }
+                self.serialising = None;
+                return Some(self.leave(content, bytes, now));
+            }
+            let probe = self.recovery.probes_owed() > 0;
+            self.pace_at = Nanos::MAX;
+            if !probe && !self.may_send(now) {
+                return None;
+            }
+            let Some((content, media_bytes)) = self.pick(probe, now) else {
+                self.recovery.on_app_limited();
+                return None;
+            };
+            let bytes = media_bytes + QUIC_OVERHEAD_BYTES;
+            match self.config.access_rate {
+                None => return Some(self.leave(content, bytes, now)),
+                Some(rate) => {
+                    let span = rate.time_for(Bytes(u64::from(bytes + IP_UDP_BYTES)));
+                    self.serialising = Some((content, bytes, now + span));
+                }
+            }
+        }
+    }
+
+    fn may_send(&mut self, now: Nanos) -> bool {
+        if !self.recovery.window_allows(self.datagram_bytes) {
+            self.recovery.on_window_limited();
+            return false;
+        }
+        let ready = self.recovery.pacing_ready_at(self.datagram_bytes, now);
+        if ready > now {
+            self.pace_at = ready;
+        }
+        ready <= now
+    }
+
+    /// The datagram is through the sender's own serialiser: from here on it is in flight and its timers run.
+    fn leave(&mut self, content: Content, bytes: u32, now: Nanos) -> Datagram {
+        let number = self.recovery.on_sent(bytes, true, now);
+        self.contents.push(content);
+        self.counts.datagrams += 1;
+        if let Content::Media(packet) = content {
+            self.last_number[packet.at()] = number;
+        }
+        Datagram { tag: number, bytes: bytes + IP_UDP_BYTES }
+    }
+
+    /// Control first, then what was lost, then parity, then what the scheduler says.
+    fn pick(&mut self, probe: bool, now: Nanos) -> Option<(Content, u32)> {
+        if let Some(chunk) = self.control.next(probe) {
+            self.counts.control += 1;
+            return Some((Content::Control(chunk), self.control.bytes(chunk)));
+        }
+        let view = self.outlook.view(self.graph, &self.status);
+        let mut packet = None;
+        while let Some(lost) = self.again.pop_front() {
+            if self.status[lost.at()] != PacketStatus::InFlight {
+                continue;
+            }
+            if view.is_expired(lost, now) {
+                self.set_status(lost, PacketStatus::Abandoned);
+                return self.pick(probe, now);
+            }
+            self.counts.retransmitted += 1;
+            packet = Some(lost);
+            break;
+        }
+        while packet.is_none()
+            && let Some(parity) = self.parity.pop_front()
+        {
+            if !view.is_expired(parity, now) {
+                self.counts.parity += 1;
+                packet = Some(parity);
+            }
+        }
+        if packet.is_none() && !self.starved {
+            packet = self.scheduler.next(&view, now);
+            if packet.is_some_and(|packet| {
+                !view.is_sendable(packet, now) || self.graph.packets()[packet.at()].parity_of.is_some()
+            }) {
+                self.counts.refused_choices += 1;
+                packet = None;
+            }
+            self.starved = packet.is_none();
+            self.counts.media += u64::from(packet.is_some());
+        }
+        match packet {
+            Some(packet) => {
+                self.sent_times[packet.at()] = self.sent_times[packet.at()].saturating_add(1);
+                if self.status[packet.at()] == PacketStatus::Waiting {
+                    self.first_send(packet);
+                }
+                Some((Content::Media(packet), u32::from(self.graph.packets()[packet.at()].wire_bytes)))
+            }
+            None if probe => {
+                self.counts.pings += 1;
+                Some((Content::Ping, 1))
+            }
+            None => None,
+        }
+    }
+
+    fn first_send(&mut self, packet: PacketIndex) {
+        self.set_status(packet, PacketStatus::InFlight);
+        let facts = &self.graph.packets()[packet.at()];
+        let groups = self.graph.groups();
+        if facts.groups.iter().any(|g| groups[g.at()].level == 0 && groups[g.at()].first_frame == 0) {
+            self.first_base_bytes = self.first_base_bytes.saturating_sub(u64::from(facts.wire_bytes));
+        }
+        if facts.parity_of.is_some() {
+            return;
+        }
+        for set in self.graph.sets_of(packet) {
+            self.set_waiting[*set as usize] -= 1;
+            if self.set_waiting[*set as usize] == 0 {
+                self.parity.push_back(self.graph.parity(*set));
+            }
+        }
+    }
+
+    fn settle(&mut self, outcome: &Outcome, now: Nanos) {
+        self.counts.spurious += outcome.spurious.len() as u64;
+        for number in outcome.acked.iter().chain(&outcome.spurious) {
+            match self.content(*number) {
+                Content::Media(packet) => self.set_status(packet, PacketStatus::Delivered),
+                Content::Control(chunk) => self.control.on_acked(chunk),
+                Content::Ping => {}
+            }
+        }
+        for number in &outcome.lost {
+            self.counts.lost += 1;
+            match self.content(*number) {
+                Content::Media(packet) => self.on_media_lost(packet, *number, now),
+                Content::Control(chunk) => self.control.on_lost(chunk),
+                Content::Ping => {}
+            }
+        }
+    }
+
+    fn on_media_lost(&mut self, packet: PacketIndex, number: u64, now: Nanos) {
+        if self.status[packet.at()] != PacketStatus::InFlight || self.last_number[packet.at()] != number {
+            return;
+        }
+        let view = self.outlook.view(self.graph, &self.status);
+        let budget = u32::from(self.sent_times[packet.at()]) <= self.config.retransmissions;
+        let facts = &self.graph.packets()[packet.at()];
+        let canonical = facts.groups.iter().any(|g| self.graph.groups()[g.at()].kind == Kind::Canonical);
+        let protected = facts.parity_of.is_none()
+            && (self.graph.level(packet) < self.config.retransmit_levels
+                || (self.config.retransmit_canonical && canonical));
+        if budget && protected && !view.is_expired(packet, now) {
+            self.again.push_back(packet);
+        } else {
+            self.set_status(packet, PacketStatus::Abandoned);
+        }
+    }
+
+    fn set_status(&mut self, packet: PacketIndex, after: PacketStatus) {
+        let before = std::mem::replace(&mut self.status[packet.at()], after);
+        if before != after {
+            self.scheduler.on_status(&self.outlook.view(self.graph, &self.status), packet, before);
+        }
+    }
+
+    /// Renews what the scheduler sees of path and playout. Before playout has started, the sender expects it to start when
+    /// the rest of the first base could be there.
+    fn look(&mut self, now: Nanos) {
+        let rtt = self.recovery.rtt();
+        let sampled = rtt.first_sample_at().is_some();
+        self.outlook.rate = self.recovery.rate();
+        self.outlook.smoothed_rtt = rtt.smoothed();
+        self.outlook.rtt_variation = rtt.variation();
+        self.outlook.minimum_rtt = if sampled { rtt.minimum() } else { Nanos::ZERO };
+        self.outlook.loss = self.counts.lost as f64 / self.counts.datagrams.max(1) as f64;
+        self.outlook.playing = self.known_start.is_some();
+        self.outlook.playout_start = self.known_start.unwrap_or_else(|| {
+            now + rtt.smoothed()
+                + self.outlook.rate.time_for(Bytes(self.first_base_bytes)).min(Nanos::from_s(60))
+        });
+        self.outlook.horizon_frame = self.horizon(now);
+    }
+
+    fn horizon(&self, now: Nanos) -> u32 {
+        let played = self.known_start.map_or(Nanos::ZERO, |start| now - start);
+        let frames = (played + self.config.lookahead).0 / self.graph.frame_interval().0 + 1;
+        u32::try_from(frames).unwrap_or(u32::MAX)
+    }
+}

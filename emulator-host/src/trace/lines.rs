@@ -1,0 +1,51 @@
+//! Lines and fields of text that nobody has checked.
+
+use super::{Limits, TraceError};
+
+pub(super) fn check_size(bytes: &[u8], limits: &Limits) -> Result<(), TraceError> {
+    let found = bytes.len() as u64;
+    if found > limits.file_bytes {
+        return Err(TraceError::TooLarge { what: "bytes of the file", found, allowed: limits.file_bytes });
+    }
+    Ok(())
+}
+
+/// Non-empty lines with their number from 1, trimmed.
+pub(super) fn lines<'a>(
+    bytes: &'a [u8],
+    limits: &'a Limits,
+) -> impl Iterator<Item = Result<(u32, &'a [u8]), TraceError>> {
+    let numbered = bytes.split(|byte| *byte == b'\n').enumerate();
+    numbered.filter(|(_, line)| !line.trim_ascii().is_empty()).map(|(at, line)| {
+        let number = u32::try_from(at + 1).unwrap_or(u32::MAX);
+        if line.len() > limits.line_bytes {
+            let (found, allowed) = (line.len() as u64, limits.line_bytes as u64);
+            return Err(TraceError::TooLarge { what: "bytes of a line", found, allowed });
+        }
+        Ok((number, line.trim_ascii()))
+    })
+}
+
+pub(super) fn field(line: u32, field: &'static str, found: &[u8], allowed: &'static str) -> TraceError {
+    let found = String::from_utf8_lossy(found).chars().take(40).collect();
+    TraceError::Field { line, field, found, allowed }
+}
+
+pub(super) fn integer(bytes: &[u8]) -> Option<u64> {
+    let digits = !bytes.is_empty() && bytes.iter().all(u8::is_ascii_digit);
+    if digits { std::str::from_utf8(bytes).ok()?.parse().ok() } else { None }
+}
+
+/// A finite decimal number that is not negative.
+pub(super) fn decimal(bytes: &[u8]) -> Option<f64> {
+    let value: f64 = std::str::from_utf8(bytes).ok()?.parse().ok()?;
+    (value.is_finite() && value >= 0.0).then_some(value)
+}
+
+pub(super) fn check_points(found: usize, limits: &Limits) -> Result<(), TraceError> {
+    if found > limits.points {
+        let (found, allowed) = (found as u64, limits.points as u64);
+        return Err(TraceError::TooLarge { what: "points", found, allowed });
+    }
+    Ok(())
+}
