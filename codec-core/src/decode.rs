@@ -64,6 +64,17 @@ impl<'a> Decoder<'a> {
         Self { memory, epoch: None }
     }
 
+    /// A decoder that goes on with memory another one left, which last showed `epoch` of the same
+    /// stream.
+    pub const fn resume(memory: Memory<'a>, epoch: Option<EpochId>) -> Self {
+        Self { memory, epoch }
+    }
+
+    /// The epoch last shown.
+    pub const fn epoch(&self) -> Option<EpochId> {
+        self.epoch
+    }
+
     /// Forgets what was dequantised; needed only when another stream follows.
     pub fn reset(&mut self) {
         self.epoch = None;

@@ -108,13 +108,17 @@ impl Shape {
     }
 
     /// Symbols of `level`.
+    ///
+    /// Saturates, as all sizes here do, where a hostile manifest asks for more than an address
+    /// space holds; [`Requirements`](crate::receiver::Requirements) refuses such a stream.
     pub const fn level_len(&self, level: Level) -> usize {
-        self.fixed[level.index()] + self.per_gaussian[level.index()] * self.gaussians()
+        let per = self.per_gaussian[level.index()].saturating_mul(self.gaussians());
+        self.fixed[level.index()].saturating_add(per)
     }
 
     /// Symbols of the whole cell.
     pub fn len(&self) -> usize {
-        Level::ALL.into_iter().map(|l| self.level_len(l)).sum()
+        Level::ALL.into_iter().fold(0, |sum, l| self.level_len(l).saturating_add(sum))
     }
 
     /// True when the cell holds no symbols (a cluster that does not move in the window).
@@ -217,8 +221,9 @@ pub mod paper {
 
     /// Symbols per level.
     pub const fn symbols(n: usize, frames: usize, rank: usize, rest: usize) -> [usize; 4] {
-        let fine = n * frames * (3 + ATTRIBUTES);
-        [n * BASE, n * (3 * rank + frames * ATTRIBUTES + rest), fine, fine]
+        let fine = n.saturating_mul(frames).saturating_mul(3 + ATTRIBUTES);
+        let first = frames.saturating_mul(ATTRIBUTES).saturating_add(3 * rank + rest);
+        [n.saturating_mul(BASE), n.saturating_mul(first), fine, fine]
     }
 
     /// Offset of the first refinement in level 1.

@@ -5,12 +5,16 @@
 //! with the probabilities chosen by the class of the byte before it and by the byte's position
 //! modulo 4. Integer only, no allocation, 8 KiB of probabilities on the stack.
 //!
-//! The stream has no end mark: the caller knows the unpacked length. Unpacking reads zeros past
-//! the end of its input, so it always ends; the DGSM CRC decides whether to believe it.
+//! The stream has no end mark: the caller knows the unpacked length. There is exactly one packed
+//! form of each input: unpacking refuses bytes that are short, left over, or end in another state
+//! than [`pack`] leaves.
 //! (Carry-propagating range coder as in the public-domain LZMA description, sections "range
 //! decoder" and "bit tree"; 11-bit probabilities, shift 4 for fast learning.)
 
-use crate::error::{Error, ErrorKind, Result};
+use crate::{
+    error::{Error, ErrorKind, Result},
+    wire::cursor::in_range,
+};
 
 const PROBABILITY_BITS: u32 = 11;
 const LEARN_SHIFT: u32 = 4;
@@ -132,8 +136,8 @@ impl Packer<'_> {
 /// Unpacks `packed` into all of `out`.
 ///
 /// # Errors
-/// [`ErrorKind::Short`] if the input ends more than five bytes too early to have been written by
-/// [`pack`] for this length.
+/// [`ErrorKind::Short`] if the input ends too early to have been written by [`pack`] for this
+/// length, [`ErrorKind::Illegal`] for a first byte other than 0, a wrong end state or leftovers.
 pub fn unpack(packed: &[u8], out: &mut [u8]) -> Result<()> {
     let mut next = 0usize;
     let mut take = || {
@@ -141,12 +145,15 @@ pub fn unpack(packed: &[u8], out: &mut [u8]) -> Result<()> {
         next += 1;
         byte
     };
-    take();
-    let (mut range, mut code) = (u32::MAX, 0u32);
+    let (mut range, mut code, mut missing) = (u32::MAX, 0u32, 0usize);
+    let first = take();
+    missing += usize::from(first.is_none());
+    in_range("pack.first", 0, first.unwrap_or(0), 0, 0)?;
     for _ in 0..4 {
-        code = code << 8 | u32::from(take().unwrap_or(0));
+        let byte = take();
+        missing += usize::from(byte.is_none());
+        code = code << 8 | u32::from(byte.unwrap_or(0));
     }
-    let mut missing = 0usize;
     let mut model = Model::new();
     for target in out.iter_mut() {
         let tree = model.tree();
@@ -170,12 +177,18 @@ pub fn unpack(packed: &[u8], out: &mut [u8]) -> Result<()> {
                 code = code << 8 | u32::from(byte.unwrap_or(0));
             }
         }
-        if missing > 4 {
-            return Err(Error::short("pack", packed.len(), packed.len(), packed.len() + missing));
+        if missing > 0 {
+            break;
         }
         *target = node as u8;
         model.advance(*target);
     }
+    if missing > 0 {
+        return Err(Error::short("pack", packed.len(), packed.len(), packed.len() + missing));
+    }
+    // The packer writes out the low end of its last interval, so the distance from it is 0.
+    in_range("pack.end", packed.len(), code, 0, 0)?;
+    in_range("pack.leftover", next, packed.len().saturating_sub(next) as u64, 0, 0)?;
     Ok(())
 }
 
@@ -226,6 +239,24 @@ mod tests {
         let raw: Vec<u8> = (0..2000u32).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
         let bytes = packed(&raw);
         let mut back = vec![0u8; raw.len()];
-        assert_eq!(unpack(&bytes[..bytes.len() / 2], &mut back).unwrap_err().kind, ErrorKind::Short);
+        for end in [0, 1, 4, bytes.len() / 2, bytes.len() - 1] {
+            assert_eq!(unpack(&bytes[..end], &mut back).unwrap_err().kind, ErrorKind::Short);
+        }
+    }
+
+    #[test]
+    fn there_is_one_packed_form() {
+        let raw: Vec<u8> = (0..300u32).map(|i| (i * i >> 3) as u8).collect();
+        let bytes = packed(&raw);
+        let mut back = vec![0u8; raw.len()];
+        let refused = |bytes: &[u8], back: &mut [u8]| unpack(bytes, back).map_err(|e| e.field);
+        let longer = [&bytes[..], &[0]].concat();
+        assert_eq!(refused(&longer, &mut back), Err("pack.leftover"));
+        let mut other = bytes.clone();
+        other[0] = 1;
+        assert_eq!(refused(&other, &mut back), Err("pack.first"));
+        let mut other = bytes;
+        *other.last_mut().unwrap() ^= 1;
+        assert!(refused(&other, &mut back).is_err());
     }
 }

@@ -58,13 +58,14 @@ impl Requirements {
     pub fn of(manifest: &Manifest<'_>) -> Result<Self> {
         let mut need = Self { cells: manifest.cells() + 1, ..Self::default() };
         for_each_cell(manifest, |_, _, shape| {
-            need.symbols += shape.len();
-            need.blocks += shape.blocks();
+            need.symbols = need.symbols.saturating_add(shape.len());
+            need.blocks = need.blocks.saturating_add(shape.blocks());
         });
         in_range("manifest.symbols", 0, need.symbols as u64, 0, 1 << 31)
             .map_err(|e| e.kind(ErrorKind::Capacity))?;
         need.seen = (manifest.head().packets as usize).div_ceil(32);
-        need.parity = manifest.repairs().map(|r| r.sets() as usize).sum::<usize>() * ACCUMULATOR_BYTES;
+        let sets = manifest.repairs().fold(0usize, |sum, r| sum.saturating_add(r.sets() as usize));
+        need.parity = sets.saturating_mul(ACCUMULATOR_BYTES);
         match manifest.profile() {
             Profile::Dgs1 => need.slots = usize::from(manifest.head().tables) * table::SLOTS,
             Profile::Paper => {
@@ -490,6 +491,10 @@ impl<'a> Receiver<'a> {
                 let level = u64::from(slice.level.get());
                 return Err(Error::illegal("slice", i, level, (level, level)).kind(ErrorKind::Duplicate));
             }
+            if packet.slices.iter().take(i).any(|earlier| overlap(earlier, slice)) {
+                let level = u64::from(slice.level.get());
+                return Err(Error::illegal("slice", i, level, (level, level)).kind(ErrorKind::Duplicate));
+            }
             place.shape.runs(slice.level, place.blocks.clone(), |stream, n| {
                 raw_bits += n * usize::from(table_at(stream)?.1);
                 Ok(())
@@ -552,6 +557,12 @@ impl<'a> Receiver<'a> {
             return contradiction("chunk.symbols", 18, end, (1, level_len));
         }
         let group = cluster * Level::COUNT as u32 + u32::from(chunk.level.get());
+        // Chunks of a group never overlap, so that together they never bring more than it has.
+        let arrived = u64::from(progress.get(group as usize).copied().unwrap_or(0));
+        let left = level_len.saturating_sub(arrived);
+        if u64::from(chunk.symbols) > left {
+            return contradiction("chunk.symbols", 18, chunk.symbols.into(), (0, left));
+        }
         let needs = usize::from(chunk.level > Level::BASE);
         if chunk.dependencies.len() != needs {
             return contradiction(
@@ -606,6 +617,17 @@ fn protected_set(
         before += repair.sets() as usize;
     }
     None
+}
+
+/// Whether two slices bring the same level of the same block.
+fn overlap(a: &Slice, b: &Slice) -> bool {
+    let same = (a.span, a.cluster, a.level) == (b.span, b.cluster, b.level);
+    same && match (a.blocks, b.blocks) {
+        (Some((a, n)), Some((b, m))) => {
+            a.index() < b.index() + usize::from(m) && b.index() < a.index() + usize::from(n)
+        }
+        _ => true,
+    }
 }
 
 /// Where a slice's symbols and masks lie.

@@ -1,1 +1,54 @@
-//! fuzz
+//! `fuzz` knows **lies**: plain functions that take any bytes and hold every parser to its promises.
+//!
+//! A body never fails on bad input; it fails (by assertion) when code under test panics, accepts
+//! what it cannot write back, depends on the order of arrival, or decodes to something that cannot
+//! be drawn. [`TARGETS`] names them all. `fuzz_targets/NAME.rs` is one line per body for
+//! `cargo +nightly fuzz run NAME`; `tests/replay.rs` runs the committed `corpus/NAME/` and
+//! thousands of seeded mutations of it on stable. `cargo test -p fuzz --test seed -- --ignored`
+//! writes the corpus anew.
+//!
+//! CRCs are made to fit inside the bodies, so that a fuzzer gets behind the door.
+//!
+//! Deliberately absent: allocation limits of the process (the fuzzer's `-rss_limit_mb` has them)
+//! and anything that needs a file.
+
+mod coding;
+mod imports;
+mod input;
+mod session;
+mod traces;
+mod wire;
+
+pub use coding::{bytes, lanes, pack};
+pub use imports::{compressed_ply, gltf, ply, points_npz, sog, splat, spz, unity, unity_planes};
+pub use session::{closure, decode, fixture, receiver, repair, slices};
+pub use traces::trace;
+pub use wire::{file, manifest, packet, receipt};
+
+/// A fuzz body.
+pub type Body = fn(&[u8]);
+
+/// All bodies by name: wire, coding, session, imports, traces.
+pub const TARGETS: [(&str, Body); 21] = [
+    ("packet", packet),
+    ("manifest", manifest),
+    ("receipt", receipt),
+    ("file", file),
+    ("lanes", lanes),
+    ("bytes", bytes),
+    ("pack", pack),
+    ("slices", slices),
+    ("decode", decode),
+    ("repair", repair),
+    ("closure", closure),
+    ("receiver", receiver),
+    ("ply", ply),
+    ("compressed_ply", compressed_ply),
+    ("spz", spz),
+    ("splat", splat),
+    ("sog", sog),
+    ("points_npz", points_npz),
+    ("gltf", gltf),
+    ("unity", unity),
+    ("trace", trace),
+];

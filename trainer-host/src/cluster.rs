@@ -96,13 +96,16 @@ fn features(epoch: &Epoch, weights: &[f64; 4]) -> Vec<[f64; FEATURES]> {
         // Visible: more than 5 % opaque.
         let visible = (0.05f32 / 0.95).ln();
         for (i, row) in out.iter_mut().enumerate() {
-            let seen: Vec<f64> =
-                (0..frames).filter(|&t| a.opacity_logits.frame(t, n)[i] > visible).map(|t| t as f64).collect();
+            let seen: Vec<f64> = (0..frames)
+                .filter(|&t| a.opacity_logits.frame(t, n)[i] > visible)
+                .map(|t| t as f64)
+                .collect();
             row[11] = seen.len() as f64 / frames as f64;
             row[12] = seen.iter().sum::<f64>() / (seen.len().max(1) * frames) as f64;
         }
     }
-    for (range, weight) in [(0..3, weights[0]), (3..9, weights[1]), (9..11, weights[2]), (11..13, weights[3])] {
+    for (range, weight) in [(0..3, weights[0]), (3..9, weights[1]), (9..11, weights[2]), (11..13, weights[3])]
+    {
         // One scale per family, so that the shape of a family's distribution is kept.
         let total: f64 = range.clone().map(|f| variance(&out, f)).sum();
         let scale = if total > 1e-24 { weight / total.sqrt() } else { 0.0 };
@@ -252,7 +255,9 @@ mod tests {
             order
                 .windows(2)
                 .map(|w| {
-                    (0..3).map(|d| (positions[w[0] as usize][d] - positions[w[1] as usize][d]).abs()).sum::<f32>()
+                    (0..3)
+                        .map(|d| (positions[w[0] as usize][d] - positions[w[1] as usize][d]).abs())
+                        .sum::<f32>()
                 })
                 .sum()
         };

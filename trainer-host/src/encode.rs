@@ -157,8 +157,9 @@ fn rate(scene: &Scene) -> (u32, u32) {
 
 fn packet_id(id: usize) -> Result<PacketId, EncodeError> {
     let most = PacketId::MAX as usize;
-    u32::try_from(id)
-        .ok()
-        .and_then(PacketId::new)
-        .ok_or(EncodeError::Bound { what: "packets", found: id, most })
+    u32::try_from(id).ok().and_then(PacketId::new).ok_or(EncodeError::Bound {
+        what: "packets",
+        found: id,
+        most,
+    })
 }

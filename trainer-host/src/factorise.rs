@@ -22,12 +22,7 @@ pub struct Pose {
 ///
 /// Flat and thin clusters leave part of the linear map undetermined; there it follows `rotation`,
 /// the mean turn of the Gaussians, by a small ridge (1e-3 of the mean variance).
-pub fn fit_pose(
-    canonical: &[[f64; 3]],
-    target: &[[f64; 3]],
-    centre: [f64; 3],
-    rotation: [f64; 4],
-) -> Pose {
+pub fn fit_pose(canonical: &[[f64; 3]], target: &[[f64; 3]], centre: [f64; 3], rotation: [f64; 4]) -> Pose {
     let n = canonical.len().max(1) as f64;
     let centre = Vector3::from(centre);
     let mean = |points: &[[f64; 3]]| points.iter().fold(Vector3::zeros(), |s, p| s + Vector3::from(*p)) / n;
@@ -141,7 +136,9 @@ mod tests {
         let shift = Vector3::new(0.1, -0.4, 2.0);
         let target: Vec<[f64; 3]> = canonical
             .iter()
-            .map(|p| (Vector3::from(centre) + shift + turn * (Vector3::from(*p) - Vector3::from(centre))).into())
+            .map(|p| {
+                (Vector3::from(centre) + shift + turn * (Vector3::from(*p) - Vector3::from(centre))).into()
+            })
             .collect();
         let pose = fit_pose(&canonical, &target, centre, rotation);
         assert!((pose.linear - turn).norm() < 1e-9, "{}", pose.linear - turn);

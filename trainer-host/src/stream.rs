@@ -266,12 +266,7 @@ impl HostMemory {
 
     /// What a receiver left in this memory.
     pub fn content<'m>(&'m self, manifest: &Manifest<'m>) -> Content<'m> {
-        Content {
-            manifest: *manifest,
-            cells: &self.cells,
-            symbols: &self.symbols,
-            blocks: &self.blocks,
-        }
+        Content { manifest: *manifest, cells: &self.cells, symbols: &self.symbols, blocks: &self.blocks }
     }
 
     /// Bytes held.
@@ -296,6 +291,7 @@ pub struct Player {
     out: Vec<Gaussian>,
     sh_rest: Vec<f32>,
     degree: ShDegree,
+    epoch: Option<EpochId>,
 }
 
 impl Player {
@@ -315,23 +311,52 @@ impl Player {
             out: vec![Gaussian::ABSENT; most],
             sh_rest: vec![0.0; most * degree.rest_len()],
             degree,
+            epoch: None,
         }
     }
 
-    /// Decodes one frame of `content` in its state.
+    /// Decodes one frame of `content` in its state; all calls must be for the same stream.
+    ///
+    /// # Errors
+    /// A frame past the end.
+    pub fn show(&mut self, content: &Content<'_>, frame: u32) -> error::Result<Shown<'_>> {
+        let memory = decode::Memory { canonical: &mut self.canonical, known: &mut self.known };
+        let mut decoder = decode::Decoder::resume(memory, self.epoch);
+        let decoded = decoder.frame(content, frame, &mut self.out, &mut self.sh_rest)?;
+        self.epoch = decoder.epoch();
+        Ok(Shown {
+            gaussians: &self.out[..decoded.gaussians],
+            sh_rest: &self.sh_rest[..decoded.gaussians * self.degree.rest_len()],
+            sh_degree: self.degree,
+            decoded,
+        })
+    }
+
+    /// As [`Player::show`], copied out.
     ///
     /// # Errors
     /// A frame past the end.
     pub fn instant(&mut self, content: &Content<'_>, frame: u32) -> error::Result<Instant> {
-        let memory = decode::Memory { canonical: &mut self.canonical, known: &mut self.known };
-        let mut decoder = decode::Decoder::new(memory);
-        let decoded = decoder.frame(content, frame, &mut self.out, &mut self.sh_rest)?;
+        let shown = self.show(content, frame)?;
         Ok(Instant {
-            gaussians: self.out[..decoded.gaussians].to_vec(),
-            sh_rest: self.sh_rest[..decoded.gaussians * self.degree.rest_len()].to_vec(),
-            sh_degree: self.degree,
+            gaussians: shown.gaussians.to_vec(),
+            sh_rest: shown.sh_rest.to_vec(),
+            sh_degree: shown.sh_degree,
         })
     }
+}
+
+/// A decoded frame in a [`Player`]'s memory.
+#[derive(Clone, Copy, Debug)]
+pub struct Shown<'p> {
+    /// The Gaussians; absent ones have opacity 0.
+    pub gaussians: &'p [Gaussian],
+    /// Their higher bands.
+    pub sh_rest: &'p [f32],
+    /// Degree of `sh_rest`.
+    pub sh_degree: ShDegree,
+    /// What decoding did.
+    pub decoded: decode::Decoded,
 }
 
 /// One part of what a packet brings: some blocks of one group.
@@ -394,9 +419,9 @@ impl PacketMap {
                         let found = manifest.cell(slice.span, slice.cluster);
                         let shape = Shape::of(&manifest, slice.span, slice.cluster);
                         if let Some((cell, shape)) = found.zip(shape) {
-                            let (first, blocks) = slice.blocks.map_or((0, shape.blocks()), |(f, n)| {
-                                (f.index(), usize::from(n))
-                            });
+                            let (first, blocks) = slice
+                                .blocks
+                                .map_or((0, shape.blocks()), |(f, n)| (f.index(), usize::from(n)));
                             let first_block = first_block[cell.index()] + first;
                             let (_, symbols) = shape.range(slice.level, first..first + blocks);
                             marks.push(Mark { group, first_block, blocks, symbols });
@@ -405,9 +430,10 @@ impl PacketMap {
                 }
                 Ok(Packet::Chunk(chunk)) => {
                     let cluster = u32::from(chunk.cluster);
-                    let found = manifest.epochs().enumerate().find(|(_, e)| {
-                        cluster.checked_sub(e.first_cluster).is_some_and(|c| c < e.clusters)
-                    });
+                    let found = manifest
+                        .epochs()
+                        .enumerate()
+                        .find(|(_, e)| cluster.checked_sub(e.first_cluster).is_some_and(|c| c < e.clusters));
                     if let Some((e, epoch)) = found {
                         let span = Span::Canonical(EpochId(e as u16));
                         let local = ClusterId((cluster - epoch.first_cluster) as u16);

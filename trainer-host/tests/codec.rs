@@ -67,7 +67,12 @@ fn the_complete_state_is_close_to_the_source() {
                 ledger.saturated
             );
             for s in &ledger.shares {
-                println!("   {:16} L{} {:8.1} bits/G", s.attribute, s.level, s.bits / ledger.gaussians as f64);
+                println!(
+                    "   {:16} L{} {:8.1} bits/G",
+                    s.attribute,
+                    s.level,
+                    s.bits / ledger.gaussians as f64
+                );
             }
             assert_eq!(ledger.saturated, 0);
             for frame in [0, 17, scene.frames() - 1] {

@@ -55,6 +55,11 @@ pub fn cosine(frames: u32, t: u32) -> [f32; MAX_WINDOW_FRAMES] {
     weights
 }
 
+/// Largest linear track parameter, either sign.
+pub const LINEAR_MOST: f32 = 1e6;
+/// Smallest and largest scale that bending leaves, scene units.
+pub const SCALE_RANGE: (f32, f32) = (1e-36, 1e35);
+
 /// A cluster's pose: linear part, translation and rotation about its centre.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
@@ -94,7 +99,8 @@ pub fn pose(shape: &Shape, symbols: &[i16], cosine: &[f32; MAX_WINDOW_FRAMES]) -
             }
         }
     }
-    let l = |i: usize| value[i] * linear;
+    // No real motion comes near the bound; it keeps hostile positions finite.
+    let l = |i: usize| (value[i] * linear).clamp(-LINEAR_MOST, LINEAR_MOST);
     Pose {
         linear: Mat3::from_cols(
             Vec3::new(1.0 + l(0), l(3), l(6)),
@@ -229,7 +235,10 @@ fn bend(part: &mut Part<'_, '_>, shape: &Shape, cell: Cell, block: usize, level:
             let at = |d: usize| sums.get(d * n + i).copied().unwrap_or(0.0);
             match class {
                 Class::Position => (0..3).for_each(|d| gaussian.position[d] += at(d)),
-                Class::Scale => (0..3).for_each(|d| gaussian.scale[d] *= math::exp(at(d))),
+                Class::Scale => (0..3).for_each(|d| {
+                    let (least, most) = SCALE_RANGE;
+                    gaussian.scale[d] = (gaussian.scale[d] * math::exp(at(d))).clamp(least, most);
+                }),
                 Class::Rotation => {
                     let turn = math::normalised([1.0, at(0), at(1), at(2)]);
                     gaussian.rotation = math::normalised(math::quat_mul(turn, gaussian.rotation));

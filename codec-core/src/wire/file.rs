@@ -138,14 +138,17 @@ impl Index {
     /// Emits one packet and returns its index entry.
     ///
     /// # Errors
-    /// A packet shorter or longer than there can be.
+    /// A packet shorter or longer than there can be; [`ErrorKind::Capacity`] past 4 GiB.
     pub fn packet(&mut self, packet: &[u8], mut emit: impl FnMut(&[u8])) -> Result<u32> {
         let (least, most) = (MIN_PACKET_BYTES as u64, MAX_PACKET_BYTES as u64);
         in_range("file.packet_len", self.at as usize, packet.len() as u64, least, most)?;
+        let entry = self.at;
+        let next = u64::from(entry) + 2 + packet.len() as u64;
+        // Offsets in the index have 32 bits.
+        in_range("file.offset", 0, next, 0, u64::from(u32::MAX)).map_err(|e| e.kind(ErrorKind::Capacity))?;
         emit(&(packet.len() as u16).to_le_bytes());
         emit(packet);
-        let entry = self.at;
-        self.at += 2 + packet.len() as u32;
+        self.at = next as u32;
         self.packets += 1;
         Ok(entry)
     }

@@ -540,6 +540,7 @@ impl<'a> Manifest<'a> {
                 let values =
                     u64::from(record.basis_first) + u64::from(record.rank) * u64::from(record.frames);
                 in_range("window.basis_first", place, values, 0, u64::from(self.head.basis_values))?;
+                in_range("window.rank", place, u16::from(record.rank), 0, record.frames)?;
                 window_frame += u32::from(record.frames);
                 cell += u64::from(epoch.clusters);
             }
@@ -550,6 +551,7 @@ impl<'a> Manifest<'a> {
             }
             if self.profile == Profile::Paper {
                 in_range("epoch.windows", place, epoch.windows, 0, 0)?;
+                in_range("epoch.rank", place, epoch.rank, 0, limits::MAX_RANK as u8)?;
                 let frames = u64::from(epoch.frames);
                 let basis = u64::from(epoch.basis_first) + frames * u64::from(epoch.rank);
                 in_range("epoch.basis_first", place, basis, 0, u64::from(self.head.basis_values))?;
@@ -571,7 +573,33 @@ impl<'a> Manifest<'a> {
         Ok(cell as usize)
     }
 
+    /// Reads each record once with its errors kept: accessors take an unreadable record for an
+    /// absent one.
+    fn check_reserved(&self) -> Result<()> {
+        let Head { epochs, windows, repairs, .. } = self.head;
+        self.each(self.sections.epochs, usize::from(epochs), Epoch::BYTES, Epoch::read)?;
+        self.each(self.sections.windows, usize::from(windows), Window::BYTES, Window::read)?;
+        self.each(self.sections.motions, self.motion_cells(), Motion::BYTES, Motion::read)?;
+        self.each(self.sections.repairs, usize::from(repairs), Repair::BYTES, Repair::read)
+    }
+
+    fn each<T>(
+        &self,
+        section: usize,
+        count: usize,
+        bytes: usize,
+        read: impl Fn(&mut Reader<'a>) -> Result<T>,
+    ) -> Result<()> {
+        for index in 0..count {
+            let place = section + index * bytes;
+            read(&mut Reader::new(self.raw.get(place..).unwrap_or(&[])))
+                .map_err(|e| Error { offset: e.offset.saturating_add(place as u32), ..e })?;
+        }
+        Ok(())
+    }
+
     fn check_records(&self) -> Result<()> {
+        self.check_reserved()?;
         for (w, window) in self.windows().enumerate() {
             let epoch = self.epoch(EpochId(window.epoch)).unwrap_or_default();
             for c in 0..epoch.clusters {
@@ -600,10 +628,12 @@ impl<'a> Manifest<'a> {
         for s in 0..stream::COUNT * usize::from(self.profile == Profile::Dgs1) {
             let place = self.sections.streams + s;
             let table = self.table_of(s);
-            if table != NO_TABLE {
-                in_range("stream.table", place, u16::from(table), 0, self.head.tables.wrapping_sub(1))?;
+            if table != NO_TABLE && u16::from(table) >= self.head.tables {
+                let last = u64::from(self.head.tables).checked_sub(1).unwrap_or(NO_TABLE.into());
+                return Err(Error::illegal("stream.table", place, table.into(), (0, last)));
             }
         }
+        let mut sets = 0u64;
         for (r, repair) in self.repairs().enumerate() {
             let place = self.sections.repairs + r * Repair::BYTES;
             let all = self.head.packets;
@@ -613,6 +643,10 @@ impl<'a> Manifest<'a> {
             in_range("repair.packets", place, repair.packets, 1, all - repair.first_packet.min(all))?;
             in_range("repair.first_parity", place, repair.first_parity, 0, all)?;
             in_range("repair.sets", place, repair.sets(), 1, all - repair.first_parity.min(all))?;
+            // Each set has a parity packet of its own.
+            sets += u64::from(repair.sets());
+            in_range("repair.sets", place, sets, 1, all.into())
+                .map_err(|e| e.kind(ErrorKind::Contradiction))?;
         }
         for index in 0..self.head.transform_values as usize {
             finite("manifest.transforms", self.sections.transforms + 4 * index, self.transform_value(index))?;

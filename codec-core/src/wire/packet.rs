@@ -202,9 +202,9 @@ impl Slice {
         let span = match self.span {
             Span::Canonical(EpochId(i)) | Span::Motion(WindowId(i)) => i,
         };
-        let blocks = self
-            .blocks
-            .map_or(0, |(first, count)| varint_len(first.0.into()) + varint_len(u32::from(count) - 1));
+        let blocks = self.blocks.map_or(0, |(first, count)| {
+            varint_len(first.0.into()) + varint_len(u32::from(count).saturating_sub(1))
+        });
         1 + varint_len(span.into()) + varint_len(self.cluster.0.into()) + blocks
     }
 

@@ -4,6 +4,8 @@
 //! receipt, the playout time, and optionally where the viewer is. One receipt fits one datagram;
 //! what does not fit waits for the next. Layout in `SPEC.md`; every list is a view over the bytes.
 
+use core::cell::Cell;
+
 use super::{
     crc::{Crc32, checked, crc32},
     cursor::{Reader, Writer, in_range, varint_len},
@@ -75,18 +77,16 @@ impl<'a> Receipt<'a> {
             }
             Ok((content.get(start..reader.offset()).unwrap_or(&[]), n))
         };
-        let ranges = list("receipt.ranges", &|r| read_range(r, None).map(|_| ()))?;
+        let end = Cell::new(None);
+        let ranges = list("receipt.ranges", &|r| {
+            end.set(Some(read_range(r, end.get())?.1));
+            Ok(())
+        })?;
         let recovered =
             list("receipt.recovered", &|r| r.varint("receipt.recovered", PacketId::MAX).map(|_| ()))?;
         let completed = list("receipt.completed", &|r| read_group(r).map(|_| ()))?;
         reader.finish("receipt.leftover")?;
-        let receipt = Self { sequence, playout_us, pose, ranges, recovered, completed };
-        let mut end = None;
-        let mut reader = Reader::new(receipt.ranges.0);
-        for _ in 0..receipt.ranges.1 {
-            end = Some(read_range(&mut reader, end)?.1);
-        }
-        Ok(receipt)
+        Ok(Self { sequence, playout_us, pose, ranges, recovered, completed })
     }
 
     /// Acknowledged packets, ascending.

@@ -120,7 +120,7 @@ pub struct GraphParts {
 }
 
 /// Most bytes of one packet on the wire.
-pub const MAX_PACKET_BYTES: u16 = 1200;
+pub const MAX_PACKET_BYTES: u16 = codec_core::limits::MAX_PACKET_BYTES as u16;
 /// Most (group, needed group) pairs that the transitive closures may hold together.
 pub const MAX_CLOSURE_ENTRIES: usize = 1 << 24;
 

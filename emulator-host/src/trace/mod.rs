@@ -75,6 +75,24 @@ pub enum Warning {
     },
 }
 
+impl std::fmt::Display for Warning {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::PingDipsRepaired { seconds } => write!(
+                f,
+                "{seconds} near-zero seconds beside a ping are an artefact of the logger and were interpolated"
+            ),
+            Self::ApplicationLimited { idle } => write!(
+                f,
+                "{:.0} % of the rows say the phone was idle: this is what an application asked for, not capacity",
+                100.0 * idle
+            ),
+            Self::LongZeroRun { seconds } => write!(f, "the rate stays at zero for {seconds} s"),
+            Self::LongGap { seconds } => write!(f, "a hole of {seconds} s was filled with the last rate"),
+        }
+    }
+}
+
 /// Why a trace was refused.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TraceError {

@@ -43,7 +43,11 @@ struct WindowPlan {
 }
 
 /// Encodes `scene`; see [`super::encode`].
-pub(super) fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
+pub(super) fn encode(
+    scene: &Scene,
+    options: &Options,
+    progress: Progress<'_>,
+) -> Result<Stream, EncodeError> {
     let mut plans = Vec::new();
     let mut first_frame = 0;
     for (e, epoch) in scene.epochs().iter().enumerate() {
@@ -139,9 +143,11 @@ fn spans(plans: &[EpochPlan]) -> impl Iterator<Item = (Span, &[CellSymbols])> {
         let canonical = (Span::Canonical(EpochId(e as u16)), plan.canonical.as_slice());
         let first = window;
         window += plan.windows.len() as u16;
-        let motion = plan.windows.iter().enumerate().map(move |(w, window)| {
-            (Span::Motion(WindowId(first + w as u16)), window.cells.as_slice())
-        });
+        let motion = plan
+            .windows
+            .iter()
+            .enumerate()
+            .map(move |(w, window)| (Span::Motion(WindowId(first + w as u16)), window.cells.as_slice()));
         std::iter::once(canonical).chain(motion)
     })
 }
@@ -189,8 +195,7 @@ fn histograms(plans: &[EpochPlan]) -> Streams {
 
 fn ledger(scene: &Scene, plans: &[EpochPlan], streams: &Streams, model: &Model) -> Ledger {
     let names = ["position", "scale", "rotation", "opacity", "sh0", "sh1", "sh2", "sh3"];
-    let moving =
-        ["position motion", "scale motion", "rotation motion", "opacity motion", "sh0 motion"];
+    let moving = ["position motion", "scale motion", "rotation motion", "opacity motion", "sh0 motion"];
     let mut ledger = Ledger {
         gaussians: scene.epochs().iter().map(|e| e.count() as u64).sum(),
         frames: scene.frames() as u64,
@@ -237,8 +242,7 @@ fn body(
 ) -> Vec<u8> {
     let windows: usize = plans.iter().map(|p| p.windows.len()).sum();
     let clusters: usize = plans.iter().map(|p| p.clusters.len()).sum();
-    let degree =
-        scene.epochs().iter().map(|e| e.attributes().sh_degree).max().unwrap_or(ShDegree::ZERO);
+    let degree = scene.epochs().iter().map(|e| e.attributes().sh_degree).max().unwrap_or(ShDegree::ZERO);
     let (rate_frames, rate_seconds) = rate(scene);
     let quants: Vec<Quant> = plans.iter().map(|p| p.quant).collect();
     let distinct = distinct(&quants);

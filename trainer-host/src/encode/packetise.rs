@@ -167,12 +167,7 @@ fn encode(lot: &Lot<'_>, items: &[Item], model: &Model, limit: usize) -> Result<
 
 impl Proto {
     fn packet(&self, id: PacketId) -> Slices<'_> {
-        Slices {
-            id,
-            slices: self.slices.iter().copied().collect(),
-            escapes: self.escapes,
-            body: &self.body,
-        }
+        Slices { id, slices: self.slices.iter().copied().collect(), escapes: self.escapes, body: &self.body }
     }
 
     /// Bytes of the whole packet.

@@ -52,7 +52,11 @@ struct Cell {
 }
 
 /// Encodes `scene`; see [`super::encode`].
-pub(super) fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
+pub(super) fn encode(
+    scene: &Scene,
+    options: &Options,
+    progress: Progress<'_>,
+) -> Result<Stream, EncodeError> {
     let mut plans = Vec::new();
     let mut first_frame = 0;
     for (e, epoch) in scene.epochs().iter().enumerate() {
@@ -75,9 +79,13 @@ pub(super) fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -
             quants.push(plan.quant);
         }
     }
-    let cells: Vec<(&EpochPlan, &Cell)> = plans.iter().flat_map(|p| p.cells.iter().map(move |c| (p, c))).collect();
-    let groups: Result<Vec<[Group; Level::COUNT]>, EncodeError> =
-        cells.par_iter().enumerate().map(|(c, (plan, cell))| groups(c, plan, cell, &quants, options)).collect();
+    let cells: Vec<(&EpochPlan, &Cell)> =
+        plans.iter().flat_map(|p| p.cells.iter().map(move |c| (p, c))).collect();
+    let groups: Result<Vec<[Group; Level::COUNT]>, EncodeError> = cells
+        .par_iter()
+        .enumerate()
+        .map(|(c, (plan, cell))| groups(c, plan, cell, &quants, options))
+        .collect();
     let groups = groups?;
 
     progress("packetise", 0.0);
@@ -150,7 +158,8 @@ fn plan(epoch: &Epoch, first_frame: usize, options: &Options) -> Result<EpochPla
         .par_iter()
         .map(|members| {
             let p0: Vec<[f32; 3]> = members.iter().map(|&i| still(i as usize)).collect();
-            let before: Vec<[f32; 4]> = members.iter().map(|&i| a.rotations.frame(0, n)[i as usize]).collect();
+            let before: Vec<[f32; 4]> =
+                members.iter().map(|&i| a.rotations.frame(0, n)[i as usize]).collect();
             let wide: Vec<[f64; 3]> = p0.iter().map(|p| p.map(f64::from)).collect();
             let count = wide.len().max(1) as f64;
             let centre = [0, 1, 2].map(|d| wide.iter().map(|p| p[d]).sum::<f64>() / count);
@@ -381,7 +390,11 @@ fn groups(
                     // A few symbols less: the estimate is within a few bytes of the truth.
                     _ if take > 1 => take -= (take / 256).max(1),
                     Ok(_) => {
-                        return Err(EncodeError::Bound { what: "bytes per symbol", found: limit + 1, most: limit });
+                        return Err(EncodeError::Bound {
+                            what: "bytes per symbol",
+                            found: limit + 1,
+                            most: limit,
+                        });
                     }
                     Err(error) => return Err(error.into()),
                 }

@@ -35,8 +35,7 @@ pub(super) fn quantise(
     let mut predicted = [false; Class::COUNT + Class::MOVING];
     predicted[Class::COUNT..].fill(true);
     let plain = steps::dgs1(&options.quality, grid.step, &predicted)?;
-    let indices: Vec<Indices> =
-        members.par_iter().map(|m| indices(epoch, m, &plain, grid.origin)).collect();
+    let indices: Vec<Indices> = members.par_iter().map(|m| indices(epoch, m, &plain, grid.origin)).collect();
     for class in Class::ALL {
         predicted[class.index()] = prediction_pays(&indices, class, &plain, options.block_len);
     }

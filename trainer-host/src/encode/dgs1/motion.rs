@@ -142,8 +142,10 @@ fn track(
         canonical.origin[1] + f32::from(record.centre_y) * base,
         canonical.origin[2] + f32::from(record.centre_z) * base,
     );
-    let pick3 = |values: &[[f32; 3]]| -> Vec<[f32; 3]> { members.iter().map(|&i| values[i as usize]).collect() };
-    let pick4 = |values: &[[f32; 4]]| -> Vec<[f32; 4]> { members.iter().map(|&i| values[i as usize]).collect() };
+    let pick3 =
+        |values: &[[f32; 3]]| -> Vec<[f32; 3]> { members.iter().map(|&i| values[i as usize]).collect() };
+    let pick4 =
+        |values: &[[f32; 4]]| -> Vec<[f32; 4]> { members.iter().map(|&i| values[i as usize]).collect() };
     let start_turns = pick4(a.rotations.frame(0, n));
     let p0: Vec<[f64; 3]> = still.iter().map(|p| p.map(f64::from)).collect();
 
@@ -152,8 +154,7 @@ fn track(
     let (mut moved2, mut turned2) = (0.0, 0.0);
     let mut parameters = vec![Vec::with_capacity(frames.len()); TRACK_PARAMETERS];
     for t in frames.clone() {
-        let target: Vec<[f64; 3]> =
-            pick3(a.positions.frame(t, n)).iter().map(|p| p.map(f64::from)).collect();
+        let target: Vec<[f64; 3]> = pick3(a.positions.frame(t, n)).iter().map(|p| p.map(f64::from)).collect();
         turn = mean_turn(&start_turns, &pick4(a.rotations.frame(t, n)), turn);
         let fit = fit_pose(&p0, &target, centre.to_array().map(f64::from), turn);
         for (p, x) in p0.iter().zip(&target) {
@@ -287,12 +288,7 @@ fn root_mean_square(rows: &[Vec<f64>]) -> f64 {
 
 /// Values of Gaussian `i` of a cell as the decoder gets them at level 3 (Rodrigues parameters
 /// for rotation).
-fn dequantised(
-    cell: &CellSymbols,
-    class: Class,
-    i: usize,
-    canonical: &Canonical,
-) -> [f32; 3] {
+fn dequantised(cell: &CellSymbols, class: Class, i: usize, canonical: &Canonical) -> [f32; 3] {
     let (quant, origin) = (&canonical.quant, canonical.origin);
     let shape = &cell.shape;
     let (block, within) = (i / shape.block_len, i % shape.block_len);

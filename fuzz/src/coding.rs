@@ -1,0 +1,179 @@
+//! Entropy coders and the manifest packer: what is coded decodes; any bytes decode or are refused,
+//! and the fast decoder never accepts what the slow one does not.
+
+use std::sync::OnceLock;
+
+use codec_core::{
+    pack as packer,
+    rans::{
+        bytes::{self as byte_coder, ByteTable},
+        lanes::{self as lane_coder, Decoder, naive},
+        table::{SLOTS, Table},
+    },
+    wire::cursor::Reader,
+};
+
+use crate::input::Choices;
+
+/// Tables narrow and wide, with and without raw bits and escapes, and one certain of everything.
+fn tables() -> &'static [Table] {
+    static TABLES: OnceLock<Vec<Table>> = OnceLock::new();
+    TABLES.get_or_init(|| {
+        let spreads = [(1u64, 0u8), (6, 0), (20, 2), (40, 8), (3, 5)];
+        let shaped = spreads.into_iter().filter_map(|(spread, raw_bits)| {
+            let mut counts = [0u64; 256];
+            for (token, count) in counts.iter_mut().enumerate() {
+                let distance = (token as i64 - 128).unsigned_abs();
+                *count = 100_000u64 >> (distance / spread).min(63);
+            }
+            counts[0] = 3;
+            Table::from_counts(&counts, raw_bits).ok()
+        });
+        let mut certain = [0u16; 256];
+        certain[128] = 2048;
+        shaped.chain(Table::new(certain, 0)).collect()
+    })
+}
+
+fn slots(table: &Table) -> Box<[u32; SLOTS]> {
+    let mut slots = Box::new([0u32; SLOTS]);
+    table.fill_slots(&mut slots);
+    slots
+}
+
+fn fast(body: &[u8], raw_bits: usize, escapes: usize, table_of: &[u8], tables: &[Table]) -> Option<Vec<i16>> {
+    static SLOTS_OF: OnceLock<Vec<Box<[u32; SLOTS]>>> = OnceLock::new();
+    let known = SLOTS_OF.get_or_init(|| self::tables().iter().map(slots).collect());
+    let own: Vec<Box<[u32; SLOTS]>> = tables.iter().skip(known.len()).map(slots).collect();
+    let mut out = vec![0i16; table_of.len()];
+    let mut decoder = Decoder::new(body, raw_bits, escapes).ok()?;
+    let mut at = 0;
+    for run in table_of.chunk_by(|a, b| a == b) {
+        let index = usize::from(run[0]);
+        let slots = known.get(index).or_else(|| own.get(index - known.len()))?;
+        decoder.run(slots, tables[index].raw_bits(), &mut out[at..at + run.len()]).ok()?;
+        at += run.len();
+    }
+    decoder.finish().ok()?;
+    Some(out)
+}
+
+/// Four-lane rANS: as a body to decode, and as values to encode.
+pub fn lanes(data: &[u8]) {
+    let mut choices = Choices::new(data);
+    let (mode, runs, lie) = (choices.u8(), usize::from(choices.u8() % 32) + 1, choices.u8());
+    let mut all = tables().to_vec();
+    if mode & 2 != 0 {
+        let head = choices.take(64);
+        if let Ok(table) = Table::read(&mut Reader::new(head)) {
+            let mut bytes = Vec::new();
+            table.write(|b| bytes.extend_from_slice(b));
+            assert_eq!(bytes.len(), table.wire_len());
+            assert_eq!(Table::read(&mut Reader::new(&bytes)).as_ref(), Ok(&table));
+            all.push(table);
+        }
+    }
+    let count = choices.below(2000);
+    let table_of: Vec<u8> =
+        (0..count).map(|i| ((i / runs * 7 + usize::from(mode >> 2)) % all.len()) as u8).collect();
+    let raw_bits: usize = table_of.iter().map(|&t| usize::from(all[usize::from(t)].raw_bits())).sum();
+    if mode & 1 == 0 {
+        let (raw_bits, escapes) = if lie & 1 == 0 {
+            (raw_bits, usize::from(lie >> 1))
+        } else {
+            (choices.below(4000), choices.below(600))
+        };
+        let body = choices.rest();
+        let fast = fast(body, raw_bits, escapes, &table_of, &all);
+        let mut slow = vec![0i16; count];
+        let accepted = naive::decode(body, raw_bits, escapes, &table_of, &all, &mut slow);
+        if let Some(fast) = fast {
+            assert!(accepted.is_ok(), "the fast decoder accepts more");
+            assert_eq!(fast, slow);
+        }
+        return;
+    }
+    let values: Vec<i16> = (0..count).map(|_| choices.u16() as i16 >> (lie % 16)).collect();
+    let mut out = vec![0u8; 6 * count + 64];
+    // Only a table without an escape refuses a value.
+    let Ok(coded) = lane_coder::encode(&values, &table_of, &all, &mut out) else { return };
+    assert_eq!(coded.raw_bits, raw_bits);
+    let body = &mut out[..coded.len];
+    assert_eq!(fast(body, raw_bits, coded.escapes, &table_of, &all).as_ref(), Some(&values));
+    let mut slow = vec![0i16; count];
+    assert!(naive::decode(body, raw_bits, coded.escapes, &table_of, &all, &mut slow).is_ok());
+    assert_eq!(slow, values);
+    let bit = usize::from(lie) * 37 % (body.len() * 8);
+    body[bit / 8] ^= 1 << (bit % 8);
+    if let Some(fast) = fast(body, raw_bits, coded.escapes, &table_of, &all) {
+        assert!(naive::decode(body, raw_bits, coded.escapes, &table_of, &all, &mut slow).is_ok());
+        assert_eq!(fast, slow);
+    }
+}
+
+/// Byte-wise rANS: as a body to decode, and as values to encode.
+pub fn bytes(data: &[u8]) {
+    let mut choices = Choices::new(data);
+    let (mode, shift) = (choices.u8(), choices.u8() % 16);
+    let count = choices.below(1500);
+    let rest = choices.rest();
+    let values: Vec<i16> = rest
+        .chunks_exact(2)
+        .take(count)
+        .map(|pair| i16::from_le_bytes([pair[0], pair[1]]) >> shift)
+        .collect();
+    let mut counts = [[0u64; 256]; 2];
+    for value in &values {
+        for (counts, byte) in counts.iter_mut().zip(value.to_le_bytes()) {
+            counts[usize::from(byte)] += 1;
+        }
+    }
+    let [low, high] = counts.map(|c| ByteTable::from_counts(&c));
+    for table in [&low, &high] {
+        assert_eq!(ByteTable::from_bytes(&table.to_bytes()).as_ref(), Ok(table));
+    }
+    let mut slots = [[0u8; byte_coder::SLOTS]; 2];
+    low.fill_slots(&mut slots[0]);
+    high.fill_slots(&mut slots[1]);
+    let mut decoded = vec![0i16; count];
+    let tables = [&low, &high];
+    let _ = byte_coder::decode(rest, tables, [&slots[0], &slots[1]], &mut decoded);
+    if let Some(table) = rest.first_chunk::<{ byte_coder::TABLE_BYTES }>() {
+        let _ = ByteTable::from_bytes(table);
+    }
+    let mut out = vec![0u8; 4 * values.len() + 16];
+    let coded = byte_coder::encode(&values, tables, &mut out);
+    assert!(coded.is_ok(), "{coded:?}");
+    let at = coded.unwrap_or(0);
+    let mut back = vec![0i16; values.len()];
+    assert_eq!(byte_coder::decode(&out[at..], tables, [&slots[0], &slots[1]], &mut back), Ok(()));
+    assert_eq!(back, values);
+    let bit = usize::from(mode) * 41 % ((out.len() - at) * 8);
+    out[at + bit / 8] ^= 1 << (bit % 8);
+    let damaged = byte_coder::decode(&out[at..], tables, [&slots[0], &slots[1]], &mut back);
+    assert!(damaged.is_err() || back != values, "a flipped bit changes something");
+}
+
+/// The manifest packer: there is one packed form of each body.
+pub fn pack(data: &[u8]) {
+    let mut choices = Choices::new(data);
+    let len = choices.below(6000);
+    let rest = choices.rest();
+    let mut unpacked = vec![0u8; len];
+    let mut out = vec![0u8; packer::packed_bound(rest.len().max(len))];
+    if packer::unpack(rest, &mut unpacked).is_ok() {
+        assert_eq!(packer::pack(&unpacked, &mut out), Ok(rest.len()));
+        assert_eq!(&out[..rest.len()], rest);
+    }
+    let packed = packer::pack(rest, &mut out);
+    assert!(packed.is_ok(), "{packed:?}");
+    let packed = &out[..packed.unwrap_or(0)];
+    let mut back = vec![0u8; rest.len()];
+    assert_eq!(packer::unpack(packed, &mut back), Ok(()));
+    assert_eq!(back, rest);
+    if let Some((_, cut)) = packed.split_last() {
+        assert!(packer::unpack(cut, &mut back).is_err());
+    }
+    let longer = [packed, &[0]].concat();
+    assert!(packer::unpack(&longer, &mut back).is_err());
+}

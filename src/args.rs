@@ -1,0 +1,350 @@
+//! What can be typed. One struct per verb; meaning is given in `command`.
+
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Dynamic Gaussian splats that stay renderable when delivery is incomplete: encode, send over a
+/// lossy link, decode what arrived, render, measure.
+#[derive(Debug, Parser)]
+#[command(name = "dgs", version, max_term_width = 100)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub verb: Verb,
+    /// Print figures as JSON on standard output, and nothing else there.
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+/// The verbs, in the order of the walk.
+#[derive(Debug, Subcommand)]
+pub enum Verb {
+    /// Read a scene in any supported format, say what it is, and optionally convert it.
+    Import(Import),
+    /// Encode a scene to a .dgs stream.
+    Encode(Encode),
+    /// Say what a .dgs file holds: manifest, packets, damage.
+    Inspect(Inspect),
+    /// Decode a .dgs file to PLY or SPZ frames.
+    Decode(Decode),
+    /// Render a scene or a .dgs file to PNG.
+    Render(Render),
+    /// Send a scene or a .dgs file over an emulated link under one scheduler.
+    Stream(StreamArgs),
+    /// The whole walk with a report: four schedulers side by side over one link.
+    Demo(Demo),
+    /// Measure: every figure this project quotes.
+    Bench(Bench),
+}
+
+/// A scene and how to read it.
+#[derive(Clone, Debug, Args)]
+pub struct SceneArgs {
+    /// Frames per second for sources that do not say.
+    #[arg(long, default_value_t = 30.0)]
+    pub fps: f64,
+    /// Gaussians to place on an animated mesh.
+    #[arg(long, default_value_t = 20_000)]
+    pub samples: usize,
+    /// Clip of an animated mesh: name or number from 0 [default: the first].
+    #[arg(long)]
+    pub clip: Option<String>,
+    /// Seed of everything random in the scene.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Rows of a numbered PLY sequence are the same Gaussians in every frame.
+    #[arg(long)]
+    pub identity_stored: bool,
+    /// Keep the readable part of a damaged source instead of refusing it.
+    #[arg(long)]
+    pub keep_readable: bool,
+    /// Most Gaussians to accept from one file.
+    #[arg(long, default_value_t = 5_000_000)]
+    pub max_gaussians: usize,
+}
+
+/// How to encode.
+#[derive(Clone, Debug, Args)]
+pub struct CodecArgs {
+    /// Format choices.
+    #[arg(long, value_enum, default_value_t = ProfileName::Dgs1)]
+    pub profile: ProfileName,
+    /// Quantiser steps relative to the visually lossless default: 2 is twice as coarse.
+    #[arg(long, default_value_t = 1.0)]
+    pub coarseness: f32,
+    /// Most Gaussians in a cluster.
+    #[arg(long, default_value_t = 512)]
+    pub cluster_size: usize,
+    /// Gaussians per block, the unit of loss.
+    #[arg(long, default_value_t = 64)]
+    pub block_len: usize,
+    /// Most frames in a motion window [default: one second].
+    #[arg(long)]
+    pub window_frames: Option<usize>,
+    /// Most vectors in the shared temporal basis [default: 8, in profile paper 4].
+    #[arg(long)]
+    pub rank: Option<usize>,
+    /// Largest packet, bytes, header and CRC included (dgs1).
+    #[arg(long, default_value_t = 1150)]
+    pub packet_bytes: usize,
+    /// Base packets per XOR repair set, 2 to 32; 0 sends no parity [default: 0 in encode, 4 in
+    /// stream and demo].
+    #[arg(long)]
+    pub repair_set: Option<u8>,
+}
+
+/// A named set of format choices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ProfileName {
+    /// The paper's format, the baseline.
+    Paper,
+    /// This project's format.
+    Dgs1,
+}
+
+/// Where to look from.
+#[derive(Clone, Debug, Args)]
+pub struct ViewArgs {
+    /// Image width, pixels.
+    #[arg(long, default_value_t = 512)]
+    pub width: u32,
+    /// Image height, pixels.
+    #[arg(long, default_value_t = 512)]
+    pub height: u32,
+    /// Background, 0 to 1 per channel: grey level or r,g,b.
+    #[arg(long, default_value = "0", value_parser = background)]
+    pub background: [f32; 3],
+    /// Which way is up.
+    #[arg(long, value_enum, default_value_t = Up::Y)]
+    pub up: Up,
+}
+
+/// An axis that points up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Up {
+    /// +x.
+    X,
+    /// +y.
+    Y,
+    /// +z.
+    Z,
+    /// −y (COLMAP and 3DGS captures).
+    MinusY,
+    /// −z.
+    MinusZ,
+}
+
+fn background(text: &str) -> Result<[f32; 3], String> {
+    let values: Result<Vec<f32>, _> = text.split(',').map(|v| v.trim().parse::<f32>()).collect();
+    let values = values.map_err(|e| format!("{e}; a grey level such as 0.5, or r,g,b"))?;
+    let rgb = match values[..] {
+        [v] => [v; 3],
+        [r, g, b] => [r, g, b],
+        _ => return Err(format!("found {} numbers; 1 or 3 are allowed", values.len())),
+    };
+    match rgb.iter().all(|v| (0.0..=1.0).contains(v)) {
+        true => Ok(rgb),
+        false => Err("each channel must lie in 0..=1".to_owned()),
+    }
+}
+
+/// The link.
+#[derive(Clone, Debug, Args)]
+pub struct LinkArgs {
+    /// Capacity trace: mahimahi, UCC 5G CSV, or two columns (seconds, Mbit/s) [default: built-in
+    /// bursty trace, scaled so that the stream is `load` times what fits].
+    #[arg(long)]
+    pub trace: Option<PathBuf>,
+    /// Start this many seconds into the trace.
+    #[arg(long, default_value_t = 0.0)]
+    pub trace_offset: f64,
+    /// Multiply the trace's capacity by this.
+    #[arg(long)]
+    pub scale: Option<f64>,
+    /// For the built-in trace: stream bytes over what the link carries during the clip.
+    #[arg(long, default_value_t = 1.6)]
+    pub load: f64,
+    /// One-way delay, milliseconds [default: half the trace's own round trip, else 30].
+    #[arg(long)]
+    pub delay_ms: Option<u64>,
+    /// Share of time lost in Gilbert–Elliott bursts (mean burst four packets), 0 to 0.3.
+    #[arg(long, default_value_t = 0.02)]
+    pub burst_loss: f64,
+    /// Queue, as milliseconds of the mean rate.
+    #[arg(long, default_value_t = 250)]
+    pub queue_ms: u64,
+    /// Congestion controller.
+    #[arg(long, value_enum, default_value_t = ControllerName::Newreno)]
+    pub controller: ControllerName,
+    /// Seed of the link's luck.
+    #[arg(long, default_value_t = 1)]
+    pub link_seed: u64,
+}
+
+/// A congestion controller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ControllerName {
+    /// RFC 9002 NewReno.
+    Newreno,
+    /// The paper's BBR-inspired model.
+    BbrModel,
+}
+
+/// A scheduler.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PolicyName {
+    /// Level order.
+    Layered,
+    /// Segment budget.
+    Dash,
+    /// Dependency-closed groups by deadline.
+    Dependency,
+    /// Deadline and render utility.
+    DeadlineUtility,
+}
+
+/// `dgs import`.
+#[derive(Debug, Args)]
+pub struct Import {
+    /// File or folder, or synth:KIND[:GAUSSIANS[:FRAMES]] with KIND balls, figure, cloth or births.
+    pub input: String,
+    /// How to read it.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// Convert: a folder for a PLY sequence, NAME.ply or NAME.spz for the first frame.
+    #[arg(long)]
+    pub out: Option<PathBuf>,
+}
+
+/// `dgs encode`.
+#[derive(Debug, Args)]
+pub struct Encode {
+    /// Scene, as for import.
+    pub input: String,
+    /// Stream to write.
+    #[arg(short, long)]
+    pub out: PathBuf,
+    /// How to read the scene.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// How to encode it.
+    #[command(flatten)]
+    pub codec: CodecArgs,
+    /// Also measure render utilities and write them beside the stream (NAME.utility.json).
+    #[arg(long)]
+    pub utility: bool,
+}
+
+/// `dgs inspect`.
+#[derive(Debug, Args)]
+pub struct Inspect {
+    /// A .dgs file.
+    pub input: PathBuf,
+}
+
+/// `dgs decode`.
+#[derive(Debug, Args)]
+pub struct Decode {
+    /// A .dgs file.
+    pub input: PathBuf,
+    /// A folder for a PLY sequence, or NAME.spz / NAME.ply for one frame.
+    #[arg(short, long)]
+    pub out: PathBuf,
+    /// The frame for a single file.
+    #[arg(long, default_value_t = 0)]
+    pub frame: u32,
+    /// Highest level to use, 0 to 3.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub level: u8,
+}
+
+/// `dgs render`.
+#[derive(Debug, Args)]
+pub struct Render {
+    /// A .dgs file or a scene.
+    pub input: String,
+    /// NAME.png for one frame, or a folder for all.
+    #[arg(short, long)]
+    pub out: PathBuf,
+    /// The frame for a single image.
+    #[arg(long, default_value_t = 0)]
+    pub frame: u32,
+    /// Highest level to use of a stream, 0 to 3.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub level: u8,
+    /// Which camera of the ring around the scene, or of the scene's own cameras.
+    #[arg(long, default_value_t = 0)]
+    pub camera: usize,
+    /// Mip-Splatting-style opacity compensation.
+    #[arg(long)]
+    pub antialiased: bool,
+    /// Where to look from.
+    #[command(flatten)]
+    pub view: ViewArgs,
+    /// How to read a scene.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+}
+
+/// `dgs stream`.
+#[derive(Debug, Args)]
+pub struct StreamArgs {
+    /// A .dgs file or a scene.
+    pub input: String,
+    /// Scheduler.
+    #[arg(long, value_enum, default_value_t = PolicyName::DeadlineUtility)]
+    pub policy: PolicyName,
+    /// The link.
+    #[command(flatten)]
+    pub link: LinkArgs,
+    /// How to read a scene.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// How to encode a scene.
+    #[command(flatten)]
+    pub codec: CodecArgs,
+}
+
+/// `dgs demo`.
+#[derive(Debug, Args)]
+pub struct Demo {
+    /// Scene, as for import [default: synth:figure:8000:60].
+    #[arg(long)]
+    pub scene: Option<String>,
+    /// Folder for the report.
+    #[arg(long, default_value = "dgs-demo")]
+    pub out: PathBuf,
+    /// The link.
+    #[command(flatten)]
+    pub link: LinkArgs,
+    /// How to read the scene.
+    #[command(flatten)]
+    pub source: SceneArgs,
+    /// How to encode it.
+    #[command(flatten)]
+    pub codec: CodecArgs,
+    /// Where to look from.
+    #[command(flatten)]
+    pub view: ViewArgs,
+    /// Contexts per group when utilities are measured.
+    #[arg(long, default_value_t = 3)]
+    pub contexts: usize,
+}
+
+/// `dgs bench`.
+#[derive(Debug, Args)]
+pub struct Bench {
+    /// Which figures, or `all`; see --list.
+    #[arg(required_unless_present = "list")]
+    pub name: Option<String>,
+    /// Name the benches and what each measures.
+    #[arg(long)]
+    pub list: bool,
+    /// Smaller sizes: under a minute where it can be.
+    #[arg(long)]
+    pub quick: bool,
+    /// Folder with the real scenes and traces [default: ../shared/data, where it exists].
+    #[arg(long)]
+    pub data: Option<PathBuf>,
+}

@@ -1,0 +1,208 @@
+//! `dgs demo`: the whole walk under four schedulers, side by side, as one page.
+
+use anyhow::{Context, Result};
+use emulator_host::PolicyKind;
+use rayon::prelude::*;
+use render_host::{Image, metric};
+use serde_json::json;
+use trainer_host::{
+    stream::PacketMap,
+    utility,
+    viewpoint::{Framing, Ring},
+};
+
+use super::Outcome;
+use crate::{
+    args::Demo,
+    figures::{Machine, mean},
+    pipeline::{self, Loaded, Quiet},
+    progress::Progress,
+    quality::{self, PSNR_CAP_DB},
+    report::{Page, Picture, Run, Shown, Strip, html},
+};
+
+/// The built-in scene.
+const DEFAULT_SCENE: &str = "synth:figure:8000:60";
+/// The paper's order of schedulers.
+const POLICIES: [PolicyKind; 4] =
+    [PolicyKind::Layered, PolicyKind::Dash, PolicyKind::Dependency, PolicyKind::DeadlineUtility];
+/// Frames shown in strips.
+const STRIPS: usize = 4;
+/// Error maps reach full scale at this absolute error.
+const ERROR_SCALE: f32 = 0.25;
+
+/// Runs the verb.
+pub fn run(args: &Demo, quiet: Quiet) -> Result<Outcome> {
+    let page = page(args, quiet)?;
+    let failed = || format!("{}: cannot write", args.out.display());
+    std::fs::create_dir_all(&args.out).with_context(failed)?;
+    let report = args.out.join("report.html");
+    std::fs::write(&report, html::page(&page)).with_context(failed)?;
+    let json = serde_json::to_value(&page)?;
+    let figures = args.out.join("report.json");
+    std::fs::write(&figures, serde_json::to_string_pretty(&json)?).with_context(failed)?;
+    let mut text = format!("{}\n", page.title);
+    text += &format!(
+        "  {:17} {:>9} {:>7} {:>8} {:>9} {:>9} {:>7} {:>11}\n",
+        "scheduler", "startup", "miss", "utility", "PSNR", "worst 10%", "SSIM", "wasted"
+    );
+    for run in &page.runs {
+        text += &format!(
+            "  {:17} {:>9} {:>6.1}% {:>8.3} {:>6.2} dB {:>6.2} dB {:>7.4} {:>7.1} KiB\n",
+            run.name,
+            run.delivery.startup_ms.map_or("never".into(), |ms| format!("{ms:.0} ms")),
+            100.0 * run.delivery.miss_rate,
+            run.delivery.utility,
+            run.mean_psnr_db,
+            run.tail_psnr_db,
+            run.mean_ssim,
+            run.delivery.waste.total_bytes() as f64 / 1024.0
+        );
+    }
+    text += &format!("{}\n{}\n", figures.display(), report.display());
+    let json = json!({ "report": report, "figures": figures, "page": json });
+    Ok(Outcome { text, json, ..Outcome::default() })
+}
+
+/// Takes the walk and gathers the page.
+///
+/// # Errors
+/// Whatever stops a step.
+pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
+    let input = args.scene.as_deref().unwrap_or(DEFAULT_SCENE);
+    let Loaded { name, scene } = pipeline::import(input, &args.source)?;
+    let stream = pipeline::encode(&scene, &pipeline::encode_options(&args.codec, 4), quiet)?;
+    let map = PacketMap::of(&stream)?;
+    let received = stream.receive()?;
+    let content = received.content();
+
+    let framing = Framing::of(&scene, pipeline::up(args.view.up));
+    let measuring = framing.ring(Ring::Measuring, 3, (128, 128))?;
+    let options = utility::Options { contexts: args.contexts.max(1), ..utility::Options::paper(measuring) };
+    let cache = args.out.join("utility.json");
+    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot create", args.out.display()))?;
+    let table = pipeline::utilities(&scene, &content, &map, &options, Some(&cache), quiet)?;
+
+    let graph = pipeline::graph(&stream, &map, Some(&table))?;
+    let link = pipeline::link(&args.link, &graph)?;
+    let deliveries: Result<Vec<_>> = POLICIES
+        .par_iter()
+        .map(|&policy| pipeline::deliver(&stream, &map, &graph, &link.config, policy))
+        .collect();
+
+    let progress = Progress::new("render", quiet.0);
+    let (cameras, settings) = pipeline::view(&scene, &args.view, Ring::HeldOut, 3)?;
+    let camera = &cameras[0];
+    let frames: Vec<u32> = (0..scene.frames() as u32).collect();
+    let references = quality::references(&scene, &frames, camera, &settings)?;
+    let complete: Vec<(u32, Option<&[u8]>)> = frames.iter().map(|&f| (f, Some(content.blocks))).collect();
+    let complete = quality::renders(&content, &complete, camera, &settings)?;
+    let complete_psnr_db = psnrs(&complete, &references)?;
+    let picked = strip_frames(frames.len());
+    let mut strips: Vec<Strip> = picked
+        .iter()
+        .map(|&frame| {
+            Ok(Strip {
+                frame,
+                reference: Picture {
+                    caption: "source".into(),
+                    image: small(&references[frame as usize])?,
+                    error: None,
+                    psnr_db: None,
+                },
+                shown: Vec::new(),
+            })
+        })
+        .collect::<Result<_>>()?;
+    drop(complete);
+
+    let mut runs = Vec::new();
+    for (i, (report, states)) in deliveries?.into_iter().enumerate() {
+        progress.at((i + 1) as f64 / (POLICIES.len() + 1) as f64);
+        let mut shown: Vec<(u32, Option<&[u8]>)> = frames.iter().map(|&f| (f, None)).collect();
+        for state in &states {
+            shown[state.frame as usize].1 = Some(&state.state);
+        }
+        let images = quality::renders(&content, &shown, camera, &settings)?;
+        let scores: Result<Vec<_>, _> =
+            images.par_iter().zip(&references).map(|(a, b)| quality::score(a, b)).collect();
+        let scores = scores?;
+        let times: std::collections::BTreeMap<u32, f64> =
+            report.frames.iter().map(|row| (row.frame, row.time_ns.as_s())).collect();
+        let rows: Vec<Shown> = frames
+            .iter()
+            .zip(&scores)
+            .map(|(&frame, score)| Shown {
+                time_s: times.get(&frame).copied(),
+                frame,
+                psnr_db: score.psnr_db,
+                ssim: score.ssim,
+            })
+            .collect();
+        for strip in &mut strips {
+            let at = strip.frame as usize;
+            strip.shown.push(Picture {
+                caption: report.policy.clone(),
+                image: small(&images[at])?,
+                error: Some(metric::heat(&small(&images[at])?, &small(&references[at])?, ERROR_SCALE)?),
+                psnr_db: Some(scores[at].psnr_db),
+            });
+        }
+        let psnr: Vec<f64> = scores.iter().map(|s| s.psnr_db).collect();
+        let ssim: Vec<f64> = scores.iter().map(|s| s.ssim).collect();
+        runs.push(Run {
+            name: report.policy.clone(),
+            mean_psnr_db: mean(&psnr),
+            tail_psnr_db: quality::worst_tenth(&psnr),
+            mean_ssim: mean(&ssim),
+            flicker: metric::flicker(&images, &references)?,
+            frames: rows,
+            delivery: report,
+        });
+    }
+    let end_s = runs.iter().map(|r| r.delivery.duration_ns.as_s()).fold(0.0, f64::max);
+    let width = emulator_host::Nanos::from_ms(100);
+    let capacity = pipeline::capacity_bins(&link.trace, width, (end_s * 10.0).ceil().max(1.0) as usize);
+    let mut notes = scene.notes.clone();
+    notes.extend(link.warnings.iter().cloned());
+    let protocol = [
+        ("scene", format!("{name}, {} Gaussians, {} frames at {} fps", scene.max_count(), frames.len(), scene.frames_per_second())),
+        ("stream", format!("profile {}, {} packets of at most {} bytes, {} parity", pipeline::profile_name(content.manifest.profile()), stream.ledger().packets, args.codec.packet_bytes, stream.ledger().parity_packets)),
+        ("link", link.description.clone()),
+        ("controller", format!("{:?}", args.link.controller).to_lowercase()),
+        ("quality", format!("camera held out from every choice, {}×{}, background {:?}, all frames, PSNR capped at {PSNR_CAP_DB} dB, against the uncompressed source's own render", args.view.width, args.view.height, args.view.background)),
+        ("utilities", table.protocol.clone()),
+        ("playout", "starts when 95 % of the base groups of frame 0 are usable (at most 5 s), then never waits; a frame not shown counts as background".to_owned()),
+        ("seeds", format!("scene {}, link {}", args.source.seed, args.link.link_seed)),
+    ];
+    Ok(Page {
+        title: format!("{name} over {}", link.trace.name()),
+        machine: Machine::this(),
+        protocol: protocol.into_iter().map(|(k, v)| (k.to_owned(), v)).collect(),
+        ledger: stream.ledger().clone(),
+        complete_psnr_db,
+        capacity_mbps: capacity.iter().enumerate().map(|(i, bps)| (i as f64 * 0.1, bps / 1e6)).collect(),
+        runs,
+        strips,
+        notes,
+    })
+}
+
+fn psnrs(images: &[Image], references: &[Image]) -> Result<Vec<f64>> {
+    images.par_iter().zip(references).map(|(a, b)| Ok(metric::psnr(a, b)?.min(PSNR_CAP_DB))).collect()
+}
+
+/// Frames spread over the clip, the first and last left out where there are enough.
+fn strip_frames(frames: usize) -> Vec<u32> {
+    let count = STRIPS.min(frames);
+    (0..count).map(|i| ((2 * i + 1) * frames / (2 * count)) as u32).collect()
+}
+
+/// At most 256 pixels wide, for the page.
+fn small(image: &Image) -> Result<Image> {
+    if image.width() <= 256 {
+        return Ok(image.clone());
+    }
+    let height = (u64::from(image.height()) * 256 / u64::from(image.width())).max(1) as u32;
+    Ok(image.resized_box(256, height)?)
+}

@@ -1,0 +1,108 @@
+//! `dgs encode`: a scene to a `.dgs` file, and where every byte went.
+
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use serde_json::json;
+use trainer_host::{
+    encode::Ledger,
+    stream::PacketMap,
+    utility,
+    viewpoint::{Framing, Ring},
+};
+
+use super::Outcome;
+use crate::{
+    args::Encode,
+    figures::number,
+    pipeline::{self, Quiet},
+};
+
+/// Runs the verb.
+pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
+    let loaded = pipeline::import(&args.input, &args.scene)?;
+    let options = pipeline::encode_options(&args.codec, 0);
+    let start = Instant::now();
+    let stream = pipeline::encode(&loaded.scene, &options, quiet)?;
+    let seconds = start.elapsed().as_secs_f64();
+    let bytes = stream.to_bytes()?;
+    let failed = || format!("{}: cannot write", args.out.display());
+    std::fs::write(&args.out, &bytes).with_context(failed)?;
+    let ledger = stream.ledger();
+    let mut text = format!(
+        "{} → {} ({} bytes at rest, {} frames, {:.2} s)\n{}",
+        loaded.name,
+        args.out.display(),
+        bytes.len(),
+        loaded.scene.frames(),
+        seconds,
+        ledger_table(ledger)
+    );
+    for note in &loaded.scene.notes {
+        text += &format!("note: {note}\n");
+    }
+    let mut json = json!({
+        "name": loaded.name, "out": args.out, "file_bytes": bytes.len(), "seconds": seconds,
+        "ledger": ledger, "notes": loaded.scene.notes,
+        "bits_per_gaussian": ledger.bits_per_gaussian(), "bytes_per_frame": ledger.bytes_per_frame(),
+    });
+    if args.utility {
+        let map = PacketMap::of(&stream)?;
+        let received = stream.receive()?;
+        let framing = Framing::of(&loaded.scene, [0.0, 1.0, 0.0]);
+        let cameras = framing.ring(Ring::Measuring, 3, (160, 160))?;
+        let path = pipeline::utility_path(&args.out);
+        let options = utility::Options::paper(cameras);
+        let table =
+            pipeline::utilities(&loaded.scene, &received.content(), &map, &options, Some(&path), quiet)?;
+        let negative = table.groups.iter().filter(|g| g.mean < 0.0).count();
+        text += &format!(
+            "utilities of {} groups ({} with a negative mean) → {}\n",
+            table.groups.len(),
+            negative,
+            path.display()
+        );
+        json["utility"] = json!({ "groups": table.groups.len(), "negative_mean": negative, "path": path });
+    }
+    Ok(Outcome { text, json, ..Outcome::default() })
+}
+
+/// The accounting of a stream for people.
+pub(super) fn ledger_table(ledger: &Ledger) -> String {
+    let mut text = String::new();
+    for (name, bytes) in [
+        ("raw symbols", ledger.raw_symbols),
+        ("empirical entropy", ledger.empirical_entropy),
+        ("monolithic", ledger.monolithic),
+        ("payload", ledger.payload),
+        ("headers", ledger.headers),
+        ("dependencies", ledger.dependencies),
+        ("CRC", ledger.crc),
+        ("parity", ledger.parity),
+        ("manifest", ledger.manifest),
+        ("wire", ledger.wire()),
+    ] {
+        text += &format!("  {name:18} {bytes:>12.0} bytes\n");
+    }
+    text += &format!(
+        "  {} packets + {} parity, {} bits/Gaussian, {} bytes/frame, packetisation {:.2} %, robustness premium {:.2} %\n",
+        ledger.packets,
+        ledger.parity_packets,
+        number(ledger.bits_per_gaussian()),
+        number(ledger.bytes_per_frame()),
+        100.0 * ledger.packetisation_overhead(),
+        100.0 * ledger.robustness_premium(),
+    );
+    if ledger.saturated > 0 {
+        text += &format!("  {} values did not fit their symbol and were clamped\n", ledger.saturated);
+    }
+    for share in &ledger.shares {
+        text += &format!(
+            "    {:16} level {}  {:>8.2} bits/Gaussian\n",
+            share.attribute,
+            share.level,
+            share.bits / ledger.gaussians.max(1) as f64
+        );
+    }
+    text
+}

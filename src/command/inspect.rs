@@ -1,0 +1,94 @@
+//! `dgs inspect`: the manifest for people, packets by kind, damage.
+
+use anyhow::Result;
+use codec_core::{
+    ids::{Level, Span},
+    wire::manifest::Manifest,
+};
+use serde_json::{Value, json};
+use trainer_host::stream::PacketMap;
+
+use super::Outcome;
+use crate::{args::Inspect, pipeline};
+
+/// Runs the verb.
+pub fn run(args: &Inspect) -> Result<Outcome> {
+    let mut warnings = Vec::new();
+    let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
+    let manifest = stream.manifest()?;
+    let map = PacketMap::of(&stream)?;
+    let mut by_kind = [[(0u64, 0u64); Level::COUNT]; 2];
+    let (mut parity, mut missing) = (0u64, 0u64);
+    for (id, packet) in stream.packets().iter().enumerate() {
+        if packet.is_empty() {
+            missing += 1;
+        } else if map.is_parity(id) {
+            parity += 1;
+        } else if let Some(mark) = map.marks(id).first() {
+            let kind = usize::from(matches!(mark.group.span, Span::Motion(_)));
+            let slot = &mut by_kind[kind][mark.group.level.index()];
+            *slot = (slot.0 + 1, slot.1 + packet.len() as u64);
+        }
+    }
+    let head = manifest.head();
+    let mut text = format!(
+        "{}: profile {}, {} epochs, {} windows, {} clusters, {} frames at {} fps, harmonic degree {}\n\
+         manifest {} bytes on the wire, {} unpacked, {} entropy tables, {} repair ranges\n",
+        args.input.display(),
+        pipeline::profile_name(manifest.profile()),
+        head.epochs,
+        head.windows,
+        head.clusters,
+        head.frames,
+        manifest.frames_per_second(),
+        head.sh_degree,
+        stream.message().len(),
+        manifest.raw().len(),
+        head.tables,
+        head.repairs
+    );
+    let mut packets = Vec::new();
+    for (kind, name) in ["canonical", "motion"].into_iter().enumerate() {
+        for (level, &(count, bytes)) in by_kind[kind].iter().enumerate().filter(|(_, s)| s.0 > 0) {
+            text += &format!("  {name:9} level {level}: {count:>6} packets, {bytes:>10} bytes\n");
+            packets.push(json!({ "kind": name, "level": level, "packets": count, "bytes": bytes }));
+        }
+    }
+    text += &format!("  parity: {parity} packets; missing: {missing}\n");
+    let json = json!({
+        "file": args.input, "profile": pipeline::profile_name(manifest.profile()),
+        "manifest_bytes": stream.message().len(), "packets": packets, "parity_packets": parity,
+        "missing_packets": missing, "damage": warnings, "manifest": manifest_json(&manifest),
+    });
+    let damaged = !warnings.is_empty();
+    Ok(Outcome { text, json, warnings, damaged })
+}
+
+/// The manifest as JSON: for people, never on the wire.
+fn manifest_json(manifest: &Manifest<'_>) -> Value {
+    let head = manifest.head();
+    let epochs: Vec<Value> = manifest
+        .epochs()
+        .map(|e| {
+            json!({
+                "first_frame": e.first_frame, "frames": e.frames, "gaussians": e.gaussians,
+                "clusters": e.clusters, "windows": e.windows,
+                "origin": [e.origin_x, e.origin_y, e.origin_z], "rank": e.rank,
+            })
+        })
+        .collect();
+    let windows: Vec<Value> = manifest
+        .windows()
+        .map(
+            |w| json!({ "epoch": w.epoch, "first_frame": w.first_frame, "frames": w.frames, "rank": w.rank }),
+        )
+        .collect();
+    json!({
+        "frames": head.frames, "fps": manifest.frames_per_second(), "sh_degree": head.sh_degree,
+        "block_len": manifest.block_len(), "packets": head.packets, "clusters": head.clusters,
+        "epochs": epochs, "windows": windows, "tables": head.tables,
+        "repair": manifest.repairs().map(|r| json!({
+            "first_packet": r.first_packet, "packets": r.packets, "set_len": r.set_len, "sets": r.sets(),
+        })).collect::<Vec<Value>>(),
+    })
+}

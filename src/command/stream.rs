@@ -1,0 +1,71 @@
+//! `dgs stream`: one scheduler over one link.
+
+use anyhow::Result;
+use serde_json::json;
+use trainer_host::{
+    stream::PacketMap,
+    utility,
+    viewpoint::{Framing, Ring},
+};
+
+use super::Outcome;
+use crate::{
+    args::StreamArgs,
+    figures::number,
+    pipeline::{self, Quiet},
+};
+
+/// Runs the verb.
+pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<Outcome> {
+    let mut warnings = Vec::new();
+    let mut table: Option<utility::Table>;
+    let stream = if pipeline::is_stream(&args.input) {
+        let path = std::path::Path::new(&args.input);
+        let stream = pipeline::read_stream(path, &mut |w| warnings.push(w))?;
+        let cached = std::fs::read(pipeline::utility_path(path)).ok();
+        table = cached.and_then(|bytes| serde_json::from_slice(&bytes).ok());
+        let crc = codec_core::wire::crc::crc32(stream.manifest()?.raw());
+        table = table.filter(|t| t.manifest_crc == crc);
+        if table.is_none() {
+            warnings.push(format!(
+                "{}: no utilities beside it (encode with --utility); all groups count the same",
+                args.input
+            ));
+        }
+        stream
+    } else {
+        let loaded = pipeline::import(&args.input, &args.scene)?;
+        let stream = pipeline::encode(&loaded.scene, &pipeline::encode_options(&args.codec, 4), quiet)?;
+        let map = PacketMap::of(&stream)?;
+        let received = stream.receive()?;
+        let framing = Framing::of(&loaded.scene, [0.0, 1.0, 0.0]);
+        let options = utility::Options::paper(framing.ring(Ring::Measuring, 3, (128, 128))?);
+        let measured = pipeline::utilities(&loaded.scene, &received.content(), &map, &options, None, quiet)?;
+        table = Some(measured);
+        stream
+    };
+    let map = PacketMap::of(&stream)?;
+    let graph = pipeline::graph(&stream, &map, table.as_ref())?;
+    let link = pipeline::link(&args.link, &graph)?;
+    warnings.extend(link.warnings.iter().cloned());
+    let (report, shown) =
+        pipeline::deliver(&stream, &map, &graph, &link.config, pipeline::policy(args.policy))?;
+    let startup = report.startup_ms.map_or("never".to_owned(), |ms| format!("{ms:.0} ms"));
+    let text = format!(
+        "{} over {}\n  startup {startup}, miss {:.1} % (base {:.1} %), utility {:.3}\n  \
+         goodput {} kbit/s, usable {} kbit/s, wasted {:.1} KiB, {} of {} frames shown, {} recovered by repair\n",
+        report.policy,
+        link.description,
+        100.0 * report.miss_rate,
+        100.0 * report.base_miss_rate,
+        report.utility,
+        number(report.goodput_bps / 1000.0),
+        number(report.usable_goodput_bps / 1000.0),
+        report.waste.total_bytes() as f64 / 1024.0,
+        shown.len(),
+        graph.frames(),
+        report.recovered
+    );
+    let json = json!({ "link": link.description, "report": report, "warnings": warnings });
+    Ok(Outcome { text, json, warnings, damaged: false })
+}

@@ -1,0 +1,311 @@
+//! Where bytes meet time: a stream as a packet graph, and the real receiver as an endpoint.
+
+use codec_core::{
+    ErrorKind,
+    ids::{EpochId, Group, Level, PacketId, Span},
+    layout::Shape,
+    receiver::{self, Content, Receiver},
+    wire::manifest::{Manifest, Profile},
+};
+use emulator_host::{
+    Endpoint, GroupIndex, Nanos, PacketGraph, PacketIndex, Snapshot,
+    graph::{self, GraphError, GraphParts, RepairSet},
+    receiver::Arrival,
+};
+use trainer_host::{
+    Stream,
+    stream::{Mark, PacketMap},
+    utility::Table,
+};
+
+/// A stream's packets and groups as the emulator sees them.
+///
+/// Group `i` of the graph is group `i` of [`PacketMap::groups`]; packet `i` is packet `i` of the
+/// stream. Without `utilities` all groups are worth the same.
+///
+/// # Errors
+/// A stream that lacks packets (a damaged file) cannot be sent.
+pub fn graph(
+    stream: &Stream,
+    manifest: &Manifest<'_>,
+    map: &PacketMap,
+    utilities: Option<&Table>,
+) -> Result<PacketGraph, GraphError> {
+    let mut index = std::collections::BTreeMap::new();
+    for (i, (group, _)) in map.groups().iter().enumerate() {
+        index.insert(*group, GroupIndex(i as u32));
+    }
+    let needs = |group: &Group| -> Vec<GroupIndex> {
+        let below = Level::ALL.into_iter().rev().filter(|l| *l < group.level);
+        for level in below {
+            if let Some(&found) = index.get(&Group { level, ..*group }) {
+                return vec![found];
+            }
+        }
+        match group.span {
+            Span::Motion(window) => {
+                let epoch = EpochId(manifest.window(window).map_or(0, |w| w.epoch));
+                let base = Group { span: Span::Canonical(epoch), cluster: group.cluster, level: Level::BASE };
+                index.get(&base).copied().into_iter().collect()
+            }
+            Span::Canonical(_) => Vec::new(),
+        }
+    };
+    // Which packet brings which block of which cell at which level.
+    let mut bringer = std::collections::BTreeMap::new();
+    for id in 0..stream.packets().len() {
+        for mark in map.marks(id) {
+            for block in mark.first_block..mark.first_block + mark.blocks {
+                bringer.insert((block, mark.group.level), PacketIndex(id as u32));
+            }
+        }
+    }
+    let cells = first_blocks(manifest);
+    let canonical_block = |mark: &Mark, block: usize| -> Option<usize> {
+        let Span::Motion(window) = mark.group.span else { return None };
+        let epoch = EpochId(manifest.window(window)?.epoch);
+        let own = cells[manifest.cell(mark.group.span, mark.group.cluster)?.index()];
+        let base = cells[manifest.cell(Span::Canonical(epoch), mark.group.cluster)?.index()];
+        Some(base + block - own)
+    };
+    let sliced = manifest.profile() == Profile::Dgs1;
+    let mut packets = Vec::new();
+    for (id, bytes) in stream.packets().iter().enumerate() {
+        let mut groups: Vec<GroupIndex> =
+            map.marks(id).iter().filter_map(|m| index.get(&m.group).copied()).collect();
+        groups.dedup();
+        let mut needs_packets = Vec::new();
+        if sliced {
+            for mark in map.marks(id) {
+                for block in mark.first_block..mark.first_block + mark.blocks {
+                    let below = Level::ALL.into_iter().rev().filter(|l| *l < mark.group.level);
+                    needs_packets.extend(below.filter_map(|l| bringer.get(&(block, l))).next());
+                    if mark.group.level > Level::BASE
+                        && let Some(base) = canonical_block(mark, block)
+                    {
+                        needs_packets.extend(bringer.get(&(base, Level::BASE)));
+                    }
+                }
+            }
+            needs_packets.sort_unstable();
+            needs_packets.dedup();
+        }
+        packets.push(graph::Packet {
+            id: id as u32,
+            wire_bytes: bytes.len() as u16,
+            groups,
+            needs_packets,
+            parity_of: None,
+        });
+    }
+    let mut repair_sets = Vec::new();
+    for repair in manifest.repairs() {
+        for set in 0..repair.sets() {
+            packets[(repair.first_parity + set) as usize].parity_of = Some(repair_sets.len() as u32);
+            let members = (0..repair.members(set))
+                .map(|position| PacketIndex(repair.first_packet + set + position * repair.sets()))
+                .collect();
+            repair_sets.push(RepairSet { members });
+        }
+    }
+    let mut group_packets: Vec<Vec<PacketIndex>> = vec![Vec::new(); map.groups().len()];
+    for (id, packet) in packets.iter().enumerate() {
+        for group in &packet.groups {
+            group_packets[group.at()].push(PacketIndex(id as u32));
+        }
+    }
+    let groups = map.groups().iter().zip(group_packets).enumerate().map(|(i, ((group, _), packets))| {
+        let (first_frame, frames, kind) = coverage(manifest, group.span);
+        graph::Group {
+            cluster: u32::from(group.cluster.0),
+            level: group.level.get(),
+            kind,
+            first_frame,
+            last_frame: first_frame + frames.max(1) - 1,
+            needs: needs(group),
+            packets,
+            utility: utilities.and_then(|t| t.groups.get(i)).map_or(1.0, |u| u.utility),
+        }
+    });
+    PacketGraph::new(GraphParts {
+        groups: groups.collect(),
+        packets,
+        repair_sets,
+        frames: manifest.head().frames,
+        frame_interval: Nanos((1e9 / manifest.frames_per_second()).round() as u64),
+        manifest_bytes: stream.message().len() as u32,
+        profile: if sliced { graph::Profile::Sliced } else { graph::Profile::AllOrNothing },
+    })
+}
+
+/// First frame, frames and kind of a span.
+fn coverage(manifest: &Manifest<'_>, span: Span) -> (u32, u32, graph::Kind) {
+    match span {
+        Span::Canonical(id) => {
+            let epoch = manifest.epoch(id).unwrap_or_default();
+            (epoch.first_frame, epoch.frames, graph::Kind::Canonical)
+        }
+        Span::Motion(id) => {
+            let window = manifest.window(id).unwrap_or_default();
+            (window.first_frame, u32::from(window.frames), graph::Kind::Motion)
+        }
+    }
+}
+
+/// Index of every cell's first block in a state.
+fn first_blocks(manifest: &Manifest<'_>) -> Vec<usize> {
+    let mut first = Vec::with_capacity(manifest.cells());
+    let mut next = 0;
+    receiver::for_each_cell(manifest, |_, _, shape| {
+        first.push(next);
+        next += shape.blocks();
+    });
+    first
+}
+
+/// What was usable when one frame was shown.
+#[derive(Clone, Debug)]
+pub struct ShownState {
+    /// The frame.
+    pub frame: u32,
+    /// Arrival masks, as [`Content::with_state`] takes them.
+    pub state: Vec<u8>,
+}
+
+/// The real no_std receiver behind the emulator's endpoint: every packet's bytes are parsed,
+/// checked and decoded.
+pub struct WireEndpoint<'e, 'm> {
+    receiver: Receiver<'m>,
+    stream: &'e Stream,
+    map: &'e PacketMap,
+    graph: &'e PacketGraph,
+    snapshot: Snapshot,
+    first_blocks: Vec<usize>,
+    buffered: Vec<PacketIndex>,
+    /// The state at each shown frame, in playout order.
+    pub shown: Vec<ShownState>,
+}
+
+impl<'e, 'm> WireEndpoint<'e, 'm> {
+    /// An endpoint whose receiver uses `memory`.
+    pub fn new(
+        memory: receiver::Memory<'m>,
+        stream: &'e Stream,
+        manifest: &Manifest<'_>,
+        map: &'e PacketMap,
+        graph: &'e PacketGraph,
+    ) -> Self {
+        Self {
+            receiver: Receiver::new(memory),
+            stream,
+            map,
+            graph,
+            snapshot: Snapshot::empty(graph),
+            first_blocks: first_blocks(manifest),
+            buffered: Vec::new(),
+            shown: Vec::new(),
+        }
+    }
+
+    /// What the receiver counted.
+    pub fn counters(&self) -> &receiver::Counters {
+        self.receiver.counters()
+    }
+
+    fn has(&self, packet: PacketIndex) -> bool {
+        PacketId::new(packet.0).is_some_and(|id| self.receiver.has(id))
+    }
+
+    /// Whether all blocks of `mark` are usable up to its level, and for motion coefficients the
+    /// blocks they bend are there.
+    fn is_usable(&self, content: &Content<'_>, mark: &Mark, whole_cell: bool) -> bool {
+        let manifest = &content.manifest;
+        let Some(cell) = manifest.cell(mark.group.span, mark.group.cluster) else { return false };
+        let own = self.first_blocks[cell.index()];
+        let blocks = if whole_cell {
+            let shape = Shape::of(manifest, mark.group.span, mark.group.cluster);
+            own..own + shape.map_or(0, |s| s.blocks())
+        } else {
+            mark.first_block..mark.first_block + mark.blocks
+        };
+        let usable = |block: usize| {
+            codec_core::closure::Arrived(content.blocks.get(block).copied().unwrap_or(0)).usable()
+        };
+        if !blocks.clone().all(|b| usable(b) > mark.group.level.index()) {
+            return false;
+        }
+        let Span::Motion(window) = mark.group.span else { return true };
+        // A track alone needs nothing to be decoded; to complete its group the base must be there.
+        if mark.group.level == Level::BASE && !whole_cell {
+            return true;
+        }
+        let epoch = EpochId(manifest.window(window).map_or(0, |w| w.epoch));
+        let base = manifest.cell(Span::Canonical(epoch), mark.group.cluster);
+        base.is_some_and(|base| {
+            let base = self.first_blocks[base.index()];
+            blocks.clone().all(|b| usable(base + b - own) > 0)
+        })
+    }
+}
+
+impl Endpoint for WireEndpoint<'_, '_> {
+    fn control(&mut self, _bytes: usize, complete: bool, recovered: &mut Vec<PacketIndex>) {
+        if complete && self.receiver.control(self.stream.message()).is_ok() {
+            let waiting = std::mem::take(&mut self.buffered);
+            // Everything known now that had not arrived by itself was recovered from parity.
+            for id in 0..self.stream.packets().len() as u32 {
+                let packet = PacketIndex(id);
+                if self.has(packet) && !waiting.contains(&packet) {
+                    recovered.push(packet);
+                }
+            }
+        }
+    }
+
+    fn media(&mut self, packet: PacketIndex, _now: Nanos, recovered: &mut Vec<PacketIndex>) -> Arrival {
+        match self.receiver.media(&self.stream.packets()[packet.at()]) {
+            Ok(receiver::Arrival::Buffered) if self.buffered.contains(&packet) => Arrival::Duplicate,
+            Ok(receiver::Arrival::Buffered) => {
+                self.buffered.push(packet);
+                Arrival::Buffered
+            }
+            Ok(receiver::Arrival::Accepted { recovered: found, .. }) => {
+                recovered.extend(found.map(|id| PacketIndex(id.get())));
+                Arrival::Fresh
+            }
+            Err(error) if error.kind == ErrorKind::Duplicate => Arrival::Duplicate,
+            Err(_) => Arrival::Refused,
+        }
+    }
+
+    fn snapshot(&mut self, frame: u32) -> &Snapshot {
+        let mut snapshot = Snapshot::empty(self.graph);
+        if let Some(content) = self.receiver.content() {
+            for (i, (group, symbols)) in self.map.groups().iter().enumerate() {
+                let mark = Mark { group: *group, first_block: 0, blocks: 0, symbols: *symbols };
+                let needs = &self.graph.groups()[i].needs;
+                if needs.iter().all(|&n| snapshot.has_group(n)) && self.is_usable(&content, &mark, true) {
+                    snapshot.insert_group(GroupIndex(i as u32));
+                }
+            }
+            for id in 0..self.stream.packets().len() {
+                let packet = PacketIndex(id as u32);
+                let marks = self.map.marks(id);
+                if !marks.is_empty() && self.has(packet) {
+                    let usable = match self.graph.profile() {
+                        graph::Profile::Sliced => marks.iter().all(|m| self.is_usable(&content, m, false)),
+                        graph::Profile::AllOrNothing => {
+                            self.graph.packets()[id].groups.iter().any(|&g| snapshot.has_group(g))
+                        }
+                    };
+                    if usable {
+                        snapshot.insert_packet(packet);
+                    }
+                }
+            }
+            self.shown.push(ShownState { frame, state: content.blocks.to_vec() });
+        }
+        self.snapshot = snapshot;
+        &self.snapshot
+    }
+}

@@ -1,0 +1,151 @@
+//! The experiments behind `dgs bench`: one file per bench, one [`Bench`] each.
+
+mod accounting;
+mod demo;
+mod loss;
+mod rate;
+mod render;
+mod transport;
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Result, bail};
+use trainer_host::Scene;
+
+use crate::{
+    args::{CodecArgs, LinkArgs, ProfileName, SceneArgs},
+    figures::Bench,
+    pipeline::{self, Quiet},
+};
+
+/// A bench by name.
+pub struct Experiment {
+    /// As typed.
+    pub name: &'static str,
+    /// What it measures.
+    pub about: &'static str,
+    /// Measures.
+    pub run: fn(&Setup) -> Result<Bench>,
+}
+
+/// All benches, in the order of the walk.
+pub const ALL: [Experiment; 6] = [
+    Experiment { name: "demo", about: "wall time and peak memory of `dgs demo`", run: demo::run },
+    Experiment {
+        name: "rate",
+        about: "bytes, PSNR, SSIM, FLIP and times of both profiles on real and synthetic scenes",
+        run: rate::run,
+    },
+    Experiment {
+        name: "accounting",
+        about: "the paper's accounting table for profile paper, its own figures beside",
+        run: accounting::run,
+    },
+    Experiment {
+        name: "loss",
+        about: "random packet subsets render; quality at 1, 5, 10 and 20 % packet loss",
+        run: loss::run,
+    },
+    Experiment {
+        name: "render",
+        about: "CPU render time per frame beside its error against the f64 reference",
+        run: render::run,
+    },
+    Experiment {
+        name: "transport",
+        about: "startup, miss, utility and waste of four schedulers on measured traces",
+        run: transport::run,
+    },
+];
+
+/// What all benches are told.
+#[derive(Debug)]
+pub struct Setup {
+    data: Option<PathBuf>,
+    /// Smaller sizes.
+    pub quick: bool,
+    /// Whether progress is shown.
+    pub quiet: Quiet,
+}
+
+impl Setup {
+    /// A setup with the data folder typed, else `../shared/data` if it is there.
+    pub fn new(data: Option<PathBuf>, quick: bool, quiet: Quiet) -> Self {
+        let beside = PathBuf::from("../shared/data");
+        Self { data: data.or_else(|| beside.is_dir().then_some(beside)), quick, quiet }
+    }
+
+    /// `path` in the data folder, or why it is not there (for [`Bench::skipped`]).
+    ///
+    /// # Errors
+    /// Absence, where `DGS_REQUIRE_DATA=1` says that real data must be there.
+    pub fn data(&self, path: &str, bench: &mut Bench) -> Result<Option<PathBuf>> {
+        let found = self.data.as_ref().map(|d| d.join(path)).filter(|p| p.exists());
+        if found.is_none() {
+            if std::env::var_os("DGS_REQUIRE_DATA").is_some_and(|v| v == "1") {
+                bail!("{path} is not in the data folder, and DGS_REQUIRE_DATA=1 demands it");
+            }
+            bench.skipped.push(format!("{path} is not here (see --data)"));
+        }
+        Ok(found)
+    }
+}
+
+/// Defaults as if typed.
+pub(crate) fn scene_args(samples: usize) -> SceneArgs {
+    SceneArgs {
+        fps: 30.0,
+        samples,
+        clip: None,
+        seed: 1,
+        identity_stored: false,
+        keep_readable: false,
+        max_gaussians: 5_000_000,
+    }
+}
+
+/// Defaults as if typed.
+pub(crate) fn codec_args(profile: ProfileName) -> CodecArgs {
+    CodecArgs {
+        profile,
+        coarseness: 1.0,
+        cluster_size: 512,
+        block_len: 64,
+        window_frames: None,
+        rank: None,
+        packet_bytes: 1150,
+        repair_set: None,
+    }
+}
+
+/// Defaults as if typed.
+pub(crate) fn link_args(trace: Option<PathBuf>) -> LinkArgs {
+    LinkArgs {
+        trace,
+        trace_offset: 0.0,
+        scale: None,
+        load: 1.6,
+        delay_ms: None,
+        burst_loss: 0.02,
+        queue_ms: 250,
+        controller: crate::args::ControllerName::Newreno,
+        link_seed: 1,
+    }
+}
+
+/// A scene of the data folder, or a synthetic one.
+pub(crate) fn load(path: &Path, samples: usize) -> Result<Scene> {
+    Ok(pipeline::import(&path.to_string_lossy(), &scene_args(samples))?.scene)
+}
+
+/// A synthetic scene.
+pub(crate) fn synth(kind: &str, gaussians: usize, frames: usize) -> Result<Scene> {
+    Ok(pipeline::import(&format!("synth:{kind}:{gaussians}:{frames}"), &scene_args(gaussians))?.scene)
+}
+
+/// A ring of held-out cameras, white-free black background, and `frames` frames spread over the
+/// clip.
+pub(crate) fn spread(frames: usize, count: usize) -> Vec<u32> {
+    let count = count.min(frames);
+    (0..count).map(|i| ((2 * i + 1) * frames / (2 * count)) as u32).collect()
+}

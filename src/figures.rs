@@ -1,0 +1,229 @@
+//! Figures as programs read them: one JSON shape for every bench (design section 9).
+
+use serde::Serialize;
+
+/// The machine a figure was measured on.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Machine {
+    /// Processor, as the system names it.
+    pub cpu: String,
+    /// Cores this process may use.
+    pub cores: usize,
+    /// Graphics device, if one was used.
+    pub device: Option<String>,
+}
+
+impl Machine {
+    /// This machine, no graphics device.
+    pub fn this() -> Self {
+        let cpu = std::fs::read_to_string("/proc/cpuinfo").ok().and_then(|text| {
+            let line = text.lines().find(|l| l.starts_with("model name"))?;
+            Some(line.split_once(':')?.1.trim().to_owned())
+        });
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        Self { cpu: cpu.unwrap_or_else(|| std::env::consts::ARCH.to_owned()), cores, device: None }
+    }
+}
+
+/// One number, beside its error, its peer and its uncertainty.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Figure {
+    /// Dotted key, for example `fox.dgs1.psnr_db`.
+    pub key: String,
+    /// The value.
+    pub value: f64,
+    /// Its unit.
+    pub unit: String,
+    /// Error that goes with it (accuracy beside speed).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error: Option<f64>,
+    /// Unit of the error.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub error_unit: Option<String>,
+    /// What it is compared with.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub peer: Option<String>,
+    /// The peer's value in the same run; `None` if the peer is absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub peer_value: Option<f64>,
+    /// Value over peer, larger is better.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ratio: Option<f64>,
+    /// 95 % confidence interval of the value (or of the ratio if there is one).
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ci95: Option<[f64; 2]>,
+    /// Repetitions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub runs: Option<usize>,
+}
+
+impl Figure {
+    /// `value` in `unit` under `key`.
+    pub fn new(key: impl Into<String>, value: f64, unit: &str) -> Self {
+        Self { key: key.into(), value, unit: unit.to_owned(), ..Self::default() }
+    }
+
+    /// With the error that goes with it.
+    #[must_use]
+    pub fn error(mut self, error: f64, unit: &str) -> Self {
+        self.error = Some(error);
+        self.error_unit = Some(unit.to_owned());
+        self
+    }
+
+    /// Beside a peer's value; `ratio` is value over peer, inverted if `smaller_is_better`.
+    #[must_use]
+    pub fn peer(mut self, name: &str, value: f64, smaller_is_better: bool) -> Self {
+        self.peer = Some(name.to_owned());
+        self.peer_value = Some(value);
+        self.ratio = Some(if smaller_is_better { value / self.value } else { self.value / value });
+        self
+    }
+
+    /// Median of `runs` repetitions.
+    #[must_use]
+    pub fn runs(mut self, runs: usize) -> Self {
+        self.runs = Some(runs);
+        self
+    }
+}
+
+/// Everything one bench says.
+#[derive(Clone, Debug, Serialize)]
+pub struct Bench {
+    /// Name, as on the command line.
+    pub name: String,
+    /// Where.
+    pub machine: Machine,
+    /// How: resolution, background, split, sizes.
+    pub protocol: String,
+    /// FNV-1a over name and protocol: equal hashes, comparable figures.
+    pub config_hash: String,
+    /// The figures.
+    pub figures: Vec<Figure>,
+    /// What could not be measured here, and why; never silently empty.
+    pub skipped: Vec<String>,
+}
+
+impl Bench {
+    /// A bench without figures yet.
+    pub fn new(name: &str, protocol: impl Into<String>) -> Self {
+        let protocol = protocol.into();
+        let hash = fnv1a(format!("{name}\n{protocol}").bytes());
+        Self {
+            name: name.to_owned(),
+            machine: Machine::this(),
+            config_hash: format!("{hash:016x}"),
+            protocol,
+            figures: Vec::new(),
+            skipped: Vec::new(),
+        }
+    }
+
+    /// Adds a figure.
+    pub fn push(&mut self, figure: Figure) {
+        self.figures.push(figure);
+    }
+
+    /// The figures as an aligned table.
+    pub fn table(&self) -> String {
+        let mut out = format!(
+            "{} on {} ({} cores)\n{}\n",
+            self.name, self.machine.cpu, self.machine.cores, self.protocol
+        );
+        let width = self.figures.iter().map(|f| f.key.len()).max().unwrap_or(0);
+        for f in &self.figures {
+            out += &format!("  {:width$}  {:>14} {}", f.key, number(f.value), f.unit);
+            if let Some(error) = f.error {
+                out += &format!("  error {} {}", number(error), f.error_unit.as_deref().unwrap_or(""));
+            }
+            if let (Some(peer), Some(value)) = (&f.peer, f.peer_value) {
+                out += &format!("  ({peer}: {})", number(value));
+            }
+            if let Some(ratio) = f.ratio {
+                out += &format!("  ratio {ratio:.3}");
+            }
+            if let Some([low, high]) = f.ci95 {
+                out += &format!("  95 % CI {}..{}", number(low), number(high));
+            }
+            if let Some(runs) = f.runs {
+                out += &format!("  [{runs} runs]");
+            }
+            out.push('\n');
+        }
+        for skipped in &self.skipped {
+            out += &format!("  SKIPPED: {skipped}\n");
+        }
+        out
+    }
+}
+
+/// A number with as many digits as it deserves.
+pub fn number(value: f64) -> String {
+    match value.abs() {
+        0.0 => "0".to_owned(),
+        v if v >= 1e7 || v < 1e-3 => format!("{value:.3e}"),
+        v if v >= 1000.0 => format!("{value:.0}"),
+        v if v >= 10.0 => format!("{value:.2}"),
+        _ => format!("{value:.4}"),
+    }
+}
+
+/// FNV-1a, 64 bits.
+pub fn fnv1a(bytes: impl Iterator<Item = u8>) -> u64 {
+    bytes.fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3))
+}
+
+/// The median of `values`; NaN if there are none.
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match sorted.len() {
+        0 => f64::NAN,
+        n if n % 2 == 1 => sorted[n / 2],
+        n => (sorted[n / 2 - 1] + sorted[n / 2]) / 2.0,
+    }
+}
+
+/// The mean of `values`; NaN if there are none.
+pub fn mean(values: &[f64]) -> f64 {
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// Bootstrap 95 % interval of the mean of `values`: 2,000 seeded resamples, percentiles.
+pub fn bootstrap95(values: &[f64], seed: u64) -> Option<[f64; 2]> {
+    if values.len() < 2 {
+        return None;
+    }
+    let mut state = seed | 1;
+    let mut pick = |n: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((state >> 33) as usize * n) >> 31
+    };
+    let mut means: Vec<f64> = (0..2000)
+        .map(|_| (0..values.len()).map(|_| values[pick(values.len())]).sum::<f64>() / values.len() as f64)
+        .collect();
+    means.sort_by(f64::total_cmp);
+    Some([means[50], means[1949]])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn medians_and_intervals() {
+        assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median(&[4.0, 1.0, 2.0, 3.0]), 2.5);
+        let values: Vec<f64> = (0..100).map(f64::from).collect();
+        let [low, high] = bootstrap95(&values, 1).unwrap();
+        assert!(low < 49.5 && 49.5 < high && high - low < 14.0 && high - low > 8.0, "{low} {high}");
+        assert_eq!(bootstrap95(&values, 1), bootstrap95(&values, 1));
+    }
+
+    #[test]
+    fn a_ratio_says_which_way_is_better() {
+        assert_eq!(Figure::new("k", 2.0, "ms").peer("naive", 6.0, true).ratio, Some(3.0));
+        assert_eq!(Figure::new("k", 6.0, "1/s").peer("naive", 2.0, false).ratio, Some(3.0));
+    }
+}

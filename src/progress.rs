@@ -1,0 +1,43 @@
+//! Progress on anything that takes over a second, on standard error, never in the way of `--json`.
+
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// A bar for one piece of work, shown only on a terminal.
+#[derive(Debug)]
+pub struct Progress(ProgressBar);
+
+impl Progress {
+    /// A bar titled `what`, or a silent one.
+    pub fn new(what: &str, silent: bool) -> Self {
+        if silent {
+            return Self(ProgressBar::hidden());
+        }
+        let bar = ProgressBar::new(1000);
+        // The template is a constant; if a library change made it illegal the default would do.
+        if let Ok(style) = ProgressStyle::with_template("{msg:32} [{bar:30}] {percent:>3} % {elapsed}") {
+            bar.set_style(style.progress_chars("=> "));
+        }
+        bar.set_message(what.to_owned());
+        bar.enable_steady_tick(Duration::from_millis(200));
+        Self(bar)
+    }
+
+    /// `share` of the work is done, 0..=1.
+    pub fn at(&self, share: f64) {
+        self.0.set_position((share.clamp(0.0, 1.0) * 1000.0) as u64);
+    }
+
+    /// The stage at hand, and the share of it that is done.
+    pub fn stage(&self, stage: &str, share: f64) {
+        self.0.set_message(stage.to_owned());
+        self.at(share);
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}

@@ -1,0 +1,124 @@
+//! What a viewer saw, against the source: states to images to numbers.
+
+use codec_core::receiver::Content;
+use rayon::prelude::*;
+use render_host::{Camera, Image, Renderer, Settings, Splats, metric};
+use trainer_host::{Instant, Scene, stream::Player};
+
+/// Why an image could not be made or compared.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct QualityError(String);
+
+fn failed(error: impl std::fmt::Display) -> QualityError {
+    QualityError(error.to_string())
+}
+
+/// PSNR is reported up to this, dB: beyond it images are equal to the eye and to 8 bits.
+pub const PSNR_CAP_DB: f64 = 99.0;
+
+/// Renders one instant.
+///
+/// # Errors
+/// Splats or settings the renderer refuses.
+pub fn render(instant: &Instant, camera: &Camera, settings: &Settings) -> Result<Image, QualityError> {
+    let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree).map_err(failed)?;
+    let rendered = Renderer::new().render(&splats, camera, settings).map_err(failed)?;
+    Ok(rendered.image)
+}
+
+/// The source's own renders of `frames`, in order, in parallel over frames.
+///
+/// # Errors
+/// As [`render`]; a frame past the end.
+pub fn references(
+    scene: &Scene,
+    frames: &[u32],
+    camera: &Camera,
+    settings: &Settings,
+) -> Result<Vec<Image>, QualityError> {
+    let serial = Settings { parallel: false, ..settings.clone() };
+    frames
+        .par_iter()
+        .map(|&frame| {
+            let instant = scene.instant(frame as usize).ok_or_else(|| failed(format!("no frame {frame}")))?;
+            render(&instant, camera, &serial)
+        })
+        .collect()
+}
+
+/// Renders `content` in each (frame, state), in order, in parallel; no state gives the background.
+///
+/// # Errors
+/// As [`render`]; a frame past the end.
+pub fn renders(
+    content: &Content<'_>,
+    shown: &[(u32, Option<&[u8]>)],
+    camera: &Camera,
+    settings: &Settings,
+) -> Result<Vec<Image>, QualityError> {
+    let settings = Settings { parallel: false, ..settings.clone() };
+    shown
+        .par_iter()
+        .map_init(
+            || (Player::new(&content.manifest), Renderer::new()),
+            |(player, renderer), (frame, state)| {
+                let Some(state) = state else {
+                    let Settings { background, .. } = settings;
+                    return Image::filled(camera.width(), camera.height(), background.map(|c| c as _))
+                        .map_err(failed);
+                };
+                let shown = player.show(&content.with_state(state), *frame).map_err(failed)?;
+                let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree).map_err(failed)?;
+                Ok(renderer.render(&splats, camera, &settings).map_err(failed)?.image)
+            },
+        )
+        .collect()
+}
+
+/// Image metrics of one image against its reference.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Score {
+    /// PSNR, dB, capped at [`PSNR_CAP_DB`].
+    pub psnr_db: f64,
+    /// SSIM, 11×11 Gaussian window.
+    pub ssim: f64,
+}
+
+/// PSNR and SSIM of `image` against `reference`.
+///
+/// # Errors
+/// Images of different sizes.
+pub fn score(image: &Image, reference: &Image) -> Result<Score, QualityError> {
+    let psnr = metric::psnr(image, reference).map_err(failed)?;
+    let ssim = metric::ssim(image, reference).map_err(failed)?;
+    Ok(Score { psnr_db: psnr.min(PSNR_CAP_DB), ssim })
+}
+
+/// Mean FLIP of `image` against `reference` at the default viewing distance.
+///
+/// # Errors
+/// Images of different sizes.
+pub fn flip(image: &Image, reference: &Image) -> Result<f64, QualityError> {
+    metric::flip(image, reference, metric::flip::PIXELS_PER_DEGREE).map(|f| f.mean).map_err(failed)
+}
+
+/// Mean of the worst tenth (at least one) of `values`.
+pub fn worst_tenth(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.truncate(values.len().div_ceil(10).max(1));
+    crate::figures::mean(&sorted)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_worst_tenth_is_the_lowest() {
+        let values: Vec<f64> = (0..20).map(f64::from).collect();
+        assert_eq!(worst_tenth(&values), 0.5);
+        assert_eq!(worst_tenth(&[3.0]), 3.0);
+    }
+}

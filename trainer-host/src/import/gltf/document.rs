@@ -1,0 +1,327 @@
+//! The file as data: JSON validated by the `gltf` crate, buffers at hand, accessors read with every
+//! index checked. The crate's own accessor readers slice without checking and are not used.
+
+use ::gltf::{
+    accessor::{DataType, Dimensions},
+    json,
+};
+
+use super::FORMAT;
+use crate::import::{
+    Limits,
+    bytes::{array, u32_at},
+    error::ImportError,
+};
+
+/// A loaded file.
+pub(super) struct Document {
+    pub gltf: ::gltf::Document,
+    buffers: Vec<Vec<u8>>,
+    max_values: usize,
+}
+
+impl Document {
+    /// Loads text or binary glTF, its buffers included.
+    pub fn load(
+        bytes: &[u8],
+        mut beside: impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
+        limits: &Limits,
+    ) -> Result<Self, ImportError> {
+        let (text, blob) = if bytes.starts_with(b"glTF") { chunks(bytes)? } else { (bytes, None) };
+        let root: json::Root = json::deserialize::from_slice(text)
+            .map_err(|e| FORMAT.malformed("JSON", e, "the JSON of glTF 2.0"))?;
+        if let Some(name) = root.extensions_required.first() {
+            return Err(FORMAT.unsupported("extensionsRequired", name, "files that need no extension"));
+        }
+        check_indices(&root)?;
+        let gltf = ::gltf::Document::from_json(root)
+            .map_err(|e| FORMAT.malformed("JSON", e, "a consistent document"))?;
+        let mut buffers = Vec::new();
+        let mut left = limits.max_bytes;
+        for buffer in gltf.buffers() {
+            let field = format!("buffer {}", buffer.index());
+            let data = match buffer.source() {
+                ::gltf::buffer::Source::Bin => blob
+                    .ok_or_else(|| FORMAT.malformed(field.as_str(), "no BIN chunk", "a BIN chunk or a uri"))?
+                    .to_vec(),
+                ::gltf::buffer::Source::Uri(uri) => resource(uri, &mut beside)?,
+            };
+            if data.len() < buffer.length() {
+                return Err(FORMAT.truncated(field, data.len() as u64, buffer.length() as u64));
+            }
+            left = left
+                .checked_sub(data.len() as u64)
+                .ok_or_else(|| super::too_large(&field, "more", format!("{} bytes", limits.max_bytes)))?;
+            buffers.push(data);
+        }
+        let max_values = limits.max_gaussians.saturating_mul(16);
+        let mut document = Self { gltf, buffers, max_values };
+        document.embed_images(beside)?;
+        Ok(document)
+    }
+
+    /// Reads the image files the document names, so that nothing later needs file access.
+    fn embed_images(
+        &mut self,
+        mut beside: impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
+    ) -> Result<(), ImportError> {
+        // Straight from the JSON: the crate's `Image::source` wants a mime type beside every view.
+        for image in &self.gltf.as_json().images {
+            let data = match &image.uri {
+                None => Vec::new(),
+                Some(uri) => resource(uri, &mut beside)?,
+            };
+            self.buffers.push(data);
+        }
+        Ok(())
+    }
+
+    /// The encoded bytes of an image.
+    pub fn image_bytes(&self, image: &::gltf::Image<'_>) -> Result<&[u8], ImportError> {
+        let view = self.gltf.as_json().images.get(image.index()).and_then(|i| i.buffer_view);
+        match view.and_then(|v| self.gltf.views().nth(v.value())) {
+            Some(view) => self.view(&view),
+            None => {
+                let index = self.gltf.buffers().len() + image.index();
+                Ok(self.buffers.get(index).map_or(&[][..], Vec::as_slice))
+            }
+        }
+    }
+
+    fn view(&self, view: &::gltf::buffer::View<'_>) -> Result<&[u8], ImportError> {
+        let buffer = self.buffers.get(view.buffer().index()).map_or(&[][..], Vec::as_slice);
+        let end = view.offset().checked_add(view.length());
+        end.and_then(|end| buffer.get(view.offset()..end)).ok_or_else(|| {
+            let needed = (view.offset() as u64).saturating_add(view.length() as u64);
+            FORMAT.truncated(format!("buffer view {}", view.index()), buffer.len() as u64, needed)
+        })
+    }
+
+    /// An accessor's values as f32, `components` of them per element (normalised integers become
+    /// 0..=1 or -1..=1).
+    pub fn floats(
+        &self,
+        accessor: &::gltf::Accessor<'_>,
+        components: usize,
+    ) -> Result<Vec<f32>, ImportError> {
+        let scale = if accessor.normalized() {
+            match accessor.data_type() {
+                DataType::U8 => 255.0,
+                DataType::I8 => 127.0,
+                DataType::U16 => 65_535.0,
+                DataType::I16 => 32_767.0,
+                _ => 1.0,
+            }
+        } else {
+            1.0
+        };
+        let values = self.values(accessor, components)?;
+        Ok(values
+            .into_iter()
+            .map(|v| (v / scale).max(if accessor.normalized() { -1.0 } else { f64::MIN }) as f32)
+            .collect())
+    }
+
+    /// An accessor's values as unsigned integers, `components` of them per element.
+    pub fn integers(
+        &self,
+        accessor: &::gltf::Accessor<'_>,
+        components: usize,
+    ) -> Result<Vec<u32>, ImportError> {
+        Ok(self.values(accessor, components)?.into_iter().map(|v| v as u32).collect())
+    }
+
+    fn values(&self, accessor: &::gltf::Accessor<'_>, components: usize) -> Result<Vec<f64>, ImportError> {
+        let field = format!("accessor {}", accessor.index());
+        if multiplicity(accessor.dimensions()) != components {
+            let found = format!("{:?}", accessor.dimensions());
+            return Err(FORMAT.malformed(field, found, format_args!("{components} components")));
+        }
+        let total = accessor.count().checked_mul(components).filter(|t| *t <= self.max_values);
+        let total = total.ok_or_else(|| {
+            super::too_large(
+                &field,
+                format!("{} elements", accessor.count()),
+                format!("{} values", self.max_values),
+            )
+        })?;
+        let size = accessor.data_type().size();
+        let mut out = Vec::new();
+        match accessor.view() {
+            None => out.resize(total, 0.0),
+            Some(view) => {
+                let bytes = self.view(&view)?;
+                let stride = view.stride().unwrap_or(components * size);
+                let needed = match accessor.count().checked_sub(1) {
+                    None => Some(0),
+                    Some(last) => last
+                        .checked_mul(stride)
+                        .and_then(|o| o.checked_add(accessor.offset()))
+                        .and_then(|o| o.checked_add(components * size)),
+                };
+                if needed.is_none_or(|n| n > bytes.len()) {
+                    let needed = needed.unwrap_or(usize::MAX) as u64;
+                    return Err(FORMAT.truncated(field, bytes.len() as u64, needed));
+                }
+                out.reserve_exact(total);
+                for element in 0..accessor.count() {
+                    let at = accessor.offset() + element * stride;
+                    out.extend((0..components).map(|c| scalar(bytes, at + c * size, accessor.data_type())));
+                }
+            }
+        }
+        if let Some(sparse) = accessor.sparse() {
+            let (indices, values) = (sparse.indices(), sparse.values());
+            let (index_bytes, value_bytes) = (self.view(&indices.view())?, self.view(&values.view())?);
+            let kind = match indices.index_type() {
+                ::gltf::accessor::sparse::IndexType::U8 => DataType::U8,
+                ::gltf::accessor::sparse::IndexType::U16 => DataType::U16,
+                ::gltf::accessor::sparse::IndexType::U32 => DataType::U32,
+            };
+            if sparse.count() > accessor.count() {
+                return Err(FORMAT.malformed(field, sparse.count(), "no more sparse values than elements"));
+            }
+            for i in 0..sparse.count() {
+                let element = scalar(index_bytes, indices.offset().saturating_add(i * kind.size()), kind);
+                if !(0.0..accessor.count() as f64).contains(&element) {
+                    return Err(FORMAT.malformed(field, element, "a sparse index below the count"));
+                }
+                for c in 0..components {
+                    let at = values.offset().saturating_add((i * components + c) * size);
+                    out[element as usize * components + c] = scalar(value_bytes, at, accessor.data_type());
+                }
+            }
+        }
+        Ok(out)
+    }
+}
+
+fn multiplicity(dimensions: Dimensions) -> usize {
+    dimensions.multiplicity()
+}
+
+/// The value at `at`, NaN past the end.
+fn scalar(bytes: &[u8], at: usize, kind: DataType) -> f64 {
+    let value = match kind {
+        DataType::I8 => array(bytes, at).map(|b| f64::from(i8::from_le_bytes(b))),
+        DataType::U8 => array(bytes, at).map(|b| f64::from(u8::from_le_bytes(b))),
+        DataType::I16 => array(bytes, at).map(|b| f64::from(i16::from_le_bytes(b))),
+        DataType::U16 => array(bytes, at).map(|b| f64::from(u16::from_le_bytes(b))),
+        DataType::U32 => array(bytes, at).map(|b| f64::from(u32::from_le_bytes(b))),
+        DataType::F32 => array(bytes, at).map(|b| f64::from(f32::from_le_bytes(b))),
+    };
+    value.unwrap_or(f64::NAN)
+}
+
+/// Indices that the crate's own validation uses before it has checked them, or never checks.
+fn check_indices(root: &json::Root) -> Result<(), ImportError> {
+    let below = |what: &str, index: usize, count: usize| {
+        if index < count { Ok(()) } else { Err(FORMAT.malformed(what, index, format_args!("below {count}"))) }
+    };
+    for primitive in root.meshes.iter().flat_map(|m| &m.primitives) {
+        for accessor in primitive.attributes.values() {
+            below("primitive attribute", accessor.value(), root.accessors.len())?;
+        }
+    }
+    for animation in &root.animations {
+        for channel in &animation.channels {
+            below("channel target", channel.target.node.value(), root.nodes.len())?;
+            below("channel sampler", channel.sampler.value(), animation.samplers.len())?;
+            if matches!(channel.target.path, json::validation::Checked::Invalid) {
+                let allowed = "translation, rotation, scale or weights";
+                return Err(FORMAT.malformed("channel path", "another word", allowed));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The JSON and BIN chunks of a GLB.
+fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ImportError> {
+    let word = |at: usize| {
+        u32_at(bytes, at)
+            .ok_or_else(|| FORMAT.truncated("GLB header", bytes.len() as u64, at as u64 + 4).at(at))
+    };
+    if word(4)? != 2 {
+        return Err(FORMAT.unsupported("GLB version", word(4)?, "2").at(4));
+    }
+    let length = word(8)? as usize;
+    if length > bytes.len() {
+        return Err(FORMAT.truncated("GLB", bytes.len() as u64, length as u64).at(8));
+    }
+    let (mut json, mut blob, mut offset) = (None, None, 12);
+    while offset + 8 <= length {
+        let (size, kind) = (word(offset)? as usize, word(offset + 4)?);
+        let data = bytes[..length].get(offset + 8..(offset + 8).saturating_add(size)).ok_or_else(|| {
+            FORMAT.truncated("GLB chunk", (length - offset - 8) as u64, size as u64).at(offset)
+        })?;
+        match kind {
+            0x4e4f_534a => json = json.or(Some(data)),
+            0x004e_4942 => blob = blob.or(Some(data)),
+            _ => {}
+        }
+        offset += 8 + size;
+    }
+    let json = json.ok_or_else(|| FORMAT.malformed("GLB", "no JSON chunk", "a JSON chunk first").at(12))?;
+    Ok((json, blob))
+}
+
+/// What a uri holds: base64 data, or a file beside this one.
+fn resource(
+    uri: &str,
+    beside: &mut impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
+) -> Result<Vec<u8>, ImportError> {
+    match uri.strip_prefix("data:") {
+        None => beside(uri),
+        Some(data) => data
+            .split_once(";base64,")
+            .and_then(|(_, text)| base64(text.as_bytes()))
+            .ok_or_else(|| FORMAT.malformed("data uri", "other text", "base64 data")),
+    }
+}
+
+fn base64(text: &[u8]) -> Option<Vec<u8>> {
+    let text = text.strip_suffix(b"==").or(text.strip_suffix(b"=")).unwrap_or(text);
+    let mut out = Vec::with_capacity(text.len() / 4 * 3 + 3);
+    for group in text.chunks(4) {
+        let mut word = 0u32;
+        for &byte in group {
+            let digit = match byte {
+                b'A'..=b'Z' => byte - b'A',
+                b'a'..=b'z' => byte - b'a' + 26,
+                b'0'..=b'9' => byte - b'0' + 52,
+                b'+' | b'-' => 62,
+                b'/' | b'_' => 63,
+                _ => return None,
+            };
+            word = word << 6 | u32::from(digit);
+        }
+        if group.len() == 1 {
+            return None;
+        }
+        word <<= 6 * (4 - group.len());
+        out.extend(&word.to_be_bytes()[1..group.len()]);
+    }
+    Some(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn base64_reads_with_and_without_padding() {
+        assert_eq!(base64(b"TWFu").unwrap(), b"Man");
+        assert_eq!(base64(b"TWE=").unwrap(), b"Ma");
+        assert_eq!(base64(b"TQ==").unwrap(), b"M");
+        assert_eq!(base64(b"T*=="), None);
+    }
+
+    #[test]
+    fn a_chunk_longer_than_the_file_is_refused() {
+        let mut glb = b"glTF\x02\0\0\0\x1c\0\0\0".to_vec();
+        glb.extend([0xff, 0xff, 0xff, 0x7f]);
+        glb.extend(b"JSON{}      ");
+        assert!(chunks(&glb).unwrap_err().to_string().contains("GLB chunk at byte 12"));
+    }
+}

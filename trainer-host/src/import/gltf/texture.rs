@@ -1,0 +1,156 @@
+//! Base colour: textures decoded within bounds, sampled bilinearly in linear light.
+
+use std::io::Cursor;
+
+use ::gltf::{material::AlphaMode, texture::WrappingMode};
+
+use super::{FORMAT, document::Document};
+use crate::import::{Limits, error::ImportError};
+
+/// What a primitive's surface looks like.
+pub(super) struct Material {
+    factor: [f32; 4],
+    texture: Option<Texture>,
+    alpha: AlphaMode,
+    cutoff: f32,
+    /// Which set of texture coordinates.
+    pub uv_set: u32,
+}
+
+struct Texture {
+    image: image::RgbaImage,
+    wrap: [WrappingMode; 2],
+}
+
+impl Material {
+    /// Decodes a material's base colour.
+    pub fn new(
+        document: &Document,
+        material: &::gltf::Material<'_>,
+        limits: &Limits,
+    ) -> Result<Self, ImportError> {
+        let base = material.pbr_metallic_roughness();
+        let info = base.base_color_texture();
+        let texture = match &info {
+            None => None,
+            Some(info) => {
+                let texture = info.texture();
+                let field = format!("image {}", texture.source().index());
+                let bytes = document.image_bytes(&texture.source())?;
+                let image = decode(bytes, limits)
+                    .map_err(|e| FORMAT.malformed(field, e, "an undamaged PNG, JPEG or WebP"))?;
+                Some(Texture { image, wrap: [texture.sampler().wrap_s(), texture.sampler().wrap_t()] })
+            }
+        };
+        Ok(Self {
+            factor: base.base_color_factor(),
+            texture,
+            alpha: material.alpha_mode(),
+            cutoff: material.alpha_cutoff().unwrap_or(0.5),
+            uv_set: info.map_or(0, |i| i.tex_coord()),
+        })
+    }
+
+    /// Display colour and opacity at `uv` under a vertex colour; `None` where nothing is drawn.
+    pub fn colour(&self, uv: [f32; 2], vertex: [f32; 4]) -> Option<[f32; 4]> {
+        let texel = self.texture.as_ref().map_or([1.0; 4], |t| t.sample(uv));
+        let linear = [0, 1, 2, 3].map(|i| texel[i] * self.factor[i] * vertex[i]);
+        let alpha = match self.alpha {
+            AlphaMode::Opaque => 1.0,
+            AlphaMode::Mask if linear[3] < self.cutoff => return None,
+            AlphaMode::Mask => 1.0,
+            AlphaMode::Blend => linear[3].clamp(0.0, 1.0),
+        };
+        if alpha < 1.0 / 255.0 || linear.iter().any(|v| !v.is_finite()) {
+            return None;
+        }
+        Some([encode(linear[0]), encode(linear[1]), encode(linear[2]), alpha])
+    }
+}
+
+impl Texture {
+    /// Bilinear sample: linear rgb, alpha as stored.
+    fn sample(&self, uv: [f32; 2]) -> [f32; 4] {
+        let size = [self.image.width(), self.image.height()];
+        let at = [0, 1].map(|i| uv[i] * size[i] as f32 - 0.5);
+        let low = at.map(f32::floor);
+        let (fx, fy) = (at[0] - low[0], at[1] - low[1]);
+        let mut out = [0.0; 4];
+        for (dx, dy, weight) in [
+            (0, 0, (1.0 - fx) * (1.0 - fy)),
+            (1, 0, fx * (1.0 - fy)),
+            (0, 1, (1.0 - fx) * fy),
+            (1, 1, fx * fy),
+        ] {
+            let x = wrapped((low[0] as i64).saturating_add(dx), size[0], self.wrap[0]);
+            let y = wrapped((low[1] as i64).saturating_add(dy), size[1], self.wrap[1]);
+            let texel = self.image.get_pixel(x, y).0.map(|v| f32::from(v) / 255.0);
+            for i in 0..3 {
+                out[i] += weight * decode_srgb(texel[i]);
+            }
+            out[3] += weight * texel[3];
+        }
+        out
+    }
+}
+
+/// Decodes within bounds. No format read here packs more than 8192 pixels into a byte (PNG: deflate's
+/// 1032 times eight one-bit pixels), so a small file cannot ask for a large picture.
+fn decode(bytes: &[u8], limits: &Limits) -> image::ImageResult<image::RgbaImage> {
+    let (width, height) =
+        image::ImageReader::new(Cursor::new(bytes)).with_guessed_format()?.into_dimensions()?;
+    if u64::from(width) * u64::from(height) > (bytes.len() as u64).saturating_mul(8192) {
+        let kind = image::error::LimitErrorKind::DimensionError;
+        return Err(image::ImageError::Limits(image::error::LimitError::from_kind(kind)));
+    }
+    let mut reader = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
+    let mut bounds = image::Limits::default();
+    bounds.max_image_width = Some(16_384);
+    bounds.max_image_height = Some(16_384);
+    bounds.max_alloc = Some(limits.max_bytes.min(1 << 30));
+    reader.limits(bounds);
+    Ok(reader.decode()?.into_rgba8())
+}
+
+fn wrapped(texel: i64, size: u32, mode: WrappingMode) -> u32 {
+    let size = i64::from(size);
+    let inside = match mode {
+        WrappingMode::ClampToEdge => texel.clamp(0, size - 1),
+        WrappingMode::Repeat => texel.rem_euclid(size),
+        WrappingMode::MirroredRepeat => {
+            let turn = texel.rem_euclid(2 * size);
+            turn.min(2 * size - 1 - turn)
+        }
+    };
+    inside as u32
+}
+
+fn decode_srgb(v: f32) -> f32 {
+    if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+}
+
+/// Display value of linear light, cut to 0..=1.
+pub(super) fn encode(v: f32) -> f32 {
+    let v = v.clamp(0.0, 1.0);
+    if v <= 0.003_130_8 { v * 12.92 } else { 1.055 * v.powf(1.0 / 2.4) - 0.055 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texels_wrap_as_asked() {
+        let at = |mode| [-1, 0, 3, 4, 5].map(|t| wrapped(t, 4, mode));
+        assert_eq!(at(WrappingMode::Repeat), [3, 0, 3, 0, 1]);
+        assert_eq!(at(WrappingMode::ClampToEdge), [0, 0, 3, 3, 3]);
+        assert_eq!(at(WrappingMode::MirroredRepeat), [0, 0, 3, 3, 2]);
+    }
+
+    #[test]
+    fn display_colour_survives_linear_light() {
+        for v in [0.0, 0.02, 0.2, 0.5, 1.0] {
+            assert!((encode(decode_srgb(v)) - v).abs() < 1e-6);
+        }
+    }
+}
