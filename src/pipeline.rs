@@ -360,7 +360,7 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
     let queue = (mean.0 as f64 / 8.0 * args.queue_ms as f64 / 1000.0) as u64;
     let forward = PathConfig {
         capacity: Capacity::Trace(trace.clone()),
-        queue: QueueLimit { bytes: queue.max(6_000), ..QueueLimit::default() },
+        queue: QueueLimit { bytes: queue.max(24_000), ..QueueLimit::default() },
         loss,
         delay,
         ..PathConfig::default()
@@ -382,7 +382,7 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
         trace.name(),
         mean.0 as f64 / 1e6,
         delay.as_ms(),
-        queue / 1000,
+        queue.max(24_000) / 1000,
         100.0 * args.burst_loss
     );
     Ok(Link { config, trace, description, warnings })

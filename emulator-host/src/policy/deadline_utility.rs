@@ -4,7 +4,8 @@
 //! - P_g: [`mean_arrival`] over the frames at which g changes pixels. Expected arrival is half a round trip plus what of
 //!   C(g) is not yet sent at the path's rate; its spread is the round trip's deviation plus half of that sending time. The
 //!   result is multiplied by the chance that no packet of it is lost, counting the retransmissions that a base packet has.
-//! - Ũ_g: the group's utility. Groups with none, or less, are never targets.
+//! - Ũ_g: the group's utility per frame times the frames on which it shows; with P_g the mean over those frames, the
+//!   product is what the group is expected to add to all frames together. Groups with none, or less, are never targets.
 //! - U_g = ½ (1 + f), with f the share of g's own bytes that is under way or there: it rises as g nears completion.
 //!
 //! Until playout has started, the base of the first frame comes before everything else, in order of S.
@@ -115,7 +116,9 @@ impl DeadlineUtility {
         }
         let own = &self.tallies[group.at()];
         let begun = 1.0 - f64::from(own.waiting_bytes) / f64::from(own.total_bytes);
-        let bound = facts.utility * 0.5 * (1.0 + begun) / need.unacked_bytes as f64;
+        // Utility is per frame shown, so a group that shows on more frames is worth more.
+        let frames = f64::from(facts.last_frame - facts.first_frame + 1);
+        let bound = facts.utility * frames * 0.5 * (1.0 + begun) / need.unacked_bytes as f64;
         if bound <= floor {
             return None;
         }

@@ -96,7 +96,7 @@ pub fn write(path: &Path, epoch: &Epoch, t: usize, options: &Options) -> io::Res
 /// Writes every frame of `scene` as `PREFIX_00000.spz` and so on.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn write_sequence(
     folder: &Path,
     prefix: &str,

@@ -14,6 +14,7 @@ struct Case {
 }
 
 static CASES: LazyLock<Vec<Case>> = LazyLock::new(cases);
+static SOG: LazyLock<Vec<(&str, Vec<u8>)>> = LazyLock::new(sog::tests::files);
 static UNITY: LazyLock<unity::tests::Sample> = LazyLock::new(|| unity::tests::sample(20));
 
 fn cases() -> Vec<Case> {
@@ -47,7 +48,29 @@ fn cases() -> Vec<Case> {
         case(UNITY.planes[2].clone(), |b, l| {
             count(unity::parse(&unity::Asset { others: b, ..UNITY.asset() }, l))
         }),
+        case(sog_file("meta.json"), |b, l| count(sog_with("meta.json", b, l))),
+        case(sog_file("l.webp"), |b, l| count(sog_with("l.webp", b, l))),
+        case(sog_file("p.webp"), |b, l| count(sog_with("p.webp", b, l))),
+        case(points_npz::tests::files()[0].1.clone(), |b, l| {
+            let mut files = points_npz::tests::files();
+            files[0].1 = b.to_vec();
+            points_npz::parse(&points_npz::tests::zipped(&files), 30.0, l).map(|s| s.max_count())
+        }),
     ]
+}
+
+fn sog_file(name: &str) -> Vec<u8> {
+    SOG.iter().find(|f| f.0 == name).unwrap().1.clone()
+}
+
+/// A SOG with one of its files replaced, past the checksums of a zip.
+fn sog_with(name: &str, bytes: &[u8], limits: &Limits) -> Result<Snapshot, ImportError> {
+    let file = |wanted: &str| if wanted == name { bytes.to_vec() } else { sog_file(wanted) };
+    let known = |wanted: &str| {
+        let error = || Format::Sog.malformed("file", wanted, "a known name");
+        SOG.iter().find(|f| f.0 == wanted).map(|_| file(wanted)).ok_or_else(error)
+    };
+    sog::parse_files(&file("meta.json"), known, limits)
 }
 
 fn spz_4() -> Vec<u8> {
@@ -124,7 +147,7 @@ proptest! {
 
     #[test]
     fn no_reader_panics(
-        which in 0usize..14,
+        which in 0usize..18,
         damages in proptest::collection::vec(damage(), 1..4),
         keep_readable in any::<bool>(),
     ) {
@@ -149,7 +172,7 @@ proptest! {
 
 #[test]
 fn undamaged_seeds_are_read() {
-    assert_eq!(CASES.len(), 14);
+    assert_eq!(CASES.len(), 18);
     for (i, case) in CASES.iter().enumerate() {
         assert!((case.read)(&case.seed, &Limits::default()).is_ok(), "case {i}");
     }

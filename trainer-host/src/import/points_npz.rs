@@ -210,21 +210,28 @@ pub(super) mod tests {
         values.iter().flat_map(|v| v.to_le_bytes()).collect()
     }
 
-    pub fn sample() -> Vec<u8> {
-        let files = [
+    pub fn files() -> Vec<(&'static str, Vec<u8>)> {
+        vec![
             ("means3d", npy("<f4", "(4, 3)", &floats(&[0., 0., 0., 1., 0., 0., 0., 1., 0., 0., 0., 1.]))),
             ("colors", npy("|u1", "(4, 3)", &[255, 0, 128, 0, 0, 0, 10, 20, 30, 40, 50, 60])),
             ("viewmats", npy("<f4", "(1, 3, 4)", &floats(&[1., 0., 0., 0., 0., 1., 0., 0., 0., 0., 1., 5.]))),
             ("Ks", npy("<f4", "(1, 3, 3)", &floats(&[100., 0., 50., 0., 100., 40., 0., 0., 1.]))),
             ("width", npy("<i8", "()", &100i64.to_le_bytes())),
             ("height", npy("<i8", "()", &80i64.to_le_bytes())),
-        ];
+        ]
+    }
+
+    pub fn zipped(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
         let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
         for (name, bytes) in files {
             zip.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
-            zip.write_all(&bytes).unwrap();
+            zip.write_all(bytes).unwrap();
         }
         zip.finish().unwrap().into_inner()
+    }
+
+    pub fn sample() -> Vec<u8> {
+        zipped(&files())
     }
 
     #[test]

@@ -250,8 +250,8 @@ pub(super) mod tests {
         out
     }
 
-    /// Six Gaussians with a palette of two, zipped.
-    pub fn sample() -> Vec<u8> {
+    /// Six Gaussians with a palette of two: metadata and planes.
+    pub fn files() -> Vec<(&'static str, Vec<u8>)> {
         let book: Vec<f32> = (0..256).map(|i| (i as f32 - 128.0) / 64.0).collect();
         let meta = serde_json::json!({
             "version": 2, "count": 6,
@@ -261,7 +261,8 @@ pub(super) mod tests {
             "sh0": {"codebook": book, "files": ["c.webp"]},
             "shN": {"count": 2, "bands": 1, "codebook": book, "files": ["p.webp", "n.webp"]},
         });
-        let files = [
+        vec![
+            ("meta.json", meta.to_string().into_bytes()),
             ("l.webp", webp(3, 2, |i| [i as u8, 255, 0, 255])),
             ("u.webp", webp(3, 2, |_| [0, 255, 128, 255])),
             ("s.webp", webp(3, 2, |i| [i as u8, 0, 128, 255])),
@@ -269,13 +270,14 @@ pub(super) mod tests {
             ("c.webp", webp(3, 2, |i| [128, 64, 192, 50 * i as u8])),
             ("p.webp", webp(192, 1, |i| [i as u8, 128, 0, 255])),
             ("n.webp", webp(3, 2, |i| [(i % 2) as u8, 0, 0, 255])),
-        ];
+        ]
+    }
+
+    /// The same, zipped.
+    pub fn sample() -> Vec<u8> {
         let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
-        let options = zip::write::SimpleFileOptions::default();
-        zip.start_file("meta.json", options).unwrap();
-        zip.write_all(meta.to_string().as_bytes()).unwrap();
-        for (name, bytes) in files {
-            zip.start_file(name, options.compression_method(zip::CompressionMethod::Stored)).unwrap();
+        for (name, bytes) in files() {
+            zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
             zip.write_all(&bytes).unwrap();
         }
         zip.finish().unwrap().into_inner()
