@@ -246,7 +246,7 @@ mod tests {
 
     #[test]
     fn there_is_one_packed_form() {
-        let raw: Vec<u8> = (0..300u32).map(|i| (i * i >> 3) as u8).collect();
+        let raw: Vec<u8> = (0..300u32).map(|i| ((i * i) >> 3) as u8).collect();
         let bytes = packed(&raw);
         let mut back = vec![0u8; raw.len()];
         let refused = |bytes: &[u8], back: &mut [u8]| unpack(bytes, back).map_err(|e| e.field);

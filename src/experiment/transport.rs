@@ -99,13 +99,13 @@ pub fn run(setup: &Setup) -> Result<Bench> {
                     }
                     let miss = miss_of(policy);
                     let mut figure = Figure::new(key("miss"), mean(&miss), "%").runs(miss.len());
-                    figure.ci95 = bootstrap95(&miss, 11);
+                    figure.ci95 = bootstrap95(&miss, mean, 11);
                     bench.push(figure);
                     if policy != PolicyKind::Layered {
                         let paired: Vec<f64> = miss.iter().zip(&layered).map(|(a, b)| a - b).collect();
                         let mut figure =
                             Figure::new(key("miss_less_layered"), mean(&paired), "points, paired");
-                        figure.ci95 = bootstrap95(&paired, 13);
+                        figure.ci95 = bootstrap95(&paired, mean, 13);
                         bench.push(figure);
                     }
                     bench.push(Figure::new(key("utility"), mean(&column(&|r| r.utility)), ""));

@@ -16,6 +16,8 @@ const LEFT: f64 = 62.0;
 const RIGHT: f64 = 18.0;
 /// Height of one row of the legend.
 const LEGEND_ROW: f64 = 24.0;
+/// Room for the label of a panel, above it.
+const HEAD: f64 = 32.0;
 /// Markers along one series.
 const MARKERS: usize = 7;
 /// Numbers farther from zero than this are not drawn.
@@ -78,7 +80,7 @@ pub fn ticks(low: f64, high: f64, count: usize) -> Ticks {
     let rough = (high - low) / count.max(1) as f64;
     let power = rough.log10().floor() as i32;
     let unit = 10f64.powi(power);
-    let step = [1.0, 2.0, 5.0].iter().map(|m| m * unit).find(|s| *s >= rough * 0.999).unwrap_or(10.0 * unit);
+    let step = [1.0, 2.0, 5.0].iter().map(|m| m * unit).find(|s| *s >= rough * 0.8).unwrap_or(10.0 * unit);
     let first = (low / step + 1e-6).floor();
     let last = (high / step - 1e-6).ceil().max(first + 1.0).min(first + 100.0);
     let values = (0..=(last - first) as usize).map(|i| (first + i as f64) * step).collect();
@@ -184,9 +186,9 @@ impl Plot<'_> {
         let (legend, mut top) = legend(self.panels.iter().flat_map(|p| &p.series).map(|s| (s.name, s.hue)));
         let mut body = legend;
         let times = ticks(x.from.0, x.from.1, 10);
-        let first = top + 22.0;
+        let first = top + HEAD;
         for panel in &self.panels {
-            top += 22.0;
+            top += HEAD;
             panel.draw(&mut body, x, top, &times);
             top += panel.height + 14.0;
         }
@@ -224,7 +226,7 @@ impl Panel<'_> {
         let y = Scale { from: (ends.0.unwrap_or(0.0), ends.1.unwrap_or(1.0)), to: (bottom, top) };
         let label = escape(self.label);
         let _ = write!(out, r#"<g class="panel" data-label="{label}">"#);
-        let _ = write!(out, r#"<text class="axis" x="0" y="{:.1}">{label}</text>"#, top - 9.0);
+        let _ = write!(out, r#"<text class="axis" x="0" y="{:.1}">{label}</text>"#, top - 14.0);
         for t in times.values.iter().filter(|t| (x.from.0 - 1e-9..=x.from.1 + 1e-9).contains(*t)) {
             let _ = write!(out, r#"<path class="grid v" d="M{:.1} {top:.1}V{bottom:.1}"/>"#, x.at(*t));
         }

@@ -124,7 +124,7 @@ fn variance(rows: &[[f64; FEATURES]], feature: usize) -> f64 {
 fn widest(features: &[[f64; FEATURES]], set: &[u32]) -> (usize, f64) {
     let n = set.len() as f64;
     let mut best = (0, -1.0);
-    for f in 0..FEATURES {
+    for (f, _) in [(); FEATURES].iter().enumerate() {
         let mean = set.iter().map(|&i| features[i as usize][f]).sum::<f64>() / n;
         let variance = set.iter().map(|&i| (features[i as usize][f] - mean).powi(2)).sum::<f64>() / n;
         if variance > best.1 {

@@ -2,6 +2,8 @@
 //! source, every subset of packets is a valid scene, one packet changes only its own blocks, and
 //! equal input gives equal bytes.
 
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
 use codec_core::{Gaussian, wire::manifest::Profile};
 use trainer_host::{
     Scene,

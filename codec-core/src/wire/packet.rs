@@ -37,6 +37,7 @@ pub const PARITY_OVERHEAD_BYTES: usize = PARITY_HEADER_BYTES + 2 + 4;
 
 /// A packet's content, CRC already checked and removed.
 #[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "there is no heap to put the large one on")]
 pub enum Packet<'a> {
     /// `paper`.
     Chunk(Chunk<'a>),

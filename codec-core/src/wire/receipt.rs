@@ -253,7 +253,7 @@ mod tests {
             let mut bytes = bytes;
             if let Some(first) = bytes.first_mut() { *first = *first & 1 | 0xe0; }
             // A CRC that always fits: the fuzzer gets behind the door.
-            let fits: Crc32 = |content| u32::from(content.len() as u16 & 0);
+            let fits: Crc32 = |_| 0;
             bytes.extend([0; 4]);
             if let Ok(receipt) = Receipt::parse(&bytes, fits) {
                 let _ = receipt.acknowledged().count() + receipt.recovered().count() + receipt.completed().count();

@@ -164,7 +164,7 @@ fn plan(epoch: &Epoch, first_frame: usize, options: &Options) -> Result<EpochPla
             let count = wide.len().max(1) as f64;
             let centre = [0, 1, 2].map(|d| wide.iter().map(|p| p[d]).sum::<f64>() / count);
             let mut transforms = Vec::with_capacity(frames * 12);
-            let mut left = vec![Vec::with_capacity(frames); members.len() * 3];
+            let mut left: Vec<Vec<f64>> = vec![Vec::new(); members.len() * 3];
             let mut turn = [1.0, 0.0, 0.0, 0.0];
             for t in 0..frames {
                 let truth = a.positions.frame(t, n);

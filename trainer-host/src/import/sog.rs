@@ -277,7 +277,8 @@ pub(super) mod tests {
     pub fn sample() -> Vec<u8> {
         let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
         for (name, bytes) in files() {
-            zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+            let options = zip::write::SimpleFileOptions::default();
+            zip.start_file(name, options.compression_method(zip::CompressionMethod::Stored)).unwrap();
             zip.write_all(&bytes).unwrap();
         }
         zip.finish().unwrap().into_inner()

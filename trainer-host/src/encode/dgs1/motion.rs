@@ -152,7 +152,7 @@ fn track(
     // Fit, then decide whether the cluster moves at all.
     let mut turn = [1.0, 0.0, 0.0, 0.0];
     let (mut moved2, mut turned2) = (0.0, 0.0);
-    let mut parameters = vec![Vec::with_capacity(frames.len()); TRACK_PARAMETERS];
+    let mut parameters: Vec<Vec<f64>> = vec![Vec::new(); TRACK_PARAMETERS];
     for t in frames.clone() {
         let target: Vec<[f64; 3]> = pick3(a.positions.frame(t, n)).iter().map(|p| p.map(f64::from)).collect();
         turn = mean_turn(&start_turns, &pick4(a.rotations.frame(t, n)), turn);
@@ -193,7 +193,7 @@ fn track(
     // What the decoder makes of it, and what is left.
     let shape = Shape::dgs1(record, *quant, Some(motion), count, options.block_len);
     let mut left: [Vec<Vec<f64>>; Class::MOVING] = Default::default();
-    let empty = |dims: usize| vec![Vec::with_capacity(frames.len()); members.len() * dims];
+    let empty = |dims: usize| vec![Vec::new(); members.len() * dims];
     left[Class::Position.index()] = empty(3);
     left[Class::Rotation.index()] = empty(3);
     for (class, constant) in [

@@ -1,0 +1,384 @@
+//! The map as a test: who may depend on whom, what codec-core does without, what has no place
+//! here. Rules run over a [`Tree`] of texts, so that each is also shown a tree that breaks it.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::Path,
+};
+
+/// Package, folder, and the workspace crates it must depend on: no more, no fewer.
+const ARROWS: [(&str, &str, &[&str]); 6] = [
+    ("dgs", "", &["codec-core", "emulator-host", "render-host", "trainer-host"]),
+    ("trainer-host", "trainer-host/", &["codec-core", "render-host"]),
+    ("render-host", "render-host/", &["codec-core"]),
+    ("emulator-host", "emulator-host/", &["codec-core"]),
+    ("fuzz", "fuzz/", &["codec-core", "emulator-host", "trainer-host"]),
+    ("codec-core", "codec-core/", &[]),
+];
+
+/// Everything that lies at the top, and whether it must.
+const TOP: [(&str, bool); 16] = [
+    (".ci", true),
+    (".gitignore", true),
+    ("Cargo.lock", true),
+    ("Cargo.toml", true),
+    ("LICENSE", true),
+    ("README.md", false),
+    ("clippy.toml", true),
+    ("rust-toolchain.toml", false),
+    ("rustfmt.toml", true),
+    ("codec-core", true),
+    ("emulator-host", true),
+    ("fuzz", true),
+    ("render-host", true),
+    ("src", true),
+    ("tests", true),
+    ("trainer-host", true),
+];
+
+/// Made on the spot and ignored by git.
+const IGNORED: [&str; 4] = [".git", "target", "dgs-demo", ".dgs-out"];
+
+/// Crates that must not ask a clock.
+const LIBRARIES: [&str; 4] = ["codec-core", "render-host", "trainer-host", "emulator-host"];
+
+/// Files that may hold `unsafe`: none so far. SIMD goes through a safe crate.
+const UNSAFE: [&str; 0] = [];
+
+/// Names that say nothing about what is inside.
+const EMPTY_NAMES: [&str; 8] = ["utils", "util", "common", "helpers", "helper", "misc", "shared", "stuff"];
+
+/// Texts by path from the root, with `/`, and the names at the top.
+#[derive(Clone, Default)]
+struct Tree {
+    files: BTreeMap<String, String>,
+    top: BTreeSet<String>,
+}
+
+impl Tree {
+    fn of(root: &Path) -> Self {
+        let mut tree = Self::default();
+        for entry in std::fs::read_dir(root).unwrap() {
+            let name = entry.unwrap().file_name().into_string().unwrap();
+            if !IGNORED.contains(&name.as_str()) && !name.ends_with(".profraw") {
+                tree.read(root, &name);
+                tree.top.insert(name);
+            }
+        }
+        tree
+    }
+
+    fn read(&mut self, root: &Path, name: &str) {
+        let path = root.join(name);
+        if path.is_dir() {
+            for entry in std::fs::read_dir(&path).unwrap() {
+                let inner = entry.unwrap().file_name().into_string().unwrap();
+                // Corpora and artefacts of fuzzing are bytes, not texts.
+                if !["corpus", "artifacts", "target"].contains(&inner.as_str()) {
+                    self.read(root, &format!("{name}/{inner}"));
+                }
+            }
+        } else if let Ok(text) = std::fs::read_to_string(&path) {
+            self.files.insert(name.to_owned(), text);
+        }
+    }
+
+    fn text(&self, path: &str) -> &str {
+        self.files.get(path).map_or("", String::as_str)
+    }
+
+    fn rust(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.files.iter().filter(|(p, _)| p.ends_with(".rs")).map(|(p, t)| (p.as_str(), t.as_str()))
+    }
+}
+
+/// Lines without comments, with their number from 1.
+fn code(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    text.lines()
+        .enumerate()
+        .map(|(i, line)| (i + 1, line.split("//").next().unwrap_or("")))
+        .filter(|(_, line)| !line.trim().is_empty())
+}
+
+/// The part before inline tests.
+fn outside_tests(text: &str) -> &str {
+    text.split("#[cfg(test)]").next().unwrap_or("")
+}
+
+fn has_word(line: &str, word: &str) -> bool {
+    let part = |c: char| c.is_alphanumeric() || c == '_';
+    line.match_indices(word).any(|(at, _)| {
+        let before = line[..at].chars().next_back().is_some_and(part);
+        let after = line[at + word.len()..].chars().next().is_some_and(part);
+        !before && !after
+    })
+}
+
+/// Names under `[dependencies]` (or, if `dev`, `[dev-dependencies]`), targets included.
+fn dependencies(manifest: &str, dev: bool) -> BTreeSet<String> {
+    let mut names = BTreeSet::new();
+    let mut inside = false;
+    for (_, line) in manifest.lines().map(|l| l.split('#').next().unwrap_or("").trim()).enumerate() {
+        if let Some(section) = line.strip_prefix('[').and_then(|l| l.strip_suffix(']')) {
+            let is_dev = section.contains("dev-dependencies");
+            let is_normal = section.ends_with("dependencies") && !section.starts_with("workspace");
+            inside = if dev { is_dev } else { is_normal && !is_dev };
+            // `[dependencies.name]`
+            let wanted = if dev { "dev-dependencies." } else { "dependencies." };
+            if let Some(name) = section.strip_prefix(wanted) {
+                names.insert(name.to_owned());
+            }
+        } else if inside && let Some((name, _)) = line.split_once('=') {
+            names.insert(name.trim().split('.').next().unwrap_or("").to_owned());
+        }
+    }
+    names
+}
+
+type Rule = fn(&Tree, &mut Vec<String>);
+
+const RULES: [Rule; 9] =
+    [arrows, lints, no_std, top, names, unsafe_code, machine_paths, clocks, licence_and_recipe];
+
+fn broken(tree: &Tree) -> Vec<String> {
+    let mut found = Vec::new();
+    RULES.iter().for_each(|rule| rule(tree, &mut found));
+    found
+}
+
+fn arrows(tree: &Tree, found: &mut Vec<String>) {
+    let members: BTreeSet<&str> = ARROWS.iter().map(|a| a.0).collect();
+    for (package, folder, allowed) in ARROWS {
+        let manifest = tree.text(&format!("{folder}Cargo.toml"));
+        if !manifest.contains(&format!("name = \"{package}\"")) {
+            found.push(format!("{folder}Cargo.toml is not the manifest of {package}"));
+        }
+        let allowed: BTreeSet<&str> = allowed.iter().copied().collect();
+        let ours = |names: BTreeSet<String>| -> BTreeSet<String> {
+            names.into_iter().filter(|n| members.contains(n.as_str())).collect()
+        };
+        let normal = ours(dependencies(manifest, false));
+        if !normal.iter().map(String::as_str).eq(allowed.iter().copied()) {
+            found.push(format!("{package} depends on {normal:?}; the map says {allowed:?}"));
+        }
+        for dev in ours(dependencies(manifest, true)) {
+            if !allowed.contains(dev.as_str()) {
+                found.push(format!("tests of {package} depend on {dev}; the map says {allowed:?}"));
+            }
+        }
+    }
+    let listed = ARROWS.iter().filter(|a| !a.1.is_empty()).map(|a| a.0);
+    for member in listed {
+        if !tree.text("Cargo.toml").contains(&format!("\"{member}\"")) {
+            found.push(format!("{member} is not a workspace member"));
+        }
+    }
+}
+
+fn lints(tree: &Tree, found: &mut Vec<String>) {
+    for (package, folder, _) in ARROWS {
+        let manifest = tree.text(&format!("{folder}Cargo.toml"));
+        if !manifest.split("[lints]").nth(1).is_some_and(|l| l.trim_start().starts_with("workspace = true")) {
+            found.push(format!("{package} does not take the workspace's lints"));
+        }
+    }
+}
+
+fn no_std(tree: &Tree, found: &mut Vec<String>) {
+    let root = tree.text("codec-core/src/lib.rs");
+    for attribute in ["#![no_std]", "#![forbid(unsafe_code)]"] {
+        if !root.contains(attribute) {
+            found.push(format!("codec-core/src/lib.rs lacks {attribute}"));
+        }
+    }
+    for (path, text) in tree.rust().filter(|(p, _)| p.starts_with("codec-core/src/")) {
+        for (line, code) in code(outside_tests(text)) {
+            for banned in ["extern crate", "std::", "alloc::"] {
+                if code.contains(banned) {
+                    found.push(format!("{path}:{line}: {banned} in codec-core"));
+                }
+            }
+        }
+        if code(text).any(|(_, code)| code.contains("extern crate alloc")) {
+            found.push(format!("{path}: extern crate alloc"));
+        }
+    }
+}
+
+fn top(tree: &Tree, found: &mut Vec<String>) {
+    for name in &tree.top {
+        if !TOP.iter().any(|t| t.0 == name) {
+            found.push(format!("{name} has no place at the top"));
+        }
+    }
+    for (name, _) in TOP.iter().filter(|t| t.1) {
+        if !tree.top.contains(*name) {
+            found.push(format!("{name} is missing at the top"));
+        }
+    }
+}
+
+fn names(tree: &Tree, found: &mut Vec<String>) {
+    for (path, text) in tree.rust() {
+        for part in path.split('/') {
+            if EMPTY_NAMES.contains(&part.trim_end_matches(".rs")) {
+                found.push(format!("{path}: {part} is a name for nothing"));
+            }
+        }
+        for (line, code) in code(text) {
+            for name in EMPTY_NAMES {
+                if code.contains(&format!("mod {name} ")) || code.contains(&format!("mod {name};")) {
+                    found.push(format!("{path}:{line}: module {name}"));
+                }
+            }
+        }
+    }
+}
+
+fn unsafe_code(tree: &Tree, found: &mut Vec<String>) {
+    for (path, text) in tree.rust().filter(|(p, _)| !UNSAFE.contains(p) && *p != "tests/architecture.rs") {
+        for (line, _) in code(text).filter(|(_, code)| has_word(code, "unsafe")) {
+            found.push(format!("{path}:{line}: unsafe"));
+        }
+    }
+    let root = tree.text("Cargo.toml");
+    if !root.contains("unsafe_code = \"deny\"") && !root.contains("unsafe_code = \"forbid\"") {
+        found.push("the workspace does not deny unsafe code".into());
+    }
+}
+
+fn machine_paths(tree: &Tree, found: &mut Vec<String>) {
+    // Put together here, so that this line does not find itself.
+    let homes = ["home", "root", "Users", "work", "mnt"].map(|name| format!("/{name}/"));
+    for (path, text) in &tree.files {
+        for (i, line) in text.lines().enumerate() {
+            for home in &homes {
+                let starts = |at: usize| {
+                    line[..at]
+                        .chars()
+                        .next_back()
+                        .is_none_or(|c| !(c.is_alphanumeric() || "._-)/".contains(c)))
+                };
+                if line.match_indices(home.as_str()).any(|(at, _)| starts(at)) {
+                    found.push(format!("{path}:{}: names a place on one machine ({home})", i + 1));
+                }
+            }
+        }
+    }
+}
+
+fn clocks(tree: &Tree, found: &mut Vec<String>) {
+    for library in LIBRARIES {
+        let config = tree.text(&format!("{library}/clippy.toml"));
+        for banned in ["std::time::Instant::now", "std::time::SystemTime::now"] {
+            if !config.contains(&format!("path = \"{banned}\"")) {
+                found.push(format!("{library}/clippy.toml does not ban {banned}"));
+            }
+        }
+    }
+    for wanted in ["disallowed_methods", "iter_over_hash_type"] {
+        if !tree.text("Cargo.toml").contains(&format!("{wanted} = \"deny\"")) {
+            found.push(format!("the workspace does not deny {wanted}"));
+        }
+    }
+}
+
+fn licence_and_recipe(tree: &Tree, found: &mut Vec<String>) {
+    for part in ["Apache License", "Version 2.0, January 2004", "END OF TERMS AND CONDITIONS"] {
+        if !tree.text("LICENSE").contains(part) {
+            found.push(format!("LICENSE lacks {part:?}"));
+        }
+    }
+    if !tree.text(".ci/run").contains("set -euo pipefail") {
+        found.push(".ci/run does not stop at errors".into());
+    }
+}
+
+fn tree() -> Tree {
+    Tree::of(Path::new(env!("CARGO_MANIFEST_DIR")))
+}
+
+#[test]
+fn the_map_holds() {
+    let found = broken(&tree());
+    assert!(found.is_empty(), "{}", found.join("\n"));
+}
+
+/// Each change breaks one rule, and is found.
+#[test]
+fn a_broken_map_is_found() {
+    let good = tree();
+    let append = |path: &'static str, text: &'static str| {
+        move |tree: &mut Tree| tree.files.entry(path.to_owned()).or_default().push_str(text)
+    };
+    let replace = |path: &'static str, from: &'static str, to: &'static str| {
+        move |tree: &mut Tree| {
+            let text = tree.text(path).replace(from, to);
+            assert_ne!(text, tree.text(path), "{path} holds {from}");
+            tree.files.insert(path.to_owned(), text);
+        }
+    };
+    type Change = Box<dyn Fn(&mut Tree)>;
+    let changes: Vec<(Change, &str)> = vec![
+        (
+            Box::new(append("render-host/Cargo.toml", "\n[dependencies]\nemulator-host.workspace = true\n")),
+            "render-host depends on",
+        ),
+        (
+            Box::new(append(
+                "codec-core/Cargo.toml",
+                "\n[dev-dependencies]\ntrainer-host.workspace = true\n",
+            )),
+            "tests of codec-core depend on trainer-host",
+        ),
+        (
+            Box::new(append("codec-core/Cargo.toml", "\n[dependencies.render-host]\nworkspace = true\n")),
+            "codec-core depends on",
+        ),
+        (
+            Box::new(replace("trainer-host/Cargo.toml", "render-host.workspace = true", "")),
+            "trainer-host depends on",
+        ),
+        (Box::new(replace("fuzz/Cargo.toml", "[lints]", "[nothing]")), "fuzz does not take"),
+        (Box::new(replace("codec-core/src/lib.rs", "#![no_std]", "")), "lacks #![no_std]"),
+        (Box::new(append("codec-core/src/new.rs", "fn f() { std::process::abort() }\n")), "new.rs:1: std::"),
+        (
+            Box::new(append("codec-core/src/new.rs", "#[cfg(test)]\nmod t { extern crate alloc; }\n")),
+            "extern crate alloc",
+        ),
+        (Box::new(|tree| assert!(tree.top.insert("notes.txt".into()))), "notes.txt has no place"),
+        (Box::new(|tree| assert!(tree.top.remove("LICENSE"))), "LICENSE is missing"),
+        (Box::new(append("render-host/src/utils.rs", "\n")), "utils.rs is a name for nothing"),
+        (Box::new(append("src/lib.rs", "\nmod helpers;\n")), "module helpers"),
+        (Box::new(append("render-host/src/lib.rs", "\nfn f() { unsafe { g() } }\n")), "unsafe"),
+        (
+            Box::new(|tree| {
+                let line = format!("const DATA: &str = \"/{}/somebody/data\";\n", "home");
+                tree.files.insert("src/data.rs".into(), line);
+            }),
+            "src/data.rs:1: names a place on one machine",
+        ),
+        (
+            Box::new(replace(
+                "emulator-host/clippy.toml",
+                "std::time::Instant::now",
+                "std::time::Instant::elapsed",
+            )),
+            "emulator-host/clippy.toml does not ban",
+        ),
+        (Box::new(replace("LICENSE", "Version 2.0, January 2004", "")), "LICENSE lacks"),
+    ];
+    for (change, named) in changes {
+        let mut tree = good.clone();
+        change(&mut tree);
+        let found = broken(&tree);
+        assert!(found.iter().any(|f| f.contains(named)), "{named}: {found:?}");
+    }
+    // Words and comments that only look like it are left alone.
+    let mut tree = good;
+    tree.files.insert(
+        "src/fine.rs".into(),
+        "// unsafe\nconst F: &str = \"a\"; // std::mem\nfn unsafely() {}\n".into(),
+    );
+    assert!(!broken(&tree).iter().any(|f| f.contains("src/fine.rs")));
+}
