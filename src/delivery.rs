@@ -303,6 +303,10 @@ impl Endpoint for WireEndpoint<'_, '_> {
                     }
                 }
             }
+            // Frame 0 is asked for again and again until playout starts; the last answer is what is shown.
+            if self.shown.last().is_some_and(|s| s.frame == frame) {
+                self.shown.pop();
+            }
             self.shown.push(ShownState { frame, state: content.blocks.to_vec() });
         }
         self.snapshot = snapshot;

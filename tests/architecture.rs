@@ -105,12 +105,16 @@ fn outside_tests(text: &str) -> &str {
     text.split("#[cfg(test)]").next().unwrap_or("")
 }
 
-fn has_word(line: &str, word: &str) -> bool {
-    let part = |c: char| c.is_alphanumeric() || c == '_';
-    line.match_indices(word).any(|(at, _)| {
-        let before = line[..at].chars().next_back().is_some_and(part);
-        let after = line[at + word.len()..].chars().next().is_some_and(part);
-        !before && !after
+/// Whether a line has `unsafe` as a keyword: before a block, an item or an attribute's bracket.
+fn is_unsafe(line: &str) -> bool {
+    const WORD: &str = "unsafe";
+    line.match_indices(WORD).any(|(at, _)| {
+        let before = line[..at].chars().next_back().is_some_and(|c| c.is_alphanumeric() || c == '_');
+        let after = &line[at + WORD.len()..];
+        let item =
+            ["{", "fn ", "impl", "trait ", "extern "].iter().any(|i| after.trim_start().starts_with(i));
+        let spaced = after.is_empty() || (after.starts_with([' ', '{']) && item);
+        !before && (spaced || after.starts_with('('))
     })
 }
 
@@ -226,10 +230,11 @@ fn names(tree: &Tree, found: &mut Vec<String>) {
             }
         }
         for (line, code) in code(text) {
-            for name in EMPTY_NAMES {
-                if code.contains(&format!("mod {name} ")) || code.contains(&format!("mod {name};")) {
-                    found.push(format!("{path}:{line}: module {name}"));
-                }
+            let declared = code.trim_start().trim_start_matches("pub ").trim_start_matches("pub(crate) ");
+            let Some(name) = declared.strip_prefix("mod ") else { continue };
+            let name = name.trim_end_matches([';', '{', ' ']);
+            if EMPTY_NAMES.contains(&name) {
+                found.push(format!("{path}:{line}: module {name}"));
             }
         }
     }
@@ -237,7 +242,7 @@ fn names(tree: &Tree, found: &mut Vec<String>) {
 
 fn unsafe_code(tree: &Tree, found: &mut Vec<String>) {
     for (path, text) in tree.rust().filter(|(p, _)| !UNSAFE.contains(p) && *p != "tests/architecture.rs") {
-        for (line, _) in code(text).filter(|(_, code)| has_word(code, "unsafe")) {
+        for (line, _) in code(text).filter(|(_, code)| is_unsafe(code)) {
             found.push(format!("{path}:{line}: unsafe"));
         }
     }

@@ -62,7 +62,7 @@ fn the_demo_writes_its_report_and_names_it_last() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let args =
-        ["demo", "--scene", "synth:balls:600:10", "--width", "64", "--height", "64", "--contexts", "1"];
+        ["demo", "--scene", "synth:balls:1000:10", "--width", "64", "--height", "64", "--contexts", "1"];
     let text = ok(at, &args);
     let last = text.lines().last().unwrap();
     assert_eq!(last, Path::new("dgs-demo").join("report.html").to_str().unwrap());
@@ -80,7 +80,7 @@ fn the_demo_writes_its_report_and_names_it_last() {
 fn a_damaged_stream_is_used_as_far_as_it_goes() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    ok(at, &["encode", "synth:cloth:800:10", "--out", "a.dgs"]);
+    ok(at, &["encode", "synth:cloth:1000:10", "--out", "a.dgs"]);
     let whole = std::fs::read(at.join("a.dgs")).unwrap();
     std::fs::write(at.join("cut.dgs"), &whole[..whole.len() * 2 / 3]).unwrap();
     let output = dgs(at, &["decode", "cut.dgs", "--out", "frames"]);
@@ -105,10 +105,10 @@ fn bad_input_is_refused_by_name_and_place() {
         (vec!["import", "nowhere.ply"], vec!["nowhere.ply", "no such file"]),
         (vec!["import", "synth:teapot"], vec!["teapot", "balls, figure, cloth, births"]),
         (
-            vec!["encode", "synth:balls:100:2", "--out", "x.dgs", "--block-len", "0"],
+            vec!["encode", "synth:balls:1000:2", "--out", "x.dgs", "--block-len", "0"],
             vec!["block_len", "found", "1..=256"],
         ),
-        (vec!["stream", "synth:balls:200:3", "--trace", "trace"], vec!["trace", "line 1"]),
+        (vec!["stream", "synth:balls:1000:3", "--trace", "trace"], vec!["trace", "line 1"]),
         (vec!["bench", "nothing"], vec!["nothing", "rate"]),
     ] {
         let text = refused(at, &args);

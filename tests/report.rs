@@ -2,6 +2,8 @@
 //!
 //! `DGS_REPORT_HTML=/tmp/report.html cargo test --test report` also writes it for a look.
 
+#![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail like tests")]
+
 use dgs::figures::Machine;
 use dgs::report::{Page, Picture, Run, Shown, Strip, html};
 use emulator_host::Nanos;

@@ -68,7 +68,15 @@ fn the_real_receiver_agrees_with_the_naive_one() {
                 b.sort_unstable();
                 assert_eq!(a, b, "{profile}: recovered at step {step}");
                 if step % 37 == 0 || step + 1 == packets as u64 * 2 {
-                    assert_eq!(real.snapshot(0), naive.snapshot(0), "{profile}: snapshot at step {step}");
+                    let (real, naive) = (real.snapshot(0).clone(), naive.snapshot(0));
+                    assert_eq!(real.groups, naive.groups, "{profile}: groups at step {step}");
+                    // A packet carries slices of several clusters. The graph follows needs packet by
+                    // packet, the receiver slice by slice, so it may show a packet sooner, never later.
+                    let later = real.packets.iter().zip(&naive.packets).any(|(r, n)| n & !r != 0);
+                    assert!(!later, "{profile}: packets at step {step}");
+                    if profile == "paper" {
+                        assert_eq!(real.packets, naive.packets);
+                    }
                 }
             }
         }

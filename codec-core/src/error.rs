@@ -58,7 +58,7 @@ pub struct Error {
     pub kind: ErrorKind,
     /// Field name as in `SPEC.md`, for example `"manifest.epochs"`.
     pub field: &'static str,
-    /// Byte offset in the input where the field starts.
+    /// Byte offset in the input where the field, or the record that holds it, starts.
     pub offset: u32,
     /// The value found (for [`ErrorKind::Short`], the bytes there are).
     pub found: u64,

@@ -130,9 +130,9 @@ impl<'a> GraphReceiver<'a> {
                     work.push(found);
                 }
             });
-            match self.graph.profile() {
-                Profile::AllOrNothing => self.packet_counts_for_groups(packet),
-                Profile::Sliced => self.packet_lacks_one_less(packet),
+            self.packet_counts_for_groups(packet);
+            if self.graph.profile() == Profile::Sliced {
+                self.packet_lacks_one_less(packet);
             }
         }
     }
@@ -147,7 +147,6 @@ impl<'a> GraphReceiver<'a> {
             if self.graph.packets()[packet.at()].parity_of.is_none() {
                 self.snapshot.insert_packet(packet);
             }
-            self.packet_counts_for_groups(packet);
             ready.extend(self.graph.packet_dependents(packet));
         }
     }
@@ -168,8 +167,10 @@ impl<'a> GraphReceiver<'a> {
         let mut ready = vec![group];
         while let Some(group) = ready.pop() {
             self.snapshot.insert_group(group);
-            for packet in &graph.groups()[group.at()].packets {
-                self.snapshot.insert_packet(*packet);
+            if graph.profile() == Profile::AllOrNothing {
+                for packet in &graph.groups()[group.at()].packets {
+                    self.snapshot.insert_packet(*packet);
+                }
             }
             for dependent in graph.dependents(group) {
                 self.group_lacks[dependent.at()] -= 1;
@@ -219,23 +220,20 @@ impl Endpoint for GraphReceiver<'_> {
 pub fn naive_snapshot(graph: &PacketGraph, has_arrived: impl Fn(PacketIndex) -> bool) -> Snapshot {
     let mut snapshot = Snapshot::empty(graph);
     let everything = (0..graph.packets().len() as u32).map(PacketIndex);
-    let packet_usable = |packet: PacketIndex| match graph.profile() {
-        Profile::AllOrNothing => has_arrived(packet),
-        Profile::Sliced => {
-            let mut open = vec![packet];
-            let mut complete = true;
-            while let Some(packet) = open.pop() {
-                complete &= has_arrived(packet);
-                open.extend(&graph.packets()[packet.at()].needs_packets);
-            }
-            complete
+    let packet_usable = |packet: PacketIndex| {
+        let mut open = vec![packet];
+        let mut complete = true;
+        while let Some(packet) = open.pop() {
+            complete &= has_arrived(packet);
+            open.extend(&graph.packets()[packet.at()].needs_packets);
         }
+        complete
     };
     for (at, _) in graph.groups().iter().enumerate() {
         let group = GroupIndex(at as u32);
         let mut packets =
             graph.closure(group).flat_map(|member| graph.groups()[member.at()].packets.iter().copied());
-        if packets.all(packet_usable) {
+        if packets.all(&has_arrived) {
             snapshot.insert_group(group);
         }
     }

@@ -72,12 +72,6 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         beside("packetisation_overhead", 100.0 * ledger.packetisation_overhead(), "%", 2.45);
         beside("robustness_premium", 100.0 * ledger.robustness_premium(), "%", 3.53);
         beside("bits_per_gaussian", ledger.bits_per_gaussian(), "bit", 12_894.7);
-        beside(
-            "bits_per_gaussian_frame",
-            ledger.bits_per_gaussian() / ledger.frames as f64,
-            "bit",
-            12_894.7 / 24.0,
-        );
     }
     Ok(bench)
 }

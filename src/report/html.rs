@@ -108,7 +108,7 @@ const DETAILS: [Detail; 22] = [
     ("Congestion controller", "", |r| escape(&r.delivery.controller)),
     ("Seed of the path", "", |r| r.delivery.seed.to_string()),
     ("Session length", "s", |r| number(r.delivery.duration_ns.as_s(), 3)),
-    ("Frames shown", "of all", |r| format!("{} / {}", r.frames.iter().filter(|f| f.time_s.is_some()).count(), r.frames.len())),
+    ("Frames shown / all", "frames", |r| format!("{} / {}", r.frames.iter().filter(|f| f.time_s.is_some()).count(), r.frames.len())),
     ("Media that arrived", "KiB", |r| number(kib(r.delivery.media_bytes), 1)),
     ("Goodput", "Mbit/s", |r| number(r.delivery.goodput_bps / 1e6, 2)),
     ("Usable goodput", "Mbit/s", |r| number(r.delivery.usable_goodput_bps / 1e6, 2)),
@@ -117,13 +117,13 @@ const DETAILS: [Detail; 22] = [
     ("Wasted: duplicate", "KiB", |r| number(kib(r.delivery.waste.duplicate_bytes), 1)),
     ("Wasted: unused repair", "KiB", |r| number(kib(r.delivery.waste.unused_repair_bytes), 1)),
     ("Wasted: buffer full", "KiB", |r| number(kib(r.delivery.waste.refused_bytes), 1)),
-    ("Datagrams sent", "", |r| count(r.delivery.sender.datagrams)),
-    ("Media packets, first time", "", |r| count(r.delivery.sender.media)),
-    ("Media packets, again", "", |r| count(r.delivery.sender.retransmitted)),
-    ("Parity packets", "", |r| count(r.delivery.sender.parity)),
-    ("Control datagrams · pings", "", |r| format!("{} · {}", count(r.delivery.sender.control), count(r.delivery.sender.pings))),
-    ("Declared lost · spuriously", "", |r| format!("{} · {}", count(r.delivery.sender.lost), count(r.delivery.sender.spurious))),
-    ("Probe timeouts", "", |r| count(r.delivery.sender.probe_timeouts)),
+    ("Datagrams sent", "datagrams", |r| count(r.delivery.sender.datagrams)),
+    ("Media packets, first time", "packets", |r| count(r.delivery.sender.media)),
+    ("Media packets, again", "packets", |r| count(r.delivery.sender.retransmitted)),
+    ("Parity packets", "packets", |r| count(r.delivery.sender.parity)),
+    ("Control · pings", "datagrams", |r| format!("{} · {}", count(r.delivery.sender.control), count(r.delivery.sender.pings))),
+    ("Declared lost · spuriously", "packets", |r| format!("{} · {}", count(r.delivery.sender.lost), count(r.delivery.sender.spurious))),
+    ("Probe timeouts", "times", |r| count(r.delivery.sender.probe_timeouts)),
     ("Recovered from parity", "packets", |r| count(r.delivery.recovered)),
     ("Arrived before the manifest", "packets", |r| count(r.delivery.buffered_before_manifest)),
     ("Digest of the run", "", |r| format!("<code>{:016x}</code>", r.delivery.digest)),
@@ -360,7 +360,17 @@ fn plots(out: &mut String, page: &Page) {
         let points = run.frames.iter().filter_map(|f| Some((f.time_s?, psnr(f)))).collect();
         quality.push(Series { name: "complete state", hue: Hue::Reference, shape: Shape::Line, points });
     }
-    let psnr = |r: &Run| r.frames.iter().filter_map(|f| Some((f.time_s?, f.psnr_db))).collect();
+    // A frame that was never shown is a gap where the one before it was.
+    let psnr = |r: &Run| {
+        let point = |last: &mut f64, f: &Shown| match f.time_s {
+            Some(t) => {
+                *last = t;
+                Some((t, f.psnr_db))
+            }
+            None => Some((*last, f64::NAN)),
+        };
+        r.frames.iter().scan(f64::NAN, point).collect()
+    };
     quality.extend(series(&page.runs, Shape::Line, psnr));
     let mut capacity: Vec<(f64, f64)> = page.capacity_mbps.iter().copied().filter(|c| c.0 <= end).collect();
     if let Some(last) = capacity.last().copied() {
@@ -552,12 +562,12 @@ fn rate(out: &mut String, l: &Ledger) {
             "wire total, manifest included",
         ),
         ("Rate", "bytes/frame", number(per(l.frames, l.bytes_per_frame()), 1), "wire total over frames"),
-        ("Gaussians", "", count(l.gaussians), "over all epochs"),
-        ("Frames", "", count(l.frames), ""),
-        ("Symbols", "", count(l.symbols), "coded"),
-        ("Media packets", "", count(l.packets), ""),
-        ("Parity packets", "", count(l.parity_packets), ""),
-        ("Clamped values", "", count(l.saturated), "did not fit their symbol"),
+        ("Gaussians", "count", count(l.gaussians), "over all epochs"),
+        ("Frames", "count", count(l.frames), ""),
+        ("Symbols", "count", count(l.symbols), "coded"),
+        ("Media packets", "count", count(l.packets), ""),
+        ("Parity packets", "count", count(l.parity_packets), ""),
+        ("Clamped values", "count", count(l.saturated), "did not fit their symbol"),
     ];
     out.push_str("<div class=\"scroll\"><table class=\"wide\"><thead><tr><th>Derived</th><th>Value</th>");
     out.push_str("<th class=\"text\">Unit</th><th class=\"text\">What it is</th></tr></thead><tbody>\n");

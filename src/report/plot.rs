@@ -220,7 +220,7 @@ impl Panel<'_> {
         let tame = values.filter(|v| v.is_finite() && v.abs() < HUGE);
         let (low, high) = tame.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         let (low, high) = if low <= high { (low, high) } else { (0.0, 1.0) };
-        let ticks = ticks(low, high, (self.height / 44.0).round().max(2.0) as usize);
+        let ticks = ticks(low, high, (self.height / 38.0).round().max(2.0) as usize);
         let ends = (ticks.values.first().copied(), ticks.values.last().copied());
         let bottom = top + self.height;
         let y = Scale { from: (ends.0.unwrap_or(0.0), ends.1.unwrap_or(1.0)), to: (bottom, top) };

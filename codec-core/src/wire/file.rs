@@ -179,20 +179,21 @@ pub fn index(file: &[u8], crc: Crc32) -> Result<impl ExactSizeIterator<Item = u3
     let len = u32::from_le_bytes(*tail) as usize;
     let place = file.len().checked_sub(len).ok_or(short)?;
     let content = file.get(place..file.len() - CRC_BYTES).ok_or(short)?;
-    let content = checked("file.index_crc", content, crc)?;
+    let in_file = |e: Error| Error { offset: e.offset.saturating_add(place as u32), ..e };
+    let entries = checked("file.index_crc", content, crc).and_then(entries).map_err(in_file)?;
+    Ok(entries.chunks_exact(4).map(|e| u32::from_le_bytes([e[0], e[1], e[2], e[3]])))
+}
+
+/// The entries of an index whose CRC fits.
+fn entries(content: &[u8]) -> Result<&[u8]> {
     let mut reader = Reader::new(content);
     let wanted = u32::from_le_bytes(INDEX_MAGIC);
-    in_range(
-        "file.index_magic",
-        place,
-        u32::from_le_bytes(reader.array("file.index_magic")?),
-        wanted,
-        wanted,
-    )?;
+    let magic = u32::from_le_bytes(reader.array("file.index_magic")?);
+    in_range("file.index_magic", 0, magic, wanted, wanted)?;
     let count = reader.u32("file.index_packets")? as usize;
     let entries = reader.bytes("file.index", count.saturating_mul(4))?;
     reader.finish("file.index")?;
-    Ok(entries.chunks_exact(4).map(|e| u32::from_le_bytes([e[0], e[1], e[2], e[3]])))
+    Ok(entries)
 }
 
 #[cfg(test)]

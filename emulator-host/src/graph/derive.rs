@@ -302,7 +302,7 @@ mod tests {
     fn every_inconsistency_is_named() {
         let cases: &[(Spoil, GraphError)] = &[
             (|p| p.frames = 0, GraphError::Playout { frames: 0, interval_ns: 33_000_000 }),
-            (|p| p.packets[1].wire_bytes = 1201, GraphError::PacketBytes { packet: 1, found: 1201 }),
+            (|p| p.packets[1].wire_bytes = 1281, GraphError::PacketBytes { packet: 1, found: 1281 }),
             (|p| p.packets[1].id = 10, GraphError::DuplicateId { id: 10 }),
             (|p| p.packets[2].groups = vec![GroupIndex(0)], GraphError::Mismatch { packet: 2, group: 1 }),
             (|p| p.groups[1].packets.push(PacketIndex(0)), GraphError::Mismatch { packet: 0, group: 1 }),

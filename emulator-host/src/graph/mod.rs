@@ -7,7 +7,8 @@
 //! - [`Profile::AllOrNothing`]: a group is usable when *all* its packets have arrived and all groups it needs are usable;
 //!   a packet is usable when a group that it carries is.
 //! - [`Profile::Sliced`]: a packet is usable when it and, recursively, its [`Packet::needs_packets`] have arrived; a group
-//!   is usable (complete) when all its packets are and the groups it needs are, and earns utility by usable bytes before.
+//!   is usable (complete) when all its packets have arrived and the groups it needs are usable, and earns utility by usable
+//!   bytes before. (A packet may carry slices of several groups, so it can complete one while another still lacks its base.)
 
 mod csr;
 mod derive;
