@@ -191,6 +191,8 @@ pub struct Receiver<'a> {
     crc: Crc32,
     early_used: usize,
     counters: Counters,
+    /// Raw bits per value of each entropy table.
+    raw_bits: [u8; limits::MAX_TABLES],
 }
 
 impl<'a> Receiver<'a> {
@@ -209,7 +211,7 @@ impl<'a> Receiver<'a> {
             repair_failed: 0,
             refused: [0; ErrorKind::COUNT],
         };
-        Self { memory, manifest: None, crc, early_used: 0, counters }
+        Self { memory, manifest: None, crc, early_used: 0, counters, raw_bits: [0; limits::MAX_TABLES] }
     }
 
     /// The manifest, once it is complete.
@@ -308,8 +310,10 @@ impl<'a> Receiver<'a> {
         seen.fill(0);
         progress.fill(0);
         parity.fill(0);
-        for (table, slots) in manifest.tables().zip(slots.as_chunks_mut::<{ table::SLOTS }>().0) {
+        let slots = slots.as_chunks_mut::<{ table::SLOTS }>().0.iter_mut();
+        for ((table, slots), raw_bits) in manifest.tables().zip(slots).zip(&mut self.raw_bits) {
             table.fill_slots(slots);
+            *raw_bits = table.raw_bits();
         }
     }
 
@@ -470,10 +474,7 @@ impl<'a> Receiver<'a> {
     fn decode_slices(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>) -> Result<()> {
         let Memory { cells, symbols, blocks, slots, .. } = &mut self.memory;
         let slots = slots.as_chunks::<{ table::SLOTS }>().0;
-        let mut raw_bits_of = [0u8; limits::MAX_TABLES];
-        for (bits, table) in raw_bits_of.iter_mut().zip(manifest.tables()) {
-            *bits = table.raw_bits();
-        }
+        let raw_bits_of = &self.raw_bits;
         let table_at = |stream: usize| -> Result<(&[u32; table::SLOTS], u8)> {
             let index = manifest.table_of(stream);
             let found = slots.get(usize::from(index)).zip(raw_bits_of.get(usize::from(index)));

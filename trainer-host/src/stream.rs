@@ -229,13 +229,22 @@ pub struct HostMemory {
     early: Vec<u8>,
 }
 
+/// Most bytes of symbols that [`HostMemory`] takes on: a few lying bytes in a manifest must not
+/// exhaust a host.
+pub const MAX_SYMBOL_BYTES: usize = 2 << 30;
+
 impl HostMemory {
     /// Memory for `manifest`, with `early` bytes for media that comes before it.
     ///
     /// # Errors
-    /// If the stream is larger than the format allows.
+    /// If the stream is larger than the format or [`MAX_SYMBOL_BYTES`] allows.
     pub fn new(manifest: &Manifest<'_>, early: usize) -> error::Result<Self> {
         let need = Requirements::of(manifest)?;
+        if need.symbols > MAX_SYMBOL_BYTES / 2 {
+            let most = MAX_SYMBOL_BYTES as u64 / 2;
+            let error = error::Error::illegal("manifest.symbols", 0, need.symbols as u64, (0, most));
+            return Err(error.kind(error::ErrorKind::Capacity));
+        }
         Ok(Self {
             manifest: vec![0; manifest.raw().len()],
             cells: vec![Cell::default(); need.cells],

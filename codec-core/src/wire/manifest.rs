@@ -428,6 +428,7 @@ pub struct Manifest<'a> {
     head: Head,
     profile: Profile,
     sections: Sections,
+    motion_cells: usize,
 }
 
 /// Byte offsets of the sections.
@@ -474,7 +475,7 @@ impl<'a> Manifest<'a> {
         take(usize::from(head.epochs) * Epoch::BYTES, &mut sections.epochs, "manifest.epochs")?;
         take(usize::from(head.windows) * Window::BYTES, &mut sections.windows, "manifest.windows")?;
         take(clusters * Cluster::BYTES, &mut sections.clusters, "manifest.clusters")?;
-        let partial = Self { raw, head, profile, sections };
+        let partial = Self { raw, head, profile, sections, motion_cells: 0 };
         let motion_cells = partial.check_lattice()?;
         take(motion_cells * Motion::BYTES, &mut sections.motions, "manifest.motions")?;
         take(usize::from(head.quants) * Quant::BYTES, &mut sections.quants, "manifest.quants")?;
@@ -490,7 +491,7 @@ impl<'a> Manifest<'a> {
             Table::read(&mut reader)?;
         }
         reader.finish("manifest.leftover")?;
-        let whole = Self { raw, head, profile, sections };
+        let whole = Self { raw, head, profile, sections, motion_cells };
         whole.check_records()?;
         Ok(whole)
     }
@@ -755,23 +756,17 @@ impl<'a> Manifest<'a> {
             return None;
         }
         let index = record.first_cell as usize + cluster.index();
-        self.record(self.sections.motions, index, self.motion_cells(), Motion::BYTES, Motion::read)
+        self.record(self.sections.motions, index, self.motion_cells, Motion::BYTES, Motion::read)
     }
 
     /// Number of motion cells: windows × clusters of their epochs.
-    pub fn motion_cells(&self) -> usize {
-        match self.windows().last() {
-            None => 0,
-            Some(w) => {
-                let clusters = self.epoch(EpochId(w.epoch)).map_or(0, |e| e.clusters);
-                w.first_cell as usize + clusters as usize
-            }
-        }
+    pub const fn motion_cells(&self) -> usize {
+        self.motion_cells
     }
 
     /// Number of cells of the lattice: canonical, then motion.
-    pub fn cells(&self) -> usize {
-        self.head.clusters as usize + self.motion_cells()
+    pub const fn cells(&self) -> usize {
+        self.head.clusters as usize + self.motion_cells
     }
 
     /// The cell of `cluster` in `span`, if there is one.
