@@ -1,6 +1,13 @@
 //! The map as a test: who may depend on whom, what codec-core does without, what has no place
 //! here. Rules run over a [`Tree`] of texts, so that each is also shown a tree that breaks it.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test's helpers fail like tests"
+)]
+
 use std::{
     collections::{BTreeMap, BTreeSet},
     path::Path,
@@ -122,7 +129,7 @@ fn is_unsafe(line: &str) -> bool {
 fn dependencies(manifest: &str, dev: bool) -> BTreeSet<String> {
     let mut names = BTreeSet::new();
     let mut inside = false;
-    for (_, line) in manifest.lines().map(|l| l.split('#').next().unwrap_or("").trim()).enumerate() {
+    for line in manifest.lines().map(|l| l.split('#').next().unwrap_or("").trim()) {
         if let Some(section) = line.strip_prefix('[').and_then(|l| l.strip_suffix(']')) {
             let is_dev = section.contains("dev-dependencies");
             let is_normal = section.ends_with("dependencies") && !section.starts_with("workspace");

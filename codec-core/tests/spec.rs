@@ -148,6 +148,9 @@ fn limits_of(tables: &Tables, found: &mut Vec<String>) {
     }
 }
 
+/// Bytes of a record, and per field a record in which only that field is set.
+type Probes = (usize, Vec<(&'static str, Vec<u8>)>);
+
 /// A record with one field set to a value whose bytes are all non-zero.
 macro_rules! probes {
     ($type:ident { $($field:ident = $value:expr),* $(,)? }) => {
@@ -164,7 +167,7 @@ fn records(tables: &Tables, found: &mut Vec<String>) {
     const C: u32 = 0x5a5b_5c5d;
     let f = f32::from_bits(C);
     let i = 0x5a5bi16;
-    let records: [(&str, (usize, Vec<(&str, Vec<u8>)>)); 6] = [
+    let records: [(&str, Probes); 6] = [
         (
             "head",
             probes!(Head {

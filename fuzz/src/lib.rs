@@ -2,10 +2,10 @@
 //!
 //! A body never fails on bad input; it fails (by assertion) when code under test panics, accepts
 //! what it cannot write back, depends on the order of arrival, or decodes to something that cannot
-//! be drawn. [`TARGETS`] names them all. `fuzz_targets/NAME.rs` is one line per body for
-//! `cargo +nightly fuzz run NAME`; `tests/replay.rs` runs the committed `corpus/NAME/` and
-//! thousands of seeded mutations of it on stable. `cargo test -p fuzz --test seed -- --ignored`
-//! writes the corpus anew.
+//! be drawn. [`TARGETS`] names them all. `fuzz_targets/NAME.rs` is one line per body, for
+//! `CARGO_PROFILE_RELEASE_LTO=off cargo +nightly fuzz run NAME`. `tests/replay.rs` runs the
+//! committed `corpus/NAME/` and thousands of seeded mutations of it on stable.
+//! `cargo test -p fuzz --test seed -- --ignored` writes the corpus anew.
 //!
 //! CRCs are made to fit inside the bodies, so that a fuzzer gets behind the door.
 //!

@@ -1,6 +1,13 @@
 //! Replays the corpus on stable, with seeded mutations of each input: the same executions on every
 //! machine and in every run. `DGS_FUZZ_ROUNDS=50` multiplies the mutations for a longer look.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test's helpers fail like tests"
+)]
+
 use std::{collections::BTreeMap, path::Path, time::Instant};
 
 use fuzz::TARGETS;

@@ -3,6 +3,13 @@
 //! `cargo test -p fuzz --test seed -- --ignored` writes all of `corpus/` anew. Inputs that once
 //! broke something are kept beside these under names that start with `found-`.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test's helpers fail like tests"
+)]
+
 use std::{
     io::{Cursor, Write},
     path::Path,
@@ -216,7 +223,7 @@ fn compressed_ply(n: usize) -> Vec<u8> {
         }
     }
     for i in 0..n as u32 {
-        let position = (i * 37 % 2048) << 21 | (i * 11 % 1024) << 11 | i * 5 % 2048;
+        let position = (i * 37 % 2048) << 21 | (i * 11 % 1024) << 11 | (i * 5 % 2048);
         for word in [position, (i % 4) << 30 | 512 << 20 | 600 << 10 | 400, u32::MAX, 0xff00_80ff] {
             out.extend(word.to_le_bytes());
         }

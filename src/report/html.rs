@@ -408,8 +408,7 @@ fn plots(out: &mut String, page: &Page) {
     figure(out, "Deadline misses", says, &draw("Deadline misses over time", panels));
 
     let utility = series(&page.runs, Shape::Step, |r| r.rows(|f| f.utility)).collect();
-    let panels =
-        vec![panel("Utility, share of what is on offer (1 = all)", "", 3, 190.0, &[0.0, 1.0], utility)];
+    let panels = vec![panel("Utility, share of what is on offer (1 = all)", "", 3, 190.0, &[1.0], utility)];
     let says = "Utility of what was usable over the positive utility of the groups active at each frame.";
     figure(out, "Utility", says, &draw("Utility over time", panels));
 
@@ -520,8 +519,11 @@ fn rate(out: &mut String, l: &Ledger) {
     let row = |out: &mut String, class: &str, (name, bytes, says): (&str, f64, &str)| {
         let (size, part) = (number(bytes, 0), number(share(bytes), 1));
         let wide = if share(bytes).is_finite() { share(bytes).clamp(0.0, 100.0) } else { 0.0 };
-        let meter =
-            if class == "part" { format!("<i style=\"width:{wide:.2}%\"></i>") } else { String::new() };
+        let meter = if class == "part" && wide > 0.0 {
+            format!("<i style=\"width:{wide:.2}%\"></i>")
+        } else {
+            String::new()
+        };
         let _ = writeln!(
             out,
             "<tr class=\"{class}\"><th>{name}</th><td>{size}</td><td>{part}</td><td class=\"meter\">{meter}</td>\
