@@ -9,7 +9,9 @@
 mod support;
 
 use criterion::Criterion;
-use render_host::{Camera, Renderer, Settings, Splats, reference};
+use render_host::adjoint::loss::{Distortion, Mse};
+use render_host::adjoint::{check, render_and_gradients_into};
+use render_host::{Camera, Gradients, Image, Loss, Renderer, Settings, Splats, Workspace, reference};
 use std::hint::black_box;
 use support::{Scene, camera};
 
@@ -126,6 +128,18 @@ fn main() {
             renderer.render_into(black_box(&splats), &camera, settings, &mut out).unwrap();
         };
         criterion.bench_function(&format!("fast/{n}/{side}"), |b| b.iter(|| fast(&settings)));
+        let target = Image::filled(side, side, [0.4, 0.5, 0.6]).unwrap();
+        let (mse, distortion) = (Mse::new(target.clone()), Distortion::new(target));
+        let (mut workspace, mut gradients) = (Workspace::new(), Gradients::default());
+        let mut both = |loss: &dyn Loss| {
+            let splats = black_box(&splats);
+            render_and_gradients_into(&mut workspace, splats, &camera, &settings, loss, &mut gradients)
+                .unwrap();
+        };
+        criterion.bench_function(&format!("mse gradients/{n}/{side}"), |b| b.iter(|| both(&mse)));
+        criterion
+            .bench_function(&format!("distortion gradients/{n}/{side}"), |b| b.iter(|| both(&distortion)));
+        let (mse_ms, distortion_ms) = (best_of(9, || both(&mse)), best_of(9, || both(&distortion)));
 
         let fast_ms = best_of(9, || fast(&settings));
         let serial_ms = best_of(5, || fast(&serial));
@@ -139,12 +153,17 @@ fn main() {
         lines.push(format!(
             "{n} splats, {side} x {side}: fast {fast_ms:.1} ms ({serial_ms:.1} on one thread); \
              naive f32 {naive_ms:.0} ms = {:.1}x ({:.1}x one thread); f64 reference {slow_ms:.0} ms = {:.0}x\n  \
-             fast against f64: {error:?}\n  naive against f64: {naive_error:?}\n  {counters:?}",
+             fast against f64: {error:?}\n  naive against f64: {naive_error:?}\n  \
+             with gradients: {mse_ms:.1} ms (mse), {distortion_ms:.1} ms (distortion)\n  {counters:?}",
             naive_ms / fast_ms,
             naive_ms / serial_ms,
             slow_ms / fast_ms,
         ));
     }
+    let scene = Scene::random(8, 3, 0.1, 0.5, 1);
+    let loss = Distortion::new(Image::filled(24, 18, [0.4, 0.5, 0.6]).unwrap());
+    let errors = check(&scene.splats(), &camera(24, 18), &Settings::exact(), &loss).unwrap();
+    lines.push(format!("gradients against differences of the f64 reference (small scene)\n{errors}"));
     lines.iter().for_each(|line| println!("{line}"));
     criterion.final_summary();
 }
