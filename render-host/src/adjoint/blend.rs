@@ -110,6 +110,7 @@ pub(super) fn blend(
 ) {
     let columns = size[0].div_ceil(TILE);
     let Tiles { tiles, pool } = out;
+    let pool = &*pool;
     tiles.resize(columns * band.len(), Found::default());
     let arch = pulp::Arch::new();
     parallel::for_each(settings.parallel, tiles, |index, found| {
@@ -265,11 +266,14 @@ impl Scratch {
     #[inline(always)]
     fn turn(&mut self, background: [f32; 3]) -> [f32; 3] {
         let mut sums = [[0.0f32; TILE]; 3];
-        for y in 0..TILE {
-            for i in 0..TILE {
-                let g = [self.gradient[0].0[y][i], self.gradient[1].0[y][i], self.gradient[2].0[y][i]];
-                self.behind.0[y][i] = g[0] * background[0] + g[1] * background[1] + g[2] * background[2];
-                (0..3).for_each(|c| sums[c][i] += g[c] * self.now.0[y][i]);
+        self.behind.0 = [[0.0; TILE]; TILE];
+        for ((rows, colour), sum) in self.gradient.iter().zip(background).zip(&mut sums) {
+            let rows = rows.0.iter().zip(&self.now.0).zip(&mut self.behind.0);
+            for ((gradient, now), behind) in rows {
+                for i in 0..TILE {
+                    behind[i] += gradient[i] * colour;
+                    sum[i] += gradient[i] * now[i];
+                }
             }
         }
         sums.map(|sum| total(&sum))

@@ -25,7 +25,7 @@ pub trait Loss: Sync {
 }
 
 /// The distortion of the paper, `MSE + 0.20 (1 - SSIM)`, as [`crate::metric::distortion()`] measures it.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Distortion {
     mse: Mse,
     structure: Dissimilarity,

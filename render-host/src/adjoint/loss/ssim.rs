@@ -4,13 +4,15 @@
 //! yields the sum and three coefficients per window: how the similarity changes with each moment. The
 //! second filters these back. Both work on interleaved rows, down first and then along, in f64.
 
+use std::sync::Mutex;
+
 use super::Loss;
 use crate::image::{Image, ImageError, same_size};
 use crate::metric::ssim::{C1, C2, window};
 use crate::parallel;
 
 /// How unlike a target a picture is in structure.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub struct Dissimilarity {
     target: Image,
     /// Windows along and down, with their weights.
@@ -18,7 +20,12 @@ pub struct Dissimilarity {
     down: Vec<f64>,
     /// Moments y and y² of every window: rows of y, then y².
     moments: Vec<f64>,
+    /// Memory of the last sweep, to be used again; what it holds does not matter.
+    scratch: Mutex<Vec<f64>>,
 }
+
+/// Samples filtered at a time, so that sums stay in the nearest cache.
+const BLOCK: usize = 128;
 
 /// Moments that depend on the picture.
 const MOMENTS: usize = 3;
@@ -37,7 +44,7 @@ impl Dissimilarity {
             out[..3 * columns].copy_from_slice(&y);
             out[3 * columns..].copy_from_slice(&yy);
         });
-        Self { target, along, down, moments }
+        Self { target, along, down, moments, scratch: Mutex::default() }
     }
 
     /// Adds `weight` times the gradient to `gradient`; returns the value without the weight.
@@ -54,7 +61,8 @@ impl Dissimilarity {
         let (x, y) = (image.rgb(), self.target.rgb());
         let windows = (3 * columns * rows) as f64;
         // Per window row: three runs of coefficients and the sum.
-        let mut found = vec![0.0; rows * (MOMENTS * 3 * columns + 1)];
+        let mut found = self.scratch.lock().map(|mut kept| std::mem::take(&mut *kept)).unwrap_or_default();
+        found.resize(rows * (MOMENTS * 3 * columns + 1), 0.0);
         parallel::for_each_chunk(parallel, &mut found, MOMENTS * 3 * columns + 1, |row, out| {
             let arch = pulp::Arch::new();
             let moments = arch.dispatch(Sweep { x, y, width, row, along, down });
@@ -68,7 +76,11 @@ impl Dissimilarity {
                 .dispatch(|| spread(&found, [columns, rows], row, [along, down], [x, y], scale, out));
         });
         let sums = found.chunks_exact(MOMENTS * 3 * columns + 1).map(|row| row[MOMENTS * 3 * columns]);
-        Ok(1.0 - sums.sum::<f64>() / windows)
+        let value = 1.0 - sums.sum::<f64>() / windows;
+        if let Ok(mut kept) = self.scratch.lock() {
+            *kept = found;
+        }
+        Ok(value)
     }
 }
 
@@ -126,15 +138,20 @@ impl pulp::NullaryFnOnce for Sweep<'_> {
         let side = 3 * self.width;
         let mut tall: [Vec<f64>; MOMENTS] = std::array::from_fn(|_| vec![0.0; side]);
         let [m, xx, xy] = &mut tall;
-        let (m, xx, xy) = (&mut m[..side], &mut xx[..side], &mut xy[..side]);
-        for (k, &weight) in self.down.iter().enumerate() {
-            let (x, y) = (&self.x[(self.row + k) * side..][..side], &self.y[(self.row + k) * side..][..side]);
-            for i in 0..side {
-                let (vx, vy) = (f64::from(x[i]), f64::from(y[i]));
-                let part = weight * vx;
-                m[i] += part;
-                xx[i] += part * vx;
-                xy[i] += part * vy;
+        for first in (0..side).step_by(BLOCK) {
+            let block = first..side.min(first + BLOCK);
+            let (m, xx, xy) = (&mut m[block.clone()], &mut xx[block.clone()], &mut xy[block.clone()]);
+            for (k, &weight) in self.down.iter().enumerate() {
+                let start = (self.row + k) * side;
+                let (x, y) = (&self.x[start..][block.clone()], &self.y[start..][block.clone()]);
+                let sums = m.iter_mut().zip(xx.iter_mut()).zip(xy.iter_mut());
+                for (((m, xx), xy), (&x, &y)) in sums.zip(x.iter().zip(y)) {
+                    let (x, y) = (f64::from(x), f64::from(y));
+                    let part = weight * x;
+                    *m += part;
+                    *xx += part * x;
+                    *xy += part * y;
+                }
             }
         }
         let columns = self.width + 1 - self.along.len();
@@ -149,10 +166,12 @@ impl pulp::NullaryFnOnce for Sweep<'_> {
 /// `out[i] = Σ weights[k] · source[i + 3k]`.
 #[inline(always)]
 fn filter(source: &[f64], weights: &[f64], out: &mut [f64]) {
-    for (k, &weight) in weights.iter().enumerate() {
-        let source = &source[3 * k..][..out.len()];
-        for (out, source) in out.iter_mut().zip(source) {
-            *out += weight * source;
+    for (block, out) in out.chunks_mut(BLOCK).enumerate() {
+        for (k, &weight) in weights.iter().enumerate() {
+            let source = &source[BLOCK * block + 3 * k..][..out.len()];
+            for (out, source) in out.iter_mut().zip(source) {
+                *out += weight * source;
+            }
         }
     }
 }
