@@ -9,7 +9,9 @@
 mod support;
 
 use criterion::Criterion;
-use render_host::{Camera, Renderer, Settings, Splats, reference};
+use render_host::adjoint::loss::{Distortion, Mse};
+use render_host::adjoint::{check, render_and_gradients_into};
+use render_host::{Camera, Gradients, Image, Loss, Renderer, Settings, Splats, Workspace, reference};
 use std::hint::black_box;
 use support::{Scene, camera};
 
@@ -103,6 +105,66 @@ mod naive {
     }
 }
 
+/// A scene in [-1, 1]³ whose scales are 0.012 times a log-normal of σ = 0.4.
+fn cloud(n: usize) -> Scene {
+    let mut scene = Scene::random(n, 0, 0.01, 0.02, 42);
+    let mut r = support::Numbers(7);
+    let mut normal = || {
+        let (a, b) = (r.unit().max(1e-9), r.unit());
+        (-2.0 * a.ln()).sqrt() * (std::f32::consts::TAU * b).cos()
+    };
+    scene.gaussians.iter_mut().for_each(|g| g.scale = [0; 3].map(|_| 0.012 * (0.4 * normal()).exp()));
+    scene
+}
+
+/// Median, as the machine may be shared.
+#[expect(clippy::disallowed_methods, reason = "a bench measures time")]
+fn medians(runs: usize, work: &mut [&mut dyn FnMut()]) -> Vec<f64> {
+    let mut times = vec![Vec::new(); work.len()];
+    for _ in 0..runs {
+        for (work, times) in work.iter_mut().zip(&mut times) {
+            let start = std::time::Instant::now();
+            work();
+            times.push(start.elapsed().as_secs_f64() * 1e3);
+        }
+    }
+    times.iter_mut().for_each(|t| t.sort_by(f64::total_cmp));
+    times.iter().map(|t| t[t.len() / 2]).collect()
+}
+
+/// Forward, and forward with gradients, interleaved.
+fn gradients(lines: &mut Vec<String>) {
+    for (n, side) in [(20_000, 400), (20_000, 800), (100_000, 400), (100_000, 800)] {
+        let scene = cloud(n);
+        let (splats, camera) = (scene.splats(), camera(side, side));
+        let settings = Settings::default();
+        let target = Image::filled(side, side, [0.4, 0.5, 0.6]).unwrap();
+        let (mse, distortion) = (Mse::new(target.clone()), Distortion::new(target));
+        let (mut renderer, mut out) = (Renderer::new(), Default::default());
+        let (mut workspace, mut gradients) = (Workspace::new(), [Gradients::default(), Gradients::default()]);
+        let [with_mse, with_distortion] = &mut gradients;
+        let mut both = |loss: &dyn Loss, out: &mut Gradients| {
+            render_and_gradients_into(&mut workspace, &splats, &camera, &settings, loss, out).unwrap();
+        };
+        both(&mse, with_mse);
+        let mut forward = || renderer.render_into(&splats, &camera, &settings, &mut out).unwrap();
+        let both = std::cell::RefCell::new(both);
+        let mut a = || (both.borrow_mut())(&mse, with_mse);
+        let mut b = || (both.borrow_mut())(&distortion, with_distortion);
+        let times = medians(9, &mut [&mut forward, &mut a, &mut b]);
+        lines.push(format!(
+            "{n} splats, {side} x {side}, medians of 9: forward {:.1} ms; with gradients {:.1} ms (mse), {:.1} ms (distortion)",
+            times[0], times[1], times[2]
+        ));
+    }
+    for degree in 0..=3 {
+        let scene = Scene::random(8, degree, 0.1, 0.5, 1);
+        let loss = Distortion::new(Image::filled(24, 18, [0.4, 0.5, 0.6]).unwrap());
+        let errors = check(&scene.splats(), &camera(24, 18), &Settings::exact(), &loss).unwrap();
+        lines.push(format!("gradients against differences of the f64 reference, degree {degree}\n{errors}"));
+    }
+}
+
 #[expect(clippy::disallowed_methods, reason = "a bench measures time")]
 fn best_of(runs: usize, mut work: impl FnMut()) -> f64 {
     let times = (0..runs).map(|_| {
@@ -118,6 +180,8 @@ fn main() {
     let settings = Settings::default();
     let serial = Settings { parallel: false, ..Settings::default() };
     let mut lines = Vec::new();
+    gradients(&mut lines);
+    lines.drain(..).for_each(|line| println!("{line}"));
     for (n, side) in [(100_000, 400), (100_000, 800)] {
         let scene = Scene::random(n, 0, 0.003, 0.02, 42);
         let (splats, camera) = (scene.splats(), camera(side, side));
@@ -126,6 +190,17 @@ fn main() {
             renderer.render_into(black_box(&splats), &camera, settings, &mut out).unwrap();
         };
         criterion.bench_function(&format!("fast/{n}/{side}"), |b| b.iter(|| fast(&settings)));
+        let target = Image::filled(side, side, [0.4, 0.5, 0.6]).unwrap();
+        let (mse, distortion) = (Mse::new(target.clone()), Distortion::new(target));
+        let (mut workspace, mut gradients) = (Workspace::new(), Gradients::default());
+        let mut both = |loss: &dyn Loss| {
+            let splats = black_box(&splats);
+            render_and_gradients_into(&mut workspace, splats, &camera, &settings, loss, &mut gradients)
+                .unwrap();
+        };
+        criterion.bench_function(&format!("mse gradients/{n}/{side}"), |b| b.iter(|| both(&mse)));
+        criterion
+            .bench_function(&format!("distortion gradients/{n}/{side}"), |b| b.iter(|| both(&distortion)));
 
         let fast_ms = best_of(9, || fast(&settings));
         let serial_ms = best_of(5, || fast(&serial));

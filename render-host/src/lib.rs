@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! Splats + Camera ─▶ stage::{project, sort, bin, blend} ─▶ Rendered { image, transmittance, counters }
+//! … + loss        ─▶ adjoint                            ─▶ Gradients { loss, splats, pose, … }
 //! Image × Image   ─▶ metric::{psnr, ssim, flip, flicker, distortion, heat}
 //! ```
 //!
@@ -15,6 +16,7 @@
 //!
 //! Deliberately absent: files of splats (trainer-host reads them), packets (codec-core), clocks.
 
+pub mod adjoint;
 pub mod camera;
 pub mod counters;
 mod harmonics;
@@ -27,6 +29,7 @@ pub mod settings;
 pub mod splats;
 pub mod stage;
 
+pub use adjoint::{Gradients, Loss, Workspace, render_and_gradients};
 pub use camera::{Camera, CameraError, Intrinsics, View};
 pub use counters::Counters;
 pub use image::{Image, ImageError};

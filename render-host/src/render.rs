@@ -36,10 +36,10 @@ pub struct Rendered {
 /// threads, with `parallel` on or off, on any machine.
 #[derive(Debug, Default)]
 pub struct Renderer {
-    projected: project::Projected,
-    order: sort::Order,
-    bands: Vec<Range<usize>>,
-    bins: bin::Bins,
+    pub(crate) projected: project::Projected,
+    pub(crate) order: sort::Order,
+    pub(crate) bands: Vec<Range<usize>>,
+    pub(crate) bins: bin::Bins,
     tiles: blend::Tiles,
 }
 

@@ -14,8 +14,8 @@ use crate::parallel;
 pub const WINDOW: usize = 11;
 /// Standard deviation of the window, pixels.
 pub const SIGMA: f64 = 1.5;
-const C1: f64 = 0.01 * 0.01;
-const C2: f64 = 0.03 * 0.03;
+pub(crate) const C1: f64 = 0.01 * 0.01;
+pub(crate) const C2: f64 = 0.03 * 0.03;
 /// x, y, x², y², xy.
 const MOMENTS: usize = 5;
 
@@ -78,7 +78,7 @@ fn similarity([mx, my, xx, yy, xy]: [f64; MOMENTS]) -> f64 {
 }
 
 /// Normalised Gaussian weights of the largest odd window up to [`WINDOW`] that fits `side` pixels.
-fn window(side: usize) -> Vec<f64> {
+pub(crate) fn window(side: usize) -> Vec<f64> {
     let radius = (WINDOW.min(side) - 1) / 2;
     let weight = |i: usize| (-0.5 * ((i as f64 - radius as f64) / SIGMA).powi(2)).exp();
     let weights: Vec<f64> = (0..=2 * radius).map(weight).collect();

@@ -15,10 +15,10 @@ use crate::parallel;
 use crate::settings::Settings;
 
 /// A value per pixel of one row of a tile.
-type Lanes = [f32; TILE];
+pub(crate) type Lanes = [f32; TILE];
 
 /// 0, 1, … 15.
-const LANE: Lanes = {
+pub(crate) const LANE: Lanes = {
     let mut lane = [0.0; TILE];
     let mut i = 0;
     while i < TILE {
@@ -29,7 +29,7 @@ const LANE: Lanes = {
 };
 
 /// Splats between two looks at which rows of a tile are finished.
-const LOOK_EVERY: usize = 16;
+pub(crate) const LOOK_EVERY: usize = 16;
 
 /// What a tile has gathered.
 #[derive(Clone, Debug)]
@@ -116,9 +116,7 @@ impl pulp::NullaryFnOnce for Blend<'_> {
     fn call(self) {
         let Self { splats, list, corner, size, settings, tile } = self;
         *tile = Tile::EMPTY;
-        let rules = Rules { cutoff: settings.cutoff(), max: settings.alpha_max, stop: settings.stop() };
-        let reach0 = REACH_MARGIN - settings.log2_cutoff() as f32;
-        let centre = [corner[0] as f64 + 0.5, corner[1] as f64 + 0.5];
+        let rules = Rules::new(settings);
         let mut open = u16::MAX;
         for (k, &index) in list.iter().enumerate() {
             if k % LOOK_EVERY == 0 && k > 0 && rules.stop > 0.0 {
@@ -128,25 +126,14 @@ impl pulp::NullaryFnOnce for Blend<'_> {
                 }
             }
             let splat = &splats[index as usize];
-            // Position of the tile's first pixel centre in the splat's own axes, in f64: what remains is
-            // at most 16 pixels long.
-            let (dx, dy) = (centre[0] - splat.mean[0], centre[1] - splat.mean[1]);
-            let [xx, xy, yy] = splat.root;
-            let (u0, v0) = ((xx * dx + xy * dy) as f32, (yy * dy) as f32);
-            let (xx, xy, yy) = (xx as f32, xy as f32, yy as f32);
-            let reach = splat.log2_alpha + reach0;
-            let first = usize::from(splat.pixels[2]).saturating_sub(corner[1]);
-            let past = usize::from(splat.pixels[3]).saturating_sub(corner[1]).min(TILE);
-            for y in first..past {
-                let (u, v) = (u0 + xy * y as f32, v0 + yy * y as f32);
-                let left = reach - v * v;
-                // Distance of the row's 16 centres from the splat's axis; 0 when they straddle it.
-                let gap = u.max(-(u + 15.0 * xx)).max(0.0);
-                if gap * gap > left || open >> y & 1 == 0 {
-                    continue;
+            let local = Local::new(splat, corner, &rules);
+            for y in local.first..local.past {
+                if let Some((u, v)) = local.row(y)
+                    && open >> y & 1 == 1
+                {
+                    let exponent = splat.log2_alpha - v * v;
+                    blend_row(&mut tile.rows[y], u, local.root[0], exponent, &splat.colour, &rules);
                 }
-                let exponent = splat.log2_alpha - v * v;
-                blend_row(&mut tile.rows[y], u, xx, exponent, &splat.colour, &rules);
             }
         }
         if rules.stop > 0.0 {
@@ -157,11 +144,74 @@ impl pulp::NullaryFnOnce for Blend<'_> {
     }
 }
 
+/// What decides whether a splat is blended into a pixel.
 #[derive(Clone, Copy)]
-struct Rules {
-    cutoff: f32,
-    max: f32,
-    stop: f32,
+pub(crate) struct Rules {
+    pub(crate) cutoff: f32,
+    pub(crate) max: f32,
+    pub(crate) stop: f32,
+    /// Added to `log2_alpha` gives the largest `u² + v²` worth a look.
+    reach: f32,
+}
+
+impl Rules {
+    pub(crate) fn new(settings: &Settings) -> Self {
+        let reach = REACH_MARGIN - settings.log2_cutoff() as f32;
+        Self { cutoff: settings.cutoff(), max: settings.alpha_max, stop: settings.stop(), reach }
+    }
+
+    /// Alpha of a pixel of transmittance `t`, 0 where the splat is left out.
+    #[inline(always)]
+    pub(crate) fn alpha(&self, log2: f32, t: f32) -> f32 {
+        let alpha = exp2(log2);
+        let alpha = if alpha < self.max { alpha } else { self.max };
+        if (alpha >= self.cutoff) & (t >= self.stop) { alpha } else { 0.0 }
+    }
+}
+
+/// A splat as one tile sees it. The adjoint walks the same rows.
+pub(crate) struct Local {
+    /// `u` and `v` at the tile's first pixel centre.
+    pub(crate) origin: [f32; 2],
+    pub(crate) root: [f32; 3],
+    reach: f32,
+    /// Half-open range of rows of its pixel box.
+    pub(crate) first: usize,
+    pub(crate) past: usize,
+}
+
+impl Local {
+    #[inline(always)]
+    pub(crate) fn new(splat: &Splat, corner: [usize; 2], rules: &Rules) -> Self {
+        // Position of the tile's first pixel centre in the splat's own axes, in f64: what remains is
+        // at most 16 pixels long.
+        let [dx, dy] = offset(splat, corner);
+        let [xx, xy, yy] = splat.root;
+        Self {
+            origin: [(xx * dx + xy * dy) as f32, (yy * dy) as f32],
+            root: splat.root.map(|v| v as f32),
+            reach: splat.log2_alpha + rules.reach,
+            first: usize::from(splat.pixels[2]).saturating_sub(corner[1]),
+            past: usize::from(splat.pixels[3]).saturating_sub(corner[1]).min(TILE),
+        }
+    }
+
+    /// `u` and `v` at the first pixel centre of row `y`, unless the row is out of reach.
+    #[inline(always)]
+    pub(crate) fn row(&self, y: usize) -> Option<(f32, f32)> {
+        let [xx, xy, yy] = self.root;
+        let (u, v) = (self.origin[0] + xy * y as f32, self.origin[1] + yy * y as f32);
+        let left = self.reach - v * v;
+        // Distance of the row's 16 centres from the splat's axis; 0 when they straddle it.
+        let gap = u.max(-(u + 15.0 * xx)).max(0.0);
+        if gap * gap > left { None } else { Some((u, v)) }
+    }
+}
+
+/// First pixel centre of the tile at `corner`, from the splat's centre, pixels.
+#[inline(always)]
+pub(crate) fn offset(splat: &Splat, corner: [usize; 2]) -> [f64; 2] {
+    [corner[0] as f64 + 0.5 - splat.mean[0], corner[1] as f64 + 0.5 - splat.mean[1]]
 }
 
 #[inline(always)]
@@ -175,10 +225,7 @@ fn blend_row(
 ) {
     for i in 0..TILE {
         let q = u + xx * LANE[i];
-        let alpha = exp2(exponent - q * q);
-        let alpha = if alpha < rules.max { alpha } else { rules.max };
-        let keep = (alpha >= rules.cutoff) & (t[i] >= rules.stop);
-        let weight = if keep { alpha * t[i] } else { 0.0 };
+        let weight = rules.alpha(exponent - q * q, t[i]) * t[i];
         r[i] += weight * colour[0];
         g[i] += weight * colour[1];
         b[i] += weight * colour[2];
@@ -191,13 +238,19 @@ fn blend_row(
 fn open_rows(rows: &[[Lanes; 4]; TILE], stop: f32) -> u16 {
     let mut open = 0;
     for (y, row) in rows.iter().enumerate() {
-        let mut most = 0.0f32;
-        for t in row[3] {
-            most = if t > most { t } else { most };
-        }
-        open |= u16::from(most >= stop) << y;
+        open |= u16::from(is_open(&row[3], stop)) << y;
     }
     open
+}
+
+/// True while a pixel of transmittances `t` is not finished.
+#[inline(always)]
+pub(crate) fn is_open(t: &Lanes, stop: f32) -> bool {
+    let mut most = 0.0f32;
+    for &t in t {
+        most = if t > most { t } else { most };
+    }
+    most >= stop
 }
 
 /// 2ˣ for x ≤ 0, with a relative error below 2e-7; 2⁻¹²⁶ for anything smaller and for NaN.
@@ -251,7 +304,7 @@ mod tests {
 
     #[test]
     fn the_splat_that_crosses_the_stop_is_blended_and_the_next_is_not() {
-        let rules = Rules { cutoff: 0.0, max: 0.99, stop: 0.02 };
+        let rules = Rules { cutoff: 0.0, max: 0.99, stop: 0.02, reach: 0.0 };
         let mut row = Tile::EMPTY.rows[0];
         for colour in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
             blend_row(&mut row, 0.0, 0.0, (0.9f32).log2(), &colour, &rules);

@@ -14,6 +14,7 @@ use super::{REACH_MARGIN, Splat};
 use crate::camera::{cross, dot, rotation_matrix};
 use crate::harmonics;
 use crate::{Camera, Counters, Settings, Splats};
+use codec_core::Gaussian;
 
 /// Depth key of a Gaussian that was skipped; above every key of one that is drawn.
 pub const SKIPPED: u32 = u32::MAX;
@@ -82,20 +83,41 @@ impl Counters {
 }
 
 /// What is the same for every Gaussian of a frame.
-struct Film<'a> {
-    camera: &'a Camera,
-    rotation: [[f64; 3]; 3],
-    centre: [f64; 3],
-    focal: [f64; 2],
+pub(crate) struct Film<'a> {
+    pub(crate) camera: &'a Camera,
+    pub(crate) rotation: [[f64; 3]; 3],
+    pub(crate) centre: [f64; 3],
+    pub(crate) focal: [f64; 2],
     principal: [f64; 2],
     size: [f64; 2],
     slope: [[f64; 2]; 2],
-    low_pass: f64,
-    antialiased: bool,
+    pub(crate) low_pass: f64,
+    pub(crate) antialiased: bool,
     cull_frustum: bool,
     alpha_cutoff: f32,
     log2_cutoff: f64,
-    degree: u8,
+    pub(crate) degree: u8,
+}
+
+/// The Jacobian of the film at one point: pixels per unit, and `x / z`, `y / z` within their limits.
+pub(crate) struct Lens {
+    pub(crate) gain: [f64; 2],
+    pub(crate) slope: [f64; 2],
+}
+
+/// The factor of a covariance on the film, and what follows from it.
+pub(crate) struct Factor {
+    /// `W·R·S`: column `k` is local axis `k`, scaled, in camera axes.
+    pub(crate) axes: [[f64; 3]; 3],
+    /// Rows of `J·W·R·S`, pixels.
+    pub(crate) u: [f64; 3],
+    pub(crate) v: [f64; 3],
+    /// `u × v`.
+    pub(crate) area: [f64; 3],
+    /// `|u × v|²`, the determinant before dilation.
+    pub(crate) det0: f64,
+    /// The determinant after it.
+    pub(crate) det: f64,
 }
 
 /// Lowest and highest `x / z` and `y / z` at which the Jacobian is taken, `[x, y][low, high]`.
@@ -109,7 +131,7 @@ pub(crate) fn slope_limits(camera: &Camera) -> [[f64; 2]; 2] {
 }
 
 impl<'a> Film<'a> {
-    fn new(camera: &'a Camera, settings: &Settings, degree: u8) -> Self {
+    pub(crate) fn new(camera: &'a Camera, settings: &Settings, degree: u8) -> Self {
         let i = camera.intrinsics();
         Self {
             camera,
@@ -166,8 +188,7 @@ impl<'a> Film<'a> {
         if g.opacity < self.alpha_cutoff {
             return Err(Skip::Transparent);
         }
-        let q = g.rotation.map(f64::from);
-        let norm2 = q.iter().map(|v| v * v).sum::<f64>();
+        let norm2 = g.rotation.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>();
         if norm2 < MIN_QUATERNION_NORM2 || g.scale.iter().any(|&s| s < 0.0) {
             return Err(Skip::Degenerate);
         }
@@ -176,11 +197,8 @@ impl<'a> Film<'a> {
             return Err(Skip::BehindNear);
         }
         let mean = [self.focal[0] * x / z + self.principal[0], self.focal[1] * y / z + self.principal[1]];
-        let gain = [self.focal[0] / z, self.focal[1] / z];
-        let slope = [
-            (x / z).clamp(self.slope[0][0], self.slope[0][1]),
-            (y / z).clamp(self.slope[1][0], self.slope[1][1]),
-        ];
+        let lens = self.lens([x, y, z]);
+        let Lens { gain, slope } = lens;
         let scale = g.scale.map(f64::from);
         if self.cull_frustum {
             // |u| is at most gain · √(1 + slope²) times the largest scale, and dimming only shrinks.
@@ -196,17 +214,8 @@ impl<'a> Film<'a> {
             }
         }
 
-        let length = norm2.sqrt();
-        let local = rotation_matrix(q.map(|v| v / length));
-        let w = |row: usize, k: usize| {
-            let r = &self.rotation[row];
-            (r[0] * local[0][k] + r[1] * local[1][k] + r[2] * local[2][k]) * scale[k]
-        };
-        let u: [f64; 3] = std::array::from_fn(|k| gain[0] * (w(0, k) - slope[0] * w(2, k)));
-        let v: [f64; 3] = std::array::from_fn(|k| gain[1] * (w(1, k) - slope[1] * w(2, k)));
-        let (uu, uv, vv, area) = (dot(u, u), dot(u, v), dot(v, v), cross(u, v));
-        let det0 = dot(area, area);
-        let det = det0 + self.low_pass * (uu + vv) + self.low_pass * self.low_pass;
+        let Factor { u, v, det0, det, .. } = self.factor(g, &lens);
+        let (uu, uv, vv) = (dot(u, u), dot(u, v), dot(v, v));
         if det <= 0.0 || !det.is_finite() {
             return Err(Skip::Degenerate);
         }
@@ -248,6 +257,35 @@ impl<'a> Film<'a> {
         Ok((Splat { mean, root, colour, log2_alpha, pixels }, (z as f32).to_bits()))
     }
 
+    /// The Jacobian at a point in camera axes.
+    pub(crate) fn lens(&self, [x, y, z]: [f64; 3]) -> Lens {
+        let slope = [
+            (x / z).clamp(self.slope[0][0], self.slope[0][1]),
+            (y / z).clamp(self.slope[1][0], self.slope[1][1]),
+        ];
+        Lens { gain: [self.focal[0] / z, self.focal[1] / z], slope }
+    }
+
+    /// The covariance's factor. The quaternion is not zero.
+    pub(crate) fn factor(&self, g: &Gaussian, lens: &Lens) -> Factor {
+        let Lens { gain, slope } = lens;
+        let q = g.rotation.map(f64::from);
+        let length = q.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let local = rotation_matrix(q.map(|v| v / length));
+        let axes: [[f64; 3]; 3] = std::array::from_fn(|row| {
+            let r = &self.rotation[row];
+            std::array::from_fn(|k| {
+                (r[0] * local[0][k] + r[1] * local[1][k] + r[2] * local[2][k]) * f64::from(g.scale[k])
+            })
+        });
+        let u: [f64; 3] = std::array::from_fn(|k| gain[0] * (axes[0][k] - slope[0] * axes[2][k]));
+        let v: [f64; 3] = std::array::from_fn(|k| gain[1] * (axes[1][k] - slope[1] * axes[2][k]));
+        let area = cross(u, v);
+        let det0 = dot(area, area);
+        let det = det0 + self.low_pass * (dot(u, u) + dot(v, v)) + self.low_pass * self.low_pass;
+        Factor { axes, u, v, area, det0, det }
+    }
+
     /// Largest `u² + v²` at which a splat of peak `alpha` still adds something, with the margin.
     fn reach(&self, alpha: f64) -> f64 {
         (alpha.log2() - self.log2_cutoff).max(0.0) + f64::from(REACH_MARGIN)
@@ -275,7 +313,6 @@ fn half_extent(reach: f64, variance: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use codec_core::Gaussian;
 
     fn camera() -> Camera {
         Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.8, 64, 48).unwrap()

@@ -1,0 +1,167 @@
+//! Gradients of a loss about a picture, with respect to everything the picture was made from.
+//!
+//! ```text
+//! Splats + Camera ─▶ render ─▶ Image ─▶ loss ─▶ number
+//!                                         │
+//! Gradients ◀─ project ◀─ gather ◀─ blend ◀ dLoss/dImage      (harmonics is a part of project)
+//! ```
+//!
+//! One file per stage, the adjoint of the stage of the same name. Blending goes back to front and never
+//! divides by `1 - alpha` or a transmittance: a tile is walked again front to back, with the decisions of
+//! the forward pass (the same code takes them), alpha and transmittance of every visited row are written
+//! down, and read in reverse.
+//!
+//! Sums have one order: within a tile, rows from the top, lanes in a fixed tree; over tiles, in order of
+//! tiles; over Gaussians (camera pose), in order of index by chunks of fixed size. The same input gives
+//! the same bits, for any number of threads and any vector width.
+//!
+//! What is differentiated is the picture between its jumps. At the alpha cut-off, the transmittance stop
+//! and a change of depth order the picture jumps, and the jump has no gradient. Where a value is clamped
+//! (alpha at `alpha_max`, a colour at 0, the Jacobian's slope, the dimming floor) the gradient is 0.
+//!
+//! A Gaussian that was skipped has gradient 0. One whose gradient overflows or is not a number gets 0 and
+//! is counted in [`Gradients::non_finite`].
+
+mod blend;
+pub mod check;
+mod harmonics;
+pub mod loss;
+mod project;
+mod term;
+
+pub use check::{Check, ClassError, check};
+pub use loss::Loss;
+
+use crate::render::{RenderError, Rendered, Renderer};
+use crate::stage::{TILE, bin};
+use crate::{Camera, ImageError, Settings, Splats};
+
+/// Gradients that could not be computed.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum AdjointError {
+    /// The picture could not be rendered.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// The loss does not fit the picture.
+    #[error("loss: {0}")]
+    Loss(#[from] ImageError),
+}
+
+/// What a Gaussian's parameters add to the loss, per unit of each.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SplatGradient {
+    /// Centre, per scene unit.
+    pub position: [f32; 3],
+    /// Natural logarithm of each scale.
+    pub log_scale: [f32; 3],
+    /// Raw quaternion wxyz, as stored: always across it, since its length does not matter.
+    pub rotation: [f32; 4],
+    /// Logit of opacity, `ln(o / (1 - o))`; 0 at opacity 1 and above.
+    pub opacity_logit: f32,
+    /// Band 0 of the harmonics.
+    pub sh0: [f32; 3],
+    /// Centre on the film, per pixel; what densification looks at.
+    pub film: [f32; 2],
+}
+
+/// A loss, the picture it judged, and its gradients.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Gradients {
+    /// Value of the loss.
+    pub loss: f64,
+    /// The picture, as [`Renderer::render`] gives it.
+    pub rendered: Rendered,
+    /// One per Gaussian.
+    pub splats: Vec<SplatGradient>,
+    /// Higher harmonic bands, laid out as in [`Splats`]; 0 above the degree that was rendered.
+    pub sh_rest: Vec<f32>,
+    /// The settings' background.
+    pub background: [f64; 3],
+    /// Camera pose: see [`Pose`].
+    pub pose: Pose,
+    /// Gaussians whose gradient was not finite in f32, and was set to 0.
+    pub non_finite: u64,
+}
+
+/// Gradient with respect to the world-to-camera transform `x ↦ R·x + t`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Pose {
+    /// Of `t`, with `R` held; per scene unit.
+    pub translation: [f64; 3],
+    /// Of `ω` at 0 in `exp([ω]×)·R`, with `t` held; per radian, about camera axes.
+    pub rotation: [f64; 3],
+}
+
+/// Buffers to differentiate with: frames of the same size and count allocate nothing large.
+#[derive(Debug, Default)]
+pub struct Workspace {
+    renderer: Renderer,
+    /// dLoss/dImage, r g b per pixel.
+    image: Vec<f32>,
+    tiles: blend::Tiles,
+    /// Per Gaussian, summed over tiles.
+    ellipses: Vec<blend::Ellipse>,
+    chunks: Vec<project::Chunk>,
+}
+
+impl Workspace {
+    /// A workspace with empty buffers.
+    pub fn new() -> Self {
+        Self::default()
+    }
+}
+
+/// Renders `splats`, judges the picture with `loss`, and differentiates.
+///
+/// # Errors
+/// A setting out of range, or a loss made for another size of picture.
+pub fn render_and_gradients(
+    workspace: &mut Workspace,
+    splats: &Splats,
+    camera: &Camera,
+    settings: &Settings,
+    loss: &dyn Loss,
+) -> Result<Gradients, AdjointError> {
+    let mut out = Gradients::default();
+    render_and_gradients_into(workspace, splats, camera, settings, loss, &mut out)?;
+    Ok(out)
+}
+
+/// As [`render_and_gradients`], into memory that is used again.
+///
+/// # Errors
+/// As [`render_and_gradients`]; `out` then holds a mixture of old and new.
+pub fn render_and_gradients_into(
+    workspace: &mut Workspace,
+    splats: &Splats,
+    camera: &Camera,
+    settings: &Settings,
+    loss: &dyn Loss,
+    out: &mut Gradients,
+) -> Result<(), AdjointError> {
+    let Workspace { renderer, image, tiles, ellipses, chunks } = workspace;
+    renderer.render_into(splats, camera, settings, &mut out.rendered)?;
+    image.resize(out.rendered.image.rgb().len(), 0.0);
+    out.loss = loss.differentiate(&out.rendered.image, settings.parallel, image)?;
+
+    let size = [camera.width() as usize, camera.height() as usize];
+    let columns = size[0].div_ceil(TILE);
+    let Renderer { projected, order, bands, bins, .. } = renderer;
+    ellipses.clear();
+    ellipses.resize(splats.len(), [0.0; blend::PARTS]);
+    let mut background = [0.0; 3];
+    for band in bands.iter() {
+        // The lists of the last band are still there.
+        if bands.len() > 1 {
+            bin::bin(projected, order, band, columns, settings, bins);
+        }
+        blend::blend(&projected.splats, bins, band, size, settings, image, tiles);
+        blend::gather(tiles, bins, columns, settings.parallel, ellipses, &mut background);
+    }
+    out.background = background.map(|v| if v.is_finite() { v } else { 0.0 });
+    project::project(splats, camera, settings, projected, ellipses, chunks, out);
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests;

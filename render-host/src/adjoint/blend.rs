@@ -1,0 +1,495 @@
+//! Adjoint of stage 4: from pixels back to the ellipses that were blended into them.
+//!
+//! With `behind` the colour behind a splat, a pixel is `… + T·(a·c + (1 - a)·behind)`. So for a pixel
+//! gradient `g`: `dL/dc = T·a·g`, `dL/da = T·(g·c - g·behind)`, and one number per pixel, `g·behind`, is
+//! carried from back to front. Nothing is divided.
+//!
+//! A tile's list is walked in segments of bounded length. Transmittances at the start of each are kept,
+//! so a list of a million needs the memory of one segment.
+
+use std::ops::Range;
+use std::sync::Mutex;
+
+use pulp::Simd;
+
+use super::term::{Term, dropped, keep};
+use crate::parallel;
+use crate::settings::Settings;
+use crate::stage::bin::Bins;
+use crate::stage::blend::{LANE, LOOK_EVERY, Lanes, Local, Rules, is_open, offset};
+use crate::stage::{Splat, TILE};
+
+/// Numbers per splat: centre (2), root (3), log₂ alpha, colour (3).
+pub(super) const PARTS: usize = 9;
+/// Gradient of one ellipse, summed over tiles.
+pub(super) type Ellipse = [f64; PARTS];
+/// Gradient of one ellipse from one tile.
+type Partial = [f32; PARTS];
+
+/// Splats between two kept transmittances. A multiple of [`LOOK_EVERY`].
+const SEGMENT: usize = 512;
+/// Sums over the pixels of a tile: h, h·q, h·q·y, h·v, h·v·y and three colours, where h = dL/d(exponent).
+const SUMS: usize = 8;
+
+/// What each tile of a band has found.
+#[derive(Debug, Default)]
+pub(super) struct Tiles {
+    tiles: Vec<Found>,
+    /// Scratch memory, passed from tile to tile; what it held does not matter.
+    pool: Mutex<Vec<Box<Scratch>>>,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Found {
+    /// One per entry of the tile's list.
+    partials: Vec<Partial>,
+    background: [f32; 3],
+}
+
+/// What a splat did to a row of pixels.
+#[derive(Clone, Debug)]
+#[repr(align(64))]
+struct Record {
+    alpha: Lanes,
+    /// Before the splat.
+    transmittance: Lanes,
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Visit {
+    u: f32,
+    v: f32,
+    y: u32,
+}
+
+#[derive(Clone, Debug)]
+#[repr(align(64))]
+struct Rows([Lanes; TILE]);
+
+#[derive(Debug)]
+struct Scratch {
+    /// Transmittance now.
+    now: Rows,
+    /// Pixel gradient times the colour behind.
+    behind: Rows,
+    /// Pixel gradients, r g b.
+    gradient: [Rows; 3],
+    /// Rows visited in the segment, splat by splat.
+    visits: Vec<Visit>,
+    records: Vec<Record>,
+    /// Number of visits before each splat of the segment.
+    starts: Vec<usize>,
+    /// Transmittance at the start of each segment.
+    marks: Vec<Rows>,
+}
+
+impl Default for Scratch {
+    fn default() -> Self {
+        let rows = Rows([[0.0; TILE]; TILE]);
+        Self {
+            now: rows.clone(),
+            behind: rows.clone(),
+            gradient: [rows.clone(), rows.clone(), rows],
+            visits: Vec::new(),
+            records: Vec::new(),
+            starts: Vec::new(),
+            marks: Vec::new(),
+        }
+    }
+}
+
+/// Differentiates the tiles of a band. `image` is dL/dImage of the whole picture.
+pub(super) fn blend(
+    splats: &[Splat],
+    bins: &Bins,
+    band: &Range<usize>,
+    size: [usize; 2],
+    settings: &Settings,
+    image: &[f32],
+    out: &mut Tiles,
+) {
+    let columns = size[0].div_ceil(TILE);
+    let Tiles { tiles, pool } = out;
+    let pool = &*pool;
+    tiles.resize(columns * band.len(), Found::default());
+    let arch = pulp::Arch::new();
+    parallel::for_each(settings.parallel, tiles, |index, found| {
+        let (row, column) = (index / columns, index % columns);
+        let corner = [column * TILE, (band.start + row) * TILE];
+        let list = bins.rows()[row].tile(column);
+        let mut scratch = pool.lock().ok().and_then(|mut pool| pool.pop()).unwrap_or_default();
+        arch.dispatch(Backward { splats, list, corner, size, settings, image, found, scratch: &mut scratch });
+        if let Ok(mut pool) = pool.lock() {
+            pool.push(scratch);
+        }
+    });
+}
+
+/// Adds what the tiles of a band found to each ellipse, in order of tiles.
+pub(super) fn gather(
+    tiles: &Tiles,
+    bins: &Bins,
+    columns: usize,
+    parallel: bool,
+    ellipses: &mut [Ellipse],
+    background: &mut [f64; 3],
+) {
+    // Each piece reads every list and keeps what is its own: the order of each sum is that of the tiles,
+    // however many pieces there are.
+    let pieces = if parallel { rayon::current_num_threads() } else { 1 };
+    let size = ellipses.len().div_ceil(pieces).max(1);
+    parallel::for_each_chunk(parallel, ellipses, size, |piece, ellipses| {
+        let first = piece * size;
+        for (index, found) in tiles.tiles.iter().enumerate() {
+            let list = bins.rows()[index / columns].tile(index % columns);
+            for (&splat, partial) in list.iter().zip(&found.partials) {
+                if let Some(sum) = ellipses.get_mut((splat as usize).wrapping_sub(first)) {
+                    (0..PARTS).for_each(|k| sum[k] += f64::from(partial[k]));
+                }
+            }
+        }
+    });
+    for found in &tiles.tiles {
+        (0..3).for_each(|c| background[c] += f64::from(found.background[c]));
+    }
+}
+
+/// One tile's work, as a value, so that it can be compiled once per vector width.
+struct Backward<'a> {
+    splats: &'a [Splat],
+    list: &'a [u32],
+    corner: [usize; 2],
+    size: [usize; 2],
+    settings: &'a Settings,
+    image: &'a [f32],
+    found: &'a mut Found,
+    scratch: &'a mut Scratch,
+}
+
+impl pulp::WithSimd for Backward<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { splats, list, corner, size, settings, image, found, scratch } = self;
+        let rules = Rules::new(settings);
+        found.partials.clear();
+        found.partials.resize(list.len(), [0.0; PARTS]);
+        scratch.open(image, corner, size);
+
+        let mut segments = list.chunks(SEGMENT).enumerate();
+        let mut walked = 0;
+        let mut open = u16::MAX;
+        for (k, segment) in segments.by_ref() {
+            if k > 0 {
+                open = open_rows(&scratch.now, rules.stop);
+                if open == 0 && rules.stop > 0.0 {
+                    break;
+                }
+            }
+            scratch.marks.push(scratch.now.clone());
+            scratch.walk(splats, segment, corner, &rules, open);
+            walked = k + 1;
+        }
+        found.background = scratch.turn(settings.background);
+        for k in (0..walked).rev() {
+            let start = k * SEGMENT;
+            let segment = &list[start..list.len().min(start + SEGMENT)];
+            if k + 1 < walked {
+                scratch.now.clone_from(&scratch.marks[k]);
+                scratch.walk(splats, segment, corner, &rules, u16::MAX);
+            }
+            let partials = &mut found.partials[start..start + segment.len()];
+            for (i, (&index, partial)) in segment.iter().zip(partials).enumerate().rev() {
+                let visits = scratch.starts[i]..scratch.starts[i + 1];
+                if !visits.is_empty() {
+                    let splat = &splats[index as usize];
+                    let sums = scratch.sweep(simd, visits, splat, rules.max);
+                    *partial = chain(&sums, splat, corner);
+                }
+            }
+        }
+    }
+}
+
+impl Scratch {
+    /// Starts a tile: nothing blended, pixel gradients of the image, 0 outside it.
+    #[inline(always)]
+    fn open(&mut self, image: &[f32], corner: [usize; 2], size: [usize; 2]) {
+        self.now.0 = [[1.0; TILE]; TILE];
+        self.marks.clear();
+        self.gradient.iter_mut().for_each(|rows| rows.0 = [[0.0; TILE]; TILE]);
+        let (w, h) = ((size[0] - corner[0]).min(TILE), (size[1] - corner[1]).min(TILE));
+        for y in 0..h {
+            let first = 3 * ((corner[1] + y) * size[0] + corner[0]);
+            let pixels = &image[first..first + 3 * w];
+            for (x, pixel) in pixels.chunks_exact(3).enumerate() {
+                (0..3).for_each(|c| self.gradient[c].0[y][x] = pixel[c]);
+            }
+        }
+    }
+
+    /// Blends a segment as the forward pass did, writing down each visit.
+    #[inline(always)]
+    fn walk(&mut self, splats: &[Splat], list: &[u32], corner: [usize; 2], rules: &Rules, mut open: u16) {
+        self.visits.clear();
+        self.starts.clear();
+        let room = Record { alpha: [0.0; TILE], transmittance: [0.0; TILE] };
+        for (k, &index) in list.iter().enumerate() {
+            self.starts.push(self.visits.len());
+            if k % LOOK_EVERY == 0 && k > 0 && rules.stop > 0.0 {
+                open = open_rows(&self.now, rules.stop);
+            }
+            if open == 0 {
+                continue;
+            }
+            let splat = &splats[index as usize];
+            let local = Local::new(splat, corner, rules);
+            let most = self.visits.len() + TILE;
+            if self.records.len() < most {
+                self.records.resize(2 * most, room.clone());
+            }
+            for y in local.first..local.past {
+                if let Some((u, v)) = local.row(y)
+                    && open >> y & 1 == 1
+                {
+                    let record = &mut self.records[self.visits.len()];
+                    take_row(&mut self.now.0[y], record, u, local.root[0], splat.log2_alpha - v * v, rules);
+                    self.visits.push(Visit { u, v, y: y as u32 });
+                }
+            }
+        }
+        self.starts.push(self.visits.len());
+    }
+
+    /// From front-to-back to back-to-front: behind everything is the background. Returns its gradient.
+    #[inline(always)]
+    fn turn(&mut self, background: [f32; 3]) -> [f32; 3] {
+        let mut sums = [[0.0f32; TILE]; 3];
+        self.behind.0 = [[0.0; TILE]; TILE];
+        for ((rows, colour), sum) in self.gradient.iter().zip(background).zip(&mut sums) {
+            let rows = rows.0.iter().zip(&self.now.0).zip(&mut self.behind.0);
+            for ((gradient, now), behind) in rows {
+                for i in 0..TILE {
+                    behind[i] += gradient[i] * colour;
+                    sum[i] += gradient[i] * now[i];
+                }
+            }
+        }
+        sums.map(|sum| total(&sum))
+    }
+
+    /// Differentiates one splat's visits and steps in front of it.
+    #[inline(always)]
+    fn sweep<S: Simd>(&mut self, simd: S, visits: Range<usize>, splat: &Splat, max: f32) -> [Lanes; SUMS] {
+        let Self { behind, gradient: [red, green, blue], records, .. } = self;
+        let (records, visits) = (&records[visits.clone()], &self.visits[visits]);
+        let xx = simd.splat_f32s(splat.root[0] as f32);
+        let [r, g, b] = splat.colour.map(|c| simd.splat_f32s(c));
+        let (max, zero) = (simd.splat_f32s(max), simd.splat_f32s(0.0));
+        let clamped = if dropped(Term::AlphaClamp) { simd.splat_f32s(2.0) } else { max };
+        let (add, sub) = (|a, b| simd.add_f32s(a, b), |a, b| simd.sub_f32s(a, b));
+        let mul = |a, b| simd.mul_f32s(a, b);
+        let mut out = [[0.0; TILE]; SUMS];
+        for part in 0..TILE / S::F32_LANES {
+            let lane = lanes::<S>(&LANE, part);
+            let mut sums = [zero; SUMS];
+            for (visit, record) in visits.iter().zip(records) {
+                let y = visit.y as usize % TILE;
+                let (u, v) = (simd.splat_f32s(visit.u), simd.splat_f32s(visit.v));
+                let down = simd.splat_f32s(visit.y as f32);
+                let alpha = lanes::<S>(&record.alpha, part);
+                let (gr, gg) = (lanes::<S>(&red.0[y], part), lanes::<S>(&green.0[y], part));
+                let gb = lanes::<S>(&blue.0[y], part);
+                let behind = lanes_mut::<S>(&mut behind.0[y], part);
+
+                let own = add(add(mul(gr, r), mul(gg, g)), mul(gb, b));
+                let ahead = sub(own, *behind);
+                let weight = mul(alpha, lanes::<S>(&record.transmittance, part));
+                if !dropped(Term::Behind) {
+                    *behind = add(*behind, mul(alpha, ahead));
+                }
+                let free = simd.less_than_f32s(alpha, clamped);
+                let h = simd.select_f32s(free, mul(weight, ahead), zero);
+                let hq = mul(h, add(u, mul(xx, lane)));
+                let hv = mul(h, v);
+                sums[0] = add(sums[0], h);
+                sums[1] = add(sums[1], hq);
+                sums[2] = add(sums[2], mul(hq, down));
+                sums[3] = add(sums[3], hv);
+                sums[4] = add(sums[4], mul(hv, down));
+                sums[5] = add(sums[5], mul(weight, gr));
+                sums[6] = add(sums[6], mul(weight, gg));
+                sums[7] = add(sums[7], mul(weight, gb));
+            }
+            for (out, sum) in out.iter_mut().zip(sums) {
+                *lanes_mut::<S>(out, part) = sum;
+            }
+        }
+        out
+    }
+}
+
+#[inline(always)]
+fn lanes<S: Simd>(row: &Lanes, part: usize) -> S::f32s {
+    S::as_simd_f32s(row).0[part]
+}
+
+#[inline(always)]
+fn lanes_mut<S: Simd>(row: &mut Lanes, part: usize) -> &mut S::f32s {
+    &mut S::as_mut_simd_f32s(row).0[part]
+}
+
+#[inline(always)]
+fn take_row(t: &mut Lanes, record: &mut Record, u: f32, xx: f32, exponent: f32, rules: &Rules) {
+    for i in 0..TILE {
+        let q = u + xx * LANE[i];
+        let alpha = rules.alpha(exponent - q * q, t[i]);
+        record.alpha[i] = alpha;
+        record.transmittance[i] = t[i];
+        t[i] -= alpha * t[i];
+    }
+}
+
+/// Bit `y` is set while a pixel of row `y` is not finished.
+#[inline(always)]
+fn open_rows(now: &Rows, stop: f32) -> u16 {
+    let mut open = 0;
+    for (y, row) in now.0.iter().enumerate() {
+        open |= u16::from(is_open(row, stop)) << y;
+    }
+    open
+}
+
+/// Sum of a row in a fixed tree.
+#[inline(always)]
+fn total(row: &Lanes) -> f32 {
+    let mut sum = *row;
+    for half in [8, 4, 2, 1] {
+        for i in 0..half {
+            sum[i] += sum[i + half];
+        }
+    }
+    sum[0]
+}
+
+/// From sums over the tile, about its first pixel, to the ellipse.
+#[inline(always)]
+fn chain(sums: &[Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
+    // exponent = log2_alpha - u² - v², alpha = 2^exponent.
+    let slope = -2.0 * std::f64::consts::LN_2;
+    let along = std::array::from_fn(|i| sums[1][i] * LANE[i]);
+    let value = |row: &Lanes| f64::from(total(row));
+    let (du, dv) = (slope * value(&sums[1]), slope * value(&sums[3]));
+    let (du_along, du_down) = (slope * value(&along), slope * value(&sums[2]));
+    let dv_down = slope * value(&sums[4]);
+    let [dx, dy] = offset(splat, corner);
+    let [xx, xy, yy] = splat.root;
+    [
+        keep(Term::Centre, -xx * du),
+        -(xy * du + yy * dv),
+        du * dx + keep(Term::Along, du_along),
+        du * dy + keep(Term::Shear, du_down),
+        dv * dy + keep(Term::Down, dv_down),
+        std::f64::consts::LN_2 * value(&sums[0]),
+        value(&sums[5]),
+        value(&sums[6]),
+        value(&sums[7]),
+    ]
+    .map(|v| v as f32)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use pulp::WithSimd;
+
+    fn splats(n: usize) -> Vec<Splat> {
+        (0..n)
+            .map(|i| {
+                let t = i as f64;
+                Splat {
+                    mean: [8.0 + 9.0 * (1.7 * t).sin(), 8.0 + 9.0 * (2.3 * t).cos()],
+                    root: [0.1 + 0.002 * (t % 200.0), 0.3 * (0.9 * t).sin(), 0.7 - 0.003 * (t % 200.0)],
+                    colour: [0.3, 0.001 * (i % 200) as f32, 1.5],
+                    log2_alpha: -0.02 * (i % 200) as f32 - 3.0,
+                    pixels: [0, 16, 0, 16],
+                }
+            })
+            .collect()
+    }
+
+    fn work<'a>(
+        splats: &'a [Splat],
+        list: &'a [u32],
+        settings: &'a Settings,
+        image: &'a [f32],
+        found: &'a mut Found,
+        scratch: &'a mut Scratch,
+    ) -> Backward<'a> {
+        Backward { splats, list, corner: [0, 0], size: [16, 16], settings, image, found, scratch }
+    }
+
+    #[test]
+    fn every_vector_width_gives_the_same_bits() {
+        let splats = splats(300);
+        let list: Vec<u32> = (0..300).collect();
+        let image: Vec<f32> = (0..768).map(|i| (i as f32 * 0.7).sin()).collect();
+        let settings = Settings::default();
+        let (mut a, mut b) = (Found::default(), Found::default());
+        work(&splats, &list, &settings, &image, &mut a, &mut Scratch::default())
+            .with_simd(pulp::Scalar::new());
+        let mut scratch = Scratch::default();
+        pulp::Arch::new().dispatch(work(&splats, &list, &settings, &image, &mut b, &mut scratch));
+        let bits = |f: &Found| f.partials.as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        assert!(a.partials[0] != [0.0; PARTS]);
+        assert_eq!(bits(&a), bits(&b));
+        assert_eq!(a.background, b.background);
+    }
+
+    /// A list of several segments gives each splat what the definition gives: f64, every prefix anew.
+    #[test]
+    fn long_lists_are_walked_in_segments() {
+        let n = 3 * SEGMENT + 77;
+        let mut splats = splats(n);
+        splats.iter_mut().for_each(|s| s.log2_alpha -= 4.0);
+        let list: Vec<u32> = (0..n as u32).collect();
+        let image: Vec<f32> = (0..768).map(|i| (i as f32 * 0.7).sin()).collect();
+        let settings = Settings { background: [0.3, 0.6, 0.9], ..Settings::exact() };
+        let (mut found, mut scratch) = (Found::default(), Scratch::default());
+        pulp::Arch::new().dispatch(work(&splats, &list, &settings, &image, &mut found, &mut scratch));
+
+        let mut exact = vec![[0.0f64; 4]; n];
+        for p in 0..256 {
+            let g: [f64; 3] = std::array::from_fn(|c| f64::from(image[3 * p + c]));
+            let alphas: Vec<f64> = splats
+                .iter()
+                .map(|s| {
+                    let (dx, dy) = ((p % 16) as f64 + 0.5 - s.mean[0], (p / 16) as f64 + 0.5 - s.mean[1]);
+                    let (u, v) = (s.root[0] * dx + s.root[1] * dy, s.root[2] * dy);
+                    (f64::from(s.log2_alpha) - u * u - v * v).exp2()
+                })
+                .collect();
+            let mut front = vec![1.0; n];
+            for k in 1..n {
+                front[k] = front[k - 1] * (1.0 - alphas[k - 1]);
+            }
+            let mut behind = settings.background.map(f64::from);
+            for k in (0..n).rev() {
+                let colour = splats[k].colour.map(f64::from);
+                for c in 0..3 {
+                    exact[k][0] +=
+                        std::f64::consts::LN_2 * alphas[k] * front[k] * g[c] * (colour[c] - behind[c]);
+                    exact[k][1 + c] += alphas[k] * front[k] * g[c];
+                    behind[c] = alphas[k] * colour[c] + (1.0 - alphas[k]) * behind[c];
+                }
+            }
+        }
+        let largest = exact.as_flattened().iter().fold(0.0f64, |a, v| a.max(v.abs()));
+        for (exact, partial) in exact.iter().zip(&found.partials) {
+            for (e, p) in exact.iter().zip(&partial[5..]) {
+                assert!((e - f64::from(*p)).abs() < 1e-4 * largest, "{e} {p}, largest {largest}");
+            }
+        }
+    }
+}
