@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! Splats + Camera ─▶ stage::{project, sort, bin, blend} ─▶ Rendered { image, transmittance, counters }
+//! Variants + States ─▶ counterfactual::Engine ─▶ squared error of every state, utility of every group
 //! Image × Image   ─▶ metric::{psnr, ssim, flip, flicker, distortion, heat}
 //! ```
 //!
@@ -16,6 +17,7 @@
 //! Deliberately absent: files of splats (trainer-host reads them), packets (codec-core), clocks.
 
 pub mod camera;
+pub mod counterfactual;
 pub mod counters;
 mod harmonics;
 pub mod image;
