@@ -9,6 +9,7 @@
 
 #![expect(clippy::unwrap_used, clippy::disallowed_methods, reason = "a bench measures time and may fail")]
 
+#[allow(dead_code, reason = "tests use the rest")]
 #[path = "../tests/support/mod.rs"]
 mod support;
 

@@ -109,13 +109,13 @@ impl pulp::NullaryFnOnce for Fill<'_> {
                 let lists = &mut runs.lists[y * TILE..][..TILE];
                 let other = others(open, &alpha, entry.local);
                 if other != 0 {
-                    close(open, lists, other, entry.local);
+                    close(open, lists, other);
                 }
-                extend(open, &alpha, &splat.colour);
+                extend(open, &alpha, entry.local, &splat.colour);
             }
         }
         for (open, lists) in runs.open.iter_mut().zip(runs.lists.chunks_exact_mut(TILE)) {
-            close(open, lists, u32::from(u16::MAX), NONE);
+            close(open, lists, u32::from(u16::MAX));
         }
     }
 }
@@ -144,31 +144,34 @@ fn others(open: &Open, alpha: &Lanes, local: u32) -> u32 {
     bits
 }
 
-/// Writes down the open runs of `pixels` and opens empty ones of group `local`.
+/// Writes down the open runs of `pixels`.
 #[inline(always)]
-fn close(open: &mut Open, lists: &mut [Vec<Run>], mut pixels: u32, local: u32) {
+fn close(open: &Open, lists: &mut [Vec<Run>], mut pixels: u32) {
     while pixels != 0 {
         let i = pixels.trailing_zeros() as usize & (TILE - 1);
         pixels &= pixels - 1;
         if open.owner[i] != NONE {
             let colour = [open.rgb[0][i], open.rgb[1][i], open.rgb[2][i]];
             lists[i].push(Run { local: open.owner[i], hidden: open.t[i] - 1.0, colour });
-            open.t[i] = 1.0;
-            (0..3).for_each(|c| open.rgb[c][i] = 0.0);
         }
-        open.owner[i] = local;
     }
 }
 
-/// Adds a splat behind the open runs.
+/// Adds a splat of group `local` behind the open runs; those of another group that it touches begin anew.
+///
+/// All lanes are written as vectors: a vector read after scalar writes to its parts would stall.
 #[inline(always)]
-fn extend(open: &mut Open, alpha: &Lanes, colour: &[f32; 3]) {
+fn extend(open: &mut Open, alpha: &Lanes, local: u32, colour: &[f32; 3]) {
+    let Open { owner, t, rgb: [r, g, b] } = open;
     for i in 0..TILE {
-        let weight = alpha[i] * open.t[i];
-        open.rgb[0][i] += weight * colour[0];
-        open.rgb[1][i] += weight * colour[1];
-        open.rgb[2][i] += weight * colour[2];
-        open.t[i] -= weight;
+        let fresh = (alpha[i] > 0.0) & (owner[i] != local);
+        let before = if fresh { 1.0 } else { t[i] };
+        let weight = alpha[i] * before;
+        r[i] = if fresh { 0.0 } else { r[i] } + weight * colour[0];
+        g[i] = if fresh { 0.0 } else { g[i] } + weight * colour[1];
+        b[i] = if fresh { 0.0 } else { b[i] } + weight * colour[2];
+        t[i] = before - weight;
+        owner[i] = if fresh { local } else { owner[i] };
     }
 }
 
@@ -183,14 +186,14 @@ mod tests {
             let mut lanes = [0.0; TILE];
             lanes[pixels].fill(alpha);
             let other = others(&open, &lanes, local);
-            close(&mut open, &mut lists, other, local);
-            extend(&mut open, &lanes, &[1.0, 0.5, 0.0]);
+            close(&open, &mut lists, other);
+            extend(&mut open, &lanes, local, &[1.0, 0.5, 0.0]);
         };
         add(0.5, 0..16, 7);
         add(0.5, 0..16, 7);
         add(0.25, 0..8, 3); // pixels 8.. do not see group 3, so their run of 7 goes on
         add(0.5, 0..16, 7);
-        close(&mut open, &mut lists, u32::from(u16::MAX), NONE);
+        close(&open, &mut lists, u32::from(u16::MAX));
         let of = |x: usize| lists[x].iter().map(|r: &Run| (r.local, -r.hidden)).collect::<Vec<_>>();
         assert_eq!(of(2), [(7, 0.75), (3, 0.25), (7, 0.5)]);
         assert_eq!(of(9), [(7, 0.875)]);
