@@ -107,11 +107,12 @@ impl pulp::NullaryFnOnce for Fill<'_> {
                 let alpha = alphas(u, xx, splat.log2_alpha - v * v, limits);
                 let open = &mut runs.open[y];
                 let lists = &mut runs.lists[y * TILE..][..TILE];
-                let other = others(open, &alpha, entry.local);
-                if other != 0 {
-                    close(open, lists, other);
+                let going = going(open, &alpha, entry.local);
+                let ended = ended(&going);
+                if ended != 0 {
+                    close(open, lists, ended);
                 }
-                extend(open, &alpha, entry.local, &splat.colour);
+                extend(open, &alpha, &going, entry.local, splat.colour);
             }
         }
         for (open, lists) in runs.open.iter_mut().zip(runs.lists.chunks_exact_mut(TILE)) {
@@ -133,15 +134,31 @@ fn alphas(u: f32, xx: f32, exponent: f32, [cutoff, max]: [f32; 2]) -> Lanes {
     out
 }
 
-/// Pixels, a bit each, that are touched while their open run is of another group than `local`.
+/// All ones where the open run goes on, 0 where group `local` touches a pixel whose run is another group's.
 #[inline(always)]
-fn others(open: &Open, alpha: &Lanes, local: u32) -> u32 {
-    let mut bits = 0;
+fn going(open: &Open, alpha: &Lanes, local: u32) -> [u32; TILE] {
+    let mut out = [0; TILE];
     for i in 0..TILE {
-        let other = (alpha[i] > 0.0) & (open.owner[i] != local);
-        bits |= if other { 1 << i } else { 0 };
+        let on = (alpha[i] <= 0.0) | (open.owner[i] == local);
+        out[i] = if on { u32::MAX } else { 0 };
     }
-    bits
+    out
+}
+
+/// The zeros of `going`, a bit each.
+#[inline(always)]
+fn ended(going: &[u32; TILE]) -> u32 {
+    let mut bits = [0; TILE];
+    for i in 0..TILE {
+        bits[i] = !going[i] & 1 << i;
+    }
+    // Halves, as vectors do it.
+    for half in [8, 4, 2, 1] {
+        for i in 0..half {
+            bits[i] |= bits[i + half];
+        }
+    }
+    bits[0]
 }
 
 /// Writes down the open runs of `pixels`.
@@ -157,21 +174,23 @@ fn close(open: &Open, lists: &mut [Vec<Run>], mut pixels: u32) {
     }
 }
 
-/// Adds a splat of group `local` behind the open runs; those of another group that it touches begin anew.
+/// Adds a splat of group `local` behind the open runs that go on; the others begin anew.
 ///
-/// All lanes are written as vectors: a vector read after scalar writes to its parts would stall.
+/// All lanes are written as vectors, without branches: a vector read after scalar writes to its parts
+/// would stall.
 #[inline(always)]
-fn extend(open: &mut Open, alpha: &Lanes, local: u32, colour: &[f32; 3]) {
+fn extend(open: &mut Open, alpha: &Lanes, going: &[u32; TILE], local: u32, [cr, cg, cb]: [f32; 3]) {
+    const ONE: u32 = 1.0f32.to_bits();
+    let kept = |value: f32, mask: u32| f32::from_bits(value.to_bits() & mask);
     let Open { owner, t, rgb: [r, g, b] } = open;
     for i in 0..TILE {
-        let fresh = (alpha[i] > 0.0) & (owner[i] != local);
-        let before = if fresh { 1.0 } else { t[i] };
+        let before = f32::from_bits(t[i].to_bits() & going[i] | ONE & !going[i]);
         let weight = alpha[i] * before;
-        r[i] = if fresh { 0.0 } else { r[i] } + weight * colour[0];
-        g[i] = if fresh { 0.0 } else { g[i] } + weight * colour[1];
-        b[i] = if fresh { 0.0 } else { b[i] } + weight * colour[2];
+        r[i] = kept(r[i], going[i]) + weight * cr;
+        g[i] = kept(g[i], going[i]) + weight * cg;
+        b[i] = kept(b[i], going[i]) + weight * cb;
         t[i] = before - weight;
-        owner[i] = if fresh { local } else { owner[i] };
+        owner[i] = if alpha[i] > 0.0 { local } else { owner[i] };
     }
 }
 
@@ -185,9 +204,9 @@ mod tests {
         let mut add = |alpha: f32, pixels: std::ops::Range<usize>, local: u32| {
             let mut lanes = [0.0; TILE];
             lanes[pixels].fill(alpha);
-            let other = others(&open, &lanes, local);
-            close(&open, &mut lists, other);
-            extend(&mut open, &lanes, local, &[1.0, 0.5, 0.0]);
+            let going = going(&open, &lanes, local);
+            close(&open, &mut lists, ended(&going));
+            extend(&mut open, &lanes, &going, local, [1.0, 0.5, 0.0]);
         };
         add(0.5, 0..16, 7);
         add(0.5, 0..16, 7);
