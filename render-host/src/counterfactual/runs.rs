@@ -13,6 +13,9 @@ use crate::stage::{REACH_MARGIN, TILE};
 /// No group.
 const NONE: u32 = u32::MAX;
 
+/// Every pixel of a row, a byte each.
+const EVERY: u128 = u128::from_le_bytes([1; TILE]);
+
 /// Several splats as one: what they hide and what they add.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Run {
@@ -116,7 +119,7 @@ impl pulp::NullaryFnOnce for Fill<'_> {
             }
         }
         for (open, lists) in runs.open.iter_mut().zip(runs.lists.chunks_exact_mut(TILE)) {
-            close(open, lists, u32::from(u16::MAX));
+            close(open, lists, EVERY);
         }
     }
 }
@@ -145,27 +148,21 @@ fn going(open: &Open, alpha: &Lanes, local: u32) -> [u32; TILE] {
     out
 }
 
-/// The zeros of `going`, a bit each.
+/// The zeros of `going`: a byte each, 1 or 0, the first lane lowest.
 #[inline(always)]
-fn ended(going: &[u32; TILE]) -> u32 {
-    let mut bits = [0; TILE];
+fn ended(going: &[u32; TILE]) -> u128 {
+    let mut bytes = [0u8; TILE];
     for i in 0..TILE {
-        bits[i] = !going[i] & 1 << i;
+        bytes[i] = !going[i] as u8 & 1;
     }
-    // Halves, as vectors do it.
-    for half in [8, 4, 2, 1] {
-        for i in 0..half {
-            bits[i] |= bits[i + half];
-        }
-    }
-    bits[0]
+    u128::from_le_bytes(bytes)
 }
 
-/// Writes down the open runs of `pixels`.
+/// Writes down the open runs of `pixels`, a byte each.
 #[inline(always)]
-fn close(open: &Open, lists: &mut [Vec<Run>], mut pixels: u32) {
+fn close(open: &Open, lists: &mut [Vec<Run>], mut pixels: u128) {
     while pixels != 0 {
-        let i = pixels.trailing_zeros() as usize & (TILE - 1);
+        let i = pixels.trailing_zeros() as usize / 8 % TILE;
         pixels &= pixels - 1;
         if open.owner[i] != NONE {
             let colour = [open.rgb[0][i], open.rgb[1][i], open.rgb[2][i]];
@@ -212,7 +209,7 @@ mod tests {
         add(0.5, 0..16, 7);
         add(0.25, 0..8, 3); // pixels 8.. do not see group 3, so their run of 7 goes on
         add(0.5, 0..16, 7);
-        close(&open, &mut lists, u32::from(u16::MAX));
+        close(&open, &mut lists, EVERY);
         let of = |x: usize| lists[x].iter().map(|r: &Run| (r.local, -r.hidden)).collect::<Vec<_>>();
         assert_eq!(of(2), [(7, 0.75), (3, 0.25), (7, 0.5)]);
         assert_eq!(of(9), [(7, 0.875)]);
