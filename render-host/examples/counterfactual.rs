@@ -153,8 +153,16 @@ fn main() {
         println!("  fast    {:7.1} states/s = {:5.1}x brute ({fast:.1} ms)", rate(fast), ratio(fast));
         println!("  strict  {:7.1} states/s = {:5.1}x brute ({strict:.1} ms)", rate(strict), ratio(strict));
         println!("  leave-one-out of all groups {loo:.1} ms = {:.2} single renders", loo / single);
-        println!("  {} pairs {pairs:.1} ms, {} prefixes {prefixes:.1} ms", some.len() * (some.len() - 1) / 2, order.len());
-        println!("  greedy order of all groups {:.0} ms, {:.1} looks per tile", greedy[0], tiles as f64 / f64::from(side.div_ceil(16).pow(2)));
+        println!(
+            "  {} pairs {pairs:.1} ms, {} prefixes {prefixes:.1} ms",
+            some.len() * (some.len() - 1) / 2,
+            order.len()
+        );
+        println!(
+            "  greedy order of all groups {:.0} ms, {:.1} looks per tile",
+            greedy[0],
+            tiles as f64 / f64::from(side.div_ceil(16).pow(2))
+        );
 
         let same = (0..few.len()).filter(|&w| brute_sse[w].to_bits() == strict_sse[w * step].to_bits());
         println!("  error: strict equals brute in every bit for {} of {} worlds", same.count(), few.len());
@@ -164,13 +172,18 @@ fn main() {
             of_fast = of_fast.max(relative(fast_sse[world * step], exact));
             of_brute = of_brute.max(relative(brute_sse[world], exact));
         }
-        println!("  error of SSE against f64 without early stop: fast {of_fast:.1e}, brute {of_brute:.1e} relative");
+        println!(
+            "  error of SSE against f64 without early stop: fast {of_fast:.1e}, brute {of_brute:.1e} relative"
+        );
         let nostop = Settings { early_stop: false, ..settings.clone() };
         let (mut without, mut worst) = (States::full(LATTICE.groups()), 0.0f64);
         let largest = utilities.delta.iter().fold(0.0f64, |m, d| m.max(d.abs()));
         (0..8).for_each(|k| without.push(|g| g != k * 16));
         let alone = brute::sse(&variants, &without, &camera, &against, &nostop).unwrap();
         (0..8).for_each(|k| worst = worst.max((alone[k + 1] - alone[0] - utilities.of(0, k * 16)).abs()));
-        println!("  error of leave-one-out against brute force without early stop: {:.1e} of the largest", worst / largest);
+        println!(
+            "  error of leave-one-out against brute force without early stop: {:.1e} of the largest",
+            worst / largest
+        );
     }
 }

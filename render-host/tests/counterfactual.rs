@@ -78,7 +78,15 @@ fn bits(values: &[f64]) -> Vec<u64> {
 fn worst(got: &[f64], expected: &[f64], scale: impl Fn(usize) -> f64) -> f64 {
     assert_eq!(got.len(), expected.len());
     let each = got.iter().zip(expected).enumerate().map(|(i, (a, b))| (a - b).abs() / scale(i));
-    each.fold(0.0, |m, e| if e <= m { m } else if e.is_nan() { f64::INFINITY } else { e })
+    each.fold(0.0, |m, e| {
+        if e <= m {
+            m
+        } else if e.is_nan() {
+            f64::INFINITY
+        } else {
+            e
+        }
+    })
 }
 
 proptest! {

@@ -85,12 +85,7 @@ impl Engine {
     ///
     /// # Errors
     /// States of another number of groups, no such world, a group out of range or listed twice.
-    pub fn pairs(
-        &self,
-        states: &States,
-        world: usize,
-        groups: &[u32],
-    ) -> Result<Pairs, CounterfactualError> {
+    pub fn pairs(&self, states: &States, world: usize, groups: &[u32]) -> Result<Pairs, CounterfactualError> {
         self.check_world(states, world)?;
         pairs::around(self, &states.one(world), groups)
     }

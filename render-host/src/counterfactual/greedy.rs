@@ -25,8 +25,7 @@ pub(super) fn order(engine: &Engine, base: &States, costs: &[f64]) -> Result<Gre
     let mut state = base.clone();
     let mut kept = Kept::new(engine, &state);
     let mut now = kept.total(engine);
-    let mut out =
-        Greedy { order: vec![], gains: vec![], sse: now.sse.clone(), tiles: engine.shared.tiles() };
+    let mut out = Greedy { order: vec![], gains: vec![], sse: now.sse.clone(), tiles: engine.shared.tiles() };
     while let Some(best) = best(&state, &now.delta, costs) {
         out.order.push(best as u32);
         out.gains.push(now.delta[best]);
@@ -43,7 +42,9 @@ pub(super) fn order(engine: &Engine, base: &States, costs: &[f64]) -> Result<Gre
 /// The absent group with the largest gain per cost.
 fn best(state: &States, gains: &[f64], costs: &[f64]) -> Option<usize> {
     let absent = (0..gains.len()).filter(|&group| !state.has(0, group));
-    absent.reduce(|best, group| {
-        if gains[group] / costs[group] > gains[best] / costs[best] { group } else { best }
-    })
+    absent.reduce(
+        |best, group| {
+            if gains[group] / costs[group] > gains[best] / costs[best] { group } else { best }
+        },
+    )
 }

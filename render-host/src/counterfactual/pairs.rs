@@ -108,12 +108,8 @@ pub(super) fn around(engine: &Engine, base: &States, groups: &[u32]) -> Result<P
     let plan = Plans { base: &held, place: &place };
     let sums = run(engine, &plan);
     let n = groups.len();
-    let mut out = Pairs {
-        groups: groups.to_vec(),
-        base: 0.0,
-        single: vec![0.0; n],
-        interaction: vec![0.0; pairs(n)],
-    };
+    let mut out =
+        Pairs { groups: groups.to_vec(), base: 0.0, single: vec![0.0; n], interaction: vec![0.0; pairs(n)] };
     for tile in 0..engine.shared.tiles() {
         let here = plan.here(engine.shared.groups(tile));
         let part = sums.tile(tile);

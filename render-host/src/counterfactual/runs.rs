@@ -27,8 +27,9 @@ pub(super) struct Run {
     pub colour: [f32; 3],
 }
 
-/// The open runs of a row of pixels.
+/// The open runs of a row of pixels; aligned, because it is read again right after it is written.
 #[derive(Clone, Debug)]
+#[repr(align(64))]
 struct Open {
     owner: [u32; TILE],
     t: Lanes,

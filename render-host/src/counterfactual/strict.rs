@@ -47,8 +47,8 @@ pub(super) fn errors(engine: &Engine, states: &States) -> Vec<f64> {
                 room.filter(shared, index, |group| columns[group as usize] & class != 0);
                 blend_tile(&shared.splats, &room.list, corner, shared.size, settings, &mut tile);
                 let mut squares = Squares::default();
-                for y in 0..height {
-                    squares.add(&tile.over(y, settings.background), &reference[index][y], width);
+                for (y, wanted) in reference[index].iter().enumerate().take(height) {
+                    squares.add(&tile.over(y, settings.background), wanted, width);
                 }
                 let total = squares.total();
                 members(class).for_each(|world| out[chunk * CHUNK + world] = total);

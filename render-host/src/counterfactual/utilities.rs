@@ -66,9 +66,9 @@ impl Plan for Toggles {
         for (i, &local) in block.present.iter().enumerate() {
             let column = columns[block.groups[local as usize] as usize];
             let classes = &block.classes;
-            block.lanes.row(local as usize, |lane| {
-                (classes[lane / each] & column != 0) != (lane % each == i + 1)
-            });
+            block
+                .lanes
+                .row(local as usize, |lane| (classes[lane / each] & column != 0) != (lane % each == i + 1));
         }
     }
 
