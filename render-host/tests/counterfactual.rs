@@ -5,7 +5,7 @@
 mod support;
 
 use proptest::prelude::*;
-use render_host::counterfactual::{CounterfactualError, Engine, States, Variants, brute};
+use render_host::counterfactual::{CounterfactualError, Engine, States, Variants, brute, tuner};
 use render_host::{Camera, Image, Settings, Splats, reference};
 use support::{Numbers, Scene, camera};
 
@@ -288,6 +288,32 @@ fn more_groups_than_a_word_and_nobody_home() {
     assert_eq!(bits(&engine.strict(&states).unwrap()), bits(&alone));
     assert!(worst(&engine.fast(&states).unwrap(), &alone, |i| alone[i]) < 2e-6);
     assert!(worst(&engine.utilities(&states).unwrap().sse, &alone, |i| alone[i]) < 2e-6);
+}
+
+#[test]
+fn the_tuner_finds_a_batch_for_the_engine() {
+    let case = Case::new(300, 0, 20, (64, 48), 21);
+    let engine = case.engine(&Settings::default());
+    let budget = engine.predict_bytes(40);
+    // A machine that holds a quarter less than was predicted, so that the first probe runs out.
+    let tuned = tuner::largest(
+        budget,
+        4096,
+        |w| engine.predict_bytes(w),
+        |w| {
+            let used = engine.predict_bytes(w) + engine.predict_bytes(w) / 4;
+            if used > budget {
+                return Err(tuner::OutOfMemory);
+            }
+            assert_eq!(engine.fast(&random(20, w, 1)).unwrap().len(), w);
+            Ok(used)
+        },
+    );
+    assert_eq!(tuned.probes[0].worlds, 40);
+    assert!(tuned.probes[0].used.is_err());
+    let fits = |w: usize| engine.predict_bytes(w) + engine.predict_bytes(w) / 4 <= budget;
+    assert!(fits(tuned.worlds) || tuned.worlds == 0);
+    assert!(!fits(tuned.worlds + 1));
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use super::shared::Shared;
 use super::squares::{Planes, cut};
+use super::states::CHUNK;
 use super::{
     CounterfactualError, Greedy, Pairs, States, Utilities, Variants, fast, greedy, pairs, prefixes, strict,
     utilities,
@@ -123,10 +124,11 @@ impl Engine {
 
     /// Bytes that [`Engine::fast`] or [`Engine::strict`] of `worlds` worlds needs, this engine included.
     pub fn predict_bytes(&self, worlds: usize) -> u64 {
-        let tiles = self.shared.tiles() as u64;
-        let words = (self.groups.div_ceil(64) + 2 * self.groups.div_ceil(128) * 64 + 1) as u64;
-        let own = self.shared.bytes() + tiles * size_of::<Planes>() as u64;
-        own + worlds as u64 * 8 * (tiles + words)
+        let (tiles, groups) = (self.shared.tiles(), self.groups);
+        // A sum per tile and world; the set of each world; that set again, transposed in chunks.
+        let sums = 8 * worlds * (tiles + 1);
+        let sets = 8 * worlds * groups.div_ceil(64) + 16 * groups * worlds.div_ceil(CHUNK);
+        self.shared.bytes() + (tiles * size_of::<Planes>() + sums + sets) as u64
     }
 
     /// Number of groups.

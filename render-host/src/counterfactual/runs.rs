@@ -40,18 +40,29 @@ impl Open {
     const EMPTY: Self = Self { owner: [NONE; TILE], t: [1.0; TILE], rgb: [[0.0; TILE]; 3] };
 }
 
+/// Alpha of a splat on a row of pixels.
+#[derive(Clone, Copy, Debug)]
+#[repr(align(64))]
+struct Row(Lanes);
+
 /// The runs of one tile, a list per pixel, nearest first.
 #[derive(Debug)]
 pub(super) struct Runs {
     lists: Vec<Vec<Run>>,
     open: [Open; TILE],
+    alphas: [Row; TILE],
     /// Width and height of the part inside the image.
     pub inside: (usize, usize),
 }
 
 impl Default for Runs {
     fn default() -> Self {
-        Self { lists: vec![Vec::new(); TILE * TILE], open: [Open::EMPTY; TILE], inside: (0, 0) }
+        Self {
+            lists: vec![Vec::new(); TILE * TILE],
+            open: [Open::EMPTY; TILE],
+            alphas: [Row([0.0; TILE]); TILE],
+            inside: (0, 0),
+        }
     }
 }
 
@@ -101,22 +112,30 @@ impl pulp::NullaryFnOnce for Fill<'_> {
             let reach = splat.log2_alpha + reach0;
             let first = usize::from(splat.pixels[2]).saturating_sub(corner[1]);
             let past = usize::from(splat.pixels[3]).saturating_sub(corner[1]).min(TILE);
+            // Alphas of all rows first: their long chains of arithmetic overlap, which they would not
+            // between the branches of closing runs, that no processor predicts.
+            let mut hit = 0u16;
             for y in first..past {
                 let (u, v) = (u0 + xy * y as f32, v0 + yy * y as f32);
                 let left = reach - v * v;
                 let gap = u.max(-(u + 15.0 * xx)).max(0.0);
-                if gap * gap > left {
-                    continue;
+                if gap * gap <= left {
+                    runs.alphas[y].0 = alphas(u, xx, splat.log2_alpha - v * v, limits);
+                    hit |= 1 << y;
                 }
-                let alpha = alphas(u, xx, splat.log2_alpha - v * v, limits);
+            }
+            while hit != 0 {
+                let y = hit.trailing_zeros() as usize % TILE;
+                hit &= hit - 1;
+                let alpha = &runs.alphas[y].0;
                 let open = &mut runs.open[y];
                 let lists = &mut runs.lists[y * TILE..][..TILE];
-                let going = going(open, &alpha, entry.local);
+                let going = going(open, alpha, entry.local);
                 let ended = ended(&going);
                 if ended != 0 {
                     close(open, lists, ended);
                 }
-                extend(open, &alpha, &going, entry.local, splat.colour);
+                extend(open, alpha, &going, entry.local, splat.colour);
             }
         }
         for (open, lists) in runs.open.iter_mut().zip(runs.lists.chunks_exact_mut(TILE)) {
