@@ -295,25 +295,22 @@ fn the_tuner_finds_a_batch_for_the_engine() {
     let case = Case::new(300, 0, 20, (64, 48), 21);
     let engine = case.engine(&Settings::default());
     let budget = engine.predict_bytes(40);
-    // A machine that holds a quarter less than was predicted, so that the first probe runs out.
+    // Each world takes a quarter more than predicted, so the first probe runs out.
     let tuned = tuner::largest(
         budget,
         4096,
-        |w| engine.predict_bytes(w),
-        |w| {
-            let used = engine.predict_bytes(w) + engine.predict_bytes(w) / 4;
+        |worlds| engine.predict_bytes(worlds),
+        |worlds| {
+            let used = engine.predict_bytes(worlds + worlds / 4);
             if used > budget {
                 return Err(tuner::OutOfMemory);
             }
-            assert_eq!(engine.fast(&random(20, w, 1)).unwrap().len(), w);
+            assert_eq!(engine.fast(&random(20, worlds, 1)).unwrap().len(), worlds);
             Ok(used)
         },
     );
-    assert_eq!(tuned.probes[0].worlds, 40);
-    assert!(tuned.probes[0].used.is_err());
-    let fits = |w: usize| engine.predict_bytes(w) + engine.predict_bytes(w) / 4 <= budget;
-    assert!(fits(tuned.worlds) || tuned.worlds == 0);
-    assert!(!fits(tuned.worlds + 1));
+    assert_eq!((tuned.probes[0].worlds, tuned.probes[0].used), (40, Err(tuner::OutOfMemory)));
+    assert_eq!(tuned.worlds, 32);
 }
 
 #[test]
