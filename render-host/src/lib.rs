@@ -3,6 +3,7 @@
 //! ```text
 //! Splats + Camera ─▶ stage::{project, sort, bin, blend} ─▶ Rendered { image, transmittance, counters }
 //! … + loss        ─▶ adjoint                            ─▶ Gradients { loss, splats, pose, … }
+//! Variants + States ─▶ counterfactual::Engine ─▶ squared error of every state, utility of every group
 //! Image × Image   ─▶ metric::{psnr, ssim, flip, flicker, distortion, heat}
 //! ```
 //!
@@ -18,6 +19,7 @@
 
 pub mod adjoint;
 pub mod camera;
+pub mod counterfactual;
 pub mod counters;
 mod harmonics;
 pub mod image;

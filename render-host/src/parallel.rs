@@ -27,3 +27,18 @@ pub(crate) fn for_each_chunk<T: Send>(
         items.chunks_mut(size.max(1)).enumerate().for_each(|(i, chunk)| work(i, chunk));
     }
 }
+
+/// Calls `work(room, i, item i)` for every item of `items`; each thread reuses its `room`.
+pub(crate) fn for_each_with<T: Send, R: Default>(
+    parallel: bool,
+    items: &mut [T],
+    work: impl Fn(&mut R, usize, &mut T) + Sync + Send,
+) {
+    if parallel {
+        let items = items.par_iter_mut().enumerate().with_min_len(4);
+        items.for_each_init(R::default, |room, (i, item)| work(room, i, item));
+    } else {
+        let mut room = R::default();
+        items.iter_mut().enumerate().for_each(|(i, item)| work(&mut room, i, item));
+    }
+}

@@ -42,14 +42,37 @@ pub struct Tile {
 }
 
 impl Tile {
-    const EMPTY: Self =
+    pub(crate) const EMPTY: Self =
         Self { rows: [[[0.0; TILE], [0.0; TILE], [0.0; TILE], [1.0; TILE]]; TILE], stopped: 0 };
+
+    /// Row `y` over `background`: r, g, b of its 16 pixels.
+    #[inline(always)]
+    pub(crate) fn over(&self, y: usize, background: [f32; 3]) -> [Lanes; 3] {
+        let [r, g, b, t] = &self.rows[y];
+        let mut out = [*r, *g, *b];
+        for (out, back) in out.iter_mut().zip(background) {
+            (0..TILE).for_each(|i| out[i] += t[i] * back);
+        }
+        out
+    }
 }
 
 /// Room for the tiles of one band.
 #[derive(Debug, Default)]
 pub struct Tiles {
-    tiles: Vec<Tile>,
+    pub(crate) tiles: Vec<Tile>,
+}
+
+/// Blends one tile, whose first pixel is `corner`, from its list.
+pub(crate) fn blend_tile(
+    splats: &[Splat],
+    list: &[u32],
+    corner: [usize; 2],
+    size: [usize; 2],
+    settings: &Settings,
+    tile: &mut Tile,
+) {
+    pulp::Arch::new().dispatch(Blend { splats, list, corner, size, settings, tile });
 }
 
 /// Blends the tiles of a band. `band` is its tile rows, `size` the image's width and height in pixels.
@@ -257,7 +280,7 @@ pub(crate) fn is_open(t: &Lanes, stop: f32) -> bool {
 ///
 /// x = n + f with |f| ≤ 1/2; 2ᶠ by a minimax polynomial, 2ⁿ by exponent bits.
 #[inline(always)]
-fn exp2(x: f32) -> f32 {
+pub(crate) fn exp2(x: f32) -> f32 {
     // Adding 1.5 · 2²³ leaves the nearest integer in the low bits.
     const ROUND: f32 = 12_582_912.0;
     let x = if x > -126.0 { x } else { -126.0 };

@@ -153,7 +153,7 @@ mod tests {
     fn a_model_costs_little_more_than_the_entropy() {
         let mut streams = Streams::default();
         let symbols: Vec<i16> = (0..50_000i64)
-            .map(|i| ((i * i * 2_654_435_761 >> 20) % 9 + (i * 7_919 >> 3) % 5 - 6) as i16)
+            .map(|i| (((i * i * 2_654_435_761) >> 20) % 9 + ((i * 7_919) >> 3) % 5 - 6) as i16)
             .collect();
         streams.add(3, &symbols);
         let model = streams.model().unwrap();

@@ -1,0 +1,162 @@
+//! The engine: one scene, one camera, one reference image; many questions.
+
+use super::shared::Shared;
+use super::squares::{Planes, cut};
+use super::states::CHUNK;
+use super::{
+    CounterfactualError, Greedy, Pairs, States, Utilities, Variants, fast, greedy, pairs, prefixes, strict,
+    utilities,
+};
+use crate::image::{Image, same_size};
+use crate::{Camera, Settings};
+
+/// What all worlds share, ready for questions. Every answer is the same for any number of threads.
+#[derive(Debug)]
+pub struct Engine {
+    pub(super) shared: Shared,
+    pub(super) reference: Vec<Planes>,
+    pub(super) settings: Settings,
+    /// Number of groups.
+    pub(super) groups: usize,
+}
+
+impl Engine {
+    /// Projects, orders and bins all variants as `camera` sees them. Errors are measured against
+    /// `reference`, as sums of squares over all channels of all pixels (data range 1, values not clamped).
+    ///
+    /// # Errors
+    /// A setting out of range, or a reference of another size than the camera.
+    pub fn new(
+        variants: &Variants,
+        camera: &Camera,
+        reference: &Image,
+        settings: &Settings,
+    ) -> Result<Self, CounterfactualError> {
+        settings.validate()?;
+        let mut film = Image::default();
+        film.reset(camera.width(), camera.height())?;
+        same_size(&film, reference)?;
+        Ok(Self {
+            shared: Shared::new(variants, camera, settings),
+            reference: cut(reference),
+            settings: settings.clone(),
+            groups: variants.count(),
+        })
+    }
+
+    /// Squared error of each world, bit for bit that of the world rendered alone.
+    ///
+    /// # Errors
+    /// States of another number of groups.
+    pub fn strict(&self, states: &States) -> Result<Vec<f64>, CounterfactualError> {
+        self.check(states)?;
+        Ok(strict::errors(self, states))
+    }
+
+    /// Picture of `world`, bit for bit that of the world rendered alone.
+    ///
+    /// # Errors
+    /// States of another number of groups, or no such world.
+    pub fn image(&self, states: &States, world: usize) -> Result<Image, CounterfactualError> {
+        self.check_world(states, world)?;
+        Ok(strict::image(self, states, world)?)
+    }
+
+    /// Squared error of each world without early stop: relative error below 2e-6 against f64 arithmetic.
+    ///
+    /// # Errors
+    /// States of another number of groups.
+    pub fn fast(&self, states: &States) -> Result<Vec<f64>, CounterfactualError> {
+        self.check(states)?;
+        Ok(fast::errors(self, states))
+    }
+
+    /// Δ_g(m) of every group g in every context m: leave-one-out of those present and add-one-in of those
+    /// absent, in one pass. Arithmetic as in [`Engine::fast`].
+    ///
+    /// # Errors
+    /// States of another number of groups.
+    pub fn utilities(&self, contexts: &States) -> Result<Utilities, CounterfactualError> {
+        self.check(contexts)?;
+        Ok(utilities::utilities(self, contexts))
+    }
+
+    /// What toggling any one and any two of `groups` does around `world`. Arithmetic as in
+    /// [`Engine::fast`].
+    ///
+    /// # Errors
+    /// States of another number of groups, no such world, a group out of range or listed twice.
+    pub fn pairs(&self, states: &States, world: usize, groups: &[u32]) -> Result<Pairs, CounterfactualError> {
+        self.check_world(states, world)?;
+        pairs::around(self, &states.one(world), groups)
+    }
+
+    /// Squared error of `world`, then after each group of `order` has been added to it, `order.len() + 1`
+    /// numbers. Arithmetic as in [`Engine::fast`].
+    ///
+    /// # Errors
+    /// States of another number of groups, no such world, a group out of range or listed twice.
+    pub fn prefixes(
+        &self,
+        states: &States,
+        world: usize,
+        order: &[u32],
+    ) -> Result<Vec<f64>, CounterfactualError> {
+        self.check_world(states, world)?;
+        prefixes::along(self, &states.one(world), order)
+    }
+
+    /// Adds to `world`, one by one, the group with the largest fall of squared error per cost, until all
+    /// are there. Only tiles that the chosen group reaches are looked at again.
+    ///
+    /// # Errors
+    /// States of another number of groups, no such world, or costs that are not a positive finite number
+    /// per group.
+    pub fn greedy(
+        &self,
+        states: &States,
+        world: usize,
+        costs: &[f64],
+    ) -> Result<Greedy, CounterfactualError> {
+        self.check_world(states, world)?;
+        greedy::order(self, &states.one(world), costs)
+    }
+
+    /// Bytes that [`Engine::fast`] or [`Engine::strict`] of `worlds` worlds needs, this engine included.
+    pub fn predict_bytes(&self, worlds: usize) -> u64 {
+        let (tiles, groups) = (self.shared.tiles(), self.groups);
+        // A sum per tile and world; the set of each world; that set again, transposed in chunks.
+        let sums = 8 * worlds * (tiles + 1);
+        let sets = 8 * worlds * groups.div_ceil(64) + 16 * groups * worlds.div_ceil(CHUNK);
+        self.shared.bytes() + (tiles * size_of::<Planes>() + sums + sets) as u64
+    }
+
+    /// Number of groups.
+    pub fn groups(&self) -> usize {
+        self.groups
+    }
+
+    fn check(&self, states: &States) -> Result<(), CounterfactualError> {
+        let (found, needed) = (states.groups(), self.groups);
+        if found == needed { Ok(()) } else { Err(CounterfactualError::States { found, needed }) }
+    }
+
+    fn check_world(&self, states: &States, world: usize) -> Result<(), CounterfactualError> {
+        self.check(states)?;
+        let count = states.len();
+        if world < count { Ok(()) } else { Err(CounterfactualError::World { world, count }) }
+    }
+
+    /// Place of each group in `list`.
+    pub(super) fn places(&self, list: &[u32]) -> Result<Vec<Option<u32>>, CounterfactualError> {
+        let mut out = vec![None; self.groups];
+        for (place, &group) in (0..).zip(list) {
+            let count = self.groups;
+            let slot = out.get_mut(group as usize).ok_or(CounterfactualError::Group { group, count })?;
+            if slot.replace(place).is_some() {
+                return Err(CounterfactualError::Twice(group));
+            }
+        }
+        Ok(out)
+    }
+}

@@ -1,0 +1,60 @@
+//! What a counterfactual call refuses.
+
+use crate::image::ImageError;
+use crate::settings::SettingsError;
+use crate::splats::SplatsError;
+
+/// An input that cannot be used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum CounterfactualError {
+    /// Another number of group ids than of Gaussians.
+    #[error("groups: found {found} ids for {needed} Gaussians")]
+    Ids {
+        /// Ids found.
+        found: usize,
+        /// Gaussians, hence ids needed.
+        needed: usize,
+    },
+    /// A group id out of range.
+    #[error("group {group}; ids below {count} are allowed")]
+    Group {
+        /// The id.
+        group: u32,
+        /// Number of groups.
+        count: usize,
+    },
+    /// A group named twice where order or pairing matters.
+    #[error("group {0} is listed twice")]
+    Twice(u32),
+    /// States of another number of groups than the variants have.
+    #[error("states of {found} groups for variants of {needed}")]
+    States {
+        /// Groups of the states.
+        found: usize,
+        /// Groups of the variants.
+        needed: usize,
+    },
+    /// A world out of range.
+    #[error("world {world} of {count}")]
+    World {
+        /// The world asked for.
+        world: usize,
+        /// Number of worlds.
+        count: usize,
+    },
+    /// Costs that are not one positive finite number per group.
+    #[error("costs must be {needed} positive finite numbers")]
+    Costs {
+        /// Number of groups.
+        needed: usize,
+    },
+    /// A setting is out of range.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// The reference has another size than the camera, or an image could not be made.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// Slices that do not describe the same Gaussians.
+    #[error(transparent)]
+    Splats(#[from] SplatsError),
+}

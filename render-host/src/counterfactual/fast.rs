@@ -1,0 +1,50 @@
+//! Squared errors of whole worlds: lanes are the classes of worlds that a block can tell apart.
+
+use super::classes::{members, split};
+use super::plan::{Block, Plan, run};
+use super::states::CHUNK;
+use super::{Engine, States};
+
+struct Worlds {
+    count: usize,
+    chunks: Vec<(u128, Vec<u128>)>,
+}
+
+impl Plan for Worlds {
+    fn size(&self, _: &[u32]) -> usize {
+        self.count
+    }
+
+    fn passes(&self) -> usize {
+        self.chunks.len()
+    }
+
+    fn lanes(&self, pass: usize, block: &mut Block) {
+        let (worlds, columns) = &self.chunks[pass];
+        let column = |local: u32| columns[block.groups[local as usize] as usize];
+        split(*worlds, block.present.iter().map(|&local| column(local)), &mut block.classes);
+        block.reset(block.classes.len());
+        for &local in &block.present {
+            let column = columns[block.groups[local as usize] as usize];
+            block.lanes.row(local as usize, |lane| block.classes[lane] & column != 0);
+        }
+    }
+
+    fn gather(&self, pass: usize, block: &Block, out: &mut [f64]) {
+        let out = &mut out[pass * CHUNK..];
+        for (&class, &error) in block.classes.iter().zip(block.lanes.errors()) {
+            members(class).for_each(|world| out[world] += f64::from(error));
+        }
+    }
+}
+
+/// Sum of squared errors of each world.
+pub(super) fn errors(engine: &Engine, states: &States) -> Vec<f64> {
+    let plan = Worlds { count: states.len(), chunks: states.chunks() };
+    let sums = run(engine, &plan);
+    let mut out = vec![0.0; states.len()];
+    for tile in 0..engine.shared.tiles() {
+        out.iter_mut().zip(sums.tile(tile)).for_each(|(total, part)| *total += part);
+    }
+    out
+}

@@ -1,0 +1,80 @@
+//! Sums of squared differences, tile by tile, in one fixed order.
+
+use crate::image::Image;
+use crate::stage::TILE;
+use crate::stage::blend::Lanes;
+
+/// r, g, b of the 16 rows of a tile; what lies outside the image is 0.
+pub(super) type Planes = [[Lanes; 3]; TILE];
+
+/// An image cut into tiles, row by row of tiles.
+pub(super) fn cut(image: &Image) -> Vec<Planes> {
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let columns = width.div_ceil(TILE);
+    let mut out = vec![[[[0.0; TILE]; 3]; TILE]; columns * height.div_ceil(TILE)];
+    for (y, row) in image.rgb().chunks_exact(3 * width).enumerate() {
+        for (x, pixel) in row.chunks_exact(3).enumerate() {
+            let planes = &mut out[y / TILE * columns + x / TILE][y % TILE];
+            (0..3).for_each(|c| planes[c][x % TILE] = pixel[c]);
+        }
+    }
+    out
+}
+
+/// Squares of one tile: a sum per column of pixels, added up from left to right at the end.
+#[derive(Default)]
+pub(super) struct Squares {
+    sums: [f64; TILE],
+}
+
+impl Squares {
+    /// Adds the first `width` pixels of one row.
+    #[inline(always)]
+    pub(super) fn add(&mut self, got: &[Lanes; 3], reference: &[Lanes; 3], width: usize) {
+        for c in 0..3 {
+            for x in 0..width {
+                let d = f64::from(got[c][x]) - f64::from(reference[c][x]);
+                self.sums[x] += d * d;
+            }
+        }
+    }
+
+    pub(super) fn total(&self) -> f64 {
+        self.sums.iter().sum()
+    }
+}
+
+/// Sum of squares between two images of one size, tile by tile.
+pub(super) fn between(image: &Image, reference: &[Planes]) -> f64 {
+    let (width, height) = (image.width() as usize, image.height() as usize);
+    let columns = width.div_ceil(TILE);
+    let tile = |(index, (got, reference)): (usize, (&Planes, &Planes))| {
+        let (w, h) = inside([index % columns * TILE, index / columns * TILE], [width, height]);
+        let mut squares = Squares::default();
+        (0..h).for_each(|y| squares.add(&got[y], &reference[y], w));
+        squares.total()
+    };
+    cut(image).iter().zip(reference).enumerate().map(tile).sum()
+}
+
+/// Width and height of the part of a tile that lies inside the image.
+pub(super) fn inside(corner: [usize; 2], size: [usize; 2]) -> (usize, usize) {
+    ((size[0] - corner[0]).min(TILE), (size[1] - corner[1]).min(TILE))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_is_the_mean_squared_error_times_the_number_of_values() {
+        let image = |k: usize| {
+            let rgb = (0..3 * 37 * 19).map(|i| ((i * k) % 101) as f32 / 101.0).collect();
+            Image::new(37, 19, rgb).unwrap()
+        };
+        let (a, b) = (image(7), image(11));
+        let expected = crate::metric::mse(&a, &b).unwrap() * (3 * 37 * 19) as f64;
+        assert!((between(&a, &cut(&b)) / expected - 1.0).abs() < 1e-12);
+        assert_eq!(between(&a, &cut(&a)), 0.0);
+    }
+}
