@@ -1,6 +1,6 @@
 //! The front door: every verb as typed, its exit code, and what it says about bad input.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
 use std::{
     path::Path,

@@ -1,7 +1,7 @@
 //! Real scenes and traces through the whole walk. Where the data folder is missing this says so;
 //! with `DGS_REQUIRE_DATA=1` that is a failure.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
 use std::path::PathBuf;
 

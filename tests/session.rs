@@ -1,7 +1,7 @@
 //! Promises across bytes and time: the real receiver and the naive graph receiver agree on every
 //! snapshot; a session repeats bit for bit; what the report says was shown can be rendered.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
 use codec_core::limits::MAX_PACKET_BYTES;
 use dgs::{

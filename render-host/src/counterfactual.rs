@@ -31,7 +31,7 @@ pub mod pairs;
 mod plan;
 mod prefixes;
 mod runs;
-mod shared;
+mod scaffold;
 mod squares;
 mod states;
 mod strict;

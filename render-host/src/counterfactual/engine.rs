@@ -1,6 +1,6 @@
 //! The engine: one scene, one camera, one reference image; many questions.
 
-use super::shared::Shared;
+use super::scaffold::Shared;
 use super::squares::{Planes, cut};
 use super::states::CHUNK;
 use super::{

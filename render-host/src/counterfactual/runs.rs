@@ -4,7 +4,7 @@
 //! the same for every world that holds the group and the identity for every other. A tile keeps an open
 //! run per pixel, in rows of 16; a splat of another group closes it.
 
-use super::shared::{Entry, Shared};
+use super::scaffold::{Entry, Shared};
 use super::squares::inside;
 use crate::settings::Settings;
 use crate::stage::blend::{LANE, Lanes, exp2};

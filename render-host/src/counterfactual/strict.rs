@@ -4,7 +4,7 @@
 //! render of that world, and so is every operation on every pixel.
 
 use super::classes::{members, split};
-use super::shared::Shared;
+use super::scaffold::Shared;
 use super::squares::{Squares, inside};
 use super::states::CHUNK;
 use super::{Engine, States};
