@@ -35,7 +35,7 @@ id!(
     ClusterId(u16)
 );
 id!(
-    /// A block of up to [`block_len`](crate::manifest::Manifest::block_len) Gaussians, counted
+    /// A block of up to [`block_len`](crate::wire::manifest::Manifest::block_len) Gaussians, counted
     /// inside its cluster from 0.
     BlockId(u16)
 );
