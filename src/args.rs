@@ -207,7 +207,7 @@ pub enum PolicyName {
 /// `dgs import`.
 #[derive(Debug, Args)]
 pub struct Import {
-    /// File or folder, or synth:KIND[:GAUSSIANS[:FRAMES]] with KIND balls, figure, cloth or births.
+    /// File or folder, or synth:KIND:GAUSSIANS:FRAMES (numbers optional), KIND balls, figure, cloth or births.
     pub input: String,
     /// How to read it.
     #[command(flatten)]
