@@ -24,7 +24,6 @@ pub fn run(args: &Bench, quiet: Quiet) -> Result<Outcome> {
         bail!("there is no bench {name:?}; there are {} and all", names.join(", "));
     }
     let setup = Setup::new(args.data.clone(), args.quick, quiet);
-    let mut text = String::new();
     let mut results = Vec::new();
     for experiment in chosen {
         let bench = (experiment.run)(&setup)?;
@@ -33,6 +32,5 @@ pub fn run(args: &Bench, quiet: Quiet) -> Result<Outcome> {
         }
         results.push(bench);
     }
-    text += "";
-    Ok(Outcome { text, json: serde_json::to_value(&results)?, ..Outcome::default() })
+    Ok(Outcome { json: serde_json::to_value(&results)?, ..Outcome::default() })
 }

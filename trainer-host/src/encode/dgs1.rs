@@ -17,8 +17,7 @@ use rayon::prelude::*;
 use super::{
     EncodeError, Ledger, Options, Progress, Share, packet_id,
     packetise::{CellSymbols, Lot, Proto, packetise},
-    parity::parity,
-    rate,
+    parity, rate,
     statistics::{Model, Streams},
 };
 use crate::{cluster, scene::Scene, stream::Stream};
@@ -93,13 +92,7 @@ pub(super) fn encode(
         }
     }
     ledger.packets = packets.len() as u64;
-    for range in &mut repairs {
-        range.first_parity = packets.len() as u32;
-        let parity = parity(range, &packets)?;
-        ledger.parity += parity.iter().map(|p| p.len() as f64).sum::<f64>();
-        ledger.parity_packets += parity.len() as u64;
-        packets.extend(parity);
-    }
+    parity::append(&mut repairs, &mut packets, &mut ledger)?;
     let raw = body(scene, &plans, &model, &repairs, packets.len(), options);
     Manifest::parse(&raw)?;
     let order = plans.into_iter().map(|p| p.order).collect();

@@ -19,9 +19,7 @@ use codec_core::{
 use rayon::prelude::*;
 
 use super::{
-    EncodeError, Ledger, Options, Progress, packet_id,
-    parity::parity,
-    rate,
+    EncodeError, Ledger, Options, Progress, packet_id, parity, rate,
     steps::{self, Grid},
 };
 use crate::{
@@ -128,13 +126,7 @@ pub(super) fn encode(
     }
     ledger.raw_symbols = 2.0 * ledger.symbols as f64;
     ledger.packets = packets.len() as u64;
-    for range in &mut repairs {
-        range.first_parity = packets.len() as u32;
-        let parity = parity(range, &packets)?;
-        ledger.parity += parity.iter().map(|p| p.len() as f64).sum::<f64>();
-        ledger.parity_packets += parity.len() as u64;
-        packets.extend(parity);
-    }
+    parity::append(&mut repairs, &mut packets, &mut ledger)?;
     let raw = body(scene, &plans, &groups, &quants, &repairs, packets.len());
     Manifest::parse(&raw)?;
     let order = plans.iter().map(|p| p.members.concat()).collect();

@@ -5,10 +5,26 @@ use codec_core::{
     wire::{manifest::Repair, packet::Parity},
 };
 
-use super::{EncodeError, packet_id};
+use super::{EncodeError, Ledger, packet_id};
+
+/// Appends the parity of `repairs` to `packets`, fills in where it starts, and counts its bytes.
+pub(super) fn append(
+    repairs: &mut [Repair],
+    packets: &mut Vec<Vec<u8>>,
+    ledger: &mut Ledger,
+) -> Result<(), EncodeError> {
+    for range in repairs {
+        range.first_parity = packets.len() as u32;
+        let parity = parity(range, packets)?;
+        ledger.parity += parity.iter().map(|p| p.len() as f64).sum::<f64>();
+        ledger.parity_packets += parity.len() as u64;
+        packets.extend(parity);
+    }
+    Ok(())
+}
 
 /// The parity packets of `range`, whose protected packets are in `packets`.
-pub(super) fn parity(range: &Repair, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, EncodeError> {
+fn parity(range: &Repair, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, EncodeError> {
     let mut out = Vec::new();
     for set in 0..range.sets() {
         let mut memory = vec![0u8; ACCUMULATOR_BYTES];
