@@ -1,0 +1,206 @@
+//! What a manifest body must satisfy before a view of it exists.
+
+use super::Cluster;
+use super::{Epoch, Head, Manifest, Motion, NO_TABLE, Profile, Quant, Repair, Window, stream};
+use crate::{
+    error::{Error, ErrorKind, Result},
+    gaussian::ShDegree,
+    ids::{ClusterId, EpochId, Level, WindowId},
+    limits,
+    wire::cursor::{Reader, in_range},
+};
+
+impl<'a> Manifest<'a> {
+    /// Checks epochs, windows and clusters; returns the number of motion cells.
+    pub(super) fn check_lattice(&self) -> Result<usize> {
+        let at = |section: usize, index: usize, bytes: usize| section + index * bytes;
+        let (mut frame, mut cluster, mut window) = (0u32, 0u32, 0u32);
+        let mut cell = 0u64;
+        for (e, epoch) in self.epochs().enumerate() {
+            let place = at(self.sections.epochs, e, Epoch::BYTES);
+            in_range("epoch.first_frame", place, epoch.first_frame, frame, frame)?;
+            in_range("epoch.frames", place, epoch.frames, 1, self.head.frames - frame)?;
+            in_range("epoch.gaussians", place, epoch.gaussians, 0, limits::MAX_EPOCH_GAUSSIANS)?;
+            in_range("epoch.first_cluster", place, epoch.first_cluster, cluster, cluster)?;
+            in_range("epoch.clusters", place, epoch.clusters, 0, self.head.clusters - cluster)?;
+            in_range("epoch.clusters", place, epoch.clusters, 0, u32::from(u16::MAX))?;
+            in_range("epoch.first_window", place, epoch.first_window, window, window)?;
+            in_range("epoch.windows", place, epoch.windows, 0, u32::from(self.head.windows) - window)?;
+            for origin in [epoch.origin_x, epoch.origin_y, epoch.origin_z] {
+                finite("epoch.origin", place, origin)?;
+            }
+            let mut gaussians = 0u64;
+            for c in 0..epoch.clusters {
+                let place = at(self.sections.clusters, (cluster + c) as usize, Cluster::BYTES);
+                let record = self.cluster_record((cluster + c) as usize).unwrap_or_default();
+                let most = limits::MAX_CLUSTER_LEN as u16;
+                in_range("cluster.gaussians", place, record.gaussians, 1, most)?;
+                let quants = (self.head.quants - 1).min(255) as u8;
+                in_range("cluster.quant", place, record.quant, 0, quants)?;
+                in_range("cluster.sh_degree", place, record.sh_degree, 0, self.head.sh_degree)?;
+                in_range("cluster.radius", place, record.radius, 1, u16::MAX)?;
+                gaussians += u64::from(record.gaussians);
+            }
+            let all = u64::from(epoch.gaussians);
+            in_range("epoch.gaussians", place, all, gaussians, gaussians)
+                .map_err(|e| e.kind(ErrorKind::Contradiction))?;
+            let mut window_frame = frame;
+            for w in 0..epoch.windows {
+                let place = at(self.sections.windows, (window + w) as usize, Window::BYTES);
+                let record = self.window(WindowId((window + w) as u16)).unwrap_or_default();
+                in_range("window.epoch", place, record.epoch, e as u16, e as u16)?;
+                in_range("window.first_frame", place, record.first_frame, window_frame, window_frame)?;
+                let left = (frame + epoch.frames - window_frame).min(limits::MAX_WINDOW_FRAMES as u32);
+                in_range("window.frames", place, u32::from(record.frames), 1, left)?;
+                in_range("window.first_cell", place, u64::from(record.first_cell), cell, cell)?;
+                let values =
+                    u64::from(record.basis_first) + u64::from(record.rank) * u64::from(record.frames);
+                in_range("window.basis_first", place, values, 0, u64::from(self.head.basis_values))?;
+                in_range("window.rank", place, u16::from(record.rank), 0, record.frames)?;
+                window_frame += u32::from(record.frames);
+                cell += u64::from(epoch.clusters);
+            }
+            if epoch.windows > 0 {
+                let end = frame + epoch.frames;
+                in_range("epoch.windows", place, window_frame, end, end)
+                    .map_err(|e| e.kind(ErrorKind::Contradiction))?;
+            }
+            if self.profile == Profile::Paper {
+                in_range("epoch.windows", place, epoch.windows, 0, 0)?;
+                in_range("epoch.rank", place, epoch.rank, 0, limits::MAX_RANK as u8)?;
+                let frames = u64::from(epoch.frames);
+                let basis = u64::from(epoch.basis_first) + frames * u64::from(epoch.rank);
+                in_range("epoch.basis_first", place, basis, 0, u64::from(self.head.basis_values))?;
+                let values = u64::from(epoch.transform_first) + frames * u64::from(epoch.clusters) * 12;
+                in_range("epoch.transform_first", place, values, 0, u64::from(self.head.transform_values))?;
+            }
+            frame += epoch.frames;
+            cluster += epoch.clusters;
+            window += epoch.windows;
+        }
+        for (field, found, all) in [
+            ("manifest.frames", frame, self.head.frames),
+            ("manifest.clusters", cluster, self.head.clusters),
+            ("manifest.windows", window, u32::from(self.head.windows)),
+        ] {
+            in_range(field, 0, found, all, all).map_err(|e| e.kind(ErrorKind::Contradiction))?;
+        }
+        in_range("manifest.cells", 0, cell, 0, u64::from(limits::MAX_CLUSTERS) * 64)?;
+        Ok(cell as usize)
+    }
+
+    /// Reads each record once with its errors kept: accessors take an unreadable record for an
+    /// absent one.
+    fn check_reserved(&self) -> Result<()> {
+        let Head { epochs, windows, repairs, .. } = self.head;
+        self.each(self.sections.epochs, usize::from(epochs), Epoch::BYTES, Epoch::read)?;
+        self.each(self.sections.windows, usize::from(windows), Window::BYTES, Window::read)?;
+        self.each(self.sections.motions, self.motion_cells(), Motion::BYTES, Motion::read)?;
+        self.each(self.sections.repairs, usize::from(repairs), Repair::BYTES, Repair::read)
+    }
+
+    fn each<T>(
+        &self,
+        section: usize,
+        count: usize,
+        bytes: usize,
+        read: impl Fn(&mut Reader<'a>) -> Result<T>,
+    ) -> Result<()> {
+        for index in 0..count {
+            let place = section + index * bytes;
+            read(&mut Reader::new(self.raw.get(place..).unwrap_or(&[])))
+                .map_err(|e| Error { offset: e.offset.saturating_add(place as u32), ..e })?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn check_records(&self) -> Result<()> {
+        self.check_reserved()?;
+        for (w, window) in self.windows().enumerate() {
+            let epoch = self.epoch(EpochId(window.epoch)).unwrap_or_default();
+            for c in 0..epoch.clusters {
+                let index = window.first_cell as usize + c as usize;
+                let place = self.sections.motions + index * Motion::BYTES;
+                let motion = self.motion(WindowId(w as u16), ClusterId(c as u16)).unwrap_or_default();
+                in_range("motion.track", place, motion.track, 0, 1)?;
+                in_range("motion.track_shift", place, motion.track_shift, 0, 24)?;
+                in_range("motion.position", place, motion.position, 0, window.rank)?;
+                for rank in [motion.scale, motion.rotation, motion.opacity, motion.sh0] {
+                    in_range("motion.rank", place, u16::from(rank), 0, window.frames)?;
+                }
+            }
+        }
+        for index in 0..usize::from(self.head.quants) {
+            let place = self.sections.quants + index * Quant::BYTES;
+            let mut reader = Reader::new(self.raw.get(place..).unwrap_or(&[]));
+            let quant =
+                Quant::read(&mut reader).map_err(|e| Error { offset: e.offset + place as u32, ..e })?;
+            if self.profile == Profile::Dgs1 {
+                for quantiser in quant.canonical.iter().chain(&quant.motion) {
+                    in_range("quantiser.ratio", place, u8::from(quantiser.nests()), 1, 1)?;
+                }
+            }
+        }
+        for s in 0..stream::COUNT * usize::from(self.profile == Profile::Dgs1) {
+            let place = self.sections.streams + s;
+            let table = self.table_of(s);
+            if table != NO_TABLE && u16::from(table) >= self.head.tables {
+                let last = u64::from(self.head.tables).checked_sub(1).unwrap_or(NO_TABLE.into());
+                return Err(Error::illegal("stream.table", place, table.into(), (0, last)));
+            }
+        }
+        let mut sets = 0u64;
+        for (r, repair) in self.repairs().enumerate() {
+            let place = self.sections.repairs + r * Repair::BYTES;
+            let all = self.head.packets;
+            let most = limits::MAX_REPAIR_SET as u8;
+            in_range("repair.set_len", place, repair.set_len, 2, most)?;
+            in_range("repair.first_packet", place, repair.first_packet, 0, all)?;
+            in_range("repair.packets", place, repair.packets, 1, all - repair.first_packet.min(all))?;
+            in_range("repair.first_parity", place, repair.first_parity, 0, all)?;
+            in_range("repair.sets", place, repair.sets(), 1, all - repair.first_parity.min(all))?;
+            // Each set has a parity packet of its own.
+            sets += u64::from(repair.sets());
+            in_range("repair.sets", place, sets, 1, all.into())
+                .map_err(|e| e.kind(ErrorKind::Contradiction))?;
+        }
+        for index in 0..self.head.transform_values as usize {
+            finite("manifest.transforms", self.sections.transforms + 4 * index, self.transform_value(index))?;
+        }
+        if self.profile == Profile::Paper {
+            for index in 0..self.head.basis_values as usize {
+                finite("manifest.basis", self.sections.basis + 4 * index, self.paper_basis(index))?;
+            }
+            for index in 0..self.head.clusters as usize * Level::COUNT * 2 {
+                self.read_byte_table(index)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+pub(super) fn check_head(head: &Head) -> Result<()> {
+    let in32 = |field, at, value: u32, low, high| in_range(field, at, value, low, high).map(|_| ());
+    in32("manifest.sh_degree", 1, head.sh_degree.into(), 0, ShDegree::MAX.get().into())?;
+    in32("manifest.block_len", 2, head.block_len.into(), 1, limits::MAX_BLOCK_LEN as u32)?;
+    in32("manifest.frames", 4, head.frames, 1, limits::MAX_FRAMES)?;
+    in32("manifest.rate_frames", 8, head.rate_frames, 1, 1_000_000_000)?;
+    in32("manifest.rate_seconds", 12, head.rate_seconds, 1, 1_000_000_000)?;
+    in32("manifest.packets", 16, head.packets, 0, crate::ids::PacketId::MAX)?;
+    in32("manifest.epochs", 20, head.epochs.into(), 1, limits::MAX_EPOCHS as u32)?;
+    in32("manifest.windows", 22, head.windows.into(), 0, limits::MAX_WINDOWS as u32)?;
+    in32("manifest.clusters", 24, head.clusters, 0, limits::MAX_CLUSTERS)?;
+    in32("manifest.quants", 28, head.quants.into(), 1, limits::MAX_QUANT_PROFILES as u32)?;
+    in32("manifest.tables", 30, head.tables.into(), 0, limits::MAX_TABLES as u32)?;
+    in32("manifest.reserved", 34, head.reserved.into(), 0, 0)?;
+    in32("manifest.basis_values", 36, head.basis_values, 0, limits::MAX_MANIFEST_BYTES as u32 / 4)?;
+    in32("manifest.transform_values", 40, head.transform_values, 0, limits::MAX_MANIFEST_BYTES as u32 / 4)
+}
+
+fn finite(field: &'static str, place: usize, value: f32) -> Result<()> {
+    // 1e9 scene units is far beyond what f32 positions resolve; it keeps later sums finite.
+    if value.is_finite() && (-1e9..=1e9).contains(&value) {
+        return Ok(());
+    }
+    Err(Error::illegal(field, place, value.to_bits().into(), (0, 1_000_000_000)))
+}

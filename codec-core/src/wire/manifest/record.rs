@@ -1,0 +1,270 @@
+//! The fixed-width records of the manifest body, in the order of their fields on the wire.
+
+use crate::{
+    error::Result,
+    quant::{Class, Quantiser},
+    wire::cursor::{Reader, in_range},
+};
+
+/// Parameters of a cluster track: 9 linear, 3 translation, 4 rotation.
+pub const TRACK_PARAMETERS: usize = 16;
+
+macro_rules! record {
+    (
+        $(#[$doc:meta])*
+        $name:ident, $prefix:literal, $bytes:literal { $($(#[$field_doc:meta])* $field:ident: $type:ty = $read:ident),* $(,)? } pad $pad:literal
+    ) => {
+        $(#[$doc])*
+        #[derive(Clone, Copy, Debug, Default, PartialEq)]
+        #[cfg_attr(feature = "defmt", derive(defmt::Format))]
+        pub struct $name { $($(#[$field_doc])* pub $field: $type),* }
+
+        impl $name {
+            /// Bytes of one record.
+            pub const BYTES: usize = $bytes;
+
+            /// The record's bytes.
+            pub fn to_bytes(&self) -> [u8; $bytes] {
+                let mut bytes = [0u8; $bytes];
+                let mut at = 0usize;
+                $({
+                    let field = self.$field.to_le_bytes();
+                    bytes[at..at + field.len()].copy_from_slice(&field);
+                    at += field.len();
+                })*
+                debug_assert_eq!(at + $pad, $bytes);
+                bytes
+            }
+
+            pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self> {
+                let record = Self { $($field: reader.$read(concat!($prefix, stringify!($field)))?),* };
+                let start = reader.offset();
+                for &byte in reader.bytes(concat!($prefix, "reserved"), $pad)? {
+                    in_range(concat!($prefix, "reserved"), start, byte, 0, 0)?;
+                }
+                Ok(record)
+            }
+        }
+    };
+}
+
+record! {
+    /// Fixed head of the manifest body.
+    Head, "manifest.", 44 {
+        /// [`Profile`] as a number.
+        profile: u8 = u8,
+        /// Highest harmonic degree of any cluster.
+        sh_degree: u8 = u8,
+        /// Gaussians per block, the last block of a cluster may hold fewer.
+        block_len: u16 = u16,
+        /// Frames of the stream.
+        frames: u32 = u32,
+        /// Frame rate, numerator (frames).
+        rate_frames: u32 = u32,
+        /// Frame rate, denominator (seconds).
+        rate_seconds: u32 = u32,
+        /// Packets of the stream, parity included: ids are below this.
+        packets: u32 = u32,
+        /// Number of epochs.
+        epochs: u16 = u16,
+        /// Number of windows.
+        windows: u16 = u16,
+        /// Number of clusters over all epochs.
+        clusters: u32 = u32,
+        /// Number of quantisation profiles.
+        quants: u16 = u16,
+        /// Number of entropy tables.
+        tables: u16 = u16,
+        /// Number of repair ranges.
+        repairs: u16 = u16,
+        /// Zero.
+        reserved: u16 = u16,
+        /// i16 values of window bases (`dgs1`) or f32 values of epoch bases (`paper`).
+        basis_values: u32 = u32,
+        /// f32 values of cluster transforms (`paper`), else 0.
+        transform_values: u32 = u32,
+    } pad 0
+}
+
+record! {
+    /// A span of frames over which identity is fixed.
+    Epoch, "epoch.", 52 {
+        /// First frame, counted over the stream.
+        first_frame: u32 = u32,
+        /// Number of frames.
+        frames: u32 = u32,
+        /// Number of Gaussians.
+        gaussians: u32 = u32,
+        /// Index of the first cluster in the list of all clusters.
+        first_cluster: u32 = u32,
+        /// Number of clusters.
+        clusters: u32 = u32,
+        /// Index of the first window.
+        first_window: u32 = u32,
+        /// Number of windows.
+        windows: u32 = u32,
+        /// World position of index 0, x.
+        origin_x: f32 = f32,
+        /// World position of index 0, y.
+        origin_y: f32 = f32,
+        /// World position of index 0, z.
+        origin_z: f32 = f32,
+        /// First value of the temporal basis (`paper`): `frames × rank` f32, frame-major.
+        basis_first: u32 = u32,
+        /// First value of the cluster transforms (`paper`): clusters × frames × 12 f32, row-major.
+        transform_first: u32 = u32,
+        /// Rank of the temporal basis (`paper`).
+        rank: u8 = u8,
+    } pad 3
+}
+
+record! {
+    /// The temporal coverage of motion data inside an epoch.
+    Window, "window.", 20 {
+        /// Epoch it lies in.
+        epoch: u16 = u16,
+        /// Number of frames, 1..=64.
+        frames: u16 = u16,
+        /// First frame, counted over the stream.
+        first_frame: u32 = u32,
+        /// Index of the motion cell of its first cluster.
+        first_cell: u32 = u32,
+        /// First value of its learned basis: `rank × frames` i16, vector-major, unit 2^-14.
+        basis_first: u32 = u32,
+        /// Vectors in its learned basis.
+        rank: u8 = u8,
+    } pad 3
+}
+
+record! {
+    /// Gaussians that lie and move together.
+    Cluster, "cluster.", 12 {
+        /// Number of Gaussians.
+        gaussians: u16 = u16,
+        /// Index of its quantisation profile.
+        quant: u8 = u8,
+        /// Harmonic degree of its Gaussians.
+        sh_degree: u8 = u8,
+        /// Centre, x, in base-level position steps from the epoch's origin.
+        centre_x: i16 = i16,
+        /// Centre, y.
+        centre_y: i16 = i16,
+        /// Centre, z.
+        centre_z: i16 = i16,
+        /// Radius in base-level position steps, ≥ 1: linear track parameters move a point this
+        /// far by one translation step.
+        radius: u16 = u16,
+    } pad 0
+}
+
+record! {
+    /// How one cluster moves in one window (`dgs1`).
+    Motion, "motion.", 8 {
+        /// 1 if a track is sent (motion level 0), else the cluster is static but for coefficients.
+        track: u8 = u8,
+        /// The track's step is the position step times 2 to this.
+        track_shift: u8 = u8,
+        /// Coefficients of position per component: vectors of the window's learned basis.
+        position: u8 = u8,
+        /// Coefficients of log-scale per component: cosine basis.
+        scale: u8 = u8,
+        /// Coefficients of relative rotation per component: cosine basis.
+        rotation: u8 = u8,
+        /// Coefficients of opacity: cosine basis.
+        opacity: u8 = u8,
+        /// Coefficients of band-0 colour per component: cosine basis.
+        sh0: u8 = u8,
+    } pad 1
+}
+
+impl Motion {
+    /// Coefficients per component of a moving class.
+    pub const fn rank(&self, class: Class) -> usize {
+        (match class {
+            Class::Position => self.position,
+            Class::Scale => self.scale,
+            Class::Rotation => self.rotation,
+            Class::Opacity => self.opacity,
+            Class::Sh0 => self.sh0,
+            _ => 0,
+        }) as usize
+    }
+
+    /// True when nothing at all is sent for this cluster in this window.
+    pub fn is_static(&self) -> bool {
+        self.track == 0 && Class::ALL.into_iter().all(|c| self.rank(c) == 0)
+    }
+}
+
+record! {
+    /// A range of packets protected by XOR parity.
+    ///
+    /// The range is split into `ceil(packets / set_len)` interleaved sets: packet
+    /// `first_packet + j` belongs to set `j mod sets`, and set `s` is covered by parity packet
+    /// `first_parity + s`. Interleaving spreads a burst over many sets.
+    Repair, "repair.", 16 {
+        /// First protected packet.
+        first_packet: u32 = u32,
+        /// Number of protected packets, ≥ 1.
+        packets: u32 = u32,
+        /// First parity packet.
+        first_parity: u32 = u32,
+        /// Most packets in one set, 2..=32.
+        set_len: u8 = u8,
+    } pad 3
+}
+
+impl Repair {
+    /// Number of sets, and of parity packets.
+    pub const fn sets(&self) -> u32 {
+        match self.set_len {
+            0 => 0,
+            len => self.packets.div_ceil(len as u32),
+        }
+    }
+
+    /// The set and the position in it of packet `id`, if the range protects it.
+    pub fn set_of(&self, id: u32) -> Option<(u32, u32)> {
+        let offset = id.checked_sub(self.first_packet).filter(|&o| o < self.packets)?;
+        Some((offset % self.sets(), offset / self.sets()))
+    }
+
+    /// Packets in set `set`.
+    pub const fn members(&self, set: u32) -> u32 {
+        match self.sets() {
+            0 => 0,
+            sets => (self.packets + sets - 1 - set % sets) / sets,
+        }
+    }
+}
+
+/// A quantisation profile: quantisers of the canonical classes, then of the moving ones.
+///
+/// In `dgs1` a moving class appears at level 1. In `paper`, `canonical` gives the steps of the
+/// base and its refinements, and `motion[0]` those of q (level 1), δ2 and δ3 (levels 2 and 3).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Quant {
+    /// Per [`Class`].
+    pub canonical: [Quantiser; Class::COUNT],
+    /// Per moving class.
+    pub motion: [Quantiser; Class::MOVING],
+}
+
+impl Quant {
+    /// Bytes on the wire.
+    pub const BYTES: usize = (Class::COUNT + Class::MOVING) * Quantiser::BYTES;
+
+    pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self> {
+        let first = Quantiser::read(reader)?;
+        let mut quant = Self { canonical: [first; Class::COUNT], motion: [first; Class::MOVING] };
+        for target in quant.canonical.iter_mut().skip(1).chain(&mut quant.motion) {
+            *target = Quantiser::read(reader)?;
+        }
+        Ok(quant)
+    }
+
+    /// Calls `emit` with its bytes on the wire.
+    pub fn write(&self, mut emit: impl FnMut(&[u8])) {
+        self.canonical.iter().chain(&self.motion).for_each(|q| emit(&q.to_bytes()));
+    }
+}

@@ -1,0 +1,88 @@
+//! The envelope of the manifest: head, packed body, CRC.
+
+use super::{HEADER_BYTES, MAGIC, VERSION};
+use crate::{
+    error::{Error, ErrorKind, Result},
+    limits,
+    pack::{pack, unpack},
+    wire::{
+        crc::{CRC_BYTES, Crc32, checked, crc32},
+        cursor::{Reader, Writer, in_range},
+    },
+};
+
+/// What the head of a DGSM message says, before anything is unpacked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sealed {
+    /// Bytes of the body once unpacked.
+    pub raw_len: usize,
+    /// Bytes of the whole message.
+    pub wire_len: usize,
+}
+
+impl Sealed {
+    /// Reads the 16-byte head.
+    ///
+    /// # Errors
+    /// Short bytes, another magic or version, lengths over the limits.
+    pub fn parse(message: &[u8]) -> Result<Self> {
+        let mut reader = Reader::new(message);
+        let magic = u32::from_le_bytes(reader.array("manifest.magic")?);
+        let wanted = u32::from_le_bytes(MAGIC);
+        in_range("manifest.magic", 0, magic, wanted, wanted).map_err(|e| e.kind(ErrorKind::Unknown))?;
+        let version = reader.u8("manifest.version")?;
+        in_range("manifest.version", 4, version, VERSION, VERSION).map_err(|e| e.kind(ErrorKind::Unknown))?;
+        for byte in reader.array::<3>("manifest.reserved")? {
+            in_range("manifest.reserved", 5, byte, 0, 0)?;
+        }
+        let most = limits::MAX_MANIFEST_BYTES as u32;
+        let raw_len = in_range("manifest.raw_len", 8, reader.u32("manifest.raw_len")?, 1, most)?;
+        let packed = in_range("manifest.packed_len", 12, reader.u32("manifest.packed_len")?, 1, most)?;
+        Ok(Self { raw_len: raw_len as usize, wire_len: HEADER_BYTES + packed as usize + CRC_BYTES })
+    }
+}
+
+/// Checks a whole DGSM message and unpacks its body into the front of `raw`.
+///
+/// # Errors
+/// What [`Sealed::parse`] refuses; a CRC that does not match; leftovers;
+/// [`ErrorKind::Capacity`] if `raw` is too small.
+pub fn open<'a>(message: &[u8], crc: Crc32, raw: &'a mut [u8]) -> Result<&'a [u8]> {
+    let sealed = Sealed::parse(message)?;
+    let whole = message.get(..sealed.wire_len);
+    let whole = whole.ok_or(Error::short("manifest", 0, message.len(), sealed.wire_len))?;
+    let content = checked("manifest.crc", whole, crc)?;
+    if message.len() > whole.len() {
+        let over = (message.len() - whole.len()) as u64;
+        return Err(Error::illegal("manifest.leftover", whole.len(), over, (0, 0)));
+    }
+    let room = raw.len();
+    let target = raw.get_mut(..sealed.raw_len);
+    let target =
+        target.ok_or(Error::short("manifest.raw_len", 8, room, sealed.raw_len).kind(ErrorKind::Capacity))?;
+    unpack(content.get(HEADER_BYTES..).unwrap_or(&[]), target)?;
+    Ok(target)
+}
+
+/// Packs `raw` and seals it as a DGSM message at the front of `out`; returns its length.
+///
+/// # Errors
+/// [`ErrorKind::Capacity`] if `out` is too small; an empty or oversized body.
+pub fn seal(raw: &[u8], out: &mut [u8]) -> Result<usize> {
+    let most = limits::MAX_MANIFEST_BYTES as u64;
+    in_range("manifest.raw_len", 8, raw.len() as u64, 1, most)?;
+    let room = out.len();
+    let body = out.get_mut(HEADER_BYTES..);
+    let body = body.ok_or(Error::short("manifest", 0, room, HEADER_BYTES).kind(ErrorKind::Capacity))?;
+    let packed = pack(raw, body)?;
+    let mut writer = Writer::new(out);
+    writer.bytes(&MAGIC)?;
+    writer.bytes(&[VERSION, 0, 0, 0])?;
+    writer.bytes(&(raw.len() as u32).to_le_bytes())?;
+    writer.bytes(&(packed as u32).to_le_bytes())?;
+    let end = HEADER_BYTES + packed;
+    let crc = crc32(out.get(..end).unwrap_or(&[])).to_le_bytes();
+    let full = Error::short("manifest.crc", end, room - end, CRC_BYTES).kind(ErrorKind::Capacity);
+    out.get_mut(end..end + CRC_BYTES).ok_or(full)?.copy_from_slice(&crc);
+    Ok(end + CRC_BYTES)
+}
