@@ -87,7 +87,7 @@ impl Renderer {
         bin::bands(projected, order, columns, rows, bands);
         for band in bands.iter() {
             bin::bin(projected, order, band, columns, settings, bins);
-            let stopped = blend::blend(&projected.splats, bins, band, size, settings, tiles);
+            blend::blend(&projected.splats, bins, band, size, settings, tiles);
             let pixels = band.start * TILE * size[0]..(band.end * TILE).min(size[1]) * size[0];
             let rgb = &mut out.image.rgb_mut()[3 * pixels.start..3 * pixels.end];
             blend::resolve(tiles, size[0], settings, rgb, &mut out.transmittance[pixels]);
@@ -95,7 +95,8 @@ impl Renderer {
             let (entries, touched) = bins.totals();
             counters.intersections += entries;
             counters.tiles_touched += touched;
-            counters.pixels_stopped += stopped;
+            counters.boxed += bins.boxed();
+            tiles.count(&mut counters);
         }
         counters.tiles = (columns * rows) as u64;
         counters.pixels = (size[0] * size[1]) as u64;
