@@ -227,15 +227,17 @@ impl Sequence {
     fn update_lists(&mut self, columns: usize, rows: usize, settings: &Settings) {
         let all = (columns * rows) as u64;
         let Renderer { projected, order, bands, bins, .. } = &mut self.renderer;
-        if let Some(lists) = self.lists.as_mut().filter(|_| self.reuse.order) {
+        if let Some(lists) = &mut self.lists {
             lists.clean();
+        }
+        if let Some(lists) = self.lists.as_mut().filter(|_| self.reuse.order) {
             if self.inputs.changed() == 0 {
                 self.reused.lists_kept = all;
                 return;
             }
             let few = lists.drawn / FEW;
             let (changed, moved) = (self.inputs.changed(), self.inputs.moved());
-            if moved <= few {
+            if moved <= few && !lists.are_long() {
                 let scan = (changed - moved > few).then(|| self.inputs.flags());
                 let mended = lists.mend(
                     self.inputs.changes(),
@@ -244,9 +246,11 @@ impl Sequence {
                     &Shape::new(settings),
                     settings.parallel,
                 );
-                self.reused.lists_mended = mended;
-                self.reused.lists_kept = all - mended;
-                return;
+                if !lists.are_long() {
+                    self.reused.lists_mended = mended;
+                    self.reused.lists_kept = all - mended;
+                    return;
+                }
             }
         }
         if !self.ordered {

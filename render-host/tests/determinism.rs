@@ -29,8 +29,10 @@ fn threads_do_not_show() {
     }
 }
 
+type Switch = fn(&mut Settings);
+
 /// Every skip that promises not to show, and how to switch it off; `cull_entries` also how to switch it on.
-const SWITCHES: [(&str, fn(&mut Settings)); 9] = [
+const SWITCHES: [(&str, Switch); 9] = [
     ("cull_frustum", |s| s.cull_frustum = false),
     ("cull_sub_pixel", |s| s.cull_sub_pixel = false),
     ("opacity_bounds", |s| s.opacity_bounds = false),

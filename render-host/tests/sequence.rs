@@ -214,6 +214,23 @@ fn what_stays_is_kept() {
     assert_eq!((show(&world).projected, show(&world).projected), (3000, 0));
 }
 
+/// Rows of very long lists are binned anew, however little changed.
+#[test]
+fn long_lists_are_made() {
+    let mut world = World::new(2000, 0, 5, Settings::default());
+    world.camera = camera(40, 16);
+    let mut sequence = Sequence::default();
+    for frame in 0..4 {
+        if frame > 0 {
+            world.scene.gaussians[40 * frame] = Gaussian::ABSENT;
+        }
+        let got = sequence.render(&world.scene.splats(), Changes::Unknown, &world.camera, &world.settings);
+        assert_eq!(got.unwrap(), &fresh(&world.scene, &world.camera, &world.settings));
+        let reused = sequence.reused();
+        assert_eq!((reused.lists_made, reused.lists_mended), (3, 0), "{reused:?}");
+    }
+}
+
 /// A caller that promises too much gets the frame before: the promise is taken, and the comparison of these
 /// tests would see it.
 #[test]

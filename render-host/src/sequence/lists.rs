@@ -7,6 +7,10 @@ use crate::stage::bin::{Bins, Shape};
 use crate::stage::project::{Projected, SKIPPED};
 use crate::{Counters, parallel};
 
+/// Entries per tile, on average over a row, from which on lists are made and not mended: merging would cost
+/// more than binning, and a maker of lists may end such lists where nothing behind shows.
+const LONG: u64 = 512;
+
 /// One tile.
 #[derive(Debug, Default)]
 struct Kept {
@@ -27,6 +31,8 @@ pub(super) struct Lists {
     rows: usize,
     /// Tiles in the boxes of all splats.
     boxed: u64,
+    /// Entries that splats ask for, by row of tiles.
+    asked: Vec<u64>,
     /// Splats drawn when the lists were last made as a whole.
     pub(super) drawn: usize,
     /// Splats that came, as entries of the depth order.
@@ -38,6 +44,8 @@ impl Lists {
     /// Empty lists of an image of so many tiles, all dirty.
     pub(super) fn reset(&mut self, columns: usize, rows: usize) {
         (self.columns, self.rows, self.boxed) = (columns, rows, 0);
+        self.asked.clear();
+        self.asked.resize(rows, 0);
         self.tiles.resize_with(columns * rows, Kept::default);
         for tile in &mut self.tiles {
             tile.list.clear();
@@ -55,6 +63,11 @@ impl Lists {
         self.tiles[tile].dirty
     }
 
+    /// Whether some lists are too long to mend.
+    pub(super) fn are_long(&self) -> bool {
+        self.asked.iter().any(|&asked| asked > LONG * self.columns as u64)
+    }
+
     /// Says that all pixels are what the lists say.
     pub(super) fn clean(&mut self) {
         self.tiles.iter_mut().for_each(|tile| tile.dirty = false);
@@ -65,8 +78,8 @@ impl Lists {
         (self.boxed, self.drawn) = (0, drawn);
     }
 
-    /// Takes over the lists of the tile rows `band`. A tile is dirty if its list differs from the one
-    /// before, or holds a splat that `changed`; all are where that is not known.
+    /// Takes over the lists of the tile rows `band`. A tile becomes dirty if its list differs from the one
+    /// before, or holds a splat that `changed`; all do where that is not known.
     pub(super) fn take(
         &mut self,
         bins: &Bins,
@@ -76,11 +89,14 @@ impl Lists {
     ) {
         let columns = self.columns;
         self.boxed += bins.boxed();
+        for row in band.clone() {
+            self.asked[row] = bins.asked(row - band.start);
+        }
         let tiles = &mut self.tiles[band.start * columns..band.end * columns];
         parallel::for_each(parallel, tiles, |index, tile| {
             let list = bins.rows()[index / columns].tile(index % columns);
             let same = tile.list == list;
-            tile.dirty = !same || changed.is_none_or(|changed| tile.holds_any(changed));
+            tile.dirty |= !same || changed.is_none_or(|changed| tile.holds_any(changed));
             if !same {
                 tile.list.clear();
                 tile.list.extend_from_slice(list);
@@ -100,7 +116,7 @@ impl Lists {
         shape: &Shape,
         parallel: bool,
     ) -> u64 {
-        let Self { tiles, columns, rows, boxed, came, moved, .. } = self;
+        let Self { tiles, columns, rows, boxed, asked, came, moved, .. } = self;
         let (columns, all) = (*columns, 0..*rows);
         moved.resize(projected.keys.len(), false);
         came.clear();
@@ -119,6 +135,7 @@ impl Lists {
             moved[change.index as usize] = true;
             if change.old_key != SKIPPED {
                 *boxed -= shape.spans(&change.old, &all, &mut |row, span| {
+                    asked[row] -= span.len() as u64;
                     let row = &mut tiles[row * columns..];
                     row[span].iter_mut().for_each(|tile| tile.mend = true);
                 });
@@ -131,6 +148,7 @@ impl Lists {
         for &entry in came.iter() {
             let index = entry as u32;
             *boxed += shape.spans(&projected.splats[index as usize], &all, &mut |row, span| {
+                asked[row] += span.len() as u64;
                 for tile in &mut tiles[row * columns..][span] {
                     tile.came.push(index);
                     tile.mend = true;

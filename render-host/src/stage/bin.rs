@@ -74,6 +74,12 @@ impl Bins {
         &self.rows[..self.height]
     }
 
+    /// Entries that the splats found in tile row `row` of the band ask for.
+    pub fn asked(&self, row: usize) -> u64 {
+        let spans = self.pieces.iter().flat_map(|p| &p.by_row[p.starts[row]..p.starts[row + 1]]);
+        spans.map(|span| u64::from(span.past - span.first)).sum()
+    }
+
     /// Tiles of the band in the boxes of all splats: entries there would be without exact bounds.
     pub fn boxed(&self) -> u64 {
         self.pieces.iter().map(|piece| piece.boxed).sum()
