@@ -5,6 +5,7 @@ mod demo;
 mod loss;
 mod rate;
 mod render;
+mod skips;
 mod transport;
 
 use std::path::{Path, PathBuf};
@@ -29,7 +30,7 @@ pub struct Experiment {
 }
 
 /// All benches, in the order of the walk.
-pub const ALL: [Experiment; 6] = [
+pub const ALL: [Experiment; 7] = [
     Experiment { name: "demo", about: "wall time and peak memory of `dgs demo`", run: demo::run },
     Experiment {
         name: "rate",
@@ -50,6 +51,11 @@ pub const ALL: [Experiment; 6] = [
         name: "render",
         about: "CPU render time per frame beside its error against the f64 reference",
         run: render::run,
+    },
+    Experiment {
+        name: "skips",
+        about: "work, time and error of every skip of the CPU renderer, and of what a sequence keeps",
+        run: skips::run,
     },
     Experiment {
         name: "transport",

@@ -1,7 +1,7 @@
 //! What a render did, and what it left out and why.
 //!
 //! Invariant: every Gaussian is counted once, so `gaussians` is the sum of `drawn` and all reasons
-//! ([`Counters::skipped`]). Counts do not depend on the number of threads.
+//! ([`Counters::skipped`]); a field that says "of" one is a part of it. Counts do not depend on the number of threads.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,6 +24,8 @@ pub struct Counters {
     pub behind_near: u64,
     /// Skipped: wholly outside the image.
     pub outside: u64,
+    /// Of `outside`: found by the cheap bound, so that the shape was never computed.
+    pub culled: u64,
     /// Skipped: falls between pixel centres.
     pub sub_pixel: u64,
     /// Tiles of 16 × 16 pixels in the image.
@@ -32,10 +34,27 @@ pub struct Counters {
     pub tiles_touched: u64,
     /// Entries in all tile lists.
     pub intersections: u64,
+    /// Entries there would be if every splat were listed in all tiles of its box.
+    pub boxed: u64,
+    /// Entries that came after all pixels of their tile were finished: never read.
+    pub entries_unread: u64,
+    /// Entries read that reached no row of their tile.
+    pub entries_idle: u64,
+    /// Rows of tiles that lie in the box of a splat whose entry was read.
+    pub rows: u64,
+    /// Of these, rows that the splat does not reach: skipped.
+    pub rows_unreached: u64,
+    /// Of these, rows reached whose pixels are all finished: skipped.
+    pub rows_finished: u64,
     /// Pixels in the image.
     pub pixels: u64,
     /// Pixels finished early, below `transmittance_stop`.
     pub pixels_stopped: u64,
+    /// Harmonic coefficients above band 0 of all Gaussians drawn, up to the degree asked for; one counts
+    /// for three channels.
+    pub sh_coefficients: u64,
+    /// Of these, coefficients in bands that the Gaussian does not hold: not weighed.
+    pub sh_skipped: u64,
 }
 
 impl Counters {
@@ -59,11 +78,20 @@ impl Counters {
         self.degenerate += other.degenerate;
         self.behind_near += other.behind_near;
         self.outside += other.outside;
+        self.culled += other.culled;
         self.sub_pixel += other.sub_pixel;
         self.tiles += other.tiles;
         self.tiles_touched += other.tiles_touched;
         self.intersections += other.intersections;
+        self.boxed += other.boxed;
+        self.entries_unread += other.entries_unread;
+        self.entries_idle += other.entries_idle;
+        self.rows += other.rows;
+        self.rows_unreached += other.rows_unreached;
+        self.rows_finished += other.rows_finished;
         self.pixels += other.pixels;
         self.pixels_stopped += other.pixels_stopped;
+        self.sh_coefficients += other.sh_coefficients;
+        self.sh_skipped += other.sh_skipped;
     }
 }

@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! Splats + Camera ─▶ stage::{project, sort, bin, blend} ─▶ Rendered { image, transmittance, counters }
+//! … frame after frame ─▶ Sequence                     ─▶ the same, from what the frame before left
 //! … + loss        ─▶ adjoint                            ─▶ Gradients { loss, splats, pose, … }
 //! Variants + States ─▶ counterfactual::Engine ─▶ squared error of every state, utility of every group
 //! Image × Image   ─▶ metric::{psnr, ssim, flip, flicker, distortion, heat}
@@ -27,6 +28,7 @@ pub mod metric;
 mod parallel;
 pub mod reference;
 pub mod render;
+pub mod sequence;
 pub mod settings;
 pub mod splats;
 pub mod stage;
@@ -36,5 +38,6 @@ pub use camera::{Camera, CameraError, Intrinsics, View};
 pub use counters::Counters;
 pub use image::{Image, ImageError};
 pub use render::{RenderError, Rendered, Renderer, render, render_many};
+pub use sequence::{Changes, Reuse, Reused, Sequence};
 pub use settings::{Settings, SettingsError};
 pub use splats::{Splats, SplatsError};

@@ -76,18 +76,34 @@ impl Renderer {
         out: &mut Rendered,
     ) -> Result<(), RenderError> {
         settings.validate()?;
-        let Self { projected, order, bands, bins, tiles } = self;
         let size = [camera.width() as usize, camera.height() as usize];
-        let [columns, rows] = size.map(|side| side.div_ceil(TILE));
         out.image.reset(camera.width(), camera.height())?;
         out.transmittance.resize(size[0] * size[1], 1.0);
 
+        let Self { projected, order, bands, .. } = self;
         let mut counters = project::project(splats, camera, settings, projected);
         sort::sort(&projected.keys, settings.parallel, order);
+        let [columns, rows] = size.map(|side| side.div_ceil(TILE));
         bin::bands(projected, order, columns, rows, bands);
+        self.compose(size, settings, out, &mut counters);
+        out.counters = counters;
+        Ok(())
+    }
+
+    /// Bins and blends what is projected, sorted and split into bands, into a picture of `size` (width and
+    /// height in pixels), and counts it.
+    pub(crate) fn compose(
+        &mut self,
+        size: [usize; 2],
+        settings: &Settings,
+        out: &mut Rendered,
+        counters: &mut Counters,
+    ) {
+        let Self { projected, order, bands, bins, tiles } = self;
+        let [columns, rows] = size.map(|side| side.div_ceil(TILE));
         for band in bands.iter() {
             bin::bin(projected, order, band, columns, settings, bins);
-            let stopped = blend::blend(&projected.splats, bins, band, size, settings, tiles);
+            blend::blend(&projected.splats, bins, band, size, settings, tiles);
             let pixels = band.start * TILE * size[0]..(band.end * TILE).min(size[1]) * size[0];
             let rgb = &mut out.image.rgb_mut()[3 * pixels.start..3 * pixels.end];
             blend::resolve(tiles, size[0], settings, rgb, &mut out.transmittance[pixels]);
@@ -95,12 +111,11 @@ impl Renderer {
             let (entries, touched) = bins.totals();
             counters.intersections += entries;
             counters.tiles_touched += touched;
-            counters.pixels_stopped += stopped;
+            counters.boxed += bins.boxed();
+            tiles.count(counters);
         }
         counters.tiles = (columns * rows) as u64;
         counters.pixels = (size[0] * size[1]) as u64;
-        out.counters = counters;
-        Ok(())
     }
 }
 

@@ -32,8 +32,22 @@ pub struct Settings {
     pub parallel: bool,
     /// Skip: leave out what a cheap bound puts wholly outside the image before computing its shape.
     pub cull_frustum: bool,
+    /// Skip: leave out a splat whose box holds no pixel centre.
+    pub cull_sub_pixel: bool,
+    /// Skip: bound a splat by its own opacity, not as if it were opaque.
+    pub opacity_bounds: bool,
     /// Skip: list a splat only in tiles that its cut-off ellipse touches, not in all of its box.
     pub exact_tiles: bool,
+    /// Skip: leave a splat out of the lists of tiles none of whose pixel centres it reaches, by looking at
+    /// pixel rows where `exact_tiles` (which this refines) looks at the strip they lie in.
+    pub cull_entries: bool,
+    /// Skip: a tile without a splat costs its background, no blending and no room.
+    pub skip_empty_tiles: bool,
+    /// Skip: leave out the rows of a tile that a splat does not reach.
+    pub row_reach: bool,
+    /// Skip: weigh no harmonic bands above those a Gaussian holds, where the caller says which
+    /// (see [`crate::Splats::with_bands`]).
+    pub sh_by_need: bool,
     /// Skip: stop a pixel at `transmittance_stop`. Off, every splat is blended.
     pub early_stop: bool,
 }
@@ -50,7 +64,13 @@ impl Default for Settings {
             max_sh_degree: 3,
             parallel: true,
             cull_frustum: true,
+            cull_sub_pixel: true,
+            opacity_bounds: true,
             exact_tiles: true,
+            cull_entries: false,
+            skip_empty_tiles: true,
+            row_reach: true,
+            sh_by_need: true,
             early_stop: true,
         }
     }
@@ -74,6 +94,22 @@ impl Settings {
     /// The defaults over `background`.
     pub fn over(background: [f32; 3]) -> Self {
         Self { background, ..Self::default() }
+    }
+
+    /// Every skip that leaves the picture as it is switched off; tolerances stay.
+    #[must_use]
+    pub fn without_skips(self) -> Self {
+        Self {
+            cull_frustum: false,
+            cull_sub_pixel: false,
+            opacity_bounds: false,
+            exact_tiles: false,
+            cull_entries: false,
+            skip_empty_tiles: false,
+            row_reach: false,
+            sh_by_need: false,
+            ..self
+        }
     }
 
     /// Nothing cut and nothing stopped early: what the compositing equation says, for judging tolerances.

@@ -12,6 +12,8 @@ pub struct Splats<'a> {
     /// Exactly `sh_degree.rest_len()` values per Gaussian.
     sh_rest: &'a [f32],
     sh_degree: ShDegree,
+    /// Per Gaussian a degree above which all its coefficients are zero; empty where nobody looked.
+    bands: &'a [u8],
 }
 
 /// Slices that do not describe the same Gaussians.
@@ -32,6 +34,14 @@ pub enum SplatsError {
         degree: u8,
         /// Values per Gaussian of that degree.
         each: usize,
+    },
+    /// `bands` has the wrong length.
+    #[error("bands: found {found} degrees, need {needed}, one per Gaussian")]
+    BandsLength {
+        /// Degrees found.
+        found: usize,
+        /// Degrees needed.
+        needed: usize,
     },
     /// More Gaussians than an index holds.
     #[error("found {found} Gaussians; up to 4294967294 are allowed")]
@@ -61,13 +71,38 @@ impl<'a> Splats<'a> {
             let degree = sh_degree.get();
             return Err(SplatsError::RestLength { found, needed, gaussians: n, degree, each });
         }
-        Ok(Self { gaussians, sh_rest, sh_degree })
+        Ok(Self { gaussians, sh_rest, sh_degree, bands: &[] })
     }
 
     /// N Gaussians whose colour does not depend on the view. Beyond `u32::MAX - 1` the rest is left out.
     pub fn plain(gaussians: &'a [Gaussian]) -> Self {
         let n = gaussians.len().min(u32::MAX as usize - 1);
-        Self { gaussians: &gaussians[..n], sh_rest: &[], sh_degree: ShDegree::ZERO }
+        Self { gaussians: &gaussians[..n], sh_rest: &[], sh_degree: ShDegree::ZERO, bands: &[] }
+    }
+
+    /// The same Gaussians, with the degree that each one holds, as [`Splats::held_bands`] finds it: bands
+    /// above it are not weighed (`Settings::sh_by_need`). A degree below what a Gaussian holds changes its
+    /// colour; one above costs time and nothing else.
+    ///
+    /// # Errors
+    /// Not one degree per Gaussian.
+    pub fn with_bands(self, bands: &'a [u8]) -> Result<Self, SplatsError> {
+        let (found, needed) = (bands.len(), self.gaussians.len());
+        if found != needed {
+            return Err(SplatsError::BandsLength { found, needed });
+        }
+        Ok(Self { bands, ..self })
+    }
+
+    /// Per Gaussian the highest degree (0..=3) in which a coefficient is not zero; a NaN is not zero.
+    /// Higher bands do not move with frames, so once per scene is enough.
+    pub fn held_bands(&self) -> Vec<u8> {
+        (0..self.len()).map(|index| held_degree(self.rest(index))).collect()
+    }
+
+    /// The degree of Gaussian `index` as far as it is known, 0..=3.
+    pub(crate) fn band(&self, index: usize) -> u8 {
+        self.bands.get(index).copied().unwrap_or(u8::MAX).min(self.sh_degree.get())
     }
 
     /// The Gaussians.
@@ -97,9 +132,35 @@ impl<'a> Splats<'a> {
     }
 }
 
+/// The highest degree in which one of the coefficients `rest` of a Gaussian is not zero.
+pub(crate) fn held_degree(rest: &[f32]) -> u8 {
+    let used = rest.iter().rposition(|&v| v != 0.0).map_or(0, |last| last + 1);
+    match used {
+        0 => 0,
+        1..=9 => 1,
+        10..=24 => 2,
+        _ => 3,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_band_is_held_by_its_last_coefficient() {
+        let mut rest = [0.0f32; 45];
+        for (at, degree) in [(0, 1), (8, 1), (9, 2), (23, 2), (24, 3), (44, 3)] {
+            rest.fill(0.0);
+            assert_eq!(held_degree(&rest), 0);
+            rest[at] = f32::NAN;
+            assert_eq!(held_degree(&rest), degree);
+        }
+        assert_eq!(held_degree(&[]), 0);
+        let gaussians = [Gaussian::ABSENT; 2];
+        let error = Splats::plain(&gaussians).with_bands(&[0]).unwrap_err().to_string();
+        assert!(error.contains("found 1") && error.contains("need 2"), "{error}");
+    }
 
     #[test]
     fn a_wrong_length_is_named_with_both_numbers() {

@@ -67,7 +67,7 @@ pub(super) fn errors(engine: &Engine, states: &States) -> Vec<f64> {
 pub(super) fn image(engine: &Engine, states: &States, world: usize) -> Result<Image, ImageError> {
     let Engine { shared, settings, .. } = engine;
     let [width, height] = shared.size;
-    let mut tiles = Tiles { tiles: vec![Tile::EMPTY; shared.tiles()] };
+    let mut tiles = Tiles { tiles: vec![Tile::EMPTY; shared.tiles()], empty: Vec::new() };
     parallel::for_each_with(settings.parallel, &mut tiles.tiles, |room: &mut Room, index, tile| {
         room.filter(shared, index, |group| states.has(world, group as usize));
         blend_tile(&shared.splats, &room.list, shared.corner(index), shared.size, settings, tile);

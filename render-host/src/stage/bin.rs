@@ -42,6 +42,8 @@ struct Piece {
     by_row: Vec<Span>,
     /// Row `r` is `by_row[starts[r]..starts[r + 1]]`.
     starts: Vec<usize>,
+    /// Tiles of the band in the boxes of the piece's splats.
+    boxed: u64,
 }
 
 /// The tile lists of one tile row.
@@ -70,6 +72,17 @@ impl Bins {
     /// The rows of the band, top first.
     pub fn rows(&self) -> &[Row] {
         &self.rows[..self.height]
+    }
+
+    /// Entries that the splats found in tile row `row` of the band ask for.
+    pub fn asked(&self, row: usize) -> u64 {
+        let spans = self.pieces.iter().flat_map(|p| &p.by_row[p.starts[row]..p.starts[row + 1]]);
+        spans.map(|span| u64::from(span.past - span.first)).sum()
+    }
+
+    /// Tiles of the band in the boxes of all splats: entries there would be without exact bounds.
+    pub fn boxed(&self) -> u64 {
+        self.pieces.iter().map(|piece| piece.boxed).sum()
     }
 
     /// Entries in all lists of the band, and tiles with at least one.
@@ -118,18 +131,19 @@ pub fn bin(
     if out.rows.len() < band.len() {
         out.rows.resize_with(band.len(), Row::default);
     }
-    let log2_cutoff = settings.log2_cutoff();
+    let shape = Shape::new(settings);
     parallel::for_each(settings.parallel, &mut out.pieces, |i, piece| {
         let entries = &order.entries()[i * PIECE..];
-        piece.found.clear();
+        let Piece { found, boxed, .. } = &mut *piece;
+        found.clear();
+        *boxed = 0;
         for &entry in &entries[..entries.len().min(PIECE)] {
             let index = entry as u32;
             let splat = &projected.splats[index as usize];
-            if settings.exact_tiles {
-                piece.push_exact(index, splat, band, log2_cutoff);
-            } else {
-                piece.push_box(index, splat, band);
-            }
+            *boxed += shape.spans(splat, band, &mut |row, tiles: Range<usize>| {
+                let (first, past) = (tiles.start as u16, tiles.end as u16);
+                found.push(Span { splat: index, row: (row - band.start) as u16, first, past });
+            });
         }
         piece.sort_by_row(band.len());
     });
@@ -139,35 +153,62 @@ pub fn bin(
     });
 }
 
-impl Piece {
-    fn push(&mut self, splat: u32, row: usize, tiles: Range<usize>) {
-        let (first, past) = (tiles.start as u16, tiles.end as u16);
-        self.found.push(Span { splat, row: row as u16, first, past });
+/// How splats are given to tiles.
+pub(crate) struct Shape {
+    exact_tiles: bool,
+    cull_entries: bool,
+    opacity_bounds: bool,
+    log2_cutoff: f64,
+}
+
+impl Shape {
+    pub(crate) fn new(settings: &Settings) -> Self {
+        let &Settings { exact_tiles, cull_entries, opacity_bounds, .. } = settings;
+        Self { exact_tiles, cull_entries, opacity_bounds, log2_cutoff: settings.log2_cutoff() }
     }
 
-    fn push_box(&mut self, index: u32, splat: &Splat, band: &Range<usize>) {
-        let rows = splat.tile_rows();
-        for row in rows.start.max(band.start)..rows.end.min(band.end) {
-            self.push(index, row - band.start, splat.tile_columns());
+    /// Calls `push` with each tile row of `band` in which `splat` is listed, and the columns where; never
+    /// with an empty range. Returns the number of tiles of the band in its box.
+    #[inline]
+    pub(crate) fn spans(
+        &self,
+        splat: &Splat,
+        band: &Range<usize>,
+        push: &mut impl FnMut(usize, Range<usize>),
+    ) -> u64 {
+        let (rows, columns) = (splat.tile_rows(), splat.tile_columns());
+        let visible = rows.start.max(band.start)..rows.end.min(band.end);
+        let boxed = (visible.len() * columns.len()) as u64;
+        if !self.exact_tiles {
+            visible.for_each(|row| push(row, columns.clone()));
+        } else if rows.len() == 1 && columns.len() == 1 && !self.cull_entries {
+            // A single tile needs no test: the pixel box already touches the ellipse.
+            visible.for_each(|row| push(row, columns.clone()));
+        } else {
+            self.exact(splat, visible, push);
         }
+        boxed
     }
 
     /// Spans of the tiles that hold a pixel centre of the ellipse's bounding strip in each tile row.
-    fn push_exact(&mut self, index: u32, splat: &Splat, band: &Range<usize>, log2_cutoff: f64) {
-        let (rows, columns) = (splat.tile_rows(), splat.tile_columns());
-        let visible = rows.start.max(band.start)..rows.end.min(band.end);
-        // A single tile needs no test: the pixel box already touches the ellipse.
-        if rows.len() == 1 && columns.len() == 1 {
-            if !visible.is_empty() {
-                self.push(index, visible.start - band.start, columns);
-            }
-            return;
-        }
+    #[inline]
+    fn exact(&self, splat: &Splat, visible: Range<usize>, push: &mut impl FnMut(usize, Range<usize>)) {
         let [xx, xy, yy] = splat.root;
-        let reach = f64::from(splat.log2_alpha) - log2_cutoff + f64::from(REACH_MARGIN);
+        let log2_alpha = if self.opacity_bounds { f64::from(splat.log2_alpha) } else { 0.0 };
+        let reach = log2_alpha - self.log2_cutoff + f64::from(REACH_MARGIN);
         // The ellipse is u² + v² ≤ reach. Its rightmost point lies at dy = extreme, its leftmost at -extreme.
         let (top, extreme) = (reach.sqrt() / yy, -xy * reach.sqrt() / (yy * yy.hypot(xy)));
         let [x0, x1, y0, y1] = splat.pixels.map(usize::from);
+        let half = |dy: f64| (reach - (yy * dy) * (yy * dy)).max(0.0).sqrt();
+        let right = |dy: f64| splat.mean[0] + (half(dy) - xy * dy) / xx;
+        let left = |dy: f64| splat.mean[0] - (half(dy) + xy * dy) / xx;
+        // Pixel centres are at halves; a hair of slack covers rounding of the two ends.
+        let centres = |left: f64, right: f64| {
+            let slack = 1e-6 + 1e-12 * (right - left);
+            let from = (left - 0.5 - slack).ceil().max(x0 as f64);
+            let past = ((right - 0.5 + slack).floor() + 1.0).min(x1 as f64);
+            (from < past).then_some((from, past))
+        };
         for row in visible {
             let first = (row * TILE).max(y0) as f64 + 0.5 - splat.mean[1];
             let last = ((row + 1) * TILE).min(y1) as f64 - 0.5 - splat.mean[1];
@@ -175,21 +216,30 @@ impl Piece {
             if low > high {
                 continue;
             }
-            let half = |dy: f64| (reach - (yy * dy) * (yy * dy)).max(0.0).sqrt();
-            let right_at = extreme.clamp(low, high);
-            let left_at = (-extreme).clamp(low, high);
-            let right = splat.mean[0] + (half(right_at) - xy * right_at) / xx;
-            let left = splat.mean[0] - (half(left_at) + xy * left_at) / xx;
-            // Pixel centres are at halves; a hair of slack covers rounding of the two ends.
-            let slack = 1e-6 + 1e-12 * (right - left);
-            let from = (left - 0.5 - slack).ceil().max(x0 as f64);
-            let past = ((right - 0.5 + slack).floor() + 1.0).min(x1 as f64);
-            if from < past {
-                self.push(index, row - band.start, from as usize / TILE..(past as usize).div_ceil(TILE));
+            let found = if !self.cull_entries {
+                centres(left((-extreme).clamp(low, high)), right(extreme.clamp(low, high)))
+            } else if last - first < 3.5 {
+                // Few pixel rows, as specks have: each for itself, and the hull of those that are hit.
+                let rows = (0..4).map(|k| first + f64::from(k)).filter(|dy| (low..=high).contains(dy));
+                rows.filter_map(|dy| centres(left(dy), right(dy))).reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
+            } else {
+                // An end is a concave function of dy, so the pixel row on one side of its peak has it.
+                let around = |at: f64| {
+                    let below = first + (at - first).floor().clamp(0.0, last - first);
+                    [below, (below + 1.0).min(last)]
+                };
+                let [a, b] = around((-extreme).clamp(low, high)).map(left);
+                let [c, d] = around(extreme.clamp(low, high)).map(right);
+                centres(a.min(b), c.max(d))
+            };
+            if let Some((from, past)) = found {
+                push(row, from as usize / TILE..(past as usize).div_ceil(TILE));
             }
         }
     }
+}
 
+impl Piece {
     fn sort_by_row(&mut self, rows: usize) {
         self.starts.clear();
         self.starts.resize(rows + 1, 0);

@@ -11,8 +11,8 @@ use std::ops::Range;
 
 use super::bin::Bins;
 use super::{REACH_MARGIN, Splat, TILE};
-use crate::parallel;
 use crate::settings::Settings;
+use crate::{Counters, parallel};
 
 /// A value per pixel of one row of a tile.
 pub(crate) type Lanes = [f32; TILE];
@@ -37,13 +37,44 @@ pub(crate) const LOOK_EVERY: usize = 16;
 pub struct Tile {
     /// Rows of 16 pixels: r, g, b (without background) and transmittance.
     rows: [[Lanes; 4]; TILE],
+    /// What it took.
+    pub(crate) work: Work,
+}
+
+/// What blending a tile took and left out; sums over tiles fit too.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Work {
     /// Pixels inside the image whose transmittance is below the stop.
-    stopped: u32,
+    pub stopped: u64,
+    /// Entries never read, because every pixel was finished before them.
+    pub unread: u64,
+    /// Entries read that reached no row.
+    pub idle: u64,
+    /// Rows in the boxes of splats read.
+    pub rows: u64,
+    /// Rows not blended because they are out of reach.
+    pub unreached: u64,
+    /// Rows not blended because all their pixels are finished.
+    pub finished: u64,
+}
+
+impl Work {
+    const NONE: Self = Self { stopped: 0, unread: 0, idle: 0, rows: 0, unreached: 0, finished: 0 };
+
+    /// Adds this work to the counts of a picture.
+    pub(crate) fn add_to(&self, counters: &mut Counters) {
+        counters.pixels_stopped += self.stopped;
+        counters.entries_unread += self.unread;
+        counters.entries_idle += self.idle;
+        counters.rows += self.rows;
+        counters.rows_unreached += self.unreached;
+        counters.rows_finished += self.finished;
+    }
 }
 
 impl Tile {
     pub(crate) const EMPTY: Self =
-        Self { rows: [[[0.0; TILE], [0.0; TILE], [0.0; TILE], [1.0; TILE]]; TILE], stopped: 0 };
+        Self { rows: [[[0.0; TILE], [0.0; TILE], [0.0; TILE], [1.0; TILE]]; TILE], work: Work::NONE };
 
     /// Row `y` over `background`: r, g, b of its 16 pixels.
     #[inline(always)]
@@ -61,6 +92,20 @@ impl Tile {
 #[derive(Debug, Default)]
 pub struct Tiles {
     pub(crate) tiles: Vec<Tile>,
+    /// Tiles whose room holds nothing of use, because their lists are empty; past its end none is.
+    pub(crate) empty: Vec<bool>,
+}
+
+impl Tiles {
+    /// Adds the work of all tiles to `counters`.
+    pub(crate) fn count(&self, counters: &mut Counters) {
+        let drawn = |index: usize| !self.is_empty(index);
+        self.tiles.iter().enumerate().filter(|(i, _)| drawn(*i)).for_each(|(_, t)| t.work.add_to(counters));
+    }
+
+    fn is_empty(&self, index: usize) -> bool {
+        self.empty.get(index).copied().unwrap_or(false)
+    }
 }
 
 /// Blends one tile, whose first pixel is `corner`, from its list.
@@ -87,37 +132,61 @@ pub fn blend(
 ) -> u64 {
     let columns = size[0].div_ceil(TILE);
     out.tiles.resize(columns * band.len(), Tile::EMPTY);
+    out.empty.clear();
+    let lists = |index: usize| bins.rows()[index / columns].tile(index % columns);
+    out.empty.extend((0..out.tiles.len()).map(|i| settings.skip_empty_tiles && lists(i).is_empty()));
+    let Tiles { tiles, empty } = out;
     let arch = pulp::Arch::new();
     let work = |index: usize, tile: &mut Tile| {
-        let (row, column) = (index / columns, index % columns);
-        let corner = [column * TILE, (band.start + row) * TILE];
-        let list = bins.rows()[row].tile(column);
-        arch.dispatch(Blend { splats, list, corner, size, settings, tile });
+        if empty[index] {
+            return;
+        }
+        let corner = [index % columns * TILE, (band.start + index / columns) * TILE];
+        arch.dispatch(Blend { splats, list: lists(index), corner, size, settings, tile });
     };
-    parallel::for_each(settings.parallel, &mut out.tiles, work);
-    out.tiles.iter().map(|tile| u64::from(tile.stopped)).sum()
+    parallel::for_each(settings.parallel, tiles, work);
+    let stopped = |(tile, empty): (&Tile, &bool)| if *empty { 0 } else { tile.work.stopped };
+    tiles.iter().zip(empty.iter()).map(stopped).sum()
+}
+
+/// Copies row `y` of a tile, or of an empty one, to pixels of the image; both slices may end early.
+#[inline(always)]
+pub(crate) fn resolve_row(
+    tile: Option<&Tile>,
+    y: usize,
+    background: [f32; 3],
+    rgb: &mut [f32],
+    transmittance: &mut [f32],
+) {
+    let [br, bg, bb] = background;
+    let Some(tile) = tile else {
+        // What 0 + 1 · background gives: no negative zero.
+        let [br, bg, bb] = [0.0 + br, 0.0 + bg, 0.0 + bb];
+        rgb.chunks_exact_mut(3).for_each(|pixel| pixel.copy_from_slice(&[br, bg, bb]));
+        transmittance.fill(1.0);
+        return;
+    };
+    let [r, g, b, t] = &tile.rows[y];
+    for (i, pixel) in rgb.chunks_exact_mut(3).enumerate() {
+        pixel[0] = r[i] + t[i] * br;
+        pixel[1] = g[i] + t[i] * bg;
+        pixel[2] = b[i] + t[i] * bb;
+    }
+    transmittance.copy_from_slice(&t[..transmittance.len()]);
 }
 
 /// Copies the tiles of a band to the image rows of that band, over the background. `rgb` and
 /// `transmittance` begin at the band's first pixel row.
 pub fn resolve(tiles: &Tiles, width: usize, settings: &Settings, rgb: &mut [f32], transmittance: &mut [f32]) {
     let columns = width.div_ceil(TILE);
-    parallel::for_each_chunk(settings.parallel, rgb, width * 3, |y, row| {
-        let tiles = &tiles.tiles[y / TILE * columns..];
-        for (pixels, tile) in row.chunks_mut(3 * TILE).zip(tiles) {
-            let [r, g, b, t] = &tile.rows[y % TILE];
-            let [br, bg, bb] = settings.background;
-            for (i, pixel) in pixels.chunks_exact_mut(3).enumerate() {
-                pixel[0] = r[i] + t[i] * br;
-                pixel[1] = g[i] + t[i] * bg;
-                pixel[2] = b[i] + t[i] * bb;
-            }
-        }
-    });
-    parallel::for_each_chunk(settings.parallel, transmittance, width, |y, row| {
-        let tiles = &tiles.tiles[y / TILE * columns..];
-        for (pixels, tile) in row.chunks_mut(TILE).zip(tiles) {
-            pixels.copy_from_slice(&tile.rows[y % TILE][3][..pixels.len()]);
+    let mut rows: Vec<(&mut [f32], &mut [f32])> =
+        rgb.chunks_mut(width * 3).zip(transmittance.chunks_mut(width)).collect();
+    parallel::for_each(settings.parallel, &mut rows, |y, (rgb, transmittance)| {
+        let first = y / TILE * columns;
+        let parts = rgb.chunks_mut(3 * TILE).zip(transmittance.chunks_mut(TILE));
+        for (index, (rgb, transmittance)) in (first..).zip(parts) {
+            let tile = (!tiles.is_empty(index)).then(|| &tiles.tiles[index]);
+            resolve_row(tile, y % TILE, settings.background, rgb, transmittance);
         }
     });
 }
@@ -141,29 +210,40 @@ impl pulp::NullaryFnOnce for Blend<'_> {
         *tile = Tile::EMPTY;
         let rules = Rules::new(settings);
         let mut open = u16::MAX;
+        let mut work = Work::NONE;
         for (k, &index) in list.iter().enumerate() {
             if k % LOOK_EVERY == 0 && k > 0 && rules.stop > 0.0 {
                 open = open_rows(&tile.rows, rules.stop);
                 if open == 0 {
+                    work.unread = (list.len() - k) as u64;
                     break;
                 }
             }
             let splat = &splats[index as usize];
             let local = Local::new(splat, corner, &rules);
+            let (mut reached, mut blended) = (0, 0);
             for y in local.first..local.past {
-                if let Some((u, v)) = local.row(y)
-                    && open >> y & 1 == 1
-                {
-                    let exponent = splat.log2_alpha - v * v;
-                    blend_row(&mut tile.rows[y], u, local.root[0], exponent, &splat.colour, &rules);
+                if let Some((u, v)) = local.row(y) {
+                    reached += 1;
+                    if open >> y & 1 == 1 {
+                        blended += 1;
+                        let exponent = splat.log2_alpha - v * v;
+                        blend_row(&mut tile.rows[y], u, local.root[0], exponent, &splat.colour, &rules);
+                    }
                 }
             }
+            let rows = local.past.saturating_sub(local.first) as u64;
+            work.rows += rows;
+            work.unreached += rows - reached;
+            work.finished += reached - blended;
+            work.idle += u64::from(reached == 0);
         }
         if rules.stop > 0.0 {
             let (w, h) = ((size[0] - corner[0]).min(TILE), (size[1] - corner[1]).min(TILE));
             let finished = |row: &[Lanes; 4]| row[3][..w].iter().filter(|&&t| t < rules.stop).count();
-            tile.stopped = tile.rows[..h].iter().map(finished).sum::<usize>() as u32;
+            work.stopped = tile.rows[..h].iter().map(finished).sum::<usize>() as u64;
         }
+        tile.work = work;
     }
 }
 
@@ -179,7 +259,8 @@ pub(crate) struct Rules {
 
 impl Rules {
     pub(crate) fn new(settings: &Settings) -> Self {
-        let reach = REACH_MARGIN - settings.log2_cutoff() as f32;
+        let reach =
+            if settings.row_reach { REACH_MARGIN - settings.log2_cutoff() as f32 } else { f32::INFINITY };
         Self { cutoff: settings.cutoff(), max: settings.alpha_max, stop: settings.stop(), reach }
     }
 
@@ -369,7 +450,7 @@ mod tests {
         let bits = |tile: &Tile| {
             tile.rows.as_flattened().as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>()
         };
-        assert!(plain.stopped > 0 && plain.stopped == wide.stopped);
+        assert!(plain.work.stopped > 0 && plain.work == wide.work);
         assert_eq!(bits(&plain), bits(&wide));
     }
 

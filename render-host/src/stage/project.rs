@@ -37,12 +37,14 @@ pub struct Projected {
 
 /// Why a Gaussian is not drawn; counted in the field of [`Counters`] of the same name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Skip {
+pub(crate) enum Skip {
     Absent,
     NonFinite,
     Transparent,
     Degenerate,
     BehindNear,
+    /// Outside, by the cheap bound.
+    Culled,
     Outside,
     SubPixel,
 }
@@ -69,16 +71,26 @@ pub fn project(splats: &Splats, camera: &Camera, settings: &Settings, out: &mut 
 }
 
 impl Counters {
-    fn skip(&mut self, reason: Skip) {
+    /// Counts a Gaussian that is not drawn, for `reason`.
+    pub(crate) fn skip(&mut self, reason: Skip) {
+        self.culled += u64::from(reason == Skip::Culled);
         *match reason {
             Skip::Absent => &mut self.absent,
             Skip::NonFinite => &mut self.non_finite,
             Skip::Transparent => &mut self.transparent,
             Skip::Degenerate => &mut self.degenerate,
             Skip::BehindNear => &mut self.behind_near,
-            Skip::Outside => &mut self.outside,
+            Skip::Outside | Skip::Culled => &mut self.outside,
             Skip::SubPixel => &mut self.sub_pixel,
         } += 1;
+    }
+
+    /// Counts a Gaussian that is drawn, its bands weighed up to `weighed` of `degree`.
+    pub(crate) fn draw(&mut self, degree: u8, weighed: u8) {
+        let all = harmonics::count(degree);
+        self.drawn += 1;
+        self.sh_coefficients += all as u64;
+        self.sh_skipped += (all - harmonics::count(weighed.min(degree))) as u64;
     }
 }
 
@@ -94,6 +106,9 @@ pub(crate) struct Film<'a> {
     pub(crate) low_pass: f64,
     pub(crate) antialiased: bool,
     cull_frustum: bool,
+    cull_sub_pixel: bool,
+    opacity_bounds: bool,
+    sh_by_need: bool,
     alpha_cutoff: f32,
     log2_cutoff: f64,
     pub(crate) degree: u8,
@@ -144,6 +159,9 @@ impl<'a> Film<'a> {
             low_pass: settings.low_pass,
             antialiased: settings.antialiased,
             cull_frustum: settings.cull_frustum,
+            cull_sub_pixel: settings.cull_sub_pixel,
+            opacity_bounds: settings.opacity_bounds,
+            sh_by_need: settings.sh_by_need,
             alpha_cutoff: settings.alpha_cutoff,
             log2_cutoff: settings.log2_cutoff(),
             degree,
@@ -160,10 +178,11 @@ impl<'a> Film<'a> {
         counts: &mut Counters,
     ) {
         for (i, (slot, key)) in slots.iter_mut().zip(keys).enumerate() {
-            match self.splat(splats, first + i) {
+            let degree = self.weighed(splats.band(first + i));
+            match self.splat(splats, first + i, degree) {
                 Ok((splat, depth)) => {
                     (*slot, *key) = (splat, depth);
-                    counts.drawn += 1;
+                    counts.draw(self.degree, degree);
                 }
                 Err(reason) => {
                     *key = SKIPPED;
@@ -173,14 +192,19 @@ impl<'a> Film<'a> {
         }
     }
 
-    /// Gaussian `index` on the film and its depth key.
-    fn splat(&self, splats: &Splats, index: usize) -> Result<(Splat, u32), Skip> {
+    /// The degree up to which bands of a Gaussian that holds `held` are weighed.
+    pub(crate) fn weighed(&self, held: u8) -> u8 {
+        if self.sh_by_need { self.degree.min(held) } else { self.degree }
+    }
+
+    /// Gaussian `index` on the film, its bands weighed up to `degree`, and its depth key.
+    pub(crate) fn splat(&self, splats: &Splats, index: usize, degree: u8) -> Result<(Splat, u32), Skip> {
         let g = &splats.gaussians()[index];
         if g.is_absent() {
             return Err(Skip::Absent);
         }
         let geometry = g.position.iter().chain(&g.scale).chain(&g.rotation).chain(&g.sh0);
-        let rest = &splats.rest(index)[..3 * harmonics::count(self.degree)];
+        let rest = &splats.rest(index)[..3 * harmonics::count(degree)];
         if !(g.opacity.is_finite() && geometry.chain(rest).all(|v| v.is_finite())) {
             return Err(Skip::NonFinite);
         }
@@ -209,7 +233,7 @@ impl<'a> Film<'a> {
                 let variance = side * side * (1.0 + slope[axis] * slope[axis]) + self.low_pass;
                 let half = half_extent(reach, variance) * (1.0 + 1e-9);
                 if mean[axis] + half < 0.0 || mean[axis] - half > self.size[axis] {
-                    return Err(Skip::Outside);
+                    return Err(Skip::Culled);
                 }
             }
         }
@@ -237,10 +261,14 @@ impl<'a> Film<'a> {
         let mut pixels = [0; 4];
         for axis in 0..2 {
             let half = half_extent(reach, variance[axis]);
-            let first = (mean[axis] - half - 0.5).ceil();
-            let past = (mean[axis] + half - 0.5).floor() + 1.0;
+            let mut first = (mean[axis] - half - 0.5).ceil();
+            let mut past = (mean[axis] + half - 0.5).floor() + 1.0;
             if first >= past {
-                return Err(Skip::SubPixel);
+                if self.cull_sub_pixel {
+                    return Err(Skip::SubPixel);
+                }
+                // The two centres it lies between.
+                (first, past) = (past - 1.0, first + 1.0);
             }
             let (first, past) = (first.max(0.0), past.min(self.size[axis]));
             if first >= past {
@@ -249,7 +277,7 @@ impl<'a> Film<'a> {
             pixels[2 * axis] = first as u16;
             pixels[2 * axis + 1] = past as u16;
         }
-        let colour = self.colour(g.position, g.sh0, rest);
+        let colour = self.colour(g.position, g.sh0, degree, rest);
         if !colour.iter().all(|c| c.is_finite()) {
             return Err(Skip::NonFinite);
         }
@@ -288,15 +316,16 @@ impl<'a> Film<'a> {
 
     /// Largest `u² + v²` at which a splat of peak `alpha` still adds something, with the margin.
     fn reach(&self, alpha: f64) -> f64 {
+        let alpha = if self.opacity_bounds { alpha } else { 1.0 };
         (alpha.log2() - self.log2_cutoff).max(0.0) + f64::from(REACH_MARGIN)
     }
 
-    fn colour(&self, position: [f32; 3], sh0: [f32; 3], rest: &[f32]) -> [f32; 3] {
+    fn colour(&self, position: [f32; 3], sh0: [f32; 3], degree: u8, rest: &[f32]) -> [f32; 3] {
         let mut colour = sh0.map(|dc| 0.5 + harmonics::C0 as f32 * dc);
         if !rest.is_empty() {
             let d: [f64; 3] = std::array::from_fn(|k| f64::from(position[k]) - self.centre[k]);
             let length = dot(d, d).sqrt();
-            let basis = harmonics::basis(self.degree, d.map(|v| v / length));
+            let basis = harmonics::basis(degree, d.map(|v| v / length));
             for (triple, weight) in rest.chunks_exact(3).zip(basis) {
                 (0..3).for_each(|c| colour[c] += weight as f32 * triple[c]);
             }
