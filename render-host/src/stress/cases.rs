@@ -9,7 +9,7 @@ use crate::{Camera, Intrinsics, Settings};
 pub(super) const BOUND: f64 = 1e-4;
 const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
-/// Every case. `million` of them in the cases of one million; fewer for a quick look.
+/// Every case. `million` Gaussians in the cases of a million, on smaller films where it is below 100,000.
 pub fn cases(million: usize) -> Vec<Case> {
     let mut out = Vec::new();
     quaternions(&mut out);
@@ -97,7 +97,6 @@ fn plain(family: &'static str, name: impl Into<String>, gaussians: Vec<Gaussian>
         settings: Settings::default(),
         bound: Some(BOUND),
         skipped: None,
-        large: false,
     }
 }
 
@@ -330,7 +329,6 @@ fn settings(out: &mut Vec<Case>) {
             cloud[i].scale = [10f32.powi(exponent), 0.1, 0.1];
             cloud[30 + i].scale = [10f32.powi(exponent); 3];
         }
-        cloud[60].sh0 = [1e30; 3];
         out.push(Case { settings, bound: None, ..plain(family, name, cloud, camera(48, 32)) });
     }
     let exact = "nothing cut, nothing stopped";
@@ -349,24 +347,26 @@ fn crowds(out: &mut Vec<Case>, million: usize) {
     let faint = Gaussian { opacity: 0.006, ..ball() };
     let cover = Gaussian { scale: [50.0; 3], opacity: 0.5, ..ball() };
     let veil = Gaussian { scale: [50.0; 3], opacity: 0.006, ..ball() };
-    let large = million > 10_000;
+    let few = million < 100_000;
+    let (square, wide) = if few { ((80, 80), (820, 16)) } else { ((800, 800), (8192, 64)) };
     for (name, g, (w, h)) in [
         ("dots", dot, (48, 32)),
         ("faint balls", faint, (48, 32)),
         ("veils over everything", veil, (48, 32)),
-        ("covers of a film of 800 x 800", cover, (800, 800)),
-        ("veils over a film of 8192 x 64", veil, (8192, 64)),
+        ("covers of a square film", cover, square),
+        ("veils over a wide film", veil, wide),
     ] {
-        let case = plain(family, format!("{million} {name}"), vec![g; million], camera(w, h));
-        out.push(Case { large, skipped: Some(0), ..case });
+        let case = plain(family, format!("{million} {name}, {w} x {h}"), vec![g; million], camera(w, h));
+        out.push(Case { skipped: Some(0), ..case });
     }
     let mut walls = Numbers(15).cloud(million / 50, 1e5);
+    let side = if few { 104 } else { 1024 };
     walls.iter_mut().for_each(|g| g.opacity = 0.3);
     let case = plain(
         "many over everything",
-        format!("{} over a film of 1024 x 1024", walls.len()),
+        format!("{} over a film of {side} x {side}", walls.len()),
         walls,
-        camera(1024, 1024),
+        camera(side, side),
     );
-    out.push(Case { large: true, ..case });
+    out.push(case);
 }

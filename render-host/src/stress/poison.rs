@@ -61,7 +61,6 @@ pub(super) fn cases() -> Vec<Case> {
                 settings: Settings::default(),
                 bound: Some(BOUND),
                 skipped,
-                large: false,
             });
         }
     }
