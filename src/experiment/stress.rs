@@ -63,7 +63,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     for f in &families {
         let key = f.name.replace([' ', ','], "-");
         let figure = Figure::new(format!("{key}.forward"), f.times.forward, "ms");
-        bench.push(figure.error(f.worst.difference.max_clear, "share of the largest value, clear").runs(runs));
+        bench
+            .push(figure.error(f.worst.difference.max_clear, "share of the largest value, clear").runs(runs));
         bench.push(Figure::new(format!("{key}.gradients"), f.times.gradients, "ms").runs(runs));
         let figure = Figure::new(format!("{key}.counterfactual"), f.times.worlds, "ms");
         bench.push(figure.error(f.worst.fast_error, "relative, fast sums").runs(runs));
@@ -71,7 +72,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         bench.push(Figure::new(format!("{key}.pixels_near_a_threshold"), f.worst.close_share, "share"));
     }
     let refused = refusals();
-    broken.extend(refused.iter().filter(|r| !r.holds()).map(|r| format!("{} takes {}: {:?}", r.api, r.what, r.error)));
+    broken.extend(
+        refused.iter().filter(|r| !r.holds()).map(|r| format!("{} takes {}: {:?}", r.api, r.what, r.error)),
+    );
     if !setup.quiet.0 {
         for r in &refused {
             println!("  refused by {:20} {:28} {}", r.api, r.what, r.error.as_deref().unwrap_or("TAKEN"));
@@ -108,7 +111,18 @@ fn examine(case: &Case, runs: usize) -> Result<(Times, Verdict, u64)> {
     let start = Instant::now();
     let verdict = case.judge(&outcome, &case.truth()?);
     if std::env::var_os("STRESS_TRACE").is_some() {
-        eprintln!("{:30} {:50} fwd {:8.1} grad {:8.1} worlds {:8.1} truth {:8.1} {:9.1e} {:9.1e} {:?}", case.family, case.name, times.forward, times.gradients, times.worlds, start.elapsed().as_secs_f64()*1e3, verdict.difference.max_clear/verdict.largest, verdict.fast_error, verdict.complaints);
+        eprintln!(
+            "{:30} {:50} fwd {:8.1} grad {:8.1} worlds {:8.1} truth {:8.1} {:9.1e} {:9.1e} {:?}",
+            case.family,
+            case.name,
+            times.forward,
+            times.gradients,
+            times.worlds,
+            start.elapsed().as_secs_f64() * 1e3,
+            verdict.difference.max_clear / verdict.largest,
+            verdict.fast_error,
+            verdict.complaints
+        );
     }
     Ok((times, verdict, outcome.gradients.non_finite))
 }
@@ -130,15 +144,32 @@ impl Family {
 fn table(families: &[Family]) -> String {
     let mut out = format!(
         "{:30}{:>6}{:>10}{:>10}{:>8}{:>8}{:>9}{:>10}{:>10}{:>10}{:>8}  {}\n",
-        "family", "cases", "max err", "near thr.", "PSNR", "near %", "fast err", "fwd ms", "grad ms", "cf ms", "overfl.", "slowest case"
+        "family",
+        "cases",
+        "max err",
+        "near thr.",
+        "PSNR",
+        "near %",
+        "fast err",
+        "fwd ms",
+        "grad ms",
+        "cf ms",
+        "overfl.",
+        "slowest case"
     );
     for f in families {
         let Family { name, cases, times, slowest, worst, non_finite } = f;
         let d = &worst.difference;
         out += &format!(
             "{name:30}{cases:>6}{:>10.1e}{:>10.1e}{:>8.1}{:>8.2}{:>9.1e}{:>10}{:>10}{:>10}{non_finite:>8}  {slowest}{}\n",
-            d.max_clear, d.max_close, d.psnr_db, 100.0 * worst.close_share, worst.fast_error,
-            number(times.forward), number(times.gradients), number(times.worlds),
+            d.max_clear,
+            d.max_close,
+            d.psnr_db,
+            100.0 * worst.close_share,
+            worst.fast_error,
+            number(times.forward),
+            number(times.gradients),
+            number(times.worlds),
             if worst.complaints.is_empty() { "" } else { "  BROKEN" },
         );
     }
