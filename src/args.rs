@@ -347,4 +347,7 @@ pub struct Bench {
     /// Folder with the real scenes and traces [default: ../shared/data, where it exists].
     #[arg(long)]
     pub data: Option<PathBuf>,
+    /// Folder for tables (CSV) and drawings (SVG) of the benches that make them; none are written without.
+    #[arg(long)]
+    pub out: Option<PathBuf>,
 }

@@ -3,14 +3,16 @@
 mod accounting;
 mod demo;
 mod loss;
+mod pareto;
 mod rate;
 mod render;
 mod skips;
+mod stress;
 mod transport;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use trainer_host::Scene;
 
 use crate::{
@@ -30,7 +32,7 @@ pub struct Experiment {
 }
 
 /// All benches, in the order of the walk.
-pub const ALL: [Experiment; 7] = [
+pub const ALL: &[Experiment] = &[
     Experiment { name: "demo", about: "wall time and peak memory of `dgs demo`", run: demo::run },
     Experiment {
         name: "rate",
@@ -58,6 +60,16 @@ pub const ALL: [Experiment; 7] = [
         run: skips::run,
     },
     Experiment {
+        name: "stress",
+        about: "numerical stress: time, error against f64 and refusals of every hard case",
+        run: stress::run,
+    },
+    Experiment {
+        name: "pareto",
+        about: "time against error of every tolerance, precision and skip, alone and together (--out)",
+        run: pareto::run,
+    },
+    Experiment {
         name: "transport",
         about: "startup, miss, utility and waste of four schedulers on measured traces",
         run: transport::run,
@@ -72,13 +84,27 @@ pub struct Setup {
     pub quick: bool,
     /// Whether progress is shown.
     pub quiet: Quiet,
+    /// Where tables and drawings go, if anywhere.
+    pub out: Option<PathBuf>,
 }
 
 impl Setup {
     /// A setup with the data folder typed, else `../shared/data` if it is there.
     pub fn new(data: Option<PathBuf>, quick: bool, quiet: Quiet) -> Self {
         let beside = PathBuf::from("../shared/data");
-        Self { data: data.or_else(|| beside.is_dir().then_some(beside)), quick, quiet }
+        Self { data: data.or_else(|| beside.is_dir().then_some(beside)), quick, quiet, out: None }
+    }
+
+    /// Writes `text` as `name` in the folder for tables and drawings, where one was given.
+    ///
+    /// # Errors
+    /// What the system says about the path.
+    pub fn write(&self, name: &str, text: &str) -> Result<()> {
+        let Some(folder) = &self.out else { return Ok(()) };
+        let path = folder.join(name);
+        std::fs::create_dir_all(folder)
+            .and_then(|()| std::fs::write(&path, text))
+            .with_context(|| format!("{}: cannot write", path.display()))
     }
 
     /// `path` in the data folder, or why it is not there (for [`Bench::skipped`]).

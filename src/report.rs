@@ -5,6 +5,7 @@
 
 pub mod html;
 pub mod plot;
+pub mod scatter;
 
 use emulator_host::Report as Delivery;
 use render_host::Image;

@@ -21,8 +21,10 @@
 
 pub mod brute;
 mod classes;
+mod dimmed;
 mod engine;
 mod error;
+mod faded;
 mod fast;
 pub mod greedy;
 mod lanes;

@@ -32,6 +32,7 @@ pub mod sequence;
 pub mod settings;
 pub mod splats;
 pub mod stage;
+pub mod stress;
 
 pub use adjoint::{Gradients, Loss, Workspace, render_and_gradients};
 pub use camera::{Camera, CameraError, Intrinsics, View};

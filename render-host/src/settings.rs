@@ -2,7 +2,9 @@
 //!
 //! A *tolerance* changes the picture and is part of what an image means; the reference obeys it too. A
 //! *skip* saves work and never changes a bit of the picture (a test says so), except `early_stop`, which
-//! switches the tolerance `transmittance_stop` on and off.
+//! switches the tolerance `transmittance_stop` on and off. A *precision* (`depth_bits`,
+//! `half_attributes`) says how many bits a value is kept in; it changes the picture by an error that the
+//! reference, which keeps every bit, makes visible.
 
 use codec_core::gaussian::ShDegree;
 use serde::{Deserialize, Serialize};
@@ -28,6 +30,12 @@ pub struct Settings {
     pub transmittance_stop: f32,
     /// Harmonic bands above this degree (0..=3) are ignored.
     pub max_sh_degree: u8,
+    /// Precision: bits of the depth key that order splats, 16..=32. Below 32, the lowest bits of the depth
+    /// as f32 are dropped; splats with equal keys are drawn in order of index.
+    pub depth_bits: u8,
+    /// Precision: colour and shape of a projected splat are rounded to f16, as a device with little memory
+    /// stores them; centre and opacity are not. Gradients go straight through the rounding.
+    pub half_attributes: bool,
     /// Uses the current rayon pool. The picture is the same bit for bit either way.
     pub parallel: bool,
     /// Skip: leave out what a cheap bound puts wholly outside the image before computing its shape.
@@ -62,6 +70,8 @@ impl Default for Settings {
             alpha_max: 0.99,
             transmittance_stop: 1e-4,
             max_sh_degree: 3,
+            depth_bits: 32,
+            half_attributes: false,
             parallel: true,
             cull_frustum: true,
             cull_sub_pixel: true,
@@ -136,7 +146,8 @@ impl Settings {
         check("alpha_cutoff", f64::from(self.alpha_cutoff), 0.0, 0.5)?;
         check("alpha_max", f64::from(self.alpha_max), 0.5, 1.0)?;
         check("transmittance_stop", f64::from(self.transmittance_stop), 0.0, 0.5)?;
-        check("max_sh_degree", f64::from(self.max_sh_degree), 0.0, 3.0)
+        check("max_sh_degree", f64::from(self.max_sh_degree), 0.0, 3.0)?;
+        check("depth_bits", f64::from(self.depth_bits), 16.0, 32.0)
     }
 
     /// The degree actually evaluated for splats of degree `available`.
@@ -177,6 +188,8 @@ mod tests {
             ("alpha_max", Settings { alpha_max: 1.5, ..good.clone() }),
             ("transmittance_stop", Settings { transmittance_stop: -1.0, ..good.clone() }),
             ("max_sh_degree", Settings { max_sh_degree: 4, ..good.clone() }),
+            ("depth_bits", Settings { depth_bits: 15, ..good.clone() }),
+            ("depth_bits", Settings { depth_bits: 33, ..good.clone() }),
         ];
         for (field, settings) in bad {
             let error = settings.validate().unwrap_err();

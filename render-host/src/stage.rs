@@ -6,6 +6,8 @@
 
 pub mod bin;
 pub mod blend;
+mod fade;
+mod half;
 pub mod project;
 pub mod sort;
 

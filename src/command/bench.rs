@@ -23,7 +23,8 @@ pub fn run(args: &Bench, quiet: Quiet) -> Result<Outcome> {
         let names: Vec<&str> = experiment::ALL.iter().map(|e| e.name).collect();
         bail!("there is no bench {name:?}; there are {} and all", names.join(", "));
     }
-    let setup = Setup::new(args.data.clone(), args.quick, quiet);
+    let mut setup = Setup::new(args.data.clone(), args.quick, quiet);
+    setup.out.clone_from(&args.out);
     let mut results = Vec::new();
     for experiment in chosen {
         let bench = (experiment.run)(&setup)?;

@@ -1,5 +1,6 @@
 //! The engine: one scene, one camera, one reference image; many questions.
 
+use super::dimmed::Dimmed;
 use super::scaffold::Shared;
 use super::squares::{Planes, cut};
 use super::states::CHUNK;
@@ -18,6 +19,8 @@ pub struct Engine {
     pub(super) settings: Settings,
     /// Number of groups.
     pub(super) groups: usize,
+    /// What the fast modes are asked about, if not this.
+    pub(super) dimmed: Option<Box<Dimmed>>,
 }
 
 impl Engine {
@@ -36,12 +39,10 @@ impl Engine {
         let mut film = Image::default();
         film.reset(camera.width(), camera.height())?;
         same_size(&film, reference)?;
-        Ok(Self {
-            shared: Shared::new(variants, camera, settings),
-            reference: cut(reference),
-            settings: settings.clone(),
-            groups: variants.count(),
-        })
+        let (shared, reference) = (Shared::new(variants, camera, settings), cut(reference));
+        let (settings, groups) = (settings.clone(), variants.count());
+        let dimmed = Dimmed::new(&shared, &reference, &settings, groups);
+        Ok(Self { shared, reference, settings, groups, dimmed })
     }
 
     /// Squared error of each world, bit for bit that of the world rendered alone.
@@ -68,7 +69,7 @@ impl Engine {
     /// States of another number of groups.
     pub fn fast(&self, states: &States) -> Result<Vec<f64>, CounterfactualError> {
         self.check(states)?;
-        Ok(fast::errors(self, states))
+        Ok(self.ask(|engine| fast::errors(engine, states)))
     }
 
     /// Δ_g(m) of every group g in every context m: leave-one-out of those present and add-one-in of those
@@ -78,7 +79,7 @@ impl Engine {
     /// States of another number of groups.
     pub fn utilities(&self, contexts: &States) -> Result<Utilities, CounterfactualError> {
         self.check(contexts)?;
-        Ok(utilities::utilities(self, contexts))
+        Ok(self.ask(|engine| utilities::utilities(engine, contexts)))
     }
 
     /// What toggling any one and any two of `groups` does around `world`. Arithmetic as in
@@ -88,7 +89,7 @@ impl Engine {
     /// States of another number of groups, no such world, a group out of range or listed twice.
     pub fn pairs(&self, states: &States, world: usize, groups: &[u32]) -> Result<Pairs, CounterfactualError> {
         self.check_world(states, world)?;
-        pairs::around(self, &states.one(world), groups)
+        self.ask(|engine| pairs::around(engine, &states.one(world), groups))
     }
 
     /// Squared error of `world`, then after each group of `order` has been added to it, `order.len() + 1`
@@ -103,7 +104,7 @@ impl Engine {
         order: &[u32],
     ) -> Result<Vec<f64>, CounterfactualError> {
         self.check_world(states, world)?;
-        prefixes::along(self, &states.one(world), order)
+        self.ask(|engine| prefixes::along(engine, &states.one(world), order))
     }
 
     /// Adds to `world`, one by one, the group with the largest fall of squared error per cost, until all
@@ -119,7 +120,7 @@ impl Engine {
         costs: &[f64],
     ) -> Result<Greedy, CounterfactualError> {
         self.check_world(states, world)?;
-        greedy::order(self, &states.one(world), costs)
+        self.ask(|engine| greedy::order(engine, &states.one(world), costs))
     }
 
     /// Bytes that [`Engine::fast`] or [`Engine::strict`] of `worlds` worlds needs, this engine included.
@@ -128,7 +129,8 @@ impl Engine {
         // A sum per tile and world; the set of each world; that set again, transposed in chunks.
         let sums = 8 * worlds * (tiles + 1);
         let sets = 8 * worlds * groups.div_ceil(64) + 16 * groups * worlds.div_ceil(CHUNK);
-        self.shared.bytes() + (tiles * size_of::<Planes>() + sums + sets) as u64
+        let dimmed = self.dimmed.as_ref().map_or(0, |dimmed| dimmed.bytes());
+        self.shared.bytes() + dimmed + (tiles * size_of::<Planes>() + sums + sets) as u64
     }
 
     /// Number of groups.

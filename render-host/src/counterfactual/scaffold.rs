@@ -1,6 +1,7 @@
 //! What all worlds share: projection, depth order, exact tile lists and the groups of each tile.
 
 use super::Variants;
+use super::faded::Faded;
 use crate::stage::{Splat, TILE, bin, project, sort};
 use crate::{Camera, Settings};
 
@@ -14,7 +15,7 @@ pub(super) struct Entry {
 }
 
 /// Tile lists of every variant, nearest first, and the groups met in each.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Shared {
     pub splats: Vec<Splat>,
     /// Width and height, pixels.
@@ -41,11 +42,14 @@ impl Shared {
         let mut out = Self { size, columns, starts: vec![0], set_starts: vec![0], ..Self::default() };
         const NOWHERE: (usize, u32) = (usize::MAX, 0);
         let mut slots = vec![NOWHERE; variants.count()]; // (tile last met in, place there)
+        let mut faded = Faded::default();
         for band in &bands {
-            bin::bin(&projected, &order, band, columns, settings, &mut bins);
+            let classes = (variants.groups(), variants.count());
+            bin::bin_by_class(&projected, &order, band, columns, settings, classes, &mut bins);
             for row in bins.rows() {
                 for list in (0..columns).map(|column| row.tile(column)) {
-                    out.push_tile(list, variants.groups(), &mut slots);
+                    let seen = (&projected.splats[..], &mut faded, settings);
+                    out.push_tile(list, variants.groups(), &mut slots, seen);
                 }
             }
         }
@@ -53,8 +57,16 @@ impl Shared {
         out
     }
 
-    fn push_tile(&mut self, list: &[u32], groups: &[u32], slots: &mut [(usize, u32)]) {
+    fn push_tile(
+        &mut self,
+        list: &[u32],
+        groups: &[u32],
+        slots: &mut [(usize, u32)],
+        (splats, faded, settings): (&[Splat], &mut Faded, &Settings),
+    ) {
         let (tile, first) = (self.starts.len() - 1, self.sets.len());
+        let corner = self.corner(tile);
+        faded.open(list.len(), settings);
         for &splat in list {
             let group = groups[splat as usize];
             let slot = &mut slots[group as usize];
@@ -62,7 +74,9 @@ impl Shared {
                 *slot = (tile, (self.sets.len() - first) as u32);
                 self.sets.push(group);
             }
-            self.entries.push(Entry { splat, local: slot.1 });
+            if faded.shows(&splats[splat as usize], slot.1, corner, settings) {
+                self.entries.push(Entry { splat, local: slot.1 });
+            }
         }
         self.starts.push(self.entries.len());
         self.set_starts.push(self.sets.len());

@@ -8,9 +8,12 @@
 //!
 //! A span is exact: the cut-off ellipse over the pixel centres of one tile row is a convex piece, whose
 //! left and right ends have a closed form (the idea of SnugBox/AccuTile in Speedy-Splat).
+//!
+//! Rows whose lists would be long end each list where its tile is surely finished ([`super::fade`]).
 
 use std::ops::Range;
 
+use super::fade::Fade;
 use super::project::Projected;
 use super::sort::Order;
 use super::{REACH_MARGIN, Splat, TILE};
@@ -21,6 +24,8 @@ use crate::settings::Settings;
 const BAND_ENTRIES: u64 = 1 << 24;
 /// Pixels a band may have at most. One row is always allowed.
 const BAND_PIXELS: usize = 1 << 22;
+/// Entries per tile of a row, on average, from which on tiles that are finished are looked for.
+const LONG: usize = 1024;
 /// Splats in one piece of the depth order.
 const PIECE: usize = 4096;
 
@@ -117,12 +122,50 @@ pub fn bands(projected: &Projected, order: &Order, columns: usize, rows: usize, 
 }
 
 /// Fills `out` with the lists of the tile rows `band` of an image `columns` tiles wide.
+///
+/// A long list may lack splats that are behind a finished tile.
 pub fn bin(
     projected: &Projected,
     order: &Order,
     band: &Range<usize>,
     columns: usize,
     settings: &Settings,
+    out: &mut Bins,
+) {
+    let fade = Fade::of_picture(settings);
+    fill(projected, order, band, columns, settings, &Classes { fade, of: &[], count: 1 }, out);
+}
+
+/// As [`bin`], where `classes` gives each Gaussian one of `count` classes, and any of these may be missing
+/// when the list is blended: a long list may lack splats that are behind a tile their own class finishes.
+pub(crate) fn bin_by_class(
+    projected: &Projected,
+    order: &Order,
+    band: &Range<usize>,
+    columns: usize,
+    settings: &Settings,
+    (classes, count): (&[u32], usize),
+    out: &mut Bins,
+) {
+    let fade = Fade::of_class(settings);
+    fill(projected, order, band, columns, settings, &Classes { fade, of: classes, count }, out);
+}
+
+/// Who finishes a tile for whom.
+struct Classes<'a> {
+    fade: Option<Fade>,
+    /// Class of each Gaussian; empty where all are of class 0.
+    of: &'a [u32],
+    count: usize,
+}
+
+fn fill(
+    projected: &Projected,
+    order: &Order,
+    band: &Range<usize>,
+    columns: usize,
+    settings: &Settings,
+    classes: &Classes,
     out: &mut Bins,
 ) {
     let pieces = order.entries().len().div_ceil(PIECE);
@@ -149,7 +192,15 @@ pub fn bin(
     });
     let Bins { pieces, rows, height } = out;
     parallel::for_each(settings.parallel, &mut rows[..*height], |row, list| {
-        list.gather(pieces, row, columns)
+        let spans = || pieces.iter().flat_map(|p| &p.by_row[p.starts[row]..p.starts[row + 1]]);
+        let entries: usize = spans().map(|span| usize::from(span.past - span.first)).sum();
+        match &classes.fade {
+            Some(fade) if entries > LONG * columns => {
+                let at = (band.start + row) * TILE;
+                list.gather_open(spans(), at, columns, &projected.splats, fade, classes)
+            }
+            _ => list.gather(pieces, row, columns),
+        }
     });
 }
 
@@ -285,6 +336,46 @@ impl Row {
         self.starts.rotate_right(1);
         self.starts[0] = 0;
     }
+
+    /// As [`Row::gather`], without splats behind what finishes a tile. The row's first pixel row is `y`.
+    fn gather_open<'a>(
+        &mut self,
+        spans: impl Iterator<Item = &'a Span>,
+        y: usize,
+        columns: usize,
+        splats: &[Splat],
+        fade: &Fade,
+        classes: &Classes,
+    ) {
+        let mut lists = vec![Vec::new(); columns];
+        // Upper bounds of log₂ transmittance, per column and class.
+        let mut left = vec![0.0f64; columns * classes.count];
+        let mut open = left.len();
+        'spans: for span in spans {
+            let class = classes.of.get(span.splat as usize).map_or(0, |&class| class as usize);
+            for column in usize::from(span.first)..usize::from(span.past) {
+                let left = &mut left[column * classes.count + class];
+                if *left < fade.stop {
+                    continue;
+                }
+                lists[column].push(span.splat);
+                *left += fade.step(&splats[span.splat as usize], [column * TILE, y]);
+                if *left < fade.stop {
+                    open -= 1;
+                    if open == 0 {
+                        break 'spans;
+                    }
+                }
+            }
+        }
+        self.starts.clear();
+        self.entries.clear();
+        for list in lists {
+            self.starts.push(self.entries.len());
+            self.entries.extend_from_slice(&list);
+        }
+        self.starts.push(self.entries.len());
+    }
 }
 
 #[cfg(test)]
@@ -295,16 +386,20 @@ mod tests {
 
     /// Tile lists of a scene of splats whose depth key is their index.
     fn lists(splats: Vec<Splat>, columns: usize, rows: usize, exact: bool) -> Vec<Vec<u32>> {
+        let settings = Settings { exact_tiles: exact, early_stop: false, ..Settings::default() };
+        lists_with(splats, columns, rows, &settings)
+    }
+
+    fn lists_with(splats: Vec<Splat>, columns: usize, rows: usize, settings: &Settings) -> Vec<Vec<u32>> {
         let keys = (0..splats.len() as u32).collect::<Vec<_>>();
         let projected = Projected { splats, keys, ..Projected::default() };
         let (mut order, mut out) = (Order::default(), Bins::default());
         sort::sort(&projected.keys, false, &mut order);
-        let settings = Settings { exact_tiles: exact, ..Settings::default() };
         let mut all = Vec::new();
         let mut parts = Vec::new();
         bands(&projected, &order, columns, rows, &mut parts);
         for band in &parts {
-            bin(&projected, &order, band, columns, &settings, &mut out);
+            bin(&projected, &order, band, columns, settings, &mut out);
             out.rows().iter().for_each(|row| all.extend((0..columns).map(|c| row.tile(c).to_vec())));
         }
         all
@@ -356,6 +451,19 @@ mod tests {
         let expected: Vec<u32> = (0..n as u32).collect();
         assert!(exact.iter().all(|list| *list == expected));
         assert_eq!(exact.len(), 64 * 64);
+    }
+
+    #[test]
+    fn long_lists_end_where_their_tile_is_finished() {
+        let wide = splat([500.0, 500.0], [1e-4, 0.0, 1e-4], 1024);
+        // 2^-0.5 of light is taken by each: eight are below 1e-4.
+        let ended = lists_with(vec![wide; 9000], 64, 64, &Settings::default());
+        assert!(ended.iter().all(|list| *list == (0..8).collect::<Vec<u32>>()), "{:?}", ended[0]);
+        // A row of short lists keeps them whole, and so does one that is covered by halves.
+        let few = lists_with(vec![wide; LONG], 64, 64, &Settings::default());
+        assert!(few.iter().all(|list| list.len() == LONG));
+        let half = Splat { pixels: [0, 16, 8, 16], ..wide };
+        assert_eq!(lists_with(vec![half; 3000], 1, 1, &Settings::default())[0].len(), 3000);
     }
 
     #[test]

@@ -10,7 +10,7 @@
 
 use rayon::prelude::*;
 
-use super::{REACH_MARGIN, Splat};
+use super::{REACH_MARGIN, Splat, half};
 use crate::camera::{cross, dot, rotation_matrix};
 use crate::harmonics;
 use crate::{Camera, Counters, Settings, Splats};
@@ -30,7 +30,8 @@ const CHUNK: usize = 2048;
 pub struct Projected {
     /// Splats; a slot whose key is [`SKIPPED`] holds nothing of use.
     pub splats: Vec<Splat>,
-    /// Bits of the camera-space depth as f32 (positive, so bits sort as depths do), or [`SKIPPED`].
+    /// The first `depth_bits` bits of the camera-space depth as f32 (positive, so bits sort as depths do),
+    /// or [`SKIPPED`].
     pub keys: Vec<u32>,
     pub(super) counts: Vec<Counters>,
 }
@@ -112,6 +113,9 @@ pub(crate) struct Film<'a> {
     alpha_cutoff: f32,
     log2_cutoff: f64,
     pub(crate) degree: u8,
+    /// Low bits that the depth key loses.
+    depth_shift: u32,
+    half_attributes: bool,
 }
 
 /// The Jacobian of the film at one point: pixels per unit, and `x / z`, `y / z` within their limits.
@@ -158,13 +162,16 @@ impl<'a> Film<'a> {
             slope: slope_limits(camera),
             low_pass: settings.low_pass,
             antialiased: settings.antialiased,
-            cull_frustum: settings.cull_frustum,
             cull_sub_pixel: settings.cull_sub_pixel,
             opacity_bounds: settings.opacity_bounds,
             sh_by_need: settings.sh_by_need,
+            // The cheap bound is that of the shape before it is rounded.
+            cull_frustum: settings.cull_frustum && !settings.half_attributes,
             alpha_cutoff: settings.alpha_cutoff,
             log2_cutoff: settings.log2_cutoff(),
             degree,
+            depth_shift: 32 - u32::from(settings.depth_bits.min(32)),
+            half_attributes: settings.half_attributes,
         }
     }
 
@@ -249,12 +256,16 @@ impl<'a> Film<'a> {
                 return Err(Skip::Transparent);
             }
         }
-        let variance = [uu + self.low_pass, vv + self.low_pass];
+        let mut variance = [uu + self.low_pass, vv + self.low_pass];
         let base2 = (0.5 * std::f64::consts::LOG2_E).sqrt();
         let (root_c, root_det) = (variance[1].sqrt(), det.sqrt());
-        let root = [base2 * root_c / root_det, -base2 * uv / (root_c * root_det), base2 / root_c];
+        let mut root = [base2 * root_c / root_det, -base2 * uv / (root_c * root_det), base2 / root_c];
         if !root.iter().all(|v| v.is_finite()) || root[0] <= 0.0 || root[2] <= 0.0 {
             return Err(Skip::Degenerate);
+        }
+        if self.half_attributes {
+            root = half::root(root);
+            variance = half::variance(root);
         }
 
         let reach = self.reach(alpha);
@@ -277,12 +288,15 @@ impl<'a> Film<'a> {
             pixels[2 * axis] = first as u16;
             pixels[2 * axis + 1] = past as u16;
         }
-        let colour = self.colour(g.position, g.sh0, degree, rest);
+        let mut colour = self.colour(g.position, g.sh0, degree, rest);
         if !colour.iter().all(|c| c.is_finite()) {
             return Err(Skip::NonFinite);
         }
+        if self.half_attributes {
+            colour = half::colour(colour);
+        }
         let log2_alpha = alpha.log2() as f32;
-        Ok((Splat { mean, root, colour, log2_alpha, pixels }, (z as f32).to_bits()))
+        Ok((Splat { mean, root, colour, log2_alpha, pixels }, (z as f32).to_bits() >> self.depth_shift))
     }
 
     /// The Jacobian at a point in camera axes.

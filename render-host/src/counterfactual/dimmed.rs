@@ -1,0 +1,116 @@
+//! Scenes so bright that squares of their colours leave f32.
+//!
+//! The fast modes square in f32. Where a colour is above 2⁴⁰ they are asked about the same scene at a power
+//! of two of its brightness as well, and what overflowed is taken from that answer, scaled back in f64: it
+//! is a square of about the brightest, which the dimmed scene holds to the last bit. Any other scene is
+//! asked about once.
+
+use super::scaffold::Shared;
+use super::squares::Planes;
+use super::{Engine, Greedy, Pairs, Utilities};
+use crate::Settings;
+
+/// Brightest colour that is squared in f32 as it is: of its square, f32 holds a tile's sum many times over.
+const BRIGHTEST: f32 = (1u64 << 40) as f32;
+
+/// The engine of the same scene, dimmed.
+#[derive(Debug)]
+pub(super) struct Dimmed {
+    engine: Engine,
+    /// Squares of the scene over squares of the dimmed one.
+    gain: f64,
+}
+
+impl Dimmed {
+    /// The dimmed scene, if this one is too bright.
+    pub(super) fn new(
+        shared: &Shared,
+        reference: &[Planes],
+        settings: &Settings,
+        groups: usize,
+    ) -> Option<Box<Self>> {
+        let colours = shared.splats.iter().flat_map(|splat| splat.colour);
+        let brightest = colours.fold(0.0f32, f32::max);
+        if brightest <= BRIGHTEST {
+            return None;
+        }
+        let factor = f32::powi(0.5, (brightest / BRIGHTEST).log2().ceil() as i32);
+        let mut shared = shared.clone();
+        shared.splats.iter_mut().for_each(|splat| splat.colour = splat.colour.map(|c| c * factor));
+        let mut reference = reference.to_vec();
+        let values = reference.as_flattened_mut().as_flattened_mut().as_flattened_mut();
+        values.iter_mut().for_each(|v| *v *= factor);
+        let settings = Settings { background: settings.background.map(|c| c * factor), ..settings.clone() };
+        let gain = f64::from(factor).powi(-2);
+        Some(Box::new(Self { engine: Engine { shared, reference, settings, groups, dimmed: None }, gain }))
+    }
+
+    /// Bytes held.
+    pub(super) fn bytes(&self) -> u64 {
+        self.engine.shared.bytes() + size_of_val(self.engine.reference.as_slice()) as u64
+    }
+}
+
+/// An answer made of squares.
+pub(super) trait Squared {
+    /// Takes what is not finite from `other`, times `gain`.
+    fn mend(&mut self, other: Self, gain: f64);
+}
+
+impl Squared for f64 {
+    fn mend(&mut self, other: Self, gain: f64) {
+        if !self.is_finite() {
+            *self = other * gain;
+        }
+    }
+}
+
+impl Squared for Vec<f64> {
+    fn mend(&mut self, other: Self, gain: f64) {
+        self.iter_mut().zip(other).for_each(|(value, other)| value.mend(other, gain));
+    }
+}
+
+impl Squared for Utilities {
+    fn mend(&mut self, other: Self, gain: f64) {
+        self.sse.mend(other.sse, gain);
+        self.delta.mend(other.delta, gain);
+    }
+}
+
+impl Squared for Pairs {
+    fn mend(&mut self, other: Self, gain: f64) {
+        self.base.mend(other.base, gain);
+        self.single.mend(other.single, gain);
+        self.interaction.mend(other.interaction, gain);
+    }
+}
+
+impl Squared for Greedy {
+    /// An order is one piece: that of the dimmed scene if any of its squares left f32.
+    fn mend(&mut self, other: Self, gain: f64) {
+        if !self.gains.iter().chain(&self.sse).all(|v| v.is_finite()) {
+            let scaled = |values: Vec<f64>| values.into_iter().map(|v| v * gain).collect();
+            *self = Self { gains: scaled(other.gains), sse: scaled(other.sse), ..other };
+        }
+    }
+}
+
+impl<T: Squared, E> Squared for Result<T, E> {
+    fn mend(&mut self, other: Self, gain: f64) {
+        if let (Ok(answer), Ok(other)) = (self, other) {
+            answer.mend(other, gain);
+        }
+    }
+}
+
+impl Engine {
+    /// Asks a fast mode, and the dimmed scene, if there is one, about what overflows.
+    pub(super) fn ask<T: Squared>(&self, mode: impl Fn(&Self) -> T) -> T {
+        let mut answer = mode(self);
+        if let Some(dimmed) = &self.dimmed {
+            answer.mend(mode(&dimmed.engine), dimmed.gain);
+        }
+        answer
+    }
+}

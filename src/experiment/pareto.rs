@@ -1,0 +1,359 @@
+//! Accuracy against time: every tolerance, precision and skip alone, a few together, and every backend,
+//! each against the f64 reference at exact settings (nothing cut, nothing stopped).
+//!
+//! `--out DIR` writes `pareto.csv`, `pareto-states.csv` and a drawing per scene, size and error.
+
+mod candidates;
+mod states;
+
+use std::{fmt::Write as _, time::Instant};
+
+use anyhow::Result;
+use codec_core::{Gaussian, gaussian::ShDegree};
+use render_host::{Camera, Image, Rendered, Renderer, Settings, Splats, metric, reference};
+use trainer_host::{
+    Scene,
+    viewpoint::{Framing, Ring},
+};
+
+use super::{Setup, load, synth};
+use crate::figures::{Bench, Figure, median, number};
+use crate::report::scatter::{Point, Scatter, front};
+use candidates::{Candidate, KNOBS, candidates};
+
+/// Largest error of a channel that a default may add: half a step of an 8-bit display.
+const BUDGET: f64 = 0.5 / 255.0;
+
+/// Something that makes pictures; another one is another line of [`backends`].
+trait Backend {
+    /// Name in tables.
+    fn name(&self) -> &'static str;
+
+    /// Makes the picture, and keeps it.
+    fn render(&mut self, splats: &Splats, camera: &Camera, settings: &Settings) -> Result<()>;
+
+    /// The last picture.
+    fn image(&self) -> &Image;
+}
+
+#[derive(Default)]
+struct Cpu {
+    renderer: Renderer,
+    rendered: Rendered,
+}
+
+impl Backend for Cpu {
+    fn name(&self) -> &'static str {
+        "cpu"
+    }
+
+    fn render(&mut self, splats: &Splats, camera: &Camera, settings: &Settings) -> Result<()> {
+        Ok(self.renderer.render_into(splats, camera, settings, &mut self.rendered)?)
+    }
+
+    fn image(&self) -> &Image {
+        &self.rendered.image
+    }
+}
+
+/// All backends of this machine.
+fn backends() -> Vec<Box<dyn Backend>> {
+    vec![Box::<Cpu>::default()]
+}
+
+/// A scene to look at.
+struct View {
+    name: String,
+    gaussians: Vec<Gaussian>,
+    rest: Vec<f32>,
+    degree: ShDegree,
+    camera: Camera,
+}
+
+impl View {
+    fn splats(&self) -> Result<Splats<'_>> {
+        Ok(Splats::new(&self.gaussians, &self.rest, self.degree)?)
+    }
+
+    fn of(name: String, scene: &Scene, side: u32) -> Result<Self> {
+        let instant = scene.instant(scene.frames() / 2).unwrap_or_default();
+        let camera = Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (side, side))?.swap_remove(0);
+        let (gaussians, rest, degree) = (instant.gaussians, instant.sh_rest, instant.sh_degree);
+        Ok(Self { name, gaussians, rest, degree, camera })
+    }
+}
+
+/// What a candidate costs and how far off it is.
+struct Row {
+    name: String,
+    backend: &'static str,
+    knob: usize,
+    time_ms: f64,
+    max: f64,
+    mean: f64,
+    psnr_db: f64,
+    flip: f64,
+    /// On the front of time and largest error; of time and mean error.
+    front: [bool; 2],
+}
+
+/// Runs the bench.
+pub fn run(setup: &Setup) -> Result<Bench> {
+    let runs = if setup.quick { 3 } else { 7 };
+    let sides: &[u32] = if setup.quick { &[128] } else { &[400, 800] };
+    let mut bench = Bench::new(
+        "pareto",
+        format!(
+            "one held-out view per scene at {sides:?} squared, black background; ms per frame: medians of {runs} interleaved runs after one that is dropped, \
+             order rotated; errors per channel, data range 1, against the f64 reference without early stop and cut only at 1e-12; FLIP at 67 pixels per degree; \
+             states: 32 states of 32 groups, relative error of sums of squares against the same reference"
+        ),
+    );
+    let mut csv = String::from(
+        "scene,side,backend,knob,candidate,ms,max_abs,mean_abs,psnr_db,flip,front_max,front_mean\n",
+    );
+    let mut states_csv = String::from("scene,side,candidate,ms_per_state,relative_sse_error,front\n");
+    for &side in sides {
+        for view in views(setup, side, &mut bench)? {
+            let rows = measure(&view, runs)?;
+            let key = format!("{}.{side}", view.name);
+            let text = table(&key, &rows);
+            if !setup.quiet.0 {
+                println!("{text}");
+            }
+            for row in &rows {
+                let Row { name, backend, knob, time_ms, max, mean, psnr_db, flip, front } = row;
+                let _ = writeln!(
+                    csv,
+                    "{},{side},{backend},{},{name},{time_ms:.4},{max:.4e},{mean:.4e},{psnr_db:.2},{flip:.4e},{},{}",
+                    view.name, KNOBS[*knob], front[0], front[1]
+                );
+            }
+            draw(setup, &view.name, side, &rows)?;
+            push(&mut bench, &key, &rows, runs);
+            if side == sides[0] {
+                states::run(setup, &view, side, runs, &mut bench, &mut states_csv)?;
+            }
+        }
+    }
+    setup.write("pareto.csv", &csv)?;
+    setup.write("pareto-states.csv", &states_csv)?;
+    Ok(bench)
+}
+
+fn views(setup: &Setup, side: u32, bench: &mut Bench) -> Result<Vec<View>> {
+    let (n, m) = if setup.quick { (4000, 2000) } else { (100_000, 20_000) };
+    let mut out = vec![random(n, side)?, View::of(format!("synth-cloth-{m}"), &synth("cloth", m, 2)?, side)?];
+    let mut skipped = Vec::new();
+    if let Some(path) = setup.data("scenes/gltf-fox/Fox.glb", bench)? {
+        out.push(View::of(format!("fox-{m}"), &load(&path, m)?, side)?);
+    }
+    if !setup.quick
+        && let Some(path) = setup.data("scenes/splat-biker/biker.spz", bench)?
+    {
+        out.push(View::of("biker-152746".into(), &load(&path, 0)?, side)?);
+    }
+    bench.skipped.append(&mut skipped);
+    bench.skipped.dedup();
+    Ok(out)
+}
+
+/// `n` Gaussians in [-1, 1]³ with harmonics of degree 3, seen from 3.2 away with a focal length of 0.9 of the
+/// width: the random scene of the renderer's goals.
+fn random(n: usize, side: u32) -> Result<View> {
+    let mut state = 7u64;
+    let mut unit = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f32 / (1u64 << 24) as f32
+    };
+    let mut between = |low: f32, high: f32| low + (high - low) * unit();
+    let degree = ShDegree::MAX;
+    let (low, high) = (0.004f32.ln(), 0.02f32.ln());
+    let gaussians = (0..n)
+        .map(|_| Gaussian {
+            position: [0; 3].map(|_| between(-1.0, 1.0)),
+            scale: [0; 3].map(|_| between(low, high).exp()),
+            rotation: [0; 4].map(|_| between(-1.0, 1.0)),
+            opacity: between(0.02, 1.0),
+            sh0: [0; 3].map(|_| between(-1.7, 1.7)),
+        })
+        .collect();
+    let rest = (0..n * degree.rest_len()).map(|_| between(-0.1, 0.1)).collect();
+    let fov_y = 2.0 * (0.5f64 / 0.9).atan();
+    let camera = Camera::look_at([1.9, -2.1, 1.45], [0.0; 3], [0.0, 0.0, 1.0], fov_y, side, side)?;
+    Ok(View { name: format!("random-{n}"), gaussians, rest, degree, camera })
+}
+
+/// What judges: the picture without cut and stop.
+fn exact() -> Settings {
+    // Beyond 1e-12, a hundred thousand splats add less than 1e-7.
+    Settings { alpha_cutoff: 1e-12, ..Settings::exact() }
+}
+
+fn measure(view: &View, runs: usize) -> Result<Vec<Row>> {
+    let splats = view.splats()?;
+    let truth = reference::render(&splats, &view.camera, &exact())?;
+    let (width, height) = (view.camera.width(), view.camera.height());
+    let wanted = Image::new(width, height, truth.rgb.iter().map(|&v| v as f32).collect())?;
+    let mut backends = backends();
+    let all = candidates(view.degree.get());
+    let jobs: Vec<(usize, &Candidate)> = backends
+        .iter()
+        .enumerate()
+        .flat_map(|(b, _)| all.iter().filter(move |c| b == 0 || c.everywhere).map(move |c| (b, c)))
+        .collect();
+    let mut times = vec![Vec::new(); jobs.len()];
+    let mut rows = Vec::new();
+    for run in 0..=runs {
+        for k in 0..jobs.len() {
+            // Another neighbour each time.
+            let at = (k * 7 + run * 5) % jobs.len();
+            let at = if jobs.len() % 7 == 0 { (k + run * 5) % jobs.len() } else { at };
+            let (backend, candidate) = jobs[at];
+            let backend = &mut backends[backend];
+            let start = Instant::now();
+            backend.render(&splats, &view.camera, &candidate.settings)?;
+            if run > 0 {
+                times[at].push(1000.0 * start.elapsed().as_secs_f64());
+            }
+        }
+    }
+    for ((b, candidate), times) in jobs.iter().zip(&times) {
+        let backend = &mut backends[*b];
+        backend.render(&splats, &view.camera, &candidate.settings)?;
+        let image = backend.image();
+        let errors = image.rgb().iter().zip(&truth.rgb).map(|(a, e)| (f64::from(*a) - e).abs());
+        let (sum, max) =
+            errors.fold((0.0, 0.0f64), |(s, m), e| (s + e, if e.total_cmp(&m).is_gt() { e } else { m }));
+        rows.push(Row {
+            name: candidate.name.clone(),
+            backend: backend.name(),
+            knob: candidate.knob,
+            time_ms: median(times),
+            max,
+            mean: sum / truth.rgb.len() as f64,
+            psnr_db: truth.difference(image.rgb()).map_or(f64::NAN, |d| d.psnr_db),
+            flip: metric::flip(image, &wanted, metric::flip::PIXELS_PER_DEGREE)?.mean,
+            front: [false; 2],
+        });
+    }
+    for (which, error) in [|r: &Row| r.max, |r: &Row| r.mean].into_iter().enumerate() {
+        let on = front(&rows.iter().map(|r| (r.time_ms, error(r))).collect::<Vec<_>>());
+        rows.iter_mut().zip(on).for_each(|(row, on)| row.front[which] = on);
+    }
+    Ok(rows)
+}
+
+fn table(key: &str, rows: &[Row]) -> String {
+    let mut out = format!(
+        "{key}\n  {:24}{:8}{:>10}{:>11}{:>11}{:>8}{:>11}  front (max, mean)\n",
+        "candidate", "backend", "ms", "max abs", "mean abs", "PSNR", "FLIP"
+    );
+    for r in rows {
+        let mark = |on: bool, text: &'static str| if on { text } else { "" };
+        let _ = writeln!(
+            out,
+            "  {:24}{:8}{:>10}{:>11.2e}{:>11.2e}{:>8.1}{:>11.2e}  {} {}",
+            r.name,
+            r.backend,
+            number(r.time_ms),
+            r.max,
+            r.mean,
+            r.psnr_db,
+            r.flip,
+            mark(r.front[0], "max"),
+            mark(r.front[1], "mean")
+        );
+    }
+    for (knob, name) in KNOBS.iter().enumerate() {
+        if let Some((fastest, default)) = justified(rows, knob) {
+            let _ = writeln!(
+                out,
+                "  {name}: within half an 8-bit step ({BUDGET:.1e}) the fastest is {} ({} ms, {:.1e}); the default, {} ms, {:.1e}",
+                fastest.name,
+                number(fastest.time_ms),
+                fastest.max,
+                number(default.time_ms),
+                default.max
+            );
+        }
+    }
+    out
+}
+
+/// Of the values of `knob`, the default's included, the fastest within the budget; and the default.
+fn justified(rows: &[Row], knob: usize) -> Option<(&Row, &Row)> {
+    let default = rows.iter().find(|r| r.knob == candidates::DEFAULT)?;
+    let of_knob = |r: &&Row| r.knob == knob && r.backend == default.backend;
+    if knob == candidates::DEFAULT || !rows.iter().any(|r| of_knob(&r)) {
+        return None;
+    }
+    let within = rows.iter().filter(of_knob).chain([default]).filter(|r| r.max <= BUDGET);
+    let fastest = within.min_by(|a, b| a.time_ms.total_cmp(&b.time_ms))?;
+    Some((fastest, default))
+}
+
+fn push(bench: &mut Bench, key: &str, rows: &[Row], runs: usize) {
+    let default = rows.iter().find(|r| r.knob == candidates::DEFAULT).map_or(f64::NAN, |r| r.time_ms);
+    for r in rows {
+        let key = format!("{key}.{}.{}", r.backend, r.name.replace([' ', '/'], "-"));
+        let figure =
+            Figure::new(format!("{key}.ms"), r.time_ms, "ms").error(r.max, "max abs against exact f64");
+        bench.push(figure.peer("default", default, true).runs(runs));
+        bench.push(Figure::new(format!("{key}.mean_abs"), r.mean, ""));
+        bench.push(Figure::new(format!("{key}.psnr"), r.psnr_db, "dB"));
+        bench.push(Figure::new(format!("{key}.flip"), r.flip, ""));
+        bench.push(Figure::new(format!("{key}.on_front"), f64::from(u8::from(r.front[0])), ""));
+    }
+}
+
+fn draw(setup: &Setup, scene: &str, side: u32, rows: &[Row]) -> Result<()> {
+    for (label, short, error) in [
+        ("largest absolute error of a channel", "max", (|r: &Row| r.max) as fn(&Row) -> f64),
+        ("mean absolute error of a channel", "mean", |r| r.mean),
+        ("mean FLIP", "flip", |r| r.flip),
+    ] {
+        let several = rows.iter().any(|r| r.backend != rows[0].backend);
+        let name = |r: &Row| if several { format!("{}: {}", r.backend, r.name) } else { r.name.clone() };
+        let point = |r: &Row| Point { name: name(r), group: r.knob, x: r.time_ms, y: error(r) };
+        let plot = Scatter {
+            title: &format!("{scene} at {side} × {side}: time against error"),
+            subtitle: "Each knob alone from the defaults, and presets; against the f64 reference without cut and stop. Smaller is better in both.",
+            x_label: "time per frame, ms",
+            y_label: label,
+            groups: &KNOBS,
+            points: rows.iter().map(point).collect(),
+        };
+        setup.write(&format!("pareto-{scene}-{side}-{short}.svg"), &plot.svg())?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row(knob: usize, time_ms: f64, max: f64) -> Row {
+        let (name, backend) = (format!("{knob}-{time_ms}"), "cpu");
+        Row { name, backend, knob, time_ms, max, mean: 0.0, psnr_db: 0.0, flip: 0.0, front: [false; 2] }
+    }
+
+    #[test]
+    fn the_fastest_within_the_budget_is_named() {
+        let rows = [row(0, 5.0, 1e-4), row(1, 4.0, 1e-2), row(1, 4.5, 1e-3), row(2, 6.0, 0.0)];
+        let fastest = |knob| justified(&rows, knob).map(|(f, _)| f.time_ms);
+        assert_eq!((fastest(1), fastest(2), fastest(0), fastest(3)), (Some(4.5), Some(5.0), None, None));
+    }
+
+    #[test]
+    fn the_random_scene_is_measured_against_another_picture_than_its_own() {
+        let view = random(300, 48).unwrap();
+        let rows = measure(&view, 1).unwrap();
+        let of = |name: &str| rows.iter().find(|r| r.name == name).unwrap();
+        assert!(of("exact").max < 1e-5, "{}", of("exact").max);
+        assert!(of("default").max > of("exact").max && of("default").max < 0.05);
+        assert!(of("cut 1/64").mean > 2.0 * of("default").mean);
+        assert!(of("degree 0").max > 0.01, "{}", of("degree 0").max);
+        assert!(rows.iter().any(|r| r.front[0]) && rows.iter().any(|r| r.front[1]));
+    }
+}
