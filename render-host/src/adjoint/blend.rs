@@ -16,7 +16,7 @@ use super::term::{Term, dropped, keep};
 use crate::parallel;
 use crate::settings::Settings;
 use crate::stage::bin::Bins;
-use crate::stage::blend::{LANE, LOOK_EVERY, Lanes, Local, Rules, is_open, offset};
+use crate::stage::blend::{LANE, LOOK_EVERY, Lanes, Local, Rules, fetch, is_open, offset};
 use crate::stage::{Splat, TILE};
 
 /// Numbers per splat: centre (2), root (3), log₂ alpha, colour (3).
@@ -74,6 +74,8 @@ struct Scratch {
     behind: Rows,
     /// Pixel gradients, r g b.
     gradient: [Rows; 3],
+    /// Splats of the segment.
+    near: Vec<Splat>,
     /// Rows visited in the segment, splat by splat.
     visits: Vec<Visit>,
     records: Vec<Record>,
@@ -90,6 +92,7 @@ impl Default for Scratch {
             now: rows.clone(),
             behind: rows.clone(),
             gradient: [rows.clone(), rows.clone(), rows],
+            near: Vec::new(),
             visits: Vec::new(),
             records: Vec::new(),
             starts: Vec::new(),
@@ -200,12 +203,12 @@ impl pulp::WithSimd for Backward<'_> {
                 scratch.walk(splats, segment, corner, &rules, u16::MAX);
             }
             let partials = &mut found.partials[start..start + segment.len()];
-            for (i, (&index, partial)) in segment.iter().zip(partials).enumerate().rev() {
+            for (i, partial) in partials.iter_mut().enumerate().rev() {
                 let visits = scratch.starts[i]..scratch.starts[i + 1];
                 if !visits.is_empty() {
-                    let splat = &splats[index as usize];
-                    let sums = scratch.sweep(simd, visits, splat, rules.max);
-                    *partial = chain(&sums, splat, corner);
+                    let splat = scratch.near[i];
+                    let sums = scratch.sweep(simd, visits, &splat, rules.max);
+                    *partial = chain(sums, &splat, corner);
                 }
             }
         }
@@ -235,7 +238,9 @@ impl Scratch {
         self.visits.clear();
         self.starts.clear();
         let room = Record { alpha: [0.0; TILE], transmittance: [0.0; TILE] };
-        for (k, &index) in list.iter().enumerate() {
+        self.near.resize(SEGMENT, Splat::NONE);
+        fetch(splats, list, &mut self.near);
+        for (k, splat) in self.near[..list.len()].iter().enumerate() {
             self.starts.push(self.visits.len());
             if k % LOOK_EVERY == 0 && k > 0 && rules.stop > 0.0 {
                 open = open_rows(&self.now, rules.stop);
@@ -243,7 +248,6 @@ impl Scratch {
             if open == 0 {
                 continue;
             }
-            let splat = &splats[index as usize];
             let local = Local::new(splat, corner, rules);
             let most = self.visits.len() + TILE;
             if self.records.len() < most {
@@ -373,16 +377,36 @@ fn total(row: &Lanes) -> f32 {
     sum[0]
 }
 
+/// Sums of all rows, each in the tree of [`total`], side by side.
+#[inline(always)]
+fn totals(rows: &[Lanes; SUMS]) -> [f32; SUMS] {
+    let mut turned = [[0.0; SUMS]; TILE / 2];
+    for (k, row) in rows.iter().enumerate() {
+        for i in 0..TILE / 2 {
+            turned[i][k] = row[i] + row[i + TILE / 2];
+        }
+    }
+    for half in [4, 2, 1] {
+        for i in 0..half {
+            for k in 0..SUMS {
+                turned[i][k] += turned[i + half][k];
+            }
+        }
+    }
+    turned[0]
+}
+
 /// From sums over the tile, about its first pixel, to the ellipse.
 #[inline(always)]
-fn chain(sums: &[Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
+fn chain(sums: [Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
     // exponent = log2_alpha - u² - v², alpha = 2^exponent.
     let slope = -2.0 * std::f64::consts::LN_2;
-    let along = std::array::from_fn(|i| sums[1][i] * LANE[i]);
-    let value = |row: &Lanes| f64::from(total(row));
-    let (du, dv) = (slope * value(&sums[1]), slope * value(&sums[3]));
-    let (du_along, du_down) = (slope * value(&along), slope * value(&sums[2]));
-    let dv_down = slope * value(&sums[4]);
+    let mut along = sums[1];
+    (0..TILE).for_each(|i| along[i] *= LANE[i]);
+    let [h, hq, hq_down, hv, hv_down, red, green, blue] = totals(&sums).map(f64::from);
+    let (du, dv) = (slope * hq, slope * hv);
+    let (du_along, du_down) = (slope * f64::from(total(&along)), slope * hq_down);
+    let dv_down = slope * hv_down;
     let [dx, dy] = offset(splat, corner);
     let [xx, xy, yy] = splat.root;
     [
@@ -391,10 +415,10 @@ fn chain(sums: &[Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
         du * dx + keep(Term::Along, du_along),
         du * dy + keep(Term::Shear, du_down),
         dv * dy + keep(Term::Down, dv_down),
-        std::f64::consts::LN_2 * value(&sums[0]),
-        value(&sums[5]),
-        value(&sums[6]),
-        value(&sums[7]),
+        std::f64::consts::LN_2 * h,
+        red,
+        green,
+        blue,
     ]
     .map(|v| v as f32)
 }
@@ -428,6 +452,13 @@ mod tests {
         scratch: &'a mut Scratch,
     ) -> Backward<'a> {
         Backward { splats, list, corner: [0, 0], size: [16, 16], settings, image, found, scratch }
+    }
+
+    #[test]
+    fn totals_are_the_sums_of_each_row() {
+        let rows: [Lanes; SUMS] = std::array::from_fn(|k| LANE.map(|i| (0.1 + i).powi(k as i32 - 3)));
+        let bits = |v: [f32; SUMS]| v.map(f32::to_bits);
+        assert_eq!(bits(totals(&rows)), bits(rows.map(|row| total(&row))));
     }
 
     #[test]

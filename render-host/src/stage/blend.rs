@@ -141,14 +141,18 @@ impl pulp::NullaryFnOnce for Blend<'_> {
         *tile = Tile::EMPTY;
         let rules = Rules::new(settings);
         let mut open = u16::MAX;
-        for (k, &index) in list.iter().enumerate() {
-            if k % LOOK_EVERY == 0 && k > 0 && rules.stop > 0.0 {
-                open = open_rows(&tile.rows, rules.stop);
-                if open == 0 {
-                    break;
+        let mut near = [Splat::NONE; LOOK_EVERY];
+        for k in 0..list.len() {
+            if k % LOOK_EVERY == 0 {
+                if k > 0 && rules.stop > 0.0 {
+                    open = open_rows(&tile.rows, rules.stop);
+                    if open == 0 {
+                        break;
+                    }
                 }
+                fetch(splats, &list[k..], &mut near);
             }
-            let splat = &splats[index as usize];
+            let splat = &near[k % LOOK_EVERY];
             let local = Local::new(splat, corner, &rules);
             for y in local.first..local.past {
                 if let Some((u, v)) = local.row(y)
@@ -164,6 +168,15 @@ impl pulp::NullaryFnOnce for Blend<'_> {
             let finished = |row: &[Lanes; 4]| row[3][..w].iter().filter(|&&t| t < rules.stop).count();
             tile.stopped = tile.rows[..h].iter().map(finished).sum::<usize>() as u32;
         }
+    }
+}
+
+/// Copies the next splats of a list. Together, because they lie far apart in memory: the processor
+/// waits for all of them at once instead of for one after the other.
+#[inline(always)]
+pub(crate) fn fetch(splats: &[Splat], list: &[u32], near: &mut [Splat]) {
+    for (near, &index) in near.iter_mut().zip(list) {
+        *near = splats[index as usize];
     }
 }
 

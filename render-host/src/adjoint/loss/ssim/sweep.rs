@@ -222,34 +222,45 @@ impl Strip<'_> {
     fn gradient(&self, rows: &[&[Pack]; WINDOW], row: usize, out: &mut [f32]) -> f64 {
         let (x, y) = self.pixels(row);
         let packs = rows[0].len() / KINDS;
-        let [of_mse, of_structure] = self.scale;
         let mut sums = [0.0f64; MARGIN];
-        let mut write = |at: usize, x: &Pack, y: &Pack, out: &mut Pack| {
-            let by_e = down(rows, at, self.down);
-            let by_ee = down(rows, packs + at, self.down);
-            let by_ye = down(rows, 2 * packs + at, self.down);
-            for i in 0..MARGIN {
-                let e = difference(x[i], y[i]);
-                let structure = by_e[i] + 2.0 * e * by_ee[i] + (y[i] - 0.5) * by_ye[i];
-                out[i] = of_mse * (x[i] - y[i]) + of_structure * structure;
-                let d = f64::from(x[i]) - f64::from(y[i]);
-                sums[i] += d * d;
-            }
-        };
         let (x_packs, x_rest) = x.as_chunks::<MARGIN>();
         let (y_packs, y_rest) = y.as_chunks::<MARGIN>();
         let (out_packs, out_rest) = out.as_chunks_mut::<MARGIN>();
         for (at, ((x, y), out)) in x_packs.iter().zip(y_packs).zip(out_packs).enumerate() {
-            write(at, x, y, out);
+            self.pack(rows, at, [x, y], out, &mut sums);
         }
         if !x_rest.is_empty() {
             let [mut x, mut y, mut out] = [[0.0; MARGIN]; 3];
             x[..x_rest.len()].copy_from_slice(x_rest);
             y[..x_rest.len()].copy_from_slice(y_rest);
-            write(packs - 1, &x, &y, &mut out);
+            self.pack(rows, packs - 1, [&x, &y], &mut out, &mut sums);
             out_rest.copy_from_slice(&out[..x_rest.len()]);
         }
         total(sums)
+    }
+
+    /// Gradient of one pack of a row; adds its squared errors to `sums`.
+    #[inline(always)]
+    fn pack(
+        &self,
+        rows: &[&[Pack]; WINDOW],
+        at: usize,
+        [x, y]: [&Pack; 2],
+        out: &mut Pack,
+        sums: &mut [f64; MARGIN],
+    ) {
+        let packs = rows[0].len() / KINDS;
+        let [of_mse, of_structure] = self.scale;
+        let by_e = down(rows, at, self.down);
+        let by_ee = down(rows, packs + at, self.down);
+        let by_ye = down(rows, 2 * packs + at, self.down);
+        for i in 0..MARGIN {
+            let e = difference(x[i], y[i]);
+            let structure = by_e[i] + 2.0 * e * by_ee[i] + (y[i] - 0.5) * by_ye[i];
+            out[i] = of_mse * (x[i] - y[i]) + of_structure * structure;
+            let d = f64::from(x[i]) - f64::from(y[i]);
+            sums[i] += d * d;
+        }
     }
 }
 
