@@ -28,6 +28,7 @@ mod harmonics;
 pub mod loss;
 mod project;
 mod term;
+pub(crate) mod trace;
 
 pub use check::{Check, ClassError, check};
 pub use loss::Loss;
