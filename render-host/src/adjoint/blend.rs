@@ -21,6 +21,11 @@ use crate::stage::{Splat, TILE};
 pub(super) const PARTS: usize = 9;
 /// Gradient of one ellipse, summed over tiles.
 pub(super) type Ellipse = [f64; PARTS];
+/// The part of log₂ alpha.
+pub(super) fn log2_alpha(ellipse: &Ellipse) -> f64 {
+    ellipse[5]
+}
+
 /// Gradient of one ellipse from one tile.
 type Partial = [f32; PARTS];
 
