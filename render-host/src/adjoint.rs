@@ -28,6 +28,7 @@ mod harmonics;
 pub mod loss;
 mod project;
 mod term;
+pub(crate) mod trace;
 
 pub use check::{Check, ClassError, check};
 pub use loss::Loss;
@@ -45,6 +46,22 @@ pub enum AdjointError {
     /// The loss does not fit the picture.
     #[error("loss: {0}")]
     Loss(#[from] ImageError),
+    /// Another number of group ids than of Gaussians.
+    #[error("groups: found {found} ids for {needed} Gaussians")]
+    Ids {
+        /// Ids found.
+        found: usize,
+        /// Gaussians of the last picture, hence ids needed.
+        needed: usize,
+    },
+    /// A group id out of range.
+    #[error("group {group}; ids below {count} are allowed")]
+    Group {
+        /// The id.
+        group: u32,
+        /// Number of groups.
+        count: usize,
+    },
 }
 
 /// What a Gaussian's parameters add to the loss, per unit of each.
@@ -108,6 +125,29 @@ impl Workspace {
     /// A workspace with empty buffers.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// Of the last call: how the loss changes with a factor at 1 before every alpha of a group, `count`
+    /// numbers, where Gaussian `i` is in group `groups[i]`. So `-presence` is what the group is worth to
+    /// first order, for any loss. Alpha at its clamp counts as 0.
+    ///
+    /// A poor estimate where a group hides what is behind it (the derivative of an opaque surface is 0):
+    /// [`crate::counterfactual::Engine::first_order`] is better for squared errors.
+    ///
+    /// # Errors
+    /// Another number of ids than Gaussians of the last call, or an id that is not below `count`.
+    pub fn presence(&self, groups: &[u32], count: usize) -> Result<Vec<f64>, AdjointError> {
+        let (found, needed) = (groups.len(), self.ellipses.len());
+        if found != needed {
+            return Err(AdjointError::Ids { found, needed });
+        }
+        let mut out = vec![0.0; count];
+        for (&group, ellipse) in groups.iter().zip(&self.ellipses) {
+            let sum = out.get_mut(group as usize).ok_or(AdjointError::Group { group, count })?;
+            // dL / d log₂ alpha = ln 2 · alpha · dL / d alpha
+            *sum += blend::log2_alpha(ellipse) / std::f64::consts::LN_2;
+        }
+        Ok(out)
     }
 }
 

@@ -328,3 +328,35 @@ fn what_is_refused_is_named() {
     let error = Engine::new(&variants(&case), &case.camera, &small, &Settings::default()).unwrap_err();
     refused(error, "20 x 20 and 10 x 20");
 }
+
+/// Groups far apart on the film meet a pixel in one run each: the estimate is exact there. Otherwise it is
+/// one, and ranks.
+#[test]
+fn first_order_utilities_are_exact_for_single_runs() {
+    let mut case = Case::new(900, 1, 9, (90, 60), 4);
+    let (settings, states) = (no_stop(), random(9, 3, 8));
+    // One group per slab of depth: whatever a pixel sees of a group is consecutive.
+    let depth = |p: [f32; 3]| case.camera.to_camera(p)[2];
+    let nearest = case.scene.gaussians.iter().map(|g| depth(g.position)).fold(f64::INFINITY, f64::min);
+    let slab = |p: [f32; 3]| (((depth(p) - nearest) * 2.5) as u32).min(8);
+    case.groups = case.scene.gaussians.iter().map(|g| slab(g.position)).collect();
+    let engine = case.engine(&settings);
+    let (exact, got) = (engine.utilities(&states).unwrap(), engine.first_order(&states).unwrap());
+    let largest = exact.delta.iter().fold(0.0f64, |m, d| m.max(d.abs()));
+    assert!(largest > 1.0);
+    assert!(worst(&got.delta, &exact.delta, |_| largest) < 1e-5);
+    assert!(worst(&got.sse, &exact.sse, |i| exact.sse[i]) < 2e-6);
+
+    // Cells of space interleave.
+    let case = Case::new(900, 1, 9, (90, 60), 4);
+    let engine = case.engine(&settings);
+    let (exact, got) = (engine.utilities(&states).unwrap(), engine.first_order(&states).unwrap());
+    let largest = exact.delta.iter().fold(0.0f64, |m, d| m.max(d.abs()));
+    let off = worst(&got.delta, &exact.delta, |_| largest);
+    println!("interleaved: {off}");
+    assert!(off > 1e-4 && off < 0.3, "{off}");
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+    let other = pool.install(|| engine.first_order(&states).unwrap());
+    assert_eq!(bits(&other.delta), bits(&got.delta));
+    assert!(engine.first_order(&States::full(3)).is_err());
+}

@@ -3,9 +3,6 @@
 //! With `behind` the colour behind a splat, a pixel is `… + T·(a·c + (1 - a)·behind)`. So for a pixel
 //! gradient `g`: `dL/dc = T·a·g`, `dL/da = T·(g·c - g·behind)`, and one number per pixel, `g·behind`, is
 //! carried from back to front. Nothing is divided.
-//!
-//! A tile's list is walked in segments of bounded length. Transmittances at the start of each are kept,
-//! so a list of a million needs the memory of one segment.
 
 use std::ops::Range;
 use std::sync::Mutex;
@@ -13,21 +10,25 @@ use std::sync::Mutex;
 use pulp::Simd;
 
 use super::term::{Term, dropped, keep};
+use super::trace::{Rows, SEGMENT, Trace};
 use crate::parallel;
 use crate::settings::Settings;
 use crate::stage::bin::Bins;
-use crate::stage::blend::{LANE, LOOK_EVERY, Lanes, Local, Rules, is_open, offset};
+use crate::stage::blend::{LANE, Lanes, Rules, offset};
 use crate::stage::{Splat, TILE};
 
 /// Numbers per splat: centre (2), root (3), log₂ alpha, colour (3).
 pub(super) const PARTS: usize = 9;
 /// Gradient of one ellipse, summed over tiles.
 pub(super) type Ellipse = [f64; PARTS];
+/// The part of log₂ alpha.
+pub(super) fn log2_alpha(ellipse: &Ellipse) -> f64 {
+    ellipse[5]
+}
+
 /// Gradient of one ellipse from one tile.
 type Partial = [f32; PARTS];
 
-/// Splats between two kept transmittances. A multiple of [`LOOK_EVERY`].
-const SEGMENT: usize = 512;
 /// Sums over the pixels of a tile: h, h·q, h·q·y, h·v, h·v·y and three colours, where h = dL/d(exponent).
 const SUMS: usize = 8;
 
@@ -46,56 +47,13 @@ struct Found {
     background: [f32; 3],
 }
 
-/// What a splat did to a row of pixels.
-#[derive(Clone, Debug)]
-#[repr(align(64))]
-struct Record {
-    alpha: Lanes,
-    /// Before the splat.
-    transmittance: Lanes,
-}
-
-#[derive(Clone, Copy, Debug, Default)]
-struct Visit {
-    u: f32,
-    v: f32,
-    y: u32,
-}
-
-#[derive(Clone, Debug)]
-#[repr(align(64))]
-struct Rows([Lanes; TILE]);
-
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct Scratch {
-    /// Transmittance now.
-    now: Rows,
+    trace: Trace,
     /// Pixel gradient times the colour behind.
     behind: Rows,
     /// Pixel gradients, r g b.
     gradient: [Rows; 3],
-    /// Rows visited in the segment, splat by splat.
-    visits: Vec<Visit>,
-    records: Vec<Record>,
-    /// Number of visits before each splat of the segment.
-    starts: Vec<usize>,
-    /// Transmittance at the start of each segment.
-    marks: Vec<Rows>,
-}
-
-impl Default for Scratch {
-    fn default() -> Self {
-        let rows = Rows([[0.0; TILE]; TILE]);
-        Self {
-            now: rows.clone(),
-            behind: rows.clone(),
-            gradient: [rows.clone(), rows.clone(), rows],
-            visits: Vec::new(),
-            records: Vec::new(),
-            starts: Vec::new(),
-            marks: Vec::new(),
-        }
-    }
 }
 
 /// Differentiates the tiles of a band. `image` is dL/dImage of the whole picture.
@@ -177,35 +135,21 @@ impl pulp::WithSimd for Backward<'_> {
         found.partials.resize(list.len(), [0.0; PARTS]);
         scratch.open(image, corner, size);
 
-        let mut segments = list.chunks(SEGMENT).enumerate();
-        let mut walked = 0;
-        let mut open = u16::MAX;
-        for (k, segment) in segments.by_ref() {
-            if k > 0 {
-                open = open_rows(&scratch.now, rules.stop);
-                if open == 0 && rules.stop > 0.0 {
-                    break;
-                }
-            }
-            scratch.marks.push(scratch.now.clone());
-            scratch.walk(splats, segment, corner, &rules, open);
-            walked = k + 1;
-        }
+        let walked = scratch.trace.forward(splats, list, corner, &rules);
         found.background = scratch.turn(settings.background);
         for k in (0..walked).rev() {
             let start = k * SEGMENT;
             let segment = &list[start..list.len().min(start + SEGMENT)];
             if k + 1 < walked {
-                scratch.now.clone_from(&scratch.marks[k]);
-                scratch.walk(splats, segment, corner, &rules, u16::MAX);
+                scratch.trace.again(k, splats, segment, corner, &rules);
             }
             let partials = &mut found.partials[start..start + segment.len()];
-            for (i, (&index, partial)) in segment.iter().zip(partials).enumerate().rev() {
-                let visits = scratch.starts[i]..scratch.starts[i + 1];
+            for (i, partial) in partials.iter_mut().enumerate().rev() {
+                let visits = scratch.trace.visits(i);
                 if !visits.is_empty() {
-                    let splat = &splats[index as usize];
-                    let sums = scratch.sweep(simd, visits, splat, rules.max);
-                    *partial = chain(&sums, splat, corner);
+                    let splat = scratch.trace.near[i];
+                    let sums = scratch.sweep(simd, visits, &splat, rules.max);
+                    *partial = chain(sums, &splat, corner);
                 }
             }
         }
@@ -213,11 +157,9 @@ impl pulp::WithSimd for Backward<'_> {
 }
 
 impl Scratch {
-    /// Starts a tile: nothing blended, pixel gradients of the image, 0 outside it.
+    /// Starts a tile: pixel gradients of the image, 0 outside it.
     #[inline(always)]
     fn open(&mut self, image: &[f32], corner: [usize; 2], size: [usize; 2]) {
-        self.now.0 = [[1.0; TILE]; TILE];
-        self.marks.clear();
         self.gradient.iter_mut().for_each(|rows| rows.0 = [[0.0; TILE]; TILE]);
         let (w, h) = ((size[0] - corner[0]).min(TILE), (size[1] - corner[1]).min(TILE));
         for y in 0..h {
@@ -229,46 +171,13 @@ impl Scratch {
         }
     }
 
-    /// Blends a segment as the forward pass did, writing down each visit.
-    #[inline(always)]
-    fn walk(&mut self, splats: &[Splat], list: &[u32], corner: [usize; 2], rules: &Rules, mut open: u16) {
-        self.visits.clear();
-        self.starts.clear();
-        let room = Record { alpha: [0.0; TILE], transmittance: [0.0; TILE] };
-        for (k, &index) in list.iter().enumerate() {
-            self.starts.push(self.visits.len());
-            if k % LOOK_EVERY == 0 && k > 0 && rules.stop > 0.0 {
-                open = open_rows(&self.now, rules.stop);
-            }
-            if open == 0 {
-                continue;
-            }
-            let splat = &splats[index as usize];
-            let local = Local::new(splat, corner, rules);
-            let most = self.visits.len() + TILE;
-            if self.records.len() < most {
-                self.records.resize(2 * most, room.clone());
-            }
-            for y in local.first..local.past {
-                if let Some((u, v)) = local.row(y)
-                    && open >> y & 1 == 1
-                {
-                    let record = &mut self.records[self.visits.len()];
-                    take_row(&mut self.now.0[y], record, u, local.root[0], splat.log2_alpha - v * v, rules);
-                    self.visits.push(Visit { u, v, y: y as u32 });
-                }
-            }
-        }
-        self.starts.push(self.visits.len());
-    }
-
     /// From front-to-back to back-to-front: behind everything is the background. Returns its gradient.
     #[inline(always)]
     fn turn(&mut self, background: [f32; 3]) -> [f32; 3] {
         let mut sums = [[0.0f32; TILE]; 3];
         self.behind.0 = [[0.0; TILE]; TILE];
         for ((rows, colour), sum) in self.gradient.iter().zip(background).zip(&mut sums) {
-            let rows = rows.0.iter().zip(&self.now.0).zip(&mut self.behind.0);
+            let rows = rows.0.iter().zip(&self.trace.now.0).zip(&mut self.behind.0);
             for ((gradient, now), behind) in rows {
                 for i in 0..TILE {
                     behind[i] += gradient[i] * colour;
@@ -282,8 +191,8 @@ impl Scratch {
     /// Differentiates one splat's visits and steps in front of it.
     #[inline(always)]
     fn sweep<S: Simd>(&mut self, simd: S, visits: Range<usize>, splat: &Splat, max: f32) -> [Lanes; SUMS] {
-        let Self { behind, gradient: [red, green, blue], records, .. } = self;
-        let (records, visits) = (&records[visits.clone()], &self.visits[visits]);
+        let Self { behind, gradient: [red, green, blue], trace } = self;
+        let (records, visits) = (&trace.records[visits.clone()], &trace.visits[visits]);
         let xx = simd.splat_f32s(splat.root[0] as f32);
         let [r, g, b] = splat.colour.map(|c| simd.splat_f32s(c));
         let (max, zero) = (simd.splat_f32s(max), simd.splat_f32s(0.0));
@@ -340,27 +249,6 @@ fn lanes_mut<S: Simd>(row: &mut Lanes, part: usize) -> &mut S::f32s {
     &mut S::as_mut_simd_f32s(row).0[part]
 }
 
-#[inline(always)]
-fn take_row(t: &mut Lanes, record: &mut Record, u: f32, xx: f32, exponent: f32, rules: &Rules) {
-    for i in 0..TILE {
-        let q = u + xx * LANE[i];
-        let alpha = rules.alpha(exponent - q * q, t[i]);
-        record.alpha[i] = alpha;
-        record.transmittance[i] = t[i];
-        t[i] -= alpha * t[i];
-    }
-}
-
-/// Bit `y` is set while a pixel of row `y` is not finished.
-#[inline(always)]
-fn open_rows(now: &Rows, stop: f32) -> u16 {
-    let mut open = 0;
-    for (y, row) in now.0.iter().enumerate() {
-        open |= u16::from(is_open(row, stop)) << y;
-    }
-    open
-}
-
 /// Sum of a row in a fixed tree.
 #[inline(always)]
 fn total(row: &Lanes) -> f32 {
@@ -373,16 +261,36 @@ fn total(row: &Lanes) -> f32 {
     sum[0]
 }
 
+/// Sums of all rows, each in the tree of [`total`], side by side.
+#[inline(always)]
+fn totals(rows: &[Lanes; SUMS]) -> [f32; SUMS] {
+    let mut turned = [[0.0; SUMS]; TILE / 2];
+    for (k, row) in rows.iter().enumerate() {
+        for i in 0..TILE / 2 {
+            turned[i][k] = row[i] + row[i + TILE / 2];
+        }
+    }
+    for half in [4, 2, 1] {
+        for i in 0..half {
+            for k in 0..SUMS {
+                turned[i][k] += turned[i + half][k];
+            }
+        }
+    }
+    turned[0]
+}
+
 /// From sums over the tile, about its first pixel, to the ellipse.
 #[inline(always)]
-fn chain(sums: &[Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
+fn chain(sums: [Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
     // exponent = log2_alpha - u² - v², alpha = 2^exponent.
     let slope = -2.0 * std::f64::consts::LN_2;
-    let along = std::array::from_fn(|i| sums[1][i] * LANE[i]);
-    let value = |row: &Lanes| f64::from(total(row));
-    let (du, dv) = (slope * value(&sums[1]), slope * value(&sums[3]));
-    let (du_along, du_down) = (slope * value(&along), slope * value(&sums[2]));
-    let dv_down = slope * value(&sums[4]);
+    let mut along = sums[1];
+    (0..TILE).for_each(|i| along[i] *= LANE[i]);
+    let [h, hq, hq_down, hv, hv_down, red, green, blue] = totals(&sums).map(f64::from);
+    let (du, dv) = (slope * hq, slope * hv);
+    let (du_along, du_down) = (slope * f64::from(total(&along)), slope * hq_down);
+    let dv_down = slope * hv_down;
     let [dx, dy] = offset(splat, corner);
     let [xx, xy, yy] = splat.root;
     [
@@ -391,10 +299,10 @@ fn chain(sums: &[Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
         du * dx + keep(Term::Along, du_along),
         du * dy + keep(Term::Shear, du_down),
         dv * dy + keep(Term::Down, dv_down),
-        std::f64::consts::LN_2 * value(&sums[0]),
-        value(&sums[5]),
-        value(&sums[6]),
-        value(&sums[7]),
+        std::f64::consts::LN_2 * h,
+        red,
+        green,
+        blue,
     ]
     .map(|v| v as f32)
 }
@@ -428,6 +336,13 @@ mod tests {
         scratch: &'a mut Scratch,
     ) -> Backward<'a> {
         Backward { splats, list, corner: [0, 0], size: [16, 16], settings, image, found, scratch }
+    }
+
+    #[test]
+    fn totals_are_the_sums_of_each_row() {
+        let rows: [Lanes; SUMS] = std::array::from_fn(|k| LANE.map(|i| (0.1 + i).powi(k as i32 - 3)));
+        let bits = |v: [f32; SUMS]| v.map(f32::to_bits);
+        assert_eq!(bits(totals(&rows)), bits(rows.map(|row| total(&row))));
     }
 
     #[test]

@@ -148,6 +148,32 @@ fn threads_and_a_used_workspace_do_not_show() {
     }
 }
 
+/// Against differences of the reference with all opacities of a group scaled.
+#[test]
+fn presence_is_the_derivative_of_a_factor_before_alpha() {
+    let scene = Scene::random(12, 1, [0.1, 0.5], 12);
+    let groups: Vec<u32> = (0..12).map(|i| i % 4).collect();
+    let (camera, settings) = (camera(24, 18), smooth());
+    let loss = Distortion::new(noise(24, 18, 9));
+    let mut workspace = Workspace::new();
+    render_and_gradients(&mut workspace, &scene.splats(), &camera, &settings, &loss).unwrap();
+    let got = workspace.presence(&groups, 4).unwrap();
+    for (group, got) in got.iter().enumerate() {
+        let at = |h: f32| {
+            let mut scene = scene.clone();
+            let of_group = scene.gaussians.iter_mut().zip(&groups).filter(|(_, g)| **g as usize == group);
+            of_group.for_each(|(gaussian, _)| gaussian.opacity *= 1.0 + h);
+            loss.exact(&reference::render(&scene.splats(), &camera, &settings).unwrap().rgb)
+        };
+        let h = 1.0 / 1024.0;
+        let expected = (at(h) - at(-h)) / f64::from(2.0 * h);
+        assert!((got - expected).abs() < 1e-4 * expected.abs().max(1e-3), "{group}: {got} {expected}");
+    }
+    assert!(got.iter().all(|v| v.abs() > 1e-4), "{got:?}");
+    assert!(workspace.presence(&groups[1..], 4).unwrap_err().to_string().contains("11 ids for 12"));
+    assert_eq!(workspace.presence(&groups, 3).unwrap_err(), AdjointError::Group { group: 3, count: 3 });
+}
+
 /// Skips leave out nothing that has a gradient.
 #[test]
 fn skips_change_no_gradient() {

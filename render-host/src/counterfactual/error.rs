@@ -48,6 +48,30 @@ pub enum CounterfactualError {
         /// Number of groups.
         needed: usize,
     },
+    /// Harmonics of colour changes of the wrong length.
+    #[error("changes: found {found} harmonic coefficients, need {needed}")]
+    Rest {
+        /// Values found.
+        found: usize,
+        /// Values needed.
+        needed: usize,
+    },
+    /// A colour change of a Gaussian that is not there.
+    #[error("change {change}: Gaussian {gaussian}; indices below {count} are allowed")]
+    Gaussian {
+        /// Index of the change.
+        change: usize,
+        /// The Gaussian it names.
+        gaussian: u32,
+        /// Number of Gaussians.
+        count: usize,
+    },
+    /// A colour change that is not finite.
+    #[error("change {change}: coefficients must be finite")]
+    NonFinite {
+        /// Index of the change.
+        change: usize,
+    },
     /// A setting is out of range.
     #[error(transparent)]
     Settings(#[from] SettingsError),

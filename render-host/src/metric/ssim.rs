@@ -25,8 +25,9 @@ const MOMENTS: usize = 5;
 /// Different sizes.
 pub fn ssim(test: &Image, reference: &Image) -> Result<f64, ImageError> {
     let (width, height) = same_size(test, reference)?;
-    let (along, down) = (window(width), window(height));
-    let (columns, rows) = (width + 1 - along.len(), height + 1 - down.len());
+    let windows = Windows::new(width, height);
+    let Windows { along, down, columns, rows } = &windows;
+    let (columns, rows) = (*columns, *rows);
     let mut total = 0.0;
     for channel in 0..3 {
         let plane = |image: &Image| -> Vec<f64> {
@@ -35,7 +36,7 @@ pub fn ssim(test: &Image, reference: &Image) -> Result<f64, ImageError> {
         let (x, y) = (plane(test), plane(reference));
         let mut wide = vec![0.0; MOMENTS * columns * height];
         parallel::for_each_chunk(true, &mut wide, MOMENTS * columns, |row, out| {
-            moments_along(&x[row * width..][..width], &y[row * width..][..width], &along, out);
+            moments_along(&x[row * width..][..width], &y[row * width..][..width], along, out);
         });
         let mut sums = vec![0.0; rows];
         parallel::for_each_chunk(true, &mut sums, 1, |row, sum| {
@@ -50,7 +51,7 @@ pub fn ssim(test: &Image, reference: &Image) -> Result<f64, ImageError> {
         });
         total += sums.iter().sum::<f64>();
     }
-    Ok(total / (3 * columns * rows) as f64)
+    Ok(total / windows.count() as f64)
 }
 
 /// Weighted moments of every window position of one row: five runs of `out.len() / 5` values.
@@ -72,13 +73,41 @@ fn moments_along(x: &[f64], y: &[f64], weights: &[f64], out: &mut [f64]) {
     }
 }
 
-fn similarity([mx, my, xx, yy, xy]: [f64; MOMENTS]) -> f64 {
+/// Similarity of two windows from their weighted moments x, y, x², y², xy.
+pub(crate) fn similarity([mx, my, xx, yy, xy]: [f64; MOMENTS]) -> f64 {
     let (vx, vy, cov) = (xx - mx * mx, yy - my * my, xy - mx * my);
     (2.0 * mx * my + C1) * (2.0 * cov + C2) / ((mx * mx + my * my + C1) * (vx + vy + C2))
 }
 
+/// The windows of an image.
+#[derive(Clone, Debug)]
+pub(crate) struct Windows {
+    /// Weights along a row, an odd number of them with sum 1.
+    pub(crate) along: Vec<f64>,
+    /// Weights down a column, likewise.
+    pub(crate) down: Vec<f64>,
+    /// Positions along a row.
+    pub(crate) columns: usize,
+    /// Positions down a column.
+    pub(crate) rows: usize,
+}
+
+impl Windows {
+    /// Of an image with sides of at least 1 pixel.
+    pub(crate) fn new(width: usize, height: usize) -> Self {
+        let (along, down) = (weights(width), weights(height));
+        let (columns, rows) = (width + 1 - along.len(), height + 1 - down.len());
+        Self { along, down, columns, rows }
+    }
+
+    /// Windows of all three channels.
+    pub(crate) fn count(&self) -> usize {
+        3 * self.columns * self.rows
+    }
+}
+
 /// Normalised Gaussian weights of the largest odd window up to [`WINDOW`] that fits `side` pixels.
-pub(crate) fn window(side: usize) -> Vec<f64> {
+fn weights(side: usize) -> Vec<f64> {
     let radius = (WINDOW.min(side) - 1) / 2;
     let weight = |i: usize| (-0.5 * ((i as f64 - radius as f64) / SIGMA).powi(2)).exp();
     let weights: Vec<f64> = (0..=2 * radius).map(weight).collect();
@@ -102,7 +131,7 @@ mod tests {
     /// The definition: every window, every weight, two passes of moments about the mean.
     fn direct(a: &Image, b: &Image) -> f64 {
         let (w, h) = (a.width() as usize, a.height() as usize);
-        let (wx, wy) = (window(w), window(h));
+        let (wx, wy) = (weights(w), weights(h));
         let (mut sum, mut n) = (0.0, 0);
         for c in 0..3 {
             for y in 0..=h - wy.len() {

@@ -211,15 +211,19 @@ impl pulp::NullaryFnOnce for Blend<'_> {
         let rules = Rules::new(settings);
         let mut open = u16::MAX;
         let mut work = Work::NONE;
-        for (k, &index) in list.iter().enumerate() {
-            if k % LOOK_EVERY == 0 && k > 0 && rules.stop > 0.0 {
-                open = open_rows(&tile.rows, rules.stop);
-                if open == 0 {
-                    work.unread = (list.len() - k) as u64;
-                    break;
+        let mut near = [Splat::NONE; LOOK_EVERY];
+        for k in 0..list.len() {
+            if k % LOOK_EVERY == 0 {
+                if k > 0 && rules.stop > 0.0 {
+                    open = open_rows(&tile.rows, rules.stop);
+                    if open == 0 {
+                        work.unread = (list.len() - k) as u64;
+                        break;
+                    }
                 }
+                fetch(splats, &list[k..], &mut near);
             }
-            let splat = &splats[index as usize];
+            let splat = &near[k % LOOK_EVERY];
             let local = Local::new(splat, corner, &rules);
             let (mut reached, mut blended) = (0, 0);
             for y in local.first..local.past {
@@ -244,6 +248,15 @@ impl pulp::NullaryFnOnce for Blend<'_> {
             work.stopped = tile.rows[..h].iter().map(finished).sum::<usize>() as u64;
         }
         tile.work = work;
+    }
+}
+
+/// Copies the next splats of a list. Together, because they lie far apart in memory: the processor
+/// waits for all of them at once instead of for one after the other.
+#[inline(always)]
+pub(crate) fn fetch(splats: &[Splat], list: &[u32], near: &mut [Splat]) {
+    for (near, &index) in near.iter_mut().zip(list) {
+        *near = splats[index as usize];
     }
 }
 

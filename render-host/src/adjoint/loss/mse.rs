@@ -33,7 +33,12 @@ impl Loss for Mse {
     }
 
     fn exact(&self, rgb: &[f64]) -> f64 {
-        let square = |(a, &b): (&f64, &f32)| (a - f64::from(b)).powi(2);
-        rgb.iter().zip(self.0.rgb()).map(square).sum::<f64>() / rgb.len() as f64
+        exact(&self.0, rgb)
     }
+}
+
+/// Mean squared distance of `rgb` from `target`.
+pub(super) fn exact(target: &Image, rgb: &[f64]) -> f64 {
+    let square = |(a, &b): (&f64, &f32)| (a - f64::from(b)).powi(2);
+    rgb.iter().zip(target.rgb()).map(square).sum::<f64>() / rgb.len() as f64
 }
