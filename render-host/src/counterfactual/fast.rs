@@ -1,4 +1,4 @@
-//! Squared errors of whole worlds: lanes are the classes of worlds that a block can tell apart.
+//! Squared errors of whole worlds: lanes are the classes of worlds that a tile can tell apart.
 
 use super::classes::{members, split};
 use super::plan::{Block, Plan, run};
@@ -15,6 +15,10 @@ impl Plan for Worlds {
         self.count
     }
 
+    fn kinds(&self, groups: usize) -> usize {
+        1.75f32.powi(groups.min(9) as i32) as usize
+    }
+
     fn passes(&self) -> usize {
         self.chunks.len()
     }
@@ -26,14 +30,14 @@ impl Plan for Worlds {
         block.reset(block.classes.len());
         for &local in &block.present {
             let column = columns[block.groups[local as usize] as usize];
-            block.lanes.row(local as usize, |lane| block.classes[lane] & column != 0);
+            block.lanes.row(local, |lane| block.classes[lane] & column != 0);
         }
     }
 
-    fn gather(&self, pass: usize, block: &Block, out: &mut [f64]) {
+    fn gather(&self, pass: usize, block: &Block, errors: &[f64], out: &mut [f64]) {
         let out = &mut out[pass * CHUNK..];
-        for (&class, &error) in block.classes.iter().zip(block.lanes.errors()) {
-            members(class).for_each(|world| out[world] += f64::from(error));
+        for (&class, &error) in block.classes.iter().zip(errors) {
+            members(class).for_each(|world| out[world] = error);
         }
     }
 }
