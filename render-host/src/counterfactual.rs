@@ -19,11 +19,13 @@
 //! Deliberately absent: which groups depend on which. A level that replaces the one below it is two
 //! variants; [`levels`] maps delivered levels to worlds.
 
+mod backward;
 pub mod brute;
 mod classes;
 mod engine;
 mod error;
 mod fast;
+mod gradients;
 pub mod greedy;
 mod lanes;
 pub mod levels;
@@ -44,6 +46,7 @@ mod variants;
 
 pub use engine::Engine;
 pub use error::CounterfactualError;
+pub use gradients::WorldGradients;
 pub use greedy::Greedy;
 pub use levels::Lattice;
 pub use pairs::Pairs;

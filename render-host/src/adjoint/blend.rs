@@ -20,11 +20,11 @@ use crate::stage::blend::{LANE, LOOK_EVERY, Lanes, Local, Rules, is_open, offset
 use crate::stage::{Splat, TILE};
 
 /// Numbers per splat: centre (2), root (3), log₂ alpha, colour (3).
-pub(super) const PARTS: usize = 9;
+pub(crate) const PARTS: usize = 9;
 /// Gradient of one ellipse, summed over tiles.
-pub(super) type Ellipse = [f64; PARTS];
+pub(crate) type Ellipse = [f64; PARTS];
 /// Gradient of one ellipse from one tile.
-type Partial = [f32; PARTS];
+pub(crate) type Partial = [f32; PARTS];
 
 /// Splats between two kept transmittances. A multiple of [`LOOK_EVERY`].
 const SEGMENT: usize = 512;
@@ -376,13 +376,20 @@ fn total(row: &Lanes) -> f32 {
 /// From sums over the tile, about its first pixel, to the ellipse.
 #[inline(always)]
 fn chain(sums: &[Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
+    let along = std::array::from_fn(|i| sums[1][i] * LANE[i]);
+    let [h, q, q_down, v, v_down, r, g, b] = sums.each_ref().map(|row| f64::from(total(row)));
+    ellipse([h, q, f64::from(total(&along)), q_down, v, v_down, r, g, b], splat, corner)
+}
+
+/// From sums over the pixels of a tile, in its columns x and rows y, to the ellipse: h, h·u, h·u·x, h·u·y,
+/// h·v, h·v·y and three colours, where h ln 2 is the gradient of the exponent.
+#[inline(always)]
+pub(crate) fn ellipse(sums: [f64; PARTS], splat: &Splat, corner: [usize; 2]) -> Partial {
     // exponent = log2_alpha - u² - v², alpha = 2^exponent.
     let slope = -2.0 * std::f64::consts::LN_2;
-    let along = std::array::from_fn(|i| sums[1][i] * LANE[i]);
-    let value = |row: &Lanes| f64::from(total(row));
-    let (du, dv) = (slope * value(&sums[1]), slope * value(&sums[3]));
-    let (du_along, du_down) = (slope * value(&along), slope * value(&sums[2]));
-    let dv_down = slope * value(&sums[4]);
+    let [h, q, q_along, q_down, v, v_down, r, g, b] = sums;
+    let (du, dv) = (slope * q, slope * v);
+    let (du_along, du_down, dv_down) = (slope * q_along, slope * q_down, slope * v_down);
     let [dx, dy] = offset(splat, corner);
     let [xx, xy, yy] = splat.root;
     [
@@ -391,10 +398,10 @@ fn chain(sums: &[Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
         du * dx + keep(Term::Along, du_along),
         du * dy + keep(Term::Shear, du_down),
         dv * dy + keep(Term::Down, dv_down),
-        std::f64::consts::LN_2 * value(&sums[0]),
-        value(&sums[5]),
-        value(&sums[6]),
-        value(&sums[7]),
+        std::f64::consts::LN_2 * h,
+        r,
+        g,
+        b,
     ]
     .map(|v| v as f32)
 }

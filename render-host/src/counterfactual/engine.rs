@@ -4,8 +4,8 @@ use super::scaffold::Shared;
 use super::squares::{Planes, cut};
 use super::states::CHUNK;
 use super::{
-    CounterfactualError, Greedy, Pairs, States, Utilities, Variants, fast, greedy, pairs, prefixes, strict,
-    utilities,
+    CounterfactualError, Greedy, Pairs, States, Utilities, Variants, WorldGradients, backward, fast, greedy,
+    pairs, prefixes, strict, utilities,
 };
 use crate::image::{Image, same_size};
 use crate::{Camera, Settings};
@@ -16,6 +16,7 @@ pub struct Engine {
     pub(super) shared: Shared,
     pub(super) reference: Vec<Planes>,
     pub(super) settings: Settings,
+    pub(super) camera: Camera,
     /// Number of groups.
     pub(super) groups: usize,
 }
@@ -40,6 +41,7 @@ impl Engine {
             shared: Shared::new(variants, camera, settings),
             reference: cut(reference),
             settings: settings.clone(),
+            camera: camera.clone(),
             groups: variants.count(),
         })
     }
@@ -122,6 +124,29 @@ impl Engine {
         greedy::order(self, &states.one(world), costs)
     }
 
+    /// Mean squared error of every world, and the gradient of their sum weighted by `weights`, one finite
+    /// number per world, with respect to everything `variants` and the camera hold. `variants` are those the
+    /// engine was made of. No early stop; gradients as [`crate::render_and_gradients`] has them with early
+    /// stop off, within 1e-5 relative to their length ([`brute::gradients`] is the twin).
+    ///
+    /// # Errors
+    /// States of another number of groups, variants that are not the engine's, or weights that are not one
+    /// finite number per world.
+    pub fn gradients(
+        &self,
+        variants: &Variants,
+        states: &States,
+        weights: &[f64],
+    ) -> Result<WorldGradients, CounterfactualError> {
+        self.check(states)?;
+        let (found, needed) = (variants.splats().len(), self.shared.projected.splats.len());
+        if found != needed {
+            return Err(CounterfactualError::Variants { found, needed });
+        }
+        check_weights(states, weights)?;
+        Ok(backward::gradients(self, variants, states, weights))
+    }
+
     /// Bytes that [`Engine::fast`] or [`Engine::strict`] of `worlds` worlds needs, this engine included.
     pub fn predict_bytes(&self, worlds: usize) -> u64 {
         let (tiles, groups) = (self.shared.tiles(), self.groups);
@@ -159,4 +184,11 @@ impl Engine {
         }
         Ok(out)
     }
+}
+
+/// One finite weight per world.
+pub(super) fn check_weights(states: &States, weights: &[f64]) -> Result<(), CounterfactualError> {
+    let needed = states.len();
+    let good = weights.len() == needed && weights.iter().all(|w| w.is_finite());
+    if good { Ok(()) } else { Err(CounterfactualError::Weights { needed }) }
 }

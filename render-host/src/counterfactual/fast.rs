@@ -5,9 +5,16 @@ use super::plan::{Block, Plan, run};
 use super::states::CHUNK;
 use super::{Engine, States};
 
-struct Worlds {
+/// All worlds: a lane per class that a tile can tell apart.
+pub(super) struct Worlds {
     count: usize,
     chunks: Vec<(u128, Vec<u128>)>,
+}
+
+impl Worlds {
+    pub(super) fn new(states: &States) -> Self {
+        Self { count: states.len(), chunks: states.chunks() }
+    }
 }
 
 impl Plan for Worlds {
@@ -44,7 +51,7 @@ impl Plan for Worlds {
 
 /// Sum of squared errors of each world.
 pub(super) fn errors(engine: &Engine, states: &States) -> Vec<f64> {
-    let plan = Worlds { count: states.len(), chunks: states.chunks() };
+    let plan = Worlds::new(states);
     let sums = run(engine, &plan);
     let mut out = vec![0.0; states.len()];
     for tile in 0..engine.shared.tiles() {

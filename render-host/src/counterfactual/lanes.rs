@@ -134,7 +134,7 @@ impl Lanes {
         wanted: &Wanted,
         background: [f32; 3],
     ) {
-        let Self { sums, kinds: errors, walk: path, .. } = self;
+        let Self { kinds: errors, walk: path, .. } = self;
         if path.len() < segments.list().len() + 1 {
             path.resize(segments.list().len() + 1, 0);
         }
@@ -142,13 +142,10 @@ impl Lanes {
             errors.resize(kinds.first.len(), Row([0.0; TILE]));
         }
         for (&lane, squares) in kinds.first.iter().zip(errors.iter_mut()) {
-            for (step, segment) in path.iter_mut().zip(segments.list()) {
-                *step = segment.operators[segments.look(segment, lane as usize)];
-            }
             // As long for every lane: a processor predicts the end of the walk.
-            let steps = segments.list().len();
+            segments.path(lane as usize, path);
             for part in 0..parts::<S>() {
-                let now = walk(simd, &runs.operators, &path[..steps], part);
+                let now = walk(simd, &runs.operators, &path[..segments.list().len()], part);
                 let mut sum = simd.splat_f32s(0.0);
                 for c in 0..3 {
                     let d = difference(simd, &now, wanted, background, c, part);
@@ -157,8 +154,23 @@ impl Lanes {
                 *lanes_mut::<S>(&mut squares.0, part) = sum;
             }
         }
-        for (sum, &kind) in sums.iter_mut().zip(&kinds.of) {
-            let squares = &errors[kind as usize].0;
+        self.add(simd, kinds);
+    }
+
+    /// Where the squared errors of one kind go.
+    #[inline(always)]
+    pub(super) fn squares(&mut self, kind: usize) -> &mut blend::Lanes {
+        if self.kinds.len() <= kind {
+            self.kinds.resize(kind + 1, Row([0.0; TILE]));
+        }
+        &mut self.kinds[kind].0
+    }
+
+    /// Adds the squared errors of each kind to its lanes.
+    #[inline(always)]
+    pub(super) fn add<S: Simd>(&mut self, simd: S, kinds: &Kinds) {
+        for (sum, &kind) in self.sums.iter_mut().zip(&kinds.of) {
+            let squares = &self.kinds[kind as usize].0;
             for part in 0..parts::<S>() {
                 let sum = lanes_mut::<S>(&mut sum.0, part);
                 *sum = simd.add_f32s(*sum, lanes::<S>(squares, part));

@@ -79,7 +79,7 @@ pub(super) struct Pass {
     pub block: Block,
     pub segments: Segments,
     /// Kinds met so far; `known` of them count.
-    kinds: Vec<Kinds>,
+    pub kinds: Vec<Kinds>,
     known: usize,
 }
 
@@ -117,11 +117,6 @@ impl Pass {
         });
         segments.fill(simd, runs, &block.lanes, kinds[at].limit);
         at
-    }
-
-    #[inline(always)]
-    pub(super) fn kinds(&self, at: usize) -> &Kinds {
-        &self.kinds[at]
     }
 }
 

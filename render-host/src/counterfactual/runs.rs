@@ -24,9 +24,8 @@ pub(super) struct Visit {
 /// The runs of one block, nearest first.
 #[derive(Debug, Default)]
 pub(super) struct Runs {
-    /// Positions in the sieve of the block's splats; `count` of them count.
+    /// Positions in the sieve of the block's splats, then anything.
     list: Vec<u32>,
-    count: usize,
     /// Group of each run, as an index into the tile's groups.
     pub locals: Vec<u32>,
     /// Run `r` is `list[starts[r]..starts[r + 1]]`.
@@ -55,7 +54,7 @@ impl Runs {
     ) {
         let limits = [settings.cutoff(), settings.alpha_max];
         let reached = sieve.block(block, &mut self.list);
-        let Self { list, count, locals, starts, operators, alphas, visits: seen } = self;
+        let Self { list, locals, starts, operators, alphas, visits: seen } = self;
         let splats = sieve.splats();
         if alphas.len() < reached {
             alphas.resize(reached, Alphas([0.0; TILE]));
@@ -70,7 +69,6 @@ impl Runs {
             alphas[kept] = Alphas(alpha);
             kept += usize::from(touches(&alpha));
         }
-        *count = kept;
         locals.resize(kept + 1, 0);
         starts.resize(kept + 1, 0);
         let (mut runs, mut last) = (0, u32::MAX);
@@ -111,6 +109,11 @@ impl Runs {
     /// Number of runs.
     pub(super) fn len(&self) -> usize {
         self.locals.len()
+    }
+
+    /// Position in the sieve of splat `i` of the list.
+    pub(super) fn position(&self, i: usize) -> usize {
+        self.list[i] as usize
     }
 
     /// Positions in the list of the splats of a run.

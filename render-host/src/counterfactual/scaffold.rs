@@ -1,7 +1,7 @@
 //! What all worlds share: projection, depth order, exact tile lists and the groups of each tile.
 
 use super::Variants;
-use crate::stage::{Splat, TILE, bin, project, sort};
+use crate::stage::{TILE, bin, project, sort};
 use crate::{Camera, Settings};
 
 /// One splat of a tile's list.
@@ -16,7 +16,7 @@ pub(super) struct Entry {
 /// Tile lists of every variant, nearest first, and the groups met in each.
 #[derive(Debug, Default)]
 pub(super) struct Shared {
-    pub splats: Vec<Splat>,
+    pub projected: project::Projected,
     /// Width and height, pixels.
     pub size: [usize; 2],
     pub columns: usize,
@@ -49,7 +49,7 @@ impl Shared {
                 }
             }
         }
-        out.splats = projected.splats;
+        out.projected = projected;
         out
     }
 
@@ -91,6 +91,6 @@ impl Shared {
     /// Bytes held.
     pub(super) fn bytes(&self) -> u64 {
         let words = self.starts.len() + self.set_starts.len() + self.sets.len() / 2 + self.entries.len();
-        (size_of_val(self.splats.as_slice()) + 8 * words) as u64
+        (size_of_val(self.projected.splats.as_slice()) + 4 * self.projected.keys.len() + 8 * words) as u64
     }
 }

@@ -50,6 +50,8 @@ pub(super) struct Segments {
     ranks: Vec<u8>,
     /// Room for the runs of one look.
     picked: Vec<u32>,
+    /// One past the last operator that was composed.
+    end: usize,
 }
 
 impl Segments {
@@ -64,7 +66,7 @@ impl Segments {
 
     /// The look that `lane` has of `segment`.
     #[inline(always)]
-    pub(super) fn look(&self, segment: &Segment, lane: usize) -> usize {
+    fn look(&self, segment: &Segment, lane: usize) -> usize {
         usize::from(self.views[segment.view].looks[lane]) % LOOKS
     }
 
@@ -101,6 +103,37 @@ impl Segments {
             }
             self.list[at] = segment;
         }
+        self.end = end;
+    }
+
+    /// One past the last operator of the block.
+    pub(super) fn end(&self) -> usize {
+        self.end
+    }
+
+    /// Writes the operator of each segment for `lane` to the start of `path`.
+    #[inline(always)]
+    pub(super) fn path(&self, lane: usize, path: &mut [u32]) {
+        for (step, segment) in path.iter_mut().zip(&self.list) {
+            *step = segment.operators[self.look(segment, lane)];
+        }
+    }
+
+    /// The looks of a segment whose operators were composed, where a block has `runs` runs.
+    pub(super) fn composed(
+        &self,
+        segment: &Segment,
+        runs: usize,
+    ) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let operators = segment.operators;
+        (0..LOOKS).map(move |look| (look, operators[look] as usize)).filter(move |&(_, at)| at > runs)
+    }
+
+    /// The runs that a look holds.
+    #[inline(always)]
+    pub(super) fn picked(&mut self, runs: [usize; 2], look: usize) -> &[u32] {
+        let count = self.pick(runs, look);
+        &self.picked[..count]
     }
 
     /// The operator of one look: a run if it is one, else composed behind all others, at `end`.

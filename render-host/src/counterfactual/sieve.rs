@@ -36,13 +36,11 @@ const fn grid(down: bool) -> Lanes {
 pub(super) struct Near {
     /// `u` and `v` at the tile's first pixel centre.
     origin: [f32; 2],
-    pub root: [f32; 3],
+    root: [f32; 3],
     log2_alpha: f32,
     pub colour: [f32; 3],
     /// Its group, as an index into the tile's groups.
     pub local: u32,
-    /// Index of the splat.
-    pub splat: u32,
 }
 
 /// The splats of one tile, nearest first, and the blocks that each reaches.
@@ -64,6 +62,11 @@ impl Sieve {
     /// The splats.
     pub(super) fn splats(&self) -> &[Near] {
         &self.splats
+    }
+
+    /// The same as they were projected.
+    pub(super) fn copies(&self) -> &[Splat] {
+        &self.copies
     }
 
     /// Writes the positions of the splats that may reach `block`, nearest first, to the start of `out`.
@@ -103,7 +106,7 @@ impl pulp::NullaryFnOnce for Fill<'_> {
         // Copied first: reads from all over memory overlap when nothing waits for them.
         let entries = shared.entries(tile);
         copies.clear();
-        copies.extend(entries.iter().map(|entry| shared.splats[entry.splat as usize]));
+        copies.extend(entries.iter().map(|entry| shared.projected.splats[entry.splat as usize]));
         for (entry, splat) in entries.iter().zip(copies.iter()) {
             // As the blend sees it: the same origin, bit for bit.
             let (dx, dy) = (centre[0] - splat.mean[0], centre[1] - splat.mean[1]);
@@ -114,7 +117,6 @@ impl pulp::NullaryFnOnce for Fill<'_> {
                 log2_alpha: splat.log2_alpha,
                 colour: splat.colour,
                 local: entry.local,
-                splat: entry.splat,
             };
             let first = usize::from(splat.pixels[2]).saturating_sub(corner[1]);
             let past = usize::from(splat.pixels[3]).saturating_sub(corner[1]).min(TILE);
@@ -140,6 +142,20 @@ impl Near {
             out[i] = if alpha >= cutoff { alpha } else { 0.0 };
         }
         out
+    }
+
+    /// `u` and `v` on the pixels of `block`.
+    #[inline(always)]
+    pub(super) fn axes(&self, block: usize) -> (Lanes, Lanes) {
+        let (left, top) = ((block % ACROSS * SIDE) as f32, (block / ACROSS * SIDE) as f32);
+        let [xx, xy, yy] = self.root;
+        let (mut u, mut v) = ([0.0; TILE], [0.0; TILE]);
+        for i in 0..TILE {
+            let (x, y) = (left + COLUMN[i], top + ROW[i]);
+            u[i] = self.origin[0] + xy * y + xx * x;
+            v[i] = self.origin[1] + yy * y;
+        }
+        (u, v)
     }
 
     /// Blocks that hold a pixel centre near the ellipse `u² + v² ≤ reach` within `rows`.

@@ -45,7 +45,7 @@ pub(super) fn errors(engine: &Engine, states: &States) -> Vec<f64> {
             split(*worlds, of_tile, &mut classes);
             for &class in &classes {
                 room.filter(shared, index, |group| columns[group as usize] & class != 0);
-                blend_tile(&shared.splats, &room.list, corner, shared.size, settings, &mut tile);
+                blend_tile(&shared.projected.splats, &room.list, corner, shared.size, settings, &mut tile);
                 let mut squares = Squares::default();
                 for (y, wanted) in reference[index].iter().enumerate().take(height) {
                     squares.add(&tile.over(y, settings.background), wanted, width);
@@ -70,7 +70,7 @@ pub(super) fn image(engine: &Engine, states: &States, world: usize) -> Result<Im
     let mut tiles = Tiles { tiles: vec![Tile::EMPTY; shared.tiles()] };
     parallel::for_each_with(settings.parallel, &mut tiles.tiles, |room: &mut Room, index, tile| {
         room.filter(shared, index, |group| states.has(world, group as usize));
-        blend_tile(&shared.splats, &room.list, shared.corner(index), shared.size, settings, tile);
+        blend_tile(&shared.projected.splats, &room.list, shared.corner(index), shared.size, settings, tile);
     });
     let mut image = Image::default();
     image.reset(width as u32, height as u32)?;
