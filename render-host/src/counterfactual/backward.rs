@@ -175,7 +175,8 @@ impl pulp::WithSimd for Walk<'_> {
         let corner = shared.corner(tile);
         let size = inside(corner, shared.size);
         for index in (0..BLOCKS).filter(|&b| within(b, size)) {
-            runs.fill(simd, sieve, index, settings, true);
+            runs.find(sieve, index, settings);
+            runs.compose(simd, sieve, true);
             let wanted = wanted(&engine.reference[tile], index, size);
             look(&runs.locals, groups.len(), seen);
             back.open(runs.len());

@@ -51,7 +51,7 @@ pub(super) struct Kinds {
     pub of: Vec<u32>,
     /// A lane of each kind.
     pub first: Vec<u32>,
-    /// Groups that a segment may have.
+    /// Groups that a segment may have; 0 until it is chosen.
     pub limit: usize,
 }
 
@@ -95,7 +95,8 @@ impl Lanes {
 
     /// Finds the kinds of lanes in a block that meets the groups of `set`.
     pub(super) fn kinds(&mut self, set: &[u64], out: &mut Kinds) {
-        let Kinds { set: own, of, first, .. } = out;
+        let Kinds { set: own, of, first, limit } = out;
+        *limit = 0;
         own.clear();
         own.extend_from_slice(set);
         of.clear();

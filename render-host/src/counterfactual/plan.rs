@@ -94,6 +94,20 @@ impl Pass {
         self.known = 0;
     }
 
+    /// The place of the kinds of lanes in a block that meets the groups of `seen`.
+    #[inline(always)]
+    pub(super) fn find_kinds(&mut self, seen: &[u64]) -> usize {
+        let Self { block, kinds, known, .. } = self;
+        kinds[..*known].iter().position(|kinds| kinds.are_for(seen)).unwrap_or_else(|| {
+            if kinds.len() == *known {
+                kinds.push(Kinds::default());
+            }
+            block.lanes.kinds(seen, &mut kinds[*known]);
+            *known += 1;
+            *known - 1
+        })
+    }
+
     /// Cuts a block into segments that suit its kinds of lanes. Returns the place of those kinds.
     #[inline(always)]
     pub(super) fn cut<S: Simd>(
@@ -103,18 +117,12 @@ impl Pass {
         seen: &[u64],
         guess: impl Fn(usize) -> usize,
     ) -> usize {
-        let Self { block, segments, kinds, known } = self;
-        let at = kinds[..*known].iter().position(|kinds| kinds.are_for(seen));
-        let at = at.unwrap_or_else(|| {
-            if kinds.len() == *known {
-                kinds.push(Kinds::default());
-            }
-            block.lanes.kinds(seen, &mut kinds[*known]);
+        let at = self.find_kinds(seen);
+        let Self { block, segments, kinds, .. } = self;
+        if kinds[at].limit == 0 {
             let groups = seen.iter().map(|word| word.count_ones() as usize).sum();
-            kinds[*known].limit = segments::limit(&runs.locals, guess(groups));
-            *known += 1;
-            *known - 1
-        });
+            kinds[at].limit = segments::limit(&runs.locals, guess(groups));
+        }
         segments.fill(simd, runs, &block.lanes, kinds[at].limit);
         at
     }
@@ -187,7 +195,8 @@ impl<P: Plan> pulp::WithSimd for Walk<'_, P> {
         sieve.fill(shared, tile, settings);
         let size = inside(shared.corner(tile), shared.size);
         for index in (0..BLOCKS).filter(|&b| within(b, size)) {
-            runs.fill(simd, sieve, index, settings, false);
+            runs.find(sieve, index, settings);
+            runs.compose(simd, sieve, false);
             let wanted = wanted(&engine.reference[tile], index, size);
             look(&runs.locals, groups.len(), seen);
             for pass in passes.iter_mut().filter(|pass| pass.block.count > 0) {

@@ -42,19 +42,12 @@ pub(super) struct Runs {
 struct Alphas(Lanes);
 
 impl Runs {
-    /// Takes the runs of `block`, of all its groups; with what each splat did if `visits`.
+    /// Takes the splats of `block`, of all its groups, and says where runs begin and end.
     #[inline(always)]
-    pub(super) fn fill<S: Simd>(
-        &mut self,
-        simd: S,
-        sieve: &Sieve,
-        block: usize,
-        settings: &Settings,
-        visits: bool,
-    ) {
+    pub(super) fn find(&mut self, sieve: &Sieve, block: usize, settings: &Settings) {
         let limits = [settings.cutoff(), settings.alpha_max];
         let reached = sieve.block(block, &mut self.list);
-        let Self { list, locals, starts, operators, alphas, visits: seen } = self;
+        let Self { list, locals, starts, alphas, .. } = self;
         let splats = sieve.splats();
         if alphas.len() < reached {
             alphas.resize(reached, Alphas([0.0; TILE]));
@@ -83,6 +76,14 @@ impl Runs {
         locals.truncate(runs);
         starts.truncate(runs);
         starts.push(kept as u32);
+    }
+
+    /// Composes the runs that were found; with what each splat did if `visits`.
+    #[inline(always)]
+    pub(super) fn compose<S: Simd>(&mut self, simd: S, sieve: &Sieve, visits: bool) {
+        let Self { list, locals, starts, operators, alphas, visits: seen } = self;
+        let (splats, runs) = (sieve.splats(), locals.len());
+        let kept = starts.last().map_or(0, |&end| end as usize);
         if operators.len() <= runs {
             operators.resize(2 * runs + 1, Operator::IDENTITY);
         }
@@ -109,6 +110,12 @@ impl Runs {
     /// Number of runs.
     pub(super) fn len(&self) -> usize {
         self.locals.len()
+    }
+
+    /// Alpha of splat `i` of the list, 0 below the cut-off.
+    #[inline(always)]
+    pub(super) fn alpha(&self, i: usize) -> &Lanes {
+        &self.alphas[i].0
     }
 
     /// Position in the sieve of splat `i` of the list.

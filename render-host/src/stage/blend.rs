@@ -42,37 +42,14 @@ pub struct Tile {
 }
 
 impl Tile {
-    pub(crate) const EMPTY: Self =
+    const EMPTY: Self =
         Self { rows: [[[0.0; TILE], [0.0; TILE], [0.0; TILE], [1.0; TILE]]; TILE], stopped: 0 };
-
-    /// Row `y` over `background`: r, g, b of its 16 pixels.
-    #[inline(always)]
-    pub(crate) fn over(&self, y: usize, background: [f32; 3]) -> [Lanes; 3] {
-        let [r, g, b, t] = &self.rows[y];
-        let mut out = [*r, *g, *b];
-        for (out, back) in out.iter_mut().zip(background) {
-            (0..TILE).for_each(|i| out[i] += t[i] * back);
-        }
-        out
-    }
 }
 
 /// Room for the tiles of one band.
 #[derive(Debug, Default)]
 pub struct Tiles {
-    pub(crate) tiles: Vec<Tile>,
-}
-
-/// Blends one tile, whose first pixel is `corner`, from its list.
-pub(crate) fn blend_tile(
-    splats: &[Splat],
-    list: &[u32],
-    corner: [usize; 2],
-    size: [usize; 2],
-    settings: &Settings,
-    tile: &mut Tile,
-) {
-    pulp::Arch::new().dispatch(Blend { splats, list, corner, size, settings, tile });
+    tiles: Vec<Tile>,
 }
 
 /// Blends the tiles of a band. `band` is its tile rows, `size` the image's width and height in pixels.
