@@ -11,7 +11,7 @@
 
 #[allow(dead_code, reason = "tests use the rest")]
 #[path = "../tests/support/mod.rs"]
-mod support;
+pub mod support;
 
 use codec_core::Gaussian;
 use render_host::counterfactual::{Engine, Lattice, States, Variants, brute};
@@ -29,7 +29,7 @@ fn normal(r: &mut Numbers) -> f32 {
     (0..12).map(|_| r.unit()).sum::<f32>() - 6.0
 }
 
-fn scene(kind: char, n: usize) -> (Vec<Gaussian>, Vec<u32>) {
+pub fn scene(kind: char, n: usize) -> (Vec<Gaussian>, Vec<u32>) {
     let mut r = Numbers(7);
     let shells: Vec<[[f32; 3]; 3]> = (0..LATTICE.clusters)
         .map(|_| [[-0.9, 0.9], [0.08, 0.3], [0.0, 1.0]].map(|[a, b]| [0; 3].map(|_| r.between(a, b))))
@@ -61,7 +61,7 @@ fn scene(kind: char, n: usize) -> (Vec<Gaussian>, Vec<u32>) {
     (0..n).map(&mut one).unzip()
 }
 
-fn deliveries(worlds: usize) -> States {
+pub fn deliveries(worlds: usize) -> States {
     let mut r = Numbers(99);
     let mut states = States::new(LATTICE.groups());
     for _ in 0..worlds {

@@ -30,11 +30,12 @@ mod project;
 mod term;
 pub(crate) mod trace;
 
+pub(crate) use blend::{Ellipse, PARTS, Partial, ellipse};
 pub use check::{Check, ClassError, check};
 pub use loss::Loss;
 
 use crate::render::{RenderError, Rendered, Renderer};
-use crate::stage::{TILE, bin};
+use crate::stage::{self, TILE, bin};
 use crate::{Camera, ImageError, Settings, Splats};
 
 /// Gradients that could not be computed.
@@ -201,6 +202,18 @@ pub fn render_and_gradients_into(
     out.background = background.map(|v| if v.is_finite() { v } else { 0.0 });
     project::project(splats, camera, settings, projected, ellipses, chunks, out);
     Ok(())
+}
+
+/// Takes the gradients of projected ellipses back to Gaussians and to the pose, in `out`.
+pub(crate) fn chain(
+    splats: &Splats,
+    camera: &Camera,
+    settings: &Settings,
+    projected: &stage::project::Projected,
+    ellipses: &[Ellipse],
+    out: &mut Gradients,
+) {
+    project::project(splats, camera, settings, projected, ellipses, &mut Vec::new(), out);
 }
 
 #[cfg(test)]

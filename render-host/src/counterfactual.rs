@@ -19,6 +19,7 @@
 //! Deliberately absent: which groups depend on which. A level that replaces the one below it is two
 //! variants; [`levels`] maps delivered levels to worlds.
 
+mod backward;
 pub mod brute;
 mod classes;
 mod dimmed;
@@ -27,15 +28,19 @@ mod error;
 mod faded;
 mod fast;
 mod first_order;
+mod gradients;
 pub mod greedy;
 mod lanes;
 pub mod levels;
+mod operator;
 pub mod pairs;
 mod plan;
 mod prefixes;
 pub mod quadratic;
 mod runs;
 mod scaffold;
+mod segments;
+mod sieve;
 mod squares;
 mod states;
 mod strict;
@@ -45,6 +50,7 @@ mod variants;
 
 pub use engine::Engine;
 pub use error::CounterfactualError;
+pub use gradients::WorldGradients;
 pub use greedy::Greedy;
 pub use levels::Lattice;
 pub use pairs::Pairs;

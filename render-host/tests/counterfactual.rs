@@ -234,7 +234,7 @@ fn greedy_takes_the_largest_gain_at_every_step() {
     // What was kept is what a fresh look finds.
     let last = engine.fast(&state).unwrap()[0];
     assert_eq!(greedy.sse.last().unwrap().to_bits(), engine.utilities(&state).unwrap().sse[0].to_bits());
-    assert!((greedy.sse.last().unwrap() / last - 1.0).abs() < 1e-12);
+    assert!((greedy.sse.last().unwrap() / last - 1.0).abs() < 2e-7);
 }
 
 #[test]

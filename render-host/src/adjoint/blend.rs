@@ -18,16 +18,16 @@ use crate::stage::blend::{LANE, Lanes, Rules, offset};
 use crate::stage::{Splat, TILE};
 
 /// Numbers per splat: centre (2), root (3), log₂ alpha, colour (3).
-pub(super) const PARTS: usize = 9;
+pub(crate) const PARTS: usize = 9;
 /// Gradient of one ellipse, summed over tiles.
-pub(super) type Ellipse = [f64; PARTS];
+pub(crate) type Ellipse = [f64; PARTS];
 /// The part of log₂ alpha.
 pub(super) fn log2_alpha(ellipse: &Ellipse) -> f64 {
     ellipse[5]
 }
 
 /// Gradient of one ellipse from one tile.
-type Partial = [f32; PARTS];
+pub(crate) type Partial = [f32; PARTS];
 
 /// Sums over the pixels of a tile: h, h·q, h·q·y, h·v, h·v·y and three colours, where h = dL/d(exponent).
 const SUMS: usize = 8;
@@ -149,7 +149,7 @@ impl pulp::WithSimd for Backward<'_> {
                 if !visits.is_empty() {
                     let splat = scratch.trace.near[i];
                     let sums = scratch.sweep(simd, visits, &splat, rules.max);
-                    *partial = chain(sums, &splat, corner);
+                    *partial = chain(&sums, &splat, corner);
                 }
             }
         }
@@ -282,15 +282,21 @@ fn totals(rows: &[Lanes; SUMS]) -> [f32; SUMS] {
 
 /// From sums over the tile, about its first pixel, to the ellipse.
 #[inline(always)]
-fn chain(sums: [Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
+fn chain(sums: &[Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
+    let along = std::array::from_fn(|i| sums[1][i] * LANE[i]);
+    let [h, q, q_down, v, v_down, r, g, b] = totals(sums).map(f64::from);
+    ellipse([h, q, f64::from(total(&along)), q_down, v, v_down, r, g, b], splat, corner)
+}
+
+/// From sums over the pixels of a tile, in its columns x and rows y, to the ellipse: h, h·u, h·u·x, h·u·y,
+/// h·v, h·v·y and three colours, where h ln 2 is the gradient of the exponent.
+#[inline(always)]
+pub(crate) fn ellipse(sums: [f64; PARTS], splat: &Splat, corner: [usize; 2]) -> Partial {
     // exponent = log2_alpha - u² - v², alpha = 2^exponent.
     let slope = -2.0 * std::f64::consts::LN_2;
-    let mut along = sums[1];
-    (0..TILE).for_each(|i| along[i] *= LANE[i]);
-    let [h, hq, hq_down, hv, hv_down, red, green, blue] = totals(&sums).map(f64::from);
-    let (du, dv) = (slope * hq, slope * hv);
-    let (du_along, du_down) = (slope * f64::from(total(&along)), slope * hq_down);
-    let dv_down = slope * hv_down;
+    let [h, q, q_along, q_down, v, v_down, r, g, b] = sums;
+    let (du, dv) = (slope * q, slope * v);
+    let (du_along, du_down, dv_down) = (slope * q_along, slope * q_down, slope * v_down);
     let [dx, dy] = offset(splat, corner);
     let [xx, xy, yy] = splat.root;
     [
@@ -300,9 +306,9 @@ fn chain(sums: [Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
         du * dy + keep(Term::Shear, du_down),
         dv * dy + keep(Term::Down, dv_down),
         std::f64::consts::LN_2 * h,
-        red,
-        green,
-        blue,
+        r,
+        g,
+        b,
     ]
     .map(|v| v as f32)
 }

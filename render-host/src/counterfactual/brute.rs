@@ -1,8 +1,10 @@
 //! Every world rendered alone: the slow twin that judges the engine.
 
+use super::engine::check_weights;
 use super::squares::{Planes, between, cut};
-use super::{CounterfactualError, States, Variants};
-use crate::{Camera, Image, Renderer, Settings, Splats};
+use super::{CounterfactualError, States, Variants, WorldGradients};
+use crate::adjoint::{self, AdjointError, SplatGradient};
+use crate::{Camera, Image, RenderError, Renderer, Settings, Splats};
 use codec_core::Gaussian;
 use rayon::prelude::*;
 
@@ -61,6 +63,76 @@ pub fn sse(
     (0..states.len()).into_par_iter().map_init(Renderer::new, one).collect()
 }
 
+/// Gradients of every world, one after the other, added up in f64: the twin of
+/// [`super::Engine::gradients`] when `settings` has no early stop.
+///
+/// # Errors
+/// As [`sse`], or weights that are not one finite number per world.
+pub fn gradients(
+    variants: &Variants,
+    states: &States,
+    weights: &[f64],
+    camera: &Camera,
+    reference: &Image,
+    settings: &Settings,
+) -> Result<WorldGradients, CounterfactualError> {
+    let (found, needed) = (states.groups(), variants.count());
+    if found != needed {
+        return Err(CounterfactualError::States { found, needed });
+    }
+    check_weights(states, weights)?;
+    let splats = variants.splats();
+    let each = splats.sh_degree().rest_len();
+    let (mut sums, mut rests) = (vec![[0.0; NUMBERS]; splats.len()], vec![0.0; splats.len() * each]);
+    let mut out = WorldGradients::default();
+    let (mut workspace, mut alone) = (adjoint::Workspace::new(), adjoint::Gradients::default());
+    let loss = adjoint::loss::Mse::new(reference.clone());
+    for (index, &weight) in weights.iter().enumerate() {
+        let (gaussians, rest) = world(variants, states, index);
+        let view = Splats::new(&gaussians, &rest, splats.sh_degree())?;
+        adjoint::render_and_gradients_into(&mut workspace, &view, camera, settings, &loss, &mut alone)?;
+        out.losses.push(alone.loss);
+        out.loss += weight * alone.loss;
+        out.non_finite += alone.non_finite;
+        let held = (0..splats.len()).filter(|&i| states.has(index, variants.groups()[i] as usize));
+        for (k, i) in held.enumerate() {
+            let parts = numbers(&alone.splats[k]);
+            sums[i].iter_mut().zip(parts).for_each(|(sum, v)| *sum += weight * f64::from(v));
+            let rest = &alone.sh_rest[k * each..(k + 1) * each];
+            let to = &mut rests[i * each..(i + 1) * each];
+            to.iter_mut().zip(rest).for_each(|(sum, &v)| *sum += weight * f64::from(v));
+        }
+        let add = |to: &mut [f64; 3], from: [f64; 3]| (0..3).for_each(|k| to[k] += weight * from[k]);
+        add(&mut out.background, alone.background);
+        add(&mut out.pose.translation, alone.pose.translation);
+        add(&mut out.pose.rotation, alone.pose.rotation);
+    }
+    out.splats = sums.iter().map(|sum| gradient(sum.map(|v| v as f32))).collect();
+    out.sh_rest = rests.iter().map(|&v| v as f32).collect();
+    Ok(out)
+}
+
+/// Numbers of a [`SplatGradient`].
+const NUMBERS: usize = 16;
+
+fn numbers(g: &SplatGradient) -> [f32; NUMBERS] {
+    let SplatGradient { position: p, log_scale: s, rotation: q, opacity_logit: o, sh0: c, film: f } = *g;
+    [p[0], p[1], p[2], s[0], s[1], s[2], q[0], q[1], q[2], q[3], o, c[0], c[1], c[2], f[0], f[1]]
+}
+
+fn gradient(
+    [p0, p1, p2, s0, s1, s2, q0, q1, q2, q3, o, c0, c1, c2, f0, f1]: [f32; NUMBERS],
+) -> SplatGradient {
+    SplatGradient {
+        position: [p0, p1, p2],
+        log_scale: [s0, s1, s2],
+        rotation: [q0, q1, q2, q3],
+        opacity_logit: o,
+        sh0: [c0, c1, c2],
+        film: [f0, f1],
+    }
+}
+
 fn error(
     renderer: &mut Renderer,
     variants: &Variants,
@@ -83,8 +155,25 @@ fn render(
 ) -> Result<Image, CounterfactualError> {
     let (gaussians, rest) = world(variants, states, index);
     let splats = Splats::new(&gaussians, &rest, variants.splats().sh_degree())?;
-    renderer.render(&splats, camera, settings).map(|out| out.image).map_err(|error| match error {
-        crate::RenderError::Settings(e) => e.into(),
-        crate::RenderError::Image(e) => e.into(),
-    })
+    Ok(renderer.render(&splats, camera, settings)?.image)
+}
+
+impl From<RenderError> for CounterfactualError {
+    fn from(error: RenderError) -> Self {
+        match error {
+            RenderError::Settings(e) => e.into(),
+            RenderError::Image(e) => e.into(),
+        }
+    }
+}
+
+impl From<AdjointError> for CounterfactualError {
+    fn from(error: AdjointError) -> Self {
+        match error {
+            AdjointError::Render(e) => e.into(),
+            AdjointError::Loss(e) => e.into(),
+            AdjointError::Ids { found, needed } => Self::Ids { found, needed },
+            AdjointError::Group { group, count } => Self::Group { group, count },
+        }
+    }
 }

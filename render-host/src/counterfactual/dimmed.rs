@@ -8,7 +8,7 @@
 use super::scaffold::Shared;
 use super::squares::Planes;
 use super::{Engine, Greedy, Pairs, Utilities};
-use crate::Settings;
+use crate::{Camera, Settings};
 
 /// Brightest colour that is squared in f32 as it is: of its square, f32 holds a tile's sum many times over.
 const BRIGHTEST: f32 = (1u64 << 40) as f32;
@@ -27,22 +27,23 @@ impl Dimmed {
         shared: &Shared,
         reference: &[Planes],
         settings: &Settings,
+        camera: &Camera,
         groups: usize,
     ) -> Option<Box<Self>> {
-        let colours = shared.splats.iter().flat_map(|splat| splat.colour);
+        let colours = shared.projected.splats.iter().flat_map(|splat| splat.colour);
         let brightest = colours.fold(0.0f32, f32::max);
         if brightest <= BRIGHTEST {
             return None;
         }
         let factor = f32::powi(0.5, (brightest / BRIGHTEST).log2().ceil() as i32);
         let mut shared = shared.clone();
-        shared.splats.iter_mut().for_each(|splat| splat.colour = splat.colour.map(|c| c * factor));
+        shared.projected.splats.iter_mut().for_each(|splat| splat.colour = splat.colour.map(|c| c * factor));
         let mut reference = reference.to_vec();
         let values = reference.as_flattened_mut().as_flattened_mut().as_flattened_mut();
         values.iter_mut().for_each(|v| *v *= factor);
         let settings = Settings { background: settings.background.map(|c| c * factor), ..settings.clone() };
         let gain = f64::from(factor).powi(-2);
-        Some(Box::new(Self { engine: Engine { shared, reference, settings, groups, dimmed: None }, gain }))
+        Some(Box::new(Self { engine: Engine { shared, reference, settings, camera: camera.clone(), groups, dimmed: None }, gain }))
     }
 
     /// Bytes held.

@@ -5,8 +5,8 @@ use super::scaffold::Shared;
 use super::squares::{Planes, cut};
 use super::states::CHUNK;
 use super::{
-    CounterfactualError, Greedy, Pairs, States, Utilities, Variants, fast, first_order, greedy, pairs, prefixes, strict,
-    utilities,
+    CounterfactualError, Greedy, Pairs, States, Utilities, Variants, WorldGradients, backward, fast,
+    first_order, greedy, pairs, prefixes, strict, utilities,
 };
 use crate::image::{Image, same_size};
 use crate::{Camera, Settings};
@@ -17,6 +17,7 @@ pub struct Engine {
     pub(super) shared: Shared,
     pub(super) reference: Vec<Planes>,
     pub(super) settings: Settings,
+    pub(super) camera: Camera,
     /// Number of groups.
     pub(super) groups: usize,
     /// What the fast modes are asked about, if not this.
@@ -40,9 +41,9 @@ impl Engine {
         film.reset(camera.width(), camera.height())?;
         same_size(&film, reference)?;
         let (shared, reference) = (Shared::new(variants, camera, settings), cut(reference));
-        let (settings, groups) = (settings.clone(), variants.count());
-        let dimmed = Dimmed::new(&shared, &reference, &settings, groups);
-        Ok(Self { shared, reference, settings, groups, dimmed })
+        let (settings, camera, groups) = (settings.clone(), camera.clone(), variants.count());
+        let dimmed = Dimmed::new(&shared, &reference, &settings, &camera, groups);
+        Ok(Self { shared, reference, settings, camera, groups, dimmed })
     }
 
     /// Squared error of each world, bit for bit that of the world rendered alone.
@@ -60,7 +61,16 @@ impl Engine {
     /// States of another number of groups, or no such world.
     pub fn image(&self, states: &States, world: usize) -> Result<Image, CounterfactualError> {
         self.check_world(states, world)?;
-        Ok(strict::image(self, states, world)?)
+        Ok(self.images(&states.one(world))?.pop().unwrap_or_default())
+    }
+
+    /// Pictures of all worlds, each bit for bit that of the world rendered alone.
+    ///
+    /// # Errors
+    /// States of another number of groups.
+    pub fn images(&self, states: &States) -> Result<Vec<Image>, CounterfactualError> {
+        self.check(states)?;
+        Ok(strict::images(&self.shared, &self.camera, &self.settings, states)?)
     }
 
     /// Squared error of each world without early stop: relative error below 2e-6 against f64 arithmetic.
@@ -134,6 +144,29 @@ impl Engine {
         self.ask(|engine| greedy::order(engine, &states.one(world), costs))
     }
 
+    /// Mean squared error of every world, and the gradient of their sum weighted by `weights`, one finite
+    /// number per world, with respect to everything `variants` and the camera hold. `variants` are those the
+    /// engine was made of. No early stop; gradients as [`crate::render_and_gradients`] has them with early
+    /// stop off, within 1e-5 relative to their length ([`brute::gradients`] is the twin).
+    ///
+    /// # Errors
+    /// States of another number of groups, variants that are not the engine's, or weights that are not one
+    /// finite number per world.
+    pub fn gradients(
+        &self,
+        variants: &Variants,
+        states: &States,
+        weights: &[f64],
+    ) -> Result<WorldGradients, CounterfactualError> {
+        self.check(states)?;
+        let (found, needed) = (variants.splats().len(), self.shared.projected.splats.len());
+        if found != needed {
+            return Err(CounterfactualError::Variants { found, needed });
+        }
+        check_weights(states, weights)?;
+        Ok(backward::gradients(self, variants, states, weights))
+    }
+
     /// Bytes that [`Engine::fast`] or [`Engine::strict`] of `worlds` worlds needs, this engine included.
     pub fn predict_bytes(&self, worlds: usize) -> u64 {
         let (tiles, groups) = (self.shared.tiles(), self.groups);
@@ -172,4 +205,11 @@ impl Engine {
         }
         Ok(out)
     }
+}
+
+/// One finite weight per world.
+pub(super) fn check_weights(states: &States, weights: &[f64]) -> Result<(), CounterfactualError> {
+    let needed = states.len();
+    let good = weights.len() == needed && weights.iter().all(|w| w.is_finite());
+    if good { Ok(()) } else { Err(CounterfactualError::Weights { needed }) }
 }

@@ -72,6 +72,20 @@ pub enum CounterfactualError {
         /// Index of the change.
         change: usize,
     },
+    /// Weights that are not one finite number per world.
+    #[error("weights must be {needed} finite numbers")]
+    Weights {
+        /// Number of worlds.
+        needed: usize,
+    },
+    /// Variants of another number of Gaussians than the engine was made of.
+    #[error("variants of {found} Gaussians for an engine of {needed}")]
+    Variants {
+        /// Gaussians found.
+        found: usize,
+        /// Gaussians of the engine.
+        needed: usize,
+    },
     /// A setting is out of range.
     #[error(transparent)]
     Settings(#[from] SettingsError),

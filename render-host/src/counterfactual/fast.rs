@@ -1,18 +1,29 @@
-//! Squared errors of whole worlds: lanes are the classes of worlds that a block can tell apart.
+//! Squared errors of whole worlds: lanes are the classes of worlds that a tile can tell apart.
 
 use super::classes::{members, split};
 use super::plan::{Block, Plan, run};
 use super::states::CHUNK;
 use super::{Engine, States};
 
-struct Worlds {
+/// All worlds: a lane per class that a tile can tell apart.
+pub(super) struct Worlds {
     count: usize,
     chunks: Vec<(u128, Vec<u128>)>,
+}
+
+impl Worlds {
+    pub(super) fn new(states: &States) -> Self {
+        Self { count: states.len(), chunks: states.chunks() }
+    }
 }
 
 impl Plan for Worlds {
     fn size(&self, _: &[u32]) -> usize {
         self.count
+    }
+
+    fn kinds(&self, groups: usize) -> usize {
+        1.75f32.powi(groups.min(9) as i32) as usize
     }
 
     fn passes(&self) -> usize {
@@ -26,21 +37,21 @@ impl Plan for Worlds {
         block.reset(block.classes.len());
         for &local in &block.present {
             let column = columns[block.groups[local as usize] as usize];
-            block.lanes.row(local as usize, |lane| block.classes[lane] & column != 0);
+            block.lanes.row(local, |lane| block.classes[lane] & column != 0);
         }
     }
 
-    fn gather(&self, pass: usize, block: &Block, out: &mut [f64]) {
+    fn gather(&self, pass: usize, block: &Block, errors: &[f64], out: &mut [f64]) {
         let out = &mut out[pass * CHUNK..];
-        for (&class, &error) in block.classes.iter().zip(block.lanes.errors()) {
-            members(class).for_each(|world| out[world] += f64::from(error));
+        for (&class, &error) in block.classes.iter().zip(errors) {
+            members(class).for_each(|world| out[world] = error);
         }
     }
 }
 
 /// Sum of squared errors of each world.
 pub(super) fn errors(engine: &Engine, states: &States) -> Vec<f64> {
-    let plan = Worlds { count: states.len(), chunks: states.chunks() };
+    let plan = Worlds::new(states);
     let sums = run(engine, &plan);
     let mut out = vec![0.0; states.len()];
     for tile in 0..engine.shared.tiles() {

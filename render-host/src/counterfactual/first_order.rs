@@ -142,7 +142,7 @@ impl pulp::NullaryFnOnce for Sweep<'_> {
         // As all fast modes: nothing is stopped early.
         let rules = Rules::new(&Settings { early_stop: false, ..settings.clone() });
         let here = |place: usize| present[entries[place].local as usize];
-        let walked = trace.forward_in(&shared.splats, list, corner, &rules, here);
+        let walked = trace.forward_in(&shared.projected.splats, list, corner, &rules, here);
         for (rows, background) in behind.iter_mut().zip(settings.background) {
             rows.0 = [[background; TILE]; TILE];
         }
@@ -154,7 +154,7 @@ impl pulp::NullaryFnOnce for Sweep<'_> {
             let start = k * SEGMENT;
             let segment = &list[start..list.len().min(start + SEGMENT)];
             if k + 1 < walked {
-                trace.again_in(k, &shared.splats, segment, corner, &rules, here);
+                trace.again_in(k, &shared.projected.splats, segment, corner, &rules, here);
             }
             for i in (0..segment.len()).rev() {
                 let (visits, local) = (trace.visits(i), entries[start + i].local);

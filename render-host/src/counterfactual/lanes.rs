@@ -1,141 +1,223 @@
-//! The kernel of all fast modes: one block of pixels under many sets of groups, a set per vector lane.
+//! The kernel of all fast modes: the pixels of one block under many sets of groups.
 //!
-//! Per pixel, run and vector: `w = T & mask; C += w·c; T += w·hidden`. A lane whose set lacks the run's
-//! group has `w = 0` and passes unchanged. There is no division and no early stop.
+//! A *lane* of work is a set of groups: a class of worlds, or one with a group toggled. Its picture is a
+//! walk over the block's segments, each the operator of the lane's look at it; the sixteen pixels of the
+//! block go side by side. There is no division and no early stop.
 
+use super::operator::{Operator, Part, lanes, lanes_mut, parts};
 use super::runs::Runs;
-use super::squares::Planes;
+use super::segments::{NONE, Segments};
+use crate::stage::TILE;
+use crate::stage::blend;
 use pulp::Simd;
-use std::ops::Range;
 
-/// Lanes are padded to a multiple of this.
-pub(super) const WIDTH: usize = 16;
-/// All bits set: `x & PRESENT` is `x`.
-const PRESENT: f32 = f32::from_bits(u32::MAX);
+/// What the pixels of a block are judged by.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub(super) struct Wanted {
+    /// r, g, b of the reference image.
+    pub rgb: [blend::Lanes; 3],
+    /// 1 inside the image, 0 outside.
+    pub inside: blend::Lanes,
+}
 
 /// Which groups each lane holds, and what the kernel found.
 #[derive(Debug, Default)]
 pub(super) struct Lanes {
-    /// Rows of `stride` masks, a row per group of the tile: [`PRESENT`] or 0.
-    masks: Vec<f32>,
-    stride: usize,
+    /// `words` words per lane, a bit per group of the tile.
+    bits: Vec<u64>,
+    words: usize,
     count: usize,
-    errors: Vec<f32>,
+    /// Squared errors so far, pixel by pixel of a block.
+    sums: Vec<Row>,
+    /// Squared errors of the kinds of one block.
+    kinds: Vec<Row>,
+    /// Room for finding kinds: a hash table of them.
+    table: Vec<u32>,
+    /// Room for a lane's operators.
+    walk: Vec<u32>,
+}
+
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+struct Row(blend::Lanes);
+
+/// Lanes that look alike in a block: those that hold the same of its groups.
+#[derive(Debug, Default)]
+pub(super) struct Kinds {
+    /// The block's groups, a bit each.
+    set: Vec<u64>,
+    /// Kind of each lane.
+    pub of: Vec<u32>,
+    /// A lane of each kind.
+    pub first: Vec<u32>,
+    /// Groups that a segment may have; 0 until it is chosen.
+    pub limit: usize,
 }
 
 impl Lanes {
-    /// Makes `count` lanes over a tile of `groups` groups. Masks are unspecified until [`Lanes::row`].
+    /// Makes `count` empty lanes over a tile of `groups` groups.
     pub(super) fn reset(&mut self, count: usize, groups: usize) {
         self.count = count;
-        self.stride = count.next_multiple_of(WIDTH);
-        let needed = self.stride * groups;
-        if self.masks.len() < needed {
-            self.masks.resize(needed, 0.0);
-        }
-        self.errors.resize(self.stride, 0.0);
+        self.words = groups.div_ceil(64).max(1);
+        self.bits.clear();
+        self.bits.resize(self.words * count, 0);
+        self.sums.clear();
+        self.sums.resize(count, Row([0.0; TILE]));
+    }
+
+    /// Number of lanes.
+    pub(super) fn count(&self) -> usize {
+        self.count
     }
 
     /// Says for every lane whether it holds group `local`.
     #[inline(always)]
-    pub(super) fn row(&mut self, local: usize, mut holds: impl FnMut(usize) -> bool) {
-        let row = &mut self.masks[local * self.stride..][..self.count];
-        for (lane, mask) in row.iter_mut().enumerate() {
-            *mask = if holds(lane) { PRESENT } else { 0.0 };
+    pub(super) fn row(&mut self, local: u32, mut holds: impl FnMut(usize) -> bool) {
+        let (word, bit) = (local as usize / 64, local % 64);
+        for (lane, words) in self.bits.chunks_exact_mut(self.words).enumerate() {
+            words[word] |= u64::from(holds(lane)) << bit;
         }
     }
 
     /// As [`Lanes::row`]: all lanes alike, then those of `except` flipped.
-    pub(super) fn row_except(&mut self, local: usize, holds: bool, except: impl Iterator<Item = usize>) {
-        let mask = |holds: bool| if holds { PRESENT } else { 0.0 };
-        let row = &mut self.masks[local * self.stride..][..self.count];
-        row.fill(mask(holds));
-        except.for_each(|lane| row[lane] = mask(!holds));
+    pub(super) fn row_except(&mut self, local: u32, holds: bool, except: impl Iterator<Item = usize>) {
+        self.row(local, |_| holds);
+        let (word, bit) = (local as usize / 64, local % 64);
+        except.for_each(|lane| self.bits[lane * self.words + word] ^= 1 << bit);
     }
 
-    /// Squared error of the block `xs × ys` in every lane.
-    pub(super) fn composite(
+    /// Whether `lane` holds group `local`.
+    #[inline(always)]
+    pub(super) fn has(&self, lane: usize, local: u32) -> bool {
+        self.bits[lane * self.words + local as usize / 64] >> (local % 64) & 1 == 1
+    }
+
+    /// Finds the kinds of lanes in a block that meets the groups of `set`.
+    pub(super) fn kinds(&mut self, set: &[u64], out: &mut Kinds) {
+        let Kinds { set: own, of, first, limit } = out;
+        *limit = 0;
+        own.clear();
+        own.extend_from_slice(set);
+        of.clear();
+        first.clear();
+        let Self { bits, words, table, count, .. } = self;
+        let size = (2 * *count).next_power_of_two();
+        table.clear();
+        table.resize(size, NONE);
+        for (lane, own) in (0u32..).zip(bits.chunks_exact(*words)) {
+            let seen =
+                |lane: u32| bits[lane as usize * *words..].iter().zip(set).map(|(bits, set)| bits & set);
+            let mix =
+                |hash: u64, word: u64| (hash ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29);
+            let hash = own.iter().zip(set).map(|(bits, set)| bits & set).fold(0, mix);
+            let mut at = hash as usize % size;
+            // Half of the table is empty, so every search ends.
+            while table[at] != NONE && !seen(first[table[at] as usize]).eq(seen(lane)) {
+                at = (at + 1) % size;
+            }
+            if table[at] == NONE {
+                table[at] = first.len() as u32;
+                first.push(lane);
+            }
+            of.push(table[at]);
+        }
+    }
+
+    /// Adds the squared errors of a block.
+    #[inline(always)]
+    pub(super) fn composite<S: Simd>(
         &mut self,
+        simd: S,
         runs: &Runs,
-        [xs, ys]: [Range<usize>; 2],
-        reference: &Planes,
+        segments: &Segments,
+        kinds: &Kinds,
+        wanted: &Wanted,
         background: [f32; 3],
     ) {
-        pulp::Arch::new().dispatch(Composite { runs, xs, ys, reference, background, lanes: self });
+        let Self { kinds: errors, walk: path, .. } = self;
+        if path.len() < segments.list().len() + 1 {
+            path.resize(segments.list().len() + 1, 0);
+        }
+        if errors.len() < kinds.first.len() {
+            errors.resize(kinds.first.len(), Row([0.0; TILE]));
+        }
+        for (&lane, squares) in kinds.first.iter().zip(errors.iter_mut()) {
+            // As long for every lane: a processor predicts the end of the walk.
+            segments.path(lane as usize, path);
+            for part in 0..parts::<S>() {
+                let now = walk(simd, &runs.operators, &path[..segments.list().len()], part);
+                let mut sum = simd.splat_f32s(0.0);
+                for c in 0..3 {
+                    let d = difference(simd, &now, wanted, background, c, part);
+                    sum = simd.mul_add_e_f32s(d, d, sum);
+                }
+                *lanes_mut::<S>(&mut squares.0, part) = sum;
+            }
+        }
+        self.add(simd, kinds);
     }
 
-    /// Squared error of the last block in every lane.
-    pub(super) fn errors(&self) -> &[f32] {
-        &self.errors[..self.count]
+    /// Where the squared errors of one kind go.
+    #[inline(always)]
+    pub(super) fn squares(&mut self, kind: usize) -> &mut blend::Lanes {
+        if self.kinds.len() <= kind {
+            self.kinds.resize(kind + 1, Row([0.0; TILE]));
+        }
+        &mut self.kinds[kind].0
+    }
+
+    /// Adds the squared errors of each kind to its lanes.
+    #[inline(always)]
+    pub(super) fn add<S: Simd>(&mut self, simd: S, kinds: &Kinds) {
+        for (sum, &kind) in self.sums.iter_mut().zip(&kinds.of) {
+            let squares = &self.kinds[kind as usize].0;
+            for part in 0..parts::<S>() {
+                let sum = lanes_mut::<S>(&mut sum.0, part);
+                *sum = simd.add_f32s(*sum, lanes::<S>(squares, part));
+            }
+        }
+    }
+
+    /// Squared error of the tile in every lane.
+    pub(super) fn errors(&self) -> Vec<f64> {
+        self.sums.iter().map(|row| total(&row.0)).collect()
     }
 }
 
-struct Composite<'a> {
-    runs: &'a Runs,
-    xs: Range<usize>,
-    ys: Range<usize>,
-    reference: &'a Planes,
+/// The operators of `steps` as one.
+#[inline(always)]
+pub(super) fn walk<S: Simd>(simd: S, operators: &[Operator], steps: &[u32], part: usize) -> Part<S> {
+    let mut now = Part::identity(simd);
+    for &step in steps {
+        now = now.then(simd, Part::load(&operators[step as usize], part));
+    }
+    now
+}
+
+/// Channel `c` over the background, less the reference; 0 outside the image.
+#[inline(always)]
+pub(super) fn difference<S: Simd>(
+    simd: S,
+    now: &Part<S>,
+    wanted: &Wanted,
     background: [f32; 3],
-    lanes: &'a mut Lanes,
+    c: usize,
+    part: usize,
+) -> S::f32s {
+    let shown = simd.mul_add_e_f32s(now.t, simd.splat_f32s(background[c]), now.rgb[c]);
+    let d = simd.sub_f32s(shown, lanes::<S>(&wanted.rgb[c], part));
+    simd.mul_f32s(d, lanes::<S>(&wanted.inside, part))
 }
 
-impl pulp::WithSimd for Composite<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(mut self, simd: S) {
-        let vectors = self.lanes.stride / S::F32_LANES;
-        // Four vectors of state (T, C, error) fit 32 registers, two fit 16.
-        let widest = if S::F32_LANES >= WIDTH { 4 } else { 2 };
-        let mut at = 0;
-        while at < vectors {
-            let left = (vectors - at).min(widest);
-            match left {
-                4 => self.pass::<S, 4>(simd, at),
-                3 => self.pass::<S, 3>(simd, at),
-                2 => self.pass::<S, 2>(simd, at),
-                _ => self.pass::<S, 1>(simd, at),
-            }
-            at += left;
-        }
-    }
+/// Sum of all lanes in a fixed order.
+pub(super) fn total(row: &blend::Lanes) -> f64 {
+    row.iter().map(|&v| f64::from(v)).sum()
 }
 
-impl Composite<'_> {
-    /// Lanes of vectors `at..at + V`.
-    #[inline(always)]
-    fn pass<S: Simd, const V: usize>(&mut self, simd: S, at: usize) {
-        let Self { runs, xs, ys, reference, background, lanes } = self;
-        let (first, stride) = (at * S::F32_LANES, lanes.stride);
-        let (zero, one) = (simd.splat_f32s(0.0), simd.splat_f32s(1.0));
-        let mut error = [zero; V];
-        for y in ys.clone() {
-            for x in xs.clone() {
-                let mut t = [one; V];
-                let [mut r, mut g, mut b] = [[zero; V]; 3];
-                for run in runs.at(x, y) {
-                    let start = run.local as usize * stride + first;
-                    let masks = S::as_simd_f32s(&lanes.masks[start..start + V * S::F32_LANES]).0;
-                    let [cr, cg, cb] = run.colour.map(|c| simd.splat_f32s(c));
-                    let hidden = simd.splat_f32s(run.hidden);
-                    for v in 0..V {
-                        let w = simd.and_f32s(t[v], masks[v]);
-                        r[v] = simd.mul_add_e_f32s(w, cr, r[v]);
-                        g[v] = simd.mul_add_e_f32s(w, cg, g[v]);
-                        b[v] = simd.mul_add_e_f32s(w, cb, b[v]);
-                        t[v] = simd.mul_add_e_f32s(w, hidden, t[v]);
-                    }
-                }
-                for (c, sum) in [r, g, b].iter().enumerate() {
-                    let back = simd.splat_f32s(background[c]);
-                    let wanted = simd.splat_f32s(reference[y][c][x]);
-                    for v in 0..V {
-                        let d = simd.sub_f32s(simd.mul_add_e_f32s(t[v], back, sum[v]), wanted);
-                        error[v] = simd.mul_add_e_f32s(d, d, error[v]);
-                    }
-                }
-            }
-        }
-        let out = S::as_mut_simd_f32s(&mut lanes.errors[first..first + V * S::F32_LANES]).0;
-        out.copy_from_slice(&error);
+impl Kinds {
+    /// Whether these are the kinds for `set`.
+    pub(super) fn are_for(&self, set: &[u64]) -> bool {
+        self.set == set
     }
 }

@@ -63,6 +63,10 @@ impl Plan for Plans<'_> {
         1 + n + pairs(n)
     }
 
+    fn kinds(&self, groups: usize) -> usize {
+        1 + groups + pairs(groups)
+    }
+
     fn lanes(&self, _: usize, block: &mut Block) {
         let chosen: Vec<u32> = self.chosen(block).collect();
         let n = chosen.len();
@@ -74,13 +78,12 @@ impl Plan for Plans<'_> {
                 let pairs = (0..n).filter(move |&j| j != i).map(move |j| 1 + n + index(i, j));
                 std::iter::once(1 + i).chain(pairs)
             });
-            block.lanes.row_except(local as usize, held, except);
+            block.lanes.row_except(local, held, except);
         }
     }
 
-    fn gather(&self, _: usize, block: &Block, out: &mut [f64]) {
-        let errors = block.lanes.errors();
-        let error = |lane: usize| f64::from(errors[lane]);
+    fn gather(&self, _: usize, block: &Block, errors: &[f64], out: &mut [f64]) {
+        let error = |lane: usize| errors[lane];
         // Places of the chosen groups within the tile, as `size` counts them.
         let mut rank = vec![0; block.groups.len()];
         let mut here = 0;

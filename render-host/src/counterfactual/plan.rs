@@ -1,38 +1,43 @@
 //! Walks tiles and their blocks for a fast mode, which says what the lanes are and where errors go.
 
 use super::Engine;
-use super::classes::members;
-use super::lanes::Lanes;
+use super::lanes::{Kinds, Lanes, Wanted};
 use super::runs::Runs;
+use super::segments::{self, Segments};
+use super::sieve::{ACROSS, BLOCKS, SIDE, Sieve};
+use super::squares::{Planes, inside};
 use crate::parallel;
-
-/// Side of a block, pixels. Small blocks meet few groups, so worlds fall into few classes.
-const BLOCK: usize = 4;
+use crate::stage::TILE;
+use pulp::Simd;
 
 /// A fast mode.
 pub(super) trait Plan: Sync {
     /// Numbers kept per tile that meets `groups`.
     fn size(&self, groups: &[u32]) -> usize;
 
+    /// About how many lanes a block of `groups` groups can tell apart. A guess that does not depend on the
+    /// question, so that a world's number does not depend on what else was asked.
+    fn kinds(&self, groups: usize) -> usize;
+
     /// Passes over every block; each makes its own lanes.
     fn passes(&self) -> usize {
         1
     }
 
-    /// Sets up the lanes of pass `pass` for a block that meets `block.present`; how many is its choice,
-    /// and 0 skips the block.
+    /// Sets up the lanes of pass `pass` for a tile that meets `block.groups`; how many is its choice, and 0
+    /// skips the tile. The order of `block.present` is the plan's.
     fn lanes(&self, pass: usize, block: &mut Block);
 
-    /// Adds the errors of the lanes to the tile's numbers.
-    fn gather(&self, pass: usize, block: &Block, out: &mut [f64]);
+    /// Writes the errors of the lanes to the tile's numbers.
+    fn gather(&self, pass: usize, block: &Block, errors: &[f64], out: &mut [f64]);
 }
 
-/// What a plan sees of a block of pixels.
+/// What a plan sees of a tile.
 #[derive(Debug, Default)]
 pub(super) struct Block {
     /// Group of each local index of the tile.
     pub groups: Vec<u32>,
-    /// Local indices of the groups that touch the block.
+    /// All local indices.
     pub present: Vec<u32>,
     pub lanes: Lanes,
     pub count: usize,
@@ -62,10 +67,65 @@ impl Sums {
 
 #[derive(Default)]
 struct Room {
+    sieve: Sieve,
     runs: Runs,
-    block: Block,
+    passes: Vec<Pass>,
     seen: Vec<u64>,
-    before: Vec<u64>,
+}
+
+/// What a tile keeps from block to block.
+#[derive(Default)]
+pub(super) struct Pass {
+    pub block: Block,
+    pub segments: Segments,
+    /// Kinds met so far; `known` of them count.
+    pub kinds: Vec<Kinds>,
+    known: usize,
+}
+
+impl Pass {
+    /// Starts a tile that meets `groups`.
+    pub(super) fn start(&mut self, groups: &[u32]) {
+        self.block.groups.clear();
+        self.block.groups.extend_from_slice(groups);
+        self.block.present.clear();
+        self.block.present.extend(0..groups.len() as u32);
+        self.segments.reset();
+        self.known = 0;
+    }
+
+    /// The place of the kinds of lanes in a block that meets the groups of `seen`.
+    #[inline(always)]
+    pub(super) fn find_kinds(&mut self, seen: &[u64]) -> usize {
+        let Self { block, kinds, known, .. } = self;
+        kinds[..*known].iter().position(|kinds| kinds.are_for(seen)).unwrap_or_else(|| {
+            if kinds.len() == *known {
+                kinds.push(Kinds::default());
+            }
+            block.lanes.kinds(seen, &mut kinds[*known]);
+            *known += 1;
+            *known - 1
+        })
+    }
+
+    /// Cuts a block into segments that suit its kinds of lanes. Returns the place of those kinds.
+    #[inline(always)]
+    pub(super) fn cut<S: Simd>(
+        &mut self,
+        simd: S,
+        runs: &mut Runs,
+        seen: &[u64],
+        guess: impl Fn(usize) -> usize,
+    ) -> usize {
+        let at = self.find_kinds(seen);
+        let Self { block, segments, kinds, .. } = self;
+        if kinds[at].limit == 0 {
+            let groups = seen.iter().map(|word| word.count_ones() as usize).sum();
+            kinds[at].limit = segments::limit(&runs.locals, guess(groups));
+        }
+        segments.fill(simd, runs, &block.lanes, kinds[at].limit);
+        at
+    }
 }
 
 /// Runs `plan` over all tiles.
@@ -100,73 +160,83 @@ pub(super) fn rerun(
         }
     }
     parallel::for_each_with(engine.settings.parallel, &mut work, |room: &mut Room, _, (tile, out)| {
-        room.tile(engine, plan, *tile, out)
+        pulp::Arch::new().dispatch(Walk { room, engine, plan, tile: *tile, out });
     });
     work.len()
 }
 
-impl Room {
-    fn tile(&mut self, engine: &Engine, plan: &impl Plan, tile: usize, out: &mut [f64]) {
-        let Self { runs, block, seen, before } = self;
+/// One tile's work, as a value, so that it can be compiled once per vector width.
+struct Walk<'a, P> {
+    room: &'a mut Room,
+    engine: &'a Engine,
+    plan: &'a P,
+    tile: usize,
+    out: &'a mut [f64],
+}
+
+impl<P: Plan> pulp::WithSimd for Walk<'_, P> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { room, engine, plan, tile, out } = self;
+        let Room { sieve, runs, passes, seen } = room;
+        let Engine { shared, settings, .. } = engine;
+        let groups = shared.groups(tile);
         out.fill(0.0);
-        runs.fill(&engine.shared, tile, &engine.settings);
-        block.groups.clear();
-        block.groups.extend_from_slice(engine.shared.groups(tile));
-        let reference = &engine.reference[tile];
-        let (width, height) = runs.inside;
-        for pass in 0..plan.passes() {
-            let mut fresh = true;
-            for y in (0..height).step_by(BLOCK) {
-                for x in (0..width).step_by(BLOCK) {
-                    let range = [x..(x + BLOCK).min(width), y..(y + BLOCK).min(height)];
-                    std::mem::swap(seen, before);
-                    look(runs, &range, block.groups.len(), seen);
-                    if fresh || seen != before {
-                        block.present.clear();
-                        block.present.extend(bits(seen));
-                        plan.lanes(pass, block);
-                        fresh = false;
-                    }
-                    if block.count > 0 {
-                        block.lanes.composite(runs, range, reference, engine.settings.background);
-                        plan.gather(pass, block, out);
-                    }
-                }
+        passes.resize_with(plan.passes(), Pass::default);
+        for (index, pass) in passes.iter_mut().enumerate() {
+            pass.start(groups);
+            plan.lanes(index, &mut pass.block);
+        }
+        if passes.iter().all(|pass| pass.block.count == 0) {
+            return;
+        }
+        sieve.fill(shared, tile, settings);
+        let size = inside(shared.corner(tile), shared.size);
+        for index in (0..BLOCKS).filter(|&b| within(b, size)) {
+            runs.find(sieve, index, settings);
+            runs.compose(simd, sieve, false);
+            let wanted = wanted(&engine.reference[tile], index, size);
+            look(&runs.locals, groups.len(), seen);
+            for pass in passes.iter_mut().filter(|pass| pass.block.count > 0) {
+                let at = pass.cut(simd, runs, seen, |groups| plan.kinds(groups));
+                let Pass { block, segments, kinds, .. } = pass;
+                block.lanes.composite(simd, runs, segments, &kinds[at], &wanted, settings.background);
             }
+        }
+        for (index, pass) in passes.iter_mut().enumerate().filter(|(_, pass)| pass.block.count > 0) {
+            let errors = pass.block.lanes.errors();
+            plan.gather(index, &pass.block, &errors, out);
         }
     }
 }
 
-/// The set of groups that touch the pixels of `range`, a bit per local index.
-fn look(runs: &Runs, range: &[std::ops::Range<usize>; 2], groups: usize, seen: &mut Vec<u64>) {
+/// Whether a block has a pixel inside the image, where a tile has `size` of them.
+pub(super) fn within(block: usize, size: (usize, usize)) -> bool {
+    block % ACROSS * SIDE < size.0 && block / ACROSS * SIDE < size.1
+}
+
+/// The reference on the pixels of a block.
+#[inline(always)]
+pub(super) fn wanted(reference: &Planes, block: usize, size: (usize, usize)) -> Wanted {
+    let (left, top) = (block % ACROSS * SIDE, block / ACROSS * SIDE);
+    let mut out = Wanted { rgb: [[0.0; TILE]; 3], inside: [0.0; TILE] };
+    for row in 0..SIDE {
+        for c in 0..3 {
+            out.rgb[c][SIDE * row..][..SIDE].copy_from_slice(&reference[top + row][c][left..left + SIDE]);
+        }
+        for column in 0..SIDE {
+            let is_inside = left + column < size.0 && top + row < size.1;
+            out.inside[SIDE * row + column] = f32::from(u8::from(is_inside));
+        }
+    }
+    out
+}
+
+/// The set of groups of `locals`, a bit each.
+pub(super) fn look(locals: &[u32], groups: usize, seen: &mut Vec<u64>) {
     seen.clear();
-    seen.resize(groups.div_ceil(64), 0);
-    for y in range[1].clone() {
-        for x in range[0].clone() {
-            for run in runs.at(x, y) {
-                seen[run.local as usize / 64] |= 1 << (run.local % 64);
-            }
-        }
-    }
-}
-
-fn bits(words: &[u64]) -> impl Iterator<Item = u32> + '_ {
-    let of = |(i, &word): (usize, &u64)| members(u128::from(word)).map(move |bit| (64 * i + bit) as u32);
-    words.iter().enumerate().flat_map(of)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::stage::TILE;
-
-    #[test]
-    fn bits_count_over_words() {
-        assert_eq!(bits(&[1 << 63 | 2, 0, 1]).collect::<Vec<_>>(), [1, 63, 128]);
-    }
-
-    #[test]
-    fn blocks_fill_a_tile() {
-        assert_eq!(TILE % BLOCK, 0);
-    }
+    seen.resize(groups.div_ceil(64).max(1), 0);
+    locals.iter().for_each(|&local| seen[local as usize / 64] |= 1 << (local % 64));
 }

@@ -1,6 +1,6 @@
 //! Delivery order: groups arrive one by one; the squared error after each.
 //!
-//! A block changes only when one of its groups arrives, so its lanes are its groups in order of arrival.
+//! A tile changes only when one of its groups arrives, so its lanes are its groups in order of arrival.
 
 use super::plan::{Block, Plan, run};
 use super::{CounterfactualError, Engine, States};
@@ -24,6 +24,10 @@ impl Plan for Arrivals<'_> {
         1 + groups.len()
     }
 
+    fn kinds(&self, groups: usize) -> usize {
+        groups + 1
+    }
+
     fn lanes(&self, _: usize, block: &mut Block) {
         let mut present = std::mem::take(&mut block.present);
         present.sort_by_key(|&local| self.when(block, local));
@@ -32,17 +36,16 @@ impl Plan for Arrivals<'_> {
         let past = present.iter().take_while(|&&local| self.when(block, local) < u32::MAX).count();
         block.reset(1 + past - first);
         for (i, &local) in present.iter().enumerate() {
-            block.lanes.row(local as usize, |lane| i < first + lane);
+            block.lanes.row(local, |lane| i < first + lane);
         }
         block.present = present;
     }
 
-    fn gather(&self, _: usize, block: &Block, out: &mut [f64]) {
-        let errors = block.lanes.errors();
+    fn gather(&self, _: usize, block: &Block, errors: &[f64], out: &mut [f64]) {
         let arriving = block.present.iter().skip_while(|&&local| self.when(block, local) == 0);
-        out[0] += f64::from(errors[0]);
+        out[0] += errors[0];
         for (&local, pair) in arriving.zip(errors.windows(2)) {
-            out[local as usize + 1] += f64::from(pair[1]) - f64::from(pair[0]);
+            out[local as usize + 1] += pair[1] - pair[0];
         }
     }
 }

@@ -17,7 +17,7 @@ pub(super) struct Entry {
 /// Tile lists of every variant, nearest first, and the groups met in each.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Shared {
-    pub splats: Vec<Splat>,
+    pub projected: project::Projected,
     /// Width and height, pixels.
     pub size: [usize; 2],
     pub columns: usize,
@@ -53,7 +53,7 @@ impl Shared {
                 }
             }
         }
-        out.splats = projected.splats;
+        out.projected = projected;
         out
     }
 
@@ -105,6 +105,6 @@ impl Shared {
     /// Bytes held.
     pub(super) fn bytes(&self) -> u64 {
         let words = self.starts.len() + self.set_starts.len() + self.sets.len() / 2 + self.entries.len();
-        (size_of_val(self.splats.as_slice()) + 8 * words) as u64
+        (size_of_val(self.projected.splats.as_slice()) + 4 * self.projected.keys.len() + 8 * words) as u64
     }
 }

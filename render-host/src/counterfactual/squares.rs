@@ -1,5 +1,8 @@
 //! Sums of squared differences, tile by tile, in one fixed order.
 
+use super::lanes::Wanted;
+use super::plan::{wanted, within};
+use super::sieve::BLOCKS;
 use crate::image::Image;
 use crate::stage::TILE;
 use crate::stage::blend::Lanes;
@@ -21,27 +24,26 @@ pub(super) fn cut(image: &Image) -> Vec<Planes> {
     out
 }
 
-/// Squares of one tile: a sum per column of pixels, added up from left to right at the end.
-#[derive(Default)]
-pub(super) struct Squares {
-    sums: [f64; TILE],
-}
+/// Squares of one tile: a sum per pixel of a block, over all blocks.
+pub(super) type Squares = [f64; TILE];
 
-impl Squares {
-    /// Adds the first `width` pixels of one row.
-    #[inline(always)]
-    pub(super) fn add(&mut self, got: &[Lanes; 3], reference: &[Lanes; 3], width: usize) {
-        for c in 0..3 {
-            for x in 0..width {
-                let d = f64::from(got[c][x]) - f64::from(reference[c][x]);
-                self.sums[x] += d * d;
-            }
+/// Squared differences on the pixels of a block, 0 outside the image.
+#[inline(always)]
+pub(super) fn squares(got: &[Lanes; 3], wanted: &Wanted) -> Squares {
+    let mut out = [0.0; TILE];
+    for c in 0..3 {
+        for (i, out) in out.iter_mut().enumerate() {
+            let d = f64::from(got[c][i]) - f64::from(wanted.rgb[c][i]);
+            *out += d * d * f64::from(wanted.inside[i]);
         }
     }
+    out
+}
 
-    pub(super) fn total(&self) -> f64 {
-        self.sums.iter().sum()
-    }
+/// Adds the squares of one block.
+#[inline(always)]
+pub(super) fn add(sum: &mut Squares, squares: &Squares) {
+    (0..TILE).for_each(|i| sum[i] += squares[i]);
 }
 
 /// Sum of squares between two images of one size, tile by tile.
@@ -49,10 +51,13 @@ pub(super) fn between(image: &Image, reference: &[Planes]) -> f64 {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let columns = width.div_ceil(TILE);
     let tile = |(index, (got, reference)): (usize, (&Planes, &Planes))| {
-        let (w, h) = inside([index % columns * TILE, index / columns * TILE], [width, height]);
-        let mut squares = Squares::default();
-        (0..h).for_each(|y| squares.add(&got[y], &reference[y], w));
-        squares.total()
+        let size = inside([index % columns * TILE, index / columns * TILE], [width, height]);
+        let mut sum = [0.0; TILE];
+        for block in (0..BLOCKS).filter(|&b| within(b, size)) {
+            let got = wanted(got, block, size).rgb;
+            add(&mut sum, &squares(&got, &wanted(reference, block, size)));
+        }
+        sum.iter().sum::<f64>()
     };
     cut(image).iter().zip(reference).enumerate().map(tile).sum()
 }

@@ -1,80 +1,333 @@
-//! Worlds exactly as they are rendered alone: per tile, each class of worlds is blended once.
+//! Worlds exactly as they are rendered alone, bit for bit.
 //!
 //! A world's list is the shared list without the absent groups: the splats and their order are those of a
-//! render of that world, and so is every operation on every pixel.
+//! render of that world, and so is every operation on every pixel. What is shared is what does not change
+//! a bit: alphas do not depend on the world, and worlds that hold the same of the groups met so far are one
+//! until a group is met that only some of them hold.
 
-use super::classes::{members, split};
+use super::fast::Worlds;
+use super::lanes::Lanes;
+use super::operator::{Operator, Part, lanes, parts};
+use super::plan::{Pass, Plan, look, wanted, within};
+use super::runs::Runs;
 use super::scaffold::Shared;
-use super::squares::{Squares, inside};
+use super::sieve::{ACROSS, BLOCKS, SIDE, Sieve};
+use super::squares::{Squares, add, inside, squares};
 use super::states::CHUNK;
 use super::{Engine, States};
 use crate::image::{Image, ImageError};
-use crate::parallel;
-use crate::stage::blend::{Tile, Tiles, blend_tile, resolve};
+use crate::settings::Settings;
+use crate::stage::TILE;
+use crate::{Camera, parallel};
+use pulp::Simd;
+use std::ops::Range;
 
 #[derive(Default)]
 struct Room {
-    list: Vec<u32>,
-    held: Vec<bool>,
-    classes: Vec<u128>,
+    sieve: Sieve,
+    runs: Runs,
+    passes: Vec<Pass>,
+    seen: Vec<u64>,
+    tree: Tree,
 }
 
-impl Room {
-    /// The list of `tile` without groups for which `holds` says no.
-    fn filter(&mut self, shared: &Shared, tile: usize, holds: impl Fn(u32) -> bool) {
-        self.held.clear();
-        self.held.extend(shared.groups(tile).iter().map(|&group| holds(group)));
-        self.list.clear();
-        let entries = shared.entries(tile).iter();
-        self.list.extend(entries.filter(|e| self.held[e.local as usize]).map(|e| e.splat));
+/// Worlds that part where a group is met that only some of them hold.
+#[derive(Default)]
+struct Tree {
+    /// Kinds, those that part last side by side.
+    order: Vec<u32>,
+    /// Whether each run is the first of its group.
+    first: Vec<bool>,
+    /// Kinds that wait at a run, with what they have gathered.
+    waiting: Vec<(Range<usize>, usize, Operator)>,
+    /// What each kind has gathered behind the last run.
+    found: Vec<Operator>,
+    /// Groups in order of appearance.
+    groups: Vec<u32>,
+}
+
+/// Where the pictures of a tile's blocks go.
+trait Sink: Sync {
+    type Tile: Send;
+
+    /// The classes of a pass over a tile.
+    fn classes(&self, tile: &mut Self::Tile, pass: usize, classes: &[u128]);
+
+    /// What a block looks like, given tile, pass and block: class `i` has the picture `found[of[i]]`.
+    fn block(
+        &self,
+        tile: &mut Self::Tile,
+        place: (usize, usize, usize),
+        size: (usize, usize),
+        of: &[u32],
+        found: &[Operator],
+    );
+}
+
+/// One tile's work, as a value, so that it can be compiled once per vector width.
+struct Walk<'a, K: Sink> {
+    room: &'a mut Room,
+    shared: &'a Shared,
+    settings: &'a Settings,
+    plan: &'a Worlds,
+    tile: usize,
+    sink: &'a K,
+    out: &'a mut K::Tile,
+}
+
+impl<K: Sink> pulp::WithSimd for Walk<'_, K> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Self { room, shared, settings, plan, tile, sink, out } = self;
+        let Room { sieve, runs, passes, seen, tree } = room;
+        let groups = shared.groups(tile);
+        passes.resize_with(plan.passes(), Pass::default);
+        for (index, pass) in passes.iter_mut().enumerate() {
+            pass.start(groups);
+            plan.lanes(index, &mut pass.block);
+            sink.classes(out, index, &pass.block.classes);
+        }
+        sieve.fill(shared, tile, settings);
+        let size = inside(shared.corner(tile), shared.size);
+        for block in (0..BLOCKS).filter(|&b| within(b, size)) {
+            runs.find(sieve, block, settings);
+            look(&runs.locals, groups.len(), seen);
+            for (index, pass) in passes.iter_mut().enumerate() {
+                let at = pass.find_kinds(seen);
+                let Pass { block: lanes, kinds, .. } = pass;
+                let kinds = &kinds[at];
+                tree.walk(simd, sieve, runs, &lanes.lanes, &kinds.first, settings.stop());
+                sink.block(out, (tile, index, block), size, &kinds.of, &tree.found);
+            }
+        }
     }
+}
+
+impl Tree {
+    /// Blends a block for every kind of lanes, of each of which `lanes_of` names one.
+    #[inline(always)]
+    fn walk<S: Simd>(
+        &mut self,
+        simd: S,
+        sieve: &Sieve,
+        runs: &Runs,
+        lanes: &Lanes,
+        lanes_of: &[u32],
+        stop: f32,
+    ) {
+        let Self { order, first, waiting, found, groups } = self;
+        groups.clear();
+        first.clear();
+        for local in &runs.locals {
+            let fresh = !groups.contains(local);
+            first.push(fresh);
+            if fresh {
+                groups.push(*local);
+            }
+        }
+        let holds = |kind: u32, local: u32| lanes.has(lanes_of[kind as usize] as usize, local);
+        order.clear();
+        order.extend(0..lanes_of.len() as u32);
+        order.sort_unstable_by(|&a, &b| {
+            let differ = groups.iter().map(|&group| (holds(a, group), holds(b, group)));
+            differ.map(|(a, b)| b.cmp(&a)).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal)
+        });
+        found.resize(lanes_of.len(), Operator::IDENTITY);
+        waiting.clear();
+        if !order.is_empty() {
+            waiting.push((0..order.len(), 0, Operator::IDENTITY));
+        }
+        while let Some((mut kinds, from, mut now)) = waiting.pop() {
+            for run in from..runs.len() {
+                let local = runs.locals[run];
+                if first[run] {
+                    let with = order[kinds.clone()].partition_point(|&kind| holds(kind, local));
+                    let middle = kinds.start + with;
+                    if middle < kinds.end && with > 0 {
+                        waiting.push((middle..kinds.end, run, now));
+                        kinds.end = middle;
+                    }
+                }
+                if holds(order[kinds.start], local) {
+                    blend(simd, sieve, runs, run, stop, &mut now);
+                }
+            }
+            order[kinds].iter().for_each(|&kind| found[kind as usize] = now);
+        }
+    }
+}
+
+/// Blends the splats of a run, with the operations of a render in its order.
+#[inline(always)]
+fn blend<S: Simd>(simd: S, sieve: &Sieve, runs: &Runs, run: usize, stop: f32, now: &mut Operator) {
+    let (stop, zero) = (simd.splat_f32s(stop), simd.splat_f32s(0.0));
+    for part in 0..parts::<S>() {
+        let mut part_now = Part::<S>::load(now, part);
+        for i in runs.members(run) {
+            let colour = sieve.splats()[runs.position(i)].colour;
+            let Part { t, rgb } = &mut part_now;
+            let open = simd.greater_than_or_equal_f32s(*t, stop);
+            let alpha = simd.select_f32s(open, lanes::<S>(runs.alpha(i), part), zero);
+            let weight = simd.mul_f32s(alpha, *t);
+            for (sum, c) in rgb.iter_mut().zip(colour) {
+                *sum = simd.add_f32s(*sum, simd.mul_f32s(weight, simd.splat_f32s(c)));
+            }
+            *t = simd.sub_f32s(*t, weight);
+        }
+        part_now.store(now, part);
+    }
+}
+
+/// Squared errors.
+struct Errors<'a>(&'a Engine);
+
+/// Classes and squares of each pass.
+type Sums = Vec<(Vec<u128>, Vec<Squares>)>;
+
+impl Sink for Errors<'_> {
+    type Tile = Sums;
+
+    fn classes(&self, tile: &mut Sums, _: usize, classes: &[u128]) {
+        tile.push((classes.to_vec(), vec![[0.0; TILE]; classes.len()]));
+    }
+
+    #[inline(always)]
+    fn block(
+        &self,
+        tile: &mut Sums,
+        (index, pass, block): (usize, usize, usize),
+        size: (usize, usize),
+        of: &[u32],
+        found: &[Operator],
+    ) {
+        let wanted = wanted(&self.0.reference[index], block, size);
+        let background = self.0.settings.background;
+        let of_kinds: Vec<Squares> = found.iter().map(|f| squares(&over(f, background), &wanted)).collect();
+        for (sum, &kind) in tile[pass].1.iter_mut().zip(of) {
+            add(sum, &of_kinds[kind as usize]);
+        }
+    }
+}
+
+/// What shows over `background`.
+#[inline(always)]
+fn over(found: &Operator, background: [f32; 3]) -> [[f32; TILE]; 3] {
+    let mut out = found.rgb;
+    for (out, back) in out.iter_mut().zip(background) {
+        (0..TILE).for_each(|i| out[i] += found.t[i] * back);
+    }
+    out
 }
 
 /// Sum of squared errors of each world.
 pub(super) fn errors(engine: &Engine, states: &States) -> Vec<f64> {
-    let Engine { shared, settings, reference, .. } = engine;
-    let chunks = states.chunks();
-    let mut parts = vec![0.0; shared.tiles() * states.len()];
-    let mut tiles: Vec<&mut [f64]> = parts.chunks_mut(states.len().max(1)).collect();
-    parallel::for_each_with(settings.parallel, &mut tiles, |room: &mut Room, index, out| {
-        let (corner, mut tile) = (shared.corner(index), Tile::EMPTY);
-        let (width, height) = inside(corner, shared.size);
-        for (chunk, (worlds, columns)) in chunks.iter().enumerate() {
-            let of_tile = shared.groups(index).iter().map(|&group| columns[group as usize]);
-            let mut classes = std::mem::take(&mut room.classes);
-            split(*worlds, of_tile, &mut classes);
-            for &class in &classes {
-                room.filter(shared, index, |group| columns[group as usize] & class != 0);
-                blend_tile(&shared.splats, &room.list, corner, shared.size, settings, &mut tile);
-                let mut squares = Squares::default();
-                for (y, wanted) in reference[index].iter().enumerate().take(height) {
-                    squares.add(&tile.over(y, settings.background), wanted, width);
-                }
-                let total = squares.total();
-                members(class).for_each(|world| out[chunk * CHUNK + world] = total);
+    let Engine { shared, settings, .. } = engine;
+    let plan = Worlds::new(states);
+    let sink = Errors(engine);
+    let mut tiles: Vec<Vec<f64>> = vec![vec![]; shared.tiles()];
+    parallel::for_each_with(settings.parallel, &mut tiles, |room: &mut Room, tile, out| {
+        let mut sums = Sums::new();
+        let walk = Walk { room, shared, settings, plan: &plan, tile, sink: &sink, out: &mut sums };
+        pulp::Arch::new().dispatch(walk);
+        out.resize(states.len(), 0.0);
+        for (pass, (classes, squares)) in sums.iter().enumerate() {
+            for (&class, squares) in classes.iter().zip(squares) {
+                let total = squares.iter().sum::<f64>();
+                super::classes::members(class).for_each(|world| out[pass * CHUNK + world] = total);
             }
-            room.classes = classes;
         }
     });
     let mut out = vec![0.0; states.len()];
-    for part in parts.chunks(states.len().max(1)) {
+    for part in &tiles {
         out.iter_mut().zip(part).for_each(|(total, part)| *total += part);
     }
     out
 }
 
-/// The picture of `world`.
-pub(super) fn image(engine: &Engine, states: &States, world: usize) -> Result<Image, ImageError> {
-    let Engine { shared, settings, .. } = engine;
-    let [width, height] = shared.size;
-    let mut tiles = Tiles { tiles: vec![Tile::EMPTY; shared.tiles()], empty: Vec::new() };
-    parallel::for_each_with(settings.parallel, &mut tiles.tiles, |room: &mut Room, index, tile| {
-        room.filter(shared, index, |group| states.has(world, group as usize));
-        blend_tile(&shared.splats, &room.list, shared.corner(index), shared.size, settings, tile);
-    });
-    let mut image = Image::default();
-    image.reset(width as u32, height as u32)?;
-    let mut transmittance = vec![1.0; width * height];
-    resolve(&tiles, width, settings, image.rgb_mut(), &mut transmittance);
-    Ok(image)
+/// Pictures.
+struct Pictures {
+    background: [f32; 3],
+}
+
+/// Per pass, the class of each world and the picture of each class.
+#[derive(Clone, Default)]
+struct Views {
+    /// Class of each world of the pass.
+    of: Vec<Vec<u32>>,
+    /// Rows of a tile, r g b per pixel.
+    pictures: Vec<Vec<[[f32; 3 * TILE]; TILE]>>,
+}
+
+impl Sink for Pictures {
+    type Tile = Views;
+
+    fn classes(&self, tile: &mut Views, _: usize, classes: &[u128]) {
+        let mut of = vec![0; CHUNK];
+        for (index, &class) in (0..).zip(classes) {
+            super::classes::members(class).for_each(|world| of[world] = index);
+        }
+        tile.of.push(of);
+        tile.pictures.push(vec![[[0.0; 3 * TILE]; TILE]; classes.len()]);
+    }
+
+    #[inline(always)]
+    fn block(
+        &self,
+        tile: &mut Views,
+        (_, pass, block): (usize, usize, usize),
+        _: (usize, usize),
+        of: &[u32],
+        found: &[Operator],
+    ) {
+        let (left, top) = (block % ACROSS * SIDE, block / ACROSS * SIDE);
+        let colours: Vec<_> = found.iter().map(|f| over(f, self.background)).collect();
+        for (picture, &kind) in tile.pictures[pass].iter_mut().zip(of) {
+            let colours = &colours[kind as usize];
+            for (i, y) in (0..TILE).map(|i| (i, top + i / SIDE)) {
+                let pixel = &mut picture[y][3 * (left + i % SIDE)..][..3];
+                (0..3).for_each(|c| pixel[c] = colours[c][i]);
+            }
+        }
+    }
+}
+
+/// The pictures of all worlds.
+pub(super) fn images(
+    shared: &Shared,
+    camera: &Camera,
+    settings: &Settings,
+    states: &States,
+) -> Result<Vec<Image>, ImageError> {
+    let plan = Worlds::new(states);
+    let sink = Pictures { background: settings.background };
+    let mut out = Vec::with_capacity(states.len());
+    for _ in 0..states.len() {
+        let mut image = Image::default();
+        image.reset(camera.width(), camera.height())?;
+        out.push(image);
+    }
+    let width = camera.width() as usize;
+    // A row of tiles at a time, so that what tiles look like need not all be kept.
+    let mut views = vec![Views::default(); shared.columns];
+    for row in 0..shared.tiles() / shared.columns.max(1) {
+        parallel::for_each_with(settings.parallel, &mut views, |room: &mut Room, column, out| {
+            out.of.clear();
+            out.pictures.clear();
+            let tile = row * shared.columns + column;
+            let walk = Walk { room, shared, settings, plan: &plan, tile, sink: &sink, out };
+            pulp::Arch::new().dispatch(walk);
+        });
+        parallel::for_each(settings.parallel, &mut out, |world, image| {
+            let rows = image.rgb_mut().chunks_exact_mut(3 * width).skip(TILE * row).take(TILE);
+            for (y, pixels) in rows.enumerate() {
+                for (pixels, view) in pixels.chunks_mut(3 * TILE).zip(&views) {
+                    let class = view.of[world / CHUNK][world % CHUNK] as usize;
+                    pixels.copy_from_slice(&view.pictures[world / CHUNK][class][y][..pixels.len()]);
+                }
+            }
+        });
+    }
+    Ok(out)
 }

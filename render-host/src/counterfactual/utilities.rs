@@ -1,6 +1,6 @@
 //! What each group is worth in each context: leave one out of those present, add one of those absent.
 //!
-//! Lanes are the contexts that a block can tell apart, each as it is and with one of the block's groups
+//! Lanes are the contexts that a tile can tell apart, each as it is and with one of the tile's groups
 //! toggled. Their number does not depend on how many groups the scene has.
 
 use super::classes::{members, split};
@@ -53,6 +53,10 @@ impl Plan for Toggles {
         self.contexts * (groups.len() + 1)
     }
 
+    fn kinds(&self, groups: usize) -> usize {
+        groups + 1
+    }
+
     fn passes(&self) -> usize {
         self.chunks.len()
     }
@@ -66,23 +70,21 @@ impl Plan for Toggles {
         for (i, &local) in block.present.iter().enumerate() {
             let column = columns[block.groups[local as usize] as usize];
             let classes = &block.classes;
-            block
-                .lanes
-                .row(local as usize, |lane| (classes[lane / each] & column != 0) != (lane % each == i + 1));
+            block.lanes.row(local, |lane| (classes[lane / each] & column != 0) != (lane % each == i + 1));
         }
     }
 
-    fn gather(&self, pass: usize, block: &Block, out: &mut [f64]) {
+    fn gather(&self, pass: usize, block: &Block, errors: &[f64], out: &mut [f64]) {
         let (stride, each) = (block.groups.len() + 1, block.present.len() + 1);
         let columns = &self.chunks[pass].1;
-        for (&class, errors) in block.classes.iter().zip(block.lanes.errors().chunks_exact(each)) {
-            let base = f64::from(errors[0]);
+        for (&class, errors) in block.classes.iter().zip(errors.chunks_exact(each)) {
+            let base = errors[0];
             for context in members(class) {
                 let out = &mut out[(pass * CHUNK + context) * stride..][..stride];
                 out[0] += base;
                 for (&local, &error) in block.present.iter().zip(&errors[1..]) {
                     let held = columns[block.groups[local as usize] as usize] & class != 0;
-                    let rise = f64::from(error) - base;
+                    let rise = error - base;
                     out[local as usize + 1] += if held { rise } else { -rise };
                 }
             }

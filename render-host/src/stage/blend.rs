@@ -77,7 +77,7 @@ impl Tile {
         Self { rows: [[[0.0; TILE], [0.0; TILE], [0.0; TILE], [1.0; TILE]]; TILE], work: Work::NONE };
 
     /// Row `y` over `background`: r, g, b of its 16 pixels.
-    #[inline(always)]
+    #[cfg(test)]
     pub(crate) fn over(&self, y: usize, background: [f32; 3]) -> [Lanes; 3] {
         let [r, g, b, t] = &self.rows[y];
         let mut out = [*r, *g, *b];

@@ -26,7 +26,7 @@ pub const MIN_COMPENSATION: f64 = 0.005;
 const CHUNK: usize = 2048;
 
 /// What the stage yields: a slot per Gaussian.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Projected {
     /// Splats; a slot whose key is [`SKIPPED`] holds nothing of use.
     pub splats: Vec<Splat>,

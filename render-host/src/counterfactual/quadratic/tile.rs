@@ -112,7 +112,7 @@ impl pulp::NullaryFnOnce for Work<'_> {
         let (corner, rules) = (shared.corner(tile), Rules::new(settings));
         layers.clear();
         let (mut picture, mut clamp) = (Layer::EMPTY, Layer::EMPTY);
-        let walked = trace.forward(&shared.splats, list, corner, &rules);
+        let walked = trace.forward(&shared.projected.splats, list, corner, &rules);
         for (y, row) in picture.rows.iter_mut().enumerate() {
             for (c, row) in row.iter_mut().enumerate() {
                 let behind = settings.background[c];
@@ -123,7 +123,7 @@ impl pulp::NullaryFnOnce for Work<'_> {
         for k in (0..walked).rev() {
             let segment = &list[k * SEGMENT..list.len().min((k + 1) * SEGMENT)];
             if k + 1 < walked {
-                trace.again(k, &shared.splats, segment, corner, &rules);
+                trace.again(k, &shared.projected.splats, segment, corner, &rules);
             }
             for (i, &splat) in segment.iter().enumerate() {
                 let (visits, changes) = (trace.visits(i), paint.changes(splat));

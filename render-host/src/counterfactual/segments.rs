@@ -1,0 +1,242 @@
+//! Runs of a few groups composed once for every look that the worlds have of those groups.
+//!
+//! A segment is a stretch of runs of at most a few groups. Worlds that hold the same of these groups see
+//! the same operator, so it is composed once per such *look* and a world is a walk over segments, not over
+//! runs. With G groups in a segment there are at most 2^G looks, one of which is the identity.
+
+use super::lanes::Lanes;
+use super::operator::{Operator, Part, parts};
+use super::runs::Runs;
+use pulp::Simd;
+
+/// Groups in a segment at most.
+const MOST: usize = 4;
+/// Looks at a segment at most.
+pub(super) const LOOKS: usize = 1 << MOST;
+/// No group.
+pub(super) const NONE: u32 = u32::MAX;
+
+/// Up to [`MOST`] groups in order of appearance; unused places hold [`NONE`].
+type Few = [u32; MOST];
+
+/// How the lanes of a tile see a few groups.
+#[derive(Debug, Default)]
+struct View {
+    groups: Few,
+    /// Per lane, a bit per group that it holds.
+    looks: Vec<u8>,
+    /// Bit `l` is set when some lane has look `l`.
+    used: u32,
+}
+
+/// A stretch of runs.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Segment {
+    /// First run and the one past the last.
+    pub runs: [usize; 2],
+    view: usize,
+    /// Operator of each look.
+    pub operators: [u32; LOOKS],
+}
+
+/// The segments of one block.
+#[derive(Debug, Default)]
+pub(super) struct Segments {
+    /// Views of the tile's lanes, made when first needed; `known` of them count.
+    views: Vec<View>,
+    known: usize,
+    list: Vec<Segment>,
+    /// Of each run, which of its segment's groups it is, as a bit of a look.
+    ranks: Vec<u8>,
+    /// Room for the runs of one look.
+    picked: Vec<u32>,
+    /// One past the last operator that was composed.
+    end: usize,
+}
+
+impl Segments {
+    /// Forgets all views: the lanes are others.
+    pub(super) fn reset(&mut self) {
+        self.known = 0;
+    }
+
+    pub(super) fn list(&self) -> &[Segment] {
+        &self.list
+    }
+
+    /// The look that `lane` has of `segment`.
+    #[inline(always)]
+    fn look(&self, segment: &Segment, lane: usize) -> usize {
+        usize::from(self.views[segment.view].looks[lane]) % LOOKS
+    }
+
+    /// Cuts the runs of a block into segments of at most `limit` groups and composes every look of each.
+    #[inline(always)]
+    pub(super) fn fill<S: Simd>(&mut self, simd: S, runs: &mut Runs, lanes: &Lanes, limit: usize) {
+        self.list.clear();
+        self.ranks.clear();
+        let identity = runs.len() as u32;
+        let mut first = 0;
+        while first < runs.len() {
+            let mut groups = [NONE; MOST];
+            let mut past = first;
+            for &local in &runs.locals[first..] {
+                let Some(rank) = place(&mut groups, limit, local) else { break };
+                self.ranks.push(rank as u8);
+                past += 1;
+            }
+            let view = self.view(groups, lanes);
+            self.list.push(Segment { runs: [first, past], view, operators: [identity; LOOKS] });
+            first = past;
+        }
+        if self.picked.len() <= runs.len() {
+            self.picked.resize(runs.len() + 1, 0);
+        }
+        let mut end = runs.len() + 1;
+        for at in 0..self.list.len() {
+            let mut segment = self.list[at];
+            let mut used = self.views[segment.view].used & !1;
+            while used != 0 {
+                let look = used.trailing_zeros() as usize % LOOKS;
+                used &= used - 1;
+                segment.operators[look] = self.compose(simd, runs, segment.runs, look, &mut end);
+            }
+            self.list[at] = segment;
+        }
+        self.end = end;
+    }
+
+    /// One past the last operator of the block.
+    pub(super) fn end(&self) -> usize {
+        self.end
+    }
+
+    /// Writes the operator of each segment for `lane` to the start of `path`.
+    #[inline(always)]
+    pub(super) fn path(&self, lane: usize, path: &mut [u32]) {
+        for (step, segment) in path.iter_mut().zip(&self.list) {
+            *step = segment.operators[self.look(segment, lane)];
+        }
+    }
+
+    /// The looks of a segment whose operators were composed, where a block has `runs` runs.
+    pub(super) fn composed(
+        &self,
+        segment: &Segment,
+        runs: usize,
+    ) -> impl Iterator<Item = (usize, usize)> + use<> {
+        let operators = segment.operators;
+        (0..LOOKS).map(move |look| (look, operators[look] as usize)).filter(move |&(_, at)| at > runs)
+    }
+
+    /// The runs that a look holds.
+    #[inline(always)]
+    pub(super) fn picked(&mut self, runs: [usize; 2], look: usize) -> &[u32] {
+        let count = self.pick(runs, look);
+        &self.picked[..count]
+    }
+
+    /// The operator of one look: a run if it is one, else composed behind all others, at `end`.
+    #[inline(always)]
+    fn compose<S: Simd>(
+        &mut self,
+        simd: S,
+        runs: &mut Runs,
+        [first, past]: [usize; 2],
+        look: usize,
+        end: &mut usize,
+    ) -> u32 {
+        let count = self.pick([first, past], look);
+        let picked = &self.picked[..count];
+        if count == 1 {
+            return picked[0];
+        }
+        if runs.operators.len() <= *end {
+            runs.operators.resize(2 * *end + 2, Operator::IDENTITY);
+        }
+        let (sources, made) = runs.operators.split_at_mut(*end);
+        for part in 0..parts::<S>() {
+            let mut now = Part::identity(simd);
+            for &run in picked {
+                now = now.then(simd, Part::load(&sources[run as usize], part));
+            }
+            now.store(&mut made[0], part);
+        }
+        *end += 1;
+        (*end - 1) as u32
+    }
+
+    /// Puts the runs that a look holds at the start of `picked`. Returns how many.
+    #[inline(always)]
+    fn pick(&mut self, [first, past]: [usize; 2], look: usize) -> usize {
+        let mut count = 0;
+        for (run, &rank) in (first as u32..).zip(&self.ranks[first..past]) {
+            self.picked[count] = run;
+            count += look >> rank & 1;
+        }
+        count
+    }
+
+    /// The view of `groups`.
+    #[inline(always)]
+    fn view(&mut self, groups: Few, lanes: &Lanes) -> usize {
+        let found = self.views[..self.known].iter().position(|view| view.groups == groups);
+        found.unwrap_or_else(|| self.make(groups, lanes))
+    }
+
+    fn make(&mut self, groups: Few, lanes: &Lanes) -> usize {
+        let at = self.known;
+        if self.views.len() == at {
+            self.views.push(View::default());
+        }
+        let view = &mut self.views[at];
+        (view.groups, view.used) = (groups, 0);
+        view.looks.clear();
+        view.looks.resize(lanes.count(), 0);
+        for (rank, &group) in groups.iter().enumerate().filter(|(_, group)| **group != NONE) {
+            let looks = view.looks.iter_mut().enumerate();
+            looks.for_each(|(lane, look)| *look |= u8::from(lanes.has(lane, group)) << rank);
+        }
+        view.looks.iter().for_each(|&look| view.used |= 1 << look);
+        self.known += 1;
+        at
+    }
+}
+
+/// Place of `local` among `groups`, where it is added if it is missing and there is room.
+#[inline(always)]
+fn place(groups: &mut Few, limit: usize, local: u32) -> Option<usize> {
+    for (rank, group) in groups[..limit].iter_mut().enumerate() {
+        if *group == NONE {
+            *group = local;
+        }
+        if *group == local {
+            return Some(rank);
+        }
+    }
+    None
+}
+
+/// The number of groups per segment for which `lanes` lanes over these runs are estimated cheapest.
+///
+/// A run is composed into about half of the looks; a lane walks over every segment.
+pub(super) fn limit(locals: &[u32], lanes: usize) -> usize {
+    let mut best = (f32::INFINITY, 1);
+    for limit in 1..=MOST {
+        let (mut groups, mut length, mut count, mut cost) = ([NONE; MOST], 0, 0, 0.0);
+        let looks = (((1 << limit) - 1) as f32 * 0.6).min(lanes as f32);
+        for &local in locals {
+            if place(&mut groups, limit, local).is_none() {
+                cost += if length > 1 { looks * length as f32 } else { 0.0 };
+                (groups, length, count) = ([NONE; MOST], 0, count + 1);
+                groups[0] = local;
+            }
+            length += 1;
+        }
+        cost += looks * length as f32 + 1.3 * ((count + 1) * lanes) as f32;
+        if cost < best.0 {
+            best = (cost, limit);
+        }
+    }
+    best.1
+}
