@@ -20,6 +20,7 @@
 //! variants; [`levels`] maps delivered levels to worlds.
 
 mod backward;
+mod batch;
 pub mod brute;
 mod classes;
 mod dimmed;
@@ -48,6 +49,7 @@ pub mod tuner;
 mod utilities;
 mod variants;
 
+pub use batch::{WorldBatch, render_worlds};
 pub use engine::Engine;
 pub use error::CounterfactualError;
 pub use gradients::WorldGradients;

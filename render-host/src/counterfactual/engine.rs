@@ -70,7 +70,7 @@ impl Engine {
     /// States of another number of groups.
     pub fn images(&self, states: &States) -> Result<Vec<Image>, CounterfactualError> {
         self.check(states)?;
-        Ok(strict::images(&self.shared, &self.camera, &self.settings, states)?)
+        Ok(strict::images(&self.shared, &self.camera, &self.settings, states)?.images)
     }
 
     /// Squared error of each world without early stop: relative error below 2e-6 against f64 arithmetic.

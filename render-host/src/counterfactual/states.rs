@@ -72,6 +72,15 @@ impl States {
         out
     }
 
+    /// The worlds of `range` that there are.
+    pub fn range(&self, range: std::ops::Range<usize>) -> Self {
+        let words = self.groups.div_ceil(64);
+        let end = range.end.min(self.worlds);
+        let start = range.start.min(end);
+        let bits = self.bits[start * words..end * words].to_vec();
+        Self { groups: self.groups, worlds: end - start, bits }
+    }
+
     /// Worlds `CHUNK · chunk ..` turned by 90 degrees: per group, the set of worlds that hold it.
     pub(super) fn columns(&self, chunk: usize) -> Vec<u128> {
         let worlds = chunk * CHUNK..self.worlds.min((chunk + 1) * CHUNK);
@@ -113,6 +122,9 @@ mod tests {
             }
         }
         assert!(!states.has(131, 0) && !states.has(0, 70));
+        let some = states.range(127..500);
+        assert!(some.len() == 4 && (0..70).all(|g| some.has(1, g) == states.has(128, g)));
+        assert!(states.range(7..3).is_empty());
         assert!(states.one(3).has(0, 9) == present(3, 9) && states.one(500).is_empty());
     }
 }

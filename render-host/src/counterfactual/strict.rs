@@ -260,6 +260,13 @@ struct Views {
     pictures: Vec<Vec<[[f32; 3 * TILE]; TILE]>>,
 }
 
+impl Views {
+    fn bytes(&self) -> usize {
+        let of: usize = self.of.iter().map(|of| size_of_val(of.as_slice())).sum();
+        of + self.pictures.iter().map(|p| size_of_val(p.as_slice())).sum::<usize>()
+    }
+}
+
 impl Sink for Pictures {
     type Tile = Views;
 
@@ -293,13 +300,20 @@ impl Sink for Pictures {
     }
 }
 
+/// Pictures, and what else it took to make them.
+pub(super) struct Drawn {
+    pub images: Vec<Image>,
+    /// Bytes that were needed beside the pictures.
+    pub scratch: usize,
+}
+
 /// The pictures of all worlds.
 pub(super) fn images(
     shared: &Shared,
     camera: &Camera,
     settings: &Settings,
     states: &States,
-) -> Result<Vec<Image>, ImageError> {
+) -> Result<Drawn, ImageError> {
     let plan = Worlds::new(states);
     let sink = Pictures { background: settings.background };
     let mut out = Vec::with_capacity(states.len());
@@ -311,6 +325,7 @@ pub(super) fn images(
     let width = camera.width() as usize;
     // A row of tiles at a time, so that what tiles look like need not all be kept.
     let mut views = vec![Views::default(); shared.columns];
+    let mut scratch = 0;
     for row in 0..shared.tiles() / shared.columns.max(1) {
         parallel::for_each_with(settings.parallel, &mut views, |room: &mut Room, column, out| {
             out.of.clear();
@@ -319,6 +334,7 @@ pub(super) fn images(
             let walk = Walk { room, shared, settings, plan: &plan, tile, sink: &sink, out };
             pulp::Arch::new().dispatch(walk);
         });
+        scratch = scratch.max(views.iter().map(Views::bytes).sum());
         parallel::for_each(settings.parallel, &mut out, |world, image| {
             let rows = image.rgb_mut().chunks_exact_mut(3 * width).skip(TILE * row).take(TILE);
             for (y, pixels) in rows.enumerate() {
@@ -329,5 +345,5 @@ pub(super) fn images(
             }
         });
     }
-    Ok(out)
+    Ok(Drawn { images: out, scratch })
 }

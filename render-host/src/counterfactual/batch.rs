@@ -1,0 +1,123 @@
+//! World batches: pictures of many worlds in one call, each bit for bit that of the world rendered alone.
+
+use super::scaffold::Shared;
+use super::states::CHUNK;
+use super::tuner::{self, OutOfMemory, Tuned};
+use super::{CounterfactualError, States, Variants, strict};
+use crate::image::Image;
+use crate::stage::TILE;
+use crate::{Camera, Settings};
+use std::ops::Range;
+
+/// What the worlds of a batch share, ready to draw any of them.
+#[derive(Debug)]
+pub struct WorldBatch {
+    shared: Shared,
+    camera: Camera,
+    settings: Settings,
+    groups: usize,
+}
+
+/// Bytes of a picture of one class of worlds of one tile.
+const TILE_BYTES: usize = 4 * 3 * TILE * TILE;
+
+impl WorldBatch {
+    /// Projects, orders and bins all variants as `camera` sees them.
+    ///
+    /// # Errors
+    /// A setting out of range.
+    pub fn new(
+        variants: &Variants,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<Self, CounterfactualError> {
+        settings.validate()?;
+        let shared = Shared::new(variants, camera, settings);
+        Ok(Self { shared, camera: camera.clone(), settings: settings.clone(), groups: variants.count() })
+    }
+
+    /// Pictures of all worlds, bit for bit those of [`super::brute::image`].
+    ///
+    /// # Errors
+    /// States of another number of groups.
+    pub fn images(&self, states: &States) -> Result<Vec<Image>, CounterfactualError> {
+        let (found, needed) = (states.groups(), self.groups);
+        if found != needed {
+            return Err(CounterfactualError::States { found, needed });
+        }
+        Ok(strict::images(&self.shared, &self.camera, &self.settings, states)?.images)
+    }
+
+    /// Bytes that [`WorldBatch::images`] of `worlds` worlds needs at most, this batch included.
+    pub fn predict_bytes(&self, worlds: usize) -> u64 {
+        let [width, height] = self.shared.size;
+        let pictures = worlds * (12 * width * height + size_of::<Image>());
+        // A row of tiles, every world a class of its own, and the class of each world.
+        let tiles = self.shared.columns * (worlds * TILE_BYTES + 4 * worlds.next_multiple_of(CHUNK));
+        let sets = 8 * worlds * self.groups.div_ceil(64) + 16 * self.groups * worlds.div_ceil(CHUNK);
+        self.shared.bytes() + (pictures + tiles + sets) as u64
+    }
+
+    /// The largest number of the first worlds of `states` that one call may hold within `budget` bytes:
+    /// predicted, then drawn to see what it really takes.
+    pub fn largest(&self, states: &States, budget: u64) -> Tuned {
+        self.largest_with(states, budget, &mut reserve)
+    }
+
+    /// As [`WorldBatch::largest`], with `reserve` to say whether so many bytes can be had.
+    pub fn largest_with(
+        &self,
+        states: &States,
+        budget: u64,
+        reserve: &mut dyn FnMut(u64) -> Result<(), OutOfMemory>,
+    ) -> Tuned {
+        let predict = |worlds| self.predict_bytes(worlds);
+        tuner::largest(budget, states.len(), predict, |worlds| {
+            reserve(self.predict_bytes(worlds) - self.shared.bytes())?;
+            let drawn = strict::images(&self.shared, &self.camera, &self.settings, &states.range(0..worlds));
+            let drawn = drawn.map_err(|_| OutOfMemory)?;
+            let pictures: usize =
+                drawn.images.iter().map(|i| size_of_val(i.rgb()) + size_of::<Image>()).sum();
+            Ok(self.shared.bytes() + (pictures + drawn.scratch) as u64)
+        })
+    }
+
+    /// Draws all worlds, `worlds` per call (at least one), and hands over each batch with the range of
+    /// worlds it holds.
+    ///
+    /// # Errors
+    /// As [`WorldBatch::images`].
+    pub fn for_each_batch(
+        &self,
+        states: &States,
+        worlds: usize,
+        mut each: impl FnMut(Range<usize>, Vec<Image>),
+    ) -> Result<(), CounterfactualError> {
+        for first in (0..states.len()).step_by(worlds.max(1)) {
+            let range = first..(first + worlds.max(1)).min(states.len());
+            let images = self.images(&states.range(range.clone()))?;
+            each(range, images);
+        }
+        Ok(())
+    }
+}
+
+/// Renders all worlds of `states` with one projection, one depth order and one set of tile lists; picture
+/// `w` is bit for bit that of world `w` rendered alone.
+///
+/// # Errors
+/// A setting out of range, or states of another number of groups.
+pub fn render_worlds(
+    variants: &Variants,
+    states: &States,
+    camera: &Camera,
+    settings: &Settings,
+) -> Result<Vec<Image>, CounterfactualError> {
+    WorldBatch::new(variants, camera, settings)?.images(states)
+}
+
+/// Whether the system gives so many bytes.
+fn reserve(bytes: u64) -> Result<(), OutOfMemory> {
+    let bytes = usize::try_from(bytes).map_err(|_| OutOfMemory)?;
+    Vec::<u8>::new().try_reserve_exact(bytes).map_err(|_| OutOfMemory)
+}
