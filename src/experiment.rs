@@ -1,7 +1,9 @@
 //! The experiments behind `dgs bench`: one file per bench, one [`Bench`] each.
 
 mod accounting;
+mod cloud;
 mod demo;
+mod gradient;
 mod loss;
 mod rate;
 mod render;
@@ -29,7 +31,7 @@ pub struct Experiment {
 }
 
 /// All benches, in the order of the walk.
-pub const ALL: [Experiment; 6] = [
+pub const ALL: [Experiment; 7] = [
     Experiment { name: "demo", about: "wall time and peak memory of `dgs demo`", run: demo::run },
     Experiment {
         name: "rate",
@@ -50,6 +52,11 @@ pub const ALL: [Experiment; 6] = [
         name: "render",
         about: "CPU render time per frame beside its error against the f64 reference",
         run: render::run,
+    },
+    Experiment {
+        name: "gradient",
+        about: "gradients against f64 differences, time with gradients, utilities of groups estimated from them",
+        run: gradient::run,
     },
     Experiment {
         name: "transport",

@@ -141,7 +141,7 @@ impl pulp::WithSimd for Backward<'_> {
             let start = k * SEGMENT;
             let segment = &list[start..list.len().min(start + SEGMENT)];
             if k + 1 < walked {
-                scratch.trace.again(k, splats, segment, corner, &rules);
+                scratch.trace.again(k, splats, segment, corner, &rules, |_| true);
             }
             let partials = &mut found.partials[start..start + segment.len()];
             for (i, partial) in partials.iter_mut().enumerate().rev() {
