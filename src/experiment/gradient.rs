@@ -216,7 +216,7 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, film: &Camera, runs: us
 /// colours that stay above 0, so thresholds do not disturb the difference.
 fn along_colours(splats: &Splats, film: &Camera, settings: &Settings, loss: &dyn Loss) -> Result<f64> {
     let got = render_and_gradients(&mut Workspace::new(), splats, film, settings, loss)?;
-    let step = 1.0 / 256.0;
+    let step = 1.0 / 2048.0;
     let mut r = Numbers(17);
     let n = splats.len();
     let mut change: Vec<[f32; 3]> = (0..n).map(|_| [0; 3].map(|_| r.between(-1.0, 1.0))).collect();

@@ -9,7 +9,7 @@ use std::sync::Mutex;
 
 use pulp::Simd;
 
-use super::term::{Term, dropped, keep};
+use super::term::{Term, dropped, flipped, keep};
 use super::trace::{Rows, SEGMENT, Trace};
 use crate::parallel;
 use crate::settings::Settings;
@@ -185,7 +185,7 @@ impl Scratch {
                 }
             }
         }
-        sums.map(|sum| total(&sum))
+        sums.map(|sum| keep(Term::Background, f64::from(total(&sum))) as f32)
     }
 
     /// Differentiates one splat's visits and steps in front of it.
@@ -215,8 +215,11 @@ impl Scratch {
                 let own = add(add(mul(gr, r), mul(gg, g)), mul(gb, b));
                 let ahead = sub(own, *behind);
                 let weight = mul(alpha, lanes::<S>(&record.transmittance, part));
-                if !dropped(Term::Behind) {
-                    *behind = add(*behind, mul(alpha, ahead));
+                let nearer = mul(alpha, ahead);
+                if flipped(Term::Behind) {
+                    *behind = sub(*behind, nearer);
+                } else if !dropped(Term::Behind) {
+                    *behind = add(*behind, nearer);
                 }
                 let free = simd.less_than_f32s(alpha, clamped);
                 let h = simd.select_f32s(free, mul(weight, ahead), zero);
@@ -299,10 +302,10 @@ fn chain(sums: [Lanes; SUMS], splat: &Splat, corner: [usize; 2]) -> Partial {
         du * dx + keep(Term::Along, du_along),
         du * dy + keep(Term::Shear, du_down),
         dv * dy + keep(Term::Down, dv_down),
-        std::f64::consts::LN_2 * h,
-        red,
-        green,
-        blue,
+        keep(Term::Exponent, std::f64::consts::LN_2 * h),
+        keep(Term::Colour, red),
+        keep(Term::Colour, green),
+        keep(Term::Colour, blue),
     ]
     .map(|v| v as f32)
 }
