@@ -1,7 +1,9 @@
 //! The experiments behind `dgs bench`: one file per bench, one [`Bench`] each.
 
 mod accounting;
+mod cloud;
 mod demo;
+mod gradient;
 mod loss;
 mod pareto;
 mod rate;
@@ -53,6 +55,11 @@ pub const ALL: &[Experiment] = &[
         name: "render",
         about: "CPU render time per frame beside its error against the f64 reference",
         run: render::run,
+    },
+    Experiment {
+        name: "gradient",
+        about: "gradients against f64 differences, time with gradients, utilities of groups estimated from them",
+        run: gradient::run,
     },
     Experiment {
         name: "skips",

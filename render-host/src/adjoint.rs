@@ -133,7 +133,7 @@ impl Workspace {
     /// first order, for any loss. Alpha at its clamp counts as 0.
     ///
     /// A poor estimate where a group hides what is behind it (the derivative of an opaque surface is 0):
-    /// [`crate::counterfactual::Engine::first_order`] is better for squared errors.
+    /// [`crate::counterfactual::Engine::single_pass`] is exact, for squared errors.
     ///
     /// # Errors
     /// Another number of ids than Gaussians of the last call, or an id that is not below `count`.

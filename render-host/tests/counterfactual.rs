@@ -329,34 +329,43 @@ fn what_is_refused_is_named() {
     refused(error, "20 x 20 and 10 x 20");
 }
 
-/// Groups far apart on the film meet a pixel in one run each: the estimate is exact there. Otherwise it is
-/// one, and ranks.
+/// Against the lanes of the engine: cells of space interleave, so a pixel meets a group many times.
 #[test]
-fn first_order_utilities_are_exact_for_single_runs() {
-    let mut case = Case::new(900, 1, 9, (90, 60), 4);
-    let (settings, states) = (no_stop(), random(9, 3, 8));
-    // One group per slab of depth: whatever a pixel sees of a group is consecutive.
-    let depth = |p: [f32; 3]| case.camera.to_camera(p)[2];
-    let nearest = case.scene.gaussians.iter().map(|g| depth(g.position)).fold(f64::INFINITY, f64::min);
-    let slab = |p: [f32; 3]| (((depth(p) - nearest) * 2.5) as u32).min(8);
-    case.groups = case.scene.gaussians.iter().map(|g| slab(g.position)).collect();
-    let engine = case.engine(&settings);
-    let (exact, got) = (engine.utilities(&states).unwrap(), engine.first_order(&states).unwrap());
-    let largest = exact.delta.iter().fold(0.0f64, |m, d| m.max(d.abs()));
-    assert!(largest > 1.0);
-    assert!(worst(&got.delta, &exact.delta, |_| largest) < 1e-5);
-    assert!(worst(&got.sse, &exact.sse, |i| exact.sse[i]) < 2e-6);
+fn a_single_pass_gives_the_utilities_of_every_group() {
+    for (n, count, seed) in [(900, 9, 4), (2500, 27, 5), (40, 3, 6), (0, 2, 7)] {
+        let case = Case::new(n, 1, count, (90, 60), seed);
+        let settings = no_stop();
+        let mut states = random(count, 3, 8);
+        states.push(|_| true);
+        states.push(|_| false);
+        let engine = case.engine(&settings);
+        let (exact, got) = (engine.utilities(&states).unwrap(), engine.single_pass(&states).unwrap());
+        let largest = exact.delta.iter().fold(1e-30f64, |m, d| m.max(d.abs()));
+        assert!(worst(&got.delta, &exact.delta, |_| largest) < 1e-5, "{n}");
+        assert!(worst(&got.sse, &exact.sse, |i| exact.sse[i]) < 2e-6, "{n}");
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
+        let other = pool.install(|| engine.single_pass(&states).unwrap());
+        assert_eq!(bits(&other.delta), bits(&got.delta));
+        assert!(engine.single_pass(&States::full(count + 1)).is_err());
+    }
+}
 
-    // Cells of space interleave.
-    let case = Case::new(900, 1, 9, (90, 60), 4);
-    let engine = case.engine(&settings);
-    let (exact, got) = (engine.utilities(&states).unwrap(), engine.first_order(&states).unwrap());
-    let largest = exact.delta.iter().fold(0.0f64, |m, d| m.max(d.abs()));
-    let off = worst(&got.delta, &exact.delta, |_| largest);
-    println!("interleaved: {off}");
-    assert!(off > 1e-4 && off < 0.3, "{off}");
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-    let other = pool.install(|| engine.first_order(&states).unwrap());
-    assert_eq!(bits(&other.delta), bits(&got.delta));
-    assert!(engine.first_order(&States::full(3)).is_err());
+/// Long lists are walked in segments; a group opaque many times over has its rear left in.
+#[test]
+fn a_single_pass_says_where_it_ends() {
+    let stack = |n: usize, opacity: f32| {
+        let mut case = Case::new(n, 0, 2, (20, 20), 1);
+        for (i, g) in case.scene.gaussians.iter_mut().enumerate() {
+            g.position = [0.0, 0.0, 0.4 - i as f32 * 1e-3];
+            (g.scale, g.opacity) = ([3.0; 3], opacity);
+        }
+        case.groups = (0..n).map(|i| u32::from(5 * i / n == 4)).collect();
+        let (engine, full) = (case.engine(&no_stop()), States::full(2));
+        let (exact, got) = (engine.utilities(&full).unwrap(), engine.single_pass(&full).unwrap());
+        let largest = exact.delta.iter().fold(1e-30f64, |m, d| m.max(d.abs()));
+        worst(&got.delta, &exact.delta, |_| largest)
+    };
+    assert!(stack(1500, 0.01) < 1e-4);
+    assert!(stack(15, 0.99) < 1e-4);
+    assert!(stack(60, 0.99) > 1e-3, "past the end it is off");
 }

@@ -9,7 +9,7 @@ use std::sync::Mutex;
 
 use pulp::Simd;
 
-use super::term::{Term, dropped, keep};
+use super::term::{Term, dropped, flipped, keep};
 use super::trace::{Rows, SEGMENT, Trace};
 use crate::parallel;
 use crate::settings::Settings;
@@ -141,7 +141,7 @@ impl pulp::WithSimd for Backward<'_> {
             let start = k * SEGMENT;
             let segment = &list[start..list.len().min(start + SEGMENT)];
             if k + 1 < walked {
-                scratch.trace.again(k, splats, segment, corner, &rules);
+                scratch.trace.again(k, splats, segment, corner, &rules, |_| true);
             }
             let partials = &mut found.partials[start..start + segment.len()];
             for (i, partial) in partials.iter_mut().enumerate().rev() {
@@ -185,7 +185,7 @@ impl Scratch {
                 }
             }
         }
-        sums.map(|sum| total(&sum))
+        sums.map(|sum| keep(Term::Background, f64::from(total(&sum))) as f32)
     }
 
     /// Differentiates one splat's visits and steps in front of it.
@@ -215,8 +215,11 @@ impl Scratch {
                 let own = add(add(mul(gr, r), mul(gg, g)), mul(gb, b));
                 let ahead = sub(own, *behind);
                 let weight = mul(alpha, lanes::<S>(&record.transmittance, part));
-                if !dropped(Term::Behind) {
-                    *behind = add(*behind, mul(alpha, ahead));
+                let nearer = mul(alpha, ahead);
+                if flipped(Term::Behind) {
+                    *behind = sub(*behind, nearer);
+                } else if !dropped(Term::Behind) {
+                    *behind = add(*behind, nearer);
                 }
                 let free = simd.less_than_f32s(alpha, clamped);
                 let h = simd.select_f32s(free, mul(weight, ahead), zero);
@@ -305,10 +308,10 @@ pub(crate) fn ellipse(sums: [f64; PARTS], splat: &Splat, corner: [usize; 2]) -> 
         du * dx + keep(Term::Along, du_along),
         du * dy + keep(Term::Shear, du_down),
         dv * dy + keep(Term::Down, dv_down),
-        std::f64::consts::LN_2 * h,
-        r,
-        g,
-        b,
+        keep(Term::Exponent, std::f64::consts::LN_2 * h),
+        keep(Term::Colour, r),
+        keep(Term::Colour, g),
+        keep(Term::Colour, b),
     ]
     .map(|v| v as f32)
 }

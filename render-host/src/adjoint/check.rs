@@ -12,8 +12,8 @@ use crate::camera::{cross, dot};
 use crate::render::RenderError;
 use crate::{Camera, Settings, Splats, reference};
 
-/// Steps; an error of the difference is of the order of its fourth power.
-const STEP: f64 = 1.0 / 256.0;
+/// Step of [`check`]; an error of the difference is of the order of its fourth power.
+pub const STEP: f64 = 1.0 / 256.0;
 /// Differences that disagree by more than this, relative to the largest of the class, are rough.
 const ROUGH: f64 = 2e-3;
 /// Elements below this share of the largest of their class are compared with that share instead.
@@ -78,10 +78,11 @@ pub fn check(
     loss: &dyn Loss,
 ) -> Result<Check, AdjointError> {
     let got = render_and_gradients(&mut Workspace::new(), splats, camera, settings, loss)?;
-    compare(splats, camera, settings, loss, &got)
+    compare(splats, camera, settings, loss, &got, STEP)
 }
 
-/// As [`check`], for gradients from elsewhere.
+/// As [`check`], for gradients from elsewhere and steps of another size: near a jump the step must be
+/// shorter than the way to it.
 ///
 /// # Errors
 /// A setting out of range.
@@ -91,6 +92,7 @@ pub fn compare(
     settings: &Settings,
     loss: &dyn Loss,
     got: &Gradients,
+    step: f64,
 ) -> Result<Check, AdjointError> {
     let mut classes = Vec::new();
     let mut class = |name, tally: Tally| classes.push(tally.close(name));
@@ -104,7 +106,7 @@ pub fn compare(
     let each = splats.sh_degree().rest_len();
 
     let of_gaussians = |parts: usize, gradient: &dyn Fn(usize, usize) -> f32, part: Part| {
-        let mut tally = Tally::default();
+        let mut tally = Tally::new(step);
         for index in 0..n {
             for k in 0..parts {
                 let at = |h: f64| {
@@ -124,7 +126,7 @@ pub fn compare(
     class("opacity logit", of_gaussians(1, &|i, _| g[i].opacity_logit, |g, _, h| odds(&mut g.opacity, h))?);
     class("sh0", of_gaussians(3, &|i, k| g[i].sh0[k], |g, k, h| shift(&mut g.sh0[k], h))?);
 
-    let mut tally = Tally::default();
+    let mut tally = Tally::new(step);
     for index in 0..n * each {
         let at = |h: f64| {
             let mut rest = scene.rest.clone();
@@ -135,7 +137,7 @@ pub fn compare(
     }
     class("sh rest", tally);
 
-    let mut tally = Tally::default();
+    let mut tally = Tally::new(step);
     for (k, &gradient) in got.background.iter().enumerate() {
         let at = |h: f64| {
             let mut settings = settings.clone();
@@ -152,7 +154,7 @@ pub fn compare(
         let moved = moved.unwrap_or_else(|_| camera.clone());
         scene.value(&scene.gaussians, &scene.rest, &moved, settings)
     };
-    let (mut moves, mut turns) = (Tally::default(), Tally::default());
+    let (mut moves, mut turns) = (Tally::new(step), Tally::new(step));
     for k in 0..3 {
         let axis: [f64; 3] = std::array::from_fn(|i| f64::from(u8::from(i == k)));
         moves.add(got.pose.translation[k], &|h| {
@@ -191,12 +193,16 @@ impl Scene<'_> {
 }
 
 /// Compared elements of a class: gradient and difference.
-#[derive(Default)]
 struct Tally {
+    step: f64,
     pairs: Vec<(f64, f64, f64)>,
 }
 
 impl Tally {
+    fn new(step: f64) -> Self {
+        Self { step, pairs: Vec::new() }
+    }
+
     /// `at(h)` moves the parameter by about `h` and gives by how much, and the loss there.
     fn add(
         &mut self,
@@ -207,7 +213,7 @@ impl Tally {
             let ((a, above), (b, below)) = (at(h)?, at(-h)?);
             Ok::<_, AdjointError>(if a == b { 0.0 } else { (above - below) / (a - b) })
         };
-        let (coarse, fine) = (slope(STEP)?, slope(0.5 * STEP)?);
+        let (coarse, fine) = (slope(self.step)?, slope(0.5 * self.step)?);
         self.pairs.push((gradient, (4.0 * fine - coarse) / 3.0, (fine - coarse).abs()));
         Ok(())
     }

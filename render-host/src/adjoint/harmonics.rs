@@ -41,7 +41,7 @@ pub(super) fn colour(
     given: [f64; 3],
     rest_out: &mut [f32],
 ) -> ([f64; 3], [f64; 3]) {
-    let sh0 = given.map(|g| C0 * g);
+    let sh0 = given.map(|g| keep(Term::Band0, C0 * g));
     if rest.is_empty() {
         return (sh0, [0.0; 3]);
     }
@@ -53,7 +53,7 @@ pub(super) fn colour(
     for ((triple, out), (weight, slope)) in triples.zip(weights.iter().zip(slopes)) {
         let mut pull = 0.0;
         for c in 0..3 {
-            out[c] = (given[c] * weight) as f32;
+            out[c] = keep(Term::Bands, given[c] * weight) as f32;
             pull += given[c] * f64::from(triple[c]);
         }
         (0..3).for_each(|k| towards[k] += pull * slope[k]);

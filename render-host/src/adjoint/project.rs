@@ -104,7 +104,7 @@ impl Film<'_> {
         let [xx, xy, yy] = splat.root;
         let c = dot(v, v) + self.low_pass;
         let base2 = (0.5 * std::f64::consts::LOG2_E).sqrt();
-        let d_c = (root_xx * xx - root_xy * xy - root_yy * yy) / (2.0 * c);
+        let d_c = keep(Term::Variance, (root_xx * xx - root_xy * xy - root_yy * yy) / (2.0 * c));
         let d_b = keep(Term::Correlation, -root_xy * base2 / (c.sqrt() * det.sqrt()));
         let mut d_det = keep(Term::Determinant, -(root_xx * xx + root_xy * xy) / (2.0 * det));
         let mut d_det0 = 0.0;
@@ -117,7 +117,7 @@ impl Film<'_> {
         // det = |u × v|² + p(u·u + v·v) + p²
         d_det0 += d_det;
         let dilation = keep(Term::Dilation, self.low_pass * d_det);
-        let d_area = area.map(|a| 2.0 * d_det0 * a);
+        let d_area = area.map(|a| keep(Term::Area, 2.0 * d_det0 * a));
         let (from_u, from_v) = (cross(v, d_area), cross(d_area, u));
         let d_u: [f64; 3] = std::array::from_fn(|k| from_u[k] + 2.0 * dilation * u[k] + d_b * v[k]);
         let d_v: [f64; 3] = std::array::from_fn(|k| from_v[k] + 2.0 * (d_c + dilation) * v[k] + d_b * u[k]);
@@ -128,7 +128,7 @@ impl Film<'_> {
             d_v.map(|d| gain[1] * d),
             std::array::from_fn(|k| -gain[0] * slope[0] * d_u[k] - gain[1] * slope[1] * d_v[k]),
         ];
-        let mut d_at = [mean_x * gain[0], mean_y * gain[1], 0.0];
+        let mut d_at = [keep(Term::Place, mean_x * gain[0]), keep(Term::Place, mean_y * gain[1]), 0.0];
         d_at[2] -= keep(Term::Perspective, (mean_x * gain[0] * x + mean_y * gain[1] * y) / z);
         d_at[2] -= keep(Term::Gain, (dot(d_u, u) + dot(d_v, v)) / z);
         for (axis, (d, along)) in [(d_u, x), (d_v, y)].into_iter().enumerate() {
@@ -156,24 +156,24 @@ impl Film<'_> {
         let position: [f64; 3] = std::array::from_fn(|k| back[k] + d_offset[k]);
         // axes column k = W · local column k · scale k, so d ln scale = d axes · axes.
         let column = |m: &[[f64; 3]; 3], k: usize| [m[0][k], m[1][k], m[2][k]];
-        let log_scale: [f64; 3] = std::array::from_fn(|k| dot(column(&d_axes, k), column(&axes, k)));
+        let log_scale: [f64; 3] = std::array::from_fn(|k| keep(Term::Stretch, dot(column(&d_axes, k), column(&axes, k))));
         let columns: [[f64; 3]; 3] =
             std::array::from_fn(|k| turned_back(column(&d_axes, k)).map(|d| d * f64::from(g.scale[k])));
-        let rotation = quaternion(g.rotation.map(f64::from), columns);
+        let rotation = quaternion(g.rotation.map(f64::from), columns).map(|v| keep(Term::Turn, v));
         let opacity = f64::from(g.opacity.min(1.0));
-        let opacity_logit = log2_alpha * (1.0 - opacity) * std::f64::consts::LOG2_E;
+        let opacity_logit = keep(Term::Logit, log2_alpha * (1.0 - opacity) * std::f64::consts::LOG2_E);
 
         // Pose: at = R·p + t, axes = R·…, offset = p + Rᵀ·t.
         let t = self.camera.translation();
         let seen = std::array::from_fn(|i| keep(Term::PoseDirection, dot(r[i], d_offset)));
         let turned = std::array::from_fn(|i| at[i] - t[i]);
         let (by_place, by_view) = (cross(turned, d_at), cross(seen, t));
-        let mut d_turn: [f64; 3] = std::array::from_fn(|k| by_place[k] + by_view[k]);
+        let mut d_turn: [f64; 3] = std::array::from_fn(|k| keep(Term::PosePlace, by_place[k]) + by_view[k]);
         for k in 0..3 {
             let by_shape = cross(column(&axes, k), column(&d_axes, k));
             (0..3).for_each(|i| d_turn[i] += keep(Term::PoseShape, by_shape[i]));
         }
-        let d_move: [f64; 3] = std::array::from_fn(|i| d_at[i] + seen[i]);
+        let d_move: [f64; 3] = std::array::from_fn(|i| keep(Term::PoseMove, d_at[i]) + seen[i]);
 
         let found = SplatGradient {
             position: position.map(|v| v as f32),

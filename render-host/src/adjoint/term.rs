@@ -1,6 +1,7 @@
-//! Names for the terms of the chain rule, so that a test can take one away and see the check fail.
+//! Names for the terms of the chain rule, so that a test can take one away, or turn its sign, and see the
+//! check fail.
 
-/// A term of the chain rule that is easily forgotten.
+/// A term of the chain rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Term {
     /// What lies behind a splat shines less through it.
@@ -39,11 +40,49 @@ pub(super) enum Term {
     PoseShape,
     /// The camera's turn moves its centre, and so the view direction.
     PoseDirection,
+    /// A splat's own colour.
+    Colour,
+    /// A splat's alpha.
+    Exponent,
+    /// What shows of the background.
+    Background,
+    /// Moving along the film moves the centre.
+    Place,
+    /// The ellipse's height, by its variance.
+    Variance,
+    /// The determinant, by the area of its axes.
+    Area,
+    /// Lengths of the axes.
+    Stretch,
+    /// Directions of the axes.
+    Turn,
+    /// Logit of opacity.
+    Logit,
+    /// Band 0 of the harmonics.
+    Band0,
+    /// The higher bands.
+    Bands,
+    /// The camera's move.
+    PoseMove,
+    /// The camera's turn moves the centre.
+    PosePlace,
+}
+
+/// Terms that are a choice, not a summand: only taking them away means something.
+#[cfg(test)]
+pub(super) const CHOICES: [Term; 2] = [Term::AlphaClamp, Term::ColourClamp];
+
+/// What a test does to a term.
+#[cfg(test)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Damage {
+    Drop,
+    Flip,
 }
 
 #[cfg(test)]
 impl Term {
-    pub(super) const ALL: [Self; 18] = [
+    pub(super) const ALL: [Self; 31] = [
         Self::Behind,
         Self::AlphaClamp,
         Self::Along,
@@ -62,20 +101,33 @@ impl Term {
         Self::ColourClamp,
         Self::PoseShape,
         Self::PoseDirection,
+        Self::Colour,
+        Self::Exponent,
+        Self::Background,
+        Self::Place,
+        Self::Variance,
+        Self::Area,
+        Self::Stretch,
+        Self::Turn,
+        Self::Logit,
+        Self::Band0,
+        Self::Bands,
+        Self::PoseMove,
+        Self::PosePlace,
     ];
 }
 
 #[cfg(test)]
 thread_local! {
-    /// The term that is missing on this thread.
-    pub(super) static DROPPED: std::cell::Cell<Option<Term>> = const { std::cell::Cell::new(None) };
+    /// The term that is damaged on this thread.
+    pub(super) static DAMAGED: std::cell::Cell<Option<(Term, Damage)>> = const { std::cell::Cell::new(None) };
 }
 
 /// True when a test has taken `term` away.
 #[inline(always)]
 pub(super) fn dropped(term: Term) -> bool {
     #[cfg(test)]
-    return DROPPED.get() == Some(term);
+    return DAMAGED.get() == Some((term, Damage::Drop));
     #[cfg(not(test))]
     {
         let _ = term;
@@ -83,8 +135,26 @@ pub(super) fn dropped(term: Term) -> bool {
     }
 }
 
-/// `value`, or 0 when a test has taken `term` away.
+/// True when a test has turned the sign of `term`.
+#[inline(always)]
+pub(super) fn flipped(term: Term) -> bool {
+    #[cfg(test)]
+    return DAMAGED.get() == Some((term, Damage::Flip));
+    #[cfg(not(test))]
+    {
+        let _ = term;
+        false
+    }
+}
+
+/// `value`, or what a test has made of it.
 #[inline(always)]
 pub(super) fn keep(term: Term, value: f64) -> f64 {
-    if dropped(term) { 0.0 } else { value }
+    if dropped(term) {
+        0.0
+    } else if flipped(term) {
+        -value
+    } else {
+        value
+    }
 }

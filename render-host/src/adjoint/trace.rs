@@ -54,47 +54,51 @@ impl Trace {
     /// Walks a whole list as the forward pass does. Returns the number of segments until every pixel was
     /// finished; what is written down is the last of them.
     #[inline(always)]
-    pub(crate) fn forward(&mut self, splats: &[Splat], list: &[u32], corner: [usize; 2], rules: &Rules) -> usize {
-        self.forward_in(splats, list, corner, rules, |_| true)
-    }
-
-    /// As [`Trace::forward`], where only splats at places of the list for which `present` says so hide
-    /// what is behind them.
-    #[inline(always)]
-    pub(crate) fn forward_in(
+    pub(crate) fn forward(
         &mut self,
         splats: &[Splat],
         list: &[u32],
         corner: [usize; 2],
         rules: &Rules,
-        present: impl Fn(usize) -> bool,
     ) -> usize {
-        self.now.0 = [[1.0; TILE]; TILE];
-        self.marks.clear();
-        let (mut walked, mut open) = (0, u16::MAX);
-        for (k, segment) in list.chunks(SEGMENT).enumerate() {
-            if k > 0 {
-                open = open_rows(&self.now, rules.stop);
-                if open == 0 && rules.stop > 0.0 {
-                    break;
-                }
+        self.start();
+        let mut walked = 0;
+        for segment in list.chunks(SEGMENT) {
+            if walked > 0 && rules.stop > 0.0 && open_rows(&self.now, rules.stop) == 0 {
+                break;
             }
-            self.marks.push(self.now.clone());
-            self.walk(splats, segment, corner, rules, open, |i| present(k * SEGMENT + i));
-            walked = k + 1;
+            self.next(splats, segment, corner, rules, |_| true);
+            walked += 1;
         }
         walked
     }
 
-    /// Walks segment `k` of the last list again.
+    /// Starts a list.
     #[inline(always)]
-    pub(crate) fn again(&mut self, k: usize, splats: &[Splat], segment: &[u32], corner: [usize; 2], rules: &Rules) {
-        self.again_in(k, splats, segment, corner, rules, |_| true);
+    pub(crate) fn start(&mut self) {
+        self.now.0 = [[1.0; TILE]; TILE];
+        self.marks.clear();
     }
 
-    /// As [`Trace::again`], with places counted in the whole list.
+    /// Walks the next segment. Only splats at places of it for which `present` says so hide what is
+    /// behind them.
     #[inline(always)]
-    pub(crate) fn again_in(
+    pub(crate) fn next(
+        &mut self,
+        splats: &[Splat],
+        segment: &[u32],
+        corner: [usize; 2],
+        rules: &Rules,
+        present: impl Fn(usize) -> bool,
+    ) {
+        self.marks.push(self.now.clone());
+        let open = open_rows(&self.now, rules.stop);
+        self.walk(splats, segment, corner, rules, open, present);
+    }
+
+    /// Walks segment `k` of the list again.
+    #[inline(always)]
+    pub(crate) fn again(
         &mut self,
         k: usize,
         splats: &[Splat],
@@ -104,7 +108,7 @@ impl Trace {
         present: impl Fn(usize) -> bool,
     ) {
         self.now.clone_from(&self.marks[k]);
-        self.walk(splats, segment, corner, rules, u16::MAX, |i| present(k * SEGMENT + i));
+        self.walk(splats, segment, corner, rules, u16::MAX, present);
     }
 
     /// Places in `visits` and `records` of splat `i` of the segment.

@@ -123,7 +123,7 @@ impl pulp::NullaryFnOnce for Work<'_> {
         for k in (0..walked).rev() {
             let segment = &list[k * SEGMENT..list.len().min((k + 1) * SEGMENT)];
             if k + 1 < walked {
-                trace.again(k, &shared.projected.splats, segment, corner, &rules);
+                trace.again(k, &shared.projected.splats, segment, corner, &rules, |_| true);
             }
             for (i, &splat) in segment.iter().enumerate() {
                 let (visits, changes) = (trace.visits(i), paint.changes(splat));

@@ -1,39 +1,27 @@
-//! Utilities of all groups from one pass front to back and one back to front: an estimate.
+//! Utilities of all groups of a context from one pass front to back and one back to front.
 //!
-//! What taking a group away changes in a pixel is a sum over its splats, `α·T·(c - behind)`, and exact if
-//! `T` is what shows through everything in front, and `behind` the colour behind *without* what the
-//! group has there. Here the pixel's runs are counted one by one: `behind` leaves out the splats of the
-//! same run (consecutive splats of one group), and keeps those of the group's other runs. So a pixel in
-//! which a group has one run is exact, and the derivative of the picture is never taken at all: for a
-//! group of opaque surfaces the derivative vanishes, while the group does not.
+//! Taking the splats of a group out of a pixel one after the other, nearest first, changes it by a sum of
+//! `α·Q·(behind - c)`, where `Q` is what shows through everything in front that is not of the group, and
+//! `behind` is the picture behind the splat as it is. With `P` what the group's own splats in front let
+//! through, `Q = T / P`; for a group that is added instead, `Q = T·P`. So besides the picture only one
+//! number per pixel and group is kept, `P`, and the group's share `a` of the pixel needs no picture
+//! without it. The squared error then changes by `Σ (a ∓ 2·r)·a` with the picture's residual `r`.
 //!
-//! The squared error then changes by `Σ (a ∓ 2·r)·a` with the picture's residual `r` and the group's
-//! share `a`: the second order in the picture costs nothing more.
+//! The quotient has no cancellation: `T` is a product with `P` among its factors. It is exact but for
+//! rounding until the group alone lets less than 2⁻¹⁰⁰ through; its splats behind that are left in.
+//! That takes 15 splats of alpha 0.99, or 100 of 0.5, of one group in one pixel.
 
-use super::scaffold::Shared;
+use super::scaffold::{Entry, Shared};
 use super::squares::{Planes, inside};
 use super::{Engine, States, Utilities};
-use crate::adjoint::trace::{Rows, SEGMENT, Trace};
+use crate::adjoint::trace::{Record, Rows, SEGMENT, Trace};
 use crate::parallel;
 use crate::settings::Settings;
-use crate::stage::blend::{Lanes, Rules};
 use crate::stage::TILE;
+use crate::stage::blend::Rules;
 
-/// No group.
-const NONE: u32 = u32::MAX;
-
-/// The run that a row of pixels is in, from the back.
-#[derive(Clone, Debug)]
-#[repr(align(64))]
-struct Run {
-    owner: [u32; TILE],
-    /// Colour behind the run.
-    behind: [Lanes; 3],
-}
-
-impl Run {
-    const EMPTY: Self = Self { owner: [NONE; TILE], behind: [[0.0; TILE]; 3] };
-}
+/// Least share that a group may let through for what is behind to count: 2⁻¹⁰⁰.
+const LEAST: f32 = f32::from_bits((127 - 100) << 23);
 
 /// What a group adds to the pixels of a tile, r g b row by row, and the rows that it touches.
 #[derive(Clone, Debug)]
@@ -51,13 +39,15 @@ struct Room {
     /// Whether each local group is present.
     present: Vec<bool>,
     behind: [Rows; 3],
-    /// Runs of present groups, then of absent ones.
-    runs: [Vec<Run>; 2],
     shares: Vec<Share>,
+    /// What each local group lets through so far.
+    own: Vec<Rows>,
+    /// That, at the start of each segment.
+    marks: Vec<Vec<Rows>>,
 }
 
-/// All utilities in all contexts, estimated.
-pub(super) fn estimate(engine: &Engine, contexts: &States) -> Utilities {
+/// All utilities in all contexts.
+pub(super) fn utilities(engine: &Engine, contexts: &States) -> Utilities {
     let (shared, groups) = (&engine.shared, engine.groups);
     let mut tiles: Vec<Vec<f64>> = vec![Vec::new(); shared.tiles()];
     parallel::for_each_with(engine.settings.parallel, &mut tiles, |room: &mut Room, tile, out| {
@@ -137,72 +127,68 @@ impl pulp::NullaryFnOnce for Sweep<'_> {
     #[inline(always)]
     fn call(self) {
         let Self { shared, settings, tile, room } = self;
-        let Room { trace, list, present, behind, runs, shares } = room;
+        let Room { trace, list, present, behind, shares, own, marks } = room;
         let (entries, corner) = (shared.entries(tile), shared.corner(tile));
         // As all fast modes: nothing is stopped early.
         let rules = Rules::new(&Settings { early_stop: false, ..settings.clone() });
         let here = |place: usize| present[entries[place].local as usize];
-        let walked = trace.forward_in(&shared.projected.splats, list, corner, &rules, here);
+        own.clear();
+        own.resize(present.len(), Rows([[1.0; TILE]; TILE]));
+        let segments = list.len().div_ceil(SEGMENT);
+        marks.resize_with(segments.max(marks.len()), Vec::new);
+        trace.start();
+        for (k, segment) in list.chunks(SEGMENT).enumerate() {
+            trace.next(&shared.projected.splats, segment, corner, &rules, |i| here(k * SEGMENT + i));
+            marks[k].clone_from(own);
+            through(trace, &entries[k * SEGMENT..], segment.len(), present, own);
+        }
         for (rows, background) in behind.iter_mut().zip(settings.background) {
             rows.0 = [[background; TILE]; TILE];
         }
-        for runs in runs.iter_mut() {
-            runs.clear();
-            runs.resize(TILE, Run::EMPTY);
-        }
-        for k in (0..walked).rev() {
+        for k in (0..segments).rev() {
             let start = k * SEGMENT;
             let segment = &list[start..list.len().min(start + SEGMENT)];
-            if k + 1 < walked {
-                trace.again_in(k, &shared.projected.splats, segment, corner, &rules, here);
+            if k + 1 < segments {
+                trace.again(k, &shared.projected.splats, segment, corner, &rules, |i| here(start + i));
+                own.clone_from(&marks[k]);
+                through(trace, &entries[start..], segment.len(), present, own);
             }
             for i in (0..segment.len()).rev() {
-                let (visits, local) = (trace.visits(i), entries[start + i].local);
-                let (colour, share) = (trace.near[i].colour, &mut shares[local as usize]);
-                let present = present[local as usize];
+                let (visits, local) = (trace.visits(i), entries[start + i].local as usize);
+                let (colour, share) = (trace.near[i].colour, &mut shares[local]);
+                let hides = if present[local] { 1.0 } else { 0.0 };
                 for (visit, record) in trace.visits[visits.clone()].iter().zip(&trace.records[visits]) {
                     let y = visit.y as usize % TILE;
                     share.touched |= 1 << y;
-                    let run = &mut runs[usize::from(!present)][y];
-                    let [red, green, blue] = &mut *behind;
-                    let behind = [&mut red.0[y], &mut green.0[y], &mut blue.0[y]];
-                    let row = &mut share.rows[y];
-                    take(run, behind, row, &record.alpha, &record.transmittance, colour, local, present);
+                    for c in 0..3 {
+                        let (behind, share) = (&mut behind[c].0[y], &mut share.rows[y][c]);
+                        for x in 0..TILE {
+                            let gain = record.alpha[x] * (colour[c] - behind[x]);
+                            share[x] += record.transmittance[x] * gain;
+                            behind[x] += hides * gain;
+                        }
+                    }
                 }
             }
         }
     }
 }
 
-/// Steps one row in front of a splat.
+/// Makes of every transmittance of the segment what shows through the splats in front, without those of
+/// the same group if it is present, and with them if it is not.
 #[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "rows of pixels, each of its own array")]
-fn take(
-    run: &mut Run,
-    behind: [&mut Lanes; 3],
-    share: &mut [Lanes; 3],
-    alpha: &Lanes,
-    transmittance: &Lanes,
-    colour: [f32; 3],
-    local: u32,
-    present: bool,
-) {
-    let Run { owner, behind: behind_run } = run;
-    let mut fresh = [false; TILE];
-    for i in 0..TILE {
-        fresh[i] = (alpha[i] > 0.0) & (owner[i] != local);
-        owner[i] = if alpha[i] > 0.0 { local } else { owner[i] };
-    }
-    // A present splat hides what the picture has behind it, an absent one what its run has.
-    let (hides, inserted) = if present { (1.0, 0.0) } else { (0.0, 1.0) };
-    for (c, behind) in behind.into_iter().enumerate() {
-        let (own, share) = (&mut behind_run[c], &mut share[c]);
-        for i in 0..TILE {
-            let from = if fresh[i] { behind[i] } else { own[i] };
-            let gain = alpha[i] * (colour[c] - from);
-            share[i] += transmittance[i] * gain;
-            own[i] = from + inserted * gain;
-            behind[i] += hides * (alpha[i] * (colour[c] - behind[i]));
+fn through(trace: &mut Trace, entries: &[Entry], count: usize, present: &[bool], own: &mut [Rows]) {
+    for (i, entry) in entries[..count].iter().enumerate() {
+        let visits = trace.visits(i);
+        let (local, present) = (entry.local as usize, present[entry.local as usize]);
+        for (visit, record) in trace.visits[visits.clone()].iter().zip(&mut trace.records[visits]) {
+            let own = &mut own[local].0[visit.y as usize % TILE];
+            let Record { alpha, transmittance } = record;
+            for x in 0..TILE {
+                let without = if own[x] >= LEAST { transmittance[x] / own[x] } else { 0.0 };
+                transmittance[x] = if present { without } else { transmittance[x] * own[x] };
+                own[x] -= alpha[x] * own[x];
+            }
         }
     }
 }

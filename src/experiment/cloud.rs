@@ -1,0 +1,105 @@
+//! Random scenes whose sizes and groups are known, for timing: a volume and a set of shells.
+
+use anyhow::Result;
+use codec_core::Gaussian;
+use render_host::{Camera, Image};
+
+/// Clusters of each scene.
+pub(super) const CLUSTERS: usize = 64;
+/// Levels of each cluster; level `l` of cluster `c` is group `2c + l`.
+pub(super) const LEVELS: usize = 2;
+
+/// Which scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Kind {
+    /// Evenly in [-1, 1]³; clusters are 4×4×4 cells. The worst case for interleaved depths.
+    Volume,
+    /// On overlapping ellipsoid shells, flat along one axis; clusters are the shells.
+    Shells,
+}
+
+/// Gaussians of degree 0 and the group of each.
+#[derive(Clone, Debug)]
+pub(super) struct Cloud {
+    pub(super) gaussians: Vec<Gaussian>,
+    pub(super) groups: Vec<u32>,
+}
+
+/// Numbers from a seed: a 64-bit linear congruence, top bits.
+#[derive(Clone, Debug)]
+pub(super) struct Numbers(pub(super) u64);
+
+impl Numbers {
+    /// Uniform in 0..1.
+    pub(super) fn unit(&mut self) -> f32 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 40) as f32 / (1u64 << 24) as f32
+    }
+
+    /// Uniform in `low..high`.
+    pub(super) fn between(&mut self, low: f32, high: f32) -> f32 {
+        low + (high - low) * self.unit()
+    }
+
+    /// Roughly normal, variance 1.
+    pub(super) fn normal(&mut self) -> f32 {
+        (0..12).map(|_| self.unit()).sum::<f32>() - 6.0
+    }
+}
+
+/// `n` Gaussians: scales of 0.012 (shells 0.013) times a log-normal of σ = 0.4, opacities the logistic of
+/// a normal of σ = 1.5.
+pub(super) fn cloud(kind: Kind, n: usize) -> Cloud {
+    let mut r = Numbers(7);
+    let shells: Vec<[[f32; 3]; 3]> = (0..CLUSTERS)
+        .map(|_| [[-0.9, 0.9], [0.08, 0.3], [0.0, 1.0]].map(|[a, b]| [0; 3].map(|_| r.between(a, b))))
+        .collect();
+    let mut one = |i: usize| {
+        let grow = |size: f32, r: &mut Numbers| size * (0.4 * r.normal()).exp();
+        let (position, scale, colour, cluster, bias) = match kind {
+            Kind::Volume => {
+                let position = [0; 3].map(|_| r.between(-1.0, 1.0));
+                let cell = |p: f32| (((p + 1.0) * 2.0) as usize).min(3);
+                let cluster = cell(position[0]) + 4 * cell(position[1]) + 16 * cell(position[2]);
+                (position, [0; 3].map(|_| grow(0.012, &mut r)), [0; 3].map(|_| r.unit()), cluster, 0.0)
+            }
+            Kind::Shells => {
+                let [centre, radii, base] = shells[i % CLUSTERS];
+                let d = [0; 3].map(|_| r.normal());
+                let length = d.iter().map(|v| v * v).sum::<f32>().sqrt();
+                let position = std::array::from_fn(|k| centre[k] + radii[k] * d[k] / length);
+                let scale = [grow(0.013, &mut r), grow(0.013, &mut r), 0.25 * 0.013];
+                let colour = base.map(|c| (c + 0.2 * r.normal()).clamp(0.0, 1.0));
+                (position, scale, colour, i % CLUSTERS, 1.0)
+            }
+        };
+        let q = [0; 4].map(|_| r.normal());
+        let length = q.iter().map(|v| v * v).sum::<f32>().sqrt();
+        let opacity = 1.0 / (1.0 + (-(bias + 1.5 * r.normal())).exp());
+        let sh0 = colour.map(|c| (c - 0.5) / 0.282_094_8);
+        let level = usize::from(r.unit() < 0.5);
+        let gaussian = Gaussian { position, scale, rotation: q.map(|v| v / length), opacity, sh0 };
+        (gaussian, (LEVELS * cluster + level) as u32)
+    };
+    let (gaussians, groups) = (0..n).map(&mut one).unzip();
+    Cloud { gaussians, groups }
+}
+
+/// A camera 3.2 from the origin, focal length 0.9 of the width, `side` pixels square.
+///
+/// # Errors
+/// A side that no camera has.
+pub(super) fn camera(side: u32) -> Result<Camera> {
+    let fov = 2.0 * (0.5f64 / 0.9).atan();
+    Ok(Camera::look_at([0.0, 0.0, -3.2], [0.0; 3], [0.0, -1.0, 0.0], fov, side, side)?)
+}
+
+/// `picture` in slightly other colours, so that no error is 0.
+///
+/// # Errors
+/// An empty picture.
+pub(super) fn beside(picture: &Image) -> Result<Image> {
+    let noisy = |(i, v): (usize, &f32)| v * 0.97 + 0.01 * ((i * 7919 % 101) as f32 / 101.0);
+    let rgb = picture.rgb().iter().enumerate().map(noisy).collect();
+    Ok(Image::new(picture.width(), picture.height(), rgb)?)
+}
