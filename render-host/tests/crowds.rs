@@ -4,6 +4,7 @@
 
 mod support;
 
+use codec_core::Gaussian;
 use render_host::adjoint::{SplatGradient, loss::Mse};
 use render_host::counterfactual::{Engine, States, Variants, brute};
 use render_host::{Image, Renderer, Settings, Splats, Workspace, render_and_gradients};
@@ -21,10 +22,15 @@ fn walls(n: usize) -> Scene {
 
 #[test]
 fn what_is_behind_walls_changes_nothing() {
-    let scene = walls(6000);
+    for n in [6000, 70_000] {
+        check_behind(&walls(n).gaussians);
+    }
+}
+
+fn check_behind(walls: &[Gaussian]) {
     let view = camera(100, 60);
     // Nearest first, so that the first ones are a scene by themselves.
-    let mut gaussians = scene.gaussians;
+    let mut gaussians = walls.to_vec();
     gaussians.sort_by(|a, b| view.to_camera(a.position)[2].total_cmp(&view.to_camera(b.position)[2]));
     let target = Image::filled(100, 60, [0.5; 3]).unwrap();
     let loss = Mse::new(target);
@@ -45,6 +51,34 @@ fn what_is_behind_walls_changes_nothing() {
         assert!(whole.splats[1000..].iter().all(|g| *g == SplatGradient::default()));
         assert!(part.splats[0] != SplatGradient::default());
     }
+}
+
+/// Enough for lists to be made piece by piece; only some of the tiles are ever finished.
+#[test]
+fn a_crowd_over_a_part_of_the_film() {
+    let mut gaussians = walls(70_000).gaussians;
+    for (i, g) in gaussians.iter_mut().enumerate() {
+        // Balls at one side of the film, a few anywhere.
+        g.scale = [0.5; 3];
+        g.position[0] += if i % 2000 == 0 { 0.0 } else { 1.2 };
+        g.opacity = 0.03;
+    }
+    let (view, splats) = (camera(64, 48), Splats::plain(&gaussians));
+    let mut renderer = Renderer::new();
+    let ended = renderer.render(&splats, &view, &Settings::default()).unwrap();
+    // Without a stop no list is ended.
+    let unstopped = Settings { early_stop: false, ..Settings::default() };
+    let whole = renderer.render(&splats, &view, &unstopped).unwrap();
+    let (few, all) = (ended.counters.intersections, whole.counters.intersections);
+    assert!(10 * few < 9 * all, "{few} of {all}");
+    assert!(ended.counters.intersections > 70_000, "{:?}", ended.counters);
+    let stopped = ended.counters.pixels_stopped;
+    assert!(stopped > 300 && stopped < 64 * 48 - 300, "{:?}", ended.counters);
+    for (a, b) in ended.image.rgb().iter().zip(whole.image.rgb()) {
+        assert!((a - b).abs() < 2e-4, "{a} {b}");
+    }
+    let serial = Settings { parallel: false, ..Settings::default() };
+    assert_eq!(renderer.render(&splats, &view, &serial).unwrap(), ended);
 }
 
 #[test]
