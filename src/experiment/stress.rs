@@ -30,7 +30,7 @@ struct Family {
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
-    let (million, runs) = if setup.quick { (20_000, 1) } else { (1_000_000, 3) };
+    let (million, runs) = if setup.quick { (20_000, 3) } else { (1_000_000, 3) };
     let mut bench = Bench::new(
         "stress",
         format!(
