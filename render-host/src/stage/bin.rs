@@ -9,7 +9,7 @@
 //! A span is exact: the cut-off ellipse over the pixel centres of one tile row is a convex piece, whose
 //! left and right ends have a closed form (the idea of SnugBox/AccuTile in Speedy-Splat).
 //!
-//! Rows whose lists would be long end each list where its tile is surely finished ([`super::fade`]).
+//! Rows whose lists would be long end each list where its tile is surely finished (`fade.rs`).
 
 use std::ops::Range;
 
