@@ -67,11 +67,12 @@ pub fn render(splats: &Splats, camera: &Camera, settings: &Settings) -> Result<R
 
     let (width, height) = (camera.width() as usize, camera.height() as usize);
     let mut pixels = vec![Pixel::EMPTY; width * height];
-    // A row whose pixels are all finished, none closely, takes nothing more.
-    let finished = f64::from(settings.stop()) * (1.0 - CLOSE_STOP);
+    // A row takes nothing more when all its pixels are finished, and those that are so closely have said it.
+    let stop = f64::from(settings.stop());
+    let finished = |p: &Pixel| p.transmittance < stop * if p.close > 0 { 1.0 } else { 1.0 - CLOSE_STOP };
     parallel::for_each_chunk(settings.parallel, &mut pixels, width, |y, row| {
         for (k, e) in ellipses.iter().enumerate() {
-            if k % LOOK_EVERY == 0 && row.iter().all(|pixel| pixel.transmittance < finished) {
+            if k % LOOK_EVERY == 0 && row.iter().all(finished) {
                 break;
             }
             let dy = y as f64 + 0.5 - e.mean[1];

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! Every case must give finite values everywhere, count every Gaussian once, and stay within its bound of
-//! the reference where no decision is close to a threshold. [`refusals`] lists what is not rendered at all,
+//! the reference where no decision is close to a threshold. [`refusals()`] lists what is not rendered at all,
 //! who refuses it and what the error must say. Nothing here asks a clock.
 
 mod cases;

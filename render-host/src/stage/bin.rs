@@ -9,7 +9,7 @@
 //! A span is exact: the cut-off ellipse over the pixel centres of one tile row is a convex piece, whose
 //! left and right ends have a closed form (the idea of SnugBox/AccuTile in Speedy-Splat).
 //!
-//! Rows whose lists would be long end each list where its tile is surely finished ([`super::fade`]).
+//! Rows whose lists would be long end each list where its tile is surely finished (`fade.rs`).
 
 use std::ops::Range;
 
@@ -26,6 +26,8 @@ const BAND_ENTRIES: u64 = 1 << 24;
 const BAND_PIXELS: usize = 1 << 22;
 /// Entries per tile of a row, on average, from which on tiles that are finished are looked for.
 const LONG: usize = 1024;
+/// Pieces looked at first, to tell a crowd.
+const HEAD: usize = 8;
 /// Splats in one piece of the depth order.
 const PIECE: usize = 4096;
 
@@ -175,7 +177,7 @@ fn fill(
         out.rows.resize_with(band.len(), Row::default);
     }
     let shape = Shape::new(settings);
-    parallel::for_each(settings.parallel, &mut out.pieces, |i, piece| {
+    let find = |i: usize, piece: &mut Piece| {
         let entries = &order.entries()[i * PIECE..];
         let Piece { found, boxed, .. } = &mut *piece;
         found.clear();
@@ -189,19 +191,88 @@ fn fill(
             });
         }
         piece.sort_by_row(band.len());
-    });
+    };
     let Bins { pieces, rows, height } = out;
-    parallel::for_each(settings.parallel, &mut rows[..*height], |row, list| {
-        let spans = || pieces.iter().flat_map(|p| &p.by_row[p.starts[row]..p.starts[row + 1]]);
-        let entries: usize = spans().map(|span| usize::from(span.past - span.first)).sum();
+    let (rows, count) = (&mut rows[..*height], pieces.len());
+    let head = if classes.fade.is_some() && count > 2 * HEAD { HEAD } else { count };
+    let splats = &projected.splats;
+    parallel::for_each(settings.parallel, &mut pieces[..head], find);
+    let width = |span: &Span| usize::from(span.past - span.first);
+    if let Some(fade) = &classes.fade
+        && head < count
+        && pieces[..head].iter().flat_map(|p| &p.found).map(width).sum::<usize>()
+            > LONG * columns * rows.len()
+    {
+        // A crowd: the tiles may be finished long before the last piece.
+        let mut open: Vec<Open> = rows.iter().map(|_| Open::new(columns, classes.count)).collect();
+        let mut at = 0;
+        while at < count && open.iter().any(|row| row.left > 0) {
+            let batch = &mut pieces[at..count.min(at + HEAD)];
+            if at > 0 {
+                parallel::for_each(settings.parallel, batch, |i, piece| find(at + i, piece));
+            }
+            parallel::for_each(settings.parallel, &mut open, |row, open| {
+                open.take(batch, (row, (band.start + row) * TILE), splats, fade, classes);
+            });
+            at += HEAD;
+        }
+        rows.iter_mut().zip(open).for_each(|(row, open)| row.hold(&open.lists));
+        return;
+    }
+    parallel::for_each(settings.parallel, &mut pieces[head..], |i, piece| find(head + i, piece));
+    parallel::for_each(settings.parallel, rows, |row, list| {
+        let entries = pieces.iter().flat_map(|p| p.row(row)).map(width).sum::<usize>();
         match &classes.fade {
             Some(fade) if entries > LONG * columns => {
-                let at = (band.start + row) * TILE;
-                list.gather_open(spans(), at, columns, &projected.splats, fade, classes)
+                let mut open = Open::new(columns, classes.count);
+                open.take(pieces, (row, (band.start + row) * TILE), splats, fade, classes);
+                list.hold(&open.lists);
             }
             _ => list.gather(pieces, row, columns),
         }
     });
+}
+
+/// The tile lists of one row while they are made: a list per column, and which still need it.
+struct Open {
+    lists: Vec<Vec<u32>>,
+    /// Upper bounds of log₂ transmittance, per column and class.
+    bounds: Vec<f64>,
+    /// Bounds that are not below the stop.
+    left: usize,
+}
+
+impl Open {
+    fn new(columns: usize, classes: usize) -> Self {
+        let bounds = vec![0.0; columns * classes];
+        Self { lists: vec![Vec::new(); columns], left: bounds.len(), bounds }
+    }
+
+    /// Takes the spans of `pieces` in `row` of the band, whose first pixel row is `y`.
+    fn take(
+        &mut self,
+        pieces: &[Piece],
+        (row, y): (usize, usize),
+        splats: &[Splat],
+        fade: &Fade,
+        classes: &Classes,
+    ) {
+        for span in pieces.iter().flat_map(|p| p.row(row)) {
+            if self.left == 0 {
+                return;
+            }
+            let class = classes.of.get(span.splat as usize).map_or(0, |&class| class as usize);
+            for column in usize::from(span.first)..usize::from(span.past) {
+                let bound = &mut self.bounds[column * classes.count + class];
+                if *bound < fade.stop {
+                    continue;
+                }
+                self.lists[column].push(span.splat);
+                *bound += fade.step(&splats[span.splat as usize], [column * TILE, y]);
+                self.left -= usize::from(*bound < fade.stop);
+            }
+        }
+    }
 }
 
 /// How splats are given to tiles.
@@ -291,6 +362,11 @@ impl Shape {
 }
 
 impl Piece {
+    /// Spans in row `row` of the band, nearest first.
+    fn row(&self, row: usize) -> &[Span] {
+        &self.by_row[self.starts[row]..self.starts[row + 1]]
+    }
+
     fn sort_by_row(&mut self, rows: usize) {
         self.starts.clear();
         self.starts.resize(rows + 1, 0);
@@ -313,7 +389,7 @@ impl Piece {
 
 impl Row {
     fn gather(&mut self, pieces: &[Piece], row: usize, columns: usize) {
-        let spans = || pieces.iter().flat_map(|p| &p.by_row[p.starts[row]..p.starts[row + 1]]);
+        let spans = || pieces.iter().flat_map(|p| p.row(row));
         self.starts.clear();
         self.starts.resize(columns + 1, 0);
         for span in spans() {
@@ -337,42 +413,13 @@ impl Row {
         self.starts[0] = 0;
     }
 
-    /// As [`Row::gather`], without splats behind what finishes a tile. The row's first pixel row is `y`.
-    fn gather_open<'a>(
-        &mut self,
-        spans: impl Iterator<Item = &'a Span>,
-        y: usize,
-        columns: usize,
-        splats: &[Splat],
-        fade: &Fade,
-        classes: &Classes,
-    ) {
-        let mut lists = vec![Vec::new(); columns];
-        // Upper bounds of log₂ transmittance, per column and class.
-        let mut left = vec![0.0f64; columns * classes.count];
-        let mut open = left.len();
-        'spans: for span in spans {
-            let class = classes.of.get(span.splat as usize).map_or(0, |&class| class as usize);
-            for column in usize::from(span.first)..usize::from(span.past) {
-                let left = &mut left[column * classes.count + class];
-                if *left < fade.stop {
-                    continue;
-                }
-                lists[column].push(span.splat);
-                *left += fade.step(&splats[span.splat as usize], [column * TILE, y]);
-                if *left < fade.stop {
-                    open -= 1;
-                    if open == 0 {
-                        break 'spans;
-                    }
-                }
-            }
-        }
+    /// Takes the lists of all columns.
+    fn hold(&mut self, lists: &[Vec<u32>]) {
         self.starts.clear();
         self.entries.clear();
         for list in lists {
             self.starts.push(self.entries.len());
-            self.entries.extend_from_slice(&list);
+            self.entries.extend_from_slice(list);
         }
         self.starts.push(self.entries.len());
     }

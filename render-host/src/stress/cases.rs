@@ -302,7 +302,7 @@ fn films(out: &mut Vec<Case>) {
         let mut cloud = Numbers(12).cloud(40, 0.4);
         // Spread over the wide films, which show more of the world.
         let aspect = f64::from(w) / f64::from(h);
-        cloud.iter_mut().for_each(|g| g.position[0] *= aspect.max(1.0).min(400.0) as f32);
+        cloud.iter_mut().for_each(|g| g.position[0] *= aspect.clamp(1.0, 400.0) as f32);
         out.push(plain(family, format!("{w} x {h}"), cloud, camera(w, h)));
     }
     for (w, h) in [(1, 1), (48, 32), (8192, 3)] {

@@ -38,7 +38,7 @@ pub fn run(
     let mut states = States::new(GROUPS);
     let mut few = States::new(GROUPS);
     for world in 0..STATES {
-        let present = |group: usize| (world * 7 + group * 5 + world * group) % 3 != 0;
+        let present = |group: usize| !(world * 7 + group * 5 + world * group).is_multiple_of(3);
         states.push(present);
         if world < JUDGED {
             few.push(present);
