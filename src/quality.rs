@@ -2,7 +2,7 @@
 
 use codec_core::receiver::Content;
 use rayon::prelude::*;
-use render_host::{Camera, Image, Renderer, Settings, Splats, metric};
+use render_host::{Camera, Changes, Image, Renderer, Sequence, Settings, Splats, metric};
 use trainer_host::{Instant, Scene, stream::Player};
 
 /// Why an image could not be made or compared.
@@ -40,11 +40,31 @@ pub fn references(
     let serial = Settings { parallel: false, ..settings.clone() };
     frames
         .par_iter()
-        .map(|&frame| {
+        .with_min_len(run_length(frames.len()))
+        .map_init(Sequence::default, |sequence, &frame| {
             let instant = scene.instant(frame as usize).ok_or_else(|| failed(format!("no frame {frame}")))?;
-            render(&instant, camera, &serial)
+            let splats =
+                Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree).map_err(failed)?;
+            next(sequence, &splats, camera, &serial)
         })
         .collect()
+}
+
+/// Frames that one sequence renders in a row: long enough to profit from the frame before, short enough to
+/// keep all threads busy. Pictures do not depend on it.
+fn run_length(frames: usize) -> usize {
+    (frames / (2 * rayon::current_num_threads())).clamp(1, 16)
+}
+
+/// The next picture of a sequence; equal to a fresh render, whatever came before.
+fn next(
+    sequence: &mut Sequence,
+    splats: &Splats<'_>,
+    camera: &Camera,
+    settings: &Settings,
+) -> Result<Image, QualityError> {
+    let rendered = sequence.render(splats, Changes::Unknown, camera, settings).map_err(failed)?;
+    Ok(rendered.image.clone())
 }
 
 /// Renders `content` in each (frame, state), in order, in parallel; no state gives the background.
@@ -60,9 +80,10 @@ pub fn renders(
     let settings = Settings { parallel: false, ..settings.clone() };
     shown
         .par_iter()
+        .with_min_len(run_length(shown.len()))
         .map_init(
-            || (Player::new(&content.manifest), Renderer::new()),
-            |(player, renderer), (frame, state)| {
+            || (Player::new(&content.manifest), Sequence::default()),
+            |(player, sequence), (frame, state)| {
                 let Some(state) = state else {
                     let Settings { background, .. } = settings;
                     return Image::filled(camera.width(), camera.height(), background.map(|c| c as _))
@@ -70,7 +91,7 @@ pub fn renders(
                 };
                 let shown = player.show(&content.with_state(state), *frame).map_err(failed)?;
                 let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree).map_err(failed)?;
-                Ok(renderer.render(&splats, camera, &settings).map_err(failed)?.image)
+                next(sequence, &splats, camera, &settings)
             },
         )
         .collect()
@@ -114,6 +135,32 @@ pub fn worst_tenth(values: &[f64]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// Frames out of order and twice, on any number of threads, are what each is alone.
+    #[test]
+    fn frames_in_a_row_are_what_they_are_alone() {
+        let options = trainer_host::import::synth::Options {
+            kind: trainer_host::import::synth::Kind::Balls,
+            gaussians: 1500,
+            frames: 12,
+            ..Default::default()
+        };
+        let scene = trainer_host::import::synth::make(&options, &Default::default()).unwrap();
+        let framing = trainer_host::viewpoint::Framing::of(&scene, [0.0, 1.0, 0.0]);
+        let camera = &framing.ring(trainer_host::viewpoint::Ring::HeldOut, 3, (64, 48)).unwrap()[0];
+        let settings = Settings::default();
+        let frames = [0, 1, 2, 3, 3, 7, 4, 5, 11, 10];
+        let expected: Vec<Image> = frames
+            .iter()
+            .map(|&f| render(&scene.instant(f as usize).unwrap(), camera, &settings).unwrap())
+            .collect();
+        for threads in [1, 3] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let got = pool.install(|| references(&scene, &frames, camera, &settings).unwrap());
+            assert!(got == expected, "{threads} threads");
+        }
+        assert_ne!(expected[0], expected[5], "the frames differ, or this test says nothing");
+    }
 
     #[test]
     fn the_worst_tenth_is_the_lowest() {

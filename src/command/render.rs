@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use codec_core::ids::Level;
-use render_host::{Renderer, Settings, Splats};
+use render_host::{Changes, Sequence, Settings, Splats};
 use serde_json::json;
 use trainer_host::viewpoint::Ring;
 
@@ -35,7 +35,7 @@ pub fn run(args: &Render) -> Result<Outcome> {
         std::fs::create_dir_all(&args.out)
             .with_context(|| format!("{}: cannot create", args.out.display()))?;
     }
-    let mut renderer = Renderer::new();
+    let mut sequence = Sequence::default();
     let mut counters = None;
     let count = frames.len();
     for frame in frames {
@@ -43,7 +43,7 @@ pub fn run(args: &Render) -> Result<Outcome> {
             .instant(frame as usize)
             .with_context(|| format!("--frame is {frame}; 0 to {} are allowed", scene.frames() - 1))?;
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
-        let rendered = renderer.render(&splats, &camera, &settings)?;
+        let rendered = sequence.render(&splats, Changes::Unknown, &camera, &settings)?;
         let path = if single { args.out.clone() } else { args.out.join(format!("{frame:05}.png")) };
         rendered.image.write_png(&path).with_context(|| format!("{}: cannot write", path.display()))?;
         counters = Some(rendered.counters);

@@ -14,7 +14,7 @@ use codec_core::{
 use rand::RngExt;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
-use render_host::{Camera, Image, Renderer, Settings, Splats, metric};
+use render_host::{Camera, Changes, Image, Sequence, Settings, Splats, metric};
 
 use crate::{
     scene::Scene,
@@ -105,6 +105,8 @@ struct Shot {
     frame: u32,
     camera: usize,
     reference: Image,
+    /// States of one frame differ in little, so each picture is made from the one before.
+    sequence: Sequence,
 }
 
 /// Measures all groups of `content` (a complete decode of a stream whose map is `map`) against
@@ -241,12 +243,12 @@ fn span_samples(
         let camera = (context as usize + k) % options.cameras.len();
         let source = scene.instant(frame as usize).unwrap_or_default();
         let splats = Splats::new(&source.gaussians, &source.sh_rest, source.sh_degree);
-        let reference = render(splats, &options.cameras[camera], &options.settings, &mut Renderer::new())?;
-        shots.push(Shot { frame, camera, reference });
+        let mut sequence = Sequence::default();
+        let reference = render(splats, &options.cameras[camera], &options.settings, &mut sequence)?.clone();
+        shots.push(Shot { frame, camera, reference, sequence });
     }
     let mut state = random_state(map, &mut rng, content);
     let mut player = Player::new(manifest);
-    let mut renderer = Renderer::new();
     let mut samples = Vec::new();
     for cell_groups in &span.cells {
         let (group, _) = map.groups()[cell_groups[0]];
@@ -268,13 +270,13 @@ fn span_samples(
         }
         let empty: Vec<u8> = map.initial()[blocks.clone()].to_vec();
         state[blocks.clone()].copy_from_slice(&empty);
-        for shot in &shots {
+        for shot in &mut shots {
             state[blocks.clone()].copy_from_slice(&empty);
-            let mut before = distortion(content, &state, shot, &mut player, &mut renderer, options)?;
+            let mut before = distortion(content, &state, shot, &mut player, options)?;
             for &index in cell_groups {
                 let level = map.groups()[index].0.level;
                 state[blocks.clone()].iter_mut().for_each(|m| *m = Arrived(*m).with(level).0);
-                let after = distortion(content, &state, shot, &mut player, &mut renderer, options)?;
+                let after = distortion(content, &state, shot, &mut player, options)?;
                 samples.push((index, before - after));
                 before = after;
             }
@@ -322,28 +324,27 @@ fn random_state(map: &PacketMap, rng: &mut Pcg64, content: &Content<'_>) -> Vec<
 fn distortion(
     content: &Content<'_>,
     state: &[u8],
-    shot: &Shot,
+    shot: &mut Shot,
     player: &mut Player,
-    renderer: &mut Renderer,
     options: &Options,
 ) -> Result<f64, UtilityError> {
     let shown = player.show(&content.with_state(state), shot.frame)?;
     let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree);
-    let image = render(splats, &options.cameras[shot.camera], &options.settings, renderer)?;
-    metric::distortion(&image, &shot.reference).map_err(|e| UtilityError::Render(e.to_string()))
+    let image = render(splats, &options.cameras[shot.camera], &options.settings, &mut shot.sequence)?;
+    metric::distortion(image, &shot.reference).map_err(|e| UtilityError::Render(e.to_string()))
 }
 
-fn render<E: std::fmt::Display>(
+fn render<'s, E: std::fmt::Display>(
     splats: Result<Splats<'_>, E>,
     camera: &Camera,
     settings: &Settings,
-    renderer: &mut Renderer,
-) -> Result<Image, UtilityError> {
+    sequence: &'s mut Sequence,
+) -> Result<&'s Image, UtilityError> {
     let splats = splats.map_err(|e| UtilityError::Render(e.to_string()))?;
     // The threads are busy with other states: one render is one task.
     let settings = Settings { parallel: false, ..settings.clone() };
-    let rendered = renderer.render(&splats, camera, &settings);
-    rendered.map(|r| r.image).map_err(|e| UtilityError::Render(e.to_string()))
+    let rendered = sequence.render(&splats, Changes::Unknown, camera, &settings);
+    rendered.map(|r| &r.image).map_err(|e| UtilityError::Render(e.to_string()))
 }
 
 #[cfg(test)]

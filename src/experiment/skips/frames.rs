@@ -1,6 +1,7 @@
 //! What a sequence keeps between frames of one camera, and between delivery states of one frame.
 
 use anyhow::{Result, ensure};
+use codec_core::Gaussian;
 use render_host::{Camera, Changes, Rendered, Renderer, Reuse, Reused, Sequence, Splats};
 use trainer_host::{
     Instant, Scene,
@@ -16,7 +17,7 @@ use crate::{
 };
 
 /// Delivery states of a clip.
-const STATES: usize = 24;
+const STATES: usize = 12;
 
 /// Consecutive frames of a scene: the middle of the clip.
 pub(super) fn consecutive(
@@ -56,6 +57,25 @@ pub(super) fn states(
         })
         .collect();
     measure(bench, &format!("{name}.states"), &instants?, camera, runs)
+}
+
+/// The first frame of a scene while its Gaussians arrive in equal parts, in order of index.
+pub(super) fn arrivals(
+    bench: &mut Bench,
+    name: &str,
+    scene: &Scene,
+    camera: &Camera,
+    runs: usize,
+) -> Result<()> {
+    let whole = scene.instant(0).unwrap_or_default();
+    let n = whole.gaussians.len();
+    let state = |step: usize| {
+        let mut instant = whole.clone();
+        instant.gaussians[n * step / STATES..].fill(Gaussian::ABSENT);
+        instant
+    };
+    let instants: Vec<Instant> = (1..=STATES).map(state).collect();
+    measure(bench, &format!("{name}.states"), &instants, camera, runs)
 }
 
 fn splats(instant: &Instant) -> Result<Splats<'_>> {
