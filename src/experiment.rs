@@ -1,11 +1,14 @@
 //! The experiments behind `dgs bench`: one file per bench, one [`Bench`] each.
 
 mod accounting;
+mod counterfactual;
 mod demo;
 mod loss;
+mod partial;
 mod rate;
 mod render;
 mod transport;
+mod worlds;
 
 use std::path::{Path, PathBuf};
 
@@ -29,7 +32,7 @@ pub struct Experiment {
 }
 
 /// All benches, in the order of the walk.
-pub const ALL: [Experiment; 6] = [
+pub const ALL: [Experiment; 8] = [
     Experiment { name: "demo", about: "wall time and peak memory of `dgs demo`", run: demo::run },
     Experiment {
         name: "rate",
@@ -50,6 +53,16 @@ pub const ALL: [Experiment; 6] = [
         name: "render",
         about: "CPU render time per frame beside its error against the f64 reference",
         run: render::run,
+    },
+    Experiment {
+        name: "worlds",
+        about: "pictures of 1 to 128 states in one call against serial renders, with memory",
+        run: worlds::run,
+    },
+    Experiment {
+        name: "counterfactual",
+        about: "states, utilities and gradients per second against rendering every state alone",
+        run: counterfactual::run,
     },
     Experiment {
         name: "transport",
