@@ -121,14 +121,14 @@ fn measure(bench: &mut Bench, kind: char, n: usize, side: u32, worlds: usize, ru
             .error(errors.utilities, of_largest)
             .peer("brute force", alone, false),
     );
-    let of_base = "of the base's SSE, against brute force without early stop";
+    let of_own = "relative SSE against brute force without early stop";
     let count = chosen.len() * (chosen.len() - 1) / 2;
     push(
-        Figure::new(key("pairs"), 1e3 * pairs, &format!("ms for {count} pairs")).error(errors.pairs, of_base),
+        Figure::new(key("pairs"), 1e3 * pairs, &format!("ms for {count} pairs")).error(errors.pairs, of_own),
     );
     push(
         Figure::new(key("prefixes"), 1e3 * prefixes, &format!("ms for {groups} prefixes"))
-            .error(errors.prefixes, of_base),
+            .error(errors.prefixes, of_own),
     );
     if let Some(greedy) = greedy {
         let tiles = f64::from(side.div_ceil(16).pow(2));
@@ -205,13 +205,13 @@ impl Errors {
         both.push(|g| g != 64 && g != 1);
         let both = sse(&both)?;
         let found = [pairs.sse(0, 1), pairs.sse(1, 2)];
-        let of_pairs = found.iter().zip(&both).map(|(a, b)| (a - b).abs() / pairs.base);
+        let of_pairs = found.iter().zip(&both).map(|(a, b)| (a / b - 1.0).abs());
         let order: Vec<u32> = (0..groups as u32).map(|i| i * 37 % groups as u32).collect();
         let prefixes = engine.prefixes(&States::empty(groups), 0, &order)?;
         let mut steps = States::new(groups);
         (0..=4).for_each(|k| steps.push(|g| order[..32 * k].contains(&(g as u32))));
         let steps = sse(&steps)?;
-        let of_prefixes = (0..=4).map(|k| (prefixes[32 * k] - steps[k]).abs() / steps[0]);
+        let of_prefixes = (0..=4).map(|k| (prefixes[32 * k] / steps[k] - 1.0).abs());
         let weights = vec![1.0; two.len()];
         let gradients = distance(
             &engine.gradients(variants, &two, &weights)?,

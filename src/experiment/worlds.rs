@@ -78,7 +78,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         let used = tuned.probes.last().and_then(|probe| probe.used.ok()).unwrap_or_default();
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
         let memory = Figure::new(format!("W{worlds}.memory"), mib(used), "MiB");
-        bench.push(memory.error(mib(batch.predict_bytes(worlds)) - mib(used), "MiB predicted above what was used"));
+        bench.push(
+            memory.error(mib(batch.predict_bytes(worlds)) - mib(used), "MiB predicted above what was used"),
+        );
         worlds *= 2;
     }
     let budget = batch.predict_bytes(most / 2);
