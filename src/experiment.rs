@@ -2,15 +2,18 @@
 
 mod accounting;
 mod cloud;
+mod counterfactual;
 mod demo;
 mod gradient;
 mod loss;
 mod pareto;
+mod partial;
 mod rate;
 mod render;
 mod skips;
 mod stress;
 mod transport;
+mod worlds;
 
 use std::path::{Path, PathBuf};
 
@@ -55,6 +58,16 @@ pub const ALL: &[Experiment] = &[
         name: "render",
         about: "CPU render time per frame beside its error against the f64 reference",
         run: render::run,
+    },
+    Experiment {
+        name: "worlds",
+        about: "pictures of 1 to 128 states in one call against serial renders, with memory",
+        run: worlds::run,
+    },
+    Experiment {
+        name: "counterfactual",
+        about: "states, utilities and gradients per second against rendering every state alone",
+        run: counterfactual::run,
     },
     Experiment {
         name: "gradient",

@@ -211,9 +211,30 @@ pub fn bootstrap95(values: &[f64], statistic: fn(&[f64]) -> f64, seed: u64) -> O
     Some([resampled[50], resampled[1949]])
 }
 
+/// 95 % interval of the mean of `values` by Student's t; `None` for fewer than two.
+pub fn student95(values: &[f64]) -> Option<[f64; 2]> {
+    /// 97.5 % quantiles for 1, 2, … degrees of freedom.
+    const T: [f64; 10] = [12.706, 4.303, 3.182, 2.776, 2.571, 2.447, 2.365, 2.306, 2.262, 2.228];
+    let freedom = values.len().checked_sub(1).filter(|&n| n > 0)?;
+    // Beyond the table, its last value: a little too wide.
+    let t = T[freedom.min(T.len()) - 1];
+    let centre = mean(values);
+    let variance = values.iter().map(|v| (v - centre).powi(2)).sum::<f64>() / freedom as f64;
+    let half = t * (variance / values.len() as f64).sqrt();
+    Some([centre - half, centre + half])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn students_interval_is_the_textbooks() {
+        let [low, high] = student95(&[9.0, 10.0, 11.0]).unwrap();
+        assert!((low - 7.516).abs() < 1e-3 && (high - 12.484).abs() < 1e-3, "{low} {high}");
+        assert!(student95(&[1.0]).is_none() && student95(&[]).is_none());
+        assert_eq!(student95(&[2.0; 40]), Some([2.0, 2.0]));
+    }
 
     #[test]
     fn medians_and_intervals() {

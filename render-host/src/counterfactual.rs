@@ -6,15 +6,20 @@
 //! world matters to a tile only through the groups that reach the tile.
 //!
 //! ```text
-//! Variants + Camera ─▶ shared lists ─▶ strict: per tile, each distinct class of worlds blended once
-//!                                   └▶ fast: per pixel, runs of one group composed once; worlds in lanes
+//! Variants + Camera ─▶ shared lists ─▶ per tile, per block of 4 × 4 pixels (sixteen lanes), alphas once:
+//!     strict    worlds blended as one until a group comes that only some hold
+//!     fast      runs of one group composed once ─▶ segments of few groups once per look ─▶ worlds walk
+//!     gradients the same, then back over segments, runs and splats; projection once for all worlds
 //! ```
 //!
 //! *Strict* does the operations of [`crate::Renderer`] in its order: images and errors equal, bit for bit,
 //! those of the world rendered alone ([`brute`]). *Fast* has no early stop and no division; its relative
 //! error of a sum of squares is below 2e-6 against f64 arithmetic. The fast modes are one kernel under
 //! different plans of lanes: whole worlds, one group toggled, two groups toggled, groups arriving in order.
-//! Sums over tiles are f64 in order of tiles, so every result is the same for any number of threads.
+//! Sums over tiles are f64 in order of tiles, so every result is the same for any number of threads, and a
+//! world's result does not depend on what other worlds were asked about in the same call.
+//!
+//! [`WorldBatch`] and [`render_worlds`] draw many worlds without a reference image.
 //!
 //! Deliberately absent: which groups depend on which. A level that replaces the one below it is two
 //! variants; [`levels`] maps delivered levels to worlds.

@@ -330,8 +330,8 @@ impl Back {
                     let alpha = lanes::<S>(&visit.alpha, part);
                     let q = lanes_mut::<S>(&mut behind.0, part);
                     let mut own = zero;
-                    for c in 0..3 {
-                        own = simd.mul_add_e_f32s(g[c], simd.splat_f32s(splat.colour[c]), own);
+                    for (g, colour) in g.into_iter().zip(splat.colour) {
+                        own = simd.mul_add_e_f32s(g, simd.splat_f32s(colour), own);
                     }
                     let ahead = simd.sub_f32s(own, *q);
                     let weight = simd.mul_f32s(alpha, lanes::<S>(&visit.before, part));
@@ -383,10 +383,10 @@ fn pass<S: Simd>(
     let of_t = lanes_mut::<S>(&mut gradient.t, part);
     *of_t = simd.mul_add_e_f32s(t, q, *of_t);
     let mut ahead = simd.mul_f32s(lanes::<S>(&operator.t, part), q);
-    for c in 0..3 {
-        let of_c = lanes_mut::<S>(&mut gradient.rgb[c], part);
-        *of_c = simd.mul_add_e_f32s(t, v[c], *of_c);
-        ahead = simd.mul_add_e_f32s(v[c], lanes::<S>(&operator.rgb[c], part), ahead);
+    for ((of_c, c), v) in gradient.rgb.iter_mut().zip(&operator.rgb).zip(v) {
+        let of_c = lanes_mut::<S>(of_c, part);
+        *of_c = simd.mul_add_e_f32s(t, v, *of_c);
+        ahead = simd.mul_add_e_f32s(v, lanes::<S>(c, part), ahead);
     }
     ahead
 }

@@ -221,3 +221,33 @@ impl Kinds {
         self.set == set
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn kinds_are_lanes_that_hold_the_same_of_a_set(
+            bits in proptest::collection::vec(any::<u128>(), 0..60), set in any::<u128>(), some in any::<u128>(),
+        ) {
+            // Few groups in the set, so that lanes do look alike.
+            let set = set & some & (some >> 64) & 0x11;
+            let mut lanes = Lanes::default();
+            lanes.reset(bits.len(), 128);
+            (0..128).for_each(|l| lanes.row(l, |lane| bits[lane] >> l & 1 == 1));
+            let mut kinds = Kinds::default();
+            lanes.kinds(&[set as u64, (set >> 64) as u64], &mut kinds);
+            for (lane, &kind) in kinds.of.iter().enumerate() {
+                let first = kinds.first[kind as usize] as usize;
+                prop_assert_eq!(bits[lane] & set, bits[first] & set);
+                prop_assert!(first <= lane);
+            }
+            let mut keys: Vec<_> = kinds.first.iter().map(|&lane| bits[lane as usize] & set).collect();
+            keys.sort_unstable();
+            keys.dedup();
+            prop_assert_eq!(keys.len(), kinds.first.len(), "two kinds with one look");
+        }
+    }
+}

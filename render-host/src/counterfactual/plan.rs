@@ -223,8 +223,8 @@ pub(super) fn wanted(reference: &Planes, block: usize, size: (usize, usize)) -> 
     let (left, top) = (block % ACROSS * SIDE, block / ACROSS * SIDE);
     let mut out = Wanted { rgb: [[0.0; TILE]; 3], inside: [0.0; TILE] };
     for row in 0..SIDE {
-        for c in 0..3 {
-            out.rgb[c][SIDE * row..][..SIDE].copy_from_slice(&reference[top + row][c][left..left + SIDE]);
+        for (to, from) in out.rgb.iter_mut().zip(&reference[top + row]) {
+            to[SIDE * row..][..SIDE].copy_from_slice(&from[left..left + SIDE]);
         }
         for column in 0..SIDE {
             let is_inside = left + column < size.0 && top + row < size.1;

@@ -225,18 +225,101 @@ pub(super) fn limit(locals: &[u32], lanes: usize) -> usize {
     for limit in 1..=MOST {
         let (mut groups, mut length, mut count, mut cost) = ([NONE; MOST], 0, 0, 0.0);
         let looks = (((1 << limit) - 1) as f32 * 0.6).min(lanes as f32);
+        // One run is one operator already.
+        let compose = |length: usize| if length > 1 { looks * length as f32 } else { 0.0 };
         for &local in locals {
             if place(&mut groups, limit, local).is_none() {
-                cost += if length > 1 { looks * length as f32 } else { 0.0 };
+                cost += compose(length);
                 (groups, length, count) = ([NONE; MOST], 0, count + 1);
                 groups[0] = local;
             }
             length += 1;
         }
-        cost += looks * length as f32 + 1.3 * ((count + 1) * lanes) as f32;
+        cost += compose(length) + 1.3 * ((count + 1) * lanes) as f32;
         if cost < best.0 {
             best = (cost, limit);
         }
     }
     best.1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stage::TILE;
+    use proptest::prelude::*;
+
+    struct Walk<'a> {
+        runs: &'a mut Runs,
+        lanes: &'a Lanes,
+        limit: usize,
+        segments: &'a mut Segments,
+    }
+
+    impl pulp::WithSimd for Walk<'_> {
+        type Output = ();
+
+        fn with_simd<S: Simd>(self, simd: S) {
+            self.segments.fill(simd, self.runs, self.lanes, self.limit);
+        }
+    }
+
+    /// What `path` makes of the light from behind, in pixel 3.
+    fn walked(runs: &Runs, path: impl Iterator<Item = u32>) -> [f64; 2] {
+        let step = |[t, c]: [f64; 2], at: u32| {
+            let operator = &runs.operators[at as usize];
+            [t * f64::from(operator.t[3]), c + t * f64::from(operator.rgb[1][3])]
+        };
+        path.fold([1.0, 0.0], step)
+    }
+
+    proptest! {
+        #[test]
+        fn a_walk_over_segments_is_a_walk_over_runs(
+            locals in proptest::collection::vec(0u32..70, 0..40), few in 1u32..70,
+            bits in proptest::collection::vec(any::<[u64; 2]>(), 1..9), limit in 1usize..=MOST,
+        ) {
+            let mut locals: Vec<u32> = locals.iter().map(|l| l % few).collect();
+            locals.dedup();
+            let operator = |i: usize| {
+                let v = i as f32 * 0.37;
+                Operator { t: [0.3 + 0.6 * v.sin().abs(); TILE], rgb: [[v.cos().abs(); TILE]; 3] }
+            };
+            let operators: Vec<_> = (0..locals.len()).map(operator).chain([Operator::IDENTITY]).collect();
+            let mut runs = Runs::default();
+            (runs.locals, runs.operators) = (locals.clone(), operators);
+            let mut lanes = Lanes::default();
+            lanes.reset(bits.len(), 70);
+            (0..70).for_each(|l| lanes.row(l, |lane| bits[lane][l as usize / 64] >> (l % 64) & 1 == 1));
+            let mut segments = Segments::default();
+            for scalar in [true, false] {
+                segments.reset();
+                let walk = Walk { runs: &mut runs, lanes: &lanes, limit, segments: &mut segments };
+                if scalar {
+                    pulp::WithSimd::with_simd(walk, pulp::Scalar::new());
+                } else {
+                    pulp::Arch::new().dispatch(walk);
+                }
+                for lane in 0..bits.len() {
+                    let mut path = vec![0; segments.list().len()];
+                    segments.path(lane, &mut path);
+                    let got = walked(&runs, path.into_iter());
+                    let held = (0..).zip(&locals).filter(|(_, l)| lanes.has(lane, **l)).map(|(i, _)| i);
+                    let expected = walked(&runs, held);
+                    prop_assert!((0..2).all(|k| (got[k] - expected[k]).abs() < 2e-6 * (1.0 + expected[k])));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn segments_end_where_a_group_too_many_comes() {
+        let mut groups = [NONE; MOST];
+        let places: Vec<_> = [7, 3, 7, 9, 3].map(|l| place(&mut groups, 2, l)).into();
+        assert_eq!(places, [Some(0), Some(1), Some(0), None, Some(1)]);
+        // One lane: a segment per run costs least. Many lanes over interleaved groups: large segments.
+        assert_eq!(limit(&[1, 2, 3, 4], 1), 1);
+        let mixed: Vec<u32> = (0..60).map(|i| i * 7 % 4).collect();
+        assert_eq!(limit(&mixed, 128), MOST);
+    }
 }

@@ -193,3 +193,53 @@ impl Near {
         out & (strips(rows.end) & !above) as u16
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A splat with its mean at `mean` from the tile's first pixel centre, and the reach of its cut-off.
+    fn near(mean: [f32; 2], axes: [f32; 2], turn: f32, log2_alpha: f32) -> (Near, f32) {
+        // Root of the inverse covariance of an ellipse with these half axes, by its Cholesky factor.
+        let (sin, cos) = turn.sin_cos();
+        let [a, b] = axes.map(|axis| 1.0 / (axis * axis));
+        let (xx, xy, yy) =
+            (a * cos * cos + b * sin * sin, (a - b) * sin * cos, a * sin * sin + b * cos * cos);
+        let root = [xx.sqrt(), xy / xx.sqrt(), (yy - xy * xy / xx).max(1e-12).sqrt()];
+        let [dx, dy] = mean.map(|m| -m);
+        let origin = [root[0] * dx + root[1] * dy, root[2] * dy];
+        let near = Near { origin, root, log2_alpha, colour: [1.0; 3], local: 0 };
+        (near, REACH_MARGIN + log2_alpha - (1.0f32 / 255.0).log2())
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(2000))]
+
+        #[test]
+        fn no_block_that_is_touched_is_left_out(
+            mean in [-40.0f32..56.0, -40.0f32..56.0], long in 0.3f32..60.0, ratio in 0.01f32..1.0,
+            turn in 0.0f32..3.2, log2_alpha in -7.9f32..0.0,
+        ) {
+            let (near, reach) = near(mean, [long, (long * ratio).max(0.3)], turn, log2_alpha);
+            let blocks = near.blocks(reach, 0..TILE);
+            for block in 0..BLOCKS {
+                let alphas = near.alphas(block, [1.0 / 255.0, 0.99]);
+                let touched = alphas.iter().any(|&a| a > 0.0);
+                prop_assert!(!touched || blocks >> block & 1 == 1, "block {block} of {blocks:#018b}");
+            }
+        }
+    }
+
+    #[test]
+    fn blocks_far_from_a_splat_are_left_out() {
+        let (speck, reach) = near([5.0, 9.0], [0.6, 0.6], 0.0, -0.1);
+        assert_eq!(speck.blocks(reach, 8..11), 1 << 9);
+        let (needle, reach) = near([7.5, 7.5], [9.0, 0.3], std::f32::consts::FRAC_PI_4, -0.1);
+        let blocks = needle.blocks(reach, 0..TILE);
+        assert!(blocks.count_ones() <= 10 && blocks & 0x8421 == 0x8421, "{blocks:#018b}");
+        // Rows outside the splat's box do not count.
+        assert_eq!(needle.blocks(reach, 4..8) & !0x00f0, 0);
+        assert_eq!(needle.blocks(reach, 8..8), 0);
+    }
+}

@@ -31,9 +31,9 @@ pub(super) type Squares = [f64; TILE];
 #[inline(always)]
 pub(super) fn squares(got: &[Lanes; 3], wanted: &Wanted) -> Squares {
     let mut out = [0.0; TILE];
-    for c in 0..3 {
+    for (got, reference) in got.iter().zip(&wanted.rgb) {
         for (i, out) in out.iter_mut().enumerate() {
-            let d = f64::from(got[c][i]) - f64::from(wanted.rgb[c][i]);
+            let d = f64::from(got[i]) - f64::from(reference[i]);
             *out += d * d * f64::from(wanted.inside[i]);
         }
     }

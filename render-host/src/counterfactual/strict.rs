@@ -140,9 +140,8 @@ impl Tree {
             waiting.push((0..order.len(), 0, Operator::IDENTITY));
         }
         while let Some((mut kinds, from, mut now)) = waiting.pop() {
-            for run in from..runs.len() {
-                let local = runs.locals[run];
-                if first[run] {
+            for (run, (&local, &fresh)) in runs.locals.iter().zip(first.iter()).enumerate().skip(from) {
+                if fresh {
                     let with = order[kinds.clone()].partition_point(|&kind| holds(kind, local));
                     let middle = kinds.start + with;
                     if middle < kinds.end && with > 0 {

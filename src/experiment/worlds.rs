@@ -1,0 +1,116 @@
+//! World batches: pictures of W states of one scene, frame and camera in one call, in the shape of the
+//! paper's world-batch table.
+
+use std::hint::black_box;
+use std::time::Instant;
+
+use anyhow::Result;
+use render_host::counterfactual::{Engine, WorldBatch, brute};
+use render_host::{Renderer, Settings, Splats};
+
+use super::Setup;
+use super::partial::{LATTICE, Partial, deliveries};
+use crate::figures::{Bench, Figure, mean, median, student95};
+
+/// Independent repetitions; a throughput is the mean of theirs.
+const REPETITIONS: usize = 3;
+/// Calls before a repetition that are not timed.
+const WARM_UPS: usize = 5;
+
+/// Runs the bench.
+pub fn run(setup: &Setup) -> Result<Bench> {
+    let (n, side, most, calls) = if setup.quick { (6000, 160, 16, 1) } else { (84_000, 400, 128, 3) };
+    let mut bench = Bench::new(
+        "worlds",
+        format!(
+            "pictures of W states of one scene and camera, {n} Gaussians in {} groups, scene A (uniform volume in cells), {side}x{side}, default \
+             settings; one call per batch, set-up included; median of {calls} calls after {WARM_UPS} warm-ups, mean of {REPETITIONS} repetitions, 95 % CI \
+             by Student t; serial renders each state alone with all threads, decoded states given; training is forward+backward of the weighted MSE of W \
+             worlds in fast mode (no early stop)",
+            LATTICE.groups()
+        ),
+    );
+    let settings = Settings::default();
+    let scene = Partial::new('A', n, side, &settings)?;
+    let (variants, camera) = (scene.variants()?, &scene.camera);
+    let states = deliveries(most);
+
+    let alone: Vec<_> = (0..most.min(8)).map(|w| brute::world(&variants, &states, w)).collect();
+    let mut renderer = Renderer::new();
+    let mut serial = Vec::new();
+    for _ in 0..REPETITIONS {
+        let mut times = Vec::new();
+        for call in 0..WARM_UPS + alone.len() {
+            let (gaussians, _) = &alone[call % alone.len()];
+            let start = Instant::now();
+            black_box(renderer.render(&Splats::plain(gaussians), camera, &settings)?);
+            times.push(start.elapsed().as_secs_f64());
+        }
+        serial.push(1.0 / median(&times[WARM_UPS..]));
+    }
+    bench.push(throughput("serial".into(), &serial).runs(REPETITIONS));
+
+    let batch = WorldBatch::new(&variants, camera, &settings)?;
+    let mut worlds = 1;
+    while worlds <= most {
+        let some = states.range(0..worlds);
+        let weights = vec![1.0 / worlds as f64; worlds];
+        let draw = repeat(calls, || {
+            Ok(black_box(WorldBatch::new(&variants, camera, &settings)?.images(&some)?.len()))
+        })?;
+        let train = repeat(calls, || {
+            let engine = Engine::new(&variants, camera, &scene.against, &settings)?;
+            Ok(black_box(engine.gradients(&variants, &some, &weights)?.losses.len()))
+        })?;
+        let images = batch.images(&some)?;
+        let mut differ = 0;
+        for world in (0..worlds).step_by(worlds.div_ceil(4)) {
+            let alone = brute::image(&variants, &states, world, camera, &settings)?;
+            let same = images[world].rgb().iter().zip(alone.rgb()).all(|(a, b)| a.to_bits() == b.to_bits());
+            differ += usize::from(!same);
+        }
+        let rates = |times: Vec<f64>| times.iter().map(|t| worlds as f64 / t).collect::<Vec<f64>>();
+        let figure = throughput(format!("W{worlds}.frames"), &rates(draw)).runs(REPETITIONS);
+        let figure = figure.error(differ as f64, "pictures differ from single renders in a bit");
+        bench.push(figure.peer("serial", mean(&serial), false));
+        bench.push(throughput(format!("W{worlds}.training"), &rates(train)).runs(REPETITIONS));
+        let tuned = batch.largest(&some, u64::MAX);
+        let used = tuned.probes.last().and_then(|probe| probe.used.ok()).unwrap_or_default();
+        let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
+        let memory = Figure::new(format!("W{worlds}.memory"), mib(used), "MiB");
+        bench.push(
+            memory.error(mib(batch.predict_bytes(worlds)) - mib(used), "MiB predicted above what was used"),
+        );
+        worlds *= 2;
+    }
+    let budget = batch.predict_bytes(most / 2);
+    let tuned = batch.largest(&states, budget);
+    bench.push(Figure::new(
+        "tuner.worlds",
+        tuned.worlds as f64,
+        "worlds within the memory predicted for half",
+    ));
+    bench.push(Figure::new("tuner.probes", tuned.probes.len() as f64, "probes"));
+    Ok(bench)
+}
+
+/// Median seconds of `calls` calls after the warm-ups, for every repetition.
+fn repeat(calls: usize, mut work: impl FnMut() -> Result<usize>) -> Result<Vec<f64>> {
+    let mut out = Vec::new();
+    for _ in 0..REPETITIONS {
+        let mut times = Vec::new();
+        for _ in 0..WARM_UPS + calls {
+            let start = Instant::now();
+            work()?;
+            times.push(start.elapsed().as_secs_f64());
+        }
+        out.push(median(&times[WARM_UPS..]));
+    }
+    Ok(out)
+}
+
+fn throughput(key: String, rates: &[f64]) -> Figure {
+    let mut figure = Figure::new(key, mean(rates), "world-frames/s");
+    figure.ci95 = student95(rates);
+    figure
+}
