@@ -23,6 +23,10 @@ mod device;
 mod error;
 mod kernel;
 pub mod layout;
+mod lists;
+mod presence;
+mod renderer;
+mod scene;
 mod vulkan;
 pub mod wgsl;
 
@@ -31,3 +35,7 @@ pub use clock::{Clock, Span};
 pub use device::{Device, Facts, Options};
 pub use error::GpuError;
 pub use kernel::{Kernel, groups_2d};
+pub use lists::Lists;
+pub use presence::Presence;
+pub use renderer::Renderer;
+pub use scene::Scene;

@@ -122,8 +122,22 @@ pub const BLEND: Source = Source {
     ],
 };
 
+/// Stage 4 for a batch of worlds.
+pub const WORLDS: Source = Source {
+    name: "worlds.wgsl",
+    parts: &[LAYOUT, TILE, include_str!("../stage/worlds.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("splats", Bind::Read),
+        ("entries", Bind::Read),
+        ("starts", Bind::Read),
+        ("presence", Bind::Read),
+        ("images", Bind::Write),
+    ],
+};
+
 /// All shaders. Add yours here, and its structs to `structs` in the tests below.
-pub const ALL: &[Source] = &[PROJECT, PLAN, SORT, BIN, STARTS, BLEND];
+pub const ALL: &[Source] = &[PROJECT, PLAN, SORT, BIN, STARTS, BLEND, WORLDS];
 
 #[cfg(test)]
 mod tests {
