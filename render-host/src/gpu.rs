@@ -39,3 +39,5 @@ pub use lists::Lists;
 pub use presence::Presence;
 pub use renderer::Renderer;
 pub use scene::Scene;
+/// The graphics library whose types appear here.
+pub use wgpu;
