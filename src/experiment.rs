@@ -4,6 +4,7 @@ mod accounting;
 mod cloud;
 mod counterfactual;
 mod demo;
+mod gpu;
 mod gradient;
 mod loss;
 mod pareto;
@@ -88,6 +89,11 @@ pub const ALL: &[Experiment] = &[
         name: "pareto",
         about: "time against error of every tolerance, precision and skip, alone and together (--out)",
         run: pareto::run,
+    },
+    Experiment {
+        name: "gpu",
+        about: "wgpu backend: time per stage beside its error, world batches",
+        run: gpu::run,
     },
     Experiment {
         name: "transport",

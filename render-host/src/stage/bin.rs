@@ -216,6 +216,8 @@ fn fill(
             });
             at += HEAD;
         }
+        // What was never looked at has no boxes.
+        pieces[at.min(count)..].iter_mut().for_each(|piece| piece.boxed = 0);
         rows.iter_mut().zip(open).for_each(|(row, open)| row.hold(&open.lists));
         return;
     }
