@@ -4,8 +4,8 @@ use super::scaffold::Shared;
 use super::squares::{Planes, cut};
 use super::states::CHUNK;
 use super::{
-    CounterfactualError, Greedy, Pairs, States, Utilities, Variants, fast, greedy, pairs, prefixes, single_pass,
-    strict, utilities,
+    CounterfactualError, Greedy, Pairs, States, Utilities, Variants, fast, greedy, pairs, prefixes,
+    single_pass, strict, utilities,
 };
 use crate::image::{Image, same_size};
 use crate::{Camera, Settings};

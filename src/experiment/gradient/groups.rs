@@ -52,7 +52,13 @@ fn cases(setup: &Setup) -> Result<Vec<Case>> {
             }
         }
         let count = clusters.len().max(1);
-        out.push(Case { name: format!("{kind}-{n}.{side}"), gaussians: instant.gaussians, groups, count, film });
+        out.push(Case {
+            name: format!("{kind}-{n}.{side}"),
+            gaussians: instant.gaussians,
+            groups,
+            count,
+            film,
+        });
     }
     Ok(out)
 }

@@ -131,10 +131,7 @@ impl Dissimilarity {
             sums.mse += band.mse;
             sums.structure += band.structure;
         }
-        Ok(Parts {
-            mse: sums.mse / values as f64,
-            structure: sums.structure / self.windows.count() as f64,
-        })
+        Ok(Parts { mse: sums.mse / values as f64, structure: sums.structure / self.windows.count() as f64 })
     }
 
     /// Rows on which a window can be centred.
