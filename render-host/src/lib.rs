@@ -4,6 +4,7 @@
 //! Splats + Camera ─▶ stage::{project, sort, bin, blend} ─▶ Rendered { image, transmittance, counters }
 //! … + loss        ─▶ adjoint                            ─▶ Gradients { loss, splats, pose, … }
 //! Variants + States ─▶ counterfactual::Engine ─▶ squared error of every state, utility of every group
+//! Repaints ─▶ counterfactual::Quadratic ─▶ the same where groups change colours only
 //! Image × Image   ─▶ metric::{psnr, ssim, flip, flicker, distortion, heat}
 //! ```
 //!

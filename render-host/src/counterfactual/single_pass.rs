@@ -182,11 +182,14 @@ fn through(trace: &mut Trace, entries: &[Entry], count: usize, present: &[bool],
         for (visit, record) in trace.visits[visits.clone()].iter().zip(&mut trace.records[visits]) {
             let own = &mut own[local].0[visit.y as usize % TILE];
             let Record { alpha, transmittance } = record;
-            for x in 0..TILE {
-                let without = if own[x] >= LEAST { transmittance[x] / own[x] } else { 0.0 };
-                transmittance[x] = if present { without } else { transmittance[x] * own[x] };
-                own[x] -= alpha[x] * own[x];
+            if present {
+                for x in 0..TILE {
+                    transmittance[x] = if own[x] >= LEAST { transmittance[x] / own[x] } else { 0.0 };
+                }
+            } else {
+                (0..TILE).for_each(|x| transmittance[x] *= own[x]);
             }
+            (0..TILE).for_each(|x| own[x] -= alpha[x] * own[x]);
         }
     }
 }

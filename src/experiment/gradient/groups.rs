@@ -175,7 +175,10 @@ pub(super) fn colour(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()
                 Ok(())
             })?;
             let few = states.one(run);
-            ms(&mut worth, || Ok(drop(std::hint::black_box(form.utilities(&few)?))))?;
+            ms(&mut worth, || {
+                std::hint::black_box(form.utilities(&few)?);
+                Ok(())
+            })?;
             let (gaussians, _) = repaints.world(&states, run);
             let mut image = None;
             ms(&mut alone, || {
