@@ -16,6 +16,8 @@
 //! those of the world rendered alone ([`brute`]). *Fast* has no early stop and no division; its relative
 //! error of a sum of squares is below 2e-6 against f64 arithmetic. The fast modes are one kernel under
 //! different plans of lanes: whole worlds, one group toggled, two groups toggled, groups arriving in order.
+//! [`Engine::single_pass`] has no lanes: one context at a time, every group for one number per pixel. Groups
+//! that change nothing but colours need no engine at all: [`Quadratic`] answers every state without drawing.
 //! Sums over tiles are f64 in order of tiles, so every result is the same for any number of threads, and a
 //! world's result does not depend on what other worlds were asked about in the same call.
 //!

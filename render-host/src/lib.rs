@@ -5,6 +5,7 @@
 //! … frame after frame ─▶ Sequence                     ─▶ the same, from what the frame before left
 //! … + loss        ─▶ adjoint                            ─▶ Gradients { loss, splats, pose, … }
 //! Variants + States ─▶ counterfactual::Engine ─▶ squared error of every state, utility of every group
+//! Repaints ─▶ counterfactual::Quadratic ─▶ the same where groups change colours only
 //! Image × Image   ─▶ metric::{psnr, ssim, flip, flicker, distortion, heat}
 //! ```
 //!

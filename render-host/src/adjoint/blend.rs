@@ -275,9 +275,8 @@ fn totals(rows: &[Lanes; SUMS]) -> [f32; SUMS] {
     }
     for half in [4, 2, 1] {
         for i in 0..half {
-            for k in 0..SUMS {
-                turned[i][k] += turned[i + half][k];
-            }
+            let other = turned[i + half];
+            turned[i].iter_mut().zip(other).for_each(|(sum, other)| *sum += other);
         }
     }
     turned[0]

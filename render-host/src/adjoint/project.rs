@@ -156,7 +156,8 @@ impl Film<'_> {
         let position: [f64; 3] = std::array::from_fn(|k| back[k] + d_offset[k]);
         // axes column k = W · local column k · scale k, so d ln scale = d axes · axes.
         let column = |m: &[[f64; 3]; 3], k: usize| [m[0][k], m[1][k], m[2][k]];
-        let log_scale: [f64; 3] = std::array::from_fn(|k| keep(Term::Stretch, dot(column(&d_axes, k), column(&axes, k))));
+        let log_scale: [f64; 3] =
+            std::array::from_fn(|k| keep(Term::Stretch, dot(column(&d_axes, k), column(&axes, k))));
         let columns: [[f64; 3]; 3] =
             std::array::from_fn(|k| turned_back(column(&d_axes, k)).map(|d| d * f64::from(g.scale[k])));
         let rotation = quaternion(g.rotation.map(f64::from), columns).map(|v| keep(Term::Turn, v));

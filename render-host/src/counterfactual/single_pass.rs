@@ -86,12 +86,11 @@ impl Room {
         let reference = &engine.reference[tile];
         let mut residual: Planes = [[[0.0; TILE]; 3]; TILE];
         let mut sse = 0.0;
-        for y in 0..height {
-            for c in 0..3 {
-                for x in 0..width {
-                    let r = self.behind[c].0[y][x] - reference[y][c][x];
-                    residual[y][c][x] = r;
-                    sse += f64::from(r) * f64::from(r);
+        for (y, rows) in residual[..height].iter_mut().enumerate() {
+            for (c, row) in rows.iter_mut().enumerate() {
+                for (x, r) in row[..width].iter_mut().enumerate() {
+                    *r = self.behind[c].0[y][x] - reference[y][c][x];
+                    sse += f64::from(*r) * f64::from(*r);
                 }
             }
         }
@@ -100,8 +99,7 @@ impl Room {
             let sign = if present { -2.0 } else { 2.0 };
             let mut sums = [0.0f64; TILE];
             for y in (0..height).filter(|y| share.touched >> y & 1 == 1) {
-                for c in 0..3 {
-                    let (a, r) = (&share.rows[y][c], &residual[y][c]);
+                for (a, r) in share.rows[y].iter().zip(&residual[y]) {
                     for x in 0..width {
                         sums[x] += f64::from(a[x]) * (f64::from(a[x]) + sign * f64::from(r[x]));
                     }
@@ -184,11 +182,14 @@ fn through(trace: &mut Trace, entries: &[Entry], count: usize, present: &[bool],
         for (visit, record) in trace.visits[visits.clone()].iter().zip(&mut trace.records[visits]) {
             let own = &mut own[local].0[visit.y as usize % TILE];
             let Record { alpha, transmittance } = record;
-            for x in 0..TILE {
-                let without = if own[x] >= LEAST { transmittance[x] / own[x] } else { 0.0 };
-                transmittance[x] = if present { without } else { transmittance[x] * own[x] };
-                own[x] -= alpha[x] * own[x];
+            if present {
+                for x in 0..TILE {
+                    transmittance[x] = if own[x] >= LEAST { transmittance[x] / own[x] } else { 0.0 };
+                }
+            } else {
+                (0..TILE).for_each(|x| transmittance[x] *= own[x]);
             }
+            (0..TILE).for_each(|x| own[x] -= alpha[x] * own[x]);
         }
     }
 }

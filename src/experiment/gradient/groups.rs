@@ -52,7 +52,13 @@ fn cases(setup: &Setup) -> Result<Vec<Case>> {
             }
         }
         let count = clusters.len().max(1);
-        out.push(Case { name: format!("{kind}-{n}.{side}"), gaussians: instant.gaussians, groups, count, film });
+        out.push(Case {
+            name: format!("{kind}-{n}.{side}"),
+            gaussians: instant.gaussians,
+            groups,
+            count,
+            film,
+        });
     }
     Ok(out)
 }
@@ -169,7 +175,10 @@ pub(super) fn colour(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()
                 Ok(())
             })?;
             let few = states.one(run);
-            ms(&mut worth, || Ok(drop(std::hint::black_box(form.utilities(&few)?))))?;
+            ms(&mut worth, || {
+                std::hint::black_box(form.utilities(&few)?);
+                Ok(())
+            })?;
             let (gaussians, _) = repaints.world(&states, run);
             let mut image = None;
             ms(&mut alone, || {

@@ -46,7 +46,7 @@ pub struct Dissimilarity {
     mean: Vec<f32>,
     variance: Vec<f32>,
     /// Scratch memory, passed from band to band; what it held does not matter.
-    pool: Mutex<Vec<Box<Room>>>,
+    pool: Mutex<Vec<Room>>,
 }
 
 /// What a sweep adds up, and how much of each goes to the gradient.
@@ -131,10 +131,7 @@ impl Dissimilarity {
             sums.mse += band.mse;
             sums.structure += band.structure;
         }
-        Ok(Parts {
-            mse: sums.mse / values as f64,
-            structure: sums.structure / self.windows.count() as f64,
-        })
+        Ok(Parts { mse: sums.mse / values as f64, structure: sums.structure / self.windows.count() as f64 })
     }
 
     /// Rows on which a window can be centred.

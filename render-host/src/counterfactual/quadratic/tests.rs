@@ -41,7 +41,15 @@ fn case(n: usize, light: f32, size: (u32, u32)) -> Case {
     let more = (0..9 * changes.len()).map(|_| between(-0.02, 0.02)).collect();
     let camera = Camera::look_at([1.9, -2.1, 1.45], [0.0; 3], [0.0, 0.0, 1.0], 0.9, size.0, size.1).unwrap();
     let rgb = (0..3 * size.0 * size.1).map(|_| between(0.3, 0.9)).collect();
-    Case { gaussians, rest, changes, more, groups: 27, camera, against: Image::new(size.0, size.1, rgb).unwrap() }
+    Case {
+        gaussians,
+        rest,
+        changes,
+        more,
+        groups: 27,
+        camera,
+        against: Image::new(size.0, size.1, rgb).unwrap(),
+    }
 }
 
 impl Case {
