@@ -3,7 +3,8 @@
 //! For group g and a valid partial state m without g: Δ_g(m) = D(I, R(m)) − D(I, R(m ∪ g)), with
 //! D = MSE + 0.20 (1 − SSIM) against the source's own render I. A context is a random
 //! dependency-closed state; inside it each cell is stepped through its levels with everything
-//! else held, so that L + 1 renders measure L groups. Cameras and frames are the caller's; keep
+//! else held, so that L + 1 pictures measure L groups. The pictures of all cells are one world batch of the
+//! renderer, bit for bit those of separate renders. Cameras and frames are the caller's; keep
 //! them apart from those on which quality is reported.
 
 use codec_core::{
@@ -14,12 +15,16 @@ use codec_core::{
 use rand::RngExt;
 use rand_pcg::Pcg64;
 use rayon::prelude::*;
-use render_host::{Camera, Changes, Image, Sequence, Settings, Splats, metric};
+use render_host::{Camera, Image, Renderer, Settings, Splats};
 
 use crate::{
     scene::Scene,
     stream::{PacketMap, Player},
 };
+
+use pictures::Pictures;
+
+mod pictures;
 
 /// How to measure.
 #[derive(Clone, Debug)]
@@ -105,8 +110,6 @@ struct Shot {
     frame: u32,
     camera: usize,
     reference: Image,
-    /// States of one frame differ in little, so each picture is made from the one before.
-    sequence: Sequence,
 }
 
 /// Measures all groups of `content` (a complete decode of a stream whose map is `map`) against
@@ -243,48 +246,54 @@ fn span_samples(
         let camera = (context as usize + k) % options.cameras.len();
         let source = scene.instant(frame as usize).unwrap_or_default();
         let splats = Splats::new(&source.gaussians, &source.sh_rest, source.sh_degree);
-        let mut sequence = Sequence::default();
-        let reference = render(splats, &options.cameras[camera], &options.settings, &mut sequence)?.clone();
-        shots.push(Shot { frame, camera, reference, sequence });
+        let reference = render(splats, &options.cameras[camera], &options.settings, &mut Renderer::new())?;
+        shots.push(Shot { frame, camera, reference });
     }
     let mut state = random_state(map, &mut rng, content);
     let mut player = Player::new(manifest);
     let mut samples = Vec::new();
-    for cell_groups in &span.cells {
-        let (group, _) = map.groups()[cell_groups[0]];
-        let Some(cell) = content.cell(group.span, group.cluster) else { continue };
-        let blocks = cell.blocks as usize..cell.blocks as usize + blocks_of(map, cell_groups, content);
-        let kept: Vec<u8> = state[blocks.clone()].to_vec();
-        // Motion shows only on blocks that are there.
-        let canonical = match group.span {
-            Span::Motion(w) => {
-                let epoch = manifest.window(w).map_or(0, |w| w.epoch);
-                content.cell(Span::Canonical(codec_core::ids::EpochId(epoch)), group.cluster)
+    for shot in &shots {
+        let mut pictures = Pictures::new(player.instant(&content.with_state(&state), shot.frame)?);
+        // Groups whose gain lies between one state and the next; none before the first of a cell.
+        let mut steps = Vec::new();
+        for (family, cell_groups) in (0..).zip(&span.cells) {
+            let (group, _) = map.groups()[cell_groups[0]];
+            let Some(cell) = content.cell(group.span, group.cluster) else { continue };
+            let blocks = cell.blocks as usize..cell.blocks as usize + blocks_of(map, cell_groups, content);
+            let kept: Vec<u8> = state[blocks.clone()].to_vec();
+            // Motion shows only on blocks that are there.
+            let canonical = match group.span {
+                Span::Motion(w) => {
+                    let epoch = manifest.window(w).map_or(0, |w| w.epoch);
+                    content.cell(Span::Canonical(codec_core::ids::EpochId(epoch)), group.cluster)
+                }
+                Span::Canonical(_) => None,
+            };
+            let canonical = canonical.map(|c| c.blocks as usize..c.blocks as usize + blocks.len());
+            let kept_canonical: Vec<u8> = canonical.clone().map(|r| state[r].to_vec()).unwrap_or_default();
+            if let Some(range) = canonical.clone() {
+                state[range].iter_mut().for_each(|m| *m = Arrived(*m).with(Level::BASE).0);
             }
-            Span::Canonical(_) => None,
-        };
-        let canonical = canonical.map(|c| c.blocks as usize..c.blocks as usize + blocks.len());
-        let kept_canonical: Vec<u8> = canonical.clone().map(|r| state[r].to_vec()).unwrap_or_default();
-        if let Some(range) = canonical.clone() {
-            state[range].iter_mut().for_each(|m| *m = Arrived(*m).with(Level::BASE).0);
-        }
-        let empty: Vec<u8> = map.initial()[blocks.clone()].to_vec();
-        state[blocks.clone()].copy_from_slice(&empty);
-        for shot in &mut shots {
-            state[blocks.clone()].copy_from_slice(&empty);
-            let mut before = distortion(content, &state, shot, &mut player, options)?;
-            for &index in cell_groups {
-                let level = map.groups()[index].0.level;
-                state[blocks.clone()].iter_mut().for_each(|m| *m = Arrived(*m).with(level).0);
-                let after = distortion(content, &state, shot, &mut player, options)?;
-                samples.push((index, before - after));
-                before = after;
+            state[blocks.clone()].copy_from_slice(&map.initial()[blocks.clone()]);
+            for index in std::iter::once(None).chain(cell_groups.iter().map(|&index| Some(index))) {
+                if let Some(index) = index {
+                    let level = map.groups()[index].0.level;
+                    state[blocks.clone()].iter_mut().for_each(|m| *m = Arrived(*m).with(level).0);
+                }
+                let shown = player.show(&content.with_state(&state), shot.frame)?;
+                pictures.add(family, shown.gaussians, shown.sh_rest);
+                steps.push(index);
+            }
+            state[blocks].copy_from_slice(&kept);
+            if let Some(range) = canonical {
+                state[range].copy_from_slice(&kept_canonical);
             }
         }
-        state[blocks].copy_from_slice(&kept);
-        if let Some(range) = canonical {
-            state[range].copy_from_slice(&kept_canonical);
-        }
+        // The threads are busy with other states: one batch is one task.
+        let settings = Settings { parallel: false, ..options.settings.clone() };
+        let distances = pictures.distances(&options.cameras[shot.camera], &settings, &shot.reference)?;
+        let gains = steps[1.min(steps.len())..].iter().zip(distances.windows(2));
+        samples.extend(gains.filter_map(|(index, pair)| index.map(|index| (index, pair[0] - pair[1]))));
     }
     Ok(samples)
 }
@@ -321,30 +330,17 @@ fn random_state(map: &PacketMap, rng: &mut Pcg64, content: &Content<'_>) -> Vec<
     state
 }
 
-fn distortion(
-    content: &Content<'_>,
-    state: &[u8],
-    shot: &mut Shot,
-    player: &mut Player,
-    options: &Options,
-) -> Result<f64, UtilityError> {
-    let shown = player.show(&content.with_state(state), shot.frame)?;
-    let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree);
-    let image = render(splats, &options.cameras[shot.camera], &options.settings, &mut shot.sequence)?;
-    metric::distortion(image, &shot.reference).map_err(|e| UtilityError::Render(e.to_string()))
-}
-
-fn render<'s, E: std::fmt::Display>(
+fn render<E: std::fmt::Display>(
     splats: Result<Splats<'_>, E>,
     camera: &Camera,
     settings: &Settings,
-    sequence: &'s mut Sequence,
-) -> Result<&'s Image, UtilityError> {
+    renderer: &mut Renderer,
+) -> Result<Image, UtilityError> {
     let splats = splats.map_err(|e| UtilityError::Render(e.to_string()))?;
     // The threads are busy with other states: one render is one task.
     let settings = Settings { parallel: false, ..settings.clone() };
-    let rendered = sequence.render(&splats, Changes::Unknown, camera, &settings);
-    rendered.map(|r| &r.image).map_err(|e| UtilityError::Render(e.to_string()))
+    let rendered = renderer.render(&splats, camera, &settings);
+    rendered.map(|r| r.image).map_err(|e| UtilityError::Render(e.to_string()))
 }
 
 #[cfg(test)]
