@@ -135,7 +135,9 @@ impl Family {
         let first = self.cases == 1;
         all.difference.max_clear = worse(all.difference.max_clear, one.max_clear / verdict.largest);
         all.difference.max_close = worse(all.difference.max_close, one.max_close / verdict.largest);
-        all.difference.psnr_db = if first { one.psnr_db } else { all.difference.psnr_db.min(one.psnr_db) };
+        // As if the largest value were the data range.
+        let psnr_db = one.psnr_db + 20.0 * verdict.largest.log10();
+        all.difference.psnr_db = if first { psnr_db } else { all.difference.psnr_db.min(psnr_db) };
         all.fast_error = worse(all.fast_error, verdict.fast_error);
         all.close_share = worse(all.close_share, verdict.close_share);
         all.complaints.extend_from_slice(&verdict.complaints);

@@ -134,7 +134,8 @@ impl Scatter<'_> {
         }
         let places: Vec<(f64, f64)> = points.iter().map(|p| (x.at(p.x), y.at(p.y))).collect();
         self.labels(&mut out, &points, &places, &on);
-        for ((point, (px, py)), on) in points.iter().zip(&places).zip(&on) {
+        // The first on top.
+        for ((point, (px, py)), on) in points.iter().zip(&places).zip(&on).rev() {
             let colour = COLOURS[point.group % COLOURS.len()];
             let (r, ring) = if *on { (6.0, "#d69e2e") } else { (4.5, "#fff") };
             let text = format!("{}: {:.3e}, {:.3e}", escape(&point.name), point.x, point.y);
