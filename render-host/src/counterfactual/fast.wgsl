@@ -1,0 +1,81 @@
+// Squared errors of sixteen worlds on one tile. Put after lanes.wgsl. Workgroups: columns, rows, worlds / 16.
+
+@compute @workgroup_size(256)
+fn fast(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+    let tile = id.y * frame.size.z + id.x;
+    let corner = TILE * id.xy;
+    let block = thread >> 5u;
+    let inside = pixel_of(thread);
+    let at = vec2<f32>(inside);
+    let end = starts[tile + 1u];
+    let column = 4u * id.z;
+    var lanes = no_lanes();
+    var run = NO_RUN;
+    var own = NO_GROUP;
+    for (var first = starts[tile]; first < end; first += PIXELS) {
+        workgroupBarrier();
+        if thread < 64u {
+            atomicStore(&touching[thread], 0u);
+        }
+        workgroupBarrier();
+        if first + thread < end {
+            let entry = entries[first + thread];
+            if entry.blocks != 0u {
+                // What none of the sixteen worlds holds is left out.
+                let splat = splats[entry.splat];
+                let row = splat.group * batch.quads + column;
+                let held = masks[row] + masks[row + 1u] + masks[row + 2u] + masks[row + 3u];
+                if any(held > vec4<f32>(0.0)) {
+                    put(entry, splat, thread, corner);
+                }
+            }
+        }
+        workgroupBarrier();
+        for (var word = 0u; word < 8u; word++) {
+            var bits = atomicLoad(&touching[8u * block + word]);
+            while bits != 0u {
+                let i = 32u * word + firstTrailingBit(bits);
+                bits &= bits - 1u;
+                if owner[i] != own {
+                    if own != NO_GROUP {
+                        lanes = apply(lanes, run, mask_of(own, column));
+                    }
+                    own = owner[i];
+                    run = NO_RUN;
+                }
+                run = extend(run, i, alpha_at(i, at));
+            }
+        }
+    }
+    if own != NO_GROUP {
+        lanes = apply(lanes, run, mask_of(own, column));
+    }
+    let found = errors(lanes, corner + inside);
+    let out = (tile * batch.quads + column) * 4u;
+    add_up(thread, found[0], found[1], out);
+    add_up(thread, found[2], found[3], out + 8u);
+}
+
+fn mask_of(own: u32, column: u32) -> mat4x4<f32> {
+    let row = own * batch.quads + column;
+    return mat4x4<f32>(masks[row], masks[row + 1u], masks[row + 2u], masks[row + 3u]);
+}
+
+// Adds eight lanes over the tile in a fixed tree and writes the sums.
+fn add_up(thread: u32, a: vec4<f32>, b: vec4<f32>, out: u32) {
+    workgroupBarrier();
+    bowl[thread] = a;
+    bowl[PIXELS + thread] = b;
+    for (var half = PIXELS / 2u; half > 0u; half /= 2u) {
+        workgroupBarrier();
+        if thread < half {
+            bowl[thread] += bowl[thread + half];
+            bowl[PIXELS + thread] += bowl[PIXELS + thread + half];
+        }
+    }
+    workgroupBarrier();
+    if thread < 4u {
+        partials[out + thread] = bowl[0][thread];
+        partials[out + 4u + thread] = bowl[PIXELS][thread];
+    }
+}
