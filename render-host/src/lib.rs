@@ -21,6 +21,8 @@ pub mod adjoint;
 pub mod camera;
 pub mod counterfactual;
 pub mod counters;
+#[cfg(feature = "gpu")]
+pub mod gpu;
 mod harmonics;
 pub mod image;
 pub mod metric;

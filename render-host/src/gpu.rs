@@ -1,0 +1,33 @@
+//! The wgpu backend: the stages of [`crate::stage`] as compute shaders, `stage/NAME.wgsl` beside
+//! `stage/NAME.rs`.
+//!
+//! ```text
+//! Device ─▶ Scene (uploaded once) ─▶ Renderer::draw (camera in, nothing read back) ─▶ Renderer::read
+//! ```
+//!
+//! Counts stay on the device: what one stage finds sizes the next through indirect dispatch. The host
+//! reads only when asked for a picture; there it also learns whether the tile lists outgrew their buffer,
+//! makes room and draws again. No float is summed through atomics, so a picture is the same bit for bit
+//! from run to run, and a world drawn in a batch is the world drawn alone.
+//!
+//! Geometry that f64 serves on the CPU is done here in pairs of f32 (value and remainder): camera
+//! coordinates, depth keys and centres. What follows is f32, as in the CPU's blend.
+//!
+//! The WGSL stays within base WebGPU: 8 storage buffers per stage, 16 KiB of workgroup memory, 65535
+//! workgroups per dimension, no subgroups. [`wgsl`] lists every shader with its bindings, and a test
+//! checks structs, constants and bindings against Rust without a device.
+
+mod buffers;
+mod clock;
+mod device;
+mod error;
+mod kernel;
+pub mod layout;
+mod vulkan;
+pub mod wgsl;
+
+pub use buffers::Growing;
+pub use clock::{Clock, Span};
+pub use device::{Device, Facts, Options};
+pub use error::GpuError;
+pub use kernel::{Kernel, groups_2d};

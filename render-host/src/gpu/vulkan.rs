@@ -1,0 +1,56 @@
+//! The only unsafe code of the backend: what wgpu does not show of Vulkan, and shaders without run-time
+//! checks.
+#![allow(
+    unsafe_code,
+    reason = "reading driver facts through raw handles, and trusting shaders whose bounds are proven, have no safe form"
+)]
+
+use ash::vk;
+use wgpu::hal::api::Vulkan;
+
+/// Device memory that is free for this process and that there is in all, bytes, summed over heaps on the
+/// device. From `VK_EXT_memory_budget` where the driver has it, else heap sizes alone.
+pub(super) fn memory(device: &wgpu::Device) -> Option<Memory> {
+    // SAFETY: the guard keeps the device alive, nothing raw outlives it, and no handle is destroyed.
+    let hal = unsafe { device.as_hal::<Vulkan>() }?;
+    let (physical, instance) = (hal.raw_physical_device(), hal.shared_instance().raw_instance());
+    // SAFETY: `physical` belongs to `instance`; both are alive while `hal` is.
+    let extensions = unsafe { instance.enumerate_device_extension_properties(physical) }.ok()?;
+    let named = |e: &vk::ExtensionProperties| {
+        e.extension_name_as_c_str().is_ok_and(|name| name == ash::ext::memory_budget::NAME)
+    };
+    let has_budget = extensions.iter().any(named);
+    let mut budget = vk::PhysicalDeviceMemoryBudgetPropertiesEXT::default();
+    let mut properties = vk::PhysicalDeviceMemoryProperties2::default();
+    if has_budget {
+        properties = properties.push_next(&mut budget);
+    }
+    // SAFETY: the structures are initialised and chained only where the extension is there.
+    unsafe { instance.get_physical_device_memory_properties2(physical, &mut properties) };
+    let heaps = properties.memory_properties;
+    let local = |flags: vk::MemoryHeapFlags| flags.contains(vk::MemoryHeapFlags::DEVICE_LOCAL);
+    let on_device: Vec<usize> =
+        (0..heaps.memory_heap_count as usize).filter(|&i| local(heaps.memory_heaps[i].flags)).collect();
+    let total = on_device.iter().map(|&i| heaps.memory_heaps[i].size).sum();
+    let free = |&i: &usize| budget.heap_budget[i].saturating_sub(budget.heap_usage[i]);
+    let free = if has_budget { on_device.iter().map(free).sum() } else { total };
+    Some(Memory { total, free, has_budget })
+}
+
+/// Memory of a device, bytes.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Memory {
+    pub(super) total: u64,
+    pub(super) free: u64,
+    pub(super) has_budget: bool,
+}
+
+/// A shader module without run-time bounds checks and loop bounds.
+///
+/// Every kernel of this crate guards each index by a count that the host or an earlier kernel keeps within
+/// the buffer's length, and every loop ends by a count; the tests run the same text with all checks on and
+/// compare.
+pub(super) fn trusted(device: &wgpu::Device, source: wgpu::ShaderModuleDescriptor) -> wgpu::ShaderModule {
+    // SAFETY: see above; only this crate's own WGSL comes here.
+    unsafe { device.create_shader_module_trusted(source, wgpu::ShaderRuntimeChecks::unchecked()) }
+}

@@ -1,0 +1,287 @@
+//! Every shader: its text, and its bindings in order. A test holds each against its Rust side.
+
+/// How a shader sees a buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bind {
+    /// `var<uniform>`.
+    Uniform,
+    /// `var<storage, read>`.
+    Read,
+    /// `var<storage, read_write>`.
+    Write,
+}
+
+/// A shader.
+#[derive(Clone, Copy, Debug)]
+pub struct Source {
+    /// Name of its file.
+    pub name: &'static str,
+    /// Pieces of its text; [`LAYOUT`] first.
+    pub parts: &'static [&'static str],
+    /// Names and kinds of its bindings: place in the list is the number of the binding, group 0.
+    pub bindings: &'static [(&'static str, Bind)],
+}
+
+impl Source {
+    /// The whole text.
+    pub fn text(&self) -> String {
+        self.parts.concat()
+    }
+}
+
+/// Structs, constants and functions that every shader begins with.
+pub const LAYOUT: &str = include_str!("../stage/layout.wgsl");
+/// Functions of kernels that list tiles.
+pub const SPAN: &str = include_str!("../stage/span.wgsl");
+/// Functions of kernels in which a workgroup is a tile.
+pub const TILE: &str = include_str!("../stage/tile.wgsl");
+
+/// Stage 1.
+pub const PROJECT: Source = Source {
+    name: "project.wgsl",
+    parts: &[LAYOUT, SPAN, include_str!("../stage/project.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("gaussians", Bind::Read),
+        ("harmonics", Bind::Read),
+        ("groups", Bind::Read),
+        ("splats", Bind::Write),
+        ("keys", Bind::Write),
+        ("touched", Bind::Write),
+        ("counts", Bind::Write),
+    ],
+};
+
+/// Sizes of indirect dispatches.
+pub const PLAN: Source = Source {
+    name: "plan.wgsl",
+    parts: &[LAYOUT, include_str!("../stage/plan.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("counts", Bind::Write),
+        ("sums", Bind::Write),
+        ("dispatch", Bind::Write),
+    ],
+};
+
+/// Stage 2, and the gathering of entries by tile.
+pub const SORT: Source = Source {
+    name: "sort.wgsl",
+    parts: &[LAYOUT, include_str!("../stage/sort.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("counts", Bind::Read),
+        ("keys", Bind::Read),
+        ("values", Bind::Read),
+        ("keys_out", Bind::Write),
+        ("values_out", Bind::Write),
+        ("table", Bind::Write),
+        ("totals", Bind::Write),
+    ],
+};
+
+/// Stage 3.
+pub const BIN: Source = Source {
+    name: "bin.wgsl",
+    parts: &[LAYOUT, SPAN, include_str!("../stage/bin.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("counts", Bind::Read),
+        ("splats", Bind::Read),
+        ("touched", Bind::Read),
+        ("order", Bind::Read),
+        ("sums", Bind::Write),
+        ("keys", Bind::Write),
+        ("values", Bind::Write),
+    ],
+};
+
+/// The end of stage 3: where lists start.
+pub const STARTS: Source = Source {
+    name: "starts.wgsl",
+    parts: &[LAYOUT, include_str!("../stage/starts.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("counts", Bind::Write),
+        ("keys", Bind::Read),
+        ("starts", Bind::Write),
+    ],
+};
+
+/// Stage 4.
+pub const BLEND: Source = Source {
+    name: "blend.wgsl",
+    parts: &[LAYOUT, TILE, include_str!("../stage/blend.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("splats", Bind::Read),
+        ("entries", Bind::Read),
+        ("starts", Bind::Read),
+        ("counts", Bind::Write),
+        ("image", Bind::Write),
+    ],
+};
+
+/// All shaders. Add yours here, and its structs to `structs` in the tests below.
+pub const ALL: &[Source] = &[PROJECT, PLAN, SORT, BIN, STARTS, BLEND];
+
+#[cfg(test)]
+mod tests {
+    use super::super::layout::{CONSTANTS, Frame, Splat};
+    use super::*;
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+    use std::mem::offset_of;
+
+    /// Workgroup memory that every WebGPU device has, bytes.
+    const WORKGROUP_BYTES: u32 = 16_384;
+    /// Storage buffers that every WebGPU device binds.
+    const STORAGE_BUFFERS: usize = 8;
+
+    /// A struct: WGSL name, bytes, name and offset of every member.
+    type Layout = (&'static str, usize, Vec<(&'static str, usize)>);
+
+    macro_rules! layout {
+        ($ty:ty: $($field:ident),*) => {
+            (stringify!($ty), size_of::<$ty>(), vec![$((stringify!($field), offset_of!($ty, $field))),*])
+        };
+    }
+
+    /// The Rust side of every struct.
+    fn structs() -> Vec<Layout> {
+        vec![
+            layout!(Splat: mean, columns, rows, root, log2_alpha, colour, group),
+            layout!(Frame: view, view_low, focal, principal, slope, background, size, near, near_low, low_pass,
+                alpha_cutoff, cutoff, log2_cutoff, alpha_max, stop, gaussians, degree, flags, zero, capacity,
+                worlds, world_words, spare),
+        ]
+    }
+
+    fn parse(text: &str) -> Result<naga::Module, String> {
+        let module = naga::front::wgsl::parse_str(text).map_err(|e| e.emit_to_string(text))?;
+        // No capability beyond base WebGPU.
+        Validator::new(ValidationFlags::all(), Capabilities::empty())
+            .validate(&module)
+            .map_err(|e| e.emit_to_string(text))?;
+        Ok(module)
+    }
+
+    /// What is wrong with `source`, whose text is `text`.
+    fn faults(source: &Source, text: &str, structs: &[Layout]) -> Vec<String> {
+        let module = match parse(text) {
+            Ok(module) => module,
+            Err(message) => return vec![message],
+        };
+        let mut found = Vec::new();
+        for (_, ty) in module.types.iter() {
+            let naga::TypeInner::Struct { members, span } = &ty.inner else { continue };
+            let Some(name) = &ty.name else { continue };
+            let is = |l: &&Layout| l.0 == name.as_str();
+            // Structs that never leave the shader are its own affair.
+            let Some((_, size, fields)) = structs.iter().find(is) else { continue };
+            let there: Vec<(&str, usize)> =
+                members.iter().map(|m| (m.name.as_deref().unwrap_or(""), m.offset as usize)).collect();
+            if there != *fields || *span as usize != *size {
+                found.push(format!("struct {name}: WGSL {span} {there:?}, Rust {size} {fields:?}"));
+            }
+        }
+        for (_, constant) in module.constants.iter() {
+            let Some(name) = &constant.name else { continue };
+            let Some(&(_, expected)) = CONSTANTS.iter().find(|c| c.0 == name.as_str()) else { continue };
+            let naga::Expression::Literal(literal) = module.global_expressions[constant.init] else {
+                found.push(format!("constant {name} is no literal"));
+                continue;
+            };
+            let value = match literal {
+                naga::Literal::U32(v) => f64::from(v),
+                naga::Literal::F32(v) => f64::from(v),
+                other => {
+                    found.push(format!("constant {name} is {other:?}"));
+                    continue;
+                }
+            };
+            if value != expected {
+                found.push(format!("constant {name}: WGSL {value}, Rust {expected}"));
+            }
+        }
+        let mut there = Vec::new();
+        let mut workgroup = 0;
+        let mut layouter = naga::proc::Layouter::default();
+        layouter.update(module.to_ctx()).unwrap();
+        for (_, global) in module.global_variables.iter() {
+            if global.space == naga::AddressSpace::WorkGroup {
+                workgroup += layouter[global.ty].size;
+            }
+            let Some(binding) = &global.binding else { continue };
+            let bind = match global.space {
+                naga::AddressSpace::Uniform => Bind::Uniform,
+                naga::AddressSpace::Storage { access } if access.contains(naga::StorageAccess::STORE) => {
+                    Bind::Write
+                }
+                _ => Bind::Read,
+            };
+            there.push((binding.group, binding.binding, global.name.clone().unwrap_or_default(), bind));
+        }
+        there.sort_by_key(|b| (b.0, b.1));
+        let expected: Vec<_> =
+            (0u32..).zip(source.bindings).map(|(i, &(name, bind))| (0, i, name.to_owned(), bind)).collect();
+        if there != expected {
+            found.push(format!("bindings: WGSL {there:?}, Rust {expected:?}"));
+        }
+        if expected.iter().filter(|b| b.3 != Bind::Uniform).count() > STORAGE_BUFFERS {
+            found.push("more storage buffers than base WebGPU binds".into());
+        }
+        if workgroup > WORKGROUP_BYTES {
+            found.push(format!("{workgroup} bytes of workgroup memory"));
+        }
+        for entry in &module.entry_points {
+            if entry.workgroup_size.iter().product::<u32>() > 256 {
+                found.push(format!("{}: workgroup of {:?}", entry.name, entry.workgroup_size));
+            }
+        }
+        found.iter_mut().for_each(|f| f.insert_str(0, &format!("{}: ", source.name)));
+        found
+    }
+
+    #[test]
+    fn every_shader_validates_for_browsers_and_matches_rust() {
+        let structs = structs();
+        let found: Vec<String> = ALL.iter().flat_map(|s| faults(s, &s.text(), &structs)).collect();
+        assert!(found.is_empty(), "{}", found.join("\n"));
+    }
+
+    #[test]
+    fn every_constant_and_struct_is_in_the_shared_text() {
+        let module = parse(LAYOUT).unwrap();
+        for (name, _) in CONSTANTS {
+            let there = module.constants.iter().any(|(_, c)| c.name.as_deref() == Some(name));
+            assert!(there, "{name} is not in layout.wgsl");
+        }
+        for (name, ..) in [structs()[0].clone(), structs()[1].clone()] {
+            assert!(module.types.iter().any(|(_, t)| t.name.as_deref() == Some(name)), "{name}");
+        }
+    }
+
+    /// Each change breaks one agreement, and is found.
+    #[test]
+    fn a_shader_that_disagrees_is_found() {
+        let good = PROJECT.text();
+        let changes = [
+            ("    columns: u32,\n    rows: u32,", "    rows: u32,\n    columns: u32,", "struct Splat"),
+            ("    spare: u32,", "    spare: vec4<u32>,", "struct Frame"),
+            ("const TILE: u32 = 16u;", "const TILE: u32 = 8u;", "constant TILE"),
+            ("const REACH_MARGIN: f32 = 1e-4;", "const REACH_MARGIN: f32 = 1e-3;", "constant REACH_MARGIN"),
+            ("@binding(6)", "@binding(9)", "bindings"),
+            ("var<storage, read_write> keys", "var<storage, read> keys", "may not be"),
+            ("fn is_finite(", "enable f16;\nfn is_finite(", "enable"),
+            ("array<atomic<u32>, 8>", "array<atomic<u32>, 8000>", "workgroup memory"),
+            ("@workgroup_size(256)", "@workgroup_size(512)", "workgroup of"),
+        ];
+        for (here, there, named) in changes {
+            let text = good.replacen(here, there, 1);
+            assert_ne!(text, good, "{here} is in the text");
+            let found = faults(&PROJECT, &text, &structs());
+            assert!(!found.is_empty(), "{there} went unseen");
+            assert!(named == "may not be" || found.iter().any(|f| f.contains(named)), "{named}: {found:?}");
+        }
+    }
+}
