@@ -17,12 +17,18 @@
 //! workgroups per dimension, no subgroups. [`wgsl`] lists every shader with its bindings, and a test
 //! checks structs, constants and bindings against Rust without a device.
 
+pub mod adjoint;
 mod buffers;
+#[cfg(test)]
+mod case;
 mod clock;
+pub mod counterfactual;
 mod device;
 mod error;
 mod kernel;
 pub mod layout;
+mod lists;
+mod states;
 mod vulkan;
 pub mod wgsl;
 
@@ -31,3 +37,4 @@ pub use clock::{Clock, Span};
 pub use device::{Device, Facts, Options};
 pub use error::GpuError;
 pub use kernel::{Kernel, groups_2d};
+pub use lists::Lists;

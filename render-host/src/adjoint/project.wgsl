@@ -289,10 +289,10 @@ fn back(i: u32, s: Splat, sums: Sums) {
 @compute @workgroup_size(256)
 fn project_back(
     @builtin(workgroup_id) id: vec3<u32>,
-    @builtin(num_workgroups) of: vec3<u32>,
+    @builtin(num_workgroups) count: vec3<u32>,
     @builtin(local_invocation_index) thread: u32,
 ) {
-    let i = (id.x + id.y * of.x) * WORKGROUP + thread;
+    let i = (id.x + id.y * count.x) * WORKGROUP + thread;
     if i >= frame.gaussians {
         return;
     }

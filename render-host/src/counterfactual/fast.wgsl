@@ -1,5 +1,9 @@
 // Squared errors of sixteen worlds on one tile. Put after lanes.wgsl. Workgroups: columns, rows, worlds / 16.
 
+// Set in the group of what none of the sixteen worlds holds: it ends runs, as it would for other worlds, so
+// that a world's runs do not depend on the worlds beside it, and adds nothing.
+const HELD_BY_NONE: u32 = 0x80000000u;
+
 @compute @workgroup_size(256)
 fn fast(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let tile = id.y * frame.size.z + id.x;
@@ -21,12 +25,12 @@ fn fast(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) t
         if first + thread < end {
             let entry = entries[first + thread];
             if entry.blocks != 0u {
-                // What none of the sixteen worlds holds is left out.
                 let splat = splats[entry.splat];
+                put(entry, splat, thread, corner);
                 let row = splat.group * batch.quads + column;
                 let held = masks[row] + masks[row + 1u] + masks[row + 2u] + masks[row + 3u];
-                if any(held > vec4<f32>(0.0)) {
-                    put(entry, splat, thread, corner);
+                if all(held == vec4<f32>(0.0)) {
+                    owner[thread] |= HELD_BY_NONE;
                 }
             }
         }
@@ -37,17 +41,19 @@ fn fast(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) t
                 let i = 32u * word + firstTrailingBit(bits);
                 bits &= bits - 1u;
                 if owner[i] != own {
-                    if own != NO_GROUP {
+                    if (own & HELD_BY_NONE) == 0u {
                         lanes = apply(lanes, run, mask_of(own, column));
                     }
                     own = owner[i];
                     run = NO_RUN;
                 }
-                run = extend(run, i, alpha_at(i, at));
+                if (own & HELD_BY_NONE) == 0u {
+                    run = extend(run, i, alpha_at(i, at));
+                }
             }
         }
     }
-    if own != NO_GROUP {
+    if (own & HELD_BY_NONE) == 0u {
         lanes = apply(lanes, run, mask_of(own, column));
     }
     let found = errors(lanes, corner + inside);

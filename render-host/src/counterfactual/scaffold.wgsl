@@ -22,8 +22,8 @@ fn blocks_of(splat: Splat, corner: vec2<u32>) -> u32 {
         let left = reach - v * v;
         for (var half = 0u; half < 2u; half++) {
             // Distance of the eight centres from the splat's axis; 0 when they straddle it.
-            let from = fma(splat.root.x, 8.0 * f32(half), u);
-            let gap = max(max(from, -fma(splat.root.x, 7.0, from)), 0.0);
+            let edge = fma(splat.root.x, 8.0 * f32(half), u);
+            let gap = max(max(edge, -fma(splat.root.x, 7.0, edge)), 0.0);
             if gap * gap <= left {
                 blocks |= 1u << (2u * (y >> 2u) + half);
             }
@@ -58,11 +58,11 @@ fn scaffold(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_inde
     }
     storageBarrier();
     if thread < BLOCKS {
-        let set = first + thread * stride;
+        let row = first + thread * stride;
         var before = 0u;
         for (var word = 0u; word < batch.words; word++) {
-            atomicStore(&sets[set + batch.words + word], before);
-            before += countOneBits(atomicLoad(&sets[set + word]));
+            atomicStore(&sets[row + batch.words + word], before);
+            before += countOneBits(atomicLoad(&sets[row + word]));
         }
     }
 }

@@ -23,8 +23,9 @@ struct Batch {
     scale: f32,
     // Places for what tiles find, per tile.
     columns: u32,
-    spare_a: u32,
-    spare_b: u32,
+    // World of the first workgroup.
+    first: u32,
+    spare: u32,
 }
 
 // One splat of a tile's list.

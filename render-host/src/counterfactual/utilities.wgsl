@@ -24,13 +24,14 @@ fn utilities(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
     let start = starts[tile];
     let end = starts[tile + 1u];
     let stride = 2u * batch.words;
-    let set = (tile * BLOCKS + block) * stride;
+    let row = (tile * BLOCKS + block) * stride;
     var passes = 1u;
     for (var b = 0u; b < BLOCKS; b++) {
         passes = max(passes, (members((tile * BLOCKS + b) * stride) + TOGGLES - 1u) / TOGGLES);
     }
-    let mine = (members(set) + TOGGLES - 1u) / TOGGLES;
+    let mine = (members(row) + TOGGLES - 1u) / TOGGLES;
     let tiles = frame.size.z * frame.size.w;
+    let context = batch.first + id.z;
     let out = (id.z * tiles + tile) * (batch.groups + 1u);
 
     for (var turn = 0u; turn < passes; turn++) {
@@ -58,7 +59,7 @@ fn utilities(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
                         bits &= bits - 1u;
                         if owner[i] != own {
                             if own != NO_GROUP {
-                                lanes = apply(lanes, run, toggles(set, own, id.z, turn));
+                                lanes = apply(lanes, run, toggles(row, own, context, turn));
                             }
                             own = owner[i];
                             run = NO_RUN;
@@ -69,7 +70,7 @@ fn utilities(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
             }
         }
         if own != NO_GROUP {
-            lanes = apply(lanes, run, toggles(set, own, id.z, turn));
+            lanes = apply(lanes, run, toggles(row, own, context, turn));
         }
         let e = errors(lanes, corner + inside);
         let base = vec4<f32>(e[0].x);
@@ -87,16 +88,16 @@ fn utilities(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
         for (var g = thread; g < batch.groups; g += PIXELS) {
             var sum = 0.0;
             for (var b = 0u; b < BLOCKS; b++) {
-                let of = (tile * BLOCKS + b) * stride;
-                if ((sets[of + (g >> 5u)] >> (g & 31u)) & 1u) == 1u {
-                    let lane = lane_of(of, g, turn);
+                let other = (tile * BLOCKS + b) * stride;
+                if ((sets[other + (g >> 5u)] >> (g & 31u)) & 1u) == 1u {
+                    let lane = lane_of(other, g, turn);
                     if lane > 0u {
                         sum += found[16u * b + lane];
                     }
                 }
             }
             // Without the group minus with it.
-            let delta = select(-sum, sum, held(g, id.z) > 0.0);
+            let delta = select(-sum, sum, held(g, context) > 0.0);
             if turn == 0u {
                 partials[out + 1u + g] = delta;
             } else {
@@ -107,9 +108,9 @@ fn utilities(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
 }
 
 // Number of groups of a block.
-fn members(set: u32) -> u32 {
+fn members(row: u32) -> u32 {
     let last = batch.words - 1u;
-    return sets[set + batch.words + last] + countOneBits(sets[set + last]);
+    return sets[row + batch.words + last] + countOneBits(sets[row + last]);
 }
 
 // 1 where `context` holds group `g`.
@@ -118,17 +119,17 @@ fn held(g: u32, context: u32) -> f32 {
 }
 
 // The lane that toggles group `g` in this pass, or 0.
-fn lane_of(set: u32, g: u32, turn: u32) -> u32 {
+fn lane_of(row: u32, g: u32, turn: u32) -> u32 {
     let word = g >> 5u;
-    let below = sets[set + word] & ((1u << (g & 31u)) - 1u);
-    let rank = sets[set + batch.words + word] + countOneBits(below);
+    let below = sets[row + word] & ((1u << (g & 31u)) - 1u);
+    let rank = sets[row + batch.words + word] + countOneBits(below);
     return select(0u, rank - TOGGLES * turn + 1u, rank / TOGGLES == turn);
 }
 
 // Which lanes hold group `g`.
-fn toggles(set: u32, g: u32, context: u32, turn: u32) -> mat4x4<f32> {
+fn toggles(row: u32, g: u32, context: u32, turn: u32) -> mat4x4<f32> {
     let is = held(g, context);
-    let lane = vec4<u32>(lane_of(set, g, turn));
+    let lane = vec4<u32>(lane_of(row, g, turn));
     let here = vec4<f32>(is);
     let not = vec4<f32>(1.0 - is);
     let first = vec4<u32>(0u, 1u, 2u, 3u);
