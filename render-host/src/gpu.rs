@@ -28,7 +28,11 @@ mod error;
 mod kernel;
 pub mod layout;
 mod lists;
-mod states;
+mod presence;
+mod renderer;
+mod scene;
+pub mod states;
+mod tiles;
 mod vulkan;
 pub mod wgsl;
 
@@ -38,3 +42,9 @@ pub use device::{Device, Facts, Options};
 pub use error::GpuError;
 pub use kernel::{Kernel, groups_2d};
 pub use lists::Lists;
+pub use presence::Presence;
+pub use renderer::Renderer;
+pub use scene::Scene;
+pub use tiles::Tiles;
+/// The graphics library whose types appear here.
+pub use wgpu;

@@ -1,8 +1,8 @@
 // Adjoint of stage 1: from what pixels pull at back to Gaussians. Put after counterfactual/states.wgsl.
 // Threads: one per Gaussian.
 //
-// A Gaussian finds its entries again: in every tile of its box, by its depth key, which the list is sorted
-// by. So its sums have one order, that of tiles, however the lists were made.
+// A Gaussian finds its entries again: in every tile of its box, by its place in the order of depth, which the
+// list is sorted by. So its sums have one order, that of tiles, however the lists were made.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 // One row per field, see GAUSSIAN_ROWS.
@@ -10,7 +10,8 @@
 // One row per coefficient and channel.
 @group(0) @binding(2) var<storage, read> harmonics: array<u32>;
 @group(0) @binding(3) var<storage, read> splats: array<Splat>;
-@group(0) @binding(4) var<storage, read> keys: array<u32>;
+// Place in the order of depth, from 1; 0 when it was skipped.
+@group(0) @binding(4) var<storage, read> ranks: array<u32>;
 @group(0) @binding(5) var<storage, read> starts: array<u32>;
 @group(0) @binding(6) var<storage, read> entries: array<Entry>;
 // As adjoint/blend.wgsl writes them.
@@ -24,6 +25,7 @@ const LN_2: f32 = 0.6931472;
 const BASE_2: f32 = 0.8493218;
 // Rows before those of higher bands.
 const ROWS: u32 = 16u;
+const NOWHERE: u32 = 0xffffffffu;
 
 struct Sums {
     a: vec4<f32>,
@@ -48,17 +50,15 @@ fn is_finite(x: f32) -> bool {
     return (bitcast<u32>(x) & 0x7f800000u) != 0x7f800000u;
 }
 
-// Place of splat `i` in the list of `tile`, or one that is no place.
+// Place of splat `i` in the list of `tile`, or NOWHERE.
 fn find(tile: u32, i: u32) -> u32 {
-    let key = keys[i];
+    let rank = ranks[i];
     let end = starts[tile + 1u];
     var low = starts[tile];
     var high = end;
     while low < high {
         let middle = low + (high - low) / 2u;
-        let other = entries[middle].splat;
-        let before = keys[other] < key || (keys[other] == key && other < i);
-        if before {
+        if ranks[entries[middle].splat] < rank {
             low = middle + 1u;
         } else {
             high = middle;
@@ -67,7 +67,7 @@ fn find(tile: u32, i: u32) -> u32 {
     if low < end && entries[low].splat == i {
         return low;
     }
-    return 0xffffffffu;
+    return NOWHERE;
 }
 
 // What the pixels of all tiles pull at splat `i`.
@@ -77,7 +77,7 @@ fn gather(s: Splat, i: u32) -> Sums {
     for (var row = b.z / TILE; row * TILE < b.w; row++) {
         for (var column = b.x / TILE; column * TILE < b.y; column++) {
             let at = find(row * frame.size.z + column, i);
-            if at != 0xffffffffu {
+            if at != NOWHERE {
                 sums.a += partials[3u * at];
                 sums.b += partials[3u * at + 1u];
                 sums.c += partials[3u * at + 2u];
@@ -296,7 +296,7 @@ fn project_back(
     if i >= frame.gaussians {
         return;
     }
-    if keys[i] != SKIPPED {
+    if ranks[i] != 0u {
         let s = splats[i];
         back(i, s, gather(s, i));
         // All or nothing: a gradient that overflowed is none.

@@ -10,7 +10,7 @@
 
 use super::states::{Common, QUAD, STATES, Scaffold, Totals, filled, masks, storage, submit, uniform};
 use super::wgsl::{Bind, LAYOUT, Source, TILE};
-use super::{Device, GpuError, Kernel, Lists};
+use super::{Device, GpuError, Kernel, Tiles};
 use crate::counterfactual::{States, Utilities, Variants};
 use crate::image::{Image, same_size};
 use crate::{Camera, Settings};
@@ -125,26 +125,26 @@ impl<'k> Engine<'k> {
         reference: &Image,
         settings: &Settings,
     ) -> Result<Self, GpuError> {
-        let lists = Lists::from_cpu(device, variants, camera, settings)?;
-        Self::with_lists(device, kernels, lists, variants.count(), reference)
+        let tiles = Tiles::from_cpu(device, variants, camera, settings)?;
+        Self::with_tiles(device, kernels, tiles, variants.count(), reference)
     }
 
     /// As [`Engine::new`], from lists that are on the device already.
     ///
     /// # Errors
-    /// A reference of another size than the lists, or a buffer that the device does not grant.
-    pub fn with_lists(
+    /// A reference of another size than the tiles, or a buffer that the device does not grant.
+    pub fn with_tiles(
         device: &Device,
         kernels: &'k Kernels,
-        lists: Lists,
+        tiles: Tiles,
         groups: usize,
         reference: &Image,
     ) -> Result<Self, GpuError> {
         let mut film = Image::default();
-        film.reset(lists.size[0], lists.size[1])?;
+        film.reset(tiles.size[0], tiles.size[1])?;
         same_size(&film, reference)?;
         let wanted = filled(device, "reference", bytemuck::cast_slice(reference.rgb()))?;
-        let scaffold = Scaffold::new(device, &kernels.common, lists, groups)?;
+        let scaffold = Scaffold::new(device, &kernels.common, tiles, groups)?;
         submit(device, |pass| scaffold.fill(&kernels.common, pass));
         Ok(Self { device: device.clone(), kernels, scaffold, wanted })
     }
@@ -165,17 +165,17 @@ impl<'k> Engine<'k> {
     /// States of another number of groups, or no memory.
     pub fn worlds(&self, states: &States) -> Result<Worlds, GpuError> {
         self.scaffold.check(states)?;
-        let (device, lists) = (&self.device, &self.scaffold.lists);
-        let [columns, rows] = lists.grid();
+        let (device, tiles) = (&self.device, &self.scaffold.tiles);
+        let [columns, rows] = tiles.grid();
         let pieces = states.len().div_ceil(LANES);
         let quads = pieces * LANES / QUAD;
         let batch = self.scaffold.batch(states.len(), quads);
         let batch = uniform(device, "batch", bytemuck::bytes_of(&batch))?;
         let masks = filled(device, "masks", bytemuck::cast_slice(&masks(states, quads)))?;
         let stride = QUAD * quads;
-        let partials = storage(device, "partials", (4 * stride * lists.tiles()) as u64)?;
+        let partials = storage(device, "partials", (4 * stride * tiles.count()) as u64)?;
         let bound = self.kernels.fast.bind(device, &self.buffers(&batch, &masks, &partials));
-        let totals = Totals::new(device, &self.kernels.common, &partials, [lists.tiles(), stride, 1])?;
+        let totals = Totals::new(device, &self.kernels.common, &partials, [tiles.count(), stride, 1])?;
         Ok(Worlds { count: states.len(), bound, totals, workgroups: [columns, rows, pieces as u32] })
     }
 
@@ -213,11 +213,11 @@ impl<'k> Engine<'k> {
     /// As [`Engine::worlds`].
     pub fn contexts(&self, states: &States) -> Result<Contexts, GpuError> {
         self.scaffold.check(states)?;
-        let (device, lists) = (&self.device, &self.scaffold.lists);
-        let [columns, rows] = lists.grid();
+        let (device, tiles) = (&self.device, &self.scaffold.tiles);
+        let [columns, rows] = tiles.grid();
         let quads = states.len().div_ceil(QUAD);
         let width = self.scaffold.groups + 1;
-        let table = width * lists.tiles();
+        let table = width * tiles.count();
         let most = (TABLE_BYTES / (4 * table).max(1)).clamp(1, 65_535);
         let masks = filled(device, "masks", bytemuck::cast_slice(&masks(states, quads)))?;
         let partials = storage(device, "utilities", (4 * table * most.min(states.len())) as u64)?;
@@ -232,7 +232,7 @@ impl<'k> Engine<'k> {
             let sets = &self.scaffold.sets;
             let buffers = [frame, batch, splats, starts, entries, masks, wanted, partials, sets];
             let bound = self.kernels.utilities.bind(device, &buffers);
-            let totals = Totals::new(device, &self.kernels.common, partials, [lists.tiles(), width, count])?;
+            let totals = Totals::new(device, &self.kernels.common, partials, [tiles.count(), width, count])?;
             pieces.push(Piece { bound, totals, workgroups: [columns, rows, count as u32] });
         }
         Ok(Contexts { states: states.clone(), pieces })
@@ -276,8 +276,8 @@ impl<'k> Engine<'k> {
         masks: &'a wgpu::Buffer,
         partials: &'a wgpu::Buffer,
     ) -> [&'a wgpu::Buffer; 8] {
-        let Scaffold { lists, entries, .. } = &self.scaffold;
-        [&lists.frame, batch, &lists.splats, &lists.starts, entries, masks, &self.wanted, partials]
+        let Scaffold { tiles, entries, .. } = &self.scaffold;
+        [&tiles.frame, batch, &tiles.splats, &tiles.starts, entries, masks, &self.wanted, partials]
     }
 }
 

@@ -193,7 +193,7 @@ impl Device {
         }
     }
 
-    /// Bytes of `buffer` from the start, once all that was submitted is done.
+    /// `bytes` bytes (a multiple of 4) of `buffer` from the start, once all that was submitted is done.
     ///
     /// # Errors
     /// No memory for the copy, or the device was lost.
@@ -209,7 +209,7 @@ impl Device {
         landing.slice(..).map_async(wgpu::MapMode::Read, |_| ());
         self.wait()?;
         let view = landing
-            .slice(..)
+            .slice(..bytes)
             .get_mapped_range()
             .map_err(|e| GpuError::Refused { what: "read-back", message: e.to_string() })?;
         Ok(view.to_vec())

@@ -48,6 +48,14 @@ pub enum GpuError {
         /// What the driver said.
         message: String,
     },
+    /// The tile lists of the last frame did not fit; its picture is not whole.
+    #[error("tile entries: found {found}; there is room for {room}")]
+    Entries {
+        /// Entries there are, up to `u32::MAX`.
+        found: u32,
+        /// Entries that fit.
+        room: u32,
+    },
     /// Slices that do not describe the same things.
     #[error("{field}: found {found} values, need {needed}")]
     Length {

@@ -3,7 +3,7 @@
 use bytemuck::{Pod, Zeroable};
 
 use super::wgsl::{LAYOUT, TILE};
-use super::{Device, GpuError, Kernel, Lists, wgsl};
+use super::{Device, GpuError, Kernel, Tiles, wgsl};
 use crate::counterfactual::States;
 
 /// Structs and constants of kernels over many states.
@@ -99,7 +99,7 @@ impl Common {
 /// Tile lists with what blocks they touch: the same for every batch of states.
 #[derive(Debug)]
 pub(super) struct Scaffold {
-    pub(super) lists: Lists,
+    pub(super) tiles: Tiles,
     pub(super) groups: usize,
     pub(super) words: usize,
     pub(super) entries: wgpu::Buffer,
@@ -111,23 +111,23 @@ impl Scaffold {
     pub(super) fn new(
         device: &Device,
         common: &Common,
-        lists: Lists,
+        tiles: Tiles,
         groups: usize,
     ) -> Result<Self, GpuError> {
         let words = groups.div_ceil(32).max(1);
-        let entries = storage(device, "entries", 8 * lists.capacity as u64)?;
-        let sets = storage(device, "sets", lists.tiles() as u64 * BLOCKS * 8 * words as u64)?;
+        let entries = storage(device, "entries", 8 * tiles.capacity as u64)?;
+        let sets = storage(device, "sets", tiles.count() as u64 * BLOCKS * 8 * words as u64)?;
         let batch = Batch { groups: groups as u32, words: words as u32, ..Batch::default() };
         let batch = uniform(device, "batch", bytemuck::bytes_of(&batch))?;
         let buffers =
-            [&lists.frame, &batch, &lists.splats, &lists.starts, &lists.list, &entries, &sets];
+            [&tiles.frame, &batch, &tiles.splats, &tiles.starts, &tiles.list, &entries, &sets];
         let bound = common.scaffold.bind(device, &buffers);
-        Ok(Self { lists, groups, words, entries, sets, bound })
+        Ok(Self { tiles, groups, words, entries, sets, bound })
     }
 
     /// Fills the entries: once for lists that stay, each frame for lists that change.
     pub(super) fn fill(&self, common: &Common, pass: &mut wgpu::ComputePass) {
-        let [columns, rows] = self.lists.grid();
+        let [columns, rows] = self.tiles.grid();
         common.scaffold.run(pass, &self.bound, [columns, rows, 1]);
     }
 

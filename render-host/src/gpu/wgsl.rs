@@ -122,6 +122,20 @@ pub const BLEND: Source = Source {
     ],
 };
 
+/// Stage 4 for a batch of worlds.
+pub const WORLDS: Source = Source {
+    name: "worlds.wgsl",
+    parts: &[LAYOUT, TILE, include_str!("../stage/worlds.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("splats", Bind::Read),
+        ("entries", Bind::Read),
+        ("starts", Bind::Read),
+        ("presence", Bind::Read),
+        ("images", Bind::Write),
+    ],
+};
+
 /// All shaders. Add yours here, and its structs to `structs` in the tests below.
 pub const ALL: &[Source] = &[
     PROJECT,
@@ -130,12 +144,14 @@ pub const ALL: &[Source] = &[
     BIN,
     STARTS,
     BLEND,
+    WORLDS,
     super::states::SCAFFOLD,
     super::states::SQUARES,
     super::counterfactual::FAST,
     super::counterfactual::UTILITIES,
     super::adjoint::BLEND_BACK,
     super::adjoint::PROJECT_BACK,
+    super::tiles::RANK,
 ];
 
 #[cfg(test)]

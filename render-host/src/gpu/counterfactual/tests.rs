@@ -1,7 +1,7 @@
 //! The engine on the device against the engine on the CPU and brute force.
 
 use super::super::case::{Case, device, worst};
-use super::super::lists::through_f32;
+use super::super::tiles::through_f32;
 use super::*;
 use crate::counterfactual::{self, brute};
 use crate::{Splats, render};

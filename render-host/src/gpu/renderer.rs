@@ -1,0 +1,287 @@
+//! Pictures on the device: lists, then one blending kernel.
+
+use super::layout::{
+    COUNT_ABSENT, COUNT_BEHIND_NEAR, COUNT_DEGENERATE, COUNT_DRAWN, COUNT_ENTRIES, COUNT_NON_FINITE,
+    COUNT_OUTSIDE, COUNT_STOPPED, COUNT_SUB_PIXEL, COUNT_TOUCHED, COUNT_TRANSPARENT, COUNTS, Frame, LANES,
+};
+use super::lists::begin;
+use super::{Clock, Device, GpuError, Growing, Kernel, Lists, Presence, Scene, Span, wgsl};
+use crate::image::Image;
+use crate::render::Rendered;
+use crate::{Camera, Counters, Settings, Splats};
+
+/// Bytes of a pixel: r, g, b, transmittance.
+const PIXEL: u64 = 16;
+
+/// A renderer that keeps its kernels and buffers.
+///
+/// Same scene, camera and settings give the same bits on one device, whatever was drawn before.
+#[derive(Debug)]
+pub struct Renderer {
+    device: Device,
+    lists: Lists,
+    blend: Kernel,
+    blend_worlds: Kernel,
+    image: Growing,
+    clock: Option<Clock>,
+    background: [f32; 3],
+}
+
+impl Renderer {
+    /// Compiles all kernels on `device`.
+    ///
+    /// # Errors
+    /// The device refuses one.
+    pub fn new(device: &Device) -> Result<Self, GpuError> {
+        Ok(Self {
+            device: device.clone(),
+            lists: Lists::new(device)?,
+            blend: Kernel::new(device, &wgsl::BLEND, "blend", &[])?,
+            blend_worlds: Kernel::new(device, &wgsl::WORLDS, "blend_worlds", &[])?,
+            image: Growing::new("image", wgpu::BufferUsages::empty()),
+            clock: None,
+            background: [0.0; 3],
+        })
+    }
+
+    /// The device.
+    pub fn device(&self) -> &Device {
+        &self.device
+    }
+
+    /// Splats and tile lists of the last frame.
+    pub fn lists(&self) -> &Lists {
+        &self.lists
+    }
+
+    /// Times the stages of the frames that follow, or no longer. False where the device cannot.
+    ///
+    /// # Errors
+    /// No memory for it.
+    pub fn time_stages(&mut self, on: bool) -> Result<bool, GpuError> {
+        self.clock = if on { Clock::new(&self.device)? } else { None };
+        Ok(self.clock.is_some() == on)
+    }
+
+    /// Device time of each stage of the last frame; empty when stages are not timed. Waits for it.
+    ///
+    /// # Errors
+    /// The device was lost.
+    pub fn stage_times(&self) -> Result<Vec<Span>, GpuError> {
+        self.clock.as_ref().map_or(Ok(Vec::new()), |clock| clock.read(&self.device))
+    }
+
+    /// Asks for room for `entries` tile entries in the next frame.
+    pub fn reserve_entries(&mut self, entries: u32) {
+        self.lists.reserve_entries(entries);
+    }
+
+    /// Bytes on the device, the scene's own apart.
+    pub fn bytes(&self) -> u64 {
+        self.lists.bytes() + self.image.bytes()
+    }
+
+    /// Submits a frame. Nothing is waited for and nothing read back; [`Renderer::read`] fetches the
+    /// picture, and says whether the tile lists fitted.
+    ///
+    /// # Errors
+    /// A setting out of range, or no room on the device.
+    pub fn draw(&mut self, scene: &Scene, camera: &Camera, settings: &Settings) -> Result<(), GpuError> {
+        self.submit(scene, None, camera, settings)
+    }
+
+    /// As [`Renderer::draw`], a picture per world. Project, sort and bin run once; a world that lacks a
+    /// group is drawn without it, and equals the picture of what it holds drawn alone bit for bit.
+    ///
+    /// # Errors
+    /// As [`Renderer::draw`]; or the scene has a group that `worlds` does not know.
+    pub fn draw_worlds(
+        &mut self,
+        scene: &Scene,
+        worlds: &Presence,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<(), GpuError> {
+        let (found, needed) = (worlds.groups() as usize, scene.groups() as usize);
+        if found < needed {
+            return Err(GpuError::Length { field: "groups of worlds", found, needed });
+        }
+        self.submit(scene, Some(worlds), camera, settings)
+    }
+
+    fn submit(
+        &mut self,
+        scene: &Scene,
+        worlds: Option<&Presence>,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<(), GpuError> {
+        let device = &self.device;
+        let count = worlds.map_or(1, Presence::worlds);
+        self.lists.prepare(device, scene, camera, settings, |frame| {
+            frame.worlds = count;
+            frame.world_words = worlds.map_or(1, Presence::words);
+        })?;
+        let frame = *self.lists.frame();
+        self.image.reserve(device, PIXEL * pixels(&frame) * u64::from(count))?;
+        self.background = settings.background;
+
+        let (lists, image) = (&self.lists, self.image.get()?);
+        let (splats, entries, starts) = (lists.splats()?, lists.entries()?, lists.starts()?);
+        let raw = device.raw();
+        let mut encoder = raw.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        let mut clock = self.clock.as_mut();
+        if let Some(clock) = &mut clock {
+            clock.start();
+        }
+        lists.encode(&mut encoder, clock.as_deref_mut())?;
+        {
+            let mut pass = begin(&mut encoder, "blend", clock.as_deref_mut());
+            let buffers = [lists.frame_buffer(), splats, entries, starts];
+            let [_, _, columns, rows] = frame.size;
+            if let Some(worlds) = worlds {
+                let bound = self
+                    .blend_worlds
+                    .bind(device, &[buffers[0], buffers[1], buffers[2], buffers[3], worlds.buffer()?, image]);
+                self.blend_worlds.run(&mut pass, &bound, [columns, rows, count.div_ceil(LANES)]);
+            } else {
+                let bound = self
+                    .blend
+                    .bind(device, &[buffers[0], buffers[1], buffers[2], buffers[3], lists.counts(), image]);
+                self.blend.run(&mut pass, &bound, [columns, rows, 1]);
+            }
+        }
+        if let Some(clock) = clock {
+            clock.finish(&mut encoder);
+        }
+        device.queue().submit([encoder.finish()]);
+        Ok(())
+    }
+
+    /// The picture of the last frame, over its background. Waits for it.
+    ///
+    /// # Errors
+    /// [`GpuError::Entries`] when the tile lists did not fit: call [`Renderer::reserve_entries`] and draw
+    /// again, as [`Renderer::render`] does. Or the device was lost.
+    pub fn read(&self) -> Result<Rendered, GpuError> {
+        let mut all = self.read_worlds()?;
+        all.pop().ok_or(GpuError::Length { field: "worlds", found: 0, needed: 1 })
+    }
+
+    /// As [`Renderer::read`], a picture per world; all have the counters of the whole batch.
+    ///
+    /// # Errors
+    /// As [`Renderer::read`].
+    pub fn read_worlds(&self) -> Result<Vec<Rendered>, GpuError> {
+        let frame = self.lists.frame();
+        let counters = counters(&self.lists.read_counts(&self.device)?, frame);
+        let world = PIXEL * pixels(frame);
+        let bytes = self.device.read(self.image.get()?, world * u64::from(frame.worlds))?;
+        bytes
+            .chunks_exact((world as usize).max(1))
+            .map(|bytes| {
+                let mut image = Image::default();
+                image.reset(frame.size[0], frame.size[1])?;
+                let mut transmittance = vec![1.0; pixels(frame) as usize];
+                let texels = bytes.chunks_exact(PIXEL as usize).map(bytemuck::pod_read_unaligned);
+                let out = image.rgb_mut().chunks_exact_mut(3).zip(&mut transmittance);
+                for ([r, g, b, t], (rgb, through)) in texels.map(|v: [f32; 4]| v).zip(out) {
+                    for ((out, sum), back) in rgb.iter_mut().zip([r, g, b]).zip(self.background) {
+                        *out = sum + t * back;
+                    }
+                    *through = t;
+                }
+                Ok(Rendered { image, transmittance, counters })
+            })
+            .collect()
+    }
+
+    /// Draws and reads; makes room for the tile lists and draws again when they did not fit.
+    ///
+    /// # Errors
+    /// A setting out of range, or no room on the device.
+    pub fn render(
+        &mut self,
+        scene: &Scene,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<Rendered, GpuError> {
+        self.draw(scene, camera, settings)?;
+        if self.make_room()? {
+            self.draw(scene, camera, settings)?;
+        }
+        self.read()
+    }
+
+    /// As [`Renderer::render`], a picture per world.
+    ///
+    /// # Errors
+    /// As [`Renderer::draw_worlds`].
+    pub fn render_worlds(
+        &mut self,
+        scene: &Scene,
+        worlds: &Presence,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<Vec<Rendered>, GpuError> {
+        self.draw_worlds(scene, worlds, camera, settings)?;
+        if self.make_room()? {
+            self.draw_worlds(scene, worlds, camera, settings)?;
+        }
+        self.read_worlds()
+    }
+
+    /// Uploads `splats` and renders them once. To render many frames, keep a [`Scene`].
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn render_splats(
+        &mut self,
+        splats: &Splats,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<Rendered, GpuError> {
+        let scene = Scene::new(&self.device, splats)?;
+        self.render(&scene, camera, settings)
+    }
+
+    /// Waits for the last frame; true when its tile lists did not fit and there is room for them in the
+    /// next.
+    ///
+    /// # Errors
+    /// The device was lost.
+    pub fn make_room(&mut self) -> Result<bool, GpuError> {
+        match self.lists.read_counts(&self.device) {
+            Ok(_) => Ok(false),
+            Err(GpuError::Entries { found, .. }) => {
+                self.lists.reserve_entries(found);
+                Ok(true)
+            }
+            Err(other) => Err(other),
+        }
+    }
+}
+
+fn pixels(frame: &Frame) -> u64 {
+    u64::from(frame.size[0]) * u64::from(frame.size[1])
+}
+
+fn counters(counts: &[u32; COUNTS as usize], frame: &Frame) -> Counters {
+    let at = |i: u32| u64::from(counts[i as usize]);
+    Counters {
+        gaussians: u64::from(frame.gaussians),
+        drawn: at(COUNT_DRAWN),
+        absent: at(COUNT_ABSENT),
+        non_finite: at(COUNT_NON_FINITE),
+        transparent: at(COUNT_TRANSPARENT),
+        degenerate: at(COUNT_DEGENERATE),
+        behind_near: at(COUNT_BEHIND_NEAR),
+        outside: at(COUNT_OUTSIDE),
+        sub_pixel: at(COUNT_SUB_PIXEL),
+        tiles: u64::from(frame.tiles()),
+        tiles_touched: at(COUNT_TOUCHED),
+        intersections: at(COUNT_ENTRIES),
+        pixels: pixels(frame),
+        pixels_stopped: at(COUNT_STOPPED),
+    }
+}

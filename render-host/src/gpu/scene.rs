@@ -1,0 +1,117 @@
+//! Gaussians on the device.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use super::layout::GAUSSIAN_ROWS;
+use super::{Device, GpuError, Growing};
+use crate::Splats;
+
+/// Makes every upload known by a number, so that bind groups are made again only when they must be.
+static NEXT: AtomicU64 = AtomicU64::new(1);
+
+/// A scene that was uploaded once. A frame loop then uploads cameras only.
+#[derive(Debug)]
+pub struct Scene {
+    gaussians: Growing,
+    harmonics: Growing,
+    groups: Growing,
+    count: u32,
+    degree: u8,
+    group_count: u32,
+    version: u64,
+}
+
+impl Scene {
+    /// Uploads Gaussians of one group.
+    ///
+    /// # Errors
+    /// The device has no room.
+    pub fn new(device: &Device, splats: &Splats) -> Result<Self, GpuError> {
+        Self::with_groups(device, splats, &vec![0; splats.len()])
+    }
+
+    /// Uploads Gaussians and the group of each.
+    ///
+    /// # Errors
+    /// The device has no room, or `groups` has another length.
+    pub fn with_groups(device: &Device, splats: &Splats, groups: &[u32]) -> Result<Self, GpuError> {
+        let [gaussians, harmonics, groups_buffer] =
+            ["gaussians", "harmonics", "groups"].map(|what| Growing::new(what, wgpu::BufferUsages::empty()));
+        let mut out = Self {
+            gaussians,
+            harmonics,
+            groups: groups_buffer,
+            count: 0,
+            degree: 0,
+            group_count: 0,
+            version: 0,
+        };
+        out.update(device, splats, groups)?;
+        Ok(out)
+    }
+
+    /// Uploads other Gaussians in place of these, into the same memory where it suffices.
+    ///
+    /// # Errors
+    /// As [`Scene::with_groups`].
+    pub fn update(&mut self, device: &Device, splats: &Splats, groups: &[u32]) -> Result<(), GpuError> {
+        let n = splats.len();
+        if groups.len() != n {
+            return Err(GpuError::Length { field: "groups", found: groups.len(), needed: n });
+        }
+        let row_of = |values: &[f32], at: usize, out: &mut [f32]| {
+            values.iter().enumerate().for_each(|(row, &v)| out[row * n + at] = v);
+        };
+        let mut rows = vec![0.0f32; n * GAUSSIAN_ROWS as usize];
+        let each = splats.sh_degree().rest_len();
+        let mut rest = vec![0.0f32; n * each];
+        for (i, g) in splats.gaussians().iter().enumerate() {
+            row_of(bytemuck::cast_slice(std::slice::from_ref(g)), i, &mut rows);
+            row_of(splats.rest(i), i, &mut rest);
+        }
+        self.gaussians.write(device, bytemuck::cast_slice(&rows))?;
+        self.harmonics.reserve(device, 16)?;
+        self.harmonics.write(device, bytemuck::cast_slice(&rest))?;
+        self.groups.write(device, bytemuck::cast_slice(groups))?;
+        self.count = n as u32;
+        self.degree = splats.sh_degree().get();
+        self.group_count = groups.iter().max().map_or(0, |&g| g.saturating_add(1));
+        self.version = NEXT.fetch_add(1, Ordering::Relaxed);
+        Ok(())
+    }
+
+    /// Number of Gaussians.
+    pub fn len(&self) -> u32 {
+        self.count
+    }
+
+    /// True without Gaussians.
+    pub fn is_empty(&self) -> bool {
+        self.count == 0
+    }
+
+    /// Degree of the harmonics.
+    pub fn degree(&self) -> u8 {
+        self.degree
+    }
+
+    /// One more than the largest group; 0 without Gaussians.
+    pub fn groups(&self) -> u32 {
+        self.group_count
+    }
+
+    /// Bytes on the device.
+    pub fn bytes(&self) -> u64 {
+        self.gaussians.bytes() + self.harmonics.bytes() + self.groups.bytes()
+    }
+
+    /// Different after every upload.
+    pub(super) fn version(&self) -> u64 {
+        self.version
+    }
+
+    /// Gaussians, harmonics, groups.
+    pub(super) fn buffers(&self) -> Result<[&wgpu::Buffer; 3], GpuError> {
+        Ok([self.gaussians.get()?, self.harmonics.get()?, self.groups.get()?])
+    }
+}

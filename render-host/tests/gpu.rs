@@ -1,0 +1,451 @@
+//! The wgpu backend on whatever adapter there is: judged by the f64 reference, by the CPU backend stage by
+//! stage, and by itself for what must be the same bit for bit.
+#![cfg(feature = "gpu")]
+#![expect(clippy::unwrap_used, reason = "a helper outside a test function may fail its test")]
+
+mod support;
+
+use codec_core::Gaussian;
+use proptest::prelude::*;
+use render_host::counterfactual::States;
+use render_host::gpu::layout::Splat;
+use render_host::gpu::{Device, GpuError, Options, Presence, Renderer, Scene as OnDevice, wgpu};
+use render_host::stage::{TILE, bin, blend, project, sort};
+use render_host::{Camera, Rendered, Settings, Splats, reference, render};
+use std::sync::{Mutex, MutexGuard, OnceLock};
+use support::{Numbers, Scene, camera};
+
+/// The renderer that all tests share, with run-time checks in every shader; what was drawn before must not
+/// matter. Without an adapter a test is skipped with a notice, and fails in CI.
+fn renderer() -> Option<MutexGuard<'static, Renderer>> {
+    static SHARED: OnceLock<Option<Mutex<Renderer>>> = OnceLock::new();
+    let options = Options { checked: true, ..Options::from_env() };
+    let shared = SHARED.get_or_init(|| match Device::open(&options) {
+        Ok(device) => Some(Mutex::new(Renderer::new(&device).unwrap())),
+        Err(error) => {
+            assert!(std::env::var("CI").as_deref() != Ok("true"), "{error}");
+            eprintln!("SKIPPED: {error}");
+            None
+        }
+    });
+    // A test that failed while it held the renderer left it usable.
+    shared.as_ref().map(|r| r.lock().unwrap_or_else(std::sync::PoisonError::into_inner))
+}
+
+fn bits(r: &Rendered) -> Vec<u32> {
+    r.image.rgb().iter().chain(&r.transmittance).map(|v| v.to_bits()).collect()
+}
+
+fn finite(r: &Rendered) -> bool {
+    r.image.rgb().iter().all(|v| v.is_finite())
+        && r.transmittance.iter().all(|t| (0.0..=1.0).contains(t))
+        && r.counters.drawn + r.counters.skipped() == r.counters.gaussians
+}
+
+/// Compares a picture with the f64 reference.
+fn judge(got: &Rendered, splats: &Splats, camera: &Camera, settings: &Settings) -> reference::Difference {
+    let exact = reference::render(splats, camera, settings).unwrap();
+    let d = exact.difference(got.image.rgb()).unwrap();
+    let colour = 0.5 + 0.283 * 1.7 + 0.3 * 15.0;
+    let pixels = got.transmittance.len();
+    assert!(d.max_clear <= 1e-4, "{d:?}");
+    assert!(d.max_close <= 1e-4 + 2.0 * f64::from(settings.alpha_cutoff) * colour, "{d:?}");
+    assert!(d.close_pixels <= 8 + pixels / 100, "too many excused: {d:?}");
+    assert!(d.psnr_db >= 90.0, "{d:?}");
+    for (a, b) in exact.transmittance.iter().zip(&got.transmittance) {
+        assert!((a - f64::from(*b)).abs() <= f64::from(settings.alpha_cutoff) + 1e-4);
+    }
+    d
+}
+
+fn settings() -> impl Strategy<Value = Settings> {
+    let cutoff = prop_oneof![Just(1.0 / 255.0), Just(0.0), Just(1e-3)];
+    let stop = prop_oneof![Just(1e-4), Just(0.0), Just(1e-6)];
+    (cutoff, stop, any::<[bool; 4]>(), 0.0..1.0f32, 0u8..4).prop_map(
+        |(alpha_cutoff, transmittance_stop, [antialiased, early_stop, cull, exact], grey, max_sh_degree)| {
+            Settings {
+                background: [grey, 0.5, 1.0 - grey],
+                alpha_cutoff,
+                transmittance_stop,
+                antialiased,
+                early_stop,
+                cull_frustum: cull,
+                exact_tiles: exact,
+                max_sh_degree,
+                ..Settings::default()
+            }
+        },
+    )
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(12))]
+
+    #[test]
+    fn random_scenes_match_the_reference(
+        seed in any::<u64>(), n in 0usize..1500, degree in 0u8..4,
+        width in 1u32..120, height in 1u32..90, largest in 0.02..0.5f32, settings in settings(),
+    ) {
+        let Some(mut renderer) = renderer() else { return Ok(()) };
+        let scene = Scene::random(n, degree, 0.003, largest, seed);
+        let camera = camera(width, height);
+        let got = renderer.render_splats(&scene.splats(), &camera, &settings).unwrap();
+        judge(&got, &scene.splats(), &camera, &settings);
+    }
+
+    /// Needles 10⁵ times as long as wide, at every angle.
+    #[test]
+    fn needles_match_the_reference(seed in any::<u64>()) {
+        let Some(mut renderer) = renderer() else { return Ok(()) };
+        let mut scene = Scene::random(200, 0, 1e-4, 1e-4, seed);
+        scene.gaussians.iter_mut().for_each(|g| g.scale[0] = 10.0);
+        let (camera, settings) = (camera(100, 100), Settings::default());
+        let got = renderer.render_splats(&scene.splats(), &camera, &settings).unwrap();
+        judge(&got, &scene.splats(), &camera, &settings);
+    }
+
+    /// Every world of a batch is, bit for bit, what it holds drawn alone.
+    #[test]
+    fn a_world_of_a_batch_is_the_world_alone(
+        seed in any::<u64>(), worlds in 1usize..=128, groups in 1usize..40, settings in settings(),
+    ) {
+        let Some(mut renderer) = renderer() else { return Ok(()) };
+        let scene = Scene::random(400, 1, 0.01, 0.3, seed);
+        let mut r = Numbers(seed ^ 1);
+        let of: Vec<u32> = (0..400).map(|_| (r.unit() * groups as f32) as u32 % groups as u32).collect();
+        let mut states = States::new(groups);
+        (0..worlds).for_each(|w| states.push(|_| w == 0 || r.unit() < 0.6));
+        let camera = camera(37, 33);
+        let device = renderer.device().clone();
+        let all = OnDevice::with_groups(&device, &scene.splats(), &of).unwrap();
+        let presence = Presence::new(&device, &states).unwrap();
+        let batch = renderer.render_worlds(&all, &presence, &camera, &settings).unwrap();
+        prop_assert_eq!(batch.len(), worlds);
+        // The first, the last, and some between.
+        for world in [0, worlds / 3, worlds / 2, worlds - 1] {
+            let held: Vec<usize> = (0..400).filter(|&i| states.has(world, of[i] as usize)).collect();
+            let gaussians: Vec<Gaussian> = held.iter().map(|&i| scene.gaussians[i]).collect();
+            let rest: Vec<f32> = held.iter().flat_map(|&i| scene.splats().rest(i).to_vec()).collect();
+            let splats = Splats::new(&gaussians, &rest, scene.degree).unwrap();
+            let alone = renderer.render_splats(&splats, &camera, &settings).unwrap();
+            prop_assert_eq!(bits(&batch[world]), bits(&alone), "world {}", world);
+        }
+    }
+}
+
+#[test]
+fn all_128_worlds_equal_serial_renders() {
+    let Some(mut renderer) = renderer() else { return };
+    let scene = Scene::random(600, 0, 0.02, 0.3, 5);
+    let of: Vec<u32> = (0..600).map(|i| i % 24).collect();
+    let mut r = Numbers(3);
+    let mut states = States::new(24);
+    (0..128).for_each(|_| states.push(|_| r.unit() < 0.7));
+    let (camera, settings) = (camera(24, 20), Settings::default());
+    let device = renderer.device().clone();
+    let all = OnDevice::with_groups(&device, &scene.splats(), &of).unwrap();
+    let presence = Presence::new(&device, &states).unwrap();
+    let batch = renderer.render_worlds(&all, &presence, &camera, &settings).unwrap();
+    for (world, got) in batch.iter().enumerate() {
+        let held = scene.gaussians.iter().zip(&of).filter(|(_, group)| states.has(world, **group as usize));
+        let gaussians: Vec<Gaussian> = held.map(|(g, _)| *g).collect();
+        let alone = renderer.render_splats(&Splats::plain(&gaussians), &camera, &settings).unwrap();
+        assert_eq!(bits(got), bits(&alone), "world {world}");
+    }
+    assert_ne!(bits(&batch[0]), bits(&batch[1]), "worlds that differ look different");
+}
+
+#[test]
+fn a_dense_scene_meets_the_promise_and_repeats_itself() {
+    let Some(mut renderer) = renderer() else { return };
+    let scene = Scene::random(20_000, 0, 0.004, 0.02, 7);
+    let (camera, settings) = (camera(300, 300), Settings::default());
+    let device = renderer.device().clone();
+    let on_device = OnDevice::new(&device, &scene.splats()).unwrap();
+    let first = renderer.render(&on_device, &camera, &settings).unwrap();
+    let d = judge(&first, &scene.splats(), &camera, &settings);
+    assert!(d.max_clear <= 1e-5, "{d:?}");
+    // Another picture in between leaves no trace.
+    renderer.render_splats(&Splats::plain(&[]), &camera, &settings).unwrap();
+    let again = renderer.render(&on_device, &camera, &settings).unwrap();
+    assert_eq!((bits(&first), first.counters), (bits(&again), again.counters));
+    // Counted as on the CPU, slivers apart.
+    let cpu = render(&scene.splats(), &camera, &settings).unwrap().counters;
+    let gpu = first.counters;
+    assert_eq!((gpu.drawn, gpu.outside, gpu.sub_pixel), (cpu.drawn, cpu.outside, cpu.sub_pixel));
+    assert!(gpu.intersections >= cpu.intersections, "{gpu:?} {cpu:?}");
+    assert!(gpu.intersections - cpu.intersections <= cpu.intersections / 1000, "{gpu:?} {cpu:?}");
+    assert!(gpu.pixels_stopped.abs_diff(cpu.pixels_stopped) <= 3, "{gpu:?} {cpu:?}");
+}
+
+#[test]
+fn trusted_shaders_give_the_bits_of_checked_ones() {
+    let Some(mut checked) = renderer() else { return };
+    let mut trusted = Renderer::new(&Device::open(&Options::from_env()).unwrap()).unwrap();
+    let scene = Scene::random(1500, 2, 0.01, 0.2, 19);
+    let (camera, settings) = (camera(90, 70), Settings::default());
+    let a = checked.render_splats(&scene.splats(), &camera, &settings).unwrap();
+    let b = trusted.render_splats(&scene.splats(), &camera, &settings).unwrap();
+    assert_eq!((bits(&a), a.counters), (bits(&b), b.counters));
+}
+
+#[test]
+fn the_judge_sees_one_splat_too_few() {
+    let Some(mut renderer) = renderer() else { return };
+    let mut scene = Scene::random(500, 0, 0.02, 0.1, 3);
+    let (camera, settings) = (camera(80, 60), Settings::default());
+    let exact = reference::render(&scene.splats(), &camera, &settings).unwrap();
+    let depth = |g: &Gaussian| camera.to_camera(g.position)[2];
+    let nearest =
+        (0..500).min_by(|&a, &b| depth(&scene.gaussians[a]).total_cmp(&depth(&scene.gaussians[b]))).unwrap();
+    scene.gaussians[nearest].opacity = 0.0;
+    let got = renderer.render_splats(&scene.splats(), &camera, &settings).unwrap();
+    assert!(exact.difference(got.image.rgb()).unwrap().max_clear > 1e-3);
+}
+
+#[test]
+fn odd_sizes_and_empty_scenes() {
+    let Some(mut renderer) = renderer() else { return };
+    let settings = Settings::over([0.25, 0.5, 0.75]);
+    let scene = Scene::random(200, 0, 0.01, 0.3, 11);
+    for (w, h) in [(1, 1), (17, 16), (15, 33), (8192, 3), (3, 8192)] {
+        let camera = camera(w, h);
+        let empty = renderer.render_splats(&Splats::plain(&[]), &camera, &settings).unwrap();
+        assert!(empty.image.rgb().chunks(3).all(|p| p == [0.25, 0.5, 0.75]), "{w} x {h}");
+        assert_eq!(empty.counters.pixels, u64::from(w) * u64::from(h));
+        let got = renderer.render_splats(&scene.splats(), &camera, &settings).unwrap();
+        assert!(finite(&got));
+        judge(&got, &scene.splats(), &camera, &settings);
+    }
+    let hidden = [Gaussian::ABSENT; 3];
+    let got = renderer.render_splats(&Splats::plain(&hidden), &camera(20, 20), &settings).unwrap();
+    assert_eq!((got.counters.absent, got.counters.drawn), (3, 0));
+}
+
+/// Splats that cover the whole image: more entries than there is room for at first, listed by whole
+/// workgroups, over more tiles than one digit names.
+#[test]
+fn lists_that_do_not_fit_are_made_room_for() {
+    let Some(shared) = renderer() else { return };
+    let mut renderer = Renderer::new(shared.device()).unwrap();
+    let device = shared.device().clone();
+    let mut scene = Scene::random(150, 0, 0.05, 0.1, 2);
+    for g in &mut scene.gaussians {
+        (g.scale, g.opacity) = ([30.0; 3], 0.02);
+    }
+    let (camera, settings) = (camera(500, 350), Settings::default());
+    let on_device = OnDevice::new(&device, &scene.splats()).unwrap();
+    renderer.draw(&on_device, &camera, &settings).unwrap();
+    let needed = 150 * 32 * 22;
+    let error = renderer.read().unwrap_err();
+    assert_eq!(error, GpuError::Entries { found: needed, room: 1 << 16 }, "never silent");
+    let got = renderer.render(&on_device, &camera, &settings).unwrap();
+    assert_eq!(got.counters.intersections, u64::from(needed));
+    judge(&got, &scene.splats(), &camera, &settings);
+}
+
+#[test]
+fn what_does_not_fit_is_refused_by_name() {
+    let Some(mut renderer) = renderer() else { return };
+    let device = renderer.device().clone();
+    let plain = [Gaussian { opacity: 0.5, ..Gaussian::ABSENT }];
+    let splats = Splats::plain(&plain);
+    let error = OnDevice::with_groups(&device, &splats, &[0, 1]).unwrap_err();
+    assert_eq!(error, GpuError::Length { field: "groups", found: 2, needed: 1 });
+    let scene = OnDevice::with_groups(&device, &splats, &[4]).unwrap();
+    let states = Presence::new(&device, &States::full(4)).unwrap();
+    let error = renderer.render_worlds(&scene, &states, &camera(8, 8), &Settings::default()).unwrap_err();
+    assert_eq!(error, GpuError::Length { field: "groups of worlds", found: 4, needed: 5 });
+    assert!(Presence::new(&device, &States::new(4)).is_err());
+    let bad = Settings { alpha_max: 2.0, ..Settings::default() };
+    assert!(matches!(renderer.render(&scene, &camera(8, 8), &bad), Err(GpuError::Settings(_))));
+    let usage = wgpu::BufferUsages::STORAGE;
+    let most = device.facts().max_binding_bytes;
+    assert!(matches!(device.buffer("much", most + 1, usage), Err(GpuError::TooLarge { what: "much", .. })));
+    let nobody = Options { name: "no adapter has this name".into(), checked: true };
+    assert!(matches!(Device::open(&nobody), Err(GpuError::NoAdapter { .. })));
+    // None of this harmed the device.
+    renderer.render(&scene, &camera(8, 8), &Settings::default()).unwrap();
+}
+
+/// Values that break arithmetic, by kind.
+const POISON: [f32; 14] = [
+    f32::NAN,
+    f32::INFINITY,
+    f32::NEG_INFINITY,
+    f32::MAX,
+    f32::MIN,
+    f32::MIN_POSITIVE,
+    1e-45,
+    -0.0,
+    0.0,
+    1e-12,
+    1e6,
+    -1e6,
+    1e30,
+    0.5,
+];
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(40))]
+
+    #[test]
+    fn poison_gives_a_finite_picture(
+        fields in proptest::collection::vec(proptest::collection::vec(0usize..70, 14), 1..30),
+        seed in any::<u64>(), low_pass in prop_oneof![Just(0.3f64), Just(0.0)],
+        cutoff in prop_oneof![Just(1.0f32 / 255.0), Just(0.0)], antialiased in any::<bool>(),
+    ) {
+        let Some(mut renderer) = renderer() else { return Ok(()) };
+        let mut r = Numbers(seed);
+        let value = |kind: &usize, r: &mut Numbers| POISON.get(*kind).copied().unwrap_or_else(|| r.between(-1.5, 1.5));
+        let gaussians: Vec<Gaussian> = fields.iter().map(|f| {
+            let v: Vec<f32> = f.iter().map(|kind| value(kind, &mut r)).collect();
+            Gaussian {
+                position: [v[0], v[1], v[2]], scale: [v[3].abs(), v[4].abs(), v[5].abs()],
+                rotation: [v[6], v[7], v[8], v[9]], opacity: v[10].abs(), sh0: [v[11], v[12], v[13]],
+            }
+        }).collect();
+        let settings = Settings { low_pass, alpha_cutoff: cutoff, antialiased, ..Settings::default() };
+        let (splats, camera) = (Splats::plain(&gaussians), camera(50, 40));
+        let got = renderer.render_splats(&splats, &camera, &settings).unwrap();
+        prop_assert!(finite(&got), "{:?}", got.counters);
+    }
+}
+
+/// Reads a buffer of plain values.
+fn values<T: Copy + bytemuck::Pod>(device: &Device, buffer: &wgpu::Buffer, n: usize) -> Vec<T> {
+    let bytes = device.read(buffer, (n * size_of::<T>()) as u64).unwrap();
+    bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect()
+}
+
+/// Each stage against its CPU twin, fed with what the stage before gave on the device.
+fn compare_stages(scene: &Scene, camera: &Camera, settings: &Settings) {
+    let Some(mut renderer) = renderer() else { return };
+    let device = renderer.device().clone();
+    let got = renderer.render_splats(&scene.splats(), camera, settings).unwrap();
+    let lists = renderer.lists();
+    let (n, drawn) = (scene.gaussians.len(), got.counters.drawn as usize);
+    let entries = got.counters.intersections as usize;
+    let splats: Vec<Splat> = values(&device, lists.splats().unwrap(), n);
+    let order: Vec<u32> = values(&device, lists.order().unwrap(), drawn);
+    let keys: Vec<u32> = values(&device, lists.depth_keys().unwrap(), drawn);
+
+    // Project: relative to f64.
+    let mut cpu = project::Projected::default();
+    project::project(&scene.splats(), camera, settings, &mut cpu);
+    let visible: Vec<usize> = (0..n).filter(|&i| cpu.keys[i] != project::SKIPPED).collect();
+    let mut listed: Vec<usize> = order.iter().map(|&i| i as usize).collect();
+    listed.sort_unstable();
+    let extra: Vec<usize> = listed.iter().copied().filter(|i| visible.binary_search(i).is_err()).collect();
+    let missing: Vec<usize> = visible.iter().copied().filter(|i| listed.binary_search(i).is_err()).collect();
+    assert!(extra.is_empty() && missing.is_empty(), "drawn besides: {extra:?}; not drawn: {missing:?}");
+    let mut found = project::Projected::default();
+    project::project(&scene.splats(), camera, settings, &mut found);
+    for (&i, &key) in order.iter().zip(&keys) {
+        let (i, a, b) = (i as usize, &splats[i as usize], &cpu.splats[i as usize]);
+        assert!(key.abs_diff(cpu.keys[i]) <= 1, "depth keys agree but for the last place");
+        let centre = a.centre();
+        for k in 0..2 {
+            // What the anchor leaves is small, so the error is.
+            assert!((centre[k] - b.mean[k]).abs() <= 1e-6 + 1e-6 * b.mean[k].abs(), "{a:?} {b:?}");
+        }
+        let largest = b.root.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        for k in 0..3 {
+            assert!((f64::from(a.root[k]) - b.root[k]).abs() <= 4e-6 * largest, "{a:?} {b:?}");
+            assert!((a.colour[k] - b.colour[k]).abs() <= 4e-6 * (1.0 + b.colour[k]), "{a:?} {b:?}");
+        }
+        assert!((a.log2_alpha - b.log2_alpha).abs() <= 2e-6, "{a:?} {b:?}");
+        for (k, (ours, theirs)) in a.pixels().iter().zip(b.pixels).enumerate() {
+            let wider = if k % 2 == 0 { u32::from(theirs) - ours } else { ours - u32::from(theirs) };
+            assert!(wider <= 1, "never narrower, a pixel wider at most: {a:?} {b:?}");
+        }
+        // From here on both sides have the device's splats.
+        found.keys[i] = key;
+        found.splats[i].mean = centre;
+        found.splats[i].root = a.root.map(f64::from);
+        found.splats[i].colour = a.colour;
+        found.splats[i].log2_alpha = a.log2_alpha;
+        found.splats[i].pixels = a.pixels().map(|v| v as u16);
+    }
+
+    // Sort: exact.
+    let mut by_depth = sort::Order::default();
+    sort::sort(&found.keys, false, &mut by_depth);
+    assert_eq!(by_depth.indices().collect::<Vec<_>>(), order);
+
+    // Bin: in the same order; what the device lists besides are slivers.
+    let size = [camera.width() as usize, camera.height() as usize];
+    let [columns, rows] = size.map(|side| side.div_ceil(TILE));
+    let starts: Vec<u32> = values(&device, lists.starts().unwrap(), columns * rows + 1);
+    let list: Vec<u32> = values(&device, lists.entries().unwrap(), entries);
+    let mut bins = bin::Bins::default();
+    bin::bin(&found, &by_depth, &(0..rows), columns, settings, &mut bins);
+    let mut slivers = 0;
+    for tile in 0..columns * rows {
+        let ours = &list[starts[tile] as usize..starts[tile + 1] as usize];
+        let theirs = bins.rows()[tile / columns].tile(tile % columns);
+        let mut rest = theirs.iter().peekable();
+        for index in ours {
+            if rest.next_if(|other| *other == index).is_none() {
+                slivers += 1;
+            }
+        }
+        assert!(rest.peek().is_none(), "tile {tile}: the device lists all, in order");
+    }
+    assert!(slivers <= 2 + entries / 500, "{slivers} of {entries}");
+
+    // Blend: one rounding per operation apart.
+    let mut tiles = blend::Tiles::default();
+    blend::blend(&found.splats, &bins, &(0..rows), size, settings, &mut tiles);
+    let (mut rgb, mut through) = (vec![0.0; 3 * size[0] * size[1]], vec![0.0; size[0] * size[1]]);
+    blend::resolve(&tiles, size[0], settings, &mut rgb, &mut through);
+    let close = reference::render(&scene.splats(), camera, settings).unwrap().close;
+    for (i, (a, b)) in got.transmittance.iter().zip(&through).enumerate() {
+        let allowed = if close[i] > 0 { 2.0 * settings.alpha_cutoff + 1e-4 } else { 3e-6 };
+        assert!((a - b).abs() <= allowed, "pixel {i}: {a} {b}");
+        for k in 3 * i..3 * i + 3 {
+            assert!((got.image.rgb()[k] - rgb[k]).abs() <= 6.0 * allowed, "pixel {i}");
+        }
+    }
+}
+
+#[test]
+fn every_stage_matches_its_cpu_twin() {
+    let plain = Settings::default();
+    let camera = camera(130, 90);
+    compare_stages(&Scene::random(3000, 3, 0.005, 0.2, 23), &camera, &plain);
+    compare_stages(
+        &Scene::random(800, 0, 0.02, 0.6, 29),
+        &camera,
+        &Settings { exact_tiles: false, ..plain.clone() },
+    );
+    compare_stages(
+        &Scene::random(900, 1, 0.001, 0.05, 31),
+        &camera,
+        &Settings { antialiased: true, ..plain },
+    );
+}
+
+#[test]
+fn equal_depths_go_by_index() {
+    let mut scene = Scene::random(5000, 0, 0.01, 0.03, 37);
+    // 50 of each, far apart in the list: within and across the blocks of the sort.
+    (0..5000).for_each(|i| scene.gaussians[i].position = scene.gaussians[i % 100].position);
+    compare_stages(&scene, &camera(64, 64), &Settings::default());
+}
+
+/// More blocks of keys than one step of the scan takes.
+#[test]
+fn a_quarter_of_a_million_specks_are_sorted() {
+    let Some(mut renderer) = renderer() else { return };
+    let mut scene = Scene::random(270_000, 0, 1e-4, 2e-4, 41);
+    scene.gaussians.iter_mut().step_by(3).for_each(|g| g.opacity = 0.0);
+    let (camera, settings) = (camera(64, 64), Settings::default());
+    let got = renderer.render_splats(&scene.splats(), &camera, &settings).unwrap();
+    let drawn = got.counters.drawn as usize;
+    let order: Vec<u32> = values(renderer.device(), renderer.lists().order().unwrap(), drawn);
+    let keys: Vec<u32> = values(renderer.device(), renderer.lists().depth_keys().unwrap(), drawn);
+    assert!(drawn > 100_000 && got.counters.absent == 90_000);
+    let sorted = |w: (&[u32], &[u32])| w.0[0] < w.0[1] || (w.0[0] == w.0[1] && w.1[0] < w.1[1]);
+    assert!(keys.windows(2).zip(order.windows(2)).all(sorted));
+}
