@@ -45,6 +45,6 @@ pub use lists::Lists;
 pub use presence::Presence;
 pub use renderer::Renderer;
 pub use scene::Scene;
-pub use tiles::Tiles;
+pub use tiles::{Stages, Tiles};
 /// The graphics library whose types appear here.
 pub use wgpu;

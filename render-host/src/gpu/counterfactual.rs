@@ -126,10 +126,13 @@ impl<'k> Engine<'k> {
         settings: &Settings,
     ) -> Result<Self, GpuError> {
         let tiles = Tiles::from_cpu(device, variants, camera, settings)?;
-        Self::with_tiles(device, kernels, tiles, variants.count(), reference)
+        let out = Self::with_tiles(device, kernels, tiles, variants.count(), reference)?;
+        submit(device, |pass| out.encode_lists(pass));
+        Ok(out)
     }
 
-    /// As [`Engine::new`], from lists that are on the device already.
+    /// As [`Engine::new`], from lists that are made on the device: after them, and before any question,
+    /// [`Engine::encode_lists`] must run.
     ///
     /// # Errors
     /// A reference of another size than the tiles, or a buffer that the device does not grant.
@@ -145,7 +148,6 @@ impl<'k> Engine<'k> {
         same_size(&film, reference)?;
         let wanted = filled(device, "reference", bytemuck::cast_slice(reference.rgb()))?;
         let scaffold = Scaffold::new(device, &kernels.common, tiles, groups)?;
-        submit(device, |pass| scaffold.fill(&kernels.common, pass));
         Ok(Self { device: device.clone(), kernels, scaffold, wanted })
     }
 
@@ -181,10 +183,18 @@ impl<'k> Engine<'k> {
 
     /// Starts computing the errors of `worlds`; nothing is waited for.
     pub fn submit_fast(&self, worlds: &Worlds) {
-        submit(&self.device, |pass| {
-            self.kernels.fast.run(pass, &worlds.bound, worlds.workgroups);
-            worlds.totals.add_up(&self.kernels.common, pass);
-        });
+        submit(&self.device, |pass| self.encode_fast(worlds, pass));
+    }
+
+    /// The commands of [`Engine::submit_fast`].
+    pub fn encode_fast(&self, worlds: &Worlds, pass: &mut wgpu::ComputePass) {
+        self.kernels.fast.run(pass, &worlds.bound, worlds.workgroups);
+        worlds.totals.add_up(&self.kernels.common, pass);
+    }
+
+    /// The commands that look through the lists again: where they are made anew for each frame.
+    pub fn encode_lists(&self, pass: &mut wgpu::ComputePass) {
+        self.scaffold.fill(&self.kernels.common, pass);
     }
 
     /// Waits, and reads the errors.
@@ -240,12 +250,15 @@ impl<'k> Engine<'k> {
 
     /// Starts computing the utilities of all groups in `contexts`; nothing is waited for.
     pub fn submit_utilities(&self, contexts: &Contexts) {
-        submit(&self.device, |pass| {
-            for piece in &contexts.pieces {
-                self.kernels.utilities.run(pass, &piece.bound, piece.workgroups);
-                piece.totals.add_up(&self.kernels.common, pass);
-            }
-        });
+        submit(&self.device, |pass| self.encode_utilities(contexts, pass));
+    }
+
+    /// The commands of [`Engine::submit_utilities`].
+    pub fn encode_utilities(&self, contexts: &Contexts, pass: &mut wgpu::ComputePass) {
+        for piece in &contexts.pieces {
+            self.kernels.utilities.run(pass, &piece.bound, piece.workgroups);
+            piece.totals.add_up(&self.kernels.common, pass);
+        }
     }
 
     /// Waits, and reads the utilities.

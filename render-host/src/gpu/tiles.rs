@@ -1,9 +1,9 @@
 //! Tile lists on the device, of whatever made them.
 
 use super::layout::{Frame, Splat};
-use super::states::{filled, uniform};
-use super::{Device, GpuError};
+use super::states::{filled, storage, uniform};
 use super::wgsl::{Bind, LAYOUT, Source};
+use super::{Device, GpuError, Kernel, Lists, Scene, groups_2d};
 use crate::counterfactual::Variants;
 use crate::stage::{self, TILE, bin, project, sort};
 use crate::{Camera, Settings};
@@ -94,6 +94,89 @@ impl Tiles {
     pub(super) fn count(&self) -> usize {
         let [columns, rows] = self.grid();
         columns as usize * rows as usize
+    }
+}
+
+/// Tile lists made on the device, frame by frame, for engines over states. Nothing is read back.
+#[derive(Debug)]
+pub struct Stages {
+    lists: Lists,
+    rank: Kernel,
+    ranks: Option<(wgpu::Buffer, wgpu::BindGroup)>,
+}
+
+impl Stages {
+    /// Compiles.
+    ///
+    /// # Errors
+    /// The device refuses a shader.
+    pub fn new(device: &Device) -> Result<Self, GpuError> {
+        Ok(Self { lists: Lists::new(device)?, rank: Kernel::new(device, &RANK, "rank", &[])?, ranks: None })
+    }
+
+    /// Makes room for `scene` and sends the camera. True when a buffer was replaced: then what was bound to
+    /// [`Stages::tiles`] must be bound again.
+    ///
+    /// # Errors
+    /// A setting out of range, or no room on the device.
+    pub fn prepare(
+        &mut self,
+        device: &Device,
+        scene: &Scene,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<bool, GpuError> {
+        let moved = self.lists.prepare(device, scene, camera, settings, |_| ())?;
+        let needed = 4 * u64::from(scene.len());
+        if !moved && self.ranks.as_ref().is_some_and(|(ranks, _)| ranks.size() >= needed) {
+            return Ok(false);
+        }
+        let lists = &self.lists;
+        let ranks = storage(device, "ranks", needed)?;
+        let buffers = [lists.frame_buffer(), lists.counts(), lists.order()?, &ranks];
+        let bound = self.rank.bind(device, &buffers);
+        self.ranks = Some((ranks, bound));
+        Ok(true)
+    }
+
+    /// The buffers of the frame that was prepared.
+    ///
+    /// # Errors
+    /// [`Stages::prepare`] was not called.
+    pub fn tiles(&self) -> Result<Tiles, GpuError> {
+        let lists = &self.lists;
+        let Some((ranks, _)) = &self.ranks else {
+            return Err(GpuError::Refused { what: "tiles", message: "nothing was prepared".into() });
+        };
+        let [width, height, ..] = lists.frame().size;
+        Ok(Tiles {
+            size: [width, height],
+            capacity: lists.room() as usize,
+            frame: lists.frame_buffer().clone(),
+            splats: lists.splats()?.clone(),
+            ranks: ranks.clone(),
+            starts: lists.starts()?.clone(),
+            list: lists.entries()?.clone(),
+        })
+    }
+
+    /// The commands of one frame: project, sort, bin and ranks.
+    ///
+    /// # Errors
+    /// [`Stages::prepare`] was not called.
+    pub fn encode(&self, encoder: &mut wgpu::CommandEncoder) -> Result<(), GpuError> {
+        self.lists.encode(encoder, None)?;
+        if let Some((ranks, bound)) = &self.ranks {
+            encoder.clear_buffer(ranks, 0, None);
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            self.rank.run(&mut pass, bound, groups_2d(self.lists.frame().gaussians.div_ceil(256)));
+        }
+        Ok(())
+    }
+
+    /// The lists, and how many entries they wanted.
+    pub fn lists(&self) -> &Lists {
+        &self.lists
     }
 }
 

@@ -1,6 +1,7 @@
 //! Gradients on the device against those of the CPU.
 
 use super::super::case::{Case, device};
+use super::super::Stages;
 use super::*;
 use crate::Workspace;
 use crate::adjoint::{loss::Mse, render_and_gradients};
@@ -84,7 +85,11 @@ fn compare(name: &str, case: &Case, worlds: usize, settings: &Settings) {
     let Some(device) = device() else { return };
     let states = if worlds == 0 { States::full(case.groups) } else { case.states(worlds, 3) };
     let got = engine(device, case, settings).gradients(&states).unwrap();
-    let expected = twin(case, &states, settings);
+    judge(name, case, &states, settings, &got);
+}
+
+fn judge(name: &str, case: &Case, states: &States, settings: &Settings, got: &Gradients) {
+    let expected = twin(case, states, settings);
     for (a, b) in got.loss.iter().zip(&expected.loss) {
         assert!((a / b - 1.0).abs() < 1e-5, "{name}: loss {a} {b}");
     }
@@ -117,6 +122,32 @@ fn gradients_of_harmonics_are_those_of_the_cpu() {
     compare("degree 3", &Case::new(500, 3, 5, [50, 40], 2), 0, &settings());
     let antialiased = Settings { antialiased: true, max_sh_degree: 1, ..settings() };
     compare("antialiased, degree 1 of 2", &Case::new(400, 2, 5, [40, 50], 3), 0, &antialiased);
+}
+
+/// Lists made on the device, without a word to the host between camera and gradients.
+#[test]
+fn gradients_from_lists_of_the_device_are_those_of_the_cpu() {
+    let Some(device) = device() else { return };
+    let (case, settings) = (Case::new(700, 1, 27, [61, 47], 6), settings());
+    let states = case.states(3, 2);
+    let mut stages = Stages::new(device).unwrap();
+    let scene = Scene::with_groups(device, &case.splats(), &case.ids).unwrap();
+    stages.prepare(device, &scene, &case.camera, &settings).unwrap();
+    let tiles = stages.tiles().unwrap();
+    let engine =
+        Engine::with_tiles(device, kernels(device), scene, tiles, case.groups, &case.against, &settings);
+    let engine = engine.unwrap();
+    let worlds = engine.worlds(&states).unwrap();
+    let once = || {
+        let mut encoder = device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        stages.encode(&mut encoder).unwrap();
+        engine.encode(&worlds, &mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));
+        device.queue().submit([encoder.finish()]);
+        engine.read(&worlds).unwrap()
+    };
+    let got = once();
+    judge("lists of the device", &case, &states, &settings, &got);
+    assert_eq!(once(), got, "every run equals the first");
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use super::super::case::{Case, device, worst};
 use super::super::tiles::through_f32;
+use super::super::{Scene, Stages};
 use super::*;
 use crate::counterfactual::{self, brute};
 use crate::{Splats, render};
@@ -77,6 +78,34 @@ fn utilities_are_those_of_the_cpu() {
         let of_error = worst(&got.delta, &expected.delta, |_| smallest);
         println!("utilities: {base:.1e}, {of_error:.1e} of the error, {delta:.1e} of the largest utility");
         assert!(base < 2e-6 && of_error < 2e-7 && delta < 1e-5);
+    }
+}
+
+/// Lists made on the device, without a word to the host between camera and errors.
+#[test]
+fn errors_from_lists_of_the_device_are_those_of_the_cpu() {
+    let Some(device) = device() else { return };
+    let mut stages = Stages::new(device).unwrap();
+    for (case, worlds) in cases() {
+        let states = case.states(worlds, 9);
+        let scene = Scene::with_groups(device, &case.splats(), &case.ids).unwrap();
+        stages.prepare(device, &scene, &case.camera, &settings()).unwrap();
+        let tiles = stages.tiles().unwrap();
+        let engine = Engine::with_tiles(device, kernels(device), tiles, case.groups, &case.against).unwrap();
+        let batch = engine.worlds(&states).unwrap();
+        let mut encoder = device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        stages.encode(&mut encoder).unwrap();
+        {
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            engine.encode_lists(&mut pass);
+            engine.encode_fast(&batch, &mut pass);
+        }
+        device.queue().submit([encoder.finish()]);
+        let got = engine.read_fast(&batch).unwrap();
+        let alone = brute::sse(&case.variants(), &states, &case.camera, &case.against, &settings()).unwrap();
+        let error = worst(&got, &alone, |i| alone[i]);
+        println!("lists of the device, {worlds} worlds: {error:.1e} against brute force");
+        assert!(error < 1e-5);
     }
 }
 
