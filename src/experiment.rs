@@ -2,6 +2,7 @@
 
 mod accounting;
 mod demo;
+mod gpu;
 mod loss;
 mod rate;
 mod render;
@@ -29,7 +30,7 @@ pub struct Experiment {
 }
 
 /// All benches, in the order of the walk.
-pub const ALL: [Experiment; 6] = [
+pub const ALL: [Experiment; 7] = [
     Experiment { name: "demo", about: "wall time and peak memory of `dgs demo`", run: demo::run },
     Experiment {
         name: "rate",
@@ -50,6 +51,11 @@ pub const ALL: [Experiment; 6] = [
         name: "render",
         about: "CPU render time per frame beside its error against the f64 reference",
         run: render::run,
+    },
+    Experiment {
+        name: "gpu",
+        about: "wgpu backend: time per stage beside its error, world batches",
+        run: gpu::run,
     },
     Experiment {
         name: "transport",

@@ -127,8 +127,9 @@ impl Bench {
 
     /// The figures as an aligned table.
     pub fn table(&self) -> String {
+        let device = self.machine.device.as_ref().map_or(String::new(), |d| format!(", {d}"));
         let mut out = format!(
-            "{} on {} ({} cores)\n{}\n",
+            "{} on {} ({} cores){device}\n{}\n",
             self.name, self.machine.cpu, self.machine.cores, self.protocol
         );
         let width = self.figures.iter().map(|f| f.key.len()).max().unwrap_or(0);

@@ -1,0 +1,124 @@
+//! One picture: milliseconds per frame and stage.
+
+use std::time::Instant;
+
+use anyhow::Result;
+use render_host::gpu::{Renderer, Scene};
+use render_host::{Camera, Settings, Splats, reference};
+
+use super::{Context, scene};
+use crate::figures::{Bench, Figure, median};
+
+struct Case {
+    name: String,
+    renderer: Renderer,
+    scene: Scene,
+    camera: Camera,
+    stages: Vec<(&'static str, Vec<f64>)>,
+    wall: Vec<f64>,
+    stream: Vec<f64>,
+}
+
+/// Measures.
+pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
+    let (sides, counts, runs): (&[u32], &[usize], usize) =
+        if context.quick { (&[128], &[4000], 3) } else { (&[400, 800], &[20_000, 100_000], 7) };
+    // Frames in a train without waiting.
+    let train = if context.is_cpu { 2 } else { 64 };
+    let (device, settings) = (&context.device, Settings::default());
+    let mut cases = Vec::new();
+    for &n in counts {
+        let gaussians = scene::volume(n);
+        let splats = Splats::plain(&gaussians);
+        for &side in sides {
+            let camera = scene::camera(side)?;
+            let mut renderer = Renderer::new(device)?;
+            let on_device = Scene::new(device, &splats)?;
+            let got = renderer.render(&on_device, &camera, &settings)?;
+            let exact = reference::render(&splats, &camera, &settings)?;
+            let name = format!("forward.{n}.{side}");
+            let mut push = |key: &str, value: f64, unit: &str| {
+                bench.push(Figure::new(format!("{name}.{key}"), value, unit));
+            };
+            if let Some(d) = exact.difference(got.image.rgb()) {
+                push("psnr_vs_f64", d.psnr_db, "dB");
+                push("max_error_clear", d.max_clear, "");
+                push("max_error_near_a_threshold", d.max_close, "");
+                push("pixels_near_a_threshold", d.close_pixels as f64, "");
+            }
+            push("tile_entries", got.counters.intersections as f64, "");
+            push("memory", (renderer.bytes() + on_device.bytes()) as f64 / 1e6, "MB");
+            cases.push(Case {
+                name,
+                renderer,
+                scene: on_device,
+                camera,
+                stages: Vec::new(),
+                wall: Vec::new(),
+                stream: Vec::new(),
+            });
+        }
+    }
+    for run in 0..=runs {
+        for case in &mut cases {
+            case.measure(&settings, train)?;
+            if run == 0 {
+                case.forget();
+            }
+        }
+    }
+    for case in &cases {
+        let error = |key: &str| {
+            let key = format!("{}.{key}", case.name);
+            bench.figures.iter().find(|f| f.key == key).map_or(f64::NAN, |f| f.value)
+        };
+        let max = error("max_error_clear");
+        let figure = |key: String, values: &[f64]| {
+            let figure = Figure::new(format!("{}.{key}", case.name), median(values), "ms");
+            figure.error(max, "max abs, clear pixels").runs(values.len())
+        };
+        let mut figures: Vec<Figure> =
+            case.stages.iter().map(|(stage, ms)| figure(format!("stage.{stage}"), ms)).collect();
+        figures.push(figure("wall".into(), &case.wall));
+        figures.push(figure("stream".into(), &case.stream));
+        figures.into_iter().for_each(|f| bench.push(f));
+    }
+    if cases.iter().all(|case| case.stages.is_empty()) {
+        bench.skipped.push("stage times: the device has no timestamps".into());
+    }
+    Ok(())
+}
+
+impl Case {
+    fn measure(&mut self, settings: &Settings, train: usize) -> Result<()> {
+        let Self { renderer, scene, camera, .. } = self;
+        if renderer.time_stages(true)? {
+            renderer.draw(scene, camera, settings)?;
+            for span in renderer.stage_times()? {
+                match self.stages.iter_mut().find(|(name, _)| *name == span.name) {
+                    Some((_, values)) => values.push(span.ms),
+                    None => self.stages.push((span.name, vec![span.ms])),
+                }
+            }
+            renderer.time_stages(false)?;
+        }
+        let device = renderer.device().clone();
+        for (frames, times) in [(1, &mut self.wall), (train, &mut self.stream)] {
+            device.wait()?;
+            let start = Instant::now();
+            for _ in 0..frames {
+                renderer.draw(scene, camera, settings)?;
+            }
+            device.wait()?;
+            times.push(1000.0 * start.elapsed().as_secs_f64() / frames as f64);
+        }
+        Ok(())
+    }
+
+    /// Drops what was measured while the device warmed up.
+    fn forget(&mut self) {
+        self.stages.clear();
+        self.wall.clear();
+        self.stream.clear();
+    }
+}
