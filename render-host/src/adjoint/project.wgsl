@@ -16,8 +16,9 @@
 @group(0) @binding(6) var<storage, read> entries: array<Entry>;
 // As adjoint/blend.wgsl writes them.
 @group(0) @binding(7) var<storage, read> partials: array<vec4<f32>>;
-// One row per field: position 3, log-scale 3, rotation 4, opacity logit, band 0 of the harmonics 3, centre
-// on the film 2, then higher bands.
+// First what each Gaussian adds to the camera's pose: translation 3, rotation 3, rows of a length that 256
+// divides. Then one row per field: position 3, log-scale 3, rotation 4, opacity logit, band 0 of the
+// harmonics 3, centre on the film 2, then higher bands.
 @group(0) @binding(8) var<storage, read_write> gradients: array<f32>;
 
 const LN_2: f32 = 0.6931472;
@@ -25,6 +26,8 @@ const LN_2: f32 = 0.6931472;
 const BASE_2: f32 = 0.8493218;
 // Rows before those of higher bands.
 const ROWS: u32 = 16u;
+// Rows of the pose.
+const POSE_ROWS: u32 = 6u;
 const NOWHERE: u32 = 0xffffffffu;
 
 struct Sums {
@@ -87,8 +90,24 @@ fn gather(s: Splat, i: u32) -> Sums {
     return sums;
 }
 
+// Place of a Gaussian in a row of the pose.
+fn pose_place(row: u32, i: u32) -> u32 {
+    return row * ((frame.gaussians + 255u) / 256u * 256u) + i;
+}
+
+// Place of a Gaussian in a row of its fields.
+fn place(row: u32, i: u32) -> u32 {
+    return pose_place(POSE_ROWS, row * frame.gaussians + i);
+}
+
 fn put(row: u32, i: u32, value: f32) {
-    gradients[row * frame.gaussians + i] = value;
+    gradients[place(row, i)] = value;
+}
+
+fn put_pose(row: u32, i: u32, value: vec3<f32>) {
+    gradients[pose_place(row, i)] = value.x;
+    gradients[pose_place(row + 1u, i)] = value.y;
+    gradients[pose_place(row + 2u, i)] = value.z;
 }
 
 fn put3(row: u32, i: u32, value: vec3<f32>) {
@@ -199,10 +218,12 @@ fn back(i: u32, s: Splat, sums: Sums) {
     var q = vec4<f32>(field(6u, i), field(7u, i), field(8u, i), field(9u, i));
     let norm = length(q);
     q /= norm;
-    let place = seen(position) + vec3<f32>(frame.view[0].w, frame.view[1].w, frame.view[2].w);
-    let z = place.z;
+    let turned = seen(position);
+    let moved = vec3<f32>(frame.view[0].w, frame.view[1].w, frame.view[2].w);
+    let there = turned + moved;
+    let z = there.z;
     let gain = frame.focal.xy / z;
-    let straight = place.xy / z;
+    let straight = there.xy / z;
     let slope = clamp(straight, frame.slope.xz, frame.slope.yw);
 
     // The factor of the covariance, in units of its largest side.
@@ -244,28 +265,29 @@ fn back(i: u32, s: Splat, sums: Sums) {
     let d_x = gain.x * d_u;
     let d_y = gain.y * d_v;
     let d_z = -slope.x * d_x - slope.y * d_y;
-    var d_place = vec3<f32>(d_mean * gain, 0.0);
-    d_place.z -= dot(d_mean * gain, straight);
-    d_place.z -= unit * (dot(d_u, u) + dot(d_v, v)) / z;
+    var d_there = vec3<f32>(d_mean * gain, 0.0);
+    d_there.z -= dot(d_mean * gain, straight);
+    d_there.z -= unit * (dot(d_u, u) + dot(d_v, v)) / z;
     let d_slope = -vec2<f32>(dot(d_x, deep), dot(d_y, deep));
     if slope.x == straight.x {
-        d_place.x += d_slope.x / z;
-        d_place.z -= d_slope.x * slope.x / z;
+        d_there.x += d_slope.x / z;
+        d_there.z -= d_slope.x * slope.x / z;
     }
     if slope.y == straight.y {
-        d_place.y += d_slope.y / z;
-        d_place.z -= d_slope.y * slope.y / z;
+        d_there.y += d_slope.y / z;
+        d_there.z -= d_slope.y * slope.y / z;
     }
 
     // Colour, gated where it was clamped at 0, and the direction it is seen from.
     let given = select(vec3<f32>(0.0), colour, s.colour > vec3<f32>(0.0));
-    var d_position = turned_back(d_place);
+    var d_offset = vec3<f32>(0.0);
     if frame.degree > 0u {
-        let far = length(place);
-        let d = turned_back(place / far);
+        let far = length(there);
+        let d = turned_back(there / far);
         let towards = bands(i, d, given);
-        d_position += (towards - dot(towards, d) * d) / far;
+        d_offset = (towards - dot(towards, d) * d) / far;
     }
+    let d_position = turned_back(d_there) + d_offset;
 
     let d0 = vec3<f32>(d_x.x, d_y.x, d_z.x);
     let d1 = vec3<f32>(d_x.y, d_y.y, d_z.y);
@@ -274,6 +296,11 @@ fn back(i: u32, s: Splat, sums: Sums) {
     let d_q = quaternion(
         q, norm, scale.x * turned_back(d0), scale.y * turned_back(d1), scale.z * turned_back(d2),
     );
+    // Pose: there = R·p + t, axes = R·…, offset = p + Rᵀ·t.
+    let d_view = seen(d_offset);
+    put_pose(0u, i, d_there + d_view);
+    let by_shape = cross(a0, d0) + cross(a1, d1) + cross(a2, d2);
+    put_pose(3u, i, cross(turned, d_there) + cross(d_view, moved) + by_shape);
     put3(0u, i, d_position);
     put3(3u, i, d_log_scale);
     put(6u, i, d_q.x);
@@ -302,7 +329,10 @@ fn project_back(
         // All or nothing: a gradient that overflowed is none.
         var good = true;
         for (var row = 0u; row < count_rows(); row++) {
-            good = good && is_finite(gradients[row * frame.gaussians + i]);
+            good = good && is_finite(gradients[place(row, i)]);
+        }
+        for (var row = 0u; row < POSE_ROWS; row++) {
+            good = good && is_finite(gradients[pose_place(row, i)]);
         }
         if good {
             return;
@@ -311,4 +341,6 @@ fn project_back(
     for (var row = 0u; row < count_rows(); row++) {
         put(row, i, 0.0);
     }
+    put_pose(0u, i, vec3<f32>(0.0));
+    put_pose(3u, i, vec3<f32>(0.0));
 }

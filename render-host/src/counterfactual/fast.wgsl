@@ -61,27 +61,3 @@ fn fast(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) t
     add_up(thread, found[0], found[1], out);
     add_up(thread, found[2], found[3], out + 8u);
 }
-
-fn mask_of(own: u32, column: u32) -> mat4x4<f32> {
-    let row = own * batch.quads + column;
-    return mat4x4<f32>(masks[row], masks[row + 1u], masks[row + 2u], masks[row + 3u]);
-}
-
-// Adds eight lanes over the tile in a fixed tree and writes the sums.
-fn add_up(thread: u32, a: vec4<f32>, b: vec4<f32>, out: u32) {
-    workgroupBarrier();
-    bowl[thread] = a;
-    bowl[PIXELS + thread] = b;
-    for (var half = PIXELS / 2u; half > 0u; half /= 2u) {
-        workgroupBarrier();
-        if thread < half {
-            bowl[thread] += bowl[thread + half];
-            bowl[PIXELS + thread] += bowl[PIXELS + thread + half];
-        }
-    }
-    workgroupBarrier();
-    if thread < 4u {
-        partials[out + thread] = bowl[0][thread];
-        partials[out + 4u + thread] = bowl[PIXELS][thread];
-    }
-}

@@ -2,7 +2,8 @@
 // and sixteen lanes of worlds in registers. Put after states.wgsl.
 //
 // Per pixel, consecutive splats of one group are composed once to a run, which is then applied to every
-// lane: `w = T · mask; C += w · c; T += w · hidden`. No division, no early stop.
+// lane: `w = T · mask; C += w · c; T += w · hidden`. No division, no early stop. strict.wgsl takes splats one
+// by one instead.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<uniform> batch: Batch;
@@ -76,11 +77,11 @@ fn apply(lanes: Lanes, run: vec4<f32>, mask: mat4x4<f32>) -> Lanes {
     return Lanes(t + w * hidden, lanes.r + w * run.r, lanes.g + w * run.g, lanes.b + w * run.b);
 }
 
-fn squares(r: vec4<f32>, g: vec4<f32>, b: vec4<f32>, t: vec4<f32>, want: vec3<f32>) -> vec4<f32> {
-    let dr = r + t * frame.background.r - want.r;
-    let dg = g + t * frame.background.g - want.g;
-    let db = b + t * frame.background.b - want.b;
-    return dr * dr + dg * dg + db * db;
+fn squares_of(r: vec4<f32>, g: vec4<f32>, b: vec4<f32>, t: vec4<f32>, want: vec3<f32>) -> vec4<f32> {
+    let dr = fma(t, vec4<f32>(frame.background.r), r) - want.r;
+    let dg = fma(t, vec4<f32>(frame.background.g), g) - want.g;
+    let db = fma(t, vec4<f32>(frame.background.b), b) - want.b;
+    return fma(db, db, fma(dg, dg, dr * dr));
 }
 
 // Squared error of every lane of one pixel; 0 outside the image.
@@ -91,9 +92,34 @@ fn errors(lanes: Lanes, at: vec2<u32>) -> mat4x4<f32> {
     let first = 3u * (at.y * frame.size.x + at.x);
     let want = vec3<f32>(wanted[first], wanted[first + 1u], wanted[first + 2u]);
     return mat4x4<f32>(
-        squares(lanes.r[0], lanes.g[0], lanes.b[0], lanes.t[0], want),
-        squares(lanes.r[1], lanes.g[1], lanes.b[1], lanes.t[1], want),
-        squares(lanes.r[2], lanes.g[2], lanes.b[2], lanes.t[2], want),
-        squares(lanes.r[3], lanes.g[3], lanes.b[3], lanes.t[3], want),
+        squares_of(lanes.r[0], lanes.g[0], lanes.b[0], lanes.t[0], want),
+        squares_of(lanes.r[1], lanes.g[1], lanes.b[1], lanes.t[1], want),
+        squares_of(lanes.r[2], lanes.g[2], lanes.b[2], lanes.t[2], want),
+        squares_of(lanes.r[3], lanes.g[3], lanes.b[3], lanes.t[3], want),
     );
+}
+
+// 1 for the worlds from vector `column` on that hold group `own`.
+fn mask_of(own: u32, column: u32) -> mat4x4<f32> {
+    let row = own * batch.quads + column;
+    return mat4x4<f32>(masks[row], masks[row + 1u], masks[row + 2u], masks[row + 3u]);
+}
+
+// Adds eight lanes over the tile in a fixed tree and writes the sums.
+fn add_up(thread: u32, a: vec4<f32>, b: vec4<f32>, out: u32) {
+    workgroupBarrier();
+    bowl[thread] = a;
+    bowl[PIXELS + thread] = b;
+    for (var half = PIXELS / 2u; half > 0u; half /= 2u) {
+        workgroupBarrier();
+        if thread < half {
+            bowl[thread] += bowl[thread + half];
+            bowl[PIXELS + thread] += bowl[PIXELS + thread + half];
+        }
+    }
+    workgroupBarrier();
+    if thread < 4u {
+        partials[out + thread] = bowl[0][thread];
+        partials[out + 4u + thread] = bowl[PIXELS][thread];
+    }
 }

@@ -74,8 +74,8 @@ fn utilities(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
         }
         let e = errors(lanes, corner + inside);
         let base = vec4<f32>(e[0].x);
-        add_up(thread, vec4<f32>(e[0].x, (e[0] - base).yzw), e[1] - base, 0u);
-        add_up(thread, e[2] - base, e[3] - base, 8u);
+        add_blocks(thread, vec4<f32>(e[0].x, (e[0] - base).yzw), e[1] - base, 0u);
+        add_blocks(thread, e[2] - base, e[3] - base, 8u);
         workgroupBarrier();
 
         if thread == 0u && turn == 0u {
@@ -144,7 +144,7 @@ fn toggles(row: u32, g: u32, context: u32, turn: u32) -> mat4x4<f32> {
 }
 
 // Adds eight lanes over each block in a fixed tree; they become lanes `lane..` of `found`.
-fn add_up(thread: u32, a: vec4<f32>, b: vec4<f32>, lane: u32) {
+fn add_blocks(thread: u32, a: vec4<f32>, b: vec4<f32>, lane: u32) {
     let within = thread & 31u;
     workgroupBarrier();
     bowl[thread] = a;

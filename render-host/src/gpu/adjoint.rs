@@ -1,5 +1,5 @@
-//! Gradients of many worlds on the device: squared error against one picture, summed over the worlds of a
-//! camera, with respect to everything a Gaussian has.
+//! Gradients of many worlds on the device: squared error against one picture, summed over the worlds of
+//! a camera, with respect to everything a Gaussian has, the background and the camera's pose.
 //!
 //! Two kernels. `adjoint/blend.wgsl` goes front to back, judges, and goes back to front, four worlds in
 //! lanes; what pulls at a splat is added up over worlds before it is taken further. `adjoint/project.wgsl`
@@ -13,7 +13,7 @@ use super::states::{
 };
 use super::wgsl::{Bind, LAYOUT, Source, TILE};
 use super::{Device, GpuError, Kernel, Scene, Tiles, groups_2d};
-use crate::adjoint::SplatGradient;
+use crate::adjoint::{Pose, SplatGradient};
 use crate::counterfactual::{States, Variants};
 use crate::harmonics::count;
 use crate::image::{Image, same_size};
@@ -23,6 +23,8 @@ use crate::{Camera, Settings};
 const SEGMENT: usize = 32;
 /// Rows of gradients before those of higher bands.
 const ROWS: usize = 16;
+/// Rows of the pose.
+const POSE_ROWS: usize = 6;
 /// Bytes of a vector of four.
 const VECTOR: usize = 16;
 
@@ -102,6 +104,8 @@ pub struct Worlds {
     blend: wgpu::BindGroup,
     project: wgpu::BindGroup,
     totals: Totals,
+    /// Sums of the pose over every 256th Gaussian, and over those.
+    pose: [Totals; 2],
     gradients: wgpu::Buffer,
 }
 
@@ -116,6 +120,8 @@ pub struct Gradients {
     pub sh_rest: Vec<f32>,
     /// The settings' background.
     pub background: [f64; 3],
+    /// Camera pose.
+    pub pose: Pose,
 }
 
 impl<'k> Engine<'k> {
@@ -192,7 +198,12 @@ impl<'k> Engine<'k> {
         let marks = storage(device, "transmittances", (VECTOR * 256 * segments) as u64)?;
         let found = storage(device, "losses of tiles", (4 * columns * tiles.count()) as u64)?;
         let rows = ROWS + 3 * count(self.degree);
-        let gradients = storage(device, "gradients", 4 * rows as u64 * u64::from(self.scene.len()))?;
+        let n = self.scene.len() as usize;
+        let stride = n.next_multiple_of(256);
+        let gradients = storage(device, "gradients", 4 * (POSE_ROWS * stride + rows * n) as u64)?;
+        let common = &self.kernels.common;
+        let pose = Totals::new(device, common, &gradients, [stride / 256, 256, POSE_ROWS])?;
+        let pose = [Totals::new(device, common, &pose.buffer, [256, 1, POSE_ROWS])?, pose];
         let [gaussians, harmonics, _] = self.scene.buffers()?;
         let (frame, splats, starts) = (&tiles.frame, &tiles.splats, &tiles.starts);
         let entries = &self.scaffold.entries;
@@ -205,6 +216,7 @@ impl<'k> Engine<'k> {
             blend: self.kernels.blend.bind(device, &blend),
             project: self.kernels.project.bind(device, &project),
             totals: Totals::new(device, &self.kernels.common, &found, [tiles.count(), columns, 1])?,
+            pose,
             gradients,
         })
     }
@@ -221,6 +233,7 @@ impl<'k> Engine<'k> {
         self.kernels.blend.run(pass, &worlds.blend, [columns, rows, 1]);
         worlds.totals.add_up(&self.kernels.common, pass);
         self.kernels.project.run(pass, &worlds.project, groups_2d(self.scene.len().div_ceil(256)));
+        worlds.pose.iter().rev().for_each(|sums| sums.add_up(&self.kernels.common, pass));
     }
 
     /// Waits, and reads the gradients.
@@ -235,8 +248,10 @@ impl<'k> Engine<'k> {
         let last = totals.len() - QUAD;
         let (n, degree) = (self.scene.len() as usize, self.scene.degree());
         let (bands, each) = (3 * count(self.degree), 3 * count(degree));
-        let rows = read(&self.device, &worlds.gradients, (ROWS + bands) * n)?;
-        let at = |row: usize, i: usize| rows[row * n + i];
+        let first = POSE_ROWS * n.next_multiple_of(256);
+        let rows = read(&self.device, &worlds.gradients, first + (ROWS + bands) * n)?;
+        let at = |row: usize, i: usize| rows[first + row * n + i];
+        let pose: Vec<f64> = worlds.pose[0].read(&self.device)?.into_iter().map(f64::from).collect();
         let splats = (0..n).map(|i| SplatGradient {
             position: [0, 1, 2].map(|row| at(row, i)),
             log_scale: [3, 4, 5].map(|row| at(row, i)),
@@ -254,6 +269,10 @@ impl<'k> Engine<'k> {
             splats: splats.collect(),
             sh_rest,
             background: std::array::from_fn(|c| f64::from(totals[last + c])),
+            pose: Pose {
+                translation: std::array::from_fn(|k| pose[k]),
+                rotation: std::array::from_fn(|k| pose[3 + k]),
+            },
         })
     }
 }

@@ -5,8 +5,9 @@
 //! sixteen. Sums go over pixels, then over tiles, in fixed trees: the same bits every time, and a world's
 //! number does not depend on the worlds beside it.
 //!
-//! Without early stop, as [`crate::counterfactual::Engine::fast`]; against it, fed with the same f32
-//! ellipses, errors differ by less than 2e-6 relative.
+//! *Fast* is without early stop, as [`crate::counterfactual::Engine::fast`]; against it, fed with the same f32
+//! ellipses, errors differ by less than 2e-6 relative. *Strict* does the operations of the device's
+//! [`super::Renderer`] in its order.
 
 use super::states::{Common, QUAD, STATES, Scaffold, Totals, filled, masks, storage, submit, uniform};
 use super::wgsl::{Bind, LAYOUT, Source, TILE};
@@ -38,6 +39,13 @@ pub const FAST: Source = Source {
     ],
 };
 
+/// Squared errors of worlds, each as it is drawn alone.
+pub const STRICT: Source = Source {
+    name: "strict.wgsl",
+    parts: &[LAYOUT, TILE, STATES, SHARED, include_str!("../counterfactual/strict.wgsl")],
+    bindings: FAST.bindings,
+};
+
 /// Utilities of groups.
 pub const UTILITIES: Source = Source {
     name: "utilities.wgsl",
@@ -60,6 +68,7 @@ pub const UTILITIES: Source = Source {
 pub struct Kernels {
     common: Common,
     fast: Kernel,
+    strict: Kernel,
     utilities: Kernel,
 }
 
@@ -72,6 +81,7 @@ impl Kernels {
         Ok(Self {
             common: Common::new(device)?,
             fast: Kernel::new(device, &FAST, "fast", &[])?,
+            strict: Kernel::new(device, &STRICT, "strict", &[])?,
             utilities: Kernel::new(device, &UTILITIES, "utilities", &[])?,
         })
     }
@@ -91,6 +101,7 @@ pub struct Engine<'k> {
 pub struct Worlds {
     count: usize,
     bound: wgpu::BindGroup,
+    strict: wgpu::BindGroup,
     totals: Totals,
     workgroups: [u32; 3],
 }
@@ -161,6 +172,23 @@ impl<'k> Engine<'k> {
         self.read_fast(&worlds)
     }
 
+    /// Squared error of each world as it is drawn alone: of each pixel and each sum the bits of a scene of
+    /// what the world holds.
+    ///
+    /// # Errors
+    /// As [`Engine::fast`].
+    pub fn strict(&self, states: &States) -> Result<Vec<f64>, GpuError> {
+        let worlds = self.worlds(states)?;
+        submit(&self.device, |pass| self.encode_strict(&worlds, pass));
+        self.read_fast(&worlds)
+    }
+
+    /// The commands of [`Engine::strict`].
+    pub fn encode_strict(&self, worlds: &Worlds, pass: &mut wgpu::ComputePass) {
+        self.kernels.strict.run(pass, &worlds.strict, worlds.workgroups);
+        worlds.totals.add_up(&self.kernels.common, pass);
+    }
+
     /// Uploads worlds.
     ///
     /// # Errors
@@ -176,9 +204,12 @@ impl<'k> Engine<'k> {
         let masks = filled(device, "masks", bytemuck::cast_slice(&masks(states, quads)))?;
         let stride = QUAD * quads;
         let partials = storage(device, "partials", (4 * stride * tiles.count()) as u64)?;
-        let bound = self.kernels.fast.bind(device, &self.buffers(&batch, &masks, &partials));
+        let buffers = self.buffers(&batch, &masks, &partials);
+        let bound = self.kernels.fast.bind(device, &buffers);
+        let strict = self.kernels.strict.bind(device, &buffers);
         let totals = Totals::new(device, &self.kernels.common, &partials, [tiles.count(), stride, 1])?;
-        Ok(Worlds { count: states.len(), bound, totals, workgroups: [columns, rows, pieces as u32] })
+        let workgroups = [columns, rows, pieces as u32];
+        Ok(Worlds { count: states.len(), bound, strict, totals, workgroups })
     }
 
     /// Starts computing the errors of `worlds`; nothing is waited for.

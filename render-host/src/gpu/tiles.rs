@@ -97,7 +97,8 @@ impl Tiles {
     }
 }
 
-/// Tile lists made on the device, frame by frame, for engines over states. Nothing is read back.
+/// Tile lists made on the device, frame by frame, for engines over states. Nothing is read back; whether
+/// the lists fitted their buffer, [`Lists::read_counts`] says when asked.
 #[derive(Debug)]
 pub struct Stages {
     lists: Lists,

@@ -148,6 +148,7 @@ pub const ALL: &[Source] = &[
     super::states::SCAFFOLD,
     super::states::SQUARES,
     super::counterfactual::FAST,
+    super::counterfactual::STRICT,
     super::counterfactual::UTILITIES,
     super::adjoint::BLEND_BACK,
     super::adjoint::PROJECT_BACK,

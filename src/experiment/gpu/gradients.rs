@@ -54,7 +54,7 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
         }
     }
     for case in &cases {
-        let [loss, worst] = case.judge()?;
+        let [loss, worst] = case.judge(device)?;
         let name = format!("gradients.{n}.{}", case.subject.name);
         bench.push(Figure::new(format!("{name}.loss_error"), loss, "relative"));
         let peer = 1.0 / median(&case.cpu);
@@ -119,12 +119,13 @@ impl<'k> Case<'k> {
 
     /// Worst relative error of a loss, and worst relative L2 error of a field of the gradient, against the
     /// CPU's world by world.
-    fn judge(&self) -> Result<[f64; 2]> {
+    fn judge(&self, device: &Device) -> Result<[f64; 2]> {
         let (subject, settings) = (&self.subject, Settings::default());
         let states = scene::deliveries(JUDGED);
         let worlds = self.engine.worlds(&states)?;
         self.engine.submit(&worlds);
         let got = self.engine.read(&worlds)?;
+        self.stages.lists().read_counts(device)?;
         let mut expected = vec![[0.0f64; 16]; subject.gaussians.len()];
         let mut loss_error = 0.0f64;
         for (world, &found) in got.loss.iter().enumerate() {

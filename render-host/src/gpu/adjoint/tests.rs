@@ -49,6 +49,12 @@ struct Twin {
     fields: [Vec<f64>; 6],
     rest: Vec<f64>,
     background: [f64; 3],
+    pose: [f64; 6],
+}
+
+fn six(pose: &Pose) -> [f64; 6] {
+    let Pose { translation: [a, b, c], rotation: [d, e, f] } = *pose;
+    [a, b, c, d, e, f]
 }
 
 fn twin(case: &Case, states: &States, settings: &Settings) -> Twin {
@@ -58,6 +64,7 @@ fn twin(case: &Case, states: &States, settings: &Settings) -> Twin {
         fields: [3, 3, 4, 1, 3, 2].map(|width| vec![0.0; n * width]),
         rest: vec![0.0; n * each],
         background: [0.0; 3],
+        pose: [0.0; 6],
     };
     for world in 0..states.len() {
         let (gaussians, rest) = brute::world(&case.variants(), states, world);
@@ -67,6 +74,7 @@ fn twin(case: &Case, states: &States, settings: &Settings) -> Twin {
             render_and_gradients(&mut Workspace::new(), &splats, &case.camera, settings, &loss).unwrap();
         out.loss.push(found.loss);
         (0..3).for_each(|c| out.background[c] += found.background[c]);
+        out.pose.iter_mut().zip(six(&found.pose)).for_each(|(sum, v)| *sum += v);
         let held = (0..n).filter(|&i| states.has(world, case.ids[i] as usize));
         for (k, i) in held.enumerate() {
             for (sums, values) in out.fields.iter_mut().zip(fields(&found.splats[k])) {
@@ -100,6 +108,7 @@ fn judge(name: &str, case: &Case, states: &States, settings: &Settings, got: &Gr
     }
     found.push(("sh_rest", distance(&got.sh_rest, &expected.rest)));
     found.push(("background", distance(&got.background.map(|v| v as f32), &expected.background)));
+    found.push(("pose", distance(&six(&got.pose).map(|v| v as f32), &expected.pose)));
     for (field, [l2, worst]) in &found {
         println!("{name}: {field} {l2:.1e} relative L2, worst {worst:.1e} of the largest");
     }

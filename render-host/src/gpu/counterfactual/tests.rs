@@ -2,7 +2,7 @@
 
 use super::super::case::{Case, device, worst};
 use super::super::tiles::through_f32;
-use super::super::{Scene, Stages};
+use super::super::{Renderer, Scene, Stages};
 use super::*;
 use crate::counterfactual::{self, brute};
 use crate::{Splats, render};
@@ -127,6 +127,75 @@ fn a_batch_equals_its_worlds_alone_and_every_run_equals_the_first() {
     assert_eq!(utilities.delta[33 * 27..34 * 27], one.delta);
     assert!(engine.fast(&States::new(27)).unwrap().is_empty());
     assert!(engine.utilities(&States::new(27)).unwrap().delta.is_empty());
+}
+
+/// Sum of squares as the kernels add: a tree over the threads of a tile, then over tiles.
+fn squares(picture: &Image, wanted: &Image) -> f32 {
+    let [width, height] = [picture.width() as usize, picture.height() as usize];
+    let [columns, rows] = [width, height].map(|side| side.div_ceil(16));
+    let mut tiles = vec![0.0f32; columns * rows];
+    for (tile, sum) in tiles.iter_mut().enumerate() {
+        let mut threads = [0.0f32; 256];
+        for (thread, error) in threads.iter_mut().enumerate() {
+            let (block, within) = (thread / 32, thread % 32);
+            let x = tile % columns * 16 + block % 2 * 8 + within % 8;
+            let y = tile / columns * 16 + block / 2 * 4 + within / 8;
+            if x < width && y < height {
+                let first = 3 * (y * width + x);
+                let d: [f32; 3] = std::array::from_fn(|c| picture.rgb()[first + c] - wanted.rgb()[first + c]);
+                *error = d[2].mul_add(d[2], d[1].mul_add(d[1], d[0] * d[0]));
+            }
+        }
+        for half in [128, 64, 32, 16, 8, 4, 2, 1] {
+            (0..half).for_each(|i| threads[i] += threads[i + half]);
+        }
+        *sum = threads[0];
+    }
+    let mut pieces = [0.0f32; 16];
+    for (piece, sum) in pieces.iter_mut().enumerate() {
+        for run in (piece..tiles.len()).step_by(256) {
+            let few = (run..tiles.len().min(run + 256)).step_by(16).fold(0.0, |few, t| few + tiles[t]);
+            *sum += few;
+        }
+    }
+    for half in [8, 4, 2, 1] {
+        (0..half).for_each(|i| pieces[i] += pieces[i + half]);
+    }
+    pieces[0]
+}
+
+/// Strict errors are, on exact bits, those of the pictures that the renderer draws of each world alone.
+#[test]
+fn strict_errors_are_those_of_worlds_drawn_alone() {
+    let Some(device) = device() else { return };
+    let mut renderer = Renderer::new(device).unwrap();
+    // A background of zeros and ones is exact however it is added.
+    let settings = Settings { background: [0.0, 1.0, 0.0], ..Settings::default() };
+    for (mut case, worlds) in cases() {
+        // Opaque enough to stop early.
+        case.gaussians.iter_mut().for_each(|g| g.opacity = g.opacity.sqrt());
+        let scene = Scene::with_groups(device, &case.splats(), &case.ids).unwrap();
+        let mut stages = Stages::new(device).unwrap();
+        stages.prepare(device, &scene, &case.camera, &settings).unwrap();
+        let tiles = stages.tiles().unwrap();
+        let engine = Engine::with_tiles(device, kernels(device), tiles, case.groups, &case.against).unwrap();
+        let mut encoder = device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+        stages.encode(&mut encoder).unwrap();
+        engine.encode_lists(&mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));
+        device.queue().submit([encoder.finish()]);
+        let states = case.states(worlds, 13);
+        let got = engine.strict(&states).unwrap();
+        for world in (0..worlds).step_by(5) {
+            let (gaussians, rest) = brute::world(&case.variants(), &states, world);
+            let alone = Splats::new(&gaussians, &rest, case.degree).unwrap();
+            let picture = renderer.render_splats(&alone, &case.camera, &settings).unwrap().image;
+            let expected = squares(&picture, &case.against);
+            assert_eq!((got[world] as f32).to_bits(), expected.to_bits(), "world {world}");
+        }
+        if worlds > 1 && !case.gaussians.is_empty() {
+            assert!(got[0] != got[1], "the comparison would see another world");
+        }
+    }
 }
 
 #[test]
