@@ -43,17 +43,22 @@ fn finite(r: &Rendered) -> bool {
 }
 
 /// Compares a picture with the f64 reference.
+///
+/// Alphas of long needles are good to 1e-4 only (their factor is f32), so that a few more decisions are
+/// close to the cut-off than the reference marks: one pixel in a thousand may be off by that much.
 fn judge(got: &Rendered, splats: &Splats, camera: &Camera, settings: &Settings) -> reference::Difference {
     let exact = reference::render(splats, camera, settings).unwrap();
     let d = exact.difference(got.image.rgb()).unwrap();
     let colour = 0.5 + 0.283 * 1.7 + 0.3 * 15.0;
-    let pixels = got.transmittance.len();
-    assert!(d.max_clear <= 1e-4, "{d:?}");
-    assert!(d.max_close <= 1e-4 + 2.0 * f64::from(settings.alpha_cutoff) * colour, "{d:?}");
+    let (pixels, cutoff) = (got.transmittance.len(), f64::from(settings.alpha_cutoff));
+    let off = |k: &usize| (exact.rgb[*k] - f64::from(got.image.rgb()[*k])).abs() > 1e-4;
+    let far = (0..3 * pixels).filter(|k| exact.close[k / 3] == 0 && off(k)).count() / 3;
+    assert!(far <= if cutoff > 0.0 { 1 + pixels / 1000 } else { 0 }, "{far} pixels: {d:?}");
+    assert!(d.max_clear.max(d.max_close) <= 1e-4 + 2.0 * cutoff * colour, "{d:?}");
     assert!(d.close_pixels <= 8 + pixels / 100, "too many excused: {d:?}");
     assert!(d.psnr_db >= 90.0, "{d:?}");
     for (a, b) in exact.transmittance.iter().zip(&got.transmittance) {
-        assert!((a - f64::from(*b)).abs() <= f64::from(settings.alpha_cutoff) + 1e-4);
+        assert!((a - f64::from(*b)).abs() <= cutoff + 1e-4);
     }
     d
 }
@@ -99,9 +104,11 @@ proptest! {
         let Some(mut renderer) = renderer() else { return Ok(()) };
         let mut scene = Scene::random(200, 0, 1e-4, 1e-4, seed);
         scene.gaussians.iter_mut().for_each(|g| g.scale[0] = 10.0);
-        let (camera, settings) = (camera(100, 100), Settings::default());
-        let got = renderer.render_splats(&scene.splats(), &camera, &settings).unwrap();
-        judge(&got, &scene.splats(), &camera, &settings);
+        let camera = camera(100, 100);
+        for settings in [Settings::default(), Settings::exact()] {
+            let got = renderer.render_splats(&scene.splats(), &camera, &settings).unwrap();
+            judge(&got, &scene.splats(), &camera, &settings);
+        }
     }
 
     /// Every world of a batch is, bit for bit, what it holds drawn alone.
@@ -318,120 +325,160 @@ fn values<T: Copy + bytemuck::Pod>(device: &Device, buffer: &wgpu::Buffer, n: us
     bytes.chunks_exact(size_of::<T>()).map(bytemuck::pod_read_unaligned).collect()
 }
 
-/// Each stage against its CPU twin, fed with what the stage before gave on the device.
-fn compare_stages(scene: &Scene, camera: &Camera, settings: &Settings) {
-    let Some(mut renderer) = renderer() else { return };
-    let device = renderer.device().clone();
-    let got = renderer.render_splats(&scene.splats(), camera, settings).unwrap();
-    let lists = renderer.lists();
-    let (n, drawn) = (scene.gaussians.len(), got.counters.drawn as usize);
-    let entries = got.counters.intersections as usize;
-    let splats: Vec<Splat> = values(&device, lists.splats().unwrap(), n);
-    let order: Vec<u32> = values(&device, lists.order().unwrap(), drawn);
-    let keys: Vec<u32> = values(&device, lists.depth_keys().unwrap(), drawn);
+/// What the stages left on the device.
+struct Found {
+    splats: Vec<Splat>,
+    order: Vec<u32>,
+    keys: Vec<u32>,
+    starts: Vec<u32>,
+    list: Vec<u32>,
+    picture: Rendered,
+}
 
-    // Project: relative to f64.
+fn find(renderer: &mut Renderer, scene: &Scene, camera: &Camera, settings: &Settings) -> Found {
+    let device = renderer.device().clone();
+    let picture = renderer.render_splats(&scene.splats(), camera, settings).unwrap();
+    let (lists, counters) = (renderer.lists(), picture.counters);
+    Found {
+        splats: values(&device, lists.splats().unwrap(), scene.gaussians.len()),
+        order: values(&device, lists.order().unwrap(), counters.drawn as usize),
+        keys: values(&device, lists.depth_keys().unwrap(), counters.drawn as usize),
+        starts: values(&device, lists.starts().unwrap(), counters.tiles as usize + 1),
+        list: values(&device, lists.entries().unwrap(), counters.intersections as usize),
+        picture,
+    }
+}
+
+fn close_splats(a: &Splat, b: &render_host::stage::Splat) -> bool {
+    let largest = b.root.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+    // What the anchor leaves of the centre is small, so its error is.
+    a.centre().iter().zip(b.mean).all(|(a, b)| (a - b).abs() <= 1e-6 + 1e-6 * b.abs())
+        && a.root.iter().zip(b.root).all(|(a, b)| (f64::from(*a) - b).abs() <= 4e-6 * largest)
+        && a.colour.iter().zip(b.colour).all(|(a, b)| (a - b).abs() <= 4e-6 * (1.0 + b))
+        && (a.log2_alpha - b.log2_alpha).abs() <= 2e-6
+        // Never narrower, a pixel wider at most.
+        && (a.pixels().iter().zip(b.pixels).enumerate()).all(|(k, (&ours, theirs))| {
+            let wider = i64::from(ours) - i64::from(theirs);
+            (0..=1).contains(&if k % 2 == 0 { -wider } else { wider })
+        })
+}
+
+/// Each stage against its CPU twin, fed with what the stage before gave on the device. Returns the stages
+/// that differ.
+fn stage_faults(scene: &Scene, camera: &Camera, settings: &Settings, found: &Found) -> Vec<&'static str> {
+    let mut faults = Vec::new();
+    let mut check = |good: bool, fault| {
+        if !good {
+            faults.push(fault)
+        }
+    };
+    let Found { splats, order, keys, starts, list, picture } = found;
+
+    // Project: the same Gaussians, close to f64.
     let mut cpu = project::Projected::default();
     project::project(&scene.splats(), camera, settings, &mut cpu);
-    let visible: Vec<usize> = (0..n).filter(|&i| cpu.keys[i] != project::SKIPPED).collect();
-    let mut listed: Vec<usize> = order.iter().map(|&i| i as usize).collect();
-    listed.sort_unstable();
-    let extra: Vec<usize> = listed.iter().copied().filter(|i| visible.binary_search(i).is_err()).collect();
-    let missing: Vec<usize> = visible.iter().copied().filter(|i| listed.binary_search(i).is_err()).collect();
-    assert!(extra.is_empty() && missing.is_empty(), "drawn besides: {extra:?}; not drawn: {missing:?}");
-    let mut found = project::Projected::default();
-    project::project(&scene.splats(), camera, settings, &mut found);
-    for (&i, &key) in order.iter().zip(&keys) {
-        let (i, a, b) = (i as usize, &splats[i as usize], &cpu.splats[i as usize]);
-        assert!(key.abs_diff(cpu.keys[i]) <= 1, "depth keys agree but for the last place");
-        let centre = a.centre();
-        for k in 0..2 {
-            // What the anchor leaves is small, so the error is.
-            assert!((centre[k] - b.mean[k]).abs() <= 1e-6 + 1e-6 * b.mean[k].abs(), "{a:?} {b:?}");
-        }
-        let largest = b.root.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        for k in 0..3 {
-            assert!((f64::from(a.root[k]) - b.root[k]).abs() <= 4e-6 * largest, "{a:?} {b:?}");
-            assert!((a.colour[k] - b.colour[k]).abs() <= 4e-6 * (1.0 + b.colour[k]), "{a:?} {b:?}");
-        }
-        assert!((a.log2_alpha - b.log2_alpha).abs() <= 2e-6, "{a:?} {b:?}");
-        for (k, (ours, theirs)) in a.pixels().iter().zip(b.pixels).enumerate() {
-            let wider = if k % 2 == 0 { u32::from(theirs) - ours } else { ours - u32::from(theirs) };
-            assert!(wider <= 1, "never narrower, a pixel wider at most: {a:?} {b:?}");
-        }
+    let visible: Vec<u32> =
+        (0..).zip(&cpu.keys).filter(|(_, key)| **key != project::SKIPPED).map(|(i, _)| i).collect();
+    let mut drawn = order.clone();
+    drawn.sort_unstable();
+    check(drawn == visible, "project");
+    for (&i, &key) in order.iter().zip(keys) {
+        let (i, a) = (i as usize, &splats[i as usize]);
+        check(key.abs_diff(cpu.keys[i]) <= 1 && close_splats(a, &cpu.splats[i]), "project");
         // From here on both sides have the device's splats.
-        found.keys[i] = key;
-        found.splats[i].mean = centre;
-        found.splats[i].root = a.root.map(f64::from);
-        found.splats[i].colour = a.colour;
-        found.splats[i].log2_alpha = a.log2_alpha;
-        found.splats[i].pixels = a.pixels().map(|v| v as u16);
+        cpu.keys[i] = key;
+        cpu.splats[i] = render_host::stage::Splat {
+            mean: a.centre(),
+            root: a.root.map(f64::from),
+            colour: a.colour,
+            log2_alpha: a.log2_alpha,
+            pixels: a.pixels().map(|v| v as u16),
+        };
     }
 
     // Sort: exact.
     let mut by_depth = sort::Order::default();
-    sort::sort(&found.keys, false, &mut by_depth);
-    assert_eq!(by_depth.indices().collect::<Vec<_>>(), order);
+    sort::sort(&cpu.keys, false, &mut by_depth);
+    check(by_depth.indices().eq(order.iter().copied()), "sort");
 
-    // Bin: in the same order; what the device lists besides are slivers.
+    // Bin: all the CPU lists, in the same order; what the device lists besides are slivers.
     let size = [camera.width() as usize, camera.height() as usize];
     let [columns, rows] = size.map(|side| side.div_ceil(TILE));
-    let starts: Vec<u32> = values(&device, lists.starts().unwrap(), columns * rows + 1);
-    let list: Vec<u32> = values(&device, lists.entries().unwrap(), entries);
     let mut bins = bin::Bins::default();
-    bin::bin(&found, &by_depth, &(0..rows), columns, settings, &mut bins);
+    bin::bin(&cpu, &by_depth, &(0..rows), columns, settings, &mut bins);
     let mut slivers = 0;
     for tile in 0..columns * rows {
-        let ours = &list[starts[tile] as usize..starts[tile + 1] as usize];
-        let theirs = bins.rows()[tile / columns].tile(tile % columns);
-        let mut rest = theirs.iter().peekable();
-        for index in ours {
-            if rest.next_if(|other| *other == index).is_none() {
-                slivers += 1;
-            }
-        }
-        assert!(rest.peek().is_none(), "tile {tile}: the device lists all, in order");
+        let ours = list.get(starts[tile] as usize..starts[tile + 1] as usize).unwrap_or(&[]);
+        let mut theirs = bins.rows()[tile / columns].tile(tile % columns).iter().peekable();
+        slivers += ours.iter().filter(|index| theirs.next_if_eq(index).is_none()).count();
+        check(theirs.peek().is_none(), "bin");
     }
-    assert!(slivers <= 2 + entries / 500, "{slivers} of {entries}");
+    check(slivers <= 2 + list.len() / 500, "bin");
 
     // Blend: one rounding per operation apart.
     let mut tiles = blend::Tiles::default();
-    blend::blend(&found.splats, &bins, &(0..rows), size, settings, &mut tiles);
+    blend::blend(&cpu.splats, &bins, &(0..rows), size, settings, &mut tiles);
     let (mut rgb, mut through) = (vec![0.0; 3 * size[0] * size[1]], vec![0.0; size[0] * size[1]]);
     blend::resolve(&tiles, size[0], settings, &mut rgb, &mut through);
     let close = reference::render(&scene.splats(), camera, settings).unwrap().close;
-    for (i, (a, b)) in got.transmittance.iter().zip(&through).enumerate() {
-        let allowed = if close[i] > 0 { 2.0 * settings.alpha_cutoff + 1e-4 } else { 3e-6 };
-        assert!((a - b).abs() <= allowed, "pixel {i}: {a} {b}");
-        for k in 3 * i..3 * i + 3 {
-            assert!((got.image.rgb()[k] - rgb[k]).abs() <= 6.0 * allowed, "pixel {i}");
-        }
-    }
+    let allowed = |i: usize| if close[i] > 0 { 2.0 * settings.alpha_cutoff + 1e-4 } else { 3e-6 };
+    let through = picture.transmittance.iter().zip(&through).enumerate();
+    check(through.into_iter().all(|(i, (a, b))| (a - b).abs() <= allowed(i)), "blend");
+    let rgb = picture.image.rgb().iter().zip(&rgb).enumerate();
+    check(rgb.into_iter().all(|(k, (a, b))| (a - b).abs() <= 6.0 * allowed(k / 3)), "blend");
+    faults
 }
 
 #[test]
 fn every_stage_matches_its_cpu_twin() {
-    let plain = Settings::default();
-    let camera = camera(130, 90);
-    compare_stages(&Scene::random(3000, 3, 0.005, 0.2, 23), &camera, &plain);
-    compare_stages(
-        &Scene::random(800, 0, 0.02, 0.6, 29),
-        &camera,
-        &Settings { exact_tiles: false, ..plain.clone() },
-    );
-    compare_stages(
-        &Scene::random(900, 1, 0.001, 0.05, 31),
-        &camera,
-        &Settings { antialiased: true, ..plain },
-    );
+    let Some(mut renderer) = renderer() else { return };
+    let (plain, camera) = (Settings::default(), camera(130, 90));
+    let all = Settings { exact_tiles: false, ..plain.clone() };
+    let antialiased = Settings { antialiased: true, ..plain.clone() };
+    for (scene, settings) in [
+        (Scene::random(3000, 3, 0.005, 0.2, 23), plain),
+        (Scene::random(800, 0, 0.02, 0.6, 29), all),
+        (Scene::random(900, 1, 0.001, 0.05, 31), antialiased),
+    ] {
+        let found = find(&mut renderer, &scene, &camera, &settings);
+        assert_eq!(stage_faults(&scene, &camera, &settings, &found), [""; 0]);
+    }
+}
+
+/// Each change spoils one stage, and is found there.
+#[test]
+fn a_stage_that_differs_is_found() {
+    let Some(mut renderer) = renderer() else { return };
+    let scene = Scene::random(400, 0, 0.02, 0.2, 43);
+    let (camera, settings) = (camera(70, 50), Settings::default());
+    type Spoil = fn(&mut Found);
+    let spoils: [(Spoil, &str); 7] = [
+        (|f| f.splats[f.order[0] as usize].mean[0] += 1e-4, "project"),
+        (|f| f.splats[f.order[9] as usize].colour[1] *= 1.001, "project"),
+        (|f| f.keys[5] += 9, "project"),
+        (|f| [&mut f.order, &mut f.keys].into_iter().for_each(|v| v.swap(10, 11)), "sort"),
+        (|f| f.list[f.starts[5] as usize..f.starts[6] as usize].reverse(), "bin"),
+        (|f| f.starts[6] -= 1, "bin"),
+        (|f| f.picture.transmittance[900] += 1e-3, "blend"),
+    ];
+    for (spoil, stage) in spoils {
+        let mut found = find(&mut renderer, &scene, &camera, &settings);
+        assert_eq!(stage_faults(&scene, &camera, &settings, &found), [""; 0]);
+        spoil(&mut found);
+        let faults = stage_faults(&scene, &camera, &settings, &found);
+        assert!(faults.contains(&stage), "{stage}: {faults:?}");
+    }
 }
 
 #[test]
 fn equal_depths_go_by_index() {
+    let Some(mut renderer) = renderer() else { return };
     let mut scene = Scene::random(5000, 0, 0.01, 0.03, 37);
     // 50 of each, far apart in the list: within and across the blocks of the sort.
     (0..5000).for_each(|i| scene.gaussians[i].position = scene.gaussians[i % 100].position);
-    compare_stages(&scene, &camera(64, 64), &Settings::default());
+    let (camera, settings) = (camera(64, 64), Settings::default());
+    let found = find(&mut renderer, &scene, &camera, &settings);
+    assert_eq!(stage_faults(&scene, &camera, &settings, &found), [""; 0]);
 }
 
 /// More blocks of keys than one step of the scan takes.

@@ -5,11 +5,12 @@
     reason = "reading driver facts through raw handles, and trusting shaders whose bounds are proven, have no safe form"
 )]
 
-use ash::vk;
-use wgpu::hal::api::Vulkan;
+#[cfg(not(target_vendor = "apple"))]
+use {ash::vk, wgpu::hal::api::Vulkan};
 
 /// Device memory that is free for this process and that there is in all, bytes, summed over heaps on the
 /// device. From `VK_EXT_memory_budget` where the driver has it, else heap sizes alone.
+#[cfg(not(target_vendor = "apple"))]
 pub(super) fn memory(device: &wgpu::Device) -> Option<Memory> {
     // SAFETY: the guard keeps the device alive, nothing raw outlives it, and no handle is destroyed.
     let hal = unsafe { device.as_hal::<Vulkan>() }?;
@@ -35,6 +36,12 @@ pub(super) fn memory(device: &wgpu::Device) -> Option<Memory> {
     let free = |&i: &usize| budget.heap_budget[i].saturating_sub(budget.heap_usage[i]);
     let free = if has_budget { on_device.iter().map(free).sum() } else { total };
     Some(Memory { total, free, has_budget })
+}
+
+/// Metal does not say.
+#[cfg(target_vendor = "apple")]
+pub(super) fn memory(_: &wgpu::Device) -> Option<Memory> {
+    None
 }
 
 /// Memory of a device, bytes.

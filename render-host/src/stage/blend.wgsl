@@ -16,6 +16,8 @@ const BATCH: u32 = 256u;
 var<workgroup> near: array<vec3<f32>, 256>;
 var<workgroup> root: array<vec3<f32>, 256>;
 var<workgroup> colour: array<vec3<f32>, 256>;
+// Blocks of pixels that the splat may reach.
+var<workgroup> blocks: array<u32, 256>;
 var<workgroup> open: atomic<u32>;
 var<workgroup> still_open: u32;
 
@@ -29,6 +31,7 @@ fn blend(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) 
     let first = starts[tile];
     let past = starts[tile + 1u];
     let at = vec2<f32>(local);
+    let my_block = 1u << (thread / 32u);
 
     var sum = vec3<f32>(0.0);
     var t = select(0.0, 1.0, inside);
@@ -43,7 +46,9 @@ fn blend(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) 
         let n = min(BATCH, past - batch);
         if thread < n {
             let s = splats[entries[batch + thread]];
-            near[thread] = vec3<f32>(axes(s, corner), s.log2_alpha);
+            let here = vec3<f32>(axes(s, corner), s.log2_alpha);
+            near[thread] = here;
+            blocks[thread] = blocks_of(here, s.root, frame.log2_cutoff);
             root[thread] = s.root;
             colour[thread] = s.colour;
         }
@@ -56,6 +61,9 @@ fn blend(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) 
         }
         if inside && t >= frame.stop {
             for (var k = 0u; k < n; k++) {
+                if (blocks[k] & my_block) == 0u {
+                    continue;
+                }
                 let log2 = log2_alpha_in_tile(near[k], root[k], at);
                 // Below the cut-off by more than rounding: nothing to add.
                 if log2 < frame.log2_cutoff - REACH_MARGIN {

@@ -17,7 +17,8 @@ const BATCH: u32 = 256u;
 var<workgroup> near: array<vec3<f32>, 256>;
 var<workgroup> root: array<vec3<f32>, 256>;
 var<workgroup> colour: array<vec3<f32>, 256>;
-// Which of the eight worlds hold the splat.
+// Which of the eight worlds hold the splat and, eight bits above, the blocks of pixels that it may reach; 0
+// where no world holds it.
 var<workgroup> holders: array<u32, 256>;
 var<workgroup> open: atomic<u32>;
 var<workgroup> still_open: u32;
@@ -37,6 +38,7 @@ fn blend_worlds(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_
     let first = starts[tile];
     let past = starts[tile + 1u];
     let at = vec2<f32>(local);
+    let my_block = 0x100u << (thread / 32u);
     let first_world = id.z * LANES;
     let lanes = min(LANES, frame.worlds - first_world);
 
@@ -63,11 +65,14 @@ fn blend_worlds(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_
         let n = min(BATCH, past - batch);
         if thread < n {
             let s = splats[entries[batch + thread]];
-            near[thread] = vec3<f32>(axes(s, corner), s.log2_alpha);
+            let here = vec3<f32>(axes(s, corner), s.log2_alpha);
+            near[thread] = here;
             root[thread] = s.root;
             colour[thread] = s.colour;
             let word = presence[s.group * frame.world_words + first_world / 32u];
-            holders[thread] = (word >> (first_world % 32u)) & 0xffu;
+            let held = (word >> (first_world % 32u)) & 0xffu;
+            let reached = blocks_of(here, s.root, frame.log2_cutoff) << 8u;
+            holders[thread] = select(0u, held | reached, held != 0u);
         }
         workgroupBarrier();
         if thread == 0u {
@@ -79,7 +84,7 @@ fn blend_worlds(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_
         if going {
             for (var k = 0u; k < n; k++) {
                 let mask = holders[k];
-                if mask == 0u {
+                if (mask & my_block) == 0u {
                     continue;
                 }
                 let log2 = log2_alpha_in_tile(near[k], root[k], at);

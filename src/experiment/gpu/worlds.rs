@@ -29,7 +29,7 @@ struct Row {
 pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     let (n, side, most) = match (context.quick, context.is_cpu) {
         (true, _) => (2000, 48, 16),
-        (false, true) => (20_000, 128, 128),
+        (false, true) => (10_000, 96, 128),
         (false, false) => (84_000, 400, 128),
     };
     let frames = if context.is_cpu { 1 } else { 32 };
