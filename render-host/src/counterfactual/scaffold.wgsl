@@ -11,20 +11,21 @@
 // Per tile and block: `words` words of the set, then the number of members before each word.
 @group(0) @binding(6) var<storage, read_write> sets: array<atomic<u32>>;
 
-// A bit per block that holds a pixel centre within reach.
-fn blocks_of(splat: Splat, corner: vec2<u32>) -> u32 {
+// A bit per block that holds a pixel centre within reach: pixel by pixel where `blocks_of` takes bounds of u
+// and v apart, for what is walked once per batch of worlds. `u` and `v` are those of the pixels bit for bit.
+fn exact_blocks(splat: Splat, corner: vec2<u32>) -> u32 {
     let origin = axes(splat, corner);
-    let reach = reach_of(splat.log2_alpha, frame.log2_cutoff);
+    let reach = splat.log2_alpha - frame.log2_cutoff + 2.0 * REACH_MARGIN;
     var blocks = 0u;
     for (var y = 0u; y < TILE; y++) {
         let u = fma(splat.root.y, f32(y), origin.x);
         let v = fma(splat.root.z, f32(y), origin.y);
-        let left = reach - v * v;
         for (var half = 0u; half < 2u; half++) {
+            let left = fma(splat.root.x, f32(8u * half), u);
+            let right = fma(splat.root.x, f32(8u * half + 7u), u);
             // Distance of the eight centres from the splat's axis; 0 when they straddle it.
-            let edge = fma(splat.root.x, 8.0 * f32(half), u);
-            let gap = max(max(edge, -fma(splat.root.x, 7.0, edge)), 0.0);
-            if gap * gap <= left {
+            let gap = max(max(left, -right), 0.0);
+            if fma(gap, gap, v * v) <= reach {
                 blocks |= 1u << (2u * (y >> 2u) + half);
             }
         }
@@ -47,7 +48,7 @@ fn scaffold(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_inde
         let group = splat.group;
         var blocks = 0u;
         if group < batch.groups {
-            blocks = blocks_of(splat, TILE * id.xy);
+            blocks = exact_blocks(splat, TILE * id.xy);
         }
         entries[at] = Entry(index, blocks);
         for (var block = 0u; block < BLOCKS; block++) {

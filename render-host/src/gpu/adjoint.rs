@@ -208,9 +208,8 @@ impl<'k> Engine<'k> {
         let (frame, splats, starts) = (&tiles.frame, &tiles.splats, &tiles.starts);
         let entries = &self.scaffold.entries;
         let blend = [frame, &batch, splats, starts, entries, &masks, &self.wanted, &partials, &marks, &found];
-        let project = [
-            frame, gaussians, harmonics, splats, &tiles.ranks, starts, entries, &partials, &gradients,
-        ];
+        let project =
+            [frame, gaussians, harmonics, splats, &tiles.ranks, starts, entries, &partials, &gradients];
         Ok(Worlds {
             count: states.len(),
             blend: self.kernels.blend.bind(device, &blend),

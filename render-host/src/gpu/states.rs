@@ -119,8 +119,7 @@ impl Scaffold {
         let sets = storage(device, "sets", tiles.count() as u64 * BLOCKS * 8 * words as u64)?;
         let batch = Batch { groups: groups as u32, words: words as u32, ..Batch::default() };
         let batch = uniform(device, "batch", bytemuck::bytes_of(&batch))?;
-        let buffers =
-            [&tiles.frame, &batch, &tiles.splats, &tiles.starts, &tiles.list, &entries, &sets];
+        let buffers = [&tiles.frame, &batch, &tiles.splats, &tiles.starts, &tiles.list, &entries, &sets];
         let bound = common.scaffold.bind(device, &buffers);
         Ok(Self { tiles, groups, words, entries, sets, bound })
     }
@@ -202,8 +201,7 @@ pub(super) fn read(device: &Device, buffer: &wgpu::Buffer, count: usize) -> Resu
 /// A storage buffer that can be copied both ways.
 pub(super) fn storage(device: &Device, what: &'static str, bytes: u64) -> Result<wgpu::Buffer, GpuError> {
     use wgpu::BufferUsages as Usage;
-    // Never smaller than one of any struct.
-    device.buffer(what, bytes.max(64), Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST)
+    device.buffer(what, bytes, Usage::STORAGE | Usage::COPY_SRC | Usage::COPY_DST)
 }
 
 /// A storage buffer that holds `data`.

@@ -37,7 +37,7 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     let kernels = Kernels::new(device)?;
     let mut cases = Vec::new();
     for &side in sides {
-        for subject in Subject::both(n, side)? {
+        for subject in Subject::all(n, side, context.quick)? {
             cases.push(Case::new(device, &kernels, subject, worlds, contexts)?);
         }
     }
@@ -91,7 +91,8 @@ impl<'k> Case<'k> {
             let start = Instant::now();
             for _ in 0..train {
                 stages.prepare(device, scene, &subject.camera, &Settings::default())?;
-                let mut encoder = device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+                let mut encoder =
+                    device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
                 stages.encode(&mut encoder)?;
                 {
                     let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
@@ -156,7 +157,14 @@ impl<'k> Case<'k> {
         let rate = |count: usize, seconds: f64| count as f64 / seconds;
         let (states, utilities) = ("states/s", "utilities/s");
         let (of_sse, of_largest) = ("relative SSE", "of the largest utility");
-        push(format!("fast.W{worlds}"), rate(worlds, fast), error, states, of_sse, Some(rate(worlds, fast_cpu)));
+        push(
+            format!("fast.W{worlds}"),
+            rate(worlds, fast),
+            error,
+            states,
+            of_sse,
+            Some(rate(worlds, fast_cpu)),
+        );
         let peer = Some(rate(GROUPS, one_cpu));
         push("utilities.1".into(), rate(GROUPS, one), off, utilities, of_largest, peer);
         let key = format!("utilities.{contexts}");

@@ -40,7 +40,7 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     let kernels = Kernels::new(device)?;
     let mut cases = Vec::new();
     for &side in sides {
-        for subject in Subject::both(n, side)? {
+        for subject in Subject::all(n, side, context.quick)? {
             cases.push(Case::new(device, &kernels, subject, worlds)?);
         }
     }
@@ -102,9 +102,11 @@ impl<'k> Case<'k> {
             let start = Instant::now();
             for _ in 0..train {
                 stages.prepare(device, scene, &subject.camera, &settings)?;
-                let mut encoder = device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
+                let mut encoder =
+                    device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
                 stages.encode(&mut encoder)?;
-                engine.encode(worlds, &mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));
+                engine
+                    .encode(worlds, &mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));
                 device.queue().submit([encoder.finish()]);
             }
             device.wait()?;

@@ -21,11 +21,16 @@ pub(super) struct Subject {
 impl Subject {
     /// Scene A, a uniform volume in 64 cells, the worst case for interleaved depths, and B, 64 overlapping
     /// ellipsoid shells; 64 clusters of two levels each.
-    pub(super) fn both(n: usize, side: u32) -> Result<[Self; 2]> {
+    /// Only A when it must be quick.
+    pub(super) fn all(n: usize, side: u32, quick: bool) -> Result<Vec<Self>> {
         let volume = scene::volume(n);
         let cells = scene::groups(&volume);
-        let (shells, clusters) = shells(n);
-        Ok([Self::new("A", volume, cells, side)?, Self::new("B", shells, clusters, side)?])
+        let mut out = vec![Self::new("A", volume, cells, side)?];
+        if !quick {
+            let (shells, clusters) = shells(n);
+            out.push(Self::new("B", shells, clusters, side)?);
+        }
+        Ok(out)
     }
 
     fn new(name: &str, gaussians: Vec<Gaussian>, groups: Vec<u32>, side: u32) -> Result<Self> {

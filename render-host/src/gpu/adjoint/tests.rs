@@ -1,7 +1,7 @@
 //! Gradients on the device against those of the CPU.
 
-use super::super::case::{Case, device};
 use super::super::Stages;
+use super::super::case::{Case, device};
 use super::*;
 use crate::Workspace;
 use crate::adjoint::{loss::Mse, render_and_gradients};
@@ -40,7 +40,10 @@ fn distance(got: &[f32], expected: &[f64]) -> [f64; 2] {
     let off: f64 = got.iter().zip(expected).map(|(&g, &e)| square(f64::from(g) - e)).sum();
     let largest = expected.iter().fold(1e-300f64, |m, e| m.max(e.abs()));
     let worst = got.iter().zip(expected).map(|(&g, &e)| (f64::from(g) - e).abs());
-    [(off / all.max(1e-300)).sqrt(), worst.fold(0.0f64, |m, e| if e.is_nan() { f64::INFINITY } else { m.max(e) }) / largest]
+    [
+        (off / all.max(1e-300)).sqrt(),
+        worst.fold(0.0f64, |m, e| if e.is_nan() { f64::INFINITY } else { m.max(e) }) / largest,
+    ]
 }
 
 /// What the CPU finds, world by world: losses; fields and harmonics summed.
@@ -124,6 +127,30 @@ fn settings() -> Settings {
 #[test]
 fn gradients_of_one_world_are_those_of_the_cpu() {
     compare("plain", &Case::new(900, 0, 27, [75, 53], 1), 0, &settings());
+}
+
+/// Lists of many segments, most of which nobody sees.
+#[test]
+fn gradients_of_opaque_crowds_are_those_of_the_cpu() {
+    let mut case = Case::new(5000, 0, 27, [25, 20], 7);
+    case.gaussians.iter_mut().for_each(|g| g.opacity = g.opacity.sqrt());
+    compare("opaque crowd", &case, 2, &settings());
+    compare("crowd without stop", &case, 0, &Settings { early_stop: false, ..settings() });
+}
+
+/// The comparison would see a Gaussian that is a little off, in every field.
+#[test]
+fn a_wrong_gradient_is_seen() {
+    let Some(device) = device() else { return };
+    let mut case = Case::new(60, 1, 5, [40, 30], 8);
+    let got = engine(device, &case, &settings()).gradients(&States::full(5)).unwrap();
+    case.gaussians.iter_mut().for_each(|g| g.opacity *= 0.99);
+    let expected = twin(&case, &States::full(5), &settings());
+    for (k, field) in FIELDS.iter().enumerate() {
+        let values: Vec<f32> = got.splats.iter().flat_map(|g| fields(g)[k].clone()).collect();
+        let [l2, worst] = distance(&values, &expected.fields[k]);
+        assert!(l2 > 1e-4 && worst > 1e-3, "{field}: {l2} {worst}");
+    }
 }
 
 #[test]

@@ -168,14 +168,13 @@ fn squares(picture: &Image, wanted: &Image) -> f32 {
 #[test]
 fn strict_errors_are_those_of_worlds_drawn_alone() {
     let Some(device) = device() else { return };
-    let mut renderer = Renderer::new(device).unwrap();
+    let (mut renderer, mut stages) = (Renderer::new(device).unwrap(), Stages::new(device).unwrap());
     // A background of zeros and ones is exact however it is added.
     let settings = Settings { background: [0.0, 1.0, 0.0], ..Settings::default() };
     for (mut case, worlds) in cases() {
         // Opaque enough to stop early.
         case.gaussians.iter_mut().for_each(|g| g.opacity = g.opacity.sqrt());
         let scene = Scene::with_groups(device, &case.splats(), &case.ids).unwrap();
-        let mut stages = Stages::new(device).unwrap();
         stages.prepare(device, &scene, &case.camera, &settings).unwrap();
         let tiles = stages.tiles().unwrap();
         let engine = Engine::with_tiles(device, kernels(device), tiles, case.groups, &case.against).unwrap();
