@@ -3,6 +3,10 @@
 //! Depth order is made once, for the whole image; tile lists are then filled by a counting scatter in
 //! that order, so they are sorted without being sorted. What a stage decides is written down and read
 //! back by the next: no decision is made twice.
+//!
+//! `NAME.wgsl` beside `NAME.rs` is the same stage on a graphics device; `layout.wgsl`, `span.wgsl` and
+//! `tile.wgsl` are what several share, `plan.wgsl` and `starts.wgsl` the steps between, `worlds.wgsl` is
+//! blend for a batch of worlds.
 
 pub mod bin;
 pub mod blend;

@@ -246,9 +246,15 @@ fn lists_that_do_not_fit_are_made_room_for() {
     let needed = 150 * 32 * 22;
     let error = renderer.read().unwrap_err();
     assert_eq!(error, GpuError::Entries { found: needed, room: 1 << 16 }, "never silent");
-    let got = renderer.render(&on_device, &camera, &settings).unwrap();
+    assert!(renderer.make_room().unwrap());
+    renderer.draw(&on_device, &camera, &settings).unwrap();
+    assert!(!renderer.make_room().unwrap());
+    let got = renderer.read().unwrap();
     assert_eq!(got.counters.intersections, u64::from(needed));
     judge(&got, &scene.splats(), &camera, &settings);
+    // One call that recovers by itself.
+    let once = Renderer::new(&device).unwrap().render(&on_device, &camera, &settings).unwrap();
+    assert_eq!((bits(&got), got.counters), (bits(&once), once.counters));
 }
 
 #[test]

@@ -207,9 +207,10 @@ impl Renderer {
         settings: &Settings,
     ) -> Result<Rendered, GpuError> {
         self.draw(scene, camera, settings)?;
-        if self.make_room()? {
-            self.draw(scene, camera, settings)?;
-        }
+        let first = self.read();
+        let Err(GpuError::Entries { found, .. }) = first else { return first };
+        self.reserve_entries(found);
+        self.draw(scene, camera, settings)?;
         self.read()
     }
 
@@ -225,9 +226,10 @@ impl Renderer {
         settings: &Settings,
     ) -> Result<Vec<Rendered>, GpuError> {
         self.draw_worlds(scene, worlds, camera, settings)?;
-        if self.make_room()? {
-            self.draw_worlds(scene, worlds, camera, settings)?;
-        }
+        let first = self.read_worlds();
+        let Err(GpuError::Entries { found, .. }) = first else { return first };
+        self.reserve_entries(found);
+        self.draw_worlds(scene, worlds, camera, settings)?;
         self.read_worlds()
     }
 
