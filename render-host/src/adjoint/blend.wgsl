@@ -95,7 +95,9 @@ fn add_row(i: u32, half: u32, y: u32) {
     var hu = 0.0;
     var hux = 0.0;
     var colour = vec3<f32>(0.0);
-    for (var x = 0u; x < TILE; x++) {
+    // Each row starts elsewhere, so that the rows read different banks of memory.
+    for (var k = 0u; k < TILE; k++) {
+        let x = (k + y) % TILE;
         let pull = pulls[PIXELS * half + thread_of(x, y)];
         let part = pull.x * fma(near[i].z, f32(x), u0);
         h += pull.x;
@@ -262,7 +264,7 @@ fn blend_back(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_in
                         if entry < end {
                             var sum = vec4<f32>(0.0);
                             for (var y = 0u; y < TILE; y++) {
-                                sum += rows[48u * which + 16u * (thread % 3u) + y];
+                                sum += rows[48u * which + 16u * (thread % 3u) + (y + thread) % TILE];
                             }
                             let place = 3u * entry + thread % 3u;
                             if quad > 0u {

@@ -116,7 +116,7 @@ fn judge(name: &str, case: &Case, states: &States, settings: &Settings, got: &Gr
         println!("{name}: {field} {l2:.1e} relative L2, worst {worst:.1e} of the largest");
     }
     for (field, [l2, worst]) in found {
-        assert!(l2 < 1e-4 && worst < 1e-3, "{name}: {field} {l2} {worst}");
+        assert!(l2 < 1e-5 && worst < 1e-4, "{name}: {field} {l2} {worst}");
     }
 }
 
