@@ -3,6 +3,8 @@
 //!
 //! ```text
 //! Device ─▶ Scene (uploaded once) ─▶ Renderer::draw (camera in, nothing read back) ─▶ Renderer::read
+//!        └▶ Scene + Stages (camera in) ─▶ counterfactual::Engine: errors of worlds, utilities of groups
+//!                                      └▶ adjoint::Engine: losses of worlds, gradients summed over them
 //! ```
 //!
 //! Counts stay on the device: what one stage finds sizes the next through indirect dispatch. The host

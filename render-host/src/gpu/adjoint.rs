@@ -166,6 +166,11 @@ impl<'k> Engine<'k> {
         Ok(Self { device: device.clone(), kernels, scaffold, scene, wanted, degree })
     }
 
+    /// The scene: what lists made on the device are made of.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
     /// Loss of each world and gradients summed over them.
     ///
     /// # Errors

@@ -21,8 +21,9 @@ struct Case<'k> {
     worlds: Worlds,
     full: Contexts,
     many: Contexts,
-    /// Seconds: errors, utilities in one context, in all contexts; errors and utilities on the CPU.
-    seconds: [Vec<f64>; 5],
+    /// Seconds: errors, utilities in one context, in all contexts, strict errors; errors and utilities on
+    /// the CPU.
+    seconds: [Vec<f64>; 6],
 }
 
 /// Measures.
@@ -108,14 +109,15 @@ impl<'k> Case<'k> {
             time(&|pass| engine.encode_fast(worlds, pass))?,
             time(&|pass| engine.encode_utilities(full, pass))?,
             time(&|pass| engine.encode_utilities(many, pass))?,
+            time(&|pass| engine.encode_strict(worlds, pass))?,
         ];
         self.seconds.iter_mut().zip(found).for_each(|(all, one)| all.push(one));
         let start = Instant::now();
         self.on_cpu()?.fast(&self.states)?;
-        self.seconds[3].push(start.elapsed().as_secs_f64());
+        self.seconds[4].push(start.elapsed().as_secs_f64());
         let start = Instant::now();
         self.on_cpu()?.utilities(&States::full(GROUPS))?;
-        self.seconds[4].push(start.elapsed().as_secs_f64());
+        self.seconds[5].push(start.elapsed().as_secs_f64());
         Ok(())
     }
 
@@ -134,8 +136,11 @@ impl<'k> Case<'k> {
     ) -> Result<()> {
         let on_cpu = self.on_cpu()?;
         self.engine.submit_fast(&self.worlds);
-        let (got, expected) = (self.engine.read_fast(&self.worlds)?, on_cpu.fast(&self.states)?);
-        let error = got.iter().zip(&expected).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max);
+        let relative = |got: &[f64], expected: &[f64]| {
+            got.iter().zip(expected).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max)
+        };
+        let error = relative(&self.engine.read_fast(&self.worlds)?, &on_cpu.fast(&self.states)?);
+        let strictly = relative(&self.engine.strict(&self.states)?, &on_cpu.strict(&self.states)?);
         self.engine.submit_utilities(&self.full);
         let got = self.engine.read_utilities(&self.full)?.delta;
         let expected = on_cpu.utilities(&States::full(GROUPS))?.delta;
@@ -145,7 +150,7 @@ impl<'k> Case<'k> {
         self.stages.lists().read_counts(device)?;
 
         let name = format!("counterfactual.{n}.{}", self.subject.name);
-        let [fast, one, many, fast_cpu, one_cpu] = self.seconds.each_ref().map(|s| median(s));
+        let [fast, one, many, strict, fast_cpu, one_cpu] = self.seconds.each_ref().map(|s| median(s));
         let runs = self.seconds[0].len();
         let mut push = |key: String, value: f64, error: f64, unit: &str, of: &str, peer: Option<f64>| {
             let figure = Figure::new(format!("{name}.{key}"), value, unit).error(error, of).runs(runs);
@@ -165,6 +170,7 @@ impl<'k> Case<'k> {
             of_sse,
             Some(rate(worlds, fast_cpu)),
         );
+        push(format!("strict.W{worlds}"), rate(worlds, strict), strictly, states, of_sse, None);
         let peer = Some(rate(GROUPS, one_cpu));
         push("utilities.1".into(), rate(GROUPS, one), off, utilities, of_largest, peer);
         let key = format!("utilities.{contexts}");

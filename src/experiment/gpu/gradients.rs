@@ -18,7 +18,6 @@ const JUDGED: usize = 3;
 
 struct Case<'k> {
     subject: Subject,
-    scene: Scene,
     stages: Stages,
     engine: Engine<'k>,
     /// One world, and many; how many, and seconds per step.
@@ -75,8 +74,7 @@ impl<'k> Case<'k> {
         let mut stages = Stages::new(device)?;
         stages.prepare(device, &scene, &subject.camera, &settings)?;
         let tiles = stages.tiles()?;
-        let copy = Scene::with_groups(device, &subject.splats(), &subject.groups)?;
-        let engine = Engine::with_tiles(device, kernels, copy, tiles, GROUPS, &subject.wanted, &settings)?;
+        let engine = Engine::with_tiles(device, kernels, scene, tiles, GROUPS, &subject.wanted, &settings)?;
         let batch = |count: usize| -> Result<_> {
             Ok((engine.worlds(&scene::deliveries(count))?, count, Vec::new()))
         };
@@ -86,7 +84,6 @@ impl<'k> Case<'k> {
             workspace: Workspace::new(),
             room: Gradients::default(),
             subject,
-            scene,
             stages,
             engine,
         })
@@ -94,14 +91,14 @@ impl<'k> Case<'k> {
 
     fn measure(&mut self, context: &Context) -> Result<()> {
         let (device, settings) = (&context.device, Settings::default());
-        let Self { subject, scene, stages, engine, batches, cpu, workspace, room } = self;
+        let Self { subject, stages, engine, batches, cpu, workspace, room } = self;
         for (worlds, count, seconds) in batches {
             // Steps in a train without waiting.
             let train = if context.is_cpu { 1 } else { 4 + 60 / *count };
             device.wait()?;
             let start = Instant::now();
             for _ in 0..train {
-                stages.prepare(device, scene, &subject.camera, &settings)?;
+                stages.prepare(device, engine.scene(), &subject.camera, &settings)?;
                 let mut encoder =
                     device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
                 stages.encode(&mut encoder)?;
