@@ -3,6 +3,8 @@
 //!
 //! ```text
 //! Device ─▶ Scene (uploaded once) ─▶ Renderer::draw (camera in, nothing read back) ─▶ Renderer::read
+//!        └▶ Scene + Stages (camera in) ─▶ counterfactual::Engine: errors of worlds, utilities of groups
+//!                                      └▶ adjoint::Engine: losses of worlds, gradients summed over them
 //! ```
 //!
 //! Counts stay on the device: what one stage finds sizes the next through indirect dispatch. The host
@@ -17,8 +19,12 @@
 //! workgroups per dimension, no subgroups. [`wgsl`] lists every shader with its bindings, and a test
 //! checks structs, constants and bindings against Rust without a device.
 
+pub mod adjoint;
 mod buffers;
+#[cfg(test)]
+mod case;
 mod clock;
+pub mod counterfactual;
 mod device;
 mod error;
 mod kernel;
@@ -27,6 +33,8 @@ mod lists;
 mod presence;
 mod renderer;
 mod scene;
+pub mod states;
+mod tiles;
 mod vulkan;
 pub mod wgsl;
 
@@ -39,5 +47,6 @@ pub use lists::Lists;
 pub use presence::Presence;
 pub use renderer::Renderer;
 pub use scene::Scene;
+pub use tiles::{Stages, Tiles};
 /// The graphics library whose types appear here.
 pub use wgpu;

@@ -3,8 +3,11 @@
 //! Needs only the binary and a Vulkan driver. `DGS_GPU` names the adapter; an adapter that is a CPU gets
 //! smaller worlds. Every part is one function over a [`Context`].
 
+mod counterfactual;
 mod forward;
+mod gradients;
 mod scene;
+mod subject;
 mod worlds;
 
 use anyhow::Result;
@@ -30,7 +33,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
          7 (quick: 3) interleaved frames; stage times by device timestamps, wall from submission to completion, \
          stream per frame of a train without waiting between (not on a CPU adapter); error max: pixels away from any threshold, against the \
          f64 reference. worlds: three repetitions after five warm-ups, mean and Student-t 95 % interval; serial draws \
-         every world alone; error: bits of a world in the batch that differ from the world drawn alone",
+         every world alone; error: bits of a world in the batch that differ from the world drawn alone. \
+         counterfactual and gradients: scene A (64 cells) and B (64 shells), 128 groups, every step from the camera to \
+         sums on the device in one submission, steps in a train without waiting; peers with their set-up",
     );
     let device = match Device::open(&Options::from_env()) {
         Ok(device) => device,
@@ -45,5 +50,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let context = Context { quick: setup.quick, is_cpu: facts.is_cpu, device };
     forward::run(&context, &mut bench)?;
     worlds::run(&context, &mut bench)?;
+    counterfactual::run(&context, &mut bench)?;
+    gradients::run(&context, &mut bench)?;
     Ok(bench)
 }

@@ -193,6 +193,12 @@ impl Engine {
         if world < count { Ok(()) } else { Err(CounterfactualError::World { world, count }) }
     }
 
+    /// Changes every ellipse, as if the projection had given another.
+    #[cfg(test)]
+    pub(crate) fn map_splats(&mut self, change: impl Fn(&crate::stage::Splat) -> crate::stage::Splat) {
+        self.shared.splats.iter_mut().for_each(|splat| *splat = change(splat));
+    }
+
     /// Place of each group in `list`.
     pub(super) fn places(&self, list: &[u32]) -> Result<Vec<Option<u32>>, CounterfactualError> {
         let mut out = vec![None; self.groups];

@@ -225,7 +225,8 @@ impl Device {
         bytes: u64,
         usage: wgpu::BufferUsages,
     ) -> Result<wgpu::Buffer, GpuError> {
-        let size = bytes.max(16).next_multiple_of(16);
+        // Room for one of any struct: WebGPU refuses bindings smaller than that.
+        let size = bytes.max(64).next_multiple_of(16);
         let storage = usage.contains(wgpu::BufferUsages::STORAGE);
         let allowed =
             if storage { self.facts.max_binding_bytes } else { u64::MAX }.min(self.facts.max_buffer_bytes);

@@ -137,11 +137,28 @@ pub const WORLDS: Source = Source {
 };
 
 /// All shaders. Add yours here, and its structs to `structs` in the tests below.
-pub const ALL: &[Source] = &[PROJECT, PLAN, SORT, BIN, STARTS, BLEND, WORLDS];
+pub const ALL: &[Source] = &[
+    PROJECT,
+    PLAN,
+    SORT,
+    BIN,
+    STARTS,
+    BLEND,
+    WORLDS,
+    super::states::SCAFFOLD,
+    super::states::SQUARES,
+    super::counterfactual::FAST,
+    super::counterfactual::STRICT,
+    super::counterfactual::UTILITIES,
+    super::adjoint::BLEND_BACK,
+    super::adjoint::PROJECT_BACK,
+    super::tiles::RANK,
+];
 
 #[cfg(test)]
 mod tests {
     use super::super::layout::{CONSTANTS, Frame, Splat};
+    use super::super::states::{Batch, Entry, Table};
     use super::*;
     use naga::valid::{Capabilities, ValidationFlags, Validator};
     use std::mem::offset_of;
@@ -167,6 +184,9 @@ mod tests {
             layout!(Frame: view, view_low, focal, principal, slope, background, size, near, near_low, low_pass,
                 alpha_cutoff, cutoff, log2_cutoff, alpha_max, stop, gaussians, degree, flags, zero, capacity,
                 worlds, world_words, spare),
+            layout!(Batch: groups, words, worlds, quads, scale, columns, first, spare),
+            layout!(Entry: splat, blocks),
+            layout!(Table: rows, columns, unused),
         ]
     }
 

@@ -1,0 +1,204 @@
+//! Tile lists on the device, of whatever made them.
+
+use super::layout::{Frame, Splat};
+use super::states::{filled, storage, uniform};
+use super::wgsl::{Bind, LAYOUT, Source};
+use super::{Device, GpuError, Kernel, Lists, Scene, groups_2d};
+use crate::counterfactual::Variants;
+use crate::stage::{self, TILE, bin, project, sort};
+use crate::{Camera, Settings};
+
+/// The place of every splat in the order of depth.
+pub const RANK: Source = Source {
+    name: "rank.wgsl",
+    parts: &[LAYOUT, include_str!("../counterfactual/rank.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("counts", Bind::Read),
+        ("order", Bind::Read),
+        ("ranks", Bind::Write),
+    ],
+};
+
+/// What one camera sees of a scene: ellipses, and per tile the list of those that touch it.
+#[derive(Clone, Debug)]
+pub struct Tiles {
+    pub(super) size: [u32; 2],
+    /// Entries there is room for; at least as many as there are.
+    pub(super) capacity: usize,
+    /// A [`Frame`].
+    pub(super) frame: wgpu::Buffer,
+    /// A [`Splat`] per Gaussian.
+    pub(super) splats: wgpu::Buffer,
+    /// Per Gaussian its place in the order of depth, from 1; 0 when it was skipped.
+    pub(super) ranks: wgpu::Buffer,
+    /// Tile `t` is `list[starts[t]..starts[t + 1]]`.
+    pub(super) starts: wgpu::Buffer,
+    /// Indices of splats, nearest first, ties by index.
+    pub(super) list: wgpu::Buffer,
+}
+
+impl Tiles {
+    /// The lists that the CPU's stages make, uploaded: the twin that judges lists made on the device.
+    ///
+    /// # Errors
+    /// A setting out of range, or a buffer that the device does not grant.
+    pub fn from_cpu(
+        device: &Device,
+        variants: &Variants,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<Self, GpuError> {
+        settings.validate()?;
+        let size = [camera.width(), camera.height()];
+        let [columns, rows] = size.map(|side| (side as usize).div_ceil(TILE));
+        let mut projected = project::Projected::default();
+        let (mut order, mut bands, mut bins) = (sort::Order::default(), Vec::new(), bin::Bins::default());
+        let scene = variants.splats();
+        project::project(&scene, camera, settings, &mut projected);
+        sort::sort(&projected.keys, settings.parallel, &mut order);
+        bin::bands(&projected, &order, columns, rows, &mut bands);
+        let (mut starts, mut list) = (vec![0u32], Vec::new());
+        for band in &bands {
+            bin::bin(&projected, &order, band, columns, settings, &mut bins);
+            for row in bins.rows() {
+                for column in 0..columns {
+                    list.extend_from_slice(row.tile(column));
+                    starts.push(list.len() as u32);
+                }
+            }
+        }
+        let splats: Vec<Splat> =
+            projected.splats.iter().zip(variants.groups()).map(|(s, &group)| rounded(s, group)).collect();
+        let mut ranks = vec![0u32; scene.len()];
+        (1..).zip(order.indices()).for_each(|(rank, splat)| ranks[splat as usize] = rank);
+        let degree = settings.degree(scene.sh_degree());
+        let frame = Frame::new(camera, settings, scene.len() as u32, degree);
+        Ok(Self {
+            size,
+            capacity: list.len(),
+            frame: uniform(device, "frame", bytemuck::bytes_of(&frame))?,
+            splats: filled(device, "splats", bytemuck::cast_slice(&splats))?,
+            ranks: filled(device, "ranks", bytemuck::cast_slice(&ranks))?,
+            starts: filled(device, "starts", bytemuck::cast_slice(&starts))?,
+            list: filled(device, "list", bytemuck::cast_slice(&list))?,
+        })
+    }
+
+    /// Columns and rows of tiles.
+    pub(super) fn grid(&self) -> [u32; 2] {
+        self.size.map(|side| side.div_ceil(TILE as u32))
+    }
+
+    /// Number of tiles.
+    pub(super) fn count(&self) -> usize {
+        let [columns, rows] = self.grid();
+        columns as usize * rows as usize
+    }
+}
+
+/// Tile lists made on the device, frame by frame, for engines over states. Nothing is read back; whether
+/// the lists fitted their buffer, [`Lists::read_counts`] says when asked.
+#[derive(Debug)]
+pub struct Stages {
+    lists: Lists,
+    rank: Kernel,
+    ranks: Option<(wgpu::Buffer, wgpu::BindGroup)>,
+}
+
+impl Stages {
+    /// Compiles.
+    ///
+    /// # Errors
+    /// The device refuses a shader.
+    pub fn new(device: &Device) -> Result<Self, GpuError> {
+        Ok(Self { lists: Lists::new(device)?, rank: Kernel::new(device, &RANK, "rank", &[])?, ranks: None })
+    }
+
+    /// Makes room for `scene` and sends the camera. True when a buffer was replaced: then what was bound to
+    /// [`Stages::tiles`] must be bound again.
+    ///
+    /// # Errors
+    /// A setting out of range, or no room on the device.
+    pub fn prepare(
+        &mut self,
+        device: &Device,
+        scene: &Scene,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<bool, GpuError> {
+        let moved = self.lists.prepare(device, scene, camera, settings, |_| ())?;
+        let needed = 4 * u64::from(scene.len());
+        if !moved && self.ranks.as_ref().is_some_and(|(ranks, _)| ranks.size() >= needed) {
+            return Ok(false);
+        }
+        let lists = &self.lists;
+        let ranks = storage(device, "ranks", needed)?;
+        let buffers = [lists.frame_buffer(), lists.counts(), lists.order()?, &ranks];
+        let bound = self.rank.bind(device, &buffers);
+        self.ranks = Some((ranks, bound));
+        Ok(true)
+    }
+
+    /// The buffers of the frame that was prepared.
+    ///
+    /// # Errors
+    /// [`Stages::prepare`] was not called.
+    pub fn tiles(&self) -> Result<Tiles, GpuError> {
+        let lists = &self.lists;
+        let Some((ranks, _)) = &self.ranks else {
+            return Err(GpuError::Refused { what: "tiles", message: "nothing was prepared".into() });
+        };
+        let [width, height, ..] = lists.frame().size;
+        Ok(Tiles {
+            size: [width, height],
+            capacity: lists.room() as usize,
+            frame: lists.frame_buffer().clone(),
+            splats: lists.splats()?.clone(),
+            ranks: ranks.clone(),
+            starts: lists.starts()?.clone(),
+            list: lists.entries()?.clone(),
+        })
+    }
+
+    /// The commands of one frame: project, sort, bin and ranks.
+    ///
+    /// # Errors
+    /// [`Stages::prepare`] was not called.
+    pub fn encode(&self, encoder: &mut wgpu::CommandEncoder) -> Result<(), GpuError> {
+        self.lists.encode(encoder, None)?;
+        if let Some((ranks, bound)) = &self.ranks {
+            encoder.clear_buffer(ranks, 0, None);
+            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+            self.rank.run(&mut pass, bound, groups_2d(self.lists.frame().gaussians.div_ceil(256)));
+        }
+        Ok(())
+    }
+
+    /// The lists, and how many entries they wanted.
+    pub fn lists(&self) -> &Lists {
+        &self.lists
+    }
+}
+
+/// A splat as kernels read it.
+fn rounded(s: &stage::Splat, group: u32) -> Splat {
+    let [x0, x1, y0, y1] = s.pixels.map(u32::from);
+    let anchor = [(x0 + x1) / 2, (y0 + y1) / 2];
+    Splat {
+        mean: std::array::from_fn(|k| (s.mean[k] - f64::from(anchor[k]) - 0.5) as f32),
+        columns: x0 | x1 << 16,
+        rows: y0 | y1 << 16,
+        root: s.root.map(|v| v as f32),
+        log2_alpha: s.log2_alpha,
+        colour: s.colour,
+        group,
+    }
+}
+
+/// `s` as if it had been read back from the device.
+#[cfg(test)]
+pub(super) fn through_f32(s: &stage::Splat) -> stage::Splat {
+    let there = rounded(s, 0);
+    stage::Splat { mean: there.centre(), root: there.root.map(f64::from), ..*s }
+}
