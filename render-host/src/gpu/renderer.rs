@@ -285,5 +285,7 @@ fn counters(counts: &[u32; COUNTS as usize], frame: &Frame) -> Counters {
         intersections: at(COUNT_ENTRIES),
         pixels: pixels(frame),
         pixels_stopped: at(COUNT_STOPPED),
+        // What only the CPU stages count.
+        ..Counters::default()
     }
 }
