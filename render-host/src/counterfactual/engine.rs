@@ -196,7 +196,7 @@ impl Engine {
     /// Changes every ellipse, as if the projection had given another.
     #[cfg(test)]
     pub(crate) fn map_splats(&mut self, change: impl Fn(&crate::stage::Splat) -> crate::stage::Splat) {
-        self.shared.splats.iter_mut().for_each(|splat| *splat = change(splat));
+        self.shared.projected.splats.iter_mut().for_each(|splat| *splat = change(splat));
     }
 
     /// Place of each group in `list`.
