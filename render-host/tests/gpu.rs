@@ -282,21 +282,10 @@ fn what_does_not_fit_is_refused_by_name() {
 }
 
 /// Values that break arithmetic, by kind.
+#[rustfmt::skip]
 const POISON: [f32; 14] = [
-    f32::NAN,
-    f32::INFINITY,
-    f32::NEG_INFINITY,
-    f32::MAX,
-    f32::MIN,
-    f32::MIN_POSITIVE,
-    1e-45,
-    -0.0,
-    0.0,
-    1e-12,
-    1e6,
-    -1e6,
-    1e30,
-    0.5,
+    f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, f32::MIN, f32::MIN_POSITIVE, 1e-45,
+    -0.0, 0.0, 1e-12, 1e6, -1e6, 1e30, 0.5,
 ];
 
 proptest! {

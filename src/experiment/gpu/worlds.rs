@@ -28,7 +28,7 @@ struct Row {
 /// Measures.
 pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     let (n, side, most) = match (context.quick, context.is_cpu) {
-        (true, _) => (2000, 48, 16),
+        (true, _) => (1500, 48, 8),
         (false, true) => (10_000, 96, 128),
         (false, false) => (84_000, 400, 128),
     };
