@@ -3,7 +3,7 @@
 use super::scaffold::Shared;
 use super::states::CHUNK;
 use super::tuner::{self, OutOfMemory, Tuned};
-use super::{CounterfactualError, States, Variants, strict};
+use super::{CounterfactualError, States, Variants, brute, strict};
 use crate::image::Image;
 use crate::stage::TILE;
 use crate::{Camera, Settings};
@@ -113,6 +113,11 @@ pub fn render_worlds(
     camera: &Camera,
     settings: &Settings,
 ) -> Result<Vec<Image>, CounterfactualError> {
+    let (found, needed) = (states.groups(), variants.count());
+    if found == needed && states.len() == 1 {
+        // Nothing to share: the tile renderer alone is quicker.
+        return Ok(vec![brute::image(variants, states, 0, camera, settings)?]);
+    }
     WorldBatch::new(variants, camera, settings)?.images(states)
 }
 
