@@ -5,7 +5,7 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use anyhow::Result;
-use render_host::counterfactual::{Engine, WorldBatch, brute};
+use render_host::counterfactual::{Engine, WorldBatch, brute, render_worlds};
 use render_host::{Renderer, Settings, Splats};
 
 use super::Setup;
@@ -55,14 +55,13 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     while worlds <= most {
         let some = states.range(0..worlds);
         let weights = vec![1.0 / worlds as f64; worlds];
-        let draw = repeat(calls, || {
-            Ok(black_box(WorldBatch::new(&variants, camera, &settings)?.images(&some)?.len()))
-        })?;
+        let draw =
+            repeat(calls, || Ok(black_box(render_worlds(&variants, &some, camera, &settings)?.len())))?;
         let train = repeat(calls, || {
             let engine = Engine::new(&variants, camera, &scene.against, &settings)?;
             Ok(black_box(engine.gradients(&variants, &some, &weights)?.losses.len()))
         })?;
-        let images = batch.images(&some)?;
+        let images = render_worlds(&variants, &some, camera, &settings)?;
         let mut differ = 0;
         for world in (0..worlds).step_by(worlds.div_ceil(4)) {
             let alone = brute::image(&variants, &states, world, camera, &settings)?;

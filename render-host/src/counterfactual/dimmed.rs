@@ -43,7 +43,10 @@ impl Dimmed {
         values.iter_mut().for_each(|v| *v *= factor);
         let settings = Settings { background: settings.background.map(|c| c * factor), ..settings.clone() };
         let gain = f64::from(factor).powi(-2);
-        Some(Box::new(Self { engine: Engine { shared, reference, settings, camera: camera.clone(), groups, dimmed: None }, gain }))
+        Some(Box::new(Self {
+            engine: Engine { shared, reference, settings, camera: camera.clone(), groups, dimmed: None },
+            gain,
+        }))
     }
 
     /// Bytes held.
