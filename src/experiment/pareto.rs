@@ -3,6 +3,7 @@
 //!
 //! `--out DIR` writes `pareto.csv`, `pareto-states.csv` and a drawing per scene, size and error.
 
+mod backend;
 mod candidates;
 mod states;
 
@@ -11,7 +12,7 @@ use std::{fmt::Write as _, time::Instant};
 use anyhow::Result;
 use codec_core::{Gaussian, gaussian::ShDegree};
 use render_host::{
-    Camera, Image, Rendered, Renderer, Settings, Splats, metric,
+    Camera, Image, Settings, Splats, metric,
     reference::{self, Reference},
 };
 use trainer_host::{
@@ -22,47 +23,11 @@ use trainer_host::{
 use super::{Setup, load, synth};
 use crate::figures::{Bench, Figure, median, number};
 use crate::report::scatter::{Point, Scatter, front};
+use backend::Backend;
 use candidates::{Candidate, KNOBS, candidates};
 
 /// Largest error of a channel that a default may add: half a step of an 8-bit display.
 const BUDGET: f64 = 0.5 / 255.0;
-
-/// Something that makes pictures; another one is another line of [`backends`].
-trait Backend {
-    /// Name in tables.
-    fn name(&self) -> &'static str;
-
-    /// Makes the picture, and keeps it.
-    fn render(&mut self, splats: &Splats, camera: &Camera, settings: &Settings) -> Result<()>;
-
-    /// The last picture.
-    fn image(&self) -> &Image;
-}
-
-#[derive(Default)]
-struct Cpu {
-    renderer: Renderer,
-    rendered: Rendered,
-}
-
-impl Backend for Cpu {
-    fn name(&self) -> &'static str {
-        "cpu"
-    }
-
-    fn render(&mut self, splats: &Splats, camera: &Camera, settings: &Settings) -> Result<()> {
-        Ok(self.renderer.render_into(splats, camera, settings, &mut self.rendered)?)
-    }
-
-    fn image(&self) -> &Image {
-        &self.rendered.image
-    }
-}
-
-/// All backends of this machine.
-fn backends() -> Vec<Box<dyn Backend>> {
-    vec![Box::<Cpu>::default()]
-}
 
 /// A scene to look at.
 struct View {
@@ -106,21 +71,26 @@ struct Row {
 pub fn run(setup: &Setup) -> Result<Bench> {
     let runs = if setup.quick { 3 } else { 9 };
     let sides: &[u32] = if setup.quick { &[128] } else { &[400, 800] };
+    let (mut backends, device) = backend::all(setup.quick)?;
     let mut bench = Bench::new(
         "pareto",
         format!(
             "one held-out view per scene at {sides:?} squared, black background; ms per frame: medians of {runs} interleaved runs after one that is dropped, \
-             order rotated; errors per channel, data range 1, against the f64 reference without early stop and cut only at 1e-12; FLIP at 67 pixels per degree; own: against the reference that lacks only what the knob takes away, pixels near a threshold left out; \
+             order rotated; a graphics device: scene uploaded before, picture read back within the time, 3 runs on one that is a CPU; errors per channel, data range 1, against the f64 reference without early stop and cut only at 1e-12; FLIP at 67 pixels per degree; own: against the reference that lacks only what the knob takes away, pixels near a threshold left out; \
              states: 32 states of 32 groups, relative error of sums of squares against the same reference"
         ),
     );
+    match device {
+        Ok(name) => bench.machine.device = Some(name),
+        Err(missing) => bench.skipped.push(missing),
+    }
     let mut csv = String::from(
         "scene,side,backend,knob,candidate,ms,max_abs,mean_abs,psnr_db,flip,own_max,front_max,front_mean\n",
     );
     let mut states_csv = String::from("scene,side,candidate,ms_per_state,relative_sse_error,front\n");
     for &side in sides {
         for view in views(setup, side, &mut bench)? {
-            let rows = measure(&view, runs)?;
+            let rows = measure(&view, runs, &mut backends)?;
             let key = format!("{}.{side}", view.name);
             let text = table(&key, &rows);
             if !setup.quiet.0 {
@@ -209,7 +179,7 @@ fn judge_of(knob: usize) -> usize {
     }
 }
 
-fn measure(view: &View, runs: usize) -> Result<Vec<Row>> {
+fn measure(view: &View, runs: usize, backends: &mut [Box<dyn Backend>]) -> Result<Vec<Row>> {
     let splats = view.splats()?;
     let mut references = Vec::new();
     for settings in judges() {
@@ -218,12 +188,17 @@ fn measure(view: &View, runs: usize) -> Result<Vec<Row>> {
     let truth = &references[0];
     let (width, height) = (view.camera.width(), view.camera.height());
     let wanted = Image::new(width, height, truth.rgb.iter().map(|&v| v as f32).collect())?;
-    let mut backends = backends();
+    for backend in backends.iter_mut() {
+        backend.take(&splats)?;
+    }
     let all = candidates(view.degree.get());
     let jobs: Vec<(usize, &Candidate)> = backends
         .iter()
         .enumerate()
-        .flat_map(|(b, _)| all.iter().filter(move |c| b == 0 || c.everywhere).map(move |c| (b, c)))
+        .flat_map(|(b, backend)| {
+            let measured = move |c: &&Candidate| (b == 0 || c.everywhere) && backend.takes(&c.settings);
+            all.iter().filter(measured).map(move |c| (b, c))
+        })
         .collect();
     let mut times = vec![Vec::new(); jobs.len()];
     let mut rows = Vec::new();
@@ -234,6 +209,9 @@ fn measure(view: &View, runs: usize) -> Result<Vec<Row>> {
             let at = (at + 5 * run) % jobs.len();
             let (backend, candidate) = jobs[at];
             let backend = &mut backends[backend];
+            if run > backend.most_runs() {
+                continue;
+            }
             let start = Instant::now();
             backend.render(&splats, &view.camera, &candidate.settings)?;
             if run > 0 {
@@ -400,7 +378,7 @@ mod tests {
     #[test]
     fn the_random_scene_is_measured_against_another_picture_than_its_own() {
         let view = random(300, 48).unwrap();
-        let rows = measure(&view, 1).unwrap();
+        let rows = measure(&view, 1, &mut [backend::cpu()]).unwrap();
         let of = |name: &str| rows.iter().find(|r| r.name == name).unwrap();
         assert!(of("exact").max < 1e-5, "{}", of("exact").max);
         assert!(of("default").max > of("exact").max && of("default").max < 0.05);

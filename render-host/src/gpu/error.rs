@@ -1,7 +1,7 @@
 //! What can go wrong on a device.
 
 use crate::image::ImageError;
-use crate::settings::SettingsError;
+use crate::settings::{Settings, SettingsError};
 
 /// A device, a buffer or a frame that could not be had.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -66,10 +66,55 @@ pub enum GpuError {
         /// Values needed.
         needed: usize,
     },
+    /// A tolerance that only the CPU stages have.
+    #[error("setting {field} is {found}; on a device only {allowed} is allowed")]
+    CpuOnly {
+        /// Which setting.
+        field: &'static str,
+        /// Its value.
+        found: String,
+        /// The value that works.
+        allowed: &'static str,
+    },
     /// A setting is out of range.
     #[error(transparent)]
     Settings(#[from] SettingsError),
     /// The image could not be made.
     #[error(transparent)]
     Image(#[from] ImageError),
+}
+
+/// Checks every range, and that nothing is asked for that the device's stages do not do.
+///
+/// # Errors
+/// The first setting that will not do.
+pub(super) fn check(settings: &Settings) -> Result<(), GpuError> {
+    settings.validate()?;
+    let refuse = |field, found: String, allowed| Err(GpuError::CpuOnly { field, found, allowed });
+    if settings.depth_bits != 32 {
+        return refuse("depth_bits", settings.depth_bits.to_string(), "32");
+    }
+    if settings.half_attributes {
+        return refuse("half_attributes", true.to_string(), "false");
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tolerances_of_the_cpu_stages_are_refused_by_name() {
+        check(&Settings::default()).unwrap();
+        let bad = [
+            ("depth_bits is 24", Settings { depth_bits: 24, ..Settings::default() }),
+            ("half_attributes is true", Settings { half_attributes: true, ..Settings::default() }),
+            ("alpha_max is 2", Settings { alpha_max: 2.0, ..Settings::default() }),
+        ];
+        for (text, settings) in bad {
+            let error = check(&settings).unwrap_err().to_string();
+            assert!(error.contains(text), "{error}");
+        }
+    }
 }

@@ -4,7 +4,7 @@ use super::layout::{
     ARGS, ARGS_DRAWN, ARGS_SORT_DRAWN, ARGS_SORT_ENTRIES, ARGS_STRIDE, COUNT_ENTRIES, COUNT_WANTED, COUNTS,
     DIGITS, Frame, SORT_BLOCK, Splat, WORKGROUP,
 };
-use super::{Clock, Device, GpuError, Growing, Kernel, Scene, groups_2d, wgsl};
+use super::{Clock, Device, GpuError, Growing, Kernel, Scene, error, groups_2d, wgsl};
 use crate::{Camera, Settings};
 use wgpu::BufferUsages;
 
@@ -179,7 +179,7 @@ impl Lists {
         settings: &Settings,
         change: impl FnOnce(&mut Frame),
     ) -> Result<bool, GpuError> {
-        settings.validate()?;
+        error::check(settings)?;
         let degree = settings.max_sh_degree.min(scene.degree());
         let mut frame = Frame::new(camera, settings, scene.len(), degree);
         change(&mut frame);
