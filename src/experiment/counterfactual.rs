@@ -1,6 +1,8 @@
 //! States per second of the counterfactual engine against rendering every state alone, with the errors
 //! beside the speeds.
 
+mod table;
+
 use std::hint::black_box;
 use std::time::Instant;
 
@@ -26,13 +28,14 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         format!(
             "{n} Gaussians in {groups} groups (64 clusters of 2 additive levels), W = {worlds} states of which each lacks a tenth of the clusters, one \
              camera; A: uniform volume in cells, B: overlapping shells; medians of {runs} interleaved runs, set-up (project, sort, bin) included; brute \
-             force renders {ALONE} states with the tile renderer (early stop on), its time scaled to W"
+             force renders {ALONE} states with the tile renderer (early stop on), its time scaled to W; table: all utilities of 32 clusters of 4 levels in 32 contexts at 4 frames"
         ),
     );
     for &side in &sides {
         for kind in ['A', 'B'] {
             measure(&mut bench, kind, n, side, worlds, runs)?;
         }
+        table::run(&mut bench, n, side, runs)?;
     }
     Ok(bench)
 }

@@ -44,7 +44,16 @@ pub(crate) struct Partial {
 impl Partial {
     /// Scene `kind`, A or B, of `n` Gaussians at `side` × `side` pixels.
     pub(crate) fn new(kind: char, n: usize, side: u32, settings: &Settings) -> Result<Self> {
-        let (gaussians, groups) = scene(kind, n);
+        Self::turned(kind, n, side, 0.0, settings)
+    }
+
+    /// As [`Partial::new`], every centre turned by `angle` radians about z.
+    pub(crate) fn turned(kind: char, n: usize, side: u32, angle: f32, settings: &Settings) -> Result<Self> {
+        let (mut gaussians, groups) = scene(kind, n);
+        let (sin, cos) = angle.sin_cos();
+        for Gaussian { position: [x, y, _], .. } in &mut gaussians {
+            (*x, *y) = (cos * *x - sin * *y, sin * *x + cos * *y);
+        }
         let fov_y = 2.0 * (0.5f64 / 0.9).atan();
         let camera = Camera::look_at([1.9, -2.1, 1.45], [0.0; 3], [0.0, 0.0, 1.0], fov_y, side, side)?;
         let mut out = Self { gaussians, groups, camera, against: Image::filled(side, side, [0.0; 3])? };
@@ -98,13 +107,21 @@ fn scene(kind: char, n: usize) -> (Vec<Gaussian>, Vec<u32>) {
 
 /// What `worlds` receivers may hold.
 pub(crate) fn deliveries(worlds: usize) -> States {
+    deliveries_of(LATTICE, worlds)
+}
+
+/// What `worlds` receivers of clusters and levels of `lattice` may hold: a random number of levels of each
+/// cluster, none of one in ten. A lattice of as many groups as [`LATTICE`] cuts the same scenes otherwise.
+pub(crate) fn deliveries_of(lattice: Lattice, worlds: usize) -> States {
     let mut r = Numbers(99);
-    let mut states = States::new(LATTICE.groups());
+    let mut states = States::new(lattice.groups());
     for _ in 0..worlds {
-        let depth: Vec<usize> = (0..LATTICE.clusters)
-            .map(|_| if r.unit() < 0.1 { 0 } else { 1 + usize::from(r.unit() < 0.5) })
-            .collect();
-        LATTICE.push_additive(&mut states, |cluster, level| level < depth[cluster]);
+        let mut depth = || match r.unit() < 0.1 {
+            true => 0,
+            false => 1 + (r.unit() * lattice.levels as f32) as usize,
+        };
+        let depth: Vec<usize> = (0..lattice.clusters).map(|_| depth()).collect();
+        lattice.push_additive(&mut states, |cluster, level| level < depth[cluster]);
     }
     states
 }
