@@ -147,7 +147,7 @@ impl Engine {
     /// Mean squared error of every world, and the gradient of their sum weighted by `weights`, one finite
     /// number per world, with respect to everything `variants` and the camera hold. `variants` are those the
     /// engine was made of. No early stop; gradients as [`crate::render_and_gradients`] has them with early
-    /// stop off, within 1e-5 relative to their length ([`brute::gradients`] is the twin).
+    /// stop off, within 1e-5 relative to their length ([`super::brute::gradients`] is the twin).
     ///
     /// # Errors
     /// States of another number of groups, variants that are not the engine's, or weights that are not one
