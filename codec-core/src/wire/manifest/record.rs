@@ -51,7 +51,7 @@ macro_rules! record {
 record! {
     /// Fixed head of the manifest body.
     Head, "manifest.", 44 {
-        /// [`Profile`] as a number.
+        /// [`super::Profile`] as a number.
         profile: u8 = u8,
         /// Highest harmonic degree of any cluster.
         sh_degree: u8 = u8,
