@@ -44,7 +44,8 @@ pub struct Settings {
     pub cull_sub_pixel: bool,
     /// Skip: bound a splat by its own opacity, not as if it were opaque.
     pub opacity_bounds: bool,
-    /// Skip: list a splat only in tiles that its cut-off ellipse touches, not in all of its box.
+    /// Skip: list a splat only in tiles that its cut-off ellipse touches, not in all of its box, where that
+    /// is more than [`SMALL_BOX`](crate::stage::SMALL_BOX) tiles.
     pub exact_tiles: bool,
     /// Skip: leave a splat out of the lists of tiles none of whose pixel centres it reaches, by looking at
     /// pixel rows where `exact_tiles` (which this refines) looks at the strip they lie in.

@@ -60,6 +60,10 @@ impl Splat {
     }
 }
 
+/// Tiles in the box of a splat up to which it is listed in all of them. Measured: the exact bounds of so
+/// small a box cost more than the entries that they leave out.
+pub const SMALL_BOX: usize = 6;
+
 #[cfg(test)]
 mod tests {
     use super::*;

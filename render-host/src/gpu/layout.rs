@@ -5,7 +5,7 @@
 use bytemuck::{Pod, Zeroable};
 
 use crate::stage::project::slope_limits;
-use crate::stage::{REACH_MARGIN, TILE};
+use crate::stage::{REACH_MARGIN, SMALL_BOX, TILE};
 use crate::{Camera, Settings};
 
 /// Bytes from one place of the indirect arguments to the next: three counts and padding.
@@ -72,6 +72,7 @@ pub const GAUSSIAN_ROWS: u32 = 14;
 /// Constants that must have the same value in WGSL, by name.
 pub const CONSTANTS: &[(&str, f64)] = &[
     ("TILE", TILE as f64),
+    ("SMALL_BOX", SMALL_BOX as f64),
     ("WORKGROUP", WORKGROUP as f64),
     ("SORT_BLOCK", SORT_BLOCK as f64),
     ("DIGITS", DIGITS as f64),

@@ -16,7 +16,7 @@ use std::ops::Range;
 use super::fade::Fade;
 use super::project::Projected;
 use super::sort::Order;
-use super::{REACH_MARGIN, Splat, TILE};
+use super::{REACH_MARGIN, SMALL_BOX, Splat, TILE};
 use crate::parallel;
 use crate::settings::Settings;
 
@@ -305,8 +305,8 @@ impl Shape {
         let boxed = (visible.len() * columns.len()) as u64;
         if !self.exact_tiles {
             visible.for_each(|row| push(row, columns.clone()));
-        } else if rows.len() == 1 && columns.len() == 1 && !self.cull_entries {
-            // A single tile needs no test: the pixel box already touches the ellipse.
+        } else if rows.len() * columns.len() <= SMALL_BOX && !self.cull_entries {
+            // Too few tiles could be left out to pay for the looking.
             visible.for_each(|row| push(row, columns.clone()));
         } else {
             self.exact(splat, visible, push);

@@ -1,6 +1,7 @@
 // What every kernel shares: `gpu/layout.rs` in WGSL. A test compares the two.
 
 const TILE: u32 = 16u;
+const SMALL_BOX: u32 = 6u;
 const WORKGROUP: u32 = 256u;
 const SORT_BLOCK: u32 = 1024u;
 const DIGITS: u32 = 256u;

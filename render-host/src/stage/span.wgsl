@@ -4,9 +4,8 @@
 fn span(s: Splat, row: u32) -> vec2<u32> {
     let b = pixel_box(s);
     let all = vec2<u32>(b.x / TILE, (b.y + TILE - 1u) / TILE);
-    // A single tile needs no test: the pixel box already touches the ellipse.
-    let single = all.y - all.x == 1u && (b.w - 1u) / TILE == b.z / TILE;
-    if (frame.flags & FLAG_EXACT) == 0u || single {
+    let rows = (b.w + TILE - 1u) / TILE - b.z / TILE;
+    if (frame.flags & FLAG_EXACT) == 0u || rows * (all.y - all.x) <= SMALL_BOX {
         return all;
     }
     let reach = reach_of(s.log2_alpha, frame.log2_cutoff) * 1.000002;
