@@ -2,12 +2,10 @@
 
 use anyhow::Result;
 use codec_core::Gaussian;
-use render_host::{Camera, Image};
+use render_host::{Camera, Image, counterfactual::Lattice};
 
-/// Clusters of each scene.
-pub(super) const CLUSTERS: usize = 64;
-/// Levels of each cluster; level `l` of cluster `c` is group `2c + l`.
-pub(super) const LEVELS: usize = 2;
+/// Clusters and additive levels of each scene: 128 groups.
+pub(super) const LATTICE: Lattice = Lattice { clusters: 64, levels: 2 };
 
 /// Which scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -16,6 +14,11 @@ pub(super) enum Kind {
     Volume,
     /// On overlapping ellipsoid shells, flat along one axis; clusters are the shells.
     Shells,
+}
+
+impl Kind {
+    /// Both, and the letter of each in keys of figures.
+    pub(super) const ALL: [(Self, char); 2] = [(Self::Volume, 'A'), (Self::Shells, 'B')];
 }
 
 /// Gaussians of degree 0 and the group of each.
@@ -51,7 +54,7 @@ impl Numbers {
 /// a normal of σ = 1.5.
 pub(super) fn cloud(kind: Kind, n: usize) -> Cloud {
     let mut r = Numbers(7);
-    let shells: Vec<[[f32; 3]; 3]> = (0..CLUSTERS)
+    let shells: Vec<[[f32; 3]; 3]> = (0..LATTICE.clusters)
         .map(|_| [[-0.9, 0.9], [0.08, 0.3], [0.0, 1.0]].map(|[a, b]| [0; 3].map(|_| r.between(a, b))))
         .collect();
     let mut one = |i: usize| {
@@ -64,13 +67,13 @@ pub(super) fn cloud(kind: Kind, n: usize) -> Cloud {
                 (position, [0; 3].map(|_| grow(0.012, &mut r)), [0; 3].map(|_| r.unit()), cluster, 0.0)
             }
             Kind::Shells => {
-                let [centre, radii, base] = shells[i % CLUSTERS];
+                let [centre, radii, base] = shells[i % LATTICE.clusters];
                 let d = [0; 3].map(|_| r.normal());
                 let length = d.iter().map(|v| v * v).sum::<f32>().sqrt();
                 let position = std::array::from_fn(|k| centre[k] + radii[k] * d[k] / length);
                 let scale = [grow(0.013, &mut r), grow(0.013, &mut r), 0.25 * 0.013];
                 let colour = base.map(|c| (c + 0.2 * r.normal()).clamp(0.0, 1.0));
-                (position, scale, colour, i % CLUSTERS, 1.0)
+                (position, scale, colour, i % LATTICE.clusters, 1.0)
             }
         };
         let q = [0; 4].map(|_| r.normal());
@@ -79,19 +82,19 @@ pub(super) fn cloud(kind: Kind, n: usize) -> Cloud {
         let sh0 = colour.map(|c| (c - 0.5) / 0.282_094_8);
         let level = usize::from(r.unit() < 0.5);
         let gaussian = Gaussian { position, scale, rotation: q.map(|v| v / length), opacity, sh0 };
-        (gaussian, (LEVELS * cluster + level) as u32)
+        (gaussian, LATTICE.group(cluster, level) as u32)
     };
     let (gaussians, groups) = (0..n).map(&mut one).unzip();
     Cloud { gaussians, groups }
 }
 
-/// A camera 3.2 from the origin, focal length 0.9 of the width, `side` pixels square.
+/// A camera 3.2 from the origin, oblique to all axes, focal length 0.9 of the width, `side` pixels square.
 ///
 /// # Errors
 /// A side that no camera has.
 pub(super) fn camera(side: u32) -> Result<Camera> {
     let fov = 2.0 * (0.5f64 / 0.9).atan();
-    Ok(Camera::look_at([0.0, 0.0, -3.2], [0.0; 3], [0.0, -1.0, 0.0], fov, side, side)?)
+    Ok(Camera::look_at([1.9, -2.1, 1.45], [0.0; 3], [0.0, 0.0, 1.0], fov, side, side)?)
 }
 
 /// `picture` in slightly other colours, so that no error is 0.

@@ -11,7 +11,8 @@ use render_host::counterfactual::{Engine, States, Variants, WorldGradients, brut
 use render_host::{Renderer, Settings, reference};
 
 use super::Setup;
-use super::partial::{LATTICE, Partial, deliveries};
+use super::cloud::{Kind, LATTICE};
+use super::partial::{Partial, deliveries};
 use crate::figures::{Bench, Figure, median};
 
 /// Worlds that brute force renders per round, and differentiates; its time is scaled to all.
@@ -32,7 +33,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         ),
     );
     for &side in &sides {
-        for kind in ['A', 'B'] {
+        for kind in Kind::ALL {
             measure(&mut bench, kind, n, side, worlds, runs)?;
         }
         table::run(&mut bench, n, side, runs)?;
@@ -40,7 +41,14 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     Ok(bench)
 }
 
-fn measure(bench: &mut Bench, kind: char, n: usize, side: u32, worlds: usize, runs: usize) -> Result<()> {
+fn measure(
+    bench: &mut Bench,
+    (kind, letter): (Kind, char),
+    n: usize,
+    side: u32,
+    worlds: usize,
+    runs: usize,
+) -> Result<()> {
     let settings = Settings::default();
     let no_stop = Settings { early_stop: false, ..settings.clone() };
     let scene = Partial::new(kind, n, side, &settings)?;
@@ -94,12 +102,18 @@ fn measure(bench: &mut Bench, kind: char, n: usize, side: u32, worlds: usize, ru
         got.iter().zip(&expected).filter(|(a, b)| a.to_bits() != b.to_bits()).count()
     };
 
-    let key = |name: &str| format!("{kind}{side}.{name}");
+    let key = |name: &str| format!("{letter}{side}.{name}");
     let w = worlds as f64;
     let f64_error = "relative SSE against f64 without early stop";
     let mut push = |figure: Figure| bench.push(figure.runs(runs));
-    push(Figure::new(key("single_render"), 1e3 * single, "ms"));
-    push(Figure::new(key("set_up"), 1e3 * set_up, "ms"));
+    push(
+        Figure::new(key("single_render"), 1e3 * single, "ms")
+            .error(errors.picture, "max abs against f64, away from thresholds"),
+    );
+    push(
+        Figure::new(key("set_up"), 1e3 * set_up, "ms")
+            .error(strict_differs as f64, "states differ from brute force in a bit"),
+    );
     push(Figure::new(key("brute"), alone, "states/s").error(errors.brute, f64_error));
     push(Figure::new(key("fast"), w / fast, "states/s").error(errors.fast, f64_error).peer(
         "brute force",
@@ -158,6 +172,7 @@ fn measure(bench: &mut Bench, kind: char, n: usize, side: u32, worlds: usize, ru
 
 /// Errors of the modes, each against its twin.
 struct Errors {
+    picture: f64,
     brute: f64,
     fast: f64,
     leave_one_out: f64,
@@ -177,9 +192,12 @@ impl Errors {
     ) -> Result<Self> {
         let (camera, against, groups) = (&scene.camera, &scene.against, LATTICE.groups());
         let sse = |states: &States| brute::sse(variants, states, camera, against, no_stop);
+        let stop = Settings::default();
+        let picture = render_host::render(&scene.splats(), camera, &stop)?.image;
+        let exact = reference::render(&scene.splats(), camera, &stop)?.difference(picture.rgb());
         let (mut of_brute, mut of_fast) = (0.0f64, 0.0f64);
         let two = some(states, 2);
-        let stopped = brute::sse(variants, &two, camera, against, &Settings::default())?;
+        let stopped = brute::sse(variants, &two, camera, against, &stop)?;
         for (world, fast) in engine.fast(&two)?.iter().enumerate() {
             let (gaussians, _) = brute::world(variants, &two, world);
             let exact = reference::render(&render_host::Splats::plain(&gaussians), camera, no_stop)?;
@@ -221,6 +239,7 @@ impl Errors {
             &brute::gradients(variants, &two, &weights, camera, against, no_stop)?,
         );
         Ok(Self {
+            picture: exact.map_or(f64::NAN, |d| d.max_clear),
             brute: of_brute,
             fast: of_fast,
             leave_one_out: toggled(&full)?,
@@ -233,7 +252,7 @@ impl Errors {
 }
 
 /// Length of the difference over the length of the expected, for the class of parameters where it is most.
-fn distance(got: &WorldGradients, expected: &WorldGradients) -> f64 {
+pub(super) fn distance(got: &WorldGradients, expected: &WorldGradients) -> f64 {
     type Class = fn(&render_host::adjoint::SplatGradient) -> Vec<f32>;
     let classes: [Class; 5] = [
         |g| g.position.to_vec(),
@@ -269,4 +288,29 @@ fn time<T, E>(times: &mut Vec<f64>, work: impl FnOnce() -> Result<T, E>) -> Resu
     black_box(work()?);
     times.push(start.elapsed().as_secs_f64());
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use render_host::adjoint::SplatGradient;
+
+    #[test]
+    fn a_wrong_gradient_shows() {
+        let of = |position, opacity_logit| WorldGradients {
+            splats: vec![SplatGradient {
+                position: [position, 0.0, 0.0],
+                log_scale: [1.0; 3],
+                rotation: [1.0; 4],
+                opacity_logit,
+                sh0: [1.0; 3],
+                ..SplatGradient::default()
+            }],
+            ..WorldGradients::default()
+        };
+        let right = of(2.0, 4.0);
+        assert_eq!(distance(&right, &right), 0.0);
+        assert_eq!(distance(&of(3.0, 4.0), &right), 0.5);
+        assert_eq!(distance(&of(3.0, 1.0), &right), 0.75, "the worst class counts");
+    }
 }

@@ -6,15 +6,26 @@
 mod counterfactual;
 mod forward;
 mod gradients;
-mod scene;
-mod subject;
 mod worlds;
 
 use anyhow::Result;
+use render_host::Settings;
 use render_host::gpu::{Device, GpuError, Options};
 
 use super::Setup;
+use super::cloud::Kind;
+use super::partial::Partial;
 use crate::figures::Bench;
+
+/// The scenes of the engines over states, and the start of their keys; only A when it must be quick.
+fn partials(n: usize, side: u32, quick: bool) -> Result<Vec<(String, Partial)>> {
+    let kinds = Kind::ALL.into_iter().take(if quick { 1 } else { 2 });
+    kinds
+        .map(|(kind, letter)| {
+            Ok((format!("{letter}.{side}"), Partial::new(kind, n, side, &Settings::default())?))
+        })
+        .collect()
+}
 
 /// What every part is told.
 struct Context {

@@ -20,6 +20,7 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
+use super::cloud::{Numbers, camera};
 use super::{Setup, load, synth};
 use crate::figures::{Bench, Figure, median, number};
 use crate::report::scatter::{Point, Scatter, front};
@@ -135,12 +136,8 @@ fn views(setup: &Setup, side: u32, bench: &mut Bench) -> Result<Vec<View>> {
 /// `n` Gaussians in [-1, 1]³ with harmonics of degree 3, seen from 3.2 away with a focal length of 0.9 of the
 /// width: the random scene of the renderer's goals.
 fn random(n: usize, side: u32) -> Result<View> {
-    let mut state = 7u64;
-    let mut unit = || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        (state >> 40) as f32 / (1u64 << 24) as f32
-    };
-    let mut between = |low: f32, high: f32| low + (high - low) * unit();
+    let mut r = Numbers(7);
+    let mut between = |low: f32, high: f32| r.between(low, high);
     let degree = ShDegree::MAX;
     let (low, high) = (0.004f32.ln(), 0.02f32.ln());
     let gaussians = (0..n)
@@ -153,8 +150,7 @@ fn random(n: usize, side: u32) -> Result<View> {
         })
         .collect();
     let rest = (0..n * degree.rest_len()).map(|_| between(-0.1, 0.1)).collect();
-    let fov_y = 2.0 * (0.5f64 / 0.9).atan();
-    let camera = Camera::look_at([1.9, -2.1, 1.45], [0.0; 3], [0.0, 0.0, 1.0], fov_y, side, side)?;
+    let camera = camera(side)?;
     Ok(View { name: format!("random-{n}"), gaussians, rest, degree, camera })
 }
 

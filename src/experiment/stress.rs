@@ -81,7 +81,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         let figure = Figure::new(format!("{key}.forward"), f.times.forward, "ms");
         bench
             .push(figure.error(f.worst.difference.max_clear, "share of the largest value, clear").runs(runs));
-        bench.push(Figure::new(format!("{key}.gradients"), f.times.gradients, "ms").runs(runs));
+        let figure = Figure::new(format!("{key}.gradients"), f.times.gradients, "ms");
+        bench.push(figure.error(f.non_finite as f64, "gradients left f32 and are 0").runs(runs));
         let figure = Figure::new(format!("{key}.counterfactual"), f.times.worlds, "ms");
         bench.push(figure.error(f.worst.fast_error, "relative, fast sums").runs(runs));
         bench.push(Figure::new(format!("{key}.psnr_vs_f64"), f.worst.difference.psnr_db, "dB"));

@@ -6,10 +6,12 @@ use std::time::Instant;
 
 use anyhow::Result;
 use render_host::counterfactual::{Engine, WorldBatch, brute, render_worlds};
-use render_host::{Renderer, Settings, Splats};
+use render_host::{Renderer, Settings, Splats, reference};
 
 use super::Setup;
-use super::partial::{LATTICE, Partial, deliveries};
+use super::cloud::{Kind, LATTICE};
+use super::counterfactual::distance;
+use super::partial::{Partial, deliveries};
 use crate::figures::{Bench, Figure, mean, median, student95};
 
 /// Independent repetitions; a throughput is the mean of theirs.
@@ -31,7 +33,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         ),
     );
     let settings = Settings::default();
-    let scene = Partial::new('A', n, side, &settings)?;
+    let scene = Partial::new(Kind::Volume, n, side, &settings)?;
     let (variants, camera) = (scene.variants()?, &scene.camera);
     let states = deliveries(most);
 
@@ -48,7 +50,20 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         }
         serial.push(1.0 / median(&times[WARM_UPS..]));
     }
-    bench.push(throughput("serial".into(), &serial).runs(REPETITIONS));
+    let picture = renderer.render(&scene.splats(), camera, &settings)?.image;
+    let exact = reference::render(&scene.splats(), camera, &settings)?.difference(picture.rgb());
+    let clear = exact.map_or(f64::NAN, |d| d.max_clear);
+    let figure = throughput("serial".into(), &serial).runs(REPETITIONS);
+    bench.push(figure.error(clear, "max abs against f64, away from thresholds"));
+    // Gradients of one, two and four worlds, against the adjoint of each alone; more worlds are as the last.
+    let no_stop = Settings { early_stop: false, ..settings.clone() };
+    let engine = Engine::new(&variants, camera, &scene.against, &settings)?;
+    let off = |worlds: usize| -> Result<f64> {
+        let (some, weights) = (states.range(0..worlds), vec![1.0 / worlds as f64; worlds]);
+        let alone = brute::gradients(&variants, &some, &weights, camera, &scene.against, &no_stop)?;
+        Ok(distance(&engine.gradients(&variants, &some, &weights)?, &alone))
+    };
+    let mut training_error = 0.0;
 
     let batch = WorldBatch::new(&variants, camera, &settings)?;
     let mut worlds = 1;
@@ -72,7 +87,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         let figure = throughput(format!("W{worlds}.frames"), &rates(draw)).runs(REPETITIONS);
         let figure = figure.error(differ as f64, "pictures differ from single renders in a bit");
         bench.push(figure.peer("serial", mean(&serial), false));
-        bench.push(throughput(format!("W{worlds}.training"), &rates(train)).runs(REPETITIONS));
+        if worlds <= 4 {
+            training_error = off(worlds)?;
+        }
+        let figure = throughput(format!("W{worlds}.training"), &rates(train)).runs(REPETITIONS);
+        let of = "relative length of the worst class, the first worlds (four at most) against each alone";
+        bench.push(figure.error(training_error, of));
         let tuned = batch.largest(&some, u64::MAX);
         let used = tuned.probes.last().and_then(|probe| probe.used.ok()).unwrap_or_default();
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);

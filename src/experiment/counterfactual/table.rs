@@ -6,6 +6,7 @@ use render_host::Settings;
 use render_host::counterfactual::{Engine, Lattice, States, brute};
 
 use super::{ALONE, some, time};
+use crate::experiment::cloud::Kind;
 use crate::experiment::partial::{Partial, deliveries_of};
 use crate::figures::{Bench, Figure, median};
 
@@ -17,7 +18,7 @@ const FRAMES: usize = 4;
 pub(super) fn run(bench: &mut Bench, n: usize, side: u32, runs: usize) -> Result<()> {
     let settings = Settings::default();
     let frames = (0..FRAMES)
-        .map(|frame| Partial::turned('A', n, side, 0.05 * frame as f32, &settings))
+        .map(|frame| Partial::turned(Kind::Volume, n, side, 0.05 * frame as f32, &settings))
         .collect::<Result<Vec<_>>>()?;
     let contexts = deliveries_of(LATTICE, CONTEXTS);
     let few = some(&contexts, ALONE);
@@ -38,11 +39,15 @@ pub(super) fn run(bench: &mut Bench, n: usize, side: u32, runs: usize) -> Result
     }
     let states = (FRAMES * CONTEXTS * (LATTICE.groups() + 1)) as f64;
     let brute = few.len() as f64 / median(&alone);
-    let figure = Figure::new(format!("table{side}"), states / median(&table), "states/s")
-        .error(error(&frames[FRAMES - 1], &contexts)?, "of the largest utility, worst of 8 rendered alone")
-        .peer("brute force", brute, false);
-    bench.push(figure.runs(runs));
-    bench.push(Figure::new(format!("table{side}.time"), median(&table), "s for the table").runs(runs));
+    let error = error(&frames[FRAMES - 1], &contexts)?;
+    let figure = |key: String, value: f64, unit: &str| {
+        Figure::new(key, value, unit)
+            .error(error, "of the largest utility, worst of 8 rendered alone")
+            .runs(runs)
+    };
+    let rate = figure(format!("table{side}"), states / median(&table), "states/s");
+    bench.push(rate.peer("brute force", brute, false));
+    bench.push(figure(format!("table{side}.time"), median(&table), "s for the table"));
     Ok(())
 }
 

@@ -8,12 +8,14 @@ use render_host::counterfactual::{Engine as OnCpu, States};
 use render_host::gpu::counterfactual::{Contexts, Engine, Kernels, Worlds};
 use render_host::gpu::{Device, Scene, Stages, wgpu};
 
-use super::scene::{self, GROUPS};
-use super::{Context, subject::Subject};
+use super::super::cloud::LATTICE;
+use super::super::partial::{Partial, deliveries};
+use super::{Context, partials};
 use crate::figures::{Bench, Figure, median};
 
 struct Case<'k> {
-    subject: Subject,
+    name: String,
+    subject: Partial,
     scene: Scene,
     stages: Stages,
     engine: Engine<'k>,
@@ -38,8 +40,8 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     let kernels = Kernels::new(device)?;
     let mut cases = Vec::new();
     for &side in sides {
-        for subject in Subject::all(n, side, context.quick)? {
-            cases.push(Case::new(device, &kernels, subject, worlds, contexts)?);
+        for (name, subject) in partials(n, side, context.quick)? {
+            cases.push(Case::new(device, &kernels, (name, subject), worlds, contexts)?);
         }
     }
     for run in 0..=runs {
@@ -60,20 +62,22 @@ impl<'k> Case<'k> {
     fn new(
         device: &Device,
         kernels: &'k Kernels,
-        subject: Subject,
+        (name, subject): (String, Partial),
         worlds: usize,
         contexts: usize,
     ) -> Result<Self> {
         let scene = Scene::with_groups(device, &subject.splats(), &subject.groups)?;
         let mut stages = Stages::new(device)?;
         stages.prepare(device, &scene, &subject.camera, &Settings::default())?;
-        let engine = Engine::with_tiles(device, kernels, stages.tiles()?, GROUPS, &subject.wanted)?;
-        let states = scene::deliveries(worlds);
+        let engine =
+            Engine::with_tiles(device, kernels, stages.tiles()?, LATTICE.groups(), &subject.against)?;
+        let states = deliveries(worlds);
         Ok(Self {
             worlds: engine.worlds(&states)?,
-            full: engine.contexts(&States::full(GROUPS))?,
-            many: engine.contexts(&scene::deliveries(contexts))?,
+            full: engine.contexts(&States::full(LATTICE.groups()))?,
+            many: engine.contexts(&deliveries(contexts))?,
             seconds: Default::default(),
+            name,
             subject,
             scene,
             stages,
@@ -116,14 +120,14 @@ impl<'k> Case<'k> {
         self.on_cpu()?.fast(&self.states)?;
         self.seconds[4].push(start.elapsed().as_secs_f64());
         let start = Instant::now();
-        self.on_cpu()?.utilities(&States::full(GROUPS))?;
+        self.on_cpu()?.utilities(&States::full(LATTICE.groups()))?;
         self.seconds[5].push(start.elapsed().as_secs_f64());
         Ok(())
     }
 
     fn on_cpu(&self) -> Result<OnCpu> {
-        let Subject { camera, wanted, .. } = &self.subject;
-        Ok(OnCpu::new(&self.subject.variants()?, camera, wanted, &Settings::default())?)
+        let Partial { camera, against, .. } = &self.subject;
+        Ok(OnCpu::new(&self.subject.variants()?, camera, against, &Settings::default())?)
     }
 
     fn report(
@@ -143,13 +147,13 @@ impl<'k> Case<'k> {
         let strictly = relative(&self.engine.strict(&self.states)?, &on_cpu.strict(&self.states)?);
         self.engine.submit_utilities(&self.full);
         let got = self.engine.read_utilities(&self.full)?.delta;
-        let expected = on_cpu.utilities(&States::full(GROUPS))?.delta;
+        let expected = on_cpu.utilities(&States::full(LATTICE.groups()))?.delta;
         let largest = expected.iter().fold(0.0f64, |m, d| m.max(d.abs()));
         let off = got.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest;
         // Lists that did not fit would have shown errors; they are named.
         self.stages.lists().read_counts(device)?;
 
-        let name = format!("counterfactual.{n}.{}", self.subject.name);
+        let name = format!("counterfactual.{n}.{}", self.name);
         let [fast, one, many, strict, fast_cpu, one_cpu] = self.seconds.each_ref().map(|s| median(s));
         let runs = self.seconds[0].len();
         let mut push = |key: String, value: f64, error: f64, unit: &str, of: &str, peer: Option<f64>| {
@@ -171,10 +175,10 @@ impl<'k> Case<'k> {
             Some(rate(worlds, fast_cpu)),
         );
         push(format!("strict.W{worlds}"), rate(worlds, strict), strictly, states, of_sse, None);
-        let peer = Some(rate(GROUPS, one_cpu));
-        push("utilities.1".into(), rate(GROUPS, one), off, utilities, of_largest, peer);
+        let peer = Some(rate(LATTICE.groups(), one_cpu));
+        push("utilities.1".into(), rate(LATTICE.groups(), one), off, utilities, of_largest, peer);
         let key = format!("utilities.{contexts}");
-        push(key, rate(GROUPS * contexts, many), off, utilities, of_largest, None);
+        push(key, rate(LATTICE.groups() * contexts, many), off, utilities, of_largest, None);
         Ok(())
     }
 }

@@ -6,7 +6,8 @@ use anyhow::Result;
 use render_host::gpu::{Renderer, Scene};
 use render_host::{Camera, Settings, Splats, reference};
 
-use super::{Context, scene};
+use super::super::cloud::{Kind, camera, cloud};
+use super::Context;
 use crate::figures::{Bench, Figure, median};
 
 struct Case {
@@ -28,10 +29,10 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     let (device, settings) = (&context.device, Settings::default());
     let mut cases = Vec::new();
     for &n in counts {
-        let gaussians = scene::volume(n);
+        let gaussians = cloud(Kind::Volume, n).gaussians;
         let splats = Splats::plain(&gaussians);
         for &side in sides {
-            let camera = scene::camera(side)?;
+            let camera = camera(side)?;
             let mut renderer = Renderer::new(device)?;
             let on_device = Scene::new(device, &splats)?;
             let got = renderer.render(&on_device, &camera, &settings)?;

@@ -9,15 +9,17 @@ use render_host::gpu::adjoint::{Engine, Kernels, Worlds};
 use render_host::gpu::{Device, Scene, Stages, wgpu};
 use render_host::{Gradients, Settings, Splats, Workspace};
 
-use super::scene::{self, GROUPS};
-use super::{Context, subject::Subject};
+use super::super::cloud::LATTICE;
+use super::super::partial::{Partial, deliveries};
+use super::{Context, partials};
 use crate::figures::{Bench, Figure, median};
 
 /// Worlds whose summed gradient is compared with the CPU's.
 const JUDGED: usize = 3;
 
 struct Case<'k> {
-    subject: Subject,
+    name: String,
+    subject: Partial,
     stages: Stages,
     engine: Engine<'k>,
     /// One world, and many; how many, and seconds per step.
@@ -39,8 +41,8 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     let kernels = Kernels::new(device)?;
     let mut cases = Vec::new();
     for &side in sides {
-        for subject in Subject::all(n, side, context.quick)? {
-            cases.push(Case::new(device, &kernels, subject, worlds)?);
+        for (name, subject) in partials(n, side, context.quick)? {
+            cases.push(Case::new(device, &kernels, (name, subject), worlds)?);
         }
     }
     for run in 0..=runs {
@@ -54,7 +56,7 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     }
     for case in &cases {
         let [loss, worst] = case.judge(device)?;
-        let name = format!("gradients.{n}.{}", case.subject.name);
+        let name = format!("gradients.{n}.{}", case.name);
         bench.push(Figure::new(format!("{name}.loss_error"), loss, "relative"));
         let peer = 1.0 / median(&case.cpu);
         for (_, worlds, seconds) in &case.batches {
@@ -68,21 +70,27 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
 }
 
 impl<'k> Case<'k> {
-    fn new(device: &Device, kernels: &'k Kernels, subject: Subject, worlds: usize) -> Result<Self> {
+    fn new(
+        device: &Device,
+        kernels: &'k Kernels,
+        (name, subject): (String, Partial),
+        worlds: usize,
+    ) -> Result<Self> {
         let settings = Settings::default();
         let scene = Scene::with_groups(device, &subject.splats(), &subject.groups)?;
         let mut stages = Stages::new(device)?;
         stages.prepare(device, &scene, &subject.camera, &settings)?;
         let tiles = stages.tiles()?;
-        let engine = Engine::with_tiles(device, kernels, scene, tiles, GROUPS, &subject.wanted, &settings)?;
-        let batch = |count: usize| -> Result<_> {
-            Ok((engine.worlds(&scene::deliveries(count))?, count, Vec::new()))
-        };
+        let engine =
+            Engine::with_tiles(device, kernels, scene, tiles, LATTICE.groups(), &subject.against, &settings)?;
+        let batch =
+            |count: usize| -> Result<_> { Ok((engine.worlds(&deliveries(count))?, count, Vec::new())) };
         Ok(Self {
             batches: vec![batch(1)?, batch(worlds)?],
             cpu: Vec::new(),
             workspace: Workspace::new(),
             room: Gradients::default(),
+            name,
             subject,
             stages,
             engine,
@@ -91,7 +99,7 @@ impl<'k> Case<'k> {
 
     fn measure(&mut self, context: &Context) -> Result<()> {
         let (device, settings) = (&context.device, Settings::default());
-        let Self { subject, stages, engine, batches, cpu, workspace, room } = self;
+        let Self { subject, stages, engine, batches, cpu, workspace, room, .. } = self;
         for (worlds, count, seconds) in batches {
             // Steps in a train without waiting.
             let train = if context.is_cpu { 1 } else { 4 + 60 / *count };
@@ -109,7 +117,7 @@ impl<'k> Case<'k> {
             device.wait()?;
             seconds.push(start.elapsed().as_secs_f64() / train as f64);
         }
-        let loss = Mse::new(subject.wanted.clone());
+        let loss = Mse::new(subject.against.clone());
         let start = Instant::now();
         render_and_gradients_into(workspace, &subject.splats(), &subject.camera, &settings, &loss, room)?;
         cpu.push(start.elapsed().as_secs_f64());
@@ -120,7 +128,7 @@ impl<'k> Case<'k> {
     /// CPU's world by world.
     fn judge(&self, device: &Device) -> Result<[f64; 2]> {
         let (subject, settings) = (&self.subject, Settings::default());
-        let states = scene::deliveries(JUDGED);
+        let states = deliveries(JUDGED);
         let worlds = self.engine.worlds(&states)?;
         self.engine.submit(&worlds);
         let got = self.engine.read(&worlds)?;
@@ -128,7 +136,7 @@ impl<'k> Case<'k> {
         let mut expected = vec![[0.0f64; 16]; subject.gaussians.len()];
         let mut loss_error = 0.0f64;
         for (world, &found) in got.loss.iter().enumerate() {
-            let loss = Mse::new(subject.wanted.clone());
+            let loss = Mse::new(subject.against.clone());
             let alone = alone(subject, &states, world, &settings, &loss)?;
             loss_error = loss_error.max((found / alone.loss - 1.0).abs());
             let held = subject.groups.iter().enumerate().filter(|(_, g)| states.has(world, **g as usize));
@@ -155,7 +163,7 @@ impl<'k> Case<'k> {
 }
 
 fn alone(
-    subject: &Subject,
+    subject: &Partial,
     states: &States,
     world: usize,
     settings: &Settings,

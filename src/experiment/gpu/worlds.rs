@@ -7,12 +7,12 @@ use codec_core::Gaussian;
 use render_host::gpu::{Presence, Renderer, Scene};
 use render_host::{Camera, Settings, Splats};
 
-use super::{Context, scene};
-use crate::figures::{Bench, Figure, mean};
+use super::super::cloud::{Cloud, Kind, camera, cloud};
+use super::super::partial::deliveries;
+use super::Context;
+use crate::figures::{Bench, Figure, mean, student95};
 
-/// Repetitions, and the 97.5 % quantile of Student's t with one degree of freedom less.
 const REPETITIONS: usize = 3;
-const STUDENT_T: f64 = 4.302_653;
 /// Frames drawn before each repetition that are not counted.
 const WARM_UPS: usize = 5;
 /// Worlds that are drawn alone, one after the other.
@@ -34,12 +34,11 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     };
     let frames = if context.is_cpu { 1 } else { 32 };
     let (device, settings) = (&context.device, Settings::default());
-    let gaussians = scene::volume(n);
-    let of = scene::groups(&gaussians);
+    let Cloud { gaussians, groups: of } = cloud(Kind::Volume, n);
     let splats = Splats::plain(&gaussians);
-    let camera = scene::camera(side)?;
+    let camera = camera(side)?;
     let all = Scene::with_groups(device, &splats, &of)?;
-    let states = scene::deliveries(most);
+    let states = deliveries(most);
     let mut renderer = Renderer::new(device)?;
     let world = |w: usize| -> Vec<Gaussian> {
         let held = gaussians.iter().zip(&of).filter(|(_, group)| states.has(w, **group as usize));
@@ -51,9 +50,12 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
 
     let mut rows = Vec::new();
     for worlds in (0..).map(|p| 1 << p).take_while(|&w| w <= most) {
-        let mut some = render_host::counterfactual::States::new(scene::GROUPS);
-        (0..worlds).for_each(|w| some.push(|group| states.has(w, group)));
-        rows.push(Row { worlds, presence: Presence::new(device, &some)?, rates: Vec::new(), bytes: 0 });
+        rows.push(Row {
+            worlds,
+            presence: Presence::new(device, &states.range(0..worlds))?,
+            rates: Vec::new(),
+            bytes: 0,
+        });
     }
     let differing = differing_bits(&mut renderer, &all, &rows, &alone, &camera, &settings)?;
     let mut serial = Vec::new();
@@ -100,10 +102,7 @@ fn rate(
 }
 
 fn interval(mut figure: Figure, values: &[f64]) -> Figure {
-    let (m, n) = (mean(values), values.len() as f64);
-    let variance = values.iter().map(|v| (v - m).powi(2)).sum::<f64>() / (n - 1.0);
-    let half = STUDENT_T * (variance / n).sqrt();
-    figure.ci95 = Some([m - half, m + half]);
+    figure.ci95 = student95(values);
     figure.runs(values.len())
 }
 

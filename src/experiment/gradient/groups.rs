@@ -5,11 +5,11 @@ use codec_core::Gaussian;
 use render_host::adjoint::loss::Mse;
 use render_host::counterfactual::quadratic::{Change, Repaints};
 use render_host::counterfactual::{Engine, Quadratic, States, Variants};
-use render_host::{Camera, Gradients, Renderer, Settings, Splats, Workspace};
+use render_host::{Camera, Gradients, Image, Renderer, Settings, Splats, Workspace};
 use trainer_host::cluster;
 use trainer_host::viewpoint::{Framing, Ring};
 
-use super::super::cloud::{CLUSTERS, Kind, LEVELS, Numbers, beside, camera, cloud};
+use super::super::cloud::{Kind, LATTICE, Numbers, beside, camera, cloud};
 use super::super::{Setup, synth};
 use super::{ms, rank};
 use crate::figures::{Bench, Figure, median};
@@ -32,7 +32,7 @@ fn cases(setup: &Setup) -> Result<Vec<Case>> {
             name: format!("{name}-{n}.{side}"),
             gaussians: scene.gaussians,
             groups: scene.groups,
-            count: CLUSTERS * LEVELS,
+            count: LATTICE.groups(),
             film: camera(side)?,
         });
     }
@@ -78,6 +78,7 @@ pub(super) fn utilities(setup: &Setup, bench: &mut Bench, runs: usize) -> Result
         let engine = Engine::new(&variants, &case.film, &target, &settings)?;
         let (mut workspace, mut out) = (Workspace::new(), Gradients::default());
         let [mut exact_ms, mut single_ms, mut backward_ms] = [const { Vec::new() }; 3];
+        let (mut single_off, mut slope_off) = (0.0f64, 0.0);
         for (context, what) in ["full", "random"].into_iter().enumerate() {
             let state = contexts.one(context);
             let (mut exact, mut single) = (None, None);
@@ -105,34 +106,45 @@ pub(super) fn utilities(setup: &Setup, bench: &mut Bench, runs: usize) -> Result
             }
             let (Some(exact), Some(single)) = (exact, single) else { continue };
             let exact = exact.delta;
-            compare(bench, &format!("groups.{}.{what}.single_pass", case.name), &exact, &single.delta);
+            let off =
+                compare(bench, &format!("groups.{}.{what}.single_pass", case.name), &exact, &single.delta);
+            single_off = single_off.max(off);
             if what == "full" {
                 let slope = workspace.presence(&case.groups, case.count)?;
                 // The loss is a mean, utilities are sums.
                 let values = picture.rgb().len() as f64;
                 let worth: Vec<f64> = slope.iter().map(|s| -s * values).collect();
-                compare(bench, &format!("groups.{}.{what}.derivative", case.name), &exact, &worth);
+                slope_off =
+                    compare(bench, &format!("groups.{}.{what}.derivative", case.name), &exact, &worth);
             }
         }
-        let time = |key: &str, times: &[f64]| {
+        let time = |key: &str, times: &[f64], off: f64| {
             Figure::new(format!("groups.{}.{key}", case.name), median(times), "ms")
+                .error(off, "worst, of the largest")
                 .peer("engine's lanes", median(&exact_ms), true)
                 .runs(times.len())
         };
-        bench.push(time("single_pass.time", &single_ms));
-        bench.push(time("derivative.time", &backward_ms));
+        bench.push(time("single_pass.time", &single_ms, single_off));
+        bench.push(time("derivative.time", &backward_ms, slope_off));
     }
     Ok(())
 }
 
-fn compare(bench: &mut Bench, key: &str, exact: &[f64], got: &[f64]) {
-    let largest = exact.iter().fold(0.0f64, |m, d| m.max(d.abs()));
-    let off = exact.iter().zip(got).fold(0.0f64, |m, (a, b)| m.max((a - b).abs()));
+/// How `got` ranks the groups; returns its largest error as a share of the largest utility.
+fn compare(bench: &mut Bench, key: &str, exact: &[f64], got: &[f64]) -> f64 {
+    let off = off(exact, got);
     let figure = Figure::new(format!("{key}.spearman"), rank::spearman(exact, got), "");
-    bench.push(figure.error(off / largest, "worst, of the largest"));
+    bench.push(figure.error(off, "worst, of the largest"));
     bench.push(Figure::new(format!("{key}.kendall"), rank::kendall(exact, got), ""));
     let k = (exact.len() / 10).max(1);
     bench.push(Figure::new(format!("{key}.top_{k}"), rank::overlap(exact, got, k), "shared"));
+    off
+}
+
+/// Largest error of `got`, as a share of the largest of `exact`.
+fn off(exact: &[f64], got: &[f64]) -> f64 {
+    let largest = exact.iter().fold(0.0f64, |m, d| m.max(d.abs()));
+    exact.iter().zip(got).fold(0.0f64, |m, (a, b)| m.max((a - b).abs())) / largest
 }
 
 /// Three levels of colour per cluster: every state from the quadratic form, against rendering it.
@@ -142,13 +154,17 @@ pub(super) fn colour(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()
     // Away from black, so that no level brings a colour below 0.
     scene.gaussians.iter_mut().for_each(|g| g.sh0 = g.sh0.map(|v| 0.4 * v + 0.5));
     let mut r = Numbers(5);
-    let count = 3 * CLUSTERS;
+    let count = 3 * LATTICE.clusters;
     let mut changes = Vec::new();
     for (i, group) in scene.groups.iter().enumerate() {
         for level in 0..3 {
             let size = [0.4, 0.2, 0.1][level as usize];
             let sh0 = [0; 3].map(|_| r.between(-size, size));
-            changes.push(Change { gaussian: i as u32, group: group / LEVELS as u32 * 3 + level, sh0 });
+            changes.push(Change {
+                gaussian: i as u32,
+                group: group / LATTICE.levels as u32 * 3 + level,
+                sh0,
+            });
         }
     }
     let repaints = Repaints::new(Splats::plain(&scene.gaussians), &changes, &[], count)?;
@@ -163,7 +179,7 @@ pub(super) fn colour(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()
         }
         let mut renderer = Renderer::new();
         let [mut build, mut alone, mut each, mut worth] = [const { Vec::new() }; 4];
-        let (mut form, mut sse, mut worst) = (None, Vec::new(), 0.0f64);
+        let (mut form, mut sse, mut worst, mut worst_delta) = (None, Vec::new(), 0.0f64, 0.0f64);
         for run in 0..runs {
             ms(&mut build, || {
                 form = Some(Quadratic::new(&repaints, &film, &target, &settings)?);
@@ -175,8 +191,9 @@ pub(super) fn colour(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()
                 Ok(())
             })?;
             let few = states.one(run);
+            let mut found = None;
             ms(&mut worth, || {
-                std::hint::black_box(form.utilities(&few)?);
+                found = Some(form.utilities(&few)?);
                 Ok(())
             })?;
             let (gaussians, _) = repaints.world(&states, run);
@@ -187,8 +204,19 @@ pub(super) fn colour(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()
             })?;
             let Some(image) = image else { continue };
             let square = |(a, b): (&f32, &f32)| (f64::from(*a) - f64::from(*b)).powi(2);
-            let rendered: f64 = image.rgb().iter().zip(target.rgb()).map(square).sum();
+            let squares = |image: &Image| image.rgb().iter().zip(target.rgb()).map(square).sum::<f64>();
+            let rendered = squares(&image);
             worst = worst.max((sse[run] / rendered - 1.0).abs());
+            // One group toggled, rendered too.
+            let Some(found) = found else { continue };
+            let (group, mut toggled) = (run * 7 % count, States::new(count));
+            toggled.push(|g| few.has(0, g) != (g == group));
+            let (gaussians, _) = repaints.world(&toggled, 0);
+            let rise =
+                squares(&renderer.render(&Splats::plain(&gaussians), &film, &settings)?.image) - rendered;
+            let delta = if few.has(0, group) { rise } else { -rise };
+            let largest = found.delta.iter().fold(0.0f64, |m, d| m.max(d.abs()));
+            worst_delta = worst_delta.max((found.of(0, group) - delta).abs() / largest);
         }
         let Some(form) = form else { continue };
         let name = format!("colour.{n}.{count}.{side}");
@@ -199,10 +227,29 @@ pub(super) fn colour(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()
                 .peer("one render", 1000.0 * median(&alone), true)
                 .runs(runs),
         );
-        bench.push(Figure::new(format!("{name}.all_utilities"), 1000.0 * median(&worth), "us").runs(runs));
-        bench.push(Figure::new(format!("{name}.build"), median(&build), "ms").runs(runs));
+        bench.push(
+            Figure::new(format!("{name}.all_utilities"), 1000.0 * median(&worth), "us")
+                .error(worst_delta, "of the largest, a group toggled and rendered")
+                .runs(runs),
+        );
+        bench.push(
+            Figure::new(format!("{name}.build"), median(&build), "ms")
+                .error(worst, "relative SSE against rendering")
+                .runs(runs),
+        );
         bench.push(Figure::new(format!("{name}.pairs"), form.pairs() as f64, ""));
         bench.push(Figure::new(format!("{name}.clamp_bound"), form.clamp(), "root SSE"));
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_wrong_utility_shows() {
+        assert_eq!(off(&[1.0, -4.0], &[1.0, -4.0]), 0.0);
+        assert_eq!(off(&[1.0, -4.0], &[1.0, -3.0]), 0.25);
+    }
 }
