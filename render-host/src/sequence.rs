@@ -19,8 +19,9 @@ use serde::{Deserialize, Serialize};
 use crate::camera::Camera;
 use crate::render::{RenderError, Rendered};
 use crate::settings::Settings;
-use crate::stage::bin::{self, Shape};
+use crate::stage::bin;
 use crate::stage::blend::{self, Tile};
+use crate::stage::span::Spans;
 use crate::stage::{TILE, sort};
 use crate::{Renderer, Splats, parallel};
 use inputs::{Inputs, View};
@@ -243,7 +244,7 @@ impl Sequence {
                     self.inputs.changes(),
                     scan,
                     projected,
-                    &Shape::new(settings),
+                    &Spans::new(settings),
                     settings.parallel,
                 );
                 if !lists.are_long() {

@@ -14,6 +14,7 @@ mod fade;
 mod half;
 pub mod project;
 pub mod sort;
+pub(crate) mod span;
 
 /// Side of a tile, pixels.
 pub const TILE: usize = 16;

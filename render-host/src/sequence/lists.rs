@@ -3,8 +3,9 @@
 use std::ops::Range;
 
 use super::inputs::Change;
-use crate::stage::bin::{Bins, Shape};
+use crate::stage::bin::Bins;
 use crate::stage::project::{Projected, SKIPPED};
+use crate::stage::span::Spans;
 use crate::{Counters, parallel};
 
 /// Entries per tile, on average over a row, from which on lists are made and not mended: merging would cost
@@ -113,7 +114,7 @@ impl Lists {
         changes: impl Iterator<Item = &'a Change> + Clone,
         scan: Option<&[bool]>,
         projected: &Projected,
-        shape: &Shape,
+        shape: &Spans,
         parallel: bool,
     ) -> u64 {
         let Self { tiles, columns, rows, boxed, asked, came, moved, .. } = self;
