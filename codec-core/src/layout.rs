@@ -8,8 +8,8 @@
 
 use crate::{
     ids::{ClusterId, EpochId, Level, Span},
-    quant::Class,
-    wire::manifest::{Cluster, Manifest, Motion, Profile, Quant, TRACK_PARAMETERS, stream},
+    quant::{Class, Quantiser},
+    wire::manifest::{Cluster, Manifest, Motion, Profile, Quant, stream},
 };
 
 /// Sizes of one cell.
@@ -59,7 +59,7 @@ impl Shape {
                 usize::from(record.gaussians),
                 frames as usize,
                 usize::from(epoch.rank),
-                rest_len(record.sh_degree),
+                rest_len(record.sh_degree()),
             );
         }
         Some(shape)
@@ -87,8 +87,31 @@ impl Shape {
         for level in Level::ALL {
             shape.per_gaussian[level.index()] = shape.components(level).map(|(_, _, dims)| dims).sum();
         }
-        shape.fixed[0] = TRACK_PARAMETERS * frames as usize * usize::from(shape.motion.track);
+        shape.fixed[0] = shape.motion.class().parameters() * usize::from(shape.motion.track);
         shape
+    }
+
+    /// The highest level that carries symbols.
+    pub const fn top(&self) -> Level {
+        if self.is_motion { self.motion.top() } else { self.cluster.top() }
+    }
+
+    /// The level at which `class` appears in this cell.
+    const fn first_level(&self, class: Class) -> Level {
+        if self.is_motion { Level::ALL[1] } else { class.first_level() }
+    }
+
+    /// The quantiser of `class` in this cell.
+    fn quantiser(&self, class: Class) -> Option<&Quantiser> {
+        let quantisers = if self.is_motion { &self.quant.motion[..] } else { &self.quant.canonical[..] };
+        quantisers.get(class.index())
+    }
+
+    /// Whether `level` carries a symbol per component (and coefficient) of `class`.
+    pub fn carries(&self, class: Class, level: Level) -> bool {
+        let exists = self.is_motion || class.sh_degree() <= self.cluster.sh_degree();
+        let symbol = |q: &Quantiser| q.has_symbol(level, self.first_level(class));
+        exists && level <= self.top() && self.quantiser(class).is_some_and(symbol)
     }
 
     /// Gaussians in the cell.
@@ -147,20 +170,7 @@ impl Shape {
     /// Canonical classes have the one coefficient 0.
     pub fn components(&self, level: Level) -> impl Iterator<Item = (Class, usize, usize)> + use<> {
         let this = *self;
-        let wanted = move |class: &Class| {
-            if this.is_motion {
-                class.index() < Class::MOVING
-                    && level > Level::BASE
-                    && this
-                        .quant
-                        .motion
-                        .get(class.index())
-                        .is_some_and(|q| q.has_symbol(level, Level::ALL[1]))
-            } else {
-                class.sh_degree() <= this.cluster.sh_degree
-                    && this.quant.canonical[class.index()].has_symbol(level, class.first_level())
-            }
-        };
+        let wanted = move |class: &Class| this.carries(*class, level);
         Class::ALL.into_iter().filter(wanted).flat_map(move |class| {
             let coefficients = if this.is_motion { this.motion.rank(class) } else { 1 };
             (0..coefficients).map(move |k| (class, k, class.components()))
@@ -168,7 +178,8 @@ impl Shape {
     }
 
     /// Calls `run` with (stream, symbols) for each run of symbols of `blocks` at `level`, in
-    /// storage order (`dgs1`). Stops at the first error.
+    /// storage order (`dgs1`): one per component of a block, the first value apart where values are
+    /// coded in differences; one per kind and frequency band of a track. Stops at the first error.
     ///
     /// # Errors
     /// Whatever `run` returns.
@@ -179,9 +190,13 @@ impl Shape {
         mut run: impl FnMut(usize, usize) -> Result<(), E>,
     ) -> Result<(), E> {
         if self.is_whole(level) {
-            for parameter in 0..TRACK_PARAMETERS {
-                for k in 0..self.frames as usize {
-                    run(stream::track(parameter, k), 1)?;
+            let (track, coefficients) = (self.motion.class(), usize::from(self.motion.track));
+            for (kind, parameters) in [(Some(track), track.turning()), (None, 3)] {
+                for (band, edges) in stream::TRACK_BANDS.windows(2).enumerate() {
+                    let [low, high] = [0, 1].map(|i| edges.get(i).map_or(0, |&e| e.min(coefficients)));
+                    if high > low {
+                        run(stream::track(kind, band), parameters * (high - low))?;
+                    }
                 }
             }
             return Ok(());
@@ -189,12 +204,23 @@ impl Shape {
         for block in blocks {
             let n = self.block_gaussians(block);
             for (class, k, dims) in self.components(level) {
-                let stream = if self.is_motion {
-                    stream::coefficient(class, level, k)
+                let differences = level == self.first_level(class)
+                    && self.quantiser(class).is_some_and(Quantiser::predicted);
+                let (stream, start) = if self.is_motion {
+                    (stream::coefficient(class, level, k), stream::coefficient_start(class))
                 } else {
-                    stream::canonical(class, level)
+                    (stream::canonical(class, level), stream::start(class))
                 };
-                run(stream, n * dims)?;
+                for _ in 0..dims {
+                    if !differences {
+                        run(stream, n)?;
+                        continue;
+                    }
+                    run(start, 1)?;
+                    if n > 1 {
+                        run(stream, n - 1)?;
+                    }
+                }
             }
         }
         Ok(())

@@ -16,6 +16,7 @@ pub mod receiver;
 pub mod repair;
 pub mod wire {
     //! wire
+    pub mod bits;
     pub mod crc;
     pub mod cursor;
     pub mod file;

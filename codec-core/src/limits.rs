@@ -8,8 +8,10 @@ pub const DEFAULT_PACKET_BYTES: usize = 1150;
 pub const MAX_PACKET_BYTES: usize = 1280;
 /// Most dependency words of a `paper` packet.
 pub const MAX_DEPENDENCIES: usize = 8;
-/// Most slices in one packet.
-pub const MAX_SLICES: usize = 48;
+/// Most stretches of blocks in one packet.
+pub const MAX_STRETCHES: usize = 16;
+/// Most entropy tables that one stream chooses from.
+pub const MAX_MENU: usize = 8;
 /// Most Gaussians in one block.
 pub const MAX_BLOCK_LEN: usize = 256;
 /// Most Gaussians in one cluster.

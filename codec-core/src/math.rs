@@ -86,6 +86,59 @@ pub fn mrp_from_quat(q: [f32; 4]) -> [f32; 3] {
     [q[1] * k, q[2] * k, q[3] * k]
 }
 
+/// A 3 × 3 matrix, rows first.
+pub type Rows = [[f32; 3]; 3];
+
+/// The rotation matrix of unit quaternion `q`, wxyz.
+pub fn rows_from_quat(q: [f32; 4]) -> Rows {
+    let [w, x, y, z] = q;
+    [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
+        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
+        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+}
+
+fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// Steps of the iteration in [`turn_of`]: enough for stretches of up to a factor of ten.
+pub const TURN_STEPS: usize = 8;
+
+/// The rotation part of linear map `m` as a unit quaternion, wxyz: Newton's iteration for the polar
+/// decomposition, M ← (M + M⁻ᵀ) / 2, [`TURN_STEPS`] times. A map that mirrors, or that collapses or
+/// inflates volume beyond 1e±6, has none and gives the identity.
+pub fn turn_of(m: Rows) -> [f32; 4] {
+    let mut m = m;
+    for _ in 0..TURN_STEPS {
+        let [a, b, c] = m;
+        let cofactors = [cross(b, c), cross(c, a), cross(a, b)];
+        let [x, y, z] = cofactors[0];
+        let volume = a[0] * x + a[1] * y + a[2] * z;
+        if !(volume > 1e-6 && volume < 1e6) {
+            return [1.0, 0.0, 0.0, 0.0];
+        }
+        let inverse = 1.0 / volume;
+        for (row, cofactors) in m.iter_mut().zip(cofactors) {
+            for (value, cofactor) in row.iter_mut().zip(cofactors) {
+                *value = 0.5 * (*value + cofactor * inverse);
+            }
+        }
+    }
+    let [[a, b, c], [d, e, f], [g, h, i]] = m;
+    let q = if a + e + i > 0.0 {
+        [1.0 + a + e + i, h - f, c - g, d - b]
+    } else if a >= e && a >= i {
+        [h - f, 1.0 + a - e - i, b + d, c + g]
+    } else if e >= i {
+        [c - g, b + d, 1.0 - a + e - i, f + h]
+    } else {
+        [d - b, c + g, f + h, 1.0 - a - e + i]
+    };
+    normalised(q)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -113,6 +166,31 @@ mod tests {
             prop_assert!(v.iter().map(|v| v * v).sum::<f32>() <= 1.0001);
             let back = quat_from_mrp(v);
             for (a, b) in q.iter().zip(back) { prop_assert!((a - b).abs() < 1e-6); }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn the_turn_of_a_stretched_rotation_is_the_rotation(
+            w in -1f32..1.0, x in -1f32..1.0, y in -1f32..1.0, z in -1f32..1.0,
+            stretch in proptest::array::uniform3(0.4f32..2.5),
+        ) {
+            prop_assume!(w * w + x * x + y * y + z * z > 1e-3);
+            let q = normalised([w, x, y, z]);
+            // R · S with S symmetric positive is a polar decomposition.
+            let map = rows_from_quat(q).map(|row| [0, 1, 2].map(|c| row[c] * stretch[c]));
+            let found = turn_of(map);
+            let dot: f32 = q.iter().zip(found).map(|(a, b)| a * b).sum();
+            prop_assert!(dot.abs() > 1.0 - 1e-5, "{q:?} {found:?}");
+        }
+    }
+
+    #[test]
+    fn maps_without_a_rotation_turn_nothing() {
+        let identity = [1.0, 0.0, 0.0, 0.0];
+        let mirror = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]];
+        for map in [[[0.0; 3]; 3], [[1e9; 3]; 3], [[f32::NAN; 3]; 3], mirror] {
+            assert_eq!(turn_of(map), identity);
         }
     }
 

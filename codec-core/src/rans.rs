@@ -8,8 +8,10 @@
 //!   11-bit probabilities, tokens with an escape and raw low bits, so that every i16 can be coded.
 //! - [`bytes`]: profile `paper`. One 32-bit state, bytewise renormalisation, 12-bit
 //!   probabilities, an i16 as its low and high byte, each with its own table.
+//! - [`family`]: tables that one byte names.
 //! - [`table`]: frequency tables, normalisation, decode slots.
 
 pub mod bytes;
+pub mod family;
 pub mod lanes;
 pub mod table;

@@ -15,10 +15,11 @@ use crate::{
     rans::{bytes, lanes, table},
     repair::{ACCUMULATOR_BYTES, Accumulator},
     wire::{
+        bits::Bits,
         crc::{Crc32, checked, crc32},
         cursor::in_range,
-        manifest::{self, Manifest, NO_TABLE, Profile, Repair},
-        packet::{Chunk, Packet, Slice, Slices},
+        manifest::{self, Manifest, Menu, Profile, Repair, stream},
+        packet::{Chunk, Packet, Slices, Stretch},
     },
 };
 
@@ -193,6 +194,8 @@ pub struct Receiver<'a> {
     counters: Counters,
     /// Raw bits per value of each entropy table.
     raw_bits: [u8; limits::MAX_TABLES],
+    /// Tables that each stream's runs choose from.
+    menus: [Menu; stream::COUNT],
 }
 
 impl<'a> Receiver<'a> {
@@ -211,7 +214,15 @@ impl<'a> Receiver<'a> {
             repair_failed: 0,
             refused: [0; ErrorKind::COUNT],
         };
-        Self { memory, manifest: None, crc, early_used: 0, counters, raw_bits: [0; limits::MAX_TABLES] }
+        Self {
+            memory,
+            manifest: None,
+            crc,
+            early_used: 0,
+            counters,
+            raw_bits: [0; limits::MAX_TABLES],
+            menus: [Menu::EMPTY; stream::COUNT],
+        }
     }
 
     /// The manifest, once it is complete.
@@ -314,6 +325,9 @@ impl<'a> Receiver<'a> {
         for ((table, slots), raw_bits) in manifest.tables().zip(slots).zip(&mut self.raw_bits) {
             table.fill_slots(slots);
             *raw_bits = table.raw_bits();
+        }
+        for (stream, menu) in self.menus.iter_mut().enumerate() {
+            *menu = manifest.menu(stream);
         }
     }
 
@@ -474,52 +488,54 @@ impl<'a> Receiver<'a> {
     fn decode_slices(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>) -> Result<()> {
         let Memory { cells, symbols, blocks, slots, .. } = &mut self.memory;
         let slots = slots.as_chunks::<{ table::SLOTS }>().0;
-        let raw_bits_of = &self.raw_bits;
-        let table_at = |stream: usize| -> Result<(&[u32; table::SLOTS], u8)> {
-            let index = manifest.table_of(stream);
-            let found = slots.get(usize::from(index)).zip(raw_bits_of.get(usize::from(index)));
-            let contradiction = Error::illegal("slice.table", 0, index.into(), (0, u64::from(NO_TABLE) - 1));
-            found
-                .filter(|_| index != NO_TABLE)
-                .map(|(slots, &bits)| (slots, bits))
-                .ok_or(contradiction.kind(ErrorKind::Contradiction))
+        let (menus, raw_bits_of) = (&self.menus, &self.raw_bits);
+        let table_at = |stream: usize, selectors: &mut Bits<'_>| -> Result<(&[u32; table::SLOTS], u8)> {
+            let index = usize::from(menus.get(stream).copied().unwrap_or_default().select(selectors)?);
+            let found = slots.get(index).zip(raw_bits_of.get(index));
+            let missing = Error::illegal("slice.table", 0, index as u64, (0, slots.len() as u64));
+            found.map(|(slots, &bits)| (slots, bits)).ok_or(missing.kind(ErrorKind::Contradiction))
         };
+        // Selectors come first, so that the size of everything behind them is known.
+        let mut selectors = Bits::new(packet.body);
         let mut raw_bits = 0usize;
-        for (i, slice) in packet.slices.iter().enumerate() {
-            let place = Place::of(manifest, cells, slice, i)?;
-            let masks = blocks.get(place.masks.clone()).unwrap_or(&[]);
-            if masks.iter().any(|&m| Arrived(m).has(slice.level)) {
-                let level = u64::from(slice.level.get());
-                return Err(Error::illegal("slice", i, level, (level, level)).kind(ErrorKind::Duplicate));
-            }
-            if packet.slices.iter().take(i).any(|earlier| overlap(earlier, slice)) {
-                let level = u64::from(slice.level.get());
-                return Err(Error::illegal("slice", i, level, (level, level)).kind(ErrorKind::Duplicate));
-            }
-            place.shape.runs(slice.level, place.blocks.clone(), |stream, n| {
-                raw_bits += n * usize::from(table_at(stream)?.1);
-                Ok(())
+        for (i, stretch) in packet.stretches.iter().enumerate() {
+            let overlaps = |earlier: &Stretch| overlap(earlier, stretch);
+            let twice = packet.stretches.iter().take(i).any(overlaps);
+            for_each_slice(manifest, cells, stretch, i, |place| {
+                let masks = blocks.get(place.masks.clone()).unwrap_or(&[]);
+                if twice || masks.iter().any(|&m| Arrived(m).has(stretch.level)) {
+                    let level = u64::from(stretch.level.get());
+                    return Err(Error::illegal("slice", i, level, (level, level)).kind(ErrorKind::Duplicate));
+                }
+                place.shape.runs(stretch.level, place.blocks.clone(), |stream, n| {
+                    raw_bits += n * usize::from(table_at(stream, &mut selectors)?.1);
+                    Ok(())
+                })
             })?;
         }
-        let mut decoder = lanes::Decoder::new(packet.body, raw_bits, usize::from(packet.escapes))?;
-        for (i, slice) in packet.slices.iter().enumerate() {
-            let place = Place::of(manifest, cells, slice, i)?;
-            let mut rest = symbols.get_mut(place.symbols.clone()).unwrap_or(&mut []);
-            place.shape.runs(slice.level, place.blocks.clone(), |stream, n| {
-                let (slots, bits) = table_at(stream)?;
-                let whole = core::mem::take(&mut rest);
-                let n = n.min(whole.len());
-                let (run, tail) = whole.split_at_mut(n);
-                rest = tail;
-                decoder.run(slots, bits, run)
+        let mut decoder = lanes::Decoder::new(selectors.finish()?, raw_bits, usize::from(packet.escapes))?;
+        let mut selectors = Bits::new(packet.body);
+        for (i, stretch) in packet.stretches.iter().enumerate() {
+            for_each_slice(manifest, cells, stretch, i, |place| {
+                let mut rest = symbols.get_mut(place.symbols.clone()).unwrap_or(&mut []);
+                place.shape.runs(stretch.level, place.blocks.clone(), |stream, n| {
+                    let (slots, bits) = table_at(stream, &mut selectors)?;
+                    let whole = core::mem::take(&mut rest);
+                    let n = n.min(whole.len());
+                    let (run, tail) = whole.split_at_mut(n);
+                    rest = tail;
+                    decoder.run(slots, bits, run)
+                })
             })?;
         }
         decoder.finish()?;
-        for (i, slice) in packet.slices.iter().enumerate() {
-            let place = Place::of(manifest, cells, slice, i)?;
-            for mask in blocks.get_mut(place.masks).unwrap_or(&mut []) {
-                *mask = Arrived(*mask).with(slice.level).0;
-            }
+        for (i, stretch) in packet.stretches.iter().enumerate() {
+            for_each_slice(manifest, cells, stretch, i, |place| {
+                for mask in blocks.get_mut(place.masks).unwrap_or(&mut []) {
+                    *mask = Arrived(*mask).with(stretch.level).0;
+                }
+                Ok(())
+            })?;
         }
         Ok(())
     }
@@ -620,15 +636,69 @@ fn protected_set(
     None
 }
 
-/// Whether two slices bring the same level of the same block.
-fn overlap(a: &Slice, b: &Slice) -> bool {
-    let same = (a.span, a.cluster, a.level) == (b.span, b.cluster, b.level);
-    same && match (a.blocks, b.blocks) {
-        (Some((a, n)), Some((b, m))) => {
-            a.index() < b.index() + usize::from(m) && b.index() < a.index() + usize::from(n)
-        }
-        _ => true,
+/// Whether two stretches bring the same level of the same block.
+fn overlap(a: &Stretch, b: &Stretch) -> bool {
+    let (a_end, b_end) = (a.first.saturating_add(a.blocks), b.first.saturating_add(b.blocks));
+    (a.span, a.level) == (b.span, b.level) && a.first < b_end && b.first < a_end
+}
+
+/// Calls `visit` with every slice of stretch `index` of a packet that carries symbols, in order.
+fn for_each_slice(
+    manifest: &Manifest<'_>,
+    cells: &[Cell],
+    stretch: &Stretch,
+    index: usize,
+    mut visit: impl FnMut(Place) -> Result<()>,
+) -> Result<()> {
+    let contradiction = |field, found: u64, allowed| {
+        Err(Error::illegal(field, index, found, allowed).kind(ErrorKind::Contradiction))
+    };
+    let Some(first) = manifest.cell(stretch.span, ClusterId(0)) else {
+        return contradiction("stretch.span", 0, (0, 0));
+    };
+    let clusters = manifest.clusters_of(stretch.span) as usize;
+    let range = first.index()..first.index() + clusters;
+    let cells = cells.get(range.start..=range.end).unwrap_or(&[]);
+    let start = cells.first().map_or(0, |c| c.blocks);
+    let all = cells.last().map_or(0, |c| c.blocks) - start;
+    let end = u64::from(stretch.first) + u64::from(stretch.blocks);
+    if end > all.into() {
+        return contradiction("stretch.blocks", end, (1, all.into()));
     }
+    let end = end as u32;
+    // The last cluster that begins at or before the first block; clusters are never empty.
+    let begin = cells.partition_point(|c| c.blocks - start <= stretch.first).saturating_sub(1);
+    let mut symbols = 0;
+    for (c, pair) in cells.windows(2).enumerate().skip(begin) {
+        let &[cell, next] = pair else { continue };
+        let (low, high) = (cell.blocks - start, next.blocks - start);
+        if low >= end {
+            break;
+        }
+        let Some(shape) = Shape::of(manifest, stretch.span, ClusterId(c as u16)) else { continue };
+        if shape.level_len(stretch.level) == 0 {
+            continue;
+        }
+        let local = |block: u32| (block.clamp(low, high) - low) as usize;
+        let (blocks, all) = (local(stretch.first)..local(end), shape.blocks());
+        if shape.is_whole(stretch.level) && blocks != (0..all) {
+            return contradiction("slice.blocks", blocks.len() as u64, (all as u64, all as u64));
+        }
+        let (offset, len) = shape.range(stretch.level, blocks.clone());
+        symbols += len;
+        let first = cell.symbols as usize + offset;
+        let mask = cell.blocks as usize;
+        visit(Place {
+            symbols: first..first + len,
+            masks: mask + blocks.start..mask + blocks.end,
+            shape,
+            blocks,
+        })?;
+    }
+    if symbols == 0 {
+        return contradiction("stretch.level", stretch.level.get().into(), (0, 3));
+    }
+    Ok(())
 }
 
 /// Where a slice's symbols and masks lie.
@@ -637,34 +707,4 @@ struct Place {
     blocks: core::ops::Range<usize>,
     symbols: core::ops::Range<usize>,
     masks: core::ops::Range<usize>,
-}
-
-impl Place {
-    fn of(manifest: &Manifest<'_>, cells: &[Cell], slice: &Slice, index: usize) -> Result<Self> {
-        let contradiction = |field, found: u64, allowed| {
-            Error::illegal(field, index, found, allowed).kind(ErrorKind::Contradiction)
-        };
-        let missing = contradiction("slice.cluster", slice.cluster.0.into(), (0, 0));
-        let cell = manifest.cell(slice.span, slice.cluster).ok_or(missing)?;
-        let cell = cells.get(cell.index()).copied().ok_or(missing)?;
-        let shape = Shape::of(manifest, slice.span, slice.cluster).ok_or(missing)?;
-        let all = shape.blocks();
-        let blocks = match slice.blocks {
-            None => 0..all,
-            Some((first, count)) => first.index()..first.index() + usize::from(count),
-        };
-        if blocks.end > all {
-            return Err(contradiction("slice.blocks", blocks.end as u64, (1, all as u64)));
-        }
-        if shape.is_whole(slice.level) && blocks != (0..all) {
-            return Err(contradiction("slice.blocks", blocks.len() as u64, (all as u64, all as u64)));
-        }
-        let (start, len) = shape.range(slice.level, blocks.clone());
-        if len == 0 {
-            return Err(contradiction("slice.level", slice.level.get().into(), (0, 3)));
-        }
-        let first = cell.symbols as usize + start;
-        let mask = cell.blocks as usize;
-        Ok(Self { shape, symbols: first..first + len, masks: mask + blocks.start..mask + blocks.end, blocks })
-    }
 }

@@ -31,6 +31,9 @@ pub struct Options {
     pub rank: usize,
     /// Fineness of the quantisers.
     pub quality: Quality,
+    /// Most entropy tables a stream's runs choose from, 1..=8 (`dgs1`): fewer take less memory of a
+    /// receiver.
+    pub menu: usize,
     /// Largest packet, header and CRC included, bytes (`dgs1`); 200..=1226.
     pub packet_bytes: usize,
     /// Packets per XOR repair set over base levels, 2..=32; `None` sends no parity.
@@ -46,6 +49,7 @@ impl Default for Options {
             window_frames: None,
             rank: 8,
             quality: Quality::default(),
+            menu: limits::MAX_MENU,
             packet_bytes: limits::DEFAULT_PACKET_BYTES,
             repair_set: None,
         }
@@ -68,6 +72,7 @@ impl Options {
         within("block_len", self.block_len, 1, limits::MAX_BLOCK_LEN)?;
         within("window_frames", self.window_frames.unwrap_or(1), 1, limits::MAX_WINDOW_FRAMES)?;
         within("rank", self.rank, 0, limits::MAX_RANK)?;
+        within("menu", self.menu, 1, limits::MAX_MENU)?;
         within("packet_bytes", self.packet_bytes, 200, 1226)?;
         within("cluster.max_gaussians", self.cluster.max_gaussians, 1, limits::MAX_CLUSTER_LEN)?;
         let most = limits::MAX_REPAIR_SET;

@@ -3,7 +3,7 @@
 //! All in f64; what is sent is quantised elsewhere. (Paper section 3, equation 1: the affine
 //! A_{c,t}, the basis b_{t,r} and coefficients q_{i,r}.)
 
-use nalgebra::{DMatrix, Matrix3, SymmetricEigen, Vector3};
+use nalgebra::{DMatrix, Matrix3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3};
 
 /// A cluster's pose at one frame, relative to its canonical pose, about its centre:
 /// `x = centre + translation + linear · (p − centre)`.
@@ -39,6 +39,36 @@ pub fn fit_pose(canonical: &[[f64; 3]], target: &[[f64; 3]], centre: [f64; 3], r
     let linear = regular.try_inverse().map_or(turn, |inverse| (xp + turn * ridge) * inverse);
     let translation = mean_x - centre - linear * (mean_p - centre);
     Pose { linear, translation, rotation }
+}
+
+/// The rigid pose that takes `canonical` offsets from `centre` to `target` positions with the least
+/// squared error; what flat and thin clusters leave undetermined follows `rotation`, as in
+/// [`fit_pose`]. Its `rotation` has the sign nearest `rotation`.
+pub fn fit_rigid(canonical: &[[f64; 3]], target: &[[f64; 3]], centre: [f64; 3], rotation: [f64; 4]) -> Pose {
+    let n = canonical.len().max(1) as f64;
+    let centre = Vector3::from(centre);
+    let mean = |points: &[[f64; 3]]| points.iter().fold(Vector3::zeros(), |s, p| s + Vector3::from(*p)) / n;
+    let (mean_p, mean_x) = (mean(canonical), mean(target));
+    let (mut xp, mut size) = (Matrix3::zeros(), 0.0);
+    for (p, x) in canonical.iter().zip(target) {
+        let (p, x) = (Vector3::from(*p) - mean_p, Vector3::from(*x) - mean_x);
+        xp += x * p.transpose();
+        size += p.norm_squared();
+    }
+    let turn = rotation_matrix(rotation);
+    let svd = (xp + turn * (1e-3 * size / 3.0 + 1e-12)).svd(true, true);
+    let linear = match (svd.u, svd.v_t) {
+        (Some(u), Some(v_t)) => {
+            let mirror = (u * v_t).determinant().signum();
+            u * Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, mirror)) * v_t
+        }
+        _ => turn,
+    };
+    let q = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(linear));
+    let q = [q.w, q.i, q.j, q.k];
+    let sign = if (0..4).map(|d| q[d] * rotation[d]).sum::<f64>() < 0.0 { -1.0 } else { 1.0 };
+    let translation = mean_x - centre - linear * (mean_p - centre);
+    Pose { linear, translation, rotation: q.map(|v| v * sign) }
 }
 
 /// The rotation matrix of unit quaternion `q`, wxyz.
@@ -143,6 +173,9 @@ mod tests {
         let pose = fit_pose(&canonical, &target, centre, rotation);
         assert!((pose.linear - turn).norm() < 1e-9, "{}", pose.linear - turn);
         assert!((pose.translation - shift).norm() < 1e-9);
+        let rigid = fit_rigid(&canonical, &target, centre, rotation.map(|v| -v));
+        assert!((rigid.linear - turn).norm() < 1e-9 && (rigid.translation - shift).norm() < 1e-9);
+        assert!((0..4).all(|d| (rigid.rotation[d] + rotation[d]).abs() < 1e-9), "{:?}", rigid.rotation);
     }
 
     #[test]

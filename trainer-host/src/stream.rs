@@ -423,17 +423,20 @@ impl PacketMap {
             let mut parity = false;
             match parsed {
                 Ok(Packet::Slices(slices)) => {
-                    for slice in &slices.slices {
-                        let group = Group { span: slice.span, cluster: slice.cluster, level: slice.level };
-                        let found = manifest.cell(slice.span, slice.cluster);
-                        let shape = Shape::of(&manifest, slice.span, slice.cluster);
-                        if let Some((cell, shape)) = found.zip(shape) {
-                            let (first, blocks) = slice
-                                .blocks
-                                .map_or((0, shape.blocks()), |(f, n)| (f.index(), usize::from(n)));
-                            let first_block = first_block[cell.index()] + first;
-                            let (_, symbols) = shape.range(slice.level, first..first + blocks);
-                            marks.push(Mark { group, first_block, blocks, symbols });
+                    for stretch in &slices.stretches {
+                        let (span, level) = (stretch.span, stretch.level);
+                        for (cluster, blocks) in manifest.slices(*stretch) {
+                            let group = Group { span, cluster, level };
+                            let found = manifest.cell(span, cluster);
+                            let Some((cell, shape)) = found.zip(Shape::of(&manifest, span, cluster)) else {
+                                continue;
+                            };
+                            let blocks = blocks.start as usize..blocks.end as usize;
+                            let (_, symbols) = shape.range(level, blocks.clone());
+                            if symbols > 0 {
+                                let first_block = first_block[cell.index()] + blocks.start;
+                                marks.push(Mark { group, first_block, blocks: blocks.len(), symbols });
+                            }
                         }
                     }
                 }

@@ -56,7 +56,7 @@ pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) {
     let mut offset = 0;
     for class in [Class::Sh1, Class::Sh2, Class::Sh3] {
         let components = class.components();
-        if class.sh_degree() <= part.shape.cluster.sh_degree && class.first_level() <= level {
+        if part.shape.carries(class, class.first_level()) && class.first_level() <= level {
             let step = part.shape.quant.canonical[class.index()].step(level);
             for component in 0..components {
                 let Some(indices) = indices.get_mut(..n) else { return };
@@ -97,7 +97,7 @@ fn nested(
         if l < class.first_level() {
             continue;
         }
-        if !quantiser.has_symbol(l, class.first_level()) {
+        if !shape.carries(class, l) {
             indices.iter_mut().for_each(|q| *q = quantiser.refine(*q, 0, l));
             continue;
         }

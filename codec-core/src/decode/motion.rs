@@ -15,7 +15,7 @@ use crate::{
     math,
     quant::Class,
     receiver::Cell,
-    wire::manifest::{Manifest, Window},
+    wire::manifest::{Manifest, Track, Window},
 };
 
 /// What is common to all clusters at one frame.
@@ -77,39 +77,71 @@ impl Pose {
         Self { linear: Mat3::IDENTITY, translation: Vec3::ZERO, rotation: [1.0, 0.0, 0.0, 0.0] };
 }
 
-/// Steps of the track's translation and of its linear and rotation parameters.
-pub fn track_steps(shape: &Shape) -> (f32, f32) {
+/// Steps of a track's parameters: translation, scene units; linear map; modified Rodrigues
+/// parameters. At the cluster's radius all move a point by about the same.
+pub fn track_steps(shape: &Shape) -> [f32; 3] {
     let position = shape.quant.canonical[Class::Position.index()];
-    let mut step = position.step(Level::ALL[3]);
+    let mut step = position.step(Level::ALL[3]) * 0.25;
     for _ in 0..shape.motion.track_shift {
         step *= 2.0;
     }
     let radius = f32::from(shape.cluster.radius) * position.step(Level::BASE);
-    (step, step / radius)
+    let linear = step / radius;
+    [step, linear, linear * 0.25]
 }
 
-/// The pose that `symbols` (16 parameters × frames coefficients) give at `cosine`'s frame.
+/// The pose that a track's `symbols` give at `cosine`'s frame: parameters that turn, one list per
+/// frequency, then those of translation.
 pub fn pose(shape: &Shape, symbols: &[i16], cosine: &[f32; MAX_WINDOW_FRAMES]) -> Pose {
-    let (translation, linear) = track_steps(shape);
-    let mut value = [0f32; 16];
-    for (value, run) in value.iter_mut().zip(symbols.chunks_exact((shape.frames as usize).max(1))) {
-        for (&symbol, &weight) in run.iter().zip(cosine) {
-            if symbol != 0 {
-                *value += f32::from(symbol) * weight;
+    let [translation, linear, rodrigues] = track_steps(shape);
+    let track = shape.motion.class();
+    let turning = track.turning();
+    let (turns, moves) =
+        symbols.split_at_checked(turning * usize::from(shape.motion.track)).unwrap_or((&[], &[]));
+    let mut value = [0f32; 9];
+    let mut shift = [0f32; 3];
+    let add = |sums: &mut [f32], symbols: &[i16]| {
+        if sums.is_empty() {
+            return;
+        }
+        for (symbols, &weight) in symbols.chunks_exact(sums.len()).zip(cosine) {
+            for (sum, &symbol) in sums.iter_mut().zip(symbols) {
+                if symbol != 0 {
+                    *sum += f32::from(symbol) * weight;
+                }
             }
         }
-    }
-    // No real motion comes near the bound; it keeps hostile positions finite.
-    let l = |i: usize| (value[i] * linear).clamp(-LINEAR_MOST, LINEAR_MOST);
+    };
+    add(value.get_mut(..turning).unwrap_or(&mut []), turns);
+    add(&mut shift, moves);
+    let (rows, rotation) = match track {
+        Track::Static => return Pose::IDENTITY,
+        Track::Rigid => {
+            let m = [value[0], value[1], value[2]].map(|v| bounded(v * rodrigues));
+            let rotation = math::normalised(math::quat_from_mrp(m));
+            (math::rows_from_quat(rotation), rotation)
+        }
+        Track::Affine => {
+            let l = value.map(|v| bounded(v * linear));
+            let rows = [[1.0 + l[0], l[1], l[2]], [l[3], 1.0 + l[4], l[5]], [l[6], l[7], 1.0 + l[8]]];
+            (rows, math::turn_of(rows))
+        }
+    };
+    let [x, y, z] = rows;
     Pose {
         linear: Mat3::from_cols(
-            Vec3::new(1.0 + l(0), l(3), l(6)),
-            Vec3::new(l(1), 1.0 + l(4), l(7)),
-            Vec3::new(l(2), l(5), 1.0 + l(8)),
+            Vec3::new(x[0], y[0], z[0]),
+            Vec3::new(x[1], y[1], z[1]),
+            Vec3::new(x[2], y[2], z[2]),
         ),
-        translation: Vec3::new(value[9], value[10], value[11]) * translation,
-        rotation: math::normalised([1.0 + l(12), l(13), l(14), l(15)]),
+        translation: Vec3::from_array(shift) * translation,
+        rotation,
     }
+}
+
+/// No real motion comes near the bound; it keeps hostile positions finite.
+fn bounded(parameter: f32) -> f32 {
+    parameter.clamp(-LINEAR_MOST, LINEAR_MOST)
 }
 
 /// Moves the cluster's Gaussians in the output.
@@ -150,7 +182,7 @@ pub(super) fn apply(part: &mut Part<'_, '_>, frame: &Frame) {
 
 /// The pose in the current window, if its track is usable.
 fn track(part: &Part<'_, '_>, shape: &Shape, cell: Cell, frame: &Frame) -> Option<Pose> {
-    if shape.motion.track == 0 {
+    if shape.motion.class() == Track::Static {
         return Some(Pose::IDENTITY);
     }
     if !part.content.arrived(cell, 0).has(Level::BASE) {
@@ -191,7 +223,6 @@ fn bend(part: &mut Part<'_, '_>, shape: &Shape, cell: Cell, block: usize, level:
     let first = block * shape.block_len;
     let base = cell.symbols as usize;
     let symbols = part.content.symbols.get(base..base + shape.len()).unwrap_or(&[]);
-    let bending = Level::ALL[1];
     let mut sums = [0f32; MAX_BLOCK_LEN * 3];
     for class in Class::ALL.into_iter().take(Class::MOVING) {
         let rank = shape.motion.rank(class);
@@ -209,7 +240,7 @@ fn bend(part: &mut Part<'_, '_>, shape: &Shape, cell: Cell, block: usize, level:
             for (d, sums) in sums.chunks_exact_mut(n).enumerate() {
                 // The runs of this component at levels 1, 2 and 3; empty where nothing is coded.
                 let runs = [Level::ALL[1], Level::ALL[2], Level::ALL[3]].map(|l| {
-                    if l > level || !quantiser.has_symbol(l, bending) {
+                    if l > level || !shape.carries(class, l) {
                         return &[][..];
                     }
                     let (at, _) = shape.range(l, block..block + 1);

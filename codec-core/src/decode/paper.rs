@@ -25,7 +25,7 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, t: u32, usable: usize) {
     }
     let (frames, t) = (part.epoch.frames as usize, t as usize);
     let rank = usize::from(part.epoch.rank);
-    let degree_rest = rest_len(part.shape.cluster.sh_degree);
+    let degree_rest = rest_len(part.shape.cluster.sh_degree());
     let levels: [&[i16]; 4] = Level::ALL.map(|level| {
         let start = part.cell.symbols as usize + part.shape.range(level, 0..1).0;
         part.content.symbols.get(start..start + part.shape.level_len(level)).unwrap_or(&[])

@@ -3,9 +3,11 @@
 //! A value `v` (any i16) is a token and `k` raw low bits: token `(v >> k) + 128` if that lies in
 //! 1..=255, else token 0, the escape, and the whole i16 travels in a section of its own.
 //!
-//! On the wire (manifest): `k: u8`, `first: u8`, `count: u8`, `escape: u16`, then `count`
-//! frequencies `u16` of tokens `first ..`. Frequencies and the escape sum to exactly 2048.
+//! On the wire (manifest): 0x80 and the index of a table of the [`family`], or `k: u8`, `first: u8`,
+//! `count: u8`, `escape: u16`, then `count` frequencies `u16` of tokens `first ..`. Frequencies and
+//! the escape sum to exactly 2048.
 
+use super::family;
 use crate::{
     error::{Error, Result},
     wire::cursor::{Reader, in_range},
@@ -33,7 +35,12 @@ pub struct Table {
     start: [u16; 256],
     /// Invariant: at most [`MAX_RAW_BITS`].
     raw_bits: u8,
+    /// Its name in the family, if it has one.
+    index: Option<u8>,
 }
+
+/// First byte of a table of the family on the wire.
+pub const NAMED: u8 = 0x80;
 
 impl Table {
     /// A table of `frequency`, with `raw_bits` raw low bits per value.
@@ -50,7 +57,18 @@ impl Table {
             sum += u32::from(f);
         }
         in_range("table.sum", 0, sum, SCALE, SCALE)?;
-        Ok(Self { frequency, start, raw_bits })
+        Ok(Self { frequency, start, raw_bits, index: None })
+    }
+
+    /// Table `index` of the family.
+    ///
+    /// # Errors
+    /// An index that names none.
+    pub fn named(index: u8) -> Result<Self> {
+        match family::table(index) {
+            Some(table) => Ok(Self { index: Some(index), ..table }),
+            None => Err(Error::illegal("table.index", 1, index.into(), (0, 172))),
+        }
     }
 
     /// The best table of 11-bit probabilities for tokens seen `counts` times: largest-remainder
@@ -137,11 +155,17 @@ impl Table {
 
     /// Bytes of this table on the wire.
     pub fn wire_len(&self) -> usize {
+        if self.index.is_some() {
+            return 2;
+        }
         TABLE_HEADER_BYTES + self.token_span().map_or(0, |(first, last)| 2 * (usize::from(last - first) + 1))
     }
 
     /// Calls `emit` with the bytes of this table on the wire.
     pub fn write(&self, mut emit: impl FnMut(&[u8])) {
+        if let Some(index) = self.index {
+            return emit(&[NAMED, index]);
+        }
         let span = self.token_span();
         let (first, count) = span.map_or((0, 0), |(first, last)| (first, last - first + 1));
         emit(&[self.raw_bits, first, count]);
@@ -158,6 +182,10 @@ impl Table {
     pub fn read(reader: &mut Reader<'_>) -> Result<Self> {
         let start = reader.offset();
         let raw_bits = reader.u8("table.raw_bits")?;
+        if raw_bits == NAMED {
+            return Self::named(reader.u8("table.index")?)
+                .map_err(|e| Error { offset: e.offset + start as u32, ..e });
+        }
         let first = reader.u8("table.first")?;
         let count = reader.u8("table.count")?;
         let mut frequency = [0u16; 256];

@@ -10,13 +10,17 @@
 //! `SPEC.md` gives every byte.
 
 mod check;
+mod menu;
 mod record;
 mod seal;
 
-pub use record::{Cluster, Epoch, Head, Motion, Quant, Repair, TRACK_PARAMETERS, Window};
+pub use menu::{MAX_MENU_BITS, Menu};
+pub use record::{Cluster, Epoch, Head, Motion, Quant, Repair, Track, Window};
 pub use seal::{Sealed, open, seal};
 
-use super::cursor::Reader;
+use core::ops::Range;
+
+use super::{cursor::Reader, packet::Stretch};
 use crate::{
     error::{Error, ErrorKind, Result},
     gaussian::ShDegree,
@@ -30,11 +34,9 @@ use check::check_head;
 /// First four bytes of a manifest.
 pub const MAGIC: [u8; 4] = *b"DGSM";
 /// Version this crate reads and writes.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 /// Bytes before the packed body.
 pub const HEADER_BYTES: usize = 16;
-/// Table index of a stream that never occurs.
-pub const NO_TABLE: u8 = 255;
 
 /// The named sets of format choices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -47,41 +49,60 @@ pub enum Profile {
     Dgs1 = 1,
 }
 
-/// Symbol streams of `dgs1`, each with its own table.
+/// Symbol streams of `dgs1`, each with its own menu of tables.
 pub mod stream {
-    use super::{Class, Level};
+    use super::{Class, Level, Track};
 
-    /// Streams of the cluster track: (linear, translation, rotation) × three frequency bands.
-    pub const TRACK_FIRST: usize = Class::COUNT * Level::COUNT;
-    const COEFFICIENT_FIRST: usize = TRACK_FIRST + 9;
+    /// Bands of temporal frequencies of a track: 0, 1..=3, 4..=7 and those above.
+    pub const TRACK_BANDS: [usize; 5] = [0, 1, 4, 8, usize::MAX];
+    const START_FIRST: usize = Class::COUNT * Level::COUNT;
+    const TRACK_FIRST: usize = START_FIRST + Class::COUNT;
+    const COEFFICIENT_FIRST: usize = TRACK_FIRST + 3 * 4;
+    const COEFFICIENT_START_FIRST: usize = COEFFICIENT_FIRST + Class::MOVING * 3 * 2;
     /// Number of streams.
-    pub const COUNT: usize = COEFFICIENT_FIRST + Class::MOVING * 3 * 2;
+    pub const COUNT: usize = COEFFICIENT_START_FIRST + Class::MOVING;
 
     /// Canonical attribute `class` at `level`.
     pub const fn canonical(class: Class, level: Level) -> usize {
         class.index() * Level::COUNT + level.index()
     }
 
-    /// Track parameter `parameter` (0..9 linear, 9..12 translation, 12..16 rotation) at temporal
-    /// frequency `k`.
-    pub const fn track(parameter: usize, k: usize) -> usize {
-        let kind = match parameter {
-            0..=8 => 0,
-            9..=11 => 1,
-            _ => 2,
+    /// The first value of each component of a block where `class` is coded in differences.
+    pub const fn start(class: Class) -> usize {
+        START_FIRST + class.index()
+    }
+
+    /// Track parameters of band `band` (0..4): those that turn by `track`, or translation.
+    pub const fn track(track: Option<Track>, band: usize) -> usize {
+        let kind = match track {
+            None => 0,
+            Some(Track::Rigid) => 1,
+            Some(_) => 2,
         };
-        let band = match k {
-            0 => 0,
-            1..=3 => 1,
-            _ => 2,
-        };
-        TRACK_FIRST + kind * 3 + band
+        TRACK_FIRST + kind * 4 + band % 4
     }
 
     /// Motion coefficient `k` of `class` (one of the moving ones) at `level` 1..=3.
     pub const fn coefficient(class: Class, level: Level, k: usize) -> usize {
         let level = (level.index() + 2) % 3;
         COEFFICIENT_FIRST + (class.index() % Class::MOVING * 3 + level) * 2 + if k == 0 { 0 } else { 1 }
+    }
+
+    /// The first coefficient of each component of a block where `class`'s are coded in differences.
+    pub const fn coefficient_start(class: Class) -> usize {
+        COEFFICIENT_START_FIRST + class.index() % Class::MOVING
+    }
+
+    /// What `stream` codes, for people: attribute and whether it is motion.
+    pub fn attribute(stream: usize) -> (Option<Class>, bool) {
+        let class = |index: usize| Class::ALL.get(index).copied();
+        match stream {
+            0..START_FIRST => (class(stream / Level::COUNT), false),
+            START_FIRST..TRACK_FIRST => (class(stream - START_FIRST), false),
+            TRACK_FIRST..COEFFICIENT_FIRST => (None, true),
+            COEFFICIENT_FIRST..COEFFICIENT_START_FIRST => (class((stream - COEFFICIENT_FIRST) / 6), true),
+            _ => (class(stream - COEFFICIENT_START_FIRST), true),
+        }
     }
 }
 
@@ -144,7 +165,8 @@ impl<'a> Manifest<'a> {
         let motion_cells = partial.check_lattice()?;
         take(motion_cells * Motion::BYTES, &mut sections.motions, "manifest.motions")?;
         take(usize::from(head.quants) * Quant::BYTES, &mut sections.quants, "manifest.quants")?;
-        take(if is_dgs1 { stream::COUNT } else { 0 }, &mut sections.streams, "manifest.streams")?;
+        let menus = if is_dgs1 { stream::COUNT * Menu::BYTES } else { 0 };
+        take(menus, &mut sections.streams, "manifest.streams")?;
         take(usize::from(head.repairs) * Repair::BYTES, &mut sections.repairs, "manifest.repairs")?;
         let basis_width = if is_dgs1 { 2 } else { 4 };
         take(head.basis_values as usize * basis_width, &mut sections.basis, "manifest.basis")?;
@@ -288,12 +310,48 @@ impl<'a> Manifest<'a> {
         self.record(self.sections.quants, usize::from(index), count, Quant::BYTES, Quant::read)
     }
 
-    /// Table index of stream `stream`, [`NO_TABLE`] if it never occurs.
-    pub fn table_of(&self, stream: usize) -> u8 {
-        if self.profile != Profile::Dgs1 || stream >= stream::COUNT {
-            return NO_TABLE;
-        }
-        self.raw.get(self.sections.streams + stream).copied().unwrap_or(NO_TABLE)
+    /// The tables that runs of stream `stream` choose from; empty if it never occurs.
+    pub fn menu(&self, stream: usize) -> Menu {
+        let count = if self.profile == Profile::Dgs1 { stream::COUNT } else { 0 };
+        self.record(self.sections.streams, stream, count, Menu::BYTES, Menu::read).unwrap_or_default()
+    }
+
+    /// Blocks of cluster `cluster` (`paper`: one).
+    fn blocks_of(&self, cluster: &Cluster) -> u32 {
+        u32::from(cluster.gaussians).div_ceil(self.block_len() as u32)
+    }
+
+    /// Clusters of the epoch that `span` is or lies in; 0 for a span that does not exist.
+    pub fn clusters_of(&self, span: Span) -> u32 {
+        let epoch = match span {
+            Span::Canonical(id) => Some(id),
+            Span::Motion(id) => self.window(id).map(|w| EpochId(w.epoch)),
+        };
+        epoch.and_then(|id| self.epoch(id)).map_or(0, |e| e.clusters)
+    }
+
+    /// The slices of `stretch`, in order: cluster, and its blocks inside the stretch. Clusters that
+    /// carry nothing at the level are among them. A stretch past the span's end stops there.
+    pub fn slices(&self, stretch: Stretch) -> impl Iterator<Item = (ClusterId, Range<u32>)> + use<'a> {
+        let this = *self;
+        let epoch_id = match stretch.span {
+            Span::Canonical(id) => Some(id),
+            Span::Motion(id) => this.window(id).map(|w| EpochId(w.epoch)),
+        };
+        let epoch = epoch_id.and_then(|id| this.epoch(id)).unwrap_or_default();
+        let end = stretch.first.saturating_add(stretch.blocks);
+        let mut before = 0u32;
+        (0..epoch.clusters)
+            .map_while(move |c| {
+                let record = this.cluster_record((epoch.first_cluster + c) as usize)?;
+                let (first, last) = (before, before + this.blocks_of(&record));
+                before = last;
+                (first < end).then(|| {
+                    let inside = stretch.first.clamp(first, last) - first..end.clamp(first, last) - first;
+                    (ClusterId(c as u16), inside)
+                })
+            })
+            .filter(|(_, blocks)| !blocks.is_empty())
     }
 
     /// All entropy tables of `dgs1`, in order.

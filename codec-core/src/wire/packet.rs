@@ -1,8 +1,8 @@
 //! DGSP, the packets, in three kinds told apart by the top three bits of the first byte.
 //!
 //! - `0b100`, **chunk** (`paper`): 22-byte header, dependency words, payload ≤ 1200 bytes, CRC.
-//! - `0b101`, **slices** (`dgs1`): packet id, one or more slices, one entropy-coded body, CRC.
-//!   What a slice needs is implied by the lattice and costs no bytes.
+//! - `0b101`, **slices** (`dgs1`): packet id, one or more stretches of blocks, one entropy-coded body,
+//!   CRC. What a slice needs is implied by the lattice and costs no bytes.
 //! - `0b110`, **parity**: packet id, the XOR of the packets of one repair set, CRC.
 //!
 //! Every packet ends with the CRC-32 of all bytes before it. `parse` functions take the bytes
@@ -16,7 +16,7 @@ use super::{
 };
 use crate::{
     error::{Error, ErrorKind, Result},
-    ids::{BlockId, ClusterId, EpochId, Level, PacketId, Span, WindowId},
+    ids::{EpochId, Level, PacketId, Span, WindowId},
     limits,
 };
 
@@ -178,71 +178,63 @@ impl<'a> Chunk<'a> {
     }
 }
 
-/// One slice: some blocks of one group.
+/// Consecutive blocks of one level in one span: a slice of every group they belong to.
+///
+/// Blocks are numbered over all clusters of the span's epoch, in order, so that a stretch takes a
+/// few bytes however many clusters it crosses. Clusters without symbols at the level are counted
+/// and bring nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Slice {
+pub struct Stretch {
     /// Epoch or window.
     pub span: Span,
-    /// Cluster inside the epoch.
-    pub cluster: ClusterId,
     /// Level.
     pub level: Level,
-    /// First block and number of blocks; `None` is the whole cluster.
-    pub blocks: Option<(BlockId, u16)>,
+    /// First block, counted over the span.
+    pub first: u32,
+    /// Number of blocks, ≥ 1.
+    pub blocks: u32,
 }
 
 const FLAG_MOTION: u8 = 1 << 2;
-const FLAG_WHOLE: u8 = 1 << 3;
-const FLAG_LAST: u8 = 1 << 4;
+const FLAG_MORE: u8 = 1 << 3;
+/// Bits of a stretch's flag byte that may be set; the kind above them is the first stretch's.
+const FLAGS: u8 = 0xf;
 
-impl Slice {
-    /// Bytes of this slice's header, its flag byte included.
+impl Stretch {
+    /// Bytes of this stretch's header, its flag byte included.
     pub fn header_len(&self) -> usize {
         use super::cursor::varint_len;
-        let span = match self.span {
-            Span::Canonical(EpochId(i)) | Span::Motion(WindowId(i)) => i,
-        };
-        let blocks = self.blocks.map_or(0, |(first, count)| {
-            varint_len(first.0.into()) + varint_len(u32::from(count).saturating_sub(1))
-        });
-        1 + varint_len(span.into()) + varint_len(self.cluster.0.into()) + blocks
+        let (Span::Canonical(EpochId(span)) | Span::Motion(WindowId(span))) = self.span;
+        1 + varint_len(span.into()) + varint_len(self.first) + varint_len(self.blocks)
     }
 
-    fn flags(&self, last: bool) -> u8 {
+    fn flags(&self, more: bool) -> u8 {
         let motion = if matches!(self.span, Span::Motion(_)) { FLAG_MOTION } else { 0 };
-        let whole = if self.blocks.is_none() { FLAG_WHOLE } else { 0 };
-        self.level.get() | motion | whole | if last { FLAG_LAST } else { 0 }
+        self.level.get() | motion | if more { FLAG_MORE } else { 0 }
     }
 
     fn read(reader: &mut Reader<'_>, flags: u8) -> Result<Self> {
         let motion = flags & FLAG_MOTION != 0;
         let most = if motion { limits::MAX_WINDOWS } else { limits::MAX_EPOCHS } as u32 - 1;
-        let span = reader.varint("slice.span", most)? as u16;
+        let span = reader.varint("stretch.span", most)? as u16;
         let span = if motion { Span::Motion(WindowId(span)) } else { Span::Canonical(EpochId(span)) };
-        let cluster = ClusterId(reader.varint("slice.cluster", u16::MAX.into())? as u16);
-        let blocks = if flags & FLAG_WHOLE != 0 {
-            None
-        } else {
-            let most = limits::MAX_CLUSTER_LEN as u32 - 1;
-            let first = reader.varint("slice.first_block", most)? as u16;
-            let count = reader.varint("slice.block_count", most)? as u16 + 1;
-            Some((BlockId(first), count))
-        };
-        Ok(Self { span, cluster, level: Level::from_bits(flags), blocks })
+        let first = reader.varint("stretch.first", limits::MAX_EPOCH_GAUSSIANS - 1)?;
+        let blocks = reader.varint_in("stretch.blocks", 1, limits::MAX_EPOCH_GAUSSIANS)?;
+        Ok(Self { span, level: Level::from_bits(flags), first, blocks })
     }
 }
 
-/// A `dgs1` packet: slices that share one entropy-coded body.
+/// A `dgs1` packet: stretches of blocks that share one entropy-coded body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Slices<'a> {
     /// The packet.
     pub id: PacketId,
     /// What the body holds, in order.
-    pub slices: Vec<Slice, { limits::MAX_SLICES }>,
+    pub stretches: Vec<Stretch, { limits::MAX_STRETCHES }>,
     /// Escaped values in the body.
     pub escapes: u16,
-    /// The four-lane rANS body.
+    /// Table selectors, then the four-lane rANS body.
     pub body: &'a [u8],
 }
 
@@ -250,59 +242,63 @@ impl<'a> Slices<'a> {
     /// Parses `content`.
     ///
     /// # Errors
-    /// Short bytes, illegal fields, too many slices.
+    /// Short bytes, illegal fields, too many stretches.
     pub fn parse(content: &'a [u8]) -> Result<Self> {
         let mut reader = Reader::new(content);
-        let first = reader.u8("slice.flags")?;
+        let first = reader.u8("stretch.flags")?;
         in_range("packet.kind", 0, first >> 5, KIND_SLICES, KIND_SLICES)?;
-        let id = PacketId::from_bytes(reader.array("packet.id")?);
-        let mut slices = Vec::new();
-        let mut flags = first & 0x1f;
+        let mut flags = in_range("stretch.flags", 0, first & 0x1f, 0, FLAGS)?;
+        // The varint's bound is the id's own.
+        let id = PacketId::new(reader.varint("packet.id", PacketId::MAX)?).unwrap_or_default();
+        let mut stretches = Vec::new();
         loop {
             let place = reader.offset();
-            let slice = Slice::read(&mut reader, flags)?;
-            let most = limits::MAX_SLICES as u64;
-            slices.push(slice).map_err(|_| Error::illegal("packet.slices", place, most + 1, (1, most)))?;
-            if flags & FLAG_LAST != 0 {
+            let stretch = Stretch::read(&mut reader, flags)?;
+            let most = limits::MAX_STRETCHES as u64;
+            let full = Error::illegal("packet.stretches", place, most + 1, (1, most));
+            stretches.push(stretch).map_err(|_| full)?;
+            if flags & FLAG_MORE == 0 {
                 break;
             }
             let place = reader.offset();
-            flags = in_range("slice.flags", place, reader.u8("slice.flags")?, 0, 0x1f)?;
+            flags = in_range("stretch.flags", place, reader.u8("stretch.flags")?, 0, FLAGS)?;
         }
         let escapes = reader.varint("packet.escapes", limits::MAX_PACKET_BYTES as u32)? as u16;
         let left = reader.left();
         let body = reader.bytes("packet.body", left)?;
-        Ok(Self { id, slices, escapes, body })
+        Ok(Self { id, stretches, escapes, body })
+    }
+
+    /// Bytes before the body.
+    pub fn header_len(&self) -> usize {
+        let headers: usize = self.stretches.iter().map(Stretch::header_len).sum();
+        super::cursor::varint_len(self.id.get()) + headers + super::cursor::varint_len(self.escapes.into())
     }
 
     /// Bytes of the whole packet.
     pub fn wire_len(&self) -> usize {
-        let headers: usize = self.slices.iter().map(Slice::header_len).sum();
-        3 + headers + super::cursor::varint_len(self.escapes.into()) + self.body.len() + 4
+        self.header_len() + self.body.len() + super::crc::CRC_BYTES
     }
 
     /// Writes the whole packet, CRC included, to the front of `out`; returns its length.
     ///
     /// # Errors
-    /// [`ErrorKind::Capacity`] if `out` is too small, [`ErrorKind::Illegal`] without a slice.
+    /// [`ErrorKind::Capacity`] if `out` is too small, [`ErrorKind::Illegal`] without a stretch.
     pub fn write(&self, out: &mut [u8]) -> Result<usize> {
-        in_range("packet.slices", 0, self.slices.len() as u64, 1, limits::MAX_SLICES as u64)?;
+        in_range("packet.stretches", 0, self.stretches.len() as u64, 1, limits::MAX_STRETCHES as u64)?;
         let mut writer = Writer::new(out);
-        for (i, slice) in self.slices.iter().enumerate() {
-            let flags = slice.flags(i + 1 == self.slices.len());
+        for (i, stretch) in self.stretches.iter().enumerate() {
+            let flags = stretch.flags(i + 1 < self.stretches.len());
             if i == 0 {
                 writer.bytes(&[KIND_SLICES << 5 | flags])?;
-                writer.bytes(&self.id.to_bytes())?;
+                writer.varint(self.id.get())?;
             } else {
                 writer.bytes(&[flags])?;
             }
-            let (Span::Canonical(EpochId(span)) | Span::Motion(WindowId(span))) = slice.span;
+            let (Span::Canonical(EpochId(span)) | Span::Motion(WindowId(span))) = stretch.span;
             writer.varint(span.into())?;
-            writer.varint(slice.cluster.0.into())?;
-            if let Some((first, count)) = slice.blocks {
-                writer.varint(first.0.into())?;
-                writer.varint(u32::from(count).saturating_sub(1))?;
-            }
+            writer.varint(stretch.first)?;
+            writer.varint(stretch.blocks)?;
         }
         writer.varint(self.escapes.into())?;
         writer.bytes(self.body)?;
@@ -366,24 +362,25 @@ mod tests {
     extern crate std;
     use std::vec;
 
-    fn slice() -> impl Strategy<Value = Slice> {
-        let blocks = proptest::option::of((0u16..500, 1u16..300));
-        (any::<bool>(), 0u16..4000, 0u16..1000, 0u8..4, blocks).prop_map(|(m, s, c, l, b)| Slice {
-            span: if m { Span::Motion(WindowId(s)) } else { Span::Canonical(EpochId(s)) },
-            cluster: ClusterId(c),
-            level: Level::from_bits(l),
-            blocks: b.map(|(f, n)| (BlockId(f), n)),
-        })
+    fn stretch() -> impl Strategy<Value = Stretch> {
+        (any::<bool>(), 0u16..4000, 0u32..1_000_000, 0u8..4, 1u32..3000).prop_map(
+            |(m, s, first, l, blocks)| Stretch {
+                span: if m { Span::Motion(WindowId(s)) } else { Span::Canonical(EpochId(s)) },
+                level: Level::from_bits(l),
+                first,
+                blocks,
+            },
+        )
     }
 
     proptest! {
         #[test]
         fn slices_round_trip_at_their_stated_length(
-            list in proptest::collection::vec(slice(), 1..9), id in 0u32..1 << 24, escapes in 0u16..300,
+            list in proptest::collection::vec(stretch(), 1..9), id in 0u32..1 << 24, escapes in 0u16..300,
             body in proptest::collection::vec(any::<u8>(), 0..900),
         ) {
             let packet = Slices {
-                id: PacketId::new(id).unwrap(), slices: list.into_iter().collect(), escapes, body: &body,
+                id: PacketId::new(id).unwrap(), stretches: list.into_iter().collect(), escapes, body: &body,
             };
             let mut out = vec![0u8; 1280];
             let len = packet.write(&mut out).unwrap();
@@ -431,20 +428,16 @@ mod tests {
 
     #[test]
     fn literal_bytes_of_a_slices_packet() {
-        let slice = Slice {
-            span: Span::Canonical(EpochId(0)),
-            cluster: ClusterId(5),
-            level: Level::from_bits(2),
-            blocks: Some((BlockId(3), 4)),
-        };
+        let stretch =
+            Stretch { span: Span::Canonical(EpochId(0)), level: Level::from_bits(2), first: 300, blocks: 4 };
         let packet = Slices {
             id: PacketId::new(0x01_02_03).unwrap(),
-            slices: [slice].into_iter().collect(),
+            stretches: [stretch].into_iter().collect(),
             escapes: 1,
             body: &[0xaa, 0xbb],
         };
         let mut out = [0u8; 32];
         let len = packet.write(&mut out).unwrap();
-        assert_eq!(out[..len - 4], [0b1011_0010, 3, 2, 1, 0, 5, 3, 3, 1, 0xaa, 0xbb]);
+        assert_eq!(out[..len - 4], [0b1010_0010, 0x83, 0x84, 0x04, 0, 0xac, 2, 4, 1, 0xaa, 0xbb]);
     }
 }

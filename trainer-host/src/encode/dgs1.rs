@@ -2,13 +2,15 @@
 
 mod canonical;
 mod motion;
+mod price;
+mod track;
 
 use codec_core::{
     gaussian::ShDegree,
     ids::{EpochId, Level, Span, WindowId},
     quant::Class,
     wire::{
-        manifest::{self, Head, Manifest, NO_TABLE, Profile, Quant, Repair, TRACK_PARAMETERS, stream},
+        manifest::{self, Head, Manifest, Profile, Quant, Repair, stream},
         packet::PARITY_OVERHEAD_BYTES,
     },
 };
@@ -16,7 +18,7 @@ use rayon::prelude::*;
 
 use super::{
     EncodeError, Ledger, Options, Progress, Share, packet_id,
-    packetise::{CellSymbols, Lot, Proto, packetise},
+    packetise::{CellSymbols, Lot, Proto, each_run, packetise},
     parity, rate,
     statistics::{Model, Streams},
 };
@@ -62,8 +64,8 @@ pub(super) fn encode(
         first_frame += epoch.frames();
     }
     progress("entropy-code", 0.0);
-    let streams = histograms(&plans);
-    let model = streams.model()?;
+    let streams = streams(&plans);
+    let model = streams.model(options.menu)?;
     progress("packetise", 0.0);
     let lots = lots(&plans);
     let limit = |base: bool| match options.repair_set {
@@ -162,23 +164,16 @@ fn lots(plans: &[EpochPlan]) -> Vec<Lot<'_>> {
     lots
 }
 
-/// Calls `run` with the stream and the symbols of each run of a cell.
-fn runs(cell: &CellSymbols, mut run: impl FnMut(Level, usize, &[i16])) {
+/// Calls `run` with level, stream and symbols of each run of a cell.
+fn runs<'c>(cell: &'c CellSymbols, mut run: impl FnMut(Level, usize, &'c [i16])) {
     for level in Level::ALL {
-        let mut rest = cell.levels[level.index()].as_slice();
-        let visit = |stream: usize, n: usize| -> Result<(), std::convert::Infallible> {
-            let (symbols, tail) = rest.split_at(n);
-            rest = tail;
-            run(level, stream, symbols);
-            Ok(())
-        };
         if cell.shape.level_len(level) > 0 {
-            let Ok(()) = cell.shape.runs(level, 0..cell.shape.blocks(), visit);
+            each_run(cell, level, 0..cell.shape.blocks(), |stream, symbols| run(level, stream, symbols));
         }
     }
 }
 
-fn histograms(plans: &[EpochPlan]) -> Streams {
+fn streams(plans: &[EpochPlan]) -> Streams<'_> {
     let mut streams = Streams::default();
     for (_, cells) in spans(plans) {
         cells.iter().for_each(|cell| runs(cell, |_, stream, symbols| streams.add(stream, symbols)));
@@ -186,7 +181,7 @@ fn histograms(plans: &[EpochPlan]) -> Streams {
     streams
 }
 
-fn ledger(scene: &Scene, plans: &[EpochPlan], streams: &Streams, model: &Model) -> Ledger {
+fn ledger(scene: &Scene, plans: &[EpochPlan], streams: &Streams<'_>, model: &Model) -> Ledger {
     let names = ["position", "scale", "rotation", "opacity", "sh0", "sh1", "sh2", "sh3"];
     let moving = ["position motion", "scale motion", "rotation motion", "opacity motion", "sh0 motion"];
     let mut ledger = Ledger {
@@ -196,17 +191,16 @@ fn ledger(scene: &Scene, plans: &[EpochPlan], streams: &Streams, model: &Model) 
         ..Ledger::default()
     };
     let name = |stream: usize| -> &'static str {
-        let canonical = stream / Level::COUNT;
-        if stream < stream::TRACK_FIRST {
-            return names[canonical];
+        match stream::attribute(stream) {
+            (None, _) => "track",
+            (Some(class), true) => moving[class.index() % Class::MOVING],
+            (Some(class), false) => names[class.index()],
         }
-        let coefficient = stream::coefficient(Class::Position, Level::ALL[1], 0);
-        if stream < coefficient { "track" } else { moving[(stream - coefficient) / 6] }
     };
     for (_, cells) in spans(plans) {
         for cell in cells {
             runs(cell, |level, stream, symbols| {
-                let bits = model.bits(stream, symbols);
+                let (_, bits) = model.choose(stream, symbols);
                 ledger.symbols += symbols.len() as u64;
                 let (attribute, level) = (name(stream), level.get());
                 let found = ledger.shares.iter_mut().find(|s| s.attribute == attribute && s.level == level);
@@ -296,13 +290,12 @@ fn body(
         window.cells.iter().for_each(|cell| out.extend(cell.shape.motion.to_bytes()));
     }
     distinct.iter().for_each(|q| q.write(|bytes| out.extend_from_slice(bytes)));
-    out.extend(model.table_of);
+    model.menus.iter().for_each(|menu| out.extend(menu.to_bytes()));
     repairs.iter().for_each(|r| out.extend(r.to_bytes()));
     for vector in plans.iter().flat_map(|p| &p.windows).flat_map(|w| &w.basis) {
         vector.iter().for_each(|v| out.extend(v.to_le_bytes()));
     }
     model.tables.iter().for_each(|t| t.write(|bytes| out.extend_from_slice(bytes)));
-    debug_assert!(model.table_of.iter().all(|&t| t == NO_TABLE || usize::from(t) < model.tables.len()));
     out
 }
 
@@ -317,5 +310,3 @@ fn distinct(quants: &[Quant]) -> Vec<Quant> {
     }
     distinct
 }
-
-const _: () = assert!(TRACK_PARAMETERS == 16);

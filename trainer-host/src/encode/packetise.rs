@@ -1,12 +1,16 @@
 //! Packets of `dgs1`: slices until the packet is full, then the next one.
 
+use std::ops::Range;
+
 use codec_core::{
     Error, ErrorKind,
-    ids::{BlockId, ClusterId, Level, PacketId, Span},
+    ids::{Level, PacketId, Span},
     layout::Shape,
-    limits,
     rans::lanes,
-    wire::packet::{Slice, Slices},
+    wire::{
+        bits::BitWriter,
+        packet::{Slices, Stretch},
+    },
 };
 
 use super::{EncodeError, statistics::Model};
@@ -28,21 +32,23 @@ pub(super) struct Lot<'c> {
 /// A packet that still lacks its id.
 #[derive(Clone, Debug)]
 pub(super) struct Proto {
-    slices: Vec<Slice>,
+    stretch: Stretch,
     escapes: u16,
     body: Vec<u8>,
 }
 
 /// What cannot be divided: one block, or a whole cell for tracks.
-#[derive(Clone, Copy)]
+#[derive(Clone)]
 struct Item {
     cluster: usize,
-    block: usize,
-    whole: bool,
+    blocks: Range<usize>,
+    /// First block, counted over the span.
+    first: u32,
     bits: f64,
 }
 
-/// Fixed bytes of a packet: id 3, escape count ≤ 2, states 16, CRC 4.
+/// Bytes of a packet besides stretch and entropy-coded values: id ≤ 3, escape count ≤ 2, states 16,
+/// CRC 4.
 const FIXED_BYTES: usize = 25;
 
 /// Packs a lot into packets of at most `limit` bytes.
@@ -72,32 +78,43 @@ pub(super) fn packetise(lot: &Lot<'_>, model: &Model, limit: usize) -> Result<Ve
 
 fn items(lot: &Lot<'_>, model: &Model) -> Vec<Item> {
     let mut items = Vec::new();
+    let mut first = 0;
     for (cluster, cell) in lot.cells.iter().enumerate() {
-        let shape = &cell.shape;
+        let (shape, start) = (&cell.shape, first);
+        first += shape.blocks() as u32;
         if shape.level_len(lot.level) == 0 {
             continue;
         }
         let whole = shape.is_whole(lot.level);
         for block in 0..if whole { 1 } else { shape.blocks() } {
             let blocks = if whole { 0..shape.blocks() } else { block..block + 1 };
-            let mut rest = symbols(cell, lot.level, blocks.clone());
             let mut bits = 0.0;
-            let run = |stream: usize, n: usize| -> Result<(), EncodeError> {
-                let (run, tail) = rest.split_at(n);
-                rest = tail;
-                bits += model.bits(stream, run);
-                Ok(())
-            };
-            // The closure above cannot fail.
-            let _ = shape.runs(lot.level, blocks, run);
-            items.push(Item { cluster, block, whole, bits });
+            each_run(cell, lot.level, blocks.clone(), |stream, run| bits += model.choose(stream, run).1);
+            items.push(Item { cluster, blocks, first: start + block as u32, bits });
         }
     }
     items
 }
 
+/// Calls `visit` with stream and symbols of each run of `blocks` of a cell at `level`.
+pub(super) fn each_run<'c>(
+    cell: &'c CellSymbols,
+    level: Level,
+    blocks: Range<usize>,
+    mut visit: impl FnMut(usize, &'c [i16]),
+) {
+    let mut rest = symbols(cell, level, blocks.clone());
+    let run = |stream: usize, n: usize| -> Result<(), std::convert::Infallible> {
+        let (run, tail) = rest.split_at(n);
+        rest = tail;
+        visit(stream, run);
+        Ok(())
+    };
+    let Ok(()) = cell.shape.runs(level, blocks, run);
+}
+
 /// The symbols of `blocks` of a cell at `level`.
-fn symbols(cell: &CellSymbols, level: Level, blocks: std::ops::Range<usize>) -> &[i16] {
+fn symbols(cell: &CellSymbols, level: Level, blocks: Range<usize>) -> &[i16] {
     let (level_start, _) = cell.shape.range(level, 0..0);
     let (start, len) = cell.shape.range(level, blocks);
     let from = if cell.shape.is_whole(level) { 0 } else { start - level_start };
@@ -109,76 +126,60 @@ fn fill(lot: &Lot<'_>, items: &[Item], limit: usize) -> usize {
     let mut bits = 0.0;
     for (n, item) in items.iter().enumerate() {
         bits += item.bits;
-        let slices = slices(lot, &items[..=n]);
-        let headers: usize = slices.iter().map(Slice::header_len).sum();
-        let bytes = FIXED_BYTES + headers + (bits / 8.0).ceil() as usize;
-        if n > 0 && (bytes > limit || slices.len() > limits::MAX_SLICES) {
+        let header = stretch(lot, &items[..=n]).header_len();
+        if n > 0 && FIXED_BYTES + header + (bits / 8.0).ceil() as usize > limit {
             return n;
         }
     }
     items.len()
 }
 
-/// Neighbouring blocks of one cell make one slice.
-fn slices(lot: &Lot<'_>, items: &[Item]) -> Vec<Slice> {
-    let mut slices: Vec<Slice> = Vec::new();
-    let mut last: Option<Item> = None;
-    for item in items {
-        let all = lot.cells[item.cluster].shape.blocks();
-        if let Some(before) = last
-            && before.cluster == item.cluster
-            && let Some(slice) = slices.last_mut()
-            && let Some((first, count)) = slice.blocks
-        {
-            let count = count + 1;
-            slice.blocks = (usize::from(count) < all).then_some((first, count));
-        } else {
-            let whole = item.whole || all == 1;
-            slices.push(Slice {
-                span: lot.span,
-                cluster: ClusterId(item.cluster as u16),
-                level: lot.level,
-                blocks: (!whole).then_some((BlockId(item.block as u16), 1)),
-            });
-        }
-        last = Some(*item);
-    }
-    slices
+/// The blocks of `items`, which follow each other in `lot`.
+fn stretch(lot: &Lot<'_>, items: &[Item]) -> Stretch {
+    let (first, last) = match items {
+        [first, .., last] => (first, last),
+        [only] => (only, only),
+        [] => return Stretch { span: lot.span, level: lot.level, first: 0, blocks: 0 },
+    };
+    let blocks = last.first + last.blocks.len() as u32 - first.first;
+    Stretch { span: lot.span, level: lot.level, first: first.first, blocks }
 }
 
 fn encode(lot: &Lot<'_>, items: &[Item], model: &Model, limit: usize) -> Result<Proto, EncodeError> {
-    let slices = slices(lot, items);
     let (mut values, mut table_of) = (Vec::new(), Vec::new());
+    let mut body = vec![0u8; 2 * limit + 64];
+    let mut selectors = BitWriter::new(&mut body);
+    let mut full = Ok(());
     for item in items {
         let cell = &lot.cells[item.cluster];
-        let blocks = if item.whole { 0..cell.shape.blocks() } else { item.block..item.block + 1 };
-        values.extend_from_slice(symbols(cell, lot.level, blocks.clone()));
-        let run = |stream: usize, n: usize| -> Result<(), EncodeError> {
-            table_of.extend(std::iter::repeat_n(model.table_of[stream], n));
-            Ok(())
-        };
-        cell.shape.runs(lot.level, blocks, run)?;
+        each_run(cell, lot.level, item.blocks.clone(), |stream, run| {
+            let (choice, _) = model.choose(stream, run);
+            let (table, code, length) = model.code(stream, choice);
+            let written = selectors.code(code, length);
+            full = full.and(written);
+            values.extend_from_slice(run);
+            table_of.extend(std::iter::repeat_n(table, run.len()));
+        });
     }
-    let mut body = vec![0u8; limit + 64];
-    let encoded = lanes::encode(&values, &table_of, &model.tables, &mut body)?;
-    body.truncate(encoded.len);
-    Ok(Proto { slices, escapes: encoded.escapes as u16, body })
+    full?;
+    let selectors = selectors.finish();
+    let encoded = lanes::encode(&values, &table_of, &model.tables, &mut body[selectors..])?;
+    body.truncate(selectors + encoded.len);
+    Ok(Proto { stretch: stretch(lot, items), escapes: encoded.escapes as u16, body })
 }
 
 impl Proto {
     fn packet(&self, id: PacketId) -> Slices<'_> {
-        Slices { id, slices: self.slices.iter().copied().collect(), escapes: self.escapes, body: &self.body }
+        let stretches = std::iter::once(self.stretch).collect();
+        Slices { id, stretches, escapes: self.escapes, body: &self.body }
     }
 
-    /// Bytes of the whole packet.
+    /// Bytes of the whole packet with the longest id.
     pub fn wire_len(&self) -> usize {
-        if self.slices.len() > limits::MAX_SLICES {
-            return usize::MAX;
-        }
-        self.packet(PacketId::default()).wire_len()
+        self.packet(PacketId::new(PacketId::MAX).unwrap_or_default()).wire_len()
     }
 
-    /// Bytes of the entropy-coded body.
+    /// Bytes of the body: selectors and entropy-coded values.
     pub fn body_len(&self) -> usize {
         self.body.len()
     }

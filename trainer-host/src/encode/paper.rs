@@ -496,7 +496,7 @@ fn body(
             let record = Cluster {
                 gaussians: members.len() as u16,
                 quant,
-                sh_degree: epoch.attributes().sh_degree.get(),
+                kind: Cluster::kind_of(epoch.attributes().sh_degree.get(), Level::ALL[3]),
                 radius: 1,
                 ..Cluster::default()
             };

@@ -1,9 +1,15 @@
 //! What symbols look like: histograms per stream, the table each gets, and what it costs.
 
+mod menu;
+
 use codec_core::{
-    rans::table::{ESCAPE, MAX_RAW_BITS, PRECISION, Table},
-    wire::manifest::{NO_TABLE, stream},
+    rans::{
+        family,
+        table::{ESCAPE, MAX_RAW_BITS, PRECISION, Table},
+    },
+    wire::manifest::{Menu, stream},
 };
+use rayon::prelude::*;
 
 use super::EncodeError;
 
@@ -91,57 +97,93 @@ impl Costs {
     }
 }
 
-/// Histograms of all streams.
+/// The runs of all streams: what one choice of table covers.
 #[derive(Clone, Debug)]
-pub(super) struct Streams(Vec<Option<Histogram>>);
+pub(super) struct Streams<'c>(Vec<Vec<&'c [i16]>>);
 
-impl Default for Streams {
+impl Default for Streams<'_> {
     fn default() -> Self {
-        Self(vec![None; stream::COUNT])
+        Self(vec![Vec::new(); stream::COUNT])
     }
 }
 
-impl Streams {
-    pub fn add(&mut self, stream: usize, symbols: &[i16]) {
-        let histogram = self.0[stream].get_or_insert_with(Histogram::default);
-        symbols.iter().for_each(|&s| histogram.add(s));
+impl<'c> Streams<'c> {
+    pub fn add(&mut self, stream: usize, run: &'c [i16]) {
+        self.0[stream].push(run);
+    }
+
+    fn histogram(runs: &[&[i16]]) -> Histogram {
+        let mut histogram = Histogram::default();
+        runs.iter().flat_map(|run| run.iter()).for_each(|&s| histogram.add(s));
+        histogram
     }
 
     /// Sum of the streams' entropies, bits.
     pub fn entropy_bits(&self) -> f64 {
-        self.0.iter().flatten().map(Histogram::entropy_bits).sum()
+        self.0.iter().filter(|runs| !runs.is_empty()).map(|runs| Self::histogram(runs).entropy_bits()).sum()
     }
 
-    /// One table per stream that occurs, and the map from streams to tables.
-    pub fn model(&self) -> Result<Model, EncodeError> {
-        let mut model = Model { table_of: [NO_TABLE; stream::COUNT], tables: Vec::new(), costs: Vec::new() };
-        for (stream, histogram) in self.0.iter().enumerate() {
-            if let Some(histogram) = histogram {
-                model.table_of[stream] = model.tables.len() as u8;
-                let table = histogram.best_table()?;
-                model.costs.push(Costs::of(&table));
-                model.tables.push(table);
+    /// A menu per stream that occurs, of tables of the family or of its own, in at most `most`
+    /// choices.
+    pub fn model(&self, most: usize) -> Result<Model, EncodeError> {
+        let named: Result<Vec<Costs>, EncodeError> =
+            family::indices().map(|i| Ok(Costs::of(&Table::named(i)?))).collect();
+        let named = named?;
+        let chosen: Result<Vec<Vec<Choice>>, EncodeError> =
+            self.0.par_iter().map(|runs| menu::choose(runs, &named, most)).collect();
+        let mut model = Model { menus: vec![Menu::EMPTY; stream::COUNT], tables: Vec::new(), costs: Vec::new() };
+        for (menu, choices) in model.menus.iter_mut().zip(chosen?) {
+            let mut entries = Vec::new();
+            for choice in choices {
+                let known = model.tables.iter().position(|t| *t == choice.costs.table);
+                let index = known.unwrap_or_else(|| {
+                    model.tables.push(choice.costs.table);
+                    model.costs.push(choice.costs);
+                    model.tables.len() - 1
+                });
+                entries.push((index as u8, choice.length));
             }
+            *menu = Menu::new(&entries)?;
         }
         Ok(model)
     }
 }
 
-/// Tables for all streams.
+/// One table of a menu with the length of its code word.
+#[derive(Clone, Debug)]
+pub(super) struct Choice {
+    pub costs: Costs,
+    pub length: u8,
+}
+
+/// Menus for all streams.
 #[derive(Clone, Debug)]
 pub(super) struct Model {
-    pub table_of: [u8; stream::COUNT],
+    pub menus: Vec<Menu>,
     pub tables: Vec<Table>,
     pub costs: Vec<Costs>,
 }
 
 impl Model {
-    /// Bits that `symbols` of `stream` take.
-    pub fn bits(&self, stream: usize, symbols: &[i16]) -> f64 {
-        match self.costs.get(usize::from(self.table_of[stream])) {
-            Some(costs) => symbols.iter().map(|&s| f64::from(costs.bits(s))).sum(),
-            None => 0.0,
+    /// The choice of `stream`'s menu that codes `run` in the fewest bits, and those bits, its code
+    /// word included.
+    pub fn choose(&self, stream: usize, run: &[i16]) -> (usize, f64) {
+        let mut best = (0, f64::INFINITY);
+        for (choice, (table, length)) in self.menus[stream].choices().enumerate() {
+            let costs = &self.costs[usize::from(table)];
+            let bits = f64::from(length) + run.iter().map(|&s| f64::from(costs.bits(s))).sum::<f64>();
+            if bits < best.1 {
+                best = (choice, bits);
+            }
         }
+        best
+    }
+
+    /// Table, code word and its length of choice `choice` of `stream`.
+    pub fn code(&self, stream: usize, choice: usize) -> (u8, u32, u8) {
+        let menu = &self.menus[stream];
+        let (code, length) = menu.code(choice).unwrap_or_default();
+        (menu.choices().nth(choice).map_or(0, |(table, _)| table), code, length)
     }
 }
 
@@ -149,28 +191,55 @@ impl Model {
 mod tests {
     use super::*;
 
+    fn symbols(n: i64) -> Vec<i16> {
+        (0..n)
+            .map(|i| (((i * i * 2_654_435_761) >> 20) % 9 + ((i * 7_919) >> 3) % 5 - 6) as i16)
+            .collect()
+    }
+
+    fn bits(model: &Model, stream: usize, runs: &[&[i16]]) -> f64 {
+        runs.iter().map(|run| model.choose(stream, run).1).sum()
+    }
+
     #[test]
     fn a_model_costs_little_more_than_the_entropy() {
+        let symbols = symbols(50_000);
         let mut streams = Streams::default();
-        let symbols: Vec<i16> = (0..50_000i64)
-            .map(|i| (((i * i * 2_654_435_761) >> 20) % 9 + ((i * 7_919) >> 3) % 5 - 6) as i16)
-            .collect();
-        streams.add(3, &symbols);
-        let model = streams.model().unwrap();
-        let (bits, entropy) = (model.bits(3, &symbols), streams.entropy_bits());
-        assert!(bits >= entropy && bits < entropy * 1.01, "{bits} against {entropy}");
+        let runs: Vec<&[i16]> = symbols.chunks(64).collect();
+        runs.iter().for_each(|run| streams.add(3, run));
+        let model = streams.model(8).unwrap();
+        let (bits, entropy) = (bits(&model, 3, &runs), streams.entropy_bits());
+        assert!(bits < entropy * 1.01, "{bits} against {entropy}");
+    }
+
+    #[test]
+    fn runs_that_differ_get_tables_that_differ_and_cost_less_than_one() {
+        let noise = symbols(64_000);
+        let quiet: Vec<i16> = noise.iter().map(|s| s / 6).collect();
+        let loud: Vec<i16> = noise.iter().map(|s| s * 9).collect();
+        let mut streams = Streams::default();
+        let runs: Vec<&[i16]> = quiet.chunks(64).zip(loud.chunks(64)).flat_map(|(a, b)| [a, b]).collect();
+        runs.iter().for_each(|run| streams.add(40, run));
+        let (one, many) = (streams.model(1).unwrap(), streams.model(8).unwrap());
+        assert_eq!((one.menus[40].len(), one.menus[3].len()), (1, 0));
+        assert!(many.menus[40].len() >= 2);
+        let (one, many) = (bits(&one, 40, &runs), bits(&many, 40, &runs));
+        assert!(many < 0.8 * one, "{many} against {one}");
     }
 
     #[test]
     fn rare_large_values_are_escaped_not_tabled() {
-        let mut streams = Streams::default();
         let mut symbols = vec![0i16; 100_000];
         symbols[77] = 30_000;
-        symbols[78] = -9;
-        streams.add(0, &symbols);
-        let model = streams.model().unwrap();
-        assert_eq!(model.tables[0].code(30_000), ESCAPE);
-        assert_eq!(model.tables[0].code(-9), ESCAPE);
-        assert!(model.bits(0, &symbols) < 400.0);
+        symbols[78] = -900;
+        let mut streams = Streams::default();
+        let runs: Vec<&[i16]> = symbols.chunks(64).collect();
+        runs.iter().for_each(|run| streams.add(0, run));
+        let model = streams.model(8).unwrap();
+        let bits = bits(&model, 0, &runs);
+        assert!(bits < 1800.0, "{bits}");
+        // A table of its own for all of them would not list what occurs once.
+        let table = Streams::histogram(&runs).best_table().unwrap();
+        assert_eq!((table.code(30_000), table.code(-900)), (ESCAPE, ESCAPE));
     }
 }

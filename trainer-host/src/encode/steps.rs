@@ -23,12 +23,15 @@ pub struct Quality {
     pub sh0: f32,
     /// Step of the higher bands.
     pub sh_rest: f32,
+    /// Steps of motion coefficients relative to those at which an error in them weighs as much as one
+    /// in the canonical values.
+    pub motion: f32,
 }
 
 impl Default for Quality {
     /// Visually lossless: about one 8-bit step of colour, a twentieth of a standard deviation.
     fn default() -> Self {
-        Self { position: 0.05, scale: 0.03, rotation: 0.008, opacity: 0.006, sh0: 0.014, sh_rest: 0.02 }
+        Self { position: 0.05, scale: 0.03, rotation: 0.008, opacity: 0.006, sh0: 0.014, sh_rest: 0.02, motion: 1.0 }
     }
 }
 
@@ -43,6 +46,7 @@ impl Quality {
             opacity: self.opacity * factor,
             sh0: self.sh0 * factor,
             sh_rest: self.sh_rest * factor,
+            motion: self.motion,
         }
     }
 }
@@ -81,10 +85,13 @@ impl Grid {
         let extent = (0..3).map(|d| high[d] - low[d]).fold(0.0f32, f32::max);
         let least = (extent / (BASE_INDEX_SPAN * base_ratio)).max(1e-7);
         let origin = [0, 1, 2].map(|d| low[d] + (high[d] - low[d]) * 0.5);
-        // A coarse ladder of steps, so that epochs of like size share a quantisation profile.
-        let ladder = |step: f32| ((step.log2() * 2.0).round() * 0.5).exp2();
         Self { origin, step: ladder((quality.position * size).max(least * 1.2)) }
     }
+}
+
+/// `step` on a coarse ladder, so that epochs of like size share a quantisation profile.
+fn ladder(step: f32) -> f32 {
+    ((step.log2() * 2.0).round() * 0.5).exp2()
 }
 
 /// Ratios of the three refinements of `dgs1`: thirds, so that cells nest about their centres.
@@ -94,10 +101,11 @@ const THIRDS: [u8; 3] = [3, 3, 3];
 pub(super) const DGS1_BASE_RATIO: f32 = 27.0;
 
 /// The `dgs1` quantisation profile for `quality` on a grid of `position_step`.
-/// `predicted` says per canonical class, then per moving class, whether differences are coded.
+/// `frames` are those of the epoch; `predicted` says per canonical class, then per moving class, whether differences are coded.
 pub(super) fn dgs1(
     quality: &Quality,
     position_step: f32,
+    frames: usize,
     predicted: &[bool; Class::COUNT + Class::MOVING],
 ) -> Result<Quant, EncodeError> {
     let step = |class: Class| match class {
@@ -113,25 +121,18 @@ pub(super) fn dgs1(
     for (class, target) in Class::ALL.into_iter().zip(&mut quant.canonical) {
         *target = Quantiser::new(step(class), THIRDS, predicted[class.index()])?;
     }
+    // An error of a canonical value shows on every frame, one of an orthonormal coefficient is spread
+    // over its window: at equal slope of rate against distortion their steps differ by the root of
+    // the number of frames.
+    let spread = ladder((frames as f32).sqrt());
     for (class, target) in Class::ALL.into_iter().zip(&mut quant.motion) {
-        // Orthonormal coefficients: an error of one step spreads over all frames of the window.
         let ratio = [1, THIRDS[1], THIRDS[2]];
         let predicted = predicted[Class::COUNT + class.index()];
-        *target = Quantiser::new(step(class) * 2.0, ratio, predicted)?;
+        // Relative rotations are in half-angle units, twice the Rodrigues parameters.
+        let unit = if class == Class::Rotation { 2.0 } else { 1.0 };
+        *target = Quantiser::new(step(class) * unit * spread * quality.motion, ratio, predicted)?;
     }
     Ok(quant)
-}
-
-/// Largest root-mean-square error per component that motion may leave, per moving class.
-pub(super) fn motion_tolerance(quality: &Quality, position_step: f32) -> [f64; Class::MOVING] {
-    [
-        2.0 * f64::from(position_step),
-        f64::from(quality.scale),
-        // Relative rotations are in half-angle units, twice the Rodrigues parameters.
-        2.0 * f64::from(quality.rotation),
-        f64::from(quality.opacity),
-        f64::from(quality.sh0),
-    ]
 }
 
 /// The `paper` quantisation profile: sixteenths from plane to plane, i16 everywhere.

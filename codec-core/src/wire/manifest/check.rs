@@ -1,7 +1,6 @@
 //! What a manifest body must satisfy before a view of it exists.
 
-use super::Cluster;
-use super::{Epoch, Head, Manifest, Motion, NO_TABLE, Profile, Quant, Repair, Window, stream};
+use super::{Cluster, Epoch, Head, Manifest, Menu, Motion, Profile, Quant, Repair, Track, Window, stream};
 use crate::{
     error::{Error, ErrorKind, Result},
     gaussian::ShDegree,
@@ -37,7 +36,8 @@ impl<'a> Manifest<'a> {
                 in_range("cluster.gaussians", place, record.gaussians, 1, most)?;
                 let quants = (self.head.quants - 1).min(255) as u8;
                 in_range("cluster.quant", place, record.quant, 0, quants)?;
-                in_range("cluster.sh_degree", place, record.sh_degree, 0, self.head.sh_degree)?;
+                in_range("cluster.kind", place, record.kind, 0, Cluster::MAX_KIND)?;
+                in_range("cluster.sh_degree", place, record.sh_degree(), 0, self.head.sh_degree)?;
                 in_range("cluster.radius", place, record.radius, 1, u16::MAX)?;
                 gaussians += u64::from(record.gaussians);
             }
@@ -96,6 +96,8 @@ impl<'a> Manifest<'a> {
         self.each(self.sections.epochs, usize::from(epochs), Epoch::BYTES, Epoch::read)?;
         self.each(self.sections.windows, usize::from(windows), Window::BYTES, Window::read)?;
         self.each(self.sections.motions, self.motion_cells(), Motion::BYTES, Motion::read)?;
+        let menus = if self.profile == Profile::Dgs1 { stream::COUNT } else { 0 };
+        self.each(self.sections.streams, menus, Menu::BYTES, Menu::read)?;
         self.each(self.sections.repairs, usize::from(repairs), Repair::BYTES, Repair::read)
     }
 
@@ -122,8 +124,11 @@ impl<'a> Manifest<'a> {
                 let index = window.first_cell as usize + c as usize;
                 let place = self.sections.motions + index * Motion::BYTES;
                 let motion = self.motion(WindowId(w as u16), ClusterId(c as u16)).unwrap_or_default();
-                in_range("motion.track", place, motion.track, 0, 1)?;
+                in_range("motion.kind", place, motion.kind, 0, Motion::kind_of(Track::Affine, Level::BASE))?;
+                in_range("motion.track_class", place, motion.kind & 3, 0, Track::Affine as u8)?;
                 in_range("motion.track_shift", place, motion.track_shift, 0, 24)?;
+                let least = u16::from(motion.class() != Track::Static);
+                in_range("motion.track", place, u16::from(motion.track), least, least * window.frames)?;
                 in_range("motion.position", place, motion.position, 0, window.rank)?;
                 for rank in [motion.scale, motion.rotation, motion.opacity, motion.sh0] {
                     in_range("motion.rank", place, u16::from(rank), 0, window.frames)?;
@@ -142,11 +147,10 @@ impl<'a> Manifest<'a> {
             }
         }
         for s in 0..stream::COUNT * usize::from(self.profile == Profile::Dgs1) {
-            let place = self.sections.streams + s;
-            let table = self.table_of(s);
-            if table != NO_TABLE && u16::from(table) >= self.head.tables {
-                let last = u64::from(self.head.tables).checked_sub(1).unwrap_or(NO_TABLE.into());
-                return Err(Error::illegal("stream.table", place, table.into(), (0, last)));
+            let place = self.sections.streams + s * Menu::BYTES;
+            for (table, _) in self.menu(s).choices().filter(|&(t, _)| u16::from(t) >= self.head.tables) {
+                let last = u64::from(self.head.tables).saturating_sub(1);
+                return Err(Error::illegal("menu.tables", place, table.into(), (0, last)));
             }
         }
         let mut sets = 0u64;

@@ -2,12 +2,10 @@
 
 use crate::{
     error::Result,
+    ids::Level,
     quant::{Class, Quantiser},
     wire::cursor::{Reader, in_range},
 };
-
-/// Parameters of a cluster track: 9 linear, 3 translation, 4 rotation.
-pub const TRACK_PARAMETERS: usize = 16;
 
 macro_rules! record {
     (
@@ -143,8 +141,9 @@ record! {
         gaussians: u16 = u16,
         /// Index of its quantisation profile.
         quant: u8 = u8,
-        /// Harmonic degree of its Gaussians.
-        sh_degree: u8 = u8,
+        /// Harmonic degree of its Gaussians (bits 0 and 1) and levels left out at the top (bits 2
+        /// and 3): see [`Cluster::kind_of`].
+        kind: u8 = u8,
         /// Centre, x, in base-level position steps from the epoch's origin.
         centre_x: i16 = i16,
         /// Centre, y.
@@ -157,13 +156,42 @@ record! {
     } pad 0
 }
 
+/// The highest level of `kind`, whose bits 2 and 3 count the levels left out.
+const fn top(kind: u8) -> Level {
+    Level::from_bits(3 - (kind >> 2 & 3))
+}
+
+impl Cluster {
+    /// Largest [`Cluster::kind`].
+    pub const MAX_KIND: u8 = 0xf;
+
+    /// The [`Cluster::kind`] of a cluster of harmonic degree `sh_degree` (0..=3) whose levels above
+    /// `top` carry nothing.
+    pub const fn kind_of(sh_degree: u8, top: Level) -> u8 {
+        sh_degree & 3 | (3 - top.get()) << 2
+    }
+
+    /// Harmonic degree of its Gaussians, 0..=3.
+    pub const fn sh_degree(&self) -> u8 {
+        self.kind & 3
+    }
+
+    /// The highest level that carries canonical symbols.
+    pub const fn top(&self) -> Level {
+        top(self.kind)
+    }
+}
+
 record! {
     /// How one cluster moves in one window (`dgs1`).
     Motion, "motion.", 8 {
-        /// 1 if a track is sent (motion level 0), else the cluster is static but for coefficients.
-        track: u8 = u8,
-        /// The track's step is the position step times 2 to this.
+        /// [`Track`] (bits 0 and 1) and levels left out at the top (bits 2 and 3): see
+        /// [`Motion::kind_of`].
+        kind: u8 = u8,
+        /// The track's step is a quarter of the position step times 2 to this.
         track_shift: u8 = u8,
+        /// Coefficients of each track parameter: the lowest frequencies of the cosine basis.
+        track: u8 = u8,
         /// Coefficients of position per component: vectors of the window's learned basis.
         position: u8 = u8,
         /// Coefficients of log-scale per component: cosine basis.
@@ -174,10 +202,63 @@ record! {
         opacity: u8 = u8,
         /// Coefficients of band-0 colour per component: cosine basis.
         sh0: u8 = u8,
-    } pad 1
+    } pad 0
+}
+
+/// How a cluster moves as a whole.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+#[repr(u8)]
+pub enum Track {
+    /// Not at all; no track is sent.
+    #[default]
+    Static = 0,
+    /// Rotation and translation: 3 + 3 parameters.
+    Rigid = 1,
+    /// A linear map and translation: 9 + 3 parameters; Gaussians turn by the map's rotation.
+    Affine = 2,
+}
+
+impl Track {
+    /// Parameters that turn or bend: modified Rodrigues parameters, or I + these, row by row.
+    pub const fn turning(self) -> usize {
+        match self {
+            Self::Static => 0,
+            Self::Rigid => 3,
+            Self::Affine => 9,
+        }
+    }
+
+    /// All parameters: [`Track::turning`], then three of translation.
+    pub const fn parameters(self) -> usize {
+        match self {
+            Self::Static => 0,
+            _ => self.turning() + 3,
+        }
+    }
 }
 
 impl Motion {
+    /// The [`Motion::kind`] of a cluster that moves by `track` and whose levels above `top` carry
+    /// nothing.
+    pub const fn kind_of(track: Track, top: Level) -> u8 {
+        track as u8 | (3 - top.get()) << 2
+    }
+
+    /// How the cluster moves as a whole.
+    pub const fn class(&self) -> Track {
+        match self.kind & 3 {
+            0 => Track::Static,
+            1 => Track::Rigid,
+            _ => Track::Affine,
+        }
+    }
+
+    /// The highest level that carries motion symbols.
+    pub const fn top(&self) -> Level {
+        top(self.kind)
+    }
+
     /// Coefficients per component of a moving class.
     pub const fn rank(&self, class: Class) -> usize {
         (match class {
@@ -192,7 +273,7 @@ impl Motion {
 
     /// True when nothing at all is sent for this cluster in this window.
     pub fn is_static(&self) -> bool {
-        self.track == 0 && Class::ALL.into_iter().all(|c| self.rank(c) == 0)
+        self.class() == Track::Static && Class::ALL.into_iter().all(|c| self.rank(c) == 0)
     }
 }
 

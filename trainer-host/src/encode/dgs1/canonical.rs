@@ -20,7 +20,6 @@ use crate::scene::Epoch;
 pub(super) struct Canonical {
     pub quant: Quant,
     pub origin: [f32; 3],
-    pub step: f32,
     pub cells: Vec<CellSymbols>,
     pub saturated: u64,
 }
@@ -34,18 +33,18 @@ pub(super) fn quantise(
     let grid = Grid::of(epoch, &options.quality, steps::DGS1_BASE_RATIO);
     let mut predicted = [false; Class::COUNT + Class::MOVING];
     predicted[Class::COUNT..].fill(true);
-    let plain = steps::dgs1(&options.quality, grid.step, &predicted)?;
+    let plain = steps::dgs1(&options.quality, grid.step, epoch.frames(), &predicted)?;
     let indices: Vec<Indices> = members.par_iter().map(|m| indices(epoch, m, &plain, grid.origin)).collect();
     for class in Class::ALL {
         predicted[class.index()] = prediction_pays(&indices, class, &plain, options.block_len);
     }
-    let quant = steps::dgs1(&options.quality, grid.step, &predicted)?;
+    let quant = steps::dgs1(&options.quality, grid.step, epoch.frames(), &predicted)?;
     let degree = epoch.attributes().sh_degree.get();
     let cells: Vec<(CellSymbols, u64)> =
         indices.par_iter().map(|i| cell(i, &quant, degree, options.block_len)).collect();
     let saturated = cells.iter().map(|(_, s)| s).sum();
     let cells = cells.into_iter().map(|(c, _)| c).collect();
-    Ok(Canonical { quant, origin: grid.origin, step: grid.step, cells, saturated })
+    Ok(Canonical { quant, origin: grid.origin, cells, saturated })
 }
 
 /// Finest indices of a cluster: per class and component, one per Gaussian.
@@ -120,7 +119,7 @@ fn cell(indices: &Indices, quant: &Quant, sh_degree: u8, block_len: usize) -> (C
     let cluster = Cluster {
         gaussians: n as u16,
         quant: 0,
-        sh_degree,
+        kind: Cluster::kind_of(sh_degree, Level::ALL[3]),
         centre_x: centre[0],
         centre_y: centre[1],
         centre_z: centre[2],

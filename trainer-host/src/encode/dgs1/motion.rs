@@ -6,23 +6,25 @@
 //! nothing.
 
 use codec_core::{
-    decode::motion::{cosine, pose, track_steps},
+    decode::motion::cosine,
     ids::Level,
     layout::Shape,
     math,
     quant::Class,
-    wire::manifest::{Motion, TRACK_PARAMETERS},
+    wire::manifest::{Motion, Quant},
 };
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{
-    super::{EncodeError, Options, packetise::CellSymbols, steps},
+    super::{EncodeError, Options, packetise::CellSymbols},
     WindowPlan,
     canonical::{Canonical, to_symbol},
+    price::Price,
+    track::{self, Member, dot},
 };
 use crate::{
-    factorise::{fit_pose, mean_turn, temporal_basis},
+    factorise::temporal_basis,
     scene::{Epoch, Scene},
 };
 
@@ -32,7 +34,11 @@ struct Tracked {
     track: Vec<i16>,
     /// What is left per moving class: one trajectory per Gaussian and component, empty if nothing.
     left: [Vec<Vec<f64>>; Class::MOVING],
-    saturated: u64,
+}
+
+/// Prices of a moving class's coefficients.
+fn price(quant: &Quant, class: Class) -> Price {
+    Price::of_step(quant.motion[class.index()].step(Level::ALL[3]))
 }
 
 /// The window plans of `epoch`, and the number of clamped values. No plans if nothing moves.
@@ -77,13 +83,13 @@ fn window(
     canonical: &Canonical,
     options: &Options,
 ) -> Result<(WindowPlan, u64), EncodeError> {
-    let tolerance = steps::motion_tolerance(&options.quality, canonical.step);
+    let count = frames.len();
+    let cosines: Vec<Vec<f64>> = cosine_vectors(count);
     let tracked: Vec<Tracked> = members
         .par_iter()
         .zip(&canonical.cells)
-        .map(|(members, cell)| track(epoch, frames.clone(), members, cell, canonical, &tolerance, options))
+        .map(|(members, cell)| tracked(epoch, frames.clone(), members, cell, canonical, &cosines, options))
         .collect();
-    let count = frames.len();
     let position = Class::Position.index();
     let rows = tracked.iter().flat_map(|t| &t.left[position]).map(Vec::as_slice);
     let most = options.rank.min(count);
@@ -96,11 +102,10 @@ fn window(
         .collect();
     let as_sent: Vec<Vec<f64>> =
         basis.iter().map(|v| v.iter().map(|&x| f64::from(x) / 16_384.0).collect()).collect();
-    let cosines: Vec<Vec<f64>> = cosine_vectors(count);
     let cells: Vec<(CellSymbols, u64)> = tracked
         .into_par_iter()
         .zip(&canonical.cells)
-        .map(|(tracked, cell)| coefficients(tracked, cell, canonical, count, &as_sent, &cosines, &tolerance))
+        .map(|(tracked, cell)| coefficients(tracked, cell, canonical, count, &as_sent, &cosines))
         .collect();
     let saturated = cells.iter().map(|(_, s)| s).sum();
     let cells: Vec<CellSymbols> = cells.into_iter().map(|(c, _)| c).collect();
@@ -116,13 +121,13 @@ fn cosine_vectors(frames: usize) -> Vec<Vec<f64>> {
     (0..frames).map(|k| at.iter().map(|weights| f64::from(weights[k])).collect()).collect()
 }
 
-fn track(
+fn tracked(
     epoch: &Epoch,
     frames: std::ops::Range<usize>,
     members: &[u32],
     cell: &CellSymbols,
     canonical: &Canonical,
-    tolerance: &[f64; Class::MOVING],
+    cosines: &[Vec<f64>],
     options: &Options,
 ) -> Tracked {
     let (n, a) = (epoch.count(), epoch.attributes());
@@ -132,158 +137,56 @@ fn track(
         .take(Class::MOVING)
         .map(|class| (0..members.len()).map(|i| dequantised(cell, class, i, canonical)).collect())
         .collect();
-    let at = |class: Class, i: usize| decoded[class.index()][i];
-    let still = &decoded[Class::Position.index()];
-    let position = quant.canonical[Class::Position.index()];
-    let base = position.step(Level::BASE);
+    let base = quant.canonical[Class::Position.index()].step(Level::BASE);
     let record = cell.shape.cluster;
     let centre = Vec3::new(
         canonical.origin[0] + f32::from(record.centre_x) * base,
         canonical.origin[1] + f32::from(record.centre_y) * base,
         canonical.origin[2] + f32::from(record.centre_z) * base,
     );
-    let pick3 =
-        |values: &[[f32; 3]]| -> Vec<[f32; 3]> { members.iter().map(|&i| values[i as usize]).collect() };
-    let pick4 =
-        |values: &[[f32; 4]]| -> Vec<[f32; 4]> { members.iter().map(|&i| values[i as usize]).collect() };
-    let start_turns = pick4(a.rotations.frame(0, n));
-    let p0: Vec<[f64; 3]> = still.iter().map(|p| p.map(f64::from)).collect();
+    let rest = decoded[Class::Rotation.index()].iter();
+    let member = Member {
+        attributes: a,
+        count: n,
+        frames: frames.clone(),
+        members,
+        still: decoded[Class::Position.index()].clone(),
+        rest: rest.map(|&m| math::normalised(math::quat_from_mrp(m))).collect(),
+        centre,
+    };
+    let still = Shape::dgs1(record, *quant, Some(Motion::default()), frames.len() as u32, options.block_len);
+    let prices = [price(quant, Class::Position), price(quant, Class::Rotation)];
+    let most_bits = 7.0 * (options.packet_bytes as f64 - 80.0);
+    let chosen = track::choose(&member, &still, &prices, cosines, most_bits);
 
-    // Fit, then decide whether the cluster moves at all.
-    let mut turn = [1.0, 0.0, 0.0, 0.0];
-    let (mut moved2, mut turned2) = (0.0, 0.0);
-    let mut parameters: Vec<Vec<f64>> = vec![Vec::new(); TRACK_PARAMETERS];
-    for t in frames.clone() {
-        let target: Vec<[f64; 3]> = pick3(a.positions.frame(t, n)).iter().map(|p| p.map(f64::from)).collect();
-        turn = mean_turn(&start_turns, &pick4(a.rotations.frame(t, n)), turn);
-        let fit = fit_pose(&p0, &target, centre.to_array().map(f64::from), turn);
-        for (p, x) in p0.iter().zip(&target) {
-            moved2 += (0..3).map(|d| (x[d] - p[d]).powi(2)).sum::<f64>();
-        }
-        turned2 += turn[1] * turn[1] + turn[2] * turn[2] + turn[3] * turn[3];
-        for (i, parameter) in parameters.iter_mut().enumerate() {
-            parameter.push(match i {
-                0..=8 => fit.linear[(i / 3, i % 3)] - if i % 4 == 0 { 1.0 } else { 0.0 },
-                9..=11 => fit.translation[i - 9],
-                12 => fit.rotation[0] - 1.0,
-                _ => fit.rotation[i - 12],
-            });
-        }
-    }
-    let samples = (members.len() * frames.len() * 3).max(1) as f64;
-    let moves = (moved2 / samples).sqrt() > 0.5 * tolerance[0];
-    let turns = (turned2 / frames.len() as f64).sqrt() > 0.5 * tolerance[2];
-    let mut motion = Motion { track: u8::from(moves || turns), ..Motion::default() };
-    let mut track = Vec::new();
-    let count = frames.len() as u32;
-    if motion.track == 1 {
-        loop {
-            let shape = Shape::dgs1(record, *quant, Some(motion), count, options.block_len);
-            track = quantise_track(&shape, &parameters);
-            let fits = track.len() == TRACK_PARAMETERS * frames.len();
-            if (fits && size_bits(&track) < 7.0 * (options.packet_bytes as f64 - 60.0))
-                || motion.track_shift == 24
-            {
-                track.resize(TRACK_PARAMETERS * frames.len(), 0);
-                break;
-            }
-            motion.track_shift += 1;
-        }
-    }
-    // What the decoder makes of it, and what is left.
-    let shape = Shape::dgs1(record, *quant, Some(motion), count, options.block_len);
     let mut left: [Vec<Vec<f64>>; Class::MOVING] = Default::default();
-    let empty = |dims: usize| vec![Vec::new(); members.len() * dims];
-    left[Class::Position.index()] = empty(3);
-    left[Class::Rotation.index()] = empty(3);
+    for i in 0..members.len() {
+        let rows = member.leftover(&chosen.poses, i);
+        for (d, row) in rows.into_iter().enumerate() {
+            left[if d < 3 { Class::Position.index() } else { Class::Rotation.index() }].push(row);
+        }
+    }
     for (class, constant) in [
         (Class::Scale, a.log_scales.is_constant()),
         (Class::Opacity, a.opacity_logits.is_constant()),
         (Class::Sh0, a.sh0.is_constant()),
     ] {
-        if !constant {
-            left[class.index()] = empty(class.components());
+        if constant {
+            continue;
         }
-    }
-    for (local, t) in frames.clone().enumerate() {
-        let pose = if motion.track == 1 {
-            pose(&shape, &track, &cosine(count, local as u32))
-        } else {
-            codec_core::decode::motion::Pose::IDENTITY
-        };
         for (i, &g) in members.iter().enumerate() {
-            let g = g as usize;
-            let offset = Vec3::from_array(still[i]) - centre;
-            let x = pose.linear * offset + centre + pose.translation;
-            let truth = a.positions.frame(t, n)[g];
-            for d in 0..3 {
-                left[Class::Position.index()][3 * i + d].push(f64::from(truth[d]) - f64::from(x[d]));
-            }
-            let rest = math::normalised(math::quat_from_mrp(at(Class::Rotation, i)));
-            let [w, x, y, z] = math::quat_mul(pose.rotation, rest);
-            let turn = math::quat_mul(a.rotations.frame(t, n)[g], [w, -x, -y, -z]);
-            // Half-angle tangent components; a turn near 180° is clamped and stays coarse.
-            let w = if turn[0].abs() < 0.05 { 0.05f32.copysign(turn[0]) } else { turn[0] };
-            for d in 0..3 {
-                left[Class::Rotation.index()][3 * i + d].push(f64::from(turn[d + 1] / w));
-            }
-            if !left[Class::Scale.index()].is_empty() {
-                let (truth, still) = (a.log_scales.frame(t, n)[g], at(Class::Scale, i));
-                for d in 0..3 {
-                    left[Class::Scale.index()][3 * i + d].push(f64::from(truth[d] - still[d]));
-                }
-            }
-            if !left[Class::Opacity.index()].is_empty() {
-                let truth = 1.0 / (1.0 + (-a.opacity_logits.frame(t, n)[g]).exp());
-                left[Class::Opacity.index()][i].push(f64::from(truth - at(Class::Opacity, i)[0]));
-            }
-            if !left[Class::Sh0.index()].is_empty() {
-                let (truth, still) = (a.sh0.frame(t, n)[g], at(Class::Sh0, i));
-                for d in 0..3 {
-                    left[Class::Sh0.index()][3 * i + d].push(f64::from(truth[d] - still[d]));
-                }
+            let (g, still) = (g as usize, decoded[class.index()][i]);
+            for (d, &still) in still.iter().enumerate().take(class.components()) {
+                let value = |t: usize| match class {
+                    Class::Scale => a.log_scales.frame(t, n)[g][d],
+                    Class::Opacity => 1.0 / (1.0 + (-a.opacity_logits.frame(t, n)[g]).exp()),
+                    _ => a.sh0.frame(t, n)[g][d],
+                };
+                left[class.index()].push(frames.clone().map(|t| f64::from(value(t) - still)).collect());
             }
         }
     }
-    for (rows, &tolerance) in left.iter_mut().zip(tolerance) {
-        if root_mean_square(rows) <= tolerance {
-            rows.clear();
-        }
-    }
-    Tracked { motion, track, left, saturated: 0 }
-}
-
-/// Cosine coefficients of the parameters as symbols; fewer than all if one does not fit i16.
-fn quantise_track(shape: &Shape, parameters: &[Vec<f64>]) -> Vec<i16> {
-    let (translation, linear) = track_steps(shape);
-    let vectors = cosine_vectors(shape.frames as usize);
-    let mut symbols = Vec::with_capacity(parameters.len() * vectors.len());
-    for (p, parameter) in parameters.iter().enumerate() {
-        let step = f64::from(if (9..12).contains(&p) { translation } else { linear });
-        for vector in &vectors {
-            let coefficient = dot(parameter, vector) / step;
-            if coefficient.abs() > 32_767.0 {
-                return symbols;
-            }
-            symbols.push(coefficient.round() as i16);
-        }
-    }
-    symbols
-}
-
-/// A generous estimate of what a track takes, bits.
-fn size_bits(symbols: &[i16]) -> f64 {
-    symbols.iter().filter(|&&s| s != 0).map(|&s| 3.0 + 1.6 * f64::from(s.unsigned_abs()).log2()).sum()
-}
-
-fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
-}
-
-fn root_mean_square(rows: &[Vec<f64>]) -> f64 {
-    let count: usize = rows.iter().map(Vec::len).sum();
-    let sum: f64 = rows.iter().map(|r| dot(r, r)).sum();
-    (sum / count.max(1) as f64).sqrt()
+    Tracked { motion: chosen.motion, track: chosen.symbols, left }
 }
 
 /// Values of Gaussian `i` of a cell as the decoder gets them at level 3 (Rodrigues parameters
@@ -334,9 +237,9 @@ fn coefficients(
     frames: usize,
     learned: &[Vec<f64>],
     cosines: &[Vec<f64>],
-    tolerance: &[f64; Class::MOVING],
 ) -> (CellSymbols, u64) {
-    let Tracked { mut motion, track, left, mut saturated } = tracked;
+    let Tracked { mut motion, track, left } = tracked;
+    let mut saturated = 0;
     // Projections per class: row-major, one list of coefficients per Gaussian and component.
     let mut projected: [Vec<Vec<f64>>; Class::MOVING] = Default::default();
     for class in Class::ALL.into_iter().take(Class::MOVING) {
@@ -347,14 +250,7 @@ fn coefficients(
         let vectors = if class == Class::Position { learned } else { cosines };
         let projections: Vec<Vec<f64>> =
             rows.iter().map(|row| vectors.iter().map(|v| dot(row, v)).collect()).collect();
-        let samples = (rows.len() * frames).max(1) as f64;
-        let mut energy: f64 = rows.iter().map(|r| dot(r, r)).sum();
-        let limit = tolerance[class.index()].powi(2) * samples;
-        let mut rank = 0;
-        while rank < vectors.len() && energy > limit {
-            energy -= projections.iter().map(|p| p[rank] * p[rank]).sum::<f64>();
-            rank += 1;
-        }
+        let rank = cheapest_rank(rows, &projections, price(&canonical.quant, class));
         match class {
             Class::Position => motion.position = rank as u8,
             Class::Scale => motion.scale = rank as u8,
@@ -390,4 +286,22 @@ fn coefficients(
         }
     }
     (CellSymbols { shape, levels }, saturated)
+}
+
+/// How many of the basis' vectors are coded for all Gaussians of a cluster: where bits and what is
+/// left out together cost least.
+fn cheapest_rank(rows: &[Vec<f64>], projections: &[Vec<f64>], price: Price) -> usize {
+    let mut energy: f64 = rows.iter().map(|r| dot(r, r)).sum();
+    let (mut bits, mut best) = (0.0, (price.of_loss(energy), 0));
+    for rank in 0..projections.first().map_or(0, Vec::len) {
+        for p in projections {
+            energy -= p[rank] * p[rank];
+            bits += price.of(p[rank]) - price.of_loss(0.0);
+        }
+        let cost = bits + price.of_loss(energy.max(0.0));
+        if cost < best.0 {
+            best = (cost, rank + 1);
+        }
+    }
+    best.1
 }

@@ -1,0 +1,80 @@
+//! What a coefficient costs: bits plus distortion in bits, at the slope of its quantiser.
+//!
+//! At high rate a uniform quantiser of step Δ has distortion D = Δ²/12 and dD/dR = −2 ln 2 · D, so
+//! that one D of squared error weighs 1 / (2 ln 2) = 0.72 bits.
+
+use super::track::dot;
+
+/// Bits that a squared error of one D is worth.
+const PER_D: f64 = 0.721;
+/// Bits of a coefficient that quantises to zero among others that do.
+const ZERO_BITS: f64 = 0.3;
+/// Bits of sign and of the shape of the distribution, beyond ½ log₂(c²/D).
+const NONZERO_BITS: f64 = 1.2;
+
+/// The price list of one quantiser.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Price {
+    /// D, the quantiser's own mean squared error.
+    d: f64,
+}
+
+impl Price {
+    /// Prices at `step`.
+    pub fn of_step(step: f32) -> Self {
+        Self { d: f64::from(step).powi(2) / 12.0 }
+    }
+
+    /// Of leaving out coefficients of `energy` (a sum of squares).
+    pub fn of_loss(&self, energy: f64) -> f64 {
+        PER_D * energy / self.d
+    }
+
+    /// Of coding coefficient `c`.
+    pub fn of(&self, c: f64) -> f64 {
+        let ratio = c * c / self.d;
+        // Up to half a step, c² = 3 D, a coefficient quantises to zero.
+        if ratio < 3.0 { ZERO_BITS + PER_D * ratio } else { 0.5 * ratio.log2() + NONZERO_BITS + PER_D }
+    }
+
+    /// Of `row` in the orthonormal basis `vectors`, each coefficient coded or left out as is cheaper.
+    pub fn of_row(&self, row: &[f64], vectors: &[Vec<f64>]) -> f64 {
+        let energy = dot(row, row);
+        if energy < self.d {
+            return self.of_loss(energy);
+        }
+        let each = vectors.iter().map(|v| {
+            let c = dot(row, v);
+            self.of_loss(c * c).min(self.of(c))
+        });
+        each.sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn coding_pays_from_about_a_step_on_and_prices_rise_with_size() {
+        let price = Price::of_step(1.0);
+        for c in [0.0, 0.2, 0.4] {
+            assert!(price.of_loss(c * c) < price.of(c), "{c}");
+        }
+        for c in [1.0, 3.0, 100.0] {
+            assert!(price.of_loss(c * c) > price.of(c), "{c}");
+        }
+        assert!(price.of(8.0) - price.of(4.0) > 0.99 && price.of(8.0) - price.of(4.0) < 1.01);
+    }
+
+    #[test]
+    fn a_row_costs_the_same_as_its_coefficients() {
+        let s = 0.5f64.sqrt();
+        let vectors = vec![vec![s, s], vec![s, -s]];
+        let price = Price::of_step(0.1);
+        let row = [3.0, 1.0];
+        let both = price.of(4.0 * s) + price.of(2.0 * s);
+        assert!((price.of_row(&row, &vectors) - both).abs() < 1e-9);
+        assert!(price.of_row(&[0.0, 0.0], &vectors) == 0.0);
+    }
+}
