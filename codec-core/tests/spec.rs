@@ -16,18 +16,18 @@ use std::{
 
 use codec_core::{
     ErrorKind,
-    ids::{BlockId, ClusterId, EpochId, Level, PacketId, Span, WindowId},
+    ids::{EpochId, Level, PacketId, Span, WindowId},
     layout, limits, math,
     quant::{Class, Quantiser},
-    rans::{bytes, lanes, table},
+    rans::{bytes, family, lanes, table},
     wire::{
         crc::crc32,
         file,
         manifest::{
-            self, Cluster, Epoch, Head, Manifest, Motion, NO_TABLE, Quant, Repair, Sealed, TRACK_PARAMETERS,
+            self, Cluster, Epoch, Head, MAX_MENU_BITS, Manifest, Menu, Motion, Quant, Repair, Sealed, Track,
             Window, stream,
         },
-        packet::{self, Chunk, Packet, Parity, Slice, Slices},
+        packet::{self, Chunk, Packet, Parity, Slices, Stretch},
         receipt::{Value, ViewerPose},
     },
 };
@@ -104,7 +104,8 @@ fn limits_of(tables: &Tables, found: &mut Vec<String>) {
         ("DEFAULT_PACKET_BYTES", limits::DEFAULT_PACKET_BYTES as u64),
         ("MAX_PACKET_BYTES", limits::MAX_PACKET_BYTES as u64),
         ("MAX_DEPENDENCIES", limits::MAX_DEPENDENCIES as u64),
-        ("MAX_SLICES", limits::MAX_SLICES as u64),
+        ("MAX_STRETCHES", limits::MAX_STRETCHES as u64),
+        ("MAX_MENU", limits::MAX_MENU as u64),
         ("MAX_BLOCK_LEN", limits::MAX_BLOCK_LEN as u64),
         ("MAX_CLUSTER_LEN", limits::MAX_CLUSTER_LEN as u64),
         ("MAX_EPOCH_GAUSSIANS", limits::MAX_EPOCH_GAUSSIANS.into()),
@@ -120,8 +121,8 @@ fn limits_of(tables: &Tables, found: &mut Vec<String>) {
         ("MAX_REPAIR_SET", limits::MAX_REPAIR_SET as u64),
         ("MAX_RECEIPT_BYTES", limits::MAX_RECEIPT_BYTES as u64),
         ("MAX_PACKET_ID", PacketId::MAX.into()),
-        ("NO_TABLE", NO_TABLE.into()),
-        ("TRACK_PARAMETERS", TRACK_PARAMETERS as u64),
+        ("MAX_MENU_BITS", MAX_MENU_BITS.into()),
+        ("TURN_STEPS", math::TURN_STEPS as u64),
         ("STREAMS", stream::COUNT as u64),
         ("LANES", lanes::LANES as u64),
         ("LANE_PRECISION", table::PRECISION.into()),
@@ -173,7 +174,7 @@ fn records(tables: &Tables, found: &mut Vec<String>) {
             probes!(Head {
                 profile = A, sh_degree = A, block_len = B, frames = C, rate_frames = C, rate_seconds = C,
                 packets = C, epochs = B, windows = B, clusters = C, quants = B, tables = B, repairs = B,
-                reserved = B, basis_values = C, transform_values = C,
+                proxies = B, basis_values = C, transform_values = C,
             }),
         ),
         (
@@ -193,13 +194,13 @@ fn records(tables: &Tables, found: &mut Vec<String>) {
         (
             "cluster",
             probes!(Cluster {
-                gaussians = B, quant = A, sh_degree = A, centre_x = i, centre_y = i, centre_z = i, radius = B,
+                gaussians = B, quant = A, kind = A, centre_x = i, centre_y = i, centre_z = i, radius = B,
             }),
         ),
         (
             "motion",
             probes!(Motion {
-                track = A, track_shift = A, position = A, scale = A, rotation = A, opacity = A, sh0 = A,
+                kind = A, track_shift = A, track = A, position = A, scale = A, rotation = A, opacity = A, sh0 = A,
             }),
         ),
         ("repair", probes!(Repair { first_packet = C, packets = C, first_parity = C, set_len = A })),
@@ -281,7 +282,8 @@ fn small_body() -> BTreeMap<&'static str, Vec<u8>> {
     let epoch = Epoch { frames: 6, gaussians: 5, clusters: 1, windows: 1, origin_x: 2.5, ..Epoch::default() };
     let window = Window { frames: 6, rank: 1, ..Window::default() };
     let cluster = Cluster { gaussians: 5, centre_x: -3, radius: 7, ..Cluster::default() };
-    let motion = Motion { track: 1, position: 1, ..Motion::default() };
+    let kind = Motion::kind_of(Track::Affine, Level::ALL[3]);
+    let motion = Motion { kind, track: 1, position: 1, ..Motion::default() };
     let repair = Repair { first_packet: 0, packets: 6, first_parity: 6, set_len: 3 };
     let quantiser = Quantiser::new(0.125, [3, 1, 5], true).unwrap();
     let quant = Quant { canonical: [quantiser; Class::COUNT], motion: [quantiser; Class::MOVING] };
@@ -296,7 +298,7 @@ fn small_body() -> BTreeMap<&'static str, Vec<u8>> {
         ("clusters", cluster.to_bytes().to_vec()),
         ("motions", motion.to_bytes().to_vec()),
         ("quants", quants),
-        ("streams", vec![0; stream::COUNT]),
+        ("streams", vec![Menu::new(&[(0, 0)]).unwrap().to_bytes(); stream::COUNT].concat()),
         ("repairs", repair.to_bytes().to_vec()),
         ("basis", [100i16, -200, 300, 0, 5, 16_384].iter().flat_map(|v| v.to_le_bytes()).collect()),
         ("transforms", 1.5f32.to_le_bytes().to_vec()),
@@ -330,7 +332,7 @@ fn sections(tables: &Tables, found: &mut Vec<String>) {
         ("clusters", Cluster::BYTES),
         ("motions", Motion::BYTES),
         ("quants", Quant::BYTES),
-        ("streams", 1),
+        ("streams", Menu::BYTES),
         ("repairs", Repair::BYTES),
         ("transforms", 4),
         ("byte_tables", bytes::TABLE_BYTES),
@@ -473,30 +475,30 @@ fn packets(tables: &Tables, found: &mut Vec<String>) {
     same(found, "parity.content", range(&content["width"]), Some((1, limits::MAX_PACKET_BYTES as u64)));
     poke(&tables["parity"], "parity", &out[..len - 4], &[], found);
 
-    let slice = |level: u8, motion, whole| Slice {
+    let stretch = |level: u8, motion| Stretch {
         span: if motion { Span::Motion(WindowId(1)) } else { Span::Canonical(EpochId(1)) },
-        cluster: ClusterId(1),
         level: Level::from_bits(level),
-        blocks: if whole { None } else { Some((BlockId(0), 1)) },
+        first: 0,
+        blocks: 1,
     };
-    let first_byte = |list: &[Slice]| {
-        let packet = Slices { id: chunk.id, slices: list.iter().copied().collect(), escapes: 0, body: &[] };
+    let first_byte = |list: &[Stretch]| {
+        let stretches = list.iter().copied().collect();
+        let packet = Slices { id: chunk.id, stretches, escapes: 0, body: &[] };
         let mut out = [0u8; 64];
         packet.write(&mut out).unwrap();
         u64::from(out[0])
     };
-    let plain = first_byte(&[slice(0, false, false); 2]);
+    let plain = first_byte(&[stretch(0, false)]);
     for (field, ones, written) in [
-        ("level", 3, first_byte(&[slice(3, false, false); 2])),
-        ("motion", 1, first_byte(&[slice(0, true, false); 2])),
-        ("whole", 1, first_byte(&[slice(0, false, true); 2])),
-        ("last", 1, first_byte(&[slice(0, false, false)])),
+        ("level", 3, first_byte(&[stretch(3, false)])),
+        ("motion", 1, first_byte(&[stretch(0, true)])),
+        ("more", 1, first_byte(&[stretch(0, false); 2])),
     ] {
-        let row = tables["slice flags"].iter().find(|r| r["field"] == field).unwrap();
-        same(found, &format!("slice flag {field}"), ones << number(&row["bit"]), written ^ plain);
+        let row = tables["stretch flags"].iter().find(|r| r["field"] == field).unwrap();
+        same(found, &format!("stretch flag {field}"), ones << number(&row["bit"]), written ^ plain);
     }
-    let kind = tables["slice flags"].iter().find(|r| r["field"] == "kind").unwrap();
-    same(found, "slice flag kind", u64::from(packet::KIND_SLICES) << number(&kind["bit"]), plain);
+    let kind = tables["stretch flags"].iter().find(|r| r["field"] == "kind").unwrap();
+    same(found, "stretch flag kind", u64::from(packet::KIND_SLICES) << number(&kind["bit"]), plain);
 }
 
 /// Values outside a packet header's ranges are refused by name.
@@ -556,8 +558,15 @@ fn classes(tables: &Tables, found: &mut Vec<String>) {
     let canonical: BTreeSet<usize> =
         Class::ALL.into_iter().flat_map(|c| levels().map(move |l| stream::canonical(c, l))).collect();
     same(found, "canonical streams", row("canonical").1, canonical);
-    let track: BTreeSet<usize> = (0..16).flat_map(|p| (0..64).map(move |k| stream::track(p, k))).collect();
-    same(found, "track streams", row("track").1, track);
+    let starts: BTreeSet<usize> = Class::ALL.into_iter().map(stream::start).collect();
+    same(found, "start streams", row("start").1, starts);
+    let kinds = [None, Some(Track::Rigid), Some(Track::Affine)];
+    for (k, kind) in kinds.into_iter().enumerate() {
+        for band in 0..4 {
+            same(found, "track stream", row("track").0 + k * 4 + band, stream::track(kind, band));
+        }
+    }
+    same(found, "track streams", row("track").1.len(), 3 * (stream::TRACK_BANDS.len() - 1));
     let moving = || Class::ALL.into_iter().take(Class::MOVING);
     let coefficients: BTreeSet<usize> = moving()
         .flat_map(|c| levels().skip(1).flat_map(move |l| (0..3).map(move |k| stream::coefficient(c, l, k))))
@@ -575,11 +584,8 @@ fn classes(tables: &Tables, found: &mut Vec<String>) {
             }
         }
     }
-    for (parameter, kind) in [(0, 0), (8, 0), (9, 1), (11, 1), (12, 2), (15, 2)] {
-        for (k, band) in [(0, 0), (1, 1), (3, 1), (4, 2), (63, 2)] {
-            same(found, "track stream", row("track").0 + kind * 3 + band, stream::track(parameter, k));
-        }
-    }
+    let starts: BTreeSet<usize> = moving().map(stream::coefficient_start).collect();
+    same(found, "coefficient starts", row("coefficient start").1, starts);
     let (n, t, r, h) = (5, 7, 3, layout::rest_len(2));
     for (row, code) in tables["paper symbols"].iter().zip(layout::paper::symbols(n, t, r, h)) {
         let value: usize = row["symbols per Gaussian"]
@@ -606,6 +612,22 @@ fn coding(tables: &Tables, found: &mut Vec<String>) {
         [("raw_bits", vec![2]), ("first", vec![127]), ("count", vec![3]), ("escape", vec![8, 0])]
     {
         same(found, &format!("table.{field}"), at(&tables["table"], field, &written), Some(wanted));
+    }
+    let mut named = Vec::new();
+    table::Table::named(7).unwrap().write(|b| named.extend_from_slice(b));
+    let first = tables["named table"].iter().map(|r| (number(&r["offset"]), number(&r["width"])));
+    same(found, "named table", first.collect::<Vec<_>>(), vec![(0, 1), (1, 1)]);
+    same(found, "named table", number(&tables["named table"][0]["allowed"]), named[0].into());
+    same(found, "named table", named[1], 7);
+    let ratios: Vec<u64> = tables["ratios"].iter().map(|r| number(&r["ratio"])).collect();
+    same(found, "ratios", ratios, family::RATIOS.iter().map(|&r| r.into()).collect());
+    for (kind, first, count) in [
+        ("geometric", 0, family::SCALES),
+        ("heavy", family::HEAVY, family::SCALES),
+        ("three", family::THREE, family::THREES),
+    ] {
+        let row = tables["family"].iter().find(|r| r["kind"] == kind).unwrap();
+        same(found, kind, (number(&row["first"]), number(&row["count"])), (first.into(), count.into()));
     }
     let frequency = tables["table"].iter().find(|r| r["field"] == "frequency").unwrap();
     same(found, "table.frequency", number(&frequency["offset"]) as usize, table::TABLE_HEADER_BYTES);
@@ -743,7 +765,9 @@ fn errors(tables: &Tables, found: &mut Vec<String>) {
         ("repair", "repair"),
     ] {
         code.extend(tables[table].iter().map(|r| format!("{prefix}.{}", r["field"])));
-        code.insert(format!("{prefix}.reserved"));
+        if !matches!(table, "head" | "motion") {
+            code.insert(format!("{prefix}.reserved"));
+        }
     }
     let spec: Vec<&str> = tables["errors"].iter().flat_map(|r| r["fields"].split(' ')).collect();
     let once: BTreeSet<String> = spec.iter().map(|&f| f.to_owned()).collect();
@@ -764,8 +788,8 @@ fn errors(tables: &Tables, found: &mut Vec<String>) {
 
 /// String literals outside tests and comments that look like field names.
 fn sources(folder: &Path, fields: &mut BTreeSet<String>) {
-    const WHOLE: [&str; 9] =
-        ["manifest", "packet", "slice", "chunk", "body", "pack", "receipt", "frame", "buffer"];
+    const WHOLE: [&str; 10] =
+        ["manifest", "packet", "slice", "stretch", "chunk", "body", "pack", "receipt", "frame", "buffer"];
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.is_dir() {
@@ -797,16 +821,11 @@ fn tables_and_code_agree() {
 #[test]
 fn the_example_packet_is_what_it_says() {
     let text = text();
-    let line = text.lines().find(|l| l.starts_with("    b2 ")).unwrap();
+    let line = text.lines().find(|l| l.starts_with("    a2 ")).unwrap();
     let bytes: Vec<u8> = line.split_whitespace().map(|b| u8::from_str_radix(b, 16).unwrap()).collect();
     let Ok(Packet::Slices(packet)) = Packet::parse(&bytes) else { panic!("slices") };
-    let slice = Slice {
-        span: Span::Canonical(EpochId(0)),
-        cluster: ClusterId(5),
-        level: Level::ALL[2],
-        blocks: Some((BlockId(3), 4)),
-    };
-    assert_eq!(packet.slices.as_slice(), [slice]);
+    let stretch = Stretch { span: Span::Canonical(EpochId(0)), level: Level::ALL[2], first: 300, blocks: 4 };
+    assert_eq!(packet.stretches.as_slice(), [stretch]);
     assert_eq!((packet.id.get(), packet.escapes, packet.body), (0x01_02_03, 1, &[0xaa, 0xbb][..]));
 }
 
@@ -815,7 +834,7 @@ fn the_example_packet_is_what_it_says() {
 fn a_wrong_table_is_found() {
     let text = text();
     for (right, wrong, named) in [
-        ("| MAX_SLICES | 48 |", "| MAX_SLICES | 49 |", "MAX_SLICES"),
+        ("| MAX_STRETCHES | 16 |", "| MAX_STRETCHES | 17 |", "MAX_STRETCHES"),
         ("| 16 | 4 | packets | u32 |", "| 20 | 4 | packets | u32 |", "head.packets"),
         ("| 2 | 2 | frames | u16 | 1..=64,", "| 2 | 4 | frames | u16 | 1..=64,", "window.frames"),
         ("| 1 | 1 | sh_degree | u8 | 0..=3 |", "| 1 | 1 | sh_degree | u8 | 0..=4 |", "manifest.sh_degree"),
@@ -826,9 +845,9 @@ fn a_wrong_table_is_found() {
             "| 12 | 2 | payload_len | u16 | 1..=1201 |",
             "chunk.payload_len",
         ),
-        ("| 2 | 1 | motion |", "| 3 | 1 | motion |", "slice flag motion"),
+        ("| 2 | 1 | motion |", "| 3 | 1 | motion |", "stretch flag motion"),
         ("| Sh2 | 6 | 15 | 2 |", "| Sh2 | 6 | 15 | 1 |", "class"),
-        ("| track | 32 | 9 |", "| track | 32 | 8 |", "track stream"),
+        ("| track | 40 | 12 |", "| track | 40 | 11 |", "track stream"),
         ("| 1 | 3R + 11T + H |", "| 1 | 3R + 10T + H |", "paper level 1"),
         ("| 3 | 2 | escape |", "| 4 | 2 | escape |", "table.escape"),
         ("1.6666667e-1", "1.6666666e-1", "exp("),

@@ -105,8 +105,7 @@ fn body(raw: &[u8]) {
     assert_eq!(manifest.tables().count(), usize::from(head.tables));
     assert_eq!(manifest.repairs().len(), usize::from(head.repairs));
     for stream in 0..dgsm::stream::COUNT {
-        let table = manifest.table_of(stream);
-        assert!(table == dgsm::NO_TABLE || u16::from(table) < head.tables);
+        assert!(manifest.menu(stream).choices().all(|(table, _)| u16::from(table) < head.tables));
     }
     assert!(manifest.epoch_at(head.frames).is_none());
     if let Err(error) = Requirements::of(&manifest) {

@@ -34,6 +34,8 @@ pub struct Options {
     /// Most entropy tables a stream's runs choose from, 1..=8 (`dgs1`): fewer take less memory of a
     /// receiver.
     pub menu: usize,
+    /// Whether every block has a proxy in the manifest (`dgs1`).
+    pub proxies: bool,
     /// Largest packet, header and CRC included, bytes (`dgs1`); 200..=1226.
     pub packet_bytes: usize,
     /// Packets per XOR repair set over base levels, 2..=32; `None` sends no parity.
@@ -50,6 +52,7 @@ impl Default for Options {
             rank: 8,
             quality: Quality::default(),
             menu: limits::MAX_MENU,
+            proxies: true,
             packet_bytes: limits::DEFAULT_PACKET_BYTES,
             repair_set: None,
         }

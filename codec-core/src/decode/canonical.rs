@@ -1,15 +1,24 @@
 //! Canonical attributes of a block: nested indices to values.
 
 use super::Part;
-use crate::{gaussian::Gaussian, ids::Level, limits::MAX_BLOCK_LEN, math, quant::Class};
+use crate::{
+    gaussian::Gaussian, ids::Level, limits::MAX_BLOCK_LEN, math, quant::Class, wire::manifest::Epoch,
+};
 
-/// Dequantises block `block` at its `usable` levels into the canonical cache.
+/// Dequantises block `block` at its `usable` levels into the canonical cache; without any, its first
+/// Gaussian is the block's proxy and the others are absent.
 pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) {
     let n = part.shape.block_gaussians(block);
     let first = block * part.shape.block_len;
     let Some(level) = usable.checked_sub(1).and_then(Level::new) else {
         if let Some(out) = part.canonical.get_mut(first..first + n) {
             out.fill(Gaussian::ABSENT);
+            let proxy = part.content.manifest.proxy(part.cell.blocks as usize + block);
+            if let Some((first, proxy)) = out.first_mut().zip(proxy) {
+                let step = part.shape.quant.canonical[Class::Position.index()].step(Level::BASE);
+                let Epoch { origin_x, origin_y, origin_z, .. } = *part.epoch;
+                *first = proxy.gaussian(&part.shape.cluster, [origin_x, origin_y, origin_z], step);
+            }
         }
         return;
     };

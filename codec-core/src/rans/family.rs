@@ -23,7 +23,7 @@ const EIGHTHS: u32 = 8;
 
 /// Ratio of neighbouring probabilities of scale i in 1/65536; scales from 30 on repeat the last
 /// three with one more raw bit every third.
-const RATIOS: [u32; 33] = [
+pub const RATIOS: [u32; 33] = [
     512, 645, 813, 1_024, 1_290, 1_624, 2_046, 2_576, 3_243, 4_080, 5_129, 6_439, 8_068, 10_077, 12_529,
     15_471, 18_922, 22_847, 27_146, 31_654, 36_171, 40_503, 44_500, 48_068, 51_169, 53_810, 56_022, 57_854,
     59_356, 60_578, 57_835, 59_346, 60_573,

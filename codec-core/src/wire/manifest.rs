@@ -11,10 +11,12 @@
 
 mod check;
 mod menu;
+mod proxy;
 mod record;
 mod seal;
 
 pub use menu::{MAX_MENU_BITS, Menu};
+pub use proxy::Proxy;
 pub use record::{Cluster, Epoch, Head, Motion, Quant, Repair, Track, Window};
 pub use seal::{Sealed, open, seal};
 
@@ -115,6 +117,8 @@ pub struct Manifest<'a> {
     profile: Profile,
     sections: Sections,
     motion_cells: usize,
+    /// Canonical blocks of all epochs.
+    blocks: usize,
 }
 
 /// Byte offsets of the sections.
@@ -131,6 +135,7 @@ struct Sections {
     basis: usize,
     transforms: usize,
     byte_tables: usize,
+    proxies: usize,
 }
 
 impl<'a> Manifest<'a> {
@@ -161,8 +166,10 @@ impl<'a> Manifest<'a> {
         take(usize::from(head.epochs) * Epoch::BYTES, &mut sections.epochs, "manifest.epochs")?;
         take(usize::from(head.windows) * Window::BYTES, &mut sections.windows, "manifest.windows")?;
         take(clusters * Cluster::BYTES, &mut sections.clusters, "manifest.clusters")?;
-        let partial = Self { raw, head, profile, sections, motion_cells: 0 };
+        let partial = Self { raw, head, profile, sections, motion_cells: 0, blocks: 0 };
         let motion_cells = partial.check_lattice()?;
+        let records = (0..clusters).filter_map(|c| partial.cluster_record(c));
+        let blocks: usize = records.map(|c| partial.blocks_of(&c) as usize).sum();
         take(motion_cells * Motion::BYTES, &mut sections.motions, "manifest.motions")?;
         take(usize::from(head.quants) * Quant::BYTES, &mut sections.quants, "manifest.quants")?;
         let menus = if is_dgs1 { stream::COUNT * Menu::BYTES } else { 0 };
@@ -173,12 +180,14 @@ impl<'a> Manifest<'a> {
         take(head.transform_values as usize * 4, &mut sections.transforms, "manifest.transforms")?;
         let byte_tables = if is_dgs1 { 0 } else { clusters * Level::COUNT * 2 * bytes::TABLE_BYTES };
         take(byte_tables, &mut sections.byte_tables, "manifest.byte_tables")?;
+        let proxies = if head.proxies == 1 { blocks * Proxy::BYTES } else { 0 };
+        take(proxies, &mut sections.proxies, "manifest.proxies")?;
         sections.tables = reader.offset();
         for _ in 0..head.tables {
             Table::read(&mut reader)?;
         }
         reader.finish("manifest.leftover")?;
-        let whole = Self { raw, head, profile, sections, motion_cells };
+        let whole = Self { raw, head, profile, sections, motion_cells, blocks };
         whole.check_records()?;
         Ok(whole)
     }
@@ -352,6 +361,19 @@ impl<'a> Manifest<'a> {
                 })
             })
             .filter(|(_, blocks)| !blocks.is_empty())
+    }
+
+    /// The proxy of canonical block `block`, counted over all clusters of all epochs.
+    pub fn proxy(&self, block: usize) -> Option<Proxy> {
+        if self.head.proxies == 0 || block >= self.blocks {
+            return None;
+        }
+        let plane = |i: usize| self.raw.get(self.sections.proxies + i * self.blocks + block).copied();
+        let mut bytes = [0; Proxy::BYTES];
+        for (i, byte) in bytes.iter_mut().enumerate() {
+            *byte = plane(i)?;
+        }
+        Some(Proxy::from_bytes(bytes))
     }
 
     /// All entropy tables of `dgs1`, in order.

@@ -3,6 +3,7 @@
 mod canonical;
 mod motion;
 mod price;
+mod proxy;
 mod track;
 
 use codec_core::{
@@ -10,7 +11,7 @@ use codec_core::{
     ids::{EpochId, Level, Span, WindowId},
     quant::Class,
     wire::{
-        manifest::{self, Head, Manifest, Profile, Quant, Repair, stream},
+        manifest::{self, Head, Manifest, Profile, Proxy, Quant, Repair, stream},
         packet::PARITY_OVERHEAD_BYTES,
     },
 };
@@ -31,6 +32,7 @@ struct EpochPlan {
     clusters: Vec<manifest::Cluster>,
     canonical: Vec<CellSymbols>,
     windows: Vec<WindowPlan>,
+    proxies: Vec<Proxy>,
     order: Vec<u32>,
     saturated: u64,
 }
@@ -60,7 +62,8 @@ pub(super) fn encode(
         progress("factorise", e as f64 / scene.epochs().len() as f64);
         let canonical = canonical::quantise(epoch, &members, options)?;
         let windows = motion::quantise(epoch, first_frame, &members, &canonical, scene, options)?;
-        plans.push(plan(epoch.frames(), first_frame, members, canonical, windows));
+        let proxies = if options.proxies { proxy::proxies(epoch, &members, &canonical) } else { Vec::new() };
+        plans.push(plan(epoch.frames(), first_frame, members, canonical, windows, proxies));
         first_frame += epoch.frames();
     }
     progress("entropy-code", 0.0);
@@ -107,6 +110,7 @@ fn plan(
     members: Vec<Vec<u32>>,
     canonical: canonical::Canonical,
     (windows, saturated): (Vec<WindowPlan>, u64),
+    proxies: Vec<Proxy>,
 ) -> EpochPlan {
     let [origin_x, origin_y, origin_z] = canonical.origin;
     let order: Vec<u32> = members.concat();
@@ -126,6 +130,7 @@ fn plan(
         clusters: canonical.cells.iter().map(|c| c.shape.cluster).collect(),
         canonical: canonical.cells,
         windows,
+        proxies,
         order,
         saturated: saturated + canonical.saturated,
     }
@@ -253,7 +258,7 @@ fn body(
         quants: distinct.len() as u16,
         tables: model.tables.len() as u16,
         repairs: repairs.len() as u16,
-        reserved: 0,
+        proxies: options.proxies.into(),
         basis_values: basis_values as u32,
         transform_values: 0,
     };
@@ -294,6 +299,9 @@ fn body(
     repairs.iter().for_each(|r| out.extend(r.to_bytes()));
     for vector in plans.iter().flat_map(|p| &p.windows).flat_map(|w| &w.basis) {
         vector.iter().for_each(|v| out.extend(v.to_le_bytes()));
+    }
+    for plane in 0..Proxy::BYTES {
+        out.extend(plans.iter().flat_map(|p| &p.proxies).map(|p| p.to_bytes()[plane]));
     }
     model.tables.iter().for_each(|t| t.write(|bytes| out.extend_from_slice(bytes)));
     out

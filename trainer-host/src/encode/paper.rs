@@ -463,7 +463,7 @@ fn body(
         quants: quants.len() as u16,
         tables: 0,
         repairs: repairs.len() as u16,
-        reserved: 0,
+        proxies: 0,
         basis_values: plans.iter().map(|p| p.basis.len() as u32).sum(),
         transform_values: plans.iter().flat_map(|p| &p.cells).map(|c| c.transforms.len() as u32).sum(),
     };

@@ -126,12 +126,15 @@ impl<'c> Streams<'c> {
     /// A menu per stream that occurs, of tables of the family or of its own, in at most `most`
     /// choices.
     pub fn model(&self, most: usize) -> Result<Model, EncodeError> {
-        let named: Result<Vec<Costs>, EncodeError> =
-            family::indices().map(|i| Ok(Costs::of(&Table::named(i)?))).collect();
+        let named: Result<Vec<Costs>, EncodeError> = family::indices()
+            .filter(|&i| i >= family::THREE || i % 3 == 0)
+            .map(|i| Ok(Costs::of(&Table::named(i)?)))
+            .collect();
         let named = named?;
         let chosen: Result<Vec<Vec<Choice>>, EncodeError> =
             self.0.par_iter().map(|runs| menu::choose(runs, &named, most)).collect();
-        let mut model = Model { menus: vec![Menu::EMPTY; stream::COUNT], tables: Vec::new(), costs: Vec::new() };
+        let mut model =
+            Model { menus: vec![Menu::EMPTY; stream::COUNT], tables: Vec::new(), costs: Vec::new() };
         for (menu, choices) in model.menus.iter_mut().zip(chosen?) {
             let mut entries = Vec::new();
             for choice in choices {
@@ -192,9 +195,7 @@ mod tests {
     use super::*;
 
     fn symbols(n: i64) -> Vec<i16> {
-        (0..n)
-            .map(|i| (((i * i * 2_654_435_761) >> 20) % 9 + ((i * 7_919) >> 3) % 5 - 6) as i16)
-            .collect()
+        (0..n).map(|i| (((i * i * 2_654_435_761) >> 20) % 9 + ((i * 7_919) >> 3) % 5 - 6) as i16).collect()
     }
 
     fn bits(model: &Model, stream: usize, runs: &[&[i16]]) -> f64 {

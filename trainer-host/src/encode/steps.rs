@@ -31,7 +31,15 @@ pub struct Quality {
 impl Default for Quality {
     /// Visually lossless: about one 8-bit step of colour, a twentieth of a standard deviation.
     fn default() -> Self {
-        Self { position: 0.05, scale: 0.03, rotation: 0.008, opacity: 0.006, sh0: 0.014, sh_rest: 0.02, motion: 1.0 }
+        Self {
+            position: 0.05,
+            scale: 0.03,
+            rotation: 0.008,
+            opacity: 0.006,
+            sh0: 0.014,
+            sh_rest: 0.02,
+            motion: 1.0,
+        }
     }
 }
 

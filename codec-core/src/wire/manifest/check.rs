@@ -196,7 +196,7 @@ pub(super) fn check_head(head: &Head) -> Result<()> {
     in32("manifest.clusters", 24, head.clusters, 0, limits::MAX_CLUSTERS)?;
     in32("manifest.quants", 28, head.quants.into(), 1, limits::MAX_QUANT_PROFILES as u32)?;
     in32("manifest.tables", 30, head.tables.into(), 0, limits::MAX_TABLES as u32)?;
-    in32("manifest.reserved", 34, head.reserved.into(), 0, 0)?;
+    in32("manifest.proxies", 34, head.proxies.into(), 0, u32::from(head.profile == Profile::Dgs1 as u8))?;
     in32("manifest.basis_values", 36, head.basis_values, 0, limits::MAX_MANIFEST_BYTES as u32 / 4)?;
     in32("manifest.transform_values", 40, head.transform_values, 0, limits::MAX_MANIFEST_BYTES as u32 / 4)
 }

@@ -75,8 +75,8 @@ record! {
         tables: u16 = u16,
         /// Number of repair ranges.
         repairs: u16 = u16,
-        /// Zero.
-        reserved: u16 = u16,
+        /// 1 if there is a proxy for every canonical block (`dgs1`), else 0.
+        proxies: u16 = u16,
         /// i16 values of window bases (`dgs1`) or f32 values of epoch bases (`paper`).
         basis_values: u32 = u32,
         /// f32 values of cluster transforms (`paper`), else 0.

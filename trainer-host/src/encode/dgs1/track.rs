@@ -102,9 +102,13 @@ pub(super) fn choose(
         let coefficients = transform(track, &fits, vectors);
         let (mut least, mut worse) = (f64::INFINITY, 0);
         for shift in 0..=24u8 {
-            let motion =
-                Motion { kind: Motion::kind_of(track, Level::ALL[3]), track_shift: shift, ..Motion::default() };
-            let with = |motion| Shape::dgs1(still.cluster, still.quant, Some(motion), still.frames, still.block_len);
+            let motion = Motion {
+                kind: Motion::kind_of(track, Level::ALL[3]),
+                track_shift: shift,
+                ..Motion::default()
+            };
+            let with =
+                |motion| Shape::dgs1(still.cluster, still.quant, Some(motion), still.frames, still.block_len);
             let shape = with(motion);
             let Some((kept, symbols)) = quantise(&shape, &coefficients, count) else { continue };
             if kept == 0 {
@@ -140,8 +144,9 @@ fn fits(member: &Member<'_>) -> Vec<[crate::factorise::Pose; 2]> {
     let pick3 = |values: &[[f32; 3]]| -> Vec<[f64; 3]> {
         member.members.iter().map(|&i| values[i as usize].map(f64::from)).collect()
     };
-    let pick4 =
-        |values: &[[f32; 4]]| -> Vec<[f32; 4]> { member.members.iter().map(|&i| values[i as usize]).collect() };
+    let pick4 = |values: &[[f32; 4]]| -> Vec<[f32; 4]> {
+        member.members.iter().map(|&i| values[i as usize]).collect()
+    };
     let p0: Vec<[f64; 3]> = member.still.iter().map(|p| p.map(f64::from)).collect();
     let start = pick4(a.rotations.frame(0, n));
     let centre = member.centre.to_array().map(f64::from);

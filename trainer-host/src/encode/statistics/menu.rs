@@ -16,6 +16,9 @@ const WORTH_BITS: f64 = 64.0;
 /// … and this share of the stream.
 const WORTH_SHARE: f64 = 4e-4;
 
+/// Bits by which a table outside the family must beat those inside.
+const OWN_BITS: f64 = 1000.0;
+
 /// The menu for `runs`, code lengths ascending; empty for no runs.
 pub(super) fn choose(runs: &[&[i16]], named: &[Costs], most: usize) -> Result<Vec<Choice>, EncodeError> {
     if runs.is_empty() {
@@ -27,7 +30,12 @@ pub(super) fn choose(runs: &[&[i16]], named: &[Costs], most: usize) -> Result<Ve
     // Per candidate, the cost of every run.
     let costs: Vec<Vec<f32>> =
         candidates.iter().map(|c| sparse.iter().map(|run| cost(c, run)).collect()).collect();
-    let wire_bits = |c: usize| 8.0 * candidates[c].table.wire_len() as f64;
+    // A table of its own must earn the memory that receivers keep it in; those of the family are
+    // likely there for other streams.
+    let wire_bits = |c: usize| {
+        let own = if c == named.len() { OWN_BITS } else { 0.0 };
+        own + 8.0 * candidates[c].table.wire_len() as f64
+    };
     let total = |c: usize| costs[c].iter().map(|&b| f64::from(b)).sum::<f64>() + wire_bits(c);
     let Some(first) = (0..candidates.len()).min_by(|&a, &b| total(a).total_cmp(&total(b))) else {
         return Ok(Vec::new());

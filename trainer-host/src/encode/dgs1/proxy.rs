@@ -1,0 +1,132 @@
+//! Stand-ins for blocks: one Gaussian with the first two moments of those it stands for.
+
+use codec_core::{ids::Level, math::mrp_from_quat, quant::Class, wire::manifest::Proxy};
+use nalgebra::{Matrix3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3};
+
+use super::{super::packetise::CellSymbols, canonical::Canonical};
+use crate::{factorise::rotation_matrix, scene::Epoch};
+
+/// The proxies of an epoch's blocks, clusters in order.
+pub(super) fn proxies(epoch: &Epoch, members: &[Vec<u32>], canonical: &Canonical) -> Vec<Proxy> {
+    let block_len = canonical.cells.first().map_or(1, |c| c.shape.block_len);
+    let blocks = members.iter().zip(&canonical.cells);
+    blocks
+        .flat_map(|(members, cell)| {
+            members.chunks(block_len).map(move |block| proxy(epoch, block, cell, canonical))
+        })
+        .collect()
+}
+
+fn proxy(epoch: &Epoch, block: &[u32], cell: &CellSymbols, canonical: &Canonical) -> Proxy {
+    let (n, a) = (epoch.count(), epoch.attributes());
+    let (p, q) = (a.positions.frame(0, n), a.rotations.frame(0, n));
+    let (s, o, c) = (a.log_scales.frame(0, n), a.opacity_logits.frame(0, n), a.sh0.frame(0, n));
+    let point = |g: u32| Vector3::from(p[g as usize].map(f64::from));
+    // What a Gaussian covers: opacity times the area of its two long axes.
+    let area = |sizes: [f64; 3]| {
+        let least = sizes.into_iter().fold(f64::INFINITY, f64::min);
+        sizes.iter().product::<f64>() / least.max(1e-30)
+    };
+    let sizes = |g: u32| s[g as usize].map(|s| f64::from(s).exp());
+    let alpha = |g: u32| 1.0 / (1.0 + f64::from(-o[g as usize]).exp());
+    let weight = |g: u32| (alpha(g) * area(sizes(g))).max(1e-30);
+    let total: f64 = block.iter().map(|&g| weight(g)).sum();
+    let mean = block.iter().fold(Vector3::zeros(), |sum, &g| sum + point(g) * (weight(g) / total));
+    let mut covariance = Matrix3::zeros();
+    let mut colour = [0.0f64; 3];
+    for &g in block {
+        let share = weight(g) / total;
+        let turn = rotation_matrix(q[g as usize].map(f64::from));
+        let axes = Matrix3::from_diagonal(&Vector3::from(sizes(g).map(|v| v * v)));
+        let offset = point(g) - mean;
+        covariance += (turn * axes * turn.transpose() + offset * offset.transpose()) * share;
+        (0..3).for_each(|d| colour[d] += share * f64::from(c[g as usize][d]));
+    }
+    let eigen = SymmetricEigen::new(covariance);
+    let mut axes = eigen.eigenvectors;
+    if axes.determinant() < 0.0 {
+        axes.set_column(0, &-axes.column(0));
+    }
+    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+    let turn = [turn.w, turn.i, turn.j, turn.k].map(|v| v as f32);
+    let sigma: [f64; 3] = std::array::from_fn(|d| eigen.eigenvalues[d].max(1e-30).sqrt());
+
+    let record = cell.shape.cluster;
+    let step = f64::from(canonical.quant.canonical[Class::Position.index()].step(Level::BASE));
+    let radius = f64::from(record.radius) * step;
+    let centre = [record.centre_x, record.centre_y, record.centre_z];
+    let whole = |value: f64, low: f64, high: f64| value.round().clamp(low, high);
+    let size =
+        sigma.map(|sigma| whole(-2.0 * (sigma / radius).log2(), 0.0, f64::from(Proxy::MAX_SIZE)) as u8);
+    // Opacity as the area that is left once the size has been rounded.
+    let rounded = size.map(|v| radius * (-f64::from(v) / 2.0).exp2());
+    let opacity = (total / area(rounded)).min(1.0);
+    Proxy {
+        offset: std::array::from_fn(|d| {
+            let middle = f64::from(canonical.origin[d]) + f64::from(centre[d]) * step;
+            whole((mean[d] - middle) / radius * f64::from(Proxy::OFFSET_UNITS), -128.0, 127.0) as i8
+        }),
+        size,
+        rotation: mrp_from_quat(turn).map(|v| whole(f64::from(v * Proxy::ROTATION_UNITS), -12.0, 12.0) as i8),
+        sh0: colour.map(|v| whole(v * f64::from(Proxy::SH0_UNITS), -128.0, 127.0) as i8),
+        opacity: whole(opacity * f64::from(Proxy::OPACITY_UNITS), 0.0, 15.0) as u8,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use codec_core::{Gaussian, gaussian::ShDegree};
+
+    use super::*;
+    use crate::{
+        encode::{Options, encode},
+        scene::{Attributes, Scene, Track},
+        stream::Player,
+    };
+
+    /// A flat tilted patch of 64 small discs: its proxy lies in the patch, is as wide, as flat and of
+    /// its colour; without any packet it is all there is to see.
+    #[test]
+    fn a_patch_becomes_one_flat_gaussian_in_its_place() {
+        let tilt = [(0.4f32).cos(), (0.4f32).sin(), 0.0, 0.0];
+        let turn = rotation_matrix(tilt.map(f64::from));
+        let positions: Vec<[f32; 3]> = (0..64)
+            .map(|i| {
+                let flat =
+                    Vector3::new(f64::from(i % 8) / 8.0 - 0.4375, f64::from(i / 8) / 8.0 - 0.4375, 0.0);
+                let p = turn * flat + Vector3::new(3.0, 1.0, -2.0);
+                [p[0] as f32, p[1] as f32, p[2] as f32]
+            })
+            .collect();
+        let attributes = Attributes {
+            positions: Track::Constant(positions),
+            rotations: Track::Constant(vec![tilt; 64]),
+            log_scales: Track::Constant(vec![[-2.8, -2.8, -6.0]; 64]),
+            opacity_logits: Track::Constant(vec![3.0; 64]),
+            sh0: Track::Constant(vec![[0.5, -0.3, 1.2]; 64]),
+            sh_rest: Vec::new(),
+            sh_degree: ShDegree::ZERO,
+        };
+        let scene = Scene::new(30.0, vec![Epoch::new(1, attributes).unwrap()]).unwrap();
+        let stream = encode(&scene, &Options::default(), &|_, _| {}).unwrap();
+        let received = stream.receive().unwrap();
+        let content = received.content();
+        let none = vec![0u8; content.blocks.len()];
+        let mut player = Player::new(&content.manifest);
+        let shown = player.show(&content.with_state(&none), 0).unwrap();
+        let seen: Vec<&Gaussian> = shown.gaussians.iter().filter(|g| g.opacity > 0.0).collect();
+        assert_eq!(seen.len(), 1);
+        let g = seen[0];
+        for (found, wanted) in g.position.iter().zip([3.0, 1.0, -2.0]) {
+            assert!((found - wanted).abs() < 0.03, "{:?}", g.position);
+        }
+        let mut sizes = g.scale;
+        sizes.sort_by(f32::total_cmp);
+        // 8 × 8 points an eighth apart have a deviation of 0.286.
+        assert!(
+            sizes[0] < 0.01 && (0.2..0.42).contains(&sizes[1]) && (0.2..0.42).contains(&sizes[2]),
+            "{sizes:?}"
+        );
+        assert!((0.4..=1.0).contains(&g.opacity) && (g.sh0[2] - 1.2).abs() < 0.06, "{g:?}");
+    }
+}
