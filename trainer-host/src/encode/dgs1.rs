@@ -2,6 +2,7 @@
 
 mod canonical;
 mod motion;
+mod order;
 
 use codec_core::{
     gaussian::ShDegree,
@@ -20,7 +21,11 @@ use super::{
     parity, rate,
     statistics::{Model, Streams},
 };
-use crate::{cluster, scene::Scene, stream::Stream};
+use crate::{
+    cluster,
+    scene::{Epoch, Scene},
+    stream::Stream,
+};
 
 /// One epoch, quantised.
 struct EpochPlan {
@@ -51,10 +56,7 @@ pub(super) fn encode(
     let mut first_frame = 0;
     for (e, epoch) in scene.epochs().iter().enumerate() {
         progress("cluster", e as f64 / scene.epochs().len() as f64);
-        let members: Vec<Vec<u32>> = cluster::cluster(epoch, &options.cluster)
-            .into_iter()
-            .map(|set| cluster::morton_order(&set, epoch.attributes().positions.frame(0, epoch.count())))
-            .collect();
+        let members = members(epoch, options)?;
         progress("factorise", e as f64 / scene.epochs().len() as f64);
         let canonical = canonical::quantise(epoch, &members, options)?;
         let windows = motion::quantise(epoch, first_frame, &members, &canonical, scene, options)?;
@@ -97,6 +99,17 @@ pub(super) fn encode(
     Manifest::parse(&raw)?;
     let order = plans.into_iter().map(|p| p.order).collect();
     Stream::seal(raw, packets, order, ledger).map_err(EncodeError::Format)
+}
+
+/// The Gaussians of each cluster in the order in which they are sent.
+fn members(epoch: &Epoch, options: &Options) -> Result<Vec<Vec<u32>>, EncodeError> {
+    let positions = epoch.attributes().positions.frame(0, epoch.count());
+    let sets: Vec<Vec<u32>> = cluster::cluster(epoch, &options.cluster)
+        .into_par_iter()
+        .map(|set| cluster::block_order(&set, positions, options.block_len))
+        .collect();
+    let (quant, origin) = canonical::plain(epoch, options)?;
+    Ok(order::arrange(epoch, sets, &quant, origin, options.block_len))
 }
 
 fn plan(

@@ -25,6 +25,13 @@ pub(super) struct Canonical {
     pub saturated: u64,
 }
 
+/// The quantisers of an epoch with nothing predicted, and its origin.
+pub(super) fn plain(epoch: &Epoch, options: &Options) -> Result<(Quant, [f32; 3]), EncodeError> {
+    let grid = Grid::of(epoch, &options.quality, steps::DGS1_BASE_RATIO);
+    let quant = steps::dgs1(&options.quality, grid.step, &[false; Class::COUNT + Class::MOVING])?;
+    Ok((quant, grid.origin))
+}
+
 /// Quantises frame 0 of `epoch`, cluster by cluster, Gaussians in the order of `members`.
 pub(super) fn quantise(
     epoch: &Epoch,
@@ -49,9 +56,9 @@ pub(super) fn quantise(
 }
 
 /// Finest indices of a cluster: per class and component, one per Gaussian.
-type Indices = [Vec<Vec<i32>>; Class::COUNT];
+pub(super) type Indices = [Vec<Vec<i32>>; Class::COUNT];
 
-fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, origin: [f32; 3]) -> Indices {
+pub(super) fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, origin: [f32; 3]) -> Indices {
     let (n, a) = (epoch.count(), epoch.attributes());
     let (p, q) = (a.positions.frame(0, n), a.rotations.frame(0, n));
     let (s, o, c) = (a.log_scales.frame(0, n), a.opacity_logits.frame(0, n), a.sh0.frame(0, n));
@@ -80,7 +87,7 @@ fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, origin: [f32; 3]) -> I
 }
 
 /// First-level index and refinements of finest index `q`.
-fn split(quantiser: &Quantiser, class: Class, q: i32) -> [i32; Level::COUNT] {
+pub(super) fn split(quantiser: &Quantiser, class: Class, q: i32) -> [i32; Level::COUNT] {
     quantiser.split(q, class.first_level())
 }
 
