@@ -1,6 +1,7 @@
 //! Encoding in profile `dgs1`.
 
 mod canonical;
+mod gauge;
 mod motion;
 mod order;
 
@@ -56,7 +57,9 @@ pub(super) fn encode(
     let mut first_frame = 0;
     for (e, epoch) in scene.epochs().iter().enumerate() {
         progress("cluster", e as f64 / scene.epochs().len() as f64);
-        let members = members(epoch, options)?;
+        let sets = cluster::cluster(epoch, &options.cluster);
+        let epoch = &gauge::reduced(epoch, &sets, form(epoch, &sets, scene, options)?);
+        let members = members(epoch, sets, options)?;
         progress("factorise", e as f64 / scene.epochs().len() as f64);
         let canonical = canonical::quantise(epoch, &members, options)?;
         let windows = motion::quantise(epoch, first_frame, &members, &canonical, scene, options)?;
@@ -101,10 +104,48 @@ pub(super) fn encode(
     Stream::seal(raw, packets, order, ledger).map_err(EncodeError::Format)
 }
 
+/// Clusters that a trial takes, about.
+const TRIAL: usize = 16;
+
+/// The form of rotations and scales that takes the fewest bits in a trial on some clusters.
+fn form(
+    epoch: &Epoch,
+    sets: &[Vec<u32>],
+    scene: &Scene,
+    options: &Options,
+) -> Result<gauge::Form, EncodeError> {
+    let some: Vec<Vec<u32>> = sets.iter().step_by((sets.len() / TRIAL).max(1)).cloned().collect();
+    let mut best = (f64::INFINITY, gauge::Form::AsIs);
+    for &form in gauge::Form::candidates(epoch) {
+        let epoch = gauge::reduced(epoch, &some, form);
+        let members = members(&epoch, some.clone(), options)?;
+        let canonical = canonical::quantise(&epoch, &members, options)?;
+        let (windows, _) = motion::quantise(&epoch, 0, &members, &canonical, scene, options)?;
+        let mut streams = Streams::default();
+        // Tracks do not depend on the form, and are many.
+        let tracks = stream::TRACK_FIRST..stream::coefficient(Class::Position, Level::ALL[1], 0);
+        for cell in canonical.cells.iter().chain(windows.iter().flat_map(|w| &w.cells)) {
+            runs(cell, |_, stream, symbols| {
+                if !tracks.contains(&stream) {
+                    streams.add(stream, symbols);
+                }
+            });
+        }
+        let bits = streams.entropy_bits();
+        if bits < best.0 {
+            best = (bits, form);
+        }
+        if std::env::var("TRACE").is_ok() {
+            eprintln!("{form:?} {:.2}", bits / some.concat().len() as f64);
+        }
+    }
+    Ok(best.1)
+}
+
 /// The Gaussians of each cluster in the order in which they are sent.
-fn members(epoch: &Epoch, options: &Options) -> Result<Vec<Vec<u32>>, EncodeError> {
+fn members(epoch: &Epoch, sets: Vec<Vec<u32>>, options: &Options) -> Result<Vec<Vec<u32>>, EncodeError> {
     let positions = epoch.attributes().positions.frame(0, epoch.count());
-    let sets: Vec<Vec<u32>> = cluster::cluster(epoch, &options.cluster)
+    let sets: Vec<Vec<u32>> = sets
         .into_par_iter()
         .map(|set| cluster::block_order(&set, positions, options.block_len))
         .collect();
