@@ -145,10 +145,8 @@ fn form(
 /// The Gaussians of each cluster in the order in which they are sent.
 fn members(epoch: &Epoch, sets: Vec<Vec<u32>>, options: &Options) -> Result<Vec<Vec<u32>>, EncodeError> {
     let positions = epoch.attributes().positions.frame(0, epoch.count());
-    let sets: Vec<Vec<u32>> = sets
-        .into_par_iter()
-        .map(|set| cluster::block_order(&set, positions, options.block_len))
-        .collect();
+    let sets: Vec<Vec<u32>> =
+        sets.into_par_iter().map(|set| cluster::block_order(&set, positions, options.block_len)).collect();
     let (quant, origin) = canonical::plain(epoch, options)?;
     Ok(order::arrange(epoch, sets, &quant, origin, options.block_len))
 }

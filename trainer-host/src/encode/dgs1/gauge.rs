@@ -49,10 +49,8 @@ pub(super) fn reduced(epoch: &Epoch, sets: &[Vec<u32>], form: Form) -> Epoch {
     }
     let (n, a) = (epoch.count(), epoch.attributes());
     let group = group();
-    let changes: Vec<Vec<Change>> = sets
-        .par_iter()
-        .map(|set| set.iter().map(|&i| change(epoch, i as usize, &group)).collect())
-        .collect();
+    let changes: Vec<Vec<Change>> =
+        sets.par_iter().map(|set| set.iter().map(|&i| change(epoch, i as usize, &group)).collect()).collect();
     let mut rotations = a.rotations.clone();
     let mut log_scales = a.log_scales.clone();
     for (&i, change) in sets.iter().flatten().zip(changes.iter().flatten()) {
@@ -94,9 +92,8 @@ fn follow(epoch: &Epoch, sets: &[Vec<u32>], changes: &[Vec<Change>], rotations: 
             if changes.iter().all(|c| c.free == Free::None) {
                 return out;
             }
-            let pick = |t: usize| -> Vec<[f32; 4]> {
-                set.iter().map(|&i| source.frame(t, n)[i as usize]).collect()
-            };
+            let pick =
+                |t: usize| -> Vec<[f32; 4]> { set.iter().map(|&i| source.frame(t, n)[i as usize]).collect() };
             let start = pick(0);
             let mut turn = [1.0, 0.0, 0.0, 0.0];
             for t in 1..epoch.frames() {
@@ -149,16 +146,23 @@ fn change(epoch: &Epoch, i: usize, group: &[(Quat, [usize; 3])]) -> Change {
     let scales = match &a.log_scales {
         Track::Constant(values) | Track::PerFrame(values) => values.as_slice(),
     };
-    let equal = |x: usize, y: usize| {
-        scales.chunks(n.max(1)).all(|frame| (frame[i][x] - frame[i][y]).abs() <= EQUAL)
-    };
+    let equal =
+        |x: usize, y: usize| scales.chunks(n.max(1)).all(|frame| (frame[i][x] - frame[i][y]).abs() <= EQUAL);
     let q = a.rotations.frame(0, n)[i].map(f64::from);
     let (xy, yz, xz) = (equal(0, 1), equal(1, 2), equal(0, 2));
     if xy && yz && xz {
         return Change { turn: conjugate(q), axes: [0, 1, 2], free: Free::All };
     }
     // The axis that must become the third, if two others are equal.
-    let odd = if xy { Some(2) } else if yz { Some(0) } else if xz { Some(1) } else { None };
+    let odd = if xy {
+        Some(2)
+    } else if yz {
+        Some(0)
+    } else if xz {
+        Some(1)
+    } else {
+        None
+    };
     let mut best = Change { turn: [1.0, 0.0, 0.0, 0.0], axes: [0, 1, 2], free: Free::None };
     let mut largest = -1.0f64;
     for &(turn, axes) in group {
@@ -224,7 +228,8 @@ mod tests {
 
     /// Needles, discs along each axis, and balls, all turning.
     fn epoch(n: usize, frames: usize) -> Epoch {
-        let shapes = [[-2.0, -3.0, -4.5], [-2.0, -2.0, -4.0], [-4.0, -2.0, -2.0], [-2.0, -4.0, -2.0], [-3.0; 3]];
+        let shapes =
+            [[-2.0, -3.0, -4.5], [-2.0, -2.0, -4.0], [-4.0, -2.0, -2.0], [-2.0, -4.0, -2.0], [-3.0; 3]];
         Epoch::new(
             frames,
             Attributes {

@@ -5,18 +5,31 @@
 //! first-level indices cost under the statistics of the order found so far, and the path is
 //! sought again under those. Integers throughout, ties by place: equal input, equal order.
 
-use codec_core::{quant::Class, wire::manifest::Quant};
+use codec_core::{ids::Level, quant::Class, wire::manifest::Quant};
+use nalgebra::Vector3;
 use rayon::prelude::*;
 
 use super::canonical::{Indices, indices, split};
-use crate::scene::Epoch;
+use crate::{
+    factorise::{fit_pose, mean_turn, quat_mul},
+    scene::Epoch,
+};
 
-/// Classes that the order looks at: those that appear at level 0.
-const CLASSES: usize = 5;
-/// Components of those classes.
-const COMPONENTS: usize = 13;
+/// Classes that appear at level 0.
+const STILL: usize = 5;
+/// Those, and what is left of the motion of position and rotation.
+const CLASSES: usize = STILL + 2;
+/// Frames at which motion is looked at.
+const LOOKS: usize = 3;
+/// Components of the still classes.
+const STILL_COMPONENTS: usize = 13;
+/// Components in all: per look three of position and three of rotation.
+const COMPONENTS: usize = STILL_COMPONENTS + 6 * LOOKS;
 /// Class of each component.
-const CLASS_OF: [usize; COMPONENTS] = [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 4, 4, 4];
+const CLASS_OF: [usize; COMPONENTS] =
+    [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 4, 4, 4, 5, 5, 5, 6, 6, 6, 5, 5, 5, 6, 6, 6, 5, 5, 5, 6, 6, 6];
+/// A coefficient's step over that of one frame's value: coefficients gather a window.
+const SPREAD: f32 = 0.3;
 /// Differences from here on cost the same.
 const FAR: usize = 64;
 /// Costs are in bits over this.
@@ -45,7 +58,8 @@ pub(super) fn arrange(
     let mut clusters: Vec<(Vec<u32>, Vec<Row>)> = sets
         .into_par_iter()
         .map(|set| {
-            let rows = rows(&indices(epoch, &set, quant, origin), quant, set.len());
+            let mut rows = rows(&indices(epoch, &set, quant, origin), quant, set.len());
+            add_motion(&mut rows, epoch, &set, quant);
             (set, rows)
         })
         .collect();
@@ -72,7 +86,7 @@ pub(super) fn arrange(
 fn rows(indices: &Indices, quant: &Quant, n: usize) -> Vec<Row> {
     let mut rows = vec![[0; COMPONENTS]; n];
     let mut at = 0;
-    for class in Class::ALL.into_iter().take(CLASSES) {
+    for class in Class::ALL.into_iter().take(STILL) {
         for component in &indices[class.index()] {
             for (row, &q) in rows.iter_mut().zip(component) {
                 row[at] = split(&quant.canonical[class.index()], class, q)[0];
@@ -81,6 +95,44 @@ fn rows(indices: &Indices, quant: &Quant, n: usize) -> Vec<Row> {
         }
     }
     rows
+}
+
+/// What a pose fitted to the cluster leaves of the motion, at a few frames of the epoch.
+fn add_motion(rows: &mut [Row], epoch: &Epoch, set: &[u32], quant: &Quant) {
+    let (n, a) = (epoch.count(), epoch.attributes());
+    if a.positions.is_constant() && a.rotations.is_constant() {
+        return;
+    }
+    let step = |class: Class| f64::from(quant.motion[class.index()].step(Level::ALL[1]) * SPREAD);
+    let (position, rotation) = (step(Class::Position), step(Class::Rotation));
+    let places = |t: usize| -> Vec<[f64; 3]> {
+        let frame = a.positions.frame(t, n);
+        set.iter().map(|&i| frame[i as usize].map(f64::from)).collect()
+    };
+    let turns = |t: usize| -> Vec<[f32; 4]> {
+        let frame = a.rotations.frame(t, n);
+        set.iter().map(|&i| frame[i as usize]).collect()
+    };
+    let (p0, q0) = (places(0), turns(0));
+    let mut turn = [1.0, 0.0, 0.0, 0.0];
+    for look in 0..LOOKS {
+        let t = (2 * look + 1) * epoch.frames() / (2 * LOOKS);
+        let (p, q) = (places(t), turns(t));
+        turn = mean_turn(&q0, &q, turn);
+        let pose = fit_pose(&p0, &p, [0.0; 3], turn);
+        let at = STILL_COMPONENTS + 6 * look;
+        for (i, row) in rows.iter_mut().enumerate() {
+            let fitted = pose.linear * Vector3::from(p0[i]) + pose.translation;
+            let [w, x, y, z] = quat_mul(turn, q0[i].map(f64::from));
+            let left = quat_mul(q[i].map(f64::from), [w, -x, -y, -z]);
+            let w = if left[0].abs() < 0.05 { 0.05f64.copysign(left[0]) } else { left[0] };
+            for d in 0..3 {
+                // The cast saturates.
+                row[at + d] = ((p[i][d] - fitted[d]) / position).round() as i32;
+                row[at + 3 + d] = (left[d + 1] / w / rotation).round() as i32;
+            }
+        }
+    }
 }
 
 /// What position is predicted from at the start of a block; zero for the rest.
@@ -114,8 +166,8 @@ fn learned(clusters: &[(Vec<u32>, Vec<Row>)], block_len: usize, choose: bool) ->
             for row in block {
                 for (c, &class) in CLASS_OF.iter().enumerate() {
                     differences[class][difference(row[c], before[c])] += 1;
-                    values[class][(row[c].clamp(-2 * FAR as i32, 2 * FAR as i32) + 2 * FAR as i32) as usize] +=
-                        1;
+                    values[class]
+                        [(row[c].clamp(-2 * FAR as i32, 2 * FAR as i32) + 2 * FAR as i32) as usize] += 1;
                 }
                 before = *row;
             }
@@ -320,7 +372,9 @@ mod tests {
         let (costs, start) = (first_costs(), centre(&rows));
         let length = |path: &[usize]| -> i64 {
             let mut before = start;
-            path.iter().map(|&i| i64::from(cost(&std::mem::replace(&mut before, rows[i]), &rows[i], &costs))).sum()
+            path.iter()
+                .map(|&i| i64::from(cost(&std::mem::replace(&mut before, rows[i]), &rows[i], &costs)))
+                .sum()
         };
         let mut least = i64::MAX;
         for code in 0..5usize.pow(5) {
