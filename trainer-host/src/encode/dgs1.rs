@@ -3,6 +3,7 @@
 mod canonical;
 mod gauge;
 mod motion;
+mod need;
 mod order;
 
 use codec_core::{
@@ -57,7 +58,10 @@ pub(super) fn encode(
     let mut first_frame = 0;
     for (e, epoch) in scene.epochs().iter().enumerate() {
         progress("cluster", e as f64 / scene.epochs().len() as f64);
-        let sets = cluster::cluster(epoch, &options.cluster);
+        let mut sets = cluster::cluster(epoch, &options.cluster);
+        if !options.keep_invisible {
+            sets = need::drawn(epoch, sets);
+        }
         let epoch = &gauge::reduced(epoch, &sets, form(epoch, &sets, scene, options)?);
         let members = members(epoch, sets, options)?;
         progress("factorise", e as f64 / scene.epochs().len() as f64);
@@ -122,11 +126,10 @@ fn form(
         let canonical = canonical::quantise(&epoch, &members, options)?;
         let (windows, _) = motion::quantise(&epoch, 0, &members, &canonical, scene, options)?;
         let mut streams = Streams::default();
-        // Tracks do not depend on the form, and are many.
-        let tracks = stream::TRACK_FIRST..stream::coefficient(Class::Position, Level::ALL[1], 0);
         for cell in canonical.cells.iter().chain(windows.iter().flat_map(|w| &w.cells)) {
-            runs(cell, |_, stream, symbols| {
-                if !tracks.contains(&stream) {
+            runs(cell, |level, stream, symbols| {
+                // Tracks do not depend on the form.
+                if !cell.shape.is_whole(level) {
                     streams.add(stream, symbols);
                 }
             });
@@ -134,9 +137,6 @@ fn form(
         let bits = streams.entropy_bits();
         if bits < best.0 {
             best = (bits, form);
-        }
-        if std::env::var("TRACE").is_ok() {
-            eprintln!("{form:?} {:.2}", bits / some.concat().len() as f64);
         }
     }
     Ok(best.1)
@@ -241,8 +241,10 @@ fn histograms(plans: &[EpochPlan]) -> Streams {
 fn ledger(scene: &Scene, plans: &[EpochPlan], streams: &Streams, model: &Model) -> Ledger {
     let names = ["position", "scale", "rotation", "opacity", "sh0", "sh1", "sh2", "sh3"];
     let moving = ["position motion", "scale motion", "rotation motion", "opacity motion", "sh0 motion"];
+    let gaussians = scene.epochs().iter().map(|e| e.count() as u64).sum();
     let mut ledger = Ledger {
-        gaussians: scene.epochs().iter().map(|e| e.count() as u64).sum(),
+        gaussians,
+        invisible: gaussians - plans.iter().map(|p| p.order.len() as u64).sum::<u64>(),
         frames: scene.frames() as u64,
         saturated: plans.iter().map(|p| p.saturated).sum(),
         ..Ledger::default()

@@ -9,10 +9,13 @@ use codec_core::{
 };
 use rayon::prelude::*;
 
-use super::super::{
-    EncodeError, Options,
-    packetise::CellSymbols,
-    steps::{self, Grid},
+use super::{
+    super::{
+        EncodeError, Options,
+        packetise::CellSymbols,
+        steps::{self, Grid},
+    },
+    need,
 };
 use crate::scene::Epoch;
 
@@ -47,9 +50,12 @@ pub(super) fn quantise(
         predicted[class.index()] = prediction_pays(&indices, class, &plain, options.block_len);
     }
     let quant = steps::dgs1(&options.quality, grid.step, &predicted)?;
-    let degree = epoch.attributes().sh_degree.get();
-    let cells: Vec<(CellSymbols, u64)> =
-        indices.par_iter().map(|i| cell(i, &quant, degree, options.block_len)).collect();
+    let degrees = need::degrees(&indices, epoch.attributes().sh_degree.get());
+    let cells: Vec<(CellSymbols, u64)> = indices
+        .par_iter()
+        .zip(&degrees)
+        .map(|(indices, &degree)| cell(indices, &quant, degree, options.block_len))
+        .collect();
     let saturated = cells.iter().map(|(_, s)| s).sum();
     let cells = cells.into_iter().map(|(c, _)| c).collect();
     Ok(Canonical { quant, origin: grid.origin, step: grid.step, cells, saturated })

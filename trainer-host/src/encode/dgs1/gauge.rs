@@ -255,7 +255,10 @@ mod tests {
 
     fn covariance(epoch: &Epoch, t: usize, i: usize) -> nalgebra::Matrix3<f64> {
         let (n, a) = (epoch.count(), epoch.attributes());
-        let r = crate::factorise::rotation_matrix(a.rotations.frame(t, n)[i].map(f64::from));
+        // As renderers do, at unit length: stored ones are so to f32's rounding.
+        let q = a.rotations.frame(t, n)[i].map(f64::from);
+        let length = q.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let r = crate::factorise::rotation_matrix(q.map(|v| v / length));
         let s = a.log_scales.frame(t, n)[i].map(|s| (2.0 * f64::from(s)).exp());
         r * nalgebra::Matrix3::from_diagonal(&s.into()) * r.transpose()
     }

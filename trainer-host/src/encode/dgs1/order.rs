@@ -28,18 +28,18 @@ const COMPONENTS: usize = STILL_COMPONENTS + 6 * LOOKS;
 /// Class of each component.
 const CLASS_OF: [usize; COMPONENTS] =
     [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 4, 4, 4, 5, 5, 5, 6, 6, 6, 5, 5, 5, 6, 6, 6, 5, 5, 5, 6, 6, 6];
-/// A coefficient's step over that of one frame's value: coefficients gather a window.
-const SPREAD: f32 = 0.3;
+/// One frame's value of motion is looked at in this many canonical steps, which is about what a
+/// coefficient's first symbol, gathered over a window, resolves of it.
+const MOTION_STEPS: f32 = 5.4;
 /// Differences from here on cost the same.
 const FAR: usize = 64;
 /// Costs are in bits over this.
 const UNIT: f64 = 256.0;
 /// Rounds of path, statistics, path. More gain under 0.1 bit per Gaussian.
 const ROUNDS: usize = 3;
-/// Paths begun per block and round.
-const STARTS: usize = 1;
-/// Improving sweeps per path; it is nearly always at its optimum after ten.
-const SWEEPS: usize = 40;
+/// Most improving sweeps per path in the last round, which finds its optimum after about ten,
+/// and in those before, which only serve statistics.
+const SWEEPS: (usize, usize) = (40, 1);
 
 /// First-level indices of one Gaussian.
 type Row = [i32; COMPONENTS];
@@ -68,7 +68,8 @@ pub(super) fn arrange(
         clusters.par_iter_mut().for_each(|(set, rows)| {
             let centre = centre(rows);
             for (set, rows) in set.chunks_mut(block_len).zip(rows.chunks_mut(block_len)) {
-                let path = path(rows, &centre, &costs);
+                let sweeps = if round + 1 < ROUNDS { SWEEPS.1 } else { SWEEPS.0 };
+                let path = path(rows, &centre, &costs, sweeps);
                 let (from_set, from_rows) = (set.to_vec(), rows.to_vec());
                 for (k, &i) in path.iter().enumerate() {
                     set[k] = from_set[i];
@@ -103,7 +104,7 @@ fn add_motion(rows: &mut [Row], epoch: &Epoch, set: &[u32], quant: &Quant) {
     if a.positions.is_constant() && a.rotations.is_constant() {
         return;
     }
-    let step = |class: Class| f64::from(quant.motion[class.index()].step(Level::ALL[1]) * SPREAD);
+    let step = |class: Class| f64::from(quant.canonical[class.index()].step(Level::ALL[3]) * MOTION_STEPS);
     let (position, rotation) = (step(Class::Position), step(Class::Rotation));
     let places = |t: usize| -> Vec<[f64; 3]> {
         let frame = a.positions.frame(t, n);
@@ -208,9 +209,9 @@ fn cost(a: &Row, b: &Row, costs: &Costs) -> i32 {
     (0..COMPONENTS).map(|c| costs[CLASS_OF[c]][difference(a[c], b[c])]).sum()
 }
 
-/// A cheap path through `rows` from `start`, which is not part of it: nearest neighbours from a
-/// few places, each improved by reversing and moving runs until neither helps.
-fn path(rows: &[Row], start: &Row, costs: &Costs) -> Vec<usize> {
+/// A cheap path through `rows` from `start`, which is not part of it: nearest neighbours, and the
+/// order as it is, each improved by reversing and moving runs until neither helps.
+fn path(rows: &[Row], start: &Row, costs: &Costs, sweeps: usize) -> Vec<usize> {
     let n = rows.len();
     let mut pairs = vec![0i32; n * n];
     for a in 0..n {
@@ -222,21 +223,11 @@ fn path(rows: &[Row], start: &Row, costs: &Costs) -> Vec<usize> {
     }
     let begin: Vec<i32> = rows.iter().map(|row| cost(row, start, costs)).collect();
     let graph = Graph { n, pairs: &pairs, begin: &begin };
-    let cheapest = (0..n).min_by_key(|&i| (begin[i], i)).unwrap_or(0);
-    // The order found before is one of the candidates.
-    let mut best = (0..n).collect::<Vec<usize>>();
-    graph.improve(&mut best);
-    let mut least = graph.length(&best);
-    for s in 0..STARTS.min(n) {
-        let first = if s == 0 { cheapest } else { s * n / STARTS };
-        let mut path = graph.nearest(first);
-        graph.improve(&mut path);
-        let length = graph.length(&path);
-        if length < least {
-            (best, least) = (path, length);
-        }
-    }
-    best
+    let mut path: Vec<usize> = (0..n).collect();
+    graph.improve(&mut path, sweeps);
+    let mut best = graph.nearest();
+    graph.improve(&mut best, sweeps);
+    if graph.length(&path) < graph.length(&best) { path } else { best }
 }
 
 struct Graph<'p> {
@@ -264,19 +255,18 @@ impl Graph<'_> {
         (0..self.n).map(|i| i64::from(self.into(path, i, path[i]))).sum()
     }
 
-    fn nearest(&self, first: usize) -> Vec<usize> {
-        let mut left: Vec<usize> = (0..self.n).filter(|&i| i != first).collect();
-        let mut path = vec![first];
-        let mut at = first;
-        while let Some(k) = (0..left.len()).min_by_key(|&k| (self.pair(at, left[k]), left[k])) {
-            at = left.swap_remove(k);
-            path.push(at);
+    fn nearest(&self) -> Vec<usize> {
+        let mut left: Vec<usize> = (0..self.n).collect();
+        let mut path = Vec::with_capacity(self.n);
+        let next = |path: &[usize], i: usize| (self.into(path, path.len(), i), i);
+        while let Some(k) = (0..left.len()).min_by_key(|&k| next(&path, left[k])) {
+            path.push(left.swap_remove(k));
         }
         path
     }
 
-    fn improve(&self, path: &mut Vec<usize>) {
-        for _ in 0..SWEEPS {
+    fn improve(&self, path: &mut Vec<usize>, sweeps: usize) {
+        for _ in 0..sweeps {
             let reversed = self.reverse(path);
             let moved = self.shift(path);
             if !reversed && !moved {
@@ -357,7 +347,7 @@ mod tests {
         let length = |path: &[usize]| -> i64 {
             path.windows(2).map(|w| i64::from(cost(&rows[w[0]], &rows[w[1]], &costs))).sum()
         };
-        let found = path(&rows, &centre(&rows), &costs);
+        let found = path(&rows, &centre(&rows), &costs, SWEEPS.0);
         let given: Vec<usize> = (0..64).collect();
         assert!(length(&found) * 10 < length(&given) * 6, "{} {}", length(&found), length(&given));
         let mut sorted = found.clone();
@@ -383,9 +373,9 @@ mod tests {
                 least = least.min(length(&order));
             }
         }
-        assert_eq!(length(&path(&rows, &start, &costs)), least);
+        assert_eq!(length(&path(&rows, &start, &costs, SWEEPS.0)), least);
         for n in 0..4 {
-            assert_eq!(path(&rows[..n], &start, &costs).len(), n);
+            assert_eq!(path(&rows[..n], &start, &costs, SWEEPS.0).len(), n);
         }
     }
 }
