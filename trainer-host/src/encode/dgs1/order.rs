@@ -214,9 +214,9 @@ fn cost(a: &Row, b: &Row, costs: &Costs) -> i32 {
 fn path(rows: &[Row], start: &Row, costs: &Costs, sweeps: usize) -> Vec<usize> {
     let n = rows.len();
     let mut pairs = vec![0i32; n * n];
-    for a in 0..n {
-        for b in 0..a {
-            let cost = cost(&rows[a], &rows[b], costs);
+    for (a, row) in rows.iter().enumerate() {
+        for (b, other) in rows.iter().enumerate().take(a) {
+            let cost = cost(row, other, costs);
             pairs[a * n + b] = cost;
             pairs[b * n + a] = cost;
         }
