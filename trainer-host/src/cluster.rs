@@ -161,30 +161,32 @@ fn split(features: &[[f64; FEATURES]], mut set: Vec<u32>, axis: usize) -> (Vec<u
     (set, right)
 }
 
-/// `indices` in Morton order of `positions` inside their bounding box, ties by index, so that
-/// neighbours in the list, and so in a block, are neighbours in space.
-pub fn morton_order(indices: &[u32], positions: &[[f32; 3]]) -> Vec<u32> {
-    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    for &i in indices {
-        for d in 0..3 {
-            low[d] = low[d].min(positions[i as usize][d]);
-            high[d] = high[d].max(positions[i as usize][d]);
+/// `indices` so that every run of `block_len` from the start is compact in space: cut in half
+/// across the longest side, at whole blocks, until one block is left. Ties by index.
+pub fn block_order(indices: &[u32], positions: &[[f32; 3]], block_len: usize) -> Vec<u32> {
+    let mut order = indices.to_vec();
+    let mut stack = vec![0..order.len()];
+    while let Some(range) = stack.pop() {
+        let blocks = range.len().div_ceil(block_len.max(1));
+        if blocks < 2 {
+            continue;
         }
+        let part = &mut order[range.clone()];
+        let extent = |d: usize| {
+            let values = part.iter().map(|&i| positions[i as usize][d]);
+            let (low, high) =
+                values.fold((f32::INFINITY, f32::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+            high - low
+        };
+        let extents = [extent(0), extent(1), extent(2)];
+        let axis = (1..3).fold(0, |best, d| if extents[d] > extents[best] { d } else { best });
+        let value = |i: u32| positions[i as usize][axis];
+        part.sort_unstable_by(|&a, &b| value(a).total_cmp(&value(b)).then(a.cmp(&b)));
+        let middle = range.start + blocks / 2 * block_len;
+        stack.push(middle..range.end);
+        stack.push(range.start..middle);
     }
-    let extent = (0..3).map(|d| high[d] - low[d]).fold(0.0f32, f32::max).max(1e-20);
-    let code = |i: u32| {
-        let mut code = 0u64;
-        for d in 0..3 {
-            let cell = ((positions[i as usize][d] - low[d]) / extent * 1_048_575.0) as u64;
-            for bit in 0..20 {
-                code |= (cell >> bit & 1) << (3 * bit + d as u64);
-            }
-        }
-        code
-    };
-    let mut keyed: Vec<(u64, u32)> = indices.iter().map(|&i| (code(i), i)).collect();
-    keyed.sort_unstable();
-    keyed.into_iter().map(|(_, i)| i).collect()
+    order
 }
 
 #[cfg(test)]
@@ -247,21 +249,18 @@ mod tests {
     }
 
     #[test]
-    fn morton_order_keeps_neighbours_together_and_permutes() {
+    fn blocks_are_compact_and_a_permutation() {
         let positions: Vec<_> = (0..500).map(|i| [scatter(i), scatter(i + 31), scatter(5 * i)]).collect();
         let indices: Vec<u32> = (0..500).collect();
-        let order = morton_order(&indices, &positions);
-        let length = |order: &[u32]| -> f32 {
-            order
-                .windows(2)
-                .map(|w| {
-                    (0..3)
-                        .map(|d| (positions[w[0] as usize][d] - positions[w[1] as usize][d]).abs())
-                        .sum::<f32>()
-                })
-                .sum()
+        let order = block_order(&indices, &positions, 64);
+        let volume = |order: &[u32]| -> f32 {
+            let side = |block: &[u32], d: usize| {
+                let values = block.iter().map(|&i| positions[i as usize][d]);
+                values.clone().fold(0.0, f32::max) - values.fold(1.0, f32::min)
+            };
+            order.chunks(64).map(|b| side(b, 0) * side(b, 1) * side(b, 2)).sum()
         };
-        assert!(length(&order) < 0.4 * length(&indices));
+        assert!(volume(&order) < 0.25 * volume(&indices), "{} {}", volume(&order), volume(&indices));
         let mut sorted = order;
         sorted.sort_unstable();
         assert_eq!(sorted, indices);

@@ -40,6 +40,8 @@ pub struct Options {
     pub packet_bytes: usize,
     /// Packets per XOR repair set over base levels, 2..=32; `None` sends no parity.
     pub repair_set: Option<u8>,
+    /// Send also the Gaussians whose opacity stays below 1/255 at every frame (`dgs1`).
+    pub keep_invisible: bool,
 }
 
 impl Default for Options {
@@ -55,6 +57,7 @@ impl Default for Options {
             proxies: true,
             packet_bytes: limits::DEFAULT_PACKET_BYTES,
             repair_set: None,
+            keep_invisible: false,
         }
     }
 }

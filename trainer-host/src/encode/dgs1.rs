@@ -1,7 +1,10 @@
 //! Encoding in profile `dgs1`.
 
 mod canonical;
+mod gauge;
 mod motion;
+mod need;
+mod order;
 mod price;
 mod proxy;
 mod track;
@@ -23,7 +26,11 @@ use super::{
     parity, rate,
     statistics::{Model, Streams},
 };
-use crate::{cluster, scene::Scene, stream::Stream};
+use crate::{
+    cluster,
+    scene::{Epoch, Scene},
+    stream::Stream,
+};
 
 /// One epoch, quantised.
 struct EpochPlan {
@@ -55,10 +62,12 @@ pub(super) fn encode(
     let mut first_frame = 0;
     for (e, epoch) in scene.epochs().iter().enumerate() {
         progress("cluster", e as f64 / scene.epochs().len() as f64);
-        let members: Vec<Vec<u32>> = cluster::cluster(epoch, &options.cluster)
-            .into_iter()
-            .map(|set| cluster::morton_order(&set, epoch.attributes().positions.frame(0, epoch.count())))
-            .collect();
+        let mut sets = cluster::cluster(epoch, &options.cluster);
+        if !options.keep_invisible {
+            sets = need::drawn(epoch, sets);
+        }
+        let epoch = &gauge::reduced(epoch, &sets, form(epoch, &sets, scene, options)?);
+        let members = members(epoch, sets, options)?;
         progress("factorise", e as f64 / scene.epochs().len() as f64);
         let canonical = canonical::quantise(epoch, &members, options)?;
         let windows = motion::quantise(epoch, first_frame, &members, &canonical, scene, options)?;
@@ -102,6 +111,49 @@ pub(super) fn encode(
     Manifest::parse(&raw)?;
     let order = plans.into_iter().map(|p| p.order).collect();
     Stream::seal(raw, packets, order, ledger).map_err(EncodeError::Format)
+}
+
+/// Clusters that a trial takes, about.
+const TRIAL: usize = 16;
+
+/// The form of rotations and scales that takes the fewest bits in a trial on some clusters.
+fn form(
+    epoch: &Epoch,
+    sets: &[Vec<u32>],
+    scene: &Scene,
+    options: &Options,
+) -> Result<gauge::Form, EncodeError> {
+    let some: Vec<Vec<u32>> = sets.iter().step_by((sets.len() / TRIAL).max(1)).cloned().collect();
+    let mut best = (f64::INFINITY, gauge::Form::AsIs);
+    for &form in gauge::Form::candidates(epoch) {
+        let epoch = gauge::reduced(epoch, &some, form);
+        let members = members(&epoch, some.clone(), options)?;
+        let canonical = canonical::quantise(&epoch, &members, options)?;
+        let (windows, _) = motion::quantise(&epoch, 0, &members, &canonical, scene, options)?;
+        let mut streams = Streams::default();
+        for cell in canonical.cells.iter().chain(windows.iter().flat_map(|w| &w.cells)) {
+            runs(cell, |level, stream, symbols| {
+                // Tracks do not depend on the form.
+                if !cell.shape.is_whole(level) {
+                    streams.add(stream, symbols);
+                }
+            });
+        }
+        let bits = streams.entropy_bits();
+        if bits < best.0 {
+            best = (bits, form);
+        }
+    }
+    Ok(best.1)
+}
+
+/// The Gaussians of each cluster in the order in which they are sent.
+fn members(epoch: &Epoch, sets: Vec<Vec<u32>>, options: &Options) -> Result<Vec<Vec<u32>>, EncodeError> {
+    let positions = epoch.attributes().positions.frame(0, epoch.count());
+    let sets: Vec<Vec<u32>> =
+        sets.into_par_iter().map(|set| cluster::block_order(&set, positions, options.block_len)).collect();
+    let (quant, origin) = canonical::plain(epoch, options)?;
+    Ok(order::arrange(epoch, sets, &quant, origin, options.block_len))
 }
 
 fn plan(
@@ -189,8 +241,10 @@ fn streams(plans: &[EpochPlan]) -> Streams<'_> {
 fn ledger(scene: &Scene, plans: &[EpochPlan], streams: &Streams<'_>, model: &Model) -> Ledger {
     let names = ["position", "scale", "rotation", "opacity", "sh0", "sh1", "sh2", "sh3"];
     let moving = ["position motion", "scale motion", "rotation motion", "opacity motion", "sh0 motion"];
+    let gaussians = scene.epochs().iter().map(|e| e.count() as u64).sum();
     let mut ledger = Ledger {
-        gaussians: scene.epochs().iter().map(|e| e.count() as u64).sum(),
+        gaussians,
+        invisible: gaussians - plans.iter().map(|p| p.order.len() as u64).sum::<u64>(),
         frames: scene.frames() as u64,
         saturated: plans.iter().map(|p| p.saturated).sum(),
         ..Ledger::default()

@@ -5,6 +5,8 @@
 pub struct Ledger {
     /// Gaussians over all epochs.
     pub gaussians: u64,
+    /// Those of them that are not sent because they are never drawn.
+    pub invisible: u64,
     /// Frames.
     pub frames: u64,
     /// Symbols coded.

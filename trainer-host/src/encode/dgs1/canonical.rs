@@ -9,10 +9,13 @@ use codec_core::{
 };
 use rayon::prelude::*;
 
-use super::super::{
-    EncodeError, Options,
-    packetise::CellSymbols,
-    steps::{self, Grid},
+use super::{
+    super::{
+        EncodeError, Options,
+        packetise::CellSymbols,
+        steps::{self, Grid},
+    },
+    need,
 };
 use crate::scene::Epoch;
 
@@ -22,6 +25,14 @@ pub(super) struct Canonical {
     pub origin: [f32; 3],
     pub cells: Vec<CellSymbols>,
     pub saturated: u64,
+}
+
+/// The quantisers of an epoch with nothing predicted, and its origin.
+pub(super) fn plain(epoch: &Epoch, options: &Options) -> Result<(Quant, [f32; 3]), EncodeError> {
+    let grid = Grid::of(epoch, &options.quality, steps::DGS1_BASE_RATIO);
+    let quant =
+        steps::dgs1(&options.quality, grid.step, epoch.frames(), &[false; Class::COUNT + Class::MOVING])?;
+    Ok((quant, grid.origin))
 }
 
 /// Quantises frame 0 of `epoch`, cluster by cluster, Gaussians in the order of `members`.
@@ -39,18 +50,21 @@ pub(super) fn quantise(
         predicted[class.index()] = prediction_pays(&indices, class, &plain, options.block_len);
     }
     let quant = steps::dgs1(&options.quality, grid.step, epoch.frames(), &predicted)?;
-    let degree = epoch.attributes().sh_degree.get();
-    let cells: Vec<(CellSymbols, u64)> =
-        indices.par_iter().map(|i| cell(i, &quant, degree, options.block_len)).collect();
+    let degrees = need::degrees(&indices, epoch.attributes().sh_degree.get());
+    let cells: Vec<(CellSymbols, u64)> = indices
+        .par_iter()
+        .zip(&degrees)
+        .map(|(indices, &degree)| cell(indices, &quant, degree, options.block_len))
+        .collect();
     let saturated = cells.iter().map(|(_, s)| s).sum();
     let cells = cells.into_iter().map(|(c, _)| c).collect();
     Ok(Canonical { quant, origin: grid.origin, cells, saturated })
 }
 
 /// Finest indices of a cluster: per class and component, one per Gaussian.
-type Indices = [Vec<Vec<i32>>; Class::COUNT];
+pub(super) type Indices = [Vec<Vec<i32>>; Class::COUNT];
 
-fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, origin: [f32; 3]) -> Indices {
+pub(super) fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, origin: [f32; 3]) -> Indices {
     let (n, a) = (epoch.count(), epoch.attributes());
     let (p, q) = (a.positions.frame(0, n), a.rotations.frame(0, n));
     let (s, o, c) = (a.log_scales.frame(0, n), a.opacity_logits.frame(0, n), a.sh0.frame(0, n));
@@ -79,7 +93,7 @@ fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, origin: [f32; 3]) -> I
 }
 
 /// First-level index and refinements of finest index `q`.
-fn split(quantiser: &Quantiser, class: Class, q: i32) -> [i32; Level::COUNT] {
+pub(super) fn split(quantiser: &Quantiser, class: Class, q: i32) -> [i32; Level::COUNT] {
     quantiser.split(q, class.first_level())
 }
 
