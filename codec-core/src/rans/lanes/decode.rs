@@ -10,8 +10,6 @@ use crate::{
 
 /// Values between two passes: tokens first, then raw bits and escapes while they are in cache.
 const PART: usize = 256;
-/// What an escape token looks like before raw bits are appended.
-const ESCAPED: i16 = ESCAPE as i16 - 128;
 
 /// A decoder over one packet body.
 #[derive(Clone, Copy, Debug)]
@@ -73,8 +71,10 @@ impl<'a> Decoder<'a> {
         if out.len() > left {
             return Err(Error::short("body.values", 0, left, out.len()));
         }
+        let mut tokens = [0u8; PART];
         for part in out.chunks_mut(PART) {
-            let (main, tail) = part.split_at_mut(self.main.min(part.len()));
+            let Some(tokens) = tokens.get_mut(..part.len()) else { continue };
+            let (main, tail) = tokens.split_at_mut(self.main.min(part.len()));
             self.main -= main.len();
             self.tail -= tail.len();
             let whole = if WIDE { self.wide(table, main) } else { self.narrow(table, main) };
@@ -82,14 +82,14 @@ impl<'a> Decoder<'a> {
                 return Err(Error::short("body.words", 0, self.escapes, self.escapes + 2));
             }
             self.keep(table, tail);
-            self.complete(raw_bits, part)?;
+            self.complete(raw_bits, tokens, part)?;
         }
         Ok(())
     }
 
     /// Tokens, the words of four lanes from one load. `None` past the end of the body.
     #[inline(always)]
-    fn wide<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [i16]) -> Option<()> {
+    fn wide<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [u8]) -> Option<()> {
         let mut state = self.state;
         let mut rest = self.body.get(self.words..)?;
         let mut quads = out.chunks_exact_mut(LANES);
@@ -113,7 +113,7 @@ impl<'a> Decoder<'a> {
 
     /// Tokens, word by word. `None` past the end of the body.
     #[inline(always)]
-    fn narrow<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [i16]) -> Option<()> {
+    fn narrow<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [u8]) -> Option<()> {
         let mut state = self.state;
         let mut rest = self.body.get(self.words..)?;
         let mut refill = |below: u32| {
@@ -145,7 +145,7 @@ impl<'a> Decoder<'a> {
     }
 
     /// Tokens that the states keep: no words.
-    fn keep<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [i16]) {
+    fn keep<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [u8]) {
         for quad in out.chunks_mut(LANES) {
             for (value, x) in quad.iter_mut().zip(&mut self.state) {
                 (*value, *x) = table.pop(*x);
@@ -154,21 +154,21 @@ impl<'a> Decoder<'a> {
         }
     }
 
-    /// Raw bits and escapes of values that hold their tokens.
+    /// Values of `tokens`: their raw bits and escapes.
     #[inline]
-    fn complete(&mut self, raw_bits: u8, values: &mut [i16]) -> Result<()> {
-        // Over all values, so that it is done several at a time.
-        let escaped = values.iter().fold(false, |any, &v| any | (v == ESCAPED));
-        self.raw.append(raw_bits, values)?;
-        if escaped { self.escape(raw_bits, values) } else { Ok(()) }
+    fn complete(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
+        self.raw.values(raw_bits, tokens, out)?;
+        // Over all tokens, so that it is done many at a time.
+        let escaped = tokens.iter().fold(false, |any, &t| any | (t == ESCAPE));
+        if escaped { self.escape(raw_bits, tokens, out) } else { Ok(()) }
     }
 
     #[cold]
-    fn escape(&mut self, raw_bits: u8, values: &mut [i16]) -> Result<()> {
-        let empty = ESCAPED << raw_bits;
-        for value in values.iter_mut().filter(|v| **v >> raw_bits == ESCAPED) {
+    fn escape(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
+        let empty = (i16::from(ESCAPE) - 128) << raw_bits;
+        for (_, value) in tokens.iter().zip(out).filter(|(token, _)| **token == ESCAPE) {
             if *value != empty {
-                let found = (*value - empty) as u64;
+                let found = value.wrapping_sub(empty) as u64;
                 return Err(Error::illegal("body.raw", 0, found, (0, 0)));
             }
             let unread = self.body.get(self.words..self.escapes).and_then(|b| b.split_last_chunk::<2>());

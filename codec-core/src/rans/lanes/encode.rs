@@ -1,5 +1,7 @@
 //! The encoder: reciprocals instead of divisions, words of four lanes in one store.
 
+use core::hint::select_unpredictable;
+
 use super::{HEAD_BYTES, LANES, LOW, LOW_BITS, TAIL_START};
 use crate::{
     error::{Error, ErrorKind, Result},
@@ -20,11 +22,12 @@ struct Symbol {
     bias: u32,
     /// `2048 − f`, times the quotient.
     complement: u16,
-    /// `s − 1`.
-    shift: u8,
-    /// Whether the value travels as an escape.
-    escaped: bool,
+    /// `s − 1` in the low five bits, and whether the value travels as an escape.
+    flags: u16,
 }
+
+/// Flag of a token whose value travels as an escape.
+const ESCAPED: u16 = 1 << 8;
 
 impl Symbol {
     fn of(table: &Table, token: u8) -> Self {
@@ -41,13 +44,18 @@ impl Symbol {
                 ((1u64 << (s + 31)).div_ceil(u64::from(f)) as u32, start, s - 1)
             }
         };
-        Self { limit: f << (31 - PRECISION), reciprocal, bias, complement, shift: shift as u8, escaped }
+        let flags = shift as u16 | if escaped { ESCAPED } else { 0 };
+        Self { limit: f << (31 - PRECISION), reciprocal, bias, complement, flags }
+    }
+
+    const fn escaped(&self) -> bool {
+        self.flags & ESCAPED != 0
     }
 
     #[inline(always)]
     fn push(&self, x: u32) -> u32 {
         let high = (u64::from(x) * u64::from(self.reciprocal)) >> 32;
-        let quotient = (high as u32) >> (self.shift & 31);
+        let quotient = (high as u32) >> (self.flags & 31);
         x.wrapping_add(self.bias).wrapping_add(quotient.wrapping_mul(u32::from(self.complement)))
     }
 }
@@ -143,7 +151,7 @@ impl<'a> Source<'a> {
             let values = self.values.get(at..end).unwrap_or(&[]);
             // A table whose escape has no frequency must know every value.
             if table.of[usize::from(ESCAPE)].limit == 0
-                && let Some(i) = values.iter().position(|&v| table.symbol(v).escaped)
+                && let Some(i) = values.iter().position(|&v| table.symbol(v).escaped())
             {
                 return Err(Error::illegal("encode.escape", at + i, 0, (1, u64::from(SCALE))));
             }
@@ -214,14 +222,15 @@ pub fn encode(values: &[i16], runs: &[Run], tables: &[Symbols], out: &mut [u8]) 
     let main = values.len().saturating_sub(LANES * groups);
     let room = out.len();
     let mut at = room;
+    let mut flags = 0;
     for (start, values, table) in source.backwards() {
-        let values = values.get(..main.saturating_sub(start).min(values.len())).unwrap_or(&[]);
-        at = push_run(table, start, values, &mut state, out, at).ok_or(full(room))?;
+        let (values, tail) = values.split_at(main.saturating_sub(start).min(values.len()));
+        flags |= tail.iter().fold(0, |flags, &v| flags | table.symbol(v).flags);
+        at = push_run(table, start, values, &mut state, &mut flags, out, at).ok_or(full(room))?;
     }
-    let escapes = source
-        .forwards()
-        .map(|(values, table)| values.iter().filter(|&&v| table.symbol(v).escaped).count())
-        .sum::<usize>();
+    let escaped =
+        |(values, table): (&[i16], &Symbols)| values.iter().filter(|&&v| table.symbol(v).escaped()).count();
+    let escapes = if flags & ESCAPED == 0 { 0 } else { source.forwards().map(escaped).sum::<usize>() };
     let words = room - at;
     if HEAD_BYTES + words > room {
         return Err(full(room));
@@ -237,6 +246,7 @@ fn push_run(
     start: usize,
     values: &[i16],
     state: &mut [u32; LANES],
+    flags: &mut u16,
     out: &mut [u8],
     at: usize,
 ) -> Option<usize> {
@@ -249,11 +259,11 @@ fn push_run(
         let (mut words, mut used) = (0u64, 0usize);
         for (&value, x) in values.iter().zip(&mut x).rev() {
             let symbol = table.symbol(value);
-            if *x >= symbol.limit {
-                words = words << 16 | u64::from(*x & 0xffff);
-                used += 2;
-                *x >>= 16;
-            }
+            *flags |= symbol.flags;
+            let full = *x >= symbol.limit;
+            words = select_unpredictable(full, words << 16 | u64::from(*x as u16), words);
+            *x = select_unpredictable(full, *x >> 16, *x);
+            used += 2 * usize::from(full);
             *x = symbol.push(*x);
         }
         // The last word emitted is the first read: it lies in the low bits, at the lowest place.
@@ -298,7 +308,7 @@ fn finish(
     if escapes > 0 {
         let mut places = stream.rchunks_exact_mut(2);
         for (values, table) in source.forwards() {
-            for (value, place) in values.iter().filter(|&&v| table.symbol(v).escaped).zip(&mut places) {
+            for (value, place) in values.iter().filter(|&&v| table.symbol(v).escaped()).zip(&mut places) {
                 place.copy_from_slice(&value.to_le_bytes());
             }
         }
@@ -308,7 +318,7 @@ fn finish(
         let mask = (1u16 << table.raw_bits) - 1;
         for &value in values {
             // An escaped value's raw bits are zero: there is one encoding of each packet.
-            let low = if escapes > 0 && table.symbol(value).escaped { 0 } else { value as u16 & mask };
+            let low = if escapes > 0 && table.symbol(value).escaped() { 0 } else { value as u16 & mask };
             bits.put(low.into(), table.raw_bits.into());
         }
     }

@@ -4,18 +4,18 @@ use crate::rans::table::{PRECISION, SCALE, SLOTS, Table};
 
 /// A decode table in some form.
 pub trait Lookup {
-    /// Pops one value off `state`: the token less 128, and the state before it, not yet refilled.
-    fn pop(&self, state: u32) -> (i16, u32);
+    /// Pops one token off `state`: the token, and the state before it, not yet refilled.
+    fn pop(&self, state: u32) -> (u8, u32);
 }
 
 /// The slots form, 8 KiB: one load per value.
 impl Lookup for [u32; SLOTS] {
     #[inline(always)]
-    fn pop(&self, state: u32) -> (i16, u32) {
+    fn pop(&self, state: u32) -> (u8, u32) {
         let slot = self[(state & (SCALE - 1)) as usize];
         // Every slot holds a frequency of 1..=2048 and a bias below it: no state grows.
         let below = (slot >> 20).wrapping_mul(state >> PRECISION).wrapping_add((slot >> 8) & 0xfff);
-        (i16::from(slot as u8) - 128, below)
+        (slot as u8, below)
     }
 }
 
@@ -45,12 +45,12 @@ impl<'a> Compact<'a> {
 
 impl Lookup for Compact<'_> {
     #[inline(always)]
-    fn pop(&self, state: u32) -> (i16, u32) {
+    fn pop(&self, state: u32) -> (u8, u32) {
         let slot = state & (SCALE - 1);
         let token = self.token[slot as usize];
         let range = self.range[usize::from(token)];
         let below =
             (range >> 16).wrapping_mul(state >> PRECISION).wrapping_add(slot).wrapping_sub(range & 0xffff);
-        (i16::from(token) - 128, below)
+        (token, below)
     }
 }

@@ -34,44 +34,52 @@ impl<'a> Raw<'a> {
         self.at == self.end
     }
 
-    /// Appends the next `raw_bits` bits to each of `values`: `value << raw_bits | bits`.
+    /// Values of `tokens`, each with the next `raw_bits` bits: `(token − 128) << raw_bits | bits`.
     ///
     /// # Errors
     /// [`ErrorKind::Short`](crate::ErrorKind::Short) if fewer bits are left.
-    pub fn append(&mut self, raw_bits: u8, values: &mut [i16]) -> Result<()> {
-        let needed = values.len() * usize::from(raw_bits);
+    pub fn values(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
+        let needed = tokens.len() * usize::from(raw_bits);
         if self.end - self.at < needed {
             return Err(Error::short("body.raw", 0, self.end - self.at, needed));
         }
         // A constant width turns the shifts into constants, or into one vector operation.
         let whole = match raw_bits {
-            0 => Some(()),
-            1 => self.fixed::<1>(values),
-            2 => self.fixed::<2>(values),
-            3 => self.fixed::<3>(values),
-            4 => self.fixed::<4>(values),
-            5 => self.fixed::<5>(values),
-            6 => self.fixed::<6>(values),
-            7 => self.fixed::<7>(values),
-            _ => self.fixed::<8>(values),
+            0 => {
+                for (value, &token) in out.iter_mut().zip(tokens) {
+                    *value = i16::from(token) - 128;
+                }
+                Some(())
+            }
+            1 => self.fixed::<1>(tokens, out),
+            2 => self.fixed::<2>(tokens, out),
+            3 => self.fixed::<3>(tokens, out),
+            4 => self.fixed::<4>(tokens, out),
+            5 => self.fixed::<5>(tokens, out),
+            6 => self.fixed::<6>(tokens, out),
+            7 => self.fixed::<7>(tokens, out),
+            _ => self.fixed::<8>(tokens, out),
         };
         whole.ok_or(Error::short("body.raw", 0, self.plane.len(), self.at.div_ceil(8) + 8))
     }
 
     #[inline]
-    fn fixed<const K: u32>(&mut self, values: &mut [i16]) -> Option<()> {
-        let mask = (1u64 << K) - 1;
-        let mut quads = values.chunks_exact_mut(4);
-        for quad in &mut quads {
-            let window = self.window()?;
-            for (i, value) in quad.iter_mut().enumerate() {
-                *value = *value << K | (window >> (K * i as u32) & mask) as i16;
-            }
+    fn fixed<const K: u32>(&mut self, tokens: &[u8], out: &mut [i16]) -> Option<()> {
+        let (quads, rest) = out.as_chunks_mut::<4>();
+        for quad in quads {
+            // Four fields of K bits, moved apart into four of 16 within one register.
+            let pair = self.window()? & mask(4 * K);
+            let pair = (pair | pair << (32 - 2 * K)) & (mask(2 * K) | mask(2 * K) << 32);
+            let four = (pair | pair << (16 - K)) & (mask(K) * 0x0001_0001_0001_0001);
+            *quad = [four as i16, (four >> 16) as i16, (four >> 32) as i16, (four >> 48) as i16];
             self.at += 4 * K as usize;
         }
-        for value in quads.into_remainder() {
-            *value = *value << K | (self.window()? & mask) as i16;
+        for place in rest {
+            *place = (self.window()? & mask(K)) as i16;
             self.at += K as usize;
+        }
+        for (value, &token) in out.iter_mut().zip(tokens) {
+            *value |= (i16::from(token) - 128) << K;
         }
         Some(())
     }
@@ -82,4 +90,8 @@ impl<'a> Raw<'a> {
         let bytes = self.plane.get(self.at / 8..)?.first_chunk::<8>()?;
         Some(u64::from_le_bytes(*bytes) >> (self.at % 8))
     }
+}
+
+const fn mask(bits: u32) -> u64 {
+    (1 << bits) - 1
 }
