@@ -9,10 +9,10 @@ mod peers;
 use anyhow::{Result, ensure};
 
 use self::{
-    coders::{Arena, Coder, Naive, Output, Scalar, Small},
+    coders::{Arena, Coder, Many, Naive, Output, Scalar, Small},
     law::{Law, Packets},
 };
-use super::Setup;
+use super::{Setup, clock::seconds};
 use crate::figures::{Bench, Figure, median};
 
 /// Longest packet body, bytes.
@@ -49,7 +49,9 @@ struct Lane {
 }
 
 fn measure(bench: &mut Bench, packets: Packets, runs: usize) -> Result<()> {
-    let mut list: Vec<Box<dyn Coder>> = vec![Box::new(Scalar::new(&packets.table)), Box::new(Small::new(&packets.table))];
+    let mut list: Vec<Box<dyn Coder>> =
+        vec![Box::new(Scalar::new(&packets.table)), Box::new(Small::new(&packets.table))];
+    list.extend(Many::all(&packets.table));
     #[cfg(feature = "peers")]
     list.extend(peers::all(&packets)?);
     list.push(Box::new(Naive));
@@ -104,23 +106,11 @@ fn measure(bench: &mut Bench, packets: Packets, runs: usize) -> Result<()> {
             if speeds.is_empty() {
                 continue;
             }
-            let figure = Figure::new(format!("{name}.{what}"), median(speeds), "Msymbol/s").runs(speeds.len());
+            let figure =
+                Figure::new(format!("{name}.{what}"), median(speeds), "Msymbol/s").runs(speeds.len());
             let figure = figure.error(lane.overhead, "% over entropy");
             bench.push(if best > 0.0 { figure.peer("best Rust peer", best, false) } else { figure });
         }
     }
     Ok(())
-}
-
-/// CPU time of this thread, seconds.
-fn seconds() -> f64 {
-    #[cfg(unix)]
-    {
-        let t = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-        t.tv_sec as f64 + 1e-9 * t.tv_nsec as f64
-    }
-    #[cfg(not(unix))]
-    {
-        std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0.0, |d| d.as_secs_f64())
-    }
 }

@@ -28,7 +28,7 @@ mod lookup;
 pub mod naive;
 mod plane;
 
-pub use decode::Decoder;
+pub use decode::{Decoder, Lanes};
 pub use encode::{Encoded, Run, Symbols, encode};
 pub use lookup::{Compact, Lookup};
 pub use plane::Raw;

@@ -6,6 +6,8 @@ use codec_core::rans::{
     table::{SLOTS, Table},
 };
 
+use codec_simd::{Job, Kernel, Tables, decode_many_with};
+
 use super::law::{PACKET_ROOM, Packets};
 
 /// Packets as bytes: each with its own room.
@@ -25,7 +27,10 @@ impl Arena {
     }
 
     pub fn packets(&self) -> impl Iterator<Item = &[u8]> {
-        self.bytes.chunks_exact(PACKET_ROOM).zip(&self.place).map(|(room, &(start, len))| &room[start..start + len])
+        self.bytes
+            .chunks_exact(PACKET_ROOM)
+            .zip(&self.place)
+            .map(|(room, &(start, len))| &room[start..start + len])
     }
 }
 
@@ -154,5 +159,45 @@ impl Coder for Naive {
             naive::decode(body, &table_of, &tables, values)?;
         }
         Ok(())
+    }
+}
+
+/// Four-lane rANS, several packets at once.
+pub struct Many {
+    kernel: Kernel,
+    slots: Vec<[u32; SLOTS]>,
+}
+
+impl Many {
+    /// One for each vector kernel that this machine has.
+    pub fn all(table: &Table) -> Vec<Box<dyn Coder>> {
+        let kernels = Kernel::ALL.into_iter().filter(|k| *k != Kernel::Scalar && k.is_here());
+        kernels
+            .map(|kernel| {
+                let mut slots = vec![[0u32; SLOTS]];
+                table.fill_slots(&mut slots[0]);
+                Box::new(Self { kernel, slots }) as Box<dyn Coder>
+            })
+            .collect()
+    }
+}
+
+impl Coder for Many {
+    fn name(&self) -> String {
+        self.kernel.name().into()
+    }
+
+    fn encode(&mut self, _: &Packets, _: &mut Arena) -> Result<bool> {
+        Ok(false)
+    }
+
+    fn decode(&mut self, packets: &Packets, arena: &Arena, out: &mut Output) -> Result<()> {
+        let run = [Run { table: 0, len: packets.len }];
+        let tables = Tables { slots: &self.slots, raw_bits: &[packets.table.raw_bits()] };
+        let values = out.values.chunks_exact_mut(packets.len);
+        let mut jobs: Vec<Job<'_>> =
+            arena.packets().zip(values).map(|(body, values)| Job::new(body, &run, values)).collect();
+        decode_many_with(self.kernel, &tables, &mut jobs);
+        Ok(jobs.into_iter().try_for_each(|job| job.result)?)
     }
 }

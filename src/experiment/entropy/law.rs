@@ -21,7 +21,9 @@ pub struct Law {
 impl Law {
     /// The three laws: quantised Laplace of 1.5 and 4 bit, quantised Gauss of 8 bit.
     pub fn all() -> [Self; 3] {
-        let laplace = |width: f64| move |x: f64| if x < 0.0 { (x / width).exp() / 2.0 } else { 1.0 - (-x / width).exp() / 2.0 };
+        let laplace = |width: f64| {
+            move |x: f64| if x < 0.0 { (x / width).exp() / 2.0 } else { 1.0 - (-x / width).exp() / 2.0 }
+        };
         let gauss = |width: f64| move |x: f64| 0.5 * (1.0 + erf(x / (width * std::f64::consts::SQRT_2)));
         [
             Self::tuned("laplace-1.5", 1.5, 0, 400, laplace),
@@ -31,10 +33,18 @@ impl Law {
     }
 
     /// The law of `family` whose entropy is `bits`, by bisection of its width.
-    fn tuned<F: Fn(f64) -> f64>(name: &'static str, bits: f64, raw_bits: u8, half: i32, family: impl Fn(f64) -> F) -> Self {
+    fn tuned<F: Fn(f64) -> f64>(
+        name: &'static str,
+        bits: f64,
+        raw_bits: u8,
+        half: i32,
+        family: impl Fn(f64) -> F,
+    ) -> Self {
         let of = |width: f64| {
             let cdf = family(width);
-            (-half..=half).map(|v| (cdf(f64::from(v) + 0.5) - cdf(f64::from(v) - 0.5)).max(0.0)).collect::<Vec<f64>>()
+            (-half..=half)
+                .map(|v| (cdf(f64::from(v) + 0.5) - cdf(f64::from(v) - 0.5)).max(0.0))
+                .collect::<Vec<f64>>()
         };
         let (mut low, mut high) = (0.01, 1000.0);
         for _ in 0..80 {
@@ -63,12 +73,15 @@ impl Law {
                 counts[kept] += (p * 1e12) as u64;
             }
             let table = Table::from_counts(&counts, self.raw_bits)?;
-            let bits: f64 = (-self.half..=self.half).zip(&self.probability).map(|(v, p)| {
-                let token = table.code(v as i16);
-                let escape = if token == ESCAPE { 16.0 } else { 0.0 };
-                let cost = f64::from(PRECISION) - f64::from(table.frequency(token)).log2();
-                if *p > 0.0 { p * (cost + escape + f64::from(self.raw_bits)) } else { 0.0 }
-            }).sum();
+            let bits: f64 = (-self.half..=self.half)
+                .zip(&self.probability)
+                .map(|(v, p)| {
+                    let token = table.code(v as i16);
+                    let escape = if token == ESCAPE { 16.0 } else { 0.0 };
+                    let cost = f64::from(PRECISION) - f64::from(table.frequency(token)).log2();
+                    if *p > 0.0 { p * (cost + escape + f64::from(self.raw_bits)) } else { 0.0 }
+                })
+                .sum();
             if best.as_ref().is_none_or(|(b, _)| bits < *b) {
                 best = Some((bits, table));
             }
@@ -93,7 +106,9 @@ fn entropy(probability: &[f64]) -> f64 {
 /// Error function to 1e-7 (Abramowitz and Stegun 7.1.26 with one more digit is not needed here).
 fn erf(x: f64) -> f64 {
     let t = 1.0 / (1.0 + 0.327_591_1 * x.abs());
-    let poly = t * (0.254_829_592 + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
+    let poly = t
+        * (0.254_829_592
+            + t * (-0.284_496_736 + t * (1.421_413_741 + t * (-1.453_152_027 + t * 1.061_405_429))));
     (1.0 - poly * (-x * x).exp()).copysign(x)
 }
 
@@ -142,7 +157,8 @@ impl Packets {
         loop {
             let fits = drawn.chunks(len).take(count).all(|packet| {
                 let values: Vec<i16> = packet.iter().map(value).collect();
-                lanes::encode(&values, &[Run { table: 0, len }], &symbols, &mut room).is_ok_and(|e| e.len <= limit)
+                lanes::encode(&values, &[Run { table: 0, len }], &symbols, &mut room)
+                    .is_ok_and(|e| e.len <= limit)
             });
             if fits {
                 break;

@@ -7,8 +7,9 @@ use constriction::stream::{
     stack::SmallAnsCoder,
 };
 use ryg_rans_rs_core::{
-    BackwardByteWriter, ByteReader, RansByteDecSymbol, RansByteEncSymbol, RansByteState, rans_byte_dec_advance_symbol_step,
-    rans_byte_dec_get, rans_byte_dec_init, rans_byte_dec_renorm, rans_byte_enc_flush, rans_byte_enc_put_symbol,
+    BackwardByteWriter, ByteReader, RansByteDecSymbol, RansByteEncSymbol, RansByteState,
+    rans_byte_dec_advance_symbol_step, rans_byte_dec_get, rans_byte_dec_init, rans_byte_dec_renorm,
+    rans_byte_enc_flush, rans_byte_enc_put_symbol,
 };
 use zstd::{
     bulk::{Compressor, Decompressor},
@@ -22,7 +23,11 @@ use super::{
 
 /// All peers for one law.
 pub fn all(packets: &Packets) -> Result<Vec<Box<dyn Coder>>> {
-    Ok(vec![Box::new(Ryg::new(packets)?), Box::new(Constriction::new(packets)?), Box::new(Zstd::new(packets)?)])
+    Ok(vec![
+        Box::new(Ryg::new(packets)?),
+        Box::new(Constriction::new(packets)?),
+        Box::new(Zstd::new(packets)?),
+    ])
 }
 
 fn refused(error: impl std::fmt::Debug) -> anyhow::Error {
@@ -70,11 +75,14 @@ impl Coder for Ryg {
             let (mut a, mut b) = (RansByteState::new(), RansByteState::new());
             let (pairs, odd) = tokens.as_chunks::<2>();
             for &token in odd {
-                rans_byte_enc_put_symbol(&mut a, &mut writer, &self.encode[usize::from(token)]).map_err(refused)?;
+                rans_byte_enc_put_symbol(&mut a, &mut writer, &self.encode[usize::from(token)])
+                    .map_err(refused)?;
             }
             for pair in pairs.iter().rev() {
-                rans_byte_enc_put_symbol(&mut b, &mut writer, &self.encode[usize::from(pair[1])]).map_err(refused)?;
-                rans_byte_enc_put_symbol(&mut a, &mut writer, &self.encode[usize::from(pair[0])]).map_err(refused)?;
+                rans_byte_enc_put_symbol(&mut b, &mut writer, &self.encode[usize::from(pair[1])])
+                    .map_err(refused)?;
+                rans_byte_enc_put_symbol(&mut a, &mut writer, &self.encode[usize::from(pair[0])])
+                    .map_err(refused)?;
             }
             rans_byte_enc_flush(&b, &mut writer).map_err(refused)?;
             rans_byte_enc_flush(&a, &mut writer).map_err(refused)?;
@@ -119,9 +127,11 @@ impl Constriction {
         let frequency = packets.frequencies(20);
         let first = frequency.iter().position(|&f| f > 0).unwrap_or(0);
         let last = frequency.iter().rposition(|&f| f > 0).unwrap_or(0);
-        let probability: Vec<f64> = frequency[first..=last].iter().map(|&f| f64::from(f.max(1)) / f64::from(1 << 20)).collect();
-        let encode = SmallContiguousCategoricalEntropyModel::from_floating_point_probabilities_perfect(&probability)
-            .map_err(|()| anyhow!("constriction refuses the law"))?;
+        let probability: Vec<f64> =
+            frequency[first..=last].iter().map(|&f| f64::from(f.max(1)) / f64::from(1 << 20)).collect();
+        let encode =
+            SmallContiguousCategoricalEntropyModel::from_floating_point_probabilities_perfect(&probability)
+                .map_err(|()| anyhow!("constriction refuses the law"))?;
         let decode = SmallContiguousLookupDecoderModel::from(encode.to_lookup_decoder_model());
         Ok(Self { encode, decode, first: first as u8 })
     }

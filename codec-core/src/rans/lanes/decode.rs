@@ -29,6 +29,19 @@ pub struct Decoder<'a> {
     raw: Raw<'a>,
 }
 
+/// The lanes of a [`Decoder`] between two values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lanes<'a> {
+    /// Words, escapes and plane.
+    pub bytes: &'a [u8],
+    /// Offset of the next word in `bytes`.
+    pub words: usize,
+    /// States, that of the next value first.
+    pub state: [u32; LANES],
+    /// Values left before the tail.
+    pub main: usize,
+}
+
 impl<'a> Decoder<'a> {
     /// A decoder of `body`, which holds `values` values with `raw_bits` raw bits between them.
     ///
@@ -179,6 +192,37 @@ impl<'a> Decoder<'a> {
             *value = i16::from_le_bytes(*bytes);
         }
         Ok(())
+    }
+
+    /// Where the decoder stands, for one that takes several packets at once.
+    pub fn lanes(&self) -> Lanes<'a> {
+        Lanes { bytes: self.body, words: self.words, state: self.state, main: self.main }
+    }
+
+    /// Takes over from a decoder of several packets that popped the tokens of `values` values,
+    /// whole groups of four, outside the tail: `state` and `words` as it left them. Those tokens
+    /// then go through [`Decoder::values`].
+    ///
+    /// # Errors
+    /// [`ErrorKind::Short`](crate::ErrorKind::Short) if it took more values or words than there are.
+    pub fn resume(&mut self, state: [u32; LANES], words: usize, values: usize) -> Result<()> {
+        let Some(main) = self.main.checked_sub(values) else {
+            return Err(Error::short("body.values", 0, self.main, values));
+        };
+        (self.state, self.words, self.main) = (state, words, main);
+        if words > self.escapes {
+            return Err(Error::short("body.words", 0, self.escapes, self.escapes + 2));
+        }
+        Ok(())
+    }
+
+    /// Values of tokens that another decoder popped, all with the same `raw_bits`.
+    ///
+    /// # Errors
+    /// As [`Decoder::run`].
+    #[inline]
+    pub fn values(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
+        self.complete(raw_bits, tokens, out)
     }
 
     /// Accepts the body if it is used up and every lane ends where an encoder begins.
