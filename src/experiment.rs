@@ -1,9 +1,12 @@
 //! The experiments behind `dgs bench`: one file per bench, one [`Bench`] each.
 
 mod accounting;
+mod clock;
 mod cloud;
 mod counterfactual;
+mod decode;
 mod demo;
+mod entropy;
 mod gpu;
 mod gradient;
 mod loss;
@@ -49,6 +52,16 @@ pub const ALL: &[Experiment] = &[
         name: "accounting",
         about: "the paper's accounting table for profile paper, its own figures beside",
         run: accounting::run,
+    },
+    Experiment {
+        name: "entropy",
+        about: "the packet coder: symbols per second beside bytes over entropy, public coders in the same run",
+        run: entropy::run,
+    },
+    Experiment {
+        name: "decode",
+        about: "bytes to Gaussians on one core: receiver, frames, packet parse, CRC, closure",
+        run: decode::run,
     },
     Experiment {
         name: "loss",

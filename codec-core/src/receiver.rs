@@ -497,7 +497,7 @@ impl<'a> Receiver<'a> {
         };
         // Selectors come first, so that the size of everything behind them is known.
         let mut selectors = Bits::new(packet.body);
-        let mut raw_bits = 0usize;
+        let (mut values, mut raw_bits) = (0usize, 0usize);
         for (i, stretch) in packet.stretches.iter().enumerate() {
             let overlaps = |earlier: &Stretch| overlap(earlier, stretch);
             let twice = packet.stretches.iter().take(i).any(overlaps);
@@ -508,12 +508,13 @@ impl<'a> Receiver<'a> {
                     return Err(Error::illegal("slice", i, level, (level, level)).kind(ErrorKind::Duplicate));
                 }
                 place.shape.runs(stretch.level, place.blocks.clone(), |stream, n| {
+                    values += n;
                     raw_bits += n * usize::from(table_at(stream, &mut selectors)?.1);
                     Ok(())
                 })
             })?;
         }
-        let mut decoder = lanes::Decoder::new(selectors.finish()?, raw_bits, usize::from(packet.escapes))?;
+        let mut decoder = lanes::Decoder::new(selectors.finish()?, values, raw_bits)?;
         let mut selectors = Bits::new(packet.body);
         for (i, stretch) in packet.stretches.iter().enumerate() {
             for_each_slice(manifest, cells, stretch, i, |place| {
