@@ -202,9 +202,17 @@ impl Kit {
         }
         constant("Frames to decode, in this order.", "FRAMES", "&[u32]", &self.frames);
         constant("What the host computed.", "DIGEST", "u64", &self.answer.digest);
-        let counted: Vec<_> =
-            self.bodies.iter().map(|b| (b.name, b.symbols.len(), b.encoded.raw_bits, b.encoded.escapes)).collect();
-        constant("Lane bodies: name, symbols, raw bits, escapes.", "LAWS", "&[(&str, usize, usize, usize)]", &counted);
+        let counted: Vec<_> = self
+            .bodies
+            .iter()
+            .map(|b| (b.name, b.symbols.len(), b.encoded.raw_bits, b.encoded.escapes))
+            .collect();
+        constant(
+            "Lane bodies: name, symbols, raw bits, escapes.",
+            "LAWS",
+            "&[(&str, usize, usize, usize)]",
+            &counted,
+        );
         Ok(out)
     }
 
@@ -225,7 +233,10 @@ impl Kit {
             body.table.write(|bytes| table.extend_from_slice(bytes));
             files.push((format!("law-{i}.table"), table));
             files.push((format!("law-{i}.body"), body.bytes.clone()));
-            files.push((format!("law-{i}.digest"), symbols_digest(&body.symbols).get().to_le_bytes().to_vec()));
+            files.push((
+                format!("law-{i}.digest"),
+                symbols_digest(&body.symbols).get().to_le_bytes().to_vec(),
+            ));
         }
         for (name, bytes) in files {
             let path = folder.join(name);
@@ -327,5 +338,7 @@ mod tests {
 #[cfg(test)]
 mod tmpwrite {
     #[test]
-    fn tmp_write() { super::Kit::make().unwrap().write(std::path::Path::new("target/embedded/kit")).unwrap(); }
+    fn tmp_write() {
+        super::Kit::make().unwrap().write(std::path::Path::new("target/embedded/kit")).unwrap();
+    }
 }

@@ -45,7 +45,12 @@ impl Digest {
     #[must_use]
     pub fn frame(self, gaussians: &[Gaussian], sh_rest: &[f32]) -> Self {
         let add = |digest: Self, g: &Gaussian| {
-            digest.values(&g.position).values(&g.scale).values(&g.rotation).values(&[g.opacity]).values(&g.sh0)
+            digest
+                .values(&g.position)
+                .values(&g.scale)
+                .values(&g.rotation)
+                .values(&[g.opacity])
+                .values(&g.sh0)
         };
         gaussians.iter().fold(self, add).values(sh_rest)
     }
