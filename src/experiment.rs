@@ -4,6 +4,7 @@ mod accounting;
 mod cloud;
 mod counterfactual;
 mod demo;
+mod embedded;
 mod gpu;
 mod gradient;
 mod loss;
@@ -54,6 +55,11 @@ pub const ALL: &[Experiment] = &[
         name: "loss",
         about: "random packet subsets render; quality at 1, 5, 10 and 20 % packet loss",
         run: loss::run,
+    },
+    Experiment {
+        name: "embedded",
+        about: "flash, RAM, stack, instructions and digests on Cortex-M4F, WebAssembly and in C, within budget",
+        run: embedded::run,
     },
     Experiment {
         name: "render",

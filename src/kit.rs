@@ -8,9 +8,10 @@
 use std::{fmt::Write as _, io, path::Path};
 
 use codec_core::{
+    Gaussian,
     digest::Digest,
     rans::{lanes, table::Table},
-    receiver::{Counters, Receiver, Requirements},
+    receiver::{Cell, Counters, Receiver, Requirements},
     wire::manifest::Sealed,
 };
 use trainer_host::{
@@ -59,6 +60,25 @@ pub struct Body {
     pub bytes: Vec<u8>,
     /// What the encoder says of it.
     pub encoded: lanes::Encoded,
+}
+
+impl Body {
+    fn constants(&self) -> (&'static str, usize, usize, usize) {
+        (self.name, self.symbols.len(), self.encoded.raw_bits, self.encoded.escapes)
+    }
+}
+
+/// One list that a receiver without a heap sets aside.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Size {
+    /// What it holds.
+    pub doc: &'static str,
+    /// Its constant.
+    pub name: &'static str,
+    /// Elements.
+    pub count: usize,
+    /// Bytes of all lists of this size together.
+    pub bytes: usize,
 }
 
 /// A stream, the order in which its packets arrive, and the frames to show.
@@ -167,11 +187,11 @@ impl Kit {
         out
     }
 
-    /// Sizes and expectations as Rust constants, for firmware without a heap.
+    /// Everything a receiver without a heap sets aside for the stream.
     ///
     /// # Errors
     /// None in practice.
-    pub fn constants(&self) -> Result<String, KitError> {
+    pub fn sizes(&self) -> Result<[Size; 11], KitError> {
         let manifest = self.stream.manifest()?;
         let Requirements { cells, symbols, blocks, seen, slots, progress, parity } =
             Requirements::of(&manifest)?;
@@ -179,40 +199,41 @@ impl Kit {
         let gaussians = manifest.epochs().map(|e| e.gaussians as usize).max().unwrap_or(0);
         let sh_rest = gaussians * manifest.sh_degree().rest_len();
         let largest = self.arrivals.iter().map(Vec::len).max().unwrap_or(0);
+        Ok([
+            ("Bytes of the unpacked manifest.", "MANIFEST", raw, 1),
+            ("Cells, and one.", "CELLS", cells, size_of::<Cell>()),
+            ("Symbols.", "SYMBOLS", symbols, 2),
+            ("Blocks of all cells.", "BLOCKS", blocks, 2),
+            ("Words of the packet bitmap.", "SEEN", seen, 4),
+            ("Decode slots.", "SLOTS", slots, 4),
+            ("Groups counted (`paper`).", "PROGRESS", progress, 4),
+            ("Bytes of repair.", "PARITY", parity, 1),
+            ("Gaussians of the largest epoch.", "GAUSSIANS", gaussians, 2 * size_of::<Gaussian>()),
+            ("Higher harmonic coefficients of the largest epoch.", "SH_REST", sh_rest, 4),
+            ("Bytes of the largest packet.", "LARGEST_PACKET", largest, 1),
+        ]
+        .map(|(doc, name, count, bytes)| Size { doc, name, count, bytes: count * bytes }))
+    }
+
+    /// Sizes and expectations as Rust constants, for firmware without a heap.
+    ///
+    /// # Errors
+    /// None in practice.
+    pub fn constants(&self) -> Result<String, KitError> {
         let mut out = String::from("// Written from a manifest; see `dgs::kit`.\n");
         let mut constant = |doc: &str, name: &str, kind: &str, value: &dyn std::fmt::Debug| {
             let borrow = if kind.starts_with('&') { "&" } else { "" };
             // Writing to a string cannot fail.
             let _ = writeln!(out, "/// {doc}\npub const {name}: {kind} = {borrow}{value:?};");
         };
-        for (doc, name, value) in [
-            ("Bytes of the unpacked manifest.", "MANIFEST", raw),
-            ("Cells, and one.", "CELLS", cells),
-            ("Symbols.", "SYMBOLS", symbols),
-            ("Blocks of all cells.", "BLOCKS", blocks),
-            ("Words of the packet bitmap.", "SEEN", seen),
-            ("Decode slots.", "SLOTS", slots),
-            ("Groups counted (`paper`).", "PROGRESS", progress),
-            ("Bytes of repair.", "PARITY", parity),
-            ("Gaussians of the largest epoch.", "GAUSSIANS", gaussians),
-            ("Higher harmonic coefficients of the largest epoch.", "SH_REST", sh_rest),
-            ("Bytes of the largest packet.", "LARGEST_PACKET", largest),
-        ] {
-            constant(doc, name, "usize", &value);
+        for Size { doc, name, count, .. } in self.sizes()? {
+            constant(doc, name, "usize", &count);
         }
         constant("Frames to decode, in this order.", "FRAMES", "&[u32]", &self.frames);
         constant("What the host computed.", "DIGEST", "u64", &self.answer.digest);
-        let counted: Vec<_> = self
-            .bodies
-            .iter()
-            .map(|b| (b.name, b.symbols.len(), b.encoded.raw_bits, b.encoded.escapes))
-            .collect();
-        constant(
-            "Lane bodies: name, symbols, raw bits, escapes.",
-            "LAWS",
-            "&[(&str, usize, usize, usize)]",
-            &counted,
-        );
+        let laws: Vec<_> = self.bodies.iter().map(Body::constants).collect();
+        let kind = "&[(&str, usize, usize, usize)]";
+        constant("Lane bodies: name, symbols, raw bits, escapes.", "LAWS", kind, &laws);
         Ok(out)
     }
 
@@ -333,12 +354,5 @@ mod tests {
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let stream = encode::encode(&scene, &Options::default(), &|_, _| {}).unwrap();
         assert!(matches!(Kit::of(stream), Err(KitError::NoPacket(_))));
-    }
-}
-#[cfg(test)]
-mod tmpwrite {
-    #[test]
-    fn tmp_write() {
-        super::Kit::make().unwrap().write(std::path::Path::new("target/embedded/kit")).unwrap();
     }
 }
