@@ -302,7 +302,7 @@ fn answer(stream: &Stream, packets: &[Vec<u8>], frames: &[u32]) -> Result<Answer
 /// Laplace-like symbols at about 1.5, 4 and 8 bits each, one body per law.
 fn bodies() -> Result<Vec<Body>, KitError> {
     const SYMBOLS: usize = 2048;
-    let laws = [("laplace_1.5_bit", 0.75f64, 0u8), ("laplace_4_bit", 4.2, 0), ("laplace_8_bit", 67.0, 2)];
+    let laws = [("laplace_1.5_bit", 0.47f64, 0u8), ("laplace_4_bit", 2.94, 0), ("laplace_8_bit", 47.0, 2)];
     let mut out = Vec::new();
     for (name, spread, raw_bits) in laws {
         let mut state = 0x9e37_79b9_7f4a_7c15u64;
