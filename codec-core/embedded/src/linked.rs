@@ -1,14 +1,17 @@
+// The program of `panicless` and `planted`: they differ in what `planted()` does.
+
 use codec_core::{
     decode::Decoder,
     ids::PacketId,
     receiver::Receiver,
-    wire::receipt::{Receipt, Value},
     wire::crc::crc32,
+    wire::receipt::{Receipt, Value},
 };
 use codec_embedded::memory::Memory;
 use core::hint::black_box;
 use cortex_m_rt::entry;
 
+#[allow(unsafe_code, reason = "a symbol that nobody defines can only be declared")]
 unsafe extern "C" {
     /// Defined nowhere: whatever still calls it after optimisation fails to link.
     safe fn a_panic_can_be_reached() -> !;

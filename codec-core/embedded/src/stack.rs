@@ -5,6 +5,8 @@
 //! (`_stack_end`, set by the linker), interrupts are off, and the loop that paints is assembly,
 //! which has no frame of its own.
 
+#![allow(unsafe_code, reason = "see above")]
+
 use core::arch::asm;
 
 const PAINT: u32 = 0x5ca1_ab1e;
