@@ -122,10 +122,10 @@ fn header() -> String {
             let value = rest.split_once(" = ").unwrap().1.trim_end_matches(';').replace('_', "");
             let value = if value.len() > 11 { format!("UINT64_C({value})") } else { value };
             let mark = if rest.starts_with("u32") { "u" } else { "" };
-            write!(out, "{}#define {name} {value}{mark}\n", comment(&docs, "")).unwrap();
+            writeln!(out, "{}#define {name} {value}{mark}", comment(&docs, "")).unwrap();
         } else if let Some(name) = body[0].strip_prefix("pub struct ") {
             let name = snake(name.trim_end_matches(" {"));
-            write!(out, "\n{}typedef struct {name} {{\n", comment(&docs, "")).unwrap();
+            writeln!(out, "\n{}typedef struct {name} {{", comment(&docs, "")).unwrap();
             let mut docs = Vec::new();
             for line in &body[1..body.len() - 1] {
                 let line = line.trim();
@@ -134,11 +134,11 @@ fn header() -> String {
                 } else {
                     let (field, kind) =
                         line.trim_start_matches("pub ").trim_end_matches(',').split_once(": ").unwrap();
-                    write!(out, "{}    {};\n", comment(&docs, "    "), declare(kind, field)).unwrap();
+                    writeln!(out, "{}    {};", comment(&docs, "    "), declare(kind, field)).unwrap();
                     docs.clear();
                 }
             }
-            write!(out, "}} {name};\n").unwrap();
+            writeln!(out, "}} {name};").unwrap();
         } else {
             panic!("{} has no C form here", body[0]);
         }
@@ -146,7 +146,7 @@ fn header() -> String {
     for (docs, body) in items(&functions) {
         let text = body.iter().map(|l| l.trim()).collect::<Vec<_>>().join(" ");
         if text.starts_with("pub struct DgsReceiver ") {
-            write!(out, "\n{}typedef struct dgs_receiver dgs_receiver;\n", comment(&docs, "")).unwrap();
+            writeln!(out, "\n{}typedef struct dgs_receiver dgs_receiver;", comment(&docs, "")).unwrap();
             continue;
         }
         let (_, rest) = text.split_once("extern \"C\" fn ").unwrap();
@@ -162,7 +162,7 @@ fn header() -> String {
         let result = result.trim().trim_start_matches("-> ").trim_end_matches('{').trim();
         let result =
             if result.is_empty() { "void".to_owned() } else { declare(result, "").trim().to_owned() };
-        write!(out, "\n{}{result} {name}({arguments});\n", comment(&docs, "")).unwrap();
+        writeln!(out, "\n{}{result} {name}({arguments});", comment(&docs, "")).unwrap();
     }
     out.push_str(BOTTOM);
     out
