@@ -6,6 +6,7 @@ mod cloud;
 mod counterfactual;
 mod decode;
 mod demo;
+mod embedded;
 mod entropy;
 mod gpu;
 mod gradient;
@@ -67,6 +68,11 @@ pub const ALL: &[Experiment] = &[
         name: "loss",
         about: "random packet subsets render; quality at 1, 5, 10 and 20 % packet loss",
         run: loss::run,
+    },
+    Experiment {
+        name: "embedded",
+        about: "flash, RAM, stack, instructions and digests on Cortex-M4F, WebAssembly and in C, within budget",
+        run: embedded::run,
     },
     Experiment {
         name: "render",

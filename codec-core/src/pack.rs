@@ -23,16 +23,21 @@ const CLASSES: usize = 4;
 const PHASES: usize = 4;
 
 /// Bit-tree probabilities of zero by (class of the previous byte, position mod 4).
-struct Model {
-    zero: [[u16; 256]; CLASSES * PHASES],
+type Trees = [[u16; 256]; CLASSES * PHASES];
+
+/// All probabilities at one half.
+const EVEN: Trees = [[1 << (PROBABILITY_BITS - 1); 256]; CLASSES * PHASES];
+
+/// The trees lie with the caller: moving 8 KiB about would double the stack.
+struct Model<'a> {
+    zero: &'a mut Trees,
     previous: u8,
     position: usize,
 }
 
-impl Model {
-    const fn new() -> Self {
-        let half = 1 << (PROBABILITY_BITS - 1);
-        Self { zero: [[half; 256]; CLASSES * PHASES], previous: 0, position: 0 }
+impl<'a> Model<'a> {
+    const fn new(zero: &'a mut Trees) -> Self {
+        Self { zero, previous: 0, position: 0 }
     }
 
     fn tree(&mut self) -> &mut [u16; 256] {
@@ -67,7 +72,8 @@ fn learn(zero: &mut u16, bit: bool) {
 /// [`ErrorKind::Capacity`] if `out` is too small.
 pub fn pack(raw: &[u8], out: &mut [u8]) -> Result<usize> {
     let mut coder = Packer { low: 0, range: u32::MAX, cache: 0, pending: 1, out, at: 0 };
-    let mut model = Model::new();
+    let mut trees = EVEN;
+    let mut model = Model::new(&mut trees);
     for &byte in raw {
         let tree = model.tree();
         let mut node = 1usize;
@@ -154,7 +160,8 @@ pub fn unpack(packed: &[u8], out: &mut [u8]) -> Result<()> {
         missing += usize::from(byte.is_none());
         code = code << 8 | u32::from(byte.unwrap_or(0));
     }
-    let mut model = Model::new();
+    let mut trees = EVEN;
+    let mut model = Model::new(&mut trees);
     for target in out.iter_mut() {
         let tree = model.tree();
         let mut node = 1usize;

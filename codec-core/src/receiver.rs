@@ -541,6 +541,8 @@ impl<'a> Receiver<'a> {
         Ok(())
     }
 
+    /// Kept apart, so that its byte tables do not weigh on the stack of `dgs1`.
+    #[inline(never)]
     fn decode_chunk(&mut self, manifest: &Manifest<'_>, chunk: &Chunk<'_>) -> Result<()> {
         let Memory { cells, symbols, blocks, slots, progress, .. } = &mut self.memory;
         let contradiction = |field, offset, found: u64, allowed| {

@@ -307,7 +307,7 @@ impl Repair {
     /// The set and the position in it of packet `id`, if the range protects it.
     pub fn set_of(&self, id: u32) -> Option<(u32, u32)> {
         let offset = id.checked_sub(self.first_packet).filter(|&o| o < self.packets)?;
-        Some((offset % self.sets(), offset / self.sets()))
+        Some((offset.checked_rem(self.sets())?, offset.checked_div(self.sets())?))
     }
 
     /// Packets in set `set`.
