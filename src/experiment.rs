@@ -173,6 +173,7 @@ pub(crate) fn codec_args(profile: ProfileName) -> CodecArgs {
         rank: None,
         packet_bytes: 1150,
         repair_set: None,
+        repair: None,
     }
 }
 

@@ -39,11 +39,14 @@ pub fn fixture(paper: bool) -> &'static Stream {
         let dgs1 = Options {
             block_len: 16,
             window_frames: Some(3),
-            repair_set: Some(4),
+            repair: Protection {
+                refinements: [None, Some(Strength { set_len: 9, parity: 2 }), None],
+                ..Protection::STANDARD
+            },
             packet_bytes: 400,
             ..Options::default()
         };
-        let paper = Options { repair_set: Some(4), ..Options::paper() };
+        let paper = Options { repair: Protection::xor(4), ..Options::paper() };
         let streams = made
             .iter()
             .flat_map(|scene| [&dgs1, &paper].into_iter().filter_map(|o| encode(scene, o, &|_, _| {}).ok()));

@@ -55,10 +55,7 @@ fn range_bytes(repair: &Repair) -> usize {
 }
 
 /// The first range for which `place_in` knows the packet, its set, and the place in that.
-fn find(
-    manifest: &Manifest<'_>,
-    place_in: impl Fn(&Repair) -> Option<(u32, u32)>,
-) -> Option<(Set, u32)> {
+fn find(manifest: &Manifest<'_>, place_in: impl Fn(&Repair) -> Option<(u32, u32)>) -> Option<(Set, u32)> {
     let mut before = 0usize;
     for repair in manifest.repairs() {
         if let Some((number, place)) = place_in(&repair) {
@@ -76,9 +73,7 @@ impl Receiver<'_> {
         let id = parity.id.get();
         let Some((set, row)) = find(manifest, |r| r.row_of(id)) else {
             let last = u64::from(manifest.head().packets.saturating_sub(1));
-            return Err(
-                Error::illegal("parity.id", 1, id.into(), (0, last)).kind(ErrorKind::Contradiction)
-            );
+            return Err(Error::illegal("parity.id", 1, id.into(), (0, last)).kind(ErrorKind::Contradiction));
         };
         let longest = u64::from(set.repair.longest);
         in_range("parity.content", 6, parity.content.len() as u64, 1, longest)

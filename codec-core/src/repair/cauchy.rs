@@ -88,7 +88,9 @@ fn invert(
         let (pivot, pivot_inverted) = (matrix[i], inverted[i]);
         for j in (0..n).filter(|&j| j != i) {
             let factor = matrix[j][i];
-            for (entry, p) in matrix[j].iter_mut().zip(pivot).chain(inverted[j].iter_mut().zip(pivot_inverted)) {
+            for (entry, p) in
+                matrix[j].iter_mut().zip(pivot).chain(inverted[j].iter_mut().zip(pivot_inverted))
+            {
                 *entry ^= mul(p, factor);
             }
         }

@@ -73,9 +73,8 @@ fn words(target: &mut [u8], bytes: &[u8], factor: u8) {
     const ONES: u32 = 0x0101_0101;
     let powers = doublings(factor);
     let len = target.len().min(bytes.len());
-    let (target, _) = target.split_at_mut(len);
-    let (target, target_rest) = target.as_chunks_mut::<4>();
-    let (bytes, bytes_rest) = bytes.as_chunks::<4>();
+    let (target, target_rest) = target.split_at_mut(len).0.as_chunks_mut::<4>();
+    let (bytes, bytes_rest) = bytes.split_at(len).0.as_chunks::<4>();
     for (target, bytes) in target.iter_mut().zip(bytes) {
         let value = u32::from_le_bytes(*bytes);
         let mut sum = u32::from_le_bytes(*target);

@@ -32,7 +32,9 @@ fn parity(range: &Repair, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, EncodeErr
         (0..range.sets()).into_par_iter().map(|set| rows(range, set, packets)).collect();
     let mut sets = sets?;
     let rows = 0..usize::from(range.parity);
-    Ok(rows.flat_map(|row| sets.iter_mut().map(move |set| std::mem::take(&mut set[row])).collect::<Vec<_>>()).collect())
+    Ok(rows
+        .flat_map(|row| sets.iter_mut().map(move |set| std::mem::take(&mut set[row])).collect::<Vec<_>>())
+        .collect())
 }
 
 /// The parity packets of one set, row after row.
