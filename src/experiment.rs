@@ -11,6 +11,7 @@ mod pareto;
 mod partial;
 mod rate;
 mod render;
+mod repair;
 mod skips;
 mod stress;
 mod transport;
@@ -54,6 +55,11 @@ pub const ALL: &[Experiment] = &[
         name: "loss",
         about: "random packet subsets render; quality at 1, 5, 10 and 20 % packet loss",
         run: loss::run,
+    },
+    Experiment {
+        name: "repair",
+        about: "residual loss of XOR and of the Cauchy code at equal overhead, and the code's speed beside public peers",
+        run: repair::run,
     },
     Experiment {
         name: "render",

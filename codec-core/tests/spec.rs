@@ -67,9 +67,10 @@ fn tables(text: &str) -> Tables {
 /// Everything in which the tables and the code differ.
 fn differences(tables: &Tables) -> Vec<String> {
     let mut found = Vec::new();
-    for check in
-        [limits_of, records, ranges, sealed, sections, packets, classes, coding, floats, parity, receipt, dgs, errors]
-    {
+    for check in [
+        limits_of, records, ranges, sealed, sections, packets, classes, coding, floats, parity, receipt, dgs,
+        errors,
+    ] {
         check(tables, &mut found);
     }
     found
