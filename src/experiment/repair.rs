@@ -144,8 +144,8 @@ impl Case {
         }
     }
 
-    /// All of set `set` but its first `r` packets arrives, then its parity; returns bytes that
-    /// differ from what was lost.
+    /// All of set `set` but its first `r` packets arrives, then its parity; returns how many
+    /// come back otherwise.
     fn recover(&mut self, set: usize) -> usize {
         self.memory.fill(0);
         let Some(mut sums) = Sums::over(&mut self.memory, self.r, PACKET_BYTES) else { return usize::MAX };
@@ -195,7 +195,7 @@ fn speed(bench: &mut Bench, k: usize, r: usize, runs: usize) -> Result<()> {
             let start = processor_ms();
             for set in 0..sets.len() {
                 let wrong = task(set)?;
-                ensure!(wrong == 0, "{k}+{r}: {wrong} bytes come back wrong");
+                ensure!(wrong == 0, "{k}+{r}: {wrong} packets come back wrong");
             }
             seconds.push((processor_ms() - start) / 1e3);
         }
@@ -206,7 +206,7 @@ fn speed(bench: &mut Bench, k: usize, r: usize, runs: usize) -> Result<()> {
     for (own, word) in [(0, "encode"), (2, "recover")] {
         for (name, other) in named.iter().filter(|(name, _)| name.ends_with(word)) {
             let mut figure = Figure::new(format!("{word}.{k}+{r}.vs {name}"), named[own].1, "MB/s")
-                .error(0.0, "wrong bytes")
+                .error(0.0, "wrong packets")
                 .runs(runs);
             if *name == word {
                 figure.key = format!("{word}.{k}+{r}");
