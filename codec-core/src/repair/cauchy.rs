@@ -9,11 +9,22 @@ use crate::limits::{MAX_REPAIR_PARITY, MAX_REPAIR_SET};
 /// Rows and columns are told apart by points of the field that must all differ.
 const _: () = assert!(MAX_REPAIR_PARITY + MAX_REPAIR_SET <= 256);
 
-/// What parity row `row` (0..[`MAX_REPAIR_PARITY`]) multiplies member `position`
-/// (0..[`MAX_REPAIR_SET`]) by: y / (y − row) with y = [`MAX_REPAIR_PARITY`] + position.
-pub const fn coefficient(row: u32, position: u32) -> u8 {
-    let y = (MAX_REPAIR_PARITY as u32 + position) as u8;
-    mul(y, inverse(y ^ row as u8))
+/// All coefficients, by row and position: half a KiB, so that nobody inverts on arrival.
+static COEFFICIENTS: [[u8; MAX_REPAIR_SET]; MAX_REPAIR_PARITY] = {
+    let mut all = [[0; MAX_REPAIR_SET]; MAX_REPAIR_PARITY];
+    let mut at = 0;
+    while at < MAX_REPAIR_PARITY * MAX_REPAIR_SET {
+        let (row, y) = (at / MAX_REPAIR_SET, (MAX_REPAIR_PARITY + at % MAX_REPAIR_SET) as u8);
+        all[row][at % MAX_REPAIR_SET] = mul(y, inverse(y ^ row as u8));
+        at += 1;
+    }
+    all
+};
+
+/// What parity row `row` (below [`MAX_REPAIR_PARITY`]) multiplies member `position` (below
+/// [`MAX_REPAIR_SET`]) by: y / (y − row) with y = [`MAX_REPAIR_PARITY`] + position. Beyond: 0.
+pub fn coefficient(row: u32, position: u32) -> u8 {
+    COEFFICIENTS.get(row as usize).and_then(|row| row.get(position as usize)).copied().unwrap_or(0)
 }
 
 /// Turns sums of some rows over as many missing positions into those members.
@@ -48,8 +59,8 @@ impl Solution {
             present &= present.wrapping_sub(1);
         }
         let mut matrix = [[0u8; MAX_REPAIR_PARITY]; MAX_REPAIR_PARITY];
-        for (line, &row) in matrix.iter_mut().zip(&this.rows) {
-            for (entry, &position) in line.iter_mut().zip(&this.positions) {
+        for (line, &row) in matrix.iter_mut().zip(&this.rows).take(this.count) {
+            for (entry, &position) in line.iter_mut().zip(&this.positions).take(this.count) {
                 *entry = coefficient(row.into(), position.into());
             }
         }
@@ -77,19 +88,22 @@ fn invert(
     n: usize,
 ) {
     let n = n.min(MAX_REPAIR_PARITY);
-    for i in 0..n {
-        inverted[i][i] = 1;
+    for (i, line) in inverted.iter_mut().enumerate().take(n) {
+        line[i] = 1;
     }
     for i in 0..n {
         let scale = inverse(matrix[i][i]);
-        for entry in matrix[i].iter_mut().chain(&mut inverted[i]) {
+        for entry in matrix[i].iter_mut().take(n).chain(inverted[i].iter_mut().take(n)) {
             *entry = mul(*entry, scale);
         }
         let (pivot, pivot_inverted) = (matrix[i], inverted[i]);
         for j in (0..n).filter(|&j| j != i) {
             let factor = matrix[j][i];
-            for (entry, p) in
-                matrix[j].iter_mut().zip(pivot).chain(inverted[j].iter_mut().zip(pivot_inverted))
+            for (entry, p) in matrix[j]
+                .iter_mut()
+                .zip(pivot)
+                .take(n)
+                .chain(inverted[j].iter_mut().zip(pivot_inverted).take(n))
             {
                 *entry ^= mul(p, factor);
             }
