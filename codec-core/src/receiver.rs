@@ -6,6 +6,10 @@
 //! arrival is recorded, decodes straight to its place in the symbol store, and is used at most
 //! once; order does not matter. What is refused is counted by kind and costs bounded work.
 
+mod repair;
+
+pub use repair::Recovered;
+
 use crate::{
     closure::Arrived,
     error::{Error, ErrorKind, Result},
@@ -13,12 +17,11 @@ use crate::{
     layout::Shape,
     limits::{self, MAX_PACKET_BYTES},
     rans::{bytes, lanes, table},
-    repair::{ACCUMULATOR_BYTES, Accumulator},
     wire::{
         bits::Bits,
         crc::{Crc32, checked, crc32},
         cursor::in_range,
-        manifest::{self, Manifest, Menu, Profile, Repair, stream},
+        manifest::{self, Manifest, Menu, Profile, stream},
         packet::{Chunk, Packet, Slices, Stretch},
     },
 };
@@ -65,8 +68,7 @@ impl Requirements {
         in_range("manifest.symbols", 0, need.symbols as u64, 0, 1 << 31)
             .map_err(|e| e.kind(ErrorKind::Capacity))?;
         need.seen = (manifest.head().packets as usize).div_ceil(32);
-        let sets = manifest.repairs().fold(0usize, |sum, r| sum.saturating_add(r.sets() as usize));
-        need.parity = sets.saturating_mul(ACCUMULATOR_BYTES);
+        need.parity = repair::memory_bytes(manifest);
         match manifest.profile() {
             Profile::Dgs1 => need.slots = usize::from(manifest.head().tables) * table::SLOTS,
             Profile::Paper => {
@@ -114,7 +116,7 @@ pub struct Memory<'a> {
     pub slots: &'a mut [u32],
     /// Symbols arrived per group (`paper`).
     pub progress: &'a mut [u32],
-    /// Repair accumulators.
+    /// Sums of the repair sets.
     pub parity: &'a mut [u8],
     /// Media that arrives before the manifest.
     pub early: &'a mut [u8],
@@ -147,8 +149,8 @@ pub enum Arrival {
     Accepted {
         /// The packet.
         id: PacketId,
-        /// A packet of its repair set that this one made recoverable.
-        recovered: Option<PacketId>,
+        /// Packets of its repair set that this one made recoverable.
+        recovered: Recovered,
     },
 }
 
@@ -320,7 +322,7 @@ impl<'a> Receiver<'a> {
         }
         seen.fill(0);
         progress.fill(0);
-        parity.fill(0);
+        parity.iter_mut().take(repair::memory_bytes(manifest)).for_each(|byte| *byte = 0);
         let slots = slots.as_chunks_mut::<{ table::SLOTS }>().0.iter_mut();
         for ((table, slots), raw_bits) in manifest.tables().zip(slots).zip(&mut self.raw_bits) {
             table.fill_slots(slots);
@@ -373,33 +375,14 @@ impl<'a> Receiver<'a> {
             let seen = u64::from(id.get());
             return Err(Error::illegal("packet.id", 1, seen, (seen, seen)).kind(ErrorKind::Duplicate));
         }
-        let mut recovered = None;
-        if let Packet::Parity(parity) = &parsed {
-            let found = protected_set(&manifest, |r, _| id.get().checked_sub(r.first_parity));
-            let Some((index, repair, set)) = found else {
-                return Err(
-                    Error::illegal("parity.id", 1, id.get().into(), (0, last)).kind(ErrorKind::Contradiction)
-                );
-            };
-            self.counters.parity += 1;
-            self.mark(id);
-            if let Some(mut accumulator) = self.accumulator(index) {
-                accumulator.add_parity(parity.length, parity.content);
-                recovered = self.recover(&manifest, index, &repair, set);
-            }
+        let recovered = if let Packet::Parity(parity) = &parsed {
+            self.take_parity(&manifest, parity)?
         } else {
             self.decode(&manifest, &parsed)?;
             self.counters.media += 1;
             self.mark(id);
-            let found = protected_set(&manifest, |r, _| r.set_of(id.get()).map(|(set, _)| set));
-            if let Some((index, repair, set)) = found {
-                let position = repair.set_of(id.get()).map_or(0, |(_, position)| position);
-                if let Some(mut accumulator) = self.accumulator(index) {
-                    accumulator.add(position, packet);
-                    recovered = self.recover(&manifest, index, &repair, set);
-                }
-            }
-        }
+            self.take_member(&manifest, id, packet)
+        };
         Ok(Arrival::Accepted { id, recovered })
     }
 
@@ -421,49 +404,6 @@ impl<'a> Receiver<'a> {
         if let Some(word) = self.memory.seen.get_mut(id.index() / 32) {
             *word |= 1 << (id.get() % 32);
         }
-    }
-
-    fn accumulator(&mut self, index: usize) -> Option<Accumulator<'_>> {
-        let start = index.checked_mul(ACCUMULATOR_BYTES)?;
-        Accumulator::over(self.memory.parity.get_mut(start..start.checked_add(ACCUMULATOR_BYTES)?)?)
-    }
-
-    /// Decodes the one missing packet of a set, if the set is down to one.
-    fn recover(
-        &mut self,
-        manifest: &Manifest<'_>,
-        index: usize,
-        repair: &Repair,
-        set: u32,
-    ) -> Option<PacketId> {
-        let members = repair.members(set);
-        let mut copy = [0u8; MAX_PACKET_BYTES];
-        let (position, len) = {
-            let accumulator = self.accumulator(index)?;
-            let (position, bytes) = accumulator.missing(members)?;
-            copy.get_mut(..bytes.len())?.copy_from_slice(bytes);
-            (position, bytes.len())
-        };
-        let expected = PacketId::new(repair.first_packet + set + position * repair.sets())?;
-        if self.has(expected) {
-            return None;
-        }
-        let packet = copy.get(..len)?;
-        let decoded = checked("packet.crc", packet, self.crc).and_then(Packet::parse).and_then(|parsed| {
-            let (found, wanted) = (u64::from(parsed.id().get()), u64::from(expected.get()));
-            in_range("packet.id", 1, found, wanted, wanted)?;
-            self.decode(manifest, &parsed)
-        });
-        if decoded.is_err() {
-            self.counters.repair_failed += 1;
-            return None;
-        }
-        self.mark(expected);
-        self.counters.recovered += 1;
-        if let Some(mut accumulator) = self.accumulator(index) {
-            accumulator.add(position, packet);
-        }
-        Some(expected)
     }
 
     fn decode(&mut self, manifest: &Manifest<'_>, packet: &Packet<'_>) -> Result<()> {
@@ -622,21 +562,6 @@ impl<'a> Receiver<'a> {
         }
         Ok(())
     }
-}
-
-/// The accumulator index, range and set for which `set_in` gives a set number.
-fn protected_set(
-    manifest: &Manifest<'_>,
-    set_in: impl Fn(&Repair, usize) -> Option<u32>,
-) -> Option<(usize, Repair, u32)> {
-    let mut before = 0usize;
-    for (i, repair) in manifest.repairs().enumerate() {
-        if let Some(set) = set_in(&repair, i).filter(|&set| set < repair.sets()) {
-            return Some((before + set as usize, repair, set));
-        }
-        before += repair.sets() as usize;
-    }
-    None
 }
 
 /// Whether two stretches bring the same level of the same block.

@@ -100,8 +100,10 @@ typedef struct dgs_sizes {
 typedef struct dgs_arrival {
     /* Its id, or DGS_NONE while it waits for the manifest. */
     uint32_t id;
-    /* A packet that repair recovered with it, or DGS_NONE. */
-    uint32_t recovered;
+    /* Number of packets that repair recovered with it, 0 to 8. */
+    uint32_t recovered_count;
+    /* Their ids at the front, DGS_NONE behind. */
+    uint32_t recovered[8];
 } dgs_arrival;
 
 /* What happened to packets. */

@@ -322,9 +322,12 @@ pub unsafe extern "C" fn dgs_media(
         // SAFETY: promise 1.
         let packet = unsafe { list(packet, packet_len, "packet")? };
         let found = match receiver.receiver.media(packet)? {
-            Arrival::Buffered => DgsArrival { id: DGS_NONE, recovered: DGS_NONE },
+            Arrival::Buffered => DgsArrival { id: DGS_NONE, recovered_count: 0, recovered: [DGS_NONE; 8] },
             Arrival::Accepted { id, recovered } => {
-                DgsArrival { id: id.get(), recovered: recovered.map_or(DGS_NONE, PacketId::get) }
+                let found = recovered.as_slice();
+                let mut ids = [DGS_NONE; 8];
+                ids.iter_mut().zip(found).for_each(|(target, id)| *target = id.get());
+                DgsArrival { id: id.get(), recovered_count: found.len() as u32, recovered: ids }
             }
         };
         // SAFETY: promise 2.

@@ -113,8 +113,10 @@ pub struct DgsSizes {
 pub struct DgsArrival {
     /// Its id, or `DGS_NONE` while it waits for the manifest.
     pub id: u32,
-    /// A packet that repair recovered with it, or `DGS_NONE`.
-    pub recovered: u32,
+    /// Number of packets that repair recovered with it, 0 to 8.
+    pub recovered_count: u32,
+    /// Their ids at the front, `DGS_NONE` behind.
+    pub recovered: [u32; 8],
 }
 
 /// What happened to packets.

@@ -47,7 +47,7 @@ fn a_receiver_opens_buffers_early_media_and_closes() {
     // SAFETY: the receiver is open and its memory lives; pointers from references.
     unsafe {
         assert_eq!(dgs_media(receiver, packet.as_ptr(), packet.len(), &mut arrival, &mut error), DGS_OK);
-        assert_eq!(arrival, DgsArrival { id: DGS_NONE, recovered: DGS_NONE });
+        assert_eq!(arrival, DgsArrival { id: DGS_NONE, recovered_count: 0, recovered: [DGS_NONE; 8] });
         let cut = packet.len() - 1;
         assert_eq!(dgs_media(receiver, packet.as_ptr(), cut, ptr::null_mut(), &mut error), DGS_CHECKSUM);
         assert_eq!((error.status, field(&error)), (DGS_CHECKSUM, "packet.crc"));
