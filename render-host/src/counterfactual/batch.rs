@@ -31,7 +31,7 @@ impl WorldBatch {
         camera: &Camera,
         settings: &Settings,
     ) -> Result<Self, CounterfactualError> {
-        settings.validate()?;
+        settings.validate_for_one_tile_side()?;
         let shared = Shared::new(variants, camera, settings);
         Ok(Self { shared, camera: camera.clone(), settings: settings.clone(), groups: variants.count() })
     }

@@ -32,12 +32,12 @@ pub(super) struct Shared {
 impl Shared {
     pub(super) fn new(variants: &Variants, camera: &Camera, settings: &Settings) -> Self {
         let size = [camera.width() as usize, camera.height() as usize];
-        let [columns, rows] = size.map(|side| side.div_ceil(TILE));
+        let columns = size[0].div_ceil(TILE);
         let mut projected = project::Projected::default();
         let (mut order, mut bands, mut bins) = (sort::Order::default(), Vec::new(), bin::Bins::default());
         project::project(&variants.splats(), camera, settings, &mut projected);
         sort::sort(&projected.keys, settings.parallel, &mut order);
-        bin::bands(&projected, &order, columns, rows, &mut bands);
+        bin::bands(&projected, &order, size, settings.tile, &mut bands);
 
         let mut out = Self { size, columns, starts: vec![0], set_starts: vec![0], ..Self::default() };
         const NOWHERE: (usize, u32) = (usize::MAX, 0);
