@@ -67,11 +67,15 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         let some = states.range(0..worlds);
         let weights = vec![1.0 / worlds as f64; worlds];
         let calls = calls * (16 / worlds).max(1);
-        let mut all = || Ok(drop(black_box(render_worlds(&variants, &some, camera, &settings)?)));
+        let mut all = || {
+            black_box(render_worlds(&variants, &some, camera, &settings)?);
+            Ok(())
+        };
         let [draw, beside] = repeat(calls, [&mut all, &mut one])?;
         let mut step = || {
             let engine = Engine::new(&variants, camera, &scene.against, &settings)?;
-            Ok(drop(black_box(engine.gradients(&variants, &some, &weights)?)))
+            black_box(engine.gradients(&variants, &some, &weights)?);
+            Ok(())
         };
         let [train] = repeat(calls, [&mut step])?;
         let images = render_worlds(&variants, &some, camera, &settings)?;

@@ -453,7 +453,7 @@ mod tests {
     }
     #[test]
     fn bands_of_small_tiles_begin_with_a_cell() {
-        let wide = splat([500.0, 500.0], [1e-4, 0.0, 1e-4], 1024);
+        let wide = Splat { pixels: [0, 1024, 0, 1016], ..splat([500.0; 2], [1e-4, 0.0, 1e-4], 1024) };
         let projected = Projected { splats: vec![wide; 5000], keys: vec![1; 5000], ..Projected::default() };
         let mut order = Order::default();
         sort::sort(&projected.keys, false, &mut order);

@@ -262,13 +262,13 @@ fn walk<const LEFT: usize, const WIDTH: usize, const SHARED: bool>(
     rules: &Rules,
     tile: &mut Tile,
 ) {
-    let Tile { rows, work } = tile;
+    let mut work = tile.work;
     let mut open = u16::MAX;
     let mut near = [Splat::NONE; LOOK_EVERY];
     for k in 0..list.len() {
         if k % LOOK_EVERY == 0 {
             if k > 0 && rules.stop > 0.0 {
-                open = open_rows::<LEFT, WIDTH>(rows, &part, rules.stop);
+                open = open_rows::<LEFT, WIDTH>(&tile.rows, &part, rules.stop);
                 if open == 0 {
                     work.unread += (list.len() - k) as u64;
                     break;
@@ -293,7 +293,14 @@ fn walk<const LEFT: usize, const WIDTH: usize, const SHARED: bool>(
                 if open >> y & 1 == 1 {
                     blended += 1;
                     let exponent = splat.log2_alpha - v * v;
-                    blend_row::<LEFT, WIDTH>(&mut rows[y], u, local.root[0], exponent, &splat.colour, rules);
+                    blend_row::<LEFT, WIDTH>(
+                        &mut tile.rows[y],
+                        u,
+                        local.root[0],
+                        exponent,
+                        &splat.colour,
+                        rules,
+                    );
                 }
             }
         }
@@ -303,6 +310,7 @@ fn walk<const LEFT: usize, const WIDTH: usize, const SHARED: bool>(
         work.finished += reached - blended;
         work.idle += u64::from(reached == 0);
     }
+    tile.work = work;
 }
 
 /// Copies the next splats of a list. Together, because they lie far apart in memory: the processor
