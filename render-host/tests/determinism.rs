@@ -203,7 +203,7 @@ fn a_used_renderer_gives_what_a_fresh_one_gives() {
     }
 }
 
-/// Where lists are long, they end at another splat with every side of tiles, and bands begin elsewhere.
+/// Where lists are long, they end at another splat with every side of tiles.
 #[test]
 fn tile_sides_do_not_show_in_a_crowd() {
     let mut scene = Scene::random(9000, 0, 0.3, 3.0, 5);
