@@ -26,7 +26,7 @@ use emulator_host::{
 };
 use trainer_host::{
     Scene, Stream,
-    encode::{Options, encode},
+    encode::{Options, Protection, encode},
     export::{ply as ply_writer, spz as spz_writer},
     import::{self, Limits, import},
     stream::Player,

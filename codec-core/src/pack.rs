@@ -237,13 +237,16 @@ mod tests {
 
     #[test]
     fn repetitive_records_shrink() {
-        let raw: Vec<u8> = (0..if cfg!(miri) { 600u32 } else { 4096 }).flat_map(|i| [(i % 3) as u8, 0, 0, 1]).collect();
+        let raw: Vec<u8> =
+            (0..if cfg!(miri) { 600u32 } else { 4096 }).flat_map(|i| [(i % 3) as u8, 0, 0, 1]).collect();
         assert!(packed(&raw).len() * 5 < raw.len());
     }
 
     #[test]
     fn cut_input_is_short() {
-        let raw: Vec<u8> = (0..if cfg!(miri) { 60u32 } else { 2000 }).map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8).collect();
+        let raw: Vec<u8> = (0..if cfg!(miri) { 60u32 } else { 2000 })
+            .map(|i| (i.wrapping_mul(2_654_435_761) >> 13) as u8)
+            .collect();
         let bytes = packed(&raw);
         let mut back = vec![0u8; raw.len()];
         for end in [0, 1, 4, bytes.len() / 2, bytes.len() - 1] {

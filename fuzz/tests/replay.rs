@@ -15,7 +15,7 @@ use fuzz::TARGETS;
 /// Mutations per target. Session bodies set up a whole receiver each time and take fewer.
 const MUTATIONS: &[(&str, usize)] = &[
     ("slices", 600),
-    ("sliced", 250),
+    ("sliced", 120),
     ("repair", 4000),
     ("cauchy", 2000),
     ("decode", 1200),

@@ -5,8 +5,7 @@ use std::time::Instant;
 use anyhow::{Context, Result};
 use serde_json::json;
 use trainer_host::{
-    encode::Ledger,
-    encode::Protection,
+    encode::{Ledger, Protection},
     stream::PacketMap,
     utility,
     viewpoint::{Framing, Ring},
