@@ -63,7 +63,9 @@ impl<'a> Seat<'a> {
         });
         let (mut first, mut left) = runs.next().filter(|_| main >= LEAST_STEPS)?;
         if left >= LANES {
-            return Some((main.min(left / LANES), [first; LANES]));
+            // A packet's end is rounded down, so that packets of about one length end at once.
+            let end = main / LEAST_STEPS * LEAST_STEPS;
+            return Some((end.min(left / LANES), [first; LANES]));
         }
         // The group that the run ends in.
         let mut bases = [first; LANES];

@@ -91,7 +91,7 @@ impl<'a> Parts<'a> {
         let Some(stream) = rest.len().checked_sub(plane) else {
             return Err(short(HEAD_BYTES.saturating_add(plane)));
         };
-        if stream % 2 != 0 {
+        if !stream.is_multiple_of(2) {
             return Err(Error::illegal("body.words", HEAD_BYTES, stream as u64, (0, stream as u64 - 1)));
         }
         let mut bit = raw_bits;

@@ -53,8 +53,8 @@ pub trait Coder {
     }
     /// Encodes all packets; `false` if it has no encoder of its own.
     fn encode(&mut self, packets: &Packets, arena: &mut Arena) -> Result<bool>;
-    /// Decodes all packets.
-    fn decode(&mut self, packets: &Packets, arena: &Arena, out: &mut Output) -> Result<()>;
+    /// Decodes `bodies` into the front of `out`, packet after packet.
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()>;
 }
 
 /// Four-lane rANS, scalar.
@@ -84,9 +84,9 @@ impl Coder for Scalar {
         Ok(true)
     }
 
-    fn decode(&mut self, packets: &Packets, arena: &Arena, out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
         let k = packets.table.raw_bits();
-        for (body, values) in arena.packets().zip(out.values.chunks_exact_mut(packets.len)) {
+        for (body, values) in bodies.iter().copied().zip(out.values.chunks_exact_mut(packets.len)) {
             let mut decoder = Decoder::new(body, values.len(), values.len() * usize::from(k))?;
             decoder.run(&*self.slots, k, values)?;
             decoder.finish()?;
@@ -118,10 +118,10 @@ impl Coder for Small {
         Ok(false)
     }
 
-    fn decode(&mut self, packets: &Packets, arena: &Arena, out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
         let k = packets.table.raw_bits();
         let table = Compact { token: &self.token, range: &self.range };
-        for (body, values) in arena.packets().zip(out.values.chunks_exact_mut(packets.len)) {
+        for (body, values) in bodies.iter().copied().zip(out.values.chunks_exact_mut(packets.len)) {
             let mut decoder = Decoder::new(body, values.len(), values.len() * usize::from(k))?;
             decoder.run(&table, k, values)?;
             decoder.finish()?;
@@ -152,10 +152,10 @@ impl Coder for Naive {
         Ok(true)
     }
 
-    fn decode(&mut self, packets: &Packets, arena: &Arena, out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
         let tables = [packets.table];
         let table_of = vec![0u8; packets.len];
-        for (body, values) in arena.packets().zip(out.values.chunks_exact_mut(packets.len)) {
+        for (body, values) in bodies.iter().copied().zip(out.values.chunks_exact_mut(packets.len)) {
             naive::decode(body, &table_of, &tables, values)?;
         }
         Ok(())
@@ -191,12 +191,12 @@ impl Coder for Many {
         Ok(false)
     }
 
-    fn decode(&mut self, packets: &Packets, arena: &Arena, out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
         let run = [Run { table: 0, len: packets.len }];
         let tables = Tables { slots: &self.slots, raw_bits: &[packets.table.raw_bits()] };
         let values = out.values.chunks_exact_mut(packets.len);
         let mut jobs: Vec<Job<'_>> =
-            arena.packets().zip(values).map(|(body, values)| Job::new(body, &run, values)).collect();
+            bodies.iter().copied().zip(values).map(|(body, values)| Job::new(body, &run, values)).collect();
         decode_many_with(self.kernel, &tables, &mut jobs);
         Ok(jobs.into_iter().try_for_each(|job| job.result)?)
     }

@@ -92,8 +92,8 @@ impl Coder for Ryg {
         Ok(true)
     }
 
-    fn decode(&mut self, packets: &Packets, arena: &Arena, out: &mut Output) -> Result<()> {
-        for (body, tokens) in arena.packets().zip(out.tokens.chunks_exact_mut(packets.len)) {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
+        for (body, tokens) in bodies.iter().copied().zip(out.tokens.chunks_exact_mut(packets.len)) {
             let mut reader = ByteReader::new(body);
             let mut a = rans_byte_dec_init(&mut reader).map_err(refused)?;
             let mut b = rans_byte_dec_init(&mut reader).map_err(refused)?;
@@ -160,9 +160,9 @@ impl Coder for Constriction {
         Ok(true)
     }
 
-    fn decode(&mut self, packets: &Packets, arena: &Arena, out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
         let mut words = Vec::new();
-        for (body, tokens) in arena.packets().zip(out.tokens.chunks_exact_mut(packets.len)) {
+        for (body, tokens) in bodies.iter().copied().zip(out.tokens.chunks_exact_mut(packets.len)) {
             words.clear();
             words.extend(body.as_chunks::<2>().0.iter().map(|pair| u16::from_le_bytes(*pair)));
             let mut coder = SmallAnsCoder::from_compressed_slice(&words).map_err(refused)?;
@@ -214,8 +214,8 @@ impl Coder for Zstd {
         Ok(true)
     }
 
-    fn decode(&mut self, packets: &Packets, arena: &Arena, out: &mut Output) -> Result<()> {
-        for (body, tokens) in arena.packets().zip(out.tokens.chunks_exact_mut(packets.len)) {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
+        for (body, tokens) in bodies.iter().copied().zip(out.tokens.chunks_exact_mut(packets.len)) {
             self.decompressor.decompress_to_buffer(body, tokens)?;
         }
         Ok(())

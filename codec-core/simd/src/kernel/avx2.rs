@@ -1,5 +1,9 @@
 //! Eight packets, four 256-bit vectors of two packets each.
 #![expect(unsafe_code, reason = "vector loads, stores and gathers at computed places")]
+#![expect(
+    clippy::needless_range_loop,
+    reason = "a vector's number picks its states, its packets and its words"
+)]
 
 use core::arch::x86_64::*;
 

@@ -49,7 +49,7 @@ fn decode_all(body: &[u8], table_of: &[u8], tables: &[Table], out: &mut [i16]) -
         }
         *state += 1 << length;
     }
-    while at % 8 != 0 {
+    while !at.is_multiple_of(8) {
         if bit(body, plane, at)? != 0 {
             return None;
         }
@@ -153,7 +153,7 @@ pub fn encode<const N: usize>(
     emit(groups as u8);
     let lengths = states.map(u64::ilog2);
     for pair in lengths.chunks(2) {
-        emit((pair[0] - 15 | (pair[1] - 15) << 4) as u8);
+        emit(((pair[0] - 15) | ((pair[1] - 15) << 4)) as u8);
     }
     for word in words.iter().take(count).rev() {
         word.to_le_bytes().into_iter().for_each(&mut emit);
