@@ -484,7 +484,7 @@ impl<'a> Receiver<'a> {
                 .map(|(slots, &bits)| (slots, bits))
                 .ok_or(contradiction.kind(ErrorKind::Contradiction))
         };
-        let mut raw_bits = 0usize;
+        let (mut values, mut raw_bits) = (0usize, 0usize);
         for (i, slice) in packet.slices.iter().enumerate() {
             let place = Place::of(manifest, cells, slice, i)?;
             let masks = blocks.get(place.masks.clone()).unwrap_or(&[]);
@@ -497,11 +497,12 @@ impl<'a> Receiver<'a> {
                 return Err(Error::illegal("slice", i, level, (level, level)).kind(ErrorKind::Duplicate));
             }
             place.shape.runs(slice.level, place.blocks.clone(), |stream, n| {
+                values += n;
                 raw_bits += n * usize::from(table_at(stream)?.1);
                 Ok(())
             })?;
         }
-        let mut decoder = lanes::Decoder::new(packet.body, raw_bits, usize::from(packet.escapes))?;
+        let mut decoder = lanes::Decoder::new(packet.body, values, raw_bits)?;
         for (i, slice) in packet.slices.iter().enumerate() {
             let place = Place::of(manifest, cells, slice, i)?;
             let mut rest = symbols.get_mut(place.symbols.clone()).unwrap_or(&mut []);

@@ -480,7 +480,7 @@ fn packets(tables: &Tables, found: &mut Vec<String>) {
         blocks: if whole { None } else { Some((BlockId(0), 1)) },
     };
     let first_byte = |list: &[Slice]| {
-        let packet = Slices { id: chunk.id, slices: list.iter().copied().collect(), escapes: 0, body: &[] };
+        let packet = Slices { id: chunk.id, slices: list.iter().copied().collect(), body: &[] };
         let mut out = [0u8; 64];
         packet.write(&mut out).unwrap();
         u64::from(out[0])
@@ -705,6 +705,30 @@ fn dgs(tables: &Tables, found: &mut Vec<String>) {
         ("index_len", 20u32.to_le_bytes().to_vec()),
     ]);
     in_order(&tables["file"], "file", &expected, &out, found);
+    lane_body(tables, found);
+}
+
+/// A body of three values, one escaped, with two raw bits each: the spec's order and widths.
+fn lane_body(tables: &Tables, found: &mut Vec<String>) {
+    let mut frequency = [0u16; 256];
+    (frequency[0], frequency[128]) = (1, 2047);
+    let symbols = [lanes::Symbols::new(&table::Table::new(frequency, 2).unwrap())];
+    let mut out = [0u8; 64];
+    let run = [lanes::Run { table: 0, len: 3 }];
+    let len = lanes::encode(&[1, 0x1234, 3], &run, &symbols, &mut out).unwrap().len;
+    let parts = lanes::Parts::of(&out[..len], 3, 6).unwrap();
+    same(found, "body: raw bits", parts.plane()[0] & 0x3f, 0b11_00_01);
+    let expected = BTreeMap::from([
+        ("tail", vec![1]),
+        ("lengths", {
+            let lengths = parts.state.iter().rev().fold(0, |l, x| l << 4 | (x.ilog2() - 15));
+            (lengths as u16).to_le_bytes().to_vec()
+        }),
+        ("words", vec![]),
+        ("escapes", vec![0x34, 0x12]),
+        ("plane", parts.plane().to_vec()),
+    ]);
+    in_order(&tables["body"], "body", &expected, &out[..len], found);
 }
 
 /// The spec's rows, in its order and with its fixed widths, give exactly the written bytes.
@@ -807,7 +831,7 @@ fn the_example_packet_is_what_it_says() {
         blocks: Some((BlockId(3), 4)),
     };
     assert_eq!(packet.slices.as_slice(), [slice]);
-    assert_eq!((packet.id.get(), packet.escapes, packet.body), (0x01_02_03, 1, &[0xaa, 0xbb][..]));
+    assert_eq!((packet.id.get(), packet.body), (0x01_02_03, &[0xaa, 0xbb][..]));
 }
 
 /// Each of these is wrong in one place, and is found there.

@@ -240,8 +240,6 @@ pub struct Slices<'a> {
     pub id: PacketId,
     /// What the body holds, in order.
     pub slices: Vec<Slice, { limits::MAX_SLICES }>,
-    /// Escaped values in the body.
-    pub escapes: u16,
     /// The four-lane rANS body.
     pub body: &'a [u8],
 }
@@ -269,16 +267,15 @@ impl<'a> Slices<'a> {
             let place = reader.offset();
             flags = in_range("slice.flags", place, reader.u8("slice.flags")?, 0, 0x1f)?;
         }
-        let escapes = reader.varint("packet.escapes", limits::MAX_PACKET_BYTES as u32)? as u16;
         let left = reader.left();
         let body = reader.bytes("packet.body", left)?;
-        Ok(Self { id, slices, escapes, body })
+        Ok(Self { id, slices, body })
     }
 
     /// Bytes of the whole packet.
     pub fn wire_len(&self) -> usize {
         let headers: usize = self.slices.iter().map(Slice::header_len).sum();
-        3 + headers + super::cursor::varint_len(self.escapes.into()) + self.body.len() + 4
+        3 + headers + self.body.len() + 4
     }
 
     /// Writes the whole packet, CRC included, to the front of `out`; returns its length.
@@ -304,7 +301,6 @@ impl<'a> Slices<'a> {
                 writer.varint(u32::from(count).saturating_sub(1))?;
             }
         }
-        writer.varint(self.escapes.into())?;
         writer.bytes(self.body)?;
         seal(writer)
     }
@@ -379,11 +375,11 @@ mod tests {
     proptest! {
         #[test]
         fn slices_round_trip_at_their_stated_length(
-            list in proptest::collection::vec(slice(), 1..9), id in 0u32..1 << 24, escapes in 0u16..300,
+            list in proptest::collection::vec(slice(), 1..9), id in 0u32..1 << 24,
             body in proptest::collection::vec(any::<u8>(), 0..900),
         ) {
             let packet = Slices {
-                id: PacketId::new(id).unwrap(), slices: list.into_iter().collect(), escapes, body: &body,
+                id: PacketId::new(id).unwrap(), slices: list.into_iter().collect(), body: &body,
             };
             let mut out = vec![0u8; 1280];
             let len = packet.write(&mut out).unwrap();
@@ -440,11 +436,10 @@ mod tests {
         let packet = Slices {
             id: PacketId::new(0x01_02_03).unwrap(),
             slices: [slice].into_iter().collect(),
-            escapes: 1,
             body: &[0xaa, 0xbb],
         };
         let mut out = [0u8; 32];
         let len = packet.write(&mut out).unwrap();
-        assert_eq!(out[..len - 4], [0b1011_0010, 3, 2, 1, 0, 5, 3, 3, 1, 0xaa, 0xbb]);
+        assert_eq!(out[..len - 4], [0b1011_0010, 3, 2, 1, 0, 5, 3, 3, 0xaa, 0xbb]);
     }
 }

@@ -29,7 +29,6 @@ pub(super) struct Lot<'c> {
 #[derive(Clone, Debug)]
 pub(super) struct Proto {
     slices: Vec<Slice>,
-    escapes: u16,
     body: Vec<u8>,
 }
 
@@ -42,18 +41,19 @@ struct Item {
     bits: f64,
 }
 
-/// Fixed bytes of a packet: id 3, escape count ≤ 2, states 16, CRC 4.
-const FIXED_BYTES: usize = 25;
+/// Fixed bytes of a packet: id 3, CRC 4, and what the body takes beyond its values' bits.
+const FIXED_BYTES: usize = 14;
 
 /// Packs a lot into packets of at most `limit` bytes.
 pub(super) fn packetise(lot: &Lot<'_>, model: &Model, limit: usize) -> Result<Vec<Proto>, EncodeError> {
     let items = items(lot, model);
+    let symbols: Vec<lanes::Symbols> = model.tables.iter().map(lanes::Symbols::new).collect();
     let mut packets = Vec::new();
     let mut at = 0;
     while at < items.len() {
         let mut take = fill(lot, &items[at..], limit);
         let proto = loop {
-            match encode(lot, &items[at..at + take], model, limit) {
+            match encode(lot, &items[at..at + take], model, &symbols, limit) {
                 Ok(proto) if proto.wire_len() <= limit => break proto,
                 Ok(_) if take > 1 => take -= 1,
                 Err(EncodeError::Format(e)) if e.kind == ErrorKind::Capacity && take > 1 => take -= 1,
@@ -146,28 +146,38 @@ fn slices(lot: &Lot<'_>, items: &[Item]) -> Vec<Slice> {
     slices
 }
 
-fn encode(lot: &Lot<'_>, items: &[Item], model: &Model, limit: usize) -> Result<Proto, EncodeError> {
+fn encode(
+    lot: &Lot<'_>,
+    items: &[Item],
+    model: &Model,
+    symbols: &[lanes::Symbols],
+    limit: usize,
+) -> Result<Proto, EncodeError> {
     let slices = slices(lot, items);
-    let (mut values, mut table_of) = (Vec::new(), Vec::new());
+    let (mut values, mut runs) = (Vec::new(), Vec::<lanes::Run>::new());
     for item in items {
         let cell = &lot.cells[item.cluster];
         let blocks = if item.whole { 0..cell.shape.blocks() } else { item.block..item.block + 1 };
-        values.extend_from_slice(symbols(cell, lot.level, blocks.clone()));
+        values.extend_from_slice(self::symbols(cell, lot.level, blocks.clone()));
         let run = |stream: usize, n: usize| -> Result<(), EncodeError> {
-            table_of.extend(std::iter::repeat_n(model.table_of[stream], n));
+            let table = model.table_of[stream];
+            match runs.last_mut() {
+                Some(last) if last.table == table => last.len += n,
+                _ => runs.push(lanes::Run { table, len: n }),
+            }
             Ok(())
         };
         cell.shape.runs(lot.level, blocks, run)?;
     }
     let mut body = vec![0u8; limit + 64];
-    let encoded = lanes::encode(&values, &table_of, &model.tables, &mut body)?;
+    let encoded = lanes::encode(&values, &runs, symbols, &mut body)?;
     body.truncate(encoded.len);
-    Ok(Proto { slices, escapes: encoded.escapes as u16, body })
+    Ok(Proto { slices, body })
 }
 
 impl Proto {
     fn packet(&self, id: PacketId) -> Slices<'_> {
-        Slices { id, slices: self.slices.iter().copied().collect(), escapes: self.escapes, body: &self.body }
+        Slices { id, slices: self.slices.iter().copied().collect(), body: &self.body }
     }
 
     /// Bytes of the whole packet.
