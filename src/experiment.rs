@@ -12,6 +12,7 @@ mod pareto;
 mod partial;
 mod rate;
 mod render;
+mod repair;
 mod skips;
 mod stress;
 mod transport;
@@ -60,6 +61,11 @@ pub const ALL: &[Experiment] = &[
         name: "embedded",
         about: "flash, RAM, stack, instructions and digests on Cortex-M4F, WebAssembly and in C, within budget",
         run: embedded::run,
+    },
+    Experiment {
+        name: "repair",
+        about: "residual loss of XOR and of the Cauchy code at equal overhead, and the code's speed beside public peers",
+        run: repair::run,
     },
     Experiment {
         name: "render",
@@ -179,6 +185,7 @@ pub(crate) fn codec_args(profile: ProfileName) -> CodecArgs {
         rank: None,
         packet_bytes: 1150,
         repair_set: None,
+        repair: None,
     }
 }
 

@@ -9,7 +9,9 @@
 //! - [`bytes`]: profile `paper`. One 32-bit state, bytewise renormalisation, 12-bit
 //!   probabilities, an i16 as its low and high byte, each with its own table.
 //! - [`table`]: frequency tables, normalisation, decode slots.
+//! - [`form`]: decode tables in the caller's memory, fast or small.
 
 pub mod bytes;
+pub mod form;
 pub mod lanes;
 pub mod table;

@@ -6,18 +6,25 @@
 //! arrival is recorded, decodes straight to its place in the symbol store, and is used at most
 //! once; order does not matter. What is refused is counted by kind and costs bounded work.
 
+mod repair;
+
+pub use repair::Recovered;
+
 use crate::{
     closure::Arrived,
     error::{Error, ErrorKind, Result},
     ids::{ClusterId, EpochId, Level, PacketId, Span, WindowId},
     layout::Shape,
     limits::{self, MAX_PACKET_BYTES},
-    rans::{bytes, lanes, table},
-    repair::{ACCUMULATOR_BYTES, Accumulator},
+    rans::{
+        bytes,
+        form::{Form, View},
+        lanes,
+    },
     wire::{
         crc::{Crc32, checked, crc32},
         cursor::in_range,
-        manifest::{self, Manifest, NO_TABLE, Profile, Repair},
+        manifest::{self, Manifest, NO_TABLE, Profile},
         packet::{Chunk, Packet, Slice, Slices},
     },
 };
@@ -42,8 +49,10 @@ pub struct Requirements {
     pub blocks: usize,
     /// Elements of `seen`.
     pub seen: usize,
-    /// Elements of `slots`.
+    /// Elements of `slots` for the fast form of tables.
     pub slots: usize,
+    /// Elements of `slots` for the compact form: fewer are refused.
+    pub least_slots: usize,
     /// Elements of `progress`.
     pub progress: usize,
     /// Bytes of `parity` for full repair; less repairs fewer sets.
@@ -64,12 +73,16 @@ impl Requirements {
         in_range("manifest.symbols", 0, need.symbols as u64, 0, 1 << 31)
             .map_err(|e| e.kind(ErrorKind::Capacity))?;
         need.seen = (manifest.head().packets as usize).div_ceil(32);
-        let sets = manifest.repairs().fold(0usize, |sum, r| sum.saturating_add(r.sets() as usize));
-        need.parity = sets.saturating_mul(ACCUMULATOR_BYTES);
+        need.parity = repair::memory_bytes(manifest);
         match manifest.profile() {
-            Profile::Dgs1 => need.slots = usize::from(manifest.head().tables) * table::SLOTS,
+            Profile::Dgs1 => {
+                let tables = usize::from(manifest.head().tables);
+                need.slots = tables * Form::Slots.words();
+                need.least_slots = tables * Form::Compact.words();
+            }
             Profile::Paper => {
                 need.slots = 2 * bytes::SLOTS / 4;
+                need.least_slots = need.slots;
                 need.progress = manifest.cells() * Level::COUNT;
             }
         }
@@ -109,11 +122,12 @@ pub struct Memory<'a> {
     pub blocks: &'a mut [u8],
     /// Bitmap of packets.
     pub seen: &'a mut [u32],
-    /// Entropy decode slots.
+    /// Entropy decode tables: [`Requirements::slots`] for the fast form, or down to
+    /// [`Requirements::least_slots`] for the compact one.
     pub slots: &'a mut [u32],
     /// Symbols arrived per group (`paper`).
     pub progress: &'a mut [u32],
-    /// Repair accumulators.
+    /// Sums of the repair sets.
     pub parity: &'a mut [u8],
     /// Media that arrives before the manifest.
     pub early: &'a mut [u8],
@@ -146,8 +160,8 @@ pub enum Arrival {
     Accepted {
         /// The packet.
         id: PacketId,
-        /// A packet of its repair set that this one made recoverable.
-        recovered: Option<PacketId>,
+        /// Packets of its repair set that this one made recoverable.
+        recovered: Recovered,
     },
 }
 
@@ -193,6 +207,8 @@ pub struct Receiver<'a> {
     counters: Counters,
     /// Raw bits per value of each entropy table.
     raw_bits: [u8; limits::MAX_TABLES],
+    /// How entropy tables lie in memory.
+    form: Form,
 }
 
 impl<'a> Receiver<'a> {
@@ -211,7 +227,15 @@ impl<'a> Receiver<'a> {
             repair_failed: 0,
             refused: [0; ErrorKind::COUNT],
         };
-        Self { memory, manifest: None, crc, early_used: 0, counters, raw_bits: [0; limits::MAX_TABLES] }
+        Self {
+            memory,
+            manifest: None,
+            crc,
+            early_used: 0,
+            counters,
+            raw_bits: [0; limits::MAX_TABLES],
+            form: Form::Slots,
+        }
     }
 
     /// The manifest, once it is complete.
@@ -256,6 +280,7 @@ impl<'a> Receiver<'a> {
             blocks: memory.blocks.len(),
             seen: memory.seen.len(),
             slots: memory.slots.len(),
+            least_slots: memory.slots.len(),
             progress: memory.progress.len(),
             parity: memory.parity.len(),
         };
@@ -268,7 +293,7 @@ impl<'a> Receiver<'a> {
                 ("memory.symbols", have.symbols, need.symbols),
                 ("memory.blocks", have.blocks, need.blocks),
                 ("memory.seen", have.seen, need.seen),
-                ("memory.slots", have.slots, need.slots),
+                ("memory.slots", have.least_slots, need.least_slots),
                 ("memory.progress", have.progress, need.progress),
             ] {
                 if have < need {
@@ -309,10 +334,10 @@ impl<'a> Receiver<'a> {
         }
         seen.fill(0);
         progress.fill(0);
-        parity.fill(0);
-        let slots = slots.as_chunks_mut::<{ table::SLOTS }>().0.iter_mut();
-        for ((table, slots), raw_bits) in manifest.tables().zip(slots).zip(&mut self.raw_bits) {
-            table.fill_slots(slots);
+        parity.iter_mut().take(repair::memory_bytes(manifest)).for_each(|byte| *byte = 0);
+        self.form = Form::that_fits(manifest.head().tables.into(), slots.len()).unwrap_or(Form::Compact);
+        for (index, (table, raw_bits)) in manifest.tables().zip(&mut self.raw_bits).enumerate() {
+            self.form.fill(slots, index, &table);
             *raw_bits = table.raw_bits();
         }
     }
@@ -359,33 +384,14 @@ impl<'a> Receiver<'a> {
             let seen = u64::from(id.get());
             return Err(Error::illegal("packet.id", 1, seen, (seen, seen)).kind(ErrorKind::Duplicate));
         }
-        let mut recovered = None;
-        if let Packet::Parity(parity) = &parsed {
-            let found = protected_set(&manifest, |r, _| id.get().checked_sub(r.first_parity));
-            let Some((index, repair, set)) = found else {
-                return Err(
-                    Error::illegal("parity.id", 1, id.get().into(), (0, last)).kind(ErrorKind::Contradiction)
-                );
-            };
-            self.counters.parity += 1;
-            self.mark(id);
-            if let Some(mut accumulator) = self.accumulator(index) {
-                accumulator.add_parity(parity.length, parity.content);
-                recovered = self.recover(&manifest, index, &repair, set);
-            }
+        let recovered = if let Packet::Parity(parity) = &parsed {
+            self.take_parity(&manifest, parity)?
         } else {
             self.decode(&manifest, &parsed)?;
             self.counters.media += 1;
             self.mark(id);
-            let found = protected_set(&manifest, |r, _| r.set_of(id.get()).map(|(set, _)| set));
-            if let Some((index, repair, set)) = found {
-                let position = repair.set_of(id.get()).map_or(0, |(_, position)| position);
-                if let Some(mut accumulator) = self.accumulator(index) {
-                    accumulator.add(position, packet);
-                    recovered = self.recover(&manifest, index, &repair, set);
-                }
-            }
-        }
+            self.take_member(&manifest, id, packet)
+        };
         Ok(Arrival::Accepted { id, recovered })
     }
 
@@ -409,49 +415,6 @@ impl<'a> Receiver<'a> {
         }
     }
 
-    fn accumulator(&mut self, index: usize) -> Option<Accumulator<'_>> {
-        let start = index.checked_mul(ACCUMULATOR_BYTES)?;
-        Accumulator::over(self.memory.parity.get_mut(start..start.checked_add(ACCUMULATOR_BYTES)?)?)
-    }
-
-    /// Decodes the one missing packet of a set, if the set is down to one.
-    fn recover(
-        &mut self,
-        manifest: &Manifest<'_>,
-        index: usize,
-        repair: &Repair,
-        set: u32,
-    ) -> Option<PacketId> {
-        let members = repair.members(set);
-        let mut copy = [0u8; MAX_PACKET_BYTES];
-        let (position, len) = {
-            let accumulator = self.accumulator(index)?;
-            let (position, bytes) = accumulator.missing(members)?;
-            copy.get_mut(..bytes.len())?.copy_from_slice(bytes);
-            (position, bytes.len())
-        };
-        let expected = PacketId::new(repair.first_packet + set + position * repair.sets())?;
-        if self.has(expected) {
-            return None;
-        }
-        let packet = copy.get(..len)?;
-        let decoded = checked("packet.crc", packet, self.crc).and_then(Packet::parse).and_then(|parsed| {
-            let (found, wanted) = (u64::from(parsed.id().get()), u64::from(expected.get()));
-            in_range("packet.id", 1, found, wanted, wanted)?;
-            self.decode(manifest, &parsed)
-        });
-        if decoded.is_err() {
-            self.counters.repair_failed += 1;
-            return None;
-        }
-        self.mark(expected);
-        self.counters.recovered += 1;
-        if let Some(mut accumulator) = self.accumulator(index) {
-            accumulator.add(position, packet);
-        }
-        Some(expected)
-    }
-
     fn decode(&mut self, manifest: &Manifest<'_>, packet: &Packet<'_>) -> Result<()> {
         let (wanted, found) = match packet {
             Packet::Slices(_) => (Profile::Dgs1, manifest.profile()),
@@ -473,15 +436,14 @@ impl<'a> Receiver<'a> {
 
     fn decode_slices(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>) -> Result<()> {
         let Memory { cells, symbols, blocks, slots, .. } = &mut self.memory;
-        let slots = slots.as_chunks::<{ table::SLOTS }>().0;
-        let raw_bits_of = &self.raw_bits;
-        let table_at = |stream: usize| -> Result<(&[u32; table::SLOTS], u8)> {
+        let (form, slots, raw_bits_of) = (self.form, &**slots, &self.raw_bits);
+        let table_at = |stream: usize| -> Result<(View<'_>, u8)> {
             let index = manifest.table_of(stream);
-            let found = slots.get(usize::from(index)).zip(raw_bits_of.get(usize::from(index)));
+            let found = form.table(slots, index.into()).zip(raw_bits_of.get(usize::from(index)));
             let contradiction = Error::illegal("slice.table", 0, index.into(), (0, u64::from(NO_TABLE) - 1));
             found
                 .filter(|_| index != NO_TABLE)
-                .map(|(slots, &bits)| (slots, bits))
+                .map(|(table, &bits)| (table, bits))
                 .ok_or(contradiction.kind(ErrorKind::Contradiction))
         };
         let (mut values, mut raw_bits) = (0usize, 0usize);
@@ -507,12 +469,12 @@ impl<'a> Receiver<'a> {
             let place = Place::of(manifest, cells, slice, i)?;
             let mut rest = symbols.get_mut(place.symbols.clone()).unwrap_or(&mut []);
             place.shape.runs(slice.level, place.blocks.clone(), |stream, n| {
-                let (slots, bits) = table_at(stream)?;
+                let (table, bits) = table_at(stream)?;
                 let whole = core::mem::take(&mut rest);
                 let n = n.min(whole.len());
                 let (run, tail) = whole.split_at_mut(n);
                 rest = tail;
-                decoder.run(slots, bits, run)
+                table.run(&mut decoder, bits, run)
             })?;
         }
         decoder.finish()?;
@@ -606,21 +568,6 @@ impl<'a> Receiver<'a> {
         }
         Ok(())
     }
-}
-
-/// The accumulator index, range and set for which `set_in` gives a set number.
-fn protected_set(
-    manifest: &Manifest<'_>,
-    set_in: impl Fn(&Repair, usize) -> Option<u32>,
-) -> Option<(usize, Repair, u32)> {
-    let mut before = 0usize;
-    for (i, repair) in manifest.repairs().enumerate() {
-        if let Some(set) = set_in(&repair, i).filter(|&set| set < repair.sets()) {
-            return Some((before + set as usize, repair, set));
-        }
-        before += repair.sets() as usize;
-    }
-    None
 }
 
 /// Whether two slices bring the same level of the same block.

@@ -20,6 +20,7 @@ use codec_core::{
     layout, limits, math,
     quant::{Class, Quantiser},
     rans::{bytes, lanes, table},
+    repair::{Sums, set_bytes},
     wire::{
         crc::crc32,
         file,
@@ -66,9 +67,10 @@ fn tables(text: &str) -> Tables {
 /// Everything in which the tables and the code differ.
 fn differences(tables: &Tables) -> Vec<String> {
     let mut found = Vec::new();
-    for check in
-        [limits_of, records, ranges, sealed, sections, packets, classes, coding, floats, receipt, dgs, errors]
-    {
+    for check in [
+        limits_of, records, ranges, sealed, sections, packets, classes, coding, floats, parity, receipt, dgs,
+        errors,
+    ] {
         check(tables, &mut found);
     }
     found
@@ -118,6 +120,7 @@ fn limits_of(tables: &Tables, found: &mut Vec<String>) {
         ("MAX_TABLES", limits::MAX_TABLES as u64),
         ("MAX_MANIFEST_BYTES", limits::MAX_MANIFEST_BYTES as u64),
         ("MAX_REPAIR_SET", limits::MAX_REPAIR_SET as u64),
+        ("MAX_REPAIR_PARITY", limits::MAX_REPAIR_PARITY as u64),
         ("MAX_RECEIPT_BYTES", limits::MAX_RECEIPT_BYTES as u64),
         ("MAX_PACKET_ID", PacketId::MAX.into()),
         ("NO_TABLE", NO_TABLE.into()),
@@ -202,7 +205,12 @@ fn records(tables: &Tables, found: &mut Vec<String>) {
                 track = A, track_shift = A, position = A, scale = A, rotation = A, opacity = A, sh0 = A,
             }),
         ),
-        ("repair", probes!(Repair { first_packet = C, packets = C, first_parity = C, set_len = A })),
+        (
+            "repair",
+            probes!(Repair {
+                first_packet = C, packets = C, first_parity = C, set_len = A, parity = A, longest = B,
+            }),
+        ),
     ];
     for (name, (bytes, fields)) in &records {
         let end = contiguous(&tables[*name], name, found);
@@ -282,7 +290,7 @@ fn small_body() -> BTreeMap<&'static str, Vec<u8>> {
     let window = Window { frames: 6, rank: 1, ..Window::default() };
     let cluster = Cluster { gaussians: 5, centre_x: -3, radius: 7, ..Cluster::default() };
     let motion = Motion { track: 1, position: 1, ..Motion::default() };
-    let repair = Repair { first_packet: 0, packets: 6, first_parity: 6, set_len: 3 };
+    let repair = Repair { first_packet: 0, packets: 6, first_parity: 6, set_len: 3, parity: 1, longest: 99 };
     let quantiser = Quantiser::new(0.125, [3, 1, 5], true).unwrap();
     let quant = Quant { canonical: [quantiser; Class::COUNT], motion: [quantiser; Class::MOVING] };
     let mut quants = Vec::new();
@@ -659,6 +667,24 @@ fn floats(tables: &Tables, found: &mut Vec<String>) {
     }
 }
 
+/// Row i of one set of packets that hold a single 1 at position j: its first byte is c(i, j).
+fn parity(tables: &Tables, found: &mut Vec<String>) {
+    let rows = &tables["coefficients"];
+    same(found, "coefficients: rows", rows.len(), limits::MAX_REPAIR_PARITY);
+    for row in rows {
+        let i = number(&row["row"]) as u32;
+        for (position, wanted) in row.iter().filter(|(column, _)| *column != "row") {
+            let mut memory = vec![0u8; set_bytes(limits::MAX_REPAIR_PARITY, 1)];
+            let mut sums = Sums::over(&mut memory, limits::MAX_REPAIR_PARITY, 1).unwrap();
+            sums.add(number(position) as u32, &[1]);
+            let coded = sums.parity(i, 1).unwrap();
+            let c = number(wanted);
+            let what = format!("coefficient({i}, {position})");
+            same(found, &what, (c as u16, &[c as u8][..]), coded);
+        }
+    }
+}
+
 fn receipt(tables: &Tables, found: &mut Vec<String>) {
     let id = |i| PacketId::new(i).unwrap();
     let value = Value {
@@ -859,6 +885,7 @@ fn a_wrong_table_is_found() {
         ("-1.388888888888889e-3", "-1.388898888888889e-3", "cospi("),
         ("| 2 | 8 | playout_us |", "| 2 | 4 | playout_us |", "receipt.playout_us"),
         ("| 9 | 4 | index_len |", "| 9 | 2 | index_len |", "file.index_len"),
+        ("| 1 | 0x", "| 2 | 0x", "coefficient(2, "),
         ("| checksum | 3 |", "| checksum | 4 |", "checksum"),
         ("| manifest.magic manifest.version", "| manifest.version", "manifest.magic"),
         ("| parity | 0b110 |", "| parity | 0b111 |", "kind parity"),

@@ -16,7 +16,7 @@ use codec_core::{
 use crate::input::Choices;
 
 /// Tables narrow and wide, with and without raw bits and escapes, and one certain of everything.
-fn tables() -> &'static [Table] {
+fn known_tables() -> &'static [Table] {
     static TABLES: OnceLock<Vec<Table>> = OnceLock::new();
     TABLES.get_or_init(|| {
         let spreads = [(1u64, 0u8), (6, 0), (20, 2), (40, 8), (3, 5)];
@@ -43,7 +43,7 @@ fn slots(table: &Table) -> Box<[u32; SLOTS]> {
 
 fn fast(body: &[u8], table_of: &[u8], tables: &[Table]) -> Option<Vec<i16>> {
     static SLOTS_OF: OnceLock<Vec<Box<[u32; SLOTS]>>> = OnceLock::new();
-    let known = SLOTS_OF.get_or_init(|| self::tables().iter().map(slots).collect());
+    let known = SLOTS_OF.get_or_init(|| known_tables().iter().map(slots).collect());
     let own: Vec<Box<[u32; SLOTS]>> = tables.iter().skip(known.len()).map(slots).collect();
     let mut out = vec![0i16; table_of.len()];
     let raw_bits = table_of.iter().map(|&t| usize::from(tables[usize::from(t)].raw_bits())).sum();
@@ -63,7 +63,7 @@ fn fast(body: &[u8], table_of: &[u8], tables: &[Table]) -> Option<Vec<i16>> {
 pub fn lanes(data: &[u8]) {
     let mut choices = Choices::new(data);
     let (mode, runs, lie) = (choices.u8(), usize::from(choices.u8() % 32) + 1, choices.u8());
-    let mut all = tables().to_vec();
+    let mut all = known_tables().to_vec();
     if mode & 2 != 0 {
         let head = choices.take(64);
         if let Ok(table) = Table::read(&mut Reader::new(head)) {
@@ -108,6 +108,61 @@ pub fn lanes(data: &[u8]) {
     body[bit / 8] ^= 1 << (bit % 8);
     let accepted = naive::decode(body, &table_of, &all, &mut slow);
     assert_eq!(fast(body, &table_of, &all), accepted.ok().map(|()| slow), "the twins disagree");
+}
+
+/// Frequency tables: as bytes, and as counts to normalise.
+pub fn tables(data: &[u8]) {
+    let mut choices = Choices::new(data);
+    let (mode, raw_bits) = (choices.u8(), choices.u8() % 12);
+    if mode & 1 == 0 {
+        let bytes = choices.rest();
+        let mut reader = Reader::new(bytes);
+        if let Ok(table) = Table::read(&mut reader) {
+            let used = bytes.len() - reader.left();
+            assert_table(&table, Some(&bytes[..used]));
+        }
+        return;
+    }
+    let mut counts = [0u64; 256];
+    while !choices.is_empty() {
+        let (token, size, count) = (choices.u8(), choices.u8(), choices.u16());
+        counts[usize::from(token)] = u64::from(count) << (size % 24);
+    }
+    let table = match Table::from_counts(&counts, raw_bits) {
+        Ok(table) => table,
+        Err(error) => {
+            assert_eq!((error.field, raw_bits > 8), ("table.raw_bits", true), "{error}");
+            return;
+        }
+    };
+    for (token, &count) in (0u8..).zip(&counts) {
+        assert!(count == 0 || table.frequency(token) > 0, "token {token} was seen and cannot be coded");
+    }
+    assert!(table.frequency(0) > 0, "there is an escape");
+    assert_table(&table, None);
+}
+
+/// Frequencies add up, every value has a code, and the bytes are the table.
+fn assert_table(table: &Table, bytes: Option<&[u8]>) {
+    let mut sum = 0;
+    for token in 0..=255u8 {
+        assert_eq!(table.start(token), sum);
+        sum += table.frequency(token);
+    }
+    assert_eq!(sum as usize, SLOTS);
+    for value in [0, 1, -1, 255, -256, i16::MAX, i16::MIN] {
+        let code = table.code(value);
+        assert!(code == 0 || table.frequency(code) > 0);
+    }
+    let mut written = Vec::new();
+    table.write(|b| written.extend_from_slice(b));
+    assert_eq!(written.len(), table.wire_len());
+    assert_eq!(Table::read(&mut Reader::new(&written)).as_ref(), Ok(table));
+    if let Some(bytes) = bytes {
+        // A reader may be lenient about zeros at the ends; it never reads less than is written.
+        assert!(bytes.len() >= written.len(), "{bytes:?} {written:?}");
+    }
+    let _ = slots(table);
 }
 
 /// Byte-wise rANS: as a body to decode, and as values to encode.

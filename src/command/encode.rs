@@ -6,6 +6,7 @@ use anyhow::{Context, Result};
 use serde_json::json;
 use trainer_host::{
     encode::Ledger,
+    encode::Protection,
     stream::PacketMap,
     utility,
     viewpoint::{Framing, Ring},
@@ -21,7 +22,7 @@ use crate::{
 /// Runs the verb.
 pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
     let loaded = pipeline::import(&args.input, &args.scene)?;
-    let options = pipeline::encode_options(&args.codec, 0);
+    let options = pipeline::encode_options(&args.codec, Protection::NONE);
     let start = Instant::now();
     let stream = pipeline::encode(&loaded.scene, &options, quiet)?;
     let seconds = start.elapsed().as_secs_f64();

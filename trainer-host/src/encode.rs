@@ -6,10 +6,12 @@ mod ledger;
 mod packetise;
 mod paper;
 mod parity;
+mod protection;
 mod statistics;
 mod steps;
 
 pub use ledger::{Ledger, Share};
+pub use protection::{Protection, ProtectionError, Strength};
 pub use steps::Quality;
 
 use codec_core::{ids::PacketId, limits, wire::manifest::Profile};
@@ -33,8 +35,8 @@ pub struct Options {
     pub quality: Quality,
     /// Largest packet, header and CRC included, bytes (`dgs1`); 200..=1226.
     pub packet_bytes: usize,
-    /// Packets per XOR repair set over base levels, 2..=32; `None` sends no parity.
-    pub repair_set: Option<u8>,
+    /// Parity per kind of packets.
+    pub repair: Protection,
 }
 
 impl Default for Options {
@@ -47,13 +49,13 @@ impl Default for Options {
             rank: 8,
             quality: Quality::default(),
             packet_bytes: limits::DEFAULT_PACKET_BYTES,
-            repair_set: None,
+            repair: Protection::NONE,
         }
     }
 }
 
 impl Options {
-    /// Defaults of the `paper` profile: rank 4, four-packet base repair sets off.
+    /// Defaults of the `paper` profile: rank 4.
     pub fn paper() -> Self {
         Self { profile: Profile::Paper, rank: 4, ..Self::default() }
     }
@@ -70,8 +72,10 @@ impl Options {
         within("rank", self.rank, 0, limits::MAX_RANK)?;
         within("packet_bytes", self.packet_bytes, 200, 1226)?;
         within("cluster.max_gaussians", self.cluster.max_gaussians, 1, limits::MAX_CLUSTER_LEN)?;
-        let most = limits::MAX_REPAIR_SET;
-        within("repair_set", self.repair_set.map_or(2, usize::from), 2, most)
+        self.repair.strengths().try_for_each(|strength| {
+            within("repair.set_len", strength.set_len.into(), 2, limits::MAX_REPAIR_SET)?;
+            within("repair.parity", strength.parity.into(), 1, limits::MAX_REPAIR_PARITY)
+        })
     }
 }
 

@@ -322,10 +322,8 @@ pub unsafe extern "C" fn dgs_media(
         // SAFETY: promise 1.
         let packet = unsafe { list(packet, packet_len, "packet")? };
         let found = match receiver.receiver.media(packet)? {
-            Arrival::Buffered => DgsArrival { id: DGS_NONE, recovered: DGS_NONE },
-            Arrival::Accepted { id, recovered } => {
-                DgsArrival { id: id.get(), recovered: recovered.map_or(DGS_NONE, PacketId::get) }
-            }
+            Arrival::Buffered => DgsArrival::waiting(),
+            Arrival::Accepted { id, recovered } => DgsArrival::accepted(id, recovered.as_slice()),
         };
         // SAFETY: promise 2.
         unsafe { put(arrival, found, "arrival") }

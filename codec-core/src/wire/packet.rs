@@ -3,7 +3,7 @@
 //! - `0b100`, **chunk** (`paper`): 22-byte header, dependency words, payload ≤ 1200 bytes, CRC.
 //! - `0b101`, **slices** (`dgs1`): packet id, one or more slices, one entropy-coded body, CRC.
 //!   What a slice needs is implied by the lattice and costs no bytes.
-//! - `0b110`, **parity**: packet id, the XOR of the packets of one repair set, CRC.
+//! - `0b110`, **parity**: packet id, one coded sum of the packets of a repair set, CRC.
 //!
 //! Every packet ends with the CRC-32 of all bytes before it. `parse` functions take the bytes
 //! without that CRC (see [`super::crc::checked`]). `SPEC.md` gives every byte.
@@ -30,7 +30,7 @@ pub const KIND_PARITY: u8 = 0b110;
 pub const KIND_RECEIPT: u8 = 0b111;
 /// Bytes of a chunk's fixed header.
 pub const CHUNK_HEADER_BYTES: usize = 22;
-/// Bytes of a parity packet before the XOR-ed content.
+/// Bytes of a parity packet before the coded length and content.
 pub const PARITY_HEADER_BYTES: usize = 4;
 /// Bytes by which parity exceeds the longest packet it covers: header, length, CRC.
 pub const PARITY_OVERHEAD_BYTES: usize = PARITY_HEADER_BYTES + 2 + 4;
@@ -306,14 +306,15 @@ impl<'a> Slices<'a> {
     }
 }
 
-/// A parity packet: the XOR of the packets of one repair set.
+/// A parity packet: one row of the code over the packets of one repair set.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Parity<'a> {
-    /// The packet; its id says which set it covers.
+    /// The packet; its id says which row of which set it is.
     pub id: PacketId,
-    /// XOR of the covered packets' lengths.
+    /// Sum of the covered packets' lengths, byte by byte, each times its coefficient.
     pub length: u16,
-    /// XOR of the covered packets' bytes (CRCs included), each padded with zeros.
+    /// Sum of the covered packets' bytes (CRCs included, padded with zeros), each times its
+    /// coefficient.
     pub content: &'a [u8],
 }
 

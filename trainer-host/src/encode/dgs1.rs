@@ -66,19 +66,20 @@ pub(super) fn encode(
     let model = streams.model()?;
     progress("packetise", 0.0);
     let lots = lots(&plans);
-    let limit = |base: bool| match options.repair_set {
-        Some(_) if base => options.packet_bytes - PARITY_OVERHEAD_BYTES,
-        _ => options.packet_bytes,
+    let strength = |lot: &Lot<'_>| options.repair.of(matches!(lot.span, Span::Motion(_)), lot.level);
+    let limit = |lot: &Lot<'_>| match strength(lot) {
+        Some(_) => options.packet_bytes - PARITY_OVERHEAD_BYTES,
+        None => options.packet_bytes,
     };
     let protos: Result<Vec<Vec<Proto>>, EncodeError> =
-        lots.par_iter().map(|lot| packetise(lot, &model, limit(lot.level == Level::BASE))).collect();
+        lots.par_iter().map(|lot| packetise(lot, &model, limit(lot))).collect();
     let protos = protos?;
 
     let mut packets = Vec::new();
     let mut repairs = Vec::new();
     let mut ledger = ledger(scene, &plans, &streams, &model);
     for (lot, protos) in lots.iter().zip(&protos) {
-        let first_packet = packets.len() as u32;
+        let first_packet = packets.len();
         for proto in protos {
             let bytes = proto.write(packet_id(packets.len())?)?;
             ledger.payload += proto.body_len() as f64;
@@ -86,10 +87,7 @@ pub(super) fn encode(
             ledger.crc += 4.0;
             packets.push(bytes);
         }
-        if let Some(set_len) = options.repair_set.filter(|_| lot.level == Level::BASE && !protos.is_empty()) {
-            let count = packets.len() as u32 - first_packet;
-            repairs.push(Repair { first_packet, packets: count, first_parity: 0, set_len });
-        }
+        repairs.extend(strength(lot).and_then(|s| s.range(first_packet, &packets[first_packet..])));
     }
     ledger.packets = packets.len() as u64;
     parity::append(&mut repairs, &mut packets, &mut ledger)?;
