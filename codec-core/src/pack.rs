@@ -221,7 +221,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn round_trip(raw in proptest::collection::vec(prop_oneof![3 => 0u8..4, 1 => any::<u8>(), 1 => Just(255u8)], 0..3000)) {
+        fn round_trip(raw in proptest::collection::vec(prop_oneof![3 => 0u8..4, 1 => any::<u8>(), 1 => Just(255u8)], 0..if cfg!(miri) { 100 } else { 3000 })) {
             let bytes = packed(&raw);
             let mut back = vec![0u8; raw.len()];
             unpack(&bytes, &mut back).unwrap();
@@ -229,7 +229,7 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_unpack_or_are_refused(bytes in proptest::collection::vec(any::<u8>(), 0..200), len in 0usize..4000) {
+        fn any_bytes_unpack_or_are_refused(bytes in proptest::collection::vec(any::<u8>(), 0..200), len in 0usize..if cfg!(miri) { 100 } else { 4000 }) {
             let mut out = vec![0u8; len];
             let _ = unpack(&bytes, &mut out);
         }

@@ -135,7 +135,7 @@ pub fn tables(data: &[u8]) {
             return;
         }
     };
-    for (token, &count) in (0u8..).zip(&counts) {
+    for (token, &count) in (0..=255u8).zip(&counts) {
         assert!(count == 0 || table.frequency(token) > 0, "token {token} was seen and cannot be coded");
     }
     assert!(table.frequency(0) > 0, "there is an escape");
