@@ -262,7 +262,7 @@ fn run_figures(report: &mut Report<'_>, lines: &Lines) -> Result<()> {
         report.figure(
             format!("thumbv7em.stack.{phase}_bytes"),
             lines.number(&format!("{phase}.stack"))?,
-            "B, drop handlers and callees included",
+            "B, callees included",
         );
     }
     let packets: usize = report.kit.arrivals.iter().map(Vec::len).sum();
