@@ -1,6 +1,6 @@
 //! What a decoder on another machine is given, and what it must answer.
 //!
-//! A kit is a small real stream as it arrives over a bad link: packets out of order, one lost that
+//! A kit is a small real stream as it arrives over a bad link: packets out of order, two lost that
 //! repair brings back, one lost for good, one twice, one damaged. Microcontroller, browser and C
 //! programs are fed the same bytes and must print the digest that this host computes from them.
 //! Nothing of it is committed: every format change makes its own kit.
@@ -16,7 +16,7 @@ use codec_core::{
 };
 use trainer_host::{
     Stream, cluster,
-    encode::{self, EncodeError, Options},
+    encode::{self, EncodeError, Options, Protection},
     import::{ImportError, Limits, synth},
     stream::{HostMemory, PacketMap, Player},
 };
@@ -63,8 +63,8 @@ pub struct Body {
 }
 
 impl Body {
-    fn constants(&self) -> (&'static str, usize, usize, usize) {
-        (self.name, self.symbols.len(), self.encoded.raw_bits, self.encoded.escapes)
+    fn constants(&self) -> (&'static str, usize, usize) {
+        (self.name, self.symbols.len(), self.encoded.raw_bits)
     }
 }
 
@@ -112,7 +112,7 @@ impl Kit {
         let options = Options {
             cluster: cluster::Options { max_gaussians: 128, ..cluster::Options::default() },
             window_frames: Some(12),
-            repair_set: Some(4),
+            repair: Protection::STANDARD,
             packet_bytes: 600,
             ..Options::default()
         };
@@ -151,18 +151,27 @@ impl Kit {
             }
         }
         let repaired = repaired.ok_or(KitError::NoPacket("repaired when lost"))?;
+        let mut gone = vec![repaired];
+        // A second loss of the same set takes more than XOR; where there is only that, one is all.
+        for id in repaired + 1..count {
+            if answer(&without(&[repaired, id]))?.counters.recovered == 2 {
+                gone.push(id);
+                break;
+            }
+        }
+        let recovered = gone.len() as u32;
         let whole = answer(&without(&[]))?.digest;
         let mut lost = None;
-        for id in (0..count).rev().filter(|&id| id != repaired) {
-            let without = answer(&without(&[repaired, id]))?;
+        for id in (0..count).rev().filter(|id| !gone.contains(id)) {
+            let without = answer(&without(&[&gone[..], &[id]].concat()))?;
             // One that repair cannot bring back, and whose absence shows.
-            if without.counters.recovered == 1 && without.digest != whole {
+            if without.counters.recovered == recovered && without.digest != whole {
                 lost = Some(id);
                 break;
             }
         }
-        let lost = lost.ok_or(KitError::NoPacket("missed when lost"))?;
-        let mut arrivals = without(&[repaired, lost]);
+        gone.push(lost.ok_or(KitError::NoPacket("missed when lost"))?);
+        let mut arrivals = without(&gone);
         let mut damaged = arrivals[0].clone();
         let middle = damaged.len() / 2;
         damaged[middle] ^= 0x10;
@@ -193,7 +202,7 @@ impl Kit {
     /// None in practice.
     pub fn sizes(&self) -> Result<[Size; 11], KitError> {
         let manifest = self.stream.manifest()?;
-        let Requirements { cells, symbols, blocks, seen, slots, progress, parity } =
+        let Requirements { cells, symbols, blocks, seen, least_slots, progress, parity, .. } =
             Requirements::of(&manifest)?;
         let raw = Sealed::parse(self.message())?.raw_len;
         let gaussians = manifest.epochs().map(|e| e.gaussians as usize).max().unwrap_or(0);
@@ -205,7 +214,7 @@ impl Kit {
             ("Symbols.", "SYMBOLS", symbols, 2),
             ("Blocks of all cells.", "BLOCKS", blocks, 2),
             ("Words of the packet bitmap.", "SEEN", seen, 4),
-            ("Decode slots.", "SLOTS", slots, 4),
+            ("Words of decode tables, compact form.", "SLOTS", least_slots, 4),
             ("Groups counted (`paper`).", "PROGRESS", progress, 4),
             ("Bytes of repair.", "PARITY", parity, 1),
             ("Gaussians of the largest epoch.", "GAUSSIANS", gaussians, 2 * size_of::<Gaussian>()),
@@ -232,8 +241,7 @@ impl Kit {
         constant("Frames to decode, in this order.", "FRAMES", "&[u32]", &self.frames);
         constant("What the host computed.", "DIGEST", "u64", &self.answer.digest);
         let laws: Vec<_> = self.bodies.iter().map(Body::constants).collect();
-        let kind = "&[(&str, usize, usize, usize)]";
-        constant("Lane bodies: name, symbols, raw bits, escapes.", "LAWS", kind, &laws);
+        constant("Lane bodies: name, symbols, raw bits.", "LAWS", "&[(&str, usize, usize)]", &laws);
         Ok(out)
     }
 
@@ -322,7 +330,8 @@ fn bodies() -> Result<Vec<Body>, KitError> {
         }
         let table = Table::from_counts(&counts, raw_bits)?;
         let mut bytes = vec![0u8; 4 * SYMBOLS];
-        let encoded = lanes::encode(&symbols, &vec![0; SYMBOLS], std::slice::from_ref(&table), &mut bytes)?;
+        let runs = [lanes::Run { table: 0, len: SYMBOLS }];
+        let encoded = lanes::encode(&symbols, &runs, &[lanes::Symbols::new(&table)], &mut bytes)?;
         bytes.truncate(encoded.len);
         out.push(Body { name, table, symbols, bytes, encoded });
     }
@@ -338,7 +347,7 @@ mod tests {
         let kit = Kit::make().unwrap();
         let Counters { media, parity, recovered, repair_failed, refused, .. } = kit.answer.counters;
         assert!(media > 10 && parity > 0, "{:?}", kit.answer);
-        assert_eq!((recovered, repair_failed), (1, 0));
+        assert_eq!((recovered, repair_failed), (2, 0));
         assert_eq!(refused.iter().sum::<u32>(), 2, "one damaged, one doubled");
         let again = Kit::make().unwrap();
         assert_eq!((kit.packets(), kit.answer), (again.packets(), again.answer));
@@ -352,7 +361,9 @@ mod tests {
     fn a_stream_without_parity_makes_no_kit() {
         let options = synth::Options { gaussians: 1000, frames: 2, ..synth::Options::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
-        let stream = encode::encode(&scene, &Options::default(), &|_, _| {}).unwrap();
+        let stream =
+            encode::encode(&scene, &Options { repair: Protection::NONE, ..Options::default() }, &|_, _| {})
+                .unwrap();
         assert!(matches!(Kit::of(stream), Err(KitError::NoPacket(_))));
     }
 }

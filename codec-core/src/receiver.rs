@@ -16,7 +16,11 @@ use crate::{
     ids::{ClusterId, EpochId, Level, PacketId, Span, WindowId},
     layout::Shape,
     limits::{self, MAX_PACKET_BYTES},
-    rans::{bytes, lanes, table},
+    rans::{
+        bytes,
+        form::{Form, View},
+        lanes,
+    },
     wire::{
         bits::Bits,
         crc::{Crc32, checked, crc32},
@@ -46,8 +50,10 @@ pub struct Requirements {
     pub blocks: usize,
     /// Elements of `seen`.
     pub seen: usize,
-    /// Elements of `slots`.
+    /// Elements of `slots` for the fast form of tables.
     pub slots: usize,
+    /// Elements of `slots` for the compact form: fewer are refused.
+    pub least_slots: usize,
     /// Elements of `progress`.
     pub progress: usize,
     /// Bytes of `parity` for full repair; less repairs fewer sets.
@@ -70,9 +76,14 @@ impl Requirements {
         need.seen = (manifest.head().packets as usize).div_ceil(32);
         need.parity = repair::memory_bytes(manifest);
         match manifest.profile() {
-            Profile::Dgs1 => need.slots = usize::from(manifest.head().tables) * table::SLOTS,
+            Profile::Dgs1 => {
+                let tables = usize::from(manifest.head().tables);
+                need.slots = tables * Form::Slots.words();
+                need.least_slots = tables * Form::Compact.words();
+            }
             Profile::Paper => {
                 need.slots = 2 * bytes::SLOTS / 4;
+                need.least_slots = need.slots;
                 need.progress = manifest.cells() * Level::COUNT;
             }
         }
@@ -112,7 +123,8 @@ pub struct Memory<'a> {
     pub blocks: &'a mut [u8],
     /// Bitmap of packets.
     pub seen: &'a mut [u32],
-    /// Entropy decode slots.
+    /// Entropy decode tables: [`Requirements::slots`] for the fast form, or down to
+    /// [`Requirements::least_slots`] for the compact one.
     pub slots: &'a mut [u32],
     /// Symbols arrived per group (`paper`).
     pub progress: &'a mut [u32],
@@ -198,6 +210,8 @@ pub struct Receiver<'a> {
     raw_bits: [u8; limits::MAX_TABLES],
     /// Tables that each stream's runs choose from.
     menus: [Menu; stream::COUNT],
+    /// How entropy tables lie in memory.
+    form: Form,
 }
 
 impl<'a> Receiver<'a> {
@@ -224,6 +238,7 @@ impl<'a> Receiver<'a> {
             counters,
             raw_bits: [0; limits::MAX_TABLES],
             menus: [Menu::EMPTY; stream::COUNT],
+            form: Form::Slots,
         }
     }
 
@@ -269,6 +284,7 @@ impl<'a> Receiver<'a> {
             blocks: memory.blocks.len(),
             seen: memory.seen.len(),
             slots: memory.slots.len(),
+            least_slots: memory.slots.len(),
             progress: memory.progress.len(),
             parity: memory.parity.len(),
         };
@@ -281,7 +297,7 @@ impl<'a> Receiver<'a> {
                 ("memory.symbols", have.symbols, need.symbols),
                 ("memory.blocks", have.blocks, need.blocks),
                 ("memory.seen", have.seen, need.seen),
-                ("memory.slots", have.slots, need.slots),
+                ("memory.slots", have.least_slots, need.least_slots),
                 ("memory.progress", have.progress, need.progress),
             ] {
                 if have < need {
@@ -323,9 +339,9 @@ impl<'a> Receiver<'a> {
         seen.fill(0);
         progress.fill(0);
         parity.iter_mut().take(repair::memory_bytes(manifest)).for_each(|byte| *byte = 0);
-        let slots = slots.as_chunks_mut::<{ table::SLOTS }>().0.iter_mut();
-        for ((table, slots), raw_bits) in manifest.tables().zip(slots).zip(&mut self.raw_bits) {
-            table.fill_slots(slots);
+        self.form = Form::that_fits(manifest.head().tables.into(), slots.len()).unwrap_or(Form::Compact);
+        for (index, (table, raw_bits)) in manifest.tables().zip(&mut self.raw_bits).enumerate() {
+            self.form.fill(slots, index, &table);
             *raw_bits = table.raw_bits();
         }
         for (stream, menu) in self.menus.iter_mut().enumerate() {
@@ -427,13 +443,14 @@ impl<'a> Receiver<'a> {
 
     fn decode_slices(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>) -> Result<()> {
         let Memory { cells, symbols, blocks, slots, .. } = &mut self.memory;
-        let slots = slots.as_chunks::<{ table::SLOTS }>().0;
+        let (form, slots) = (self.form, &**slots);
         let (menus, raw_bits_of) = (&self.menus, &self.raw_bits);
-        let table_at = |stream: usize, selectors: &mut Bits<'_>| -> Result<(&[u32; table::SLOTS], u8)> {
-            let index = usize::from(menus.get(stream).copied().unwrap_or_default().select(selectors)?);
-            let found = slots.get(index).zip(raw_bits_of.get(index));
-            let missing = Error::illegal("slice.table", 0, index as u64, (0, slots.len() as u64));
-            found.map(|(slots, &bits)| (slots, bits)).ok_or(missing.kind(ErrorKind::Contradiction))
+        let table_at = |stream: usize, selectors: &mut Bits<'_>| -> Result<(View<'_>, u8)> {
+            let index = menus.get(stream).copied().unwrap_or_default().select(selectors)?;
+            let found = form.table(slots, index.into()).zip(raw_bits_of.get(usize::from(index)));
+            let last = u64::from(manifest.head().tables).saturating_sub(1);
+            let missing = Error::illegal("slice.table", 0, index.into(), (0, last));
+            found.map(|(table, &bits)| (table, bits)).ok_or(missing.kind(ErrorKind::Contradiction))
         };
         // Selectors come first, so that the size of everything behind them is known.
         let mut selectors = Bits::new(packet.body);
@@ -460,12 +477,12 @@ impl<'a> Receiver<'a> {
             for_each_slice(manifest, cells, stretch, i, |place| {
                 let mut rest = symbols.get_mut(place.symbols.clone()).unwrap_or(&mut []);
                 place.shape.runs(stretch.level, place.blocks.clone(), |stream, n| {
-                    let (slots, bits) = table_at(stream, &mut selectors)?;
+                    let (table, bits) = table_at(stream, &mut selectors)?;
                     let whole = core::mem::take(&mut rest);
                     let n = n.min(whole.len());
                     let (run, tail) = whole.split_at_mut(n);
                     rest = tail;
-                    decoder.run(slots, bits, run)
+                    table.run(&mut decoder, bits, run)
                 })
             })?;
         }

@@ -47,6 +47,8 @@ extern "C" {
 #define DGS_ALIGN 16
 /* No packet. */
 #define DGS_NONE 0xffffffffu
+/* Most packets that one arrival recovers. */
+#define DGS_MAX_RECOVERED 8
 /* Number of refusal counters: statuses 1 to 7, in that order. */
 #define DGS_REFUSALS 7
 /* Digest of nothing, where dgs_digest starts. */
@@ -100,10 +102,10 @@ typedef struct dgs_sizes {
 typedef struct dgs_arrival {
     /* Its id, or DGS_NONE while it waits for the manifest. */
     uint32_t id;
-    /* Number of packets that repair recovered with it, 0 to 8. */
-    uint32_t recovered_count;
-    /* Their ids at the front, DGS_NONE behind. */
-    uint32_t recovered[8];
+    /* Packets that repair recovered with it. */
+    uint32_t recovered;
+    /* Their ids, ascending; the rest is DGS_NONE. */
+    uint32_t recovered_ids[DGS_MAX_RECOVERED];
 } dgs_arrival;
 
 /* What happened to packets. */

@@ -322,13 +322,8 @@ pub unsafe extern "C" fn dgs_media(
         // SAFETY: promise 1.
         let packet = unsafe { list(packet, packet_len, "packet")? };
         let found = match receiver.receiver.media(packet)? {
-            Arrival::Buffered => DgsArrival { id: DGS_NONE, recovered_count: 0, recovered: [DGS_NONE; 8] },
-            Arrival::Accepted { id, recovered } => {
-                let found = recovered.as_slice();
-                let mut ids = [DGS_NONE; 8];
-                ids.iter_mut().zip(found).for_each(|(target, id)| *target = id.get());
-                DgsArrival { id: id.get(), recovered_count: found.len() as u32, recovered: ids }
-            }
+            Arrival::Buffered => DgsArrival::waiting(),
+            Arrival::Accepted { id, recovered } => DgsArrival::accepted(id, recovered.as_slice()),
         };
         // SAFETY: promise 2.
         unsafe { put(arrival, found, "arrival") }

@@ -1,6 +1,6 @@
 //! What `include/dgs.h` declares: statuses, and structs laid out as C lays them out.
 
-use codec_core::{Error, ErrorKind, Gaussian, decode::Decoded, receiver};
+use codec_core::{Error, ErrorKind, Gaussian, decode::Decoded, ids::PacketId, receiver};
 
 /// Done.
 pub const DGS_OK: i32 = 0;
@@ -29,6 +29,8 @@ pub const DGS_NO_MANIFEST: i32 = 10;
 pub const DGS_ALIGN: usize = 16;
 /// No packet.
 pub const DGS_NONE: u32 = 0xffff_ffff;
+/// Most packets that one arrival recovers.
+pub const DGS_MAX_RECOVERED: usize = 8;
 /// Number of refusal counters: statuses 1 to 7, in that order.
 pub const DGS_REFUSALS: usize = 7;
 /// Digest of nothing, where `dgs_digest` starts.
@@ -95,7 +97,7 @@ pub struct DgsSizes {
     pub blocks: usize,
     /// Words of the packet bitmap.
     pub seen: usize,
-    /// Entropy decode slots.
+    /// Words of entropy decode tables. Three eighths of them (profile `dgs1`) decode as well, slower.
     pub slots: usize,
     /// Group counters (profile `paper`).
     pub progress: usize,
@@ -109,14 +111,28 @@ pub struct DgsSizes {
 
 /// What became of a packet.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct DgsArrival {
     /// Its id, or `DGS_NONE` while it waits for the manifest.
     pub id: u32,
-    /// Number of packets that repair recovered with it, 0 to 8.
-    pub recovered_count: u32,
-    /// Their ids at the front, `DGS_NONE` behind.
-    pub recovered: [u32; 8],
+    /// Packets that repair recovered with it.
+    pub recovered: u32,
+    /// Their ids, ascending; the rest is `DGS_NONE`.
+    pub recovered_ids: [u32; DGS_MAX_RECOVERED],
+}
+
+impl DgsArrival {
+    /// Of a packet that waits for the manifest.
+    pub(crate) const fn waiting() -> Self {
+        Self { id: DGS_NONE, recovered: 0, recovered_ids: [DGS_NONE; DGS_MAX_RECOVERED] }
+    }
+
+    /// Of packet `id`, with which repair recovered `recovered`.
+    pub(crate) fn accepted(id: PacketId, recovered: &[PacketId]) -> Self {
+        let mut arrival = Self { id: id.get(), recovered: recovered.len() as u32, ..Self::waiting() };
+        arrival.recovered_ids.iter_mut().zip(recovered).for_each(|(place, id)| *place = id.get());
+        arrival
+    }
 }
 
 /// What happened to packets.
@@ -189,6 +205,7 @@ const _: () = {
     assert!(offset_of!(DgsGaussian, opacity) == offset_of!(Gaussian, opacity));
     assert!(offset_of!(DgsGaussian, sh0) == offset_of!(Gaussian, sh0));
     assert!(DGS_REFUSALS == ErrorKind::COUNT);
+    assert!(DGS_MAX_RECOVERED == codec_core::limits::MAX_REPAIR_PARITY);
     assert!(DGS_DIGEST_START == codec_core::digest::Digest::new().get());
     assert!(DGS_RECEIPT_BYTES == codec_core::limits::MAX_RECEIPT_BYTES);
 };

@@ -94,7 +94,7 @@ int main(int argc, char **argv)
         at += 2;
         if (dgs_media(receiver, packets + at, len, &arrival, &error) == DGS_OK) {
             kept++;
-            recovered += arrival.recovered_count;
+            recovered += arrival.recovered;
         } else {
             refusals++;
         }

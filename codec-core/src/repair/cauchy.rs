@@ -97,7 +97,11 @@ fn invert(
             *entry = mul(*entry, scale);
         }
         let (pivot, pivot_inverted) = (matrix[i], inverted[i]);
-        for j in (0..n).filter(|&j| j != i) {
+        // A plain range, whose bound the compiler sees: no index here can be out of bounds.
+        for j in 0..n {
+            if j == i {
+                continue;
+            }
             let factor = matrix[j][i];
             for (entry, p) in matrix[j]
                 .iter_mut()

@@ -43,11 +43,11 @@ fn a_receiver_opens_buffers_early_media_and_closes() {
     let receiver = open(&mut memory, &sizes).unwrap();
     // "123456789" and its CRC-32: a packet as far as anybody can tell before the manifest.
     let packet = *b"123456789\x26\x39\xf4\xcb";
-    let (mut arrival, mut counters, mut error) = (DgsArrival::default(), DgsCounters::default(), none());
+    let (mut arrival, mut counters, mut error) = (DgsArrival::waiting(), DgsCounters::default(), none());
     // SAFETY: the receiver is open and its memory lives; pointers from references.
     unsafe {
         assert_eq!(dgs_media(receiver, packet.as_ptr(), packet.len(), &mut arrival, &mut error), DGS_OK);
-        assert_eq!(arrival, DgsArrival { id: DGS_NONE, recovered_count: 0, recovered: [DGS_NONE; 8] });
+        assert_eq!(arrival, DgsArrival::waiting());
         let cut = packet.len() - 1;
         assert_eq!(dgs_media(receiver, packet.as_ptr(), cut, ptr::null_mut(), &mut error), DGS_CHECKSUM);
         assert_eq!((error.status, field(&error)), (DGS_CHECKSUM, "packet.crc"));

@@ -9,7 +9,7 @@ use codec_core::{
     decode::Decoder,
     digest::Digest,
     rans::{
-        lanes,
+        lanes::{self, Compact, Lookup},
         table::{SLOTS, Table},
     },
     receiver::{Counters, Receiver},
@@ -21,6 +21,8 @@ use cortex_m_semihosting::{debug, hprintln};
 use static_cell::ConstStaticCell;
 
 static LAW_SLOTS: ConstStaticCell<[u32; SLOTS]> = ConstStaticCell::new([0; SLOTS]);
+static LAW_TOKENS: ConstStaticCell<[u8; SLOTS]> = ConstStaticCell::new([0; SLOTS]);
+static LAW_RANGES: ConstStaticCell<[u32; 256]> = ConstStaticCell::new([0; 256]);
 static LAW_OUT: ConstStaticCell<[i16; 4096]> = ConstStaticCell::new([0; 4096]);
 
 #[panic_handler]
@@ -106,32 +108,52 @@ fn run() -> Option<bool> {
     Some(laws && digest.get() == kit::DIGEST)
 }
 
-/// The coder alone, one law at a time: instructions, stack, and whether the symbols are right.
+/// The coder alone, one law and one form of table at a time: instructions, stack, and whether the
+/// symbols are right.
 fn laws(counter: &Counter) -> Option<bool> {
     let slots = LAW_SLOTS.try_take()?;
+    let tokens = LAW_TOKENS.try_take()?;
+    let ranges = LAW_RANGES.try_take()?;
     let out = LAW_OUT.try_take()?;
     let mut good = true;
-    for (&(name, symbols, raw_bits, escapes), law) in kit::LAWS.iter().zip(&kit::BODIES) {
+    for (&(name, symbols, raw_bits), law) in kit::LAWS.iter().zip(&kit::BODIES) {
         let table = Table::read(&mut Reader::new(law.table)).ok()?;
-        let fill = counter.of(|| table.fill_slots(slots));
         let out = out.get_mut(..symbols)?;
-        let mut whole = Ok(());
-        let instructions = counter.of(|| {
-            whole = lanes::Decoder::new(law.body, raw_bits, escapes).and_then(|mut decoder| {
-                decoder.run(slots, table.raw_bits(), out)?;
-                decoder.finish()
-            });
-        });
-        let mut decoder = lanes::Decoder::new(law.body, raw_bits, escapes).ok()?;
-        let mut again = Ok(());
-        let depth = stack::depth(|| again = decoder.run(slots, table.raw_bits(), out));
-        let result = whole.and(again);
-        let digest = out.iter().fold(Digest::new(), |d, s| d.bytes(&s.to_le_bytes()));
-        good &= result.is_ok() && digest.get().to_le_bytes()[..] == *law.digest;
         hprintln!("{}.symbols {}", name, symbols);
-        hprintln!("{}.instructions {}", name, instructions);
-        hprintln!("{}.stack {}", name, depth);
-        hprintln!("{}.fill_instructions {}", name, fill);
+        let fill = counter.of(|| table.fill_slots(slots));
+        hprintln!("{}.slots.fill {}", name, fill);
+        good &= one(counter, name, "slots", law, &*slots, (raw_bits, table.raw_bits()), out)?;
+        let mut compact = None;
+        let fill = counter.of(|| compact = Some(Compact::fill(&table, tokens, ranges)));
+        hprintln!("{}.compact.fill {}", name, fill);
+        good &= one(counter, name, "compact", law, &compact?, (raw_bits, table.raw_bits()), out)?;
     }
     Some(good)
+}
+
+/// One law with one form of table; `raw_bits` of the body and of each value.
+fn one(
+    counter: &Counter,
+    name: &str,
+    form: &str,
+    law: &kit::Law,
+    table: &impl Lookup,
+    raw_bits: (usize, u8),
+    out: &mut [i16],
+) -> Option<bool> {
+    out.fill(0);
+    let mut whole = Ok(());
+    let instructions = counter.of(|| {
+        whole = lanes::Decoder::new(law.body, out.len(), raw_bits.0).and_then(|mut decoder| {
+            decoder.run(table, raw_bits.1, out)?;
+            decoder.finish()
+        });
+    });
+    let digest = out.iter().fold(Digest::new(), |d, s| d.bytes(&s.to_le_bytes()));
+    let mut decoder = lanes::Decoder::new(law.body, out.len(), raw_bits.0).ok()?;
+    let mut again = Ok(());
+    let depth = stack::depth(|| again = decoder.run(table, raw_bits.1, out));
+    hprintln!("{}.{}.instructions {}", name, form, instructions);
+    hprintln!("{}.{}.stack {}", name, form, depth);
+    Some(whole.and(again).is_ok() && digest.get().to_le_bytes()[..] == *law.digest)
 }
