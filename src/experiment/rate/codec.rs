@@ -1,0 +1,127 @@
+//! What every codec under measurement gives, and the list of them.
+
+use std::time::Instant;
+
+use anyhow::Result;
+use trainer_host::{Instant as Frame, Scene};
+
+use super::{context, dgs, plain, spz, uniform};
+
+/// A scene, coded and decoded again.
+pub struct Coded {
+    /// Everything a receiver needs, bytes.
+    pub bytes: usize,
+    /// Wall time of encoding, seconds.
+    pub encode_s: f64,
+    /// Wall time of decoding all frames, seconds.
+    pub decode_s: f64,
+    /// The decoded frames that were asked for.
+    pub shown: Vec<Frame>,
+}
+
+/// Wall time.
+pub struct Timer(Instant);
+
+impl Timer {
+    /// Starts now.
+    pub fn start() -> Self {
+        Self(Instant::now())
+    }
+
+    /// Seconds since.
+    pub fn seconds(&self) -> f64 {
+        self.0.elapsed().as_secs_f64()
+    }
+}
+
+/// What a codec is to `dgs1`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// `dgs1` itself.
+    Ours,
+    /// The paper's format.
+    Paper,
+    /// A known method, written here.
+    Method,
+    /// A public format, through its own or our writer.
+    Public,
+}
+
+/// Codes a scene at one setting of the codec's knob and decodes the frames named.
+pub type Code = fn(&Scene, f32, &[u32]) -> Result<Coded>;
+
+/// A codec with its knob.
+#[derive(Clone)]
+pub struct Codec {
+    /// Name in keys and tables.
+    pub name: &'static str,
+    /// What it is.
+    pub kind: Kind,
+    /// What the knob means.
+    pub knob: &'static str,
+    /// Settings, finest first.
+    pub settings: Vec<f32>,
+    /// How to run it.
+    pub code: Code,
+}
+
+/// All codecs, with fewer settings if `quick`.
+pub fn all(quick: bool) -> Vec<Codec> {
+    let ladder = |full: &[f32]| -> Vec<f32> {
+        let every = if quick { 3 } else { 1 };
+        full.iter().copied().step_by(every).collect()
+    };
+    let codec = |name, kind, knob, settings: Vec<f32>, code: Code| Codec { name, kind, knob, settings, code };
+    let steps = "quantiser steps relative to the default";
+    #[allow(unused_mut)]
+    let mut out = vec![
+        codec("dgs1", Kind::Ours, steps, ladder(&[0.35, 0.5, 0.71, 1.0, 1.6, 2.5, 4.0, 6.3, 8.0]), dgs::dgs1),
+        codec("paper", Kind::Paper, steps, ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]), dgs::paper),
+        codec(
+            "uniform-rans",
+            Kind::Method,
+            steps,
+            ladder(&[0.35, 0.7, 1.4, 2.8, 5.6, 9.0, 11.0]),
+            uniform::code,
+        ),
+        codec(
+            "context-rans",
+            Kind::Method,
+            steps,
+            ladder(&[0.35, 0.7, 1.4, 2.8, 5.6, 9.0, 11.0]),
+            context::code,
+        ),
+        codec(
+            "spz-zstd",
+            Kind::Public,
+            "position step relative to the default",
+            ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]),
+            spz::code,
+        ),
+        codec(
+            "spz-delta-zstd",
+            Kind::Public,
+            "position step relative to the default",
+            ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]),
+            spz::code_delta,
+        ),
+        codec(
+            "spz-frames",
+            Kind::Public,
+            "position step relative to the default",
+            vec![1.0],
+            spz::code_frames,
+        ),
+    ];
+    let ply = if quick { plain::code_quick } else { plain::code };
+    out.push(codec("ply-zstd", Kind::Public, "bits of a float", vec![32.0, 16.0], ply));
+    #[cfg(feature = "peers")]
+    out.push(codec(
+        "4dgs",
+        Kind::Public,
+        "profile: 0 fine, 1 default, 2 coarse",
+        vec![0.0, 1.0, 2.0],
+        super::fourdgs::code,
+    ));
+    out
+}
