@@ -32,7 +32,7 @@ use crate::figures::{Bench, Figure, mean};
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
-    let (size, shown) = if setup.quick { (96, 2) } else { (400, 4) };
+    let (size, shown) = if setup.quick { (96, 2) } else { (400, 3) };
     let codecs = codec::all(setup.quick);
     let mut bench = Bench::new(
         "rate",
@@ -82,7 +82,7 @@ fn measure(bench: &mut Bench, named: &Named, codecs: &[Codec], size: u32, shown:
     let judge = Judge::of(scene, size, shown)?;
     let gaussians: usize = scene.epochs().iter().map(|e| e.count()).sum();
     let one = |codec: &Codec, setting: f32, timed: bool| -> Result<Row> {
-        let coded = (codec.code)(scene, setting, &judge.frames)?;
+        let coded = (codec.code)(scene, setting, codec.level, &judge.frames)?;
         Ok(Row {
             scene: named.key.clone(),
             counts: named.counts,

@@ -47,8 +47,9 @@ pub enum Kind {
     Public,
 }
 
-/// Codes a scene at one setting of the codec's knob and decodes the frames named.
-pub type Code = fn(&Scene, f32, &[u32]) -> Result<Coded>;
+/// Codes a scene at one setting of the codec's knob (and a zstd level where one is used) and decodes the
+/// frames named.
+pub type Code = fn(&Scene, f32, i32, &[u32]) -> Result<Coded>;
 
 /// A codec with its knob.
 #[derive(Clone)]
@@ -61,6 +62,8 @@ pub struct Codec {
     pub knob: &'static str,
     /// Settings, finest first.
     pub settings: Vec<f32>,
+    /// zstd level, where one is used.
+    pub level: i32,
     /// How to run it.
     pub code: Code,
 }
@@ -71,57 +74,38 @@ pub fn all(quick: bool) -> Vec<Codec> {
         let every = if quick { 3 } else { 1 };
         full.iter().copied().step_by(every).collect()
     };
-    let codec = |name, kind, knob, settings: Vec<f32>, code: Code| Codec { name, kind, knob, settings, code };
+    let codec = |name, kind, knob, settings, level, code| {
+        let level = if quick { 3 } else { level };
+        Codec { name, kind, knob, settings, level, code }
+    };
     let steps = "quantiser steps relative to the default";
-    #[allow(unused_mut)]
-    let mut out = vec![
-        codec("dgs1", Kind::Ours, steps, ladder(&[0.35, 0.5, 0.71, 1.0, 1.6, 2.5, 4.0, 6.3, 8.0]), dgs::dgs1),
-        codec("paper", Kind::Paper, steps, ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]), dgs::paper),
-        codec(
-            "uniform-rans",
-            Kind::Method,
-            steps,
-            ladder(&[0.35, 0.7, 1.4, 2.8, 5.6, 9.0, 11.0]),
-            uniform::code,
-        ),
-        codec(
-            "context-rans",
-            Kind::Method,
-            steps,
-            ladder(&[0.35, 0.7, 1.4, 2.8, 5.6, 9.0, 11.0]),
-            context::code,
-        ),
-        codec(
-            "spz-zstd",
-            Kind::Public,
-            "position step relative to the default",
-            ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]),
-            spz::code,
-        ),
+    let position = "position step relative to the default";
+    let fine = [0.35, 0.5, 0.71, 1.0, 1.6, 2.5, 4.0, 6.3, 8.0];
+    let wide = [0.35, 0.7, 1.4, 2.8, 5.6, 11.0];
+    vec![
+        codec("dgs1", Kind::Ours, steps, ladder(&fine), 0, dgs::dgs1),
+        codec("paper", Kind::Paper, steps, ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]), 0, dgs::paper),
+        codec("uniform-rans", Kind::Method, steps, ladder(&wide), 0, uniform::code),
+        codec("context-rans", Kind::Method, steps, ladder(&wide), 0, context::code),
+        codec("ply-zstd", Kind::Public, "bits of a float", vec![32.0, 16.0], 19, plain::code),
+        codec("spz-frames", Kind::Public, position, vec![1.0], 0, spz::code_frames),
+        codec("spz-zstd", Kind::Public, position, vec![1.0], 12, spz::code),
         codec(
             "spz-delta-zstd",
             Kind::Public,
-            "position step relative to the default",
+            position,
             ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]),
+            12,
             spz::code_delta,
         ),
+        #[cfg(feature = "peers")]
         codec(
-            "spz-frames",
+            "4dgs",
             Kind::Public,
-            "position step relative to the default",
-            vec![1.0],
-            spz::code_frames,
+            "profile: 0 fine, 1 default, 2 coarse",
+            vec![0.0, 1.0, 2.0],
+            0,
+            super::fourdgs::code,
         ),
-    ];
-    let ply = if quick { plain::code_quick } else { plain::code };
-    out.push(codec("ply-zstd", Kind::Public, "bits of a float", vec![32.0, 16.0], ply));
-    #[cfg(feature = "peers")]
-    out.push(codec(
-        "4dgs",
-        Kind::Public,
-        "profile: 0 fine, 1 default, 2 coarse",
-        vec![0.0, 1.0, 2.0],
-        super::fourdgs::code,
-    ));
-    out
+    ]
 }

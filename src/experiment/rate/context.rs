@@ -25,7 +25,7 @@ const ESCAPE: u32 = LENGTHS as u32 - 1;
 const SEEN: usize = 10;
 
 /// Codes `scene` with the default steps times `coarseness`.
-pub fn code(scene: &Scene, coarseness: f32, shown: &[u32]) -> Result<Coded> {
+pub fn code(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Coded> {
     let timer = Timer::start();
     let grids = lattice::grids(scene, &Quality::default().scaled(coarseness));
     let mut residuals = grids.clone();

@@ -14,12 +14,12 @@ use crate::{
 };
 
 /// Profile `dgs1`.
-pub fn dgs1(scene: &Scene, coarseness: f32, shown: &[u32]) -> Result<Coded> {
+pub fn dgs1(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Coded> {
     code(scene, ProfileName::Dgs1, coarseness, shown)
 }
 
 /// Profile `paper`.
-pub fn paper(scene: &Scene, coarseness: f32, shown: &[u32]) -> Result<Coded> {
+pub fn paper(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Coded> {
     code(scene, ProfileName::Paper, coarseness, shown)
 }
 

@@ -62,7 +62,7 @@ fn sog(bench: &mut Bench, key: &str, scene: &Scene, bytes: f64, size: u32, ours:
     let judge = Judge::of(scene, size, 1)?;
     let mut points = Vec::new();
     for &setting in ours.settings.iter().step_by(2) {
-        let coded = (ours.code)(scene, setting, &judge.frames)?;
+        let coded = (ours.code)(scene, setting, ours.level, &judge.frames)?;
         points.push((8.0 * coded.bytes as f64 / count, judge.marks(&coded.shown)?.psnr));
     }
     match RateCurve::new(&efficient(&points)) {

@@ -8,17 +8,9 @@ use trainer_host::{Attributes, Epoch, Instant, Scene, Track};
 
 use super::codec::{Coded, Timer};
 
-/// Codes `scene` as PLY of `bits` (32 or 16) per property and zstd at level 19.
-pub fn code(scene: &Scene, bits: f32, shown: &[u32]) -> Result<Coded> {
-    code_at(scene, bits < 32.0, 19, shown)
-}
-
-/// As [`code`] at zstd level 3.
-pub fn code_quick(scene: &Scene, bits: f32, shown: &[u32]) -> Result<Coded> {
-    code_at(scene, bits < 32.0, 3, shown)
-}
-
-fn code_at(scene: &Scene, halved: bool, level: i32, shown: &[u32]) -> Result<Coded> {
+/// Codes `scene` as PLY of `bits` (32 or 16) per property and zstd at `level`.
+pub fn code(scene: &Scene, bits: f32, level: i32, shown: &[u32]) -> Result<Coded> {
+    let halved = bits < 32.0;
     let timer = Timer::start();
     let mut raw = Vec::new();
     for epoch in scene.epochs() {
@@ -185,13 +177,13 @@ mod tests {
     #[test]
     fn floats_come_back_bit_for_bit_and_halves_nearly() {
         let scene = crate::experiment::synth("figure", 150, 4).unwrap();
-        let whole = code_quick(&scene, 32.0, &[0, 3]).unwrap();
+        let whole = code(&scene, 32.0, 3, &[0, 3]).unwrap();
         let source = scene.instant(3).unwrap();
         for (a, b) in whole.shown[1].gaussians.iter().zip(&source.gaussians) {
             assert_eq!((a.position, a.sh0), (b.position, b.sh0));
             assert!((a.rotation[0] - b.rotation[0]).abs() < 1e-6);
         }
-        let halved = code_quick(&scene, 16.0, &[0, 3]).unwrap();
+        let halved = code(&scene, 16.0, 3, &[0, 3]).unwrap();
         assert!(halved.bytes < whole.bytes);
         let apart = |a: &Instant| -> f32 {
             let pairs = a.gaussians.iter().zip(&source.gaussians);

@@ -37,13 +37,13 @@ pub fn for_each(
     let (kinds, n, frames): (&[&str], usize, usize) = if setup.quick {
         (&["figure"], 1000, 8)
     } else {
-        (&["balls", "figure", "cloth", "births"], 10_000, 60)
+        (&["balls", "figure", "cloth", "births"], 6_000, 60)
     };
     for kind in kinds {
         let scene = synth(kind, n, frames)?;
         each(bench, Named { key: format!("synth-{kind}"), scene, counts: true })?;
     }
-    let samples = if setup.quick { 500 } else { 20_000 };
+    let samples = if setup.quick { 500 } else { 10_000 };
     for (key, path, counts) in [
         ("fox", "scenes/gltf-fox/Fox.glb", true),
         ("cesium-man", "scenes/gltf-cesium-man/CesiumMan.glb", true),

@@ -7,7 +7,7 @@ use anyhow::{Context, Result, ensure};
 use trainer_host::{
     Epoch, Instant, Scene,
     encode::Quality,
-    export::spz::{Options, Version, encode},
+    export::spz::{Options, Version, encode, unpacked},
     import::{self, spz::parse},
 };
 
@@ -16,13 +16,16 @@ use super::{
     plain::pack,
 };
 
-/// zstd level of the streams over frames.
-const LEVEL: i32 = 19;
-
-/// One SPZ file (version 4, a zstd stream per plane) per frame.
-pub fn code_frames(scene: &Scene, coarseness: f32, shown: &[u32]) -> Result<Coded> {
+/// One SPZ file (version 3, gzip) per frame.
+pub fn code_frames(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Coded> {
     let timer = Timer::start();
-    let files: Vec<Vec<u8>> = files(scene, coarseness)?;
+    let mut files = Vec::new();
+    for epoch in scene.epochs() {
+        let options = Options { version: Version::V3, fraction_bits: fraction_bits(epoch, coarseness) };
+        for t in 0..epoch.frames() {
+            files.push(encode(epoch, t, &options).context("SPZ")?);
+        }
+    }
     let bytes = files.iter().map(Vec::len).sum();
     let encode_s = timer.seconds();
     let timer = Timer::start();
@@ -34,24 +37,13 @@ pub fn code_frames(scene: &Scene, coarseness: f32, shown: &[u32]) -> Result<Code
 }
 
 /// The planes of all frames in one zstd stream.
-pub fn code(scene: &Scene, coarseness: f32, shown: &[u32]) -> Result<Coded> {
-    over_frames(scene, coarseness, shown, false)
+pub fn code(scene: &Scene, coarseness: f32, level: i32, shown: &[u32]) -> Result<Coded> {
+    over_frames(scene, coarseness, level, shown, false)
 }
 
 /// The planes of all frames, less the frame before where it has as many Gaussians, in one zstd stream.
-pub fn code_delta(scene: &Scene, coarseness: f32, shown: &[u32]) -> Result<Coded> {
-    over_frames(scene, coarseness, shown, true)
-}
-
-fn files(scene: &Scene, coarseness: f32) -> Result<Vec<Vec<u8>>> {
-    let mut out = Vec::new();
-    for epoch in scene.epochs() {
-        let options = Options { version: Version::V4, fraction_bits: fraction_bits(epoch, coarseness) };
-        for t in 0..epoch.frames() {
-            out.push(encode(epoch, t, &options).context("SPZ")?);
-        }
-    }
-    Ok(out)
+pub fn code_delta(scene: &Scene, coarseness: f32, level: i32, shown: &[u32]) -> Result<Coded> {
+    over_frames(scene, coarseness, level, shown, true)
 }
 
 /// Fraction bits whose step is the default position step times `coarseness`, or the next finer.
@@ -74,27 +66,21 @@ struct Unpacked {
     planes: Vec<Vec<u8>>,
 }
 
-/// Bytes of the header, and of a plane's two lengths.
+/// Bytes of the header.
 const HEADER: usize = 32;
-const LENGTHS: usize = 16;
 
 impl Unpacked {
-    fn of(file: &[u8]) -> Result<Self> {
-        let header = file.get(..HEADER).context("SPZ header")?.to_vec();
-        let count = usize::from(header[15]);
-        let length = |at: usize| -> Result<usize> {
-            let bytes = file.get(at..at + 8).and_then(|b| b.first_chunk::<8>()).context("SPZ lengths")?;
-            Ok(u64::from_le_bytes(*bytes) as usize)
-        };
-        let mut at = HEADER + LENGTHS * count;
-        let mut planes = Vec::new();
-        for i in 0..count {
-            let packed = length(HEADER + LENGTHS * i)?;
-            let plane = zstd::stream::decode_all(file.get(at..at + packed).context("SPZ plane")?)?;
-            planes.push(plane);
-            at += packed;
-        }
-        Ok(Self { header, planes })
+    fn of(epoch: &Epoch, t: usize, fraction_bits: u8) -> Result<Self> {
+        let options = Options { version: Version::V4, fraction_bits };
+        let (fraction_bits, planes) = unpacked(epoch, t, &options)?;
+        let kept = planes.iter().filter(|p| !p.is_empty()).count().max(5);
+        let mut header = b"NGSP".to_vec();
+        header.extend(4u32.to_le_bytes());
+        header.extend((epoch.count() as u32).to_le_bytes());
+        header.extend([epoch.attributes().sh_degree.get(), fraction_bits, 0, kept as u8]);
+        header.extend((HEADER as u32).to_le_bytes());
+        header.resize(HEADER, 0);
+        Ok(Self { header, planes: planes.into_iter().take(kept).collect() })
     }
 
     /// A file with these planes, packed as little as zstd can.
@@ -156,11 +142,15 @@ fn unzigzag(v: u32) -> u32 {
     (v >> 1) ^ 0u32.wrapping_sub(v & 1)
 }
 
-fn over_frames(scene: &Scene, coarseness: f32, shown: &[u32], delta: bool) -> Result<Coded> {
+fn over_frames(scene: &Scene, coarseness: f32, level: i32, shown: &[u32], delta: bool) -> Result<Coded> {
     let timer = Timer::start();
-    let files = files(scene, coarseness)?;
-    let frames: Result<Vec<Unpacked>> = files.iter().map(|f| Unpacked::of(f)).collect();
-    let frames = frames?;
+    let mut frames = Vec::new();
+    for epoch in scene.epochs() {
+        let bits = fraction_bits(epoch, coarseness);
+        for t in 0..epoch.frames() {
+            frames.push(Unpacked::of(epoch, t, bits)?);
+        }
+    }
     let mut raw = Vec::new();
     for (t, frame) in frames.iter().enumerate() {
         raw.extend(&frame.header);
@@ -171,7 +161,7 @@ fn over_frames(scene: &Scene, coarseness: f32, shown: &[u32], delta: bool) -> Re
             false => frame.planes.iter().for_each(|p| raw.extend(p)),
         }
     }
-    let packed = pack(&raw, LEVEL)?;
+    let packed = pack(&raw, level)?;
     let encode_s = timer.seconds();
     let timer = Timer::start();
     let back = zstd::stream::decode_all(packed.as_slice())?;
@@ -206,9 +196,9 @@ mod tests {
     #[test]
     fn every_way_gives_the_same_frames() {
         let scene = crate::experiment::synth("cloth", 200, 5).unwrap();
-        let alone = code_frames(&scene, 1.0, &[0, 4]).unwrap();
+        let alone = code_frames(&scene, 1.0, 3, &[0, 4]).unwrap();
         for code in [code, code_delta] {
-            let other = code(&scene, 1.0, &[0, 4]).unwrap();
+            let other = code(&scene, 1.0, 3, &[0, 4]).unwrap();
             assert!(other.shown == alone.shown, "frames differ");
             assert!(other.bytes < alone.bytes, "{} and {}", other.bytes, alone.bytes);
         }

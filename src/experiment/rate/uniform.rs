@@ -19,7 +19,7 @@ const FAR: i32 = 1 << 15;
 const TOKENS: usize = 1024;
 
 /// Codes `scene` with the default steps times `coarseness`.
-pub fn code(scene: &Scene, coarseness: f32, shown: &[u32]) -> Result<Coded> {
+pub fn code(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Coded> {
     let timer = Timer::start();
     let grids = lattice::grids(scene, &Quality::default().scaled(coarseness));
     let mut residuals = grids.clone();
@@ -240,7 +240,7 @@ mod tests {
     #[test]
     fn a_scene_comes_back() {
         let scene = crate::experiment::synth("balls", 200, 4).unwrap();
-        let (fine, coarse) = (code(&scene, 1.0, &[3]).unwrap(), code(&scene, 4.0, &[3]).unwrap());
+        let (fine, coarse) = (code(&scene, 1.0, 0, &[3]).unwrap(), code(&scene, 4.0, 0, &[3]).unwrap());
         assert!(coarse.bytes < fine.bytes && fine.shown[0].gaussians.len() == 200);
     }
 }
