@@ -43,7 +43,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
              every codec decodes its own bytes and those Gaussians are rendered; \
              comparisons: Bjøntegaard rate (PCHIP of log rate over PSNR, efficient points only) over the PSNR both reach, \
              or at a peer's own points where it has no curve; negative: dgs1 needs fewer bits; \
-             times alone: wall time with all cores, of decoding all frames"
+             times alone: wall time with all cores, of decoding all frames to Gaussians (ply-zstd, spz over frames and 4dgs: to their attributes)"
         ),
     );
     for codec in &codecs {

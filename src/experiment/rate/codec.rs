@@ -82,7 +82,7 @@ pub fn all(quick: bool) -> Vec<Codec> {
     let position = "position step relative to the default";
     let fine = [0.35, 0.5, 0.71, 1.0, 1.6, 2.5, 4.0, 6.3, 8.0];
     let wide = [0.35, 0.7, 1.4, 2.8, 5.6, 11.0];
-    vec![
+    let mut out = vec![
         codec("dgs1", Kind::Ours, steps, ladder(&fine), 0, dgs::dgs1),
         codec("paper", Kind::Paper, steps, ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]), 0, dgs::paper),
         codec("uniform-rans", Kind::Method, steps, ladder(&wide), 0, uniform::code),
@@ -98,14 +98,26 @@ pub fn all(quick: bool) -> Vec<Codec> {
             12,
             spz::code_delta,
         ),
-        #[cfg(feature = "peers")]
-        codec(
-            "4dgs",
-            Kind::Public,
-            "profile: 0 fine, 1 default, 2 coarse",
-            vec![0.0, 1.0, 2.0],
-            0,
-            super::fourdgs::code,
-        ),
-    ]
+    ];
+    out.extend(crates());
+    out
+}
+
+/// Codecs of public crates.
+#[cfg(feature = "peers")]
+fn crates() -> Option<Codec> {
+    Some(Codec {
+        name: "4dgs",
+        kind: Kind::Public,
+        knob: "profile: 0 fine, 1 default, 2 coarse",
+        settings: vec![0.0, 1.0, 2.0],
+        level: 0,
+        code: super::fourdgs::code,
+    })
+}
+
+/// None: the feature is off.
+#[cfg(not(feature = "peers"))]
+fn crates() -> Option<Codec> {
+    None
 }

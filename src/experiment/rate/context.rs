@@ -56,6 +56,7 @@ pub fn code(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Cod
             plane.restore(epoch.count, how);
         }
     }
+    lattice::reconstruct_all(&back);
     let decode_s = timer.seconds();
     ensure!(back == grids, "what was decoded is not what was coded");
     Ok(Coded { bytes, encode_s, decode_s, shown: lattice::instants(scene, &back, shown)? })

@@ -196,6 +196,13 @@ pub fn grids(scene: &Scene, quality: &Quality) -> Vec<Grids> {
     scene.epochs().iter().map(|e| Grids::of(e, quality)).collect()
 }
 
+/// Reconstructs every frame and drops it: what a decoder is timed for.
+pub fn reconstruct_all(grids: &[Grids]) {
+    for epoch in grids {
+        (0..epoch.frames).for_each(|t| drop(std::hint::black_box(epoch.instant(t))));
+    }
+}
+
 /// Reconstructs scene frames `shown` from the epochs' grids.
 ///
 /// # Errors

@@ -34,15 +34,6 @@ pub fn for_each(
     bench: &mut Bench,
     mut each: impl FnMut(&mut Bench, Named) -> Result<()>,
 ) -> Result<()> {
-    let (kinds, n, frames): (&[&str], usize, usize) = if setup.quick {
-        (&["figure"], 1000, 8)
-    } else {
-        (&["balls", "figure", "cloth", "births"], 6_000, 60)
-    };
-    for kind in kinds {
-        let scene = synth(kind, n, frames)?;
-        each(bench, Named { key: format!("synth-{kind}"), scene, counts: true })?;
-    }
     let samples = if setup.quick { 500 } else { 10_000 };
     for (key, path, counts) in [
         ("fox", "scenes/gltf-fox/Fox.glb", true),
@@ -57,6 +48,15 @@ pub fn for_each(
             continue;
         }
         each(bench, Named { key: key.to_owned(), scene: load(&path, samples)?, counts })?;
+    }
+    let (kinds, n, frames): (&[&str], usize, usize) = if setup.quick {
+        (&["figure"], 1000, 8)
+    } else {
+        (&["balls", "figure", "cloth", "births"], 6_000, 60)
+    };
+    for kind in kinds {
+        let scene = synth(kind, n, frames)?;
+        each(bench, Named { key: format!("synth-{kind}"), scene, counts: true })?;
     }
     Ok(())
 }

@@ -173,7 +173,7 @@ pub fn compare(bench: &mut Bench, rows: &[Row]) -> Vec<Compared> {
 /// The Bjøntegaard difference where the codec has a curve that overlaps; else the mean difference at its
 /// points that lie in our range.
 fn against(theirs: &[RatePoint], ours: &RateCurve) -> Result<(Difference, String), Refused> {
-    if theirs.len() >= 3 {
+    if theirs.len() >= 2 {
         let curve = RateCurve::new(theirs)?;
         if let Ok(found) = difference(&curve, ours) {
             return Ok((found, format!("{} points", theirs.len())));
