@@ -203,7 +203,7 @@ mod tests {
                 1 => i32::MAX,
                 2 => 16_383,
                 3 => -16_384,
-                k => (i * 7919 >> (k % 20)) % (1 << (k % 14)) - 3,
+                k => ((i * 7919) >> (k % 20)) % (1 << (k % 14)) - 3,
             })
             .collect();
         let bytes = coded(&values, 500);
@@ -220,7 +220,7 @@ mod tests {
         assert!(still.len() < 60, "{} bytes for nothing", still.len());
         // Calm and lively Gaussians side by side: the frame before tells them apart.
         let mixed: Vec<i32> = (0..20_000i32)
-            .map(|i| if (i % 1000) * 7919 % 3 == 0 { (i * 7919 >> 3) % 256 - 128 } else { 0 })
+            .map(|i| if (i % 1000) * 7919 % 3 == 0 { ((i * 7919) >> 3) % 256 - 128 } else { 0 })
             .collect();
         let lively = mixed.iter().filter(|v| **v != 0).count() as f64;
         let bits = 8.0 * coded(&mixed, 1000).len() as f64 / lively;
