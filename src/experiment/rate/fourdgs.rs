@@ -232,7 +232,7 @@ mod tests {
 
     #[test]
     fn clips_come_back_within_the_bounds_of_their_profile() {
-        let scene = crate::experiment::synth("figure", 150, 4).unwrap();
+        let scene = crate::experiment::synth("figure", 1000, 4).unwrap();
         let source = scene.instant(3).unwrap();
         let order = order(&scene.epochs()[0]);
         let mut sizes = Vec::new();

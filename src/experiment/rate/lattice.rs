@@ -222,7 +222,7 @@ mod tests {
 
     #[test]
     fn residuals_are_undone_and_smaller() {
-        let scene = synth("figure", 300, 6).unwrap();
+        let scene = synth("figure", 1000, 6).unwrap();
         let grids = Grids::of(&scene.epochs()[0], &Quality::default());
         let size = |p: &Plane| p.values.iter().map(|v| f64::from(v.unsigned_abs())).sum::<f64>();
         for plane in &grids.planes {
@@ -236,10 +236,10 @@ mod tests {
 
     #[test]
     fn grids_hold_every_value_to_half_a_step() {
-        let scene = synth("balls", 200, 5).unwrap();
+        let scene = synth("balls", 1000, 5).unwrap();
         let epoch = &scene.epochs()[0];
         let grids = Grids::of(epoch, &Quality::default());
-        let order = morton_order(&(0..200).collect::<Vec<_>>(), epoch.attributes().positions.frame(0, 200));
+        let order = morton_order(&(0..1000).collect::<Vec<_>>(), epoch.attributes().positions.frame(0, 1000));
         for t in [0, 4] {
             let (got, source) = (grids.instant(t), epoch.instant(t));
             for (g, &i) in got.gaussians.iter().zip(&order) {

@@ -89,7 +89,7 @@ mod tests {
 
     #[test]
     fn parts_add_up_to_the_wire() {
-        let scene = crate::experiment::synth("figure", 400, 6).unwrap();
+        let scene = crate::experiment::synth("figure", 1000, 6).unwrap();
         let stream = dgs::stream(&scene, ProfileName::Dgs1, 1.0).unwrap();
         let o = Overhead::of(stream.ledger());
         let sum = o.models + o.gap + o.headers + o.crc + o.manifest;

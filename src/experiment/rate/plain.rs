@@ -176,7 +176,7 @@ mod tests {
 
     #[test]
     fn floats_come_back_bit_for_bit_and_halves_nearly() {
-        let scene = crate::experiment::synth("figure", 150, 4).unwrap();
+        let scene = crate::experiment::synth("figure", 1000, 4).unwrap();
         let whole = code(&scene, 32.0, 3, &[0, 3]).unwrap();
         let source = scene.instant(3).unwrap();
         for (a, b) in whole.shown[1].gaussians.iter().zip(&source.gaussians) {

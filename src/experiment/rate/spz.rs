@@ -195,7 +195,7 @@ mod tests {
 
     #[test]
     fn every_way_gives_the_same_frames() {
-        let scene = crate::experiment::synth("cloth", 200, 5).unwrap();
+        let scene = crate::experiment::synth("cloth", 1000, 5).unwrap();
         let alone = code_frames(&scene, 1.0, 3, &[0, 4]).unwrap();
         for code in [code, code_delta] {
             let other = code(&scene, 1.0, 3, &[0, 4]).unwrap();

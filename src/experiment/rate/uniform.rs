@@ -240,8 +240,8 @@ mod tests {
 
     #[test]
     fn a_scene_comes_back() {
-        let scene = crate::experiment::synth("balls", 200, 4).unwrap();
+        let scene = crate::experiment::synth("balls", 1000, 4).unwrap();
         let (fine, coarse) = (code(&scene, 1.0, 0, &[3]).unwrap(), code(&scene, 4.0, 0, &[3]).unwrap());
-        assert!(coarse.bytes < fine.bytes && fine.shown[0].gaussians.len() == 200);
+        assert!(coarse.bytes < fine.bytes && fine.shown[0].gaussians.len() == 1000);
     }
 }
