@@ -47,7 +47,7 @@ pub const ALL: &[Experiment] = &[
     Experiment { name: "demo", about: "wall time and peak memory of `dgs demo`", run: demo::run },
     Experiment {
         name: "rate",
-        about: "bytes, PSNR, SSIM, FLIP and times of both profiles on real and synthetic scenes",
+        about: "rate and distortion of dgs1 beside the paper's format and public peers, Bjøntegaard rates, overheads (--out)",
         run: rate::run,
     },
     Experiment {

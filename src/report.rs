@@ -3,6 +3,7 @@
 //!
 //! This file is the data; `html` lays it out and `plot` draws it. Nothing here measures.
 
+pub mod curves;
 pub mod html;
 pub mod plot;
 pub mod scatter;

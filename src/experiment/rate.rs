@@ -1,154 +1,146 @@
-//! Rate and quality of the complete decoded state, both profiles, real and synthetic scenes.
+//! Rate and quality of the complete decoded state: `dgs1` beside the paper's format, known methods and
+//! public formats, on real and synthetic scenes; what a stream spends on overhead.
+//!
+//! `--out DIR` writes `rate.csv` and a rate–distortion drawing per scene.
 
-use std::time::Instant;
+mod bjontegaard;
+mod codec;
+mod context;
+mod dgs;
+mod facts;
+#[cfg(feature = "peers")]
+mod fourdgs;
+mod lattice;
+mod overhead;
+mod plain;
+mod rans;
+mod scenes;
+mod spz;
+mod table;
+mod uniform;
 
 use anyhow::Result;
 use rayon::prelude::*;
-use render_host::{Settings, metric};
-use trainer_host::{
-    Scene,
-    encode::Protection,
-    stream::Player,
-    viewpoint::{Framing, Ring},
-};
 
-use super::{Setup, codec_args, load, spread, synth};
-use crate::{
-    args::ProfileName,
-    figures::{Bench, Figure, mean, median},
-    pipeline, quality,
+use self::{
+    codec::{Codec, Kind},
+    scenes::{Judge, Named},
+    table::Row,
 };
+use super::Setup;
+use crate::figures::{Bench, Figure, mean};
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
-    let (size, shown) = if setup.quick { (200, 2) } else { (400, 6) };
+    let (size, shown) = if setup.quick { (96, 2) } else { (400, 3) };
+    let codecs = codec::all(setup.quick);
     let mut bench = Bench::new(
         "rate",
         format!(
-            "complete decoded state against the uncompressed source's own render; 3 held-out ring cameras at {size}x{size}, \
-             black background, up to {shown} frames spread over the clip; default quality, PSNR capped at 99 dB; \
-             decode = packets to symbols to Gaussians, per frame"
+            "complete decoded state against the uncompressed source's own render; 3 held-out ring cameras at {size}x{size}, black background, \
+             up to {shown} frames spread over the clip, PSNR of a picture capped at 99 dB, FLIP from the first camera; \
+             bits per Gaussian: all bytes sent over the Gaussians of the source (all epochs); no repair; \
+             every codec decodes its own bytes and those Gaussians are rendered; \
+             comparisons: Bjøntegaard rate (PCHIP of log rate over PSNR, efficient points only) over the PSNR both reach, \
+             or at a peer's own points where it has no curve; negative: dgs1 needs fewer bits; \
+             times alone: wall time with all cores, of decoding all frames to Gaussians (ply-zstd, spz over frames and 4dgs: to their attributes)"
         ),
     );
-    let n = if setup.quick { 3000 } else { 20_000 };
-    for kind in ["balls", "figure", "cloth", "births"] {
-        let scene = synth(kind, n, if setup.quick { 20 } else { 60 })?;
-        measure(&mut bench, &format!("synth-{kind}"), &scene, size, shown, setup)?;
+    for codec in &codecs {
+        bench.protocol += &format!("; {}: {} in {:?}", codec.name, codec.knob, codec.settings);
     }
-    let samples = if setup.quick { 4000 } else { 20_000 };
-    for (key, path) in [
-        ("fox", "scenes/gltf-fox/Fox.glb"),
-        ("cesium-man", "scenes/gltf-cesium-man/CesiumMan.glb"),
-        ("biker-spz", "scenes/splat-biker/biker.spz"),
-        ("biker-ply", "scenes/splat-biker/biker.compressed.ply"),
-        ("human", "scenes/splat-seq-human"),
-    ] {
-        if let Some(path) = setup.data(path, &mut bench)? {
-            if setup.quick && !matches!(key, "fox" | "cesium-man") {
-                bench.skipped.push(format!("{key}: left out by --quick"));
-                continue;
-            }
-            let scene = load(&path, samples)?;
-            measure(&mut bench, key, &scene, size, shown, setup)?;
+    if cfg!(not(feature = "peers")) {
+        bench.skipped.push("4dgs: built without feature peers".to_owned());
+    }
+    let mut rows: Vec<Row> = Vec::new();
+    let mut compared = Vec::new();
+    let mut shares = Vec::new();
+    scenes::for_each(setup, &mut bench, |bench, named| {
+        let these = measure(bench, &named, &codecs, size, shown)?;
+        if !setup.quiet.0 {
+            println!("{}", table::text(&these));
         }
+        push(bench, &these);
+        shares.push(overhead::measure(bench, &named.key, &named.scene)?.share());
+        compared.extend(table::compare(bench, &these));
+        table::draw(setup, &these)?;
+        rows.extend(these);
+        Ok(())
+    })?;
+    table::means(&mut bench, &compared);
+    bench.push(Figure::new("mean.overhead", 100.0 * mean(&shares), "% of the wire, without repair"));
+    setup.write("rate.csv", &table::csv(&rows))?;
+    if let Some(ours) = codecs.iter().find(|c| c.kind == Kind::Ours) {
+        facts::run(&mut bench, setup, size, ours)?;
     }
-    readers(&mut bench, setup, size)?;
     Ok(bench)
 }
 
-fn measure(
-    bench: &mut Bench,
-    key: &str,
-    scene: &Scene,
-    size: u32,
-    shown: usize,
-    setup: &Setup,
-) -> Result<()> {
-    let framing = Framing::of(scene, [0.0, 1.0, 0.0]);
-    let cameras = framing.ring(Ring::HeldOut, 3, (size, size))?;
-    let frames = spread(scene.frames(), shown);
-    let settings = Settings::default();
-    let mut bits = Vec::new();
-    for profile in [ProfileName::Dgs1, ProfileName::Paper] {
-        let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
-        let name = pipeline::profile_name(options.profile);
-        let start = Instant::now();
-        let stream = pipeline::encode(scene, &options, setup.quiet)?;
-        let encode_s = start.elapsed().as_secs_f64();
-        let start = Instant::now();
-        let received = stream.receive()?;
-        let receive_s = start.elapsed().as_secs_f64();
-        let content = received.content();
-        let mut player = Player::new(&content.manifest);
-        let start = Instant::now();
-        for frame in 0..scene.frames() as u32 {
-            player.show(&content, frame)?;
+/// All codecs at all settings on one scene. One setting of each is timed alone, the others run in parallel.
+fn measure(bench: &mut Bench, named: &Named, codecs: &[Codec], size: u32, shown: usize) -> Result<Vec<Row>> {
+    let scene = &named.scene;
+    let judge = Judge::of(scene, size, shown)?;
+    let gaussians: usize = scene.epochs().iter().map(|e| e.count()).sum();
+    let one = |codec: &Codec, setting: f32, timed: bool| -> Result<Row> {
+        let coded = (codec.code)(scene, setting, codec.level, &judge.frames)?;
+        Ok(Row {
+            scene: named.key.clone(),
+            counts: named.counts,
+            dynamic: scene.epochs().iter().any(|e| e.frames() > 1),
+            codec: codec.name,
+            kind: codec.kind,
+            setting,
+            bits: 8.0 * coded.bytes as f64 / gaussians.max(1) as f64,
+            bytes_per_frame: coded.bytes as f64 / scene.frames() as f64,
+            marks: judge.marks(&coded.shown)?,
+            encode_s: coded.encode_s,
+            decode_ms: 1000.0 * coded.decode_s / scene.frames() as f64,
+            timed,
+        })
+    };
+    let mut jobs: Vec<(usize, &Codec, f32)> = Vec::new();
+    let mut found: Vec<(usize, Row)> = Vec::new();
+    for codec in codecs {
+        let timed = codec.settings.iter().position(|&s| s >= 1.0).unwrap_or(0);
+        for (k, &setting) in codec.settings.iter().enumerate() {
+            let place = found.len() + jobs.len();
+            if k != timed {
+                jobs.push((place, codec, setting));
+                continue;
+            }
+            match one(codec, setting, true) {
+                Ok(row) => found.push((place, row)),
+                Err(why) => {
+                    bench.skipped.push(format!("{}.{}: absent: {why:#}", named.key, codec.name));
+                    jobs.retain(|j| j.1.name != codec.name);
+                    break;
+                }
+            }
         }
-        let show_s = start.elapsed().as_secs_f64();
-        let mut scores = Vec::new();
-        for camera in &cameras {
-            let references = quality::references(scene, &frames, camera, &settings)?;
-            let states: Vec<_> = frames.iter().map(|&f| (f, Some(content.blocks))).collect();
-            let images = quality::renders(&content, &states, camera, &settings)?;
-            let these: Result<Vec<_>> = images
-                .par_iter()
-                .zip(&references)
-                .map(|(a, b)| Ok((quality::score(a, b)?, quality::flip(a, b)?)))
-                .collect();
-            scores.extend(these?);
-        }
-        let ledger = stream.ledger();
-        let column =
-            |f: &dyn Fn(&(quality::Score, f64)) -> f64| -> Vec<f64> { scores.iter().map(f).collect() };
-        let frames = scene.frames() as f64;
-        let key = |what: &str| format!("{key}.{name}.{what}");
-        bench.push(Figure::new(key("bits_per_gaussian"), ledger.bits_per_gaussian(), "bit"));
-        bench.push(Figure::new(key("bytes_per_frame"), ledger.bytes_per_frame(), "byte"));
-        bench.push(Figure::new(key("manifest"), ledger.manifest, "byte"));
-        bench.push(Figure::new(key("psnr_mean"), mean(&column(&|s| s.0.psnr_db)), "dB"));
-        bench.push(Figure::new(
-            key("psnr_min"),
-            column(&|s| s.0.psnr_db).into_iter().fold(f64::MAX, f64::min),
-            "dB",
-        ));
-        bench.push(Figure::new(key("ssim"), mean(&column(&|s| s.0.ssim)), ""));
-        bench.push(Figure::new(key("flip"), mean(&column(&|s| s.1)), ""));
-        let psnr = median(&column(&|s| s.0.psnr_db));
-        bench.push(Figure::new(key("encode"), encode_s, "s").error(psnr, "dB median PSNR"));
-        let decode = 1000.0 * (receive_s + show_s) / frames;
-        bench.push(Figure::new(key("decode"), decode, "ms/frame").error(psnr, "dB median PSNR"));
-        bits.push(ledger.bits_per_gaussian());
     }
-    let ratio = Figure::new(format!("{key}.dgs1_over_paper"), bits[0], "bit").peer("paper", bits[1], true);
-    bench.push(ratio);
-    Ok(())
+    let rest: Result<Vec<(usize, Row)>> = jobs
+        .par_iter()
+        .with_max_len(1)
+        .map(|&(place, codec, setting)| Ok((place, one(codec, setting, false)?)))
+        .collect();
+    found.extend(rest?);
+    found.sort_by_key(|f| f.0);
+    Ok(found.into_iter().map(|f| f.1).collect())
 }
 
-/// The two encodings of one scene, through two readers.
-fn readers(bench: &mut Bench, setup: &Setup, size: u32) -> Result<()> {
-    if setup.quick {
-        return Ok(());
+/// The rows timed alone, and the ends of each codec's range, as figures.
+fn push(bench: &mut Bench, rows: &[Row]) {
+    for row in rows.iter().filter(|r| r.timed) {
+        let key = |what: &str| format!("{}.{}.{what}", row.scene, row.codec);
+        bench.push(Figure::new(key("bits_per_gaussian"), row.bits, "bit"));
+        bench.push(Figure::new(key("bytes_per_frame"), row.bytes_per_frame, "byte"));
+        bench.push(Figure::new(key("psnr_mean"), row.marks.psnr, "dB"));
+        bench.push(Figure::new(key("psnr_min"), row.marks.psnr_min, "dB"));
+        bench.push(Figure::new(key("ssim"), row.marks.ssim, ""));
+        bench.push(Figure::new(key("flip"), row.marks.flip, ""));
+        bench.push(Figure::new(key("encode"), row.encode_s, "s").error(row.marks.psnr, "dB mean PSNR"));
+        bench.push(
+            Figure::new(key("decode"), row.decode_ms, "ms/frame").error(row.marks.psnr, "dB mean PSNR"),
+        );
     }
-    let spz = setup.data("scenes/splat-biker/biker.spz", bench)?;
-    let ply = setup.data("scenes/splat-biker/biker.compressed.ply", bench)?;
-    let Some((spz, ply)) = spz.zip(ply) else { return Ok(()) };
-    let (a, b) = (load(&spz, 0)?, load(&ply, 0)?);
-    // The two files hold the same object half a turn about x apart.
-    let mut turned = b.instant(0).unwrap_or_default();
-    for g in &mut turned.gaussians {
-        let ([x, y, z], [qw, qx, qy, qz]) = (g.position, g.rotation);
-        g.position = [x, -y, -z];
-        g.rotation = [-qx, qw, -qz, qy];
-    }
-    let camera = &Framing::of(&a, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (size, size))?[0];
-    let settings = Settings::default();
-    let one = quality::references(&a, &[0], camera, &settings)?;
-    let psnr = metric::psnr(&quality::render(&turned, camera, &settings)?, &one[0])?;
-    bench.push(Figure::new("biker.readers.psnr", psnr, "dB"));
-    bench.push(Figure::new(
-        "biker.readers.gaussians_apart",
-        a.max_count().abs_diff(b.max_count()) as f64,
-        "",
-    ));
-    Ok(())
 }

@@ -85,6 +85,16 @@ pub fn encode(epoch: &Epoch, t: usize, options: &Options) -> io::Result<Vec<u8>>
     }
 }
 
+/// The planes of frame `t` of `epoch` before compression, in the order in which a file holds them, and the
+/// fraction bits of positions.
+///
+/// # Errors
+/// Positions beyond ±8388607 units.
+pub fn unpacked(epoch: &Epoch, t: usize, options: &Options) -> io::Result<(u8, [Vec<u8>; 6])> {
+    let fraction_bits = fraction_bits(epoch, t, options.fraction_bits)?;
+    Ok((fraction_bits, planes(epoch, t, fraction_bits)))
+}
+
 /// Writes one frame of `epoch`.
 ///
 /// # Errors
