@@ -71,8 +71,17 @@ pub struct CodecArgs {
     #[arg(long, value_enum, default_value_t = ProfileName::Dgs1)]
     pub profile: ProfileName,
     /// Quantiser steps relative to the visually lossless default: 2 is twice as coarse.
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, group = "fineness")]
     pub coarseness: f32,
+    /// Choose the coarseness: at most this many bits per Gaussian on the wire, as close as possible.
+    #[arg(long, value_name = "BITS", group = "fineness", value_parser = positive, allow_negative_numbers = true)]
+    pub target_bits_per_gaussian: Option<f64>,
+    /// Choose the coarseness: at most this many bytes on the wire (manifest, packets and parity).
+    #[arg(long, value_name = "BYTES", group = "fineness", value_parser = clap::value_parser!(u64).range(1..))]
+    pub target_bytes: Option<u64>,
+    /// Choose the coarseness: at least this PSNR in dB from measuring (never held-out) cameras.
+    #[arg(long, value_name = "DB", group = "fineness", value_parser = positive, allow_negative_numbers = true)]
+    pub target_psnr: Option<f64>,
     /// Most Gaussians in a cluster.
     #[arg(long, default_value_t = 512)]
     pub cluster_size: usize,
@@ -92,6 +101,13 @@ pub struct CodecArgs {
     /// stream and demo].
     #[arg(long)]
     pub repair_set: Option<u8>,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
+        _ => Err("a number above 0 is allowed".to_owned()),
+    }
 }
 
 /// A named set of format choices.

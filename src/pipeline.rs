@@ -14,7 +14,7 @@ use emulator_host::{
 use render_host::{Camera, Settings};
 use trainer_host::{
     Attributes, Epoch, Scene, Stream, Track,
-    encode::{self, Quality},
+    encode::{self, Quality, Target},
     import::{self, gltf::Clip, synth},
     stream::{HostMemory, PacketMap, Player},
     utility,
@@ -118,6 +118,11 @@ pub fn encode_options(args: &CodecArgs, repair_set: u8) -> encode::Options {
         window_frames: args.window_frames,
         rank: args.rank.unwrap_or(base.rank),
         quality: Quality::default().scaled(args.coarseness),
+        target: args
+            .target_bits_per_gaussian
+            .map(Target::BitsPerGaussian)
+            .or(args.target_bytes.map(Target::Bytes))
+            .or(args.target_psnr.map(Target::PsnrDb)),
         packet_bytes: args.packet_bytes,
         repair_set: Some(args.repair_set.unwrap_or(repair_set)).filter(|&k| k > 0),
         ..base

@@ -93,6 +93,16 @@ pub(super) fn ledger_table(ledger: &Ledger) -> String {
         100.0 * ledger.packetisation_overhead(),
         100.0 * ledger.robustness_premium(),
     );
+    if let Some(reached) = ledger.reached {
+        text += &format!(
+            "  {} {}: {} at coarseness {:.4}, {} encodings\n",
+            reached.target.name(),
+            number(reached.target.value()),
+            number(reached.value),
+            reached.coarseness,
+            reached.encodes
+        );
+    }
     if ledger.saturated > 0 {
         text += &format!("  {} values did not fit their symbol and were clamped\n", ledger.saturated);
     }

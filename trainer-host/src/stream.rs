@@ -17,7 +17,10 @@ use codec_core::{
     },
 };
 
-use crate::{encode::Ledger, scene::Instant};
+use crate::{
+    encode::{Ledger, Reached},
+    scene::Instant,
+};
 
 /// A manifest and its packets.
 #[derive(Clone, Debug)]
@@ -89,6 +92,12 @@ impl Stream {
         message.truncate(len);
         ledger.manifest = len as f64;
         Ok(Self { message, raw, packets, order, ledger })
+    }
+
+    /// The same with what its ledger says of the target.
+    pub(crate) fn with_reached(mut self, reached: Reached) -> Self {
+        self.ledger.reached = Some(reached);
+        self
     }
 
     /// The DGSM message.

@@ -1,5 +1,7 @@
 //! Where every byte went: the paper's accounting table, for any stream.
 
+use super::Reached;
+
 /// The byte cost of each part of a stream. All in bytes unless named otherwise.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Ledger {
@@ -37,6 +39,8 @@ pub struct Ledger {
     pub saturated: u64,
     /// Estimated payload by stream: name, level, bits.
     pub shares: Vec<Share>,
+    /// How the target was met, if there was one.
+    pub reached: Option<Reached>,
 }
 
 /// Payload that one attribute takes at one level.

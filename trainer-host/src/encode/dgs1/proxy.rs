@@ -107,7 +107,7 @@ mod tests {
             sh_rest: Vec::new(),
             sh_degree: ShDegree::ZERO,
         };
-        let scene = Scene::new(30.0, vec![Epoch::new(1, attributes).unwrap()]).unwrap();
+        let scene = Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap();
         let stream = encode(&scene, &Options::default(), &|_, _| {}).unwrap();
         let received = stream.receive().unwrap();
         let content = received.content();
