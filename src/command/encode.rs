@@ -43,7 +43,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
     }
     let mut json = json!({
         "name": loaded.name, "out": args.out, "file_bytes": bytes.len(), "seconds": seconds,
-        "ledger": ledger, "notes": loaded.scene.notes,
+        "ledger": ledger, "parts": ledger.parts(), "notes": loaded.scene.notes,
         "bits_per_gaussian": ledger.bits_per_gaussian(), "bytes_per_frame": ledger.bytes_per_frame(),
     });
     if args.utility {
@@ -106,13 +106,10 @@ pub(super) fn ledger_table(ledger: &Ledger) -> String {
     if ledger.saturated > 0 {
         text += &format!("  {} values did not fit their symbol and were clamped\n", ledger.saturated);
     }
-    for share in &ledger.shares {
-        text += &format!(
-            "    {:16} level {}  {:>8.2} bits/Gaussian\n",
-            share.attribute,
-            share.level,
-            share.bits / ledger.gaussians.max(1) as f64
-        );
+    let gaussians = ledger.gaussians.max(1) as f64;
+    for part in ledger.parts() {
+        let (bits, bytes) = (part.bits / gaussians, part.bits / 8.0);
+        text += &format!("    {:38} {bits:>9.3} bits/Gaussian {bytes:>12.1} bytes\n", part.name);
     }
     text
 }

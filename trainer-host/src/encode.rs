@@ -10,11 +10,15 @@ mod statistics;
 mod steps;
 mod target;
 
-pub use ledger::{Ledger, Share};
+pub use ledger::{Ledger, Part, Share};
 pub use steps::Quality;
 pub use target::{COARSENESS, Reached, Target};
 
-use codec_core::{ids::PacketId, limits, wire::manifest::Profile};
+use codec_core::{
+    ids::{Level, PacketId},
+    limits,
+    wire::manifest::Profile,
+};
 
 use crate::{cluster, judge::JudgeError, scene::Scene, stream::Stream};
 
@@ -40,6 +44,9 @@ pub struct Options {
     pub menu: usize,
     /// Whether every block has a proxy in the manifest (`dgs1`).
     pub proxies: bool,
+    /// The highest level sent of each cell of the lattice, canonical cells first (`dgs1`); cells past the
+    /// end are sent whole.
+    pub tops: Vec<Level>,
     /// Largest packet, header and CRC included, bytes (`dgs1`); 200..=1226.
     pub packet_bytes: usize,
     /// Packets per XOR repair set over base levels, 2..=32; `None` sends no parity.
@@ -60,6 +67,7 @@ impl Default for Options {
             target: None,
             menu: limits::MAX_MENU,
             proxies: true,
+            tops: Vec::new(),
             packet_bytes: limits::DEFAULT_PACKET_BYTES,
             repair_set: None,
             keep_invisible: false,

@@ -208,8 +208,7 @@ mod tests {
     };
 
     fn scene() -> Scene {
-        let options =
-            synth::Options { gaussians: 1000, frames: 12, kind: Kind::Figure, ..Default::default() };
+        let options = synth::Options { gaussians: 1000, frames: 4, kind: Kind::Figure, ..Default::default() };
         synth::make(&options, &Limits::default()).unwrap()
     }
 
@@ -237,7 +236,7 @@ mod tests {
     #[test]
     fn a_psnr_is_reached_and_not_much_more() {
         let stream = encoded(Target::PsnrDb(34.0)).unwrap();
-        let judge = Judge::measuring(&scene(), spread(0, 12, FRAMES)).unwrap();
+        let judge = Judge::measuring(&scene(), spread(0, 4, FRAMES)).unwrap();
         let found = judge.whole(&stream).unwrap();
         assert_eq!(Some(found), stream.ledger().reached.map(|r| r.value));
         assert!((34.0..34.6).contains(&found), "{found}");
