@@ -10,6 +10,10 @@ use crate::{
     viewpoint::{Framing, Ring},
 };
 
+mod segments;
+
+pub use segments::{Point, Segment, segments};
+
 /// PSNR counts up to this, dB: beyond it images are equal to the eye and to 8 bits.
 pub const PSNR_CAP_DB: f64 = 99.0;
 
