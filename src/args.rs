@@ -110,6 +110,13 @@ fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value >= 0.0 && value.is_finite() => Ok(value),
+        _ => Err("a number of at least 0 is allowed".to_owned()),
+    }
+}
+
 /// A named set of format choices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum ProfileName {
@@ -247,9 +254,17 @@ pub struct Encode {
     /// How to encode it.
     #[command(flatten)]
     pub codec: CodecArgs,
-    /// Also measure render utilities and write them beside the stream (NAME.utility.json).
+    /// Also measure render utilities and write them beside the stream (NAME.utility.json); levels
+    /// that gain nothing are then not sent, as with --truncate 0.
     #[arg(long)]
     pub utility: bool,
+    /// Measure what levels gain and do not send those that gain less than this per byte (mean
+    /// distortion of the clip, MSE + 0.2 (1 - SSIM)); 0 drops what gains nothing (dgs1).
+    #[arg(long, value_name = "LAMBDA", value_parser = not_negative, allow_negative_numbers = true)]
+    pub truncate: Option<f64>,
+    /// Print bytes and PSNR per window and level (measuring cameras).
+    #[arg(long)]
+    pub table: bool,
 }
 
 /// `dgs inspect`.

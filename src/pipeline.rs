@@ -138,6 +138,25 @@ pub fn encode(scene: &Scene, options: &encode::Options, quiet: Quiet) -> Result<
     encode::encode(scene, options, &|stage, share| progress.stage(stage, share)).context("cannot encode")
 }
 
+/// `stream` without the levels that measuring cameras do not find worth `lambda` per byte.
+///
+/// # Errors
+/// If measuring or encoding fails.
+pub fn truncate(
+    scene: &Scene,
+    options: &encode::Options,
+    stream: &Stream,
+    lambda: f64,
+    quiet: Quiet,
+) -> Result<(Stream, utility::Truncated)> {
+    let (map, received) = (PacketMap::of(stream)?, stream.receive()?);
+    let how = utility::Options::complete(scene)?;
+    let table = utilities(scene, &received.content(), &map, &how, None, quiet)?;
+    let progress = Progress::new("encode", quiet.0);
+    let told = |stage, share| progress.stage(stage, share);
+    utility::truncate(scene, options, stream, &table, lambda, &told).context("cannot encode")
+}
+
 /// A stream from a `.dgs` file; what is damaged is told to `warn`.
 ///
 /// # Errors

@@ -125,6 +125,12 @@ pub enum EncodeError {
         /// Largest allowed.
         most: f64,
     },
+    /// A price of bytes is out of range.
+    #[error("truncation's lambda is {found}; a number of at least 0 is allowed")]
+    Lambda {
+        /// Value found.
+        found: f64,
+    },
     /// No coarseness meets the target.
     #[error("{option} is {wanted}; coarseness {coarseness}, the furthest allowed, reaches {reached}")]
     Unreachable {
