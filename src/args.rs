@@ -72,8 +72,17 @@ pub struct CodecArgs {
     #[arg(long, value_enum, default_value_t = ProfileName::Dgs1)]
     pub profile: ProfileName,
     /// Quantiser steps relative to the visually lossless default: 2 is twice as coarse.
-    #[arg(long, default_value_t = 1.0)]
+    #[arg(long, default_value_t = 1.0, group = "fineness")]
     pub coarseness: f32,
+    /// Choose the coarseness: at most this many bits per Gaussian on the wire, as close as possible.
+    #[arg(long, value_name = "BITS", group = "fineness", value_parser = positive, allow_negative_numbers = true)]
+    pub target_bits_per_gaussian: Option<f64>,
+    /// Choose the coarseness: at most this many bytes on the wire (manifest, packets and parity).
+    #[arg(long, value_name = "BYTES", group = "fineness", value_parser = clap::value_parser!(u64).range(1..))]
+    pub target_bytes: Option<u64>,
+    /// Choose the coarseness: at least this PSNR in dB from measuring (never held-out) cameras.
+    #[arg(long, value_name = "DB", group = "fineness", value_parser = positive, allow_negative_numbers = true)]
+    pub target_psnr: Option<f64>,
     /// Most Gaussians in a cluster.
     #[arg(long, default_value_t = 512)]
     pub cluster_size: usize,
@@ -97,6 +106,20 @@ pub struct CodecArgs {
     /// and demo].
     #[arg(long, value_parser = Protection::parse)]
     pub repair: Option<Protection>,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
+        _ => Err("a number above 0 is allowed".to_owned()),
+    }
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value >= 0.0 && value.is_finite() => Ok(value),
+        _ => Err("a number of at least 0 is allowed".to_owned()),
+    }
 }
 
 /// A named set of format choices.
@@ -236,9 +259,17 @@ pub struct Encode {
     /// How to encode it.
     #[command(flatten)]
     pub codec: CodecArgs,
-    /// Also measure render utilities and write them beside the stream (NAME.utility.json).
+    /// Also measure render utilities and write them beside the stream (NAME.utility.json); levels
+    /// that gain nothing are then not sent, as with --truncate 0.
     #[arg(long)]
     pub utility: bool,
+    /// Measure what levels gain and do not send those that gain less than this per byte (mean
+    /// distortion of the clip, MSE + 0.2 (1 - SSIM)); 0 drops what gains nothing (dgs1).
+    #[arg(long, value_name = "LAMBDA", value_parser = not_negative, allow_negative_numbers = true)]
+    pub truncate: Option<f64>,
+    /// Print bytes and PSNR per window and level (measuring cameras).
+    #[arg(long)]
+    pub table: bool,
 }
 
 /// `dgs inspect`.

@@ -192,6 +192,9 @@ pub(crate) fn codec_args(profile: ProfileName) -> CodecArgs {
     CodecArgs {
         profile,
         coarseness: 1.0,
+        target_bits_per_gaussian: None,
+        target_bytes: None,
+        target_psnr: None,
         cluster_size: 512,
         block_len: 64,
         window_frames: None,

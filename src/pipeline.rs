@@ -14,7 +14,7 @@ use emulator_host::{
 use render_host::{Camera, Settings};
 use trainer_host::{
     Attributes, Epoch, Scene, Stream, Track,
-    encode::{self, Protection, Quality},
+    encode::{self, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
     stream::{HostMemory, PacketMap, Player},
     utility,
@@ -118,6 +118,11 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::Options {
         window_frames: args.window_frames,
         rank: args.rank.unwrap_or(base.rank),
         quality: Quality::default().scaled(args.coarseness),
+        target: args
+            .target_bits_per_gaussian
+            .map(Target::BitsPerGaussian)
+            .or(args.target_bytes.map(Target::Bytes))
+            .or(args.target_psnr.map(Target::PsnrDb)),
         packet_bytes: args.packet_bytes,
         repair: match args.repair_set {
             Some(0) => Protection::NONE,
@@ -135,6 +140,25 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::Options {
 pub fn encode(scene: &Scene, options: &encode::Options, quiet: Quiet) -> Result<Stream> {
     let progress = Progress::new("encode", quiet.0);
     encode::encode(scene, options, &|stage, share| progress.stage(stage, share)).context("cannot encode")
+}
+
+/// `stream` without the levels that measuring cameras do not find worth `lambda` per byte.
+///
+/// # Errors
+/// If measuring or encoding fails.
+pub fn truncate(
+    scene: &Scene,
+    options: &encode::Options,
+    stream: &Stream,
+    lambda: f64,
+    quiet: Quiet,
+) -> Result<(Stream, utility::Truncated)> {
+    let (map, received) = (PacketMap::of(stream)?, stream.receive()?);
+    let how = utility::Options::complete(scene)?;
+    let table = utilities(scene, &received.content(), &map, &how, None, quiet)?;
+    let progress = Progress::new("encode", quiet.0);
+    let told = |stage, share| progress.stage(stage, share);
+    utility::truncate(scene, options, stream, &table, lambda, &told).context("cannot encode")
 }
 
 /// A stream from a `.dgs` file; what is damaged is told to `warn`.

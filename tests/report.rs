@@ -162,6 +162,7 @@ fn ledger() -> Ledger {
         parity_packets: 12,
         saturated: 5,
         shares: attributes.iter().flat_map(|(a, b)| (0..3).map(|l| share(*a, *b, l))).collect(),
+        ..Ledger::default()
     }
 }
 

@@ -2,10 +2,12 @@
 
 use std::time::Instant;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
+use codec_core::wire::manifest::Profile;
 use serde_json::json;
 use trainer_host::{
     encode::{Ledger, Protection},
+    judge::{self, Segment},
     stream::PacketMap,
     utility,
     viewpoint::{Framing, Ring},
@@ -23,7 +25,16 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let options = pipeline::encode_options(&args.codec, Protection::NONE);
     let start = Instant::now();
-    let stream = pipeline::encode(&loaded.scene, &options, quiet)?;
+    let mut stream = pipeline::encode(&loaded.scene, &options, quiet)?;
+    let mut truncated = None;
+    let lambda = args.truncate.or(args.utility.then_some(0.0));
+    if let Some(lambda) = lambda.filter(|_| options.profile == Profile::Dgs1) {
+        let found = pipeline::truncate(&loaded.scene, &options, &stream, lambda, quiet)?;
+        stream = found.0;
+        truncated = Some(found.1);
+    } else if args.truncate.is_some() {
+        bail!("--truncate: profile paper sends every level; profile dgs1 is allowed");
+    }
     let seconds = start.elapsed().as_secs_f64();
     let bytes = stream.to_bytes()?;
     let failed = || format!("{}: cannot write", args.out.display());
@@ -38,14 +49,32 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
         seconds,
         ledger_table(ledger)
     );
+    if let Some(t) = truncated {
+        text += &format!(
+            "  truncation at {}: {} of {} groups not sent, {:.0} bytes on the wire instead of {:.0}\n",
+            number(t.lambda),
+            t.dropped,
+            t.groups,
+            t.wire_after,
+            t.wire_before
+        );
+    }
     for note in &loaded.scene.notes {
         text += &format!("note: {note}\n");
     }
     let mut json = json!({
         "name": loaded.name, "out": args.out, "file_bytes": bytes.len(), "seconds": seconds,
-        "ledger": ledger, "notes": loaded.scene.notes,
+        "ledger": ledger, "parts": ledger.parts(), "notes": loaded.scene.notes,
         "bits_per_gaussian": ledger.bits_per_gaussian(), "bytes_per_frame": ledger.bytes_per_frame(),
     });
+    if let Some(truncated) = truncated {
+        json["truncated"] = json!(truncated);
+    }
+    if args.table {
+        let segments = judge::segments(&loaded.scene, &stream, 2)?;
+        text += &segment_table(&segments);
+        json["segments"] = json!(segments);
+    }
     if args.utility {
         let map = PacketMap::of(&stream)?;
         let received = stream.receive()?;
@@ -65,6 +94,23 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
         json["utility"] = json!({ "groups": table.groups.len(), "negative_mean": negative, "path": path });
     }
     Ok(Outcome { text, json, ..Outcome::default() })
+}
+
+/// Rate and distortion per segment for people.
+fn segment_table(segments: &[Segment]) -> String {
+    let mut text =
+        "  epoch window  frames          level  canonical     motion  cumulative   PSNR\n".to_owned();
+    for s in segments {
+        let window = s.window.map_or("-".to_owned(), |w| w.to_string());
+        let frames = format!("{}..{}", s.first_frame, s.first_frame + s.frames);
+        for (level, p) in s.levels.iter().enumerate() {
+            text += &format!(
+                "  {:>5} {window:>6}  {frames:<15} {level:>5} {:>10} {:>10}  {:>10}  {:>5.2}\n",
+                s.epoch, p.canonical_bytes, p.motion_bytes, p.cumulative_bytes, p.psnr_db
+            );
+        }
+    }
+    text
 }
 
 /// The accounting of a stream for people.
@@ -93,16 +139,23 @@ pub(super) fn ledger_table(ledger: &Ledger) -> String {
         100.0 * ledger.packetisation_overhead(),
         100.0 * ledger.robustness_premium(),
     );
+    if let Some(reached) = ledger.reached {
+        text += &format!(
+            "  {} {}: {} at coarseness {:.4}, {} encodings\n",
+            reached.target.name(),
+            number(reached.target.value()),
+            number(reached.value),
+            reached.coarseness,
+            reached.encodes
+        );
+    }
     if ledger.saturated > 0 {
         text += &format!("  {} values did not fit their symbol and were clamped\n", ledger.saturated);
     }
-    for share in &ledger.shares {
-        text += &format!(
-            "    {:16} level {}  {:>8.2} bits/Gaussian\n",
-            share.attribute,
-            share.level,
-            share.bits / ledger.gaussians.max(1) as f64
-        );
+    let gaussians = ledger.gaussians.max(1) as f64;
+    for part in ledger.parts() {
+        let (bits, bytes) = (part.bits / gaussians, part.bits / 8.0);
+        text += &format!("    {:38} {bits:>9.3} bits/Gaussian {bytes:>12.1} bytes\n", part.name);
     }
     text
 }

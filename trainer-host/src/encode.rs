@@ -9,14 +9,20 @@ mod parity;
 mod protection;
 mod statistics;
 mod steps;
+mod target;
 
-pub use ledger::{Ledger, Share};
+pub use ledger::{Ledger, Part, Share};
 pub use protection::{Protection, ProtectionError, Strength};
 pub use steps::Quality;
+pub use target::{COARSENESS, Reached, Target};
 
-use codec_core::{ids::PacketId, limits, wire::manifest::Profile};
+use codec_core::{
+    ids::{Level, PacketId},
+    limits,
+    wire::manifest::Profile,
+};
 
-use crate::{cluster, scene::Scene, stream::Stream};
+use crate::{cluster, judge::JudgeError, scene::Scene, stream::Stream};
 
 /// What to encode, and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,11 +39,16 @@ pub struct Options {
     pub rank: usize,
     /// Fineness of the quantisers.
     pub quality: Quality,
+    /// Scale `quality` until the stream meets this.
+    pub target: Option<Target>,
     /// Most entropy tables a stream's runs choose from, 1..=8 (`dgs1`): fewer take less memory of a
     /// receiver.
     pub menu: usize,
     /// Whether every block has a proxy in the manifest (`dgs1`).
     pub proxies: bool,
+    /// The highest level sent of each cell of the lattice, canonical cells first (`dgs1`); cells past the
+    /// end are sent whole.
+    pub tops: Vec<Level>,
     /// Largest packet, header and CRC included, bytes (`dgs1`); 200..=1226.
     pub packet_bytes: usize,
     /// Parity per kind of packets.
@@ -55,8 +66,10 @@ impl Default for Options {
             window_frames: None,
             rank: 8,
             quality: Quality::default(),
+            target: None,
             menu: limits::MAX_MENU,
             proxies: true,
+            tops: Vec::new(),
             packet_bytes: limits::DEFAULT_PACKET_BYTES,
             repair: Protection::NONE,
             keep_invisible: false,
@@ -83,6 +96,7 @@ impl Options {
         within("menu", self.menu, 1, limits::MAX_MENU)?;
         within("packet_bytes", self.packet_bytes, 200, 1226)?;
         within("cluster.max_gaussians", self.cluster.max_gaussians, 1, limits::MAX_CLUSTER_LEN)?;
+        self.target.map_or(Ok(()), Target::check)?;
         self.repair.strengths().try_for_each(|strength| {
             within("repair.set_len", strength.set_len.into(), 2, limits::MAX_REPAIR_SET)?;
             within("repair.parity", strength.parity.into(), 1, limits::MAX_REPAIR_PARITY)
@@ -105,6 +119,37 @@ pub enum EncodeError {
         /// Largest allowed.
         high: usize,
     },
+    /// A target is out of range.
+    #[error("option {option} is {found}; a number above 0 and up to {most} is allowed")]
+    Target {
+        /// Which target.
+        option: &'static str,
+        /// Value found.
+        found: f64,
+        /// Largest allowed.
+        most: f64,
+    },
+    /// A price of bytes is out of range.
+    #[error("truncation's lambda is {found}; a number of at least 0 is allowed")]
+    Lambda {
+        /// Value found.
+        found: f64,
+    },
+    /// No coarseness meets the target.
+    #[error("{option} is {wanted}; coarseness {coarseness}, the furthest allowed, reaches {reached}")]
+    Unreachable {
+        /// Which target.
+        option: &'static str,
+        /// Value asked for.
+        wanted: f64,
+        /// The closest value, in the target's unit.
+        reached: f64,
+        /// Its coarseness.
+        coarseness: f32,
+    },
+    /// A picture of the stream could not be compared with the scene's.
+    #[error(transparent)]
+    Judge(#[from] JudgeError),
     /// The scene exceeds a bound of the format.
     #[error("the scene has {found} {what}; the format holds up to {most}")]
     Bound {
@@ -128,10 +173,19 @@ pub type Progress<'p> = &'p (dyn Fn(&'static str, f64) + Sync);
 /// Deterministic: equal scenes and options give equal bytes on any number of threads.
 ///
 /// # Errors
-/// An option out of range, or a scene beyond the bounds of the format.
+/// An option out of range, a scene beyond the bounds of the format, or a target that no coarseness
+/// meets.
 pub fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
     options.check()?;
     check_scene(scene)?;
+    match options.target {
+        Some(target) => target::encode(scene, options, target, progress),
+        None => once(scene, options, progress),
+    }
+}
+
+/// Encodes `scene` at the quality of `options`, whatever their target.
+fn once(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
     match options.profile {
         Profile::Dgs1 => {
             // A block whose symbols do not fit one packet is halved until they do.

@@ -16,6 +16,7 @@ pub mod encode;
 pub mod export;
 pub mod factorise;
 pub mod import;
+pub mod judge;
 pub mod scene;
 pub mod stream;
 pub mod utility;

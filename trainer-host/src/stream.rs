@@ -16,7 +16,10 @@ use codec_core::{
     },
 };
 
-use crate::{encode::Ledger, scene::Instant};
+use crate::{
+    encode::{Ledger, Part, Reached},
+    scene::Instant,
+};
 
 /// A manifest and its packets.
 #[derive(Clone, Debug)]
@@ -72,22 +75,28 @@ impl std::fmt::Display for Damage {
 }
 
 impl Stream {
-    /// Seals `raw` (an unpacked manifest body) and joins it with its packets. `order` gives, per
-    /// epoch, the source index of each decoded Gaussian.
+    /// Seals `raw` (an unpacked manifest body of `sections`) and joins it with its packets. `order`
+    /// gives, per epoch, the source index of each decoded Gaussian.
     ///
     /// # Errors
     /// If the manifest cannot be sealed.
     pub(crate) fn seal(
         raw: Vec<u8>,
+        sections: &[Section],
         packets: Vec<Vec<u8>>,
         order: Vec<Vec<u32>>,
         mut ledger: Ledger,
     ) -> error::Result<Self> {
-        let mut message = vec![0u8; codec_core::pack::packed_bound(raw.len()).min(raw.len() * 2 + 4096)];
-        let len = manifest::seal(&raw, &mut message)?;
-        message.truncate(len);
-        ledger.manifest = len as f64;
+        let message = sealed(&raw)?;
+        ledger.manifest = message.len() as f64;
+        ledger.manifest_parts = manifest_parts(&raw, sections, message.len())?;
         Ok(Self { message, raw, packets, order, ledger })
+    }
+
+    /// The same with what its ledger says of the target.
+    pub(crate) fn with_reached(mut self, reached: Reached) -> Self {
+        self.ledger.reached = Some(reached);
+        self
     }
 
     /// The DGSM message.
@@ -192,6 +201,40 @@ impl Stream {
         };
         Ok(Received { manifest, memory, counters })
     }
+}
+
+/// Name and first byte of a section of a manifest body.
+pub(crate) type Section = (&'static str, usize);
+
+fn sealed(raw: &[u8]) -> error::Result<Vec<u8>> {
+    let mut message = vec![0u8; codec_core::pack::packed_bound(raw.len()).min(raw.len() * 2 + 4096)];
+    let len = manifest::seal(raw, &mut message)?;
+    message.truncate(len);
+    Ok(message)
+}
+
+/// What each section takes of a manifest of `len` bytes: header and CRC apart, the packed body is
+/// shared out in proportion to what the message shrinks by when it is packed without the section.
+fn manifest_parts(raw: &[u8], sections: &[Section], len: usize) -> error::Result<Vec<Part>> {
+    let mut shrinks = Vec::new();
+    for (i, &(name, start)) in sections.iter().enumerate() {
+        let end = sections.get(i + 1).map_or(raw.len(), |next| next.1);
+        let without = [&raw[..start], &raw[end..]].concat();
+        let shrinks_by = if start == end { 0 } else { len.saturating_sub(sealed(&without)?.len()) };
+        shrinks.push((name, shrinks_by));
+    }
+    let total: usize = shrinks.iter().map(|s| s.1).sum();
+    let frame = (manifest::HEADER_BYTES + 4) as f64;
+    let mut parts = vec![Part { name: "manifest header and CRC".into(), bits: 8.0 * frame }];
+    parts.extend(shrinks.into_iter().filter(|s| s.1 > 0).map(|(name, by)| {
+        let share = by as f64 / total as f64;
+        Part { name: format!("manifest {name}"), bits: 8.0 * share * (len as f64 - frame) }
+    }));
+    let named: f64 = parts.iter().map(|p| p.bits).sum();
+    if total == 0 {
+        parts.push(Part { name: "manifest body".into(), bits: 8.0 * len as f64 - named });
+    }
+    Ok(parts)
 }
 
 /// Everything a receiver decoded, on the host's heap.

@@ -25,6 +25,9 @@ use crate::{
 use pictures::Pictures;
 
 mod pictures;
+mod worth;
+
+pub use worth::{Truncated, group_bytes, tops, truncate};
 
 /// How to measure.
 #[derive(Clone, Debug)]
@@ -39,6 +42,8 @@ pub struct Options {
     pub alpha: f64,
     /// Weight β of the interaction deviation.
     pub beta: f64,
+    /// Measure with everything else arrived, instead of in random states.
+    pub complete: bool,
     /// Seed of the contexts.
     pub seed: u64,
     /// Render settings.
@@ -55,6 +60,7 @@ impl Options {
             frames_per_span: 1,
             alpha: 0.25,
             beta: 0.05,
+            complete: false,
             seed: 1,
             settings: Settings::default(),
         }
@@ -155,10 +161,11 @@ pub fn measure(
     let cameras = options.cameras.len();
     Ok(Table {
         protocol: format!(
-            "paired renders, D = MSE + 0.20 (1 - SSIM), {cameras} cameras at {}x{}, {} contexts, {} frames per span, alpha {}, beta {}, seed {}",
+            "paired renders, D = MSE + 0.20 (1 - SSIM), {cameras} cameras at {}x{}, {} {}contexts, {} frames per span, alpha {}, beta {}, seed {}",
             options.cameras[0].width(),
             options.cameras[0].height(),
             options.contexts,
+            if options.complete { "complete " } else { "" },
             options.frames_per_span,
             options.alpha,
             options.beta,
@@ -249,7 +256,8 @@ fn span_samples(
         let reference = render(splats, &options.cameras[camera], &options.settings, &mut Renderer::new())?;
         shots.push(Shot { frame, camera, reference });
     }
-    let mut state = random_state(map, &mut rng, content);
+    let mut state =
+        if options.complete { content.blocks.to_vec() } else { random_state(map, &mut rng, content) };
     let mut player = Player::new(manifest);
     let mut samples = Vec::new();
     for shot in &shots {

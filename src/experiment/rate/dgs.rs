@@ -25,7 +25,7 @@ pub fn paper(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Co
 
 /// The stream of `scene` in `profile`, steps times `coarseness`, without repair.
 pub fn stream(scene: &Scene, profile: ProfileName, coarseness: f32) -> Result<Stream> {
-    let options = pipeline::encode_options(&codec_args(profile), 0);
+    let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
     let quality = options.quality.scaled(coarseness);
     pipeline::encode(scene, &trainer_host::encode::Options { quality, ..options }, Quiet(true))
 }

@@ -1,6 +1,7 @@
 //! Encoding in profile `dgs1`.
 
 mod canonical;
+mod cut;
 mod gauge;
 mod motion;
 mod need;
@@ -13,6 +14,7 @@ use codec_core::{
     gaussian::ShDegree,
     ids::{EpochId, Level, Span, WindowId},
     quant::Class,
+    rans::lanes::STATES_BYTES,
     wire::{
         manifest::{self, Head, Manifest, Profile, Proxy, Quant, Repair, stream},
         packet::PARITY_OVERHEAD_BYTES,
@@ -29,7 +31,7 @@ use super::{
 use crate::{
     cluster,
     scene::{Epoch, Scene},
-    stream::Stream,
+    stream::{Section, Stream},
 };
 
 /// One epoch, quantised.
@@ -75,6 +77,7 @@ pub(super) fn encode(
         plans.push(plan(epoch.frames(), first_frame, members, canonical, windows, proxies));
         first_frame += epoch.frames();
     }
+    cut::cut(&mut plans, &options.tops);
     progress("entropy-code", 0.0);
     let streams = streams(&plans);
     let model = streams.model(options.menu)?;
@@ -97,6 +100,7 @@ pub(super) fn encode(
         for proto in protos {
             let bytes = proto.write(packet_id(packets.len())?)?;
             ledger.payload += proto.body_len() as f64;
+            ledger.states += STATES_BYTES as f64;
             ledger.headers += (bytes.len() - proto.body_len() - 4) as f64;
             ledger.crc += 4.0;
             packets.push(bytes);
@@ -105,10 +109,10 @@ pub(super) fn encode(
     }
     ledger.packets = packets.len() as u64;
     parity::append(&mut repairs, &mut packets, &mut ledger)?;
-    let raw = body(scene, &plans, &model, &repairs, packets.len(), options);
+    let (raw, sections) = body(scene, &plans, &model, &repairs, packets.len(), options);
     Manifest::parse(&raw)?;
     let order = plans.into_iter().map(|p| p.order).collect();
-    Stream::seal(raw, packets, order, ledger).map_err(EncodeError::Format)
+    Stream::seal(raw, &sections, packets, order, ledger).map_err(EncodeError::Format)
 }
 
 /// Clusters that a trial takes, about.
@@ -257,7 +261,10 @@ fn ledger(scene: &Scene, plans: &[EpochPlan], streams: &Streams<'_>, model: &Mod
     for (_, cells) in spans(plans) {
         for cell in cells {
             runs(cell, |level, stream, symbols| {
-                let (_, bits) = model.choose(stream, symbols);
+                let (choice, bits) = model.choose(stream, symbols);
+                let (_, _, code_bits) = model.code(stream, choice);
+                let bits = bits - f64::from(code_bits);
+                ledger.selectors += f64::from(code_bits) / 8.0;
                 ledger.symbols += symbols.len() as u64;
                 let (attribute, level) = (name(stream), level.get());
                 let found = ledger.shares.iter_mut().find(|s| s.attribute == attribute && s.level == level);
@@ -271,11 +278,11 @@ fn ledger(scene: &Scene, plans: &[EpochPlan], streams: &Streams<'_>, model: &Mod
     ledger.raw_symbols = 2.0 * ledger.symbols as f64;
     ledger.empirical_entropy = streams.entropy_bits() / 8.0;
     let bits: f64 = ledger.shares.iter().map(|s| s.bits).sum();
-    ledger.monolithic = (bits / 8.0).ceil() + 16.0;
+    ledger.monolithic = (bits / 8.0 + ledger.selectors).ceil() + STATES_BYTES as f64;
     ledger
 }
 
-/// The unpacked manifest body.
+/// The unpacked manifest body, and where its sections begin.
 fn body(
     scene: &Scene,
     plans: &[EpochPlan],
@@ -283,7 +290,7 @@ fn body(
     repairs: &[Repair],
     packets: usize,
     options: &Options,
-) -> Vec<u8> {
+) -> (Vec<u8>, Vec<Section>) {
     let windows: usize = plans.iter().map(|p| p.windows.len()).sum();
     let clusters: usize = plans.iter().map(|p| p.clusters.len()).sum();
     let degree = scene.epochs().iter().map(|e| e.attributes().sh_degree).max().unwrap_or(ShDegree::ZERO);
@@ -314,6 +321,8 @@ fn body(
         basis_values: basis_values as u32,
         transform_values: 0,
     };
+    let mut sections = Vec::new();
+    sections.push(("head, epochs, windows", out.len()));
     out.extend(head.to_bytes());
     let (mut first_cluster, mut first_window) = (0, 0);
     for plan in plans {
@@ -337,26 +346,34 @@ fn body(
             basis_first += (window.basis.len() * window.frames) as u32;
         }
     }
+    sections.push(("clusters", out.len()));
     for plan in plans {
         let quant = distinct.iter().position(|q| *q == plan.quant).unwrap_or(0) as u8;
         for cluster in &plan.clusters {
             out.extend(manifest::Cluster { quant, ..*cluster }.to_bytes());
         }
     }
+    sections.push(("motions", out.len()));
     for window in plans.iter().flat_map(|p| &p.windows) {
         window.cells.iter().for_each(|cell| out.extend(cell.shape.motion.to_bytes()));
     }
+    sections.push(("quantisers", out.len()));
     distinct.iter().for_each(|q| q.write(|bytes| out.extend_from_slice(bytes)));
+    sections.push(("menus", out.len()));
     model.menus.iter().for_each(|menu| out.extend(menu.to_bytes()));
+    sections.push(("repair ranges", out.len()));
     repairs.iter().for_each(|r| out.extend(r.to_bytes()));
+    sections.push(("basis", out.len()));
     for vector in plans.iter().flat_map(|p| &p.windows).flat_map(|w| &w.basis) {
         vector.iter().for_each(|v| out.extend(v.to_le_bytes()));
     }
+    sections.push(("proxies", out.len()));
     for plane in 0..Proxy::BYTES {
         out.extend(plans.iter().flat_map(|p| &p.proxies).map(|p| p.to_bytes()[plane]));
     }
+    sections.push(("tables", out.len()));
     model.tables.iter().for_each(|t| t.write(|bytes| out.extend_from_slice(bytes)));
-    out
+    (out, sections)
 }
 
 /// Distinct quantisation profiles, in order of appearance. Steps lie on a coarse ladder, so even

@@ -1,5 +1,7 @@
 //! Where every byte went: the paper's accounting table, for any stream.
 
+use super::Reached;
+
 /// The byte cost of each part of a stream. All in bytes unless named otherwise.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Ledger {
@@ -35,8 +37,17 @@ pub struct Ledger {
     pub parity_packets: u64,
     /// Values that did not fit their symbol and were clamped.
     pub saturated: u64,
-    /// Estimated payload by stream: name, level, bits.
+    /// Of the payload, code words that select tables.
+    pub selectors: f64,
+    /// Of the payload, states of the coder's lanes.
+    pub states: f64,
+    /// The manifest section by section.
+    pub manifest_parts: Vec<Part>,
+    /// Payload by attribute and level as its tables price it: raw bits and escapes included, code
+    /// words not.
     pub shares: Vec<Share>,
+    /// How the target was met, if there was one.
+    pub reached: Option<Reached>,
 }
 
 /// Payload that one attribute takes at one level.
@@ -50,7 +61,52 @@ pub struct Share {
     pub bits: f64,
 }
 
+/// A part of what is on the wire.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct Part {
+    /// What it is.
+    pub name: String,
+    /// Bits.
+    pub bits: f64,
+}
+
 impl Ledger {
+    /// Bits by which the payload exceeds what its own tables price it at, code words and lane states
+    /// apart: rounding to bytes, probabilities as the coder rounds them, less what the final states
+    /// hold. 0 where shares are not known.
+    pub fn coder_gap(&self) -> f64 {
+        if self.shares.is_empty() {
+            return 0.0;
+        }
+        let priced: f64 = self.shares.iter().map(|s| s.bits).sum();
+        8.0 * (self.payload - self.selectors - self.states) - priced
+    }
+
+    /// All parts, which together are [`Ledger::wire`], with nothing twice.
+    pub fn parts(&self) -> Vec<Part> {
+        let part = |name: &str, bytes: f64| Part { name: name.into(), bits: 8.0 * bytes };
+        let mut parts = Vec::new();
+        if self.shares.is_empty() {
+            parts.push(part("payload", self.payload));
+        } else {
+            let name = |s: &Share| format!("{} level {}", s.attribute, s.level);
+            parts.extend(self.shares.iter().map(|s| Part { name: name(s), bits: s.bits }));
+            parts.push(part("selectors", self.selectors));
+            parts.push(part("lane states", self.states));
+            parts.push(Part { name: "coder gap".into(), bits: self.coder_gap() });
+        }
+        parts.push(part("headers", self.headers));
+        parts.push(part("dependencies", self.dependencies));
+        parts.push(part("CRC", self.crc));
+        parts.push(part("repair", self.parity));
+        match &self.manifest_parts[..] {
+            [] => parts.push(part("manifest", self.manifest)),
+            sections => parts.extend_from_slice(sections),
+        }
+        parts.retain(|p| p.bits != 0.0);
+        parts
+    }
+
     /// Bytes of all packets and the manifest.
     pub fn wire(&self) -> f64 {
         self.payload + self.headers + self.dependencies + self.crc + self.parity + self.manifest
@@ -75,5 +131,45 @@ impl Ledger {
     /// Bytes on the wire per frame.
     pub fn bytes_per_frame(&self) -> f64 {
         self.wire() / (self.frames.max(1)) as f64
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{
+        encode::{Options, encode},
+        import::{
+            Limits,
+            synth::{self, Kind},
+        },
+    };
+
+    #[test]
+    fn the_parts_are_the_whole() {
+        for kind in [Kind::Figure, Kind::Balls] {
+            let options = synth::Options { gaussians: 1500, frames: 40, kind, ..Default::default() };
+            let scene = synth::make(&options, &Limits::default()).unwrap();
+            let repaired = Options { repair_set: Some(4), ..Options::default() };
+            for options in [repaired, Options::default(), Options::paper()] {
+                let stream = encode(&scene, &options, &|_, _| {}).unwrap();
+                let sent = stream.message().len() + stream.packets().iter().map(Vec::len).sum::<usize>();
+                let ledger = stream.ledger();
+                assert_eq!(ledger.wire(), sent as f64);
+                let parts = ledger.parts();
+                let sum: f64 = parts.iter().map(|p| p.bits).sum();
+                assert!((sum - 8.0 * sent as f64).abs() < 1e-6, "{sum} of {}", 8 * sent);
+                let manifest: f64 =
+                    parts.iter().filter(|p| p.name.starts_with("manifest")).map(|p| p.bits).sum();
+                assert!((manifest - 8.0 * ledger.manifest).abs() < 1e-6);
+                // What is left over after pricing is small: the prices are the coder's.
+                let gap = ledger.coder_gap();
+                assert!(gap > -128.0 * ledger.packets as f64, "{gap}");
+                assert!(gap < 0.01 * 8.0 * ledger.payload + 16.0 * ledger.packets as f64, "{gap}");
+                let mut names: Vec<&str> = parts.iter().map(|p| p.name.as_str()).collect();
+                names.sort_unstable();
+                names.dedup();
+                assert_eq!(names.len(), parts.len());
+            }
+        }
     }
 }

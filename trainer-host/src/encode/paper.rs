@@ -128,7 +128,7 @@ pub(super) fn encode(
     let raw = body(scene, &plans, &groups, &quants, &repairs, packets.len());
     Manifest::parse(&raw)?;
     let order = plans.iter().map(|p| p.members.concat()).collect();
-    Stream::seal(raw, packets, order, ledger).map_err(EncodeError::Format)
+    Stream::seal(raw, &[], packets, order, ledger).map_err(EncodeError::Format)
 }
 
 fn plan(epoch: &Epoch, first_frame: usize, options: &Options) -> Result<EpochPlan, EncodeError> {

@@ -93,7 +93,11 @@ impl Grid {
         let extent = (0..3).map(|d| high[d] - low[d]).fold(0.0f32, f32::max);
         let least = (extent / (BASE_INDEX_SPAN * base_ratio)).max(1e-7);
         let origin = [0, 1, 2].map(|d| low[d] + (high[d] - low[d]) * 0.5);
-        Self { origin, step: ladder((quality.position * size).max(least * 1.2)) }
+        // The ladder is for what differs between epochs; the caller's coarseness moves all rungs alike,
+        // so that rate control finds no stairs.
+        let usual = Quality::default().position;
+        let step = ladder(usual * size) * (quality.position / usual);
+        Self { origin, step: step.max(ladder(least * 1.2)) }
     }
 }
 

@@ -1,0 +1,271 @@
+//! Rate control: the coarseness at which a stream has a given size or quality.
+//!
+//! Coarser steps give fewer bytes and a lower PSNR, nearly linearly in logarithms, so a bracketed
+//! secant on the logarithm of the coarseness needs few encodings. What is returned has been
+//! encoded and measured, so a stream that is not quite monotone costs closeness, never the promise.
+
+use super::{EncodeError, Options, Progress, once};
+use crate::{
+    judge::{Judge, spread},
+    scene::Scene,
+    stream::Stream,
+};
+
+/// What an encoding must meet.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub enum Target {
+    /// At most this many bits on the wire per Gaussian of the scene, above 0.
+    BitsPerGaussian(f64),
+    /// At most this many bytes on the wire: manifest, packets and parity, at least 1.
+    Bytes(u64),
+    /// At least this PSNR in dB, above 0 and at most 99: mean over measuring cameras and frames spread
+    /// over the clip.
+    PsnrDb(f64),
+}
+
+/// How a target was met.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Reached {
+    /// What was asked for.
+    pub target: Target,
+    /// Factor on the steps of [`Options::quality`].
+    pub coarseness: f32,
+    /// Encodings it took.
+    pub encodes: usize,
+    /// Of the stream, in the target's unit: bits per Gaussian, bytes or dB.
+    pub value: f64,
+}
+
+/// Finest and coarsest factor on the steps that is tried.
+pub const COARSENESS: (f32, f32) = (1.0 / 16.0, 64.0);
+/// Most encodings of a search.
+const MOST: usize = 8;
+/// Frames a PSNR is measured on.
+const FRAMES: u32 = 4;
+/// Sizes within this share below the target are close enough.
+const CLOSE: f64 = 0.02;
+/// As is a PSNR within this many dB above it.
+const CLOSE_DB: f64 = 0.3;
+
+impl Target {
+    /// The option's name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::BitsPerGaussian(_) => "target_bits_per_gaussian",
+            Self::Bytes(_) => "target_bytes",
+            Self::PsnrDb(_) => "target_psnr",
+        }
+    }
+
+    /// The number asked for.
+    pub const fn value(self) -> f64 {
+        match self {
+            Self::BitsPerGaussian(v) | Self::PsnrDb(v) => v,
+            Self::Bytes(v) => v as f64,
+        }
+    }
+
+    pub(super) fn check(self) -> Result<(), EncodeError> {
+        let most = if matches!(self, Self::PsnrDb(_)) { crate::judge::PSNR_CAP_DB } else { f64::MAX };
+        let (option, found) = (self.name(), self.value());
+        if found > 0.0 && found <= most {
+            return Ok(());
+        }
+        Err(EncodeError::Target { option, found, most })
+    }
+
+    /// Excess of `value` over what is allowed: logarithm of a size's ratio, or dB that lack.
+    fn excess(self, value: f64) -> f64 {
+        match self {
+            Self::PsnrDb(wanted) => wanted - value,
+            _ => (value / self.value()).ln(),
+        }
+    }
+}
+
+/// Encodes `scene` at the coarseness that comes closest to `target` without missing it.
+pub(super) fn encode(
+    scene: &Scene,
+    options: &Options,
+    target: Target,
+    progress: Progress<'_>,
+) -> Result<Stream, EncodeError> {
+    let judge = match target {
+        Target::PsnrDb(_) => Some(Judge::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?),
+        _ => None,
+    };
+    // Towards the allowed side is coarser for sizes and finer for PSNR.
+    let sign = if judge.is_some() { -1.0 } else { 1.0 };
+    let (finest, coarsest) = (f64::from(COARSENESS.0).ln(), f64::from(COARSENESS.1).ln());
+    let search = Search {
+        low: if sign > 0.0 { finest } else { -coarsest },
+        high: if sign > 0.0 { coarsest } else { -finest },
+        slope: if sign > 0.0 { 0.25 } else { 6.0 },
+        close: if sign > 0.0 { CLOSE } else { CLOSE_DB },
+    };
+    let found = search.run(|at| {
+        let coarseness = (sign * at).exp() as f32;
+        let quality = options.quality.scaled(coarseness);
+        let stream = once(scene, &Options { quality, target: None, ..options.clone() }, progress)?;
+        let value = match (target, &judge) {
+            (Target::BitsPerGaussian(_), _) => stream.ledger().bits_per_gaussian(),
+            (Target::PsnrDb(_), Some(judge)) => judge.whole(&stream)?,
+            _ => stream.ledger().wire(),
+        };
+        Ok::<_, EncodeError>((target.excess(value), (stream, coarseness, value)))
+    })?;
+    let (stream, coarseness, value) = found.what;
+    if found.excess > 0.0 {
+        return Err(EncodeError::Unreachable {
+            option: target.name(),
+            wanted: target.value(),
+            reached: value,
+            coarseness,
+        });
+    }
+    Ok(stream.with_reached(Reached { target, coarseness, encodes: found.tries, value }))
+}
+
+/// A search for the least place whose excess, which falls from left to right, is at most zero.
+struct Search {
+    low: f64,
+    high: f64,
+    /// Guess of how fast the excess falls.
+    slope: f64,
+    /// An excess of no less than minus this ends the search.
+    close: f64,
+}
+
+/// The best place measured.
+struct Found<T> {
+    excess: f64,
+    what: T,
+    tries: usize,
+}
+
+impl Search {
+    /// Starts at 0; if nothing fits, the answer is the place that exceeds least.
+    fn run<T, E>(&self, mut measure: impl FnMut(f64) -> Result<(f64, T), E>) -> Result<Found<T>, E> {
+        let mut at = 0f64.clamp(self.low, self.high);
+        let (excess, what) = measure(at)?;
+        let mut best = Found { excess, what, tries: 1 };
+        let (mut fits, mut exceeds) = (None, None);
+        let (mut last, mut slope) = ((at, excess), self.slope);
+        loop {
+            *(if last.1 <= 0.0 { &mut fits } else { &mut exceeds }) = Some(last);
+            let close = best.excess <= 0.0 && best.excess >= -self.close;
+            let next = self.next(fits, exceeds, slope, MOST - best.tries);
+            let Some(next) = next.filter(|_| !close && best.tries < MOST) else { return Ok(best) };
+            at = next;
+            let (excess, what) = measure(at)?;
+            let tries = best.tries + 1;
+            let closer = match (excess <= 0.0, best.excess <= 0.0) {
+                (true, true) => excess > best.excess,
+                (fits, best_fits) => fits || !best_fits && excess < best.excess,
+            };
+            best = if closer { Found { excess, what, tries } } else { Found { tries, ..best } };
+            let found = (last.1 - excess) / (at - last.0);
+            slope = if found.is_finite() { found.clamp(self.slope / 8.0, self.slope * 4.0) } else { slope };
+            last = (at, excess);
+        }
+    }
+
+    /// Where to measure next with `left` tries left, if anywhere.
+    fn next(
+        &self,
+        fits: Option<(f64, f64)>,
+        exceeds: Option<(f64, f64)>,
+        slope: f64,
+        left: usize,
+    ) -> Option<f64> {
+        let wanted = -0.4 * self.close;
+        let along = |(at, excess): (f64, f64)| at + ((excess - wanted) / slope).clamp(-2.0, 2.0);
+        match (exceeds, fits) {
+            (Some(a), Some(b)) => {
+                let width = b.0 - a.0;
+                let share = ((a.1 - wanted) / (a.1 - b.1)).clamp(0.08, 0.92);
+                // Where the line misleads, halves.
+                let share = if left <= 2 { 0.5 * (share + 0.5) } else { share };
+                (width > 1e-4).then_some(a.0 + share * width)
+            }
+            (Some(a), None) if a.0 >= self.high => None,
+            // The last try but two goes to the end, where it is decided whether anything fits.
+            (Some(_), None) if left <= 3 => Some(self.high),
+            (Some(a), None) => Some(along(a).clamp(a.0 + 0.02, self.high)),
+            (None, Some(b)) if b.0 <= self.low => None,
+            (None, Some(b)) => Some(along(b).min(b.0 - 0.02).max(self.low)),
+            (None, None) => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::import::{
+        Limits,
+        synth::{self, Kind},
+    };
+
+    fn scene() -> Scene {
+        let options = synth::Options { gaussians: 1000, frames: 4, kind: Kind::Figure, ..Default::default() };
+        synth::make(&options, &Limits::default()).unwrap()
+    }
+
+    fn encoded(target: Target) -> Result<Stream, EncodeError> {
+        let options = Options { target: Some(target), ..Options::default() };
+        super::super::encode(&scene(), &options, &|_, _| {})
+    }
+
+    #[test]
+    fn sizes_are_met_closely_and_never_exceeded() {
+        for factor in [0.5, 1.7] {
+            let free = super::super::encode(&scene(), &Options::default(), &|_, _| {}).unwrap();
+            let wanted = (free.ledger().wire() * factor) as u64;
+            let stream = encoded(Target::Bytes(wanted)).unwrap();
+            let sent: usize = stream.message().len() + stream.packets().iter().map(Vec::len).sum::<usize>();
+            assert_eq!(stream.ledger().wire(), sent as f64);
+            assert!(sent as u64 <= wanted && sent as f64 > 0.96 * wanted as f64, "{sent} of {wanted}");
+            let reached = stream.ledger().reached.unwrap();
+            assert!(reached.encodes <= MOST && (reached.coarseness > 1.0) == (factor < 1.0), "{reached:?}");
+        }
+        let bits = encoded(Target::BitsPerGaussian(120.0)).unwrap().ledger().bits_per_gaussian();
+        assert!((114.0..=120.0).contains(&bits), "{bits}");
+    }
+
+    #[test]
+    fn a_psnr_is_reached_and_not_much_more() {
+        let stream = encoded(Target::PsnrDb(34.0)).unwrap();
+        let judge = Judge::measuring(&scene(), spread(0, 4, FRAMES)).unwrap();
+        let found = judge.whole(&stream).unwrap();
+        assert_eq!(Some(found), stream.ledger().reached.map(|r| r.value));
+        assert!((34.0..34.6).contains(&found), "{found}");
+    }
+
+    #[test]
+    fn what_cannot_be_met_says_what_can() {
+        let error = encoded(Target::Bytes(100)).unwrap_err();
+        let EncodeError::Unreachable { option, wanted, reached, coarseness } = error else {
+            panic!("{error}");
+        };
+        assert_eq!((option, wanted, coarseness), ("target_bytes", 100.0, COARSENESS.1));
+        assert!(reached > 100.0);
+        for target in [Target::Bytes(0), Target::PsnrDb(f64::NAN), Target::PsnrDb(120.0)] {
+            assert!(matches!(encoded(target), Err(EncodeError::Target { .. })));
+        }
+    }
+
+    /// A stair and a bent line: the answer fits, and no step of the stair that fits lies above it.
+    #[test]
+    fn the_search_keeps_its_promise_on_stairs() {
+        let search = Search { low: -2.7, high: 4.1, slope: 0.25, close: 0.02 };
+        for wanted in [-0.5, -0.3, 0.0, 0.4] {
+            let stair = |u: f64| -0.02 * (10.0 * u).floor() + 0.01 * u * u - wanted;
+            let found = search.run(|u| Ok::<_, ()>((stair(u), u))).unwrap();
+            assert!(found.excess <= 0.0 && found.tries <= MOST, "{wanted} {}", found.excess);
+            assert!(found.excess > -0.045 || found.what == -2.7, "{wanted} {}", found.excess);
+        }
+        let never = search.run(|u| Ok::<_, ()>((9.0 - u, u))).unwrap();
+        assert_eq!((never.what, never.excess > 0.0), (4.1, true));
+    }
+}

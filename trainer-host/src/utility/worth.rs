@@ -1,0 +1,207 @@
+//! Which levels are worth their bytes: the last step of rate against distortion.
+
+use codec_core::{
+    ids::{Level, Span},
+    receiver::Content,
+};
+
+use super::{Options, Table};
+use crate::{
+    encode::{self, EncodeError, Progress, Quality},
+    scene::Scene,
+    stream::{PacketMap, Stream},
+    viewpoint::{Framing, Ring},
+};
+
+impl Options {
+    /// How to measure what levels are worth once everything is there: in the complete state, one
+    /// context per camera of two measuring rings, 20° above and 20° below the horizon; y is up.
+    ///
+    /// # Errors
+    /// None in practice: the size is one that cameras accept.
+    pub fn complete(scene: &Scene) -> Result<Self, super::UtilityError> {
+        let mut cameras = Vec::new();
+        for up in [1.0, -1.0] {
+            let ring = Framing::of(scene, [0.0, up, 0.0]).ring(Ring::Measuring, 4, (160, 160));
+            cameras.extend(ring.map_err(|e| super::UtilityError::Render(e.to_string()))?);
+        }
+        let contexts = cameras.len();
+        Ok(Self { contexts, complete: true, ..Self::paper(cameras) })
+    }
+}
+
+/// Bytes that each group of [`PacketMap::groups`] takes: of each packet in proportion to symbols.
+pub fn group_bytes(stream: &Stream, map: &PacketMap) -> Vec<f64> {
+    let index: std::collections::BTreeMap<_, usize> =
+        map.groups().iter().enumerate().map(|(i, (group, _))| (*group, i)).collect();
+    let mut bytes = vec![0.0; map.groups().len()];
+    for (id, packet) in stream.packets().iter().enumerate() {
+        let marks = map.marks(id);
+        let symbols: usize = marks.iter().map(|m| m.symbols).sum();
+        for mark in marks {
+            if let Some(&at) = index.get(&mark.group) {
+                bytes[at] += packet.len() as f64 * mark.symbols as f64 / symbols.max(1) as f64;
+            }
+        }
+    }
+    bytes
+}
+
+/// The highest level of each cell that is worth sending at `lambda`: where the sum over the levels
+/// of gain − λ · bytes is largest, the lowest of equals. Gain is the mean of Δ in `table`, averaged
+/// over all frames of the clip; λ is gain per byte. Base levels are always worth it.
+pub fn tops(content: &Content<'_>, map: &PacketMap, table: &Table, bytes: &[f64], lambda: f64) -> Vec<Level> {
+    let manifest = &content.manifest;
+    let all = f64::from(manifest.head().frames.max(1));
+    let mut tops = vec![Level::BASE; manifest.cells()];
+    // Best sum so far and sum so far, per cell.
+    let mut sums = vec![(0.0, 0.0); manifest.cells()];
+    for (((group, _), worth), bytes) in map.groups().iter().zip(&table.groups).zip(bytes) {
+        let Some(cell) = manifest.cell(group.span, group.cluster) else { continue };
+        if group.level == Level::BASE {
+            continue;
+        }
+        let frames = match group.span {
+            Span::Canonical(e) => manifest.epoch(e).map_or(0, |e| e.frames),
+            Span::Motion(w) => manifest.window(w).map_or(0, |w| u32::from(w.frames)),
+        };
+        let (best, sum) = &mut sums[cell.index()];
+        *sum += worth.mean * f64::from(frames) / all - lambda * bytes;
+        if *sum > *best {
+            *best = *sum;
+            tops[cell.index()] = group.level;
+        }
+    }
+    tops
+}
+
+/// What truncation did.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Truncated {
+    /// λ, gain per byte.
+    pub lambda: f64,
+    /// Groups of the whole stream.
+    pub groups: usize,
+    /// Those no longer sent.
+    pub dropped: usize,
+    /// Bytes on the wire of the whole stream.
+    pub wire_before: f64,
+    /// Bytes on the wire of what is left.
+    pub wire_after: f64,
+}
+
+/// Encodes `scene` again without the levels that `table`, the utilities of `stream`, does not find
+/// worth sending at `lambda` (0: those that gain nothing). `options` are those of `stream`.
+///
+/// # Errors
+/// A λ that is not a number of at least 0; a stream that does not decode; as [`encode::encode`].
+pub fn truncate(
+    scene: &Scene,
+    options: &encode::Options,
+    stream: &Stream,
+    table: &Table,
+    lambda: f64,
+    progress: Progress<'_>,
+) -> Result<(Stream, Truncated), EncodeError> {
+    if !(lambda >= 0.0 && lambda.is_finite()) {
+        return Err(EncodeError::Lambda { found: lambda });
+    }
+    let map = PacketMap::of(stream)?;
+    let received = stream.receive()?;
+    let tops = tops(&received.content(), &map, table, &group_bytes(stream, &map), lambda);
+    let coarseness = stream.ledger().reached.map_or(1.0, |r| r.coarseness);
+    let quality: Quality = options.quality.scaled(coarseness);
+    let block_len = stream.manifest()?.block_len();
+    let again = encode::Options { tops, quality, block_len, target: None, ..options.clone() };
+    let cut = encode::encode(scene, &again, progress)?;
+    let left = PacketMap::of(&cut)?.groups().len();
+    let truncated = Truncated {
+        lambda,
+        groups: map.groups().len(),
+        dropped: map.groups().len().saturating_sub(left),
+        wire_before: stream.ledger().wire(),
+        wire_after: cut.ledger().wire(),
+    };
+    let reached = stream.ledger().reached;
+    Ok((reached.map_or(cut.clone(), |reached| cut.with_reached(reached)), truncated))
+}
+
+#[cfg(test)]
+mod tests {
+    use codec_core::gaussian::ShDegree;
+
+    use super::*;
+    use crate::{
+        judge::Judge,
+        scene::{Attributes, Epoch, Track},
+        utility::measure,
+    };
+
+    /// An opaque ball of large discs around a core of `inner` small Gaussians that nobody sees.
+    fn hidden(inner: usize) -> Scene {
+        let shell = 1200;
+        let golden = std::f32::consts::PI * (3.0 - 5f32.sqrt());
+        let on_ball = |i: usize, n: usize, radius: f32| {
+            let y = 1.0 - 2.0 * (i as f32 + 0.5) / n as f32;
+            let (s, c) = (golden * i as f32).sin_cos();
+            let flat = (1.0 - y * y).sqrt();
+            [radius * flat * c, radius * y, radius * flat * s]
+        };
+        let positions: Vec<[f32; 3]> = (0..shell)
+            .map(|i| on_ball(i, shell, 1.0))
+            .chain((0..inner).map(|i| on_ball(i, inner, 0.02 + 0.03 * (i % 7) as f32 / 7.0)))
+            .collect();
+        let n = positions.len();
+        let outside = |i: usize| i < shell;
+        let attributes = Attributes {
+            positions: Track::Constant(positions),
+            rotations: Track::Constant(vec![[1.0, 0.0, 0.0, 0.0]; n]),
+            log_scales: Track::Constant(
+                (0..n)
+                    .map(|i| if outside(i) { [-1.6; 3] } else { [-4.0 - 0.1 * (i % 5) as f32; 3] })
+                    .collect(),
+            ),
+            opacity_logits: Track::Constant(vec![7.0; n]),
+            sh0: Track::Constant(
+                (0..n).map(|i| [0.1 * (i % 17) as f32, -0.3, 0.07 * (i % 5) as f32]).collect(),
+            ),
+            sh_rest: Vec::new(),
+            sh_degree: ShDegree::ZERO,
+        };
+        Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap()
+    }
+
+    #[test]
+    fn levels_of_what_is_hidden_are_not_sent() {
+        let scene = hidden(400);
+        let options = encode::Options::default();
+        let stream = encode::encode(&scene, &options, &|_, _| {}).unwrap();
+        let map = PacketMap::of(&stream).unwrap();
+        let received = stream.receive().unwrap();
+        let how = Options::complete(&scene).unwrap();
+        let table = measure(&scene, &received.content(), &map, &how, &|_| {}).unwrap();
+        let (cut, truncated) = truncate(&scene, &options, &stream, &table, 0.0, &|_, _| {}).unwrap();
+        assert!(truncated.dropped >= 3 && truncated.wire_after < truncated.wire_before, "{truncated:?}");
+        let manifest = cut.manifest().unwrap();
+        // The core's clusters are the small ones.
+        let (mut small, mut large) = (0, u16::MAX);
+        codec_core::receiver::for_each_cell(&manifest, |_, _, shape| match shape.top() {
+            Level::BASE => small = shape.cluster.radius.max(small),
+            _ => large = shape.cluster.radius.min(large),
+        });
+        assert!(0 < small && small < large && large < u16::MAX, "{small} {large}");
+        // What can be seen is no worse for it.
+        let judge = Judge::measuring(&scene, vec![0]).unwrap();
+        let (before, after) = (judge.whole(&stream).unwrap(), judge.whole(&cut).unwrap());
+        assert!(after > before - 0.1, "{after} dB after {before}");
+        // A price no level is worth leaves base levels; one that is no price is refused.
+        let (base, _) = truncate(&scene, &options, &stream, &table, 1e9, &|_, _| {}).unwrap();
+        codec_core::receiver::for_each_cell(&base.manifest().unwrap(), |_, _, shape| {
+            assert_eq!(shape.top(), Level::BASE);
+        });
+        for lambda in [-1.0, f64::NAN] {
+            let refused = truncate(&scene, &options, &stream, &table, lambda, &|_, _| {});
+            assert!(matches!(refused, Err(EncodeError::Lambda { .. })));
+        }
+    }
+}
