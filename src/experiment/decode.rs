@@ -15,6 +15,7 @@ use codec_core::{
 };
 use trainer_host::{
     Scene, Stream,
+    encode::Protection,
     stream::{HostMemory, Player},
 };
 

@@ -3,6 +3,7 @@
 use anyhow::Result;
 use trainer_host::{
     Scene,
+    encode::Protection,
     stream::{Player, Stream},
 };
 

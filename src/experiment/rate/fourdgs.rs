@@ -11,9 +11,12 @@ use fourdgs::{
     opcode,
     quantization::{Profile, SH_QUANT_HI, SH_QUANT_LO, dequantize_rotation, rct_inverse, sh_coefficient},
 };
-use trainer_host::{Epoch, Instant, Scene, cluster::morton_order};
+use trainer_host::{Epoch, Instant, Scene};
 
-use super::codec::{Coded, Timer};
+use super::{
+    codec::{Coded, Timer},
+    lattice::morton_order,
+};
 
 /// The band-0 harmonic: linear colour is `0.5 + SH_C0 * sh0`.
 const SH_C0: f32 = 0.282_094_8;

@@ -11,7 +11,7 @@ use codec_core::{
     gaussian::ShDegree,
     math::{mrp_from_quat, normalised, quat_from_mrp},
 };
-use trainer_host::{Epoch, Instant, Scene, cluster::morton_order, encode::Quality};
+use trainer_host::{Epoch, Instant, Scene, encode::Quality};
 
 /// Attributes, the unit of a model; each of the harmonic bands above 0 is one.
 pub const ATTRIBUTES: usize = 8;
@@ -213,6 +213,31 @@ pub fn instants(scene: &Scene, grids: &[Grids], shown: &[u32]) -> Result<Vec<Ins
         Ok(grids[epoch].instant(t))
     };
     shown.iter().map(at).collect()
+}
+
+/// `indices` along the Morton curve of their positions, ties by index: the order in which peers code.
+pub fn morton_order(indices: &[u32], positions: &[[f32; 3]]) -> Vec<u32> {
+    let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for &i in indices {
+        for d in 0..3 {
+            low[d] = low[d].min(positions[i as usize][d]);
+            high[d] = high[d].max(positions[i as usize][d]);
+        }
+    }
+    let extent = (0..3).map(|d| high[d] - low[d]).fold(0.0f32, f32::max).max(1e-20);
+    let code = |i: u32| {
+        let mut code = 0u64;
+        for d in 0..3 {
+            let cell = ((positions[i as usize][d] - low[d]) / extent * 1_048_575.0) as u64;
+            for bit in 0..20 {
+                code |= (cell >> bit & 1) << (3 * bit + d as u64);
+            }
+        }
+        code
+    };
+    let mut order = indices.to_vec();
+    order.sort_by_cached_key(|&i| (code(i), i));
+    order
 }
 
 #[cfg(test)]

@@ -1,8 +1,7 @@
 //! What a real `dgs1` stream spends on anything but its symbols: the coder's gap to the entropy of its own
-//! models, lane states, headers, CRC, manifest, proxy, each as a share of the wire.
+//! models, lane heads, headers, CRC, manifest, proxies, each as a share of the wire.
 
 use anyhow::Result;
-use codec_core::rans::lanes::STATES_BYTES;
 use trainer_host::{Scene, encode::Ledger};
 
 use super::dgs;
@@ -16,12 +15,15 @@ use crate::{
 pub struct Overhead {
     /// All bytes.
     pub wire: f64,
-    /// What the symbols take by the models used: −log2 of each one's probability, escapes and raw bits.
+    /// What the symbols take by the models used: −log2 of each one's probability, escapes, raw bits and
+    /// the code words that select tables.
     pub models: f64,
-    /// Payload above that: flushed states, words' granularity.
+    /// Of these, the code words.
+    pub selectors: f64,
+    /// Payload above that: rounding, what the lanes' states do not hold.
     pub gap: f64,
-    /// Lane states as stored; they hold symbols too, and what they do not hold is in `gap`.
-    pub states: f64,
+    /// What stands in front of the lanes.
+    pub lane_heads: f64,
     /// Packet and slice headers.
     pub headers: f64,
     /// CRCs.
@@ -35,24 +37,26 @@ pub struct Overhead {
 impl Overhead {
     /// Of a stream with this ledger.
     pub fn of(ledger: &Ledger) -> Self {
-        let models = ledger.shares.iter().map(|s| s.bits).sum::<f64>() / 8.0;
-        // A ledger without proxies has no such field.
-        let field = serde_json::to_value(ledger).ok().and_then(|v| v.get("proxy").and_then(|p| p.as_f64()));
+        let priced = ledger.shares.iter().map(|s| s.bits).sum::<f64>() / 8.0;
+        let proxies = ledger.manifest_parts.iter().filter(|p| p.name.contains("prox"));
+        let proxy = proxies.map(|p| p.bits).sum::<f64>() / 8.0;
         Self {
             wire: ledger.wire() - ledger.parity,
-            models,
-            gap: ledger.payload - models,
-            states: (STATES_BYTES as u64 * ledger.packets) as f64,
+            models: priced + ledger.selectors,
+            selectors: ledger.selectors,
+            gap: ledger.coder_gap() / 8.0,
+            lane_heads: ledger.lane_heads,
             headers: ledger.headers + ledger.dependencies,
             crc: ledger.crc,
-            manifest: ledger.manifest,
-            proxy: field.unwrap_or(0.0),
+            manifest: ledger.manifest - proxy,
+            proxy,
         }
     }
 
-    /// Gap, headers, CRC, manifest and proxy as a share of the wire.
+    /// Gap, lane heads, headers, CRC, manifest and proxies as a share of the wire.
     pub fn share(&self) -> f64 {
-        (self.gap + self.headers + self.crc + self.manifest + self.proxy) / self.wire.max(1.0)
+        let parts = [self.gap, self.lane_heads, self.headers, self.crc, self.manifest, self.proxy];
+        parts.iter().sum::<f64>() / self.wire.max(1.0)
     }
 }
 
@@ -69,17 +73,18 @@ pub fn measure(bench: &mut Bench, key: &str, scene: &Scene) -> Result<Overhead> 
         bench.push(Figure::new(format!("{key}.overhead.{what}"), percent, "% of the wire"));
     };
     push("coder_gap", o.gap);
-    push("lane_states_gross", o.states);
+    push("lane_heads", o.lane_heads);
+    push("selectors", o.selectors);
     push("headers", o.headers);
     push("crc", o.crc);
     push("manifest", o.manifest);
     push("proxy", o.proxy);
     push("sum", o.share() * o.wire);
-    let gap = 100.0 * o.gap / o.models.max(1.0);
+    let gap = 100.0 * (o.gap + o.lane_heads) / o.models.max(1.0);
     bench.push(Figure::new(format!("{key}.coder_gap_over_models"), gap, "%"));
     let tables = 100.0 * (o.models / ledger.empirical_entropy.max(1.0) - 1.0);
     bench.push(Figure::new(format!("{key}.models_over_empirical_entropy"), tables, "%"));
-    bench.push(Figure::new(format!("{key}.manifest_bytes"), o.manifest, "byte"));
+    bench.push(Figure::new(format!("{key}.manifest_bytes"), o.manifest + o.proxy, "byte"));
     Ok(o)
 }
 
@@ -92,10 +97,10 @@ mod tests {
         let scene = crate::experiment::synth("figure", 1000, 6).unwrap();
         let stream = dgs::stream(&scene, ProfileName::Dgs1, 1.0).unwrap();
         let o = Overhead::of(stream.ledger());
-        let sum = o.models + o.gap + o.headers + o.crc + o.manifest;
+        let sum = o.models + o.gap + o.lane_heads + o.headers + o.crc + o.manifest + o.proxy;
         assert!((sum - o.wire).abs() < 1.0, "{sum} of {}", o.wire);
         let stored: usize = stream.packets().iter().map(Vec::len).sum::<usize>();
-        assert!((stored as f64 + o.manifest - o.wire).abs() < 1.0);
-        assert!(o.gap > 0.0 && o.share() > 0.0 && o.share() < 1.0);
+        assert!((stored as f64 + o.manifest + o.proxy - o.wire).abs() < 1.0);
+        assert!(o.proxy > 0.0 && o.share() > 0.0 && o.share() < 1.0);
     }
 }

@@ -14,7 +14,7 @@ use codec_core::{
     gaussian::ShDegree,
     ids::{EpochId, Level, Span, WindowId},
     quant::Class,
-    rans::lanes::STATES_BYTES,
+    rans::lanes::{HEAD_BYTES, LEAST_PLANE_BYTES},
     wire::{
         manifest::{self, Head, Manifest, Profile, Proxy, Quant, Repair, stream},
         packet::PARITY_OVERHEAD_BYTES,
@@ -100,7 +100,7 @@ pub(super) fn encode(
         for proto in protos {
             let bytes = proto.write(packet_id(packets.len())?)?;
             ledger.payload += proto.body_len() as f64;
-            ledger.states += STATES_BYTES as f64;
+            ledger.lane_heads += HEAD_BYTES as f64;
             ledger.headers += (bytes.len() - proto.body_len() - 4) as f64;
             ledger.crc += 4.0;
             packets.push(bytes);
@@ -278,7 +278,7 @@ fn ledger(scene: &Scene, plans: &[EpochPlan], streams: &Streams<'_>, model: &Mod
     ledger.raw_symbols = 2.0 * ledger.symbols as f64;
     ledger.empirical_entropy = streams.entropy_bits() / 8.0;
     let bits: f64 = ledger.shares.iter().map(|s| s.bits).sum();
-    ledger.monolithic = (bits / 8.0 + ledger.selectors).ceil() + STATES_BYTES as f64;
+    ledger.monolithic = (bits / 8.0 + ledger.selectors).ceil() + (HEAD_BYTES + LEAST_PLANE_BYTES) as f64;
     ledger
 }
 

@@ -39,8 +39,9 @@ pub struct Ledger {
     pub saturated: u64,
     /// Of the payload, code words that select tables.
     pub selectors: f64,
-    /// Of the payload, states of the coder's lanes.
-    pub states: f64,
+    /// Of the payload, what stands in front of the coder's lanes: how many values the states keep and
+    /// how long the states are.
+    pub lane_heads: f64,
     /// The manifest section by section.
     pub manifest_parts: Vec<Part>,
     /// Payload by attribute and level as its tables price it: raw bits and escapes included, code
@@ -71,7 +72,7 @@ pub struct Part {
 }
 
 impl Ledger {
-    /// Bits by which the payload exceeds what its own tables price it at, code words and lane states
+    /// Bits by which the payload exceeds what its own tables price it at, code words and lane heads
     /// apart: rounding to bytes, probabilities as the coder rounds them, less what the final states
     /// hold. 0 where shares are not known.
     pub fn coder_gap(&self) -> f64 {
@@ -79,7 +80,7 @@ impl Ledger {
             return 0.0;
         }
         let priced: f64 = self.shares.iter().map(|s| s.bits).sum();
-        8.0 * (self.payload - self.selectors - self.states) - priced
+        8.0 * (self.payload - self.selectors - self.lane_heads) - priced
     }
 
     /// All parts, which together are [`Ledger::wire`], with nothing twice.
@@ -92,7 +93,7 @@ impl Ledger {
             let name = |s: &Share| format!("{} level {}", s.attribute, s.level);
             parts.extend(self.shares.iter().map(|s| Part { name: name(s), bits: s.bits }));
             parts.push(part("selectors", self.selectors));
-            parts.push(part("lane states", self.states));
+            parts.push(part("lane heads", self.lane_heads));
             parts.push(Part { name: "coder gap".into(), bits: self.coder_gap() });
         }
         parts.push(part("headers", self.headers));
@@ -137,7 +138,7 @@ impl Ledger {
 #[cfg(test)]
 mod tests {
     use crate::{
-        encode::{Options, encode},
+        encode::{Options, Protection, encode},
         import::{
             Limits,
             synth::{self, Kind},
@@ -149,7 +150,7 @@ mod tests {
         for kind in [Kind::Figure, Kind::Balls] {
             let options = synth::Options { gaussians: 1500, frames: 40, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
-            let repaired = Options { repair_set: Some(4), ..Options::default() };
+            let repaired = Options { repair: Protection::xor(4), ..Options::default() };
             for options in [repaired, Options::default(), Options::paper()] {
                 let stream = encode(&scene, &options, &|_, _| {}).unwrap();
                 let sent = stream.message().len() + stream.packets().iter().map(Vec::len).sum::<usize>();

@@ -195,7 +195,12 @@ mod tests {
     use super::*;
 
     fn symbols(n: i64) -> Vec<i16> {
-        (0..n).map(|i| ((i.wrapping_mul(i).wrapping_mul(2_654_435_761) >> 20) % 9 + ((i * 7_919) >> 3) % 5 - 6) as i16).collect()
+        (0..n)
+            .map(|i| {
+                ((i.wrapping_mul(i).wrapping_mul(2_654_435_761) >> 20) % 9 + ((i * 7_919) >> 3) % 5 - 6)
+                    as i16
+            })
+            .collect()
     }
 
     fn bits(model: &Model, stream: usize, runs: &[&[i16]]) -> f64 {
