@@ -86,7 +86,7 @@ typedef struct dgs_sizes {
     size_t blocks;
     /* Words of the packet bitmap. */
     size_t seen;
-    /* Entropy decode slots. */
+    /* Words of entropy decode tables. Three eighths of them (profile dgs1) decode as well, slower. */
     size_t slots;
     /* Group counters (profile paper). */
     size_t progress;
