@@ -259,8 +259,7 @@ pub struct Encode {
     /// How to encode it.
     #[command(flatten)]
     pub codec: CodecArgs,
-    /// Also measure render utilities and write them beside the stream (NAME.utility.json); levels
-    /// that gain nothing are then not sent, as with --truncate 0.
+    /// Also measure render utilities and write them beside the stream (NAME.utility.json).
     #[arg(long)]
     pub utility: bool,
     /// Measure what levels gain and do not send those that gain less than this per byte (mean

@@ -27,8 +27,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
     let start = Instant::now();
     let mut stream = pipeline::encode(&loaded.scene, &options, quiet)?;
     let mut truncated = None;
-    let lambda = args.truncate.or(args.utility.then_some(0.0));
-    if let Some(lambda) = lambda.filter(|_| options.profile == Profile::Dgs1) {
+    if let Some(lambda) = args.truncate.filter(|_| options.profile == Profile::Dgs1) {
         let found = pipeline::truncate(&loaded.scene, &options, &stream, lambda, quiet)?;
         stream = found.0;
         truncated = Some(found.1);

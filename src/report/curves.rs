@@ -51,7 +51,9 @@ impl Curves<'_> {
     /// The drawing as SVG text.
     pub fn svg(&self) -> String {
         let fits = |p: &&(f64, f64)| p.0 > 0.0 && p.0.is_finite() && p.1.is_finite();
-        let curves: Vec<(usize, &str, Vec<(f64, f64)>)> = self
+        // Colour, name, points as they are drawn.
+        type Line<'c> = (usize, &'c str, Vec<(f64, f64)>);
+        let curves: Vec<Line<'_>> = self
             .curves
             .iter()
             .enumerate()

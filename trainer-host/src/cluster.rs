@@ -165,7 +165,8 @@ fn split(features: &[[f64; FEATURES]], mut set: Vec<u32>, axis: usize) -> (Vec<u
 /// across the longest side, at whole blocks, until one block is left. Ties by index.
 pub fn block_order(indices: &[u32], positions: &[[f32; 3]], block_len: usize) -> Vec<u32> {
     let mut order = indices.to_vec();
-    let mut stack = vec![0..order.len()];
+    let whole = 0..order.len();
+    let mut stack = vec![whole];
     while let Some(range) = stack.pop() {
         let blocks = range.len().div_ceil(block_len.max(1));
         if blocks < 2 {

@@ -43,7 +43,7 @@ fn epoch(n: usize, frames: usize, degree: u8, motion: Motion, seed: usize) -> Ep
     let degree = ShDegree::new(degree).unwrap();
     let at = |i: usize, k: usize| noise(seed + 31 * i + 7 * k);
     let phase = |i: usize, t: usize| ((i % 5) as f32 + t as f32 * 0.7).sin();
-    let side = |i: usize| if i % 2 == 0 { -2.0 } else { 2.0 };
+    let side = |i: usize| if i.is_multiple_of(2) { -2.0 } else { 2.0 };
     let place = |i: usize, t: usize| {
         let [mut x, mut y, mut z] = [at(i, 0), at(i, 1), at(i, 2)];
         if motion.rigid && i % 2 == 1 {

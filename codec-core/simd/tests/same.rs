@@ -1,6 +1,13 @@
 //! Every kernel of this machine against the scalar decoder: values and errors, on whole and damaged
 //! packets of different lengths, tables and runs.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test's helpers fail like tests"
+)]
+
 use codec_core::rans::{
     lanes::{self, Run, Symbols},
     table::{SLOTS, Table},

@@ -148,7 +148,8 @@ impl<'a> Manifest<'a> {
         }
         for s in 0..stream::COUNT * usize::from(self.profile == Profile::Dgs1) {
             let place = self.sections.streams + s * Menu::BYTES;
-            for (table, _) in self.menu(s).choices().filter(|&(t, _)| u16::from(t) >= self.head.tables) {
+            if let Some((table, _)) = self.menu(s).choices().find(|&(t, _)| u16::from(t) >= self.head.tables)
+            {
                 let last = u64::from(self.head.tables).saturating_sub(1);
                 return Err(Error::illegal("menu.tables", place, table.into(), (0, last)));
             }

@@ -178,7 +178,7 @@ fn transform(track: Track, fits: &[[crate::factorise::Pose; 2]], vectors: &[Vec<
             // Modified Rodrigues parameters; below w = −0.9 (over 310°) another form would be due.
             return pose.rotation[1 + p] / (1.0 + pose.rotation[0].max(-0.9));
         }
-        pose.linear[(p / 3, p % 3)] - if p % 4 == 0 { 1.0 } else { 0.0 }
+        pose.linear[(p / 3, p % 3)] - if p.is_multiple_of(4) { 1.0 } else { 0.0 }
     };
     (0..track.parameters())
         .map(|p| {

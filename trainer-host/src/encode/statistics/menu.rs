@@ -82,14 +82,17 @@ fn cost(costs: &Costs, run: &Sparse) -> f32 {
 /// Code lengths for `menu` by how often each table is the cheapest, ascending, and the bits that all
 /// runs then take. Two rounds: lengths move some runs to another table.
 fn assign(menu: &[usize], costs: &[Vec<f32>]) -> (Vec<(usize, u8)>, f64) {
-    let runs = costs[0].len();
+    // One row per run, one column per table of the menu.
+    let columns: Vec<&[f32]> = menu.iter().map(|&table| costs[table].as_slice()).collect();
+    let runs = columns.first().map_or(0, |c| c.len());
+    let rows: Vec<Vec<f32>> = (0..runs).map(|run| columns.iter().map(|c| c[run]).collect()).collect();
     let mut lengths = vec![(menu.len() as f32).log2().ceil() as u8; menu.len()];
     let mut bits = 0.0;
     for round in 0..3 {
         let mut uses = vec![0u64; menu.len()];
         bits = 0.0;
-        for run in 0..runs {
-            let of = |i: usize| costs[menu[i]][run] + f32::from(lengths[i]);
+        for row in &rows {
+            let of = |i: usize| row[i] + f32::from(lengths[i]);
             let best = (0..menu.len()).reduce(|a, b| if of(b) < of(a) { b } else { a }).unwrap_or(0);
             uses[best] += 1;
             bits += f64::from(of(best));
