@@ -223,7 +223,7 @@ fn write_damaged_files() {
     let first = 8 + message.len();
     let index = stream.packets().len() * 4 + 18;
     write("whole.dgs", &good);
-    write("cut.dgs", &cut(&good, index + 300));
+    write("cut.dgs", &cut(&good, index + 200));
     write("cut-in-manifest.dgs", &good[..60]);
     write("flipped.dgs", &put(&good, first + 40, &[good[first + 40] ^ 4]));
     write("length.dgs", &put(&good, first, &[0xff, 0xff]));
@@ -233,7 +233,7 @@ fn write_damaged_files() {
     write("manifest-length.dgs", &put(&good, 4, &u32::MAX.to_le_bytes()));
     write("contradiction.dgs", &put(&good, 4, &(message.len() as u32 + 2).to_le_bytes()));
     write("manifest-flipped.dgs", &put(&good, 8 + 30, &[good[8 + 30] ^ 1]));
-    write("version.dgs", &put(&good, 8 + 4, &[2]));
+    write("version.dgs", &put(&good, 8 + 4, &[manifest::VERSION + 1]));
     let raw = stream.manifest().unwrap().raw().to_vec();
     let sealed = |raw: &[u8]| {
         let mut message = vec![0u8; codec_core::pack::packed_bound(raw.len()) + 32];

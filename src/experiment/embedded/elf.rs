@@ -30,6 +30,7 @@ impl Sizes {
         let mut sizes = Self::default();
         for section in 0..count as usize {
             let at = table.saturating_add(section * HEADER);
+            read(at + HEADER - 4, 4)?;
             let (kind, flags, len) = (read(at + 4, 4)?, read(at + 8, 4)?, u64::from(read(at + 20, 4)?));
             if flags & ALLOCATED == 0 {
                 continue;
