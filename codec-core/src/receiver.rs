@@ -624,7 +624,7 @@ fn for_each_slice(
         if shape.level_len(stretch.level) == 0 {
             continue;
         }
-        let local = |block: u32| (block.clamp(low, high) - low) as usize;
+        let local = |block: u32| (block.min(high).saturating_sub(low)) as usize;
         let (blocks, all) = (local(stretch.first)..local(end), shape.blocks());
         if shape.is_whole(stretch.level) && blocks != (0..all) {
             return contradiction("slice.blocks", blocks.len() as u64, (all as u64, all as u64));

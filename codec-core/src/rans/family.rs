@@ -82,7 +82,7 @@ fn add_geometric(weights: &mut [u64; 256], ratio: u64, ranges: bool, share: u64)
     // Total of the two sides: 2 / (1 − ratio) with ranges, else that less the zero counted twice.
     let one = 65_536u64;
     let sides = if ranges { 2 * one } else { one + ratio };
-    let mut weight = (share << 30) * (one - ratio) / sides;
+    let mut weight = (share << 30) * (one - ratio) / sides.max(1);
     for distance in 0..128usize {
         let left = if ranges { 127usize.checked_sub(distance) } else { 128usize.checked_sub(distance) };
         for token in [Some(128 + distance), left.filter(|_| ranges || distance > 0)].into_iter().flatten() {

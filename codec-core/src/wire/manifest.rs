@@ -356,7 +356,8 @@ impl<'a> Manifest<'a> {
                 let (first, last) = (before, before + this.blocks_of(&record));
                 before = last;
                 (first < end).then(|| {
-                    let inside = stretch.first.clamp(first, last) - first..end.clamp(first, last) - first;
+                    let local = |block: u32| block.min(last).saturating_sub(first);
+                    let inside = local(stretch.first)..local(end);
                     (ClusterId(c as u16), inside)
                 })
             })

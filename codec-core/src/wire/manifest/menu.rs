@@ -73,8 +73,8 @@ impl Menu {
         let count = in_range("menu.count", place, reader.u8("menu.count")?, 0, MAX_MENU as u8)?;
         let mut menu = Self { count, ..Self::default() };
         let packed: [u8; MAX_MENU / 2] = reader.array("menu.lengths")?;
-        for (pair, byte) in menu.lengths.chunks_exact_mut(2).zip(packed) {
-            pair.copy_from_slice(&[byte & 0xf, byte >> 4]);
+        for ([low, high], byte) in menu.lengths.as_chunks_mut::<2>().0.iter_mut().zip(packed) {
+            (*low, *high) = (byte & 0xf, byte >> 4);
         }
         menu.tables = reader.array("menu.tables")?;
         menu.check(place)?;
