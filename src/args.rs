@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use trainer_host::encode::Protection;
 
 /// Dynamic Gaussian splats that stay renderable when delivery is incomplete: encode, send over a
 /// lossy link, decode what arrived, render, measure.
@@ -97,10 +98,14 @@ pub struct CodecArgs {
     /// Largest packet, bytes, header and CRC included (dgs1).
     #[arg(long, default_value_t = 1150)]
     pub packet_bytes: usize,
-    /// Base packets per XOR repair set, 2 to 32; 0 sends no parity [default: 0 in encode, 4 in
-    /// stream and demo].
-    #[arg(long)]
+    /// Base packets per XOR repair set, 2 to 64; 0 sends no parity.
+    #[arg(long, conflicts_with = "repair")]
     pub repair_set: Option<u8>,
+    /// Parity per kind of packets: none, standard, or a list of KIND=K+R (any R losses of K packets
+    /// are repaired) with KIND base, tracks, 1, 2 or 3 [default: none in encode, standard in stream
+    /// and demo].
+    #[arg(long, value_parser = Protection::parse)]
+    pub repair: Option<Protection>,
 }
 
 fn positive(text: &str) -> Result<f64, String> {

@@ -101,10 +101,11 @@ pub fn graph(
     let mut repair_sets = Vec::new();
     for repair in manifest.repairs() {
         for set in 0..repair.sets() {
-            packets[(repair.first_parity + set) as usize].parity_of = Some(repair_sets.len() as u32);
-            let members = (0..repair.members(set))
-                .map(|position| PacketIndex(repair.first_packet + set + position * repair.sets()))
-                .collect();
+            for row in 0..u32::from(repair.parity) {
+                let parity = repair.parity_id(set, row) as usize;
+                packets[parity].parity_of = Some(repair_sets.len() as u32);
+            }
+            let members = (0..repair.members(set)).map(|at| PacketIndex(repair.member(set, at))).collect();
             repair_sets.push(RepairSet { members });
         }
     }
@@ -270,7 +271,7 @@ impl Endpoint for WireEndpoint<'_, '_> {
                 Arrival::Buffered
             }
             Ok(receiver::Arrival::Accepted { recovered: found, .. }) => {
-                recovered.extend(found.map(|id| PacketIndex(id.get())));
+                recovered.extend(found.as_slice().iter().map(|id| PacketIndex(id.get())));
                 Arrival::Fresh
             }
             Err(error) if error.kind == ErrorKind::Duplicate => Arrival::Duplicate,

@@ -1,9 +1,13 @@
 //! The experiments behind `dgs bench`: one file per bench, one [`Bench`] each.
 
 mod accounting;
+mod clock;
 mod cloud;
 mod counterfactual;
+mod decode;
 mod demo;
+mod embedded;
+mod entropy;
 mod gpu;
 mod gradient;
 mod loss;
@@ -11,6 +15,7 @@ mod pareto;
 mod partial;
 mod rate;
 mod render;
+mod repair;
 mod skips;
 mod stress;
 mod transport;
@@ -51,9 +56,29 @@ pub const ALL: &[Experiment] = &[
         run: accounting::run,
     },
     Experiment {
+        name: "entropy",
+        about: "the packet coder: symbols per second beside bytes over entropy, public coders in the same run",
+        run: entropy::run,
+    },
+    Experiment {
+        name: "decode",
+        about: "bytes to Gaussians on one core: receiver, frames, packet parse, CRC, closure",
+        run: decode::run,
+    },
+    Experiment {
         name: "loss",
         about: "random packet subsets render; quality at 1, 5, 10 and 20 % packet loss",
         run: loss::run,
+    },
+    Experiment {
+        name: "embedded",
+        about: "flash, RAM, stack, instructions and digests on Cortex-M4F, WebAssembly and in C, within budget",
+        run: embedded::run,
+    },
+    Experiment {
+        name: "repair",
+        about: "residual loss of XOR and of the Cauchy code at equal overhead, and the code's speed beside public peers",
+        run: repair::run,
     },
     Experiment {
         name: "render",
@@ -176,6 +201,7 @@ pub(crate) fn codec_args(profile: ProfileName) -> CodecArgs {
         rank: None,
         packet_bytes: 1150,
         repair_set: None,
+        repair: None,
     }
 }
 

@@ -14,7 +14,7 @@ use emulator_host::{
 use render_host::{Camera, Settings};
 use trainer_host::{
     Attributes, Epoch, Scene, Stream, Track,
-    encode::{self, Quality, Target},
+    encode::{self, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
     stream::{HostMemory, PacketMap, Player},
     utility,
@@ -103,8 +103,8 @@ fn synth_options(text: &str, args: &SceneArgs) -> Result<synth::Options> {
     Ok(synth::Options { kind, gaussians, frames, frames_per_second: args.fps, seed: args.seed })
 }
 
-/// The encoder's options as typed, with `repair_set` base packets per parity if nothing is.
-pub fn encode_options(args: &CodecArgs, repair_set: u8) -> encode::Options {
+/// The encoder's options as typed, with `repair` if nothing is said about parity.
+pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::Options {
     let base = match args.profile {
         ProfileName::Dgs1 => encode::Options::default(),
         ProfileName::Paper => encode::Options::paper(),
@@ -124,7 +124,11 @@ pub fn encode_options(args: &CodecArgs, repair_set: u8) -> encode::Options {
             .or(args.target_bytes.map(Target::Bytes))
             .or(args.target_psnr.map(Target::PsnrDb)),
         packet_bytes: args.packet_bytes,
-        repair_set: Some(args.repair_set.unwrap_or(repair_set)).filter(|&k| k > 0),
+        repair: match args.repair_set {
+            Some(0) => Protection::NONE,
+            Some(set_len) => Protection::xor(set_len),
+            None => args.repair.unwrap_or(repair),
+        },
         ..base
     }
 }

@@ -26,7 +26,7 @@ use emulator_host::{
 };
 use trainer_host::{
     Scene, Stream,
-    encode::{Options, encode},
+    encode::{Options, Protection, encode},
     export::{ply as ply_writer, spz as spz_writer},
     import::{self, Limits, import},
     stream::Player,
@@ -189,7 +189,8 @@ fn records(n: usize) -> Vec<u8> {
 fn good_stream() -> Stream {
     let snapshot = import::splat::parse(&records(40), &Limits::default()).unwrap();
     let scene = Scene::new(vec![snapshot.epoch], 30.0).unwrap();
-    let options = Options { packet_bytes: 200, block_len: 8, repair_set: Some(4), ..Options::default() };
+    let options =
+        Options { packet_bytes: 200, block_len: 8, repair: Protection::xor(4), ..Options::default() };
     encode(&scene, &options, &|_, _| {}).unwrap()
 }
 

@@ -12,6 +12,7 @@ use dgs::{
 use emulator_host::{Endpoint, GraphReceiver, Nanos, PacketGraph, PacketIndex, PolicyKind};
 use trainer_host::{
     Stream,
+    encode::Protection,
     stream::{HostMemory, PacketMap},
 };
 
@@ -27,7 +28,9 @@ fn typed(flags: &[&str]) -> dgs::args::Demo {
 fn walk(flags: &[&str]) -> (Stream, PacketMap, PacketGraph, Link) {
     let args = typed(flags);
     let scene = pipeline::import("synth:births:2000:40", &args.source).unwrap().scene;
-    let stream = pipeline::encode(&scene, &pipeline::encode_options(&args.codec, 4), Quiet(true)).unwrap();
+    let stream =
+        pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::STANDARD), Quiet(true))
+            .unwrap();
     let map = PacketMap::of(&stream).unwrap();
     let graph = pipeline::graph(&stream, &map, None).unwrap();
     let link = pipeline::link(&args.link, &graph).unwrap();

@@ -195,7 +195,7 @@ impl Part<'_, '_> {
                 canonical::rest(&mut self, block, usable);
             }
         }
-        self.out.copy_from_slice(self.canonical);
+        self.out.iter_mut().zip(self.canonical.iter()).for_each(|(out, canonical)| *out = *canonical);
         if let Some(frame) = motion {
             motion::apply(&mut self, frame);
         }

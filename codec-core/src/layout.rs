@@ -121,7 +121,10 @@ impl Shape {
 
     /// Blocks in the cell, ≥ 1.
     pub const fn blocks(&self) -> usize {
-        self.gaussians().div_ceil(self.block_len)
+        match self.block_len {
+            0 => 0,
+            len => self.gaussians().div_ceil(len),
+        }
     }
 
     /// Gaussians in block `block`.

@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 pub mod closure;
 pub mod decode;
+pub mod digest;
 pub mod error;
 pub mod gaussian;
 pub mod ids;

@@ -37,6 +37,8 @@ pub const MAX_TABLES: usize = 255;
 /// Largest uncompressed manifest, bytes.
 pub const MAX_MANIFEST_BYTES: usize = 64 << 20;
 /// Most packets one parity packet covers.
-pub const MAX_REPAIR_SET: usize = 32;
+pub const MAX_REPAIR_SET: usize = 64;
+/// Most parity packets of one repair set.
+pub const MAX_REPAIR_PARITY: usize = 8;
 /// Largest receipt (DGSF), bytes.
 pub const MAX_RECEIPT_BYTES: usize = 1200;

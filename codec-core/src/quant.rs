@@ -133,7 +133,9 @@ impl Quantiser {
     pub const fn ratio(&self, level: Level) -> u8 {
         match level.get() {
             0 => 1,
-            l => self.ratio[(l - 1) as usize],
+            1 => self.ratio[0],
+            2 => self.ratio[1],
+            _ => self.ratio[2],
         }
     }
 

@@ -10,8 +10,10 @@
 //!   probabilities, an i16 as its low and high byte, each with its own table.
 //! - [`family`]: tables that one byte names.
 //! - [`table`]: frequency tables, normalisation, decode slots.
+//! - [`form`]: decode tables in the caller's memory, fast or small.
 
 pub mod bytes;
 pub mod family;
+pub mod form;
 pub mod lanes;
 pub mod table;

@@ -6,19 +6,26 @@
 //! arrival is recorded, decodes straight to its place in the symbol store, and is used at most
 //! once; order does not matter. What is refused is counted by kind and costs bounded work.
 
+mod repair;
+
+pub use repair::Recovered;
+
 use crate::{
     closure::Arrived,
     error::{Error, ErrorKind, Result},
     ids::{ClusterId, EpochId, Level, PacketId, Span, WindowId},
     layout::Shape,
     limits::{self, MAX_PACKET_BYTES},
-    rans::{bytes, lanes, table},
-    repair::{ACCUMULATOR_BYTES, Accumulator},
+    rans::{
+        bytes,
+        form::{Form, View},
+        lanes,
+    },
     wire::{
         bits::Bits,
         crc::{Crc32, checked, crc32},
         cursor::in_range,
-        manifest::{self, Manifest, Menu, Profile, Repair, stream},
+        manifest::{self, Manifest, Menu, Profile, stream},
         packet::{Chunk, Packet, Slices, Stretch},
     },
 };
@@ -43,8 +50,10 @@ pub struct Requirements {
     pub blocks: usize,
     /// Elements of `seen`.
     pub seen: usize,
-    /// Elements of `slots`.
+    /// Elements of `slots` for the fast form of tables.
     pub slots: usize,
+    /// Elements of `slots` for the compact form: fewer are refused.
+    pub least_slots: usize,
     /// Elements of `progress`.
     pub progress: usize,
     /// Bytes of `parity` for full repair; less repairs fewer sets.
@@ -65,12 +74,16 @@ impl Requirements {
         in_range("manifest.symbols", 0, need.symbols as u64, 0, 1 << 31)
             .map_err(|e| e.kind(ErrorKind::Capacity))?;
         need.seen = (manifest.head().packets as usize).div_ceil(32);
-        let sets = manifest.repairs().fold(0usize, |sum, r| sum.saturating_add(r.sets() as usize));
-        need.parity = sets.saturating_mul(ACCUMULATOR_BYTES);
+        need.parity = repair::memory_bytes(manifest);
         match manifest.profile() {
-            Profile::Dgs1 => need.slots = usize::from(manifest.head().tables) * table::SLOTS,
+            Profile::Dgs1 => {
+                let tables = usize::from(manifest.head().tables);
+                need.slots = tables * Form::Slots.words();
+                need.least_slots = tables * Form::Compact.words();
+            }
             Profile::Paper => {
                 need.slots = 2 * bytes::SLOTS / 4;
+                need.least_slots = need.slots;
                 need.progress = manifest.cells() * Level::COUNT;
             }
         }
@@ -110,11 +123,12 @@ pub struct Memory<'a> {
     pub blocks: &'a mut [u8],
     /// Bitmap of packets.
     pub seen: &'a mut [u32],
-    /// Entropy decode slots.
+    /// Entropy decode tables: [`Requirements::slots`] for the fast form, or down to
+    /// [`Requirements::least_slots`] for the compact one.
     pub slots: &'a mut [u32],
     /// Symbols arrived per group (`paper`).
     pub progress: &'a mut [u32],
-    /// Repair accumulators.
+    /// Sums of the repair sets.
     pub parity: &'a mut [u8],
     /// Media that arrives before the manifest.
     pub early: &'a mut [u8],
@@ -147,8 +161,8 @@ pub enum Arrival {
     Accepted {
         /// The packet.
         id: PacketId,
-        /// A packet of its repair set that this one made recoverable.
-        recovered: Option<PacketId>,
+        /// Packets of its repair set that this one made recoverable.
+        recovered: Recovered,
     },
 }
 
@@ -196,6 +210,8 @@ pub struct Receiver<'a> {
     raw_bits: [u8; limits::MAX_TABLES],
     /// Tables that each stream's runs choose from.
     menus: [Menu; stream::COUNT],
+    /// How entropy tables lie in memory.
+    form: Form,
 }
 
 impl<'a> Receiver<'a> {
@@ -222,6 +238,7 @@ impl<'a> Receiver<'a> {
             counters,
             raw_bits: [0; limits::MAX_TABLES],
             menus: [Menu::EMPTY; stream::COUNT],
+            form: Form::Slots,
         }
     }
 
@@ -267,6 +284,7 @@ impl<'a> Receiver<'a> {
             blocks: memory.blocks.len(),
             seen: memory.seen.len(),
             slots: memory.slots.len(),
+            least_slots: memory.slots.len(),
             progress: memory.progress.len(),
             parity: memory.parity.len(),
         };
@@ -279,7 +297,7 @@ impl<'a> Receiver<'a> {
                 ("memory.symbols", have.symbols, need.symbols),
                 ("memory.blocks", have.blocks, need.blocks),
                 ("memory.seen", have.seen, need.seen),
-                ("memory.slots", have.slots, need.slots),
+                ("memory.slots", have.least_slots, need.least_slots),
                 ("memory.progress", have.progress, need.progress),
             ] {
                 if have < need {
@@ -320,10 +338,10 @@ impl<'a> Receiver<'a> {
         }
         seen.fill(0);
         progress.fill(0);
-        parity.fill(0);
-        let slots = slots.as_chunks_mut::<{ table::SLOTS }>().0.iter_mut();
-        for ((table, slots), raw_bits) in manifest.tables().zip(slots).zip(&mut self.raw_bits) {
-            table.fill_slots(slots);
+        parity.iter_mut().take(repair::memory_bytes(manifest)).for_each(|byte| *byte = 0);
+        self.form = Form::that_fits(manifest.head().tables.into(), slots.len()).unwrap_or(Form::Compact);
+        for (index, (table, raw_bits)) in manifest.tables().zip(&mut self.raw_bits).enumerate() {
+            self.form.fill(slots, index, &table);
             *raw_bits = table.raw_bits();
         }
         for (stream, menu) in self.menus.iter_mut().enumerate() {
@@ -373,33 +391,14 @@ impl<'a> Receiver<'a> {
             let seen = u64::from(id.get());
             return Err(Error::illegal("packet.id", 1, seen, (seen, seen)).kind(ErrorKind::Duplicate));
         }
-        let mut recovered = None;
-        if let Packet::Parity(parity) = &parsed {
-            let found = protected_set(&manifest, |r, _| id.get().checked_sub(r.first_parity));
-            let Some((index, repair, set)) = found else {
-                return Err(
-                    Error::illegal("parity.id", 1, id.get().into(), (0, last)).kind(ErrorKind::Contradiction)
-                );
-            };
-            self.counters.parity += 1;
-            self.mark(id);
-            if let Some(mut accumulator) = self.accumulator(index) {
-                accumulator.add_parity(parity.length, parity.content);
-                recovered = self.recover(&manifest, index, &repair, set);
-            }
+        let recovered = if let Packet::Parity(parity) = &parsed {
+            self.take_parity(&manifest, parity)?
         } else {
             self.decode(&manifest, &parsed)?;
             self.counters.media += 1;
             self.mark(id);
-            let found = protected_set(&manifest, |r, _| r.set_of(id.get()).map(|(set, _)| set));
-            if let Some((index, repair, set)) = found {
-                let position = repair.set_of(id.get()).map_or(0, |(_, position)| position);
-                if let Some(mut accumulator) = self.accumulator(index) {
-                    accumulator.add(position, packet);
-                    recovered = self.recover(&manifest, index, &repair, set);
-                }
-            }
-        }
+            self.take_member(&manifest, id, packet)
+        };
         Ok(Arrival::Accepted { id, recovered })
     }
 
@@ -423,49 +422,6 @@ impl<'a> Receiver<'a> {
         }
     }
 
-    fn accumulator(&mut self, index: usize) -> Option<Accumulator<'_>> {
-        let start = index.checked_mul(ACCUMULATOR_BYTES)?;
-        Accumulator::over(self.memory.parity.get_mut(start..start.checked_add(ACCUMULATOR_BYTES)?)?)
-    }
-
-    /// Decodes the one missing packet of a set, if the set is down to one.
-    fn recover(
-        &mut self,
-        manifest: &Manifest<'_>,
-        index: usize,
-        repair: &Repair,
-        set: u32,
-    ) -> Option<PacketId> {
-        let members = repair.members(set);
-        let mut copy = [0u8; MAX_PACKET_BYTES];
-        let (position, len) = {
-            let accumulator = self.accumulator(index)?;
-            let (position, bytes) = accumulator.missing(members)?;
-            copy.get_mut(..bytes.len())?.copy_from_slice(bytes);
-            (position, bytes.len())
-        };
-        let expected = PacketId::new(repair.first_packet + set + position * repair.sets())?;
-        if self.has(expected) {
-            return None;
-        }
-        let packet = copy.get(..len)?;
-        let decoded = checked("packet.crc", packet, self.crc).and_then(Packet::parse).and_then(|parsed| {
-            let (found, wanted) = (u64::from(parsed.id().get()), u64::from(expected.get()));
-            in_range("packet.id", 1, found, wanted, wanted)?;
-            self.decode(manifest, &parsed)
-        });
-        if decoded.is_err() {
-            self.counters.repair_failed += 1;
-            return None;
-        }
-        self.mark(expected);
-        self.counters.recovered += 1;
-        if let Some(mut accumulator) = self.accumulator(index) {
-            accumulator.add(position, packet);
-        }
-        Some(expected)
-    }
-
     fn decode(&mut self, manifest: &Manifest<'_>, packet: &Packet<'_>) -> Result<()> {
         let (wanted, found) = match packet {
             Packet::Slices(_) => (Profile::Dgs1, manifest.profile()),
@@ -487,17 +443,18 @@ impl<'a> Receiver<'a> {
 
     fn decode_slices(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>) -> Result<()> {
         let Memory { cells, symbols, blocks, slots, .. } = &mut self.memory;
-        let slots = slots.as_chunks::<{ table::SLOTS }>().0;
+        let (form, slots) = (self.form, &**slots);
         let (menus, raw_bits_of) = (&self.menus, &self.raw_bits);
-        let table_at = |stream: usize, selectors: &mut Bits<'_>| -> Result<(&[u32; table::SLOTS], u8)> {
-            let index = usize::from(menus.get(stream).copied().unwrap_or_default().select(selectors)?);
-            let found = slots.get(index).zip(raw_bits_of.get(index));
-            let missing = Error::illegal("slice.table", 0, index as u64, (0, slots.len() as u64));
-            found.map(|(slots, &bits)| (slots, bits)).ok_or(missing.kind(ErrorKind::Contradiction))
+        let table_at = |stream: usize, selectors: &mut Bits<'_>| -> Result<(View<'_>, u8)> {
+            let index = menus.get(stream).copied().unwrap_or_default().select(selectors)?;
+            let found = form.table(slots, index.into()).zip(raw_bits_of.get(usize::from(index)));
+            let last = u64::from(manifest.head().tables).saturating_sub(1);
+            let missing = Error::illegal("slice.table", 0, index.into(), (0, last));
+            found.map(|(table, &bits)| (table, bits)).ok_or(missing.kind(ErrorKind::Contradiction))
         };
         // Selectors come first, so that the size of everything behind them is known.
         let mut selectors = Bits::new(packet.body);
-        let mut raw_bits = 0usize;
+        let (mut values, mut raw_bits) = (0usize, 0usize);
         for (i, stretch) in packet.stretches.iter().enumerate() {
             let overlaps = |earlier: &Stretch| overlap(earlier, stretch);
             let twice = packet.stretches.iter().take(i).any(overlaps);
@@ -508,23 +465,24 @@ impl<'a> Receiver<'a> {
                     return Err(Error::illegal("slice", i, level, (level, level)).kind(ErrorKind::Duplicate));
                 }
                 place.shape.runs(stretch.level, place.blocks.clone(), |stream, n| {
+                    values += n;
                     raw_bits += n * usize::from(table_at(stream, &mut selectors)?.1);
                     Ok(())
                 })
             })?;
         }
-        let mut decoder = lanes::Decoder::new(selectors.finish()?, raw_bits, usize::from(packet.escapes))?;
+        let mut decoder = lanes::Decoder::new(selectors.finish()?, values, raw_bits)?;
         let mut selectors = Bits::new(packet.body);
         for (i, stretch) in packet.stretches.iter().enumerate() {
             for_each_slice(manifest, cells, stretch, i, |place| {
                 let mut rest = symbols.get_mut(place.symbols.clone()).unwrap_or(&mut []);
                 place.shape.runs(stretch.level, place.blocks.clone(), |stream, n| {
-                    let (slots, bits) = table_at(stream, &mut selectors)?;
+                    let (table, bits) = table_at(stream, &mut selectors)?;
                     let whole = core::mem::take(&mut rest);
                     let n = n.min(whole.len());
                     let (run, tail) = whole.split_at_mut(n);
                     rest = tail;
-                    decoder.run(slots, bits, run)
+                    table.run(&mut decoder, bits, run)
                 })
             })?;
         }
@@ -540,6 +498,8 @@ impl<'a> Receiver<'a> {
         Ok(())
     }
 
+    /// Kept apart, so that its byte tables do not weigh on the stack of `dgs1`.
+    #[inline(never)]
     fn decode_chunk(&mut self, manifest: &Manifest<'_>, chunk: &Chunk<'_>) -> Result<()> {
         let Memory { cells, symbols, blocks, slots, progress, .. } = &mut self.memory;
         let contradiction = |field, offset, found: u64, allowed| {
@@ -619,21 +579,6 @@ impl<'a> Receiver<'a> {
         }
         Ok(())
     }
-}
-
-/// The accumulator index, range and set for which `set_in` gives a set number.
-fn protected_set(
-    manifest: &Manifest<'_>,
-    set_in: impl Fn(&Repair, usize) -> Option<u32>,
-) -> Option<(usize, Repair, u32)> {
-    let mut before = 0usize;
-    for (i, repair) in manifest.repairs().enumerate() {
-        if let Some(set) = set_in(&repair, i).filter(|&set| set < repair.sets()) {
-            return Some((before + set as usize, repair, set));
-        }
-        before += repair.sets() as usize;
-    }
-    None
 }
 
 /// Whether two stretches bring the same level of the same block.

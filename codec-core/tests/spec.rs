@@ -20,6 +20,7 @@ use codec_core::{
     layout, limits, math,
     quant::{Class, Quantiser},
     rans::{bytes, family, lanes, table},
+    repair::{Sums, set_bytes},
     wire::{
         crc::crc32,
         file,
@@ -66,9 +67,10 @@ fn tables(text: &str) -> Tables {
 /// Everything in which the tables and the code differ.
 fn differences(tables: &Tables) -> Vec<String> {
     let mut found = Vec::new();
-    for check in
-        [limits_of, records, ranges, sealed, sections, packets, classes, coding, floats, receipt, dgs, errors]
-    {
+    for check in [
+        limits_of, records, ranges, sealed, sections, packets, classes, coding, floats, parity, receipt, dgs,
+        errors,
+    ] {
         check(tables, &mut found);
     }
     found
@@ -119,6 +121,7 @@ fn limits_of(tables: &Tables, found: &mut Vec<String>) {
         ("MAX_TABLES", limits::MAX_TABLES as u64),
         ("MAX_MANIFEST_BYTES", limits::MAX_MANIFEST_BYTES as u64),
         ("MAX_REPAIR_SET", limits::MAX_REPAIR_SET as u64),
+        ("MAX_REPAIR_PARITY", limits::MAX_REPAIR_PARITY as u64),
         ("MAX_RECEIPT_BYTES", limits::MAX_RECEIPT_BYTES as u64),
         ("MAX_PACKET_ID", PacketId::MAX.into()),
         ("MAX_MENU_BITS", MAX_MENU_BITS.into()),
@@ -203,7 +206,12 @@ fn records(tables: &Tables, found: &mut Vec<String>) {
                 kind = A, track_shift = A, track = A, position = A, scale = A, rotation = A, opacity = A, sh0 = A,
             }),
         ),
-        ("repair", probes!(Repair { first_packet = C, packets = C, first_parity = C, set_len = A })),
+        (
+            "repair",
+            probes!(Repair {
+                first_packet = C, packets = C, first_parity = C, set_len = A, parity = A, longest = B,
+            }),
+        ),
     ];
     for (name, (bytes, fields)) in &records {
         let end = contiguous(&tables[*name], name, found);
@@ -284,7 +292,7 @@ fn small_body() -> BTreeMap<&'static str, Vec<u8>> {
     let cluster = Cluster { gaussians: 5, centre_x: -3, radius: 7, ..Cluster::default() };
     let kind = Motion::kind_of(Track::Affine, Level::ALL[3]);
     let motion = Motion { kind, track: 1, position: 1, ..Motion::default() };
-    let repair = Repair { first_packet: 0, packets: 6, first_parity: 6, set_len: 3 };
+    let repair = Repair { first_packet: 0, packets: 6, first_parity: 6, set_len: 3, parity: 1, longest: 99 };
     let quantiser = Quantiser::new(0.125, [3, 1, 5], true).unwrap();
     let quant = Quant { canonical: [quantiser; Class::COUNT], motion: [quantiser; Class::MOVING] };
     let mut quants = Vec::new();
@@ -483,7 +491,7 @@ fn packets(tables: &Tables, found: &mut Vec<String>) {
     };
     let first_byte = |list: &[Stretch]| {
         let stretches = list.iter().copied().collect();
-        let packet = Slices { id: chunk.id, stretches, escapes: 0, body: &[] };
+        let packet = Slices { id: chunk.id, stretches, body: &[] };
         let mut out = [0u8; 64];
         packet.write(&mut out).unwrap();
         u64::from(out[0])
@@ -681,6 +689,24 @@ fn floats(tables: &Tables, found: &mut Vec<String>) {
     }
 }
 
+/// Row i of one set of packets that hold a single 1 at position j: its first byte is c(i, j).
+fn parity(tables: &Tables, found: &mut Vec<String>) {
+    let rows = &tables["coefficients"];
+    same(found, "coefficients: rows", rows.len(), limits::MAX_REPAIR_PARITY);
+    for row in rows {
+        let i = number(&row["row"]) as u32;
+        for (position, wanted) in row.iter().filter(|(column, _)| *column != "row") {
+            let mut memory = vec![0u8; set_bytes(limits::MAX_REPAIR_PARITY, 1)];
+            let mut sums = Sums::over(&mut memory, limits::MAX_REPAIR_PARITY, 1).unwrap();
+            sums.add(number(position) as u32, &[1]);
+            let coded = sums.parity(i, 1).unwrap();
+            let c = number(wanted);
+            let what = format!("coefficient({i}, {position})");
+            same(found, &what, (c as u16, &[c as u8][..]), coded);
+        }
+    }
+}
+
 fn receipt(tables: &Tables, found: &mut Vec<String>) {
     let id = |i| PacketId::new(i).unwrap();
     let value = Value {
@@ -727,6 +753,30 @@ fn dgs(tables: &Tables, found: &mut Vec<String>) {
         ("index_len", 20u32.to_le_bytes().to_vec()),
     ]);
     in_order(&tables["file"], "file", &expected, &out, found);
+    lane_body(tables, found);
+}
+
+/// A body of three values, one escaped, with two raw bits each: the spec's order and widths.
+fn lane_body(tables: &Tables, found: &mut Vec<String>) {
+    let mut frequency = [0u16; 256];
+    (frequency[0], frequency[128]) = (1, 2047);
+    let symbols = [lanes::Symbols::new(&table::Table::new(frequency, 2).unwrap())];
+    let mut out = [0u8; 64];
+    let run = [lanes::Run { table: 0, len: 3 }];
+    let len = lanes::encode(&[1, 0x1234, 3], &run, &symbols, &mut out).unwrap().len;
+    let parts = lanes::Parts::of(&out[..len], 3, 6).unwrap();
+    same(found, "body: raw bits", parts.plane()[0] & 0x3f, 0b11_00_01);
+    let expected = BTreeMap::from([
+        ("tail", vec![1]),
+        ("lengths", {
+            let lengths = parts.state.iter().rev().fold(0, |l, x| l << 4 | (x.ilog2() - 15));
+            (lengths as u16).to_le_bytes().to_vec()
+        }),
+        ("words", vec![]),
+        ("escapes", vec![0x34, 0x12]),
+        ("plane", parts.plane().to_vec()),
+    ]);
+    in_order(&tables["body"], "body", &expected, &out[..len], found);
 }
 
 /// The spec's rows, in its order and with its fixed widths, give exactly the written bytes.
@@ -826,7 +876,7 @@ fn the_example_packet_is_what_it_says() {
     let Ok(Packet::Slices(packet)) = Packet::parse(&bytes) else { panic!("slices") };
     let stretch = Stretch { span: Span::Canonical(EpochId(0)), level: Level::ALL[2], first: 300, blocks: 4 };
     assert_eq!(packet.stretches.as_slice(), [stretch]);
-    assert_eq!((packet.id.get(), packet.escapes, packet.body), (0x01_02_03, 1, &[0xaa, 0xbb][..]));
+    assert_eq!((packet.id.get(), packet.body), (0x01_02_03, &[0xaa, 0xbb][..]));
 }
 
 /// Each of these is wrong in one place, and is found there.
@@ -854,6 +904,7 @@ fn a_wrong_table_is_found() {
         ("-1.388888888888889e-3", "-1.388898888888889e-3", "cospi("),
         ("| 2 | 8 | playout_us |", "| 2 | 4 | playout_us |", "receipt.playout_us"),
         ("| 9 | 4 | index_len |", "| 9 | 2 | index_len |", "file.index_len"),
+        ("| 1 | 0x", "| 2 | 0x", "coefficient(2, "),
         ("| checksum | 3 |", "| checksum | 4 |", "checksum"),
         ("| manifest.magic manifest.version", "| manifest.version", "manifest.magic"),
         ("| parity | 0b110 |", "| parity | 0b111 |", "kind parity"),

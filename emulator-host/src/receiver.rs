@@ -296,20 +296,28 @@ mod tests {
     }
 
     #[test]
-    fn one_loss_per_set_is_repaired_and_two_are_not() {
-        let spec = Synthetic { frames: 30, clusters: 8, repair: Some(4), ..Synthetic::default() };
-        let graph = spec.build(1).unwrap();
-        let members = &graph.repair_sets()[0].members;
-        for lost in 1..=2 {
-            let mut receiver = GraphReceiver::new(&graph, 0);
-            let mut recovered = Vec::new();
-            receiver.control(8192, true, &mut recovered);
-            for packet in members[lost..].iter().copied().chain([graph.parity(0)]) {
-                assert_eq!(receiver.media(packet, Nanos::ZERO, &mut recovered), Arrival::Fresh);
+    fn as_many_losses_per_set_as_parity_are_repaired_and_one_more_is_not() {
+        for parity in 1..=3 {
+            let spec = Synthetic { frames: 30, clusters: 8, repair: Some(4), parity, ..Synthetic::default() };
+            let graph = spec.build(1).unwrap();
+            let members = &graph.repair_sets()[0].members;
+            let parity = parity as usize;
+            for lost in 1..=4 {
+                let mut receiver = GraphReceiver::new(&graph, 0);
+                let mut recovered = Vec::new();
+                receiver.control(8192, true, &mut recovered);
+                assert_eq!(graph.parity(0).len(), parity);
+                for packet in members[lost..].iter().chain(graph.parity(0)) {
+                    assert_eq!(receiver.media(*packet, Nanos::ZERO, &mut recovered), Arrival::Fresh);
+                }
+                assert_eq!(recovered.len(), if lost <= parity { lost } else { 0 });
+                let again = receiver.media(members[0], Nanos::ZERO, &mut recovered);
+                assert_eq!(again == Arrival::Duplicate, lost <= parity);
+                assert_eq!(
+                    recovered.len(),
+                    if lost <= parity + 1 { lost - usize::from(lost > parity) } else { 0 }
+                );
             }
-            assert_eq!(recovered.len(), usize::from(lost == 1));
-            let again = receiver.media(members[0], Nanos::ZERO, &mut recovered);
-            assert_eq!(again == Arrival::Duplicate, lost == 1);
         }
     }
 

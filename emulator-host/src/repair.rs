@@ -1,4 +1,4 @@
-//! XOR repair: when all but one packet of a set have arrived, the missing one is known.
+//! Repair: when no more members of a set are missing than parity packets of it are there, all are known.
 //!
 //! Only indices are tracked here. An [`crate::Endpoint`] that owns bytes must check that what it recovers passes the
 //! original CRC (paper, "Selective recovery and receiver closure").
@@ -8,24 +8,32 @@ use crate::graph::{PacketGraph, PacketIndex};
 /// What each repair set still lacks.
 #[derive(Clone, Debug)]
 pub struct Repair {
+    known: Vec<bool>,
     sets: Vec<Lack>,
 }
 
-/// The last missing member is known without a list: it is the sum of what is missing.
 #[derive(Clone, Copy, Debug)]
 struct Lack {
-    count: u32,
-    sum: u64,
+    /// Members that are not known.
+    missing: u32,
+    /// Parity packets that have arrived.
+    parity: u32,
+    /// Nothing is missing, or what is missing has been told.
+    done: bool,
 }
 
 impl Repair {
     /// Nothing has arrived.
     pub fn new(graph: &PacketGraph) -> Self {
-        let sets = graph.repair_sets().iter().zip(0u32..).map(|(set, at)| {
-            let all = set.members.iter().copied().chain([graph.parity(at)]);
-            Lack { count: set.members.len() as u32 + 1, sum: all.map(|packet| u64::from(packet.0)).sum() }
-        });
-        Self { sets: sets.collect() }
+        let lack = |members: &[PacketIndex]| Lack {
+            missing: members.len() as u32,
+            parity: 0,
+            done: members.is_empty(),
+        };
+        Self {
+            known: vec![false; graph.packets().len()],
+            sets: graph.repair_sets().iter().map(|set| lack(&set.members)).collect(),
+        }
     }
 
     /// `packet` is there for the first time, arrived or recovered. Calls `recovered` for each media packet that this makes
@@ -36,15 +44,22 @@ impl Repair {
         packet: PacketIndex,
         mut recovered: impl FnMut(PacketIndex),
     ) {
+        self.known[packet.at()] = true;
+        let is_parity = graph.packets()[packet.at()].parity_of.is_some();
         for set in graph.sets_of(packet) {
             let lack = &mut self.sets[*set as usize];
-            lack.count -= 1;
-            lack.sum -= u64::from(packet.0);
-            if lack.count == 1 {
-                let missing = PacketIndex(lack.sum as u32);
-                if graph.packets()[missing.at()].parity_of.is_none() {
-                    recovered(missing);
-                }
+            if is_parity {
+                lack.parity += 1;
+            } else {
+                lack.missing -= 1;
+            }
+            if !lack.done && lack.missing <= lack.parity {
+                lack.done = true;
+                let members = &graph.repair_sets()[*set as usize].members;
+                members
+                    .iter()
+                    .filter(|member| !self.known[member.at()])
+                    .for_each(|member| recovered(*member));
             }
         }
     }

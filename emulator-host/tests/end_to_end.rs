@@ -165,6 +165,18 @@ fn parity_pays_on_a_bursty_channel_without_retransmission() {
 }
 
 #[test]
+fn more_parity_over_longer_sets_saves_more_at_the_same_cost() {
+    let base_miss = |size, parity| {
+        let graph = graph(Synthetic { repair: Some(size), parity, rate: Rate::from_mbps(3), ..short() }, 8);
+        let path = PathConfig { loss: LossModel::Iid(0.05), ..PathConfig::default() };
+        let config = SessionConfig { retransmissions: 0, policy: PolicyKind::Layered, ..down(path) };
+        simulate(&graph, &config).unwrap().base_miss_rate
+    };
+    let (xor, code) = (base_miss(4, 1), base_miss(16, 4));
+    assert!(code < xor * 0.7, "{code} {xor}");
+}
+
+#[test]
 fn retransmission_saves_the_base_and_the_budget_bounds_it() {
     let graph = graph(Synthetic { rate: Rate::from_mbps(1), ..short() }, 8);
     let path = PathConfig { loss: LossModel::Iid(0.05), ..PathConfig::default() };

@@ -9,19 +9,25 @@
 //!
 //! CRCs are made to fit inside the bodies, so that a fuzzer gets behind the door.
 //!
+//! Two bodies compare ways to the same place: `receiver` any order of arrival with another, `sliced` a
+//! scene cut into small packets with the same in large ones. Kernels that differ by machine belong
+//! beside `lanes`, against its slow twin.
+//!
 //! Deliberately absent: allocation limits of the process (the fuzzer's `-rss_limit_mb` has them)
 //! and anything that needs a file.
 
 mod coding;
 mod imports;
 mod input;
+mod parity;
 mod session;
 mod traces;
 mod wire;
 
-pub use coding::{bytes, lanes, pack};
+pub use coding::{bytes, lanes, pack, tables};
 pub use imports::{compressed_ply, gltf, ply, points_npz, sog, splat, spz, unity, unity_planes};
-pub use session::{closure, decode, fixture, receiver, repair, slices};
+pub use parity::{cauchy, repair};
+pub use session::{closure, decode, fixture, receiver, sliced, slices};
 pub use traces::trace;
 pub use wire::{file, manifest, packet, receipt};
 
@@ -29,17 +35,20 @@ pub use wire::{file, manifest, packet, receipt};
 pub type Body = fn(&[u8]);
 
 /// All bodies by name: wire, coding, session, imports, traces.
-pub const TARGETS: [(&str, Body); 21] = [
+pub const TARGETS: [(&str, Body); 24] = [
     ("packet", packet),
     ("manifest", manifest),
     ("receipt", receipt),
     ("file", file),
+    ("tables", tables),
     ("lanes", lanes),
     ("bytes", bytes),
     ("pack", pack),
     ("slices", slices),
+    ("sliced", sliced),
     ("decode", decode),
     ("repair", repair),
+    ("cauchy", cauchy),
     ("closure", closure),
     ("receiver", receiver),
     ("ply", ply),

@@ -7,50 +7,97 @@ use codec_core::{
     Gaussian,
     closure::{Arrived, naive_usable},
     ids::{Level, PacketId, Span},
-    limits::{MAX_PACKET_BYTES, MAX_REPAIR_SET},
     receiver::{Arrival, Content, Receiver, Requirements, for_each_cell},
-    repair::{ACCUMULATOR_BYTES, Accumulator},
     wire::manifest::{Manifest, Profile},
 };
 use trainer_host::{
-    encode::{Options, encode},
+    encode::{Options, Protection, Strength, encode},
     import::{
         Limits,
         synth::{self, Kind},
     },
+    scene::Scene,
     stream::{HostMemory, Player, Stream},
 };
 
 use crate::input::{Choices, Noise, edit, with_crc};
+
+/// A scene with two epochs, several windows, tracks and coefficients.
+fn scene() -> Option<Scene> {
+    let options =
+        synth::Options { kind: Kind::Births, gaussians: 1000, frames: 8, frames_per_second: 8.0, seed: 3 };
+    synth::make(&options, &Limits::default()).ok()
+}
+
+/// `dgs1` with several packets in everything, and parity of several rows.
+fn dgs1(packet_bytes: usize) -> Options {
+    Options {
+        block_len: 16,
+        window_frames: Some(3),
+        repair: Protection {
+            refinements: [None, Some(Strength { set_len: 9, parity: 2 }), None],
+            ..Protection::STANDARD
+        },
+        packet_bytes,
+        ..Options::default()
+    }
+}
 
 /// The streams under attack, one per profile (`dgs1`, `paper`): two epochs, several windows,
 /// tracks, coefficients, parity. Encoded once.
 pub fn fixture(paper: bool) -> &'static Stream {
     static STREAMS: OnceLock<Vec<Stream>> = OnceLock::new();
     let streams = STREAMS.get_or_init(|| {
-        let options = synth::Options {
-            kind: Kind::Births,
-            gaussians: 1000,
-            frames: 8,
-            frames_per_second: 8.0,
-            seed: 3,
-        };
-        let made = synth::make(&options, &Limits::default());
-        let dgs1 = Options {
-            block_len: 16,
-            window_frames: Some(3),
-            repair_set: Some(4),
-            packet_bytes: 400,
-            ..Options::default()
-        };
-        let paper = Options { repair_set: Some(4), ..Options::paper() };
-        let streams = made
-            .iter()
-            .flat_map(|scene| [&dgs1, &paper].into_iter().filter_map(|o| encode(scene, o, &|_, _| {}).ok()));
-        streams.collect()
+        let all = [dgs1(400), Options { repair: Protection::xor(4), ..Options::paper() }];
+        let encoded = |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}));
+        scene().into_iter().flat_map(encoded).flatten().collect()
     });
     assert_eq!(streams.len(), 2, "both profiles encode");
     &streams[usize::from(paper)]
+}
+
+/// The same scene cut into small and into large packets, received whole. Encoded once.
+fn cuts() -> &'static [(Stream, HostMemory)] {
+    static CUTS: OnceLock<Vec<(Stream, HostMemory)>> = OnceLock::new();
+    CUTS.get_or_init(|| {
+        let encoded = |scene: Scene| [200, 1150].map(|bytes| encode(&scene, &dgs1(bytes), &|_, _| {}));
+        let streams = scene().into_iter().flat_map(encoded).flatten();
+        let received = |stream: Stream| {
+            let mut memory = memory(&stream.manifest().ok()?, 0)?;
+            let mut receiver = Receiver::new(memory.memory());
+            receiver.control(stream.message()).ok()?;
+            stream.packets().iter().for_each(|p| {
+                let _ = receiver.media(p);
+            });
+            Some((stream, memory))
+        };
+        streams.filter_map(received).collect()
+    })
+}
+
+/// However a scene is cut into packets, equal states show the same. Input: flags, frame, then per
+/// two bytes a packet of one cut that arrives.
+pub fn sliced(data: &[u8]) {
+    let mut choices = Choices::new(data);
+    let (flags, frame) = (choices.u8(), u32::from(choices.u8()));
+    let [small, large] = cuts() else { return };
+    let ((stream, _), (other_stream, other)) = if flags & 1 == 0 { (small, large) } else { (large, small) };
+    let (Ok(manifest), Ok(other_manifest)) = (stream.manifest(), other_stream.manifest()) else { return };
+    let Some(mut memory) = memory(&manifest, 0) else { return };
+    {
+        let mut receiver = Receiver::new(memory.memory());
+        assert_eq!(receiver.control(stream.message()), Ok(()));
+        while !choices.is_empty() {
+            let which = choices.below(stream.packets().len());
+            let _ = receiver.media(&stream.packets()[which]);
+        }
+    }
+    let (part, whole) = (memory.content(&manifest), other.content(&other_manifest));
+    assert_eq!(part.blocks.len(), whole.blocks.len(), "one lattice");
+    let frame = frame % manifest.head().frames;
+    let shown = Player::new(&manifest).instant(&part, frame);
+    let same = Player::new(&other_manifest).instant(&whole.with_state(part.blocks), frame);
+    assert_eq!(shown, same);
 }
 
 /// Largest stream that a body decodes, in symbols; what is larger costs time and teaches nothing.
@@ -220,47 +267,6 @@ pub fn closure(data: &[u8]) {
     assert_eq!(player.instant(&content.with_state(&usable), frame), same);
 }
 
-/// XOR repair against a plain sum. Input: members, then operations.
-pub fn repair(data: &[u8]) {
-    let mut choices = Choices::new(data);
-    let members = u32::from(choices.u8() % 34);
-    let mut memory = vec![0u8; ACCUMULATOR_BYTES];
-    assert!(Accumulator::over(&mut memory[1..]).is_none());
-    let Some(mut accumulator) = Accumulator::over(&mut memory) else { return };
-    let mut seen: Vec<Option<Vec<u8>>> = vec![None; MAX_REPAIR_SET];
-    let mut parity: Option<(u16, Vec<u8>)> = None;
-    while !choices.is_empty() {
-        let (op, position) = (choices.u8(), choices.u8());
-        let len = choices.below(if op & 4 == 0 { 40 } else { MAX_PACKET_BYTES + 20 });
-        let bytes = choices.take(len);
-        if op & 3 == 3 {
-            let length = choices.u16() % 1400;
-            accumulator.add_parity(length, bytes);
-            if parity.is_none() && bytes.len() <= MAX_PACKET_BYTES {
-                parity = Some((length, bytes.to_vec()));
-            }
-        } else {
-            accumulator.add(position.into(), bytes);
-            let slot = &mut seen[usize::from(position) % MAX_REPAIR_SET];
-            if slot.is_none() && bytes.len() <= MAX_PACKET_BYTES {
-                *slot = Some(bytes.to_vec());
-            }
-        }
-    }
-    let (mut length, mut sum) = (0u16, vec![0u8; MAX_PACKET_BYTES]);
-    let mut mix = |l: u16, bytes: &[u8]| {
-        length ^= l;
-        sum.iter_mut().zip(bytes).for_each(|(s, b)| *s ^= b);
-    };
-    seen.iter().flatten().for_each(|p| mix(p.len() as u16, p));
-    parity.iter().for_each(|(l, p)| mix(*l, p));
-    assert_eq!(accumulator.parity(MAX_PACKET_BYTES), (length, &sum[..]));
-    let absent: Vec<u32> = (0..members.min(32)).filter(|&m| seen[m as usize].is_none()).collect();
-    let whole = (1..=32).contains(&members) && parity.is_some() && absent.len() == 1;
-    let expected = whole.then(|| sum.get(..usize::from(length))).flatten();
-    assert_eq!(accumulator.missing(members), expected.map(|bytes| (absent[0], bytes)));
-}
-
 /// A session as a list of operations. Input: flags, then four bytes per operation: what, which
 /// packet (2), how.
 pub fn receiver(data: &[u8]) {
@@ -333,7 +339,7 @@ pub fn receiver(data: &[u8]) {
         let refused: u32 = c.refused.iter().sum();
         // What was buffered is counted when it comes and again when it is taken.
         assert_eq!(c.media + c.parity + refused, offered, "{c:?}");
-        assert!(c.recovered <= c.parity);
+        assert!(c.recovered <= c.parity, "each parity packet gives back at most one");
     }
     let frame = u32::from(flags >> 4) % manifest.head().frames;
     assert_frame_drawable(&first.content(&manifest), frame);

@@ -15,6 +15,9 @@ use fuzz::TARGETS;
 /// Mutations per target. Session bodies set up a whole receiver each time and take fewer.
 const MUTATIONS: &[(&str, usize)] = &[
     ("slices", 600),
+    ("sliced", 120),
+    ("repair", 4000),
+    ("cauchy", 2000),
     ("decode", 1200),
     ("closure", 250),
     ("receiver", 350),
@@ -148,7 +151,7 @@ macro_rules! replays {
 }
 
 replays! {
-    packet manifest receipt file lanes bytes pack slices decode repair closure receiver
+    packet manifest receipt file tables lanes bytes pack slices sliced decode repair cauchy closure receiver
     ply compressed_ply spz splat sog points_npz gltf unity trace
 }
 

@@ -110,6 +110,13 @@ fn coding() {
     // A table of two tokens, sent in front of the values.
     let table = [1u8, 127, 2, 1, 0, 0xff, 3, 0, 4];
     put("lanes", "own-table", &[&[3u8, 30, 9][..], &table, &[0; 55], &[100, 0], &noise(200, 8)].concat());
+    put("tables", "two-tokens", &[&[0u8, 0][..], &table].concat());
+    put(
+        "tables",
+        "counts",
+        &[&[1u8, 3][..], &(0..60u8).flat_map(|i| [100 + i, i % 7, i, 1]).collect::<Vec<u8>>()].concat(),
+    );
+    put("tables", "uneven", &[1u8, 0, 128, 23, 255, 255, 129, 0, 1, 0, 5, 0, 1, 0]);
     for shift in [0u8, 6, 12] {
         let head = [shift, shift, 0xff, 0];
         put("bytes", &format!("shift-{shift}"), &[&head[..], &noise(520, shift.into())].concat());
@@ -148,7 +155,8 @@ fn session() {
         put("receiver", &format!("damage-{paper}"), &[&[paper | 4][..], &damage].concat());
         put("receiver", &format!("forged-{paper}"), &[&[paper | 12][..], &damage, &run].concat());
     }
-    let mut set = vec![4u8];
+    // Members 0, 1 and 3 of four, then row 0.
+    let mut set = vec![4u8, 0, 4];
     for member in [0u8, 1, 3] {
         set.extend([0, member, 20, 0]);
         set.extend(noise(20, member.into()));
@@ -156,7 +164,30 @@ fn session() {
     set.extend([3, 0, 20, 0]);
     set.extend(noise(22, 9));
     put("repair", "one-missing", &set);
-    put("repair", "long", &[&[32u8, 4, 9, 0xff, 4][..], &noise(1300, 5)].concat());
+    put("repair", "long", &[&[32u8, 0, 255, 9, 4, 0xff, 4][..], &noise(1300, 5)].concat());
+    // Two of eight there, all eight rows, for the six missing.
+    let mut set = vec![8u8, 7, 4];
+    for member in [2u8, 5] {
+        set.extend([0, member, 20, 0]);
+        set.extend(noise(20, member.into()));
+    }
+    for row in 0..8u8 {
+        set.extend([3, row, 20, 0]);
+        set.extend(noise(22, row.into()));
+    }
+    put("cauchy", "six-missing", &set);
+    // A run of fifteen like members, one of them missing, rows 3 and 7 of them true.
+    let mut set = vec![16u8, 7, 4, 0xf2, 1, 3, 0, 7, 8, 9];
+    for row in [3u8, 7] {
+        set.extend([3, row, 3, 0, 1, 2, 3, 0, 0]);
+    }
+    put("cauchy", "a-run", &set);
+    put("cauchy", "long", &[&[64u8, 6, 200, 15, 4, 0xff, 4][..], &noise(1300, 6)].concat());
+    let every: Vec<u8> = (0..120u8).flat_map(|i| [i, 0]).collect();
+    for flags in [0u8, 1] {
+        put("sliced", &format!("first-{flags}"), &[&[flags, 3][..], &every].concat());
+        put("sliced", &format!("odd-{flags}"), &[&[flags, 6][..], &noise(160, flags.into())].concat());
+    }
 }
 
 fn imports() {

@@ -155,7 +155,7 @@ impl Workspace {
 /// Renders `splats`, judges the picture with `loss`, and differentiates.
 ///
 /// # Errors
-/// A setting out of range, or a loss made for another size of picture.
+/// A setting out of range, tiles of another side than the usual, or a loss made for another size of picture.
 pub fn render_and_gradients(
     workspace: &mut Workspace,
     splats: &Splats,
@@ -181,6 +181,7 @@ pub fn render_and_gradients_into(
     out: &mut Gradients,
 ) -> Result<(), AdjointError> {
     let Workspace { renderer, image, tiles, ellipses, chunks } = workspace;
+    settings.validate_for_one_tile_side().map_err(RenderError::from)?;
     renderer.render_into(splats, camera, settings, &mut out.rendered)?;
     image.resize(out.rendered.image.rgb().len(), 0.0);
     out.loss = loss.differentiate(&out.rendered.image, settings.parallel, image)?;

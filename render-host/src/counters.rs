@@ -28,7 +28,7 @@ pub struct Counters {
     pub culled: u64,
     /// Skipped: falls between pixel centres.
     pub sub_pixel: u64,
-    /// Tiles of 16 × 16 pixels in the image.
+    /// Tiles in the image, of the settings' side.
     pub tiles: u64,
     /// Tiles with at least one splat.
     pub tiles_touched: u64,

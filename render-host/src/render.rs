@@ -2,7 +2,7 @@
 
 use crate::image::{Image, ImageError};
 use crate::settings::{Settings, SettingsError};
-use crate::stage::{TILE, bin, blend, project, sort};
+use crate::stage::{bin, blend, project, sort};
 use crate::{Camera, Counters, Splats};
 
 use rayon::prelude::*;
@@ -83,8 +83,7 @@ impl Renderer {
         let Self { projected, order, bands, .. } = self;
         let mut counters = project::project(splats, camera, settings, projected);
         sort::sort(&projected.keys, settings.parallel, order);
-        let [columns, rows] = size.map(|side| side.div_ceil(TILE));
-        bin::bands(projected, order, columns, rows, bands);
+        bin::bands(projected, order, size, settings.tile, bands);
         self.compose(size, settings, out, &mut counters);
         out.counters = counters;
         Ok(())
@@ -100,11 +99,12 @@ impl Renderer {
         counters: &mut Counters,
     ) {
         let Self { projected, order, bands, bins, tiles } = self;
-        let [columns, rows] = size.map(|side| side.div_ceil(TILE));
+        let side = settings.tile.pixels();
+        let [columns, rows] = size.map(|pixels| settings.tile.tiles(pixels));
         for band in bands.iter() {
             bin::bin(projected, order, band, columns, settings, bins);
             blend::blend(&projected.splats, bins, band, size, settings, tiles);
-            let pixels = band.start * TILE * size[0]..(band.end * TILE).min(size[1]) * size[0];
+            let pixels = band.start * side * size[0]..(band.end * side).min(size[1]) * size[0];
             let rgb = &mut out.image.rgb_mut()[3 * pixels.start..3 * pixels.end];
             blend::resolve(tiles, size[0], settings, rgb, &mut out.transmittance[pixels]);
 

@@ -167,7 +167,7 @@ impl Sequence {
     /// before.
     ///
     /// # Errors
-    /// A setting out of range; the sequence is then as it was.
+    /// A setting out of range, or tiles of another side than the usual; the sequence is then as it was.
     pub fn render(
         &mut self,
         splats: &Splats,
@@ -175,7 +175,7 @@ impl Sequence {
         camera: &Camera,
         settings: &Settings,
     ) -> Result<&Rendered, RenderError> {
-        settings.validate()?;
+        settings.validate_for_one_tile_side()?;
         let view = View::new(splats, camera, settings);
         let fresh = self.view.as_ref() != Some(&view);
         // Until this frame is whole, there is none to go on from.
@@ -197,7 +197,7 @@ impl Sequence {
         self.ordered &= self.inputs.moved() == 0;
 
         let [columns, rows] = size.map(|side| side.div_ceil(TILE));
-        self.update_lists(columns, rows, settings);
+        self.update_lists(size, settings);
         match &self.lists {
             None => {
                 // Too many entries to keep: the picture is made the plain way.
@@ -225,7 +225,8 @@ impl Sequence {
     }
 
     /// Brings the tile lists up to the projection, and marks the tiles in which something changed.
-    fn update_lists(&mut self, columns: usize, rows: usize, settings: &Settings) {
+    fn update_lists(&mut self, size: [usize; 2], settings: &Settings) {
+        let [columns, rows] = size.map(|side| side.div_ceil(TILE));
         let all = (columns * rows) as u64;
         let Renderer { projected, order, bands, bins, .. } = &mut self.renderer;
         if let Some(lists) = &mut self.lists {
@@ -261,9 +262,9 @@ impl Sequence {
         }
         let boxes = order.indices().map(|index| {
             let splat = &projected.splats[index as usize];
-            (splat.tile_columns().len() * splat.tile_rows().len()) as u64
+            (splat.tile_columns(settings.tile).len() * splat.tile_rows(settings.tile).len()) as u64
         });
-        bin::bands(projected, order, columns, rows, bands);
+        bin::bands(projected, order, size, settings.tile, bands);
         if boxes.sum::<u64>() > self.most_entries {
             self.drop_lists();
             return;

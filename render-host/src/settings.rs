@@ -6,6 +6,7 @@
 //! `half_attributes`) says how many bits a value is kept in; it changes the picture by an error that the
 //! reference, which keeps every bit, makes visible.
 
+use crate::stage::TileSide;
 use codec_core::gaussian::ShDegree;
 use serde::{Deserialize, Serialize};
 
@@ -36,6 +37,9 @@ pub struct Settings {
     /// Precision: colour and shape of a projected splat are rounded to f16, as a device with little memory
     /// stores them; centre and opacity are not. Gradients go straight through the rounding.
     pub half_attributes: bool,
+    /// Side of the tiles that lists are made for; changes no bit of the picture. Only the forward renderer of the
+    /// CPU has others than 16; whatever else is asked for them refuses.
+    pub tile: TileSide,
     /// Uses the current rayon pool. The picture is the same bit for bit either way.
     pub parallel: bool,
     /// Skip: leave out what a cheap bound puts wholly outside the image before computing its shape.
@@ -73,6 +77,7 @@ impl Default for Settings {
             max_sh_degree: 3,
             depth_bits: 32,
             half_attributes: false,
+            tile: TileSide::Sixteen,
             parallel: true,
             cull_frustum: true,
             cull_sub_pixel: true,
@@ -89,7 +94,7 @@ impl Default for Settings {
 
 /// A setting out of its range.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
-#[error("setting {field} is {found}; {low} to {high} is allowed")]
+#[error("setting {field} is {found}; {}", allowed(*low, *high))]
 pub struct SettingsError {
     /// Which setting.
     pub field: &'static str,
@@ -99,6 +104,10 @@ pub struct SettingsError {
     pub low: f64,
     /// Largest allowed.
     pub high: f64,
+}
+
+fn allowed(low: f64, high: f64) -> String {
+    if low == high { format!("only {low} is allowed here") } else { format!("{low} to {high} is allowed") }
 }
 
 impl Settings {
@@ -151,6 +160,17 @@ impl Settings {
         check("depth_bits", f64::from(self.depth_bits), 16.0, 32.0)
     }
 
+    /// As [`Settings::validate`], for what knows only tiles of the usual side.
+    pub(crate) fn validate_for_one_tile_side(&self) -> Result<(), SettingsError> {
+        self.validate()?;
+        let [found, only] = [self.tile, TileSide::default()].map(|side| side.pixels() as f64);
+        if found == only {
+            Ok(())
+        } else {
+            Err(SettingsError { field: "tile", found, low: only, high: only })
+        }
+    }
+
     /// The degree actually evaluated for splats of degree `available`.
     pub(crate) fn degree(&self, available: ShDegree) -> u8 {
         self.max_sh_degree.min(available.get())
@@ -196,6 +216,10 @@ mod tests {
             let error = settings.validate().unwrap_err();
             assert_eq!(error.field, field, "{error}");
         }
+        let large = Settings { tile: TileSide::ThirtyTwo, ..good };
+        large.validate().unwrap();
+        let error = large.validate_for_one_tile_side().unwrap_err();
+        assert_eq!(error.to_string(), "setting tile is 32; only 16 is allowed here");
     }
 
     #[test]

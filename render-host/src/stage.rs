@@ -12,11 +12,16 @@ pub mod bin;
 pub mod blend;
 mod fade;
 mod half;
+mod power;
 pub mod project;
+mod side;
 pub mod sort;
 pub(crate) mod span;
 
-/// Side of a tile, pixels.
+pub use side::{TileSide, TileSideError};
+
+/// Side of a tile, pixels, unless [`TileSide`] says otherwise; and of a cell, in which pixels are blended
+/// and kept whatever the tiles are.
 pub const TILE: usize = 16;
 
 /// log₂ of alpha by which skips reach past the cut-off, so that rounding in the blend (about 2e-6) can
@@ -51,13 +56,15 @@ impl Splat {
         Self { mean: [0.0; 2], root: [1.0, 0.0, 1.0], colour: [0.0; 3], log2_alpha: -200.0, pixels: [0; 4] };
 
     /// Half-open range of tile columns of the pixel box.
-    pub fn tile_columns(&self) -> std::ops::Range<usize> {
-        usize::from(self.pixels[0]) / TILE..usize::from(self.pixels[1]).div_ceil(TILE)
+    #[inline]
+    pub fn tile_columns(&self, side: TileSide) -> std::ops::Range<usize> {
+        side.of(self.pixels[0].into())..side.tiles(self.pixels[1].into())
     }
 
     /// Half-open range of tile rows of the pixel box.
-    pub fn tile_rows(&self) -> std::ops::Range<usize> {
-        usize::from(self.pixels[2]) / TILE..usize::from(self.pixels[3]).div_ceil(TILE)
+    #[inline]
+    pub fn tile_rows(&self, side: TileSide) -> std::ops::Range<usize> {
+        side.of(self.pixels[2].into())..side.tiles(self.pixels[3].into())
     }
 }
 
@@ -77,7 +84,8 @@ mod tests {
     #[test]
     fn tile_ranges_cover_the_pixel_box() {
         let splat = Splat { pixels: [15, 17, 32, 48], ..Splat::NONE };
-        assert_eq!((splat.tile_columns(), splat.tile_rows()), (0..2, 2..3));
-        assert!(Splat::NONE.tile_rows().is_empty());
+        let ranges = |side| (splat.tile_columns(side), splat.tile_rows(side));
+        assert_eq!(TileSide::ALL.map(ranges), [(1..3, 4..6), (0..2, 2..3), (0..1, 1..2)]);
+        assert!(Splat::NONE.tile_rows(TileSide::Sixteen).is_empty());
     }
 }

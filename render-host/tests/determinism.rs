@@ -7,6 +7,7 @@ mod support;
 
 use codec_core::Gaussian;
 use proptest::prelude::*;
+use render_host::stage::TileSide;
 use render_host::{Rendered, Renderer, Settings, Splats, render, render_many};
 use support::{Scene, camera};
 
@@ -31,8 +32,9 @@ fn threads_do_not_show() {
 
 type Switch = fn(&mut Settings);
 
-/// Every skip that promises not to show, and how to switch it off; `cull_entries` also how to switch it on.
-const SWITCHES: [(&str, Switch); 9] = [
+/// Every skip that promises not to show, and how to switch it off; `cull_entries` also how to switch it on;
+/// and tiles of every other side.
+const SWITCHES: [(&str, Switch); 12] = [
     ("cull_frustum", |s| s.cull_frustum = false),
     ("cull_sub_pixel", |s| s.cull_sub_pixel = false),
     ("opacity_bounds", |s| s.opacity_bounds = false),
@@ -42,6 +44,9 @@ const SWITCHES: [(&str, Switch); 9] = [
     ("row_reach", |s| s.row_reach = false),
     ("sh_by_need", |s| s.sh_by_need = false),
     ("all", |s| *s = s.clone().without_skips()),
+    ("tiles of 8", |s| s.tile = TileSide::Eight),
+    ("tiles of 32", |s| s.tile = TileSide::ThirtyTwo),
+    ("all, tiles of 8", |s| *s = Settings { tile: TileSide::Eight, ..s.clone().without_skips() }),
 ];
 
 /// A scene of which much is beside, behind and very near the camera, with specks between pixel centres,
@@ -195,5 +200,26 @@ fn a_used_renderer_gives_what_a_fresh_one_gives() {
         let camera = camera(width, height);
         renderer.render_into(&scene.splats(), &camera, &settings, &mut out).unwrap();
         assert_eq!(out, render(&scene.splats(), &camera, &settings).unwrap());
+    }
+}
+
+/// Where lists are long, they end at another splat with every side of tiles.
+#[test]
+fn tile_sides_do_not_show_in_a_crowd() {
+    let mut scene = Scene::random(9000, 0, 0.3, 3.0, 5);
+    for (i, g) in scene.gaussians.iter_mut().enumerate() {
+        g.opacity = 0.01 + 0.2 * f32::from(u8::from(i % 90 == 0));
+    }
+    let (splats, camera) = (scene.splats(), camera(203, 517));
+    let pictures = TileSide::ALL.map(|tile| {
+        let settings = Settings { tile, ..Settings::default() };
+        render(&splats, &camera, &settings).unwrap()
+    });
+    let usual = pictures[1].counters;
+    assert!(usual.pixels_stopped > 0 && 2 * usual.intersections < usual.boxed, "{usual:?}");
+    for other in [&pictures[0], &pictures[2]] {
+        assert_eq!(bits(other), bits(&pictures[1]));
+        assert_eq!(other.counters.pixels_stopped, usual.pixels_stopped);
+        assert_ne!(other.counters.intersections, usual.intersections);
     }
 }

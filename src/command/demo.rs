@@ -6,6 +6,7 @@ use rayon::prelude::*;
 use render_host::{Image, metric};
 use serde_json::json;
 use trainer_host::{
+    encode::Protection,
     stream::PacketMap,
     utility,
     viewpoint::{Framing, Ring},
@@ -71,7 +72,8 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<Outcome> {
 pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let input = args.scene.as_deref().unwrap_or(DEFAULT_SCENE);
     let Loaded { name, scene } = pipeline::import(input, &args.source)?;
-    let stream = pipeline::encode(&scene, &pipeline::encode_options(&args.codec, 4), quiet)?;
+    let stream =
+        pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::STANDARD), quiet)?;
     let map = PacketMap::of(&stream)?;
     let received = stream.receive()?;
     let content = received.content();

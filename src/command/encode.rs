@@ -6,7 +6,7 @@ use anyhow::{Context, Result, bail};
 use codec_core::wire::manifest::Profile;
 use serde_json::json;
 use trainer_host::{
-    encode::Ledger,
+    encode::{Ledger, Protection},
     judge::{self, Segment},
     stream::PacketMap,
     utility,
@@ -23,7 +23,7 @@ use crate::{
 /// Runs the verb.
 pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
     let loaded = pipeline::import(&args.input, &args.scene)?;
-    let options = pipeline::encode_options(&args.codec, 0);
+    let options = pipeline::encode_options(&args.codec, Protection::NONE);
     let start = Instant::now();
     let mut stream = pipeline::encode(&loaded.scene, &options, quiet)?;
     let mut truncated = None;

@@ -89,6 +89,7 @@ fn manifest_json(manifest: &Manifest<'_>) -> Value {
         "epochs": epochs, "windows": windows, "tables": head.tables,
         "repair": manifest.repairs().map(|r| json!({
             "first_packet": r.first_packet, "packets": r.packets, "set_len": r.set_len, "sets": r.sets(),
+            "parity": r.parity, "longest": r.longest,
         })).collect::<Vec<Value>>(),
     })
 }

@@ -3,6 +3,7 @@
 use anyhow::Result;
 use serde_json::json;
 use trainer_host::{
+    encode::Protection,
     stream::PacketMap,
     utility,
     viewpoint::{Framing, Ring},
@@ -35,7 +36,11 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<Outcome> {
         stream
     } else {
         let loaded = pipeline::import(&args.input, &args.scene)?;
-        let stream = pipeline::encode(&loaded.scene, &pipeline::encode_options(&args.codec, 4), quiet)?;
+        let stream = pipeline::encode(
+            &loaded.scene,
+            &pipeline::encode_options(&args.codec, Protection::STANDARD),
+            quiet,
+        )?;
         let map = PacketMap::of(&stream)?;
         let received = stream.receive()?;
         let framing = Framing::of(&loaded.scene, [0.0, 1.0, 0.0]);

@@ -3,6 +3,8 @@
 use anyhow::Result;
 
 use super::{Setup, codec_args, load, synth};
+use trainer_host::encode::Protection;
+
 use crate::{
     args::ProfileName,
     figures::{Bench, Figure},
@@ -36,7 +38,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         None => ("synth-figure", synth("figure", samples, 30)?),
     };
     for profile in [ProfileName::Paper, ProfileName::Dgs1] {
-        let options = pipeline::encode_options(&codec_args(profile), 0);
+        let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
         let stream = pipeline::encode(&scene, &options, setup.quiet)?;
         let ledger = stream.ledger();
         let profile = pipeline::profile_name(options.profile);

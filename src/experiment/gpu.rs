@@ -6,6 +6,7 @@
 mod counterfactual;
 mod forward;
 mod gradients;
+mod peer;
 mod worlds;
 
 use anyhow::Result;
@@ -43,7 +44,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "random Gaussians in [-1,1]^3, SH 0, focal length 0.9 W, distance 3.2, default settings. forward: medians of \
          7 (quick: 3) interleaved frames; stage times by device timestamps, wall from submission to completion, \
          stream per frame of a train without waiting between (not on a CPU adapter); error max: pixels away from any threshold, against the \
-         f64 reference. worlds: three repetitions after five warm-ups, mean and Student-t 95 % interval; serial draws \
+         f64 reference; peer: crate wgpu-3dgs-viewer (feature gpu-peer) with an 8-bit film, interleaved on the same \
+         device. worlds: three repetitions after five warm-ups, mean and Student-t 95 % interval; serial draws \
          every world alone; error: bits of a world in the batch that differ from the world drawn alone. \
          counterfactual and gradients: scene A (64 cells) and B (64 shells), 128 groups, every step from the camera to \
          sums on the device in one submission, steps in a train without waiting; peers with their set-up",

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use render_host::{Renderer, Settings, Splats, metric};
 use trainer_host::{
     Scene, Stream,
+    encode::Protection,
     stream::{PacketMap, Player},
     viewpoint::{Framing, Ring},
 };
@@ -37,7 +38,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     }
     for (name, scene) in &scenes {
         for profile in [ProfileName::Dgs1, ProfileName::Paper] {
-            let options = pipeline::encode_options(&codec_args(profile), 0);
+            let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
             let stream = pipeline::encode(scene, &options, setup.quiet)?;
             let key = format!("{name}.{}", pipeline::profile_name(options.profile));
             promise(&mut bench, &key, scene, &stream, subsets)?;

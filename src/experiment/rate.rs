@@ -7,6 +7,7 @@ use rayon::prelude::*;
 use render_host::{Settings, metric};
 use trainer_host::{
     Scene,
+    encode::Protection,
     stream::Player,
     viewpoint::{Framing, Ring},
 };
@@ -69,7 +70,7 @@ fn measure(
     let settings = Settings::default();
     let mut bits = Vec::new();
     for profile in [ProfileName::Dgs1, ProfileName::Paper] {
-        let options = pipeline::encode_options(&codec_args(profile), 0);
+        let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
         let name = pipeline::profile_name(options.profile);
         let start = Instant::now();
         let stream = pipeline::encode(scene, &options, setup.quiet)?;

@@ -101,15 +101,16 @@ fn time(work: impl FnOnce() -> Result<()>) -> Result<f64> {
     Ok(processor_ms() - start)
 }
 
+/// Processor time of this thread so far.
 #[cfg(unix)]
-fn processor_ms() -> f64 {
+pub(super) fn processor_ms() -> f64 {
     let t = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
     1e3 * t.tv_sec as f64 + 1e-6 * t.tv_nsec as f64
 }
 
 /// Where no such clock is known: wall time.
 #[cfg(not(unix))]
-fn processor_ms() -> f64 {
+pub(super) fn processor_ms() -> f64 {
     static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
     1e3 * START.get_or_init(std::time::Instant::now).elapsed().as_secs_f64()
 }

@@ -5,6 +5,7 @@ use emulator_host::PolicyKind;
 use rayon::prelude::*;
 use trainer_host::{
     Scene,
+    encode::Protection,
     stream::PacketMap,
     utility,
     viewpoint::{Framing, Ring},
@@ -27,7 +28,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "transport",
         format!(
             "the real encoded stream through the real receiver; {windows} windows per trace (starts spread over it), means over windows, the same \
-             windows, losses and seeds for every scheduler; UCC 5G at its own capacity, mahimahi likewise; 2 % loss in bursts, base XOR sets of 4, \
+             windows, losses and seeds for every scheduler; UCC 5G at its own capacity, mahimahi likewise; 2 % loss in bursts, base sets of 16 + 4, \
              base-only retransmission; capacity scaled so that the stream is 1.6 times what the clip's time carries on average where it says `scaled`"
         ),
     );
@@ -41,8 +42,11 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         ("ucc5g", "traces/ucc5g/driving/B_2020.01.16_07.26.43.csv"),
         ("mahimahi", "traces/mahimahi_lte/ATT-LTE-driving-2016.down"),
     ];
-    let stream =
-        pipeline::encode(&scene, &pipeline::encode_options(&codec_args(ProfileName::Dgs1), 4), setup.quiet)?;
+    let stream = pipeline::encode(
+        &scene,
+        &pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::STANDARD),
+        setup.quiet,
+    )?;
     let map = PacketMap::of(&stream)?;
     let table = utilities(&scene, &stream, &map, setup)?;
     let graph = pipeline::graph(&stream, &map, Some(&table))?;

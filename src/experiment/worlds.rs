@@ -26,8 +26,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "worlds",
         format!(
             "pictures of W states of one scene and camera, {n} Gaussians in {} groups, scene A (uniform volume in cells), {side}x{side}, default \
-             settings; one call per batch, set-up included; median of {calls} calls after {WARM_UPS} warm-ups, mean of {REPETITIONS} repetitions, 95 % CI \
-             by Student t; serial renders each state alone with all threads, decoded states given; training is forward+backward of the weighted MSE of W \
+             settings; one call per batch, set-up included; median of {calls} calls (more of fewer than 16 worlds) after {WARM_UPS} warm-ups, mean of {REPETITIONS} repetitions, 95 % CI \
+             by Student t; serial, between the calls of each batch, renders a state alone with all threads, decoded states given; training is forward+backward of the weighted MSE of W \
              worlds in fast mode (no early stop)",
             LATTICE.groups()
         ),
@@ -39,22 +39,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
 
     let alone: Vec<_> = (0..most.min(8)).map(|w| brute::world(&variants, &states, w)).collect();
     let mut renderer = Renderer::new();
-    let mut serial = Vec::new();
-    for _ in 0..REPETITIONS {
-        let mut times = Vec::new();
-        for call in 0..WARM_UPS + alone.len() {
-            let (gaussians, _) = &alone[call % alone.len()];
-            let start = Instant::now();
-            black_box(renderer.render(&Splats::plain(gaussians), camera, &settings)?);
-            times.push(start.elapsed().as_secs_f64());
-        }
-        serial.push(1.0 / median(&times[WARM_UPS..]));
-    }
     let picture = renderer.render(&scene.splats(), camera, &settings)?.image;
     let exact = reference::render(&scene.splats(), camera, &settings)?.difference(picture.rgb());
     let clear = exact.map_or(f64::NAN, |d| d.max_clear);
-    let figure = throughput("serial".into(), &serial).runs(REPETITIONS);
-    bench.push(figure.error(clear, "max abs against f64, away from thresholds"));
     // Gradients of one, two and four worlds, against the adjoint of each alone; more worlds are as the last.
     let no_stop = Settings { early_stop: false, ..settings.clone() };
     let engine = Engine::new(&variants, camera, &scene.against, &settings)?;
@@ -66,16 +53,31 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut training_error = 0.0;
 
     let batch = WorldBatch::new(&variants, camera, &settings)?;
+    let mut turn = 0;
+    let mut one = || -> Result<()> {
+        let (gaussians, _) = &alone[turn % alone.len()];
+        turn += 1;
+        black_box(renderer.render(&Splats::plain(gaussians), camera, &settings)?);
+        Ok(())
+    };
+    // Pictures per second, one at a time, between the calls of each batch.
+    let mut serial = Vec::new();
     let mut worlds = 1;
     while worlds <= most {
         let some = states.range(0..worlds);
         let weights = vec![1.0 / worlds as f64; worlds];
-        let draw =
-            repeat(calls, || Ok(black_box(render_worlds(&variants, &some, camera, &settings)?.len())))?;
-        let train = repeat(calls, || {
+        let calls = calls * (16 / worlds).max(1);
+        let mut all = || {
+            black_box(render_worlds(&variants, &some, camera, &settings)?);
+            Ok(())
+        };
+        let [draw, beside] = repeat(calls, [&mut all, &mut one])?;
+        let mut step = || {
             let engine = Engine::new(&variants, camera, &scene.against, &settings)?;
-            Ok(black_box(engine.gradients(&variants, &some, &weights)?.losses.len()))
-        })?;
+            black_box(engine.gradients(&variants, &some, &weights)?);
+            Ok(())
+        };
+        let [train] = repeat(calls, [&mut step])?;
         let images = render_worlds(&variants, &some, camera, &settings)?;
         let mut differ = 0;
         for world in (0..worlds).step_by(worlds.div_ceil(4)) {
@@ -83,14 +85,21 @@ pub fn run(setup: &Setup) -> Result<Bench> {
             let same = images[world].rgb().iter().zip(alone.rgb()).all(|(a, b)| a.to_bits() == b.to_bits());
             differ += usize::from(!same);
         }
-        let rates = |times: Vec<f64>| times.iter().map(|t| worlds as f64 / t).collect::<Vec<f64>>();
-        let figure = throughput(format!("W{worlds}.frames"), &rates(draw)).runs(REPETITIONS);
+        let rates = |times: &[f64]| times.iter().map(|t| worlds as f64 / t).collect::<Vec<f64>>();
+        let figure = throughput(format!("W{worlds}.frames"), &rates(&draw)).runs(REPETITIONS);
         let figure = figure.error(differ as f64, "pictures differ from single renders in a bit");
-        bench.push(figure.peer("serial", mean(&serial), false));
+        let alone: Vec<f64> = beside.iter().map(|t| 1.0 / t).collect();
+        bench.push(figure.peer("serial", mean(&alone), false));
+        let speedups: Vec<f64> =
+            draw.iter().zip(&beside).map(|(batch, one)| worlds as f64 * one / batch).collect();
+        let mut figure = Figure::new(format!("W{worlds}.speedup"), mean(&speedups), "times serial");
+        figure.ci95 = student95(&speedups);
+        bench.push(figure.runs(REPETITIONS).error(differ as f64, "pictures differ"));
+        serial.extend(alone);
         if worlds <= 4 {
             training_error = off(worlds)?;
         }
-        let figure = throughput(format!("W{worlds}.training"), &rates(train)).runs(REPETITIONS);
+        let figure = throughput(format!("W{worlds}.training"), &rates(&train)).runs(REPETITIONS);
         let of = "relative length of the worst class, the first worlds (four at most) against each alone";
         bench.push(figure.error(training_error, of));
         let tuned = batch.largest(&some, u64::MAX);
@@ -102,6 +111,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         );
         worlds *= 2;
     }
+    let figure = throughput("serial".into(), &serial).runs(serial.len());
+    bench.push(figure.error(clear, "max abs against f64, away from thresholds"));
     let budget = batch.predict_bytes(most / 2);
     let tuned = batch.largest(&states, budget);
     bench.push(Figure::new(
@@ -113,17 +124,24 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     Ok(bench)
 }
 
-/// Median seconds of `calls` calls after the warm-ups, for every repetition.
-fn repeat(calls: usize, mut work: impl FnMut() -> Result<usize>) -> Result<Vec<f64>> {
-    let mut out = Vec::new();
+/// Something to time.
+type Work<'a> = &'a mut dyn FnMut() -> Result<()>;
+
+/// Median seconds of `calls` calls of each work in turn after the warm-ups, for every repetition.
+fn repeat<const N: usize>(calls: usize, mut works: [Work<'_>; N]) -> Result<[Vec<f64>; N]> {
+    let mut out = [const { Vec::new() }; N];
     for _ in 0..REPETITIONS {
-        let mut times = Vec::new();
+        let mut times = [const { Vec::new() }; N];
         for _ in 0..WARM_UPS + calls {
-            let start = Instant::now();
-            work()?;
-            times.push(start.elapsed().as_secs_f64());
+            for (work, times) in works.iter_mut().zip(&mut times) {
+                let start = Instant::now();
+                work()?;
+                times.push(start.elapsed().as_secs_f64());
+            }
         }
-        out.push(median(&times[WARM_UPS..]));
+        for (out, times) in out.iter_mut().zip(&times) {
+            out.push(median(&times[WARM_UPS..]));
+        }
     }
     Ok(out)
 }

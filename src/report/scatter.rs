@@ -17,8 +17,8 @@ const BOTTOM: f64 = 66.0;
 /// Width of a letter of a label, and height of its line.
 const LETTER: (f64, f64) = (6.4, 14.0);
 /// Colours that also differ in lightness, one per group.
-const COLOURS: [&str; 8] =
-    ["#1b1b1b", "#2b6cb0", "#c05621", "#2f855a", "#97266d", "#b7791f", "#4c51bf", "#718096"];
+const COLOURS: [&str; 9] =
+    ["#1b1b1b", "#2b6cb0", "#c05621", "#2f855a", "#97266d", "#b7791f", "#4c51bf", "#718096", "#0d9488"];
 
 const STYLE: &str = "svg{background:#fff;font-family:system-ui,sans-serif;font-size:12px;fill:#222}\
 .t{font-size:17px;font-weight:600}.s,.k{fill:#555}.g{stroke:#e6e6e6}.m{stroke:#f3f3f3}.b{stroke:#999;fill:none}\

@@ -6,11 +6,13 @@ mod ledger;
 mod packetise;
 mod paper;
 mod parity;
+mod protection;
 mod statistics;
 mod steps;
 mod target;
 
 pub use ledger::{Ledger, Part, Share};
+pub use protection::{Protection, ProtectionError, Strength};
 pub use steps::Quality;
 pub use target::{COARSENESS, Reached, Target};
 
@@ -49,8 +51,8 @@ pub struct Options {
     pub tops: Vec<Level>,
     /// Largest packet, header and CRC included, bytes (`dgs1`); 200..=1226.
     pub packet_bytes: usize,
-    /// Packets per XOR repair set over base levels, 2..=32; `None` sends no parity.
-    pub repair_set: Option<u8>,
+    /// Parity per kind of packets.
+    pub repair: Protection,
     /// Send also the Gaussians whose opacity stays below 1/255 at every frame (`dgs1`).
     pub keep_invisible: bool,
 }
@@ -69,14 +71,14 @@ impl Default for Options {
             proxies: true,
             tops: Vec::new(),
             packet_bytes: limits::DEFAULT_PACKET_BYTES,
-            repair_set: None,
+            repair: Protection::NONE,
             keep_invisible: false,
         }
     }
 }
 
 impl Options {
-    /// Defaults of the `paper` profile: rank 4, four-packet base repair sets off.
+    /// Defaults of the `paper` profile: rank 4.
     pub fn paper() -> Self {
         Self { profile: Profile::Paper, rank: 4, ..Self::default() }
     }
@@ -95,8 +97,10 @@ impl Options {
         within("packet_bytes", self.packet_bytes, 200, 1226)?;
         within("cluster.max_gaussians", self.cluster.max_gaussians, 1, limits::MAX_CLUSTER_LEN)?;
         self.target.map_or(Ok(()), Target::check)?;
-        let most = limits::MAX_REPAIR_SET;
-        within("repair_set", self.repair_set.map_or(2, usize::from), 2, most)
+        self.repair.strengths().try_for_each(|strength| {
+            within("repair.set_len", strength.set_len.into(), 2, limits::MAX_REPAIR_SET)?;
+            within("repair.parity", strength.parity.into(), 1, limits::MAX_REPAIR_PARITY)
+        })
     }
 }
 

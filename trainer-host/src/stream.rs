@@ -8,7 +8,6 @@ use codec_core::{
     ids::{ClusterId, EpochId, Group, Level, Span},
     layout::Shape,
     receiver::{Cell, Content, Counters, Memory, Receiver, Requirements, for_each_cell},
-    repair::ACCUMULATOR_BYTES,
     wire::{
         crc::{checked, crc32},
         file,
@@ -276,6 +275,9 @@ pub struct HostMemory {
 /// exhaust a host.
 pub const MAX_SYMBOL_BYTES: usize = 2 << 30;
 
+/// Most bytes of repair sums that [`HostMemory`] takes on; sets beyond them are not repaired.
+pub const MAX_PARITY_BYTES: usize = 256 << 20;
+
 impl HostMemory {
     /// Memory for `manifest`, with `early` bytes for media that comes before it.
     ///
@@ -296,7 +298,7 @@ impl HostMemory {
             seen: vec![0; need.seen],
             slots: vec![0; need.slots],
             progress: vec![0; need.progress],
-            parity: vec![0; need.parity.div_ceil(ACCUMULATOR_BYTES) * ACCUMULATOR_BYTES],
+            parity: vec![0; need.parity.min(MAX_PARITY_BYTES)],
             early: vec![0; early],
         })
     }

@@ -35,14 +35,16 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) {
                 _ => 0.0,
             };
             let out = part.canonical.get_mut(first..first + n).unwrap_or(&mut []);
+            // No class here has more than three components.
+            let axis = component.min(2);
             for (gaussian, &q) in out.iter_mut().zip(indices.iter()) {
                 let value = origin + q as f32 * step;
                 match class {
-                    Class::Position => gaussian.position[component] = value,
-                    Class::Scale => gaussian.scale[component] = math::exp(value),
-                    Class::Rotation => gaussian.rotation[component + 1] = value,
+                    Class::Position => gaussian.position[axis] = value,
+                    Class::Scale => gaussian.scale[axis] = math::exp(value),
+                    Class::Rotation => gaussian.rotation[axis + 1] = value,
                     Class::Opacity => gaussian.opacity = value.clamp(0.0, 1.0),
-                    _ => gaussian.sh0[component] = value,
+                    _ => gaussian.sh0[axis] = value,
                 }
             }
         }

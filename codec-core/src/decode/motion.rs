@@ -237,7 +237,7 @@ fn bend(part: &mut Part<'_, '_>, shape: &Shape, cell: Cell, block: usize, level:
         let basis = if class == Class::Position { &frame.learned } else { &frame.cosine };
         let weights = basis.iter().take(usize::from(frame.window.frames));
         for (k, &weight) in weights.enumerate().take(rank) {
-            for (d, sums) in sums.chunks_exact_mut(n).enumerate() {
+            for (d, sums) in sums.chunks_exact_mut(n.max(1)).enumerate() {
                 // The runs of this component at levels 1, 2 and 3; empty where nothing is coded.
                 let runs = [Level::ALL[1], Level::ALL[2], Level::ALL[3]].map(|l| {
                     if l > level || !shape.carries(class, l) {

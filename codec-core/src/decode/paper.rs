@@ -82,7 +82,9 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, t: u32, usable: usize) {
                         value += symbol(level, at, offset, i) * quantiser.step(Level::ALL[level]);
                     }
                 }
-                attributes[at] = value;
+                if let Some(attribute) = attributes.get_mut(at) {
+                    *attribute = value;
+                }
                 at += 1;
             }
         }

@@ -1,7 +1,8 @@
 //! CRC-32 (ISO-HDLC, the CRC of Ethernet and zip): rejects damaged packets, manifests, receipts.
 //!
-//! The table takes 1 KiB of flash. A host that has a faster implementation passes it as a
-//! [`Crc32`] function to the receiver; both must give the same value.
+//! The table takes 1 KiB of flash; with the feature `crc-16k` it takes 16 KiB and sixteen bytes at
+//! a time. A host that has a faster implementation passes it as a [`Crc32`] function to the
+//! receiver; all must give the same value.
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
 
@@ -13,15 +14,20 @@ pub type Crc32 = fn(&[u8]) -> u32;
 /// Bytes of a CRC on the wire.
 pub const CRC_BYTES: usize = 4;
 
-static TABLE: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
+#[cfg(not(feature = "crc-16k"))]
+type Width = Table<1>;
+#[cfg(feature = "crc-16k")]
+type Width = Table<16>;
 
-/// CRC-32/ISO-HDLC of `bytes` by a 1 KiB table.
+static TABLE: Crc<u32, Width> = Crc::<u32, Width>::new(&CRC_32_ISO_HDLC);
+
+/// CRC-32/ISO-HDLC of `bytes` by a table.
 pub fn crc32(bytes: &[u8]) -> u32 {
     TABLE.checksum(bytes)
 }
 
 /// [`crc32`] of bytes that come in pieces.
-pub struct RunningCrc(crc::Digest<'static, u32, Table<1>>);
+pub struct RunningCrc(crc::Digest<'static, u32, Width>);
 
 impl RunningCrc {
     /// No bytes yet.

@@ -206,6 +206,9 @@ mod tests {
     extern crate std;
     use std::{vec, vec::Vec};
 
+    /// Every place, but where each costs a million times more.
+    const STEP: usize = if cfg!(miri) { 997 } else { 1 };
+
     fn file() -> (Vec<u8>, Vec<Vec<u8>>) {
         let mut message = vec![0u8; 64];
         let len = manifest::seal(&[7], &mut message).unwrap();
@@ -256,7 +259,7 @@ mod tests {
         let (file, written) = file();
         let (_, start) = super::manifest(&file).unwrap();
         let mut at = start;
-        for cut in start..file.len() {
+        for cut in (start..file.len()).step_by(STEP) {
             while at < cut && written.get(found(&file[..at]).len()).is_some_and(|p| at + 2 + p.len() <= cut) {
                 at += 2 + written[found(&file[..at]).len()].len();
             }
@@ -272,7 +275,7 @@ mod tests {
         let (file, written) = file();
         let (_, start) = super::manifest(&file).unwrap();
         let end = file.len() - 16 - 4 * written.len() - 2;
-        for bit in start * 8..end * 8 {
+        for bit in (start * 8..end * 8).step_by(STEP) {
             let mut damaged = file.clone();
             damaged[bit / 8] ^= 1 << (bit % 8);
             let left = found(&damaged);

@@ -3,7 +3,7 @@
 //! - `0b100`, **chunk** (`paper`): 22-byte header, dependency words, payload ≤ 1200 bytes, CRC.
 //! - `0b101`, **slices** (`dgs1`): packet id, one or more stretches of blocks, one entropy-coded body,
 //!   CRC. What a slice needs is implied by the lattice and costs no bytes.
-//! - `0b110`, **parity**: packet id, the XOR of the packets of one repair set, CRC.
+//! - `0b110`, **parity**: packet id, one coded sum of the packets of a repair set, CRC.
 //!
 //! Every packet ends with the CRC-32 of all bytes before it. `parse` functions take the bytes
 //! without that CRC (see [`super::crc::checked`]). `SPEC.md` gives every byte.
@@ -30,7 +30,7 @@ pub const KIND_PARITY: u8 = 0b110;
 pub const KIND_RECEIPT: u8 = 0b111;
 /// Bytes of a chunk's fixed header.
 pub const CHUNK_HEADER_BYTES: usize = 22;
-/// Bytes of a parity packet before the XOR-ed content.
+/// Bytes of a parity packet before the coded length and content.
 pub const PARITY_HEADER_BYTES: usize = 4;
 /// Bytes by which parity exceeds the longest packet it covers: header, length, CRC.
 pub const PARITY_OVERHEAD_BYTES: usize = PARITY_HEADER_BYTES + 2 + 4;
@@ -232,8 +232,6 @@ pub struct Slices<'a> {
     pub id: PacketId,
     /// What the body holds, in order.
     pub stretches: Vec<Stretch, { limits::MAX_STRETCHES }>,
-    /// Escaped values in the body.
-    pub escapes: u16,
     /// Table selectors, then the four-lane rANS body.
     pub body: &'a [u8],
 }
@@ -263,16 +261,15 @@ impl<'a> Slices<'a> {
             let place = reader.offset();
             flags = in_range("stretch.flags", place, reader.u8("stretch.flags")?, 0, FLAGS)?;
         }
-        let escapes = reader.varint("packet.escapes", limits::MAX_PACKET_BYTES as u32)? as u16;
         let left = reader.left();
         let body = reader.bytes("packet.body", left)?;
-        Ok(Self { id, stretches, escapes, body })
+        Ok(Self { id, stretches, body })
     }
 
     /// Bytes before the body.
     pub fn header_len(&self) -> usize {
         let headers: usize = self.stretches.iter().map(Stretch::header_len).sum();
-        super::cursor::varint_len(self.id.get()) + headers + super::cursor::varint_len(self.escapes.into())
+        super::cursor::varint_len(self.id.get()) + headers
     }
 
     /// Bytes of the whole packet.
@@ -300,20 +297,20 @@ impl<'a> Slices<'a> {
             writer.varint(stretch.first)?;
             writer.varint(stretch.blocks)?;
         }
-        writer.varint(self.escapes.into())?;
         writer.bytes(self.body)?;
         seal(writer)
     }
 }
 
-/// A parity packet: the XOR of the packets of one repair set.
+/// A parity packet: one row of the code over the packets of one repair set.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Parity<'a> {
-    /// The packet; its id says which set it covers.
+    /// The packet; its id says which row of which set it is.
     pub id: PacketId,
-    /// XOR of the covered packets' lengths.
+    /// Sum of the covered packets' lengths, byte by byte, each times its coefficient.
     pub length: u16,
-    /// XOR of the covered packets' bytes (CRCs included), each padded with zeros.
+    /// Sum of the covered packets' bytes (CRCs included, padded with zeros), each times its
+    /// coefficient.
     pub content: &'a [u8],
 }
 
@@ -376,11 +373,11 @@ mod tests {
     proptest! {
         #[test]
         fn slices_round_trip_at_their_stated_length(
-            list in proptest::collection::vec(stretch(), 1..9), id in 0u32..1 << 24, escapes in 0u16..300,
+            list in proptest::collection::vec(stretch(), 1..9), id in 0u32..1 << 24,
             body in proptest::collection::vec(any::<u8>(), 0..900),
         ) {
             let packet = Slices {
-                id: PacketId::new(id).unwrap(), stretches: list.into_iter().collect(), escapes, body: &body,
+                id: PacketId::new(id).unwrap(), stretches: list.into_iter().collect(), body: &body,
             };
             let mut out = vec![0u8; 1280];
             let len = packet.write(&mut out).unwrap();
@@ -433,11 +430,10 @@ mod tests {
         let packet = Slices {
             id: PacketId::new(0x01_02_03).unwrap(),
             stretches: [stretch].into_iter().collect(),
-            escapes: 1,
             body: &[0xaa, 0xbb],
         };
         let mut out = [0u8; 32];
         let len = packet.write(&mut out).unwrap();
-        assert_eq!(out[..len - 4], [0b1010_0010, 0x83, 0x84, 0x04, 0, 0xac, 2, 4, 1, 0xaa, 0xbb]);
+        assert_eq!(out[..len - 4], [0b1010_0010, 0x83, 0x84, 0x04, 0, 0xac, 2, 4, 0xaa, 0xbb]);
     }
 }

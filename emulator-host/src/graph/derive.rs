@@ -34,7 +34,7 @@ pub(super) fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
     let mut set_pairs = Vec::new();
     for (set, members) in parts.repair_sets.iter().enumerate() {
         set_pairs.extend(members.members.iter().map(|member| (member.0, set as u32)));
-        set_pairs.push((parity_of_set[set].0, set as u32));
+        set_pairs.extend(parity_of_set[set].iter().map(|parity| (parity.0, set as u32)));
     }
     let sets_of_packet = Csr::from_pairs(parts.packets.len(), &set_pairs);
     let shares_packets = (0..group_count).map(|group| shares(&parts, closure.row(group))).collect();
@@ -148,27 +148,24 @@ fn check_carriage(parts: &GraphParts) -> Result<(), GraphError> {
     }
 }
 
-fn check_repair(parts: &GraphParts) -> Result<Vec<PacketIndex>, GraphError> {
-    let mut parity: Vec<Option<PacketIndex>> = vec![None; parts.repair_sets.len()];
+fn check_repair(parts: &GraphParts) -> Result<Vec<Vec<PacketIndex>>, GraphError> {
+    let mut parity: Vec<Vec<PacketIndex>> = vec![Vec::new(); parts.repair_sets.len()];
     for (at, packet) in parts.packets.iter().enumerate() {
-        let Some(set) = packet.parity_of else { continue };
-        if parity[set as usize].replace(PacketIndex(at as u32)).is_some() {
-            return Err(GraphError::RepairSet { set });
+        if let Some(set) = packet.parity_of {
+            parity[set as usize].push(PacketIndex(at as u32));
         }
     }
-    let mut checked = Vec::with_capacity(parity.len());
-    for (at, (set, parity)) in parts.repair_sets.iter().zip(parity).enumerate() {
+    for (at, (set, parity)) in parts.repair_sets.iter().zip(&parity).enumerate() {
         let mut members = set.members.clone();
         members.sort_unstable();
         members.dedup();
         let distinct = !members.is_empty() && members.len() == set.members.len();
         let media = members.iter().all(|member| parts.packets[member.at()].parity_of.is_none());
-        match parity {
-            Some(parity) if distinct && media => checked.push(parity),
-            _ => return Err(GraphError::RepairSet { set: at as u32 }),
+        if parity.is_empty() || !distinct || !media {
+            return Err(GraphError::RepairSet { set: at as u32 });
         }
     }
-    Ok(checked)
+    Ok(parity)
 }
 
 fn reversed(needs: &[Vec<u32>]) -> Csr {

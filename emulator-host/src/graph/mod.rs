@@ -1,7 +1,7 @@
 //! What is to be delivered, whatever the wire format: packets, groups, and what needs what.
 //!
 //! A [`PacketGraph`] that exists is consistent: every index is in range, packets and groups name each other, nothing
-//! needs itself, and every repair set has one parity packet. So nothing that walks it has an error path.
+//! needs itself, and every repair set has parity. So nothing that walks it has an error path.
 //!
 //! Closure, in the two profiles (paper, "Selective recovery and receiver closure"):
 //! - [`Profile::AllOrNothing`]: a group is usable when *all* its packets have arrived and all groups it needs are usable;
@@ -69,7 +69,7 @@ pub struct Packet {
     pub groups: Vec<GroupIndex>,
     /// Packets without which this one means nothing ([`Profile::Sliced`] only).
     pub needs_packets: Vec<PacketIndex>,
-    /// The repair set that this packet is the XOR parity of.
+    /// The repair set that this packet is parity of.
     pub parity_of: Option<u32>,
 }
 
@@ -94,7 +94,8 @@ pub struct Group {
     pub utility: f64,
 }
 
-/// Source packets protected by one XOR parity packet: any one loss among them and the parity can be repaired.
+/// Source packets protected by one or more parity packets: any losses among them, up to as many as parity arrives, can be
+/// repaired.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RepairSet {
     /// The protected packets.
@@ -214,8 +215,8 @@ pub enum GraphError {
         /// One packet of the cycle or behind it.
         packet: u32,
     },
-    /// A repair set is empty, repeats a member, protects parity, or has not exactly one parity packet.
-    #[error("repair set {set} must hold distinct media packets and have exactly one parity packet")]
+    /// A repair set is empty, repeats a member, protects parity, or has no parity packet.
+    #[error("repair set {set} must hold distinct media packets and have a parity packet")]
     RepairSet {
         /// The set.
         set: u32,
@@ -235,7 +236,7 @@ pub struct PacketGraph {
     dependents: Csr,
     packet_dependents: Csr,
     sets_of_packet: Csr,
-    parity_of_set: Vec<PacketIndex>,
+    parity_of_set: Vec<Vec<PacketIndex>>,
     group_needed_from: Vec<u32>,
     group_useful_until: Vec<u32>,
     packet_needed_from: Vec<u32>,
@@ -313,9 +314,9 @@ impl PacketGraph {
         self.sets_of_packet.row(packet.at())
     }
 
-    /// The parity packet of a repair set.
-    pub fn parity(&self, set: u32) -> PacketIndex {
-        self.parity_of_set[set as usize]
+    /// The parity packets of a repair set, at least one.
+    pub fn parity(&self, set: u32) -> &[PacketIndex] {
+        &self.parity_of_set[set as usize]
     }
 
     /// First frame at which `group` or anything that needs it changes pixels: its deadline.

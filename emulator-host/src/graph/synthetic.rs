@@ -42,8 +42,10 @@ pub struct Synthetic {
     pub manifest_bytes: u32,
     /// Utilities.
     pub utilities: Utilities,
-    /// XOR parity for every so many base packets, interleaved over clusters; `None` for no repair.
+    /// Parity for every so many base packets, interleaved over clusters; `None` for no repair.
     pub repair: Option<u32>,
+    /// Parity packets of each repair set.
+    pub parity: u32,
     /// Closure rule.
     pub profile: Profile,
 }
@@ -63,6 +65,7 @@ impl Default for Synthetic {
             manifest_bytes: 8192,
             utilities: Utilities::Unequal,
             repair: None,
+            parity: 1,
             profile: Profile::AllOrNothing,
         }
     }
@@ -203,13 +206,15 @@ impl Draft<'_> {
         let mut sets = Vec::new();
         for members in base.chunks(size as usize) {
             let widest = members.iter().map(|member| self.packets[member.at()].wire_bytes).max().unwrap_or(1);
-            self.packets.push(Packet {
-                id: self.packets.len() as u32,
-                wire_bytes: widest,
-                groups: Vec::new(),
-                needs_packets: Vec::new(),
-                parity_of: Some(sets.len() as u32),
-            });
+            for _ in 0..self.spec.parity.max(1) {
+                self.packets.push(Packet {
+                    id: self.packets.len() as u32,
+                    wire_bytes: widest,
+                    groups: Vec::new(),
+                    needs_packets: Vec::new(),
+                    parity_of: Some(sets.len() as u32),
+                });
+            }
             sets.push(RepairSet { members: members.to_vec() });
         }
         sets

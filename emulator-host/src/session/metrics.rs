@@ -41,7 +41,8 @@ pub(super) struct Metrics<'a> {
     arrived: Vec<u32>,
     /// First frame in whose snapshot a packet was usable.
     used: Vec<u32>,
-    set_used: Vec<bool>,
+    /// Packets recovered from each repair set: as many of its parity packets were of use.
+    set_used: Vec<u32>,
     frames: Vec<FrameRow>,
     samples: Vec<SenderRow>,
     media_bytes: u64,
@@ -71,7 +72,7 @@ impl<'a> Metrics<'a> {
             group_bytes,
             arrived: vec![NEVER; graph.packets().len()],
             used: vec![NEVER; graph.packets().len()],
-            set_used: vec![false; graph.repair_sets().len()],
+            set_used: vec![0; graph.repair_sets().len()],
             frames: Vec::with_capacity(graph.frames() as usize),
             samples: Vec::new(),
             media_bytes: 0,
@@ -103,7 +104,7 @@ impl<'a> Metrics<'a> {
     pub(super) fn recover(&mut self, packet: PacketIndex) {
         self.recovered += 1;
         for set in self.graph.sets_of(packet) {
-            self.set_used[*set as usize] = true;
+            self.set_used[*set as usize] += 1;
         }
     }
 
@@ -191,7 +192,8 @@ impl<'a> Metrics<'a> {
             }
             let until = self.graph.useful_until(index);
             if let Some(set) = packet.parity_of {
-                if self.set_used[set as usize] {
+                if let Some(left) = self.set_used[set as usize].checked_sub(1) {
+                    self.set_used[set as usize] = left;
                     used_bytes += bytes;
                 } else {
                     self.waste.unused_repair_bytes += bytes;

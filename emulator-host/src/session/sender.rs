@@ -336,7 +336,7 @@ impl<'a> Sender<'a> {
         for set in self.graph.sets_of(packet) {
             self.set_waiting[*set as usize] -= 1;
             if self.set_waiting[*set as usize] == 0 {
-                self.parity.push_back(self.graph.parity(*set));
+                self.parity.extend(self.graph.parity(*set));
             }
         }
     }

@@ -3,10 +3,10 @@
 use super::scaffold::Shared;
 use super::states::CHUNK;
 use super::tuner::{self, OutOfMemory, Tuned};
-use super::{CounterfactualError, States, Variants, brute, strict};
+use super::{CounterfactualError, States, Variants, strict};
 use crate::image::Image;
-use crate::stage::TILE;
-use crate::{Camera, Settings};
+use crate::stage::{TILE, bin, project, sort};
+use crate::{Camera, Counters, Rendered, Renderer, Settings};
 use std::ops::Range;
 
 /// What the worlds of a batch share, ready to draw any of them.
@@ -31,7 +31,7 @@ impl WorldBatch {
         camera: &Camera,
         settings: &Settings,
     ) -> Result<Self, CounterfactualError> {
-        settings.validate()?;
+        settings.validate_for_one_tile_side()?;
         let shared = Shared::new(variants, camera, settings);
         Ok(Self { shared, camera: camera.clone(), settings: settings.clone(), groups: variants.count() })
     }
@@ -102,8 +102,11 @@ impl WorldBatch {
     }
 }
 
-/// Renders all worlds of `states` with one projection, one depth order and one set of tile lists; picture
-/// `w` is bit for bit that of world `w` rendered alone.
+/// Worlds up to which lists of their own are quicker than lists of all variants that worlds share; measured.
+const FEW: usize = 2;
+
+/// Renders all worlds of `states` with one projection, one depth order and, unless they are few, one set of
+/// tile lists; picture `w` is bit for bit that of world `w` rendered alone.
 ///
 /// # Errors
 /// A setting out of range, or states of another number of groups.
@@ -114,11 +117,38 @@ pub fn render_worlds(
     settings: &Settings,
 ) -> Result<Vec<Image>, CounterfactualError> {
     let (found, needed) = (states.groups(), variants.count());
-    if found == needed && states.len() == 1 {
-        // Nothing to share: the tile renderer alone is quicker.
-        return Ok(vec![brute::image(variants, states, 0, camera, settings)?]);
+    if found == needed && states.len() <= FEW {
+        return one_by_one(variants, states, camera, settings);
     }
     WorldBatch::new(variants, camera, settings)?.images(states)
+}
+
+/// Pictures of worlds that share a projection and a depth order only.
+fn one_by_one(
+    variants: &Variants,
+    states: &States,
+    camera: &Camera,
+    settings: &Settings,
+) -> Result<Vec<Image>, CounterfactualError> {
+    settings.validate_for_one_tile_side()?;
+    let size = [camera.width() as usize, camera.height() as usize];
+    let (mut renderer, mut all) = (Renderer::new(), sort::Order::default());
+    project::project(&variants.splats(), camera, settings, &mut renderer.projected);
+    sort::sort(&renderer.projected.keys, settings.parallel, &mut all);
+    let mut pictures = Vec::with_capacity(states.len());
+    for world in 0..states.len() {
+        let present: Vec<bool> = (0..states.groups()).map(|group| states.has(world, group)).collect();
+        let groups = variants.groups();
+        renderer.order.take(&all, |splat| present[groups[splat as usize] as usize]);
+        let Renderer { projected, order, bands, .. } = &mut renderer;
+        bin::bands(projected, order, size, settings.tile, bands);
+        let mut drawn = Rendered::default();
+        drawn.image.reset(camera.width(), camera.height())?;
+        drawn.transmittance.resize(size[0] * size[1], 1.0);
+        renderer.compose(size, settings, &mut drawn, &mut Counters::default());
+        pictures.push(drawn.image);
+    }
+    Ok(pictures)
 }
 
 /// Whether the system gives so many bytes.

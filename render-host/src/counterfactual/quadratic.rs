@@ -124,7 +124,7 @@ impl Quadratic {
         reference: &Image,
         settings: &Settings,
     ) -> Result<Self, CounterfactualError> {
-        settings.validate()?;
+        settings.validate_for_one_tile_side()?;
         let mut film = Image::default();
         film.reset(camera.width(), camera.height())?;
         same_size(&film, reference)?;

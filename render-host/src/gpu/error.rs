@@ -2,6 +2,7 @@
 
 use crate::image::ImageError;
 use crate::settings::{Settings, SettingsError};
+use crate::stage::TileSide;
 
 /// A device, a buffer or a frame that could not be had.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -94,6 +95,9 @@ pub(super) fn check(settings: &Settings) -> Result<(), GpuError> {
     if settings.depth_bits != 32 {
         return refuse("depth_bits", settings.depth_bits.to_string(), "32");
     }
+    if settings.tile != TileSide::default() {
+        return refuse("tile", settings.tile.pixels().to_string(), "16");
+    }
     if settings.half_attributes {
         return refuse("half_attributes", true.to_string(), "false");
     }
@@ -109,6 +113,7 @@ mod tests {
         check(&Settings::default()).unwrap();
         let bad = [
             ("depth_bits is 24", Settings { depth_bits: 24, ..Settings::default() }),
+            ("tile is 32", Settings { tile: TileSide::ThirtyTwo, ..Settings::default() }),
             ("half_attributes is true", Settings { half_attributes: true, ..Settings::default() }),
             ("alpha_max is 2", Settings { alpha_max: 2.0, ..Settings::default() }),
         ];

@@ -49,15 +49,16 @@ impl Tiles {
         camera: &Camera,
         settings: &Settings,
     ) -> Result<Self, GpuError> {
-        settings.validate()?;
+        settings.validate_for_one_tile_side()?;
         let size = [camera.width(), camera.height()];
-        let [columns, rows] = size.map(|side| (side as usize).div_ceil(TILE));
+        let pixels = size.map(|side| side as usize);
+        let columns = pixels[0].div_ceil(TILE);
         let mut projected = project::Projected::default();
         let (mut order, mut bands, mut bins) = (sort::Order::default(), Vec::new(), bin::Bins::default());
         let scene = variants.splats();
         project::project(&scene, camera, settings, &mut projected);
         sort::sort(&projected.keys, settings.parallel, &mut order);
-        bin::bands(&projected, &order, columns, rows, &mut bands);
+        bin::bands(&projected, &order, pixels, settings.tile, &mut bands);
         let (mut starts, mut list) = (vec![0u32], Vec::new());
         for band in &bands {
             bin::bin(&projected, &order, band, columns, settings, &mut bins);

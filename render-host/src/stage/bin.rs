@@ -14,7 +14,7 @@ use super::fade::Fade;
 use super::project::Projected;
 use super::sort::Order;
 use super::span::Spans;
-use super::{Splat, TILE};
+use super::{Splat, TileSide};
 use crate::parallel;
 use crate::settings::Settings;
 
@@ -98,12 +98,20 @@ impl Bins {
     }
 }
 
-/// Splits `rows` tile rows of `columns` tiles into bands of bounded memory.
-pub fn bands(projected: &Projected, order: &Order, columns: usize, rows: usize, out: &mut Vec<Range<usize>>) {
+/// Splits an image of `size` (width and height in pixels) into bands of tile rows, of bounded memory. A band
+/// begins with a row of cells.
+pub fn bands(
+    projected: &Projected,
+    order: &Order,
+    size: [usize; 2],
+    tile: TileSide,
+    out: &mut Vec<Range<usize>>,
+) {
+    let [columns, rows] = size.map(|side| tile.tiles(side));
     let mut change = vec![0i64; rows + 1];
     for index in order.indices() {
         let splat = &projected.splats[index as usize];
-        let (width, span) = (splat.tile_columns().len() as i64, splat.tile_rows());
+        let (width, span) = (splat.tile_columns(tile).len() as i64, splat.tile_rows(tile));
         change[span.start] += width;
         change[span.end] -= width;
     }
@@ -111,8 +119,9 @@ pub fn bands(projected: &Projected, order: &Order, columns: usize, rows: usize, 
     let (mut start, mut entries, mut row_entries) = (0, 0u64, 0i64);
     for (row, change) in change[..rows].iter().enumerate() {
         row_entries += change;
-        let pixels = (row + 1 - start) * columns * TILE * TILE;
-        if row > start && (entries + row_entries as u64 > BAND_ENTRIES || pixels > BAND_PIXELS) {
+        let pixels = (row + 1 - start) * columns * tile.pixels().pow(2);
+        let may_begin = row > start && row % tile.rows_per_cell() == 0;
+        if may_begin && (entries + row_entries as u64 > BAND_ENTRIES || pixels > BAND_PIXELS) {
             out.push(start..row);
             (start, entries) = (row, 0);
         }
@@ -174,7 +183,7 @@ fn fill(
     if out.rows.len() < band.len() {
         out.rows.resize_with(band.len(), Row::default);
     }
-    let shape = Spans::new(settings);
+    let (shape, side) = (Spans::new(settings), settings.tile.pixels());
     let find = |i: usize, piece: &mut Piece| {
         let entries = &order.entries()[i * PIECE..];
         let Piece { found, boxed, .. } = &mut *piece;
@@ -210,7 +219,7 @@ fn fill(
                 parallel::for_each(settings.parallel, batch, |i, piece| find(at + i, piece));
             }
             parallel::for_each(settings.parallel, &mut open, |row, open| {
-                open.take(batch, (row, (band.start + row) * TILE), splats, fade, classes);
+                open.take(batch, (row, (band.start + row) * side), splats, fade, classes);
             });
             at += HEAD;
         }
@@ -225,7 +234,7 @@ fn fill(
         match &classes.fade {
             Some(fade) if entries > LONG * columns => {
                 let mut open = Open::new(columns, classes.count);
-                open.take(pieces, (row, (band.start + row) * TILE), splats, fade, classes);
+                open.take(pieces, (row, (band.start + row) * side), splats, fade, classes);
                 list.hold(&open.lists);
             }
             _ => list.gather(pieces, row, columns),
@@ -268,7 +277,7 @@ impl Open {
                     continue;
                 }
                 self.lists[column].push(span.splat);
-                *bound += fade.step(&splats[span.splat as usize], [column * TILE, y]);
+                *bound += fade.step(&splats[span.splat as usize], [column * fade.side, y]);
                 self.left -= usize::from(*bound < fade.stop);
             }
         }
@@ -359,7 +368,7 @@ mod tests {
         sort::sort(&projected.keys, false, &mut order);
         let mut all = Vec::new();
         let mut parts = Vec::new();
-        bands(&projected, &order, columns, rows, &mut parts);
+        bands(&projected, &order, [columns, rows].map(|n| 16 * n), settings.tile, &mut parts);
         for band in &parts {
             bin(&projected, &order, band, columns, settings, &mut out);
             out.rows().iter().for_each(|row| all.extend((0..columns).map(|c| row.tile(c).to_vec())));
@@ -436,10 +445,21 @@ mod tests {
         let mut order = Order::default();
         sort::sort(&projected.keys, false, &mut order);
         let mut parts = Vec::new();
-        bands(&projected, &order, 64, 64, &mut parts);
+        bands(&projected, &order, [1024; 2], TileSide::Sixteen, &mut parts);
         assert!(parts.len() > 1);
         assert_eq!((parts[0].start, parts.last().unwrap().end), (0, 64));
         assert!(parts.windows(2).all(|w| w[0].end == w[1].start && !w[0].is_empty()));
         assert!(parts.iter().all(|b| (b.len() * 64 * n) as u64 <= BAND_ENTRIES));
+    }
+    #[test]
+    fn bands_of_small_tiles_begin_with_a_cell() {
+        let wide = Splat { pixels: [0, 1024, 0, 1016], ..splat([500.0; 2], [1e-4, 0.0, 1e-4], 1024) };
+        let projected = Projected { splats: vec![wide; 5000], keys: vec![1; 5000], ..Projected::default() };
+        let mut order = Order::default();
+        sort::sort(&projected.keys, false, &mut order);
+        let mut parts = Vec::new();
+        bands(&projected, &order, [1024, 1016], TileSide::Eight, &mut parts);
+        assert!(parts.len() > 1 && parts.iter().all(|band| band.start % 2 == 0), "{parts:?}");
+        assert_eq!(parts.last().unwrap().end, 127);
     }
 }

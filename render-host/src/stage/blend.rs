@@ -10,7 +10,8 @@
 use std::ops::Range;
 
 use super::bin::Bins;
-use super::{REACH_MARGIN, Splat, TILE};
+pub(crate) use super::power::exp2;
+use super::{REACH_MARGIN, Splat, TILE, TileSide};
 use crate::settings::Settings;
 use crate::{Counters, parallel};
 
@@ -31,7 +32,7 @@ pub(crate) const LANE: Lanes = {
 /// Splats between two looks at which rows of a tile are finished.
 pub(crate) const LOOK_EVERY: usize = 16;
 
-/// What a tile has gathered.
+/// What the pixels of a cell have gathered.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
 pub struct Tile {
@@ -88,7 +89,7 @@ impl Tile {
     }
 }
 
-/// Room for the tiles of one band.
+/// Room for the cells of one band.
 #[derive(Debug, Default)]
 pub struct Tiles {
     pub(crate) tiles: Vec<Tile>,
@@ -108,7 +109,11 @@ impl Tiles {
     }
 }
 
-/// Blends one tile, whose first pixel is `corner`, from its list.
+/// Lists of one cell: those of its four tiles, row by row, where tiles are smaller than cells; else the first
+/// is that of its tile.
+type CellLists<'a> = [&'a [u32]; 4];
+
+/// Blends one cell, whose first pixel is `corner`, from the list of its tile, which is of the usual side.
 pub(crate) fn blend_tile(
     splats: &[Splat],
     list: &[u32],
@@ -117,7 +122,7 @@ pub(crate) fn blend_tile(
     settings: &Settings,
     tile: &mut Tile,
 ) {
-    pulp::Arch::new().dispatch(Blend { splats, list, corner, size, settings, tile });
+    pulp::Arch::new().dispatch(Blend { splats, lists: [list, &[], &[], &[]], corner, size, settings, tile });
 }
 
 /// Blends the tiles of a band. `band` is its tile rows, `size` the image's width and height in pixels.
@@ -130,23 +135,42 @@ pub fn blend(
     settings: &Settings,
     out: &mut Tiles,
 ) -> u64 {
+    let side = settings.tile;
     let columns = size[0].div_ceil(TILE);
-    out.tiles.resize(columns * band.len(), Tile::EMPTY);
+    let top = band.start * side.pixels();
+    let height = (band.end * side.pixels()).min(size[1]).saturating_sub(top);
+    out.tiles.resize(columns * height.div_ceil(TILE), Tile::EMPTY);
     out.empty.clear();
-    let lists = |index: usize| bins.rows()[index / columns].tile(index % columns);
-    out.empty.extend((0..out.tiles.len()).map(|i| settings.skip_empty_tiles && lists(i).is_empty()));
+    let lists =
+        |index: usize| cell_lists(bins, side, side.tiles(size[0]), [index % columns, index / columns]);
+    let none = |index: usize| lists(index).iter().all(|list| list.is_empty());
+    out.empty.extend((0..out.tiles.len()).map(|i| settings.skip_empty_tiles && none(i)));
     let Tiles { tiles, empty } = out;
     let arch = pulp::Arch::new();
     let work = |index: usize, tile: &mut Tile| {
         if empty[index] {
             return;
         }
-        let corner = [index % columns * TILE, (band.start + index / columns) * TILE];
-        arch.dispatch(Blend { splats, list: lists(index), corner, size, settings, tile });
+        let corner = [index % columns * TILE, top + index / columns * TILE];
+        arch.dispatch(Blend { splats, lists: lists(index), corner, size, settings, tile });
     };
     parallel::for_each(settings.parallel, tiles, work);
     let stopped = |(tile, empty): (&Tile, &bool)| if *empty { 0 } else { tile.work.stopped };
     tiles.iter().zip(empty.iter()).map(stopped).sum()
+}
+
+/// The lists of the cell at column `x`, row `y` of a band that is `columns` tiles wide.
+fn cell_lists(bins: &Bins, side: TileSide, columns: usize, [x, y]: [usize; 2]) -> CellLists<'_> {
+    let rows = bins.rows();
+    match side {
+        TileSide::Eight => std::array::from_fn(|i| {
+            let (column, row) = (2 * x + i % 2, 2 * y + i / 2);
+            // At the edges, part of a cell is outside the image.
+            rows.get(row).filter(|_| column < columns).map_or(&[][..], |row| row.tile(column))
+        }),
+        TileSide::Sixteen => [rows[y].tile(x), &[], &[], &[]],
+        TileSide::ThirtyTwo => [rows[y / 2].tile(x / 2), &[], &[], &[]],
+    }
 }
 
 /// Copies row `y` of a tile, or of an empty one, to pixels of the image; both slices may end early.
@@ -175,7 +199,7 @@ pub(crate) fn resolve_row(
     transmittance.copy_from_slice(&t[..transmittance.len()]);
 }
 
-/// Copies the tiles of a band to the image rows of that band, over the background. `rgb` and
+/// Copies the cells of a band to the image rows of that band, over the background. `rgb` and
 /// `transmittance` begin at the band's first pixel row.
 pub fn resolve(tiles: &Tiles, width: usize, settings: &Settings, rgb: &mut [f32], transmittance: &mut [f32]) {
     let columns = width.div_ceil(TILE);
@@ -191,10 +215,10 @@ pub fn resolve(tiles: &Tiles, width: usize, settings: &Settings, rgb: &mut [f32]
     });
 }
 
-/// One tile's work, as a value, so that it can be compiled once per vector width.
+/// One cell's work, as a value, so that it can be compiled once per vector width.
 struct Blend<'a> {
     splats: &'a [Splat],
-    list: &'a [u32],
+    lists: CellLists<'a>,
     corner: [usize; 2],
     size: [usize; 2],
     settings: &'a Settings,
@@ -206,49 +230,87 @@ impl pulp::NullaryFnOnce for Blend<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let Self { splats, list, corner, size, settings, tile } = self;
+        let Self { splats, lists, corner, size, settings, tile } = self;
         *tile = Tile::EMPTY;
         let rules = Rules::new(settings);
-        let mut open = u16::MAX;
-        let mut work = Work::NONE;
-        let mut near = [Splat::NONE; LOOK_EVERY];
-        for k in 0..list.len() {
-            if k % LOOK_EVERY == 0 {
-                if k > 0 && rules.stop > 0.0 {
-                    open = open_rows(&tile.rows, rules.stop);
-                    if open == 0 {
-                        work.unread = (list.len() - k) as u64;
-                        break;
-                    }
-                }
-                fetch(splats, &list[k..], &mut near);
-            }
-            let splat = &near[k % LOOK_EVERY];
-            let local = Local::new(splat, corner, &rules);
-            let (mut reached, mut blended) = (0, 0);
-            for y in local.first..local.past {
-                if let Some((u, v)) = local.row(y) {
-                    reached += 1;
-                    if open >> y & 1 == 1 {
-                        blended += 1;
-                        let exponent = splat.log2_alpha - v * v;
-                        blend_row(&mut tile.rows[y], u, local.root[0], exponent, &splat.colour, &rules);
-                    }
+        match settings.tile {
+            TileSide::Eight => {
+                for (k, top) in [(0, 0), (2, 8)] {
+                    walk::<0, 8, false>(splats, lists[k], corner, top..top + 8, &rules, tile);
+                    walk::<8, 8, false>(splats, lists[k + 1], corner, top..top + 8, &rules, tile);
                 }
             }
-            let rows = local.past.saturating_sub(local.first) as u64;
-            work.rows += rows;
-            work.unreached += rows - reached;
-            work.finished += reached - blended;
-            work.idle += u64::from(reached == 0);
+            TileSide::Sixteen => walk::<0, TILE, false>(splats, lists[0], corner, 0..TILE, &rules, tile),
+            TileSide::ThirtyTwo => walk::<0, TILE, true>(splats, lists[0], corner, 0..TILE, &rules, tile),
         }
         if rules.stop > 0.0 {
             let (w, h) = ((size[0] - corner[0]).min(TILE), (size[1] - corner[1]).min(TILE));
             let finished = |row: &[Lanes; 4]| row[3][..w].iter().filter(|&&t| t < rules.stop).count();
-            work.stopped = tile.rows[..h].iter().map(finished).sum::<usize>() as u64;
+            tile.work.stopped = tile.rows[..h].iter().map(finished).sum::<usize>() as u64;
         }
-        tile.work = work;
     }
+}
+
+/// Blends a list into `WIDTH` columns from `LEFT` on of the rows `part` of a cell. `SHARED` says that the list
+/// is that of other cells too, so that boxes need not meet this one.
+#[inline(always)]
+fn walk<const LEFT: usize, const WIDTH: usize, const SHARED: bool>(
+    splats: &[Splat],
+    list: &[u32],
+    corner: [usize; 2],
+    part: Range<usize>,
+    rules: &Rules,
+    tile: &mut Tile,
+) {
+    let mut work = tile.work;
+    let mut open = u16::MAX;
+    let mut near = [Splat::NONE; LOOK_EVERY];
+    for k in 0..list.len() {
+        if k % LOOK_EVERY == 0 {
+            if k > 0 && rules.stop > 0.0 {
+                open = open_rows::<LEFT, WIDTH>(&tile.rows, &part, rules.stop);
+                if open == 0 {
+                    work.unread += (list.len() - k) as u64;
+                    break;
+                }
+            }
+            fetch(splats, &list[k..], &mut near);
+        }
+        let splat = &near[k % LOOK_EVERY];
+        if SHARED {
+            let [x0, x1] = [splat.pixels[0], splat.pixels[1]].map(usize::from);
+            if x0 >= corner[0] + TILE || x1 <= corner[0] {
+                work.idle += 1;
+                continue;
+            }
+        }
+        let local = Local::new(splat, corner, rules);
+        let (mut reached, mut blended) = (0, 0);
+        let (first, past) = (local.first.max(part.start), local.past.min(part.end));
+        for y in first..past {
+            if let Some((u, v)) = local.row(y) {
+                reached += 1;
+                if open >> y & 1 == 1 {
+                    blended += 1;
+                    let exponent = splat.log2_alpha - v * v;
+                    blend_row::<LEFT, WIDTH>(
+                        &mut tile.rows[y],
+                        u,
+                        local.root[0],
+                        exponent,
+                        &splat.colour,
+                        rules,
+                    );
+                }
+            }
+        }
+        let boxed = past.saturating_sub(first) as u64;
+        work.rows += boxed;
+        work.unreached += boxed - reached;
+        work.finished += reached - blended;
+        work.idle += u64::from(reached == 0);
+    }
+    tile.work = work;
 }
 
 /// Copies the next splats of a list. Together, because they lie far apart in memory: the processor
@@ -332,7 +394,7 @@ pub(crate) fn offset(splat: &Splat, corner: [usize; 2]) -> [f64; 2] {
 }
 
 #[inline(always)]
-fn blend_row(
+fn blend_row<const LEFT: usize, const WIDTH: usize>(
     [r, g, b, t]: &mut [Lanes; 4],
     u: f32,
     xx: f32,
@@ -340,7 +402,7 @@ fn blend_row(
     colour: &[f32; 3],
     rules: &Rules,
 ) {
-    for i in 0..TILE {
+    for i in LEFT..LEFT + WIDTH {
         let q = u + xx * LANE[i];
         let weight = rules.alpha(exponent - q * q, t[i]) * t[i];
         r[i] += weight * colour[0];
@@ -350,19 +412,23 @@ fn blend_row(
     }
 }
 
-/// Bit `y` is set while a pixel of row `y` is not finished.
+/// Bit `y` is set while a pixel of row `y` of `part` is not finished, of `WIDTH` columns from `LEFT` on.
 #[inline(always)]
-fn open_rows(rows: &[[Lanes; 4]; TILE], stop: f32) -> u16 {
+fn open_rows<const LEFT: usize, const WIDTH: usize>(
+    rows: &[[Lanes; 4]; TILE],
+    part: &Range<usize>,
+    stop: f32,
+) -> u16 {
     let mut open = 0;
-    for (y, row) in rows.iter().enumerate() {
-        open |= u16::from(is_open(&row[3], stop)) << y;
+    for (y, row) in rows.iter().enumerate().take(part.end).skip(part.start) {
+        open |= u16::from(is_open(&row[3][LEFT..LEFT + WIDTH], stop)) << y;
     }
     open
 }
 
 /// True while a pixel of transmittances `t` is not finished.
 #[inline(always)]
-pub(crate) fn is_open(t: &Lanes, stop: f32) -> bool {
+pub(crate) fn is_open(t: &[f32], stop: f32) -> bool {
     let mut most = 0.0f32;
     for &t in t {
         most = if t > most { t } else { most };
@@ -370,61 +436,16 @@ pub(crate) fn is_open(t: &Lanes, stop: f32) -> bool {
     most >= stop
 }
 
-/// 2ˣ for x ≤ 0, with a relative error below 2e-7; 2⁻¹²⁶ for anything smaller and for NaN.
-///
-/// x = n + f with |f| ≤ 1/2; 2ᶠ by a minimax polynomial, 2ⁿ by exponent bits.
-#[inline(always)]
-pub(crate) fn exp2(x: f32) -> f32 {
-    // Adding 1.5 · 2²³ leaves the nearest integer in the low bits.
-    const ROUND: f32 = 12_582_912.0;
-    let x = if x > -126.0 { x } else { -126.0 };
-    let shifted = x + ROUND;
-    let f = x - (shifted - ROUND);
-    let p = POLY[6] * f + POLY[5];
-    let p = p * f + POLY[4];
-    let p = p * f + POLY[3];
-    let p = p * f + POLY[2];
-    let p = p * f + POLY[1];
-    let p = p * f + POLY[0];
-    p * f32::from_bits(shifted.to_bits().wrapping_add(127) << 23)
-}
-
-/// 2ᶠ on ±1/2, lowest power first: Remez, relative error 1.9e-9 before rounding to f32.
-const POLY: [f32; 7] = [
-    1.0,
-    std::f32::consts::LN_2,
-    0.240_226_47,
-    0.055_503_29,
-    0.009_618_489,
-    0.001_339_993_1,
-    0.000_153_458_12,
-];
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn exp2_is_good_to_two_in_ten_million() {
-        let mut worst = 0.0f64;
-        for i in 0..=126_000 {
-            let x = -(i as f32) / 1000.0;
-            let exact = f64::from(x).exp2();
-            worst = worst.max((f64::from(exp2(x)) / exact - 1.0).abs());
-        }
-        assert!(worst < 2e-7, "{worst}");
-        assert_eq!(exp2(0.0).to_bits(), 1.0f32.to_bits());
-        for x in [f32::NAN, f32::NEG_INFINITY, -1e30, -126.0] {
-            assert!((exp2(x) / f32::MIN_POSITIVE - 1.0).abs() < 1e-6, "{x}");
-        }
-    }
 
     #[test]
     fn the_splat_that_crosses_the_stop_is_blended_and_the_next_is_not() {
         let rules = Rules { cutoff: 0.0, max: 0.99, stop: 0.02, reach: 0.0 };
         let mut row = Tile::EMPTY.rows[0];
         for colour in [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] {
-            blend_row(&mut row, 0.0, 0.0, (0.9f32).log2(), &colour, &rules);
+            blend_row::<0, TILE>(&mut row, 0.0, 0.0, (0.9f32).log2(), &colour, &rules);
         }
         let [r, g, b, t] = row;
         assert!((r[3] - 0.9).abs() < 1e-6 && (g[3] - 0.09).abs() < 1e-6);
@@ -451,7 +472,7 @@ mod tests {
         let settings = Settings::default();
         let work = |tile| Blend {
             splats: &splats,
-            list: &list,
+            lists: [&list, &[], &[], &[]],
             corner: [0, 0],
             size: [16, 16],
             settings: &settings,
@@ -471,8 +492,11 @@ mod tests {
     fn open_rows_sees_one_open_pixel() {
         let mut tile = Tile::EMPTY;
         tile.rows.iter_mut().for_each(|row| row[3] = [0.0; TILE]);
-        assert_eq!(open_rows(&tile.rows, 1e-4), 0);
+        assert_eq!(open_rows::<0, TILE>(&tile.rows, &(0..TILE), 1e-4), 0);
         tile.rows[5][3][9] = 1e-3;
-        assert_eq!(open_rows(&tile.rows, 1e-4), 1 << 5);
+        assert_eq!(open_rows::<0, TILE>(&tile.rows, &(0..TILE), 1e-4), 1 << 5);
+        assert_eq!(open_rows::<8, 8>(&tile.rows, &(0..8), 1e-4), 1 << 5);
+        assert_eq!(open_rows::<0, 8>(&tile.rows, &(0..TILE), 1e-4), 0);
+        assert_eq!(open_rows::<8, 8>(&tile.rows, &(8..TILE), 1e-4), 0);
     }
 }

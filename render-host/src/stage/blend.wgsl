@@ -12,14 +12,30 @@
 
 const BATCH: u32 = 256u;
 
-// u and v at the tile's first pixel, log2 of alpha; factor; colour.
-var<workgroup> near: array<vec3<f32>, 256>;
-var<workgroup> root: array<vec3<f32>, 256>;
-var<workgroup> colour: array<vec3<f32>, 256>;
+// u and v at the tile's first pixel, log2 of alpha, first of the factor.
+var<workgroup> near: array<vec4<f32>, 256>;
+// The rest of the factor, red, green.
+var<workgroup> shape: array<vec4<f32>, 256>;
+var<workgroup> blue: array<f32, 256>;
 // Blocks of pixels that the splat may reach.
 var<workgroup> blocks: array<u32, 256>;
+// The same seen from the blocks: eight words each, a bit per splat.
+var<workgroup> reaching: array<u32, 64>;
 var<workgroup> open: atomic<u32>;
 var<workgroup> still_open: u32;
+
+// Word `word` of `reaching`.
+fn turned(word: u32) -> u32 {
+    let block = word / 8u;
+    let first = (word % 8u) * 32u;
+    var bits = 0u;
+    for (var i = 0u; i < 32u; i++) {
+        // Threads begin at different places, so that they do not wait for one bank of memory.
+        let k = (i + word) % 32u;
+        bits |= ((blocks[first + k] >> block) & 1u) << k;
+    }
+    return bits;
+}
 
 @compute @workgroup_size(256)
 fn blend(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
@@ -31,7 +47,11 @@ fn blend(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) 
     let first = starts[tile];
     let past = starts[tile + 1u];
     let at = vec2<f32>(local);
-    let my_block = 1u << (thread / 32u);
+    let my_words = thread / 32u * 8u;
+    let stop = frame.stop;
+    let cutoff = frame.cutoff;
+    let log2_cutoff = frame.log2_cutoff;
+    let alpha_max = frame.alpha_max;
 
     var sum = vec3<f32>(0.0);
     var t = select(0.0, 1.0, inside);
@@ -40,40 +60,52 @@ fn blend(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) 
     }
     for (var batch = first; batch < past; batch += BATCH) {
         workgroupBarrier();
-        if t >= frame.stop && inside {
+        if t >= stop && inside {
             atomicStore(&open, 1u);
         }
         let n = min(BATCH, past - batch);
+        var reached = 0u;
         if thread < n {
             let s = splats[entries[batch + thread]];
             let here = vec3<f32>(axes(s, corner), s.log2_alpha);
-            near[thread] = here;
-            blocks[thread] = blocks_of(here, s.root, frame.log2_cutoff);
-            root[thread] = s.root;
-            colour[thread] = s.colour;
+            reached = blocks_of(here, s.root, log2_cutoff);
+            near[thread] = vec4<f32>(here, s.root.x);
+            shape[thread] = vec4<f32>(s.root.yz, s.colour.xy);
+            blue[thread] = s.colour.z;
         }
+        blocks[thread] = reached;
         workgroupBarrier();
         if thread == 0u {
             still_open = atomicExchange(&open, 0u);
         }
+        if thread < 64u {
+            reaching[thread] = turned(thread);
+        }
         if workgroupUniformLoad(&still_open) == 0u {
             break;
         }
-        if inside && t >= frame.stop {
-            for (var k = 0u; k < n; k++) {
-                if (blocks[k] & my_block) == 0u {
-                    continue;
-                }
-                let log2 = log2_alpha_in_tile(near[k], root[k], at);
-                // Below the cut-off by more than rounding: nothing to add.
-                if log2 < frame.log2_cutoff - REACH_MARGIN {
-                    continue;
-                }
-                let alpha = alpha_of(log2, frame.cutoff, frame.alpha_max);
-                sum = fma(vec3<f32>(alpha * t), colour[k], sum);
-                t = fma(-alpha, t, t);
-                if t < frame.stop {
-                    break;
+        if inside && t >= stop {
+            let words = (n + 31u) / 32u;
+            for (var word = 0u; word < words; word++) {
+                // Only the splats that reach the block of this thread, which its neighbours share.
+                var left = reaching[my_words + word];
+                while left != 0u {
+                    let k = word * 32u + firstTrailingBit(left);
+                    left &= left - 1u;
+                    let a = near[k];
+                    let b = shape[k];
+                    let log2 = log2_alpha_in_tile(a.xyz, vec3<f32>(a.w, b.xy), at);
+                    // Below the cut-off by more than rounding: nothing to add.
+                    if log2 < log2_cutoff - REACH_MARGIN {
+                        continue;
+                    }
+                    let alpha = alpha_of(log2, cutoff, alpha_max);
+                    sum = fma(vec3<f32>(alpha * t), vec3<f32>(b.zw, blue[k]), sum);
+                    t = fma(-alpha, t, t);
+                    if t < stop {
+                        word = words;
+                        break;
+                    }
                 }
             }
         }
@@ -87,7 +119,7 @@ fn blend(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) 
         atomicStore(&open, 0u);
     }
     workgroupBarrier();
-    if inside && t < frame.stop {
+    if inside && t < stop {
         atomicAdd(&open, 1u);
     }
     workgroupBarrier();

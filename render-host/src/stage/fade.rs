@@ -5,7 +5,7 @@
 //! is left is below the stop, no splat behind is blended in any pixel. A million splats over one tile
 //! then cost a list of some thousands at most, and a picture cannot tell.
 
-use super::{Splat, TILE};
+use super::Splat;
 use crate::settings::Settings;
 
 /// The rule, for one set of settings.
@@ -15,6 +15,8 @@ pub(crate) struct Fade {
     pub(super) stop: f64,
     log2_cutoff: f64,
     max: f64,
+    /// Side of a tile, pixels.
+    pub(super) side: usize,
 }
 
 /// Relative rounding, in f32, of a transmittance per splat, with room.
@@ -36,7 +38,7 @@ impl Fade {
 
     fn at(settings: &Settings, stop: f64) -> Option<Self> {
         let (log2_cutoff, max) = (settings.log2_cutoff(), f64::from(settings.alpha_max));
-        (stop > 0.0).then(|| Self { stop: stop.log2(), log2_cutoff, max })
+        (stop > 0.0).then(|| Self { stop: stop.log2(), log2_cutoff, max, side: settings.tile.pixels() })
     }
 
     /// What `splat` adds to an upper bound of log₂ transmittance in every pixel of the tile at `corner`: 0
@@ -48,7 +50,7 @@ impl Fade {
         }
         let [xx, xy, yy] = splat.root;
         let near = |k: usize| corner[k] as f64 + 0.5 - splat.mean[k];
-        let far = |k: usize| near(k) + (TILE - 1) as f64;
+        let far = |k: usize| near(k) + (self.side - 1) as f64;
         let mut distance2 = 0.0f64;
         for (dx, dy) in [(near(0), near(1)), (far(0), near(1)), (near(0), far(1)), (far(0), far(1))] {
             distance2 = distance2.max((xx * dx + xy * dy).powi(2) + (yy * dy).powi(2));
@@ -67,6 +69,7 @@ impl Fade {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::stage::TILE;
     use crate::stage::blend::{Tile, blend_tile};
 
     fn cover(i: u32) -> Splat {

@@ -25,6 +25,12 @@ impl Order {
         self.entries.iter().map(|&entry| entry as u32)
     }
 
+    /// As `all`, without the indices for which `has` is false.
+    pub(crate) fn take(&mut self, all: &Self, has: impl Fn(u32) -> bool) {
+        self.entries.clear();
+        self.entries.extend(all.entries.iter().filter(|&&entry| has(entry as u32)));
+    }
+
     /// Raw entries, nearest first; the low 32 bits are the index.
     pub fn entries(&self) -> &[u64] {
         &self.entries

@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use super::{REACH_MARGIN, SMALL_BOX, Splat, TILE};
+use super::{REACH_MARGIN, SMALL_BOX, Splat, TileSide};
 use crate::settings::Settings;
 
 /// How splats are given to tiles.
@@ -14,12 +14,13 @@ pub(crate) struct Spans {
     cull_entries: bool,
     opacity_bounds: bool,
     log2_cutoff: f64,
+    tile: TileSide,
 }
 
 impl Spans {
     pub(crate) fn new(settings: &Settings) -> Self {
-        let &Settings { exact_tiles, cull_entries, opacity_bounds, .. } = settings;
-        Self { exact_tiles, cull_entries, opacity_bounds, log2_cutoff: settings.log2_cutoff() }
+        let &Settings { exact_tiles, cull_entries, opacity_bounds, tile, .. } = settings;
+        Self { exact_tiles, cull_entries, opacity_bounds, log2_cutoff: settings.log2_cutoff(), tile }
     }
 
     /// Calls `push` with each tile row of `band` in which `splat` is listed, and the columns where; never
@@ -31,7 +32,7 @@ impl Spans {
         band: &Range<usize>,
         push: &mut impl FnMut(usize, Range<usize>),
     ) -> u64 {
-        let (rows, columns) = (splat.tile_rows(), splat.tile_columns());
+        let (rows, columns) = (splat.tile_rows(self.tile), splat.tile_columns(self.tile));
         let visible = rows.start.max(band.start)..rows.end.min(band.end);
         let boxed = (visible.len() * columns.len()) as u64;
         if !self.exact_tiles {
@@ -64,9 +65,10 @@ impl Spans {
             let past = ((right - 0.5 + slack).floor() + 1.0).min(x1 as f64);
             (from < past).then_some((from, past))
         };
+        let side = self.tile.pixels();
         for row in visible {
-            let first = (row * TILE).max(y0) as f64 + 0.5 - splat.mean[1];
-            let last = ((row + 1) * TILE).min(y1) as f64 - 0.5 - splat.mean[1];
+            let first = (row * side).max(y0) as f64 + 0.5 - splat.mean[1];
+            let last = ((row + 1) * side).min(y1) as f64 - 0.5 - splat.mean[1];
             let (low, high) = (first.max(-top), last.min(top));
             if low > high {
                 continue;
@@ -88,7 +90,7 @@ impl Spans {
                 centres(a.min(b), c.max(d))
             };
             if let Some((from, past)) = found {
-                push(row, from as usize / TILE..(past as usize).div_ceil(TILE));
+                push(row, self.tile.of(from as usize)..self.tile.tiles(past as usize));
             }
         }
     }

@@ -14,14 +14,29 @@
 
 const BATCH: u32 = 256u;
 
-var<workgroup> near: array<vec3<f32>, 256>;
-var<workgroup> root: array<vec3<f32>, 256>;
-var<workgroup> colour: array<vec3<f32>, 256>;
-// Which of the eight worlds hold the splat and, eight bits above, the blocks of pixels that it may reach; 0
-// where no world holds it.
+// As in blend.wgsl.
+var<workgroup> near: array<vec4<f32>, 256>;
+var<workgroup> shape: array<vec4<f32>, 256>;
+var<workgroup> blue: array<f32, 256>;
+// Which of the eight worlds hold the splat.
 var<workgroup> holders: array<u32, 256>;
+// Blocks of pixels that it may reach; none where no world holds it. And the same seen from the blocks.
+var<workgroup> blocks: array<u32, 256>;
+var<workgroup> reaching: array<u32, 64>;
 var<workgroup> open: atomic<u32>;
 var<workgroup> still_open: u32;
+
+// As in blend.wgsl.
+fn turned(word: u32) -> u32 {
+    let block = word / 8u;
+    let first = (word % 8u) * 32u;
+    var bits = 0u;
+    for (var i = 0u; i < 32u; i++) {
+        let k = (i + word) % 32u;
+        bits |= ((blocks[first + k] >> block) & 1u) << k;
+    }
+    return bits;
+}
 
 fn bits_of(mask: u32, first: u32) -> vec4<bool> {
     let shifts = vec4<u32>(first, first + 1u, first + 2u, first + 3u);
@@ -38,7 +53,10 @@ fn blend_worlds(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_
     let first = starts[tile];
     let past = starts[tile + 1u];
     let at = vec2<f32>(local);
-    let my_block = 0x100u << (thread / 32u);
+    let my_words = thread / 32u * 8u;
+    let cutoff = frame.cutoff;
+    let log2_cutoff = frame.log2_cutoff;
+    let alpha_max = frame.alpha_max;
     let first_world = id.z * LANES;
     let lanes = min(LANES, frame.worlds - first_world);
 
@@ -63,50 +81,61 @@ fn blend_worlds(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_
             atomicStore(&open, 1u);
         }
         let n = min(BATCH, past - batch);
+        var reached = 0u;
         if thread < n {
             let s = splats[entries[batch + thread]];
             let here = vec3<f32>(axes(s, corner), s.log2_alpha);
-            near[thread] = here;
-            root[thread] = s.root;
-            colour[thread] = s.colour;
+            near[thread] = vec4<f32>(here, s.root.x);
+            shape[thread] = vec4<f32>(s.root.yz, s.colour.xy);
+            blue[thread] = s.colour.z;
             let word = presence[s.group * frame.world_words + first_world / 32u];
             let held = (word >> (first_world % 32u)) & 0xffu;
-            let reached = blocks_of(here, s.root, frame.log2_cutoff) << 8u;
-            holders[thread] = select(0u, held | reached, held != 0u);
+            holders[thread] = held;
+            reached = select(0u, blocks_of(here, s.root, log2_cutoff), held != 0u);
         }
+        blocks[thread] = reached;
         workgroupBarrier();
         if thread == 0u {
             still_open = atomicExchange(&open, 0u);
+        }
+        if thread < 64u {
+            reaching[thread] = turned(thread);
         }
         if workgroupUniformLoad(&still_open) == 0u {
             break;
         }
         if going {
-            for (var k = 0u; k < n; k++) {
-                let mask = holders[k];
-                if (mask & my_block) == 0u {
-                    continue;
-                }
-                let log2 = log2_alpha_in_tile(near[k], root[k], at);
-                if log2 < frame.log2_cutoff - REACH_MARGIN {
-                    continue;
-                }
-                let alpha = vec4<f32>(alpha_of(log2, frame.cutoff, frame.alpha_max));
-                let c = colour[k];
-                let a0 = select(vec4<f32>(0.0), alpha, bits_of(mask, 0u) & (t0 >= stop));
-                let a1 = select(vec4<f32>(0.0), alpha, bits_of(mask, 4u) & (t1 >= stop));
-                let w0 = a0 * t0;
-                let w1 = a1 * t1;
-                r0 = fma(w0, vec4<f32>(c.x), r0);
-                r1 = fma(w1, vec4<f32>(c.x), r1);
-                g0 = fma(w0, vec4<f32>(c.y), g0);
-                g1 = fma(w1, vec4<f32>(c.y), g1);
-                b0 = fma(w0, vec4<f32>(c.z), b0);
-                b1 = fma(w1, vec4<f32>(c.z), b1);
-                t0 = fma(-a0, t0, t0);
-                t1 = fma(-a1, t1, t1);
-                if all(t0 < stop) && all(t1 < stop) {
-                    break;
+            let words = (n + 31u) / 32u;
+            for (var word = 0u; word < words; word++) {
+                var left = reaching[my_words + word];
+                while left != 0u {
+                    let k = word * 32u + firstTrailingBit(left);
+                    left &= left - 1u;
+                    let mask = holders[k];
+                    let a = near[k];
+                    let b = shape[k];
+                    let log2 = log2_alpha_in_tile(a.xyz, vec3<f32>(a.w, b.xy), at);
+                    if log2 < log2_cutoff - REACH_MARGIN {
+                        continue;
+                    }
+                    let alpha = vec4<f32>(alpha_of(log2, cutoff, alpha_max));
+                    let c = vec3<f32>(b.zw, blue[k]);
+                    let a0 = select(vec4<f32>(0.0), alpha, bits_of(mask, 0u) & (t0 >= stop));
+                    let a1 = select(vec4<f32>(0.0), alpha, bits_of(mask, 4u) & (t1 >= stop));
+                    let w0 = a0 * t0;
+                    let w1 = a1 * t1;
+                    r0 = fma(w0, vec4<f32>(c.x), r0);
+                    r1 = fma(w1, vec4<f32>(c.x), r1);
+                    g0 = fma(w0, vec4<f32>(c.y), g0);
+                    g1 = fma(w1, vec4<f32>(c.y), g1);
+                    b0 = fma(w0, vec4<f32>(c.z), b0);
+                    b1 = fma(w1, vec4<f32>(c.z), b1);
+                    t0 = fma(-a0, t0, t0);
+                    t1 = fma(-a1, t1, t1);
+                    if all(t0 < stop) && all(t1 < stop) {
+                        word = words;
+                        break;
+                    }
                 }
             }
         }

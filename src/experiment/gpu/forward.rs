@@ -7,7 +7,7 @@ use render_host::gpu::{Renderer, Scene};
 use render_host::{Camera, Settings, Splats, reference};
 
 use super::super::cloud::{Kind, camera, cloud};
-use super::Context;
+use super::{Context, peer};
 use crate::figures::{Bench, Figure, median};
 
 struct Case {
@@ -18,6 +18,8 @@ struct Case {
     stages: Vec<(&'static str, Vec<f64>)>,
     wall: Vec<f64>,
     stream: Vec<f64>,
+    peer: Option<peer::Peer>,
+    peer_wall: Vec<f64>,
 }
 
 /// Measures.
@@ -49,6 +51,16 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
             }
             push("tile_entries", got.counters.intersections as f64, "");
             push("memory", (renderer.bytes() + on_device.bytes()) as f64 / 1e6, "MB");
+            let peer = peer::Peer::new(device, &gaussians, &camera)?;
+            if let Some(peer) = &peer {
+                peer.draw()?;
+                let (name, picture) = (format!("{name}.peer"), peer.picture()?);
+                let errors = picture.rgb().iter().zip(&exact.rgb).map(|(a, b)| (f64::from(*a) - b).abs());
+                bench.push(Figure::new(format!("{name}.max_error"), errors.fold(0.0, f64::max), ""));
+                if let Some(d) = exact.difference(picture.rgb()) {
+                    bench.push(Figure::new(format!("{name}.psnr_vs_f64"), d.psnr_db, "dB"));
+                }
+            }
             cases.push(Case {
                 name,
                 renderer,
@@ -57,6 +69,8 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
                 stages: Vec::new(),
                 wall: Vec::new(),
                 stream: Vec::new(),
+                peer,
+                peer_wall: Vec::new(),
             });
         }
     }
@@ -80,12 +94,17 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
         };
         let mut figures: Vec<Figure> =
             case.stages.iter().map(|(stage, ms)| figure(format!("stage.{stage}"), ms)).collect();
-        figures.push(figure("wall".into(), &case.wall));
+        let wall = figure("wall".into(), &case.wall);
+        figures.push(match case.peer {
+            Some(_) => wall.peer(peer::NAME, median(&case.peer_wall), true),
+            None => wall,
+        });
         if !case.stream.is_empty() {
             figures.push(figure("stream".into(), &case.stream));
         }
         figures.into_iter().for_each(|f| bench.push(f));
     }
+    bench.skipped.extend(peer::absent());
     if cases.iter().all(|case| case.stages.is_empty()) {
         bench.skipped.push("stage times: the device has no timestamps".into());
     }
@@ -94,7 +113,7 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
 
 impl Case {
     fn measure(&mut self, settings: &Settings, train: usize) -> Result<()> {
-        let Self { renderer, scene, camera, .. } = self;
+        let Self { renderer, scene, camera, peer, peer_wall, .. } = self;
         let device = renderer.device().clone();
         let frames = |renderer: &mut Renderer, frames: usize| -> Result<f64> {
             device.wait()?;
@@ -112,6 +131,13 @@ impl Case {
             }
         }
         renderer.time_stages(false)?;
+        if let Some(peer) = peer {
+            device.wait()?;
+            let start = Instant::now();
+            peer.draw()?;
+            device.wait()?;
+            peer_wall.push(1000.0 * start.elapsed().as_secs_f64());
+        }
         if train > 0 {
             self.stream.push(frames(renderer, train)?);
         }
@@ -123,5 +149,6 @@ impl Case {
         self.stages.clear();
         self.wall.clear();
         self.stream.clear();
+        self.peer_wall.clear();
     }
 }

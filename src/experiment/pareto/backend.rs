@@ -1,6 +1,7 @@
 //! What makes the pictures: the CPU, and a graphics device where there is one.
 
 use anyhow::{Context, Result};
+use render_host::stage::TileSide;
 use render_host::{
     Camera, Image, Rendered, Renderer, Settings, Splats,
     gpu::{self, Device, GpuError, Options},
@@ -117,7 +118,8 @@ impl Backend for Gpu {
 
     fn takes(&self, settings: &Settings) -> bool {
         let limitless = settings.alpha_cutoff == 0.0;
-        settings.depth_bits == 32 && !settings.half_attributes && !(limitless && self.device.facts().is_cpu)
+        let same_stages = settings.depth_bits == 32 && !settings.half_attributes;
+        same_stages && settings.tile == TileSide::default() && !(limitless && self.device.facts().is_cpu)
     }
 
     fn most_runs(&self) -> usize {

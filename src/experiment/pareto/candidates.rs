@@ -1,9 +1,10 @@
 //! Settings to measure: each knob alone, and presets.
 
 use render_host::Settings;
+use render_host::stage::TileSide;
 
 /// Names of the knobs; the place of one is [`Candidate::knob`].
-pub const KNOBS: [&str; 8] = [
+pub const KNOBS: [&str; 9] = [
     "default",
     "alpha cut-off",
     "stop",
@@ -11,6 +12,7 @@ pub const KNOBS: [&str; 8] = [
     "f16 attributes",
     "degree",
     "skips and threads",
+    "tile side",
     "presets",
 ];
 /// The place of the defaults.
@@ -54,13 +56,16 @@ pub fn candidates(degree: u8) -> Vec<Candidate> {
     out.push(one("box tiles", 6, Settings { exact_tiles: false, ..d.clone() }));
     out.push(one("no culling", 6, Settings { cull_frustum: false, exact_tiles: false, ..d.clone() }));
     out.push(one("serial", 6, Settings { parallel: false, ..d.clone() }));
+    for tile in TileSide::ALL.into_iter().filter(|&tile| tile != d.tile) {
+        out.push(one(&format!("tiles of {}", tile.pixels()), 7, Settings { tile, ..d.clone() }));
+    }
     let presets = [
         ("exact", Settings::exact()),
         ("fine", Settings { alpha_cutoff: 1.0 / 1024.0, transmittance_stop: 1e-6, ..d.clone() }),
         ("device", Settings { half_attributes: true, depth_bits: 24, ..d.clone() }),
         ("draft", Settings { alpha_cutoff: 1.0 / 64.0, transmittance_stop: 1e-3, max_sh_degree: 0, ..d }),
     ];
-    out.extend(presets.map(|(name, settings)| Candidate { everywhere: true, ..one(name, 7, settings) }));
+    out.extend(presets.map(|(name, settings)| Candidate { everywhere: true, ..one(name, 8, settings) }));
     out
 }
 

@@ -5,6 +5,7 @@ use codec_core::Gaussian;
 use render_host::{Camera, Changes, Rendered, Renderer, Reuse, Reused, Sequence, Splats};
 use trainer_host::{
     Instant, Scene,
+    encode::Protection,
     stream::{PacketMap, Player},
 };
 
@@ -43,7 +44,7 @@ pub(super) fn states(
     runs: usize,
     quiet: Quiet,
 ) -> Result<()> {
-    let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), 0);
+    let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::NONE);
     let stream = pipeline::encode(scene, &options, quiet)?;
     let map = PacketMap::of(&stream)?;
     let received = stream.receive()?;

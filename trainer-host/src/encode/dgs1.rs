@@ -14,7 +14,7 @@ use codec_core::{
     gaussian::ShDegree,
     ids::{EpochId, Level, Span, WindowId},
     quant::Class,
-    rans::lanes::STATES_BYTES,
+    rans::lanes,
     wire::{
         manifest::{self, Head, Manifest, Profile, Proxy, Quant, Repair, stream},
         packet::PARITY_OVERHEAD_BYTES,
@@ -83,31 +83,29 @@ pub(super) fn encode(
     let model = streams.model(options.menu)?;
     progress("packetise", 0.0);
     let lots = lots(&plans);
-    let limit = |base: bool| match options.repair_set {
-        Some(_) if base => options.packet_bytes - PARITY_OVERHEAD_BYTES,
-        _ => options.packet_bytes,
+    let strength = |lot: &Lot<'_>| options.repair.of(matches!(lot.span, Span::Motion(_)), lot.level);
+    let limit = |lot: &Lot<'_>| match strength(lot) {
+        Some(_) => options.packet_bytes - PARITY_OVERHEAD_BYTES,
+        None => options.packet_bytes,
     };
     let protos: Result<Vec<Vec<Proto>>, EncodeError> =
-        lots.par_iter().map(|lot| packetise(lot, &model, limit(lot.level == Level::BASE))).collect();
+        lots.par_iter().map(|lot| packetise(lot, &model, limit(lot))).collect();
     let protos = protos?;
 
     let mut packets = Vec::new();
     let mut repairs = Vec::new();
     let mut ledger = ledger(scene, &plans, &streams, &model);
     for (lot, protos) in lots.iter().zip(&protos) {
-        let first_packet = packets.len() as u32;
+        let first_packet = packets.len();
         for proto in protos {
             let bytes = proto.write(packet_id(packets.len())?)?;
             ledger.payload += proto.body_len() as f64;
-            ledger.states += STATES_BYTES as f64;
+            ledger.states += LANES_BYTES;
             ledger.headers += (bytes.len() - proto.body_len() - 4) as f64;
             ledger.crc += 4.0;
             packets.push(bytes);
         }
-        if let Some(set_len) = options.repair_set.filter(|_| lot.level == Level::BASE && !protos.is_empty()) {
-            let count = packets.len() as u32 - first_packet;
-            repairs.push(Repair { first_packet, packets: count, first_parity: 0, set_len });
-        }
+        repairs.extend(strength(lot).and_then(|s| s.range(first_packet, &packets[first_packet..])));
     }
     ledger.packets = packets.len() as u64;
     parity::append(&mut repairs, &mut packets, &mut ledger)?;
@@ -116,6 +114,11 @@ pub(super) fn encode(
     let order = plans.into_iter().map(|p| p.order).collect();
     Stream::seal(raw, &sections, packets, order, ledger).map_err(EncodeError::Format)
 }
+
+/// What a packet's lanes cost besides the values: the bytes in front of the words, and the bits of
+/// their integrity check.
+const LANES_BYTES: f64 =
+    lanes::HEAD_BYTES as f64 + (lanes::LANES as u32 * lanes::TAIL_START.ilog2()) as f64 / 8.0;
 
 /// Clusters that a trial takes, about.
 const TRIAL: usize = 16;
@@ -280,7 +283,7 @@ fn ledger(scene: &Scene, plans: &[EpochPlan], streams: &Streams<'_>, model: &Mod
     ledger.raw_symbols = 2.0 * ledger.symbols as f64;
     ledger.empirical_entropy = streams.entropy_bits() / 8.0;
     let bits: f64 = ledger.shares.iter().map(|s| s.bits).sum();
-    ledger.monolithic = (bits / 8.0 + ledger.selectors).ceil() + STATES_BYTES as f64;
+    ledger.monolithic = (bits / 8.0 + ledger.selectors + LANES_BYTES).ceil();
     ledger
 }
 

@@ -39,7 +39,7 @@ pub struct Ledger {
     pub saturated: u64,
     /// Of the payload, code words that select tables.
     pub selectors: f64,
-    /// Of the payload, states of the coder's lanes.
+    /// Of the payload, what the coder's lanes cost besides the values they keep.
     pub states: f64,
     /// The manifest section by section.
     pub manifest_parts: Vec<Part>,
@@ -72,8 +72,8 @@ pub struct Part {
 
 impl Ledger {
     /// Bits by which the payload exceeds what its own tables price it at, code words and lane states
-    /// apart: rounding to bytes, probabilities as the coder rounds them, less what the final states
-    /// hold. 0 where shares are not known.
+    /// apart: states and planes rounded to whole bits and bytes, and the coder's own rounding. 0 where
+    /// shares are not known.
     pub fn coder_gap(&self) -> f64 {
         if self.shares.is_empty() {
             return 0.0;
@@ -137,7 +137,7 @@ impl Ledger {
 #[cfg(test)]
 mod tests {
     use crate::{
-        encode::{Options, encode},
+        encode::{Options, Protection, encode},
         import::{
             Limits,
             synth::{self, Kind},
@@ -149,7 +149,7 @@ mod tests {
         for kind in [Kind::Figure, Kind::Balls] {
             let options = synth::Options { gaussians: 1500, frames: 40, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
-            let repaired = Options { repair_set: Some(4), ..Options::default() };
+            let repaired = Options { repair: Protection::STANDARD, ..Options::default() };
             for options in [repaired, Options::default(), Options::paper()] {
                 let stream = encode(&scene, &options, &|_, _| {}).unwrap();
                 let sent = stream.message().len() + stream.packets().iter().map(Vec::len).sum::<usize>();

@@ -33,7 +33,6 @@ pub(super) struct Lot<'c> {
 #[derive(Clone, Debug)]
 pub(super) struct Proto {
     stretch: Stretch,
-    escapes: u16,
     body: Vec<u8>,
 }
 
@@ -47,19 +46,20 @@ struct Item {
     bits: f64,
 }
 
-/// Bytes of a packet besides stretch and entropy-coded values: id ≤ 3, escape count ≤ 2, states 16,
-/// CRC 4.
-const FIXED_BYTES: usize = 25;
+/// Bytes of a packet besides stretch and entropy-coded values: id ≤ 3, CRC 4, and what the body takes
+/// beyond its values' bits.
+const FIXED_BYTES: usize = 14;
 
 /// Packs a lot into packets of at most `limit` bytes.
 pub(super) fn packetise(lot: &Lot<'_>, model: &Model, limit: usize) -> Result<Vec<Proto>, EncodeError> {
     let items = items(lot, model);
+    let symbols: Vec<lanes::Symbols> = model.tables.iter().map(lanes::Symbols::new).collect();
     let mut packets = Vec::new();
     let mut at = 0;
     while at < items.len() {
         let mut take = fill(lot, &items[at..], limit);
         let proto = loop {
-            match encode(lot, &items[at..at + take], model, limit) {
+            match encode(lot, &items[at..at + take], model, &symbols, limit) {
                 Ok(proto) if proto.wire_len() <= limit => break proto,
                 Ok(_) if take > 1 => take -= 1,
                 Err(EncodeError::Format(e)) if e.kind == ErrorKind::Capacity && take > 1 => take -= 1,
@@ -145,8 +145,14 @@ fn stretch(lot: &Lot<'_>, items: &[Item]) -> Stretch {
     Stretch { span: lot.span, level: lot.level, first: first.first, blocks }
 }
 
-fn encode(lot: &Lot<'_>, items: &[Item], model: &Model, limit: usize) -> Result<Proto, EncodeError> {
-    let (mut values, mut table_of) = (Vec::new(), Vec::new());
+fn encode(
+    lot: &Lot<'_>,
+    items: &[Item],
+    model: &Model,
+    symbols: &[lanes::Symbols],
+    limit: usize,
+) -> Result<Proto, EncodeError> {
+    let (mut values, mut runs) = (Vec::new(), Vec::<lanes::Run>::new());
     let mut body = vec![0u8; 2 * limit + 64];
     let mut selectors = BitWriter::new(&mut body);
     let mut full = Ok(());
@@ -158,20 +164,23 @@ fn encode(lot: &Lot<'_>, items: &[Item], model: &Model, limit: usize) -> Result<
             let written = selectors.code(code, length);
             full = full.and(written);
             values.extend_from_slice(run);
-            table_of.extend(std::iter::repeat_n(table, run.len()));
+            match runs.last_mut() {
+                Some(last) if last.table == table => last.len += run.len(),
+                _ => runs.push(lanes::Run { table, len: run.len() }),
+            }
         });
     }
     full?;
     let selectors = selectors.finish();
-    let encoded = lanes::encode(&values, &table_of, &model.tables, &mut body[selectors..])?;
+    let encoded = lanes::encode(&values, &runs, symbols, &mut body[selectors..])?;
     body.truncate(selectors + encoded.len);
-    Ok(Proto { stretch: stretch(lot, items), escapes: encoded.escapes as u16, body })
+    Ok(Proto { stretch: stretch(lot, items), body })
 }
 
 impl Proto {
     fn packet(&self, id: PacketId) -> Slices<'_> {
         let stretches = std::iter::once(self.stretch).collect();
-        Slices { id, stretches, escapes: self.escapes, body: &self.body }
+        Slices { id, stretches, body: &self.body }
     }
 
     /// Bytes of the whole packet with the longest id.

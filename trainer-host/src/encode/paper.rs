@@ -100,7 +100,7 @@ pub(super) fn encode(
         let groups = &groups[start..start + plan.cells.len()];
         start += plan.cells.len();
         for level in Level::ALL {
-            let first_packet = packets.len() as u32;
+            let first_packet = packets.len();
             for group in groups.iter().map(|g| &g[level.index()]) {
                 ledger.symbols += group.symbols as u64;
                 ledger.empirical_entropy += group.entropy_bytes;
@@ -118,10 +118,8 @@ pub(super) fn encode(
                     packets.push(bytes);
                 }
             }
-            let count = packets.len() as u32 - first_packet;
-            if let Some(set_len) = options.repair_set.filter(|_| level == Level::BASE && count > 0) {
-                repairs.push(Repair { first_packet, packets: count, first_parity: 0, set_len });
-            }
+            let strength = options.repair.of(false, level);
+            repairs.extend(strength.and_then(|s| s.range(first_packet, &packets[first_packet..])));
         }
     }
     ledger.raw_symbols = 2.0 * ledger.symbols as f64;
@@ -366,9 +364,9 @@ fn groups(
         let tables = counts.map(|c| ByteTable::from_counts(&c));
         let pair = [&tables[0], &tables[1]];
         let costs = tables.map(|t| costs(&t));
-        let limit = match options.repair_set {
-            Some(_) if level == Level::BASE => limits::MAX_PAYLOAD_BYTES - 32 - PARITY_OVERHEAD_BYTES,
-            _ => limits::MAX_PAYLOAD_BYTES,
+        let limit = match options.repair.of(false, level) {
+            Some(_) => limits::MAX_PAYLOAD_BYTES - 32 - PARITY_OVERHEAD_BYTES,
+            None => limits::MAX_PAYLOAD_BYTES,
         };
         let mut scratch = vec![0u8; 4 * limit];
         let mut chunks = Vec::new();

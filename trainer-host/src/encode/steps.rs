@@ -34,11 +34,11 @@ impl Default for Quality {
         Self {
             position: 0.05,
             scale: 0.03,
-            rotation: 0.008,
+            rotation: 0.0115,
             opacity: 0.006,
             sh0: 0.014,
             sh_rest: 0.02,
-            motion: 1.0,
+            motion: 2.0,
         }
     }
 }

@@ -111,7 +111,7 @@ fn outline(manifest: &Manifest<'_>) -> Vec<Segment> {
 mod tests {
     use super::*;
     use crate::{
-        encode::{Options, encode},
+        encode::{Options, Protection, encode},
         import::{
             Limits,
             synth::{self, Kind},
@@ -123,7 +123,7 @@ mod tests {
         for (kind, windows) in [(Kind::Figure, 2), (Kind::Births, 1)] {
             let options = synth::Options { gaussians: 1000, frames: 40, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
-            let options = Options { repair_set: Some(4), ..Options::default() };
+            let options = Options { repair: Protection::STANDARD, ..Options::default() };
             let stream = encode(&scene, &options, &|_, _| {}).unwrap();
             let segments = segments(&scene, &stream, 1).unwrap();
             assert!(segments.len() >= windows);

@@ -159,12 +159,15 @@ impl<'a> Manifest<'a> {
             let all = self.head.packets;
             let most = limits::MAX_REPAIR_SET as u8;
             in_range("repair.set_len", place, repair.set_len, 2, most)?;
+            in_range("repair.parity", place, repair.parity, 1, limits::MAX_REPAIR_PARITY as u8)?;
+            in_range("repair.longest", place, repair.longest, 1, limits::MAX_PACKET_BYTES as u16)?;
             in_range("repair.first_packet", place, repair.first_packet, 0, all)?;
             in_range("repair.packets", place, repair.packets, 1, all - repair.first_packet.min(all))?;
             in_range("repair.first_parity", place, repair.first_parity, 0, all)?;
-            in_range("repair.sets", place, repair.sets(), 1, all - repair.first_parity.min(all))?;
-            // Each set has a parity packet of its own.
-            sets += u64::from(repair.sets());
+            let left = u64::from(all - repair.first_parity.min(all));
+            in_range("repair.sets", place, repair.parity_packets(), 1, left)?;
+            // Each set has parity packets of its own.
+            sets += repair.parity_packets();
             in_range("repair.sets", place, sets, 1, all.into())
                 .map_err(|e| e.kind(ErrorKind::Contradiction))?;
         }

@@ -278,11 +278,11 @@ impl Motion {
 }
 
 record! {
-    /// A range of packets protected by XOR parity.
+    /// A range of packets protected by parity.
     ///
-    /// The range is split into `ceil(packets / set_len)` interleaved sets: packet
-    /// `first_packet + j` belongs to set `j mod sets`, and set `s` is covered by parity packet
-    /// `first_parity + s`. Interleaving spreads a burst over many sets.
+    /// The range is split into `ceil(packets / set_len)` interleaved sets, so that a burst is
+    /// spread over many sets: packet `first_packet + j` belongs to set `j mod sets`. Row `i` of set
+    /// `s` is parity packet `first_parity + i · sets + s`.
     Repair, "repair.", 16 {
         /// First protected packet.
         first_packet: u32 = u32,
@@ -290,13 +290,17 @@ record! {
         packets: u32 = u32,
         /// First parity packet.
         first_parity: u32 = u32,
-        /// Most packets in one set, 2..=32.
+        /// Most packets in one set, 2..=64.
         set_len: u8 = u8,
-    } pad 3
+        /// Parity packets of one set, 1..=8: as many losses are repaired.
+        parity: u8 = u8,
+        /// Bytes of the longest protected packet, 1..=1280.
+        longest: u16 = u16,
+    } pad 0
 }
 
 impl Repair {
-    /// Number of sets, and of parity packets.
+    /// Number of sets.
     pub const fn sets(&self) -> u32 {
         match self.set_len {
             0 => 0,
@@ -304,10 +308,21 @@ impl Repair {
         }
     }
 
+    /// Number of parity packets of all sets.
+    pub const fn parity_packets(&self) -> u64 {
+        self.sets() as u64 * self.parity as u64
+    }
+
     /// The set and the position in it of packet `id`, if the range protects it.
     pub fn set_of(&self, id: u32) -> Option<(u32, u32)> {
         let offset = id.checked_sub(self.first_packet).filter(|&o| o < self.packets)?;
-        Some((offset % self.sets(), offset / self.sets()))
+        Some((offset.checked_rem(self.sets())?, offset.checked_div(self.sets())?))
+    }
+
+    /// The set and the row of parity packet `id`, if it is of this range.
+    pub fn row_of(&self, id: u32) -> Option<(u32, u32)> {
+        let offset = id.checked_sub(self.first_parity).filter(|&o| u64::from(o) < self.parity_packets())?;
+        Some((offset.checked_rem(self.sets())?, offset.checked_div(self.sets())?))
     }
 
     /// Packets in set `set`.
@@ -316,6 +331,21 @@ impl Repair {
             0 => 0,
             sets => (self.packets + sets - 1 - set % sets) / sets,
         }
+    }
+
+    /// The id of member `position` of set `set`.
+    pub const fn member(&self, set: u32, position: u32) -> u32 {
+        self.first_packet + set + position * self.sets()
+    }
+
+    /// The id of parity row `row` of set `set`.
+    pub const fn parity_id(&self, set: u32, row: u32) -> u32 {
+        self.first_parity + set + row * self.sets()
+    }
+
+    /// Bytes of a receiver's memory for one set.
+    pub const fn set_bytes(&self) -> usize {
+        crate::repair::set_bytes(self.parity as usize, self.longest as usize)
     }
 }
 

@@ -1,0 +1,16 @@
+//! The receiver on a Cortex-M4F, in three binaries:
+//!
+//! - `receive` takes a baked-in stream, repairs a loss, decodes and prints a digest, instruction
+//!   counts and stack depths over semihosting;
+//! - `panicless` is the receiver and nothing else; it links only if no panic can be reached, and
+//!   its size is the receiver's;
+//! - `planted` is the same with a panic in it, and must not link.
+//!
+//! All memory is static; its sizes come from the manifest when the kit is written.
+
+#![no_std]
+
+pub mod count;
+pub mod kit;
+pub mod memory;
+pub mod stack;

@@ -1,0 +1,226 @@
+//! Packets into lockstep and out of it again. Safe code.
+
+use codec_core::{
+    Result,
+    rans::{
+        lanes::{Decoder, LANES, LOW, Run},
+        table::SLOTS,
+    },
+};
+
+use crate::{
+    Job, Tables, decode as decode_alone,
+    kernel::{BUFFER_BYTES, Lockstep, MOST_BYTES, MOST_PACKETS, MOST_STEPS, Vectors},
+    open,
+};
+
+/// Groups of four below which a packet is better decoded alone: packets that began together then
+/// leave together, although their last groups differ.
+const LEAST_STEPS: usize = 8;
+
+/// A packet in lockstep.
+struct Seat<'a> {
+    /// Index of its job.
+    job: usize,
+    decoder: Decoder<'a>,
+    /// Runs not yet done.
+    runs: &'a [Run],
+    /// Values of the first of them that are done.
+    into: usize,
+    /// Values done.
+    done: usize,
+    /// Groups left in the present stretch.
+    left: usize,
+    /// First of the popped groups that have not become values yet.
+    from: usize,
+}
+
+impl<'a> Seat<'a> {
+    /// A seat for job `index`, its words in `bytes`; `None` if it is better decoded alone.
+    fn take(
+        index: usize,
+        job: &Job<'a>,
+        decoder: Decoder<'a>,
+        bytes: &mut [u8; BUFFER_BYTES],
+    ) -> Option<Self> {
+        let lanes = decoder.lanes();
+        if lanes.bytes.len() > MOST_BYTES {
+            return None;
+        }
+        bytes.get_mut(..lanes.bytes.len())?.copy_from_slice(lanes.bytes);
+        Some(Self { job: index, decoder, runs: job.runs, into: 0, done: 0, left: 0, from: 0 })
+    }
+
+    /// Groups of four values that the packet can take with the same tables, and the first slot of
+    /// each lane's table; `None` if too few are left before the tail.
+    fn stretch(&self) -> Option<(usize, [u32; LANES])> {
+        let main = self.decoder.lanes().main / LANES;
+        let base = |run: &Run| u32::from(run.table) * SLOTS as u32;
+        let mut into = self.into;
+        let mut runs = self.runs.iter().filter_map(|run| {
+            let left = run.len - core::mem::take(&mut into);
+            (left > 0).then_some((base(run), left))
+        });
+        let (mut first, mut left) = runs.next().filter(|_| main >= LEAST_STEPS)?;
+        if left >= LANES {
+            // A packet's end is rounded down, so that packets of about one length end at once.
+            let end = main / LEAST_STEPS * LEAST_STEPS;
+            return Some((end.min(left / LANES), [first; LANES]));
+        }
+        // The group that the run ends in.
+        let mut bases = [first; LANES];
+        for place in &mut bases {
+            if left == 0 {
+                (first, left) = runs.next()?;
+            }
+            *place = first;
+            left -= 1;
+        }
+        Some((1, bases))
+    }
+
+    /// Takes over the tokens of whole groups that the vectors popped.
+    fn advance(
+        &mut self,
+        tables: &Tables<'_>,
+        state: [u32; LANES],
+        words: usize,
+        mut tokens: &[u8],
+        out: &mut [i16],
+    ) -> Result<()> {
+        self.decoder.resume(state, words, tokens.len())?;
+        while let (false, Some((run, later))) = (tokens.is_empty(), self.runs.split_first()) {
+            let left = run.len - self.into;
+            let (popped, rest) = tokens.split_at(left.min(tokens.len()));
+            let (_, raw_bits) = tables.table(run.table)?;
+            let end = self.done + popped.len();
+            self.decoder.values(raw_bits, popped, out.get_mut(self.done..end).unwrap_or(&mut []))?;
+            self.done = end;
+            self.into += popped.len();
+            tokens = rest;
+            if self.into == run.len {
+                (self.runs, self.into) = (later, 0);
+            }
+        }
+        Ok(())
+    }
+
+    /// Decodes what is left by the scalar decoder.
+    fn finish(mut self, tables: &Tables<'_>, out: &mut [i16]) -> Result<()> {
+        let mut rest = out.get_mut(self.done..).unwrap_or(&mut []);
+        for run in self.runs {
+            let (slots, raw_bits) = tables.table(run.table)?;
+            let left = run.len - core::mem::take(&mut self.into);
+            let whole = core::mem::take(&mut rest);
+            let (values, later) = whole.split_at_mut(left.min(whole.len()));
+            rest = later;
+            self.decoder.run(slots, raw_bits, values)?;
+        }
+        self.decoder.finish()
+    }
+}
+
+/// Decodes `jobs`, as many at once as `vectors` take.
+pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]) {
+    let mut lockstep = Box::new(Lockstep {
+        state: [[LOW; LANES]; MOST_PACKETS],
+        base: [[0; LANES]; MOST_PACKETS],
+        words: [0; MOST_PACKETS],
+        tokens: [[0; LANES * MOST_STEPS]; MOST_PACKETS],
+        bytes: [[0; BUFFER_BYTES]; MOST_PACKETS],
+    });
+    let mut seats: [Option<Seat<'_>>; MOST_PACKETS] = [const { None }; MOST_PACKETS];
+    let mut waiting = 0..jobs.len();
+    // Groups popped since the last flush of all.
+    let mut at = 0;
+    loop {
+        let mut steps = MOST_STEPS - at;
+        let mut seated = 0;
+        for (p, seat) in seats.iter_mut().enumerate().take(vectors.packets) {
+            if seat.as_ref().is_none_or(|seat| seat.left == 0) {
+                renew(tables, jobs, &mut waiting, seat, &mut lockstep, p, at);
+            }
+            if let Some(seat) = seat {
+                seated += 1;
+                steps = steps.min(seat.left);
+            }
+        }
+        // A few packets are done sooner one by one.
+        if seated * 5 <= vectors.packets {
+            break;
+        }
+        vectors.run(tables.slots, at, steps, &mut lockstep);
+        at += steps;
+        let full = at == MOST_STEPS;
+        for (p, place) in seats.iter_mut().enumerate().take(vectors.packets) {
+            let Some(seat) = place else { continue };
+            seat.left -= steps;
+            if (full || seat.left == 0)
+                && let Some(job) = jobs.get_mut(seat.job)
+            {
+                let tokens = lockstep.tokens[p].get(LANES * seat.from..LANES * at).unwrap_or(&[]);
+                seat.from = if full { 0 } else { at };
+                let result = seat.advance(tables, lockstep.state[p], lockstep.words[p], tokens, job.out);
+                if result.is_err() {
+                    *place = None;
+                    settle(tables, result, job);
+                }
+            }
+        }
+        at = if full { 0 } else { at };
+    }
+    for (p, seat) in seats.into_iter().enumerate() {
+        let Some(mut seat) = seat else { continue };
+        let Some(job) = jobs.get_mut(seat.job) else { continue };
+        let tokens = lockstep.tokens[p].get(LANES * seat.from..LANES * at).unwrap_or(&[]);
+        let result = seat.advance(tables, lockstep.state[p], lockstep.words[p], tokens, job.out);
+        let result = result.and_then(|()| seat.finish(tables, job.out));
+        settle(tables, result, job);
+    }
+}
+
+/// Finds the next stretch of the packet at place `p`, or of the next one that waits: until somebody
+/// sits there who has groups left, or nobody waits.
+fn renew<'a>(
+    tables: &Tables<'_>,
+    jobs: &mut [Job<'a>],
+    waiting: &mut core::ops::Range<usize>,
+    seat: &mut Option<Seat<'a>>,
+    lockstep: &mut Lockstep,
+    p: usize,
+    at: usize,
+) {
+    loop {
+        if let Some(seated) = seat {
+            if let Some((left, base)) = seated.stretch() {
+                (seated.left, lockstep.base[p]) = (left, base);
+                return;
+            }
+            if let (Some(job), Some(done)) = (jobs.get_mut(seated.job), seat.take()) {
+                settle(tables, done.finish(tables, job.out), job);
+            }
+        }
+        let Some((index, job)) = waiting.next().and_then(|i| Some((i, jobs.get_mut(i)?))) else {
+            (lockstep.base[p], lockstep.words[p]) = ([0; LANES], 0);
+            return;
+        };
+        match open(tables, job.body, job.runs, job.out.len()) {
+            Ok(decoder) => {
+                *seat = Seat::take(index, job, decoder, &mut lockstep.bytes[p]);
+                match seat {
+                    Some(seat) => {
+                        seat.from = at;
+                        (lockstep.words[p], lockstep.state[p]) = (0, decoder.lanes().state);
+                    }
+                    None => job.result = decode_alone(tables, job),
+                }
+            }
+            Err(error) => job.result = Err(error),
+        }
+    }
+}
+
+/// Notes a result; a refusal is that of the scalar decoder.
+fn settle(tables: &Tables<'_>, result: Result<()>, job: &mut Job<'_>) {
+    job.result = if result.is_ok() { result } else { decode_alone(tables, job) };
+}

@@ -1,0 +1,251 @@
+//! The scalar decoder: safe, no heap, the same verdict on every target.
+
+use core::hint::select_unpredictable;
+
+use super::{LANES, LOW, LOW_BITS, Lookup, Parts, Raw, TAIL_START};
+use crate::{
+    error::{Error, Result},
+    rans::table::ESCAPE,
+};
+
+/// Values between two passes: tokens first, then raw bits and escapes while they are in cache.
+const PART: usize = 256;
+
+/// A decoder over one packet body.
+#[derive(Clone, Copy, Debug)]
+pub struct Decoder<'a> {
+    /// Words, escapes and plane.
+    body: &'a [u8],
+    /// Offset of the next word.
+    words: usize,
+    /// End of the escapes not yet read.
+    escapes: usize,
+    /// States, that of the next value first.
+    state: [u32; LANES],
+    /// Values left before the tail.
+    main: usize,
+    /// Values left in the tail.
+    tail: usize,
+    raw: Raw<'a>,
+}
+
+/// The lanes of a [`Decoder`] between two values.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lanes<'a> {
+    /// Words, escapes and plane.
+    pub bytes: &'a [u8],
+    /// Offset of the next word in `bytes`.
+    pub words: usize,
+    /// States, that of the next value first.
+    pub state: [u32; LANES],
+    /// Values left before the tail.
+    pub main: usize,
+}
+
+impl<'a> Decoder<'a> {
+    /// A decoder of `body`, which holds `values` values with `raw_bits` raw bits between them.
+    ///
+    /// # Errors
+    /// As [`Parts::of`].
+    pub fn new(body: &'a [u8], values: usize, raw_bits: usize) -> Result<Self> {
+        let parts = Parts::of(body, values, raw_bits)?;
+        Ok(Self {
+            body: parts.body,
+            words: 0,
+            escapes: parts.stream,
+            state: parts.state,
+            main: parts.main,
+            tail: parts.tail,
+            raw: Raw::new(parts.plane(), raw_bits),
+        })
+    }
+
+    /// Decodes the next `out.len()` values with `table` and its `raw_bits`.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Short`](crate::ErrorKind::Short) if values, words, raw bits or escapes run
+    /// out, [`ErrorKind::Illegal`](crate::ErrorKind::Illegal) for an escape with raw bits.
+    pub fn run<L: Lookup + ?Sized>(&mut self, table: &L, raw_bits: u8, out: &mut [i16]) -> Result<()> {
+        // Wide registers take the words of four lanes at once; narrow ones word by word.
+        if cfg!(target_pointer_width = "64") {
+            self.run_as::<L, true>(table, raw_bits, out)
+        } else {
+            self.run_as::<L, false>(table, raw_bits, out)
+        }
+    }
+
+    pub(super) fn run_as<L: Lookup + ?Sized, const WIDE: bool>(
+        &mut self,
+        table: &L,
+        raw_bits: u8,
+        out: &mut [i16],
+    ) -> Result<()> {
+        let left = self.main + self.tail;
+        if out.len() > left {
+            return Err(Error::short("body.values", 0, left, out.len()));
+        }
+        let mut tokens = [0u8; PART];
+        for part in out.chunks_mut(PART) {
+            let Some(tokens) = tokens.get_mut(..part.len()) else { continue };
+            let (main, tail) = tokens.split_at_mut(self.main.min(part.len()));
+            self.main -= main.len();
+            self.tail -= tail.len();
+            let whole = if WIDE { self.wide(table, main) } else { self.narrow(table, main) };
+            if whole.is_none() || self.words > self.escapes {
+                return Err(Error::short("body.words", 0, self.escapes, self.escapes + 2));
+            }
+            self.keep(table, tail);
+            self.complete(raw_bits, tokens, part)?;
+        }
+        Ok(())
+    }
+
+    /// Tokens, the words of four lanes from one load. `None` past the end of the body.
+    #[inline(always)]
+    fn wide<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [u8]) -> Option<()> {
+        let mut state = self.state;
+        let mut rest = self.body.get(self.words..)?;
+        let mut quads = out.chunks_exact_mut(LANES);
+        for quad in &mut quads {
+            let mut window = u64::from_le_bytes(*rest.first_chunk::<8>()?);
+            let mut used = 0;
+            for (value, x) in quad.iter_mut().zip(&mut state) {
+                let (token, below) = table.pop(*x);
+                *value = token;
+                let refill = below < LOW;
+                *x = select_unpredictable(refill, below << 16 | (window as u32 & 0xffff), below);
+                window = select_unpredictable(refill, window >> 16, window);
+                used += 2 * usize::from(refill);
+            }
+            rest = rest.get(used..)?;
+        }
+        self.state = state;
+        self.words = self.body.len() - rest.len();
+        self.narrow(table, quads.into_remainder())
+    }
+
+    /// Tokens, word by word. `None` past the end of the body.
+    #[inline(always)]
+    fn narrow<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [u8]) -> Option<()> {
+        let mut state = self.state;
+        let mut rest = self.body.get(self.words..)?;
+        let mut refill = |below: u32| {
+            if below >= LOW {
+                return Some(below);
+            }
+            let (word, after) = rest.split_first_chunk::<2>()?;
+            rest = after;
+            Some(below << 16 | u32::from(u16::from_le_bytes(*word)))
+        };
+        let mut quads = out.chunks_exact_mut(LANES);
+        for quad in &mut quads {
+            for (value, x) in quad.iter_mut().zip(&mut state) {
+                let (token, below) = table.pop(*x);
+                *value = token;
+                *x = refill(below)?;
+            }
+        }
+        let over = quads.into_remainder();
+        for (value, x) in over.iter_mut().zip(&mut state) {
+            let (token, below) = table.pop(*x);
+            *value = token;
+            *x = refill(below)?;
+        }
+        state.rotate_left(over.len());
+        self.words = self.body.len() - rest.len();
+        self.state = state;
+        Some(())
+    }
+
+    /// Tokens that the states keep: no words.
+    fn keep<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [u8]) {
+        for quad in out.chunks_mut(LANES) {
+            for (value, x) in quad.iter_mut().zip(&mut self.state) {
+                (*value, *x) = table.pop(*x);
+            }
+            self.state.rotate_left(quad.len());
+        }
+    }
+
+    /// Values of `tokens`: their raw bits and escapes.
+    #[inline]
+    fn complete(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
+        self.raw.values(raw_bits, tokens, out)?;
+        // Over all tokens, so that it is done many at a time.
+        let escaped = tokens.iter().fold(false, |any, &t| any | (t == ESCAPE));
+        if escaped { self.escape(raw_bits, tokens, out) } else { Ok(()) }
+    }
+
+    #[cold]
+    fn escape(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
+        let empty = (i16::from(ESCAPE) - 128) << raw_bits;
+        for (_, value) in tokens.iter().zip(out).filter(|(token, _)| **token == ESCAPE) {
+            if *value != empty {
+                let found = value.wrapping_sub(empty) as u64;
+                return Err(Error::illegal("body.raw", 0, found, (0, 0)));
+            }
+            let unread = self.body.get(self.words..self.escapes).and_then(|b| b.split_last_chunk::<2>());
+            let Some((_, bytes)) = unread else {
+                return Err(Error::short("body.escapes", 0, 0, 2));
+            };
+            self.escapes -= 2;
+            *value = i16::from_le_bytes(*bytes);
+        }
+        Ok(())
+    }
+
+    /// Where the decoder stands, for one that takes several packets at once.
+    pub fn lanes(&self) -> Lanes<'a> {
+        Lanes { bytes: self.body, words: self.words, state: self.state, main: self.main }
+    }
+
+    /// Takes over from a decoder of several packets that popped the tokens of `values` values,
+    /// whole groups of four, outside the tail: `state` and `words` as it left them. Those tokens
+    /// then go through [`Decoder::values`].
+    ///
+    /// # Errors
+    /// [`ErrorKind::Short`](crate::ErrorKind::Short) if it took more values or words than there are.
+    pub fn resume(&mut self, state: [u32; LANES], words: usize, values: usize) -> Result<()> {
+        let Some(main) = self.main.checked_sub(values) else {
+            return Err(Error::short("body.values", 0, self.main, values));
+        };
+        (self.state, self.words, self.main) = (state, words, main);
+        if words > self.escapes {
+            return Err(Error::short("body.words", 0, self.escapes, self.escapes + 2));
+        }
+        Ok(())
+    }
+
+    /// Values of tokens that another decoder popped, all with the same `raw_bits`.
+    ///
+    /// # Errors
+    /// As [`Decoder::run`].
+    #[inline]
+    pub fn values(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
+        self.complete(raw_bits, tokens, out)
+    }
+
+    /// Accepts the body if it is used up and every lane ends where an encoder begins.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Illegal`](crate::ErrorKind::Illegal) naming what is left over.
+    pub fn finish(self) -> Result<()> {
+        let left = (self.main + self.tail) as u64;
+        if left != 0 {
+            return Err(Error::illegal("body.values", 0, left, (0, 0)));
+        }
+        for state in self.state {
+            if !state.is_power_of_two() || !(TAIL_START.ilog2()..=LOW_BITS).contains(&state.ilog2()) {
+                return Err(Error::illegal("body.state", 0, state.into(), (TAIL_START.into(), LOW.into())));
+            }
+        }
+        if self.words != self.escapes {
+            let left = (self.escapes - self.words) as u64;
+            return Err(Error::illegal("body.words", 0, left, (0, 0)));
+        }
+        if !self.raw.is_used_up() {
+            return Err(Error::illegal("body.raw", 0, 1, (0, 0)));
+        }
+        Ok(())
+    }
+}

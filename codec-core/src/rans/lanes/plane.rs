@@ -1,0 +1,97 @@
+//! The raw plane: low bits of values, several values to a load.
+
+use crate::error::{Error, Result};
+
+/// `bits` ≤ 32 bits from bit `at` of `plane`, low bits first; `None` if they are not there.
+pub(super) fn bits(plane: &[u8], at: usize, bits: u32) -> Option<u32> {
+    let mut value = 0u64;
+    let first = at / 8;
+    let last = (at + bits as usize).div_ceil(8);
+    for (i, &byte) in plane.get(first..last)?.iter().enumerate() {
+        value |= u64::from(byte) << (8 * i);
+    }
+    Some(((value >> (at % 8)) & ((1u64 << bits) - 1)) as u32)
+}
+
+/// A reader of the raw bits of one body.
+#[derive(Clone, Copy, Debug)]
+pub struct Raw<'a> {
+    /// From the first raw bit to the end of the body: 8 bytes or more lie behind every raw bit's
+    /// byte, that byte included.
+    plane: &'a [u8],
+    at: usize,
+    end: usize,
+}
+
+impl<'a> Raw<'a> {
+    /// A reader of the first `bits` bits of `plane`.
+    pub const fn new(plane: &'a [u8], bits: usize) -> Self {
+        Self { plane, at: 0, end: bits }
+    }
+
+    /// Whether every raw bit has been read.
+    pub const fn is_used_up(&self) -> bool {
+        self.at == self.end
+    }
+
+    /// Values of `tokens`, each with the next `raw_bits` bits: `(token − 128) << raw_bits | bits`.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Short`](crate::ErrorKind::Short) if fewer bits are left.
+    pub fn values(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
+        let needed = tokens.len() * usize::from(raw_bits);
+        if self.end - self.at < needed {
+            return Err(Error::short("body.raw", 0, self.end - self.at, needed));
+        }
+        // A constant width turns the shifts into constants, or into one vector operation.
+        let whole = match raw_bits {
+            0 => {
+                for (value, &token) in out.iter_mut().zip(tokens) {
+                    *value = i16::from(token) - 128;
+                }
+                Some(())
+            }
+            1 => self.fixed::<1>(tokens, out),
+            2 => self.fixed::<2>(tokens, out),
+            3 => self.fixed::<3>(tokens, out),
+            4 => self.fixed::<4>(tokens, out),
+            5 => self.fixed::<5>(tokens, out),
+            6 => self.fixed::<6>(tokens, out),
+            7 => self.fixed::<7>(tokens, out),
+            _ => self.fixed::<8>(tokens, out),
+        };
+        whole.ok_or(Error::short("body.raw", 0, self.plane.len(), self.at.div_ceil(8) + 8))
+    }
+
+    #[inline]
+    fn fixed<const K: u32>(&mut self, tokens: &[u8], out: &mut [i16]) -> Option<()> {
+        let (quads, rest) = out.as_chunks_mut::<4>();
+        for quad in quads {
+            // Four fields of K bits, moved apart into four of 16 within one register.
+            let pair = self.window()? & mask(4 * K);
+            let pair = (pair | pair << (32 - 2 * K)) & (mask(2 * K) | mask(2 * K) << 32);
+            let four = (pair | pair << (16 - K)) & (mask(K) * 0x0001_0001_0001_0001);
+            *quad = [four as i16, (four >> 16) as i16, (four >> 32) as i16, (four >> 48) as i16];
+            self.at += 4 * K as usize;
+        }
+        for place in rest {
+            *place = (self.window()? & mask(K)) as i16;
+            self.at += K as usize;
+        }
+        for (value, &token) in out.iter_mut().zip(tokens) {
+            *value |= (i16::from(token) - 128) << K;
+        }
+        Some(())
+    }
+
+    /// At least 57 bits from the next one on.
+    #[inline(always)]
+    fn window(&self) -> Option<u64> {
+        let bytes = self.plane.get(self.at / 8..)?.first_chunk::<8>()?;
+        Some(u64::from_le_bytes(*bytes) >> (self.at % 8))
+    }
+}
+
+const fn mask(bits: u32) -> u64 {
+    (1 << bits) - 1
+}

@@ -1,0 +1,141 @@
+//! The code against itself (encode, lose, recover) and against sums by definition.
+
+use super::{gf256::slow, *};
+use proptest::prelude::*;
+extern crate std;
+use std::{vec, vec::Vec};
+
+const LONGEST: usize = if cfg!(miri) { 24 } else { 300 };
+const CASES: u32 = if cfg!(miri) { 3 } else { 200 };
+
+/// Length and content of every row over `packets`.
+fn parity(packets: &[Vec<u8>], rows: usize) -> Vec<(u16, Vec<u8>)> {
+    let longest = packets.iter().map(Vec::len).max().unwrap();
+    let mut bytes = vec![0u8; set_bytes(rows, longest)];
+    let mut sums = Sums::over(&mut bytes, rows, longest).unwrap();
+    packets.iter().zip(0u32..).for_each(|(p, i)| sums.add(i, p));
+    (0..rows as u32).map(|row| sums.parity(row, longest).map(|(l, c)| (l, c.to_vec())).unwrap()).collect()
+}
+
+#[test]
+fn memory_of_another_size_is_no_set() {
+    let mut bytes = vec![0u8; set_bytes(2, 50)];
+    assert!(Sums::over(&mut bytes, 2, 50).is_some());
+    for (rows, longest) in [(2, 49), (2, 51), (1, 50), (3, 50), (0, 50), (9, 50), (2, 0), (2, 1281)] {
+        assert!(Sums::over(&mut bytes, rows, longest).is_none());
+    }
+    assert!(Sums::over(&mut [], 1, 1).is_none());
+}
+
+#[test]
+fn lies_about_lengths_give_nothing() {
+    let packets = [vec![1u8; 10], vec![2u8; 20]];
+    let rows = parity(&packets, 1);
+    for lie in [21u16, 0xffff, 0] {
+        let mut bytes = vec![0u8; set_bytes(1, 20)];
+        let mut sums = Sums::over(&mut bytes, 1, 20).unwrap();
+        sums.add(0, &packets[0]);
+        sums.add(1, &[7; 21]);
+        sums.add(64, &packets[1]);
+        sums.add_parity(1, 0, &[1]);
+        sums.add_parity(0, 0, &[7; 21]);
+        assert!(sums.solution(2).is_none(), "none of these counts");
+        sums.add_parity(0, lie ^ 10, &rows[0].1);
+        let solution = sums.solution(2).unwrap();
+        let mut out = [0u8; MAX_CODED_BYTES];
+        assert_eq!(sums.recover(&solution, 0, &mut out), None, "{lie}");
+        assert_eq!(sums.recover(&solution, 1, &mut out), None, "there is no second one missing");
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: CASES, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Any loss of at most as many packets as rows is repaired, one more is not; order, repeats
+    /// and which rows arrive do not matter.
+    #[test]
+    fn as_many_losses_as_rows_are_repaired(
+        packets in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 1..LONGEST), 2..=64),
+        rows in 1usize..=8, lost in any::<u64>(), order in any::<u64>(), dropped in any::<u8>(),
+    ) {
+        let n = packets.len();
+        let parity = parity(&packets, rows);
+        let longest = packets.iter().map(Vec::len).max().unwrap();
+        // Row 0 is the plain XOR.
+        let mut xor = vec![0u8; longest];
+        packets.iter().for_each(|p| xor.iter_mut().zip(p).for_each(|(x, b)| *x ^= b));
+        prop_assert_eq!(&parity[0].1, &xor);
+        prop_assert_eq!(parity[0].0, packets.iter().fold(0, |sum, p| sum ^ p.len() as u16));
+
+        let kept_rows: Vec<u32> = (0..rows as u32).filter(|r| dropped >> r & 1 == 0).collect();
+        let mut missing: Vec<usize> = Vec::new();
+        for k in 0..kept_rows.len() as u64 {
+            let candidate = (lost.rotate_left(8 * k as u32) % n as u64) as usize;
+            if !missing.contains(&candidate) { missing.push(candidate); }
+        }
+        missing.sort_unstable();
+        let mut bytes = vec![0u8; set_bytes(rows, longest)];
+        let mut sums = Sums::over(&mut bytes, rows, longest).unwrap();
+        let mut todo: Vec<usize> = (0..n + kept_rows.len()).filter(|i| !missing.contains(i)).collect();
+        let mut seed = order;
+        while !todo.is_empty() {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            let at = (seed >> 33) as usize % todo.len();
+            let i = if seed >> 32 & 7 == 0 { todo[at] } else { todo.swap_remove(at) };
+            match i.checked_sub(n) {
+                None => sums.add(i as u32, &packets[i]),
+                Some(r) => {
+                    let (length, content) = &parity[kept_rows[r] as usize];
+                    sums.add_parity(kept_rows[r], *length, content);
+                }
+            }
+        }
+        let Some(solution) = sums.solution(n as u32) else {
+            prop_assert!(missing.is_empty());
+            return Ok(());
+        };
+        prop_assert_eq!(solution.positions().collect::<Vec<_>>(), missing.iter().map(|&m| m as u32).collect::<Vec<_>>());
+        let mut out = [0u8; MAX_CODED_BYTES];
+        for (index, &position) in missing.iter().enumerate() {
+            prop_assert_eq!(sums.recover(&solution, index, &mut out), Some(&packets[position][..]));
+            // The rest of the solution holds while members come in.
+            sums.add(position as u32, &packets[position]);
+        }
+        prop_assert!(sums.solution(n as u32).is_none());
+    }
+
+    /// Rows are what the definition says.
+    #[test]
+    fn rows_are_sums_by_definition(
+        packets in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 1..20), 2..=64),
+    ) {
+        for (row, (length, content)) in (0u32..).zip(parity(&packets, 8)) {
+            let mut sum = [0u8; 22];
+            for (position, packet) in (0u32..).zip(&packets) {
+                let coded = [&(packet.len() as u16).to_le_bytes()[..], packet].concat();
+                // c · y = y with c = y / (y - row): found by trial, not by inverse.
+                let y = (8 + position) as u8;
+                let c = (0..=255u8).find(|&c| slow::mul(c, y ^ row as u8) == y).unwrap();
+                slow::mul_add(&mut sum, &coded, c);
+            }
+            prop_assert_eq!(&sum[..2], &length.to_le_bytes());
+            prop_assert_eq!(&sum[2..2 + content.len()], &content[..]);
+        }
+    }
+
+    /// One loss too many, and nothing comes out.
+    #[test]
+    fn one_loss_too_many_is_not_repaired(rows in 1usize..=8, n in 9u32..=64, seed in any::<u32>()) {
+        let packets: Vec<Vec<u8>> = (0..n).map(|i| vec![i as u8 ^ seed as u8; 5]).collect();
+        let mut bytes = vec![0u8; set_bytes(rows, 5)];
+        let mut sums = Sums::over(&mut bytes, rows, 5).unwrap();
+        for (row, (length, content)) in (0u32..).zip(parity(&packets, rows)) {
+            sums.add_parity(row, length, &content);
+        }
+        let first = seed % (n - rows as u32);
+        (0..n).filter(|i| !(first..=first + rows as u32).contains(i)).for_each(|i| sums.add(i, &packets[i as usize]));
+        prop_assert!(sums.solution(n).is_none());
+        sums.add(first, &packets[first as usize]);
+        prop_assert!(sums.solution(n).is_some());
+    }
+}

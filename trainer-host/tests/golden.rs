@@ -1,0 +1,192 @@
+//! Writes the golden streams of codec-core:
+//! `cargo test -p trainer-host --test golden -- --ignored`.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test's helpers fail like tests"
+)]
+
+#[allow(dead_code, reason = "the tests of codec-core use the rest")]
+#[path = "../../codec-core/tests/conformance/session.rs"]
+mod session;
+
+use std::{collections::BTreeSet, path::Path};
+
+use codec_core::gaussian::ShDegree;
+use trainer_host::{
+    Epoch, Scene,
+    encode::{Options, Protection, encode},
+    scene::{Attributes, Track},
+};
+
+/// What a made epoch does over time.
+#[derive(Clone, Copy, Default)]
+struct Motion {
+    /// One half glides, the other turns.
+    rigid: bool,
+    /// Everything waves for itself.
+    wave: bool,
+    /// Sizes, colours and opacities breathe.
+    breath: bool,
+}
+
+/// A value in −1..1 for an index.
+fn noise(i: usize) -> f32 {
+    let x = (i as u32).wrapping_mul(2_654_435_761) ^ 0x5bd1_e995;
+    let x = (x ^ x >> 15).wrapping_mul(0x2c1b_3c6d);
+    (x >> 8) as f32 / (1 << 23) as f32 - 1.0
+}
+
+fn epoch(n: usize, frames: usize, degree: u8, motion: Motion, seed: usize) -> Epoch {
+    let degree = ShDegree::new(degree).unwrap();
+    let at = |i: usize, k: usize| noise(seed + 31 * i + 7 * k);
+    let phase = |i: usize, t: usize| ((i % 5) as f32 + t as f32 * 0.7).sin();
+    let side = |i: usize| if i % 2 == 0 { -2.0 } else { 2.0 };
+    let place = |i: usize, t: usize| {
+        let [mut x, mut y, mut z] = [at(i, 0), at(i, 1), at(i, 2)];
+        if motion.rigid && i % 2 == 1 {
+            let (sin, cos) = (t as f32 * 0.2).sin_cos();
+            (x, z) = (x * cos - z * sin, x * sin + z * cos);
+        } else if motion.rigid {
+            y += t as f32 * 0.1;
+        }
+        if motion.wave {
+            z += 0.2 * phase(i, t);
+        }
+        [x + side(i), y, z]
+    };
+    let turn = |i: usize, t: usize| {
+        let half = if motion.rigid && i % 2 == 1 { t as f32 * -0.1 } else { 0.0 };
+        let q = [1.0, 0.3 * at(i, 3), 0.3 * at(i, 4) + half.tan(), 0.3 * at(i, 5)];
+        let length = q.iter().map(|v| v * v).sum::<f32>().sqrt();
+        q.map(|v| v / length)
+    };
+    let breath = |i: usize, t: usize| if motion.breath { 0.3 * phase(i, t) } else { 0.0 };
+    fn track<T: Copy>(n: usize, frames: usize, value: impl Fn(usize, usize) -> T) -> Track<T> {
+        Track::PerFrame(
+            (0..frames).flat_map(|t| (0..n).map(move |i| (i, t))).map(|(i, t)| value(i, t)).collect(),
+        )
+    }
+    let attributes = Attributes {
+        positions: track(n, frames, place).collapse(n),
+        rotations: track(n, frames, turn).collapse(n),
+        log_scales: track(n, frames, |i, t| [0, 1, 2].map(|k| -3.0 + 0.5 * at(i, 6 + k) + breath(i, t)))
+            .collapse(n),
+        opacity_logits: track(n, frames, |i, t| 2.0 * at(i, 9) + 1.0 + breath(i, t)).collapse(n),
+        sh0: track(n, frames, |i, t| [0, 1, 2].map(|k| at(i, 10 + k) + breath(i, t))).collapse(n),
+        sh_degree: degree,
+        sh_rest: (0..n * degree.rest_len()).map(|i| 0.2 * noise(seed + 977 * i)).collect(),
+    };
+    Epoch::new(frames, attributes).unwrap()
+}
+
+fn scene(epochs: Vec<Epoch>) -> Scene {
+    Scene::new(epochs, 10.0).unwrap()
+}
+
+/// Name, what it exercises, scene, options.
+fn all() -> Vec<(&'static str, &'static str, Scene, Options)> {
+    let still = Motion::default();
+    let rigid = Motion { rigid: true, ..still };
+    let wave = Motion { wave: true, ..rigid };
+    let breath = Motion { breath: true, ..wave };
+    let small = |block_len, packet_bytes| {
+        let mut options = Options { block_len, packet_bytes, window_frames: Some(4), ..Options::default() };
+        options.cluster.max_gaussians = 64;
+        options.cluster.min_gaussians = 32;
+        options
+    };
+    let with = |text: &str, options: Options| Options { repair: Protection::parse(text).unwrap(), ..options };
+    let mut paper = Options { packet_bytes: 1150, ..Options::paper() };
+    paper.cluster.max_gaussians = 64;
+    vec![
+        ("one", "one Gaussian, one frame", scene(vec![epoch(1, 1, 0, still, 1)]), small(64, 1150)),
+        (
+            "still",
+            "one frame, several blocks and packets",
+            scene(vec![epoch(150, 1, 0, still, 2)]),
+            small(16, 200),
+        ),
+        (
+            "harmonics",
+            "bands 1 to 3 in refinements only",
+            scene(vec![epoch(70, 1, 3, still, 3)]),
+            small(16, 400),
+        ),
+        ("tracks", "clusters that glide and turn", scene(vec![epoch(120, 8, 0, rigid, 4)]), small(64, 400)),
+        (
+            "coefficients",
+            "positions that wave, three windows of which the last is short",
+            scene(vec![epoch(120, 10, 0, wave, 5)]),
+            small(32, 400),
+        ),
+        (
+            "everything",
+            "all attributes move, two epochs, degree 1",
+            scene(vec![epoch(90, 6, 1, breath, 6), epoch(60, 5, 1, breath, 7)]),
+            small(16, 300),
+        ),
+        ("blocks-of-one", "a block per Gaussian", scene(vec![epoch(40, 3, 0, wave, 8)]), small(1, 200)),
+        (
+            "xor",
+            "one parity packet per set of base levels",
+            scene(vec![epoch(150, 6, 0, wave, 9)]),
+            Options { repair: Protection::xor(4), ..small(8, 200) },
+        ),
+        (
+            "cauchy",
+            "unequal protection: up to three losses per set, refinements too",
+            scene(vec![epoch(150, 6, 0, wave, 10)]),
+            with("base=8+3,tracks=4+2,1=12+2,3=20+1", small(8, 200)),
+        ),
+        (
+            "cauchy-eight",
+            "sets of up to 64 packets with eight parity packets",
+            scene(vec![epoch(400, 1, 0, still, 11)]),
+            with("base=64+8,1=64+8", small(4, 200)),
+        ),
+        ("paper", "profile paper", scene(vec![epoch(60, 5, 1, wave, 12)]), paper.clone()),
+        (
+            "paper-repaired",
+            "profile paper with parity",
+            scene(vec![epoch(60, 5, 0, rigid, 13)]),
+            Options { repair: Protection::parse("base=4+2").unwrap(), ..paper },
+        ),
+    ]
+}
+
+fn folder() -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../codec-core/tests/conformance")
+}
+
+#[test]
+#[ignore = "writes committed files"]
+fn write_golden() {
+    for entry in std::fs::read_dir(folder()).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_some_and(|e| e == "dgs") {
+            std::fs::remove_file(path).unwrap();
+        }
+    }
+    let mut index = String::new();
+    for (name, exercises, scene, options) in all() {
+        let stream = encode(&scene, &options, &|_, _| {}).unwrap();
+        let bytes = stream.to_bytes().unwrap();
+        std::fs::write(folder().join(format!("{name}.dgs")), &bytes).unwrap();
+        index += &session::Line::of(name, exercises, &bytes).text();
+        index.push('\n');
+    }
+    std::fs::write(folder().join("index.txt"), index).unwrap();
+}
+
+/// The index names what this file would write; the bytes are the encoder's to change.
+#[test]
+fn the_index_is_of_these_streams() {
+    let index = std::fs::read_to_string(folder().join("index.txt")).unwrap();
+    let listed: BTreeSet<String> =
+        index.lines().map(|l| l.split(" | ").take(2).collect::<Vec<_>>().join(" | ")).collect();
+    let made = all().into_iter().map(|(name, exercises, ..)| format!("{name} | {exercises}")).collect();
+    assert_eq!(listed, made);
+}
