@@ -42,7 +42,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         scenes.push(("fox", load(&path, gaussians)?));
     }
     for (name, scene) in &scenes {
-        let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), 0);
+        let options =
+            pipeline::encode_options(&codec_args(ProfileName::Dgs1), trainer_host::encode::Protection::NONE);
         let stream = pipeline::encode(scene, &options, setup.quiet)?;
         whole(&mut bench, name, &stream, runs)?;
         parts(&mut bench, name, &stream, runs)?;
