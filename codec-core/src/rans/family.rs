@@ -17,7 +17,7 @@ pub const SCALES: u8 = 54;
 pub const HEAVY: u8 = 64;
 /// First index of the three-valued kind.
 pub const THREE: u8 = 128;
-/// Number of three-valued tables: compositions of [`EIGHTHS`] into three parts.
+/// Number of three-valued tables: compositions of eighths into three parts.
 pub const THREES: u8 = 45;
 const EIGHTHS: u32 = 8;
 
