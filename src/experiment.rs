@@ -230,9 +230,7 @@ pub(crate) fn synth(kind: &str, gaussians: usize, frames: usize) -> Result<Scene
     Ok(pipeline::import(&format!("synth:{kind}:{gaussians}:{frames}"), &scene_args(gaussians))?.scene)
 }
 
-/// A ring of held-out cameras, white-free black background, and `frames` frames spread over the
-/// clip.
+/// Up to `count` frames spread over a clip of `frames`.
 pub(crate) fn spread(frames: usize, count: usize) -> Vec<u32> {
-    let count = count.min(frames);
-    (0..count).map(|i| ((2 * i + 1) * frames / (2 * count)) as u32).collect()
+    trainer_host::judge::spread(0, frames as u32, count as u32)
 }

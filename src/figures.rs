@@ -1,5 +1,6 @@
 //! Figures as programs read them: one JSON shape for every bench (design section 9).
 
+use codec_core::digest::Digest;
 use serde::Serialize;
 
 /// The machine a figure was measured on.
@@ -109,7 +110,7 @@ impl Bench {
     /// A bench without figures yet.
     pub fn new(name: &str, protocol: impl Into<String>) -> Self {
         let protocol = protocol.into();
-        let hash = fnv1a(format!("{name}\n{protocol}").bytes());
+        let hash = Digest::new().bytes(format!("{name}\n{protocol}").as_bytes()).get();
         Self {
             name: name.to_owned(),
             machine: Machine::this(),
@@ -168,11 +169,6 @@ pub fn number(value: f64) -> String {
         v if v >= 10.0 => format!("{value:.2}"),
         _ => format!("{value:.4}"),
     }
-}
-
-/// FNV-1a, 64 bits.
-pub fn fnv1a(bytes: impl Iterator<Item = u8>) -> u64 {
-    bytes.fold(0xcbf2_9ce4_8422_2325, |h, b| (h ^ u64::from(b)).wrapping_mul(0x100_0000_01b3))
 }
 
 /// The median of `values`; NaN if there are none.

@@ -14,8 +14,7 @@ fn failed(error: impl std::fmt::Display) -> QualityError {
     QualityError(error.to_string())
 }
 
-/// PSNR is reported up to this, dB: beyond it images are equal to the eye and to 8 bits.
-pub const PSNR_CAP_DB: f64 = 99.0;
+pub use trainer_host::judge::PSNR_CAP_DB;
 
 /// Renders one instant.
 ///

@@ -4,7 +4,8 @@ use std::hint::black_box;
 
 use anyhow::{Result, ensure};
 use codec_core::{
-    closure::Arrived,
+    closure::{Arrived, naive_usable},
+    digest::Digest,
     gaussian::Gaussian,
     ids::Level,
     receiver::Receiver,
@@ -69,7 +70,7 @@ fn receive(stream: &Stream, memory: &mut HostMemory, crc: Crc32) -> Result<f64> 
 
 /// Digest of Gaussians, bit for bit.
 fn digest(gaussians: &[Gaussian]) -> u64 {
-    crate::figures::fnv1a(bytemuck::cast_slice::<_, u8>(gaussians).iter().copied())
+    Digest::new().frame(gaussians, &[]).get()
 }
 
 fn whole(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<()> {
@@ -105,6 +106,7 @@ fn whole(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<
         steady.push(thread_seconds() - start);
         if run % 3 == 0 {
             slow.push(receive(stream, &mut memory, bitwise)?);
+            ensure!(memory.content(&manifest).symbols == content.symbols, "{name}: a CRC changed symbols");
             let mut players: Vec<Player> = (0..frames).map(|_| Player::new(&manifest)).collect();
             let start = thread_seconds();
             for (frame, player) in (0..frames).zip(&mut players) {
@@ -126,15 +128,18 @@ fn whole(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<
     bench.push(
         figure.error(0.0, "bits differ").peer("all dequantised every frame", rate(anew), false).runs(runs),
     );
-    bench.push(Figure::new(format!("{name}.first_frame"), 1e3 * first, "ms").runs(runs));
+    let first_frame = Figure::new(format!("{name}.first_frame"), 1e3 * first, "ms");
+    bench.push(first_frame.error(0.0, "bits differ").runs(runs));
     if frames > 1 {
-        bench.push(
-            Figure::new(format!("{name}.next_frame"), 1e3 * steady / f64::from(frames - 1), "ms").runs(runs),
-        );
+        let next = 1e3 * steady / f64::from(frames - 1);
+        let next_frame = Figure::new(format!("{name}.next_frame"), next, "ms");
+        bench.push(next_frame.error(0.0, "bits differ").runs(runs));
     }
     let figure = Figure::new(format!("{name}.receive"), symbols / host / 1e6, "Msymbol/s");
+    let figure = figure.error(0.0, "symbols differ between CRCs");
     bench.push(figure.peer("1 KiB CRC table", symbols / table / 1e6, false).runs(runs));
-    bench.push(Figure::new(format!("{name}.receive_packet"), 1e6 * host / packets, "µs"));
+    let figure = Figure::new(format!("{name}.receive_packet"), 1e6 * host / packets, "µs");
+    bench.push(figure.error(0.0, "symbols differ between CRCs").runs(runs));
     bench.push(Figure::new(format!("{name}.symbols_per_packet"), symbols / packets, ""));
     Ok(())
 }
@@ -152,6 +157,15 @@ fn parts(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<
         for (other, crc, _) in &crcs {
             ensure!(crc(packet) == crc32(packet), "{other}: another CRC");
         }
+        if let Packet::Slices(slices) = Packet::parse(&packet[..packet.len() - 4])? {
+            let mut again = vec![0u8; slices.wire_len()];
+            slices.write(&mut again)?;
+            ensure!(again == *packet, "a packet does not write back to its bytes");
+        }
+    }
+    for &mask in &masks {
+        let naive = Level::ALL.into_iter().filter(|&l| naive_usable(|l| Arrived(mask).has(l), l)).count();
+        ensure!(Arrived(mask).usable() == naive, "closure of {mask:#06b}");
     }
     for _ in 0..runs {
         let start = thread_seconds();
@@ -182,13 +196,15 @@ fn parts(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<
         black_box((usable, updated));
         closure.push(1e9 * (thread_seconds() - start) / masks.len() as f64);
     }
-    bench.push(Figure::new(format!("{name}.packet_parse"), median(&parse), "ns").runs(runs));
+    let figure = Figure::new(format!("{name}.packet_parse"), median(&parse), "ns");
+    bench.push(figure.error(0.0, "packets write back to other bytes").runs(runs));
     let naive = median(&crcs[2].2);
     for (which, _, speeds) in &crcs[..2] {
         let figure = Figure::new(format!("{name}.crc_{which}"), median(speeds), "GB/s");
         bench.push(figure.error(0.0, "checksums differ").peer("bit by bit", naive, false).runs(runs));
     }
     bench.push(Figure::new(format!("{name}.packet_bytes"), bytes as f64 / packets.len() as f64, "bytes"));
-    bench.push(Figure::new(format!("{name}.closure_update"), median(&closure), "ns").runs(runs));
+    let figure = Figure::new(format!("{name}.closure_update"), median(&closure), "ns");
+    bench.push(figure.error(0.0, "masks differ from the naive closure").runs(runs));
     Ok(())
 }

@@ -46,9 +46,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
             frame(&mut bench, &format!("{name}.{size}"), &splats, film, runs)?;
         }
     }
-    bench
-        .skipped
-        .push("a public peer: no crate draws Gaussians on a CPU; OpenSplat, in C++ on libtorch, does".into());
+    bench.skipped.push(
+        "a public peer: none is linked; OpenSplat, in C++ on libtorch, draws Gaussians on a CPU".into(),
+    );
     let counts: &[usize] = if setup.quick { &[4000] } else { &[20_000, 100_000] };
     for &n in counts {
         let scene = cloud(Kind::Volume, n);

@@ -76,12 +76,12 @@ proptest! {
         missing.sort_unstable();
         let mut bytes = vec![0u8; set_bytes(rows, longest)];
         let mut sums = Sums::over(&mut bytes, rows, longest).unwrap();
-        let mut todo: Vec<usize> = (0..n + kept_rows.len()).filter(|i| !missing.contains(i)).collect();
+        let mut waiting: Vec<usize> = (0..n + kept_rows.len()).filter(|i| !missing.contains(i)).collect();
         let mut seed = order;
-        while !todo.is_empty() {
+        while !waiting.is_empty() {
             seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
-            let at = (seed >> 33) as usize % todo.len();
-            let i = if seed >> 32 & 7 == 0 { todo[at] } else { todo.swap_remove(at) };
+            let at = (seed >> 33) as usize % waiting.len();
+            let i = if seed >> 32 & 7 == 0 { waiting[at] } else { waiting.swap_remove(at) };
             match i.checked_sub(n) {
                 None => sums.add(i as u32, &packets[i]),
                 Some(r) => {

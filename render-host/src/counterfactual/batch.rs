@@ -102,7 +102,8 @@ impl WorldBatch {
     }
 }
 
-/// Worlds up to which lists of their own are quicker than lists of all variants that worlds share; measured.
+/// Worlds up to which each has lists of its own: shared lists of all variants made two of them slower than
+/// two serial renders (`dgs bench worlds` prints the ratio).
 const FEW: usize = 2;
 
 /// Renders all worlds of `states` with one projection, one depth order and, unless they are few, one set of

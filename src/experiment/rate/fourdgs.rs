@@ -22,8 +22,8 @@ use super::{
 const SH_C0: f32 = 0.282_094_8;
 /// A lifetime, seconds, against which no clip here is long: opacity does not fade.
 const LIFETIME: f32 = 1e6;
-/// The format's default codec at its highest level: as small as zstd at 19 on streams this short, and many
-/// times as fast.
+/// The format's default codec at its highest level. Its other one, zstd at 19, came out 2 to 5 % smaller on
+/// synth-figure and takes many times as long.
 const CODEC: u8 = fourdgs::codec::DEFLATE;
 const LEVEL: u32 = 9;
 

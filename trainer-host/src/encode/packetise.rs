@@ -43,6 +43,8 @@ struct Item {
     blocks: Range<usize>,
     /// First block, counted over the span.
     first: u32,
+    /// Choice of table per run, in order.
+    choices: Vec<u8>,
     bits: f64,
 }
 
@@ -88,9 +90,13 @@ fn items(lot: &Lot<'_>, model: &Model) -> Vec<Item> {
         let whole = shape.is_whole(lot.level);
         for block in 0..if whole { 1 } else { shape.blocks() } {
             let blocks = if whole { 0..shape.blocks() } else { block..block + 1 };
-            let mut bits = 0.0;
-            each_run(cell, lot.level, blocks.clone(), |stream, run| bits += model.choose(stream, run).1);
-            items.push(Item { cluster, blocks, first: start + block as u32, bits });
+            let (mut choices, mut bits) = (Vec::new(), 0.0);
+            each_run(cell, lot.level, blocks.clone(), |stream, run| {
+                let (choice, price) = model.choose(stream, run);
+                choices.push(choice as u8);
+                bits += price;
+            });
+            items.push(Item { cluster, blocks, first: start + block as u32, choices, bits });
         }
     }
     items
@@ -158,9 +164,10 @@ fn encode(
     let mut full = Ok(());
     for item in items {
         let cell = &lot.cells[item.cluster];
+        let mut choices = item.choices.iter();
         each_run(cell, lot.level, item.blocks.clone(), |stream, run| {
-            let (choice, _) = model.choose(stream, run);
-            let (table, code, length) = model.code(stream, choice);
+            let choice = choices.next().copied().unwrap_or_default();
+            let (table, code, length) = model.code(stream, choice.into());
             let written = selectors.code(code, length);
             full = full.and(written);
             values.extend_from_slice(run);
