@@ -2,7 +2,7 @@
 
 use super::Part;
 use crate::{
-    gaussian::Gaussian, ids::Level, limits::MAX_BLOCK_LEN, math, quant::Class, wire::manifest::Epoch,
+    gaussian::Gaussian, ids::Level, limits::MAX_BLOCK_LEN, math, quant::{Class, unmix}, wire::manifest::Epoch,
 };
 
 /// Dequantises block `block` at its `usable` levels into the canonical cache; without any, its first
@@ -41,7 +41,7 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) {
                 let value = origin + q as f32 * step;
                 match class {
                     Class::Position => gaussian.position[axis] = value,
-                    Class::Scale => gaussian.scale[axis] = math::exp(value),
+                    Class::Scale => gaussian.scale[axis] = value,
                     Class::Rotation => gaussian.rotation[axis + 1] = value,
                     Class::Opacity => gaussian.opacity = value.clamp(0.0, 1.0),
                     _ => gaussian.sh0[axis] = value,
@@ -49,7 +49,16 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) {
             }
         }
     }
+    let quant = &part.shape.quant.canonical;
+    let mixed = [Class::Scale, Class::Sh0].map(|class| quant[class.index()].mixed());
     for gaussian in part.canonical.get_mut(first..first + n).unwrap_or(&mut []) {
+        if mixed[0] {
+            gaussian.scale = unmix(gaussian.scale);
+        }
+        gaussian.scale = gaussian.scale.map(math::exp);
+        if mixed[1] {
+            gaussian.sh0 = unmix(gaussian.sh0);
+        }
         let [_, x, y, z] = gaussian.rotation;
         gaussian.rotation = math::normalised(math::quat_from_mrp([x, y, z]));
     }
@@ -68,7 +77,8 @@ pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) {
     for class in [Class::Sh1, Class::Sh2, Class::Sh3] {
         let components = class.components();
         if part.shape.carries(class, class.first_level()) && class.first_level() <= level {
-            let step = part.shape.quant.canonical[class.index()].step(level);
+            let quantiser = part.shape.quant.canonical[class.index()];
+            let step = quantiser.step(level);
             for component in 0..components {
                 let Some(indices) = indices.get_mut(..n) else { return };
                 nested(part, block, class, component, level, indices);
@@ -78,6 +88,11 @@ pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) {
                         *value = q as f32 * step;
                     }
                 }
+            }
+            let out = part.sh_rest.get_mut(first * rest..(first + n) * rest).unwrap_or(&mut []);
+            for values in out.chunks_exact_mut(rest).filter(|_| quantiser.mixed()) {
+                let values = values.get_mut(offset..offset + components).unwrap_or(&mut []);
+                values.as_chunks_mut::<3>().0.iter_mut().for_each(|triple| *triple = unmix(*triple));
             }
         }
         offset += components;

@@ -154,7 +154,7 @@ fn members(epoch: &Epoch, sets: Vec<Vec<u32>>, options: &Options) -> Result<Vec<
     let positions = epoch.attributes().positions.frame(0, epoch.count());
     let sets: Vec<Vec<u32>> =
         sets.into_par_iter().map(|set| cluster::block_order(&set, positions, options.block_len)).collect();
-    let (quant, origin) = canonical::plain(epoch, options)?;
+    let (quant, origin) = canonical::plain(epoch, &sets, options)?;
     Ok(order::arrange(epoch, sets, &quant, origin, options.block_len))
 }
 

@@ -113,12 +113,14 @@ const THIRDS: [u8; 3] = [3, 3, 3];
 pub(super) const DGS1_BASE_RATIO: f32 = 27.0;
 
 /// The `dgs1` quantisation profile for `quality` on a grid of `position_step`.
-/// `frames` are those of the epoch; `predicted` says per canonical class, then per moving class, whether differences are coded.
+/// `frames` are those of the epoch; `predicted` says per canonical class, then per moving class, whether differences are coded,
+/// `mixed` per canonical class whether triples are mixed.
 pub(super) fn dgs1(
     quality: &Quality,
     position_step: f32,
     frames: usize,
     predicted: &[bool; Class::COUNT + Class::MOVING],
+    mixed: &[bool; Class::COUNT],
 ) -> Result<Quant, EncodeError> {
     let step = |class: Class| match class {
         Class::Position => position_step,
@@ -131,7 +133,8 @@ pub(super) fn dgs1(
     let first = Quantiser::new(position_step, THIRDS, false)?;
     let mut quant = Quant { canonical: [first; Class::COUNT], motion: [first; Class::MOVING] };
     for (class, target) in Class::ALL.into_iter().zip(&mut quant.canonical) {
-        *target = Quantiser::new(step(class), THIRDS, predicted[class.index()])?;
+        let quantiser = Quantiser::new(step(class), THIRDS, predicted[class.index()])?;
+        *target = quantiser.with_mixed(mixed[class.index()]);
     }
     // An error of a canonical value shows on every frame, one of an orthonormal coefficient is spread
     // over its window: at equal slope of rate against distortion their steps differ by the root of

@@ -6,6 +6,7 @@ use crate::{
     gaussian::ShDegree,
     ids::{ClusterId, EpochId, Level, WindowId},
     limits,
+    quant::Class,
     wire::cursor::{Reader, in_range},
 };
 
@@ -144,6 +145,12 @@ impl<'a> Manifest<'a> {
                 for quantiser in quant.canonical.iter().chain(&quant.motion) {
                     in_range("quantiser.ratio", place, u8::from(quantiser.nests()), 1, 1)?;
                 }
+            }
+            let still = Class::ALL.into_iter().zip(&quant.canonical);
+            let may = |class: Class| self.profile == Profile::Dgs1 && class.mixes();
+            let mixed = still.filter(|(class, _)| !may(*class)).map(|(_, q)| q).chain(&quant.motion);
+            for quantiser in mixed {
+                in_range("quantiser.flags", place, u8::from(quantiser.mixed()) << 1, 0, 1)?;
             }
         }
         for s in 0..stream::COUNT * usize::from(self.profile == Profile::Dgs1) {

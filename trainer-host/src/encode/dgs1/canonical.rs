@@ -4,7 +4,7 @@ use codec_core::{
     ids::Level,
     layout::Shape,
     math::mrp_from_quat,
-    quant::{Class, Quantiser},
+    quant::{Class, Quantiser, mix},
     wire::manifest::{Cluster, Quant},
 };
 use rayon::prelude::*;
@@ -27,12 +27,43 @@ pub(super) struct Canonical {
     pub saturated: u64,
 }
 
-/// The quantisers of an epoch with nothing predicted, and its origin.
-pub(super) fn plain(epoch: &Epoch, options: &Options) -> Result<(Quant, [f32; 3]), EncodeError> {
+/// The quantisers of an epoch with nothing predicted, its Gaussians in `sets` of blocks, and its origin.
+pub(super) fn plain(
+    epoch: &Epoch,
+    sets: &[Vec<u32>],
+    options: &Options,
+) -> Result<(Quant, [f32; 3]), EncodeError> {
     let grid = Grid::of(epoch, &options.quality, steps::DGS1_BASE_RATIO);
-    let quant =
-        steps::dgs1(&options.quality, grid.step, epoch.frames(), &[false; Class::COUNT + Class::MOVING])?;
-    Ok((quant, grid.origin))
+    let quant = |mixed: [bool; Class::COUNT]| {
+        let predicted = [false; Class::COUNT + Class::MOVING];
+        steps::dgs1(&options.quality, grid.step, epoch.frames(), &predicted, &mixed)
+    };
+    // What the spread of the indices within their blocks costs, per class.
+    let bits = |quant: &Quant| -> [f64; Class::COUNT] {
+        let each = |set: &Vec<u32>| {
+            let indices = indices(epoch, set, quant, grid.origin);
+            indices.map(|class| class.iter().map(|q| spread_bits(q, options.block_len)).sum::<f64>())
+        };
+        let each: Vec<[f64; Class::COUNT]> = sets.par_iter().map(each).collect();
+        Class::ALL.map(|class| each.iter().map(|bits| bits[class.index()]).sum())
+    };
+    let mixes = Class::ALL.map(Class::mixes);
+    let (plain, mixed) = (quant([false; Class::COUNT])?, quant(mixes)?);
+    let (kept, turned) = (bits(&plain), bits(&mixed));
+    let pays = Class::ALL.map(|class| class.mixes() && turned[class.index()] < kept[class.index()]);
+    Ok((quant(pays)?, grid.origin))
+}
+
+/// Bits of the finest indices of one component, block by block: the logarithm of their mean distance from
+/// the block's mean, which a distribution of any one shape costs up to a constant.
+fn spread_bits(indices: &[i32], block_len: usize) -> f64 {
+    let block = |block: &[i32]| {
+        let n = block.len() as f64;
+        let mean = block.iter().map(|&q| f64::from(q)).sum::<f64>() / n;
+        let distance = block.iter().map(|&q| (f64::from(q) - mean).abs()).sum::<f64>() / n;
+        n * (1.0 + 2.0 * distance).log2()
+    };
+    indices.chunks(block_len).map(block).sum()
 }
 
 /// Quantises frame 0 of `epoch`, cluster by cluster, Gaussians in the order of `members`.
@@ -41,15 +72,16 @@ pub(super) fn quantise(
     members: &[Vec<u32>],
     options: &Options,
 ) -> Result<Canonical, EncodeError> {
-    let grid = Grid::of(epoch, &options.quality, steps::DGS1_BASE_RATIO);
+    let (plain, origin) = plain(epoch, members, options)?;
     let mut predicted = [false; Class::COUNT + Class::MOVING];
     predicted[Class::COUNT..].fill(true);
-    let plain = steps::dgs1(&options.quality, grid.step, epoch.frames(), &predicted)?;
-    let indices: Vec<Indices> = members.par_iter().map(|m| indices(epoch, m, &plain, grid.origin)).collect();
+    let indices: Vec<Indices> = members.par_iter().map(|m| indices(epoch, m, &plain, origin)).collect();
     for class in Class::ALL {
         predicted[class.index()] = prediction_pays(&indices, class, &plain, options.block_len);
     }
-    let quant = steps::dgs1(&options.quality, grid.step, epoch.frames(), &predicted)?;
+    let mixed = plain.canonical.map(|quantiser| quantiser.mixed());
+    let step = plain.canonical[Class::Position.index()].step(Level::ALL[3]);
+    let quant = steps::dgs1(&options.quality, step, epoch.frames(), &predicted, &mixed)?;
     let degrees = need::degrees(&indices, epoch.attributes().sh_degree.get());
     let cells: Vec<(CellSymbols, u64)> = indices
         .par_iter()
@@ -58,7 +90,7 @@ pub(super) fn quantise(
         .collect();
     let saturated = cells.iter().map(|(_, s)| s).sum();
     let cells = cells.into_iter().map(|(c, _)| c).collect();
-    Ok(Canonical { quant, origin: grid.origin, cells, saturated })
+    Ok(Canonical { quant, origin, cells, saturated })
 }
 
 /// Finest indices of a cluster: per class and component, one per Gaussian.
@@ -69,7 +101,7 @@ pub(super) fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, origin: [f3
     let (p, q) = (a.positions.frame(0, n), a.rotations.frame(0, n));
     let (s, o, c) = (a.log_scales.frame(0, n), a.opacity_logits.frame(0, n), a.sh0.frame(0, n));
     let rest = a.sh_degree.rest_len();
-    let value = |class: Class, component: usize, i: usize| -> f32 {
+    let plain = |class: Class, component: usize, i: usize| -> f32 {
         match class {
             Class::Position => p[i][component] - origin[component],
             Class::Scale => s[i][component],
@@ -80,6 +112,13 @@ pub(super) fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, origin: [f3
             Class::Sh2 => a.sh_rest[i * rest + 9 + component],
             Class::Sh3 => a.sh_rest[i * rest + 24 + component],
         }
+    };
+    let value = |class: Class, component: usize, i: usize| -> f32 {
+        if !quant.canonical[class.index()].mixed() {
+            return plain(class, component, i);
+        }
+        let first = component / 3 * 3;
+        mix([0, 1, 2].map(|k| plain(class, first + k, i)))[component % 3]
     };
     Class::ALL.map(|class| {
         if class.sh_degree() > a.sh_degree.get() {
