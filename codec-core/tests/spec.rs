@@ -230,11 +230,11 @@ fn records(tables: &Tables, found: &mut Vec<String>) {
         }
     }
     let f = f32::from_bits(0x3f5b_5c5d);
-    let quantiser = Quantiser::new(f, [0x11, 0x33, 0x55], true).unwrap().to_bytes();
+    let quantiser = Quantiser::new(f, [0x11, 0x33, 0x55], true).unwrap().with_mixed(true).to_bytes();
     let end = contiguous(&tables["quantiser"], "quantiser", found);
     same(found, "quantiser: bytes", end, Quantiser::BYTES);
     for (field, wanted) in
-        [("step", f.to_le_bytes().to_vec()), ("ratio", vec![0x11, 0x33, 0x55]), ("flags", vec![1])]
+        [("step", f.to_le_bytes().to_vec()), ("ratio", vec![0x11, 0x33, 0x55]), ("flags", vec![3])]
     {
         let bytes = at(&tables["quantiser"], field, &quantiser);
         same(found, &format!("quantiser.{field}"), bytes, Some(wanted));
@@ -375,7 +375,8 @@ fn ranges(tables: &Tables, found: &mut Vec<String>) {
         for row in &tables[table] {
             let Some((low, high)) = range(&row["allowed"]) else { continue };
             let (offset, width) = (number(&row["offset"]) as usize, number(&row["width"]) as usize);
-            let place = starts[section] + offset;
+            // Of the quantisers that of Scale, the second, which may have every flag.
+            let place = starts[section] + offset + usize::from(table == "quantiser") * Quantiser::BYTES;
             let field = format!("{prefix}.{}", row["field"]);
             let refused = |value: u64| {
                 let mut body = body.clone();
@@ -394,6 +395,13 @@ fn ranges(tables: &Tables, found: &mut Vec<String>) {
                 same(found, &format!("{field} = {inside} is refused"), false, refused(inside).is_some());
             }
         }
+    }
+    for index in 0..Class::COUNT + Class::MOVING {
+        let mut body = body.clone();
+        body[starts["quants"] + index * Quantiser::BYTES + 7] = 2;
+        let refused = Manifest::parse(&body).is_err_and(|e| e.field == "quantiser.flags");
+        let mixes = Class::ALL.get(index).is_some_and(|class| class.mixes());
+        same(found, &format!("quantiser {index} is refused if mixed"), !mixes, refused);
     }
 }
 

@@ -229,8 +229,8 @@ mod tests {
             let reached = stream.ledger().reached.unwrap();
             assert!(reached.encodes <= MOST && (reached.coarseness > 1.0) == (factor < 1.0), "{reached:?}");
         }
-        let bits = encoded(Target::BitsPerGaussian(120.0)).unwrap().ledger().bits_per_gaussian();
-        assert!((114.0..=120.0).contains(&bits), "{bits}");
+        let bits = encoded(Target::BitsPerGaussian(80.0)).unwrap().ledger().bits_per_gaussian();
+        assert!((76.0..=80.0).contains(&bits), "{bits}");
     }
 
     #[test]
