@@ -14,7 +14,7 @@ mod session;
 
 use std::{collections::BTreeSet, path::Path};
 
-use codec_core::gaussian::ShDegree;
+use codec_core::{gaussian::ShDegree, quant::Class};
 use trainer_host::{
     Epoch, Scene,
     encode::{Options, Protection, encode},
@@ -64,6 +64,16 @@ fn epoch(n: usize, frames: usize, degree: u8, motion: Motion, seed: usize) -> Ep
         q.map(|v| v / length)
     };
     let breath = |i: usize, t: usize| if motion.breath { 0.3 * phase(i, t) } else { 0.0 };
+    // With harmonics, channels go together and Gaussians are balls of equal flatness.
+    let colour = |seed: usize, i: usize, k: usize| {
+        if degree.get() > 0 {
+            noise(seed + 5 * i) + 0.1 * noise(seed + 31 * i + 7 * k)
+        } else {
+            at(i, 10 + k)
+        }
+    };
+    let size =
+        |i: usize, k: usize| if degree.get() > 0 { 0.5 * at(i, 6) - k as f32 } else { 0.5 * at(i, 6 + k) };
     fn track<T: Copy>(n: usize, frames: usize, value: impl Fn(usize, usize) -> T) -> Track<T> {
         Track::PerFrame(
             (0..frames).flat_map(|t| (0..n).map(move |i| (i, t))).map(|(i, t)| value(i, t)).collect(),
@@ -72,12 +82,11 @@ fn epoch(n: usize, frames: usize, degree: u8, motion: Motion, seed: usize) -> Ep
     let attributes = Attributes {
         positions: track(n, frames, place).collapse(n),
         rotations: track(n, frames, turn).collapse(n),
-        log_scales: track(n, frames, |i, t| [0, 1, 2].map(|k| -3.0 + 0.5 * at(i, 6 + k) + breath(i, t)))
-            .collapse(n),
+        log_scales: track(n, frames, |i, t| [0, 1, 2].map(|k| -3.0 + size(i, k) + breath(i, t))).collapse(n),
         opacity_logits: track(n, frames, |i, t| 2.0 * at(i, 9) + 1.0 + breath(i, t)).collapse(n),
-        sh0: track(n, frames, |i, t| [0, 1, 2].map(|k| at(i, 10 + k) + breath(i, t))).collapse(n),
+        sh0: track(n, frames, |i, t| [0, 1, 2].map(|k| colour(seed, i, k) + breath(i, t))).collapse(n),
         sh_degree: degree,
-        sh_rest: (0..n * degree.rest_len()).map(|i| 0.2 * noise(seed + 977 * i)).collect(),
+        sh_rest: (0..n * degree.rest_len()).map(|i| 0.2 * colour(seed + 977, i / 3, i % 3)).collect(),
     };
     Epoch::new(frames, attributes).unwrap()
 }
@@ -179,6 +188,20 @@ fn write_golden() {
         index.push('\n');
     }
     std::fs::write(folder().join("index.txt"), index).unwrap();
+}
+
+#[test]
+fn harmonics_are_mixed_and_noise_is_not() {
+    let mixed = |wanted: &str| {
+        let (.., scene, options) = all().into_iter().find(|(name, ..)| *name == wanted).unwrap();
+        let stream = encode(&scene, &options, &|_, _| {}).unwrap();
+        let received = stream.receive().unwrap();
+        let quant = received.content().manifest.quant(0).unwrap();
+        Class::ALL.map(|class| quant.canonical[class.index()].mixed())
+    };
+    assert_eq!(mixed("harmonics"), Class::ALL.map(Class::mixes));
+    assert_eq!(mixed("paper"), [false; Class::COUNT]);
+    assert!(!mixed("coefficients")[Class::Sh0.index()]);
 }
 
 /// The index names what this file would write; the bytes are the encoder's to change.

@@ -2,7 +2,12 @@
 
 use super::Part;
 use crate::{
-    gaussian::Gaussian, ids::Level, limits::MAX_BLOCK_LEN, math, quant::{Class, unmix}, wire::manifest::Epoch,
+    gaussian::Gaussian,
+    ids::Level,
+    limits::MAX_BLOCK_LEN,
+    math,
+    quant::{Class, unmix},
+    wire::manifest::Epoch,
 };
 
 /// Dequantises block `block` at its `usable` levels into the canonical cache; without any, its first

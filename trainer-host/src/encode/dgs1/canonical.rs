@@ -50,9 +50,17 @@ pub(super) fn plain(
     let mixes = Class::ALL.map(Class::mixes);
     let (plain, mixed) = (quant([false; Class::COUNT])?, quant(mixes)?);
     let (kept, turned) = (bits(&plain), bits(&mixed));
-    let pays = Class::ALL.map(|class| class.mixes() && turned[class.index()] < kept[class.index()]);
+    let values = sets.iter().map(Vec::len).sum::<usize>() as f64;
+    let pays = Class::ALL.map(|class| {
+        let margin = LEAST_GAIN * values * class.components() as f64;
+        class.mixes() && turned[class.index()] + margin < kept[class.index()]
+    });
     Ok((quant(pays)?, grid.origin))
 }
+
+/// Bits per value that mixing must save: sums of independent values are closer to their mean than the
+/// values, for what they cost.
+const LEAST_GAIN: f64 = 0.1;
 
 /// Bits of the finest indices of one component, block by block: the logarithm of their mean distance from
 /// the block's mean, which a distribution of any one shape costs up to a constant.
