@@ -195,6 +195,7 @@ pub(crate) fn codec_args(profile: ProfileName) -> CodecArgs {
         target_bits_per_gaussian: None,
         target_bytes: None,
         target_psnr: None,
+        search: 0,
         cluster_size: 512,
         block_len: 64,
         window_frames: None,

@@ -148,6 +148,15 @@ pub(super) fn ledger_table(ledger: &Ledger) -> String {
             reached.encodes
         );
     }
+    if let Some(searched) = ledger.searched {
+        text += &format!(
+            "  search: {} encodings, {} {:+.2} % bytes, {:+.2} dB from measuring cameras\n",
+            searched.encodes,
+            if searched.kept { "kept," } else { "nothing better:" },
+            100.0 * (searched.bits - 1.0),
+            searched.psnr_db
+        );
+    }
     if ledger.saturated > 0 {
         text += &format!("  {} values did not fit their symbol and were clamped\n", ledger.saturated);
     }

@@ -7,12 +7,14 @@ mod packetise;
 mod paper;
 mod parity;
 mod protection;
+mod search;
 mod statistics;
 mod steps;
 mod target;
 
 pub use ledger::{Ledger, Part, Share};
 pub use protection::{Protection, ProtectionError, Strength};
+pub use search::Searched;
 pub use steps::Quality;
 pub use target::{COARSENESS, Reached, Target};
 
@@ -41,6 +43,8 @@ pub struct Options {
     pub quality: Quality,
     /// Scale `quality` until the stream meets this.
     pub target: Option<Target>,
+    /// Most encodings spent on how attributes share the bits, 0 (none) to 500.
+    pub search: usize,
     /// Most entropy tables a stream's runs choose from, 1..=8 (`dgs1`): fewer take less memory of a
     /// receiver.
     pub menu: usize,
@@ -67,6 +71,7 @@ impl Default for Options {
             rank: 8,
             quality: Quality::default(),
             target: None,
+            search: 0,
             menu: limits::MAX_MENU,
             proxies: true,
             tops: Vec::new(),
@@ -93,6 +98,7 @@ impl Options {
         within("block_len", self.block_len, 1, limits::MAX_BLOCK_LEN)?;
         within("window_frames", self.window_frames.unwrap_or(1), 1, limits::MAX_WINDOW_FRAMES)?;
         within("rank", self.rank, 0, limits::MAX_RANK)?;
+        within("search", self.search, 0, search::MOST)?;
         within("menu", self.menu, 1, limits::MAX_MENU)?;
         within("packet_bytes", self.packet_bytes, 200, 1226)?;
         within("cluster.max_gaussians", self.cluster.max_gaussians, 1, limits::MAX_CLUSTER_LEN)?;
@@ -178,15 +184,16 @@ pub type Progress<'p> = &'p (dyn Fn(&'static str, f64) + Sync);
 pub fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
     options.check()?;
     check_scene(scene)?;
-    match options.target {
-        Some(target) => target::encode(scene, options, target, progress),
-        None => once(scene, options, progress),
-    }
+    let stream = match options.target {
+        Some(target) => target::encode(scene, options, target, progress)?,
+        None => once(scene, options, progress)?,
+    };
+    if options.search == 0 { Ok(stream) } else { search::encode(scene, options, stream, progress) }
 }
 
-/// Encodes `scene` at the quality of `options`, whatever their target.
+/// Encodes `scene` at the quality of `options`, whatever their target and search.
 fn once(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
-    match options.profile {
+    let stream = match options.profile {
         Profile::Dgs1 => {
             // A block whose symbols do not fit one packet is halved until they do.
             let mut options = options.clone();
@@ -195,12 +202,13 @@ fn once(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stre
                     Err(EncodeError::Format(error)) if error.field == "body" && options.block_len > 1 => {
                         options.block_len = options.block_len.div_ceil(2);
                     }
-                    result => return result,
+                    result => break result,
                 }
             }
         }
         Profile::Paper => paper::encode(scene, options, progress),
-    }
+    };
+    Ok(stream?.with_quality(options.quality))
 }
 
 fn check_scene(scene: &Scene) -> Result<(), EncodeError> {

@@ -17,7 +17,7 @@ use codec_core::{
 };
 
 use crate::{
-    encode::{Ledger, Part, Reached},
+    encode::{Ledger, Part, Quality, Reached, Searched},
     scene::Instant,
 };
 
@@ -94,8 +94,20 @@ impl Stream {
     }
 
     /// The same with what its ledger says of the target.
-    pub(crate) fn with_reached(mut self, reached: Reached) -> Self {
-        self.ledger.reached = Some(reached);
+    pub(crate) fn with_reached(mut self, reached: Option<Reached>) -> Self {
+        self.ledger.reached = reached;
+        self
+    }
+
+    /// The same with what its ledger says of the search of its steps.
+    pub(crate) fn with_searched(mut self, searched: Searched) -> Self {
+        self.ledger.searched = Some(searched);
+        self
+    }
+
+    /// The same with the steps it was encoded at.
+    pub(crate) fn with_quality(mut self, quality: Quality) -> Self {
+        self.ledger.quality = quality;
         self
     }
 

@@ -1,6 +1,6 @@
 //! Where every byte went: the paper's accounting table, for any stream.
 
-use super::Reached;
+use super::{Quality, Reached, Searched};
 
 /// The byte cost of each part of a stream. All in bytes unless named otherwise.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -49,6 +49,10 @@ pub struct Ledger {
     pub shares: Vec<Share>,
     /// How the target was met, if there was one.
     pub reached: Option<Reached>,
+    /// What the search of the steps came to, if there was one.
+    pub searched: Option<Searched>,
+    /// Steps.
+    pub quality: Quality,
 }
 
 /// Payload that one attribute takes at one level.

@@ -9,7 +9,7 @@ use super::EncodeError;
 use crate::scene::Epoch;
 
 /// Fineness of the quantisers at the last level, per attribute.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Quality {
     /// Position step, in units of the median Gaussian's mean standard deviation.
     pub position: f32,

@@ -123,7 +123,7 @@ pub(super) fn encode(
             coarseness,
         });
     }
-    Ok(stream.with_reached(Reached { target, coarseness, encodes: found.tries, value }))
+    Ok(stream.with_reached(Some(Reached { target, coarseness, encodes: found.tries, value })))
 }
 
 /// A search for the least place whose excess, which falls from left to right, is at most zero.

@@ -7,7 +7,7 @@ use codec_core::{
 
 use super::{Options, Table};
 use crate::{
-    encode::{self, EncodeError, Progress, Quality},
+    encode::{self, EncodeError, Ledger, Progress},
     scene::Scene,
     stream::{PacketMap, Stream},
     viewpoint::{Framing, Ring},
@@ -109,10 +109,9 @@ pub fn truncate(
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let tops = tops(&received.content(), &map, table, &group_bytes(stream, &map), lambda);
-    let coarseness = stream.ledger().reached.map_or(1.0, |r| r.coarseness);
-    let quality: Quality = options.quality.scaled(coarseness);
+    let quality = stream.ledger().quality;
     let block_len = stream.manifest()?.block_len();
-    let again = encode::Options { tops, quality, block_len, target: None, ..options.clone() };
+    let again = encode::Options { tops, quality, block_len, target: None, search: 0, ..options.clone() };
     let cut = encode::encode(scene, &again, progress)?;
     let left = PacketMap::of(&cut)?.groups().len();
     let truncated = Truncated {
@@ -122,8 +121,9 @@ pub fn truncate(
         wire_before: stream.ledger().wire(),
         wire_after: cut.ledger().wire(),
     };
-    let reached = stream.ledger().reached;
-    Ok((reached.map_or(cut.clone(), |reached| cut.with_reached(reached)), truncated))
+    let Ledger { reached, searched, .. } = *stream.ledger();
+    let cut = cut.with_reached(reached);
+    Ok((searched.map_or(cut.clone(), |searched| cut.with_searched(searched)), truncated))
 }
 
 #[cfg(test)]

@@ -1,0 +1,286 @@
+//! How attributes share the bits, by trial: the steps that a scene's own pictures ask for.
+//!
+//! The steps of [`Quality`] weigh attributes against each other as typical scenes do. Here one step
+//! at a time is made coarser or finer, the scene is encoded and looked at from measuring cameras,
+//! and what gives the same PSNR for fewer bits is kept: a coordinate search, factors shrinking from
+//! round to round, bounded by a number of encodings.
+
+use super::{EncodeError, Options, Progress, Quality, Target, once, target};
+use crate::{
+    judge::{Judge, PSNR_CAP_DB, spread},
+    scene::{Epoch, Scene},
+    stream::Stream,
+};
+
+/// What a search found.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Searched {
+    /// Encodings it took, those at the end included.
+    pub encodes: usize,
+    /// Whether its steps are better than those it began with; if not, the stream has those.
+    pub kept: bool,
+    /// Bits on the wire over those without the search: at the same PSNR, or at the same size if
+    /// that was asked for.
+    pub bits: f64,
+    /// PSNR from measuring cameras above that without the search, dB.
+    pub psnr_db: f64,
+}
+
+/// Most encodings that can be asked for.
+pub const MOST: usize = 500;
+/// Factors on a step, tried both ways, round by round.
+const FACTORS: [f32; 4] = [1.6, 1.3, 1.15, 1.07];
+/// Factors on all steps whose streams tell what a dB costs.
+const AROUND: (f32, f32) = (0.75, 1.3);
+/// Share of the bits that a change must save: less is the noise of one set of pictures.
+const LEAST_GAIN: f64 = 0.005;
+/// Frames looked at.
+const FRAMES: u32 = 4;
+
+/// A stream as good as `start`, the encoding of `scene` with `options`, for fewer bits; or, at a
+/// target size, better.
+pub(super) fn encode(
+    scene: &Scene,
+    options: &Options,
+    start: Stream,
+    progress: Progress<'_>,
+) -> Result<Stream, EncodeError> {
+    let judge = Judge::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?;
+    let psnr = judge.whole(&start)?;
+    let before = start.ledger().wire();
+    let nothing = Searched { encodes: 0, kept: false, bits: 1.0, psnr_db: 0.0 };
+    if psnr >= PSNR_CAP_DB {
+        return Ok(start.with_searched(nothing));
+    }
+    let quality = start.ledger().quality;
+    let (quality, encodes) = on_a_part(scene, options, quality, progress)?;
+    // Sizes were asked for, or the PSNR that there was is to be kept.
+    let wanted = options.target.unwrap_or(Target::PsnrDb(psnr));
+    let again = Options { quality, target: None, ..options.clone() };
+    let found = match target::encode(scene, &again, wanted, progress) {
+        Ok(found) => found,
+        Err(EncodeError::Unreachable { .. }) => {
+            return Ok(start.with_searched(Searched { encodes, ..nothing }));
+        }
+        Err(error) => return Err(error),
+    };
+    let gain = judge.whole(&found)? - psnr;
+    let kept = match wanted {
+        Target::PsnrDb(_) => found.ledger().wire() < before,
+        _ => gain > 0.0,
+    };
+    let encodes = encodes + found.ledger().reached.map_or(0, |r| r.encodes);
+    let searched = Searched { encodes, kept, bits: found.ledger().wire() / before, psnr_db: gain };
+    if !kept {
+        return Ok(start.with_searched(Searched { encodes, ..nothing }));
+    }
+    let reached = options.target.and(found.ledger().reached);
+    Ok(found.with_reached(reached).with_searched(searched))
+}
+
+/// Searches on the middle epoch of `scene`, which stands for the others.
+fn on_a_part(
+    scene: &Scene,
+    options: &Options,
+    quality: Quality,
+    progress: Progress<'_>,
+) -> Result<(Quality, usize), EncodeError> {
+    let middle = scene.epochs().get(scene.epochs().len() / 2);
+    let part = middle.filter(|_| scene.epochs().len() > 1 && options.tops.is_empty());
+    let part = part.and_then(|epoch| Scene::new(vec![epoch.clone()], scene.frames_per_second()).ok());
+    let part = part.as_ref().unwrap_or(scene);
+    let judge = Judge::measuring(part, spread(0, part.frames() as u32, FRAMES))?;
+    let mut tries = 0;
+    descend(quality, &Axis::of(part), options.search, |quality| {
+        progress("search", tries as f64 / options.search as f64);
+        tries += 1;
+        let stream = once(part, &Options { quality, target: None, ..options.clone() }, &|_, _| {})?;
+        Ok(Marks { bits: stream.ledger().wire(), psnr: judge.whole(&stream)? })
+    })
+}
+
+/// A step of [`Quality`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Axis {
+    Position,
+    Scale,
+    Rotation,
+    Opacity,
+    Sh0,
+    ShRest,
+    Motion,
+}
+
+impl Axis {
+    /// The steps that matter to `scene`.
+    fn of(scene: &Scene) -> Vec<Self> {
+        let any = |has: fn(&Epoch) -> bool| scene.epochs().iter().any(has);
+        let mut all = vec![Self::Position, Self::Scale, Self::Rotation, Self::Opacity, Self::Sh0];
+        if any(|epoch| epoch.attributes().sh_degree.get() > 0) {
+            all.push(Self::ShRest);
+        }
+        if any(|epoch| epoch.frames() > 1) {
+            all.push(Self::Motion);
+        }
+        all
+    }
+
+    /// `quality` with this step times `factor`.
+    fn scaled(self, mut quality: Quality, factor: f32) -> Quality {
+        let step = match self {
+            Self::Position => &mut quality.position,
+            Self::Scale => &mut quality.scale,
+            Self::Rotation => &mut quality.rotation,
+            Self::Opacity => &mut quality.opacity,
+            Self::Sh0 => &mut quality.sh0,
+            Self::ShRest => &mut quality.sh_rest,
+            Self::Motion => &mut quality.motion,
+        };
+        *step *= factor;
+        quality
+    }
+}
+
+/// What an encoding came to.
+#[derive(Clone, Copy, Debug)]
+struct Marks {
+    /// Bits or bytes, any unit.
+    bits: f64,
+    /// dB.
+    psnr: f64,
+}
+
+/// The best steps found from `start` along `axes` with at most `most` measurements, and how many it took.
+fn descend<E>(
+    start: Quality,
+    axes: &[Axis],
+    most: usize,
+    mut measure: impl FnMut(Quality) -> Result<Marks, E>,
+) -> Result<(Quality, usize), E> {
+    if most < 4 {
+        return Ok((start, 0));
+    }
+    let mut quality = start;
+    let mut marks = measure(quality)?;
+    let (fine, coarse) = (measure(quality.scaled(AROUND.0))?, measure(quality.scaled(AROUND.1))?);
+    let mut tries = 3;
+    // dB for which bits grow e-fold.
+    let worth = (fine.psnr - coarse.psnr) / (fine.bits / coarse.bits).ln();
+    if !(worth > 0.0 && worth.is_finite()) {
+        return Ok((start, tries));
+    }
+    for factor in FACTORS {
+        for axis in axes {
+            // On in the direction that helps, else in the other.
+            for factor in [factor, 1.0 / factor] {
+                let before = quality;
+                loop {
+                    if tries == most {
+                        return Ok((quality, tries));
+                    }
+                    let other = axis.scaled(quality, factor);
+                    let found = measure(other)?;
+                    tries += 1;
+                    let saved = (found.psnr - marks.psnr) / worth - (found.bits / marks.bits).ln();
+                    if saved <= LEAST_GAIN {
+                        break;
+                    }
+                    (quality, marks) = (other, found);
+                }
+                if quality != before {
+                    break;
+                }
+            }
+        }
+    }
+    Ok((quality, tries))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::import::{
+        Limits,
+        synth::{self, Kind},
+    };
+
+    /// Attributes with `values` values each whose squared errors weigh `weights`: log rate, PSNR of the sum.
+    fn model(values: [f64; 5], weights: [f64; 5]) -> impl Fn(Quality) -> Marks {
+        move |q| {
+            let steps = [q.position, q.scale, q.rotation, q.opacity, q.sh0].map(f64::from);
+            let bits: f64 = steps.iter().zip(values).map(|(s, n)| n * (6.0 - s.log2())).sum();
+            let error: f64 = steps.iter().zip(weights).map(|(s, w)| w * s * s).sum();
+            Marks { bits, psnr: -10.0 * error.log10() }
+        }
+    }
+
+    const AXES: [Axis; 5] = [Axis::Position, Axis::Scale, Axis::Rotation, Axis::Opacity, Axis::Sh0];
+
+    #[test]
+    fn steps_come_to_weigh_errors_by_the_number_of_values() {
+        let values = [3.0, 3.0, 3.0, 1.0, 3.0];
+        let start = Quality {
+            position: 1.0,
+            scale: 1.0,
+            rotation: 1.0,
+            opacity: 1.0,
+            sh0: 1.0,
+            ..Quality::default()
+        };
+        let weights = [12.0, 3.0, 1.0, 1.0, 0.3];
+        let marks = model(values, weights);
+        let (found, tries) = descend(start, &AXES, 60, |q| Ok::<_, ()>(marks(q))).unwrap();
+        assert!(tries <= 60, "{tries}");
+        // At the optimum weight · step² is the same per value.
+        let each = [found.position, found.scale, found.rotation, found.opacity, found.sh0];
+        let shares: Vec<f64> =
+            each.iter().zip(weights).zip(values).map(|((s, w), n)| w * f64::from(s * s) / n).collect();
+        let spread =
+            shares.iter().fold(0.0f64, |m, s| m.max(*s)) / shares.iter().fold(f64::MAX, |m, s| m.min(*s));
+        assert!(spread < 4.0, "{shares:?}: it was 40 at the start");
+        let (old, new) = (marks(start), marks(found));
+        // One bit of each of the 13 values is 6.02 dB.
+        let dearer = (new.bits - old.bits) / 13.0 * 6.02;
+        assert!(new.psnr - old.psnr > dearer + 0.5, "{old:?} {new:?}");
+    }
+
+    #[test]
+    fn few_tries_change_nothing_and_balance_stays() {
+        let values = [3.0, 3.0, 3.0, 1.0, 3.0];
+        let marks = model(values, values);
+        let start = Quality {
+            position: 1.0,
+            scale: 1.0,
+            rotation: 1.0,
+            opacity: 1.0,
+            sh0: 1.0,
+            ..Quality::default()
+        };
+        assert_eq!(descend(start, &AXES, 3, |q| Ok::<_, ()>(marks(q))), Ok((start, 0)));
+        assert_eq!(descend(start, &AXES, 500, |q| Ok::<_, ()>(marks(q))), Ok((start, 43)));
+    }
+
+    #[test]
+    fn a_searched_stream_is_smaller_and_as_good_or_the_first_one() {
+        let options = synth::Options { gaussians: 1000, frames: 4, kind: Kind::Figure, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let judge = Judge::measuring(&scene, spread(0, 4, FRAMES)).unwrap();
+        // Far from balance: colours much too fine.
+        let quality = Quality { sh0: 0.0005, ..Quality::default() };
+        let plain = Options { quality, ..Options::default() };
+        let first = super::super::encode(&scene, &plain, &|_, _| {}).unwrap();
+        let found =
+            super::super::encode(&scene, &Options { search: 10, ..plain.clone() }, &|_, _| {}).unwrap();
+        let searched = found.ledger().searched.unwrap();
+        assert!(searched.kept && searched.bits < 0.97, "{searched:?}");
+        assert_eq!(searched.bits, found.ledger().wire() / first.ledger().wire());
+        assert!(judge.whole(&found).unwrap() >= judge.whole(&first).unwrap());
+        assert!(found.ledger().quality.sh0 > 0.0006 && found.ledger().reached.is_none());
+        // A size that was asked for is kept.
+        let target = Some(Target::Bytes(first.ledger().wire() as u64));
+        let sized = Options { search: 10, target, ..plain };
+        let found = super::super::encode(&scene, &sized, &|_, _| {}).unwrap();
+        assert!(found.ledger().wire() <= first.ledger().wire() && found.ledger().reached.is_some());
+        assert!(found.ledger().searched.unwrap().psnr_db > 0.0);
+    }
+}
