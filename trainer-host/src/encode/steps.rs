@@ -11,7 +11,7 @@ use crate::scene::Epoch;
 /// Fineness of the quantisers at the last level, per attribute.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Quality {
-    /// Position step, in units of the median Gaussian's mean standard deviation.
+    /// Position step, in units of the median Gaussian's size, the geometric mean of its axes.
     pub position: f32,
     /// Log-scale step.
     pub scale: f32,
@@ -67,6 +67,10 @@ pub(super) struct Grid {
     pub step: f32,
 }
 
+/// An axis counts as no shorter than the longest over 20, a difference of log-scales: flat Gaussians are
+/// rarely seen from the edge, so what they lack in thickness does not make errors of position show.
+const FLATTEST: f32 = 2.995_732_3;
+
 /// Indices at the base level must fit i16 with room for differences.
 const BASE_INDEX_SPAN: f32 = 30_000.0;
 
@@ -86,8 +90,11 @@ impl Grid {
         if n == 0 {
             return Self { origin: [0.0; 3], step: 1.0 };
         }
-        let mut sizes: Vec<f32> =
-            a.log_scales.frame(0, n).iter().map(|s| (s[0] + s[1] + s[2]) / 3.0).collect();
+        let mean = |s: &[f32; 3]| {
+            let least = s[0].max(s[1]).max(s[2]) - FLATTEST;
+            s.iter().map(|s| s.max(least)).sum::<f32>() / 3.0
+        };
+        let mut sizes: Vec<f32> = a.log_scales.frame(0, n).iter().map(mean).collect();
         sizes.sort_unstable_by(f32::total_cmp);
         let size = sizes[n / 2].exp();
         let extent = (0..3).map(|d| high[d] - low[d]).fold(0.0f32, f32::max);
