@@ -20,7 +20,10 @@ use trainer_host::{
     stream::{HostMemory, Player, Stream},
 };
 
-use crate::input::{Choices, Noise, edit, with_crc};
+use crate::{
+    input::{Choices, Noise, edit},
+    seal::with_crc,
+};
 
 /// A scene with two epochs, several windows, tracks and coefficients.
 fn scene() -> Option<Scene> {
@@ -30,7 +33,7 @@ fn scene() -> Option<Scene> {
 }
 
 /// `dgs1` with several packets in everything, and parity of several rows.
-fn dgs1(packet_bytes: usize) -> Options {
+pub(crate) fn dgs1(packet_bytes: usize) -> Options {
     Options {
         block_len: 16,
         window_frames: Some(3),
@@ -103,7 +106,8 @@ pub fn sliced(data: &[u8]) {
 /// Largest stream that a body decodes, in symbols; what is larger costs time and teaches nothing.
 const MOST_SYMBOLS: usize = 1 << 20;
 
-fn memory(manifest: &Manifest<'_>, early: usize) -> Option<HostMemory> {
+/// Memory for a receiver of `manifest`, if that is not too much for a fuzzer.
+pub(crate) fn memory(manifest: &Manifest<'_>, early: usize) -> Option<HostMemory> {
     let need = Requirements::of(manifest).ok()?;
     let small = need.symbols <= MOST_SYMBOLS && need.blocks <= MOST_SYMBOLS && need.parity <= 16 << 20;
     if !small { None } else { HostMemory::new(manifest, early).ok() }
@@ -122,7 +126,7 @@ fn assert_drawable(gaussians: &[Gaussian], sh_rest: &[f32]) {
     assert!(sh_rest.iter().all(|v| v.is_finite()));
 }
 
-fn assert_frame_drawable(content: &Content<'_>, frame: u32) {
+pub(crate) fn assert_frame_drawable(content: &Content<'_>, frame: u32) {
     let mut player = Player::new(&content.manifest);
     let instant = player.instant(content, frame);
     assert!(instant.is_ok(), "{instant:?}");

@@ -21,6 +21,7 @@ const MUTATIONS: &[(&str, usize)] = &[
     ("decode", 1200),
     ("closure", 250),
     ("receiver", 350),
+    ("forged", 2000),
     ("file", 800),
     ("pack", 2000),
     ("bytes", 2000),
@@ -152,6 +153,7 @@ macro_rules! replays {
 
 replays! {
     packet manifest receipt file tables lanes bytes pack slices sliced decode repair cauchy closure receiver
+    forged
     ply compressed_ply spz splat sog points_npz gltf unity trace
 }
 
