@@ -1,41 +1,17 @@
 //! A liar's whole session: a manifest that passes and says what it likes, then packets whose CRCs fit.
 
-use std::sync::OnceLock;
-
+use crate::{
+    input::{Choices, edit},
+    seal::with_crc,
+    session::assert_frame_drawable,
+    streams::{memory, small},
+};
 use codec_core::{
     limits::MAX_PACKET_BYTES,
     pack::packed_bound,
     receiver::{Arrival, Receiver},
     wire::manifest::{self as dgsm, Manifest},
 };
-use trainer_host::{
-    encode::{Options, Protection, encode},
-    import::{
-        Limits,
-        synth::{self, Kind},
-    },
-    stream::Stream,
-};
-
-use crate::{
-    input::{Choices, edit},
-    seal::with_crc,
-    session::{assert_frame_drawable, dgs1, memory},
-};
-
-/// The truth that is bent, one stream per profile: small, so that much of any input is a lie.
-pub fn small(paper: bool) -> &'static Stream {
-    static STREAMS: OnceLock<Vec<Stream>> = OnceLock::new();
-    let streams = STREAMS.get_or_init(|| {
-        let options =
-            synth::Options { kind: Kind::Births, gaussians: 60, frames: 6, frames_per_second: 6.0, seed: 5 };
-        let scene = synth::make(&options, &Limits::default()).ok();
-        let all = [dgs1(200), Options { repair: Protection::xor(4), ..Options::paper() }];
-        scene.iter().flat_map(|scene| all.iter().flat_map(|o| encode(scene, o, &|_, _| {}))).collect()
-    });
-    assert_eq!(streams.len(), 2, "both profiles encode");
-    &streams[usize::from(paper)]
-}
 
 /// Up to `count` edits, four bytes each.
 fn bent(bytes: &[u8], count: usize, choices: &mut Choices<'_>) -> Vec<u8> {

@@ -23,14 +23,16 @@ mod input;
 mod parity;
 mod seal;
 mod session;
+mod streams;
 mod traces;
 mod wire;
 
 pub use coding::{bytes, lanes, pack, tables};
-pub use forged::{forged, small};
+pub use forged::forged;
 pub use imports::{compressed_ply, gltf, ply, points_npz, sog, splat, spz, unity, unity_planes};
 pub use parity::{cauchy, repair};
-pub use session::{closure, decode, fixture, receiver, sliced, slices};
+pub use session::{closure, decode, receiver, sliced, slices};
+pub use streams::{fixture, small};
 pub use traces::trace;
 pub use wire::{file, manifest, packet, receipt};
 

@@ -90,7 +90,7 @@ pub fn gzip(content: &[u8]) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixture;
+    use crate::streams::fixture;
     use trainer_host::{import, stream::Stream};
 
     /// Flips a bit of every region of a file: unsealed, the walk stumbles; sealed, only over lies.
