@@ -1,7 +1,8 @@
 //! Writes the committed corpus: small valid inputs for every body, made from formulas.
 //!
 //! `cargo test -p fuzz --test seed -- --ignored` writes all of `corpus/` anew. Inputs that once
-//! broke something are kept beside these under names that start with `found-`.
+//! broke something are kept beside these under names that start with `found-`, and the few that
+//! bring a fuzzer to code which these do not reach under `reached-`.
 
 #![allow(
     clippy::unwrap_used,
