@@ -15,11 +15,11 @@ use fuzz::TARGETS;
 /// Mutations per target. Session bodies set up a whole receiver each time and take fewer.
 const MUTATIONS: &[(&str, usize)] = &[
     ("slices", 600),
-    ("sliced", 120),
+    ("sliced", 800),
     ("repair", 4000),
     ("cauchy", 2000),
     ("decode", 1200),
-    ("closure", 250),
+    ("closure", 2500),
     ("receiver", 350),
     ("forged", 2000),
     ("file", 800),
