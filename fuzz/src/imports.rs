@@ -7,7 +7,7 @@ use trainer_host::{
     import::{self, ErrorKind, Format, ImportError, Limits, Snapshot},
 };
 
-use crate::input::Choices;
+use crate::{input::Choices, seal};
 
 /// Small enough that a lie about a size costs nothing.
 fn limits(keep_readable: bool) -> Limits {
@@ -95,9 +95,12 @@ pub fn compressed_ply(data: &[u8]) {
     still(data, import::compressed_ply::parse);
 }
 
-/// SPZ.
+/// SPZ: a file, or what is in one that is compressed whole (versions 1 to 3).
 pub fn spz(data: &[u8]) {
     still(data, import::spz::parse);
+    if data.starts_with(b"NGSP") && data.get(4).is_some_and(|&version| version < 4) {
+        still(&seal::gzip(data), import::spz::parse);
+    }
 }
 
 /// Headerless records.
@@ -115,11 +118,19 @@ pub fn sog(data: &[u8]) {
         return;
     }
     still(data, import::sog::parse);
+    let sealed = seal::zip(data);
+    if sealed != data {
+        still(&sealed, import::sog::parse);
+    }
 }
 
 /// NPZ points.
 pub fn points_npz(data: &[u8]) {
     moving(import::points_npz::parse(data, 30.0, &limits(false)));
+    let sealed = seal::zip(data);
+    if sealed != data {
+        moving(import::points_npz::parse(&sealed, 30.0, &limits(false)));
+    }
 }
 
 /// glTF and GLB.

@@ -73,9 +73,3 @@ pub fn edit(bytes: &mut Vec<u8>, choices: &mut Choices<'_>) {
         }
     }
 }
-
-/// `content` with a CRC that fits.
-pub fn with_crc(content: &[u8]) -> Vec<u8> {
-    let crc = codec_core::wire::crc::crc32(content).to_le_bytes();
-    [content, &crc].concat()
-}

@@ -7,7 +7,7 @@
 //! committed `corpus/NAME/` and thousands of seeded mutations of it on stable.
 //! `cargo test -p fuzz --test seed -- --ignored` writes the corpus anew.
 //!
-//! CRCs are made to fit inside the bodies, so that a fuzzer gets behind the door.
+//! CRCs are made to fit inside the bodies, of archives too, so that a fuzzer gets behind the door.
 //!
 //! Two bodies compare ways to the same place: `receiver` any order of arrival with another, `sliced` a
 //! scene cut into small packets with the same in large ones. Kernels that differ by machine belong
@@ -17,17 +17,22 @@
 //! and anything that needs a file.
 
 mod coding;
+mod forged;
 mod imports;
 mod input;
 mod parity;
+mod seal;
 mod session;
+mod streams;
 mod traces;
 mod wire;
 
 pub use coding::{bytes, lanes, pack, tables};
+pub use forged::forged;
 pub use imports::{compressed_ply, gltf, ply, points_npz, sog, splat, spz, unity, unity_planes};
 pub use parity::{cauchy, repair};
-pub use session::{closure, decode, fixture, receiver, sliced, slices};
+pub use session::{closure, decode, receiver, sliced, slices};
+pub use streams::{fixture, small};
 pub use traces::trace;
 pub use wire::{file, manifest, packet, receipt};
 
@@ -35,7 +40,7 @@ pub use wire::{file, manifest, packet, receipt};
 pub type Body = fn(&[u8]);
 
 /// All bodies by name: wire, coding, session, imports, traces.
-pub const TARGETS: [(&str, Body); 24] = [
+pub const TARGETS: [(&str, Body); 25] = [
     ("packet", packet),
     ("manifest", manifest),
     ("receipt", receipt),
@@ -51,6 +56,7 @@ pub const TARGETS: [(&str, Body); 24] = [
     ("cauchy", cauchy),
     ("closure", closure),
     ("receiver", receiver),
+    ("forged", forged),
     ("ply", ply),
     ("compressed_ply", compressed_ply),
     ("spz", spz),

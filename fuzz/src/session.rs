@@ -7,73 +7,16 @@ use codec_core::{
     Gaussian,
     closure::{Arrived, naive_usable},
     ids::{Level, PacketId, Span},
-    receiver::{Arrival, Content, Receiver, Requirements, for_each_cell},
+    receiver::{Arrival, Content, Receiver, for_each_cell},
     wire::manifest::{Manifest, Profile},
 };
-use trainer_host::{
-    encode::{Options, Protection, Strength, encode},
-    import::{
-        Limits,
-        synth::{self, Kind},
-    },
-    scene::Scene,
-    stream::{HostMemory, Player, Stream},
+use trainer_host::stream::{HostMemory, Player};
+
+use crate::{
+    input::{Choices, Noise, edit},
+    seal::with_crc,
+    streams::{cuts, fixture, memory, small},
 };
-
-use crate::input::{Choices, Noise, edit, with_crc};
-
-/// A scene with two epochs, several windows, tracks and coefficients.
-fn scene() -> Option<Scene> {
-    let options =
-        synth::Options { kind: Kind::Births, gaussians: 1000, frames: 8, frames_per_second: 8.0, seed: 3 };
-    synth::make(&options, &Limits::default()).ok()
-}
-
-/// `dgs1` with several packets in everything, and parity of several rows.
-fn dgs1(packet_bytes: usize) -> Options {
-    Options {
-        block_len: 16,
-        window_frames: Some(3),
-        repair: Protection {
-            refinements: [None, Some(Strength { set_len: 9, parity: 2 }), None],
-            ..Protection::STANDARD
-        },
-        packet_bytes,
-        ..Options::default()
-    }
-}
-
-/// The streams under attack, one per profile (`dgs1`, `paper`): two epochs, several windows,
-/// tracks, coefficients, parity. Encoded once.
-pub fn fixture(paper: bool) -> &'static Stream {
-    static STREAMS: OnceLock<Vec<Stream>> = OnceLock::new();
-    let streams = STREAMS.get_or_init(|| {
-        let all = [dgs1(400), Options { repair: Protection::xor(4), ..Options::paper() }];
-        let encoded = |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}));
-        scene().into_iter().flat_map(encoded).flatten().collect()
-    });
-    assert_eq!(streams.len(), 2, "both profiles encode");
-    &streams[usize::from(paper)]
-}
-
-/// The same scene cut into small and into large packets, received whole. Encoded once.
-fn cuts() -> &'static [(Stream, HostMemory)] {
-    static CUTS: OnceLock<Vec<(Stream, HostMemory)>> = OnceLock::new();
-    CUTS.get_or_init(|| {
-        let encoded = |scene: Scene| [200, 1150].map(|bytes| encode(&scene, &dgs1(bytes), &|_, _| {}));
-        let streams = scene().into_iter().flat_map(encoded).flatten();
-        let received = |stream: Stream| {
-            let mut memory = memory(&stream.manifest().ok()?, 0)?;
-            let mut receiver = Receiver::new(memory.memory());
-            receiver.control(stream.message()).ok()?;
-            stream.packets().iter().for_each(|p| {
-                let _ = receiver.media(p);
-            });
-            Some((stream, memory))
-        };
-        streams.filter_map(received).collect()
-    })
-}
 
 /// However a scene is cut into packets, equal states show the same. Input: flags, frame, then per
 /// two bytes a packet of one cut that arrives.
@@ -100,15 +43,6 @@ pub fn sliced(data: &[u8]) {
     assert_eq!(shown, same);
 }
 
-/// Largest stream that a body decodes, in symbols; what is larger costs time and teaches nothing.
-const MOST_SYMBOLS: usize = 1 << 20;
-
-fn memory(manifest: &Manifest<'_>, early: usize) -> Option<HostMemory> {
-    let need = Requirements::of(manifest).ok()?;
-    let small = need.symbols <= MOST_SYMBOLS && need.blocks <= MOST_SYMBOLS && need.parity <= 16 << 20;
-    if !small { None } else { HostMemory::new(manifest, early).ok() }
-}
-
 /// What must hold of anything decoded.
 fn assert_drawable(gaussians: &[Gaussian], sh_rest: &[f32]) {
     for (i, g) in gaussians.iter().enumerate() {
@@ -122,7 +56,7 @@ fn assert_drawable(gaussians: &[Gaussian], sh_rest: &[f32]) {
     assert!(sh_rest.iter().all(|v| v.is_finite()));
 }
 
-fn assert_frame_drawable(content: &Content<'_>, frame: u32) {
+pub(crate) fn assert_frame_drawable(content: &Content<'_>, frame: u32) {
     let mut player = Player::new(&content.manifest);
     let instant = player.instant(content, frame);
     assert!(instant.is_ok(), "{instant:?}");
@@ -221,7 +155,7 @@ pub fn closure(data: &[u8]) {
     static RECEIVED: OnceLock<Vec<HostMemory>> = OnceLock::new();
     let received = RECEIVED.get_or_init(|| {
         let full = |paper| {
-            let stream = fixture(paper);
+            let stream = small(paper);
             let manifest = stream.manifest().ok()?;
             let mut memory = memory(&manifest, 0)?;
             let mut receiver = Receiver::new(memory.memory());
@@ -246,7 +180,7 @@ pub fn closure(data: &[u8]) {
             assert!(arrived.with(level).usable() >= arrived.usable());
         }
     }
-    let Ok(manifest) = fixture(paper).manifest() else { return };
+    let Ok(manifest) = small(paper).manifest() else { return };
     let content = received[usize::from(paper)].content(&manifest);
     if masks.is_empty() {
         return;

@@ -15,7 +15,7 @@ use codec_core::{
 
 use trainer_host::stream::Stream;
 
-use crate::input::with_crc;
+use crate::seal::{dgs_file, with_crc};
 
 /// Formats an error as a person would see it; it must name a field.
 fn shown(error: &Error) {
@@ -155,8 +155,16 @@ pub fn receipt(data: &[u8]) {
     }
 }
 
-/// A `.dgs` file.
+/// A `.dgs` file, as it is and with CRCs that fit.
 pub fn file(data: &[u8]) {
+    walk(data);
+    let sealed = dgs_file(data);
+    if sealed != data {
+        walk(&sealed);
+    }
+}
+
+fn walk(data: &[u8]) {
     let start = match dgs::manifest(data) {
         Ok((_, start)) => start,
         Err(error) => {

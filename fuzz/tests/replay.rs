@@ -15,12 +15,13 @@ use fuzz::TARGETS;
 /// Mutations per target. Session bodies set up a whole receiver each time and take fewer.
 const MUTATIONS: &[(&str, usize)] = &[
     ("slices", 600),
-    ("sliced", 120),
+    ("sliced", 800),
     ("repair", 4000),
     ("cauchy", 2000),
     ("decode", 1200),
-    ("closure", 250),
+    ("closure", 2500),
     ("receiver", 350),
+    ("forged", 2000),
     ("file", 800),
     ("pack", 2000),
     ("bytes", 2000),
@@ -152,6 +153,7 @@ macro_rules! replays {
 
 replays! {
     packet manifest receipt file tables lanes bytes pack slices sliced decode repair cauchy closure receiver
+    forged
     ply compressed_ply spz splat sog points_npz gltf unity trace
 }
 

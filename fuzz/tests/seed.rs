@@ -1,7 +1,8 @@
 //! Writes the committed corpus: small valid inputs for every body, made from formulas.
 //!
 //! `cargo test -p fuzz --test seed -- --ignored` writes all of `corpus/` anew. Inputs that once
-//! broke something are kept beside these under names that start with `found-`.
+//! broke something are kept beside these under names that start with `found-`, and the few that
+//! bring a fuzzer to code which these do not reach under `reached-`.
 
 #![allow(
     clippy::unwrap_used,
@@ -19,7 +20,7 @@ use codec_core::{
     ids::{ClusterId, EpochId, Group, Level, PacketId, Span, WindowId},
     wire::receipt::{Value, ViewerPose},
 };
-use fuzz::{fixture, unity_planes};
+use fuzz::{fixture, small, unity_planes};
 use serde_json::json;
 use trainer_host::{
     Epoch,
@@ -77,6 +78,9 @@ fn wire() {
             file[stream.message().len() + 100] ^= 0x40;
             put("file", "flipped", &file);
         }
+    }
+    for (paper, name) in [(false, "small-dgs1"), (true, "small-paper")] {
+        put("file", name, &small(paper).to_bytes().unwrap());
     }
     let id = |i| PacketId::new(i).unwrap();
     let groups = [
@@ -155,6 +159,20 @@ fn session() {
         put("receiver", &format!("damage-{paper}"), &[&[paper | 4][..], &damage].concat());
         put("receiver", &format!("forged-{paper}"), &[&[paper | 12][..], &damage, &run].concat());
     }
+    for paper in [0u8, 1] {
+        // The frame rate doubled; then some packets true, some bent, and the true ones behind them.
+        put("forged", &format!("true-{paper}"), &[paper | 2, 0, 1, 0, 0, 3, 0, 0, 2, 0, 0]);
+        put(
+            "forged",
+            &format!("packets-{paper}"),
+            &[paper, 0, 2, 0, 1, 9, 0, 0, 1, 4, 0, 2, 9, 0, 5, 3, 9, 1, 4, 1],
+        );
+        put(
+            "forged",
+            &format!("manifest-{paper}"),
+            &[paper | 2, 2, 6, 0, 4, 1, 40, 0, 0, 2, 3, 0, 0, 1, 0, 0],
+        );
+    }
     // Members 0, 1 and 3 of four, then row 0.
     let mut set = vec![4u8, 0, 4];
     for member in [0u8, 1, 3] {
@@ -197,6 +215,11 @@ fn imports() {
     put("compressed_ply", "two-chunks", &compressed_ply(260));
     put("compressed_ply", "few", &compressed_ply(5));
     put("splat", "few", &splat(5));
+    put(
+        "spz",
+        "planes-V2",
+        &[&b"NGSP\x02\0\0\0\x02\0\0\0\x01\x0c\0\0"[..], &noise(2 * (9 + 1 + 3 + 3 + 3 + 9), 3)].concat(),
+    );
     for version in [spz_writer::Version::V3, spz_writer::Version::V4] {
         let options = spz_writer::Options { version, fraction_bits: 12 };
         put("spz", &format!("{version:?}"), &spz_writer::encode(&epoch, 0, &options).unwrap());

@@ -138,7 +138,9 @@ mod tests {
     fn cost(table: &Table, mean: f64) -> (f64, f64) {
         let ratio = ((1.0 + mean * mean).sqrt() - 1.0) / mean;
         let (mut bits, mut entropy) = (0.0, 0.0);
-        for value in -30_000i32..=30_000 {
+        // Wider than any scale that is asked about; the tails weigh nothing.
+        let most = if cfg!(miri) { 300 } else { 30_000i32 };
+        for value in -most..=most {
             let p = (1.0 - ratio) / (1.0 + ratio) * ratio.powi(value.abs());
             if p < 1e-15 {
                 continue;
@@ -155,7 +157,10 @@ mod tests {
     #[test]
     fn every_index_is_a_table_and_no_other_byte_is() {
         let named: Vec<u8> = indices().collect();
-        for index in 0..=255u8 {
+        // Interpreted, where the kinds begin and end.
+        let ends = [0, SCALES, HEAVY, HEAVY + SCALES - 1, THREE, THREE + THREES];
+        let near = |index: &u8| !cfg!(miri) || ends.contains(index);
+        for index in (0..=255u8).filter(near) {
             assert_eq!(table(index).is_some(), named.contains(&index), "{index}");
         }
         assert_eq!(named.len(), 2 * 54 + 45);
@@ -163,7 +168,9 @@ mod tests {
 
     #[test]
     fn each_scale_codes_its_own_distribution_within_a_percent() {
-        for scale in 3..SCALES - 6 {
+        // Interpreted, two of them whose values are few.
+        let scales = if cfg!(miri) { (6..13).step_by(6) } else { (3..SCALES - 6).step_by(1) };
+        for scale in scales {
             let mean = ((f64::from(scale)) / 3.0 - 6.0).exp2();
             let (bits, entropy) = cost(&table(scale).unwrap(), mean);
             let loss = bits - entropy;
@@ -184,9 +191,9 @@ mod tests {
 
     #[test]
     fn three_values_have_their_eighths() {
-        let flat = (THREE..THREE + THREES)
-            .filter_map(table)
-            .find(|t| [127u8, 128, 129].iter().all(|&v| t.frequency(v) > 500));
+        // Interpreted, only the compositions near the even one are looked at.
+        let asked = if cfg!(miri) { THREE + 18..THREE + 24 } else { THREE..THREE + THREES };
+        let flat = asked.filter_map(table).find(|t| [127u8, 128, 129].iter().all(|&v| t.frequency(v) > 500));
         assert!(flat.is_some());
         let sure = table(THREE + THREES - 1).unwrap();
         assert!(sure.frequency(127) > 1900 && sure.frequency(129) >= 1, "{}", sure.frequency(127));

@@ -1,0 +1,126 @@
+//! The streams under attack, and memory to receive them in.
+
+use std::sync::OnceLock;
+
+use codec_core::{
+    receiver::{Receiver, Requirements},
+    wire::manifest::Manifest,
+};
+use trainer_host::{
+    encode::{Options, Protection, Strength, encode},
+    import::{
+        Limits,
+        synth::{self, Kind},
+    },
+    scene::{Attributes, Epoch, Scene, Track},
+    stream::{HostMemory, Stream},
+};
+
+/// A scene with two epochs, several windows, tracks and coefficients.
+fn scene() -> Option<Scene> {
+    let options =
+        synth::Options { kind: Kind::Births, gaussians: 1000, frames: 8, frames_per_second: 8.0, seed: 3 };
+    synth::make(&options, &Limits::default()).ok()
+}
+
+/// `dgs1` with several packets in everything, and parity of several rows.
+fn dgs1(packet_bytes: usize) -> Options {
+    Options {
+        block_len: 16,
+        window_frames: Some(3),
+        repair: Protection {
+            refinements: [None, Some(Strength { set_len: 9, parity: 2 }), None],
+            ..Protection::STANDARD
+        },
+        packet_bytes,
+        ..Options::default()
+    }
+}
+
+/// The streams under attack, one per profile (`dgs1`, `paper`): two epochs, several windows,
+/// tracks, coefficients, parity. Encoded once.
+pub fn fixture(paper: bool) -> &'static Stream {
+    static STREAMS: OnceLock<Vec<Stream>> = OnceLock::new();
+    let streams = STREAMS.get_or_init(|| {
+        let all = [dgs1(400), Options { repair: Protection::xor(4), ..Options::paper() }];
+        let encoded = |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}));
+        scene().into_iter().flat_map(encoded).flatten().collect()
+    });
+    assert_eq!(streams.len(), 2, "both profiles encode");
+    &streams[usize::from(paper)]
+}
+
+/// A few Gaussians cut into small and into large packets, received whole. Encoded once.
+pub fn cuts() -> &'static [(Stream, HostMemory)] {
+    static CUTS: OnceLock<Vec<(Stream, HostMemory)>> = OnceLock::new();
+    CUTS.get_or_init(|| {
+        let encoded = |scene: Scene| [200, 1150].map(|bytes| encode(&scene, &dgs1(bytes), &|_, _| {}));
+        let streams = few().into_iter().flat_map(encoded).flatten();
+        let received = |stream: Stream| {
+            let mut memory = memory(&stream.manifest().ok()?, 0)?;
+            let mut receiver = Receiver::new(memory.memory());
+            receiver.control(stream.message()).ok()?;
+            stream.packets().iter().for_each(|p| {
+                let _ = receiver.media(p);
+            });
+            Some((stream, memory))
+        };
+        streams.filter_map(received).collect()
+    })
+}
+
+/// As [`fixture`], of few Gaussians: cheap to decode, and an edit changes much of it. Encoded once.
+pub fn small(paper: bool) -> &'static Stream {
+    static STREAMS: OnceLock<Vec<Stream>> = OnceLock::new();
+    let streams = STREAMS.get_or_init(|| {
+        let all = [dgs1(200), Options { repair: Protection::xor(4), ..Options::paper() }];
+        let encoded = |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}));
+        few().into_iter().flat_map(encoded).flatten().collect()
+    });
+    assert_eq!(streams.len(), 2, "both profiles encode");
+    &streams[usize::from(paper)]
+}
+
+/// Every sixteenth Gaussian of a scene with two epochs.
+fn few() -> Option<Scene> {
+    let options =
+        synth::Options { kind: Kind::Births, gaussians: 1000, frames: 6, frames_per_second: 6.0, seed: 5 };
+    let scene = synth::make(&options, &Limits::default()).ok()?;
+    let epochs = scene.epochs().iter().map(|epoch| {
+        let (n, frames, all) = (epoch.count(), epoch.frames(), epoch.attributes());
+        Epoch::new(
+            frames,
+            Attributes {
+                positions: thin(&all.positions, n, frames),
+                rotations: thin(&all.rotations, n, frames),
+                log_scales: thin(&all.log_scales, n, frames),
+                opacity_logits: thin(&all.opacity_logits, n, frames),
+                sh0: thin(&all.sh0, n, frames),
+                sh_rest: all
+                    .sh_rest
+                    .chunks(all.sh_degree.rest_len().max(1))
+                    .step_by(16)
+                    .flatten()
+                    .copied()
+                    .collect(),
+                sh_degree: all.sh_degree,
+            },
+        )
+    });
+    Scene::new(epochs.collect::<Result<_, _>>().ok()?, scene.frames_per_second()).ok()
+}
+
+fn thin<T: Copy + PartialEq>(track: &Track<T>, n: usize, frames: usize) -> Track<T> {
+    let frame = |t| track.frame(t, n).iter().step_by(16).copied();
+    Track::PerFrame((0..frames).flat_map(frame).collect())
+}
+
+/// Largest stream that a body decodes, in symbols; what is larger costs time and teaches nothing.
+const MOST_SYMBOLS: usize = 1 << 20;
+
+/// Memory for a receiver of `manifest`, if that is not too much for a fuzzer.
+pub fn memory(manifest: &Manifest<'_>, early: usize) -> Option<HostMemory> {
+    let need = Requirements::of(manifest).ok()?;
+    let small = need.symbols <= MOST_SYMBOLS && need.blocks <= MOST_SYMBOLS && need.parity <= 16 << 20;
+    if !small { None } else { HostMemory::new(manifest, early).ok() }
+}
