@@ -83,7 +83,7 @@ impl Renderer {
         let Self { projected, order, bands, .. } = self;
         let mut counters = project::project(splats, camera, settings, projected);
         sort::sort(&projected.keys, settings.parallel, order);
-        bin::bands(projected, order, size, settings.tile, bands);
+        bin::bands(projected, order, size, settings, bands);
         self.compose(size, settings, out, &mut counters);
         out.counters = counters;
         Ok(())

@@ -264,7 +264,7 @@ impl Sequence {
             let splat = &projected.splats[index as usize];
             (splat.tile_columns(settings.tile).len() * splat.tile_rows(settings.tile).len()) as u64
         });
-        bin::bands(projected, order, size, settings.tile, bands);
+        bin::bands(projected, order, size, settings, bands);
         if boxes.sum::<u64>() > self.most_entries {
             self.drop_lists();
             return;

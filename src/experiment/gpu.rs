@@ -48,7 +48,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
          device. worlds: three repetitions after five warm-ups, mean and Student-t 95 % interval; serial draws \
          every world alone; error: bits of a world in the batch that differ from the world drawn alone. \
          counterfactual and gradients: scene A (64 cells) and B (64 shells), 128 groups, every step from the camera to \
-         sums on the device in one submission, steps in a train without waiting; peers with their set-up",
+         sums on the device in one submission, steps in a train without waiting; peers with their set-up; gradients: \
+         of squared error, and (mse+ssim) of squared error + (1 - SSIM)",
     );
     let device = match Device::open(&Options::from_env()) {
         Ok(device) => device,

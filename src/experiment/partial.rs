@@ -8,6 +8,7 @@ use render_host::{Camera, Image, Settings, Splats};
 use super::cloud::{Cloud, Kind, LATTICE, Numbers, beside, camera, cloud};
 
 /// A scene, its groups, a camera and what its pictures are judged by.
+#[derive(Clone)]
 pub(crate) struct Partial {
     pub gaussians: Vec<Gaussian>,
     pub groups: Vec<u32>,

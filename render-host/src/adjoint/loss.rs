@@ -3,7 +3,7 @@
 //! Each has a twin in f64, written by the definition, for differences of the f64 reference.
 
 mod mse;
-mod ssim;
+pub(crate) mod ssim;
 
 pub use mse::Mse;
 pub use ssim::Dissimilarity;
@@ -53,6 +53,29 @@ impl Loss for Distortion {
 
     fn exact(&self, rgb: &[f64]) -> f64 {
         mse::exact(self.structure.target(), rgb) + self.weight * self.structure.exact(rgb)
+    }
+}
+
+/// How much of each part a loss has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mix {
+    /// Of mean squared error.
+    pub mse: f64,
+    /// Of `1 - SSIM`.
+    pub structure: f64,
+}
+
+impl Mix {
+    /// Mean squared error alone, as [`Mse`].
+    pub const MSE: Self = Self { mse: 1.0, structure: 0.0 };
+    /// `1 - SSIM` alone, as [`Dissimilarity`].
+    pub const STRUCTURE: Self = Self { mse: 0.0, structure: 1.0 };
+    /// As [`Distortion::new`].
+    pub const DISTORTION: Self = Self::weighted(STRUCTURE_WEIGHT);
+
+    /// As [`Distortion::weighted`].
+    pub const fn weighted(structure: f64) -> Self {
+        Self { mse: 1.0, structure }
     }
 }
 

@@ -142,7 +142,7 @@ fn one_by_one(
         let groups = variants.groups();
         renderer.order.take(&all, |splat| present[groups[splat as usize] as usize]);
         let Renderer { projected, order, bands, .. } = &mut renderer;
-        bin::bands(projected, order, size, settings.tile, bands);
+        bin::bands(projected, order, size, settings, bands);
         let mut drawn = Rendered::default();
         drawn.image.reset(camera.width(), camera.height())?;
         drawn.transmittance.resize(size[0] * size[1], 1.0);

@@ -52,7 +52,7 @@ pub fn sse(
     let mut film = Image::default();
     film.reset(camera.width(), camera.height())?;
     crate::image::same_size(&film, reference)?;
-    let planes = cut(reference);
+    let planes = cut(reference, settings.parallel);
     if !settings.parallel || states.len() < rayon::current_num_threads() {
         let mut renderer = Renderer::new();
         let one = |w| error(&mut renderer, variants, states, w, camera, settings, &planes);

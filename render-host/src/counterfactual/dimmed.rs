@@ -8,6 +8,7 @@
 use super::scaffold::Shared;
 use super::squares::Planes;
 use super::{Engine, Greedy, Pairs, Utilities};
+use crate::stage::Splat;
 use crate::{Camera, Settings};
 
 /// Brightest colour that is squared in f32 as it is: of its square, f32 holds a tile's sum many times over.
@@ -30,8 +31,10 @@ impl Dimmed {
         camera: &Camera,
         groups: usize,
     ) -> Option<Box<Self>> {
-        let colours = shared.projected.splats.iter().flat_map(|splat| splat.colour);
-        let brightest = colours.fold(0.0f32, f32::max);
+        let mut brightest = 0.0f32;
+        for Splat { colour: [r, g, b], .. } in &shared.projected.splats {
+            brightest = brightest.max(r.max(*g).max(*b));
+        }
         if brightest <= BRIGHTEST {
             return None;
         }

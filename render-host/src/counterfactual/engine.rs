@@ -40,7 +40,8 @@ impl Engine {
         let mut film = Image::default();
         film.reset(camera.width(), camera.height())?;
         same_size(&film, reference)?;
-        let (shared, reference) = (Shared::new(variants, camera, settings), cut(reference));
+        let shared = Shared::new(variants, camera, settings);
+        let reference = cut(reference, settings.parallel);
         let (settings, camera, groups) = (settings.clone(), camera.clone(), variants.count());
         let dimmed = Dimmed::new(&shared, &reference, &settings, &camera, groups);
         Ok(Self { shared, reference, settings, camera, groups, dimmed })

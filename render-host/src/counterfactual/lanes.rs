@@ -102,18 +102,26 @@ impl Lanes {
         of.clear();
         first.clear();
         let Self { bits, words, table, count, .. } = self;
+        let (bits, words) = (&bits[..*words * *count], *words);
         let size = (2 * *count).next_power_of_two();
         table.clear();
         table.resize(size, NONE);
-        for (lane, own) in (0u32..).zip(bits.chunks_exact(*words)) {
-            let seen =
-                |lane: u32| bits[lane as usize * *words..].iter().zip(set).map(|(bits, set)| bits & set);
-            let mix =
-                |hash: u64, word: u64| (hash ^ word).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29);
-            let hash = own.iter().zip(set).map(|(bits, set)| bits & set).fold(0, mix);
+        for (lane, own) in (0u32..).zip(bits.chunks_exact(words)) {
+            let mut hash = 0u64;
+            for (bits, set) in own.iter().zip(set) {
+                hash = (hash ^ (bits & set)).wrapping_mul(0x9e37_79b9_7f4a_7c15).rotate_left(29);
+            }
+            let alike = |other: u32| {
+                let other = &bits[other as usize * words..][..words];
+                let mut apart = 0;
+                for ((a, b), set) in own.iter().zip(other).zip(set) {
+                    apart |= (a ^ b) & set;
+                }
+                apart == 0
+            };
             let mut at = hash as usize % size;
             // Half of the table is empty, so every search ends.
-            while table[at] != NONE && !seen(first[table[at] as usize]).eq(seen(lane)) {
+            while table[at] != NONE && !alike(first[table[at] as usize]) {
                 at = (at + 1) % size;
             }
             if table[at] == NONE {

@@ -131,7 +131,7 @@ impl Quadratic {
         let one = vec![0; repaints.splats.len()];
         let shared = Shared::new(&Variants::new(repaints.splats, &one, 1)?, camera, settings);
         let paint = Paint::new(repaints, camera, settings);
-        let reference = cut(reference);
+        let reference = cut(reference, settings.parallel);
         let mut parts: Vec<Part> = vec![Part::default(); shared.tiles()];
         parallel::for_each_with(settings.parallel, &mut parts, |room: &mut Room, tile, part| {
             room.tile(&shared, &paint, &reference[tile], settings, tile, part);

@@ -2,6 +2,7 @@
 
 use super::Variants;
 use super::faded::Faded;
+use crate::parallel;
 use crate::stage::{Splat, TILE, bin, project, sort};
 use crate::{Camera, Settings};
 
@@ -21,12 +22,27 @@ pub(super) struct Shared {
     /// Width and height, pixels.
     pub size: [usize; 2],
     pub columns: usize,
+    /// Of each row of tiles.
+    rows: Vec<Lists>,
+}
+
+/// The lists of one row of tiles.
+#[derive(Clone, Debug)]
+struct Lists {
     /// Tile `t` is `entries[starts[t]..starts[t + 1]]`.
     starts: Vec<usize>,
     entries: Vec<Entry>,
     /// Groups of tile `t`, each once: `sets[set_starts[t]..set_starts[t + 1]]`.
     set_starts: Vec<usize>,
     sets: Vec<u32>,
+}
+
+/// What a thread needs to make lists.
+#[derive(Default)]
+struct Room {
+    /// Of each group, the tile it was last met in, from 1, and its place there.
+    slots: Vec<(usize, u32)>,
+    faded: Faded,
 }
 
 impl Shared {
@@ -37,54 +53,30 @@ impl Shared {
         let (mut order, mut bands, mut bins) = (sort::Order::default(), Vec::new(), bin::Bins::default());
         project::project(&variants.splats(), camera, settings, &mut projected);
         sort::sort(&projected.keys, settings.parallel, &mut order);
-        bin::bands(&projected, &order, size, settings.tile, &mut bands);
+        bin::bands(&projected, &order, size, settings, &mut bands);
 
-        let mut out = Self { size, columns, starts: vec![0], set_starts: vec![0], ..Self::default() };
-        const NOWHERE: (usize, u32) = (usize::MAX, 0);
-        let mut slots = vec![NOWHERE; variants.count()]; // (tile last met in, place there)
-        let mut faded = Faded::default();
+        let mut rows = vec![Lists::new(); size[1].div_ceil(TILE)];
         for band in &bands {
             let classes = (variants.groups(), variants.count());
             bin::bin_by_class(&projected, &order, band, columns, settings, classes, &mut bins);
-            for row in bins.rows() {
-                for list in (0..columns).map(|column| row.tile(column)) {
-                    let seen = (&projected.splats[..], &mut faded, settings);
-                    out.push_tile(list, variants.groups(), &mut slots, seen);
+            let (bins, splats, first) = (bins.rows(), &projected.splats[..], band.start);
+            let make = |room: &mut Room, row: usize, lists: &mut Lists| {
+                room.slots.resize(variants.count(), (0, 0));
+                for column in 0..columns {
+                    let tile = (first + row) * columns + column;
+                    let corner = [column * TILE, (first + row) * TILE];
+                    let list = bins[row].tile(column);
+                    lists.push(tile, corner, list, (splats, variants.groups()), room, settings);
                 }
-            }
+            };
+            parallel::for_each_with(settings.parallel, &mut rows[band.clone()], make);
         }
-        out.projected = projected;
-        out
-    }
-
-    fn push_tile(
-        &mut self,
-        list: &[u32],
-        groups: &[u32],
-        slots: &mut [(usize, u32)],
-        (splats, faded, settings): (&[Splat], &mut Faded, &Settings),
-    ) {
-        let (tile, first) = (self.starts.len() - 1, self.sets.len());
-        let corner = self.corner(tile);
-        faded.open(list.len(), settings);
-        for &splat in list {
-            let group = groups[splat as usize];
-            let slot = &mut slots[group as usize];
-            if slot.0 != tile {
-                *slot = (tile, (self.sets.len() - first) as u32);
-                self.sets.push(group);
-            }
-            if faded.shows(&splats[splat as usize], slot.1, corner, settings) {
-                self.entries.push(Entry { splat, local: slot.1 });
-            }
-        }
-        self.starts.push(self.entries.len());
-        self.set_starts.push(self.sets.len());
+        Self { projected, size, columns, rows }
     }
 
     /// Number of tiles.
     pub(super) fn tiles(&self) -> usize {
-        self.starts.len() - 1
+        self.columns * self.rows.len()
     }
 
     /// First pixel of a tile.
@@ -94,17 +86,55 @@ impl Shared {
 
     /// A tile's splats, nearest first.
     pub(super) fn entries(&self, tile: usize) -> &[Entry] {
-        &self.entries[self.starts[tile]..self.starts[tile + 1]]
+        let (row, column) = (&self.rows[tile / self.columns], tile % self.columns);
+        &row.entries[row.starts[column]..row.starts[column + 1]]
     }
 
     /// A tile's groups, in order of first appearance.
     pub(super) fn groups(&self, tile: usize) -> &[u32] {
-        &self.sets[self.set_starts[tile]..self.set_starts[tile + 1]]
+        let (row, column) = (&self.rows[tile / self.columns], tile % self.columns);
+        &row.sets[row.set_starts[column]..row.set_starts[column + 1]]
     }
 
     /// Bytes held.
     pub(super) fn bytes(&self) -> u64 {
-        let words = self.starts.len() + self.set_starts.len() + self.sets.len() / 2 + self.entries.len();
+        let words =
+            |row: &Lists| row.starts.len() + row.set_starts.len() + row.sets.len() / 2 + row.entries.len();
+        let words: usize = self.rows.iter().map(words).sum();
         (size_of_val(self.projected.splats.as_slice()) + 4 * self.projected.keys.len() + 8 * words) as u64
+    }
+}
+
+impl Lists {
+    fn new() -> Self {
+        Self { starts: vec![0], entries: Vec::new(), set_starts: vec![0], sets: Vec::new() }
+    }
+
+    /// Adds the list of the row's next tile, which is `tile` of all.
+    fn push(
+        &mut self,
+        tile: usize,
+        corner: [usize; 2],
+        list: &[u32],
+        (splats, groups): (&[Splat], &[u32]),
+        room: &mut Room,
+        settings: &Settings,
+    ) {
+        let Room { slots, faded } = room;
+        let first = self.sets.len();
+        faded.open(list.len(), settings);
+        for &splat in list {
+            let group = groups[splat as usize];
+            let slot = &mut slots[group as usize];
+            if slot.0 != tile + 1 {
+                *slot = (tile + 1, (self.sets.len() - first) as u32);
+                self.sets.push(group);
+            }
+            if faded.shows(&splats[splat as usize], slot.1, corner, settings) {
+                self.entries.push(Entry { splat, local: slot.1 });
+            }
+        }
+        self.starts.push(self.entries.len());
+        self.set_starts.push(self.sets.len());
     }
 }

@@ -4,6 +4,7 @@ use super::lanes::Wanted;
 use super::plan::{wanted, within};
 use super::sieve::BLOCKS;
 use crate::image::Image;
+use crate::parallel;
 use crate::stage::TILE;
 use crate::stage::blend::Lanes;
 
@@ -11,16 +12,20 @@ use crate::stage::blend::Lanes;
 pub(super) type Planes = [[Lanes; 3]; TILE];
 
 /// An image cut into tiles, row by row of tiles.
-pub(super) fn cut(image: &Image) -> Vec<Planes> {
+pub(super) fn cut(image: &Image, parallel: bool) -> Vec<Planes> {
     let (width, height) = (image.width() as usize, image.height() as usize);
     let columns = width.div_ceil(TILE);
     let mut out = vec![[[[0.0; TILE]; 3]; TILE]; columns * height.div_ceil(TILE)];
-    for (y, row) in image.rgb().chunks_exact(3 * width).enumerate() {
-        for (x, pixel) in row.chunks_exact(3).enumerate() {
-            let planes = &mut out[y / TILE * columns + x / TILE][y % TILE];
-            (0..3).for_each(|c| planes[c][x % TILE] = pixel[c]);
+    parallel::for_each_chunk(parallel, &mut out, columns, |row, tiles| {
+        let rows = image.rgb()[3 * width * TILE * row..].chunks_exact(3 * width).take(TILE);
+        for (y, row) in rows.enumerate() {
+            for (planes, pixels) in tiles.iter_mut().zip(row.chunks(3 * TILE)) {
+                for (x, pixel) in pixels.chunks_exact(3).enumerate() {
+                    (0..3).for_each(|c| planes[y][c][x] = pixel[c]);
+                }
+            }
         }
-    }
+    });
     out
 }
 
@@ -59,7 +64,7 @@ pub(super) fn between(image: &Image, reference: &[Planes]) -> f64 {
         }
         sum.iter().sum::<f64>()
     };
-    cut(image).iter().zip(reference).enumerate().map(tile).sum()
+    cut(image, false).iter().zip(reference).enumerate().map(tile).sum()
 }
 
 /// Width and height of the part of a tile that lies inside the image.
@@ -79,7 +84,7 @@ mod tests {
         };
         let (a, b) = (image(7), image(11));
         let expected = crate::metric::mse(&a, &b).unwrap() * (3 * 37 * 19) as f64;
-        assert!((between(&a, &cut(&b)) / expected - 1.0).abs() < 1e-12);
-        assert_eq!(between(&a, &cut(&a)), 0.0);
+        assert!((between(&a, &cut(&b, true)) / expected - 1.0).abs() < 1e-12);
+        assert_eq!(between(&a, &cut(&a, false)), 0.0);
     }
 }

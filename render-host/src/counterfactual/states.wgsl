@@ -19,13 +19,14 @@ struct Batch {
     worlds: u32,
     // Vectors of four worlds per row of masks.
     quads: u32,
-    // Gradient of the loss with respect to half a squared difference; 0 takes pixel gradients as given.
+    // Gradient of the loss with respect to half a squared difference.
     scale: f32,
     // Places for what tiles find, per tile.
     columns: u32,
-    // World of the first workgroup.
+    // First world.
     first: u32,
-    spare: u32,
+    // World after the last one.
+    past: u32,
 }
 
 // One splat of a tile's list.

@@ -48,14 +48,14 @@ pub struct Batch {
     pub worlds: u32,
     /// Vectors of four worlds per row of masks.
     pub quads: u32,
-    /// Gradient of the loss with respect to half a squared difference; 0 takes pixel gradients as given.
+    /// Gradient of the loss with respect to half a squared difference.
     pub scale: f32,
     /// Places for what tiles find, per tile.
     pub columns: u32,
-    /// World of the first workgroup.
+    /// First world.
     pub first: u32,
-    /// Padding.
-    pub spare: u32,
+    /// World after the last one.
+    pub past: u32,
 }
 
 /// One splat of a tile's list.
@@ -133,7 +133,8 @@ impl Scaffold {
     /// The batch of `worlds` worlds whose rows of masks have `quads` vectors.
     pub(super) fn batch(&self, worlds: usize, quads: usize) -> Batch {
         let [groups, words] = [self.groups, self.words].map(|v| v as u32);
-        Batch { groups, words, worlds: worlds as u32, quads: quads as u32, ..Batch::default() }
+        let worlds = worlds as u32;
+        Batch { groups, words, worlds, quads: quads as u32, past: worlds, ..Batch::default() }
     }
 
     /// An error unless `states` are of this scaffold's groups.

@@ -58,7 +58,7 @@ impl Tiles {
         let scene = variants.splats();
         project::project(&scene, camera, settings, &mut projected);
         sort::sort(&projected.keys, settings.parallel, &mut order);
-        bin::bands(&projected, &order, pixels, settings.tile, &mut bands);
+        bin::bands(&projected, &order, pixels, settings, &mut bands);
         let (mut starts, mut list) = (vec![0u32], Vec::new());
         for band in &bands {
             bin::bin(&projected, &order, band, columns, settings, &mut bins);

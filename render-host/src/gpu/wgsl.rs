@@ -151,12 +151,15 @@ pub const ALL: &[Source] = &[
     super::counterfactual::STRICT,
     super::counterfactual::UTILITIES,
     super::adjoint::BLEND_BACK,
+    super::adjoint::structure::FILM,
+    super::adjoint::structure::STRUCTURE,
     super::adjoint::PROJECT_BACK,
     super::tiles::RANK,
 ];
 
 #[cfg(test)]
 mod tests {
+    use super::super::adjoint::structure::{self, STRUCTURE, Window};
     use super::super::layout::{CONSTANTS, Frame, Splat};
     use super::super::states::{Batch, Entry, Table};
     use super::*;
@@ -184,9 +187,10 @@ mod tests {
             layout!(Frame: view, view_low, focal, principal, slope, background, size, near, near_low, low_pass,
                 alpha_cutoff, cutoff, log2_cutoff, alpha_max, stop, gaussians, degree, flags, zero, capacity,
                 worlds, world_words, spare),
-            layout!(Batch: groups, words, worlds, quads, scale, columns, first, spare),
+            layout!(Batch: groups, words, worlds, quads, scale, columns, first, past),
             layout!(Entry: splat, blocks),
             layout!(Table: rows, columns, unused),
+            layout!(Window: along, down, centres, scale, unused),
         ]
     }
 
@@ -220,7 +224,8 @@ mod tests {
         }
         for (_, constant) in module.constants.iter() {
             let Some(name) = &constant.name else { continue };
-            let Some(&(_, expected)) = CONSTANTS.iter().find(|c| c.0 == name.as_str()) else { continue };
+            let mut shared = CONSTANTS.iter().chain(structure::CONSTANTS);
+            let Some(&(_, expected)) = shared.find(|c| c.0 == name.as_str()) else { continue };
             let naga::Expression::Literal(literal) = module.global_expressions[constant.init] else {
                 found.push(format!("constant {name} is no literal"));
                 continue;
@@ -281,6 +286,25 @@ mod tests {
         let structs = structs();
         let found: Vec<String> = ALL.iter().flat_map(|s| faults(s, &s.text(), &structs)).collect();
         assert!(found.is_empty(), "{}", found.join("\n"));
+    }
+
+    #[test]
+    fn every_constant_of_the_loss_is_in_its_text() {
+        let module = parse(&STRUCTURE.text()).unwrap();
+        for (name, _) in structure::CONSTANTS {
+            let there = module.constants.iter().any(|(_, c)| c.name.as_deref() == Some(name));
+            assert!(there, "{name} is not in {}", STRUCTURE.name);
+        }
+        for (here, there, named) in [
+            ("const C1: f32 = 1e-4;", "const C1: f32 = 1e-3;", "constant C1"),
+            ("const C2: f32 = 9e-4;", "const C2: f32 = 1e-4;", "constant C2"),
+            ("const MIDDLE: u32 = 5u;", "const MIDDLE: u32 = 4u;", "constant MIDDLE"),
+            ("    unused: vec2<u32>,", "    unused: vec4<u32>,", "struct Window"),
+        ] {
+            let text = STRUCTURE.text().replacen(here, there, 1);
+            let found = faults(&STRUCTURE, &text, &structs());
+            assert!(found.iter().any(|f| f.contains(named)), "{named}: {found:?}");
+        }
     }
 
     #[test]

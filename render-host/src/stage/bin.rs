@@ -10,11 +10,11 @@
 
 use std::ops::Range;
 
+use super::Splat;
 use super::fade::Fade;
 use super::project::Projected;
 use super::sort::Order;
 use super::span::Spans;
-use super::{Splat, TileSide};
 use crate::parallel;
 use crate::settings::Settings;
 
@@ -24,6 +24,8 @@ const BAND_ENTRIES: u64 = 1 << 24;
 const BAND_PIXELS: usize = 1 << 22;
 /// Entries per tile of a row, on average, from which on tiles that are finished are looked for.
 const LONG: usize = 1024;
+/// Splats counted by one thread.
+const LOT: usize = 16_384;
 /// Pieces looked at first, to tell a crowd.
 const HEAD: usize = 8;
 /// Splats in one piece of the depth order.
@@ -104,21 +106,29 @@ pub fn bands(
     projected: &Projected,
     order: &Order,
     size: [usize; 2],
-    tile: TileSide,
+    settings: &Settings,
     out: &mut Vec<Range<usize>>,
 ) {
+    let tile = settings.tile;
     let [columns, rows] = size.map(|side| tile.tiles(side));
-    let mut change = vec![0i64; rows + 1];
-    for index in order.indices() {
-        let splat = &projected.splats[index as usize];
-        let (width, span) = (splat.tile_columns(tile).len() as i64, splat.tile_rows(tile));
-        change[span.start] += width;
-        change[span.end] -= width;
-    }
+    let entries = order.entries();
+    // Whole numbers, so how they are added up does not show.
+    let mut parts = vec![Vec::new(); if settings.parallel { entries.len().div_ceil(LOT).max(1) } else { 1 }];
+    let lot = entries.len().div_ceil(parts.len());
+    parallel::for_each(settings.parallel, &mut parts, |part, change: &mut Vec<i64>| {
+        change.resize(rows + 1, 0);
+        for &entry in entries.iter().skip(part * lot).take(lot) {
+            let splat = &projected.splats[entry as u32 as usize];
+            let (width, span) = (splat.tile_columns(tile).len() as i64, splat.tile_rows(tile));
+            change[span.start] += width;
+            change[span.end] -= width;
+        }
+    });
+    let change = |row: usize| parts.iter().map(|part| part[row]).sum::<i64>();
     out.clear();
     let (mut start, mut entries, mut row_entries) = (0, 0u64, 0i64);
-    for (row, change) in change[..rows].iter().enumerate() {
-        row_entries += change;
+    for row in 0..rows {
+        row_entries += change(row);
         let pixels = (row + 1 - start) * columns * tile.pixels().pow(2);
         let may_begin = row > start && row % tile.rows_per_cell() == 0;
         if may_begin && (entries + row_entries as u64 > BAND_ENTRIES || pixels > BAND_PIXELS) {
@@ -352,6 +362,7 @@ impl Row {
 mod tests {
     use super::super::REACH_MARGIN;
     use super::*;
+    use crate::stage::TileSide;
     use crate::stage::sort;
     use proptest::prelude::*;
 
@@ -368,7 +379,7 @@ mod tests {
         sort::sort(&projected.keys, false, &mut order);
         let mut all = Vec::new();
         let mut parts = Vec::new();
-        bands(&projected, &order, [columns, rows].map(|n| 16 * n), settings.tile, &mut parts);
+        bands(&projected, &order, [columns, rows].map(|n| 16 * n), settings, &mut parts);
         for band in &parts {
             bin(&projected, &order, band, columns, settings, &mut out);
             out.rows().iter().for_each(|row| all.extend((0..columns).map(|c| row.tile(c).to_vec())));
@@ -416,7 +427,7 @@ mod tests {
     #[test]
     fn lists_are_in_depth_order_over_pieces_and_bands() {
         // Enough full-image splats that the entries do not fit one band: 9000 · 64 · 64 > 2²⁴.
-        let n = 9000;
+        let n = 2 * LOT + 9000;
         let wide = splat([500.0, 500.0], [1e-4, 0.0, 1e-4], 1024);
         let exact = lists(vec![wide; n], 64, 64, true);
         let expected: Vec<u32> = (0..n as u32).collect();
@@ -439,13 +450,17 @@ mod tests {
 
     #[test]
     fn bands_are_whole_and_bounded() {
-        let n = 9000;
+        let n = 2 * LOT + 9000;
         let wide = splat([500.0, 500.0], [1e-4, 0.0, 1e-4], 1024);
         let projected = Projected { splats: vec![wide; n], keys: vec![1; n], ..Projected::default() };
         let mut order = Order::default();
         sort::sort(&projected.keys, false, &mut order);
         let mut parts = Vec::new();
-        bands(&projected, &order, [1024; 2], TileSide::Sixteen, &mut parts);
+        bands(&projected, &order, [1024; 2], &Settings::default(), &mut parts);
+        let mut serial = Vec::new();
+        let settings = Settings { parallel: false, ..Settings::default() };
+        bands(&projected, &order, [1024; 2], &settings, &mut serial);
+        assert_eq!(parts, serial);
         assert!(parts.len() > 1);
         assert_eq!((parts[0].start, parts.last().unwrap().end), (0, 64));
         assert!(parts.windows(2).all(|w| w[0].end == w[1].start && !w[0].is_empty()));
@@ -458,7 +473,8 @@ mod tests {
         let mut order = Order::default();
         sort::sort(&projected.keys, false, &mut order);
         let mut parts = Vec::new();
-        bands(&projected, &order, [1024, 1016], TileSide::Eight, &mut parts);
+        let settings = Settings { tile: TileSide::Eight, ..Settings::default() };
+        bands(&projected, &order, [1024, 1016], &settings, &mut parts);
         assert!(parts.len() > 1 && parts.iter().all(|band| band.start % 2 == 0), "{parts:?}");
         assert_eq!(parts.last().unwrap().end, 127);
     }

@@ -1,11 +1,13 @@
-//! Forward and backward of many worlds: world-frames per second, beside the adjoint of the CPU.
+//! Forward and backward of many worlds, through squared error and with `1 - SSIM` added: world-frames per
+//! second, beside the adjoint of the CPU.
 
 use std::time::Instant;
 
 use anyhow::Result;
-use render_host::adjoint::{SplatGradient, loss::Mse, render_and_gradients_into};
+use render_host::adjoint::loss::{Distortion, Loss, Mix, Mse};
+use render_host::adjoint::{SplatGradient, render_and_gradients_into};
 use render_host::counterfactual::{States, brute};
-use render_host::gpu::adjoint::{Engine, Kernels, Worlds};
+use render_host::gpu::adjoint::{Engine, Kernels, Objective, Worlds};
 use render_host::gpu::{Device, Scene, Stages, wgpu};
 use render_host::{Gradients, Settings, Splats, Workspace};
 
@@ -17,8 +19,13 @@ use crate::figures::{Bench, Figure, median};
 /// Worlds whose summed gradient is compared with the CPU's.
 const JUDGED: usize = 3;
 
+/// The losses, and what their keys add.
+const MIXES: [(Mix, &str); 2] = [(Mix::MSE, ""), (Mix::weighted(1.0), ".mse+ssim")];
+
 struct Case<'k> {
     name: String,
+    /// The loss of the CPU.
+    loss: Box<dyn Loss>,
     subject: Partial,
     stages: Stages,
     engine: Engine<'k>,
@@ -42,7 +49,10 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     let mut cases = Vec::new();
     for &side in sides {
         for (name, subject) in partials(n, side, context.quick)? {
-            cases.push(Case::new(device, &kernels, (name, subject), worlds)?);
+            for (mix, suffix) in MIXES {
+                let name = format!("{name}{suffix}");
+                cases.push(Case::new(device, &kernels, (name, subject.clone()), mix, worlds)?);
+            }
         }
     }
     for run in 0..=runs {
@@ -74,6 +84,7 @@ impl<'k> Case<'k> {
         device: &Device,
         kernels: &'k Kernels,
         (name, subject): (String, Partial),
+        mix: Mix,
         worlds: usize,
     ) -> Result<Self> {
         let settings = Settings::default();
@@ -81,8 +92,9 @@ impl<'k> Case<'k> {
         let mut stages = Stages::new(device)?;
         stages.prepare(device, &scene, &subject.camera, &settings)?;
         let tiles = stages.tiles()?;
+        let objective = Objective { target: &subject.against, mix };
         let engine =
-            Engine::with_tiles(device, kernels, scene, tiles, LATTICE.groups(), &subject.against, &settings)?;
+            Engine::with_tiles(device, kernels, scene, tiles, LATTICE.groups(), &objective, &settings)?;
         let batch =
             |count: usize| -> Result<_> { Ok((engine.worlds(&deliveries(count))?, count, Vec::new())) };
         Ok(Self {
@@ -91,6 +103,11 @@ impl<'k> Case<'k> {
             workspace: Workspace::new(),
             room: Gradients::default(),
             name,
+            loss: if mix == Mix::MSE {
+                Box::new(Mse::new(subject.against.clone()))
+            } else {
+                Box::new(Distortion::weighted(subject.against.clone(), mix.structure))
+            },
             subject,
             stages,
             engine,
@@ -99,7 +116,7 @@ impl<'k> Case<'k> {
 
     fn measure(&mut self, context: &Context) -> Result<()> {
         let (device, settings) = (&context.device, Settings::default());
-        let Self { subject, stages, engine, batches, cpu, workspace, room, .. } = self;
+        let Self { subject, loss, stages, engine, batches, cpu, workspace, room, .. } = self;
         for (worlds, count, seconds) in batches {
             // Steps in a train without waiting.
             let train = if context.is_cpu { 1 } else { 4 + 60 / *count };
@@ -117,9 +134,8 @@ impl<'k> Case<'k> {
             device.wait()?;
             seconds.push(start.elapsed().as_secs_f64() / train as f64);
         }
-        let loss = Mse::new(subject.against.clone());
         let start = Instant::now();
-        render_and_gradients_into(workspace, &subject.splats(), &subject.camera, &settings, &loss, room)?;
+        render_and_gradients_into(workspace, &subject.splats(), &subject.camera, &settings, &**loss, room)?;
         cpu.push(start.elapsed().as_secs_f64());
         Ok(())
     }
@@ -136,8 +152,7 @@ impl<'k> Case<'k> {
         let mut expected = vec![[0.0f64; 16]; subject.gaussians.len()];
         let mut loss_error = 0.0f64;
         for (world, &found) in got.loss.iter().enumerate() {
-            let loss = Mse::new(subject.against.clone());
-            let alone = alone(subject, &states, world, &settings, &loss)?;
+            let alone = alone(subject, &states, world, &settings, &*self.loss)?;
             loss_error = loss_error.max((found / alone.loss - 1.0).abs());
             let held = subject.groups.iter().enumerate().filter(|(_, g)| states.has(world, **g as usize));
             for ((i, _), gradient) in held.zip(&alone.splats) {
@@ -167,7 +182,7 @@ fn alone(
     states: &States,
     world: usize,
     settings: &Settings,
-    loss: &Mse,
+    loss: &dyn Loss,
 ) -> Result<Gradients> {
     let (gaussians, _) = brute::world(&subject.variants()?, states, world);
     let mut out = Gradients::default();

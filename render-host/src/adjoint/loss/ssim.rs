@@ -23,7 +23,10 @@ use super::Loss;
 use crate::image::{Image, ImageError, same_size};
 use crate::metric::ssim::{Windows, similarity};
 use crate::parallel;
-use sweep::{MARGIN, MIDDLE, Room, Strip, Sweep};
+#[cfg(feature = "gpu")]
+pub(crate) use sweep::FARTHEST;
+pub(crate) use sweep::MIDDLE;
+use sweep::{MARGIN, Room, Strip, Sweep};
 
 mod sweep;
 
@@ -138,6 +141,40 @@ impl Dissimilarity {
     fn centres(&self) -> Range<usize> {
         let radius = self.windows.down.len() / 2;
         radius..radius + self.windows.rows
+    }
+}
+
+/// What the device's twin is told.
+#[cfg(feature = "gpu")]
+impl Dissimilarity {
+    pub(crate) fn windows(&self) -> &Windows {
+        &self.windows
+    }
+
+    /// Along and down, by distance from the middle, 0 beyond the window.
+    pub(crate) fn weights(&self) -> [&[f32; MIDDLE + 1]; 2] {
+        [&self.along, &self.down]
+    }
+
+    /// Columns and rows on which a window can be centred.
+    pub(crate) fn columns_and_rows(&self) -> [Range<usize>; 2] {
+        let radius = self.windows.along.len() / 2;
+        [radius..radius + self.windows.columns, self.centres()]
+    }
+
+    /// Mean less ½ and variance of the target around each pixel: three planes, row by row; 0 where no
+    /// window can be centred.
+    pub(crate) fn target_planes(&self) -> Vec<[f32; 2]> {
+        let (width, height) = (self.target.width() as usize, self.target.height() as usize);
+        let padded = self.mask.len();
+        let mut out = Vec::with_capacity(3 * width * height);
+        for channel in 0..3 {
+            for row in 0..height {
+                let first = row * padded + channel;
+                out.extend((0..width).map(|x| first + 3 * x).map(|at| [self.mean[at], self.variance[at]]));
+            }
+        }
+        out
     }
 }
 

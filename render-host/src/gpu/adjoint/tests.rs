@@ -4,7 +4,8 @@ use super::super::Stages;
 use super::super::case::{Case, device};
 use super::*;
 use crate::Workspace;
-use crate::adjoint::{loss::Mse, render_and_gradients};
+use crate::adjoint::loss::{Dissimilarity, Distortion, Loss, Mse};
+use crate::adjoint::render_and_gradients;
 use crate::counterfactual::brute;
 use crate::splats::Splats;
 use std::sync::OnceLock;
@@ -14,8 +15,22 @@ fn kernels(device: &Device) -> &'static Kernels {
     KERNELS.get_or_init(|| Kernels::new(device).unwrap())
 }
 
-fn engine(device: &Device, case: &Case, settings: &Settings) -> Engine<'static> {
-    Engine::new(device, kernels(device), &case.variants(), &case.camera, &case.against, settings).unwrap()
+fn engine(device: &Device, case: &Case, mix: Mix, settings: &Settings) -> Engine<'static> {
+    let objective = Objective { target: &case.against, mix };
+    Engine::new(device, kernels(device), &case.variants(), &case.camera, &objective, settings).unwrap()
+}
+
+/// The loss of the CPU.
+fn loss(case: &Case, mix: Mix) -> Box<dyn Loss> {
+    let target = case.against.clone();
+    match mix {
+        Mix::MSE => Box::new(Mse::new(target)),
+        Mix::STRUCTURE => Box::new(Dissimilarity::new(target)),
+        Mix { mse, structure } => {
+            assert_eq!(mse, 1.0);
+            Box::new(Distortion::weighted(target, structure))
+        }
+    }
 }
 
 /// Fields of a Gaussian's gradient, by name.
@@ -60,7 +75,7 @@ fn six(pose: &Pose) -> [f64; 6] {
     [a, b, c, d, e, f]
 }
 
-fn twin(case: &Case, states: &States, settings: &Settings) -> Twin {
+fn twin(case: &Case, states: &States, mix: Mix, settings: &Settings) -> Twin {
     let (n, each) = (case.gaussians.len(), case.degree.rest_len());
     let mut out = Twin {
         loss: Vec::new(),
@@ -72,9 +87,9 @@ fn twin(case: &Case, states: &States, settings: &Settings) -> Twin {
     for world in 0..states.len() {
         let (gaussians, rest) = brute::world(&case.variants(), states, world);
         let splats = Splats::new(&gaussians, &rest, case.degree).unwrap();
-        let loss = Mse::new(case.against.clone());
+        let loss = loss(case, mix);
         let found =
-            render_and_gradients(&mut Workspace::new(), &splats, &case.camera, settings, &loss).unwrap();
+            render_and_gradients(&mut Workspace::new(), &splats, &case.camera, settings, &*loss).unwrap();
         out.loss.push(found.loss);
         (0..3).for_each(|c| out.background[c] += found.background[c]);
         out.pose.iter_mut().zip(six(&found.pose)).for_each(|(sum, v)| *sum += v);
@@ -93,14 +108,19 @@ fn twin(case: &Case, states: &States, settings: &Settings) -> Twin {
 }
 
 fn compare(name: &str, case: &Case, worlds: usize, settings: &Settings) {
-    let Some(device) = device() else { return };
-    let states = if worlds == 0 { States::full(case.groups) } else { case.states(worlds, 3) };
-    let got = engine(device, case, settings).gradients(&states).unwrap();
-    judge(name, case, &states, settings, &got);
+    compare_mix(name, case, worlds, Mix::MSE, settings);
 }
 
-fn judge(name: &str, case: &Case, states: &States, settings: &Settings, got: &Gradients) {
-    let expected = twin(case, states, settings);
+fn compare_mix(name: &str, case: &Case, worlds: usize, mix: Mix, settings: &Settings) {
+    let Some(device) = device() else { return };
+    let states = if worlds == 0 { States::full(case.groups) } else { case.states(worlds, 3) };
+    let got = engine(device, case, mix, settings).gradients(&states).unwrap();
+    judge(name, case, &states, mix, settings, &got);
+}
+
+fn judge(name: &str, case: &Case, states: &States, mix: Mix, settings: &Settings, got: &Gradients) {
+    let expected = twin(case, states, mix, settings);
+    assert_eq!(got.loss.len(), expected.loss.len());
     for (a, b) in got.loss.iter().zip(&expected.loss) {
         assert!((a / b - 1.0).abs() < 1e-5, "{name}: loss {a} {b}");
     }
@@ -143,9 +163,9 @@ fn gradients_of_opaque_crowds_are_those_of_the_cpu() {
 fn a_wrong_gradient_is_seen() {
     let Some(device) = device() else { return };
     let mut case = Case::new(60, 1, 5, [40, 30], 8);
-    let got = engine(device, &case, &settings()).gradients(&States::full(5)).unwrap();
+    let got = engine(device, &case, Mix::MSE, &settings()).gradients(&States::full(5)).unwrap();
     case.gaussians.iter_mut().for_each(|g| g.opacity *= 0.99);
-    let expected = twin(&case, &States::full(5), &settings());
+    let expected = twin(&case, &States::full(5), Mix::MSE, &settings());
     for (k, field) in FIELDS.iter().enumerate() {
         let values: Vec<f32> = got.splats.iter().flat_map(|g| fields(g)[k].clone()).collect();
         let [l2, worst] = distance(&values, &expected.fields[k]);
@@ -163,6 +183,10 @@ fn gradients_of_harmonics_are_those_of_the_cpu() {
 /// Lists made on the device, without a word to the host between camera and gradients.
 #[test]
 fn gradients_from_lists_of_the_device_are_those_of_the_cpu() {
+    [Mix::MSE, Mix::DISTORTION].into_iter().for_each(from_lists_of_the_device);
+}
+
+fn from_lists_of_the_device(mix: Mix) {
     let Some(device) = device() else { return };
     let (case, settings) = (Case::new(700, 1, 27, [61, 47], 6), settings());
     let states = case.states(3, 2);
@@ -170,8 +194,9 @@ fn gradients_from_lists_of_the_device_are_those_of_the_cpu() {
     let scene = Scene::with_groups(device, &case.splats(), &case.ids).unwrap();
     stages.prepare(device, &scene, &case.camera, &settings).unwrap();
     let tiles = stages.tiles().unwrap();
+    let objective = Objective { target: &case.against, mix };
     let engine =
-        Engine::with_tiles(device, kernels(device), scene, tiles, case.groups, &case.against, &settings);
+        Engine::with_tiles(device, kernels(device), scene, tiles, case.groups, &objective, &settings);
     let engine = engine.unwrap();
     let worlds = engine.worlds(&states).unwrap();
     let once = || {
@@ -182,11 +207,53 @@ fn gradients_from_lists_of_the_device_are_those_of_the_cpu() {
         engine.read(&worlds).unwrap()
     };
     let got = once();
-    judge("lists of the device", &case, &states, &settings, &got);
+    judge("lists of the device", &case, &states, mix, &settings, &got);
     assert_eq!(once(), got, "every run equals the first");
 }
 
 #[test]
 fn gradients_add_up_over_worlds() {
     compare("9 worlds", &Case::new(600, 1, 27, [45, 33], 4), 9, &settings());
+}
+
+#[test]
+fn gradients_of_similarity_are_those_of_the_cpu() {
+    let case = |size, seed| Case::new(700, 1, 27, size, seed);
+    compare_mix("distortion", &case([75, 53], 1), 0, Mix::DISTORTION, &settings());
+    compare_mix("1 - ssim", &case([61, 47], 2), 0, Mix::STRUCTURE, &settings());
+    compare_mix("9 worlds of equal weight", &case([45, 33], 3), 9, Mix::weighted(1.0), &settings());
+    compare_mix("a picture below the window", &case([9, 40], 4), 2, Mix::DISTORTION, &settings());
+    let mut crowd = Case::new(5000, 0, 27, [25, 20], 7);
+    crowd.gaussians.iter_mut().for_each(|g| g.opacity = g.opacity.sqrt());
+    compare_mix("opaque crowd", &crowd, 5, Mix::DISTORTION, &settings());
+    let endless = Settings { early_stop: false, ..settings() };
+    compare_mix("crowd without stop", &crowd, 0, Mix::DISTORTION, &endless);
+}
+
+/// How many worlds are kept at a time is a matter of memory alone.
+#[test]
+fn worlds_in_chunks_give_the_same_bits() {
+    let Some(device) = device() else { return };
+    let case = Case::new(600, 0, 27, [45, 33], 4);
+    let states = case.states(11, 5);
+    let mut engine = engine(device, &case, Mix::DISTORTION, &settings());
+    let together = engine.gradients(&states).unwrap();
+    engine.kept = 1;
+    assert!(engine.gradients(&states).unwrap() == together);
+}
+
+/// Given pixel gradients of squared error, the way back alone is what the way in one does.
+#[test]
+fn both_ways_of_squared_error_agree() {
+    let Some(device) = device() else { return };
+    let case = Case::new(600, 1, 27, [45, 33], 4);
+    let states = case.states(6, 5);
+    let mut engine = engine(device, &case, Mix::MSE, &settings());
+    let at_once = engine.gradients(&states).unwrap();
+    engine.structure = Some(Structure::new(device, &case.against, Mix::MSE).unwrap());
+    let kept = engine.gradients(&states).unwrap();
+    for (a, b) in kept.loss.iter().zip(&at_once.loss) {
+        assert!((a / b - 1.0).abs() < 1e-6, "{a} {b}");
+    }
+    assert!(kept.splats == at_once.splats, "same pixel gradients, same sums");
 }

@@ -11,9 +11,9 @@ use crate::metric::ssim::{C1, C2, WINDOW};
 /// Values worked on at a time, and zeros on either side of a row that is filtered along.
 pub(super) const MARGIN: usize = 16;
 /// Pixels from the middle of a window to its end.
-pub(super) const MIDDLE: usize = WINDOW / 2;
+pub(crate) const MIDDLE: usize = WINDOW / 2;
 /// Largest difference that counts.
-const FARTHEST: f32 = 1e6;
+pub(crate) const FARTHEST: f32 = 1e6;
 /// Filtered quantities: three moments, then three slopes.
 const KINDS: usize = 3;
 
