@@ -40,6 +40,8 @@ pub struct Lanes<'a> {
     pub state: [u32; LANES],
     /// Values left before the tail.
     pub main: usize,
+    /// Values left in the tail, which takes no words.
+    pub tail: usize,
 }
 
 impl<'a> Decoder<'a> {
@@ -171,13 +173,28 @@ impl<'a> Decoder<'a> {
     #[inline]
     fn complete(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
         self.raw.values(raw_bits, tokens, out)?;
+        self.escapes(raw_bits, tokens, out)
+    }
+
+    #[inline]
+    fn escapes(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
         // Over all tokens, so that it is done many at a time.
-        let escaped = tokens.iter().fold(false, |any, &t| any | (t == ESCAPE));
-        if escaped { self.escape(raw_bits, tokens, out) } else { Ok(()) }
+        if has_escape(tokens) { self.escape(raw_bits, tokens, out) } else { Ok(()) }
     }
 
     #[cold]
     fn escape(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
+        // Few tokens are escapes: most stretches of some hold none.
+        const SOME: usize = 64;
+        for (tokens, out) in tokens.chunks(SOME).zip(out.chunks_mut(SOME)) {
+            if has_escape(tokens) {
+                self.replace(raw_bits, tokens, out)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn replace(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
         let empty = (i16::from(ESCAPE) - 128) << raw_bits;
         for (_, value) in tokens.iter().zip(out).filter(|(token, _)| **token == ESCAPE) {
             if *value != empty {
@@ -196,33 +213,42 @@ impl<'a> Decoder<'a> {
 
     /// Where the decoder stands, for one that takes several packets at once.
     pub fn lanes(&self) -> Lanes<'a> {
-        Lanes { bytes: self.body, words: self.words, state: self.state, main: self.main }
+        Lanes { bytes: self.body, words: self.words, state: self.state, main: self.main, tail: self.tail }
     }
 
     /// Takes over from a decoder of several packets that popped the tokens of `values` values,
-    /// whole groups of four, outside the tail: `state` and `words` as it left them. Those tokens
-    /// then go through [`Decoder::values`].
+    /// whole groups of four: `state` and `words` as it left them. Those tokens then go through
+    /// [`Decoder::values_by`].
     ///
     /// # Errors
     /// [`ErrorKind::Short`](crate::ErrorKind::Short) if it took more values or words than there are.
     pub fn resume(&mut self, state: [u32; LANES], words: usize, values: usize) -> Result<()> {
-        let Some(main) = self.main.checked_sub(values) else {
-            return Err(Error::short("body.values", 0, self.main, values));
+        let main = self.main.min(values);
+        let Some(tail) = self.tail.checked_sub(values - main) else {
+            return Err(Error::short("body.values", 0, self.main + self.tail, values));
         };
-        (self.state, self.words, self.main) = (state, words, main);
+        (self.state, self.words, self.main, self.tail) = (state, words, self.main - main, tail);
         if words > self.escapes {
             return Err(Error::short("body.words", 0, self.escapes, self.escapes + 2));
         }
         Ok(())
     }
 
-    /// Values of tokens that another decoder popped, all with the same `raw_bits`.
+    /// Values of tokens that another decoder popped, all with the same `raw_bits`; the first of
+    /// them by `wide`, as [`Raw::values_by`] says.
     ///
     /// # Errors
     /// As [`Decoder::run`].
     #[inline]
-    pub fn values(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
-        self.complete(raw_bits, tokens, out)
+    pub fn values_by(
+        &mut self,
+        raw_bits: u8,
+        tokens: &[u8],
+        out: &mut [i16],
+        wide: impl FnOnce(&[u8], usize, &[u8], &mut [i16]) -> usize,
+    ) -> Result<()> {
+        self.raw.values_by(raw_bits, tokens, out, wide)?;
+        self.escapes(raw_bits, tokens, out)
     }
 
     /// Accepts the body if it is used up and every lane ends where an encoder begins.
@@ -248,4 +274,8 @@ impl<'a> Decoder<'a> {
         }
         Ok(())
     }
+}
+
+fn has_escape(tokens: &[u8]) -> bool {
+    tokens.iter().fold(false, |any, &token| any | (token == ESCAPE))
 }

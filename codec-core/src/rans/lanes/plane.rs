@@ -2,17 +2,6 @@
 
 use crate::error::{Error, Result};
 
-/// `bits` ≤ 32 bits from bit `at` of `plane`, low bits first; `None` if they are not there.
-pub(super) fn bits(plane: &[u8], at: usize, bits: u32) -> Option<u32> {
-    let mut value = 0u64;
-    let first = at / 8;
-    let last = (at + bits as usize).div_ceil(8);
-    for (i, &byte) in plane.get(first..last)?.iter().enumerate() {
-        value |= u64::from(byte) << (8 * i);
-    }
-    Some(((value >> (at % 8)) & ((1u64 << bits) - 1)) as u32)
-}
-
 /// A reader of the raw bits of one body.
 #[derive(Clone, Copy, Debug)]
 pub struct Raw<'a> {
@@ -61,6 +50,28 @@ impl<'a> Raw<'a> {
             _ => self.fixed::<8>(tokens, out),
         };
         whole.ok_or(Error::short("body.raw", 0, self.plane.len(), self.at.div_ceil(8) + 8))
+    }
+
+    /// As [`Raw::values`], the first of them by `wide`: it is given the plane from the byte of the
+    /// next raw bit on, how many bits of that byte are read, `tokens` and `out`, and returns how
+    /// many values it has written.
+    ///
+    /// # Errors
+    /// As [`Raw::values`].
+    pub fn values_by(
+        &mut self,
+        raw_bits: u8,
+        tokens: &[u8],
+        out: &mut [i16],
+        wide: impl FnOnce(&[u8], usize, &[u8], &mut [i16]) -> usize,
+    ) -> Result<()> {
+        let mut done = 0;
+        if self.end - self.at >= tokens.len() * usize::from(raw_bits) {
+            let plane = self.plane.get(self.at / 8..).unwrap_or(&[]);
+            done = wide(plane, self.at % 8, tokens, out).min(tokens.len()).min(out.len());
+            self.at += done * usize::from(raw_bits);
+        }
+        self.values(raw_bits, tokens.get(done..).unwrap_or(&[]), out.get_mut(done..).unwrap_or(&mut []))
     }
 
     #[inline]
