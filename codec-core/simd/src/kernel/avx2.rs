@@ -24,7 +24,7 @@ const VECTORS: usize = PACKETS / 2;
 /// # Safety
 /// Every lane of `at` is below the number of slots.
 #[inline]
-#[target_feature(enable = "avx2")]
+#[target_feature(enable = "avx2,popcnt")]
 pub(super) unsafe fn look_up(slots: *const i32, at: __m256i) -> __m256i {
     let four = |at: __m128i| {
         let (a, b) = (_mm_cvtsi128_si64(at) as u64, _mm_extract_epi64::<1>(at) as u64);
@@ -43,23 +43,22 @@ pub(super) unsafe fn look_up(slots: *const i32, at: __m256i) -> __m256i {
 struct Popped {
     /// Slots found, the token in the low byte of each.
     found: __m256i,
-    /// Of each lane, [`WORD`] times the words that this and lower lanes of its packet took.
-    taken: __m256i,
+    /// Lanes that took a word, a bit each.
+    taken: u32,
 }
 
-/// Pops a token off every lane of `x` and refills from `window`, eight words of each packet.
-/// `from` is [`FIRST_WORD`] and [`WORD`] times the words of the window that are used up.
+/// Pops a token off every lane of `x`; a lane that is then below `low` takes the next word of its
+/// packet's `window`.
 ///
 /// # Safety
 /// `base` is a base as [`Lockstep`] has it.
 #[inline]
-#[target_feature(enable = "avx2")]
+#[target_feature(enable = "avx2,popcnt")]
 unsafe fn pop(
     slots: *const i32,
     base: __m256i,
     low: __m256i,
     window: __m256i,
-    from: __m256i,
     x: &mut __m256i,
 ) -> Popped {
     let slot = _mm256_and_si256(*x, _mm256_set1_epi32(SCALE as i32 - 1));
@@ -69,20 +68,21 @@ unsafe fn pop(
     let bias = _mm256_and_si256(_mm256_srli_epi32::<8>(found), _mm256_set1_epi32(0xfff));
     let below = _mm256_add_epi32(_mm256_mullo_epi32(_mm256_srli_epi32::<20>(found), quotient), bias);
     let refill = _mm256_cmpgt_epi32(low, below);
+    // `WORD` times the words that this and lower lanes of the packet take.
     let one = _mm256_and_si256(refill, _mm256_set1_epi32(WORD));
     let two = _mm256_add_epi32(one, _mm256_bslli_epi128::<4>(one));
-    let taken = _mm256_add_epi32(two, _mm256_bslli_epi128::<8>(two));
-    let fresh = _mm256_shuffle_epi8(window, _mm256_add_epi32(taken, from));
+    let rank = _mm256_add_epi32(two, _mm256_bslli_epi128::<8>(two));
+    let fresh = _mm256_shuffle_epi8(window, _mm256_add_epi32(rank, _mm256_set1_epi32(FIRST_WORD)));
     let refilled = _mm256_or_si256(_mm256_slli_epi32::<16>(below), fresh);
     *x = _mm256_blendv_epi8(below, refilled, refill);
-    Popped { found, taken }
+    Popped { found, taken: _mm256_movemask_ps(_mm256_castsi256_ps(refill)) as u32 }
 }
 
 /// As [`super::Vectors::run`], which brings the arguments into their ranges.
 ///
 /// # Safety
-/// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine has AVX2.
-#[target_feature(enable = "avx2")]
+/// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine has AVX2 and POPCNT.
+#[target_feature(enable = "avx2,popcnt")]
 pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: usize, lockstep: &mut Lockstep) {
     let Lockstep { state, base, left, words, tokens, bytes } = lockstep;
     let slots = slots.as_ptr().cast::<i32>();
@@ -101,8 +101,7 @@ pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: u
         next[p] = unsafe { bytes[p].as_ptr().add(words[p]) };
     }
     let low = _mm256_set1_epi32(LOW as i32);
-    let start = _mm256_set1_epi32(FIRST_WORD);
-    // The next eight words of both packets.
+    // The next words of both packets: four are enough.
     let window = |next: &[*const u8; PACKETS], v: usize| {
         // SAFETY: a call of at most `MOST_STEPS` steps moves at most 8 bytes a step, and the buffer
         // is `8 · MOST_STEPS + 16` longer than the largest offset it starts at.
@@ -111,10 +110,9 @@ pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: u
             _mm256_inserti128_si256::<1>(first, _mm_loadu_si128(next[2 * v + 1].cast()))
         }
     };
-    // The last lane's count is the packet's; its low byte is in bytes.
-    let advance = |next: &mut [*const u8; PACKETS], v: usize, taken: __m256i| {
-        let first = _mm_extract_epi8::<12>(_mm256_castsi256_si128(taken)) as usize;
-        let second = _mm_extract_epi8::<12>(_mm256_extracti128_si256::<1>(taken)) as usize;
+    let advance = |next: &mut [*const u8; PACKETS], v: usize, taken: u32| {
+        let first = 2 * (taken & 15).count_ones() as usize;
+        let second = 2 * (taken >> 4).count_ones() as usize;
         // SAFETY: as above.
         unsafe {
             next[2 * v] = next[2 * v].add(first);
@@ -136,22 +134,17 @@ pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: u
     while step + 4 <= to {
         let (mut first, mut second) = (zeros, zeros);
         both!(pair of first, second {
-        let (mut words, mut taken) = (zeros, zeros);
         each!(V {
-            words[V] = window(&next, V);
             // SAFETY: bases are in their range.
-            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), words[V], start, &mut x[V]) };
-            (pair[V], taken[V]) = (popped.found, _mm256_shuffle_epi32::<0xff>(popped.taken));
+            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+            advance(&mut next, V, popped.taken);
+            pair[V] = _mm256_and_si256(popped.found, _mm256_set1_epi32(0xff));
         });
         each!(V {
-            let from = _mm256_add_epi32(taken[V], start);
             // SAFETY: bases are in their range.
-            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), words[V], from, &mut x[V]) };
-            let token = _mm256_set1_epi32(0xff);
-            let (first, second) =
-                (_mm256_and_si256(pair[V], token), _mm256_and_si256(popped.found, token));
-            pair[V] = _mm256_packus_epi32(first, second);
-            advance(&mut next, V, _mm256_add_epi32(popped.taken, taken[V]));
+            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+            advance(&mut next, V, popped.taken);
+            pair[V] = _mm256_packus_epi32(pair[V], _mm256_and_si256(popped.found, _mm256_set1_epi32(0xff)));
         });
         });
         each!(V {
@@ -169,7 +162,7 @@ pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: u
         each!(V {
             // SAFETY: bases are in their range.
             let popped =
-                unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), start, &mut x[V]) };
+                unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
             advance(&mut next, V, popped.taken);
             let found = _mm256_and_si256(popped.found, _mm256_set1_epi32(0xff));
             let bytes = _mm256_packus_epi16(_mm256_packus_epi32(found, found), found);

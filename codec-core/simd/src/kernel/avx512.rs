@@ -22,23 +22,22 @@ const VECTORS: usize = PACKETS / 4;
 struct Popped {
     /// Slots found, the token in the low byte of each.
     found: __m512i,
-    /// Of each lane, [`WORD`] times the words that this and lower lanes of its packet took.
-    taken: __m512i,
+    /// Lanes that took a word, a bit each.
+    taken: u16,
 }
 
-/// Pops a token off every lane of `x` and refills from `window`, eight words of each packet.
-/// `from` is [`FIRST_WORD`] and [`WORD`] times the words of the window that are used up.
+/// Pops a token off every lane of `x`; a lane that is then below `low` takes the next word of its
+/// packet's `window`.
 ///
 /// # Safety
 /// `base` is a base as [`Lockstep`] has it.
 #[inline]
-#[target_feature(enable = "avx2,avx512f,avx512bw,avx512dq,avx512vl")]
+#[target_feature(enable = "avx2,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 unsafe fn pop(
     slots: *const i32,
     base: __m512i,
     low: __m512i,
     window: __m512i,
-    from: __m512i,
     x: &mut __m512i,
 ) -> Popped {
     let slot = _mm512_and_si512(*x, _mm512_set1_epi32(SCALE as i32 - 1));
@@ -54,20 +53,21 @@ unsafe fn pop(
     let bias = _mm512_and_si512(_mm512_srli_epi32::<8>(found), _mm512_set1_epi32(0xfff));
     let below = _mm512_add_epi32(_mm512_mullo_epi32(_mm512_srli_epi32::<20>(found), quotient), bias);
     let refill = _mm512_cmplt_epi32_mask(below, low);
+    // `WORD` times the words that this and lower lanes of the packet take.
     let one = _mm512_maskz_mov_epi32(refill, _mm512_set1_epi32(WORD));
     let two = _mm512_add_epi32(one, _mm512_bslli_epi128::<4>(one));
-    let taken = _mm512_add_epi32(two, _mm512_bslli_epi128::<8>(two));
-    let fresh = _mm512_shuffle_epi8(window, _mm512_add_epi32(taken, from));
+    let rank = _mm512_add_epi32(two, _mm512_bslli_epi128::<8>(two));
+    let fresh = _mm512_shuffle_epi8(window, _mm512_add_epi32(rank, _mm512_set1_epi32(FIRST_WORD)));
     *x = _mm512_mask_or_epi32(below, refill, _mm512_slli_epi32::<16>(below), fresh);
-    Popped { found, taken }
+    Popped { found, taken: refill }
 }
 
 /// As [`super::Vectors::run`], which brings the arguments into their ranges.
 ///
 /// # Safety
-/// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine has AVX-512 F, BW,
-/// DQ and VL.
-#[target_feature(enable = "avx2,avx512f,avx512bw,avx512dq,avx512vl")]
+/// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine has AVX2, POPCNT and AVX-512 F,
+/// BW, DQ and VL.
+#[target_feature(enable = "avx2,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: usize, lockstep: &mut Lockstep) {
     let Lockstep { state, base, left, words, tokens, bytes } = lockstep;
     let slots = slots.as_ptr().cast::<i32>();
@@ -86,8 +86,7 @@ pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: u
         next[p] = unsafe { bytes[p].as_ptr().add(words[p]) };
     }
     let low = _mm512_set1_epi32(LOW as i32);
-    let start = _mm512_set1_epi32(FIRST_WORD);
-    // The next eight words of the four packets.
+    // The next words of the four packets: four are enough.
     let window = |next: &[*const u8; PACKETS], v: usize| {
         // SAFETY: a call of at most `MOST_STEPS` steps moves at most 8 bytes a step, and the buffer
         // is `8 · MOST_STEPS + 16` longer than the largest offset it starts at.
@@ -96,14 +95,11 @@ pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: u
         let high = _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(of(2)), of(3));
         _mm512_inserti64x4::<1>(_mm512_castsi256_si512(low), high)
     };
-    // The last lane's count is the packet's; its low byte is in bytes.
-    let advance = |next: &mut [*const u8; PACKETS], v: usize, taken: __m512i| {
-        // Counts of lanes 3, 7, 11 and 15, two bytes apart each.
-        let counts = _mm512_cvtepi64_epi16(_mm512_srli_epi64::<32>(taken));
-        let counts = [_mm_extract_epi8::<2>(counts), _mm_extract_epi8::<6>(counts), _mm_extract_epi8::<10>(counts), _mm_extract_epi8::<14>(counts)];
+    let advance = |next: &mut [*const u8; PACKETS], v: usize, taken: u16| {
         for p in 0..4 {
+            let words = (taken >> (4 * p) & 15).count_ones() as usize;
             // SAFETY: as above.
-            next[4 * v + p] = unsafe { next[4 * v + p].add(counts[p] as usize) };
+            next[4 * v + p] = unsafe { next[4 * v + p].add(2 * words) };
         }
     };
 
@@ -121,22 +117,17 @@ pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: u
     while step + 4 <= to {
         let (mut first, mut second) = (zeros, zeros);
         both!(pair of first, second {
-        let (mut words, mut taken) = (zeros, zeros);
         each!(V {
-            words[V] = window(&next, V);
             // SAFETY: bases are in their range.
-            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), words[V], start, &mut x[V]) };
-            (pair[V], taken[V]) = (popped.found, _mm512_shuffle_epi32::<0xff>(popped.taken));
+            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+            advance(&mut next, V, popped.taken);
+            pair[V] = _mm512_and_si512(popped.found, _mm512_set1_epi32(0xff));
         });
         each!(V {
-            let from = _mm512_add_epi32(taken[V], start);
             // SAFETY: bases are in their range.
-            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), words[V], from, &mut x[V]) };
-            let token = _mm512_set1_epi32(0xff);
-            let (first, second) =
-                (_mm512_and_si512(pair[V], token), _mm512_and_si512(popped.found, token));
-            pair[V] = _mm512_packus_epi32(first, second);
-            advance(&mut next, V, _mm512_add_epi32(popped.taken, taken[V]));
+            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+            advance(&mut next, V, popped.taken);
+            pair[V] = _mm512_packus_epi32(pair[V], _mm512_and_si512(popped.found, _mm512_set1_epi32(0xff)));
         });
         });
         each!(V {
@@ -156,7 +147,7 @@ pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: u
         each!(V {
             // SAFETY: bases are in their range.
             let popped =
-                unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), start, &mut x[V]) };
+                unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
             advance(&mut next, V, popped.taken);
             let mut bytes = [0u8; 16];
             // SAFETY: 16 bytes for 16 tokens.
