@@ -109,17 +109,18 @@ impl<'a> Decoder<'a> {
         let mut rest = self.body.get(self.words..)?;
         let mut quads = out.chunks_exact_mut(LANES);
         for quad in &mut quads {
-            let mut window = u64::from_le_bytes(*rest.first_chunk::<8>()?);
+            let (words, _) = rest.first_chunk::<8>()?.as_chunks::<2>();
+            let words = words.first_chunk::<LANES>()?;
             let mut used = 0;
             for (value, x) in quad.iter_mut().zip(&mut state) {
                 let (token, below) = table.pop(*x);
                 *value = token;
                 let refill = below < LOW;
-                *x = select_unpredictable(refill, below << 16 | (window as u32 & 0xffff), below);
-                window = select_unpredictable(refill, window >> 16, window);
-                used += 2 * usize::from(refill);
+                let word = u32::from(u16::from_le_bytes(words[used % LANES]));
+                *x = select_unpredictable(refill, below << 16 | word, below);
+                used += usize::from(refill);
             }
-            rest = rest.get(used..)?;
+            rest = rest.get(2 * used..)?;
         }
         self.state = state;
         self.words = self.body.len() - rest.len();
