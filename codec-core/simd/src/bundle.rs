@@ -173,7 +173,8 @@ pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]
             {
                 let tokens = lockstep.tokens[p].get(LANES * seat.from..LANES * at).unwrap_or(&[]);
                 seat.from = if full { 0 } else { at };
-                let result = seat.advance(vectors, tables, lockstep.state[p], lockstep.words[p], tokens, job.out);
+                let result =
+                    seat.advance(vectors, tables, lockstep.state[p], lockstep.words[p], tokens, job.out);
                 if result.is_err() {
                     *place = None;
                     settle(tables, result, job);
@@ -227,7 +228,8 @@ fn renew<'a>(
                         (lockstep.words[p], lockstep.state[p]) = (0, lanes.state);
                         seat.plain = lanes.main / LANES;
                         // The tail may begin within a group.
-                        lockstep.left[p] = core::array::from_fn(|lane| ((lanes.main + 3 - lane) / LANES) as u32);
+                        lockstep.left[p] =
+                            core::array::from_fn(|lane| ((lanes.main + 3 - lane) / LANES) as u32);
                     }
                     None => job.result = decode_alone(tables, job),
                 }

@@ -119,5 +119,19 @@ impl<'a> Parts<'a> {
     }
 }
 
+/// `state` when its first `by` lanes, modulo [`LANES`], have gone to the end; by moves between
+/// registers, where a slice's rotation takes a buffer on the stack.
+const fn turned(mut state: [u32; LANES], by: usize) -> [u32; LANES] {
+    if by & 1 != 0 {
+        let [a, b, c, d] = state;
+        state = [b, c, d, a];
+    }
+    if by & 2 != 0 {
+        let [a, b, c, d] = state;
+        state = [c, d, a, b];
+    }
+    state
+}
+
 #[cfg(test)]
 mod tests;

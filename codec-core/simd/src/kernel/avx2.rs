@@ -54,13 +54,7 @@ struct Popped {
 /// `base` is a base as [`Lockstep`] has it.
 #[inline]
 #[target_feature(enable = "avx2,popcnt")]
-unsafe fn pop(
-    slots: *const i32,
-    base: __m256i,
-    low: __m256i,
-    window: __m256i,
-    x: &mut __m256i,
-) -> Popped {
+unsafe fn pop(slots: *const i32, base: __m256i, low: __m256i, window: __m256i, x: &mut __m256i) -> Popped {
     let slot = _mm256_and_si256(*x, _mm256_set1_epi32(SCALE as i32 - 1));
     // SAFETY: a base is at most that of the last table, and a slot below the table's length.
     let found = unsafe { look_up(slots, _mm256_add_epi32(slot, base)) };
@@ -83,7 +77,12 @@ unsafe fn pop(
 /// # Safety
 /// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine has AVX2 and POPCNT.
 #[target_feature(enable = "avx2,popcnt")]
-pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: usize, lockstep: &mut Lockstep) {
+pub unsafe fn run<const ENDING: bool>(
+    slots: &[[u32; SLOTS]],
+    from: usize,
+    to: usize,
+    lockstep: &mut Lockstep,
+) {
     let Lockstep { state, base, left, words, tokens, bytes } = lockstep;
     let slots = slots.as_ptr().cast::<i32>();
     let load = |rows: &[[u32; 4]; 16], v: usize| {

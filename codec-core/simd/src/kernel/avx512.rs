@@ -33,13 +33,7 @@ struct Popped {
 /// `base` is a base as [`Lockstep`] has it.
 #[inline]
 #[target_feature(enable = "avx2,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
-unsafe fn pop(
-    slots: *const i32,
-    base: __m512i,
-    low: __m512i,
-    window: __m512i,
-    x: &mut __m512i,
-) -> Popped {
+unsafe fn pop(slots: *const i32, base: __m512i, low: __m512i, window: __m512i, x: &mut __m512i) -> Popped {
     let slot = _mm512_and_si512(*x, _mm512_set1_epi32(SCALE as i32 - 1));
     let at = _mm512_add_epi32(slot, base);
     // SAFETY: a base is at most that of the last table, and a slot below the table's length.
@@ -68,7 +62,12 @@ unsafe fn pop(
 /// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine has AVX2, POPCNT and AVX-512 F,
 /// BW, DQ and VL.
 #[target_feature(enable = "avx2,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
-pub unsafe fn run<const ENDING: bool>(slots: &[[u32; SLOTS]], from: usize, to: usize, lockstep: &mut Lockstep) {
+pub unsafe fn run<const ENDING: bool>(
+    slots: &[[u32; SLOTS]],
+    from: usize,
+    to: usize,
+    lockstep: &mut Lockstep,
+) {
     let Lockstep { state, base, left, words, tokens, bytes } = lockstep;
     let slots = slots.as_ptr().cast::<i32>();
     let load = |rows: &[[u32; 4]; 16], v: usize| {

@@ -48,18 +48,16 @@ pub unsafe fn spread(raw_bits: u8, plane: &[u8], bit: usize, tokens: &[u8], out:
         *factor = (1u32 << (16 - at % 8 - k)) as u16;
     }
     // SAFETY: both are sixteen bytes.
-    let (pick, factor) = unsafe {
-        (_mm_loadu_si128(pick.as_ptr().cast()), _mm_loadu_si128(factor.as_ptr().cast()))
-    };
+    let (pick, factor) =
+        unsafe { (_mm_loadu_si128(pick.as_ptr().cast()), _mm_loadu_si128(factor.as_ptr().cast())) };
     let (pick, factor) = (_mm256_broadcastsi128_si256(pick), _mm256_broadcastsi128_si256(factor));
     let (up, down) = (_mm_cvtsi32_si128(k as i32), _mm_cvtsi32_si128(16 - k as i32));
     for ((tokens, out), place) in groups.zip((0..).step_by(2 * k)) {
         let bytes = |from: usize| plane.get(from..).and_then(|rest| rest.first_chunk::<LOAD>());
         let (Some(first), Some(second)) = (bytes(place), bytes(place + k)) else { break };
         // SAFETY: sixteen bytes each.
-        let (first, second) = unsafe {
-            (_mm_loadu_si128(first.as_ptr().cast()), _mm_loadu_si128(second.as_ptr().cast()))
-        };
+        let (first, second) =
+            unsafe { (_mm_loadu_si128(first.as_ptr().cast()), _mm_loadu_si128(second.as_ptr().cast())) };
         let raw = _mm256_inserti128_si256::<1>(_mm256_castsi128_si256(first), second);
         let raw = _mm256_mullo_epi16(_mm256_shuffle_epi8(raw, pick), factor);
         let high = _mm256_sll_epi16(centred(tokens), up);

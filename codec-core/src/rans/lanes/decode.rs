@@ -2,7 +2,7 @@
 
 use core::hint::select_unpredictable;
 
-use super::{LANES, LOW, LOW_BITS, Lookup, Parts, Raw, TAIL_START};
+use super::{LANES, LOW, LOW_BITS, Lookup, Parts, Raw, TAIL_START, turned};
 use crate::{
     error::{Error, Result},
     rans::table::ESCAPE,
@@ -44,6 +44,21 @@ pub struct Lanes<'a> {
     pub tail: usize,
 }
 
+/// What is wrong with a body, not yet in words: an [`Error`] on its way takes stack.
+#[derive(Clone, Copy)]
+enum Fault {
+    /// Words run out.
+    Words,
+    /// Fewer raw bits than these are left.
+    Raw(usize),
+    /// Escapes run out.
+    Escapes,
+    /// An escaped value has these raw bits.
+    Bits(i16),
+}
+
+type Outcome<T> = core::result::Result<T, Fault>;
+
 impl<'a> Decoder<'a> {
     /// A decoder of `body`, which holds `values` values with `raw_bits` raw bits between them.
     ///
@@ -70,36 +85,85 @@ impl<'a> Decoder<'a> {
     pub fn run<L: Lookup + ?Sized>(&mut self, table: &L, raw_bits: u8, out: &mut [i16]) -> Result<()> {
         // Wide registers take the words of four lanes at once; narrow ones word by word.
         if cfg!(target_pointer_width = "64") {
-            self.run_as::<L, true>(table, raw_bits, out)
+            self.run_wide(table, raw_bits, out)
         } else {
-            self.run_as::<L, false>(table, raw_bits, out)
+            self.run_narrow(table, raw_bits, out)
         }
     }
 
-    pub(super) fn run_as<L: Lookup + ?Sized, const WIDE: bool>(
+    /// Tokens apart from values, so that both passes work on many at a time.
+    pub(super) fn run_wide<L: Lookup + ?Sized>(
         &mut self,
         table: &L,
         raw_bits: u8,
         out: &mut [i16],
     ) -> Result<()> {
-        let left = self.main + self.tail;
-        if out.len() > left {
-            return Err(Error::short("body.values", 0, left, out.len()));
-        }
+        self.room(out.len())?;
         let mut tokens = [0u8; PART];
         for part in out.chunks_mut(PART) {
             let Some(tokens) = tokens.get_mut(..part.len()) else { continue };
-            let (main, tail) = tokens.split_at_mut(self.main.min(part.len()));
-            self.main -= main.len();
-            self.tail -= tail.len();
-            let whole = if WIDE { self.wide(table, main) } else { self.narrow(table, main) };
-            if whole.is_none() || self.words > self.escapes {
-                return Err(Error::short("body.words", 0, self.escapes, self.escapes + 2));
-            }
+            let (main, tail) = self.claim(tokens);
+            let whole = self.wide(table, main);
+            self.enough(whole).map_err(|fault| self.refuse(fault))?;
             self.keep(table, tail);
-            self.complete(raw_bits, tokens, part)?;
+            self.raw.values(raw_bits, tokens, part)?;
+            self.escapes(raw_bits, tokens, part)?;
         }
         Ok(())
+    }
+
+    /// Tokens where the values go, for machines short of stack.
+    pub(super) fn run_narrow<L: Lookup + ?Sized>(
+        &mut self,
+        table: &L,
+        raw_bits: u8,
+        out: &mut [i16],
+    ) -> Result<()> {
+        self.room(out.len())?;
+        for part in out.chunks_mut(PART) {
+            self.in_place(table, raw_bits, part).map_err(|fault| self.refuse(fault))?;
+        }
+        Ok(())
+    }
+
+    #[inline]
+    fn in_place<L: Lookup + ?Sized>(&mut self, table: &L, raw_bits: u8, part: &mut [i16]) -> Outcome<()> {
+        let (main, tail) = self.claim(part);
+        let whole = self.narrow(table, main);
+        self.enough(whole)?;
+        self.keep(table, tail);
+        self.raw.in_place(raw_bits, part).ok_or(Fault::Raw(part.len() * usize::from(raw_bits)))?;
+        self.replace(raw_bits, part)
+    }
+
+    /// What `fault` is in words.
+    #[cold]
+    #[inline(never)]
+    fn refuse(&self, fault: Fault) -> Error {
+        match fault {
+            Fault::Words => Error::short("body.words", 0, self.escapes, self.escapes + 2),
+            Fault::Raw(needed) => self.raw.short(needed),
+            Fault::Escapes => Error::short("body.escapes", 0, 0, 2),
+            Fault::Bits(raw) => Error::illegal("body.raw", 0, raw as u64, (0, 0)),
+        }
+    }
+
+    fn room(&self, values: usize) -> Result<()> {
+        let left = self.main + self.tail;
+        if values > left { Err(Error::short("body.values", 0, left, values)) } else { Ok(()) }
+    }
+
+    /// Takes the values of `part` off those that are left: before the tail, and in it.
+    fn claim<'p, T>(&mut self, part: &'p mut [T]) -> (&'p mut [T], &'p mut [T]) {
+        let (main, tail) = part.split_at_mut(self.main.min(part.len()));
+        self.main -= main.len();
+        self.tail -= tail.len();
+        (main, tail)
+    }
+
+    /// Whether the words taken so far were there.
+    fn enough(&self, whole: Option<()>) -> Outcome<()> {
+        if whole.is_some() && self.words <= self.escapes { Ok(()) } else { Err(Fault::Words) }
     }
 
     /// Tokens, the words of four lanes from one load. `None` past the end of the body.
@@ -129,7 +193,7 @@ impl<'a> Decoder<'a> {
 
     /// Tokens, word by word. `None` past the end of the body.
     #[inline(always)]
-    fn narrow<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [u8]) -> Option<()> {
+    fn narrow<L: Lookup + ?Sized, T: From<u8>>(&mut self, table: &L, out: &mut [T]) -> Option<()> {
         let mut state = self.state;
         let mut rest = self.body.get(self.words..)?;
         let mut refill = |below: u32| {
@@ -144,72 +208,78 @@ impl<'a> Decoder<'a> {
         for quad in &mut quads {
             for (value, x) in quad.iter_mut().zip(&mut state) {
                 let (token, below) = table.pop(*x);
-                *value = token;
+                *value = token.into();
                 *x = refill(below)?;
             }
         }
         let over = quads.into_remainder();
         for (value, x) in over.iter_mut().zip(&mut state) {
             let (token, below) = table.pop(*x);
-            *value = token;
+            *value = token.into();
             *x = refill(below)?;
         }
-        state.rotate_left(over.len());
+        let state = turned(state, over.len());
         self.words = self.body.len() - rest.len();
         self.state = state;
         Some(())
     }
 
     /// Tokens that the states keep: no words.
-    fn keep<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [u8]) {
+    fn keep<L: Lookup + ?Sized, T: From<u8>>(&mut self, table: &L, out: &mut [T]) {
         for quad in out.chunks_mut(LANES) {
             for (value, x) in quad.iter_mut().zip(&mut self.state) {
-                (*value, *x) = table.pop(*x);
+                let (token, below) = table.pop(*x);
+                (*value, *x) = (token.into(), below);
             }
-            self.state.rotate_left(quad.len());
+            self.state = turned(self.state, quad.len());
         }
     }
 
-    /// Values of `tokens`: their raw bits and escapes.
-    #[inline]
-    fn complete(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
-        self.raw.values(raw_bits, tokens, out)?;
-        self.escapes(raw_bits, tokens, out)
-    }
-
+    /// Escaped values among `out`, the values of `tokens`.
     #[inline]
     fn escapes(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
         // Over all tokens, so that it is done many at a time.
-        if has_escape(tokens) { self.escape(raw_bits, tokens, out) } else { Ok(()) }
+        if !has_escape(tokens) {
+            return Ok(());
+        }
+        self.escape(raw_bits, tokens, out).map_err(|fault| self.refuse(fault))
     }
 
     #[cold]
-    fn escape(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
+    fn escape(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Outcome<()> {
         // Few tokens are escapes: most stretches of some hold none.
         const SOME: usize = 64;
         for (tokens, out) in tokens.chunks(SOME).zip(out.chunks_mut(SOME)) {
             if has_escape(tokens) {
-                self.replace(raw_bits, tokens, out)?;
+                self.replace(raw_bits, out)?;
             }
         }
         Ok(())
     }
 
-    fn replace(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
-        let empty = (i16::from(ESCAPE) - 128) << raw_bits;
-        for (_, value) in tokens.iter().zip(out).filter(|(token, _)| **token == ESCAPE) {
-            if *value != empty {
-                let found = value.wrapping_sub(empty) as u64;
-                return Err(Error::illegal("body.raw", 0, found, (0, 0)));
-            }
-            let unread = self.body.get(self.words..self.escapes).and_then(|b| b.split_last_chunk::<2>());
-            let Some((_, bytes)) = unread else {
-                return Err(Error::short("body.escapes", 0, 0, 2));
-            };
-            self.escapes -= 2;
-            *value = i16::from_le_bytes(*bytes);
+    /// Escaped values for those of `out` that the escape token gave.
+    fn replace(&mut self, raw_bits: u8, out: &mut [i16]) -> Outcome<()> {
+        const TOKEN: i16 = ESCAPE as i16 - 128;
+        let raw_bits = raw_bits & 15;
+        for value in out.iter_mut().filter(|value| **value >> raw_bits == TOKEN) {
+            *value = self.escaped(value.wrapping_sub(TOKEN << raw_bits))?;
         }
         Ok(())
+    }
+
+    /// The next escaped value, whose raw bits are `raw`.
+    #[cold]
+    #[inline(never)]
+    fn escaped(&mut self, raw: i16) -> Outcome<i16> {
+        if raw != 0 {
+            return Err(Fault::Bits(raw));
+        }
+        let unread = self.body.get(self.words..self.escapes).and_then(|b| b.split_last_chunk::<2>());
+        let Some((_, bytes)) = unread else {
+            return Err(Fault::Escapes);
+        };
+        self.escapes -= 2;
+        Ok(i16::from_le_bytes(*bytes))
     }
 
     /// Where the decoder stands, for one that takes several packets at once.

@@ -2,7 +2,7 @@
 
 use core::hint::select_unpredictable;
 
-use super::{HEAD_BYTES, LANES, LOW, LOW_BITS, TAIL_START};
+use super::{HEAD_BYTES, LANES, LOW, LOW_BITS, TAIL_START, turned};
 use crate::{
     error::{Error, ErrorKind, Result},
     rans::table::{ESCAPE, PRECISION, SCALE, Table},
@@ -263,8 +263,7 @@ fn push_run<'o>(
     escapes: &mut usize,
 ) -> Option<&'o mut [u8]> {
     // Lanes turned so that the run's first value is on lane 0.
-    let mut x = *state;
-    x.rotate_left(start % LANES);
+    let mut x = turned(*state, start);
     let (quads, over) = values.as_chunks::<LANES>();
     for (&value, x) in over.iter().zip(&mut x).rev() {
         let symbol = table.symbol(value);
@@ -308,8 +307,7 @@ fn push_run<'o>(
             }
         }
     }
-    x.rotate_right(start % LANES);
-    *state = x;
+    *state = turned(x, LANES - start % LANES);
     Some(free)
 }
 

@@ -30,7 +30,7 @@ impl<'a> Raw<'a> {
     pub fn values(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
         let needed = tokens.len() * usize::from(raw_bits);
         if self.end - self.at < needed {
-            return Err(Error::short("body.raw", 0, self.end - self.at, needed));
+            return Err(self.short(needed));
         }
         // A constant width turns the shifts into constants, or into one vector operation.
         let whole = match raw_bits {
@@ -72,6 +72,44 @@ impl<'a> Raw<'a> {
             self.at += done * usize::from(raw_bits);
         }
         self.values(raw_bits, tokens.get(done..).unwrap_or(&[]), out.get_mut(done..).unwrap_or(&mut []))
+    }
+
+    /// As [`Raw::values`], of the tokens that lie in `out`; `None` if fewer bits are left.
+    pub(super) fn in_place(&mut self, raw_bits: u8, out: &mut [i16]) -> Option<()> {
+        if self.end - self.at < out.len() * usize::from(raw_bits) {
+            return None;
+        }
+        if raw_bits > 0 {
+            return self.bit_by_bit(raw_bits.min(8).into(), out);
+        }
+        out.iter_mut().for_each(|value| *value -= 128);
+        Some(())
+    }
+
+    /// The error of one who needs `needed` bits.
+    pub(super) const fn short(&self, needed: usize) -> Error {
+        Error::short("body.raw", 0, self.end - self.at, needed)
+    }
+
+    /// Raw bits through a register, byte by byte.
+    fn bit_by_bit(&mut self, k: u32, out: &mut [i16]) -> Option<()> {
+        let mut rest = self.plane.get(self.at / 8..)?.iter();
+        let (mut held, mut count) = (0u32, 0u32);
+        let skipped = (self.at % 8) as u32;
+        if skipped > 0 {
+            (held, count) = (u32::from(*rest.next()?) >> skipped, 8 - skipped);
+        }
+        self.at += out.len() * k as usize;
+        for value in out {
+            while count < k {
+                held |= u32::from(*rest.next()?) << count;
+                count += 8;
+            }
+            *value = (*value - 128) << k | (held & ((1 << k) - 1)) as i16;
+            held >>= k;
+            count -= k;
+        }
+        Some(())
     }
 
     #[inline]
