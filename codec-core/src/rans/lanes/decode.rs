@@ -8,9 +8,6 @@ use crate::{
     rans::table::ESCAPE,
 };
 
-/// Values between two passes: tokens first, then raw bits and escapes while they are in cache.
-const PART: usize = 256;
-
 /// A decoder over one packet body.
 #[derive(Clone, Copy, Debug)]
 pub struct Decoder<'a> {
@@ -83,57 +80,53 @@ impl<'a> Decoder<'a> {
     /// [`ErrorKind::Short`](crate::ErrorKind::Short) if values, words, raw bits or escapes run
     /// out, [`ErrorKind::Illegal`](crate::ErrorKind::Illegal) for an escape with raw bits.
     pub fn run<L: Lookup + ?Sized>(&mut self, table: &L, raw_bits: u8, out: &mut [i16]) -> Result<()> {
-        // Wide registers take the words of four lanes at once; narrow ones word by word.
+        // Wide registers take the words of four lanes at once; narrow ones word by word, and where
+        // they are narrow the stack is short.
         if cfg!(target_pointer_width = "64") {
-            self.run_wide(table, raw_bits, out)
+            self.run_as::<L, true, 256>(table, raw_bits, out)
         } else {
-            self.run_narrow(table, raw_bits, out)
+            self.run_as::<L, false, 32>(table, raw_bits, out)
         }
     }
 
-    /// Tokens apart from values, so that both passes work on many at a time.
-    pub(super) fn run_wide<L: Lookup + ?Sized>(
+    /// `PART` values between two passes: tokens first, then raw bits and escapes while they are in
+    /// cache. It decides which of several faults of a body is named, never whether one is.
+    pub(super) fn run_as<L: Lookup + ?Sized, const WIDE: bool, const PART: usize>(
         &mut self,
         table: &L,
         raw_bits: u8,
         out: &mut [i16],
     ) -> Result<()> {
-        self.room(out.len())?;
+        let left = self.main + self.tail;
+        if out.len() > left {
+            return Err(Error::short("body.values", 0, left, out.len()));
+        }
         let mut tokens = [0u8; PART];
         for part in out.chunks_mut(PART) {
             let Some(tokens) = tokens.get_mut(..part.len()) else { continue };
-            let (main, tail) = self.claim(tokens);
-            let whole = self.wide(table, main);
-            self.enough(whole).map_err(|fault| self.refuse(fault))?;
-            self.keep(table, tail);
-            self.raw.values(raw_bits, tokens, part)?;
-            self.escapes(raw_bits, tokens, part)?;
+            self.part::<L, WIDE>(table, raw_bits, tokens, part).map_err(|fault| self.refuse(fault))?;
         }
         Ok(())
     }
 
-    /// Tokens where the values go, for machines short of stack.
-    pub(super) fn run_narrow<L: Lookup + ?Sized>(
+    #[inline(always)]
+    fn part<L: Lookup + ?Sized, const WIDE: bool>(
         &mut self,
         table: &L,
         raw_bits: u8,
+        tokens: &mut [u8],
         out: &mut [i16],
-    ) -> Result<()> {
-        self.room(out.len())?;
-        for part in out.chunks_mut(PART) {
-            self.in_place(table, raw_bits, part).map_err(|fault| self.refuse(fault))?;
+    ) -> Outcome<()> {
+        let (main, tail) = tokens.split_at_mut(self.main.min(tokens.len()));
+        self.main -= main.len();
+        self.tail -= tail.len();
+        let whole = if WIDE { self.wide(table, main) } else { self.narrow(table, main) };
+        if whole.is_none() || self.words > self.escapes {
+            return Err(Fault::Words);
         }
-        Ok(())
-    }
-
-    #[inline]
-    fn in_place<L: Lookup + ?Sized>(&mut self, table: &L, raw_bits: u8, part: &mut [i16]) -> Outcome<()> {
-        let (main, tail) = self.claim(part);
-        let whole = self.narrow(table, main);
-        self.enough(whole)?;
         self.keep(table, tail);
-        self.raw.in_place(raw_bits, part).ok_or(Fault::Raw(part.len() * usize::from(raw_bits)))?;
-        self.replace(raw_bits, part)
+        self.raw.values(raw_bits, tokens, out).ok_or(Fault::Raw(out.len() * usize::from(raw_bits)))?;
+        self.escape(raw_bits, tokens, out)
     }
 
     /// What `fault` is in words.
@@ -193,7 +186,7 @@ impl<'a> Decoder<'a> {
 
     /// Tokens, word by word. `None` past the end of the body.
     #[inline(always)]
-    fn narrow<L: Lookup + ?Sized, T: From<u8>>(&mut self, table: &L, out: &mut [T]) -> Option<()> {
+    fn narrow<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [u8]) -> Option<()> {
         let mut state = self.state;
         let mut rest = self.body.get(self.words..)?;
         let mut refill = |below: u32| {
@@ -208,14 +201,14 @@ impl<'a> Decoder<'a> {
         for quad in &mut quads {
             for (value, x) in quad.iter_mut().zip(&mut state) {
                 let (token, below) = table.pop(*x);
-                *value = token.into();
+                *value = token;
                 *x = refill(below)?;
             }
         }
         let over = quads.into_remainder();
         for (value, x) in over.iter_mut().zip(&mut state) {
             let (token, below) = table.pop(*x);
-            *value = token.into();
+            *value = token;
             *x = refill(below)?;
         }
         let state = turned(state, over.len());
@@ -225,11 +218,10 @@ impl<'a> Decoder<'a> {
     }
 
     /// Tokens that the states keep: no words.
-    fn keep<L: Lookup + ?Sized, T: From<u8>>(&mut self, table: &L, out: &mut [T]) {
+    fn keep<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [u8]) {
         for quad in out.chunks_mut(LANES) {
             for (value, x) in quad.iter_mut().zip(&mut self.state) {
-                let (token, below) = table.pop(*x);
-                (*value, *x) = (token.into(), below);
+                (*value, *x) = table.pop(*x);
             }
             self.state = turned(self.state, quad.len());
         }
@@ -237,16 +229,13 @@ impl<'a> Decoder<'a> {
 
     /// Escaped values among `out`, the values of `tokens`.
     #[inline]
-    fn escapes(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
+    fn escape(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Outcome<()> {
         // Over all tokens, so that it is done many at a time.
-        if !has_escape(tokens) {
-            return Ok(());
-        }
-        self.escape(raw_bits, tokens, out).map_err(|fault| self.refuse(fault))
+        if has_escape(tokens) { self.some(raw_bits, tokens, out) } else { Ok(()) }
     }
 
     #[cold]
-    fn escape(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Outcome<()> {
+    fn some(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Outcome<()> {
         // Few tokens are escapes: most stretches of some hold none.
         const SOME: usize = 64;
         for (tokens, out) in tokens.chunks(SOME).zip(out.chunks_mut(SOME)) {
@@ -318,8 +307,9 @@ impl<'a> Decoder<'a> {
         out: &mut [i16],
         wide: impl FnOnce(&[u8], usize, &[u8], &mut [i16]) -> usize,
     ) -> Result<()> {
-        self.raw.values_by(raw_bits, tokens, out, wide)?;
-        self.escapes(raw_bits, tokens, out)
+        let spread = self.raw.values_by(raw_bits, tokens, out, wide);
+        let spread = spread.ok_or(Fault::Raw(tokens.len() * usize::from(raw_bits)));
+        spread.and_then(|()| self.escape(raw_bits, tokens, out)).map_err(|fault| self.refuse(fault))
     }
 
     /// Accepts the body if it is used up and every lane ends where an encoder begins.

@@ -1,6 +1,6 @@
 //! The raw plane: low bits of values, several values to a load.
 
-use crate::error::{Error, Result};
+use crate::error::Error;
 
 /// A reader of the raw bits of one body.
 #[derive(Clone, Copy, Debug)]
@@ -24,16 +24,13 @@ impl<'a> Raw<'a> {
     }
 
     /// Values of `tokens`, each with the next `raw_bits` bits: `(token − 128) << raw_bits | bits`.
-    ///
-    /// # Errors
-    /// [`ErrorKind::Short`](crate::ErrorKind::Short) if fewer bits are left.
-    pub fn values(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
-        let needed = tokens.len() * usize::from(raw_bits);
-        if self.end - self.at < needed {
-            return Err(self.short(needed));
+    /// `None` if fewer bits are left.
+    pub fn values(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Option<()> {
+        if self.end - self.at < tokens.len() * usize::from(raw_bits) {
+            return None;
         }
         // A constant width turns the shifts into constants, or into one vector operation.
-        let whole = match raw_bits {
+        match raw_bits {
             0 => {
                 for (value, &token) in out.iter_mut().zip(tokens) {
                     *value = i16::from(token) - 128;
@@ -48,23 +45,19 @@ impl<'a> Raw<'a> {
             6 => self.fixed::<6>(tokens, out),
             7 => self.fixed::<7>(tokens, out),
             _ => self.fixed::<8>(tokens, out),
-        };
-        whole.ok_or(Error::short("body.raw", 0, self.plane.len(), self.at.div_ceil(8) + 8))
+        }
     }
 
     /// As [`Raw::values`], the first of them by `wide`: it is given the plane from the byte of the
     /// next raw bit on, how many bits of that byte are read, `tokens` and `out`, and returns how
     /// many values it has written.
-    ///
-    /// # Errors
-    /// As [`Raw::values`].
     pub fn values_by(
         &mut self,
         raw_bits: u8,
         tokens: &[u8],
         out: &mut [i16],
         wide: impl FnOnce(&[u8], usize, &[u8], &mut [i16]) -> usize,
-    ) -> Result<()> {
+    ) -> Option<()> {
         let mut done = 0;
         if self.end - self.at >= tokens.len() * usize::from(raw_bits) {
             let plane = self.plane.get(self.at / 8..).unwrap_or(&[]);
@@ -74,42 +67,9 @@ impl<'a> Raw<'a> {
         self.values(raw_bits, tokens.get(done..).unwrap_or(&[]), out.get_mut(done..).unwrap_or(&mut []))
     }
 
-    /// As [`Raw::values`], of the tokens that lie in `out`; `None` if fewer bits are left.
-    pub(super) fn in_place(&mut self, raw_bits: u8, out: &mut [i16]) -> Option<()> {
-        if self.end - self.at < out.len() * usize::from(raw_bits) {
-            return None;
-        }
-        if raw_bits > 0 {
-            return self.bit_by_bit(raw_bits.min(8).into(), out);
-        }
-        out.iter_mut().for_each(|value| *value -= 128);
-        Some(())
-    }
-
     /// The error of one who needs `needed` bits.
     pub(super) const fn short(&self, needed: usize) -> Error {
         Error::short("body.raw", 0, self.end - self.at, needed)
-    }
-
-    /// Raw bits through a register, byte by byte.
-    fn bit_by_bit(&mut self, k: u32, out: &mut [i16]) -> Option<()> {
-        let mut rest = self.plane.get(self.at / 8..)?.iter();
-        let (mut held, mut count) = (0u32, 0u32);
-        let skipped = (self.at % 8) as u32;
-        if skipped > 0 {
-            (held, count) = (u32::from(*rest.next()?) >> skipped, 8 - skipped);
-        }
-        self.at += out.len() * k as usize;
-        for value in out {
-            while count < k {
-                held |= u32::from(*rest.next()?) << count;
-                count += 8;
-            }
-            *value = (*value - 128) << k | (held & ((1 << k) - 1)) as i16;
-            held >>= k;
-            count -= k;
-        }
-        Some(())
     }
 
     #[inline]

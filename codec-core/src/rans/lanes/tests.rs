@@ -61,16 +61,16 @@ fn decode_as(body: &[u8], table_of: &[u8], tables: &[Table], wide: bool, compact
         if compact {
             let compact = Compact::fill(table, &mut token, &mut range);
             if wide {
-                decoder.run_wide(&compact, table.raw_bits(), target)?;
+                decoder.run_as::<_, true, 64>(&compact, table.raw_bits(), target)?;
             } else {
-                decoder.run_narrow(&compact, table.raw_bits(), target)?;
+                decoder.run_as::<_, false, 64>(&compact, table.raw_bits(), target)?;
             }
         } else {
             table.fill_slots(&mut slots);
             if wide {
-                decoder.run_wide(&*slots, table.raw_bits(), target)?;
+                decoder.run_as::<_, true, 64>(&*slots, table.raw_bits(), target)?;
             } else {
-                decoder.run_narrow(&*slots, table.raw_bits(), target)?;
+                decoder.run_as::<_, false, 64>(&*slots, table.raw_bits(), target)?;
             }
         }
     }
