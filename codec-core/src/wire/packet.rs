@@ -55,15 +55,12 @@ impl Head {
     /// Short bytes, an unknown kind, an id that is no varint in shortest form or too large.
     #[inline]
     pub fn parse(content: &[u8]) -> Result<Self> {
-        // The varints of ids below 2^14, in their own branch each: most packets have those.
-        let (first, id, len) = match *content {
-            [first, a, ..] if first >> 5 == KIND_SLICES && a < 0x80 => (first, u32::from(a), 2),
-            [first, a, b @ 1..0x80, ..] if first >> 5 == KIND_SLICES => {
-                (first, u32::from(a & 0x7f) | u32::from(b) << 7, 3)
-            }
-            [first, a, b, c, ..] if matches!(first >> 5, KIND_CHUNK | KIND_PARITY) => {
-                (first, u32::from_le_bytes([a, b, c, 0]), 4)
-            }
+        // One check of length; the varints of ids below 2^14, which most packets have.
+        let Some(&[first, a, b, c]) = content.first_chunk() else { return Self::parse_slowly(content) };
+        let (id, len) = match first >> 5 {
+            KIND_SLICES if a < 0x80 => (u32::from(a), 2),
+            KIND_SLICES if (1..0x80).contains(&b) => (u32::from(a & 0x7f) | u32::from(b) << 7, 3),
+            KIND_CHUNK | KIND_PARITY => (u32::from_le_bytes([a, b, c, 0]), 4),
             _ => return Self::parse_slowly(content),
         };
         Ok(Self { kind: first >> 5, flags: first & 0x1f, id: PacketId::new(id).unwrap_or_default(), len })

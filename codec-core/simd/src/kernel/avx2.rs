@@ -75,7 +75,8 @@ unsafe fn pop(slots: *const i32, base: __m256i, low: __m256i, window: __m256i, x
 /// As [`super::Vectors::run`], which brings the arguments into their ranges.
 ///
 /// # Safety
-/// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine has AVX2 and POPCNT.
+/// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine
+/// has AVX2 and POPCNT.
 #[target_feature(enable = "avx2,popcnt")]
 pub unsafe fn run<const ENDING: bool>(
     slots: &[[u32; SLOTS]],
@@ -100,7 +101,7 @@ pub unsafe fn run<const ENDING: bool>(
         next[p] = unsafe { bytes[p].as_ptr().add(words[p]) };
     }
     let low = _mm256_set1_epi32(LOW as i32);
-    // The next words of both packets: four are enough.
+    // The next words of both packets, more than a step takes.
     let window = |next: &[*const u8; PACKETS], v: usize| {
         // SAFETY: a call of at most `MOST_STEPS` steps moves at most 8 bytes a step, and the buffer
         // is `8 · MOST_STEPS + 16` longer than the largest offset it starts at.
@@ -133,18 +134,21 @@ pub unsafe fn run<const ENDING: bool>(
     while step + 4 <= to {
         let (mut first, mut second) = (zeros, zeros);
         both!(pair of first, second {
-        each!(V {
-            // SAFETY: bases are in their range.
-            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
-            advance(&mut next, V, popped.taken);
-            pair[V] = _mm256_and_si256(popped.found, _mm256_set1_epi32(0xff));
-        });
-        each!(V {
-            // SAFETY: bases are in their range.
-            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
-            advance(&mut next, V, popped.taken);
-            pair[V] = _mm256_packus_epi32(pair[V], _mm256_and_si256(popped.found, _mm256_set1_epi32(0xff)));
-        });
+            each!(V {
+                // SAFETY: bases are in their range.
+                let popped =
+                    unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+                advance(&mut next, V, popped.taken);
+                pair[V] = _mm256_and_si256(popped.found, _mm256_set1_epi32(0xff));
+            });
+            each!(V {
+                // SAFETY: bases are in their range.
+                let popped =
+                    unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+                advance(&mut next, V, popped.taken);
+                let token = _mm256_and_si256(popped.found, _mm256_set1_epi32(0xff));
+                pair[V] = _mm256_packus_epi32(pair[V], token);
+            });
         });
         each!(V {
             let four = _mm256_packus_epi16(first[V], second[V]);

@@ -59,7 +59,8 @@ unsafe fn pop(slots: *const i32, base: __m512i, low: __m512i, window: __m512i, x
 /// As [`super::Vectors::run`], which brings the arguments into their ranges.
 ///
 /// # Safety
-/// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine has AVX2, POPCNT and AVX-512 F,
+/// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine
+/// has AVX2, POPCNT and AVX-512 F,
 /// BW, DQ and VL.
 #[target_feature(enable = "avx2,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 pub unsafe fn run<const ENDING: bool>(
@@ -85,7 +86,7 @@ pub unsafe fn run<const ENDING: bool>(
         next[p] = unsafe { bytes[p].as_ptr().add(words[p]) };
     }
     let low = _mm512_set1_epi32(LOW as i32);
-    // The next words of the four packets: four are enough.
+    // The next words of the four packets, more than a step takes.
     let window = |next: &[*const u8; PACKETS], v: usize| {
         // SAFETY: a call of at most `MOST_STEPS` steps moves at most 8 bytes a step, and the buffer
         // is `8 · MOST_STEPS + 16` longer than the largest offset it starts at.
@@ -116,18 +117,21 @@ pub unsafe fn run<const ENDING: bool>(
     while step + 4 <= to {
         let (mut first, mut second) = (zeros, zeros);
         both!(pair of first, second {
-        each!(V {
-            // SAFETY: bases are in their range.
-            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
-            advance(&mut next, V, popped.taken);
-            pair[V] = _mm512_and_si512(popped.found, _mm512_set1_epi32(0xff));
-        });
-        each!(V {
-            // SAFETY: bases are in their range.
-            let popped = unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
-            advance(&mut next, V, popped.taken);
-            pair[V] = _mm512_packus_epi32(pair[V], _mm512_and_si512(popped.found, _mm512_set1_epi32(0xff)));
-        });
+            each!(V {
+                // SAFETY: bases are in their range.
+                let popped =
+                    unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+                advance(&mut next, V, popped.taken);
+                pair[V] = _mm512_and_si512(popped.found, _mm512_set1_epi32(0xff));
+            });
+            each!(V {
+                // SAFETY: bases are in their range.
+                let popped =
+                    unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+                advance(&mut next, V, popped.taken);
+                let token = _mm512_and_si512(popped.found, _mm512_set1_epi32(0xff));
+                pair[V] = _mm512_packus_epi32(pair[V], token);
+            });
         });
         each!(V {
             let four = _mm512_packus_epi16(first[V], second[V]);
