@@ -11,7 +11,7 @@ use codec_core::{
     receiver::Receiver,
     wire::{
         crc::{Crc32, crc32},
-        packet::Packet,
+        packet::{Head, Packet},
     },
 };
 use trainer_host::{
@@ -149,7 +149,7 @@ fn parts(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<
     let bytes: usize = packets.iter().map(|p| p.len()).sum();
     let masks: Vec<u8> = (0..1 << 16).map(|i: u32| (i.wrapping_mul(2_654_435_761) >> 27) as u8).collect();
     let passes = (200_000 / packets.len().max(1)).max(1);
-    let mut parse = Vec::new();
+    let (mut head, mut parse) = (Vec::new(), Vec::new());
     let mut crcs: [(&str, Crc32, Vec<f64>); 3] =
         [("table", crc32, vec![]), ("host", codec_simd::crc32, vec![]), ("bitwise", bitwise, vec![])];
     let mut closure = Vec::new();
@@ -157,7 +157,9 @@ fn parts(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<
         for (other, crc, _) in &crcs {
             ensure!(crc(packet) == crc32(packet), "{other}: another CRC");
         }
-        if let Packet::Slices(slices) = Packet::parse(&packet[..packet.len() - 4])? {
+        let whole = Packet::parse(&packet[..packet.len() - 4])?;
+        ensure!(Head::parse(packet)?.id == whole.id(), "a packet's head names another packet");
+        if let Packet::Slices(slices) = whole {
             let mut again = vec![0u8; slices.wire_len()];
             slices.write(&mut again)?;
             ensure!(again == *packet, "a packet does not write back to its bytes");
@@ -168,6 +170,13 @@ fn parts(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<
         ensure!(Arrived(mask).usable() == naive, "closure of {mask:#06b}");
     }
     for _ in 0..runs {
+        let start = thread_seconds();
+        for _ in 0..passes {
+            for packet in &packets {
+                black_box(Head::parse(black_box(&packet[..packet.len() - 4]))?);
+            }
+        }
+        head.push(1e9 * (thread_seconds() - start) / (passes * packets.len()) as f64);
         let start = thread_seconds();
         for _ in 0..passes {
             for packet in &packets {
@@ -196,6 +205,8 @@ fn parts(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<
         black_box((usable, updated));
         closure.push(1e9 * (thread_seconds() - start) / masks.len() as f64);
     }
+    let figure = Figure::new(format!("{name}.packet_head"), median(&head), "ns");
+    bench.push(figure.error(0.0, "ids differ from the whole packet's").runs(runs));
     let figure = Figure::new(format!("{name}.packet_parse"), median(&parse), "ns");
     bench.push(figure.error(0.0, "packets write back to other bytes").runs(runs));
     let naive = median(&crcs[2].2);

@@ -13,7 +13,7 @@ use codec_core::{
         crc::crc32,
         file::{self, Record},
         manifest::{self, Manifest},
-        packet::Packet,
+        packet::{Head, Packet},
     },
 };
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
@@ -113,6 +113,9 @@ fn receiver(criterion: &mut Criterion) {
         .collect();
     let mut group = criterion.benchmark_group("receiver");
     group.throughput(Throughput::Elements(packets.len() as u64));
+    group.bench_function("packet head", |b| {
+        b.iter(|| packets.iter().filter(|p| Head::parse(&p[..p.len() - 4]).is_ok()).count());
+    });
     group.bench_function("packet parse", |b| {
         b.iter(|| packets.iter().filter(|p| Packet::parse(&p[..p.len() - 4]).is_ok()).count());
     });

@@ -14,10 +14,6 @@ use crate::{
     open,
 };
 
-/// Groups of four below which a packet is better decoded alone: packets that began together then
-/// leave together, although their last groups differ.
-const LEAST_STEPS: usize = 8;
-
 /// A packet in lockstep.
 struct Seat<'a> {
     /// Index of its job.
@@ -31,12 +27,14 @@ struct Seat<'a> {
     done: usize,
     /// Groups left in the present stretch.
     left: usize,
+    /// Groups in which every lane takes words, from the next on.
+    plain: usize,
     /// First of the popped groups that have not become values yet.
     from: usize,
 }
 
 impl<'a> Seat<'a> {
-    /// A seat for job `index`, its words in `bytes`; `None` if it is better decoded alone.
+    /// A seat for job `index`, its words in `bytes`; `None` if it is too long for them.
     fn take(
         index: usize,
         job: &Job<'a>,
@@ -48,24 +46,23 @@ impl<'a> Seat<'a> {
             return None;
         }
         bytes.get_mut(..lanes.bytes.len())?.copy_from_slice(lanes.bytes);
-        Some(Self { job: index, decoder, runs: job.runs, into: 0, done: 0, left: 0, from: 0 })
+        Some(Self { job: index, decoder, runs: job.runs, into: 0, done: 0, left: 0, plain: 0, from: 0 })
     }
 
     /// Groups of four values that the packet can take with the same tables, and the first slot of
-    /// each lane's table; `None` if too few are left before the tail.
+    /// each lane's table; `None` if no whole group is left.
     fn stretch(&self) -> Option<(usize, [u32; LANES])> {
-        let main = self.decoder.lanes().main / LANES;
+        let lanes = self.decoder.lanes();
+        let groups = (lanes.main + lanes.tail) / LANES;
         let base = |run: &Run| u32::from(run.table) * SLOTS as u32;
         let mut into = self.into;
         let mut runs = self.runs.iter().filter_map(|run| {
             let left = run.len - core::mem::take(&mut into);
             (left > 0).then_some((base(run), left))
         });
-        let (mut first, mut left) = runs.next().filter(|_| main >= LEAST_STEPS)?;
+        let (mut first, mut left) = runs.next().filter(|_| groups > 0)?;
         if left >= LANES {
-            // A packet's end is rounded down, so that packets of about one length end at once.
-            let end = main / LEAST_STEPS * LEAST_STEPS;
-            return Some((end.min(left / LANES), [first; LANES]));
+            return Some((groups.min(left / LANES), [first; LANES]));
         }
         // The group that the run ends in.
         let mut bases = [first; LANES];
@@ -82,6 +79,7 @@ impl<'a> Seat<'a> {
     /// Takes over the tokens of whole groups that the vectors popped.
     fn advance(
         &mut self,
+        vectors: Vectors,
         tables: &Tables<'_>,
         state: [u32; LANES],
         words: usize,
@@ -94,7 +92,11 @@ impl<'a> Seat<'a> {
             let (popped, rest) = tokens.split_at(left.min(tokens.len()));
             let (_, raw_bits) = tables.table(run.table)?;
             let end = self.done + popped.len();
-            self.decoder.values(raw_bits, popped, out.get_mut(self.done..end).unwrap_or(&mut []))?;
+            let place = out.get_mut(self.done..end).unwrap_or(&mut []);
+            let wide = |plane: &[u8], bit, tokens: &[u8], out: &mut [i16]| {
+                vectors.spread(raw_bits, plane, bit, tokens, out)
+            };
+            self.decoder.values_by(raw_bits, popped, place, wide)?;
             self.done = end;
             self.into += popped.len();
             tokens = rest;
@@ -125,6 +127,7 @@ pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]
     let mut lockstep = Box::new(Lockstep {
         state: [[LOW; LANES]; MOST_PACKETS],
         base: [[0; LANES]; MOST_PACKETS],
+        left: [[0; LANES]; MOST_PACKETS],
         words: [0; MOST_PACKETS],
         tokens: [[0; LANES * MOST_STEPS]; MOST_PACKETS],
         bytes: [[0; BUFFER_BYTES]; MOST_PACKETS],
@@ -134,7 +137,7 @@ pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]
     // Groups popped since the last flush of all.
     let mut at = 0;
     loop {
-        let mut steps = MOST_STEPS - at;
+        let (mut steps, mut plain) = (MOST_STEPS - at, MOST_STEPS);
         let mut seated = 0;
         for (p, seat) in seats.iter_mut().enumerate().take(vectors.packets) {
             if seat.as_ref().is_none_or(|seat| seat.left == 0) {
@@ -143,24 +146,35 @@ pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]
             if let Some(seat) = seat {
                 seated += 1;
                 steps = steps.min(seat.left);
+                plain = plain.min(seat.plain);
             }
         }
         // A few packets are done sooner one by one.
         if seated * 5 <= vectors.packets {
             break;
         }
-        vectors.run(tables.slots, at, steps, &mut lockstep);
+        // Whole fours of groups are popped faster.
+        let plain = if plain < steps { plain / 4 * 4 } else { steps };
+        if plain > 0 {
+            steps = plain;
+        }
+        vectors.run(tables.slots, at, steps, plain == 0, &mut lockstep);
         at += steps;
         let full = at == MOST_STEPS;
         for (p, place) in seats.iter_mut().enumerate().take(vectors.packets) {
             let Some(seat) = place else { continue };
             seat.left -= steps;
+            seat.plain = seat.plain.saturating_sub(steps);
+            for left in &mut lockstep.left[p] {
+                *left = left.saturating_sub(steps as u32);
+            }
             if (full || seat.left == 0)
                 && let Some(job) = jobs.get_mut(seat.job)
             {
                 let tokens = lockstep.tokens[p].get(LANES * seat.from..LANES * at).unwrap_or(&[]);
                 seat.from = if full { 0 } else { at };
-                let result = seat.advance(tables, lockstep.state[p], lockstep.words[p], tokens, job.out);
+                let result =
+                    seat.advance(vectors, tables, lockstep.state[p], lockstep.words[p], tokens, job.out);
                 if result.is_err() {
                     *place = None;
                     settle(tables, result, job);
@@ -173,7 +187,7 @@ pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]
         let Some(mut seat) = seat else { continue };
         let Some(job) = jobs.get_mut(seat.job) else { continue };
         let tokens = lockstep.tokens[p].get(LANES * seat.from..LANES * at).unwrap_or(&[]);
-        let result = seat.advance(tables, lockstep.state[p], lockstep.words[p], tokens, job.out);
+        let result = seat.advance(vectors, tables, lockstep.state[p], lockstep.words[p], tokens, job.out);
         let result = result.and_then(|()| seat.finish(tables, job.out));
         settle(tables, result, job);
     }
@@ -210,7 +224,12 @@ fn renew<'a>(
                 match seat {
                     Some(seat) => {
                         seat.from = at;
-                        (lockstep.words[p], lockstep.state[p]) = (0, decoder.lanes().state);
+                        let lanes = decoder.lanes();
+                        (lockstep.words[p], lockstep.state[p]) = (0, lanes.state);
+                        seat.plain = lanes.main / LANES;
+                        // The tail may begin within a group.
+                        lockstep.left[p] =
+                            core::array::from_fn(|lane| ((lanes.main + 3 - lane) / LANES) as u32);
                     }
                     None => job.result = decode_alone(tables, job),
                 }

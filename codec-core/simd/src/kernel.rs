@@ -1,9 +1,38 @@
 //! Which kernels there are, which of them this machine has, and what they do.
 
+/// `$body` for each of four vectors, `$v` a constant: in a loop their states would live in memory.
+#[cfg(target_arch = "x86_64")]
+macro_rules! each {
+    ($v:ident $body:block) => {
+        each!($v 0 $body);
+        each!($v 1 $body);
+        each!($v 2 $body);
+        each!($v 3 $body);
+    };
+    ($v:ident $number:literal $body:block) => {{
+        const $v: usize = $number;
+        $body
+    }};
+}
+/// `$body` for `$first` and for `$second`, as `$place`.
+#[cfg(target_arch = "x86_64")]
+macro_rules! both {
+    ($place:ident of $first:ident, $second:ident $body:block) => {{
+        {
+            let $place = &mut $first;
+            $body
+        }
+        let $place = &mut $second;
+        $body
+    }};
+}
+
 #[cfg(target_arch = "x86_64")]
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+#[cfg(target_arch = "x86_64")]
+mod spread;
 
 use codec_core::rans::{lanes::LANES, table::SLOTS};
 
@@ -13,8 +42,8 @@ pub(crate) const MOST_PACKETS: usize = 16;
 pub(crate) const MOST_STEPS: usize = 128;
 /// Longest body that fits a packet's buffer; longer ones are left to the scalar decoder.
 pub(crate) const MOST_BYTES: usize = 1408;
-/// Bytes of a packet's buffer: a call takes at most 8 bytes a step, and one load looks ahead 8.
-pub(crate) const BUFFER_BYTES: usize = MOST_BYTES + 8 * MOST_STEPS + 8;
+/// Bytes of a packet's buffer: a call takes at most 8 bytes a step, and one load looks ahead 16.
+pub(crate) const BUFFER_BYTES: usize = MOST_BYTES + 8 * MOST_STEPS + 16;
 
 /// A way to decode packets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -50,7 +79,9 @@ impl Kernel {
             Self::Avx512 => {
                 is_x86_feature_detected!("avx512f")
                     && is_x86_feature_detected!("avx512bw")
-                    && is_x86_feature_detected!("popcnt")
+                    && is_x86_feature_detected!("avx512dq")
+                    && is_x86_feature_detected!("avx512vl")
+                    && Self::Avx2.is_here()
             }
             #[cfg(not(target_arch = "x86_64"))]
             _ => false,
@@ -64,16 +95,26 @@ impl Kernel {
 
     /// The vectors behind it, if it has any and this machine has them.
     pub(crate) fn vectors(self) -> Option<Vectors> {
-        let (packets, run): (usize, Run) = match self {
+        #[cfg(target_arch = "x86_64")]
+        let found = match self {
             Self::Scalar => return None,
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx2 => (avx2::PACKETS, avx2::run),
-            #[cfg(target_arch = "x86_64")]
-            Self::Avx512 => (avx512::PACKETS, avx512::run),
-            #[cfg(not(target_arch = "x86_64"))]
-            _ => return None,
+            Self::Avx2 => Vectors {
+                packets: avx2::PACKETS,
+                run: avx2::run::<false>,
+                end: avx2::run::<true>,
+                spread: spread::spread,
+            },
+            Self::Avx512 => Vectors {
+                packets: avx512::PACKETS,
+                run: avx512::run::<false>,
+                end: avx512::run::<true>,
+                spread: spread::spread,
+            },
         };
-        self.is_here().then_some(Vectors { packets, run })
+        #[cfg(target_arch = "x86_64")]
+        return self.is_here().then_some(found);
+        #[cfg(not(target_arch = "x86_64"))]
+        None
     }
 }
 
@@ -84,19 +125,39 @@ impl Kernel {
 /// the machine has the kernel's instructions.
 type Run = unsafe fn(slots: &[[u32; SLOTS]], from: usize, to: usize, lockstep: &mut Lockstep);
 
+/// Writes the values of the first of `tokens`, each with `raw_bits` bits of `plane`, the first of
+/// them at bit `bit` < 8; returns how many it wrote.
+///
+/// # Safety
+/// The machine has the kernel's instructions.
+type Spread = unsafe fn(raw_bits: u8, plane: &[u8], bit: usize, tokens: &[u8], out: &mut [i16]) -> usize;
+
 /// A kernel that this machine has.
 #[derive(Clone, Copy)]
 pub(crate) struct Vectors {
     /// Packets in lockstep, at most [`MOST_PACKETS`].
     pub packets: usize,
+    /// Every lane takes words.
     run: Run,
+    /// A lane takes words only in as many groups as [`Lockstep::left`] says.
+    end: Run,
+    spread: Spread,
 }
 
 impl Vectors {
     /// Pops the tokens of `steps` groups of four values of every packet: reads and moves on its
-    /// states and words, and fills its tokens from group `at` on. All arguments are brought into
-    /// their ranges first, so that no call reads or writes outside them.
-    pub fn run(&self, slots: &[[u32; SLOTS]], at: usize, steps: usize, lockstep: &mut Lockstep) {
+    /// states and words, and fills its tokens from group `at` on. `ending` if a lane's groups before
+    /// its packet's tail end meanwhile. All arguments are brought into their ranges first, so that
+    /// no call reads or writes outside them.
+    pub fn run(
+        &self,
+        slots: &[[u32; SLOTS]],
+        at: usize,
+        steps: usize,
+        ending: bool,
+        lockstep: &mut Lockstep,
+    ) {
+        let run = if ending { self.end } else { self.run };
         let last = (slots.len() * SLOTS).saturating_sub(SLOTS) as u32;
         for base in lockstep.base.as_flattened_mut() {
             *base = (*base).min(last);
@@ -111,7 +172,18 @@ impl Vectors {
         // machine that has its instructions.
         #[expect(unsafe_code, reason = "functions with target features are unsafe to call")]
         unsafe {
-            (self.run)(slots, at.min(MOST_STEPS), at.saturating_add(steps).min(MOST_STEPS), lockstep);
+            run(slots, at.min(MOST_STEPS), at.saturating_add(steps).min(MOST_STEPS), lockstep);
+        }
+    }
+}
+
+impl Vectors {
+    /// As [`Raw::values_by`](codec_core::rans::lanes::Raw::values_by) wants it.
+    pub fn spread(&self, raw_bits: u8, plane: &[u8], bit: usize, tokens: &[u8], out: &mut [i16]) -> usize {
+        // SAFETY: `Kernel::vectors` gives a kernel only to a machine that has its instructions.
+        #[expect(unsafe_code, reason = "functions with target features are unsafe to call")]
+        unsafe {
+            (self.spread)(raw_bits, plane, bit, tokens, out)
         }
     }
 }
@@ -121,29 +193,18 @@ pub(crate) struct Lockstep {
     pub state: [[u32; LANES]; MOST_PACKETS],
     /// First slot of each lane's table, at most that of the last table.
     pub base: [[u32; LANES]; MOST_PACKETS],
+    /// Groups that each lane still takes words in, from the start of a call on, if any is ending.
+    pub left: [[u32; LANES]; MOST_PACKETS],
     /// Offset of the next word in each packet's buffer, at most [`MOST_BYTES`] before a call.
     pub words: [usize; MOST_PACKETS],
     pub tokens: [[u8; LANES * MOST_STEPS]; MOST_PACKETS],
     pub bytes: [[u8; BUFFER_BYTES]; MOST_PACKETS],
 }
 
-/// For each set of lanes that take a word: which of the next four words goes to which lane, as a
-/// byte shuffle of 32-bit lanes, the upper halves zero.
+/// What one word is worth in a byte shuffle that picks it: two bytes on, for both of its bytes.
 #[cfg(target_arch = "x86_64")]
-static TAKE: [[u8; 16]; 16] = {
-    let mut rows = [[0x80u8; 16]; 16];
-    let mut set = 0;
-    while set < 16 {
-        let (mut lane, mut word) = (0, 0);
-        while lane < 4 {
-            if set >> lane & 1 == 1 {
-                rows[set][4 * lane] = 2 * word;
-                rows[set][4 * lane + 1] = 2 * word + 1;
-                word += 1;
-            }
-            lane += 1;
-        }
-        set += 1;
-    }
-    rows
-};
+const WORD: i32 = 0x0202;
+/// The shuffle of a 32-bit lane that picks the window's first word is [`WORD`] more than this; the
+/// upper half becomes zero.
+#[cfg(target_arch = "x86_64")]
+const FIRST_WORD: i32 = (0x8080_0100_u32 as i32).wrapping_sub(WORD);

@@ -3,12 +3,13 @@
 //!
 //! Packets need no common table, length or run list: each keeps its own place in its own runs, and
 //! one that is done makes room for the next. What the vectors do is pop tokens of whole groups of
-//! four values; everything else (states that keep values, raw bits, escapes, every check) is the
-//! scalar decoder's, which takes over where they stop. A packet that is refused is decoded again by
+//! four values, from words and from what the states keep, and put raw bits behind them; everything
+//! else (escapes, the last values of all, every check) is the scalar decoder's, which takes over
+//! where they stop. A packet that is refused is decoded again by
 //! the scalar decoder, so that its error is the scalar one.
 //!
 //! The instruction set is found at run time; without one the scalar decoder does all of it. All
-//! `unsafe` of the codec is in the two kernels here.
+//! `unsafe` of the codec is in the kernels here.
 
 mod bundle;
 mod crc;

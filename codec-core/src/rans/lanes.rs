@@ -94,20 +94,21 @@ impl<'a> Parts<'a> {
         if !stream.is_multiple_of(2) {
             return Err(Error::illegal("body.words", HEAD_BYTES, stream as u64, (0, stream as u64 - 1)));
         }
-        let mut bit = raw_bits;
-        let mut take = |bits: u32| -> Result<u32> {
-            let found = plane::bits(rest.get(stream..).unwrap_or(&[]), bit, bits);
-            bit += bits as usize;
-            found.ok_or(Error::short("body.state", HEAD_BYTES, stream, stream + 8))
-        };
-        let mut state = [0u32; LANES];
-        for (state, bits) in state.iter_mut().zip(lengths) {
-            *state = 1 << bits | take(bits)?;
+        // States and padding are the last bits of the body: fewer than 128, more than 56.
+        let mut last = [0u8; 16];
+        let (from, to) = (body.len().saturating_sub(last.len()), last.len().saturating_sub(body.len()));
+        for (place, &byte) in last.iter_mut().skip(to).zip(body.get(from..).unwrap_or(&[])) {
+            *place = byte;
         }
-        let padding = (8 * plane - plane_bits) as u32;
-        let left = take(padding)?;
-        if left != 0 {
-            return Err(Error::illegal("body.padding", body.len().saturating_sub(1), left.into(), (0, 0)));
+        let mut bits = u128::from_le_bytes(last) >> (128 - (8 * plane - raw_bits).min(128) as u32).min(127);
+        let mut state = [0u32; LANES];
+        for (state, length) in state.iter_mut().zip(lengths) {
+            *state = 1 << length | bits as u32 & ((1 << length) - 1);
+            bits >>= length;
+        }
+        if bits != 0 {
+            let found = bits as u64;
+            return Err(Error::illegal("body.padding", body.len().saturating_sub(1), found, (0, 0)));
         }
         Ok(Self { body: rest, stream, state, main: values - tail, tail, raw_bits })
     }
@@ -116,6 +117,20 @@ impl<'a> Parts<'a> {
     pub fn plane(&self) -> &'a [u8] {
         self.body.get(self.stream..).unwrap_or(&[])
     }
+}
+
+/// `state` when its first `by` lanes, modulo [`LANES`], have gone to the end; by moves between
+/// registers, where a slice's rotation takes a buffer on the stack.
+const fn turned(mut state: [u32; LANES], by: usize) -> [u32; LANES] {
+    if by & 1 != 0 {
+        let [a, b, c, d] = state;
+        state = [b, c, d, a];
+    }
+    if by & 2 != 0 {
+        let [a, b, c, d] = state;
+        state = [c, d, a, b];
+    }
+    state
 }
 
 #[cfg(test)]

@@ -35,6 +35,58 @@ pub const PARITY_HEADER_BYTES: usize = 4;
 /// Bytes by which parity exceeds the longest packet it covers: header, length, CRC.
 pub const PARITY_OVERHEAD_BYTES: usize = PARITY_HEADER_BYTES + 2 + 4;
 
+/// What every packet begins with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Head {
+    /// Kind: [`KIND_CHUNK`], [`KIND_SLICES`] or [`KIND_PARITY`].
+    pub kind: u8,
+    /// The lower five bits of the first byte, which each kind reads its own way.
+    pub flags: u8,
+    /// The packet.
+    pub id: PacketId,
+    /// Bytes up to and including the id.
+    pub len: usize,
+}
+
+impl Head {
+    /// The head of `content`; what follows it is not looked at.
+    ///
+    /// # Errors
+    /// Short bytes, an unknown kind, an id that is no varint in shortest form or too large.
+    #[inline]
+    pub fn parse(content: &[u8]) -> Result<Self> {
+        // One check of length; the varints of ids below 2^14, which most packets have.
+        let Some(&[first, a, b, c]) = content.first_chunk() else { return Self::parse_slowly(content) };
+        let (id, len) = match first >> 5 {
+            KIND_SLICES if a < 0x80 => (u32::from(a), 2),
+            KIND_SLICES if (1..0x80).contains(&b) => (u32::from(a & 0x7f) | u32::from(b) << 7, 3),
+            KIND_CHUNK | KIND_PARITY => (u32::from_le_bytes([a, b, c, 0]), 4),
+            _ => return Self::parse_slowly(content),
+        };
+        Ok(Self { kind: first >> 5, flags: first & 0x1f, id: PacketId::new(id).unwrap_or_default(), len })
+    }
+
+    /// Field by field.
+    #[cold]
+    fn parse_slowly(content: &[u8]) -> Result<Self> {
+        let mut reader = Reader::new(content);
+        let first = reader.u8("packet.kind")?;
+        let id = match first >> 5 {
+            // The varint's bound is the id's own.
+            KIND_SLICES => PacketId::new(reader.varint("packet.id", PacketId::MAX)?).unwrap_or_default(),
+            KIND_CHUNK => PacketId::from_bytes(reader.array("chunk.id")?),
+            KIND_PARITY => PacketId::from_bytes(reader.array("parity.id")?),
+            kind => return Err(unknown(kind)),
+        };
+        Ok(Self { kind: first >> 5, flags: first & 0x1f, id, len: reader.offset() })
+    }
+}
+
+fn unknown(kind: u8) -> Error {
+    let allowed = (KIND_CHUNK.into(), KIND_PARITY.into());
+    Error::illegal("packet.kind", 0, kind.into(), allowed).kind(ErrorKind::Unknown)
+}
+
 /// A packet's content, CRC already checked and removed.
 #[derive(Clone, Debug, PartialEq)]
 #[expect(clippy::large_enum_variant, reason = "there is no heap to put the large one on")]
@@ -60,10 +112,7 @@ impl<'a> Packet<'a> {
             KIND_CHUNK => Chunk::parse(content).map(Self::Chunk),
             KIND_SLICES => Slices::parse(content).map(Self::Slices),
             KIND_PARITY => Parity::parse(content).map(Self::Parity),
-            kind => {
-                let allowed = (KIND_CHUNK.into(), KIND_PARITY.into());
-                Err(Error::illegal("packet.kind", 0, kind.into(), allowed).kind(ErrorKind::Unknown))
-            }
+            kind => Err(unknown(kind)),
         }
     }
 
@@ -371,6 +420,11 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn heads_are_read_alike(bytes in proptest::collection::vec(prop_oneof![any::<u8>(), Just(0xa0), Just(0x80)], 0..8)) {
+            prop_assert_eq!(Head::parse(&bytes), Head::parse_slowly(&bytes));
+        }
+
         #[test]
         fn slices_round_trip_at_their_stated_length(
             list in proptest::collection::vec(stretch(), 1..9), id in 0u32..1 << 24,

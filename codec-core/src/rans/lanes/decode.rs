@@ -2,14 +2,11 @@
 
 use core::hint::select_unpredictable;
 
-use super::{LANES, LOW, LOW_BITS, Lookup, Parts, Raw, TAIL_START};
+use super::{LANES, LOW, LOW_BITS, Lookup, Parts, Raw, TAIL_START, turned};
 use crate::{
     error::{Error, Result},
     rans::table::ESCAPE,
 };
-
-/// Values between two passes: tokens first, then raw bits and escapes while they are in cache.
-const PART: usize = 256;
 
 /// A decoder over one packet body.
 #[derive(Clone, Copy, Debug)]
@@ -40,7 +37,24 @@ pub struct Lanes<'a> {
     pub state: [u32; LANES],
     /// Values left before the tail.
     pub main: usize,
+    /// Values left in the tail, which takes no words.
+    pub tail: usize,
 }
+
+/// What is wrong with a body, not yet in words: an [`Error`] on its way takes stack.
+#[derive(Clone, Copy)]
+enum Fault {
+    /// Words run out.
+    Words,
+    /// Fewer raw bits than these are left.
+    Raw(usize),
+    /// Escapes run out.
+    Escapes,
+    /// An escaped value has these raw bits.
+    Bits(i16),
+}
+
+type Outcome<T> = core::result::Result<T, Fault>;
 
 impl<'a> Decoder<'a> {
     /// A decoder of `body`, which holds `values` values with `raw_bits` raw bits between them.
@@ -66,15 +80,18 @@ impl<'a> Decoder<'a> {
     /// [`ErrorKind::Short`](crate::ErrorKind::Short) if values, words, raw bits or escapes run
     /// out, [`ErrorKind::Illegal`](crate::ErrorKind::Illegal) for an escape with raw bits.
     pub fn run<L: Lookup + ?Sized>(&mut self, table: &L, raw_bits: u8, out: &mut [i16]) -> Result<()> {
-        // Wide registers take the words of four lanes at once; narrow ones word by word.
+        // Wide registers take the words of four lanes at once; narrow ones word by word, and where
+        // they are narrow the stack is short.
         if cfg!(target_pointer_width = "64") {
-            self.run_as::<L, true>(table, raw_bits, out)
+            self.run_as::<L, true, 256>(table, raw_bits, out)
         } else {
-            self.run_as::<L, false>(table, raw_bits, out)
+            self.run_as::<L, false, 32>(table, raw_bits, out)
         }
     }
 
-    pub(super) fn run_as<L: Lookup + ?Sized, const WIDE: bool>(
+    /// `PART` values between two passes: tokens first, then raw bits and escapes while they are in
+    /// cache. It decides which of several faults of a body is named, never whether one is.
+    pub(super) fn run_as<L: Lookup + ?Sized, const WIDE: bool, const PART: usize>(
         &mut self,
         table: &L,
         raw_bits: u8,
@@ -87,17 +104,59 @@ impl<'a> Decoder<'a> {
         let mut tokens = [0u8; PART];
         for part in out.chunks_mut(PART) {
             let Some(tokens) = tokens.get_mut(..part.len()) else { continue };
-            let (main, tail) = tokens.split_at_mut(self.main.min(part.len()));
-            self.main -= main.len();
-            self.tail -= tail.len();
-            let whole = if WIDE { self.wide(table, main) } else { self.narrow(table, main) };
-            if whole.is_none() || self.words > self.escapes {
-                return Err(Error::short("body.words", 0, self.escapes, self.escapes + 2));
-            }
-            self.keep(table, tail);
-            self.complete(raw_bits, tokens, part)?;
+            self.part::<L, WIDE>(table, raw_bits, tokens, part).map_err(|fault| self.refuse(fault))?;
         }
         Ok(())
+    }
+
+    #[inline(always)]
+    fn part<L: Lookup + ?Sized, const WIDE: bool>(
+        &mut self,
+        table: &L,
+        raw_bits: u8,
+        tokens: &mut [u8],
+        out: &mut [i16],
+    ) -> Outcome<()> {
+        let (main, tail) = tokens.split_at_mut(self.main.min(tokens.len()));
+        self.main -= main.len();
+        self.tail -= tail.len();
+        let whole = if WIDE { self.wide(table, main) } else { self.narrow(table, main) };
+        if whole.is_none() || self.words > self.escapes {
+            return Err(Fault::Words);
+        }
+        self.keep(table, tail);
+        self.raw.values(raw_bits, tokens, out).ok_or(Fault::Raw(out.len() * usize::from(raw_bits)))?;
+        self.escape(raw_bits, tokens, out)
+    }
+
+    /// What `fault` is in words.
+    #[cold]
+    #[inline(never)]
+    fn refuse(&self, fault: Fault) -> Error {
+        match fault {
+            Fault::Words => Error::short("body.words", 0, self.escapes, self.escapes + 2),
+            Fault::Raw(needed) => self.raw.short(needed),
+            Fault::Escapes => Error::short("body.escapes", 0, 0, 2),
+            Fault::Bits(raw) => Error::illegal("body.raw", 0, raw as u64, (0, 0)),
+        }
+    }
+
+    fn room(&self, values: usize) -> Result<()> {
+        let left = self.main + self.tail;
+        if values > left { Err(Error::short("body.values", 0, left, values)) } else { Ok(()) }
+    }
+
+    /// Takes the values of `part` off those that are left: before the tail, and in it.
+    fn claim<'p, T>(&mut self, part: &'p mut [T]) -> (&'p mut [T], &'p mut [T]) {
+        let (main, tail) = part.split_at_mut(self.main.min(part.len()));
+        self.main -= main.len();
+        self.tail -= tail.len();
+        (main, tail)
+    }
+
+    /// Whether the words taken so far were there.
+    fn enough(&self, whole: Option<()>) -> Outcome<()> {
+        if whole.is_some() && self.words <= self.escapes { Ok(()) } else { Err(Fault::Words) }
     }
 
     /// Tokens, the words of four lanes from one load. `None` past the end of the body.
@@ -107,17 +166,18 @@ impl<'a> Decoder<'a> {
         let mut rest = self.body.get(self.words..)?;
         let mut quads = out.chunks_exact_mut(LANES);
         for quad in &mut quads {
-            let mut window = u64::from_le_bytes(*rest.first_chunk::<8>()?);
+            let (words, _) = rest.first_chunk::<8>()?.as_chunks::<2>();
+            let words = words.first_chunk::<LANES>()?;
             let mut used = 0;
             for (value, x) in quad.iter_mut().zip(&mut state) {
                 let (token, below) = table.pop(*x);
                 *value = token;
                 let refill = below < LOW;
-                *x = select_unpredictable(refill, below << 16 | (window as u32 & 0xffff), below);
-                window = select_unpredictable(refill, window >> 16, window);
-                used += 2 * usize::from(refill);
+                let word = u32::from(u16::from_le_bytes(words[used % LANES]));
+                *x = select_unpredictable(refill, below << 16 | word, below);
+                used += usize::from(refill);
             }
-            rest = rest.get(used..)?;
+            rest = rest.get(2 * used..)?;
         }
         self.state = state;
         self.words = self.body.len() - rest.len();
@@ -151,7 +211,7 @@ impl<'a> Decoder<'a> {
             *value = token;
             *x = refill(below)?;
         }
-        state.rotate_left(over.len());
+        let state = turned(state, over.len());
         self.words = self.body.len() - rest.len();
         self.state = state;
         Some(())
@@ -163,66 +223,93 @@ impl<'a> Decoder<'a> {
             for (value, x) in quad.iter_mut().zip(&mut self.state) {
                 (*value, *x) = table.pop(*x);
             }
-            self.state.rotate_left(quad.len());
+            self.state = turned(self.state, quad.len());
         }
     }
 
-    /// Values of `tokens`: their raw bits and escapes.
+    /// Escaped values among `out`, the values of `tokens`.
     #[inline]
-    fn complete(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
-        self.raw.values(raw_bits, tokens, out)?;
+    fn escape(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Outcome<()> {
         // Over all tokens, so that it is done many at a time.
-        let escaped = tokens.iter().fold(false, |any, &t| any | (t == ESCAPE));
-        if escaped { self.escape(raw_bits, tokens, out) } else { Ok(()) }
+        if has_escape(tokens) { self.some(raw_bits, tokens, out) } else { Ok(()) }
     }
 
     #[cold]
-    fn escape(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
-        let empty = (i16::from(ESCAPE) - 128) << raw_bits;
-        for (_, value) in tokens.iter().zip(out).filter(|(token, _)| **token == ESCAPE) {
-            if *value != empty {
-                let found = value.wrapping_sub(empty) as u64;
-                return Err(Error::illegal("body.raw", 0, found, (0, 0)));
+    fn some(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Outcome<()> {
+        // Few tokens are escapes: most stretches of some hold none.
+        const SOME: usize = 64;
+        for (tokens, out) in tokens.chunks(SOME).zip(out.chunks_mut(SOME)) {
+            if has_escape(tokens) {
+                self.replace(raw_bits, out)?;
             }
-            let unread = self.body.get(self.words..self.escapes).and_then(|b| b.split_last_chunk::<2>());
-            let Some((_, bytes)) = unread else {
-                return Err(Error::short("body.escapes", 0, 0, 2));
-            };
-            self.escapes -= 2;
-            *value = i16::from_le_bytes(*bytes);
         }
         Ok(())
     }
 
+    /// Escaped values for those of `out` that the escape token gave.
+    fn replace(&mut self, raw_bits: u8, out: &mut [i16]) -> Outcome<()> {
+        const TOKEN: i16 = ESCAPE as i16 - 128;
+        let raw_bits = raw_bits & 15;
+        for value in out.iter_mut().filter(|value| **value >> raw_bits == TOKEN) {
+            *value = self.escaped(value.wrapping_sub(TOKEN << raw_bits))?;
+        }
+        Ok(())
+    }
+
+    /// The next escaped value, whose raw bits are `raw`.
+    #[cold]
+    #[inline(never)]
+    fn escaped(&mut self, raw: i16) -> Outcome<i16> {
+        if raw != 0 {
+            return Err(Fault::Bits(raw));
+        }
+        let unread = self.body.get(self.words..self.escapes).and_then(|b| b.split_last_chunk::<2>());
+        let Some((_, bytes)) = unread else {
+            return Err(Fault::Escapes);
+        };
+        self.escapes -= 2;
+        Ok(i16::from_le_bytes(*bytes))
+    }
+
     /// Where the decoder stands, for one that takes several packets at once.
     pub fn lanes(&self) -> Lanes<'a> {
-        Lanes { bytes: self.body, words: self.words, state: self.state, main: self.main }
+        Lanes { bytes: self.body, words: self.words, state: self.state, main: self.main, tail: self.tail }
     }
 
     /// Takes over from a decoder of several packets that popped the tokens of `values` values,
-    /// whole groups of four, outside the tail: `state` and `words` as it left them. Those tokens
-    /// then go through [`Decoder::values`].
+    /// whole groups of four: `state` and `words` as it left them. Those tokens then go through
+    /// [`Decoder::values_by`].
     ///
     /// # Errors
     /// [`ErrorKind::Short`](crate::ErrorKind::Short) if it took more values or words than there are.
     pub fn resume(&mut self, state: [u32; LANES], words: usize, values: usize) -> Result<()> {
-        let Some(main) = self.main.checked_sub(values) else {
-            return Err(Error::short("body.values", 0, self.main, values));
+        let main = self.main.min(values);
+        let Some(tail) = self.tail.checked_sub(values - main) else {
+            return Err(Error::short("body.values", 0, self.main + self.tail, values));
         };
-        (self.state, self.words, self.main) = (state, words, main);
+        (self.state, self.words, self.main, self.tail) = (state, words, self.main - main, tail);
         if words > self.escapes {
             return Err(Error::short("body.words", 0, self.escapes, self.escapes + 2));
         }
         Ok(())
     }
 
-    /// Values of tokens that another decoder popped, all with the same `raw_bits`.
+    /// Values of tokens that another decoder popped, all with the same `raw_bits`; the first of
+    /// them by `wide`, as [`Raw::values_by`] says.
     ///
     /// # Errors
     /// As [`Decoder::run`].
     #[inline]
-    pub fn values(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
-        self.complete(raw_bits, tokens, out)
+    pub fn values_by(
+        &mut self,
+        raw_bits: u8,
+        tokens: &[u8],
+        out: &mut [i16],
+        wide: impl FnOnce(&[u8], usize, &[u8], &mut [i16]) -> usize,
+    ) -> Result<()> {
+        let spread = self.raw.values_by(raw_bits, tokens, out, wide);
+        let spread = spread.ok_or(Fault::Raw(tokens.len() * usize::from(raw_bits)));
+        spread.and_then(|()| self.escape(raw_bits, tokens, out)).map_err(|fault| self.refuse(fault))
     }
 
     /// Accepts the body if it is used up and every lane ends where an encoder begins.
@@ -248,4 +335,8 @@ impl<'a> Decoder<'a> {
         }
         Ok(())
     }
+}
+
+fn has_escape(tokens: &[u8]) -> bool {
+    tokens.iter().fold(false, |any, &token| any | (token == ESCAPE))
 }

@@ -2,7 +2,7 @@
 
 use core::hint::select_unpredictable;
 
-use super::{HEAD_BYTES, LANES, LOW, LOW_BITS, TAIL_START};
+use super::{HEAD_BYTES, LANES, LOW, LOW_BITS, TAIL_START, turned};
 use crate::{
     error::{Error, ErrorKind, Result},
     rans::table::{ESCAPE, PRECISION, SCALE, Table},
@@ -19,15 +19,15 @@ struct Symbol {
     /// `ceil(2^(31 + s) / f)` with `2^s` the least power of two of `f` or more.
     reciprocal: u32,
     /// Added to the state: `start`, corrected for `f = 1`.
-    bias: u32,
+    bias: u16,
     /// `2048 − f`, times the quotient.
     complement: u16,
-    /// `s − 1` in the low five bits, and whether the value travels as an escape.
-    flags: u16,
+    /// `31 + s` in the low six bits, and whether the value travels as an escape.
+    shift: u32,
 }
 
-/// Flag of a token whose value travels as an escape.
-const ESCAPED: u16 = 1 << 8;
+/// Flag of a token whose value travels as an escape, beside its shift.
+const ESCAPED: u32 = 1 << 8;
 
 impl Symbol {
     fn of(table: &Table, token: u8) -> Self {
@@ -36,27 +36,27 @@ impl Symbol {
         let (f, start) = (table.frequency(token), table.start(token));
         let complement = SCALE.saturating_sub(f) as u16;
         let (reciprocal, bias, shift) = match f {
-            0 => (0, 0, 0),
+            0 => (0, 0, 32),
             // 2^32 / 1 does not fit: x · (2^32 − 1) >> 32 is x − 1, and the bias makes up for it.
-            1 => (u32::MAX, start + SCALE - 1, 0),
+            1 => (u32::MAX, start + SCALE - 1, 32),
             _ => {
                 let s = f.next_power_of_two().ilog2();
-                ((1u64 << (s + 31)).div_ceil(u64::from(f)) as u32, start, s - 1)
+                ((1u64 << (s + 31)).div_ceil(u64::from(f)) as u32, start, s + 31)
             }
         };
-        let flags = shift as u16 | if escaped { ESCAPED } else { 0 };
-        Self { limit: f << (31 - PRECISION), reciprocal, bias, complement, flags }
+        let shift = shift | if escaped { ESCAPED } else { 0 };
+        Self { limit: f << (31 - PRECISION), reciprocal, bias: bias as u16, complement, shift }
     }
 
     const fn escaped(&self) -> bool {
-        self.flags & ESCAPED != 0
+        self.shift & ESCAPED != 0
     }
 
     #[inline(always)]
     fn push(&self, x: u32) -> u32 {
-        let high = (u64::from(x) * u64::from(self.reciprocal)) >> 32;
-        let quotient = (high as u32) >> (self.flags & 31);
-        x.wrapping_add(self.bias).wrapping_add(quotient.wrapping_mul(u32::from(self.complement)))
+        // A shift takes its count modulo 64, as machines do.
+        let quotient = (u64::from(x) * u64::from(self.reciprocal)).wrapping_shr(self.shift) as u32;
+        x.wrapping_add(u32::from(self.bias)).wrapping_add(quotient.wrapping_mul(u32::from(self.complement)))
     }
 }
 
@@ -221,71 +221,97 @@ pub fn encode(values: &[i16], runs: &[Run], tables: &[Symbols], out: &mut [u8]) 
     let Tail { groups, mut state } = keep(&source);
     let main = values.len().saturating_sub(LANES * groups);
     let room = out.len();
-    let mut at = room;
-    let mut flags = 0;
+    let mut free = out.get_mut(HEAD_BYTES..).ok_or(full(room))?;
+    let mut escapes = 0;
     for (start, values, table) in source.backwards() {
         let (values, tail) = values.split_at(main.saturating_sub(start).min(values.len()));
-        flags |= tail.iter().fold(0, |flags, &v| flags | table.symbol(v).flags);
-        at = push_run(table, start, values, &mut state, &mut flags, out, at).ok_or(full(room))?;
+        for &value in tail.iter().rev().filter(|&&v| table.symbol(v).escaped()) {
+            free = escape(free, value, &mut escapes).ok_or(full(room))?;
+        }
+        free = push_run(table, start, values, &mut state, free, &mut escapes).ok_or(full(room))?;
     }
-    let escaped =
-        |(values, table): (&[i16], &Symbols)| values.iter().filter(|&&v| table.symbol(v).escaped()).count();
-    let escapes = if flags & ESCAPED == 0 { 0 } else { source.forwards().map(escaped).sum::<usize>() };
-    let words = room - at;
-    if HEAD_BYTES + words > room {
-        return Err(full(room));
+    let words = room - HEAD_BYTES - 2 * escapes - free.len();
+    let stream = out.get_mut(HEAD_BYTES..).ok_or(full(room))?;
+    stream.copy_within(room - HEAD_BYTES - words.., 2 * escapes);
+    if escapes > 0 {
+        stream[..words + 2 * escapes].rotate_left(2 * escapes);
     }
-    out.copy_within(at.., HEAD_BYTES);
     finish(&source, groups, state, HEAD_BYTES + words, escapes, out)
 }
 
-/// Pushes a run whose first value has index `start`, words backwards from `at`; the new `at`.
+/// Notes an escaped value at the front of `free`, behind those noted before; what is free then.
+#[cold]
+fn escape<'o>(free: &'o mut [u8], value: i16, escapes: &mut usize) -> Option<&'o mut [u8]> {
+    let (place, free) = free.split_first_chunk_mut()?;
+    *place = value.to_le_bytes();
+    *escapes += 1;
+    Some(free)
+}
+
+/// Quads of values whose tokens are looked up at once.
+const QUADS: usize = 64;
+
+/// Pushes a run whose first value has index `start`: words from the end of `free` backwards,
+/// escaped values from its front on; what is free then.
 #[inline]
-fn push_run(
+fn push_run<'o>(
     table: &Symbols,
     start: usize,
     values: &[i16],
     state: &mut [u32; LANES],
-    flags: &mut u16,
-    out: &mut [u8],
-    at: usize,
-) -> Option<usize> {
+    mut free: &'o mut [u8],
+    escapes: &mut usize,
+) -> Option<&'o mut [u8]> {
     // Lanes turned so that the run's first value is on lane 0.
-    let mut x = *state;
-    x.rotate_left(start % LANES);
-    let mut free = out.get_mut(..at)?;
+    let mut x = turned(*state, start);
     let (quads, over) = values.as_chunks::<LANES>();
-    let mut group = |values: &[i16]| {
-        let (mut words, mut used) = (0u64, 0usize);
-        for (&value, x) in values.iter().zip(&mut x).rev() {
-            let symbol = table.symbol(value);
-            *flags |= symbol.flags;
-            let full = *x >= symbol.limit;
-            words = select_unpredictable(full, words << 16 | u64::from(*x as u16), words);
-            *x = select_unpredictable(full, *x >> 16, *x);
-            used += 2 * usize::from(full);
-            *x = symbol.push(*x);
+    for (&value, x) in over.iter().zip(&mut x).rev() {
+        let symbol = table.symbol(value);
+        if symbol.escaped() {
+            free = escape(free, value, escapes)?;
         }
-        // The last word emitted is the first read: it lies in the low bits, at the lowest place.
-        let place = free.last_chunk_mut::<8>()?;
-        *place = words.wrapping_shl(64 - 8 * used as u32).to_le_bytes();
-        let kept = free.len() - used;
-        free = core::mem::take(&mut free).get_mut(..kept)?;
-        Some(())
-    };
-    if !over.is_empty() {
-        group(over)?;
+        if *x >= symbol.limit {
+            let (rest, place) = free.split_last_chunk_mut()?;
+            *place = (*x as u16).to_le_bytes();
+            *x >>= 16;
+            free = rest;
+        }
+        *x = symbol.push(*x);
     }
-    for quad in quads.iter().rev() {
-        group(quad)?;
+    let mut tokens = [[0u8; LANES]; QUADS];
+    for quads in quads.rchunks(QUADS) {
+        let tokens = tokens.get_mut(..quads.len())?;
+        for (token, &value) in tokens.as_flattened_mut().iter_mut().zip(quads.as_flattened()) {
+            *token = Table::token(value, table.raw_bits & 15);
+        }
+        for (tokens, values) in tokens.iter().zip(quads).rev() {
+            // The last word given up is the first read: it lies lowest. A place is written before
+            // it is known to be needed, and again if it was not.
+            let (places, _) = free.last_chunk_mut::<8>()?.as_chunks_mut::<2>();
+            let places = places.first_chunk_mut::<LANES>()?;
+            let (mut last, mut shifts) = (LANES - 1, 0);
+            for (&token, x) in tokens.iter().zip(&mut x).rev() {
+                let symbol = &table.of[usize::from(token)];
+                places[last % LANES] = (*x as u16).to_le_bytes();
+                let full = *x >= symbol.limit;
+                last = last.wrapping_sub(usize::from(full));
+                *x = symbol.push(select_unpredictable(full, *x >> 16, *x));
+                shifts |= symbol.shift;
+            }
+            let words = (LANES - 1).wrapping_sub(last);
+            free = free.split_at_mut_checked(free.len().wrapping_sub(2 * words))?.0;
+            if shifts & ESCAPED != 0 {
+                for &value in values.iter().rev().filter(|&&v| table.symbol(v).escaped()) {
+                    free = escape(free, value, escapes)?;
+                }
+            }
+        }
     }
-    let at = free.len();
-    x.rotate_right(start % LANES);
-    *state = x;
-    Some(at)
+    *state = turned(x, LANES - start % LANES);
+    Some(free)
 }
 
-/// Writes head, escapes and plane around the words that end at `words_end`.
+/// Writes head and plane around the words, which end at `words_end`, and the escapes behind them.
 fn finish(
     source: &Source<'_>,
     groups: usize,
@@ -304,22 +330,19 @@ fn finish(
     let packed = lengths.iter().rev().fold(0u16, |packed, &bits| packed << 4 | (bits - LOW_BITS) as u16);
     let [low, high] = packed.to_le_bytes();
     out[..HEAD_BYTES].copy_from_slice(&[groups as u8, low, high]);
-    let (stream, plane) = out.split_at_mut(plane_start);
-    if escapes > 0 {
-        let mut places = stream.rchunks_exact_mut(2);
-        for (values, table) in source.forwards() {
-            for (value, place) in values.iter().filter(|&&v| table.symbol(v).escaped()).zip(&mut places) {
-                place.copy_from_slice(&value.to_le_bytes());
-            }
-        }
-    }
+    let plane = out.get_mut(plane_start..).ok_or(full(room))?;
     let mut bits = Bits { plane, held: 0, count: 0, at: 0 };
     for (values, table) in source.forwards().filter(|(_, table)| table.raw_bits > 0) {
-        let mask = (1u16 << table.raw_bits) - 1;
-        for &value in values {
-            // An escaped value's raw bits are zero: there is one encoding of each packet.
-            let low = if escapes > 0 && table.symbol(value).escaped() { 0 } else { value as u16 & mask };
-            bits.put(low.into(), table.raw_bits.into());
+        let (k, mask) = (u32::from(table.raw_bits), (1u16 << table.raw_bits) - 1);
+        // An escaped value's raw bits are zero: there is one encoding of each packet.
+        let low =
+            |v: i16| if escapes > 0 && table.symbol(v).escaped() { 0 } else { u32::from(v as u16 & mask) };
+        let (quads, rest) = values.as_chunks::<LANES>();
+        for &[a, b, c, d] in quads {
+            bits.put(low(a) | low(b) << k | low(c) << (2 * k) | low(d) << (3 * k), 4 * k);
+        }
+        for &value in rest {
+            bits.put(low(value), k);
         }
     }
     for (x, length) in state.into_iter().zip(lengths) {
@@ -338,7 +361,7 @@ struct Bits<'a> {
 }
 
 impl Bits<'_> {
-    /// Appends `bits` ≤ 31 bits.
+    /// Appends `bits` ≤ 32 bits.
     #[inline(always)]
     fn put(&mut self, value: u32, bits: u32) {
         self.held |= u64::from(value) << self.count;

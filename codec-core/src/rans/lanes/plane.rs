@@ -1,17 +1,6 @@
 //! The raw plane: low bits of values, several values to a load.
 
-use crate::error::{Error, Result};
-
-/// `bits` ≤ 32 bits from bit `at` of `plane`, low bits first; `None` if they are not there.
-pub(super) fn bits(plane: &[u8], at: usize, bits: u32) -> Option<u32> {
-    let mut value = 0u64;
-    let first = at / 8;
-    let last = (at + bits as usize).div_ceil(8);
-    for (i, &byte) in plane.get(first..last)?.iter().enumerate() {
-        value |= u64::from(byte) << (8 * i);
-    }
-    Some(((value >> (at % 8)) & ((1u64 << bits) - 1)) as u32)
-}
+use crate::error::Error;
 
 /// A reader of the raw bits of one body.
 #[derive(Clone, Copy, Debug)]
@@ -35,16 +24,13 @@ impl<'a> Raw<'a> {
     }
 
     /// Values of `tokens`, each with the next `raw_bits` bits: `(token − 128) << raw_bits | bits`.
-    ///
-    /// # Errors
-    /// [`ErrorKind::Short`](crate::ErrorKind::Short) if fewer bits are left.
-    pub fn values(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Result<()> {
-        let needed = tokens.len() * usize::from(raw_bits);
-        if self.end - self.at < needed {
-            return Err(Error::short("body.raw", 0, self.end - self.at, needed));
+    /// `None` if fewer bits are left.
+    pub fn values(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Option<()> {
+        if self.end - self.at < tokens.len() * usize::from(raw_bits) {
+            return None;
         }
         // A constant width turns the shifts into constants, or into one vector operation.
-        let whole = match raw_bits {
+        match raw_bits {
             0 => {
                 for (value, &token) in out.iter_mut().zip(tokens) {
                     *value = i16::from(token) - 128;
@@ -59,8 +45,31 @@ impl<'a> Raw<'a> {
             6 => self.fixed::<6>(tokens, out),
             7 => self.fixed::<7>(tokens, out),
             _ => self.fixed::<8>(tokens, out),
-        };
-        whole.ok_or(Error::short("body.raw", 0, self.plane.len(), self.at.div_ceil(8) + 8))
+        }
+    }
+
+    /// As [`Raw::values`], the first of them by `wide`: it is given the plane from the byte of the
+    /// next raw bit on, how many bits of that byte are read, `tokens` and `out`, and returns how
+    /// many values it has written.
+    pub fn values_by(
+        &mut self,
+        raw_bits: u8,
+        tokens: &[u8],
+        out: &mut [i16],
+        wide: impl FnOnce(&[u8], usize, &[u8], &mut [i16]) -> usize,
+    ) -> Option<()> {
+        let mut done = 0;
+        if self.end - self.at >= tokens.len() * usize::from(raw_bits) {
+            let plane = self.plane.get(self.at / 8..).unwrap_or(&[]);
+            done = wide(plane, self.at % 8, tokens, out).min(tokens.len()).min(out.len());
+            self.at += done * usize::from(raw_bits);
+        }
+        self.values(raw_bits, tokens.get(done..).unwrap_or(&[]), out.get_mut(done..).unwrap_or(&mut []))
+    }
+
+    /// The error of one who needs `needed` bits.
+    pub(super) const fn short(&self, needed: usize) -> Error {
+        Error::short("body.raw", 0, self.end - self.at, needed)
     }
 
     #[inline]

@@ -75,16 +75,16 @@ fn decode_as(body: &[u8], table_of: &[u8], tables: &[Table], wide: bool, compact
         if compact {
             let compact = Compact::fill(table, &mut token, &mut range);
             if wide {
-                decoder.run_as::<_, true>(&compact, table.raw_bits(), target)?;
+                decoder.run_as::<_, true, 64>(&compact, table.raw_bits(), target)?;
             } else {
-                decoder.run_as::<_, false>(&compact, table.raw_bits(), target)?;
+                decoder.run_as::<_, false, 64>(&compact, table.raw_bits(), target)?;
             }
         } else {
             table.fill_slots(&mut slots);
             if wide {
-                decoder.run_as::<_, true>(&*slots, table.raw_bits(), target)?;
+                decoder.run_as::<_, true, 64>(&*slots, table.raw_bits(), target)?;
             } else {
-                decoder.run_as::<_, false>(&*slots, table.raw_bits(), target)?;
+                decoder.run_as::<_, false, 64>(&*slots, table.raw_bits(), target)?;
             }
         }
     }
