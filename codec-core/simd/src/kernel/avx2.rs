@@ -1,9 +1,5 @@
 //! Eight packets, four 256-bit vectors of two packets each.
 #![expect(unsafe_code, reason = "vector loads and stores, and table look-ups, at computed places")]
-#![expect(
-    clippy::needless_range_loop,
-    reason = "a vector's number picks its states, its packets and its words"
-)]
 
 use core::arch::x86_64::*;
 

@@ -1,9 +1,5 @@
 //! Sixteen packets, four 512-bit vectors of four packets each.
 #![expect(unsafe_code, reason = "vector loads and stores at computed places")]
-#![expect(
-    clippy::needless_range_loop,
-    reason = "a vector's number picks its states, its packets and its words"
-)]
 
 use core::arch::x86_64::*;
 

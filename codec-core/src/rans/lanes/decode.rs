@@ -141,24 +141,6 @@ impl<'a> Decoder<'a> {
         }
     }
 
-    fn room(&self, values: usize) -> Result<()> {
-        let left = self.main + self.tail;
-        if values > left { Err(Error::short("body.values", 0, left, values)) } else { Ok(()) }
-    }
-
-    /// Takes the values of `part` off those that are left: before the tail, and in it.
-    fn claim<'p, T>(&mut self, part: &'p mut [T]) -> (&'p mut [T], &'p mut [T]) {
-        let (main, tail) = part.split_at_mut(self.main.min(part.len()));
-        self.main -= main.len();
-        self.tail -= tail.len();
-        (main, tail)
-    }
-
-    /// Whether the words taken so far were there.
-    fn enough(&self, whole: Option<()>) -> Outcome<()> {
-        if whole.is_some() && self.words <= self.escapes { Ok(()) } else { Err(Fault::Words) }
-    }
-
     /// Tokens, the words of four lanes from one load. `None` past the end of the body.
     #[inline(always)]
     fn wide<L: Lookup + ?Sized>(&mut self, table: &L, out: &mut [u8]) -> Option<()> {
