@@ -1,8 +1,8 @@
 //! Losses that look further than one pixel, on the device: pictures of many worlds are drawn and kept, a
 //! kernel makes gradients of them, and the way back starts from those.
 //!
-//! As many worlds at a time as fit [`KEPT_BYTES`], all in one submission; which worlds go together does not
-//! show in any number.
+//! As many worlds at a time as fit the buffers that every WebGPU device binds, all in one submission; which
+//! worlds go together does not show in any number.
 
 use bytemuck::{Pod, Zeroable};
 
