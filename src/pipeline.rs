@@ -1,16 +1,16 @@
 //! The walk, step by step, as every verb and every experiment takes it.
 
+mod link;
+
+pub use link::{Link, capacity_bins, link, read_trace};
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 use codec_core::{
     closure::Arrived, gaussian::ShDegree, ids::Level, receiver::Content, wire::manifest::Profile,
 };
-use emulator_host::{
-    ControllerKind, Nanos, PacketGraph, PolicyKind, Rate, Report, SessionConfig, Trace,
-    link::{Capacity, LossModel, PathConfig, QueueLimit},
-    trace,
-};
+use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig};
 use render_host::{Camera, Settings};
 use trainer_host::{
     Attributes, Epoch, Scene, Stream, Track,
@@ -22,7 +22,7 @@ use trainer_host::{
 };
 
 use crate::{
-    args::{CodecArgs, ControllerName, LinkArgs, PolicyName, ProfileName, SceneArgs, Up, ViewArgs},
+    args::{CodecArgs, PolicyName, ProfileName, SceneArgs, Up, ViewArgs},
     delivery::{self, ShownState, WireEndpoint},
     progress::Progress,
 };
@@ -299,171 +299,6 @@ pub const fn policy(name: PolicyName) -> PolicyKind {
         PolicyName::Dependency => PolicyKind::Dependency,
         PolicyName::DeadlineUtility => PolicyKind::DeadlineUtility,
     }
-}
-
-/// Reads a capacity trace, by content: UCC CSV, mahimahi (one column) or two columns.
-///
-/// # Errors
-/// What the loader refuses, with the file's name.
-pub fn read_trace(path: &Path) -> Result<Trace> {
-    let limits = trace::Limits::default();
-    let bytes = trace::read(path, &limits)?;
-    let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    let first = bytes.split(|b| *b == b'\n').find(|l| !l.trim_ascii().is_empty()).unwrap_or(&[]);
-    let columns = first.split(|b| b.is_ascii_whitespace()).filter(|c| !c.is_empty()).count();
-    let trace = if first.starts_with(b"Timestamp") || first.contains(&b',') {
-        Trace::ucc(&name, &bytes, trace::Direction::Down, &limits)
-    } else if columns <= 1 {
-        Trace::mahimahi(&name, &bytes, &limits)
-    } else {
-        // The two families differ in which end of its interval a row stands at.
-        let holds = if name.contains("pitree") { trace::Holds::Backward } else { trace::Holds::Forward };
-        Trace::two_column(&name, &bytes, holds, &limits)
-    };
-    trace.with_context(|| format!("{}: not a usable capacity trace", path.display()))
-}
-
-/// A link ready to use, and what to say about it.
-#[derive(Clone, Debug)]
-pub struct Link {
-    /// The session without its scheduler.
-    pub config: SessionConfig,
-    /// Capacity over time.
-    pub trace: Trace,
-    /// Name, mean rate, delay, loss, for people.
-    pub description: String,
-    /// Warnings of the trace loader.
-    pub warnings: Vec<String>,
-}
-
-/// The link as typed, for a stream of `graph`'s size.
-///
-/// # Errors
-/// An unreadable trace, or numbers out of range.
-pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
-    let clip_s = f64::from(graph.frames()) * graph.frame_interval().as_s();
-    let built_in = args.trace.is_none();
-    let trace = match &args.trace {
-        Some(path) => read_trace(path)?,
-        None => Trace::bursty(args.link_seed, Nanos::from_s(60)),
-    };
-    let warnings = trace.warnings().iter().map(ToString::to_string).collect();
-    let trace = match args.trace_offset {
-        0.0 => trace,
-        offset if offset.is_finite() && offset > 0.0 => trace.starting_at(Nanos((offset * 1e9) as u64))?,
-        offset => bail!("--trace-offset is {offset}; a time of at least 0 s is allowed"),
-    };
-    let scale = match args.scale {
-        Some(scale) if scale.is_finite() && scale > 0.0 => scale,
-        Some(scale) => bail!("--scale is {scale}; a positive number is allowed"),
-        None if !(args.load.is_finite() && args.load > 0.0) => {
-            bail!("--load is {}; a positive number is allowed", args.load)
-        }
-        None if built_in => {
-            let wanted = graph.total_bytes() as f64 * 8.0 / clip_s.max(0.1) / args.load;
-            wanted / trace.mean_rate().0 as f64
-        }
-        None => 1.0,
-    };
-    let trace = scaled(&trace, scale)?;
-    let mean = trace.mean_rate();
-    let delay = args
-        .delay_ms
-        .map(Nanos::from_ms)
-        .or_else(|| trace.base_rtt().map(|rtt| Nanos(rtt.0 / 2)))
-        .unwrap_or(Nanos::from_ms(30));
-    if !(0.0..=0.3).contains(&args.burst_loss) {
-        bail!("--burst-loss is {}; 0 to 0.3 is allowed", args.burst_loss);
-    }
-    // Bursts of four packets on average, all lost: stationary share p = enter / (enter + leave).
-    let leave_bad = 0.25;
-    let loss = match args.burst_loss {
-        0.0 => LossModel::None,
-        p => LossModel::GilbertElliott {
-            enter_bad: p * leave_bad / (1.0 - p),
-            leave_bad,
-            loss_good: 0.0,
-            loss_bad: 1.0,
-        },
-    };
-    let queue = (mean.0 as f64 / 8.0 * args.queue_ms as f64 / 1000.0) as u64;
-    let forward = PathConfig {
-        capacity: Capacity::Trace(trace.clone()),
-        queue: QueueLimit { bytes: queue.max(24_000), ..QueueLimit::default() },
-        loss,
-        delay,
-        ..PathConfig::default()
-    };
-    let reverse =
-        PathConfig { capacity: Capacity::Constant(Rate::from_mbps(2)), delay, ..PathConfig::default() };
-    let config = SessionConfig {
-        seed: args.link_seed,
-        controller: match args.controller {
-            ControllerName::Newreno => ControllerKind::NewReno,
-            ControllerName::BbrModel => ControllerKind::BbrModel,
-        },
-        forward,
-        reverse,
-        ..SessionConfig::default()
-    };
-    let description = format!(
-        "{} × {scale:.3}, mean {:.2} Mbit/s, {:.0} ms one way, queue {} kB, bursts of loss {:.1} %",
-        trace.name(),
-        mean.0 as f64 / 1e6,
-        delay.as_ms(),
-        queue.max(24_000) / 1000,
-        100.0 * args.burst_loss
-    );
-    Ok(Link { config, trace, description, warnings })
-}
-
-/// `trace` with `factor` times the capacity.
-fn scaled(trace: &Trace, factor: f64) -> Result<Trace> {
-    if factor == 1.0 {
-        return Ok(trace.clone());
-    }
-    // Capacity as rates over 20 ms bins, so that opportunities scale too.
-    let period = trace.period();
-    let bins = (period.0 / 20_000_000).clamp(1, 2_000_000);
-    let steps = capacity_bins(trace, Nanos(20_000_000), bins as usize)
-        .into_iter()
-        .enumerate()
-        .map(|(i, bits_per_s)| trace::Step {
-            at: Nanos(i as u64 * 20_000_000),
-            rate: Rate((bits_per_s * factor) as u64),
-        })
-        .collect();
-    Ok(Trace::steps(trace.name(), steps, Nanos(bins * 20_000_000))?)
-}
-
-/// Mean capacity of the first `bins` bins of `width`, bits/s, the trace repeating.
-pub fn capacity_bins(trace: &Trace, width: Nanos, bins: usize) -> Vec<f64> {
-    let mut out = vec![0.0; bins];
-    let period = trace.period().0.max(1);
-    match trace.shape() {
-        trace::Shape::Opportunities(at) => {
-            let span = width.0 * bins as u64;
-            let mut start = 0u64;
-            while start < span {
-                for t in at.iter().map(|t| t.0 + start).take_while(|&t| t < span) {
-                    out[(t / width.0) as usize] += 1500.0 * 8.0 / width.as_s();
-                }
-                start += period;
-            }
-        }
-        trace::Shape::Steps(steps) => {
-            for (i, out) in out.iter_mut().enumerate() {
-                // Samples inside the bin are enough: steps are far longer than bins.
-                let samples = 4;
-                for s in 0..samples {
-                    let t = (i as u64 * width.0 + width.0 * s / samples) % period;
-                    let at = steps.partition_point(|step| step.at.0 <= t).max(1) - 1;
-                    *out += steps[at].rate.0 as f64 / samples as f64;
-                }
-            }
-        }
-    }
-    out
 }
 
 /// Steps 8 to 12: schedule, send, link, receive, repair, closure, with the real receiver.
