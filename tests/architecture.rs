@@ -66,6 +66,7 @@ const UNSAFE: [&str; 8] = [
     "codec-core/simd/src/kernel.rs",
     "codec-core/simd/src/kernel/avx2.rs",
     "codec-core/simd/src/kernel/avx512.rs",
+    "codec-core/simd/src/kernel/spread.rs",
     "render-host/src/gpu/vulkan.rs",
 ];
 
