@@ -72,32 +72,33 @@ impl<'a> Raw<'a> {
         Error::short("body.raw", 0, self.end - self.at, needed)
     }
 
-    #[inline]
+    // Apart from the loops over tokens, which need the registers.
+    #[inline(never)]
     fn fixed<const K: u32>(&mut self, tokens: &[u8], out: &mut [i16]) -> Option<()> {
+        let (plane, mut at) = (self.plane, self.at);
+        // At least 57 bits from bit `at` on.
+        let window = |at: usize| -> Option<u64> {
+            let bytes = plane.get(at / 8..)?.first_chunk::<8>()?;
+            Some(u64::from_le_bytes(*bytes) >> (at % 8))
+        };
         let (quads, rest) = out.as_chunks_mut::<4>();
         for quad in quads {
             // Four fields of K bits, moved apart into four of 16 within one register.
-            let pair = self.window()? & mask(4 * K);
+            let pair = window(at)? & mask(4 * K);
             let pair = (pair | pair << (32 - 2 * K)) & (mask(2 * K) | mask(2 * K) << 32);
             let four = (pair | pair << (16 - K)) & (mask(K) * 0x0001_0001_0001_0001);
             *quad = [four as i16, (four >> 16) as i16, (four >> 32) as i16, (four >> 48) as i16];
-            self.at += 4 * K as usize;
+            at += 4 * K as usize;
         }
         for place in rest {
-            *place = (self.window()? & mask(K)) as i16;
-            self.at += K as usize;
+            *place = (window(at)? & mask(K)) as i16;
+            at += K as usize;
         }
+        self.at = at;
         for (value, &token) in out.iter_mut().zip(tokens) {
             *value |= (i16::from(token) - 128) << K;
         }
         Some(())
-    }
-
-    /// At least 57 bits from the next one on.
-    #[inline(always)]
-    fn window(&self) -> Option<u64> {
-        let bytes = self.plane.get(self.at / 8..)?.first_chunk::<8>()?;
-        Some(u64::from_le_bytes(*bytes) >> (self.at % 8))
     }
 }
 
