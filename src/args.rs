@@ -83,6 +83,10 @@ pub struct CodecArgs {
     /// Choose the coarseness: at least this PSNR in dB from measuring (never held-out) cameras.
     #[arg(long, value_name = "DB", group = "fineness", value_parser = positive, allow_negative_numbers = true)]
     pub target_psnr: Option<f64>,
+    /// Pictures per epoch that tell how much an error in each Gaussian shows: steps follow (dgs1). 0: the same steps
+    /// for all.
+    #[arg(long, default_value_t = 16)]
+    pub pictures: usize,
     /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR from
     /// measuring cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
     #[arg(long, value_name = "ENCODINGS", default_value_t = 0)]

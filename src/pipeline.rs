@@ -123,6 +123,7 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::Options {
             .map(Target::BitsPerGaussian)
             .or(args.target_bytes.map(Target::Bytes))
             .or(args.target_psnr.map(Target::PsnrDb)),
+        pictures: args.pictures,
         search: args.search,
         packet_bytes: args.packet_bytes,
         repair: match args.repair_set {

@@ -160,6 +160,13 @@ pub(super) fn ledger_table(ledger: &Ledger) -> String {
     if ledger.saturated > 0 {
         text += &format!("  {} values did not fit their symbol and were clamped\n", ledger.saturated);
     }
+    for (s, stratum) in ledger.strata.iter().enumerate().filter(|_| ledger.strata.len() > 1) {
+        let q = stratum.quality;
+        text += &format!(
+            "  stratum {s}: {:>7} Gaussians, steps: position {:.4} sizes, scale {:.4}, rotation {:.4}, opacity {:.4}, sh0 {:.4}, harmonics {:.4}\n",
+            stratum.gaussians, q.position, q.scale, q.rotation, q.opacity, q.sh0, q.sh_rest
+        );
+    }
     let gaussians = ledger.gaussians.max(1) as f64;
     for part in ledger.parts() {
         let (bits, bytes) = (part.bits / gaussians, part.bits / 8.0);

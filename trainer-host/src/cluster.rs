@@ -35,12 +35,19 @@ impl Default for Options {
 
 /// Clusters of `epoch`: lists of Gaussian indices, each ascending; together a partition.
 pub fn cluster(epoch: &Epoch, options: &Options) -> Vec<Vec<u32>> {
+    if epoch.count() == 0 {
+        return Vec::new();
+    }
+    cluster_within(epoch, vec![(0..epoch.count() as u32).collect()], options)
+}
+
+/// Clusters of `epoch` as [`cluster`] makes them, none with Gaussians of two of `parts`: disjoint lists
+/// of Gaussian indices, none empty. In order of the parts.
+pub fn cluster_within(epoch: &Epoch, parts: Vec<Vec<u32>>, options: &Options) -> Vec<Vec<u32>> {
     let features = features(epoch, &options.weights);
     let mut leaves = Vec::new();
-    if epoch.count() == 0 {
-        return leaves;
-    }
-    let mut stack = vec![(0..epoch.count() as u32).collect::<Vec<u32>>()];
+    let mut stack = parts;
+    stack.reverse();
     while let Some(set) = stack.pop() {
         let (axis, variance) = widest(&features, &set);
         let spread = variance > options.max_variance && set.len() > options.min_gaussians;

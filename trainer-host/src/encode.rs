@@ -10,9 +10,10 @@ mod protection;
 mod search;
 mod statistics;
 mod steps;
+mod strata;
 mod target;
 
-pub use ledger::{Ledger, Part, Share};
+pub use ledger::{Ledger, Part, Share, Stratum};
 pub use protection::{Protection, ProtectionError, Strength};
 pub use search::Searched;
 pub use steps::Quality;
@@ -24,6 +25,7 @@ use codec_core::{
     wire::manifest::Profile,
 };
 
+use self::strata::Strata;
 use crate::{cluster, judge::JudgeError, scene::Scene, stream::Stream};
 
 /// What to encode, and how.
@@ -41,6 +43,9 @@ pub struct Options {
     pub rank: usize,
     /// Fineness of the quantisers.
     pub quality: Quality,
+    /// Pictures per epoch that tell how errors in each Gaussian show, 0 to 1024: steps follow (`dgs1`).
+    /// 0 is the steps of `quality` for all.
+    pub pictures: usize,
     /// Scale `quality` until the stream meets this.
     pub target: Option<Target>,
     /// Most encodings spent on how attributes share the bits, 0 (none) to 500.
@@ -70,6 +75,7 @@ impl Default for Options {
             window_frames: None,
             rank: 8,
             quality: Quality::default(),
+            pictures: 16,
             target: None,
             search: 0,
             menu: limits::MAX_MENU,
@@ -98,6 +104,7 @@ impl Options {
         within("block_len", self.block_len, 1, limits::MAX_BLOCK_LEN)?;
         within("window_frames", self.window_frames.unwrap_or(1), 1, limits::MAX_WINDOW_FRAMES)?;
         within("rank", self.rank, 0, limits::MAX_RANK)?;
+        within("pictures", self.pictures, 0, 1024)?;
         within("search", self.search, 0, search::MOST)?;
         within("menu", self.menu, 1, limits::MAX_MENU)?;
         within("packet_bytes", self.packet_bytes, 200, 1226)?;
@@ -184,21 +191,34 @@ pub type Progress<'p> = &'p (dyn Fn(&'static str, f64) + Sync);
 pub fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
     options.check()?;
     check_scene(scene)?;
-    let stream = match options.target {
-        Some(target) => target::encode(scene, options, target, progress)?,
-        None => once(scene, options, progress)?,
+    let strata = if options.profile == Profile::Paper {
+        Strata::none()
+    } else if options.pictures == 0 {
+        Strata::one(scene, options)?
+    } else {
+        progress("measure", 0.0);
+        Strata::measured(scene, options)?
     };
-    if options.search == 0 { Ok(stream) } else { search::encode(scene, options, stream, progress) }
+    let stream = match options.target {
+        Some(target) => target::encode(scene, options, &strata, target, progress)?,
+        None => once(scene, options, &strata, progress)?,
+    };
+    if options.search == 0 { Ok(stream) } else { search::encode(scene, options, &strata, stream, progress) }
 }
 
 /// Encodes `scene` at the quality of `options`, whatever their target and search.
-fn once(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
+fn once(
+    scene: &Scene,
+    options: &Options,
+    strata: &Strata,
+    progress: Progress<'_>,
+) -> Result<Stream, EncodeError> {
     let stream = match options.profile {
         Profile::Dgs1 => {
             // A block whose symbols do not fit one packet is halved until they do.
             let mut options = options.clone();
             loop {
-                match dgs1::encode(scene, &options, progress) {
+                match dgs1::encode(scene, &options, strata, progress) {
                     Err(EncodeError::Format(error)) if error.field == "body" && options.block_len > 1 => {
                         options.block_len = options.block_len.div_ceil(2);
                     }

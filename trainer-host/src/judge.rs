@@ -27,7 +27,7 @@ const CAMERAS: usize = 3;
 #[error("cannot judge: {0}")]
 pub struct JudgeError(String);
 
-fn failed(error: impl std::fmt::Display) -> JudgeError {
+pub(crate) fn failed(error: impl std::fmt::Display) -> JudgeError {
     JudgeError(error.to_string())
 }
 

@@ -18,6 +18,7 @@ pub mod factorise;
 pub mod import;
 pub mod judge;
 pub mod scene;
+pub mod sensitivity;
 pub mod stream;
 pub mod utility;
 pub mod viewpoint;

@@ -85,6 +85,17 @@ pub struct Attributes {
     pub sh_degree: ShDegree,
 }
 
+impl Attributes {
+    /// Whether nothing changes over the frames.
+    pub fn is_constant(&self) -> bool {
+        self.positions.is_constant()
+            && self.rotations.is_constant()
+            && self.log_scales.is_constant()
+            && self.opacity_logits.is_constant()
+            && self.sh0.is_constant()
+    }
+}
+
 /// A scene part whose arrays do not fit together, or hold values no renderer can draw.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SceneError {

@@ -7,6 +7,9 @@ use render_host::{Camera, camera::CameraError};
 
 use crate::scene::Scene;
 
+/// The golden angle, radians.
+const GOLDEN: f64 = 2.399_963_229_728_653;
+
 /// Which ring a camera is on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ring {
@@ -54,12 +57,39 @@ impl Framing {
         Self { target, radius: if radius > 1e-9 { radius } else { 1.0 }, up }
     }
 
+    /// `count` cameras of `size` (width, height) all around, from 20° below the horizon to 60° above, at
+    /// 2.6 radii, 45° field of view. For measurements that choices depend on: their angles are never
+    /// those of [`Ring::HeldOut`].
+    ///
+    /// # Errors
+    /// A size the camera refuses.
+    pub fn around(&self, count: usize, size: (u32, u32)) -> Result<Vec<Camera>, CameraError> {
+        let (low, high) = (-20f64.to_radians().sin(), 60f64.to_radians().sin());
+        (0..count)
+            .map(|i| {
+                // Equal areas, each a golden angle on from the one before.
+                let height = low + (high - low) * (i as f64 + 0.5) / count as f64;
+                self.camera(GOLDEN * i as f64, height, size)
+            })
+            .collect()
+    }
+
     /// `count` cameras of `size` (width, height) on a ring, 20° above the horizon, at 2.6 radii,
     /// 45° field of view.
     ///
     /// # Errors
     /// A size the camera refuses.
     pub fn ring(&self, ring: Ring, count: usize, size: (u32, u32)) -> Result<Vec<Camera>, CameraError> {
+        let start = match ring {
+            Ring::Measuring => 0.0,
+            Ring::HeldOut => std::f64::consts::PI / count.max(1) as f64 + 0.1,
+        };
+        let angle = |i: usize| start + std::f64::consts::TAU * i as f64 / count as f64;
+        (0..count).map(|i| self.camera(angle(i), 20f64.to_radians().sin(), size)).collect()
+    }
+
+    /// A camera at `angle` about `up`, radians, the sine of whose elevation is `height`.
+    fn camera(&self, angle: f64, height: f64, size: (u32, u32)) -> Result<Camera, CameraError> {
         let [ux, uy, uz] = self.up;
         // Two axes across `up`.
         let helper = if ux.abs() < 0.9 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
@@ -72,21 +102,12 @@ impl Framing {
         };
         let side = unit(cross([ux, uy, uz], helper));
         let front = cross(side, [ux, uy, uz]);
-        let start = match ring {
-            Ring::Measuring => 0.0,
-            Ring::HeldOut => std::f64::consts::PI / count.max(1) as f64 + 0.1,
-        };
         let distance = 2.6 * self.radius;
-        let (up_part, flat) = (20f64.to_radians().sin(), 20f64.to_radians().cos());
-        (0..count)
-            .map(|i| {
-                let angle = start + std::f64::consts::TAU * i as f64 / count as f64;
-                let eye = [0, 1, 2].map(|d| {
-                    let across = front[d] * angle.cos() + side[d] * angle.sin();
-                    self.target[d] + distance * (flat * across + up_part * self.up[d])
-                });
-                Camera::look_at(eye, self.target, self.up, 45f64.to_radians(), size.0, size.1)
-            })
-            .collect()
+        let flat = (1.0 - height * height).sqrt();
+        let eye = [0, 1, 2].map(|d| {
+            let across = front[d] * angle.cos() + side[d] * angle.sin();
+            self.target[d] + distance * (flat * across + height * self.up[d])
+        });
+        Camera::look_at(eye, self.target, self.up, 45f64.to_radians(), size.0, size.1)
     }
 }

@@ -39,12 +39,21 @@ impl Timer {
 pub enum Kind {
     /// `dgs1` itself.
     Ours,
+    /// `dgs1` without one of its means: no peer.
+    Variant,
     /// The paper's format.
     Paper,
     /// A known method, written here.
     Method,
     /// A public format, through its own or our writer.
     Public,
+}
+
+impl Kind {
+    /// Whether `dgs1` competes with it.
+    pub const fn is_peer(self) -> bool {
+        matches!(self, Self::Method | Self::Public)
+    }
 }
 
 /// Codes a scene at one setting of the codec's knob (and a zstd level where one is used) and decodes the
@@ -80,10 +89,11 @@ pub fn all(quick: bool) -> Vec<Codec> {
     };
     let steps = "quantiser steps relative to the default";
     let position = "position step relative to the default";
-    let fine = [0.35, 0.5, 0.71, 1.0, 1.6, 2.5, 4.0, 6.3, 8.0];
+    let fine = [0.2, 0.35, 0.5, 0.71, 1.0, 1.6, 2.5, 4.0, 6.3];
     let wide = [0.35, 0.7, 1.4, 2.8, 5.6, 11.0];
     let mut out = vec![
         codec("dgs1", Kind::Ours, steps, ladder(&fine), 0, dgs::dgs1),
+        codec("dgs1-even", Kind::Variant, steps, ladder(&wide), 0, dgs::even),
         codec("paper", Kind::Paper, steps, ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]), 0, dgs::paper),
         codec("uniform-rans", Kind::Method, steps, ladder(&wide), 0, uniform::code),
         codec("context-rans", Kind::Method, steps, ladder(&wide), 0, context::code),

@@ -19,6 +19,15 @@ pub fn dgs1(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Cod
     code(scene, ProfileName::Dgs1, coarseness, shown)
 }
 
+/// Profile `dgs1` with the same steps for all Gaussians.
+pub fn even(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Coded> {
+    let timer = Timer::start();
+    let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::NONE);
+    let quality = options.quality.scaled(coarseness);
+    let options = trainer_host::encode::Options { quality, pictures: 0, ..options };
+    decoded(scene, &pipeline::encode(scene, &options, Quiet(true))?, timer.seconds(), shown)
+}
+
 /// Profile `paper`.
 pub fn paper(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Coded> {
     code(scene, ProfileName::Paper, coarseness, shown)
@@ -34,7 +43,10 @@ pub fn stream(scene: &Scene, profile: ProfileName, coarseness: f32) -> Result<St
 fn code(scene: &Scene, profile: ProfileName, coarseness: f32, shown: &[u32]) -> Result<Coded> {
     let timer = Timer::start();
     let stream = stream(scene, profile, coarseness)?;
-    let encode_s = timer.seconds();
+    decoded(scene, &stream, timer.seconds(), shown)
+}
+
+fn decoded(scene: &Scene, stream: &Stream, encode_s: f64, shown: &[u32]) -> Result<Coded> {
     let timer = Timer::start();
     let received = stream.receive()?;
     let content = received.content();

@@ -154,7 +154,7 @@ pub fn compare(bench: &mut Bench, rows: &[Row]) -> Vec<Compared> {
         }
     }
     let best = |public: bool| {
-        let fit = out.iter().filter(|c| if public { c.kind == Kind::Public } else { c.kind != Kind::Paper });
+        let fit = out.iter().filter(|c| if public { c.kind == Kind::Public } else { c.kind.is_peer() });
         fit.max_by(|a, b| a.log_ratio.total_cmp(&b.log_ratio))
     };
     for (what, best) in [("best_public", best(true)), ("best_peer", best(false))] {
@@ -219,7 +219,7 @@ pub fn means(bench: &mut Bench, all: &[Compared]) {
     let mut scenes: Vec<&str> = counted.iter().map(|c| c.scene.as_str()).collect();
     scenes.dedup();
     for (what, public) in [("best_public", true), ("best_peer", false)] {
-        let fit = |c: &&&Compared| if public { c.kind == Kind::Public } else { c.kind != Kind::Paper };
+        let fit = |c: &&&Compared| if public { c.kind == Kind::Public } else { c.kind.is_peer() };
         let best = |scene: &&str| {
             let these = counted.iter().filter(|c| c.scene == **scene).filter(fit);
             these.map(|c| c.log_ratio).max_by(f64::total_cmp)

@@ -1,12 +1,12 @@
 //! Encoding in profile `dgs1`.
 
-mod canonical;
+pub(super) mod canonical;
 mod cut;
 mod gauge;
 mod motion;
 mod need;
 mod order;
-mod price;
+pub(super) mod price;
 mod proxy;
 mod track;
 
@@ -27,6 +27,7 @@ use super::{
     packetise::{CellSymbols, Lot, Proto, each_run, packetise},
     parity, rate,
     statistics::{Model, Streams},
+    strata::{Layer, Strata},
 };
 use crate::{
     cluster,
@@ -37,7 +38,8 @@ use crate::{
 /// One epoch, quantised.
 struct EpochPlan {
     record: manifest::Epoch,
-    quant: Quant,
+    /// One per cluster.
+    quants: Vec<Quant>,
     clusters: Vec<manifest::Cluster>,
     canonical: Vec<CellSymbols>,
     windows: Vec<WindowPlan>,
@@ -58,25 +60,10 @@ struct WindowPlan {
 pub(super) fn encode(
     scene: &Scene,
     options: &Options,
+    strata: &Strata,
     progress: Progress<'_>,
 ) -> Result<Stream, EncodeError> {
-    let mut plans = Vec::new();
-    let mut first_frame = 0;
-    for (e, epoch) in scene.epochs().iter().enumerate() {
-        progress("cluster", e as f64 / scene.epochs().len() as f64);
-        let mut sets = cluster::cluster(epoch, &options.cluster);
-        if !options.keep_invisible {
-            sets = need::drawn(epoch, sets);
-        }
-        let epoch = &gauge::reduced(epoch, &sets, form(epoch, &sets, scene, options)?);
-        let members = members(epoch, sets, options)?;
-        progress("factorise", e as f64 / scene.epochs().len() as f64);
-        let canonical = canonical::quantise(epoch, &members, options)?;
-        let windows = motion::quantise(epoch, first_frame, &members, &canonical, scene, options)?;
-        let proxies = if options.proxies { proxy::proxies(epoch, &members, &canonical) } else { Vec::new() };
-        plans.push(plan(epoch.frames(), first_frame, members, canonical, windows, proxies));
-        first_frame += epoch.frames();
-    }
+    let mut plans = plans(scene, options, strata, progress)?;
     cut::cut(&mut plans, &options.tops);
     progress("entropy-code", 0.0);
     let streams = streams(&plans);
@@ -95,6 +82,7 @@ pub(super) fn encode(
     let mut packets = Vec::new();
     let mut repairs = Vec::new();
     let mut ledger = ledger(scene, &plans, &streams, &model);
+    ledger.strata = strata.shares(&options.quality);
     for (lot, protos) in lots.iter().zip(&protos) {
         let first_packet = packets.len();
         for proto in protos {
@@ -115,6 +103,34 @@ pub(super) fn encode(
     Stream::seal(raw, &sections, packets, order, ledger).map_err(EncodeError::Format)
 }
 
+/// The epochs of `scene`, quantised.
+fn plans(
+    scene: &Scene,
+    options: &Options,
+    strata: &Strata,
+    progress: Progress<'_>,
+) -> Result<Vec<EpochPlan>, EncodeError> {
+    let mut plans = Vec::new();
+    let mut first_frame = 0;
+    for (e, epoch) in scene.epochs().iter().enumerate() {
+        progress("cluster", e as f64 / scene.epochs().len() as f64);
+        let layer = &strata.layer(e, &options.quality);
+        let mut sets = layer.sets.to_vec();
+        if !options.keep_invisible {
+            sets = need::drawn(epoch, sets);
+        }
+        let epoch = &gauge::reduced(epoch, &sets, form(epoch, &sets, layer, scene, options)?);
+        let members = members(epoch, sets, layer, options)?;
+        progress("factorise", e as f64 / scene.epochs().len() as f64);
+        let canonical = canonical::quantise(epoch, &members, layer, options)?;
+        let windows = motion::quantise(epoch, first_frame, &members, &canonical, scene, options)?;
+        let proxies = if options.proxies { proxy::proxies(epoch, &members, &canonical) } else { Vec::new() };
+        plans.push(plan(epoch.frames(), first_frame, members, canonical, windows, proxies));
+        first_frame += epoch.frames();
+    }
+    Ok(plans)
+}
+
 /// Clusters that a trial takes, about.
 const TRIAL: usize = 16;
 
@@ -122,6 +138,7 @@ const TRIAL: usize = 16;
 fn form(
     epoch: &Epoch,
     sets: &[Vec<u32>],
+    layer: &Layer<'_>,
     scene: &Scene,
     options: &Options,
 ) -> Result<gauge::Form, EncodeError> {
@@ -129,8 +146,8 @@ fn form(
     let mut best = (f64::INFINITY, gauge::Form::AsIs);
     for &form in gauge::Form::candidates(epoch) {
         let epoch = gauge::reduced(epoch, &some, form);
-        let members = members(&epoch, some.clone(), options)?;
-        let canonical = canonical::quantise(&epoch, &members, options)?;
+        let members = members(&epoch, some.clone(), layer, options)?;
+        let canonical = canonical::quantise(&epoch, &members, layer, options)?;
         let (windows, _) = motion::quantise(&epoch, 0, &members, &canonical, scene, options)?;
         let mut streams = Streams::default();
         for cell in canonical.cells.iter().chain(windows.iter().flat_map(|w| &w.cells)) {
@@ -150,12 +167,17 @@ fn form(
 }
 
 /// The Gaussians of each cluster in the order in which they are sent.
-fn members(epoch: &Epoch, sets: Vec<Vec<u32>>, options: &Options) -> Result<Vec<Vec<u32>>, EncodeError> {
+fn members(
+    epoch: &Epoch,
+    sets: Vec<Vec<u32>>,
+    layer: &Layer<'_>,
+    options: &Options,
+) -> Result<Vec<Vec<u32>>, EncodeError> {
     let positions = epoch.attributes().positions.frame(0, epoch.count());
     let sets: Vec<Vec<u32>> =
         sets.into_par_iter().map(|set| cluster::block_order(&set, positions, options.block_len)).collect();
-    let (quant, origin) = canonical::plain(epoch, &sets, options)?;
-    Ok(order::arrange(epoch, sets, &quant, origin, options.block_len))
+    let (quants, origin) = canonical::plain(epoch, &sets, layer, options)?;
+    Ok(order::arrange(epoch, sets, |set| &quants[layer.of(set)], origin, options.block_len))
 }
 
 fn plan(
@@ -180,7 +202,7 @@ fn plan(
             origin_z,
             ..manifest::Epoch::default()
         },
-        quant: canonical.quant,
+        quants: canonical.cells.iter().map(|c| c.shape.quant).collect(),
         clusters: canonical.cells.iter().map(|c| c.shape.cluster).collect(),
         canonical: canonical.cells,
         windows,
@@ -295,8 +317,7 @@ fn body(
     let clusters: usize = plans.iter().map(|p| p.clusters.len()).sum();
     let degree = scene.epochs().iter().map(|e| e.attributes().sh_degree).max().unwrap_or(ShDegree::ZERO);
     let (rate_frames, rate_seconds) = rate(scene);
-    let quants: Vec<Quant> = plans.iter().map(|p| p.quant).collect();
-    let distinct = distinct(&quants);
+    let distinct = distinct(plans.iter().flat_map(|p| &p.quants));
     let mut out = Vec::new();
     let basis_values = plans
         .iter()
@@ -348,8 +369,8 @@ fn body(
     }
     sections.push(("clusters", out.len()));
     for plan in plans {
-        let quant = distinct.iter().position(|q| *q == plan.quant).unwrap_or(0) as u8;
-        for cluster in &plan.clusters {
+        for (cluster, quant) in plan.clusters.iter().zip(&plan.quants) {
+            let quant = distinct.iter().position(|q| q == quant).unwrap_or(0) as u8;
             out.extend(manifest::Cluster { quant, ..*cluster }.to_bytes());
         }
     }
@@ -378,7 +399,7 @@ fn body(
 
 /// Distinct quantisation profiles, in order of appearance. Steps lie on a coarse ladder, so even
 /// long sequences have few; over 256 the manifest's own check refuses the stream.
-fn distinct(quants: &[Quant]) -> Vec<Quant> {
+fn distinct<'q>(quants: impl Iterator<Item = &'q Quant>) -> Vec<Quant> {
     let mut distinct: Vec<Quant> = Vec::new();
     for quant in quants {
         if !distinct.contains(quant) {

@@ -53,6 +53,17 @@ pub struct Ledger {
     pub searched: Option<Searched>,
     /// Steps.
     pub quality: Quality,
+    /// Gaussians that share steps, the most sensitive first (`dgs1`).
+    pub strata: Vec<Stratum>,
+}
+
+/// Gaussians that share steps.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Stratum {
+    /// How many of the scene's, over all epochs.
+    pub gaussians: u64,
+    /// Their steps.
+    pub quality: Quality,
 }
 
 /// Payload that one attribute takes at one level.

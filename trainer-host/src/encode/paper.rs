@@ -132,8 +132,8 @@ pub(super) fn encode(
 
 fn plan(epoch: &Epoch, first_frame: usize, options: &Options) -> Result<EpochPlan, EncodeError> {
     let members = cluster::cluster(epoch, &options.cluster);
-    let grid = Grid::of(epoch, &options.quality, 1.0);
-    let quant = steps::paper(&options.quality, grid.step)?;
+    let grid = Grid::of(epoch, 1.0);
+    let quant = steps::paper(&options.quality, grid.step(&options.quality))?;
     let (n, frames, a) = (epoch.count(), epoch.frames(), epoch.attributes());
     let position = quant.canonical[Class::Position.index()];
     let step = position.step(Level::ALL[3]);

@@ -5,7 +5,7 @@
 //! and what gives the same PSNR for fewer bits is kept: a coordinate search, factors shrinking from
 //! round to round, bounded by a number of encodings.
 
-use super::{EncodeError, Options, Progress, Quality, Target, once, target};
+use super::{EncodeError, Options, Progress, Quality, Target, once, strata::Strata, target};
 use crate::{
     judge::{Judge, PSNR_CAP_DB, spread},
     scene::{Epoch, Scene},
@@ -42,6 +42,7 @@ const FRAMES: u32 = 4;
 pub(super) fn encode(
     scene: &Scene,
     options: &Options,
+    strata: &Strata,
     start: Stream,
     progress: Progress<'_>,
 ) -> Result<Stream, EncodeError> {
@@ -53,11 +54,11 @@ pub(super) fn encode(
         return Ok(start.with_searched(nothing));
     }
     let quality = start.ledger().quality;
-    let (quality, encodes) = on_a_part(scene, options, quality, progress)?;
+    let (quality, encodes) = on_a_part(scene, options, strata, quality, progress)?;
     // Sizes were asked for, or the PSNR that there was is to be kept.
     let wanted = options.target.unwrap_or(Target::PsnrDb(psnr));
     let again = Options { quality, target: None, ..options.clone() };
-    let found = match target::encode(scene, &again, wanted, progress) {
+    let found = match target::encode(scene, &again, strata, wanted, progress) {
         Ok(found) => found,
         Err(EncodeError::Unreachable { .. }) => {
             return Ok(start.with_searched(Searched { encodes, ..nothing }));
@@ -82,19 +83,21 @@ pub(super) fn encode(
 fn on_a_part(
     scene: &Scene,
     options: &Options,
+    strata: &Strata,
     quality: Quality,
     progress: Progress<'_>,
 ) -> Result<(Quality, usize), EncodeError> {
-    let middle = scene.epochs().get(scene.epochs().len() / 2);
-    let part = middle.filter(|_| scene.epochs().len() > 1 && options.tops.is_empty());
+    let middle = scene.epochs().len() / 2;
+    let part = scene.epochs().get(middle).filter(|_| scene.epochs().len() > 1 && options.tops.is_empty());
     let part = part.and_then(|epoch| Scene::new(vec![epoch.clone()], scene.frames_per_second()).ok());
-    let part = part.as_ref().unwrap_or(scene);
+    let its_strata = part.as_ref().map(|_| strata.part(middle));
+    let (part, strata) = (part.as_ref().unwrap_or(scene), its_strata.as_ref().unwrap_or(strata));
     let judge = Judge::measuring(part, spread(0, part.frames() as u32, FRAMES))?;
     let mut tries = 0;
     descend(quality, &Axis::of(part), options.search, |quality| {
         progress("search", tries as f64 / options.search as f64);
         tries += 1;
-        let stream = once(part, &Options { quality, target: None, ..options.clone() }, &|_, _| {})?;
+        let stream = once(part, &Options { quality, target: None, ..options.clone() }, strata, &|_, _| {})?;
         Ok(Marks { bits: stream.ledger().wire(), psnr: judge.whole(&stream)? })
     })
 }
@@ -265,20 +268,20 @@ mod tests {
         let options = synth::Options { gaussians: 1000, frames: 4, kind: Kind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let judge = Judge::measuring(&scene, spread(0, 4, FRAMES)).unwrap();
-        // Far from balance: colours much too fine.
-        let quality = Quality { sh0: 0.0005, ..Quality::default() };
-        let plain = Options { quality, ..Options::default() };
+        // Far from balance: positions much too fine.
+        let quality = Quality { position: 0.002, ..Quality::default() };
+        let plain = Options { quality, pictures: 0, ..Options::default() };
         let first = super::super::encode(&scene, &plain, &|_, _| {}).unwrap();
         let found =
-            super::super::encode(&scene, &Options { search: 10, ..plain.clone() }, &|_, _| {}).unwrap();
+            super::super::encode(&scene, &Options { search: 16, ..plain.clone() }, &|_, _| {}).unwrap();
         let searched = found.ledger().searched.unwrap();
         assert!(searched.kept && searched.bits < 0.97, "{searched:?}");
         assert_eq!(searched.bits, found.ledger().wire() / first.ledger().wire());
         assert!(judge.whole(&found).unwrap() >= judge.whole(&first).unwrap());
-        assert!(found.ledger().quality.sh0 > 0.0006 && found.ledger().reached.is_none());
+        assert!(found.ledger().quality.position > 0.0024 && found.ledger().reached.is_none());
         // A size that was asked for is kept.
         let target = Some(Target::Bytes(first.ledger().wire() as u64));
-        let sized = Options { search: 10, target, ..plain };
+        let sized = Options { search: 16, target, ..plain };
         let found = super::super::encode(&scene, &sized, &|_, _| {}).unwrap();
         assert!(found.ledger().wire() <= first.ledger().wire() && found.ledger().reached.is_some());
         assert!(found.ledger().searched.unwrap().psnr_db > 0.0);

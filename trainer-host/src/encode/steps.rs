@@ -6,7 +6,7 @@ use codec_core::{
 };
 
 use super::EncodeError;
-use crate::scene::Epoch;
+use crate::{scene::Epoch, sensitivity};
 
 /// Fineness of the quantisers at the last level, per attribute.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -57,14 +57,47 @@ impl Quality {
             motion: self.motion,
         }
     }
+
+    /// The step of each class of [`sensitivity`] times its factor.
+    #[must_use]
+    pub(super) fn times(mut self, factors: &Factors) -> Self {
+        for (step, factor) in self.steps().into_iter().zip(factors) {
+            *step *= factor;
+        }
+        self
+    }
+
+    /// The step of `class`; of positions in units of the median size.
+    const fn of(&self, class: Class) -> f32 {
+        match class {
+            Class::Position => self.position,
+            Class::Scale => self.scale,
+            Class::Rotation => self.rotation,
+            Class::Opacity => self.opacity,
+            Class::Sh0 => self.sh0,
+            Class::Sh1 | Class::Sh2 | Class::Sh3 => self.sh_rest,
+        }
+    }
+
+    /// The steps, by class of [`sensitivity`].
+    pub(super) const fn steps(&mut self) -> [&mut f32; sensitivity::CLASSES] {
+        let Self { position, scale, rotation, opacity, sh0, sh_rest, .. } = self;
+        [position, scale, rotation, opacity, sh0, sh_rest]
+    }
 }
 
-/// Position step and origin of an epoch.
+/// Factors on steps, by class of [`sensitivity`].
+pub(super) type Factors = [f32; sensitivity::CLASSES];
+
+/// What positions of an epoch are counted in.
 pub(super) struct Grid {
     /// Centre of the bounding box of all positions.
     pub origin: [f32; 3],
-    /// Finest position step, scene units.
-    pub step: f32,
+    /// Step at the usual quality: in proportion to the median Gaussian's size, on a coarse ladder.
+    /// Invariant: at least `least`.
+    usual: f32,
+    /// Least step.
+    least: f32,
 }
 
 /// An axis counts as no shorter than the longest over 20, a difference of log-scales: flat Gaussians are
@@ -75,9 +108,8 @@ const FLATTEST: f32 = 2.995_732_3;
 const BASE_INDEX_SPAN: f32 = 30_000.0;
 
 impl Grid {
-    /// The grid of `epoch`: fine enough for `quality`, coarse enough for i16 at a base step of
-    /// `base_ratio` fine ones.
-    pub fn of(epoch: &Epoch, quality: &Quality, base_ratio: f32) -> Self {
+    /// The grid of `epoch`, with steps coarse enough for i16 at a base step of `base_ratio` fine ones.
+    pub fn of(epoch: &Epoch, base_ratio: f32) -> Self {
         let n = epoch.count();
         let a = epoch.attributes();
         let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
@@ -88,7 +120,7 @@ impl Grid {
             }
         }
         if n == 0 {
-            return Self { origin: [0.0; 3], step: 1.0 };
+            return Self { origin: [0.0; 3], usual: 1.0, least: 1.0 };
         }
         let mean = |s: &[f32; 3]| {
             let least = s[0].max(s[1]).max(s[2]) - FLATTEST;
@@ -100,11 +132,15 @@ impl Grid {
         let extent = (0..3).map(|d| high[d] - low[d]).fold(0.0f32, f32::max);
         let least = (extent / (BASE_INDEX_SPAN * base_ratio)).max(1e-7);
         let origin = [0, 1, 2].map(|d| low[d] + (high[d] - low[d]) * 0.5);
+        let least = ladder(least * 1.2);
+        Self { origin, usual: ladder(Quality::default().position * size).max(least), least }
+    }
+
+    /// Finest position step for `quality`, scene units.
+    pub fn step(&self, quality: &Quality) -> f32 {
         // The ladder is for what differs between epochs; the caller's coarseness moves all rungs alike,
         // so that rate control finds no stairs.
-        let usual = Quality::default().position;
-        let step = ladder(usual * size) * (quality.position / usual);
-        Self { origin, step: step.max(ladder(least * 1.2)) }
+        (self.usual * (quality.position / Quality::default().position)).max(self.least)
     }
 }
 
@@ -113,11 +149,17 @@ fn ladder(step: f32) -> f32 {
     ((step.log2() * 2.0).round() * 0.5).exp2()
 }
 
-/// Ratios of the three refinements of `dgs1`: thirds, so that cells nest about their centres.
-const THIRDS: [u8; 3] = [3, 3, 3];
+/// Ratios of the refinements of `dgs1` for a last step `coarser` times the usual one, of at most `most`
+/// refinements: thirds, so that cells nest about their centres, and as many as lead back to about the
+/// usual base. More would leave the base less than neighbours tell of each other.
+fn thirds(coarser: f32, most: u8) -> [u8; 3] {
+    let count = (f32::from(most) - coarser.log(3.0)).round().clamp(0.0, f32::from(most)) as u8;
+    let first = 3 - most;
+    [0, 1, 2].map(|l| if (first..first + count).contains(&l) { 3 } else { 1 })
+}
 
-/// Base position step over finest.
-pub(super) const DGS1_BASE_RATIO: f32 = 27.0;
+/// Least base position step over the usual last one: [`thirds`] lead to 27 or, rounded, to 27 / √3.
+pub(super) const DGS1_BASE_RATIO: f32 = 15.588;
 
 /// The `dgs1` quantisation profile for `quality` on a grid of `position_step`.
 /// `frames` are those of the epoch; `predicted` says per canonical class, then per moving class, whether differences are coded,
@@ -129,18 +171,14 @@ pub(super) fn dgs1(
     predicted: &[bool; Class::COUNT + Class::MOVING],
     mixed: &[bool; Class::COUNT],
 ) -> Result<Quant, EncodeError> {
-    let step = |class: Class| match class {
-        Class::Position => position_step,
-        Class::Scale => quality.scale,
-        Class::Rotation => quality.rotation,
-        Class::Opacity => quality.opacity,
-        Class::Sh0 => quality.sh0,
-        Class::Sh1 | Class::Sh2 | Class::Sh3 => quality.sh_rest,
-    };
-    let first = Quantiser::new(position_step, THIRDS, false)?;
+    let step = |class: Class| if class == Class::Position { position_step } else { quality.of(class) };
+    let usual = Quality::default();
+    let coarser = |class: Class| quality.of(class) / usual.of(class);
+    let first = Quantiser::new(position_step, [3; 3], false)?;
     let mut quant = Quant { canonical: [first; Class::COUNT], motion: [first; Class::MOVING] };
     for (class, target) in Class::ALL.into_iter().zip(&mut quant.canonical) {
-        let quantiser = Quantiser::new(step(class), THIRDS, predicted[class.index()])?;
+        let ratio = thirds(coarser(class), 3);
+        let quantiser = Quantiser::new(step(class), ratio, predicted[class.index()])?;
         *target = quantiser.with_mixed(mixed[class.index()]);
     }
     // An error of a canonical value shows on every frame, one of an orthonormal coefficient is spread
@@ -148,7 +186,7 @@ pub(super) fn dgs1(
     // the number of frames.
     let spread = ladder((frames as f32).sqrt());
     for (class, target) in Class::ALL.into_iter().zip(&mut quant.motion) {
-        let ratio = [1, THIRDS[1], THIRDS[2]];
+        let ratio = thirds(coarser(class), 2);
         let predicted = predicted[Class::COUNT + class.index()];
         // Relative rotations are in half-angle units, twice the Rodrigues parameters.
         let unit = if class == Class::Rotation { 2.0 } else { 1.0 };

@@ -128,7 +128,7 @@ pub fn truncate(
 
 #[cfg(test)]
 mod tests {
-    use codec_core::gaussian::ShDegree;
+    use codec_core::{gaussian::ShDegree, quant::Class};
 
     use super::*;
     use crate::{
@@ -184,12 +184,16 @@ mod tests {
         assert!(truncated.dropped >= 3 && truncated.wire_after < truncated.wire_before, "{truncated:?}");
         let manifest = cut.manifest().unwrap();
         // The core's clusters are the small ones.
-        let (mut small, mut large) = (0, u16::MAX);
-        codec_core::receiver::for_each_cell(&manifest, |_, _, shape| match shape.top() {
-            Level::BASE => small = shape.cluster.radius.max(small),
-            _ => large = shape.cluster.radius.min(large),
+        let (mut small, mut large) = (0.0f32, f32::INFINITY);
+        codec_core::receiver::for_each_cell(&manifest, |_, _, shape| {
+            let step = shape.quant.canonical[Class::Position.index()].step(Level::BASE);
+            let radius = f32::from(shape.cluster.radius) * step;
+            match shape.top() {
+                Level::BASE => small = radius.max(small),
+                _ => large = radius.min(large),
+            }
         });
-        assert!(0 < small && small < large && large < u16::MAX, "{small} {large}");
+        assert!(0.0 < small && small < large && large.is_finite(), "{small} {large}");
         // What can be seen is no worse for it.
         let judge = Judge::measuring(&scene, vec![0]).unwrap();
         let (before, after) = (judge.whole(&stream).unwrap(), judge.whole(&cut).unwrap());

@@ -11,9 +11,10 @@ use rayon::prelude::*;
 
 use super::{
     super::{
-        EncodeError, Options,
+        EncodeError, Options, Quality,
         packetise::CellSymbols,
         steps::{self, Grid},
+        strata::Layer,
     },
     need,
 };
@@ -21,41 +22,48 @@ use crate::scene::Epoch;
 
 /// The canonical cells of an epoch.
 pub(super) struct Canonical {
-    pub quant: Quant,
     pub origin: [f32; 3],
     pub cells: Vec<CellSymbols>,
     pub saturated: u64,
 }
 
-/// The quantisers of an epoch with nothing predicted, its Gaussians in `sets` of blocks, and its origin.
+/// The quantisers of each stratum of an epoch with nothing predicted, its Gaussians in `sets` of blocks,
+/// and its origin.
 pub(super) fn plain(
     epoch: &Epoch,
     sets: &[Vec<u32>],
+    layer: &Layer<'_>,
     options: &Options,
-) -> Result<(Quant, [f32; 3]), EncodeError> {
-    let grid = Grid::of(epoch, &options.quality, steps::DGS1_BASE_RATIO);
-    let quant = |mixed: [bool; Class::COUNT]| {
-        let predicted = [false; Class::COUNT + Class::MOVING];
-        steps::dgs1(&options.quality, grid.step, epoch.frames(), &predicted, &mixed)
-    };
-    // What the spread of the indices within their blocks costs, per class.
-    let bits = |quant: &Quant| -> [f64; Class::COUNT] {
-        let each = |set: &Vec<u32>| {
-            let indices = indices(epoch, set, quant, grid.origin);
-            indices.map(|class| class.iter().map(|q| spread_bits(q, options.block_len)).sum::<f64>())
+) -> Result<(Vec<Quant>, [f32; 3]), EncodeError> {
+    let grid = Grid::of(epoch, steps::DGS1_BASE_RATIO);
+    let of_stratum = |(stratum, quality): (usize, &Quality)| {
+        let quant = |mixed: [bool; Class::COUNT]| {
+            let predicted = [false; Class::COUNT + Class::MOVING];
+            steps::dgs1(quality, grid.step(quality), epoch.frames(), &predicted, &mixed)
         };
-        let each: Vec<[f64; Class::COUNT]> = sets.par_iter().map(each).collect();
-        Class::ALL.map(|class| each.iter().map(|bits| bits[class.index()]).sum())
+        let sets: Vec<&Vec<u32>> = sets.iter().filter(|set| layer.of(set) == stratum).collect();
+        // What the spread of the indices within their blocks costs, per class.
+        let bits = |quant: &Quant| -> [f64; Class::COUNT] {
+            let each = |set: &&Vec<u32>| {
+                let indices = indices(epoch, set, quant, grid.origin);
+                indices.map(|class| class.iter().map(|q| spread_bits(q, options.block_len)).sum::<f64>())
+            };
+            let each: Vec<[f64; Class::COUNT]> = sets.par_iter().map(each).collect();
+            Class::ALL.map(|class| each.iter().map(|bits| bits[class.index()]).sum())
+        };
+        let mixes = Class::ALL.map(Class::mixes);
+        let (plain, mixed) = (quant([false; Class::COUNT])?, quant(mixes)?);
+        let (kept, turned) = (bits(&plain), bits(&mixed));
+        let values = sets.iter().map(|set| set.len()).sum::<usize>() as f64;
+        let pays = Class::ALL.map(|class| {
+            let margin = LEAST_GAIN * values * class.components() as f64;
+            class.mixes() && turned[class.index()] + margin < kept[class.index()]
+        });
+        quant(pays)
     };
-    let mixes = Class::ALL.map(Class::mixes);
-    let (plain, mixed) = (quant([false; Class::COUNT])?, quant(mixes)?);
-    let (kept, turned) = (bits(&plain), bits(&mixed));
-    let values = sets.iter().map(Vec::len).sum::<usize>() as f64;
-    let pays = Class::ALL.map(|class| {
-        let margin = LEAST_GAIN * values * class.components() as f64;
-        class.mixes() && turned[class.index()] + margin < kept[class.index()]
-    });
-    Ok((quant(pays)?, grid.origin))
+    let quants: Result<Vec<Quant>, EncodeError> =
+        layer.qualities.iter().enumerate().map(of_stratum).collect();
+    Ok((quants?, grid.origin))
 }
 
 /// Bits per value that mixing must save: sums of independent values are closer to their mean than the
@@ -64,7 +72,7 @@ const LEAST_GAIN: f64 = 0.1;
 
 /// Bits of the finest indices of one component, block by block: the logarithm of their mean distance from
 /// the block's mean, which a distribution of any one shape costs up to a constant.
-fn spread_bits(indices: &[i32], block_len: usize) -> f64 {
+pub(in crate::encode) fn spread_bits(indices: &[i32], block_len: usize) -> f64 {
     let block = |block: &[i32]| {
         let n = block.len() as f64;
         let mean = block.iter().map(|&q| f64::from(q)).sum::<f64>() / n;
@@ -78,33 +86,42 @@ fn spread_bits(indices: &[i32], block_len: usize) -> f64 {
 pub(super) fn quantise(
     epoch: &Epoch,
     members: &[Vec<u32>],
+    layer: &Layer<'_>,
     options: &Options,
 ) -> Result<Canonical, EncodeError> {
-    let (plain, origin) = plain(epoch, members, options)?;
-    let mut predicted = [false; Class::COUNT + Class::MOVING];
-    predicted[Class::COUNT..].fill(true);
-    let indices: Vec<Indices> = members.par_iter().map(|m| indices(epoch, m, &plain, origin)).collect();
-    for class in Class::ALL {
-        predicted[class.index()] = prediction_pays(&indices, class, &plain, options.block_len);
+    let (plain, origin) = plain(epoch, members, layer, options)?;
+    let mut cells: Vec<Option<CellSymbols>> = vec![None; members.len()];
+    let mut saturated = 0;
+    for (stratum, (plain, quality)) in plain.iter().zip(&layer.qualities).enumerate() {
+        let places: Vec<usize> = (0..members.len()).filter(|&k| layer.of(&members[k]) == stratum).collect();
+        let indices: Vec<Indices> =
+            places.par_iter().map(|&k| indices(epoch, &members[k], plain, origin)).collect();
+        let mut predicted = [false; Class::COUNT + Class::MOVING];
+        predicted[Class::COUNT..].fill(true);
+        for class in Class::ALL {
+            predicted[class.index()] = prediction_pays(&indices, class, plain, options.block_len);
+        }
+        let mixed = plain.canonical.map(|quantiser| quantiser.mixed());
+        let step = plain.canonical[Class::Position.index()].step(Level::ALL[3]);
+        let quant = steps::dgs1(quality, step, epoch.frames(), &predicted, &mixed)?;
+        let degrees = need::degrees(&indices, epoch.attributes().sh_degree.get());
+        let found: Vec<(CellSymbols, u64)> = indices
+            .par_iter()
+            .zip(&degrees)
+            .map(|(indices, &degree)| cell(indices, &quant, degree, options.block_len))
+            .collect();
+        for (k, (cell, clamped)) in places.into_iter().zip(found) {
+            cells[k] = Some(cell);
+            saturated += clamped;
+        }
     }
-    let mixed = plain.canonical.map(|quantiser| quantiser.mixed());
-    let step = plain.canonical[Class::Position.index()].step(Level::ALL[3]);
-    let quant = steps::dgs1(&options.quality, step, epoch.frames(), &predicted, &mixed)?;
-    let degrees = need::degrees(&indices, epoch.attributes().sh_degree.get());
-    let cells: Vec<(CellSymbols, u64)> = indices
-        .par_iter()
-        .zip(&degrees)
-        .map(|(indices, &degree)| cell(indices, &quant, degree, options.block_len))
-        .collect();
-    let saturated = cells.iter().map(|(_, s)| s).sum();
-    let cells = cells.into_iter().map(|(c, _)| c).collect();
-    Ok(Canonical { quant, origin, cells, saturated })
+    Ok(Canonical { origin, cells: cells.into_iter().flatten().collect(), saturated })
 }
 
 /// Finest indices of a cluster: per class and component, one per Gaussian.
-pub(super) type Indices = [Vec<Vec<i32>>; Class::COUNT];
+pub(in crate::encode) type Indices = [Vec<Vec<i32>>; Class::COUNT];
 
-pub(super) fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, origin: [f32; 3]) -> Indices {
+pub(in crate::encode) fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, origin: [f32; 3]) -> Indices {
     let (n, a) = (epoch.count(), epoch.attributes());
     let (p, q) = (a.positions.frame(0, n), a.rotations.frame(0, n));
     let (s, o, c) = (a.log_scales.frame(0, n), a.opacity_logits.frame(0, n), a.sh0.frame(0, n));

@@ -50,13 +50,7 @@ pub(super) fn quantise(
     scene: &Scene,
     options: &Options,
 ) -> Result<(Vec<WindowPlan>, u64), EncodeError> {
-    let a = epoch.attributes();
-    let constant = a.positions.is_constant()
-        && a.rotations.is_constant()
-        && a.log_scales.is_constant()
-        && a.opacity_logits.is_constant()
-        && a.sh0.is_constant();
-    if constant {
+    if epoch.attributes().is_constant() {
         return Ok((Vec::new(), 0));
     }
     let second = (scene.frames_per_second().round() as usize).clamp(1, 64);
@@ -105,7 +99,7 @@ fn window(
     let cells: Vec<(CellSymbols, u64)> = tracked
         .into_par_iter()
         .zip(&canonical.cells)
-        .map(|(tracked, cell)| coefficients(tracked, cell, canonical, count, &as_sent, &cosines))
+        .map(|(tracked, cell)| coefficients(tracked, cell, count, &as_sent, &cosines))
         .collect();
     let saturated = cells.iter().map(|(_, s)| s).sum();
     let cells: Vec<CellSymbols> = cells.into_iter().map(|(c, _)| c).collect();
@@ -131,7 +125,7 @@ fn tracked(
     options: &Options,
 ) -> Tracked {
     let (n, a) = (epoch.count(), epoch.attributes());
-    let quant = &canonical.quant;
+    let quant = &cell.shape.quant;
     let decoded: Vec<Vec<[f32; 3]>> = Class::ALL
         .into_iter()
         .take(Class::MOVING)
@@ -192,11 +186,11 @@ fn tracked(
 /// Values of Gaussian `i` of a cell as the decoder gets them at level 3 (Rodrigues parameters
 /// for rotation).
 fn dequantised(cell: &CellSymbols, class: Class, i: usize, canonical: &Canonical) -> [f32; 3] {
-    let (quant, origin) = (&canonical.quant, canonical.origin);
+    let origin = canonical.origin;
     let shape = &cell.shape;
     let (block, within) = (i / shape.block_len, i % shape.block_len);
     let n = shape.block_gaussians(block);
-    let quantiser = quant.canonical[class.index()];
+    let quantiser = shape.quant.canonical[class.index()];
     let step = quantiser.step(Level::ALL[3]);
     let centre = [shape.cluster.centre_x, shape.cluster.centre_y, shape.cluster.centre_z];
     let mut out = [0f32; 3];
@@ -233,7 +227,6 @@ fn dequantised(cell: &CellSymbols, class: Class, i: usize, canonical: &Canonical
 fn coefficients(
     tracked: Tracked,
     cell: &CellSymbols,
-    canonical: &Canonical,
     frames: usize,
     learned: &[Vec<f64>],
     cosines: &[Vec<f64>],
@@ -250,7 +243,7 @@ fn coefficients(
         let vectors = if class == Class::Position { learned } else { cosines };
         let projections: Vec<Vec<f64>> =
             rows.iter().map(|row| vectors.iter().map(|v| dot(row, v)).collect()).collect();
-        let rank = cheapest_rank(rows, &projections, price(&canonical.quant, class));
+        let rank = cheapest_rank(rows, &projections, price(&cell.shape.quant, class));
         match class {
             Class::Position => motion.position = rank as u8,
             Class::Scale => motion.scale = rank as u8,
@@ -260,7 +253,7 @@ fn coefficients(
         }
         projected[class.index()] = projections;
     }
-    let quant = &canonical.quant;
+    let quant = &cell.shape.quant;
     let shape = Shape::dgs1(cell.shape.cluster, *quant, Some(motion), frames as u32, cell.shape.block_len);
     let mut levels: [Vec<i16>; Level::COUNT] = Default::default();
     levels[0] = track;

@@ -48,16 +48,18 @@ type Row = [i32; COMPONENTS];
 type Costs = [[i32; FAR + 1]; CLASSES];
 
 /// `sets` (blocks of `block_len` already next to each other) with each block in a cheap order.
-pub(super) fn arrange(
+/// `quant_of` gives the quantisers of a set.
+pub(super) fn arrange<'q>(
     epoch: &Epoch,
     sets: Vec<Vec<u32>>,
-    quant: &Quant,
+    quant_of: impl Fn(&[u32]) -> &'q Quant + Sync,
     origin: [f32; 3],
     block_len: usize,
 ) -> Vec<Vec<u32>> {
     let mut clusters: Vec<(Vec<u32>, Vec<Row>)> = sets
         .into_par_iter()
         .map(|set| {
+            let quant = quant_of(&set);
             let mut rows = rows(&indices(epoch, &set, quant, origin), quant, set.len());
             add_motion(&mut rows, epoch, &set, quant);
             (set, rows)

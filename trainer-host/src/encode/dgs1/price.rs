@@ -6,7 +6,7 @@
 use super::track::dot;
 
 /// Bits that a squared error of one D is worth.
-const PER_D: f64 = 0.721;
+pub(in crate::encode) const PER_D: f64 = 0.721;
 /// Bits of a coefficient that quantises to zero among others that do.
 const ZERO_BITS: f64 = 0.3;
 /// Bits of sign and of the shape of the distribution, beyond ½ log₂(c²/D).

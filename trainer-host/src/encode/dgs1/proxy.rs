@@ -52,7 +52,7 @@ fn proxy(epoch: &Epoch, block: &[u32], cell: &CellSymbols, canonical: &Canonical
     let sigma: [f64; 3] = std::array::from_fn(|d| eigen.eigenvalues[d].max(1e-30).sqrt());
 
     let record = cell.shape.cluster;
-    let step = f64::from(canonical.quant.canonical[Class::Position.index()].step(Level::BASE));
+    let step = f64::from(cell.shape.quant.canonical[Class::Position.index()].step(Level::BASE));
     let radius = f64::from(record.radius) * step;
     let centre = [record.centre_x, record.centre_y, record.centre_z];
     let whole = |value: f64, low: f64, high: f64| value.round().clamp(low, high);

@@ -1,0 +1,479 @@
+//! Which Gaussians get fine steps, and which coarse ones.
+//!
+//! An error shows much in a large opaque Gaussian in front and hardly in a faint one behind it. At
+//! high rate bits are spent best where step² times sensitivity is the same for every value. So
+//! Gaussians of like sensitivity make a *stratum* with steps of its own, per class of attributes, and
+//! are clustered apart from the others. What one saves is ½ log₂ of the ratio of the arithmetic to
+//! the geometric mean of the sensitivities per value; what it costs is to know which stratum a
+//! Gaussian is in, which its cluster tells: the entropy of the strata, in positions that lie farther
+//! apart. Where Gaussians move that would also tear apart what moves together, so there a stratum is
+//! one of whole clusters. Where to cut is found exactly, by dynamic programming over a histogram.
+
+mod cheap;
+
+use super::{
+    EncodeError, Options, Quality, Stratum,
+    steps::{DGS1_BASE_RATIO, Factors, Grid},
+};
+use crate::{
+    cluster,
+    scene::Scene,
+    sensitivity::{self, CLASSES, Weights},
+};
+
+/// The clusters of a scene, and which of them share steps.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Strata {
+    /// Per epoch, clusters: see [`cluster::cluster`].
+    sets: Vec<Vec<Vec<u32>>>,
+    /// Per epoch, the stratum of each Gaussian; the same within a cluster.
+    of: Vec<Vec<u8>>,
+    /// Per stratum, the most sensitive first, factors on the steps of [`Options::quality`].
+    factors: Vec<Factors>,
+}
+
+/// Most strata.
+pub const MOST: usize = 6;
+/// A Gaussian counts as sensitive as this share of the mean, by class: less is beyond what a few
+/// pictures can tell.
+const FLOOR: f64 = 0.01;
+/// Bits that one more stratum must save: per Gaussian, and for its quantisers and clusters that are not
+/// full.
+const LEAST_GAIN: (f64, f64) = (0.5, 2000.0);
+/// Factors stay within this and its inverse.
+const MOST_FACTOR: f32 = 16.0;
+/// Bins of the histogram of sensitivities.
+const BINS: usize = 256;
+
+impl Strata {
+    /// No strata, for a profile without.
+    pub const fn none() -> Self {
+        Self { sets: Vec::new(), of: Vec::new(), factors: Vec::new() }
+    }
+
+    /// All Gaussians of `scene` in one stratum, with the steps of [`Options::quality`] or finer where
+    /// that is cheap.
+    ///
+    /// # Errors
+    /// Steps that the format does not hold.
+    pub fn one(scene: &Scene, options: &Options) -> Result<Self, EncodeError> {
+        let clustered = |epoch| cluster::cluster(epoch, &options.cluster);
+        let sets: Vec<Vec<Vec<u32>>> = scene.epochs().iter().map(clustered).collect();
+        let of = scene.epochs().iter().map(|epoch| vec![0; epoch.count()]).collect();
+        Self { sets, of, factors: vec![[1.0; CLASSES]] }.thrifty(scene, options)
+    }
+
+    /// The strata of `scene` and steps that make errors weigh alike in pictures, in sum as much as
+    /// those of [`Options::quality`] do. Where nothing moves, Gaussians of different strata are
+    /// clustered apart; else whole clusters share a stratum.
+    ///
+    /// # Errors
+    /// What the renderer refuses; steps that the format does not hold.
+    pub fn measured(scene: &Scene, options: &Options) -> Result<Self, EncodeError> {
+        let mut costs = sensitivity::measure(scene, options.pictures)?;
+        for (epoch, costs) in scene.epochs().iter().zip(&mut costs) {
+            let mut quality = options.quality;
+            quality.position = Grid::of(epoch, DGS1_BASE_RATIO).step(&quality);
+            let steps = quality.steps().map(|step| f64::from(*step));
+            for cost in costs.iter_mut() {
+                (0..CLASSES).for_each(|c| cost[c] *= steps[c] * steps[c]);
+            }
+        }
+        let degree = scene.epochs().iter().map(|e| e.attributes().sh_degree).max().unwrap_or_default();
+        let Some(found) = Costs::new(costs, [3, 3, 3, 1, 3, degree.rest_len()]) else {
+            return Self::one(scene, options);
+        };
+        let still = scene.epochs().iter().all(|epoch| epoch.attributes().is_constant());
+        let strata = if still { found.apart(scene, options) } else { found.together(scene, options) };
+        strata.thrifty(scene, options)
+    }
+
+    /// The same with finer steps where they are cheap in the middle epoch.
+    fn thrifty(mut self, scene: &Scene, options: &Options) -> Result<Self, EncodeError> {
+        let middle = scene.epochs().len() / 2;
+        if let Some(epoch) = scene.epochs().get(middle) {
+            let finer = cheap::finer(epoch, &self.layer(middle, &options.quality), options)?;
+            for (factors, finer) in self.factors.iter_mut().zip(finer) {
+                factors.iter_mut().zip(finer).for_each(|(factor, finer)| *factor *= finer);
+            }
+        }
+        Ok(self)
+    }
+
+    /// The strata of epoch `epoch` alone.
+    pub fn part(&self, epoch: usize) -> Self {
+        Self {
+            sets: self.sets.get(epoch).cloned().into_iter().collect(),
+            of: self.of.get(epoch).cloned().into_iter().collect(),
+            factors: self.factors.clone(),
+        }
+    }
+
+    /// How many Gaussians each has, and its steps.
+    pub fn shares(&self, quality: &Quality) -> Vec<Stratum> {
+        let count =
+            |stratum: usize| self.of.iter().flatten().filter(|&&s| usize::from(s) == stratum).count() as u64;
+        let share = |(stratum, factors): (usize, &Factors)| Stratum {
+            gaussians: count(stratum),
+            quality: quality.times(factors),
+        };
+        self.factors.iter().enumerate().map(share).collect()
+    }
+
+    /// Those of epoch `epoch`, with their steps.
+    pub fn layer(&self, epoch: usize, quality: &Quality) -> Layer<'_> {
+        Layer {
+            sets: self.sets.get(epoch).map_or(&[][..], Vec::as_slice),
+            of: self.of.get(epoch).map_or(&[][..], Vec::as_slice),
+            qualities: self.factors.iter().map(|factors| quality.times(factors)).collect(),
+        }
+    }
+}
+
+/// What an error of one step costs, per epoch and Gaussian.
+struct Costs {
+    each: Vec<Vec<Weights>>,
+    mean: Weights,
+    /// Components per class; none of those that nobody has.
+    components: [f64; CLASSES],
+}
+
+impl Costs {
+    /// `None` if nothing shows.
+    fn new(mut each: Vec<Vec<Weights>>, components: [usize; CLASSES]) -> Option<Self> {
+        let count = each.iter().map(Vec::len).sum::<usize>() as f64;
+        let mut mean: Weights = [0.0; CLASSES];
+        for cost in each.iter().flatten() {
+            (0..CLASSES).for_each(|c| mean[c] += cost[c] / count);
+        }
+        let known = |c: usize| mean[c] > 0.0 && mean[c].is_finite();
+        let components: [f64; CLASSES] =
+            std::array::from_fn(|c| if known(c) { components[c] as f64 } else { 0.0 });
+        for cost in each.iter_mut().flatten() {
+            (0..CLASSES).for_each(|c| cost[c] = cost[c].max(FLOOR * mean[c]));
+        }
+        components.iter().any(|&n| n > 0.0).then_some(Self { each, mean, components })
+    }
+
+    /// Gaussians of different strata clustered apart.
+    fn apart(&self, scene: &Scene, options: &Options) -> Strata {
+        let units = self.each.iter().flatten().map(|&sums| Bin { count: 1.0, sums }).collect();
+        let (which, factors) = self.strata(units, true);
+        let mut which = which.into_iter();
+        let of: Vec<Vec<u8>> =
+            self.each.iter().map(|epoch| which.by_ref().take(epoch.len()).collect()).collect();
+        let sets = scene.epochs().iter().zip(&of).map(|(epoch, of)| {
+            let mut parts = vec![Vec::new(); factors.len()];
+            for (i, &stratum) in (0..).zip(of) {
+                parts[usize::from(stratum)].push(i);
+            }
+            parts.retain(|part| !part.is_empty());
+            cluster::cluster_within(epoch, parts, &options.cluster)
+        });
+        Strata { sets: sets.collect(), of, factors }
+    }
+
+    /// Clusters as they are, each in one stratum.
+    fn together(&self, scene: &Scene, options: &Options) -> Strata {
+        let clustered = |epoch| cluster::cluster(epoch, &options.cluster);
+        let sets: Vec<Vec<Vec<u32>>> = scene.epochs().iter().map(clustered).collect();
+        let unit = |(costs, set): (&Vec<Weights>, &Vec<u32>)| {
+            let each: Vec<Bin> = set.iter().map(|&i| Bin { count: 1.0, sums: costs[i as usize] }).collect();
+            Bin::sum(&each)
+        };
+        let all =
+            self.each.iter().zip(&sets).flat_map(|(costs, sets)| sets.iter().map(move |set| (costs, set)));
+        let (which, factors) = self.strata(all.map(unit).collect(), false);
+        let mut which = which.into_iter();
+        let of = scene.epochs().iter().zip(&sets).map(|(epoch, sets)| {
+            let mut of = vec![0; epoch.count()];
+            for (set, stratum) in sets.iter().zip(&mut which) {
+                set.iter().for_each(|&i| of[i as usize] = stratum);
+            }
+            of
+        });
+        Strata { of: of.collect(), sets, factors }
+    }
+
+    /// The stratum of each of `units`, and the factors of each stratum. `told`: whether it takes bits
+    /// to say which stratum a unit is in.
+    fn strata(&self, units: Vec<Bin>, told: bool) -> (Vec<u8>, Vec<Factors>) {
+        let values: f64 = self.components.iter().sum();
+        let score = |unit: &Bin| -> f64 {
+            let class = |c: usize| self.components[c] * (unit.sums[c] / unit.count / self.mean[c]).ln();
+            (0..CLASSES).filter(|&c| self.components[c] > 0.0).map(class).sum::<f64>() / values
+        };
+        let scores: Vec<f64> = units.iter().map(score).collect();
+        let (low, high) = scores
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &s| (low.min(s), high.max(s)));
+        let width = ((high - low) / BINS as f64).max(1e-12);
+        // From the most sensitive down.
+        let bin = |score: f64| (((high - score) / width) as usize).min(BINS - 1);
+        let mut bins = vec![Bin::default(); BINS];
+        for (unit, &score) in units.iter().zip(&scores) {
+            let bin = &mut bins[bin(score)];
+            *bin = Bin::sum(&[*bin, *unit]);
+        }
+        let ends = cut(&bins, &self.components, told);
+        let stratum = |&score: &f64| ends.iter().take_while(|&&end| bin(score) >= end).count() as u8;
+        let which = scores.iter().map(stratum).collect();
+        // What the steps cost in all, spread evenly over the values.
+        let all = Bin::sum(&bins);
+        let total: f64 = (0..CLASSES).map(|c| self.components[c] * all.sums[c]).sum();
+        let each = total / all.count / values;
+        let mut first = 0;
+        let factors = ends.iter().map(|&end| {
+            let stratum = Bin::sum(&bins[first..end]);
+            first = end;
+            std::array::from_fn(|c| {
+                if self.components[c] == 0.0 {
+                    return 1.0;
+                }
+                let factor = (each * stratum.count / stratum.sums[c]).sqrt() as f32;
+                factor.clamp(1.0 / MOST_FACTOR, MOST_FACTOR)
+            })
+        });
+        (which, factors.collect())
+    }
+}
+
+/// The strata of one epoch.
+#[derive(Clone, Debug)]
+pub(super) struct Layer<'s> {
+    /// Clusters, each of one stratum.
+    pub sets: &'s [Vec<u32>],
+    of: &'s [u8],
+    /// Steps of each stratum.
+    pub qualities: Vec<Quality>,
+}
+
+impl Layer<'_> {
+    /// The stratum of `set`, whose Gaussians all are of the same.
+    pub fn of(&self, set: &[u32]) -> usize {
+        set.first().and_then(|&i| self.of.get(i as usize)).map_or(0, |&s| s.into())
+    }
+}
+
+/// Gaussians of like sensitivity.
+#[derive(Clone, Copy, Debug, Default)]
+struct Bin {
+    count: f64,
+    /// What errors of a step cost, by class.
+    sums: Weights,
+}
+
+impl Bin {
+    fn sum(bins: &[Self]) -> Self {
+        let mut all = Self::default();
+        for bin in bins {
+            all.count += bin.count;
+            (0..CLASSES).for_each(|c| all.sums[c] += bin.sums[c]);
+        }
+        all
+    }
+}
+
+/// Ends of the ranges of `bins` that take the fewest bits; the last is the number of bins.
+fn cut(bins: &[Bin], components: &[f64; CLASSES], told: bool) -> Vec<usize> {
+    let n = bins.len();
+    let all = Bin::sum(bins);
+    let least_gain = LEAST_GAIN.0 * all.count + LEAST_GAIN.1;
+    let mut before = vec![Bin::default(); n + 1];
+    for (i, bin) in bins.iter().enumerate() {
+        before[i + 1] = Bin::sum(&[before[i], *bin]);
+    }
+    // Bits of bins `a..b` as one stratum, up to what all choices have in common.
+    let bits = |a: usize, b: usize| -> f64 {
+        let count = before[b].count - before[a].count;
+        if count < 0.5 {
+            return f64::INFINITY;
+        }
+        let half_log = |c: usize| {
+            let mean = (before[b].sums[c] - before[a].sums[c]) / count;
+            0.5 * components[c] * mean.max(f64::MIN_POSITIVE).log2()
+        };
+        let told = if told { (count / all.count).log2() } else { 0.0 };
+        count * ((0..CLASSES).map(half_log).sum::<f64>() - told) + least_gain
+    };
+    // best[s][b]: bits of bins `0..b` in s + 1 strata, and where the last begins.
+    let mut best: Vec<Vec<(f64, usize)>> = vec![(0..=n).map(|b| (bits(0, b), 0)).collect()];
+    for s in 1..MOST {
+        let row = (0..=n)
+            .map(|b| {
+                (s..b)
+                    .map(|a| (best[s - 1][a].0 + bits(a, b), a))
+                    .fold((f64::INFINITY, 0), |least, found| if found.0 < least.0 { found } else { least })
+            })
+            .collect();
+        best.push(row);
+    }
+    let strata = (0..MOST).fold(0, |least, s| if best[s][n].0 < best[least][n].0 { s } else { least });
+    let mut ends = vec![n];
+    for s in (1..=strata).rev() {
+        let end = ends.last().map_or(n, |&end| end);
+        ends.push(best[s][end].1);
+    }
+    ends.reverse();
+    ends
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        encode::encode,
+        import::{
+            Limits,
+            synth::{self, Kind},
+        },
+        judge::{Judge, spread},
+    };
+
+    const COMPONENTS: [usize; CLASSES] = [3, 3, 3, 1, 3, 0];
+
+    /// The definition: bits of every Gaussian's values at the factors of its stratum, and what it takes to
+    /// tell the strata.
+    fn naive_bits(each: &[Weights], of: &[u8], factors: &[Factors]) -> f64 {
+        let n = each.len() as f64;
+        let values: f64 = of
+            .iter()
+            .map(|&s| {
+                (0..5)
+                    .map(|c| -(COMPONENTS[c] as f64) * f64::from(factors[usize::from(s)][c]).log2())
+                    .sum::<f64>()
+            })
+            .sum();
+        let told: f64 = (0..factors.len())
+            .map(|s| of.iter().filter(|&&o| usize::from(o) == s).count() as f64)
+            .filter(|&k| k > 0.0)
+            .map(|k| k * (n / k).log2())
+            .sum();
+        values + told
+    }
+
+    fn distortion(each: &[Weights], of: &[u8], factors: &[Factors]) -> f64 {
+        let one = |cost: &Weights, s: u8| -> f64 {
+            let factor = |c: usize| f64::from(factors[usize::from(s)][c]).powi(2);
+            (0..5).map(|c| COMPONENTS[c] as f64 * cost[c] * factor(c)).sum()
+        };
+        each.iter().zip(of).map(|(cost, &s)| one(cost, s)).sum()
+    }
+
+    /// Sensitivities over three decades, in two clumps.
+    fn costs(n: usize) -> Vec<Weights> {
+        (0..n)
+            .map(|i| {
+                let clump = if i % 3 == 0 { 1.0 } else { 0.02 };
+                let own = clump * (1.0 + (i * 7919 % 101) as f64 / 50.0);
+                [own, 2.0 * own, 0.5 * own, own * own, own, 0.0]
+            })
+            .collect()
+    }
+
+    #[test]
+    fn strata_keep_what_errors_cost_and_save_bits() {
+        let costs = Costs::new(vec![costs(3000)], COMPONENTS).unwrap();
+        let each = &costs.each[0];
+        let (of, factors) = costs.strata(each.iter().map(|&sums| Bin { count: 1.0, sums }).collect(), true);
+        assert!((2..=MOST).contains(&factors.len()), "{factors:?}");
+        let (one, zero) = (vec![[1.0; CLASSES]], vec![0; each.len()]);
+        let (before, after) = (distortion(each, &zero, &one), distortion(each, &of, &factors));
+        assert!((after / before - 1.0).abs() < 1e-3, "{after} for {before}");
+        let saved = naive_bits(each, &zero, &one) - naive_bits(each, &of, &factors);
+        assert!(saved / each.len() as f64 > 5.0, "{saved}");
+        // The most sensitive first, with the finest steps.
+        assert!(factors.is_sorted_by(|a, b| a[0] < b[0]), "{factors:?}");
+        for (cost, &s) in each.iter().zip(&of) {
+            assert!(cost[0] > 0.5 || s > 0, "a Gaussian of {cost:?} in stratum {s}");
+        }
+    }
+
+    #[test]
+    fn cuts_are_those_of_the_search_over_all() {
+        let costs = costs(200);
+        let mut bins = vec![Bin::default(); 9];
+        for cost in &costs {
+            let bin = ((2.0 - cost[0].log2()).clamp(0.0, 8.0)) as usize;
+            bins[bin] = Bin::sum(&[bins[bin], Bin { count: 1.0, sums: *cost }]);
+        }
+        bins.retain(|bin| bin.count > 0.0);
+        let components = COMPONENTS.map(|n| n as f64);
+        let all = Bin::sum(&bins);
+        let cost = |ends: &[usize], told: bool| -> f64 {
+            let mut first = 0;
+            let mut sum = 0.0;
+            for &end in ends {
+                let part = Bin::sum(&bins[first..end]);
+                first = end;
+                let half_log = |c: usize| 0.5 * components[c] * (part.sums[c] / part.count).log2();
+                sum += part.count * (0..5).map(half_log).sum::<f64>();
+                sum += if told { part.count * (all.count / part.count).log2() } else { 0.0 };
+                sum += LEAST_GAIN.0 * all.count + LEAST_GAIN.1;
+            }
+            sum
+        };
+        for told in [false, true] {
+            let mut least = f64::INFINITY;
+            for choice in 0..1u32 << (bins.len() - 1) {
+                let mut ends: Vec<usize> = (1..bins.len()).filter(|b| choice >> (b - 1) & 1 == 1).collect();
+                ends.push(bins.len());
+                if ends.len() <= MOST {
+                    least = least.min(cost(&ends, told));
+                }
+            }
+            let found = cut(&bins, &components, told);
+            assert!((cost(&found, told) - least).abs() < 1e-6, "{found:?}");
+        }
+    }
+
+    #[test]
+    fn nothing_to_see_or_all_alike_is_one_stratum() {
+        assert!(Costs::new(vec![vec![[0.0; CLASSES]; 9]], COMPONENTS).is_none());
+        assert!(Costs::new(vec![Vec::new()], COMPONENTS).is_none());
+        assert!(Costs::new(vec![vec![[f64::NAN; CLASSES]; 9]], COMPONENTS).is_none());
+        let alike = Costs::new(vec![vec![[2.0, 2.0, 2.0, 2.0, 2.0, 0.0]; 50]], COMPONENTS).unwrap();
+        let (of, factors) = alike.strata(vec![Bin { count: 1.0, sums: alike.each[0][0] }; 50], true);
+        assert_eq!((of, factors), (vec![0; 50], vec![[1.0; CLASSES]]));
+    }
+
+    #[test]
+    fn clusters_never_mix_strata_and_hold_everybody_once() {
+        for (kind, frames) in [(Kind::Figure, 1), (Kind::Figure, 6), (Kind::Births, 6)] {
+            let options = synth::Options { gaussians: 1500, frames, kind, ..Default::default() };
+            let scene = synth::make(&options, &Limits::default()).unwrap();
+            let strata = Strata::measured(&scene, &Options::default()).unwrap();
+            assert!(strata.factors.len() > 1, "{kind:?} {frames}");
+            for (e, epoch) in scene.epochs().iter().enumerate() {
+                let layer = strata.layer(e, &Quality::default());
+                let mut seen: Vec<u32> = layer.sets.concat();
+                seen.sort_unstable();
+                assert!(seen.into_iter().eq(0..epoch.count() as u32));
+                for set in layer.sets {
+                    assert!(set.iter().all(|&i| layer.of(&[i]) == layer.of(set)));
+                }
+            }
+            let shares = strata.shares(&Quality::default());
+            let all: u64 = shares.iter().map(|s| s.gaussians).sum();
+            assert_eq!(all, scene.epochs().iter().map(|e| e.count() as u64).sum::<u64>());
+        }
+    }
+
+    /// The same PSNR from cameras on which nothing was chosen, for fewer bytes.
+    #[test]
+    fn measured_steps_pay() {
+        let options = synth::Options { gaussians: 4000, frames: 1, kind: Kind::Figure, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let judge = Judge::measuring(&scene, spread(0, 1, 1)).unwrap();
+        let marks = |pictures: usize, coarseness: f32| {
+            let quality = Quality::default().scaled(coarseness);
+            let stream =
+                encode(&scene, &Options { pictures, quality, ..Options::default() }, &|_, _| {}).unwrap();
+            (stream.ledger().wire(), judge.whole(&stream).unwrap())
+        };
+        let (even, psnr) = marks(0, 1.0);
+        let finer = (1..20).map(|k| marks(16, 1.1 * 0.9f32.powi(k))).find(|m| m.1 >= psnr);
+        let (measured, _) = finer.unwrap();
+        assert!(measured < 0.95 * even, "{measured} for {even} bytes");
+    }
+}
