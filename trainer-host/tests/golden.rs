@@ -14,7 +14,7 @@ mod session;
 
 use std::{collections::BTreeSet, path::Path};
 
-use codec_core::{gaussian::ShDegree, quant::Class};
+use codec_core::{gaussian::ShDegree, ids::Level, quant::Class};
 use trainer_host::{
     Epoch, Scene,
     encode::{Options, Protection, encode},
@@ -91,6 +91,21 @@ fn epoch(n: usize, frames: usize, degree: u8, motion: Motion, seed: usize) -> Ep
     Epoch::new(frames, attributes).unwrap()
 }
 
+/// `epoch` with two in three of its Gaussians small and faint.
+fn faded(epoch: &Epoch) -> Epoch {
+    let mut attributes = epoch.attributes().clone();
+    let (Track::Constant(logits), Track::Constant(sizes)) =
+        (&mut attributes.opacity_logits, &mut attributes.log_scales)
+    else {
+        panic!("a still epoch");
+    };
+    for (i, (logit, size)) in logits.iter_mut().zip(sizes).enumerate().filter(|(i, _)| i % 3 != 0) {
+        *logit -= 4.0 + (i % 2) as f32;
+        size.iter_mut().for_each(|s| *s -= 1.0);
+    }
+    Epoch::new(1, attributes).unwrap()
+}
+
 fn scene(epochs: Vec<Epoch>) -> Scene {
     Scene::new(epochs, 10.0).unwrap()
 }
@@ -123,6 +138,12 @@ fn all() -> Vec<(&'static str, &'static str, Scene, Options)> {
             "bands 1 to 3 in refinements only",
             scene(vec![epoch(70, 1, 3, still, 3)]),
             small(16, 400),
+        ),
+        (
+            "strata",
+            "several quantisers, some with fewer refinements",
+            scene(vec![faded(&epoch(900, 1, 0, still, 14))]),
+            small(64, 1150),
         ),
         ("tracks", "clusters that glide and turn", scene(vec![epoch(120, 8, 0, rigid, 4)]), small(64, 400)),
         (
@@ -202,6 +223,17 @@ fn harmonics_are_mixed_and_noise_is_not() {
     assert_eq!(mixed("harmonics"), Class::ALL.map(Class::mixes));
     assert_eq!(mixed("paper"), [false; Class::COUNT]);
     assert!(!mixed("coefficients")[Class::Sh0.index()]);
+}
+
+#[test]
+fn strata_have_quantisers_of_their_own() {
+    let (.., scene, options) = all().into_iter().find(|(name, ..)| *name == "strata").unwrap();
+    let stream = encode(&scene, &options, &|_, _| {}).unwrap();
+    let manifest = stream.manifest().unwrap();
+    let quants: Vec<_> = (0..manifest.head().quants).map(|q| manifest.quant(q as u8).unwrap()).collect();
+    assert!(quants.len() > 1);
+    let last = |q: &codec_core::wire::manifest::Quant| q.canonical[Class::Scale.index()].ratio(Level::ALL[3]);
+    assert!(quants.iter().any(|q| last(q) == 1) && quants.iter().any(|q| last(q) == 3));
 }
 
 /// The index names what this file would write; the bytes are the encoder's to change.
