@@ -58,11 +58,12 @@ impl Quality {
         }
     }
 
-    /// The step of each class of [`sensitivity`] times its factor.
+    /// The step of each class of [`sensitivity`] times its factor; a factor above 1 leads up to
+    /// [`LINEAR`] only.
     #[must_use]
     pub(super) fn times(mut self, factors: &Factors) -> Self {
-        for (step, factor) in self.steps().into_iter().zip(factors) {
-            *step *= factor;
+        for ((step, factor), most) in self.steps().into_iter().zip(factors).zip(LINEAR) {
+            *step = (*step * factor).min(step.max(most));
         }
         self
     }
@@ -85,6 +86,11 @@ impl Quality {
         [position, scale, rotation, opacity, sh0, sh_rest]
     }
 }
+
+/// Steps beyond which the error of a picture does not follow those of the values: about a Gaussian's size,
+/// half of it in scale, a radian, a third of opacity and a sixth of a display's range, by class of
+/// [`sensitivity`].
+const LINEAR: Factors = [1.0, 0.6, 0.25, 0.3, 0.6, 0.6];
 
 /// Factors on steps, by class of [`sensitivity`].
 pub(super) type Factors = [f32; sensitivity::CLASSES];
