@@ -50,12 +50,28 @@ pub fn cos_pi(num: u32, den: u32) -> f32 {
 
 /// `q` at unit length; one too short to have a direction becomes the identity.
 pub fn normalised(q: [f32; 4]) -> [f32; 4] {
-    let length2 = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
-    if !(length2 > 1e-12 && length2 < 1e12) {
-        return [1.0, 0.0, 0.0, 0.0];
+    let mut one = q.map(|v| [v]);
+    normalise(&mut one);
+    one.map(|[v]| v)
+}
+
+/// [`normalised`] of many quaternions, component by component: roots and branches apart from what
+/// vectors do.
+pub fn normalise<const N: usize>(q: &mut [[f32; N]; 4]) {
+    let mut scale = [0f32; N];
+    let [w, x, y, z] = q;
+    for i in 0..N {
+        let length2 = w[i] * w[i] + x[i] * x[i] + y[i] * y[i] + z[i] * z[i];
+        // No length is a NaN, which has no direction either.
+        scale[i] = if length2 > 1e-12 && length2 < 1e12 { length2 } else { 0.0 };
     }
-    let scale = 1.0 / libm::sqrtf(length2);
-    q.map(|v| v * scale)
+    scale.iter_mut().for_each(|length2| *length2 = libm::sqrtf(*length2));
+    scale.iter_mut().for_each(|scale| *scale = 1.0 / *scale);
+    for (component, identity) in q.iter_mut().zip([1.0, 0.0, 0.0, 0.0]) {
+        for (v, &scale) in component.iter_mut().zip(&scale) {
+            *v = if scale < f32::INFINITY { *v * scale } else { identity };
+        }
+    }
 }
 
 /// Hamilton product a ⊗ b, wxyz.
