@@ -2,7 +2,7 @@
 
 use super::{
     Part,
-    column::{Column, Runs, SPAN, Values, carried, each, rows},
+    column::{Column, Runs, SPAN, Values, carried, each, triple},
 };
 use crate::{
     gaussian::Gaussian,
@@ -53,41 +53,43 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) {
                     *value = origin + q as f32 * step;
                 }
             }
-            put(class, class.mixes() && quantiser.mixed(), values, out);
+            put(class, quantiser.mixed(), &mut values, out);
         }
     }
 }
 
 /// The attribute that `values` of `class` stand for, to `out`.
-fn put(class: Class, mixed: bool, mut values: Values<3>, out: &mut [Gaussian]) {
-    if mixed {
-        let [a, b, c] = &mut values;
+#[inline(never)]
+fn put(class: Class, mixed: bool, values: &mut Values, out: &mut [Gaussian]) {
+    if mixed && class.mixes() {
+        let [a, b, c] = &mut *values;
         for ((a, b), c) in a.iter_mut().zip(b).zip(c) {
             [*a, *b, *c] = unmix([*a, *b, *c]);
         }
     }
     match class {
-        Class::Position => each(&values, out, |gaussian, position| gaussian.position = position),
-        Class::Scale => {
-            for value in values.as_flattened_mut() {
-                *value = math::exp(*value);
+        Class::Opacity => {
+            let [opacities, ..] = values;
+            for (gaussian, opacity) in out.iter_mut().zip(opacities) {
+                gaussian.opacity = opacity.clamp(0.0, 1.0);
             }
-            each(&values, out, |gaussian, scale| gaussian.scale = scale);
+            return;
         }
         Class::Rotation => {
-            let mut turns = [[0.0; SPAN]; 4];
-            for (i, [x, y, z]) in rows(&values).enumerate() {
-                let turn = math::quat_from_mrp([x, y, z]);
-                turns.iter_mut().zip(turn).for_each(|(turns, value)| turns[i] = value);
+            let mut w = [0.0; SPAN];
+            let [x, y, z] = &mut *values;
+            for (((w, x), y), z) in w.iter_mut().zip(&mut *x).zip(&mut *y).zip(&mut *z) {
+                [*w, *x, *y, *z] = math::quat_from_mrp([*x, *y, *z]);
             }
-            math::normalise(&mut turns);
-            each(&turns, out, |gaussian, rotation| gaussian.rotation = rotation);
+            math::normalise([&mut w, x, y, z]);
+            for (gaussian, w) in out.iter_mut().zip(w) {
+                gaussian.rotation[0] = w;
+            }
         }
-        Class::Opacity => {
-            each(&values, out, |gaussian, [value, ..]| gaussian.opacity = value.clamp(0.0, 1.0));
-        }
-        _ => each(&values, out, |gaussian, sh0| gaussian.sh0 = sh0),
+        Class::Scale => math::exp_all(values.as_flattened_mut()),
+        _ => {}
     }
+    each(values, out, |gaussian, values| *triple(gaussian, class) = values);
 }
 
 /// Writes the higher bands of block `block` to the output; bands not there are zero.

@@ -10,23 +10,29 @@ use crate::{
 /// Gaussians at a time: as many as fill vector registers, and few enough for a short stack.
 pub(super) const SPAN: usize = 32;
 
-/// One value per Gaussian and component.
-pub(super) type Values<const N: usize> = [[f32; SPAN]; N];
+/// One value per Gaussian, component by component.
+pub(super) type Values = [[f32; SPAN]; 3];
 
-/// Each Gaussian's values, in order.
+/// Calls `put` with every Gaussian and its values.
 #[inline(always)]
-pub(super) fn rows<const N: usize>(values: &Values<N>) -> impl Iterator<Item = [f32; N]> {
-    (0..SPAN).map(|i| core::array::from_fn(|component| values[component][i]))
+pub(super) fn each(values: &Values, out: &mut [Gaussian], put: impl Fn(&mut Gaussian, [f32; 3])) {
+    let [x, y, z] = values;
+    for (((gaussian, &x), &y), &z) in out.iter_mut().zip(x).zip(y).zip(z) {
+        put(gaussian, [x, y, z]);
+    }
 }
 
-/// Calls `put` with every Gaussian, at most [`SPAN`], and its values.
-#[inline(always)]
-pub(super) fn each<const N: usize>(
-    values: &Values<N>,
-    out: &mut [Gaussian],
-    put: impl Fn(&mut Gaussian, [f32; N]),
-) {
-    out.iter_mut().zip(rows(values)).for_each(|(gaussian, row)| put(gaussian, row));
+/// The three components of `class`, of a rotation the last three.
+pub(super) const fn triple(gaussian: &mut Gaussian, class: Class) -> &mut [f32; 3] {
+    match class {
+        Class::Position => &mut gaussian.position,
+        Class::Scale => &mut gaussian.scale,
+        Class::Rotation => {
+            let [_, xyz @ ..] = &mut gaussian.rotation;
+            xyz
+        }
+        _ => &mut gaussian.sh0,
+    }
 }
 
 /// Symbols of a block whose components have not been taken yet, level by level.
@@ -38,6 +44,7 @@ pub(super) struct Runs<'s> {
 
 impl<'s> Runs<'s> {
     /// The runs of block `block` at levels up to `level`; `symbols` are those of its cell.
+    #[inline(never)]
     pub(super) fn of(shape: &Shape, symbols: &'s [i16], block: usize, level: Level) -> Self {
         let rest = Level::ALL.map(|l| {
             let (at, len) = if l <= level { shape.range(l, block..block + 1) } else { (0, 0) };
@@ -47,6 +54,7 @@ impl<'s> Runs<'s> {
     }
 
     /// The runs of the next component; none at levels that do not carry it.
+    #[inline(never)]
     pub(super) fn next(&mut self, carries: [bool; Level::COUNT]) -> [&'s [i16]; Level::COUNT] {
         let mut runs = [&[][..]; Level::COUNT];
         for ((run, rest), carries) in runs.iter_mut().zip(&mut self.rest).zip(carries) {
@@ -85,6 +93,7 @@ pub(super) struct Column<'s> {
 impl<'s> Column<'s> {
     /// The component whose symbols are `runs`, first coded at `first`, wanted at `level`; its
     /// symbols of the first level begin at `start`.
+    #[inline(never)]
     pub(super) fn new(
         runs: [&'s [i16]; Level::COUNT],
         quantiser: Quantiser,
@@ -98,7 +107,7 @@ impl<'s> Column<'s> {
     }
 
     /// The next indices; those behind the block's end mean nothing.
-    #[inline]
+    #[inline(never)]
     pub(super) fn take(&mut self) -> [i32; SPAN] {
         let mut indices = [0; SPAN];
         match self.worth {

@@ -9,7 +9,7 @@ use glam::{Mat3, Vec3};
 
 use super::{
     Part,
-    column::{Column, Runs, SPAN, Values, carried, each},
+    column::{Column, Runs, SPAN, Values, carried, each, triple},
 };
 use crate::{
     gaussian::Gaussian,
@@ -264,38 +264,39 @@ fn bend(part: &mut Part<'_, '_>, shape: &Shape, cell: Cell, block: usize, level:
 }
 
 /// Adds `sums` of `class` to what `out` has of it.
-fn add(class: Class, sums: &mut Values<3>, out: &mut [Gaussian]) {
+#[inline(never)]
+fn add(class: Class, sums: &mut Values, out: &mut [Gaussian]) {
     match class {
-        Class::Position => each(sums, out, |gaussian, by| {
-            gaussian.position.iter_mut().zip(by).for_each(|(value, by)| *value += by);
-        }),
-        Class::Scale => {
-            sums.as_flattened_mut().iter_mut().for_each(|sum| *sum = math::exp(*sum));
+        Class::Rotation => {
+            let mut w = [1.0; SPAN];
+            let [x, y, z] = sums;
+            math::normalise([&mut w, x, y, z]);
+            for ((((gaussian, w), x), y), z) in out.iter().zip(&mut w).zip(&mut *x).zip(&mut *y).zip(&mut *z)
+            {
+                [*w, *x, *y, *z] = math::quat_mul([*w, *x, *y, *z], gaussian.rotation);
+            }
+            math::normalise([&mut w, x, y, z]);
+            for ((((gaussian, w), x), y), z) in out.iter_mut().zip(w).zip(&*x).zip(&*y).zip(&*z) {
+                gaussian.rotation = [w, *x, *y, *z];
+            }
+        }
+        Class::Opacity => {
+            let [sums, ..] = sums;
+            for (gaussian, sum) in out.iter_mut().zip(sums) {
+                gaussian.opacity = (gaussian.opacity + *sum).clamp(0.0, 1.0);
+            }
+        }
+        _ => {
+            if class == Class::Scale {
+                math::exp_all(sums.as_flattened_mut());
+            }
             let (least, most) = SCALE_RANGE;
             each(sums, out, |gaussian, by| {
-                gaussian.scale.iter_mut().zip(by).for_each(|(value, by)| {
-                    *value = (*value * by).clamp(least, most);
-                });
+                for (value, by) in triple(gaussian, class).iter_mut().zip(by) {
+                    *value =
+                        if class == Class::Scale { (*value * by).clamp(least, most) } else { *value + by };
+                }
             });
         }
-        Class::Rotation => {
-            let [x, y, z] = *sums;
-            let mut turns = [[1.0; SPAN], x, y, z];
-            math::normalise(&mut turns);
-            each(&turns, out, |gaussian, turn| {
-                gaussian.rotation = math::quat_mul(turn, gaussian.rotation);
-            });
-            for (i, gaussian) in out.iter().enumerate().take(SPAN) {
-                turns.iter_mut().zip(gaussian.rotation).for_each(|(turns, value)| turns[i] = value);
-            }
-            math::normalise(&mut turns);
-            each(&turns, out, |gaussian, rotation| gaussian.rotation = rotation);
-        }
-        Class::Opacity => each(sums, out, |gaussian, [by, ..]| {
-            gaussian.opacity = (gaussian.opacity + by).clamp(0.0, 1.0);
-        }),
-        _ => each(sums, out, |gaussian, by| {
-            gaussian.sh0.iter_mut().zip(by).for_each(|(value, by)| *value += by);
-        }),
     }
 }
