@@ -59,7 +59,8 @@ impl Intake {
             batch.clear();
             self.runs.clear();
             let mut values = 0;
-            while let (true, Some(packet)) = (batch.len() < BATCH && values < MOST_VALUES, packets.next()) {
+            while batch.len() < BATCH && values < MOST_VALUES {
+                let Some(packet) = packets.next() else { break };
                 let first = self.runs.len();
                 let planned = receiver.plan(packet, |run| self.runs.push(run));
                 let planned = planned.filter(|planned| planned.values <= MOST_VALUES);
