@@ -6,15 +6,20 @@
 //! back meanwhile) is left to [`Receiver::media`] in the packet's turn, so that committing packets
 //! one after the other is in every respect the same as giving them to `media`.
 
-use super::{Arrival, Receiver, payload::Survey};
+use super::{
+    Arrival, Memory, Receiver,
+    payload::{Place, for_each_slice, overlap},
+};
 use crate::{
-    error::Result,
+    closure::Arrived,
+    error::{Error, ErrorKind, Result},
     limits::MAX_PACKET_BYTES,
     rans::{form::Form, lanes::Run, table::SLOTS},
     wire::{
+        bits::Bits,
         crc::checked,
-        manifest::Profile,
-        packet::{Packet, Slices},
+        manifest::{Manifest, Profile},
+        packet::{Packet, Slices, Stretch},
     },
 };
 
@@ -52,9 +57,70 @@ impl Receiver<'_> {
         {
             return None;
         }
-        let survey = self.survey(&manifest, &slices, |table, len| run(Run { table, len }));
-        let Survey { body, values, .. } = survey.ok()?;
+        let (body, values) = self.survey(&manifest, &slices, &mut run).ok()?;
         Some(Planned { packet, slices, body, values })
+    }
+
+    /// The body of `packet` and its number of values, if all of them have a place that is free.
+    ///
+    /// Apart from the scalar decoder's first pass, which says the same: what a host needs beyond it
+    /// would weigh on the stack of a microcontroller.
+    fn survey<'p>(
+        &self,
+        manifest: &Manifest<'_>,
+        packet: &Slices<'p>,
+        run: &mut impl FnMut(Run),
+    ) -> Result<(&'p [u8], usize)> {
+        let Memory { cells, blocks, .. } = &self.memory;
+        let (mut selectors, mut values) = (Bits::new(packet.body), 0);
+        for (i, stretch) in packet.stretches.iter().enumerate() {
+            let twice = packet.stretches.iter().take(i).any(|earlier| overlap(earlier, stretch));
+            for_each_slice(manifest, cells, stretch, i, |place| {
+                if twice || is_taken(blocks, &place, stretch) {
+                    return Err(taken(i));
+                }
+                place.shape.runs(stretch.level, place.blocks, |stream, len| {
+                    let menu = self.menus.get(stream).copied().unwrap_or_default();
+                    run(Run { table: menu.select(&mut selectors)?, len });
+                    values += len;
+                    Ok(())
+                })
+            })?;
+        }
+        Ok((selectors.finish()?, values))
+    }
+
+    /// Copies the decoded `values` of `packet` to their places and records its arrival.
+    ///
+    /// # Errors
+    /// If a place is taken, or there are more or fewer values than places; then nothing is recorded.
+    fn place(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>, values: &[i16]) -> Result<()> {
+        let Memory { cells, symbols, blocks, .. } = &mut self.memory;
+        let mut rest = values;
+        for (i, stretch) in packet.stretches.iter().enumerate() {
+            for_each_slice(manifest, cells, stretch, i, |place| {
+                let target = symbols.get_mut(place.symbols.clone()).ok_or(taken(i))?;
+                let (run, tail) = rest.split_at_checked(target.len()).ok_or(taken(i))?;
+                if is_taken(blocks, &place, stretch) {
+                    return Err(taken(i));
+                }
+                target.copy_from_slice(run);
+                rest = tail;
+                Ok(())
+            })?;
+        }
+        if !rest.is_empty() {
+            return Err(taken(packet.stretches.len()));
+        }
+        for (i, stretch) in packet.stretches.iter().enumerate() {
+            for_each_slice(manifest, cells, stretch, i, |place| {
+                for mask in blocks.get_mut(place.masks).unwrap_or(&mut []) {
+                    *mask = Arrived(*mask).with(stretch.level).0;
+                }
+                Ok(())
+            })?;
+        }
+        Ok(())
     }
 
     /// Takes a packet that this receiver has planned; `values` are those of its body, or `None` if the
@@ -67,7 +133,7 @@ impl Receiver<'_> {
         let id = slices.id;
         let placed = match (self.manifest, values) {
             (Some(manifest), Some(values)) if values.len() == planned.values && !self.has(id) => {
-                self.place(&manifest, slices, values).then_some(manifest)
+                self.place(&manifest, slices, values).ok().map(|()| manifest)
             }
             _ => None,
         };
@@ -76,4 +142,15 @@ impl Receiver<'_> {
         self.mark(id);
         Ok(Arrival::Accepted { id, recovered: self.take_member(&manifest, id, packet) })
     }
+}
+
+/// Whether one of the blocks of `place` has its level already.
+fn is_taken(blocks: &[u8], place: &Place, stretch: &Stretch) -> bool {
+    let masks = blocks.get(place.masks.clone()).unwrap_or(&[]);
+    masks.iter().any(|&mask| Arrived(mask).has(stretch.level))
+}
+
+/// Seen by nobody: `media` finds out anew what is wrong.
+fn taken(stretch: usize) -> Error {
+    Error::illegal("slice", stretch, 0, (0, 0)).kind(ErrorKind::Duplicate)
 }

@@ -7,15 +7,10 @@ use crate::{
     error::{Error, ErrorKind, Result},
     ids::{ClusterId, EpochId, Level, Span},
     layout::Shape,
-    limits::MAX_TABLES,
-    rans::{
-        bytes,
-        form::{Form, View},
-        lanes,
-    },
+    rans::{bytes, form::View, lanes},
     wire::{
         bits::Bits,
-        manifest::{Manifest, Menu, Profile, stream},
+        manifest::{Manifest, Profile},
         packet::{Chunk, Packet, Slices, Stretch},
     },
 };
@@ -44,21 +39,18 @@ impl Receiver<'_> {
         }
     }
 
-    /// Reads what comes before a packet's values: that all of it has a place that is free, and which
-    /// table each run has, so that the size of everything behind is known. Calls `run` with every
-    /// run's table and length.
-    ///
-    /// # Errors
-    /// Why the packet is refused.
-    #[inline]
-    pub(super) fn survey<'p>(
-        &self,
-        manifest: &Manifest<'_>,
-        packet: &Slices<'p>,
-        mut run: impl FnMut(u8, usize),
-    ) -> Result<Survey<'p>> {
-        let Memory { cells, blocks, slots, .. } = &self.memory;
-        let choice = Choice { form: self.form, slots, menus: &self.menus, raw_bits: &self.raw_bits };
+    fn decode_slices(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>) -> Result<()> {
+        let Memory { cells, symbols, blocks, slots, .. } = &mut self.memory;
+        let (form, slots) = (self.form, &**slots);
+        let (menus, raw_bits_of) = (&self.menus, &self.raw_bits);
+        let table_at = |stream: usize, selectors: &mut Bits<'_>| -> Result<(View<'_>, u8)> {
+            let index = menus.get(stream).copied().unwrap_or_default().select(selectors)?;
+            let found = form.table(slots, index.into()).zip(raw_bits_of.get(usize::from(index)));
+            let last = u64::from(manifest.head().tables).saturating_sub(1);
+            let missing = Error::illegal("slice.table", 0, index.into(), (0, last));
+            found.map(|(table, &bits)| (table, bits)).ok_or(missing.kind(ErrorKind::Contradiction))
+        };
+        // Selectors come first, so that the size of everything behind them is known.
         let mut selectors = Bits::new(packet.body);
         let (mut values, mut raw_bits) = (0usize, 0usize);
         for (i, stretch) in packet.stretches.iter().enumerate() {
@@ -71,66 +63,19 @@ impl Receiver<'_> {
                     return Err(Error::illegal("slice", i, level, (level, level)).kind(ErrorKind::Duplicate));
                 }
                 place.shape.runs(stretch.level, place.blocks.clone(), |stream, n| {
-                    let (index, _, bits) = choice.next(manifest, stream, &mut selectors)?;
                     values += n;
-                    raw_bits += n * usize::from(bits);
-                    run(index, n);
+                    raw_bits += n * usize::from(table_at(stream, &mut selectors)?.1);
                     Ok(())
                 })
             })?;
         }
-        Ok(Survey { body: selectors.finish()?, values, raw_bits })
-    }
-
-    /// Copies the decoded `values` of `packet` to their places and records its arrival; `false`, and
-    /// nothing recorded, if one of them is taken or they do not fit.
-    pub(super) fn place(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>, values: &[i16]) -> bool {
-        let Memory { cells, symbols, blocks, .. } = &mut self.memory;
-        let mut rest = values;
-        for (i, stretch) in packet.stretches.iter().enumerate() {
-            let copied = for_each_slice(manifest, cells, stretch, i, |place| {
-                let taken = Error::illegal("slice", i, 0, (0, 0));
-                let masks = blocks.get(place.masks.clone()).unwrap_or(&[]);
-                let target = symbols.get_mut(place.symbols.clone()).ok_or(taken)?;
-                let (run, tail) = rest.split_at_checked(target.len()).ok_or(taken)?;
-                if masks.iter().any(|&m| Arrived(m).has(stretch.level)) {
-                    return Err(taken);
-                }
-                target.copy_from_slice(run);
-                rest = tail;
-                Ok(())
-            });
-            if copied.is_err() {
-                return false;
-            }
-        }
-        rest.is_empty() && self.record(manifest, packet).is_ok()
-    }
-
-    /// Records the arrival of all of `packet`.
-    fn record(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>) -> Result<()> {
-        let Memory { cells, blocks, .. } = &mut self.memory;
-        packet.stretches.iter().enumerate().try_for_each(|(i, stretch)| {
-            for_each_slice(manifest, cells, stretch, i, |place| {
-                for mask in blocks.get_mut(place.masks).unwrap_or(&mut []) {
-                    *mask = Arrived(*mask).with(stretch.level).0;
-                }
-                Ok(())
-            })
-        })
-    }
-
-    fn decode_slices(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>) -> Result<()> {
-        let Survey { body, values, raw_bits } = self.survey(manifest, packet, |_, _| ())?;
-        let Memory { cells, symbols, slots, .. } = &mut self.memory;
-        let choice = Choice { form: self.form, slots, menus: &self.menus, raw_bits: &self.raw_bits };
-        let mut decoder = lanes::Decoder::new(body, values, raw_bits)?;
+        let mut decoder = lanes::Decoder::new(selectors.finish()?, values, raw_bits)?;
         let mut selectors = Bits::new(packet.body);
         for (i, stretch) in packet.stretches.iter().enumerate() {
             for_each_slice(manifest, cells, stretch, i, |place| {
                 let mut rest = symbols.get_mut(place.symbols.clone()).unwrap_or(&mut []);
                 place.shape.runs(stretch.level, place.blocks.clone(), |stream, n| {
-                    let (_, table, bits) = choice.next(manifest, stream, &mut selectors)?;
+                    let (table, bits) = table_at(stream, &mut selectors)?;
                     let whole = core::mem::take(&mut rest);
                     let n = n.min(whole.len());
                     let (run, tail) = whole.split_at_mut(n);
@@ -140,7 +85,15 @@ impl Receiver<'_> {
             })?;
         }
         decoder.finish()?;
-        self.record(manifest, packet)
+        for (i, stretch) in packet.stretches.iter().enumerate() {
+            for_each_slice(manifest, cells, stretch, i, |place| {
+                for mask in blocks.get_mut(place.masks).unwrap_or(&mut []) {
+                    *mask = Arrived(*mask).with(stretch.level).0;
+                }
+                Ok(())
+            })?;
+        }
+        Ok(())
     }
 
     /// Kept apart, so that its byte tables do not weigh on the stack of `dgs1`.
@@ -226,48 +179,14 @@ impl Receiver<'_> {
     }
 }
 
-/// What the runs of a packet choose their tables from.
-struct Choice<'r> {
-    form: Form,
-    slots: &'r [u32],
-    menus: &'r [Menu; stream::COUNT],
-    raw_bits: &'r [u8; MAX_TABLES],
-}
-
-impl<'r> Choice<'r> {
-    /// The table of the next run, which is of stream `stream`: index, where it lies, raw bits.
-    fn next(
-        &self,
-        manifest: &Manifest<'_>,
-        stream: usize,
-        selectors: &mut Bits<'_>,
-    ) -> Result<(u8, View<'r>, u8)> {
-        let index = self.menus.get(stream).copied().unwrap_or_default().select(selectors)?;
-        let found = self.form.table(self.slots, index.into()).zip(self.raw_bits.get(usize::from(index)));
-        let last = u64::from(manifest.head().tables).saturating_sub(1);
-        let missing = Error::illegal("slice.table", 0, index.into(), (0, last));
-        found.map(|(table, &bits)| (index, table, bits)).ok_or(missing.kind(ErrorKind::Contradiction))
-    }
-}
-
-/// What is known of a packet before its first value.
-pub(super) struct Survey<'p> {
-    /// The entropy-coded body.
-    pub body: &'p [u8],
-    /// Values in it.
-    pub values: usize,
-    /// Raw bits in it.
-    pub raw_bits: usize,
-}
-
 /// Whether two stretches bring the same level of the same block.
-fn overlap(a: &Stretch, b: &Stretch) -> bool {
+pub(super) fn overlap(a: &Stretch, b: &Stretch) -> bool {
     let (a_end, b_end) = (a.first.saturating_add(a.blocks), b.first.saturating_add(b.blocks));
     (a.span, a.level) == (b.span, b.level) && a.first < b_end && b.first < a_end
 }
 
 /// Calls `visit` with every slice of stretch `index` of a packet that carries symbols, in order.
-fn for_each_slice(
+pub(super) fn for_each_slice(
     manifest: &Manifest<'_>,
     cells: &[Cell],
     stretch: &Stretch,
@@ -326,9 +245,10 @@ fn for_each_slice(
 }
 
 /// Where a slice's symbols and masks lie.
-struct Place {
-    shape: Shape,
-    blocks: core::ops::Range<usize>,
-    symbols: core::ops::Range<usize>,
-    masks: core::ops::Range<usize>,
+pub(super) struct Place {
+    pub shape: Shape,
+    /// Blocks of the cell.
+    pub blocks: core::ops::Range<usize>,
+    pub symbols: core::ops::Range<usize>,
+    pub masks: core::ops::Range<usize>,
 }
