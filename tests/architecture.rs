@@ -16,7 +16,7 @@ use std::{
 /// Package, folder, and the workspace crates it must depend on: no more, no fewer.
 const ARROWS: [(&str, &str, &[&str]); 8] = [
     ("dgs", "", &["codec-core", "codec-simd", "emulator-host", "render-host", "trainer-host"]),
-    ("trainer-host", "trainer-host/", &["codec-core", "render-host"]),
+    ("trainer-host", "trainer-host/", &["codec-core", "codec-simd", "render-host"]),
     ("render-host", "render-host/", &["codec-core"]),
     ("emulator-host", "emulator-host/", &["codec-core"]),
     ("fuzz", "fuzz/", &["codec-core", "emulator-host", "trainer-host"]),

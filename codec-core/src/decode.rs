@@ -10,6 +10,7 @@
 //! state changed.
 
 mod canonical;
+mod column;
 pub mod motion;
 mod paper;
 
@@ -172,9 +173,9 @@ struct Part<'p, 'm> {
     rest: usize,
 }
 
-impl Part<'_, '_> {
+impl<'m> Part<'_, 'm> {
     /// Symbols of the canonical cell.
-    fn symbols(&self) -> &[i16] {
+    fn symbols(&self) -> &'m [i16] {
         let start = self.cell.symbols as usize;
         self.content.symbols.get(start..start + self.shape.len()).unwrap_or(&[])
     }

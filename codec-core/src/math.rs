@@ -19,6 +19,12 @@ pub fn exp(x: f32) -> f32 {
     p * f32::from_bits(((n + 127) as u32) << 23)
 }
 
+/// [`exp`] of each of `values`.
+#[inline(never)]
+pub fn exp_all(values: &mut [f32]) {
+    values.iter_mut().for_each(|value| *value = exp(*value));
+}
+
 /// cos(π · num / den) for `den` ≥ 1, absolute error under 1e-7; exact at multiples of π/2.
 pub fn cos_pi(num: u32, den: u32) -> f32 {
     let den = u64::from(den.max(1));
@@ -56,6 +62,30 @@ pub fn normalised(q: [f32; 4]) -> [f32; 4] {
     }
     let scale = 1.0 / libm::sqrtf(length2);
     q.map(|v| v * scale)
+}
+
+/// [`normalised`] of many quaternions, component by component: branches and roots apart from what
+/// vectors do.
+#[inline(never)]
+pub fn normalise<const N: usize>([w, x, y, z]: [&mut [f32; N]; 4]) {
+    let mut scale = [0f32; N];
+    for ((((scale, w), x), y), z) in scale.iter_mut().zip(&*w).zip(&*x).zip(&*y).zip(&*z) {
+        let length2 = w * w + x * x + y * y + z * z;
+        *scale = if length2 > 1e-12 && length2 < 1e12 { length2 } else { 0.0 };
+    }
+    scale.iter_mut().for_each(|scale| *scale = libm::sqrtf(*scale));
+    // No direction: an infinite scale.
+    scale.iter_mut().for_each(|scale| *scale = 1.0 / *scale);
+    for (component, identity) in [w, x, y, z].into_iter().zip([1.0, 0.0, 0.0, 0.0]) {
+        scaled(component, &scale, identity);
+    }
+}
+
+#[inline(never)]
+fn scaled(component: &mut [f32], scale: &[f32], identity: f32) {
+    for (v, &scale) in component.iter_mut().zip(scale) {
+        *v = if scale < f32::INFINITY { *v * scale } else { identity };
+    }
 }
 
 /// Hamilton product a ⊗ b, wxyz.
@@ -182,6 +212,27 @@ mod tests {
             let found = turn_of(map);
             let dot: f32 = q.iter().zip(found).map(|(a, b)| a * b).sum();
             prop_assert!(dot.abs() > 1.0 - 1e-5, "{q:?} {found:?}");
+        }
+    }
+
+    #[test]
+    fn many_are_normalised_like_one() {
+        let (big, small) = (9e5f32, 2e-7f32);
+        let some = [
+            [1.0, 2.0, -3.0, 0.5],
+            [0.0; 4],
+            [f32::NAN; 4],
+            [f32::MAX; 4],
+            [big; 4],
+            [big / 2.0; 4],
+            [small; 4],
+            [4.0 * small; 4],
+            [-0.0, 0.1, f32::INFINITY, 0.0],
+        ];
+        let [mut w, mut x, mut y, mut z] = [0, 1, 2, 3].map(|c| some.map(|q| q[c]));
+        normalise([&mut w, &mut x, &mut y, &mut z]);
+        for (i, q) in some.into_iter().enumerate() {
+            assert_eq!([w[i], x[i], y[i], z[i]].map(f32::to_bits), normalised(q).map(f32::to_bits), "{q:?}");
         }
     }
 

@@ -6,10 +6,12 @@
 //! arrival is recorded, decodes straight to its place in the symbol store, and is used at most
 //! once; order does not matter. What is refused is counted by kind and costs bounded work.
 
+mod ahead;
 mod memory;
 mod payload;
 mod repair;
 
+pub use ahead::Planned;
 pub use memory::{Cell, Content, Memory, Requirements, for_each_cell};
 pub use repair::Recovered;
 

@@ -10,12 +10,13 @@ use codec_core::{
     error,
     receiver::{Content, Counters, Receiver},
     wire::{
-        crc::{checked, crc32},
+        crc::checked,
         file,
         manifest::{self, Manifest},
         packet::Packet,
     },
 };
+use codec_simd::{Intake, crc32};
 
 use crate::encode::{Ledger, Part, Quality, Reached, Searched};
 
@@ -193,7 +194,7 @@ impl Stream {
         Ok((Self { message: message.to_vec(), raw, packets, order: Vec::new(), ledger }, damage))
     }
 
-    /// Feeds the manifest and every packet to a receiver.
+    /// Feeds the manifest and every packet to a receiver, many packets at a time.
     ///
     /// # Errors
     /// If the manifest is refused; refused packets are counted, not errors.
@@ -201,12 +202,11 @@ impl Stream {
         let manifest = self.manifest()?;
         let mut memory = HostMemory::new(&manifest, 0)?;
         let counters = {
-            let mut receiver = Receiver::new(memory.memory());
+            let mut receiver = Receiver::with_crc(memory.memory(), crc32);
             receiver.control(&self.message)?;
-            for packet in self.packets.iter().filter(|p| !p.is_empty()) {
-                // Counted by kind in the receiver's counters.
-                let _ = receiver.media(packet);
-            }
+            let packets = self.packets.iter().filter(|p| !p.is_empty()).map(Vec::as_slice);
+            // Refusals are counted by kind in the receiver's counters.
+            Intake::default().media(&mut receiver, packets, |_| ());
             *receiver.counters()
         };
         Ok(Received { manifest, memory, counters })

@@ -2,10 +2,7 @@
 
 use codec_core::{
     Result,
-    rans::{
-        lanes::{Decoder, LANES, LOW, Run},
-        table::SLOTS,
-    },
+    rans::lanes::{Decoder, LANES, LOW, Run},
 };
 
 use crate::{
@@ -25,7 +22,9 @@ struct Seat<'a> {
     into: usize,
     /// Values done.
     done: usize,
-    /// Groups left in the present stretch.
+    /// Runs whose tables are not all laid out yet, and values of the first that are.
+    ahead: (&'a [Run], usize),
+    /// Whole groups of four values left.
     left: usize,
     /// Groups in which every lane takes words, from the next on.
     plain: usize,
@@ -46,34 +45,41 @@ impl<'a> Seat<'a> {
             return None;
         }
         bytes.get_mut(..lanes.bytes.len())?.copy_from_slice(lanes.bytes);
-        Some(Self { job: index, decoder, runs: job.runs, into: 0, done: 0, left: 0, plain: 0, from: 0 })
+        let left = (lanes.main + lanes.tail) / LANES;
+        let plain = lanes.main / LANES;
+        let runs = job.runs;
+        Some(Self { job: index, decoder, runs, into: 0, done: 0, ahead: (runs, 0), left, plain, from: 0 })
     }
 
-    /// Groups of four values that the packet can take with the same tables, and the first slot of
-    /// each lane's table; `None` if no whole group is left.
-    fn stretch(&self) -> Option<(usize, [u32; LANES])> {
-        let lanes = self.decoder.lanes();
-        let groups = (lanes.main + lanes.tail) / LANES;
-        let base = |run: &Run| u32::from(run.table) * SLOTS as u32;
-        let mut into = self.into;
-        let mut runs = self.runs.iter().filter_map(|run| {
-            let left = run.len - core::mem::take(&mut into);
-            (left > 0).then_some((base(run), left))
-        });
-        let (mut first, mut left) = runs.next().filter(|_| groups > 0)?;
-        if left >= LANES {
-            return Some((groups.min(left / LANES), [first; LANES]));
-        }
-        // The group that the run ends in.
-        let mut bases = [first; LANES];
-        for place in &mut bases {
-            if left == 0 {
-                (first, left) = runs.next()?;
+    /// Lays out the tables of its groups from group `at` to the last of a flush, or its own last.
+    fn lay(&mut self, p: usize, at: usize, tables: &mut [[[u8; LANES]; MOST_PACKETS]]) {
+        let (mut runs, mut into) = self.ahead;
+        let mut rows = tables.iter_mut().skip(at).take(self.left).filter_map(|row| row.get_mut(p));
+        while let Some((run, later)) = runs.split_first() {
+            let whole = (run.len - into) / LANES;
+            let laid = rows.by_ref().take(whole).fold(0, |laid, row| {
+                *row = [run.table; LANES];
+                laid + 1
+            });
+            into += LANES * laid;
+            if laid < whole {
+                break;
             }
-            *place = first;
-            left -= 1;
+            if into == run.len {
+                (runs, into) = (later, 0);
+                continue;
+            }
+            // The group that the run ends in.
+            let Some(row) = rows.next() else { break };
+            for table in row {
+                while let Some((_, later)) = runs.split_first().filter(|(run, _)| run.len == into) {
+                    (runs, into) = (later, 0);
+                }
+                *table = runs.first().map_or(0, |run| run.table);
+                into += 1;
+            }
         }
-        Some((1, bases))
+        self.ahead = (runs, into);
     }
 
     /// Takes over the tokens of whole groups that the vectors popped.
@@ -87,10 +93,21 @@ impl<'a> Seat<'a> {
         out: &mut [i16],
     ) -> Result<()> {
         self.decoder.resume(state, words, tokens.len())?;
-        while let (false, Some((run, later))) = (tokens.is_empty(), self.runs.split_first()) {
-            let left = run.len - self.into;
-            let (popped, rest) = tokens.split_at(left.min(tokens.len()));
+        while let (false, Some(run)) = (tokens.is_empty(), self.runs.first()) {
             let (_, raw_bits) = tables.table(run.table)?;
+            // All runs on end that have as many raw bits.
+            let mut len = 0;
+            while let (true, Some((run, later))) = (len < tokens.len(), self.runs.split_first()) {
+                if tables.table(run.table)?.1 != raw_bits {
+                    break;
+                }
+                let some = (run.len - self.into).min(tokens.len() - len);
+                (len, self.into) = (len + some, self.into + some);
+                if self.into == run.len {
+                    (self.runs, self.into) = (later, 0);
+                }
+            }
+            let (popped, rest) = tokens.split_at(len);
             let end = self.done + popped.len();
             let place = out.get_mut(self.done..end).unwrap_or(&mut []);
             let wide = |plane: &[u8], bit, tokens: &[u8], out: &mut [i16]| {
@@ -98,11 +115,7 @@ impl<'a> Seat<'a> {
             };
             self.decoder.values_by(raw_bits, popped, place, wide)?;
             self.done = end;
-            self.into += popped.len();
             tokens = rest;
-            if self.into == run.len {
-                (self.runs, self.into) = (later, 0);
-            }
         }
         Ok(())
     }
@@ -126,7 +139,7 @@ impl<'a> Seat<'a> {
 pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]) {
     let mut lockstep = Box::new(Lockstep {
         state: [[LOW; LANES]; MOST_PACKETS],
-        base: [[0; LANES]; MOST_PACKETS],
+        tables: [[[0; LANES]; MOST_PACKETS]; MOST_STEPS],
         left: [[0; LANES]; MOST_PACKETS],
         words: [0; MOST_PACKETS],
         tokens: [[0; LANES * MOST_STEPS]; MOST_PACKETS],
@@ -181,7 +194,14 @@ pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]
                 }
             }
         }
-        at = if full { 0 } else { at };
+        if full {
+            at = 0;
+            for (p, seat) in seats.iter_mut().enumerate() {
+                if let Some(seat) = seat {
+                    seat.lay(p, at, &mut lockstep.tables);
+                }
+            }
+        }
     }
     for (p, seat) in seats.into_iter().enumerate() {
         let Some(mut seat) = seat else { continue };
@@ -193,8 +213,7 @@ pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]
     }
 }
 
-/// Finds the next stretch of the packet at place `p`, or of the next one that waits: until somebody
-/// sits there who has groups left, or nobody waits.
+/// Gives place `p`, whose packet has no whole group left, to the next one that waits and has some.
 fn renew<'a>(
     tables: &Tables<'_>,
     jobs: &mut [Job<'a>],
@@ -205,17 +224,16 @@ fn renew<'a>(
     at: usize,
 ) {
     loop {
-        if let Some(seated) = seat {
-            if let Some((left, base)) = seated.stretch() {
-                (seated.left, lockstep.base[p]) = (left, base);
-                return;
-            }
-            if let (Some(job), Some(done)) = (jobs.get_mut(seated.job), seat.take()) {
-                settle(tables, done.finish(tables, job.out), job);
-            }
+        if seat.as_ref().is_some_and(|seat| seat.left > 0) {
+            return;
+        }
+        if let Some(done) = seat.take()
+            && let Some(job) = jobs.get_mut(done.job)
+        {
+            settle(tables, done.finish(tables, job.out), job);
         }
         let Some((index, job)) = waiting.next().and_then(|i| Some((i, jobs.get_mut(i)?))) else {
-            (lockstep.base[p], lockstep.words[p]) = ([0; LANES], 0);
+            lockstep.words[p] = 0;
             return;
         };
         match open(tables, job.body, job.runs, job.out.len()) {
@@ -224,9 +242,9 @@ fn renew<'a>(
                 match seat {
                     Some(seat) => {
                         seat.from = at;
+                        seat.lay(p, at, &mut lockstep.tables);
                         let lanes = decoder.lanes();
                         (lockstep.words[p], lockstep.state[p]) = (0, lanes.state);
-                        seat.plain = lanes.main / LANES;
                         // The tail may begin within a group.
                         lockstep.left[p] =
                             core::array::from_fn(|lane| ((lanes.main + 3 - lane) / LANES) as u32);

@@ -121,7 +121,7 @@ impl Kernel {
 /// Pops the tokens of groups `from..to` of four values of every packet.
 ///
 /// # Safety
-/// `from <= to <= MOST_STEPS`, bases and offsets are in the ranges that [`Lockstep`] states, and
+/// `from <= to <= MOST_STEPS`, tables and offsets are in the ranges that [`Lockstep`] states, and
 /// the machine has the kernel's instructions.
 type Run = unsafe fn(slots: &[[u32; SLOTS]], from: usize, to: usize, lockstep: &mut Lockstep);
 
@@ -158,21 +158,24 @@ impl Vectors {
         lockstep: &mut Lockstep,
     ) {
         let run = if ending { self.end } else { self.run };
-        let last = (slots.len() * SLOTS).saturating_sub(SLOTS) as u32;
-        for base in lockstep.base.as_flattened_mut() {
-            *base = (*base).min(last);
+        let (from, to) = (at.min(MOST_STEPS), at.saturating_add(steps).min(MOST_STEPS));
+        let last = u8::try_from(slots.len().saturating_sub(1)).unwrap_or(u8::MAX);
+        for tables in lockstep.tables.get_mut(from..to).unwrap_or(&mut []) {
+            for table in tables.as_flattened_mut() {
+                *table = (*table).min(last);
+            }
         }
         for words in &mut lockstep.words {
             *words = (*words).min(MOST_BYTES);
         }
-        if slots.is_empty() || slots.len() > i32::MAX as usize / SLOTS {
+        if slots.is_empty() || from > to {
             return;
         }
         // SAFETY: the arguments are in their ranges, and `Kernel::vectors` gives a kernel only to a
         // machine that has its instructions.
         #[expect(unsafe_code, reason = "functions with target features are unsafe to call")]
         unsafe {
-            run(slots, at.min(MOST_STEPS), at.saturating_add(steps).min(MOST_STEPS), lockstep);
+            run(slots, from, to, lockstep);
         }
     }
 }
@@ -191,8 +194,8 @@ impl Vectors {
 /// The packets in lockstep, lane by lane.
 pub(crate) struct Lockstep {
     pub state: [[u32; LANES]; MOST_PACKETS],
-    /// First slot of each lane's table, at most that of the last table.
-    pub base: [[u32; LANES]; MOST_PACKETS],
+    /// Table of each lane in every group, none behind the last.
+    pub tables: [[[u8; LANES]; MOST_PACKETS]; MOST_STEPS],
     /// Groups that each lane still takes words in, from the start of a call on, if any is ending.
     pub left: [[u32; LANES]; MOST_PACKETS],
     /// Offset of the next word in each packet's buffer, at most [`MOST_BYTES`] before a call.
@@ -208,3 +211,6 @@ const WORD: i32 = 0x0202;
 /// upper half becomes zero.
 #[cfg(target_arch = "x86_64")]
 const FIRST_WORD: i32 = (0x8080_0100_u32 as i32).wrapping_sub(WORD);
+/// log2 of the slots of a table.
+#[cfg(target_arch = "x86_64")]
+const TABLE_BITS: u32 = SLOTS.ilog2();

@@ -13,6 +13,7 @@
 
 mod bundle;
 mod crc;
+mod intake;
 mod kernel;
 
 use codec_core::{
@@ -24,6 +25,7 @@ use codec_core::{
 };
 
 pub use crc::crc32;
+pub use intake::Intake;
 pub use kernel::Kernel;
 
 /// Decode tables of a stream.

@@ -1,13 +1,15 @@
 //! Canonical attributes of a block: nested indices to values.
 
-use super::Part;
+use super::{
+    Part,
+    column::{Column, Runs, SPAN, Values, carried, each, triple},
+};
 use crate::{
     gaussian::Gaussian,
     ids::Level,
-    limits::MAX_BLOCK_LEN,
     math,
     quant::{Class, unmix},
-    wire::manifest::Epoch,
+    wire::manifest::{Cluster, Epoch},
 };
 
 /// Dequantises block `block` at its `usable` levels into the canonical cache; without any, its first
@@ -27,46 +29,67 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) {
         }
         return;
     };
-    let mut indices = [0i32; MAX_BLOCK_LEN];
+    let mut runs = Runs::of(part.shape, part.symbols(), block, level);
     for class in [Class::Position, Class::Scale, Class::Rotation, Class::Opacity, Class::Sh0] {
-        let step = part.shape.quant.canonical[class.index()].step(level);
-        for component in 0..class.components() {
-            let Some(indices) = indices.get_mut(..n) else { return };
-            nested(part, block, class, component, level, indices);
-            let origin = match (class, component) {
-                (Class::Position, 0) => part.epoch.origin_x,
-                (Class::Position, 1) => part.epoch.origin_y,
-                (Class::Position, _) => part.epoch.origin_z,
-                _ => 0.0,
-            };
-            let out = part.canonical.get_mut(first..first + n).unwrap_or(&mut []);
-            // No class here has more than three components.
-            let axis = component.min(2);
-            for (gaussian, &q) in out.iter_mut().zip(indices.iter()) {
-                let value = origin + q as f32 * step;
-                match class {
-                    Class::Position => gaussian.position[axis] = value,
-                    Class::Scale => gaussian.scale[axis] = value,
-                    Class::Rotation => gaussian.rotation[axis + 1] = value,
-                    Class::Opacity => gaussian.opacity = value.clamp(0.0, 1.0),
-                    _ => gaussian.sh0[axis] = value,
+        let quantiser = part.shape.quant.canonical[class.index()];
+        let carries = carried(part.shape, class);
+        let Cluster { centre_x, centre_y, centre_z, .. } = part.shape.cluster;
+        let Epoch { origin_x, origin_y, origin_z, .. } = *part.epoch;
+        let (starts, origins) = match class {
+            Class::Position => ([centre_x, centre_y, centre_z], [origin_x, origin_y, origin_z]),
+            _ => ([0; 3], [0.0; 3]),
+        };
+        let mut columns = [const { None }; 3];
+        for ((column, start), _) in columns.iter_mut().zip(starts).zip(0..class.components()) {
+            *column = Some(Column::new(runs.next(carries), quantiser, Level::BASE, level, start));
+        }
+        let step = quantiser.step(level);
+        let out = part.canonical.get_mut(first..first + n).unwrap_or(&mut []);
+        for out in out.chunks_mut(SPAN) {
+            let mut values = [[0f32; SPAN]; 3];
+            for ((values, column), origin) in values.iter_mut().zip(&mut columns).zip(origins) {
+                let Some(column) = column else { continue };
+                for (value, q) in values.iter_mut().zip(column.take()) {
+                    *value = origin + q as f32 * step;
                 }
             }
+            put(class, quantiser.mixed(), &mut values, out);
         }
     }
-    let quant = &part.shape.quant.canonical;
-    let mixed = [Class::Scale, Class::Sh0].map(|class| quant[class.index()].mixed());
-    for gaussian in part.canonical.get_mut(first..first + n).unwrap_or(&mut []) {
-        if mixed[0] {
-            gaussian.scale = unmix(gaussian.scale);
+}
+
+/// The attribute that `values` of `class` stand for, to `out`.
+#[inline(never)]
+fn put(class: Class, mixed: bool, values: &mut Values, out: &mut [Gaussian]) {
+    if mixed && class.mixes() {
+        let [a, b, c] = &mut *values;
+        for ((a, b), c) in a.iter_mut().zip(b).zip(c) {
+            [*a, *b, *c] = unmix([*a, *b, *c]);
         }
-        gaussian.scale = gaussian.scale.map(math::exp);
-        if mixed[1] {
-            gaussian.sh0 = unmix(gaussian.sh0);
-        }
-        let [_, x, y, z] = gaussian.rotation;
-        gaussian.rotation = math::normalised(math::quat_from_mrp([x, y, z]));
     }
+    match class {
+        Class::Opacity => {
+            let [opacities, ..] = values;
+            for (gaussian, opacity) in out.iter_mut().zip(opacities) {
+                gaussian.opacity = opacity.clamp(0.0, 1.0);
+            }
+            return;
+        }
+        Class::Rotation => {
+            let mut w = [0.0; SPAN];
+            let [x, y, z] = &mut *values;
+            for (((w, x), y), z) in w.iter_mut().zip(&mut *x).zip(&mut *y).zip(&mut *z) {
+                [*w, *x, *y, *z] = math::quat_from_mrp([*x, *y, *z]);
+            }
+            math::normalise([&mut w, x, y, z]);
+            for (gaussian, w) in out.iter_mut().zip(w) {
+                gaussian.rotation[0] = w;
+            }
+        }
+        Class::Scale => math::exp_all(values.as_flattened_mut()),
+        _ => {}
+    }
+    each(values, out, |gaussian, values| *triple(gaussian, class) = values);
 }
 
 /// Writes the higher bands of block `block` to the output; bands not there are zero.
@@ -77,78 +100,38 @@ pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) {
     let Some(out) = part.sh_rest.get_mut(first * rest..(first + n) * rest) else { return };
     out.fill(0.0);
     let Some(level) = usable.checked_sub(1).and_then(Level::new) else { return };
-    let mut indices = [0i32; MAX_BLOCK_LEN];
+    let mut runs = Runs::of(part.shape, part.symbols(), block, level);
     let mut offset = 0;
-    for class in [Class::Sh1, Class::Sh2, Class::Sh3] {
-        let components = class.components();
-        if part.shape.carries(class, class.first_level()) && class.first_level() <= level {
-            let quantiser = part.shape.quant.canonical[class.index()];
-            let step = quantiser.step(level);
-            for component in 0..components {
-                let Some(indices) = indices.get_mut(..n) else { return };
-                nested(part, block, class, component, level, indices);
-                let out = part.sh_rest.get_mut(first * rest..(first + n) * rest).unwrap_or(&mut []);
-                for (values, &q) in out.chunks_exact_mut(rest).zip(indices.iter()) {
+    for class in Class::ALL {
+        let (components, carries) = (class.components(), carried(part.shape, class));
+        let quantiser = part.shape.quant.canonical[class.index()];
+        let step = quantiser.step(level);
+        let is_here = class.first_level() > Level::BASE && class.first_level() <= level;
+        let is_here = is_here && carries[class.first_level().index()];
+        for component in 0..components {
+            let runs = runs.next(carries);
+            if !is_here {
+                continue;
+            }
+            let mut column = Column::new(runs, quantiser, class.first_level(), level, 0);
+            let out = part.sh_rest.get_mut(first * rest..(first + n) * rest).unwrap_or(&mut []);
+            for out in out.chunks_mut(SPAN * rest) {
+                for (values, q) in out.chunks_exact_mut(rest).zip(column.take()) {
                     if let Some(value) = values.get_mut(offset + component) {
                         *value = q as f32 * step;
                     }
                 }
             }
+        }
+        if is_here && quantiser.mixed() {
             let out = part.sh_rest.get_mut(first * rest..(first + n) * rest).unwrap_or(&mut []);
-            for values in out.chunks_exact_mut(rest).filter(|_| quantiser.mixed()) {
+            for values in out.chunks_exact_mut(rest) {
                 let values = values.get_mut(offset..offset + components).unwrap_or(&mut []);
                 values.as_chunks_mut::<3>().0.iter_mut().for_each(|triple| *triple = unmix(*triple));
             }
         }
-        offset += components;
-    }
-}
-
-/// Indices of one component of a block at `level`: prediction undone, then refined upwards.
-fn nested(
-    part: &Part<'_, '_>,
-    block: usize,
-    class: Class,
-    component: usize,
-    level: Level,
-    indices: &mut [i32],
-) {
-    let symbols = part.symbols();
-    let shape = part.shape;
-    let quantiser = shape.quant.canonical[class.index()];
-    let centre = shape.cluster;
-    let start = match (class, component) {
-        (Class::Position, 0) => centre.centre_x,
-        (Class::Position, 1) => centre.centre_y,
-        (Class::Position, _) => centre.centre_z,
-        _ => 0,
-    };
-    let n = indices.len();
-    for l in Level::ALL.into_iter().take(level.index() + 1) {
-        if l < class.first_level() {
-            continue;
-        }
-        if !shape.carries(class, l) {
-            indices.iter_mut().for_each(|q| *q = quantiser.refine(*q, 0, l));
-            continue;
-        }
-        // Symbols of this level before the component: whole blocks, then classes in order.
-        let (at, _) = shape.range(l, block..block + 1);
-        let earlier: usize = shape.components(l).take_while(|&(c, ..)| c != class).map(|(.., d)| d).sum();
-        let from = at + (earlier + component) * n;
-        let run = symbols.get(from..from + n).unwrap_or(&[]);
-        if l == class.first_level() {
-            let mut previous = i32::from(start);
-            for (q, &symbol) in indices.iter_mut().zip(run) {
-                *q = i32::from(symbol).saturating_add(previous);
-                if quantiser.predicted() {
-                    previous = *q;
-                }
-            }
-        } else {
-            for (q, &symbol) in indices.iter_mut().zip(run) {
-                *q = quantiser.refine(*q, symbol, l);
-            }
+        if class.sh_degree() > 0 {
+            offset += components;
         }
     }
 }

@@ -7,8 +7,12 @@
 
 use glam::{Mat3, Vec3};
 
-use super::Part;
+use super::{
+    Part,
+    column::{Column, Runs, SPAN, Values, carried, each, triple},
+};
 use crate::{
+    gaussian::Gaussian,
     ids::{EpochId, Level, Span, WindowId},
     layout::Shape,
     limits::{MAX_BLOCK_LEN, MAX_WINDOW_FRAMES},
@@ -223,65 +227,76 @@ fn bend(part: &mut Part<'_, '_>, shape: &Shape, cell: Cell, block: usize, level:
     let first = block * shape.block_len;
     let base = cell.symbols as usize;
     let symbols = part.content.symbols.get(base..base + shape.len()).unwrap_or(&[]);
-    let mut sums = [0f32; MAX_BLOCK_LEN * 3];
+    let mut runs = Runs::of(shape, symbols, block, level);
     for class in Class::ALL.into_iter().take(Class::MOVING) {
         let rank = shape.motion.rank(class);
         if rank == 0 {
             continue;
         }
-        let dims = class.components();
+        let carries = carried(shape, class);
         let quantiser = shape.quant.motion[class.index()];
         let step = quantiser.step(level);
-        let Some(sums) = sums.get_mut(..n * dims) else { return };
-        sums.fill(0.0);
         let basis = if class == Class::Position { &frame.learned } else { &frame.cosine };
-        let weights = basis.iter().take(usize::from(frame.window.frames));
-        for (k, &weight) in weights.enumerate().take(rank) {
-            for (d, sums) in sums.chunks_exact_mut(n.max(1)).enumerate() {
-                // The runs of this component at levels 1, 2 and 3; empty where nothing is coded.
-                let runs = [Level::ALL[1], Level::ALL[2], Level::ALL[3]].map(|l| {
-                    if l > level || !shape.carries(class, l) {
-                        return &[][..];
+        let weights = basis.iter().take(usize::from(frame.window.frames)).take(rank);
+        let mut sums = [[[0.0; SPAN]; 3]; MAX_BLOCK_LEN / SPAN];
+        for &weight in weights {
+            for d in 0..class.components() {
+                let mut column = Column::new(runs.next(carries), quantiser, Level::ALL[1], level, 0);
+                for sums in sums.iter_mut().take(n.div_ceil(SPAN)) {
+                    let Some(sums) = sums.get_mut(d) else { continue };
+                    for (sum, q) in sums.iter_mut().zip(column.take()) {
+                        *sum += q as f32 * step * weight;
                     }
-                    let (at, _) = shape.range(l, block..block + 1);
-                    let from = at + (run_offset(shape, l, class, k) + d) * n;
-                    symbols.get(from..from + n).unwrap_or(&[])
-                });
-                let mut previous = 0i32;
-                for (i, sum) in sums.iter_mut().enumerate() {
-                    let symbol = |run: &[i16]| run.get(i).copied().unwrap_or(0);
-                    let mut q = i32::from(symbol(runs[0])).saturating_add(previous);
-                    if quantiser.predicted() {
-                        previous = q;
-                    }
-                    for l in Level::ALL.into_iter().take(level.index() + 1).skip(2) {
-                        q = quantiser.refine(q, symbol(runs[l.index() - 1]), l);
-                    }
-                    *sum += q as f32 * step * weight;
                 }
             }
         }
-        let out = part.out.get_mut(first..first + n).unwrap_or(&mut []);
-        for (i, gaussian) in out.iter_mut().enumerate() {
-            let at = |d: usize| sums.get(d * n + i).copied().unwrap_or(0.0);
-            match class {
-                Class::Position => (0..3).for_each(|d| gaussian.position[d] += at(d)),
-                Class::Scale => (0..3).for_each(|d| {
-                    let (least, most) = SCALE_RANGE;
-                    gaussian.scale[d] = (gaussian.scale[d] * math::exp(at(d))).clamp(least, most);
-                }),
-                Class::Rotation => {
-                    let turn = math::normalised([1.0, at(0), at(1), at(2)]);
-                    gaussian.rotation = math::normalised(math::quat_mul(turn, gaussian.rotation));
-                }
-                Class::Opacity => gaussian.opacity = (gaussian.opacity + at(0)).clamp(0.0, 1.0),
-                _ => (0..3).for_each(|d| gaussian.sh0[d] += at(d)),
+        // No window has more coefficients than frames; what a hostile one has beyond is passed over.
+        for _ in usize::from(frame.window.frames)..rank {
+            for _ in 0..class.components() {
+                runs.next(carries);
             }
+        }
+        let out = part.out.get_mut(first..first + n).unwrap_or(&mut []);
+        for (out, sums) in out.chunks_mut(SPAN).zip(&mut sums) {
+            add(class, sums, out);
         }
     }
 }
 
-/// Components stored before coefficient `k` of `class` in a block at `level`.
-fn run_offset(shape: &Shape, level: Level, class: Class, k: usize) -> usize {
-    shape.components(level).take_while(|&(c, i, _)| (c, i) != (class, k)).map(|(.., dims)| dims).sum()
+/// Adds `sums` of `class` to what `out` has of it.
+#[inline(never)]
+fn add(class: Class, sums: &mut Values, out: &mut [Gaussian]) {
+    match class {
+        Class::Rotation => {
+            let mut w = [1.0; SPAN];
+            let [x, y, z] = sums;
+            math::normalise([&mut w, x, y, z]);
+            for ((((gaussian, w), x), y), z) in out.iter().zip(&mut w).zip(&mut *x).zip(&mut *y).zip(&mut *z)
+            {
+                [*w, *x, *y, *z] = math::quat_mul([*w, *x, *y, *z], gaussian.rotation);
+            }
+            math::normalise([&mut w, x, y, z]);
+            for ((((gaussian, w), x), y), z) in out.iter_mut().zip(w).zip(&*x).zip(&*y).zip(&*z) {
+                gaussian.rotation = [w, *x, *y, *z];
+            }
+        }
+        Class::Opacity => {
+            let [sums, ..] = sums;
+            for (gaussian, sum) in out.iter_mut().zip(sums) {
+                gaussian.opacity = (gaussian.opacity + *sum).clamp(0.0, 1.0);
+            }
+        }
+        _ => {
+            if class == Class::Scale {
+                math::exp_all(sums.as_flattened_mut());
+            }
+            let (least, most) = SCALE_RANGE;
+            each(sums, out, |gaussian, by| {
+                for (value, by) in triple(gaussian, class).iter_mut().zip(by) {
+                    *value =
+                        if class == Class::Scale { (*value * by).clamp(least, most) } else { *value + by };
+                }
+            });
+        }
+    }
 }

@@ -180,13 +180,13 @@ impl Receiver<'_> {
 }
 
 /// Whether two stretches bring the same level of the same block.
-fn overlap(a: &Stretch, b: &Stretch) -> bool {
+pub(super) fn overlap(a: &Stretch, b: &Stretch) -> bool {
     let (a_end, b_end) = (a.first.saturating_add(a.blocks), b.first.saturating_add(b.blocks));
     (a.span, a.level) == (b.span, b.level) && a.first < b_end && b.first < a_end
 }
 
 /// Calls `visit` with every slice of stretch `index` of a packet that carries symbols, in order.
-fn for_each_slice(
+pub(super) fn for_each_slice(
     manifest: &Manifest<'_>,
     cells: &[Cell],
     stretch: &Stretch,
@@ -245,9 +245,10 @@ fn for_each_slice(
 }
 
 /// Where a slice's symbols and masks lie.
-struct Place {
-    shape: Shape,
-    blocks: core::ops::Range<usize>,
-    symbols: core::ops::Range<usize>,
-    masks: core::ops::Range<usize>,
+pub(super) struct Place {
+    pub shape: Shape,
+    /// Blocks of the cell.
+    pub blocks: core::ops::Range<usize>,
+    pub symbols: core::ops::Range<usize>,
+    pub masks: core::ops::Range<usize>,
 }

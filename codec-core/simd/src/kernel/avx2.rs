@@ -8,7 +8,7 @@ use codec_core::rans::{
     table::{PRECISION, SCALE, SLOTS},
 };
 
-use super::{FIRST_WORD, Lockstep, WORD};
+use super::{FIRST_WORD, Lockstep, TABLE_BITS, WORD};
 
 /// Packets in lockstep.
 pub const PACKETS: usize = 8;
@@ -47,7 +47,7 @@ struct Popped {
 /// packet's `window`.
 ///
 /// # Safety
-/// `base` is a base as [`Lockstep`] has it.
+/// `base` holds first slots of tables that are there.
 #[inline]
 #[target_feature(enable = "avx2,popcnt")]
 unsafe fn pop(slots: *const i32, base: __m256i, low: __m256i, window: __m256i, x: &mut __m256i) -> Popped {
@@ -71,7 +71,7 @@ unsafe fn pop(slots: *const i32, base: __m256i, low: __m256i, window: __m256i, x
 /// As [`super::Vectors::run`], which brings the arguments into their ranges.
 ///
 /// # Safety
-/// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine
+/// `from <= to <= MOST_STEPS`, tables and offsets in the ranges that [`Lockstep`] states; the machine
 /// has AVX2 and POPCNT.
 #[target_feature(enable = "avx2,popcnt")]
 pub unsafe fn run<const ENDING: bool>(
@@ -80,17 +80,24 @@ pub unsafe fn run<const ENDING: bool>(
     to: usize,
     lockstep: &mut Lockstep,
 ) {
-    let Lockstep { state, base, left, words, tokens, bytes } = lockstep;
+    let Lockstep { state, tables, left, words, tokens, bytes } = lockstep;
     let slots = slots.as_ptr().cast::<i32>();
     let load = |rows: &[[u32; 4]; 16], v: usize| {
         // SAFETY: rows 2v and 2v + 1 of 16, v < 4, are 32 bytes.
         unsafe { _mm256_loadu_si256(rows.as_ptr().add(2 * v).cast()) }
     };
     let zeros = [_mm256_setzero_si256(); VECTORS];
-    let (mut x, mut first_slot, mut groups) = (zeros, zeros, zeros);
+    let (mut x, mut groups) = (zeros, zeros);
     each!(V {
-        (x[V], first_slot[V], groups[V]) = (load(state, V), load(base, V), load(left, V));
+        (x[V], groups[V]) = (load(state, V), load(left, V));
     });
+    let tables = tables.as_ptr();
+    // The first slots of both packets' tables.
+    let first_slot = |step: usize, v: usize| {
+        // SAFETY: a step below `MOST_STEPS`; rows 2v and 2v + 1 of 16, v < 4, are 8 bytes.
+        let tables = unsafe { _mm_loadl_epi64(tables.add(step).cast::<u64>().add(v).cast()) };
+        _mm256_slli_epi32::<{ TABLE_BITS as i32 }>(_mm256_cvtepu8_epi32(tables))
+    };
     let mut next = [core::ptr::null::<u8>(); PACKETS];
     for p in 0..PACKETS {
         // SAFETY: an offset is at most `MOST_BYTES`, inside its buffer.
@@ -131,37 +138,37 @@ pub unsafe fn run<const ENDING: bool>(
         let (mut first, mut second) = (zeros, zeros);
         both!(pair of first, second {
             each!(V {
-                // SAFETY: bases are in their range.
-                let popped =
-                    unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+                let base = first_slot(step, V);
+                // SAFETY: tables are in their range.
+                let popped = unsafe { pop(slots, base, least(&mut groups[V]), window(&next, V), &mut x[V]) };
                 advance(&mut next, V, popped.taken);
                 pair[V] = _mm256_and_si256(popped.found, _mm256_set1_epi32(0xff));
             });
             each!(V {
-                // SAFETY: bases are in their range.
-                let popped =
-                    unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+                let base = first_slot(step + 1, V);
+                // SAFETY: tables are in their range.
+                let popped = unsafe { pop(slots, base, least(&mut groups[V]), window(&next, V), &mut x[V]) };
                 advance(&mut next, V, popped.taken);
                 let token = _mm256_and_si256(popped.found, _mm256_set1_epi32(0xff));
                 pair[V] = _mm256_packus_epi32(pair[V], token);
             });
+            step += 2;
         });
         each!(V {
             let four = _mm256_packus_epi16(first[V], second[V]);
-            // SAFETY: 16 bytes at `4 · step`, and `step + 4` is at most `to`.
+            // SAFETY: 16 bytes at `4 · (step - 4)`, and `step` is at most `to`.
             unsafe {
-                let mut place = |p: usize| tokens.as_mut_ptr().add(p).cast::<u8>().add(4 * step).cast();
+                let mut place = |p: usize| tokens.as_mut_ptr().add(p).cast::<u8>().add(4 * (step - 4)).cast();
                 _mm_storeu_si128(place(2 * V), _mm256_castsi256_si128(four));
                 _mm_storeu_si128(place(2 * V + 1), _mm256_extracti128_si256::<1>(four));
             }
         });
-        step += 4;
     }
     while step < to {
         each!(V {
-            // SAFETY: bases are in their range.
-            let popped =
-                unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+            let base = first_slot(step, V);
+            // SAFETY: tables are in their range.
+            let popped = unsafe { pop(slots, base, least(&mut groups[V]), window(&next, V), &mut x[V]) };
             advance(&mut next, V, popped.taken);
             let found = _mm256_and_si256(popped.found, _mm256_set1_epi32(0xff));
             let bytes = _mm256_packus_epi16(_mm256_packus_epi32(found, found), found);

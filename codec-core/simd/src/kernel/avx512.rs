@@ -8,7 +8,7 @@ use codec_core::rans::{
     table::{PRECISION, SCALE, SLOTS},
 };
 
-use super::{FIRST_WORD, Lockstep, WORD, avx2::look_up};
+use super::{FIRST_WORD, Lockstep, TABLE_BITS, WORD, avx2::look_up};
 
 /// Packets in lockstep.
 pub const PACKETS: usize = 16;
@@ -26,7 +26,7 @@ struct Popped {
 /// packet's `window`.
 ///
 /// # Safety
-/// `base` is a base as [`Lockstep`] has it.
+/// `base` holds first slots of tables that are there.
 #[inline]
 #[target_feature(enable = "avx2,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
 unsafe fn pop(slots: *const i32, base: __m512i, low: __m512i, window: __m512i, x: &mut __m512i) -> Popped {
@@ -55,7 +55,7 @@ unsafe fn pop(slots: *const i32, base: __m512i, low: __m512i, window: __m512i, x
 /// As [`super::Vectors::run`], which brings the arguments into their ranges.
 ///
 /// # Safety
-/// `from <= to <= MOST_STEPS`, bases and offsets in the ranges that [`Lockstep`] states; the machine
+/// `from <= to <= MOST_STEPS`, tables and offsets in the ranges that [`Lockstep`] states; the machine
 /// has AVX2, POPCNT and AVX-512 F,
 /// BW, DQ and VL.
 #[target_feature(enable = "avx2,popcnt,avx512f,avx512bw,avx512dq,avx512vl")]
@@ -65,17 +65,24 @@ pub unsafe fn run<const ENDING: bool>(
     to: usize,
     lockstep: &mut Lockstep,
 ) {
-    let Lockstep { state, base, left, words, tokens, bytes } = lockstep;
+    let Lockstep { state, tables, left, words, tokens, bytes } = lockstep;
     let slots = slots.as_ptr().cast::<i32>();
     let load = |rows: &[[u32; 4]; 16], v: usize| {
         // SAFETY: rows 4v ..= 4v + 3 of 16, v < 4, are 64 bytes.
         unsafe { _mm512_loadu_si512(rows.as_ptr().add(4 * v).cast()) }
     };
     let zeros = [_mm512_setzero_si512(); VECTORS];
-    let (mut x, mut first_slot, mut groups) = (zeros, zeros, zeros);
+    let (mut x, mut groups) = (zeros, zeros);
     each!(V {
-        (x[V], first_slot[V], groups[V]) = (load(state, V), load(base, V), load(left, V));
+        (x[V], groups[V]) = (load(state, V), load(left, V));
     });
+    let tables = tables.as_ptr();
+    // The first slots of four packets' tables.
+    let first_slot = |step: usize, v: usize| {
+        // SAFETY: a step below `MOST_STEPS`; rows 4v ..= 4v + 3 of 16, v < 4, are 16 bytes.
+        let tables = unsafe { _mm_loadu_si128(tables.add(step).cast::<__m128i>().add(v)) };
+        _mm512_slli_epi32::<TABLE_BITS>(_mm512_cvtepu8_epi32(tables))
+    };
     let mut next = [core::ptr::null::<u8>(); PACKETS];
     for p in 0..PACKETS {
         // SAFETY: an offset is at most `MOST_BYTES`, inside its buffer.
@@ -114,39 +121,39 @@ pub unsafe fn run<const ENDING: bool>(
         let (mut first, mut second) = (zeros, zeros);
         both!(pair of first, second {
             each!(V {
-                // SAFETY: bases are in their range.
-                let popped =
-                    unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+                let base = first_slot(step, V);
+                // SAFETY: tables are in their range.
+                let popped = unsafe { pop(slots, base, least(&mut groups[V]), window(&next, V), &mut x[V]) };
                 advance(&mut next, V, popped.taken);
                 pair[V] = _mm512_and_si512(popped.found, _mm512_set1_epi32(0xff));
             });
             each!(V {
-                // SAFETY: bases are in their range.
-                let popped =
-                    unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+                let base = first_slot(step + 1, V);
+                // SAFETY: tables are in their range.
+                let popped = unsafe { pop(slots, base, least(&mut groups[V]), window(&next, V), &mut x[V]) };
                 advance(&mut next, V, popped.taken);
                 let token = _mm512_and_si512(popped.found, _mm512_set1_epi32(0xff));
                 pair[V] = _mm512_packus_epi32(pair[V], token);
             });
+            step += 2;
         });
         each!(V {
             let four = _mm512_packus_epi16(first[V], second[V]);
-            // SAFETY: 16 bytes at `4 · step`, and `step + 4` is at most `to`.
+            // SAFETY: 16 bytes at `4 · (step - 4)`, and `step` is at most `to`.
             unsafe {
-                let mut place = |p: usize| tokens.as_mut_ptr().add(p).cast::<u8>().add(4 * step).cast();
+                let mut place = |p: usize| tokens.as_mut_ptr().add(p).cast::<u8>().add(4 * (step - 4)).cast();
                 _mm_storeu_si128(place(4 * V), _mm512_extracti32x4_epi32::<0>(four));
                 _mm_storeu_si128(place(4 * V + 1), _mm512_extracti32x4_epi32::<1>(four));
                 _mm_storeu_si128(place(4 * V + 2), _mm512_extracti32x4_epi32::<2>(four));
                 _mm_storeu_si128(place(4 * V + 3), _mm512_extracti32x4_epi32::<3>(four));
             }
         });
-        step += 4;
     }
     while step < to {
         each!(V {
-            // SAFETY: bases are in their range.
-            let popped =
-                unsafe { pop(slots, first_slot[V], least(&mut groups[V]), window(&next, V), &mut x[V]) };
+            let base = first_slot(step, V);
+            // SAFETY: tables are in their range.
+            let popped = unsafe { pop(slots, base, least(&mut groups[V]), window(&next, V), &mut x[V]) };
             advance(&mut next, V, popped.taken);
             let mut bytes = [0u8; 16];
             // SAFETY: 16 bytes for 16 tokens.

@@ -1,0 +1,195 @@
+//! Batches against packets one by one: answers, counters, state and symbols, on the conformance
+//! streams, with packets doubled, shuffled, damaged, lost, repaired, early.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test's helpers fail like tests"
+)]
+
+use std::path::Path;
+
+use codec_core::{
+    Result,
+    receiver::{Arrival, Cell, Counters, Memory, Receiver, Requirements},
+    wire::{
+        crc::crc32,
+        file::{self, Record},
+        manifest::{self, Manifest},
+    },
+};
+use codec_simd::{Intake, Kernel};
+use proptest::prelude::*;
+
+const STREAMS: [&str; 8] =
+    ["everything", "xor", "cauchy", "cauchy-eight", "harmonics", "blocks-of-one", "tracks", "paper-repaired"];
+
+struct Stream {
+    message: Vec<u8>,
+    raw: Vec<u8>,
+    packets: Vec<Vec<u8>>,
+}
+
+fn stream(name: &str) -> Stream {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/conformance");
+    let bytes = std::fs::read(folder.join(format!("{name}.dgs"))).unwrap();
+    let (message, start) = file::manifest(&bytes).unwrap();
+    let packets = file::packets(&bytes, start, crc32)
+        .filter_map(
+            |record| if let Record::Packet(_, packet) = record { Some(packet.to_vec()) } else { None },
+        )
+        .collect();
+    let mut raw = vec![0; manifest::Sealed::parse(message).unwrap().raw_len];
+    manifest::open(message, crc32, &mut raw).unwrap();
+    Stream { message: message.to_vec(), raw, packets }
+}
+
+/// What a receiver made of some packets.
+#[derive(Debug, PartialEq)]
+struct Outcome {
+    answers: Vec<Result<Arrival>>,
+    counters: Counters,
+    blocks: Vec<u8>,
+    /// Zero where nothing arrived: what a refused packet leaves there does not count.
+    symbols: Vec<i16>,
+}
+
+/// Gives `packets` to a receiver, the manifest before packet `control`, by `take`.
+fn receive(
+    stream: &Stream,
+    packets: &[Vec<u8>],
+    control: usize,
+    compact: bool,
+    mut take: impl FnMut(&mut Receiver<'_>, &[Vec<u8>], &mut Vec<Result<Arrival>>),
+) -> Outcome {
+    let manifest = Manifest::parse(&stream.raw).unwrap();
+    let need = Requirements::of(&manifest).unwrap();
+    let slots = if compact { need.least_slots } else { need.slots };
+    let (mut own, mut early) = (stream.raw.clone(), vec![0; 3000]);
+    let (mut cells, mut symbols) = (vec![Cell::default(); need.cells], vec![0; need.symbols]);
+    let (mut blocks, mut seen, mut slots) = (vec![0; need.blocks], vec![0; need.seen], vec![0; slots]);
+    let (mut progress, mut parity) = (vec![0; need.progress], vec![0; need.parity]);
+    let mut answers = Vec::new();
+    let counters = {
+        let mut receiver = Receiver::new(Memory {
+            manifest: &mut own,
+            cells: &mut cells,
+            symbols: &mut symbols,
+            blocks: &mut blocks,
+            seen: &mut seen,
+            slots: &mut slots,
+            progress: &mut progress,
+            parity: &mut parity,
+            early: &mut early,
+        });
+        let (before, after) = packets.split_at(control.min(packets.len()));
+        take(&mut receiver, before, &mut answers);
+        receiver.control(&stream.message).unwrap();
+        take(&mut receiver, after, &mut answers);
+        *receiver.counters()
+    };
+    let content =
+        codec_core::receiver::Content { manifest, cells: &cells, symbols: &symbols, blocks: &blocks };
+    let mut counted = vec![0i16; symbols.len()];
+    let dgs1 = manifest.profile() == manifest::Profile::Dgs1;
+    codec_core::receiver::for_each_cell(&manifest, |span, cluster, shape| {
+        let cell = content.cell(span, cluster).unwrap();
+        for block in 0..if dgs1 { shape.blocks() } else { 1 } {
+            let levels = codec_core::ids::Level::ALL.into_iter();
+            for level in levels.filter(|&l| content.arrived(cell, block).has(l)) {
+                let (start, len) = shape.range(level, block..block + 1);
+                let range = cell.symbols as usize + start..cell.symbols as usize + start + len;
+                counted[range.clone()].copy_from_slice(&symbols[range]);
+            }
+        }
+    });
+    Outcome { answers, counters, blocks, symbols: counted }
+}
+
+fn one_by_one(receiver: &mut Receiver<'_>, packets: &[Vec<u8>], answers: &mut Vec<Result<Arrival>>) {
+    answers.extend(packets.iter().map(|packet| receiver.media(packet)));
+}
+
+fn in_batches(kernel: Kernel) -> impl FnMut(&mut Receiver<'_>, &[Vec<u8>], &mut Vec<Result<Arrival>>) {
+    let mut intake = Intake::with_kernel(kernel);
+    move |receiver, packets, answers| {
+        intake.media(receiver, packets.iter().map(Vec::as_slice), |answer| answers.push(answer));
+    }
+}
+
+/// What goes wrong on the way, drawn from `seed`.
+fn sent(stream: &Stream, seed: u64, trouble: usize) -> Vec<Vec<u8>> {
+    let mut state = seed;
+    let mut below = |n: usize| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((state >> 33) as usize * n) >> 31
+    };
+    let mut packets = stream.packets.clone();
+    for _ in 0..trouble {
+        let (at, other) = (below(packets.len()), below(packets.len()));
+        match below(6) {
+            0 if packets.len() > 1 => drop(packets.remove(at)),
+            1 => packets.insert(other, packets[at].clone()),
+            2 => packets.swap(at, other),
+            3 => {
+                let place = below(packets[at].len().max(1));
+                if let Some(byte) = packets[at].get_mut(place) {
+                    *byte ^= 1 << below(8);
+                }
+            }
+            // A body that fails, an id or a place that lies, behind a CRC that fits.
+            4 if packets[at].len() > 8 => {
+                let mut forged = packets[at].clone();
+                let end = forged.len() - 4;
+                forged[below(end)] ^= 1 << below(8);
+                let crc = crc32(&forged[..end]);
+                forged[end..].copy_from_slice(&crc.to_le_bytes());
+                packets.insert(other, forged);
+            }
+            _ => {
+                let len = below(packets[at].len().max(1));
+                packets[at].truncate(len);
+            }
+        }
+    }
+    packets
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(60))]
+
+    #[test]
+    fn batches_are_packets_one_by_one(
+        which in 0..STREAMS.len(), seed: u64, trouble in 0usize..30, control in 0usize..12, compact: bool,
+    ) {
+        let stream = stream(STREAMS[which]);
+        let packets = sent(&stream, seed, trouble);
+        let wanted = receive(&stream, &packets, control, compact, one_by_one);
+        for kernel in Kernel::ALL {
+            let found = receive(&stream, &packets, control, compact, in_batches(kernel));
+            prop_assert_eq!(&found, &wanted, "{:?}", kernel);
+        }
+    }
+}
+
+/// The comparison sees a packet that one way is spared, and a receiver knows what it did not plan.
+#[test]
+fn a_difference_is_seen() {
+    let stream = stream("everything");
+    let wanted = receive(&stream, &stream.packets, 0, false, one_by_one);
+    assert!(wanted.counters.media > 3 && wanted.symbols.iter().any(|&s| s != 0));
+    let fewer = receive(&stream, &stream.packets[1..], 0, false, in_batches(Kernel::best()));
+    assert_ne!(fewer, wanted);
+    // Values of another packet's length, or none: the receiver decodes by itself.
+    let odd = |receiver: &mut Receiver<'_>, packets: &[Vec<u8>], answers: &mut Vec<Result<Arrival>>| {
+        for (i, packet) in packets.iter().enumerate() {
+            let planned = receiver.plan(packet, |_| ());
+            answers.push(match planned {
+                Some(planned) => receiver.commit(&planned, (i % 2 == 0).then_some(&[1, 2, 3])),
+                None => receiver.media(packet),
+            });
+        }
+    };
+    assert_eq!(receive(&stream, &stream.packets, 0, false, odd), wanted);
+}

@@ -1,0 +1,263 @@
+//! From nested symbols to the indices of one component, many Gaussians at a time.
+
+use crate::{
+    gaussian::Gaussian,
+    ids::Level,
+    layout::Shape,
+    quant::{Class, Quantiser},
+};
+
+/// Gaussians at a time: as many as fill vector registers, and few enough for a short stack.
+pub(super) const SPAN: usize = 32;
+
+/// One value per Gaussian, component by component.
+pub(super) type Values = [[f32; SPAN]; 3];
+
+/// Calls `put` with every Gaussian and its values.
+#[inline(always)]
+pub(super) fn each(values: &Values, out: &mut [Gaussian], put: impl Fn(&mut Gaussian, [f32; 3])) {
+    let [x, y, z] = values;
+    for (((gaussian, &x), &y), &z) in out.iter_mut().zip(x).zip(y).zip(z) {
+        put(gaussian, [x, y, z]);
+    }
+}
+
+/// The three components of `class`, of a rotation the last three.
+pub(super) const fn triple(gaussian: &mut Gaussian, class: Class) -> &mut [f32; 3] {
+    match class {
+        Class::Position => &mut gaussian.position,
+        Class::Scale => &mut gaussian.scale,
+        Class::Rotation => {
+            let [_, xyz @ ..] = &mut gaussian.rotation;
+            xyz
+        }
+        _ => &mut gaussian.sh0,
+    }
+}
+
+/// Symbols of a block whose components have not been taken yet, level by level.
+pub(super) struct Runs<'s> {
+    rest: [&'s [i16]; Level::COUNT],
+    /// Gaussians in the block.
+    n: usize,
+}
+
+impl<'s> Runs<'s> {
+    /// The runs of block `block` at levels up to `level`; `symbols` are those of its cell.
+    #[inline(never)]
+    pub(super) fn of(shape: &Shape, symbols: &'s [i16], block: usize, level: Level) -> Self {
+        let rest = Level::ALL.map(|l| {
+            let (at, len) = if l <= level { shape.range(l, block..block + 1) } else { (0, 0) };
+            symbols.get(at..at + len).unwrap_or(&[])
+        });
+        Self { rest, n: shape.block_gaussians(block) }
+    }
+
+    /// The runs of the next component; none at levels that do not carry it.
+    #[inline(never)]
+    pub(super) fn next(&mut self, carries: [bool; Level::COUNT]) -> [&'s [i16]; Level::COUNT] {
+        let mut runs = [&[][..]; Level::COUNT];
+        for ((run, rest), carries) in runs.iter_mut().zip(&mut self.rest).zip(carries) {
+            if carries {
+                (*run, *rest) = rest.split_at_checked(self.n).unwrap_or((rest, &[]));
+            }
+        }
+        runs
+    }
+}
+
+/// Which levels of a cell carry `class`.
+pub(super) fn carried(shape: &Shape, class: Class) -> [bool; Level::COUNT] {
+    Level::ALL.map(|level| shape.carries(class, level))
+}
+
+/// Indices of one component of a block, in order: prediction undone, then refined upwards.
+///
+/// With `m_l` for the product of the ratios above level `l`, the index is the sum of `m_l` times the
+/// symbol of level `l`, those of the first level summed up before where they are differences. That
+/// is the same as refining level by level unless an index leaves 32 bits, where it saturates; which
+/// of the two ways is taken follows from the bounds of a symbol.
+pub(super) struct Column<'s> {
+    /// Symbols not yet taken, by level; empty where none are coded.
+    runs: [&'s [i16]; Level::COUNT],
+    /// What a symbol of each level is worth at the level wanted; none if sums may saturate.
+    worth: Option<[i16; Level::COUNT]>,
+    quantiser: Quantiser,
+    first: Level,
+    level: Level,
+    /// Index of the Gaussian before at the first level, where symbols are differences, or else what
+    /// all are relative to; in units of the level wanted if there is a `worth`.
+    before: i32,
+}
+
+impl<'s> Column<'s> {
+    /// The component whose symbols are `runs`, first coded at `first`, wanted at `level`; its
+    /// symbols of the first level begin at `start`.
+    #[inline(never)]
+    pub(super) fn new(
+        runs: [&'s [i16]; Level::COUNT],
+        quantiser: Quantiser,
+        first: Level,
+        level: Level,
+        start: i16,
+    ) -> Self {
+        let worth = worths(&quantiser, first, level);
+        let before = i32::from(start) * worth.map_or(1, |w| i32::from(w[first.index()]));
+        Self { runs, worth, quantiser, first, level, before }
+    }
+
+    /// The next indices; those behind the block's end mean nothing.
+    #[inline(never)]
+    pub(super) fn take(&mut self) -> [i32; SPAN] {
+        let mut indices = [0; SPAN];
+        match self.worth {
+            Some(worth) => self.sum(worth, &mut indices),
+            None => self.refine(&mut indices),
+        }
+        for run in &mut self.runs {
+            *run = run.get(SPAN..).unwrap_or(&[]);
+        }
+        indices
+    }
+
+    #[inline]
+    fn sum(&mut self, worth: [i16; Level::COUNT], indices: &mut [i32; SPAN]) {
+        let first = self.first.index();
+        for (l, (run, worth)) in self.runs.iter().zip(worth).enumerate().skip(first) {
+            add(indices, run, worth);
+            if l != first {
+                continue;
+            }
+            if self.quantiser.predicted() {
+                self.before = sum_up(indices, self.before);
+            } else {
+                indices.iter_mut().for_each(|index| *index += self.before);
+            }
+        }
+    }
+
+    /// As [`Column::sum`], level by level: the definition.
+    #[cold]
+    fn refine(&mut self, indices: &mut [i32; SPAN]) {
+        for (i, index) in indices.iter_mut().enumerate() {
+            let symbol = |l: Level| self.runs[l.index()].get(i).copied().unwrap_or(0);
+            let mut q = i32::from(symbol(self.first)).saturating_add(self.before);
+            if self.quantiser.predicted() {
+                self.before = q;
+            }
+            for l in Level::ALL.into_iter().skip(self.first.index() + 1).filter(|&l| l <= self.level) {
+                q = self.quantiser.refine(q, symbol(l), l);
+            }
+            *index = q;
+        }
+    }
+}
+
+/// Adds to `indices` what each of `symbols` is worth. A function of its own, with lengths that are
+/// not known before: then it becomes a loop over vectors.
+#[inline(never)]
+fn add(indices: &mut [i32], symbols: &[i16], worth: i16) {
+    for (index, &symbol) in indices.iter_mut().zip(symbols) {
+        *index += i32::from(symbol) * i32::from(worth);
+    }
+}
+
+/// Makes differences into sums that begin at `before`; returns the last.
+fn sum_up(indices: &mut [i32], before: i32) -> i32 {
+    indices.iter_mut().fold(before, |sum, index| {
+        *index += sum;
+        *index
+    })
+}
+
+/// What a symbol of each level from `first` to `level` is worth at `level`; `None` if the index of a
+/// Gaussian of the longest block could saturate, or a worth does not fit.
+fn worths(quantiser: &Quantiser, first: Level, level: Level) -> Option<[i16; Level::COUNT]> {
+    // A run of the first level may sum up the symbols of a whole block, and where they begin.
+    const MOST: i64 = crate::limits::MAX_BLOCK_LEN as i64 + 1;
+    let mut worths = [0i16; Level::COUNT];
+    let (mut worth, mut most) = (1i64, 0i64);
+    for l in Level::ALL.into_iter().rev().filter(|&l| l <= level && l >= first) {
+        worths[l.index()] = i16::try_from(worth).ok()?;
+        most += worth * if l == first { MOST } else { 1 };
+        worth *= i64::from(quantiser.ratio(l));
+    }
+    (most <= i64::from(i32::MAX) >> 15).then_some(worths)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::limits::MAX_BLOCK_LEN;
+    use proptest::prelude::*;
+    extern crate std;
+    use std::{vec, vec::Vec};
+
+    fn all(column: &mut Column<'_>, n: usize) -> Vec<i32> {
+        let mut indices: Vec<i32> = (0..n.div_ceil(SPAN)).flat_map(|_| column.take()).collect();
+        indices.truncate(n);
+        indices
+    }
+
+    /// Both ways of one component, if sums cannot saturate; else nothing and the slow way.
+    fn both(
+        symbols: &[Vec<i16>; 4],
+        ratio: [u8; 3],
+        predicted: bool,
+        first: usize,
+        level: usize,
+        start: i16,
+    ) -> (Option<Vec<i32>>, Vec<i32>) {
+        let quantiser = Quantiser::new(1.0, ratio, predicted).unwrap();
+        let (first, level) = (Level::ALL[first], Level::ALL[level]);
+        let column = || {
+            let runs = [0, 1, 2, 3].map(|l| symbols[l].as_slice());
+            Column::new(runs, quantiser, first, level, start)
+        };
+        let n = symbols[first.index()].len();
+        let mut slow = Column { worth: None, before: start.into(), ..column() };
+        let fast = column().worth.map(|_| all(&mut column(), n));
+        (fast, all(&mut slow, n))
+    }
+
+    proptest! {
+        #[test]
+        fn sums_are_what_refining_gives(
+            n in 1usize..=MAX_BLOCK_LEN, seed: u64, shift in 0u32..16, ratio in [1u8..=255, 1u8..=255, 1u8..=9],
+            present in [any::<bool>(), any::<bool>(), any::<bool>()],
+            predicted: bool, first in 0usize..4, up in 0usize..4, start: i16,
+        ) {
+            let level = (first + up).min(3);
+            let mut state = seed;
+            let mut symbol = || {
+                state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+                (state >> 48) as i16 >> shift
+            };
+            let symbols = [0, 1, 2, 3].map(|l| {
+                let some = l == first || (l > first && l <= level && present[l - 1]);
+                if some { (0..n).map(|_| symbol()).collect() } else { vec![] }
+            });
+            let (fast, slow) = both(&symbols, ratio, predicted, first, level, start);
+            if let Some(fast) = fast { prop_assert_eq!(fast, slow); }
+        }
+    }
+
+    /// The bound is tight: at the largest symbols the sums just fit, and beyond it they are not tried.
+    #[test]
+    fn sums_are_taken_only_where_nothing_saturates() {
+        let run = |symbol| vec![symbol; MAX_BLOCK_LEN];
+        for symbol in [i16::MIN, i16::MAX] {
+            let symbols = [run(symbol), run(symbol), run(symbol), run(symbol)];
+            for (ratio, fits) in
+                [([3, 3, 3], true), ([5, 5, 9], true), ([255, 1, 1], false), ([255; 3], false)]
+            {
+                let (fast, slow) = both(&symbols, ratio, true, 0, 3, symbol);
+                assert_eq!(fast.is_some(), fits, "{ratio:?}");
+                assert!(fast.is_none_or(|fast| fast == slow), "{ratio:?}");
+                // The largest symbol is one smaller than the smallest is large.
+                let saturated = slow.contains(&i32::MIN);
+                assert_eq!(saturated, !fits && symbol == i16::MIN, "{ratio:?}");
+            }
+        }
+    }
+}
