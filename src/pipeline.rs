@@ -14,7 +14,7 @@ use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig};
 use render_host::{Camera, Settings};
 use trainer_host::{
     Attributes, Epoch, Scene, Stream, Track,
-    encode::{self, Protection, Quality, Target},
+    encode::{self, Mixer, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
     stream::{HostMemory, PacketMap, Player},
     utility,
@@ -130,6 +130,7 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::Options {
             Some(set_len) => Protection::xor(set_len),
             None => args.repair.unwrap_or(repair),
         },
+        mixer: Mixer(codec_simd::mix()),
         ..base
     }
 }

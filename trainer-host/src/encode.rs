@@ -13,6 +13,7 @@ mod steps;
 mod target;
 
 pub use ledger::{Ledger, Part, Share};
+pub use parity::Mixer;
 pub use protection::{Protection, ProtectionError, Strength};
 pub use search::Searched;
 pub use steps::Quality;
@@ -57,6 +58,8 @@ pub struct Options {
     pub packet_bytes: usize,
     /// Parity per kind of packets.
     pub repair: Protection,
+    /// How parity is added up.
+    pub mixer: Mixer,
     /// Send also the Gaussians whose opacity stays below 1/255 at every frame (`dgs1`).
     pub keep_invisible: bool,
 }
@@ -77,6 +80,7 @@ impl Default for Options {
             tops: Vec::new(),
             packet_bytes: limits::DEFAULT_PACKET_BYTES,
             repair: Protection::NONE,
+            mixer: Mixer::default(),
             keep_invisible: false,
         }
     }

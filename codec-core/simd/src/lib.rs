@@ -14,6 +14,7 @@
 mod bundle;
 mod crc;
 mod kernel;
+mod repair;
 
 use codec_core::{
     Error, Result,
@@ -25,6 +26,7 @@ use codec_core::{
 
 pub use crc::crc32;
 pub use kernel::Kernel;
+pub use repair::{mix, mixes};
 
 /// Decode tables of a stream.
 #[derive(Clone, Copy, Debug)]

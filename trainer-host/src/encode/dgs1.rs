@@ -108,7 +108,7 @@ pub(super) fn encode(
         repairs.extend(strength(lot).and_then(|s| s.range(first_packet, &packets[first_packet..])));
     }
     ledger.packets = packets.len() as u64;
-    parity::append(&mut repairs, &mut packets, &mut ledger)?;
+    parity::append(&mut repairs, options.mixer, &mut packets, &mut ledger)?;
     let (raw, sections) = body(scene, &plans, &model, &repairs, packets.len(), options);
     Manifest::parse(&raw)?;
     let order = plans.into_iter().map(|p| p.order).collect();

@@ -123,7 +123,7 @@ pub(super) fn encode(
     }
     ledger.raw_symbols = 2.0 * ledger.symbols as f64;
     ledger.packets = packets.len() as u64;
-    parity::append(&mut repairs, &mut packets, &mut ledger)?;
+    parity::append(&mut repairs, options.mixer, &mut packets, &mut ledger)?;
     let raw = body(scene, &plans, &groups, &quants, &repairs, packets.len());
     Manifest::parse(&raw)?;
     let order = plans.iter().map(|p| p.members.concat()).collect();
