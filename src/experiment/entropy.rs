@@ -32,7 +32,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
              i.i.d.), one table per law, known beforehand; thread CPU time, medians of {runs} interleaved rounds over all packets, after \
              one checked round; {BATCH} packets at a time into the same memory; Msymbol/s; coders marked u8 code one-byte tokens, raw low bits neither coded nor written (their \
              sizes include them); overhead over the values' information under their law, beside each speed; every round trip is checked; coders named -c are C: FSE's one \
-             exported decoder builds its table per packet, the time of which alone, measured beside it, is taken off; aims: encode at least 0.9x \
+             exported decoder builds its table per packet, the time of which, measured beside it on packets of a few symbols, is taken off; aims: encode at least 0.9x \
              of FSE, scalar decode at least 1.35x of it at 1.5 and 4 bit and 1x at 8 bit"
         ),
     );

@@ -35,22 +35,6 @@ unsafe extern "C" {
         len: usize,
         table: *const u32,
     ) -> usize;
-    fn FSE_readNCount_bmi2(
-        norm: *mut i16,
-        max_symbol: *mut c_uint,
-        log: *mut c_uint,
-        from: *const u8,
-        len: usize,
-        bmi2: c_int,
-    ) -> usize;
-    fn FSE_buildDTable_wksp(
-        table: *mut u32,
-        norm: *const i16,
-        max_symbol: c_uint,
-        log: c_uint,
-        scratch: *mut u64,
-        scratch_bytes: usize,
-    ) -> usize;
     fn FSE_decompress_wksp_bmi2(
         to: *mut u8,
         room: usize,
@@ -117,8 +101,10 @@ const HUFF_MOST_LOG: u32 = 12;
 const SYMBOLS: usize = 256;
 /// `FSE_CTABLE_SIZE_U32`, and one more.
 const FSE_ENCODE: usize = 2 + (1 << (FSE_LOG - 1)) + 2 * SYMBOLS;
-/// `FSE_DTABLE_SIZE_U32`.
+/// `FSE_DTABLE_SIZE_U32`, in the scratch of the decoder.
 const FSE_DECODE: usize = 1 + (1 << FSE_LOG);
+/// Tokens of a packet that is decoded for its table: next to none.
+const FEW: usize = 8;
 /// `HUF_CTABLE_SIZE_ST`.
 const HUFF_ENCODE: usize = SYMBOLS + 1;
 /// `HUF_DTABLE_SIZE`.
@@ -190,13 +176,15 @@ impl Room {
 /// FSE: two states in turn, 12 bits.
 ///
 /// Its one exported decoder takes a table's header in front of every packet and builds the table
-/// anew; [`Coder::tables`] does that alone.
+/// anew. How long that takes, the same decoder says of a packet of [`FEW`] tokens.
 struct Fse {
     encode: Vec<u32>,
-    decode: Vec<u32>,
-    header: Vec<u8>,
+    /// Bytes of a table's header.
+    header: usize,
     /// A header and a packet behind it.
     input: Vec<u8>,
+    /// The same, the packet of few tokens.
+    few: Vec<u8>,
     scratch: Vec<u64>,
     room: Room,
 }
@@ -226,14 +214,46 @@ impl Fse {
             FSE_writeNCount(header.as_mut_ptr(), header.len(), norm.as_ptr(), last, FSE_LOG)
         };
         header.truncate(fse(len, "header")?);
-        let decode = vec![0; FSE_DECODE];
-        Ok(Self { encode, decode, input: header.clone(), header, scratch, room: Room::new(packets.len) })
+        let mut room = Room::new(packets.len);
+        let tokens = packets.tokens.get(..FEW).context("packets of hardly a token")?;
+        let len = Self::put(&encode, &mut room.0, tokens)?;
+        let few = [&header, &room.0[..len]].concat();
+        Ok(Self { encode, header: header.len(), input: header, few, scratch, room })
     }
 
-    /// The header and `body` in one piece.
-    fn joined(&mut self, body: &[u8]) {
-        self.input.truncate(self.header.len());
-        self.input.extend_from_slice(body);
+    /// Encodes `tokens` to the front of `room`; how many bytes that takes.
+    fn put(table: &[u32], room: &mut [u8], tokens: &[u8]) -> Result<usize> {
+        // SAFETY: slices with their lengths; the table is this library's and has every token.
+        let len = unsafe {
+            FSE_compress_usingCTable(
+                room.as_mut_ptr(),
+                room.len(),
+                tokens.as_ptr(),
+                tokens.len(),
+                table.as_ptr(),
+            )
+        };
+        fse(len, "encode")
+    }
+
+    /// Decodes a header and a packet of as many tokens.
+    fn get(scratch: &mut [u64], input: &[u8], tokens: &mut [u8], bmi2: c_int) -> Result<()> {
+        // SAFETY: slices with their lengths.
+        let len = unsafe {
+            FSE_decompress_wksp_bmi2(
+                tokens.as_mut_ptr(),
+                tokens.len(),
+                input.as_ptr(),
+                input.len(),
+                FSE_LOG,
+                scratch.as_mut_ptr(),
+                8 * scratch.len(),
+                bmi2,
+            )
+        };
+        let len = fse(len, "decode")?;
+        ensure!(len == tokens.len(), "FSE gives {len} of {} tokens", tokens.len());
+        Ok(())
     }
 }
 
@@ -252,68 +272,22 @@ impl Coder for Fse {
 
     fn encode(&mut self, packets: &Packets, arena: &mut Arena) -> Result<bool> {
         let table = &self.encode;
-        self.room.fill(packets, arena, |room, tokens| {
-            // SAFETY: slices with their lengths; the table is this library's and has every token.
-            let len = unsafe {
-                FSE_compress_usingCTable(
-                    room.as_mut_ptr(),
-                    room.len(),
-                    tokens.as_ptr(),
-                    tokens.len(),
-                    table.as_ptr(),
-                )
-            };
-            fse(len, "encode")
-        })
+        self.room.fill(packets, arena, |room, tokens| Self::put(table, room, tokens))
     }
 
     fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
         let bmi2 = bmi2();
         for (body, tokens) in bodies.iter().copied().zip(out.tokens.chunks_exact_mut(packets.len)) {
-            self.joined(body);
-            // SAFETY: slices with their lengths.
-            let len = unsafe {
-                FSE_decompress_wksp_bmi2(
-                    tokens.as_mut_ptr(),
-                    tokens.len(),
-                    self.input.as_ptr(),
-                    self.input.len(),
-                    FSE_LOG,
-                    self.scratch.as_mut_ptr(),
-                    8 * self.scratch.len(),
-                    bmi2,
-                )
-            };
-            let len = fse(len, "decode")?;
-            ensure!(len == tokens.len(), "FSE gives {len} of {} tokens", tokens.len());
+            self.input.truncate(self.header);
+            self.input.extend_from_slice(body);
+            Self::get(&mut self.scratch, &self.input, tokens, bmi2)?;
         }
         Ok(())
     }
 
     fn tables(&mut self, bodies: &[&[u8]]) -> Result<()> {
         let bmi2 = bmi2();
-        for body in bodies {
-            self.joined(body);
-            let mut norm = [0i16; SYMBOLS];
-            let (mut last, mut log) = (SYMBOLS as c_uint - 1, 0);
-            // SAFETY: slices with their lengths; `norm` has a place for every token up to `last`, and
-            // the table is as large as the library says for `FSE_LOG`, which is the header's log.
-            unsafe {
-                let (input, len) = (self.input.as_ptr(), self.input.len());
-                fse(FSE_readNCount_bmi2(norm.as_mut_ptr(), &mut last, &mut log, input, len, bmi2), "header")?;
-                ensure!(log == FSE_LOG, "FSE reads a table of {log} bits");
-                let built = FSE_buildDTable_wksp(
-                    self.decode.as_mut_ptr(),
-                    norm.as_ptr(),
-                    last,
-                    log,
-                    self.scratch.as_mut_ptr(),
-                    8 * self.scratch.len(),
-                );
-                fse(built, "table")?;
-            }
-        }
-        Ok(())
+        bodies.iter().try_for_each(|_| Self::get(&mut self.scratch, &self.few, &mut [0; FEW], bmi2))
     }
 }
 
@@ -399,5 +373,31 @@ impl Coder for Huff0 {
             ensure!(len == tokens.len(), "Huff0 gives {len} of {} tokens", tokens.len());
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::law::Law, *};
+
+    #[test]
+    fn tokens_come_back_and_damage_is_seen() {
+        for law in Law::all() {
+            let packets = Packets::draw(law, 3, 400, 7).unwrap();
+            for mut coder in both(&packets).unwrap() {
+                let mut arena = Arena::new(packets.count);
+                assert!(coder.encode(&packets, &mut arena).unwrap());
+                let mut out = Output { values: Vec::new(), tokens: vec![0; packets.tokens.len()] };
+                let bodies: Vec<&[u8]> = arena.packets().collect();
+                coder.decode(&packets, &bodies, &mut out).unwrap();
+                assert!(out.tokens == packets.tokens, "{} {}", coder.name(), packets.law.name);
+                coder.tables(&bodies).unwrap();
+                let mut damaged = bodies[1].to_vec();
+                damaged[bodies[1].len() / 2] ^= 0x24;
+                let bodies = [bodies[0], &damaged, bodies[2]];
+                let decoded = coder.decode(&packets, &bodies, &mut out);
+                assert!(decoded.is_err() || out.tokens != packets.tokens, "{}", coder.name());
+            }
+        }
     }
 }
