@@ -348,7 +348,15 @@ mod peers {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{
+        super::{codec_args, synth},
+        *,
+    };
+    use crate::{
+        args::ProfileName,
+        pipeline::{self, Quiet},
+    };
+    use trainer_host::encode::{Mixer, Options, Protection};
 
     #[test]
     fn the_formula_gives_the_known_shares() {
@@ -386,5 +394,14 @@ mod tests {
             rows.iter_mut().for_each(|byte| *byte ^= 1);
         };
         assert!(case.wrong() > 0);
+    }
+
+    #[test]
+    fn a_stream_is_the_same_by_any_arithmetic() {
+        let scene = synth("balls", 1000, 4).unwrap();
+        let host = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::STANDARD);
+        let portable = Options { mixer: Mixer::default(), ..host.clone() };
+        let [host, portable] = [host, portable].map(|o| pipeline::encode(&scene, &o, Quiet(true)).unwrap());
+        assert!(host.ledger().parity_packets > 0 && host.packets() == portable.packets());
     }
 }
