@@ -5,18 +5,21 @@
 //! ones are solved for them, length and bytes. What comes out must still pass its own CRC, parse and
 //! decode. Sender and receiver share [`Sums::add`]: the parity of a whole set is its sums.
 //!
-//! With one row the code is XOR ([`cauchy`]), and nothing is multiplied.
+//! With one row the code is XOR ([`cauchy`]), and nothing is multiplied. All arithmetic on whole
+//! packets is one function, [`mix`]; a host that has a faster one passes it as a [`Mix`].
 
 pub mod cauchy;
 pub mod gf256;
 
 use crate::limits::{MAX_PACKET_BYTES, MAX_REPAIR_PARITY, MAX_REPAIR_SET};
-use cauchy::{Solution, coefficient};
+use cauchy::{Solution, column};
 
 /// Bytes of a set's memory before its sums: members seen u64, rows seen u8, zeros.
 pub const HEAD_BYTES: usize = 16;
 /// Bytes of a packet's length in what is coded.
 pub const LENGTH_BYTES: usize = 2;
+/// Packets that a sender adds in one call.
+const AT_ONCE: usize = 16;
 /// Most bytes of one coded packet: its length, then itself.
 pub const MAX_CODED_BYTES: usize = LENGTH_BYTES + MAX_PACKET_BYTES;
 
@@ -32,14 +35,45 @@ pub struct Sums<'a> {
     head: &'a mut [u8; HEAD_BYTES],
     /// Row after row, each a length u16 and `longest` bytes.
     sums: &'a mut [u8],
-    longest: usize,
+    /// Bytes of a row.
+    stride: usize,
+    mix: Mix,
 }
 
-/// Where row `row` lies among rows of `longest` bytes.
-fn place(row: u32, longest: usize) -> core::ops::Range<usize> {
-    let stride = LENGTH_BYTES.saturating_add(longest);
-    let start = (row as usize).saturating_mul(stride);
-    start..start.saturating_add(stride)
+/// A coded packet, and what each row of sums multiplies it by.
+#[derive(Clone, Copy, Debug)]
+pub struct Term<'a> {
+    /// The packet's length as it is coded, ahead of its content.
+    pub length: [u8; LENGTH_BYTES],
+    /// The packet.
+    pub content: &'a [u8],
+    /// One factor per row.
+    pub factors: &'a [u8],
+}
+
+impl Term<'_> {
+    /// Adds nothing to any row.
+    const NOTHING: Self = Self { length: [0; LENGTH_BYTES], content: &[], factors: &[] };
+}
+
+/// Adds to row i of `rows`, each of `stride` bytes, `factors[i]` times each of `terms`; what of a
+/// term is longer than a row is cut. Products are those of [`gf256`]. Rows without a factor stay as
+/// they are, and all rows if they are shorter than [`LENGTH_BYTES`].
+pub type Mix = fn(rows: &mut [u8], stride: usize, terms: &[Term<'_>]);
+
+/// The [`Mix`] of every machine.
+pub fn mix(rows: &mut [u8], stride: usize, terms: &[Term<'_>]) {
+    for term in terms {
+        let mut rows = &mut *rows;
+        for &factor in term.factors {
+            let Some((row, rest)) = rows.split_at_mut_checked(stride) else { break };
+            rows = rest;
+            if let Some((head, tail)) = row.split_first_chunk_mut::<LENGTH_BYTES>() {
+                gf256::mul_add(head, &term.length, factor);
+                gf256::mul_add(tail, term.content, factor);
+            }
+        }
+    }
 }
 
 impl<'a> Sums<'a> {
@@ -50,7 +84,24 @@ impl<'a> Sums<'a> {
             && (1..=MAX_PACKET_BYTES).contains(&longest)
             && bytes.len() == set_bytes(rows, longest);
         let (head, sums) = bytes.split_first_chunk_mut::<HEAD_BYTES>()?;
-        fits.then_some(Self { head, sums, longest })
+        let stride = LENGTH_BYTES.saturating_add(longest);
+        fits.then_some(Self { head, sums, stride, mix })
+    }
+
+    /// The same sums, added up by `mix`.
+    pub fn with_mix(self, mix: Mix) -> Self {
+        Self { mix, ..self }
+    }
+
+    /// Bytes of the longest packet.
+    fn longest(&self) -> usize {
+        self.stride.saturating_sub(LENGTH_BYTES)
+    }
+
+    /// Where row `row` lies.
+    fn place(&self, row: u32) -> core::ops::Range<usize> {
+        let start = (row as usize).saturating_mul(self.stride);
+        start..start.saturating_add(self.stride)
     }
 
     fn members(&self) -> u64 {
@@ -62,24 +113,42 @@ impl<'a> Sums<'a> {
     }
 
     fn sum(&self, row: u32) -> Option<&[u8]> {
-        self.sums.get(place(row, self.longest))
+        self.sums.get(self.place(row))
+    }
+
+    /// Notes member `position` as seen; `None` if it cannot be added.
+    fn term<'p>(&mut self, position: u32, packet: &'p [u8]) -> Option<Term<'p>> {
+        let bit = 1u64.checked_shl(position).unwrap_or(0);
+        let members = self.members();
+        if bit == 0 || members & bit != 0 || packet.len() > self.longest() {
+            return None;
+        }
+        *self.head.first_chunk_mut()? = (members | bit).to_le_bytes();
+        let length = (packet.len() as u16).to_le_bytes();
+        Some(Term { length, content: packet, factors: column(position) })
     }
 
     /// Adds member `position` (below [`MAX_REPAIR_SET`]) of the set; a member that was there, or is
     /// longer than the set's longest, changes nothing.
     pub fn add(&mut self, position: u32, packet: &[u8]) {
-        let bit = 1u64.checked_shl(position).unwrap_or(0);
-        let members = self.members();
-        if bit == 0 || members & bit != 0 || packet.len() > self.longest {
-            return;
+        if let Some(term) = self.term(position, packet) {
+            (self.mix)(self.sums, self.stride, &[term]);
         }
-        if let Some(target) = self.head.first_chunk_mut() {
-            *target = (members | bit).to_le_bytes();
-        }
-        let length = (packet.len() as u16).to_le_bytes();
-        for row in 0..MAX_REPAIR_PARITY as u32 {
-            let Some(sum) = self.sums.get_mut(place(row, self.longest)) else { break };
-            mix(sum, length, packet, coefficient(row, position));
+    }
+
+    /// Adds `packets` as the members from position `first` on, each as [`Self::add`] would, several
+    /// in one call of the [`Mix`]: for senders, who have them at hand.
+    pub fn add_all<'p>(&mut self, first: u32, packets: impl IntoIterator<Item = &'p [u8]>) {
+        let mut packets = packets.into_iter().zip(first..=u32::MAX);
+        loop {
+            let mut terms = [Term::NOTHING; AT_ONCE];
+            let mut count = 0;
+            for (term, (packet, position)) in terms.iter_mut().zip(packets.by_ref()) {
+                *term = self.term(position, packet).unwrap_or(Term::NOTHING);
+                count += 1;
+            }
+            let Some(terms) = terms.get(..count).filter(|terms| !terms.is_empty()) else { return };
+            (self.mix)(self.sums, self.stride, terms);
         }
     }
 
@@ -87,12 +156,13 @@ impl<'a> Sums<'a> {
     /// longer than the set's longest, changes nothing.
     pub fn add_parity(&mut self, row: u32, length: u16, content: &[u8]) {
         let bit = 1u8.checked_shl(row).unwrap_or(0);
-        if self.head[8] & bit != 0 || content.len() > self.longest {
+        if self.head[8] & bit != 0 || content.len() > self.longest() {
             return;
         }
-        if let Some(sum) = self.sums.get_mut(place(row, self.longest)) {
+        if let Some(sum) = self.sums.get_mut(self.place(row)) {
             self.head[8] |= bit;
-            mix(sum, length.to_le_bytes(), content, 1);
+            let term = Term { length: length.to_le_bytes(), content, factors: &[1] };
+            (self.mix)(sum, self.stride, &[term]);
         }
     }
 
@@ -112,11 +182,15 @@ impl<'a> Sums<'a> {
         index: usize,
         out: &'o mut [u8; MAX_CODED_BYTES],
     ) -> Option<&'o [u8]> {
-        let coded = out.get_mut(place(0, self.longest))?;
+        let coded = out.get_mut(..self.stride)?;
         coded.fill(0);
-        for (row, factor) in solution.terms(index) {
-            gf256::mul_add(coded, self.sum(row)?, factor);
+        let (mut terms, mut count) = ([Term::NOTHING; MAX_REPAIR_PARITY], 0);
+        for (term, (row, factor)) in terms.iter_mut().zip(solution.terms(index)) {
+            let (length, content) = self.sum(row)?.split_first_chunk()?;
+            *term = Term { length: *length, content, factors: core::slice::from_ref(factor) };
+            count += 1;
         }
+        (self.mix)(coded, self.stride, terms.get(..count)?);
         let (length, packet) = coded.split_first_chunk::<LENGTH_BYTES>()?;
         packet.get(..usize::from(u16::from_le_bytes(*length))).filter(|packet| !packet.is_empty())
     }
@@ -126,13 +200,6 @@ impl<'a> Sums<'a> {
     pub fn parity(&self, row: u32, longest: usize) -> Option<(u16, &[u8])> {
         let (length, content) = self.sum(row)?.split_first_chunk::<LENGTH_BYTES>()?;
         Some((u16::from_le_bytes(*length), content.get(..longest).unwrap_or(content)))
-    }
-}
-
-fn mix(sum: &mut [u8], length: [u8; LENGTH_BYTES], content: &[u8], factor: u8) {
-    if let Some((head, tail)) = sum.split_first_chunk_mut::<LENGTH_BYTES>() {
-        gf256::mul_add(head, &length, factor);
-        gf256::mul_add(tail, content, factor);
     }
 }
 

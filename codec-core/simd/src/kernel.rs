@@ -32,6 +32,8 @@ mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
 #[cfg(target_arch = "x86_64")]
+pub(crate) mod galois;
+#[cfg(target_arch = "x86_64")]
 mod spread;
 
 use codec_core::rans::{lanes::LANES, table::SLOTS};

@@ -15,6 +15,7 @@ mod bundle;
 mod crc;
 mod intake;
 mod kernel;
+mod repair;
 
 use codec_core::{
     Error, Result,
@@ -27,6 +28,7 @@ use codec_core::{
 pub use crc::crc32;
 pub use intake::Intake;
 pub use kernel::Kernel;
+pub use repair::{mix, mixes};
 
 /// Decode tables of a stream.
 #[derive(Clone, Copy, Debug)]

@@ -101,7 +101,8 @@ impl Receiver<'_> {
     fn sums(&mut self, set: &Set) -> Option<Sums<'_>> {
         let end = set.start.checked_add(set.repair.set_bytes())?;
         let bytes = self.memory.parity.get_mut(set.start..end)?;
-        Sums::over(bytes, set.repair.parity.into(), set.repair.longest.into())
+        let sums = Sums::over(bytes, set.repair.parity.into(), set.repair.longest.into())?;
+        Some(sums.with_mix(self.mix))
     }
 
     /// Decodes the missing packets of a set, if it has parity for all of them.

@@ -9,22 +9,28 @@ use crate::limits::{MAX_REPAIR_PARITY, MAX_REPAIR_SET};
 /// Rows and columns are told apart by points of the field that must all differ.
 const _: () = assert!(MAX_REPAIR_PARITY + MAX_REPAIR_SET <= 256);
 
-/// All coefficients, by row and position: half a KiB, so that nobody inverts on arrival.
-static COEFFICIENTS: [[u8; MAX_REPAIR_SET]; MAX_REPAIR_PARITY] = {
-    let mut all = [[0; MAX_REPAIR_SET]; MAX_REPAIR_PARITY];
+/// All coefficients, by position and row: half a KiB, so that nobody inverts on arrival.
+static COEFFICIENTS: [[u8; MAX_REPAIR_PARITY]; MAX_REPAIR_SET] = {
+    let mut all = [[0; MAX_REPAIR_PARITY]; MAX_REPAIR_SET];
     let mut at = 0;
     while at < MAX_REPAIR_PARITY * MAX_REPAIR_SET {
-        let (row, y) = (at / MAX_REPAIR_SET, (MAX_REPAIR_PARITY + at % MAX_REPAIR_SET) as u8);
-        all[row][at % MAX_REPAIR_SET] = mul(y, inverse(y ^ row as u8));
+        let (position, row) = (at / MAX_REPAIR_PARITY, at % MAX_REPAIR_PARITY);
+        let y = (MAX_REPAIR_PARITY + position) as u8;
+        all[position][row] = mul(y, inverse(y ^ row as u8));
         at += 1;
     }
     all
 };
 
-/// What parity row `row` (below [`MAX_REPAIR_PARITY`]) multiplies member `position` (below
-/// [`MAX_REPAIR_SET`]) by: y / (y − row) with y = [`MAX_REPAIR_PARITY`] + position. Beyond: 0.
+/// What each parity row multiplies member `position` (below [`MAX_REPAIR_SET`]) by: y / (y − row)
+/// with y = [`MAX_REPAIR_PARITY`] + position. Beyond: zeros.
+pub fn column(position: u32) -> &'static [u8; MAX_REPAIR_PARITY] {
+    COEFFICIENTS.get(position as usize).unwrap_or(&[0; MAX_REPAIR_PARITY])
+}
+
+/// Entry `row` (below [`MAX_REPAIR_PARITY`]) of [`column`] `position`. Beyond: 0.
 pub fn coefficient(row: u32, position: u32) -> u8 {
-    COEFFICIENTS.get(row as usize).and_then(|row| row.get(position as usize)).copied().unwrap_or(0)
+    column(position).get(row as usize).copied().unwrap_or(0)
 }
 
 /// Turns sums of some rows over as many missing positions into those members.
@@ -74,9 +80,9 @@ impl Solution {
     }
 
     /// What to multiply which row by to get missing position number `index`: (row, factor).
-    pub fn terms(&self, index: usize) -> impl Iterator<Item = (u32, u8)> + '_ {
+    pub fn terms(&self, index: usize) -> impl Iterator<Item = (u32, &u8)> + '_ {
         let factors = self.inverse.get(index).into_iter().flatten();
-        self.rows.iter().zip(factors).take(self.count).map(|(&row, &factor)| (u32::from(row), factor))
+        self.rows.iter().zip(factors).take(self.count).map(|(&row, factor)| (u32::from(row), factor))
     }
 }
 
@@ -155,7 +161,7 @@ mod tests {
                 for (i, _) in solution.positions().enumerate() {
                     for (j, position) in solution.positions().enumerate() {
                         let sum = solution.terms(i).fold(0, |sum, (row, factor)| {
-                            sum ^ slow::mul(factor, coefficient(row, position))
+                            sum ^ slow::mul(*factor, coefficient(row, position))
                         });
                         assert_eq!(sum, u8::from(i == j), "{absent:x} {rows:x} {i} {j}");
                     }

@@ -48,6 +48,49 @@ fn lies_about_lengths_give_nothing() {
     }
 }
 
+/// What the definition of the product says [`mix`] does.
+fn defined(rows: &mut [u8], stride: usize, terms: &[Term<'_>]) {
+    for term in terms {
+        let coded = [&term.length[..], term.content].concat();
+        for (row, &factor) in rows.chunks_exact_mut(stride).zip(term.factors) {
+            slow::mul_add(row, &coded, factor);
+        }
+    }
+}
+
+#[test]
+fn terms_are_added_as_far_as_rows_reach() {
+    let content: Vec<u8> = (1..=40).collect();
+    let factors = [1u8, 0, 7, 0xd3];
+    for (rows, stride) in [(0, 9), (1, 2), (4, 3), (3, 42), (5, 41), (4, 50)] {
+        for most in 0..=4 {
+            let terms = [(40, most), (0, 4), (17, 1)].map(|(len, most)| Term {
+                length: [len as u8, 0x80],
+                content: &content[..len],
+                factors: &factors[..most],
+            });
+            let (mut found, mut wanted) = (vec![0x33u8; rows * stride], vec![0x33u8; rows * stride]);
+            mix(&mut found, stride, &terms);
+            defined(&mut wanted, stride, &terms);
+            assert_eq!(found, wanted, "{rows} rows of {stride}, {most} factors");
+        }
+    }
+    let mut few = [5u8; 7];
+    for stride in [0, 1, 8, usize::MAX] {
+        mix(&mut few, stride, &[Term { length: [1; 2], content: &content, factors: &factors }]);
+        assert_eq!(few, [5; 7], "no row of {stride}");
+    }
+}
+
+#[test]
+fn the_callers_mix_is_used() {
+    let nothing: Mix = |_, _, _| {};
+    let mut bytes = vec![0u8; set_bytes(1, 9)];
+    let mut sums = Sums::over(&mut bytes, 1, 9).unwrap().with_mix(nothing);
+    sums.add(0, &[1; 9]);
+    assert_eq!(sums.parity(0, 9), Some((0, &[0; 9][..])));
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: CASES, failure_persistence: None, ..ProptestConfig::default() })]
 
@@ -102,6 +145,24 @@ proptest! {
             sums.add(position as u32, &packets[position]);
         }
         prop_assert!(sums.solution(n as u32).is_none());
+    }
+
+    /// Several members at a time give what one after the other gives, those that change nothing
+    /// included.
+    #[test]
+    fn together_or_one_by_one(
+        packets in proptest::collection::vec(proptest::collection::vec(any::<u8>(), 0..24), 0..=70),
+        first in prop_oneof![0u32..70, Just(u32::MAX - 3)], again in 0u32..70,
+    ) {
+        let (mut one, mut other) = (vec![0u8; set_bytes(3, 20)], vec![0u8; set_bytes(3, 20)]);
+        let mut sums = Sums::over(&mut one, 3, 20).unwrap();
+        for (packet, position) in packets.iter().zip(first..=u32::MAX).chain(packets.iter().zip(again..)) {
+            sums.add(position, packet);
+        }
+        let mut sums = Sums::over(&mut other, 3, 20).unwrap();
+        sums.add_all(first, packets.iter().map(Vec::as_slice));
+        sums.add_all(again, packets.iter().map(Vec::as_slice));
+        prop_assert_eq!(one, other);
     }
 
     /// Rows are what the definition says.

@@ -55,6 +55,10 @@ pub trait Coder {
     fn encode(&mut self, packets: &Packets, arena: &mut Arena) -> Result<bool>;
     /// Decodes `bodies` into the front of `out`, packet after packet.
     fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()>;
+    /// What decoding `bodies` spends on a table that other coders have beforehand, and no more.
+    fn tables(&mut self, _bodies: &[&[u8]]) -> Result<()> {
+        Ok(())
+    }
 }
 
 /// Four-lane rANS, scalar.

@@ -2,7 +2,7 @@
 
 use codec_core::{
     limits::MAX_PACKET_BYTES,
-    repair::Sums,
+    repair::{Mix, Sums},
     wire::{manifest::Repair, packet::Parity},
 };
 use rayon::prelude::*;
@@ -17,7 +17,7 @@ pub(super) fn append(
 ) -> Result<(), EncodeError> {
     for range in repairs {
         range.first_parity = packets.len() as u32;
-        let parity = parity(range, packets)?;
+        let parity = parity(range, codec_simd::mix(), packets)?;
         ledger.parity += parity.iter().map(|p| p.len() as f64).sum::<f64>();
         ledger.parity_packets += parity.len() as u64;
         packets.extend(parity);
@@ -25,11 +25,11 @@ pub(super) fn append(
     Ok(())
 }
 
-/// The parity packets of `range` in the order of their ids; its protected packets are in
-/// `packets`.
-fn parity(range: &Repair, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, EncodeError> {
+/// The parity packets of `range` in the order of their ids, added up by `mix`; its protected packets
+/// are in `packets`.
+fn parity(range: &Repair, mix: Mix, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, EncodeError> {
     let sets: Result<Vec<Vec<Vec<u8>>>, EncodeError> =
-        (0..range.sets()).into_par_iter().map(|set| rows(range, set, packets)).collect();
+        (0..range.sets()).into_par_iter().map(|set| rows(range, set, mix, packets)).collect();
     let mut sets = sets?;
     let rows = 0..usize::from(range.parity);
     Ok(rows
@@ -38,21 +38,19 @@ fn parity(range: &Repair, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, EncodeErr
 }
 
 /// The parity packets of one set, row after row.
-fn rows(range: &Repair, set: u32, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, EncodeError> {
+fn rows(range: &Repair, set: u32, mix: Mix, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, EncodeError> {
     let rows = u32::from(range.parity);
     let mut memory = vec![0u8; range.set_bytes()];
     let sums = Sums::over(&mut memory, range.parity.into(), range.longest.into());
-    let mut sums = sums.ok_or(EncodeError::Bound {
+    let sums = sums.ok_or(EncodeError::Bound {
         what: "bytes in a protected packet",
         found: range.longest.into(),
         most: MAX_PACKET_BYTES,
     })?;
-    let mut longest = 0;
-    for position in 0..range.members(set) {
-        let packet = &packets[range.member(set, position) as usize];
-        longest = longest.max(packet.len());
-        sums.add(position, packet);
-    }
+    let mut sums = sums.with_mix(mix);
+    let members = (0..range.members(set)).map(|p| packets[range.member(set, p) as usize].as_slice());
+    let longest = members.clone().map(<[u8]>::len).max().unwrap_or(0);
+    sums.add_all(0, members);
     let write = |row: u32| {
         let id = packet_id(range.parity_id(set, row) as usize)?;
         let (length, content) = sums.parity(row, longest).unwrap_or_default();
@@ -62,4 +60,26 @@ fn rows(range: &Repair, set: u32, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, E
         Ok(bytes)
     };
     (0..rows).map(write).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use codec_core::ids::Level;
+
+    use super::*;
+    use crate::encode::Protection;
+
+    #[test]
+    fn parity_is_the_same_by_any_arithmetic() {
+        let packets: Vec<Vec<u8>> =
+            (0..7usize).map(|p| (0..40 + 17 * p).map(|i| (i * 31 + p * 7919) as u8).collect()).collect();
+        let strength = Protection::parse("base=4+2").unwrap().of(false, Level::BASE).unwrap();
+        let range = strength.range(0, &packets).unwrap();
+        let slow = parity(&range, codec_core::repair::mix, &packets).unwrap();
+        assert_eq!(slow.len(), 4);
+        assert_eq!(parity(&range, codec_simd::mix(), &packets).unwrap(), slow);
+        let mut other = packets.clone();
+        other[6][3] ^= 1;
+        assert_ne!(parity(&range, codec_simd::mix(), &other).unwrap(), slow);
+    }
 }
