@@ -28,7 +28,7 @@ pub fn column(position: u32) -> &'static [u8; MAX_REPAIR_PARITY] {
     COEFFICIENTS.get(position as usize).unwrap_or(&[0; MAX_REPAIR_PARITY])
 }
 
-/// Entry `row` (below [`MAX_REPAIR_PARITY`]) of [`column`] `position`. Beyond: 0.
+/// Entry `row` (below [`MAX_REPAIR_PARITY`]) of [`column()`] `position`. Beyond: 0.
 pub fn coefficient(row: u32, position: u32) -> u8 {
     column(position).get(row as usize).copied().unwrap_or(0)
 }
