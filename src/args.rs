@@ -83,8 +83,8 @@ pub struct CodecArgs {
     /// Choose the coarseness: at least this PSNR in dB from measuring (never held-out) cameras.
     #[arg(long, value_name = "DB", group = "fineness", value_parser = positive, allow_negative_numbers = true)]
     pub target_psnr: Option<f64>,
-    /// Pictures per epoch that tell how much an error in each Gaussian shows: steps follow (dgs1). 0: the same steps
-    /// for all.
+    /// Pictures per epoch that tell how much an error in each Gaussian shows: steps follow (dgs1). 1 to
+    /// 1024; 0: the same steps for all.
     #[arg(long, default_value_t = 16)]
     pub pictures: usize,
     /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR from

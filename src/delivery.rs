@@ -197,7 +197,7 @@ impl<'e, 'm> WireEndpoint<'e, 'm> {
         graph: &'e PacketGraph,
     ) -> Self {
         Self {
-            receiver: Receiver::with_crc(memory, codec_simd::crc32).with_mix(codec_simd::mix()),
+            receiver: codec_simd::receiver(memory),
             stream,
             map,
             graph,

@@ -72,7 +72,7 @@ fn receive(stream: &Stream, memory: &mut HostMemory, crc: Crc32) -> Result<f64> 
 
 /// As [`receive`], by the host's CRC and many packets at a time.
 fn receive_batches(stream: &Stream, memory: &mut HostMemory, kernel: Kernel) -> Result<f64> {
-    let mut receiver = Receiver::with_crc(memory.memory(), codec_simd::crc32);
+    let mut receiver = codec_simd::receiver(memory.memory());
     receiver.control(stream.message())?;
     let mut refused = None;
     let start = thread_seconds();

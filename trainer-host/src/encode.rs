@@ -26,7 +26,7 @@ use codec_core::{
 };
 
 use self::strata::Strata;
-use crate::{cluster, judge::JudgeError, scene::Scene, stream::Stream};
+use crate::{cluster, judge::JudgeError, scene::Scene, sensitivity::MOST_PICTURES, stream::Stream};
 
 /// What to encode, and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -104,7 +104,7 @@ impl Options {
         within("block_len", self.block_len, 1, limits::MAX_BLOCK_LEN)?;
         within("window_frames", self.window_frames.unwrap_or(1), 1, limits::MAX_WINDOW_FRAMES)?;
         within("rank", self.rank, 0, limits::MAX_RANK)?;
-        within("pictures", self.pictures, 0, 1024)?;
+        within("pictures", self.pictures, 0, MOST_PICTURES)?;
         within("search", self.search, 0, search::MOST)?;
         within("menu", self.menu, 1, limits::MAX_MENU)?;
         within("packet_bytes", self.packet_bytes, 200, 1226)?;

@@ -3,9 +3,10 @@
 //! To first order an error `e` in a value changes a picture by `e · ∂I/∂value`, so its squared error
 //! is `e² · Σ (∂I/∂value)²` over pixels and channels: the diagonal of the Gauss-Newton matrix. One
 //! backward pass with a random sign at every pixel and channel gives each value's `Σ ± ∂I/∂value`,
-//! whose square has that sum as its mean; pictures from all around are averaged. Errors of different
-//! values are independent, so that what they cost adds up.
+//! whose square has that sum as its mean (source: Hutchinson 1990); pictures from all around are
+//! averaged. Errors of different values are independent, so that what they cost adds up.
 
+use codec_core::gaussian::Gaussian;
 use render_host::{
     Image, ImageError, Settings, Splats,
     adjoint::{Gradients, Loss, Workspace, render_and_gradients_into},
@@ -25,6 +26,8 @@ pub const CLASSES: usize = 6;
 /// components: mean over pictures and components.
 pub type Weights = [f64; CLASSES];
 
+/// Most pictures of an epoch.
+pub const MOST_PICTURES: usize = 1024;
 /// Width and height of a picture, pixels.
 const SIZE: (u32, u32) = (256, 256);
 /// Opacities are seen within this range: beyond it a picture is cut off or clamped, and small errors
@@ -50,8 +53,7 @@ pub fn measure(scene: &Scene, pictures: usize) -> Result<Vec<Vec<Weights>>, Judg
         let frames = epoch.frames() as u32;
         let mut weights = vec![[0.0; CLASSES]; epoch.count()];
         let looks = spread(first, frames, pictures as u32);
-        for (k, camera) in cameras.iter().enumerate() {
-            let Some(&frame) = looks.get(k % looks.len().max(1)) else { break };
+        for (look, &frame) in looks.iter().enumerate() {
             let instant = scene.instant(frame as usize);
             let mut instant = instant.ok_or_else(|| failed(format!("no frame {frame}")))?;
             for gaussian in &mut instant.gaussians {
@@ -59,34 +61,42 @@ pub fn measure(scene: &Scene, pictures: usize) -> Result<Vec<Vec<Weights>>, Judg
             }
             let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree);
             let splats = splats.map_err(failed)?;
-            let signs = Signs { seed: k as u64 };
-            render_and_gradients_into(&mut workspace, &splats, camera, &settings, &signs, &mut gradients)
-                .map_err(failed)?;
             let rest = instant.sh_degree.rest_len();
-            for (i, (weights, gaussian)) in weights.iter_mut().zip(&instant.gaussians).enumerate() {
-                let Some(gradient) = gradients.splats.get(i) else { break };
-                // A change of Rodrigues parameters moves the unit quaternion by 1 + w times as much,
-                // where w ≥ 0 is its real part: the stereographic projection keeps angles.
-                let turn = 1.0 + f64::from(gaussian.rotation[0].abs());
-                let opacity = f64::from(gaussian.opacity);
-                let per_opacity = 1.0 / (opacity * (1.0 - opacity));
-                let bands = gradients.sh_rest.get(i * rest..(i + 1) * rest).unwrap_or(&[]);
-                for (weight, found) in weights.iter_mut().zip([
-                    squares(&gradient.position) / 3.0,
-                    squares(&gradient.log_scale) / 3.0,
-                    squares(&gradient.rotation) / 3.0 * turn * turn,
-                    (f64::from(gradient.opacity_logit) * per_opacity).powi(2),
-                    squares(&gradient.sh0) / 3.0,
-                    squares(bands) / rest.max(1) as f64,
-                ]) {
-                    *weight += found / pictures as f64;
-                }
+            for (k, camera) in cameras.iter().enumerate().skip(look).step_by(looks.len()) {
+                let signs = Signs { seed: k as u64 };
+                render_and_gradients_into(&mut workspace, &splats, camera, &settings, &signs, &mut gradients)
+                    .map_err(failed)?;
+                add(&mut weights, &instant.gaussians, &gradients, rest, pictures);
             }
         }
         first += frames;
         out.push(weights);
     }
     Ok(out)
+}
+
+/// Adds one of `pictures` pictures' share to the weights of every Gaussian, which has `rest` values of
+/// higher harmonics.
+fn add(weights: &mut [Weights], gaussians: &[Gaussian], gradients: &Gradients, rest: usize, pictures: usize) {
+    for (i, (weights, gaussian)) in weights.iter_mut().zip(gaussians).enumerate() {
+        let Some(gradient) = gradients.splats.get(i) else { break };
+        // A change of Rodrigues parameters moves the unit quaternion by 1 + w times as much,
+        // where w ≥ 0 is its real part: the stereographic projection keeps angles.
+        let turn = 1.0 + f64::from(gaussian.rotation[0].abs());
+        let opacity = f64::from(gaussian.opacity);
+        let per_opacity = 1.0 / (opacity * (1.0 - opacity));
+        let bands = gradients.sh_rest.get(i * rest..(i + 1) * rest).unwrap_or(&[]);
+        for (weight, found) in weights.iter_mut().zip([
+            squares(&gradient.position) / 3.0,
+            squares(&gradient.log_scale) / 3.0,
+            squares(&gradient.rotation) / 3.0 * turn * turn,
+            (f64::from(gradient.opacity_logit) * per_opacity).powi(2),
+            squares(&gradient.sh0) / 3.0,
+            squares(bands) / rest.max(1) as f64,
+        ]) {
+            *weight += found / pictures as f64;
+        }
+    }
 }
 
 fn squares(values: &[f32]) -> f64 {

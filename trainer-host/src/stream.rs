@@ -8,7 +8,7 @@ pub use player::{HostMemory, MAX_PARITY_BYTES, MAX_SYMBOL_BYTES, Player, Shown};
 
 use codec_core::{
     error,
-    receiver::{Content, Counters, Receiver},
+    receiver::{Content, Counters},
     wire::{
         crc::checked,
         file,
@@ -202,7 +202,7 @@ impl Stream {
         let manifest = self.manifest()?;
         let mut memory = HostMemory::new(&manifest, 0)?;
         let counters = {
-            let mut receiver = Receiver::with_crc(memory.memory(), crc32);
+            let mut receiver = codec_simd::receiver(memory.memory());
             receiver.control(&self.message)?;
             let packets = self.packets.iter().filter(|p| !p.is_empty()).map(Vec::as_slice);
             // Refusals are counted by kind in the receiver's counters.

@@ -1,7 +1,8 @@
 //! Cameras around a scene that came without any.
 //!
 //! Two disjoint rings: *measuring* cameras, on which choices are made (utilities), and *held-out*
-//! cameras, on which quality is reported. No camera is ever in both.
+//! cameras, on which quality is reported. No camera is ever in both. Choices may also be made on cameras
+//! all around, none of which is a held-out one either.
 
 use render_host::{Camera, camera::CameraError};
 
@@ -58,8 +59,8 @@ impl Framing {
     }
 
     /// `count` cameras of `size` (width, height) all around, from 20° below the horizon to 60° above, at
-    /// 2.6 radii, 45° field of view. For measurements that choices depend on: their angles are never
-    /// those of [`Ring::HeldOut`].
+    /// 2.6 radii, 45° field of view. For measurements that choices depend on: none is a camera of
+    /// [`Ring::HeldOut`].
     ///
     /// # Errors
     /// A size the camera refuses.
@@ -109,5 +110,34 @@ impl Framing {
             self.target[d] + distance * (flat * across + height * self.up[d])
         });
         Camera::look_at(eye, self.target, self.up, 45f64.to_radians(), size.0, size.1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Distance of the closest two eyes, in radii.
+    fn closest(some: &[Camera], others: &[Camera]) -> f64 {
+        let apart = |a: &Camera, b: &Camera| {
+            let (a, b) = (a.centre(), b.centre());
+            (0..3).map(|d| (a[d] - b[d]).powi(2)).sum::<f64>().sqrt()
+        };
+        let pairs = some.iter().flat_map(|a| others.iter().map(move |b| apart(a, b)));
+        pairs.fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn nothing_is_chosen_on_a_held_out_camera() {
+        let framing = Framing { target: [0.0; 3], radius: 1.0, up: [0.0, 1.0, 0.0] };
+        for held_out in 1..=8 {
+            let held_out = framing.ring(Ring::HeldOut, held_out, (8, 8)).unwrap();
+            assert!(closest(&held_out, &held_out) < 1e-9);
+            for count in [1, 2, 3, 4, 8, 16, 48, 64] {
+                let around = framing.around(count, (8, 8)).unwrap();
+                assert_eq!(around.len(), count);
+                assert!(closest(&held_out, &around) > 1e-3, "{} of {count}", held_out.len());
+            }
+        }
     }
 }

@@ -62,9 +62,11 @@ fn errors(scene: &Scene, stream: &Stream, frame: usize) -> [f64; 4] {
 fn the_complete_state_is_close_to_the_source() {
     for kind in Kind::ALL {
         let scene = scene(kind);
-        for profile in [Profile::Dgs1, Profile::Paper] {
-            // The same steps for all, so that bounds on attributes hold whether they show or not.
-            let stream = encoded(&scene, &Options { pictures: 0, ..options(profile) });
+        // With measured steps what hardly shows may be coarser.
+        for (profile, pictures, shape) in
+            [(Profile::Dgs1, 0, 0.12), (Profile::Dgs1, 16, 0.15), (Profile::Paper, 0, 0.12)]
+        {
+            let stream = encoded(&scene, &Options { pictures, ..options(profile) });
             let ledger = stream.ledger();
             println!(
                 "{} {profile:?}: {:.0} bits/Gaussian, {} packets, manifest {} bytes, saturated {}",
@@ -86,7 +88,7 @@ fn the_complete_state_is_close_to_the_source() {
             for frame in [0, 17, scene.frames() - 1] {
                 let e = errors(&scene, &stream, frame);
                 println!("   frame {frame}: {e:.5?}");
-                assert!(e[0] < 0.01 && e[1] < 0.01 && e[2] < 0.02 && e[3] < 0.12, "{e:?}");
+                assert!(e[0] < 0.01 && e[1] < 0.01 && e[2] < 0.02 && e[3] < shape, "{e:?}");
             }
         }
     }

@@ -23,12 +23,19 @@ use codec_core::{
         lanes::{Decoder, Run},
         table::SLOTS,
     },
+    receiver::{Memory, Receiver},
 };
 
 pub use crc::crc32;
 pub use intake::Intake;
 pub use kernel::Kernel;
 pub use repair::{mix, mixes};
+
+/// A receiver over `memory` that waits for its manifest and takes CRCs and repairs as fast as this
+/// machine can.
+pub fn receiver(memory: Memory<'_>) -> Receiver<'_> {
+    Receiver::with_crc(memory, crc32).with_mix(mix())
+}
 
 /// Decode tables of a stream.
 #[derive(Clone, Copy, Debug)]

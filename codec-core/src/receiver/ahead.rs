@@ -90,7 +90,8 @@ impl Receiver<'_> {
         Ok((selectors.finish()?, values))
     }
 
-    /// Copies the decoded `values` of `packet` to their places and records its arrival.
+    /// Copies the decoded `values` of `packet` to their places and records its arrival, the scalar
+    /// decoder's own way to which is apart for the reason that [`Self::survey`] gives.
     ///
     /// # Errors
     /// If a place is taken, or there are more or fewer values than places; then nothing is recorded.

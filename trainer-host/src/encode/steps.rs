@@ -220,3 +220,63 @@ pub(super) fn paper(quality: &Quality, position_step: f32) -> Result<Quant, Enco
     quant.motion[Class::Position.index()] = Quantiser::new(position_step, [1, 2, 8], false)?;
     Ok(quant)
 }
+
+#[cfg(test)]
+mod tests {
+    use codec_core::{gaussian::ShDegree, ids::Level};
+
+    use super::*;
+    use crate::{
+        encode::{Options, encode},
+        scene::{Attributes, Scene, Track},
+    };
+
+    /// `n` Gaussians of size `size`, in turn at both ends of a scene that is 1000 wide.
+    fn wide(n: usize, size: f32) -> Epoch {
+        let side = |i: usize| if i.is_multiple_of(2) { -500.0 } else { 500.0 };
+        let attributes = Attributes {
+            positions: Track::Constant((0..n).map(|i| [side(i), 0.01 * i as f32, side(i / 2)]).collect()),
+            rotations: Track::Constant(vec![[1.0, 0.0, 0.0, 0.0]; n]),
+            log_scales: Track::Constant(vec![[size.ln(); 3]; n]),
+            opacity_logits: Track::Constant(vec![2.0; n]),
+            sh0: Track::Constant(vec![[0.5; 3]; n]),
+            sh_rest: Vec::new(),
+            sh_degree: ShDegree::ZERO,
+        };
+        Epoch::new(1, attributes).unwrap()
+    }
+
+    /// However small Gaussians are in a large scene, and at any coarseness: base indices and their
+    /// differences fit, so that no position is clamped.
+    #[test]
+    fn positions_of_tiny_gaussians_in_wide_scenes_fit() {
+        for size in [1e-8, 1e-3, 0.02, 1.0] {
+            let epoch = wide(130, size);
+            let grid = Grid::of(&epoch, DGS1_BASE_RATIO);
+            for coarseness in [0.06, 0.3, 1.0, 1.7, 1.8, 5.1, 5.3, 15.0, 16.0, 64.0] {
+                let quality = Quality::default().scaled(coarseness);
+                let none = [false; Class::COUNT + Class::MOVING];
+                let quant = dgs1(&quality, grid.step(&quality), 1, &none, &[false; Class::COUNT]).unwrap();
+                let base = quant.canonical[Class::Position.index()].step(Level::BASE);
+                assert!(1000.0 / base < 32_767.0, "size {size}, coarseness {coarseness}: {base}");
+                let scene = Scene::new(vec![epoch.clone()], 30.0).unwrap();
+                let options = Options { quality, pictures: 2, ..Options::default() };
+                let stream = encode(&scene, &options, &|_, _| {}).unwrap();
+                assert_eq!(stream.ledger().saturated, 0, "size {size}, coarseness {coarseness}");
+            }
+        }
+    }
+
+    #[test]
+    fn coarse_steps_have_fewer_refinements_and_about_the_usual_base() {
+        assert_eq!([0.01, 1.0, 1.7].map(|coarser| thirds(coarser, 3)), [[3; 3]; 3]);
+        assert_eq!([2.0, 4.0, 8.0, 99.0].map(|c| thirds(c, 3)), [[3, 3, 1], [3, 3, 1], [3, 1, 1], [1; 3]]);
+        assert_eq!([1.0, 2.0, 9.0].map(|c| thirds(c, 2)), [[1, 3, 3], [1, 3, 1], [1; 3]]);
+        for k in 0..60 {
+            let coarser = 1.05f32.powi(k);
+            let base = thirds(coarser, 3).into_iter().fold(coarser, |step, ratio| step * f32::from(ratio));
+            let ratio = if coarser < 27.0 { 27.0 } else { coarser };
+            assert!((ratio / 1.733..ratio * 1.733).contains(&base), "{coarser}: {base}");
+        }
+    }
+}
