@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! Splats + Camera ─▶ stage::{project, sort, bin, blend} ─▶ Rendered { image, transmittance, counters }
+//! … on a device   ─▶ Backend (CPU or gpu)               ─▶ the same
 //! … frame after frame ─▶ Sequence                     ─▶ the same, from what the frame before left
 //! … + loss        ─▶ adjoint                            ─▶ Gradients { loss, splats, pose, … }
 //! Variants + States ─▶ counterfactual::Engine ─▶ squared error of every state, utility of every group
@@ -21,6 +22,7 @@
 //! Deliberately absent: files of splats (trainer-host reads them), packets (codec-core), clocks.
 
 pub mod adjoint;
+pub mod backend;
 pub mod camera;
 pub mod counterfactual;
 pub mod counters;
@@ -38,7 +40,10 @@ pub mod splats;
 pub mod stage;
 pub mod stress;
 
+pub use codec_core::{Gaussian, gaussian::ShDegree};
+
 pub use adjoint::{Gradients, Loss, Workspace, render_and_gradients};
+pub use backend::{Backend, BackendError, DeviceChoice, Frames};
 pub use camera::{Camera, CameraError, Intrinsics, View};
 pub use counters::Counters;
 pub use image::{Image, ImageError};

@@ -10,7 +10,7 @@ mod support;
 use codec_core::Gaussian;
 use proptest::prelude::*;
 use render_host::counterfactual::States;
-use render_host::gpu::{Device, GpuError, Options, Presence, Renderer, Scene as OnDevice, wgpu};
+use render_host::gpu::{Device, Executor, GpuError, Options, Presence, Renderer, Scene as OnDevice, wgpu};
 use render_host::{Camera, Rendered, Settings, Splats, reference, render};
 use std::sync::{Mutex, MutexGuard, OnceLock};
 use support::{Numbers, Scene, camera};
@@ -21,7 +21,7 @@ fn renderer() -> Option<MutexGuard<'static, Renderer>> {
     static SHARED: OnceLock<Option<Mutex<Renderer>>> = OnceLock::new();
     let options = Options { checked: true, ..Options::from_env() };
     let shared = SHARED.get_or_init(|| match Device::open(&options) {
-        Ok(device) => Some(Mutex::new(Renderer::new(&device).unwrap())),
+        Ok(device) => Some(Mutex::new(Renderer::new(&Executor::new(&device)).unwrap())),
         Err(error) => {
             assert!(std::env::var("CI").as_deref() != Ok("true"), "{error}");
             eprintln!("SKIPPED: {error}");
@@ -214,7 +214,7 @@ fn a_dense_scene_meets_the_promise_and_repeats_itself() {
 #[test]
 fn trusted_shaders_give_the_bits_of_checked_ones() {
     let Some(mut checked) = renderer() else { return };
-    let mut trusted = Renderer::new(&Device::open(&Options::from_env()).unwrap()).unwrap();
+    let mut trusted = Renderer::new(&Executor::new(&Device::open(&Options::from_env()).unwrap())).unwrap();
     let scene = Scene::random(1500, 2, 0.01, 0.2, 19);
     let (camera, settings) = (camera(90, 70), Settings::default());
     let a = checked.render_splats(&scene.splats(), &camera, &settings).unwrap();
@@ -260,7 +260,7 @@ fn odd_sizes_and_empty_scenes() {
 #[test]
 fn lists_that_do_not_fit_are_made_room_for() {
     let Some(shared) = renderer() else { return };
-    let mut renderer = Renderer::new(shared.device()).unwrap();
+    let mut renderer = Renderer::new(&Executor::new(shared.device())).unwrap();
     let device = shared.device().clone();
     let mut scene = Scene::random(150, 0, 0.05, 0.1, 2);
     for g in &mut scene.gaussians {
@@ -279,7 +279,7 @@ fn lists_that_do_not_fit_are_made_room_for() {
     assert_eq!(got.counters.intersections, u64::from(needed));
     judge(&got, &scene.splats(), &camera, &settings);
     // One call that recovers by itself.
-    let once = Renderer::new(&device).unwrap().render(&on_device, &camera, &settings).unwrap();
+    let once = Renderer::new(&Executor::new(&device)).unwrap().render(&on_device, &camera, &settings).unwrap();
     assert_eq!((bits(&got), got.counters), (bits(&once), once.counters));
 }
 

@@ -1,4 +1,4 @@
-// Adjoint of stage 1: from what pixels pull at back to Gaussians. Put after counterfactual/states.wgsl.
+// Adjoint of stage 1: from gradients of entries back to Gaussians. Put after counterfactual/states.wgsl.
 // Threads: one per Gaussian.
 //
 // A Gaussian finds its entries again: in every tile of its box, by its place in the order of depth, which the
@@ -73,7 +73,7 @@ fn find(tile: u32, i: u32) -> u32 {
     return NOWHERE;
 }
 
-// What the pixels of all tiles pull at splat `i`.
+// Gradients of splat `i` from the pixels of all tiles.
 fn gather(s: Splat, i: u32) -> Sums {
     var sums: Sums;
     let b = pixel_box(s);

@@ -1,19 +1,20 @@
-//! Scenes and a device for the tests of engines over states.
+//! Tests of engines over states share scenes and one executor.
 
 use std::sync::OnceLock;
 
 use codec_core::{Gaussian, gaussian::ShDegree};
 
-use super::{Device, GpuError, Options};
+use super::{Device, Executor, GpuError, Options};
 use crate::counterfactual::{States, Variants};
 use crate::{Camera, Image, Splats};
 
-/// The device of all tests; `None`, with a notice, where there is no adapter. A build server must have one.
-pub(super) fn device() -> Option<&'static Device> {
-    static DEVICE: OnceLock<Result<Device, GpuError>> = OnceLock::new();
-    let opened = DEVICE.get_or_init(|| Device::open(&Options { checked: true, ..Options::from_env() }));
-    match opened {
-        Ok(device) => Some(device),
+/// The executor of all tests, with run-time checks in every shader; `None`, with a notice, where there is no
+/// adapter. A build server must have one.
+pub(super) fn executor() -> Option<&'static Executor> {
+    static SHARED: OnceLock<Result<Executor, GpuError>> = OnceLock::new();
+    let options = Options { checked: true, ..Options::from_env() };
+    match SHARED.get_or_init(|| Ok(Executor::new(&Device::open(&options)?))) {
+        Ok(executor) => Some(executor),
         Err(error) => {
             assert!(std::env::var("CI").as_deref() != Ok("true"), "{error}");
             eprintln!("skipped: {error}");
@@ -37,7 +38,7 @@ impl Numbers {
     }
 }
 
-/// A scene whose groups are cells of space, so that they overlap on the film and in depth.
+/// A scene whose groups are cells of space, so that they overlap in the picture and in depth.
 pub(super) struct Case {
     pub(super) gaussians: Vec<Gaussian>,
     pub(super) rest: Vec<f32>,

@@ -1,23 +1,17 @@
 //! Gradients on the device against those of the CPU.
 
 use super::super::Stages;
-use super::super::case::{Case, device};
+use super::super::case::{Case, executor};
 use super::*;
 use crate::Workspace;
 use crate::adjoint::loss::{Dissimilarity, Distortion, Loss, Mse};
 use crate::adjoint::render_and_gradients;
 use crate::counterfactual::brute;
 use crate::splats::Splats;
-use std::sync::OnceLock;
 
-fn kernels(device: &Device) -> &'static Kernels {
-    static KERNELS: OnceLock<Kernels> = OnceLock::new();
-    KERNELS.get_or_init(|| Kernels::new(device).unwrap())
-}
-
-fn engine(device: &Device, case: &Case, mix: Mix, settings: &Settings) -> Engine<'static> {
+fn engine(executor: &Executor, case: &Case, mix: Mix, settings: &Settings) -> Engine {
     let objective = Objective { target: &case.against, mix };
-    Engine::new(device, kernels(device), &case.variants(), &case.camera, &objective, settings).unwrap()
+    Engine::new(executor, &case.variants(), &case.camera, &objective, settings).unwrap()
 }
 
 /// The loss of the CPU.
@@ -112,9 +106,9 @@ fn compare(name: &str, case: &Case, worlds: usize, settings: &Settings) {
 }
 
 fn compare_mix(name: &str, case: &Case, worlds: usize, mix: Mix, settings: &Settings) {
-    let Some(device) = device() else { return };
+    let Some(executor) = executor() else { return };
     let states = if worlds == 0 { States::full(case.groups) } else { case.states(worlds, 3) };
-    let got = engine(device, case, mix, settings).gradients(&states).unwrap();
+    let got = engine(executor, case, mix, settings).gradients(&states).unwrap();
     judge(name, case, &states, mix, settings, &got);
 }
 
@@ -161,9 +155,9 @@ fn gradients_of_opaque_crowds_are_those_of_the_cpu() {
 /// The comparison would see a Gaussian that is a little off, in every field.
 #[test]
 fn a_wrong_gradient_is_seen() {
-    let Some(device) = device() else { return };
+    let Some(executor) = executor() else { return };
     let mut case = Case::new(60, 1, 5, [40, 30], 8);
-    let got = engine(device, &case, Mix::MSE, &settings()).gradients(&States::full(5)).unwrap();
+    let got = engine(executor, &case, Mix::MSE, &settings()).gradients(&States::full(5)).unwrap();
     case.gaussians.iter_mut().for_each(|g| g.opacity *= 0.99);
     let expected = twin(&case, &States::full(5), Mix::MSE, &settings());
     for (k, field) in FIELDS.iter().enumerate() {
@@ -187,23 +181,24 @@ fn gradients_from_lists_of_the_device_are_those_of_the_cpu() {
 }
 
 fn from_lists_of_the_device(mix: Mix) {
-    let Some(device) = device() else { return };
+    let Some(executor) = executor() else { return };
     let (case, settings) = (Case::new(700, 1, 27, [61, 47], 6), settings());
     let states = case.states(3, 2);
-    let mut stages = Stages::new(device).unwrap();
-    let scene = Scene::with_groups(device, &case.splats(), &case.ids).unwrap();
-    stages.prepare(device, &scene, &case.camera, &settings).unwrap();
+    let mut stages = Stages::new(executor.device()).unwrap();
+    let scene = Scene::with_groups(executor.device(), &case.splats(), &case.ids).unwrap();
+    stages.prepare(executor.device(), &scene, &case.camera, &settings).unwrap();
     let tiles = stages.tiles().unwrap();
     let objective = Objective { target: &case.against, mix };
     let engine =
-        Engine::with_tiles(device, kernels(device), scene, tiles, case.groups, &objective, &settings);
+        Engine::with_tiles(executor, scene, tiles, case.groups, &objective, &settings);
     let engine = engine.unwrap();
     let worlds = engine.worlds(&states).unwrap();
+    let mut recording = Recording::new();
+    stages.record(engine.scene(), &mut recording).unwrap();
+    engine.record(&worlds, &mut recording).unwrap();
+    let bound = executor.bind(recording).unwrap();
     let once = || {
-        let mut encoder = device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        stages.encode(&mut encoder).unwrap();
-        engine.encode(&worlds, &mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));
-        device.queue().submit([encoder.finish()]);
+        executor.submit(&bound, None);
         engine.read(&worlds).unwrap()
     };
     let got = once();
@@ -230,30 +225,30 @@ fn gradients_of_similarity_are_those_of_the_cpu() {
     compare_mix("crowd without stop", &crowd, 0, Mix::DISTORTION, &endless);
 }
 
-/// How many worlds are kept at a time is a matter of memory alone.
+/// How many worlds are retained at a time is a matter of memory alone.
 #[test]
 fn worlds_in_chunks_give_the_same_bits() {
-    let Some(device) = device() else { return };
+    let Some(executor) = executor() else { return };
     let case = Case::new(600, 0, 27, [45, 33], 4);
     let states = case.states(11, 5);
-    let mut engine = engine(device, &case, Mix::DISTORTION, &settings());
+    let mut engine = engine(executor, &case, Mix::DISTORTION, &settings());
     let together = engine.gradients(&states).unwrap();
-    engine.kept = 1;
+    engine.chunk_bytes = 1;
     assert!(engine.gradients(&states).unwrap() == together);
 }
 
 /// Given pixel gradients of squared error, the way back alone is what the way in one does.
 #[test]
 fn both_ways_of_squared_error_agree() {
-    let Some(device) = device() else { return };
+    let Some(executor) = executor() else { return };
     let case = Case::new(600, 1, 27, [45, 33], 4);
     let states = case.states(6, 5);
-    let mut engine = engine(device, &case, Mix::MSE, &settings());
+    let mut engine = engine(executor, &case, Mix::MSE, &settings());
     let at_once = engine.gradients(&states).unwrap();
-    engine.structure = Some(Structure::new(device, &case.against, Mix::MSE).unwrap());
-    let kept = engine.gradients(&states).unwrap();
-    for (a, b) in kept.loss.iter().zip(&at_once.loss) {
+    engine.structure = Some(Structure::new(executor.device(), &case.against, Mix::MSE).unwrap());
+    let with_pictures = engine.gradients(&states).unwrap();
+    for (a, b) in with_pictures.loss.iter().zip(&at_once.loss) {
         assert!((a / b - 1.0).abs() < 1e-6, "{a} {b}");
     }
-    assert!(kept.splats == at_once.splats, "same pixel gradients, same sums");
+    assert!(with_pictures.splats == at_once.splats, "same pixel gradients, same sums");
 }
