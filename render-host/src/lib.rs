@@ -38,7 +38,6 @@ pub mod sequence;
 pub mod settings;
 pub mod splats;
 pub mod stage;
-pub mod stress;
 
 pub use codec_core::{Gaussian, gaussian::ShDegree};
 

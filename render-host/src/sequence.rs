@@ -70,7 +70,7 @@ pub struct Reused {
     pub projected: u64,
     /// Gaussians not projected, because they are what they were.
     pub projections_kept: u64,
-    /// Splats that changed on the film: came, went, moved, or took another colour.
+    /// Splats that changed on the image plane: came, went, moved, or took another colour.
     pub changed: u64,
     /// Entries of the depth order that were sorted.
     pub sorted: u64,

@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use codec_core::ids::Level;
-use render_host::{Changes, Sequence, Settings, Splats};
+use render_host::{Backend, Settings, Splats};
 use serde_json::json;
 use trainer_host::viewpoint::Ring;
 
@@ -13,6 +13,7 @@ const RING: usize = 8;
 
 /// Runs the verb.
 pub fn run(args: &Render) -> Result<VerbOutput> {
+    let backend = Backend::open(args.device.into()).context("--device")?;
     let mut warnings = Vec::new();
     let scene = if pipeline::is_stream(&args.input) {
         let stream = pipeline::read_stream(args.input.as_ref(), &mut |w| warnings.push(w))?;
@@ -34,7 +35,7 @@ pub fn run(args: &Render) -> Result<VerbOutput> {
         std::fs::create_dir_all(&args.out)
             .with_context(|| format!("{}: cannot create", args.out.display()))?;
     }
-    let mut sequence = Sequence::default();
+    let mut renderer = backend.frames()?;
     let mut counters = None;
     let count = frames.len();
     for frame in frames {
@@ -42,13 +43,19 @@ pub fn run(args: &Render) -> Result<VerbOutput> {
             .instant(frame as usize)
             .with_context(|| format!("--frame is {frame}; 0 to {} are allowed", scene.frames() - 1))?;
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
-        let rendered = sequence.render(&splats, Changes::Unknown, &camera, &settings)?;
+        let rendered = renderer.render(&splats, &camera, &settings)?;
         let path = if single { args.out.clone() } else { args.out.join(format!("{frame:05}.png")) };
         rendered.image.write_png(&path).with_context(|| format!("{}: cannot write", path.display()))?;
         counters = Some(rendered.counters);
     }
     let text = format!("wrote {count} images to {}\n", args.out.display());
-    let json = json!({ "out": args.out, "images": count, "last_counters": counters, "warnings": warnings });
+    let json = json!({
+        "out": args.out,
+        "images": count,
+        "device": backend.name(),
+        "last_counters": counters,
+        "warnings": warnings,
+    });
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
 }

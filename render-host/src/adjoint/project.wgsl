@@ -18,7 +18,7 @@
 @group(0) @binding(7) var<storage, read> partials: array<vec4<f32>>;
 // First what each Gaussian adds to the camera's pose: translation 3, rotation 3, rows of a length that 256
 // divides. Then one row per field: position 3, log-scale 3, rotation 4, opacity logit, band 0 of the
-// harmonics 3, centre on the film 2, then higher bands.
+// harmonics 3, centre on the image plane 2, then higher bands.
 @group(0) @binding(8) var<storage, read_write> gradients: array<f32>;
 
 const LN_2: f32 = 0.6931472;

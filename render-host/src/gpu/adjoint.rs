@@ -279,7 +279,7 @@ impl Engine {
             rotation: [6, 7, 8, 9].map(|row| at(row, i)),
             opacity_logit: at(10, i),
             sh0: [11, 12, 13].map(|row| at(row, i)),
-            film: [14, 15].map(|row| at(row, i)),
+            image_mean: [14, 15].map(|row| at(row, i)),
         });
         let mut sh_rest = vec![0.0; n * each];
         for (i, rest) in sh_rest.chunks_exact_mut(each.max(1)).enumerate() {

@@ -28,7 +28,7 @@ fn loss(case: &Case, mix: Mix) -> Box<dyn Loss> {
 }
 
 /// Fields of a Gaussian's gradient, by name.
-const FIELDS: [&str; 6] = ["position", "log_scale", "rotation", "opacity_logit", "sh0", "film"];
+const FIELDS: [&str; 6] = ["position", "log_scale", "rotation", "opacity_logit", "sh0", "image mean"];
 
 fn fields(g: &SplatGradient) -> [Vec<f32>; 6] {
     [
@@ -37,7 +37,7 @@ fn fields(g: &SplatGradient) -> [Vec<f32>; 6] {
         g.rotation.to_vec(),
         vec![g.opacity_logit],
         g.sh0.to_vec(),
-        g.film.to_vec(),
+        g.image_mean.to_vec(),
     ]
 }
 

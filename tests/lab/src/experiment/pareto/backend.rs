@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use render_host::{
     Camera, Image, Rendered, Renderer, Settings, Splats,
-    gpu::{self, Device, GpuError, Options},
+    gpu::{self, Device, Executor, GpuError, Options},
     stage::TileSide,
 };
 
@@ -46,7 +46,7 @@ pub fn all(quick: bool) -> Result<(Backends, Result<String, String>)> {
         (true, false) => 3,
         (false, _) => usize::MAX,
     };
-    let renderer = gpu::Renderer::new(&device)?;
+    let renderer = gpu::Renderer::new(&Executor::new(&device))?;
     out.push(Box::new(Gpu { device, renderer, scene: None, rendered: Rendered::default(), most_runs }));
     Ok((out, Ok(name)))
 }
