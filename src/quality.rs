@@ -161,7 +161,7 @@ mod tests {
             .collect();
         for threads in [1, 3] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let got = pool.install(|| references(&scene, &frames, camera, &settings).unwrap());
+            let got = pool.install(|| references(&scene, &frames, camera, &settings, &Backend::Cpu).unwrap());
             assert!(got == expected, "{threads} threads");
         }
         assert_ne!(expected[0], expected[5], "the frames differ, or this test says nothing");

@@ -124,7 +124,7 @@ fn examine(case: &StressCase, runs: usize) -> Result<(Times, Verdict, u64)> {
         let start = Instant::now();
         let worlds = case.worlds()?;
         timed(2, start);
-        last = Some(stress::Outcome { rendered, gradients, worlds });
+        last = Some(stress::StressOutcome { rendered, gradients, worlds });
     }
     let [forward, gradients, worlds] = times.map(|t| median(&t));
     let times = Times { forward, gradients, worlds };
