@@ -1,4 +1,4 @@
-//! Gradients of a loss about a picture, with respect to everything the picture was made from.
+//! The adjoint differentiates a loss of a picture with respect to everything the picture was made from.
 //!
 //! ```text
 //! Splats + Camera ─▶ render ─▶ Image ─▶ loss ─▶ number

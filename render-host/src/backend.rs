@@ -1,4 +1,16 @@
 //! A backend makes pictures: the CPU's stages, or the same stages on a graphics device.
+//!
+//! ```
+//! use render_host::{Backend, Camera, DeviceChoice, Gaussian, Settings, Splats};
+//!
+//! let scene = [Gaussian { scale: [0.3; 3], opacity: 0.9, sh0: [1.0; 3], ..Gaussian::ABSENT }];
+//! let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, 1.0, 0.0], 0.8, 64, 48)?;
+//! let backend = Backend::open(DeviceChoice::Auto)?;
+//! let mut frames = backend.frames()?;
+//! let picture = frames.render(&Splats::plain(&scene), &camera, &Settings::default())?;
+//! assert!(picture.image.pixel(32, 24).is_some_and(|rgb| rgb[0] > 0.5));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::counterfactual::{CounterfactualError, States, Variants, render_worlds};
 #[cfg(feature = "gpu")]
@@ -22,7 +34,9 @@ pub enum DeviceChoice {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BackendError {
     /// Feature `gpu` is off.
-    #[error("this program was built without graphics devices; `cargo build --release --features gpu` adds them")]
+    #[error(
+        "this program was built without graphics devices; `cargo build --release --features gpu` adds them"
+    )]
     NotBuilt,
     /// The CPU refused.
     #[error(transparent)]
@@ -72,7 +86,7 @@ impl Backend {
     /// A graphics device; with `or_cpu` the CPU where there is no adapter but software.
     #[cfg(feature = "gpu")]
     fn open_gpu(or_cpu: bool) -> Result<Self, BackendError> {
-        match gpu::Device::open(&gpu::Options::from_env()) {
+        match gpu::Device::open(&gpu::DeviceOptions::from_env()) {
             Ok(device) if or_cpu && device.facts().is_cpu => Ok(Self::Cpu),
             Ok(device) => Ok(Self::Gpu(gpu::Executor::new(&device))),
             Err(GpuError::NoAdapter { .. }) if or_cpu => Ok(Self::Cpu),

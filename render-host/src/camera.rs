@@ -1,4 +1,4 @@
-//! The perspective pinhole camera, and every convention that leads to it.
+//! A camera is a perspective pinhole; constructors bring every convention to one.
 //!
 //! Inside there is one convention: OpenCV axes (x right, y down, z forward), a world-to-camera rotation
 //! and translation, focal lengths and principal point in pixels, and pixel `(x, y)` centred at

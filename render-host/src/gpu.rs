@@ -24,8 +24,6 @@
 
 pub mod adjoint;
 mod buffers;
-#[cfg(test)]
-mod case;
 mod clock;
 pub mod counterfactual;
 mod device;
@@ -40,12 +38,14 @@ mod scene;
 pub mod shaders;
 mod source;
 mod states;
+#[cfg(test)]
+mod test_scene;
 mod tiles;
 mod vulkan;
 
 pub use buffers::Growing;
-pub use clock::{Clock, Span};
-pub use device::{Device, Facts, Options};
+pub use clock::{Clock, StageTime};
+pub use device::{Device, DeviceFacts, DeviceOptions};
 pub use error::GpuError;
 pub use executor::{Bound, Executor};
 pub use lists::Lists;

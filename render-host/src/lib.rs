@@ -1,4 +1,4 @@
-//! Pixels: Gaussians and a camera go in, images and numbers about images come out.
+//! Renders Gaussians: a scene and a camera go in, images and numbers about images come out.
 //!
 //! ```text
 //! Splats + Camera ─▶ stage::{project, sort, bin, blend} ─▶ Rendered { image, transmittance, counters }
@@ -50,3 +50,8 @@ pub use render::{RenderError, Rendered, Renderer, render, render_many};
 pub use sequence::{Changes, Reuse, Reused, Sequence};
 pub use settings::{Settings, SettingsError};
 pub use splats::{Splats, SplatsError};
+
+/// Compiles the examples of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -1,4 +1,4 @@
-//! The slow, obvious renderer that judges the fast one.
+//! The reference renders slowly and obviously in f64; the fast renderers are compared with it.
 //!
 //! f64 throughout, scalar, no tiles: every row asks every splat whether it reaches that row, every pixel
 //! in reach evaluates the textbook formula (covariance `J·W·Σ·Wᵀ·Jᵀ`, its inverse, one exponential). It
@@ -162,7 +162,10 @@ fn ellipse(splats: &Splats, index: usize, camera: &Camera, settings: &Settings) 
     let intrinsics = camera.intrinsics();
     let [limit_x, limit_y] = slope_limits(camera);
     let (sx, sy) = ((x / z).clamp(limit_x[0], limit_x[1]), (y / z).clamp(limit_y[0], limit_y[1]));
-    let jacobian = [[intrinsics.fx / z, 0.0, -intrinsics.fx / z * sx], [0.0, intrinsics.fy / z, -intrinsics.fy / z * sy]];
+    let jacobian = [
+        [intrinsics.fx / z, 0.0, -intrinsics.fx / z * sx],
+        [0.0, intrinsics.fy / z, -intrinsics.fy / z * sy],
+    ];
     let cov = |a: usize, b: usize| {
         let mut sum = 0.0;
         for i in 0..3 {

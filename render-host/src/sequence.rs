@@ -1,4 +1,4 @@
-//! Frames of one scene seen by one camera, each made from the one before.
+//! A sequence renders frames of one scene seen by one camera, each from what the one before left.
 //!
 //! Between two frames, or between two delivery states of one frame, most Gaussians often stay what they
 //! were. A [`Sequence`] projects only those that changed, keeps the depth order and the tile lists where

@@ -10,7 +10,9 @@ mod support;
 use codec_core::Gaussian;
 use proptest::prelude::*;
 use render_host::counterfactual::States;
-use render_host::gpu::{Device, Executor, GpuError, Options, Presence, Renderer, Scene as OnDevice, wgpu};
+use render_host::gpu::{
+    Device, DeviceOptions, Executor, GpuError, Presence, Renderer, Scene as OnDevice, wgpu,
+};
 use render_host::{Camera, Rendered, Settings, Splats, reference, render};
 use std::sync::{Mutex, MutexGuard, OnceLock};
 use support::{Numbers, Scene, camera};
@@ -19,7 +21,7 @@ use support::{Numbers, Scene, camera};
 /// matter. Without an adapter a test is skipped with a notice, and fails in CI.
 fn renderer() -> Option<MutexGuard<'static, Renderer>> {
     static SHARED: OnceLock<Option<Mutex<Renderer>>> = OnceLock::new();
-    let options = Options { checked: true, ..Options::from_env() };
+    let options = DeviceOptions { checked: true, ..DeviceOptions::from_env() };
     let shared = SHARED.get_or_init(|| match Device::open(&options) {
         Ok(device) => Some(Mutex::new(Renderer::new(&Executor::new(&device)).unwrap())),
         Err(error) => {
@@ -214,7 +216,8 @@ fn a_dense_scene_meets_the_promise_and_repeats_itself() {
 #[test]
 fn trusted_shaders_give_the_bits_of_checked_ones() {
     let Some(mut checked) = renderer() else { return };
-    let mut trusted = Renderer::new(&Executor::new(&Device::open(&Options::from_env()).unwrap())).unwrap();
+    let mut trusted =
+        Renderer::new(&Executor::new(&Device::open(&DeviceOptions::from_env()).unwrap())).unwrap();
     let scene = Scene::random(1500, 2, 0.01, 0.2, 19);
     let (camera, settings) = (camera(90, 70), Settings::default());
     let a = checked.render_splats(&scene.splats(), &camera, &settings).unwrap();
@@ -279,7 +282,8 @@ fn lists_that_do_not_fit_are_made_room_for() {
     assert_eq!(got.counters.intersections, u64::from(needed));
     judge(&got, &scene.splats(), &camera, &settings);
     // One call that recovers by itself.
-    let once = Renderer::new(&Executor::new(&device)).unwrap().render(&on_device, &camera, &settings).unwrap();
+    let once =
+        Renderer::new(&Executor::new(&device)).unwrap().render(&on_device, &camera, &settings).unwrap();
     assert_eq!((bits(&got), got.counters), (bits(&once), once.counters));
 }
 
@@ -301,7 +305,7 @@ fn what_does_not_fit_is_refused_by_name() {
     let usage = wgpu::BufferUsages::STORAGE;
     let most = device.facts().max_binding_bytes;
     assert!(matches!(device.buffer("much", most + 1, usage), Err(GpuError::TooLarge { what: "much", .. })));
-    let nobody = Options { name: "no adapter has this name".into(), checked: true };
+    let nobody = DeviceOptions { name: "no adapter has this name".into(), checked: true };
     assert!(matches!(Device::open(&nobody), Err(GpuError::NoAdapter { .. })));
     // None of this harmed the device.
     renderer.render(&scene, &camera(8, 8), &Settings::default()).unwrap();

@@ -1,4 +1,4 @@
-// Adjoint of stage 4 for many worlds at once. Put after adjoint/forward.wgsl. Workgroups: columns, rows.
+// The adjoint of stage 4, for many worlds at once. Put after adjoint/forward.wgsl. Workgroups: columns, rows.
 //
 // Two entries. `blend_back` goes forward, takes the squared error and goes back to front. `back_from_gradients` goes
 // back only, from transmittances that adjoint/framebuffer.wgsl retained and pixel gradients that adjoint/loss/ssim.wgsl

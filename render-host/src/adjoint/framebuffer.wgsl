@@ -1,4 +1,4 @@
-// Pictures of many worlds, retained for a loss that looks further than one pixel. Put after
+// Draws pictures of many worlds and retains them for a loss that looks further than one pixel. Put after
 // adjoint/forward.wgsl. Workgroups: columns, rows, vectors of four worlds from `batch.first` on.
 
 // Plane by plane, row by row; planes r g b of one world, then of the next.

@@ -10,7 +10,7 @@ use super::{Gradients, Pose, SplatGradient};
 use crate::camera::{cross, dot};
 use crate::harmonics::count;
 use crate::stage::Splat;
-use crate::stage::project::{Factor, Projector, Lens, MIN_COMPENSATION, Projected, SKIPPED};
+use crate::stage::project::{Factor, Lens, MIN_COMPENSATION, Projected, Projector, SKIPPED};
 use crate::{Camera, Settings, Splats, parallel};
 
 use rayon::prelude::*;
@@ -51,7 +51,15 @@ pub(super) fn project(
             // Everything a splat has is 0 when no pixel pulls at it.
             if projected.keys[index] != SKIPPED && ellipses[index].iter().any(|&v| v != 0.0) {
                 let rest = &mut rest[k * each..(k + 1) * each];
-                projector.back(splats, index, &projected.splats[index], &ellipses[index], gradient, rest, chunk);
+                projector.back(
+                    splats,
+                    index,
+                    &projected.splats[index],
+                    &ellipses[index],
+                    gradient,
+                    rest,
+                    chunk,
+                );
             }
         }
     };

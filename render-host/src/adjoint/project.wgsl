@@ -1,4 +1,4 @@
-// Adjoint of stage 1: from gradients of entries back to Gaussians. Put after counterfactual/states.wgsl.
+// The adjoint of stage 1 takes gradients of entries back to Gaussians. Put after counterfactual/states.wgsl.
 // Threads: one per Gaussian.
 //
 // A Gaussian finds its entries again: in every tile of its box, by its place in the order of depth, which the

@@ -1,7 +1,8 @@
-// Squared errors of sixteen worlds on one tile. Put after world_lanes.wgsl. Workgroups: columns, rows, worlds / 16.
+// Takes squared errors of sixteen worlds on one tile. Put after world_lanes.wgsl. Workgroups: columns, rows,
+// worlds / 16.
 
-// Set in the group of a splat that none of the sixteen worlds includes: it ends runs, as it would for other worlds, so
-// that a world's runs do not depend on the worlds beside it, and adds nothing.
+// Set in the group of a splat that none of the sixteen worlds includes: it ends runs, as it would for other
+// worlds, so that a world's runs do not depend on the worlds beside it, and adds nothing.
 const IN_NO_WORLD: u32 = 0x80000000u;
 
 @compute @workgroup_size(256)

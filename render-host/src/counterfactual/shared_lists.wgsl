@@ -1,4 +1,4 @@
-// For each entry of each tile's list, the blocks that it touches; for each block, the set of its groups
+// Finds for each entry of each tile's list the blocks that it touches; for each block the set of its groups
 // and their ranks. Put after states.wgsl. Workgroups: columns, rows.
 
 @group(0) @binding(0) var<uniform> frame: Frame;

@@ -1,4 +1,4 @@
-// Squared errors of sixteen worlds on one tile, each as it is drawn alone: per world the operations of
+// Takes squared errors of sixteen worlds on one tile, each as it is drawn alone: per world the operations of
 // stage/blend.wgsl in their order, early stop included. Put after world_lanes.wgsl. Workgroups: columns, rows,
 // worlds / 16.
 

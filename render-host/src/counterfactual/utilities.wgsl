@@ -1,4 +1,5 @@
-// What toggling each group does to the squared error of one tile in one context. Put after world_lanes.wgsl.
+// Finds what toggling each group does to the squared error of one tile in one context. Put after
+// world_lanes.wgsl.
 // Workgroups: columns, rows, contexts.
 //
 // Lane 0 is the context as it is, the other lanes toggle one group each of those that the block meets.

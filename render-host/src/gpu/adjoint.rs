@@ -1,6 +1,7 @@
-//! The adjoint differentiates losses of many worlds on the device: squared error and `1 - SSIM` against one
-//! picture, in any mix, summed over the worlds of a camera, with respect to everything a Gaussian has, the
-//! background and the camera's pose.
+//! The adjoint differentiates losses of many worlds on the device.
+//!
+//! Losses are squared error and `1 - SSIM` against one picture, in any mix, summed over the worlds of a
+//! camera. Gradients are with respect to everything a Gaussian has, the background and the camera's pose.
 //!
 //! For squared error alone, `adjoint/blend.wgsl` goes front to back, takes the error, and goes back to front,
 //! four worlds at once. With `1 - SSIM` in the mix that kernel only goes back: `adjoint/framebuffer.wgsl` has
@@ -212,7 +213,14 @@ impl Engine {
         let pose = Totals::new(device, &gradients, [stride / 256, 256, POSE_ROWS])?;
         let pose = [Totals::new(device, &pose.buffer, [256, 1, POSE_ROWS])?, pose];
         let blend = if let Some(structure) = &self.structure {
-            Blend::WithPictures(Chunks::new(device, structure, tiles.count(), batch, marks, self.chunk_bytes)?)
+            Blend::WithPictures(Chunks::new(
+                device,
+                structure,
+                tiles.count(),
+                batch,
+                marks,
+                self.chunk_bytes,
+            )?)
         } else {
             Blend::AtOnce {
                 batch: device.uniform("batch", bytemuck::bytes_of(&batch))?,

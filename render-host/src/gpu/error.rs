@@ -1,4 +1,4 @@
-//! What can go wrong on a device.
+//! Names what can go wrong on a device.
 
 use crate::image::ImageError;
 use crate::settings::{Settings, SettingsError};
@@ -8,7 +8,11 @@ use crate::stage::TileSide;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GpuError {
     /// No adapter, or none of the wanted name.
-    #[error("no graphics adapter {}; looked for Vulkan, Metal and DX12 adapters and found {}", named(wanted), listed(found))]
+    #[error(
+        "no graphics adapter {}; looked for Vulkan, Metal and DX12 adapters and found {}",
+        named(wanted),
+        listed(found)
+    )]
     NoAdapter {
         /// Part of the wanted name; empty for any.
         wanted: String,

@@ -83,7 +83,8 @@ impl Executor {
             let timed = clock.as_deref_mut().zip(pass.stage);
             let timestamp_writes = timed.and_then(|(clock, stage)| clock.stage(stage));
             let label = pass.stage;
-            let mut open = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label, timestamp_writes });
+            let mut open =
+                encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label, timestamp_writes });
             for (dispatch, (pipeline, group)) in pass.dispatches.iter().zip(ready) {
                 open.set_pipeline(pipeline);
                 open.set_bind_group(0, group, &[]);

@@ -295,11 +295,6 @@ impl Lists {
         &self.buffers.counts
     }
 
-    /// Sizes of indirect dispatches, [`ARGS`] places.
-    pub fn args(&self) -> &wgpu::Buffer {
-        &self.buffers.args
-    }
-
     /// [`Splat`] of every Gaussian; those skipped hold nothing of use.
     ///
     /// # Errors

@@ -1,4 +1,4 @@
-//! Presence says on the device which worlds hold which groups: a bit per group and world.
+//! Presence says on the device which worlds include which groups: a bit per group and world.
 
 use super::{Device, GpuError, Growing};
 use crate::counterfactual::States;

@@ -6,7 +6,7 @@ use super::layout::{
 };
 use super::recording::Recording;
 use super::source::{Bind, Kernel, LAYOUT, STAGED, Source, TILE};
-use super::{Bound, Clock, Device, Executor, GpuError, Growing, Lists, Presence, Scene, Span};
+use super::{Bound, Clock, Device, Executor, GpuError, Growing, Lists, Presence, Scene, StageTime};
 use crate::image::Image;
 use crate::render::Rendered;
 use crate::{Camera, Counters, Settings, Splats};
@@ -94,7 +94,7 @@ impl Renderer {
     ///
     /// # Errors
     /// The device was lost.
-    pub fn stage_times(&self) -> Result<Vec<Span>, GpuError> {
+    pub fn stage_times(&self) -> Result<Vec<StageTime>, GpuError> {
         self.clock.as_ref().map_or(Ok(Vec::new()), |clock| clock.read(self.device()))
     }
 

@@ -1,4 +1,4 @@
-//! Kernels over many states of one scene share structs, tile lists and sums: `counterfactual/states.wgsl` in Rust.
+//! Kernels over many states of one scene share structs, tile lists and sums (`counterfactual/states.wgsl`).
 
 use bytemuck::{Pod, Zeroable};
 

@@ -5,7 +5,7 @@ use crate::camera::Camera;
 use crate::settings::Settings;
 use crate::splats::held_degree;
 use crate::stage::Splat;
-use crate::stage::project::{Projector, Projected, SKIPPED, Skip};
+use crate::stage::project::{Projected, Projector, SKIPPED, Skip};
 use crate::{Counters, Splats, parallel};
 use codec_core::Gaussian;
 

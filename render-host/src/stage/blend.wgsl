@@ -1,4 +1,4 @@
-// Stage 4: every pixel of a tile takes its list of splats, nearest first: `C += T·a·c; T -= T·a`, until T
+// Stage 4 blends: each pixel of a tile takes its list of splats, nearest first: `C += T·a·c; T -= T·a`, until T
 // is below the stop (inclusive). A workgroup is a tile, a thread a pixel. Put after
 // staged.wgsl.
 

@@ -61,10 +61,12 @@ pub fn project(splats: &Splats, camera: &Camera, settings: &Settings, out: &mut 
     let Projected { splats: slots, keys, counts } = out;
     if settings.parallel {
         let chunks = slots.par_chunks_mut(CHUNK).zip(keys.par_chunks_mut(CHUNK)).zip(counts).enumerate();
-        chunks.for_each(|(i, ((slots, keys), counts))| projector.fill(splats, i * CHUNK, slots, keys, counts));
+        chunks
+            .for_each(|(i, ((slots, keys), counts))| projector.fill(splats, i * CHUNK, slots, keys, counts));
     } else {
         let chunks = slots.chunks_mut(CHUNK).zip(keys.chunks_mut(CHUNK)).zip(counts).enumerate();
-        chunks.for_each(|(i, ((slots, keys), counts))| projector.fill(splats, i * CHUNK, slots, keys, counts));
+        chunks
+            .for_each(|(i, ((slots, keys), counts))| projector.fill(splats, i * CHUNK, slots, keys, counts));
     }
     let mut total = Counters { gaussians: n as u64, ..Counters::default() };
     out.counts.iter().for_each(|counts| total.add(counts));

@@ -1,4 +1,4 @@
-// Stage 1: Gaussians to ellipses on the image plane, with colour, a depth key and a count of tiles.
+// Stage 1 projects Gaussians to ellipses on the image plane, with colour, a depth key and a count of tiles.
 //
 // The decisions are those of project.rs, in its order. Camera coordinates, depth and centre are computed
 // in pairs of f32 (value and remainder, about 46 bits), so depth keys and centres equal those of f64 but

@@ -1,4 +1,4 @@
-// Stage 4 for a batch of worlds: the tile's list is walked once for eight worlds, whose colours and
+// Stage 4 blends a batch of worlds: the tile's list is walked once for eight worlds, whose colours and
 // transmittances stay in registers. Alpha is computed once per splat and pixel; a world that lacks the
 // splat's group takes 0 of it, which leaves its bits alone. Per world the operations and their order are
 // those of blend.wgsl. Put after staged.wgsl.

@@ -1,4 +1,4 @@
-// `1 - SSIM` and the squared error of many pictures, and their gradients: ssim.rs in WGSL. Put after
+// Takes `1 - SSIM` and the squared error of many pictures, and their gradients: ssim.rs in WGSL. Put after
 // counterfactual/states.wgsl. Workgroups: columns, rows, planes (three per world, from `batch.first` on).
 //
 // `window_gradients` takes the moments of every window that is centred in a tile, along rows and then down, and

@@ -1,5 +1,5 @@
-//! Losses that look further than one pixel: pictures of many worlds are blended and retained, a kernel replaces
-//! them by their gradients, and the way back starts from those.
+//! Differentiates losses that look further than one pixel: pictures of many worlds are blended and retained,
+//! a kernel replaces them by their gradients, and the way back starts from those.
 //!
 //! As many worlds at a time as fit the buffers that every WebGPU device binds, all in one submission; which
 //! worlds go together does not show in any number.

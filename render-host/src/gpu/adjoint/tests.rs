@@ -1,7 +1,7 @@
 //! Gradients on the device against those of the CPU.
 
 use super::super::Stages;
-use super::super::case::{Case, executor};
+use super::super::test_scene::{TestScene, executor};
 use super::*;
 use crate::Workspace;
 use crate::adjoint::loss::{Dissimilarity, Distortion, Loss, Mse};
@@ -9,13 +9,13 @@ use crate::adjoint::render_and_gradients;
 use crate::counterfactual::brute;
 use crate::splats::Splats;
 
-fn engine(executor: &Executor, case: &Case, mix: Mix, settings: &Settings) -> Engine {
+fn engine(executor: &Executor, case: &TestScene, mix: Mix, settings: &Settings) -> Engine {
     let objective = Objective { target: &case.against, mix };
     Engine::new(executor, &case.variants(), &case.camera, &objective, settings).unwrap()
 }
 
 /// The loss of the CPU.
-fn loss(case: &Case, mix: Mix) -> Box<dyn Loss> {
+fn loss(case: &TestScene, mix: Mix) -> Box<dyn Loss> {
     let target = case.against.clone();
     match mix {
         Mix::MSE => Box::new(Mse::new(target)),
@@ -69,7 +69,7 @@ fn six(pose: &Pose) -> [f64; 6] {
     [a, b, c, d, e, f]
 }
 
-fn twin(case: &Case, states: &States, mix: Mix, settings: &Settings) -> Twin {
+fn twin(case: &TestScene, states: &States, mix: Mix, settings: &Settings) -> Twin {
     let (n, each) = (case.gaussians.len(), case.degree.rest_len());
     let mut out = Twin {
         loss: Vec::new(),
@@ -101,18 +101,18 @@ fn twin(case: &Case, states: &States, mix: Mix, settings: &Settings) -> Twin {
     out
 }
 
-fn compare(name: &str, case: &Case, worlds: usize, settings: &Settings) {
+fn compare(name: &str, case: &TestScene, worlds: usize, settings: &Settings) {
     compare_mix(name, case, worlds, Mix::MSE, settings);
 }
 
-fn compare_mix(name: &str, case: &Case, worlds: usize, mix: Mix, settings: &Settings) {
+fn compare_mix(name: &str, case: &TestScene, worlds: usize, mix: Mix, settings: &Settings) {
     let Some(executor) = executor() else { return };
     let states = if worlds == 0 { States::full(case.groups) } else { case.states(worlds, 3) };
     let got = engine(executor, case, mix, settings).gradients(&states).unwrap();
     judge(name, case, &states, mix, settings, &got);
 }
 
-fn judge(name: &str, case: &Case, states: &States, mix: Mix, settings: &Settings, got: &Gradients) {
+fn judge(name: &str, case: &TestScene, states: &States, mix: Mix, settings: &Settings, got: &Gradients) {
     let expected = twin(case, states, mix, settings);
     assert_eq!(got.loss.len(), expected.loss.len());
     for (a, b) in got.loss.iter().zip(&expected.loss) {
@@ -140,13 +140,13 @@ fn settings() -> Settings {
 
 #[test]
 fn gradients_of_one_world_are_those_of_the_cpu() {
-    compare("plain", &Case::new(900, 0, 27, [75, 53], 1), 0, &settings());
+    compare("plain", &TestScene::new(900, 0, 27, [75, 53], 1), 0, &settings());
 }
 
 /// Lists of many segments, most of which nobody sees.
 #[test]
 fn gradients_of_opaque_crowds_are_those_of_the_cpu() {
-    let mut case = Case::new(5000, 0, 27, [25, 20], 7);
+    let mut case = TestScene::new(5000, 0, 27, [25, 20], 7);
     case.gaussians.iter_mut().for_each(|g| g.opacity = g.opacity.sqrt());
     compare("opaque crowd", &case, 2, &settings());
     compare("crowd without stop", &case, 0, &Settings { early_stop: false, ..settings() });
@@ -156,7 +156,7 @@ fn gradients_of_opaque_crowds_are_those_of_the_cpu() {
 #[test]
 fn a_wrong_gradient_is_seen() {
     let Some(executor) = executor() else { return };
-    let mut case = Case::new(60, 1, 5, [40, 30], 8);
+    let mut case = TestScene::new(60, 1, 5, [40, 30], 8);
     let got = engine(executor, &case, Mix::MSE, &settings()).gradients(&States::full(5)).unwrap();
     case.gaussians.iter_mut().for_each(|g| g.opacity *= 0.99);
     let expected = twin(&case, &States::full(5), Mix::MSE, &settings());
@@ -169,9 +169,9 @@ fn a_wrong_gradient_is_seen() {
 
 #[test]
 fn gradients_of_harmonics_are_those_of_the_cpu() {
-    compare("degree 3", &Case::new(500, 3, 5, [50, 40], 2), 0, &settings());
+    compare("degree 3", &TestScene::new(500, 3, 5, [50, 40], 2), 0, &settings());
     let antialiased = Settings { antialiased: true, max_sh_degree: 1, ..settings() };
-    compare("antialiased, degree 1 of 2", &Case::new(400, 2, 5, [40, 50], 3), 0, &antialiased);
+    compare("antialiased, degree 1 of 2", &TestScene::new(400, 2, 5, [40, 50], 3), 0, &antialiased);
 }
 
 /// Lists made on the device, without a word to the host between camera and gradients.
@@ -182,15 +182,14 @@ fn gradients_from_lists_of_the_device_are_those_of_the_cpu() {
 
 fn from_lists_of_the_device(mix: Mix) {
     let Some(executor) = executor() else { return };
-    let (case, settings) = (Case::new(700, 1, 27, [61, 47], 6), settings());
+    let (case, settings) = (TestScene::new(700, 1, 27, [61, 47], 6), settings());
     let states = case.states(3, 2);
     let mut stages = Stages::new(executor.device()).unwrap();
     let scene = Scene::with_groups(executor.device(), &case.splats(), &case.ids).unwrap();
     stages.prepare(executor.device(), &scene, &case.camera, &settings).unwrap();
     let tiles = stages.tiles().unwrap();
     let objective = Objective { target: &case.against, mix };
-    let engine =
-        Engine::with_tiles(executor, scene, tiles, case.groups, &objective, &settings);
+    let engine = Engine::with_tiles(executor, scene, tiles, case.groups, &objective, &settings);
     let engine = engine.unwrap();
     let worlds = engine.worlds(&states).unwrap();
     let mut recording = Recording::new();
@@ -208,17 +207,17 @@ fn from_lists_of_the_device(mix: Mix) {
 
 #[test]
 fn gradients_add_up_over_worlds() {
-    compare("9 worlds", &Case::new(600, 1, 27, [45, 33], 4), 9, &settings());
+    compare("9 worlds", &TestScene::new(600, 1, 27, [45, 33], 4), 9, &settings());
 }
 
 #[test]
 fn gradients_of_similarity_are_those_of_the_cpu() {
-    let case = |size, seed| Case::new(700, 1, 27, size, seed);
+    let case = |size, seed| TestScene::new(700, 1, 27, size, seed);
     compare_mix("distortion", &case([75, 53], 1), 0, Mix::DISTORTION, &settings());
     compare_mix("1 - ssim", &case([61, 47], 2), 0, Mix::STRUCTURE, &settings());
     compare_mix("9 worlds of equal weight", &case([45, 33], 3), 9, Mix::weighted(1.0), &settings());
     compare_mix("a picture below the window", &case([9, 40], 4), 2, Mix::DISTORTION, &settings());
-    let mut crowd = Case::new(5000, 0, 27, [25, 20], 7);
+    let mut crowd = TestScene::new(5000, 0, 27, [25, 20], 7);
     crowd.gaussians.iter_mut().for_each(|g| g.opacity = g.opacity.sqrt());
     compare_mix("opaque crowd", &crowd, 5, Mix::DISTORTION, &settings());
     let endless = Settings { early_stop: false, ..settings() };
@@ -229,7 +228,7 @@ fn gradients_of_similarity_are_those_of_the_cpu() {
 #[test]
 fn worlds_in_chunks_give_the_same_bits() {
     let Some(executor) = executor() else { return };
-    let case = Case::new(600, 0, 27, [45, 33], 4);
+    let case = TestScene::new(600, 0, 27, [45, 33], 4);
     let states = case.states(11, 5);
     let mut engine = engine(executor, &case, Mix::DISTORTION, &settings());
     let together = engine.gradients(&states).unwrap();
@@ -241,7 +240,7 @@ fn worlds_in_chunks_give_the_same_bits() {
 #[test]
 fn both_ways_of_squared_error_agree() {
     let Some(executor) = executor() else { return };
-    let case = Case::new(600, 1, 27, [45, 33], 4);
+    let case = TestScene::new(600, 1, 27, [45, 33], 4);
     let states = case.states(6, 5);
     let mut engine = engine(executor, &case, Mix::MSE, &settings());
     let at_once = engine.gradients(&states).unwrap();

@@ -1,6 +1,6 @@
 //! The engine on the device against the engine on the CPU and brute force.
 
-use super::super::case::{Case, executor, worst};
+use super::super::test_scene::{TestScene, executor, worst};
 use super::super::tiles::through_f32;
 use super::super::{Renderer, Scene, Stages};
 use super::*;
@@ -11,30 +11,30 @@ fn settings() -> Settings {
     Settings { early_stop: false, background: [0.3, 0.1, 0.6], ..Settings::default() }
 }
 
-fn engine(executor: &Executor, case: &Case) -> Engine {
+fn engine(executor: &Executor, case: &TestScene) -> Engine {
     Engine::new(executor, &case.variants(), &case.camera, &case.against, &settings()).unwrap()
 }
 
 /// The CPU's engine, fed with the ellipses of the device.
-fn twin(case: &Case) -> counterfactual::Engine {
+fn twin(case: &TestScene) -> counterfactual::Engine {
     let mut twin =
         counterfactual::Engine::new(&case.variants(), &case.camera, &case.against, &settings()).unwrap();
     twin.map_splats(through_f32);
     twin
 }
 
-fn cases() -> [(Case, usize); 4] {
+fn cases() -> [(TestScene, usize); 4] {
     [
-        (Case::new(1500, 0, 27, [75, 53], 1), 37),
-        (Case::new(800, 1, 5, [16, 16], 2), 1),
-        (Case::new(0, 0, 3, [40, 20], 3), 4),
+        (TestScene::new(1500, 0, 27, [75, 53], 1), 37),
+        (TestScene::new(800, 1, 5, [16, 16], 2), 1),
+        (TestScene::new(0, 0, 3, [40, 20], 3), 4),
         // More groups than a word, and in one place: several passes over a block.
         (many_groups(), 20),
     ]
 }
 
-fn many_groups() -> Case {
-    let mut case = Case::new(900, 0, 100, [33, 20], 4);
+fn many_groups() -> TestScene {
+    let mut case = TestScene::new(900, 0, 100, [33, 20], 4);
     case.ids = (0..900).map(|i| i * 7 % 100).collect();
     case
 }
@@ -102,7 +102,7 @@ fn errors_from_lists_of_the_device_are_those_of_the_cpu() {
 #[test]
 fn a_batch_equals_its_worlds_alone_and_every_run_equals_the_first() {
     let Some(executor) = executor() else { return };
-    let case = Case::new(700, 0, 27, [70, 40], 11);
+    let case = TestScene::new(700, 0, 27, [70, 40], 11);
     let states = case.states(35, 12);
     let engine = engine(executor, &case);
     let bits = |values: Vec<f64>| values.into_iter().map(f64::to_bits).collect::<Vec<_>>();
@@ -158,7 +158,8 @@ fn squares(picture: &Image, wanted: &Image) -> f32 {
 #[test]
 fn strict_errors_are_those_of_worlds_drawn_alone() {
     let Some(executor) = executor() else { return };
-    let (mut renderer, mut stages) = (Renderer::new(executor).unwrap(), Stages::new(executor.device()).unwrap());
+    let (mut renderer, mut stages) =
+        (Renderer::new(executor).unwrap(), Stages::new(executor.device()).unwrap());
     // A background of zeros and ones is exact however it is added.
     let settings = Settings { background: [0.0, 1.0, 0.0], ..Settings::default() };
     for (mut case, worlds) in cases() {
@@ -190,7 +191,7 @@ fn strict_errors_are_those_of_worlds_drawn_alone() {
 #[test]
 fn what_is_refused_is_named() {
     let Some(executor) = executor() else { return };
-    let case = Case::new(10, 0, 4, [20, 20], 1);
+    let case = TestScene::new(10, 0, 4, [20, 20], 1);
     let refused = engine(executor, &case).fast(&States::full(5)).unwrap_err().to_string();
     assert!(refused.contains("groups of the states: found 5 values, need 4"), "{refused}");
     let small = Image::filled(10, 20, [0.0; 3]).unwrap();
@@ -202,14 +203,14 @@ fn what_is_refused_is_named() {
 #[test]
 fn a_missing_splat_is_seen() {
     let Some(executor) = executor() else { return };
-    let case = Case::new(300, 0, 6, [50, 40], 5);
+    let case = TestScene::new(300, 0, 6, [50, 40], 5);
     let states = case.states(3, 1);
     let got = engine(executor, &case).fast(&states).unwrap();
     let drawn = |g: &&codec_core::Gaussian| {
         render(&Splats::plain(&[**g]), &case.camera, &settings()).unwrap().counters.drawn == 1
     };
     let seen = case.gaussians.iter().position(|g| drawn(&g)).unwrap();
-    let mut fewer = Case::new(300, 0, 6, [50, 40], 5);
+    let mut fewer = TestScene::new(300, 0, 6, [50, 40], 5);
     fewer.gaussians[seen].opacity = 0.0;
     let expected = twin(&fewer).fast(&States::full(6)).unwrap();
     let full = twin(&case).fast(&States::full(6)).unwrap();

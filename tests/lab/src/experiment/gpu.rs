@@ -12,7 +12,7 @@ mod worlds;
 use anyhow::Result;
 use render_host::{
     Settings,
-    gpu::{Device, Executor, GpuError, Options},
+    gpu::{Device, DeviceOptions, Executor, GpuError},
 };
 
 use super::{cloud::Kind, partial::Partial};
@@ -51,7 +51,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
          sums on the device in one submission, steps in a train without waiting; peers with their set-up; gradients: \
          of squared error, and (mse+ssim) of squared error + (1 - SSIM)",
     );
-    let device = match Device::open(&Options::from_env()) {
+    let device = match Device::open(&DeviceOptions::from_env()) {
         Ok(device) => device,
         Err(error @ GpuError::NoAdapter { .. }) => {
             bench.skipped.push(error.to_string());

@@ -49,7 +49,12 @@ impl Numbers {
     }
 }
 
-fn plain(family: &'static str, name: impl Into<String>, gaussians: Vec<Gaussian>, camera: Camera) -> StressCase {
+fn plain(
+    family: &'static str,
+    name: impl Into<String>,
+    gaussians: Vec<Gaussian>,
+    camera: Camera,
+) -> StressCase {
     StressCase {
         family,
         name: name.into(),
@@ -296,7 +301,10 @@ fn settings(out: &mut Vec<StressCase>) {
     }
     let exact = "nothing cut, nothing stopped";
     let cloud = Numbers(14).cloud(500, 0.4);
-    out.push(StressCase { settings: Settings::exact(), ..plain("exact settings", exact, cloud, camera(48, 32)) });
+    out.push(StressCase {
+        settings: Settings::exact(),
+        ..plain("exact settings", exact, cloud, camera(48, 32))
+    });
     let bright = Settings::over([1e6, -1e6, 0.0]);
     out.push(StressCase {
         settings: bright,

@@ -49,7 +49,6 @@ pub fn refusals() -> Vec<Refusal> {
     out
 }
 
-
 fn of_camera() -> Vec<Refusal> {
     let plane = Intrinsics { width: 8, height: 8, fx: 9.0, fy: 9.0, cx: 4.0, cy: 4.0 };
     let with = |plane: Intrinsics| Camera::new(plane, IDENTITY, [0.0; 3]);

@@ -1,8 +1,8 @@
 //! The loss alone: same pictures on both sides.
 
 use super::super::super::Executor;
-use super::super::super::case::{Numbers, executor};
 use super::super::super::layout::Frame;
+use super::super::super::test_scene::{Numbers, executor};
 use super::*;
 use crate::adjoint::loss::{Distortion, Loss};
 

@@ -90,12 +90,7 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
 }
 
 impl Case {
-    fn new(
-        executor: &Executor,
-        (name, subject): (String, Partial),
-        mix: Mix,
-        worlds: usize,
-    ) -> Result<Self> {
+    fn new(executor: &Executor, (name, subject): (String, Partial), mix: Mix, worlds: usize) -> Result<Self> {
         let (device, settings) = (executor.device(), Settings::default());
         let scene = Scene::with_groups(device, &subject.splats(), &subject.groups)?;
         let mut stages = Stages::new(device)?;

@@ -92,8 +92,10 @@ impl Judge {
         let cameras = Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (size, size))?;
         let frames = spread(scene.frames(), shown);
         let settings = Settings::default();
-        let references: Result<Vec<_>, _> =
-            cameras.iter().map(|c| quality::references(scene, &frames, c, &settings, &Backend::Cpu)).collect();
+        let references: Result<Vec<_>, _> = cameras
+            .iter()
+            .map(|c| quality::references(scene, &frames, c, &settings, &Backend::Cpu))
+            .collect();
         Ok(Self { cameras, frames, references: references? })
     }
 

@@ -4,7 +4,7 @@ use std::sync::OnceLock;
 
 use codec_core::{Gaussian, gaussian::ShDegree};
 
-use super::{Device, Executor, GpuError, Options};
+use super::{Device, DeviceOptions, Executor, GpuError};
 use crate::counterfactual::{States, Variants};
 use crate::{Camera, Image, Splats};
 
@@ -12,7 +12,7 @@ use crate::{Camera, Image, Splats};
 /// adapter. A build server must have one.
 pub(super) fn executor() -> Option<&'static Executor> {
     static SHARED: OnceLock<Result<Executor, GpuError>> = OnceLock::new();
-    let options = Options { checked: true, ..Options::from_env() };
+    let options = DeviceOptions { checked: true, ..DeviceOptions::from_env() };
     match SHARED.get_or_init(|| Ok(Executor::new(&Device::open(&options)?))) {
         Ok(executor) => Some(executor),
         Err(error) => {
@@ -39,7 +39,7 @@ impl Numbers {
 }
 
 /// A scene whose groups are cells of space, so that they overlap in the picture and in depth.
-pub(super) struct Case {
+pub(super) struct TestScene {
     pub(super) gaussians: Vec<Gaussian>,
     pub(super) rest: Vec<f32>,
     pub(super) degree: ShDegree,
@@ -49,7 +49,7 @@ pub(super) struct Case {
     pub(super) against: Image,
 }
 
-impl Case {
+impl TestScene {
     pub(super) fn new(n: usize, degree: u8, groups: usize, [width, height]: [u32; 2], seed: u64) -> Self {
         let mut r = Numbers(seed);
         let degree = ShDegree::new(degree).unwrap();
