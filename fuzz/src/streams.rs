@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 
 use codec_core::{
-    Caps,
+    Caps, ErrorKind,
     receiver::{Receiver, Requirements},
     wire::manifest::Manifest,
 };
@@ -116,12 +116,22 @@ fn thin<T: Copy + PartialEq>(track: &Track<T>, n: usize, frames: usize) -> Track
     Track::PerFrame((0..frames).flat_map(frame).collect())
 }
 
-/// Largest stream that a body decodes, in symbols; what is larger costs time and teaches nothing.
-const MOST_SYMBOLS: usize = 1 << 20;
+/// What a body decodes at most; what is larger costs time and teaches nothing beyond its refusal.
+const CAPS: Caps = Caps { symbols: 1 << 20, blocks: 1 << 20, parity_bytes: 16 << 20, ..Caps::HOST };
 
-/// Memory for a receiver of `manifest`, if that is not too much for a fuzzer.
+/// Memory for a receiver of `manifest`; `None` for a manifest that a cap refuses, as it must any that
+/// claims more.
 pub fn memory(manifest: &Manifest<'_>, early: usize) -> Option<HostMemory> {
-    let need = Requirements::of(manifest, &Caps::HOST).ok()?;
-    let small = need.symbols <= MOST_SYMBOLS && need.blocks <= MOST_SYMBOLS && need.parity <= 16 << 20;
-    if !small { None } else { HostMemory::new(manifest, early).ok() }
+    match Requirements::of(manifest, &CAPS) {
+        Ok(need) => {
+            let bytes = 2 * need.symbols + need.blocks + 8 * need.cells + 4 * need.progress + need.parity;
+            assert!(bytes as u64 <= CAPS.memory_bytes(), "{need:?}");
+        }
+        Err(error) => {
+            assert_eq!(error.kind, ErrorKind::Capacity, "a cap refuses: {error}");
+            assert!(error.found > error.allowed.1 && !error.field.is_empty(), "{error}");
+            return None;
+        }
+    }
+    HostMemory::new(manifest, early).ok()
 }

@@ -7,13 +7,11 @@ pub use map::{Mark, PacketMap};
 pub use player::{HostMemory, Player, Shown};
 
 use codec_core::{
-    error,
-    receiver::{Content, Counters},
+    Caps, error,
+    receiver::{Content, Counters, Requirements},
     wire::{
-        crc::checked,
         file,
         manifest::{self, Manifest},
-        packet::Packet,
     },
 };
 use codec_simd::{Intake, crc32};
@@ -33,10 +31,12 @@ pub struct Stream {
 /// What a damaged `.dgs` file had that could not be used.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Damage {
-    /// Runs of bytes that are no packet: offset, length.
-    pub runs: Vec<(usize, usize)>,
-    /// Packets that the manifest expects and the file does not hold.
+    /// Byte ranges that are no packet: offset, length.
+    pub ranges: Vec<(usize, usize)>,
+    /// Packets that the manifest expects, the file does not hold and repair does not give back.
     pub missing_packets: usize,
+    /// Packets whose id another packet before them has; they are passed over.
+    pub duplicates: usize,
     /// Why the index could not be used, if it could not.
     pub index: Option<error::Error>,
     /// Whether the packets end where the index begins.
@@ -53,11 +53,11 @@ impl Damage {
 impl std::fmt::Display for Damage {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let mut parts = Vec::new();
-        if let Some((at, len)) = self.runs.first() {
-            let total: usize = self.runs.iter().map(|r| r.1).sum();
+        if let Some((at, len)) = self.ranges.first() {
+            let total: usize = self.ranges.iter().map(|r| r.1).sum();
             parts.push(format!(
-                "{} damaged stretches ({total} bytes in all, the first at byte {at}, {len} bytes)",
-                self.runs.len()
+                "{} damaged byte ranges ({total} bytes in all, the first at byte {at}, {len} bytes)",
+                self.ranges.len()
             ));
         }
         if self.truncated {
@@ -68,6 +68,9 @@ impl std::fmt::Display for Damage {
         }
         if self.missing_packets > 0 {
             parts.push(format!("{} packets are missing", self.missing_packets));
+        }
+        if self.duplicates > 0 {
+            parts.push(format!("{} packets repeat the id of another", self.duplicates));
         }
         f.write_str(&parts.join("; "))
     }
@@ -160,27 +163,30 @@ impl Stream {
     /// If the manifest itself is unreadable: without it nothing else means anything.
     pub fn from_bytes(bytes: &[u8]) -> error::Result<(Self, Damage)> {
         let (message, start) = file::manifest(bytes)?;
-        let sealed = manifest::Sealed::parse(message)?;
-        let mut raw = vec![0u8; sealed.raw_len.min(codec_core::limits::MAX_MANIFEST_BYTES)];
+        let sealed = manifest::Sealed::parse(message)?.within(&Caps::HOST)?;
+        let mut raw = vec![0u8; sealed.raw_len];
         manifest::open(message, crc32, &mut raw)?;
         let parsed = Manifest::parse(&raw)?;
-        let count = parsed.head().packets as usize;
-        let mut packets = vec![Vec::new(); count];
+        // What no receiver here takes on is refused before memory is set aside for it.
+        Requirements::of(&parsed, &Caps::HOST)?;
+        let mut packets = vec![Vec::new(); parsed.head().packets as usize];
         let mut damage = Damage { truncated: true, ..Damage::default() };
         for record in file::packets(bytes, start, crc32) {
             match record {
-                file::Record::Packet(at, packet) => {
-                    let parsed = checked("packet.crc", packet, crc32).and_then(Packet::parse);
-                    match parsed.ok().and_then(|p| packets.get_mut(p.id().index())) {
-                        Some(slot) => *slot = packet.to_vec(),
-                        None => damage.runs.push((at, packet.len())),
-                    }
+                file::Record::Packet(at, packet) => match packets.get_mut(packet.id().index()) {
+                    Some(slot) if slot.is_empty() => *slot = packet.bytes().to_vec(),
+                    // The first counts, as for a receiver.
+                    Some(_) => damage.duplicates += 1,
+                    None => damage.ranges.push((at, packet.bytes().len())),
+                },
+                file::Record::Illegal(at, len, _) | file::Record::Damaged(at, len) => {
+                    damage.ranges.push((at, len));
                 }
-                file::Record::Damaged(at, len) => damage.runs.push((at, len)),
                 file::Record::End => damage.truncated = false,
             }
         }
-        damage.missing_packets = packets.iter().filter(|p| p.is_empty()).count();
+        let missing = file::missing(&parsed, |id| packets.get(id as usize).is_some_and(|p| !p.is_empty()));
+        damage.missing_packets = missing.lost as usize;
         damage.index = file::index(bytes, crc32).err();
         let media: usize = packets.iter().map(Vec::len).sum();
         let ledger = Ledger {

@@ -14,6 +14,7 @@ use codec_core::{
     Caps, Result,
     receiver::{Arrival, Cell, Counters, Memory, Receiver, Requirements},
     wire::{
+        checked::Checked,
         crc::crc32,
         file::{self, Record},
         manifest::{self, Manifest},
@@ -35,11 +36,12 @@ fn stream(name: &str) -> Stream {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/conformance");
     let bytes = std::fs::read(folder.join(format!("{name}.dgs"))).unwrap();
     let (message, start) = file::manifest(&bytes).unwrap();
-    let packets = file::packets(&bytes, start, crc32)
-        .filter_map(
-            |record| if let Record::Packet(_, packet) = record { Some(packet.to_vec()) } else { None },
-        )
-        .collect();
+    let packets =
+        file::packets(&bytes, start, crc32)
+            .filter_map(|record| {
+                if let Record::Packet(_, packet) = record { Some(packet.bytes().to_vec()) } else { None }
+            })
+            .collect();
     let mut raw = vec![0; manifest::Sealed::parse(message).unwrap().raw_len];
     manifest::open(message, crc32, &mut raw).unwrap();
     Stream { message: message.to_vec(), raw, packets }
@@ -184,10 +186,11 @@ fn a_difference_is_seen() {
     // Values of another packet's length, or none: the receiver decodes by itself.
     let odd = |receiver: &mut Receiver<'_>, packets: &[Vec<u8>], answers: &mut Vec<Result<Arrival>>| {
         for (i, packet) in packets.iter().enumerate() {
-            let planned = receiver.plan(packet, |_| ());
+            let planned = Checked::new(packet, crc32).map(|packet| receiver.plan(packet, |_| ()));
             answers.push(match planned {
-                Some(planned) => receiver.commit(&planned, (i % 2 == 0).then_some(&[1, 2, 3])),
-                None => receiver.media(packet),
+                Ok(Ok(planned)) => receiver.commit(&planned, (i % 2 == 0).then_some(&[1, 2, 3])),
+                Ok(Err(packet)) => receiver.push(&packet),
+                Err(error) => Err(receiver.refuse(error)),
             });
         }
     };

@@ -83,7 +83,7 @@ impl Requirements {
             Profile::Paper => {
                 need.slots = 2 * bytes::SLOTS / 4;
                 need.least_slots = need.slots;
-                need.progress = manifest.cells() * Level::COUNT;
+                need.progress = manifest.cells() * Level::COUNT + need.symbols.div_ceil(32);
             }
         }
         Ok(need)
@@ -126,7 +126,7 @@ pub struct Memory<'a> {
     /// Entropy decode tables: [`Requirements::slots`] for the fast form, or down to
     /// [`Requirements::least_slots`] for the compact one.
     pub slots: &'a mut [u32],
-    /// Symbols arrived per group (`paper`).
+    /// Symbols arrived per group, then a bit per symbol that has (`paper`).
     pub progress: &'a mut [u32],
     /// Sums of the repair sets.
     pub parity: &'a mut [u8],
