@@ -25,6 +25,7 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod arena;
 pub mod caps;
 pub mod closure;
 pub mod cursor;
@@ -37,6 +38,7 @@ pub mod layout;
 pub mod limits;
 pub mod math;
 pub mod pack;
+pub mod player;
 pub mod quant;
 pub mod rans;
 pub mod receiver;

@@ -7,7 +7,7 @@
 //! one after the other is in every respect the same as giving them to `media`.
 
 use super::{
-    Arrival, Memory, Receiver,
+    Accepted, Memory, Receiver,
     payload::{Place, for_each_slice, overlap},
 };
 use crate::{
@@ -35,10 +35,10 @@ pub struct Planned<'p> {
 }
 
 impl Receiver<'_> {
-    /// Slots and raw bits of the stream's entropy tables, for a decoder of the host's. `None` before
-    /// the manifest, in profile `paper`, and where memory is so short that tables are compact.
+    /// Slots and raw bits of the stream's entropy tables, for a decoder of the host's. `None` in
+    /// profile `paper`, and where memory is so short that tables are compact.
     pub fn tables(&self) -> Option<(&[[u32; SLOTS]], &[u8])> {
-        let manifest = self.manifest.filter(|m| m.profile() == Profile::Dgs1)?;
+        let manifest = Some(self.manifest).filter(|m| m.profile() == Profile::Dgs1)?;
         let count = usize::from(manifest.head().tables);
         let slots = self.memory.slots.as_chunks::<SLOTS>().0.get(..count)?;
         (self.form == Form::Slots).then_some((slots, self.raw_bits.get(..count)?))
@@ -48,7 +48,7 @@ impl Receiver<'_> {
     /// any number of runs, if its values are not for others to decode: then [`Receiver::media`] says
     /// what the packet is.
     pub fn plan<'p>(&self, packet: &'p [u8], mut run: impl FnMut(Run)) -> Option<Planned<'p>> {
-        let manifest = self.manifest.filter(|m| m.profile() == Profile::Dgs1)?;
+        let manifest = Some(self.manifest).filter(|m| m.profile() == Profile::Dgs1)?;
         let content = checked("packet.crc", packet, self.crc).ok()?;
         let Ok(Packet::Slices(slices)) = Packet::parse(content) else { return None };
         if packet.len() > MAX_PACKET_BYTES
@@ -129,19 +129,22 @@ impl Receiver<'_> {
     ///
     /// # Errors
     /// As [`Receiver::media`].
-    pub fn commit(&mut self, planned: &Planned<'_>, values: Option<&[i16]>) -> Result<Arrival> {
+    pub fn commit(&mut self, planned: &Planned<'_>, values: Option<&[i16]>) -> Result<Accepted> {
         let Planned { packet, slices, .. } = planned;
         let id = slices.id;
-        let placed = match (self.manifest, values) {
-            (Some(manifest), Some(values)) if values.len() == planned.values && !self.has(id) => {
-                self.place(&manifest, slices, values).ok().map(|()| manifest)
+        let manifest = self.manifest;
+        let placed = match values {
+            Some(values) if values.len() == planned.values && !self.has(id) => {
+                self.place(&manifest, slices, values).is_ok()
             }
-            _ => None,
+            _ => false,
         };
-        let Some(manifest) = placed else { return self.media(packet) };
+        if !placed {
+            return self.media(packet);
+        }
         self.counters.media += 1;
         self.mark(id);
-        Ok(Arrival::Accepted { id, recovered: self.take_member(&manifest, id, packet) })
+        Ok(Accepted { id, recovered: self.take_member(&manifest, id, packet) })
     }
 }
 
