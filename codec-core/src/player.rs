@@ -109,17 +109,20 @@ impl<'a> Waiting<'a> {
         Ok(())
     }
 
-    /// Length of the arena, in 64-bit words, that is just enough for the stream of the DGSM message
-    /// `message` and the packets kept early.
+    /// How long an arena must be for the stream of the DGSM message `message` and the packets kept
+    /// early.
     ///
-    /// The arena serves as scratch: it must hold the unpacked manifest.
+    /// The arena of this player serves as scratch: it must hold the unpacked manifest.
     ///
     /// # Errors
     /// As [`Waiting::manifest`], but for an arena that holds the manifest and no more.
-    pub fn required_words(&mut self, message: &[u8]) -> Result<usize> {
+    pub fn required(&mut self, message: &[u8]) -> Result<Required> {
         let (manifest_words, _, plan) = self.open(message)?;
-        let early = words_of::<u8>(self.early.len());
-        Ok(early.saturating_add(manifest_words).saturating_add(plan.words()))
+        let before = words_of::<u8>(self.early.len()).saturating_add(manifest_words);
+        Ok(Required {
+            words: before.saturating_add(plan.words()),
+            least_words: before.saturating_add(plan.least_words()),
+        })
     }
 
     /// Unpacks and checks `message` at the front of the arena: its words, the manifest without its
@@ -179,6 +182,15 @@ impl<'a> Waiting<'a> {
         player.take_kept(early.get(..early_used).unwrap_or(early));
         Ok(player)
     }
+}
+
+/// How long an arena must be for a stream, in 64-bit words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Required {
+    /// With entropy tables in the fast form.
+    pub words: usize,
+    /// With entropy tables in the compact form: five eighths less of them, decoding is slower.
+    pub least_words: usize,
 }
 
 /// A player with its manifest: packets in, frames out.

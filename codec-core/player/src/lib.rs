@@ -27,5 +27,5 @@ pub use codec_core::{
     player::{Accepted, Counters, Frame, Usable},
 };
 pub use frames::FrameDecoder;
-pub use player::{OpenError, Player, Waiting};
+pub use player::{OpenError, Player, Waiting, arena};
 pub use stream::{Damage, Stream, sealed};

@@ -38,9 +38,17 @@ self_cell!(
     impl {Debug}
 );
 
-/// Zeroed memory that costs nothing until it is written.
-fn arena(words: usize) -> Arena {
-    MutBorrow::new(vec![0u64; words].into_boxed_slice())
+/// An arena that is just enough for the stream of the DGSM message `message` and for
+/// [`Caps::early_bytes`], for players of codec-core.
+///
+/// # Errors
+/// As [`Player::new`].
+pub fn arena(message: &[u8], caps: &Caps) -> Result<Vec<u64>> {
+    let raw_len = Sealed::parse(message)?.raw_len.min(caps.manifest_bytes as usize);
+    let mut scratch = vec![0u64; raw_len.div_ceil(size_of::<u64>())];
+    let waiting_caps = Caps { early_bytes: 0, ..*caps };
+    let words = fast(&mut scratch, waiting_caps)?.required(message)?.words;
+    Ok(vec![0; words + (caps.early_bytes as usize).div_ceil(size_of::<u64>())])
 }
 
 /// A player that has no manifest yet and keeps the packets that come early.
@@ -68,8 +76,9 @@ impl Waiting {
     /// # Errors
     /// None in practice: the memory is made as large as [`Caps::early_bytes`] says.
     pub fn new(caps: Caps) -> Result<Self> {
-        let words = caps.early_bytes.div_ceil(size_of::<u64>());
-        let waiting = WaitingInArena::try_new(arena(words), |arena| fast(arena.borrow_mut(), caps))?;
+        let early = vec![0u64; (caps.early_bytes as usize).div_ceil(size_of::<u64>())];
+        let arena = MutBorrow::new(early.into_boxed_slice());
+        let waiting = WaitingInArena::try_new(arena, |arena| fast(arena.borrow_mut(), caps))?;
         Ok(Self { waiting, caps })
     }
 
@@ -143,10 +152,8 @@ impl Player {
     /// that exceeds `caps`.
     pub fn new(message: &[u8], caps: &Caps) -> Result<Self> {
         let caps = Caps { early_bytes: 0, ..*caps };
-        let raw_len = Sealed::parse(message)?.raw_len.min(caps.manifest_bytes);
-        let mut scratch = vec![0u64; raw_len.div_ceil(size_of::<u64>())];
-        let words = fast(&mut scratch, caps)?.required_words(message)?;
-        let player = PlayerInArena::try_new(arena(words), |arena| {
+        let arena = MutBorrow::new(arena(message, &caps)?.into_boxed_slice());
+        let player = PlayerInArena::try_new(arena, |arena| {
             fast(arena.borrow_mut(), caps)?.manifest(message).map_err(|(_, error)| error)
         })?;
         Ok(Self { player, batches: BatchReceiver::default() })

@@ -122,8 +122,8 @@ fn receiver(criterion: &mut Criterion) {
     });
     let caps = Caps { early_bytes: 0, ..Caps::HOST };
     let mut scratch = vec![0u64; manifest::Sealed::parse(message).unwrap().raw_len.div_ceil(8)];
-    let words = Waiting::new(&mut scratch, caps).unwrap().required_words(message).unwrap();
-    let mut arena = vec![0u64; words];
+    let need = Waiting::new(&mut scratch, caps).unwrap().required(message).unwrap();
+    let mut arena = vec![0u64; need.words];
     group.bench_function("manifest and all packets", |b| {
         b.iter(|| {
             let waiting = Waiting::new(&mut arena, caps).unwrap();

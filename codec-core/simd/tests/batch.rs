@@ -28,7 +28,6 @@ const STREAMS: [&str; 8] =
 
 struct Stream {
     message: Vec<u8>,
-    has_compact_form: bool,
     packets: Vec<Vec<u8>>,
 }
 
@@ -41,7 +40,7 @@ fn stream(name: &str) -> Stream {
             |record| if let Record::Packet(_, packet) = record { Some(packet.to_vec()) } else { None },
         )
         .collect();
-    Stream { message: message.to_vec(), has_compact_form: !name.starts_with("paper"), packets }
+    Stream { message: message.to_vec(), packets }
 }
 
 /// What a receiver made of some packets.
@@ -64,9 +63,8 @@ fn receive(
 ) -> Received {
     let caps = Caps { early_bytes: 3000, ..Caps::HOST };
     let mut arena = vec![0u64; 1 << 16];
-    let words = Waiting::new(&mut arena, caps).unwrap().required_words(&stream.message).unwrap();
-    // A word less is too short for tables in the fast form, and enough for compact ones.
-    let mut arena = vec![0u64; words - usize::from(compact && stream.has_compact_form)];
+    let need = Waiting::new(&mut arena, caps).unwrap().required(&stream.message).unwrap();
+    let mut arena = vec![0u64; if compact { need.least_words } else { need.words }];
     let mut answers = Vec::new();
     let mut waiting = Waiting::new(&mut arena, caps).unwrap();
     let (before, after) = packets.split_at(control.min(packets.len()));

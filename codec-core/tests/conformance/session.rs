@@ -119,8 +119,8 @@ impl Session {
         let caps = Caps { early_bytes: 0, ..Caps::HOST };
         // Garbage at first: the player must not depend on it.
         let mut scratch = vec![0x7799_aabb_ccdd_eeff; self.raw.len().div_ceil(8)];
-        let words = Waiting::new(&mut scratch, caps).unwrap().required_words(&self.message).unwrap();
-        let mut arena = vec![0xfedc_ba98_7654_3210; words];
+        let need = Waiting::new(&mut scratch, caps).unwrap().required(&self.message).unwrap();
+        let mut arena = vec![0xfedc_ba98_7654_3210; need.words];
         let waiting = Waiting::new(&mut arena, caps).unwrap();
         let mut player = waiting.manifest(&self.message).map_err(|(_, error)| error).unwrap();
         for packet in packets {
