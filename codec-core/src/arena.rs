@@ -13,7 +13,6 @@ use crate::{
     gaussian::{Gaussian, ShDegree},
     ids::{ClusterId, EpochId, Span},
     layout::Shape,
-    rans::form::Form,
     receiver::{self, Cell, Requirements},
     wire::manifest::Manifest,
 };
@@ -181,5 +180,23 @@ impl<'a> Rest<'a> {
         // Words are rounded up: the last one may hold more bytes than the elements take.
         let exact = bytes.get_mut(..count.checked_mul(size_of::<T>())?)?;
         bytemuck::try_cast_slice_mut(exact).ok()
+    }
+}
+
+impl Caps {
+    /// Length of an arena, in 64-bit words, that holds every stream within these caps: the receiver's
+    /// memory, the decoder's and that of the frame shown. Saturates.
+    ///
+    /// ```
+    /// use codec_core::Caps;
+    ///
+    /// const CAPS: Caps = Caps { gaussians_per_epoch: 1000, early_bytes: 1200, ..Caps::SMALL };
+    /// static ARENA: [u64; CAPS.arena_words()] = [0; CAPS.arena_words()];
+    /// assert!(size_of_val(&ARENA) < 2 << 20);
+    /// ```
+    pub const fn arena_words(&self) -> usize {
+        let manifest = words_of::<u8>(self.manifest_bytes as usize);
+        let early = words_of::<u8>(self.early_bytes as usize);
+        Plan::most(self).words().saturating_add(manifest).saturating_add(early)
     }
 }

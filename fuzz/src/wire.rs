@@ -203,7 +203,7 @@ fn walk(data: &[u8]) {
     if let Ok((stream, _)) = Stream::from_bytes(data) {
         let bytes = stream.to_bytes().unwrap_or_default();
         let again = Stream::from_bytes(&bytes);
-        assert!(again.as_ref().is_ok_and(|(_, d)| d.runs.is_empty() && d.index.is_none() && !d.truncated));
+        assert!(again.as_ref().is_ok_and(|(_, d)| d.ranges.is_empty() && d.index.is_none() && !d.truncated));
         assert_eq!(again.and_then(|(s, _)| s.to_bytes()).as_ref(), Ok(&bytes));
     }
 }

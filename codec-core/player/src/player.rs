@@ -1,9 +1,10 @@
 //! Receives a stream in memory of its own and decodes its frames.
 
-use std::path::Path;
+use std::{fmt, path::Path};
 
 use codec_core::{
     Caps, Error, Result,
+    ids::PacketId,
     player::{self as core, Accepted, Counters, Frame, Usable},
     receiver::Content,
     wire::manifest::{Manifest, Sealed},
@@ -24,8 +25,6 @@ self_cell!(
         #[covariant]
         dependent: CorePlayer,
     }
-
-    impl {Debug}
 );
 
 self_cell!(
@@ -34,8 +33,6 @@ self_cell!(
         #[covariant]
         dependent: CoreWaiting,
     }
-
-    impl {Debug}
 );
 
 /// An arena that is just enough for the stream of the DGSM message `message` and for
@@ -64,7 +61,6 @@ pub fn arena(message: &[u8], caps: &Caps) -> Result<Vec<u64>> {
 /// assert_eq!(player.counters().media, 1);
 /// # Ok::<(), codec_core::Error>(())
 /// ```
-#[derive(Debug)]
 pub struct Waiting {
     waiting: WaitingInArena,
     caps: Caps,
@@ -127,7 +123,6 @@ fn fast(arena: &mut [u64], caps: Caps) -> Result<core::Waiting<'_>> {
 /// println!("{} Gaussians", frame.gaussians.len());
 /// # Ok::<(), codec_core::Error>(())
 /// ```
-#[derive(Debug)]
 pub struct Player {
     player: PlayerInArena,
     batches: BatchReceiver,
@@ -210,6 +205,11 @@ impl Player {
         self.player.borrow_dependent().usable(frame)
     }
 
+    /// Whether packet `id` has been accepted or recovered.
+    pub fn has(&self, id: PacketId) -> bool {
+        self.player.borrow_dependent().has(id)
+    }
+
     /// What happened to packets so far.
     pub fn counters(&self) -> &Counters {
         self.player.borrow_dependent().counters()
@@ -228,5 +228,17 @@ impl Player {
     /// The player over its arena: receipts, single packets, the receiver itself.
     pub fn with_core<R>(&mut self, work: impl for<'a> FnOnce(&mut core::Player<'a>) -> R) -> R {
         self.player.with_dependent_mut(|_, player| work(player))
+    }
+}
+
+impl fmt::Debug for Waiting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Waiting").field("counters", self.counters()).finish_non_exhaustive()
+    }
+}
+
+impl fmt::Debug for Player {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Player").field("counters", self.counters()).finish_non_exhaustive()
     }
 }
