@@ -196,21 +196,18 @@ pub struct Required {
 /// A player with its manifest: packets in, frames out.
 ///
 /// ```
-/// # fn show(arena: &mut [u64], message: &[u8], packets: &[&[u8]]) -> codec_core::Result<()> {
-/// use codec_core::{Caps, player::Waiting};
+/// use codec_core::{Caps, file, player::Waiting};
 ///
-/// let waiting = Waiting::new(arena, Caps::HOST)?;
+/// # let bytes = include_bytes!("../tests/conformance/one.dgs");
+/// let (message, packets) = file::parts(bytes)?;
+/// let mut arena = vec![0u64; 1 << 16];
+/// let waiting = Waiting::new(&mut arena, Caps::SMALL)?;
 /// let mut player = waiting.manifest(message).map_err(|(_, error)| error)?;
 /// for packet in packets {
 ///     let _ = player.push(packet); // a refusal is counted and leaves the player usable
 /// }
 /// let frame = player.frame(0)?;
-/// assert!(frame.gaussians.len() > 0);
-/// # Ok(())
-/// # }
-/// # let file = include_bytes!("../tests/conformance/one.dgs");
-/// # let (message, _) = codec_core::internals::wire::file::manifest(file)?;
-/// # show(&mut vec![0; 1 << 20], message, &[])?;
+/// assert_eq!(frame.gaussians.len(), 1);
 /// # Ok::<(), codec_core::Error>(())
 /// ```
 #[derive(Debug)]
