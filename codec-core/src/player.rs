@@ -242,6 +242,21 @@ pub struct Usable {
     pub motion: [u32; Level::COUNT],
 }
 
+/// What a manifest says of its stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StreamInfo {
+    /// Frames.
+    pub frames: u32,
+    /// Frame rate: as many frames in as many seconds.
+    pub frames_per_seconds: (u32, u32),
+    /// Packets, parity included.
+    pub packets: u32,
+    /// Gaussians of the largest epoch: the most that a frame has.
+    pub gaussians: u32,
+    /// Harmonic degree of the frames.
+    pub sh_degree: ShDegree,
+}
+
 impl Player<'_> {
     /// Takes one packet, media or parity.
     ///
@@ -300,6 +315,19 @@ impl Player<'_> {
     }
 
     /// What the manifest says of the stream.
+    pub fn info(&self) -> StreamInfo {
+        let manifest = self.receiver.manifest();
+        let head = manifest.head();
+        StreamInfo {
+            frames: head.frames,
+            frames_per_seconds: (head.rate_frames, head.rate_seconds),
+            packets: head.packets,
+            gaussians: manifest.epochs().map(|epoch| epoch.gaussians).max().unwrap_or(0),
+            sh_degree: manifest.sh_degree(),
+        }
+    }
+
+    /// The manifest, record by record.
     pub const fn manifest(&self) -> &Manifest<'_> {
         self.receiver.manifest()
     }

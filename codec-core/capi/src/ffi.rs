@@ -371,7 +371,7 @@ pub unsafe extern "C" fn dgs_describe(
     // SAFETY: promises 2 and 3.
     unsafe {
         call(player, error, |player| {
-            let found = player.playing()?.manifest().into();
+            let found = player.playing()?.info().into();
             player.put(stream, found, "stream")
         })
     }

@@ -2,8 +2,7 @@
 
 use codec_core::{
     Caps, Error, ErrorKind, Gaussian,
-    player::{Accepted, Counters, Frame, Usable},
-    wire::manifest::Manifest,
+    player::{Accepted, Counters, Frame, StreamInfo, Usable},
 };
 
 /// Done.
@@ -285,17 +284,16 @@ impl From<Usable> for DgsUsable {
     }
 }
 
-impl From<&Manifest<'_>> for DgsStream {
-    fn from(manifest: &Manifest<'_>) -> Self {
-        let head = manifest.head();
-        Self {
-            frames: head.frames,
-            rate_frames: head.rate_frames,
-            rate_seconds: head.rate_seconds,
-            packets: head.packets,
-            gaussians: manifest.epochs().map(|e| e.gaussians).max().unwrap_or(0),
-            sh_rest: manifest.sh_degree().rest_len() as u32,
-        }
+impl From<StreamInfo> for DgsStream {
+    fn from(info: StreamInfo) -> Self {
+        let StreamInfo {
+            frames,
+            frames_per_seconds: (rate_frames, rate_seconds),
+            packets,
+            gaussians,
+            sh_degree,
+        } = info;
+        Self { frames, rate_frames, rate_seconds, packets, gaussians, sh_rest: sh_degree.rest_len() as u32 }
     }
 }
 
@@ -319,7 +317,18 @@ macro_rules! same_fields {
 }
 
 same_fields!(
-    Caps, DgsCaps, gaussians_per_epoch, frames, cells, symbols, blocks, packets, tables, manifest_bytes,
-    parity_bytes, early_bytes, values_per_packet
+    Caps,
+    DgsCaps,
+    gaussians_per_epoch,
+    frames,
+    cells,
+    symbols,
+    blocks,
+    packets,
+    tables,
+    manifest_bytes,
+    parity_bytes,
+    early_bytes,
+    values_per_packet
 );
 same_fields!(Gaussian, DgsGaussian, position, scale, rotation, opacity, sh0);

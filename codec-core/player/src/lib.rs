@@ -4,17 +4,16 @@
 //! machine. [`Waiting`] is one that keeps early packets until its manifest comes, [`Stream`] the bytes
 //! of a `.dgs` file, [`FrameDecoder`] a decoder for hosts that show many states of one stream.
 //!
-//! ```
-//! # let file = include_bytes!("../../tests/conformance/one.dgs");
-//! use dgs_player::Player;
+//! Decoding a file:
 //!
-//! let (mut player, damage) = Player::open(file)?;
-//! assert!(damage.is_none(), "{damage}");
-//! for frame in 0..player.manifest().head().frames {
-//!     let shown = player.frame(frame)?;
-//!     println!("frame {frame}: {} Gaussians", shown.gaussians.len());
-//! }
-//! # Ok::<(), dgs_player::Error>(())
+//! ```no_run
+#![doc = include_str!("../examples/decode_file.rs")]
+//! ```
+//!
+//! Playing datagrams while they come, some of them lost:
+//!
+//! ```no_run
+#![doc = include_str!("../examples/decode_udp.rs")]
 //! ```
 
 mod frames;
@@ -24,7 +23,7 @@ mod stream;
 pub use codec_core::{
     Caps, Error, ErrorKind, Gaussian, Result,
     gaussian::ShDegree,
-    player::{Accepted, Counters, Frame, Usable},
+    player::{Accepted, Counters, Frame, StreamInfo, Usable},
 };
 pub use frames::FrameDecoder;
 pub use player::{OpenError, Player, Waiting, arena};

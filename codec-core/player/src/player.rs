@@ -5,7 +5,7 @@ use std::{fmt, path::Path};
 use codec_core::{
     Caps, Error, Result,
     ids::PacketId,
-    player::{self as core, Accepted, Counters, Frame, Usable},
+    player::{self as core, Accepted, Counters, Frame, StreamInfo, Usable},
     receiver::Content,
     wire::manifest::{Manifest, Sealed},
 };
@@ -216,6 +216,11 @@ impl Player {
     }
 
     /// What the manifest says of the stream.
+    pub fn info(&self) -> StreamInfo {
+        self.player.borrow_dependent().info()
+    }
+
+    /// The manifest, record by record.
     pub fn manifest(&self) -> &Manifest<'_> {
         self.player.borrow_dependent().manifest()
     }

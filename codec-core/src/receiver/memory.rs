@@ -94,7 +94,8 @@ impl Requirements {
 
     /// What no stream within `caps` exceeds, whatever its profile.
     pub const fn most(caps: &Caps) -> Self {
-        let (slots, least) = (caps.tables as usize * Form::Slots.words(), caps.tables as usize * Form::Compact.words());
+        let (slots, least) =
+            (caps.tables as usize * Form::Slots.words(), caps.tables as usize * Form::Compact.words());
         let (cells, paper) = (caps.cells as usize, 2 * bytes::SLOTS / 4);
         Self {
             cells: cells.saturating_add(1),

@@ -10,8 +10,8 @@ use std::{fmt::Write as _, io, path::Path};
 use codec_core::{
     Caps, Gaussian,
     digest::Digest,
-    rans::{lanes, table::Table},
     player::{Counters, Waiting},
+    rans::{lanes, table::Table},
     receiver::{Cell, Requirements},
     wire::manifest::Sealed,
 };

@@ -55,7 +55,8 @@ fn exact_block() -> Vec<Line> {
     let player = open(&mut scratch, &caps()).unwrap();
     let mut bytes = 0;
     // SAFETY: the player is open and its memory lives; pointers from references.
-    let status = unsafe { dgs_required(player, message.as_ptr(), message.len(), &mut bytes, ptr::null_mut()) };
+    let status =
+        unsafe { dgs_required(player, message.as_ptr(), message.len(), &mut bytes, ptr::null_mut()) };
     assert_eq!((status, bytes % 16), (DGS_OK, 0));
     vec![Line([0xa5; 16]); bytes / 16]
 }
@@ -190,7 +191,10 @@ fn null_and_crooked_pointers_are_refused() {
         let crooked = (&raw mut error).cast::<u8>().add(1).cast::<DgsError>();
         error.status = -1;
         assert_eq!(dgs_push(player, ptr::null(), 5, ptr::null_mut(), crooked), DGS_MISUSE);
-        assert_eq!(dgs_open(memory.as_mut_ptr().cast(), 0, ptr::null(), ptr::null_mut(), crooked), DGS_MISUSE);
+        assert_eq!(
+            dgs_open(memory.as_mut_ptr().cast(), 0, ptr::null(), ptr::null_mut(), crooked),
+            DGS_MISUSE
+        );
         assert_eq!(error.status, -1);
     }
 }
