@@ -95,6 +95,8 @@ pub type Shown = (Vec<Gaussian>, Vec<f32>);
 pub struct Received {
     /// Arrival masks.
     pub state: Vec<u8>,
+    /// Symbols.
+    pub symbols: Vec<i16>,
     /// Every frame.
     pub frames: Vec<Shown>,
     /// Per epoch and Gaussian, the masks of its blocks in all cells that it takes values from.
@@ -135,6 +137,7 @@ impl Session {
         let content = player.content();
         Received {
             state: content.blocks.to_vec(),
+            symbols: content.symbols.to_vec(),
             frames,
             masks: masks(&content),
             counters: *player.counters(),
