@@ -46,6 +46,7 @@ pub mod repair;
 pub mod wire {
     //! Everything that travels, byte by byte.
     pub mod bits;
+    pub mod checked;
     pub mod crc;
     pub mod file;
     pub mod manifest;

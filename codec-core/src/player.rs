@@ -9,19 +9,18 @@ pub use crate::receiver::{Accepted, Counters, Recovered};
 
 use crate::{
     arena::{Plan, Rest, WORD_BYTES, words_of},
-    caps::{Caps, within},
+    caps::Caps,
     closure::Arrived,
-    cursor::in_range,
     decode::{Decoded, Decoder},
     error::{Error, ErrorKind, Result},
     gaussian::{Gaussian, ShDegree},
     ids::{ClusterId, Level, PacketId, Span},
     layout::Shape,
-    limits::MAX_PACKET_BYTES,
     receiver::{Content, Receiver},
     repair::{Combine, combine},
     wire::{
-        crc::{Crc32, checked, crc32},
+        checked::Checked,
+        crc::{Crc32, crc32},
         manifest::{self, Manifest, Sealed},
         receipt::{IdRange, Value, ViewerPose},
     },
@@ -95,8 +94,7 @@ impl<'a> Waiting<'a> {
     }
 
     fn keep(&mut self, packet: &[u8]) -> Result<()> {
-        in_range("packet", 0, packet.len() as u64, 1, MAX_PACKET_BYTES as u64)?;
-        checked("packet.crc", packet, self.crc)?;
+        Checked::new(packet, self.crc)?;
         let room = self.early.len().saturating_sub(self.early_used);
         let needed = packet.len() + 2;
         let short = Error::short("caps.early_bytes", 0, room, needed).kind(ErrorKind::Capacity);
@@ -128,9 +126,8 @@ impl<'a> Waiting<'a> {
     /// Unpacks and checks `message` at the front of the arena: its words, the manifest without its
     /// bytes, what its stream needs.
     fn open(&mut self, message: &[u8]) -> Result<(usize, Manifest<'static>, Plan)> {
-        let raw_len = Sealed::parse(message)?.raw_len;
         // Before anything of that size is unpacked; the other caps follow once it is.
-        within("manifest.raw_len", raw_len as u64, self.caps.manifest_bytes)?;
+        let raw_len = Sealed::parse(message)?.within(&self.caps)?.raw_len;
         let words = words_of::<u8>(raw_len);
         let have = self.arena.len().saturating_mul(WORD_BYTES);
         let short = Error::short("arena", 0, have, raw_len).kind(ErrorKind::Capacity);

@@ -6,9 +6,11 @@
 //! once; order does not matter. What is refused is counted by kind and costs bounded work.
 
 mod ahead;
+mod chunk;
 mod memory;
 mod payload;
 mod repair;
+mod walk;
 
 pub use ahead::Planned;
 pub use memory::{Cell, Content, Memory, Requirements, for_each_cell};
@@ -17,14 +19,14 @@ pub use repair::Recovered;
 use crate::{
     caps::Caps,
     closure::Arrived,
-    cursor::in_range,
     error::{Error, ErrorKind, Result},
     ids::{Level, PacketId},
-    limits::{self, MAX_PACKET_BYTES},
+    limits,
     rans::form::Form,
     repair::{Combine, combine},
     wire::{
-        crc::{Crc32, checked, crc32},
+        checked::Checked,
+        crc::{Crc32, crc32},
         manifest::{Manifest, TableSet, stream},
         packet::Packet,
     },
@@ -50,8 +52,10 @@ pub struct Counters {
 
 impl Counters {
     /// Counts a refusal.
-    pub(crate) const fn refuse(&mut self, error: &Error) {
-        self.refused[error.kind.index()] += 1;
+    pub(crate) fn refuse(&mut self, error: &Error) {
+        if let Some(count) = self.refused.get_mut(error.kind.index()) {
+            *count = count.saturating_add(1);
+        }
     }
 }
 
@@ -173,24 +177,40 @@ impl<'a> Receiver<'a> {
         }
     }
 
-    /// Takes one media or parity packet.
+    /// Takes one media or parity packet as bytes.
     ///
     /// # Errors
     /// Why the packet is refused; the receiver is as it was, but for its counters.
     pub fn media(&mut self, packet: &[u8]) -> Result<Accepted> {
-        let result = self.take(packet);
-        if let Err(error) = &result {
-            self.counters.refuse(error);
+        match Checked::new(packet, self.crc) {
+            Ok(packet) => self.push(&packet),
+            Err(error) => Err(self.refuse(error)),
         }
-        result
     }
 
-    fn take(&mut self, packet: &[u8]) -> Result<Accepted> {
-        in_range("packet", 0, packet.len() as u64, 1, MAX_PACKET_BYTES as u64)?;
-        let content = checked("packet.crc", packet, self.crc)?;
+    /// Takes one media or parity packet that has been checked.
+    ///
+    /// # Errors
+    /// Why the packet is refused; the receiver is as it was, but for its counters.
+    pub fn push(&mut self, packet: &Checked<'_>) -> Result<Accepted> {
+        self.take(packet).map_err(|error| self.refuse(error))
+    }
+
+    /// Counts a packet that was refused for `error`, here or where it was checked, and gives the error
+    /// back.
+    pub fn refuse(&mut self, error: Error) -> Error {
+        self.counters.refuse(&error);
+        error
+    }
+
+    /// The CRC that this receiver checks by.
+    pub const fn crc(&self) -> Crc32 {
+        self.crc
+    }
+
+    fn take(&mut self, packet: &Checked<'_>) -> Result<Accepted> {
         let manifest = self.manifest;
-        let parsed = Packet::parse(content)?;
-        let id = parsed.id();
+        let id = packet.id();
         let last = u64::from(manifest.head().packets.saturating_sub(1));
         if id.get() >= manifest.head().packets {
             return Err(
@@ -201,13 +221,13 @@ impl<'a> Receiver<'a> {
             let seen = u64::from(id.get());
             return Err(Error::illegal("packet.id", 1, seen, (seen, seen)).kind(ErrorKind::Duplicate));
         }
-        let recovered = if let Packet::Parity(parity) = &parsed {
+        let recovered = if let Packet::Parity(parity) = packet.packet() {
             self.take_parity(&manifest, parity)?
         } else {
-            self.decode(&manifest, &parsed)?;
+            self.decode(&manifest, packet.packet())?;
             self.counters.media += 1;
             self.mark(id);
-            self.take_member(&manifest, id, packet)
+            self.take_member(&manifest, id, packet.bytes())
         };
         Ok(Accepted { id, recovered })
     }

@@ -80,7 +80,7 @@ fn byte_by_byte() {
         let (_, start) = file::manifest(&bytes).unwrap();
         let ends: Vec<usize> = file::packets(&bytes, start, crc32)
             .filter_map(|r| match r {
-                file::Record::Packet(offset, packet) => Some(offset + packet.len()),
+                file::Record::Packet(offset, packet) => Some(offset + packet.bytes().len()),
                 _ => None,
             })
             .collect();

@@ -112,6 +112,8 @@ pub struct DgsCaps {
     pub parity_bytes: u32,
     /// Bytes for packets before the manifest; each takes 2 more than its length.
     pub early_bytes: u32,
+    /// Blocks that the extents of one packet span.
+    pub blocks_per_packet: u32,
     /// Values of one packet.
     pub values_per_packet: u32,
 }
@@ -329,6 +331,7 @@ same_fields!(
     manifest_bytes,
     parity_bytes,
     early_bytes,
+    blocks_per_packet,
     values_per_packet
 );
 same_fields!(Gaussian, DgsGaussian, position, scale, rotation, opacity, sh0);

@@ -2,13 +2,11 @@
 
 use codec_core::{
     Caps, Error, Result,
-    limits::MAX_MANIFEST_BYTES,
     pack::packed_bound,
+    receiver::Requirements,
     wire::{
-        crc::checked,
         file::{self, Record},
         manifest::{self, Manifest, Sealed},
-        packet::Packet,
     },
 };
 use codec_simd::crc32;
@@ -36,8 +34,10 @@ pub struct Stream {
 pub struct Damage {
     /// Byte ranges that are no packet: offset, length.
     pub ranges: Vec<(usize, usize)>,
-    /// Packets that the manifest expects and the file does not hold.
+    /// Packets that the manifest expects, the file does not hold and repair does not give back.
     pub missing_packets: usize,
+    /// Packets whose id another packet before them has; they are passed over.
+    pub duplicates: usize,
     /// Why the index could not be used, if it could not.
     pub index: Option<Error>,
     /// Whether the file ends before its index.
@@ -69,6 +69,9 @@ impl std::fmt::Display for Damage {
         }
         if self.missing_packets > 0 {
             parts.push(format!("{} packets are missing", self.missing_packets));
+        }
+        if self.duplicates > 0 {
+            parts.push(format!("{} packets repeat the id of another", self.duplicates));
         }
         f.write_str(&parts.join("; "))
     }
@@ -122,26 +125,28 @@ impl Stream {
     /// If the manifest itself is unreadable: without it nothing else means anything.
     pub fn from_bytes(bytes: &[u8]) -> Result<(Self, Damage)> {
         let (message, start) = file::manifest(bytes)?;
-        let sealed = Sealed::parse(message)?;
-        let mut raw = vec![0u8; sealed.raw_len.min(MAX_MANIFEST_BYTES)];
+        let sealed = Sealed::parse(message)?.within(&Caps::HOST)?;
+        let mut raw = vec![0u8; sealed.raw_len];
         manifest::open(message, crc32, &mut raw)?;
         let parsed = Manifest::parse(&raw)?;
+        // What no player here takes on is refused before memory is set aside for it.
+        Requirements::of(&parsed, &Caps::HOST)?;
         let mut packets = vec![Vec::new(); parsed.head().packets as usize];
         let mut damage = Damage { truncated: true, ..Damage::default() };
         for record in file::packets(bytes, start, crc32) {
             match record {
-                Record::Packet(at, packet) => {
-                    let parsed = checked("packet.crc", packet, crc32).and_then(Packet::parse);
-                    match parsed.ok().and_then(|p| packets.get_mut(p.id().index())) {
-                        Some(slot) => *slot = packet.to_vec(),
-                        None => damage.ranges.push((at, packet.len())),
-                    }
-                }
-                Record::Damaged(at, len) => damage.ranges.push((at, len)),
+                Record::Packet(at, packet) => match packets.get_mut(packet.id().index()) {
+                    Some(slot) if slot.is_empty() => *slot = packet.bytes().to_vec(),
+                    // The first counts, as for a receiver.
+                    Some(_) => damage.duplicates += 1,
+                    None => damage.ranges.push((at, packet.bytes().len())),
+                },
+                Record::Illegal(at, len, _) | Record::Damaged(at, len) => damage.ranges.push((at, len)),
                 Record::End => damage.truncated = false,
             }
         }
-        damage.missing_packets = packets.iter().filter(|p| p.is_empty()).count();
+        let missing = file::missing(&parsed, |id| packets.get(id as usize).is_some_and(|p| !p.is_empty()));
+        damage.missing_packets = missing.lost as usize;
         damage.index = file::index(bytes, crc32).err();
         Ok((Self { message: message.to_vec(), raw, packets }, damage))
     }

@@ -110,7 +110,7 @@ fn receiver(criterion: &mut Criterion) {
     let bytes = std::fs::read(path).unwrap();
     let (message, start) = file::manifest(&bytes).unwrap();
     let packets: Vec<&[u8]> = file::packets(&bytes, start, crc32)
-        .filter_map(|record| if let Record::Packet(_, packet) = record { Some(packet) } else { None })
+        .filter_map(|record| if let Record::Packet(_, packet) = record { Some(packet.bytes()) } else { None })
         .collect();
     let mut group = criterion.benchmark_group("receiver");
     group.throughput(Throughput::Elements(packets.len() as u64));

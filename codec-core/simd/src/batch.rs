@@ -4,6 +4,7 @@ use codec_core::{
     Error, Result,
     rans::lanes::Run,
     receiver::{Accepted, Planned, Receiver},
+    wire::checked::Checked,
 };
 
 use crate::{Job, Kernel, Tables, decode_many_with};
@@ -11,7 +12,8 @@ use crate::{Job, Kernel, Tables, decode_many_with};
 /// Packets that are decoded together: several times as many as a kernel has places, so that few of
 /// them stand empty while the last ones end.
 const BATCH: usize = 128;
-/// Values that are decoded together; a packet of more goes to the receiver alone.
+/// Values that are decoded together, less those of the last packet, whose number caps bound: so are the
+/// lists of runs.
 const MOST_VALUES: usize = 1 << 21;
 
 /// Gives a [`Receiver`] packets whose values are decoded several at once; its memory is reused.
@@ -29,10 +31,14 @@ impl Default for BatchReceiver {
 }
 
 /// A packet of a batch.
-struct Entry<'p> {
-    packet: &'p [u8],
+#[expect(clippy::large_enum_variant, reason = "most are of the largest kind")]
+enum Entry<'p> {
+    /// Not even whole.
+    Refused(Error),
+    /// For the receiver alone.
+    Alone(Checked<'p>),
     /// What the receiver planned, and where its runs end.
-    planned: Option<(Planned<'p>, usize)>,
+    Planned(Planned<'p>, usize),
 }
 
 impl BatchReceiver {
@@ -62,13 +68,19 @@ impl BatchReceiver {
             while batch.len() < BATCH && values < MOST_VALUES {
                 let Some(packet) = packets.next() else { break };
                 let first = self.runs.len();
-                let planned = receiver.plan(packet, |run| self.runs.push(run));
-                let planned = planned.filter(|planned| planned.values <= MOST_VALUES);
-                values += planned.as_ref().map_or(0, |planned| planned.values);
-                if planned.is_none() {
-                    self.runs.truncate(first);
-                }
-                batch.push(Entry { packet, planned: planned.map(|planned| (planned, self.runs.len())) });
+                let planned = Checked::new(packet, receiver.crc())
+                    .map(|packet| receiver.plan(packet, |run| self.runs.push(run)));
+                batch.push(match planned {
+                    Ok(Ok(planned)) => {
+                        values += planned.values;
+                        Entry::Planned(planned, self.runs.len())
+                    }
+                    Ok(Err(packet)) => {
+                        self.runs.truncate(first);
+                        Entry::Alone(packet)
+                    }
+                    Err(error) => Entry::Refused(error),
+                });
             }
             if batch.is_empty() {
                 return;
@@ -90,7 +102,8 @@ impl BatchReceiver {
         }
         let (mut rest, mut first) = (self.values.as_mut_slice(), 0);
         let mut jobs: Vec<Job<'_>> = Vec::with_capacity(batch.len());
-        for (planned, end) in batch.iter().filter_map(|entry| entry.planned.as_ref()) {
+        for entry in batch {
+            let Entry::Planned(planned, end) = entry else { continue };
             let (out, later) = core::mem::take(&mut rest).split_at_mut(planned.values);
             jobs.push(Job::new(planned.body, &self.runs[first..*end], out));
             (rest, first) = (later, *end);
@@ -101,9 +114,10 @@ impl BatchReceiver {
         }
         let mut jobs = jobs.into_iter();
         for entry in batch {
-            answer(match &entry.planned {
-                None => receiver.media(entry.packet),
-                Some((planned, _)) => {
+            answer(match entry {
+                Entry::Refused(error) => Err(receiver.refuse(*error)),
+                Entry::Alone(packet) => receiver.push(packet),
+                Entry::Planned(planned, _) => {
                     let job = jobs.next().filter(|job| job.result.is_ok());
                     receiver.commit(planned, job.map(|job| &*job.out))
                 }

@@ -15,6 +15,7 @@ use codec_core::{
     player::Waiting,
     receiver::{Accepted, Counters, Receiver},
     wire::{
+        checked::Checked,
         crc::crc32,
         file::{self, Record},
         manifest,
@@ -35,11 +36,12 @@ fn stream(name: &str) -> Stream {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/conformance");
     let bytes = std::fs::read(folder.join(format!("{name}.dgs"))).unwrap();
     let (message, start) = file::manifest(&bytes).unwrap();
-    let packets = file::packets(&bytes, start, crc32)
-        .filter_map(
-            |record| if let Record::Packet(_, packet) = record { Some(packet.to_vec()) } else { None },
-        )
-        .collect();
+    let packets =
+        file::packets(&bytes, start, crc32)
+            .filter_map(|record| {
+                if let Record::Packet(_, packet) = record { Some(packet.bytes().to_vec()) } else { None }
+            })
+            .collect();
     Stream { message: message.to_vec(), packets }
 }
 
@@ -170,10 +172,11 @@ fn a_difference_is_seen() {
     // Values of another packet's length, or none: the receiver decodes by itself.
     let odd = |receiver: &mut Receiver<'_>, packets: &[Vec<u8>], answers: &mut Vec<Result<Accepted>>| {
         for (i, packet) in packets.iter().enumerate() {
-            let planned = receiver.plan(packet, |_| ());
+            let planned = Checked::new(packet, crc32).map(|packet| receiver.plan(packet, |_| ()));
             answers.push(match planned {
-                Some(planned) => receiver.commit(&planned, (i % 2 == 0).then_some(&[1, 2, 3])),
-                None => receiver.media(packet),
+                Ok(Ok(planned)) => receiver.commit(&planned, (i % 2 == 0).then_some(&[1, 2, 3])),
+                Ok(Err(packet)) => receiver.push(&packet),
+                Err(error) => Err(receiver.refuse(error)),
             });
         }
     };

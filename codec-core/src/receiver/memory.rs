@@ -86,7 +86,7 @@ impl Requirements {
             Profile::Paper => {
                 need.slots = 2 * bytes::SLOTS / 4;
                 need.least_slots = need.slots;
-                need.progress = manifest.cells() * Level::COUNT;
+                need.progress = manifest.cells() * Level::COUNT + need.symbols.div_ceil(32);
             }
         }
         Ok(need)
@@ -104,7 +104,7 @@ impl Requirements {
             seen: (caps.packets as usize).div_ceil(32),
             slots: if slots > paper { slots } else { paper },
             least_slots: if least > paper { least } else { paper },
-            progress: cells.saturating_mul(Level::COUNT),
+            progress: cells.saturating_mul(Level::COUNT).saturating_add((caps.symbols as usize).div_ceil(32)),
             parity: caps.parity_bytes as usize,
         }
     }
@@ -144,7 +144,7 @@ pub struct Memory<'a> {
     /// Entropy decode tables: [`Requirements::slots`] for the fast form, or down to
     /// [`Requirements::least_slots`] for the compact one.
     pub(crate) slots: &'a mut [u32],
-    /// Symbols arrived per group (`paper`).
+    /// Symbols arrived per group, then a bit per symbol that has (`paper`).
     pub(crate) progress: &'a mut [u32],
     /// Sums of the repair sets.
     pub(crate) parity: &'a mut [u8],

@@ -69,7 +69,7 @@ impl Line {
 pub fn parts(bytes: &[u8]) -> (&[u8], Vec<&[u8]>) {
     let Ok((message, start)) = file::manifest(bytes) else { return (&[], Vec::new()) };
     let packets = file::packets(bytes, start, crc32).filter_map(|record| match record {
-        file::Record::Packet(_, packet) => Some(packet),
+        file::Record::Packet(_, packet) => Some(packet.bytes()),
         _ => None,
     });
     (message, packets.collect())

@@ -2,7 +2,7 @@
 
 use std::{vec, vec::Vec};
 
-use codec_core::wire::{crc::crc32, file};
+use codec_core::{file, wire::crc::crc32};
 
 use super::*;
 
@@ -39,12 +39,7 @@ fn open(memory: &mut [Line], caps: &DgsCaps) -> Result<*mut DgsPlayer, DgsError>
 
 /// A golden stream: its manifest message and its packets.
 fn stream() -> (&'static [u8], Vec<&'static [u8]>) {
-    let file = include_bytes!("../../../tests/conformance/one.dgs");
-    let (message, start) = file::manifest(file).unwrap();
-    let packets = file::packets(file, start, crc32).filter_map(|record| match record {
-        file::Record::Packet(_, packet) => Some(packet),
-        _ => None,
-    });
+    let (message, packets) = file::parts(include_bytes!("../../../tests/conformance/one.dgs")).unwrap();
     (message, packets.collect())
 }
 
@@ -64,9 +59,9 @@ fn exact_block() -> Vec<Line> {
 #[test]
 fn a_player_opens_keeps_early_packets_and_closes() {
     let mut memory = block();
-    let player = open(&mut memory, &caps()).unwrap();
-    // "123456789" and its CRC-32: a packet as far as anybody can tell before the manifest.
-    let packet = *b"123456789\x26\x39\xf4\xcb";
+    let packet = stream().1[0];
+    let caps = DgsCaps { early_bytes: 2 * (packet.len() as u32 + 2) + 1, ..caps() };
+    let player = open(&mut memory, &caps).unwrap();
     let (mut pushed, mut counters, mut error) = (DgsPushed::waiting(), DgsCounters::default(), none());
     // SAFETY: the player is open and its memory lives; pointers from references.
     unsafe {
