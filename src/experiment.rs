@@ -153,9 +153,8 @@ impl Setup {
     pub fn write(&self, name: &str, text: &str) -> Result<()> {
         let Some(folder) = &self.out else { return Ok(()) };
         let path = folder.join(name);
-        std::fs::create_dir_all(folder)
-            .and_then(|()| std::fs::write(&path, text))
-            .with_context(|| format!("{}: cannot write", path.display()))
+        std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot make", folder.display()))?;
+        crate::files::write(&path, text.as_bytes())
     }
 
     /// `path` in the data folder, or why it is not there (for [`Bench::skipped`]).
@@ -184,6 +183,7 @@ pub(crate) fn scene_args(samples: usize) -> SceneArgs {
         identity_stored: false,
         keep_readable: false,
         max_gaussians: 5_000_000,
+        up: crate::args::Up::Y,
     }
 }
 

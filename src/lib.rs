@@ -14,6 +14,7 @@ pub mod command;
 pub mod delivery;
 pub mod experiment;
 pub mod figures;
+pub mod files;
 pub mod kit;
 pub mod pipeline;
 pub mod progress;

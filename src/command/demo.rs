@@ -78,7 +78,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let received = stream.receive()?;
     let content = received.content();
 
-    let framing = Framing::of(&scene, pipeline::up(args.view.up));
+    let framing = Framing::of(&scene);
     let measuring = framing.ring(Ring::Measuring, 3, (128, 128))?;
     let options = utility::Options { contexts: args.contexts.max(1), ..utility::Options::paper(measuring) };
     let cache = args.out.join("utility.json");

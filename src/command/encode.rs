@@ -77,7 +77,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
     if args.utility {
         let map = PacketMap::of(&stream)?;
         let received = stream.receive()?;
-        let framing = Framing::of(&loaded.scene, [0.0, 1.0, 0.0]);
+        let framing = Framing::of(&loaded.scene);
         let cameras = framing.ring(Ring::Measuring, 3, (160, 160))?;
         let path = pipeline::utility_path(&args.out);
         let options = utility::Options::paper(cameras);

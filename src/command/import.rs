@@ -51,7 +51,7 @@ pub fn run(args: &Import) -> Result<Outcome> {
     if scene.epochs().len() > 4 {
         text += &format!("  … {} more epochs\n", scene.epochs().len() - 4);
     }
-    let framing = Framing::of(scene, [0.0, 1.0, 0.0]);
+    let framing = Framing::of(scene);
     text += &format!("  centre {:.3?}, radius {:.3}\n", framing.target, framing.radius);
     for note in &scene.notes {
         text += &format!("  note: {note}\n");

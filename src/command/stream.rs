@@ -43,7 +43,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<Outcome> {
         )?;
         let map = PacketMap::of(&stream)?;
         let received = stream.receive()?;
-        let framing = Framing::of(&loaded.scene, [0.0, 1.0, 0.0]);
+        let framing = Framing::of(&loaded.scene);
         let options = utility::Options::paper(framing.ring(Ring::Measuring, 3, (128, 128))?);
         let measured = pipeline::utilities(&loaded.scene, &received.content(), &map, &options, None, quiet)?;
         table = Some(measured);
