@@ -1,30 +1,31 @@
 //! The walk, step by step, as every verb and every experiment takes it.
 
 mod cache;
+mod cameras;
 mod frames;
 mod link;
 
-pub use cache::{UtilityCache, utility_path};
-pub use frames::{Frames, snapshot};
-pub use link::{Link, capacity_bins, link, read_trace};
-
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use codec_core::{
-    closure::Arrived, gaussian::ShDegree, ids::Level, receiver::Content, wire::manifest::Profile,
-};
+use codec_core::wire::manifest::Profile;
 use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig};
 use render_host::{Camera, Settings};
 use trainer_host::{
-    Attributes, Epoch, Scene, Stream, Track,
+    Scene, Stream,
     encode::{self, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
-    stream::{HostMemory, PacketMap, Player},
+    stream::{HostMemory, PacketMap},
     utility,
     viewpoint::{Framing, Ring},
 };
 
+pub use self::{
+    cache::{stored_utilities, utilities, utility_path},
+    cameras::read_cameras,
+    frames::{Frames, snapshot},
+    link::{Link, capacity_bins, link, read_trace},
+};
 use crate::{
     args::{CodecArgs, PolicyName, ProfileName, SceneArgs, ViewArgs},
     delivery::{self, ShownState, WireEndpoint},
@@ -163,7 +164,7 @@ pub fn truncate(
 ) -> Result<(Stream, utility::Truncated)> {
     let (map, received) = (PacketMap::of(stream)?, stream.receive()?);
     let how = utility::Options::complete(scene)?;
-    let table = utilities(scene, &received.content(), &map, &how, None, quiet)?;
+    let table = utilities(scene, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
     let progress = Progress::new("encode", quiet.0);
     let told = |stage, share| progress.stage(stage, share);
     utility::truncate(scene, options, stream, &table, lambda, &told).context("cannot encode")

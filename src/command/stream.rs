@@ -9,24 +9,21 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
-use super::Outcome;
 use crate::{
     args::StreamArgs,
     figures::number,
+    output::VerbOutput,
     pipeline::{self, Quiet},
 };
 
 /// Runs the verb.
-pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<Outcome> {
+pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
-    let mut table: Option<utility::Table>;
+    let table: Option<utility::Table>;
     let stream = if pipeline::is_stream(&args.input) {
         let path = std::path::Path::new(&args.input);
         let stream = pipeline::read_stream(path, &mut |w| warnings.push(w))?;
-        let cached = std::fs::read(pipeline::utility_path(path)).ok();
-        table = cached.and_then(|bytes| serde_json::from_slice(&bytes).ok());
-        let crc = codec_core::wire::crc::crc32(stream.manifest()?.raw());
-        table = table.filter(|t| t.manifest_crc == crc);
+        table = pipeline::stored_utilities(&pipeline::utility_path(path), stream.manifest()?.raw()).ok();
         if table.is_none() {
             warnings.push(format!(
                 "{}: no utilities beside it (encode with --utility); all groups count the same",
@@ -45,7 +42,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<Outcome> {
         let received = stream.receive()?;
         let framing = Framing::of(&loaded.scene);
         let options = utility::Options::paper(framing.ring(Ring::Measuring, 3, (128, 128))?);
-        let measured = pipeline::utilities(&loaded.scene, &received.content(), &map, &options, None, quiet)?;
+        let measured = pipeline::utilities(&loaded.scene, &received.content(), &map, &options, None, quiet, &mut |_| ())?;
         table = Some(measured);
         stream
     };
@@ -72,5 +69,5 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<Outcome> {
         report.recovered
     );
     let json = json!({ "link": link.description, "report": report, "warnings": warnings });
-    Ok(Outcome { text, json, warnings, damaged: false })
+    Ok(VerbOutput { text, json, warnings, damaged: false })
 }

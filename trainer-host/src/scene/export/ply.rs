@@ -38,7 +38,7 @@ pub fn encode(epoch: &Epoch, t: usize) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::{self, Identity, Limits, Options, synth};
+    use crate::scene::import::{self, Identity, Limits, Options, synth};
 
     #[test]
     fn a_sequence_reads_back_as_the_same_epoch() {

@@ -187,7 +187,7 @@ impl Tolerance {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::{self, Identity, Limits, synth};
+    use crate::scene::import::{self, Identity, Limits, synth};
     use codec_core::gaussian::ShDegree;
     use rand::RngExt;
     use rand_pcg::rand_core::SeedableRng;

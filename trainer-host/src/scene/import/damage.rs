@@ -75,8 +75,8 @@ fn sog_with(name: &str, bytes: &[u8], limits: &Limits) -> Result<Snapshot, Impor
 
 fn spz_4() -> Vec<u8> {
     let epoch = splat::parse(&splat::tests::sample(9), &Limits::default()).unwrap().epoch;
-    let options = crate::export::spz::Options { version: crate::export::spz::Version::V4, fraction_bits: 12 };
-    crate::export::spz::encode(&epoch, 0, &options).unwrap()
+    let options = crate::scene::export::spz::Options { version: crate::scene::export::spz::Version::V4, fraction_bits: 12 };
+    crate::scene::export::spz::encode(&epoch, 0, &options).unwrap()
 }
 
 fn unpacked(gzip: &[u8]) -> Vec<u8> {

@@ -116,7 +116,7 @@ fn activation_notes(columns: &Columns) -> Vec<String> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::import::error::ErrorKind;
+    use crate::scene::import::error::ErrorKind;
 
     /// A PLY of `n` Gaussians whose property `k` of row `r` is `r + k / 100`.
     pub fn sample(format: &str, rest: usize, n: usize) -> Vec<u8> {

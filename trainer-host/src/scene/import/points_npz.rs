@@ -146,7 +146,7 @@ pub(super) mod tests {
     use std::io::{Cursor, Write};
 
     use super::*;
-    use crate::import::ErrorKind;
+    use crate::scene::import::ErrorKind;
 
     fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
         let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");

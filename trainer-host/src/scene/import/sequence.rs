@@ -220,7 +220,7 @@ fn numbered(name: &str) -> Option<(String, u64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::{import, ply, splat};
+    use crate::scene::import::{import, ply, splat};
 
     #[test]
     fn names_split_into_prefix_and_number() {

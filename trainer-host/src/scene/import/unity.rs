@@ -187,7 +187,7 @@ fn texel_of(index: usize) -> usize {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::import::error::ErrorKind;
+    use crate::scene::import::error::ErrorKind;
 
     pub struct Sample {
         pub description: String,

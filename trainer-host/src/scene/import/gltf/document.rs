@@ -7,7 +7,7 @@ use ::gltf::{
 };
 
 use super::FORMAT;
-use crate::import::{
+use crate::scene::import::{
     Limits,
     bytes::{array, u32_at},
     error::ImportError,

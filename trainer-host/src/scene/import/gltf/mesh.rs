@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use glam::{DMat4, DVec3};
 
 use super::{FORMAT, document::Document, pose::Pose};
-use crate::import::error::ImportError;
+use crate::scene::import::error::ImportError;
 
 /// One primitive of one node: a range of vertices and what moves them.
 pub(super) struct Part {

@@ -14,7 +14,7 @@ use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use rayon::prelude::*;
 
 use super::{FORMAT, mesh::Mesh, surface::Surface};
-use crate::import::{error::ImportError, nearest::Tree};
+use crate::scene::import::{error::ImportError, nearest::Tree};
 
 /// Candidates per wanted sample.
 const OVERSAMPLING: usize = 4;
@@ -241,7 +241,7 @@ fn frame(corners: [DVec3; 3]) -> Option<DQuat> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::nearest::tests::grows_too_fast;
+    use crate::scene::import::nearest::tests::grows_too_fast;
 
     /// `n` points and their normals.
     type Cloud = fn(usize) -> (Vec<[f32; 3]>, Vec<DVec3>);

@@ -4,7 +4,7 @@ use ::gltf::animation::{Interpolation, Property};
 use glam::{DMat4, DQuat, DVec3, DVec4};
 
 use super::{Clip, FORMAT, document::Document};
-use crate::import::{Limits, error::ImportError};
+use crate::scene::import::{Limits, error::ImportError};
 
 /// A node's own transform.
 #[derive(Clone, Copy)]

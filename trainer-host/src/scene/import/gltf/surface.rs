@@ -11,7 +11,7 @@ use super::{
     texture::{Material, Textures},
     too_large,
 };
-use crate::import::{Limits, error::ImportError};
+use crate::scene::import::{Limits, error::ImportError};
 
 /// The triangles of all visible meshes and their materials.
 #[derive(Default)]

@@ -5,7 +5,7 @@ use std::{collections::BTreeMap, io::Cursor, sync::Arc};
 use ::gltf::{material::AlphaMode, texture::WrappingMode};
 
 use super::{FORMAT, document::Document};
-use crate::import::{Limits, error::ImportError};
+use crate::scene::import::{Limits, error::ImportError};
 
 /// What a primitive's surface looks like.
 pub(super) struct Material {

@@ -4,7 +4,7 @@
 //! that there is one reader of values. Offsets of properties come from the header; nothing assumes an
 //! order. Absent: list properties inside the element that is read (skipped in elements before it).
 
-use crate::import::{
+use crate::scene::import::{
     Limits,
     bytes::array,
     error::{Format, ImportError},

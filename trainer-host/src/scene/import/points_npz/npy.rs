@@ -1,7 +1,7 @@
 //! Reads one `.npy` array of an archive: its header first, its values when their number is accepted.
 
 use super::FORMAT;
-use crate::import::{
+use crate::scene::import::{
     archive::{Archive, Member},
     bytes::array,
     error::ImportError,

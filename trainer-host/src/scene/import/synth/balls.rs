@@ -118,7 +118,7 @@ fn pattern(ball: usize, n: DVec3, main: [f32; 3], second: [f32; 3]) -> [f32; 3] 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::synth::Kind;
+    use crate::scene::import::synth::Kind;
 
     #[test]
     fn balls_are_rigid_and_stay_above_the_floor() {

@@ -109,7 +109,7 @@ fn weave(u: f64, v: f64, main: [f32; 3], second: [f32; 3]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::synth::Kind;
+    use crate::scene::import::synth::Kind;
 
     #[test]
     fn displacement_has_rank_four() {
