@@ -111,7 +111,8 @@ impl FrameFolder {
     pub fn create(target: &Path, overwrite: bool) -> Result<Self> {
         check_unused(target, overwrite)?;
         let folder = folder_of(target);
-        fs::create_dir_all(folder).with_context(|| format!("{}: cannot make this folder", folder.display()))?;
+        fs::create_dir_all(folder)
+            .with_context(|| format!("{}: cannot make this folder", folder.display()))?;
         let (prefix, suffix) = affixes(target);
         let mut builder = tempfile::Builder::new();
         builder.prefix(&prefix).suffix(suffix);
@@ -185,7 +186,9 @@ impl FrameFolder {
 fn check_unused(folder: &Path, overwrite: bool) -> Result<()> {
     let entries = match fs::read_dir(folder) {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(()),
-        Err(e) => return Err(e).with_context(|| format!("{}: not a folder to write frames to", folder.display())),
+        Err(e) => {
+            return Err(e).with_context(|| format!("{}: not a folder to write frames to", folder.display()));
+        }
         Ok(entries) => entries,
     };
     let names: io::Result<Vec<String>> =
@@ -219,8 +222,7 @@ mod tests {
 
     fn names(folder: &Path) -> Vec<String> {
         let entries = fs::read_dir(folder).unwrap();
-        let mut names: Vec<String> =
-            entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
         names.sort();
         names
     }
@@ -249,11 +251,9 @@ mod tests {
     fn names_that_cannot_be_written_are_refused_beforehand() {
         let folder = tempfile::tempdir().unwrap();
         fs::write(folder.path().join("file"), b"x").unwrap();
-        for (name, says) in [
-            ("", "is a folder"),
-            ("nowhere/a.dgs", "nowhere: no such folder"),
-            ("file/a.dgs", "file"),
-        ] {
+        for (name, says) in
+            [("", "is a folder"), ("nowhere/a.dgs", "nowhere: no such folder"), ("file/a.dgs", "file")]
+        {
             let path = folder.path().join(name);
             let error = format!("{:#}", check(&path).unwrap_err());
             assert!(error.contains(says), "{error}");

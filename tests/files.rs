@@ -103,7 +103,8 @@ fn a_folder_of_frames_is_whole_or_not_there() {
     ok(at, &["encode", "synth:balls:4000:60", "--pictures", "0", "--out", "long.dgs"]);
     encode(at, "short.dgs");
     // Killed as soon as the first frame lies in the folder under its temporary name.
-    let mut child = Command::new(DGS).current_dir(at).args(["decode", "long.dgs", "--out", "frames"]).spawn().unwrap();
+    let mut child =
+        Command::new(DGS).current_dir(at).args(["decode", "long.dgs", "--out", "frames"]).spawn().unwrap();
     let half = loop {
         let begun = names(at).into_iter().find(|name| name.starts_with(".frames."));
         if let Some(half) = begun.filter(|half| names(&at.join(half)).len() > 1) {
@@ -232,7 +233,9 @@ fn archives_that_unpack_to_more_than_is_accepted_take_little_memory() {
     fs::write(at.join("bomb.sog"), zeros("meta.json", b"", 256 << 20)).unwrap();
     // Half of what either unpacks to, of which the program itself and its threads take most.
     let limit = "ulimit -v 131072; RAYON_NUM_THREADS=1; export RAYON_NUM_THREADS";
-    for (name, says) in [("bomb.npz", "Gaussian count: found 22000000"), ("bomb.sog", "meta.json: found more")] {
+    for (name, says) in
+        [("bomb.npz", "Gaussian count: found 22000000"), ("bomb.sog", "meta.json: found more")]
+    {
         let output = limited(at, limit, &format!("import {name}"));
         let text = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{text}");

@@ -87,8 +87,10 @@ fn pictures(args: &Render, frames: &mut Frames<'_>, single: bool) -> Result<Vec<
     match chosen {
         Some(view) if single => Ok(vec![picture(args, view, 0, count)?]),
         Some(view) => {
-            let all = (0..count).map(|frame| {
-                Picture { frame, camera: view.camera.clone(), name: format!("{frame:05}.png") }
+            let all = (0..count).map(|frame| Picture {
+                frame,
+                camera: view.camera.clone(),
+                name: format!("{frame:05}.png"),
             });
             Ok(all.collect())
         }

@@ -42,7 +42,15 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         let received = stream.receive()?;
         let framing = Framing::of(&loaded.scene);
         let options = utility::Options::paper(framing.ring(Ring::Measuring, 3, (128, 128))?);
-        let measured = pipeline::utilities(&loaded.scene, &received.content(), &map, &options, None, quiet, &mut |_| ())?;
+        let measured = pipeline::utilities(
+            &loaded.scene,
+            &received.content(),
+            &map,
+            &options,
+            None,
+            quiet,
+            &mut |_| (),
+        )?;
         table = Some(measured);
         stream
     };

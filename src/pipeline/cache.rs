@@ -87,7 +87,8 @@ fn measured(
     options: &utility::Options,
 ) -> Result<BTreeMap<String, Value>> {
     // Exhaustive, so that an option cannot be forgotten here.
-    let utility::Options { cameras, contexts, frames_per_span, alpha, beta, complete, seed, settings } = options;
+    let utility::Options { cameras, contexts, frames_per_span, alpha, beta, complete, seed, settings } =
+        options;
     let values = [
         ("version", json!(VERSION)),
         ("program", json!(env!("CARGO_PKG_VERSION"))),
@@ -121,7 +122,9 @@ fn accepted(
     for (name, value) in wanted {
         match stored.measured.get(name) {
             Some(found) if found == value => {}
-            Some(_) if DIGESTED.contains(&name.as_str()) => return Err(format!("measured with other {name}")),
+            Some(_) if DIGESTED.contains(&name.as_str()) => {
+                return Err(format!("measured with other {name}"));
+            }
             Some(found) => return Err(format!("measured with {name} {found}, not {value}")),
             None => return Err(format!("does not say {name}")),
         }
@@ -135,7 +138,11 @@ fn accepted(
 
 /// A digest of every value of `scene`.
 fn digest(scene: &Scene) -> Digest {
-    fn track<T: Copy, const N: usize>(digest: Digest, track: &Track<T>, values: impl Fn(T) -> [f32; N]) -> Digest {
+    fn track<T: Copy, const N: usize>(
+        digest: Digest,
+        track: &Track<T>,
+        values: impl Fn(T) -> [f32; N],
+    ) -> Digest {
         let (Track::Constant(all) | Track::PerFrame(all)) = track;
         all.iter().fold(digest, |digest, &value| digest.values(&values(value)))
     }
@@ -178,15 +185,10 @@ mod tests {
         let cache = folder.path().join("a.utility.json");
         let measure = |scene: &Scene, options: &utility::Options| {
             let mut warnings = Vec::new();
-            let table = utilities(
-                scene,
-                &received.content(),
-                &map,
-                options,
-                Some(&cache),
-                Quiet(true),
-                &mut |w| warnings.push(w),
-            );
+            let table =
+                utilities(scene, &received.content(), &map, options, Some(&cache), Quiet(true), &mut |w| {
+                    warnings.push(w)
+                });
             (table.unwrap(), warnings.join("\n"))
         };
         let plain = || utility::Options { contexts: 1, ..utility::Options::paper(vec![camera(0.0)]) };

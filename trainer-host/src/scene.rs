@@ -1,4 +1,4 @@
-//! The owned scene: Gaussians over frames, in the domain importers read and encoders choose in.
+//! Holds scenes: Gaussians over frames, in the domains that importers read and the encoder chooses in.
 //!
 //! A [`Scene`] is a list of [`Epoch`]s. Inside one epoch identity is fixed: index `i` is the same
 //! Gaussian at every frame. A clip whose identity is not stored, or that is re-meshed, is several

@@ -175,7 +175,8 @@ mod tests {
 
     #[test]
     fn lenses_that_distort_are_refused_by_name() {
-        let with = |fields: &str| read(TEXT.replacen('{', &format!("{{{fields}, "), 1).as_bytes(), Some((8, 8)));
+        let with =
+            |fields: &str| read(TEXT.replacen('{', &format!("{{{fields}, "), 1).as_bytes(), Some((8, 8)));
         for fields in [r#""k1": 0.0, "p2": 0"#, r#""camera_model": "OPENCV""#] {
             assert_eq!(with(fields).unwrap().len(), 2, "{fields}");
         }

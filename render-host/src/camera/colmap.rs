@@ -164,7 +164,8 @@ fn read_images(bytes: &[u8], cameras: &BTreeMap<u32, Intrinsics>) -> Result<Vec<
 /// A view from its quaternion and translation.
 fn view(name: String, pose: [f64; 7], intrinsics: Intrinsics) -> Result<View, CameraError> {
     let [w, x, y, z, tx, ty, tz] = pose;
-    let camera = Camera::from_colmap([w, x, y, z], [tx, ty, tz], intrinsics).map_err(|error| error.of(&name))?;
+    let camera =
+        Camera::from_colmap([w, x, y, z], [tx, ty, tz], intrinsics).map_err(|error| error.of(&name))?;
     Ok(View { name, time: None, camera })
 }
 

@@ -1,4 +1,4 @@
-//! Importers: a file or folder in, a [`Scene`] out.
+//! Imports scenes: a file or folder in, a [`Scene`] out.
 //!
 //! [`import`] looks at the content first and at the name only when the content does not tell. Each
 //! format has one file with a `parse` over bytes, free of file access, which is what fuzzing calls.

@@ -133,7 +133,8 @@ mod tests {
 
     use super::{super::Format, *};
 
-    const CAMERAS: &str = "# Camera list\n7 PINHOLE 640 480 500 510 320 240\r\n\n9 SIMPLE_RADIAL 64 48 50 32 24 0\n";
+    const CAMERAS: &str =
+        "# Camera list\n7 PINHOLE 640 480 500 510 320 240\r\n\n9 SIMPLE_RADIAL 64 48 50 32 24 0\n";
     const IMAGES: &str = "# Image list\n\
         1 1 0 0 0 0.1 0.2 3.0 7 b folder/two words.png\n1.0 2.0 -1 3.0 4.0 5\n\
         2 0.5 0.5 0.5 0.5 0 0 1 9 a.png\n\n\

@@ -46,7 +46,8 @@ mod tests {
         let scene = synth::make(&make, &Limits::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
         for t in 0..5 {
-            std::fs::write(folder.path().join(format!("ball_{t}.ply")), encode(&scene.epochs()[0], t)).unwrap();
+            std::fs::write(folder.path().join(format!("ball_{t}.ply")), encode(&scene.epochs()[0], t))
+                .unwrap();
         }
         let options = Options { identity: Identity::Stored, ..Options::default() };
         let back = import::import(folder.path(), &options).unwrap();

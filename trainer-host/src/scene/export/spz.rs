@@ -3,7 +3,7 @@
 //! Lossy: positions to `2^-fraction_bits` units (12 by default: a quarter of a millimetre in metres),
 //! scales to 1/16 of a natural log, opacity and colour to a byte, rotations to ten bits a component,
 //! harmonics to a byte on a grid of five bits (degree 1) and four (above). Positions beyond what 24
-//! bits hold at the asked-for fraction get fewer fraction bits, chosen per frame, so nothing wraps.
+//! bits hold at the requested fraction get fewer fraction bits, chosen per frame, so nothing wraps.
 
 use std::io::{self, Write};
 
@@ -96,11 +96,11 @@ fn refused(why: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, why)
 }
 
-/// Fraction bits, at most `asked`, at which the furthest position fits in 24 bits.
-fn fraction_bits(epoch: &Epoch, t: usize, asked: u8) -> io::Result<u8> {
+/// Fraction bits, at most `requested`, at which the furthest position fits in 24 bits.
+fn fraction_bits(epoch: &Epoch, t: usize, requested: u8) -> io::Result<u8> {
     let positions = epoch.attributes().positions.frame(t, epoch.count());
     let furthest = positions.iter().flatten().fold(0.0f32, |m, v| m.max(v.abs()));
-    (0..=asked.min(23))
+    (0..=requested.min(23))
         .rev()
         .find(|&bits| f64::from(furthest) * f64::from(1u32 << bits) + 0.5 < 8_388_607.0)
         .ok_or_else(|| refused("a position beyond 8388607 units"))

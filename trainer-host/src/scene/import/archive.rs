@@ -40,8 +40,7 @@ impl<'a> Archive<'a> {
     /// A member to be read piece by piece, `most` bytes of it: nothing is unpacked before it is asked for.
     pub fn member(&mut self, name: &str, most: u64) -> Result<Member<'_, 'a>, ImportError> {
         let format = self.format;
-        let file =
-            self.zip.by_name(name).map_err(|e| format.malformed(name, e, "a member of this name"))?;
+        let file = self.zip.by_name(name).map_err(|e| format.malformed(name, e, "a member of this name"))?;
         let allowed = most.min(self.left);
         Ok(Member { name: name.into(), format, allowed, left: &mut self.left, file: file.take(allowed) })
     }

@@ -1,4 +1,4 @@
-//! Animated glTF and GLB: a dynamic scene whose motion and identity are known, because we make both.
+//! Reads animated glTF and GLB as a dynamic scene, whose motion and identity are known: we make both.
 //!
 //! The textured surface is sampled once, at the first frame of the clip; each sample is a fixed point
 //! of a triangle and becomes one flat Gaussian lying on it. Every frame then poses the mesh (node

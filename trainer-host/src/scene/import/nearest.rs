@@ -57,7 +57,8 @@ impl<'a> Tree<'a> {
     ) -> Vec<(f64, usize)> {
         let limit = radius * radius;
         let query = query.map(f64::from);
-        let mut search = Search { tree: self, query, limit, most, accept, best: Vec::new(), left: MOST_VISITS };
+        let mut search =
+            Search { tree: self, query, limit, most, accept, best: Vec::new(), left: MOST_VISITS };
         if most > 0 {
             search.range(0, self.order.len());
         }

@@ -1,4 +1,4 @@
-//! 3DGS PLY: one row per Gaussian, properties found by name.
+//! Reads 3DGS PLY: one row per Gaussian, properties found by name.
 //!
 //! Exporters differ in order, leave out normals, and add columns of their own, so nothing is read by
 //! place. `f_rest_*` is channel-major in the file (all red, all green, all blue) and

@@ -1,4 +1,4 @@
-//! SOG version 2: `meta.json` and lossless WebP planes, in a folder or a zip.
+//! Reads SOG version 2: `meta.json` and lossless WebP planes, in a folder or a zip.
 //!
 //! Gaussian `i` is pixel `i` of every plane, row by row. Positions are 16 bits in two planes, across
 //! a range, after `sign(v)·ln(1 + |v|)`; scales and colours are bytes into codebooks; rotations are

@@ -1,4 +1,4 @@
-//! `.splat`: headerless records of 32 bytes.
+//! Reads `.splat`: headerless records of 32 bytes.
 //!
 //! ```text
 //! f32 x y z | f32 sx sy sz (linear) | u8 r g b a | u8 w x y z ((u - 128) / 128)

@@ -1,4 +1,4 @@
-//! The Unity Gaussian Splatting asset, version 20231020, in its medium-quality layout.
+//! Reads the Unity Gaussian Splatting asset, version 20231020, in its medium-quality layout.
 //!
 //! A frame is `NAME.asset` (YAML) and planes `NAME_{chk,pos,oth,col}.bytes`, with `_shs` where
 //! harmonics are kept. 256 Gaussians share a chunk of 64 bytes of ranges:

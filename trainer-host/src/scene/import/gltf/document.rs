@@ -1,4 +1,4 @@
-//! The file as data: JSON validated by the `gltf` crate, buffers at hand, accessors read with every
+//! Loads the file as data: JSON validated by the `gltf` crate, buffers at hand, accessors read with every
 //! index checked. The crate's own accessor readers slice without checking and are not used.
 
 use ::gltf::{

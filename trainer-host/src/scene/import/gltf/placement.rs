@@ -77,8 +77,7 @@ impl Placement {
 
         let points: Vec<[f32; 3]> =
             candidates.iter().map(|s| point(s, mesh, vertices).as_vec3().to_array()).collect();
-        let facing =
-            |s: &Sample| normal(mesh.corners(s.triangle, vertices)).unwrap_or(DVec3::ZERO);
+        let facing = |s: &Sample| normal(mesh.corners(s.triangle, vertices)).unwrap_or(DVec3::ZERO);
         let normals: Vec<DVec3> = candidates.iter().map(facing).collect();
         // Twice the largest radius discs of this number can have on this area.
         let reach = 2.0 * (area / (2.0 * 3f64.sqrt() * count as f64)).sqrt();
@@ -88,7 +87,9 @@ impl Placement {
         let normals: Vec<DVec3> = chosen.iter().map(|&i| normals[i]).collect();
         let mut samples: Vec<Sample> = chosen.iter().map(|&i| candidates[i]).collect();
         let spacing = (2.0 * area / (3f64.sqrt() * count as f64)).sqrt();
-        for (sample, sigma) in samples.iter_mut().zip(disc_sizes(&Tree::new(&points), &points, &normals, spacing)) {
+        for (sample, sigma) in
+            samples.iter_mut().zip(disc_sizes(&Tree::new(&points), &points, &normals, spacing))
+        {
             sample.sigma = sigma;
         }
         let areas = samples.iter().map(|s| self::area(mesh.corners(s.triangle, vertices))).collect();
@@ -143,7 +144,7 @@ fn check_range(vertices: &[DVec3]) -> Result<(), ImportError> {
         }
         let furthest = vertex.abs().max_element();
         if furthest > most {
-            let (found, allowed) = (format!("{furthest:e}"), format!("up to {most:e}"));
+            let (found, allowed) = (format!("{furthest:.3e}"), format!("up to {most:.3e}"));
             return Err(FORMAT.malformed(format!("vertex {i}"), found, allowed));
         }
     }

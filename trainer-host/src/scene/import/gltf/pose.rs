@@ -1,4 +1,4 @@
-//! Node hierarchy and animation: where every node is at a time of the clip.
+//! Evaluates node hierarchy and animation: where every node is at a time of the clip.
 
 use ::gltf::animation::{Interpolation, Property};
 use glam::{DMat4, DQuat, DVec3, DVec4};

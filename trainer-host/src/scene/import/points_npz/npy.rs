@@ -95,7 +95,8 @@ impl<'m, 'a> Array<'m, 'a> {
     /// # Errors
     /// Fewer values than the shape says, or a damaged member.
     pub fn rows(mut self, width: usize, mut take: impl FnMut(&[f64])) -> Result<(), ImportError> {
-        let too_large = || FORMAT.malformed(format!("shape of {}", self.name), format!("{:?}", self.shape), "less");
+        let too_large =
+            || FORMAT.malformed(format!("shape of {}", self.name), format!("{:?}", self.shape), "less");
         let count = self.shape.iter().try_fold(1usize, |n, length| n.checked_mul(*length));
         let needed = count.and_then(|n| n.checked_mul(self.element.bytes())).ok_or_else(too_large)?;
         let row = width * self.element.bytes();

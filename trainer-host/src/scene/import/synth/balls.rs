@@ -1,4 +1,4 @@
-//! Five balls bounce without loss and spin, each at its own height and pace, over a still floor.
+//! Makes five balls that bounce without loss and spin, each at its own height and pace, over a still floor.
 //!
 //! A ball is rigid: its discs never change against each other. It turns about one fixed axis at a
 //! constant rate, falls freely, and bounces at the floor without deforming.

@@ -1,4 +1,4 @@
-//! Gaussians that come and go, then another set of them.
+//! Makes Gaussians that come and go, then another set of them.
 //!
 //! First half: a turning ring, and puffs that rise from the floor, each fading in and out by opacity on
 //! its own schedule. Half way the topology changes: the ring becomes three balls, and the scene goes on

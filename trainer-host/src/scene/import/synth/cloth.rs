@@ -1,4 +1,4 @@
-//! A hanging sheet whose displacement has exactly four modes.
+//! Makes a hanging sheet whose displacement has exactly four modes.
 //!
 //! With `u, v` in -1..=1 across and down the sheet, the position at time `s` is
 //!
