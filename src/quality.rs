@@ -2,7 +2,7 @@
 
 use codec_core::receiver::Content;
 use rayon::prelude::*;
-use render_host::{Backend, BackendError, Camera, Frames, Image, Renderer, Settings, Splats, metric};
+use render_host::{Backend, BackendError, Camera, FrameRenderer, Image, Renderer, Settings, Splats, metric};
 use trainer_host::{Instant, Scene, stream::Player};
 
 /// Why an image could not be made or compared.
@@ -53,7 +53,7 @@ pub fn references(
         .collect()
 }
 
-/// Frames that one renderer draws in a row: long enough to profit from the frame before, short enough to
+/// FrameRenderer that one renderer draws in a row: long enough to profit from the frame before, short enough to
 /// keep all threads busy. Pictures do not depend on it.
 fn run_length(frames: usize) -> usize {
     (frames / (2 * rayon::current_num_threads())).clamp(1, 16)
@@ -61,7 +61,7 @@ fn run_length(frames: usize) -> usize {
 
 /// The next picture of a renderer; equal to a fresh render, whatever came before.
 fn next(
-    renderer: &mut Result<Frames, BackendError>,
+    renderer: &mut Result<FrameRenderer, BackendError>,
     splats: &Splats<'_>,
     camera: &Camera,
     settings: &Settings,
@@ -141,7 +141,7 @@ pub fn worst_tenth(values: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Frames out of order and twice, on any number of threads, are what each is alone.
+    /// FrameRenderer out of order and twice, on any number of threads, are what each is alone.
     #[test]
     fn frames_in_a_row_are_what_they_are_alone() {
         let options = trainer_host::import::synth::Options {
@@ -151,7 +151,7 @@ mod tests {
             ..Default::default()
         };
         let scene = trainer_host::import::synth::make(&options, &Default::default()).unwrap();
-        let framing = trainer_host::viewpoint::Framing::of(&scene, [0.0, 1.0, 0.0]);
+        let framing = trainer_host::viewpoint::Framing::of(&scene);
         let camera = &framing.ring(trainer_host::viewpoint::Ring::HeldOut, 3, (64, 48)).unwrap()[0];
         let settings = Settings::default();
         let frames = [0, 1, 2, 3, 3, 7, 4, 5, 11, 10];

@@ -115,11 +115,11 @@ impl Backend {
     ///
     /// # Errors
     /// The graphics device has no memory.
-    pub fn frames(&self) -> Result<Frames, BackendError> {
+    pub fn frames(&self) -> Result<FrameRenderer, BackendError> {
         Ok(match self {
-            Self::Cpu => Frames(Inner::Cpu(Sequence::default())),
+            Self::Cpu => FrameRenderer(Inner::Cpu(Sequence::default())),
             #[cfg(feature = "gpu")]
-            Self::Gpu(executor) => Frames(Inner::Gpu(Box::new(OnGpu {
+            Self::Gpu(executor) => FrameRenderer(Inner::Gpu(Box::new(OnGpu {
                 renderer: gpu::Renderer::new(executor)?,
                 scene: None,
                 picture: Rendered::default(),
@@ -165,7 +165,7 @@ impl Backend {
 ///
 /// A picture does not depend on the frames before it.
 #[derive(Debug)]
-pub struct Frames(Inner);
+pub struct FrameRenderer(Inner);
 
 #[derive(Debug)]
 enum Inner {
@@ -182,7 +182,7 @@ struct OnGpu {
     picture: Rendered,
 }
 
-impl Frames {
+impl FrameRenderer {
     /// The picture of `splats` as `camera` sees them.
     ///
     /// # Errors

@@ -42,7 +42,7 @@ pub mod stage;
 pub use codec_core::{Gaussian, gaussian::ShDegree};
 
 pub use adjoint::{Gradients, Loss, Workspace, render_and_gradients};
-pub use backend::{Backend, BackendError, DeviceChoice, Frames};
+pub use backend::{Backend, BackendError, DeviceChoice, FrameRenderer};
 pub use camera::{Camera, CameraError, Intrinsics, View};
 pub use counters::Counters;
 pub use image::{Image, ImageError};
