@@ -1,7 +1,9 @@
 //! `--device`: the graphics device shows what the processor shows, and what is missing is named.
 
-use std::path::Path;
-use std::process::{Command, Output};
+use std::{
+    path::Path,
+    process::{Command, Output},
+};
 
 use render_host::{Backend, Image};
 

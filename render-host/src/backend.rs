@@ -12,11 +12,13 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-use crate::counterfactual::{CounterfactualError, States, Variants, render_worlds};
 #[cfg(feature = "gpu")]
 use crate::gpu::{self, GpuError, Presence};
-use crate::render::RenderError;
-use crate::{Camera, Changes, Image, Rendered, Sequence, Settings, Splats};
+use crate::{
+    Camera, Changes, Image, Rendered, Sequence, Settings, Splats,
+    counterfactual::{CounterfactualError, States, Variants, render_worlds},
+    render::RenderError,
+};
 
 /// Which device is wanted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

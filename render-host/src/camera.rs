@@ -15,7 +15,6 @@ pub mod colmap;
 mod error;
 
 pub use error::CameraError;
-
 use serde::{Deserialize, Serialize};
 
 /// Largest width or height of an image, pixels.

@@ -10,9 +10,9 @@
 //! Image × Image   ─▶ metric::{psnr, ssim, flip, flicker, distortion, heat}
 //! ```
 //!
-//! [`render`](mod@render) is the tile renderer; [`mod@reference`] is the slow, obvious f64 renderer that judges it.
-//! Both read the same [`Settings`], in which every tolerance and every skip has a name. With feature `gpu`
-//! (on by default) the same stages run on a graphics device, many worlds at once.
+//! [`render`](mod@render) is the tile renderer; [`mod@reference`] is the slow, obvious f64 renderer that
+//! judges it. Both read the same [`Settings`], in which every tolerance and every skip has a name. With
+//! feature `gpu` (on by default) the same stages run on a graphics device, many worlds at once.
 //!
 //! Glossary. *Camera axes*: x right, y down, z forward (OpenCV). *Pixel* `(x, y)` has its centre at
 //! `(x + 0.5, y + 0.5)`; row 0 is at the top. *Transmittance*: the share of the background that still

@@ -3,9 +3,12 @@
 
 mod support;
 
-use render_host::backend::{Backend, BackendError, DeviceChoice};
-use render_host::counterfactual::{States, Variants};
-use render_host::{Image, Settings, Splats, reference};
+use render_host::{
+    Image, Settings, Splats,
+    backend::{Backend, BackendError, DeviceChoice},
+    counterfactual::{States, Variants},
+    reference,
+};
 use support::{Numbers, Scene, camera};
 
 /// Largest difference of a channel between backends, away from cut-offs.

@@ -7,14 +7,16 @@
 mod stages;
 mod support;
 
+use std::sync::{Mutex, MutexGuard, OnceLock};
+
 use codec_core::Gaussian;
 use proptest::prelude::*;
-use render_host::counterfactual::States;
-use render_host::gpu::{
-    Device, DeviceOptions, Executor, GpuError, Presence, Renderer, Scene as OnDevice, wgpu,
+use render_host::{
+    Camera, Rendered, Settings, Splats,
+    counterfactual::States,
+    gpu::{Device, DeviceOptions, Executor, GpuError, Presence, Renderer, Scene as OnDevice, wgpu},
+    reference, render,
 };
-use render_host::{Camera, Rendered, Settings, Splats, reference, render};
-use std::sync::{Mutex, MutexGuard, OnceLock};
 use support::{Numbers, Scene, camera};
 
 /// The renderer that all tests share, with run-time checks in every shader; what was drawn before must not

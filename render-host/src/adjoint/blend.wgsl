@@ -1,8 +1,8 @@
 // The adjoint of stage 4, for many worlds at once. Put after adjoint/forward.wgsl. Workgroups: columns, rows.
 //
-// Two entries. `blend_back` goes forward, takes the squared error and goes back to front. `back_from_gradients` goes
-// back only, from transmittances that adjoint/framebuffer.wgsl retained and pixel gradients that adjoint/loss/ssim.wgsl
-// made of its pictures.
+// Two entries. `blend_back` goes forward, takes the squared error and goes back to front.
+// `back_from_gradients` goes back only, from transmittances that adjoint/framebuffer.wgsl retained and pixel
+// gradients that adjoint/loss/ssim.wgsl made of its pictures.
 //
 // Four worlds of a pixel are four lanes. A tile's list is walked in segments; the transmittances at the
 // start of each are retained, so nothing is divided: a segment is blended again, written down, and read in
@@ -11,12 +11,13 @@
 // The gradients that a splat's pixels give it are added up over the four worlds, then over rows, then over
 // the tile, in one order; one entry has one place for its sums. Worlds beyond four are added there.
 
-// `blend_back`: r g b per pixel, row by row, the picture wanted. `back_from_gradients`: pixel gradients, plane by plane
-// (row by row), three planes per world, from world `batch.first` on.
+// `blend_back`: r g b per pixel, row by row, the picture wanted. `back_from_gradients`: pixel gradients,
+// plane by plane (row by row), three planes per world, from world `batch.first` on.
 @group(0) @binding(7) var<storage, read> wanted: array<f32>;
 // Three per entry: [h, hu, hv, hu·dx], [hu·dy, hv·dy, r, g], [b], with h = dL/d(exponent) / ln 2.
 @group(0) @binding(8) var<storage, read_write> partials: array<vec4<f32>>;
-// Per tile: of each world the squared error, or what framebuffer.wgsl says; then the gradient of the background.
+// Per tile: of each world the squared error, or what framebuffer.wgsl says; then the gradient of the
+// background.
 @group(0) @binding(9) var<storage, read_write> found: array<f32>;
 
 // Gradients of two entries from each pixel: h, r, g, b. Sums over the tile at the end.

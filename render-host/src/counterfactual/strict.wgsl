@@ -1,6 +1,6 @@
 // Takes squared errors of sixteen worlds on one tile, each as it is drawn alone: per world the operations of
-// stage/blend.wgsl in their order, early stop included. Put after world_lanes.wgsl. Workgroups: columns, rows,
-// worlds / 16.
+// stage/blend.wgsl in their order, early stop included. Put after world_lanes.wgsl. Workgroups: columns,
+// rows, worlds / 16.
 
 var<workgroup> open: atomic<u32>;
 var<workgroup> still_open: u32;

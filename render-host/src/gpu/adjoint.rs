@@ -5,27 +5,30 @@
 //!
 //! For squared error alone, `adjoint/blend.wgsl` goes front to back, takes the error, and goes back to front,
 //! four worlds at once. With `1 - SSIM` in the mix that kernel only goes back: `adjoint/framebuffer.wgsl` has
-//! blended front to back and retained pictures and transmittances, and `adjoint/loss/ssim.wgsl` has replaced the
-//! pictures by their gradients.
-//! The gradient of a splat is added up over worlds before it goes further; `adjoint/project.wgsl` takes
-//! those sums back to the Gaussians, once for all worlds. Sums have one order, and nothing is divided by
-//! `1 - alpha` or a transmittance.
+//! blended front to back and retained pictures and transmittances, and `adjoint/loss/ssim.wgsl` has replaced
+//! the pictures by their gradients. The gradient of a splat is added up over worlds before it goes further;
+//! `adjoint/project.wgsl` takes those sums back to the Gaussians, once for all worlds. Sums have one order,
+//! and nothing is divided by `1 - alpha` or a transmittance.
 //!
 //! What is differentiated, and where gradients are 0, is as in [`crate::adjoint`]; arithmetic is f32.
 
-use super::layout::WORKGROUP;
-use super::recording::{Recording, Workgroups};
-use super::source::{Bind, Kernel, LAYOUT, Source, TILE};
-use super::states::{Batch, QUAD, STATES, SharedLists, Totals, masks};
-use super::{Executor, GpuError, Scene, Tiles};
-use crate::adjoint::loss::Mix;
-use crate::adjoint::{Pose, SplatGradient};
-use crate::counterfactual::{States, Variants};
-use crate::harmonics::count;
-use crate::image::{Image, same_size};
-use crate::{Camera, Settings};
 use structure::{CHUNK_BYTES, Chunks, Structure};
 use walk::{BLEND_BACK, Walk};
+
+use super::{
+    Executor, GpuError, Scene, Tiles,
+    layout::WORKGROUP,
+    recording::{Recording, Workgroups},
+    source::{Bind, Kernel, LAYOUT, Source, TILE},
+    states::{Batch, QUAD, STATES, SharedLists, Totals, masks},
+};
+use crate::{
+    Camera, Settings,
+    adjoint::{Pose, SplatGradient, loss::Mix},
+    counterfactual::{States, Variants},
+    harmonics::count,
+    image::{Image, same_size},
+};
 
 pub(super) mod structure;
 pub(super) mod walk;

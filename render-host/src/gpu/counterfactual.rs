@@ -5,17 +5,21 @@
 //! sixteen. Sums go over pixels, then over tiles, in fixed trees: the same bits every time, and a world's
 //! number does not depend on the worlds beside it.
 //!
-//! *Fast* is without early stop, as [`crate::counterfactual::Engine::fast`]; against it, fed with the same f32
-//! ellipses, errors differ by less than 2e-6 relative. *Strict* does the operations of the device's
+//! *Fast* is without early stop, as [`crate::counterfactual::Engine::fast`]; against it, fed with the same
+//! f32 ellipses, errors differ by less than 2e-6 relative. *Strict* does the operations of the device's
 //! [`super::Renderer`] in its order.
 
-use super::recording::Recording;
-use super::source::{Bind, Kernel, LAYOUT, Source, TILE};
-use super::states::{Batch, QUAD, STATES, SharedLists, Totals, masks};
-use super::{Executor, GpuError, Tiles};
-use crate::counterfactual::{States, Utilities, Variants};
-use crate::image::{Image, same_size};
-use crate::{Camera, Settings};
+use super::{
+    Executor, GpuError, Tiles,
+    recording::Recording,
+    source::{Bind, Kernel, LAYOUT, Source, TILE},
+    states::{Batch, QUAD, STATES, SharedLists, Totals, masks},
+};
+use crate::{
+    Camera, Settings,
+    counterfactual::{States, Utilities, Variants},
+    image::{Image, same_size},
+};
 
 /// Worlds that one thread composes.
 const LANES: usize = 16;

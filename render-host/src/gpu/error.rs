@@ -1,8 +1,10 @@
 //! Names what can go wrong on a device.
 
-use crate::image::ImageError;
-use crate::settings::{Settings, SettingsError};
-use crate::stage::TileSide;
+use crate::{
+    image::ImageError,
+    settings::{Settings, SettingsError},
+    stage::TileSide,
+};
 
 /// A device, a buffer or a frame that could not be had.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -5,9 +5,12 @@ use std::{
     sync::{Arc, Mutex, PoisonError},
 };
 
-use super::recording::{Dispatch, Recording, Workgroups};
-use super::source::{Bind, Kernel};
-use super::{Clock, Device, GpuError, layout::ARGS_STRIDE};
+use super::{
+    Clock, Device, GpuError,
+    layout::ARGS_STRIDE,
+    recording::{Dispatch, Recording, Workgroups},
+    source::{Bind, Kernel},
+};
 
 /// Runs recordings on one device. Kernels are compiled when they are first needed and kept. Cheap to clone;
 /// clones share device and kernels.

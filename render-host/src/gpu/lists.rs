@@ -2,13 +2,15 @@
 
 use wgpu::BufferUsages;
 
-use super::layout::{
-    ARGS, ARGS_DRAWN, ARGS_SORT_DRAWN, ARGS_SORT_ENTRIES, ARGS_STRIDE, COUNT_ENTRIES, COUNT_WANTED, COUNTS,
-    DIGITS, Frame, SORT_BLOCK, Splat, WORKGROUP,
+use super::{
+    Device, GpuError, Growing, Scene, error,
+    layout::{
+        ARGS, ARGS_DRAWN, ARGS_SORT_DRAWN, ARGS_SORT_ENTRIES, ARGS_STRIDE, COUNT_ENTRIES, COUNT_WANTED,
+        COUNTS, DIGITS, Frame, SORT_BLOCK, Splat, WORKGROUP,
+    },
+    recording::{Recording, Workgroups},
+    source::{Bind, Kernel, LAYOUT, SPAN, Source},
 };
-use super::recording::{Recording, Workgroups};
-use super::source::{Bind, Kernel, LAYOUT, SPAN, Source};
-use super::{Device, GpuError, Growing, Scene, error};
 use crate::{Camera, Settings};
 
 /// Stage 1.

@@ -1,15 +1,16 @@
 //! The renderer draws pictures on the device: tile lists, then one blending kernel.
 
-use super::layout::{
-    COUNT_ABSENT, COUNT_BEHIND_NEAR, COUNT_DEGENERATE, COUNT_DRAWN, COUNT_ENTRIES, COUNT_NON_FINITE,
-    COUNT_OUTSIDE, COUNT_STOPPED, COUNT_SUB_PIXEL, COUNT_TOUCHED, COUNT_TRANSPARENT, COUNTS, Frame, LANES,
+use super::{
+    Bound, Clock, Device, Executor, GpuError, Growing, Lists, Presence, Scene, StageTime,
+    layout::{
+        COUNT_ABSENT, COUNT_BEHIND_NEAR, COUNT_DEGENERATE, COUNT_DRAWN, COUNT_ENTRIES, COUNT_NON_FINITE,
+        COUNT_OUTSIDE, COUNT_STOPPED, COUNT_SUB_PIXEL, COUNT_TOUCHED, COUNT_TRANSPARENT, COUNTS, Frame,
+        LANES,
+    },
+    recording::Recording,
+    source::{Bind, Kernel, LAYOUT, STAGED, Source, TILE},
 };
-use super::recording::Recording;
-use super::source::{Bind, Kernel, LAYOUT, STAGED, Source, TILE};
-use super::{Bound, Clock, Device, Executor, GpuError, Growing, Lists, Presence, Scene, StageTime};
-use crate::image::Image;
-use crate::render::Rendered;
-use crate::{Camera, Counters, Settings, Splats};
+use crate::{Camera, Counters, Settings, Splats, image::Image, render::Rendered};
 
 /// Stage 4.
 pub static BLEND: Source = Source {

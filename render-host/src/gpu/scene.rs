@@ -1,7 +1,6 @@
 //! A scene holds Gaussians, their harmonics and their groups on the device.
 
-use super::layout::GAUSSIAN_ROWS;
-use super::{Device, GpuError, Growing};
+use super::{Device, GpuError, Growing, layout::GAUSSIAN_ROWS};
 use crate::Splats;
 
 /// A scene that was uploaded once. A frame loop then uploads cameras only.

@@ -1,8 +1,11 @@
 //! Every shader is listed here; tests check each text, its structs, constants and bindings against Rust.
 
-use super::adjoint::{self, structure, walk};
-use super::source::Source;
-use super::{counterfactual, lists, renderer, states, tiles};
+use super::{
+    adjoint::{self, structure, walk},
+    counterfactual, lists, renderer,
+    source::Source,
+    states, tiles,
+};
 
 /// All shaders. Add yours here, and its structs to `structs` in the tests below.
 pub static ALL: &[&Source] = &[
@@ -31,12 +34,16 @@ mod tests {
 
     use naga::valid::{Capabilities, ValidationFlags, Validator};
 
-    use super::super::adjoint::structure::{STRUCTURE, Window};
-    use super::super::layout::{CONSTANTS, Frame, LOSS_CONSTANTS, Splat};
-    use super::super::lists::PROJECT;
-    use super::super::source::{Bind, LAYOUT};
-    use super::super::states::{Batch, Entry, Table};
-    use super::*;
+    use super::{
+        super::{
+            adjoint::structure::{STRUCTURE, Window},
+            layout::{CONSTANTS, Frame, LOSS_CONSTANTS, Splat},
+            lists::PROJECT,
+            source::{Bind, LAYOUT},
+            states::{Batch, Entry, Table},
+        },
+        *,
+    };
 
     /// Workgroup memory that every WebGPU device has, bytes.
     const WORKGROUP_BYTES: u32 = 16_384;

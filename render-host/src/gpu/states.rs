@@ -2,9 +2,11 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use super::recording::Recording;
-use super::source::{Bind, Kernel, LAYOUT, Source, TILE};
-use super::{Device, GpuError, Tiles};
+use super::{
+    Device, GpuError, Tiles,
+    recording::Recording,
+    source::{Bind, Kernel, LAYOUT, Source, TILE},
+};
 use crate::counterfactual::States;
 
 /// Structs and constants of kernels over many states.

@@ -5,8 +5,10 @@ use std::sync::OnceLock;
 use codec_core::{Gaussian, gaussian::ShDegree};
 
 use super::{Device, DeviceOptions, Executor, GpuError};
-use crate::counterfactual::{States, Variants};
-use crate::{Camera, Image, Splats};
+use crate::{
+    Camera, Image, Splats,
+    counterfactual::{States, Variants},
+};
 
 /// The executor of all tests, with run-time checks in every shader; `None`, with a notice, where there is no
 /// adapter. A build server must have one.

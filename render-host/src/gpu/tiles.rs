@@ -1,12 +1,16 @@
 //! Tile lists, made by the CPU or by the device, serve the engines over states.
 
-use super::layout::{Frame, Splat, WORKGROUP};
-use super::recording::{Recording, Workgroups};
-use super::source::{Bind, Kernel, LAYOUT, Source};
-use super::{Device, GpuError, Lists, Scene};
-use crate::counterfactual::Variants;
-use crate::stage::{self, TILE, bin, project, sort};
-use crate::{Camera, Settings};
+use super::{
+    Device, GpuError, Lists, Scene,
+    layout::{Frame, Splat, WORKGROUP},
+    recording::{Recording, Workgroups},
+    source::{Bind, Kernel, LAYOUT, Source},
+};
+use crate::{
+    Camera, Settings,
+    counterfactual::Variants,
+    stage::{self, TILE, bin, project, sort},
+};
 
 /// The place of every splat in the order of depth.
 pub static RANK: Source = Source {

@@ -1,6 +1,5 @@
-// Stage 4 blends: each pixel of a tile takes its list of splats, nearest first: `C += T·a·c; T -= T·a`, until T
-// is below the stop (inclusive). A workgroup is a tile, a thread a pixel. Put after
-// staged.wgsl.
+// Stage 4 blends: each pixel of a tile takes its list of splats, nearest first: `C += T·a·c; T -= T·a`, until
+// T is below the stop (inclusive). A workgroup is a tile, a thread a pixel. Put after staged.wgsl.
 
 @group(0) @binding(4) var<storage, read_write> counts: array<atomic<u32>, 16>;
 // r, g, b without background and transmittance, row by row.

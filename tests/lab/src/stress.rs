@@ -16,10 +16,8 @@ mod poison;
 mod refusals;
 
 pub use cases::cases;
-pub use refusals::{Refusal, refusals};
-
 use codec_core::{Gaussian, gaussian::ShDegree};
-
+pub use refusals::{Refusal, refusals};
 use render_host::{
     Camera, Gradients, Image, ImageError, RenderError, Rendered, Renderer, Settings, SettingsError, Splats,
     SplatsError, Workspace,

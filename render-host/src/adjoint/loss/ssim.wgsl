@@ -1,10 +1,10 @@
 // Takes `1 - SSIM` and the squared error of many pictures, and their gradients: ssim.rs in WGSL. Put after
 // counterfactual/states.wgsl. Workgroups: columns, rows, planes (three per world, from `batch.first` on).
 //
-// `window_gradients` takes the moments of every window that is centred in a tile, along rows and then down, and
-// leaves how the loss changes with each; `pixel_gradients` takes those back to pixels in the same way, and puts the
-// gradient in the place of the picture. A tile reads the pixels up to a radius around it; no number
-// depends on the tiles beyond that.
+// `window_gradients` takes the moments of every window that is centred in a tile, along rows and then down,
+// and leaves how the loss changes with each; `pixel_gradients` takes those back to pixels in the same way,
+// and puts the gradient in the place of the picture. A tile reads the pixels up to a radius around it; no
+// number depends on the tiles beyond that.
 
 // Of `1 - SSIM` and its mix with the squared error.
 struct Window {

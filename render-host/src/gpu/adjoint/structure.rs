@@ -6,14 +6,19 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use super::super::recording::Recording;
-use super::super::source::{Bind, Kernel, LAYOUT, Source, TILE};
-use super::super::states::{Batch, QUAD, STATES, Totals};
-use super::super::{Device, GpuError};
-use super::walk::{BLEND_BACK, FORWARD, Walk};
-use crate::adjoint::loss::Mix;
-use crate::adjoint::loss::ssim::Dissimilarity;
-use crate::image::Image;
+use super::{
+    super::{
+        Device, GpuError,
+        recording::Recording,
+        source::{Bind, Kernel, LAYOUT, Source, TILE},
+        states::{Batch, QUAD, STATES, Totals},
+    },
+    walk::{BLEND_BACK, FORWARD, Walk},
+};
+use crate::{
+    adjoint::loss::{Mix, ssim::Dissimilarity},
+    image::Image,
+};
 
 /// Bytes of the largest buffer that worlds share, unless four worlds need more: what every WebGPU device
 /// binds.

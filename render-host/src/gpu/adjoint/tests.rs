@@ -1,13 +1,21 @@
 //! Gradients on the device against those of the CPU.
 
-use super::super::Stages;
-use super::super::test_scene::{TestScene, executor};
-use super::*;
-use crate::Workspace;
-use crate::adjoint::loss::{Dissimilarity, Distortion, Loss, Mse};
-use crate::adjoint::render_and_gradients;
-use crate::counterfactual::brute;
-use crate::splats::Splats;
+use super::{
+    super::{
+        Stages,
+        test_scene::{TestScene, executor},
+    },
+    *,
+};
+use crate::{
+    Workspace,
+    adjoint::{
+        loss::{Dissimilarity, Distortion, Loss, Mse},
+        render_and_gradients,
+    },
+    counterfactual::brute,
+    splats::Splats,
+};
 
 fn engine(executor: &Executor, case: &TestScene, mix: Mix, settings: &Settings) -> Engine {
     let objective = Objective { target: &case.against, mix };

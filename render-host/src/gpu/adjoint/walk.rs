@@ -1,7 +1,9 @@
 //! A walk holds the buffers that blending worlds front to back and back again reads and adds to.
 
-use super::super::source::{Bind, LAYOUT, Source, TILE};
-use super::super::states::STATES;
+use super::super::{
+    source::{Bind, LAYOUT, Source, TILE},
+    states::STATES,
+};
 
 /// Blending front to back, and what stays in workgroup memory on the way back.
 pub const FORWARD: &str = include_str!("../../adjoint/forward.wgsl");

@@ -1,11 +1,18 @@
 //! The engine on the device against the engine on the CPU and brute force.
 
-use super::super::test_scene::{TestScene, executor, worst};
-use super::super::tiles::through_f32;
-use super::super::{Renderer, Scene, Stages};
-use super::*;
-use crate::counterfactual::{self, brute};
-use crate::{Splats, render};
+use super::{
+    super::{
+        Renderer, Scene, Stages,
+        test_scene::{TestScene, executor, worst},
+        tiles::through_f32,
+    },
+    *,
+};
+use crate::{
+    Splats,
+    counterfactual::{self, brute},
+    render,
+};
 
 fn settings() -> Settings {
     Settings { early_stop: false, background: [0.3, 0.1, 0.6], ..Settings::default() }

@@ -1,9 +1,13 @@
 //! The loss alone: same pictures on both sides.
 
-use super::super::super::Executor;
-use super::super::super::layout::Frame;
-use super::super::super::test_scene::{Numbers, executor};
-use super::*;
+use super::{
+    super::super::{
+        Executor,
+        layout::Frame,
+        test_scene::{Numbers, executor},
+    },
+    *,
+};
 use crate::adjoint::loss::{Distortion, Loss};
 
 /// Largest difference of a gradient, by its largest value, and of a loss, relative.
