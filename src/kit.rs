@@ -116,7 +116,7 @@ impl Kit {
             packet_bytes: 600,
             ..Options::default()
         };
-        Self::of(encode::encode(&scene, &options, &|_, _| {})?)
+        Self::of(encode::encode(&scene, &options, &|_, _| {})?.stream)
     }
 
     /// The kit of `stream`.
@@ -363,7 +363,8 @@ mod tests {
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let stream =
             encode::encode(&scene, &Options { repair: Protection::NONE, ..Options::default() }, &|_, _| {})
-                .unwrap();
+                .unwrap()
+                .stream;
         assert!(matches!(Kit::of(stream), Err(KitError::NoPacket(_))));
     }
 }

@@ -18,16 +18,12 @@ use codec_core::{
 };
 use codec_simd::{Intake, crc32};
 
-use crate::encode::{Ledger, Part, Quality, Reached, Searched};
-
 /// A manifest and its packets.
 #[derive(Clone, Debug)]
 pub struct Stream {
     message: Vec<u8>,
     raw: Vec<u8>,
     packets: Vec<Vec<u8>>,
-    order: Vec<Vec<u32>>,
-    ledger: Ledger,
 }
 
 /// What a damaged `.dgs` file had that could not be used.
@@ -74,40 +70,13 @@ impl std::fmt::Display for Damage {
 }
 
 impl Stream {
-    /// Seals `raw` (an unpacked manifest body of `sections`) and joins it with its packets. `order`
-    /// gives, per epoch, the source index of each decoded Gaussian.
+    /// Seals `raw`, an unpacked manifest body, and joins it with its packets.
     ///
     /// # Errors
-    /// If the manifest cannot be sealed.
-    pub(crate) fn seal(
-        raw: Vec<u8>,
-        sections: &[Section],
-        packets: Vec<Vec<u8>>,
-        order: Vec<Vec<u32>>,
-        mut ledger: Ledger,
-    ) -> error::Result<Self> {
-        let message = sealed(&raw)?;
-        ledger.manifest = message.len() as f64;
-        ledger.manifest_parts = manifest_parts(&raw, sections, message.len())?;
-        Ok(Self { message, raw, packets, order, ledger })
-    }
-
-    /// The same with what its ledger says of the target.
-    pub(crate) fn with_reached(mut self, reached: Option<Reached>) -> Self {
-        self.ledger.reached = reached;
-        self
-    }
-
-    /// The same with what its ledger says of the search of its steps.
-    pub(crate) fn with_searched(mut self, searched: Searched) -> Self {
-        self.ledger.searched = Some(searched);
-        self
-    }
-
-    /// The same with the steps it was encoded at.
-    pub(crate) fn with_quality(mut self, quality: Quality) -> Self {
-        self.ledger.quality = quality;
-        self
+    /// A body that is no manifest, or one that cannot be sealed.
+    pub fn new(raw: Vec<u8>, packets: Vec<Vec<u8>>) -> error::Result<Self> {
+        Manifest::parse(&raw)?;
+        Ok(Self { message: sealed(&raw)?, raw, packets })
     }
 
     /// The DGSM message.
@@ -120,14 +89,9 @@ impl Stream {
         &self.packets
     }
 
-    /// Where every byte went. A stream read from a file knows sizes only.
-    pub fn ledger(&self) -> &Ledger {
-        &self.ledger
-    }
-
-    /// Per epoch, the source index of each decoded Gaussian; empty for a stream read from a file.
-    pub fn order(&self) -> &[Vec<u32>] {
-        &self.order
+    /// Bytes of the message and all packets.
+    pub fn wire_bytes(&self) -> usize {
+        self.message.len() + self.packets.iter().map(Vec::len).sum::<usize>()
     }
 
     /// The manifest.
@@ -182,16 +146,7 @@ impl Stream {
         }
         damage.missing_packets = packets.iter().filter(|p| p.is_empty()).count();
         damage.index = file::index(bytes, crc32).err();
-        let media: usize = packets.iter().map(Vec::len).sum();
-        let ledger = Ledger {
-            gaussians: parsed.epochs().map(|e| u64::from(e.gaussians)).sum(),
-            frames: u64::from(parsed.head().frames),
-            payload: media as f64,
-            manifest: message.len() as f64,
-            packets: packets.iter().filter(|p| !p.is_empty()).count() as u64,
-            ..Ledger::default()
-        };
-        Ok((Self { message: message.to_vec(), raw, packets, order: Vec::new(), ledger }, damage))
+        Ok((Self { message: message.to_vec(), raw, packets }, damage))
     }
 
     /// Feeds the manifest and every packet to a receiver, many packets at a time.
@@ -213,38 +168,12 @@ impl Stream {
     }
 }
 
-/// Name and first byte of a section of a manifest body.
-pub(crate) type Section = (&'static str, usize);
-
-fn sealed(raw: &[u8]) -> error::Result<Vec<u8>> {
+/// The DGSM message of an unpacked manifest body.
+pub(crate) fn sealed(raw: &[u8]) -> error::Result<Vec<u8>> {
     let mut message = vec![0u8; codec_core::pack::packed_bound(raw.len()).min(raw.len() * 2 + 4096)];
     let len = manifest::seal(raw, &mut message)?;
     message.truncate(len);
     Ok(message)
-}
-
-/// What each section takes of a manifest of `len` bytes: header and CRC apart, the packed body is
-/// shared out in proportion to what the message shrinks by when it is packed without the section.
-fn manifest_parts(raw: &[u8], sections: &[Section], len: usize) -> error::Result<Vec<Part>> {
-    let mut shrinks = Vec::new();
-    for (i, &(name, start)) in sections.iter().enumerate() {
-        let end = sections.get(i + 1).map_or(raw.len(), |next| next.1);
-        let without = [&raw[..start], &raw[end..]].concat();
-        let shrinks_by = if start == end { 0 } else { len.saturating_sub(sealed(&without)?.len()) };
-        shrinks.push((name, shrinks_by));
-    }
-    let total: usize = shrinks.iter().map(|s| s.1).sum();
-    let frame = (manifest::HEADER_BYTES + 4) as f64;
-    let mut parts = vec![Part { name: "manifest header and CRC".into(), bits: 8.0 * frame }];
-    parts.extend(shrinks.into_iter().filter(|s| s.1 > 0).map(|(name, by)| {
-        let share = by as f64 / total as f64;
-        Part { name: format!("manifest {name}"), bits: 8.0 * share * (len as f64 - frame) }
-    }));
-    let named: f64 = parts.iter().map(|p| p.bits).sum();
-    if total == 0 {
-        parts.push(Part { name: "manifest body".into(), bits: 8.0 * len as f64 - named });
-    }
-    Ok(parts)
 }
 
 /// Everything a receiver decoded, on the host's heap.
