@@ -12,7 +12,7 @@ use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig};
 use render_host::{Camera, Settings};
 use trainer_host::{
     Attributes, Epoch, Scene, Stream, Track,
-    encode::{self, Protection, Quality, Target},
+    encode::{self, Encoded, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
     stream::{PacketMap, Player},
     utility,
@@ -138,28 +138,28 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::Options {
 ///
 /// # Errors
 /// Options out of range, or a scene beyond the format's bounds.
-pub fn encode(scene: &Scene, options: &encode::Options, quiet: Quiet) -> Result<Stream> {
+pub fn encode(scene: &Scene, options: &encode::Options, quiet: Quiet) -> Result<Encoded> {
     let progress = Progress::new("encode", quiet.0);
     encode::encode(scene, options, &|stage, share| progress.stage(stage, share)).context("cannot encode")
 }
 
-/// `stream` without the levels that measuring cameras do not find worth `lambda` per byte.
+/// `whole` without the levels that measuring cameras do not find worth `lambda` per byte.
 ///
 /// # Errors
 /// If measuring or encoding fails.
 pub fn truncate(
     scene: &Scene,
     options: &encode::Options,
-    stream: &Stream,
+    whole: &Encoded,
     lambda: f64,
     quiet: Quiet,
-) -> Result<(Stream, utility::Truncated)> {
-    let (map, received) = (PacketMap::of(stream)?, stream.receive()?);
+) -> Result<(Encoded, utility::Truncated)> {
+    let (map, received) = (PacketMap::of(&whole.stream)?, whole.stream.receive()?);
     let how = utility::Options::complete(scene)?;
     let table = utilities(scene, &received.content(), &map, &how, None, quiet)?;
     let progress = Progress::new("encode", quiet.0);
     let told = |stage, share| progress.stage(stage, share);
-    utility::truncate(scene, options, stream, &table, lambda, &told).context("cannot encode")
+    utility::truncate(scene, options, whole, &table, lambda, &told).context("cannot encode")
 }
 
 /// A stream from a `.dgs` file; what is damaged is told to `warn`.

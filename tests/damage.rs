@@ -191,7 +191,7 @@ fn good_stream() -> Stream {
     let scene = Scene::new(vec![snapshot.epoch], 30.0).unwrap();
     let options =
         Options { packet_bytes: 200, block_len: 8, repair: Protection::xor(4), ..Options::default() };
-    encode(&scene, &options, &|_, _| {}).unwrap()
+    encode(&scene, &options, &|_, _| {}).unwrap().stream
 }
 
 /// A file around `message` with the packets of `stream`.

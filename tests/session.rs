@@ -26,7 +26,8 @@ fn walk(flags: &[&str]) -> (Stream, PacketMap, PacketGraph, Link) {
     let scene = pipeline::import("synth:births:2000:40", &args.source).unwrap().scene;
     let stream =
         pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::STANDARD), Quiet(true))
-            .unwrap();
+            .unwrap()
+            .stream;
     let map = PacketMap::of(&stream).unwrap();
     let graph = pipeline::graph(&stream, &map, None).unwrap();
     let link = pipeline::link(&args.link, &graph).unwrap();

@@ -40,7 +40,8 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
             &loaded.scene,
             &pipeline::encode_options(&args.codec, Protection::STANDARD),
             quiet,
-        )?;
+        )?
+        .stream;
         let map = PacketMap::of(&stream)?;
         let received = stream.receive()?;
         let framing = Framing::of(&loaded.scene, [0.0, 1.0, 0.0]);

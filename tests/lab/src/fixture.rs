@@ -117,7 +117,7 @@ impl Fixture {
             packet_bytes: 600,
             ..Options::default()
         };
-        Self::of(encode::encode(&scene, &options, &|_, _| {})?)
+        Self::of(encode::encode(&scene, &options, &|_, _| {})?.stream)
     }
 
     /// The fixture of `stream`.
@@ -367,7 +367,8 @@ mod tests {
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let stream =
             encode::encode(&scene, &Options { repair: Protection::NONE, ..Options::default() }, &|_, _| {})
-                .unwrap();
+                .unwrap()
+                .stream;
         assert!(matches!(Fixture::of(stream), Err(FixtureError::NoPacket(_))));
     }
 }

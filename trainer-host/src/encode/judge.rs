@@ -154,7 +154,7 @@ mod tests {
         let judge = Judge::measuring(&scene, spread(0, 6, 2)).unwrap();
         let stream = |factor: f32| {
             let options = Options { quality: Quality::default().scaled(factor), ..Options::default() };
-            encode(&scene, &options, &|_, _| {}).unwrap()
+            encode(&scene, &options, &|_, _| {}).unwrap().stream
         };
         let (fine, coarse) = (stream(1.0), stream(8.0));
         let found = judge.whole(&fine).unwrap();

@@ -262,7 +262,7 @@ mod tests {
                 let scene = Scene::new(vec![epoch.clone()], 30.0).unwrap();
                 let options = Options { quality, pictures: 2, ..Options::default() };
                 let stream = encode(&scene, &options, &|_, _| {}).unwrap();
-                assert_eq!(stream.ledger().saturated, 0, "size {size}, coarseness {coarseness}");
+                assert_eq!(stream.report.ledger.saturated, 0, "size {size}, coarseness {coarseness}");
             }
         }
     }

@@ -44,7 +44,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     }
     for (name, scene) in &scenes {
         let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::NONE);
-        let stream = pipeline::encode(scene, &options, setup.quiet)?;
+        let stream = pipeline::encode(scene, &options, setup.quiet)?.stream;
         whole(&mut bench, name, &stream, runs)?;
         parts(&mut bench, name, &stream, runs)?;
     }

@@ -38,7 +38,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     for (name, scene) in &scenes {
         for profile in [ProfileName::Dgs1, ProfileName::Paper] {
             let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
-            let stream = pipeline::encode(scene, &options, setup.quiet)?;
+            let stream = pipeline::encode(scene, &options, setup.quiet)?.stream;
             let key = format!("{name}.{}", pipeline::profile_name(options.profile));
             promise(&mut bench, &key, scene, &stream, subsets)?;
             loss(&mut bench, &key, scene, &stream, masks, size)?;

@@ -108,7 +108,7 @@ mod tests {
             sh_degree: ShDegree::ZERO,
         };
         let scene = Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap();
-        let stream = encode(&scene, &Options::default(), &|_, _| {}).unwrap();
+        let stream = encode(&scene, &Options::default(), &|_, _| {}).unwrap().stream;
         let received = stream.receive().unwrap();
         let content = received.content();
         let none = vec![0u8; content.blocks.len()];
