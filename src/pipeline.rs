@@ -5,7 +5,7 @@ mod link;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use codec_core::{
+use codec_core::internals::{
     closure::Arrived, gaussian::ShDegree, ids::Level, receiver::Content, wire::manifest::Profile,
 };
 use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig};
@@ -178,7 +178,7 @@ pub fn read_stream(path: &Path, warn: &mut dyn FnMut(String)) -> Result<Stream> 
 
 /// Whether `input` names a `.dgs` stream rather than a scene.
 pub fn is_stream(input: &str) -> bool {
-    let magic = codec_core::wire::file::MAGIC;
+    let magic = codec_core::internals::wire::file::MAGIC;
     if Path::new(input).extension().is_some_and(|e| e == "dgs") {
         return true;
     }
@@ -269,7 +269,7 @@ pub fn utilities(
     cache: Option<&Path>,
     quiet: Quiet,
 ) -> Result<utility::Table> {
-    let crc = codec_core::wire::crc::crc32(content.manifest.raw());
+    let crc = codec_core::internals::wire::crc::crc32(content.manifest.raw());
     if let Some(found) = cache.and_then(|path| std::fs::read(path).ok())
         && let Ok(table) = serde_json::from_slice::<utility::Table>(&found)
         && table.manifest_crc == crc
@@ -314,7 +314,7 @@ pub fn deliver(
 ) -> Result<(Report, Vec<ShownState>)> {
     let manifest = stream.manifest()?;
     let config = SessionConfig { policy, ..config.clone() };
-    let early_bytes = config.buffer_limit * codec_core::limits::MAX_PACKET_BYTES;
+    let early_bytes = config.buffer_limit * codec_core::internals::limits::MAX_PACKET_BYTES;
     let mut endpoint = WireEndpoint::new(early_bytes, stream, &manifest, map, graph)?;
     let mut scheduler = policy.build(graph);
     let report = emulator_host::run(graph, &config, &mut *scheduler, &mut endpoint)?;

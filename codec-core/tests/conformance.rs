@@ -15,7 +15,7 @@ use std::{collections::BTreeSet, path::Path};
 
 use codec_core::{
     ErrorKind,
-    wire::{
+    internals::wire::{
         crc::{checked, crc32},
         file,
         manifest::{Repair, seal},

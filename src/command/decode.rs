@@ -1,7 +1,7 @@
 //! `dgs decode`: a `.dgs` file back to frames.
 
 use anyhow::Result;
-use codec_core::{ErrorKind, ids::Level};
+use codec_core::{ErrorKind, internals::ids::Level};
 use serde_json::json;
 
 use super::import::write;

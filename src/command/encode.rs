@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use anyhow::{Context, Result, bail};
-use codec_core::wire::manifest::Profile;
+use codec_core::internals::wire::manifest::Profile;
 use serde_json::json;
 use trainer_host::{
     encode::{Protection, Report},

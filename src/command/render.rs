@@ -1,7 +1,7 @@
 //! `dgs render`: a scene or a stream to PNG.
 
 use anyhow::{Context, Result, bail};
-use codec_core::ids::Level;
+use codec_core::internals::ids::Level;
 use render_host::{Changes, Sequence, Settings, Splats};
 use serde_json::json;
 use trainer_host::viewpoint::Ring;

@@ -25,7 +25,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         let stream = pipeline::read_stream(path, &mut |w| warnings.push(w))?;
         let cached = std::fs::read(pipeline::utility_path(path)).ok();
         table = cached.and_then(|bytes| serde_json::from_slice(&bytes).ok());
-        let crc = codec_core::wire::crc::crc32(stream.manifest()?.raw());
+        let crc = codec_core::internals::wire::crc::crc32(stream.manifest()?.raw());
         table = table.filter(|t| t.manifest_crc == crc);
         if table.is_none() {
             warnings.push(format!(

@@ -2,11 +2,13 @@
 
 use codec_core::{
     Caps, Error, Result,
-    pack::packed_bound,
-    receiver::Requirements,
-    wire::{
-        file::{self, Record},
-        manifest::{self, Manifest, Sealed},
+    internals::{
+        pack::packed_bound,
+        receiver::Requirements,
+        wire::{
+            file::{self, Record},
+            manifest::{self, Manifest, Sealed},
+        },
     },
 };
 use codec_simd::crc32;

@@ -10,7 +10,7 @@ pub(super) mod price;
 mod proxy;
 mod track;
 
-use codec_core::{
+use codec_core::internals::{
     gaussian::ShDegree,
     ids::{EpochId, Level, Span, WindowId},
     quant::Class,

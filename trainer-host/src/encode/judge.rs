@@ -1,6 +1,6 @@
 //! How close a decoded state is to its source, in pictures: for choices the encoder makes.
 
-use codec_core::receiver::Content;
+use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
 use render_host::{Camera, Image, Renderer, Settings, Splats, metric};
 

@@ -1,6 +1,6 @@
 //! Which levels are worth their bytes: the last step of rate against distortion.
 
-use codec_core::{
+use codec_core::internals::{
     ids::{Level, Span},
     receiver::Content,
 };
@@ -129,7 +129,7 @@ pub fn truncate(
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{gaussian::ShDegree, quant::Class};
+    use codec_core::internals::{gaussian::ShDegree, quant::Class};
 
     use super::*;
     use crate::{
@@ -186,7 +186,7 @@ mod tests {
         let manifest = cut.stream.manifest().unwrap();
         // The core's clusters are the small ones.
         let (mut small, mut large) = (0.0f32, f32::INFINITY);
-        codec_core::receiver::for_each_cell(&manifest, |_, _, shape| {
+        codec_core::internals::receiver::for_each_cell(&manifest, |_, _, shape| {
             let step = shape.quant.canonical[Class::Position.index()].step(Level::BASE);
             let radius = f32::from(shape.cluster.radius) * step;
             match shape.top() {
@@ -201,7 +201,7 @@ mod tests {
         assert!(after > before - 0.1, "{after} dB after {before}");
         // A price no level is worth leaves base levels; one that is no price is refused.
         let (base, _) = truncate(&scene, &options, &whole, &table, 1e9, &|_, _| {}).unwrap();
-        codec_core::receiver::for_each_cell(&base.stream.manifest().unwrap(), |_, _, shape| {
+        codec_core::internals::receiver::for_each_cell(&base.stream.manifest().unwrap(), |_, _, shape| {
             assert_eq!(shape.top(), Level::BASE);
         });
         for lambda in [-1.0, f64::NAN] {

@@ -2,7 +2,10 @@
 //! what packet loss costs without retransmission.
 
 use anyhow::{Result, ensure};
-use codec_core::{Gaussian, ids::Span, receiver::Content};
+use codec_core::{
+    Gaussian,
+    internals::{ids::Span, receiver::Content},
+};
 use dgs::{args::ProfileName, pipeline, quality};
 use rayon::prelude::*;
 use render_host::{Renderer, Settings, Splats, metric};
@@ -175,7 +178,7 @@ fn locality(bench: &mut Bench, key: &str, stream: &Stream) -> Result<()> {
 /// (cluster, block) of every decoded Gaussian, per epoch.
 fn owners(content: &Content<'_>) -> Vec<Vec<(u16, usize)>> {
     let mut owners = vec![Vec::new(); usize::from(content.manifest.head().epochs)];
-    codec_core::receiver::for_each_cell(&content.manifest, |span, cluster, shape| {
+    codec_core::internals::receiver::for_each_cell(&content.manifest, |span, cluster, shape| {
         if let Span::Canonical(epoch) = span {
             let blocks = (0..shape.blocks())
                 .flat_map(|b| std::iter::repeat_n((cluster.0, b), shape.block_gaussians(b)));

@@ -212,7 +212,7 @@ impl Tolerance {
 mod tests {
     use super::*;
     use crate::import::{self, Identity, Limits, synth};
-    use codec_core::gaussian::ShDegree;
+    use codec_core::internals::gaussian::ShDegree;
     use rand::RngExt;
     use rand_pcg::rand_core::SeedableRng;
 

@@ -9,7 +9,7 @@
 use rayon::prelude::*;
 use render_host::Camera;
 
-use codec_core::gaussian::ShDegree;
+use codec_core::internals::gaussian::ShDegree;
 
 use super::{
     Limits,
