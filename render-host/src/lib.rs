@@ -39,7 +39,7 @@ pub mod settings;
 pub mod splats;
 pub mod stage;
 
-pub use codec_core::{Gaussian, gaussian::ShDegree};
+pub use codec_core::{Gaussian, ShDegree};
 
 pub use adjoint::{Gradients, Loss, Workspace, render_and_gradients};
 pub use backend::{Backend, BackendError, DeviceChoice, FrameRenderer};

@@ -77,8 +77,9 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let backend = Backend::open(args.device.into()).context("--device")?;
     let input = args.scene.as_deref().unwrap_or(DEFAULT_SCENE);
     let Loaded { name, scene } = pipeline::import(input, &args.source)?;
-    let stream =
+    let encoded =
         pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::STANDARD), quiet)?;
+    let (stream, ledger) = (encoded.stream, encoded.report.ledger);
     let map = PacketMap::of(&stream)?;
     let received = stream.receive()?;
     let content = received.content();
@@ -175,7 +176,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     notes.extend(link.warnings.iter().cloned());
     let protocol = [
         ("scene", format!("{name}, {} Gaussians, {} frames at {} fps", scene.max_count(), frames.len(), scene.frames_per_second())),
-        ("stream", format!("profile {}, {} packets of at most {} bytes, {} parity", pipeline::profile_name(content.manifest.profile()), stream.ledger().packets, args.codec.packet_bytes, stream.ledger().parity_packets)),
+        ("stream", format!("profile {}, {} packets of at most {} bytes, {} parity", pipeline::profile_name(content.manifest.profile()), ledger.packets, args.codec.packet_bytes, ledger.parity_packets)),
         ("link", link.description.clone()),
         ("controller", format!("{:?}", args.link.controller).to_lowercase()),
         ("quality", format!("camera held out from every choice, {}×{}, background {:?}, all frames, PSNR capped at {PSNR_CAP_DB} dB, against the uncompressed source's own render", args.view.size().0, args.view.size().1, args.view.background)),
@@ -188,7 +189,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
         title: format!("{name} over {}", link.trace.name()),
         machine: Machine::this(),
         protocol: protocol.into_iter().map(|(k, v)| (k.to_owned(), v)).collect(),
-        ledger: stream.ledger().clone(),
+        ledger,
         complete_psnr_db,
         capacity_mbps: capacity.iter().enumerate().map(|(i, bps)| (i as f64 * 0.1, bps / 1e6)).collect(),
         runs,

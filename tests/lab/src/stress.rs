@@ -16,8 +16,9 @@ mod poison;
 mod refusals;
 
 pub use cases::cases;
-use codec_core::{Gaussian, gaussian::ShDegree};
 pub use refusals::{Refusal, refusals};
+
+use codec_core::{Gaussian, ShDegree};
 use render_host::{
     Camera, Gradients, Image, ImageError, RenderError, Rendered, Renderer, Settings, SettingsError, Splats,
     SplatsError, Workspace,

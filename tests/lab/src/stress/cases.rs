@@ -1,6 +1,6 @@
 //! Lists the cases, family by family.
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 use render_host::{Camera, Intrinsics, Settings};
 
 use super::{

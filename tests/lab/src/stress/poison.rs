@@ -1,6 +1,6 @@
 //! Poisons one field of one Gaussian with a value that is no number, each field in its turn.
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 use render_host::Settings;
 
 use super::{

@@ -1,6 +1,6 @@
 //! Lists inputs that are not rendered at all, who refuses them and the words that must be in the error.
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 use render_host::{
     Camera, Image, Intrinsics, Settings, Splats, Workspace,
     adjoint::loss::Mse,
