@@ -31,6 +31,6 @@ pub mod file {
 
 // So that paths inside the crate stay short.
 use internals::{
-    arena, closure, cursor, decode, digest, error, gaussian, ids, layout, limits, math, pack, quant, rans,
-    receiver, repair, wire,
+    arena, closure, cursor, decode, error, gaussian, ids, layout, limits, math, pack, quant, rans, receiver,
+    repair, wire,
 };
