@@ -179,7 +179,7 @@ mod tests {
         let make = synth::Options { gaussians: 1000, frames: 2, ..synth::Options::default() };
         let scene = synth::make(&make, &Limits::default()).unwrap();
         let other = synth::make(&synth::Options { seed: 9, ..make }, &Limits::default()).unwrap();
-        let stream = encode::encode(&scene, &encode::Options::default(), &|_, _| {}).unwrap();
+        let stream = encode::encode(&scene, &encode::Options::default(), &|_, _| {}).unwrap().stream;
         let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
         let folder = tempfile::tempdir().unwrap();
         let cache = folder.path().join("a.utility.json");

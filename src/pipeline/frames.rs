@@ -116,7 +116,7 @@ fn push<T>(track: &mut Track<T>, value: T) {
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{Gaussian, internals::gaussian::ShDegree};
+    use codec_core::{Gaussian, ShDegree};
 
     use super::*;
 

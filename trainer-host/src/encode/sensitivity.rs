@@ -141,7 +141,7 @@ impl Loss for Signs {
 
 #[cfg(test)]
 mod tests {
-    use codec_core::internals::gaussian::ShDegree;
+    use codec_core::ShDegree;
     use render_host::Renderer;
 
     use super::*;

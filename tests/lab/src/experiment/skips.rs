@@ -3,7 +3,7 @@
 mod frames;
 
 use anyhow::{Result, ensure};
-use codec_core::internals::gaussian::ShDegree;
+use codec_core::ShDegree;
 use render_host::{Camera, Counters, Image, Renderer, Settings, Splats, reference};
 use trainer_host::{
     Instant, Scene,

@@ -71,7 +71,7 @@ fn value_bits(clusters: &[Indices], class: Class) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::scene::Attributes;
-    use codec_core::internals::gaussian::ShDegree;
+    use codec_core::ShDegree;
 
     #[test]
     fn what_is_never_drawn_is_left_out() {

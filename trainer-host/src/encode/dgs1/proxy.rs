@@ -75,7 +75,7 @@ fn proxy(epoch: &Epoch, block: &[u32], cell: &CellSymbols, canonical: &Canonical
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{Gaussian, internals::gaussian::ShDegree};
+    use codec_core::{Gaussian, ShDegree};
 
     use super::*;
     use crate::{
