@@ -59,7 +59,7 @@ pub fn run(args: &Decode) -> Result<VerbOutput> {
 }
 
 /// The digest of all frames, as conformance is told by.
-fn digest(frames: &mut Frames<'_>) -> Result<u64> {
+fn digest(frames: &mut Frames) -> Result<u64> {
     let mut digest = Digest::new();
     for frame in 0..frames.count() {
         let instant = frames.instant(frame)?;

@@ -76,7 +76,7 @@ pub fn run(args: &Render) -> Result<VerbOutput> {
 
 /// The images that were asked for: one if `single`, else all frames from one camera, or one from each camera
 /// of a file.
-fn pictures(args: &Render, frames: &mut Frames<'_>, single: bool) -> Result<Vec<Picture>> {
+fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<Vec<Picture>> {
     let views = views(args, frames)?;
     let count = frames.count();
     let chosen = match &args.camera {
@@ -132,7 +132,7 @@ fn choose<'v>(views: &'v [View], text: &str) -> Result<&'v View> {
 }
 
 /// The cameras there are, at the size typed: those of a file, of the scene, or around it.
-fn views(args: &Render, frames: &mut Frames<'_>) -> Result<Vec<View>> {
+fn views(args: &Render, frames: &mut Frames) -> Result<Vec<View>> {
     let view = &args.view;
     let mut views = match &args.cameras {
         Some(path) => pipeline::read_cameras(path, view.width.zip(view.height))?,

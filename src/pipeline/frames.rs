@@ -5,18 +5,18 @@ use codec_core::{closure::Arrived, ids::Level};
 use trainer_host::{
     Attributes, Epoch, Instant, Scene, Track,
     scene::Up,
-    stream::{Player, Received},
+    stream::Player,
     viewpoint::Framing,
 };
 
 /// Frames to look at: of a scene, or decoded one by one from a stream.
-pub enum Frames<'s> {
+pub enum Frames {
     /// Of a scene.
     Scene(Box<Scene>),
     /// Of what has arrived of a stream.
     Stream {
         /// What has arrived.
-        received: Received<'s>,
+        received: Box<dgs_player::Player>,
         /// Levels to use, per block.
         state: Vec<u8>,
         /// What decodes it.
@@ -26,14 +26,14 @@ pub enum Frames<'s> {
     },
 }
 
-impl<'s> Frames<'s> {
+impl Frames {
     /// The frames of what has arrived of a stream, up to `level`.
-    pub fn of_stream(received: Received<'s>, level: Level, up: Up) -> Self {
+    pub fn of_stream(received: dgs_player::Player, level: Level, up: Up) -> Self {
         let content = received.content();
         let below = (1u8 << (level.get() + 1)) - 1;
         let state = content.blocks.iter().map(|mask| Arrived(mask & below).0).collect();
         let player = Box::new(Player::new(&content.manifest));
-        Frames::Stream { received, state, player, up }
+        Frames::Stream { received: Box::new(received), state, player, up }
     }
 
     /// Number of frames, at least one.
