@@ -256,7 +256,8 @@ fn archives_that_unpack_to_more_than_is_accepted_take_little_memory() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (22000000, 3), }\n";
-    let header = [&b"\x93NUMPY\x01\x00"[..], &(header.len() as u16).to_le_bytes(), header.as_bytes()].concat();
+    let header =
+        [&b"\x93NUMPY\x01\x00"[..], &(header.len() as u16).to_le_bytes(), header.as_bytes()].concat();
     fs::write(at.join("bomb.npz"), zeros("means3d.npy", &header, 256 << 20)).unwrap();
     fs::write(at.join("bomb.sog"), zeros("meta.json", b"", 256 << 20)).unwrap();
     // Half of what either unpacks to, of which the program itself and its threads take most.

@@ -2,12 +2,7 @@
 
 use anyhow::{Context, Result};
 use codec_core::{closure::Arrived, ids::Level};
-use trainer_host::{
-    Attributes, Epoch, Instant, Scene, Track,
-    scene::Up,
-    stream::Player,
-    viewpoint::Framing,
-};
+use trainer_host::{Attributes, Epoch, Instant, Scene, Track, scene::Up, stream::Player, viewpoint::Framing};
 
 /// Frames to look at: of a scene, or decoded one by one from a stream.
 pub enum Frames {
