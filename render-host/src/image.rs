@@ -166,14 +166,6 @@ impl Image {
         Ok(out.into_inner())
     }
 
-    /// Writes a PNG file.
-    ///
-    /// # Errors
-    /// As [`Image::to_png`], or what the system says about the path.
-    pub fn write_png(&self, path: &Path) -> Result<(), ImageError> {
-        std::fs::write(path, self.to_png()?).map_err(|e| file_error(path, &e))
-    }
-
     /// Reads PNG, JPEG or WebP bytes. Transparent pixels are laid over `background`.
     ///
     /// # Errors
@@ -356,7 +348,7 @@ mod tests {
         assert_eq!(odd.to_rgb8(), [0, 255, 0]);
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
-        image.write_png(&path).unwrap();
+        std::fs::write(&path, image.to_png().unwrap()).unwrap();
         assert_eq!(Image::read(&path, [0.0; 3]).unwrap(), image);
         let missing = Image::read(&folder.path().join("b.png"), [0.0; 3]).unwrap_err().to_string();
         assert!(missing.contains("b.png"), "{missing}");
