@@ -1,6 +1,8 @@
 //! `dgs inspect`: the manifest for people, packets by kind, damage.
 
-use anyhow::Result;
+mod manifest;
+
+use anyhow::{Context as _, Result};
 use codec_core::{
     ids::{Level, Span},
     wire::manifest::Manifest,
@@ -59,6 +61,10 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
         "manifest_bytes": stream.message().len(), "packets": packets, "parity_packets": parity,
         "missing_packets": missing, "damage": warnings, "manifest": manifest_json(&manifest),
     });
+    if let Some(path) = &args.manifest {
+        let document = manifest::document(&stream, &map)?;
+        std::fs::write(path, format!("{document:#}\n")).with_context(|| path.display().to_string())?;
+    }
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
 }
