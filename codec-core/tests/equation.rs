@@ -9,7 +9,7 @@ mod session;
 
 use std::path::Path;
 
-use session::{Session, parts, unpacked};
+use session::{Received, Session, parts, unpacked};
 
 /// Largest difference to binary64, scene units, in scenes of a few units.
 const TOLERANCE: f64 = 2e-6;
@@ -111,9 +111,9 @@ impl Paper<'_> {
 }
 
 /// Largest difference between the decoder's positions and the equation's, over all frames.
-fn difference(paper: &Paper<'_>, session: &Session, terms: Terms) -> f64 {
+fn difference(paper: &Paper<'_>, received: &Received, terms: Terms) -> f64 {
     let mut most = 0f64;
-    for (frame, (gaussians, _)) in session.frames().iter().enumerate() {
+    for (frame, (gaussians, _)) in received.frames.iter().enumerate() {
         for (decoded, wanted) in gaussians.iter().zip(paper.positions(frame, terms)) {
             for (a, b) in decoded.position.iter().zip(wanted) {
                 most = most.max((f64::from(*a) - b).abs());
@@ -134,17 +134,16 @@ fn positions_are_those_of_equation_one_at_every_level() {
         for usable in 1..=4u8 {
             let brought: Vec<&[u8]> =
                 packets.iter().copied().filter(|p| p[0] >> 5 == 0b100 && p[0] & 3 < usable).collect();
-            let session = Session::open(message).after(&brought);
-            let symbols = session.content().symbols.to_vec();
-            let paper = Paper { raw: &raw, symbols: &symbols };
+            let received = Session::open(message).after(&brought);
+            let paper = Paper { raw: &raw, symbols: &received.symbols };
             let terms = [usable > 1, usable > 2, usable > 3];
-            let most = difference(&paper, &session, terms);
+            let most = difference(&paper, &received, terms);
             assert!(most < TOLERANCE, "{name}, {usable} levels: {most}");
             // The comparison sees each term: without it the positions are others.
             for term in 0..3 {
                 let mut without = terms;
                 without[term] = false;
-                let most = difference(&paper, &session, without);
+                let most = difference(&paper, &received, without);
                 let used = terms[term] && (term > 0 || paper.rank() > 0);
                 assert_eq!(
                     most > 10.0 * TOLERANCE,
