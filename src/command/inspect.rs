@@ -2,15 +2,15 @@
 
 mod manifest;
 
-use anyhow::{Context as _, Result};
-use codec_core::{
+use anyhow::Result;
+use codec_core::internals::{
     ids::{Level, Span},
     wire::manifest::Manifest,
 };
 use serde_json::{Value, json};
 use trainer_host::stream::PacketMap;
 
-use crate::{args::Inspect, output::VerbOutput, pipeline};
+use crate::{args::Inspect, files, output::VerbOutput, pipeline};
 
 /// Runs the verb.
 pub fn run(args: &Inspect) -> Result<VerbOutput> {
@@ -63,7 +63,7 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     });
     if let Some(path) = &args.manifest {
         let document = manifest::document(&stream, &map)?;
-        std::fs::write(path, format!("{document:#}\n")).with_context(|| path.display().to_string())?;
+        files::write(path, format!("{document:#}\n").as_bytes())?;
     }
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })

@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use codec_core::{receiver::for_each_cell, wire::manifest::Profile};
+use codec_core::internals::{receiver::for_each_cell, wire::manifest::Profile};
 use render_host::{Camera, Image, Renderer, Settings, Splats, metric};
 use trainer_host::{
     Scene,
@@ -54,7 +54,7 @@ impl Subject {
             Profile::Paper => Options::paper(),
         };
         options.cluster.max_gaussians = 200;
-        let stream = encode(scene, &options, &|_, _| {}).unwrap();
+        let stream = encode(scene, &options, &|_, _| {}).unwrap().stream;
         let cameras = Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 2, (80, 60)).unwrap();
         let source = scene.instant(FRAME as usize).unwrap();
         let views = cameras.into_iter().map(|camera| (camera.clone(), picture(&source, &camera))).collect();

@@ -3,7 +3,7 @@
 //! Never on the wire: a receiver reads DGSM. Numbers are as in `codec-core/SPEC.md`, counts and
 //! offsets in the order of the stream.
 
-use codec_core::{
+use codec_core::internals::{
     ids::{ClusterId, EpochId, Group, Level, Span, WindowId},
     quant::{Class, Quantiser},
     rans::table::Table,
@@ -18,7 +18,7 @@ use crate::pipeline;
 ///
 /// # Errors
 /// If the stream's manifest does not hold.
-pub fn document(content: &Stream, map: &PacketMap) -> codec_core::error::Result<Value> {
+pub fn document(content: &Stream, map: &PacketMap) -> codec_core::internals::error::Result<Value> {
     let manifest = content.manifest()?;
     let head = manifest.head();
     let quants = (0..head.quants).filter_map(|q| manifest.quant(q as u8));
@@ -134,7 +134,7 @@ fn quantisers(of: &[Quantiser]) -> Vec<Value> {
 fn table(table: &Table) -> Value {
     let mut wire = Vec::new();
     table.write(|bytes| wire.extend_from_slice(bytes));
-    if let [codec_core::rans::table::NAMED, index] = wire[..] {
+    if let [codec_core::internals::rans::table::NAMED, index] = wire[..] {
         return json!({ "family": index, "raw_bits": table.raw_bits() });
     }
     let tokens = (0..=255u8).filter(|&token| table.frequency(token) > 0);
@@ -181,8 +181,8 @@ fn packets(content: &Stream, map: &PacketMap) -> Vec<Value> {
         });
         let kind = match bytes.first().map(|first| first >> 5) {
             None => "missing",
-            Some(codec_core::wire::packet::KIND_CHUNK) => "chunk",
-            Some(codec_core::wire::packet::KIND_PARITY) => "parity",
+            Some(codec_core::internals::wire::packet::KIND_CHUNK) => "chunk",
+            Some(codec_core::internals::wire::packet::KIND_PARITY) => "parity",
             Some(_) => "slices",
         };
         json!({ "id": id, "kind": kind, "bytes": bytes.len(), "slices": slices.collect::<Vec<Value>>() })
