@@ -333,6 +333,9 @@ pub struct Encode {
 pub struct Inspect {
     /// A .dgs file.
     pub input: PathBuf,
+    /// Also write the whole manifest as JSON: clusters, motion, quantisers, tables, groups, packets.
+    #[arg(long, value_name = "FILE")]
+    pub manifest: Option<PathBuf>,
 }
 
 /// `dgs decode`.
