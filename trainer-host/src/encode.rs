@@ -1,13 +1,17 @@
 //! The encoder: a scene in, a stream out. The path is one function, [`encode`], that reads as the
 //! diagram: cluster → factorise → layer → quantise → entropy-code → packetise.
 
+pub mod cluster;
 mod dgs1;
+pub mod factorise;
+pub mod judge;
 mod ledger;
 mod packetise;
 mod paper;
 mod parity;
 mod protection;
 mod search;
+pub mod sensitivity;
 mod statistics;
 mod steps;
 mod strata;
@@ -26,7 +30,8 @@ use codec_core::{
 };
 
 use self::strata::Strata;
-use crate::{cluster, judge::JudgeError, scene::Scene, sensitivity::MOST_PICTURES, stream::Stream};
+use self::{judge::JudgeError, sensitivity::MOST_PICTURES};
+use crate::{scene::Scene, stream::Stream};
 
 /// What to encode, and how.
 #[derive(Clone, Debug, PartialEq)]
