@@ -4,9 +4,9 @@ mod link;
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use codec_core::{
-    closure::Arrived, gaussian::ShDegree, ids::Level, receiver::Content, wire::manifest::Profile,
+    Gaussian, closure::Arrived, gaussian::ShDegree, ids::Level, receiver::Content, wire::manifest::Profile,
 };
 use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig};
 use render_host::{Camera, Settings};
@@ -188,52 +188,71 @@ pub fn is_stream(input: &str) -> bool {
         .is_ok_and(|()| head == magic)
 }
 
-/// The scene that `content` decodes to, up to `level`: what a stream is worth as a source.
+/// Most bytes of a decoded scene: a few bytes of a stream may claim any number of frames.
+const MOST_DECODED_BYTES: u64 = 4 << 30;
+
+/// The scene that `content` decodes to, up to `level`: what a stream is worth as a source. With `only`,
+/// that frame alone is decoded, and is the scene's only one.
 ///
 /// # Errors
-/// If a frame does not decode.
-pub fn decoded_scene(content: &Content<'_>, level: Level) -> Result<Scene> {
+/// If a frame does not decode, or all of them take more than 4 GiB.
+pub fn decoded_scene(content: &Content<'_>, level: Level, only: Option<u32>) -> Result<Scene> {
     let manifest = &content.manifest;
     let keep = (1u8 << (level.get() + 1)) - 1;
     let state: Vec<u8> = content.blocks.iter().map(|m| Arrived(m & keep).0).collect();
     let content = content.with_state(&state);
     let mut player = Player::new(manifest);
+    let rate = manifest.frames_per_second();
+    if let Some(frame) = only {
+        let all = manifest.head().frames;
+        ensure!(frame < all, "there is no frame {frame}; {all} exist");
+        return Ok(Scene::new(vec![decoded_epoch(&mut player, &content, frame..frame + 1)?], rate)?);
+    }
+    let gaussians: u64 = manifest.epochs().map(|e| u64::from(e.gaussians) * u64::from(e.frames)).sum();
+    let bytes = gaussians.saturating_mul(size_of::<Gaussian>() as u64);
+    ensure!(
+        bytes <= MOST_DECODED_BYTES,
+        "the frames of the stream: found {bytes} bytes decoded, allowed is 0..={MOST_DECODED_BYTES}; \
+         decode one by one with --frame"
+    );
     let mut epochs = Vec::new();
     for record in manifest.epochs() {
-        let (frames, n) = (record.frames as usize, record.gaussians as usize);
-        let mut positions = Vec::with_capacity(n * frames);
-        let mut rotations = Vec::with_capacity(n * frames);
-        let mut log_scales = Vec::with_capacity(n * frames);
-        let mut opacity_logits = Vec::with_capacity(n * frames);
-        let mut sh0 = Vec::with_capacity(n * frames);
-        let mut sh_rest = Vec::new();
-        let mut sh_degree = ShDegree::ZERO;
-        for frame in record.first_frame..record.first_frame + record.frames {
-            let shown = player.show(&content, frame)?;
-            for g in shown.gaussians {
-                positions.push(g.position);
-                rotations.push(g.rotation);
-                log_scales.push(g.scale.map(f32::ln));
-                opacity_logits.push((g.opacity / (1.0 - g.opacity).max(1e-9)).max(1e-9).ln());
-                sh0.push(g.sh0);
-            }
-            sh_rest = shown.sh_rest.to_vec();
-            sh_degree = shown.sh_degree;
-        }
-        epochs.push(Epoch::new(
-            frames,
-            Attributes {
-                positions: Track::PerFrame(positions),
-                rotations: Track::PerFrame(rotations),
-                log_scales: Track::PerFrame(log_scales),
-                opacity_logits: Track::PerFrame(opacity_logits),
-                sh0: Track::PerFrame(sh0),
-                sh_rest,
-                sh_degree,
-            },
-        )?);
+        let frames = record.first_frame..record.first_frame + record.frames;
+        epochs.push(decoded_epoch(&mut player, &content, frames)?);
     }
-    Ok(Scene::new(epochs, manifest.frames_per_second())?)
+    Ok(Scene::new(epochs, rate)?)
+}
+
+/// Frames `frames` of `content`, all of one epoch.
+fn decoded_epoch(player: &mut Player, content: &Content<'_>, frames: std::ops::Range<u32>) -> Result<Epoch> {
+    let count = frames.len();
+    let (mut positions, mut rotations, mut log_scales) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut opacity_logits, mut sh0, mut sh_rest) = (Vec::new(), Vec::new(), Vec::new());
+    let mut sh_degree = ShDegree::ZERO;
+    for frame in frames {
+        let shown = player.show(content, frame)?;
+        for g in shown.gaussians {
+            positions.push(g.position);
+            rotations.push(g.rotation);
+            log_scales.push(g.scale.map(f32::ln));
+            opacity_logits.push((g.opacity / (1.0 - g.opacity).max(1e-9)).max(1e-9).ln());
+            sh0.push(g.sh0);
+        }
+        sh_rest = shown.sh_rest.to_vec();
+        sh_degree = shown.sh_degree;
+    }
+    Ok(Epoch::new(
+        count,
+        Attributes {
+            positions: Track::PerFrame(positions),
+            rotations: Track::PerFrame(rotations),
+            log_scales: Track::PerFrame(log_scales),
+            opacity_logits: Track::PerFrame(opacity_logits),
+            sh0: Track::PerFrame(sh0),
+            sh_rest,
+            sh_degree,
+        },
+    )?)
 }
 
 /// The up axis as a vector.

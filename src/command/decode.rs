@@ -12,9 +12,18 @@ pub fn run(args: &Decode) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
     let received = stream.receive()?;
-    let scene = pipeline::decoded_scene(&received.content(), Level::from_bits(args.level))?;
+    let single = args.out.extension().is_some_and(|kind| kind == "ply" || kind == "spz");
+    let only = single.then_some(args.frame);
+    let scene = pipeline::decoded_scene(&received.content(), Level::from_bits(args.level), only)?;
     let counters = received.counters();
-    for kind in [ErrorKind::Checksum, ErrorKind::Illegal, ErrorKind::Contradiction, ErrorKind::Short] {
+    let kinds = [
+        ErrorKind::Checksum,
+        ErrorKind::Illegal,
+        ErrorKind::Contradiction,
+        ErrorKind::Short,
+        ErrorKind::Capacity,
+    ];
+    for kind in kinds {
         let refused = counters.refused[kind.index()];
         if refused > 0 {
             warnings.push(format!("{refused} packets were refused as {}", kind.name()));
@@ -26,10 +35,10 @@ pub fn run(args: &Decode) -> Result<VerbOutput> {
         counters.media,
         counters.recovered
     );
-    text += &write(&scene, &args.out, args.frame as usize)?;
+    text += &write(&scene, &args.out, 0)?;
     let json = json!({
         "file": args.input, "out": args.out, "packets": counters.media,
-        "recovered": counters.recovered, "frames": scene.frames(), "warnings": warnings,
+        "recovered": counters.recovered, "frames": received.content().manifest.head().frames, "warnings": warnings,
     });
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })

@@ -17,7 +17,7 @@ pub fn run(args: &Render) -> Result<VerbOutput> {
     let scene = if pipeline::is_stream(&args.input) {
         let stream = pipeline::read_stream(args.input.as_ref(), &mut |w| warnings.push(w))?;
         let received = stream.receive()?;
-        pipeline::decoded_scene(&received.content(), Level::from_bits(args.level))?
+        pipeline::decoded_scene(&received.content(), Level::from_bits(args.level), None)?
     } else {
         pipeline::import(&args.input, &args.scene)?.scene
     };
