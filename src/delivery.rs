@@ -1,12 +1,13 @@
 //! Where bytes meet time: a stream as a packet graph, and the real receiver as an endpoint.
 
 use codec_core::{
-    ErrorKind,
+    Caps, ErrorKind,
     ids::{EpochId, Group, Level, PacketId, Span},
     layout::Shape,
-    receiver::{self, Content, Receiver},
+    receiver::{Content, for_each_cell},
     wire::manifest::{Manifest, Profile},
 };
+use dgs_player::{Player, Waiting};
 use emulator_host::{
     Endpoint, GroupIndex, Nanos, PacketGraph, PacketIndex, Snapshot,
     graph::{self, GraphError, GraphParts, RepairSet},
@@ -14,7 +15,7 @@ use emulator_host::{
 };
 use trainer_host::{
     Stream,
-    stream::{Mark, PacketMap},
+    stream::{PacketMap, SlicePlacement},
     utility::Table,
 };
 
@@ -54,14 +55,14 @@ pub fn graph(
     // Which packet brings which block of which cell at which level.
     let mut bringer = std::collections::BTreeMap::new();
     for id in 0..stream.packets().len() {
-        for mark in map.marks(id) {
+        for mark in map.placements(id) {
             for block in mark.first_block..mark.first_block + mark.blocks {
                 bringer.insert((block, mark.group.level), PacketIndex(id as u32));
             }
         }
     }
     let cells = first_blocks(manifest);
-    let canonical_block = |mark: &Mark, block: usize| -> Option<usize> {
+    let canonical_block = |mark: &SlicePlacement, block: usize| -> Option<usize> {
         let Span::Motion(window) = mark.group.span else { return None };
         let epoch = EpochId(manifest.window(window)?.epoch);
         let own = cells[manifest.cell(mark.group.span, mark.group.cluster)?.index()];
@@ -72,11 +73,11 @@ pub fn graph(
     let mut packets = Vec::new();
     for (id, bytes) in stream.packets().iter().enumerate() {
         let mut groups: Vec<GroupIndex> =
-            map.marks(id).iter().filter_map(|m| index.get(&m.group).copied()).collect();
+            map.placements(id).iter().filter_map(|m| index.get(&m.group).copied()).collect();
         groups.dedup();
         let mut needs_packets = Vec::new();
         if sliced {
-            for mark in map.marks(id) {
+            for mark in map.placements(id) {
                 for block in mark.first_block..mark.first_block + mark.blocks {
                     let below = Level::ALL.into_iter().rev().filter(|l| *l < mark.group.level);
                     needs_packets.extend(below.filter_map(|l| bringer.get(&(block, l))).next());
@@ -155,7 +156,7 @@ fn coverage(manifest: &Manifest<'_>, span: Span) -> (u32, u32) {
 fn first_blocks(manifest: &Manifest<'_>) -> Vec<usize> {
     let mut first = Vec::with_capacity(manifest.cells());
     let mut next = 0;
-    receiver::for_each_cell(manifest, |_, _, shape| {
+    for_each_cell(manifest, |_, _, shape| {
         first.push(next);
         next += shape.blocks();
     });
@@ -173,8 +174,11 @@ pub struct ShownState {
 
 /// The real no_std receiver behind the emulator's endpoint: every packet's bytes are parsed,
 /// checked and decoded.
-pub struct WireEndpoint<'e, 'm> {
-    receiver: Receiver<'m>,
+pub struct WireEndpoint<'e> {
+    /// Until the manifest is complete.
+    waiting: Option<Waiting>,
+    /// From then on.
+    player: Option<Player>,
     stream: &'e Stream,
     map: &'e PacketMap,
     graph: &'e PacketGraph,
@@ -185,17 +189,22 @@ pub struct WireEndpoint<'e, 'm> {
     pub shown: Vec<ShownState>,
 }
 
-impl<'e, 'm> WireEndpoint<'e, 'm> {
-    /// An endpoint whose receiver uses `memory`.
+impl<'e> WireEndpoint<'e> {
+    /// An endpoint that keeps up to `early_bytes` of media until the manifest is complete.
+    ///
+    /// # Errors
+    /// If there is no memory of that size.
     pub fn new(
-        memory: receiver::Memory<'m>,
+        early_bytes: usize,
         stream: &'e Stream,
         manifest: &Manifest<'_>,
         map: &'e PacketMap,
         graph: &'e PacketGraph,
-    ) -> Self {
-        Self {
-            receiver: codec_simd::receiver(memory),
+    ) -> codec_core::Result<Self> {
+        let early_bytes = u32::try_from(early_bytes).unwrap_or(u32::MAX);
+        Ok(Self {
+            waiting: Some(Waiting::new(Caps { early_bytes, ..Caps::HOST })?),
+            player: None,
             stream,
             map,
             graph,
@@ -203,21 +212,17 @@ impl<'e, 'm> WireEndpoint<'e, 'm> {
             first_blocks: first_blocks(manifest),
             buffered: Vec::new(),
             shown: Vec::new(),
-        }
-    }
-
-    /// What the receiver counted.
-    pub fn counters(&self) -> &receiver::Counters {
-        self.receiver.counters()
+        })
     }
 
     fn has(&self, packet: PacketIndex) -> bool {
-        PacketId::new(packet.0).is_some_and(|id| self.receiver.has(id))
+        let player = self.player.as_ref();
+        PacketId::new(packet.0).zip(player).is_some_and(|(id, player)| player.has(id))
     }
 
     /// Whether all blocks of `mark` are usable up to its level, and for motion coefficients the
     /// blocks they bend are there.
-    fn is_usable(&self, content: &Content<'_>, mark: &Mark, whole_cell: bool) -> bool {
+    fn is_usable(&self, content: &Content<'_>, mark: &SlicePlacement, whole_cell: bool) -> bool {
         let manifest = &content.manifest;
         let Some(cell) = manifest.cell(mark.group.span, mark.group.cluster) else { return false };
         let own = self.first_blocks[cell.index()];
@@ -247,41 +252,52 @@ impl<'e, 'm> WireEndpoint<'e, 'm> {
     }
 }
 
-impl Endpoint for WireEndpoint<'_, '_> {
+impl Endpoint for WireEndpoint<'_> {
     fn control(&mut self, _bytes: usize, complete: bool, recovered: &mut Vec<PacketIndex>) {
-        if complete && self.receiver.control(self.stream.message()).is_ok() {
-            let waiting = std::mem::take(&mut self.buffered);
-            // Everything known now that had not arrived by itself was recovered from parity.
-            for id in 0..self.stream.packets().len() as u32 {
-                let packet = PacketIndex(id);
-                if self.has(packet) && !waiting.contains(&packet) {
-                    recovered.push(packet);
+        let Some(waiting) = self.waiting.take_if(|_| complete) else { return };
+        match waiting.manifest(self.stream.message()) {
+            Err((waiting, _)) => self.waiting = Some(waiting),
+            Ok(player) => {
+                self.player = Some(player);
+                let kept = std::mem::take(&mut self.buffered);
+                // Everything known now that had not arrived by itself was recovered from parity.
+                for id in 0..self.stream.packets().len() as u32 {
+                    let packet = PacketIndex(id);
+                    if self.has(packet) && !kept.contains(&packet) {
+                        recovered.push(packet);
+                    }
                 }
             }
         }
     }
 
     fn media(&mut self, packet: PacketIndex, _now: Nanos, recovered: &mut Vec<PacketIndex>) -> Arrival {
-        match self.receiver.media(&self.stream.packets()[packet.at()]) {
-            Ok(receiver::Arrival::Buffered) if self.buffered.contains(&packet) => Arrival::Duplicate,
-            Ok(receiver::Arrival::Buffered) => {
+        let bytes = &self.stream.packets()[packet.at()];
+        if let Some(player) = &mut self.player {
+            return match player.push(bytes) {
+                Ok(accepted) => {
+                    recovered.extend(accepted.recovered.as_slice().iter().map(|id| PacketIndex(id.get())));
+                    Arrival::Fresh
+                }
+                Err(error) if error.kind == ErrorKind::Duplicate => Arrival::Duplicate,
+                Err(_) => Arrival::Refused,
+            };
+        }
+        match self.waiting.as_mut().map(|waiting| waiting.push(bytes)) {
+            Some(Ok(())) if self.buffered.contains(&packet) => Arrival::Duplicate,
+            Some(Ok(())) => {
                 self.buffered.push(packet);
                 Arrival::Buffered
             }
-            Ok(receiver::Arrival::Accepted { recovered: found, .. }) => {
-                recovered.extend(found.as_slice().iter().map(|id| PacketIndex(id.get())));
-                Arrival::Fresh
-            }
-            Err(error) if error.kind == ErrorKind::Duplicate => Arrival::Duplicate,
-            Err(_) => Arrival::Refused,
+            Some(Err(_)) | None => Arrival::Refused,
         }
     }
 
     fn snapshot(&mut self, frame: u32) -> &Snapshot {
         let mut snapshot = Snapshot::empty(self.graph);
-        if let Some(content) = self.receiver.content() {
+        if let Some(content) = self.player.as_ref().map(Player::content) {
             for (i, (group, symbols)) in self.map.groups().iter().enumerate() {
-                let mark = Mark { group: *group, first_block: 0, blocks: 0, symbols: *symbols };
+                let mark = SlicePlacement { group: *group, first_block: 0, blocks: 0, symbols: *symbols };
                 let needs = &self.graph.groups()[i].needs;
                 if needs.iter().all(|&n| snapshot.has_group(n)) && self.is_usable(&content, &mark, true) {
                     snapshot.insert_group(GroupIndex(i as u32));
@@ -289,7 +305,7 @@ impl Endpoint for WireEndpoint<'_, '_> {
             }
             for id in 0..self.stream.packets().len() {
                 let packet = PacketIndex(id as u32);
-                let marks = self.map.marks(id);
+                let marks = self.map.placements(id);
                 if !marks.is_empty() && self.has(packet) {
                     let usable = match self.graph.profile() {
                         graph::Profile::Sliced => marks.iter().all(|m| self.is_usable(&content, m, false)),

@@ -16,8 +16,8 @@ use std::{
 
 use codec_core::{
     Caps, Error, ErrorKind, Result,
-    decode::{self, Decoder},
-    receiver::{Cell, Counters, Memory, Receiver, Requirements},
+    player::{Counters, Player, Waiting},
+    receiver::Receiver,
     wire::{
         crc::crc32,
         file::{self, Missing, Record},
@@ -43,83 +43,36 @@ fn attacks() -> Vec<(String, Vec<String>)> {
     rows.map(attack).collect()
 }
 
-/// Receiver memory of the size that a manifest needs.
-struct Owned {
-    raw: Vec<u8>,
-    cells: Vec<Cell>,
-    symbols: Vec<i16>,
-    blocks: Vec<u8>,
-    seen: Vec<u32>,
-    slots: Vec<u32>,
-    progress: Vec<u32>,
-    parity: Vec<u8>,
-    gaussians: usize,
-    sh_rest: usize,
+/// Caps of a player that is given its manifest first.
+fn without_early(caps: &Caps) -> Caps {
+    Caps { early_bytes: 0, ..*caps }
 }
 
-impl Owned {
-    fn for_message(message: &[u8], caps: &Caps) -> Result<Self> {
-        let mut raw = vec![0; Sealed::parse(message)?.within(caps)?.raw_len];
-        manifest::open(message, crc32, &mut raw)?;
-        let parsed = Manifest::parse(&raw)?;
-        let need = Requirements::of(&parsed, caps)?;
-        let gaussians = parsed.epochs().map(|e| e.gaussians as usize).max().unwrap_or(0);
-        let owned = Self {
-            cells: vec![Cell::default(); need.cells],
-            symbols: vec![0; need.symbols],
-            blocks: vec![0; need.blocks],
-            seen: vec![0; need.seen],
-            slots: vec![0; need.slots],
-            progress: vec![0; need.progress],
-            parity: vec![0; need.parity],
-            gaussians,
-            sh_rest: gaussians * parsed.sh_degree().rest_len(),
-            raw,
-        };
-        assert!(owned.bytes() as u64 <= caps.memory_bytes(), "{} bytes", owned.bytes());
-        Ok(owned)
-    }
+/// An arena of the length that the stream of `message` needs, which is within what `caps` say of all.
+fn arena(message: &[u8], caps: &Caps) -> Result<Vec<u64>> {
+    let caps = without_early(caps);
+    let raw_len = Sealed::parse(message)?.within(&caps)?.raw_len;
+    let need = Waiting::new(&mut vec![0; raw_len.div_ceil(8)], caps)?.required(message)?;
+    assert!(need.words <= caps.arena_words(), "{} words", need.words);
+    Ok(vec![0; need.words])
+}
 
-    fn bytes(&self) -> usize {
-        let words = self.seen.len() + self.slots.len() + self.progress.len();
-        let wide = 8 * self.cells.len() + 4 * words + 2 * self.symbols.len();
-        wide + self.blocks.len() + self.parity.len() + self.raw.len()
-    }
-
-    fn lend(&mut self) -> Memory<'_> {
-        Memory {
-            manifest: &mut self.raw,
-            cells: &mut self.cells,
-            symbols: &mut self.symbols,
-            blocks: &mut self.blocks,
-            seen: &mut self.seen,
-            slots: &mut self.slots,
-            progress: &mut self.progress,
-            parity: &mut self.parity,
-            early: &mut [],
-        }
-    }
+/// A player of the stream of `message` in `arena`.
+fn play<'a>(arena: &'a mut [u64], message: &[u8], caps: &Caps) -> Result<Player<'a>> {
+    Waiting::new(arena, without_early(caps))?.manifest(message).map_err(|(_, error)| error)
 }
 
 /// Receives the whole of `bytes` and decodes its first frame, with no more memory than `caps` allow.
 /// The first refusal, of the manifest or of a packet, ends it.
 fn receive(bytes: &[u8], caps: &Caps) -> Result<Counters> {
-    let (message, start) = file::manifest(bytes)?;
-    let mut memory = Owned::for_message(message, caps)?;
-    let (gaussians, sh_rest, blocks) = (memory.gaussians, memory.sh_rest, memory.blocks.len());
-    let mut receiver = Receiver::new(memory.lend()).with_caps(*caps);
-    receiver.control(message)?;
-    for record in file::packets(bytes, start, crc32) {
-        if let Record::Packet(_, packet) = record {
-            receiver.push(&packet)?;
-        }
+    let (message, packets) = file::parts(bytes)?;
+    let mut arena = arena(message, caps)?;
+    let mut player = play(&mut arena, message, caps)?;
+    for packet in packets {
+        player.push(packet)?;
     }
-    let mut canonical = vec![codec_core::Gaussian::ABSENT; gaussians];
-    let (mut known, mut out, mut sh_rest) = (vec![0; blocks], canonical.clone(), vec![0.0; sh_rest]);
-    let memory = decode::Memory { canonical: &mut canonical, known: &mut known };
-    let content = receiver.content().unwrap();
-    Decoder::new(memory).frame(&content, 0, &mut out, &mut sh_rest)?;
-    Ok(*receiver.counters())
+    player.frame(0)?;
+    Ok(*player.counters())
 }
 
 #[test]
@@ -189,9 +142,9 @@ fn a_refusal_costs_little_however_often() {
         _ => None,
     });
     let packet = packet.unwrap();
-    let mut memory = Owned::for_message(message, &Caps::HOST).unwrap();
-    let mut receiver = Receiver::new(memory.lend());
-    receiver.control(message).unwrap();
+    let mut arena = arena(message, &Caps::HOST).unwrap();
+    let mut player = play(&mut arena, message, &Caps::HOST).unwrap();
+    let receiver = player.receiver();
     let began = Instant::now();
     for _ in 0..500 {
         let error = receiver.push(&packet).unwrap_err();
@@ -286,21 +239,21 @@ fn overlapping_chunks_leave_their_group_incomplete() {
     let forged = Chunk { first_symbol: honest.first_symbol - 100, ..honest.clone() };
     let mut out = [0; 1280];
     let len = forged.write(&mut out).unwrap();
-    let mut memory = Owned::for_message(message, &Caps::HOST).unwrap();
-    let mut receiver = Receiver::new(memory.lend());
-    receiver.control(message).unwrap();
+    let mut arena = arena(message, &Caps::HOST).unwrap();
+    let mut player = play(&mut arena, message, &Caps::HOST).unwrap();
+    let receiver = player.receiver();
     for packet in &packets {
-        let whole = |receiver: &Receiver<'_>| receiver.content().unwrap().blocks.to_vec();
+        let whole = |receiver: &Receiver<'_>| receiver.content().blocks.to_vec();
         if packet.id() == honest.id {
-            let before = whole(&receiver);
+            let before = whole(receiver);
             let error = receiver.media(&out[..len]).unwrap_err();
             let wanted = ("chunk.first_symbol", ErrorKind::Duplicate, u64::from(forged.first_symbol));
             assert_eq!((error.field, error.kind, error.found), wanted);
-            assert_eq!(whole(&receiver), before);
+            assert_eq!(whole(receiver), before);
         }
         receiver.push(packet).unwrap();
     }
-    assert!(receiver.content().unwrap().blocks.iter().all(|&mask| mask == 0b1111), "the honest ones do");
+    assert!(receiver.content().blocks.iter().all(|&mask| mask == 0b1111), "the honest ones do");
 }
 
 /// Which of the packets that are not there repair gives back, and which are lost.

@@ -6,7 +6,7 @@
 //! back meanwhile) is left to [`Receiver::push`] in the packet's turn, so that committing packets one
 //! after the other is in every respect the same as giving them to `push`.
 
-use super::{Arrival, Receiver, payload::Survey};
+use super::{Accepted, Receiver, payload::Survey};
 use crate::{
     error::Result,
     rans::{form::Form, lanes::Run, table::SLOTS},
@@ -24,10 +24,10 @@ pub struct Planned<'p> {
 }
 
 impl Receiver<'_> {
-    /// Slots and raw bits of the stream's entropy tables, for a decoder of the host's. `None` before
-    /// the manifest, in profile `paper`, and where memory is so short that tables are compact.
+    /// Slots and raw bits of the stream's entropy tables, for a decoder of the host's. `None` in
+    /// profile `paper`, and where memory is so short that tables are compact.
     pub fn tables(&self) -> Option<(&[[u32; SLOTS]], &[u8])> {
-        let manifest = self.manifest.filter(|m| m.profile() == Profile::Dgs1)?;
+        let manifest = Some(self.manifest).filter(|m| m.profile() == Profile::Dgs1)?;
         let count = usize::from(manifest.head().tables);
         let slots = self.memory.slots.as_chunks::<SLOTS>().0.get(..count)?;
         (self.form == Form::Slots).then_some((slots, self.raw_bits.get(..count)?))
@@ -45,8 +45,9 @@ impl Receiver<'_> {
         packet: Checked<'p>,
         run: impl FnMut(Run),
     ) -> core::result::Result<Planned<'p>, Checked<'p>> {
-        let surveyed = match (self.manifest, packet.packet()) {
-            (Some(manifest), Packet::Slices(slices))
+        let manifest = self.manifest;
+        let surveyed = match packet.packet() {
+            Packet::Slices(slices)
                 if manifest.profile() == Profile::Dgs1
                     && slices.id.get() < manifest.head().packets
                     && !self.has(slices.id) =>
@@ -66,20 +67,20 @@ impl Receiver<'_> {
     ///
     /// # Errors
     /// As [`Receiver::push`].
-    pub fn commit(&mut self, planned: &Planned<'_>, values: Option<&[i16]>) -> Result<Arrival> {
+    pub fn commit(&mut self, planned: &Planned<'_>, values: Option<&[i16]>) -> Result<Accepted> {
         let packet = &planned.packet;
-        let id = packet.id();
-        let placed = match (self.manifest, packet.packet(), values) {
-            (Some(manifest), Packet::Slices(slices), Some(values))
-                if values.len() == planned.values && !self.has(id) =>
-            {
-                self.place(&manifest, slices, values).ok().map(|()| manifest)
+        let (id, manifest) = (packet.id(), self.manifest);
+        let placed = match (packet.packet(), values) {
+            (Packet::Slices(slices), Some(values)) if values.len() == planned.values && !self.has(id) => {
+                self.place(&manifest, slices, values).is_ok()
             }
-            _ => None,
+            _ => false,
         };
-        let Some(manifest) = placed else { return self.push(packet) };
+        if !placed {
+            return self.push(packet);
+        }
         self.counters.media += 1;
         self.mark(id);
-        Ok(Arrival::Accepted { id, recovered: self.take_member(&manifest, id, packet.bytes()) })
+        Ok(Accepted { id, recovered: self.take_member(&manifest, id, packet.bytes()) })
     }
 }

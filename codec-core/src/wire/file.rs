@@ -14,7 +14,7 @@
 
 use super::{
     checked::Checked,
-    crc::{CRC_BYTES, Crc32, RunningCrc, checked},
+    crc::{CRC_BYTES, Crc32, RunningCrc, checked, crc32},
     manifest::{Manifest, Sealed},
 };
 use crate::{
@@ -47,6 +47,27 @@ pub fn manifest(file: &[u8]) -> Result<(&[u8], usize)> {
     in_range("file.manifest_len", 4, sealed.wire_len as u64, len, len)
         .map_err(|e| e.kind(ErrorKind::Contradiction))?;
     Ok((message, reader.offset()))
+}
+
+/// The manifest message of `file` and its packets that are in order by themselves, for a player.
+///
+/// ```
+/// let file = include_bytes!("../../tests/conformance/one.dgs");
+/// let (message, packets) = codec_core::file::parts(file)?;
+/// assert!(message.starts_with(b"DGSM"));
+/// assert_eq!(packets.count(), 4);
+/// # Ok::<(), codec_core::Error>(())
+/// ```
+///
+/// # Errors
+/// As [`manifest`].
+pub fn parts(file: &[u8]) -> Result<(&[u8], impl Iterator<Item = &[u8]>)> {
+    let (message, start) = manifest(file)?;
+    let packets = packets(file, start, crc32).filter_map(|record| match record {
+        Record::Packet(_, packet) => Some(packet.bytes()),
+        Record::Illegal(..) | Record::Damaged(..) | Record::End => None,
+    });
+    Ok((message, packets))
 }
 
 /// One record found in a file.
@@ -236,10 +257,7 @@ fn entries(content: &[u8]) -> Result<&[u8]> {
 
 #[cfg(test)]
 mod tests {
-    use super::{
-        super::{crc::crc32, packet::Parity},
-        *,
-    };
+    use super::{super::packet::Parity, *};
     use crate::{ids::PacketId, wire::manifest};
     extern crate std;
     use std::{vec, vec::Vec};

@@ -15,14 +15,15 @@ use crate::{
 
 impl Options {
     /// How to measure what levels are worth once everything is there: in the complete state, one
-    /// context per camera of two measuring rings, 20° above and 20° below the horizon; y is up.
+    /// context per camera of two measuring rings, as far above the horizon as below.
     ///
     /// # Errors
     /// None in practice: the size is one that cameras accept.
     pub fn complete(scene: &Scene) -> Result<Self, super::UtilityError> {
         let mut cameras = Vec::new();
-        for up in [1.0, -1.0] {
-            let ring = Framing::of(scene, [0.0, up, 0.0]).ring(Ring::Measuring, 4, (160, 160));
+        let framing = Framing::of(scene);
+        for framing in [framing, framing.upside_down()] {
+            let ring = framing.ring(Ring::Measuring, 4, (160, 160));
             cameras.extend(ring.map_err(|e| super::UtilityError::Render(e.to_string()))?);
         }
         let contexts = cameras.len();
@@ -36,7 +37,7 @@ pub fn group_bytes(stream: &Stream, map: &PacketMap) -> Vec<f64> {
         map.groups().iter().enumerate().map(|(i, (group, _))| (*group, i)).collect();
     let mut bytes = vec![0.0; map.groups().len()];
     for (id, packet) in stream.packets().iter().enumerate() {
-        let marks = map.marks(id);
+        let marks = map.placements(id);
         let symbols: usize = marks.iter().map(|m| m.symbols).sum();
         for mark in marks {
             if let Some(&at) = index.get(&mark.group) {

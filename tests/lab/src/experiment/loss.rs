@@ -73,7 +73,7 @@ fn promise(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, subsets
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let content = received.content();
-    let camera = &Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (96, 96))?[0];
+    let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (96, 96))?[0];
     let settings = Settings { parallel: false, ..Settings::default() };
     let good: Result<Vec<bool>> = (0..subsets)
         .into_par_iter()
@@ -100,7 +100,7 @@ fn loss(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, masks: u64
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let content = received.content();
-    let camera = &Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (size, size))?[0];
+    let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?[0];
     let settings = Settings { parallel: false, ..Settings::default() };
     let frames = spread(scene.frames(), 4);
     let references = quality::references(scene, &frames, camera, &settings)?;
@@ -147,7 +147,7 @@ fn locality(bench: &mut Bench, key: &str, stream: &Stream) -> Result<()> {
                 let two = b.show(&content.with_state(&state), frame)?;
                 let epoch = one.decoded.epoch;
                 let own: std::collections::BTreeSet<(u16, usize)> = map
-                    .marks(lost)
+                    .placements(lost)
                     .iter()
                     .filter_map(|m| {
                         let cell = content.cell(m.group.span, m.group.cluster)?;

@@ -1,9 +1,9 @@
-//! Whole streams into a receiver, many packets at a time.
+//! Gives packets to a receiver, many at a time.
 
 use codec_core::{
     Error, Result,
     rans::lanes::Run,
-    receiver::{Arrival, Planned, Receiver},
+    receiver::{Accepted, Planned, Receiver},
     wire::checked::Checked,
 };
 
@@ -16,15 +16,15 @@ const BATCH: usize = 128;
 /// lists of runs.
 const MOST_VALUES: usize = 1 << 21;
 
-/// A way into a [`Receiver`] for hosts that have many packets at once; reusable memory.
+/// Gives a [`Receiver`] packets whose values are decoded several at once; its memory is reused.
 #[derive(Debug)]
-pub struct Intake {
+pub struct BatchReceiver {
     kernel: Kernel,
     runs: Vec<Run>,
     values: Vec<i16>,
 }
 
-impl Default for Intake {
+impl Default for BatchReceiver {
     fn default() -> Self {
         Self::with_kernel(Kernel::best())
     }
@@ -41,19 +41,19 @@ enum Entry<'p> {
     Planned(Planned<'p>, usize),
 }
 
-impl Intake {
-    /// An intake by `kernel`; by the scalar one if this machine lacks it.
+impl BatchReceiver {
+    /// A batch receiver that decodes by `kernel`; by the scalar one if this machine lacks it.
     pub fn with_kernel(kernel: Kernel) -> Self {
         Self { kernel, runs: Vec::new(), values: Vec::new() }
     }
 
     /// Gives `packets` to `receiver`: the same, in the same order, as giving each to
     /// [`Receiver::media`]. `answer` is called with each one's answer.
-    pub fn media<'p>(
+    pub fn receive<'p>(
         &mut self,
         receiver: &mut Receiver<'_>,
         packets: impl IntoIterator<Item = &'p [u8]>,
-        mut answer: impl FnMut(Result<Arrival>),
+        mut answer: impl FnMut(Result<Accepted>),
     ) {
         let mut packets = packets.into_iter();
         if self.kernel.vectors().is_none() || receiver.tables().is_none() {
@@ -95,7 +95,7 @@ impl Intake {
         receiver: &mut Receiver<'_>,
         batch: &[Entry<'_>],
         count: usize,
-        answer: &mut impl FnMut(Result<Arrival>),
+        answer: &mut impl FnMut(Result<Accepted>),
     ) {
         if self.values.len() < count {
             self.values.resize(count, 0);
