@@ -37,7 +37,7 @@ pub fn group_bytes(stream: &Stream, map: &PacketMap) -> Vec<f64> {
         map.groups().iter().enumerate().map(|(i, (group, _))| (*group, i)).collect();
     let mut bytes = vec![0.0; map.groups().len()];
     for (id, packet) in stream.packets().iter().enumerate() {
-        let marks = map.marks(id);
+        let marks = map.placements(id);
         let symbols: usize = marks.iter().map(|m| m.symbols).sum();
         for mark in marks {
             if let Some(&at) = index.get(&mark.group) {
