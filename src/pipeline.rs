@@ -157,7 +157,7 @@ pub fn truncate(
 ) -> Result<(Stream, utility::Truncated)> {
     let (map, received) = (PacketMap::of(stream)?, stream.receive()?);
     let how = utility::Options::complete(scene)?;
-    let table = utilities(scene, &received.content(), &map, &how, None, quiet)?;
+    let table = utilities(scene, &received.content(), &map, &how, quiet)?;
     let progress = Progress::new("encode", quiet.0);
     let told = |stage, share| progress.stage(stage, share);
     utility::truncate(scene, options, stream, &table, lambda, &told).context("cannot encode")
@@ -258,32 +258,49 @@ pub fn view(scene: &Scene, args: &ViewArgs, ring: Ring, count: usize) -> Result<
     Ok((cameras, Settings { background: args.background, ..Settings::default() }))
 }
 
-/// Utilities of `stream` against `scene`, from `cache` if it holds them for this very stream.
+/// Utilities of `content`, a stream whose map is `map`, against `scene`.
 ///
 /// # Errors
-/// If measuring fails; an unusable cache is measured anew.
+/// If measuring fails.
 pub fn utilities(
     scene: &Scene,
     content: &Content<'_>,
     map: &PacketMap,
     options: &utility::Options,
-    cache: Option<&Path>,
     quiet: Quiet,
 ) -> Result<utility::Table> {
-    let crc = codec_core::wire::crc::crc32(content.manifest.raw());
-    if let Some(found) = cache.and_then(|path| std::fs::read(path).ok())
-        && let Ok(table) = serde_json::from_slice::<utility::Table>(&found)
-        && table.manifest_crc == crc
-        && table.groups.len() == map.groups().len()
-    {
-        return Ok(table);
-    }
     let progress = Progress::new("measure utilities", quiet.0);
-    let table = utility::measure(scene, content, map, options, &|share| progress.at(share))?;
-    if let Some(path) = cache {
-        let text = serde_json::to_string(&table)?;
-        std::fs::write(path, text).with_context(|| format!("{}: cannot write", path.display()))?;
+    Ok(utility::measure(scene, content, map, options, &|share| progress.at(share))?)
+}
+
+/// As [`utilities`], from the file `cache` if it holds them for this very stream measured in this very way;
+/// else they are measured and written there. `warn` is told why a file that is there is not used.
+///
+/// # Errors
+/// If measuring or writing fails.
+pub fn cached_utilities(
+    scene: &Scene,
+    content: &Content<'_>,
+    map: &PacketMap,
+    options: &utility::Options,
+    (cache, warn): (&Path, &mut dyn FnMut(String)),
+    quiet: Quiet,
+) -> Result<utility::Table> {
+    match std::fs::read(cache).map(|bytes| serde_json::from_slice::<utility::Table>(&bytes)) {
+        Ok(Ok(table)) => {
+            let differences = table.key.differences(&utility::Key::of(content, options));
+            if differences.is_empty() && table.groups.len() == map.groups().len() {
+                return Ok(table);
+            }
+            let what = differences.join(", ");
+            warn(format!("{}: utilities of another {what}; measured anew", cache.display()));
+        }
+        Ok(Err(_)) => warn(format!("{}: not a table of utilities; measured anew", cache.display())),
+        Err(_) => {}
     }
+    let table = utilities(scene, content, map, options, quiet)?;
+    let text = serde_json::to_string(&table)?;
+    std::fs::write(cache, text).with_context(|| format!("{}: cannot write", cache.display()))?;
     Ok(table)
 }
 

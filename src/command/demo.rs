@@ -83,7 +83,9 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let options = utility::Options { contexts: args.contexts.max(1), ..utility::Options::paper(measuring) };
     let cache = args.out.join("utility.json");
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot create", args.out.display()))?;
-    let table = pipeline::utilities(&scene, &content, &map, &options, Some(&cache), quiet)?;
+    let mut warnings = Vec::new();
+    let cache = (cache.as_path(), &mut |warning| warnings.push(warning));
+    let table = pipeline::cached_utilities(&scene, &content, &map, &options, cache, quiet)?;
 
     let graph = pipeline::graph(&stream, &map, Some(&table))?;
     let link = pipeline::link(&args.link, &graph)?;
@@ -166,6 +168,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let width = emulator_host::Nanos::from_ms(100);
     let capacity = pipeline::capacity_bins(&link.trace, width, (end_s * 10.0).ceil().max(1.0) as usize);
     let mut notes = scene.notes.clone();
+    notes.extend(warnings);
     notes.extend(link.warnings.iter().cloned());
     let protocol = [
         ("scene", format!("{name}, {} Gaussians, {} frames at {} fps", scene.max_count(), frames.len(), scene.frames_per_second())),

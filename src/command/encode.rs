@@ -74,6 +74,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
         text += &segment_table(&segments);
         json["segments"] = json!(segments);
     }
+    let mut warnings = Vec::new();
     if args.utility {
         let map = PacketMap::of(&stream)?;
         let received = stream.receive()?;
@@ -81,8 +82,15 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
         let cameras = framing.ring(Ring::Measuring, 3, (160, 160))?;
         let path = pipeline::utility_path(&args.out);
         let options = utility::Options::paper(cameras);
-        let table =
-            pipeline::utilities(&loaded.scene, &received.content(), &map, &options, Some(&path), quiet)?;
+        let cache = (path.as_path(), &mut |warning| warnings.push(warning));
+        let table = pipeline::cached_utilities(
+            &loaded.scene,
+            &received.content(),
+            &map,
+            &options,
+            cache,
+            quiet,
+        )?;
         let negative = table.groups.iter().filter(|g| g.mean < 0.0).count();
         text += &format!(
             "utilities of {} groups ({} with a negative mean) → {}\n",
@@ -92,7 +100,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
         );
         json["utility"] = json!({ "groups": table.groups.len(), "negative_mean": negative, "path": path });
     }
-    Ok(Outcome { text, json, ..Outcome::default() })
+    Ok(Outcome { text, json, warnings, ..Outcome::default() })
 }
 
 /// Rate and distortion per segment for people.

@@ -25,8 +25,8 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<Outcome> {
         let stream = pipeline::read_stream(path, &mut |w| warnings.push(w))?;
         let cached = std::fs::read(pipeline::utility_path(path)).ok();
         table = cached.and_then(|bytes| serde_json::from_slice(&bytes).ok());
-        let crc = codec_core::wire::crc::crc32(stream.manifest()?.raw());
-        table = table.filter(|t| t.manifest_crc == crc);
+        let received = stream.receive()?;
+        table = table.filter(|t: &utility::Table| t.key.is_of(&received.content()));
         if table.is_none() {
             warnings.push(format!(
                 "{}: no utilities beside it (encode with --utility); all groups count the same",
@@ -45,7 +45,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<Outcome> {
         let received = stream.receive()?;
         let framing = Framing::of(&loaded.scene, [0.0, 1.0, 0.0]);
         let options = utility::Options::paper(framing.ring(Ring::Measuring, 3, (128, 128))?);
-        let measured = pipeline::utilities(&loaded.scene, &received.content(), &map, &options, None, quiet)?;
+        let measured = pipeline::utilities(&loaded.scene, &received.content(), &map, &options, quiet)?;
         table = Some(measured);
         stream
     };

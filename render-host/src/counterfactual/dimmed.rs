@@ -47,7 +47,7 @@ impl Dimmed {
         let settings = Settings { background: settings.background.map(|c| c * factor), ..settings.clone() };
         let gain = f64::from(factor).powi(-2);
         Some(Box::new(Self {
-            engine: Engine { shared, reference, settings, camera: camera.clone(), groups, dimmed: None },
+            engine: Engine { shared, reference, against: crate::Image::default(), settings, camera: camera.clone(), groups, dimmed: None },
             gain,
         }))
     }

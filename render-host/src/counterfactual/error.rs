@@ -34,6 +34,30 @@ pub enum CounterfactualError {
         /// Groups of the variants.
         needed: usize,
     },
+    /// A cluster that shows nothing in any context.
+    #[error("cluster {cluster} has no version; at least one is needed")]
+    NoVersion {
+        /// The cluster.
+        cluster: usize,
+    },
+    /// A context that does not name a version of every cluster.
+    #[error("context of {found} clusters; need {needed}")]
+    Context {
+        /// Clusters found.
+        found: usize,
+        /// Clusters of the versions.
+        needed: usize,
+    },
+    /// A context that names a version that its cluster has not.
+    #[error("version {version} of cluster {cluster}; versions below {count} are allowed")]
+    Version {
+        /// The cluster.
+        cluster: usize,
+        /// The version it is said to show.
+        version: u32,
+        /// Its versions.
+        count: usize,
+    },
     /// A world out of range.
     #[error("world {world} of {count}")]
     World {

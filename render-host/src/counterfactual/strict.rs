@@ -6,21 +6,20 @@
 //! until a group is met that only some of them hold.
 
 use super::fast::Worlds;
-use super::lanes::Lanes;
-use super::operator::{Operator, Part, lanes, parts};
+use super::operator::Operator;
 use super::plan::{Pass, Plan, look, wanted, within};
 use super::runs::Runs;
 use super::scaffold::Shared;
 use super::sieve::{ACROSS, BLOCKS, SIDE, Sieve};
 use super::squares::{Squares, add, inside, squares};
 use super::states::CHUNK;
+use super::tree::Tree;
 use super::{Engine, States};
 use crate::image::{Image, ImageError};
 use crate::settings::Settings;
 use crate::stage::TILE;
 use crate::{Camera, parallel};
 use pulp::Simd;
-use std::ops::Range;
 
 #[derive(Default)]
 struct Room {
@@ -29,21 +28,6 @@ struct Room {
     passes: Vec<Pass>,
     seen: Vec<u64>,
     tree: Tree,
-}
-
-/// Worlds that part where a group is met that only some of them hold.
-#[derive(Default)]
-struct Tree {
-    /// Kinds, those that part last side by side.
-    order: Vec<u32>,
-    /// Whether each run is the first of its group.
-    first: Vec<bool>,
-    /// Kinds that wait at a run, with what they have gathered.
-    waiting: Vec<(Range<usize>, usize, Operator)>,
-    /// What each kind has gathered behind the last run.
-    found: Vec<Operator>,
-    /// Groups in order of appearance.
-    groups: Vec<u32>,
 }
 
 /// Where the pictures of a tile's blocks go.
@@ -105,80 +89,6 @@ impl<K: Sink> pulp::WithSimd for Walk<'_, K> {
     }
 }
 
-impl Tree {
-    /// Blends a block for every kind of lanes, of each of which `lanes_of` names one.
-    #[inline(always)]
-    fn walk<S: Simd>(
-        &mut self,
-        simd: S,
-        sieve: &Sieve,
-        runs: &Runs,
-        lanes: &Lanes,
-        lanes_of: &[u32],
-        stop: f32,
-    ) {
-        let Self { order, first, waiting, found, groups } = self;
-        groups.clear();
-        first.clear();
-        for local in &runs.locals {
-            let fresh = !groups.contains(local);
-            first.push(fresh);
-            if fresh {
-                groups.push(*local);
-            }
-        }
-        let holds = |kind: u32, local: u32| lanes.has(lanes_of[kind as usize] as usize, local);
-        order.clear();
-        order.extend(0..lanes_of.len() as u32);
-        order.sort_unstable_by(|&a, &b| {
-            let differ = groups.iter().map(|&group| (holds(a, group), holds(b, group)));
-            differ.map(|(a, b)| b.cmp(&a)).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal)
-        });
-        found.resize(lanes_of.len(), Operator::IDENTITY);
-        waiting.clear();
-        if !order.is_empty() {
-            waiting.push((0..order.len(), 0, Operator::IDENTITY));
-        }
-        while let Some((mut kinds, from, mut now)) = waiting.pop() {
-            for (run, (&local, &fresh)) in runs.locals.iter().zip(first.iter()).enumerate().skip(from) {
-                if fresh {
-                    let with = order[kinds.clone()].partition_point(|&kind| holds(kind, local));
-                    let middle = kinds.start + with;
-                    if middle < kinds.end && with > 0 {
-                        waiting.push((middle..kinds.end, run, now));
-                        kinds.end = middle;
-                    }
-                }
-                if holds(order[kinds.start], local) {
-                    blend(simd, sieve, runs, run, stop, &mut now);
-                }
-            }
-            order[kinds].iter().for_each(|&kind| found[kind as usize] = now);
-        }
-    }
-}
-
-/// Blends the splats of a run, with the operations of a render in its order.
-#[inline(always)]
-fn blend<S: Simd>(simd: S, sieve: &Sieve, runs: &Runs, run: usize, stop: f32, now: &mut Operator) {
-    let (stop, zero) = (simd.splat_f32s(stop), simd.splat_f32s(0.0));
-    for part in 0..parts::<S>() {
-        let mut part_now = Part::<S>::load(now, part);
-        for i in runs.members(run) {
-            let colour = sieve.splats()[runs.position(i)].colour;
-            let Part { t, rgb } = &mut part_now;
-            let open = simd.greater_than_or_equal_f32s(*t, stop);
-            let alpha = simd.select_f32s(open, lanes::<S>(runs.alpha(i), part), zero);
-            let weight = simd.mul_f32s(alpha, *t);
-            for (sum, c) in rgb.iter_mut().zip(colour) {
-                *sum = simd.add_f32s(*sum, simd.mul_f32s(weight, simd.splat_f32s(c)));
-            }
-            *t = simd.sub_f32s(*t, weight);
-        }
-        part_now.store(now, part);
-    }
-}
-
 /// Squared errors.
 struct Errors<'a>(&'a Engine);
 
@@ -212,7 +122,7 @@ impl Sink for Errors<'_> {
 
 /// What shows over `background`.
 #[inline(always)]
-fn over(found: &Operator, background: [f32; 3]) -> [[f32; TILE]; 3] {
+pub(super) fn over(found: &Operator, background: [f32; 3]) -> [[f32; TILE]; 3] {
     let mut out = found.rgb;
     for (out, back) in out.iter_mut().zip(background) {
         (0..TILE).for_each(|i| out[i] += found.t[i] * back);

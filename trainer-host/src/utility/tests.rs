@@ -1,0 +1,141 @@
+//! Utilities against stepping one cell at a time and rendering every state alone.
+
+use render_host::metric;
+
+use super::*;
+use crate::{
+    Stream,
+    encode::{self, encode},
+    import::{self, synth},
+    stream::Player,
+    viewpoint::{Framing, Ring},
+};
+
+#[test]
+fn the_risk_adjusted_utility_is_the_papers() {
+    let options = Options::paper(Vec::new());
+    let mut samples = vec![4.0, 0.0, 1.0, 2.0, 3.0];
+    let u = summarise(7, Level::BASE, &mut samples, &options);
+    let deviation = 2f64.sqrt();
+    assert_eq!((u.mean, u.tail), (2.0, 0.4));
+    assert!((u.utility - (0.75 * 2.0 + 0.25 * 0.4) / (1.0 + 0.05 * deviation)).abs() < 1e-12);
+}
+
+#[test]
+fn quantiles_interpolate() {
+    assert_eq!(quantile(&[1.0, 2.0, 3.0], 0.5), 2.0);
+    assert_eq!(quantile(&[0.0, 10.0], 0.1), 1.0);
+    assert_eq!(quantile(&[], 0.1), 0.0);
+}
+
+/// A moving figure of two windows, and its stream.
+fn moving() -> (Scene, Stream) {
+    let options = synth::Options { gaussians: 700, frames: 40, ..synth::Options::default() };
+    let scene = synth::make(&options, &import::Limits::default()).unwrap();
+    let stream = encode(&scene, &encode::Options::default(), &|_, _| {}).unwrap();
+    (scene, stream)
+}
+
+fn few(scene: &Scene) -> Options {
+    let cameras = Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::Measuring, 2, (48, 36)).unwrap();
+    Options { contexts: 2, ..Options::paper(cameras) }
+}
+
+/// Δ of every group of `span` in one context, each from two states of the whole scene rendered alone.
+fn alone(
+    content: &Content<'_>,
+    map: &PacketMap,
+    span: &SpanCells,
+    (context, view): (u32, &View),
+    options: &Options,
+) -> Vec<Delta> {
+    let mut rng = random(span.span, context, 1, options);
+    let state = contexts::random_state(map, &mut rng, content);
+    let distance = |state: &[u8]| {
+        let shown = Player::new(&content.manifest).instant(&content.with_state(state), view.frame).unwrap();
+        let splats = Splats::new(&shown.gaussians, &shown.sh_rest, shown.sh_degree).unwrap();
+        let picture =
+            render_host::render(&splats, &options.cameras[view.camera], &options.settings).unwrap().image;
+        metric::distortion(&picture, &view.reference).unwrap()
+    };
+    let mut out = Vec::new();
+    for (cluster, groups) in span.groups(map) {
+        // Only this cell is stepped: blocks of other clusters keep what the context says.
+        let stepped = |levels: usize| {
+            let all = span.stepped(map, content, &state, levels);
+            let mut one = state.clone();
+            let cluster = codec_core::ids::ClusterId(cluster as u16);
+            let spans = (0..content.manifest.head().windows).map(|w| Span::Motion(codec_core::ids::WindowId(w)));
+            let epochs = (0..content.manifest.head().epochs).map(|e| Span::Canonical(EpochId(e)));
+            for blocks in epochs.chain(spans).filter_map(|s| versions::blocks_of(content, s, cluster)) {
+                one[blocks.clone()].copy_from_slice(&all[blocks]);
+            }
+            distance(&one)
+        };
+        let distances: Vec<f64> = (0..=groups.len()).map(stepped).collect();
+        for (&group, pair) in groups.iter().zip(distances.windows(2)) {
+            out.push(Delta { group, context: context as usize, delta: pair[0] - pair[1] });
+        }
+    }
+    out
+}
+
+#[test]
+fn utilities_are_those_of_states_rendered_alone() {
+    let (scene, stream) = moving();
+    let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
+    let (content, options) = (received.content(), few(&scene));
+    let spans = contexts::spans(&map);
+    assert!(spans.iter().any(|s| matches!(s.span, Span::Motion(_))), "there is motion to measure");
+    let (mut compared, mut largest, mut shifted) = (0, 0.0f64, 0.0f64);
+    for span in [&spans[0], &spans[spans.len() - 1]] {
+        let got = deltas_in_view(&scene, &content, &map, span, 1, &options).unwrap();
+        let first = match span.span {
+            Span::Canonical(_) => 0,
+            Span::Motion(w) => content.manifest.window(w).unwrap().first_frame,
+        };
+        let frames = match span.span {
+            Span::Canonical(e) => content.manifest.epoch(e).unwrap().frames,
+            Span::Motion(w) => u32::from(content.manifest.window(w).unwrap().frames),
+        };
+        let frame = first + random(span.span, 1, 0, &options).random_range(0..frames);
+        let view = view_of(&scene, frame, 1, &options).unwrap();
+        let mut expected = alone(&content, &map, span, (0, &view), &options);
+        expected.extend(alone(&content, &map, span, (1, &view), &options));
+        assert_eq!(got.len(), expected.len());
+        for (got, expected) in got.iter().zip(&expected) {
+            assert_eq!((got.group, got.context), (expected.group, expected.context));
+            assert!((got.delta - expected.delta).abs() < 1e-12, "{} {}", got.delta, expected.delta);
+            largest = largest.max(expected.delta.abs());
+            compared += 1;
+        }
+        // A group's Δ is not its neighbour's.
+        let pairs = got.iter().zip(&expected[1..]);
+        shifted = pairs.map(|(a, b)| (a.delta - b.delta).abs()).fold(shifted, f64::max);
+    }
+    assert!(compared > 20 && largest > 1e-4 && shifted > 1e-6, "{compared} {largest} {shifted}");
+}
+
+#[test]
+fn one_table_on_any_number_of_threads_and_another_for_other_contexts() {
+    let (scene, stream) = moving();
+    let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
+    let (content, options) = (received.content(), few(&scene));
+    let measure = |options: &Options| measure(&scene, &content, &map, options, &|_| {}).unwrap();
+    let table = measure(&options);
+    assert_eq!(table.groups.len(), map.groups().len());
+    assert_eq!(table.deltas as usize, map.groups().len() * 2 * 2, "two contexts, two views");
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    assert_eq!(pool.install(|| measure(&options)), table);
+    let other = measure(&Options { seed: 2, ..options.clone() });
+    assert_ne!(other.groups, table.groups);
+    assert_eq!(table.key.differences(&other.key), ["seed"]);
+    // What is written is what is read.
+    let text = serde_json::to_string(&table).unwrap();
+    let read: Table = serde_json::from_str(&text).unwrap();
+    assert_eq!(read.key.differences(&table.key), Vec::<&str>::new());
+    assert!(read.key.is_of(&content));
+    let cameras = options.cameras[..1].to_vec();
+    let fewer = Key::of(&content, &Options { cameras, contexts: 9, ..options });
+    assert_eq!(fewer.differences(&table.key), ["cameras", "contexts"]);
+}
