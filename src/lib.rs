@@ -2,9 +2,8 @@
 //!
 //! The rooms: codec-core knows bytes, render-host pixels, trainer-host scenes, emulator-host time.
 //! This package is the only one that sees all of them. Its library holds the walk
-//! ([`pipeline`], [`delivery`], [`quality`]), the experiments behind `dgs bench`
-//! ([`experiment`]), the report ([`report`]) and the verbs of the command line ([`command`]); the
-//! binary is a front door.
+//! ([`pipeline`], [`delivery`], [`quality`]), the report ([`report`]) and the verbs of the command
+//! line ([`command`]); the binary parses what was typed. What measures is package `dgs-lab`.
 //!
 //! Deliberately absent: anything that could live in one room. What only needs bytes, pixels,
 //! scenes or time belongs there.
@@ -12,9 +11,8 @@
 pub mod args;
 pub mod command;
 pub mod delivery;
-pub mod experiment;
 pub mod figures;
-pub mod kit;
+pub mod output;
 pub mod pipeline;
 pub mod progress;
 pub mod quality;

@@ -2,8 +2,6 @@
 
 mod link;
 
-pub use link::{Link, capacity_bins, link, read_trace};
-
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
@@ -21,6 +19,7 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
+pub use self::link::{Link, capacity_bins, link, read_trace};
 use crate::{
     args::{CodecArgs, PolicyName, ProfileName, SceneArgs, Up, ViewArgs},
     delivery::{self, ShownState, WireEndpoint},

@@ -3,10 +3,8 @@
 //!
 //! This file is the data; `html` lays it out and `plot` draws it. Nothing here measures.
 
-pub mod curves;
 pub mod html;
 pub mod plot;
-pub mod scatter;
 
 use emulator_host::Report as Delivery;
 use render_host::Image;

@@ -109,7 +109,6 @@ fn bad_input_is_refused_by_name_and_place() {
             vec!["block_len", "found", "1..=256"],
         ),
         (vec!["stream", "synth:balls:1000:3", "--trace", "trace"], vec!["trace", "line 1"]),
-        (vec!["bench", "nothing"], vec!["nothing", "rate"]),
     ] {
         let text = refused(at, &args);
         for part in wanted {

@@ -4,10 +4,14 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail like tests")]
 
-use dgs::figures::Machine;
-use dgs::report::{Page, Picture, Run, Shown, Strip, html};
-use emulator_host::Nanos;
-use emulator_host::report::{FrameRow, Report, SenderCounts, Waste};
+use dgs::{
+    figures::Machine,
+    report::{Page, Picture, Run, Shown, Strip, html},
+};
+use emulator_host::{
+    Nanos,
+    report::{FrameRow, Report, SenderCounts, Waste},
+};
 use render_host::{Image, metric};
 use trainer_host::encode::{Ledger, Share};
 

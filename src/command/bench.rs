@@ -1,37 +1,66 @@
-//! `dgs bench`: every figure this project quotes, each beside its error.
+//! Runs the laboratory, package `dgs-lab`, with what was typed after `dgs bench`.
+//!
+//! In the source tree cargo builds it first, so that figures are those of the code at hand; an installed
+//! `dgs` runs the `dgs-lab` beside it.
 
-use anyhow::{Result, bail};
-use serde_json::json;
-
-use super::Outcome;
-use crate::{
-    args::Bench,
-    experiment::{self, Setup},
-    pipeline::Quiet,
+use std::{
+    ffi::OsString,
+    path::Path,
+    process::{Command, ExitCode},
 };
 
-/// Runs the verb.
-pub fn run(args: &Bench, quiet: Quiet) -> Result<Outcome> {
-    if args.list {
-        let text = experiment::ALL.iter().map(|e| format!("{:12} {}\n", e.name, e.about)).collect();
-        let json = json!(experiment::ALL.iter().map(|e| (e.name, e.about)).collect::<Vec<_>>());
-        return Ok(Outcome { text, json, ..Outcome::default() });
+use anyhow::{Context, Result, bail};
+
+use crate::args::Bench;
+
+/// Runs the verb; its exit status is the laboratory's.
+pub fn run(args: &Bench, json: bool) -> Result<ExitCode> {
+    let program = std::env::current_exe().context("bench: where this program lies is not known")?;
+    let mut command = laboratory(&program)?;
+    command.args(typed(args, json));
+    let status = command.status().with_context(|| {
+        let name = Path::new(command.get_program());
+        format!("bench: {} does not start", name.display())
+    })?;
+    let code = status.code().and_then(|code| u8::try_from(code).ok());
+    Ok(ExitCode::from(code.unwrap_or(1)))
+}
+
+/// How to start the laboratory that belongs to `program`.
+fn laboratory(program: &Path) -> Result<Command> {
+    let tree = program.ancestors().skip(1).find(|folder| folder.join("tests/lab/Cargo.toml").is_file());
+    if let Some(root) = tree {
+        let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+        cargo.args(["run", "--quiet", "--profile", "dist", "--package", "dgs-lab", "--manifest-path"]);
+        cargo.arg(root.join("Cargo.toml")).arg("--");
+        return Ok(cargo);
     }
-    let name = args.name.as_deref().unwrap_or("all");
-    let chosen: Vec<_> = experiment::ALL.iter().filter(|e| name == "all" || e.name == name).collect();
-    if chosen.is_empty() {
-        let names: Vec<&str> = experiment::ALL.iter().map(|e| e.name).collect();
-        bail!("there is no bench {name:?}; there are {} and all", names.join(", "));
+    let beside = program.with_file_name(format!("dgs-lab{}", std::env::consts::EXE_SUFFIX));
+    if !beside.is_file() {
+        bail!(
+            "bench: the laboratory is not installed: no {}; in the source tree \
+             `cargo run --profile dist --package dgs-lab -- NAME` runs it",
+            beside.display()
+        );
     }
-    let mut setup = Setup::new(args.data.clone(), args.quick, quiet);
-    setup.out.clone_from(&args.out);
-    let mut results = Vec::new();
-    for experiment in chosen {
-        let bench = (experiment.run)(&setup)?;
-        if !quiet.0 {
-            println!("{}", bench.table());
+    Ok(Command::new(beside))
+}
+
+/// The arguments of the laboratory, which are those of the verb.
+fn typed(args: &Bench, json: bool) -> Vec<OsString> {
+    let mut typed = Vec::new();
+    for (flag, on) in [("--list", args.list), ("--quick", args.quick), ("--json", json)] {
+        if on {
+            typed.push(flag.into());
         }
-        results.push(bench);
     }
-    Ok(Outcome { json: serde_json::to_value(&results)?, ..Outcome::default() })
+    for (option, folder) in [("--data", &args.data), ("--out", &args.out)] {
+        if let Some(folder) = folder {
+            typed.extend([option.into(), folder.into()]);
+        }
+    }
+    if let Some(name) = &args.name {
+        typed.extend(["--".into(), name.into()]);
+    }
+    typed
 }

@@ -4,11 +4,11 @@ use anyhow::Result;
 use codec_core::{ErrorKind, ids::Level};
 use serde_json::json;
 
-use super::{Outcome, import::write};
-use crate::{args::Decode, pipeline};
+use super::import::write;
+use crate::{args::Decode, output::VerbOutput, pipeline};
 
 /// Runs the verb.
-pub fn run(args: &Decode) -> Result<Outcome> {
+pub fn run(args: &Decode) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
     let received = stream.receive()?;
@@ -32,5 +32,5 @@ pub fn run(args: &Decode) -> Result<Outcome> {
         "recovered": counters.recovered, "frames": scene.frames(), "warnings": warnings,
     });
     let damaged = !warnings.is_empty();
-    Ok(Outcome { text, json, warnings, damaged })
+    Ok(VerbOutput { text, json, warnings, damaged })
 }

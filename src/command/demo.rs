@@ -12,10 +12,10 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
-use super::Outcome;
 use crate::{
     args::Demo,
     figures::{Machine, mean},
+    output::VerbOutput,
     pipeline::{self, Loaded, Quiet},
     progress::Progress,
     quality::{self, PSNR_CAP_DB},
@@ -33,7 +33,7 @@ const STRIPS: usize = 4;
 const ERROR_SCALE: f32 = 0.25;
 
 /// Runs the verb.
-pub fn run(args: &Demo, quiet: Quiet) -> Result<Outcome> {
+pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
     let page = page(args, quiet)?;
     let failed = || format!("{}: cannot write", args.out.display());
     std::fs::create_dir_all(&args.out).with_context(failed)?;
@@ -62,7 +62,7 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<Outcome> {
     }
     text += &format!("{}\n{}\n", figures.display(), report.display());
     let json = json!({ "report": report, "figures": figures, "page": json });
-    Ok(Outcome { text, json, ..Outcome::default() })
+    Ok(VerbOutput { text, json, ..VerbOutput::default() })
 }
 
 /// Takes the walk and gathers the page.

@@ -13,15 +13,15 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
-use super::Outcome;
 use crate::{
     args::Encode,
     figures::number,
+    output::VerbOutput,
     pipeline::{self, Quiet},
 };
 
 /// Runs the verb.
-pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
+pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let options = pipeline::encode_options(&args.codec, Protection::NONE);
     let start = Instant::now();
@@ -100,7 +100,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<Outcome> {
         );
         json["utility"] = json!({ "groups": table.groups.len(), "negative_mean": negative, "path": path });
     }
-    Ok(Outcome { text, json, warnings, ..Outcome::default() })
+    Ok(VerbOutput { text, json, warnings, ..VerbOutput::default() })
 }
 
 /// Rate and distortion per segment for people.

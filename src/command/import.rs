@@ -6,11 +6,10 @@ use anyhow::{Context, Result};
 use serde_json::json;
 use trainer_host::{Scene, export, viewpoint::Framing};
 
-use super::Outcome;
-use crate::{args::Import, pipeline};
+use crate::{args::Import, output::VerbOutput, pipeline};
 
 /// Runs the verb.
-pub fn run(args: &Import) -> Result<Outcome> {
+pub fn run(args: &Import) -> Result<VerbOutput> {
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let scene = &loaded.scene;
     let mut text = format!(
@@ -64,7 +63,7 @@ pub fn run(args: &Import) -> Result<Outcome> {
         "epochs": epochs, "centre": framing.target, "radius": framing.radius, "notes": scene.notes,
         "cameras": scene.cameras.len(),
     });
-    Ok(Outcome { text, json, ..Outcome::default() })
+    Ok(VerbOutput { text, json, ..VerbOutput::default() })
 }
 
 /// Writes `scene` as `out` says: a folder is a PLY sequence, a file one frame.

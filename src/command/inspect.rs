@@ -8,11 +8,10 @@ use codec_core::{
 use serde_json::{Value, json};
 use trainer_host::stream::PacketMap;
 
-use super::Outcome;
-use crate::{args::Inspect, pipeline};
+use crate::{args::Inspect, output::VerbOutput, pipeline};
 
 /// Runs the verb.
-pub fn run(args: &Inspect) -> Result<Outcome> {
+pub fn run(args: &Inspect) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
     let manifest = stream.manifest()?;
@@ -61,7 +60,7 @@ pub fn run(args: &Inspect) -> Result<Outcome> {
         "missing_packets": missing, "damage": warnings, "manifest": manifest_json(&manifest),
     });
     let damaged = !warnings.is_empty();
-    Ok(Outcome { text, json, warnings, damaged })
+    Ok(VerbOutput { text, json, warnings, damaged })
 }
 
 /// The manifest as JSON: for people, never on the wire.

@@ -6,14 +6,13 @@ use render_host::{Changes, Sequence, Settings, Splats};
 use serde_json::json;
 use trainer_host::viewpoint::Ring;
 
-use super::Outcome;
-use crate::{args::Render, pipeline};
+use crate::{args::Render, output::VerbOutput, pipeline};
 
 /// Cameras on the ring around a scene without its own.
 const RING: usize = 8;
 
 /// Runs the verb.
-pub fn run(args: &Render) -> Result<Outcome> {
+pub fn run(args: &Render) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let scene = if pipeline::is_stream(&args.input) {
         let stream = pipeline::read_stream(args.input.as_ref(), &mut |w| warnings.push(w))?;
@@ -51,5 +50,5 @@ pub fn run(args: &Render) -> Result<Outcome> {
     let text = format!("wrote {count} images to {}\n", args.out.display());
     let json = json!({ "out": args.out, "images": count, "last_counters": counters, "warnings": warnings });
     let damaged = !warnings.is_empty();
-    Ok(Outcome { text, json, warnings, damaged })
+    Ok(VerbOutput { text, json, warnings, damaged })
 }

@@ -9,15 +9,15 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
-use super::Outcome;
 use crate::{
     args::StreamArgs,
     figures::number,
+    output::VerbOutput,
     pipeline::{self, Quiet},
 };
 
 /// Runs the verb.
-pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<Outcome> {
+pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let mut table: Option<utility::Table>;
     let stream = if pipeline::is_stream(&args.input) {
@@ -72,5 +72,5 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<Outcome> {
         report.recovered
     );
     let json = json!({ "link": link.description, "report": report, "warnings": warnings });
-    Ok(Outcome { text, json, warnings, damaged: false })
+    Ok(VerbOutput { text, json, warnings, damaged: false })
 }

@@ -9,8 +9,10 @@ mod strips;
 
 use std::fmt::Write as _;
 
-use super::plot::{Hue, Panel, Plot, Series, Shape, escape, number};
-use super::{Page, Run, Shown};
+use super::{
+    Page, Run, Shown,
+    plot::{Hue, Panel, Plot, Series, Shape, escape, number},
+};
 
 const STYLE: &str = include_str!("page.css");
 /// Forbids every request.

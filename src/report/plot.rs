@@ -8,9 +8,9 @@
 
 mod bars;
 
-pub use bars::{Bar, Bars};
-
 use std::fmt::Write as _;
+
+pub use bars::{Bar, Bars};
 
 /// Width of every drawing, in its own units; the page scales it to the column.
 const WIDTH: f64 = 1000.0;

@@ -6,11 +6,11 @@
 //!   its size is the receiver's;
 //! - `planted` is the same with a panic in it, and must not link.
 //!
-//! All memory is static; its sizes come from the manifest when the kit is written.
+//! All memory is static; its sizes come from the manifest when the fixture is written.
 
 #![no_std]
 
 pub mod count;
-pub mod kit;
+pub mod fixture;
 pub mod memory;
 pub mod stack;

@@ -6,25 +6,25 @@ use codec_core::{
 };
 use static_cell::ConstStaticCell;
 
-use crate::kit;
+use crate::fixture;
 
-static MANIFEST: ConstStaticCell<[u8; kit::MANIFEST]> = ConstStaticCell::new([0; kit::MANIFEST]);
-static CELLS: ConstStaticCell<[Cell; kit::CELLS]> =
-    ConstStaticCell::new([Cell { symbols: 0, blocks: 0 }; kit::CELLS]);
-static SYMBOLS: ConstStaticCell<[i16; kit::SYMBOLS]> = ConstStaticCell::new([0; kit::SYMBOLS]);
-static BLOCKS: ConstStaticCell<[u8; kit::BLOCKS]> = ConstStaticCell::new([0; kit::BLOCKS]);
-static SEEN: ConstStaticCell<[u32; kit::SEEN]> = ConstStaticCell::new([0; kit::SEEN]);
-static SLOTS: ConstStaticCell<[u32; kit::SLOTS]> = ConstStaticCell::new([0; kit::SLOTS]);
-static PROGRESS: ConstStaticCell<[u32; kit::PROGRESS]> = ConstStaticCell::new([0; kit::PROGRESS]);
-static PARITY: ConstStaticCell<[u8; kit::PARITY]> = ConstStaticCell::new([0; kit::PARITY]);
+static MANIFEST: ConstStaticCell<[u8; fixture::MANIFEST]> = ConstStaticCell::new([0; fixture::MANIFEST]);
+static CELLS: ConstStaticCell<[Cell; fixture::CELLS]> =
+    ConstStaticCell::new([Cell { symbols: 0, blocks: 0 }; fixture::CELLS]);
+static SYMBOLS: ConstStaticCell<[i16; fixture::SYMBOLS]> = ConstStaticCell::new([0; fixture::SYMBOLS]);
+static BLOCKS: ConstStaticCell<[u8; fixture::BLOCKS]> = ConstStaticCell::new([0; fixture::BLOCKS]);
+static SEEN: ConstStaticCell<[u32; fixture::SEEN]> = ConstStaticCell::new([0; fixture::SEEN]);
+static SLOTS: ConstStaticCell<[u32; fixture::SLOTS]> = ConstStaticCell::new([0; fixture::SLOTS]);
+static PROGRESS: ConstStaticCell<[u32; fixture::PROGRESS]> = ConstStaticCell::new([0; fixture::PROGRESS]);
+static PARITY: ConstStaticCell<[u8; fixture::PARITY]> = ConstStaticCell::new([0; fixture::PARITY]);
 static EARLY: ConstStaticCell<[u8; EARLY_BYTES]> = ConstStaticCell::new([0; EARLY_BYTES]);
-static CANONICAL: ConstStaticCell<[Gaussian; kit::GAUSSIANS]> = ConstStaticCell::new([ZERO; kit::GAUSSIANS]);
-static KNOWN: ConstStaticCell<[u8; kit::BLOCKS]> = ConstStaticCell::new([0; kit::BLOCKS]);
-static OUT: ConstStaticCell<[Gaussian; kit::GAUSSIANS]> = ConstStaticCell::new([ZERO; kit::GAUSSIANS]);
-static SH_REST: ConstStaticCell<[f32; kit::SH_REST]> = ConstStaticCell::new([0.0; kit::SH_REST]);
+static CANONICAL: ConstStaticCell<[Gaussian; fixture::GAUSSIANS]> = ConstStaticCell::new([ZERO; fixture::GAUSSIANS]);
+static KNOWN: ConstStaticCell<[u8; fixture::BLOCKS]> = ConstStaticCell::new([0; fixture::BLOCKS]);
+static OUT: ConstStaticCell<[Gaussian; fixture::GAUSSIANS]> = ConstStaticCell::new([ZERO; fixture::GAUSSIANS]);
+static SH_REST: ConstStaticCell<[f32; fixture::SH_REST]> = ConstStaticCell::new([0.0; fixture::SH_REST]);
 
 /// Room for media before the manifest: one packet and its length.
-const EARLY_BYTES: usize = kit::LARGEST_PACKET + 2;
+const EARLY_BYTES: usize = fixture::LARGEST_PACKET + 2;
 
 /// All bits zero, so that statics need no image in flash.
 const ZERO: Gaussian =

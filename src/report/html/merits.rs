@@ -3,8 +3,10 @@
 use std::fmt::Write as _;
 
 use super::{count, kib};
-use crate::report::Run;
-use crate::report::plot::{Hue, escape, number};
+use crate::report::{
+    Run,
+    plot::{Hue, escape, number},
+};
 
 /// Which way a column is better.
 #[derive(Clone, Copy)]

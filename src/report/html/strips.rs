@@ -4,8 +4,10 @@ use std::fmt::Write as _;
 
 use render_host::Image;
 
-use crate::report::plot::{Hue, escape, number};
-use crate::report::{Page, Picture, Strip};
+use crate::report::{
+    Page, Picture, Strip,
+    plot::{Hue, escape, number},
+};
 
 /// Frames side by side.
 pub(super) fn strips(out: &mut String, page: &Page) {

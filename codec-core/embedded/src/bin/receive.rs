@@ -1,4 +1,4 @@
-//! Receives the kit's stream and says what came of it; see the library.
+//! Receives the fixture's stream and says what came of it; see the library.
 //!
 //! Lines are `key value`. The exit status of the machine is 0 if the digest is the host's.
 
@@ -13,9 +13,9 @@ use codec_core::{
         table::{SLOTS, Table},
     },
     receiver::{Counters, Receiver},
-    wire::cursor::Reader,
+    cursor::Reader,
 };
-use codec_embedded::{count::Counter, kit, memory::Memory, stack};
+use codec_embedded::{count::Counter, fixture, memory::Memory, stack};
 use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
 use static_cell::ConstStaticCell;
@@ -52,11 +52,11 @@ fn run() -> Option<bool> {
     let Memory { receiver, decoder, out, sh_rest } = Memory::take()?;
     let mut receiver = Receiver::new(receiver);
     // The first packet comes before the manifest and waits.
-    let mut packets = kit::packets(kit::ARRIVALS);
+    let mut packets = fixture::packets(fixture::ARRIVALS);
     let _ = receiver.media(packets.next()?);
     let mut control = Ok(());
     let mut instructions = 0;
-    let depth = stack::depth(|| instructions = counter.of(|| control = receiver.control(kit::MESSAGE)));
+    let depth = stack::depth(|| instructions = counter.of(|| control = receiver.control(fixture::MESSAGE)));
     if let Err(error) = control {
         hprintln!("refused {}", error);
         return None;
@@ -90,7 +90,7 @@ fn run() -> Option<bool> {
     let mut decoder = Decoder::new(decoder);
     let mut digest = Digest::new();
     let (mut deepest, mut sum, mut gaussians) = (0, 0u32, 0);
-    for &frame in kit::FRAMES {
+    for &frame in fixture::FRAMES {
         let mut decoded = None;
         let depth = stack::depth(|| {
             sum += counter.of(|| decoded = decoder.frame(&content, frame, out, sh_rest).ok());
@@ -105,7 +105,7 @@ fn run() -> Option<bool> {
     hprintln!("frame.instructions {}", sum);
     hprintln!("frame.gaussians {}", gaussians);
     hprintln!("digest {:016x}", digest.get());
-    Some(laws && digest.get() == kit::DIGEST)
+    Some(laws && digest.get() == fixture::DIGEST)
 }
 
 /// The coder alone, one law and one form of table at a time: instructions, stack, and whether the
@@ -116,7 +116,7 @@ fn laws(counter: &Counter) -> Option<bool> {
     let ranges = LAW_RANGES.try_take()?;
     let out = LAW_OUT.try_take()?;
     let mut good = true;
-    for (&(name, symbols, raw_bits), law) in kit::LAWS.iter().zip(&kit::BODIES) {
+    for (&(name, symbols, raw_bits), law) in fixture::LAWS.iter().zip(&fixture::BODIES) {
         let table = Table::read(&mut Reader::new(law.table)).ok()?;
         let out = out.get_mut(..symbols)?;
         hprintln!("{}.symbols {}", name, symbols);
@@ -136,7 +136,7 @@ fn one(
     counter: &Counter,
     name: &str,
     form: &str,
-    law: &kit::Law,
+    law: &fixture::Law,
     table: &impl Lookup,
     raw_bits: (usize, u8),
     out: &mut [i16],

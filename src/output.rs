@@ -1,0 +1,84 @@
+//! Ends a program: parses what was typed, prints what a verb says, turns both into an exit status.
+//!
+//! Exit status: 0 fine, 1 refused, 2 damaged input used as far as it goes, 64 not a command
+//! (`EX_USAGE` of sysexits.h). A reader that closes the pipe early is no error; a full disk is.
+
+use std::{
+    io::{self, ErrorKind, Write as _},
+    process::ExitCode,
+};
+
+use anyhow::{Context as _, Result};
+use clap::Parser;
+
+/// Nothing was done: the input or an option was refused, or writing failed.
+const REFUSED: u8 = 1;
+/// Something was done with damaged input, as far as it goes.
+const DAMAGED: u8 = 2;
+/// What was typed is not a command of this program.
+const USAGE: u8 = 64;
+
+/// What a verb has to say.
+#[derive(Debug, Default)]
+pub struct VerbOutput {
+    /// For people, on standard output.
+    pub text: String,
+    /// For programs, instead of the text when `--json` is given.
+    pub json: serde_json::Value,
+    /// For people, on standard error: damage, doubtful input.
+    pub warnings: Vec<String>,
+    /// True if something was kept but not everything was right.
+    pub damaged: bool,
+}
+
+/// What was typed, or the exit status after help, version or a refusal has been printed.
+///
+/// # Errors
+/// 0 after `--help` and `--version`, 64 if it is not a command, 1 if that cannot be printed.
+pub fn parse<T: Parser>() -> Result<T, ExitCode> {
+    T::try_parse().map_err(|error| {
+        let code = if error.use_stderr() { USAGE } else { 0 };
+        match error.print() {
+            Err(io) if io.kind() != ErrorKind::BrokenPipe => refuse(&io.into()),
+            _ => ExitCode::from(code),
+        }
+    })
+}
+
+/// Prints what a verb says and gives its exit status.
+pub fn finish(said: Result<VerbOutput>, json: bool) -> ExitCode {
+    let print = |said: VerbOutput| {
+        for warning in &said.warnings {
+            complain(&format!("warning: {warning}"));
+        }
+        let text = if json { format!("{}\n", said.json) } else { said.text };
+        print(&text)?;
+        Ok(ExitCode::from(if said.damaged { DAMAGED } else { 0 }))
+    };
+    said.and_then(print).unwrap_or_else(|error| refuse(&error))
+}
+
+/// Writes `text` to standard output. A closed pipe is no error: its reader has seen enough.
+///
+/// # Errors
+/// Any other failure to write, a full disk for example.
+pub fn print(text: &str) -> Result<()> {
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Err(error) if error.kind() != ErrorKind::BrokenPipe => {
+            Err(error).context("standard output: cannot write")
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The whole chain as one sentence: file, place, what was found, what is allowed.
+fn refuse(error: &anyhow::Error) -> ExitCode {
+    complain(&format!("{error:#}"));
+    ExitCode::from(REFUSED)
+}
+
+/// One line on standard error. Where nobody can be told, nobody is.
+fn complain(line: &str) {
+    let _ = writeln!(io::stderr(), "dgs: {line}");
+}

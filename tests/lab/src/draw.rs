@@ -1,0 +1,4 @@
+//! Draws results as self-contained SVG.
+
+pub mod curves;
+pub mod scatter;

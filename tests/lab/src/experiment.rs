@@ -1,0 +1,121 @@
+//! Lists every experiment: one file per bench, one [`Bench`] of figures each.
+
+mod accounting;
+mod clock;
+mod cloud;
+mod counterfactual;
+mod decode;
+mod demo;
+mod embedded;
+mod entropy;
+mod gpu;
+mod gradient;
+mod loss;
+mod pareto;
+mod partial;
+mod rate;
+mod render;
+mod repair;
+mod skips;
+mod stress;
+mod transport;
+mod worlds;
+
+use anyhow::Result;
+
+use crate::{figures::Bench, setup::Setup};
+
+/// A bench by name.
+pub struct Experiment {
+    /// As typed.
+    pub name: &'static str,
+    /// What it measures.
+    pub about: &'static str,
+    /// Measures.
+    pub run: fn(&Setup) -> Result<Bench>,
+}
+
+/// All benches, in the order of the walk.
+pub const ALL: &[Experiment] = &[
+    Experiment { name: "demo", about: "wall time and peak memory of `dgs demo`", run: demo::run },
+    Experiment {
+        name: "rate",
+        about: "rate and distortion of dgs1 beside the paper's format and public peers, Bjøntegaard rates, overheads (--out)",
+        run: rate::run,
+    },
+    Experiment {
+        name: "accounting",
+        about: "the paper's accounting table for profile paper, its own figures beside",
+        run: accounting::run,
+    },
+    Experiment {
+        name: "entropy",
+        about: "the packet coder: symbols per second beside bytes over entropy, public coders in the same run",
+        run: entropy::run,
+    },
+    Experiment {
+        name: "decode",
+        about: "bytes to Gaussians on one core: receiver, frames, packet parse, CRC, closure",
+        run: decode::run,
+    },
+    Experiment {
+        name: "loss",
+        about: "random packet subsets render; quality at 1, 5, 10 and 20 % packet loss",
+        run: loss::run,
+    },
+    Experiment {
+        name: "embedded",
+        about: "flash, RAM, stack, instructions and digests on Cortex-M4F, WebAssembly and in C, within budget",
+        run: embedded::run,
+    },
+    Experiment {
+        name: "repair",
+        about: "residual loss of XOR and of the Cauchy code at equal overhead, and the code's speed beside public peers",
+        run: repair::run,
+    },
+    Experiment {
+        name: "render",
+        about: "CPU render time per frame beside its error against the f64 reference",
+        run: render::run,
+    },
+    Experiment {
+        name: "worlds",
+        about: "pictures of 1 to 128 states in one call against serial renders, with memory",
+        run: worlds::run,
+    },
+    Experiment {
+        name: "counterfactual",
+        about: "states, utilities and gradients per second against rendering every state alone",
+        run: counterfactual::run,
+    },
+    Experiment {
+        name: "gradient",
+        about: "gradients against f64 differences, time with gradients, utilities of groups estimated from them",
+        run: gradient::run,
+    },
+    Experiment {
+        name: "skips",
+        about: "work, time and error of every skip of the CPU renderer, and of what a sequence keeps",
+        run: skips::run,
+    },
+    Experiment {
+        name: "stress",
+        about: "numerical stress: time, error against f64 and refusals of every hard case",
+        run: stress::run,
+    },
+    Experiment {
+        name: "pareto",
+        about: "time against error of every tolerance, precision and skip, alone and together (--out)",
+        run: pareto::run,
+    },
+    Experiment {
+        name: "gpu",
+        about: "wgpu backend: time per stage beside its error, world batches",
+        run: gpu::run,
+    },
+    Experiment {
+        name: "transport",
+        about: "startup, miss, utility and waste of four schedulers on measured traces",
+        run: transport::run,
+    },
+];

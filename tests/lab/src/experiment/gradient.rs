@@ -1,0 +1,269 @@
+//! Gradients: how wrong against differences of the f64 reference, how fast, and what they tell about groups.
+
+mod groups;
+mod rank;
+
+use std::time::Instant;
+
+use anyhow::Result;
+use codec_core::{Gaussian, gaussian::ShDegree};
+use render_host::{
+    Camera, Gradients, Image, Loss, Renderer, Settings, Splats, Workspace,
+    adjoint::{
+        check,
+        loss::{Distortion, Linear, Mse},
+        render_and_gradients_into,
+    },
+    reference, render_and_gradients,
+};
+use trainer_host::viewpoint::{Framing, Ring};
+
+use super::cloud::{Kind, Numbers, beside, camera, cloud};
+use crate::{
+    figures::{Bench, Figure, median},
+    setup::{Setup, load},
+};
+
+/// Runs the bench.
+pub fn run(setup: &Setup) -> Result<Bench> {
+    let runs = if setup.quick { 3 } else { 9 };
+    let mut bench = Bench::new(
+        "gradient",
+        format!(
+            "check: 8 Gaussians, 24x18, nothing cut, every parameter against central differences of the f64 reference (worst: relative, \
+             at least 1 % of the class's largest; error: relative L2); frames: ms forward, and forward with all gradients, default settings, \
+             medians of {runs} interleaved runs, beside one f64 reference forward; their error: derivative along a random change of all \
+             colours against the f64 reference; groups: utilities from one pass, and their first order from a gradient, against leave-one-out by the engine's lanes; colour: states without rendering"
+        ),
+    );
+    checks(&mut bench, runs)?;
+    losses(setup, &mut bench, runs)?;
+    frames(setup, &mut bench, runs)?;
+    groups::utilities(setup, &mut bench, runs)?;
+    groups::colour(setup, &mut bench, runs)?;
+    Ok(bench)
+}
+
+/// Milliseconds of `work`.
+fn ms(times: &mut Vec<f64>, work: impl FnOnce() -> Result<()>) -> Result<()> {
+    let start = Instant::now();
+    work()?;
+    times.push(1000.0 * start.elapsed().as_secs_f64());
+    Ok(())
+}
+
+/// Figure 5: every class of parameters on scenes of every degree.
+fn checks(bench: &mut Bench, runs: usize) -> Result<()> {
+    let mut r = Numbers(3);
+    let film = Camera::look_at([1.9, -2.1, 1.45], [0.1, 0.0, -0.05], [0.0, 0.0, 1.0], 0.95, 24, 18)?;
+    let target = Image::new(24, 18, (0..3 * 24 * 18).map(|_| r.unit()).collect())?;
+    let settings = Settings { background: [0.3, 0.6, 0.1], ..Settings::exact() };
+    let losses: [(&str, Box<dyn Loss>); 3] = [
+        ("linear", Box::new(Linear(target.clone()))),
+        ("mse", Box::new(Mse::new(target.clone()))),
+        ("mse+ssim", Box::new(Distortion::weighted(target, 1.0))),
+    ];
+    for (name, loss) in &losses {
+        let mut worst: Vec<check::ClassError> = Vec::new();
+        let mut times = Vec::new();
+        for degree in 0..=3 {
+            let degree = ShDegree::new(degree).unwrap_or(ShDegree::ZERO);
+            let gaussians: Vec<Gaussian> = (0..8)
+                .map(|_| Gaussian {
+                    position: [0; 3].map(|_| r.between(-1.0, 1.0)),
+                    scale: [0; 3].map(|_| r.between(-2.3, -0.7).exp()),
+                    rotation: [0; 4].map(|_| r.between(-1.5, 1.5)),
+                    opacity: r.between(0.1, 0.95),
+                    sh0: [0; 3].map(|_| r.between(0.5, 1.5)),
+                })
+                .collect();
+            let rest: Vec<f32> = (0..8 * degree.rest_len()).map(|_| r.between(-0.15, 0.15)).collect();
+            let splats = Splats::new(&gaussians, &rest, degree)?;
+            let (mut workspace, mut out) = (Workspace::new(), Gradients::default());
+            for _ in 0..runs {
+                ms(&mut times, || {
+                    Ok(render_and_gradients_into(
+                        &mut workspace,
+                        &splats,
+                        &film,
+                        &settings,
+                        &**loss,
+                        &mut out,
+                    )?)
+                })?;
+            }
+            let found = check::compare(&splats, &film, &settings, &**loss, &out, 1.0 / 4096.0)?;
+            for class in found.classes {
+                match worst.iter_mut().find(|w| w.class == class.class) {
+                    Some(w) => {
+                        w.worst = w.worst.max(class.worst);
+                        w.l2 = w.l2.max(class.l2);
+                        w.rough += class.rough;
+                        w.compared += class.compared;
+                    }
+                    None => worst.push(class),
+                }
+            }
+        }
+        let relative = worst.iter().map(|class| class.l2).fold(0.0, f64::max);
+        for class in worst {
+            let key = format!("check.{name}.{}", class.class.replace(' ', "_"));
+            bench.push(Figure::new(key, class.worst, "worst").error(class.l2, "relative L2"));
+            if class.rough > 0 {
+                bench.push(Figure::new(
+                    format!("check.{name}.{}.not_smooth", class.class.replace(' ', "_")),
+                    class.rough as f64,
+                    "left out",
+                ));
+            }
+        }
+        bench.push(
+            Figure::new(format!("check.{name}.time"), median(&times), "ms")
+                .error(relative, "relative L2 of the worst class")
+                .runs(times.len()),
+        );
+    }
+    Ok(())
+}
+
+/// The losses alone, on a rendered picture and the same in other colours.
+fn losses(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
+    let sides: &[u32] = if setup.quick { &[160] } else { &[400, 800] };
+    for &side in sides {
+        let scene = cloud(Kind::Shells, 20_000);
+        let image =
+            render_host::render(&Splats::plain(&scene.gaussians), &camera(side)?, &Settings::default())?
+                .image;
+        let target = beside(&image)?;
+        let exact = render_host::metric::distortion(&image, &target)?;
+        let exact_mse = render_host::metric::mse(&image, &target)?;
+        let (mse, both) = (Mse::new(target.clone()), Distortion::new(target));
+        let mut gradient = vec![0.0; image.rgb().len()];
+        let (mut of_mse, mut of_both, mut mean, mut value) = (Vec::new(), Vec::new(), 0.0, 0.0);
+        for _ in 0..2 * runs + 1 {
+            ms(&mut of_mse, || {
+                mean = mse.differentiate(&image, true, &mut gradient)?;
+                Ok(())
+            })?;
+            ms(&mut of_both, || {
+                value = both.differentiate(&image, true, &mut gradient)?;
+                Ok(())
+            })?;
+        }
+        let of_metric = "relative, value against the f64 metric";
+        bench.push(
+            Figure::new(format!("loss.{side}.mse"), median(&of_mse), "ms")
+                .error((mean / exact_mse - 1.0).abs(), of_metric)
+                .runs(of_mse.len()),
+        );
+        bench.push(
+            Figure::new(format!("loss.{side}.mse+ssim"), median(&of_both), "ms")
+                .error((value / exact - 1.0).abs(), of_metric)
+                .runs(of_both.len()),
+        );
+    }
+    Ok(())
+}
+
+/// Figure 1, with gradients.
+fn frames(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
+    let (counts, sides): (&[usize], &[u32]) =
+        if setup.quick { (&[4000], &[160]) } else { (&[20_000, 100_000], &[400, 800]) };
+    for &n in counts {
+        let scene = cloud(Kind::Volume, n);
+        for &side in sides {
+            frame(
+                bench,
+                &format!("random-{n}.{side}"),
+                &Splats::plain(&scene.gaussians),
+                &camera(side)?,
+                runs,
+            )?;
+        }
+    }
+    let biker = if setup.quick { None } else { setup.data("scenes/splat-biker/biker.spz", bench)? };
+    if let Some(path) = biker {
+        let scene = load(&path, 0)?;
+        let instant = scene.instant(0).unwrap_or_default();
+        let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
+        for &side in sides {
+            let film = &Framing::of(&scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (side, side))?[0];
+            frame(bench, &format!("biker-{}.{side}", splats.len()), &splats, film, runs)?;
+        }
+    }
+    Ok(())
+}
+
+fn frame(bench: &mut Bench, name: &str, splats: &Splats, film: &Camera, runs: usize) -> Result<()> {
+    let settings = Settings::default();
+    let (mut renderer, mut picture) = (Renderer::new(), Default::default());
+    renderer.render_into(splats, film, &settings, &mut picture)?;
+    let start = Instant::now();
+    let exact = reference::render(splats, film, &settings)?;
+    let slow = 1000.0 * start.elapsed().as_secs_f64();
+    let error = exact.difference(picture.image.rgb()).unwrap_or_default();
+    let target = beside(&picture.image)?;
+    let (mse, both) = (Mse::new(target.clone()), Distortion::new(target));
+    let (mut workspace, mut out) = (Workspace::new(), Gradients::default());
+    let [mut forward, mut with_mse, mut with_both] = [const { Vec::new() }; 3];
+    for _ in 0..runs {
+        ms(&mut forward, || Ok(renderer.render_into(splats, film, &settings, &mut picture)?))?;
+        ms(&mut with_mse, || {
+            Ok(render_and_gradients_into(&mut workspace, splats, film, &settings, &mse, &mut out)?)
+        })?;
+        ms(&mut with_both, || {
+            Ok(render_and_gradients_into(&mut workspace, splats, film, &settings, &both, &mut out)?)
+        })?;
+    }
+    bench.push(
+        Figure::new(format!("{name}.forward"), median(&forward), "ms")
+            .error(error.max_clear, "max abs away from thresholds")
+            .peer("f64 reference forward", slow, true)
+            .runs(runs),
+    );
+    let losses: [(&str, &dyn Loss, &[f64]); 2] = [("mse", &mse, &with_mse), ("mse+ssim", &both, &with_both)];
+    for (which, loss, times) in losses {
+        bench.push(
+            Figure::new(format!("{name}.forward_backward.{which}"), median(times), "ms")
+                .error(along_colours(splats, film, &settings, loss)?, "relative, derivative along colours")
+                .peer("f64 reference forward", slow, true)
+                .runs(runs),
+        );
+    }
+    Ok(())
+}
+
+/// Relative error of the derivative along a random change of all colours. The picture is linear in
+/// colours that stay above 0, so thresholds do not disturb the difference.
+fn along_colours(splats: &Splats, film: &Camera, settings: &Settings, loss: &dyn Loss) -> Result<f64> {
+    let got = render_and_gradients(&mut Workspace::new(), splats, film, settings, loss)?;
+    let step = 1.0 / 2048.0;
+    let mut r = Numbers(17);
+    let n = splats.len();
+    let mut change: Vec<[f32; 3]> = (0..n).map(|_| [0; 3].map(|_| r.between(-1.0, 1.0))).collect();
+    // Only what raises the loss is added up, so that the sum does not cancel.
+    for (change, g) in change.iter_mut().zip(&got.splats) {
+        (0..3).for_each(|c| change[c] = change[c].abs() * g.sh0[c].signum());
+        // Colours at or near the clamp are left alone.
+        if g.sh0.contains(&0.0) {
+            *change = [0.0; 3];
+        }
+    }
+    let rest: Vec<f32> = (0..n).flat_map(|i| splats.rest(i)).copied().collect();
+    let at = |h: f32| -> Result<(f64, Vec<[f64; 3]>)> {
+        let mut gaussians = splats.gaussians().to_vec();
+        for (gaussian, change) in gaussians.iter_mut().zip(&change) {
+            (0..3).for_each(|c| gaussian.sh0[c] += h * change[c]);
+        }
+        let moved = gaussians.iter().map(|g| g.sh0.map(f64::from)).collect();
+        let splats = Splats::new(&gaussians, &rest, splats.sh_degree())?;
+        Ok((loss.exact(&reference::render(&splats, film, settings)?.rgb), moved))
+    };
+    let ((above, a), (below, b)) = (at(step)?, at(-step)?);
+    let expected = above - below;
+    let mut found = 0.0;
+    for ((a, b), g) in a.iter().zip(&b).zip(&got.splats) {
+        found += (0..3).map(|c| (a[c] - b[c]) * f64::from(g.sh0[c])).sum::<f64>();
+    }
+    Ok((found / expected - 1.0).abs())
+}

@@ -1,0 +1,105 @@
+//! Prepares what every experiment starts from: sizes, data folder, scenes, options as if typed.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+use clap::Parser;
+use dgs::{
+    args::{CodecArgs, LinkArgs, ProfileName, SceneArgs},
+    pipeline::{self, Quiet},
+};
+use trainer_host::Scene;
+
+use crate::figures::Bench;
+
+/// What every bench is given.
+#[derive(Debug)]
+pub struct Setup {
+    data: Option<PathBuf>,
+    /// Smaller sizes.
+    pub quick: bool,
+    /// Whether progress is shown.
+    pub quiet: Quiet,
+    /// Where tables and drawings go, if anywhere.
+    pub out: Option<PathBuf>,
+}
+
+impl Setup {
+    /// A setup with the data folder typed, else `../shared/data` if it is there.
+    pub fn new(data: Option<PathBuf>, quick: bool, quiet: Quiet) -> Self {
+        let beside = PathBuf::from("../shared/data");
+        Self { data: data.or_else(|| beside.is_dir().then_some(beside)), quick, quiet, out: None }
+    }
+
+    /// Writes `text` as `name` in the folder for tables and drawings, where one was given.
+    ///
+    /// # Errors
+    /// What the system says about the path.
+    pub fn write(&self, name: &str, text: &str) -> Result<()> {
+        let Some(folder) = &self.out else { return Ok(()) };
+        let path = folder.join(name);
+        std::fs::create_dir_all(folder)
+            .and_then(|()| std::fs::write(&path, text))
+            .with_context(|| format!("{}: cannot write", path.display()))
+    }
+
+    /// `path` in the data folder, or why it is not there (for [`Bench::skipped`]).
+    ///
+    /// # Errors
+    /// Absence, where `DGS_REQUIRE_DATA=1` says that real data must be there.
+    pub fn data(&self, path: &str, bench: &mut Bench) -> Result<Option<PathBuf>> {
+        let found = self.data.as_ref().map(|d| d.join(path)).filter(|p| p.exists());
+        if found.is_none() {
+            if std::env::var_os("DGS_REQUIRE_DATA").is_some_and(|v| v == "1") {
+                bail!("{path} is not in the data folder, and DGS_REQUIRE_DATA=1 demands it");
+            }
+            bench.skipped.push(format!("{path} is not here (see --data)"));
+        }
+        Ok(found)
+    }
+}
+
+/// The options of the command line with nothing typed.
+#[derive(Debug, Parser)]
+struct Untyped {
+    #[command(flatten)]
+    scene: SceneArgs,
+    #[command(flatten)]
+    codec: CodecArgs,
+    #[command(flatten)]
+    link: LinkArgs,
+}
+
+fn untyped() -> Untyped {
+    Untyped::parse_from(["dgs"])
+}
+
+/// How to read a scene: defaults, with `samples` Gaussians on a mesh.
+pub fn scene_args(samples: usize) -> SceneArgs {
+    SceneArgs { samples, ..untyped().scene }
+}
+
+/// How to encode: defaults of `profile`.
+pub fn codec_args(profile: ProfileName) -> CodecArgs {
+    CodecArgs { profile, ..untyped().codec }
+}
+
+/// The link: defaults over `trace`.
+pub fn link_args(trace: Option<PathBuf>) -> LinkArgs {
+    LinkArgs { trace, ..untyped().link }
+}
+
+/// A scene of the data folder, or a synthetic one.
+pub fn load(path: &Path, samples: usize) -> Result<Scene> {
+    Ok(pipeline::import(&path.to_string_lossy(), &scene_args(samples))?.scene)
+}
+
+/// A synthetic scene.
+pub fn synth(kind: &str, gaussians: usize, frames: usize) -> Result<Scene> {
+    Ok(pipeline::import(&format!("synth:{kind}:{gaussians}:{frames}"), &scene_args(gaussians))?.scene)
+}
+
+/// Up to `count` frames spread over a clip of `frames`.
+pub fn spread(frames: usize, count: usize) -> Vec<u32> {
+    trainer_host::judge::spread(0, frames as u32, count as u32)
+}
