@@ -4,8 +4,7 @@
 //! Splats + Camera ─▶ stage::{project, sort, bin, blend} ─▶ Rendered { image, transmittance, counters }
 //! … frame after frame ─▶ Sequence                     ─▶ the same, from what the frame before left
 //! … + loss        ─▶ adjoint                            ─▶ Gradients { loss, splats, pose, … }
-//! Variants + States ─▶ counterfactual::Engine ─▶ squared error of every state, utility of every group
-//! Repaints ─▶ counterfactual::Quadratic ─▶ the same where groups change colours only
+//! Variants + States ─▶ counterfactual::Engine ─▶ distortion of every state, utility of every group
 //! Image × Image   ─▶ metric::{psnr, ssim, flip, flicker, distortion, heat}
 //! ```
 //!
@@ -37,6 +36,8 @@ pub mod settings;
 pub mod splats;
 pub mod stage;
 pub mod stress;
+
+pub use codec_core::{Gaussian, gaussian::ShDegree};
 
 pub use adjoint::{Gradients, Loss, Workspace, render_and_gradients};
 pub use camera::{Camera, CameraError, Intrinsics, View};

@@ -6,7 +6,7 @@ mod support;
 
 use proptest::prelude::*;
 use render_host::counterfactual::{Distortions, Engine, Variants, Versions, brute};
-use render_host::{Camera, Image, Settings, Splats};
+use render_host::{Camera, Image, Settings};
 use support::{Numbers, Scene, camera};
 
 /// A scene in which clusters, regions of space, show one of up to four versions.
@@ -48,7 +48,7 @@ impl Levels {
     }
 
     fn variants(&self) -> Variants<'_> {
-        Variants::new(Splats::plain(&self.scene.gaussians), &self.groups, self.versions.groups()).unwrap()
+        Variants::new(self.scene.splats(), &self.groups, self.versions.groups()).unwrap()
     }
 
     fn contexts(&self, count: usize, seed: u64) -> Vec<Vec<u32>> {

@@ -18,14 +18,16 @@ use render_host::{Camera, Image, Renderer, Settings, Splats};
 
 use crate::{scene::Scene, stream::PacketMap};
 
-use contexts::SpanCells;
+use contexts::{SpanCells, spans};
 use versions::Clusters;
 
+mod alone;
 mod contexts;
 mod key;
 mod truncation;
 mod versions;
 
+pub use alone::measure_alone;
 pub use key::Key;
 pub use truncation::{Truncated, group_bytes, tops, truncate};
 
@@ -151,7 +153,7 @@ pub fn measure(
     if options.cameras.is_empty() {
         return Err(UtilityError::NoCamera);
     }
-    let spans = contexts::spans(map);
+    let spans = spans(map);
     let views = options.views();
     let jobs: Vec<(usize, usize)> =
         (0..spans.len()).flat_map(|s| (0..views).map(move |view| (s, view))).collect();
@@ -218,28 +220,11 @@ fn deltas_in_view(
     view: usize,
     options: &Options,
 ) -> Result<Vec<Delta>, UtilityError> {
-    let manifest = &content.manifest;
-    let (epoch, first, frames) = match span.span {
-        Span::Canonical(id) => {
-            let epoch = manifest.epoch(id).unwrap_or_default();
-            (id, epoch.first_frame, epoch.frames)
-        }
-        Span::Motion(id) => {
-            let window = manifest.window(id).unwrap_or_default();
-            (EpochId(window.epoch), window.first_frame, u32::from(window.frames))
-        }
-    };
-    let frame = first + random(span.span, view as u32, 0, options).random_range(0..frames.max(1));
-    let view = view_of(scene, frame, view % options.cameras.len(), options)?;
+    let (epoch, view) = view_of(scene, content, span.span, view, options)?;
     let mut clusters = Clusters::new(content, epoch, view.frame);
     let (mut asked, mut out) = (Vec::new(), Vec::new());
     for context in 0..options.states() {
-        let state = if options.complete {
-            content.blocks.to_vec()
-        } else {
-            let mut rng = random(span.span, context as u32, 1, options);
-            contexts::random_state(map, &mut rng, content)
-        };
+        let state = state_of(content, map, span.span, context, options);
         let shown = clusters.shown_by(&state)?;
         let steps: Result<Vec<Vec<u32>>, UtilityError> = (0..=span.most_levels())
             .map(|levels| clusters.shown_by(&span.stepped(map, content, &state, levels)))
@@ -274,14 +259,47 @@ fn random(span: Span, index: u32, purpose: u32, options: &Options) -> Pcg64 {
     Pcg64::new(u128::from(options.seed) << 64 | key, 0xa02_bdbf_7bb3_c0a7)
 }
 
-/// The source's own render at `frame`.
-fn view_of(scene: &Scene, frame: u32, camera: usize, options: &Options) -> Result<View, UtilityError> {
+/// The state that context `context` of `span` is.
+fn state_of(
+    content: &Content<'_>,
+    map: &PacketMap,
+    span: Span,
+    context: usize,
+    options: &Options,
+) -> Vec<u8> {
+    if options.complete {
+        return content.blocks.to_vec();
+    }
+    contexts::random_state(map, &mut random(span, context as u32, 1, options), content)
+}
+
+/// View `index` of `span`, with the source's own render, and the epoch that it shows.
+fn view_of(
+    scene: &Scene,
+    content: &Content<'_>,
+    span: Span,
+    index: usize,
+    options: &Options,
+) -> Result<(EpochId, View), UtilityError> {
+    let (epoch, first, frames) = match span {
+        Span::Canonical(id) => {
+            let epoch = content.manifest.epoch(id).unwrap_or_default();
+            (id, epoch.first_frame, epoch.frames)
+        }
+        Span::Motion(id) => {
+            let window = content.manifest.window(id).unwrap_or_default();
+            (EpochId(window.epoch), window.first_frame, u32::from(window.frames))
+        }
+    };
+    let frame = first + random(span, index as u32, 0, options).random_range(0..frames.max(1));
+    let camera = index % options.cameras.len();
+    let refused = |error: &dyn std::fmt::Display| UtilityError::Render(error.to_string());
     let source = scene.instant(frame as usize).unwrap_or_default();
     let splats = Splats::new(&source.gaussians, &source.sh_rest, source.sh_degree);
-    let splats = splats.map_err(|e| UtilityError::Render(e.to_string()))?;
+    let splats = splats.map_err(|e| refused(&e))?;
     let rendered = Renderer::new().render(&splats, &options.cameras[camera], &options.settings);
-    let reference = rendered.map_err(|e| UtilityError::Render(e.to_string()))?.image;
-    Ok(View { frame, camera, reference })
+    let reference = rendered.map_err(|e| refused(&e))?.image;
+    Ok((epoch, View { frame, camera, reference }))
 }
 
 #[cfg(test)]

@@ -14,7 +14,7 @@
 
 use super::fast::Worlds;
 use super::lanes::{Kinds, Lanes, Wanted, difference};
-use super::operator::{Operator, Part, lanes, lanes_mut, parts};
+use super::operator::{FLUSH_EVERY, Operator, Part, flush, lanes, lanes_mut, parts};
 use super::plan::{Pass, look, wanted, within};
 use super::runs::Runs;
 use super::segments::Segments;
@@ -243,9 +243,12 @@ impl Back {
             segments.path(lane as usize, path);
             for part in 0..parts::<S>() {
                 let mut now = Part::identity(simd);
-                for (&step, before) in path.iter().zip(before.iter_mut()) {
-                    *lanes_mut::<S>(&mut before.0, part) = now.t;
-                    now = now.then(simd, Part::load(&runs.operators[step as usize], part));
+                for (path, before) in path.chunks(FLUSH_EVERY).zip(before.chunks_mut(FLUSH_EVERY)) {
+                    for (&step, before) in path.iter().zip(before) {
+                        *lanes_mut::<S>(&mut before.0, part) = now.t;
+                        now = now.then(simd, Part::load(&runs.operators[step as usize], part));
+                    }
+                    now = now.flushed(simd);
                 }
                 let (mut sum, mut q) = (simd.splat_f32s(0.0), simd.splat_f32s(0.0));
                 let mut v = [q; 3];
@@ -291,7 +294,7 @@ impl Back {
                     let mut t = simd.splat_f32s(1.0);
                     for (&run, before) in picked.iter().zip(before.iter_mut()) {
                         *lanes_mut::<S>(&mut before.0, part) = t;
-                        t = simd.mul_f32s(t, lanes::<S>(&runs.operators[run as usize].t, part));
+                        t = flush(simd, simd.mul_f32s(t, lanes::<S>(&runs.operators[run as usize].t, part)));
                     }
                     let mut q = given.t;
                     for (&run, before) in picked.iter().zip(before.iter()).rev() {

@@ -7,7 +7,7 @@
 
 use super::scaffold::Shared;
 use super::squares::Planes;
-use super::{Engine, Greedy, Pairs, Utilities};
+use super::{Engine, Utilities};
 use crate::stage::Splat;
 use crate::{Camera, Settings};
 
@@ -82,32 +82,6 @@ impl Squared for Utilities {
     fn mend(&mut self, other: Self, gain: f64) {
         self.sse.mend(other.sse, gain);
         self.delta.mend(other.delta, gain);
-    }
-}
-
-impl Squared for Pairs {
-    fn mend(&mut self, other: Self, gain: f64) {
-        self.base.mend(other.base, gain);
-        self.single.mend(other.single, gain);
-        self.interaction.mend(other.interaction, gain);
-    }
-}
-
-impl Squared for Greedy {
-    /// An order is one piece: that of the dimmed scene if any of its squares left f32.
-    fn mend(&mut self, other: Self, gain: f64) {
-        if !self.gains.iter().chain(&self.sse).all(|v| v.is_finite()) {
-            let scaled = |values: Vec<f64>| values.into_iter().map(|v| v * gain).collect();
-            *self = Self { gains: scaled(other.gains), sse: scaled(other.sse), ..other };
-        }
-    }
-}
-
-impl<T: Squared, E> Squared for Result<T, E> {
-    fn mend(&mut self, other: Self, gain: f64) {
-        if let (Ok(answer), Ok(other)) = (self, other) {
-            answer.mend(other, gain);
-        }
     }
 }
 

@@ -5,8 +5,8 @@ use super::scaffold::Shared;
 use super::squares::{Planes, cut};
 use super::states::CHUNK;
 use super::{
-    CounterfactualError, Distortions, Greedy, Pairs, States, Utilities, Variants, Versions, WorldGradients, backward, distortion, fast, greedy,
-    pairs, prefixes, single_pass, strict, utilities,
+    CounterfactualError, Distortions, States, Utilities, Variants, Versions, WorldGradients, backward,
+    distortion, fast, strict, utilities,
 };
 use crate::image::{Image, same_size};
 use crate::{Camera, Settings};
@@ -115,58 +115,6 @@ impl Engine {
         Ok(self.ask(|engine| utilities::utilities(engine, contexts)))
     }
 
-    /// As [`Engine::utilities`], context by context, each at about the cost of a gradient however many
-    /// groups meet in a pixel. Within 1e-5 of the largest of it, unless a group hides all but 2⁻¹⁰⁰ of
-    /// what is behind it with splats of its own to spare: their own share is then left out.
-    ///
-    /// # Errors
-    /// States of another number of groups.
-    pub fn single_pass(&self, contexts: &States) -> Result<Utilities, CounterfactualError> {
-        self.check(contexts)?;
-        Ok(single_pass::utilities(self, contexts))
-    }
-
-    /// What toggling any one and any two of `groups` does around `world`. Arithmetic as in
-    /// [`Engine::fast`].
-    ///
-    /// # Errors
-    /// States of another number of groups, no such world, a group out of range or listed twice.
-    pub fn pairs(&self, states: &States, world: usize, groups: &[u32]) -> Result<Pairs, CounterfactualError> {
-        self.check_world(states, world)?;
-        self.ask(|engine| pairs::around(engine, &states.one(world), groups))
-    }
-
-    /// Squared error of `world`, then after each group of `order` has been added to it, `order.len() + 1`
-    /// numbers. Arithmetic as in [`Engine::fast`].
-    ///
-    /// # Errors
-    /// States of another number of groups, no such world, a group out of range or listed twice.
-    pub fn prefixes(
-        &self,
-        states: &States,
-        world: usize,
-        order: &[u32],
-    ) -> Result<Vec<f64>, CounterfactualError> {
-        self.check_world(states, world)?;
-        self.ask(|engine| prefixes::along(engine, &states.one(world), order))
-    }
-
-    /// Adds to `world`, one by one, the group with the largest fall of squared error per cost, until all
-    /// are there. Only tiles that the chosen group reaches are looked at again.
-    ///
-    /// # Errors
-    /// States of another number of groups, no such world, or costs that are not a positive finite number
-    /// per group.
-    pub fn greedy(
-        &self,
-        states: &States,
-        world: usize,
-        costs: &[f64],
-    ) -> Result<Greedy, CounterfactualError> {
-        self.check_world(states, world)?;
-        self.ask(|engine| greedy::order(engine, &states.one(world), costs))
-    }
-
     /// Mean squared error of every world, and the gradient of their sum weighted by `weights`, one finite
     /// number per world, with respect to everything `variants` and the camera hold. `variants` are those the
     /// engine was made of. No early stop; gradients as [`crate::render_and_gradients`] has them with early
@@ -222,18 +170,6 @@ impl Engine {
         self.shared.projected.splats.iter_mut().for_each(|splat| *splat = change(splat));
     }
 
-    /// Place of each group in `list`.
-    pub(super) fn places(&self, list: &[u32]) -> Result<Vec<Option<u32>>, CounterfactualError> {
-        let mut out = vec![None; self.groups];
-        for (place, &group) in (0..).zip(list) {
-            let count = self.groups;
-            let slot = out.get_mut(group as usize).ok_or(CounterfactualError::Group { group, count })?;
-            if slot.replace(place).is_some() {
-                return Err(CounterfactualError::Twice(group));
-            }
-        }
-        Ok(out)
-    }
 }
 
 /// One finite weight per world.

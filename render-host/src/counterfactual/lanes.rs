@@ -4,7 +4,7 @@
 //! walk over the block's segments, each the operator of the lane's look at it; the sixteen pixels of the
 //! block go side by side. There is no division and no early stop.
 
-use super::operator::{Operator, Part, lanes, lanes_mut, parts};
+use super::operator::{FLUSH_EVERY, Operator, Part, lanes, lanes_mut, parts};
 use super::runs::Runs;
 use super::segments::{NONE, Segments};
 use crate::stage::TILE;
@@ -78,13 +78,6 @@ impl Lanes {
         for (lane, words) in self.bits.chunks_exact_mut(self.words).enumerate() {
             words[word] |= u64::from(holds(lane)) << bit;
         }
-    }
-
-    /// As [`Lanes::row`]: all lanes alike, then those of `except` flipped.
-    pub(super) fn row_except(&mut self, local: u32, holds: bool, except: impl Iterator<Item = usize>) {
-        self.row(local, |_| holds);
-        let (word, bit) = (local as usize / 64, local % 64);
-        except.for_each(|lane| self.bits[lane * self.words + word] ^= 1 << bit);
     }
 
     /// Whether `lane` holds group `local`.
@@ -197,8 +190,11 @@ impl Lanes {
 #[inline(always)]
 pub(super) fn walk<S: Simd>(simd: S, operators: &[Operator], steps: &[u32], part: usize) -> Part<S> {
     let mut now = Part::identity(simd);
-    for &step in steps {
-        now = now.then(simd, Part::load(&operators[step as usize], part));
+    for steps in steps.chunks(FLUSH_EVERY) {
+        for &step in steps {
+            now = now.then(simd, Part::load(&operators[step as usize], part));
+        }
+        now = now.flushed(simd);
     }
     now
 }

@@ -158,7 +158,7 @@ impl pulp::WithSimd for Draw<'_> {
             look(&runs.locals, groups.len(), seen);
             let at = pass.find_kinds(seen);
             let kinds = &pass.kinds[at];
-            tree.walk(simd, sieve, runs, &pass.block.lanes, &kinds.first, settings.stop());
+            tree.walk(simd, sieve, runs, &pass.block.lanes, &kinds.first, settings.closed_below());
             shown.clear();
             shown.extend(tree.found.iter().map(|found| (over(found, settings.background), NONE)));
             for (context, lanes) in toggles.starts.windows(2).enumerate() {

@@ -137,32 +137,18 @@ pub(super) fn run(engine: &Engine, plan: &impl Plan) -> Sums {
         end += plan.size(shared.groups(tile));
         starts.push(end);
     }
-    let mut sums = Sums { values: vec![0.0; end], starts };
-    rerun(engine, plan, |_| true, &mut sums);
-    sums
-}
-
-/// Runs `plan` again over the tiles for which `wanted` says so. Returns how many.
-pub(super) fn rerun(
-    engine: &Engine,
-    plan: &impl Plan,
-    wanted: impl Fn(usize) -> bool,
-    sums: &mut Sums,
-) -> usize {
-    let Sums { values, starts } = sums;
+    let mut values = vec![0.0; end];
     let mut rest = values.as_mut_slice();
-    let mut work = Vec::new();
+    let mut work = Vec::with_capacity(shared.tiles());
     for (tile, bounds) in starts.windows(2).enumerate() {
         let (own, after) = rest.split_at_mut(bounds[1] - bounds[0]);
         rest = after;
-        if wanted(tile) {
-            work.push((tile, own));
-        }
+        work.push((tile, own));
     }
     parallel::for_each_with(engine.settings.parallel, &mut work, |room: &mut Room, _, (tile, out)| {
         pulp::Arch::new().dispatch(Walk { room, engine, plan, tile: *tile, out });
     });
-    work.len()
+    Sums { values, starts }
 }
 
 /// One tile's work, as a value, so that it can be compiled once per vector width.

@@ -5,7 +5,7 @@
 //! runs. With G groups in a segment there are at most 2^G looks, one of which is the identity.
 
 use super::lanes::Lanes;
-use super::operator::{Operator, Part, parts};
+use super::operator::{FLUSH_EVERY, Operator, Part, parts};
 use super::runs::Runs;
 use pulp::Simd;
 
@@ -157,8 +157,11 @@ impl Segments {
         let (sources, made) = runs.operators.split_at_mut(*end);
         for part in 0..parts::<S>() {
             let mut now = Part::identity(simd);
-            for &run in picked {
-                now = now.then(simd, Part::load(&sources[run as usize], part));
+            for picked in picked.chunks(FLUSH_EVERY) {
+                for &run in picked {
+                    now = now.then(simd, Part::load(&sources[run as usize], part));
+                }
+                now = now.flushed(simd);
             }
             now.store(&mut made[0], part);
         }

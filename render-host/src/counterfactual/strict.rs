@@ -82,7 +82,7 @@ impl<K: Sink> pulp::WithSimd for Walk<'_, K> {
                 let at = pass.find_kinds(seen);
                 let Pass { block: lanes, kinds, .. } = pass;
                 let kinds = &kinds[at];
-                tree.walk(simd, sieve, runs, &lanes.lanes, &kinds.first, settings.stop());
+                tree.walk(simd, sieve, runs, &lanes.lanes, &kinds.first, settings.closed_below());
                 sink.block(out, (tile, index, block), size, &kinds.of, &tree.found);
             }
         }

@@ -102,10 +102,10 @@ impl Tree {
     }
 }
 
-/// Whether no later splat changes a pixel: each is below the stop, or lets nothing through.
+/// Whether no later splat changes a pixel: each is below the stop.
 #[inline(always)]
 fn is_finished(now: &Operator, stop: f32) -> bool {
-    now.t.iter().fold(true, |all, &t| all & ((t < stop) | (t == 0.0)))
+    now.t.iter().fold(true, |all, &t| all & (t < stop))
 }
 
 /// Blends the splats of a run, with the operations of a render in its order.

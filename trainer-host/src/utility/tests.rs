@@ -1,13 +1,10 @@
 //! Utilities against stepping one cell at a time and rendering every state alone.
 
-use render_host::metric;
-
 use super::*;
 use crate::{
     Stream,
     encode::{self, encode},
     import::{self, synth},
-    stream::Player,
     viewpoint::{Framing, Ring},
 };
 
@@ -41,67 +38,17 @@ fn few(scene: &Scene) -> Options {
     Options { contexts: 2, ..Options::paper(cameras) }
 }
 
-/// Δ of every group of `span` in one context, each from two states of the whole scene rendered alone.
-fn alone(
-    content: &Content<'_>,
-    map: &PacketMap,
-    span: &SpanCells,
-    (context, view): (u32, &View),
-    options: &Options,
-) -> Vec<Delta> {
-    let mut rng = random(span.span, context, 1, options);
-    let state = contexts::random_state(map, &mut rng, content);
-    let distance = |state: &[u8]| {
-        let shown = Player::new(&content.manifest).instant(&content.with_state(state), view.frame).unwrap();
-        let splats = Splats::new(&shown.gaussians, &shown.sh_rest, shown.sh_degree).unwrap();
-        let picture =
-            render_host::render(&splats, &options.cameras[view.camera], &options.settings).unwrap().image;
-        metric::distortion(&picture, &view.reference).unwrap()
-    };
-    let mut out = Vec::new();
-    for (cluster, groups) in span.groups(map) {
-        // Only this cell is stepped: blocks of other clusters keep what the context says.
-        let stepped = |levels: usize| {
-            let all = span.stepped(map, content, &state, levels);
-            let mut one = state.clone();
-            let cluster = codec_core::ids::ClusterId(cluster as u16);
-            let spans = (0..content.manifest.head().windows).map(|w| Span::Motion(codec_core::ids::WindowId(w)));
-            let epochs = (0..content.manifest.head().epochs).map(|e| Span::Canonical(EpochId(e)));
-            for blocks in epochs.chain(spans).filter_map(|s| versions::blocks_of(content, s, cluster)) {
-                one[blocks.clone()].copy_from_slice(&all[blocks]);
-            }
-            distance(&one)
-        };
-        let distances: Vec<f64> = (0..=groups.len()).map(stepped).collect();
-        for (&group, pair) in groups.iter().zip(distances.windows(2)) {
-            out.push(Delta { group, context: context as usize, delta: pair[0] - pair[1] });
-        }
-    }
-    out
-}
-
 #[test]
 fn utilities_are_those_of_states_rendered_alone() {
     let (scene, stream) = moving();
     let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
     let (content, options) = (received.content(), few(&scene));
-    let spans = contexts::spans(&map);
+    let spans = spans(&map);
     assert!(spans.iter().any(|s| matches!(s.span, Span::Motion(_))), "there is motion to measure");
     let (mut compared, mut largest, mut shifted) = (0, 0.0f64, 0.0f64);
     for span in [&spans[0], &spans[spans.len() - 1]] {
         let got = deltas_in_view(&scene, &content, &map, span, 1, &options).unwrap();
-        let first = match span.span {
-            Span::Canonical(_) => 0,
-            Span::Motion(w) => content.manifest.window(w).unwrap().first_frame,
-        };
-        let frames = match span.span {
-            Span::Canonical(e) => content.manifest.epoch(e).unwrap().frames,
-            Span::Motion(w) => u32::from(content.manifest.window(w).unwrap().frames),
-        };
-        let frame = first + random(span.span, 1, 0, &options).random_range(0..frames);
-        let view = view_of(&scene, frame, 1, &options).unwrap();
-        let mut expected = alone(&content, &map, span, (0, &view), &options);
-        expected.extend(alone(&content, &map, span, (1, &view), &options));
+        let expected = alone::deltas_in_view(&scene, &content, &map, span, 1, &options, 1).unwrap();
         assert_eq!(got.len(), expected.len());
         for (got, expected) in got.iter().zip(&expected) {
             assert_eq!((got.group, got.context), (expected.group, expected.context));
@@ -124,6 +71,11 @@ fn one_table_on_any_number_of_threads_and_another_for_other_contexts() {
     let measure = |options: &Options| measure(&scene, &content, &map, options, &|_| {}).unwrap();
     let table = measure(&options);
     assert_eq!(table.groups.len(), map.groups().len());
+    let means = measure_alone(&scene, &content, &map, &options, 5).unwrap();
+    assert!(means.len() > 4);
+    for (group, mean) in means {
+        assert!((table.groups[group].mean - mean).abs() < 1e-12, "group {group}");
+    }
     assert_eq!(table.deltas as usize, map.groups().len() * 2 * 2, "two contexts, two views");
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     assert_eq!(pool.install(|| measure(&options)), table);
