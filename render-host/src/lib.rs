@@ -17,6 +17,9 @@
 //! shows, 1 where nothing was drawn. *World*: one delivery state of a scene; worlds of one call share a
 //! camera and settings.
 //!
+//! Examples: `cargo run -p render-host --example counterfactuals` (what each level of each cluster adds) and
+//! `--example gradients` (a Gaussian that moves towards a picture).
+//!
 //! Deliberately absent: files of splats (trainer-host reads them), packets (codec-core), clocks.
 
 pub mod adjoint;

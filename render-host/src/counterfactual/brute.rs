@@ -1,4 +1,4 @@
-//! Every world rendered alone: the slow twin that judges the engine.
+//! Renders every world alone: the slow twin that judges the engine.
 
 use super::engine::check_weights;
 use super::squares::{Planes, between, cut};

@@ -11,7 +11,7 @@
 //! within 1e-12 of [`crate::metric::distortion`] of the picture ([`super::brute::distortions`] is the twin).
 
 use super::patches::{Changes, Patch, Pixels};
-use super::sieve::{ACROSS, BLOCKS, SIDE};
+use super::culling::{ACROSS, BLOCKS, SIDE};
 use super::squares::Planes as TilePlanes;
 use super::versions::{Distortions, Versions};
 use super::{Engine, patches};

@@ -1,7 +1,7 @@
-//! The engine: one scene, one camera, one reference image; many questions.
+//! Answers questions about many states of one scene, seen by one camera, against one reference image.
 
-use super::dimmed::Dimmed;
-use super::scaffold::Shared;
+use super::bright::ScaledDown;
+use super::scaffold::SharedLists;
 use super::squares::{Planes, cut};
 use super::states::CHUNK;
 use super::{
@@ -11,10 +11,10 @@ use super::{
 use crate::image::{Image, same_size};
 use crate::{Camera, Settings};
 
-/// What all worlds share, ready for questions. Every answer is the same for any number of threads.
+/// What all worlds share. Every answer is the same for any number of threads.
 #[derive(Debug)]
 pub struct Engine {
-    pub(super) shared: Shared,
+    pub(super) shared: SharedLists,
     pub(super) reference: Vec<Planes>,
     /// The reference image as it was given.
     pub(super) against: Image,
@@ -22,8 +22,8 @@ pub struct Engine {
     pub(super) camera: Camera,
     /// Number of groups.
     pub(super) groups: usize,
-    /// What the fast modes are asked about, if not this.
-    pub(super) dimmed: Option<Box<Dimmed>>,
+    /// The same scene, darker, for squares that leave f32.
+    pub(super) scaled_down: Option<Box<ScaledDown>>,
 }
 
 impl Engine {
@@ -42,11 +42,11 @@ impl Engine {
         let mut film = Image::default();
         film.reset(camera.width(), camera.height())?;
         same_size(&film, reference)?;
-        let shared = Shared::new(variants, camera, settings);
+        let shared = SharedLists::new(variants, camera, settings);
         let (reference, against) = (cut(reference, settings.parallel), reference.clone());
         let (settings, camera, groups) = (settings.clone(), camera.clone(), variants.count());
-        let dimmed = Dimmed::new(&shared, &reference, &settings, &camera, groups);
-        Ok(Self { shared, reference, against, settings, camera, groups, dimmed })
+        let scaled_down = ScaledDown::new(&shared, &reference, &settings, &camera, groups);
+        Ok(Self { shared, reference, against, settings, camera, groups, scaled_down })
     }
 
     /// Squared error of each world, bit for bit that of the world rendered alone.
@@ -144,8 +144,8 @@ impl Engine {
         // A sum per tile and world; the set of each world; that set again, transposed in chunks.
         let sums = 8 * worlds * (tiles + 1);
         let sets = 8 * worlds * groups.div_ceil(64) + 16 * groups * worlds.div_ceil(CHUNK);
-        let dimmed = self.dimmed.as_ref().map_or(0, |dimmed| dimmed.bytes());
-        self.shared.bytes() + dimmed + (tiles * size_of::<Planes>() + sums + sets) as u64
+        let scaled_down = self.scaled_down.as_ref().map_or(0, |scaled_down| scaled_down.bytes());
+        self.shared.bytes() + scaled_down + (tiles * size_of::<Planes>() + sums + sets) as u64
     }
 
     /// Number of groups.

@@ -1,4 +1,4 @@
-//! What a counterfactual call refuses.
+//! Names what a counterfactual call refuses.
 
 use crate::image::ImageError;
 use crate::settings::SettingsError;

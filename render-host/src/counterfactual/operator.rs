@@ -1,4 +1,4 @@
-//! What splats do to the light from behind them: `x → C + T·x` on each of sixteen pixels.
+//! Composes what splats do to the light from behind them: `x → C + T·x` on each of sixteen pixels.
 //!
 //! Such operators form a monoid: two in a row are one, and an absent splat is the identity.
 

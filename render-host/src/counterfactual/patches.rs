@@ -4,10 +4,10 @@
 //! once per block of pixels for all contexts; a version that leaves a block as it is leaves no patch.
 
 use super::lanes::Lanes;
-use super::plan::{Pass, look, within};
-use super::runs::Runs;
+use super::plan::{Pass, group_set, within};
+use super::splat_runs::SplatRuns;
 use super::segments::NONE;
-use super::sieve::{BLOCKS, Sieve};
+use super::culling::{BLOCKS, TileCulling};
 use super::squares::inside;
 use super::strict::over;
 use super::tree::Tree;
@@ -31,7 +31,7 @@ pub(super) struct Patch {
     pub pixels: u32,
 }
 
-/// What a tile looks like.
+/// What a tile shows.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Changes {
     /// Context by context, block by block.
@@ -117,8 +117,8 @@ impl Toggles {
 /// What a thread keeps from tile to tile.
 #[derive(Default)]
 struct Room {
-    sieve: Sieve,
-    runs: Runs,
+    culling: TileCulling,
+    runs: SplatRuns,
     pass: Pass,
     seen: Vec<u64>,
     tree: Tree,
@@ -143,22 +143,22 @@ impl pulp::WithSimd for Draw<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { room, engine, versions, contexts, tile, out } = self;
-        let Room { sieve, runs, pass, seen, tree, toggles, shown } = room;
+        let Room { culling, runs, pass, seen, tree, toggles, shown } = room;
         let (shared, settings) = (&engine.shared, &engine.settings);
         let groups = shared.groups(tile);
         toggles.list(groups, versions, contexts);
         pass.start(groups);
         pass.block.reset(toggles.groups.len());
         toggles.fill(groups, versions, contexts, &mut pass.block.lanes);
-        sieve.fill(shared, tile, settings);
+        culling.fill(shared, tile, settings);
         out.base.resize(contexts.len() * BLOCKS, [[0.0; TILE]; 3]);
         let size = inside(shared.corner(tile), shared.size);
         for block in (0..BLOCKS).filter(|&block| within(block, size)) {
-            runs.find(sieve, block, settings);
-            look(&runs.locals, groups.len(), seen);
+            runs.find(culling, block, settings);
+            group_set(&runs.locals, groups.len(), seen);
             let at = pass.find_kinds(seen);
             let kinds = &pass.kinds[at];
-            tree.walk(simd, sieve, runs, &pass.block.lanes, &kinds.first, settings.closed_below());
+            tree.walk(simd, culling, runs, &pass.block.lanes, &kinds.first, settings.closed_below());
             shown.clear();
             shown.extend(tree.found.iter().map(|found| (over(found, settings.background), NONE)));
             for (context, lanes) in toggles.starts.windows(2).enumerate() {

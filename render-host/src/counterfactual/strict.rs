@@ -1,4 +1,4 @@
-//! Worlds exactly as they are rendered alone, bit for bit.
+//! Renders worlds exactly as they are rendered alone, bit for bit.
 //!
 //! A world's list is the shared list without the absent groups: the splats and their order are those of a
 //! render of that world, and so is every operation on every pixel. What is shared is what does not change
@@ -7,10 +7,10 @@
 
 use super::fast::Worlds;
 use super::operator::Operator;
-use super::plan::{Pass, Plan, look, wanted, within};
-use super::runs::Runs;
-use super::scaffold::Shared;
-use super::sieve::{ACROSS, BLOCKS, SIDE, Sieve};
+use super::plan::{LanePlan, Pass, group_set, wanted, within};
+use super::splat_runs::SplatRuns;
+use super::scaffold::SharedLists;
+use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
 use super::squares::{Squares, add, inside, squares};
 use super::states::CHUNK;
 use super::tree::Tree;
@@ -23,8 +23,8 @@ use pulp::Simd;
 
 #[derive(Default)]
 struct Room {
-    sieve: Sieve,
-    runs: Runs,
+    culling: TileCulling,
+    runs: SplatRuns,
     passes: Vec<Pass>,
     seen: Vec<u64>,
     tree: Tree,
@@ -37,7 +37,7 @@ trait Sink: Sync {
     /// The classes of a pass over a tile.
     fn classes(&self, tile: &mut Self::Tile, pass: usize, classes: &[u128]);
 
-    /// What a block looks like, given tile, pass and block: class `i` has the picture `found[of[i]]`.
+    /// What a block shows, given tile, pass and block: class `i` has the picture `found[of[i]]`.
     fn block(
         &self,
         tile: &mut Self::Tile,
@@ -51,7 +51,7 @@ trait Sink: Sync {
 /// One tile's work, as a value, so that it can be compiled once per vector width.
 struct Walk<'a, K: Sink> {
     room: &'a mut Room,
-    shared: &'a Shared,
+    shared: &'a SharedLists,
     settings: &'a Settings,
     plan: &'a Worlds,
     tile: usize,
@@ -65,7 +65,7 @@ impl<K: Sink> pulp::WithSimd for Walk<'_, K> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { room, shared, settings, plan, tile, sink, out } = self;
-        let Room { sieve, runs, passes, seen, tree } = room;
+        let Room { culling, runs, passes, seen, tree } = room;
         let groups = shared.groups(tile);
         passes.resize_with(plan.passes(), Pass::default);
         for (index, pass) in passes.iter_mut().enumerate() {
@@ -73,16 +73,16 @@ impl<K: Sink> pulp::WithSimd for Walk<'_, K> {
             plan.lanes(index, &mut pass.block);
             sink.classes(out, index, &pass.block.classes);
         }
-        sieve.fill(shared, tile, settings);
+        culling.fill(shared, tile, settings);
         let size = inside(shared.corner(tile), shared.size);
         for block in (0..BLOCKS).filter(|&b| within(b, size)) {
-            runs.find(sieve, block, settings);
-            look(&runs.locals, groups.len(), seen);
+            runs.find(culling, block, settings);
+            group_set(&runs.locals, groups.len(), seen);
             for (index, pass) in passes.iter_mut().enumerate() {
                 let at = pass.find_kinds(seen);
                 let Pass { block: lanes, kinds, .. } = pass;
                 let kinds = &kinds[at];
-                tree.walk(simd, sieve, runs, &lanes.lanes, &kinds.first, settings.closed_below());
+                tree.walk(simd, culling, runs, &lanes.lanes, &kinds.first, settings.closed_below());
                 sink.block(out, (tile, index, block), size, &kinds.of, &tree.found);
             }
         }
@@ -218,7 +218,7 @@ pub(super) struct Drawn {
 
 /// The pictures of all worlds.
 pub(super) fn images(
-    shared: &Shared,
+    shared: &SharedLists,
     camera: &Camera,
     settings: &Settings,
     states: &States,
@@ -232,7 +232,7 @@ pub(super) fn images(
         out.push(image);
     }
     let width = camera.width() as usize;
-    // A row of tiles at a time, so that what tiles look like need not all be kept.
+    // A row of tiles at a time, so that the pictures of tiles need not all be kept.
     let mut views = vec![Views::default(); shared.columns];
     let mut scratch = 0;
     for row in 0..shared.tiles() / shared.columns.max(1) {

@@ -6,13 +6,13 @@
 
 use super::lanes::Lanes;
 use super::operator::{Operator, Part, lanes, parts};
-use super::runs::Runs;
-use super::sieve::Sieve;
+use super::splat_runs::SplatRuns;
+use super::culling::TileCulling;
 use pulp::Simd;
 use std::ops::Range;
 
-/// Runs between two looks at whether every pixel is finished.
-const LOOK_EVERY: usize = 4;
+/// Runs between two checks of whether every pixel is finished.
+const CHECK_EVERY: usize = 4;
 
 /// Scratch memory of a walk, and what it found.
 #[derive(Default)]
@@ -37,8 +37,8 @@ impl Tree {
     pub(super) fn walk<S: Simd>(
         &mut self,
         simd: S,
-        sieve: &Sieve,
-        runs: &Runs,
+        culling: &TileCulling,
+        runs: &SplatRuns,
         lanes: &Lanes,
         worlds: &[u32],
         stop: f32,
@@ -63,9 +63,9 @@ impl Tree {
                     }
                 }
                 if holds(order[here.start], local) {
-                    blend(simd, sieve, runs, run, stop, &mut now);
+                    blend(simd, culling, runs, run, stop, &mut now);
                     blended += 1;
-                    if blended % LOOK_EVERY == 0 && is_finished(&now, stop) {
+                    if blended % CHECK_EVERY == 0 && is_finished(&now, stop) {
                         break;
                     }
                 }
@@ -76,7 +76,7 @@ impl Tree {
 
     /// Orders worlds by what they hold of the groups in order of appearance.
     #[inline(always)]
-    fn sort(&mut self, runs: &Runs, lanes: &Lanes, worlds: &[u32]) {
+    fn sort(&mut self, runs: &SplatRuns, lanes: &Lanes, worlds: &[u32]) {
         let Self { order, keys, first, groups, .. } = self;
         groups.clear();
         first.clear();
@@ -110,12 +110,12 @@ fn is_finished(now: &Operator, stop: f32) -> bool {
 
 /// Blends the splats of a run, with the operations of a render in its order.
 #[inline(always)]
-fn blend<S: Simd>(simd: S, sieve: &Sieve, runs: &Runs, run: usize, stop: f32, now: &mut Operator) {
+fn blend<S: Simd>(simd: S, culling: &TileCulling, runs: &SplatRuns, run: usize, stop: f32, now: &mut Operator) {
     let (stop, zero) = (simd.splat_f32s(stop), simd.splat_f32s(0.0));
     for part in 0..parts::<S>() {
         let mut part_now = Part::<S>::load(now, part);
         for i in runs.members(run) {
-            let colour = sieve.splats()[runs.position(i)].colour;
+            let colour = culling.splats()[runs.position(i)].colour;
             let Part { t, rgb } = &mut part_now;
             let open = simd.greater_than_or_equal_f32s(*t, stop);
             let alpha = simd.select_f32s(open, lanes::<S>(runs.alpha(i), part), zero);

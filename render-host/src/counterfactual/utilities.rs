@@ -1,10 +1,10 @@
-//! What each group is worth in each context: leave one out of those present, add one of those absent.
+//! Measures what each group adds in each context: leave one out of those present, add one of those absent.
 //!
 //! Lanes are the contexts that a tile can tell apart, each as it is and with one of the tile's groups
 //! toggled. Their number does not depend on how many groups the scene has.
 
 use super::classes::{members, split};
-use super::plan::{Block, Plan, Sums, run};
+use super::plan::{Block, LanePlan, Sums, run};
 use super::states::CHUNK;
 use super::{Engine, States};
 
@@ -48,7 +48,7 @@ struct Toggles {
     chunks: Vec<(u128, Vec<u128>)>,
 }
 
-impl Plan for Toggles {
+impl LanePlan for Toggles {
     fn size(&self, groups: &[u32]) -> usize {
         self.contexts * (groups.len() + 1)
     }
