@@ -374,7 +374,7 @@ fn every_set_of_the_golden_streams_gives_back_as_many_packets_as_it_has_parity()
                 let ids: Vec<usize> = (0..n).filter(|j| j % sets == set).map(|j| j + first).collect();
                 let parity = |i: usize| packets[first_parity + i * sets + set];
                 let drop = rows.min(ids.len());
-                let missing = |j: usize| j % 2 == 0 && j / 2 < drop;
+                let missing = |j: usize| j.is_multiple_of(2) && j / 2 < drop;
                 let member = |(j, &id): (usize, &usize)| (!missing(j)).then_some(packets[id]);
                 let members: Vec<Option<&[u8]>> = ids.iter().enumerate().map(member).collect();
                 let lost: Vec<&[u8]> =
