@@ -282,7 +282,8 @@ pub fn cached_utilities(
     content: &Content<'_>,
     map: &PacketMap,
     options: &utility::Options,
-    (cache, warn): (&Path, &mut dyn FnMut(String)),
+    cache: &Path,
+    warn: &mut dyn FnMut(String),
     quiet: Quiet,
 ) -> Result<utility::Table> {
     match std::fs::read(cache).map(|bytes| serde_json::from_slice::<utility::Table>(&bytes)) {

@@ -5,10 +5,8 @@ use render_host::{Camera, Gaussian, Settings, Splats, Workspace, render, render_
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let at = |x: f32| Gaussian { position: [x, 0.0, 0.0], scale: [0.3; 3], opacity: 0.8, ..Gaussian::ABSENT };
-    let (camera, settings) = (
-        Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.8, 160, 120)?,
-        Settings::default(),
-    );
+    let (camera, settings) =
+        (Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.8, 160, 120)?, Settings::default());
     let target = render(&Splats::plain(&[at(0.0)]), &camera, &settings)?.image;
     let loss = Mse::new(target);
 

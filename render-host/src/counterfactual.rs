@@ -55,24 +55,24 @@
 
 mod backward;
 mod batch;
+mod bright;
 pub mod brute;
 mod classes;
-mod bright;
+mod culling;
 mod distortion;
 mod engine;
 mod error;
-mod hidden;
 mod fast;
 mod gradients;
+mod hidden;
 mod lanes;
 pub mod levels;
 mod operator;
 mod patches;
 mod plan;
-mod splat_runs;
 mod scaffold;
 mod segments;
-mod culling;
+mod splat_runs;
 mod squares;
 mod states;
 mod strict;

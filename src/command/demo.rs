@@ -84,8 +84,8 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let cache = args.out.join("utility.json");
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot create", args.out.display()))?;
     let mut warnings = Vec::new();
-    let cache = (cache.as_path(), &mut |warning| warnings.push(warning));
-    let table = pipeline::cached_utilities(&scene, &content, &map, &options, cache, quiet)?;
+    let mut warn = |warning| warnings.push(warning);
+    let table = pipeline::cached_utilities(&scene, &content, &map, &options, &cache, &mut warn, quiet)?;
 
     let graph = pipeline::graph(&stream, &map, Some(&table))?;
     let link = pipeline::link(&args.link, &graph)?;

@@ -82,15 +82,10 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         let cameras = framing.ring(Ring::Measuring, 3, (160, 160))?;
         let path = pipeline::utility_path(&args.out);
         let options = utility::Options::paper(cameras);
-        let cache = (path.as_path(), &mut |warning| warnings.push(warning));
-        let table = pipeline::cached_utilities(
-            &loaded.scene,
-            &received.content(),
-            &map,
-            &options,
-            cache,
-            quiet,
-        )?;
+        let mut warn = |warning| warnings.push(warning);
+        let content = received.content();
+        let table =
+            pipeline::cached_utilities(&loaded.scene, &content, &map, &options, &path, &mut warn, quiet)?;
         let negative = table.groups.iter().filter(|g| g.mean < 0.0).count();
         text += &format!(
             "utilities of {} groups ({} with a negative mean) → {}\n",

@@ -236,7 +236,8 @@ fn deltas_in_view(
             let found = clusters.distortions(&shown, camera, &view.reference, &options.settings)?;
             for (index, (context, _, steps)) in asked.drain(..).enumerate() {
                 for (cluster, groups) in span.groups(map) {
-                    let distortion = |levels: usize| found.of(index, cluster, steps[levels][cluster] as usize);
+                    let distortion =
+                        |levels: usize| found.of(index, cluster, steps[levels][cluster] as usize);
                     for (level, &group) in groups.iter().enumerate() {
                         let delta = distortion(level) - distortion(level + 1);
                         out.push(Delta { group, context, delta });

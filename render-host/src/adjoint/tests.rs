@@ -290,7 +290,8 @@ fn a_target_that_is_not_a_number_is_counted() {
     let gradients = |target: &Image| {
         let loss = Mse::new(target.clone());
         let splats = [ball];
-        render_and_gradients(&mut Workspace::new(), &Splats::plain(&splats), &camera, &smooth(), &loss).unwrap()
+        render_and_gradients(&mut Workspace::new(), &Splats::plain(&splats), &camera, &smooth(), &loss)
+            .unwrap()
     };
     let good = gradients(&target);
     assert_eq!(good.non_finite, 0);

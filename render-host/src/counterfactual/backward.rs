@@ -12,13 +12,13 @@
 //!
 //! Nothing is divided. There is no early stop.
 
+use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
 use super::fast::Worlds;
 use super::lanes::{Kinds, Lanes, Wanted, difference};
 use super::operator::{FLUSH_EVERY, Operator, Part, flush, lanes, lanes_mut, parts};
 use super::plan::{Pass, group_set, wanted, within};
-use super::splat_runs::SplatRuns;
 use super::segments::RunSegments;
-use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
+use super::splat_runs::SplatRuns;
 use super::squares::inside;
 use super::states::CHUNK;
 use super::{Engine, States, Variants, WorldGradients, plan::LanePlan};

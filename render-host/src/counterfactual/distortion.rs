@@ -10,8 +10,8 @@
 //! the block and the windows beyond its reach keep the context's numbers; sums are f64, so a distortion is
 //! within 1e-12 of [`crate::metric::distortion`] of the picture ([`super::brute::distortions`] is the twin).
 
-use super::patches::{Changes, Patch, Pixels};
 use super::culling::{ACROSS, BLOCKS, SIDE};
+use super::patches::{Changes, Patch, Pixels};
 use super::squares::Planes as TilePlanes;
 use super::versions::{Distortions, Versions};
 use super::{Engine, patches};
@@ -26,11 +26,7 @@ const KEPT: usize = 16 * 1600;
 const BAND: usize = 16;
 
 /// All distortions of all contexts.
-pub(super) fn distortions(
-    engine: &Engine,
-    versions: &Versions,
-    contexts: &[Vec<u32>],
-) -> Distortions {
+pub(super) fn distortions(engine: &Engine, versions: &Versions, contexts: &[Vec<u32>]) -> Distortions {
     let target = Target::new(&engine.against);
     let blocks = engine.shared.tiles() * BLOCKS;
     let mut base = Vec::with_capacity(contexts.len());

@@ -169,7 +169,6 @@ impl Engine {
     pub(crate) fn map_splats(&mut self, change: impl Fn(&crate::stage::Splat) -> crate::stage::Splat) {
         self.shared.projected.splats.iter_mut().for_each(|splat| *splat = change(splat));
     }
-
 }
 
 /// One finite weight per world.

@@ -5,8 +5,8 @@
 //! block go side by side. There is no division and no early stop.
 
 use super::operator::{FLUSH_EVERY, Operator, Part, lanes, lanes_mut, parts};
-use super::splat_runs::SplatRuns;
 use super::segments::{NONE, RunSegments};
+use super::splat_runs::SplatRuns;
 use crate::stage::TILE;
 use crate::stage::blend;
 use pulp::Simd;

@@ -3,11 +3,11 @@
 //! A tile meets few clusters, and only their versions can change it. Alphas of all versions are computed
 //! once per block of pixels for all contexts; a version that leaves a block as it is leaves no patch.
 
+use super::culling::{BLOCKS, TileCulling};
 use super::lanes::Lanes;
 use super::plan::{Pass, group_set, within};
-use super::splat_runs::SplatRuns;
 use super::segments::NONE;
-use super::culling::{BLOCKS, TileCulling};
+use super::splat_runs::SplatRuns;
 use super::squares::inside;
 use super::strict::over;
 use super::tree::Tree;

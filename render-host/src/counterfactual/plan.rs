@@ -1,10 +1,10 @@
 //! Walks tiles and their blocks for a fast mode, which decides what the lanes are and where errors go.
 
 use super::Engine;
-use super::lanes::{Kinds, Lanes, Wanted};
-use super::splat_runs::SplatRuns;
-use super::segments::{self, RunSegments};
 use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
+use super::lanes::{Kinds, Lanes, Wanted};
+use super::segments::{self, RunSegments};
+use super::splat_runs::SplatRuns;
 use super::squares::{Planes, inside};
 use crate::parallel;
 use crate::stage::TILE;

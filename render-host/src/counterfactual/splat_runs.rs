@@ -4,8 +4,8 @@
 //! A block has one list of runs for its sixteen pixels: a pixel that a run does not touch has the identity
 //! there.
 
-use super::operator::{Operator, Part, lanes, lanes_mut, parts};
 use super::culling::TileCulling;
+use super::operator::{Operator, Part, lanes, lanes_mut, parts};
 use crate::settings::Settings;
 use crate::stage::TILE;
 use crate::stage::blend::Lanes;

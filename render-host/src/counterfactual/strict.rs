@@ -5,12 +5,12 @@
 //! a bit: alphas do not depend on the world, and worlds that hold the same of the groups met so far are one
 //! until a group is met that only some of them hold.
 
+use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
 use super::fast::Worlds;
 use super::operator::Operator;
 use super::plan::{LanePlan, Pass, group_set, wanted, within};
-use super::splat_runs::SplatRuns;
 use super::scaffold::SharedLists;
-use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
+use super::splat_runs::SplatRuns;
 use super::squares::{Squares, add, inside, squares};
 use super::states::CHUNK;
 use super::tree::Tree;

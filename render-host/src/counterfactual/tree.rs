@@ -4,10 +4,10 @@
 //! until a group comes that only some of them hold. Each world's splats, their order and every operation
 //! are those of a render of that world alone; a walk ends where no pixel of the block is open any more.
 
+use super::culling::TileCulling;
 use super::lanes::Lanes;
 use super::operator::{Operator, Part, lanes, parts};
 use super::splat_runs::SplatRuns;
-use super::culling::TileCulling;
 use pulp::Simd;
 use std::ops::Range;
 
@@ -110,7 +110,14 @@ fn is_finished(now: &Operator, stop: f32) -> bool {
 
 /// Blends the splats of a run, with the operations of a render in its order.
 #[inline(always)]
-fn blend<S: Simd>(simd: S, culling: &TileCulling, runs: &SplatRuns, run: usize, stop: f32, now: &mut Operator) {
+fn blend<S: Simd>(
+    simd: S,
+    culling: &TileCulling,
+    runs: &SplatRuns,
+    run: usize,
+    stop: f32,
+    now: &mut Operator,
+) {
     let (stop, zero) = (simd.splat_f32s(stop), simd.splat_f32s(0.0));
     for part in 0..parts::<S>() {
         let mut part_now = Part::<S>::load(now, part);

@@ -31,7 +31,9 @@ pub fn measure_alone(
     let mut sums = std::collections::BTreeMap::new();
     for span in spans(map) {
         for view in 0..options.views() {
-            for Delta { group, delta, .. } in deltas_in_view(scene, content, map, &span, view, options, every)? {
+            for Delta { group, delta, .. } in
+                deltas_in_view(scene, content, map, &span, view, options, every)?
+            {
                 *sums.entry(group).or_insert(0.0) += delta;
             }
         }
@@ -55,7 +57,8 @@ pub(super) fn deltas_in_view(
     let mut out = Vec::new();
     for context in 0..options.states() {
         let state = state_of(content, map, span.span, context, options);
-        let of_cell = |(player, renderer): &mut (Player, Renderer), &(cluster, groups): &(usize, &[usize])| {
+        let of_cell = |(player, renderer): &mut (Player, Renderer),
+                       &(cluster, groups): &(usize, &[usize])| {
             let mut before = None;
             let mut deltas = Vec::new();
             for levels in 0..=groups.len() {

@@ -96,7 +96,8 @@ impl fmt::Display for Key {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { metric, cameras, size: (width, height), contexts, frames_per_span, .. } = self;
         let Self { alpha, beta, seed, .. } = self;
-        let contexts = if self.complete { "complete state".to_owned() } else { format!("{contexts} contexts") };
+        let contexts =
+            if self.complete { "complete state".to_owned() } else { format!("{contexts} contexts") };
         write!(
             f,
             "D = {metric}, {} cameras at {width}x{height}, {contexts}, {frames_per_span} frames per span and \

@@ -27,7 +27,7 @@ fn quantiles_interpolate() {
 
 /// A moving figure of two windows, and its stream.
 fn moving() -> (Scene, Stream) {
-    let options = synth::Options { gaussians: 700, frames: 40, ..synth::Options::default() };
+    let options = synth::Options { gaussians: 1000, frames: 40, ..synth::Options::default() };
     let scene = synth::make(&options, &import::Limits::default()).unwrap();
     let stream = encode(&scene, &encode::Options::default(), &|_, _| {}).unwrap();
     (scene, stream)

@@ -229,8 +229,7 @@ mod tests {
         let mut test = planes(&a);
         target.similarities(&test, &all, &mut scratch, &mut whole);
         let pixel = (17..18, 9..10);
-        let at =
-            Rectangle { columns: target.columns_with(&pixel.0), rows: target.rows_with(&pixel.1) };
+        let at = Rectangle { columns: target.columns_with(&pixel.0), rows: target.rows_with(&pixel.1) };
         let mut some = vec![0.0; at.len()];
         target.similarities(&test, &at, &mut scratch, &mut some);
         let columns = w - 10;

@@ -69,8 +69,7 @@ fn measure(
     let mut renderer = Renderer::new();
     let mut times: [Vec<f64>; 9] = Default::default();
     for _ in 0..runs {
-        let [single, alone, set_up, fast, strict, leave, all, gradients, alone_gradients] =
-            &mut times;
+        let [single, alone, set_up, fast, strict, leave, all, gradients, alone_gradients] = &mut times;
         time(single, || renderer.render(&scene.splats(), camera, &settings))?;
         time(fast, || engine()?.fast(&states))?;
         time(leave, || engine()?.utilities(&full))?;

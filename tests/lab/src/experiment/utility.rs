@@ -8,7 +8,8 @@ use dgs::{
     pipeline::{self, Quiet},
 };
 use trainer_host::{
-    Scene, encode::Protection,
+    Scene,
+    encode::Protection,
     stream::PacketMap,
     utility,
     viewpoint::{Framing, Ring},
@@ -75,9 +76,11 @@ fn measure(bench: &mut Bench, key: &str, scene: &Scene, setup: &Setup) -> Result
         let off = |&(group, mean): &(usize, f64)| (first.groups[group].mean - mean).abs() / largest;
         let error = alone.iter().map(off).fold(0.0, f64::max);
         bench.push(
-            Figure::new(format!("{key}.{name}"), ours, "s")
-                .error(error, "worst mean, of the largest")
-                .peer("each state alone", peer, true),
+            Figure::new(format!("{key}.{name}"), ours, "s").error(error, "worst mean, of the largest").peer(
+                "each state alone",
+                peer,
+                true,
+            ),
         );
         let rate = table.deltas as f64 / ours;
         bench.push(Figure::new(format!("{key}.{name}.rate"), rate, "utilities/s"));
