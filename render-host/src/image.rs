@@ -1,4 +1,4 @@
-//! Linear memory of colour: an image of f32 r g b, and its way to and from files and other images.
+//! An image holds f32 r g b per pixel; it is read from and written to files, resized and put together.
 //!
 //! Values are display values, 0..=1 for what a screen shows, as the splats' colours are; nothing here
 //! converts to or from linear light. Files have 8 bits: a value is clamped, multiplied by 255 and rounded.

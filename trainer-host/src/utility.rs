@@ -7,7 +7,7 @@
 //! each), so mean, lower tail and deviation are over states and not over views. Cameras are the caller's;
 //! keep them apart from those on which quality is reported.
 
-use codec_core::{
+use codec_core::internals::{
     ids::{EpochId, Level, Span},
     receiver::Content,
 };
@@ -23,12 +23,10 @@ use versions::Clusters;
 
 mod alone;
 mod contexts;
-mod key;
 mod truncation;
 mod versions;
 
 pub use alone::measure_alone;
-pub use key::Key;
 pub use truncation::{Truncated, group_bytes, tops, truncate};
 
 /// How to measure.
@@ -99,10 +97,10 @@ pub struct GroupUtility {
 /// Utilities of all groups of one stream, as stored beside it.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Table {
-    /// What they were measured on and how: all that the numbers depend on.
-    pub key: Key,
     /// How they were measured, for people.
     pub protocol: String,
+    /// CRC-32 of the manifest they belong to.
+    pub manifest_crc: u32,
     /// Pairs of a state and a group whose Δ was measured, in every view.
     pub deltas: u64,
     /// One per group, in the order of [`PacketMap::groups`].
@@ -179,9 +177,24 @@ pub fn measure(
         let cell = content.manifest.cell(group.span, group.cluster).map_or(0, |c| c.0);
         summarise(cell, group.level, samples, options)
     });
-    let key = Key::of(content, options);
-    let groups = groups.collect();
-    Ok(Table { protocol: key.to_string(), key, deltas, groups })
+    let contexts =
+        if options.complete { "complete state".to_owned() } else { format!("{} contexts", options.states()) };
+    Ok(Table {
+        protocol: format!(
+            "D = MSE + 0.20 (1 - SSIM), {} cameras at {}x{}, {contexts}, {} frames per span and camera, alpha {}, \
+             beta {}, seed {}",
+            options.cameras.len(),
+            options.cameras[0].width(),
+            options.cameras[0].height(),
+            options.frames_per_span,
+            options.alpha,
+            options.beta,
+            options.seed
+        ),
+        manifest_crc: codec_core::internals::wire::crc::crc32(content.manifest.raw()),
+        deltas,
+        groups: groups.collect(),
+    })
 }
 
 /// Mean, tail, deviation and risk-adjusted utility of a group's samples.

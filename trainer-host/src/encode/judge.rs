@@ -1,6 +1,6 @@
 //! How close a decoded state is to its source, in pictures: for choices the encoder makes.
 
-use codec_core::receiver::Content;
+use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
 use render_host::{Camera, Image, Renderer, Settings, Splats, metric};
 
@@ -67,12 +67,12 @@ impl Judge {
         Ok(Self { cameras, frames, settings, references })
     }
 
-    /// A judge that looks at `frames` from the measuring ring, never from held-out cameras; y is up.
+    /// A judge that looks at `frames` from the measuring ring, never from held-out cameras.
     ///
     /// # Errors
     /// As [`Judge::new`].
     pub fn measuring(scene: &Scene, frames: Vec<u32>) -> Result<Self, JudgeError> {
-        let framing = Framing::of(scene, [0.0, 1.0, 0.0]);
+        let framing = Framing::of(scene);
         let cameras = framing.ring(Ring::Measuring, CAMERAS, SIZE).map_err(failed)?;
         Self::new(scene, cameras, frames, &Settings::default())
     }
@@ -154,7 +154,7 @@ mod tests {
         let judge = Judge::measuring(&scene, spread(0, 6, 2)).unwrap();
         let stream = |factor: f32| {
             let options = Options { quality: Quality::default().scaled(factor), ..Options::default() };
-            encode(&scene, &options, &|_, _| {}).unwrap()
+            encode(&scene, &options, &|_, _| {}).unwrap().stream
         };
         let (fine, coarse) = (stream(1.0), stream(8.0));
         let found = judge.whole(&fine).unwrap();

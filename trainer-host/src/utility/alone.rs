@@ -1,6 +1,6 @@
 //! Measures utilities from states that are each decoded, rendered and compared alone: the slow twin.
 
-use codec_core::{
+use codec_core::internals::{
     ids::{ClusterId, EpochId, Span, WindowId},
     receiver::Content,
 };

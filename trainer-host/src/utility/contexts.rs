@@ -1,6 +1,6 @@
 //! Draws random states of a stream, and steps all cells of a span through their levels in one.
 
-use codec_core::{
+use codec_core::internals::{
     closure::Arrived,
     ids::{EpochId, Group, Level, Span},
     receiver::Content,

@@ -7,8 +7,8 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use codec_core::{
-    Gaussian,
+use codec_core::Gaussian;
+use codec_core::internals::{
     ids::{ClusterId, EpochId, Span, WindowId},
     layout::Shape,
     receiver::Content,

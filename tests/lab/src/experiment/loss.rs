@@ -2,10 +2,13 @@
 //! what packet loss costs without retransmission.
 
 use anyhow::{Result, ensure};
-use codec_core::{Gaussian, ids::Span, receiver::Content};
+use codec_core::{
+    Gaussian,
+    internals::{ids::Span, receiver::Content},
+};
 use dgs::{args::ProfileName, pipeline, quality};
 use rayon::prelude::*;
-use render_host::{Renderer, Settings, Splats, metric};
+use render_host::{Backend, Renderer, Settings, Splats, metric};
 use trainer_host::{
     Scene, Stream,
     encode::Protection,
@@ -38,7 +41,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     for (name, scene) in &scenes {
         for profile in [ProfileName::Dgs1, ProfileName::Paper] {
             let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
-            let stream = pipeline::encode(scene, &options, setup.quiet)?;
+            let stream = pipeline::encode(scene, &options, setup.quiet)?.stream;
             let key = format!("{name}.{}", pipeline::profile_name(options.profile));
             promise(&mut bench, &key, scene, &stream, subsets)?;
             loss(&mut bench, &key, scene, &stream, masks, size)?;
@@ -73,7 +76,7 @@ fn promise(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, subsets
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let content = received.content();
-    let camera = &Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (96, 96))?[0];
+    let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (96, 96))?[0];
     let settings = Settings { parallel: false, ..Settings::default() };
     let good: Result<Vec<bool>> = (0..subsets)
         .into_par_iter()
@@ -100,10 +103,10 @@ fn loss(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, masks: u64
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let content = received.content();
-    let camera = &Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (size, size))?[0];
+    let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?[0];
     let settings = Settings { parallel: false, ..Settings::default() };
     let frames = spread(scene.frames(), 4);
-    let references = quality::references(scene, &frames, camera, &settings)?;
+    let references = quality::references(scene, &frames, camera, &settings, &Backend::Cpu)?;
     for percent in [0u32, 1, 5, 10, 20] {
         let seeds = if percent == 0 { 1 } else { masks };
         let psnr: Result<Vec<f64>> = (0..seeds)
@@ -111,7 +114,7 @@ fn loss(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, masks: u64
             .map(|seed| {
                 let state = map.state(|id| draw(seed ^ 0xff00, id) >= f64::from(percent) / 100.0);
                 let shown: Vec<_> = frames.iter().map(|&f| (f, Some(state.as_slice()))).collect();
-                let images = quality::renders(&content, &shown, camera, &settings)?;
+                let images = quality::renders(&content, &shown, camera, &settings, &Backend::Cpu)?;
                 let psnr: Result<Vec<f64>, _> =
                     images.iter().zip(&references).map(|(a, b)| metric::psnr(a, b)).collect();
                 Ok(crate::figures::mean(&psnr?).min(quality::PSNR_CAP_DB))
@@ -175,7 +178,7 @@ fn locality(bench: &mut Bench, key: &str, stream: &Stream) -> Result<()> {
 /// (cluster, block) of every decoded Gaussian, per epoch.
 fn owners(content: &Content<'_>) -> Vec<Vec<(u16, usize)>> {
     let mut owners = vec![Vec::new(); usize::from(content.manifest.head().epochs)];
-    codec_core::receiver::for_each_cell(&content.manifest, |span, cluster, shape| {
+    codec_core::internals::receiver::for_each_cell(&content.manifest, |span, cluster, shape| {
         if let Span::Canonical(epoch) = span {
             let blocks = (0..shape.blocks())
                 .flat_map(|b| std::iter::repeat_n((cluster.0, b), shape.block_gaussians(b)));

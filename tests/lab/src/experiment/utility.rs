@@ -51,10 +51,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
 
 fn measure(bench: &mut Bench, key: &str, scene: &Scene, setup: &Setup) -> Result<()> {
     let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::NONE);
-    let stream = pipeline::encode(scene, &options, Quiet(true))?;
+    let stream = pipeline::encode(scene, &options, Quiet(true))?.stream;
     let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
     let content = received.content();
-    let cameras = Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::Measuring, 3, (160, 160))?;
+    let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (160, 160))?;
     let paper = utility::Options::paper(cameras);
     let complete = utility::Options::complete(scene)?;
     let contexts = if setup.quick { 4 } else { paper.contexts };
