@@ -19,6 +19,7 @@ mod repair;
 mod skips;
 mod stress;
 mod transport;
+mod utility;
 mod worlds;
 
 use anyhow::Result;
@@ -87,6 +88,11 @@ pub const ALL: &[Experiment] = &[
         name: "counterfactual",
         about: "states, utilities and gradients per second against rendering every state alone",
         run: counterfactual::run,
+    },
+    Experiment {
+        name: "utility",
+        about: "utilities of all groups of a stream: time and error against every state decoded and rendered alone",
+        run: utility::run,
     },
     Experiment {
         name: "gradient",
