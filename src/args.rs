@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use render_host::DeviceChoice;
 use trainer_host::encode::Protection;
 
 /// Dynamic Gaussian splats that stay renderable when delivery is incomplete: encode, send over a
@@ -250,6 +251,27 @@ pub enum ControllerName {
     BbrModel,
 }
 
+/// What renders.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DeviceName {
+    /// The processor: the same images on every machine.
+    Cpu,
+    /// A graphics device, a software driver included; DGS_GPU, part of its name, chooses among several.
+    Gpu,
+    /// A graphics card where there is one, else the processor.
+    Auto,
+}
+
+impl From<DeviceName> for DeviceChoice {
+    fn from(name: DeviceName) -> Self {
+        match name {
+            DeviceName::Cpu => Self::Cpu,
+            DeviceName::Gpu => Self::Gpu,
+            DeviceName::Auto => Self::Auto,
+        }
+    }
+}
+
 /// A scheduler.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PolicyName {
@@ -311,6 +333,9 @@ pub struct Encode {
 pub struct Inspect {
     /// A .dgs file.
     pub input: PathBuf,
+    /// Also write the whole manifest as JSON: clusters, motion, quantisers, tables, groups, packets.
+    #[arg(long, value_name = "FILE")]
+    pub manifest: Option<PathBuf>,
 }
 
 /// `dgs decode`.
@@ -370,6 +395,9 @@ pub struct Render {
     /// Mip-Splatting-style opacity compensation.
     #[arg(long)]
     pub antialiased: bool,
+    /// What renders the images.
+    #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
+    pub device: DeviceName,
     /// Where to look from.
     #[command(flatten)]
     pub view: ViewArgs,
@@ -418,6 +446,9 @@ pub struct Demo {
     /// Where to look from.
     #[command(flatten)]
     pub view: ViewArgs,
+    /// What renders the frames of the report. Utilities are measured on the processor, whatever this says.
+    #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
+    pub device: DeviceName,
     /// Contexts per group when utilities are measured.
     #[arg(long, default_value_t = 3)]
     pub contexts: usize,

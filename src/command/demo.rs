@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use emulator_host::PolicyKind;
 use rayon::prelude::*;
-use render_host::{Image, metric};
+use render_host::{Backend, Image, metric};
 use serde_json::json;
 use trainer_host::{
     encode::Protection,
@@ -74,6 +74,7 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
 /// # Errors
 /// Whatever stops a step.
 pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
+    let backend = Backend::open(args.device.into()).context("--device")?;
     let input = args.scene.as_deref().unwrap_or(DEFAULT_SCENE);
     let Loaded { name, scene } = pipeline::import(input, &args.source)?;
     let encoded =
@@ -103,9 +104,9 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let (cameras, settings) = pipeline::view(&scene, &args.view, Ring::HeldOut, 3)?;
     let camera = &cameras[0];
     let frames: Vec<u32> = (0..scene.frames() as u32).collect();
-    let references = quality::references(&scene, &frames, camera, &settings)?;
+    let references = quality::references(&scene, &frames, camera, &settings, &backend)?;
     let complete: Vec<(u32, Option<&[u8]>)> = frames.iter().map(|&f| (f, Some(content.blocks))).collect();
-    let complete = quality::renders(&content, &complete, camera, &settings)?;
+    let complete = quality::renders(&content, &complete, camera, &settings, &backend)?;
     let complete_psnr_db = psnrs(&complete, &references)?;
     let picked = strip_frames(frames.len());
     let mut strips: Vec<Strip> = picked
@@ -132,7 +133,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
         for state in &states {
             shown[state.frame as usize].1 = Some(&state.state);
         }
-        let images = quality::renders(&content, &shown, camera, &settings)?;
+        let images = quality::renders(&content, &shown, camera, &settings, &backend)?;
         let scores: Result<Vec<_>, _> =
             images.par_iter().zip(&references).map(|(a, b)| quality::score(a, b)).collect();
         let scores = scores?;
@@ -179,6 +180,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
         ("link", link.description.clone()),
         ("controller", format!("{:?}", args.link.controller).to_lowercase()),
         ("quality", format!("camera held out from every choice, {}×{}, background {:?}, all frames, PSNR capped at {PSNR_CAP_DB} dB, against the uncompressed source's own render", args.view.size().0, args.view.size().1, args.view.background)),
+        ("pictures", format!("rendered by {}", backend.name())),
         ("utilities", table.protocol.clone()),
         ("playout", "starts when 95 % of the base groups of frame 0 are usable (at most 5 s), then never waits; a frame not shown counts as background".to_owned()),
         ("seeds", format!("scene {}, link {}", args.source.seed, args.link.link_seed)),
