@@ -349,7 +349,8 @@ impl<'a> Manifest<'a> {
 
     /// Blocks of cluster `cluster` (`paper`: one).
     fn blocks_of(&self, cluster: &Cluster) -> u32 {
-        u32::from(cluster.gaussians).div_ceil(self.block_len() as u32)
+        // At least 1 since `parse`; said again, so that no compiler sees a division by zero.
+        u32::from(cluster.gaussians).div_ceil((self.block_len() as u32).max(1))
     }
 
     /// Clusters of the epoch that `span` is or lies in; 0 for a span that does not exist.
