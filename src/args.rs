@@ -277,6 +277,20 @@ pub struct Encode {
     /// Print bytes and PSNR per window and level (measuring cameras).
     #[arg(long)]
     pub table: bool,
+    /// Also write everything that was chosen, as JSON: clusters, quantisers, motion, entropy tables, levels.
+    #[arg(long, value_name = "FILE")]
+    pub decisions_out: Option<PathBuf>,
+    /// Choose nothing: write the scene as this file of decisions says. The same scene and decisions give the
+    /// same bytes.
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with_all = [
+            "profile", "fineness", "pictures", "search", "cluster_size", "block_len", "window_frames", "rank",
+            "packet_bytes", "repair_set", "repair", "truncate",
+        ]
+    )]
+    pub decisions: Option<PathBuf>,
 }
 
 /// `dgs inspect`.
@@ -284,6 +298,9 @@ pub struct Encode {
 pub struct Inspect {
     /// A .dgs file.
     pub input: PathBuf,
+    /// The file holds decisions instead, as `encode --decisions-out` writes them.
+    #[arg(long)]
+    pub decisions: bool,
 }
 
 /// `dgs decode`.

@@ -15,6 +15,6 @@ pub mod scene;
 pub mod stream;
 pub mod utility;
 
-pub use encode::{cluster, factorise, judge, sensitivity};
+pub use encode::{cluster, evaluator, factorise, sensitivity};
 pub use scene::{Attributes, Epoch, Instant, Scene, SceneError, Track, export, import, viewpoint};
 pub use stream::Stream;
