@@ -14,7 +14,7 @@ use trainer_host::{
     Attributes, Epoch, Scene, Stream, Track,
     encode::{self, Decisions, Encoded, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
-    stream::{HostMemory, PacketMap, Player},
+    stream::{PacketMap, Player},
     utility,
     viewpoint::{Framing, Ring},
 };
@@ -323,8 +323,8 @@ pub fn deliver(
 ) -> Result<(Report, Vec<ShownState>)> {
     let manifest = stream.manifest()?;
     let config = SessionConfig { policy, ..config.clone() };
-    let mut memory = HostMemory::new(&manifest, config.buffer_limit * codec_core::limits::MAX_PACKET_BYTES)?;
-    let mut endpoint = WireEndpoint::new(memory.memory(), stream, &manifest, map, graph);
+    let early_bytes = config.buffer_limit * codec_core::limits::MAX_PACKET_BYTES;
+    let mut endpoint = WireEndpoint::new(early_bytes, stream, &manifest, map, graph)?;
     let mut scheduler = policy.build(graph);
     let report = emulator_host::run(graph, &config, &mut *scheduler, &mut endpoint)?;
     let shown = std::mem::take(&mut endpoint.shown);

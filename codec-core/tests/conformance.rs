@@ -1,5 +1,5 @@
 //! Golden streams: what every decoder of this format must make of them. `conformance/index.txt` has
-//! one line each; `cargo test -p trainer-host --test golden -- --ignored` writes them anew.
+//! one line each; `conformance/README.md` says how they are written anew.
 
 #![allow(
     clippy::unwrap_used,
@@ -51,7 +51,7 @@ fn shuffled(n: usize, seed: u64) -> Vec<usize> {
 #[test]
 fn every_stream_and_every_checkpoint_is_as_its_line_says() {
     let all = golden();
-    assert!(all.len() >= 8);
+    assert!(all.len() >= 18);
     for (name, exercises, bytes, line) in &all {
         assert_eq!(&Line::of(name, exercises, bytes).text(), line);
     }
@@ -60,7 +60,7 @@ fn every_stream_and_every_checkpoint_is_as_its_line_says() {
         entry.as_ref().unwrap().path().extension().is_some_and(|extension| extension == "dgs")
     });
     assert_eq!(files.count(), all.len(), "every file has its line");
-    assert!(all.iter().map(|g| g.2.len()).sum::<usize>() < 200_000, "the set stays small");
+    assert!(all.iter().map(|g| g.2.len()).sum::<usize>() < 400_000, "the set stays small");
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn byte_by_byte() {
         let (_, start) = file::manifest(&bytes).unwrap();
         let ends: Vec<usize> = file::packets(&bytes, start, crc32)
             .filter_map(|r| match r {
-                file::Record::Packet(offset, packet) => Some(offset + packet.len()),
+                file::Record::Packet(offset, packet) => Some(offset + packet.bytes().len()),
                 _ => None,
             })
             .collect();
@@ -123,8 +123,8 @@ fn a_loss_changes_only_its_own_gaussians() {
     for (name, _, bytes, _) in golden() {
         let (message, packets) = parts(&bytes);
         let whole = Session::open(message).after(&packets);
-        let (masks, frames) = (whole.masks(), whole.frames());
-        let epochs: Vec<_> = whole.manifest().epochs().collect();
+        let (masks, frames) = (&whole.masks, &whole.frames);
+        let epochs: Vec<_> = Session::open(message).manifest().epochs().collect();
         let media: Vec<&[u8]> = packets.iter().copied().filter(|p| p[0] >> 5 != 6).collect();
         let mut changes = 0;
         for lost in 0..media.len().min(40) {
@@ -132,12 +132,8 @@ fn a_loss_changes_only_its_own_gaussians() {
             let rest: Vec<&[u8]> =
                 media.iter().enumerate().filter(|(i, _)| *i != lost).map(|(_, p)| *p).collect();
             let after = Session::open(message).after(&rest);
-            let (lossy_masks, lossy_frames) = (after.masks(), after.frames());
-            assert_ne!(
-                after.content().blocks,
-                whole.content().blocks,
-                "{name}: packet {lost} brings something"
-            );
+            let (lossy_masks, lossy_frames) = (&after.masks, &after.frames);
+            assert_ne!(after.state, whole.state, "{name}: packet {lost} brings something");
             for (e, epoch) in epochs.iter().enumerate() {
                 let own = epoch.first_frame as usize..(epoch.first_frame + epoch.frames) as usize;
                 for (a, b) in frames[own.clone()].iter().zip(&lossy_frames[own]) {

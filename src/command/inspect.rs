@@ -102,7 +102,7 @@ fn decisions(args: &Inspect) -> Result<VerbOutput> {
             }
         }
     }
-    Ok(Outcome { text, json: serde_json::to_value(&decisions)?, ..VerbOutput::default() })
+    Ok(VerbOutput { text, json: serde_json::to_value(&decisions)?, ..VerbOutput::default() })
 }
 
 fn epoch_summary(e: usize, epoch: &EpochDecisions) -> String {

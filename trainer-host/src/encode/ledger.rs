@@ -1,8 +1,7 @@
 //! Where every byte went: the paper's accounting table, for any stream.
 
 use codec_core::{error, wire::manifest};
-
-use crate::stream::sealed;
+use dgs_player::sealed;
 
 /// The byte cost of each part of a stream. All in bytes unless named otherwise.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
