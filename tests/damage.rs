@@ -18,7 +18,7 @@ use std::{
 
 use codec_core::{
     Gaussian,
-    wire::{crc::crc32, manifest},
+    internals::wire::{crc::crc32, manifest},
 };
 use emulator_host::{
     Nanos, Trace,
@@ -236,7 +236,7 @@ fn write_damaged_files() {
     write("version.dgs", &put(&good, 8 + 4, &[manifest::VERSION + 1]));
     let raw = stream.manifest().unwrap().raw().to_vec();
     let sealed = |raw: &[u8]| {
-        let mut message = vec![0u8; codec_core::pack::packed_bound(raw.len()) + 32];
+        let mut message = vec![0u8; codec_core::internals::pack::packed_bound(raw.len()) + 32];
         let len = manifest::seal(raw, &mut message).unwrap();
         message.truncate(len);
         message

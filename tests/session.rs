@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
-use codec_core::limits::MAX_PACKET_BYTES;
+use codec_core::internals::limits::MAX_PACKET_BYTES;
 use dgs::{
     args::{Cli, Verb},
     delivery::WireEndpoint,

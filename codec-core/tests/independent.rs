@@ -30,7 +30,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use codec_core::{
+use codec_core::internals::{
     ids::{ClusterId, EpochId, Group, Level, PacketId, Span, WindowId},
     wire::receipt::{Value, ViewerPose},
 };
@@ -228,7 +228,7 @@ fn every_golden_manifest_and_packet_is_read_and_written_again() {
             bodies += 1;
         }
         let session = session::Session::open(message).after(&packets);
-        assert!(session.content().symbols[..store.symbols.len()] == store.symbols, "{name}");
+        assert!(session.symbols[..store.symbols.len()] == store.symbols, "{name}");
     }
     // A lane that starts anew may fill up inside the tail and shorten it: rare, so it is counted.
     assert!(bodies > 200 && shortened > 0, "{bodies} bodies, {shortened} with a shortened tail");

@@ -45,7 +45,7 @@ pub use search::Searched;
 pub use steps::Quality;
 pub use target::{COARSENESS, Reached, Target};
 
-use codec_core::{
+use codec_core::internals::{
     ids::{Level, PacketId},
     limits,
     wire::manifest::Profile,

@@ -1,4 +1,6 @@
-//! Name the streams of `dgs_player` and say what each packet of one brings.
+//! Says what each packet of a stream brings, and shows its frames as scenes take them.
+//!
+//! The stream itself, bytes that a host receives and decodes, is `dgs-player`'s.
 
 mod map;
 mod player;

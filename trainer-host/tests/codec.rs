@@ -4,7 +4,10 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use codec_core::{Gaussian, gaussian::ShDegree, wire::manifest::Profile};
+use codec_core::{
+    Gaussian,
+    internals::{gaussian::ShDegree, wire::manifest::Profile},
+};
 use trainer_host::{
     Epoch, Scene, Track,
     encode::{Encoded, Options, encode},
@@ -200,9 +203,9 @@ fn one_lost_packet_changes_only_its_blocks() {
         let partial = player.instant(&content.with_state(&state), frame).unwrap();
         let mut own = vec![false; whole.gaussians.len()];
         let mut first = 0;
-        let epoch = codec_core::ids::EpochId(0);
+        let epoch = codec_core::internals::ids::EpochId(0);
         for c in 0..manifest.epoch(epoch).unwrap().clusters {
-            let cluster = codec_core::ids::ClusterId(c as u16);
+            let cluster = codec_core::internals::ids::ClusterId(c as u16);
             let count = usize::from(manifest.cluster(epoch, cluster).unwrap().gaussians);
             for mark in map.marks(lost).iter().filter(|m| m.group.cluster == cluster) {
                 let cell = content.cell(mark.group.span, cluster).unwrap();

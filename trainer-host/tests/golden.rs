@@ -14,7 +14,7 @@ mod session;
 
 use std::{collections::BTreeSet, path::Path};
 
-use codec_core::{gaussian::ShDegree, ids::Level, quant::Class};
+use codec_core::internals::{gaussian::ShDegree, ids::Level, quant::Class};
 use trainer_host::{
     Epoch, Scene,
     encode::{
@@ -290,7 +290,9 @@ fn quantiser_classes_have_quantisers_of_their_own() {
     let manifest = stream.manifest().unwrap();
     let quants: Vec<_> = (0..manifest.head().quants).map(|q| manifest.quant(q as u8).unwrap()).collect();
     assert!(quants.len() > 1);
-    let last = |q: &codec_core::wire::manifest::Quant| q.canonical[Class::Scale.index()].ratio(Level::ALL[3]);
+    let last = |q: &codec_core::internals::wire::manifest::Quant| {
+        q.canonical[Class::Scale.index()].ratio(Level::ALL[3])
+    };
     assert!(quants.iter().any(|q| last(q) == 1) && quants.iter().any(|q| last(q) == 3));
 }
 

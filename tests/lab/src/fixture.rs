@@ -9,11 +9,13 @@ use std::{fmt::Write as _, io, path::Path};
 
 use codec_core::{
     Caps, Gaussian,
-    digest::Digest,
+    internals::{
+        digest::Digest,
+        rans::{lanes, table::Table},
+        receiver::{Cell, Requirements},
+        wire::manifest::Sealed,
+    },
     player::{Counters, Waiting},
-    rans::{lanes, table::Table},
-    receiver::{Cell, Requirements},
-    wire::manifest::Sealed,
 };
 use trainer_host::{
     Stream, cluster,

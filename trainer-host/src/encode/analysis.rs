@@ -1,6 +1,6 @@
 //! Analyse a scene once: what decisions at any fineness are made from.
 
-use codec_core::wire::manifest::Profile;
+use codec_core::internals::wire::manifest::Profile;
 
 use super::{EncodeError, Options, Progress, quantiser_class::QuantiserClasses};
 use crate::scene::Scene;

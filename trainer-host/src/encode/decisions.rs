@@ -8,7 +8,7 @@ mod check;
 
 pub(super) use check::misfit;
 
-use codec_core::{
+use codec_core::internals::{
     quant::{Class, Quantiser},
     rans::table::Table,
     wire::manifest::Quant,
@@ -242,8 +242,8 @@ impl Quantisers {
     /// `quant` as plain data.
     pub(super) fn of(quant: &Quant) -> Self {
         let plain = |q: &Quantiser| QuantiserDecision {
-            step: q.step(codec_core::ids::Level::ALL[3]),
-            ratios: [1, 2, 3].map(|level| q.ratio(codec_core::ids::Level::ALL[level])),
+            step: q.step(codec_core::internals::ids::Level::ALL[3]),
+            ratios: [1, 2, 3].map(|level| q.ratio(codec_core::internals::ids::Level::ALL[level])),
             predicted: q.predicted(),
             decorrelated: q.decorrelated(),
         };
@@ -276,7 +276,7 @@ impl TableForm {
         let mut wire = Vec::new();
         table.write(|bytes| wire.extend_from_slice(bytes));
         match wire[..] {
-            [codec_core::rans::table::NAMED, index] => Self::Family(index),
+            [codec_core::internals::rans::table::NAMED, index] => Self::Family(index),
             _ => Self::Frequencies {
                 raw_bits: table.raw_bits(),
                 frequencies: (0..=u8::MAX)

@@ -13,7 +13,7 @@ mod symbols;
 mod track;
 mod write;
 
-use codec_core::ids::Level;
+use codec_core::internals::ids::Level;
 use rayon::prelude::*;
 pub(super) use write::write;
 

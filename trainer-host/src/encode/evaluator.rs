@@ -1,6 +1,6 @@
 //! Evaluate how close a decoded state is to its source, in pictures from measuring cameras.
 
-use codec_core::receiver::Content;
+use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
 use render_host::{
     Camera, CameraError, Image, ImageError, RenderError, Renderer, Settings, Splats, SplatsError,
@@ -97,12 +97,12 @@ impl Evaluator {
         Ok(Self { cameras, frames, settings, references })
     }
 
-    /// An evaluator that looks at `frames` from the measuring ring, never from held-out cameras; y is up.
+    /// An evaluator that looks at `frames` from the measuring ring, never from held-out cameras.
     ///
     /// # Errors
     /// As [`Evaluator::new`].
     pub fn measuring(scene: &Scene, frames: Vec<u32>) -> Result<Self, EvaluationError> {
-        let framing = Framing::of(scene, [0.0, 1.0, 0.0]);
+        let framing = Framing::of(scene);
         let cameras = framing.ring(Ring::Measuring, CAMERAS, SIZE)?;
         Self::new(scene, cameras, frames, &Settings::default())
     }

@@ -1,6 +1,6 @@
 //! Where every byte went: the paper's accounting table, for any stream.
 
-use codec_core::{error, wire::manifest};
+use codec_core::internals::{error, wire::manifest};
 use dgs_player::sealed;
 
 /// The byte cost of each part of a stream. All in bytes unless named otherwise.

@@ -1,6 +1,6 @@
 //! Options say what an encoding is to be like.
 
-use codec_core::{limits, wire::manifest::Profile};
+use codec_core::internals::{limits, wire::manifest::Profile};
 
 use super::{EncodeError, Protection, Quality, Target, cluster, search, sensitivity::MOST_PICTURES};
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use codec_core::{
+use codec_core::internals::{
     ids::{Group, Level},
     limits::MAX_PAYLOAD_BYTES,
 };

@@ -8,7 +8,7 @@
 mod chunks;
 
 use chunks::{Group, groups};
-use codec_core::{
+use codec_core::internals::{
     ids::Level,
     layout::paper as layout,
     limits,
@@ -142,7 +142,7 @@ pub(super) fn write(
                     bytes.truncate(len);
                     let words = 4 * chunk.packet(id).dependencies.len();
                     ledger.payload += chunk.payload.len() as f64;
-                    ledger.headers += codec_core::wire::packet::CHUNK_HEADER_BYTES as f64;
+                    ledger.headers += codec_core::internals::wire::packet::CHUNK_HEADER_BYTES as f64;
                     ledger.dependencies += words as f64;
                     ledger.crc += 4.0;
                     packets.push(bytes);

@@ -6,7 +6,7 @@
 //! whose square has that sum as its mean (source: Hutchinson 1990); pictures from all around are
 //! averaged. Errors of different values are independent, so that what they cost adds up.
 
-use codec_core::gaussian::Gaussian;
+use codec_core::internals::gaussian::Gaussian;
 use render_host::{
     Image, ImageError, Settings, Splats,
     adjoint::{Gradients, Loss, Workspace, render_and_gradients_into},
@@ -45,7 +45,7 @@ const CUTOFF: f32 = 1e-5;
 /// What the renderer refuses.
 pub fn measure(scene: &Scene, pictures: usize) -> Result<Vec<Vec<Weights>>, EvaluationError> {
     let pictures = pictures.max(1);
-    let cameras = Framing::of(scene, [0.0, 1.0, 0.0]).around(pictures, SIZE)?;
+    let cameras = Framing::of(scene).around(pictures, SIZE)?;
     let settings = Settings { alpha_cutoff: CUTOFF, ..Settings::default() };
     let (mut workspace, mut gradients) = (Workspace::new(), Gradients::default());
     let (mut out, mut first) = (Vec::new(), 0);
@@ -146,7 +146,7 @@ impl Loss for Signs {
 
 #[cfg(test)]
 mod tests {
-    use codec_core::gaussian::ShDegree;
+    use codec_core::ShDegree;
     use render_host::Renderer;
 
     use super::*;
@@ -173,7 +173,7 @@ mod tests {
     /// What a change of one value changes in the pictures that are measured, squared and summed over
     /// their values, per squared unit: mean over pictures.
     fn change(plain: &Scene, changed: &Scene, by: f64, pictures: usize) -> f64 {
-        let cameras = Framing::of(plain, [0.0, 1.0, 0.0]).around(pictures, SIZE).unwrap();
+        let cameras = Framing::of(plain).around(pictures, SIZE).unwrap();
         let settings = Settings { alpha_cutoff: CUTOFF, ..Settings::default() };
         let mut sum = 0.0;
         for camera in &cameras {
@@ -210,9 +210,11 @@ mod tests {
                 mean(&|a, d| frame(&mut a.log_scales)[i][d] += by),
                 mean(&|a, d| {
                     let q = &mut frame(&mut a.rotations)[i];
-                    let mut m = codec_core::math::mrp_from_quat(*q);
+                    let mut m = codec_core::internals::math::mrp_from_quat(*q);
                     m[d] += by;
-                    *q = codec_core::math::normalised(codec_core::math::quat_from_mrp(m));
+                    *q = codec_core::internals::math::normalised(codec_core::internals::math::quat_from_mrp(
+                        m,
+                    ));
                 }),
                 change(
                     &plain,

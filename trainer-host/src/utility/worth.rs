@@ -1,6 +1,6 @@
 //! Which levels are worth their bytes: the last step of rate against distortion.
 
-use codec_core::{
+use codec_core::internals::{
     ids::{Level, Span},
     receiver::Content,
 };
@@ -15,14 +15,15 @@ use crate::{
 
 impl Options {
     /// How to measure what levels are worth once everything is there: in the complete state, one
-    /// context per camera of two measuring rings, 20° above and 20° below the horizon; y is up.
+    /// context per camera of two measuring rings, as far above the horizon as below.
     ///
     /// # Errors
     /// None in practice: the size is one that cameras accept.
     pub fn complete(scene: &Scene) -> Result<Self, super::UtilityError> {
         let mut cameras = Vec::new();
-        for up in [1.0, -1.0] {
-            let ring = Framing::of(scene, [0.0, up, 0.0]).ring(Ring::Measuring, 4, (160, 160));
+        let framing = Framing::of(scene);
+        for framing in [framing, framing.upside_down()] {
+            let ring = framing.ring(Ring::Measuring, 4, (160, 160));
             cameras.extend(ring.map_err(|e| super::UtilityError::Render(e.to_string()))?);
         }
         let contexts = cameras.len();
@@ -126,7 +127,7 @@ pub fn truncate(
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{gaussian::ShDegree, quant::Class};
+    use codec_core::internals::{gaussian::ShDegree, quant::Class};
 
     use super::*;
     use crate::{
@@ -184,7 +185,7 @@ mod tests {
         let manifest = cut.stream.manifest().unwrap();
         // The core's clusters are the small ones.
         let (mut small, mut large) = (0.0f32, f32::INFINITY);
-        codec_core::receiver::for_each_cell(&manifest, |_, _, shape| {
+        codec_core::internals::receiver::for_each_cell(&manifest, |_, _, shape| {
             let step = shape.quant.canonical[Class::Position.index()].step(Level::BASE);
             let radius = f32::from(shape.cluster.radius) * step;
             match shape.top() {
@@ -200,7 +201,7 @@ mod tests {
         assert!(after > before - 0.1, "{after} dB after {before}");
         // A price no level is worth leaves base levels; one that is no price is refused.
         let (base, _) = truncate(&scene, &whole, &table, 1e9, options.table_choices, &|_, _| {}).unwrap();
-        codec_core::receiver::for_each_cell(&base.stream.manifest().unwrap(), |_, _, shape| {
+        codec_core::internals::receiver::for_each_cell(&base.stream.manifest().unwrap(), |_, _, shape| {
             assert_eq!(shape.top(), Level::BASE);
         });
         for lambda in [-1.0, f64::NAN] {

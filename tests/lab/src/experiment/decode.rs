@@ -5,15 +5,17 @@ use std::hint::black_box;
 use anyhow::{Result, ensure};
 use codec_core::{
     Caps,
-    closure::{Arrived, naive_usable},
-    digest::Digest,
-    gaussian::Gaussian,
-    ids::Level,
-    player::{Accepted, Player as CorePlayer, Waiting},
-    wire::{
-        crc::{Crc32, crc32},
-        packet::{Head, Packet},
+    internals::{
+        closure::{Arrived, naive_usable},
+        digest::Digest,
+        gaussian::Gaussian,
+        ids::Level,
+        wire::{
+            crc::{Crc32, crc32},
+            packet::{Head, Packet},
+        },
     },
+    player::{Accepted, Player as CorePlayer, Waiting},
 };
 use codec_simd::{BatchReceiver, Kernel};
 use dgs::{args::ProfileName, pipeline};

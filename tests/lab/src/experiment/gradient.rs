@@ -6,7 +6,7 @@ mod rank;
 use std::time::Instant;
 
 use anyhow::Result;
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 use render_host::{
     Camera, Gradients, Image, Loss, Renderer, Settings, Splats, Workspace,
     adjoint::{
@@ -187,7 +187,7 @@ fn frames(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
         let instant = scene.instant(0).unwrap_or_default();
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
         for &side in sides {
-            let film = &Framing::of(&scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (side, side))?[0];
+            let film = &Framing::of(&scene).ring(Ring::HeldOut, 3, (side, side))?[0];
             frame(bench, &format!("biker-{}.{side}", splats.len()), &splats, film, runs)?;
         }
     }

@@ -2,7 +2,10 @@
 //! what packet loss costs without retransmission.
 
 use anyhow::{Result, ensure};
-use codec_core::{Gaussian, ids::Span, receiver::Content};
+use codec_core::{
+    Gaussian,
+    internals::{ids::Span, receiver::Content},
+};
 use dgs::{args::ProfileName, pipeline};
 use rayon::prelude::*;
 use render_host::{Renderer, Settings, Splats, metric};
@@ -74,7 +77,7 @@ fn promise(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, subsets
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let content = received.content();
-    let camera = &Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (96, 96))?[0];
+    let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (96, 96))?[0];
     let settings = Settings { parallel: false, ..Settings::default() };
     let good: Result<Vec<bool>> = (0..subsets)
         .into_par_iter()
@@ -101,7 +104,7 @@ fn loss(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, masks: u64
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let content = received.content();
-    let camera = &Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (size, size))?[0];
+    let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?[0];
     let settings = Settings { parallel: false, ..Settings::default() };
     let frames = spread(scene.frames(), 4);
     let references = evaluator::references(scene, &frames, camera, &settings)?;
@@ -176,7 +179,7 @@ fn locality(bench: &mut Bench, key: &str, stream: &Stream) -> Result<()> {
 /// (cluster, block) of every decoded Gaussian, per epoch.
 fn owners(content: &Content<'_>) -> Vec<Vec<(u16, usize)>> {
     let mut owners = vec![Vec::new(); usize::from(content.manifest.head().epochs)];
-    codec_core::receiver::for_each_cell(&content.manifest, |span, cluster, shape| {
+    codec_core::internals::receiver::for_each_cell(&content.manifest, |span, cluster, shape| {
         if let Span::Canonical(epoch) = span {
             let blocks = (0..shape.blocks())
                 .flat_map(|b| std::iter::repeat_n((cluster.0, b), shape.block_gaussians(b)));

@@ -3,7 +3,7 @@
 mod frames;
 
 use anyhow::{Result, ensure};
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use render_host::{Camera, Counters, Image, Renderer, Settings, Splats, reference};
 use trainer_host::{
     Instant, Scene,
@@ -179,7 +179,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     for (name, scene) in &scenes {
         let camera = match scene.cameras.first() {
             Some(camera) => camera.clone(),
-            None => Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (size, size))?.swap_remove(0),
+            None => Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?.swap_remove(0),
         };
         let mut instant = scene.instant(scene.frames() / 2).unwrap_or_default();
         single(&mut bench, name, &instant, &camera, runs)?;

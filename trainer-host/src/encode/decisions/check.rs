@@ -1,6 +1,6 @@
 //! Check decisions against the scene they are to be followed on, so that writing can rely on them.
 
-use codec_core::{ids::Level, limits, quant::Class};
+use codec_core::internals::{ids::Level, limits, quant::Class};
 
 use super::{Decisions, Dgs1Decisions, EpochDecisions, WindowDecisions};
 use crate::{

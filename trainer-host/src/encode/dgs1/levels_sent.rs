@@ -1,6 +1,6 @@
 //! Leave levels out: cells are cut off above the highest level that is sent.
 
-use codec_core::{
+use codec_core::internals::{
     ids::Level,
     layout::Shape,
     wire::manifest::{Cluster, Motion},
@@ -63,7 +63,7 @@ fn reshape(cell: &mut CellSymbols, cluster: Cluster, motion: Option<Motion>, top
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{Gaussian, receiver::for_each_cell};
+    use codec_core::{Gaussian, internals::receiver::for_each_cell};
 
     use super::*;
     use crate::{

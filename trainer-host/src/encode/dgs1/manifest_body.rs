@@ -1,6 +1,6 @@
 //! Write the manifest body of a `dgs1` stream.
 
-use codec_core::{
+use codec_core::internals::{
     gaussian::ShDegree,
     wire::manifest::{self, Cluster, Head, Profile, Proxy, Quant, Repair},
 };

@@ -7,7 +7,7 @@
 
 use std::ops::Range;
 
-use codec_core::{
+use codec_core::internals::{
     decode::motion::cosine,
     ids::Level,
     layout::Shape,

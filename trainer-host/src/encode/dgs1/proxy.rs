@@ -1,6 +1,6 @@
 //! Stand-ins for blocks: one Gaussian with the first two moments of those it stands for.
 
-use codec_core::{ids::Level, math::mrp_from_quat, quant::Class, wire::manifest::Proxy};
+use codec_core::internals::{ids::Level, math::mrp_from_quat, quant::Class, wire::manifest::Proxy};
 use nalgebra::{Matrix3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3};
 
 use super::{
@@ -77,7 +77,7 @@ fn proxy(epoch: &Epoch, block: &[u32], cell: &CellSymbols, canonical: &Canonical
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{Gaussian, gaussian::ShDegree};
+    use codec_core::{Gaussian, ShDegree};
 
     use super::*;
     use crate::{

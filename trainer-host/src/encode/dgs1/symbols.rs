@@ -1,6 +1,6 @@
 //! Quantise a scene into the symbols of a `dgs1` stream, as decisions say.
 
-use codec_core::{
+use codec_core::internals::{
     ids::{EpochId, Level, Span, WindowId},
     wire::manifest::{Proxy, Quant},
 };

@@ -1,6 +1,6 @@
 //! Write the `dgs1` stream that decisions describe.
 
-use codec_core::{
+use codec_core::internals::{
     ids::{Level, Span},
     quant::Class,
     rans::lanes::{HEAD_BYTES, LEAST_PLANE_BYTES},

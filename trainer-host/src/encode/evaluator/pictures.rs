@@ -1,6 +1,6 @@
 //! Render states and sources, and score one against the other.
 
-use codec_core::receiver::Content;
+use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
 use render_host::{Camera, Changes, Image, Renderer, Sequence, Settings, Splats, metric};
 
@@ -137,7 +137,7 @@ mod tests {
             ..Default::default()
         };
         let scene = crate::import::synth::make(&options, &Default::default()).unwrap();
-        let framing = crate::viewpoint::Framing::of(&scene, [0.0, 1.0, 0.0]);
+        let framing = crate::viewpoint::Framing::of(&scene);
         let camera = &framing.ring(crate::viewpoint::Ring::HeldOut, 3, (64, 48)).unwrap()[0];
         let settings = Settings::default();
         let frames = [0, 1, 2, 3, 3, 7, 4, 5, 11, 10];

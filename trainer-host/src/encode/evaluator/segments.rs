@@ -1,6 +1,6 @@
 //! Measure rate and distortion window by window: what a server needs to share out a link.
 
-use codec_core::{
+use codec_core::internals::{
     ids::{EpochId, Level, Span, WindowId},
     wire::manifest::Manifest,
 };

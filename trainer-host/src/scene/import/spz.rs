@@ -1,4 +1,4 @@
-//! SPZ, versions 1 to 4: planes of quantised attributes, compressed.
+//! Reads SPZ, versions 1 to 4: planes of quantised attributes, compressed.
 //!
 //! Versions 1 to 3 are one gzip stream of a 16-byte header and six planes, in the order positions,
 //! alphas, colours, scales, rotations, harmonics. Version 4 has a plain 32-byte header, optional
@@ -15,7 +15,7 @@
 
 use std::io::Read;
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use flate2::read::GzDecoder;
 use half::f16;
 

@@ -1,4 +1,4 @@
-//! Scenes made from formulas: no file, no download, and the true motion is known.
+//! Makes scenes from formulas: no file, no download, and the true motion is known.
 //!
 //! The same options give the same scene. All scenes are y up (right-handed), lie within 2 units of the
 //! origin, stand on the plane y = -1 where they stand, and are made of opaque flat discs spaced evenly
@@ -19,7 +19,7 @@ mod paint;
 
 pub use cloth::MODES as CLOTH_MODES;
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use glam::{DQuat, DVec3};
 
 use super::{
