@@ -2,7 +2,7 @@
 
 use std::{path::Path, time::Instant};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use codec_core::internals::wire::manifest::Profile;
 use serde_json::json;
 use trainer_host::{
@@ -27,6 +27,9 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     if args.utility {
         files::check(&pipeline::utility_path(&args.out))?;
     }
+    if let Some(path) = &args.decisions_out {
+        files::check(path)?;
+    }
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let options = pipeline::encode_options(&args.codec, Protection::NONE);
     let start = Instant::now();
@@ -46,8 +49,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     let (stream, report) = (&encoded.stream, &encoded.report);
     let packets = encoded.packet_report()?;
     if let Some(path) = &args.decisions_out {
-        let json = serde_json::to_string(&encoded.decisions)?;
-        std::fs::write(path, json).with_context(|| format!("{}: cannot write", path.display()))?;
+        files::write(path, serde_json::to_string(&encoded.decisions)?.as_bytes())?;
     }
     let bytes = stream.to_bytes()?;
     files::write(&args.out, &bytes)?;
@@ -76,7 +78,8 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     }
     let mut json = json!({
         "name": loaded.name, "out": args.out, "file_bytes": bytes.len(), "seconds": seconds,
-        "ledger": ledger, "report": report_json(report), "packets": packets, "parts": ledger.parts(), "notes": loaded.scene.notes,
+        "ledger": ledger, "report": report_json(report), "packets": packets, "parts": ledger.parts(),
+        "notes": loaded.scene.notes,
         "bits_per_gaussian": ledger.bits_per_gaussian(), "bytes_per_frame": ledger.bytes_per_frame(),
     });
     if let Some(truncated) = truncated {

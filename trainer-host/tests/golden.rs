@@ -263,7 +263,9 @@ fn decisions_that_do_not_fit_are_named() {
     // A step so fine that a block no longer fits a packet has an error of its own.
     let mut fine = good;
     for quantisers in &mut fine.epochs[0].quantisers {
-        quantisers.canonical.iter_mut().for_each(|q| q.step *= 1e-4);
+        for class in [Class::Scale, Class::Opacity, Class::Sh0] {
+            quantisers.canonical[class.index()].step *= 1e-4;
+        }
     }
     let error = write(&scene, &Decisions::Dgs1(fine), &|_, _| {}).unwrap_err();
     assert!(matches!(error, EncodeError::BlockTooLarge { .. }), "{error}");

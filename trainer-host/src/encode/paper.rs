@@ -156,7 +156,7 @@ pub(super) fn write(
     ledger.packets = packets.len() as u64;
     parity::append(&mut repairs, &mut packets, &mut ledger)?;
     let (raw, sections) = body(scene, &plans, &groups, &quants, &repairs, packets.len());
-    let stream = Stream::seal(raw, packets)?;
+    let stream = Stream::new(raw, packets)?;
     ledger.manifest = stream.message().len() as f64;
     ledger.manifest_parts = manifest_parts(stream.manifest()?.raw(), &sections, stream.message().len())?;
     let order = plans.iter().map(|p| p.members.concat()).collect();

@@ -76,7 +76,7 @@ pub(in crate::encode) fn write(
     parity::append(&mut repairs, &mut packets, &mut ledger)?;
 
     let (raw, sections) = body(scene, &epochs, &model, &repairs, packets.len(), decisions);
-    let stream = Stream::seal(raw, packets)?;
+    let stream = Stream::new(raw, packets)?;
     ledger.manifest = stream.message().len() as f64;
     ledger.manifest_parts = manifest_parts(stream.manifest()?.raw(), &sections, stream.message().len())?;
     let decisions = Decisions::Dgs1(decisions.clone());
