@@ -10,7 +10,7 @@
 
 use std::path::Path;
 
-use codec_core::{
+use codec_core::internals::{
     closure::{Arrived, Needs, bending_level, initial},
     ids::{ClusterId, Level, Span},
     layout::Shape,
