@@ -55,7 +55,7 @@ impl Subject {
         };
         options.cluster.max_gaussians = 200;
         let stream = encode(scene, &options, &|_, _| {}).unwrap().stream;
-        let cameras = Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 2, (80, 60)).unwrap();
+        let cameras = Framing::of(scene).ring(Ring::HeldOut, 2, (80, 60)).unwrap();
         let source = scene.instant(FRAME as usize).unwrap();
         let views = cameras.into_iter().map(|camera| (camera.clone(), picture(&source, &camera))).collect();
         Self { stream, views }
