@@ -10,11 +10,17 @@
 
 use std::path::Path;
 
-use codec_core::internals::{closure::{Arrived, Needs, bending_level, initial}, ids::{ClusterId, Level, Span}, layout::Shape, receiver::for_each_cell, wire::{
+use codec_core::internals::{
+    closure::{Arrived, Needs, bending_level, initial},
+    ids::{ClusterId, Level, Span},
+    layout::Shape,
+    receiver::for_each_cell,
+    wire::{
         crc::crc32,
         file,
         manifest::{self, Manifest, Sealed},
-    }};
+    },
+};
 
 fn bodies() -> Vec<(String, Vec<u8>)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/conformance");
