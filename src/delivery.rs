@@ -91,7 +91,7 @@ pub fn graph(
             needs_packets.dedup();
         }
         packets.push(graph::Packet {
-            id: id as u32,
+            id: PacketId::new(id as u32).unwrap_or_default(),
             wire_bytes: bytes.len() as u16,
             groups,
             needs_packets,
@@ -116,11 +116,9 @@ pub fn graph(
         }
     }
     let groups = map.groups().iter().zip(group_packets).enumerate().map(|(i, ((group, _), packets))| {
-        let (first_frame, frames, kind) = coverage(manifest, group.span);
+        let (first_frame, frames) = coverage(manifest, group.span);
         graph::Group {
-            cluster: u32::from(group.cluster.0),
-            level: group.level.get(),
-            kind,
+            id: *group,
             first_frame,
             last_frame: first_frame + frames.max(1) - 1,
             needs: needs(group),
@@ -139,16 +137,16 @@ pub fn graph(
     })
 }
 
-/// First frame, frames and kind of a span.
-fn coverage(manifest: &Manifest<'_>, span: Span) -> (u32, u32, graph::Kind) {
+/// First frame and frames of a span.
+fn coverage(manifest: &Manifest<'_>, span: Span) -> (u32, u32) {
     match span {
         Span::Canonical(id) => {
             let epoch = manifest.epoch(id).unwrap_or_default();
-            (epoch.first_frame, epoch.frames, graph::Kind::Canonical)
+            (epoch.first_frame, epoch.frames)
         }
         Span::Motion(id) => {
             let window = manifest.window(id).unwrap_or_default();
-            (window.first_frame, u32::from(window.frames), graph::Kind::Motion)
+            (window.first_frame, u32::from(window.frames))
         }
     }
 }

@@ -6,17 +6,18 @@
 //! | [`rans`] | entropy coding: four lanes per packet, tables named by one byte, the byte-wise form of `paper` |
 //! | [`receiver`] | packets in, state out, over the caller's memory |
 //! | [`repair`] | lost packets from parity: XOR and a GF(256) Cauchy code |
+//! | [`caps`], [`limits`] | what a receiver takes on, what the format can say |
 //! | [`closure`], [`layout`], [`quant`] | which levels count, where symbols lie, what they are worth |
 //! | [`decode`] | a state and a frame in, Gaussians out, the same bits on every target |
 //!
 //! `SPEC.md` beside this crate is the format; its tables are test input.
 //!
 //! ```
-//! use codec_core::{receiver::Requirements, wire::manifest::Manifest};
+//! use codec_core::{Caps, receiver::Requirements, wire::manifest::Manifest};
 //!
 //! # fn wanted(body: &[u8]) -> codec_core::Result<usize> {
 //! let manifest = Manifest::parse(body)?;
-//! let symbols = Requirements::of(&manifest)?.symbols; // i16 that the caller must lend
+//! let symbols = Requirements::of(&manifest, &Caps::HOST)?.symbols; // i16 that the caller must lend
 //! # Ok(symbols)
 //! # }
 //! assert!(wanted(b"no manifest").is_err());
@@ -24,7 +25,9 @@
 #![no_std]
 #![forbid(unsafe_code)]
 
+pub mod caps;
 pub mod closure;
+pub mod cursor;
 pub mod decode;
 pub mod digest;
 pub mod error;
@@ -42,12 +45,12 @@ pub mod wire {
     //! Everything that travels, byte by byte.
     pub mod bits;
     pub mod crc;
-    pub mod cursor;
     pub mod file;
     pub mod manifest;
     pub mod packet;
     pub mod receipt;
 }
 
+pub use caps::Caps;
 pub use error::{Error, ErrorKind, Result};
 pub use gaussian::Gaussian;

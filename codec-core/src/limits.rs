@@ -8,10 +8,15 @@ pub const DEFAULT_PACKET_BYTES: usize = 1150;
 pub const MAX_PACKET_BYTES: usize = 1280;
 /// Most dependency words of a `paper` packet.
 pub const MAX_DEPENDENCIES: usize = 8;
-/// Most stretches of blocks in one packet.
-pub const MAX_STRETCHES: usize = 16;
+/// Most values of one packet, and most blocks that its extents span together: bounds the work on a
+/// packet, since tables exist whose values cost next to no bits.
+pub const MAX_PACKET_VALUES: u32 = 1 << 16;
+/// Most symbols of a stream.
+pub const MAX_SYMBOLS: u32 = 1 << 31;
+/// Most extents of blocks in one packet.
+pub const MAX_EXTENTS: usize = 16;
 /// Most entropy tables that one stream chooses from.
-pub const MAX_MENU: usize = 8;
+pub const MAX_TABLE_SET: usize = 8;
 /// Most Gaussians in one block.
 pub const MAX_BLOCK_LEN: usize = 256;
 /// Most Gaussians in one cluster.

@@ -12,8 +12,8 @@
 //! decoder" and "bit tree"; 11-bit probabilities, shift 4 for fast learning.)
 
 use crate::{
+    cursor::in_range,
     error::{Error, ErrorKind, Result},
-    wire::cursor::in_range,
 };
 
 const PROBABILITY_BITS: u32 = 11;

@@ -8,9 +8,9 @@
 //! and then costs nothing.
 
 use crate::{
+    cursor::{Reader, in_range},
     error::Result,
     ids::Level,
-    wire::cursor::{Reader, in_range},
 };
 
 /// Attribute classes of a Gaussian, in coding order.
@@ -79,8 +79,8 @@ impl Class {
         }
     }
 
-    /// Whether triples of its components go together, so that their [`mix`] may be coded.
-    pub const fn mixes(self) -> bool {
+    /// Whether triples of its components go together, so that they may be coded as [`decorrelate`] makes them.
+    pub const fn decorrelates(self) -> bool {
         !matches!(self, Self::Position | Self::Rotation | Self::Opacity)
     }
 
@@ -105,8 +105,8 @@ pub struct Quantiser {
     ratio: [u8; 3],
     /// Whether the first symbol is coded as the difference to the Gaussian before it in its block.
     predicted: bool,
-    /// Whether triples of components are coded as their [`mix`].
-    mixed: bool,
+    /// Whether triples of components are coded as [`decorrelate`] makes them.
+    decorrelated: bool,
 }
 
 impl Quantiser {
@@ -128,19 +128,19 @@ impl Quantiser {
         for (i, r) in ratio.into_iter().enumerate() {
             in_range("quantiser.ratio", 4 + i, r, 1, u8::MAX)?;
         }
-        Ok(Self { step, ratio, predicted, mixed: false })
+        Ok(Self { step, ratio, predicted, decorrelated: false })
     }
 
-    /// The same quantiser for the [`mix`] of each triple of components if `mixed`, else for the
-    /// components themselves.
+    /// The same quantiser for triples of components as [`decorrelate`] makes them if `decorrelated`,
+    /// else for the components themselves.
     #[must_use]
-    pub const fn with_mixed(self, mixed: bool) -> Self {
-        Self { mixed, ..self }
+    pub const fn with_decorrelated(self, decorrelated: bool) -> Self {
+        Self { decorrelated, ..self }
     }
 
-    /// Whether triples of components are coded as their [`mix`].
-    pub const fn mixed(&self) -> bool {
-        self.mixed
+    /// Whether triples of components are coded as [`decorrelate`] makes them.
+    pub const fn decorrelated(&self) -> bool {
+        self.decorrelated
     }
 
     /// Whether symbols of the first level are differences to the previous Gaussian of the block.
@@ -211,7 +211,7 @@ impl Quantiser {
     pub fn to_bytes(&self) -> [u8; Self::BYTES] {
         let [a, b, c, d] = self.step.to_le_bytes();
         let [x, y, z] = self.ratio;
-        [a, b, c, d, x, y, z, u8::from(self.predicted) | u8::from(self.mixed) << 1]
+        [a, b, c, d, x, y, z, u8::from(self.predicted) | u8::from(self.decorrelated) << 1]
     }
 
     /// From the wire.
@@ -225,7 +225,7 @@ impl Quantiser {
         let flags = in_range("quantiser.flags", start + 7, reader.u8("quantiser.flags")?, 0, 3)?;
         let quantiser = Self::new(step, ratio, flags & 1 == 1);
         let quantiser = quantiser.map_err(|e| crate::Error { offset: start as u32 + e.offset, ..e })?;
-        Ok(quantiser.with_mixed(flags & 2 == 2))
+        Ok(quantiser.with_decorrelated(flags & 2 == 2))
     }
 }
 
@@ -234,13 +234,13 @@ const ROOTS: [f32; 3] = [0.577_350_3, core::f32::consts::FRAC_1_SQRT_2, 0.408_24
 
 /// Three components that go together (the channels of a colour, the axes of a scale) as their mean
 /// and two differences, orthonormally: an error weighs the same on either side.
-pub const fn mix([a, b, c]: [f32; 3]) -> [f32; 3] {
+pub const fn decorrelate([a, b, c]: [f32; 3]) -> [f32; 3] {
     let [third, half, sixth] = ROOTS;
     [third * (a + b + c), half * (a - b), sixth * (a + b - 2.0 * c)]
 }
 
-/// What [`mix`] was made of.
-pub const fn unmix([mean, first, second]: [f32; 3]) -> [f32; 3] {
+/// The three components that [`decorrelate`] gives this for.
+pub const fn recorrelate([mean, first, second]: [f32; 3]) -> [f32; 3] {
     let [third, half, sixth] = ROOTS;
     let level = third * mean + sixth * second;
     [level + half * first, level - half * first, third * mean - 2.0 * sixth * second]
@@ -276,22 +276,22 @@ mod tests {
     }
 
     #[test]
-    fn mixing_turns_without_stretching_and_back() {
+    fn decorrelating_turns_without_stretching_and_back() {
         let length = |v: [f32; 3]| v.iter().map(|v| v * v).sum::<f32>();
         for v in [[1.0, 1.0, 1.0], [0.3, -2.0, 5.0], [1e18, -1e18, 1e18], [0.0; 3]] {
-            let mixed = mix(v);
-            assert!((length(mixed) - length(v)).abs() <= 1e-6 * length(v), "{v:?}");
-            for (back, v) in unmix(mixed).into_iter().zip(v) {
+            let decorrelated = decorrelate(v);
+            assert!((length(decorrelated) - length(v)).abs() <= 1e-6 * length(v), "{v:?}");
+            for (back, v) in recorrelate(decorrelated).into_iter().zip(v) {
                 assert!((back - v).abs() <= 1e-6 * (1.0 + v.abs()) && back.is_finite(), "{back} {v}");
             }
         }
-        assert_eq!(mix([2.0; 3])[1..], [0.0, 0.0]);
+        assert_eq!(decorrelate([2.0; 3])[1..], [0.0, 0.0]);
     }
 
     #[test]
     fn flags_come_back_and_others_are_refused() {
-        for (predicted, mixed) in [(false, false), (true, false), (false, true), (true, true)] {
-            let quantiser = Quantiser::new(0.5, [3; 3], predicted).unwrap().with_mixed(mixed);
+        for (predicted, decorrelated) in [(false, false), (true, false), (false, true), (true, true)] {
+            let quantiser = Quantiser::new(0.5, [3; 3], predicted).unwrap().with_decorrelated(decorrelated);
             let mut bytes = quantiser.to_bytes();
             assert_eq!(Quantiser::read(&mut Reader::new(&bytes)), Ok(quantiser));
             bytes[7] |= 4;

@@ -16,16 +16,17 @@ pub use memory::{Cell, Content, Memory, Requirements, for_each_cell};
 pub use repair::Recovered;
 
 use crate::{
+    caps::Caps,
     closure::Arrived,
+    cursor::in_range,
     error::{Error, ErrorKind, Result},
     ids::{Level, PacketId},
     limits::{self, MAX_PACKET_BYTES},
     rans::form::Form,
-    repair::{Mix, mix},
+    repair::{Combine, combine},
     wire::{
         crc::{Crc32, checked, crc32},
-        cursor::in_range,
-        manifest::{self, Manifest, Menu, stream},
+        manifest::{self, Manifest, TableSet, stream},
         packet::Packet,
     },
 };
@@ -68,13 +69,14 @@ pub struct Receiver<'a> {
     memory: Memory<'a>,
     manifest: Option<Manifest<'a>>,
     crc: Crc32,
-    mix: Mix,
+    combine: Combine,
     early_used: usize,
     counters: Counters,
+    caps: Caps,
     /// Raw bits per value of each entropy table.
     raw_bits: [u8; limits::MAX_TABLES],
     /// Tables that each stream's runs choose from.
-    menus: [Menu; stream::COUNT],
+    table_sets: [TableSet; stream::COUNT],
     /// How entropy tables lie in memory.
     form: Form,
 }
@@ -99,18 +101,25 @@ impl<'a> Receiver<'a> {
             memory,
             manifest: None,
             crc,
-            mix,
+            combine,
             early_used: 0,
             counters,
+            caps: Caps::HOST,
             raw_bits: [0; limits::MAX_TABLES],
-            menus: [Menu::EMPTY; stream::COUNT],
+            table_sets: [TableSet::EMPTY; stream::COUNT],
             form: Form::Slots,
         }
     }
 
-    /// The same receiver with `mix`, a faster way of the host's to add up repair sums.
-    pub const fn with_mix(mut self, mix: Mix) -> Self {
-        self.mix = mix;
+    /// The same receiver with `combine`, a faster way of the host's to add up repair sums.
+    pub const fn with_combine(mut self, combine: Combine) -> Self {
+        self.combine = combine;
+        self
+    }
+
+    /// The same receiver, which takes on at most `caps` instead of [`Caps::HOST`].
+    pub const fn with_caps(mut self, caps: Caps) -> Self {
+        self.caps = caps;
         self
     }
 
@@ -144,7 +153,7 @@ impl<'a> Receiver<'a> {
     ///
     /// # Errors
     /// A message that is refused leaves the receiver as it was. [`ErrorKind::Capacity`] names the
-    /// memory that is too small; [`ErrorKind::Duplicate`] if there is a manifest already.
+    /// cap that is exceeded or the memory that is too small; [`ErrorKind::Duplicate`] if there is a manifest already.
     pub fn control(&mut self, message: &[u8]) -> Result<()> {
         if self.manifest.is_some() {
             return Err(Error::illegal("manifest", 0, 2, (1, 1)).kind(ErrorKind::Duplicate));
@@ -163,7 +172,7 @@ impl<'a> Receiver<'a> {
         let raw_len = {
             let raw = manifest::open(message, self.crc, self.memory.manifest)?;
             let manifest = Manifest::parse(raw)?;
-            let need = Requirements::of(&manifest)?;
+            let need = Requirements::of(&manifest, &self.caps)?;
             for (field, have, need) in [
                 ("memory.cells", have.cells, need.cells),
                 ("memory.symbols", have.symbols, need.symbols),
@@ -216,8 +225,8 @@ impl<'a> Receiver<'a> {
             self.form.fill(slots, index, &table);
             *raw_bits = table.raw_bits();
         }
-        for (stream, menu) in self.menus.iter_mut().enumerate() {
-            *menu = manifest.menu(stream);
+        for (stream, table_set) in self.table_sets.iter_mut().enumerate() {
+            *table_set = manifest.table_set(stream);
         }
     }
 

@@ -6,7 +6,7 @@
 //! decode. Sender and receiver share [`Sums::add`]: the parity of a whole set is its sums.
 //!
 //! With one row the code is XOR ([`cauchy`]), and nothing is multiplied. All arithmetic on whole
-//! packets is one function, [`mix`]; a host that has a faster one passes it as a [`Mix`].
+//! packets is one function, [`combine`]; a host that has a faster one passes it as a [`Combine`].
 
 pub mod cauchy;
 pub mod gf256;
@@ -37,7 +37,7 @@ pub struct Sums<'a> {
     sums: &'a mut [u8],
     /// Bytes of a row.
     stride: usize,
-    mix: Mix,
+    combine: Combine,
 }
 
 /// A coded packet, and what each row of sums multiplies it by.
@@ -59,10 +59,10 @@ impl Term<'_> {
 /// Adds to row i of `rows`, each of `stride` bytes, `factors[i]` times each of `terms`; what of a
 /// term is longer than a row is cut. Products are those of [`gf256`]. Rows without a factor stay as
 /// they are, and all rows if they are shorter than [`LENGTH_BYTES`].
-pub type Mix = fn(rows: &mut [u8], stride: usize, terms: &[Term<'_>]);
+pub type Combine = fn(rows: &mut [u8], stride: usize, terms: &[Term<'_>]);
 
-/// The [`Mix`] of every machine.
-pub fn mix(rows: &mut [u8], stride: usize, terms: &[Term<'_>]) {
+/// The [`Combine`] of every machine.
+pub fn combine(rows: &mut [u8], stride: usize, terms: &[Term<'_>]) {
     for term in terms {
         let mut rows = &mut *rows;
         for &factor in term.factors {
@@ -85,12 +85,12 @@ impl<'a> Sums<'a> {
             && bytes.len() == set_bytes(rows, longest);
         let (head, sums) = bytes.split_first_chunk_mut::<HEAD_BYTES>()?;
         let stride = LENGTH_BYTES.saturating_add(longest);
-        fits.then_some(Self { head, sums, stride, mix })
+        fits.then_some(Self { head, sums, stride, combine })
     }
 
-    /// The same sums, added up by `mix`.
-    pub fn with_mix(self, mix: Mix) -> Self {
-        Self { mix, ..self }
+    /// The same sums, added up by `combine`.
+    pub fn with_combine(self, combine: Combine) -> Self {
+        Self { combine, ..self }
     }
 
     /// Bytes of the longest packet.
@@ -132,12 +132,12 @@ impl<'a> Sums<'a> {
     /// longer than the set's longest, changes nothing.
     pub fn add(&mut self, position: u32, packet: &[u8]) {
         if let Some(term) = self.term(position, packet) {
-            (self.mix)(self.sums, self.stride, &[term]);
+            (self.combine)(self.sums, self.stride, &[term]);
         }
     }
 
     /// Adds `packets` as the members from position `first` on, each as [`Self::add`] would, several
-    /// in one call of the [`Mix`]: for senders, who have them at hand.
+    /// in one call of the [`Combine`]: for senders, who have them at hand.
     pub fn add_all<'p>(&mut self, first: u32, packets: impl IntoIterator<Item = &'p [u8]>) {
         let mut packets = packets.into_iter().zip(first..=u32::MAX);
         loop {
@@ -148,7 +148,7 @@ impl<'a> Sums<'a> {
                 count += 1;
             }
             let Some(terms) = terms.get(..count).filter(|terms| !terms.is_empty()) else { return };
-            (self.mix)(self.sums, self.stride, terms);
+            (self.combine)(self.sums, self.stride, terms);
         }
     }
 
@@ -162,7 +162,7 @@ impl<'a> Sums<'a> {
         if let Some(sum) = self.sums.get_mut(self.place(row)) {
             self.head[8] |= bit;
             let term = Term { length: length.to_le_bytes(), content, factors: &[1] };
-            (self.mix)(sum, self.stride, &[term]);
+            (self.combine)(sum, self.stride, &[term]);
         }
     }
 
@@ -190,7 +190,7 @@ impl<'a> Sums<'a> {
             *term = Term { length: *length, content, factors: core::slice::from_ref(factor) };
             count += 1;
         }
-        (self.mix)(coded, self.stride, terms.get(..count)?);
+        (self.combine)(coded, self.stride, terms.get(..count)?);
         let (length, packet) = coded.split_first_chunk::<LENGTH_BYTES>()?;
         packet.get(..usize::from(u16::from_le_bytes(*length))).filter(|packet| !packet.is_empty())
     }

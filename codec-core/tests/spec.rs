@@ -25,10 +25,10 @@ use codec_core::{
         crc::crc32,
         file,
         manifest::{
-            self, Cluster, Epoch, Head, MAX_MENU_BITS, Manifest, Menu, Motion, Quant, Repair, Sealed, Track,
-            Window, stream,
+            self, Cluster, Epoch, Head, MAX_TABLE_SET_BITS, Manifest, Motion, Quant, Repair, Sealed,
+            TableSet, Track, Window, stream,
         },
-        packet::{self, Chunk, Packet, Parity, Slices, Stretch},
+        packet::{self, Chunk, Extent, Packet, Parity, Slices},
         receipt::{Value, ViewerPose},
     },
 };
@@ -106,8 +106,9 @@ fn limits_of(tables: &Tables, found: &mut Vec<String>) {
         ("DEFAULT_PACKET_BYTES", limits::DEFAULT_PACKET_BYTES as u64),
         ("MAX_PACKET_BYTES", limits::MAX_PACKET_BYTES as u64),
         ("MAX_DEPENDENCIES", limits::MAX_DEPENDENCIES as u64),
-        ("MAX_STRETCHES", limits::MAX_STRETCHES as u64),
-        ("MAX_MENU", limits::MAX_MENU as u64),
+        ("MAX_PACKET_VALUES", limits::MAX_PACKET_VALUES.into()),
+        ("MAX_EXTENTS", limits::MAX_EXTENTS as u64),
+        ("MAX_TABLE_SET", limits::MAX_TABLE_SET as u64),
         ("MAX_BLOCK_LEN", limits::MAX_BLOCK_LEN as u64),
         ("MAX_CLUSTER_LEN", limits::MAX_CLUSTER_LEN as u64),
         ("MAX_EPOCH_GAUSSIANS", limits::MAX_EPOCH_GAUSSIANS.into()),
@@ -124,14 +125,14 @@ fn limits_of(tables: &Tables, found: &mut Vec<String>) {
         ("MAX_REPAIR_PARITY", limits::MAX_REPAIR_PARITY as u64),
         ("MAX_RECEIPT_BYTES", limits::MAX_RECEIPT_BYTES as u64),
         ("MAX_PACKET_ID", PacketId::MAX.into()),
-        ("MAX_MENU_BITS", MAX_MENU_BITS.into()),
+        ("MAX_TABLE_SET_BITS", MAX_TABLE_SET_BITS.into()),
         ("TURN_STEPS", math::TURN_STEPS as u64),
         ("STREAMS", stream::COUNT as u64),
         ("LANES", lanes::LANES as u64),
         ("LANE_PRECISION", table::PRECISION.into()),
         ("BYTE_PRECISION", bytes::PRECISION.into()),
         ("MAX_RAW_BITS", table::MAX_RAW_BITS.into()),
-        ("MAX_SYMBOLS", 1 << 31),
+        ("MAX_SYMBOLS", limits::MAX_SYMBOLS.into()),
     ];
     let spec: Vec<(&str, u64)> =
         tables["limits"].iter().map(|r| (r["name"].as_str(), number(&r["value"]))).collect();
@@ -230,7 +231,7 @@ fn records(tables: &Tables, found: &mut Vec<String>) {
         }
     }
     let f = f32::from_bits(0x3f5b_5c5d);
-    let quantiser = Quantiser::new(f, [0x11, 0x33, 0x55], true).unwrap().with_mixed(true).to_bytes();
+    let quantiser = Quantiser::new(f, [0x11, 0x33, 0x55], true).unwrap().with_decorrelated(true).to_bytes();
     let end = contiguous(&tables["quantiser"], "quantiser", found);
     same(found, "quantiser: bytes", end, Quantiser::BYTES);
     for (field, wanted) in
@@ -306,7 +307,7 @@ fn small_body() -> BTreeMap<&'static str, Vec<u8>> {
         ("clusters", cluster.to_bytes().to_vec()),
         ("motions", motion.to_bytes().to_vec()),
         ("quants", quants),
-        ("streams", vec![Menu::new(&[(0, 0)]).unwrap().to_bytes(); stream::COUNT].concat()),
+        ("streams", vec![TableSet::new(&[(0, 0)]).unwrap().to_bytes(); stream::COUNT].concat()),
         ("repairs", repair.to_bytes().to_vec()),
         ("basis", [100i16, -200, 300, 0, 5, 16_384].iter().flat_map(|v| v.to_le_bytes()).collect()),
         ("transforms", 1.5f32.to_le_bytes().to_vec()),
@@ -340,7 +341,7 @@ fn sections(tables: &Tables, found: &mut Vec<String>) {
         ("clusters", Cluster::BYTES),
         ("motions", Motion::BYTES),
         ("quants", Quant::BYTES),
-        ("streams", Menu::BYTES),
+        ("streams", TableSet::BYTES),
         ("repairs", Repair::BYTES),
         ("transforms", 4),
         ("byte_tables", bytes::TABLE_BYTES),
@@ -400,8 +401,8 @@ fn ranges(tables: &Tables, found: &mut Vec<String>) {
         let mut body = body.clone();
         body[starts["quants"] + index * Quantiser::BYTES + 7] = 2;
         let refused = Manifest::parse(&body).is_err_and(|e| e.field == "quantiser.flags");
-        let mixes = Class::ALL.get(index).is_some_and(|class| class.mixes());
-        same(found, &format!("quantiser {index} is refused if mixed"), !mixes, refused);
+        let mixes = Class::ALL.get(index).is_some_and(|class| class.decorrelates());
+        same(found, &format!("quantiser {index} is refused if decorrelated"), !mixes, refused);
     }
 }
 
@@ -491,30 +492,30 @@ fn packets(tables: &Tables, found: &mut Vec<String>) {
     same(found, "parity.content", range(&content["width"]), Some((1, limits::MAX_PACKET_BYTES as u64)));
     poke(&tables["parity"], "parity", &out[..len - 4], &[], found);
 
-    let stretch = |level: u8, motion| Stretch {
+    let extent = |level: u8, motion| Extent {
         span: if motion { Span::Motion(WindowId(1)) } else { Span::Canonical(EpochId(1)) },
         level: Level::from_bits(level),
         first: 0,
         blocks: 1,
     };
-    let first_byte = |list: &[Stretch]| {
-        let stretches = list.iter().copied().collect();
-        let packet = Slices { id: chunk.id, stretches, body: &[] };
+    let first_byte = |list: &[Extent]| {
+        let extents = list.iter().copied().collect();
+        let packet = Slices { id: chunk.id, extents, body: &[] };
         let mut out = [0u8; 64];
         packet.write(&mut out).unwrap();
         u64::from(out[0])
     };
-    let plain = first_byte(&[stretch(0, false)]);
+    let plain = first_byte(&[extent(0, false)]);
     for (field, ones, written) in [
-        ("level", 3, first_byte(&[stretch(3, false)])),
-        ("motion", 1, first_byte(&[stretch(0, true)])),
-        ("more", 1, first_byte(&[stretch(0, false); 2])),
+        ("level", 3, first_byte(&[extent(3, false)])),
+        ("motion", 1, first_byte(&[extent(0, true)])),
+        ("more", 1, first_byte(&[extent(0, false); 2])),
     ] {
-        let row = tables["stretch flags"].iter().find(|r| r["field"] == field).unwrap();
-        same(found, &format!("stretch flag {field}"), ones << number(&row["bit"]), written ^ plain);
+        let row = tables["extent flags"].iter().find(|r| r["field"] == field).unwrap();
+        same(found, &format!("extent flag {field}"), ones << number(&row["bit"]), written ^ plain);
     }
-    let kind = tables["stretch flags"].iter().find(|r| r["field"] == "kind").unwrap();
-    same(found, "stretch flag kind", u64::from(packet::KIND_SLICES) << number(&kind["bit"]), plain);
+    let kind = tables["extent flags"].iter().find(|r| r["field"] == "kind").unwrap();
+    same(found, "extent flag kind", u64::from(packet::KIND_SLICES) << number(&kind["bit"]), plain);
 }
 
 /// Values outside a packet header's ranges are refused by name.
@@ -847,7 +848,7 @@ fn errors(tables: &Tables, found: &mut Vec<String>) {
 /// String literals outside tests and comments that look like field names.
 fn sources(folder: &Path, fields: &mut BTreeSet<String>) {
     const WHOLE: [&str; 10] =
-        ["manifest", "packet", "slice", "stretch", "chunk", "body", "pack", "receipt", "frame", "buffer"];
+        ["manifest", "packet", "slice", "extent", "chunk", "body", "pack", "receipt", "frame", "buffer"];
     for entry in std::fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
         if path.is_dir() {
@@ -882,8 +883,8 @@ fn the_example_packet_is_what_it_says() {
     let line = text.lines().find(|l| l.starts_with("    a2 ")).unwrap();
     let bytes: Vec<u8> = line.split_whitespace().map(|b| u8::from_str_radix(b, 16).unwrap()).collect();
     let Ok(Packet::Slices(packet)) = Packet::parse(&bytes) else { panic!("slices") };
-    let stretch = Stretch { span: Span::Canonical(EpochId(0)), level: Level::ALL[2], first: 300, blocks: 4 };
-    assert_eq!(packet.stretches.as_slice(), [stretch]);
+    let extent = Extent { span: Span::Canonical(EpochId(0)), level: Level::ALL[2], first: 300, blocks: 4 };
+    assert_eq!(packet.extents.as_slice(), [extent]);
     assert_eq!((packet.id.get(), packet.body), (0x01_02_03, &[0xaa, 0xbb][..]));
 }
 
@@ -892,7 +893,7 @@ fn the_example_packet_is_what_it_says() {
 fn a_wrong_table_is_found() {
     let text = text();
     for (right, wrong, named) in [
-        ("| MAX_STRETCHES | 16 |", "| MAX_STRETCHES | 17 |", "MAX_STRETCHES"),
+        ("| MAX_EXTENTS | 16 |", "| MAX_EXTENTS | 17 |", "MAX_EXTENTS"),
         ("| 16 | 4 | packets | u32 |", "| 20 | 4 | packets | u32 |", "head.packets"),
         ("| 2 | 2 | frames | u16 | 1..=64,", "| 2 | 4 | frames | u16 | 1..=64,", "window.frames"),
         ("| 1 | 1 | sh_degree | u8 | 0..=3 |", "| 1 | 1 | sh_degree | u8 | 0..=4 |", "manifest.sh_degree"),
@@ -903,7 +904,7 @@ fn a_wrong_table_is_found() {
             "| 12 | 2 | payload_len | u16 | 1..=1201 |",
             "chunk.payload_len",
         ),
-        ("| 2 | 1 | motion |", "| 3 | 1 | motion |", "stretch flag motion"),
+        ("| 2 | 1 | motion |", "| 3 | 1 | motion |", "extent flag motion"),
         ("| Sh2 | 6 | 15 | 2 |", "| Sh2 | 6 | 15 | 1 |", "class"),
         ("| track | 40 | 12 |", "| track | 40 | 11 |", "track stream"),
         ("| 1 | 3R + 11T + H |", "| 1 | 3R + 10T + H |", "paper level 1"),

@@ -95,6 +95,8 @@ pub struct SenderCounts {
     pub probe_timeouts: u64,
     /// Choices of the scheduler that were refused because they were expired, early or not media; a correct one has none.
     pub refused_choices: u64,
+    /// Receipts whose bytes could not be read.
+    pub refused_receipts: u64,
 }
 
 /// One run.

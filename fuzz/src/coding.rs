@@ -4,13 +4,13 @@
 use std::sync::OnceLock;
 
 use codec_core::{
+    cursor::Reader,
     pack as packer,
     rans::{
         bytes::{self as byte_coder, ByteTable},
         lanes::{self as lane_coder, Decoder, Run, Symbols, naive},
         table::{SLOTS, Table},
     },
-    wire::cursor::Reader,
 };
 
 use crate::input::Choices;

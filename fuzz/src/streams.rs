@@ -3,6 +3,7 @@
 use std::sync::OnceLock;
 
 use codec_core::{
+    Caps,
     receiver::{Receiver, Requirements},
     wire::manifest::Manifest,
 };
@@ -120,7 +121,7 @@ const MOST_SYMBOLS: usize = 1 << 20;
 
 /// Memory for a receiver of `manifest`, if that is not too much for a fuzzer.
 pub fn memory(manifest: &Manifest<'_>, early: usize) -> Option<HostMemory> {
-    let need = Requirements::of(manifest).ok()?;
+    let need = Requirements::of(manifest, &Caps::HOST).ok()?;
     let small = need.symbols <= MOST_SYMBOLS && need.blocks <= MOST_SYMBOLS && need.parity <= 16 << 20;
     if !small { None } else { HostMemory::new(manifest, early).ok() }
 }

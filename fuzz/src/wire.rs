@@ -1,7 +1,7 @@
 //! The four wire formats: what parses writes back to the same bytes.
 
 use codec_core::{
-    Error,
+    Caps, Error,
     ids::{ClusterId, EpochId, Level, WindowId},
     receiver::Requirements,
     wire::{
@@ -105,10 +105,10 @@ fn body(raw: &[u8]) {
     assert_eq!(manifest.tables().count(), usize::from(head.tables));
     assert_eq!(manifest.repairs().len(), usize::from(head.repairs));
     for stream in 0..dgsm::stream::COUNT {
-        assert!(manifest.menu(stream).choices().all(|(table, _)| u16::from(table) < head.tables));
+        assert!(manifest.table_set(stream).choices().all(|(table, _)| u16::from(table) < head.tables));
     }
     assert!(manifest.epoch_at(head.frames).is_none());
-    if let Err(error) = Requirements::of(&manifest) {
+    if let Err(error) = Requirements::of(&manifest, &Caps::HOST) {
         shown(&error);
     }
     let mut message = vec![0u8; codec_core::pack::packed_bound(raw.len()) + 32];

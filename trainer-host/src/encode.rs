@@ -1,13 +1,17 @@
 //! The encoder: a scene in, a stream out. The path is one function, [`encode`], that reads as the
 //! diagram: cluster → factorise → layer → quantise → entropy-code → packetise.
 
+pub mod cluster;
 mod dgs1;
+pub mod factorise;
+pub mod judge;
 mod ledger;
 mod packetise;
 mod paper;
 mod parity;
 mod protection;
 mod search;
+pub mod sensitivity;
 mod statistics;
 mod steps;
 mod strata;
@@ -26,7 +30,8 @@ use codec_core::{
 };
 
 use self::strata::Strata;
-use crate::{cluster, judge::JudgeError, scene::Scene, sensitivity::MOST_PICTURES, stream::Stream};
+use self::{judge::JudgeError, sensitivity::MOST_PICTURES};
+use crate::{scene::Scene, stream::Stream};
 
 /// What to encode, and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,7 +83,7 @@ impl Default for Options {
             pictures: 16,
             target: None,
             search: 0,
-            menu: limits::MAX_MENU,
+            menu: limits::MAX_TABLE_SET,
             proxies: true,
             tops: Vec::new(),
             packet_bytes: limits::DEFAULT_PACKET_BYTES,
@@ -106,7 +111,7 @@ impl Options {
         within("rank", self.rank, 0, limits::MAX_RANK)?;
         within("pictures", self.pictures, 0, MOST_PICTURES)?;
         within("search", self.search, 0, search::MOST)?;
-        within("menu", self.menu, 1, limits::MAX_MENU)?;
+        within("menu", self.menu, 1, limits::MAX_TABLE_SET)?;
         within("packet_bytes", self.packet_bytes, 200, 1226)?;
         within("cluster.max_gaussians", self.cluster.max_gaussians, 1, limits::MAX_CLUSTER_LEN)?;
         self.target.map_or(Ok(()), Target::check)?;

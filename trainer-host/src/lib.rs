@@ -1,27 +1,20 @@
-//! trainer-host knows **scenes**: where they come from, how they are cut into clusters, levels and
-//! packets, what each part is worth, and where they go.
+//! trainer-host imports and exports scenes, encodes them into streams, and measures what parts are worth.
 //!
-//! The walk, which is also the order of the modules:
+//! Four rooms, in the order of the walk (`train`, which fits scenes to pictures, is not built yet):
 //!
 //! ```text
-//! import ─▶ scene ─▶ cluster ─▶ factorise ─▶ encode ─▶ stream ─▶ (codec-core decodes) ─▶ utility
-//!                                                         └─▶ export
+//! scene (import) ─▶ encode ─▶ stream ─▶ (codec-core decodes) ─▶ utility
+//!   └─▶ scene (export)
 //! ```
 //!
 //! Deliberately absent: time and networks (emulator-host), pixels (render-host), and the bytes of
 //! packets themselves (codec-core: this crate chooses, that one writes down).
 
-pub mod cluster;
 pub mod encode;
-pub mod export;
-pub mod factorise;
-pub mod import;
-pub mod judge;
 pub mod scene;
-pub mod sensitivity;
 pub mod stream;
 pub mod utility;
-pub mod viewpoint;
 
-pub use scene::{Attributes, Epoch, Instant, Scene, SceneError, Track};
+pub use encode::{cluster, factorise, judge, sensitivity};
+pub use scene::{Attributes, Epoch, Instant, Scene, SceneError, Track, export, import, viewpoint};
 pub use stream::Stream;

@@ -8,6 +8,10 @@
 //! Domains: positions in scene units, natural-log scales, unit wxyz quaternions, opacity as a
 //! logit, colour as spherical-harmonic coefficients. World: right-handed; importers convert.
 
+pub mod export;
+pub mod import;
+pub mod viewpoint;
+
 use codec_core::{Gaussian, gaussian::ShDegree};
 use render_host::Camera;
 

@@ -4,7 +4,7 @@ mod map;
 mod player;
 
 pub use map::{Mark, PacketMap};
-pub use player::{HostMemory, MAX_PARITY_BYTES, MAX_SYMBOL_BYTES, Player, Shown};
+pub use player::{HostMemory, Player, Shown};
 
 use codec_core::{
     error,

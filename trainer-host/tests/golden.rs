@@ -218,9 +218,9 @@ fn harmonics_are_mixed_and_noise_is_not() {
         let stream = encode(&scene, &options, &|_, _| {}).unwrap();
         let received = stream.receive().unwrap();
         let quant = received.content().manifest.quant(0).unwrap();
-        Class::ALL.map(|class| quant.canonical[class.index()].mixed())
+        Class::ALL.map(|class| quant.canonical[class.index()].decorrelated())
     };
-    assert_eq!(mixed("harmonics"), Class::ALL.map(Class::mixes));
+    assert_eq!(mixed("harmonics"), Class::ALL.map(Class::decorrelates));
     assert_eq!(mixed("paper"), [false; Class::COUNT]);
     assert!(!mixed("coefficients")[Class::Sh0.index()]);
 }

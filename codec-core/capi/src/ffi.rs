@@ -17,7 +17,7 @@
 use core::{ffi::c_void, ptr, slice};
 
 use codec_core::{
-    Gaussian,
+    Caps, Gaussian,
     decode::{self, Decoder},
     digest::Digest,
     ids::{EpochId, PacketId},
@@ -177,7 +177,7 @@ pub unsafe extern "C" fn dgs_sizes_of(
             unsafe { (list(message, message_len, "message")?, target(scratch, scratch_len, "scratch")?) };
         let raw = manifest::open(message, crc32, scratch)?;
         let manifest = Manifest::parse(raw)?;
-        let need = Requirements::of(&manifest)?;
+        let need = Requirements::of(&manifest, &Caps::HOST)?;
         let gaussians = manifest.epochs().map(|e| e.gaussians as usize).max().unwrap_or(0);
         let found = DgsSizes {
             manifest: raw.len(),

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a bench stops where it fails")]
 
 use codec_core::{
+    Caps,
     rans::{
         lanes::{self, Compact, Decoder, Run, Symbols, naive},
         table::{SLOTS, Table},
@@ -121,7 +122,7 @@ fn receiver(criterion: &mut Criterion) {
     });
     let mut raw = vec![0u8; manifest::Sealed::parse(message).unwrap().raw_len];
     manifest::open(message, crc32, &mut raw).unwrap();
-    let need = Requirements::of(&Manifest::parse(&raw).unwrap()).unwrap();
+    let need = Requirements::of(&Manifest::parse(&raw).unwrap(), &Caps::HOST).unwrap();
     let mut own = raw.clone();
     let (mut cells, mut symbols) = (vec![Default::default(); need.cells], vec![0; need.symbols]);
     let (mut blocks, mut seen, mut slots) = (vec![0; need.blocks], vec![0; need.seen], vec![0; need.slots]);

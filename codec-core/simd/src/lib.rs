@@ -29,12 +29,12 @@ use codec_core::{
 pub use crc::crc32;
 pub use intake::Intake;
 pub use kernel::Kernel;
-pub use repair::{mix, mixes};
+pub use repair::{combine, combines};
 
 /// A receiver over `memory` that waits for its manifest and takes CRCs and repairs as fast as this
 /// machine can.
 pub fn receiver(memory: Memory<'_>) -> Receiver<'_> {
-    Receiver::with_crc(memory, crc32).with_mix(mix())
+    Receiver::with_crc(memory, crc32).with_combine(combine())
 }
 
 /// Decode tables of a stream.

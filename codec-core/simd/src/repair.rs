@@ -2,19 +2,19 @@
 
 use std::sync::OnceLock;
 
-use codec_core::repair::{self, Mix};
+use codec_core::repair::{self, Combine};
 
-/// Every [`Mix`] of this machine by the name of its instructions, the slowest first: that of
+/// Every [`Combine`] of this machine by the name of its instructions, the slowest first: that of
 /// codec-core, then those by vectors. All give the same sums.
-pub fn mixes() -> Vec<(&'static str, Mix)> {
-    let mut all: Vec<(&'static str, Mix)> = vec![("portable", repair::mix)];
+pub fn combines() -> Vec<(&'static str, Combine)> {
+    let mut all: Vec<(&'static str, Combine)> = vec![("portable", repair::combine)];
     #[cfg(target_arch = "x86_64")]
-    all.extend(crate::kernel::galois::mixes());
+    all.extend(crate::kernel::galois::combines());
     all
 }
 
-/// The fastest [`Mix`] of this machine, for encoders and receivers on hosts.
-pub fn mix() -> Mix {
-    static BEST: OnceLock<Mix> = OnceLock::new();
-    *BEST.get_or_init(|| mixes().last().map_or(repair::mix, |best| best.1))
+/// The fastest [`Combine`] of this machine, for encoders and receivers on hosts.
+pub fn combine() -> Combine {
+    static BEST: OnceLock<Combine> = OnceLock::new();
+    *BEST.get_or_init(|| combines().last().map_or(repair::combine, |best| best.1))
 }

@@ -11,7 +11,7 @@
 use std::path::Path;
 
 use codec_core::{
-    Result,
+    Caps, Result,
     receiver::{Arrival, Cell, Counters, Memory, Receiver, Requirements},
     wire::{
         crc::crc32,
@@ -64,7 +64,7 @@ fn receive(
     mut take: impl FnMut(&mut Receiver<'_>, &[Vec<u8>], &mut Vec<Result<Arrival>>),
 ) -> Outcome {
     let manifest = Manifest::parse(&stream.raw).unwrap();
-    let need = Requirements::of(&manifest).unwrap();
+    let need = Requirements::of(&manifest, &Caps::HOST).unwrap();
     let slots = if compact { need.least_slots } else { need.slots };
     let (mut own, mut early) = (stream.raw.clone(), vec![0; 3000]);
     let (mut cells, mut symbols) = (vec![Cell::default(); need.cells], vec![0; need.symbols]);

@@ -8,7 +8,7 @@ use crate::{
     gaussian::Gaussian,
     ids::Level,
     math,
-    quant::{Class, unmix},
+    quant::{Class, recorrelate},
     wire::manifest::{Cluster, Epoch},
 };
 
@@ -53,18 +53,18 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) {
                     *value = origin + q as f32 * step;
                 }
             }
-            put(class, quantiser.mixed(), &mut values, out);
+            put(class, quantiser.decorrelated(), &mut values, out);
         }
     }
 }
 
 /// The attribute that `values` of `class` stand for, to `out`.
 #[inline(never)]
-fn put(class: Class, mixed: bool, values: &mut Values, out: &mut [Gaussian]) {
-    if mixed && class.mixes() {
+fn put(class: Class, decorrelated: bool, values: &mut Values, out: &mut [Gaussian]) {
+    if decorrelated && class.decorrelates() {
         let [a, b, c] = &mut *values;
         for ((a, b), c) in a.iter_mut().zip(b).zip(c) {
-            [*a, *b, *c] = unmix([*a, *b, *c]);
+            [*a, *b, *c] = recorrelate([*a, *b, *c]);
         }
     }
     match class {
@@ -123,11 +123,11 @@ pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) {
                 }
             }
         }
-        if is_here && quantiser.mixed() {
+        if is_here && quantiser.decorrelated() {
             let out = part.sh_rest.get_mut(first * rest..(first + n) * rest).unwrap_or(&mut []);
             for values in out.chunks_exact_mut(rest) {
                 let values = values.get_mut(offset..offset + components).unwrap_or(&mut []);
-                values.as_chunks_mut::<3>().0.iter_mut().for_each(|triple| *triple = unmix(*triple));
+                values.as_chunks_mut::<3>().0.iter_mut().for_each(|triple| *triple = recorrelate(*triple));
             }
         }
         if class.sh_degree() > 0 {

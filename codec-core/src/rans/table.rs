@@ -9,8 +9,8 @@
 
 use super::family;
 use crate::{
+    cursor::{Reader, in_range},
     error::{Error, Result},
-    wire::cursor::{Reader, in_range},
 };
 
 /// log2 of the sum of all frequencies.

@@ -19,7 +19,7 @@ use crate::{
         bits::Bits,
         crc::checked,
         manifest::{Manifest, Profile},
-        packet::{Packet, Slices, Stretch},
+        packet::{Extent, Packet, Slices},
     },
 };
 
@@ -72,22 +72,22 @@ impl Receiver<'_> {
         run: &mut impl FnMut(Run),
     ) -> Result<(&'p [u8], usize)> {
         let Memory { cells, blocks, .. } = &self.memory;
-        let (mut selectors, mut values) = (Bits::new(packet.body), 0);
-        for (i, stretch) in packet.stretches.iter().enumerate() {
-            let twice = packet.stretches.iter().take(i).any(|earlier| overlap(earlier, stretch));
-            for_each_slice(manifest, cells, stretch, i, |place| {
-                if twice || is_taken(blocks, &place, stretch) {
+        let (mut table_indices, mut values) = (Bits::new(packet.body), 0);
+        for (i, extent) in packet.extents.iter().enumerate() {
+            let twice = packet.extents.iter().take(i).any(|earlier| overlap(earlier, extent));
+            for_each_slice(manifest, cells, extent, i, |place| {
+                if twice || is_taken(blocks, &place, extent) {
                     return Err(taken(i));
                 }
-                place.shape.runs(stretch.level, place.blocks, |stream, len| {
-                    let menu = self.menus.get(stream).copied().unwrap_or_default();
-                    run(Run { table: menu.select(&mut selectors)?, len });
+                place.shape.runs(extent.level, place.blocks, |stream, len| {
+                    let table_set = self.table_sets.get(stream).copied().unwrap_or_default();
+                    run(Run { table: table_set.select(&mut table_indices)?, len });
                     values += len;
                     Ok(())
                 })
             })?;
         }
-        Ok((selectors.finish()?, values))
+        Ok((table_indices.finish()?, values))
     }
 
     /// Copies the decoded `values` of `packet` to their places and records its arrival, the scalar
@@ -98,11 +98,11 @@ impl Receiver<'_> {
     fn place(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>, values: &[i16]) -> Result<()> {
         let Memory { cells, symbols, blocks, .. } = &mut self.memory;
         let mut rest = values;
-        for (i, stretch) in packet.stretches.iter().enumerate() {
-            for_each_slice(manifest, cells, stretch, i, |place| {
+        for (i, extent) in packet.extents.iter().enumerate() {
+            for_each_slice(manifest, cells, extent, i, |place| {
                 let target = symbols.get_mut(place.symbols.clone()).ok_or(taken(i))?;
                 let (run, tail) = rest.split_at_checked(target.len()).ok_or(taken(i))?;
-                if is_taken(blocks, &place, stretch) {
+                if is_taken(blocks, &place, extent) {
                     return Err(taken(i));
                 }
                 target.copy_from_slice(run);
@@ -111,12 +111,12 @@ impl Receiver<'_> {
             })?;
         }
         if !rest.is_empty() {
-            return Err(taken(packet.stretches.len()));
+            return Err(taken(packet.extents.len()));
         }
-        for (i, stretch) in packet.stretches.iter().enumerate() {
-            for_each_slice(manifest, cells, stretch, i, |place| {
+        for (i, extent) in packet.extents.iter().enumerate() {
+            for_each_slice(manifest, cells, extent, i, |place| {
                 for mask in blocks.get_mut(place.masks).unwrap_or(&mut []) {
-                    *mask = Arrived(*mask).with(stretch.level).0;
+                    *mask = Arrived(*mask).with(extent.level).0;
                 }
                 Ok(())
             })?;
@@ -146,12 +146,12 @@ impl Receiver<'_> {
 }
 
 /// Whether one of the blocks of `place` has its level already.
-fn is_taken(blocks: &[u8], place: &Place, stretch: &Stretch) -> bool {
+fn is_taken(blocks: &[u8], place: &Place, extent: &Extent) -> bool {
     let masks = blocks.get(place.masks.clone()).unwrap_or(&[]);
-    masks.iter().any(|&mask| Arrived(mask).has(stretch.level))
+    masks.iter().any(|&mask| Arrived(mask).has(extent.level))
 }
 
 /// Seen by nobody: `media` finds out anew what is wrong.
-fn taken(stretch: usize) -> Error {
-    Error::illegal("slice", stretch, 0, (0, 0)).kind(ErrorKind::Duplicate)
+fn taken(extent: usize) -> Error {
+    Error::illegal("slice", extent, 0, (0, 0)).kind(ErrorKind::Duplicate)
 }

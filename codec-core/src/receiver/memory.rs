@@ -2,15 +2,14 @@
 
 use super::repair;
 use crate::{
+    caps::{Caps, within},
     closure::Arrived,
-    error::{ErrorKind, Result},
+    error::Result,
     ids::{ClusterId, EpochId, Level, Span, WindowId},
     layout::Shape,
+    limits,
     rans::{bytes, form::Form},
-    wire::{
-        cursor::in_range,
-        manifest::{Manifest, Profile},
-    },
+    wire::manifest::{Manifest, Profile},
 };
 
 /// Where a cell's data starts.
@@ -39,25 +38,42 @@ pub struct Requirements {
     pub least_slots: usize,
     /// Elements of `progress`.
     pub progress: usize,
-    /// Bytes of `parity` for full repair; less repairs fewer sets.
+    /// Bytes of `parity`: for full repair, or as many as the caps allow; less repairs fewer sets.
     pub parity: usize,
 }
 
 impl Requirements {
-    /// What `manifest` needs.
+    /// What `manifest` needs of a receiver that takes on at most `caps`.
     ///
     /// # Errors
-    /// [`ErrorKind::Capacity`] if the symbols exceed 2^31.
-    pub fn of(manifest: &Manifest<'_>) -> Result<Self> {
-        let mut need = Self { cells: manifest.cells() + 1, ..Self::default() };
-        for_each_cell(manifest, |_, _, shape| {
-            need.symbols = need.symbols.saturating_add(shape.len());
-            need.blocks = need.blocks.saturating_add(shape.blocks());
-        });
-        in_range("manifest.symbols", 0, need.symbols as u64, 0, 1 << 31)
-            .map_err(|e| e.kind(ErrorKind::Capacity))?;
-        need.seen = (manifest.head().packets as usize).div_ceil(32);
-        need.parity = repair::memory_bytes(manifest);
+    /// [`ErrorKind::Capacity`](crate::ErrorKind::Capacity) naming the first count over its cap. Counts
+    /// that are known without a walk over the cells come first, the number of cells among them.
+    pub fn of(manifest: &Manifest<'_>, caps: &Caps) -> Result<Self> {
+        let head = manifest.head();
+        let gaussians = manifest.epochs().map(|epoch| epoch.gaussians).max().unwrap_or(0);
+        let blocks = manifest.state_blocks();
+        for (field, found, most) in [
+            ("manifest.raw_len", manifest.raw().len() as u64, caps.manifest_bytes),
+            ("manifest.frames", head.frames.into(), caps.frames),
+            ("manifest.packets", head.packets.into(), caps.packets),
+            ("manifest.tables", head.tables.into(), caps.tables),
+            ("manifest.cells", manifest.cells() as u64, caps.cells),
+            ("manifest.blocks", blocks, caps.blocks),
+            ("epoch.gaussians", gaussians.into(), caps.gaussians_per_epoch),
+        ] {
+            within(field, found, most)?;
+        }
+        let mut symbols = 0u64;
+        for_each_cell(manifest, |_, _, shape| symbols = symbols.saturating_add(shape.len() as u64));
+        within("manifest.symbols", symbols, caps.symbols.min(limits::MAX_SYMBOLS))?;
+        let mut need = Self {
+            cells: manifest.cells() + 1,
+            symbols: symbols as usize,
+            blocks: blocks as usize,
+            seen: (head.packets as usize).div_ceil(32),
+            parity: repair::memory_bytes(manifest).min(caps.parity_bytes as usize),
+            ..Self::default()
+        };
         match manifest.profile() {
             Profile::Dgs1 => {
                 let tables = usize::from(manifest.head().tables);

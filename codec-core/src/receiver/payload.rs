@@ -11,7 +11,7 @@ use crate::{
     wire::{
         bits::Bits,
         manifest::{Manifest, Profile},
-        packet::{Chunk, Packet, Slices, Stretch},
+        packet::{Chunk, Extent, Packet, Slices},
     },
 };
 
@@ -42,40 +42,40 @@ impl Receiver<'_> {
     fn decode_slices(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>) -> Result<()> {
         let Memory { cells, symbols, blocks, slots, .. } = &mut self.memory;
         let (form, slots) = (self.form, &**slots);
-        let (menus, raw_bits_of) = (&self.menus, &self.raw_bits);
-        let table_at = |stream: usize, selectors: &mut Bits<'_>| -> Result<(View<'_>, u8)> {
-            let index = menus.get(stream).copied().unwrap_or_default().select(selectors)?;
+        let (table_sets, raw_bits_of) = (&self.table_sets, &self.raw_bits);
+        let table_at = |stream: usize, table_indices: &mut Bits<'_>| -> Result<(View<'_>, u8)> {
+            let index = table_sets.get(stream).copied().unwrap_or_default().select(table_indices)?;
             let found = form.table(slots, index.into()).zip(raw_bits_of.get(usize::from(index)));
             let last = u64::from(manifest.head().tables).saturating_sub(1);
             let missing = Error::illegal("slice.table", 0, index.into(), (0, last));
             found.map(|(table, &bits)| (table, bits)).ok_or(missing.kind(ErrorKind::Contradiction))
         };
-        // Selectors come first, so that the size of everything behind them is known.
-        let mut selectors = Bits::new(packet.body);
+        // Table indices come first, so that the size of everything behind them is known.
+        let mut table_indices = Bits::new(packet.body);
         let (mut values, mut raw_bits) = (0usize, 0usize);
-        for (i, stretch) in packet.stretches.iter().enumerate() {
-            let overlaps = |earlier: &Stretch| overlap(earlier, stretch);
-            let twice = packet.stretches.iter().take(i).any(overlaps);
-            for_each_slice(manifest, cells, stretch, i, |place| {
+        for (i, extent) in packet.extents.iter().enumerate() {
+            let overlaps = |earlier: &Extent| overlap(earlier, extent);
+            let twice = packet.extents.iter().take(i).any(overlaps);
+            for_each_slice(manifest, cells, extent, i, |place| {
                 let masks = blocks.get(place.masks.clone()).unwrap_or(&[]);
-                if twice || masks.iter().any(|&m| Arrived(m).has(stretch.level)) {
-                    let level = u64::from(stretch.level.get());
+                if twice || masks.iter().any(|&m| Arrived(m).has(extent.level)) {
+                    let level = u64::from(extent.level.get());
                     return Err(Error::illegal("slice", i, level, (level, level)).kind(ErrorKind::Duplicate));
                 }
-                place.shape.runs(stretch.level, place.blocks.clone(), |stream, n| {
+                place.shape.runs(extent.level, place.blocks.clone(), |stream, n| {
                     values += n;
-                    raw_bits += n * usize::from(table_at(stream, &mut selectors)?.1);
+                    raw_bits += n * usize::from(table_at(stream, &mut table_indices)?.1);
                     Ok(())
                 })
             })?;
         }
-        let mut decoder = lanes::Decoder::new(selectors.finish()?, values, raw_bits)?;
-        let mut selectors = Bits::new(packet.body);
-        for (i, stretch) in packet.stretches.iter().enumerate() {
-            for_each_slice(manifest, cells, stretch, i, |place| {
+        let mut decoder = lanes::Decoder::new(table_indices.finish()?, values, raw_bits)?;
+        let mut table_indices = Bits::new(packet.body);
+        for (i, extent) in packet.extents.iter().enumerate() {
+            for_each_slice(manifest, cells, extent, i, |place| {
                 let mut rest = symbols.get_mut(place.symbols.clone()).unwrap_or(&mut []);
-                place.shape.runs(stretch.level, place.blocks.clone(), |stream, n| {
-                    let (table, bits) = table_at(stream, &mut selectors)?;
+                place.shape.runs(extent.level, place.blocks.clone(), |stream, n| {
+                    let (table, bits) = table_at(stream, &mut table_indices)?;
                     let whole = core::mem::take(&mut rest);
                     let n = n.min(whole.len());
                     let (run, tail) = whole.split_at_mut(n);
@@ -85,10 +85,10 @@ impl Receiver<'_> {
             })?;
         }
         decoder.finish()?;
-        for (i, stretch) in packet.stretches.iter().enumerate() {
-            for_each_slice(manifest, cells, stretch, i, |place| {
+        for (i, extent) in packet.extents.iter().enumerate() {
+            for_each_slice(manifest, cells, extent, i, |place| {
                 for mask in blocks.get_mut(place.masks).unwrap_or(&mut []) {
-                    *mask = Arrived(*mask).with(stretch.level).0;
+                    *mask = Arrived(*mask).with(extent.level).0;
                 }
                 Ok(())
             })?;
@@ -179,38 +179,38 @@ impl Receiver<'_> {
     }
 }
 
-/// Whether two stretches bring the same level of the same block.
-pub(super) fn overlap(a: &Stretch, b: &Stretch) -> bool {
+/// Whether two extents bring the same level of the same block.
+pub(super) fn overlap(a: &Extent, b: &Extent) -> bool {
     let (a_end, b_end) = (a.first.saturating_add(a.blocks), b.first.saturating_add(b.blocks));
     (a.span, a.level) == (b.span, b.level) && a.first < b_end && b.first < a_end
 }
 
-/// Calls `visit` with every slice of stretch `index` of a packet that carries symbols, in order.
+/// Calls `visit` with every slice of extent `index` of a packet that carries symbols, in order.
 pub(super) fn for_each_slice(
     manifest: &Manifest<'_>,
     cells: &[Cell],
-    stretch: &Stretch,
+    extent: &Extent,
     index: usize,
     mut visit: impl FnMut(Place) -> Result<()>,
 ) -> Result<()> {
     let contradiction = |field, found: u64, allowed| {
         Err(Error::illegal(field, index, found, allowed).kind(ErrorKind::Contradiction))
     };
-    let Some(first) = manifest.cell(stretch.span, ClusterId(0)) else {
-        return contradiction("stretch.span", 0, (0, 0));
+    let Some(first) = manifest.cell(extent.span, ClusterId(0)) else {
+        return contradiction("extent.span", 0, (0, 0));
     };
-    let clusters = manifest.clusters_of(stretch.span) as usize;
+    let clusters = manifest.clusters_of(extent.span) as usize;
     let range = first.index()..first.index() + clusters;
     let cells = cells.get(range.start..=range.end).unwrap_or(&[]);
     let start = cells.first().map_or(0, |c| c.blocks);
     let all = cells.last().map_or(0, |c| c.blocks) - start;
-    let end = u64::from(stretch.first) + u64::from(stretch.blocks);
+    let end = u64::from(extent.first) + u64::from(extent.blocks);
     if end > all.into() {
-        return contradiction("stretch.blocks", end, (1, all.into()));
+        return contradiction("extent.blocks", end, (1, all.into()));
     }
     let end = end as u32;
     // The last cluster that begins at or before the first block; clusters are never empty.
-    let begin = cells.partition_point(|c| c.blocks - start <= stretch.first).saturating_sub(1);
+    let begin = cells.partition_point(|c| c.blocks - start <= extent.first).saturating_sub(1);
     let mut symbols = 0;
     for (c, pair) in cells.windows(2).enumerate().skip(begin) {
         let &[cell, next] = pair else { continue };
@@ -218,16 +218,16 @@ pub(super) fn for_each_slice(
         if low >= end {
             break;
         }
-        let Some(shape) = Shape::of(manifest, stretch.span, ClusterId(c as u16)) else { continue };
-        if shape.level_len(stretch.level) == 0 {
+        let Some(shape) = Shape::of(manifest, extent.span, ClusterId(c as u16)) else { continue };
+        if shape.level_len(extent.level) == 0 {
             continue;
         }
         let local = |block: u32| (block.min(high).saturating_sub(low)) as usize;
-        let (blocks, all) = (local(stretch.first)..local(end), shape.blocks());
-        if shape.is_whole(stretch.level) && blocks != (0..all) {
+        let (blocks, all) = (local(extent.first)..local(end), shape.blocks());
+        if shape.is_whole(extent.level) && blocks != (0..all) {
             return contradiction("slice.blocks", blocks.len() as u64, (all as u64, all as u64));
         }
-        let (offset, len) = shape.range(stretch.level, blocks.clone());
+        let (offset, len) = shape.range(extent.level, blocks.clone());
         symbols += len;
         let first = cell.symbols as usize + offset;
         let mask = cell.blocks as usize;
@@ -239,7 +239,7 @@ pub(super) fn for_each_slice(
         })?;
     }
     if symbols == 0 {
-        return contradiction("stretch.level", stretch.level.get().into(), (0, 3));
+        return contradiction("extent.level", extent.level.get().into(), (0, 3));
     }
     Ok(())
 }

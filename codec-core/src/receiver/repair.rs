@@ -5,13 +5,13 @@
 
 use super::Receiver;
 use crate::{
+    cursor::in_range,
     error::{Error, ErrorKind, Result},
     ids::PacketId,
     limits::MAX_REPAIR_PARITY,
     repair::{MAX_CODED_BYTES, Sums},
     wire::{
         crc::checked,
-        cursor::in_range,
         manifest::{Manifest, Repair},
         packet::{Packet, Parity},
     },
@@ -102,7 +102,7 @@ impl Receiver<'_> {
         let end = set.start.checked_add(set.repair.set_bytes())?;
         let bytes = self.memory.parity.get_mut(set.start..end)?;
         let sums = Sums::over(bytes, set.repair.parity.into(), set.repair.longest.into())?;
-        Some(sums.with_mix(self.mix))
+        Some(sums.with_combine(self.combine))
     }
 
     /// Decodes the missing packets of a set, if it has parity for all of them.

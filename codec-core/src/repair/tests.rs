@@ -48,7 +48,7 @@ fn lies_about_lengths_give_nothing() {
     }
 }
 
-/// What the definition of the product says [`mix`] does.
+/// What the definition of the product says [`combine`] does.
 fn defined(rows: &mut [u8], stride: usize, terms: &[Term<'_>]) {
     for term in terms {
         let coded = [&term.length[..], term.content].concat();
@@ -70,23 +70,23 @@ fn terms_are_added_as_far_as_rows_reach() {
                 factors: &factors[..most],
             });
             let (mut found, mut wanted) = (vec![0x33u8; rows * stride], vec![0x33u8; rows * stride]);
-            mix(&mut found, stride, &terms);
+            combine(&mut found, stride, &terms);
             defined(&mut wanted, stride, &terms);
             assert_eq!(found, wanted, "{rows} rows of {stride}, {most} factors");
         }
     }
     let mut few = [5u8; 7];
     for stride in [0, 1, 8, usize::MAX] {
-        mix(&mut few, stride, &[Term { length: [1; 2], content: &content, factors: &factors }]);
+        combine(&mut few, stride, &[Term { length: [1; 2], content: &content, factors: &factors }]);
         assert_eq!(few, [5; 7], "no row of {stride}");
     }
 }
 
 #[test]
 fn the_callers_mix_is_used() {
-    let nothing: Mix = |_, _, _| {};
+    let nothing: Combine = |_, _, _| {};
     let mut bytes = vec![0u8; set_bytes(1, 9)];
-    let mut sums = Sums::over(&mut bytes, 1, 9).unwrap().with_mix(nothing);
+    let mut sums = Sums::over(&mut bytes, 1, 9).unwrap().with_combine(nothing);
     sums.add(0, &[1; 9]);
     assert_eq!(sums.parity(0, 9), Some((0, &[0; 9][..])));
 }

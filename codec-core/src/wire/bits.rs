@@ -22,7 +22,7 @@ impl<'a> Bits<'a> {
     #[inline]
     pub fn bit(&mut self) -> Result<bool> {
         let Some(byte) = self.bytes.get(self.at / 8) else {
-            return Err(Error::short("body.selectors", self.at / 8, 0, 1));
+            return Err(Error::short("body.table_indices", self.at / 8, 0, 1));
         };
         let bit = byte >> (self.at % 8) & 1 == 1;
         self.at += 1;
@@ -47,7 +47,7 @@ impl<'a> Bits<'a> {
         if padding == 0 {
             return Ok(rest);
         }
-        Err(Error::illegal("body.selectors", used.len().saturating_sub(1), padding.into(), (0, 0)))
+        Err(Error::illegal("body.table_indices", used.len().saturating_sub(1), padding.into(), (0, 0)))
     }
 }
 

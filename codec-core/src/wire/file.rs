@@ -15,9 +15,9 @@ use super::{
     manifest::Sealed,
 };
 use crate::{
+    cursor::{Reader, in_range},
     error::{Error, ErrorKind, Result},
     limits::{MAX_MANIFEST_BYTES, MAX_PACKET_BYTES},
-    wire::cursor::{Reader, in_range},
 };
 
 /// First four bytes of a `.dgs` file.

@@ -10,20 +10,21 @@
 //! `SPEC.md` gives every byte.
 
 mod check;
-mod menu;
 mod proxy;
 mod record;
 mod seal;
+mod table_set;
 
-pub use menu::{MAX_MENU_BITS, Menu};
 pub use proxy::Proxy;
 pub use record::{Cluster, Epoch, Head, Motion, Quant, Repair, Track, Window};
 pub use seal::{Sealed, open, seal};
+pub use table_set::{MAX_TABLE_SET_BITS, TableSet};
 
 use core::ops::Range;
 
-use super::{cursor::Reader, packet::Stretch};
+use super::packet::Extent;
 use crate::{
+    cursor::Reader,
     error::{Error, ErrorKind, Result},
     gaussian::ShDegree,
     ids::{CellId, ClusterId, EpochId, Level, Span, WindowId},
@@ -51,7 +52,7 @@ pub enum Profile {
     Dgs1 = 1,
 }
 
-/// Symbol streams of `dgs1`, each with its own menu of tables.
+/// Symbol streams of `dgs1`, each with its own table set.
 pub mod stream {
     use super::{Class, Level, Track};
 
@@ -172,8 +173,8 @@ impl<'a> Manifest<'a> {
         let blocks: usize = records.map(|c| partial.blocks_of(&c) as usize).sum();
         take(motion_cells * Motion::BYTES, &mut sections.motions, "manifest.motions")?;
         take(usize::from(head.quants) * Quant::BYTES, &mut sections.quants, "manifest.quants")?;
-        let menus = if is_dgs1 { stream::COUNT * Menu::BYTES } else { 0 };
-        take(menus, &mut sections.streams, "manifest.streams")?;
+        let table_sets = if is_dgs1 { stream::COUNT * TableSet::BYTES } else { 0 };
+        take(table_sets, &mut sections.streams, "manifest.streams")?;
         take(usize::from(head.repairs) * Repair::BYTES, &mut sections.repairs, "manifest.repairs")?;
         let basis_width = if is_dgs1 { 2 } else { 4 };
         take(head.basis_values as usize * basis_width, &mut sections.basis, "manifest.basis")?;
@@ -313,6 +314,21 @@ impl<'a> Manifest<'a> {
         (u32::from(cluster.0) < epoch.clusters).then_some(CellId(first + u32::from(cluster.0)))
     }
 
+    /// Blocks of all cells: the bytes of a state. May exceed 32 bits, which caps refuse.
+    pub fn state_blocks(&self) -> u64 {
+        let mut blocks = 0u64;
+        for epoch in self.epochs() {
+            let clusters = epoch.first_cluster..epoch.first_cluster.saturating_add(epoch.clusters);
+            let canonical: u64 = clusters
+                .filter_map(|c| self.cluster_record(c as usize))
+                .map(|record| u64::from(self.blocks_of(&record)))
+                .sum();
+            // Each window has a motion cell for every cluster of its epoch.
+            blocks = blocks.saturating_add(canonical.saturating_mul(1 + u64::from(epoch.windows)));
+        }
+        blocks
+    }
+
     /// Quantisation profile `index`.
     pub fn quant(&self, index: u8) -> Option<Quant> {
         let count = usize::from(self.head.quants);
@@ -320,9 +336,9 @@ impl<'a> Manifest<'a> {
     }
 
     /// The tables that runs of stream `stream` choose from; empty if it never occurs.
-    pub fn menu(&self, stream: usize) -> Menu {
+    pub fn table_set(&self, stream: usize) -> TableSet {
         let count = if self.profile == Profile::Dgs1 { stream::COUNT } else { 0 };
-        self.record(self.sections.streams, stream, count, Menu::BYTES, Menu::read).unwrap_or_default()
+        self.record(self.sections.streams, stream, count, TableSet::BYTES, TableSet::read).unwrap_or_default()
     }
 
     /// Blocks of cluster `cluster` (`paper`: one).
@@ -339,16 +355,16 @@ impl<'a> Manifest<'a> {
         epoch.and_then(|id| self.epoch(id)).map_or(0, |e| e.clusters)
     }
 
-    /// The slices of `stretch`, in order: cluster, and its blocks inside the stretch. Clusters that
-    /// carry nothing at the level are among them. A stretch past the span's end stops there.
-    pub fn slices(&self, stretch: Stretch) -> impl Iterator<Item = (ClusterId, Range<u32>)> + use<'a> {
+    /// The slices of `extent`, in order: cluster, and its blocks inside the extent. Clusters that
+    /// carry nothing at the level are among them. An extent past the span's end stops there.
+    pub fn slices(&self, extent: Extent) -> impl Iterator<Item = (ClusterId, Range<u32>)> + use<'a> {
         let this = *self;
-        let epoch_id = match stretch.span {
+        let epoch_id = match extent.span {
             Span::Canonical(id) => Some(id),
             Span::Motion(id) => this.window(id).map(|w| EpochId(w.epoch)),
         };
         let epoch = epoch_id.and_then(|id| this.epoch(id)).unwrap_or_default();
-        let end = stretch.first.saturating_add(stretch.blocks);
+        let end = extent.first.saturating_add(extent.blocks);
         let mut before = 0u32;
         (0..epoch.clusters)
             .map_while(move |c| {
@@ -357,7 +373,7 @@ impl<'a> Manifest<'a> {
                 before = last;
                 (first < end).then(|| {
                     let local = |block: u32| block.min(last).saturating_sub(first);
-                    let inside = local(stretch.first)..local(end);
+                    let inside = local(extent.first)..local(end);
                     (ClusterId(c as u16), inside)
                 })
             })

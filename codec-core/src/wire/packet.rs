@@ -1,7 +1,7 @@
 //! DGSP, the packets, in three kinds told apart by the top three bits of the first byte.
 //!
 //! - `0b100`, **chunk** (`paper`): 22-byte header, dependency words, payload ≤ 1200 bytes, CRC.
-//! - `0b101`, **slices** (`dgs1`): packet id, one or more stretches of blocks, one entropy-coded body,
+//! - `0b101`, **slices** (`dgs1`): packet id, one or more extents of blocks, one entropy-coded body,
 //!   CRC. What a slice needs is implied by the lattice and costs no bytes.
 //! - `0b110`, **parity**: packet id, one coded sum of the packets of a repair set, CRC.
 //!
@@ -10,11 +10,9 @@
 
 use heapless::Vec;
 
-use super::{
-    crc::crc32,
-    cursor::{Reader, Writer, in_range},
-};
+use super::crc::crc32;
 use crate::{
+    cursor::{Reader, Writer, in_range},
     error::{Error, ErrorKind, Result},
     ids::{EpochId, Level, PacketId, Span, WindowId},
     limits,
@@ -229,12 +227,12 @@ impl<'a> Chunk<'a> {
 
 /// Consecutive blocks of one level in one span: a slice of every group they belong to.
 ///
-/// Blocks are numbered over all clusters of the span's epoch, in order, so that a stretch takes a
+/// Blocks are numbered over all clusters of the span's epoch, in order, so that an extent takes a
 /// few bytes however many clusters it crosses. Clusters without symbols at the level are counted
 /// and bring nothing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Stretch {
+pub struct Extent {
     /// Epoch or window.
     pub span: Span,
     /// Level.
@@ -247,13 +245,13 @@ pub struct Stretch {
 
 const FLAG_MOTION: u8 = 1 << 2;
 const FLAG_MORE: u8 = 1 << 3;
-/// Bits of a stretch's flag byte that may be set; the kind above them is the first stretch's.
+/// Bits of an extent's flag byte that may be set; the kind above them is the first extent's.
 const FLAGS: u8 = 0xf;
 
-impl Stretch {
-    /// Bytes of this stretch's header, its flag byte included.
+impl Extent {
+    /// Bytes of this extent's header, its flag byte included.
     pub fn header_len(&self) -> usize {
-        use super::cursor::varint_len;
+        use crate::cursor::varint_len;
         let (Span::Canonical(EpochId(span)) | Span::Motion(WindowId(span))) = self.span;
         1 + varint_len(span.into()) + varint_len(self.first) + varint_len(self.blocks)
     }
@@ -266,22 +264,22 @@ impl Stretch {
     fn read(reader: &mut Reader<'_>, flags: u8) -> Result<Self> {
         let motion = flags & FLAG_MOTION != 0;
         let most = if motion { limits::MAX_WINDOWS } else { limits::MAX_EPOCHS } as u32 - 1;
-        let span = reader.varint("stretch.span", most)? as u16;
+        let span = reader.varint("extent.span", most)? as u16;
         let span = if motion { Span::Motion(WindowId(span)) } else { Span::Canonical(EpochId(span)) };
-        let first = reader.varint("stretch.first", limits::MAX_EPOCH_GAUSSIANS - 1)?;
-        let blocks = reader.varint_in("stretch.blocks", 1, limits::MAX_EPOCH_GAUSSIANS)?;
+        let first = reader.varint("extent.first", limits::MAX_EPOCH_GAUSSIANS - 1)?;
+        let blocks = reader.varint_in("extent.blocks", 1, limits::MAX_EPOCH_GAUSSIANS)?;
         Ok(Self { span, level: Level::from_bits(flags), first, blocks })
     }
 }
 
-/// A `dgs1` packet: stretches of blocks that share one entropy-coded body.
+/// A `dgs1` packet: extents of blocks that share one entropy-coded body.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Slices<'a> {
     /// The packet.
     pub id: PacketId,
     /// What the body holds, in order.
-    pub stretches: Vec<Stretch, { limits::MAX_STRETCHES }>,
-    /// Table selectors, then the four-lane rANS body.
+    pub extents: Vec<Extent, { limits::MAX_EXTENTS }>,
+    /// Table indices, then the four-lane rANS body.
     pub body: &'a [u8],
 }
 
@@ -289,36 +287,36 @@ impl<'a> Slices<'a> {
     /// Parses `content`.
     ///
     /// # Errors
-    /// Short bytes, illegal fields, too many stretches.
+    /// Short bytes, illegal fields, too many extents.
     pub fn parse(content: &'a [u8]) -> Result<Self> {
         let mut reader = Reader::new(content);
-        let first = reader.u8("stretch.flags")?;
+        let first = reader.u8("extent.flags")?;
         in_range("packet.kind", 0, first >> 5, KIND_SLICES, KIND_SLICES)?;
-        let mut flags = in_range("stretch.flags", 0, first & 0x1f, 0, FLAGS)?;
+        let mut flags = in_range("extent.flags", 0, first & 0x1f, 0, FLAGS)?;
         // The varint's bound is the id's own.
         let id = PacketId::new(reader.varint("packet.id", PacketId::MAX)?).unwrap_or_default();
-        let mut stretches = Vec::new();
+        let mut extents = Vec::new();
         loop {
             let place = reader.offset();
-            let stretch = Stretch::read(&mut reader, flags)?;
-            let most = limits::MAX_STRETCHES as u64;
-            let full = Error::illegal("packet.stretches", place, most + 1, (1, most));
-            stretches.push(stretch).map_err(|_| full)?;
+            let extent = Extent::read(&mut reader, flags)?;
+            let most = limits::MAX_EXTENTS as u64;
+            let full = Error::illegal("packet.extents", place, most + 1, (1, most));
+            extents.push(extent).map_err(|_| full)?;
             if flags & FLAG_MORE == 0 {
                 break;
             }
             let place = reader.offset();
-            flags = in_range("stretch.flags", place, reader.u8("stretch.flags")?, 0, FLAGS)?;
+            flags = in_range("extent.flags", place, reader.u8("extent.flags")?, 0, FLAGS)?;
         }
         let left = reader.left();
         let body = reader.bytes("packet.body", left)?;
-        Ok(Self { id, stretches, body })
+        Ok(Self { id, extents, body })
     }
 
     /// Bytes before the body.
     pub fn header_len(&self) -> usize {
-        let headers: usize = self.stretches.iter().map(Stretch::header_len).sum();
-        super::cursor::varint_len(self.id.get()) + headers
+        let headers: usize = self.extents.iter().map(Extent::header_len).sum();
+        crate::cursor::varint_len(self.id.get()) + headers
     }
 
     /// Bytes of the whole packet.
@@ -329,22 +327,22 @@ impl<'a> Slices<'a> {
     /// Writes the whole packet, CRC included, to the front of `out`; returns its length.
     ///
     /// # Errors
-    /// [`ErrorKind::Capacity`] if `out` is too small, [`ErrorKind::Illegal`] without a stretch.
+    /// [`ErrorKind::Capacity`] if `out` is too small, [`ErrorKind::Illegal`] without an extent.
     pub fn write(&self, out: &mut [u8]) -> Result<usize> {
-        in_range("packet.stretches", 0, self.stretches.len() as u64, 1, limits::MAX_STRETCHES as u64)?;
+        in_range("packet.extents", 0, self.extents.len() as u64, 1, limits::MAX_EXTENTS as u64)?;
         let mut writer = Writer::new(out);
-        for (i, stretch) in self.stretches.iter().enumerate() {
-            let flags = stretch.flags(i + 1 < self.stretches.len());
+        for (i, extent) in self.extents.iter().enumerate() {
+            let flags = extent.flags(i + 1 < self.extents.len());
             if i == 0 {
                 writer.bytes(&[KIND_SLICES << 5 | flags])?;
                 writer.varint(self.id.get())?;
             } else {
                 writer.bytes(&[flags])?;
             }
-            let (Span::Canonical(EpochId(span)) | Span::Motion(WindowId(span))) = stretch.span;
+            let (Span::Canonical(EpochId(span)) | Span::Motion(WindowId(span))) = extent.span;
             writer.varint(span.into())?;
-            writer.varint(stretch.first)?;
-            writer.varint(stretch.blocks)?;
+            writer.varint(extent.first)?;
+            writer.varint(extent.blocks)?;
         }
         writer.bytes(self.body)?;
         seal(writer)
@@ -408,9 +406,9 @@ mod tests {
     extern crate std;
     use std::vec;
 
-    fn stretch() -> impl Strategy<Value = Stretch> {
+    fn extent() -> impl Strategy<Value = Extent> {
         (any::<bool>(), 0u16..4000, 0u32..1_000_000, 0u8..4, 1u32..3000).prop_map(
-            |(m, s, first, l, blocks)| Stretch {
+            |(m, s, first, l, blocks)| Extent {
                 span: if m { Span::Motion(WindowId(s)) } else { Span::Canonical(EpochId(s)) },
                 level: Level::from_bits(l),
                 first,
@@ -427,11 +425,11 @@ mod tests {
 
         #[test]
         fn slices_round_trip_at_their_stated_length(
-            list in proptest::collection::vec(stretch(), 1..9), id in 0u32..1 << 24,
+            list in proptest::collection::vec(extent(), 1..9), id in 0u32..1 << 24,
             body in proptest::collection::vec(any::<u8>(), 0..900),
         ) {
             let packet = Slices {
-                id: PacketId::new(id).unwrap(), stretches: list.into_iter().collect(), body: &body,
+                id: PacketId::new(id).unwrap(), extents: list.into_iter().collect(), body: &body,
             };
             let mut out = vec![0u8; 1280];
             let len = packet.write(&mut out).unwrap();
@@ -479,11 +477,11 @@ mod tests {
 
     #[test]
     fn literal_bytes_of_a_slices_packet() {
-        let stretch =
-            Stretch { span: Span::Canonical(EpochId(0)), level: Level::from_bits(2), first: 300, blocks: 4 };
+        let extent =
+            Extent { span: Span::Canonical(EpochId(0)), level: Level::from_bits(2), first: 300, blocks: 4 };
         let packet = Slices {
             id: PacketId::new(0x01_02_03).unwrap(),
-            stretches: [stretch].into_iter().collect(),
+            extents: [extent].into_iter().collect(),
             body: &[0xaa, 0xbb],
         };
         let mut out = [0u8; 32];

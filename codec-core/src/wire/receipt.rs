@@ -8,10 +8,10 @@ use core::cell::Cell;
 
 use super::{
     crc::{Crc32, checked, crc32},
-    cursor::{Reader, Writer, in_range, varint_len},
     packet::KIND_RECEIPT,
 };
 use crate::{
+    cursor::{Reader, Writer, in_range, varint_len},
     error::Result,
     ids::{ClusterId, EpochId, Group, Level, PacketId, Span, WindowId},
     limits,

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use codec_core::{
-    Gaussian,
+    Caps, Gaussian,
     closure::Arrived,
     decode::{Decoder, Memory as Decoding},
     ids::Span,
@@ -115,7 +115,7 @@ impl Session {
 
     /// The state after `packets` have arrived in this order.
     pub fn after(mut self, packets: &[impl AsRef<[u8]>]) -> Self {
-        let need = Requirements::of(&self.manifest()).unwrap();
+        let need = Requirements::of(&self.manifest(), &Caps::HOST).unwrap();
         // Garbage at first: the receiver must not depend on it.
         self.cells = vec![Cell { symbols: 7, blocks: 9 }; need.cells];
         self.symbols = vec![-77; need.symbols];

@@ -1,5 +1,7 @@
 //! Checks of a graph's parts and what follows from them: order, closures, deadlines.
 
+use codec_core::ids::{Group as GroupId, PacketId};
+
 use super::csr::Csr;
 use super::{
     GraphError, GraphParts, GroupIndex, MAX_CLOSURE_ENTRIES, MAX_PACKET_BYTES, PacketGraph, PacketIndex,
@@ -9,6 +11,8 @@ pub(super) fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
     check_ranges(&parts)?;
     check_carriage(&parts)?;
     let parity_of_set = check_repair(&parts)?;
+    let packet_by_id = packets_by_id(&parts)?;
+    let group_by_id = groups_by_id(&parts)?;
 
     let group_count = parts.groups.len();
     let needs: Vec<Vec<u32>> =
@@ -50,7 +54,7 @@ pub(super) fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
         };
         from.push(carried.iter().map(|group| group_needed_from[*group]).min().unwrap_or(0));
         until.push(carried.iter().map(|group| group_useful_until[*group]).max().unwrap_or(0));
-        level.push(carried.iter().map(|group| parts.groups[*group].level).min().unwrap_or(0));
+        level.push(carried.iter().map(|group| parts.groups[*group].level()).min().unwrap_or(0));
     }
     Ok(PacketGraph {
         order: order.into_iter().map(GroupIndex).collect(),
@@ -59,6 +63,8 @@ pub(super) fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
         packet_dependents,
         sets_of_packet,
         parity_of_set,
+        packet_by_id,
+        group_by_id,
         group_needed_from,
         group_useful_until,
         packet_needed_from: from,
@@ -113,13 +119,28 @@ fn check_ranges(parts: &GraphParts) -> Result<(), GraphError> {
     Ok(())
 }
 
-/// Identifiers are unique; packets and groups name each other exactly once.
-fn check_carriage(parts: &GraphParts) -> Result<(), GraphError> {
-    let mut ids: Vec<u32> = parts.packets.iter().map(|packet| packet.id).collect();
-    ids.sort_unstable();
-    if let Some(pair) = ids.windows(2).find(|pair| pair[0] == pair[1]) {
-        return Err(GraphError::DuplicateId { id: pair[0] });
+/// Packets in order of their wire ids, which must be unique.
+fn packets_by_id(parts: &GraphParts) -> Result<Vec<(PacketId, PacketIndex)>, GraphError> {
+    let mut by_id: Vec<_> = (0..).map(PacketIndex).zip(&parts.packets).map(|(at, p)| (p.id, at)).collect();
+    by_id.sort_unstable();
+    match by_id.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+        Some(pair) => Err(GraphError::DuplicateId { id: pair[0].0 }),
+        None => Ok(by_id),
     }
+}
+
+/// Groups in order of their ids, which must be unique.
+fn groups_by_id(parts: &GraphParts) -> Result<Vec<(GroupId, GroupIndex)>, GraphError> {
+    let mut by_id: Vec<_> = (0..).map(GroupIndex).zip(&parts.groups).map(|(at, g)| (g.id, at)).collect();
+    by_id.sort_unstable();
+    match by_id.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+        Some(pair) => Err(GraphError::DuplicateGroup { first: pair[0].1.0, second: pair[1].1.0 }),
+        None => Ok(by_id),
+    }
+}
+
+/// Packets and groups name each other exactly once.
+fn check_carriage(parts: &GraphParts) -> Result<(), GraphError> {
     let mut by_packet: Vec<(u32, u32)> = Vec::new();
     for (at, packet) in parts.packets.iter().enumerate() {
         by_packet.extend(packet.groups.iter().map(|group| (at as u32, group.0)));
@@ -237,20 +258,30 @@ fn shares(parts: &GraphParts, closure: &[u32]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Group, Kind, Packet, Profile, RepairSet};
+    use codec_core::ids::{ClusterId, Level, Span, WindowId};
+
+    use super::super::{Group, Packet, Profile, RepairSet};
     use super::*;
     use crate::clock::Nanos;
 
     fn packet(id: u32, groups: &[u32]) -> Packet {
         let groups = groups.iter().map(|group| GroupIndex(*group)).collect();
-        Packet { id, wire_bytes: 100, groups, needs_packets: vec![], parity_of: None }
+        Packet {
+            id: PacketId::new(id).unwrap(),
+            wire_bytes: 100,
+            groups,
+            needs_packets: vec![],
+            parity_of: None,
+        }
     }
 
     fn group(level: u8, frames: (u32, u32), needs: &[u32], packets: &[u32]) -> Group {
         Group {
-            cluster: 0,
-            level,
-            kind: Kind::Motion,
+            id: GroupId {
+                span: Span::Motion(WindowId(0)),
+                cluster: ClusterId(0),
+                level: Level::new(level).unwrap(),
+            },
             first_frame: frames.0,
             last_frame: frames.1,
             needs: needs.iter().map(|need| GroupIndex(*need)).collect(),
@@ -300,7 +331,11 @@ mod tests {
         let cases: &[(Spoil, GraphError)] = &[
             (|p| p.frames = 0, GraphError::Playout { frames: 0, interval_ns: 33_000_000 }),
             (|p| p.packets[1].wire_bytes = 1281, GraphError::PacketBytes { packet: 1, found: 1281 }),
-            (|p| p.packets[1].id = 10, GraphError::DuplicateId { id: 10 }),
+            (
+                |p| p.packets[1].id = p.packets[0].id,
+                GraphError::DuplicateId { id: PacketId::new(10).unwrap() },
+            ),
+            (|p| p.groups[2].id = p.groups[0].id, GraphError::DuplicateGroup { first: 0, second: 2 }),
             (|p| p.packets[2].groups = vec![GroupIndex(0)], GraphError::Mismatch { packet: 2, group: 1 }),
             (|p| p.groups[1].packets.push(PacketIndex(0)), GraphError::Mismatch { packet: 0, group: 1 }),
             (|p| p.groups[0].packets.clear(), GraphError::EmptyGroup { group: 0 }),

@@ -4,8 +4,10 @@
 //! needs the level below it and, for motion, the canonical group of its own level. Sizes double with the level, as
 //! refinements cost more than they show.
 
+use codec_core::ids::{ClusterId, EpochId, Group as GroupId, Level, PacketId, Span, WindowId};
+
 use super::{
-    GraphError, GraphParts, Group, GroupIndex, Kind, Packet, PacketGraph, PacketIndex, Profile, RepairSet,
+    GraphError, GraphParts, Group, GroupIndex, Packet, PacketGraph, PacketIndex, Profile, RepairSet,
 };
 use crate::clock::{Nanos, Rate};
 use crate::rng::{Stream, stream};
@@ -30,7 +32,7 @@ pub struct Synthetic {
     pub window_frames: u32,
     /// Clusters, at least 1.
     pub clusters: u32,
-    /// Levels, 1 to 8.
+    /// Levels, 1 to 4.
     pub levels: u8,
     /// Mean media rate of the whole graph over the clip, parity excluded.
     pub rate: Rate,
@@ -81,30 +83,26 @@ impl Synthetic {
         let media = self.rate.bytes_in(clip).0;
         let canonical = media * u64::from(self.canonical_percent.min(100)) / 100;
         let windows = u64::from(self.frames.div_ceil(self.window_frames.max(1))).max(1);
-        let stack = u64::from(self.clusters.max(1)) * ((1 << self.levels.min(8)) - 1).max(1);
+        let stack = u64::from(self.clusters.max(1)) * ((1 << self.levels.min(4)) - 1).max(1);
         let mut draft = Draft {
             spec: self,
             sizes: stream(seed, "synthetic sizes"),
-            worth: stream(seed, "synthetic utilities"),
+            utilities: stream(seed, "synthetic utilities"),
             packets: Vec::new(),
             groups: Vec::new(),
         };
         let weights: Vec<f64> = (0..self.clusters).map(|_| draft.weight()).collect();
         for (cluster, weight) in weights.iter().enumerate() {
             let last = self.frames.saturating_sub(1);
-            draft.stack(cluster as u32, *weight, Kind::Canonical, (0, last), canonical / stack);
+            draft.stack(Span::Canonical(EpochId(0)), cluster, *weight, (0, last), canonical / stack);
         }
         for window in 0..windows as u32 {
             let first = window * self.window_frames.max(1);
             let last = (first + self.window_frames.max(1) - 1).min(self.frames.saturating_sub(1));
             for (cluster, weight) in weights.iter().enumerate() {
-                draft.stack(
-                    cluster as u32,
-                    *weight,
-                    Kind::Motion,
-                    (first, last),
-                    (media - canonical) / stack / windows,
-                );
+                let span = Span::Motion(WindowId(window as u16));
+                let base_bytes = (media - canonical) / stack / windows;
+                draft.stack(span, cluster, *weight, (first, last), base_bytes);
             }
         }
         let repair_sets = draft.protect();
@@ -121,10 +119,15 @@ impl Synthetic {
     }
 }
 
+/// The wire id of packet `index`. Past the largest id they repeat, which the graph refuses.
+fn wire_id(index: usize) -> PacketId {
+    PacketId::new((index as u32).min(PacketId::MAX)).unwrap_or_default()
+}
+
 struct Draft<'a> {
     spec: &'a Synthetic,
     sizes: Stream,
-    worth: Stream,
+    utilities: Stream,
     packets: Vec<Packet>,
     groups: Vec<Group>,
 }
@@ -132,37 +135,36 @@ struct Draft<'a> {
 impl Draft<'_> {
     /// Between 1/16 and 16, by squaring a uniform exponent-like draw.
     fn weight(&mut self) -> f64 {
-        let unit = self.worth.up_to(1_000_000) as f64 / 1e6;
+        let unit = self.utilities.up_to(1_000_000) as f64 / 1e6;
         0.0625 + 15.9 * unit * unit * unit
     }
 
-    fn stack(&mut self, cluster: u32, weight: f64, kind: Kind, frames: (u32, u32), base_bytes: u64) {
+    /// All levels of one cluster in one span. `frames`: the first and last it shows in.
+    fn stack(&mut self, span: Span, cluster: usize, weight: f64, frames: (u32, u32), base_bytes: u64) {
         let clusters = self.spec.clusters as usize;
-        let levels = usize::from(self.spec.levels);
-        for level in 0..self.spec.levels {
+        let levels = usize::from(self.spec.levels).min(Level::COUNT);
+        for level in 0..self.spec.levels.min(Level::COUNT as u8) {
             let at = self.groups.len();
             let mut needs = Vec::new();
             if level > 0 {
                 needs.push(GroupIndex(at as u32 - 1));
             }
-            if kind == Kind::Motion {
-                needs.push(GroupIndex((cluster as usize % clusters * levels + usize::from(level)) as u32));
+            if matches!(span, Span::Motion(_)) {
+                needs.push(GroupIndex((cluster % clusters * levels + usize::from(level)) as u32));
             }
             let mean = base_bytes << level;
             let bytes = (mean / 2 + self.sizes.up_to(mean)).max(40);
             let packets = self.split(bytes, GroupIndex(at as u32), &needs);
-            let jitter = 0.5 + self.worth.up_to(1_000_000) as f64 / 1e6;
+            let jitter = 0.5 + self.utilities.up_to(1_000_000) as f64 / 1e6;
             let finest = level > 0 && level + 1 == self.spec.levels;
-            let sign = if finest && self.worth.up_to(9) == 0 { -0.1 } else { 1.0 };
+            let sign = if finest && self.utilities.up_to(9) == 0 { -0.1 } else { 1.0 };
             let utility = match self.spec.utilities {
                 Utilities::Flat => 1.0,
                 Utilities::Unequal => sign * weight * jitter / f64::from(1u32 << (2 * level)),
             };
             let (first_frame, last_frame) = frames;
             self.groups.push(Group {
-                cluster,
-                level,
-                kind,
+                id: GroupId { span, cluster: ClusterId(cluster as u16), level: Level::from_bits(level) },
                 first_frame,
                 last_frame,
                 needs,
@@ -189,7 +191,7 @@ impl Draft<'_> {
                     .collect(),
             };
             let index = PacketIndex(self.packets.len() as u32);
-            let id = index.0;
+            let id = wire_id(index.at());
             self.packets.push(Packet { id, wire_bytes, groups: vec![group], needs_packets, parity_of: None });
             indices.push(index);
         }
@@ -201,14 +203,14 @@ impl Draft<'_> {
         let groups = &self.groups;
         let base: Vec<PacketIndex> = (0..self.packets.len() as u32)
             .map(PacketIndex)
-            .filter(|p| self.packets[p.at()].groups.iter().all(|group| groups[group.at()].level == 0))
+            .filter(|p| self.packets[p.at()].groups.iter().all(|group| groups[group.at()].level() == 0))
             .collect();
         let mut sets = Vec::new();
         for members in base.chunks(size as usize) {
             let widest = members.iter().map(|member| self.packets[member.at()].wire_bytes).max().unwrap_or(1);
             for _ in 0..self.spec.parity.max(1) {
                 self.packets.push(Packet {
-                    id: self.packets.len() as u32,
+                    id: wire_id(self.packets.len()),
                     wire_bytes: widest,
                     groups: Vec::new(),
                     needs_packets: Vec::new(),

@@ -40,7 +40,7 @@ impl Dash {
         for segment in &mut segments {
             segment.sort_by_key(|index| {
                 let group = &graph.groups()[index.at()];
-                (group.level, group.cluster, *index)
+                (group.level(), group.id.cluster, *index)
             });
         }
         Self { segment_frames, segments, turn: 0, chosen: Vec::new(), cursor: 0, leftovers: Vec::new() }
@@ -69,12 +69,12 @@ impl Dash {
             let bytes: u64 =
                 waiting.clone().map(|packet| u64::from(view.graph.packets()[packet.at()].wire_bytes)).sum();
             // A tile that does not fit does not stop its neighbours of the same level, only all levels above.
-            let fits = group.level == 0 || (group.level <= skipped_level && spent + bytes <= budget);
+            let fits = group.level() == 0 || (group.level() <= skipped_level && spent + bytes <= budget);
             if fits && !view.is_past(group.last_frame, now) {
                 spent += bytes;
                 self.chosen.extend(waiting.copied());
             } else {
-                skipped_level = skipped_level.min(group.level);
+                skipped_level = skipped_level.min(group.level());
                 if group.last_frame >= next_start {
                     self.leftovers.push(index);
                 }

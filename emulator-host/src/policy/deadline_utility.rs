@@ -154,7 +154,7 @@ impl DeadlineUtility {
             }
             need.unacked_bytes += u64::from(tally.unacked_bytes);
             need.waiting_bytes += u64::from(tally.waiting_bytes);
-            if view.graph.groups()[member.at()].level == 0 {
+            if view.graph.groups()[member.at()].level() == 0 {
                 need.waiting_base += tally.waiting;
             } else {
                 need.waiting_refined += tally.waiting;
@@ -214,7 +214,7 @@ impl DeadlineUtility {
         // Before playout no deadline runs, and what the first frame's base lacks delays everything.
         let opening = |group: &GroupIndex| {
             let facts = &groups[group.at()];
-            facts.level == 0 && facts.first_frame == 0
+            facts.level() == 0 && facts.first_frame == 0
         };
         let only_opening = !view.playing && candidates.iter().any(opening);
         for group in &candidates {

@@ -22,7 +22,7 @@ impl Dependency {
         let mut order: Vec<GroupIndex> = (0..graph.groups().len() as u32).map(GroupIndex).collect();
         order.sort_by_key(|index| {
             let group = &graph.groups()[index.at()];
-            (group.first_frame, group.level, group.cluster, *index)
+            (group.first_frame, group.level(), group.id.cluster, *index)
         });
         Self { order, cursor: 0 }
     }

@@ -23,10 +23,10 @@ impl Layered {
         let mut keyed: Vec<u128> = Vec::with_capacity(graph.packets().len());
         for (at, packet) in graph.packets().iter().enumerate() {
             let index = PacketIndex(at as u32);
-            let clusters = packet.groups.iter().map(|group| graph.groups()[group.at()].cluster);
+            let clusters = packet.groups.iter().map(|group| graph.groups()[group.at()].id.cluster);
             if let Some(cluster) = clusters.min() {
                 let time = u128::from(graph.level(index)) << 32 | u128::from(graph.needed_from(index));
-                keyed.push(time << 64 | u128::from(cluster) << 32 | u128::from(index.0));
+                keyed.push(time << 64 | u128::from(cluster.0) << 32 | u128::from(index.0));
             }
         }
         keyed.sort_unstable();

@@ -1,41 +1,37 @@
 //! The receiving end: acknowledges, starts playout, and shows frames on time.
 
 use super::control::ControlReceiver;
+use super::feedback::ReceiptWriter;
 use super::metrics::Metrics;
 use super::sender::Content;
 use super::{IP_UDP_BYTES, SessionConfig, StartupRule};
 use crate::clock::Nanos;
 use crate::graph::{GroupIndex, PacketGraph, PacketIndex};
 use crate::link::Datagram;
-use crate::receiver::{Endpoint, Snapshot};
+use crate::receiver::{Arrival, Endpoint, Snapshot};
 
 /// Most ranges remembered; older ones are forgotten.
 const RANGES: usize = 32;
-/// Numbers behind the largest that a receipt still reports. A peer that heard that its receipts arrived would forget at that
+/// Numbers behind the largest that an acknowledgement still reports. A peer that heard that its acknowledgements arrived would forget at that
 /// point (RFC 9000, 13.2.4); a fixed reach stands in for it, or every hole would be reported for ever.
 const REACH: u64 = 256;
-/// Receipts in which a recovered packet is reported, so that a lost receipt does no harm.
-const REPEATS: u8 = 4;
-/// Short header, tag and fixed part of an acknowledgement.
-const RECEIPT_BYTES: u32 = 35;
+/// Short header, tag and fixed part of an acknowledgement, and the frame header of the receipt behind it.
+const ACK_BYTES: u32 = 35 + 3;
 
-/// What the sender learns.
+/// What the transport acknowledges (RFC 9000, 19.3).
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Receipt<'a> {
-    /// Inclusive, newest first.
+pub(super) struct Acknowledgement<'a> {
+    /// Datagram numbers, inclusive, newest first.
     pub(super) ranges: &'a [(u64, u64)],
     pub(super) ack_delay: Nanos,
-    pub(super) recovered: &'a [PacketIndex],
-    pub(super) playout_start: Option<Nanos>,
 }
 
-/// A receipt under way; its lists lie in shared tables.
+/// A datagram of feedback under way; its lists and bytes lie in shared tables.
 #[derive(Clone, Copy, Debug)]
-struct Record {
-    ranges: (u32, u32),
-    recovered: (u32, u32),
+struct Sent {
+    ranges: (usize, usize),
+    receipt: (usize, usize),
     ack_delay: Nanos,
-    playout_start: Option<Nanos>,
 }
 
 pub(super) struct Client<'a> {
@@ -48,11 +44,11 @@ pub(super) struct Client<'a> {
     largest_at: Nanos,
     unacked: u32,
     ack_at: Nanos,
-    reports: Vec<(PacketIndex, u8)>,
     recovered: Vec<PacketIndex>,
-    records: Vec<Record>,
-    record_ranges: Vec<(u64, u64)>,
-    record_recovered: Vec<PacketIndex>,
+    receipts: ReceiptWriter,
+    sent: Vec<Sent>,
+    sent_ranges: Vec<(u64, u64)>,
+    sent_receipts: Vec<u8>,
     first_base: Vec<(GroupIndex, f64)>,
     changed: bool,
     start: Option<Nanos>,
@@ -71,7 +67,7 @@ impl<'a> Client<'a> {
             StartupRule::BaseUtility(_) => utility.max(0.0),
         };
         let groups =
-            (0u32..).zip(graph.groups()).filter(|(_, group)| group.level == 0 && group.first_frame == 0);
+            (0u32..).zip(graph.groups()).filter(|(_, group)| group.level() == 0 && group.first_frame == 0);
         let first_base = groups.map(|(at, group)| (GroupIndex(at), weight(group.utility))).collect();
         let control = ControlReceiver::new(graph.manifest_bytes());
         if control.is_complete() {
@@ -86,11 +82,11 @@ impl<'a> Client<'a> {
             largest_at: Nanos::ZERO,
             unacked: 0,
             ack_at: Nanos::MAX,
-            reports: Vec::new(),
             recovered: Vec::new(),
-            records: Vec::new(),
-            record_ranges: Vec::new(),
-            record_recovered: Vec::new(),
+            receipts: ReceiptWriter::new(graph),
+            sent: Vec::new(),
+            sent_ranges: Vec::new(),
+            sent_receipts: Vec::new(),
             first_base,
             changed: true,
             start: None,
@@ -132,6 +128,9 @@ impl<'a> Client<'a> {
             Content::Media(packet) => {
                 let arrival = self.endpoint.media(packet, now, &mut self.recovered);
                 metrics.arrive(packet, arrival, self.next_frame);
+                if arrival != Arrival::Refused {
+                    self.receipts.on_arrived(self.graph, packet);
+                }
             }
             Content::Control(chunk) => {
                 if let Some((bytes, complete)) = self.control.on_chunk(chunk) {
@@ -142,7 +141,7 @@ impl<'a> Client<'a> {
         }
         for packet in self.recovered.drain(..) {
             metrics.recover(packet);
-            self.reports.push((packet, REPEATS));
+            self.receipts.on_recovered(self.graph, packet);
         }
     }
 
@@ -181,49 +180,44 @@ impl<'a> Client<'a> {
     }
 
     pub(super) fn snapshot(&mut self, frame: u32) -> &Snapshot {
-        self.endpoint.snapshot(frame)
+        let snapshot = self.endpoint.snapshot(frame);
+        self.receipts.on_complete(self.graph, &snapshot.groups);
+        snapshot
     }
 
-    /// A receipt that leaves at `now`.
+    /// Feedback that leaves at `now`.
     pub(super) fn poll(&mut self, now: Nanos) -> Option<Datagram> {
         if self.ack_at > now {
             return None;
         }
         self.ack_at = Nanos::MAX;
         self.unacked = 0;
-        let first_range = self.record_ranges.len() as u32;
+        let first_range = self.sent_ranges.len();
         let oldest = self.ranges.last().map_or(0, |(_, last)| last.saturating_sub(REACH));
         let recent = self.ranges.iter().rev().take_while(|(_, last)| *last >= oldest);
-        self.record_ranges.extend(recent.take(RANGES / 2));
-        let first_recovered = self.record_recovered.len() as u32;
-        for (packet, left) in &mut self.reports {
-            self.record_recovered.push(*packet);
-            *left -= 1;
-        }
-        self.reports.retain(|(_, left)| *left > 0);
-        let record = Record {
-            ranges: (first_range, self.record_ranges.len() as u32),
-            recovered: (first_recovered, self.record_recovered.len() as u32),
+        self.sent_ranges.extend(recent.take(RANGES / 2));
+        let first_byte = self.sent_receipts.len();
+        self.receipts.write(self.start, &mut self.sent_receipts);
+        let sent = Sent {
+            ranges: (first_range, self.sent_ranges.len()),
+            receipt: (first_byte, self.sent_receipts.len()),
             ack_delay: now - self.largest_at,
-            playout_start: self.start,
         };
-        let lists = 4 * (record.ranges.1 - record.ranges.0) + 4 * (record.recovered.1 - record.recovered.0);
-        let playout = if self.start.is_some() { 8 } else { 0 };
-        self.records.push(record);
+        let range_bytes = 4 * (sent.ranges.1 - sent.ranges.0) as u32;
+        let receipt_bytes = (sent.receipt.1 - sent.receipt.0) as u32;
+        self.sent.push(sent);
         Some(Datagram {
-            tag: self.records.len() as u64 - 1,
-            bytes: RECEIPT_BYTES + lists + playout + IP_UDP_BYTES,
+            tag: self.sent.len() as u64 - 1,
+            bytes: ACK_BYTES + range_bytes + receipt_bytes + IP_UDP_BYTES,
         })
     }
 
-    pub(super) fn receipt(&self, tag: u64) -> Receipt<'_> {
-        let record = self.records[tag as usize];
-        Receipt {
-            ranges: &self.record_ranges[record.ranges.0 as usize..record.ranges.1 as usize],
-            recovered: &self.record_recovered[record.recovered.0 as usize..record.recovered.1 as usize],
-            ack_delay: record.ack_delay,
-            playout_start: record.playout_start,
-        }
+    /// What the datagram `tag` carries: the transport's acknowledgement and a receipt.
+    pub(super) fn feedback(&self, tag: u64) -> (Acknowledgement<'_>, &[u8]) {
+        let sent = self.sent[tag as usize];
+        let ranges = &self.sent_ranges[sent.ranges.0..sent.ranges.1];
+        let receipt = &self.sent_receipts[sent.receipt.0..sent.receipt.1];
+        (Acknowledgement { ranges, ack_delay: sent.ack_delay }, receipt)
     }
 
     /// Enters a number; whether it is the next after the largest.

@@ -144,7 +144,7 @@ impl<'a> Metrics<'a> {
             if facts.first_frame > frame {
                 break;
             }
-            let base = facts.level == 0;
+            let base = facts.level() == 0;
             self.active.push(Active { group, last_frame: facts.last_frame, base, utility: facts.utility });
             self.entered += 1;
         }

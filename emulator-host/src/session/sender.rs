@@ -2,12 +2,13 @@
 
 use std::collections::VecDeque;
 
-use super::client::Receipt;
+use super::client::Acknowledgement;
 use super::control::ControlSender;
+use super::feedback;
 use super::{IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig};
 use crate::clock::{Bytes, Nanos, Rate};
 use crate::congestion::{Outcome, Recovery, TimerOutcome};
-use crate::graph::{Kind, PacketGraph, PacketIndex};
+use crate::graph::{PacketGraph, PacketIndex};
 use crate::link::Datagram;
 use crate::policy::{PacketStatus, Scheduler, SenderView};
 use crate::report::{SenderCounts, SenderRow};
@@ -89,7 +90,7 @@ impl<'a> Sender<'a> {
         let datagram_bytes = (widest + u64::from(QUIC_OVERHEAD_BYTES)).max(1200);
         let controller = config.controller.build(datagram_bytes);
         let recovery = Recovery::new(controller, datagram_bytes, config.max_ack_delay);
-        let first = graph.groups().iter().filter(|group| group.level == 0 && group.first_frame == 0);
+        let first = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
         let first_base = first.flat_map(|group| &group.packets);
         let mut sender = Self {
             graph,
@@ -169,18 +170,24 @@ impl<'a> Sender<'a> {
         self.recovery.timer().min(self.pace_at).min(serialised)
     }
 
-    pub(super) fn on_receipt(&mut self, receipt: Receipt<'_>, now: Nanos) {
+    /// A datagram of feedback has arrived: the transport's acknowledgement and the bytes of a receipt.
+    pub(super) fn on_feedback(&mut self, ack: Acknowledgement<'_>, receipt: &[u8], now: Nanos) {
         let mut outcome = std::mem::take(&mut self.outcome);
         outcome.clear();
-        self.recovery.on_ack(receipt.ranges, receipt.ack_delay, now, &mut outcome);
+        self.recovery.on_ack(ack.ranges, ack.ack_delay, now, &mut outcome);
         self.settle(&outcome, now);
         self.outcome = outcome;
-        for packet in receipt.recovered {
-            self.set_status(*packet, PacketStatus::Delivered);
-        }
-        if self.known_start.is_none() && receipt.playout_start.is_some() {
-            self.known_start = receipt.playout_start;
-            self.starved = false;
+        match feedback::read(receipt, self.graph) {
+            Ok(feedback) => {
+                for packet in feedback.received {
+                    self.set_status(packet, PacketStatus::Delivered);
+                }
+                if self.known_start.is_none() && feedback.playout_start.is_some() {
+                    self.known_start = feedback.playout_start;
+                    self.starved = false;
+                }
+            }
+            Err(_) => self.counts.refused_receipts += 1,
         }
         self.look(now);
         self.dirty = true;
@@ -327,7 +334,7 @@ impl<'a> Sender<'a> {
         self.set_status(packet, PacketStatus::InFlight);
         let facts = &self.graph.packets()[packet.at()];
         let groups = self.graph.groups();
-        if facts.groups.iter().any(|g| groups[g.at()].level == 0 && groups[g.at()].first_frame == 0) {
+        if facts.groups.iter().any(|g| groups[g.at()].level() == 0 && groups[g.at()].first_frame == 0) {
             self.first_base_bytes = self.first_base_bytes.saturating_sub(u64::from(facts.wire_bytes));
         }
         if facts.parity_of.is_some() {
@@ -367,7 +374,7 @@ impl<'a> Sender<'a> {
         let view = self.outlook.view(self.graph, &self.status);
         let budget = u32::from(self.sent_times[packet.at()]) <= self.config.retransmissions;
         let facts = &self.graph.packets()[packet.at()];
-        let canonical = facts.groups.iter().any(|g| self.graph.groups()[g.at()].kind == Kind::Canonical);
+        let canonical = facts.groups.iter().any(|g| self.graph.groups()[g.at()].is_canonical());
         let protected = facts.parity_of.is_none()
             && (self.graph.level(packet) < self.config.retransmit_levels
                 || (self.config.retransmit_canonical && canonical));

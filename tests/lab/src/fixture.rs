@@ -8,7 +8,7 @@
 use std::{fmt::Write as _, io, path::Path};
 
 use codec_core::{
-    Gaussian,
+    Caps, Gaussian,
     digest::Digest,
     rans::{lanes, table::Table},
     receiver::{Cell, Counters, Receiver, Requirements},
@@ -203,7 +203,7 @@ impl Fixture {
     pub fn sizes(&self) -> Result<[Size; 11], FixtureError> {
         let manifest = self.stream.manifest()?;
         let Requirements { cells, symbols, blocks, seen, least_slots, progress, parity, .. } =
-            Requirements::of(&manifest)?;
+            Requirements::of(&manifest, &Caps::HOST)?;
         let raw = Sealed::parse(self.message())?.raw_len;
         let gaussians = manifest.epochs().map(|e| e.gaussians as usize).max().unwrap_or(0);
         let sh_rest = gaussians * manifest.sh_degree().rest_len();

@@ -9,7 +9,7 @@ use codec_core::{
     rans::lanes,
     wire::{
         bits::BitWriter,
-        packet::{Slices, Stretch},
+        packet::{Extent, Slices},
     },
 };
 
@@ -32,7 +32,7 @@ pub(super) struct Lot<'c> {
 /// A packet that still lacks its id.
 #[derive(Clone, Debug)]
 pub(super) struct Proto {
-    stretch: Stretch,
+    extent: Extent,
     body: Vec<u8>,
 }
 
@@ -48,7 +48,7 @@ struct Item {
     bits: f64,
 }
 
-/// Bytes of a packet besides stretch and entropy-coded values: id ≤ 3, CRC 4, and what the body takes
+/// Bytes of a packet besides extent and entropy-coded values: id ≤ 3, CRC 4, and what the body takes
 /// beyond its values' bits.
 const FIXED_BYTES: usize = 14;
 
@@ -132,7 +132,7 @@ fn fill(lot: &Lot<'_>, items: &[Item], limit: usize) -> usize {
     let mut bits = 0.0;
     for (n, item) in items.iter().enumerate() {
         bits += item.bits;
-        let header = stretch(lot, &items[..=n]).header_len();
+        let header = extent(lot, &items[..=n]).header_len();
         if n > 0 && FIXED_BYTES + header + (bits / 8.0).ceil() as usize > limit {
             return n;
         }
@@ -141,14 +141,14 @@ fn fill(lot: &Lot<'_>, items: &[Item], limit: usize) -> usize {
 }
 
 /// The blocks of `items`, which follow each other in `lot`.
-fn stretch(lot: &Lot<'_>, items: &[Item]) -> Stretch {
+fn extent(lot: &Lot<'_>, items: &[Item]) -> Extent {
     let (first, last) = match items {
         [first, .., last] => (first, last),
         [only] => (only, only),
-        [] => return Stretch { span: lot.span, level: lot.level, first: 0, blocks: 0 },
+        [] => return Extent { span: lot.span, level: lot.level, first: 0, blocks: 0 },
     };
     let blocks = last.first + last.blocks.len() as u32 - first.first;
-    Stretch { span: lot.span, level: lot.level, first: first.first, blocks }
+    Extent { span: lot.span, level: lot.level, first: first.first, blocks }
 }
 
 fn encode(
@@ -181,13 +181,13 @@ fn encode(
     let selectors = selectors.finish();
     let encoded = lanes::encode(&values, &runs, symbols, &mut body[selectors..])?;
     body.truncate(selectors + encoded.len);
-    Ok(Proto { stretch: stretch(lot, items), body })
+    Ok(Proto { extent: extent(lot, items), body })
 }
 
 impl Proto {
     fn packet(&self, id: PacketId) -> Slices<'_> {
-        let stretches = std::iter::once(self.stretch).collect();
-        Slices { id, stretches, body: &self.body }
+        let extents = std::iter::once(self.extent).collect();
+        Slices { id, extents, body: &self.body }
     }
 
     /// Bytes of the whole packet with the longest id.

@@ -2,7 +2,7 @@
 
 use codec_core::{
     limits::MAX_PACKET_BYTES,
-    repair::{Mix, Sums},
+    repair::{Combine, Sums},
     wire::{manifest::Repair, packet::Parity},
 };
 use rayon::prelude::*;
@@ -17,7 +17,7 @@ pub(super) fn append(
 ) -> Result<(), EncodeError> {
     for range in repairs {
         range.first_parity = packets.len() as u32;
-        let parity = parity(range, codec_simd::mix(), packets)?;
+        let parity = parity(range, codec_simd::combine(), packets)?;
         ledger.parity += parity.iter().map(|p| p.len() as f64).sum::<f64>();
         ledger.parity_packets += parity.len() as u64;
         packets.extend(parity);
@@ -25,11 +25,11 @@ pub(super) fn append(
     Ok(())
 }
 
-/// The parity packets of `range` in the order of their ids, added up by `mix`; its protected packets
+/// The parity packets of `range` in the order of their ids, added up by `combine`; its protected packets
 /// are in `packets`.
-fn parity(range: &Repair, mix: Mix, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, EncodeError> {
+fn parity(range: &Repair, combine: Combine, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, EncodeError> {
     let sets: Result<Vec<Vec<Vec<u8>>>, EncodeError> =
-        (0..range.sets()).into_par_iter().map(|set| rows(range, set, mix, packets)).collect();
+        (0..range.sets()).into_par_iter().map(|set| rows(range, set, combine, packets)).collect();
     let mut sets = sets?;
     let rows = 0..usize::from(range.parity);
     Ok(rows
@@ -38,7 +38,12 @@ fn parity(range: &Repair, mix: Mix, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>,
 }
 
 /// The parity packets of one set, row after row.
-fn rows(range: &Repair, set: u32, mix: Mix, packets: &[Vec<u8>]) -> Result<Vec<Vec<u8>>, EncodeError> {
+fn rows(
+    range: &Repair,
+    set: u32,
+    combine: Combine,
+    packets: &[Vec<u8>],
+) -> Result<Vec<Vec<u8>>, EncodeError> {
     let rows = u32::from(range.parity);
     let mut memory = vec![0u8; range.set_bytes()];
     let sums = Sums::over(&mut memory, range.parity.into(), range.longest.into());
@@ -47,7 +52,7 @@ fn rows(range: &Repair, set: u32, mix: Mix, packets: &[Vec<u8>]) -> Result<Vec<V
         found: range.longest.into(),
         most: MAX_PACKET_BYTES,
     })?;
-    let mut sums = sums.with_mix(mix);
+    let mut sums = sums.with_combine(combine);
     let members = (0..range.members(set)).map(|p| packets[range.member(set, p) as usize].as_slice());
     let longest = members.clone().map(<[u8]>::len).max().unwrap_or(0);
     sums.add_all(0, members);
@@ -75,11 +80,11 @@ mod tests {
             (0..7usize).map(|p| (0..40 + 17 * p).map(|i| (i * 31 + p * 7919) as u8).collect()).collect();
         let strength = Protection::parse("base=4+2").unwrap().of(false, Level::BASE).unwrap();
         let range = strength.range(0, &packets).unwrap();
-        let slow = parity(&range, codec_core::repair::mix, &packets).unwrap();
+        let slow = parity(&range, codec_core::repair::combine, &packets).unwrap();
         assert_eq!(slow.len(), 4);
-        assert_eq!(parity(&range, codec_simd::mix(), &packets).unwrap(), slow);
+        assert_eq!(parity(&range, codec_simd::combine(), &packets).unwrap(), slow);
         let mut other = packets.clone();
         other[6][3] ^= 1;
-        assert_ne!(parity(&range, codec_simd::mix(), &other).unwrap(), slow);
+        assert_ne!(parity(&range, codec_simd::combine(), &other).unwrap(), slow);
     }
 }

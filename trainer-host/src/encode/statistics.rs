@@ -7,7 +7,7 @@ use codec_core::{
         family,
         table::{ESCAPE, MAX_RAW_BITS, PRECISION, Table},
     },
-    wire::manifest::{Menu, stream},
+    wire::manifest::{TableSet, stream},
 };
 use rayon::prelude::*;
 
@@ -134,7 +134,7 @@ impl<'c> Streams<'c> {
         let chosen: Result<Vec<Vec<Choice>>, EncodeError> =
             self.0.par_iter().map(|runs| menu::choose(runs, &named, most)).collect();
         let mut model =
-            Model { menus: vec![Menu::EMPTY; stream::COUNT], tables: Vec::new(), costs: Vec::new() };
+            Model { menus: vec![TableSet::EMPTY; stream::COUNT], tables: Vec::new(), costs: Vec::new() };
         for (menu, choices) in model.menus.iter_mut().zip(chosen?) {
             let mut entries = Vec::new();
             for choice in choices {
@@ -146,7 +146,7 @@ impl<'c> Streams<'c> {
                 });
                 entries.push((index as u8, choice.length));
             }
-            *menu = Menu::new(&entries)?;
+            *menu = TableSet::new(&entries)?;
         }
         Ok(model)
     }
@@ -162,7 +162,7 @@ pub(super) struct Choice {
 /// Menus for all streams.
 #[derive(Clone, Debug)]
 pub(super) struct Model {
-    pub menus: Vec<Menu>,
+    pub menus: Vec<TableSet>,
     pub tables: Vec<Table>,
     pub costs: Vec<Costs>,
 }

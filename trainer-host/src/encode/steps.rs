@@ -185,7 +185,7 @@ pub(super) fn dgs1(
     for (class, target) in Class::ALL.into_iter().zip(&mut quant.canonical) {
         let ratio = thirds(coarser(class), 3);
         let quantiser = Quantiser::new(step(class), ratio, predicted[class.index()])?;
-        *target = quantiser.with_mixed(mixed[class.index()]);
+        *target = quantiser.with_decorrelated(mixed[class.index()]);
     }
     // An error of a canonical value shows on every frame, one of an orthonormal coefficient is spread
     // over its window: at equal slope of rate against distortion their steps differ by the root of

@@ -70,9 +70,9 @@ impl PacketMap {
             let mut parity = false;
             match parsed {
                 Ok(Packet::Slices(slices)) => {
-                    for stretch in &slices.stretches {
-                        let (span, level) = (stretch.span, stretch.level);
-                        for (cluster, blocks) in manifest.slices(*stretch) {
+                    for extent in &slices.extents {
+                        let (span, level) = (extent.span, extent.level);
+                        for (cluster, blocks) in manifest.slices(*extent) {
                             let group = Group { span, cluster, level };
                             let found = manifest.cell(span, cluster);
                             let Some((cell, shape)) = found.zip(Shape::of(&manifest, span, cluster)) else {

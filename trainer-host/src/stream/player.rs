@@ -1,7 +1,7 @@
 //! A host's end of a stream: memory to receive it in and a decoder to show it with.
 
 use codec_core::{
-    Gaussian, decode, error,
+    Caps, Gaussian, decode, error,
     gaussian::ShDegree,
     ids::{EpochId, Span},
     receiver::{Cell, Content, Memory, Requirements, for_each_cell},
@@ -24,25 +24,13 @@ pub struct HostMemory {
     early: Vec<u8>,
 }
 
-/// Most bytes of symbols that [`HostMemory`] takes on: a few lying bytes in a manifest must not
-/// exhaust a host.
-pub const MAX_SYMBOL_BYTES: usize = 2 << 30;
-
-/// Most bytes of repair sums that [`HostMemory`] takes on; sets beyond them are not repaired.
-pub const MAX_PARITY_BYTES: usize = 256 << 20;
-
 impl HostMemory {
     /// Memory for `manifest`, with `early` bytes for media that comes before it.
     ///
     /// # Errors
-    /// If the stream is larger than the format or [`MAX_SYMBOL_BYTES`] allows.
+    /// If the stream is larger than [`Caps::HOST`] allows.
     pub fn new(manifest: &Manifest<'_>, early: usize) -> error::Result<Self> {
-        let need = Requirements::of(manifest)?;
-        if need.symbols > MAX_SYMBOL_BYTES / 2 {
-            let most = MAX_SYMBOL_BYTES as u64 / 2;
-            let error = error::Error::illegal("manifest.symbols", 0, need.symbols as u64, (0, most));
-            return Err(error.kind(error::ErrorKind::Capacity));
-        }
+        let need = Requirements::of(manifest, &Caps::HOST)?;
         Ok(Self {
             manifest: vec![0; manifest.raw().len()],
             cells: vec![Cell::default(); need.cells],
@@ -51,7 +39,7 @@ impl HostMemory {
             seen: vec![0; need.seen],
             slots: vec![0; need.slots],
             progress: vec![0; need.progress],
-            parity: vec![0; need.parity.min(MAX_PARITY_BYTES)],
+            parity: vec![0; need.parity],
             early: vec![0; early],
         })
     }

@@ -13,7 +13,7 @@ use codec_core::{
         table::{SLOTS, Table},
     },
     receiver::{Counters, Receiver},
-    wire::cursor::Reader,
+    cursor::Reader,
 };
 use codec_embedded::{count::Counter, fixture, memory::Memory, stack};
 use cortex_m_rt::entry;

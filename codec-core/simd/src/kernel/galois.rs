@@ -4,7 +4,7 @@
 
 use core::arch::x86_64::*;
 
-use codec_core::repair::{self, LENGTH_BYTES, Mix, Term, gf256::mul};
+use codec_core::repair::{self, Combine, LENGTH_BYTES, Term, gf256::mul};
 
 /// Products of a factor with all low and with all high halves of a byte.
 static HALVES: [[[u8; 16]; 2]; 256] = {
@@ -39,17 +39,17 @@ static ZEROS: [u8; LEAST] = [0; LEAST];
 /// Shortest row that passes work on: the longest vector.
 const LEAST: usize = 64;
 
-/// The [`Mix`]es of this machine by the names of their instructions, the slowest first.
-pub fn mixes() -> impl Iterator<Item = (&'static str, Mix)> {
+/// The [`Combine`]s of this machine by the names of their instructions, the slowest first.
+pub fn combines() -> impl Iterator<Item = (&'static str, Combine)> {
     let avx2 = is_x86_feature_detected!("avx2");
     let gfni = avx2 && is_x86_feature_detected!("gfni");
     let wide = gfni && is_x86_feature_detected!("avx512f");
-    let all: [(bool, &str, Mix); 3] = [
-        (avx2, "avx2", shuffles::mix),
-        (gfni, "gfni", matrices::mix),
-        (wide, "gfni-512", wide_matrices::mix),
+    let all: [(bool, &str, Combine); 3] = [
+        (avx2, "avx2", shuffles::combine),
+        (gfni, "gfni", matrices::combine),
+        (wide, "gfni-512", wide_matrices::combine),
     ];
-    all.into_iter().filter(|m| m.0).map(|(_, name, mix)| (name, mix))
+    all.into_iter().filter(|m| m.0).map(|(_, name, combine)| (name, combine))
 }
 
 /// A kernel as a module: its instructions, the bytes of a vector, what loads, stores, adds and clears
@@ -69,15 +69,15 @@ macro_rules! kernel {
 
             const W: usize = $width;
 
-            /// A [`Mix`], for machines that have the instructions.
-            pub fn mix(mut rows: &mut [u8], stride: usize, terms: &[Term<'_>]) {
+            /// A [`Combine`], for machines that have the instructions.
+            pub fn combine(mut rows: &mut [u8], stride: usize, terms: &[Term<'_>]) {
                 if stride < LEAST {
-                    return repair::mix(rows, stride, terms);
+                    return repair::combine(rows, stride, terms);
                 }
                 let most = terms.iter().map(|term| term.factors.len()).max().unwrap_or(0);
                 let mut first = 0;
                 while let count @ 1.. = (most - first).min(rows.len() / stride) {
-                    // SAFETY: there are `count` rows of at least `LEAST` bytes, and `mixes` gives this
+                    // SAFETY: there are `count` rows of at least `LEAST` bytes, and `combines` gives this
                     // function only to a machine that has the instructions.
                     let done = unsafe {
                         match count {

@@ -218,7 +218,7 @@ impl<'a> Decoder<'a> {
 
     #[cold]
     fn some(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Outcome<()> {
-        // Few tokens are escapes: most stretches of some hold none.
+        // Few tokens are escapes: most groups of lanes hold none.
         const SOME: usize = 64;
         for (tokens, out) in tokens.chunks(SOME).zip(out.chunks_mut(SOME)) {
             if has_escape(tokens) {

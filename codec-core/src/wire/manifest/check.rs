@@ -1,13 +1,15 @@
 //! What a manifest body must satisfy before a view of it exists.
 
-use super::{Cluster, Epoch, Head, Manifest, Menu, Motion, Profile, Quant, Repair, Track, Window, stream};
+use super::{
+    Cluster, Epoch, Head, Manifest, Motion, Profile, Quant, Repair, TableSet, Track, Window, stream,
+};
 use crate::{
+    cursor::{Reader, in_range},
     error::{Error, ErrorKind, Result},
     gaussian::ShDegree,
     ids::{ClusterId, EpochId, Level, WindowId},
     limits,
     quant::Class,
-    wire::cursor::{Reader, in_range},
 };
 
 impl<'a> Manifest<'a> {
@@ -97,8 +99,8 @@ impl<'a> Manifest<'a> {
         self.each(self.sections.epochs, usize::from(epochs), Epoch::BYTES, Epoch::read)?;
         self.each(self.sections.windows, usize::from(windows), Window::BYTES, Window::read)?;
         self.each(self.sections.motions, self.motion_cells(), Motion::BYTES, Motion::read)?;
-        let menus = if self.profile == Profile::Dgs1 { stream::COUNT } else { 0 };
-        self.each(self.sections.streams, menus, Menu::BYTES, Menu::read)?;
+        let table_sets = if self.profile == Profile::Dgs1 { stream::COUNT } else { 0 };
+        self.each(self.sections.streams, table_sets, TableSet::BYTES, TableSet::read)?;
         self.each(self.sections.repairs, usize::from(repairs), Repair::BYTES, Repair::read)
     }
 
@@ -147,18 +149,19 @@ impl<'a> Manifest<'a> {
                 }
             }
             let still = Class::ALL.into_iter().zip(&quant.canonical);
-            let may = |class: Class| self.profile == Profile::Dgs1 && class.mixes();
-            let mixed = still.filter(|(class, _)| !may(*class)).map(|(_, q)| q).chain(&quant.motion);
-            for quantiser in mixed {
-                in_range("quantiser.flags", place, u8::from(quantiser.mixed()) << 1, 0, 1)?;
+            let may = |class: Class| self.profile == Profile::Dgs1 && class.decorrelates();
+            let decorrelated = still.filter(|(class, _)| !may(*class)).map(|(_, q)| q).chain(&quant.motion);
+            for quantiser in decorrelated {
+                in_range("quantiser.flags", place, u8::from(quantiser.decorrelated()) << 1, 0, 1)?;
             }
         }
         for s in 0..stream::COUNT * usize::from(self.profile == Profile::Dgs1) {
-            let place = self.sections.streams + s * Menu::BYTES;
-            if let Some((table, _)) = self.menu(s).choices().find(|&(t, _)| u16::from(t) >= self.head.tables)
+            let place = self.sections.streams + s * TableSet::BYTES;
+            if let Some((table, _)) =
+                self.table_set(s).choices().find(|&(t, _)| u16::from(t) >= self.head.tables)
             {
                 let last = u64::from(self.head.tables).saturating_sub(1);
-                return Err(Error::illegal("menu.tables", place, table.into(), (0, last)));
+                return Err(Error::illegal("table_set.tables", place, table.into(), (0, last)));
             }
         }
         let mut sets = 0u64;

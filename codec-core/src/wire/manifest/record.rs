@@ -1,10 +1,10 @@
 //! The fixed-width records of the manifest body, in the order of their fields on the wire.
 
 use crate::{
+    cursor::{Reader, in_range},
     error::Result,
     ids::Level,
     quant::{Class, Quantiser},
-    wire::cursor::{Reader, in_range},
 };
 
 macro_rules! record {

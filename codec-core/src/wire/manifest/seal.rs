@@ -2,13 +2,12 @@
 
 use super::{HEADER_BYTES, MAGIC, VERSION};
 use crate::{
+    caps::{Caps, within},
+    cursor::{Reader, Writer, in_range},
     error::{Error, ErrorKind, Result},
     limits,
     pack::{pack, unpack},
-    wire::{
-        crc::{CRC_BYTES, Crc32, checked, crc32},
-        cursor::{Reader, Writer, in_range},
-    },
+    wire::crc::{CRC_BYTES, Crc32, checked, crc32},
 };
 
 /// What the head of a DGSM message says, before anything is unpacked.
@@ -39,6 +38,14 @@ impl Sealed {
         let raw_len = in_range("manifest.raw_len", 8, reader.u32("manifest.raw_len")?, 1, most)?;
         let packed = in_range("manifest.packed_len", 12, reader.u32("manifest.packed_len")?, 1, most)?;
         Ok(Self { raw_len: raw_len as usize, wire_len: HEADER_BYTES + packed as usize + CRC_BYTES })
+    }
+
+    /// The same, if the body may be unpacked: ask before memory for it is set aside.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Capacity`] if the body is larger than `caps` allow.
+    pub fn within(self, caps: &Caps) -> Result<Self> {
+        within("manifest.raw_len", self.raw_len as u64, caps.manifest_bytes).map(|()| self)
     }
 }
 

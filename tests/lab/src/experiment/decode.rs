@@ -61,7 +61,7 @@ fn bitwise(bytes: &[u8]) -> u32 {
 }
 
 fn receive(stream: &Stream, memory: &mut HostMemory, crc: Crc32) -> Result<f64> {
-    let mut receiver = Receiver::with_crc(memory.memory(), crc).with_mix(codec_simd::mix());
+    let mut receiver = Receiver::with_crc(memory.memory(), crc).with_combine(codec_simd::combine());
     receiver.control(stream.message())?;
     let start = thread_seconds();
     for packet in stream.packets() {

@@ -3,7 +3,9 @@
 
 use anyhow::{Context, Result, ensure};
 use codec_core::{
-    repair::{HEAD_BYTES, LENGTH_BYTES, MAX_CODED_BYTES, Mix, Sums, cauchy::coefficient, gf256, set_bytes},
+    repair::{
+        Combine, HEAD_BYTES, LENGTH_BYTES, MAX_CODED_BYTES, Sums, cauchy::coefficient, gf256, set_bytes,
+    },
     wire::manifest::Repair,
 };
 
@@ -112,7 +114,7 @@ fn draw(seed: u64, at: u64) -> f64 {
 struct Case {
     k: usize,
     r: usize,
-    mix: Mix,
+    combine: Combine,
     sets: Vec<Vec<Vec<u8>>>,
     parity: Vec<Vec<(u16, Vec<u8>)>>,
     memory: Vec<u8>,
@@ -120,13 +122,13 @@ struct Case {
 }
 
 impl Case {
-    fn new(k: usize, r: usize, mix: Mix) -> Result<Self> {
+    fn new(k: usize, r: usize, combine: Combine) -> Result<Self> {
         let byte = |seed: usize, i: usize| (draw(seed as u64, i as u64) * 256.0) as u8;
         let packet = |s: usize, p: usize| (0..PACKET_BYTES).map(|i| byte(s * 99 + p, i)).collect::<Vec<u8>>();
         let sets = (0..SETS).map(|s| (0..k).map(|p| packet(s, p)).collect()).collect();
         let memory = vec![0u8; set_bytes(r, PACKET_BYTES)];
         let mut this =
-            Self { k, r, mix, sets, parity: Vec::new(), memory, coded: Box::new([0; MAX_CODED_BYTES]) };
+            Self { k, r, combine, sets, parity: Vec::new(), memory, coded: Box::new([0; MAX_CODED_BYTES]) };
         for set in 0..this.sets.len() {
             this.encode(set);
             let sums = Sums::over(&mut this.memory, r, PACKET_BYTES).context("a set's memory")?;
@@ -141,7 +143,7 @@ impl Case {
     fn encode(&mut self, set: usize) {
         self.memory.fill(0);
         if let Some(sums) = Sums::over(&mut self.memory, self.r, PACKET_BYTES) {
-            sums.with_mix(self.mix).add_all(0, self.sets[set].iter().map(Vec::as_slice));
+            sums.with_combine(self.combine).add_all(0, self.sets[set].iter().map(Vec::as_slice));
         }
     }
 
@@ -176,7 +178,7 @@ impl Case {
     fn recover(&mut self, set: usize) -> usize {
         self.memory.fill(0);
         let sums = Sums::over(&mut self.memory, self.r, PACKET_BYTES);
-        let Some(mut sums) = sums.map(|sums| sums.with_mix(self.mix)) else { return usize::MAX };
+        let Some(mut sums) = sums.map(|sums| sums.with_combine(self.combine)) else { return usize::MAX };
         for (position, packet) in (0u32..).zip(&self.sets[set]).skip(self.r) {
             sums.add(position, packet);
         }
@@ -200,10 +202,10 @@ impl Case {
 type Task<'t> = (String, Box<dyn FnMut(usize) -> Result<usize> + 't>);
 
 fn speed(bench: &mut Bench, k: usize, r: usize, runs: usize) -> Result<()> {
-    let sets = Case::new(k, r, codec_simd::mix())?.sets;
+    let sets = Case::new(k, r, codec_simd::combine())?.sets;
     let mut tasks: Vec<Task<'_>> = Vec::new();
-    for (place, (name, mix)) in codec_simd::mixes().into_iter().rev().enumerate() {
-        let (mut sender, mut receiver) = (Case::new(k, r, mix)?, Case::new(k, r, mix)?);
+    for (place, (name, combine)) in codec_simd::combines().into_iter().rev().enumerate() {
+        let (mut sender, mut receiver) = (Case::new(k, r, combine)?, Case::new(k, r, combine)?);
         let wrong = sender.wrong();
         ensure!(wrong == 0, "{name}, {k}+{r}: {wrong} bytes of parity are wrong");
         let named = |word: &str| if place == 0 { word.to_owned() } else { format!("{name}, {word}") };
@@ -214,7 +216,7 @@ fn speed(bench: &mut Bench, k: usize, r: usize, runs: usize) -> Result<()> {
         tasks.push((named("encode"), Box::new(encode)));
         tasks.push((named("recover"), Box::new(move |set| Ok(receiver.recover(set)))));
     }
-    let mut slow = Case::new(k, r, codec_simd::mix())?;
+    let mut slow = Case::new(k, r, codec_simd::combine())?;
     let encode = move |set| {
         slow.encode_slowly(set);
         Ok(0)
@@ -363,13 +365,13 @@ mod tests {
 
     #[test]
     fn sets_come_back_whole_and_damage_is_seen() {
-        let mut case = Case::new(6, 2, codec_simd::mix()).unwrap();
+        let mut case = Case::new(6, 2, codec_simd::combine()).unwrap();
         assert_eq!((case.recover(3), case.wrong()), (0, 0));
         case.parity[3][1].1[500] ^= 1;
         assert!(case.recover(3) > 0);
         // Arithmetic of another field is seen.
-        case.mix = |rows, stride, terms| {
-            codec_core::repair::mix(rows, stride, terms);
+        case.combine = |rows, stride, terms| {
+            codec_core::repair::combine(rows, stride, terms);
             rows.iter_mut().for_each(|byte| *byte ^= 1);
         };
         assert!(case.wrong() > 0);

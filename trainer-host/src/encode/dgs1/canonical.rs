@@ -4,7 +4,7 @@ use codec_core::{
     ids::Level,
     layout::Shape,
     math::mrp_from_quat,
-    quant::{Class, Quantiser, mix},
+    quant::{Class, Quantiser, decorrelate},
     wire::manifest::{Cluster, Quant},
 };
 use rayon::prelude::*;
@@ -51,13 +51,13 @@ pub(super) fn plain(
             let each: Vec<[f64; Class::COUNT]> = sets.par_iter().map(each).collect();
             Class::ALL.map(|class| each.iter().map(|bits| bits[class.index()]).sum())
         };
-        let mixes = Class::ALL.map(Class::mixes);
+        let mixes = Class::ALL.map(Class::decorrelates);
         let (plain, mixed) = (quant([false; Class::COUNT])?, quant(mixes)?);
         let (kept, turned) = (bits(&plain), bits(&mixed));
         let values = sets.iter().map(|set| set.len()).sum::<usize>() as f64;
         let pays = Class::ALL.map(|class| {
             let margin = LEAST_GAIN * values * class.components() as f64;
-            class.mixes() && turned[class.index()] + margin < kept[class.index()]
+            class.decorrelates() && turned[class.index()] + margin < kept[class.index()]
         });
         quant(pays)
     };
@@ -101,7 +101,7 @@ pub(super) fn quantise(
         for class in Class::ALL {
             predicted[class.index()] = prediction_pays(&indices, class, plain, options.block_len);
         }
-        let mixed = plain.canonical.map(|quantiser| quantiser.mixed());
+        let mixed = plain.canonical.map(|quantiser| quantiser.decorrelated());
         let step = plain.canonical[Class::Position.index()].step(Level::ALL[3]);
         let quant = steps::dgs1(quality, step, epoch.frames(), &predicted, &mixed)?;
         let degrees = need::degrees(&indices, epoch.attributes().sh_degree.get());
@@ -139,11 +139,11 @@ pub(in crate::encode) fn indices(epoch: &Epoch, members: &[u32], quant: &Quant, 
         }
     };
     let value = |class: Class, component: usize, i: usize| -> f32 {
-        if !quant.canonical[class.index()].mixed() {
+        if !quant.canonical[class.index()].decorrelated() {
             return plain(class, component, i);
         }
         let first = component / 3 * 3;
-        mix([0, 1, 2].map(|k| plain(class, first + k, i)))[component % 3]
+        decorrelate([0, 1, 2].map(|k| plain(class, first + k, i)))[component % 3]
     };
     Class::ALL.map(|class| {
         if class.sh_degree() > a.sh_degree.get() {

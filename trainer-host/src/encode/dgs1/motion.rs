@@ -10,7 +10,7 @@ use codec_core::{
     ids::Level,
     layout::Shape,
     math,
-    quant::{Class, unmix},
+    quant::{Class, recorrelate},
     wire::manifest::{Motion, Quant},
 };
 use glam::Vec3;
@@ -221,7 +221,7 @@ fn dequantised(cell: &CellSymbols, class: Class, i: usize, canonical: &Canonical
         let origin = if class == Class::Position { origin[d] } else { 0.0 };
         *out = origin + q as f32 * step;
     }
-    if quantiser.mixed() { unmix(out) } else { out }
+    if quantiser.decorrelated() { recorrelate(out) } else { out }
 }
 
 fn coefficients(

@@ -3,7 +3,7 @@
 //! Greedy: from the best single table, add the one that saves most, until it saves less than it
 //! costs. Candidates are the family and one table of the stream's own frequencies.
 
-use codec_core::{limits::MAX_MENU, rans::family};
+use codec_core::{limits::MAX_TABLE_SET, rans::family};
 
 use super::{Choice, Costs, EncodeError, Streams};
 
@@ -42,7 +42,7 @@ pub(super) fn choose(runs: &[&[i16]], named: &[Costs], most: usize) -> Result<Ve
     };
     let mut menu = vec![(first, 0u8)];
     let mut bits = total(first);
-    while menu.len() < most.min(MAX_MENU) {
+    while menu.len() < most.min(MAX_TABLE_SET) {
         let current: Vec<f32> = (0..runs.len())
             .map(|r| menu.iter().map(|&(c, l)| costs[c][r] + f32::from(l.max(1))).fold(f32::MAX, f32::min))
             .collect();

@@ -14,8 +14,10 @@ mod csr;
 mod derive;
 mod synthetic;
 
-use crate::clock::Nanos;
+use codec_core::ids::{Group as GroupId, PacketId, Span};
 use csr::Csr;
+
+use crate::clock::Nanos;
 pub use synthetic::{Synthetic, Utilities};
 
 /// Index of a packet in [`PacketGraph::packets`].
@@ -49,20 +51,11 @@ pub enum Profile {
     Sliced,
 }
 
-/// What a group's packets describe.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// Attributes that hold for the whole epoch.
-    Canonical,
-    /// Motion of one window.
-    Motion,
-}
-
 /// One datagram's worth of bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Packet {
     /// Identifier on the wire; unique.
-    pub id: u32,
+    pub id: PacketId,
     /// Bytes on the wire without transport overhead, 1 to [`MAX_PACKET_BYTES`].
     pub wire_bytes: u16,
     /// Groups that it carries; empty for a parity packet only.
@@ -76,12 +69,8 @@ pub struct Packet {
 /// A completion group: (window or epoch, cluster, level).
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
-    /// Cluster identifier.
-    pub cluster: u32,
-    /// 0 = base; higher refines.
-    pub level: u8,
-    /// Canonical or motion.
-    pub kind: Kind,
+    /// Which completion group this is, as the wire names it: epoch or window, cluster, level.
+    pub id: GroupId,
     /// First frame at which it changes pixels.
     pub first_frame: u32,
     /// Last frame at which it changes pixels, inclusive.
@@ -92,6 +81,18 @@ pub struct Group {
     pub packets: Vec<PacketIndex>,
     /// Risk-adjusted counterfactual gain per frame shown (paper, "Counterfactual Render Utility"); finite, may be negative.
     pub utility: f64,
+}
+
+impl Group {
+    /// 0 = base; higher refines.
+    pub const fn level(&self) -> u8 {
+        self.id.level.get()
+    }
+
+    /// Whether its attributes hold for a whole epoch, rather than for one motion window.
+    pub const fn is_canonical(&self) -> bool {
+        matches!(self.id.span, Span::Canonical(_))
+    }
 }
 
 /// Source packets protected by one or more parity packets: any losses among them, up to as many as parity arrives, can be
@@ -163,7 +164,15 @@ pub enum GraphError {
     #[error("packet id {id} is used twice")]
     DuplicateId {
         /// The identifier.
-        id: u32,
+        id: PacketId,
+    },
+    /// Two groups are the same completion group.
+    #[error("groups {first} and {second} are the same (span, cluster, level)")]
+    DuplicateGroup {
+        /// The first of them.
+        first: u32,
+        /// The other.
+        second: u32,
     },
     /// A packet and a group disagree on whether the one carries the other.
     #[error("packet {packet} and group {group} do not name each other exactly once")]
@@ -237,6 +246,9 @@ pub struct PacketGraph {
     packet_dependents: Csr,
     sets_of_packet: Csr,
     parity_of_set: Vec<Vec<PacketIndex>>,
+    /// Packets and groups in order of what the wire calls them.
+    packet_by_id: Vec<(PacketId, PacketIndex)>,
+    group_by_id: Vec<(GroupId, GroupIndex)>,
     group_needed_from: Vec<u32>,
     group_useful_until: Vec<u32>,
     packet_needed_from: Vec<u32>,
@@ -267,6 +279,23 @@ impl PacketGraph {
     /// All repair sets.
     pub fn repair_sets(&self) -> &[RepairSet] {
         &self.parts.repair_sets
+    }
+
+    /// A packet's id on the wire.
+    pub fn wire_id(&self, packet: PacketIndex) -> PacketId {
+        self.parts.packets[packet.at()].id
+    }
+
+    /// Packets whose wire ids lie in `first..=last`; cost follows what is found, not the width of the range.
+    pub fn packets_in(&self, first: PacketId, last: PacketId) -> impl Iterator<Item = PacketIndex> + '_ {
+        let start = self.packet_by_id.partition_point(|(id, _)| *id < first);
+        self.packet_by_id[start..].iter().take_while(move |(id, _)| *id <= last).map(|(_, index)| *index)
+    }
+
+    /// The group with this id, if the graph has it.
+    pub fn group_of(&self, id: GroupId) -> Option<GroupIndex> {
+        let place = self.group_by_id.binary_search_by_key(&id, |(id, _)| *id).ok()?;
+        self.group_by_id.get(place).map(|(_, index)| *index)
     }
 
     /// Number of frames in the playout.

@@ -1,7 +1,7 @@
 //! Every way of adding up repair sums on this machine against the definition of the product: all
 //! factors, all lengths of a packet, any place in memory.
 
-use codec_core::repair::{MAX_CODED_BYTES, Mix, Sums, Term, cauchy::column, gf256::slow, set_bytes};
+use codec_core::repair::{Combine, MAX_CODED_BYTES, Sums, Term, cauchy::column, gf256::slow, set_bytes};
 use proptest::prelude::*;
 
 const LONGEST: usize = 1226;
@@ -11,7 +11,7 @@ fn noise(len: usize, seed: usize) -> Vec<u8> {
     (0..len).map(|i| ((i + 977 * seed).wrapping_mul(2_654_435_761) >> 13) as u8).collect()
 }
 
-/// What a [`Mix`] does, by the definition of the product.
+/// What a [`Combine`] does, by the definition of the product.
 fn defined(rows: &mut [u8], stride: usize, terms: &[Term<'_>]) {
     for term in terms {
         let coded = [&term.length[..], term.content].concat();
@@ -21,24 +21,24 @@ fn defined(rows: &mut [u8], stride: usize, terms: &[Term<'_>]) {
     }
 }
 
-/// What every mix of this machine makes of rows that start `odd` bytes into an allocation, between
+/// What every combine of this machine makes of rows that start `odd` bytes into an allocation, between
 /// bytes that must stay as they are.
 fn check(odd: usize, count: usize, stride: usize, terms: &[Term<'_>]) {
     let before = noise(odd + count * stride + 70, 5);
     let mut wanted = before.clone();
     defined(&mut wanted[odd..odd + count * stride], stride, terms);
-    for (name, mix) in codec_simd::mixes() {
+    for (name, combine) in codec_simd::combines() {
         let mut found = before.clone();
-        mix(&mut found[odd..odd + count * stride], stride, terms);
+        combine(&mut found[odd..odd + count * stride], stride, terms);
         assert!(found == wanted, "{name}: {odd}, {count} rows of {stride}, {} terms", terms.len());
     }
 }
 
 #[test]
 fn the_portable_mix_comes_first_and_the_best_is_one_of_all() {
-    let all = codec_simd::mixes();
+    let all = codec_simd::combines();
     assert_eq!(all[0].0, "portable");
-    let best: Mix = codec_simd::mix();
+    let best: Combine = codec_simd::combine();
     let (mut one, mut other) = ([0u8; 90], [0u8; 90]);
     let term = Term { length: [1, 2], content: &[9; 88], factors: &[0x53] };
     best(&mut one, 90, &[term]);
@@ -79,12 +79,12 @@ fn memory_that_holds_no_row_stays_as_it_is() {
     let content = noise(100, 1);
     for (len, stride) in [(0, 80), (79, 80), (80, 0), (80, 1), (80, usize::MAX), (200, 101)] {
         let term = Term { length: [1, 2], content: &content, factors: &[3; 8] };
-        for (name, mix) in codec_simd::mixes() {
+        for (name, combine) in codec_simd::combines() {
             let mut rows = vec![7u8; len];
-            mix(&mut rows, stride, &[term; 5]);
+            combine(&mut rows, stride, &[term; 5]);
             let kept = if stride == 101 { 101 } else { 0 };
             assert!(rows[kept..].iter().all(|&byte| byte == 7), "{name} {len} {stride}");
-            mix(&mut rows, stride, &[]);
+            combine(&mut rows, stride, &[]);
         }
     }
 }
@@ -108,7 +108,7 @@ proptest! {
         check(odd, count, stride, &terms);
     }
 
-    /// A set by every mix and both ways to add: sums, and what comes back of losses.
+    /// A set by every combine and both ways to add: sums, and what comes back of losses.
     #[test]
     fn sets_are_the_same(
         lens in proptest::collection::vec(1usize..=LONGEST, 2..=40), rows in 1usize..=8, first in 0usize..40,
@@ -117,13 +117,13 @@ proptest! {
         let longest = lens.iter().copied().max().unwrap_or(1);
         let lost = first % packets.len()..(first % packets.len() + rows).min(packets.len());
         let mut wanted: Option<(Vec<u8>, Vec<u8>)> = None;
-        for (_, mix) in codec_simd::mixes() {
+        for (_, combine) in codec_simd::combines() {
             let (mut whole, mut part) = (vec![0u8; set_bytes(rows, longest)], vec![0u8; set_bytes(rows, longest)]);
             let sums = Sums::over(&mut whole, rows, longest);
-            let mut sums = sums.ok_or(TestCaseError::fail("a set's memory"))?.with_mix(mix);
+            let mut sums = sums.ok_or(TestCaseError::fail("a set's memory"))?.with_combine(combine);
             sums.add_all(0, packets.iter().map(Vec::as_slice));
             let rest = Sums::over(&mut part, rows, longest);
-            let mut rest = rest.ok_or(TestCaseError::fail("a set's memory"))?.with_mix(mix);
+            let mut rest = rest.ok_or(TestCaseError::fail("a set's memory"))?.with_combine(combine);
             for (packet, position) in packets.iter().zip(0u32..) {
                 if !lost.contains(&(position as usize)) {
                     rest.add(position, packet);

@@ -10,6 +10,7 @@
 
 mod client;
 mod control;
+mod feedback;
 mod metrics;
 mod sender;
 
@@ -266,7 +267,8 @@ impl Walk<'_> {
         }
         while let Output::Datagram(datagram) = self.reverse.step(input.take(), now) {
             self.note(datagram, UP_DELIVERED, now);
-            self.sender.on_receipt(self.client.receipt(datagram.tag), now);
+            let (acknowledgement, receipt) = self.client.feedback(datagram.tag);
+            self.sender.on_feedback(acknowledgement, receipt, now);
         }
     }
 

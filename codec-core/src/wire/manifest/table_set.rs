@@ -5,86 +5,86 @@
 //! packet are known before its first value is decoded.
 
 use crate::{
+    cursor::{Reader, in_range},
     error::{Error, ErrorKind, Result},
-    limits::MAX_MENU,
-    wire::{
-        bits::Bits,
-        cursor::{Reader, in_range},
-    },
+    limits::MAX_TABLE_SET,
+    wire::bits::Bits,
 };
 
 /// The entropy tables that a stream's runs choose from: a prefix code over indices of tables.
 ///
-/// A menu of one table costs no bits. A longer one has a complete canonical prefix code: `lengths`
+/// A table set of one table costs no bits. A longer one has a complete canonical prefix code: `lengths`
 /// ascend, each 1..=7, and 2^−length sums to one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Menu {
+pub struct TableSet {
     /// Number of choices; 0 for a stream that never occurs.
     count: u8,
-    lengths: [u8; MAX_MENU],
-    tables: [u8; MAX_MENU],
+    lengths: [u8; MAX_TABLE_SET],
+    tables: [u8; MAX_TABLE_SET],
 }
 
-/// Longest code word of a menu, bits.
-pub const MAX_MENU_BITS: u8 = 7;
+/// Longest code word of a table set, bits.
+pub const MAX_TABLE_SET_BITS: u8 = 7;
 
-impl Menu {
-    /// A menu without tables.
-    pub const EMPTY: Self = Self { count: 0, lengths: [0; MAX_MENU], tables: [0; MAX_MENU] };
+impl TableSet {
+    /// A table set without tables.
+    pub const EMPTY: Self = Self { count: 0, lengths: [0; MAX_TABLE_SET], tables: [0; MAX_TABLE_SET] };
     /// Bytes of one record.
-    pub const BYTES: usize = 1 + MAX_MENU / 2 + MAX_MENU;
+    pub const BYTES: usize = 1 + MAX_TABLE_SET / 2 + MAX_TABLE_SET;
 
-    /// A menu of `choices`: (table, code length), lengths ascending.
+    /// A table set of `choices`: (table, code length), lengths ascending.
     ///
     /// # Errors
-    /// More than [`MAX_MENU`] choices, or lengths that are no complete prefix code.
+    /// More than [`MAX_TABLE_SET`] choices, or lengths that are no complete prefix code.
     pub fn new(choices: &[(u8, u8)]) -> Result<Self> {
-        in_range("menu.count", 0, choices.len() as u64, 0, MAX_MENU as u64)?;
-        let mut menu = Self { count: choices.len() as u8, ..Self::default() };
-        for ((length, table), &(t, l)) in menu.lengths.iter_mut().zip(&mut menu.tables).zip(choices) {
+        in_range("table_set.count", 0, choices.len() as u64, 0, MAX_TABLE_SET as u64)?;
+        let mut table_set = Self { count: choices.len() as u8, ..Self::default() };
+        for ((length, table), &(t, l)) in table_set.lengths.iter_mut().zip(&mut table_set.tables).zip(choices)
+        {
             (*length, *table) = (l, t);
         }
-        menu.check(0)?;
-        Ok(menu)
+        table_set.check(0)?;
+        Ok(table_set)
     }
 
     fn check(&self, place: usize) -> Result<()> {
         let (mut sum, mut before) = (0u32, 1);
         if self.count < 2 {
-            in_range("menu.lengths", place + 1, self.lengths.iter().copied().max().unwrap_or(0), 0, 0)?;
+            in_range("table_set.lengths", place + 1, self.lengths.iter().copied().max().unwrap_or(0), 0, 0)?;
         } else {
             for &length in self.lengths.iter().take(usize::from(self.count)) {
-                in_range("menu.lengths", place + 1, length, before, MAX_MENU_BITS)?;
+                in_range("table_set.lengths", place + 1, length, before, MAX_TABLE_SET_BITS)?;
                 before = length;
-                sum += 1 << (MAX_MENU_BITS - length);
+                sum += 1 << (MAX_TABLE_SET_BITS - length);
             }
-            let whole = 1u32 << MAX_MENU_BITS;
-            in_range("menu.lengths", place + 1, sum, whole, whole)?;
+            let whole = 1u32 << MAX_TABLE_SET_BITS;
+            in_range("table_set.lengths", place + 1, sum, whole, whole)?;
         }
         let unused = |values: &[u8]| values.iter().skip(usize::from(self.count)).copied().max().unwrap_or(0);
-        in_range("menu.lengths", place + 1, unused(&self.lengths), 0, 0)?;
-        in_range("menu.tables", place + 5, unused(&self.tables), 0, 0)?;
+        in_range("table_set.lengths", place + 1, unused(&self.lengths), 0, 0)?;
+        in_range("table_set.tables", place + 5, unused(&self.tables), 0, 0)?;
         Ok(())
     }
 
     pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self> {
         let place = reader.offset();
-        let count = in_range("menu.count", place, reader.u8("menu.count")?, 0, MAX_MENU as u8)?;
-        let mut menu = Self { count, ..Self::default() };
-        let packed: [u8; MAX_MENU / 2] = reader.array("menu.lengths")?;
-        for ([low, high], byte) in menu.lengths.as_chunks_mut::<2>().0.iter_mut().zip(packed) {
+        let count =
+            in_range("table_set.count", place, reader.u8("table_set.count")?, 0, MAX_TABLE_SET as u8)?;
+        let mut table_set = Self { count, ..Self::default() };
+        let packed: [u8; MAX_TABLE_SET / 2] = reader.array("table_set.lengths")?;
+        for ([low, high], byte) in table_set.lengths.as_chunks_mut::<2>().0.iter_mut().zip(packed) {
             (*low, *high) = (byte & 0xf, byte >> 4);
         }
-        menu.tables = reader.array("menu.tables")?;
-        menu.check(place)?;
-        Ok(menu)
+        table_set.tables = reader.array("table_set.tables")?;
+        table_set.check(place)?;
+        Ok(table_set)
     }
 
     /// The record's bytes: count, code lengths as nibbles (first low), tables.
     pub fn to_bytes(&self) -> [u8; Self::BYTES] {
         let mut bytes = [0; Self::BYTES];
-        let (head, tables) = bytes.split_at_mut(1 + MAX_MENU / 2);
+        let (head, tables) = bytes.split_at_mut(1 + MAX_TABLE_SET / 2);
         tables.copy_from_slice(&self.tables);
         for (i, byte) in head.iter_mut().enumerate() {
             *byte = match i {
@@ -111,10 +111,10 @@ impl Menu {
         tables.into_iter().zip(lengths).take(usize::from(count))
     }
 
-    /// The table that the next code word of `bits` names. Nothing is read for a menu of one.
+    /// The table that the next code word of `bits` names. Nothing is read for a table set of one.
     ///
     /// # Errors
-    /// [`ErrorKind::Short`] if the bits end, a contradiction for an empty menu.
+    /// [`ErrorKind::Short`] if the bits end, a contradiction for an empty table set.
     pub fn select(&self, bits: &mut Bits<'_>) -> Result<u8> {
         if self.count == 1 {
             return Ok(self.tables[0]);
@@ -132,7 +132,7 @@ impl Menu {
             }
             first += 1;
         }
-        let none = Error::illegal("slice.table", 0, 0, (1, MAX_MENU as u64));
+        let none = Error::illegal("slice.table", 0, 0, (1, MAX_TABLE_SET as u64));
         Err(none.kind(ErrorKind::Contradiction))
     }
 
@@ -156,54 +156,54 @@ mod tests {
     use super::*;
     use crate::wire::bits::BitWriter;
 
-    fn menu() -> Menu {
-        Menu::new(&[(7, 1), (3, 2), (9, 3), (0, 4), (200, 4)]).unwrap()
+    fn table_set() -> TableSet {
+        TableSet::new(&[(7, 1), (3, 2), (9, 3), (0, 4), (200, 4)]).unwrap()
     }
 
     #[test]
     fn every_choice_reads_back_from_its_code_word() {
-        let menu = menu();
+        let table_set = table_set();
         let mut bytes = [0u8; 8];
         let mut writer = BitWriter::new(&mut bytes);
         let order = [4usize, 0, 0, 3, 1, 2, 4, 0];
         for &choice in &order {
-            let (code, length) = menu.code(choice).unwrap();
+            let (code, length) = table_set.code(choice).unwrap();
             writer.code(code, length).unwrap();
         }
         let used = writer.finish();
         let mut bits = Bits::new(&bytes[..used]);
         for &choice in &order {
-            let (table, _) = menu.choices().nth(choice).unwrap();
-            assert_eq!(menu.select(&mut bits).unwrap(), table);
+            let (table, _) = table_set.choices().nth(choice).unwrap();
+            assert_eq!(table_set.select(&mut bits).unwrap(), table);
         }
         assert_eq!(bits.used_bytes(), used);
-        assert_eq!(menu.code(5), None);
+        assert_eq!(table_set.code(5), None);
     }
 
     #[test]
     fn records_round_trip_and_broken_codes_are_refused() {
-        let menu = menu();
-        let bytes = menu.to_bytes();
-        assert_eq!(Menu::read(&mut Reader::new(&bytes)).unwrap(), menu);
+        let table_set = table_set();
+        let bytes = table_set.to_bytes();
+        assert_eq!(TableSet::read(&mut Reader::new(&bytes)).unwrap(), table_set);
         for (choices, field) in [
-            (&[(1u8, 1u8), (2, 2)][..], "menu.lengths"),
-            (&[(1, 2), (2, 1), (3, 2)], "menu.lengths"),
-            (&[(1, 1)], "menu.lengths"),
-            (&[(1, 0), (2, 1)], "menu.lengths"),
-            (&[(0, 4); 9], "menu.count"),
+            (&[(1u8, 1u8), (2, 2)][..], "table_set.lengths"),
+            (&[(1, 2), (2, 1), (3, 2)], "table_set.lengths"),
+            (&[(1, 1)], "table_set.lengths"),
+            (&[(1, 0), (2, 1)], "table_set.lengths"),
+            (&[(0, 4); 9], "table_set.count"),
         ] {
-            assert_eq!(Menu::new(choices).unwrap_err().field, field, "{choices:?}");
+            assert_eq!(TableSet::new(choices).unwrap_err().field, field, "{choices:?}");
         }
         let mut dirty = bytes;
         dirty[12] = 1;
-        assert_eq!(Menu::read(&mut Reader::new(&dirty)).unwrap_err().field, "menu.tables");
+        assert_eq!(TableSet::read(&mut Reader::new(&dirty)).unwrap_err().field, "table_set.tables");
     }
 
     #[test]
-    fn a_menu_of_one_reads_nothing_and_of_none_contradicts() {
+    fn a_table_set_of_one_reads_nothing_and_of_none_contradicts() {
         let mut bits = Bits::new(&[]);
-        assert_eq!(Menu::new(&[(5, 0)]).unwrap().select(&mut bits).unwrap(), 5);
-        assert_eq!(Menu::default().select(&mut bits).unwrap_err().kind, ErrorKind::Contradiction);
-        assert_eq!(self::menu().select(&mut bits).unwrap_err().kind, ErrorKind::Short);
+        assert_eq!(TableSet::new(&[(5, 0)]).unwrap().select(&mut bits).unwrap(), 5);
+        assert_eq!(TableSet::default().select(&mut bits).unwrap_err().kind, ErrorKind::Contradiction);
+        assert_eq!(self::table_set().select(&mut bits).unwrap_err().kind, ErrorKind::Short);
     }
 }

@@ -1,0 +1,133 @@
+//! Caps bound a receiver's memory and work, whatever a manifest or a packet claims.
+//!
+//! The format's own limits ([`limits`](crate::limits)) say what can be written down; caps say what
+//! this receiver takes on. A stream beyond a cap is refused before anything is allocated or walked,
+//! with an [`ErrorKind::Capacity`] that names the field, what was found and what is allowed.
+
+use crate::{
+    error::{Error, ErrorKind, Result},
+    limits,
+    rans::table::SLOTS,
+};
+
+/// The most that a receiver takes on. Every field is a largest allowed value.
+///
+/// ```
+/// use codec_core::Caps;
+///
+/// let phone = Caps { gaussians_per_epoch: 200_000, symbols: 16 << 20, ..Caps::HOST };
+/// assert!(phone.memory_bytes() < Caps::HOST.memory_bytes());
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub struct Caps {
+    /// Gaussians of one epoch. A decoded frame takes at most 292 bytes of each, apart from the
+    /// receiver's memory. `HOST`: 4,194,304; `SMALL`: 4,096.
+    pub gaussians_per_epoch: u32,
+    /// Frames of the stream. `HOST`: 1,048,576; `SMALL`: 16,384.
+    pub frames: u32,
+    /// Cells: clusters of all epochs, and again of every window; 8 bytes each. `HOST`: 4,194,304;
+    /// `SMALL`: 4,096.
+    pub cells: u32,
+    /// Symbols of all cells, 2 bytes each. `HOST`: 335,544,320; `SMALL`: 131,072.
+    pub symbols: u32,
+    /// Blocks of all cells, a byte each. `HOST`: 33,554,432; `SMALL`: 16,384.
+    pub blocks: u32,
+    /// Packets of the stream, a bit each. `HOST`: 16,777,215; `SMALL`: 16,384.
+    pub packets: u32,
+    /// Entropy tables, 8 KiB each (3 KiB in the compact form). `HOST`: 255; `SMALL`: 64.
+    pub tables: u32,
+    /// Bytes of the unpacked manifest. `HOST`: 67,108,864; `SMALL`: 32,768.
+    pub manifest_bytes: u32,
+    /// Bytes of the sums of repair. A stream that asks for more is received all the same; sets whose
+    /// sums lie beyond are not repaired. `HOST`: 67,108,864; `SMALL`: 65,536.
+    pub parity_bytes: u32,
+    /// Bytes of media kept until the manifest comes. `HOST`: 8,388,608; `SMALL`: 4,096.
+    pub early_bytes: u32,
+    /// Values of one packet, and blocks that its extents span: what bounds the work on a packet,
+    /// refused or not. `HOST` and `SMALL`: [`limits::MAX_PACKET_VALUES`].
+    pub values_per_packet: u32,
+}
+
+impl Caps {
+    /// For computers and telephones: under 1 GiB of receiver memory, all fields together.
+    pub const HOST: Self = Self {
+        gaussians_per_epoch: 4 << 20,
+        frames: limits::MAX_FRAMES,
+        cells: 4 << 20,
+        symbols: 320 << 20,
+        blocks: 32 << 20,
+        packets: crate::ids::PacketId::MAX,
+        tables: limits::MAX_TABLES as u32,
+        manifest_bytes: limits::MAX_MANIFEST_BYTES as u32,
+        parity_bytes: 64 << 20,
+        early_bytes: 8 << 20,
+        values_per_packet: limits::MAX_PACKET_VALUES,
+    };
+
+    /// For microcontrollers: under 1 MiB of receiver memory, all fields together.
+    pub const SMALL: Self = Self {
+        gaussians_per_epoch: 4096,
+        frames: 16_384,
+        cells: 4096,
+        symbols: 128 << 10,
+        blocks: 16_384,
+        packets: 16_384,
+        tables: 64,
+        manifest_bytes: 32 << 10,
+        parity_bytes: 64 << 10,
+        early_bytes: 4096,
+        values_per_packet: limits::MAX_PACKET_VALUES,
+    };
+
+    /// Bytes of receiver memory that no stream within these caps exceeds.
+    pub const fn memory_bytes(&self) -> u64 {
+        // Symbols are counted per level of canonical cells, and marked one by one, by `paper` only.
+        let counted = if self.cells < limits::MAX_CLUSTERS { self.cells } else { limits::MAX_CLUSTERS };
+        let (counters, marks) = (counted as u64 * 16, (self.symbols as u64).div_ceil(8));
+        let cells = self.cells as u64 * 8 + self.blocks as u64;
+        let symbols = self.symbols as u64 * 2;
+        let packets = (self.packets as u64).div_ceil(8);
+        let tables = self.tables as u64 * 4 * SLOTS as u64;
+        let bytes = self.manifest_bytes as u64 + self.parity_bytes as u64 + self.early_bytes as u64;
+        cells + symbols + counters + marks + packets + tables + bytes
+    }
+}
+
+impl Default for Caps {
+    fn default() -> Self {
+        Self::HOST
+    }
+}
+
+/// Refuses `found` above `most`.
+///
+/// # Errors
+/// [`ErrorKind::Capacity`] naming `field`.
+pub(crate) fn within(field: &'static str, found: u64, most: u32) -> Result<()> {
+    if found <= most as u64 {
+        return Ok(());
+    }
+    Err(Error::illegal(field, 0, found, (0, most as u64)).kind(ErrorKind::Capacity))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_host_stays_under_a_gibibyte_and_a_microcontroller_under_a_mebibyte() {
+        assert!(Caps::HOST.memory_bytes() < 1 << 30, "{}", Caps::HOST.memory_bytes());
+        assert!(Caps::SMALL.memory_bytes() < 1 << 20, "{}", Caps::SMALL.memory_bytes());
+        let most = Caps { symbols: u32::MAX, cells: u32::MAX, ..Caps::HOST };
+        assert!(most.memory_bytes() > 1 << 32, "the sum is taken in 64 bits");
+    }
+
+    #[test]
+    fn a_refusal_names_field_found_and_allowed() {
+        assert_eq!(within("manifest.frames", 7, 7), Ok(()));
+        let error = within("manifest.frames", 8, 7).unwrap_err();
+        let wanted = Error::illegal("manifest.frames", 0, 8, (0, 7)).kind(ErrorKind::Capacity);
+        assert_eq!(error, wanted);
+    }
+}

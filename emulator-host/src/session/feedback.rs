@@ -1,0 +1,233 @@
+//! The receiver writes receipts and the sender reads them: real DGSF bytes (SPEC.md, receipts).
+//!
+//! A transport acknowledges datagrams; a receipt says what the application knows beyond that: which packets have arrived by
+//! id, which were recovered by repair, which groups are complete, and when playout began. Each piece of news is repeated in
+//! a few receipts, so that losing one does no harm, and lists are cut so that a receipt always fits one datagram.
+
+use std::collections::VecDeque;
+
+use codec_core::{
+    ids::{Group as GroupId, PacketId},
+    limits::MAX_RECEIPT_BYTES,
+    wire::{
+        crc::crc32,
+        receipt::{IdRange, Receipt, Value},
+    },
+};
+
+use crate::{
+    clock::Nanos,
+    graph::{GroupIndex, PacketGraph, PacketIndex},
+};
+
+/// Receipts in which one piece of news is repeated.
+const REPEATS: u8 = 4;
+/// Most id ranges, recovered ids and completed groups of one receipt. At 8, 4 and 7 bytes each they fit together.
+const MOST_RANGES: usize = 64;
+const MOST_RECOVERED: usize = 64;
+const MOST_COMPLETED: usize = 48;
+
+/// News that waits to be reported, oldest first, each with the receipts it is still to appear in.
+#[derive(Debug)]
+struct News<T>(VecDeque<(T, u8)>);
+
+impl<T: Copy> News<T> {
+    const fn new() -> Self {
+        Self(VecDeque::new())
+    }
+
+    fn push(&mut self, item: T) {
+        self.0.push_back((item, REPEATS));
+    }
+
+    /// Up to `most` of the oldest; those that have been repeated enough are forgotten.
+    fn take(&mut self, most: usize) -> Vec<T> {
+        let mut taken = Vec::with_capacity(most.min(self.0.len()));
+        for (item, left) in self.0.iter_mut().take(most) {
+            taken.push(*item);
+            *left -= 1;
+        }
+        self.0.retain(|(_, left)| *left > 0);
+        taken
+    }
+}
+
+/// Writes receipts at the receiver.
+#[derive(Debug)]
+pub(super) struct ReceiptWriter {
+    sequence: u32,
+    arrived: News<PacketId>,
+    recovered: News<PacketId>,
+    completed: News<GroupId>,
+    /// Bit `i % 64` of word `i / 64`: group `i` has been reported.
+    reported_groups: Vec<u64>,
+}
+
+impl ReceiptWriter {
+    pub(super) fn new(graph: &PacketGraph) -> Self {
+        Self {
+            sequence: 0,
+            arrived: News::new(),
+            recovered: News::new(),
+            completed: News::new(),
+            reported_groups: vec![0; graph.groups().len().div_ceil(64)],
+        }
+    }
+
+    /// A packet arrived by itself.
+    pub(super) fn on_arrived(&mut self, graph: &PacketGraph, packet: PacketIndex) {
+        self.arrived.push(graph.wire_id(packet));
+    }
+
+    /// A packet was recovered from parity.
+    pub(super) fn on_recovered(&mut self, graph: &PacketGraph, packet: PacketIndex) {
+        self.recovered.push(graph.wire_id(packet));
+    }
+
+    /// `groups` (a bit per group of the graph) are complete now; those not known before become news.
+    pub(super) fn on_complete(&mut self, graph: &PacketGraph, groups: &[u64]) {
+        for (word, (now, before)) in groups.iter().zip(&mut self.reported_groups).enumerate() {
+            let mut fresh = now & !*before;
+            *before |= now;
+            while fresh != 0 {
+                let index = word * 64 + fresh.trailing_zeros() as usize;
+                self.completed.push(graph.groups()[index].id);
+                fresh &= fresh - 1;
+            }
+        }
+    }
+
+    /// Appends the next receipt to `out`. `playout_start`: when frame 0 was shown.
+    pub(super) fn write(&mut self, playout_start: Option<Nanos>, out: &mut Vec<u8>) {
+        let acknowledged = self.next_ranges();
+        let recovered = self.recovered.take(MOST_RECOVERED);
+        let completed = self.completed.take(MOST_COMPLETED);
+        let value = Value {
+            sequence: self.sequence,
+            playout_us: playout_start.map_or(0, |start| start.0.div_ceil(1000).max(1)),
+            pose: None,
+            acknowledged: &acknowledged,
+            recovered: &recovered,
+            completed: &completed,
+        };
+        self.sequence = self.sequence.wrapping_add(1);
+        let start = out.len();
+        out.resize(start + MAX_RECEIPT_BYTES, 0);
+        // Ranges ascend and the space is the largest receipt's, so writing cannot fail; an empty one would be ignored.
+        let len = value.write(&mut out[start..]).unwrap_or(0);
+        out.truncate(start + len);
+    }
+
+    /// Arrived ids as ascending ranges that do not touch, at most [`MOST_RANGES`].
+    fn next_ranges(&mut self) -> Vec<IdRange> {
+        let mut ids = self.arrived.take(MOST_RANGES);
+        ids.sort_unstable();
+        ids.dedup();
+        let mut ranges: Vec<IdRange> = Vec::new();
+        for id in ids {
+            match ranges.last_mut() {
+                Some((_, last)) if last.get() + 1 == id.get() => *last = id,
+                _ => ranges.push((id, id)),
+            }
+        }
+        ranges
+    }
+}
+
+/// What a sender learns from one receipt.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub(super) struct Feedback {
+    /// Packets that the receiver has, by arrival, repair, or as part of a complete group.
+    pub(super) received: Vec<PacketIndex>,
+    /// When frame 0 was shown.
+    pub(super) playout_start: Option<Nanos>,
+}
+
+/// Reads a receipt; ids that the graph does not have are ignored.
+///
+/// # Errors
+/// Bytes that are no receipt.
+pub(super) fn read(bytes: &[u8], graph: &PacketGraph) -> codec_core::Result<Feedback> {
+    let receipt = Receipt::parse(bytes, crc32)?;
+    let mut received = Vec::new();
+    for (first, last) in receipt.acknowledged() {
+        received.extend(graph.packets_in(first, last));
+    }
+    for id in receipt.recovered() {
+        received.extend(graph.packets_in(id, id));
+    }
+    for id in receipt.completed() {
+        let group: Option<GroupIndex> = graph.group_of(id);
+        received.extend(group.into_iter().flat_map(|group| &graph.groups()[group.at()].packets));
+    }
+    let playout_start = (receipt.playout_us > 0).then(|| Nanos::from_us(receipt.playout_us));
+    Ok(Feedback { received, playout_start })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::graph::Synthetic;
+
+    fn graph() -> PacketGraph {
+        Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap()
+    }
+
+    #[test]
+    fn news_comes_back_as_it_was_and_is_repeated_and_then_forgotten() {
+        let graph = graph();
+        let mut writer = ReceiptWriter::new(&graph);
+        let packets = [3, 4, 5, 9].map(PacketIndex);
+        packets[..3].iter().for_each(|packet| writer.on_arrived(&graph, *packet));
+        writer.on_recovered(&graph, packets[3]);
+        for repeat in 0..=REPEATS {
+            let mut bytes = Vec::new();
+            writer.write(Some(Nanos(1)), &mut bytes);
+            let feedback = read(&bytes, &graph).unwrap();
+            let expected = if repeat < REPEATS { packets.to_vec() } else { Vec::new() };
+            assert_eq!(feedback, Feedback { received: expected, playout_start: Some(Nanos::from_us(1)) });
+        }
+    }
+
+    #[test]
+    fn a_complete_group_stands_for_its_packets() {
+        let graph = graph();
+        let mut writer = ReceiptWriter::new(&graph);
+        let mut complete = vec![0u64; graph.groups().len().div_ceil(64)];
+        complete[0] = 1 << 5;
+        writer.on_complete(&graph, &complete);
+        let mut bytes = Vec::new();
+        writer.write(None, &mut bytes);
+        let feedback = read(&bytes, &graph).unwrap();
+        assert_eq!(feedback, Feedback { received: graph.groups()[5].packets.clone(), playout_start: None });
+    }
+
+    #[test]
+    fn a_flood_of_news_is_spread_over_receipts_that_each_fit_a_datagram() {
+        let graph = graph();
+        let mut writer = ReceiptWriter::new(&graph);
+        let count = graph.packets().len().min(400) as u32;
+        // Every second packet: as many ranges as ids.
+        let packets: Vec<PacketIndex> = (0..count).step_by(2).map(PacketIndex).collect();
+        packets.iter().for_each(|packet| writer.on_arrived(&graph, *packet));
+        packets.iter().for_each(|packet| writer.on_recovered(&graph, *packet));
+        writer.on_complete(&graph, &vec![u64::MAX >> 1; 1]);
+        let mut known = std::collections::BTreeSet::new();
+        for _ in 0..40 {
+            let mut bytes = Vec::new();
+            writer.write(None, &mut bytes);
+            assert!((1..=MAX_RECEIPT_BYTES).contains(&bytes.len()), "{}", bytes.len());
+            known.extend(read(&bytes, &graph).unwrap().received);
+        }
+        assert!(packets.iter().all(|packet| known.contains(packet)));
+    }
+
+    #[test]
+    fn damaged_bytes_are_refused() {
+        let graph = graph();
+        let mut bytes = Vec::new();
+        ReceiptWriter::new(&graph).write(None, &mut bytes);
+        bytes[1] ^= 1;
+        assert!(read(&bytes, &graph).is_err());
+    }
+}
