@@ -1,5 +1,5 @@
 //! Golden streams: what every decoder of this format must make of them. `conformance/index.txt` has
-//! one line each; `cargo test -p trainer-host --test golden -- --ignored` writes them anew.
+//! one line each; `conformance/README.md` says how they are written anew.
 
 #![allow(
     clippy::unwrap_used,
@@ -51,7 +51,7 @@ fn shuffled(n: usize, seed: u64) -> Vec<usize> {
 #[test]
 fn every_stream_and_every_checkpoint_is_as_its_line_says() {
     let all = golden();
-    assert!(all.len() >= 8);
+    assert!(all.len() >= 18);
     for (name, exercises, bytes, line) in &all {
         assert_eq!(&Line::of(name, exercises, bytes).text(), line);
     }
@@ -60,7 +60,7 @@ fn every_stream_and_every_checkpoint_is_as_its_line_says() {
         entry.as_ref().unwrap().path().extension().is_some_and(|extension| extension == "dgs")
     });
     assert_eq!(files.count(), all.len(), "every file has its line");
-    assert!(all.iter().map(|g| g.2.len()).sum::<usize>() < 200_000, "the set stays small");
+    assert!(all.iter().map(|g| g.2.len()).sum::<usize>() < 400_000, "the set stays small");
 }
 
 #[test]
