@@ -49,7 +49,10 @@ pub enum Verb {
 #[derive(Clone, Debug, Args)]
 pub struct SceneArgs {
     /// Frames per second for sources that do not say: 0.001 to 10000.
-    #[arg(long, default_value_t = 30.0, value_parser = real(0.001..=10_000.0, "frames per second"), allow_negative_numbers = true)]
+    #[arg(
+        long, default_value_t = 30.0, value_parser = real(0.001..=10_000.0, "frames per second"),
+        allow_negative_numbers = true
+    )]
     pub fps: f64,
     /// Gaussians to place on an animated mesh: at least 1.
     #[arg(long, default_value_t = 20_000, value_parser = whole(1..=5_000_000, "Gaussians"))]
@@ -78,23 +81,32 @@ pub struct CodecArgs {
     #[arg(long, value_enum, default_value_t = ProfileName::Dgs1)]
     pub profile: ProfileName,
     /// Quantiser steps relative to the visually lossless default, 0.001 to 1000: 2 is twice as coarse.
-    #[arg(long, default_value_t = 1.0, group = "fineness", value_parser = coarseness, allow_negative_numbers = true)]
+    #[arg(
+        long, default_value_t = 1.0, group = "fineness", value_parser = coarseness,
+        allow_negative_numbers = true
+    )]
     pub coarseness: f32,
     /// Choose the coarseness: at most this many bits per Gaussian on the wire, as close as possible.
-    #[arg(long, value_name = "BITS", group = "fineness", value_parser = positive, allow_negative_numbers = true)]
+    #[arg(
+        long, value_name = "BITS", group = "fineness", value_parser = positive,
+        allow_negative_numbers = true
+    )]
     pub target_bits_per_gaussian: Option<f64>,
     /// Choose the coarseness: at most this many bytes on the wire (manifest, packets and parity).
     #[arg(long, value_name = "BYTES", group = "fineness", value_parser = clap::value_parser!(u64).range(1..))]
     pub target_bytes: Option<u64>,
     /// Choose the coarseness: at least this PSNR in dB from measuring (never held-out) cameras.
-    #[arg(long, value_name = "DB", group = "fineness", value_parser = positive, allow_negative_numbers = true)]
+    #[arg(
+        long, value_name = "DB", group = "fineness", value_parser = positive,
+        allow_negative_numbers = true
+    )]
     pub target_psnr: Option<f64>,
     /// Pictures per epoch that tell how much an error in each Gaussian shows: steps follow (dgs1). 1 to
     /// 1024; 0: the same steps for all.
     #[arg(long, default_value_t = 16, value_parser = whole(0..=1024, "pictures"))]
     pub pictures: usize,
-    /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR from
-    /// measuring cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
+    /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR
+    /// from measuring cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
     #[arg(long, value_name = "ENCODINGS", default_value_t = 0)]
     pub search: usize,
     /// Most Gaussians in a cluster: 1 to 32768.
@@ -183,7 +195,10 @@ pub struct LinkArgs {
     #[arg(long, value_parser = whole(0..=60_000, "milliseconds"))]
     pub delay_ms: Option<u64>,
     /// Share of time lost in Gilbert–Elliott bursts (mean burst four packets), 0 to 0.3.
-    #[arg(long, default_value_t = 0.02, value_parser = real(0.0..=0.3, "a share"), allow_negative_numbers = true)]
+    #[arg(
+        long, default_value_t = 0.02, value_parser = real(0.0..=0.3, "a share"),
+        allow_negative_numbers = true
+    )]
     pub burst_loss: f64,
     /// Queue, as 0 to 60000 milliseconds of the mean rate.
     #[arg(long, default_value_t = 250, value_parser = whole(0..=60_000, "milliseconds"))]
@@ -221,7 +236,8 @@ pub enum PolicyName {
 /// `dgs import`.
 #[derive(Debug, Args)]
 pub struct Import {
-    /// File or folder, or synth:KIND:GAUSSIANS:FRAMES (numbers optional; at least 1000 Gaussians), KIND balls, figure, cloth or
+    /// File or folder, or synth:KIND:GAUSSIANS:FRAMES (numbers optional; at least 1000 Gaussians), KIND
+    /// balls, figure, cloth or
     /// births.
     pub input: String,
     /// How to read it.

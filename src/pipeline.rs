@@ -1,4 +1,4 @@
-//! The walk, step by step, as every verb and every experiment takes it.
+//! Takes the walk step by step, as every verb and every experiment does.
 
 mod link;
 
@@ -143,7 +143,7 @@ pub fn encode(scene: &Scene, options: &encode::Options, quiet: Quiet) -> Result<
     encode::encode(scene, options, &|stage, share| progress.stage(stage, share)).context("cannot encode")
 }
 
-/// `stream` without the levels that measuring cameras do not find worth `lambda` per byte.
+/// `stream` without the levels that gain less than `lambda` per byte from measuring cameras.
 ///
 /// # Errors
 /// If measuring or encoding fails.
@@ -158,11 +158,11 @@ pub fn truncate(
     let how = utility::Options::complete(scene)?;
     let table = utilities(scene, &received.content(), &map, &how, None, quiet)?;
     let progress = Progress::new("encode", quiet.0);
-    let told = |stage, share| progress.stage(stage, share);
-    utility::truncate(scene, options, stream, &table, lambda, &told).context("cannot encode")
+    let report = |stage, share| progress.stage(stage, share);
+    utility::truncate(scene, options, stream, &table, lambda, &report).context("cannot encode")
 }
 
-/// A stream from a `.dgs` file; what is damaged is told to `warn`.
+/// A stream from a `.dgs` file; damage is passed to `warn`.
 ///
 /// # Errors
 /// If the file or its manifest cannot be read.
@@ -188,7 +188,7 @@ pub fn is_stream(input: &str) -> bool {
         .is_ok_and(|()| head == magic)
 }
 
-/// The scene that `content` decodes to, up to `level`: what a stream is worth as a source.
+/// The scene that `content` decodes to, up to `level`: a stream as a source.
 ///
 /// # Errors
 /// If a frame does not decode.

@@ -130,7 +130,8 @@ pub(super) fn ledger_table(ledger: &Ledger) -> String {
         text += &format!("  {name:18} {bytes:>12.0} bytes\n");
     }
     text += &format!(
-        "  {} packets + {} parity, {} bits/Gaussian, {} bytes/frame, packetisation {:.2} %, robustness premium {:.2} %\n",
+        "  {} packets + {} parity, {} bits/Gaussian, {} bytes/frame, packetisation {:.2} %, robustness \
+            premium {:.2} %\n",
         ledger.packets,
         ledger.parity_packets,
         number(ledger.bits_per_gaussian()),
@@ -163,7 +164,8 @@ pub(super) fn ledger_table(ledger: &Ledger) -> String {
     for (s, stratum) in ledger.strata.iter().enumerate().filter(|_| ledger.strata.len() > 1) {
         let q = stratum.quality;
         text += &format!(
-            "  stratum {s}: {:>7} Gaussians, steps: position {:.4} sizes, scale {:.4}, rotation {:.4}, opacity {:.4}, sh0 {:.4}, harmonics {:.4}\n",
+            "  stratum {s}: {:>7} Gaussians, steps: position {:.4} sizes, scale {:.4}, rotation {:.4}, \
+                opacity {:.4}, sh0 {:.4}, harmonics {:.4}\n",
             stratum.gaussians, q.position, q.scale, q.rotation, q.opacity, q.sh0, q.sh_rest
         );
     }

@@ -9,3 +9,4 @@ pub mod experiment;
 pub mod figures;
 pub mod fixture;
 pub mod setup;
+pub mod source;

@@ -28,10 +28,14 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "entropy",
         format!(
-            "{count} different packets of at most {LIMIT} bytes per law (quantised Laplace of 1.5 and 4 bit, quantised Gauss of 8 bit; \
-             i.i.d.), one table per law, known beforehand; thread CPU time, medians of {runs} interleaved rounds over all packets, after \
-             one checked round; {BATCH} packets at a time into the same memory; Msymbol/s; coders marked u8 code one-byte tokens, raw low bits neither coded nor written (their \
-             sizes include them); overhead over the values' information under their law, beside each speed; every round trip is checked"
+            "{count} different packets of at most {LIMIT} bytes per law (quantised Laplace of 1.5 and 4 bit, \
+                quantised Gauss of 8 bit; \
+             i.i.d.), one table per law, known beforehand; thread CPU time, medians of {runs} interleaved \
+             rounds over all packets, after \
+             one checked round; {BATCH} packets at a time into the same memory; Msymbol/s; coders marked u8 \
+             code one-byte tokens, raw low bits neither coded nor written (their \
+             sizes include them); overhead over the values' information under their law, beside each speed; \
+             every round trip is checked"
         ),
     );
     for law in Law::all() {

@@ -82,8 +82,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "pareto",
         format!(
-            "one held-out view per scene at {sides:?} squared, black background; ms per frame: medians of {runs} interleaved runs after one that is dropped, \
-             order rotated; a graphics device: scene uploaded before, picture read back within the time, 3 runs on one that is a CPU; errors per channel, data range 1, against the f64 reference without early stop and cut only at 1e-12; FLIP at 67 pixels per degree; own: against the reference that lacks only what the knob takes away, pixels near a threshold left out; \
+            "one held-out view per scene at {sides:?} squared, black background; ms per frame: medians of \
+                {runs} interleaved runs after one that is dropped, \
+             order rotated; a graphics device: scene uploaded before, picture read back within the time, 3 \
+             runs on one that is a CPU; errors per channel, data range 1, against the f64 reference without \
+             early stop and cut only at 1e-12; FLIP at 67 pixels per degree; own: against the reference that \
+             lacks only what the knob takes away, pixels near a threshold left out; \
              states: 32 states of 32 groups, relative error of sums of squares against the same reference"
         ),
     );
@@ -279,7 +283,8 @@ fn table(key: &str, rows: &[Row]) -> String {
             let advice = if keep { "keep the default" } else { fastest.name.as_str() };
             let _ = writeln!(
                 out,
-                "  {name}, its own error: within half an 8-bit step ({BUDGET:.1e}) the fastest is {} ({} ms, {:.1e}); the default: {} ms, {:.1e}; recommended: {advice}",
+                "  {name}, its own error: within half an 8-bit step ({BUDGET:.1e}) the fastest is {} ({} ms, \
+                    {:.1e}); the default: {} ms, {:.1e}; recommended: {advice}",
                 fastest.name,
                 number(fastest.time_ms),
                 fastest.against[judge_of(knob)],
@@ -330,7 +335,8 @@ fn draw(setup: &Setup, scene: &str, side: u32, rows: &[Row]) -> Result<()> {
         let point = |r: &Row| Point { name: name(r), group: r.knob, x: r.time_ms, y: error(r) };
         let plot = Scatter {
             title: &format!("{scene} at {side} × {side}: time against error"),
-            subtitle: "Each knob alone from the defaults, and presets; against the f64 reference without cut and stop. Smaller is better in both.",
+            subtitle: "Each knob alone from the defaults, and presets; against the f64 reference without cut \
+                and stop. Smaller is better in both.",
             x_label: "time per frame, ms",
             y_label: label,
             groups: &KNOBS,

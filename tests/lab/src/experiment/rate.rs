@@ -39,13 +39,17 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "rate",
         format!(
-            "complete decoded state against the uncompressed source's own render; 3 held-out ring cameras at {size}x{size}, black background, \
-             up to {shown} frames spread over the clip, PSNR of a picture capped at 99 dB, FLIP from the first camera; \
+            "complete decoded state against the uncompressed source's own render; 3 held-out ring cameras at \
+                {size}x{size}, black background, \
+             up to {shown} frames spread over the clip, PSNR of a picture capped at 99 dB, FLIP from the \
+             first camera; \
              bits per Gaussian: all bytes sent over the Gaussians of the source (all epochs); no repair; \
              every codec decodes its own bytes and those Gaussians are rendered; \
-             comparisons: Bjøntegaard rate (PCHIP of log rate over PSNR, efficient points only) over the PSNR both reach, \
+             comparisons: Bjøntegaard rate (PCHIP of log rate over PSNR, efficient points only) over the \
+             PSNR both reach, \
              or at a peer's own points where it has no curve; negative: dgs1 needs fewer bits; \
-             times alone: wall time with all cores, of decoding all frames to Gaussians (ply-zstd, spz over frames and 4dgs: to their attributes)"
+             times alone: wall time with all cores, of decoding all frames to Gaussians (ply-zstd, spz over \
+             frames and 4dgs: to their attributes)"
         ),
     );
     for codec in &codecs {

@@ -31,11 +31,16 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "repair",
         format!(
-            "share of protected packets that are neither received nor repaired: IID by the formula; bursts (Gilbert-Elliott, mean burst 5 \
-             packets, all lost inside one) over {trips} ranges of 320 packets in id order, sets interleaved as on the wire, each draw the same for \
-             all; times of one set of {PACKET_BYTES}-byte packets in processor time of one thread, median of {runs} interleaved runs, {SETS} sets in turn; MB of \
-             protected packets per second; own coder: the fastest arithmetic of this machine, which gives the bytes of the slow twin; senders have \
-             all packets of a set at hand, receivers get one after the other; aims: encode 16+4 at least as fast as reed-solomon-simd, recover \
+            "share of protected packets that are neither received nor repaired: IID by the formula; bursts \
+                (Gilbert-Elliott, mean burst 5 \
+             packets, all lost inside one) over {trips} ranges of 320 packets in id order, sets interleaved \
+             as on the wire, each draw the same for \
+             all; times of one set of {PACKET_BYTES}-byte packets in processor time of one thread, median of \
+             {runs} interleaved runs, {SETS} sets in turn; MB of \
+             protected packets per second; own coder: the fastest arithmetic of this machine, which gives \
+             the bytes of the slow twin; senders have \
+             all packets of a set at hand, receivers get one after the other; aims: encode 16+4 at least as \
+             fast as reed-solomon-simd, recover \
              faster"
         ),
     );

@@ -149,10 +149,14 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "skips",
         format!(
-            "CPU renderer, {size}x{size} (garden: its own first camera), held-out ring camera, black background, default settings; each skip alone \
-             switched off (cull_entries: on), paired runs in turn, medians of {runs}, ms of processor time on one thread, ratio = off / on with its 95 % interval; a skip pays if the \
-             interval lies above 1; error = max abs between on and off; sequences: consecutive frames after the first, one camera, against a fresh \
-             render of each; states: one frame while the packets of a dgs1 stream arrive (biker, garden: while its Gaussians do)"
+            "CPU renderer, {size}x{size} (garden: its own first camera), held-out ring camera, black \
+                background, default settings; each skip alone \
+             switched off (cull_entries: on), paired runs in turn, medians of {runs}, ms of processor time \
+             on one thread, ratio = off / on with its 95 % interval; a skip pays if the \
+             interval lies above 1; error = max abs between on and off; sequences: consecutive frames after \
+             the first, one camera, against a fresh \
+             render of each; states: one frame while the packets of a dgs1 stream arrive (biker, garden: \
+             while its Gaussians do)"
         ),
     );
     let samples = if setup.quick { 3000 } else { 20_000 };

@@ -39,9 +39,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "stress",
         format!(
-            "render_host::stress::cases, crowds of {million}: CPU renderer, its gradients (MSE + 0.2 (1 - SSIM)) and its counterfactual engine (5 worlds \
-             alone, strict and fast, and utilities of {} groups) per case, medians of {runs} runs; error against the f64 reference at the same settings \
-             as a share of the largest value (clear: pixels away from any threshold); fast: relative error of sums of squares",
+            "render_host::stress::cases, crowds of {million}: CPU renderer, its gradients (MSE + 0.2 (1 - \
+                SSIM)) and its counterfactual engine (5 worlds \
+             alone, strict and fast, and utilities of {} groups) per case, medians of {runs} runs; error \
+             against the f64 reference at the same settings \
+             as a share of the largest value (clear: pixels away from any threshold); fast: relative error \
+             of sums of squares",
             stress::GROUPS
         ),
     );
@@ -171,7 +174,8 @@ fn table(families: &[Family]) -> String {
         let Family { name, cases, times, slowest, worst, non_finite } = f;
         let d = &worst.difference;
         out += &format!(
-            "{name:30}{cases:>6}{:>10.1e}{:>10.1e}{:>8.1}{:>8.2}{:>9.1e}{:>10}{:>10}{:>10}{non_finite:>8}  {slowest}{}\n",
+            "{name:30}{cases:>6}{:>10.1e}{:>10.1e}{:>8.1}{:>8.2}{:>9.1e}{:>10}{:>10}{:>10}{non_finite:>8}  \
+                {slowest}{}\n",
             d.max_clear,
             d.max_close,
             d.psnr_db,

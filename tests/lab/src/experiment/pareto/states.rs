@@ -117,7 +117,8 @@ pub fn run(
     let point = |(i, (&name, &(x, y)))| Point { name: String::from(name), group: i, x, y };
     let plot = Scatter {
         title: &format!("{} at {side} × {side}: time per state against error", view.name),
-        subtitle: "Squared errors of 32 states of 32 groups against a picture; error against the f64 reference without cut and stop.",
+        subtitle: "Squared errors of 32 states of 32 groups against a picture; error against the f64 \
+            reference without cut and stop.",
         x_label: "time per state, ms",
         y_label: "relative error of the sum of squares",
         groups: &names,

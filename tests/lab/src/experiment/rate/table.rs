@@ -67,7 +67,8 @@ pub fn text(rows: &[Row]) -> String {
     for r in rows {
         let _ = writeln!(
             out,
-            "  {:12} {:15} {:>5}  {:9.1} bit/G {:10.0} B/frame  {:6.2} dB (min {:6.2})  ssim {:.5}  flip {:.5}  enc {:7.2} s  dec {:7.2} ms/frame{}",
+            "  {:12} {:15} {:>5}  {:9.1} bit/G {:10.0} B/frame  {:6.2} dB (min {:6.2})  ssim {:.5}  flip \
+                {:.5}  enc {:7.2} s  dec {:7.2} ms/frame{}",
             r.scene,
             r.codec,
             r.setting,
@@ -254,7 +255,8 @@ pub fn draw(setup: &Setup, rows: &[Row]) -> Result<()> {
     let title = format!("{}: quality of the decoded state against its size", first.scene);
     let drawing = Curves {
         title: &title,
-        subtitle: "mean over held-out cameras and frames against the uncompressed source's pictures; up and left is better",
+        subtitle: "mean over held-out cameras and frames against the uncompressed source's pictures; up and \
+            left is better",
         x_label: "bits per Gaussian, all frames and everything sent",
         y_label: "PSNR, dB",
         curves,
