@@ -8,7 +8,7 @@ mod peers;
 use anyhow::{Result, ensure};
 
 use self::{
-    coders::{Arena, Coder, Many, Naive, Output, Scalar, Small},
+    coders::{Arena, Coder, Decoded, Many, Naive, Scalar, Small},
     law::{Law, Packets},
 };
 use super::clock::seconds;
@@ -61,7 +61,7 @@ fn measure(bench: &mut Bench, packets: Packets, runs: usize) -> Result<()> {
     list.push(Box::new(Naive));
     let total = packets.values.len();
     let room = packets.len * BATCH.min(packets.count);
-    let mut out = Output { values: vec![0; room], tokens: vec![0; room] };
+    let mut out = Decoded { values: vec![0; room], tokens: vec![0; room] };
     let mut lanes = Vec::new();
     for mut coder in list {
         let mut arena = Arena::new(packets.count);

@@ -34,7 +34,7 @@ use crate::{
 const BUDGET: f64 = 0.5 / 255.0;
 
 /// Share of the time that a value must save to be recommended over the default: less is noise.
-const WORTH: f64 = 0.05;
+const PAYS: f64 = 0.05;
 
 /// A scene to look at.
 struct View {
@@ -68,7 +68,7 @@ struct Row {
     mean: f64,
     psnr_db: f64,
     flip: f64,
-    /// Largest error against each of [`judges`].
+    /// Largest error against each of [`reference_settings`].
     against: [f64; 3],
     /// On the front of time and largest error; of time and mean error.
     front: [bool; 2],
@@ -109,7 +109,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
             }
             for row in &rows {
                 let Row { name, backend, knob, time_ms, max, mean, psnr_db, flip, against, front } = row;
-                let own = against[judge_of(*knob)];
+                let own = against[reference_of(*knob)];
                 let _ = writeln!(
                     csv,
                     "{},{side},{backend},{},{name},{time_ms:.4},{max:.4e},{mean:.4e},{psnr_db:.2},{flip:.4e},{own:.4e},{},{}",
@@ -164,7 +164,7 @@ fn random(n: usize, side: u32) -> Result<View> {
     Ok(View { name: format!("random-{n}"), gaussians, rest, degree, camera })
 }
 
-/// What judges: the picture without cut and stop.
+/// The exact picture, the reference: without cut and stop.
 fn exact() -> Settings {
     // Beyond 1e-12, a hundred thousand splats add less than 1e-7.
     Settings { alpha_cutoff: 1e-12, ..Settings::exact() }
@@ -172,12 +172,12 @@ fn exact() -> Settings {
 
 /// Pictures of the f64 reference that tell the error of one knob from that of the others: exact; the defaults
 /// without stop; the defaults.
-fn judges() -> [Settings; 3] {
+fn reference_settings() -> [Settings; 3] {
     [exact(), Settings { early_stop: false, ..Settings::default() }, Settings::default()]
 }
 
-/// Which of [`judges`] has everything that the knob takes away, and nothing else.
-fn judge_of(knob: usize) -> usize {
+/// Which of [`reference_settings`] has everything that the knob takes away, and nothing else.
+fn reference_of(knob: usize) -> usize {
     match KNOBS[knob] {
         "default" | "alpha cut-off" | "presets" => 0,
         "stop" => 1,
@@ -188,7 +188,7 @@ fn judge_of(knob: usize) -> usize {
 fn measure(view: &View, runs: usize, backends: &mut [Box<dyn Backend>]) -> Result<Vec<Row>> {
     let splats = view.splats()?;
     let mut references = Vec::new();
-    for settings in judges() {
+    for settings in reference_settings() {
         references.push(reference::render(&splats, &view.camera, &settings)?);
     }
     let truth = &references[0];
@@ -233,7 +233,8 @@ fn measure(view: &View, runs: usize, backends: &mut [Box<dyn Backend>]) -> Resul
         let errors = || image.rgb().iter().zip(&truth.rgb).map(|(a, e)| (f64::from(*a) - e).abs());
         let max = errors().fold(0.0, worse);
         // With a cut, rounding may decide a pixel either way: those that it may are left out.
-        let clear = |judge: &Reference| judge.difference(image.rgb()).map_or(f64::NAN, |d| d.max_clear);
+        let clear =
+            |reference: &Reference| reference.difference(image.rgb()).map_or(f64::NAN, |d| d.max_clear);
         let against = [max, clear(&references[1]), clear(&references[2])];
         rows.push(Row {
             name: candidate.name.clone(),
@@ -272,14 +273,14 @@ fn table(key: &str, rows: &[Row]) -> String {
             r.mean,
             r.psnr_db,
             r.flip,
-            r.against[judge_of(r.knob)],
+            r.against[reference_of(r.knob)],
             mark(r.front[0], "max"),
             mark(r.front[1], "mean")
         );
     }
     for (knob, name) in KNOBS.iter().enumerate() {
         if let Some((fastest, default)) = justified(rows, knob) {
-            let keep = fastest.time_ms > (1.0 - WORTH) * default.time_ms;
+            let keep = fastest.time_ms > (1.0 - PAYS) * default.time_ms;
             let advice = if keep { "keep the default" } else { fastest.name.as_str() };
             let _ = writeln!(
                 out,
@@ -287,9 +288,9 @@ fn table(key: &str, rows: &[Row]) -> String {
                     {:.1e}); the default: {} ms, {:.1e}; recommended: {advice}",
                 fastest.name,
                 number(fastest.time_ms),
-                fastest.against[judge_of(knob)],
+                fastest.against[reference_of(knob)],
                 number(default.time_ms),
-                default.against[judge_of(knob)]
+                default.against[reference_of(knob)]
             );
         }
     }
@@ -304,7 +305,8 @@ fn justified(rows: &[Row], knob: usize) -> Option<(&Row, &Row)> {
     if knob == candidates::DEFAULT || !rows.iter().any(|r| of_knob(&r)) {
         return None;
     }
-    let within = rows.iter().filter(of_knob).chain([default]).filter(|r| r.against[judge_of(knob)] <= BUDGET);
+    let within =
+        rows.iter().filter(of_knob).chain([default]).filter(|r| r.against[reference_of(knob)] <= BUDGET);
     let fastest = within.min_by(|a, b| a.time_ms.total_cmp(&b.time_ms))?;
     Some((fastest, default))
 }
@@ -319,7 +321,7 @@ fn push(bench: &mut Bench, key: &str, rows: &[Row], runs: usize) {
         bench.push(Figure::new(format!("{key}.mean_abs"), r.mean, ""));
         bench.push(Figure::new(format!("{key}.psnr"), r.psnr_db, "dB"));
         bench.push(Figure::new(format!("{key}.flip"), r.flip, ""));
-        bench.push(Figure::new(format!("{key}.own_max"), r.against[judge_of(r.knob)], ""));
+        bench.push(Figure::new(format!("{key}.own_max"), r.against[reference_of(r.knob)], ""));
         bench.push(Figure::new(format!("{key}.on_front"), f64::from(u8::from(r.front[0])), ""));
     }
 }
@@ -368,12 +370,12 @@ mod tests {
     }
 
     #[test]
-    fn every_knob_has_its_judge() {
-        let [exact, unstopped, default] = judges();
+    fn every_knob_has_its_reference() {
+        let [exact, unstopped, default] = reference_settings();
         assert!(exact.alpha_cutoff < 1e-11 && !exact.early_stop && !unstopped.early_stop);
         assert_eq!(default, Settings::default());
         assert_eq!(
-            KNOBS.map(|name| judge_of(KNOBS.iter().position(|k| *k == name).unwrap())),
+            KNOBS.map(|name| reference_of(KNOBS.iter().position(|k| *k == name).unwrap())),
             [0, 0, 1, 2, 2, 2, 2, 2, 0]
         );
     }

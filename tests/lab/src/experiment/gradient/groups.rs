@@ -1,4 +1,4 @@
-//! What groups are worth: estimates beside exact values, and states of colours without rendering.
+//! What groups are estimate: estimates beside exact values, and states of colours without rendering.
 
 use anyhow::Result;
 use codec_core::Gaussian;
@@ -123,9 +123,9 @@ pub(super) fn utilities(setup: &Setup, bench: &mut Bench, runs: usize) -> Result
                 let slope = workspace.presence(&case.groups, case.count)?;
                 // The loss is a mean, utilities are sums.
                 let values = picture.rgb().len() as f64;
-                let worth: Vec<f64> = slope.iter().map(|s| -s * values).collect();
+                let estimate: Vec<f64> = slope.iter().map(|s| -s * values).collect();
                 slope_off =
-                    compare(bench, &format!("groups.{}.{what}.derivative", case.name), &exact, &worth);
+                    compare(bench, &format!("groups.{}.{what}.derivative", case.name), &exact, &estimate);
             }
         }
         let time = |key: &str, times: &[f64], off: f64| {
@@ -188,7 +188,7 @@ pub(super) fn colour(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()
             states.push(|_| r.unit() < 0.5);
         }
         let mut renderer = Renderer::new();
-        let [mut build, mut alone, mut each, mut worth] = [const { Vec::new() }; 4];
+        let [mut build, mut alone, mut each, mut estimate] = [const { Vec::new() }; 4];
         let (mut form, mut sse, mut worst, mut worst_delta) = (None, Vec::new(), 0.0f64, 0.0f64);
         for run in 0..runs {
             ms(&mut build, || {
@@ -202,7 +202,7 @@ pub(super) fn colour(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()
             })?;
             let few = states.one(run);
             let mut found = None;
-            ms(&mut worth, || {
+            ms(&mut estimate, || {
                 found = Some(form.utilities(&few)?);
                 Ok(())
             })?;
@@ -238,7 +238,7 @@ pub(super) fn colour(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()
                 .runs(runs),
         );
         bench.push(
-            Figure::new(format!("{name}.all_utilities"), 1000.0 * median(&worth), "us")
+            Figure::new(format!("{name}.all_utilities"), 1000.0 * median(&estimate), "us")
                 .error(worst_delta, "of the largest, a group toggled and rendered")
                 .runs(runs),
         );
