@@ -72,6 +72,10 @@ pub struct SceneArgs {
     /// Most Gaussians to accept from one file.
     #[arg(long, default_value_t = 5_000_000)]
     pub max_gaussians: usize,
+    /// Which way is up: cameras placed around the scene stand upright by it, those that the encoder
+    /// chooses on too.
+    #[arg(long, value_enum, default_value_t = Up::Y)]
+    pub up: Up,
 }
 
 /// How to encode.
@@ -146,18 +150,22 @@ pub enum ProfileName {
 /// Where to look from.
 #[derive(Clone, Debug, Args)]
 pub struct ViewArgs {
-    /// Image width, 1 to 16384 pixels.
-    #[arg(long, default_value_t = 512, value_parser = whole(1..=MAX_SIDE, "pixels"))]
-    pub width: u32,
-    /// Image height, 1 to 16384 pixels.
-    #[arg(long, default_value_t = 512, value_parser = whole(1..=MAX_SIDE, "pixels"))]
-    pub height: u32,
+    /// Image width, 1 to 16384 pixels [default: 512, or what a file of cameras says].
+    #[arg(long, value_parser = whole(1..=MAX_SIDE, "pixels"))]
+    pub width: Option<u32>,
+    /// Image height, 1 to 16384 pixels [default: 512, or what a file of cameras says].
+    #[arg(long, value_parser = whole(1..=MAX_SIDE, "pixels"))]
+    pub height: Option<u32>,
     /// Background, 0 to 1 per channel: grey level or r,g,b.
     #[arg(long, default_value = "0", value_parser = background)]
     pub background: [f32; 3],
-    /// Which way is up.
-    #[arg(long, value_enum, default_value_t = Up::Y)]
-    pub up: Up,
+}
+
+impl ViewArgs {
+    /// Width and height, pixels, where nothing else says.
+    pub fn size(&self) -> (u32, u32) {
+        (self.width.unwrap_or(512), self.height.unwrap_or(512))
+    }
 }
 
 /// An axis that points up.
@@ -169,10 +177,25 @@ pub enum Up {
     Y,
     /// +z.
     Z,
+    /// −x.
+    MinusX,
     /// −y (COLMAP and 3DGS captures).
     MinusY,
     /// −z.
     MinusZ,
+}
+
+impl From<Up> for trainer_host::scene::Up {
+    fn from(up: Up) -> Self {
+        match up {
+            Up::X => Self::X,
+            Up::Y => Self::Y,
+            Up::Z => Self::Z,
+            Up::MinusX => Self::MinusX,
+            Up::MinusY => Self::MinusY,
+            Up::MinusZ => Self::MinusZ,
+        }
+    }
 }
 
 /// The link.
@@ -236,9 +259,9 @@ pub enum PolicyName {
 /// `dgs import`.
 #[derive(Debug, Args)]
 pub struct Import {
-    /// File or folder, or synth:KIND:GAUSSIANS:FRAMES (numbers optional; at least 1000 Gaussians), KIND
-    /// balls, figure, cloth or
-    /// births.
+    /// File or folder, or synth:KIND:GAUSSIANS:FRAMES (numbers optional), KIND balls, figure, cloth or
+    /// births,
+    /// GAUSSIANS at least 1000.
     pub input: String,
     /// How to read it.
     #[command(flatten)]
@@ -246,6 +269,9 @@ pub struct Import {
     /// Convert: a folder for a PLY sequence, NAME.ply or NAME.spz for the first frame.
     #[arg(long)]
     pub out: Option<PathBuf>,
+    /// Replace a folder of frames that is there already.
+    #[arg(long)]
+    pub overwrite: bool,
 }
 
 /// `dgs encode`.
@@ -282,19 +308,31 @@ pub struct Inspect {
 }
 
 /// `dgs decode`.
+///
+/// PLY and SPZ hold other values than a decoder gives: natural logs of scales (clamped to -20..10), logits
+/// of opacities (clamped to ±12) and quaternions normalised once more, so that PLY differs from the decoded
+/// values in the last bits, and SPZ by its own quantisation. Gaussians of which nothing has arrived are left
+/// out. What the decoder gives bit by bit is told by --digest.
 #[derive(Debug, Args)]
 pub struct Decode {
     /// A .dgs file.
     pub input: PathBuf,
     /// A folder for a PLY sequence, or NAME.spz / NAME.ply for one frame.
-    #[arg(short, long)]
-    pub out: PathBuf,
+    #[arg(short, long, required_unless_present = "digest")]
+    pub out: Option<PathBuf>,
     /// The frame for a single file.
     #[arg(long, default_value_t = 0)]
     pub frame: u32,
     /// Highest level to use, 0 to 3.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
     pub level: u8,
+    /// Replace a folder of frames that is there already.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Print the digest of all decoded frames: 64-bit FNV-1a over the little-endian 32-bit floats of every
+    /// Gaussian (position, scale, quaternion wxyz, opacity, sh0), then the higher bands, frame after frame.
+    #[arg(long)]
+    pub digest: bool,
 }
 
 /// `dgs render`.
@@ -302,18 +340,27 @@ pub struct Decode {
 pub struct Render {
     /// A .dgs file or a scene.
     pub input: String,
-    /// NAME.png for one frame, or a folder for all.
+    /// NAME.png for one image, or a folder: of all frames from one camera, or with --cameras of one image
+    /// per camera.
     #[arg(short, long)]
     pub out: PathBuf,
-    /// The frame for a single image.
-    #[arg(long, default_value_t = 0)]
-    pub frame: u32,
+    /// The frame of a single image [default: 0, or the time of a camera that has one].
+    #[arg(long)]
+    pub frame: Option<u32>,
     /// Highest level to use of a stream, 0 to 3.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
     pub level: u8,
-    /// Which camera of the ring around the scene, or of the scene's own cameras.
-    #[arg(long, default_value_t = 0)]
-    pub camera: usize,
+    /// Cameras to look from: a Blender/NeRF transforms_*.json (times 0 to 1 choose frames), or COLMAP's
+    /// cameras and images (.bin or .txt): either file, or the folder with both. Lenses must be undistorted.
+    #[arg(long, value_name = "FILE")]
+    pub cameras: Option<PathBuf>,
+    /// Which camera: its number from 0, or its name in the file of --cameras [default: 0, or all of
+    /// --cameras].
+    #[arg(long, value_name = "NUMBER|NAME")]
+    pub camera: Option<String>,
+    /// Replace a folder of images that is there already.
+    #[arg(long)]
+    pub overwrite: bool,
     /// Mip-Splatting-style opacity compensation.
     #[arg(long)]
     pub antialiased: bool,

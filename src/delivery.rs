@@ -1,12 +1,13 @@
 //! Where bytes meet time: a stream as a packet graph, and the real receiver as an endpoint.
 
 use codec_core::{
-    ErrorKind,
+    Caps, ErrorKind,
     ids::{EpochId, Group, Level, PacketId, Span},
     layout::Shape,
-    receiver::{self, Content, Receiver},
+    receiver::{Content, for_each_cell},
     wire::manifest::{Manifest, Profile},
 };
+use dgs_player::{Player, Waiting};
 use emulator_host::{
     Endpoint, GroupIndex, Nanos, PacketGraph, PacketIndex, Snapshot,
     graph::{self, GraphError, GraphParts, RepairSet},
@@ -155,7 +156,7 @@ fn coverage(manifest: &Manifest<'_>, span: Span) -> (u32, u32) {
 fn first_blocks(manifest: &Manifest<'_>) -> Vec<usize> {
     let mut first = Vec::with_capacity(manifest.cells());
     let mut next = 0;
-    receiver::for_each_cell(manifest, |_, _, shape| {
+    for_each_cell(manifest, |_, _, shape| {
         first.push(next);
         next += shape.blocks();
     });
@@ -173,8 +174,11 @@ pub struct ShownState {
 
 /// The real no_std receiver behind the emulator's endpoint: every packet's bytes are parsed,
 /// checked and decoded.
-pub struct WireEndpoint<'e, 'm> {
-    receiver: Receiver<'m>,
+pub struct WireEndpoint<'e> {
+    /// Until the manifest is complete.
+    waiting: Option<Waiting>,
+    /// From then on.
+    player: Option<Player>,
     stream: &'e Stream,
     map: &'e PacketMap,
     graph: &'e PacketGraph,
@@ -185,17 +189,22 @@ pub struct WireEndpoint<'e, 'm> {
     pub shown: Vec<ShownState>,
 }
 
-impl<'e, 'm> WireEndpoint<'e, 'm> {
-    /// An endpoint whose receiver uses `memory`.
+impl<'e> WireEndpoint<'e> {
+    /// An endpoint that keeps up to `early_bytes` of media until the manifest is complete.
+    ///
+    /// # Errors
+    /// If there is no memory of that size.
     pub fn new(
-        memory: receiver::Memory<'m>,
+        early_bytes: usize,
         stream: &'e Stream,
         manifest: &Manifest<'_>,
         map: &'e PacketMap,
         graph: &'e PacketGraph,
-    ) -> Self {
-        Self {
-            receiver: codec_simd::receiver(memory),
+    ) -> codec_core::Result<Self> {
+        let early_bytes = u32::try_from(early_bytes).unwrap_or(u32::MAX);
+        Ok(Self {
+            waiting: Some(Waiting::new(Caps { early_bytes, ..Caps::HOST })?),
+            player: None,
             stream,
             map,
             graph,
@@ -203,16 +212,12 @@ impl<'e, 'm> WireEndpoint<'e, 'm> {
             first_blocks: first_blocks(manifest),
             buffered: Vec::new(),
             shown: Vec::new(),
-        }
-    }
-
-    /// What the receiver counted.
-    pub fn counters(&self) -> &receiver::Counters {
-        self.receiver.counters()
+        })
     }
 
     fn has(&self, packet: PacketIndex) -> bool {
-        PacketId::new(packet.0).is_some_and(|id| self.receiver.has(id))
+        let player = self.player.as_ref();
+        PacketId::new(packet.0).zip(player).is_some_and(|(id, player)| player.has(id))
     }
 
     /// Whether all blocks of `mark` are usable up to its level, and for motion coefficients the
@@ -247,39 +252,50 @@ impl<'e, 'm> WireEndpoint<'e, 'm> {
     }
 }
 
-impl Endpoint for WireEndpoint<'_, '_> {
+impl Endpoint for WireEndpoint<'_> {
     fn control(&mut self, _bytes: usize, complete: bool, recovered: &mut Vec<PacketIndex>) {
-        if complete && self.receiver.control(self.stream.message()).is_ok() {
-            let waiting = std::mem::take(&mut self.buffered);
-            // Everything known now that had not arrived by itself was recovered from parity.
-            for id in 0..self.stream.packets().len() as u32 {
-                let packet = PacketIndex(id);
-                if self.has(packet) && !waiting.contains(&packet) {
-                    recovered.push(packet);
+        let Some(waiting) = self.waiting.take_if(|_| complete) else { return };
+        match waiting.manifest(self.stream.message()) {
+            Err((waiting, _)) => self.waiting = Some(waiting),
+            Ok(player) => {
+                self.player = Some(player);
+                let kept = std::mem::take(&mut self.buffered);
+                // Everything known now that had not arrived by itself was recovered from parity.
+                for id in 0..self.stream.packets().len() as u32 {
+                    let packet = PacketIndex(id);
+                    if self.has(packet) && !kept.contains(&packet) {
+                        recovered.push(packet);
+                    }
                 }
             }
         }
     }
 
     fn media(&mut self, packet: PacketIndex, _now: Nanos, recovered: &mut Vec<PacketIndex>) -> Arrival {
-        match self.receiver.media(&self.stream.packets()[packet.at()]) {
-            Ok(receiver::Arrival::Buffered) if self.buffered.contains(&packet) => Arrival::Duplicate,
-            Ok(receiver::Arrival::Buffered) => {
+        let bytes = &self.stream.packets()[packet.at()];
+        if let Some(player) = &mut self.player {
+            return match player.push(bytes) {
+                Ok(accepted) => {
+                    recovered.extend(accepted.recovered.as_slice().iter().map(|id| PacketIndex(id.get())));
+                    Arrival::Fresh
+                }
+                Err(error) if error.kind == ErrorKind::Duplicate => Arrival::Duplicate,
+                Err(_) => Arrival::Refused,
+            };
+        }
+        match self.waiting.as_mut().map(|waiting| waiting.push(bytes)) {
+            Some(Ok(())) if self.buffered.contains(&packet) => Arrival::Duplicate,
+            Some(Ok(())) => {
                 self.buffered.push(packet);
                 Arrival::Buffered
             }
-            Ok(receiver::Arrival::Accepted { recovered: found, .. }) => {
-                recovered.extend(found.as_slice().iter().map(|id| PacketIndex(id.get())));
-                Arrival::Fresh
-            }
-            Err(error) if error.kind == ErrorKind::Duplicate => Arrival::Duplicate,
-            Err(_) => Arrival::Refused,
+            Some(Err(_)) | None => Arrival::Refused,
         }
     }
 
     fn snapshot(&mut self, frame: u32) -> &Snapshot {
         let mut snapshot = Snapshot::empty(self.graph);
-        if let Some(content) = self.receiver.content() {
+        if let Some(content) = self.player.as_ref().map(Player::content) {
             for (i, (group, symbols)) in self.map.groups().iter().enumerate() {
                 let mark = Mark { group: *group, first_block: 0, blocks: 0, symbols: *symbols };
                 let needs = &self.graph.groups()[i].needs;

@@ -12,6 +12,7 @@ pub mod args;
 pub mod command;
 pub mod delivery;
 pub mod figures;
+pub mod files;
 pub mod output;
 pub mod pipeline;
 pub mod progress;

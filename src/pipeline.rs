@@ -1,27 +1,33 @@
 //! Takes the walk step by step, as every verb and every experiment does.
 
+mod cache;
+mod cameras;
+mod frames;
 mod link;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use codec_core::{
-    closure::Arrived, gaussian::ShDegree, ids::Level, receiver::Content, wire::manifest::Profile,
-};
+use codec_core::wire::manifest::Profile;
 use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig};
 use render_host::{Camera, Settings};
 use trainer_host::{
-    Attributes, Epoch, Scene, Stream, Track,
+    Scene, Stream,
     encode::{self, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
-    stream::{HostMemory, PacketMap, Player},
+    stream::PacketMap,
     utility,
     viewpoint::{Framing, Ring},
 };
 
-pub use self::link::{Link, capacity_bins, link, read_trace};
+pub use self::{
+    cache::{stored_utilities, utilities, utility_path},
+    cameras::read_cameras,
+    frames::{Frames, snapshot},
+    link::{Link, capacity_bins, link, read_trace},
+};
 use crate::{
-    args::{CodecArgs, PolicyName, ProfileName, SceneArgs, Up, ViewArgs},
+    args::{CodecArgs, PolicyName, ProfileName, SceneArgs, ViewArgs},
     delivery::{self, ShownState, WireEndpoint},
     progress::Progress,
 };
@@ -52,7 +58,8 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
     if let Some(text) = input.strip_prefix("synth:") {
         let options = synth_options(text, args)?;
         let name = format!("synth {}", options.kind.name());
-        let scene = synth::make(&options, &limits).with_context(|| format!("cannot make {input}"))?;
+        let mut scene = synth::make(&options, &limits).with_context(|| format!("cannot make {input}"))?;
+        scene.up = args.up.into();
         return Ok(Loaded { name, scene });
     }
     let clip = match &args.clip {
@@ -75,7 +82,8 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
     if !path.exists() {
         bail!("{input}: no such file or folder (built-in scenes are named synth:figure and the like)");
     }
-    let scene = import::import(path, &options)?;
+    let mut scene = import::import(path, &options)?;
+    scene.up = args.up.into();
     let name = path.file_name().map_or_else(|| input.to_owned(), |n| n.to_string_lossy().into_owned());
     Ok(Loaded { name, scene })
 }
@@ -156,7 +164,7 @@ pub fn truncate(
 ) -> Result<(Stream, utility::Truncated)> {
     let (map, received) = (PacketMap::of(stream)?, stream.receive()?);
     let how = utility::Options::complete(scene)?;
-    let table = utilities(scene, &received.content(), &map, &how, None, quiet)?;
+    let table = utilities(scene, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
     let progress = Progress::new("encode", quiet.0);
     let report = |stage, share| progress.stage(stage, share);
     utility::truncate(scene, options, stream, &table, lambda, &report).context("cannot encode")
@@ -188,63 +196,9 @@ pub fn is_stream(input: &str) -> bool {
         .is_ok_and(|()| head == magic)
 }
 
-/// The scene that `content` decodes to, up to `level`: a stream as a source.
-///
-/// # Errors
-/// If a frame does not decode.
-pub fn decoded_scene(content: &Content<'_>, level: Level) -> Result<Scene> {
-    let manifest = &content.manifest;
-    let keep = (1u8 << (level.get() + 1)) - 1;
-    let state: Vec<u8> = content.blocks.iter().map(|m| Arrived(m & keep).0).collect();
-    let content = content.with_state(&state);
-    let mut player = Player::new(manifest);
-    let mut epochs = Vec::new();
-    for record in manifest.epochs() {
-        let (frames, n) = (record.frames as usize, record.gaussians as usize);
-        let mut positions = Vec::with_capacity(n * frames);
-        let mut rotations = Vec::with_capacity(n * frames);
-        let mut log_scales = Vec::with_capacity(n * frames);
-        let mut opacity_logits = Vec::with_capacity(n * frames);
-        let mut sh0 = Vec::with_capacity(n * frames);
-        let mut sh_rest = Vec::new();
-        let mut sh_degree = ShDegree::ZERO;
-        for frame in record.first_frame..record.first_frame + record.frames {
-            let shown = player.show(&content, frame)?;
-            for g in shown.gaussians {
-                positions.push(g.position);
-                rotations.push(g.rotation);
-                log_scales.push(g.scale.map(f32::ln));
-                opacity_logits.push((g.opacity / (1.0 - g.opacity).max(1e-9)).max(1e-9).ln());
-                sh0.push(g.sh0);
-            }
-            sh_rest = shown.sh_rest.to_vec();
-            sh_degree = shown.sh_degree;
-        }
-        epochs.push(Epoch::new(
-            frames,
-            Attributes {
-                positions: Track::PerFrame(positions),
-                rotations: Track::PerFrame(rotations),
-                log_scales: Track::PerFrame(log_scales),
-                opacity_logits: Track::PerFrame(opacity_logits),
-                sh0: Track::PerFrame(sh0),
-                sh_rest,
-                sh_degree,
-            },
-        )?);
-    }
-    Ok(Scene::new(epochs, manifest.frames_per_second())?)
-}
-
-/// The up axis as a vector.
-pub const fn up(axis: Up) -> [f64; 3] {
-    match axis {
-        Up::X => [1.0, 0.0, 0.0],
-        Up::Y => [0.0, 1.0, 0.0],
-        Up::Z => [0.0, 0.0, 1.0],
-        Up::MinusY => [0.0, -1.0, 0.0],
-        Up::MinusZ => [0.0, 0.0, -1.0],
-    }
+/// Render settings as typed.
+pub fn settings(args: &ViewArgs) -> Settings {
+    Settings { background: args.background, ..Settings::default() }
 }
 
 /// Render settings and a ring of `count` cameras as typed.
@@ -252,43 +206,9 @@ pub const fn up(axis: Up) -> [f64; 3] {
 /// # Errors
 /// An image size the camera refuses.
 pub fn view(scene: &Scene, args: &ViewArgs, ring: Ring, count: usize) -> Result<(Vec<Camera>, Settings)> {
-    let framing = Framing::of(scene, up(args.up));
-    let cameras = framing.ring(ring, count, (args.width, args.height)).context("--width, --height")?;
-    Ok((cameras, Settings { background: args.background, ..Settings::default() }))
-}
-
-/// Utilities of `stream` against `scene`, from `cache` if it holds them for this very stream.
-///
-/// # Errors
-/// If measuring fails; an unusable cache is measured anew.
-pub fn utilities(
-    scene: &Scene,
-    content: &Content<'_>,
-    map: &PacketMap,
-    options: &utility::Options,
-    cache: Option<&Path>,
-    quiet: Quiet,
-) -> Result<utility::Table> {
-    let crc = codec_core::wire::crc::crc32(content.manifest.raw());
-    if let Some(found) = cache.and_then(|path| std::fs::read(path).ok())
-        && let Ok(table) = serde_json::from_slice::<utility::Table>(&found)
-        && table.manifest_crc == crc
-        && table.groups.len() == map.groups().len()
-    {
-        return Ok(table);
-    }
-    let progress = Progress::new("measure utilities", quiet.0);
-    let table = utility::measure(scene, content, map, options, &|share| progress.at(share))?;
-    if let Some(path) = cache {
-        let text = serde_json::to_string(&table)?;
-        std::fs::write(path, text).with_context(|| format!("{}: cannot write", path.display()))?;
-    }
-    Ok(table)
-}
-
-/// Where the utilities of `stream` are cached.
-pub fn utility_path(stream: &Path) -> PathBuf {
-    stream.with_extension("utility.json")
+    let framing = Framing::of(scene);
+    let cameras = framing.ring(ring, count, args.size()).context("--width, --height")?;
+    Ok((cameras, settings(args)))
 }
 
 /// The scheduler as the emulator names it.
@@ -314,8 +234,8 @@ pub fn deliver(
 ) -> Result<(Report, Vec<ShownState>)> {
     let manifest = stream.manifest()?;
     let config = SessionConfig { policy, ..config.clone() };
-    let mut memory = HostMemory::new(&manifest, config.buffer_limit * codec_core::limits::MAX_PACKET_BYTES)?;
-    let mut endpoint = WireEndpoint::new(memory.memory(), stream, &manifest, map, graph);
+    let early_bytes = config.buffer_limit * codec_core::limits::MAX_PACKET_BYTES;
+    let mut endpoint = WireEndpoint::new(early_bytes, stream, &manifest, map, graph)?;
     let mut scheduler = policy.build(graph);
     let report = emulator_host::run(graph, &config, &mut *scheduler, &mut endpoint)?;
     let shown = std::mem::take(&mut endpoint.shown);

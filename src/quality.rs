@@ -145,7 +145,7 @@ mod tests {
             ..Default::default()
         };
         let scene = trainer_host::import::synth::make(&options, &Default::default()).unwrap();
-        let framing = trainer_host::viewpoint::Framing::of(&scene, [0.0, 1.0, 0.0]);
+        let framing = trainer_host::viewpoint::Framing::of(&scene);
         let camera = &framing.ring(trainer_host::viewpoint::Ring::HeldOut, 3, (64, 48)).unwrap()[0];
         let settings = Settings::default();
         let frames = [0, 1, 2, 3, 3, 7, 4, 5, 11, 10];

@@ -21,20 +21,21 @@ use std::{collections::BTreeSet, path::Path};
 use source::{Tree, outside_tests};
 
 /// Package, folder, and the workspace crates it must depend on: no more, no fewer.
-const ARROWS: [(&str, &str, &[&str]); 9] = [
+const ARROWS: [(&str, &str, &[&str]); 10] = [
     (
         "dgs-lab",
         "tests/lab/",
-        &["codec-core", "codec-simd", "dgs", "emulator-host", "render-host", "trainer-host"],
+        &["codec-core", "codec-simd", "dgs", "dgs-player", "emulator-host", "render-host", "trainer-host"],
     ),
-    ("dgs", "", &["codec-core", "codec-simd", "emulator-host", "render-host", "trainer-host"]),
-    ("trainer-host", "trainer-host/", &["codec-core", "codec-simd", "render-host"]),
+    ("dgs", "", &["codec-core", "codec-simd", "dgs-player", "emulator-host", "render-host", "trainer-host"]),
+    ("trainer-host", "trainer-host/", &["codec-core", "codec-simd", "dgs-player", "render-host"]),
     ("render-host", "render-host/", &["codec-core"]),
     ("emulator-host", "emulator-host/", &["codec-core"]),
-    ("fuzz", "fuzz/", &["codec-core", "emulator-host", "trainer-host"]),
+    ("fuzz", "fuzz/", &["codec-core", "dgs-player", "emulator-host", "trainer-host"]),
     ("codec-core", "codec-core/", &[]),
     ("codec-simd", "codec-core/simd/", &["codec-core"]),
     ("codec-capi", "codec-core/capi/", &["codec-core"]),
+    ("dgs-player", "codec-core/player/", &["codec-core", "codec-simd"]),
 ];
 
 /// Who may be used by whose tests beyond the arrows: the C program is linked with the C ABI.
@@ -62,8 +63,8 @@ const TOP: [(&str, bool); 17] = [
 ];
 
 /// Crates that must not ask a clock.
-const LIBRARIES: [&str; 5] =
-    ["codec-core", "codec-core/capi", "render-host", "trainer-host", "emulator-host"];
+const LIBRARIES: [&str; 6] =
+    ["codec-core", "codec-core/capi", "codec-core/player", "render-host", "trainer-host", "emulator-host"];
 
 /// Files that may hold `unsafe`. The kernels of codec-simd have a safe twin that they are tested
 /// against, other SIMD goes through a safe crate; driver facts, pointers of a C program,

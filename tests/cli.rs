@@ -49,7 +49,7 @@ fn the_walk_verb_by_verb() {
     assert!(json["parity_packets"].as_u64().unwrap() > 0);
 
     ok(at, &["decode", "a.dgs", "--out", "frames"]);
-    assert_eq!(std::fs::read_dir(at.join("frames")).unwrap().count(), 12);
+    assert_eq!(std::fs::read_dir(at.join("frames")).unwrap().count(), 13, "and their index");
     let text = ok(at, &["import", "frames", "--identity-stored"]);
     assert!(text.contains("1 epochs, 12 frames"), "{text}");
 
@@ -93,7 +93,7 @@ fn a_damaged_stream_is_used_as_far_as_it_goes() {
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{stderr}");
     assert!(stderr.contains("cut.dgs") && stderr.contains("packets are missing"), "{stderr}");
-    assert_eq!(std::fs::read_dir(at.join("frames")).unwrap().count(), 10);
+    assert_eq!(std::fs::read_dir(at.join("frames")).unwrap().count(), 11, "and their index");
 }
 
 #[test]

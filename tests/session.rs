@@ -10,11 +10,7 @@ use dgs::{
     pipeline::{self, Link, Quiet},
 };
 use emulator_host::{Endpoint, GraphReceiver, Nanos, PacketGraph, PacketIndex, PolicyKind};
-use trainer_host::{
-    Stream,
-    encode::Protection,
-    stream::{HostMemory, PacketMap},
-};
+use trainer_host::{Stream, encode::Protection, stream::PacketMap};
 
 /// What the demo would use for these flags.
 fn typed(flags: &[&str]) -> dgs::args::Demo {
@@ -51,8 +47,8 @@ fn the_real_receiver_agrees_with_the_naive_one() {
         let manifest = stream.manifest().unwrap();
         for seed in 0..4u64 {
             let packets = stream.packets().len();
-            let mut memory = HostMemory::new(&manifest, packets * (MAX_PACKET_BYTES + 2)).unwrap();
-            let mut real = WireEndpoint::new(memory.memory(), &stream, &manifest, &map, &graph);
+            let early_bytes = packets * (MAX_PACKET_BYTES + 2);
+            let mut real = WireEndpoint::new(early_bytes, &stream, &manifest, &map, &graph).unwrap();
             let mut naive = GraphReceiver::new(&graph, usize::MAX);
             let control_at = draw(seed, 1 << 40, packets) as u64;
             for step in 0..packets as u64 * 2 {
@@ -90,8 +86,7 @@ fn the_real_receiver_agrees_with_the_naive_one() {
 fn the_comparison_above_can_fail() {
     let (stream, map, graph, _) = walk(&[]);
     let manifest = stream.manifest().unwrap();
-    let mut memory = HostMemory::new(&manifest, 0).unwrap();
-    let mut real = WireEndpoint::new(memory.memory(), &stream, &manifest, &map, &graph);
+    let mut real = WireEndpoint::new(0, &stream, &manifest, &map, &graph).unwrap();
     let mut naive = GraphReceiver::new(&graph, usize::MAX);
     real.control(1, true, &mut Vec::new());
     naive.control(1, true, &mut Vec::new());

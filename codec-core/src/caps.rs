@@ -33,7 +33,7 @@ pub struct Caps {
     pub symbols: u32,
     /// Blocks of all cells, a byte each. `HOST`: 33,554,432; `SMALL`: 16,384.
     pub blocks: u32,
-    /// Packets of the stream, a bit each. `HOST`: 16,777,215; `SMALL`: 16,384.
+    /// Packets of the stream, a bit each. `HOST`: 1,048,576; `SMALL`: 16,384.
     pub packets: u32,
     /// Entropy tables, 8 KiB each (3 KiB in the compact form). `HOST`: 255; `SMALL`: 64.
     pub tables: u32,
@@ -44,9 +44,12 @@ pub struct Caps {
     pub parity_bytes: u32,
     /// Bytes of media kept until the manifest comes. `HOST`: 8,388,608; `SMALL`: 4,096.
     pub early_bytes: u32,
-    /// Values of one packet, and blocks that its extents span: what bounds the work on a packet,
-    /// refused or not. `HOST` and `SMALL`: [`limits::MAX_PACKET_VALUES`].
+    /// Values of one packet, which bound the work on it, refused or not. `HOST` and `SMALL`:
+    /// [`limits::MAX_PACKET_VALUES`].
     pub values_per_packet: u32,
+    /// Blocks that the extents of one packet span, likewise. `HOST` and `SMALL`:
+    /// [`limits::MAX_PACKET_BLOCKS`].
+    pub blocks_per_packet: u32,
 }
 
 impl Caps {
@@ -57,12 +60,13 @@ impl Caps {
         cells: 4 << 20,
         symbols: 320 << 20,
         blocks: 32 << 20,
-        packets: crate::ids::PacketId::MAX,
+        packets: 1 << 20,
         tables: limits::MAX_TABLES as u32,
         manifest_bytes: limits::MAX_MANIFEST_BYTES as u32,
         parity_bytes: 64 << 20,
         early_bytes: 8 << 20,
         values_per_packet: limits::MAX_PACKET_VALUES,
+        blocks_per_packet: limits::MAX_PACKET_BLOCKS,
     };
 
     /// For microcontrollers: under 1 MiB of receiver memory, all fields together.
@@ -78,6 +82,7 @@ impl Caps {
         parity_bytes: 64 << 10,
         early_bytes: 4096,
         values_per_packet: limits::MAX_PACKET_VALUES,
+        blocks_per_packet: limits::MAX_PACKET_BLOCKS,
     };
 
     /// Bytes of receiver memory that no stream within these caps exceeds.

@@ -8,9 +8,11 @@ pub const DEFAULT_PACKET_BYTES: usize = 1150;
 pub const MAX_PACKET_BYTES: usize = 1280;
 /// Most dependency words of a `paper` packet.
 pub const MAX_DEPENDENCIES: usize = 8;
-/// Most values of one packet, and most blocks that its extents span together: bounds the work on a
-/// packet, since tables exist whose values cost next to no bits.
-pub const MAX_PACKET_VALUES: u32 = 1 << 16;
+/// Most values of one packet: bounds the work on it, since tables exist whose values cost next to no
+/// bits. Any block fits, however many coefficients it has.
+pub const MAX_PACKET_VALUES: u32 = 1 << 18;
+/// Most blocks that the extents of one packet span together, with those that bring nothing.
+pub const MAX_PACKET_BLOCKS: u32 = 1 << 16;
 /// Most symbols of a stream.
 pub const MAX_SYMBOLS: u32 = 1 << 31;
 /// Most extents of blocks in one packet.

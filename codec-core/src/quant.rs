@@ -118,12 +118,13 @@ impl Quantiser {
     /// A quantiser of `step` at level 3.
     ///
     /// # Errors
-    /// A step that is not finite or out of range, or a ratio of 0.
+    /// A step that is not finite or out of range, in billionths; or a ratio of 0.
     pub fn new(step: f32, ratio: [u8; 3], predicted: bool) -> Result<Self> {
         let (low, high) = Self::STEP_RANGE;
         if !(step >= low && step <= high) {
-            let bits = |v: f32| u64::from(v.to_bits());
-            return Err(crate::Error::illegal("quantiser.step", 0, bits(step), (bits(low), bits(high))));
+            let billionths = |v: f32| (f64::from(v) * 1e9 + 0.5) as u64;
+            let allowed = (billionths(low), billionths(high));
+            return Err(crate::Error::illegal("quantiser.step", 0, billionths(step), allowed));
         }
         for (i, r) in ratio.into_iter().enumerate() {
             in_range("quantiser.ratio", 4 + i, r, 1, u8::MAX)?;
@@ -156,11 +157,6 @@ impl Quantiser {
             2 => self.ratio[1],
             _ => self.ratio[2],
         }
-    }
-
-    /// True if every ratio is odd, as `dgs1` demands: only then do cells nest exactly.
-    pub fn nests(&self) -> bool {
-        self.ratio.iter().all(|r| r % 2 == 1)
     }
 
     /// Step known at `level`.
@@ -211,7 +207,12 @@ impl Quantiser {
     pub fn to_bytes(&self) -> [u8; Self::BYTES] {
         let [a, b, c, d] = self.step.to_le_bytes();
         let [x, y, z] = self.ratio;
-        [a, b, c, d, x, y, z, u8::from(self.predicted) | u8::from(self.decorrelated) << 1]
+        [a, b, c, d, x, y, z, self.flags()]
+    }
+
+    /// The flag byte: bit 0 predicted, bit 1 decorrelated.
+    pub fn flags(&self) -> u8 {
+        u8::from(self.predicted) | u8::from(self.decorrelated) << 1
     }
 
     /// From the wire.

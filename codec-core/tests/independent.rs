@@ -228,7 +228,7 @@ fn every_golden_manifest_and_packet_is_read_and_written_again() {
             bodies += 1;
         }
         let session = session::Session::open(message).after(&packets);
-        assert!(session.content().symbols[..store.symbols.len()] == store.symbols, "{name}");
+        assert!(session.symbols[..store.symbols.len()] == store.symbols, "{name}");
     }
     // A lane that starts anew may fill up inside the tail and shorten it: rare, so it is counted.
     assert!(bodies > 200 && shortened > 0, "{bodies} bodies, {shortened} with a shortened tail");
@@ -374,7 +374,7 @@ fn every_set_of_the_golden_streams_gives_back_as_many_packets_as_it_has_parity()
                 let ids: Vec<usize> = (0..n).filter(|j| j % sets == set).map(|j| j + first).collect();
                 let parity = |i: usize| packets[first_parity + i * sets + set];
                 let drop = rows.min(ids.len());
-                let missing = |j: usize| j % 2 == 0 && j / 2 < drop;
+                let missing = |j: usize| j.is_multiple_of(2) && j / 2 < drop;
                 let member = |(j, &id): (usize, &usize)| (!missing(j)).then_some(packets[id]);
                 let members: Vec<Option<&[u8]>> = ids.iter().enumerate().map(member).collect();
                 let lost: Vec<&[u8]> =

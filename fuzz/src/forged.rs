@@ -4,12 +4,11 @@ use crate::{
     input::{Choices, edit},
     seal::with_crc,
     session::assert_frame_drawable,
-    streams::{memory, small},
+    streams::{player, small},
 };
 use codec_core::{
     limits::MAX_PACKET_BYTES,
     pack::packed_bound,
-    receiver::{Arrival, Receiver},
     wire::manifest::{self as dgsm, Manifest},
 };
 
@@ -30,44 +29,40 @@ pub fn forged(data: &[u8]) {
     let Ok(real) = stream.manifest() else { return };
     let raw = bent(real.raw(), edits, &mut choices);
     let Ok(manifest) = Manifest::parse(&raw) else { return };
-    let Some(mut memory) = memory(&manifest, 0) else { return };
     let mut message = vec![0u8; packed_bound(raw.len()) + 32];
     let sealed = dgsm::seal(&raw, &mut message);
     assert!(sealed.is_ok(), "{sealed:?}");
     let message = &message[..sealed.unwrap_or(0)];
-    {
-        let mut receiver = Receiver::new(memory.memory());
-        assert_eq!(receiver.control(message), Ok(()), "what parses and has memory is taken");
-        let mut offered = 0;
-        while !choices.is_empty() {
-            let (which, edits) = (choices.below(stream.packets().len()), choices.u8());
-            let packet = &stream.packets()[which];
-            let mut content = bent(&packet[..packet.len() - 4], usize::from(edits % 8), &mut choices);
-            content.truncate(MAX_PACKET_BYTES + 4);
-            let packet = with_crc(&content);
-            offered += 1;
-            let arrival = receiver.media(&packet);
-            assert_ne!(arrival, Ok(Arrival::Buffered), "nothing waits once there is a manifest");
-            match arrival {
-                Ok(_) => {
-                    assert!(receiver.media(&packet).is_err(), "a replay is refused");
-                    offered += 1;
-                }
-                Err(error) => assert!(error.to_string().contains(error.field)),
-            }
-        }
-        if flags & 2 != 0 {
-            for packet in stream.packets() {
+    // What parses and stays within the caps is taken.
+    let Some(mut player) = player(message) else { return };
+    let mut offered = 0;
+    while !choices.is_empty() {
+        let (which, edits) = (choices.below(stream.packets().len()), choices.u8());
+        let packet = &stream.packets()[which];
+        let mut content = bent(&packet[..packet.len() - 4], usize::from(edits % 8), &mut choices);
+        content.truncate(MAX_PACKET_BYTES + 4);
+        let packet = with_crc(&content);
+        offered += 1;
+        let arrival = player.push(&packet);
+        match arrival {
+            Ok(_) => {
+                assert!(player.push(&packet).is_err(), "a replay is refused");
                 offered += 1;
-                let _ = receiver.media(packet);
             }
+            Err(error) => assert!(error.to_string().contains(error.field)),
         }
-        let c = receiver.counters();
-        assert_eq!(c.media + c.parity + c.refused.iter().sum::<u32>(), offered, "{c:?}");
     }
+    if flags & 2 != 0 {
+        for packet in stream.packets() {
+            offered += 1;
+            let _ = player.push(packet);
+        }
+    }
+    let c = player.counters();
+    assert_eq!(c.media + c.parity + c.refused.iter().sum::<u32>(), offered, "{c:?}");
     let most = manifest.epochs().map(|e| e.gaussians).max().unwrap_or(0);
     if most <= 1 << 14 {
         let frame = u32::from(flags >> 2) % manifest.head().frames.max(1);
-        assert_frame_drawable(&memory.content(&manifest), frame);
+        assert_frame_drawable(&player.content(), frame);
     }
 }

@@ -105,9 +105,9 @@ mod tests {
             changed[at] ^= 0x10;
             let damaged = |bytes: &[u8]| Stream::from_bytes(bytes).map(|(_, damage)| damage);
             let before = damaged(&changed).unwrap_or_default();
-            assert!(!before.runs.is_empty() || before.index.is_some(), "{before:?}");
+            assert!(!before.ranges.is_empty() || before.index.is_some(), "{before:?}");
             let after = damaged(&dgs_file(&changed)).unwrap_or_default();
-            assert!(after.runs.is_empty(), "{after:?}");
+            assert!(after.ranges.is_empty(), "{after:?}");
             assert!(after.index.is_none_or(|e| e.field != "file.index_crc"), "{after:?}");
         }
     }

@@ -4,18 +4,19 @@
 use std::sync::OnceLock;
 
 use codec_core::{
-    Gaussian,
+    Caps, ErrorKind, Gaussian, Result,
     closure::{Arrived, naive_usable},
     ids::{Level, PacketId, Span},
-    receiver::{Arrival, Content, Receiver, for_each_cell},
+    player::Counters,
+    receiver::{Content, Requirements, for_each_cell},
     wire::manifest::{Manifest, Profile},
 };
-use trainer_host::stream::{HostMemory, Player};
+use dgs_player::{FrameDecoder, Player, Waiting};
 
 use crate::{
     input::{Choices, Noise, edit},
     seal::with_crc,
-    streams::{cuts, fixture, memory, small},
+    streams::{CAPS, cuts, fixture, player, small},
 };
 
 /// However a scene is cut into packets, equal states show the same. Input: flags, frame, then per
@@ -26,20 +27,16 @@ pub fn sliced(data: &[u8]) {
     let [small, large] = cuts() else { return };
     let ((stream, _), (other_stream, other)) = if flags & 1 == 0 { (small, large) } else { (large, small) };
     let (Ok(manifest), Ok(other_manifest)) = (stream.manifest(), other_stream.manifest()) else { return };
-    let Some(mut memory) = memory(&manifest, 0) else { return };
-    {
-        let mut receiver = Receiver::new(memory.memory());
-        assert_eq!(receiver.control(stream.message()), Ok(()));
-        while !choices.is_empty() {
-            let which = choices.below(stream.packets().len());
-            let _ = receiver.media(&stream.packets()[which]);
-        }
+    let Some(mut player) = player(stream.message()) else { return };
+    while !choices.is_empty() {
+        let which = choices.below(stream.packets().len());
+        let _ = player.push(&stream.packets()[which]);
     }
-    let (part, whole) = (memory.content(&manifest), other.content(&other_manifest));
+    let (part, whole) = (player.content(), other.content());
     assert_eq!(part.blocks.len(), whole.blocks.len(), "one lattice");
     let frame = frame % manifest.head().frames;
-    let shown = Player::new(&manifest).instant(&part, frame);
-    let same = Player::new(&other_manifest).instant(&whole.with_state(part.blocks), frame);
+    let shown = instant(&mut FrameDecoder::new(&manifest), &part, frame);
+    let same = instant(&mut FrameDecoder::new(&other_manifest), &whole.with_state(part.blocks), frame);
     assert_eq!(shown, same);
 }
 
@@ -56,12 +53,21 @@ fn assert_drawable(gaussians: &[Gaussian], sh_rest: &[f32]) {
     assert!(sh_rest.iter().all(|v| v.is_finite()));
 }
 
+/// Gaussians and higher bands of a frame of `content`.
+fn instant(
+    decoder: &mut FrameDecoder,
+    content: &Content<'_>,
+    frame: u32,
+) -> Result<(Vec<Gaussian>, Vec<f32>)> {
+    let shown = decoder.frame(content, frame)?;
+    Ok((shown.gaussians.to_vec(), shown.sh_rest.to_vec()))
+}
+
 pub(crate) fn assert_frame_drawable(content: &Content<'_>, frame: u32) {
-    let mut player = Player::new(&content.manifest);
-    let instant = player.instant(content, frame);
+    let instant = instant(&mut FrameDecoder::new(&content.manifest), content, frame);
     assert!(instant.is_ok(), "{instant:?}");
-    if let Ok(instant) = instant {
-        assert_drawable(&instant.gaussians, &instant.sh_rest);
+    if let Ok((gaussians, sh_rest)) = instant {
+        assert_drawable(&gaussians, &sh_rest);
     }
 }
 
@@ -81,36 +87,26 @@ pub fn slices(data: &[u8]) {
         with_crc(choices.rest())
     };
     let Ok(manifest) = stream.manifest() else { return };
-    let Some(mut memory) = memory(&manifest, 0) else { return };
-    {
-        let mut receiver = Receiver::new(memory.memory());
-        assert_eq!(receiver.control(stream.message()), Ok(()));
-        let before = receiver.content().map(|c| c.blocks.to_vec());
-        let mut buffered = false;
-        match receiver.media(&forged) {
-            Ok(Arrival::Accepted { id, .. }) => {
-                assert!(receiver.has(id));
-                assert!(receiver.media(&forged).is_err(), "a replay is refused");
-            }
-            Ok(Arrival::Buffered) => buffered = true,
-            Err(error) => {
-                assert!(!error.to_string().is_empty());
-                assert_eq!(
-                    receiver.content().map(|c| c.blocks.to_vec()),
-                    before,
-                    "a refusal changes nothing"
-                );
-            }
+    let Some(mut player) = player(stream.message()) else { return };
+    let before = player.content().blocks.to_vec();
+    match player.push(&forged) {
+        Ok(accepted) => {
+            assert!(player.has(accepted.id));
+            assert!(player.push(&forged).is_err(), "a replay is refused");
         }
-        if flags & 4 != 0 {
-            for packet in packets {
-                let _ = receiver.media(packet);
-            }
+        Err(error) => {
+            assert!(!error.to_string().is_empty());
+            assert_eq!(player.content().blocks, before, "a refusal changes nothing");
         }
-        assert!(!buffered && receiver.counters().early == 0, "nothing waits once there is a manifest");
     }
+    if flags & 4 != 0 {
+        for packet in packets {
+            let _ = player.push(packet);
+        }
+    }
+    assert_eq!(player.counters().early, 0, "nothing waits once there is a manifest");
     let frame = u32::from(flags >> 3) % manifest.head().frames;
-    assert_frame_drawable(&memory.content(&manifest), frame);
+    assert_frame_drawable(&player.content(), frame);
 }
 
 /// Any symbols, any state, almost any manifest. Input: flags, seed, then edits of a real unpacked
@@ -127,13 +123,15 @@ pub fn decode(data: &[u8]) {
         choices.rest().to_vec()
     };
     let Ok(manifest) = Manifest::parse(&raw) else { return };
-    let Some(memory) = memory(&manifest, 0) else { return };
+    let need = match Requirements::of(&manifest, &CAPS) {
+        Ok(need) => need,
+        Err(error) => return assert_eq!(error.kind, ErrorKind::Capacity, "{error}"),
+    };
     let mut noise = Noise(seed.into());
-    let empty = memory.content(&manifest);
     // Magnitudes from all-small to all-extreme.
     let shift = noise.next() % 16;
-    let symbols: Vec<i16> = empty.symbols.iter().map(|_| (noise.next() as i16) >> shift).collect();
-    let state: Vec<u8> = empty.blocks.iter().map(|_| noise.next() as u8).collect();
+    let symbols: Vec<i16> = (0..need.symbols).map(|_| (noise.next() as i16) >> shift).collect();
+    let state: Vec<u8> = (0..need.blocks).map(|_| noise.next() as u8).collect();
     let mut cells = Vec::new();
     let mut next = codec_core::receiver::Cell::default();
     for_each_cell(&manifest, |_, _, shape| {
@@ -152,21 +150,9 @@ pub fn decode(data: &[u8]) {
 
 /// States of a real stream. Input: flags, frame, then masks, repeated over the blocks.
 pub fn closure(data: &[u8]) {
-    static RECEIVED: OnceLock<Vec<HostMemory>> = OnceLock::new();
-    let received = RECEIVED.get_or_init(|| {
-        let full = |paper| {
-            let stream = small(paper);
-            let manifest = stream.manifest().ok()?;
-            let mut memory = memory(&manifest, 0)?;
-            let mut receiver = Receiver::new(memory.memory());
-            receiver.control(stream.message()).ok()?;
-            stream.packets().iter().for_each(|p| {
-                let _ = receiver.media(p);
-            });
-            Some(memory)
-        };
-        [false, true].into_iter().filter_map(full).collect()
-    });
+    static RECEIVED: OnceLock<Vec<Player>> = OnceLock::new();
+    let received = RECEIVED
+        .get_or_init(|| [false, true].into_iter().filter_map(|paper| small(paper).receive().ok()).collect());
     let mut choices = Choices::new(data);
     let (flags, frame) = (choices.u8(), u32::from(choices.u8()));
     let paper = flags & 1 != 0;
@@ -181,7 +167,7 @@ pub fn closure(data: &[u8]) {
         }
     }
     let Ok(manifest) = small(paper).manifest() else { return };
-    let content = received[usize::from(paper)].content(&manifest);
+    let content = received[usize::from(paper)].content();
     if masks.is_empty() {
         return;
     }
@@ -189,16 +175,60 @@ pub fn closure(data: &[u8]) {
     // What is not usable must not matter.
     let usable: Vec<u8> = state.iter().map(|&m| (1u8 << Arrived(m).usable()) - 1).collect();
     let frame = frame % manifest.head().frames;
-    let mut player = Player::new(&manifest);
-    let shown = player.instant(&content.with_state(&state), frame);
-    let same = Player::new(&manifest).instant(&content.with_state(&usable), frame);
+    let mut decoder = FrameDecoder::new(&manifest);
+    let shown = instant(&mut decoder, &content.with_state(&state), frame);
+    let same = instant(&mut FrameDecoder::new(&manifest), &content.with_state(&usable), frame);
     assert_eq!(shown, same, "levels above a gap are not seen");
-    if let Ok(instant) = shown {
-        assert_drawable(&instant.gaussians, &instant.sh_rest);
+    if let Ok((gaussians, sh_rest)) = shown {
+        assert_drawable(&gaussians, &sh_rest);
     }
-    // A player that saw another state before shows the same.
-    let _ = player.instant(&content, frame);
-    assert_eq!(player.instant(&content.with_state(&usable), frame), same);
+    // A decoder that saw another state before shows the same.
+    let _ = decoder.frame(&content, frame);
+    assert_eq!(instant(&mut decoder, &content.with_state(&usable), frame), same);
+}
+
+/// A player before and after its manifest, and what it was given.
+struct Session {
+    waiting: Option<Waiting>,
+    player: Option<Player>,
+    offered: u32,
+    kept: Vec<Vec<u8>>,
+    accepted: Vec<Vec<u8>>,
+}
+
+impl Session {
+    fn new(early_bytes: u32) -> Result<Self> {
+        let waiting = Some(Waiting::new(Caps { early_bytes, ..CAPS })?);
+        Ok(Self { waiting, player: None, offered: 0, kept: Vec::new(), accepted: Vec::new() })
+    }
+
+    /// Whether `message` turns a waiting player into one that plays.
+    fn manifest(&mut self, message: &[u8]) -> bool {
+        let Some(waiting) = self.waiting.take() else { return false };
+        match waiting.manifest(message) {
+            Ok(player) => {
+                self.player = Some(player);
+                self.accepted.append(&mut self.kept);
+                true
+            }
+            Err((waiting, error)) => {
+                assert!(!error.to_string().is_empty());
+                self.waiting = Some(waiting);
+                false
+            }
+        }
+    }
+
+    fn offer(&mut self, packet: &[u8]) {
+        self.offered += 1;
+        let error = if let Some(player) = &mut self.player {
+            player.push(packet).map(|_| self.accepted.push(packet.to_vec())).err()
+        } else {
+            let waiting = self.waiting.as_mut().map(|waiting| waiting.push(packet));
+            waiting.and_then(|kept| kept.map(|()| self.kept.push(packet.to_vec())).err())
+        };
+        assert!(error.is_none_or(|error| !error.to_string().is_empty()));
+    }
 }
 
 /// A session as a list of operations. Input: flags, then four bytes per operation: what, which
@@ -209,106 +239,78 @@ pub fn receiver(data: &[u8]) {
     let stream = fixture(flags & 1 != 0);
     let Ok(manifest) = stream.manifest() else { return };
     let packets = stream.packets();
-    let early = if flags & 2 != 0 { 4000 } else { 0 };
-    let Some(mut first) = memory(&manifest, early) else { return };
-    let mut accepted: Vec<Vec<u8>> = Vec::new();
+    let Ok(mut session) = Session::new(if flags & 2 != 0 { 4000 } else { 0 }) else { return };
     let mut forged = false;
-    {
-        let mut receiver = Receiver::new(first.memory());
-        let (mut offered, mut waiting) = (0u32, Vec::new());
-        let mut is_open = false;
-        if flags & 4 != 0 {
-            assert_eq!(receiver.control(stream.message()), Ok(()));
-            is_open = true;
-        }
-        while !choices.is_empty() {
-            let (op, which, how) = (choices.u8(), choices.below(packets.len()), choices.u8());
-            let mut packet = packets[which].clone();
-            match op % 16 {
-                0..=8 => {}
-                9 => {
-                    let at = usize::from(how) * 5 % packet.len();
-                    packet[at] ^= 1 << (how % 8);
-                }
-                10 => packet.truncate(packet.len() * usize::from(how) / 256),
-                11 => packet.extend_from_slice(&[how; 9]),
-                12 => packet = vec![how; usize::from(how) * 6],
-                13 if flags & 8 != 0 => {
-                    forged = true;
-                    let mut content = packet[..packet.len() - 4].to_vec();
-                    let at = usize::from(how) * 3 % content.len();
-                    content[at] ^= 1 << (op >> 5);
-                    packet = with_crc(&content);
-                }
-                14 => {
-                    let mut message = stream.message().to_vec();
-                    if how & 1 == 0 {
-                        let at = usize::from(how) * 7 % message.len();
-                        message[at] ^= 0x55;
-                        assert!(receiver.control(&message).is_err());
-                    } else {
-                        assert_eq!(receiver.control(&message).is_ok(), !is_open);
-                        is_open = true;
-                        accepted.append(&mut waiting);
-                    }
-                    continue;
-                }
-                _ => {
-                    // A run of the stream in order.
-                    for packet in packets.iter().skip(which).take(usize::from(how) % 40) {
-                        offered += 1;
-                        note(receiver.media(packet), packet, &mut accepted, &mut waiting);
-                    }
-                    continue;
-                }
-            }
-            offered += 1;
-            note(receiver.media(&packet), &packet, &mut accepted, &mut waiting);
-        }
-        if !is_open {
-            assert_eq!(receiver.control(stream.message()), Ok(()));
-            accepted.append(&mut waiting);
-        }
-        let c = receiver.counters();
-        let refused: u32 = c.refused.iter().sum();
-        // What was buffered is counted when it comes and again when it is taken.
-        assert_eq!(c.media + c.parity + refused, offered, "{c:?}");
-        assert!(c.recovered <= c.parity, "each parity packet gives back at most one");
+    if flags & 4 != 0 {
+        assert!(session.manifest(stream.message()));
     }
+    while !choices.is_empty() {
+        let (op, which, how) = (choices.u8(), choices.below(packets.len()), choices.u8());
+        let mut packet = packets[which].clone();
+        match op % 16 {
+            0..=8 => {}
+            9 => {
+                let at = usize::from(how) * 5 % packet.len();
+                packet[at] ^= 1 << (how % 8);
+            }
+            10 => packet.truncate(packet.len() * usize::from(how) / 256),
+            11 => packet.extend_from_slice(&[how; 9]),
+            12 => packet = vec![how; usize::from(how) * 6],
+            13 if flags & 8 != 0 => {
+                forged = true;
+                let mut content = packet[..packet.len() - 4].to_vec();
+                let at = usize::from(how) * 3 % content.len();
+                content[at] ^= 1 << (op >> 5);
+                packet = with_crc(&content);
+            }
+            14 => {
+                let mut message = stream.message().to_vec();
+                if how & 1 == 0 {
+                    let at = usize::from(how) * 7 % message.len();
+                    message[at] ^= 0x55;
+                    assert!(!session.manifest(&message));
+                } else {
+                    let waits = session.waiting.is_some();
+                    assert_eq!(session.manifest(&message), waits);
+                }
+                continue;
+            }
+            _ => {
+                // Some of the stream's packets in order.
+                for packet in packets.iter().skip(which).take(usize::from(how) % 40) {
+                    session.offer(packet);
+                }
+                continue;
+            }
+        }
+        session.offer(&packet);
+    }
+    if session.waiting.is_some() {
+        assert!(session.manifest(stream.message()));
+    }
+    let Session { player: Some(first), offered, mut accepted, .. } = session else { return };
+    let c: &Counters = first.counters();
+    let refused: u32 = c.refused.iter().sum();
+    // What was kept is counted when it comes and again when it is taken.
+    assert_eq!(c.media + c.parity + refused, offered, "{c:?}");
+    assert!(c.recovered <= c.parity, "each parity packet gives back at most one");
     let frame = u32::from(flags >> 4) % manifest.head().frames;
-    assert_frame_drawable(&first.content(&manifest), frame);
+    assert_frame_drawable(&first.content(), frame);
     if forged {
         return;
     }
-    let Some(mut second) = memory(&manifest, 0) else { return };
-    {
-        let mut receiver = Receiver::new(second.memory());
-        assert_eq!(receiver.control(stream.message()), Ok(()));
-        let mut noise = Noise(data.len() as u64);
-        for i in (1..accepted.len()).rev() {
-            accepted.swap(i, (noise.next() % (i as u64 + 1)) as usize);
-        }
-        for packet in &accepted {
-            let _ = receiver.media(packet);
-        }
-        for (id, _) in packets.iter().enumerate().filter(|(_, p)| accepted.contains(p)) {
-            assert!(PacketId::new(id as u32).is_some_and(|id| receiver.has(id)));
-        }
+    let Some(mut second) = player(stream.message()) else { return };
+    let mut noise = Noise(data.len() as u64);
+    for i in (1..accepted.len()).rev() {
+        accepted.swap(i, (noise.next() % (i as u64 + 1)) as usize);
     }
-    assert_same(&first.content(&manifest), &second.content(&manifest));
-}
-
-fn note(
-    result: codec_core::Result<Arrival>,
-    packet: &[u8],
-    accepted: &mut Vec<Vec<u8>>,
-    waiting: &mut Vec<Vec<u8>>,
-) {
-    match result {
-        Ok(Arrival::Accepted { .. }) => accepted.push(packet.to_vec()),
-        Ok(Arrival::Buffered) => waiting.push(packet.to_vec()),
-        Err(error) => assert!(!error.to_string().is_empty()),
+    for packet in &accepted {
+        let _ = second.push(packet);
     }
+    for (id, _) in packets.iter().enumerate().filter(|(_, p)| accepted.contains(p)) {
+        assert!(PacketId::new(id as u32).is_some_and(|id| second.has(id)));
+    }
+    assert_same(&first.content(), &second.content());
 }
 
 /// Equal states, and equal symbols wherever they count.

@@ -2,11 +2,8 @@
 
 use std::sync::OnceLock;
 
-use codec_core::{
-    Caps,
-    receiver::{Receiver, Requirements},
-    wire::manifest::Manifest,
-};
+use codec_core::{Caps, ErrorKind};
+use dgs_player::Player;
 use trainer_host::{
     encode::{Options, Protection, Strength, encode},
     import::{
@@ -14,7 +11,7 @@ use trainer_host::{
         synth::{self, Kind},
     },
     scene::{Attributes, Epoch, Scene, Track},
-    stream::{HostMemory, Stream},
+    stream::Stream,
 };
 
 /// A scene with two epochs, several windows, tracks and coefficients.
@@ -52,19 +49,14 @@ pub fn fixture(paper: bool) -> &'static Stream {
 }
 
 /// A few Gaussians cut into small and into large packets, received whole. Encoded once.
-pub fn cuts() -> &'static [(Stream, HostMemory)] {
-    static CUTS: OnceLock<Vec<(Stream, HostMemory)>> = OnceLock::new();
+pub fn cuts() -> &'static [(Stream, Player)] {
+    static CUTS: OnceLock<Vec<(Stream, Player)>> = OnceLock::new();
     CUTS.get_or_init(|| {
         let encoded = |scene: Scene| [200, 1150].map(|bytes| encode(&scene, &dgs1(bytes), &|_, _| {}));
         let streams = few().into_iter().flat_map(encoded).flatten();
         let received = |stream: Stream| {
-            let mut memory = memory(&stream.manifest().ok()?, 0)?;
-            let mut receiver = Receiver::new(memory.memory());
-            receiver.control(stream.message()).ok()?;
-            stream.packets().iter().for_each(|p| {
-                let _ = receiver.media(p);
-            });
-            Some((stream, memory))
+            let player = stream.receive().ok()?;
+            Some((stream, player))
         };
         streams.filter_map(received).collect()
     })
@@ -116,12 +108,18 @@ fn thin<T: Copy + PartialEq>(track: &Track<T>, n: usize, frames: usize) -> Track
     Track::PerFrame((0..frames).flat_map(frame).collect())
 }
 
-/// Largest stream that a body decodes, in symbols; what is larger costs time and teaches nothing.
-const MOST_SYMBOLS: usize = 1 << 20;
+/// Largest stream that a body decodes; what is larger costs time and teaches nothing more.
+pub const CAPS: Caps =
+    Caps { symbols: 1 << 20, blocks: 1 << 20, parity_bytes: 16 << 20, early_bytes: 0, ..Caps::HOST };
 
-/// Memory for a receiver of `manifest`, if that is not too much for a fuzzer.
-pub fn memory(manifest: &Manifest<'_>, early: usize) -> Option<HostMemory> {
-    let need = Requirements::of(manifest, &Caps::HOST).ok()?;
-    let small = need.symbols <= MOST_SYMBOLS && need.blocks <= MOST_SYMBOLS && need.parity <= 16 << 20;
-    if !small { None } else { HostMemory::new(manifest, early).ok() }
+/// A player of the stream of `message`, whose manifest parses; `None` if a cap refuses it, and nothing
+/// else may.
+pub fn player(message: &[u8]) -> Option<Player> {
+    match Player::new(message, &CAPS) {
+        Ok(player) => Some(player),
+        Err(error) => {
+            assert_eq!(error.kind, ErrorKind::Capacity, "{error}");
+            None
+        }
+    }
 }

@@ -1,19 +1,26 @@
-//! `dgs decode`: a `.dgs` file back to frames.
+//! Decodes a `.dgs` file to frames that other programs read, or to the digest of what it holds.
 
 use anyhow::Result;
-use codec_core::{ErrorKind, ids::Level};
+use codec_core::{ErrorKind, digest::Digest, ids::Level};
 use serde_json::json;
+use trainer_host::scene::Up;
 
-use super::import::write;
-use crate::{args::Decode, output::VerbOutput, pipeline};
+use super::import::{check, write};
+use crate::{
+    args::Decode,
+    output::VerbOutput,
+    pipeline::{self, Frames},
+};
 
 /// Runs the verb.
 pub fn run(args: &Decode) -> Result<VerbOutput> {
+    if let Some(out) = &args.out {
+        check(out, args.overwrite)?;
+    }
     let mut warnings = Vec::new();
     let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
     let received = stream.receive()?;
-    let scene = pipeline::decoded_scene(&received.content(), Level::from_bits(args.level))?;
-    let counters = received.counters();
+    let counters = *received.counters();
     for kind in [ErrorKind::Checksum, ErrorKind::Illegal, ErrorKind::Contradiction, ErrorKind::Short] {
         let refused = counters.refused[kind.index()];
         if refused > 0 {
@@ -26,11 +33,66 @@ pub fn run(args: &Decode) -> Result<VerbOutput> {
         counters.media,
         counters.recovered
     );
-    text += &write(&scene, &args.out, args.frame as usize)?;
-    let json = json!({
+    let mut frames = Frames::of_stream(received, Level::from_bits(args.level), Up::default());
+    let mut json = json!({
         "file": args.input, "out": args.out, "packets": counters.media,
-        "recovered": counters.recovered, "frames": scene.frames(), "warnings": warnings,
+        "recovered": counters.recovered, "frames": frames.count(),
     });
+    if args.digest {
+        let digest = format!("{:016x}", digest(&mut frames)?);
+        text += &format!("digest {digest}\n");
+        json["digest"] = json!(digest);
+    }
+    if let Some(out) = &args.out {
+        let mut absent = AbsentGaussians::default();
+        text += &write(out, args.overwrite, args.frame, frames.count(), |frame| {
+            let instant = frames.instant(frame)?;
+            let (epoch, missing) = pipeline::snapshot(&instant)?;
+            absent.add(missing, instant.gaussians.len());
+            Ok((epoch, 0))
+        })?;
+        warnings.extend(absent.warning());
+    }
+    json["warnings"] = json!(warnings);
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// The digest of all frames, as conformance is told by.
+fn digest(frames: &mut Frames) -> Result<u64> {
+    let mut digest = Digest::new();
+    for frame in 0..frames.count() {
+        let instant = frames.instant(frame)?;
+        digest = digest.frame(&instant.gaussians, &instant.sh_rest);
+    }
+    Ok(digest.get())
+}
+
+/// Gaussians that have not arrived and are not written.
+#[derive(Default)]
+struct AbsentGaussians {
+    /// Frames that lack some.
+    frames: usize,
+    /// The frame that lacks most: how many of how many.
+    most: (usize, usize),
+}
+
+impl AbsentGaussians {
+    fn add(&mut self, missing: usize, of: usize) {
+        self.frames += usize::from(missing > 0);
+        if missing > self.most.0 {
+            self.most = (missing, of);
+        }
+    }
+
+    fn warning(&self) -> Option<String> {
+        let (missing, of) = self.most;
+        (missing > 0).then(|| {
+            format!(
+                "Gaussians of which nothing has arrived are left out of {} frames, up to {missing} of {of}: \
+                 rows of different frames need not be the same Gaussians",
+                self.frames
+            )
+        })
+    }
 }

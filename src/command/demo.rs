@@ -16,6 +16,7 @@ use trainer_host::{
 use crate::{
     args::Demo,
     figures::{Machine, mean},
+    files,
     output::VerbOutput,
     pipeline::{self, Loaded, Quiet},
     progress::Progress,
@@ -28,6 +29,8 @@ const DEFAULT_SCENE: &str = "synth:figure:8000:60";
 /// The paper's order of schedulers.
 const POLICIES: [PolicyKind; 4] =
     [PolicyKind::Layered, PolicyKind::Dash, PolicyKind::Dependency, PolicyKind::DeadlineUtility];
+/// Where utilities are kept, in the folder of the report.
+const UTILITIES: &str = "utility.json";
 /// Frames shown in strips.
 const STRIPS: usize = 4;
 /// Error maps reach full scale at this absolute error.
@@ -35,14 +38,15 @@ const ERROR_SCALE: f32 = 0.25;
 
 /// Runs the verb.
 pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
+    let [report, figures] = ["report.html", "report.json"].map(|name| args.out.join(name));
+    std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot make", args.out.display()))?;
+    files::check(&report)?;
+    files::check(&figures)?;
+    files::check(&args.out.join(UTILITIES))?;
     let page = page(args, quiet)?;
-    let failed = || format!("{}: cannot write", args.out.display());
-    std::fs::create_dir_all(&args.out).with_context(failed)?;
-    let report = args.out.join("report.html");
-    std::fs::write(&report, html::page(&page)).with_context(failed)?;
+    files::write(&report, html::page(&page).as_bytes())?;
     let json = serde_json::to_value(&page)?;
-    let figures = args.out.join("report.json");
-    std::fs::write(&figures, serde_json::to_string_pretty(&json)?).with_context(failed)?;
+    files::write(&figures, serde_json::to_string_pretty(&json)?.as_bytes())?;
     let mut text = format!("{}\n", page.title);
     text += &format!(
         "  {:17} {:>9} {:>7} {:>8} {:>9} {:>9} {:>7} {:>11}\n",
@@ -79,12 +83,14 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let received = stream.receive()?;
     let content = received.content();
 
-    let framing = Framing::of(&scene, pipeline::up(args.view.up));
+    let framing = Framing::of(&scene);
     let measuring = framing.ring(Ring::Measuring, 3, (128, 128))?;
     let options = utility::Options { contexts: args.contexts.max(1), ..utility::Options::paper(measuring) };
-    let cache = args.out.join("utility.json");
+    let cache = args.out.join(UTILITIES);
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot create", args.out.display()))?;
-    let table = pipeline::utilities(&scene, &content, &map, &options, Some(&cache), quiet)?;
+    let mut notes = scene.notes.clone();
+    let table =
+        pipeline::utilities(&scene, &content, &map, &options, Some(&cache), quiet, &mut |w| notes.push(w))?;
 
     let graph = pipeline::graph(&stream, &map, Some(&table))?;
     let link = pipeline::link(&args.link, &graph)?;
@@ -166,7 +172,6 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let end_s = runs.iter().map(|r| r.delivery.duration_ns.as_s()).fold(0.0, f64::max);
     let width = emulator_host::Nanos::from_ms(100);
     let capacity = pipeline::capacity_bins(&link.trace, width, (end_s * 10.0).ceil().max(1.0) as usize);
-    let mut notes = scene.notes.clone();
     notes.extend(link.warnings.iter().cloned());
     let protocol = protocol(args, &name, &scene, &stream, &link, &table)?;
     Ok(Page {
@@ -194,7 +199,7 @@ fn protocol(
     let profile = pipeline::profile_name(stream.manifest()?.profile());
     let ledger = stream.ledger();
     let (fps, count, frames) = (scene.frames_per_second(), scene.max_count(), scene.frames());
-    let (width, height, background) = (args.view.width, args.view.height, args.view.background);
+    let ((width, height), background) = (args.view.size(), args.view.background);
     let pairs = [
         ("scene", format!("{name}, {count} Gaussians, {frames} frames at {fps} fps")),
         (

@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Result, bail};
 use codec_core::wire::manifest::Profile;
 use serde_json::json;
 use trainer_host::{
@@ -16,12 +16,17 @@ use trainer_host::{
 use crate::{
     args::Encode,
     figures::number,
+    files,
     output::VerbOutput,
     pipeline::{self, Quiet},
 };
 
 /// Runs the verb.
 pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
+    files::check(&args.out)?;
+    if args.utility {
+        files::check(&pipeline::utility_path(&args.out))?;
+    }
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let options = pipeline::encode_options(&args.codec, Protection::NONE);
     let start = Instant::now();
@@ -36,8 +41,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     }
     let seconds = start.elapsed().as_secs_f64();
     let bytes = stream.to_bytes()?;
-    let failed = || format!("{}: cannot write", args.out.display());
-    std::fs::write(&args.out, &bytes).with_context(failed)?;
+    files::write(&args.out, &bytes)?;
     let ledger = stream.ledger();
     let mut text = format!(
         "{} → {} ({} bytes at rest, {} frames, {:.2} s)\n{}",
@@ -74,15 +78,23 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         text += &segment_table(&segments);
         json["segments"] = json!(segments);
     }
+    let mut warnings = Vec::new();
     if args.utility {
         let map = PacketMap::of(&stream)?;
         let received = stream.receive()?;
-        let framing = Framing::of(&loaded.scene, [0.0, 1.0, 0.0]);
+        let framing = Framing::of(&loaded.scene);
         let cameras = framing.ring(Ring::Measuring, 3, (160, 160))?;
         let path = pipeline::utility_path(&args.out);
         let options = utility::Options::paper(cameras);
-        let table =
-            pipeline::utilities(&loaded.scene, &received.content(), &map, &options, Some(&path), quiet)?;
+        let table = pipeline::utilities(
+            &loaded.scene,
+            &received.content(),
+            &map,
+            &options,
+            Some(&path),
+            quiet,
+            &mut |w| warnings.push(w),
+        )?;
         let negative = table.groups.iter().filter(|g| g.mean < 0.0).count();
         text += &format!(
             "utilities of {} groups ({} with a negative mean) → {}\n",
@@ -92,7 +104,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         );
         json["utility"] = json!({ "groups": table.groups.len(), "negative_mean": negative, "path": path });
     }
-    Ok(VerbOutput { text, json, ..VerbOutput::default() })
+    Ok(VerbOutput { text, json, warnings, damaged: false })
 }
 
 /// Rate and distortion per segment for people.

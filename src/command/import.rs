@@ -1,15 +1,18 @@
 //! `dgs import`: read, say what it is, convert.
 
-use std::path::Path;
+use std::{borrow::Borrow, path::Path};
 
 use anyhow::{Context, Result};
 use serde_json::json;
-use trainer_host::{Scene, export, viewpoint::Framing};
+use trainer_host::{Epoch, export, viewpoint::Framing};
 
-use crate::{args::Import, output::VerbOutput, pipeline};
+use crate::{args::Import, files, output::VerbOutput, pipeline};
 
 /// Runs the verb.
 pub fn run(args: &Import) -> Result<VerbOutput> {
+    if let Some(out) = &args.out {
+        check(out, args.overwrite)?;
+    }
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let scene = &loaded.scene;
     let mut text = format!(
@@ -50,13 +53,17 @@ pub fn run(args: &Import) -> Result<VerbOutput> {
     if scene.epochs().len() > 4 {
         text += &format!("  … {} more epochs\n", scene.epochs().len() - 4);
     }
-    let framing = Framing::of(scene, [0.0, 1.0, 0.0]);
+    let framing = Framing::of(scene);
     text += &format!("  centre {:.3?}, radius {:.3}\n", framing.target, framing.radius);
     for note in &scene.notes {
         text += &format!("  note: {note}\n");
     }
     if let Some(out) = &args.out {
-        text += &write(scene, out, 0)?;
+        text += &write(out, args.overwrite, 0, scene.frames() as u32, |frame| {
+            let found = scene.locate(frame as usize);
+            let (epoch, t) = found.with_context(|| format!("there is no frame {frame}"))?;
+            Ok((&scene.epochs()[epoch], t))
+        })?;
     }
     let json = json!({
         "name": loaded.name, "frames": scene.frames(), "fps": scene.frames_per_second(),
@@ -66,27 +73,58 @@ pub fn run(args: &Import) -> Result<VerbOutput> {
     Ok(VerbOutput { text, json, ..VerbOutput::default() })
 }
 
-/// Writes `scene` as `out` says: a folder is a PLY sequence, a file one frame.
-pub(super) fn write(scene: &Scene, out: &Path, frame: usize) -> Result<String> {
-    let failed = || format!("{}: cannot write", out.display());
-    match out.extension().and_then(|e| e.to_str()) {
-        Some(kind @ ("ply" | "spz")) => {
-            let (epoch, t) = scene
-                .locate(frame)
-                .with_context(|| format!("there is no frame {frame}; {} exist", scene.frames()))?;
-            let epoch = &scene.epochs()[epoch];
-            if kind == "ply" {
-                export::ply::write(out, epoch, t).with_context(failed)?;
-            } else {
-                let options = export::spz::Options::default();
-                export::spz::write(out, epoch, t, &options).with_context(failed)?;
-            }
-            Ok(format!("wrote {}\n", out.display()))
+/// Refuses an output of frames that could not be written: a file if its name ends in .ply or .spz, else a
+/// folder.
+pub(super) fn check(out: &Path, overwrite: bool) -> Result<()> {
+    match Format::of(out) {
+        Some(_) => files::check(out),
+        None => files::FrameFolder::create(out, overwrite).map(drop),
+    }
+}
+
+/// Writes frames as `out` says: a folder gets all of them as PLY, a file frame `only`. `frame` gives one as
+/// an epoch and the frame in it.
+pub(super) fn write<E: Borrow<Epoch>>(
+    out: &Path,
+    overwrite: bool,
+    only: u32,
+    count: u32,
+    mut frame: impl FnMut(u32) -> Result<(E, usize)>,
+) -> Result<String> {
+    if let Some(format) = Format::of(out) {
+        let (epoch, t) = frame(only)?;
+        files::write(out, &format.encode(epoch.borrow(), t)?)?;
+        return Ok(format!("wrote {}\n", out.display()));
+    }
+    let mut folder = files::FrameFolder::create(out, overwrite)?;
+    for number in 0..count {
+        let (epoch, t) = frame(number)?;
+        folder.add(format!("frame_{number:05}.ply"), &Format::Ply.encode(epoch.borrow(), t)?)?;
+    }
+    Ok(format!("wrote {} PLY files to {}\n", folder.finish(overwrite)?, out.display()))
+}
+
+/// What one frame is written as.
+#[derive(Clone, Copy)]
+enum Format {
+    Ply,
+    Spz,
+}
+
+impl Format {
+    /// By the ending of a name; `None` is a folder's.
+    fn of(out: &Path) -> Option<Self> {
+        match out.extension().and_then(|e| e.to_str()) {
+            Some("ply") => Some(Self::Ply),
+            Some("spz") => Some(Self::Spz),
+            _ => None,
         }
-        _ => {
-            std::fs::create_dir_all(out).with_context(failed)?;
-            let files = export::ply::write_sequence(out, "frame", scene).with_context(failed)?;
-            Ok(format!("wrote {} PLY files to {}\n", files.len(), out.display()))
+    }
+
+    fn encode(self, epoch: &Epoch, t: usize) -> Result<Vec<u8>> {
+        match self {
+            Self::Ply => Ok(export::ply::encode(epoch, t)),
+            Self::Spz => Ok(export::spz::encode(epoch, t, &export::spz::Options::default())?),
         }
     }
 }

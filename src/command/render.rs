@@ -1,54 +1,182 @@
-//! `dgs render`: a scene or a stream to PNG.
+//! Renders a scene or a stream to PNG: from cameras of a file, of the scene, or around it.
 
 use anyhow::{Context, Result, bail};
 use codec_core::ids::Level;
-use render_host::{Changes, Sequence, Settings, Splats};
+use render_host::{
+    Changes, Sequence, Settings, Splats,
+    camera::{Camera, View},
+};
 use serde_json::json;
 use trainer_host::viewpoint::Ring;
 
-use crate::{args::Render, output::VerbOutput, pipeline};
+use crate::{
+    args::Render,
+    files::{self, FrameFolder},
+    output::VerbOutput,
+    pipeline::{self, Frames},
+};
 
 /// Cameras on the ring around a scene without its own.
 const RING: usize = 8;
 
+/// An image to make.
+struct Picture {
+    frame: u32,
+    camera: Camera,
+    /// File name in a folder of images.
+    name: String,
+}
+
 /// Runs the verb.
 pub fn run(args: &Render) -> Result<VerbOutput> {
-    let mut warnings = Vec::new();
-    let scene = if pipeline::is_stream(&args.input) {
-        let stream = pipeline::read_stream(args.input.as_ref(), &mut |w| warnings.push(w))?;
-        let received = stream.receive()?;
-        pipeline::decoded_scene(&received.content(), Level::from_bits(args.level))?
-    } else {
-        pipeline::import(&args.input, &args.scene)?.scene
-    };
-    let (ring, settings) = pipeline::view(&scene, &args.view, Ring::HeldOut, RING)?;
-    let settings = Settings { antialiased: args.antialiased, ..settings };
-    let cameras = if scene.cameras.is_empty() { ring } else { scene.cameras.clone() };
-    let Some(camera) = cameras.get(args.camera) else {
-        bail!("--camera is {}; 0 to {} are allowed", args.camera, cameras.len() - 1);
-    };
-    let camera = camera.resized(args.view.width, args.view.height)?;
     let single = args.out.extension().is_some_and(|e| e == "png");
-    let frames = if single { args.frame..args.frame + 1 } else { 0..scene.frames() as u32 };
-    if !single {
-        std::fs::create_dir_all(&args.out)
-            .with_context(|| format!("{}: cannot create", args.out.display()))?;
+    if single {
+        files::check(&args.out)?;
+    } else {
+        FrameFolder::create(&args.out, args.overwrite)?;
     }
+    let mut warnings = Vec::new();
+    let stream = if pipeline::is_stream(&args.input) {
+        Some(pipeline::read_stream(args.input.as_ref(), &mut |w| warnings.push(w))?)
+    } else {
+        None
+    };
+    let mut frames = match &stream {
+        Some(stream) => {
+            Frames::of_stream(stream.receive()?, Level::from_bits(args.level), args.scene.up.into())
+        }
+        None => Frames::Scene(Box::new(pipeline::import(&args.input, &args.scene)?.scene)),
+    };
+    let pictures = pictures(args, &mut frames, single)?;
+    let settings = Settings { antialiased: args.antialiased, ..pipeline::settings(&args.view) };
+
+    let mut folder = if single { None } else { Some(FrameFolder::create(&args.out, args.overwrite)?) };
     let mut sequence = Sequence::default();
     let mut counters = None;
-    let count = frames.len();
-    for frame in frames {
-        let instant = scene
-            .instant(frame as usize)
-            .with_context(|| format!("--frame is {frame}; 0 to {} are allowed", scene.frames() - 1))?;
+    for picture in &pictures {
+        let instant = frames.instant(picture.frame)?;
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
-        let rendered = sequence.render(&splats, Changes::Unknown, &camera, &settings)?;
-        let path = if single { args.out.clone() } else { args.out.join(format!("{frame:05}.png")) };
-        rendered.image.write_png(&path).with_context(|| format!("{}: cannot write", path.display()))?;
+        let rendered = sequence.render(&splats, Changes::Unknown, &picture.camera, &settings)?;
+        let png = rendered.image.to_png()?;
+        match &mut folder {
+            None => files::write(&args.out, &png)?,
+            Some(folder) => folder.add(picture.name.clone(), &png)?,
+        }
         counters = Some(rendered.counters);
     }
+    if let Some(folder) = folder {
+        folder.finish(args.overwrite)?;
+    }
+    let count = pictures.len();
     let text = format!("wrote {count} images to {}\n", args.out.display());
     let json = json!({ "out": args.out, "images": count, "last_counters": counters, "warnings": warnings });
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// The images that were asked for: one if `single`, else all frames from one camera, or one from each camera
+/// of a file.
+fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<Vec<Picture>> {
+    let views = views(args, frames)?;
+    let count = frames.count();
+    let chosen = match &args.camera {
+        Some(text) => Some(choose(&views, text)?),
+        None if args.cameras.is_none() || views.len() == 1 => Some(&views[0]),
+        None => None,
+    };
+    match chosen {
+        Some(view) if single => Ok(vec![picture(args, view, 0, count)?]),
+        Some(view) => {
+            let all = (0..count).map(|frame| Picture {
+                frame,
+                camera: view.camera.clone(),
+                name: format!("{frame:05}.png"),
+            });
+            Ok(all.collect())
+        }
+        None if single => {
+            bail!("--cameras has {} cameras; choose one by --camera, or give --out a folder", views.len())
+        }
+        None => views.iter().enumerate().map(|(i, view)| picture(args, view, i, count)).collect(),
+    }
+}
+
+/// The image of one camera: at the frame typed, else at its own time.
+fn picture(args: &Render, view: &View, index: usize, count: u32) -> Result<Picture> {
+    let frame = match (args.frame, view.time) {
+        (Some(frame), _) => frame,
+        (None, None) => 0,
+        (None, Some(time)) if (0.0..=1.0).contains(&time) => (time * f64::from(count - 1)).round() as u32,
+        (None, Some(time)) => bail!("{}: time is {time}; 0 to 1 is allowed, or --frame", view.name),
+    };
+    // Of the name in the file what any system takes for a file name; numbers keep equal names apart.
+    let stem = view.name.rsplit(['/', '\\']).next().unwrap_or_default();
+    let stem = stem.rsplit_once('.').map_or(stem, |(stem, _)| stem);
+    let stem: String = stem
+        .chars()
+        .take(64)
+        .map(|c| if c.is_ascii_alphanumeric() || "-_".contains(c) { c } else { '_' })
+        .collect();
+    let camera = view.camera.clone();
+    Ok(Picture { frame, camera, name: format!("{index:05}_{stem}.png") })
+}
+
+/// The camera of this name or number.
+fn choose<'v>(views: &'v [View], text: &str) -> Result<&'v View> {
+    let named = views.iter().find(|view| view.name == text);
+    let numbered = || text.parse::<usize>().ok().and_then(|index| views.get(index));
+    named.or_else(numbered).with_context(|| {
+        let last = views.len() - 1;
+        format!("--camera is {text}; a name in the file of --cameras, or 0 to {last} are allowed")
+    })
+}
+
+/// The cameras there are, at the size typed: those of a file, of the scene, or around it.
+fn views(args: &Render, frames: &mut Frames) -> Result<Vec<View>> {
+    let view = &args.view;
+    let mut views = match &args.cameras {
+        Some(path) => pipeline::read_cameras(path, view.width.zip(view.height))?,
+        None => {
+            let own = match &*frames {
+                Frames::Scene(scene) => scene.cameras.clone(),
+                Frames::Stream { .. } => Vec::new(),
+            };
+            let cameras = if own.is_empty() {
+                frames.framing()?.ring(Ring::HeldOut, RING, view.size()).context("--width, --height")?
+            } else {
+                own
+            };
+            cameras.into_iter().map(|camera| View { name: String::new(), time: None, camera }).collect()
+        }
+    };
+    for found in &mut views {
+        let own = (found.camera.width(), found.camera.height());
+        let wanted = match args.cameras {
+            Some(_) => (view.width.unwrap_or(own.0), view.height.unwrap_or(own.1)),
+            None => view.size(),
+        };
+        if wanted != own {
+            found.camera = found.camera.resized(wanted.0, wanted.1).context("--width, --height")?;
+        }
+    }
+    Ok(views)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn view(name: &str, time: Option<f64>) -> View {
+        let camera = Camera::look_at([0.0, 0.0, -3.0], [0.0; 3], [0.0, 1.0, 0.0], 0.8, 8, 8).unwrap();
+        View { name: name.to_owned(), time, camera }
+    }
+
+    #[test]
+    fn cameras_are_chosen_by_name_before_number() {
+        let views = [view("1", None), view("b/c.png", None)];
+        assert_eq!(choose(&views, "1").unwrap().name, "1");
+        assert_eq!(choose(&views, "b/c.png").unwrap().name, "b/c.png");
+        assert_eq!(choose(&views, "0").unwrap().name, "1");
+        assert!(choose(&views, "2").unwrap_err().to_string().contains("0 to 1 are allowed"));
+    }
 }

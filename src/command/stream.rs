@@ -19,14 +19,11 @@ use crate::{
 /// Runs the verb.
 pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
-    let mut table: Option<utility::Table>;
+    let table: Option<utility::Table>;
     let stream = if pipeline::is_stream(&args.input) {
         let path = std::path::Path::new(&args.input);
         let stream = pipeline::read_stream(path, &mut |w| warnings.push(w))?;
-        let cached = std::fs::read(pipeline::utility_path(path)).ok();
-        table = cached.and_then(|bytes| serde_json::from_slice(&bytes).ok());
-        let crc = codec_core::wire::crc::crc32(stream.manifest()?.raw());
-        table = table.filter(|t| t.manifest_crc == crc);
+        table = pipeline::stored_utilities(&pipeline::utility_path(path), stream.manifest()?.raw()).ok();
         if table.is_none() {
             warnings.push(format!(
                 "{}: no utilities beside it (encode with --utility); all groups count the same",
@@ -43,9 +40,17 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         )?;
         let map = PacketMap::of(&stream)?;
         let received = stream.receive()?;
-        let framing = Framing::of(&loaded.scene, [0.0, 1.0, 0.0]);
+        let framing = Framing::of(&loaded.scene);
         let options = utility::Options::paper(framing.ring(Ring::Measuring, 3, (128, 128))?);
-        let measured = pipeline::utilities(&loaded.scene, &received.content(), &map, &options, None, quiet)?;
+        let measured = pipeline::utilities(
+            &loaded.scene,
+            &received.content(),
+            &map,
+            &options,
+            None,
+            quiet,
+            &mut |_| (),
+        )?;
         table = Some(measured);
         stream
     };

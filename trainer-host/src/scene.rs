@@ -1,4 +1,4 @@
-//! The owned scene: Gaussians over frames, in the domain importers read and encoders choose in.
+//! Holds scenes: Gaussians over frames, in the domains that importers read and the encoder chooses in.
 //!
 //! A [`Scene`] is a list of [`Epoch`]s. Inside one epoch identity is fixed: index `i` is the same
 //! Gaussian at every frame. A clip whose identity is not stored, or that is re-meshed, is several
@@ -259,11 +259,46 @@ pub struct Instant {
     pub sh_degree: ShDegree,
 }
 
+/// The axis of the world that points up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Up {
+    /// +x.
+    X,
+    /// +y, as in glTF.
+    #[default]
+    Y,
+    /// +z.
+    Z,
+    /// −x.
+    MinusX,
+    /// −y, as in many captures.
+    MinusY,
+    /// −z.
+    MinusZ,
+}
+
+impl Up {
+    /// The axis as a unit vector.
+    pub const fn vector(self) -> [f64; 3] {
+        match self {
+            Up::X => [1.0, 0.0, 0.0],
+            Up::Y => [0.0, 1.0, 0.0],
+            Up::Z => [0.0, 0.0, 1.0],
+            Up::MinusX => [-1.0, 0.0, 0.0],
+            Up::MinusY => [0.0, -1.0, 0.0],
+            Up::MinusZ => [0.0, 0.0, -1.0],
+        }
+    }
+}
+
 /// A dynamic scene: epochs in order at one frame rate, with its cameras where known.
 #[derive(Clone, Debug)]
 pub struct Scene {
     epochs: Vec<Epoch>,
     frames_per_second: f64,
+    /// Which way is up. Files do not say: y unless the caller knows better. All cameras that are placed
+    /// around the scene, by the encoder too, stand upright by it.
+    pub up: Up,
     /// Where the scene was seen from, if the source says.
     pub cameras: Vec<Camera>,
     /// Things the importer wants a person to know (identity not stored, frame converted, …).
@@ -282,7 +317,7 @@ impl Scene {
         if !(frames_per_second.is_finite() && frames_per_second > 0.0) {
             return Err(SceneError::FrameRate(frames_per_second));
         }
-        Ok(Self { epochs, frames_per_second, cameras: Vec::new(), notes: Vec::new() })
+        Ok(Self { epochs, frames_per_second, up: Up::default(), cameras: Vec::new(), notes: Vec::new() })
     }
 
     /// The epochs in display order; at least one.

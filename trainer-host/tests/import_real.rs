@@ -242,7 +242,7 @@ fn cesium_man_walks_with_his_texture() {
     let points: Vec<[f32; 3]> = instant.gaussians.iter().map(|g| g.position).collect();
     let tree = Tree::new(&points);
     let mut ratio: Vec<f32> = (0..points.len())
-        .map(|i| tree.nearest(points[i], 1, |j| j != i)[0].0.sqrt() / instant.gaussians[i].scale[0])
+        .map(|i| tree.nearest(points[i], 1, |j| j != i)[0].0.sqrt() as f32 / instant.gaussians[i].scale[0])
         .collect();
     assert!(quantile(&mut ratio, 0.99) < 2.2);
 }

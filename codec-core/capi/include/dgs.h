@@ -1,15 +1,17 @@
-/* Receiver and decoder of dynamic Gaussian splat streams (dgs).
+/* Player of dynamic Gaussian splat streams (dgs): packets in, Gaussians out.
  *
  * Written from src/types.rs and src/ffi.rs by tests/header.rs: do not edit.
  *
- * Memory   One block per receiver, the caller's: dgs_manifest_bytes and dgs_sizes_of read the sizes
- *          out of a manifest, dgs_memory_bytes adds them up, dgs_open makes a receiver in the block.
- *          The block stays where it is, touched by nobody else, until dgs_close. Nothing is allocated.
- * Pointers are used during the call only, the block excepted. dgs_error.field is a constant.
- * Threads  A receiver may move between threads; no two calls with one receiver at once.
- * Errors   Calls return DGS_OK or another status and fill *error, which may be NULL. Null, misaligned,
- *          short and overlapping buffers are refused; lengths that lie cannot be. A refused packet
- *          leaves the receiver usable.
+ * Memory   One block per player, the caller's: dgs_memory_bytes says how large one is that holds every
+ *          stream within caps, dgs_required what one stream needs. dgs_open makes a player in the block,
+ *          which stays where it is, touched by nobody else, until dgs_close. Nothing is allocated.
+ * Pointers are used during the call only, the block excepted. dgs_error.field is a constant; what
+ *          dgs_frame points to lies in the block and is good until the next call with the player.
+ * Threads  A player may move between threads; no two calls with one player at once.
+ * Errors   Calls return DGS_OK or another status and fill *error, which may be NULL. Pointers that are
+ *          null or misaligned, buffers that are short or overlap the block are refused (DGS_MISUSE, and
+ *          no *error, where it is error itself that is misaligned or overlaps); lengths that lie cannot
+ *          be. A refused packet leaves the player usable.
  */
 #ifndef DGS_H
 #define DGS_H
@@ -39,11 +41,11 @@ extern "C" {
 #define DGS_CAPACITY 7
 /* A pointer is null that must not be. */
 #define DGS_NULL 8
-/* A pointer is misaligned, overlaps the receiver's block, or is no receiver. */
+/* A pointer is misaligned, overlaps the player's block, or is no player. */
 #define DGS_MISUSE 9
 /* The manifest has not arrived. */
 #define DGS_NO_MANIFEST 10
-/* Alignment of a receiver's block, bytes. */
+/* Alignment of a player's block, bytes. */
 #define DGS_ALIGN 16
 /* No packet. */
 #define DGS_NONE 0xffffffffu
@@ -51,6 +53,8 @@ extern "C" {
 #define DGS_MAX_RECOVERED 8
 /* Number of refusal counters: statuses 1 to 7, in that order. */
 #define DGS_REFUSALS 7
+/* Number of levels. */
+#define DGS_LEVELS 4
 /* Digest of nothing, where dgs_digest starts. */
 #define DGS_DIGEST_START UINT64_C(0xcbf29ce484222325)
 /* Largest receipt, bytes. */
@@ -74,39 +78,41 @@ typedef struct dgs_error {
     size_t field_len;
 } dgs_error;
 
-/* Sizes of everything in a receiver's block, in elements. */
-typedef struct dgs_sizes {
-    /* Bytes of the unpacked manifest. */
-    size_t manifest;
-    /* Cells of the lattice, and one. */
-    size_t cells;
-    /* Symbols. */
-    size_t symbols;
+/* The most that a player takes on; every field is a largest allowed value. See codec-core's Caps. */
+typedef struct dgs_caps {
+    /* Gaussians of one epoch. */
+    uint32_t gaussians_per_epoch;
+    /* Frames of the stream. */
+    uint32_t frames;
+    /* Cells: clusters of all epochs, and again of every window. */
+    uint32_t cells;
+    /* Symbols of all cells. */
+    uint32_t symbols;
     /* Blocks of all cells. */
-    size_t blocks;
-    /* Words of the packet bitmap. */
-    size_t seen;
-    /* Words of entropy decode tables. Three eighths of them (profile dgs1) decode as well, slower. */
-    size_t slots;
-    /* Group counters (profile paper). */
-    size_t progress;
-    /* Bytes of repair; 0 repairs nothing. */
-    size_t parity;
-    /* Bytes for media that arrives before the manifest; each packet takes 2 more than its length. */
-    size_t early;
-    /* Gaussians of the largest epoch. */
-    size_t gaussians;
-} dgs_sizes;
+    uint32_t blocks;
+    /* Packets of the stream. */
+    uint32_t packets;
+    /* Entropy tables. */
+    uint32_t tables;
+    /* Bytes of the unpacked manifest. */
+    uint32_t manifest_bytes;
+    /* Bytes of repair; what lies beyond is not repaired. */
+    uint32_t parity_bytes;
+    /* Bytes for packets before the manifest; each takes 2 more than its length. */
+    uint32_t early_bytes;
+    /* Values of one packet. */
+    uint32_t values_per_packet;
+} dgs_caps;
 
 /* What became of a packet. */
-typedef struct dgs_arrival {
+typedef struct dgs_pushed {
     /* Its id, or DGS_NONE while it waits for the manifest. */
     uint32_t id;
     /* Packets that repair recovered with it. */
     uint32_t recovered;
     /* Their ids, ascending; the rest is DGS_NONE. */
     uint32_t recovered_ids[DGS_MAX_RECOVERED];
-} dgs_arrival;
+} dgs_pushed;
 
 /* What happened to packets. */
 typedef struct dgs_counters {
@@ -162,66 +168,87 @@ typedef struct dgs_pose {
     float rotation[4];
 } dgs_pose;
 
-/* What a decoded frame holds. */
-typedef struct dgs_decoded {
+/* A decoded frame, in the player's block until the next call with the player. */
+typedef struct dgs_frame {
+    /* The Gaussians of the frame's epoch. */
+    dgs_gaussian const *gaussians;
+    /* Number of them. */
+    size_t gaussians_len;
+    /* Their higher harmonic coefficients: Gaussian by Gaussian, then coefficient, then channel. */
+    float const *sh_rest;
+    /* Number of all of them. */
+    size_t sh_rest_len;
     /* The epoch shown. */
     uint32_t epoch;
-    /* Gaussians written. */
-    uint32_t gaussians;
     /* Blocks whose base is there. */
     uint32_t present_blocks;
     /* Blocks of the epoch. */
     uint32_t blocks;
-} dgs_decoded;
+} dgs_frame;
 
-/* A receiver and decoder at the front of its block. Opaque to C. */
-typedef struct dgs_receiver dgs_receiver;
+/* How many blocks of a frame are usable up to each level. */
+typedef struct dgs_usable {
+    /* Blocks of the frame's epoch. */
+    uint32_t blocks;
+    /* Blocks whose canonical attributes are usable up to the level. */
+    uint32_t canonical[DGS_LEVELS];
+    /* Blocks that are present and whose motion is usable up to the level. */
+    uint32_t motion[DGS_LEVELS];
+} dgs_usable;
+
+/* A player at the front of its block. Opaque to C. */
+typedef struct dgs_player dgs_player;
 
 /* The version of DGSM that this library reads. */
 uint32_t dgs_version(void);
 
-/* Writes to bytes how large the manifest in message is unpacked: the scratch memory of
- * dgs_sizes_of. */
-int32_t dgs_manifest_bytes(uint8_t const *message, size_t message_len, size_t *bytes, dgs_error *error);
+/* Fills caps with bounds for computers and telephones; a null pointer is left alone. */
+void dgs_caps_host(dgs_caps *caps);
 
-/* Writes to sizes what the stream of the manifest in message needs; early is left 0.
- * scratch holds the unpacked manifest for the time of the call. */
-int32_t dgs_sizes_of(uint8_t const *message, size_t message_len, uint8_t *scratch, size_t scratch_len, dgs_sizes *sizes, dgs_error *error);
+/* Fills caps with bounds for microcontrollers; a null pointer is left alone. */
+void dgs_caps_small(dgs_caps *caps);
 
-/* Bytes of the block for a receiver of sizes; 0 if there is no such block or sizes is null. */
-size_t dgs_memory_bytes(dgs_sizes const *sizes);
+/* Bytes of a block that holds every stream within caps; 0 if there is no such block or caps is
+ * null. A smaller block takes the streams that fit: see dgs_required. */
+size_t dgs_memory_bytes(dgs_caps const *caps);
 
-/* Makes a receiver of sizes in memory, which must be aligned to DGS_ALIGN and at least
- * dgs_memory_bytes long. The block belongs to the receiver until dgs_close. */
-int32_t dgs_open(void *memory, size_t memory_len, dgs_sizes const *sizes, dgs_receiver **receiver, dgs_error *error);
+/* Makes a player that accepts streams within caps, and waits for a manifest, in memory, which must
+ * be aligned to DGS_ALIGN. The block belongs to the player until dgs_close. */
+int32_t dgs_open(void *memory, size_t memory_len, dgs_caps const *caps, dgs_player **player, dgs_error *error);
 
-/* Ends a receiver; its block is the caller's again. Null and closed receivers are left alone. */
-void dgs_close(dgs_receiver *receiver);
+/* Ends a player; its block is the caller's again. Null and closed players are left alone. */
+void dgs_close(dgs_player *player);
 
-/* Takes the whole DGSM message, then the media that waited for it. */
-int32_t dgs_control(dgs_receiver *receiver, uint8_t const *message, size_t message_len, dgs_error *error);
+/* Writes to bytes how large the block of a player must be for the stream of the DGSM message
+ * message. The player waits for its manifest, and its block is large enough for that alone. */
+int32_t dgs_required(dgs_player *player, uint8_t const *message, size_t message_len, size_t *bytes, dgs_error *error);
 
-/* Takes one DGSP packet, in any order. arrival may be null. */
-int32_t dgs_media(dgs_receiver *receiver, uint8_t const *packet, size_t packet_len, dgs_arrival *arrival, dgs_error *error);
+/* Takes the whole DGSM message, then the packets that came early. */
+int32_t dgs_manifest(dgs_player *player, uint8_t const *message, size_t message_len, dgs_error *error);
+
+/* Takes one DGSP packet, in any order; before the manifest it is kept. pushed may be null. */
+int32_t dgs_push(dgs_player *player, uint8_t const *packet, size_t packet_len, dgs_pushed *pushed, dgs_error *error);
 
 /* Writes to counters what happened to packets so far. */
-int32_t dgs_count(dgs_receiver *receiver, dgs_counters *counters, dgs_error *error);
+int32_t dgs_count(dgs_player *player, dgs_counters *counters, dgs_error *error);
 
 /* Writes to stream what the manifest says. */
-int32_t dgs_describe(dgs_receiver *receiver, dgs_stream *stream, dgs_error *error);
+int32_t dgs_describe(dgs_player *player, dgs_stream *stream, dgs_error *error);
 
-/* Decodes frame in the state that has arrived: Gaussians to the front of out, higher bands
- * (dgs_stream.sh_rest values per Gaussian) to sh_rest, which may be null where there are none.
- * decoded may be null. What was in out and sh_rest is lost even if the call fails. */
-int32_t dgs_frame(dgs_receiver *receiver, uint32_t frame, dgs_gaussian *out, size_t out_len, float *sh_rest, size_t sh_rest_len, dgs_decoded *decoded, dgs_error *error);
+/* Decodes frame from what has arrived and writes to shown where it lies: in the player's block,
+ * until the next call with the player. */
+int32_t dgs_show(dgs_player *player, uint32_t frame, dgs_frame *shown, dgs_error *error);
+
+/* Writes to usable how much of frame can be shown. */
+int32_t dgs_count_usable(dgs_player *player, uint32_t frame, dgs_usable *usable, dgs_error *error);
 
 /* FNV-1a, 64 bits, over the bytes of a decoded frame, going on from state
  * (DGS_DIGEST_START, or what an earlier call gave). A null list counts as empty. */
 uint64_t dgs_digest(uint64_t state, dgs_gaussian const *gaussians, size_t gaussians_len, float const *sh_rest, size_t sh_rest_len);
 
-/* Writes a receipt (DGSF) that acknowledges what arrived or was recovered, the newest 128 runs
+/* Writes a receipt (DGSF) that acknowledges what arrived or was recovered, the newest 128 ranges
  * of packets of it, to the front of out (DGS_RECEIPT_BYTES are enough). pose may be null. */
-int32_t dgs_receipt(dgs_receiver *receiver, uint32_t sequence, uint64_t playout_us, dgs_pose const *pose, uint8_t *out, size_t out_len, size_t *written, dgs_error *error);
+int32_t dgs_receipt(dgs_player *player, uint32_t sequence, uint64_t playout_us, dgs_pose const *pose, uint8_t *out, size_t out_len, size_t *written, dgs_error *error);
 
 #ifdef __cplusplus
 }

@@ -1,11 +1,11 @@
-//! The functions of `include/dgs.h`, and all `unsafe` of this crate.
+//! Opens the player of codec-core to C: the functions of `include/dgs.h`, and all `unsafe` of this crate.
 //!
 //! What cannot be checked is the caller's promise, the same for every function:
 //!
 //! 1. a pointer with a length points to that many readable (`*mut`: writable) elements, and nobody
 //!    else writes (`*mut`: reads or writes) them during the call;
 //! 2. a pointer to one struct is null, where that is allowed, or points to one;
-//! 3. a [`DgsReceiver`] comes from [`dgs_open`], its block is where it was and as the library left
+//! 3. a [`DgsPlayer`] comes from [`dgs_open`], its block is where it was and as the library left
 //!    it, and no other call with it is going on.
 //!
 //! Null, alignment, room and overlap with the block are checked. Memory that the caller need not
@@ -14,49 +14,51 @@
 #![allow(unsafe_code, reason = "pointers come from C; every block says what it relies on")]
 #![allow(clippy::missing_safety_doc, reason = "one list of promises, above, for all functions")]
 
-use core::{ffi::c_void, ptr, slice};
+use core::{ffi::c_void, mem, ptr, slice};
 
 use codec_core::{
-    Caps, Gaussian,
-    decode::{self, Decoder},
+    Caps, Error, ErrorKind, Gaussian,
     digest::Digest,
-    ids::{EpochId, PacketId},
-    receiver::{self, Arrival, Receiver, Requirements},
-    wire::{
-        crc::crc32,
-        manifest::{self, Manifest, Sealed},
-        receipt::{IdRange, Value, ViewerPose},
-    },
+    player::{Player, Waiting},
+    wire::{manifest, receipt::ViewerPose},
 };
 
-use crate::{block::Places, types::*};
+use crate::types::*;
 
-type Outcome<T> = Result<T, DgsError>;
+type Checked<T> = Result<T, DgsError>;
 
-/// A receiver and decoder at the front of its block. Opaque to C.
-pub struct DgsReceiver {
-    /// [`TAG`] and this struct's address: a receiver that is closed or was moved is found.
+/// A player at the front of its block. Opaque to C.
+pub struct DgsPlayer {
+    /// [`TAG`] and this struct's address: a player that is closed or was moved is found.
     tag: usize,
     /// Bytes of the block.
     len: usize,
-    receiver: Receiver<'static>,
-    decoder: decode::Memory<'static>,
-    epoch: Option<EpochId>,
+    state: State,
+}
+
+/// What a player waits for.
+#[expect(clippy::large_enum_variant, reason = "it lies in the caller's block; there is no heap to box it on")]
+enum State {
+    Waiting(Waiting<'static>),
+    Playing(Player<'static>),
+    /// While a manifest is being taken.
+    Between,
 }
 
 const TAG: usize = 0x6467_7331;
 
-/// Puts an outcome into the caller's error and the status.
-unsafe fn report(error: *mut DgsError, outcome: Outcome<()>) -> i32 {
-    let Err(found) = outcome else { return DGS_OK };
-    if !error.is_null() && error.is_aligned() {
-        // SAFETY: not null, aligned; promise 2.
-        unsafe { error.write(found) };
+/// Bytes of a block in front of the arena.
+const HEAD: usize = size_of::<DgsPlayer>().next_multiple_of(DGS_ALIGN);
+
+/// Bytes of a block with an arena of `words`; 0 if no address space holds it.
+const fn block_bytes(words: usize) -> usize {
+    match words.saturating_mul(size_of::<u64>()).checked_add(HEAD + DGS_ALIGN) {
+        Some(bytes) if bytes <= isize::MAX as usize => (bytes - DGS_ALIGN).next_multiple_of(DGS_ALIGN),
+        _ => 0,
     }
-    found.status
 }
 
-fn usable<T>(pointer: *const T, argument: &'static str) -> Outcome<()> {
+fn usable<T>(pointer: *const T, argument: &'static str) -> Checked<()> {
     match () {
         () if pointer.is_null() => Err(DgsError::argument(DGS_NULL, argument)),
         () if !pointer.is_aligned() => Err(DgsError::argument(DGS_MISUSE, argument)),
@@ -64,72 +66,109 @@ fn usable<T>(pointer: *const T, argument: &'static str) -> Outcome<()> {
     }
 }
 
-/// A caller's list; null is an empty one.
-unsafe fn list<'a, T>(pointer: *const T, len: usize, argument: &'static str) -> Outcome<&'a [T]> {
-    if len == 0 {
-        return Ok(&[]);
-    }
-    usable(pointer, argument)?;
-    fits::<T>(len, argument)?;
-    // SAFETY: not null, aligned, no longer than an address space; promise 1.
-    Ok(unsafe { slice::from_raw_parts(pointer, len) })
+/// Refuses a buffer of `count` elements that reaches into the `len` bytes at `block`.
+fn apart<T>(block: (usize, usize), pointer: *const T, count: usize, argument: &'static str) -> Checked<()> {
+    let (start, len) = block;
+    let end = pointer.addr().saturating_add(count.saturating_mul(size_of::<T>()));
+    let overlaps = count > 0 && pointer.addr() < start.saturating_add(len) && end > start;
+    if overlaps { Err(DgsError::argument(DGS_MISUSE, argument)) } else { Ok(()) }
 }
 
-/// A caller's list to write to, zeroed; null is an empty one. Zero is a value of every `T` used
-/// here: they are numbers.
-unsafe fn target<'a, T>(pointer: *mut T, len: usize, argument: &'static str) -> Outcome<&'a mut [T]> {
-    if len == 0 {
-        return Ok(&mut []);
+/// Runs a call that starts without a player and puts its outcome into the caller's error and the
+/// status; `block` is memory that the error must not lie in.
+unsafe fn report(block: (usize, usize), error: *mut DgsError, run: impl FnOnce() -> Checked<()>) -> i32 {
+    if !error.is_null() && (!error.is_aligned() || apart(block, error, 1, "error").is_err()) {
+        return DGS_MISUSE;
     }
-    usable(pointer, argument)?;
-    fits::<T>(len, argument)?;
-    // SAFETY: not null, aligned, no longer than an address space; promise 1. All of it is
-    // initialised by the first line.
-    unsafe {
-        ptr::write_bytes(pointer, 0, len);
-        Ok(slice::from_raw_parts_mut(pointer, len))
+    let Err(found) = run() else { return DGS_OK };
+    if !error.is_null() {
+        // SAFETY: not null, aligned, outside the block; promise 2.
+        unsafe { error.write(found) };
+    }
+    found.status
+}
+
+/// As [`report`], of a call with a player.
+unsafe fn call(
+    player: *mut DgsPlayer,
+    error: *mut DgsError,
+    run: impl FnOnce(&mut DgsPlayer) -> Checked<()>,
+) -> i32 {
+    // SAFETY: promise 3.
+    match unsafe { opened(player) } {
+        // SAFETY: promise 2.
+        Ok(player) => unsafe { report(player.block(), error, || run(player)) },
+        // SAFETY: promise 2.
+        Err(found) => unsafe { report((0, 0), error, || Err(found)) },
     }
 }
 
-fn fits<T>(len: usize, argument: &'static str) -> Outcome<()> {
-    let bytes = len.checked_mul(size_of::<T>()).filter(|&b| b <= isize::MAX as usize);
-    bytes.map(|_| ()).ok_or(DgsError::argument(DGS_MISUSE, argument))
-}
-
-/// Writes `value` where the caller wants it, if anywhere.
-unsafe fn put<T>(pointer: *mut T, value: T, argument: &'static str) -> Outcome<()> {
-    if pointer.is_null() {
-        return Ok(());
-    }
-    usable(pointer, argument)?;
-    // SAFETY: not null, aligned; promise 2.
-    unsafe { pointer.write(value) };
-    Ok(())
-}
-
-unsafe fn open_receiver<'a>(pointer: *mut DgsReceiver) -> Outcome<&'a mut DgsReceiver> {
-    usable(pointer, "receiver")?;
+unsafe fn opened<'a>(pointer: *mut DgsPlayer) -> Checked<&'a mut DgsPlayer> {
+    usable(pointer, "player")?;
     // SAFETY: not null, aligned; promise 3. The tag is a plain number in initialised memory.
     let tag = unsafe { (&raw const (*pointer).tag).read() };
     if tag != TAG ^ pointer.addr() {
-        return Err(DgsError::argument(DGS_MISUSE, "receiver"));
+        return Err(DgsError::argument(DGS_MISUSE, "player"));
     }
     // SAFETY: the tag says that `dgs_open` wrote it here; promise 3 that nobody else uses it.
     Ok(unsafe { &mut *pointer })
 }
 
-impl DgsReceiver {
-    /// Refuses a caller's buffer inside the block.
-    fn apart<T>(&self, pointer: *const T, len: usize, argument: &'static str) -> Outcome<()> {
-        let start = ptr::from_ref(self).addr();
-        let end = pointer.addr().saturating_add(len.saturating_mul(size_of::<T>()));
-        let overlaps = len > 0 && pointer.addr() < start.saturating_add(self.len) && end > start;
-        if overlaps { Err(DgsError::argument(DGS_MISUSE, argument)) } else { Ok(()) }
+impl DgsPlayer {
+    /// Address and bytes of the block.
+    fn block(&self) -> (usize, usize) {
+        (ptr::from_ref(self).addr(), self.len)
     }
 
-    fn manifest(&self) -> Outcome<&Manifest<'static>> {
-        self.receiver.manifest().ok_or(DgsError::argument(DGS_NO_MANIFEST, "manifest"))
+    fn playing(&mut self) -> Checked<&mut Player<'static>> {
+        match &mut self.state {
+            State::Playing(player) => Ok(player),
+            State::Waiting(_) | State::Between => Err(DgsError::argument(DGS_NO_MANIFEST, "manifest")),
+        }
     }
+
+    fn waiting(&mut self) -> Checked<&mut Waiting<'static>> {
+        match &mut self.state {
+            State::Waiting(waiting) => Ok(waiting),
+            // There is a manifest, and one is allowed.
+            State::Playing(_) | State::Between => {
+                Err(Error::illegal("manifest", 0, 2, (1, 1)).kind(ErrorKind::Duplicate).into())
+            }
+        }
+    }
+
+    /// A caller's list outside the block; null is an empty one.
+    unsafe fn list<'a, T>(&self, pointer: *const T, len: usize, argument: &'static str) -> Checked<&'a [T]> {
+        apart(self.block(), pointer, len, argument)?;
+        // SAFETY: promise 1.
+        unsafe { list(pointer, len, argument) }
+    }
+
+    /// Writes `value` where the caller wants it.
+    unsafe fn put<T>(&self, pointer: *mut T, value: T, argument: &'static str) -> Checked<()> {
+        self.place(pointer, argument)?;
+        // SAFETY: not null, aligned, outside the block; promise 2.
+        unsafe { pointer.write(value) };
+        Ok(())
+    }
+
+    /// Refuses a place that is null, crooked or inside the block.
+    fn place<T>(&self, pointer: *const T, argument: &'static str) -> Checked<()> {
+        usable(pointer, argument)?;
+        apart(self.block(), pointer, 1, argument)
+    }
+}
+
+/// A caller's list; null is an empty one.
+unsafe fn list<'a, T>(pointer: *const T, len: usize, argument: &'static str) -> Checked<&'a [T]> {
+    if len == 0 {
+        return Ok(&[]);
+    }
+    usable(pointer, argument)?;
+    let bytes = len.checked_mul(size_of::<T>()).filter(|&bytes| bytes <= isize::MAX as usize);
+    bytes.ok_or(DgsError::argument(DGS_MISUSE, argument))?;
+    // SAFETY: not null, aligned, no longer than an address space; promise 1.
+    Ok(unsafe { slice::from_raw_parts(pointer, len) })
 }
 
 /// The version of DGSM that this library reads.
@@ -138,284 +177,240 @@ pub extern "C" fn dgs_version() -> u32 {
     manifest::VERSION.into()
 }
 
-/// Writes to `bytes` how large the manifest in `message` is unpacked: the scratch memory of
-/// `dgs_sizes_of`.
+/// Fills `caps` with bounds for computers and telephones; a null pointer is left alone.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_manifest_bytes(
+pub unsafe extern "C" fn dgs_caps_host(caps: *mut DgsCaps) {
+    if usable(caps, "caps").is_ok() {
+        // SAFETY: not null, aligned; promise 2.
+        unsafe { caps.write(Caps::HOST.into()) };
+    }
+}
+
+/// Fills `caps` with bounds for microcontrollers; a null pointer is left alone.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_caps_small(caps: *mut DgsCaps) {
+    if usable(caps, "caps").is_ok() {
+        // SAFETY: not null, aligned; promise 2.
+        unsafe { caps.write(Caps::SMALL.into()) };
+    }
+}
+
+/// Bytes of a block that holds every stream within `caps`; 0 if there is no such block or `caps` is
+/// null. A smaller block takes the streams that fit: see dgs_required.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_memory_bytes(caps: *const DgsCaps) -> usize {
+    if usable(caps, "caps").is_err() {
+        return 0;
+    }
+    // SAFETY: not null, aligned; promise 2.
+    block_bytes(Caps::from(unsafe { caps.read() }).arena_words())
+}
+
+/// Makes a player that accepts streams within `caps`, and waits for a manifest, in `memory`, which must
+/// be aligned to DGS_ALIGN. The block belongs to the player until `dgs_close`.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_open(
+    memory: *mut c_void,
+    memory_len: usize,
+    caps: *const DgsCaps,
+    player: *mut *mut DgsPlayer,
+    error: *mut DgsError,
+) -> i32 {
+    let block = (memory.addr(), memory_len);
+    let run = || {
+        usable(memory, "memory")?;
+        usable(caps, "caps")?;
+        usable(player, "player")?;
+        apart(block, caps, 1, "caps")?;
+        apart(block, player, 1, "player")?;
+        if !memory.addr().is_multiple_of(DGS_ALIGN) || align_of::<DgsPlayer>() > DGS_ALIGN {
+            return Err(DgsError::argument(DGS_MISUSE, "memory"));
+        }
+        // SAFETY: not null, aligned; promise 2.
+        let caps = Caps::from(unsafe { caps.read() });
+        let words = memory_len.min(isize::MAX as usize).saturating_sub(HEAD) / size_of::<u64>();
+        let early = (caps.early_bytes as usize).div_ceil(size_of::<u64>());
+        if memory_len < HEAD || words < early {
+            let needed = block_bytes(early) as u64;
+            let short = DgsError::argument(DGS_CAPACITY, "memory");
+            return Err(DgsError { found: memory_len as u64, least: needed, most: needed, ..short });
+        }
+        let start: *mut u8 = memory.cast();
+        // SAFETY: the block is there, aligned, and the player's until `dgs_close` (promises 1 and 3);
+        // zeroes are words. The head lies before the arena and is written afterwards.
+        let arena: &'static mut [u64] = unsafe {
+            ptr::write_bytes(start, 0, HEAD + words * size_of::<u64>());
+            slice::from_raw_parts_mut(start.add(HEAD).cast(), words)
+        };
+        let state = State::Waiting(Waiting::new(arena, caps)?);
+        let handle: *mut DgsPlayer = start.cast();
+        let tag = TAG ^ handle.addr();
+        // SAFETY: the block begins with `HEAD` bytes, aligned for it; `player` is not null, aligned and
+        // outside the block (promise 2).
+        unsafe {
+            handle.write(DgsPlayer { tag, len: HEAD + words * size_of::<u64>(), state });
+            player.write(handle);
+        }
+        Ok(())
+    };
+    // SAFETY: promise 2.
+    unsafe { report(block, error, run) }
+}
+
+/// Ends a player; its block is the caller's again. Null and closed players are left alone.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_close(player: *mut DgsPlayer) {
+    // SAFETY: promise 3. Nothing in it needs dropping.
+    if let Ok(player) = unsafe { opened(player) } {
+        player.tag = 0;
+    }
+}
+
+/// Writes to `bytes` how large the block of a player must be for the stream of the DGSM message
+/// `message`. The player waits for its manifest, and its block is large enough for that alone.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_required(
+    player: *mut DgsPlayer,
     message: *const u8,
     message_len: usize,
     bytes: *mut usize,
     error: *mut DgsError,
 ) -> i32 {
-    let run = || {
-        usable(bytes, "bytes")?;
-        // SAFETY: promises 1 and 2.
-        unsafe {
-            let sealed = Sealed::parse(list(message, message_len, "message")?)?;
-            put(bytes, sealed.raw_len, "bytes")
-        }
-    };
-    // SAFETY: promise 2.
-    unsafe { report(error, run()) }
+    // SAFETY: promises 1 to 3.
+    unsafe {
+        call(player, error, |player| {
+            player.place(bytes, "bytes")?;
+            let message = player.list(message, message_len, "message")?;
+            let words = player.waiting()?.required(message)?.words;
+            player.put(bytes, block_bytes(words), "bytes")
+        })
+    }
 }
 
-/// Writes to `sizes` what the stream of the manifest in `message` needs; `early` is left 0.
-/// `scratch` holds the unpacked manifest for the time of the call.
+/// Takes the whole DGSM message, then the packets that came early.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_sizes_of(
+pub unsafe extern "C" fn dgs_manifest(
+    player: *mut DgsPlayer,
     message: *const u8,
     message_len: usize,
-    scratch: *mut u8,
-    scratch_len: usize,
-    sizes: *mut DgsSizes,
     error: *mut DgsError,
 ) -> i32 {
-    let run = || {
-        usable(sizes, "sizes")?;
-        // SAFETY: promise 1.
-        let (message, scratch) =
-            unsafe { (list(message, message_len, "message")?, target(scratch, scratch_len, "scratch")?) };
-        let raw = manifest::open(message, crc32, scratch)?;
-        let manifest = Manifest::parse(raw)?;
-        let need = Requirements::of(&manifest, &Caps::HOST)?;
-        let gaussians = manifest.epochs().map(|e| e.gaussians as usize).max().unwrap_or(0);
-        let found = DgsSizes {
-            manifest: raw.len(),
-            cells: need.cells,
-            symbols: need.symbols,
-            blocks: need.blocks,
-            seen: need.seen,
-            slots: need.slots,
-            progress: need.progress,
-            parity: need.parity,
-            early: 0,
-            gaussians,
-        };
-        // SAFETY: promise 2.
-        unsafe { put(sizes, found, "sizes") }
-    };
-    // SAFETY: promise 2.
-    unsafe { report(error, run()) }
-}
-
-/// Bytes of the block for a receiver of `sizes`; 0 if there is no such block or `sizes` is null.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_memory_bytes(sizes: *const DgsSizes) -> usize {
-    if usable(sizes, "sizes").is_err() {
-        return 0;
-    }
-    // SAFETY: not null, aligned; promise 2.
-    let sizes = unsafe { sizes.read() };
-    Places::of(&sizes, size_of::<DgsReceiver>()).map_or(0, |p| p.end)
-}
-
-/// Makes a receiver of `sizes` in `memory`, which must be aligned to DGS_ALIGN and at least
-/// `dgs_memory_bytes` long. The block belongs to the receiver until `dgs_close`.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_open(
-    memory: *mut c_void,
-    memory_len: usize,
-    sizes: *const DgsSizes,
-    receiver: *mut *mut DgsReceiver,
-    error: *mut DgsError,
-) -> i32 {
-    let run = || {
-        usable(memory, "memory")?;
-        usable(sizes, "sizes")?;
-        usable(receiver, "receiver")?;
-        if !memory.addr().is_multiple_of(DGS_ALIGN) || align_of::<DgsReceiver>() > DGS_ALIGN {
-            return Err(DgsError::argument(DGS_MISUSE, "memory"));
-        }
-        // SAFETY: not null, aligned; promise 2.
-        let sizes = unsafe { sizes.read() };
-        let places = Places::of(&sizes, size_of::<DgsReceiver>());
-        let places = places.ok_or(DgsError::argument(DGS_CAPACITY, "sizes"))?;
-        if memory_len < places.end {
-            let needed = places.end as u64;
-            let short = DgsError::argument(DGS_CAPACITY, "memory");
-            return Err(DgsError { found: memory_len as u64, least: needed, most: needed, ..short });
-        }
-        let block: *mut u8 = memory.cast();
-        // SAFETY: promise 1; zeroes make every byte of every part below a value of its type.
-        unsafe { ptr::write_bytes(block, 0, places.end) };
-        let p = &places;
-        // SAFETY: `Places` keeps parts apart, aligned and inside `places.end` bytes, which are
-        // there and zeroed; they are the receiver's until `dgs_close` (promise 3).
-        let (memory, decoder) = unsafe {
-            let memory = receiver::Memory {
-                manifest: part(block, p.manifest, sizes.manifest),
-                cells: part(block, p.cells, sizes.cells),
-                symbols: part(block, p.symbols, sizes.symbols),
-                blocks: part(block, p.blocks, sizes.blocks),
-                seen: part(block, p.seen, sizes.seen),
-                slots: part(block, p.slots, sizes.slots),
-                progress: part(block, p.progress, sizes.progress),
-                parity: part(block, p.parity, sizes.parity),
-                early: part(block, p.early, sizes.early),
+    // SAFETY: promises 1 to 3.
+    unsafe {
+        call(player, error, |player| {
+            let message = player.list(message, message_len, "message")?;
+            player.waiting()?;
+            let State::Waiting(waiting) = mem::replace(&mut player.state, State::Between) else {
+                return Err(DgsError::argument(DGS_MISUSE, "player"));
             };
-            let canonical = part(block, p.canonical, sizes.gaussians);
-            (memory, decode::Memory { canonical, known: part(block, p.known, sizes.blocks) })
-        };
-        let handle: *mut DgsReceiver = block.cast();
-        let tag = TAG ^ handle.addr();
-        // SAFETY: `Places` starts parts behind the struct; the block is aligned for it. `receiver`
-        // is not null and aligned; promise 2.
-        unsafe {
-            let receiver = Receiver::new(memory);
-            handle.write(DgsReceiver { tag, len: places.end, receiver, decoder, epoch: None });
-        }
-        // SAFETY: promise 2.
-        unsafe { put(receiver, handle, "receiver") }
-    };
-    // SAFETY: promise 2.
-    unsafe { report(error, run()) }
-}
-
-/// `count` elements of a block at byte `at`.
-unsafe fn part<T>(block: *mut u8, at: usize, count: usize) -> &'static mut [T] {
-    // SAFETY: the caller gives a place that is inside the block, aligned, and nobody else's.
-    unsafe { slice::from_raw_parts_mut(block.add(at).cast(), count) }
-}
-
-/// Ends a receiver; its block is the caller's again. Null and closed receivers are left alone.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_close(receiver: *mut DgsReceiver) {
-    // SAFETY: promise 3. Nothing in it needs dropping.
-    if let Ok(receiver) = unsafe { open_receiver(receiver) } {
-        receiver.tag = 0;
+            match waiting.manifest(message) {
+                Ok(playing) => player.state = State::Playing(playing),
+                Err((waiting, refused)) => {
+                    player.state = State::Waiting(waiting);
+                    return Err(refused.into());
+                }
+            }
+            Ok(())
+        })
     }
 }
 
-/// Takes the whole DGSM message, then the media that waited for it.
+/// Takes one DGSP packet, in any order; before the manifest it is kept. `pushed` may be null.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_control(
-    receiver: *mut DgsReceiver,
-    message: *const u8,
-    message_len: usize,
-    error: *mut DgsError,
-) -> i32 {
-    let run = || {
-        // SAFETY: promises 1 and 3.
-        let receiver = unsafe { open_receiver(receiver)? };
-        receiver.apart(message, message_len, "message")?;
-        // SAFETY: promise 1.
-        let message = unsafe { list(message, message_len, "message")? };
-        Ok(receiver.receiver.control(message)?)
-    };
-    // SAFETY: promise 2.
-    unsafe { report(error, run()) }
-}
-
-/// Takes one DGSP packet, in any order. `arrival` may be null.
-#[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_media(
-    receiver: *mut DgsReceiver,
+pub unsafe extern "C" fn dgs_push(
+    player: *mut DgsPlayer,
     packet: *const u8,
     packet_len: usize,
-    arrival: *mut DgsArrival,
+    pushed: *mut DgsPushed,
     error: *mut DgsError,
 ) -> i32 {
-    let run = || {
-        // SAFETY: promise 3.
-        let receiver = unsafe { open_receiver(receiver)? };
-        receiver.apart(packet, packet_len, "packet")?;
-        // SAFETY: promise 1.
-        let packet = unsafe { list(packet, packet_len, "packet")? };
-        let found = match receiver.receiver.media(packet)? {
-            Arrival::Buffered => DgsArrival::waiting(),
-            Arrival::Accepted { id, recovered } => DgsArrival::accepted(id, recovered.as_slice()),
-        };
-        // SAFETY: promise 2.
-        unsafe { put(arrival, found, "arrival") }
-    };
-    // SAFETY: promise 2.
-    unsafe { report(error, run()) }
+    // SAFETY: promises 1 to 3.
+    unsafe {
+        call(player, error, |player| {
+            if !pushed.is_null() {
+                player.place(pushed, "pushed")?;
+            }
+            let packet = player.list(packet, packet_len, "packet")?;
+            let found = match &mut player.state {
+                State::Playing(playing) => playing.push(packet)?.into(),
+                State::Waiting(waiting) => waiting.push(packet).map(|()| DgsPushed::waiting())?,
+                State::Between => return Err(DgsError::argument(DGS_NO_MANIFEST, "manifest")),
+            };
+            if pushed.is_null() { Ok(()) } else { player.put(pushed, found, "pushed") }
+        })
+    }
 }
 
 /// Writes to `counters` what happened to packets so far.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_count(
-    receiver: *mut DgsReceiver,
+    player: *mut DgsPlayer,
     counters: *mut DgsCounters,
     error: *mut DgsError,
 ) -> i32 {
-    let run = || {
-        usable(counters, "counters")?;
-        // SAFETY: promises 2 and 3.
-        unsafe { put(counters, open_receiver(receiver)?.receiver.counters().into(), "counters") }
-    };
-    // SAFETY: promise 2.
-    unsafe { report(error, run()) }
+    // SAFETY: promises 2 and 3.
+    unsafe {
+        call(player, error, |player| {
+            let found = match &player.state {
+                State::Playing(playing) => *playing.counters(),
+                State::Waiting(waiting) => *waiting.counters(),
+                State::Between => return Err(DgsError::argument(DGS_NO_MANIFEST, "manifest")),
+            };
+            player.put(counters, found.into(), "counters")
+        })
+    }
 }
 
 /// Writes to `stream` what the manifest says.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_describe(
-    receiver: *mut DgsReceiver,
+    player: *mut DgsPlayer,
     stream: *mut DgsStream,
     error: *mut DgsError,
 ) -> i32 {
-    let run = || {
-        usable(stream, "stream")?;
-        // SAFETY: promise 3.
-        let manifest = unsafe { open_receiver(receiver)?.manifest()? };
-        let head = manifest.head();
-        let found = DgsStream {
-            frames: head.frames,
-            rate_frames: head.rate_frames,
-            rate_seconds: head.rate_seconds,
-            packets: head.packets,
-            gaussians: manifest.epochs().map(|e| e.gaussians).max().unwrap_or(0),
-            sh_rest: manifest.sh_degree().rest_len() as u32,
-        };
-        // SAFETY: promise 2.
-        unsafe { put(stream, found, "stream") }
-    };
-    // SAFETY: promise 2.
-    unsafe { report(error, run()) }
+    // SAFETY: promises 2 and 3.
+    unsafe {
+        call(player, error, |player| {
+            let found = player.playing()?.info().into();
+            player.put(stream, found, "stream")
+        })
+    }
 }
 
-/// Decodes `frame` in the state that has arrived: Gaussians to the front of `out`, higher bands
-/// (`dgs_stream.sh_rest` values per Gaussian) to `sh_rest`, which may be null where there are none.
-/// `decoded` may be null. What was in `out` and `sh_rest` is lost even if the call fails.
+/// Decodes `frame` from what has arrived and writes to `shown` where it lies: in the player's block,
+/// until the next call with the player.
 #[unsafe(no_mangle)]
-pub unsafe extern "C" fn dgs_frame(
-    receiver: *mut DgsReceiver,
+pub unsafe extern "C" fn dgs_show(
+    player: *mut DgsPlayer,
     frame: u32,
-    out: *mut DgsGaussian,
-    out_len: usize,
-    sh_rest: *mut f32,
-    sh_rest_len: usize,
-    decoded: *mut DgsDecoded,
+    shown: *mut DgsFrame,
     error: *mut DgsError,
 ) -> i32 {
-    let run = || {
-        // SAFETY: promise 3.
-        let receiver = unsafe { open_receiver(receiver)? };
-        receiver.apart(out, out_len, "out")?;
-        receiver.apart(sh_rest, sh_rest_len, "sh_rest")?;
-        let manifest = receiver.manifest()?;
-        let epoch = manifest.epoch_at(frame).and_then(|id| manifest.epoch(id));
-        // No more is touched than the frame takes.
-        let gaussians = epoch.map_or(0, |e| e.gaussians as usize);
-        let rest = gaussians.saturating_mul(manifest.sh_degree().rest_len());
-        // SAFETY: promise 1. `DgsGaussian` and `Gaussian` are the same in memory (asserted where
-        // the former is declared).
-        let (out, sh_rest) = unsafe {
-            let out: &mut [Gaussian] = target(out.cast(), out_len.min(gaussians), "out")?;
-            (out, target(sh_rest, sh_rest_len.min(rest), "sh_rest")?)
-        };
-        let DgsReceiver { receiver, decoder, epoch, .. } = receiver;
-        let content = receiver.content().ok_or(DgsError::argument(DGS_NO_MANIFEST, "manifest"))?;
-        let memory = decode::Memory { canonical: decoder.canonical, known: decoder.known };
-        let mut decoder = Decoder::resume(memory, *epoch);
-        let shown = decoder.frame(&content, frame, out, sh_rest);
-        *epoch = decoder.epoch();
-        // SAFETY: promise 2.
-        unsafe { put(decoded, shown?.into(), "decoded") }
-    };
-    // SAFETY: promise 2.
-    unsafe { report(error, run()) }
+    // SAFETY: promises 2 and 3.
+    unsafe {
+        call(player, error, |player| {
+            player.place(shown, "shown")?;
+            let found = player.playing()?.frame(frame)?.into();
+            player.put(shown, found, "shown")
+        })
+    }
+}
+
+/// Writes to `usable` how much of `frame` can be shown.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn dgs_count_usable(
+    player: *mut DgsPlayer,
+    frame: u32,
+    usable: *mut DgsUsable,
+    error: *mut DgsError,
+) -> i32 {
+    // SAFETY: promises 2 and 3.
+    unsafe {
+        call(player, error, |player| {
+            let found = player.playing()?.usable(frame)?.into();
+            player.put(usable, found, "usable")
+        })
+    }
 }
 
 /// FNV-1a, 64 bits, over the bytes of a decoded frame, going on from `state`
@@ -437,11 +432,11 @@ pub unsafe extern "C" fn dgs_digest(
     Digest::resume(state).frame(gaussians, sh_rest).get()
 }
 
-/// Writes a receipt (DGSF) that acknowledges what arrived or was recovered, the newest 128 runs
+/// Writes a receipt (DGSF) that acknowledges what arrived or was recovered, the newest 128 ranges
 /// of packets of it, to the front of `out` (DGS_RECEIPT_BYTES are enough). `pose` may be null.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_receipt(
-    receiver: *mut DgsReceiver,
+    player: *mut DgsPlayer,
     sequence: u32,
     playout_us: u64,
     pose: *const DgsPose,
@@ -450,43 +445,22 @@ pub unsafe extern "C" fn dgs_receipt(
     written: *mut usize,
     error: *mut DgsError,
 ) -> i32 {
-    let run = || {
-        usable(written, "written")?;
-        // SAFETY: promise 3.
-        let receiver = unsafe { open_receiver(receiver)? };
-        receiver.apart(out, out_len, "out")?;
-        let packets = receiver.manifest()?.head().packets;
-        // SAFETY: promises 1 and 2.
-        let (out, pose) = unsafe {
-            let pose = if pose.is_null() { None } else { Some(list(pose, 1, "pose")?) };
-            (target(out, out_len, "out")?, pose.and_then(<[DgsPose]>::first))
-        };
-        let mut ranges = [IdRange::default(); 128];
-        let mut first = ranges.len();
-        for id in (0..packets).rev().filter_map(PacketId::new).filter(|&id| receiver.receiver.has(id)) {
-            match ranges.get_mut(first) {
-                Some((low, _)) if low.get() == id.get() + 1 => *low = id,
-                _ => {
-                    let Some(next) = first.checked_sub(1) else { break };
-                    first = next;
-                    ranges.iter_mut().skip(first).take(1).for_each(|range| *range = (id, id));
-                }
-            }
-        }
-        let value = Value {
-            sequence,
-            playout_us,
-            pose: pose.map(|p| ViewerPose { position: p.position, rotation: p.rotation }),
-            acknowledged: ranges.get(first..).unwrap_or(&[]),
-            recovered: &[],
-            completed: &[],
-        };
-        let len = value.write(out)?;
-        // SAFETY: promise 2.
-        unsafe { put(written, len, "written") }
-    };
-    // SAFETY: promise 2.
-    unsafe { report(error, run()) }
+    // SAFETY: promises 1 to 3. `out` need not be initialised: it is zeroed before a slice is made.
+    unsafe {
+        call(player, error, |player| {
+            player.place(written, "written")?;
+            let pose = player.list(pose, usize::from(!pose.is_null()), "pose")?.first().copied();
+            usable(out, "out")?;
+            apart(player.block(), out, out_len, "out")?;
+            // A receipt is no longer: no more is touched.
+            let out_len = out_len.min(DGS_RECEIPT_BYTES);
+            ptr::write_bytes(out, 0, out_len);
+            let out = slice::from_raw_parts_mut(out, out_len);
+            let pose = pose.map(|p| ViewerPose { position: p.position, rotation: p.rotation });
+            let len = player.playing()?.receipt(sequence, playout_us, pose, out)?;
+            player.put(written, len, "written")
+        })
+    }
 }
 
 #[cfg(test)]

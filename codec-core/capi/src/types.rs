@@ -1,6 +1,9 @@
-//! What `include/dgs.h` declares: statuses, and structs laid out as C lays them out.
+//! Declares what `include/dgs.h` does: statuses, and structs laid out as C lays them out.
 
-use codec_core::{Error, ErrorKind, Gaussian, decode::Decoded, ids::PacketId, receiver};
+use codec_core::{
+    Caps, Error, ErrorKind, Gaussian,
+    player::{Accepted, Counters, Frame, StreamInfo, Usable},
+};
 
 /// Done.
 pub const DGS_OK: i32 = 0;
@@ -20,12 +23,12 @@ pub const DGS_DUPLICATE: i32 = 6;
 pub const DGS_CAPACITY: i32 = 7;
 /// A pointer is null that must not be.
 pub const DGS_NULL: i32 = 8;
-/// A pointer is misaligned, overlaps the receiver's block, or is no receiver.
+/// A pointer is misaligned, overlaps the player's block, or is no player.
 pub const DGS_MISUSE: i32 = 9;
 /// The manifest has not arrived.
 pub const DGS_NO_MANIFEST: i32 = 10;
 
-/// Alignment of a receiver's block, bytes.
+/// Alignment of a player's block, bytes.
 pub const DGS_ALIGN: usize = 16;
 /// No packet.
 pub const DGS_NONE: u32 = 0xffff_ffff;
@@ -33,6 +36,8 @@ pub const DGS_NONE: u32 = 0xffff_ffff;
 pub const DGS_MAX_RECOVERED: usize = 8;
 /// Number of refusal counters: statuses 1 to 7, in that order.
 pub const DGS_REFUSALS: usize = 7;
+/// Number of levels.
+pub const DGS_LEVELS: usize = 4;
 /// Digest of nothing, where `dgs_digest` starts.
 pub const DGS_DIGEST_START: u64 = 0xcbf2_9ce4_8422_2325;
 /// Largest receipt, bytes.
@@ -83,36 +88,40 @@ impl From<Error> for DgsError {
     }
 }
 
-/// Sizes of everything in a receiver's block, in elements.
+/// The most that a player takes on; every field is a largest allowed value. See codec-core's `Caps`.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct DgsSizes {
-    /// Bytes of the unpacked manifest.
-    pub manifest: usize,
-    /// Cells of the lattice, and one.
-    pub cells: usize,
-    /// Symbols.
-    pub symbols: usize,
+pub struct DgsCaps {
+    /// Gaussians of one epoch.
+    pub gaussians_per_epoch: u32,
+    /// Frames of the stream.
+    pub frames: u32,
+    /// Cells: clusters of all epochs, and again of every window.
+    pub cells: u32,
+    /// Symbols of all cells.
+    pub symbols: u32,
     /// Blocks of all cells.
-    pub blocks: usize,
-    /// Words of the packet bitmap.
-    pub seen: usize,
-    /// Words of entropy decode tables. Three eighths of them (profile `dgs1`) decode as well, slower.
-    pub slots: usize,
-    /// Group counters (profile `paper`).
-    pub progress: usize,
-    /// Bytes of repair; 0 repairs nothing.
-    pub parity: usize,
-    /// Bytes for media that arrives before the manifest; each packet takes 2 more than its length.
-    pub early: usize,
-    /// Gaussians of the largest epoch.
-    pub gaussians: usize,
+    pub blocks: u32,
+    /// Packets of the stream.
+    pub packets: u32,
+    /// Entropy tables.
+    pub tables: u32,
+    /// Bytes of the unpacked manifest.
+    pub manifest_bytes: u32,
+    /// Bytes of repair; what lies beyond is not repaired.
+    pub parity_bytes: u32,
+    /// Bytes for packets before the manifest; each takes 2 more than its length.
+    pub early_bytes: u32,
+    /// Blocks that the extents of one packet span.
+    pub blocks_per_packet: u32,
+    /// Values of one packet.
+    pub values_per_packet: u32,
 }
 
 /// What became of a packet.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct DgsArrival {
+pub struct DgsPushed {
     /// Its id, or `DGS_NONE` while it waits for the manifest.
     pub id: u32,
     /// Packets that repair recovered with it.
@@ -121,17 +130,19 @@ pub struct DgsArrival {
     pub recovered_ids: [u32; DGS_MAX_RECOVERED],
 }
 
-impl DgsArrival {
+impl DgsPushed {
     /// Of a packet that waits for the manifest.
     pub(crate) const fn waiting() -> Self {
         Self { id: DGS_NONE, recovered: 0, recovered_ids: [DGS_NONE; DGS_MAX_RECOVERED] }
     }
+}
 
-    /// Of packet `id`, with which repair recovered `recovered`.
-    pub(crate) fn accepted(id: PacketId, recovered: &[PacketId]) -> Self {
-        let mut arrival = Self { id: id.get(), recovered: recovered.len() as u32, ..Self::waiting() };
-        arrival.recovered_ids.iter_mut().zip(recovered).for_each(|(place, id)| *place = id.get());
-        arrival
+impl From<Accepted> for DgsPushed {
+    fn from(accepted: Accepted) -> Self {
+        let recovered = accepted.recovered.as_slice();
+        let mut pushed = Self { id: accepted.id.get(), recovered: recovered.len() as u32, ..Self::waiting() };
+        pushed.recovered_ids.iter_mut().zip(recovered).for_each(|(place, id)| *place = id.get());
+        pushed
     }
 }
 
@@ -153,9 +164,9 @@ pub struct DgsCounters {
     pub refused: [u32; DGS_REFUSALS],
 }
 
-impl From<&receiver::Counters> for DgsCounters {
-    fn from(counters: &receiver::Counters) -> Self {
-        let receiver::Counters { media, parity, early, recovered, repair_failed, refused } = *counters;
+impl From<Counters> for DgsCounters {
+    fn from(counters: Counters) -> Self {
+        let Counters { media, parity, early, recovered, repair_failed, refused } = counters;
         Self { media, parity, early, recovered, repair_failed, refused }
     }
 }
@@ -205,6 +216,7 @@ const _: () = {
     assert!(offset_of!(DgsGaussian, opacity) == offset_of!(Gaussian, opacity));
     assert!(offset_of!(DgsGaussian, sh0) == offset_of!(Gaussian, sh0));
     assert!(DGS_REFUSALS == ErrorKind::COUNT);
+    assert!(DGS_LEVELS == codec_core::ids::Level::COUNT);
     assert!(DGS_MAX_RECOVERED == codec_core::limits::MAX_REPAIR_PARITY);
     assert!(DGS_DIGEST_START == codec_core::digest::Digest::new().get());
     assert!(DGS_RECEIPT_BYTES == codec_core::limits::MAX_RECEIPT_BYTES);
@@ -220,30 +232,106 @@ pub struct DgsPose {
     pub rotation: [f32; 4],
 }
 
-/// What a decoded frame holds.
+/// A decoded frame, in the player's block until the next call with the player.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct DgsDecoded {
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DgsFrame {
+    /// The Gaussians of the frame's epoch.
+    pub gaussians: *const DgsGaussian,
+    /// Number of them.
+    pub gaussians_len: usize,
+    /// Their higher harmonic coefficients: Gaussian by Gaussian, then coefficient, then channel.
+    pub sh_rest: *const f32,
+    /// Number of all of them.
+    pub sh_rest_len: usize,
     /// The epoch shown.
     pub epoch: u32,
-    /// Gaussians written.
-    pub gaussians: u32,
     /// Blocks whose base is there.
     pub present_blocks: u32,
     /// Blocks of the epoch.
     pub blocks: u32,
 }
 
-impl From<Decoded> for DgsDecoded {
-    fn from(decoded: Decoded) -> Self {
-        let Decoded { epoch, gaussians, present_blocks, blocks, .. } = decoded;
-        Self { epoch: epoch.0.into(), gaussians: gaussians as u32, present_blocks, blocks }
+impl From<Frame<'_>> for DgsFrame {
+    fn from(frame: Frame<'_>) -> Self {
+        let Frame { gaussians, sh_rest, decoded, .. } = frame;
+        Self {
+            gaussians: gaussians.as_ptr().cast(),
+            gaussians_len: gaussians.len(),
+            sh_rest: sh_rest.as_ptr(),
+            sh_rest_len: sh_rest.len(),
+            epoch: decoded.epoch.0.into(),
+            present_blocks: decoded.present_blocks,
+            blocks: decoded.blocks,
+        }
     }
 }
 
-impl From<Gaussian> for DgsGaussian {
-    fn from(gaussian: Gaussian) -> Self {
-        let Gaussian { position, scale, rotation, opacity, sh0 } = gaussian;
-        Self { position, scale, rotation, opacity, sh0 }
+/// How many blocks of a frame are usable up to each level.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DgsUsable {
+    /// Blocks of the frame's epoch.
+    pub blocks: u32,
+    /// Blocks whose canonical attributes are usable up to the level.
+    pub canonical: [u32; DGS_LEVELS],
+    /// Blocks that are present and whose motion is usable up to the level.
+    pub motion: [u32; DGS_LEVELS],
+}
+
+impl From<Usable> for DgsUsable {
+    fn from(usable: Usable) -> Self {
+        let Usable { blocks, canonical, motion } = usable;
+        Self { blocks, canonical, motion }
     }
 }
+
+impl From<StreamInfo> for DgsStream {
+    fn from(info: StreamInfo) -> Self {
+        let StreamInfo {
+            frames,
+            frames_per_seconds: (rate_frames, rate_seconds),
+            packets,
+            gaussians,
+            sh_degree,
+        } = info;
+        Self { frames, rate_frames, rate_seconds, packets, gaussians, sh_rest: sh_degree.rest_len() as u32 }
+    }
+}
+
+/// Both ways between structs of the same fields.
+macro_rules! same_fields {
+    ($a:ident, $b:ident, $($field:ident),+) => {
+        impl From<$a> for $b {
+            fn from(value: $a) -> Self {
+                let $a { $($field),+ } = value;
+                Self { $($field),+ }
+            }
+        }
+
+        impl From<$b> for $a {
+            fn from(value: $b) -> Self {
+                let $b { $($field),+ } = value;
+                Self { $($field),+ }
+            }
+        }
+    };
+}
+
+same_fields!(
+    Caps,
+    DgsCaps,
+    gaussians_per_epoch,
+    frames,
+    cells,
+    symbols,
+    blocks,
+    packets,
+    tables,
+    manifest_bytes,
+    parity_bytes,
+    early_bytes,
+    blocks_per_packet,
+    values_per_packet
+);
+same_fields!(Gaussian, DgsGaussian, position, scale, rotation, opacity, sh0);

@@ -51,22 +51,32 @@ static void refused(int32_t status, int32_t wanted, const char *call)
     }
 }
 
+/* Memory for a player; this program frees nothing. */
+static uint8_t *aligned_block(size_t len)
+{
+    uint8_t *block = malloc(len + DGS_ALIGN);
+    if (!block) {
+        printf("no memory\n");
+        exit(1);
+    }
+    return block + (DGS_ALIGN - (uintptr_t)block % DGS_ALIGN) % DGS_ALIGN;
+}
+
 int main(int argc, char **argv)
 {
     dgs_error error;
-    dgs_sizes sizes;
+    dgs_caps caps;
     dgs_stream stream;
     dgs_counters counters;
-    dgs_arrival arrival;
-    dgs_decoded decoded;
-    dgs_receiver *receiver;
-    size_t message_len, packets_len, raw_len, block_len, at, written, k;
+    dgs_pushed pushed;
+    dgs_frame shown;
+    dgs_usable usable;
+    dgs_player *player;
+    size_t message_len, packets_len, block_len, at, written, k;
     uint32_t kept = 0, refusals = 0, recovered = 0;
     uint64_t digest = DGS_DIGEST_START;
-    uint8_t *message, *packets, *scratch, *block, *aligned;
+    uint8_t *message, *packets, *block;
     uint8_t receipt[DGS_RECEIPT_BYTES];
-    dgs_gaussian *gaussians;
-    float *rest;
     int i;
 
     if (argc < 4) {
@@ -76,57 +86,55 @@ int main(int argc, char **argv)
     message = whole(argv[1], &message_len);
     packets = whole(argv[2], &packets_len);
 
-    check(dgs_manifest_bytes(message, message_len, &raw_len, &error), "dgs_manifest_bytes", &error);
-    scratch = malloc(raw_len);
-    refused(dgs_sizes_of(message, message_len, scratch, raw_len - 1, &sizes, &error), DGS_CAPACITY,
-            "dgs_sizes_of with short scratch");
-    check(dgs_sizes_of(message, message_len, scratch, raw_len, &sizes, &error), "dgs_sizes_of", &error);
-    free(scratch);
-    sizes.early = 4096;
-    block_len = dgs_memory_bytes(&sizes);
-    block = malloc(block_len + DGS_ALIGN);
-    aligned = block + (DGS_ALIGN - (uintptr_t)block % DGS_ALIGN) % DGS_ALIGN;
-    refused(dgs_open(aligned, block_len - 1, &sizes, &receiver, &error), DGS_CAPACITY, "dgs_open with a short block");
-    check(dgs_open(aligned, block_len, &sizes, &receiver, &error), "dgs_open", &error);
+    /* Bounds, and a first block that holds the unpacked manifest: it says what the stream needs. */
+    dgs_caps_host(&caps);
+    caps.early_bytes = 4096;
+    block_len = 1 << 18;
+    block = aligned_block(block_len);
+    check(dgs_open(block, block_len, &caps, &player, &error), "dgs_open", &error);
+    refused(dgs_required(player, message, message_len - 1, &block_len, &error), DGS_SHORT, "dgs_required of less");
+    check(dgs_required(player, message, message_len, &block_len, &error), "dgs_required", &error);
+    dgs_close(player);
+    refused(dgs_open(block, 4096, &caps, &player, &error), DGS_CAPACITY, "dgs_open with a short block");
+    block = aligned_block(block_len);
+    check(dgs_open(block, block_len, &caps, &player, &error), "dgs_open", &error);
 
     for (at = 0, k = 0; at + 2 <= packets_len; k++) {
         size_t len = packets[at] | (size_t)packets[at + 1] << 8;
         at += 2;
-        if (dgs_media(receiver, packets + at, len, &arrival, &error) == DGS_OK) {
+        if (dgs_push(player, packets + at, len, &pushed, &error) == DGS_OK) {
             kept++;
-            recovered += arrival.recovered;
+            recovered += pushed.recovered;
         } else {
             refusals++;
         }
         at += len;
         if (k == 0) {
-            refused(dgs_describe(receiver, &stream, &error), DGS_NO_MANIFEST, "dgs_describe too early");
-            check(dgs_control(receiver, message, message_len, &error), "dgs_control", &error);
+            refused(dgs_describe(player, &stream, &error), DGS_NO_MANIFEST, "dgs_describe too early");
+            check(dgs_manifest(player, message, message_len, &error), "dgs_manifest", &error);
         }
     }
-    refused(dgs_control(receiver, message, message_len, &error), DGS_DUPLICATE, "dgs_control twice");
-    refused(dgs_media(receiver, NULL, 9, NULL, NULL), DGS_NULL, "dgs_media of nothing");
-    refused(dgs_media(receiver, aligned, 9, NULL, NULL), DGS_MISUSE, "dgs_media of the block");
-    check(dgs_describe(receiver, &stream, &error), "dgs_describe", &error);
-    check(dgs_count(receiver, &counters, &error), "dgs_count", &error);
+    refused(dgs_manifest(player, message, message_len, &error), DGS_DUPLICATE, "dgs_manifest twice");
+    refused(dgs_push(player, NULL, 9, NULL, NULL), DGS_NULL, "dgs_push of nothing");
+    refused(dgs_push(player, block, 9, NULL, NULL), DGS_MISUSE, "dgs_push of the block");
+    check(dgs_describe(player, &stream, &error), "dgs_describe", &error);
+    check(dgs_count(player, &counters, &error), "dgs_count", &error);
 
-    gaussians = malloc(sizeof *gaussians * stream.gaussians);
-    rest = malloc(sizeof *rest * stream.gaussians * stream.sh_rest + 1);
-    refused(dgs_frame(receiver, stream.frames, gaussians, stream.gaussians, rest, 0, NULL, &error), DGS_ILLEGAL,
-            "dgs_frame past the end");
-    refused(dgs_frame(receiver, 0, gaussians, stream.gaussians - 1, rest, 0, NULL, &error), DGS_CAPACITY,
-            "dgs_frame into too little");
+    refused(dgs_show(player, stream.frames, &shown, &error), DGS_ILLEGAL, "dgs_show past the end");
     for (i = 3; i < argc; i++) {
         uint32_t frame = (uint32_t)strtoul(argv[i], NULL, 10);
-        check(dgs_frame(receiver, frame, gaussians, stream.gaussians, rest,
-                        (size_t)stream.gaussians * stream.sh_rest, &decoded, &error),
-              "dgs_frame", &error);
-        digest = dgs_digest(digest, gaussians, decoded.gaussians, rest,
-                            (size_t)decoded.gaussians * stream.sh_rest);
+        check(dgs_show(player, frame, &shown, &error), "dgs_show", &error);
+        check(dgs_count_usable(player, frame, &usable, &error), "dgs_count_usable", &error);
+        if (usable.blocks != shown.blocks || usable.canonical[0] != shown.present_blocks) {
+            printf("%u of %u blocks are usable, %u of %u are shown\n", (unsigned)usable.canonical[0],
+                   (unsigned)usable.blocks, (unsigned)shown.present_blocks, (unsigned)shown.blocks);
+            return 1;
+        }
+        digest = dgs_digest(digest, shown.gaussians, shown.gaussians_len, shown.sh_rest, shown.sh_rest_len);
     }
-    check(dgs_receipt(receiver, 1, 40000, NULL, receipt, sizeof receipt, &written, &error), "dgs_receipt", &error);
-    dgs_close(receiver);
-    refused(dgs_control(receiver, message, message_len, &error), DGS_MISUSE, "dgs_control after dgs_close");
+    check(dgs_receipt(player, 1, 40000, NULL, receipt, sizeof receipt, &written, &error), "dgs_receipt", &error);
+    dgs_close(player);
+    refused(dgs_manifest(player, message, message_len, &error), DGS_MISUSE, "dgs_manifest after dgs_close");
 
     printf("block_bytes %lu\n", (unsigned long)block_len);
     printf("kept %u\nrefused %u\nrecovered %u\n", (unsigned)kept, (unsigned)refusals, (unsigned)recovered);
@@ -134,10 +142,5 @@ int main(int argc, char **argv)
            (unsigned)counters.parity, (unsigned)counters.recovered);
     printf("receipt_bytes %lu\n", (unsigned long)written);
     printf("digest %016llx\n", (unsigned long long)digest);
-    free(message);
-    free(packets);
-    free(block);
-    free(gaussians);
-    free(rest);
     return 0;
 }

@@ -48,34 +48,31 @@ const packetsAt = take(packets.length);
 u8().set(packets, packetsAt);
 
 const word = take(16);
-check(dgs.dgs_manifest_bytes(messageAt, message.length, word, ERROR), "dgs_manifest_bytes");
-const raw = u32(word);
-const scratch = take(raw);
-const SIZES = take(40);
-check(dgs.dgs_sizes_of(messageAt, message.length, scratch, raw, SIZES, ERROR), "dgs_sizes_of");
-new DataView(dgs.memory.buffer).setUint32(SIZES + 32, 4096, true); // early
-const blockBytes = dgs.dgs_memory_bytes(SIZES);
+const CAPS = take(48);
+dgs.dgs_caps_host(CAPS);
+new DataView(dgs.memory.buffer).setUint32(CAPS + 36, 4096, true); // early_bytes
+// A first block that holds the unpacked manifest says what the stream needs.
+let blockBytes = 1 << 18;
+const first = take(blockBytes);
+check(dgs.dgs_open(first, blockBytes, CAPS, word, ERROR), "dgs_open");
+check(dgs.dgs_required(u32(word), messageAt, message.length, word + 4, ERROR), "dgs_required");
+blockBytes = u32(word + 4);
 const block = take(blockBytes);
-check(dgs.dgs_open(block, blockBytes, SIZES, word, ERROR), "dgs_open");
-const receiver = u32(word);
+check(dgs.dgs_open(block, blockBytes, CAPS, word, ERROR), "dgs_open");
+const player = u32(word);
 
 let [kept, refused] = [0, 0];
 for (let at = 0, first = true; at + 2 <= packets.length; first = false) {
   const len = packets[at] | (packets[at + 1] << 8);
   at += 2;
-  if (dgs.dgs_media(receiver, packetsAt + at, len, 0, ERROR) === 0) kept++;
+  if (dgs.dgs_push(player, packetsAt + at, len, 0, ERROR) === 0) kept++;
   else refused++;
   at += len;
-  if (first) check(dgs.dgs_control(receiver, messageAt, message.length, ERROR), "dgs_control");
+  if (first) check(dgs.dgs_manifest(player, messageAt, message.length, ERROR), "dgs_manifest");
 }
 const COUNTERS = take(48);
-check(dgs.dgs_count(receiver, COUNTERS, ERROR), "dgs_count");
-const STREAM = take(24);
-check(dgs.dgs_describe(receiver, STREAM, ERROR), "dgs_describe");
-const [gaussians, shRest] = [u32(STREAM + 16), u32(STREAM + 20)];
-const out = take(gaussians * 56);
-const rest = take(gaussians * shRest * 4);
-const DECODED = take(16);
+check(dgs.dgs_count(player, COUNTERS, ERROR), "dgs_count");
+const SHOWN = take(32);
 
 const PRIME = 0x100000001b3n;
 let [digest, again] = [0xcbf29ce484222325n, 0xcbf29ce484222325n];
@@ -84,16 +81,16 @@ function add(at, bytes) {
   for (let i = at; i < at + bytes; i++) digest = BigInt.asUintN(64, (digest ^ BigInt(memory[i])) * PRIME);
 }
 for (const frame of frames.map(Number)) {
-  check(dgs.dgs_frame(receiver, frame, out, gaussians, rest, gaussians * shRest, DECODED, ERROR), "dgs_frame");
-  const n = u32(DECODED + 4);
-  add(out, n * 56);
-  add(rest, n * shRest * 4);
-  again = BigInt.asUintN(64, dgs.dgs_digest(again, out, n, rest, n * shRest));
+  check(dgs.dgs_show(player, frame, SHOWN, ERROR), "dgs_show");
+  const [gaussians, n, rest, restLen] = [0, 4, 8, 12].map((offset) => u32(SHOWN + offset));
+  add(gaussians, n * 56);
+  add(rest, restLen * 4);
+  again = BigInt.asUintN(64, dgs.dgs_digest(again, gaussians, n, rest, restLen));
 }
 const times = [];
 for (let run = 0; run <= Number(runs); run++) {
   const start = process.hrtime.bigint();
-  for (const frame of frames.map(Number)) dgs.dgs_frame(receiver, frame, out, gaussians, rest, gaussians * shRest, 0, 0);
+  for (const frame of frames.map(Number)) dgs.dgs_show(player, frame, SHOWN, 0);
   if (run > 0) times.push(Number(process.hrtime.bigint() - start) / 1e6 / frames.length);
 }
 times.sort((a, b) => a - b);

@@ -8,18 +8,20 @@
 use std::{fmt::Write, path::PathBuf};
 
 const TOP: &str = "\
-/* Receiver and decoder of dynamic Gaussian splat streams (dgs).
+/* Player of dynamic Gaussian splat streams (dgs): packets in, Gaussians out.
  *
  * Written from src/types.rs and src/ffi.rs by tests/header.rs: do not edit.
  *
- * Memory   One block per receiver, the caller's: dgs_manifest_bytes and dgs_sizes_of read the sizes
- *          out of a manifest, dgs_memory_bytes adds them up, dgs_open makes a receiver in the block.
- *          The block stays where it is, touched by nobody else, until dgs_close. Nothing is allocated.
- * Pointers are used during the call only, the block excepted. dgs_error.field is a constant.
- * Threads  A receiver may move between threads; no two calls with one receiver at once.
- * Errors   Calls return DGS_OK or another status and fill *error, which may be NULL. Null, misaligned,
- *          short and overlapping buffers are refused; lengths that lie cannot be. A refused packet
- *          leaves the receiver usable.
+ * Memory   One block per player, the caller's: dgs_memory_bytes says how large one is that holds every
+ *          stream within caps, dgs_required what one stream needs. dgs_open makes a player in the block,
+ *          which stays where it is, touched by nobody else, until dgs_close. Nothing is allocated.
+ * Pointers are used during the call only, the block excepted. dgs_error.field is a constant; what
+ *          dgs_frame points to lies in the block and is good until the next call with the player.
+ * Threads  A player may move between threads; no two calls with one player at once.
+ * Errors   Calls return DGS_OK or another status and fill *error, which may be NULL. Pointers that are
+ *          null or misaligned, buffers that are short or overlap the block are refused (DGS_MISUSE, and
+ *          no *error, where it is error itself that is misaligned or overlaps); lengths that lie cannot
+ *          be. A refused packet leaves the player usable.
  */
 #ifndef DGS_H
 #define DGS_H
@@ -145,8 +147,8 @@ fn header() -> String {
     }
     for (docs, body) in items(&functions) {
         let text = body.iter().map(|l| l.trim()).collect::<Vec<_>>().join(" ");
-        if text.starts_with("pub struct DgsReceiver ") {
-            writeln!(out, "\n{}typedef struct dgs_receiver dgs_receiver;", comment(&docs, "")).unwrap();
+        if text.starts_with("pub struct DgsPlayer ") {
+            writeln!(out, "\n{}typedef struct dgs_player dgs_player;", comment(&docs, "")).unwrap();
             continue;
         }
         let (_, rest) = text.split_once("extern \"C\" fn ").unwrap();
@@ -188,7 +190,7 @@ fn declarations_are_written_as_c_writes_them() {
         ("u32", "uint32_t x"),
         ("*const u8", "uint8_t const *x"),
         ("*mut c_void", "void *x"),
-        ("*mut *mut DgsReceiver", "dgs_receiver **x"),
+        ("*mut *mut DgsPlayer", "dgs_player **x"),
         ("[f32; 3]", "float x[3]"),
         ("[u32; DGS_REFUSALS]", "uint32_t x[DGS_REFUSALS]"),
     ] {

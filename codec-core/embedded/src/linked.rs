@@ -1,13 +1,10 @@
 // The program of `panicless` and `planted`: they differ in what `planted()` does.
 
 use codec_core::{
-    decode::Decoder,
-    ids::PacketId,
-    receiver::Receiver,
-    wire::crc::crc32,
-    wire::receipt::{Receipt, Value},
+    player::Waiting,
+    wire::{crc::crc32, receipt::Receipt},
 };
-use codec_embedded::memory::Memory;
+use codec_embedded::memory;
 use core::hint::black_box;
 use cortex_m_rt::entry;
 
@@ -27,34 +24,33 @@ fn main() -> ! {
     planted();
     // What the optimiser cannot see through: any bytes, any length, any frame.
     let bytes: &'static [u8] = black_box(&[]);
-    if let Some(Memory { receiver, decoder, out, sh_rest }) = Memory::take() {
-        let mut receiver = Receiver::new(black_box(receiver));
-        let mut decoder = Decoder::new(black_box(decoder));
-        loop {
-            let bytes = black_box(bytes);
-            if black_box(true) {
-                let _ = black_box(receiver.control(bytes));
-            }
-            let _ = black_box(receiver.media(bytes));
-            if let Some(content) = receiver.content() {
-                let _ = black_box(decoder.frame(&content, black_box(0), black_box(out), black_box(sh_rest)));
-            }
-            let _ = black_box(Receipt::parse(bytes, crc32).map(|r| r.sequence));
-            let mut receipt = [0u8; 1200];
-            let recovered = [PacketId::default()];
-            let value = Value {
-                sequence: black_box(0),
-                playout_us: black_box(0),
-                pose: black_box(None),
-                acknowledged: black_box(&[]),
-                recovered: black_box(&recovered),
-                completed: black_box(&[]),
-            };
-            let _ = black_box(value.write(black_box(&mut receipt)));
-            black_box(receiver.counters());
-        }
+    if let Some(mut waiting) = memory::take() {
+        let _ = black_box(waiting.push(black_box(bytes)));
+        let _ = black_box(waiting.required(black_box(bytes)));
+        play(waiting, bytes);
     }
     loop {
         black_box(0);
+    }
+}
+
+/// Everything that a player does.
+fn play(waiting: Waiting<'static>, bytes: &'static [u8]) {
+    let mut player = match waiting.manifest(black_box(bytes)) {
+        Ok(player) => player,
+        Err((waiting, error)) => {
+            black_box((waiting.counters(), error));
+            return;
+        }
+    };
+    loop {
+        let bytes = black_box(bytes);
+        let _ = black_box(player.push(bytes));
+        let _ = black_box(player.frame(black_box(0)).map(|frame| frame.decoded));
+        let _ = black_box(player.usable(black_box(0)));
+        let _ = black_box(Receipt::parse(bytes, crc32).map(|r| r.sequence));
+        let mut receipt = [0u8; 1200];
+        let _ = black_box(player.receipt(black_box(0), black_box(0), black_box(None), &mut receipt));
+        black_box((&receipt, player.counters()));
     }
 }

@@ -5,15 +5,15 @@
 
 use codec_core::{
     Caps,
+    player::Waiting,
     rans::{
         lanes::{self, Compact, Decoder, Run, Symbols, naive},
         table::{SLOTS, Table},
     },
-    receiver::{Memory, Receiver, Requirements},
     wire::{
         crc::crc32,
         file::{self, Record},
-        manifest::{self, Manifest},
+        manifest,
         packet::{Head, Packet},
     },
 };
@@ -110,7 +110,7 @@ fn receiver(criterion: &mut Criterion) {
     let bytes = std::fs::read(path).unwrap();
     let (message, start) = file::manifest(&bytes).unwrap();
     let packets: Vec<&[u8]> = file::packets(&bytes, start, crc32)
-        .filter_map(|record| if let Record::Packet(_, packet) = record { Some(packet) } else { None })
+        .filter_map(|record| if let Record::Packet(_, packet) = record { Some(packet.bytes()) } else { None })
         .collect();
     let mut group = criterion.benchmark_group("receiver");
     group.throughput(Throughput::Elements(packets.len() as u64));
@@ -120,28 +120,15 @@ fn receiver(criterion: &mut Criterion) {
     group.bench_function("packet parse", |b| {
         b.iter(|| packets.iter().filter(|p| Packet::parse(&p[..p.len() - 4]).is_ok()).count());
     });
-    let mut raw = vec![0u8; manifest::Sealed::parse(message).unwrap().raw_len];
-    manifest::open(message, crc32, &mut raw).unwrap();
-    let need = Requirements::of(&Manifest::parse(&raw).unwrap(), &Caps::HOST).unwrap();
-    let mut own = raw.clone();
-    let (mut cells, mut symbols) = (vec![Default::default(); need.cells], vec![0; need.symbols]);
-    let (mut blocks, mut seen, mut slots) = (vec![0; need.blocks], vec![0; need.seen], vec![0; need.slots]);
-    let (mut progress, mut parity) = (vec![0; need.progress], vec![0; need.parity]);
+    let caps = Caps { early_bytes: 0, ..Caps::HOST };
+    let mut scratch = vec![0u64; manifest::Sealed::parse(message).unwrap().raw_len.div_ceil(8)];
+    let need = Waiting::new(&mut scratch, caps).unwrap().required(message).unwrap();
+    let mut arena = vec![0u64; need.words];
     group.bench_function("manifest and all packets", |b| {
         b.iter(|| {
-            let mut receiver = Receiver::new(Memory {
-                manifest: &mut own,
-                cells: &mut cells,
-                symbols: &mut symbols,
-                blocks: &mut blocks,
-                seen: &mut seen,
-                slots: &mut slots,
-                progress: &mut progress,
-                parity: &mut parity,
-                early: &mut [],
-            });
-            receiver.control(message).unwrap();
-            packets.iter().filter(|p| receiver.media(p).is_ok()).count()
+            let waiting = Waiting::new(&mut arena, caps).unwrap();
+            let mut player = waiting.manifest(message).map_err(|(_, error)| error).unwrap();
+            packets.iter().filter(|p| player.push(p).is_ok()).count()
         });
     });
     group.finish();

@@ -11,9 +11,9 @@
 //! The instruction set is found at run time; without one the scalar decoder does all of it. All
 //! `unsafe` of the codec is in the kernels here.
 
+mod batch;
 mod bundle;
 mod crc;
-mod intake;
 mod kernel;
 mod repair;
 
@@ -23,19 +23,12 @@ use codec_core::{
         lanes::{Decoder, Run},
         table::SLOTS,
     },
-    receiver::{Memory, Receiver},
 };
 
+pub use batch::BatchReceiver;
 pub use crc::crc32;
-pub use intake::Intake;
 pub use kernel::Kernel;
 pub use repair::{combine, combines};
-
-/// A receiver over `memory` that waits for its manifest and takes CRCs and repairs as fast as this
-/// machine can.
-pub fn receiver(memory: Memory<'_>) -> Receiver<'_> {
-    Receiver::with_crc(memory, crc32).with_combine(combine())
-}
 
 /// Decode tables of a stream.
 #[derive(Clone, Copy, Debug)]

@@ -211,12 +211,14 @@ fn held(part: &Part<'_, '_>, frame: &Frame) -> Option<Pose> {
         let span = Span::Motion(id);
         let shape = Shape::of(&content.manifest, span, part.cluster)?;
         let cell = content.cell(span, part.cluster)?;
-        let frames = u32::from(window.frames);
-        let last =
-            Frame { id, window, cosine: cosine(frames, frames - 1), learned: [0.0; MAX_WINDOW_FRAMES] };
-        if let Some(pose) = track(part, &shape, cell, &last) {
-            return Some(pose);
+        if shape.motion.class() != Track::Static && !part.content.arrived(cell, 0).has(Level::BASE) {
+            continue;
         }
+        // Only here, not for every window passed over: a basis costs more than the rest of a step.
+        let frames = u32::from(window.frames);
+        let cosine = cosine(frames, frames.saturating_sub(1));
+        let last = Frame { id, window, cosine, learned: [0.0; MAX_WINDOW_FRAMES] };
+        return track(part, &shape, cell, &last);
     }
     None
 }

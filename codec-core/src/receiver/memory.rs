@@ -1,5 +1,7 @@
 //! Where a stream's content lies: how much memory it needs, whose that is, and which of it counts.
 
+use bytemuck::{Pod, Zeroable};
+
 use super::repair;
 use crate::{
     caps::{Caps, within},
@@ -13,7 +15,8 @@ use crate::{
 };
 
 /// Where a cell's data starts.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+#[repr(C)]
 pub struct Cell {
     /// First symbol.
     pub symbols: u32,
@@ -83,10 +86,27 @@ impl Requirements {
             Profile::Paper => {
                 need.slots = 2 * bytes::SLOTS / 4;
                 need.least_slots = need.slots;
-                need.progress = manifest.cells() * Level::COUNT;
+                need.progress = manifest.cells() * Level::COUNT + need.symbols.div_ceil(32);
             }
         }
         Ok(need)
+    }
+
+    /// What no stream within `caps` exceeds, whatever its profile.
+    pub const fn most(caps: &Caps) -> Self {
+        let (slots, least) =
+            (caps.tables as usize * Form::Slots.words(), caps.tables as usize * Form::Compact.words());
+        let (cells, paper) = (caps.cells as usize, 2 * bytes::SLOTS / 4);
+        Self {
+            cells: cells.saturating_add(1),
+            symbols: caps.symbols as usize,
+            blocks: caps.blocks as usize,
+            seen: (caps.packets as usize).div_ceil(32),
+            slots: if slots > paper { slots } else { paper },
+            least_slots: if least > paper { least } else { paper },
+            progress: cells.saturating_mul(Level::COUNT).saturating_add((caps.symbols as usize).div_ceil(32)),
+            parity: caps.parity_bytes as usize,
+        }
     }
 }
 
@@ -109,29 +129,25 @@ pub fn for_each_cell(manifest: &Manifest<'_>, mut visit: impl FnMut(Span, Cluste
     }
 }
 
-/// The caller's memory. Contents do not matter; [`Receiver::control`](super::Receiver::control)
-/// initialises what it uses.
+/// The caller's memory, cut from an arena by [`Plan::divide`](crate::arena::Plan::divide). Contents do
+/// not matter: [`Receiver::new`](super::Receiver::new) initialises what it uses.
 #[derive(Debug, Default)]
 pub struct Memory<'a> {
-    /// The unpacked manifest ([`Sealed::raw_len`](crate::wire::manifest::Sealed::raw_len) bytes).
-    pub manifest: &'a mut [u8],
     /// Where cells start.
-    pub cells: &'a mut [Cell],
+    pub(crate) cells: &'a mut [Cell],
     /// Decoded symbols.
-    pub symbols: &'a mut [i16],
+    pub(crate) symbols: &'a mut [i16],
     /// Arrival masks, one per block and cell.
-    pub blocks: &'a mut [u8],
+    pub(crate) blocks: &'a mut [u8],
     /// Bitmap of packets.
-    pub seen: &'a mut [u32],
+    pub(crate) seen: &'a mut [u32],
     /// Entropy decode tables: [`Requirements::slots`] for the fast form, or down to
     /// [`Requirements::least_slots`] for the compact one.
-    pub slots: &'a mut [u32],
-    /// Symbols arrived per group (`paper`).
-    pub progress: &'a mut [u32],
+    pub(crate) slots: &'a mut [u32],
+    /// Symbols arrived per group, then a bit per symbol that has (`paper`).
+    pub(crate) progress: &'a mut [u32],
     /// Sums of the repair sets.
-    pub parity: &'a mut [u8],
-    /// Media that arrives before the manifest.
-    pub early: &'a mut [u8],
+    pub(crate) parity: &'a mut [u8],
 }
 
 /// The decoded content of a stream so far, and which of it counts.

@@ -11,9 +11,9 @@ use crate::{
     limits::MAX_REPAIR_PARITY,
     repair::{MAX_CODED_BYTES, Sums},
     wire::{
-        crc::checked,
+        checked::Checked,
         manifest::{Manifest, Repair},
-        packet::{Packet, Parity},
+        packet::Parity,
     },
 };
 
@@ -137,9 +137,8 @@ impl Receiver<'_> {
 
     /// Checks and decodes `packet` if it is media packet `expected`.
     fn decode_as(&mut self, manifest: &Manifest<'_>, packet: &[u8], expected: PacketId) -> Result<()> {
-        let parsed = Packet::parse(checked("packet.crc", packet, self.crc)?)?;
-        let (found, wanted) = (u64::from(parsed.id().get()), u64::from(expected.get()));
-        in_range("packet.id", 1, found, wanted, wanted)?;
-        self.decode(manifest, &parsed)
+        let checked = Checked::new(packet, self.crc)?;
+        in_range("packet.id", 1, checked.id().get(), expected.get(), expected.get())?;
+        self.decode(manifest, checked.packet())
     }
 }

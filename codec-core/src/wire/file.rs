@@ -9,10 +9,13 @@
 //! The index only speeds things up: it can be rebuilt by walking the packets. A truncated or
 //! damaged file gives what it still holds: where a packet or its length is damaged, [`packets`]
 //! searches for the next place at which a packet's CRC fits.
+//!
+//! Of packets with one id the first in the file counts, as it would for a receiver.
 
 use super::{
-    crc::{CRC_BYTES, Crc32, RunningCrc, checked},
-    manifest::Sealed,
+    checked::Checked,
+    crc::{CRC_BYTES, Crc32, RunningCrc, checked, crc32},
+    manifest::{Manifest, Sealed},
 };
 use crate::{
     cursor::{Reader, in_range},
@@ -46,11 +49,35 @@ pub fn manifest(file: &[u8]) -> Result<(&[u8], usize)> {
     Ok((message, reader.offset()))
 }
 
+/// The manifest message of `file` and its packets that are in order by themselves, for a player.
+///
+/// ```
+/// let file = include_bytes!("../../tests/conformance/one.dgs");
+/// let (message, packets) = codec_core::file::parts(file)?;
+/// assert!(message.starts_with(b"DGSM"));
+/// assert_eq!(packets.count(), 4);
+/// # Ok::<(), codec_core::Error>(())
+/// ```
+///
+/// # Errors
+/// As [`manifest`].
+pub fn parts(file: &[u8]) -> Result<(&[u8], impl Iterator<Item = &[u8]>)> {
+    let (message, start) = manifest(file)?;
+    let packets = packets(file, start, crc32).filter_map(|record| match record {
+        Record::Packet(_, packet) => Some(packet.bytes()),
+        Record::Illegal(..) | Record::Damaged(..) | Record::End => None,
+    });
+    Ok((message, packets))
+}
+
 /// One record found in a file.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
+#[expect(clippy::large_enum_variant, reason = "there is no heap to put the large one on")]
 pub enum Record<'a> {
-    /// A packet whose CRC fits, and the offset of its first byte.
-    Packet(usize, &'a [u8]),
+    /// A packet that is in order by itself, and the offset of its first byte.
+    Packet(usize, Checked<'a>),
+    /// Bytes whose CRC fits and that are no packet all the same: offset, length and why.
+    Illegal(usize, usize, Error),
     /// Bytes that are no packet: offset and length.
     Damaged(usize, usize),
     /// The packets end here as they should.
@@ -75,7 +102,7 @@ pub struct Packets<'a> {
 }
 
 impl<'a> Packets<'a> {
-    /// The packet whose length field is at `at`.
+    /// The bytes whose length field is at `at` and whose CRC fits.
     fn packet_at(&self, at: usize) -> Option<&'a [u8]> {
         let (len, rest) = self.file.get(at..)?.split_first_chunk::<2>()?;
         let len = usize::from(u16::from_le_bytes(*len));
@@ -104,7 +131,10 @@ impl<'a> Iterator for Packets<'a> {
         if let Some(packet) = self.packet_at(self.at) {
             let start = self.at + 2;
             self.at = start + packet.len();
-            return Some(Record::Packet(start, packet));
+            return Some(match Checked::vouched(packet) {
+                Ok(packet) => Record::Packet(start, packet),
+                Err(error) => Record::Illegal(start, packet.len(), error),
+            });
         }
         let from = self.at;
         if from >= self.file.len() {
@@ -117,6 +147,35 @@ impl<'a> Iterator for Packets<'a> {
             .unwrap_or(self.file.len());
         Some(Record::Damaged(from, self.at - from))
     }
+}
+
+/// Packets of a stream that are not there.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Missing {
+    /// Packets whose content is lost.
+    pub lost: u32,
+    /// Protected packets that repair gives back from the parity that is there.
+    pub repairable: u32,
+}
+
+/// Which packets of `manifest`'s stream are missing where exactly those for whose ids `has` says so are
+/// there.
+pub fn missing(manifest: &Manifest<'_>, has: impl Fn(u32) -> bool) -> Missing {
+    let mut missing = Missing::default();
+    for id in 0..manifest.head().packets {
+        missing.lost += u32::from(!has(id));
+    }
+    for repair in manifest.repairs() {
+        for set in 0..repair.sets() {
+            let lacks = (0..repair.members(set)).filter(|&at| !has(repair.member(set, at))).count();
+            let rows = (0..repair.parity.into()).filter(|&row| has(repair.parity_id(set, row))).count();
+            if lacks <= rows {
+                missing.repairable += lacks as u32;
+            }
+        }
+    }
+    missing.lost -= missing.repairable;
+    missing
 }
 
 /// Writes a file piece by piece through `emit`, and keeps its index.
@@ -198,10 +257,7 @@ fn entries(content: &[u8]) -> Result<&[u8]> {
 
 #[cfg(test)]
 mod tests {
-    use super::{
-        super::{crc::crc32, packet::Parity},
-        *,
-    };
+    use super::{super::packet::Parity, *};
     use crate::{ids::PacketId, wire::manifest};
     extern crate std;
     use std::{vec, vec::Vec};
@@ -232,7 +288,7 @@ mod tests {
         let Ok((_, start)) = super::manifest(bytes) else { return Vec::new() };
         packets(bytes, start, crc32)
             .filter_map(|r| match r {
-                Record::Packet(_, p) => Some(p.to_vec()),
+                Record::Packet(_, p) => Some(p.bytes().to_vec()),
                 _ => None,
             })
             .collect()

@@ -193,6 +193,12 @@ impl<'a> Manifest<'a> {
         Ok(whole)
     }
 
+    /// The same view over `raw`: the bytes that this one was made of, at another place.
+    pub(crate) const fn over<'b>(&self, raw: &'b [u8]) -> Manifest<'b> {
+        let Self { head, profile, sections, motion_cells, blocks, .. } = *self;
+        Manifest { raw, head, profile, sections, motion_cells, blocks }
+    }
+
     /// The unpacked bytes this view reads.
     pub const fn raw(&self) -> &'a [u8] {
         self.raw

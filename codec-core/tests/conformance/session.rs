@@ -1,13 +1,13 @@
-//! A receiver with its own memory, and what a golden stream's index line is made of.
+//! Plays a golden stream, and makes the line of the index that says what came of it.
 
 use std::fmt::Write as _;
 
 use codec_core::{
     Caps, Gaussian,
     closure::Arrived,
-    decode::{Decoder, Memory as Decoding},
     ids::Span,
-    receiver::{Arrival, Cell, Content, Counters, Memory, Receiver, Requirements, for_each_cell},
+    player::{Counters, Waiting},
+    receiver::{Content, for_each_cell},
     wire::{
         crc::crc32,
         file,
@@ -69,7 +69,7 @@ impl Line {
 pub fn parts(bytes: &[u8]) -> (&[u8], Vec<&[u8]>) {
     let Ok((message, start)) = file::manifest(bytes) else { return (&[], Vec::new()) };
     let packets = file::packets(bytes, start, crc32).filter_map(|record| match record {
-        file::Record::Packet(_, packet) => Some(packet),
+        file::Record::Packet(_, packet) => Some(packet.bytes()),
         _ => None,
     });
     (message, packets.collect())
@@ -82,30 +82,33 @@ pub fn unpacked(message: &[u8]) -> Vec<u8> {
     raw
 }
 
-/// What is to be received, and what was.
+/// A stream to receive.
 pub struct Session {
     message: Vec<u8>,
     raw: Vec<u8>,
-    cells: Vec<Cell>,
-    symbols: Vec<i16>,
-    blocks: Vec<u8>,
-    parity: Vec<u8>,
-    /// Counters of the last [`Session::after`].
+}
+
+/// One decoded frame: Gaussians, then their higher bands.
+pub type Shown = (Vec<Gaussian>, Vec<f32>);
+
+/// What a player made of some packets.
+pub struct Received {
+    /// Arrival masks.
+    pub state: Vec<u8>,
+    /// Symbols.
+    pub symbols: Vec<i16>,
+    /// Every frame.
+    pub frames: Vec<Shown>,
+    /// Per epoch and Gaussian, the masks of its blocks in all cells that it takes values from.
+    pub masks: Vec<Vec<Vec<u8>>>,
+    /// What happened to the packets.
     pub counters: Counters,
 }
 
 impl Session {
     /// Nothing has arrived.
     pub fn open(message: &[u8]) -> Self {
-        Self {
-            raw: unpacked(message),
-            message: message.to_vec(),
-            cells: Vec::new(),
-            symbols: Vec::new(),
-            blocks: Vec::new(),
-            parity: Vec::new(),
-            counters: Counters::default(),
-        }
+        Self { raw: unpacked(message), message: message.to_vec() }
     }
 
     /// The manifest.
@@ -113,68 +116,39 @@ impl Session {
         Manifest::parse(&self.raw).unwrap()
     }
 
-    /// The state after `packets` have arrived in this order.
-    pub fn after(mut self, packets: &[impl AsRef<[u8]>]) -> Self {
-        let need = Requirements::of(&self.manifest(), &Caps::HOST).unwrap();
-        // Garbage at first: the receiver must not depend on it.
-        self.cells = vec![Cell { symbols: 7, blocks: 9 }; need.cells];
-        self.symbols = vec![-77; need.symbols];
-        self.blocks = vec![0xff; need.blocks];
-        self.parity = vec![0xff; need.parity];
-        let mut raw = vec![0xee; self.raw.len()];
-        let mut seen = vec![u32::MAX; need.seen];
-        let mut slots = vec![u32::MAX; need.slots];
-        let mut progress = vec![u32::MAX; need.progress];
-        let mut receiver = Receiver::new(Memory {
-            manifest: &mut raw,
-            cells: &mut self.cells,
-            symbols: &mut self.symbols,
-            blocks: &mut self.blocks,
-            seen: &mut seen,
-            slots: &mut slots,
-            progress: &mut progress,
-            parity: &mut self.parity,
-            early: &mut [],
-        });
-        receiver.control(&self.message).unwrap();
+    /// What is there after `packets` have arrived in this order.
+    pub fn after(self, packets: &[impl AsRef<[u8]>]) -> Received {
+        let caps = Caps { early_bytes: 0, ..Caps::HOST };
+        // Garbage at first: the player must not depend on it.
+        let mut scratch = vec![0x7799_aabb_ccdd_eeff; self.raw.len().div_ceil(8)];
+        let need = Waiting::new(&mut scratch, caps).unwrap().required(&self.message).unwrap();
+        let mut arena = vec![0xfedc_ba98_7654_3210; need.words];
+        let waiting = Waiting::new(&mut arena, caps).unwrap();
+        let mut player = waiting.manifest(&self.message).map_err(|(_, error)| error).unwrap();
         for packet in packets {
-            let arrival = receiver.media(packet.as_ref());
-            assert!(!matches!(arrival, Ok(Arrival::Buffered)));
+            // Refusals are counted by kind.
+            let _ = player.push(packet.as_ref());
         }
-        self.counters = *receiver.counters();
-        self
-    }
-
-    /// What has arrived.
-    pub fn content(&self) -> Content<'_> {
-        Content {
-            manifest: self.manifest(),
-            cells: &self.cells,
-            symbols: &self.symbols,
-            blocks: &self.blocks,
+        let mut frames = Vec::new();
+        for frame in 0..self.manifest().head().frames {
+            let shown = player.frame(frame).unwrap();
+            frames.push((shown.gaussians.to_vec(), shown.sh_rest.to_vec()));
+        }
+        let content = player.content();
+        Received {
+            state: content.blocks.to_vec(),
+            symbols: content.symbols.to_vec(),
+            frames,
+            masks: masks(&content),
+            counters: *player.counters(),
         }
     }
+}
 
+impl Received {
     /// Usable levels over all blocks.
     pub fn usable(&self) -> u32 {
-        self.blocks.iter().map(|&mask| Arrived(mask).usable() as u32).sum()
-    }
-
-    /// Every frame: Gaussians, then their higher bands.
-    pub fn frames(&self) -> Vec<(Vec<Gaussian>, Vec<f32>)> {
-        let manifest = self.manifest();
-        let most = manifest.epochs().map(|e| e.gaussians as usize).max().unwrap_or(0);
-        let mut blocks = 0;
-        for_each_cell(&manifest, |_, _, shape| blocks += shape.blocks());
-        let rest = manifest.sh_degree().rest_len();
-        let (mut canonical, mut known) = (vec![Gaussian::ABSENT; most], vec![0u8; blocks]);
-        let mut decoder = Decoder::new(Decoding { canonical: &mut canonical, known: &mut known });
-        let (mut out, mut sh_rest) = (vec![Gaussian::ABSENT; most], vec![0f32; most * rest]);
-        let one = |frame| {
-            let n = decoder.frame(&self.content(), frame, &mut out, &mut sh_rest).unwrap().gaussians;
-            (out[..n].to_vec(), sh_rest[..n * rest].to_vec())
-        };
-        (0..manifest.head().frames).map(one).collect()
+        self.state.iter().map(|&mask| Arrived(mask).usable() as u32).sum()
     }
 
     /// FNV-1a over the bits of all frames.
@@ -185,39 +159,38 @@ impl Session {
                 digest = (digest ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
             }
         };
-        for (gaussians, sh_rest) in self.frames() {
+        for (gaussians, sh_rest) in &self.frames {
             for g in gaussians {
                 g.position.iter().chain(&g.scale).chain(&g.rotation).for_each(|&v| take(v));
                 take(g.opacity);
                 g.sh0.iter().for_each(|&v| take(v));
             }
-            sh_rest.into_iter().for_each(&mut take);
+            sh_rest.iter().copied().for_each(&mut take);
         }
         digest
     }
+}
 
-    /// Per epoch and Gaussian, the masks of its blocks in all cells that it takes values from.
-    pub fn masks(&self) -> Vec<Vec<Vec<u8>>> {
-        let content = self.content();
-        let mut masks: Vec<Vec<Vec<u8>>> =
-            content.manifest.epochs().map(|e| vec![Vec::new(); e.gaussians as usize]).collect();
-        let mut at = 0;
-        for_each_cell(&content.manifest, |span, cluster, shape| {
-            let epoch = match span {
-                Span::Canonical(id) => id.index(),
-                Span::Motion(id) => usize::from(content.manifest.window(id).unwrap().epoch),
-            };
-            if cluster.0 == 0 {
-                at = 0;
+/// Per epoch and Gaussian, the masks of its blocks in all cells that it takes values from.
+fn masks(content: &Content<'_>) -> Vec<Vec<Vec<u8>>> {
+    let mut masks: Vec<Vec<Vec<u8>>> =
+        content.manifest.epochs().map(|e| vec![Vec::new(); e.gaussians as usize]).collect();
+    let mut at = 0;
+    for_each_cell(&content.manifest, |span, cluster, shape| {
+        let epoch = match span {
+            Span::Canonical(id) => id.index(),
+            Span::Motion(id) => usize::from(content.manifest.window(id).unwrap().epoch),
+        };
+        if cluster.0 == 0 {
+            at = 0;
+        }
+        let cell = content.cell(span, cluster).unwrap();
+        for block in 0..shape.blocks() {
+            for _ in 0..shape.block_gaussians(block) {
+                masks[epoch][at].push(content.arrived(cell, block).0);
+                at += 1;
             }
-            let cell = content.cell(span, cluster).unwrap();
-            for block in 0..shape.blocks() {
-                for _ in 0..shape.block_gaussians(block) {
-                    masks[epoch][at].push(content.arrived(cell, block).0);
-                    at += 1;
-                }
-            }
-        });
-        masks
-    }
+        }
+    });
+    masks
 }

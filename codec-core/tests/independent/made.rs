@@ -284,7 +284,7 @@ fn packet(model: &Model, id: u32, extents: Vec<Extent>, numbers: &mut Numbers) -
                 _ => 2,
             };
             // Now and then a symbol far out, which few tables code without an escape.
-            let far = |numbers: &mut Numbers| if numbers.next() % 61 == 0 { 20 } else { 1 };
+            let far = |numbers: &mut Numbers| if numbers.next().is_multiple_of(61) { 20 } else { 1 };
             let own: Vec<i16> = (0..n).map(|_| (numbers.within(most) * far(numbers)) as i16).collect();
             let set = &model.table_sets[stream];
             let codes = |choice: &usize| {

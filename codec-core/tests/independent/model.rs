@@ -362,12 +362,13 @@ impl Cell<'_> {
     fn parts(&self, level: usize) -> Vec<(usize, usize, usize)> {
         let left_out = self.motion.map_or(self.cluster.left_out, |m| m.left_out);
         let mut parts = Vec::new();
-        for class in 0..if self.motion.is_some() { 5 } else { 8 } {
+        let classes = if self.motion.is_some() { 5 } else { 8 };
+        for (class, &(components, _, degree)) in CLASSES.iter().enumerate().take(classes) {
             let (quantiser, first) = self.class(class);
-            let known = self.motion.is_some() || CLASSES[class].2 <= self.cluster.degree;
+            let known = self.motion.is_some() || degree <= self.cluster.degree;
             if known && level + usize::from(left_out) <= 3 && quantiser.has_symbol(level, first) {
                 let coefficients = self.motion.map_or(1, |m| m.coefficients[class].into());
-                (0..coefficients).for_each(|k| parts.push((class, k, CLASSES[class].0)));
+                (0..coefficients).for_each(|k| parts.push((class, k, components)));
             }
         }
         parts

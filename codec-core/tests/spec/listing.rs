@@ -5,7 +5,7 @@ use std::{fmt::Write as _, path::Path};
 use codec_core::Gaussian;
 
 use crate::{
-    session::{Session, parts, unpacked},
+    session::{Received, Session, parts, unpacked},
     tables::{Row, Tables, number, same},
 };
 
@@ -19,8 +19,8 @@ pub fn differences(tables: &Tables, found: &mut Vec<String>) {
     let base = Session::open(message).after(&packets[..1]);
     let all = Session::open(message).after(&packets);
     symbols(&tables["one.dgs symbols"], &all, found);
-    for (column, session) in [("after packet 0", &base), ("after all packets", &all)] {
-        let shown = session.frames()[0].0[0];
+    for (column, received) in [("after packet 0", &base), ("after all packets", &all)] {
+        let shown = received.frames[0].0[0];
         for row in &tables["one.dgs Gaussian"] {
             let what = format!("one.dgs {} {column}", row["value"]);
             same(found, &what, row[column].clone(), attribute(&shown, &row["value"]));
@@ -64,10 +64,10 @@ fn named(rows: &[Row], body: &[u8], found: &mut Vec<String>) {
 }
 
 /// Symbols of the one Gaussian, level after level, and the indices of section 7.2.
-fn symbols(rows: &[Row], session: &Session, found: &mut Vec<String>) {
+fn symbols(rows: &[Row], received: &Received, found: &mut Vec<String>) {
     const CLASSES: [(&str, usize); 5] =
         [("Position", 3), ("Scale", 3), ("Rotation", 3), ("Opacity", 1), ("Sh0", 3)];
-    let symbols = session.content().symbols;
+    let symbols = &received.symbols;
     let mut indices = vec![0i32; 13];
     for level in 0..4 {
         let own = &symbols[13 * level..13 * (level + 1)];

@@ -26,6 +26,7 @@ pub fn limits_of(tables: &Tables, found: &mut Vec<String>) {
         ("MAX_PACKET_BYTES", limits::MAX_PACKET_BYTES as u64),
         ("MAX_DEPENDENCIES", limits::MAX_DEPENDENCIES as u64),
         ("MAX_PACKET_VALUES", limits::MAX_PACKET_VALUES.into()),
+        ("MAX_PACKET_BLOCKS", limits::MAX_PACKET_BLOCKS.into()),
         ("MAX_EXTENTS", limits::MAX_EXTENTS as u64),
         ("MAX_TABLE_SET", limits::MAX_TABLE_SET as u64),
         ("MAX_BLOCK_LEN", limits::MAX_BLOCK_LEN as u64),

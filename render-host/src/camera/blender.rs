@@ -1,16 +1,18 @@
-//! Cameras of a Blender/NeRF `transforms_*.json`.
+//! Reads the cameras of a Blender/NeRF `transforms_*.json`.
 //!
 //! The file has `camera_angle_x` (radians) or `fl_x`/`fl_y`/`cx`/`cy` (pixels), optionally `w` and `h`,
 //! and a list of `frames`, each with `file_path`, `transform_matrix` (camera-to-world, OpenGL axes) and,
-//! in dynamic sets, `time`. A frame may override any of the film's numbers. Fields we do not know are
-//! skipped. Memory is bounded by the length of the text.
+//! in dynamic sets, `time`. A frame may override any of the image's numbers. A lens that distorts (`k1` to
+//! `k4`, `p1`, `p2`, or a `camera_model` that is not a pinhole) is refused. Fields we do not know are skipped.
+//! Memory is bounded by the length of the text.
 
 use serde::Deserialize;
 
 use super::{Camera, CameraError, Intrinsics, View};
 
-#[derive(Clone, Copy, Default, Deserialize)]
-struct Film {
+/// What the file or one of its frames says of the image plane and the lens.
+#[derive(Clone, Default, Deserialize)]
+struct Optics {
     camera_angle_x: Option<f64>,
     camera_angle_y: Option<f64>,
     w: Option<f64>,
@@ -19,7 +21,17 @@ struct Film {
     fl_y: Option<f64>,
     cx: Option<f64>,
     cy: Option<f64>,
+    camera_model: Option<String>,
+    k1: Option<f64>,
+    k2: Option<f64>,
+    k3: Option<f64>,
+    k4: Option<f64>,
+    p1: Option<f64>,
+    p2: Option<f64>,
 }
+
+/// Models without distortion, or whose distortion is told by parameters.
+const MODELS: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL"];
 
 #[derive(Deserialize)]
 struct Frame {
@@ -28,14 +40,14 @@ struct Frame {
     transform_matrix: [[f64; 4]; 4],
     time: Option<f64>,
     #[serde(flatten)]
-    film: Film,
+    optics: Optics,
 }
 
 #[derive(Deserialize)]
 struct Transforms {
     frames: Vec<Frame>,
     #[serde(flatten)]
-    film: Film,
+    optics: Optics,
 }
 
 /// Reads a `transforms_*.json`: its frames in file order.
@@ -44,8 +56,8 @@ struct Transforms {
 /// file does say, the file wins.
 ///
 /// # Errors
-/// Text that is not such JSON (with line and column), a size nobody gave, or a frame whose camera is not
-/// one (with the frame's name).
+/// Text that is not such JSON (with line and column), a size nobody gave, a lens that distorts, or a frame
+/// whose camera is not one (with the frame's name).
 pub fn read(bytes: &[u8], size: Option<(u32, u32)>) -> Result<Vec<View>, CameraError> {
     let file: Transforms = serde_json::from_slice(bytes).map_err(|e| CameraError::Json {
         line: e.line(),
@@ -53,9 +65,10 @@ pub fn read(bytes: &[u8], size: Option<(u32, u32)>) -> Result<Vec<View>, CameraE
         message: e.to_string(),
     })?;
     let view = |frame: Frame| {
-        let film = frame.film.or(file.film);
-        let camera = film
-            .intrinsics(size)
+        let optics = frame.optics.or(&file.optics);
+        let camera = optics
+            .undistorted(&frame.file_path)
+            .and_then(|()| optics.intrinsics(size))
             .and_then(|intrinsics| Camera::from_opengl(frame.transform_matrix, intrinsics))
             .map_err(|e| e.of(&frame.file_path))?;
         Ok(View { name: frame.file_path, time: frame.time, camera })
@@ -63,9 +76,9 @@ pub fn read(bytes: &[u8], size: Option<(u32, u32)>) -> Result<Vec<View>, CameraE
     file.frames.into_iter().map(view).collect()
 }
 
-impl Film {
+impl Optics {
     /// Own numbers first, then those of `other`.
-    fn or(self, other: Self) -> Self {
+    fn or(self, other: &Self) -> Self {
         Self {
             camera_angle_x: self.camera_angle_x.or(other.camera_angle_x),
             camera_angle_y: self.camera_angle_y.or(other.camera_angle_y),
@@ -75,7 +88,30 @@ impl Film {
             fl_y: self.fl_y.or(other.fl_y),
             cx: self.cx.or(other.cx),
             cy: self.cy.or(other.cy),
+            camera_model: self.camera_model.or_else(|| other.camera_model.clone()),
+            k1: self.k1.or(other.k1),
+            k2: self.k2.or(other.k2),
+            k3: self.k3.or(other.k3),
+            k4: self.k4.or(other.k4),
+            p1: self.p1.or(other.p1),
+            p2: self.p2.or(other.p2),
         }
+    }
+
+    /// Refuses a lens that distorts.
+    fn undistorted(&self, name: &str) -> Result<(), CameraError> {
+        let distortion = [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2].map(|v| v.unwrap_or(0.0));
+        let model = self.camera_model.as_deref().unwrap_or("PINHOLE");
+        let known = MODELS.contains(&model);
+        if known && distortion == [0.0; 6] {
+            return Ok(());
+        }
+        Err(CameraError::Distorted {
+            camera: name.to_owned(),
+            model: model.to_owned(),
+            values: if known { distortion.to_vec() } else { Vec::new() },
+            allowed: "PINHOLE, or k1 to k4, p1 and p2 of 0",
+        })
     }
 
     fn intrinsics(&self, size: Option<(u32, u32)>) -> Result<Intrinsics, CameraError> {
@@ -119,8 +155,8 @@ mod tests {
         // Camera-to-world columns: x = (1,0,0), y up = (0,0,1), back = (0,-1,0): it looks along +y.
         let p = camera.to_camera([0.5, 0.0, 2.0]);
         assert_eq!(p, [0.0, -1.0, 4.0], "one above the axis, four ahead");
-        let film = views[1].camera.intrinsics();
-        assert_eq!((film.width, film.height, film.fx, film.fy), (40, 20, 30.0, 30.0));
+        let own = views[1].camera.intrinsics();
+        assert_eq!((own.width, own.height, own.fx, own.fy), (40, 20, 30.0, 30.0));
     }
 
     #[test]
@@ -135,6 +171,23 @@ mod tests {
         let missing = r#"{"frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}"#;
         let error = read(missing.as_bytes(), Some((8, 8))).unwrap_err().to_string();
         assert!(error.contains("fx is NaN"), "{error}");
+    }
+
+    #[test]
+    fn lenses_that_distort_are_refused_by_name() {
+        let with =
+            |fields: &str| read(TEXT.replacen('{', &format!("{{{fields}, "), 1).as_bytes(), Some((8, 8)));
+        for fields in [r#""k1": 0.0, "p2": 0"#, r#""camera_model": "OPENCV""#] {
+            assert_eq!(with(fields).unwrap().len(), 2, "{fields}");
+        }
+        for (fields, says) in [
+            (r#""k1": 0.1"#, "model PINHOLE with distortion [0.1,"),
+            (r#""camera_model": "OPENCV", "p2": -0.2"#, "model OPENCV with distortion"),
+            (r#""camera_model": "OPENCV_FISHEYE""#, "model OPENCV_FISHEYE; PINHOLE"),
+        ] {
+            let error = with(fields).unwrap_err().to_string();
+            assert!(error.contains("./train/r_000") && error.contains(says), "{error}");
+        }
     }
 
     proptest! {

@@ -1,43 +1,86 @@
-//! Cameras of COLMAP's `cameras.bin` and `images.bin`.
+//! Reads the cameras of COLMAP: `cameras` and `images`, binary (`.bin`) or text (`.txt`).
 //!
-//! Little-endian. `cameras.bin`: u64 count, then per camera u32 id, i32 model, u64 width, u64 height and
-//! the model's f64 parameters. `images.bin`: u64 count, then per image u32 id, four f64 quaternion (wxyz,
-//! world to camera), three f64 translation, u32 camera id, a name ending in 0, u64 number of points and
-//! 24 bytes for each point, which we step over.
+//! Binary is little-endian. `cameras.bin`: u64 count, then per camera u32 id, i32 model, u64 width, u64
+//! height and the model's f64 parameters. `images.bin`: u64 count, then per image u32 id, four f64 quaternion
+//! (wxyz, world to camera), three f64 translation, u32 camera id, a name ending in 0, u64 number of points
+//! and 24 bytes for each point, which we step over. Text holds the same, a line per camera and two per image.
 //!
-//! COLMAP centres pixels at halves, as we do. Distortion is not modelled: a camera that has some is read
-//! as a pinhole and a note says how much was ignored. Counts are checked against the bytes that are left
-//! before anything is stored, so memory is bounded by the length of the input.
+//! COLMAP centres pixels at halves, as we do. Lenses that distort are refused by name: COLMAP's own
+//! undistorter makes pinhole images of them. Counts are checked against the bytes that are left before
+//! anything is stored, so memory is bounded by the length of the input.
+
+mod text;
 
 use std::collections::BTreeMap;
 
 use super::{Camera, CameraError, Intrinsics, View};
 
-/// What two files said.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Colmap {
-    /// Images in order of name; `time` is `None`.
-    pub views: Vec<View>,
-    /// Things a person should know: distortion that was ignored.
-    pub notes: Vec<String>,
-}
-
-/// A camera model: its name, number of focal lengths, and total number of parameters.
+/// A camera model: its name, number of focal lengths, and total number of parameters; none of a model whose
+/// lens always distorts.
 struct Model {
     name: &'static str,
-    focals: usize,
-    params: usize,
+    counts: Option<(usize, usize)>,
 }
 
-/// COLMAP's model numbers 0..=4, in order.
-const MODELS: [Model; 5] = [
-    Model { name: "SIMPLE_PINHOLE", focals: 1, params: 3 },
-    Model { name: "PINHOLE", focals: 2, params: 4 },
-    Model { name: "SIMPLE_RADIAL", focals: 1, params: 4 },
-    Model { name: "RADIAL", focals: 1, params: 5 },
-    Model { name: "OPENCV", focals: 2, params: 8 },
+const fn model(name: &'static str, focals: usize, parameters: usize) -> Model {
+    Model { name, counts: Some((focals, parameters)) }
+}
+
+const fn distorted(name: &'static str) -> Model {
+    Model { name, counts: None }
+}
+
+/// COLMAP's models in the order of their numbers, from 0.
+const MODELS: [Model; 12] = [
+    model("SIMPLE_PINHOLE", 1, 3),
+    model("PINHOLE", 2, 4),
+    model("SIMPLE_RADIAL", 1, 4),
+    model("RADIAL", 1, 5),
+    model("OPENCV", 2, 8),
+    distorted("OPENCV_FISHEYE"),
+    distorted("FULL_OPENCV"),
+    distorted("FOV"),
+    distorted("SIMPLE_RADIAL_FISHEYE"),
+    distorted("RADIAL_FISHEYE"),
+    distorted("THIN_PRISM_FISHEYE"),
+    distorted("RAD_TAN_THIN_PRISM_FISHEYE"),
 ];
-const MODELS_ALLOWED: &str = "0..=4 (SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL, OPENCV)";
+const MODELS_ALLOWED: &str =
+    "SIMPLE_PINHOLE, PINHOLE, or SIMPLE_RADIAL, RADIAL or OPENCV with a distortion of 0";
+/// Most parameters of a model that is read.
+const MAX_PARAMETERS: usize = 8;
+
+impl Model {
+    /// Focal lengths and parameters in all.
+    fn counts(&self, camera: u32) -> Result<(usize, usize), CameraError> {
+        self.counts.ok_or_else(|| self.refused(camera, &[]))
+    }
+
+    /// The intrinsics that `parameters` give, if the lens does not distort.
+    fn intrinsics(
+        &self,
+        camera: u32,
+        (width, height): (u32, u32),
+        parameters: &[f64; MAX_PARAMETERS],
+    ) -> Result<Intrinsics, CameraError> {
+        let (focals, count) = self.counts(camera)?;
+        let distortion = &parameters[focals + 2..count];
+        if distortion.iter().any(|&d| d != 0.0) {
+            return Err(self.refused(camera, distortion));
+        }
+        let (fx, fy) = (parameters[0], parameters[focals - 1]);
+        Ok(Intrinsics { width, height, fx, fy, cx: parameters[focals], cy: parameters[focals + 1] })
+    }
+
+    fn refused(&self, camera: u32, values: &[f64]) -> CameraError {
+        CameraError::Distorted {
+            camera: camera.to_string(),
+            model: self.name.to_owned(),
+            values: values.to_vec(),
+            allowed: MODELS_ALLOWED,
+        }
+    }
+}
 
 /// Smallest record of each file, bytes.
 const CAMERA_BYTES: u64 = 4 + 4 + 8 + 8 + 3 * 8;
@@ -45,23 +88,33 @@ const IMAGE_BYTES: u64 = 4 + 7 * 8 + 4 + 1 + 8;
 /// Longest image name, bytes.
 const NAME_BYTES: usize = 4096;
 
-/// Reads the bytes of `cameras.bin` and `images.bin`.
+/// Reads `cameras` and `images`, both binary or both text: the images in order of name, without times.
 ///
 /// # Errors
-/// Bytes that are short, a model we do not know, an image that names a camera that is not there, a camera
-/// that cannot be rendered from, bytes left over. Each error says where.
-pub fn read(cameras: &[u8], images: &[u8]) -> Result<Colmap, CameraError> {
-    let mut notes = Vec::new();
-    let films = read_cameras(cameras, &mut notes)?;
-    let mut views = read_images(images, &films)?;
+/// Bytes that are short, a model we do not know or whose lens distorts, an image that names a camera that is
+/// not there, a camera that cannot be rendered from, bytes left over. Each error says where.
+pub fn read(cameras: &[u8], images: &[u8], format: Format) -> Result<Vec<View>, CameraError> {
+    let mut views = match format {
+        Format::Binary => read_images(images, &read_cameras(cameras)?)?,
+        Format::Text => text::read_images(images, &text::read_cameras(cameras)?)?,
+    };
     views.sort_by(|a, b| a.name.cmp(&b.name));
-    Ok(Colmap { views, notes })
+    Ok(views)
 }
 
-fn read_cameras(bytes: &[u8], notes: &mut Vec<String>) -> Result<BTreeMap<u32, Intrinsics>, CameraError> {
+/// How COLMAP wrote a model.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// `cameras.bin` and `images.bin`.
+    Binary,
+    /// `cameras.txt` and `images.txt`.
+    Text,
+}
+
+fn read_cameras(bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, CameraError> {
     let mut cursor = Cursor { bytes, at: 0 };
     let count = cursor.count("number of cameras", CAMERA_BYTES)?;
-    let mut films = BTreeMap::new();
+    let mut cameras = BTreeMap::new();
     for _ in 0..count {
         let id = cursor.u32("camera id")?;
         let at = cursor.at;
@@ -70,25 +123,19 @@ fn read_cameras(bytes: &[u8], notes: &mut Vec<String>) -> Result<BTreeMap<u32, I
             let (field, found) = ("camera model", u64::from(number));
             return Err(CameraError::Field { field, offset: at, found, allowed: MODELS_ALLOWED });
         };
-        let width = cursor.side("camera width")?;
-        let height = cursor.side("camera height")?;
-        let mut params = [0.0; 8];
-        for p in &mut params[..model.params] {
-            *p = cursor.f64("camera parameter")?;
+        let size = (cursor.side("camera width")?, cursor.side("camera height")?);
+        let (_, count) = model.counts(id)?;
+        let mut parameters = [0.0; MAX_PARAMETERS];
+        for parameter in &mut parameters[..count] {
+            *parameter = cursor.f64("camera parameter")?;
         }
-        let n = model.focals;
-        let (fx, fy, cx, cy) = (params[0], params[n - 1], params[n], params[n + 1]);
-        let distortion = &params[n + 2..model.params];
-        if distortion.iter().any(|&d| d != 0.0) {
-            notes.push(format!("camera {id} ({}): distortion {distortion:?} is ignored", model.name));
-        }
-        films.insert(id, Intrinsics { width, height, fx, fy, cx, cy });
+        cameras.insert(id, model.intrinsics(id, size, &parameters)?);
     }
     cursor.finish("cameras.bin")?;
-    Ok(films)
+    Ok(cameras)
 }
 
-fn read_images(bytes: &[u8], films: &BTreeMap<u32, Intrinsics>) -> Result<Vec<View>, CameraError> {
+fn read_images(bytes: &[u8], cameras: &BTreeMap<u32, Intrinsics>) -> Result<Vec<View>, CameraError> {
     let mut cursor = Cursor { bytes, at: 0 };
     let count = cursor.count("number of images", IMAGE_BYTES)?;
     let mut views = Vec::with_capacity(count);
@@ -103,18 +150,23 @@ fn read_images(bytes: &[u8], films: &BTreeMap<u32, Intrinsics>) -> Result<Vec<Vi
         let name = cursor.name()?;
         let points = cursor.count("number of points", 24)?;
         cursor.take("points", 24 * points)?;
-        let Some(film) = films.get(&id) else {
+        let Some(intrinsics) = cameras.get(&id) else {
             let (field, found) = ("image's camera id", u64::from(id));
             let allowed = "an id from cameras.bin";
             return Err(CameraError::Field { field, offset: at, found, allowed }.of(&name));
         };
-        let [w, x, y, z, tx, ty, tz] = pose;
-        let camera =
-            Camera::from_colmap([w, x, y, z], [tx, ty, tz], *film).map_err(|error| error.of(&name))?;
-        views.push(View { name, time: None, camera });
+        views.push(view(name, pose, *intrinsics)?);
     }
     cursor.finish("images.bin")?;
     Ok(views)
+}
+
+/// A view from its quaternion and translation.
+fn view(name: String, pose: [f64; 7], intrinsics: Intrinsics) -> Result<View, CameraError> {
+    let [w, x, y, z, tx, ty, tz] = pose;
+    let camera =
+        Camera::from_colmap([w, x, y, z], [tx, ty, tz], intrinsics).map_err(|error| error.of(&name))?;
+    Ok(View { name, time: None, camera })
 }
 
 /// A place in the bytes; no method reads past the end.
@@ -223,25 +275,43 @@ mod tests {
         b
     }
 
+    fn read(cameras: &[u8], images: &[u8]) -> Result<Vec<View>, CameraError> {
+        super::read(cameras, images, Format::Binary)
+    }
+
     #[test]
-    fn every_model_becomes_a_pinhole_and_distortion_is_noted() {
+    fn every_model_without_distortion_becomes_a_pinhole() {
         let expected = [
-            (0, vec![500.0, 320.0, 240.0], 0),
-            (1, vec![500.0, 510.0, 320.0, 240.0], 0),
-            (2, vec![500.0, 320.0, 240.0, 0.0], 0),
-            (3, vec![500.0, 320.0, 240.0, 0.1, -0.2], 1),
-            (4, vec![500.0, 510.0, 320.0, 240.0, 0.0, 0.0, 0.0, 1e-3], 1),
+            (0, vec![500.0, 320.0, 240.0]),
+            (1, vec![500.0, 510.0, 320.0, 240.0]),
+            (2, vec![500.0, 320.0, 240.0, 0.0]),
+            (3, vec![500.0, 320.0, 240.0, 0.0, 0.0]),
+            (4, vec![500.0, 510.0, 320.0, 240.0, 0.0, 0.0, 0.0, 0.0]),
         ];
-        for (model, params, notes) in expected {
-            let read = read(&cameras_bin(model, &params), &images_bin(7, &["b.png", "a.png"])).unwrap();
-            let names: Vec<_> = read.views.iter().map(|v| v.name.as_str()).collect();
+        for (model, params) in expected {
+            let views = read(&cameras_bin(model, &params), &images_bin(7, &["b.png", "a.png"])).unwrap();
+            let names: Vec<_> = views.iter().map(|v| v.name.as_str()).collect();
             assert_eq!(names, ["a.png", "b.png"]);
-            let film = read.views[0].camera.intrinsics();
-            let fy = if params.len() == 4 && model == 1 || model == 4 { 510.0 } else { 500.0 };
-            assert_eq!((film.fx, film.fy, film.cx, film.cy), (500.0, fy, 320.0, 240.0), "{model}");
-            assert_eq!(read.notes.len(), notes, "{:?}", read.notes);
-            assert_eq!(read.views[0].camera.translation(), [0.1, 0.2, 3.0]);
+            let i = views[0].camera.intrinsics();
+            let fy = if model == 1 || model == 4 { 510.0 } else { 500.0 };
+            assert_eq!((i.fx, i.fy, i.cx, i.cy), (500.0, fy, 320.0, 240.0), "{model}");
+            assert_eq!(views[0].camera.translation(), [0.1, 0.2, 3.0]);
         }
+    }
+
+    #[test]
+    fn lenses_that_distort_are_refused_by_name() {
+        let refused = |model: u32, params: &[f64]| {
+            read(&cameras_bin(model, params), &images_bin(7, &["x"])).unwrap_err().to_string()
+        };
+        let error = refused(3, &[500.0, 320.0, 240.0, 0.1, -0.2]);
+        assert!(error.contains("camera 7 has model RADIAL with distortion [0.1, -0.2]"), "{error}");
+        let error = refused(4, &[500.0, 510.0, 320.0, 240.0, 0.0, 0.0, 0.0, 1e-3]);
+        assert!(error.contains("OPENCV with distortion"), "{error}");
+        let error = refused(5, &[0.0; 8]);
+        assert!(error.contains("camera 7 has model OPENCV_FISHEYE; SIMPLE_PINHOLE"), "{error}");
+        let error = refused(12, &[0.0; 8]);
+        assert!(error.contains("camera model at byte 12 is 12"), "{error}");
     }
 
     #[test]
@@ -251,8 +321,6 @@ mod tests {
             let error = read(cameras, images).unwrap_err().to_string();
             assert!(error.contains(expected), "{error}");
         };
-        let fisheye = cameras_bin(5, &[0.0; 8]);
-        check(&fisheye, &[], "camera model at byte 12 is 5; 0..=4 (SIMPLE_PINHOLE");
         let pinhole = cameras_bin(1, &[1.0; 4]);
         check(&pinhole[..60], &[], "camera parameter at byte 56: 4 bytes left, 8 needed");
         check(&good[..50], &[], "number of cameras at byte 0: 42 bytes left, 48 needed");

@@ -1,4 +1,4 @@
-//! What can be wrong with a camera or a file of cameras: which field, where, what was found, what is allowed.
+//! Says what is wrong with a camera or a file of cameras: which field, where, what was found, what is allowed.
 
 /// A camera, or a file of cameras, that cannot be rendered from.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -70,6 +70,30 @@ pub enum CameraError {
         /// What is allowed.
         allowed: &'static str,
     },
+    /// A line of text holds something that is not allowed there.
+    #[error("line {line}: {field} is {found:?}; {allowed} is allowed")]
+    Line {
+        /// Line, from 1.
+        line: usize,
+        /// Which field.
+        field: &'static str,
+        /// What stands there; nothing where the line has ended.
+        found: String,
+        /// What is allowed.
+        allowed: &'static str,
+    },
+    /// A lens that bends straight lines. Renderers here do not: images are to be undistorted first.
+    #[error("camera {camera} has model {model}{}; {allowed} is allowed: undistort the images first", shown(.values))]
+    Distorted {
+        /// The camera, as the file names it.
+        camera: String,
+        /// Name of the model.
+        model: String,
+        /// Its distortion parameters, where they are known.
+        values: Vec<f64>,
+        /// What is allowed.
+        allowed: &'static str,
+    },
     /// Neither the file nor the caller says how large the images are.
     #[error("the file has no w and h; pass the size of its images")]
     SizeUnknown,
@@ -81,6 +105,10 @@ pub enum CameraError {
         /// What is wrong with it.
         source: Box<CameraError>,
     },
+}
+
+fn shown(values: &[f64]) -> String {
+    if values.is_empty() { String::new() } else { format!(" with distortion {values:?}") }
 }
 
 impl CameraError {

@@ -10,15 +10,16 @@ use std::{fmt::Write as _, io, path::Path};
 use codec_core::{
     Caps, Gaussian,
     digest::Digest,
+    player::{Counters, Waiting},
     rans::{lanes, table::Table},
-    receiver::{Cell, Counters, Receiver, Requirements},
+    receiver::{Cell, Requirements},
     wire::manifest::Sealed,
 };
 use trainer_host::{
     Stream, cluster,
     encode::{self, EncodeError, Options, Protection},
     import::{ImportError, Limits, synth},
-    stream::{HostMemory, PacketMap, Player},
+    stream::PacketMap,
 };
 
 /// Why there is no fixture.
@@ -207,7 +208,6 @@ impl Fixture {
         let raw = Sealed::parse(self.message())?.raw_len;
         let gaussians = manifest.epochs().map(|e| e.gaussians as usize).max().unwrap_or(0);
         let sh_rest = gaussians * manifest.sh_degree().rest_len();
-        let largest = self.arrivals.iter().map(Vec::len).max().unwrap_or(0);
         Ok([
             ("Bytes of the unpacked manifest.", "MANIFEST", raw, 1),
             ("Cells, and one.", "CELLS", cells, size_of::<Cell>()),
@@ -219,9 +219,14 @@ impl Fixture {
             ("Bytes of repair.", "PARITY", parity, 1),
             ("Gaussians of the largest epoch.", "GAUSSIANS", gaussians, 2 * size_of::<Gaussian>()),
             ("Higher harmonic coefficients of the largest epoch.", "SH_REST", sh_rest, 4),
-            ("Bytes of the largest packet.", "LARGEST_PACKET", largest, 1),
+            ("Bytes for media before the manifest.", "EARLY", self.early_bytes(), 1),
         ]
         .map(|(doc, name, count, bytes)| Size { doc, name, count, bytes: count * bytes }))
+    }
+
+    /// Bytes that keep the largest packet until the manifest comes.
+    fn early_bytes(&self) -> usize {
+        self.arrivals.iter().map(Vec::len).max().unwrap_or(0) + 2
     }
 
     /// Sizes and expectations as Rust constants, for firmware without a heap.
@@ -235,9 +240,12 @@ impl Fixture {
             // Writing to a string cannot fail.
             let _ = writeln!(out, "/// {doc}\npub const {name}: {kind} = {borrow}{value:?};");
         };
-        for Size { doc, name, count, .. } in self.sizes()? {
-            constant(doc, name, "usize", &count);
-        }
+        let early_bytes = self.early_bytes();
+        let caps = Caps { early_bytes: early_bytes as u32, ..Caps::HOST };
+        let mut scratch = dgs_player::arena(self.message(), &caps)?;
+        let least_words = Waiting::new(&mut scratch, caps)?.required(self.message())?.least_words;
+        constant("64-bit words of the player's arena.", "ARENA_WORDS", "usize", &least_words);
+        constant("Bytes for media before the manifest: one packet.", "EARLY_BYTES", "u32", &early_bytes);
         constant("Frames to decode, in this order.", "FRAMES", "&[u32]", &self.frames);
         constant("What the host computed.", "DIGEST", "u64", &self.answer.digest);
         let laws: Vec<_> = self.bodies.iter().map(Body::constants).collect();
@@ -286,22 +294,18 @@ fn symbols_digest(symbols: &[i16]) -> Digest {
 
 /// What the host's receiver and decoder make of `packets`.
 fn answer(stream: &Stream, packets: &[Vec<u8>], frames: &[u32]) -> Result<Answer, FixtureError> {
-    let manifest = stream.manifest()?;
-    let mut memory = HostMemory::new(&manifest, 0)?;
-    let counters = {
-        let mut receiver = Receiver::new(memory.memory());
-        receiver.control(stream.message())?;
-        for packet in packets {
-            // Counted by kind in the receiver's counters.
-            let _ = receiver.media(packet);
-        }
-        *receiver.counters()
-    };
-    let content = memory.content(&manifest);
-    let mut player = Player::new(&manifest);
+    let caps = Caps { early_bytes: 0, ..Caps::HOST };
+    let mut arena = dgs_player::arena(stream.message(), &caps)?;
+    let waiting = Waiting::new(&mut arena, caps)?;
+    let mut player = waiting.manifest(stream.message()).map_err(|(_, error)| error)?;
+    for packet in packets {
+        // Counted by kind in the player's counters.
+        let _ = player.push(packet);
+    }
+    let counters = *player.counters();
     let mut digest = Digest::new();
     for &frame in frames {
-        let shown = player.show(&content, frame)?;
+        let shown = player.frame(frame)?;
         digest = digest.frame(shown.gaussians, shown.sh_rest);
     }
     Ok(Answer { digest: digest.get(), counters })

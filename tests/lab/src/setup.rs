@@ -38,9 +38,8 @@ impl Setup {
     pub fn write(&self, name: &str, text: &str) -> Result<()> {
         let Some(folder) = &self.out else { return Ok(()) };
         let path = folder.join(name);
-        std::fs::create_dir_all(folder)
-            .and_then(|()| std::fs::write(&path, text))
-            .with_context(|| format!("{}: cannot write", path.display()))
+        std::fs::create_dir_all(folder).with_context(|| format!("{}: cannot make", folder.display()))?;
+        dgs::files::write(&path, text.as_bytes())
     }
 
     /// `path` in the data folder, or why it is not there (for [`Bench::skipped`]).

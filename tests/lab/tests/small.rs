@@ -17,14 +17,20 @@ fn library() -> PathBuf {
     library
 }
 
-/// `decode.c` as a program in `folder`; `None` where there is no C compiler and nobody demands one.
-fn program(folder: &Path) -> Option<PathBuf> {
-    let capi = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../codec-core/capi");
-    let program = folder.join("decode");
+/// The folder of the C ABI.
+fn capi() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../codec-core/capi")
+}
+
+/// The C file `source` as a program in `folder`; `None` where there is no C compiler and nobody demands
+/// one.
+fn program(folder: &Path, source: &str) -> Option<PathBuf> {
+    let capi = capi();
+    let program = folder.join("program");
     let output = Command::new("cc")
         .args(["-std=c99", "-O1", "-Wall", "-Wextra", "-pedantic", "-Werror", "-I"])
         .arg(capi.join("include"))
-        .arg(capi.join("tests/decode.c"))
+        .arg(capi.join(source))
         .arg(library())
         .args(["-lpthread", "-lm", "-ldl", "-o"])
         .arg(&program)
@@ -54,7 +60,7 @@ fn a_c_program_decodes_a_damaged_stream_to_the_same_bits() {
     let folder = tempfile::tempdir().unwrap();
     let fixture = Fixture::make().unwrap();
     fixture.write(folder.path()).unwrap();
-    let Some(program) = program(folder.path()) else { return };
+    let Some(program) = program(folder.path(), "tests/decode.c") else { return };
     let output = decode(&program, folder.path(), &fixture.frames);
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success(), "{text}");
@@ -82,5 +88,22 @@ fn a_c_program_decodes_a_damaged_stream_to_the_same_bits() {
     let output = decode(&program, folder.path(), &fixture.frames);
     let text = String::from_utf8_lossy(&output.stdout);
     assert_eq!(output.status.code(), Some(1), "{text}");
-    assert!(text.contains("dgs_sizes_of") && text.contains("status"), "{text}");
+    assert!(text.contains("dgs_required") && text.contains("status"), "{text}");
+}
+
+#[cfg(unix)]
+#[test]
+fn the_example_in_c_shows_what_rust_shows_and_stands_in_its_readme() {
+    let folder = tempfile::tempdir().unwrap();
+    let Some(program) = program(folder.path(), "examples/play.c") else { return };
+    let source = std::fs::read_to_string(capi().join("examples/play.c")).unwrap();
+    assert!(std::fs::read_to_string(capi().join("README.md")).unwrap().contains(&source));
+    for name in ["one", "everything", "paper"] {
+        let file = capi().join(format!("../tests/conformance/{name}.dgs"));
+        let (mut player, _) = dgs_player::Player::open_file(&file).unwrap();
+        let wanted = format!("{} Gaussians\n", player.frame(0).unwrap().gaussians.len());
+        let output = Command::new(&program).arg(&file).output().unwrap();
+        assert_eq!(String::from_utf8_lossy(&output.stdout), wanted, "{name}");
+    }
+    assert_eq!(Command::new(&program).output().unwrap().status.code(), Some(1), "without a file");
 }

@@ -67,12 +67,12 @@ impl Judge {
         Ok(Self { cameras, frames, settings, references })
     }
 
-    /// A judge that looks at `frames` from the measuring ring, never from held-out cameras; y is up.
+    /// A judge that looks at `frames` from the measuring ring, never from held-out cameras.
     ///
     /// # Errors
     /// As [`Judge::new`].
     pub fn measuring(scene: &Scene, frames: Vec<u32>) -> Result<Self, JudgeError> {
-        let framing = Framing::of(scene, [0.0, 1.0, 0.0]);
+        let framing = Framing::of(scene);
         let cameras = framing.ring(Ring::Measuring, CAMERAS, SIZE).map_err(failed)?;
         Self::new(scene, cameras, frames, &Settings::default())
     }

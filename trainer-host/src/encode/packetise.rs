@@ -6,6 +6,7 @@ use codec_core::{
     Error, ErrorKind,
     ids::{Level, PacketId, Span},
     layout::Shape,
+    limits::{MAX_PACKET_BLOCKS, MAX_PACKET_VALUES},
     rans::lanes,
     wire::{
         bits::BitWriter,
@@ -129,11 +130,14 @@ fn symbols(cell: &CellSymbols, level: Level, blocks: Range<usize>) -> &[i16] {
 
 /// How many of `items` are expected to fit.
 fn fill(lot: &Lot<'_>, items: &[Item], limit: usize) -> usize {
-    let mut bits = 0.0;
+    let (mut bits, mut values) = (0.0, 0);
     for (n, item) in items.iter().enumerate() {
         bits += item.bits;
-        let header = extent(lot, &items[..=n]).header_len();
-        if n > 0 && FIXED_BYTES + header + (bits / 8.0).ceil() as usize > limit {
+        values += lot.cells[item.cluster].shape.range(lot.level, item.blocks.clone()).1;
+        let extent = extent(lot, &items[..=n]);
+        let is_long = FIXED_BYTES + extent.header_len() + (bits / 8.0).ceil() as usize > limit;
+        let is_large = values > MAX_PACKET_VALUES as usize || extent.blocks > MAX_PACKET_BLOCKS;
+        if n > 0 && (is_long || is_large) {
             return n;
         }
     }

@@ -45,7 +45,7 @@ const CUTOFF: f32 = 1e-5;
 /// What the renderer refuses.
 pub fn measure(scene: &Scene, pictures: usize) -> Result<Vec<Vec<Weights>>, JudgeError> {
     let pictures = pictures.max(1);
-    let cameras = Framing::of(scene, [0.0, 1.0, 0.0]).around(pictures, SIZE).map_err(failed)?;
+    let cameras = Framing::of(scene).around(pictures, SIZE).map_err(failed)?;
     let settings = Settings { alpha_cutoff: CUTOFF, ..Settings::default() };
     let (mut workspace, mut gradients) = (Workspace::new(), Gradients::default());
     let (mut out, mut first) = (Vec::new(), 0);
@@ -168,7 +168,7 @@ mod tests {
     /// What a change of one value changes in the pictures that are measured, squared and summed over
     /// their values, per squared unit: mean over pictures.
     fn change(plain: &Scene, changed: &Scene, by: f64, pictures: usize) -> f64 {
-        let cameras = Framing::of(plain, [0.0, 1.0, 0.0]).around(pictures, SIZE).unwrap();
+        let cameras = Framing::of(plain).around(pictures, SIZE).unwrap();
         let settings = Settings { alpha_cutoff: CUTOFF, ..Settings::default() };
         let mut sum = 0.0;
         for camera in &cameras {

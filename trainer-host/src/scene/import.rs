@@ -1,4 +1,4 @@
-//! Importers: a file or folder in, a [`Scene`] out.
+//! Imports scenes: a file or folder in, a [`Scene`] out.
 //!
 //! [`import`] looks at the content first and at the name only when the content does not tell. Each
 //! format has one file with a `parse` over bytes, free of file access, which is what fuzzing calls.
@@ -36,6 +36,7 @@ pub mod unity;
 use std::path::Path;
 
 pub use error::{ErrorKind, Format, ImportError};
+pub use sequence::{SEQUENCE_INDEX, SequenceIndex};
 pub use snapshot::Snapshot;
 
 use crate::scene::Scene;
@@ -165,7 +166,7 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
 }
 
 fn folder(path: &Path, options: &Options) -> Result<Scene, ImportError> {
-    let (files, notes) = sequence::files(path)?;
+    let (files, notes) = sequence::files(path, &options.limits)?;
     let mut left = options.limits.max_bytes;
     let mut frames = Vec::with_capacity(files.len());
     for file in files {

@@ -1,12 +1,29 @@
-//! Cameras around a scene that came without any.
+//! Places cameras around a scene that came without any.
 //!
-//! Two disjoint rings: *measuring* cameras, on which choices are made (utilities), and *held-out*
-//! cameras, on which quality is reported. No camera is ever in both. Choices may also be made on cameras
-//! all around, none of which is a held-out one either.
+//! *Measuring* cameras, and cameras all around, are those on which choices are made (utilities, steps,
+//! levels); quality is reported on *held-out* cameras. Each kind has elevations of its own, so that from
+//! the middle of the scene a held-out camera is at least [`SEPARATION`] away from every camera that a
+//! choice was made on, however many there are of each.
 
 use render_host::{Camera, camera::CameraError};
 
-use crate::scene::Scene;
+use crate::scene::{Scene, Up};
+
+/// Smallest angle between a held-out camera and one that choices are made on, degrees.
+pub const SEPARATION: f64 = 6.0;
+
+/// Elevation of held-out cameras above the horizon, degrees.
+const HELD_OUT: f64 = 20.0;
+/// Elevation of measuring cameras, degrees.
+const MEASURING: f64 = 28.0;
+/// Elevations of cameras all around, degrees: on both sides of the held-out ones.
+const AROUND: [(f64, f64); 2] = [(-20.0, HELD_OUT - SEPARATION), (HELD_OUT + SEPARATION, 60.0)];
+/// Distance of a camera from the target, radii.
+const DISTANCE: f64 = 2.6;
+/// Vertical field of view, degrees.
+const FIELD_OF_VIEW: f64 = 45.0;
+/// Frames that a scene is measured at.
+const FRAMES: usize = 8;
 
 /// The golden angle, radians.
 const GOLDEN: f64 = 2.399_963_229_728_653;
@@ -25,68 +42,83 @@ pub enum Ring {
 pub struct Framing {
     /// Median position over sampled frames.
     pub target: [f64; 3],
-    /// Radius that holds 98 % of the sampled positions.
+    /// Radius that holds 98 % of the positions of sampled frames.
     pub radius: f64,
-    /// Up.
+    /// Up, a unit vector.
     pub up: [f64; 3],
 }
 
 impl Framing {
-    /// Measures `scene` at up to eight frames; far outliers do not count.
-    pub fn of(scene: &Scene, up: [f64; 3]) -> Self {
-        let frames = scene.frames();
-        let mut points: Vec<[f32; 3]> = Vec::new();
-        for k in 0..frames.min(8) {
-            if let Some((epoch, t)) = scene.locate(k * frames / frames.min(8)) {
+    /// Measures `scene` at up to eight frames; far outliers do not count, nor does the order of Gaussians.
+    pub fn of(scene: &Scene) -> Self {
+        let mut positions: Vec<&[[f32; 3]]> = Vec::new();
+        for frame in Self::sampled(scene.frames()) {
+            if let Some((epoch, t)) = scene.locate(frame) {
                 let epoch = &scene.epochs()[epoch];
-                let positions = epoch.attributes().positions.frame(t, epoch.count());
-                points.extend(positions.iter().step_by((positions.len() / 4000).max(1)));
+                positions.push(epoch.attributes().positions.frame(t, epoch.count()));
             }
         }
-        let median = |d: usize| {
-            let mut values: Vec<f32> = points.iter().map(|p| p[d]).collect();
-            values.sort_unstable_by(f32::total_cmp);
-            values.get(values.len() / 2).map_or(0.0, |v| f64::from(*v))
+        Self::of_positions(&positions, scene.up)
+    }
+
+    /// The frames, of so many, that are measured: up to eight, evenly spread from the first.
+    pub fn sampled(frames: usize) -> impl Iterator<Item = usize> {
+        let sampled = frames.min(FRAMES);
+        (0..sampled).map(move |k| k * frames / sampled)
+    }
+
+    /// Measures the positions of [`Framing::sampled`] frames.
+    pub fn of_positions(positions: &[&[[f32; 3]]], up: Up) -> Self {
+        let points = || positions.iter().copied().flatten();
+        let median = |axis: usize| {
+            let values: Vec<f64> = points().map(|p| f64::from(p[axis])).collect();
+            ranked(values, |count| count / 2).unwrap_or(0.0)
         };
         let target = [median(0), median(1), median(2)];
-        let mut distances: Vec<f64> = points
-            .iter()
-            .map(|p| (0..3).map(|d| (f64::from(p[d]) - target[d]).powi(2)).sum::<f64>().sqrt())
-            .collect();
-        distances.sort_unstable_by(f64::total_cmp);
-        let radius = distances.get(distances.len().saturating_sub(1) * 98 / 100).copied().unwrap_or(1.0);
-        Self { target, radius: if radius > 1e-9 { radius } else { 1.0 }, up }
+        let from_target =
+            |p: &[f32; 3]| (0..3).map(|d| (f64::from(p[d]) - target[d]).powi(2)).sum::<f64>().sqrt();
+        let distances = points().map(from_target).collect();
+        let radius = ranked(distances, |count| (count - 1) * 98 / 100).unwrap_or(1.0);
+        Self { target, radius: if radius > 1e-9 { radius } else { 1.0 }, up: up.vector() }
+    }
+
+    /// The same with up and down exchanged: rings are then as far below the horizon as they were above.
+    #[must_use]
+    pub fn upside_down(self) -> Self {
+        Self { up: self.up.map(|v| -v), ..self }
     }
 
     /// `count` cameras of `size` (width, height) all around, from 20° below the horizon to 60° above, at
-    /// 2.6 radii, 45° field of view. For measurements that choices depend on: none is a camera of
-    /// [`Ring::HeldOut`].
+    /// 2.6 radii, 45° field of view. For measurements that choices depend on: the band of elevations
+    /// around [`Ring::HeldOut`] is left out.
     ///
     /// # Errors
     /// A size the camera refuses.
     pub fn around(&self, count: usize, size: (u32, u32)) -> Result<Vec<Camera>, CameraError> {
-        let (low, high) = (-20f64.to_radians().sin(), 60f64.to_radians().sin());
-        (0..count)
-            .map(|i| {
-                // Equal areas, each a golden angle on from the one before.
-                let height = low + (high - low) * (i as f64 + 0.5) / count as f64;
-                self.camera(GOLDEN * i as f64, height, size)
-            })
-            .collect()
+        let [(low, below), (above, high)] = AROUND.map(|(a, b)| (a.to_radians().sin(), b.to_radians().sin()));
+        let mut cameras = Vec::with_capacity(count);
+        for i in 0..count {
+            // Equal areas, each a golden angle on from the one before.
+            let share = (i as f64 + 0.5) / count as f64;
+            let height = low + (below - low + high - above) * share;
+            let height = if height > below { height + (above - below) } else { height };
+            cameras.push(self.camera(GOLDEN * i as f64, height, size)?);
+        }
+        Ok(cameras)
     }
 
-    /// `count` cameras of `size` (width, height) on a ring, 20° above the horizon, at 2.6 radii,
-    /// 45° field of view.
+    /// `count` cameras of `size` (width, height) on a ring at 2.6 radii, 45° field of view: 20° above the
+    /// horizon if held out, 28° if measuring.
     ///
     /// # Errors
     /// A size the camera refuses.
     pub fn ring(&self, ring: Ring, count: usize, size: (u32, u32)) -> Result<Vec<Camera>, CameraError> {
-        let start = match ring {
-            Ring::Measuring => 0.0,
-            Ring::HeldOut => std::f64::consts::PI / count.max(1) as f64 + 0.1,
+        let (start, elevation) = match ring {
+            Ring::Measuring => (0.0, MEASURING),
+            Ring::HeldOut => (std::f64::consts::PI / count.max(1) as f64 + 0.1, HELD_OUT),
         };
         let angle = |i: usize| start + std::f64::consts::TAU * i as f64 / count as f64;
-        (0..count).map(|i| self.camera(angle(i), 20f64.to_radians().sin(), size)).collect()
+        (0..count).map(|i| self.camera(angle(i), elevation.to_radians().sin(), size)).collect()
     }
 
     /// A camera at `angle` about `up`, radians, the sine of whose elevation is `height`.
@@ -103,40 +135,124 @@ impl Framing {
         };
         let side = unit(cross([ux, uy, uz], helper));
         let front = cross(side, [ux, uy, uz]);
-        let distance = 2.6 * self.radius;
+        let distance = DISTANCE * self.radius;
         let flat = (1.0 - height * height).sqrt();
         let eye = [0, 1, 2].map(|d| {
             let across = front[d] * angle.cos() + side[d] * angle.sin();
             self.target[d] + distance * (flat * across + height * self.up[d])
         });
-        Camera::look_at(eye, self.target, self.up, 45f64.to_radians(), size.0, size.1)
+        Camera::look_at(eye, self.target, self.up, FIELD_OF_VIEW.to_radians(), size.0, size.1)
     }
+}
+
+/// The value that would be at place `rank(count)` if `values` were sorted; `None` of none.
+fn ranked(mut values: Vec<f64>, rank: impl Fn(usize) -> usize) -> Option<f64> {
+    if values.is_empty() {
+        return None;
+    }
+    let place = rank(values.len());
+    Some(*values.select_nth_unstable_by(place, f64::total_cmp).1)
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use codec_core::gaussian::ShDegree;
+    use rand::{RngExt, seq::SliceRandom};
+    use rand_pcg::rand_core::SeedableRng;
 
-    /// Distance of the closest two eyes, in radii.
+    use super::*;
+    use crate::scene::{Attributes, Epoch, Track};
+
+    const UNIT: Framing = Framing { target: [0.0; 3], radius: 1.0, up: [0.0, 1.0, 0.0] };
+
+    /// Smallest angle between the directions of two cameras around [`UNIT`], degrees.
     fn closest(some: &[Camera], others: &[Camera]) -> f64 {
-        let apart = |a: &Camera, b: &Camera| {
-            let (a, b) = (a.centre(), b.centre());
-            (0..3).map(|d| (a[d] - b[d]).powi(2)).sum::<f64>().sqrt()
-        };
-        let pairs = some.iter().flat_map(|a| others.iter().map(move |b| apart(a, b)));
-        pairs.fold(f64::INFINITY, f64::min)
+        let mut smallest = f64::INFINITY;
+        for (a, b) in some.iter().flat_map(|a| others.iter().map(move |b| (a.centre(), b.centre()))) {
+            let dot: f64 = (0..3).map(|d| a[d] * b[d]).sum();
+            smallest = smallest.min((dot / (DISTANCE * DISTANCE)).clamp(-1.0, 1.0).acos().to_degrees());
+        }
+        smallest
     }
 
     #[test]
-    fn nothing_is_chosen_on_a_held_out_camera() {
-        let framing = Framing { target: [0.0; 3], radius: 1.0, up: [0.0, 1.0, 0.0] };
-        for held_out in 1..=8 {
-            let held_out = framing.ring(Ring::HeldOut, held_out, (8, 8)).unwrap();
-            assert!(closest(&held_out, &held_out) < 1e-9);
-            for count in [1, 2, 3, 4, 8, 16, 48, 64] {
-                let around = framing.around(count, (8, 8)).unwrap();
-                assert_eq!(around.len(), count);
-                assert!(closest(&held_out, &around) > 1e-3, "{} of {count}", held_out.len());
+    fn held_out_cameras_keep_their_distance_from_every_camera_that_chooses() {
+        let size = (8, 8);
+        let counts = || (1..=64).chain([100, 1024]);
+        for held_out in 1..=64 {
+            let held_out = UNIT.ring(Ring::HeldOut, held_out, size).unwrap();
+            assert!(closest(&held_out, &held_out) < 1e-3, "a camera is where it is");
+            for count in counts() {
+                // Pictures that steps follow.
+                let around = UNIT.around(count, size).unwrap();
+                // Utilities, targets and tables.
+                let measuring = UNIT.ring(Ring::Measuring, count, size).unwrap();
+                // Truncation looks from below too.
+                let below = UNIT.upside_down().ring(Ring::Measuring, count, size).unwrap();
+                assert_eq!([around.len(), measuring.len(), below.len()], [count; 3]);
+                for (name, chosen_on) in [("around", around), ("measuring", measuring), ("below", below)] {
+                    let angle = closest(&held_out, &chosen_on);
+                    assert!(angle > SEPARATION - 1e-6, "{name} of {count}: {angle}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn rings_at_one_elevation_would_come_too_close() {
+        let held_out = UNIT.ring(Ring::HeldOut, 1, (8, 8)).unwrap();
+        let camera = |i: usize| {
+            let angle = std::f64::consts::TAU * i as f64 / 4.0;
+            UNIT.camera(angle, HELD_OUT.to_radians().sin(), (8, 8)).unwrap()
+        };
+        let same_elevation: Vec<Camera> = (0..4).map(camera).collect();
+        assert!(closest(&held_out, &same_elevation) < SEPARATION);
+    }
+
+    fn scene(positions: Vec<[f32; 3]>) -> Scene {
+        let n = positions.len();
+        let attributes = Attributes {
+            positions: Track::Constant(positions),
+            rotations: Track::Constant(vec![[1.0, 0.0, 0.0, 0.0]; n]),
+            log_scales: Track::Constant(vec![[-3.0; 3]; n]),
+            opacity_logits: Track::Constant(vec![0.0; n]),
+            sh0: Track::Constant(vec![[0.0; 3]; n]),
+            sh_rest: Vec::new(),
+            sh_degree: ShDegree::ZERO,
+        };
+        Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap()
+    }
+
+    #[test]
+    fn cameras_do_not_depend_on_the_order_of_gaussians() {
+        let mut rng = rand_pcg::Pcg32::seed_from_u64(5);
+        let mut positions: Vec<[f32; 3]> = (0..9001)
+            .map(|i| [i as f32 / 9001.0, rng.random::<f32>().powi(3), rng.random::<f32>()])
+            .collect();
+        let framing = |positions: &[[f32; 3]]| Framing::of(&scene(positions.to_vec()));
+        let cameras = |framing: Framing| framing.ring(Ring::HeldOut, 3, (64, 64)).unwrap();
+        let first = framing(&positions);
+        for _ in 0..4 {
+            positions.shuffle(&mut rng);
+            let shuffled = framing(&positions);
+            assert_eq!(shuffled, first);
+            assert_eq!(cameras(shuffled), cameras(first));
+        }
+        positions.truncate(4500);
+        assert_ne!(framing(&positions), first, "half of the Gaussians are framed otherwise");
+    }
+
+    #[test]
+    fn cameras_stand_upright_whichever_way_is_up() {
+        let mut scene = scene(vec![[0.0; 3], [1.0, 2.0, 3.0], [-1.0, 0.5, 0.2]]);
+        for up in [Up::X, Up::Y, Up::Z, Up::MinusX, Up::MinusY, Up::MinusZ] {
+            scene.up = up;
+            let framing = Framing::of(&scene);
+            for camera in framing.ring(Ring::HeldOut, 5, (8, 8)).unwrap() {
+                // Rows of the rotation are right, down and forward.
+                let [right, down, _] = camera.rotation();
+                let along = |axis: [f64; 3]| (0..3).map(|d| axis[d] * up.vector()[d]).sum::<f64>();
+                assert!(along(right).abs() < 1e-9 && along(down) < -0.9, "{up:?}");
             }
         }
     }

@@ -15,14 +15,15 @@ use crate::{
 
 impl Options {
     /// How to measure what levels are worth once everything is there: in the complete state, one
-    /// context per camera of two measuring rings, 20° above and 20° below the horizon; y is up.
+    /// context per camera of two measuring rings, as far above the horizon as below.
     ///
     /// # Errors
     /// None in practice: the size is one that cameras accept.
     pub fn complete(scene: &Scene) -> Result<Self, super::UtilityError> {
         let mut cameras = Vec::new();
-        for up in [1.0, -1.0] {
-            let ring = Framing::of(scene, [0.0, up, 0.0]).ring(Ring::Measuring, 4, (160, 160));
+        let framing = Framing::of(scene);
+        for framing in [framing, framing.upside_down()] {
+            let ring = framing.ring(Ring::Measuring, 4, (160, 160));
             cameras.extend(ring.map_err(|e| super::UtilityError::Render(e.to_string()))?);
         }
         let contexts = cameras.len();

@@ -2,6 +2,8 @@
 
 use std::{vec, vec::Vec};
 
+use codec_core::{file, wire::crc::crc32};
+
 use super::*;
 
 /// Memory of an alignment that suits every part.
@@ -9,14 +11,13 @@ use super::*;
 #[repr(C, align(16))]
 struct Line([u8; 16]);
 
-fn sizes() -> DgsSizes {
-    DgsSizes { manifest: 64, cells: 1, early: 40, gaussians: 2, ..DgsSizes::default() }
+fn caps() -> DgsCaps {
+    DgsCaps { early_bytes: 40, ..Caps::SMALL.into() }
 }
 
-fn block(sizes: &DgsSizes) -> Vec<Line> {
-    // SAFETY: a reference is a good pointer.
-    let bytes = unsafe { dgs_memory_bytes(sizes) };
-    vec![Line([0xa5; 16]); bytes / 16]
+/// A block with an arena of early packets and a little more.
+fn block() -> Vec<Line> {
+    vec![Line([0xa5; 16]); (HEAD + 512) / 16]
 }
 
 fn none() -> DgsError {
@@ -28,111 +29,217 @@ fn field(error: &DgsError) -> &str {
     core::str::from_utf8(unsafe { slice::from_raw_parts(error.field, error.field_len) }).unwrap()
 }
 
-fn open(memory: &mut [Line], sizes: &DgsSizes) -> Result<*mut DgsReceiver, DgsError> {
-    let (mut receiver, mut error) = (ptr::null_mut(), none());
+fn open(memory: &mut [Line], caps: &DgsCaps) -> Result<*mut DgsPlayer, DgsError> {
+    let (mut player, mut error) = (ptr::null_mut(), none());
     let len = size_of_val(memory);
     // SAFETY: pointers from references, the length of the slice.
-    let status = unsafe { dgs_open(memory.as_mut_ptr().cast(), len, sizes, &mut receiver, &mut error) };
-    if status == DGS_OK { Ok(receiver) } else { Err(error) }
+    let status = unsafe { dgs_open(memory.as_mut_ptr().cast(), len, caps, &mut player, &mut error) };
+    if status == DGS_OK { Ok(player) } else { Err(error) }
+}
+
+/// A golden stream: its manifest message and its packets.
+fn stream() -> (&'static [u8], Vec<&'static [u8]>) {
+    let (message, packets) = file::parts(include_bytes!("../../../tests/conformance/one.dgs")).unwrap();
+    (message, packets.collect())
+}
+
+/// A block that is just enough for [`stream`], and a player in it that waits.
+fn exact_block() -> Vec<Line> {
+    let (message, _) = stream();
+    let mut scratch = vec![Line([0; 16]); 1 << 12];
+    let player = open(&mut scratch, &caps()).unwrap();
+    let mut bytes = 0;
+    // SAFETY: the player is open and its memory lives; pointers from references.
+    let status =
+        unsafe { dgs_required(player, message.as_ptr(), message.len(), &mut bytes, ptr::null_mut()) };
+    assert_eq!((status, bytes % 16), (DGS_OK, 0));
+    vec![Line([0xa5; 16]); bytes / 16]
 }
 
 #[test]
-fn a_receiver_opens_buffers_early_media_and_closes() {
-    let sizes = sizes();
-    let mut memory = block(&sizes);
-    let receiver = open(&mut memory, &sizes).unwrap();
-    // "123456789" and its CRC-32: a packet as far as anybody can tell before the manifest.
-    let packet = *b"123456789\x26\x39\xf4\xcb";
-    let (mut arrival, mut counters, mut error) = (DgsArrival::waiting(), DgsCounters::default(), none());
-    // SAFETY: the receiver is open and its memory lives; pointers from references.
+fn a_player_opens_keeps_early_packets_and_closes() {
+    let mut memory = block();
+    let packet = stream().1[0];
+    let caps = DgsCaps { early_bytes: 2 * (packet.len() as u32 + 2) + 1, ..caps() };
+    let player = open(&mut memory, &caps).unwrap();
+    let (mut pushed, mut counters, mut error) = (DgsPushed::waiting(), DgsCounters::default(), none());
+    // SAFETY: the player is open and its memory lives; pointers from references.
     unsafe {
-        assert_eq!(dgs_media(receiver, packet.as_ptr(), packet.len(), &mut arrival, &mut error), DGS_OK);
-        assert_eq!(arrival, DgsArrival::waiting());
+        assert_eq!(dgs_push(player, packet.as_ptr(), packet.len(), &mut pushed, &mut error), DGS_OK);
+        assert_eq!(pushed, DgsPushed::waiting());
         let cut = packet.len() - 1;
-        assert_eq!(dgs_media(receiver, packet.as_ptr(), cut, ptr::null_mut(), &mut error), DGS_CHECKSUM);
+        assert_eq!(dgs_push(player, packet.as_ptr(), cut, ptr::null_mut(), &mut error), DGS_CHECKSUM);
         assert_eq!((error.status, field(&error)), (DGS_CHECKSUM, "packet.crc"));
         for _ in 0..3 {
-            let _ = dgs_media(receiver, packet.as_ptr(), packet.len(), ptr::null_mut(), ptr::null_mut());
+            let _ = dgs_push(player, packet.as_ptr(), packet.len(), ptr::null_mut(), ptr::null_mut());
         }
-        assert_eq!(dgs_count(receiver, &mut counters, ptr::null_mut()), DGS_OK);
+        assert_eq!(dgs_count(player, &mut counters, ptr::null_mut()), DGS_OK);
         assert_eq!((counters.early, counters.refused), (2, [0, 0, 0, 1, 0, 0, 2]));
-        assert_eq!(dgs_control(receiver, packet.as_ptr(), packet.len(), &mut error), DGS_UNKNOWN);
+        assert_eq!(dgs_manifest(player, packet.as_ptr(), packet.len(), &mut error), DGS_UNKNOWN);
         assert_eq!(field(&error), "manifest.magic");
         let mut stream = DgsStream::default();
-        assert_eq!(dgs_describe(receiver, &mut stream, &mut error), DGS_NO_MANIFEST);
-        let mut out = [DgsGaussian::from(Gaussian::ABSENT); 2];
-        let (none, nowhere) = (ptr::null_mut(), ptr::null_mut());
-        assert_eq!(
-            dgs_frame(receiver, 0, out.as_mut_ptr(), 2, none, 0, nowhere, &mut error),
-            DGS_NO_MANIFEST
-        );
-        let (mut bytes, mut written) = ([0u8; 8], 0);
+        assert_eq!(dgs_describe(player, &mut stream, &mut error), DGS_NO_MANIFEST);
+        let mut shown = mem::zeroed();
+        assert_eq!(dgs_show(player, 0, &mut shown, &mut error), DGS_NO_MANIFEST);
+        let (mut usable, mut written, mut bytes) = (DgsUsable::default(), 0, [0u8; 8]);
+        assert_eq!(dgs_count_usable(player, 0, &mut usable, &mut error), DGS_NO_MANIFEST);
         let bytes = bytes.as_mut_ptr();
-        assert_eq!(
-            dgs_receipt(receiver, 0, 0, ptr::null(), bytes, 8, &mut written, &mut error),
-            DGS_NO_MANIFEST
-        );
-        dgs_close(receiver);
-        assert_eq!(dgs_count(receiver, &mut counters, &mut error), DGS_MISUSE);
-        dgs_close(receiver);
+        let status = dgs_receipt(player, 0, 0, ptr::null(), bytes, 8, &mut written, &mut error);
+        assert_eq!(status, DGS_NO_MANIFEST);
+        dgs_close(player);
+        assert_eq!(dgs_count(player, &mut counters, &mut error), DGS_MISUSE);
+        dgs_close(player);
         dgs_close(ptr::null_mut());
     }
 }
 
 #[test]
-fn a_block_that_is_short_crooked_or_moved_is_refused() {
-    let sizes = sizes();
-    let mut memory = block(&sizes);
-    let lines = memory.len();
-    let error = open(&mut memory[..lines - 1], &sizes).unwrap_err();
-    assert_eq!((error.status, field(&error)), (DGS_CAPACITY, "memory"));
-    assert_eq!((error.found, error.most), (16 * (lines as u64 - 1), 16 * lines as u64));
-    let (mut receiver, mut error) = (ptr::null_mut(), none());
-    // SAFETY: a byte into the block is still inside; no more than the block is said to be there.
-    let crooked = unsafe { memory.as_mut_ptr().cast::<u8>().add(4) };
-    // SAFETY: as above, pointers from references.
-    let status = unsafe { dgs_open(crooked.cast(), 16, &sizes, &mut receiver, &mut error) };
-    assert_eq!((status, field(&error), receiver.is_null()), (DGS_MISUSE, "memory", true));
-    let endless = DgsSizes { symbols: usize::MAX, ..sizes };
-    assert_eq!(open(&mut memory, &endless).unwrap_err().status, DGS_CAPACITY);
-    // SAFETY: a reference is a good pointer, null is allowed.
+fn a_stream_plays_in_a_block_of_the_size_that_it_requires_and_in_none_shorter() {
+    let (message, packets) = stream();
+    let mut memory = exact_block();
+    let mut error = none();
+    let mut short = block();
+    let player = open(&mut short, &caps()).unwrap();
+    // SAFETY: the players are open and their memory lives; pointers from references and slices.
     unsafe {
-        assert_eq!(dgs_memory_bytes(&endless), 0);
-        assert_eq!(dgs_memory_bytes(ptr::null()), 0);
+        assert_eq!(dgs_manifest(player, message.as_ptr(), message.len(), &mut error), DGS_CAPACITY);
+        assert_eq!(field(&error), "arena");
+        dgs_close(player);
+        let player = open(&mut memory, &caps()).unwrap();
+        assert_eq!(dgs_manifest(player, message.as_ptr(), message.len(), &mut error), DGS_OK);
+        assert_eq!(dgs_manifest(player, message.as_ptr(), message.len(), &mut error), DGS_DUPLICATE);
+        for packet in &packets {
+            let mut pushed = DgsPushed::waiting();
+            assert_eq!(dgs_push(player, packet.as_ptr(), packet.len(), &mut pushed, &mut error), DGS_OK);
+            assert_ne!(pushed.id, DGS_NONE);
+        }
+        let mut shown: DgsFrame = mem::zeroed();
+        assert_eq!(dgs_show(player, 0, &mut shown, &mut error), DGS_OK);
+        let gaussians = slice::from_raw_parts(shown.gaussians, shown.gaussians_len);
+        assert!(gaussians.iter().any(|gaussian| gaussian.opacity > 0.0));
+        assert_eq!(shown.present_blocks, shown.blocks);
+        let mut usable = DgsUsable::default();
+        assert_eq!(dgs_count_usable(player, 0, &mut usable, &mut error), DGS_OK);
+        assert_eq!((usable.blocks, usable.canonical[0]), (shown.blocks, shown.blocks));
+        assert_eq!(dgs_show(player, u32::MAX, &mut shown, &mut error), DGS_ILLEGAL);
+        assert_eq!(field(&error), "frame");
+        let (mut receipt, mut written) = ([0u8; DGS_RECEIPT_BYTES], 0);
+        let out = receipt.as_mut_ptr();
+        let status = dgs_receipt(player, 1, 5, ptr::null(), out, receipt.len(), &mut written, &mut error);
+        assert_eq!(status, DGS_OK);
+        assert!(codec_core::wire::receipt::Receipt::parse(&receipt[..written], crc32).is_ok());
     }
-    open(&mut memory, &sizes).unwrap();
-    let mut moved = memory.clone();
-    // SAFETY: as large as a receiver and readable; that it was not opened here is what is tested.
-    let status = unsafe { dgs_control(moved.as_mut_ptr().cast(), ptr::null(), 0, &mut error) };
-    assert_eq!((status, field(&error)), (DGS_MISUSE, "receiver"));
 }
 
 #[test]
-fn null_pointers_and_buffers_inside_the_block_are_refused() {
-    let sizes = sizes();
-    let mut memory = block(&sizes);
-    let receiver = open(&mut memory, &sizes).unwrap();
-    let mut error = none();
-    // SAFETY: null is checked before it is used; the other pointers are to the open receiver.
+fn a_block_that_is_short_crooked_or_moved_is_refused() {
+    let caps = caps();
+    let mut memory = block();
+    let error = open(&mut memory[..HEAD / 16 + 1], &caps).unwrap_err();
+    assert_eq!((error.status, field(&error)), (DGS_CAPACITY, "memory"));
+    assert_eq!((error.found, error.most), (HEAD as u64 + 16, HEAD as u64 + 48));
+    let (mut player, mut error) = (ptr::null_mut(), none());
+    // SAFETY: a byte into the block is still inside; no more than the block is said to be there.
+    let crooked = unsafe { memory.as_mut_ptr().cast::<u8>().add(4) };
+    // SAFETY: as above, pointers from references.
+    let status = unsafe { dgs_open(crooked.cast(), 16, &caps, &mut player, &mut error) };
+    assert_eq!((status, field(&error), player.is_null()), (DGS_MISUSE, "memory", true));
+    // SAFETY: a reference is a good pointer, null is allowed.
     unsafe {
-        assert_eq!(dgs_media(receiver, ptr::null(), 5, ptr::null_mut(), &mut error), DGS_NULL);
+        let (mut small, mut host) = (DgsCaps::default(), DgsCaps::default());
+        dgs_caps_small(&mut small);
+        dgs_caps_host(&mut host);
+        dgs_caps_host(ptr::null_mut());
+        assert_eq!((Caps::from(small), Caps::from(host)), (Caps::SMALL, Caps::HOST));
+        let bytes = dgs_memory_bytes(&small);
+        assert!(bytes > HEAD && bytes < dgs_memory_bytes(&host));
+        assert_eq!(dgs_memory_bytes(ptr::null()), 0);
+        if size_of::<usize>() == 4 {
+            assert_eq!(dgs_memory_bytes(&DgsCaps { symbols: u32::MAX, ..host }), 0);
+        }
+    }
+    open(&mut memory, &caps).unwrap();
+    let mut moved = memory.clone();
+    // SAFETY: as large as a player and readable; that it was not opened here is what is tested.
+    let status = unsafe { dgs_manifest(moved.as_mut_ptr().cast(), ptr::null(), 0, &mut error) };
+    assert_eq!((status, field(&error)), (DGS_MISUSE, "player"));
+}
+
+#[test]
+fn null_and_crooked_pointers_are_refused() {
+    let mut memory = block();
+    let player = open(&mut memory, &caps()).unwrap();
+    let mut error = none();
+    // SAFETY: null and alignment are checked before use; the other pointers are to the open player.
+    unsafe {
+        assert_eq!(dgs_push(player, ptr::null(), 5, ptr::null_mut(), &mut error), DGS_NULL);
         assert_eq!(field(&error), "packet");
-        assert_eq!(dgs_media(receiver, ptr::null(), 0, ptr::null_mut(), ptr::null_mut()), DGS_ILLEGAL);
-        assert_eq!(dgs_media(receiver, receiver.cast(), 5, ptr::null_mut(), &mut error), DGS_MISUSE);
-        let inside = receiver.cast::<DgsGaussian>();
-        let (none, nowhere) = (ptr::null_mut(), ptr::null_mut());
-        assert_eq!(dgs_frame(receiver, 0, inside, 1, none, 0, nowhere, &mut error), DGS_MISUSE);
-        assert_eq!(field(&error), "out");
-        assert_eq!(dgs_control(ptr::null_mut(), ptr::null(), 0, &mut error), DGS_NULL);
-        assert_eq!(dgs_count(receiver, ptr::null_mut(), ptr::null_mut()), DGS_NULL);
-        assert_eq!(dgs_manifest_bytes(ptr::null(), 0, ptr::null_mut(), &mut error), DGS_NULL);
+        assert_eq!(dgs_push(player, ptr::null(), 0, ptr::null_mut(), ptr::null_mut()), DGS_ILLEGAL);
+        assert_eq!(dgs_manifest(ptr::null_mut(), ptr::null(), 0, &mut error), DGS_NULL);
+        assert_eq!(dgs_count(player, ptr::null_mut(), ptr::null_mut()), DGS_NULL);
+        assert_eq!(dgs_open(ptr::null_mut(), 0, &caps(), ptr::null_mut(), &mut error), DGS_NULL);
         let mut bytes = 0;
-        assert_eq!(dgs_manifest_bytes(ptr::null(), 0, &mut bytes, &mut error), DGS_SHORT);
-        let mut found = DgsSizes::default();
-        let (message, scratch) = (b"DGSM", ptr::null_mut());
-        assert_eq!(dgs_sizes_of(message.as_ptr(), 4, scratch, 0, &mut found, &mut error), DGS_SHORT);
-        assert_eq!(dgs_open(ptr::null_mut(), 0, &sizes, ptr::null_mut(), &mut error), DGS_NULL);
+        assert_eq!(dgs_required(player, ptr::null(), 0, ptr::null_mut(), &mut error), DGS_NULL);
+        assert_eq!(dgs_required(player, ptr::null(), 0, &mut bytes, &mut error), DGS_SHORT);
         assert_eq!(dgs_digest(7, ptr::null(), 3, ptr::null(), 0), 7);
+        // An error that cannot be written is refused before anything is done.
+        let crooked = (&raw mut error).cast::<u8>().add(1).cast::<DgsError>();
+        error.status = -1;
+        assert_eq!(dgs_push(player, ptr::null(), 5, ptr::null_mut(), crooked), DGS_MISUSE);
+        assert_eq!(
+            dgs_open(memory.as_mut_ptr().cast(), 0, ptr::null(), ptr::null_mut(), crooked),
+            DGS_MISUSE
+        );
+        assert_eq!(error.status, -1);
+    }
+}
+
+/// Every pointer that a function takes beside its player's, at the block's first and last bytes.
+#[test]
+fn every_buffer_that_reaches_into_the_block_is_refused() {
+    let (message, packets) = stream();
+    let mut memory = exact_block();
+    let bytes = size_of_val(memory.as_slice());
+    let start: *mut u8 = memory.as_mut_ptr().cast();
+    let player = open(&mut memory, &caps()).unwrap();
+    let mut error = none();
+    let named = |call: &dyn Fn(*mut u8, *mut DgsError) -> i32, argument: &str| {
+        for at in [0, HEAD, bytes - 64] {
+            let mut error = none();
+            // SAFETY: inside the block.
+            let inside = unsafe { start.add(at) };
+            assert_eq!((call(inside, &mut error), field(&error)), (DGS_MISUSE, argument), "at byte {at}");
+        }
+    };
+    // SAFETY: the player is open; pointers into its block are what is refused, the others are good.
+    unsafe {
+        named(&|p, e| dgs_required(player, message.as_ptr(), message.len(), p.cast(), e), "bytes");
+        named(&|p, e| dgs_required(player, p, 5, &mut 0, e), "message");
+        named(&|p, e| dgs_manifest(player, p, 5, e), "message");
+        assert_eq!(dgs_manifest(player, message.as_ptr(), message.len(), &mut error), DGS_OK);
+        named(&|p, e| dgs_push(player, p, 5, ptr::null_mut(), e), "packet");
+        named(&|p, e| dgs_push(player, packets[0].as_ptr(), packets[0].len(), p.cast(), e), "pushed");
+        named(&|p, e| dgs_count(player, p.cast(), e), "counters");
+        named(&|p, e| dgs_describe(player, p.cast(), e), "stream");
+        named(&|p, e| dgs_show(player, 0, p.cast(), e), "shown");
+        named(&|p, e| dgs_count_usable(player, 0, p.cast(), e), "usable");
+        let (mut out, mut written) = ([0u8; DGS_RECEIPT_BYTES], 0usize);
+        let (out, len, written) = (out.as_mut_ptr(), out.len(), &raw mut written);
+        named(&|p, e| dgs_receipt(player, 0, 0, p.cast(), out, len, written, e), "pose");
+        named(&|p, e| dgs_receipt(player, 0, 0, ptr::null(), p, 64, written, e), "out");
+        named(&|p, e| dgs_receipt(player, 0, 0, ptr::null(), out, len, p.cast(), e), "written");
+        named(&|p, e| dgs_open(start.cast(), bytes, p.cast(), &mut ptr::null_mut(), e), "caps");
+        named(&|p, e| dgs_open(start.cast(), bytes, &caps(), p.cast(), e), "player");
+        // The error itself: refused, and nothing of the block is written.
+        let inside: *mut DgsError = start.add(HEAD).cast();
+        let mut counters = DgsCounters::default();
+        assert_eq!(dgs_push(player, ptr::null(), 5, ptr::null_mut(), inside), DGS_MISUSE);
+        assert_eq!(dgs_open(start.cast(), bytes, ptr::null(), ptr::null_mut(), inside), DGS_MISUSE);
+        assert_eq!(dgs_count(player, &mut counters, &mut error), DGS_OK);
+        assert_eq!((counters.media, counters.refused), (0, [0; DGS_REFUSALS]));
+        // Just outside on either side is fine.
+        let mut apart = vec![0u8; 64];
+        assert_ne!(dgs_push(player, apart.as_mut_ptr(), 64, ptr::null_mut(), &mut error), DGS_MISUSE);
     }
 }
 

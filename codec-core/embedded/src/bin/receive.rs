@@ -6,16 +6,15 @@
 #![no_main]
 
 use codec_core::{
-    decode::Decoder,
+    cursor::Reader,
     digest::Digest,
+    player::Counters,
     rans::{
         lanes::{self, Compact, Lookup},
         table::{SLOTS, Table},
     },
-    receiver::{Counters, Receiver},
-    cursor::Reader,
 };
-use codec_embedded::{count::Counter, fixture, memory::Memory, stack};
+use codec_embedded::{count::Counter, fixture, memory, stack};
 use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
 use static_cell::ConstStaticCell;
@@ -49,33 +48,37 @@ fn run() -> Option<bool> {
     let counter = Counter::start(cortex_m::Peripherals::take()?.SYST);
     hprintln!("instructions_per_tick {}", counter.per_tick());
     let laws = laws(&counter)?;
-    let Memory { receiver, decoder, out, sh_rest } = Memory::take()?;
-    let mut receiver = Receiver::new(receiver);
+    let mut waiting = memory::take()?;
     // The first packet comes before the manifest and waits.
     let mut packets = fixture::packets(fixture::ARRIVALS);
-    let _ = receiver.media(packets.next()?);
-    let mut control = Ok(());
+    let _ = waiting.push(packets.next()?);
+    let mut player = None;
     let mut instructions = 0;
-    let depth = stack::depth(|| instructions = counter.of(|| control = receiver.control(fixture::MESSAGE)));
-    if let Err(error) = control {
-        hprintln!("refused {}", error);
-        return None;
-    }
+    let depth = stack::depth(|| {
+        instructions = counter.of(|| player = Some(waiting.manifest(fixture::MESSAGE)));
+    });
+    let mut player = match player? {
+        Ok(player) => player,
+        Err((_, error)) => {
+            hprintln!("refused {}", error);
+            return None;
+        }
+    };
     hprintln!("control.stack {}", depth);
     hprintln!("control.instructions {}", instructions);
     let (mut deepest, mut sum) = (0, 0u32);
     for packet in packets {
         let depth = stack::depth(|| {
-            // Counted by kind in the receiver's counters.
+            // Counted by kind in the player's counters.
             sum += counter.of(|| {
-                let _ = receiver.media(packet);
+                let _ = player.push(packet);
             });
         });
         deepest = deepest.max(depth);
     }
     hprintln!("media.stack {}", deepest);
     hprintln!("media.instructions {}", sum);
-    let Counters { media, parity, early, recovered, repair_failed, refused } = *receiver.counters();
+    let Counters { media, parity, early, recovered, repair_failed, refused } = *player.counters();
     for (name, count) in [
         ("media", media),
         ("parity", parity),
@@ -86,20 +89,19 @@ fn run() -> Option<bool> {
     ] {
         hprintln!("count.{} {}", name, count);
     }
-    let content = receiver.content()?;
-    let mut decoder = Decoder::new(decoder);
     let mut digest = Digest::new();
     let (mut deepest, mut sum, mut gaussians) = (0, 0u32, 0);
     for &frame in fixture::FRAMES {
-        let mut decoded = None;
-        let depth = stack::depth(|| {
-            sum += counter.of(|| decoded = decoder.frame(&content, frame, out, sh_rest).ok());
-        });
+        let mut decoded = false;
+        let depth = stack::depth(|| sum += counter.of(|| decoded = player.frame(frame).is_ok()));
+        if !decoded {
+            return None;
+        }
         deepest = deepest.max(depth);
-        let decoded = decoded?;
-        gaussians += decoded.gaussians;
-        let rest = content.manifest.sh_degree().rest_len() * decoded.gaussians;
-        digest = digest.frame(out.get(..decoded.gaussians)?, sh_rest.get(..rest)?);
+        // Decoded again, where it is not counted, for what it shows.
+        let shown = player.frame(frame).ok()?;
+        gaussians += shown.gaussians.len();
+        digest = digest.frame(shown.gaussians, shown.sh_rest);
     }
     hprintln!("frame.stack {}", deepest);
     hprintln!("frame.instructions {}", sum);

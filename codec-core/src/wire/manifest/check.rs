@@ -7,9 +7,9 @@ use crate::{
     cursor::{Reader, in_range},
     error::{Error, ErrorKind, Result},
     gaussian::ShDegree,
-    ids::{ClusterId, EpochId, Level, WindowId},
+    ids::{ClusterId, EpochId, Level, PacketId, WindowId},
     limits,
-    quant::Class,
+    quant::{Class, Quantiser},
 };
 
 impl<'a> Manifest<'a> {
@@ -56,26 +56,30 @@ impl<'a> Manifest<'a> {
                 let left = (frame + epoch.frames - window_frame).min(limits::MAX_WINDOW_FRAMES as u32);
                 in_range("window.frames", place, u32::from(record.frames), 1, left)?;
                 in_range("window.first_cell", place, u64::from(record.first_cell), cell, cell)?;
-                let values =
-                    u64::from(record.basis_first) + u64::from(record.rank) * u64::from(record.frames);
-                in_range("window.basis_first", place, values, 0, u64::from(self.head.basis_values))?;
+                let values = u64::from(record.rank) * u64::from(record.frames);
+                self.check_basis("window.basis_first", place, record.basis_first, values)?;
                 in_range("window.rank", place, u16::from(record.rank), 0, record.frames)?;
                 window_frame += u32::from(record.frames);
                 cell += u64::from(epoch.clusters);
             }
             if epoch.windows > 0 {
-                let end = frame + epoch.frames;
-                in_range("epoch.windows", place, window_frame, end, end)
+                let covered = window_frame - frame;
+                in_range("epoch.frames", place, epoch.frames, covered, covered)
                     .map_err(|e| e.kind(ErrorKind::Contradiction))?;
             }
             if self.profile == Profile::Paper {
                 in_range("epoch.windows", place, epoch.windows, 0, 0)?;
                 in_range("epoch.rank", place, epoch.rank, 0, limits::MAX_RANK as u8)?;
                 let frames = u64::from(epoch.frames);
-                let basis = u64::from(epoch.basis_first) + frames * u64::from(epoch.rank);
-                in_range("epoch.basis_first", place, basis, 0, u64::from(self.head.basis_values))?;
-                let values = u64::from(epoch.transform_first) + frames * u64::from(epoch.clusters) * 12;
-                in_range("epoch.transform_first", place, values, 0, u64::from(self.head.transform_values))?;
+                self.check_basis(
+                    "epoch.basis_first",
+                    place,
+                    epoch.basis_first,
+                    frames * u64::from(epoch.rank),
+                )?;
+                let (all, values) = (self.head.transform_values, frames * u64::from(epoch.clusters) * 12);
+                let fields = ("epoch.transform_first", "manifest.transforms");
+                check_part(fields, place, epoch.transform_first, values, all)?;
             }
             frame += epoch.frames;
             cluster += epoch.clusters;
@@ -121,6 +125,16 @@ impl<'a> Manifest<'a> {
 
     pub(super) fn check_records(&self) -> Result<()> {
         self.check_reserved()?;
+        self.check_motions()?;
+        self.check_quants()?;
+        if self.profile == Profile::Dgs1 {
+            self.check_table_sets()?;
+        }
+        self.check_repairs()?;
+        self.check_values()
+    }
+
+    fn check_motions(&self) -> Result<()> {
         for (w, window) in self.windows().enumerate() {
             let epoch = self.epoch(EpochId(window.epoch)).unwrap_or_default();
             for c in 0..epoch.clusters {
@@ -138,50 +152,70 @@ impl<'a> Manifest<'a> {
                 }
             }
         }
+        Ok(())
+    }
+
+    fn check_quants(&self) -> Result<()> {
         for index in 0..usize::from(self.head.quants) {
             let place = self.sections.quants + index * Quant::BYTES;
             let mut reader = Reader::new(self.raw.get(place..).unwrap_or(&[]));
             let quant =
                 Quant::read(&mut reader).map_err(|e| Error { offset: e.offset + place as u32, ..e })?;
-            if self.profile == Profile::Dgs1 {
-                for quantiser in quant.canonical.iter().chain(&quant.motion) {
-                    in_range("quantiser.ratio", place, u8::from(quantiser.nests()), 1, 1)?;
+            let classes = Class::ALL.map(|class| self.profile == Profile::Dgs1 && class.decorrelates());
+            let may = classes.into_iter().chain([false; Class::MOVING]);
+            for ((q, quantiser), may) in quant.canonical.iter().chain(&quant.motion).enumerate().zip(may) {
+                let place = place + q * Quantiser::BYTES;
+                if !may && quantiser.decorrelated() {
+                    in_range("quantiser.flags", place, quantiser.flags(), 0, 1)?;
+                }
+                if self.profile == Profile::Dgs1 {
+                    for ratio in Level::ALL.map(|level| quantiser.ratio(level)) {
+                        // Ratios are odd; what is allowed in place of an even one is the next below it.
+                        let odd = ratio - 1 + ratio % 2;
+                        in_range("quantiser.ratio", place, ratio, odd, odd)?;
+                    }
                 }
             }
-            let still = Class::ALL.into_iter().zip(&quant.canonical);
-            let may = |class: Class| self.profile == Profile::Dgs1 && class.decorrelates();
-            let decorrelated = still.filter(|(class, _)| !may(*class)).map(|(_, q)| q).chain(&quant.motion);
-            for quantiser in decorrelated {
-                in_range("quantiser.flags", place, u8::from(quantiser.decorrelated()) << 1, 0, 1)?;
-            }
         }
-        for s in 0..stream::COUNT * usize::from(self.profile == Profile::Dgs1) {
+        Ok(())
+    }
+
+    fn check_table_sets(&self) -> Result<()> {
+        for s in 0..stream::COUNT {
             let place = self.sections.streams + s * TableSet::BYTES;
-            if let Some((table, _)) =
-                self.table_set(s).choices().find(|&(t, _)| u16::from(t) >= self.head.tables)
-            {
+            let unknown = |&(table, _): &(u8, u8)| u16::from(table) >= self.head.tables;
+            if let Some((table, _)) = self.table_set(s).choices().find(unknown) {
                 let last = u64::from(self.head.tables).saturating_sub(1);
                 return Err(Error::illegal("table_set.tables", place, table.into(), (0, last)));
             }
         }
-        let mut sets = 0u64;
+        Ok(())
+    }
+
+    /// Ranges ascend and do not overlap, neither in what they protect nor in their parity packets: a
+    /// packet belongs to one set, and all ranges together are no larger than the stream.
+    fn check_repairs(&self) -> Result<()> {
+        let all = self.head.packets;
+        let (mut protected_end, mut parity_end) = (0u32, 0u32);
         for (r, repair) in self.repairs().enumerate() {
             let place = self.sections.repairs + r * Repair::BYTES;
-            let all = self.head.packets;
             let most = limits::MAX_REPAIR_SET as u8;
             in_range("repair.set_len", place, repair.set_len, 2, most)?;
             in_range("repair.parity", place, repair.parity, 1, limits::MAX_REPAIR_PARITY as u8)?;
             in_range("repair.longest", place, repair.longest, 1, limits::MAX_PACKET_BYTES as u16)?;
-            in_range("repair.first_packet", place, repair.first_packet, 0, all)?;
-            in_range("repair.packets", place, repair.packets, 1, all - repair.first_packet.min(all))?;
-            in_range("repair.first_parity", place, repair.first_parity, 0, all)?;
-            let left = u64::from(all - repair.first_parity.min(all));
-            in_range("repair.sets", place, repair.parity_packets(), 1, left)?;
-            // Each set has parity packets of its own.
-            sets += repair.parity_packets();
-            in_range("repair.sets", place, sets, 1, all.into())
-                .map_err(|e| e.kind(ErrorKind::Contradiction))?;
+            in_range("repair.first_packet", place, repair.first_packet, protected_end, all)?;
+            in_range("repair.packets", place, repair.packets, 1, all - repair.first_packet)?;
+            let (rows, most) = (repair.parity_packets(), u64::from(PacketId::MAX));
+            in_range("manifest.packets", place, u64::from(all), u64::from(parity_end) + rows, most)?;
+            let (first, last) = (u64::from(repair.first_parity), u64::from(all) - rows);
+            in_range("repair.first_parity", place, first, parity_end.into(), last)?;
+            protected_end = repair.first_packet + repair.packets;
+            parity_end = repair.first_parity + repair.parity_packets() as u32;
         }
+        Ok(())
+    }
+
+    fn check_values(&self) -> Result<()> {
         for index in 0..self.head.transform_values as usize {
             finite("manifest.transforms", self.sections.transforms + 4 * index, self.transform_value(index))?;
         }
@@ -195,6 +229,25 @@ impl<'a> Manifest<'a> {
         }
         Ok(())
     }
+
+    fn check_basis(&self, field: &'static str, place: usize, first: u32, values: u64) -> Result<()> {
+        check_part((field, "manifest.basis"), place, first, values, self.head.basis_values)
+    }
+}
+
+/// Checks that `values` values from `first` on lie among `all`; the two `fields` are that of `first`
+/// and the section, which is to blame where no `first` would do.
+fn check_part(
+    fields: (&'static str, &'static str),
+    place: usize,
+    first: u32,
+    values: u64,
+    all: u32,
+) -> Result<()> {
+    let Some(last) = u64::from(all).checked_sub(values) else {
+        return Err(Error::illegal(fields.1, place, all.into(), (values, limits::MAX_MANIFEST_BYTES as u64)));
+    };
+    in_range(fields.0, place, u64::from(first), 0, last).map(|_| ())
 }
 
 pub(super) fn check_head(head: &Head) -> Result<()> {
@@ -220,5 +273,7 @@ fn finite(field: &'static str, place: usize, value: f32) -> Result<()> {
     if value.is_finite() && (-1e9..=1e9).contains(&value) {
         return Ok(());
     }
-    Err(Error::illegal(field, place, value.to_bits().into(), (0, 1_000_000_000)))
+    // As a magnitude, rounded up; what is not a number is larger than any.
+    let magnitude = if value.is_nan() { u64::MAX } else { libm::ceil(f64::from(value).abs()) as u64 };
+    Err(Error::illegal(field, place, magnitude, (0, 1_000_000_000)))
 }

@@ -49,21 +49,38 @@ impl TableSet {
     }
 
     fn check(&self, place: usize) -> Result<()> {
-        let (mut sum, mut before) = (0u32, 1);
         if self.count < 2 {
-            in_range("table_set.lengths", place + 1, self.lengths.iter().copied().max().unwrap_or(0), 0, 0)?;
+            let longest = self.lengths.iter().copied().max().unwrap_or(0);
+            in_range("table_set.lengths", place + 1, longest, 0, 0)?;
         } else {
-            for &length in self.lengths.iter().take(usize::from(self.count)) {
-                in_range("table_set.lengths", place + 1, length, before, MAX_TABLE_SET_BITS)?;
-                before = length;
-                sum += 1 << (MAX_TABLE_SET_BITS - length);
-            }
-            let whole = 1u32 << MAX_TABLE_SET_BITS;
-            in_range("table_set.lengths", place + 1, sum, whole, whole)?;
+            self.check_code(place)?;
         }
         let unused = |values: &[u8]| values.iter().skip(usize::from(self.count)).copied().max().unwrap_or(0);
         in_range("table_set.lengths", place + 1, unused(&self.lengths), 0, 0)?;
         in_range("table_set.tables", place + 5, unused(&self.tables), 0, 0)?;
+        Ok(())
+    }
+
+    /// Checks that lengths ascend and that the code is complete: no bits lead nowhere, none to two
+    /// tables.
+    fn check_code(&self, place: usize) -> Result<()> {
+        // Code words of the longest kind that no table has taken yet.
+        let mut free = 1u32 << MAX_TABLE_SET_BITS;
+        let mut before = 1;
+        for (i, &length) in self.lengths.iter().take(usize::from(self.count)).enumerate() {
+            in_range("table_set.lengths", place + 1, length, before, MAX_TABLE_SET_BITS)?;
+            if free == 0 {
+                in_range("table_set.count", place, usize::from(self.count) as u64, 0, i as u64)?;
+            }
+            let least = MAX_TABLE_SET_BITS - free.checked_ilog2().unwrap_or(0) as u8;
+            in_range("table_set.lengths", place + 1, length, least, MAX_TABLE_SET_BITS)?;
+            free = free.saturating_sub(1 << (MAX_TABLE_SET_BITS - length));
+            before = length;
+        }
+        if free > 0 {
+            // A shorter last code word would take what is left.
+            in_range("table_set.lengths", place + 1, before, 1, before.saturating_sub(1))?;
+        }
         Ok(())
     }
 

@@ -4,23 +4,20 @@ use std::hint::black_box;
 
 use anyhow::{Result, ensure};
 use codec_core::{
+    Caps,
     closure::{Arrived, naive_usable},
     digest::Digest,
     gaussian::Gaussian,
     ids::Level,
-    receiver::Receiver,
+    player::{Accepted, Player as CorePlayer, Waiting},
     wire::{
         crc::{Crc32, crc32},
         packet::{Head, Packet},
     },
 };
-use codec_simd::{Intake, Kernel};
+use codec_simd::{BatchReceiver, Kernel};
 use dgs::{args::ProfileName, pipeline};
-use trainer_host::{
-    Scene, Stream,
-    encode::Protection,
-    stream::{HostMemory, Player},
-};
+use trainer_host::{Scene, Stream, encode::Protection, stream::Player};
 
 use super::clock::seconds as thread_seconds;
 use crate::{
@@ -64,26 +61,35 @@ fn bitwise(bytes: &[u8]) -> u32 {
     !bytes.iter().fold(u32::MAX, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), step))
 }
 
-fn receive(stream: &Stream, memory: &mut HostMemory, crc: Crc32) -> Result<f64> {
-    let mut receiver = Receiver::with_crc(memory.memory(), crc).with_combine(codec_simd::combine());
-    receiver.control(stream.message())?;
+/// Receives `stream` in `arena`, one packet at a time, and times it; the manifest is taken before.
+fn receive<'a>(stream: &Stream, arena: &'a mut [u64], crc: Crc32) -> Result<(CorePlayer<'a>, f64)> {
+    let caps = Caps { early_bytes: 0, ..Caps::HOST };
+    let waiting = Waiting::new(arena, caps)?.with_arithmetic(crc, codec_simd::combine());
+    let mut player = waiting.manifest(stream.message()).map_err(|(_, error)| error)?;
     let start = thread_seconds();
     for packet in stream.packets() {
-        receiver.media(packet)?;
+        player.push(packet)?;
     }
-    Ok(thread_seconds() - start)
+    let seconds = thread_seconds() - start;
+    Ok((player, seconds))
 }
 
 /// As [`receive`], by the host's CRC and many packets at a time.
-fn receive_batches(stream: &Stream, memory: &mut HostMemory, kernel: Kernel) -> Result<f64> {
-    let mut receiver = codec_simd::receiver(memory.memory());
-    receiver.control(stream.message())?;
+fn receive_batches<'a>(
+    stream: &Stream,
+    arena: &'a mut [u64],
+    kernel: Kernel,
+) -> Result<(CorePlayer<'a>, f64)> {
+    let caps = Caps { early_bytes: 0, ..Caps::HOST };
+    let waiting = Waiting::new(arena, caps)?.with_arithmetic(codec_simd::crc32, codec_simd::combine());
+    let mut player = waiting.manifest(stream.message()).map_err(|(_, error)| error)?;
     let mut refused = None;
     let start = thread_seconds();
     let packets = stream.packets().iter().map(Vec::as_slice);
-    Intake::with_kernel(kernel).media(&mut receiver, packets, |answer| refused = refused.or(answer.err()));
+    let answer = |answer: codec_core::Result<Accepted>| refused = refused.or(answer.err());
+    BatchReceiver::with_kernel(kernel).receive(player.receiver(), packets, answer);
     let seconds = thread_seconds() - start;
-    refused.map_or(Ok(seconds), |error| Err(error.into()))
+    refused.map_or(Ok((player, seconds)), |error| Err(error.into()))
 }
 
 /// Digest of Gaussians, bit for bit.
@@ -94,11 +100,10 @@ fn digest(gaussians: &[Gaussian]) -> u64 {
 fn whole(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<()> {
     let manifest = stream.manifest()?;
     let frames = manifest.head().frames;
-    let mut memory = HostMemory::new(&manifest, 0)?;
+    let mut arena = dgs_player::arena(stream.message(), &Caps { early_bytes: 0, ..Caps::HOST })?;
     // A stream is received once; the table is set up by the manifest, outside the time.
-    receive(stream, &mut memory, codec_simd::crc32)?;
-    let received = memory.clone();
-    let content = received.content(&manifest);
+    let received = stream.receive()?;
+    let content = received.content();
     let (mut player, mut fast, mut naive) = (Player::new(&manifest), Vec::new(), Vec::new());
     let mut shown = 0usize;
     for frame in 0..frames {
@@ -113,11 +118,12 @@ fn whole(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<
     let mut batches: Vec<(Kernel, Vec<f64>)> = here.map(|kernel| (kernel, Vec::new())).collect();
     let (mut first, mut steady, mut anew) = (Vec::new(), Vec::new(), Vec::new());
     for run in 0..runs {
-        table.push(receive(stream, &mut memory, crc32)?);
-        host.push(receive(stream, &mut memory, codec_simd::crc32)?);
+        table.push(receive(stream, &mut arena, crc32)?.1);
+        host.push(receive(stream, &mut arena, codec_simd::crc32)?.1);
         for (kernel, times) in &mut batches {
-            times.push(receive_batches(stream, &mut memory, *kernel)?);
-            let found = memory.content(&manifest);
+            let (player, seconds) = receive_batches(stream, &mut arena, *kernel)?;
+            times.push(seconds);
+            let found = player.content();
             let same = found.symbols == content.symbols && found.blocks == content.blocks;
             ensure!(same, "{name}: packets taken together by {} leave something else", kernel.name());
         }
@@ -131,8 +137,9 @@ fn whole(bench: &mut Bench, name: &str, stream: &Stream, runs: usize) -> Result<
         }
         steady.push(thread_seconds() - start);
         if run % 3 == 0 {
-            slow.push(receive(stream, &mut memory, bitwise)?);
-            ensure!(memory.content(&manifest).symbols == content.symbols, "{name}: a CRC changed symbols");
+            let (found, seconds) = receive(stream, &mut arena, bitwise)?;
+            slow.push(seconds);
+            ensure!(found.content().symbols == content.symbols, "{name}: a CRC changed symbols");
             let mut players: Vec<Player> = (0..frames).map(|_| Player::new(&manifest)).collect();
             let start = thread_seconds();
             for (frame, player) in (0..frames).zip(&mut players) {

@@ -191,7 +191,7 @@ fn frames(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
         let instant = scene.instant(0).unwrap_or_default();
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
         for &side in sides {
-            let film = &Framing::of(&scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (side, side))?[0];
+            let film = &Framing::of(&scene).ring(Ring::HeldOut, 3, (side, side))?[0];
             frame(bench, &format!("biker-{}.{side}", splats.len()), &splats, film, runs)?;
         }
     }

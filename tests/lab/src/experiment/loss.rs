@@ -75,7 +75,7 @@ fn promise(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, subsets
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let content = received.content();
-    let camera = &Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (96, 96))?[0];
+    let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (96, 96))?[0];
     let settings = Settings { parallel: false, ..Settings::default() };
     let good: Result<Vec<bool>> = (0..subsets)
         .into_par_iter()
@@ -102,7 +102,7 @@ fn loss(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, masks: u64
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let content = received.content();
-    let camera = &Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (size, size))?[0];
+    let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?[0];
     let settings = Settings { parallel: false, ..Settings::default() };
     let frames = spread(scene.frames(), 4);
     let references = quality::references(scene, &frames, camera, &settings)?;

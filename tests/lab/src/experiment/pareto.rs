@@ -52,7 +52,7 @@ impl View {
 
     fn of(name: String, scene: &Scene, side: u32) -> Result<Self> {
         let instant = scene.instant(scene.frames() / 2).unwrap_or_default();
-        let camera = Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (side, side))?.swap_remove(0);
+        let camera = Framing::of(scene).ring(Ring::HeldOut, 3, (side, side))?.swap_remove(0);
         let (gaussians, rest, degree) = (instant.gaussians, instant.sh_rest, instant.sh_degree);
         Ok(Self { name, gaussians, rest, degree, camera })
     }

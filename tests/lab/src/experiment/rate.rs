@@ -26,7 +26,7 @@ use rayon::prelude::*;
 use self::{
     codec::{Codec, CodecKind},
     scenes::{Evaluator, Named},
-    table::RatePoint,
+    table::Measurement,
 };
 use crate::{
     figures::{Bench, Figure, mean},
@@ -56,7 +56,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     for codec in &codecs {
         bench.protocol += &format!("; {}: {} in {:?}", codec.name, codec.knob, codec.settings);
     }
-    let mut rows: Vec<RatePoint> = Vec::new();
+    let mut rows: Vec<Measurement> = Vec::new();
     let mut compared = Vec::new();
     let mut shares = Vec::new();
     scenes::for_each(setup, &mut bench, |bench, named| {
@@ -87,13 +87,13 @@ fn measure(
     codecs: &[Codec],
     size: u32,
     shown: usize,
-) -> Result<Vec<RatePoint>> {
+) -> Result<Vec<Measurement>> {
     let scene = &named.scene;
     let evaluator = Evaluator::of(scene, size, shown)?;
     let gaussians: usize = scene.epochs().iter().map(|e| e.count()).sum();
-    let one = |codec: &Codec, setting: f32, timed: bool| -> Result<RatePoint> {
+    let one = |codec: &Codec, setting: f32, timed: bool| -> Result<Measurement> {
         let coded = (codec.code)(scene, setting, codec.level, &evaluator.frames)?;
-        Ok(RatePoint {
+        Ok(Measurement {
             scene: named.key.clone(),
             counts: named.counts,
             dynamic: scene.epochs().iter().any(|e| e.frames() > 1),
@@ -109,7 +109,7 @@ fn measure(
         })
     };
     let mut jobs: Vec<(usize, &Codec, f32)> = Vec::new();
-    let mut found: Vec<(usize, RatePoint)> = Vec::new();
+    let mut found: Vec<(usize, Measurement)> = Vec::new();
     for codec in codecs {
         let timed = codec.settings.iter().position(|&s| s >= 1.0).unwrap_or(0);
         for (k, &setting) in codec.settings.iter().enumerate() {
@@ -128,7 +128,7 @@ fn measure(
             }
         }
     }
-    let rest: Result<Vec<(usize, RatePoint)>> = jobs
+    let rest: Result<Vec<(usize, Measurement)>> = jobs
         .par_iter()
         .with_max_len(1)
         .map(|&(place, codec, setting)| Ok((place, one(codec, setting, false)?)))
@@ -139,7 +139,7 @@ fn measure(
 }
 
 /// The rows timed alone, and the ends of each codec's range, as figures.
-fn push(bench: &mut Bench, rows: &[RatePoint]) {
+fn push(bench: &mut Bench, rows: &[Measurement]) {
     for row in rows.iter().filter(|r| r.timed) {
         let key = |what: &str| format!("{}.{}.{what}", row.scene, row.codec);
         bench.push(Figure::new(key("bits_per_gaussian"), row.bits, "bit"));

@@ -9,7 +9,7 @@ use codec_core::{
     wire::manifest::Repair,
 };
 
-use super::clock::seconds;
+use super::clock;
 use crate::{
     figures::{Bench, Figure, median},
     setup::Setup,
@@ -233,14 +233,14 @@ fn speed(bench: &mut Bench, k: usize, r: usize, runs: usize) -> Result<()> {
     let mut seconds = vec![Vec::new(); tasks.len()];
     for run in 0..=runs {
         for (((name, task), seconds), passes) in tasks.iter_mut().zip(&mut seconds).zip(&mut passes) {
-            let start = seconds();
+            let start = clock::seconds();
             for _ in 0..*passes as usize {
                 for set in 0..sets.len() {
                     let wrong = task(set)?;
                     ensure!(wrong == 0, "{name}, {k}+{r}: {wrong} bytes come back wrong");
                 }
             }
-            let each = (seconds() - start) / *passes;
+            let each = (clock::seconds() - start) / *passes;
             if run == 0 {
                 *passes = (ROUND_SECONDS / each.max(1e-6)).ceil().min(200.0);
             } else {

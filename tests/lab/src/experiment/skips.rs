@@ -5,7 +5,7 @@ mod paired;
 
 use anyhow::{Result, ensure};
 use codec_core::gaussian::ShDegree;
-use render_host::{Camera, Counters, Image, Renderer, Settings, Splats, reference};
+use render_host::{Camera, Counters, Renderer, Settings, Splats, reference};
 use trainer_host::{
     Instant, Scene,
     viewpoint::{Framing, Ring},
@@ -13,7 +13,7 @@ use trainer_host::{
 
 use self::paired::{max_abs, pair, pays, serial, share, time, verdict};
 use crate::{
-    figures::{Bench, Figure, median},
+    figures::{Bench, Figure},
     setup::{Setup, load, synth},
 };
 
@@ -129,7 +129,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     for (name, scene) in &scenes {
         let camera = match scene.cameras.first() {
             Some(camera) => camera.clone(),
-            None => Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (size, size))?.swap_remove(0),
+            None => Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?.swap_remove(0),
         };
         let mut instant = scene.instant(scene.frames() / 2).unwrap_or_default();
         single(&mut bench, name, &instant, &camera, runs)?;

@@ -133,8 +133,8 @@ fn utilities(
     map: &PacketMap,
     setup: &Setup,
 ) -> Result<utility::Table> {
-    let cameras = Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::Measuring, 3, (96, 96))?;
+    let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (96, 96))?;
     let options = utility::Options { contexts: 2, ..utility::Options::paper(cameras) };
     let received = stream.receive()?;
-    pipeline::utilities(scene, &received.content(), map, &options, None, setup.quiet)
+    pipeline::utilities(scene, &received.content(), map, &options, None, setup.quiet, &mut |_| ())
 }

@@ -1,13 +1,8 @@
-//! 3DGS PLY: what every splat viewer reads. Lossless: 32-bit floats in the scene's own domains.
+//! Writes 3DGS PLY, which every splat viewer reads. Lossless: 32-bit floats in the scene's own domains.
 //!
 //! Properties in the usual order, without normals; `f_rest_*` channel-major, as the format has it.
 
-use std::{
-    io,
-    path::{Path, PathBuf},
-};
-
-use crate::scene::{Epoch, Scene};
+use crate::scene::Epoch;
 
 /// Frame `t` of `epoch` as a binary little-endian PLY. `t` must be below the epoch's frame count.
 pub fn encode(epoch: &Epoch, t: usize) -> Vec<u8> {
@@ -40,34 +35,20 @@ pub fn encode(epoch: &Epoch, t: usize) -> Vec<u8> {
     out
 }
 
-/// Writes one frame of `epoch`.
-///
-/// # Errors
-/// The file cannot be written.
-pub fn write(path: &Path, epoch: &Epoch, t: usize) -> io::Result<()> {
-    std::fs::write(path, encode(epoch, t))
-}
-
-/// Writes every frame of `scene` as `PREFIX_00000.ply` and so on.
-///
-/// # Errors
-/// A file cannot be written.
-pub fn write_sequence(folder: &Path, prefix: &str, scene: &Scene) -> io::Result<Vec<PathBuf>> {
-    super::sequence(scene, folder, prefix, "ply", |epoch, t| Ok(encode(epoch, t)))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::{self, Identity, Limits, Options, synth};
+    use crate::scene::import::{self, Identity, Limits, Options, synth};
 
     #[test]
     fn a_sequence_reads_back_as_the_same_epoch() {
         let make = synth::Options { gaussians: 1_000, frames: 5, ..synth::Options::default() };
         let scene = synth::make(&make, &Limits::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
-        let files = write_sequence(folder.path(), "ball", &scene).unwrap();
-        assert!(files[4].ends_with("ball_00004.ply"));
+        for t in 0..5 {
+            std::fs::write(folder.path().join(format!("ball_{t}.ply")), encode(&scene.epochs()[0], t))
+                .unwrap();
+        }
         let options = Options { identity: Identity::Stored, ..Options::default() };
         let back = import::import(folder.path(), &options).unwrap();
         // Rotations are normalised again on entry, which may move their last bit.

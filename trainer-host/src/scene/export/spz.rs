@@ -1,21 +1,18 @@
-//! SPZ, version 3 (one gzip stream) and version 4 (a zstd stream per plane).
+//! Writes SPZ, version 3 (one gzip stream) and version 4 (a zstd stream per plane).
 //!
 //! Lossy: positions to `2^-fraction_bits` units (12 by default: a quarter of a millimetre in metres),
 //! scales to 1/16 of a natural log, opacity and colour to a byte, rotations to ten bits a component,
 //! harmonics to a byte on a grid of five bits (degree 1) and four (above). Positions beyond what 24
-//! bits hold at the asked-for fraction get fewer fraction bits, chosen per frame, so nothing wraps.
+//! bits hold at the requested fraction get fewer fraction bits, chosen per frame, so nothing wraps.
 
-use std::{
-    io::{self, Write},
-    path::{Path, PathBuf},
-};
+use std::io::{self, Write};
 
 use crate::{
     import::{
         snapshot::SH_C0,
         spz::{COLOUR_SCALE, MAGIC},
     },
-    scene::{Epoch, Scene},
+    scene::Epoch,
 };
 
 /// Which version to write.
@@ -95,36 +92,15 @@ pub fn unpacked(epoch: &Epoch, t: usize, options: &Options) -> io::Result<(u8, [
     Ok((fraction_bits, planes(epoch, t, fraction_bits)))
 }
 
-/// Writes one frame of `epoch`.
-///
-/// # Errors
-/// As [`encode`], or the file cannot be written.
-pub fn write(path: &Path, epoch: &Epoch, t: usize, options: &Options) -> io::Result<()> {
-    std::fs::write(path, encode(epoch, t, options)?)
-}
-
-/// Writes every frame of `scene` as `PREFIX_00000.spz` and so on.
-///
-/// # Errors
-/// As [`write()`].
-pub fn write_sequence(
-    folder: &Path,
-    prefix: &str,
-    scene: &Scene,
-    options: &Options,
-) -> io::Result<Vec<PathBuf>> {
-    super::sequence(scene, folder, prefix, "spz", |epoch, t| encode(epoch, t, options))
-}
-
 fn refused(why: &str) -> io::Error {
     io::Error::new(io::ErrorKind::InvalidInput, why)
 }
 
-/// Fraction bits, at most `asked`, at which the furthest position fits in 24 bits.
-fn fraction_bits(epoch: &Epoch, t: usize, asked: u8) -> io::Result<u8> {
+/// Fraction bits, at most `requested`, at which the furthest position fits in 24 bits.
+fn fraction_bits(epoch: &Epoch, t: usize, requested: u8) -> io::Result<u8> {
     let positions = epoch.attributes().positions.frame(t, epoch.count());
     let furthest = positions.iter().flatten().fold(0.0f32, |m, v| m.max(v.abs()));
-    (0..=asked.min(23))
+    (0..=requested.min(23))
         .rev()
         .find(|&bits| f64::from(furthest) * f64::from(1u32 << bits) + 0.5 < 8_388_607.0)
         .ok_or_else(|| refused("a position beyond 8388607 units"))
@@ -211,7 +187,7 @@ impl Tolerance {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::{self, Identity, Limits, synth};
+    use crate::scene::import::{self, Identity, Limits, synth};
     use codec_core::gaussian::ShDegree;
     use rand::RngExt;
     use rand_pcg::rand_core::SeedableRng;
@@ -288,7 +264,10 @@ mod tests {
         let make = synth::Options { gaussians: 1_000, frames: 3, ..synth::Options::default() };
         let scene = synth::make(&make, &Limits::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
-        write_sequence(folder.path(), "ball", &scene, &Options::default()).unwrap();
+        for t in 0..3 {
+            let bytes = encode(&scene.epochs()[0], t, &Options::default()).unwrap();
+            std::fs::write(folder.path().join(format!("ball_{t}.spz")), bytes).unwrap();
+        }
         let options = import::Options { identity: Identity::Stored, ..import::Options::default() };
         let back = import::import(folder.path(), &options).unwrap();
         assert_eq!((back.epochs().len(), back.frames(), back.max_count()), (1, 3, 1_000));

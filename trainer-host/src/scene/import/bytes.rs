@@ -1,4 +1,4 @@
-//! Little-endian values out of bytes nobody vouches for: every read is checked, none allocates.
+//! Reads little-endian values from untrusted bytes: every read is checked, none allocates.
 
 use super::{
     Limits,

@@ -1,4 +1,4 @@
-//! PlayCanvas compressed PLY: 256 Gaussians share a chunk of ranges, each packs into four words.
+//! Reads PlayCanvas compressed PLY: 256 Gaussians share a chunk of ranges, each packs into four words.
 //!
 //! `packed_position` and `packed_scale` are 11-10-11 bits (x in the high bits) across the chunk's
 //! range, scales in natural logs. `packed_rotation` is two bits naming the largest of wxyz and three

@@ -1,4 +1,4 @@
-//! Every reader on damaged bytes: it errs or it returns a valid scene; it never panics and never holds
+//! Tests every reader on damaged bytes: it errs or it returns a valid scene; it never panics and never holds
 //! much more than its limits. Also writes the small damaged files that `tests/import_damaged.rs` reads.
 
 use std::{io::Write, sync::LazyLock};
@@ -75,8 +75,11 @@ fn sog_with(name: &str, bytes: &[u8], limits: &Limits) -> Result<Snapshot, Impor
 
 fn spz_4() -> Vec<u8> {
     let epoch = splat::parse(&splat::tests::sample(9), &Limits::default()).unwrap().epoch;
-    let options = crate::export::spz::Options { version: crate::export::spz::Version::V4, fraction_bits: 12 };
-    crate::export::spz::encode(&epoch, 0, &options).unwrap()
+    let options = crate::scene::export::spz::Options {
+        version: crate::scene::export::spz::Version::V4,
+        fraction_bits: 12,
+    };
+    crate::scene::export::spz::encode(&epoch, 0, &options).unwrap()
 }
 
 fn unpacked(gzip: &[u8]) -> Vec<u8> {

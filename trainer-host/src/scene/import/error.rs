@@ -1,4 +1,4 @@
-//! The one error of every reader: which file, which format, which field, where, what was found and
+//! Defines the error of every reader: which file, which format, which field, where, what was found and
 //! what would have been accepted. A person can act on it; a program can match on [`ErrorKind`].
 
 use std::{fmt, path::Path};

@@ -1,8 +1,8 @@
-//! Animated glTF and GLB: a dynamic scene whose motion and identity are known, because we make both.
+//! Reads animated glTF and GLB as a dynamic scene, whose motion and identity are known: we make both.
 //!
 //! The textured surface is sampled once, at the first frame of the clip; each sample is a fixed point
 //! of a triangle and becomes one flat Gaussian lying on it. Every frame then poses the mesh (node
-//! hierarchy, skin, morph targets) and carries the samples along, position and orientation. Colour is
+//! hierarchy, skin, morph targets) and takes the samples along, position and orientation. Colour is
 //! base-colour texture × factor × vertex colour, multiplied in linear light, kept as display colour.
 //!
 //! World: glTF's own, right-handed, y up, front along +z; nothing is scaled or moved, and bounds are
@@ -10,13 +10,20 @@
 //! colour, texture transforms, Draco and meshopt (refused by name), cameras and lights.
 
 mod document;
+mod mesh;
+mod placement;
 mod pose;
 mod surface;
 mod texture;
 
 use rayon::prelude::*;
 
-use self::{document::Document, pose::Rig, surface::Surface};
+use self::{
+    document::Document,
+    placement::{PlacedFrame, Placement},
+    pose::Rig,
+    surface::Surface,
+};
 use super::{
     Limits,
     error::{ErrorKind, Format, ImportError},
@@ -82,7 +89,7 @@ pub fn parse(
         return Err(FORMAT.malformed("frame rate", options.frames_per_second, "a positive number"));
     }
     let document = Document::load(bytes, beside, limits)?;
-    let rig = Rig::new(&document, &options.clip)?;
+    let rig = Rig::new(&document, &options.clip, limits)?;
     let mut surface = Surface::new(&document, &rig, limits)?;
 
     let times = rig.frame_times(options.frames_per_second, limits)?;
@@ -93,25 +100,20 @@ pub fn parse(
         (samples as u64 * per_frame).saturating_mul(times.len() as u64),
     )?;
 
-    let first = surface.pose(&rig.at(times[0]));
-    let placed = surface.place(&first, samples, options.seed)?;
-    let poses: Vec<surface::Carried> = times
-        .par_iter()
-        .map(|&time| {
-            let vertices = surface.pose(&rig.at(time));
-            placed.carry(&surface, &first, &vertices)
-        })
-        .collect();
+    let first = surface.mesh.posed(&rig.at(times[0]));
+    let placed = Placement::new(&surface, &first, samples, options.seed)?;
+    let frames: Vec<PlacedFrame> =
+        times.par_iter().map(|&time| placed.posed(&placed.mesh.posed(&rig.at(time)))).collect();
 
     let n = placed.len();
     let mut positions = Vec::with_capacity(n * times.len());
     let mut rotations: Vec<[f32; 4]> = Vec::with_capacity(n * times.len());
     let mut log_scales = Vec::with_capacity(if options.follow_stretch { n * times.len() } else { n });
     let disc = |sigma: f32| [sigma.ln(), sigma.ln(), (sigma * THINNESS).ln()];
-    for (frame, carried) in poses.into_iter().enumerate() {
-        positions.extend(carried.positions);
+    for (frame, placed_frame) in frames.into_iter().enumerate() {
+        positions.extend(placed_frame.positions);
         let before = rotations.len();
-        for (i, q) in carried.rotations.into_iter().enumerate() {
+        for (i, q) in placed_frame.rotations.into_iter().enumerate() {
             // Signs follow the frame before, so that no quaternion jumps to its negative; a triangle
             // without a direction (all zero) keeps the one it had.
             let previous = if frame == 0 { q } else { rotations[before - n + i] };
@@ -125,7 +127,7 @@ pub fn parse(
             });
         }
         if options.follow_stretch {
-            log_scales.extend(placed.sigmas().zip(carried.stretch).map(|(s, k)| disc(s * k)));
+            log_scales.extend(placed.sigmas().zip(placed_frame.stretch).map(|(s, k)| disc(s * k)));
         } else if frame == 0 {
             log_scales.extend(placed.sigmas().map(disc));
         }

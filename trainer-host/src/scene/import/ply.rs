@@ -1,4 +1,4 @@
-//! 3DGS PLY: one row per Gaussian, properties found by name.
+//! Reads 3DGS PLY: one row per Gaussian, properties found by name.
 //!
 //! Exporters differ in order, leave out normals, and add columns of their own, so nothing is read by
 //! place. `f_rest_*` is channel-major in the file (all red, all green, all blue) and
@@ -116,7 +116,7 @@ fn activation_notes(columns: &Columns) -> Vec<String> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::import::error::ErrorKind;
+    use crate::scene::import::error::ErrorKind;
 
     /// A PLY of `n` Gaussians whose property `k` of row `r` is `r + k / 100`.
     pub fn sample(format: &str, rest: usize, n: usize) -> Vec<u8> {

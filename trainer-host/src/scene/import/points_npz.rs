@@ -1,20 +1,24 @@
-//! Coloured points with cameras in a NumPy archive, as splat trainers start from.
+//! Reads coloured points with cameras from a NumPy archive, as splat trainers start from.
 //!
 //! Members `means3d` (N×3 floats) and `colors` (N×3 bytes, or floats in 0..=1) are needed; `viewmats`
 //! (C×3×4 or C×4×4 world-to-camera), `Ks` (C×3×3), `width` and `height` make cameras where all four
 //! are there. Each point becomes a round Gaussian: standard deviation half the root mean square
 //! distance to its three nearest, at most ten times the median (far outliers have no neighbours),
 //! opacity 0.9. Axes are those of the points (OpenCV cameras).
+//!
+//! Shapes are checked against the limits before any value is unpacked, and memory grows with the values
+//! that have been.
 
+mod npy;
+
+use codec_core::gaussian::ShDegree;
 use rayon::prelude::*;
 use render_host::Camera;
 
-use codec_core::gaussian::ShDegree;
-
+use self::npy::{Array, Element};
 use super::{
     Limits,
     archive::Archive,
-    bytes::{array, u16_at, u32_at},
     error::{Format, ImportError},
     nearest::Tree,
     snapshot::{Columns, logit, scene_error, sh0_of_colour},
@@ -23,6 +27,8 @@ use crate::scene::Scene;
 
 const FORMAT: Format = Format::PointsNpz;
 const MAX_CAMERAS: usize = 100_000;
+/// Neighbours that decide the size of a Gaussian.
+const NEIGHBOURS: usize = 3;
 
 /// Reads the archive as a scene of one frame.
 ///
@@ -30,28 +36,16 @@ const MAX_CAMERAS: usize = 100_000;
 /// A damaged archive, a missing or misshapen array, or more than `limits` allow.
 pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Scene, ImportError> {
     let mut archive = Archive::new(bytes, limits, FORMAT)?;
-    let mut array = |name: &str| Array::parse(name, &archive.read(&format!("{name}.npy"))?);
-    let means = array("means3d")?;
-    let colours = array("colors")?;
-    let &[n, 3] = &means.shape[..] else { return Err(means.misshapen("means3d", "N x 3")) };
-    let count = limits.gaussians(FORMAT, n as u64)?;
-    if colours.shape != [n, 3] {
-        return Err(colours.misshapen("colors", &format!("{n} x 3")));
-    }
-    let full = if colours.kind == Kind::U8 { 255.0 } else { 1.0 };
-
-    let mut notes = Vec::new();
-    let mut columns = Columns::with_capacity(count, ShDegree::ZERO);
-    columns.positions.extend(means.values.chunks_exact(3).map(|v| [v[0] as f32, v[1] as f32, v[2] as f32]));
-    if let Some(i) = columns.positions.iter().position(|p| p.iter().any(|v| !v.is_finite())) {
-        return Err(FORMAT.malformed(format!("means3d[{i}]"), "a value that is not finite", "finite values"));
-    }
-    let colour = |v: &[f64]| [v[0], v[1], v[2]].map(|c| sh0_of_colour((c / full) as f32));
-    columns.sh0.extend(colours.values.chunks_exact(3).map(colour));
-    columns.log_scales.extend(sizes(&columns.positions).into_iter().map(|s| [s.ln(); 3]));
+    let positions = positions(&mut archive, limits)?;
+    let count = positions.len();
+    let mut columns = Columns::with_capacity(0, ShDegree::ZERO);
+    columns.sh0 = colours(&mut archive, count)?;
+    columns.log_scales.extend(sizes(&positions).into_iter().map(|s| [s.ln(); 3]));
+    columns.positions = positions;
     columns.rotations.resize(count, [1.0, 0.0, 0.0, 0.0]);
     columns.opacity_logits.resize(count, logit(0.9));
 
+    let mut notes = Vec::new();
     let cameras = if ["viewmats", "Ks", "width", "height"].iter().all(|m| archive.has(&format!("{m}.npy"))) {
         cameras(&mut archive)?
     } else {
@@ -66,18 +60,40 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
     Ok(scene)
 }
 
+/// The points, all of them finite.
+fn positions(archive: &mut Archive<'_>, limits: &Limits) -> Result<Vec<[f32; 3]>, ImportError> {
+    let means = Array::open(archive, "means3d")?;
+    let &[n, 3] = means.shape() else { return Err(means.misshapen("N x 3")) };
+    limits.gaussians(FORMAT, n as u64)?;
+    let mut points: Vec<[f32; 3]> = Vec::new();
+    means.rows(3, |v| points.push([v[0] as f32, v[1] as f32, v[2] as f32]))?;
+    if let Some(i) = points.iter().position(|p| p.iter().any(|v| !v.is_finite())) {
+        return Err(FORMAT.malformed(format!("means3d[{i}]"), "a value that is not finite", "finite values"));
+    }
+    Ok(points)
+}
+
+/// Band-0 coefficients of `count` points.
+fn colours(archive: &mut Archive<'_>, count: usize) -> Result<Vec<[f32; 3]>, ImportError> {
+    let colours = Array::open(archive, "colors")?;
+    if colours.shape() != [count, 3] {
+        return Err(colours.misshapen(&format!("{count} x 3")));
+    }
+    let full = if colours.element() == Element::U8 { 255.0 } else { 1.0 };
+    let mut out = Vec::new();
+    colours.rows(3, |v| out.push([v[0], v[1], v[2]].map(|c| sh0_of_colour((c / full) as f32))))?;
+    Ok(out)
+}
+
 /// A standard deviation for each point from the distances to its neighbours.
 fn sizes(points: &[[f32; 3]]) -> Vec<f32> {
-    const NEIGHBOURS: usize = 3;
     let tree = Tree::new(points);
-    let mut sizes: Vec<f32> = (0..points.len())
-        .into_par_iter()
-        .map(|i| {
-            let near = tree.nearest(points[i], NEIGHBOURS, |j| j != i);
-            let mean = near.iter().map(|n| n.0).sum::<f32>() / near.len().max(1) as f32;
-            0.5 * mean.sqrt()
-        })
-        .collect();
+    let size = |i: usize| {
+        let near = tree.nearest(points[i], NEIGHBOURS, |j| j != i);
+        let mean = near.iter().map(|n| n.0).sum::<f64>() / near.len().max(1) as f64;
+        (0.5 * mean.sqrt()) as f32
+    };
+    let mut sizes: Vec<f32> = (0..points.len()).into_par_iter().map(size).collect();
     let mut sorted = sizes.clone();
     sorted.sort_by(f32::total_cmp);
     let median = sorted.get(sorted.len() / 2).copied().filter(|m| *m > 0.0).unwrap_or(0.01);
@@ -88,114 +104,49 @@ fn sizes(points: &[[f32; 3]]) -> Vec<f32> {
 }
 
 fn cameras(archive: &mut Archive<'_>) -> Result<Vec<Camera>, ImportError> {
-    let mut array = |name: &str| Array::parse(name, &archive.read(&format!("{name}.npy"))?);
-    let (views, intrinsics) = (array("viewmats")?, array("Ks")?);
-    let [width, height] =
-        [array("width")?, array("height")?].map(|a| a.values.first().copied().unwrap_or(0.0));
-    let (count, rows) = match views.shape[..] {
+    let views = Array::open(archive, "viewmats")?;
+    let (count, rows) = match *views.shape() {
         [count, rows @ (3 | 4), 4] if count <= MAX_CAMERAS => (count, rows),
-        _ => return Err(views.misshapen("viewmats", "C x 3 x 4 or C x 4 x 4")),
+        _ => return Err(views.misshapen(&format!("C x 3 x 4 or C x 4 x 4, C up to {MAX_CAMERAS}"))),
     };
-    if intrinsics.shape != [count, 3, 3] {
-        return Err(intrinsics.misshapen("Ks", &format!("{count} x 3 x 3")));
+    let views = views.values()?;
+    let intrinsics = Array::open(archive, "Ks")?;
+    if intrinsics.shape() != [count, 3, 3] {
+        return Err(intrinsics.misshapen(&format!("{count} x 3 x 3")));
     }
-    (0..count)
-        .map(|c| {
-            let view = &views.values[c * rows * 4..];
-            let k = &intrinsics.values[c * 9..];
-            let mut world_to_camera = [[0.0, 0.0, 0.0, 1.0]; 4];
-            for (row, target) in world_to_camera.iter_mut().enumerate().take(3) {
-                target.copy_from_slice(&view[row * 4..row * 4 + 4]);
-            }
-            let k = [[k[0], k[1], k[2]], [k[3], k[4], k[5]], [k[6], k[7], k[8]]];
-            Camera::from_opencv(k, world_to_camera, width as u32, height as u32)
-                .map_err(|e| FORMAT.malformed(format!("camera {c}"), e, "a pinhole camera"))
-        })
-        .collect()
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    U8,
-    I32,
-    I64,
-    F32,
-    F64,
-}
-
-/// One `.npy` array as f64, row-major.
-struct Array {
-    kind: Kind,
-    shape: Vec<usize>,
-    values: Vec<f64>,
-}
-
-impl Array {
-    fn parse(name: &str, bytes: &[u8]) -> Result<Self, ImportError> {
-        let bad = |found: &str, allowed: &str| FORMAT.malformed(format!("{name}.npy"), found, allowed);
-        if !bytes.starts_with(b"\x93NUMPY") {
-            return Err(bad("other bytes", "the magic of a .npy array"));
+    let intrinsics = intrinsics.values()?;
+    let [width, height] = [side(archive, "width")?, side(archive, "height")?];
+    let camera = |c: usize| {
+        let view = &views[c * rows * 4..];
+        let k = &intrinsics[c * 9..];
+        let mut world_to_camera = [[0.0, 0.0, 0.0, 1.0]; 4];
+        for (row, target) in world_to_camera.iter_mut().enumerate().take(3) {
+            target.copy_from_slice(&view[row * 4..row * 4 + 4]);
         }
-        let (start, length): (usize, _) = match bytes.get(6) {
-            Some(1) => (10, u16_at(bytes, 8).map(usize::from)),
-            Some(2 | 3) => (12, u32_at(bytes, 8).map(|l| l as usize)),
-            _ => return Err(bad("another version", "version 1, 2 or 3")),
-        };
-        let header = length
-            .and_then(|l| bytes.get(start..start.checked_add(l)?))
-            .and_then(|h| std::str::from_utf8(h).ok())
-            .ok_or_else(|| bad("a header cut short", "a whole header"))?;
-        let field = |key: &str| header.split_once(&format!("'{key}':")).map(|(_, rest)| rest.trim_start());
-        let text = field("descr").and_then(|f| f.strip_prefix('\'')).and_then(|f| f.split_once('\''));
-        let kind = match text.map(|t| t.0) {
-            Some("|u1") => Kind::U8,
-            Some("<i4") => Kind::I32,
-            Some("<i8") => Kind::I64,
-            Some("<f4") => Kind::F32,
-            Some("<f8") => Kind::F64,
-            other => return Err(bad(other.unwrap_or("no descr"), "|u1, <i4, <i8, <f4 or <f8")),
-        };
-        if !field("fortran_order").is_some_and(|f| f.starts_with("False")) {
-            return Err(bad("Fortran order", "C order"));
-        }
-        let shape: Option<Vec<usize>> = field("shape")
-            .and_then(|f| f.strip_prefix('('))
-            .and_then(|f| f.split_once(')'))
-            .and_then(|(f, _)| {
-                f.split(',').map(str::trim).filter(|d| !d.is_empty()).map(|d| d.parse().ok()).collect()
-            });
-        let shape = shape.ok_or_else(|| bad("no shape", "a tuple of lengths"))?;
-        let data = bytes.get(start + header.len()..).unwrap_or_default();
-        let size = match kind {
-            Kind::U8 => 1,
-            Kind::I32 | Kind::F32 => 4,
-            Kind::I64 | Kind::F64 => 8,
-        };
-        let count = shape.iter().try_fold(1usize, |n, d| n.checked_mul(*d));
-        let needed =
-            count.and_then(|n| n.checked_mul(size)).ok_or_else(|| bad("a shape too large", "less"))?;
-        let data = data
-            .get(..needed)
-            .ok_or_else(|| FORMAT.truncated(format!("{name}.npy"), data.len() as u64, needed as u64))?;
-        let value = |at: &[u8]| match kind {
-            Kind::U8 => f64::from(at[0]),
-            Kind::I32 => f64::from(i32::from_le_bytes(array(at, 0).unwrap_or_default())),
-            Kind::I64 => i64::from_le_bytes(array(at, 0).unwrap_or_default()) as f64,
-            Kind::F32 => f64::from(f32::from_le_bytes(array(at, 0).unwrap_or_default())),
-            Kind::F64 => f64::from_le_bytes(array(at, 0).unwrap_or_default()),
-        };
-        Ok(Self { kind, shape, values: data.chunks_exact(size).map(value).collect() })
-    }
+        let k = [[k[0], k[1], k[2]], [k[3], k[4], k[5]], [k[6], k[7], k[8]]];
+        Camera::from_opencv(k, world_to_camera, width as u32, height as u32)
+            .map_err(|e| FORMAT.malformed(format!("camera {c}"), e, "a pinhole camera"))
+    };
+    (0..count).map(camera).collect()
+}
 
-    fn misshapen(&self, name: &str, allowed: &str) -> ImportError {
-        FORMAT.malformed(format!("shape of {name}"), format!("{:?}", self.shape), allowed)
+/// Width or height of all images, pixels: one number, or one per camera of which the first counts.
+fn side(archive: &mut Archive<'_>, name: &str) -> Result<f64, ImportError> {
+    let array = Array::open(archive, name)?;
+    match *array.shape() {
+        [] => {}
+        [count] if (1..=MAX_CAMERAS).contains(&count) => {}
+        _ => return Err(array.misshapen("one number, or one per camera")),
     }
+    Ok(array.values()?.first().copied().unwrap_or(0.0))
 }
 
 #[cfg(test)]
 pub(super) mod tests {
-    use super::*;
     use std::io::{Cursor, Write};
+
+    use super::*;
+    use crate::scene::import::ErrorKind;
 
     fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
         let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}\n");
@@ -234,6 +185,13 @@ pub(super) mod tests {
         zipped(&files())
     }
 
+    /// The sample with one member replaced.
+    fn with(name: &str, bytes: Vec<u8>) -> Result<Scene, ImportError> {
+        let mut files = files();
+        files.iter_mut().find(|f| f.0 == name).unwrap().1 = bytes;
+        parse(&zipped(&files), 30.0, &Limits::default())
+    }
+
     #[test]
     fn points_become_round_gaussians_with_cameras() {
         let scene = parse(&sample(), 30.0, &Limits::default()).unwrap();
@@ -247,8 +205,22 @@ pub(super) mod tests {
 
     #[test]
     fn arrays_shorter_than_their_shape_are_refused() {
-        let bytes = npy("<f4", "(1000000000, 3)", &[0; 12]);
-        assert!(Array::parse("means3d", &bytes).is_err());
-        assert!(Array::parse("means3d", &npy(">f4", "(1,)", &[0; 4])).is_err());
+        let short = with("means3d", npy("<f4", "(4, 3)", &[0; 12])).unwrap_err();
+        assert_eq!(short.kind, ErrorKind::Truncated, "{short}");
+        assert!(short.to_string().contains("means3d.npy: found 12 bytes; allowed: 48 bytes"), "{short}");
+        assert!(with("means3d", npy(">f4", "(4, 3)", &[0; 48])).is_err());
+    }
+
+    #[test]
+    fn shapes_are_refused_before_values_are_read() {
+        // None of these has the values it claims: with a limit asked later they would be truncated.
+        let many = with("means3d", npy("<f4", "(89000000, 3)", &[])).unwrap_err();
+        assert_eq!(many.kind, ErrorKind::TooLarge, "{many}");
+        let huge = with("means3d", npy("<f8", "(18446744073709551615, 3)", &[])).unwrap_err();
+        assert_eq!(huge.kind, ErrorKind::TooLarge, "{huge}");
+        for (member, shape) in [("colors", "(5, 3)"), ("viewmats", "(100001, 3, 4)"), ("width", "(9, 9)")] {
+            let error = with(member, npy("<f8", shape, &[])).unwrap_err();
+            assert!(error.to_string().contains(&format!("shape of {member}")), "{error}");
+        }
     }
 }

@@ -1,24 +1,82 @@
-//! Numbered files as frames: which files of a folder belong together, and how they become epochs.
+//! Reads numbered files as frames: which files of a folder belong together, and how they become epochs.
 //!
-//! A frame file is a prefix, a trailing integer and a known ending; files that share prefix and ending
-//! are one sequence, in order of the integer. Trained sequences rarely say whether row `i` of one
-//! frame is row `i` of the next, so by default each frame is its own epoch; a caller who knows better
-//! says so with [`Identity::Stored`](super::Identity).
+//! A folder that this project wrote has an index, `sequence.json`, which names its frames and says that all
+//! of them are there. In any other folder a frame file is a prefix, a trailing integer and a known ending;
+//! files that share prefix and ending are one sequence, in order of the integer. Trained sequences rarely
+//! say whether row `i` of one frame is row `i` of the next, so by default each frame is its own epoch; a
+//! caller who knows better says so with [`Identity::Stored`](super::Identity).
 
 use std::path::{Path, PathBuf};
 
 use super::{
-    Identity, Options,
+    Identity, Limits, Options,
     error::{Format, ImportError},
     snapshot::{Snapshot, scene_error},
 };
 use crate::scene::{Attributes, Epoch, Scene, Track};
 
 const FORMAT: Format = Format::Sequence;
+/// Name of the index of a folder of frames.
+pub const SEQUENCE_INDEX: &str = "sequence.json";
 const ENDINGS: [&str; 6] = [".compressed.ply", ".ply", ".spz", ".splat", ".sog", ".asset"];
 
-/// The frames of a folder: the one sequence in it, in order, with a note on numbers left out.
-pub(super) fn files(folder: &Path) -> Result<(Vec<PathBuf>, Vec<String>), ImportError> {
+/// What `sequence.json` says of the folder it is in. It is written last: a folder without all of its
+/// frames has one that is not complete.
+#[derive(Clone, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct SequenceIndex {
+    /// Number of frames.
+    pub frames: usize,
+    /// Their files in order.
+    pub files: Vec<String>,
+    /// Whether all of them were written.
+    pub complete: bool,
+}
+
+impl SequenceIndex {
+    /// Reads the index of `folder`.
+    fn read(folder: &Path, limits: &Limits) -> Result<Self, ImportError> {
+        let path = folder.join(SEQUENCE_INDEX);
+        let length = std::fs::metadata(&path).map_err(|e| FORMAT.io(&e, &path))?.len();
+        limits.bytes(FORMAT, SEQUENCE_INDEX, length).map_err(|e| e.in_file(&path))?;
+        let bytes = std::fs::read(&path).map_err(|e| FORMAT.io(&e, &path))?;
+        let index: Self = serde_json::from_slice(&bytes)
+            .map_err(|e| FORMAT.malformed("index", e, "frames, files and complete").in_file(&path))?;
+        index.check().map_err(|e| e.in_file(&path))?;
+        Ok(index)
+    }
+
+    fn check(&self) -> Result<(), ImportError> {
+        if !self.complete {
+            let found = "false: not all frames were written";
+            return Err(FORMAT.malformed("complete", found, "true"));
+        }
+        if self.frames != self.files.len() || self.files.is_empty() {
+            let found = format!("{} frames and {} files", self.frames, self.files.len());
+            return Err(FORMAT.malformed("frames", found, "a file for each, at least one"));
+        }
+        let plain = |name: &&String| {
+            let mut parts = Path::new(name).components();
+            matches!((parts.next(), parts.next()), (Some(std::path::Component::Normal(_)), None))
+        };
+        match self.files.iter().find(|name| !plain(name)) {
+            Some(name) => Err(FORMAT.malformed("files", name, "plain file names")),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The frames of a folder: those of its index, or the one sequence in it, in order, with a note on numbers
+/// left out.
+pub(super) fn files(folder: &Path, limits: &Limits) -> Result<(Vec<PathBuf>, Vec<String>), ImportError> {
+    if folder.join(SEQUENCE_INDEX).exists() {
+        let index = SequenceIndex::read(folder, limits)?;
+        return Ok((index.files.into_iter().map(|name| folder.join(name)).collect(), Vec::new()));
+    }
+    numbered_files(folder)
+}
+
+/// The one numbered sequence of a folder, in order, with a note on numbers left out.
+fn numbered_files(folder: &Path) -> Result<(Vec<PathBuf>, Vec<String>), ImportError> {
     let mut found: Vec<(String, u64, PathBuf)> = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(|e| FORMAT.io(&e, folder))? {
         let path = entry.map_err(|e| FORMAT.io(&e, folder))?.path();
@@ -162,7 +220,7 @@ fn numbered(name: &str) -> Option<(String, u64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::{Limits, import, ply, splat};
+    use crate::scene::import::{import, ply, splat};
 
     #[test]
     fn names_split_into_prefix_and_number() {
@@ -194,6 +252,31 @@ mod tests {
         let error = import(folder.path(), &stored).unwrap_err();
         assert!(error.to_string().contains("f11.ply"), "{error}");
         assert!(error.to_string().contains("found 2"), "{error}");
+    }
+
+    #[test]
+    fn an_index_decides_which_frames_there_are() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a0.splat", "a1.splat", "other7.splat"] {
+            std::fs::write(folder.path().join(name), splat::tests::sample(2)).unwrap();
+        }
+        let with = |frames: usize, files: &[&str], complete: bool| {
+            let files = files.iter().map(|&f| f.to_owned()).collect();
+            let index = serde_json::to_vec(&SequenceIndex { frames, files, complete }).unwrap();
+            std::fs::write(folder.path().join(SEQUENCE_INDEX), index).unwrap();
+            import(folder.path(), &Options::default())
+        };
+        assert_eq!(with(2, &["a1.splat", "a0.splat"], true).unwrap().frames(), 2);
+        for (frames, files, complete, says) in [
+            (2, vec!["a0.splat", "a1.splat"], false, "complete: found false"),
+            (3, vec!["a0.splat", "a1.splat"], true, "found 3 frames and 2 files"),
+            (0, vec![], true, "found 0 frames and 0 files"),
+            (2, vec!["a0.splat", "a2.splat"], true, "a2.splat"),
+            (1, vec!["../a0.splat"], true, "plain file names"),
+        ] {
+            let error = with(frames, &files, complete).unwrap_err().to_string();
+            assert!(error.contains(says), "{error}");
+        }
     }
 
     #[test]

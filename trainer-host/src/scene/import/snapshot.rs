@@ -1,4 +1,4 @@
-//! One instant out of one file: the columns a reader fills and the epoch they become.
+//! Holds one instant of one file: the columns a reader fills and the epoch they become.
 //!
 //! Readers convert into the scene's domains here and nowhere else: log scales, opacity logits,
 //! wxyz, band-0 coefficients. [`Columns::finish`] is the only way out, so what every reader returns

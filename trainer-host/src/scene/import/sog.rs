@@ -1,4 +1,4 @@
-//! SOG version 2: `meta.json` and lossless WebP planes, in a folder or a zip.
+//! Reads SOG version 2: `meta.json` and lossless WebP planes, in a folder or a zip.
 //!
 //! Gaussian `i` is pixel `i` of every plane, row by row. Positions are 16 bits in two planes, across
 //! a range, after `sign(v)·ln(1 + |v|)`; scales and colours are bytes into codebooks; rotations are
@@ -21,6 +21,8 @@ use super::{
 
 const FORMAT: Format = Format::Sog;
 const PALETTE_ROW: usize = 64;
+/// Longest `meta.json`, bytes: three codebooks of 256 numbers and a few names are far below.
+const META_BYTES: u64 = 1 << 20;
 
 #[derive(Deserialize)]
 struct Meta {
@@ -66,8 +68,8 @@ struct Palette {
 /// A damaged archive, or as [`parse_files`].
 pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Snapshot, ImportError> {
     let mut archive = Archive::new(bytes, limits, FORMAT)?;
-    let meta = archive.read("meta.json")?;
-    parse_files(&meta, |name| archive.read(name), limits)
+    let meta = archive.read("meta.json", META_BYTES)?;
+    parse_files(&meta, |name| archive.read(name, limits.max_bytes), limits)
 }
 
 /// Reads a SOG given its `meta.json` and a way to read the files it names.
@@ -80,6 +82,10 @@ pub fn parse_files(
     mut file: impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
     limits: &Limits,
 ) -> Result<Snapshot, ImportError> {
+    if meta.len() as u64 > META_BYTES {
+        let (found, allowed) = (format!("{} bytes", meta.len()), format!("up to {META_BYTES} bytes"));
+        return Err(FORMAT.error(ErrorKind::TooLarge, "meta.json", found, allowed));
+    }
     let meta: Meta = serde_json::from_slice(meta)
         .map_err(|e| FORMAT.malformed("meta.json", e, "metadata of SOG version 2"))?;
     match meta.version {
@@ -168,7 +174,8 @@ pub fn parse_files(
 
 /// Whether JSON bytes look like the metadata of this format.
 pub(super) fn is_meta(bytes: &[u8]) -> bool {
-    serde_json::from_slice::<Meta>(bytes).is_ok_and(|m| m.means.is_some() && m.quats.is_some())
+    let short = bytes.len() as u64 <= META_BYTES;
+    short && serde_json::from_slice::<Meta>(bytes).is_ok_and(|m| m.means.is_some() && m.quats.is_some())
 }
 
 fn missing(field: &str) -> ImportError {
@@ -292,6 +299,21 @@ pub(super) mod tests {
         assert!((a.positions.frame(0, 6)[0][1] - (1f32.exp() - 1.0)).abs() < 1e-6);
         assert!(a.rotations.frame(0, 6)[2][2] > 0.99);
         assert_eq!(a.sh_rest[9], (3.0 - 128.0) / 64.0, "second entry starts at pixel 3");
+    }
+
+    #[test]
+    fn metadata_is_read_up_to_a_bound() {
+        let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+        zip.start_file("meta.json", zip::write::SimpleFileOptions::default()).unwrap();
+        zip.write_all(&vec![b' '; META_BYTES as usize + 1]).unwrap();
+        let bomb = zip.finish().unwrap().into_inner();
+        assert!(bomb.len() < 10_000);
+        let error = parse(&bomb, &Limits::default()).unwrap_err();
+        assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
+        assert!(error.to_string().contains("meta.json: found more bytes; allowed: up to 1048576"), "{error}");
+        let spaces = vec![b' '; META_BYTES as usize + 1];
+        let error = parse_files(&spaces, |_| Ok(Vec::new()), &Limits::default()).unwrap_err();
+        assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
     }
 
     #[test]

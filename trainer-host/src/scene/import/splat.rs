@@ -1,4 +1,4 @@
-//! `.splat`: headerless records of 32 bytes.
+//! Reads `.splat`: headerless records of 32 bytes.
 //!
 //! ```text
 //! f32 x y z | f32 sx sy sz (linear) | u8 r g b a | u8 w x y z ((u - 128) / 128)
@@ -57,7 +57,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Snapshot, ImportError> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::import::error::ErrorKind;
+    use crate::scene::import::error::ErrorKind;
 
     pub fn sample(n: usize) -> Vec<u8> {
         let mut out = Vec::new();
@@ -79,7 +79,7 @@ pub(super) mod tests {
         assert!((g.scale[1] - 0.02).abs() < 1e-6 && (g.opacity - 0.8).abs() < 1e-6);
         assert!((0.5 + SH_C0 * g.sh0[0] - 1.0).abs() < 1e-6);
     }
-    use crate::import::snapshot::SH_C0;
+    use crate::scene::import::snapshot::SH_C0;
 
     #[test]
     fn a_cut_record_is_an_error_or_ignored() {

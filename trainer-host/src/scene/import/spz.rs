@@ -1,4 +1,4 @@
-//! SPZ, versions 1 to 4: planes of quantised attributes, compressed.
+//! Reads SPZ, versions 1 to 4: planes of quantised attributes, compressed.
 //!
 //! Versions 1 to 3 are one gzip stream of a 16-byte header and six planes, in the order positions,
 //! alphas, colours, scales, rotations, harmonics. Version 4 has a plain 32-byte header, optional

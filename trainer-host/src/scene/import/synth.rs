@@ -1,4 +1,4 @@
-//! Scenes made from formulas: no file, no download, and the true motion is known.
+//! Makes scenes from formulas: no file, no download, and the true motion is known.
 //!
 //! The same options give the same scene. All scenes are y up (right-handed), lie within 2 units of the
 //! origin, stand on the plane y = -1 where they stand, and are made of opaque flat discs spaced evenly

@@ -1,4 +1,4 @@
-//! The Unity Gaussian Splatting asset, version 20231020, in its medium-quality layout.
+//! Reads the Unity Gaussian Splatting asset, version 20231020, in its medium-quality layout.
 //!
 //! A frame is `NAME.asset` (YAML) and planes `NAME_{chk,pos,oth,col}.bytes`, with `_shs` where
 //! harmonics are kept. 256 Gaussians share a chunk of 64 bytes of ranges:
@@ -187,7 +187,7 @@ fn texel_of(index: usize) -> usize {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::import::error::ErrorKind;
+    use crate::scene::import::error::ErrorKind;
 
     pub struct Sample {
         pub description: String,

@@ -92,7 +92,7 @@ fn readers(bench: &mut Bench, setup: &Setup, size: u32) -> Result<()> {
         g.position = [x, -y, -z];
         g.rotation = [-qx, qw, -qz, qy];
     }
-    let camera = &Framing::of(&a, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (size, size))?[0];
+    let camera = &Framing::of(&a).ring(Ring::HeldOut, 3, (size, size))?[0];
     let settings = Settings::default();
     let one = quality::references(&a, &[0], camera, &settings)?;
     let psnr = metric::psnr(&quality::render(&turned, camera, &settings)?, &one[0])?;

@@ -89,7 +89,7 @@ impl Evaluator {
     /// # Errors
     /// What the renderer refuses.
     pub fn of(scene: &Scene, size: u32, shown: usize) -> Result<Self> {
-        let cameras = Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 3, (size, size))?;
+        let cameras = Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?;
         let frames = spread(scene.frames(), shown);
         let settings = Settings::default();
         let references: Result<Vec<_>, _> =

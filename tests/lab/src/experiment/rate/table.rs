@@ -18,7 +18,7 @@ use crate::{
 
 /// One codec on one scene at one setting.
 #[derive(Clone, Debug)]
-pub struct RatePoint {
+pub struct Measurement {
     /// Scene.
     pub scene: String,
     /// Whether means over scenes count it.
@@ -46,7 +46,7 @@ pub struct RatePoint {
 }
 
 /// All rows as CSV.
-pub fn csv(rows: &[RatePoint]) -> String {
+pub fn csv(rows: &[Measurement]) -> String {
     let mut out = String::from(
         "scene,codec,setting,bits_per_gaussian,bytes_per_frame,psnr_mean_db,psnr_min_db,ssim,flip,encode_s,decode_ms_per_frame,alone\n",
     );
@@ -62,7 +62,7 @@ pub fn csv(rows: &[RatePoint]) -> String {
 }
 
 /// The rows of one scene as a table for people.
-pub fn text(rows: &[RatePoint]) -> String {
+pub fn text(rows: &[Measurement]) -> String {
     let mut out = String::new();
     for r in rows {
         let _ = writeln!(
@@ -101,13 +101,13 @@ pub struct Compared {
 }
 
 /// Points of `codec` in `rows` below the cap of PSNR.
-fn points(rows: &[RatePoint], codec: &str) -> Vec<RatePoint> {
+fn points(rows: &[Measurement], codec: &str) -> Vec<RatePoint> {
     let these = rows.iter().filter(|r| r.codec == codec && r.marks.psnr < PSNR_CAP_DB - 1e-6);
     these.map(|r| (r.bits, r.marks.psnr)).collect()
 }
 
 /// Compares `dgs1` with every other codec of `rows`, which are those of one scene.
-pub fn compare(bench: &mut Bench, rows: &[RatePoint]) -> Vec<Compared> {
+pub fn compare(bench: &mut Bench, rows: &[Measurement]) -> Vec<Compared> {
     let mut out = Vec::new();
     let Some(first) = rows.first() else { return out };
     let scene = &first.scene;
@@ -242,7 +242,7 @@ pub fn means(bench: &mut Bench, all: &[Compared]) {
 ///
 /// # Errors
 /// If the drawing cannot be written.
-pub fn draw(setup: &Setup, rows: &[RatePoint]) -> Result<()> {
+pub fn draw(setup: &Setup, rows: &[Measurement]) -> Result<()> {
     let Some(first) = rows.first() else { return Ok(()) };
     let mut curves: Vec<Curve> = Vec::new();
     for row in rows {
@@ -268,9 +268,9 @@ pub fn draw(setup: &Setup, rows: &[RatePoint]) -> Result<()> {
 mod tests {
     use super::*;
 
-    fn row(codec: &'static str, kind: CodecKind, bits: f64, psnr: f64) -> RatePoint {
+    fn row(codec: &'static str, kind: CodecKind, bits: f64, psnr: f64) -> Measurement {
         let marks = Marks { psnr, psnr_min: psnr, ssim: 1.0, flip: 0.0 };
-        RatePoint {
+        Measurement {
             scene: "s".into(),
             counts: true,
             dynamic: true,

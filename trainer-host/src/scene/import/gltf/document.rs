@@ -1,4 +1,4 @@
-//! The file as data: JSON validated by the `gltf` crate, buffers at hand, accessors read with every
+//! Loads the file as data: JSON validated by the `gltf` crate, buffers at hand, accessors read with every
 //! index checked. The crate's own accessor readers slice without checking and are not used.
 
 use ::gltf::{
@@ -7,7 +7,7 @@ use ::gltf::{
 };
 
 use super::FORMAT;
-use crate::import::{
+use crate::scene::import::{
     Limits,
     bytes::{array, u32_at},
     error::ImportError,
@@ -148,7 +148,16 @@ impl Document {
         let size = accessor.data_type().size();
         let mut out = Vec::new();
         match accessor.view() {
-            None => out.resize(total, 0.0),
+            None => {
+                // Zeros for sparse values to replace. The mesh they belong to has its other attributes in
+                // buffers, so there are never more of them than bytes.
+                let bytes: usize = self.buffers.iter().map(Vec::len).sum();
+                if total > bytes {
+                    let found = format!("{total} values without a buffer view");
+                    return Err(super::too_large(&field, found, format!("{bytes}, as many as bytes")));
+                }
+                out.resize(total, 0.0);
+            }
             Some(view) => {
                 let bytes = self.view(&view)?;
                 let stride = view.stride().unwrap_or(components * size);

@@ -1,10 +1,10 @@
-//! Node hierarchy and animation: where every node is at a time of the clip.
+//! Evaluates node hierarchy and animation: where every node is at a time of the clip.
 
 use ::gltf::animation::{Interpolation, Property};
 use glam::{DMat4, DQuat, DVec3, DVec4};
 
 use super::{Clip, FORMAT, document::Document};
-use crate::import::{Limits, error::ImportError};
+use crate::scene::import::{Limits, error::ImportError};
 
 /// A node's own transform.
 #[derive(Clone, Copy)]
@@ -49,7 +49,11 @@ pub(super) struct Pose {
 
 impl Rig {
     /// The hierarchy of `document` driven by `clip`.
-    pub fn new(document: &Document, clip: &Clip) -> Result<Self, ImportError> {
+    ///
+    /// # Errors
+    /// Nodes that are no tree, an unknown clip, channels that contradict themselves, or more than `limits`
+    /// allow.
+    pub fn new(document: &Document, clip: &Clip, limits: &Limits) -> Result<Self, ImportError> {
         let gltf = &document.gltf;
         let nodes = gltf.nodes().len();
         let mut parents = vec![None; nodes];
@@ -71,10 +75,16 @@ impl Rig {
             visible[node] |= parents[node].is_some_and(|p| visible[p]);
         }
         let locals = gltf.nodes().map(|n| Local::new(n.transform())).collect();
-        let weights = gltf
-            .nodes()
-            .map(|n| n.weights().or(n.mesh().and_then(|m| m.weights())).unwrap_or_default().to_vec())
-            .collect();
+        let mut weights = Vec::with_capacity(nodes);
+        let mut total = 0;
+        for node in gltf.nodes() {
+            let own = node.weights().or(node.mesh().and_then(|m| m.weights())).unwrap_or_default();
+            total += own.len();
+            if total > limits.max_gaussians {
+                return Err(super::too_large("morph weights", total, limits.max_gaussians));
+            }
+            weights.push(own.to_vec());
+        }
         let mut rig =
             Self { locals, parents, order, visible, weights, channels: Vec::new(), name: "none".to_owned() };
         rig.choose(document, clip)?;

@@ -1,7 +1,7 @@
-//! A strip of two squares, the right one moved up by a joint, with a two-colour texture.
+//! Tests on a strip of two squares, the right one moved up by a joint, with a two-colour texture.
 
 use super::*;
-use crate::import::ErrorKind;
+use crate::scene::import::ErrorKind;
 use serde_json::json;
 use std::io::Cursor;
 
@@ -110,16 +110,16 @@ fn samples_cover_the_surface_and_move_with_their_joint() {
 fn no_point_of_the_surface_is_far_from_a_sample() {
     let scene = parsed(Clip::First);
     let points: Vec<[f32; 3]> = scene.instant(0).unwrap().gaussians.iter().map(|g| g.position).collect();
-    let tree = crate::import::nearest::Tree::new(&points);
+    let tree = crate::scene::import::nearest::Tree::new(&points);
     let worst = (0..2000)
         .map(|i| [(i % 50) as f32 / 25.0, (i / 50) as f32 / 40.0, 0.0])
         .map(|p| tree.nearest(p, 1, |_| true)[0].0.sqrt())
-        .fold(0.0, f32::max);
+        .fold(0.0, f64::max);
     // 400 samples on area 2 in a hexagonal grid are 0.076 apart, their holes 0.044 deep, deeper at the
     // corners of the strip; random placement leaves holes of about 0.15.
     assert!(worst < 0.085, "deepest hole {worst}");
     let closest = points.iter().enumerate().map(|(i, &p)| tree.nearest(p, 1, |j| j != i)[0].0.sqrt());
-    assert!(closest.fold(f32::INFINITY, f32::min) > 0.03);
+    assert!(closest.fold(f64::INFINITY, f64::min) > 0.03);
 }
 
 #[test]
@@ -156,4 +156,72 @@ fn wrong_clips_and_damaged_indices_are_refused() {
     let limits = Limits { max_bytes: 50_000, ..Limits::default() };
     let error = parse(&sample(), nothing_beside, &options(Clip::First), &limits).unwrap_err();
     assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
+}
+
+#[test]
+fn a_reduced_mesh_is_posed_as_the_whole_one() {
+    let limits = Limits::default();
+    let document = Document::load(&sample(), nothing_beside, &limits).unwrap();
+    let rig = Rig::new(&document, &Clip::First, &limits).unwrap();
+    let whole = Surface::new(&document, &rig, &limits).unwrap().mesh;
+    let wanted = [3, 1, 3];
+    let (reduced, numbers) = whole.reduced(wanted.into_iter());
+    assert_eq!(numbers, [0, 1, 0]);
+    let pose = rig.at(0.7);
+    let (all, few) = (whole.posed(&pose), reduced.posed(&pose));
+    assert_eq!((all.len(), few.len()), (8, 6), "three corners each, none shared");
+    for (wanted, number) in wanted.into_iter().zip(numbers) {
+        assert_eq!(whole.corners(wanted, &all), reduced.corners(number, &few));
+    }
+    assert_ne!(whole.corners(0, &all), reduced.corners(0, &few));
+}
+
+/// One triangle with `targets` morph targets that share one accessor, and equal weights.
+fn morphed(targets: usize, weight: f64) -> Vec<u8> {
+    let values = [0f32, 0., 0., 1., 0., 0., 0., 1., 0., 1., 1., 0., 2., 1., 0., 1., 2., 0.];
+    let blob: Vec<u8> = values.iter().flat_map(|v| v.to_le_bytes()).collect();
+    let positions = json!({"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3",
+        "min": [0.0, 0.0, 0.0], "max": [1.0, 1.0, 0.0]});
+    let moves = json!({"bufferView": 1, "componentType": 5126, "count": 3, "type": "VEC3"});
+    let root = json!({
+        "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"mesh": 0}],
+        "meshes": [{"weights": vec![weight; targets], "primitives": [{
+            "attributes": {"POSITION": 0}, "targets": vec![json!({"POSITION": 1}); targets]}]}],
+        "accessors": [positions, moves],
+        "bufferViews": [{"buffer": 0, "byteOffset": 0, "byteLength": 36},
+            {"buffer": 0, "byteOffset": 36, "byteLength": 36}],
+        "buffers": [{"byteLength": 72}],
+    });
+    glb(&root, &blob)
+}
+
+#[test]
+fn morph_targets_are_bounded_in_number_and_in_reach() {
+    let with = |targets, weight, max_gaussians| {
+        let limits = Limits { max_gaussians, ..Limits::default() };
+        parse(&morphed(targets, weight), nothing_beside, &options(Clip::First), &limits)
+    };
+    assert_eq!(with(400, 0.1, 1_000_000).unwrap().max_count(), 400);
+    assert_eq!(with(1, 1e37, 1_000_000).unwrap().max_count(), 400, "far out, and held by 32-bit floats");
+    let error = with(400, 1e37, 1_000_000).unwrap_err();
+    assert!(error.to_string().contains("vertex 0: found 4.000e39; allowed: up to 3.403e38"), "{error}");
+    let error = with(400, 0.1, 1_000).unwrap_err();
+    assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
+    assert!(error.to_string().contains("displacements of morph targets: found 1002"), "{error}");
+}
+
+#[test]
+fn zeros_that_no_byte_backs_are_refused() {
+    let mut root: serde_json::Value = serde_json::from_slice(&{
+        let file = morphed(1, 0.5);
+        let length = u32::from_le_bytes(file[12..16].try_into().unwrap()) as usize;
+        file[20..20 + length].to_vec()
+    })
+    .unwrap();
+    root["accessors"][1] = json!({"componentType": 5126, "count": 3_000_000, "type": "VEC3", "sparse": {
+        "count": 1, "indices": {"bufferView": 0, "componentType": 5121}, "values": {"bufferView": 1}}});
+    let error = parse(&glb(&root, &[0; 72]), nothing_beside, &options(Clip::First), &Limits::default());
+    let error = error.unwrap_err();
+    assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
+    assert!(error.to_string().contains("9000000 values without a buffer view"), "{error}");
 }

@@ -1,11 +1,11 @@
-//! Base colour: textures decoded within bounds, sampled bilinearly in linear light.
+//! Colours a surface by its base colour: textures decoded within bounds, sampled in linear light.
 
-use std::io::Cursor;
+use std::{collections::BTreeMap, io::Cursor, sync::Arc};
 
 use ::gltf::{material::AlphaMode, texture::WrappingMode};
 
 use super::{FORMAT, document::Document};
-use crate::import::{Limits, error::ImportError};
+use crate::scene::import::{Limits, error::ImportError};
 
 /// What a primitive's surface looks like.
 pub(super) struct Material {
@@ -18,7 +18,7 @@ pub(super) struct Material {
 }
 
 struct Texture {
-    image: image::RgbaImage,
+    image: Arc<image::RgbaImage>,
     wrap: [WrappingMode; 2],
 }
 
@@ -27,7 +27,7 @@ impl Material {
     pub fn new(
         document: &Document,
         material: &::gltf::Material<'_>,
-        limits: &Limits,
+        textures: &mut Textures,
     ) -> Result<Self, ImportError> {
         let base = material.pbr_metallic_roughness();
         let info = base.base_color_texture();
@@ -35,10 +35,7 @@ impl Material {
             None => None,
             Some(info) => {
                 let texture = info.texture();
-                let field = format!("image {}", texture.source().index());
-                let bytes = document.image_bytes(&texture.source())?;
-                let image = decode(bytes, limits)
-                    .map_err(|e| FORMAT.malformed(field, e, "an undamaged PNG, JPEG or WebP"))?;
+                let image = textures.image(document, &texture.source())?;
                 Some(Texture { image, wrap: [texture.sampler().wrap_s(), texture.sampler().wrap_t()] })
             }
         };
@@ -68,6 +65,37 @@ impl Material {
     }
 }
 
+/// Images decoded so far: each once, however many materials and nodes show it.
+pub(super) struct Textures {
+    decoded: BTreeMap<usize, Arc<image::RgbaImage>>,
+    /// Bytes that further images may take.
+    left: u64,
+}
+
+impl Textures {
+    /// No images yet; all of them together may take `limits.max_bytes`.
+    pub fn new(limits: &Limits) -> Self {
+        Self { decoded: BTreeMap::new(), left: limits.max_bytes }
+    }
+
+    fn image(
+        &mut self,
+        document: &Document,
+        source: &::gltf::Image<'_>,
+    ) -> Result<Arc<image::RgbaImage>, ImportError> {
+        if let Some(image) = self.decoded.get(&source.index()) {
+            return Ok(image.clone());
+        }
+        let field = format!("image {}", source.index());
+        let image = decode(document.image_bytes(source)?, self.left)
+            .map_err(|e| FORMAT.malformed(field, e, "an undamaged PNG, JPEG or WebP"))?;
+        self.left = self.left.saturating_sub(image.as_raw().len() as u64);
+        let image = Arc::new(image);
+        self.decoded.insert(source.index(), image.clone());
+        Ok(image)
+    }
+}
+
 impl Texture {
     /// Bilinear sample: linear rgb, alpha as stored.
     fn sample(&self, uv: [f32; 2]) -> [f32; 4] {
@@ -94,9 +122,9 @@ impl Texture {
     }
 }
 
-/// Decodes within bounds. No format read here packs more than 8192 pixels into a byte (PNG: deflate's
+/// Decodes an image that may take `most` bytes. No format read here packs more than 8192 pixels into a byte (PNG: deflate's
 /// 1032 times eight one-bit pixels), so a small file cannot ask for a large picture.
-fn decode(bytes: &[u8], limits: &Limits) -> image::ImageResult<image::RgbaImage> {
+fn decode(bytes: &[u8], most: u64) -> image::ImageResult<image::RgbaImage> {
     let (width, height) =
         image::ImageReader::new(Cursor::new(bytes)).with_guessed_format()?.into_dimensions()?;
     if u64::from(width) * u64::from(height) > (bytes.len() as u64).saturating_mul(8192) {
@@ -107,7 +135,7 @@ fn decode(bytes: &[u8], limits: &Limits) -> image::ImageResult<image::RgbaImage>
     let mut bounds = image::Limits::default();
     bounds.max_image_width = Some(16_384);
     bounds.max_image_height = Some(16_384);
-    bounds.max_alloc = Some(limits.max_bytes.min(1 << 30));
+    bounds.max_alloc = Some(most.min(1 << 30));
     reader.limits(bounds);
     Ok(reader.decode()?.into_rgba8())
 }

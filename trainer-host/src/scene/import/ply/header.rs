@@ -1,10 +1,10 @@
-//! The PLY header and the rows of one element, whatever the encoding.
+//! Reads a PLY header and the rows of one element, whatever the encoding.
 //!
 //! Binary rows are read where they lie. Text rows are first turned into little-endian binary rows, so
 //! that there is one reader of values. Offsets of properties come from the header; nothing assumes an
 //! order. Absent: list properties inside the element that is read (skipped in elements before it).
 
-use crate::import::{
+use crate::scene::import::{
     Limits,
     bytes::array,
     error::{Format, ImportError},

@@ -1,4 +1,4 @@
-//! Five balls bounce without loss and spin, each at its own height and pace, over a still floor.
+//! Makes five balls that bounce without loss and spin, each at its own height and pace, over a still floor.
 //!
 //! A ball is rigid: its discs never change against each other. It turns about one fixed axis at a
 //! constant rate, falls freely, and bounces at the floor without deforming.
@@ -118,7 +118,7 @@ fn pattern(ball: usize, n: DVec3, main: [f32; 3], second: [f32; 3]) -> [f32; 3] 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::synth::Kind;
+    use crate::scene::import::synth::Kind;
 
     #[test]
     fn balls_are_rigid_and_stay_above_the_floor() {

@@ -1,4 +1,4 @@
-//! Gaussians that come and go, then another set of them.
+//! Makes Gaussians that come and go, then another set of them.
 //!
 //! First half: a turning ring, and puffs that rise from the floor, each fading in and out by opacity on
 //! its own schedule. Half way the topology changes: the ring becomes three balls, and the scene goes on
@@ -10,7 +10,7 @@ use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 
 use super::{Disc, OPACITY, Options, log_scales, on_disc, on_sphere, paint, shares, sigma_of, wxyz};
-use crate::import::snapshot::{logit, sh0_of_colour};
+use crate::scene::import::snapshot::{logit, sh0_of_colour};
 use crate::scene::{Attributes, Epoch, SceneError, Track};
 
 const FLOOR: f64 = -1.0;

@@ -1,4 +1,4 @@
-//! A hanging sheet whose displacement has exactly four modes.
+//! Makes a hanging sheet whose displacement has exactly four modes.
 //!
 //! With `u, v` in -1..=1 across and down the sheet, the position at time `s` is
 //!
@@ -109,7 +109,7 @@ fn weave(u: f64, v: f64, main: [f32; 3], second: [f32; 3]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::import::synth::Kind;
+    use crate::scene::import::synth::Kind;
 
     #[test]
     fn displacement_has_rank_four() {

@@ -1,4 +1,4 @@
-//! A figure of fourteen capsules walks on the spot on a round floor.
+//! Makes a figure of fourteen capsules that walks on the spot on a round floor.
 //!
 //! Each capsule is rigid and hangs from its parent at a joint; thighs, shins, feet, upper arms and
 //! forearms swing in the plane of the walk, once per [`STRIDE`] seconds; the body bobs twice. Joints

@@ -1,4 +1,4 @@
-//! Colours: palettes that sit well together, and a soft baked light.
+//! Chooses colours: palettes that sit well together, and a soft baked light.
 
 use glam::DVec3;
 

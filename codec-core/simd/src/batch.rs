@@ -1,9 +1,10 @@
-//! Whole streams into a receiver, many packets at a time.
+//! Gives packets to a receiver, many at a time.
 
 use codec_core::{
     Error, Result,
     rans::lanes::Run,
-    receiver::{Arrival, Planned, Receiver},
+    receiver::{Accepted, Planned, Receiver},
+    wire::checked::Checked,
 };
 
 use crate::{Job, Kernel, Tables, decode_many_with};
@@ -11,43 +12,48 @@ use crate::{Job, Kernel, Tables, decode_many_with};
 /// Packets that are decoded together: several times as many as a kernel has places, so that few of
 /// them stand empty while the last ones end.
 const BATCH: usize = 128;
-/// Values that are decoded together; a packet of more goes to the receiver alone.
+/// Values that are decoded together, less those of the last packet, whose number caps bound: so are the
+/// lists of runs.
 const MOST_VALUES: usize = 1 << 21;
 
-/// A way into a [`Receiver`] for hosts that have many packets at once; reusable memory.
+/// Gives a [`Receiver`] packets whose values are decoded several at once; its memory is reused.
 #[derive(Debug)]
-pub struct Intake {
+pub struct BatchReceiver {
     kernel: Kernel,
     runs: Vec<Run>,
     values: Vec<i16>,
 }
 
-impl Default for Intake {
+impl Default for BatchReceiver {
     fn default() -> Self {
         Self::with_kernel(Kernel::best())
     }
 }
 
 /// A packet of a batch.
-struct Entry<'p> {
-    packet: &'p [u8],
+#[expect(clippy::large_enum_variant, reason = "most are of the largest kind")]
+enum Entry<'p> {
+    /// Not even whole.
+    Refused(Error),
+    /// For the receiver alone.
+    Alone(Checked<'p>),
     /// What the receiver planned, and where its runs end.
-    planned: Option<(Planned<'p>, usize)>,
+    Planned(Planned<'p>, usize),
 }
 
-impl Intake {
-    /// An intake by `kernel`; by the scalar one if this machine lacks it.
+impl BatchReceiver {
+    /// A batch receiver that decodes by `kernel`; by the scalar one if this machine lacks it.
     pub fn with_kernel(kernel: Kernel) -> Self {
         Self { kernel, runs: Vec::new(), values: Vec::new() }
     }
 
     /// Gives `packets` to `receiver`: the same, in the same order, as giving each to
     /// [`Receiver::media`]. `answer` is called with each one's answer.
-    pub fn media<'p>(
+    pub fn receive<'p>(
         &mut self,
         receiver: &mut Receiver<'_>,
         packets: impl IntoIterator<Item = &'p [u8]>,
-        mut answer: impl FnMut(Result<Arrival>),
+        mut answer: impl FnMut(Result<Accepted>),
     ) {
         let mut packets = packets.into_iter();
         if self.kernel.vectors().is_none() || receiver.tables().is_none() {
@@ -62,13 +68,19 @@ impl Intake {
             while batch.len() < BATCH && values < MOST_VALUES {
                 let Some(packet) = packets.next() else { break };
                 let first = self.runs.len();
-                let planned = receiver.plan(packet, |run| self.runs.push(run));
-                let planned = planned.filter(|planned| planned.values <= MOST_VALUES);
-                values += planned.as_ref().map_or(0, |planned| planned.values);
-                if planned.is_none() {
-                    self.runs.truncate(first);
-                }
-                batch.push(Entry { packet, planned: planned.map(|planned| (planned, self.runs.len())) });
+                let planned = Checked::new(packet, receiver.crc())
+                    .map(|packet| receiver.plan(packet, |run| self.runs.push(run)));
+                batch.push(match planned {
+                    Ok(Ok(planned)) => {
+                        values += planned.values;
+                        Entry::Planned(planned, self.runs.len())
+                    }
+                    Ok(Err(packet)) => {
+                        self.runs.truncate(first);
+                        Entry::Alone(packet)
+                    }
+                    Err(error) => Entry::Refused(error),
+                });
             }
             if batch.is_empty() {
                 return;
@@ -83,14 +95,15 @@ impl Intake {
         receiver: &mut Receiver<'_>,
         batch: &[Entry<'_>],
         count: usize,
-        answer: &mut impl FnMut(Result<Arrival>),
+        answer: &mut impl FnMut(Result<Accepted>),
     ) {
         if self.values.len() < count {
             self.values.resize(count, 0);
         }
         let (mut rest, mut first) = (self.values.as_mut_slice(), 0);
         let mut jobs: Vec<Job<'_>> = Vec::with_capacity(batch.len());
-        for (planned, end) in batch.iter().filter_map(|entry| entry.planned.as_ref()) {
+        for entry in batch {
+            let Entry::Planned(planned, end) = entry else { continue };
             let (out, later) = core::mem::take(&mut rest).split_at_mut(planned.values);
             jobs.push(Job::new(planned.body, &self.runs[first..*end], out));
             (rest, first) = (later, *end);
@@ -101,9 +114,10 @@ impl Intake {
         }
         let mut jobs = jobs.into_iter();
         for entry in batch {
-            answer(match &entry.planned {
-                None => receiver.media(entry.packet),
-                Some((planned, _)) => {
+            answer(match entry {
+                Entry::Refused(error) => Err(receiver.refuse(*error)),
+                Entry::Alone(packet) => receiver.push(packet),
+                Entry::Planned(planned, _) => {
                     let job = jobs.next().filter(|job| job.result.is_ok());
                     receiver.commit(planned, job.map(|job| &*job.out))
                 }

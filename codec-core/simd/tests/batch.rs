@@ -12,14 +12,16 @@ use std::path::Path;
 
 use codec_core::{
     Caps, Result,
-    receiver::{Arrival, Cell, Counters, Memory, Receiver, Requirements},
+    player::Waiting,
+    receiver::{Accepted, Counters, Receiver},
     wire::{
+        checked::Checked,
         crc::crc32,
         file::{self, Record},
-        manifest::{self, Manifest},
+        manifest,
     },
 };
-use codec_simd::{Intake, Kernel};
+use codec_simd::{BatchReceiver, Kernel};
 use proptest::prelude::*;
 
 const STREAMS: [&str; 8] =
@@ -27,7 +29,6 @@ const STREAMS: [&str; 8] =
 
 struct Stream {
     message: Vec<u8>,
-    raw: Vec<u8>,
     packets: Vec<Vec<u8>>,
 }
 
@@ -35,20 +36,19 @@ fn stream(name: &str) -> Stream {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/conformance");
     let bytes = std::fs::read(folder.join(format!("{name}.dgs"))).unwrap();
     let (message, start) = file::manifest(&bytes).unwrap();
-    let packets = file::packets(&bytes, start, crc32)
-        .filter_map(
-            |record| if let Record::Packet(_, packet) = record { Some(packet.to_vec()) } else { None },
-        )
-        .collect();
-    let mut raw = vec![0; manifest::Sealed::parse(message).unwrap().raw_len];
-    manifest::open(message, crc32, &mut raw).unwrap();
-    Stream { message: message.to_vec(), raw, packets }
+    let packets =
+        file::packets(&bytes, start, crc32)
+            .filter_map(|record| {
+                if let Record::Packet(_, packet) = record { Some(packet.bytes().to_vec()) } else { None }
+            })
+            .collect();
+    Stream { message: message.to_vec(), packets }
 }
 
 /// What a receiver made of some packets.
 #[derive(Debug, PartialEq)]
-struct Outcome {
-    answers: Vec<Result<Arrival>>,
+struct Received {
+    answers: Vec<Result<Accepted>>,
     counters: Counters,
     blocks: Vec<u8>,
     /// Zero where nothing arrived: what a refused packet leaves there does not count.
@@ -61,36 +61,24 @@ fn receive(
     packets: &[Vec<u8>],
     control: usize,
     compact: bool,
-    mut take: impl FnMut(&mut Receiver<'_>, &[Vec<u8>], &mut Vec<Result<Arrival>>),
-) -> Outcome {
-    let manifest = Manifest::parse(&stream.raw).unwrap();
-    let need = Requirements::of(&manifest, &Caps::HOST).unwrap();
-    let slots = if compact { need.least_slots } else { need.slots };
-    let (mut own, mut early) = (stream.raw.clone(), vec![0; 3000]);
-    let (mut cells, mut symbols) = (vec![Cell::default(); need.cells], vec![0; need.symbols]);
-    let (mut blocks, mut seen, mut slots) = (vec![0; need.blocks], vec![0; need.seen], vec![0; slots]);
-    let (mut progress, mut parity) = (vec![0; need.progress], vec![0; need.parity]);
+    mut take: impl FnMut(&mut Receiver<'_>, &[Vec<u8>], &mut Vec<Result<Accepted>>),
+) -> Received {
+    let caps = Caps { early_bytes: 3000, ..Caps::HOST };
+    let mut arena = vec![0u64; 1 << 16];
+    let need = Waiting::new(&mut arena, caps).unwrap().required(&stream.message).unwrap();
+    let mut arena = vec![0u64; if compact { need.least_words } else { need.words }];
     let mut answers = Vec::new();
-    let counters = {
-        let mut receiver = Receiver::new(Memory {
-            manifest: &mut own,
-            cells: &mut cells,
-            symbols: &mut symbols,
-            blocks: &mut blocks,
-            seen: &mut seen,
-            slots: &mut slots,
-            progress: &mut progress,
-            parity: &mut parity,
-            early: &mut early,
-        });
-        let (before, after) = packets.split_at(control.min(packets.len()));
-        take(&mut receiver, before, &mut answers);
-        receiver.control(&stream.message).unwrap();
-        take(&mut receiver, after, &mut answers);
-        *receiver.counters()
-    };
-    let content =
-        codec_core::receiver::Content { manifest, cells: &cells, symbols: &symbols, blocks: &blocks };
+    let mut waiting = Waiting::new(&mut arena, caps).unwrap();
+    let (before, after) = packets.split_at(control.min(packets.len()));
+    for packet in before {
+        // Counted; there is no answer before the manifest.
+        let _ = waiting.push(packet);
+    }
+    let mut player = waiting.manifest(&stream.message).map_err(|(_, error)| error).unwrap();
+    take(player.receiver(), after, &mut answers);
+    let counters = *player.counters();
+    let content = player.content();
+    let (manifest, symbols) = (content.manifest, content.symbols);
     let mut counted = vec![0i16; symbols.len()];
     let dgs1 = manifest.profile() == manifest::Profile::Dgs1;
     codec_core::receiver::for_each_cell(&manifest, |span, cluster, shape| {
@@ -104,17 +92,17 @@ fn receive(
             }
         }
     });
-    Outcome { answers, counters, blocks, symbols: counted }
+    Received { answers, counters, blocks: content.blocks.to_vec(), symbols: counted }
 }
 
-fn one_by_one(receiver: &mut Receiver<'_>, packets: &[Vec<u8>], answers: &mut Vec<Result<Arrival>>) {
+fn one_by_one(receiver: &mut Receiver<'_>, packets: &[Vec<u8>], answers: &mut Vec<Result<Accepted>>) {
     answers.extend(packets.iter().map(|packet| receiver.media(packet)));
 }
 
-fn in_batches(kernel: Kernel) -> impl FnMut(&mut Receiver<'_>, &[Vec<u8>], &mut Vec<Result<Arrival>>) {
-    let mut intake = Intake::with_kernel(kernel);
+fn in_batches(kernel: Kernel) -> impl FnMut(&mut Receiver<'_>, &[Vec<u8>], &mut Vec<Result<Accepted>>) {
+    let mut batches = BatchReceiver::with_kernel(kernel);
     move |receiver, packets, answers| {
-        intake.media(receiver, packets.iter().map(Vec::as_slice), |answer| answers.push(answer));
+        batches.receive(receiver, packets.iter().map(Vec::as_slice), |answer| answers.push(answer));
     }
 }
 
@@ -182,12 +170,13 @@ fn a_difference_is_seen() {
     let fewer = receive(&stream, &stream.packets[1..], 0, false, in_batches(Kernel::best()));
     assert_ne!(fewer, wanted);
     // Values of another packet's length, or none: the receiver decodes by itself.
-    let odd = |receiver: &mut Receiver<'_>, packets: &[Vec<u8>], answers: &mut Vec<Result<Arrival>>| {
+    let odd = |receiver: &mut Receiver<'_>, packets: &[Vec<u8>], answers: &mut Vec<Result<Accepted>>| {
         for (i, packet) in packets.iter().enumerate() {
-            let planned = receiver.plan(packet, |_| ());
+            let planned = Checked::new(packet, crc32).map(|packet| receiver.plan(packet, |_| ()));
             answers.push(match planned {
-                Some(planned) => receiver.commit(&planned, (i % 2 == 0).then_some(&[1, 2, 3])),
-                None => receiver.media(packet),
+                Ok(Ok(planned)) => receiver.commit(&planned, (i % 2 == 0).then_some(&[1, 2, 3])),
+                Ok(Err(packet)) => receiver.push(&packet),
+                Err(error) => Err(receiver.refuse(error)),
             });
         }
     };

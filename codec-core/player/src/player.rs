@@ -1,0 +1,249 @@
+//! Receives a stream in memory of its own and decodes its frames.
+
+use std::{fmt, path::Path};
+
+use codec_core::{
+    Caps, Error, Result,
+    ids::PacketId,
+    player::{self as core, Accepted, Counters, Frame, StreamInfo, Usable},
+    receiver::Content,
+    wire::manifest::{Manifest, Sealed},
+};
+use codec_simd::BatchReceiver;
+use self_cell::{MutBorrow, self_cell};
+
+use crate::stream::{Damage, Stream};
+
+type Arena = MutBorrow<Box<[u64]>>;
+
+type CorePlayer<'a> = core::Player<'a>;
+type CoreWaiting<'a> = core::Waiting<'a>;
+
+self_cell!(
+    struct PlayerInArena {
+        owner: Arena,
+        #[covariant]
+        dependent: CorePlayer,
+    }
+);
+
+self_cell!(
+    struct WaitingInArena {
+        owner: Arena,
+        #[covariant]
+        dependent: CoreWaiting,
+    }
+);
+
+/// An arena that is just enough for the stream of the DGSM message `message` and for
+/// [`Caps::early_bytes`], for players of codec-core.
+///
+/// # Errors
+/// As [`Player::new`].
+pub fn arena(message: &[u8], caps: &Caps) -> Result<Vec<u64>> {
+    let raw_len = Sealed::parse(message)?.raw_len.min(caps.manifest_bytes as usize);
+    let mut scratch = vec![0u64; raw_len.div_ceil(size_of::<u64>())];
+    let waiting_caps = Caps { early_bytes: 0, ..*caps };
+    let words = fast(&mut scratch, waiting_caps)?.required(message)?.words;
+    Ok(vec![0; words + (caps.early_bytes as usize).div_ceil(size_of::<u64>())])
+}
+
+/// A player that has no manifest yet and keeps the packets that come early.
+///
+/// ```
+/// # let file = include_bytes!("../../tests/conformance/one.dgs");
+/// # let (stream, _) = dgs_player::Stream::from_bytes(file)?;
+/// use dgs_player::{Caps, Waiting};
+///
+/// let mut waiting = Waiting::new(Caps::HOST)?;
+/// waiting.push(&stream.packets()[0])?;
+/// let player = waiting.manifest(stream.message()).map_err(|(_, error)| error)?;
+/// assert_eq!(player.counters().media, 1);
+/// # Ok::<(), codec_core::Error>(())
+/// ```
+pub struct Waiting {
+    waiting: WaitingInArena,
+    caps: Caps,
+}
+
+impl Waiting {
+    /// A player that will accept streams within `caps`.
+    ///
+    /// # Errors
+    /// None in practice: the memory is made as large as [`Caps::early_bytes`] says.
+    pub fn new(caps: Caps) -> Result<Self> {
+        let early = vec![0u64; (caps.early_bytes as usize).div_ceil(size_of::<u64>())];
+        let arena = MutBorrow::new(early.into_boxed_slice());
+        let waiting = WaitingInArena::try_new(arena, |arena| fast(arena.borrow_mut(), caps))?;
+        Ok(Self { waiting, caps })
+    }
+
+    /// Keeps one packet until the manifest comes.
+    ///
+    /// # Errors
+    /// A damaged packet, or one too many for [`Caps::early_bytes`]; both are counted.
+    pub fn push(&mut self, packet: &[u8]) -> Result<()> {
+        self.waiting.with_dependent_mut(|_, waiting| waiting.push(packet))
+    }
+
+    /// What happened to packets so far.
+    pub fn counters(&self) -> &Counters {
+        self.waiting.borrow_dependent().counters()
+    }
+
+    /// Takes the whole DGSM message `message`, then the packets that came early.
+    ///
+    /// # Errors
+    /// Why the message is refused, and the player as it was: it goes on waiting.
+    #[expect(clippy::result_large_err, reason = "the player that goes on waiting is given back")]
+    pub fn manifest(self, message: &[u8]) -> std::result::Result<Player, (Self, Error)> {
+        match Player::new(message, &self.caps) {
+            Ok(mut player) => {
+                let waiting = self.waiting.borrow_dependent();
+                player.player.with_dependent_mut(|_, player| player.take_over(waiting));
+                Ok(player)
+            }
+            Err(error) => Err((self, error)),
+        }
+    }
+}
+
+/// A waiting player with the arithmetic of this machine.
+fn fast(arena: &mut [u64], caps: Caps) -> Result<core::Waiting<'_>> {
+    Ok(core::Waiting::new(arena, caps)?.with_arithmetic(codec_simd::crc32, codec_simd::combine()))
+}
+
+/// A stream in memory of its own: packets in, frames out.
+///
+/// ```
+/// # let file = include_bytes!("../../tests/conformance/one.dgs");
+/// let (mut player, damage) = dgs_player::Player::open(file)?;
+/// assert!(damage.is_none());
+/// let frame = player.frame(0)?;
+/// println!("{} Gaussians", frame.gaussians.len());
+/// # Ok::<(), codec_core::Error>(())
+/// ```
+pub struct Player {
+    player: PlayerInArena,
+    batches: BatchReceiver,
+}
+
+/// Why a file cannot be played.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// The file cannot be read.
+    #[error(transparent)]
+    Read(#[from] std::io::Error),
+    /// It is no `.dgs` file, or one whose manifest is damaged or exceeds the caps.
+    #[error(transparent)]
+    Format(#[from] Error),
+}
+
+impl Player {
+    /// Plays the stream of the DGSM message `message`; no packet has arrived.
+    ///
+    /// # Errors
+    /// A damaged message; [`ErrorKind::Capacity`](codec_core::ErrorKind::Capacity) naming the count
+    /// that exceeds `caps`.
+    pub fn new(message: &[u8], caps: &Caps) -> Result<Self> {
+        let caps = Caps { early_bytes: 0, ..*caps };
+        let arena = MutBorrow::new(arena(message, &caps)?.into_boxed_slice());
+        let player = PlayerInArena::try_new(arena, |arena| {
+            fast(arena.borrow_mut(), caps)?.manifest(message).map_err(|(_, error)| error)
+        })?;
+        Ok(Self { player, batches: BatchReceiver::default() })
+    }
+
+    /// Plays the `.dgs` file `file`, all of whose packets have arrived; what could not be used of a
+    /// damaged one is told beside it.
+    ///
+    /// # Errors
+    /// If the manifest is unreadable or exceeds [`Caps::HOST`]; refused packets are counted.
+    pub fn open(file: &[u8]) -> Result<(Self, Damage)> {
+        let (stream, damage) = Stream::from_bytes(file)?;
+        Ok((stream.receive()?, damage))
+    }
+
+    /// As [`Player::open`], of the file at `path`.
+    ///
+    /// # Errors
+    /// If the file cannot be read, and as [`Player::open`].
+    pub fn open_file(path: impl AsRef<Path>) -> std::result::Result<(Self, Damage), OpenError> {
+        Ok(Self::open(&std::fs::read(path)?)?)
+    }
+
+    /// Takes one packet, media or parity, in any order.
+    ///
+    /// # Errors
+    /// Why the packet is refused; it is counted, and the player is as it was.
+    pub fn push(&mut self, packet: &[u8]) -> Result<Accepted> {
+        self.player.with_dependent_mut(|_, player| player.push(packet))
+    }
+
+    /// Takes many packets, decoding several at once: as [`Player::push`] of each in turn, faster.
+    pub fn push_all<'p>(&mut self, packets: impl IntoIterator<Item = &'p [u8]>) {
+        let batches = &mut self.batches;
+        self.player.with_dependent_mut(|_, player| {
+            // Refusals are counted by kind.
+            batches.receive(player.receiver(), packets, |_| ());
+        });
+    }
+
+    /// Decodes frame `frame` from what has arrived.
+    ///
+    /// # Errors
+    /// A frame past the end.
+    pub fn frame(&mut self, frame: u32) -> Result<Frame<'_>> {
+        self.player.with_dependent_mut(|_, player| player.frame(frame))
+    }
+
+    /// How much of frame `frame` can be shown.
+    ///
+    /// # Errors
+    /// A frame past the end.
+    pub fn usable(&self, frame: u32) -> Result<Usable> {
+        self.player.borrow_dependent().usable(frame)
+    }
+
+    /// Whether packet `id` has been accepted or recovered.
+    pub fn has(&self, id: PacketId) -> bool {
+        self.player.borrow_dependent().has(id)
+    }
+
+    /// What happened to packets so far.
+    pub fn counters(&self) -> &Counters {
+        self.player.borrow_dependent().counters()
+    }
+
+    /// What the manifest says of the stream.
+    pub fn info(&self) -> StreamInfo {
+        self.player.borrow_dependent().info()
+    }
+
+    /// The manifest, record by record.
+    pub fn manifest(&self) -> &Manifest<'_> {
+        self.player.borrow_dependent().manifest()
+    }
+
+    /// The symbols and the state that have arrived, for [`FrameDecoder`](crate::FrameDecoder)s and tools.
+    pub fn content(&self) -> Content<'_> {
+        self.player.borrow_dependent().content()
+    }
+
+    /// The player over its arena: receipts, single packets, the receiver itself.
+    pub fn with_core<R>(&mut self, work: impl for<'a> FnOnce(&mut core::Player<'a>) -> R) -> R {
+        self.player.with_dependent_mut(|_, player| work(player))
+    }
+}
+
+impl fmt::Debug for Waiting {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Waiting").field("counters", self.counters()).finish_non_exhaustive()
+    }
+}
+
+impl fmt::Debug for Player {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Player").field("counters", self.counters()).finish_non_exhaustive()
+    }
+}

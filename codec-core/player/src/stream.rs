@@ -1,0 +1,174 @@
+//! Holds a stream as bytes: its manifest message and its packets, as a `.dgs` file has them.
+
+use codec_core::{
+    Caps, Error, Result,
+    pack::packed_bound,
+    receiver::Requirements,
+    wire::{
+        file::{self, Record},
+        manifest::{self, Manifest, Sealed},
+    },
+};
+use codec_simd::crc32;
+
+use crate::Player;
+
+/// A manifest and its packets: bytes, and nothing about how they were made.
+///
+/// ```
+/// # let file = include_bytes!("../../tests/conformance/one.dgs");
+/// let (stream, damage) = dgs_player::Stream::from_bytes(file)?;
+/// assert!(damage.is_none());
+/// assert_eq!(stream.to_bytes()?, file);
+/// # Ok::<(), codec_core::Error>(())
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Stream {
+    message: Vec<u8>,
+    raw: Vec<u8>,
+    packets: Vec<Vec<u8>>,
+}
+
+/// What a damaged `.dgs` file had that could not be used.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Damage {
+    /// Byte ranges that are no packet: offset, length.
+    pub ranges: Vec<(usize, usize)>,
+    /// Packets that the manifest expects, the file does not hold and repair does not give back.
+    pub missing_packets: usize,
+    /// Packets whose id another packet before them has; they are passed over.
+    pub duplicates: usize,
+    /// Why the index could not be used, if it could not.
+    pub index: Option<Error>,
+    /// Whether the file ends before its index.
+    pub truncated: bool,
+}
+
+impl Damage {
+    /// True when the file was whole.
+    pub fn is_none(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+impl std::fmt::Display for Damage {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let mut parts = Vec::new();
+        if let Some((at, len)) = self.ranges.first() {
+            let total: usize = self.ranges.iter().map(|range| range.1).sum();
+            parts.push(format!(
+                "{} damaged byte ranges ({total} bytes in all, the first at byte {at}, {len} bytes)",
+                self.ranges.len()
+            ));
+        }
+        if self.truncated {
+            parts.push("the file is cut off".into());
+        }
+        if let Some(error) = self.index.filter(|_| !self.truncated) {
+            parts.push(format!("the index is unusable ({error})"));
+        }
+        if self.missing_packets > 0 {
+            parts.push(format!("{} packets are missing", self.missing_packets));
+        }
+        if self.duplicates > 0 {
+            parts.push(format!("{} packets repeat the id of another", self.duplicates));
+        }
+        f.write_str(&parts.join("; "))
+    }
+}
+
+impl Stream {
+    /// Seals `raw`, an unpacked manifest body, and joins it with its packets, in order of their ids.
+    ///
+    /// # Errors
+    /// If the manifest cannot be sealed.
+    pub fn seal(raw: Vec<u8>, packets: Vec<Vec<u8>>) -> Result<Self> {
+        Ok(Self { message: sealed(&raw)?, raw, packets })
+    }
+
+    /// The DGSM message.
+    pub fn message(&self) -> &[u8] {
+        &self.message
+    }
+
+    /// The packets, by id; one that is missing is empty.
+    pub fn packets(&self) -> &[Vec<u8>] {
+        &self.packets
+    }
+
+    /// The manifest.
+    ///
+    /// # Errors
+    /// If the body that the stream was sealed from is no manifest.
+    pub fn manifest(&self) -> Result<Manifest<'_>> {
+        Manifest::parse(&self.raw)
+    }
+
+    /// The bytes of a `.dgs` file.
+    ///
+    /// # Errors
+    /// A packet of impossible length.
+    pub fn to_bytes(&self) -> Result<Vec<u8>> {
+        let mut out = Vec::new();
+        let mut index = file::Index::begin(&self.message, |b| out.extend_from_slice(b));
+        let mut entries = Vec::with_capacity(self.packets.len());
+        for packet in self.packets.iter().filter(|p| !p.is_empty()) {
+            entries.push(index.packet(packet, |b| out.extend_from_slice(b))?);
+        }
+        index.end(&entries, |b| out.extend_from_slice(b));
+        Ok(out)
+    }
+
+    /// Reads a `.dgs` file and keeps what is readable.
+    ///
+    /// # Errors
+    /// If the manifest itself is unreadable: without it nothing else means anything.
+    pub fn from_bytes(bytes: &[u8]) -> Result<(Self, Damage)> {
+        let (message, start) = file::manifest(bytes)?;
+        let sealed = Sealed::parse(message)?.within(&Caps::HOST)?;
+        let mut raw = vec![0u8; sealed.raw_len];
+        manifest::open(message, crc32, &mut raw)?;
+        let parsed = Manifest::parse(&raw)?;
+        // What no player here takes on is refused before memory is set aside for it.
+        Requirements::of(&parsed, &Caps::HOST)?;
+        let mut packets = vec![Vec::new(); parsed.head().packets as usize];
+        let mut damage = Damage { truncated: true, ..Damage::default() };
+        for record in file::packets(bytes, start, crc32) {
+            match record {
+                Record::Packet(at, packet) => match packets.get_mut(packet.id().index()) {
+                    Some(slot) if slot.is_empty() => *slot = packet.bytes().to_vec(),
+                    // The first counts, as for a receiver.
+                    Some(_) => damage.duplicates += 1,
+                    None => damage.ranges.push((at, packet.bytes().len())),
+                },
+                Record::Illegal(at, len, _) | Record::Damaged(at, len) => damage.ranges.push((at, len)),
+                Record::End => damage.truncated = false,
+            }
+        }
+        let missing = file::missing(&parsed, |id| packets.get(id as usize).is_some_and(|p| !p.is_empty()));
+        damage.missing_packets = missing.lost as usize;
+        damage.index = file::index(bytes, crc32).err();
+        Ok((Self { message: message.to_vec(), raw, packets }, damage))
+    }
+
+    /// A player that has taken the manifest and every packet.
+    ///
+    /// # Errors
+    /// If the manifest is refused, by [`Caps::HOST`] perhaps; refused packets are counted, not errors.
+    pub fn receive(&self) -> Result<Player> {
+        let mut player = Player::new(&self.message, &Caps::HOST)?;
+        player.push_all(self.packets.iter().filter(|p| !p.is_empty()).map(Vec::as_slice));
+        Ok(player)
+    }
+}
+
+/// The DGSM message of the unpacked manifest body `raw`.
+///
+/// # Errors
+/// An empty or oversized body.
+pub fn sealed(raw: &[u8]) -> Result<Vec<u8>> {
+    let mut message = vec![0u8; packed_bound(raw.len()).min(raw.len() * 2 + 4096)];
+    let len = manifest::seal(raw, &mut message)?;
+    message.truncate(len);
+    Ok(message)
+}

@@ -1,0 +1,411 @@
+//! Takes the bytes of a stream and gives Gaussians: the front door of this crate.
+//!
+//! A [`Waiting`] player has memory and bounds, and keeps the packets that come early. The manifest
+//! turns it into a [`Player`], which takes packets in any order and decodes any frame from what has
+//! arrived. Neither asks for a heap, a socket or a clock: bytes go in, the caller's memory holds
+//! everything else.
+
+pub use crate::receiver::{Accepted, Counters, Recovered};
+
+use crate::{
+    arena::{Plan, Rest, WORD_BYTES, words_of},
+    caps::Caps,
+    closure::Arrived,
+    decode::{Decoded, Decoder},
+    error::{Error, ErrorKind, Result},
+    gaussian::{Gaussian, ShDegree},
+    ids::{ClusterId, Level, PacketId, Span},
+    layout::Shape,
+    receiver::{Content, Receiver},
+    repair::{Combine, combine},
+    wire::{
+        checked::Checked,
+        crc::{Crc32, crc32},
+        manifest::{self, Manifest, Sealed},
+        receipt::{IdRange, Value, ViewerPose},
+    },
+};
+
+/// A player that has memory and bounds, but no manifest yet.
+///
+/// Packets that arrive early are kept, up to [`Caps::early_bytes`], and taken when the manifest comes.
+///
+/// ```
+/// use codec_core::{Caps, player::Waiting};
+///
+/// let mut arena = vec![0u64; 4096]; // or a `static`
+/// let mut waiting = Waiting::new(&mut arena, Caps { early_bytes: 4000, ..Caps::SMALL })?;
+/// assert!(waiting.push(b"no packet").is_err());
+/// assert_eq!(waiting.counters().refused.iter().sum::<u32>(), 1);
+/// # Ok::<(), codec_core::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct Waiting<'a> {
+    arena: &'a mut [u64],
+    early: &'a mut [u8],
+    early_used: usize,
+    counters: Counters,
+    caps: Caps,
+    crc: Crc32,
+    combine: Combine,
+}
+
+impl<'a> Waiting<'a> {
+    /// A player that will keep everything in `arena` and accept streams within `caps`.
+    ///
+    /// [`Caps::memory_words`] are enough for every such stream; a smaller arena takes those that fit.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Capacity`] if `arena` does not hold [`Caps::early_bytes`].
+    pub fn new(arena: &'a mut [u64], caps: Caps) -> Result<Self> {
+        let have = arena.len().saturating_mul(WORD_BYTES);
+        let mut rest = Rest(arena);
+        let early = rest.take(caps.early_bytes as usize);
+        let short = Error::short("arena", 0, have, caps.early_bytes as usize).kind(ErrorKind::Capacity);
+        let early = early.ok_or(short)?;
+        let counters = Counters::default();
+        Ok(Self { arena: rest.0, early, early_used: 0, counters, caps, crc: crc32, combine })
+    }
+
+    /// The same player with faster arithmetic of the host's: CRC-32/ISO-HDLC and sums of repair.
+    #[must_use]
+    pub const fn with_arithmetic(mut self, crc: Crc32, combine: Combine) -> Self {
+        (self.crc, self.combine) = (crc, combine);
+        self
+    }
+
+    /// What happened to packets so far.
+    pub const fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
+    /// Keeps one packet until the manifest comes.
+    ///
+    /// # Errors
+    /// A damaged packet; [`ErrorKind::Capacity`] if [`Caps::early_bytes`] are full (a packet takes two
+    /// bytes more than its length). Refusals are counted by kind.
+    pub fn push(&mut self, packet: &[u8]) -> Result<()> {
+        let result = self.keep(packet);
+        match &result {
+            Ok(()) => self.counters.early += 1,
+            Err(error) => self.counters.refuse(error),
+        }
+        result
+    }
+
+    fn keep(&mut self, packet: &[u8]) -> Result<()> {
+        Checked::new(packet, self.crc)?;
+        let room = self.early.len().saturating_sub(self.early_used);
+        let needed = packet.len() + 2;
+        let short = Error::short("caps.early_bytes", 0, room, needed).kind(ErrorKind::Capacity);
+        let free = self.early.get_mut(self.early_used..).ok_or(short)?;
+        let (len, free) = free.split_first_chunk_mut::<2>().ok_or(short)?;
+        let target = free.get_mut(..packet.len()).ok_or(short)?;
+        *len = (packet.len() as u16).to_le_bytes();
+        target.copy_from_slice(packet);
+        self.early_used += needed;
+        Ok(())
+    }
+
+    /// How long an arena must be for the stream of the DGSM message `message` and the packets kept
+    /// early.
+    ///
+    /// The arena of this player serves as scratch: it must hold the unpacked manifest.
+    ///
+    /// # Errors
+    /// As [`Waiting::manifest`], but for an arena that holds the manifest and no more.
+    pub fn required(&mut self, message: &[u8]) -> Result<Required> {
+        let (manifest_words, _, plan) = self.open(message)?;
+        let before = words_of::<u8>(self.early.len()).saturating_add(manifest_words);
+        Ok(Required {
+            words: before.saturating_add(plan.words()),
+            least_words: before.saturating_add(plan.least_words()),
+        })
+    }
+
+    /// Unpacks and checks `message` at the front of the arena: its words, the manifest without its
+    /// bytes, what its stream needs.
+    fn open(&mut self, message: &[u8]) -> Result<(usize, Manifest<'static>, Plan)> {
+        // Before anything of that size is unpacked; the other caps follow once it is.
+        let raw_len = Sealed::parse(message)?.within(&self.caps)?.raw_len;
+        let words = words_of::<u8>(raw_len);
+        let have = self.arena.len().saturating_mul(WORD_BYTES);
+        let short = Error::short("arena", 0, have, raw_len).kind(ErrorKind::Capacity);
+        let room = self.arena.get_mut(..words).ok_or(short)?;
+        let raw = manifest::open(message, self.crc, bytemuck::cast_slice_mut(room))?;
+        let manifest = Manifest::parse(raw)?;
+        let plan = Plan::of(&manifest, &self.caps)?;
+        Ok((words, manifest.over(&[]), plan))
+    }
+
+    /// Takes the whole DGSM message `message`, then the packets that came early.
+    ///
+    /// # Errors
+    /// Why the message is refused, and the player as it was: it goes on waiting.
+    /// [`ErrorKind::Capacity`] names the count that exceeds the caps, or the `arena` that is too small,
+    /// with the bytes there are and the bytes needed.
+    #[expect(clippy::result_large_err, reason = "the player that goes on waiting is given back")]
+    pub fn manifest(mut self, message: &[u8]) -> core::result::Result<Player<'a>, (Self, Error)> {
+        let (words, index, plan) = match self.open(message) {
+            Ok(opened) => opened,
+            Err(error) => return Err((self, error)),
+        };
+        let early_words = words_of::<u8>(self.early.len());
+        let needed = early_words.saturating_add(words).saturating_add(plan.least_words());
+        let have = early_words.saturating_add(self.arena.len());
+        if have < needed {
+            let (have, needed) = (have.saturating_mul(WORD_BYTES), needed.saturating_mul(WORD_BYTES));
+            return Err((self, Error::short("arena", 0, have, needed).kind(ErrorKind::Capacity)));
+        }
+        let Self { arena, early, early_used, counters, caps, crc, combine } = self;
+        let (raw, rest) = arena.split_at_mut(words.min(arena.len()));
+        let raw: &'a [u8] = bytemuck::cast_slice(raw);
+        let manifest = index.over(raw);
+        let parts = match plan.divide(rest) {
+            Ok(parts) => parts,
+            // Cannot happen after the check above; what is left has no memory and refuses everything.
+            Err(error) => {
+                let arena = Default::default();
+                return Err((Self { arena, early, early_used, counters, caps, crc, combine }, error));
+            }
+        };
+        let mut player = Player {
+            receiver: Receiver::new(parts.receiver, manifest, caps).with_arithmetic(crc, combine),
+            decoder: Decoder::new(parts.decoder),
+            gaussians: parts.gaussians,
+            sh_rest: parts.sh_rest,
+        };
+        player.receiver.count_from(counters);
+        player.take_kept(early.get(..early_used).unwrap_or(early));
+        Ok(player)
+    }
+}
+
+/// How long an arena must be for a stream, in 64-bit words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Required {
+    /// With entropy tables in the fast form.
+    pub words: usize,
+    /// With entropy tables in the compact form: five eighths less of them, decoding is slower.
+    pub least_words: usize,
+}
+
+/// A player with its manifest: packets in, frames out.
+///
+/// ```
+/// use codec_core::{Caps, file, player::Waiting};
+///
+/// # let bytes = include_bytes!("../tests/conformance/one.dgs");
+/// let (message, packets) = file::parts(bytes)?;
+/// let mut arena = vec![0u64; 1 << 16];
+/// let waiting = Waiting::new(&mut arena, Caps::SMALL)?;
+/// let mut player = waiting.manifest(message).map_err(|(_, error)| error)?;
+/// for packet in packets {
+///     let _ = player.push(packet); // a refusal is counted and leaves the player usable
+/// }
+/// let frame = player.frame(0)?;
+/// assert_eq!(frame.gaussians.len(), 1);
+/// # Ok::<(), codec_core::Error>(())
+/// ```
+#[derive(Debug)]
+pub struct Player<'a> {
+    receiver: Receiver<'a>,
+    decoder: Decoder<'a>,
+    gaussians: &'a mut [Gaussian],
+    sh_rest: &'a mut [f32],
+}
+
+/// One decoded frame, in the player's memory until its next call.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame<'p> {
+    /// The Gaussians of the frame's epoch; absent ones have opacity 0.
+    pub gaussians: &'p [Gaussian],
+    /// Their harmonic coefficients above band 0: Gaussian-major, then coefficient, then channel.
+    pub sh_rest: &'p [f32],
+    /// Degree of `sh_rest`: [`ShDegree::rest_len`] coefficients per Gaussian.
+    pub sh_degree: ShDegree,
+    /// What decoding did, and how much of the frame is there.
+    pub decoded: Decoded,
+}
+
+/// How many blocks of a frame are usable, by level: element `l` counts those usable up to level `l`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Usable {
+    /// Blocks of the frame's epoch.
+    pub blocks: u32,
+    /// Blocks whose canonical attributes are usable.
+    pub canonical: [u32; Level::COUNT],
+    /// Blocks that are present and whose motion in the frame's window is usable (`dgs1`).
+    pub motion: [u32; Level::COUNT],
+}
+
+/// What a manifest says of its stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct StreamInfo {
+    /// Frames.
+    pub frames: u32,
+    /// Frame rate: as many frames in as many seconds.
+    pub frames_per_seconds: (u32, u32),
+    /// Packets, parity included.
+    pub packets: u32,
+    /// Gaussians of the largest epoch: the most that a frame has.
+    pub gaussians: u32,
+    /// Harmonic degree of the frames.
+    pub sh_degree: ShDegree,
+}
+
+impl Player<'_> {
+    /// Takes one packet, media or parity.
+    ///
+    /// # Errors
+    /// Why the packet is refused; the player is as it was, but for its counters.
+    pub fn push(&mut self, packet: &[u8]) -> Result<Accepted> {
+        self.receiver.media(packet)
+    }
+
+    /// Decodes frame `frame` from what has arrived, every state being valid: blocks that are not there
+    /// are absent or stood in for by a proxy, missing levels leave coarser values.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Illegal`]: a frame past the end.
+    pub fn frame(&mut self, frame: u32) -> Result<Frame<'_>> {
+        let content = self.receiver.content();
+        let sh_degree = content.manifest.sh_degree();
+        let decoded = self.decoder.frame(&content, frame, self.gaussians, self.sh_rest)?;
+        let rest = decoded.gaussians.saturating_mul(sh_degree.rest_len());
+        let (gaussians, sh_rest) = (self.gaussians.get(..decoded.gaussians), self.sh_rest.get(..rest));
+        // The decoder has filled as many.
+        let short = Error::short("decode.out", 0, self.gaussians.len(), decoded.gaussians);
+        let (gaussians, sh_rest) = gaussians.zip(sh_rest).ok_or(short.kind(ErrorKind::Capacity))?;
+        Ok(Frame { gaussians, sh_rest, sh_degree, decoded })
+    }
+
+    /// How much of frame `frame` can be shown.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Illegal`]: a frame past the end.
+    pub fn usable(&self, frame: u32) -> Result<Usable> {
+        let content = self.receiver.content();
+        let manifest = &content.manifest;
+        let last = u64::from(manifest.head().frames).saturating_sub(1);
+        let past = Error::illegal("frame", 0, frame.into(), (0, last));
+        let id = manifest.epoch_at(frame).ok_or(past)?;
+        let epoch = manifest.epoch(id).ok_or(past)?;
+        let window = manifest.window_at(frame);
+        let mut usable = Usable::default();
+        for cluster in (0..epoch.clusters).map(|c| ClusterId(c as u16)) {
+            let span = Span::Canonical(id);
+            let found = Shape::of(manifest, span, cluster).zip(content.cell(span, cluster));
+            let (shape, canonical) = found.ok_or(past)?;
+            let motion = window.and_then(|window| content.cell(Span::Motion(window), cluster));
+            for block in 0..shape.blocks() {
+                let base = content.arrived(canonical, block);
+                let moved = motion.map_or(Arrived::default(), |cell| content.arrived(cell, block));
+                usable.blocks += 1;
+                count(&mut usable.canonical, base.usable());
+                if base.usable() > 0 {
+                    count(&mut usable.motion, moved.usable());
+                }
+            }
+        }
+        Ok(usable)
+    }
+
+    /// What the manifest says of the stream.
+    pub fn info(&self) -> StreamInfo {
+        let manifest = self.receiver.manifest();
+        let head = manifest.head();
+        StreamInfo {
+            frames: head.frames,
+            frames_per_seconds: (head.rate_frames, head.rate_seconds),
+            packets: head.packets,
+            gaussians: manifest.epochs().map(|epoch| epoch.gaussians).max().unwrap_or(0),
+            sh_degree: manifest.sh_degree(),
+        }
+    }
+
+    /// The manifest, record by record.
+    pub const fn manifest(&self) -> &Manifest<'_> {
+        self.receiver.manifest()
+    }
+
+    /// What happened to packets so far; refusals by [`ErrorKind::index`].
+    pub const fn counters(&self) -> &Counters {
+        self.receiver.counters()
+    }
+
+    /// Whether packet `id` has been accepted or recovered.
+    pub fn has(&self, id: PacketId) -> bool {
+        self.receiver.has(id)
+    }
+
+    /// Writes a receipt (DGSF) to the front of `out` and returns its length: it acknowledges what has
+    /// arrived or was recovered, the newest [`MAX_RECEIPT_RANGES`] ranges of packets of it.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Capacity`] if `out` is too small; [`MAX_RECEIPT_BYTES`](crate::limits::MAX_RECEIPT_BYTES)
+    /// are enough.
+    pub fn receipt(
+        &self,
+        sequence: u32,
+        playout_us: u64,
+        pose: Option<ViewerPose>,
+        out: &mut [u8],
+    ) -> Result<usize> {
+        let mut ranges = [IdRange::default(); MAX_RECEIPT_RANGES];
+        let mut first = ranges.len();
+        let packets = self.manifest().head().packets;
+        for id in (0..packets).rev().filter_map(PacketId::new).filter(|&id| self.has(id)) {
+            match ranges.get_mut(first) {
+                Some((low, _)) if low.get() == id.get() + 1 => *low = id,
+                _ => {
+                    let Some(next) = first.checked_sub(1) else { break };
+                    first = next;
+                    ranges.iter_mut().skip(first).take(1).for_each(|range| *range = (id, id));
+                }
+            }
+        }
+        let acknowledged = ranges.get(first..).unwrap_or(&[]);
+        Value { sequence, playout_us, pose, acknowledged, recovered: &[], completed: &[] }.write(out)
+    }
+
+    /// Takes the packets that `waiting` kept and goes on counting from its counters: for a player whose
+    /// memory was made once its manifest was there.
+    pub fn take_over(&mut self, waiting: &Waiting<'_>) {
+        self.receiver.count_from(waiting.counters);
+        self.take_kept(waiting.early.get(..waiting.early_used).unwrap_or(waiting.early));
+    }
+
+    /// Takes packets kept early: length (u16, little-endian), bytes.
+    fn take_kept(&mut self, mut kept: &[u8]) {
+        while let Some((len, tail)) = kept.split_first_chunk::<2>() {
+            let len = usize::from(u16::from_le_bytes(*len)).min(tail.len());
+            let (packet, tail) = tail.split_at(len);
+            kept = tail;
+            // A refusal is counted by the receiver; nobody waits for this packet's answer.
+            let _ = self.push(packet);
+        }
+    }
+
+    /// The symbols and the state that have arrived, for decoders and tools of the host's own.
+    pub fn content(&self) -> Content<'_> {
+        self.receiver.content()
+    }
+}
+
+impl<'a> Player<'a> {
+    /// The receiver, for hosts that decode many packets at once.
+    pub const fn receiver(&mut self) -> &mut Receiver<'a> {
+        &mut self.receiver
+    }
+}
+
+/// Most ranges of packets that [`Player::receipt`] acknowledges.
+pub const MAX_RECEIPT_RANGES: usize = 128;
+
+/// Counts a block that is usable up to `levels` levels.
+fn count(counts: &mut [u32; Level::COUNT], levels: usize) {
+    for count in counts.iter_mut().take(levels) {
+        *count += 1;
+    }
+}

@@ -1,0 +1,166 @@
+//! Walks the slices of a `dgs1` packet to their places in the receiver's memory.
+//!
+//! There is one walk. What is done at each place is a [`Sink`]: looking ahead for what the packet
+//! holds, decoding in place, copying what somebody else decoded, recording the arrival.
+
+use core::ops::Range;
+
+use super::Cell;
+use crate::{
+    caps::{Caps, within},
+    closure::Arrived,
+    error::{Error, ErrorKind, Result},
+    ids::{ClusterId, Level},
+    layout::Shape,
+    wire::{
+        manifest::Manifest,
+        packet::{Extent, Slices},
+    },
+};
+
+/// A slice of a packet: some blocks of one cell at one level, which carry symbols.
+pub(super) struct Slice<'s> {
+    /// Position of its extent in the packet.
+    pub extent: usize,
+    pub level: Level,
+    pub shape: &'s Shape,
+    /// Blocks of the cell.
+    pub blocks: Range<usize>,
+    /// The place of its symbols.
+    pub symbols: &'s mut [i16],
+    /// Arrival masks of its blocks.
+    pub masks: &'s mut [u8],
+}
+
+impl Slice<'_> {
+    /// Refuses a slice one of whose blocks has the level already.
+    pub fn check_free(&self) -> Result<()> {
+        if self.masks.iter().any(|&mask| Arrived(mask).has(self.level)) {
+            return Err(arrived_before(self.extent, self.level));
+        }
+        Ok(())
+    }
+}
+
+/// What is done with each slice of a packet.
+pub(super) trait Sink {
+    /// Takes the next slice.
+    ///
+    /// # Errors
+    /// Why the packet is refused; the walk ends there.
+    fn take(&mut self, slice: Slice<'_>) -> Result<()>;
+}
+
+/// Where a packet's slices lie.
+pub(super) struct Places<'m, 'v> {
+    pub manifest: &'m Manifest<'v>,
+    pub cells: &'m [Cell],
+    pub symbols: &'m mut [i16],
+    pub blocks: &'m mut [u8],
+    /// Of these, values and blocks of a packet.
+    pub caps: &'m Caps,
+}
+
+impl Places<'_, '_> {
+    /// Gives every slice of `packet` that carries symbols to `sink`, in order. Work is bounded by
+    /// caps before the first slice is taken.
+    ///
+    /// # Errors
+    /// Extents outside the lattice or over each other, too many values, or whatever `sink` returns.
+    pub fn walk(&mut self, packet: &Slices<'_>, sink: &mut impl Sink) -> Result<()> {
+        let blocks = packet.extents.iter().map(|extent| u64::from(extent.blocks)).sum();
+        within("packet.blocks", blocks, self.caps.blocks_per_packet)?;
+        let mut values = 0;
+        for (index, extent) in packet.extents.iter().enumerate() {
+            let earlier = packet.extents.get(..index).unwrap_or(&packet.extents);
+            self.extent(index, extent, earlier, &mut values, sink)?;
+        }
+        Ok(())
+    }
+
+    /// Gives the slices of extent `index` to `sink`; `values` counts those of the packet so far.
+    fn extent(
+        &mut self,
+        index: usize,
+        extent: &Extent,
+        earlier: &[Extent],
+        values: &mut u64,
+        sink: &mut impl Sink,
+    ) -> Result<()> {
+        let contradiction = |field, found: u64, allowed| {
+            Err(Error::illegal(field, index, found, allowed).kind(ErrorKind::Contradiction))
+        };
+        let Some(first) = self.manifest.cell(extent.span, ClusterId(0)) else {
+            return contradiction("extent.span", 0, (0, 0));
+        };
+        let clusters = self.manifest.clusters_of(extent.span) as usize;
+        let lacking = Error::short("memory.cells", 0, self.cells.len(), first.index() + clusters + 1);
+        let all_cells = self.cells;
+        let Some([cells @ .., last]) = all_cells.get(first.index()..=first.index() + clusters) else {
+            return Err(lacking.kind(ErrorKind::Capacity));
+        };
+        let start = cells.first().unwrap_or(last).blocks;
+        let all = last.blocks - start;
+        if extent.first >= all {
+            return contradiction("extent.first", extent.first.into(), (0, u64::from(all).saturating_sub(1)));
+        }
+        let left = all - extent.first;
+        if extent.blocks > left {
+            return contradiction("extent.blocks", extent.blocks.into(), (1, left.into()));
+        }
+        let end = extent.first + extent.blocks;
+        if earlier.iter().any(|earlier| overlap(earlier, extent)) {
+            return Err(arrived_before(index, extent.level));
+        }
+        // The last cluster that begins at or before the first block; clusters are never empty.
+        let begin = cells.partition_point(|c| c.blocks - start <= extent.first).saturating_sub(1);
+        let before = *values;
+        let ends = cells.iter().skip(1).chain([last]).map(|next| next.blocks - start);
+        for ((c, cell), high) in cells.iter().enumerate().zip(ends).skip(begin) {
+            let low = cell.blocks - start;
+            if low >= end {
+                break;
+            }
+            let cluster = ClusterId(c as u16);
+            let Some(shape) = Shape::of(self.manifest, extent.span, cluster) else {
+                return contradiction("extent.span", c as u64, (0, clusters as u64));
+            };
+            if shape.level_len(extent.level) == 0 {
+                continue;
+            }
+            let local = |block: u32| (block.min(high).saturating_sub(low)) as usize;
+            let (blocks, all) = (local(extent.first)..local(end), shape.blocks());
+            if shape.is_whole(extent.level) && blocks != (0..all) {
+                return contradiction("slice.blocks", blocks.len() as u64, (all as u64, all as u64));
+            }
+            let (offset, len) = shape.range(extent.level, blocks.clone());
+            *values += len as u64;
+            within("packet.values", *values, self.caps.values_per_packet)?;
+            let symbols = at(self.symbols, cell.symbols as usize + offset, len, "memory.symbols")?;
+            let masks = at(self.blocks, cell.blocks as usize + blocks.start, blocks.len(), "memory.blocks")?;
+            sink.take(Slice { extent: index, level: extent.level, shape: &shape, blocks, symbols, masks })?;
+        }
+        if *values == before {
+            return contradiction("extent.level", extent.level.get().into(), (0, 3));
+        }
+        Ok(())
+    }
+}
+
+/// `len` elements of `memory` from `start`.
+fn at<'m, T>(memory: &'m mut [T], start: usize, len: usize, field: &'static str) -> Result<&'m mut [T]> {
+    let lacking = Error::short(field, 0, memory.len(), start + len).kind(ErrorKind::Capacity);
+    memory.get_mut(start..start + len).ok_or(lacking)
+}
+
+/// Whether two extents bring the same level of the same block.
+fn overlap(a: &Extent, b: &Extent) -> bool {
+    let (a_end, b_end) = (a.first.saturating_add(a.blocks), b.first.saturating_add(b.blocks));
+    (a.span, a.level) == (b.span, b.level) && a.first < b_end && b.first < a_end
+}
+
+/// A block of extent `extent` has `level` already.
+fn arrived_before(extent: usize, level: Level) -> Error {
+    let level = u64::from(level.get());
+    Error::illegal("slice", extent, level, (level, level)).kind(ErrorKind::Duplicate)
+}

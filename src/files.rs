@@ -1,0 +1,321 @@
+//! Writes files whole or not at all.
+//!
+//! A file is written under a temporary name in the folder that it will be in, synced, and then given its
+//! name: whoever opens it finds what was there before or all of what is new, also after a full disk or a
+//! killed process. A folder of frames is treated likewise, and says in its `sequence.json` that it is whole.
+
+use std::{
+    fs, io,
+    io::Write,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context, Result, bail};
+use tempfile::{NamedTempFile, TempDir};
+use trainer_host::import::{SEQUENCE_INDEX, SequenceIndex};
+
+/// Refuses a name that [`write()`] could not write: asked before the work that makes the bytes.
+///
+/// # Errors
+/// The name of a folder, or a file in a folder that is not there or cannot be written to.
+pub fn check(path: &Path) -> Result<()> {
+    match fs::metadata(path) {
+        Ok(found) if found.is_dir() => bail!("{}: is a folder; a file is needed", path.display()),
+        // A device or a pipe is written to as it is.
+        Ok(found) if !found.is_file() => return Ok(()),
+        _ => {}
+    }
+    temporary(path).map(drop)
+}
+
+/// Writes `bytes` as `path`: all of them, or what was there before stays.
+///
+/// # Errors
+/// What the system says, with the path.
+pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
+    let failed = || format!("{}: cannot write", path.display());
+    let existing = fs::metadata(path).ok();
+    if existing.as_ref().is_some_and(|found| !found.is_file()) {
+        return fs::write(path, bytes).with_context(failed);
+    }
+    // A link stays a link: what it leads to is replaced.
+    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let mut file = temporary(&target)?;
+    file.write_all(bytes).with_context(failed)?;
+    if let Some(existing) = existing {
+        file.as_file().set_permissions(existing.permissions()).with_context(failed)?;
+    }
+    file.as_file().sync_all().with_context(failed)?;
+    file.persist(&target).map_err(|e| e.error).with_context(failed)?;
+    sync_folder(folder_of(&target)).with_context(failed)
+}
+
+/// A temporary file beside `path`.
+fn temporary(path: &Path) -> Result<NamedTempFile> {
+    let folder = folder_of(path);
+    check_folder(folder)?;
+    let (prefix, suffix) = affixes(path);
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(&prefix).suffix(suffix);
+    #[cfg(unix)]
+    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.tempfile_in(folder).with_context(|| format!("{}: cannot write in this folder", folder.display()))
+}
+
+/// What temporary names beside `path` start and end with.
+fn affixes(path: &Path) -> (String, &'static str) {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    (format!(".{name}."), ".part")
+}
+
+/// The folder that `path` is in.
+fn folder_of(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
+}
+
+fn check_folder(folder: &Path) -> Result<()> {
+    match fs::metadata(folder) {
+        Err(e) if e.kind() == io::ErrorKind::NotFound => {
+            bail!("{}: no such folder; make it first", folder.display())
+        }
+        Err(e) => Err(e).with_context(|| format!("{}: cannot read", folder.display())),
+        Ok(found) if !found.is_dir() => bail!("{}: is a file; a folder is needed", folder.display()),
+        Ok(_) => Ok(()),
+    }
+}
+
+/// Makes the names in `folder` last.
+fn sync_folder(folder: &Path) -> io::Result<()> {
+    // Elsewhere folders cannot be opened, and renaming is left to the system.
+    if cfg!(unix) { fs::File::open(folder)?.sync_all() } else { Ok(()) }
+}
+
+/// A folder of frames on its way: under a temporary name beside its own until [`FrameFolder::finish`].
+#[derive(Debug)]
+pub struct FrameFolder {
+    target: PathBuf,
+    /// Removed if it is never finished.
+    temporary: TempDir,
+    index: SequenceIndex,
+}
+
+impl FrameFolder {
+    /// Begins a folder that will be `target`. A `target` that holds anything is refused; with `overwrite`
+    /// one that holds the frames of its `sequence.json` and nothing else will be replaced.
+    ///
+    /// # Errors
+    /// A `target` that is in use, or cannot be made.
+    pub fn create(target: &Path, overwrite: bool) -> Result<Self> {
+        check_unused(target, overwrite)?;
+        let folder = folder_of(target);
+        fs::create_dir_all(folder)
+            .with_context(|| format!("{}: cannot make this folder", folder.display()))?;
+        let (prefix, suffix) = affixes(target);
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(&prefix).suffix(suffix);
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777));
+        let temporary = builder.tempdir_in(folder);
+        let temporary =
+            temporary.with_context(|| format!("{}: cannot write in this folder", folder.display()))?;
+        let frames = Self { target: target.to_owned(), temporary, index: SequenceIndex::default() };
+        // Whoever finds the folder half made is told so.
+        frames.write_index()?;
+        Ok(frames)
+    }
+
+    /// Adds a frame: a file of this name.
+    ///
+    /// # Errors
+    /// What the system says, with the path.
+    pub fn add(&mut self, name: String, bytes: &[u8]) -> Result<()> {
+        self.put(&name, bytes)?;
+        self.index.files.push(name);
+        Ok(())
+    }
+
+    /// Gives the folder its name, and says how many frames it holds.
+    ///
+    /// # Errors
+    /// What the system says, with the path; what was there before then stays.
+    pub fn finish(mut self, overwrite: bool) -> Result<usize> {
+        let failed = || format!("{}: cannot write", self.target.display());
+        self.index.frames = self.index.files.len();
+        self.index.complete = true;
+        self.write_index()?;
+        sync_folder(self.temporary.path()).with_context(failed)?;
+        check_unused(&self.target, overwrite)?;
+        let folder = folder_of(&self.target);
+        let replaced = if self.target.exists() {
+            let aside = tempfile::Builder::new().prefix(&affixes(&self.target).0).tempdir_in(folder);
+            let aside = aside.with_context(failed)?;
+            fs::rename(&self.target, aside.path().join("replaced")).with_context(failed)?;
+            Some(aside)
+        } else {
+            None
+        };
+        if let Err(error) = fs::rename(self.temporary.path(), &self.target) {
+            if let Some(aside) = &replaced {
+                fs::rename(aside.path().join("replaced"), &self.target).with_context(failed)?;
+            }
+            return Err(error).with_context(failed);
+        }
+        sync_folder(folder).with_context(failed)?;
+        Ok(self.index.frames)
+    }
+
+    fn put(&self, name: &str, bytes: &[u8]) -> Result<()> {
+        let path = self.temporary.path().join(name);
+        let put = || -> io::Result<()> {
+            let mut file = fs::File::create(&path)?;
+            file.write_all(bytes)?;
+            file.sync_all()
+        };
+        put().with_context(|| format!("{}: cannot write {name}", self.target.display()))
+    }
+
+    fn write_index(&self) -> Result<()> {
+        self.put(SEQUENCE_INDEX, &serde_json::to_vec_pretty(&self.index)?)
+    }
+}
+
+/// Refuses a folder that holds anything, unless it is to be overwritten and holds only its frames.
+fn check_unused(folder: &Path, overwrite: bool) -> Result<()> {
+    let entries = match fs::read_dir(folder) {
+        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(()),
+        Err(e) => {
+            return Err(e).with_context(|| format!("{}: not a folder to write frames to", folder.display()));
+        }
+        Ok(entries) => entries,
+    };
+    let names: io::Result<Vec<String>> =
+        entries.map(|entry| entry.map(|e| e.file_name().to_string_lossy().into_owned())).collect();
+    let names = names.with_context(|| format!("{}: cannot read", folder.display()))?;
+    if names.is_empty() {
+        return Ok(());
+    }
+    if !overwrite {
+        bail!(
+            "{}: holds {} files already; name another folder, or replace the frames in it with --overwrite",
+            folder.display(),
+            names.len()
+        );
+    }
+    let index = fs::read(folder.join(SEQUENCE_INDEX)).unwrap_or_default();
+    let index: SequenceIndex = serde_json::from_slice(&index).unwrap_or_default();
+    match names.iter().find(|name| *name != SEQUENCE_INDEX && !index.files.contains(name)) {
+        None => Ok(()),
+        Some(other) => bail!(
+            "{}: holds {other}, which is no frame of its {SEQUENCE_INDEX}; only a folder of frames alone is \
+             replaced",
+            folder.display()
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(folder: &Path) -> Vec<String> {
+        let entries = fs::read_dir(folder).unwrap();
+        let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    fn frames(target: &Path, overwrite: bool, texts: &[&str]) -> Result<usize> {
+        let mut folder = FrameFolder::create(target, overwrite)?;
+        for (i, text) in texts.iter().enumerate() {
+            folder.add(format!("f_{i}.ply"), text.as_bytes())?;
+        }
+        folder.finish(overwrite)
+    }
+
+    #[test]
+    fn a_file_is_replaced_and_nothing_is_left_beside_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.dgs");
+        check(&path).unwrap();
+        assert!(names(folder.path()).is_empty(), "asking leaves nothing");
+        write(&path, b"one").unwrap();
+        write(&path, b"two").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"two");
+        assert_eq!(names(folder.path()), ["a.dgs"]);
+    }
+
+    #[test]
+    fn names_that_cannot_be_written_are_refused_beforehand() {
+        let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("file"), b"x").unwrap();
+        for (name, says) in
+            [("", "is a folder"), ("nowhere/a.dgs", "nowhere: no such folder"), ("file/a.dgs", "file")]
+        {
+            let path = folder.path().join(name);
+            let error = format!("{:#}", check(&path).unwrap_err());
+            assert!(error.contains(says), "{error}");
+            assert!(write(&path, b"x").is_err(), "{name}");
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn modes_and_links_stay() {
+        use std::os::unix::fs::{PermissionsExt, symlink};
+        let folder = tempfile::tempdir().unwrap();
+        let (path, link, plain) =
+            (folder.path().join("a"), folder.path().join("link"), folder.path().join("plain"));
+        fs::write(&path, b"old").unwrap();
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).unwrap();
+        symlink("a", &link).unwrap();
+        write(&link, b"new").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"new");
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        assert_eq!(mode(&path), 0o640);
+        // A new file is as readable as any other new file.
+        fs::write(&plain, b"x").unwrap();
+        write(&folder.path().join("b"), b"x").unwrap();
+        assert_eq!(mode(&folder.path().join("b")), mode(&plain));
+        // A device is written to, never replaced.
+        check(Path::new("/dev/null")).unwrap();
+        write(Path::new("/dev/null"), b"gone").unwrap();
+        assert!(!fs::metadata("/dev/null").unwrap().is_file());
+    }
+
+    #[test]
+    fn a_folder_of_frames_appears_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("new/frames");
+        let mut half = FrameFolder::create(&target, false).unwrap();
+        half.add("f_0.ply".into(), b"zero").unwrap();
+        assert!(!target.exists(), "not before it is finished");
+        drop(half);
+        assert!(names(&folder.path().join("new")).is_empty(), "a half made folder is removed");
+        assert_eq!(frames(&target, false, &["zero", "one"]).unwrap(), 2);
+        assert_eq!(names(&target), ["f_0.ply", "f_1.ply", SEQUENCE_INDEX]);
+        let index: SequenceIndex =
+            serde_json::from_slice(&fs::read(target.join(SEQUENCE_INDEX)).unwrap()).unwrap();
+        assert!(index.complete && index.frames == 2 && index.files == ["f_0.ply", "f_1.ply"]);
+    }
+
+    #[test]
+    fn a_used_folder_is_refused_or_replaced_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = folder.path().join("frames");
+        frames(&target, false, &["a", "b", "c"]).unwrap();
+        let error = frames(&target, false, &["d"]).unwrap_err().to_string();
+        assert!(error.contains("holds 4 files") && error.contains("--overwrite"), "{error}");
+        frames(&target, true, &["d"]).unwrap();
+        assert_eq!(names(&target), ["f_0.ply", SEQUENCE_INDEX], "no frame of before is left");
+        assert_eq!(names(folder.path()), ["frames"]);
+        // What is not ours is never removed.
+        fs::write(target.join("notes.txt"), b"mine").unwrap();
+        let error = frames(&target, true, &["e"]).unwrap_err().to_string();
+        assert!(error.contains("notes.txt"), "{error}");
+        assert_eq!(fs::read(target.join("f_0.ply")).unwrap(), b"d");
+    }
+}

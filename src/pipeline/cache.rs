@@ -1,0 +1,223 @@
+//! Keeps measured utilities in a file, and measures anew when they belong to anything else.
+
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
+
+use anyhow::{Context, Result};
+use codec_core::{digest::Digest, receiver::Content, wire::crc::crc32};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use trainer_host::{Scene, Track, stream::PacketMap, utility};
+
+use super::Quiet;
+use crate::{files, progress::Progress};
+
+/// Grows when what is stored means something else.
+const VERSION: u32 = 1;
+/// What is stored as a digest.
+const DIGESTED: [&str; 4] = ["stream", "scene", "cameras", "settings"];
+/// How two pictures are compared.
+const METRIC: &str = "MSE + 0.20 (1 - SSIM)";
+
+/// Utilities and what they were measured on, and how.
+#[derive(Serialize, Deserialize)]
+struct StoredUtilities {
+    /// Everything that decides the values.
+    measured: BTreeMap<String, Value>,
+    table: utility::Table,
+}
+
+/// Utilities of `content` against `scene`, from `cache` if it holds those that would be measured; if it
+/// holds others, `warn` is told what differs and they are replaced.
+///
+/// # Errors
+/// If measuring fails, or the cache cannot be written.
+pub fn utilities(
+    scene: &Scene,
+    content: &Content<'_>,
+    map: &PacketMap,
+    options: &utility::Options,
+    cache: Option<&Path>,
+    quiet: Quiet,
+    warn: &mut dyn FnMut(String),
+) -> Result<utility::Table> {
+    let measured = measured(scene, content, options)?;
+    if let Some((path, bytes)) = cache.and_then(|path| Some((path, std::fs::read(path).ok()?))) {
+        match accepted(&bytes, &measured, map) {
+            Ok(table) => return Ok(table),
+            Err(why) => warn(format!("{}: {why}; utilities are measured anew", path.display())),
+        }
+    }
+    let progress = Progress::new("measure utilities", quiet.0);
+    let table = utility::measure(scene, content, map, options, &|share| progress.at(share))?;
+    if let Some(path) = cache {
+        let stored = StoredUtilities { measured, table: table.clone() };
+        files::write(path, serde_json::to_string(&stored)?.as_bytes())?;
+    }
+    Ok(table)
+}
+
+/// Where the utilities of the stream in file `stream` are kept.
+pub fn utility_path(stream: &Path) -> PathBuf {
+    stream.with_extension("utility.json")
+}
+
+/// The utilities in file `path`, however they were measured, if they are of the stream with this manifest.
+///
+/// # Errors
+/// No file, or one that holds something else.
+pub fn stored_utilities(path: &Path, manifest: &[u8]) -> Result<utility::Table> {
+    let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
+    let stored: StoredUtilities = serde_json::from_slice(&bytes)
+        .with_context(|| format!("{}: not the utilities of a stream", path.display()))?;
+    anyhow::ensure!(
+        stored.table.manifest_crc == crc32(manifest),
+        "{}: utilities of another stream",
+        path.display()
+    );
+    Ok(stored.table)
+}
+
+/// Everything that decides what is measured, by name.
+fn measured(
+    scene: &Scene,
+    content: &Content<'_>,
+    options: &utility::Options,
+) -> Result<BTreeMap<String, Value>> {
+    // Exhaustive, so that an option cannot be forgotten here.
+    let utility::Options { cameras, contexts, frames_per_span, alpha, beta, complete, seed, settings } =
+        options;
+    let values = [
+        ("version", json!(VERSION)),
+        ("program", json!(env!("CARGO_PKG_VERSION"))),
+        ("metric", json!(METRIC)),
+        ("contexts", json!(contexts)),
+        ("frames per span", json!(frames_per_span)),
+        ("alpha", json!(alpha.to_string())),
+        ("beta", json!(beta.to_string())),
+        ("complete", json!(complete)),
+        ("seed", json!(seed)),
+    ];
+    // Too long to be told apart by reading.
+    let digested = [
+        ("stream", Digest::new().bytes(content.manifest.raw())),
+        ("scene", digest(scene)),
+        ("cameras", Digest::new().bytes(&serde_json::to_vec(cameras)?)),
+        ("settings", Digest::new().bytes(&serde_json::to_vec(settings)?)),
+    ];
+    let digested = digested.map(|(name, digest)| (name, json!(format!("{:016x}", digest.get()))));
+    Ok(values.into_iter().chain(digested).map(|(name, value)| (name.to_owned(), value)).collect())
+}
+
+/// The table in `bytes` if it was measured as `wanted`, or why it is of no use.
+fn accepted(
+    bytes: &[u8],
+    wanted: &BTreeMap<String, Value>,
+    map: &PacketMap,
+) -> Result<utility::Table, String> {
+    let stored: StoredUtilities =
+        serde_json::from_slice(bytes).map_err(|e| format!("not stored utilities ({e})"))?;
+    for (name, value) in wanted {
+        match stored.measured.get(name) {
+            Some(found) if found == value => {}
+            Some(_) if DIGESTED.contains(&name.as_str()) => {
+                return Err(format!("measured with other {name}"));
+            }
+            Some(found) => return Err(format!("measured with {name} {found}, not {value}")),
+            None => return Err(format!("does not say {name}")),
+        }
+    }
+    let (found, needed) = (stored.table.groups.len(), map.groups().len());
+    if found != needed {
+        return Err(format!("holds {found} groups, not {needed}"));
+    }
+    Ok(stored.table)
+}
+
+/// A digest of every value of `scene`.
+fn digest(scene: &Scene) -> Digest {
+    fn track<T: Copy, const N: usize>(
+        digest: Digest,
+        track: &Track<T>,
+        values: impl Fn(T) -> [f32; N],
+    ) -> Digest {
+        let (Track::Constant(all) | Track::PerFrame(all)) = track;
+        all.iter().fold(digest, |digest, &value| digest.values(&values(value)))
+    }
+    let mut all = Digest::new();
+    for epoch in scene.epochs() {
+        let a = epoch.attributes();
+        all = all.bytes(&(epoch.frames() as u64).to_le_bytes()).bytes(&(epoch.count() as u64).to_le_bytes());
+        all = track(all, &a.positions, |v| v);
+        all = track(all, &a.rotations, |v| v);
+        all = track(all, &a.log_scales, |v| v);
+        all = track(all, &a.opacity_logits, |v| [v]);
+        all = track(all, &a.sh0, |v| v);
+        all = all.values(&a.sh_rest);
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use render_host::Camera;
+    use trainer_host::{
+        encode,
+        import::{Limits, synth},
+    };
+
+    use super::*;
+
+    fn camera(x: f64) -> Camera {
+        Camera::look_at([x, 0.5, -4.0], [0.0; 3], [0.0, 1.0, 0.0], 0.8, 24, 24).unwrap()
+    }
+
+    #[test]
+    fn what_was_measured_otherwise_is_named_and_measured_anew() {
+        let make = synth::Options { gaussians: 1000, frames: 2, ..synth::Options::default() };
+        let scene = synth::make(&make, &Limits::default()).unwrap();
+        let other = synth::make(&synth::Options { seed: 9, ..make }, &Limits::default()).unwrap();
+        let stream = encode::encode(&scene, &encode::Options::default(), &|_, _| {}).unwrap();
+        let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
+        let folder = tempfile::tempdir().unwrap();
+        let cache = folder.path().join("a.utility.json");
+        let measure = |scene: &Scene, options: &utility::Options| {
+            let mut warnings = Vec::new();
+            let table =
+                utilities(scene, &received.content(), &map, options, Some(&cache), Quiet(true), &mut |w| {
+                    warnings.push(w)
+                });
+            (table.unwrap(), warnings.join("\n"))
+        };
+        let plain = || utility::Options { contexts: 1, ..utility::Options::paper(vec![camera(0.0)]) };
+
+        let (first, warnings) = measure(&scene, &plain());
+        assert_eq!(warnings, "", "there was nothing to differ from");
+        // JSON gives floats back to the last bit or two.
+        let same = |a: &utility::Table, b: &utility::Table| {
+            let close = |(a, b): (&utility::GroupUtility, &utility::GroupUtility)| {
+                (a.cell, a.level) == (b.cell, b.level) && (a.mean - b.mean).abs() <= 1e-12 * a.mean.abs()
+            };
+            a.groups.len() == b.groups.len() && a.groups.iter().zip(&b.groups).all(close)
+        };
+        let (again, warnings) = measure(&scene, &plain());
+        assert!(same(&again, &first) && warnings.is_empty(), "{warnings}");
+        let (more, warnings) = measure(&scene, &utility::Options { contexts: 2, ..plain() });
+        assert!(warnings.contains("measured with contexts 1, not 2"), "{warnings}");
+        assert!(!same(&more, &first));
+        let moved = utility::Options { cameras: vec![camera(1.0)], contexts: 2, ..plain() };
+        assert!(measure(&scene, &moved).1.contains("measured with other cameras"));
+        assert!(measure(&other, &moved).1.contains("measured with other scene"));
+        std::fs::write(&cache, b"{}").unwrap();
+        assert!(measure(&scene, &plain()).1.contains("not stored utilities"));
+        let (again, warnings) = measure(&scene, &plain());
+        assert!(same(&again, &first) && warnings.is_empty(), "it was replaced: {warnings}");
+
+        let manifest = stream.manifest().unwrap();
+        assert!(stored_utilities(&cache, manifest.raw()).is_ok());
+        let error = stored_utilities(&cache, b"another").unwrap_err().to_string();
+        assert!(error.contains("of another stream"), "{error}");
+    }
+}

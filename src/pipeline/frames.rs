@@ -1,0 +1,139 @@
+//! Gives the frames of a scene or a stream, one at a time: memory is that of one frame.
+
+use anyhow::{Context, Result};
+use codec_core::{closure::Arrived, ids::Level};
+use trainer_host::{Attributes, Epoch, Instant, Scene, Track, scene::Up, stream::Player, viewpoint::Framing};
+
+/// Frames to look at: of a scene, or decoded one by one from a stream.
+pub enum Frames {
+    /// Of a scene.
+    Scene(Box<Scene>),
+    /// Of what has arrived of a stream.
+    Stream {
+        /// What has arrived.
+        received: Box<dgs_player::Player>,
+        /// Levels to use, per block.
+        state: Vec<u8>,
+        /// What decodes it.
+        player: Box<Player>,
+        /// Which way is up.
+        up: Up,
+    },
+}
+
+impl Frames {
+    /// The frames of what has arrived of a stream, up to `level`.
+    pub fn of_stream(received: dgs_player::Player, level: Level, up: Up) -> Self {
+        let content = received.content();
+        let below = (1u8 << (level.get() + 1)) - 1;
+        let state = content.blocks.iter().map(|mask| Arrived(mask & below).0).collect();
+        let player = Box::new(Player::new(&content.manifest));
+        Frames::Stream { received: Box::new(received), state, player, up }
+    }
+
+    /// Number of frames, at least one.
+    pub fn count(&self) -> u32 {
+        match self {
+            Frames::Scene(scene) => scene.frames() as u32,
+            Frames::Stream { received, .. } => received.content().manifest.head().frames,
+        }
+    }
+
+    /// The Gaussians of a frame; those that have not arrived have opacity 0.
+    ///
+    /// # Errors
+    /// A frame past the end.
+    pub fn instant(&mut self, frame: u32) -> Result<Instant> {
+        let last = self.count().saturating_sub(1);
+        let beyond = || format!("--frame is {frame}; 0 to {last} are allowed");
+        match self {
+            Frames::Scene(scene) => scene.instant(frame as usize).with_context(beyond),
+            Frames::Stream { received, state, player, .. } => {
+                let content = received.content().with_state(state);
+                player.instant(&content, frame).with_context(beyond)
+            }
+        }
+    }
+
+    /// Where cameras around these frames go.
+    ///
+    /// # Errors
+    /// A frame that does not decode.
+    pub fn framing(&mut self) -> Result<Framing> {
+        let up = match self {
+            Frames::Scene(scene) => return Ok(Framing::of(scene)),
+            Frames::Stream { up, .. } => *up,
+        };
+        let mut positions = Vec::new();
+        for frame in Framing::sampled(self.count() as usize) {
+            let instant = self.instant(frame as u32)?;
+            let present = instant.gaussians.iter().filter(|g| !g.is_absent());
+            positions.push(present.map(|g| g.position).collect::<Vec<_>>());
+        }
+        let positions: Vec<&[[f32; 3]]> = positions.iter().map(Vec::as_slice).collect();
+        Ok(Framing::of_positions(&positions, up))
+    }
+}
+
+/// The Gaussians of a decoded frame that have arrived, in the domains that files hold, and how many have
+/// not.
+///
+/// # Errors
+/// Values that no scene may hold.
+pub fn snapshot(instant: &Instant) -> Result<(Epoch, usize)> {
+    let rest = instant.sh_degree.rest_len();
+    let mut attributes = Attributes {
+        positions: Track::Constant(Vec::new()),
+        rotations: Track::Constant(Vec::new()),
+        log_scales: Track::Constant(Vec::new()),
+        opacity_logits: Track::Constant(Vec::new()),
+        sh0: Track::Constant(Vec::new()),
+        sh_rest: Vec::new(),
+        sh_degree: instant.sh_degree,
+    };
+    let mut missing = 0;
+    for (i, gaussian) in instant.gaussians.iter().enumerate() {
+        if gaussian.is_absent() {
+            missing += 1;
+            continue;
+        }
+        let opacity = gaussian.opacity;
+        push(&mut attributes.positions, gaussian.position);
+        push(&mut attributes.rotations, gaussian.rotation);
+        push(&mut attributes.log_scales, gaussian.scale.map(f32::ln));
+        push(&mut attributes.opacity_logits, (opacity / (1.0 - opacity).max(1e-9)).max(1e-9).ln());
+        push(&mut attributes.sh0, gaussian.sh0);
+        attributes.sh_rest.extend_from_slice(&instant.sh_rest[i * rest..(i + 1) * rest]);
+    }
+    Ok((Epoch::new(1, attributes)?, missing))
+}
+
+fn push<T>(track: &mut Track<T>, value: T) {
+    match track {
+        Track::Constant(values) | Track::PerFrame(values) => values.push(value),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use codec_core::{Gaussian, gaussian::ShDegree};
+
+    use super::*;
+
+    #[test]
+    fn what_has_not_arrived_is_left_out_with_its_harmonics() {
+        let shown = |x: f32| Gaussian { position: [x; 3], opacity: 0.5, ..Gaussian::ABSENT };
+        let moved = Gaussian { position: [7.0; 3], ..Gaussian::ABSENT };
+        let instant = Instant {
+            gaussians: vec![shown(1.0), moved, shown(2.0)],
+            sh_rest: (0..27).map(|i| i as f32).collect(),
+            sh_degree: ShDegree::new(1).unwrap(),
+        };
+        let (epoch, missing) = snapshot(&instant).unwrap();
+        assert_eq!((epoch.count(), missing), (2, 1));
+        let attributes = epoch.attributes();
+        assert_eq!(attributes.positions.frame(0, 2), [[1.0; 3], [2.0; 3]]);
+        assert_eq!(attributes.sh_rest[9], 18.0);
+        assert_eq!(attributes.opacity_logits.frame(0, 2), [0.0; 2]);
+    }
+}

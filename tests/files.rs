@@ -1,0 +1,247 @@
+//! Files as a person meets them when something goes wrong: a full disk, a killed process, an output that
+//! cannot be, an input that claims more than it holds; and the frames, cameras and digests that come out.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
+
+use std::{
+    fs,
+    io::Write,
+    path::Path,
+    process::{Command, Output},
+};
+
+const DGS: &str = env!("CARGO_BIN_EXE_dgs");
+
+fn dgs(folder: &Path, args: &[&str]) -> Output {
+    Command::new(DGS).current_dir(folder).args(args).output().unwrap()
+}
+
+fn ok(folder: &Path, args: &[&str]) -> String {
+    let output = dgs(folder, args);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "dgs {args:?}: {stderr}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn refused(folder: &Path, args: &[&str]) -> String {
+    let output = dgs(folder, args);
+    assert_eq!(output.status.code(), Some(1), "dgs {args:?} should be refused");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+/// `dgs` with `args` after the shell has taken `limits` upon itself.
+#[cfg(unix)]
+fn limited(folder: &Path, limits: &str, args: &str) -> Output {
+    let script = format!("{limits}; exec {DGS} {args}");
+    Command::new("sh").current_dir(folder).args(["-c", &script]).output().unwrap()
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).unwrap();
+    let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+const SMALL: [&str; 4] = ["encode", "synth:balls:1000:2", "--pictures", "0"];
+
+fn encode(folder: &Path, name: &str) -> Vec<u8> {
+    ok(folder, &[&SMALL[..], &["--out", name]].concat());
+    fs::read(folder.join(name)).unwrap()
+}
+
+#[cfg(unix)]
+#[test]
+fn a_disk_that_is_full_leaves_the_file_of_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let good = encode(at, "x.dgs");
+    assert!(good.len() > 2048);
+    let again = "encode synth:balls:2000:2 --pictures 0 --out x.dgs";
+    // The system refuses what is beyond two blocks of 512 bytes, by an error or by ending the process.
+    let error = limited(at, "trap '' XFSZ; ulimit -f 2", again);
+    assert_eq!(error.status.code(), Some(1));
+    assert!(String::from_utf8_lossy(&error.stderr).contains("x.dgs: cannot write"));
+    assert_eq!(names(at), ["x.dgs"], "nothing is left beside it");
+    let killed = limited(at, "ulimit -f 2", again);
+    assert_eq!(killed.status.code(), None, "killed by a signal");
+    assert_eq!(fs::read(at.join("x.dgs")).unwrap(), good);
+    // Without the limit the same command does change it.
+    assert!(limited(at, "true", again).status.success());
+    assert_ne!(fs::read(at.join("x.dgs")).unwrap(), good);
+}
+
+#[test]
+fn outputs_are_refused_before_the_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    fs::create_dir(at.join("folder.dgs")).unwrap();
+    fs::write(at.join("file"), b"x").unwrap();
+    fs::create_dir(at.join("used")).unwrap();
+    fs::write(at.join("used/notes.txt"), b"mine").unwrap();
+    // The input does not exist: what is said of the output was said first.
+    for (args, says) in [
+        (vec!["encode", "none", "--out", "nowhere/x.dgs"], "nowhere: no such folder"),
+        (vec!["encode", "none", "--out", "folder.dgs"], "is a folder; a file is needed"),
+        (vec!["decode", "none", "--out", "nowhere/x.ply"], "nowhere: no such folder"),
+        (vec!["decode", "none", "--out", "used"], "holds 1 files already"),
+        (vec!["decode", "none", "--out", "used", "--overwrite"], "notes.txt"),
+        (vec!["render", "none", "--out", "file"], "not a folder"),
+        (vec!["import", "none", "--out", "used"], "holds 1 files already"),
+        (vec!["demo", "--scene", "none", "--out", "file/report"], "file/report"),
+    ] {
+        let text = refused(at, &args);
+        assert!(text.contains(says), "dgs {args:?} says {text:?}");
+    }
+    assert_eq!(names(at), ["file", "folder.dgs", "used"]);
+}
+
+#[test]
+fn a_folder_of_frames_is_whole_or_not_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["encode", "synth:balls:4000:60", "--pictures", "0", "--out", "long.dgs"]);
+    encode(at, "short.dgs");
+    // Killed as soon as the first frame lies in the folder under its temporary name.
+    let mut child =
+        Command::new(DGS).current_dir(at).args(["decode", "long.dgs", "--out", "frames"]).spawn().unwrap();
+    let half = loop {
+        let begun = names(at).into_iter().find(|name| name.starts_with(".frames."));
+        if let Some(half) = begun.filter(|half| names(&at.join(half)).len() > 1) {
+            break half;
+        }
+        assert!(child.try_wait().unwrap().is_none(), "decoding ended before it was seen");
+    };
+    child.kill().unwrap();
+    child.wait().unwrap();
+    assert!(!at.join("frames").exists());
+    let text = refused(at, &["import", &half]);
+    assert!(text.contains("complete: found false"), "{text}");
+
+    ok(at, &["decode", "long.dgs", "--out", "frames"]);
+    assert_eq!(names(&at.join("frames")).len(), 61, "sixty frames and their index");
+    assert!(ok(at, &["import", "frames"]).contains("60 frames"));
+    assert!(refused(at, &["decode", "short.dgs", "--out", "frames"]).contains("--overwrite"));
+    assert!(ok(at, &["import", "frames"]).contains("60 frames"));
+    ok(at, &["decode", "short.dgs", "--out", "frames", "--overwrite"]);
+    assert_eq!(names(&at.join("frames")), ["frame_00000.ply", "frame_00001.ply", "sequence.json"]);
+    // One frame less than the index says.
+    fs::remove_file(at.join("frames/frame_00001.ply")).unwrap();
+    assert!(refused(at, &["import", "frames"]).contains("frame_00001.ply"));
+}
+
+#[test]
+fn the_digest_is_that_of_the_conformance_streams() {
+    let streams = Path::new(env!("CARGO_MANIFEST_DIR")).join("codec-core/tests/conformance");
+    let index = fs::read_to_string(streams.join("index.txt")).unwrap();
+    let mut checked = 0;
+    for line in index.lines() {
+        let cells: Vec<&str> = line.split(" | ").collect();
+        let (Some(name), Some(digest)) = (cells.first(), cells.get(4)) else { continue };
+        if digest.len() != 16 {
+            continue;
+        }
+        let text = ok(&streams, &["decode", &format!("{name}.dgs"), "--digest"]);
+        assert!(text.contains(&format!("digest {digest}\n")), "{name}: {text}");
+        checked += 1;
+    }
+    assert!(checked >= 13, "{checked} streams");
+    let text = ok(&streams, &["decode", "still.dgs", "--digest", "--level", "0"]);
+    assert!(!text.contains("digest 1e3b5b062fad4e2f"), "fewer levels, another digest: {text}");
+}
+
+#[test]
+fn gaussians_that_have_not_arrived_are_left_out() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let streams = Path::new(env!("CARGO_MANIFEST_DIR")).join("codec-core/tests/conformance");
+    let whole = fs::read(streams.join("still.dgs")).unwrap();
+    fs::write(at.join("cut.dgs"), &whole[..whole.len() / 2]).unwrap();
+    let output = dgs(at, &["decode", "cut.dgs", "--out", "cut.ply"]);
+    assert_eq!(output.status.code(), Some(2));
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let missing: usize = said.split("up to ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+    assert!(said.contains("of 150: rows") && missing > 0 && missing < 150, "{said}");
+    let text = ok(at, &["import", "cut.ply"]);
+    assert!(text.contains(&format!("{} Gaussians", 150 - missing)), "{text}");
+}
+
+const TRANSFORMS: &str = r#"{"camera_angle_x": 0.7, "frames": [
+    {"file_path": "./test/r_000", "time": 0.0, "transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,4],[0,0,0,1]]},
+    {"file_path": "./test/r_001", "time": 1.0, "transform_matrix": [[1,0,0,0.5],[0,1,0,0],[0,0,1,5],[0,0,0,1]]}]}"#;
+
+#[test]
+fn cameras_of_files_choose_views_and_frames() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    encode(at, "a.dgs");
+    fs::write(at.join("transforms_test.json"), TRANSFORMS).unwrap();
+    let render = ["render", "a.dgs", "--cameras", "transforms_test.json"];
+    let typed = |more: &[&'static str]| [&render[..], more].concat();
+    let text = refused(at, &typed(&["--out", "views"]));
+    assert!(text.contains("transforms_test.json") && text.contains("--width and --height"), "{text}");
+
+    let size = ["--width", "48", "--height", "32"];
+    ok(at, &typed(&[&["--out", "views"], &size[..]].concat()));
+    assert_eq!(names(&at.join("views")), ["00000_r_000.png", "00001_r_001.png", "sequence.json"]);
+    let one = [&["--out", "one.png", "--camera", "./test/r_001"], &size[..]].concat();
+    ok(at, &typed(&one));
+    let picture = |name: &str| fs::read(at.join(name)).unwrap();
+    assert_eq!(picture("one.png"), picture("views/00001_r_001.png"), "its own time is the last frame");
+    ok(at, &typed(&[&one[..], &["--frame", "0"]].concat()));
+    assert_ne!(picture("one.png"), picture("views/00001_r_001.png"), "the frame typed goes first");
+    let text = refused(at, &typed(&[&["--out", "one.png", "--camera", "7"], &size[..]].concat()));
+    assert!(text.contains("--camera is 7") && text.contains("0 to 1 are allowed"), "{text}");
+    let text = refused(at, &typed(&[&["--out", "one.png"], &size[..]].concat()));
+    assert!(text.contains("2 cameras; choose one"), "{text}");
+
+    // The same two cameras as COLMAP writes them: its axes are OpenCV's, half a turn about x from these.
+    fs::create_dir(at.join("sparse")).unwrap();
+    let focal = 24.0 / (0.35f64).tan();
+    let write = |name: &str, text: String| fs::write(at.join("sparse").join(name), text).unwrap();
+    write("cameras.txt", format!("1 PINHOLE 48 32 {focal} {focal} 24 16\n"));
+    write("images.txt", "1 0 1 0 0 0 0 4 1 r_000.png\n\n2 0 1 0 0 -0.5 0 5 1 r_001.png\n\n".to_owned());
+    ok(at, &["render", "a.dgs", "--cameras", "sparse", "--out", "colmap", "--frame", "1"]);
+    assert_eq!(picture("colmap/00001_r_001.png"), picture("views/00001_r_001.png"));
+    assert_ne!(picture("colmap/00000_r_000.png"), picture("views/00000_r_000.png"), "another frame");
+    write("cameras.txt", "1 OPENCV_FISHEYE 48 32 1 1 1 1 0 0 0 0\n".to_owned());
+    let text = refused(at, &["render", "a.dgs", "--cameras", "sparse/images.txt", "--out", "fish"]);
+    assert!(text.contains("cameras.txt") && text.contains("OPENCV_FISHEYE"), "{text}");
+}
+
+/// A zip of one member: `head` and then zeros.
+#[cfg(unix)]
+fn zeros(name: &str, head: &[u8], zeros: usize) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+    zip.write_all(head).unwrap();
+    let piece = vec![0; 1 << 20];
+    for _ in 0..zeros >> 20 {
+        zip.write_all(&piece).unwrap();
+    }
+    zip.finish().unwrap().into_inner()
+}
+
+#[cfg(unix)]
+#[test]
+fn archives_that_unpack_to_more_than_is_accepted_take_little_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (22000000, 3), }\n";
+    let header = [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes()].concat();
+    fs::write(at.join("bomb.npz"), zeros("means3d.npy", &header, 256 << 20)).unwrap();
+    fs::write(at.join("bomb.sog"), zeros("meta.json", b"", 256 << 20)).unwrap();
+    // Half of what either unpacks to, of which the program itself and its threads take most.
+    let limit = "ulimit -v 131072; RAYON_NUM_THREADS=1; export RAYON_NUM_THREADS";
+    for (name, says) in
+        [("bomb.npz", "Gaussian count: found 22000000"), ("bomb.sog", "meta.json: found more")]
+    {
+        let output = limited(at, limit, &format!("import {name}"));
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{text}");
+        assert!(text.contains(name) && text.contains(says), "{text}");
+    }
+    // The limit is one that counts: reading as many bytes does not fit.
+    fs::write(at.join("large.splat"), vec![0; 256 << 20]).unwrap();
+    assert_ne!(limited(at, limit, "import large.splat").status.code(), Some(0));
+}
