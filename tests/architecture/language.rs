@@ -90,17 +90,17 @@ type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 11] = [
-    ("", [16, 1, 0, 12, 0, 0, 1, 0, 100]),
-    ("codec-core/", [51, 1, 1, 24, 0, 4, 2, 10, 192]),
+    ("", [12, 1, 0, 10, 0, 0, 1, 0, 100]),
+    ("codec-core/", [51, 1, 1, 24, 0, 4, 2, 10, 204]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
-    ("codec-core/embedded/", [0, 0, 0, 2, 0, 1, 0, 0, 12]),
+    ("codec-core/embedded/", [0, 0, 0, 0, 0, 1, 0, 0, 12]),
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 2, 19]),
-    ("codec-core/simd/", [11, 0, 0, 5, 0, 0, 1, 5, 10]),
+    ("codec-core/simd/", [1, 0, 0, 5, 0, 0, 0, 5, 10]),
     ("emulator-host/", [44, 0, 0, 131, 0, 35, 2, 11, 130]),
     ("fuzz/", [10, 0, 0, 2, 0, 1, 2, 0, 30]),
     ("render-host/", [406, 30, 2, 38, 0, 77, 10, 26, 231]),
-    ("tests/lab/", [66, 2, 0, 40, 0, 0, 14, 14, 50]),
-    ("trainer-host/", [416, 44, 0, 10, 0, 8, 23, 53, 144]),
+    ("tests/lab/", [66, 2, 0, 24, 0, 0, 14, 14, 50]),
+    ("trainer-host/", [400, 44, 0, 10, 0, 8, 23, 53, 144]),
 ];
 
 /// The room of a file: the longest folder of [`CEILINGS`] that it lies in.
