@@ -5,7 +5,7 @@ mod number;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use codec_core::limits;
+use codec_core::internals::limits;
 use render_host::camera::MAX_SIDE;
 use trainer_host::encode::Protection;
 

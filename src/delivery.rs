@@ -2,10 +2,12 @@
 
 use codec_core::{
     Caps, ErrorKind,
-    ids::{EpochId, Group, Level, PacketId, Span},
-    layout::Shape,
-    receiver::{Content, for_each_cell},
-    wire::manifest::{Manifest, Profile},
+    internals::{
+        ids::{EpochId, Group, Level, PacketId, Span},
+        layout::Shape,
+        receiver::{Content, for_each_cell},
+        wire::manifest::{Manifest, Profile},
+    },
 };
 use dgs_player::{Player, Waiting};
 use emulator_host::{
@@ -233,7 +235,7 @@ impl<'e> WireEndpoint<'e> {
             mark.first_block..mark.first_block + mark.blocks
         };
         let usable = |block: usize| {
-            codec_core::closure::Arrived(content.blocks.get(block).copied().unwrap_or(0)).usable()
+            codec_core::internals::closure::Arrived(content.blocks.get(block).copied().unwrap_or(0)).usable()
         };
         if !blocks.clone().all(|b| usable(b) > mark.group.level.index()) {
             return false;

@@ -8,12 +8,12 @@ mod link;
 use std::path::Path;
 
 use anyhow::{Context, Result, bail};
-use codec_core::wire::manifest::Profile;
+use codec_core::internals::wire::manifest::Profile;
 use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig};
 use render_host::{Camera, Settings};
 use trainer_host::{
     Scene, Stream,
-    encode::{self, Protection, Quality, Target},
+    encode::{self, Encoded, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
     stream::PacketMap,
     utility,
@@ -146,28 +146,28 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::Options {
 ///
 /// # Errors
 /// Options out of range, or a scene beyond the format's bounds.
-pub fn encode(scene: &Scene, options: &encode::Options, quiet: Quiet) -> Result<Stream> {
+pub fn encode(scene: &Scene, options: &encode::Options, quiet: Quiet) -> Result<Encoded> {
     let progress = Progress::new("encode", quiet.0);
     encode::encode(scene, options, &|stage, share| progress.stage(stage, share)).context("cannot encode")
 }
 
-/// `stream` without the levels that gain less than `lambda` per byte from measuring cameras.
+/// `whole` without the levels that gain less than `lambda` per byte from measuring cameras.
 ///
 /// # Errors
 /// If measuring or encoding fails.
 pub fn truncate(
     scene: &Scene,
     options: &encode::Options,
-    stream: &Stream,
+    whole: &Encoded,
     lambda: f64,
     quiet: Quiet,
-) -> Result<(Stream, utility::Truncated)> {
-    let (map, received) = (PacketMap::of(stream)?, stream.receive()?);
+) -> Result<(Encoded, utility::Truncated)> {
+    let (map, received) = (PacketMap::of(&whole.stream)?, whole.stream.receive()?);
     let how = utility::Options::complete(scene)?;
     let table = utilities(scene, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
     let progress = Progress::new("encode", quiet.0);
     let report = |stage, share| progress.stage(stage, share);
-    utility::truncate(scene, options, stream, &table, lambda, &report).context("cannot encode")
+    utility::truncate(scene, options, whole, &table, lambda, &report).context("cannot encode")
 }
 
 /// A stream from a `.dgs` file; damage is passed to `warn`.
@@ -186,7 +186,7 @@ pub fn read_stream(path: &Path, warn: &mut dyn FnMut(String)) -> Result<Stream> 
 
 /// Whether `input` names a `.dgs` stream rather than a scene.
 pub fn is_stream(input: &str) -> bool {
-    let magic = codec_core::wire::file::MAGIC;
+    let magic = codec_core::internals::wire::file::MAGIC;
     if Path::new(input).extension().is_some_and(|e| e == "dgs") {
         return true;
     }
@@ -234,7 +234,7 @@ pub fn deliver(
 ) -> Result<(Report, Vec<ShownState>)> {
     let manifest = stream.manifest()?;
     let config = SessionConfig { policy, ..config.clone() };
-    let early_bytes = config.buffer_limit * codec_core::limits::MAX_PACKET_BYTES;
+    let early_bytes = config.buffer_limit * codec_core::internals::limits::MAX_PACKET_BYTES;
     let mut endpoint = WireEndpoint::new(early_bytes, stream, &manifest, map, graph)?;
     let mut scheduler = policy.build(graph);
     let report = emulator_host::run(graph, &config, &mut *scheduler, &mut endpoint)?;

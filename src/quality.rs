@@ -1,6 +1,6 @@
 //! What a viewer saw, against the source: states to images to numbers.
 
-use codec_core::receiver::Content;
+use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
 use render_host::{Camera, Changes, Image, Renderer, Sequence, Settings, Splats, metric};
 use trainer_host::{Instant, Scene, stream::Player};

@@ -18,7 +18,7 @@ use std::{
 
 use codec_core::{
     Gaussian,
-    wire::{crc::crc32, manifest},
+    internals::wire::{crc::crc32, manifest},
 };
 use emulator_host::{
     Nanos, Trace,
@@ -191,7 +191,7 @@ fn good_stream() -> Stream {
     let scene = Scene::new(vec![snapshot.epoch], 30.0).unwrap();
     let options =
         Options { packet_bytes: 200, block_len: 8, repair: Protection::xor(4), ..Options::default() };
-    encode(&scene, &options, &|_, _| {}).unwrap()
+    encode(&scene, &options, &|_, _| {}).unwrap().stream
 }
 
 /// A file around `message` with the packets of `stream`.
@@ -236,7 +236,7 @@ fn write_damaged_files() {
     write("version.dgs", &put(&good, 8 + 4, &[manifest::VERSION + 1]));
     let raw = stream.manifest().unwrap().raw().to_vec();
     let sealed = |raw: &[u8]| {
-        let mut message = vec![0u8; codec_core::pack::packed_bound(raw.len()) + 32];
+        let mut message = vec![0u8; codec_core::internals::pack::packed_bound(raw.len()) + 32];
         let len = manifest::seal(raw, &mut message).unwrap();
         message.truncate(len);
         message

@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
-use codec_core::limits::MAX_PACKET_BYTES;
+use codec_core::internals::limits::MAX_PACKET_BYTES;
 use dgs::{
     args::{Cli, Verb},
     delivery::WireEndpoint,
@@ -26,7 +26,8 @@ fn walk(flags: &[&str]) -> (Stream, PacketMap, PacketGraph, Link) {
     let scene = pipeline::import("synth:births:2000:40", &args.source).unwrap().scene;
     let stream =
         pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::STANDARD), Quiet(true))
-            .unwrap();
+            .unwrap()
+            .stream;
     let map = PacketMap::of(&stream).unwrap();
     let graph = pipeline::graph(&stream, &map, None).unwrap();
     let link = pipeline::link(&args.link, &graph).unwrap();

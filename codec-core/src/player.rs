@@ -5,13 +5,18 @@
 //! arrived. Neither asks for a heap, a socket or a clock: bytes go in, the caller's memory holds
 //! everything else.
 
-pub use crate::receiver::{Accepted, Counters, Recovered};
+pub use crate::{
+    decode::Decoded,
+    limits::MAX_RECEIPT_BYTES,
+    receiver::{Accepted, Counters, Recovered},
+    wire::receipt::ViewerPose,
+};
 
 use crate::{
     arena::{Plan, Rest, WORD_BYTES, words_of},
     caps::Caps,
     closure::Arrived,
-    decode::{Decoded, Decoder},
+    decode::Decoder,
     error::{Error, ErrorKind, Result},
     gaussian::{Gaussian, ShDegree},
     ids::{ClusterId, Level, PacketId, Span},
@@ -22,7 +27,7 @@ use crate::{
         checked::Checked,
         crc::{Crc32, crc32},
         manifest::{self, Manifest, Sealed},
-        receipt::{IdRange, Value, ViewerPose},
+        receipt::{IdRange, Value},
     },
 };
 
@@ -343,7 +348,7 @@ impl Player<'_> {
     /// arrived or was recovered, the newest [`MAX_RECEIPT_RANGES`] ranges of packets of it.
     ///
     /// # Errors
-    /// [`ErrorKind::Capacity`] if `out` is too small; [`MAX_RECEIPT_BYTES`](crate::limits::MAX_RECEIPT_BYTES)
+    /// [`ErrorKind::Capacity`] if `out` is too small; [`MAX_RECEIPT_BYTES`]
     /// are enough.
     pub fn receipt(
         &self,

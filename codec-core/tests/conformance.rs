@@ -15,7 +15,7 @@ use std::{collections::BTreeSet, path::Path};
 
 use codec_core::{
     ErrorKind,
-    wire::{
+    internals::wire::{
         crc::{checked, crc32},
         file,
         manifest::{Repair, seal},
@@ -108,6 +108,7 @@ fn order_and_repeats_do_not_matter() {
             let some: Vec<&[u8]> = shuffled(packets.len(), seed).into_iter().map(|i| packets[i]).collect();
             let after = Session::open(message).after(&some);
             assert_eq!(after.digest(), whole.digest(), "{name}, order {seed}");
+            assert!(after.symbols == whole.symbols, "{name}, order {seed}");
         }
         let twice: Vec<&[u8]> = packets.iter().flat_map(|&p| [p, p]).collect();
         let after = Session::open(message).after(&twice);

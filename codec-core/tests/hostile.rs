@@ -16,14 +16,16 @@ use std::{
 
 use codec_core::{
     Caps, Error, ErrorKind, Result,
-    player::{Counters, Player, Waiting},
-    receiver::Receiver,
-    wire::{
-        crc::crc32,
-        file::{self, Missing, Record},
-        manifest::{self, Manifest, Sealed},
-        packet::{Chunk, Packet},
+    internals::{
+        receiver::Receiver,
+        wire::{
+            crc::crc32,
+            file::{self, Missing, Record},
+            manifest::{self, Manifest, Sealed},
+            packet::{Chunk, Packet},
+        },
     },
+    player::{Counters, Player, Waiting},
 };
 
 fn folder() -> PathBuf {

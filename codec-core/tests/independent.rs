@@ -30,7 +30,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use codec_core::{
+use codec_core::internals::{
     ids::{ClusterId, EpochId, Group, Level, PacketId, Span, WindowId},
     wire::receipt::{Value, ViewerPose},
 };

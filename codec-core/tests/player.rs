@@ -6,12 +6,13 @@
 use std::path::Path;
 
 use codec_core::{
-    Caps, Error, ErrorKind,
-    digest::Digest,
-    file,
-    ids::PacketId,
+    Caps, Error, ErrorKind, file,
+    internals::{
+        digest::Digest,
+        ids::PacketId,
+        wire::{crc::crc32, receipt::Receipt},
+    },
     player::{Player, Usable, Waiting},
-    wire::{crc::crc32, receipt::Receipt},
 };
 
 const STREAMS: [&str; 5] = ["one", "everything", "cauchy", "paper", "blocks-of-one"];
@@ -158,7 +159,7 @@ fn a_receipt_acknowledges_what_has_arrived_and_nothing_else() {
     for (i, packet) in packets.iter().enumerate().filter(|(i, _)| !missing.contains(i)) {
         assert_eq!(player.push(packet).unwrap().id, PacketId::new(i as u32).unwrap());
     }
-    let mut out = [0; codec_core::limits::MAX_RECEIPT_BYTES];
+    let mut out = [0; codec_core::internals::limits::MAX_RECEIPT_BYTES];
     let len = player.receipt(7, 40_000, None, &mut out).unwrap();
     let receipt = Receipt::parse(&out[..len], crc32).unwrap();
     assert_eq!((receipt.sequence, receipt.playout_us), (7, 40_000));

@@ -25,7 +25,7 @@ mod session;
 #[path = "spec/tables.rs"]
 mod tables;
 
-use codec_core::{
+use codec_core::internals::{
     ids::{EpochId, Level, Span},
     wire::packet::{Extent, Packet},
 };

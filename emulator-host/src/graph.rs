@@ -14,7 +14,7 @@ mod csr;
 mod derive;
 mod synthetic;
 
-use codec_core::ids::{Group as GroupId, PacketId, Span};
+use codec_core::internals::ids::{Group as GroupId, PacketId, Span};
 use csr::Csr;
 
 use crate::clock::Nanos;
@@ -123,7 +123,7 @@ pub struct GraphParts {
 }
 
 /// Most bytes of one packet on the wire.
-pub const MAX_PACKET_BYTES: u16 = codec_core::limits::MAX_PACKET_BYTES as u16;
+pub const MAX_PACKET_BYTES: u16 = codec_core::internals::limits::MAX_PACKET_BYTES as u16;
 /// Most (group, needed group) pairs that the transitive closures may hold together.
 pub const MAX_CLOSURE_ENTRIES: usize = 1 << 24;
 

@@ -3,7 +3,7 @@
 
 use std::sync::OnceLock;
 
-use codec_core::{
+use codec_core::internals::{
     cursor::Reader,
     pack as packer,
     rans::{

@@ -6,7 +6,7 @@ use crate::{
     session::assert_frame_drawable,
     streams::{player, small},
 };
-use codec_core::{
+use codec_core::internals::{
     limits::MAX_PACKET_BYTES,
     pack::packed_bound,
     wire::manifest::{self as dgsm, Manifest},

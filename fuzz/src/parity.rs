@@ -1,6 +1,6 @@
 //! Repair: XOR against a plain sum, the code against elimination by definition.
 
-use codec_core::{
+use codec_core::internals::{
     limits::{MAX_PACKET_BYTES, MAX_REPAIR_PARITY, MAX_REPAIR_SET},
     repair::{LENGTH_BYTES, MAX_CODED_BYTES, Sums, cauchy, gf256, set_bytes},
 };

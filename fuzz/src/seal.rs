@@ -1,6 +1,6 @@
 //! What a liar makes fit: CRCs over bytes that were changed, so that what lies behind them is reached.
 
-use codec_core::wire::{crc::crc32, file as dgs};
+use codec_core::internals::wire::{crc::crc32, file as dgs};
 
 /// `content` with a CRC that fits.
 pub fn with_crc(content: &[u8]) -> Vec<u8> {

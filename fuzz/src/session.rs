@@ -5,11 +5,13 @@ use std::sync::OnceLock;
 
 use codec_core::{
     Caps, ErrorKind, Gaussian, Result,
-    closure::{Arrived, naive_usable},
-    ids::{Level, PacketId, Span},
+    internals::{
+        closure::{Arrived, naive_usable},
+        ids::{Level, PacketId, Span},
+        receiver::{Content, Requirements, for_each_cell},
+        wire::manifest::{Manifest, Profile},
+    },
     player::Counters,
-    receiver::{Content, Requirements, for_each_cell},
-    wire::manifest::{Manifest, Profile},
 };
 use dgs_player::{FrameDecoder, Player, Waiting};
 
@@ -133,7 +135,7 @@ pub fn decode(data: &[u8]) {
     let symbols: Vec<i16> = (0..need.symbols).map(|_| (noise.next() as i16) >> shift).collect();
     let state: Vec<u8> = (0..need.blocks).map(|_| noise.next() as u8).collect();
     let mut cells = Vec::new();
-    let mut next = codec_core::receiver::Cell::default();
+    let mut next = codec_core::internals::receiver::Cell::default();
     for_each_cell(&manifest, |_, _, shape| {
         cells.push(next);
         next.symbols += shape.len() as u32;

@@ -41,7 +41,8 @@ pub fn fixture(paper: bool) -> &'static Stream {
     static STREAMS: OnceLock<Vec<Stream>> = OnceLock::new();
     let streams = STREAMS.get_or_init(|| {
         let all = [dgs1(400), Options { repair: Protection::xor(4), ..Options::paper() }];
-        let encoded = |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}));
+        let encoded =
+            |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}).map(|e| e.stream));
         scene().into_iter().flat_map(encoded).flatten().collect()
     });
     assert_eq!(streams.len(), 2, "both profiles encode");
@@ -52,7 +53,9 @@ pub fn fixture(paper: bool) -> &'static Stream {
 pub fn cuts() -> &'static [(Stream, Player)] {
     static CUTS: OnceLock<Vec<(Stream, Player)>> = OnceLock::new();
     CUTS.get_or_init(|| {
-        let encoded = |scene: Scene| [200, 1150].map(|bytes| encode(&scene, &dgs1(bytes), &|_, _| {}));
+        let encoded = |scene: Scene| {
+            [200, 1150].map(|bytes| encode(&scene, &dgs1(bytes), &|_, _| {}).map(|e| e.stream))
+        };
         let streams = few().into_iter().flat_map(encoded).flatten();
         let received = |stream: Stream| {
             let player = stream.receive().ok()?;
@@ -67,7 +70,8 @@ pub fn small(paper: bool) -> &'static Stream {
     static STREAMS: OnceLock<Vec<Stream>> = OnceLock::new();
     let streams = STREAMS.get_or_init(|| {
         let all = [dgs1(200), Options { repair: Protection::xor(4), ..Options::paper() }];
-        let encoded = |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}));
+        let encoded =
+            |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}).map(|e| e.stream));
         few().into_iter().flat_map(encoded).flatten().collect()
     });
     assert_eq!(streams.len(), 2, "both profiles encode");

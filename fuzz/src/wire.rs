@@ -2,15 +2,17 @@
 
 use codec_core::{
     Caps, Error, ErrorKind,
-    ids::{ClusterId, EpochId, Level, WindowId},
-    receiver::Requirements,
-    wire::{
-        checked::Checked,
-        crc::{checked, crc32},
-        file as dgs,
-        manifest::{self as dgsm, Manifest, Sealed},
-        packet::Packet,
-        receipt::{IdRange, Receipt, Value},
+    internals::{
+        ids::{ClusterId, EpochId, Level, WindowId},
+        receiver::Requirements,
+        wire::{
+            checked::Checked,
+            crc::{checked, crc32},
+            file as dgs,
+            manifest::{self as dgsm, Manifest, Sealed},
+            packet::Packet,
+            receipt::{IdRange, Receipt, Value},
+        },
     },
 };
 
@@ -112,7 +114,7 @@ fn body(raw: &[u8]) {
     if let Err(error) = Requirements::of(&manifest, &Caps::HOST) {
         shown(&error);
     }
-    let mut message = vec![0u8; codec_core::pack::packed_bound(raw.len()) + 32];
+    let mut message = vec![0u8; codec_core::internals::pack::packed_bound(raw.len()) + 32];
     let sealed = dgsm::seal(raw, &mut message);
     let mut back = vec![0u8; raw.len()];
     let opened = sealed.and_then(|len| dgsm::open(&message[..len], crc32, &mut back).map(<[u8]>::len));
@@ -146,7 +148,7 @@ pub fn receipt(data: &[u8]) {
     };
     let mut out = vec![0u8; 1300];
     let written = value.write(&mut out);
-    assert!(written.is_ok_and(|len| len <= codec_core::limits::MAX_RECEIPT_BYTES), "{written:?}");
+    assert!(written.is_ok_and(|len| len <= codec_core::internals::limits::MAX_RECEIPT_BYTES), "{written:?}");
     let len = written.unwrap_or(0);
     // The writer keeps to one datagram by worst-case sizes; below that it keeps everything.
     if 8 * acknowledged.len() + 4 * recovered.len() + 7 * completed.len() <= 1148 {

@@ -16,7 +16,7 @@ use std::{
     path::Path,
 };
 
-use codec_core::{
+use codec_core::internals::{
     ids::{ClusterId, EpochId, Group, Level, PacketId, Span, WindowId},
     wire::receipt::{Value, ViewerPose},
 };
@@ -129,7 +129,7 @@ fn coding() {
     put("pack", "records", &[&[0x60, 9][..], &raw].concat());
     put("pack", "noise", &[&[100, 0][..], &noise(300, 1)].concat());
     let mut packed = vec![0u8; 9000];
-    let len = codec_core::pack::pack(&raw, &mut packed).unwrap();
+    let len = codec_core::internals::pack::pack(&raw, &mut packed).unwrap();
     put("pack", "packed", &[&(raw.len() as u16).to_le_bytes()[..], &packed[..len]].concat());
 }
 

@@ -7,7 +7,7 @@
 //! reference, which keeps every bit, makes visible.
 
 use crate::stage::TileSide;
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use serde::{Deserialize, Serialize};
 
 /// How to render. Plain data; checked by [`Settings::validate`] when rendering starts.

@@ -1,6 +1,6 @@
 //! The view of Gaussians that a renderer takes.
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 
 /// Gaussians of one instant and their higher harmonic bands, borrowed.
 ///

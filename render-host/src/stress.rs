@@ -18,7 +18,7 @@ mod refusals;
 pub use cases::cases;
 pub use refusals::{Refusal, refusals};
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 
 use crate::adjoint::{AdjointError, loss::Distortion};
 use crate::counterfactual::{CounterfactualError, Engine, States, Utilities, Variants, brute};

@@ -7,7 +7,7 @@ mod support;
 
 use std::ops::Range;
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 use proptest::prelude::*;
 use render_host::{Camera, Changes, Rendered, Reuse, Sequence, Settings, Splats, render};
 use support::{Numbers, Scene, camera};

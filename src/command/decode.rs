@@ -1,7 +1,10 @@
 //! Decodes a `.dgs` file to frames that other programs read, or to the digest of what it holds.
 
 use anyhow::Result;
-use codec_core::{ErrorKind, digest::Digest, ids::Level};
+use codec_core::{
+    ErrorKind,
+    internals::{digest::Digest, ids::Level},
+};
 use serde_json::json;
 use trainer_host::scene::Up;
 

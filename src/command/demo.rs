@@ -7,7 +7,7 @@ use render_host::{Image, metric};
 use serde_json::json;
 use trainer_host::{
     Scene, Stream,
-    encode::Protection,
+    encode::{Ledger, Protection},
     stream::PacketMap,
     utility,
     viewpoint::{Framing, Ring},
@@ -77,8 +77,9 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
 pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let input = args.scene.as_deref().unwrap_or(DEFAULT_SCENE);
     let Loaded { name, scene } = pipeline::import(input, &args.source)?;
-    let stream =
+    let encoded =
         pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::STANDARD), quiet)?;
+    let (stream, ledger) = (encoded.stream, encoded.report.ledger);
     let map = PacketMap::of(&stream)?;
     let received = stream.receive()?;
     let content = received.content();
@@ -173,12 +174,12 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let width = emulator_host::Nanos::from_ms(100);
     let capacity = pipeline::capacity_bins(&link.trace, width, (end_s * 10.0).ceil().max(1.0) as usize);
     notes.extend(link.warnings.iter().cloned());
-    let protocol = protocol(args, &name, &scene, &stream, &link, &table)?;
+    let protocol = protocol(args, &name, &scene, &stream, &ledger, &link, &table)?;
     Ok(Page {
         title: format!("{name} over {}", link.trace.name()),
         machine: Machine::this(),
         protocol,
-        ledger: stream.ledger().clone(),
+        ledger,
         complete_psnr_db,
         capacity_mbps: capacity.iter().enumerate().map(|(i, bps)| (i as f64 * 0.1, bps / 1e6)).collect(),
         runs,
@@ -193,11 +194,11 @@ fn protocol(
     name: &str,
     scene: &Scene,
     stream: &Stream,
+    ledger: &Ledger,
     link: &pipeline::Link,
     table: &utility::Table,
 ) -> Result<Vec<(String, String)>> {
     let profile = pipeline::profile_name(stream.manifest()?.profile());
-    let ledger = stream.ledger();
     let (fps, count, frames) = (scene.frames_per_second(), scene.max_count(), scene.frames());
     let ((width, height), background) = (args.view.size(), args.view.background);
     let pairs = [

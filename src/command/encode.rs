@@ -3,10 +3,10 @@
 use std::time::Instant;
 
 use anyhow::{Result, bail};
-use codec_core::wire::manifest::Profile;
+use codec_core::internals::wire::manifest::Profile;
 use serde_json::json;
 use trainer_host::{
-    encode::{Ledger, Protection},
+    encode::{Protection, Report},
     judge::{self, Segment},
     stream::PacketMap,
     utility,
@@ -30,19 +30,20 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let options = pipeline::encode_options(&args.codec, Protection::NONE);
     let start = Instant::now();
-    let mut stream = pipeline::encode(&loaded.scene, &options, quiet)?;
+    let mut encoded = pipeline::encode(&loaded.scene, &options, quiet)?;
     let mut truncated = None;
     if let Some(lambda) = args.truncate.filter(|_| options.profile == Profile::Dgs1) {
-        let found = pipeline::truncate(&loaded.scene, &options, &stream, lambda, quiet)?;
-        stream = found.0;
+        let found = pipeline::truncate(&loaded.scene, &options, &encoded, lambda, quiet)?;
+        encoded = found.0;
         truncated = Some(found.1);
     } else if args.truncate.is_some() {
         bail!("--truncate: profile paper sends every level; profile dgs1 is allowed");
     }
     let seconds = start.elapsed().as_secs_f64();
+    let (stream, report) = (&encoded.stream, &encoded.report);
     let bytes = stream.to_bytes()?;
     files::write(&args.out, &bytes)?;
-    let ledger = stream.ledger();
+    let ledger = &report.ledger;
     let mut text = format!(
         "{} → {} ({} bytes at rest, {} frames, {:.2} s)\n{}",
         loaded.name,
@@ -50,7 +51,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         bytes.len(),
         loaded.scene.frames(),
         seconds,
-        ledger_table(ledger)
+        report_table(report)
     );
     if let Some(t) = truncated {
         text += &format!(
@@ -67,20 +68,20 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     }
     let mut json = json!({
         "name": loaded.name, "out": args.out, "file_bytes": bytes.len(), "seconds": seconds,
-        "ledger": ledger, "parts": ledger.parts(), "notes": loaded.scene.notes,
+        "ledger": ledger, "report": report_json(report), "parts": ledger.parts(), "notes": loaded.scene.notes,
         "bits_per_gaussian": ledger.bits_per_gaussian(), "bytes_per_frame": ledger.bytes_per_frame(),
     });
     if let Some(truncated) = truncated {
         json["truncated"] = json!(truncated);
     }
     if args.table {
-        let segments = judge::segments(&loaded.scene, &stream, 2)?;
+        let segments = judge::segments(&loaded.scene, stream, 2)?;
         text += &segment_table(&segments);
         json["segments"] = json!(segments);
     }
     let mut warnings = Vec::new();
     if args.utility {
-        let map = PacketMap::of(&stream)?;
+        let map = PacketMap::of(stream)?;
         let received = stream.receive()?;
         let framing = Framing::of(&loaded.scene);
         let cameras = framing.ring(Ring::Measuring, 3, (160, 160))?;
@@ -124,8 +125,17 @@ fn segment_table(segments: &[Segment]) -> String {
     text
 }
 
+/// What was chosen and what it came to besides the ledger, for programs.
+fn report_json(report: &Report) -> serde_json::Value {
+    json!({
+        "quality": report.quality, "quantiser_classes": report.quantiser_classes,
+        "reached": report.reached, "searched": report.searched,
+    })
+}
+
 /// The accounting of a stream for people.
-pub(super) fn ledger_table(ledger: &Ledger) -> String {
+fn report_table(report: &Report) -> String {
+    let ledger = &report.ledger;
     let mut text = String::new();
     for (name, bytes) in [
         ("raw symbols", ledger.raw_symbols),
@@ -151,7 +161,7 @@ pub(super) fn ledger_table(ledger: &Ledger) -> String {
         100.0 * ledger.packetisation_overhead(),
         100.0 * ledger.robustness_premium(),
     );
-    if let Some(reached) = ledger.reached {
+    if let Some(reached) = report.reached {
         text += &format!(
             "  {} {}: {} at coarseness {:.4}, {} encodings\n",
             reached.target.name(),
@@ -161,7 +171,7 @@ pub(super) fn ledger_table(ledger: &Ledger) -> String {
             reached.encodes
         );
     }
-    if let Some(searched) = ledger.searched {
+    if let Some(searched) = report.searched {
         text += &format!(
             "  search: {} encodings, {} {:+.2} % bytes, {:+.2} dB from measuring cameras\n",
             searched.encodes,
@@ -173,12 +183,13 @@ pub(super) fn ledger_table(ledger: &Ledger) -> String {
     if ledger.saturated > 0 {
         text += &format!("  {} values did not fit their symbol and were clamped\n", ledger.saturated);
     }
-    for (s, stratum) in ledger.strata.iter().enumerate().filter(|_| ledger.strata.len() > 1) {
-        let q = stratum.quality;
+    let classes = &report.quantiser_classes;
+    for (k, class) in classes.iter().enumerate().filter(|_| classes.len() > 1) {
+        let q = class.quality;
         text += &format!(
-            "  stratum {s}: {:>7} Gaussians, steps: position {:.4} sizes, scale {:.4}, rotation {:.4}, \
-                opacity {:.4}, sh0 {:.4}, harmonics {:.4}\n",
-            stratum.gaussians, q.position, q.scale, q.rotation, q.opacity, q.sh0, q.sh_rest
+            "  quantiser class {k}: {:>7} Gaussians, steps: position {:.4} sizes, scale {:.4}, rotation {:.4}, \
+             opacity {:.4}, sh0 {:.4}, harmonics {:.4}\n",
+            class.gaussians, q.position, q.scale, q.rotation, q.opacity, q.sh0, q.sh_rest
         );
     }
     let gaussians = ledger.gaussians.max(1) as f64;

@@ -1,7 +1,7 @@
 //! `dgs inspect`: the manifest for people, packets by kind, damage.
 
 use anyhow::Result;
-use codec_core::{
+use codec_core::internals::{
     ids::{Level, Span},
     wire::manifest::Manifest,
 };

@@ -1,7 +1,7 @@
 //! Renders a scene or a stream to PNG: from cameras of a file, of the scene, or around it.
 
 use anyhow::{Context, Result, bail};
-use codec_core::ids::Level;
+use codec_core::internals::ids::Level;
 use render_host::{
     Changes, Sequence, Settings, Splats,
     camera::{Camera, View},

@@ -37,7 +37,8 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
             &loaded.scene,
             &pipeline::encode_options(&args.codec, Protection::STANDARD),
             quiet,
-        )?;
+        )?
+        .stream;
         let map = PacketMap::of(&stream)?;
         let received = stream.receive()?;
         let framing = Framing::of(&loaded.scene);

@@ -6,7 +6,7 @@ use std::{
 };
 
 use anyhow::{Context, Result};
-use codec_core::{digest::Digest, receiver::Content, wire::crc::crc32};
+use codec_core::internals::{digest::Digest, receiver::Content, wire::crc::crc32};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use trainer_host::{Scene, Track, stream::PacketMap, utility};
@@ -179,7 +179,7 @@ mod tests {
         let make = synth::Options { gaussians: 1000, frames: 2, ..synth::Options::default() };
         let scene = synth::make(&make, &Limits::default()).unwrap();
         let other = synth::make(&synth::Options { seed: 9, ..make }, &Limits::default()).unwrap();
-        let stream = encode::encode(&scene, &encode::Options::default(), &|_, _| {}).unwrap();
+        let stream = encode::encode(&scene, &encode::Options::default(), &|_, _| {}).unwrap().stream;
         let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
         let folder = tempfile::tempdir().unwrap();
         let cache = folder.path().join("a.utility.json");

@@ -1,7 +1,7 @@
 //! Gives the frames of a scene or a stream, one at a time: memory is that of one frame.
 
 use anyhow::{Context, Result};
-use codec_core::{closure::Arrived, ids::Level};
+use codec_core::internals::{closure::Arrived, ids::Level};
 use trainer_host::{Attributes, Epoch, Instant, Scene, Track, scene::Up, stream::Player, viewpoint::Framing};
 
 /// Frames to look at: of a scene, or decoded one by one from a stream.
@@ -116,7 +116,7 @@ fn push<T>(track: &mut Track<T>, value: T) {
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{Gaussian, gaussian::ShDegree};
+    use codec_core::{Gaussian, ShDegree};
 
     use super::*;
 

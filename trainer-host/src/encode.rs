@@ -10,6 +10,7 @@ mod packetise;
 mod paper;
 mod parity;
 mod protection;
+mod report;
 mod search;
 pub mod sensitivity;
 mod statistics;
@@ -17,13 +18,14 @@ mod steps;
 mod strata;
 mod target;
 
-pub use ledger::{Ledger, Part, Share, Stratum};
+pub use ledger::{Ledger, Part, Share};
 pub use protection::{Protection, ProtectionError, Strength};
+pub use report::{Encoded, QuantiserClass, Report};
 pub use search::Searched;
 pub use steps::Quality;
 pub use target::{COARSENESS, Reached, Target};
 
-use codec_core::{
+use codec_core::internals::{
     ids::{Level, PacketId},
     limits,
     wire::manifest::Profile,
@@ -31,7 +33,7 @@ use codec_core::{
 
 use self::strata::Strata;
 use self::{judge::JudgeError, sensitivity::MOST_PICTURES};
-use crate::{scene::Scene, stream::Stream};
+use crate::scene::Scene;
 
 /// What to encode, and how.
 #[derive(Clone, Debug, PartialEq)]
@@ -193,7 +195,7 @@ pub type Progress<'p> = &'p (dyn Fn(&'static str, f64) + Sync);
 /// # Errors
 /// An option out of range, a scene beyond the bounds of the format, or a target that no coarseness
 /// meets.
-pub fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Stream, EncodeError> {
+pub fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Encoded, EncodeError> {
     options.check()?;
     check_scene(scene)?;
     let strata = if options.profile == Profile::Paper {
@@ -217,8 +219,8 @@ fn once(
     options: &Options,
     strata: &Strata,
     progress: Progress<'_>,
-) -> Result<Stream, EncodeError> {
-    let stream = match options.profile {
+) -> Result<Encoded, EncodeError> {
+    match options.profile {
         Profile::Dgs1 => {
             // A block whose symbols do not fit one packet is halved until they do.
             let mut options = options.clone();
@@ -232,8 +234,7 @@ fn once(
             }
         }
         Profile::Paper => paper::encode(scene, options, progress),
-    };
-    Ok(stream?.with_quality(options.quality))
+    }
 }
 
 fn check_scene(scene: &Scene) -> Result<(), EncodeError> {

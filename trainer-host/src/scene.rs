@@ -12,7 +12,7 @@ pub mod export;
 pub mod import;
 pub mod viewpoint;
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 use render_host::Camera;
 
 /// An attribute of N Gaussians over T frames.

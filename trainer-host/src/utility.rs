@@ -7,7 +7,7 @@
 //! renderer, bit for bit those of separate renders. Cameras and frames are the caller's; keep
 //! them apart from those on which quality is reported.
 
-use codec_core::{
+use codec_core::internals::{
     closure::Arrived,
     ids::{Group, Level, Span},
     receiver::Content,
@@ -171,7 +171,7 @@ pub fn measure(
             options.beta,
             options.seed
         ),
-        manifest_crc: codec_core::wire::crc::crc32(content.manifest.raw()),
+        manifest_crc: codec_core::internals::wire::crc::crc32(content.manifest.raw()),
         renders,
         groups: groups.collect(),
     })
@@ -273,7 +273,7 @@ fn span_samples(
             let canonical = match group.span {
                 Span::Motion(w) => {
                     let epoch = manifest.window(w).map_or(0, |w| w.epoch);
-                    content.cell(Span::Canonical(codec_core::ids::EpochId(epoch)), group.cluster)
+                    content.cell(Span::Canonical(codec_core::internals::ids::EpochId(epoch)), group.cluster)
                 }
                 Span::Canonical(_) => None,
             };
@@ -308,7 +308,8 @@ fn span_samples(
 
 fn blocks_of(map: &PacketMap, cell_groups: &[usize], content: &Content<'_>) -> usize {
     let (group, _) = map.groups()[cell_groups[0]];
-    codec_core::layout::Shape::of(&content.manifest, group.span, group.cluster).map_or(0, |s| s.blocks())
+    codec_core::internals::layout::Shape::of(&content.manifest, group.span, group.cluster)
+        .map_or(0, |s| s.blocks())
 }
 
 /// A random dependency-closed state: every cell at a random number of levels, bases likelier than
@@ -327,7 +328,8 @@ fn random_state(map: &PacketMap, rng: &mut Pcg64, content: &Content<'_>) -> Vec<
         open &= rng.random::<f64>() < chance;
         if open
             && let Some(found) = content.cell(group.span, group.cluster)
-            && let Some(shape) = codec_core::layout::Shape::of(&content.manifest, group.span, group.cluster)
+            && let Some(shape) =
+                codec_core::internals::layout::Shape::of(&content.manifest, group.span, group.cluster)
         {
             let first = found.blocks as usize;
             for mask in &mut state[first..first + shape.blocks()] {

@@ -4,10 +4,13 @@
 
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
 
-use codec_core::{Gaussian, gaussian::ShDegree, wire::manifest::Profile};
+use codec_core::{
+    Gaussian,
+    internals::{gaussian::ShDegree, wire::manifest::Profile},
+};
 use trainer_host::{
     Epoch, Scene, Track,
-    encode::{Options, encode},
+    encode::{Encoded, Options, encode},
     import::{
         Limits,
         synth::{self, Kind},
@@ -27,7 +30,7 @@ fn options(profile: Profile) -> Options {
     }
 }
 
-fn encoded(scene: &Scene, options: &Options) -> Stream {
+fn encoded(scene: &Scene, options: &Options) -> Encoded {
     encode(scene, options, &|_, _| {}).unwrap()
 }
 
@@ -38,14 +41,15 @@ fn covariance(g: &Gaussian) -> nalgebra::Matrix3<f64> {
 }
 
 /// Root mean square of (position, display colour, opacity, covariance relative to its size).
-fn errors(scene: &Scene, stream: &Stream, frame: usize) -> [f64; 4] {
+fn errors(scene: &Scene, encoded: &Encoded, frame: usize) -> [f64; 4] {
+    let stream = &encoded.stream;
     let received = stream.receive().unwrap();
     let mut player = Player::new(&stream.manifest().unwrap());
     let decoded = player.instant(&received.content(), frame as u32).unwrap();
     let (epoch, t) = scene.locate(frame).unwrap();
     let source = scene.epochs()[epoch].instant(t);
     let mut sums = [0.0f64; 4];
-    for (d, &s) in decoded.gaussians.iter().zip(&stream.order()[epoch]) {
+    for (d, &s) in decoded.gaussians.iter().zip(&encoded.order[epoch]) {
         let s = &source.gaussians[s as usize];
         for k in 0..3 {
             sums[0] += f64::from(d.position[k] - s.position[k]).powi(2) / 3.0;
@@ -67,7 +71,7 @@ fn the_complete_state_is_close_to_the_source() {
             [(Profile::Dgs1, 0, 0.12), (Profile::Dgs1, 16, 0.15), (Profile::Paper, 0, 0.12)]
         {
             let stream = encoded(&scene, &Options { pictures, ..options(profile) });
-            let ledger = stream.ledger();
+            let ledger = &stream.report.ledger;
             println!(
                 "{} {profile:?}: {:.0} bits/Gaussian, {} packets, manifest {} bytes, saturated {}",
                 kind.name(),
@@ -109,10 +113,11 @@ fn what_does_not_show_is_not_sent() {
         .collect();
     let epoch = Epoch::new(made.frames(), attributes).unwrap();
     let scene = Scene::new(vec![epoch.clone()], made.frames_per_second()).unwrap();
-    let stream = encoded(&scene, &Options::default());
+    let encoding = encoded(&scene, &Options::default());
+    let stream = &encoding.stream;
     let sent = (0..n).filter(|&i| !hidden(i)).count();
-    let order = &stream.order()[0];
-    assert_eq!((order.len(), stream.ledger().invisible), (sent, (n - sent) as u64));
+    let order = &encoding.order[0];
+    assert_eq!((order.len(), encoding.report.ledger.invisible), (sent, (n - sent) as u64));
     assert!(order.iter().all(|&i| !hidden(i as usize)));
     let manifest = stream.manifest().unwrap();
     let received = stream.receive().unwrap();
@@ -126,8 +131,8 @@ fn what_does_not_show_is_not_sent() {
     let zero = decoded.sh_rest.chunks(9).filter(|rest| rest.iter().all(|v| *v == 0.0)).count();
     assert!(zero > sent / 5 && zero < sent, "{zero} of {sent}");
     let all = encoded(&scene, &Options { keep_invisible: true, ..Options::default() });
-    assert_eq!((all.order()[0].len(), all.ledger().invisible), (n, 0));
-    assert!(all.ledger().wire() > stream.ledger().wire());
+    assert_eq!((all.order[0].len(), all.report.ledger.invisible), (n, 0));
+    assert!(all.report.ledger.wire() > encoding.report.ledger.wire());
 }
 
 #[test]
@@ -135,8 +140,8 @@ fn equal_input_gives_equal_bytes() {
     let scene = scene(Kind::Figure);
     for profile in [Profile::Dgs1, Profile::Paper] {
         let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let one = pool(1).install(|| encoded(&scene, &options(profile)).to_bytes().unwrap());
-        let eight = pool(8).install(|| encoded(&scene, &options(profile)).to_bytes().unwrap());
+        let one = pool(1).install(|| encoded(&scene, &options(profile)).stream.to_bytes().unwrap());
+        let eight = pool(8).install(|| encoded(&scene, &options(profile)).stream.to_bytes().unwrap());
         assert!(one == eight);
         let (back, damage) = Stream::from_bytes(&one).unwrap();
         assert!(damage.is_none(), "{damage}");
@@ -164,7 +169,7 @@ fn every_subset_is_valid_and_its_state_needs_no_decoding() {
     for kind in [Kind::Figure, Kind::Births] {
         let scene = scene(kind);
         for profile in [Profile::Dgs1, Profile::Paper] {
-            let stream = encoded(&scene, &options(profile));
+            let stream = encoded(&scene, &options(profile)).stream;
             let map = PacketMap::of(&stream).unwrap();
             let received = stream.receive().unwrap();
             println!("{:?}", received.counters());
@@ -185,7 +190,7 @@ fn every_subset_is_valid_and_its_state_needs_no_decoding() {
 #[test]
 fn one_lost_packet_changes_only_its_blocks() {
     let scene = scene(Kind::Figure);
-    let stream = encoded(&scene, &options(Profile::Dgs1));
+    let stream = encoded(&scene, &options(Profile::Dgs1)).stream;
     let manifest = stream.manifest().unwrap();
     let map = PacketMap::of(&stream).unwrap();
     let received = stream.receive().unwrap();
@@ -198,9 +203,9 @@ fn one_lost_packet_changes_only_its_blocks() {
         let partial = player.instant(&content.with_state(&state), frame).unwrap();
         let mut own = vec![false; whole.gaussians.len()];
         let mut first = 0;
-        let epoch = codec_core::ids::EpochId(0);
+        let epoch = codec_core::internals::ids::EpochId(0);
         for c in 0..manifest.epoch(epoch).unwrap().clusters {
-            let cluster = codec_core::ids::ClusterId(c as u16);
+            let cluster = codec_core::internals::ids::ClusterId(c as u16);
             let count = usize::from(manifest.cluster(epoch, cluster).unwrap().gaussians);
             for mark in map.marks(lost).iter().filter(|m| m.group.cluster == cluster) {
                 let cell = content.cell(mark.group.span, cluster).unwrap();

@@ -18,9 +18,11 @@ use core::{ffi::c_void, mem, ptr, slice};
 
 use codec_core::{
     Caps, Error, ErrorKind, Gaussian,
-    digest::Digest,
+    internals::{
+        digest::Digest,
+        wire::{manifest, receipt::ViewerPose},
+    },
     player::{Player, Waiting},
-    wire::{manifest, receipt::ViewerPose},
 };
 
 use crate::types::*;

@@ -216,10 +216,10 @@ const _: () = {
     assert!(offset_of!(DgsGaussian, opacity) == offset_of!(Gaussian, opacity));
     assert!(offset_of!(DgsGaussian, sh0) == offset_of!(Gaussian, sh0));
     assert!(DGS_REFUSALS == ErrorKind::COUNT);
-    assert!(DGS_LEVELS == codec_core::ids::Level::COUNT);
-    assert!(DGS_MAX_RECOVERED == codec_core::limits::MAX_REPAIR_PARITY);
-    assert!(DGS_DIGEST_START == codec_core::digest::Digest::new().get());
-    assert!(DGS_RECEIPT_BYTES == codec_core::limits::MAX_RECEIPT_BYTES);
+    assert!(DGS_LEVELS == codec_core::internals::ids::Level::COUNT);
+    assert!(DGS_MAX_RECOVERED == codec_core::internals::limits::MAX_REPAIR_PARITY);
+    assert!(DGS_DIGEST_START == codec_core::internals::digest::Digest::new().get());
+    assert!(DGS_RECEIPT_BYTES == codec_core::internals::limits::MAX_RECEIPT_BYTES);
 };
 
 /// Viewer's pose in a receipt.

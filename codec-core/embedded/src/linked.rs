@@ -1,9 +1,6 @@
 // The program of `panicless` and `planted`: they differ in what `planted()` does.
 
-use codec_core::{
-    player::Waiting,
-    wire::{crc::crc32, receipt::Receipt},
-};
+use codec_core::{player::Waiting, internals::wire::{crc::crc32, receipt::Receipt}};
 use codec_embedded::memory;
 use core::hint::black_box;
 use cortex_m_rt::entry;

@@ -2,13 +2,15 @@
 
 use codec_core::{
     Gaussian, Result,
-    arena::FrameRequirements,
-    decode::{Decoder, Memory},
-    gaussian::ShDegree,
-    ids::EpochId,
+    internals::{
+        arena::FrameRequirements,
+        decode::{Decoder, Memory},
+        gaussian::ShDegree,
+        ids::EpochId,
+        receiver::Content,
+        wire::manifest::Manifest,
+    },
     player::Frame,
-    receiver::Content,
-    wire::manifest::Manifest,
 };
 
 /// A decoder with its own memory, for hosts that show many states of one stream, several at once.

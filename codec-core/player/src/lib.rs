@@ -22,7 +22,7 @@ mod stream;
 
 pub use codec_core::{
     Caps, Error, ErrorKind, Gaussian, Result,
-    gaussian::ShDegree,
+    internals::gaussian::ShDegree,
     player::{Accepted, Counters, Frame, StreamInfo, Usable},
 };
 pub use frames::FrameDecoder;

@@ -4,10 +4,12 @@ use std::{fmt, path::Path};
 
 use codec_core::{
     Caps, Error, Result,
-    ids::PacketId,
+    internals::{
+        ids::PacketId,
+        receiver::Content,
+        wire::manifest::{Manifest, Sealed},
+    },
     player::{self as core, Accepted, Counters, Frame, StreamInfo, Usable},
-    receiver::Content,
-    wire::manifest::{Manifest, Sealed},
 };
 use codec_simd::BatchReceiver;
 use self_cell::{MutBorrow, self_cell};

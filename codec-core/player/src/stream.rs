@@ -2,11 +2,13 @@
 
 use codec_core::{
     Caps, Error, Result,
-    pack::packed_bound,
-    receiver::Requirements,
-    wire::{
-        file::{self, Record},
-        manifest::{self, Manifest, Sealed},
+    internals::{
+        pack::packed_bound,
+        receiver::Requirements,
+        wire::{
+            file::{self, Record},
+            manifest::{self, Manifest, Sealed},
+        },
     },
 };
 use codec_simd::crc32;
@@ -81,8 +83,9 @@ impl Stream {
     /// Seals `raw`, an unpacked manifest body, and joins it with its packets, in order of their ids.
     ///
     /// # Errors
-    /// If the manifest cannot be sealed.
-    pub fn seal(raw: Vec<u8>, packets: Vec<Vec<u8>>) -> Result<Self> {
+    /// A body that is no manifest, or one that cannot be sealed.
+    pub fn new(raw: Vec<u8>, packets: Vec<Vec<u8>>) -> Result<Self> {
+        Manifest::parse(&raw)?;
         Ok(Self { message: sealed(&raw)?, raw, packets })
     }
 
@@ -96,10 +99,15 @@ impl Stream {
         &self.packets
     }
 
+    /// Bytes of the message and all packets.
+    pub fn wire_bytes(&self) -> usize {
+        self.message.len() + self.packets.iter().map(Vec::len).sum::<usize>()
+    }
+
     /// The manifest.
     ///
     /// # Errors
-    /// If the body that the stream was sealed from is no manifest.
+    /// None in practice: the body was checked when the stream was made.
     pub fn manifest(&self) -> Result<Manifest<'_>> {
         Manifest::parse(&self.raw)
     }

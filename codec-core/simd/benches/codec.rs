@@ -5,17 +5,19 @@
 
 use codec_core::{
     Caps,
+    internals::{
+        rans::{
+            lanes::{self, Compact, Decoder, Run, Symbols, naive},
+            table::{SLOTS, Table},
+        },
+        wire::{
+            crc::crc32,
+            file::{self, Record},
+            manifest,
+            packet::{Head, Packet},
+        },
+    },
     player::Waiting,
-    rans::{
-        lanes::{self, Compact, Decoder, Run, Symbols, naive},
-        table::{SLOTS, Table},
-    },
-    wire::{
-        crc::crc32,
-        file::{self, Record},
-        manifest,
-        packet::{Head, Packet},
-    },
 };
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 

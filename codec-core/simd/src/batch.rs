@@ -2,9 +2,11 @@
 
 use codec_core::{
     Error, Result,
-    rans::lanes::Run,
-    receiver::{Accepted, Planned, Receiver},
-    wire::checked::Checked,
+    internals::{
+        rans::lanes::Run,
+        receiver::{Accepted, Planned, Receiver},
+        wire::checked::Checked,
+    },
 };
 
 use crate::{Job, Kernel, Tables, decode_many_with};

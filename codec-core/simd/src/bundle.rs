@@ -2,7 +2,7 @@
 
 use codec_core::{
     Result,
-    rans::lanes::{Decoder, LANES, LOW, Run},
+    internals::rans::lanes::{Decoder, LANES, LOW, Run},
 };
 
 use crate::{

@@ -36,7 +36,7 @@ pub(crate) mod galois;
 #[cfg(target_arch = "x86_64")]
 mod spread;
 
-use codec_core::rans::{lanes::LANES, table::SLOTS};
+use codec_core::internals::rans::{lanes::LANES, table::SLOTS};
 
 /// Most packets in lockstep.
 pub(crate) const MOST_PACKETS: usize = 16;
@@ -183,7 +183,7 @@ impl Vectors {
 }
 
 impl Vectors {
-    /// As [`Raw::values_by`](codec_core::rans::lanes::Raw::values_by) wants it.
+    /// As [`Raw::values_by`](codec_core::internals::rans::lanes::Raw::values_by) wants it.
     pub fn spread(&self, raw_bits: u8, plane: &[u8], bit: usize, tokens: &[u8], out: &mut [i16]) -> usize {
         // SAFETY: `Kernel::vectors` gives a kernel only to a machine that has its instructions.
         #[expect(unsafe_code, reason = "functions with target features are unsafe to call")]

@@ -1,5 +1,5 @@
 //! Several packets at once, for hosts that receive many: the four-lane rANS decoder of
-//! [`codec_core::rans::lanes`] over 8 packets in AVX2 or 16 in AVX-512.
+//! [`codec_core::internals::rans::lanes`] over 8 packets in AVX2 or 16 in AVX-512.
 //!
 //! Packets need no common table, length or run list: each keeps its own place in its own runs, and
 //! one that is done makes room for the next. What the vectors do is pop tokens of whole groups of
@@ -19,7 +19,7 @@ mod repair;
 
 use codec_core::{
     Error, Result,
-    rans::{
+    internals::rans::{
         lanes::{Decoder, Run},
         table::SLOTS,
     },
@@ -33,7 +33,7 @@ pub use repair::{combine, combines};
 /// Decode tables of a stream.
 #[derive(Clone, Copy, Debug)]
 pub struct Tables<'a> {
-    /// Slots of each table, as [`codec_core::rans::table::Table::fill_slots`] fills them; slots of
+    /// Slots of each table, as [`codec_core::internals::rans::table::Table::fill_slots`] fills them; slots of
     /// any other kind give wrong values or errors, nothing worse.
     pub slots: &'a [[u32; SLOTS]],
     /// Raw bits per value of each table.

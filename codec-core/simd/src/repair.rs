@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use codec_core::repair::{self, Combine};
+use codec_core::internals::repair::{self, Combine};
 
 /// Every [`Combine`] of this machine by the name of its instructions, the slowest first: that of
 /// codec-core, then those by vectors. All give the same sums.

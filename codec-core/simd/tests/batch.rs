@@ -12,14 +12,16 @@ use std::path::Path;
 
 use codec_core::{
     Caps, Result,
-    player::Waiting,
-    receiver::{Accepted, Counters, Receiver},
-    wire::{
-        checked::Checked,
-        crc::crc32,
-        file::{self, Record},
-        manifest,
+    internals::{
+        receiver::{Accepted, Counters, Receiver},
+        wire::{
+            checked::Checked,
+            crc::crc32,
+            file::{self, Record},
+            manifest,
+        },
     },
+    player::Waiting,
 };
 use codec_simd::{BatchReceiver, Kernel};
 use proptest::prelude::*;
@@ -81,10 +83,10 @@ fn receive(
     let (manifest, symbols) = (content.manifest, content.symbols);
     let mut counted = vec![0i16; symbols.len()];
     let dgs1 = manifest.profile() == manifest::Profile::Dgs1;
-    codec_core::receiver::for_each_cell(&manifest, |span, cluster, shape| {
+    codec_core::internals::receiver::for_each_cell(&manifest, |span, cluster, shape| {
         let cell = content.cell(span, cluster).unwrap();
         for block in 0..if dgs1 { shape.blocks() } else { 1 } {
-            let levels = codec_core::ids::Level::ALL.into_iter();
+            let levels = codec_core::internals::ids::Level::ALL.into_iter();
             for level in levels.filter(|&l| content.arrived(cell, block).has(l)) {
                 let (start, len) = shape.range(level, block..block + 1);
                 let range = cell.symbols as usize + start..cell.symbols as usize + start + len;

@@ -1,7 +1,9 @@
 //! Every way of adding up repair sums on this machine against the definition of the product: all
 //! factors, all lengths of a packet, any place in memory.
 
-use codec_core::repair::{Combine, MAX_CODED_BYTES, Sums, Term, cauchy::column, gf256::slow, set_bytes};
+use codec_core::internals::repair::{
+    Combine, MAX_CODED_BYTES, Sums, Term, cauchy::column, gf256::slow, set_bytes,
+};
 use proptest::prelude::*;
 
 const LONGEST: usize = 1226;

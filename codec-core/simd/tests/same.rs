@@ -8,7 +8,7 @@
     reason = "a test's helpers fail like tests"
 )]
 
-use codec_core::rans::{
+use codec_core::internals::rans::{
     lanes::{self, Run, Symbols},
     table::{SLOTS, Table},
 };

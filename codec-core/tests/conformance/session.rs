@@ -4,15 +4,17 @@ use std::fmt::Write as _;
 
 use codec_core::{
     Caps, Gaussian,
-    closure::Arrived,
-    ids::Span,
-    player::{Counters, Waiting},
-    receiver::{Content, for_each_cell},
-    wire::{
-        crc::crc32,
-        file,
-        manifest::{Manifest, Sealed, open},
+    internals::{
+        closure::Arrived,
+        ids::Span,
+        receiver::{Content, for_each_cell},
+        wire::{
+            crc::crc32,
+            file,
+            manifest::{Manifest, Sealed, open},
+        },
     },
+    player::{Counters, Waiting},
 };
 
 /// One line of `index.txt`.

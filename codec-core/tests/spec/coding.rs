@@ -4,11 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use codec_core::{
     ErrorKind,
-    ids::Level,
-    layout, math,
-    quant::Class,
-    rans::{family, lanes, table},
-    wire::manifest::{Track, stream},
+    internals::{
+        ids::Level,
+        layout, math,
+        quant::Class,
+        rans::{family, lanes, table},
+        wire::manifest::{Track, stream},
+    },
 };
 
 use crate::{

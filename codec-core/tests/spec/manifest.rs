@@ -4,15 +4,17 @@ use std::{collections::BTreeMap, path::Path};
 
 use codec_core::{
     ErrorKind,
-    ids::{Level, PacketId, WindowId},
-    limits, math,
-    quant::{Class, Quantiser},
-    rans::{bytes, lanes, table},
-    wire::{
-        crc::crc32,
-        manifest::{
-            self, Cluster, Epoch, Head, MAX_TABLE_SET_BITS, Manifest, Motion, Quant, Repair, Sealed,
-            TableSet, Track, Window, stream,
+    internals::{
+        ids::{Level, PacketId, WindowId},
+        limits, math,
+        quant::{Class, Quantiser},
+        rans::{bytes, lanes, table},
+        wire::{
+            crc::crc32,
+            manifest::{
+                self, Cluster, Epoch, Head, MAX_TABLE_SET_BITS, Manifest, Motion, Quant, Repair, Sealed,
+                TableSet, Track, Window, stream,
+            },
         },
     },
 };
@@ -67,7 +69,8 @@ pub fn limits_of(tables: &Tables, found: &mut Vec<String>) {
     same(found, "limits: rows", spec.len(), code.len());
     // Every public constant of `limits.rs` has its row.
     let source =
-        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/limits.rs")).unwrap();
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src/internals/limits.rs"))
+            .unwrap();
     for name in source.lines().filter_map(|l| l.strip_prefix("pub const ")?.split(':').next()) {
         same(found, &format!("limits: a row for {name}"), true, spec.iter().any(|r| r.0 == name));
     }

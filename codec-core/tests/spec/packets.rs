@@ -4,14 +4,16 @@ use std::collections::BTreeMap;
 
 use codec_core::{
     ErrorKind,
-    ids::{EpochId, Level, PacketId, Span, WindowId},
-    limits,
-    repair::{Sums, set_bytes},
-    wire::{
-        crc::crc32,
-        file, manifest,
-        packet::{self, Chunk, Extent, Packet, Parity, Slices},
-        receipt::{Value, ViewerPose},
+    internals::{
+        ids::{EpochId, Level, PacketId, Span, WindowId},
+        limits,
+        repair::{Sums, set_bytes},
+        wire::{
+            crc::crc32,
+            file, manifest,
+            packet::{self, Chunk, Extent, Packet, Parity, Slices},
+            receipt::{Value, ViewerPose},
+        },
     },
 };
 

@@ -1,6 +1,6 @@
 //! Checks of a graph's parts and what follows from them: order, closures, deadlines.
 
-use codec_core::ids::{Group as GroupId, PacketId};
+use codec_core::internals::ids::{Group as GroupId, PacketId};
 
 use super::csr::Csr;
 use super::{
@@ -258,7 +258,7 @@ fn shares(parts: &GraphParts, closure: &[u32]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use codec_core::ids::{ClusterId, Level, Span, WindowId};
+    use codec_core::internals::ids::{ClusterId, Level, Span, WindowId};
 
     use super::super::{Group, Packet, Profile, RepairSet};
     use super::*;

@@ -4,7 +4,7 @@
 //! needs the level below it and, for motion, the canonical group of its own level. Sizes double with the level, as
 //! refinements cost more than they show.
 
-use codec_core::ids::{ClusterId, EpochId, Group as GroupId, Level, PacketId, Span, WindowId};
+use codec_core::internals::ids::{ClusterId, EpochId, Group as GroupId, Level, PacketId, Span, WindowId};
 
 use super::{
     GraphError, GraphParts, Group, GroupIndex, Packet, PacketGraph, PacketIndex, Profile, RepairSet,

@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use codec_core::{
+use codec_core::internals::{
     ids::{Group as GroupId, PacketId},
     limits::MAX_RECEIPT_BYTES,
     wire::{

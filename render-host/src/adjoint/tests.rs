@@ -2,7 +2,7 @@ use super::loss::{Dissimilarity, Distortion, Linear, Mse};
 use super::term::{CHOICES, DAMAGED, Damage, Term};
 use super::*;
 use crate::{Image, reference};
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 
 struct Numbers(u64);
 

@@ -2,7 +2,7 @@
 
 use std::sync::OnceLock;
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 
 use super::{Device, GpuError, Options};
 use crate::counterfactual::{States, Variants};

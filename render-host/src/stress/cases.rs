@@ -1,6 +1,6 @@
 //! The cases, family by family.
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 
 use super::{Case, poison};
 use crate::{Camera, Intrinsics, Settings};

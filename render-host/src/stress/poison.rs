@@ -1,6 +1,6 @@
 //! One value that is no number in one field of one Gaussian, each field in its turn.
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 
 use super::Case;
 use super::cases::{BOUND, ball, camera, neighbours};

@@ -1,6 +1,6 @@
 //! What is not rendered at all: who refuses it, and the words that must be in the error.
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 
 use super::cases::camera;
 use crate::adjoint::loss::Mse;

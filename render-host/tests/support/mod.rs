@@ -1,6 +1,6 @@
 //! Scenes for tests and benches: random, but the same every time.
 
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 use render_host::{Camera, Splats};
 
 /// Numbers from a seed (a 64-bit linear congruence; top bits).

@@ -9,11 +9,13 @@ use std::{fmt::Write as _, io, path::Path};
 
 use codec_core::{
     Caps, Gaussian,
-    digest::Digest,
+    internals::{
+        digest::Digest,
+        rans::{lanes, table::Table},
+        receiver::{Cell, Requirements},
+        wire::manifest::Sealed,
+    },
     player::{Counters, Waiting},
-    rans::{lanes, table::Table},
-    receiver::{Cell, Requirements},
-    wire::manifest::Sealed,
 };
 use trainer_host::{
     Stream, cluster,
@@ -117,7 +119,7 @@ impl Fixture {
             packet_bytes: 600,
             ..Options::default()
         };
-        Self::of(encode::encode(&scene, &options, &|_, _| {})?)
+        Self::of(encode::encode(&scene, &options, &|_, _| {})?.stream)
     }
 
     /// The fixture of `stream`.
@@ -367,7 +369,8 @@ mod tests {
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let stream =
             encode::encode(&scene, &Options { repair: Protection::NONE, ..Options::default() }, &|_, _| {})
-                .unwrap();
+                .unwrap()
+                .stream;
         assert!(matches!(Fixture::of(stream), Err(FixtureError::NoPacket(_))));
     }
 }

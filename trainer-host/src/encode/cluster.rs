@@ -201,7 +201,7 @@ pub fn block_order(indices: &[u32], positions: &[[f32; 3]], block_len: usize) ->
 mod tests {
     use super::*;
     use crate::scene::{Attributes, Track};
-    use codec_core::gaussian::ShDegree;
+    use codec_core::ShDegree;
 
     fn epoch(positions: Vec<[f32; 3]>, frames: usize) -> Epoch {
         let n = positions.len() / frames;

@@ -10,20 +10,22 @@ pub(super) mod price;
 mod proxy;
 mod track;
 
-use codec_core::{
+use codec_core::internals::{
     gaussian::ShDegree,
     ids::{EpochId, Level, Span, WindowId},
     quant::Class,
     rans::lanes::{HEAD_BYTES, LEAST_PLANE_BYTES},
     wire::{
-        manifest::{self, Head, Manifest, Profile, Proxy, Quant, Repair, stream},
+        manifest::{self, Head, Profile, Proxy, Quant, Repair, stream},
         packet::PARITY_OVERHEAD_BYTES,
     },
 };
 use rayon::prelude::*;
 
 use super::{
-    EncodeError, Ledger, Options, Progress, Share, packet_id,
+    EncodeError, Encoded, Ledger, Options, Progress, Report, Share,
+    ledger::{Section, manifest_parts},
+    packet_id,
     packetise::{CellSymbols, Lot, Proto, each_run, packetise},
     parity, rate,
     statistics::{Model, Streams},
@@ -32,7 +34,7 @@ use super::{
 use crate::{
     cluster,
     scene::{Epoch, Scene},
-    stream::{Section, Stream},
+    stream::Stream,
 };
 
 /// One epoch, quantised.
@@ -62,7 +64,7 @@ pub(super) fn encode(
     options: &Options,
     strata: &Strata,
     progress: Progress<'_>,
-) -> Result<Stream, EncodeError> {
+) -> Result<Encoded, EncodeError> {
     let mut plans = plans(scene, options, strata, progress)?;
     cut::cut(&mut plans, &options.tops);
     progress("entropy-code", 0.0);
@@ -82,7 +84,6 @@ pub(super) fn encode(
     let mut packets = Vec::new();
     let mut repairs = Vec::new();
     let mut ledger = ledger(scene, &plans, &streams, &model);
-    ledger.strata = strata.shares(&options.quality);
     for (lot, protos) in lots.iter().zip(&protos) {
         let first_packet = packets.len();
         for proto in protos {
@@ -98,9 +99,18 @@ pub(super) fn encode(
     ledger.packets = packets.len() as u64;
     parity::append(&mut repairs, &mut packets, &mut ledger)?;
     let (raw, sections) = body(scene, &plans, &model, &repairs, packets.len(), options);
-    Manifest::parse(&raw)?;
+    let stream = Stream::new(raw, packets)?;
+    ledger.manifest = stream.message().len() as f64;
+    ledger.manifest_parts = manifest_parts(stream.manifest()?.raw(), &sections, stream.message().len())?;
     let order = plans.into_iter().map(|p| p.order).collect();
-    Stream::seal(raw, &sections, packets, order, ledger).map_err(EncodeError::Format)
+    let report = Report {
+        ledger,
+        quality: options.quality,
+        quantiser_classes: strata.shares(&options.quality),
+        reached: None,
+        searched: None,
+    };
+    Ok(Encoded { stream, report, order })
 }
 
 /// The epochs of `scene`, quantised.

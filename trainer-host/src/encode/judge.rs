@@ -1,6 +1,6 @@
 //! How close a decoded state is to its source, in pictures: for choices the encoder makes.
 
-use codec_core::receiver::Content;
+use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
 use render_host::{Camera, Image, Renderer, Settings, Splats, metric};
 
@@ -154,7 +154,7 @@ mod tests {
         let judge = Judge::measuring(&scene, spread(0, 6, 2)).unwrap();
         let stream = |factor: f32| {
             let options = Options { quality: Quality::default().scaled(factor), ..Options::default() };
-            encode(&scene, &options, &|_, _| {}).unwrap()
+            encode(&scene, &options, &|_, _| {}).unwrap().stream
         };
         let (fine, coarse) = (stream(1.0), stream(8.0));
         let found = judge.whole(&fine).unwrap();

@@ -1,6 +1,8 @@
 //! Where every byte went: the paper's accounting table, for any stream.
 
-use super::{Quality, Reached, Searched};
+use codec_core::internals::{error, wire::manifest};
+
+use crate::stream::sealed;
 
 /// The byte cost of each part of a stream. All in bytes unless named otherwise.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -47,23 +49,6 @@ pub struct Ledger {
     /// Payload by attribute and level as its tables price it: raw bits and escapes included, code
     /// words not.
     pub shares: Vec<Share>,
-    /// How the target was met, if there was one.
-    pub reached: Option<Reached>,
-    /// What the search of the steps came to, if there was one.
-    pub searched: Option<Searched>,
-    /// Steps.
-    pub quality: Quality,
-    /// Gaussians that share steps, the most sensitive first (`dgs1`).
-    pub strata: Vec<Stratum>,
-}
-
-/// Gaussians that share steps.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Stratum {
-    /// How many of the scene's, over all epochs.
-    pub gaussians: u64,
-    /// Their steps.
-    pub quality: Quality,
 }
 
 /// Payload that one attribute takes at one level.
@@ -150,6 +135,33 @@ impl Ledger {
     }
 }
 
+/// Name and first byte of a section of a manifest body.
+pub(super) type Section = (&'static str, usize);
+
+/// What each section takes of a manifest of `len` bytes: header and CRC apart, the packed body is
+/// shared out in proportion to what the message shrinks by when it is packed without the section.
+pub(super) fn manifest_parts(raw: &[u8], sections: &[Section], len: usize) -> error::Result<Vec<Part>> {
+    let mut shrinks = Vec::new();
+    for (i, &(name, start)) in sections.iter().enumerate() {
+        let end = sections.get(i + 1).map_or(raw.len(), |next| next.1);
+        let without = [&raw[..start], &raw[end..]].concat();
+        let shrinks_by = if start == end { 0 } else { len.saturating_sub(sealed(&without)?.len()) };
+        shrinks.push((name, shrinks_by));
+    }
+    let total: usize = shrinks.iter().map(|s| s.1).sum();
+    let frame = (manifest::HEADER_BYTES + 4) as f64;
+    let mut parts = vec![Part { name: "manifest header and CRC".into(), bits: 8.0 * frame }];
+    parts.extend(shrinks.into_iter().filter(|s| s.1 > 0).map(|(name, by)| {
+        let share = by as f64 / total as f64;
+        Part { name: format!("manifest {name}"), bits: 8.0 * share * (len as f64 - frame) }
+    }));
+    let named: f64 = parts.iter().map(|p| p.bits).sum();
+    if total == 0 {
+        parts.push(Part { name: "manifest body".into(), bits: 8.0 * len as f64 - named });
+    }
+    Ok(parts)
+}
+
 #[cfg(test)]
 mod tests {
     use crate::{
@@ -167,9 +179,8 @@ mod tests {
             let scene = synth::make(&options, &Limits::default()).unwrap();
             let repaired = Options { repair: Protection::xor(4), ..Options::default() };
             for options in [repaired, Options::default(), Options::paper()] {
-                let stream = encode(&scene, &options, &|_, _| {}).unwrap();
-                let sent = stream.message().len() + stream.packets().iter().map(Vec::len).sum::<usize>();
-                let ledger = stream.ledger();
+                let encoded = encode(&scene, &options, &|_, _| {}).unwrap();
+                let (sent, ledger) = (encoded.stream.wire_bytes(), &encoded.report.ledger);
                 assert_eq!(ledger.wire(), sent as f64);
                 let parts = ledger.parts();
                 let sum: f64 = parts.iter().map(|p| p.bits).sum();

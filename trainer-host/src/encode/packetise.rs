@@ -4,13 +4,15 @@ use std::ops::Range;
 
 use codec_core::{
     Error, ErrorKind,
-    ids::{Level, PacketId, Span},
-    layout::Shape,
-    limits::{MAX_PACKET_BLOCKS, MAX_PACKET_VALUES},
-    rans::lanes,
-    wire::{
-        bits::BitWriter,
-        packet::{Extent, Slices},
+    internals::{
+        ids::{Level, PacketId, Span},
+        layout::Shape,
+        limits::{MAX_PACKET_BLOCKS, MAX_PACKET_VALUES},
+        rans::lanes,
+        wire::{
+            bits::BitWriter,
+            packet::{Extent, Slices},
+        },
     },
 };
 

@@ -8,17 +8,19 @@
 mod chunks;
 
 use chunks::{Group, groups};
-use codec_core::{
+use codec_core::internals::{
     ids::Level,
     layout::paper as layout,
     limits,
     quant::Class,
-    wire::manifest::{self, Cluster, Head, Manifest, Profile, Quant, Repair},
+    wire::manifest::{self, Cluster, Head, Profile, Quant, Repair},
 };
 use rayon::prelude::*;
 
 use super::{
-    EncodeError, Ledger, Options, Progress, packet_id, parity, rate,
+    EncodeError, Encoded, Ledger, Options, Progress, Report,
+    ledger::manifest_parts,
+    packet_id, parity, rate,
     steps::{self, Grid},
 };
 use crate::{
@@ -53,7 +55,7 @@ pub(super) fn encode(
     scene: &Scene,
     options: &Options,
     progress: Progress<'_>,
-) -> Result<Stream, EncodeError> {
+) -> Result<Encoded, EncodeError> {
     let mut plans = Vec::new();
     let mut first_frame = 0;
     for (e, epoch) in scene.epochs().iter().enumerate() {
@@ -111,7 +113,7 @@ pub(super) fn encode(
                     bytes.truncate(len);
                     let words = 4 * chunk.packet(id).dependencies.len();
                     ledger.payload += chunk.payload.len() as f64;
-                    ledger.headers += codec_core::wire::packet::CHUNK_HEADER_BYTES as f64;
+                    ledger.headers += codec_core::internals::wire::packet::CHUNK_HEADER_BYTES as f64;
                     ledger.dependencies += words as f64;
                     ledger.crc += 4.0;
                     packets.push(bytes);
@@ -125,9 +127,18 @@ pub(super) fn encode(
     ledger.packets = packets.len() as u64;
     parity::append(&mut repairs, &mut packets, &mut ledger)?;
     let raw = body(scene, &plans, &groups, &quants, &repairs, packets.len());
-    Manifest::parse(&raw)?;
+    let stream = Stream::new(raw, packets)?;
+    ledger.manifest = stream.message().len() as f64;
+    ledger.manifest_parts = manifest_parts(stream.manifest()?.raw(), &[], stream.message().len())?;
     let order = plans.iter().map(|p| p.members.concat()).collect();
-    Stream::seal(raw, &[], packets, order, ledger).map_err(EncodeError::Format)
+    let report = Report {
+        ledger,
+        quality: options.quality,
+        quantiser_classes: Vec::new(),
+        reached: None,
+        searched: None,
+    };
+    Ok(Encoded { stream, report, order })
 }
 
 fn plan(epoch: &Epoch, first_frame: usize, options: &Options) -> Result<EpochPlan, EncodeError> {

@@ -1,6 +1,6 @@
 //! Parity packets over ranges of media packets.
 
-use codec_core::{
+use codec_core::internals::{
     limits::MAX_PACKET_BYTES,
     repair::{Combine, Sums},
     wire::{manifest::Repair, packet::Parity},
@@ -69,7 +69,7 @@ fn rows(
 
 #[cfg(test)]
 mod tests {
-    use codec_core::ids::Level;
+    use codec_core::internals::ids::Level;
 
     use super::*;
     use crate::encode::Protection;
@@ -80,7 +80,7 @@ mod tests {
             (0..7usize).map(|p| (0..40 + 17 * p).map(|i| (i * 31 + p * 7919) as u8).collect()).collect();
         let strength = Protection::parse("base=4+2").unwrap().of(false, Level::BASE).unwrap();
         let range = strength.range(0, &packets).unwrap();
-        let slow = parity(&range, codec_core::repair::combine, &packets).unwrap();
+        let slow = parity(&range, codec_core::internals::repair::combine, &packets).unwrap();
         assert_eq!(slow.len(), 4);
         assert_eq!(parity(&range, codec_simd::combine(), &packets).unwrap(), slow);
         let mut other = packets.clone();

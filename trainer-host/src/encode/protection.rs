@@ -1,6 +1,6 @@
 //! How much parity which packets get: what everything else needs, first.
 
-use codec_core::{ids::Level, limits, wire::manifest::Repair};
+use codec_core::internals::{ids::Level, limits, wire::manifest::Repair};
 
 /// Parity of one kind of packets: any `parity` losses of a set of `set_len` packets are repaired.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -5,11 +5,10 @@
 //! and what gives the same PSNR for fewer bits is kept: a coordinate search, factors shrinking from
 //! round to round, bounded by a number of encodings.
 
-use super::{EncodeError, Options, Progress, Quality, Target, once, strata::Strata, target};
+use super::{EncodeError, Encoded, Options, Progress, Quality, Report, Target, once, strata::Strata, target};
 use crate::{
     judge::{Judge, PSNR_CAP_DB, spread},
     scene::{Epoch, Scene},
-    stream::Stream,
 };
 
 /// What a search found.
@@ -43,40 +42,43 @@ pub(super) fn encode(
     scene: &Scene,
     options: &Options,
     strata: &Strata,
-    start: Stream,
+    mut start: Encoded,
     progress: Progress<'_>,
-) -> Result<Stream, EncodeError> {
+) -> Result<Encoded, EncodeError> {
     let judge = Judge::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?;
-    let psnr = judge.whole(&start)?;
-    let before = start.ledger().wire();
+    let psnr = judge.whole(&start.stream)?;
+    let before = start.report.ledger.wire();
     let nothing = Searched { encodes: 0, kept: false, bits: 1.0, psnr_db: 0.0 };
+    start.report.searched = Some(nothing);
     if psnr >= PSNR_CAP_DB {
-        return Ok(start.with_searched(nothing));
+        return Ok(start);
     }
-    let quality = start.ledger().quality;
+    let quality = start.report.quality;
     let (quality, encodes) = on_a_part(scene, options, strata, quality, progress)?;
     // Sizes were asked for, or the PSNR that there was is to be kept.
     let wanted = options.target.unwrap_or(Target::PsnrDb(psnr));
     let again = Options { quality, target: None, ..options.clone() };
-    let found = match target::encode(scene, &again, strata, wanted, progress) {
+    start.report.searched = Some(Searched { encodes, ..nothing });
+    let mut found = match target::encode(scene, &again, strata, wanted, progress) {
         Ok(found) => found,
-        Err(EncodeError::Unreachable { .. }) => {
-            return Ok(start.with_searched(Searched { encodes, ..nothing }));
-        }
+        Err(EncodeError::Unreachable { .. }) => return Ok(start),
         Err(error) => return Err(error),
     };
-    let gain = judge.whole(&found)? - psnr;
+    let gain = judge.whole(&found.stream)? - psnr;
     let kept = match wanted {
-        Target::PsnrDb(_) => found.ledger().wire() < before,
+        Target::PsnrDb(_) => found.report.ledger.wire() < before,
         _ => gain > 0.0,
     };
-    let encodes = encodes + found.ledger().reached.map_or(0, |r| r.encodes);
-    let searched = Searched { encodes, kept, bits: found.ledger().wire() / before, psnr_db: gain };
+    let encodes = encodes + found.report.reached.map_or(0, |r| r.encodes);
     if !kept {
-        return Ok(start.with_searched(Searched { encodes, ..nothing }));
+        start.report.searched = Some(Searched { encodes, ..nothing });
+        return Ok(start);
     }
-    let reached = options.target.and(found.ledger().reached);
-    Ok(found.with_reached(reached).with_searched(searched))
+    let bits = found.report.ledger.wire() / before;
+    let reached = options.target.and(found.report.reached);
+    let searched = Some(Searched { encodes, kept, bits, psnr_db: gain });
+    found.report = Report { reached, searched, ..found.report };
+    Ok(found)
 }
 
 /// Searches on the middle epoch of `scene`, which stands for the others.
@@ -97,8 +99,8 @@ fn on_a_part(
     descend(quality, &Axis::of(part), options.search, |quality| {
         progress("search", tries as f64 / options.search as f64);
         tries += 1;
-        let stream = once(part, &Options { quality, target: None, ..options.clone() }, strata, &|_, _| {})?;
-        Ok(Marks { bits: stream.ledger().wire(), psnr: judge.whole(&stream)? })
+        let encoded = once(part, &Options { quality, target: None, ..options.clone() }, strata, &|_, _| {})?;
+        Ok(Marks { bits: encoded.report.ledger.wire(), psnr: judge.whole(&encoded.stream)? })
     })
 }
 
@@ -274,16 +276,16 @@ mod tests {
         let first = super::super::encode(&scene, &plain, &|_, _| {}).unwrap();
         let found =
             super::super::encode(&scene, &Options { search: 16, ..plain.clone() }, &|_, _| {}).unwrap();
-        let searched = found.ledger().searched.unwrap();
+        let searched = found.report.searched.unwrap();
         assert!(searched.kept && searched.bits < 0.97, "{searched:?}");
-        assert_eq!(searched.bits, found.ledger().wire() / first.ledger().wire());
-        assert!(judge.whole(&found).unwrap() >= judge.whole(&first).unwrap());
-        assert!(found.ledger().quality.position > 0.0024 && found.ledger().reached.is_none());
+        assert_eq!(searched.bits, found.report.ledger.wire() / first.report.ledger.wire());
+        assert!(judge.whole(&found.stream).unwrap() >= judge.whole(&first.stream).unwrap());
+        assert!(found.report.quality.position > 0.0024 && found.report.reached.is_none());
         // A size that was asked for is kept.
-        let target = Some(Target::Bytes(first.ledger().wire() as u64));
+        let target = Some(Target::Bytes(first.report.ledger.wire() as u64));
         let sized = Options { search: 16, target, ..plain };
         let found = super::super::encode(&scene, &sized, &|_, _| {}).unwrap();
-        assert!(found.ledger().wire() <= first.ledger().wire() && found.ledger().reached.is_some());
-        assert!(found.ledger().searched.unwrap().psnr_db > 0.0);
+        assert!(found.report.ledger.wire() <= first.report.ledger.wire() && found.report.reached.is_some());
+        assert!(found.report.searched.unwrap().psnr_db > 0.0);
     }
 }

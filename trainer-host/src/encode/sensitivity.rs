@@ -6,7 +6,7 @@
 //! whose square has that sum as its mean (source: Hutchinson 1990); pictures from all around are
 //! averaged. Errors of different values are independent, so that what they cost adds up.
 
-use codec_core::gaussian::Gaussian;
+use codec_core::internals::gaussian::Gaussian;
 use render_host::{
     Image, ImageError, Settings, Splats,
     adjoint::{Gradients, Loss, Workspace, render_and_gradients_into},
@@ -141,7 +141,7 @@ impl Loss for Signs {
 
 #[cfg(test)]
 mod tests {
-    use codec_core::gaussian::ShDegree;
+    use codec_core::ShDegree;
     use render_host::Renderer;
 
     use super::*;
@@ -205,9 +205,11 @@ mod tests {
                 mean(&|a, d| frame(&mut a.log_scales)[i][d] += by),
                 mean(&|a, d| {
                     let q = &mut frame(&mut a.rotations)[i];
-                    let mut m = codec_core::math::mrp_from_quat(*q);
+                    let mut m = codec_core::internals::math::mrp_from_quat(*q);
                     m[d] += by;
-                    *q = codec_core::math::normalised(codec_core::math::quat_from_mrp(m));
+                    *q = codec_core::internals::math::normalised(codec_core::internals::math::quat_from_mrp(
+                        m,
+                    ));
                 }),
                 change(
                     &plain,

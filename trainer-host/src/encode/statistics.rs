@@ -2,7 +2,7 @@
 
 mod menu;
 
-use codec_core::{
+use codec_core::internals::{
     rans::{
         family,
         table::{ESCAPE, MAX_RAW_BITS, PRECISION, Table},

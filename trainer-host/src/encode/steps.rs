@@ -1,6 +1,6 @@
 //! How finely to quantise: steps per attribute class, and how levels nest.
 
-use codec_core::{
+use codec_core::internals::{
     quant::{Class, Quantiser},
     wire::manifest::Quant,
 };
@@ -223,7 +223,7 @@ pub(super) fn paper(quality: &Quality, position_step: f32) -> Result<Quant, Enco
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{gaussian::ShDegree, ids::Level};
+    use codec_core::internals::{gaussian::ShDegree, ids::Level};
 
     use super::*;
     use crate::{
@@ -262,7 +262,7 @@ mod tests {
                 let scene = Scene::new(vec![epoch.clone()], 30.0).unwrap();
                 let options = Options { quality, pictures: 2, ..Options::default() };
                 let stream = encode(&scene, &options, &|_, _| {}).unwrap();
-                assert_eq!(stream.ledger().saturated, 0, "size {size}, coarseness {coarseness}");
+                assert_eq!(stream.report.ledger.saturated, 0, "size {size}, coarseness {coarseness}");
             }
         }
     }

@@ -12,7 +12,7 @@
 mod cheap;
 
 use super::{
-    EncodeError, Options, Quality, Stratum,
+    EncodeError, Options, Quality, QuantiserClass,
     steps::{DGS1_BASE_RATIO, Factors, Grid},
 };
 use crate::{
@@ -110,10 +110,10 @@ impl Strata {
     }
 
     /// How many Gaussians each has, and its steps.
-    pub fn shares(&self, quality: &Quality) -> Vec<Stratum> {
+    pub fn shares(&self, quality: &Quality) -> Vec<QuantiserClass> {
         let count =
             |stratum: usize| self.of.iter().flatten().filter(|&&s| usize::from(s) == stratum).count() as u64;
-        let share = |(stratum, factors): (usize, &Factors)| Stratum {
+        let share = |(stratum, factors): (usize, &Factors)| QuantiserClass {
             gaussians: count(stratum),
             quality: quality.times(factors),
         };
@@ -467,9 +467,9 @@ mod tests {
         let judge = Judge::measuring(&scene, spread(0, 1, 1)).unwrap();
         let marks = |pictures: usize, coarseness: f32| {
             let quality = Quality::default().scaled(coarseness);
-            let stream =
+            let encoded =
                 encode(&scene, &Options { pictures, quality, ..Options::default() }, &|_, _| {}).unwrap();
-            (stream.ledger().wire(), judge.whole(&stream).unwrap())
+            (encoded.report.ledger.wire(), judge.whole(&encoded.stream).unwrap())
         };
         let (even, psnr) = marks(0, 1.0);
         let finer = (1..20).map(|k| marks(16, 1.1 * 0.9f32.powi(k))).find(|m| m.1 >= psnr);

@@ -4,11 +4,10 @@
 //! secant on the logarithm of the coarseness needs few encodings. What is returned has been
 //! encoded and measured, so a stream that is not quite monotone costs closeness, never the promise.
 
-use super::{EncodeError, Options, Progress, once, strata::Strata};
+use super::{EncodeError, Encoded, Options, Progress, once, strata::Strata};
 use crate::{
     judge::{Judge, spread},
     scene::Scene,
-    stream::Stream,
 };
 
 /// What an encoding must meet.
@@ -90,7 +89,7 @@ pub(super) fn encode(
     strata: &Strata,
     target: Target,
     progress: Progress<'_>,
-) -> Result<Stream, EncodeError> {
+) -> Result<Encoded, EncodeError> {
     let judge = match target {
         Target::PsnrDb(_) => Some(Judge::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?),
         _ => None,
@@ -107,15 +106,15 @@ pub(super) fn encode(
     let found = search.run(|at| {
         let coarseness = (sign * at).exp() as f32;
         let quality = options.quality.scaled(coarseness);
-        let stream = once(scene, &Options { quality, target: None, ..options.clone() }, strata, progress)?;
+        let encoded = once(scene, &Options { quality, target: None, ..options.clone() }, strata, progress)?;
         let value = match (target, &judge) {
-            (Target::BitsPerGaussian(_), _) => stream.ledger().bits_per_gaussian(),
-            (Target::PsnrDb(_), Some(judge)) => judge.whole(&stream)?,
-            _ => stream.ledger().wire(),
+            (Target::BitsPerGaussian(_), _) => encoded.report.ledger.bits_per_gaussian(),
+            (Target::PsnrDb(_), Some(judge)) => judge.whole(&encoded.stream)?,
+            _ => encoded.report.ledger.wire(),
         };
-        Ok::<_, EncodeError>((target.excess(value), (stream, coarseness, value)))
+        Ok::<_, EncodeError>((target.excess(value), (encoded, coarseness, value)))
     })?;
-    let (stream, coarseness, value) = found.what;
+    let (mut encoded, coarseness, value) = found.what;
     if found.excess > 0.0 {
         return Err(EncodeError::Unreachable {
             option: target.name(),
@@ -124,7 +123,8 @@ pub(super) fn encode(
             coarseness,
         });
     }
-    Ok(stream.with_reached(Some(Reached { target, coarseness, encodes: found.tries, value })))
+    encoded.report.reached = Some(Reached { target, coarseness, encodes: found.tries, value });
+    Ok(encoded)
 }
 
 /// A search for the least place whose excess, which falls from left to right, is at most zero.
@@ -213,7 +213,7 @@ mod tests {
         synth::make(&options, &Limits::default()).unwrap()
     }
 
-    fn encoded(target: Target) -> Result<Stream, EncodeError> {
+    fn encoded(target: Target) -> Result<Encoded, EncodeError> {
         let options = Options { target: Some(target), ..Options::default() };
         super::super::encode(&scene(), &options, &|_, _| {})
     }
@@ -222,15 +222,15 @@ mod tests {
     fn sizes_are_met_closely_and_never_exceeded() {
         for factor in [0.5, 1.7] {
             let free = super::super::encode(&scene(), &Options::default(), &|_, _| {}).unwrap();
-            let wanted = (free.ledger().wire() * factor) as u64;
+            let wanted = (free.report.ledger.wire() * factor) as u64;
             let stream = encoded(Target::Bytes(wanted)).unwrap();
-            let sent: usize = stream.message().len() + stream.packets().iter().map(Vec::len).sum::<usize>();
-            assert_eq!(stream.ledger().wire(), sent as f64);
+            let sent = stream.stream.wire_bytes();
+            assert_eq!(stream.report.ledger.wire(), sent as f64);
             assert!(sent as u64 <= wanted && sent as f64 > 0.96 * wanted as f64, "{sent} of {wanted}");
-            let reached = stream.ledger().reached.unwrap();
+            let reached = stream.report.reached.unwrap();
             assert!(reached.encodes <= MOST && (reached.coarseness > 1.0) == (factor < 1.0), "{reached:?}");
         }
-        let bits = encoded(Target::BitsPerGaussian(80.0)).unwrap().ledger().bits_per_gaussian();
+        let bits = encoded(Target::BitsPerGaussian(80.0)).unwrap().report.ledger.bits_per_gaussian();
         assert!((76.0..=80.0).contains(&bits), "{bits}");
     }
 
@@ -238,8 +238,8 @@ mod tests {
     fn a_psnr_is_reached_and_not_much_more() {
         let stream = encoded(Target::PsnrDb(46.0)).unwrap();
         let judge = Judge::measuring(&scene(), spread(0, 4, FRAMES)).unwrap();
-        let found = judge.whole(&stream).unwrap();
-        assert_eq!(Some(found), stream.ledger().reached.map(|r| r.value));
+        let found = judge.whole(&stream.stream).unwrap();
+        assert_eq!(Some(found), stream.report.reached.map(|r| r.value));
         assert!((46.0..46.6).contains(&found), "{found}");
     }
 

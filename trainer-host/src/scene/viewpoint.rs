@@ -156,7 +156,7 @@ fn ranked(mut values: Vec<f64>, rank: impl Fn(usize) -> usize) -> Option<f64> {
 
 #[cfg(test)]
 mod tests {
-    use codec_core::gaussian::ShDegree;
+    use codec_core::ShDegree;
     use rand::{RngExt, seq::SliceRandom};
     use rand_pcg::rand_core::SeedableRng;
 

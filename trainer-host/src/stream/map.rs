@@ -1,6 +1,6 @@
 //! What each packet of a stream brings, worked out from headers and the manifest's lattice.
 
-use codec_core::{
+use codec_core::internals::{
     closure::Arrived,
     error,
     ids::{ClusterId, EpochId, Group, Level, Span},

@@ -1,6 +1,9 @@
 //! Shows frames of a stream in any state, as renderers and scenes take them.
 
-use codec_core::{error, player::Frame, receiver::Content, wire::manifest::Manifest};
+use codec_core::{
+    internals::{error, receiver::Content, wire::manifest::Manifest},
+    player::Frame,
+};
 use dgs_player::FrameDecoder;
 
 use crate::scene::Instant;

@@ -182,7 +182,7 @@ fn bits(g: &Gaussian) -> [u32; 14] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use codec_core::gaussian::ShDegree;
+    use codec_core::ShDegree;
     use rand::RngExt;
     use rand_pcg::Pcg64;
 

@@ -1,13 +1,13 @@
 //! Which levels are worth their bytes: the last step of rate against distortion.
 
-use codec_core::{
+use codec_core::internals::{
     ids::{Level, Span},
     receiver::Content,
 };
 
 use super::{Options, Table};
 use crate::{
-    encode::{self, EncodeError, Ledger, Progress},
+    encode::{self, EncodeError, Encoded, Progress, Report},
     scene::Scene,
     stream::{PacketMap, Stream},
     viewpoint::{Framing, Ring},
@@ -91,45 +91,46 @@ pub struct Truncated {
     pub wire_after: f64,
 }
 
-/// Encodes `scene` again without the levels that `table`, the utilities of `stream`, does not find
-/// worth sending at `lambda` (0: those that gain nothing). `options` are those of `stream`.
+/// Encodes `scene` again without the levels that `table`, the utilities of `whole`, does not find
+/// worth sending at `lambda` (0: those that gain nothing). `options` are those of `whole`.
 ///
 /// # Errors
 /// A λ that is not a number of at least 0; a stream that does not decode; as [`encode::encode`].
 pub fn truncate(
     scene: &Scene,
     options: &encode::Options,
-    stream: &Stream,
+    whole: &Encoded,
     table: &Table,
     lambda: f64,
     progress: Progress<'_>,
-) -> Result<(Stream, Truncated), EncodeError> {
+) -> Result<(Encoded, Truncated), EncodeError> {
+    let stream = &whole.stream;
     if !(lambda >= 0.0 && lambda.is_finite()) {
         return Err(EncodeError::Lambda { found: lambda });
     }
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let tops = tops(&received.content(), &map, table, &group_bytes(stream, &map), lambda);
-    let quality = stream.ledger().quality;
+    let quality = whole.report.quality;
     let block_len = stream.manifest()?.block_len();
     let again = encode::Options { tops, quality, block_len, target: None, search: 0, ..options.clone() };
-    let cut = encode::encode(scene, &again, progress)?;
-    let left = PacketMap::of(&cut)?.groups().len();
+    let mut cut = encode::encode(scene, &again, progress)?;
+    let left = PacketMap::of(&cut.stream)?.groups().len();
     let truncated = Truncated {
         lambda,
         groups: map.groups().len(),
         dropped: map.groups().len().saturating_sub(left),
-        wire_before: stream.ledger().wire(),
-        wire_after: cut.ledger().wire(),
+        wire_before: whole.report.ledger.wire(),
+        wire_after: cut.report.ledger.wire(),
     };
-    let Ledger { reached, searched, .. } = *stream.ledger();
-    let cut = cut.with_reached(reached);
-    Ok((searched.map_or(cut.clone(), |searched| cut.with_searched(searched)), truncated))
+    let Report { reached, searched, .. } = whole.report;
+    cut.report = Report { reached, searched, ..cut.report };
+    Ok((cut, truncated))
 }
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{gaussian::ShDegree, quant::Class};
+    use codec_core::internals::{gaussian::ShDegree, quant::Class};
 
     use super::*;
     use crate::{
@@ -176,17 +177,17 @@ mod tests {
     fn levels_of_what_is_hidden_are_not_sent() {
         let scene = hidden(400);
         let options = encode::Options::default();
-        let stream = encode::encode(&scene, &options, &|_, _| {}).unwrap();
-        let map = PacketMap::of(&stream).unwrap();
-        let received = stream.receive().unwrap();
+        let whole = encode::encode(&scene, &options, &|_, _| {}).unwrap();
+        let map = PacketMap::of(&whole.stream).unwrap();
+        let received = whole.stream.receive().unwrap();
         let how = Options::complete(&scene).unwrap();
         let table = measure(&scene, &received.content(), &map, &how, &|_| {}).unwrap();
-        let (cut, truncated) = truncate(&scene, &options, &stream, &table, 0.0, &|_, _| {}).unwrap();
+        let (cut, truncated) = truncate(&scene, &options, &whole, &table, 0.0, &|_, _| {}).unwrap();
         assert!(truncated.dropped >= 3 && truncated.wire_after < truncated.wire_before, "{truncated:?}");
-        let manifest = cut.manifest().unwrap();
+        let manifest = cut.stream.manifest().unwrap();
         // The core's clusters are the small ones.
         let (mut small, mut large) = (0.0f32, f32::INFINITY);
-        codec_core::receiver::for_each_cell(&manifest, |_, _, shape| {
+        codec_core::internals::receiver::for_each_cell(&manifest, |_, _, shape| {
             let step = shape.quant.canonical[Class::Position.index()].step(Level::BASE);
             let radius = f32::from(shape.cluster.radius) * step;
             match shape.top() {
@@ -197,15 +198,15 @@ mod tests {
         assert!(0.0 < small && small < large && large.is_finite(), "{small} {large}");
         // What can be seen is no worse for it.
         let judge = Judge::measuring(&scene, vec![0]).unwrap();
-        let (before, after) = (judge.whole(&stream).unwrap(), judge.whole(&cut).unwrap());
+        let (before, after) = (judge.whole(&whole.stream).unwrap(), judge.whole(&cut.stream).unwrap());
         assert!(after > before - 0.1, "{after} dB after {before}");
         // A price no level is worth leaves base levels; one that is no price is refused.
-        let (base, _) = truncate(&scene, &options, &stream, &table, 1e9, &|_, _| {}).unwrap();
-        codec_core::receiver::for_each_cell(&base.manifest().unwrap(), |_, _, shape| {
+        let (base, _) = truncate(&scene, &options, &whole, &table, 1e9, &|_, _| {}).unwrap();
+        codec_core::internals::receiver::for_each_cell(&base.stream.manifest().unwrap(), |_, _, shape| {
             assert_eq!(shape.top(), Level::BASE);
         });
         for lambda in [-1.0, f64::NAN] {
-            let refused = truncate(&scene, &options, &stream, &table, lambda, &|_, _| {});
+            let refused = truncate(&scene, &options, &whole, &table, lambda, &|_, _| {});
             assert!(matches!(refused, Err(EncodeError::Lambda { .. })));
         }
     }

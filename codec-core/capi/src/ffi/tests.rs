@@ -2,7 +2,7 @@
 
 use std::{vec, vec::Vec};
 
-use codec_core::{file, wire::crc::crc32};
+use codec_core::{file, internals::wire::crc::crc32};
 
 use super::*;
 
@@ -127,7 +127,7 @@ fn a_stream_plays_in_a_block_of_the_size_that_it_requires_and_in_none_shorter() 
         let out = receipt.as_mut_ptr();
         let status = dgs_receipt(player, 1, 5, ptr::null(), out, receipt.len(), &mut written, &mut error);
         assert_eq!(status, DGS_OK);
-        assert!(codec_core::wire::receipt::Receipt::parse(&receipt[..written], crc32).is_ok());
+        assert!(codec_core::internals::wire::receipt::Receipt::parse(&receipt[..written], crc32).is_ok());
     }
 }
 

@@ -6,13 +6,15 @@
 #![no_main]
 
 use codec_core::{
-    cursor::Reader,
-    digest::Digest,
-    player::Counters,
-    rans::{
-        lanes::{self, Compact, Lookup},
-        table::{SLOTS, Table},
+    internals::{
+        cursor::Reader,
+        digest::Digest,
+        rans::{
+            lanes::{self, Compact, Lookup},
+            table::{SLOTS, Table},
+        },
     },
+    player::Counters,
 };
 use codec_embedded::{count::Counter, fixture, memory, stack};
 use cortex_m_rt::entry;

@@ -3,7 +3,7 @@
 
 use core::arch::x86_64::*;
 
-use codec_core::rans::{
+use codec_core::internals::rans::{
     lanes::LOW,
     table::{PRECISION, SCALE, SLOTS},
 };

@@ -4,7 +4,7 @@
 
 use core::arch::x86_64::*;
 
-use codec_core::repair::{self, Combine, LENGTH_BYTES, Term, gf256::mul};
+use codec_core::internals::repair::{self, Combine, LENGTH_BYTES, Term, gf256::mul};
 
 /// Products of a factor with all low and with all high halves of a byte.
 static HALVES: [[[u8; 16]; 2]; 256] = {

@@ -1,6 +1,6 @@
 use super::*;
 use crate::{Renderer, reference};
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 
 struct Case {
     gaussians: Vec<Gaussian>,

@@ -38,8 +38,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     };
     for profile in [ProfileName::Paper, ProfileName::Dgs1] {
         let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
-        let stream = pipeline::encode(&scene, &options, setup.quiet)?;
-        let ledger = stream.ledger();
+        let ledger = pipeline::encode(&scene, &options, setup.quiet)?.report.ledger;
         let profile = pipeline::profile_name(options.profile);
         let key = |what: &str| format!("{name}.{profile}.{what}");
         let rows = [

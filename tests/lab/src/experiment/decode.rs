@@ -5,15 +5,17 @@ use std::hint::black_box;
 use anyhow::{Result, ensure};
 use codec_core::{
     Caps,
-    closure::{Arrived, naive_usable},
-    digest::Digest,
-    gaussian::Gaussian,
-    ids::Level,
-    player::{Accepted, Player as CorePlayer, Waiting},
-    wire::{
-        crc::{Crc32, crc32},
-        packet::{Head, Packet},
+    internals::{
+        closure::{Arrived, naive_usable},
+        digest::Digest,
+        gaussian::Gaussian,
+        ids::Level,
+        wire::{
+            crc::{Crc32, crc32},
+            packet::{Head, Packet},
+        },
     },
+    player::{Accepted, Player as CorePlayer, Waiting},
 };
 use codec_simd::{BatchReceiver, Kernel};
 use dgs::{args::ProfileName, pipeline};
@@ -48,7 +50,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     }
     for (name, scene) in &scenes {
         let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::NONE);
-        let stream = pipeline::encode(scene, &options, setup.quiet)?;
+        let stream = pipeline::encode(scene, &options, setup.quiet)?.stream;
         whole(&mut bench, name, &stream, runs)?;
         parts(&mut bench, name, &stream, runs)?;
     }

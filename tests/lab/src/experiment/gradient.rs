@@ -6,7 +6,7 @@ mod rank;
 use std::time::Instant;
 
 use anyhow::Result;
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 use render_host::{
     Camera, Gradients, Image, Loss, Renderer, Settings, Splats, Workspace,
     adjoint::{

@@ -2,7 +2,10 @@
 //! what packet loss costs without retransmission.
 
 use anyhow::{Result, ensure};
-use codec_core::{Gaussian, ids::Span, receiver::Content};
+use codec_core::{
+    Gaussian,
+    internals::{ids::Span, receiver::Content},
+};
 use dgs::{args::ProfileName, pipeline, quality};
 use rayon::prelude::*;
 use render_host::{Renderer, Settings, Splats, metric};
@@ -40,7 +43,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     for (name, scene) in &scenes {
         for profile in [ProfileName::Dgs1, ProfileName::Paper] {
             let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
-            let stream = pipeline::encode(scene, &options, setup.quiet)?;
+            let stream = pipeline::encode(scene, &options, setup.quiet)?.stream;
             let key = format!("{name}.{}", pipeline::profile_name(options.profile));
             promise(&mut bench, &key, scene, &stream, subsets)?;
             loss(&mut bench, &key, scene, &stream, masks, size)?;
@@ -177,7 +180,7 @@ fn locality(bench: &mut Bench, key: &str, stream: &Stream) -> Result<()> {
 /// (cluster, block) of every decoded Gaussian, per epoch.
 fn owners(content: &Content<'_>) -> Vec<Vec<(u16, usize)>> {
     let mut owners = vec![Vec::new(); usize::from(content.manifest.head().epochs)];
-    codec_core::receiver::for_each_cell(&content.manifest, |span, cluster, shape| {
+    codec_core::internals::receiver::for_each_cell(&content.manifest, |span, cluster, shape| {
         if let Span::Canonical(epoch) = span {
             let blocks = (0..shape.blocks())
                 .flat_map(|b| std::iter::repeat_n((cluster.0, b), shape.block_gaussians(b)));

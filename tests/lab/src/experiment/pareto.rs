@@ -12,7 +12,7 @@ use std::{fmt::Write as _, time::Instant};
 use anyhow::Result;
 use backend::Backend;
 use candidates::{Candidate, KNOBS, candidates};
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 use dgs::output::print;
 use render_host::{
     Camera, Image, Settings, Splats, metric,

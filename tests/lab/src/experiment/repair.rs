@@ -2,7 +2,7 @@
 //! code runs beside its slow twin and public peers.
 
 use anyhow::{Context, Result, ensure};
-use codec_core::{
+use codec_core::internals::{
     repair::{
         Combine, HEAD_BYTES, LENGTH_BYTES, MAX_CODED_BYTES, Sums, cauchy::coefficient, gf256, set_bytes,
     },
@@ -376,7 +376,7 @@ mod tests {
         assert!(case.recover(3) > 0);
         // Arithmetic of another field is seen.
         case.combine = |rows, stride, terms| {
-            codec_core::repair::combine(rows, stride, terms);
+            codec_core::internals::repair::combine(rows, stride, terms);
             rows.iter_mut().for_each(|byte| *byte ^= 1);
         };
         assert!(case.wrong() > 0);

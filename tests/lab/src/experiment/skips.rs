@@ -4,7 +4,7 @@ mod frames;
 mod paired;
 
 use anyhow::{Result, ensure};
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use render_host::{Camera, Counters, Renderer, Settings, Splats, reference};
 use trainer_host::{
     Instant, Scene,

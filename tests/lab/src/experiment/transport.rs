@@ -51,7 +51,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         &scene,
         &pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::STANDARD),
         setup.quiet,
-    )?;
+    )?
+    .stream;
     let map = PacketMap::of(&stream)?;
     let table = utilities(&scene, &stream, &map, setup)?;
     let graph = pipeline::graph(&stream, &map, Some(&table))?;

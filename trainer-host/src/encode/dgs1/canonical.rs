@@ -1,6 +1,6 @@
 //! Canonical attributes to nested symbols.
 
-use codec_core::{
+use codec_core::internals::{
     ids::Level,
     layout::Shape,
     math::mrp_from_quat,

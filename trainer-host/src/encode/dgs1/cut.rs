@@ -1,6 +1,6 @@
 //! Levels that are not sent: cells cut off above a top.
 
-use codec_core::{
+use codec_core::internals::{
     ids::Level,
     layout::Shape,
     wire::manifest::{Cluster, Motion},
@@ -47,7 +47,7 @@ fn reshape(cell: &mut CellSymbols, cluster: Cluster, motion: Option<Motion>, top
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{Gaussian, receiver::for_each_cell};
+    use codec_core::{Gaussian, internals::receiver::for_each_cell};
 
     use super::*;
     use crate::{
@@ -72,12 +72,12 @@ mod tests {
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = Options { keep_invisible: true, ..Options::default() };
         let whole = encode(&scene, &options, &|_, _| {}).unwrap();
-        let manifest = whole.manifest().unwrap();
+        let manifest = whole.stream.manifest().unwrap();
         let tops: Vec<Level> = (0..manifest.cells()).map(|c| Level::ALL[(c * 7 / 3) % 4]).collect();
         let cut = encode(&scene, &Options { tops: tops.clone(), ..options }, &|_, _| {}).unwrap();
-        assert_eq!(whole.order(), cut.order());
-        assert!(cut.ledger().wire() < 0.9 * whole.ledger().wire());
-        let (received, received_cut) = (whole.receive().unwrap(), cut.receive().unwrap());
+        assert_eq!(whole.order, cut.order);
+        assert!(cut.report.ledger.wire() < 0.9 * whole.report.ledger.wire());
+        let (received, received_cut) = (whole.stream.receive().unwrap(), cut.stream.receive().unwrap());
         assert_eq!(received_cut.counters().refused.iter().sum::<u32>(), 0);
         let (content, content_cut) = (received.content(), received_cut.content());
         let mut state = content.blocks.to_vec();

@@ -220,7 +220,7 @@ fn group() -> Vec<(Quat, [usize; 3])> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use codec_core::gaussian::ShDegree;
+    use codec_core::ShDegree;
 
     fn noise(i: usize) -> f32 {
         ((i * 7919 + 13) % 1009) as f32 / 504.5 - 1.0

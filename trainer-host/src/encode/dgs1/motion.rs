@@ -5,7 +5,7 @@
 //! only where leaving it out would exceed the tolerance: a cluster that does not move costs
 //! nothing.
 
-use codec_core::{
+use codec_core::internals::{
     decode::motion::cosine,
     ids::Level,
     layout::Shape,

@@ -1,6 +1,6 @@
 //! What need not be sent: Gaussians that are never drawn, harmonic bands that do not show.
 
-use codec_core::quant::Class;
+use codec_core::internals::quant::Class;
 use rayon::prelude::*;
 
 use super::canonical::Indices;
@@ -71,7 +71,7 @@ fn value_bits(clusters: &[Indices], class: Class) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::scene::Attributes;
-    use codec_core::gaussian::ShDegree;
+    use codec_core::ShDegree;
 
     #[test]
     fn what_is_never_drawn_is_left_out() {

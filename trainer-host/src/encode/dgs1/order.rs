@@ -5,7 +5,7 @@
 //! first-level indices cost under the statistics of the order found so far, and the path is
 //! sought again under those. Integers throughout, ties by place: equal input, equal order.
 
-use codec_core::{ids::Level, quant::Class, wire::manifest::Quant};
+use codec_core::internals::{ids::Level, quant::Class, wire::manifest::Quant};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 

@@ -1,6 +1,6 @@
 //! Stand-ins for blocks: one Gaussian with the first two moments of those it stands for.
 
-use codec_core::{ids::Level, math::mrp_from_quat, quant::Class, wire::manifest::Proxy};
+use codec_core::internals::{ids::Level, math::mrp_from_quat, quant::Class, wire::manifest::Proxy};
 use nalgebra::{Matrix3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3};
 
 use super::{super::packetise::CellSymbols, canonical::Canonical};
@@ -75,7 +75,7 @@ fn proxy(epoch: &Epoch, block: &[u32], cell: &CellSymbols, canonical: &Canonical
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{Gaussian, gaussian::ShDegree};
+    use codec_core::{Gaussian, ShDegree};
 
     use super::*;
     use crate::{
@@ -108,7 +108,7 @@ mod tests {
             sh_degree: ShDegree::ZERO,
         };
         let scene = Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap();
-        let stream = encode(&scene, &Options::default(), &|_, _| {}).unwrap();
+        let stream = encode(&scene, &Options::default(), &|_, _| {}).unwrap().stream;
         let received = stream.receive().unwrap();
         let content = received.content();
         let none = vec![0u8; content.blocks.len()];

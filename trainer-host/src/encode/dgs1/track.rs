@@ -5,7 +5,7 @@
 //! distortion that they would leave. So a track never pays for what coefficients do better, nor the
 //! other way round.
 
-use codec_core::{
+use codec_core::internals::{
     decode::motion::{Pose, cosine, pose, track_steps},
     ids::Level,
     layout::Shape,

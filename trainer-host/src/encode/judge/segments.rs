@@ -1,6 +1,6 @@
 //! Rate and distortion segment by segment: what a server needs to share out a link.
 
-use codec_core::{
+use codec_core::internals::{
     ids::{EpochId, Level, Span, WindowId},
     wire::manifest::Manifest,
 };
@@ -124,12 +124,12 @@ mod tests {
             let options = synth::Options { gaussians: 1000, frames: 40, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
             let options = Options { repair: Protection::xor(4), ..Options::default() };
-            let stream = encode(&scene, &options, &|_, _| {}).unwrap();
-            let segments = segments(&scene, &stream, 1).unwrap();
+            let encoded = encode(&scene, &options, &|_, _| {}).unwrap();
+            let segments = segments(&scene, &encoded.stream, 1).unwrap();
             assert!(segments.len() >= windows);
             assert_eq!(segments.iter().map(|s| s.frames).sum::<u32>(), 40);
             let total: u64 = segments.iter().map(|s| s.levels[3].cumulative_bytes).sum();
-            let ledger = stream.ledger();
+            let ledger = &encoded.report.ledger;
             assert_eq!(total as f64, ledger.wire() - ledger.parity - ledger.manifest);
             for s in &segments {
                 let [base, .., last] = s.levels;

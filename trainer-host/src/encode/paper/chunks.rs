@@ -1,6 +1,6 @@
 //! Entropy coding of completion groups into chunks that each fit a packet.
 
-use codec_core::{
+use codec_core::internals::{
     ids::{Level, PacketId},
     limits,
     rans::bytes::{self, ByteTable},

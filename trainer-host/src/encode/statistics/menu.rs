@@ -3,7 +3,7 @@
 //! Greedy: from the best single table, add the one that saves most, until it saves less than it
 //! costs. Candidates are the family and one table of the stream's own frequencies.
 
-use codec_core::{limits::MAX_TABLE_SET, rans::family};
+use codec_core::internals::{limits::MAX_TABLE_SET, rans::family};
 
 use super::{Choice, Costs, EncodeError, Streams};
 
@@ -126,7 +126,7 @@ const _: () = assert!(family::SCALES as usize * 2 + (family::THREES as usize) < 
 
 #[cfg(test)]
 mod tests {
-    use codec_core::rans::table::Table;
+    use codec_core::internals::rans::table::Table;
 
     use super::*;
 

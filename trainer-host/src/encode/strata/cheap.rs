@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use codec_core::quant::Class;
+use codec_core::internals::quant::Class;
 
 use super::Layer;
 use crate::{

@@ -63,7 +63,7 @@ mod tests {
 
     #[test]
     fn harmonics_keep_their_order() {
-        use codec_core::gaussian::ShDegree;
+        use codec_core::ShDegree;
         let degree = ShDegree::new(2).unwrap();
         let epoch = crate::Epoch::new(
             1,

@@ -188,7 +188,7 @@ impl Tolerance {
 mod tests {
     use super::*;
     use crate::scene::import::{self, Identity, Limits, synth};
-    use codec_core::gaussian::ShDegree;
+    use codec_core::ShDegree;
     use rand::RngExt;
     use rand_pcg::rand_core::SeedableRng;
 

@@ -6,7 +6,7 @@
 //! range where it has one, alpha is linear opacity. Element `sh`, where present, has one byte per
 //! coefficient, channel-major. Axes are kept as in the file.
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 
 use super::{
     Limits,

@@ -30,7 +30,7 @@ use super::{
     snapshot::{SH_C0, logit, scene_error},
 };
 use crate::scene::{Attributes, Epoch, Scene, Track};
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 
 const FORMAT: Format = Format::Gltf;
 /// Opacity of a sample on an opaque surface.

@@ -11,7 +11,7 @@
 
 pub(super) mod header;
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use header::{Column, Header, Rows};
 
 use super::{

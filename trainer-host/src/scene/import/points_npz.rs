@@ -11,7 +11,7 @@
 
 mod npy;
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use rayon::prelude::*;
 use render_host::Camera;
 

@@ -4,7 +4,7 @@
 //! wxyz, band-0 coefficients. [`Columns::finish`] is the only way out, so what every reader returns
 //! has passed [`Epoch::new`]. Nothing here knows a file format.
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 
 use super::{
     Limits,

@@ -6,7 +6,7 @@
 //! must be lossless: a lossy one decodes to other labels, and is not told apart here. Axes are kept.
 //! Absent: version 1, and the streamed form (`lod-meta.json`), whose levels are SOG folders each.
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use image::{ImageDecoder, codecs::webp::WebPDecoder};
 use serde::Deserialize;
 use std::io::Cursor;

@@ -7,7 +7,7 @@
 //! Colour is display colour, alpha linear opacity. With neither magic nor count, all that can be
 //! checked is that the length is a multiple of 32 and that the numbers are numbers. Axes are kept.
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 
 use super::{
     Limits,

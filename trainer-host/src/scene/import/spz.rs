@@ -15,7 +15,7 @@
 
 use std::io::Read;
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use flate2::read::GzDecoder;
 use half::f16;
 

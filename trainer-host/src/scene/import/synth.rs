@@ -19,7 +19,7 @@ mod paint;
 
 pub use cloth::MODES as CLOTH_MODES;
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use glam::{DQuat, DVec3};
 
 use super::{

@@ -14,7 +14,7 @@
 //! The planes hold the axes of the PLY the asset was made from; the engine mirrors the object, not the
 //! data, so they are kept. Other layouts of the same asset (float, BC7, palettes) are refused by name.
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use half::f16;
 
 use super::{

@@ -1,7 +1,7 @@
 //! The coders of this repository as the bench sees them.
 
 use anyhow::Result;
-use codec_core::rans::{
+use codec_core::internals::rans::{
     lanes::{self, Compact, Decoder, Run, Symbols, naive},
     table::{SLOTS, Table},
 };

@@ -1,7 +1,7 @@
 //! Laws of values, packets drawn from them, and one table per law.
 
 use anyhow::{Result, bail};
-use codec_core::rans::{
+use codec_core::internals::rans::{
     lanes::{self, Run, Symbols},
     table::{ESCAPE, PRECISION, Table},
 };

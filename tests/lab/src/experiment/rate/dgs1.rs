@@ -7,7 +7,7 @@ use dgs::{
 };
 use trainer_host::{
     Scene,
-    encode::Protection,
+    encode::{Encoded, Protection},
     stream::{Player, Stream},
 };
 
@@ -25,7 +25,7 @@ pub fn even(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Cod
     let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::NONE);
     let quality = options.quality.scaled(coarseness);
     let options = trainer_host::encode::Options { quality, pictures: 0, ..options };
-    decoded(scene, &pipeline::encode(scene, &options, Quiet(true))?, timer.seconds(), shown)
+    decoded(scene, &pipeline::encode(scene, &options, Quiet(true))?.stream, timer.seconds(), shown)
 }
 
 /// Profile `paper`.
@@ -34,7 +34,7 @@ pub fn paper(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Co
 }
 
 /// The stream of `scene` in `profile`, steps times `coarseness`, without repair.
-pub fn stream(scene: &Scene, profile: ProfileName, coarseness: f32) -> Result<Stream> {
+pub fn stream(scene: &Scene, profile: ProfileName, coarseness: f32) -> Result<Encoded> {
     let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
     let quality = options.quality.scaled(coarseness);
     pipeline::encode(scene, &trainer_host::encode::Options { quality, ..options }, Quiet(true))
@@ -42,8 +42,8 @@ pub fn stream(scene: &Scene, profile: ProfileName, coarseness: f32) -> Result<St
 
 fn code(scene: &Scene, profile: ProfileName, coarseness: f32, shown: &[u32]) -> Result<Coded> {
     let timer = Timer::start();
-    let stream = stream(scene, profile, coarseness)?;
-    decoded(scene, &stream, timer.seconds(), shown)
+    let encoded = stream(scene, profile, coarseness)?;
+    decoded(scene, &encoded.stream, timer.seconds(), shown)
 }
 
 fn decoded(scene: &Scene, stream: &Stream, encode_s: f64, shown: &[u32]) -> Result<Coded> {
@@ -56,5 +56,5 @@ fn decoded(scene: &Scene, stream: &Stream, encode_s: f64, shown: &[u32]) -> Resu
     }
     let decode_s = timer.seconds();
     let shown: Result<Vec<_>, _> = shown.iter().map(|&f| player.instant(&content, f)).collect();
-    Ok(Coded { bytes: stream.ledger().wire() as usize, encode_s, decode_s, shown: shown? })
+    Ok(Coded { bytes: stream.wire_bytes(), encode_s, decode_s, shown: shown? })
 }

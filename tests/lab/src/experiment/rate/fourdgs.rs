@@ -3,7 +3,7 @@
 //! window of their epoch. Quality is one of the format's three profiles.
 
 use anyhow::{Context, Result, bail, ensure};
-use codec_core::{Gaussian, gaussian::ShDegree};
+use codec_core::{Gaussian, ShDegree};
 use fourdgs::{
     GaussianSet, SceneExtras, WriteOptions,
     keyframe_delta::State,

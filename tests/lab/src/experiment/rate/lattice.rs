@@ -8,8 +8,10 @@
 use anyhow::Result;
 use codec_core::{
     Gaussian,
-    gaussian::ShDegree,
-    math::{mrp_from_quat, normalised, quat_from_mrp},
+    internals::{
+        gaussian::ShDegree,
+        math::{mrp_from_quat, normalised, quat_from_mrp},
+    },
 };
 use trainer_host::{Epoch, Instant, Scene, encode::Quality};
 

@@ -64,7 +64,7 @@ impl Overhead {
 /// If it cannot be encoded.
 pub fn measure(bench: &mut Bench, key: &str, scene: &Scene) -> Result<Overhead> {
     let stream = dgs1::stream(scene, ProfileName::Dgs1, 1.0)?;
-    let ledger = stream.ledger();
+    let ledger = &stream.report.ledger;
     let o = Overhead::of(ledger);
     let mut push = |what: &str, bytes: f64| {
         let percent = 100.0 * bytes / o.wire.max(1.0);
@@ -94,10 +94,10 @@ mod tests {
     fn parts_add_up_to_the_wire() {
         let scene = crate::setup::synth("figure", 1000, 6).unwrap();
         let stream = dgs1::stream(&scene, ProfileName::Dgs1, 1.0).unwrap();
-        let o = Overhead::of(stream.ledger());
+        let o = Overhead::of(&stream.report.ledger);
         let sum = o.models + o.gap + o.lane_heads + o.headers + o.crc + o.manifest + o.proxy;
         assert!((sum - o.wire).abs() < 1.0, "{sum} of {}", o.wire);
-        let stored: usize = stream.packets().iter().map(Vec::len).sum::<usize>();
+        let stored: usize = stream.stream.packets().iter().map(Vec::len).sum::<usize>();
         assert!((stored as f64 + o.manifest + o.proxy - o.wire).abs() < 1.0);
         assert!(o.proxy > 0.0 && o.share() > 0.0 && o.share() < 1.0);
     }

@@ -2,7 +2,7 @@
 //! change, all in one zstd stream; as floats, and with every property cut to half precision.
 
 use anyhow::{Result, ensure};
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use half::f16;
 use trainer_host::{Attributes, Epoch, Instant, Scene, Track};
 

@@ -47,7 +47,7 @@ pub(super) fn states(
     quiet: Quiet,
 ) -> Result<()> {
     let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::NONE);
-    let stream = pipeline::encode(scene, &options, quiet)?;
+    let stream = pipeline::encode(scene, &options, quiet)?.stream;
     let map = PacketMap::of(&stream)?;
     let received = stream.receive()?;
     let content = received.content();

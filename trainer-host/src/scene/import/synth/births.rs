@@ -4,7 +4,7 @@
 //! its own schedule. Half way the topology changes: the ring becomes three balls, and the scene goes on
 //! as a second epoch with fewer Gaussians. Nothing in the second epoch is anything in the first.
 
-use codec_core::gaussian::ShDegree;
+use codec_core::ShDegree;
 use glam::{DQuat, DVec3};
 use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};

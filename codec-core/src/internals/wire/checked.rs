@@ -16,8 +16,8 @@ use crate::{
 ///
 /// ```
 /// use codec_core::{
-///     ids::PacketId,
-///     wire::{checked::Checked, crc::crc32, packet::Parity},
+///     PacketId,
+///     internals::wire::{checked::Checked, crc::crc32, packet::Parity},
 /// };
 ///
 /// let mut bytes = [0; 16];

@@ -52,7 +52,7 @@ pub fn manifest(file: &[u8]) -> Result<(&[u8], usize)> {
 /// The manifest message of `file` and its packets that are in order by themselves, for a player.
 ///
 /// ```
-/// let file = include_bytes!("../../tests/conformance/one.dgs");
+/// let file = include_bytes!("../../../tests/conformance/one.dgs");
 /// let (message, packets) = codec_core::file::parts(file)?;
 /// assert!(message.starts_with(b"DGSM"));
 /// assert_eq!(packets.count(), 4);
