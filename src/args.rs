@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use codec_core::internals::limits;
-use render_host::camera::MAX_SIDE;
+use render_host::{DeviceChoice, camera::MAX_SIDE};
 use trainer_host::encode::Protection;
 
 use self::number::{background, coarseness, not_negative, positive, real, repair_set, whole};
@@ -243,6 +243,27 @@ pub enum ControllerName {
     BbrModel,
 }
 
+/// What renders.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DeviceName {
+    /// The processor: the same images on every machine.
+    Cpu,
+    /// A graphics device, a software driver included; DGS_GPU, part of its name, chooses among several.
+    Gpu,
+    /// A graphics card where there is one, else the processor.
+    Auto,
+}
+
+impl From<DeviceName> for DeviceChoice {
+    fn from(name: DeviceName) -> Self {
+        match name {
+            DeviceName::Cpu => Self::Cpu,
+            DeviceName::Gpu => Self::Gpu,
+            DeviceName::Auto => Self::Auto,
+        }
+    }
+}
+
 /// A scheduler.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum PolicyName {
@@ -305,6 +326,9 @@ pub struct Encode {
 pub struct Inspect {
     /// A .dgs file.
     pub input: PathBuf,
+    /// Also write the whole manifest as JSON: clusters, motion, quantisers, tables, groups, packets.
+    #[arg(long, value_name = "FILE")]
+    pub manifest: Option<PathBuf>,
 }
 
 /// `dgs decode`.
@@ -364,6 +388,9 @@ pub struct Render {
     /// Mip-Splatting-style opacity compensation.
     #[arg(long)]
     pub antialiased: bool,
+    /// What renders the images.
+    #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
+    pub device: DeviceName,
     /// Where to look from.
     #[command(flatten)]
     pub view: ViewArgs,
@@ -412,6 +439,9 @@ pub struct Demo {
     /// Where to look from.
     #[command(flatten)]
     pub view: ViewArgs,
+    /// What renders the frames of the report. Utilities are measured on the processor, whatever this says.
+    #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
+    pub device: DeviceName,
     /// Contexts per group when utilities are measured: 1 to 64.
     #[arg(long, default_value_t = 3, value_parser = whole(1..=64, "contexts"))]
     pub contexts: usize,

@@ -2,7 +2,7 @@
 
 use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
-use render_host::{Camera, Changes, Image, Renderer, Sequence, Settings, Splats, metric};
+use render_host::{Backend, BackendError, Camera, FrameRenderer, Image, Renderer, Settings, Splats, metric};
 use trainer_host::{Instant, Scene, stream::Player};
 
 /// Why an image could not be made or compared.
@@ -26,7 +26,7 @@ pub fn render(instant: &Instant, camera: &Camera, settings: &Settings) -> Result
     Ok(rendered.image)
 }
 
-/// The source's own renders of `frames`, in order, in parallel over frames.
+/// The source's own renders of `frames` on `backend`, in order, in parallel over frames.
 ///
 /// # Errors
 /// As [`render`]; a frame past the end.
@@ -35,38 +35,43 @@ pub fn references(
     frames: &[u32],
     camera: &Camera,
     settings: &Settings,
+    backend: &Backend,
 ) -> Result<Vec<Image>, QualityError> {
     let serial = Settings { parallel: false, ..settings.clone() };
     frames
         .par_iter()
         .with_min_len(run_length(frames.len()))
-        .map_init(Sequence::default, |sequence, &frame| {
-            let instant = scene.instant(frame as usize).ok_or_else(|| failed(format!("no frame {frame}")))?;
-            let splats =
-                Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree).map_err(failed)?;
-            next(sequence, &splats, camera, &serial)
-        })
+        .map_init(
+            || backend.frames(),
+            |renderer, &frame| {
+                let instant = scene.instant(frame as usize);
+                let instant = instant.ok_or_else(|| failed(format!("no frame {frame}")))?;
+                let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree);
+                next(renderer, &splats.map_err(failed)?, camera, &serial)
+            },
+        )
         .collect()
 }
 
-/// Frames that one sequence renders in a row: long enough to profit from the frame before, short enough to
+/// FrameRenderer that one renderer draws in a row: long enough to profit from the frame before, short enough to
 /// keep all threads busy. Pictures do not depend on it.
 fn run_length(frames: usize) -> usize {
     (frames / (2 * rayon::current_num_threads())).clamp(1, 16)
 }
 
-/// The next picture of a sequence; equal to a fresh render, whatever came before.
+/// The next picture of a renderer; equal to a fresh render, whatever came before.
 fn next(
-    sequence: &mut Sequence,
+    renderer: &mut Result<FrameRenderer, BackendError>,
     splats: &Splats<'_>,
     camera: &Camera,
     settings: &Settings,
 ) -> Result<Image, QualityError> {
-    let rendered = sequence.render(splats, Changes::Unknown, camera, settings).map_err(failed)?;
-    Ok(rendered.image.clone())
+    let renderer = renderer.as_mut().map_err(|error| failed(error))?;
+    Ok(renderer.render(splats, camera, settings).map_err(failed)?.image.clone())
 }
 
-/// Renders `content` in each (frame, state), in order, in parallel; no state gives the background.
+/// Renders `content` on `backend` in each (frame, state), in order, in parallel; no state gives the
+/// background.
 ///
 /// # Errors
 /// As [`render`]; a frame past the end.
@@ -75,14 +80,15 @@ pub fn renders(
     shown: &[(u32, Option<&[u8]>)],
     camera: &Camera,
     settings: &Settings,
+    backend: &Backend,
 ) -> Result<Vec<Image>, QualityError> {
     let settings = Settings { parallel: false, ..settings.clone() };
     shown
         .par_iter()
         .with_min_len(run_length(shown.len()))
         .map_init(
-            || (Player::new(&content.manifest), Sequence::default()),
-            |(player, sequence), (frame, state)| {
+            || (Player::new(&content.manifest), backend.frames()),
+            |(player, renderer), (frame, state)| {
                 let Some(state) = state else {
                     let Settings { background, .. } = settings;
                     return Image::filled(camera.width(), camera.height(), background.map(|c| c as _))
@@ -90,7 +96,7 @@ pub fn renders(
                 };
                 let shown = player.show(&content.with_state(state), *frame).map_err(failed)?;
                 let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree).map_err(failed)?;
-                next(sequence, &splats, camera, &settings)
+                next(renderer, &splats, camera, &settings)
             },
         )
         .collect()
@@ -135,7 +141,7 @@ pub fn worst_tenth(values: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
-    /// Frames out of order and twice, on any number of threads, are what each is alone.
+    /// FrameRenderer out of order and twice, on any number of threads, are what each is alone.
     #[test]
     fn frames_in_a_row_are_what_they_are_alone() {
         let options = trainer_host::import::synth::Options {
@@ -155,7 +161,7 @@ mod tests {
             .collect();
         for threads in [1, 3] {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-            let got = pool.install(|| references(&scene, &frames, camera, &settings).unwrap());
+            let got = pool.install(|| references(&scene, &frames, camera, &settings, &Backend::Cpu).unwrap());
             assert!(got == expected, "{threads} threads");
         }
         assert_ne!(expected[0], expected[5], "the frames differ, or this test says nothing");

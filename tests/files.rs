@@ -181,18 +181,18 @@ fn cameras_of_files_choose_views_and_frames() {
     let text = refused(at, &typed(&["--out", "views"]));
     assert!(text.contains("transforms_test.json") && text.contains("--width and --height"), "{text}");
 
-    let size = ["--width", "48", "--height", "32"];
-    ok(at, &typed(&[&["--out", "views"], &size[..]].concat()));
+    let sized = |more: &[&'static str]| typed(&[more, &["--width", "48", "--height", "32"]].concat());
+    ok(at, &sized(&["--out", "views"]));
     assert_eq!(names(&at.join("views")), ["00000_r_000.png", "00001_r_001.png", "sequence.json"]);
-    let one = [&["--out", "one.png", "--camera", "./test/r_001"], &size[..]].concat();
-    ok(at, &typed(&one));
+    let one = ["--out", "one.png", "--camera", "./test/r_001"];
+    ok(at, &sized(&one));
     let picture = |name: &str| fs::read(at.join(name)).unwrap();
     assert_eq!(picture("one.png"), picture("views/00001_r_001.png"), "its own time is the last frame");
-    ok(at, &typed(&[&one[..], &["--frame", "0"]].concat()));
+    ok(at, &sized(&[&one[..], &["--frame", "0"]].concat()));
     assert_ne!(picture("one.png"), picture("views/00001_r_001.png"), "the frame typed goes first");
-    let text = refused(at, &typed(&[&["--out", "one.png", "--camera", "7"], &size[..]].concat()));
+    let text = refused(at, &sized(&["--out", "one.png", "--camera", "7"]));
     assert!(text.contains("--camera is 7") && text.contains("0 to 1 are allowed"), "{text}");
-    let text = refused(at, &typed(&[&["--out", "one.png"], &size[..]].concat()));
+    let text = refused(at, &sized(&["--out", "one.png"]));
     assert!(text.contains("2 cameras; choose one"), "{text}");
 
     // The same two cameras as COLMAP writes them: its axes are OpenCV's, half a turn about x from these.
@@ -207,6 +207,34 @@ fn cameras_of_files_choose_views_and_frames() {
     write("cameras.txt", "1 OPENCV_FISHEYE 48 32 1 1 1 1 0 0 0 0\n".to_owned());
     let text = refused(at, &["render", "a.dgs", "--cameras", "sparse/images.txt", "--out", "fish"]);
     assert!(text.contains("cameras.txt") && text.contains("OPENCV_FISHEYE"), "{text}");
+}
+
+#[test]
+fn gaussians_in_another_order_give_the_same_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["import", "synth:figure:12000:1", "--out", "a.ply"]);
+    let whole = fs::read(at.join("a.ply")).unwrap();
+    let end = b"end_header\n";
+    let start = whole.windows(end.len()).position(|w| w == end).unwrap() + end.len();
+    let bytes = (whole.len() - start) / 12_000;
+    let rows: Vec<&[u8]> = whole[start..].chunks_exact(bytes).collect();
+    // 7,919 has no divisor in common with 12,000: every row comes once.
+    let shuffled: Vec<&[u8]> = (0..rows.len()).map(|i| rows[i * 7919 % rows.len()]).collect();
+    let with = |rows: &[&[u8]]| [&whole[..start], &rows.concat()].concat();
+    fs::write(at.join("shuffled.ply"), with(&shuffled)).unwrap();
+    fs::write(at.join("half.ply"), {
+        let text = String::from_utf8(whole[..start].to_vec()).unwrap().replace("12000", "6000");
+        [text.as_bytes(), &shuffled[..6000].concat()].concat()
+    })
+    .unwrap();
+    let picture = |name: &str| {
+        ok(at, &["render", name, "--out", "p.png", "--width", "128", "--height", "128"]);
+        render_host::Image::decode(&fs::read(at.join("p.png")).unwrap(), [0.0; 3]).unwrap()
+    };
+    let psnr = |name: &str| render_host::metric::psnr(&picture(name), &picture("a.ply")).unwrap();
+    assert!(psnr("shuffled.ply") > 60.0, "{} dB", psnr("shuffled.ply"));
+    assert!(psnr("half.ply") < 40.0, "half of them give another picture");
 }
 
 /// A zip of one member: `head` and then zeros.
@@ -228,7 +256,8 @@ fn archives_that_unpack_to_more_than_is_accepted_take_little_memory() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     let header = "{'descr': '<f4', 'fortran_order': False, 'shape': (22000000, 3), }\n";
-    let header = [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes()].concat();
+    let header =
+        [&b"\x93NUMPY\x01\x00"[..], &(header.len() as u16).to_le_bytes(), header.as_bytes()].concat();
     fs::write(at.join("bomb.npz"), zeros("means3d.npy", &header, 256 << 20)).unwrap();
     fs::write(at.join("bomb.sog"), zeros("meta.json", b"", 256 << 20)).unwrap();
     // Half of what either unpacks to, of which the program itself and its threads take most.

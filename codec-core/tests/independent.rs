@@ -227,8 +227,8 @@ fn every_golden_manifest_and_packet_is_read_and_written_again() {
             store.keep(&model, &packet);
             bodies += 1;
         }
-        let session = session::Session::open(message).after(&packets);
-        assert!(session.symbols[..store.symbols.len()] == store.symbols, "{name}");
+        let received = session::Session::open(message).after(&packets);
+        assert!(received.symbols[..store.symbols.len()] == store.symbols, "{name}");
     }
     // A lane that starts anew may fill up inside the tail and shorten it: rare, so it is counted.
     assert!(bodies > 200 && shortened > 0, "{bodies} bodies, {shortened} with a shortened tail");

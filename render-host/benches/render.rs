@@ -31,7 +31,7 @@ mod naive {
 
     pub fn render(splats: &Splats, camera: &Camera, settings: &Settings) -> Vec<f32> {
         let (width, height) = (camera.width() as usize, camera.height() as usize);
-        let film = camera.intrinsics();
+        let intrinsics = camera.intrinsics();
         let rotation = camera.rotation().map(|r| r.map(|v| v as f32));
         let mut discs: Vec<Disc> = Vec::new();
         for g in splats.gaussians() {
@@ -45,7 +45,7 @@ mod naive {
                 [2.0 * (i * j + w * k), 1.0 - 2.0 * (i * i + k * k), 2.0 * (j * k - w * i)],
                 [2.0 * (i * k - w * j), 2.0 * (j * k + w * i), 1.0 - 2.0 * (i * i + j * j)],
             ];
-            let (fx, fy) = (film.fx as f32 / z, film.fy as f32 / z);
+            let (fx, fy) = (intrinsics.fx as f32 / z, intrinsics.fy as f32 / z);
             let jacobian = [[fx, 0.0, -fx * x / z], [0.0, fy, -fy * y / z]];
             let mut m = [[0.0f32; 3]; 2];
             for (row, j) in m.iter_mut().zip(jacobian) {
@@ -68,7 +68,7 @@ mod naive {
             let radius = 3.0 * (mid + (mid * mid - det).max(0.1).sqrt()).sqrt();
             discs.push(Disc {
                 z,
-                mean: [fx * x + film.cx as f32, fy * y + film.cy as f32],
+                mean: [fx * x + intrinsics.cx as f32, fy * y + intrinsics.cy as f32],
                 conic: [c / det, -b / det, a / det],
                 radius,
                 opacity: g.opacity,

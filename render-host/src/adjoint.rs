@@ -1,4 +1,4 @@
-//! Gradients of a loss about a picture, with respect to everything the picture was made from.
+//! The adjoint differentiates a loss of a picture with respect to everything the picture was made from.
 //!
 //! ```text
 //! Splats + Camera ─▶ render ─▶ Image ─▶ loss ─▶ number
@@ -78,8 +78,8 @@ pub struct SplatGradient {
     pub opacity_logit: f32,
     /// Band 0 of the harmonics.
     pub sh0: [f32; 3],
-    /// Centre on the film, per pixel; what densification looks at.
-    pub film: [f32; 2],
+    /// Centre on the image plane, per pixel; what densification looks at.
+    pub image_mean: [f32; 2],
 }
 
 /// A loss, the picture it judged, and its gradients.

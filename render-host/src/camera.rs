@@ -1,4 +1,4 @@
-//! The perspective pinhole camera, and every convention that leads to it.
+//! A camera is a perspective pinhole; constructors bring every convention to one.
 //!
 //! Inside there is one convention: OpenCV axes (x right, y down, z forward), a world-to-camera rotation
 //! and translation, focal lengths and principal point in pixels, and pixel `(x, y)` centred at
@@ -15,7 +15,6 @@ pub mod colmap;
 mod error;
 
 pub use error::CameraError;
-
 use serde::{Deserialize, Serialize};
 
 /// Largest width or height of an image, pixels.
@@ -23,21 +22,24 @@ pub const MAX_SIDE: u32 = 16_384;
 /// Near plane a camera starts with, scene units.
 pub const DEFAULT_NEAR: f64 = 0.01;
 
-const FOCAL: (f64, f64) = (1e-3, 1e9);
+/// What the largest and smallest fields of view of the smallest and largest images need.
+const FOCAL: (f64, f64) = (1e-7, 1e11);
 const PRINCIPAL: (f64, f64) = (-1e9, 1e9);
 const TRANSLATION: (f64, f64) = (-1e15, 1e15);
 const NEAR: (f64, f64) = (1e-9, 1e9);
+/// Radians.
+const FIELD_OF_VIEW: (f64, f64) = (1e-6, std::f64::consts::PI - 1e-6);
 
-/// What the film looks like: image size, focal lengths, principal point. All in pixels.
+/// What the image plane looks like: image size, focal lengths, principal point. All in pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Intrinsics {
     /// Image width, 1..=16384.
     pub width: u32,
     /// Image height, 1..=16384.
     pub height: u32,
-    /// Focal length along x, 1e-3..=1e9 pixels.
+    /// Focal length along x, 1e-7..=1e11 pixels.
     pub fx: f64,
-    /// Focal length along y, 1e-3..=1e9 pixels.
+    /// Focal length along y, 1e-7..=1e11 pixels.
     pub fy: f64,
     /// Principal point from the left edge, ±1e9 pixels.
     pub cx: f64,
@@ -46,16 +48,34 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// Square pixels and a centred principal point from a horizontal field of view in radians.
-    pub fn from_fov_x(fov_x: f64, width: u32, height: u32) -> Self {
-        let f = 0.5 * f64::from(width) / (0.5 * fov_x).tan();
-        Self::centred(f, width, height)
+    /// Square pixels and a centred principal point from a horizontal field of view in radians,
+    /// 1e-6 to π − 1e-6.
+    ///
+    /// # Errors
+    /// A field of view out of range.
+    pub fn from_fov_x(fov_x: f64, width: u32, height: u32) -> Result<Self, CameraError> {
+        Self::from_fov("fov_x", fov_x, width, width, height)
     }
 
-    /// Square pixels and a centred principal point from a vertical field of view in radians.
-    pub fn from_fov_y(fov_y: f64, width: u32, height: u32) -> Self {
-        let f = 0.5 * f64::from(height) / (0.5 * fov_y).tan();
-        Self::centred(f, width, height)
+    /// Square pixels and a centred principal point from a vertical field of view in radians,
+    /// 1e-6 to π − 1e-6.
+    ///
+    /// # Errors
+    /// A field of view out of range.
+    pub fn from_fov_y(fov_y: f64, width: u32, height: u32) -> Result<Self, CameraError> {
+        Self::from_fov("fov_y", fov_y, height, width, height)
+    }
+
+    /// From the field of view `fov` (radians), named `field`, over `side` pixels.
+    fn from_fov(
+        field: &'static str,
+        fov: f64,
+        side: u32,
+        width: u32,
+        height: u32,
+    ) -> Result<Self, CameraError> {
+        in_range(field, fov, FIELD_OF_VIEW)?;
+        Ok(Self::centred(0.5 * f64::from(side) / (0.5 * fov).tan(), width, height))
     }
 
     fn centred(f: f64, width: u32, height: u32) -> Self {
@@ -140,15 +160,15 @@ impl Camera {
     /// OpenGL axes (x right, y up, z backward) and the horizontal field of view in radians.
     ///
     /// # Errors
-    /// As [`Camera::new`]; or a field of view outside (0, π).
+    /// As [`Camera::new`]; or a field of view outside 1e-6..=π − 1e-6.
     pub fn from_blender(
         camera_to_world: [[f64; 4]; 4],
         camera_angle_x: f64,
         width: u32,
         height: u32,
     ) -> Result<Self, CameraError> {
-        fov("camera_angle_x", camera_angle_x)?;
-        Self::from_opengl(camera_to_world, Intrinsics::from_fov_x(camera_angle_x, width, height))
+        let intrinsics = Intrinsics::from_fov("camera_angle_x", camera_angle_x, width, width, height)?;
+        Self::from_opengl(camera_to_world, intrinsics)
     }
 
     /// From a 4×4 row-major camera-to-world matrix with OpenGL axes (x right, y up, z backward).
@@ -176,7 +196,7 @@ impl Camera {
     }
 
     /// A camera at `eye` looking at `target` with `up` upwards in the picture; `fov_y` is the vertical
-    /// field of view in radians. Square pixels, centred principal point.
+    /// field of view in radians, 1e-6 to π − 1e-6. Square pixels, centred principal point.
     ///
     /// # Errors
     /// `eye` equals `target`, `up` is along the view, or a number out of range.
@@ -188,13 +208,13 @@ impl Camera {
         width: u32,
         height: u32,
     ) -> Result<Self, CameraError> {
-        fov("fov_y", fov_y)?;
+        let intrinsics = Intrinsics::from_fov_y(fov_y, width, height)?;
         let forward = unit(sub(target, eye)).ok_or(CameraError::Direction("target - eye"))?;
         let up = unit(up).ok_or(CameraError::Direction("up"))?;
         let right = unit(cross(forward, up)).ok_or(CameraError::Direction("up across the view"))?;
         let rotation = [right, cross(forward, right), forward];
         let translation = rotation.map(|row| -dot(row, eye));
-        Self::new(Intrinsics::from_fov_y(fov_y, width, height), rotation, translation)
+        Self::new(intrinsics, rotation, translation)
     }
 
     /// The same camera with another near plane, 1e-9..=1e9 scene units: what is nearer is not drawn.
@@ -207,7 +227,7 @@ impl Camera {
         Ok(self)
     }
 
-    /// The same view on a film of `width` × `height`: intrinsics scale by the ratio of sizes.
+    /// The same view on an image of `width` × `height`: intrinsics scale by the ratio of sizes.
     ///
     /// # Errors
     /// A size or scaled intrinsic out of range.
@@ -318,10 +338,6 @@ fn in_range(field: &'static str, found: f64, (low, high): (f64, f64)) -> Result<
     if found >= low && found <= high { Ok(()) } else { Err(CameraError::Range { field, found, low, high }) }
 }
 
-fn fov(field: &'static str, found: f64) -> Result<(), CameraError> {
-    in_range(field, found, (1e-6, std::f64::consts::PI - 1e-6))
-}
-
 fn split(m: &[[f64; 4]; 4]) -> ([[f64; 3]; 3], [f64; 3]) {
     (std::array::from_fn(|i| std::array::from_fn(|j| m[i][j])), std::array::from_fn(|i| m[i][3]))
 }
@@ -420,7 +436,29 @@ mod tests {
     }
 
     #[test]
-    fn resizing_scales_the_film_and_nothing_else() {
+    fn fields_of_view_reach_the_ends_of_their_range_and_no_further() {
+        let (low, high) = FIELD_OF_VIEW;
+        for (width, height) in [(1, 1), (64, 48), (MAX_SIDE, MAX_SIDE)] {
+            for fov in [low, high] {
+                let look = Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], fov, width, height);
+                let blender = Camera::from_blender(identity4(), fov, width, height);
+                for camera in [look.unwrap(), blender.unwrap()] {
+                    let f = camera.intrinsics().fy;
+                    assert!((f * (0.5 * fov).tan() / (0.5 * f64::from(height)) - 1.0).abs() < 1e-9, "{fov}");
+                }
+            }
+        }
+        for fov in [0.0, 0.9 * low, high + 1e-9, std::f64::consts::PI, -1.0, f64::INFINITY, f64::NAN] {
+            for made in [Intrinsics::from_fov_x(fov, 64, 48), Intrinsics::from_fov_y(fov, 64, 48)] {
+                let error = made.unwrap_err().to_string();
+                assert!(error.starts_with("fov_") && error.contains("is"), "{error}");
+            }
+            assert!(Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], fov, 64, 48).is_err());
+        }
+    }
+
+    #[test]
+    fn resizing_scales_the_image_and_nothing_else() {
         let camera = Camera::look_at([0.0, 0.0, -2.0], [0.0; 3], [0.0, 1.0, 0.0], 0.8, 200, 100).unwrap();
         let small = camera.with_near(0.5).unwrap().scaled(0.25).unwrap();
         assert_eq!((small.width(), small.height(), small.near()), (50, 25, 0.5));
@@ -452,7 +490,7 @@ mod tests {
     fn a_rotation_with_few_digits_is_made_orthonormal() {
         let (s, c) = 0.3f64.sin_cos();
         let r = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]].map(|r| r.map(|v| (v * 1e5).round() / 1e5));
-        let intrinsics = Intrinsics::from_fov_y(1.0, 8, 8);
+        let intrinsics = Intrinsics::from_fov_y(1.0, 8, 8).unwrap();
         let camera = Camera::new(intrinsics, r, [0.0; 3]).unwrap();
         let again = Camera::new(intrinsics, camera.rotation(), [0.0; 3]).unwrap();
         assert_eq!(camera, again, "what is stored is stable");

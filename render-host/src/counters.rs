@@ -1,4 +1,4 @@
-//! What a render did, and what it left out and why.
+//! Counters say what a render did, what it left out and why.
 //!
 //! Invariant: every Gaussian is counted once, so `gaussians` is the sum of `drawn` and all reasons
 //! ([`Counters::skipped`]); a field that says "of" one is a part of it. Counts do not depend on the number of threads.

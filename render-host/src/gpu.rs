@@ -1,4 +1,4 @@
-//! The wgpu backend: the stages of [`crate::stage`] as compute shaders, `stage/NAME.wgsl` beside
+//! The wgpu backend runs the stages of [`crate::stage`] as compute shaders, `stage/NAME.wgsl` beside
 //! `stage/NAME.rs`.
 //!
 //! ```text
@@ -6,6 +6,9 @@
 //!        └▶ Scene + Stages (camera in) ─▶ counterfactual::Engine: errors of worlds, utilities of groups
 //!                                      └▶ adjoint::Engine: losses of worlds, gradients summed over them
 //! ```
+//!
+//! All of them write a [`Recording`]: which kernels run on which buffers in how many workgroups. One
+//! [`Executor`] compiles kernels, binds buffers and submits.
 //!
 //! Counts stay on the device: what one stage finds sizes the next through indirect dispatch. The host
 //! reads only when asked for a picture; there it also learns whether the tile lists outgrew their buffer,
@@ -16,37 +19,41 @@
 //! coordinates, depth keys and centres. What follows is f32, as in the CPU's blend.
 //!
 //! The WGSL stays within base WebGPU: 8 storage buffers per stage, 16 KiB of workgroup memory, 65535
-//! workgroups per dimension, no subgroups. [`wgsl`] lists every shader with its bindings, and a test
+//! workgroups per dimension, no subgroups. [`shaders`] lists every shader with its bindings, and a test
 //! checks structs, constants and bindings against Rust without a device.
 
 pub mod adjoint;
 mod buffers;
-#[cfg(test)]
-mod case;
 mod clock;
 pub mod counterfactual;
 mod device;
 mod error;
-mod kernel;
+mod executor;
 pub mod layout;
 mod lists;
 mod presence;
+mod recording;
 mod renderer;
 mod scene;
-pub mod states;
+pub mod shaders;
+mod source;
+mod states;
+#[cfg(test)]
+mod test_scene;
 mod tiles;
 mod vulkan;
-pub mod wgsl;
 
 pub use buffers::Growing;
-pub use clock::{Clock, Span};
-pub use device::{Device, Facts, Options};
+pub use clock::{Clock, StageTime};
+pub use device::{Device, DeviceFacts, DeviceOptions};
 pub use error::GpuError;
-pub use kernel::{Kernel, groups_2d};
+pub use executor::{Bound, Executor};
 pub use lists::Lists;
 pub use presence::Presence;
+pub use recording::{Recording, Workgroups};
 pub use renderer::Renderer;
 pub use scene::Scene;
+pub use source::{Bind, Kernel, Source};
 pub use tiles::{Stages, Tiles};
 /// The graphics library whose types appear here.
 pub use wgpu;

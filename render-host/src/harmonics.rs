@@ -1,4 +1,4 @@
-//! Real spherical harmonics of degree 0..=3, in the sign convention of 3DGS (−y, +z, −x for band 1).
+//! Evaluates real spherical harmonics of degree 0..=3 in the sign convention of 3DGS (−y, +z, −x for band 1).
 //!
 //! Both renderers weigh the same basis; the reference sums in f64, the renderer in f32.
 

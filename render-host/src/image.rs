@@ -1,4 +1,4 @@
-//! Linear memory of colour: an image of f32 r g b, and its way to and from files and other images.
+//! An image holds f32 r g b per pixel; it is read from and written to files, resized and put together.
 //!
 //! Values are display values, 0..=1 for what a screen shows, as the splats' colours are; nothing here
 //! converts to or from linear light. Files have 8 bits: a value is clamped, multiplied by 255 and rounded.
@@ -164,14 +164,6 @@ impl Image {
         image::write_buffer_with_format(&mut out, &data, self.width, self.height, colour, format)
             .map_err(|e| ImageError::Codec(e.to_string()))?;
         Ok(out.into_inner())
-    }
-
-    /// Writes a PNG file.
-    ///
-    /// # Errors
-    /// As [`Image::to_png`], or what the system says about the path.
-    pub fn write_png(&self, path: &Path) -> Result<(), ImageError> {
-        std::fs::write(path, self.to_png()?).map_err(|e| file_error(path, &e))
     }
 
     /// Reads PNG, JPEG or WebP bytes. Transparent pixels are laid over `background`.
@@ -356,7 +348,7 @@ mod tests {
         assert_eq!(odd.to_rgb8(), [0, 255, 0]);
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
-        image.write_png(&path).unwrap();
+        std::fs::write(&path, image.to_png().unwrap()).unwrap();
         assert_eq!(Image::read(&path, [0.0; 3]).unwrap(), image);
         let missing = Image::read(&folder.path().join("b.png"), [0.0; 3]).unwrap_err().to_string();
         assert!(missing.contains("b.png"), "{missing}");

@@ -1,7 +1,8 @@
-//! Pixels: Gaussians and a camera go in, images and numbers about images come out.
+//! Renders Gaussians: a scene and a camera go in, images and numbers about images come out.
 //!
 //! ```text
 //! Splats + Camera ─▶ stage::{project, sort, bin, blend} ─▶ Rendered { image, transmittance, counters }
+//! … on a device   ─▶ Backend (CPU or gpu)               ─▶ the same
 //! … frame after frame ─▶ Sequence                     ─▶ the same, from what the frame before left
 //! … + loss        ─▶ adjoint                            ─▶ Gradients { loss, splats, pose, … }
 //! Variants + States ─▶ counterfactual::Engine ─▶ squared error of every state, utility of every group
@@ -9,9 +10,9 @@
 //! Image × Image   ─▶ metric::{psnr, ssim, flip, flicker, distortion, heat}
 //! ```
 //!
-//! [`render`](mod@render) is the tile renderer; [`mod@reference`] is the slow, obvious f64 renderer that judges it.
-//! Both read the same [`Settings`], in which every tolerance and every skip has a name. With feature `gpu`
-//! (on by default) the same stages run on a graphics device, many worlds at once.
+//! [`render`](mod@render) is the tile renderer; [`mod@reference`] is the slow, obvious f64 renderer that
+//! judges it. Both read the same [`Settings`], in which every tolerance and every skip has a name. With
+//! feature `gpu` (on by default) the same stages run on a graphics device, many worlds at once.
 //!
 //! Glossary. *Camera axes*: x right, y down, z forward (OpenCV). *Pixel* `(x, y)` has its centre at
 //! `(x + 0.5, y + 0.5)`; row 0 is at the top. *Transmittance*: the share of the background that still
@@ -21,6 +22,7 @@
 //! Deliberately absent: files of splats (trainer-host reads them), packets (codec-core), clocks.
 
 pub mod adjoint;
+pub mod backend;
 pub mod camera;
 pub mod counterfactual;
 pub mod counters;
@@ -36,9 +38,11 @@ pub mod sequence;
 pub mod settings;
 pub mod splats;
 pub mod stage;
-pub mod stress;
+
+pub use codec_core::{Gaussian, ShDegree};
 
 pub use adjoint::{Gradients, Loss, Workspace, render_and_gradients};
+pub use backend::{Backend, BackendError, DeviceChoice, FrameRenderer};
 pub use camera::{Camera, CameraError, Intrinsics, View};
 pub use counters::Counters;
 pub use image::{Image, ImageError};
@@ -46,3 +50,8 @@ pub use render::{RenderError, Rendered, Renderer, render, render_many};
 pub use sequence::{Changes, Reuse, Reused, Sequence};
 pub use settings::{Settings, SettingsError};
 pub use splats::{Splats, SplatsError};
+
+/// Compiles the examples of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -1,4 +1,4 @@
-//! The slow, obvious renderer that judges the fast one.
+//! The reference renders slowly and obviously in f64; the fast renderers are compared with it.
 //!
 //! f64 throughout, scalar, no tiles: every row asks every splat whether it reaches that row, every pixel
 //! in reach evaluates the textbook formula (covariance `J·W·Σ·Wᵀ·Jᵀ`, its inverse, one exponential). It
@@ -42,7 +42,7 @@ pub struct Reference {
     pub close: Vec<u32>,
 }
 
-/// One splat on the film.
+/// One splat on the image plane.
 struct Ellipse {
     depth_bits: u32,
     mean: [f64; 2],
@@ -133,7 +133,7 @@ impl Pixel {
     }
 }
 
-/// Gaussian `index` on the film, or `None` where it cannot or need not be drawn.
+/// Gaussian `index` on the image plane, or `None` where it cannot or need not be drawn.
 fn ellipse(splats: &Splats, index: usize, camera: &Camera, settings: &Settings) -> Option<Ellipse> {
     let g = &splats.gaussians()[index];
     let degree = settings.degree(splats.sh_degree());
@@ -159,10 +159,13 @@ fn ellipse(splats: &Splats, index: usize, camera: &Camera, settings: &Settings) 
     });
     let sigma = |i: usize, j: usize| dot(m[i], m[j]);
     let [x, y, z] = near_first;
-    let film = camera.intrinsics();
+    let intrinsics = camera.intrinsics();
     let [limit_x, limit_y] = slope_limits(camera);
     let (sx, sy) = ((x / z).clamp(limit_x[0], limit_x[1]), (y / z).clamp(limit_y[0], limit_y[1]));
-    let jacobian = [[film.fx / z, 0.0, -film.fx / z * sx], [0.0, film.fy / z, -film.fy / z * sy]];
+    let jacobian = [
+        [intrinsics.fx / z, 0.0, -intrinsics.fx / z * sx],
+        [0.0, intrinsics.fy / z, -intrinsics.fy / z * sy],
+    ];
     let cov = |a: usize, b: usize| {
         let mut sum = 0.0;
         for i in 0..3 {
@@ -205,7 +208,7 @@ fn ellipse(splats: &Splats, index: usize, camera: &Camera, settings: &Settings) 
     let finite = conic.iter().all(|v| v.is_finite()) && colour.iter().all(|c| (*c as f32).is_finite());
     (det > 0.0 && finite).then(|| Ellipse {
         depth_bits: (z as f32).to_bits(),
-        mean: [film.fx * x / z + film.cx, film.fy * y / z + film.cy],
+        mean: [intrinsics.fx * x / z + intrinsics.cx, intrinsics.fy * y / z + intrinsics.cy],
         conic,
         alpha,
         colour,

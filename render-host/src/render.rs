@@ -1,4 +1,4 @@
-//! The tile renderer: project → sort → bin → blend.
+//! The tile renderer makes a picture: project → sort → bin → blend.
 
 use crate::image::{Image, ImageError};
 use crate::settings::{Settings, SettingsError};

@@ -1,4 +1,4 @@
-//! Frames of one scene seen by one camera, each made from the one before.
+//! A sequence renders frames of one scene seen by one camera, each from what the one before left.
 //!
 //! Between two frames, or between two delivery states of one frame, most Gaussians often stay what they
 //! were. A [`Sequence`] projects only those that changed, keeps the depth order and the tile lists where
@@ -70,7 +70,7 @@ pub struct Reused {
     pub projected: u64,
     /// Gaussians not projected, because they are what they were.
     pub projections_kept: u64,
-    /// Splats that changed on the film: came, went, moved, or took another colour.
+    /// Splats that changed on the image plane: came, went, moved, or took another colour.
     pub changed: u64,
     /// Entries of the depth order that were sorted.
     pub sorted: u64,

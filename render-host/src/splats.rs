@@ -1,4 +1,4 @@
-//! The view of Gaussians that a renderer takes.
+//! Splats are the borrowed Gaussians that a renderer takes.
 
 use codec_core::{Gaussian, ShDegree};
 

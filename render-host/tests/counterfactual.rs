@@ -9,7 +9,7 @@ use render_host::counterfactual::{CounterfactualError, Engine, States, Variants,
 use render_host::{Camera, Image, Settings, Splats, reference};
 use support::{Numbers, Scene, camera};
 
-/// A scene whose groups are cells of space, so that they overlap on the film and in depth.
+/// A scene whose groups are cells of space, so that they overlap on the image plane and in depth.
 struct Case {
     scene: Scene,
     groups: Vec<u32>,

@@ -58,7 +58,7 @@ fn check_behind(walls: &[Gaussian]) {
 fn a_crowd_over_a_part_of_the_film() {
     let mut gaussians = walls(70_000).gaussians;
     for (i, g) in gaussians.iter_mut().enumerate() {
-        // Balls at one side of the film, a few anywhere.
+        // Balls at one side of the image, a few anywhere.
         g.scale = [0.5; 3];
         g.position[0] += if i % 2000 == 0 { 0.0 } else { 1.2 };
         g.opacity = 0.03;

@@ -7,21 +7,25 @@
 mod stages;
 mod support;
 
+use std::sync::{Mutex, MutexGuard, OnceLock};
+
 use codec_core::Gaussian;
 use proptest::prelude::*;
-use render_host::counterfactual::States;
-use render_host::gpu::{Device, GpuError, Options, Presence, Renderer, Scene as OnDevice, wgpu};
-use render_host::{Camera, Rendered, Settings, Splats, reference, render};
-use std::sync::{Mutex, MutexGuard, OnceLock};
+use render_host::{
+    Camera, Rendered, Settings, Splats,
+    counterfactual::States,
+    gpu::{Device, DeviceOptions, Executor, GpuError, Presence, Renderer, Scene as OnDevice, wgpu},
+    reference, render,
+};
 use support::{Numbers, Scene, camera};
 
 /// The renderer that all tests share, with run-time checks in every shader; what was drawn before must not
 /// matter. Without an adapter a test is skipped with a notice, and fails in CI.
 fn renderer() -> Option<MutexGuard<'static, Renderer>> {
     static SHARED: OnceLock<Option<Mutex<Renderer>>> = OnceLock::new();
-    let options = Options { checked: true, ..Options::from_env() };
+    let options = DeviceOptions { checked: true, ..DeviceOptions::from_env() };
     let shared = SHARED.get_or_init(|| match Device::open(&options) {
-        Ok(device) => Some(Mutex::new(Renderer::new(&device).unwrap())),
+        Ok(device) => Some(Mutex::new(Renderer::new(&Executor::new(&device)).unwrap())),
         Err(error) => {
             assert!(std::env::var("CI").as_deref() != Ok("true"), "{error}");
             eprintln!("SKIPPED: {error}");
@@ -214,7 +218,8 @@ fn a_dense_scene_meets_the_promise_and_repeats_itself() {
 #[test]
 fn trusted_shaders_give_the_bits_of_checked_ones() {
     let Some(mut checked) = renderer() else { return };
-    let mut trusted = Renderer::new(&Device::open(&Options::from_env()).unwrap()).unwrap();
+    let mut trusted =
+        Renderer::new(&Executor::new(&Device::open(&DeviceOptions::from_env()).unwrap())).unwrap();
     let scene = Scene::random(1500, 2, 0.01, 0.2, 19);
     let (camera, settings) = (camera(90, 70), Settings::default());
     let a = checked.render_splats(&scene.splats(), &camera, &settings).unwrap();
@@ -260,7 +265,7 @@ fn odd_sizes_and_empty_scenes() {
 #[test]
 fn lists_that_do_not_fit_are_made_room_for() {
     let Some(shared) = renderer() else { return };
-    let mut renderer = Renderer::new(shared.device()).unwrap();
+    let mut renderer = Renderer::new(&Executor::new(shared.device())).unwrap();
     let device = shared.device().clone();
     let mut scene = Scene::random(150, 0, 0.05, 0.1, 2);
     for g in &mut scene.gaussians {
@@ -279,7 +284,8 @@ fn lists_that_do_not_fit_are_made_room_for() {
     assert_eq!(got.counters.intersections, u64::from(needed));
     judge(&got, &scene.splats(), &camera, &settings);
     // One call that recovers by itself.
-    let once = Renderer::new(&device).unwrap().render(&on_device, &camera, &settings).unwrap();
+    let once =
+        Renderer::new(&Executor::new(&device)).unwrap().render(&on_device, &camera, &settings).unwrap();
     assert_eq!((bits(&got), got.counters), (bits(&once), once.counters));
 }
 
@@ -301,7 +307,7 @@ fn what_does_not_fit_is_refused_by_name() {
     let usage = wgpu::BufferUsages::STORAGE;
     let most = device.facts().max_binding_bytes;
     assert!(matches!(device.buffer("much", most + 1, usage), Err(GpuError::TooLarge { what: "much", .. })));
-    let nobody = Options { name: "no adapter has this name".into(), checked: true };
+    let nobody = DeviceOptions { name: "no adapter has this name".into(), checked: true };
     assert!(matches!(Device::open(&nobody), Err(GpuError::NoAdapter { .. })));
     // None of this harmed the device.
     renderer.render(&scene, &camera(8, 8), &Settings::default()).unwrap();

@@ -41,7 +41,7 @@ fn the_error_is_visible_and_small() {
 
 #[test]
 fn skips_worlds_and_threads_do_not_show() {
-    // Scales from far below a pixel to far beyond the film, where f16 has no bits left.
+    // Scales from far below a pixel to far beyond the image, where f16 has no bits left.
     let mut scene = Scene::random(400, 0, 1e-6, 1e5, 6);
     scene.gaussians.extend(Scene::random(800, 0, 0.01, 0.2, 7).gaussians);
     scene.gaussians.iter_mut().for_each(|g| g.opacity *= 0.5);

@@ -65,7 +65,7 @@ fn classes(g: &WorldGradients) -> Vec<(&'static str, Vec<f64>)> {
         ("rotation", of(&|s| s.rotation.to_vec())),
         ("opacity", of(&|s| vec![s.opacity_logit])),
         ("sh0", of(&|s| s.sh0.to_vec())),
-        ("film", of(&|s| s.film.to_vec())),
+        ("image mean", of(&|s| s.image_mean.to_vec())),
         ("sh rest", g.sh_rest.iter().map(|&v| f64::from(v)).collect()),
         ("background", g.background.to_vec()),
         ("pose", g.pose.translation.iter().chain(&g.pose.rotation).copied().collect()),

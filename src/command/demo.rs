@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use emulator_host::PolicyKind;
 use rayon::prelude::*;
-use render_host::{Image, metric};
+use render_host::{Backend, Image, metric};
 use serde_json::json;
 use trainer_host::{
     Scene, Stream,
@@ -75,6 +75,7 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
 /// # Errors
 /// Whatever stops a step.
 pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
+    let backend = Backend::open(args.device.into()).context("--device")?;
     let input = args.scene.as_deref().unwrap_or(DEFAULT_SCENE);
     let Loaded { name, scene } = pipeline::import(input, &args.source)?;
     let encoded =
@@ -104,9 +105,9 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let (cameras, settings) = pipeline::view(&scene, &args.view, Ring::HeldOut, 3)?;
     let camera = &cameras[0];
     let frames: Vec<u32> = (0..scene.frames() as u32).collect();
-    let references = quality::references(&scene, &frames, camera, &settings)?;
+    let references = quality::references(&scene, &frames, camera, &settings, &backend)?;
     let complete: Vec<(u32, Option<&[u8]>)> = frames.iter().map(|&f| (f, Some(content.blocks))).collect();
-    let complete = quality::renders(&content, &complete, camera, &settings)?;
+    let complete = quality::renders(&content, &complete, camera, &settings, &backend)?;
     let complete_psnr_db = psnrs(&complete, &references)?;
     let picked = strip_frames(frames.len());
     let mut strips: Vec<Strip> = picked
@@ -133,7 +134,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
         for state in &states {
             shown[state.frame as usize].1 = Some(&state.state);
         }
-        let images = quality::renders(&content, &shown, camera, &settings)?;
+        let images = quality::renders(&content, &shown, camera, &settings, &backend)?;
         let scores: Result<Vec<_>, _> =
             images.par_iter().zip(&references).map(|(a, b)| quality::score(a, b)).collect();
         let scores = scores?;
@@ -174,7 +175,8 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let width = emulator_host::Nanos::from_ms(100);
     let capacity = pipeline::capacity_bins(&link.trace, width, (end_s * 10.0).ceil().max(1.0) as usize);
     notes.extend(link.warnings.iter().cloned());
-    let protocol = protocol(args, &name, &scene, &stream, &ledger, &link, &table)?;
+    let mut protocol = protocol(args, &name, &scene, &stream, &ledger, &link, &table)?;
+    protocol.push(("pictures".to_owned(), format!("rendered by {}", backend.name())));
     Ok(Page {
         title: format!("{name} over {}", link.trace.name()),
         machine: Machine::this(),

@@ -1,5 +1,7 @@
 //! `dgs inspect`: the manifest for people, packets by kind, damage.
 
+mod manifest;
+
 use anyhow::Result;
 use codec_core::internals::{
     ids::{Level, Span},
@@ -8,7 +10,7 @@ use codec_core::internals::{
 use serde_json::{Value, json};
 use trainer_host::stream::PacketMap;
 
-use crate::{args::Inspect, output::VerbOutput, pipeline};
+use crate::{args::Inspect, files, output::VerbOutput, pipeline};
 
 /// Runs the verb.
 pub fn run(args: &Inspect) -> Result<VerbOutput> {
@@ -59,6 +61,10 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
         "manifest_bytes": stream.message().len(), "packets": packets, "parity_packets": parity,
         "missing_packets": missing, "damage": warnings, "manifest": manifest_json(&manifest),
     });
+    if let Some(path) = &args.manifest {
+        let document = manifest::document(&stream, &map)?;
+        files::write(path, format!("{document:#}\n").as_bytes())?;
+    }
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
 }

@@ -3,7 +3,7 @@
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
 use render_host::{
-    Changes, Sequence, Settings, Splats,
+    Backend, Settings, Splats,
     camera::{Camera, View},
 };
 use serde_json::json;
@@ -29,6 +29,7 @@ struct Picture {
 
 /// Runs the verb.
 pub fn run(args: &Render) -> Result<VerbOutput> {
+    let backend = Backend::open(args.device.into()).context("--device")?;
     let single = args.out.extension().is_some_and(|e| e == "png");
     if single {
         files::check(&args.out)?;
@@ -51,12 +52,12 @@ pub fn run(args: &Render) -> Result<VerbOutput> {
     let settings = Settings { antialiased: args.antialiased, ..pipeline::settings(&args.view) };
 
     let mut folder = if single { None } else { Some(FrameFolder::create(&args.out, args.overwrite)?) };
-    let mut sequence = Sequence::default();
+    let mut renderer = backend.frames()?;
     let mut counters = None;
     for picture in &pictures {
         let instant = frames.instant(picture.frame)?;
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
-        let rendered = sequence.render(&splats, Changes::Unknown, &picture.camera, &settings)?;
+        let rendered = renderer.render(&splats, &picture.camera, &settings)?;
         let png = rendered.image.to_png()?;
         match &mut folder {
             None => files::write(&args.out, &png)?,
@@ -69,7 +70,13 @@ pub fn run(args: &Render) -> Result<VerbOutput> {
     }
     let count = pictures.len();
     let text = format!("wrote {count} images to {}\n", args.out.display());
-    let json = json!({ "out": args.out, "images": count, "last_counters": counters, "warnings": warnings });
+    let json = json!({
+        "out": args.out,
+        "images": count,
+        "device": backend.name(),
+        "last_counters": counters,
+        "warnings": warnings,
+    });
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
 }

@@ -44,7 +44,7 @@ fn all_points_lie_in_one_place() {
     let n = 200_000;
     let npy = |descr: &str, bytes: usize| {
         let header = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({n}, 3), }}\n");
-        let start = [b"\x93NUMPY\x01\x00", &(header.len() as u16).to_le_bytes()[..], header.as_bytes()];
+        let start = [&b"\x93NUMPY\x01\x00"[..], &(header.len() as u16).to_le_bytes(), header.as_bytes()];
         [&start.concat()[..], &vec![0; n * 3 * bytes]].concat()
     };
     let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));

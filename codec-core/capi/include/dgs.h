@@ -100,6 +100,8 @@ typedef struct dgs_caps {
     uint32_t parity_bytes;
     /* Bytes for packets before the manifest; each takes 2 more than its length. */
     uint32_t early_bytes;
+    /* Blocks that the extents of one packet span. */
+    uint32_t blocks_per_packet;
     /* Values of one packet. */
     uint32_t values_per_packet;
 } dgs_caps;

@@ -1,4 +1,4 @@
-//! Adjoint of stage 4: from pixels back to the ellipses that were blended into them.
+//! The adjoint of stage 4 takes gradients of pixels back to the ellipses that were blended into them.
 //!
 //! With `behind` the colour behind a splat, a pixel is `… + T·(a·c + (1 - a)·behind)`. So for a pixel
 //! gradient `g`: `dL/dc = T·a·g`, `dL/da = T·(g·c - g·behind)`, and one number per pixel, `g·behind`, is

@@ -1,26 +1,27 @@
-// Adjoint of stage 4 for many worlds at once. Put after adjoint/forward.wgsl. Workgroups: columns, rows.
+// The adjoint of stage 4, for many worlds at once. Put after adjoint/forward.wgsl. Workgroups: columns, rows.
 //
-// Two entries. `blend_back` goes forward, takes the squared error and goes back to front. `pull_back` goes
-// back only, from transmittances that adjoint/film.wgsl kept and pixel gradients that adjoint/loss/ssim.wgsl
-// made of its pictures.
+// Two entries. `blend_back` goes forward, takes the squared error and goes back to front.
+// `back_from_gradients` goes back only, from transmittances that adjoint/framebuffer.wgsl retained and pixel
+// gradients that adjoint/loss/ssim.wgsl made of its pictures.
 //
 // Four worlds of a pixel are four lanes. A tile's list is walked in segments; the transmittances at the
-// start of each are kept, so nothing is divided: a segment is blended again, written down, and read in
+// start of each are retained, so nothing is divided: a segment is blended again, written down, and read in
 // reverse. `behind` is the pixel gradient times the colour behind a splat, one number per world.
 //
-// What a splat's pixels pull at is added up over the four worlds, then over rows, then over the tile, in
-// one order; one entry has one place for its sums. Worlds beyond four are added there.
+// The gradients that a splat's pixels give it are added up over the four worlds, then over rows, then over
+// the tile, in one order; one entry has one place for its sums. Worlds beyond four are added there.
 
-// `blend_back`: r g b per pixel, row by row, the picture wanted. `pull_back`: pixel gradients, plane by plane
-// (row by row), three planes per world, from world `batch.first` on.
+// `blend_back`: r g b per pixel, row by row, the picture wanted. `back_from_gradients`: pixel gradients,
+// plane by plane (row by row), three planes per world, from world `batch.first` on.
 @group(0) @binding(7) var<storage, read> wanted: array<f32>;
 // Three per entry: [h, hu, hv, hu·dx], [hu·dy, hv·dy, r, g], [b], with h = dL/d(exponent) / ln 2.
 @group(0) @binding(8) var<storage, read_write> partials: array<vec4<f32>>;
-// Per tile: of each world the squared error, or what film.wgsl says; then the gradient of the background.
+// Per tile: of each world the squared error, or what framebuffer.wgsl says; then the gradient of the
+// background.
 @group(0) @binding(9) var<storage, read_write> found: array<f32>;
 
-// What two entries pull at each pixel: h, r, g, b. Sums over the tile at the end.
-var<workgroup> pulls: array<vec4<f32>, 512>;
+// Gradients of two entries from each pixel: h, r, g, b. Sums over the tile at the end.
+var<workgroup> pixel_gradients: array<vec4<f32>, 512>;
 // Per entry and part of its sums, a row each.
 var<workgroup> rows: array<vec4<f32>, 96>;
 
@@ -29,7 +30,7 @@ fn thread_of(x: u32, y: u32) -> u32 {
     return 32u * ((y >> 2u) * 2u + (x >> 3u)) + (y & 3u) * 8u + (x & 7u);
 }
 
-// Adds up one row of what the entry at `i`, in half `half` of `pulls`, pulls at.
+// Adds up one row of gradients of the entry at `i`, from half `half` of `pixel_gradients`.
 fn add_row(i: u32, half: u32, y: u32) {
     let down = f32(y);
     let u0 = fma(near[i].w, down, near[i].x);
@@ -43,28 +44,28 @@ fn add_row(i: u32, half: u32, y: u32) {
     // Each row starts elsewhere, so that the rows read different banks of memory.
     for (var k = 0u; k < TILE; k++) {
         let x = (k + y) % TILE;
-        let pull = pulls[PIXELS * half + thread_of(x, y)];
-        let part = pull.x * fma(near[i].z, f32(x), u0);
-        h += pull.x;
+        let gradient = pixel_gradients[PIXELS * half + thread_of(x, y)];
+        let part = gradient.x * fma(near[i].z, f32(x), u0);
+        h += gradient.x;
         hu += part;
         hux += part * (dx + f32(x));
-        colour += pull.yzw;
+        colour += gradient.yzw;
     }
     rows[48u * half + y] = vec4<f32>(h, hu, h * v, hux);
     rows[48u * half + 16u + y] = vec4<f32>(hu * dy, h * v * dy, colour.rg);
     rows[48u * half + 32u + y] = vec4<f32>(colour.b, 0.0, 0.0, 0.0);
 }
 
-// Adds eight numbers over the tile in a fixed tree: the sums are pulls[0] and pulls[256].
+// Adds eight numbers over the tile in a fixed tree: the sums are pixel_gradients[0] and pixel_gradients[256].
 fn add_up(thread: u32, a: vec4<f32>, b: vec4<f32>) {
     workgroupBarrier();
-    pulls[thread] = a;
-    pulls[PIXELS + thread] = b;
+    pixel_gradients[thread] = a;
+    pixel_gradients[PIXELS + thread] = b;
     for (var half = PIXELS / 2u; half > 0u; half /= 2u) {
         workgroupBarrier();
         if thread < half {
-            pulls[thread] += pulls[thread + half];
-            pulls[PIXELS + thread] += pulls[PIXELS + thread + half];
+            pixel_gradients[thread] += pixel_gradients[thread + half];
+            pixel_gradients[PIXELS + thread] += pixel_gradients[PIXELS + thread + half];
         }
     }
     workgroupBarrier();
@@ -110,7 +111,7 @@ fn backward(here: Spot, quad: u32, past: u32, gr: vec4<f32>, gg: vec4<f32>, gb: 
             for (var pair = (n + 1u) / 2u; pair > 0u; pair--) {
                 for (var e = 2u; e > 0u; e--) {
                     let j = 2u * (pair - 1u) + e - 1u;
-                    var pull = vec4<f32>(0.0);
+                    var gradient = vec4<f32>(0.0);
                     if ((touched >> j) & 1u) == 1u {
                         let i = SEGMENT * s + j;
                         let alpha = alphas[j] * takes(i, quad, before[j]);
@@ -120,9 +121,9 @@ fn backward(here: Spot, quad: u32, past: u32, gr: vec4<f32>, gg: vec4<f32>, gb: 
                         behind = fma(alpha, ahead, behind);
                         // Alpha at its clamp does not move.
                         let h = select(0.0, dot(weight, ahead), alphas[j] < frame.alpha_max);
-                        pull = vec4<f32>(h, dot(weight, gr), dot(weight, gg), dot(weight, gb));
+                        gradient = vec4<f32>(h, dot(weight, gr), dot(weight, gg), dot(weight, gb));
                     }
-                    pulls[PIXELS * (e - 1u) + thread] = pull;
+                    pixel_gradients[PIXELS * (e - 1u) + thread] = gradient;
                 }
                 workgroupBarrier();
                 if thread < 32u {
@@ -182,7 +183,7 @@ fn blend_back(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_in
         let db = (seen.b - want.b) * counts;
         add_up(thread, dr * dr + dg * dg + db * db, vec4<f32>(0.0));
         if thread < 4u {
-            found[tile * batch.columns + 4u * quad + thread] = pulls[0][thread];
+            found[tile * batch.columns + 4u * quad + thread] = pixel_gradients[0][thread];
         }
         let gr = batch.scale * dr;
         let gg = batch.scale * dg;
@@ -192,7 +193,7 @@ fn blend_back(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_in
     }
     add_up(thread, background, vec4<f32>(0.0));
     if thread < 4u {
-        found[tile * batch.columns + 4u * ((batch.worlds + 3u) / 4u) + thread] = pulls[0][thread];
+        found[tile * batch.columns + 4u * ((batch.worlds + 3u) / 4u) + thread] = pixel_gradients[0][thread];
     }
 }
 
@@ -209,7 +210,7 @@ fn given(slot: u32, channel: u32, place: u32, live: vec4<bool>) -> vec4<f32> {
 }
 
 @compute @workgroup_size(256)
-fn pull_back(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+fn back_from_gradients(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let tile = id.y * frame.size.z + id.x;
     var here = spot(tile, TILE * id.xy, thread);
     let pixel = here.corner + pixel_of(thread);
@@ -217,8 +218,8 @@ fn pull_back(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
     let place = pixel.y * frame.size.x + pixel.x;
     let first = batch.first / 4u;
     let to = tile * batch.columns + 4u * ((batch.worlds + 3u) / 4u) + thread;
-    here.kept = (batch.past + 3u) / 4u - first;
-    for (var slot = 0u; slot < here.kept; slot++) {
+    here.retained = (batch.past + 3u) / 4u - first;
+    for (var slot = 0u; slot < here.retained; slot++) {
         let quad = first + slot;
         here.slot = slot;
         if thread == 0u {
@@ -230,10 +231,10 @@ fn pull_back(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
         let gg = given(slot, 1u, place, live);
         let gb = given(slot, 2u, place, live);
         let t = backward(here, quad, past, gr, gg, gb);
-        // Four worlds after the other, so that it does not show which are kept together.
+        // Four worlds after the other, so that it does not show which worlds go together.
         add_up(thread, vec4<f32>(dot(gr, t), dot(gg, t), dot(gb, t), 0.0), vec4<f32>(0.0));
         if thread < 4u {
-            var sum = pulls[0][thread];
+            var sum = pixel_gradients[0][thread];
             if quad > 0u {
                 sum += found[to];
             }

@@ -1,4 +1,4 @@
-//! Gradients against central differences of the f64 reference.
+//! Compares gradients with central differences of the f64 reference.
 //!
 //! Every parameter of every Gaussian is moved there and back, twice with different steps (Richardson),
 //! and the reference rendered anew, so this is for small scenes. A parameter about which the picture

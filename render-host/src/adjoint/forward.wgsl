@@ -1,4 +1,4 @@
-// The way forward of many worlds, four in lanes, and what stands in workgroup memory on the way back too.
+// Blends many worlds front to back, four to a vector; the way back uses the same workgroup memory.
 // Put after counterfactual/states.wgsl; what uses it goes on with binding 7.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -6,14 +6,14 @@
 @group(0) @binding(2) var<storage, read> splats: array<Splat>;
 @group(0) @binding(3) var<storage, read> starts: array<u32>;
 @group(0) @binding(4) var<storage, read> entries: array<Entry>;
-// Per group, 1 where a world holds it and 0 where not, four worlds a vector.
+// Per group, 1 where a world includes it and 0 where not, four worlds a vector.
 @group(0) @binding(5) var<storage, read> masks: array<vec4<f32>>;
-// Transmittance of every pixel at the start of every segment, of as many vectors of worlds as are kept.
+// Transmittance of every pixel at the start of every segment, of as many vectors of worlds as are retained.
 @group(0) @binding(6) var<storage, read_write> marks: array<vec4<f32>>;
 
 // Entries in workgroup memory.
 const STAGED: u32 = 64u;
-// Entries between two kept transmittances.
+// Entries between two retained transmittances.
 const SEGMENT: u32 = 32u;
 
 // Of a staged entry: [u0, v0, xx, xy], [yy, log2_alpha, r, g], [b, offset of the tile's first pixel].
@@ -57,7 +57,7 @@ fn alpha_at(i: u32, at: vec2<f32>) -> f32 {
     return alpha_of(log2, frame.cutoff, frame.alpha_max);
 }
 
-// 1 where a world holds staged entry `i` and its pixel is not finished.
+// 1 where a world includes staged entry `i` and its pixel is not finished.
 fn takes(i: u32, quad: u32, t: vec4<f32>) -> vec4<f32> {
     return select(vec4<f32>(0.0), masks[owner[i] * batch.quads + quad], t >= vec4<f32>(frame.stop));
 }
@@ -73,8 +73,8 @@ struct Spot {
     end: u32,
     // Segment of the tile's first entry, over all tiles.
     mark: u32,
-    // Vectors of worlds whose transmittances are kept, and which of them this is.
-    kept: u32,
+    // Vectors of worlds whose transmittances are retained, and which of them this is.
+    retained: u32,
     slot: u32,
 }
 
@@ -89,7 +89,7 @@ fn spot(tile: u32, corner: vec2<u32>, thread: u32) -> Spot {
 // Place of the transmittances at the start of the segment whose first entry is `first`.
 fn mark_of(here: Spot, first: u32) -> u32 {
     let segment = here.mark + (first - here.start) / SEGMENT;
-    return (segment * here.kept + here.slot) * PIXELS + here.thread;
+    return (segment * here.retained + here.slot) * PIXELS + here.thread;
 }
 
 // What a pixel shows in four worlds.

@@ -1,4 +1,4 @@
-//! Adjoint of the harmonics: from a colour back to coefficients and to the view direction.
+//! The adjoint of the harmonics takes the gradient of a colour back to coefficients and view direction.
 
 use super::term::{Term, keep};
 use crate::camera::dot;

@@ -1,4 +1,4 @@
-//! Adjoint of stage 1: from ellipses on the film back to Gaussians and to the camera's pose.
+//! The adjoint of stage 1 takes gradients of ellipses back to Gaussians and to the camera's pose.
 //!
 //! In f64, through the 2×3 factor (`u`, `v`) that the forward pass also goes through, so that no
 //! determinant is a difference and a scale of 0 has a finite gradient.
@@ -10,7 +10,7 @@ use super::{Gradients, Pose, SplatGradient};
 use crate::camera::{cross, dot};
 use crate::harmonics::count;
 use crate::stage::Splat;
-use crate::stage::project::{Factor, Film, Lens, MIN_COMPENSATION, Projected, SKIPPED};
+use crate::stage::project::{Factor, Lens, MIN_COMPENSATION, Projected, Projector, SKIPPED};
 use crate::{Camera, Settings, Splats, parallel};
 
 use rayon::prelude::*;
@@ -37,7 +37,7 @@ pub(super) fn project(
     out: &mut Gradients,
 ) {
     let (n, each) = (splats.len(), splats.sh_degree().rest_len());
-    let film = Film::new(camera, settings, settings.degree(splats.sh_degree()));
+    let projector = Projector::new(camera, settings, settings.degree(splats.sh_degree()));
     out.splats.clear();
     out.splats.resize(n, SplatGradient::default());
     out.sh_rest.clear();
@@ -51,7 +51,15 @@ pub(super) fn project(
             // Everything a splat has is 0 when no pixel pulls at it.
             if projected.keys[index] != SKIPPED && ellipses[index].iter().any(|&v| v != 0.0) {
                 let rest = &mut rest[k * each..(k + 1) * each];
-                film.back(splats, index, &projected.splats[index], &ellipses[index], gradient, rest, chunk);
+                projector.back(
+                    splats,
+                    index,
+                    &projected.splats[index],
+                    &ellipses[index],
+                    gradient,
+                    rest,
+                    chunk,
+                );
             }
         }
     };
@@ -80,7 +88,7 @@ pub(super) fn project(
     out.non_finite = sum.non_finite;
 }
 
-impl Film<'_> {
+impl Projector<'_> {
     #[expect(clippy::too_many_arguments, reason = "one place per input and output of the chain rule")]
     fn back(
         &self,
@@ -182,7 +190,7 @@ impl Film<'_> {
             rotation: rotation.map(|v| v as f32),
             opacity_logit: opacity_logit as f32,
             sh0: sh0.map(|v| v as f32),
-            film: [mean_x as f32, mean_y as f32],
+            image_mean: [mean_x as f32, mean_y as f32],
         };
         if !(found.is_finite()
             && rest_out.iter().all(|v| v.is_finite())
@@ -200,8 +208,8 @@ impl Film<'_> {
 
 impl SplatGradient {
     fn is_finite(&self) -> bool {
-        let Self { position, log_scale, rotation, opacity_logit, sh0, film } = self;
-        let fields = position.iter().chain(log_scale).chain(rotation).chain(sh0).chain(film);
+        let Self { position, log_scale, rotation, opacity_logit, sh0, image_mean } = self;
+        let fields = position.iter().chain(log_scale).chain(rotation).chain(sh0).chain(image_mean);
         opacity_logit.is_finite() && fields.into_iter().all(|v| v.is_finite())
     }
 }

@@ -1,4 +1,4 @@
-// Adjoint of stage 1: from what pixels pull at back to Gaussians. Put after counterfactual/states.wgsl.
+// The adjoint of stage 1 takes gradients of entries back to Gaussians. Put after counterfactual/states.wgsl.
 // Threads: one per Gaussian.
 //
 // A Gaussian finds its entries again: in every tile of its box, by its place in the order of depth, which the
@@ -18,7 +18,7 @@
 @group(0) @binding(7) var<storage, read> partials: array<vec4<f32>>;
 // First what each Gaussian adds to the camera's pose: translation 3, rotation 3, rows of a length that 256
 // divides. Then one row per field: position 3, log-scale 3, rotation 4, opacity logit, band 0 of the
-// harmonics 3, centre on the film 2, then higher bands.
+// harmonics 3, centre on the image plane 2, then higher bands.
 @group(0) @binding(8) var<storage, read_write> gradients: array<f32>;
 
 const LN_2: f32 = 0.6931472;
@@ -73,7 +73,7 @@ fn find(tile: u32, i: u32) -> u32 {
     return NOWHERE;
 }
 
-// What the pixels of all tiles pull at splat `i`.
+// Gradients of splat `i` from the pixels of all tiles.
 fn gather(s: Splat, i: u32) -> Sums {
     var sums: Sums;
     let b = pixel_box(s);

@@ -14,7 +14,7 @@ pub(super) enum Term {
     Shear,
     /// Slope of `v` down the rows of a tile.
     Down,
-    /// Centre on the film, from where the ellipse lies.
+    /// Centre on the image plane, from where the ellipse lies.
     Centre,
     /// The ellipse's determinant.
     Determinant,
@@ -46,7 +46,7 @@ pub(super) enum Term {
     Exponent,
     /// What shows of the background.
     Background,
-    /// Moving along the film moves the centre.
+    /// Moving along the image plane moves the centre.
     Place,
     /// The ellipse's height, by its variance.
     Variance,

@@ -133,9 +133,9 @@ fn no_term_of_the_chain_rule_can_be_left_out_or_turned() {
 
 fn bits(g: &Gradients) -> Vec<u64> {
     let splat = |s: &SplatGradient| {
-        let SplatGradient { position, log_scale, rotation, opacity_logit, sh0, film } = *s;
+        let SplatGradient { position, log_scale, rotation, opacity_logit, sh0, image_mean } = *s;
         let all = position.into_iter().chain(log_scale).chain(rotation).chain([opacity_logit]);
-        all.chain(sh0).chain(film).map(|v| u64::from(v.to_bits())).collect::<Vec<_>>()
+        all.chain(sh0).chain(image_mean).map(|v| u64::from(v.to_bits())).collect::<Vec<_>>()
     };
     let wide = g.background.iter().chain(&g.pose.translation).chain(&g.pose.rotation).chain([&g.loss]);
     let rest = g.sh_rest.iter().map(|v| u64::from(v.to_bits()));

@@ -1,4 +1,4 @@
-//! A tile's list walked again front to back, with what each splat met written down.
+//! Walks a tile's list again front to back and writes down what each splat met.
 //!
 //! The list is walked in segments of bounded length. Transmittances at the start of each are kept, so a
 //! list of a million needs the memory of one segment.

@@ -116,7 +116,8 @@ pub fn gradients(
 const NUMBERS: usize = 16;
 
 fn numbers(g: &SplatGradient) -> [f32; NUMBERS] {
-    let SplatGradient { position: p, log_scale: s, rotation: q, opacity_logit: o, sh0: c, film: f } = *g;
+    let SplatGradient { position: p, log_scale: s, rotation: q, opacity_logit: o, sh0: c, image_mean: f } =
+        *g;
     [p[0], p[1], p[2], s[0], s[1], s[2], q[0], q[1], q[2], q[3], o, c[0], c[1], c[2], f[0], f[1]]
 }
 
@@ -129,7 +130,7 @@ fn gradient(
         rotation: [q0, q1, q2, q3],
         opacity_logit: o,
         sh0: [c0, c1, c2],
-        film: [f0, f1],
+        image_mean: [f0, f1],
     }
 }
 

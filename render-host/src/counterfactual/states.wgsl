@@ -1,4 +1,4 @@
-// What kernels over many states of one scene share: `gpu/states.rs` in WGSL. Put after stage/layout.wgsl
+// Kernels over many states of one scene share this: `gpu/states.rs` in WGSL. Put after stage/layout.wgsl
 // and stage/tile.wgsl.
 //
 // One workgroup is one tile, one thread is one pixel; the 32 threads of a block of 8 x 4 pixels mostly
@@ -9,7 +9,7 @@ const PIXELS: u32 = 256u;
 // Blocks of a tile: two side by side, four rows.
 const BLOCKS: u32 = 8u;
 
-// What a kernel over many states is told, besides the frame.
+// A batch of worlds: a uniform buffer.
 struct Batch {
     // Number of groups.
     groups: u32,

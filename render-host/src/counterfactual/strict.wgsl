@@ -1,11 +1,11 @@
-// Squared errors of sixteen worlds on one tile, each as it is drawn alone: per world the operations of
-// stage/blend.wgsl in their order, early stop included. Put after lanes.wgsl. Workgroups: columns, rows,
-// worlds / 16.
+// Takes squared errors of sixteen worlds on one tile, each as it is drawn alone: per world the operations of
+// stage/blend.wgsl in their order, early stop included. Put after world_lanes.wgsl. Workgroups: columns,
+// rows, worlds / 16.
 
 var<workgroup> open: atomic<u32>;
 var<workgroup> still_open: u32;
 
-// `alpha` where a world holds the splat and its pixel is not finished.
+// `alpha` where a world includes the splat and its pixel is not finished.
 fn taken(alpha: f32, mask: vec4<f32>, t: vec4<f32>) -> vec4<f32> {
     return select(vec4<f32>(0.0), alpha * mask, t >= vec4<f32>(frame.stop));
 }
@@ -50,23 +50,15 @@ fn any_open(t: mat4x4<f32>) -> bool {
 
 @compute @workgroup_size(256)
 fn strict(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    let tile = id.y * frame.size.z + id.x;
-    let corner = TILE * id.xy;
-    let block = thread >> 5u;
-    let inside = pixel_of(thread);
-    let at = vec2<f32>(inside);
-    let end = starts[tile + 1u];
+    let here = spot(id, thread);
     let column = 4u * id.z;
     var lanes = no_lanes();
-    let in_image = all(corner + inside < frame.size.xy);
+    let in_image = all(here.corner + here.inside < frame.size.xy);
     if thread == 0u {
         atomicStore(&open, 0u);
     }
-    for (var first = starts[tile]; first < end; first += PIXELS) {
-        workgroupBarrier();
-        if thread < 64u {
-            atomicStore(&touching[thread], 0u);
-        }
+    for (var first = here.start; first < here.end; first += PIXELS) {
+        empty_batch(thread);
         if in_image && any_open(lanes.t) {
             atomicStore(&open, 1u);
         }
@@ -77,25 +69,17 @@ fn strict(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index)
         if workgroupUniformLoad(&still_open) == 0u {
             break;
         }
-        if first + thread < end {
-            let entry = entries[first + thread];
-            if entry.blocks != 0u {
-                put(entry, splats[entry.splat], thread, corner);
-            }
-        }
+        load(here, first, thread);
         workgroupBarrier();
         for (var word = 0u; word < 8u; word++) {
-            var bits = atomicLoad(&touching[8u * block + word]);
+            var bits = atomicLoad(&touching[8u * here.block + word]);
             while bits != 0u {
                 let i = 32u * word + firstTrailingBit(bits);
                 bits &= bits - 1u;
-                let colour = vec3<f32>(bowl[PIXELS + i].zw, blue[i]);
-                lanes = blend_one(lanes, alpha_at(i, at), colour, mask_of(owner[i], column));
+                let colour = vec3<f32>(staged[PIXELS + i].zw, blue[i]);
+                lanes = blend_one(lanes, alpha_at(i, here.at), colour, mask_of(owner[i], column));
             }
         }
     }
-    let found = errors(lanes, corner + inside);
-    let out = (tile * batch.quads + column) * 4u;
-    add_up(thread, found[0], found[1], out);
-    add_up(thread, found[2], found[3], out + 8u);
+    write_errors(here, lanes, thread, column);
 }

@@ -1,4 +1,5 @@
-// What toggling each group does to the squared error of one tile in one context. Put after lanes.wgsl.
+// Finds what toggling each group does to the squared error of one tile in one context. Put after
+// world_lanes.wgsl.
 // Workgroups: columns, rows, contexts.
 //
 // Lane 0 is the context as it is, the other lanes toggle one group each of those that the block meets.
@@ -16,15 +17,10 @@ const TOGGLES: u32 = 15u;
 
 @compute @workgroup_size(256)
 fn utilities(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
-    let tile = id.y * frame.size.z + id.x;
-    let corner = TILE * id.xy;
-    let block = thread >> 5u;
-    let inside = pixel_of(thread);
-    let at = vec2<f32>(inside);
-    let start = starts[tile];
-    let end = starts[tile + 1u];
+    let here = spot(id, thread);
+    let tile = here.tile;
     let stride = 2u * batch.words;
-    let row = (tile * BLOCKS + block) * stride;
+    let row = (tile * BLOCKS + here.block) * stride;
     var passes = 1u;
     for (var b = 0u; b < BLOCKS; b++) {
         passes = max(passes, (members((tile * BLOCKS + b) * stride) + TOGGLES - 1u) / TOGGLES);
@@ -38,22 +34,13 @@ fn utilities(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
         var lanes = no_lanes();
         var run = NO_RUN;
         var own = NO_GROUP;
-        for (var first = start; first < end; first += PIXELS) {
-            workgroupBarrier();
-            if thread < 64u {
-                atomicStore(&touching[thread], 0u);
-            }
-            workgroupBarrier();
-            if first + thread < end {
-                let entry = entries[first + thread];
-                if entry.blocks != 0u {
-                    put(entry, splats[entry.splat], thread, corner);
-                }
-            }
+        for (var first = here.start; first < here.end; first += PIXELS) {
+            empty_batch(thread);
+            load(here, first, thread);
             workgroupBarrier();
             if turn < mine {
                 for (var word = 0u; word < 8u; word++) {
-                    var bits = atomicLoad(&touching[8u * block + word]);
+                    var bits = atomicLoad(&touching[8u * here.block + word]);
                     while bits != 0u {
                         let i = 32u * word + firstTrailingBit(bits);
                         bits &= bits - 1u;
@@ -64,7 +51,7 @@ fn utilities(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
                             own = owner[i];
                             run = NO_RUN;
                         }
-                        run = extend(run, i, alpha_at(i, at));
+                        run = extend(run, i, alpha_at(i, here.at));
                     }
                 }
             }
@@ -72,7 +59,7 @@ fn utilities(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
         if own != NO_GROUP {
             lanes = apply(lanes, run, toggles(row, own, context, turn));
         }
-        let e = errors(lanes, corner + inside);
+        let e = errors(lanes, here.corner + here.inside);
         let base = vec4<f32>(e[0].x);
         add_blocks(thread, vec4<f32>(e[0].x, (e[0] - base).yzw), e[1] - base, 0u);
         add_blocks(thread, e[2] - base, e[3] - base, 8u);
@@ -97,7 +84,7 @@ fn utilities(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_ind
                 }
             }
             // Without the group minus with it.
-            let delta = select(-sum, sum, held(g, context) > 0.0);
+            let delta = select(-sum, sum, included(g, context) > 0.0);
             if turn == 0u {
                 partials[out + 1u + g] = delta;
             } else {
@@ -113,8 +100,8 @@ fn members(row: u32) -> u32 {
     return sets[row + batch.words + last] + countOneBits(sets[row + last]);
 }
 
-// 1 where `context` holds group `g`.
-fn held(g: u32, context: u32) -> f32 {
+// 1 where `context` includes group `g`.
+fn included(g: u32, context: u32) -> f32 {
     return masks[g * batch.quads + (context >> 2u)][context & 3u];
 }
 
@@ -126,9 +113,9 @@ fn lane_of(row: u32, g: u32, turn: u32) -> u32 {
     return select(0u, rank - TOGGLES * turn + 1u, rank / TOGGLES == turn);
 }
 
-// Which lanes hold group `g`.
+// Which lanes include group `g`.
 fn toggles(row: u32, g: u32, context: u32, turn: u32) -> mat4x4<f32> {
-    let is = held(g, context);
+    let is = included(g, context);
     let lane = vec4<u32>(lane_of(row, g, turn));
     let here = vec4<f32>(is);
     let not = vec4<f32>(1.0 - is);
@@ -147,18 +134,18 @@ fn toggles(row: u32, g: u32, context: u32, turn: u32) -> mat4x4<f32> {
 fn add_blocks(thread: u32, a: vec4<f32>, b: vec4<f32>, lane: u32) {
     let within = thread & 31u;
     workgroupBarrier();
-    bowl[thread] = a;
-    bowl[PIXELS + thread] = b;
+    staged[thread] = a;
+    staged[PIXELS + thread] = b;
     for (var half = 16u; half > 0u; half /= 2u) {
         workgroupBarrier();
         if within < half {
-            bowl[thread] += bowl[thread + half];
-            bowl[PIXELS + thread] += bowl[PIXELS + thread + half];
+            staged[thread] += staged[thread + half];
+            staged[PIXELS + thread] += staged[PIXELS + thread + half];
         }
     }
     workgroupBarrier();
     if within < 4u {
-        found[16u * (thread >> 5u) + lane + within] = bowl[thread - within][within];
-        found[16u * (thread >> 5u) + lane + 4u + within] = bowl[PIXELS + thread - within][within];
+        found[16u * (thread >> 5u) + lane + within] = staged[thread - within][within];
+        found[16u * (thread >> 5u) + lane + 4u + within] = staged[PIXELS + thread - within][within];
     }
 }

@@ -1,32 +1,39 @@
-//! Gradients of many worlds on the device: squared error and `1 - SSIM` against one picture, in any mix,
-//! summed over the worlds of a camera, with respect to everything a Gaussian has, the background and the
-//! camera's pose.
+//! The adjoint differentiates losses of many worlds on the device.
 //!
-//! Of squared error alone, `adjoint/blend.wgsl` goes front to back, judges, and goes back to front, four
-//! worlds in lanes. With `1 - SSIM` in the mix it only goes back: `adjoint/film.wgsl` has gone to the front
-//! and kept pictures and transmittances, and `adjoint/loss/ssim.wgsl` has made gradients of the pictures.
-//! What pulls at a splat is added up over worlds before it is taken further; `adjoint/project.wgsl` takes
-//! those sums back to the Gaussians, once for all worlds. Sums have one order, and nothing is divided by
-//! `1 - alpha` or a transmittance.
+//! Losses are squared error and `1 - SSIM` against one picture, in any mix, summed over the worlds of a
+//! camera. Gradients are with respect to everything a Gaussian has, the background and the camera's pose.
+//!
+//! For squared error alone, `adjoint/blend.wgsl` goes front to back, takes the error, and goes back to front,
+//! four worlds at once. With `1 - SSIM` in the mix that kernel only goes back: `adjoint/framebuffer.wgsl` has
+//! blended front to back and retained pictures and transmittances, and `adjoint/loss/ssim.wgsl` has replaced
+//! the pictures by their gradients. The gradient of a splat is added up over worlds before it goes further;
+//! `adjoint/project.wgsl` takes those sums back to the Gaussians, once for all worlds. Sums have one order,
+//! and nothing is divided by `1 - alpha` or a transmittance.
 //!
 //! What is differentiated, and where gradients are 0, is as in [`crate::adjoint`]; arithmetic is f32.
 
-use super::states::{
-    Batch, Common, QUAD, STATES, Scaffold, Totals, filled, masks, read, storage, submit, uniform,
+use structure::{CHUNK_BYTES, Chunks, Structure};
+use walk::{BLEND_BACK, Walk};
+
+use super::{
+    Executor, GpuError, Scene, Tiles,
+    layout::WORKGROUP,
+    recording::{Recording, Workgroups},
+    source::{Bind, Kernel, LAYOUT, Source, TILE},
+    states::{Batch, QUAD, STATES, SharedLists, Totals, masks},
 };
-use super::wgsl::{Bind, LAYOUT, Source, TILE};
-use super::{Device, GpuError, Kernel, Scene, Tiles, groups_2d};
-use crate::adjoint::loss::Mix;
-use crate::adjoint::{Pose, SplatGradient};
-use crate::counterfactual::{States, Variants};
-use crate::harmonics::count;
-use crate::image::{Image, same_size};
-use crate::{Camera, Settings};
-use structure::{Chunks, KEPT_BYTES, Structure};
+use crate::{
+    Camera, Settings,
+    adjoint::{Pose, SplatGradient, loss::Mix},
+    counterfactual::{States, Variants},
+    harmonics::count,
+    image::{Image, same_size},
+};
 
-pub mod structure;
+pub(super) mod structure;
+pub(super) mod walk;
 
-/// Entries between two kept transmittances.
+/// Entries between two retained transmittances.
 const SEGMENT: usize = 32;
 /// Rows of gradients before those of higher bands.
 const ROWS: usize = 16;
@@ -35,29 +42,8 @@ const POSE_ROWS: usize = 6;
 /// Bytes of a vector of four.
 const VECTOR: usize = 16;
 
-/// What goes from front to back, and what stays in workgroup memory on the way back.
-const FORWARD: &str = include_str!("../adjoint/forward.wgsl");
-
-/// Adjoint of stage 4, and squared error.
-pub const BLEND_BACK: Source = Source {
-    name: "adjoint/blend.wgsl",
-    parts: &[LAYOUT, TILE, STATES, FORWARD, include_str!("../adjoint/blend.wgsl")],
-    bindings: &[
-        ("frame", Bind::Uniform),
-        ("batch", Bind::Uniform),
-        ("splats", Bind::Read),
-        ("starts", Bind::Read),
-        ("entries", Bind::Read),
-        ("masks", Bind::Read),
-        ("marks", Bind::Write),
-        ("wanted", Bind::Read),
-        ("partials", Bind::Write),
-        ("found", Bind::Write),
-    ],
-};
-
 /// Adjoint of stage 1.
-pub const PROJECT_BACK: Source = Source {
+pub static PROJECT_BACK: Source = Source {
     name: "adjoint/project.wgsl",
     parts: &[LAYOUT, TILE, STATES, include_str!("../adjoint/project.wgsl")],
     bindings: &[
@@ -73,30 +59,6 @@ pub const PROJECT_BACK: Source = Source {
     ],
 };
 
-/// The compiled kernels: once per device.
-#[derive(Debug)]
-pub struct Kernels {
-    common: Common,
-    blend: Kernel,
-    structure: structure::Kernels,
-    project: Kernel,
-}
-
-impl Kernels {
-    /// Compiles.
-    ///
-    /// # Errors
-    /// The device refuses a shader.
-    pub fn new(device: &Device) -> Result<Self, GpuError> {
-        Ok(Self {
-            common: Common::new(device)?,
-            blend: Kernel::new(device, &BLEND_BACK, "blend_back", &[])?,
-            structure: structure::Kernels::new(device)?,
-            project: Kernel::new(device, &PROJECT_BACK, "project_back", &[])?,
-        })
-    }
-}
-
 /// What worlds are to look like.
 #[derive(Clone, Copy, Debug)]
 pub struct Objective<'a> {
@@ -108,27 +70,26 @@ pub struct Objective<'a> {
 
 /// One scene and one camera, ready to be differentiated.
 #[derive(Debug)]
-pub struct Engine<'k> {
-    device: Device,
-    kernels: &'k Kernels,
-    scaffold: Scaffold,
+pub struct Engine {
+    executor: Executor,
+    lists: SharedLists,
     scene: Scene,
     wanted: wgpu::Buffer,
     mix: Mix,
     /// `None` where the mix is of squared error alone.
     structure: Option<Structure>,
-    /// Bytes of a buffer of what is kept of worlds.
-    kept: usize,
+    /// Bytes of a buffer of what is retained of worlds.
+    chunk_bytes: usize,
     /// Degree that is rendered.
     degree: u8,
 }
 
-/// Worlds whose gradients are asked for, on the device.
+/// Worlds whose gradients are wanted, on the device.
 #[derive(Debug)]
 pub struct Worlds {
     count: usize,
+    walk: Walk,
     blend: Blend,
-    project: wgpu::BindGroup,
     totals: Totals,
     /// Sums of the pose over every 256th Gaussian, and over those.
     pose: [Totals; 2],
@@ -138,22 +99,10 @@ pub struct Worlds {
 /// How worlds are blended back.
 #[derive(Debug)]
 enum Blend {
-    /// Forward, squared error and back in one.
-    AtOnce(wgpu::BindGroup),
+    /// Forward, squared error and back in one, with this batch and these transmittances.
+    AtOnce { batch: wgpu::Buffer, marks: wgpu::Buffer },
     /// With pictures in between.
-    Kept(Chunks),
-}
-
-/// Buffers that all chunks of worlds read or add to.
-struct Shared<'a> {
-    tiles: &'a Tiles,
-    entries: &'a wgpu::Buffer,
-    masks: &'a wgpu::Buffer,
-    wanted: &'a wgpu::Buffer,
-    partials: &'a wgpu::Buffer,
-    found: &'a wgpu::Buffer,
-    /// Bytes of a buffer that chunks share.
-    kept: usize,
+    WithPictures(Chunks),
 }
 
 /// Loss of each world, and gradients summed over the worlds.
@@ -171,23 +120,23 @@ pub struct Gradients {
     pub pose: Pose,
 }
 
-impl<'k> Engine<'k> {
+impl Engine {
     /// Projects, orders and bins all variants as `camera` sees them, and uploads.
     ///
     /// # Errors
     /// A setting out of range, a target of another size than the camera, or a buffer that the device does
     /// not grant.
     pub fn new(
-        device: &Device,
-        kernels: &'k Kernels,
+        executor: &Executor,
         variants: &Variants,
         camera: &Camera,
         objective: &Objective,
         settings: &Settings,
     ) -> Result<Self, GpuError> {
+        let device = executor.device();
         let tiles = Tiles::from_cpu(device, variants, camera, settings)?;
         let scene = Scene::with_groups(device, &variants.splats(), variants.groups())?;
-        Self::with_tiles(device, kernels, scene, tiles, variants.count(), objective, settings)
+        Self::with_tiles(executor, scene, tiles, variants.count(), objective, settings)
     }
 
     /// As [`Engine::new`], from a scene and tile lists that are on the device already.
@@ -195,8 +144,7 @@ impl<'k> Engine<'k> {
     /// # Errors
     /// A target of another size than the lists, or a buffer that the device does not grant.
     pub fn with_tiles(
-        device: &Device,
-        kernels: &'k Kernels,
+        executor: &Executor,
         scene: Scene,
         tiles: Tiles,
         groups: usize,
@@ -204,15 +152,16 @@ impl<'k> Engine<'k> {
         settings: &Settings,
     ) -> Result<Self, GpuError> {
         let Objective { target, mix } = *objective;
-        let mut film = Image::default();
-        film.reset(tiles.size[0], tiles.size[1])?;
-        same_size(&film, target)?;
+        let mut blank = Image::default();
+        blank.reset(tiles.size[0], tiles.size[1])?;
+        same_size(&blank, target)?;
+        let device = executor.device();
         let degree = settings.max_sh_degree.min(scene.degree());
-        let wanted = filled(device, "target", bytemuck::cast_slice(target.rgb()))?;
+        let wanted = device.filled("target", bytemuck::cast_slice(target.rgb()))?;
         let structure = if mix.structure == 0.0 { None } else { Some(Structure::new(device, target, mix)?) };
-        let scaffold = Scaffold::new(device, &kernels.common, tiles, groups)?;
-        let (device, kept) = (device.clone(), KEPT_BYTES);
-        Ok(Self { device, kernels, scaffold, scene, wanted, mix, structure, kept, degree })
+        let lists = SharedLists::new(device, tiles, groups)?;
+        let (executor, chunk_bytes) = (executor.clone(), CHUNK_BYTES);
+        Ok(Self { executor, lists, scene, wanted, mix, structure, chunk_bytes, degree })
     }
 
     /// The scene: what lists made on the device are made of.
@@ -226,7 +175,9 @@ impl<'k> Engine<'k> {
     /// States of another number of groups, no memory, or a device that was lost.
     pub fn gradients(&self, states: &States) -> Result<Gradients, GpuError> {
         let worlds = self.worlds(states)?;
-        self.submit(&worlds);
+        let mut recording = Recording::new();
+        self.record(&worlds, &mut recording)?;
+        self.executor.run(recording)?;
         self.read(&worlds)
     }
 
@@ -235,70 +186,79 @@ impl<'k> Engine<'k> {
     /// # Errors
     /// States of another number of groups, or no memory.
     pub fn worlds(&self, states: &States) -> Result<Worlds, GpuError> {
-        self.scaffold.check(states)?;
-        let (device, tiles) = (&self.device, &self.scaffold.tiles);
+        self.lists.check(states)?;
+        let (device, tiles) = (self.executor.device(), &self.lists.tiles);
         let quads = states.len().div_ceil(QUAD);
         let columns = QUAD * quads + QUAD;
         let values = 3 * u64::from(tiles.size[0]) * u64::from(tiles.size[1]);
         let batch = Batch {
             scale: (2.0 * self.mix.mse / values as f64) as f32,
             columns: columns as u32,
-            ..self.scaffold.batch(states.len(), quads)
+            ..self.lists.batch(states.len(), quads)
         };
-        let masks = filled(device, "masks", bytemuck::cast_slice(&masks(states, quads)))?;
-        let partials = storage(device, "pulls of entries", (3 * VECTOR * tiles.capacity) as u64)?;
+        let walk = Walk {
+            frame: tiles.frame.clone(),
+            splats: tiles.splats.clone(),
+            starts: tiles.starts.clone(),
+            entries: self.lists.entries.clone(),
+            masks: device.filled("masks", bytemuck::cast_slice(&masks(states, quads)))?,
+            partials: device.storage("gradients of entries", (3 * VECTOR * tiles.capacity) as u64)?,
+            found: device.storage("losses of tiles", (4 * columns * tiles.count()) as u64)?,
+            wanted: self.wanted.clone(),
+            grid: tiles.grid(),
+        };
         let segments = tiles.capacity / SEGMENT + tiles.count() + 1;
         let marks = VECTOR * 256 * segments;
-        let found = storage(device, "losses of tiles", (4 * columns * tiles.count()) as u64)?;
         let rows = ROWS + 3 * count(self.degree);
         let n = self.scene.len() as usize;
         let stride = n.next_multiple_of(256);
-        let gradients = storage(device, "gradients", 4 * (POSE_ROWS * stride + rows * n) as u64)?;
-        let common = &self.kernels.common;
-        let pose = Totals::new(device, common, &gradients, [stride / 256, 256, POSE_ROWS])?;
-        let pose = [Totals::new(device, common, &pose.buffer, [256, 1, POSE_ROWS])?, pose];
-        let [gaussians, harmonics, _] = self.scene.buffers()?;
-        let (frame, splats, starts) = (&tiles.frame, &tiles.splats, &tiles.starts);
-        let entries = &self.scaffold.entries;
-        let wanted = &self.wanted;
+        let gradients = device.storage("gradients", 4 * (POSE_ROWS * stride + rows * n) as u64)?;
+        let pose = Totals::new(device, &gradients, [stride / 256, 256, POSE_ROWS])?;
+        let pose = [Totals::new(device, &pose.buffer, [256, 1, POSE_ROWS])?, pose];
         let blend = if let Some(structure) = &self.structure {
-            let (masks, partials, found) = (&masks, &partials, &found);
-            let shared = Shared { tiles, entries, masks, wanted, partials, found, kept: self.kept };
-            Blend::Kept(Chunks::new(device, self.kernels, structure, &shared, batch, marks)?)
+            Blend::WithPictures(Chunks::new(
+                device,
+                structure,
+                tiles.count(),
+                batch,
+                marks,
+                self.chunk_bytes,
+            )?)
         } else {
-            let batch = uniform(device, "batch", bytemuck::bytes_of(&batch))?;
-            let marks = storage(device, "transmittances", marks as u64)?;
-            let bound = [frame, &batch, splats, starts, entries, &masks, &marks, wanted, &partials, &found];
-            Blend::AtOnce(self.kernels.blend.bind(device, &bound))
+            Blend::AtOnce {
+                batch: device.uniform("batch", bytemuck::bytes_of(&batch))?,
+                marks: device.storage("transmittances", marks as u64)?,
+            }
         };
-        let project =
-            [frame, gaussians, harmonics, splats, &tiles.ranks, starts, entries, &partials, &gradients];
-        Ok(Worlds {
-            count: states.len(),
-            blend,
-            project: self.kernels.project.bind(device, &project),
-            totals: Totals::new(device, &self.kernels.common, &found, [tiles.count(), columns, 1])?,
-            pose,
-            gradients,
-        })
+        let totals = Totals::new(device, &walk.found, [tiles.count(), columns, 1])?;
+        Ok(Worlds { count: states.len(), walk, blend, totals, pose, gradients })
     }
 
-    /// Starts computing the gradients of `worlds`; nothing is waited for.
-    pub fn submit(&self, worlds: &Worlds) {
-        submit(&self.device, |pass| self.encode(worlds, pass));
-    }
-
-    /// The commands of [`Engine::submit`], after those that make the lists.
-    pub fn encode(&self, worlds: &Worlds, pass: &mut wgpu::ComputePass) {
-        let [columns, rows] = self.scaffold.tiles.grid();
-        self.scaffold.fill(&self.kernels.common, pass);
-        match &worlds.blend {
-            Blend::AtOnce(bound) => self.kernels.blend.run(pass, bound, [columns, rows, 1]),
-            Blend::Kept(chunks) => chunks.encode(self.kernels, [columns, rows], pass),
+    /// Records the work of [`Engine::gradients`], after that which makes the lists.
+    ///
+    /// # Errors
+    /// Never, once the scene was made.
+    pub fn record(&self, worlds: &Worlds, recording: &mut Recording) -> Result<(), GpuError> {
+        let Worlds { walk, blend, totals, pose, gradients, .. } = worlds;
+        self.lists.record(recording);
+        match blend {
+            Blend::AtOnce { batch, marks } => {
+                let buffers = [&walk.lists(batch, marks)[..], &[&walk.wanted, &walk.partials, &walk.found]];
+                let [columns, rows] = walk.grid;
+                let kernel = Kernel::new(&BLEND_BACK, "blend_back");
+                recording.dispatch(kernel, &buffers.concat(), [columns, rows, 1]);
+            }
+            Blend::WithPictures(chunks) => chunks.record(walk, recording),
         }
-        worlds.totals.add_up(&self.kernels.common, pass);
-        self.kernels.project.run(pass, &worlds.project, groups_2d(self.scene.len().div_ceil(256)));
-        worlds.pose.iter().rev().for_each(|sums| sums.add_up(&self.kernels.common, pass));
+        totals.record(recording);
+        let [gaussians, harmonics, _] = self.scene.buffers()?;
+        let Walk { frame, splats, starts, entries, partials, .. } = walk;
+        let ranks = &self.lists.tiles.ranks;
+        let buffers = [frame, gaussians, harmonics, splats, ranks, starts, entries, partials, gradients];
+        let workgroups = Workgroups::row(self.scene.len().div_ceil(WORKGROUP));
+        recording.dispatch_in(Kernel::new(&PROJECT_BACK, "project_back"), &buffers, workgroups);
+        pose.iter().rev().for_each(|sums| sums.record(recording));
+        Ok(())
     }
 
     /// Waits, and reads the gradients.
@@ -306,27 +266,31 @@ impl<'k> Engine<'k> {
     /// # Errors
     /// A device that was lost.
     pub fn read(&self, worlds: &Worlds) -> Result<Gradients, GpuError> {
-        let size = self.scaffold.tiles.size;
+        let device = self.executor.device();
+        let size = self.lists.tiles.size;
         let values = 3.0 * f64::from(size[0]) * f64::from(size[1]);
-        let totals = worlds.totals.read(&self.device)?;
-        let loss = match (&worlds.blend, &self.structure) {
-            (Blend::Kept(chunks), Some(structure)) => chunks.read(&self.device, structure)?,
-            _ => totals.iter().take(worlds.count).map(|&v| self.mix.mse * f64::from(v) / values).collect(),
+        let totals = worlds.totals.read(device)?;
+        let loss = match &worlds.blend {
+            Blend::WithPictures(chunks) => chunks.read(device)?,
+            Blend::AtOnce { .. } => {
+                let mean = |&sum: &f32| self.mix.mse * f64::from(sum) / values;
+                totals.iter().take(worlds.count).map(mean).collect()
+            }
         };
         let last = totals.len() - QUAD;
         let (n, degree) = (self.scene.len() as usize, self.scene.degree());
         let (bands, each) = (3 * count(self.degree), 3 * count(degree));
         let first = POSE_ROWS * n.next_multiple_of(256);
-        let rows = read(&self.device, &worlds.gradients, first + (ROWS + bands) * n)?;
+        let rows = device.read_f32(&worlds.gradients, first + (ROWS + bands) * n)?;
         let at = |row: usize, i: usize| rows[first + row * n + i];
-        let pose: Vec<f64> = worlds.pose[0].read(&self.device)?.into_iter().map(f64::from).collect();
+        let pose: Vec<f64> = worlds.pose[0].read(device)?.into_iter().map(f64::from).collect();
         let splats = (0..n).map(|i| SplatGradient {
             position: [0, 1, 2].map(|row| at(row, i)),
             log_scale: [3, 4, 5].map(|row| at(row, i)),
             rotation: [6, 7, 8, 9].map(|row| at(row, i)),
             opacity_logit: at(10, i),
             sh0: [11, 12, 13].map(|row| at(row, i)),
-            film: [14, 15].map(|row| at(row, i)),
+            image_mean: [14, 15].map(|row| at(row, i)),
         });
         let mut sh_rest = vec![0.0; n * each];
         for (i, rest) in sh_rest.chunks_exact_mut(each.max(1)).enumerate() {

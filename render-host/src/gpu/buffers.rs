@@ -1,21 +1,52 @@
-//! Buffers that grow.
+//! Buffers are made, filled, grown and read here.
+
+use wgpu::BufferUsages as Usage;
 
 use super::{Device, GpuError};
 
-/// A storage buffer that is replaced by a larger one when it must hold more; what it held is lost.
+/// What every storage buffer is for: kernels, and copies both ways.
+const STORAGE: Usage = Usage::STORAGE.union(Usage::COPY_SRC).union(Usage::COPY_DST);
+
+impl Device {
+    /// A storage buffer of at least `bytes` that can be copied both ways.
+    pub(super) fn storage(&self, what: &'static str, bytes: u64) -> Result<wgpu::Buffer, GpuError> {
+        self.buffer(what, bytes, STORAGE)
+    }
+
+    /// A storage buffer that holds `data`.
+    pub(super) fn filled(&self, what: &'static str, data: &[u8]) -> Result<wgpu::Buffer, GpuError> {
+        let buffer = self.storage(what, data.len() as u64)?;
+        if !data.is_empty() {
+            self.queue().write_buffer(&buffer, 0, data);
+        }
+        Ok(buffer)
+    }
+
+    /// A uniform buffer that holds `data`.
+    pub(super) fn uniform(&self, what: &'static str, data: &[u8]) -> Result<wgpu::Buffer, GpuError> {
+        let buffer = self.buffer(what, data.len() as u64, Usage::UNIFORM | Usage::COPY_DST)?;
+        self.queue().write_buffer(&buffer, 0, data);
+        Ok(buffer)
+    }
+
+    /// The first `count` numbers of `buffer`, once all that was submitted is done.
+    pub(super) fn read_f32(&self, buffer: &wgpu::Buffer, count: usize) -> Result<Vec<f32>, GpuError> {
+        let bytes = self.read(buffer, 4 * count as u64)?;
+        Ok(bytes.chunks_exact(4).map(bytemuck::pod_read_unaligned).collect())
+    }
+}
+
+/// A storage buffer that is replaced by a larger one when it must hold more; its content is lost.
 #[derive(Debug)]
 pub struct Growing {
     what: &'static str,
-    usage: wgpu::BufferUsages,
     buffer: Option<wgpu::Buffer>,
 }
 
 impl Growing {
-    /// No buffer yet. `extra` is added to storage and copying in both directions.
-    pub fn new(what: &'static str, extra: wgpu::BufferUsages) -> Self {
-        let usage =
-            wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_SRC | wgpu::BufferUsages::COPY_DST | extra;
-        Self { what, usage, buffer: None }
+    /// No buffer yet.
+    pub fn new(what: &'static str) -> Self {
+        Self { what, buffer: None }
     }
 
     /// The buffer with room for `bytes`; true when it was replaced.
@@ -26,7 +57,7 @@ impl Growing {
         if self.buffer.as_ref().is_some_and(|b| b.size() >= bytes) {
             return Ok(false);
         }
-        self.buffer = Some(device.buffer(self.what, bytes, self.usage)?);
+        self.buffer = Some(device.storage(self.what, bytes)?);
         Ok(true)
     }
 

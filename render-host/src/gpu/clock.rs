@@ -1,10 +1,10 @@
-//! Time on the device, stage by stage.
+//! A stage clock times the stages of a submission on the device.
 
 use super::{Device, GpuError};
 
 /// How long a stage took.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Span {
+pub struct StageTime {
     /// Name of the stage.
     pub name: &'static str,
     /// Milliseconds on the device.
@@ -73,12 +73,12 @@ impl Clock {
     ///
     /// # Errors
     /// The device was lost.
-    pub fn read(&self, device: &Device) -> Result<Vec<Span>, GpuError> {
+    pub fn read(&self, device: &Device) -> Result<Vec<StageTime>, GpuError> {
         let bytes = device.read(&self.resolved, BYTES)?;
         let ticks: Vec<u64> = bytes.chunks_exact(8).map(bytemuck::pod_read_unaligned).collect();
         let ms = 1e-6 * f64::from(device.queue().get_timestamp_period());
         let span =
-            |(name, t): (&&'static str, &[u64])| Span { name, ms: ms * t[1].wrapping_sub(t[0]) as f64 };
+            |(name, t): (&&'static str, &[u64])| StageTime { name, ms: ms * t[1].wrapping_sub(t[0]) as f64 };
         Ok(self.names.iter().zip(ticks.chunks_exact(2)).map(span).collect())
     }
 }

@@ -1,4 +1,4 @@
-//! Which adapter, and what it is.
+//! Opens a graphics adapter as a device, and says what it is.
 
 use std::sync::{Arc, Mutex};
 
@@ -6,7 +6,7 @@ use super::{GpuError, vulkan};
 
 /// How to choose and open an adapter.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Options {
+pub struct DeviceOptions {
     /// Part of the adapter's name, any case; empty for the best there is: discrete before integrated
     /// before virtual before the CPU.
     pub name: String,
@@ -14,7 +14,7 @@ pub struct Options {
     pub checked: bool,
 }
 
-impl Options {
+impl DeviceOptions {
     /// The environment's wish: `DGS_GPU` is part of the adapter's name.
     pub fn from_env() -> Self {
         Self { name: std::env::var("DGS_GPU").unwrap_or_default(), checked: false }
@@ -23,7 +23,7 @@ impl Options {
 
 /// What an adapter says of itself.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Facts {
+pub struct DeviceFacts {
     /// Adapter name.
     pub name: String,
     /// Driver name and version.
@@ -51,7 +51,7 @@ pub struct Facts {
 pub struct Device {
     raw: wgpu::Device,
     queue: wgpu::Queue,
-    facts: Arc<Facts>,
+    facts: Arc<DeviceFacts>,
     checked: bool,
     /// The first error that no scope caught.
     failed: Arc<Mutex<Option<GpuError>>>,
@@ -62,7 +62,7 @@ impl Device {
     ///
     /// # Errors
     /// [`GpuError::NoAdapter`] without a driver or a match, [`GpuError::Device`] when the driver refuses.
-    pub fn open(options: &Options) -> Result<Self, GpuError> {
+    pub fn open(options: &DeviceOptions) -> Result<Self, GpuError> {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
         descriptor.backends = wgpu::Backends::PRIMARY;
         // Indirect arguments are written by our own kernels within limits; wgpu need not check them.
@@ -83,7 +83,7 @@ impl Device {
         Self::from_adapter(&adapter, options)
     }
 
-    fn from_adapter(adapter: &wgpu::Adapter, options: &Options) -> Result<Self, GpuError> {
+    fn from_adapter(adapter: &wgpu::Adapter, options: &DeviceOptions) -> Result<Self, GpuError> {
         let (info, most) = (adapter.get_info(), adapter.limits());
         let limits = wgpu::Limits {
             max_storage_buffer_binding_size: most.max_storage_buffer_binding_size,
@@ -110,7 +110,7 @@ impl Device {
             }
         }));
         let memory = vulkan::memory(&raw);
-        let facts = Facts {
+        let facts = DeviceFacts {
             driver: format!("{} {}", info.driver, info.driver_info),
             api: format!("{:?}", info.backend),
             is_cpu: info.device_type == wgpu::DeviceType::Cpu,
@@ -126,7 +126,7 @@ impl Device {
     }
 
     /// What the adapter says of itself.
-    pub fn facts(&self) -> &Facts {
+    pub fn facts(&self) -> &DeviceFacts {
         &self.facts
     }
 
@@ -182,7 +182,7 @@ impl Device {
         self.check()
     }
 
-    /// A shader module: without run-time checks unless [`Options::checked`] asks for them.
+    /// A shader module: without run-time checks unless [`DeviceOptions::checked`] asks for them.
     pub(super) fn module(&self, label: &str, text: &str) -> wgpu::ShaderModule {
         let source = wgpu::ShaderSource::Wgsl(text.into());
         let descriptor = wgpu::ShaderModuleDescriptor { label: Some(label), source };

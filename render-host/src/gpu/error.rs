@@ -1,16 +1,22 @@
-//! What can go wrong on a device.
+//! Names what can go wrong on a device.
 
-use crate::image::ImageError;
-use crate::settings::{Settings, SettingsError};
-use crate::stage::TileSide;
+use crate::{
+    image::ImageError,
+    settings::{Settings, SettingsError},
+    stage::TileSide,
+};
 
 /// A device, a buffer or a frame that could not be had.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GpuError {
-    /// No adapter, or none of the name asked for.
-    #[error("no graphics adapter matches {wanted:?}; found {found:?} (is a Vulkan driver installed?)")]
+    /// No adapter, or none of the wanted name.
+    #[error(
+        "no graphics adapter {}; looked for Vulkan, Metal and DX12 adapters and found {}",
+        named(wanted),
+        listed(found)
+    )]
     NoAdapter {
-        /// Part of the name asked for; empty for any.
+        /// Part of the wanted name; empty for any.
         wanted: String,
         /// Names of the adapters there are.
         found: Vec<String>,
@@ -85,7 +91,15 @@ pub enum GpuError {
     Image(#[from] ImageError),
 }
 
-/// Checks every range, and that nothing is asked for that the device's stages do not do.
+fn named(wanted: &str) -> String {
+    if wanted.is_empty() { "of any name".to_owned() } else { format!("has {wanted:?} in its name (DGS_GPU)") }
+}
+
+fn listed(found: &[String]) -> String {
+    if found.is_empty() { "none (is a driver installed?)".to_owned() } else { found.join(", ") }
+}
+
+/// Checks every range, and that the device's stages have everything it needs.
 ///
 /// # Errors
 /// The first setting that will not do.

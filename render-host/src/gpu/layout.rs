@@ -1,12 +1,15 @@
-//! The structs and constants that Rust and WGSL share: `stage/layout.wgsl` in Rust.
+//! Rust and WGSL share these structs and constants: `stage/layout.wgsl` in Rust.
 //!
 //! Each struct lies in memory exactly as its WGSL namesake; a test asks naga.
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::stage::project::slope_limits;
-use crate::stage::{REACH_MARGIN, SMALL_BOX, TILE};
-use crate::{Camera, Settings};
+use crate::{
+    Camera, Settings,
+    adjoint::loss::ssim::{FARTHEST, MIDDLE},
+    metric::ssim::{C1, C2},
+    stage::{REACH_MARGIN, SMALL_BOX, TILE, project::slope_limits},
+};
 
 /// Bytes from one place of the indirect arguments to the next: three counts and padding.
 pub const ARGS_STRIDE: u64 = 16;
@@ -99,6 +102,14 @@ pub const CONSTANTS: &[(&str, f64)] = &[
     ("FLAG_EXACT", FLAG_EXACT as f64),
 ];
 
+/// Constants of the structural loss that must have the same value in WGSL, by name.
+pub const LOSS_CONSTANTS: &[(&str, f64)] = &[
+    ("MIDDLE", MIDDLE as f64),
+    ("C1", C1 as f32 as f64),
+    ("C2", C2 as f32 as f64),
+    ("FARTHEST", FARTHEST as f64),
+];
+
 /// A projected splat, 48 bytes, as every later stage reads it.
 ///
 /// Alpha at the centre of pixel `p` is `2^(log2_alpha - u² - v²)` with `u = root.x·dx + root.y·dy`,
@@ -144,7 +155,7 @@ impl Splat {
     }
 }
 
-/// Everything a frame's kernels are told: a uniform buffer.
+/// Everything that a frame's kernels know of camera and settings: a uniform buffer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub struct Frame {

@@ -1,51 +1,111 @@
-//! Project, sort and bin on the device: what all blending kernels read.
+//! Project, sort and bin on the device make the splats and tile lists that all blending kernels read.
 
-use super::layout::{
-    ARGS, ARGS_DRAWN, ARGS_SORT_DRAWN, ARGS_SORT_ENTRIES, ARGS_STRIDE, COUNT_ENTRIES, COUNT_WANTED, COUNTS,
-    DIGITS, Frame, SORT_BLOCK, Splat, WORKGROUP,
-};
-use super::{Clock, Device, GpuError, Growing, Kernel, Scene, error, groups_2d, wgsl};
-use crate::{Camera, Settings};
 use wgpu::BufferUsages;
+
+use super::{
+    Device, GpuError, Growing, Scene, error,
+    layout::{
+        ARGS, ARGS_DRAWN, ARGS_SORT_DRAWN, ARGS_SORT_ENTRIES, ARGS_STRIDE, COUNT_ENTRIES, COUNT_WANTED,
+        COUNTS, DIGITS, Frame, SORT_BLOCK, Splat, WORKGROUP,
+    },
+    recording::{Recording, Workgroups},
+    source::{Bind, Kernel, LAYOUT, SPAN, Source},
+};
+use crate::{Camera, Settings};
+
+/// Stage 1.
+pub static PROJECT: Source = Source {
+    name: "project.wgsl",
+    parts: &[LAYOUT, SPAN, include_str!("../stage/project.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("gaussians", Bind::Read),
+        ("harmonics", Bind::Read),
+        ("groups", Bind::Read),
+        ("splats", Bind::Write),
+        ("keys", Bind::Write),
+        ("touched", Bind::Write),
+        ("counts", Bind::Write),
+    ],
+};
+
+/// Sizes of indirect dispatches.
+pub static PLAN: Source = Source {
+    name: "plan.wgsl",
+    parts: &[LAYOUT, include_str!("../stage/plan.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("counts", Bind::Write),
+        ("sums", Bind::Write),
+        ("dispatch", Bind::Write),
+    ],
+};
+
+/// Stage 2, and the gathering of entries by tile.
+pub static SORT: Source = Source {
+    name: "sort.wgsl",
+    parts: &[LAYOUT, include_str!("../stage/sort.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("counts", Bind::Read),
+        ("keys", Bind::Read),
+        ("values", Bind::Read),
+        ("keys_out", Bind::Write),
+        ("values_out", Bind::Write),
+        ("table", Bind::Write),
+        ("totals", Bind::Write),
+    ],
+};
+
+/// Stage 3.
+pub static BIN: Source = Source {
+    name: "bin.wgsl",
+    parts: &[LAYOUT, SPAN, include_str!("../stage/bin.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("counts", Bind::Read),
+        ("splats", Bind::Read),
+        ("touched", Bind::Read),
+        ("order", Bind::Read),
+        ("sums", Bind::Write),
+        ("keys", Bind::Write),
+        ("values", Bind::Write),
+    ],
+};
+
+/// The end of stage 3: where lists start.
+pub static STARTS: Source = Source {
+    name: "starts.wgsl",
+    parts: &[LAYOUT, include_str!("../stage/starts.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("counts", Bind::Write),
+        ("keys", Bind::Read),
+        ("starts", Bind::Write),
+    ],
+};
 
 /// Bits of the digits of the radix sort.
 const DIGIT_BITS: u32 = 8;
+/// Digits of a depth key.
+const DEPTH_DIGITS: usize = 4;
+/// `SOURCE` of sort.wgsl: depth keys of all Gaussians, of those drawn, tile numbers of entries.
+const SORT_ALL: u32 = 0;
+const SORT_DRAWN: u32 = 1;
+const SORT_ENTRIES: u32 = 2;
 /// Tile entries per Gaussian that there is room for at first.
 const FIRST_ROOM: u64 = 8;
 
-/// Splats and tile lists of one frame, kept on the device, and the room to make them.
+/// Splats and tile lists of one frame, on the device, and the room to make them.
 ///
-/// A frame is [`Lists::prepare`] (buffers, camera) and [`Lists::encode`] (commands). Nothing is read back.
+/// A frame is [`Lists::prepare`] (buffers, camera) and [`Lists::record`] (work). Nothing is read back.
 #[derive(Debug)]
 pub struct Lists {
-    kernels: Kernels,
     buffers: Buffers,
-    bound: Option<Bound>,
     frame: Frame,
-    /// What `bound` was made for: version of the scene, passes of the tile sort.
-    bound_for: (u64, usize),
+    /// Digits of the tile numbers: passes of the sort by tile.
+    tile_digits: usize,
     room: u32,
-}
-
-/// One digit of a sort.
-#[derive(Debug)]
-struct Digit {
-    count: Kernel,
-    scatter: Kernel,
-}
-
-#[derive(Debug)]
-struct Kernels {
-    project: Kernel,
-    plan_drawn: Kernel,
-    plan_entries: Kernel,
-    /// `scan` by what is sorted.
-    scan: [Kernel; 3],
-    by_depth: Vec<Digit>,
-    by_tile: Vec<Digit>,
-    count_entries: Kernel,
-    emit_entries: Kernel,
-    find_starts: Kernel,
 }
 
 #[derive(Debug)]
@@ -65,61 +125,24 @@ struct Buffers {
     starts: Growing,
 }
 
-#[derive(Debug)]
-struct Bound {
-    project: wgpu::BindGroup,
-    plan: wgpu::BindGroup,
-    by_depth: Vec<wgpu::BindGroup>,
-    bin: wgpu::BindGroup,
-    by_tile: Vec<wgpu::BindGroup>,
-    starts: wgpu::BindGroup,
-}
-
-impl Kernels {
-    fn new(device: &Device) -> Result<Self, GpuError> {
-        let kernel = |source, entry| Kernel::new(device, source, entry, &[]);
-        let scan = |source: f64| Kernel::new(device, &wgsl::SORT, "scan", &[("SOURCE", source)]);
-        let digit = |source: f64, pass: u32| {
-            let constants = [("SOURCE", source), ("SHIFT", f64::from(pass * DIGIT_BITS))];
-            let count = Kernel::new(device, &wgsl::SORT, "count_digits", &constants)?;
-            Ok(Digit { count, scatter: Kernel::new(device, &wgsl::SORT, "scatter", &constants)? })
-        };
-        Ok(Self {
-            project: kernel(&wgsl::PROJECT, "project")?,
-            plan_drawn: kernel(&wgsl::PLAN, "plan_drawn")?,
-            plan_entries: kernel(&wgsl::PLAN, "plan_entries")?,
-            scan: [scan(0.0)?, scan(1.0)?, scan(2.0)?],
-            by_depth: (0..4)
-                .map(|pass| digit(if pass == 0 { 0.0 } else { 1.0 }, pass))
-                .collect::<Result<_, GpuError>>()?,
-            // 2²⁰ tiles at most, and one that does not exist.
-            by_tile: (0..3).map(|pass| digit(2.0, pass)).collect::<Result<_, GpuError>>()?,
-            count_entries: kernel(&wgsl::BIN, "count_entries")?,
-            emit_entries: kernel(&wgsl::BIN, "emit_entries")?,
-            find_starts: kernel(&wgsl::STARTS, "find_starts")?,
-        })
-    }
-}
-
 impl Buffers {
     fn new(device: &Device) -> Result<Self, GpuError> {
         let whole = BufferUsages::STORAGE | BufferUsages::COPY_SRC | BufferUsages::COPY_DST;
         let uniform = BufferUsages::UNIFORM | BufferUsages::COPY_DST;
         let word = 4;
-        let grow = |what| Growing::new(what, BufferUsages::empty());
-        let pair = |key, value| [grow(key), grow(value)];
+        let pair = |key, value| [Growing::new(key), Growing::new(value)];
         Ok(Self {
             frame: device.buffer("frame", size_of::<Frame>() as u64, uniform)?,
             counts: device.buffer("counts", word * u64::from(COUNTS), whole)?,
             args: device.buffer("dispatch sizes", ARGS * ARGS_STRIDE, whole | BufferUsages::INDIRECT)?,
             totals: device.buffer("digit totals", word * u64::from(DIGITS), whole)?,
-            splats: grow("splats"),
-            touched: grow("tiles per splat"),
+            splats: Growing::new("splats"),
+            touched: Growing::new("tiles per splat"),
             depth: [pair("depth keys", "depth order"), pair("depth keys", "depth order")],
-            table: grow("digits per block"),
-            sums: grow("entries per block"),
+            table: Growing::new("digits per block"),
+            sums: Growing::new("entries per block"),
             entries: [pair("entry tiles", "tile entries"), pair("entry tiles", "tile entries")],
-            starts: grow("tile starts"),
+            starts: Growing::new("tile starts"),
         })
     }
 
@@ -149,19 +172,12 @@ impl Buffers {
 }
 
 impl Lists {
-    /// Kernels, and no room yet.
+    /// No room yet.
     ///
     /// # Errors
-    /// The device refuses a shader.
+    /// No memory for the little that every frame needs.
     pub fn new(device: &Device) -> Result<Self, GpuError> {
-        Ok(Self {
-            kernels: Kernels::new(device)?,
-            buffers: Buffers::new(device)?,
-            bound: None,
-            frame: Frame::default(),
-            bound_for: (0, 0),
-            room: 0,
-        })
+        Ok(Self { buffers: Buffers::new(device)?, frame: Frame::default(), tile_digits: 1, room: 0 })
     }
 
     /// Makes room for `scene` at the camera's size and sends the camera. `change` may set what a blending
@@ -190,108 +206,83 @@ impl Lists {
         let (gaussians, tiles) = (u64::from(scene.len()), u64::from(frame.tiles()));
         let replaced = self.buffers.reserve(device, gaussians, tiles, u64::from(self.room))?;
         self.frame = frame;
-        let wanted = (scene.version(), passes(frame.tiles()));
-        if replaced || self.bound.is_none() || self.bound_for != wanted {
-            self.bound = Some(self.bind(device, scene, wanted.1)?);
-        }
-        let moved = replaced || self.bound_for.1 != wanted.1;
-        self.bound_for = wanted;
+        let tile_digits = digits(frame.tiles());
+        let moved = replaced || self.tile_digits != tile_digits;
+        self.tile_digits = tile_digits;
         device.queue().write_buffer(&self.buffers.frame, 0, bytemuck::bytes_of(&frame));
         Ok(moved)
     }
 
-    fn bind(&self, device: &Device, scene: &Scene, passes: usize) -> Result<Bound, GpuError> {
-        let (k, b) = (&self.kernels, &self.buffers);
-        let [gaussians, harmonics, groups] = scene.buffers()?;
-        let (splats, touched, sums) = (b.splats.get()?, b.touched.get()?, b.sums.get()?);
-        let pair = |p: &'_ [Growing; 2]| Ok::<_, GpuError>([p[0].get()?.clone(), p[1].get()?.clone()]);
-        let depth = [pair(&b.depth[0])?, pair(&b.depth[1])?];
-        let entries = [pair(&b.entries[0])?, pair(&b.entries[1])?];
-        let table = b.table.get()?;
-        let sort = |kernel: &Kernel, pairs: &[[wgpu::Buffer; 2]; 2], pass: usize| {
-            let ([keys, values], [keys_out, values_out]) = (&pairs[pass % 2], &pairs[(pass + 1) % 2]);
-            let buffers = [&b.frame, &b.counts, keys, values, keys_out, values_out, table, &b.totals];
-            kernel.bind(device, &buffers)
-        };
-        device.guarded("bind groups", || {
-            Ok(Bound {
-                project: k.project.bind(
-                    device,
-                    &[&b.frame, gaussians, harmonics, groups, splats, &depth[0][0], touched, &b.counts],
-                ),
-                plan: k.plan_drawn.bind(device, &[&b.frame, &b.counts, sums, &b.args]),
-                by_depth: (0..4).map(|pass| sort(&k.scan[0], &depth, pass)).collect(),
-                bin: k.count_entries.bind(
-                    device,
-                    &[
-                        &b.frame,
-                        &b.counts,
-                        splats,
-                        touched,
-                        &depth[0][1],
-                        sums,
-                        &entries[0][0],
-                        &entries[0][1],
-                    ],
-                ),
-                by_tile: (0..passes).map(|pass| sort(&k.scan[2], &entries, pass)).collect(),
-                starts: k
-                    .find_starts
-                    .bind(device, &[&b.frame, &b.counts, &entries[passes % 2][0], b.starts.get()?]),
-            })
-        })?
-    }
-
-    /// The commands of one frame: project, sort, bin. Timed stage by stage where there is a `clock`.
+    /// Records the work of one frame of `scene` in the stages project, sort and bin.
     ///
     /// # Errors
     /// [`Lists::prepare`] was not called.
-    pub fn encode(
-        &self,
-        encoder: &mut wgpu::CommandEncoder,
-        mut clock: Option<&mut Clock>,
-    ) -> Result<(), GpuError> {
-        let (k, b) = (&self.kernels, &self.buffers);
-        let Some(bound) = &self.bound else {
-            return Err(GpuError::Refused { what: "encode", message: "nothing was prepared".into() });
-        };
-        encoder.clear_buffer(&b.counts, 0, None);
-        let gaussians = self.frame.gaussians;
-        {
-            let mut pass = begin(encoder, "project", clock.as_deref_mut());
-            k.project.run(&mut pass, &bound.project, groups_2d(gaussians.div_ceil(WORKGROUP)));
-            k.plan_drawn.run(&mut pass, &bound.plan, [1, 1, 1]);
+    pub fn record(&self, scene: &Scene, recording: &mut Recording) -> Result<(), GpuError> {
+        let b = &self.buffers;
+        let (splats, touched, sums) = (b.splats.get()?, b.touched.get()?, b.sums.get()?);
+        let [gaussians, harmonics, groups] = scene.buffers()?;
+        let [depth_keys, order] = [b.depth[0][0].get()?, b.depth[0][1].get()?];
+        let plan = [&b.frame, &b.counts, sums, &b.args];
+        let count = self.frame.gaussians;
+
+        recording.stage("project");
+        recording.clear(&b.counts);
+        let project = [&b.frame, gaussians, harmonics, groups, splats, depth_keys, touched, &b.counts];
+        let workgroups = Workgroups::row(count.div_ceil(WORKGROUP));
+        recording.dispatch_in(Kernel::new(&PROJECT, "project"), &project, workgroups);
+        recording.dispatch(Kernel::new(&PLAN, "plan_drawn"), &plan, [1, 1, 1]);
+
+        recording.stage("sort");
+        let all = Workgroups::row(count.div_ceil(SORT_BLOCK));
+        self.record_sort(recording, &b.depth, 0, SORT_ALL, &all)?;
+        for digit in 1..DEPTH_DIGITS {
+            self.record_sort(recording, &b.depth, digit, SORT_DRAWN, &self.indirect(ARGS_SORT_DRAWN))?;
         }
-        {
-            let mut pass = begin(encoder, "sort", clock.as_deref_mut());
-            for (i, (digit, group)) in k.by_depth.iter().zip(&bound.by_depth).enumerate() {
-                let blocks = groups_2d(gaussians.div_ceil(SORT_BLOCK));
-                if i == 0 {
-                    digit.count.run(&mut pass, group, blocks);
-                    k.scan[0].run(&mut pass, group, [DIGITS, 1, 1]);
-                    digit.scatter.run(&mut pass, group, blocks);
-                } else {
-                    digit.count.run_indirect(&mut pass, group, &b.args, ARGS_SORT_DRAWN);
-                    k.scan[1].run(&mut pass, group, [DIGITS, 1, 1]);
-                    digit.scatter.run_indirect(&mut pass, group, &b.args, ARGS_SORT_DRAWN);
-                }
-            }
+
+        recording.stage("bin");
+        let [tiles, list] = [b.entries[0][0].get()?, b.entries[0][1].get()?];
+        let bin = [&b.frame, &b.counts, splats, touched, order, sums, tiles, list];
+        recording.dispatch_in(Kernel::new(&BIN, "count_entries"), &bin, self.indirect(ARGS_DRAWN));
+        recording.dispatch(Kernel::new(&PLAN, "plan_entries"), &plan, [1, 1, 1]);
+        recording.dispatch_in(Kernel::new(&BIN, "emit_entries"), &bin, self.indirect(ARGS_DRAWN));
+        for digit in 0..self.tile_digits {
+            self.record_sort(recording, &b.entries, digit, SORT_ENTRIES, &self.indirect(ARGS_SORT_ENTRIES))?;
         }
-        let mut pass = begin(encoder, "bin", clock);
-        k.count_entries.run_indirect(&mut pass, &bound.bin, &b.args, ARGS_DRAWN);
-        k.plan_entries.run(&mut pass, &bound.plan, [1, 1, 1]);
-        k.emit_entries.run_indirect(&mut pass, &bound.bin, &b.args, ARGS_DRAWN);
-        for (digit, group) in k.by_tile.iter().zip(&bound.by_tile) {
-            digit.count.run_indirect(&mut pass, group, &b.args, ARGS_SORT_ENTRIES);
-            k.scan[2].run(&mut pass, group, [DIGITS, 1, 1]);
-            digit.scatter.run_indirect(&mut pass, group, &b.args, ARGS_SORT_ENTRIES);
-        }
-        let groups = groups_2d((self.frame.tiles() + 1).div_ceil(WORKGROUP));
-        k.find_starts.run(&mut pass, &bound.starts, groups);
+        let sorted_tiles = b.entries[self.tile_digits % 2][0].get()?;
+        let starts = [&b.frame, &b.counts, sorted_tiles, b.starts.get()?];
+        let workgroups = Workgroups::row((self.frame.tiles() + 1).div_ceil(WORKGROUP));
+        recording.dispatch_in(Kernel::new(&STARTS, "find_starts"), &starts, workgroups);
         Ok(())
     }
 
-    /// What the kernels are told of the frame.
+    /// Records the sort of keys and values by one digit, from one pair of buffers to the other.
+    fn record_sort(
+        &self,
+        recording: &mut Recording,
+        pairs: &[[Growing; 2]; 2],
+        digit: usize,
+        source: u32,
+        blocks: &Workgroups,
+    ) -> Result<(), GpuError> {
+        let b = &self.buffers;
+        let ([keys, values], [keys_out, values_out]) = (&pairs[digit % 2], &pairs[(digit + 1) % 2]);
+        let [keys, values] = [keys.get()?, values.get()?];
+        let [keys_out, values_out] = [keys_out.get()?, values_out.get()?];
+        let bound = [&b.frame, &b.counts, keys, values, keys_out, values_out, b.table.get()?, &b.totals];
+        let kernel = |entry| Kernel::new(&SORT, entry).with("SOURCE", source);
+        let shift = digit as u32 * DIGIT_BITS;
+        recording.dispatch_in(kernel("count_digits").with("SHIFT", shift), &bound, blocks.clone());
+        recording.dispatch(kernel("scan"), &bound, [DIGITS, 1, 1]);
+        recording.dispatch_in(kernel("scatter").with("SHIFT", shift), &bound, blocks.clone());
+        Ok(())
+    }
+
+    /// As many workgroups as the device plans at `place`.
+    fn indirect(&self, place: u64) -> Workgroups {
+        Workgroups::Indirect { arguments: self.buffers.args.clone(), place }
+    }
+
+    /// The frame as kernels see it.
     pub fn frame(&self) -> &Frame {
         &self.frame
     }
@@ -304,11 +295,6 @@ impl Lists {
     /// Counts, [`COUNTS`] words.
     pub fn counts(&self) -> &wgpu::Buffer {
         &self.buffers.counts
-    }
-
-    /// Sizes of indirect dispatches, [`ARGS`] places.
-    pub fn args(&self) -> &wgpu::Buffer {
-        &self.buffers.args
     }
 
     /// [`Splat`] of every Gaussian; those skipped hold nothing of use.
@@ -340,7 +326,7 @@ impl Lists {
     /// # Errors
     /// [`Lists::prepare`] was not called.
     pub fn entries(&self) -> Result<&wgpu::Buffer, GpuError> {
-        self.buffers.entries[self.bound_for.1 % 2][1].get()
+        self.buffers.entries[self.tile_digits % 2][1].get()
     }
 
     /// Where the list of each tile starts, and where the last one ends.
@@ -380,18 +366,8 @@ impl Lists {
     }
 }
 
-/// A compute pass, timed as stage `name` where there is a clock.
-pub(super) fn begin<'a>(
-    encoder: &'a mut wgpu::CommandEncoder,
-    name: &'static str,
-    clock: Option<&mut Clock>,
-) -> wgpu::ComputePass<'a> {
-    let timestamp_writes = clock.and_then(|clock| clock.stage(name));
-    encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some(name), timestamp_writes })
-}
-
 /// Digits of the largest tile number, which is one past the last tile.
-fn passes(tiles: u32) -> usize {
+fn digits(tiles: u32) -> usize {
     (u32::BITS - tiles.leading_zeros()).div_ceil(DIGIT_BITS).max(1) as usize
 }
 
@@ -399,8 +375,8 @@ fn passes(tiles: u32) -> usize {
 mod tests {
     #[test]
     fn every_tile_number_has_enough_digits() {
-        for (tiles, digits) in [(1, 1), (255, 1), (256, 2), (65_535, 2), (65_536, 3), (1 << 20, 3)] {
-            assert_eq!(super::passes(tiles), digits, "{tiles}");
+        for (tiles, expected) in [(1, 1), (255, 1), (256, 2), (65_535, 2), (65_536, 3), (1 << 20, 3)] {
+            assert_eq!(super::digits(tiles), expected, "{tiles}");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Worlds on the device: a bit per group and world.
+//! Presence says on the device which worlds include which groups: a bit per group and world.
 
 use super::{Device, GpuError, Growing};
 use crate::counterfactual::States;
@@ -28,7 +28,7 @@ impl Presence {
                 row[world / 32] |= u32::from(states.has(world, group)) << (world % 32);
             }
         }
-        let mut buffer = Growing::new("presence", wgpu::BufferUsages::empty());
+        let mut buffer = Growing::new("presence");
         buffer.reserve(device, 16)?;
         buffer.write(device, bytemuck::cast_slice(&bits))?;
         Ok(Self { buffer, worlds: states.len() as u32, groups: states.groups() as u32, words: words as u32 })

@@ -1,14 +1,44 @@
-//! Pictures on the device: lists, then one blending kernel.
+//! The renderer draws pictures on the device: tile lists, then one blending kernel.
 
-use super::layout::{
-    COUNT_ABSENT, COUNT_BEHIND_NEAR, COUNT_DEGENERATE, COUNT_DRAWN, COUNT_ENTRIES, COUNT_NON_FINITE,
-    COUNT_OUTSIDE, COUNT_STOPPED, COUNT_SUB_PIXEL, COUNT_TOUCHED, COUNT_TRANSPARENT, COUNTS, Frame, LANES,
+use super::{
+    Bound, Clock, Device, Executor, GpuError, Growing, Lists, Presence, Scene, StageTime,
+    layout::{
+        COUNT_ABSENT, COUNT_BEHIND_NEAR, COUNT_DEGENERATE, COUNT_DRAWN, COUNT_ENTRIES, COUNT_NON_FINITE,
+        COUNT_OUTSIDE, COUNT_STOPPED, COUNT_SUB_PIXEL, COUNT_TOUCHED, COUNT_TRANSPARENT, COUNTS, Frame,
+        LANES,
+    },
+    recording::Recording,
+    source::{Bind, Kernel, LAYOUT, STAGED, Source, TILE},
 };
-use super::lists::begin;
-use super::{Clock, Device, GpuError, Growing, Kernel, Lists, Presence, Scene, Span, wgsl};
-use crate::image::Image;
-use crate::render::Rendered;
-use crate::{Camera, Counters, Settings, Splats};
+use crate::{Camera, Counters, Settings, Splats, image::Image, render::Rendered};
+
+/// Stage 4.
+pub static BLEND: Source = Source {
+    name: "blend.wgsl",
+    parts: &[LAYOUT, TILE, STAGED, include_str!("../stage/blend.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("splats", Bind::Read),
+        ("entries", Bind::Read),
+        ("starts", Bind::Read),
+        ("counts", Bind::Write),
+        ("image", Bind::Write),
+    ],
+};
+
+/// Stage 4 for a batch of worlds.
+pub static WORLDS: Source = Source {
+    name: "worlds.wgsl",
+    parts: &[LAYOUT, TILE, STAGED, include_str!("../stage/worlds.wgsl")],
+    bindings: &[
+        ("frame", Bind::Uniform),
+        ("splats", Bind::Read),
+        ("entries", Bind::Read),
+        ("starts", Bind::Read),
+        ("presence", Bind::Read),
+        ("images", Bind::Write),
+    ],
+};
 
 /// Bytes of a pixel: r, g, b, transmittance.
 const PIXEL: u64 = 16;
@@ -18,27 +48,25 @@ const PIXEL: u64 = 16;
 /// Same scene, camera and settings give the same bits on one device, whatever was drawn before.
 #[derive(Debug)]
 pub struct Renderer {
-    device: Device,
+    executor: Executor,
     lists: Lists,
-    blend: Kernel,
-    blend_worlds: Kernel,
     image: Growing,
+    bound: Option<Bound>,
     clock: Option<Clock>,
     background: [f32; 3],
 }
 
 impl Renderer {
-    /// Compiles all kernels on `device`.
+    /// A renderer without buffers.
     ///
     /// # Errors
-    /// The device refuses one.
-    pub fn new(device: &Device) -> Result<Self, GpuError> {
+    /// No memory for the little that every frame needs.
+    pub fn new(executor: &Executor) -> Result<Self, GpuError> {
         Ok(Self {
-            device: device.clone(),
-            lists: Lists::new(device)?,
-            blend: Kernel::new(device, &wgsl::BLEND, "blend", &[])?,
-            blend_worlds: Kernel::new(device, &wgsl::WORLDS, "blend_worlds", &[])?,
-            image: Growing::new("image", wgpu::BufferUsages::empty()),
+            executor: executor.clone(),
+            lists: Lists::new(executor.device())?,
+            image: Growing::new("image"),
+            bound: None,
             clock: None,
             background: [0.0; 3],
         })
@@ -46,7 +74,7 @@ impl Renderer {
 
     /// The device.
     pub fn device(&self) -> &Device {
-        &self.device
+        self.executor.device()
     }
 
     /// Splats and tile lists of the last frame.
@@ -59,7 +87,7 @@ impl Renderer {
     /// # Errors
     /// No memory for it.
     pub fn time_stages(&mut self, on: bool) -> Result<bool, GpuError> {
-        self.clock = if on { Clock::new(&self.device)? } else { None };
+        self.clock = if on { Clock::new(self.device())? } else { None };
         Ok(self.clock.is_some() == on)
     }
 
@@ -67,8 +95,8 @@ impl Renderer {
     ///
     /// # Errors
     /// The device was lost.
-    pub fn stage_times(&self) -> Result<Vec<Span>, GpuError> {
-        self.clock.as_ref().map_or(Ok(Vec::new()), |clock| clock.read(&self.device))
+    pub fn stage_times(&self) -> Result<Vec<StageTime>, GpuError> {
+        self.clock.as_ref().map_or(Ok(Vec::new()), |clock| clock.read(self.device()))
     }
 
     /// Asks for room for `entries` tile entries in the next frame.
@@ -116,7 +144,7 @@ impl Renderer {
         camera: &Camera,
         settings: &Settings,
     ) -> Result<(), GpuError> {
-        let device = &self.device;
+        let device = self.executor.device();
         let count = worlds.map_or(1, Presence::worlds);
         self.lists.prepare(device, scene, camera, settings, |frame| {
             frame.worlds = count;
@@ -126,35 +154,22 @@ impl Renderer {
         self.image.reserve(device, PIXEL * pixels(&frame) * u64::from(count))?;
         self.background = settings.background;
 
+        let mut recording = Recording::new();
+        self.lists.record(scene, &mut recording)?;
+        recording.stage("blend");
         let (lists, image) = (&self.lists, self.image.get()?);
-        let (splats, entries, starts) = (lists.splats()?, lists.entries()?, lists.starts()?);
-        let raw = device.raw();
-        let mut encoder = raw.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        let mut clock = self.clock.as_mut();
-        if let Some(clock) = &mut clock {
-            clock.start();
+        let [splats, entries, starts] = [lists.splats()?, lists.entries()?, lists.starts()?];
+        let [_, _, columns, rows] = frame.size;
+        if let Some(worlds) = worlds {
+            let buffers = [lists.frame_buffer(), splats, entries, starts, worlds.buffer()?, image];
+            let workgroups = [columns, rows, count.div_ceil(LANES)];
+            recording.dispatch(Kernel::new(&WORLDS, "blend_worlds"), &buffers, workgroups);
+        } else {
+            let buffers = [lists.frame_buffer(), splats, entries, starts, lists.counts(), image];
+            recording.dispatch(Kernel::new(&BLEND, "blend"), &buffers, [columns, rows, 1]);
         }
-        lists.encode(&mut encoder, clock.as_deref_mut())?;
-        {
-            let mut pass = begin(&mut encoder, "blend", clock.as_deref_mut());
-            let buffers = [lists.frame_buffer(), splats, entries, starts];
-            let [_, _, columns, rows] = frame.size;
-            if let Some(worlds) = worlds {
-                let bound = self
-                    .blend_worlds
-                    .bind(device, &[buffers[0], buffers[1], buffers[2], buffers[3], worlds.buffer()?, image]);
-                self.blend_worlds.run(&mut pass, &bound, [columns, rows, count.div_ceil(LANES)]);
-            } else {
-                let bound = self
-                    .blend
-                    .bind(device, &[buffers[0], buffers[1], buffers[2], buffers[3], lists.counts(), image]);
-                self.blend.run(&mut pass, &bound, [columns, rows, 1]);
-            }
-        }
-        if let Some(clock) = clock {
-            clock.finish(&mut encoder);
-        }
-        device.queue().submit([encoder.finish()]);
+        let bound = self.executor.bind_again(recording, &mut self.bound)?;
+        self.executor.submit(bound, self.clock.as_mut());
         Ok(())
     }
 
@@ -174,9 +189,9 @@ impl Renderer {
     /// As [`Renderer::read`].
     pub fn read_worlds(&self) -> Result<Vec<Rendered>, GpuError> {
         let frame = self.lists.frame();
-        let counters = counters(&self.lists.read_counts(&self.device)?, frame);
+        let counters = counters(&self.lists.read_counts(self.device())?, frame);
         let world = PIXEL * pixels(frame);
-        let bytes = self.device.read(self.image.get()?, world * u64::from(frame.worlds))?;
+        let bytes = self.device().read(self.image.get()?, world * u64::from(frame.worlds))?;
         bytes
             .chunks_exact((world as usize).max(1))
             .map(|bytes| {
@@ -243,7 +258,7 @@ impl Renderer {
         camera: &Camera,
         settings: &Settings,
     ) -> Result<Rendered, GpuError> {
-        let scene = Scene::new(&self.device, splats)?;
+        let scene = Scene::new(self.device(), splats)?;
         self.render(&scene, camera, settings)
     }
 
@@ -253,7 +268,7 @@ impl Renderer {
     /// # Errors
     /// The device was lost.
     pub fn make_room(&mut self) -> Result<bool, GpuError> {
-        match self.lists.read_counts(&self.device) {
+        match self.lists.read_counts(self.device()) {
             Ok(_) => Ok(false),
             Err(GpuError::Entries { found, .. }) => {
                 self.lists.reserve_entries(found);

@@ -1,13 +1,7 @@
-//! Gaussians on the device.
+//! A scene holds Gaussians, their harmonics and their groups on the device.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
-use super::layout::GAUSSIAN_ROWS;
-use super::{Device, GpuError, Growing};
+use super::{Device, GpuError, Growing, layout::GAUSSIAN_ROWS};
 use crate::Splats;
-
-/// Makes every upload known by a number, so that bind groups are made again only when they must be.
-static NEXT: AtomicU64 = AtomicU64::new(1);
 
 /// A scene that was uploaded once. A frame loop then uploads cameras only.
 #[derive(Debug)]
@@ -18,7 +12,6 @@ pub struct Scene {
     count: u32,
     degree: u8,
     group_count: u32,
-    version: u64,
 }
 
 impl Scene {
@@ -35,16 +28,13 @@ impl Scene {
     /// # Errors
     /// The device has no room, or `groups` has another length.
     pub fn with_groups(device: &Device, splats: &Splats, groups: &[u32]) -> Result<Self, GpuError> {
-        let [gaussians, harmonics, groups_buffer] =
-            ["gaussians", "harmonics", "groups"].map(|what| Growing::new(what, wgpu::BufferUsages::empty()));
         let mut out = Self {
-            gaussians,
-            harmonics,
-            groups: groups_buffer,
+            gaussians: Growing::new("gaussians"),
+            harmonics: Growing::new("harmonics"),
+            groups: Growing::new("groups"),
             count: 0,
             degree: 0,
             group_count: 0,
-            version: 0,
         };
         out.update(device, splats, groups)?;
         Ok(out)
@@ -76,7 +66,6 @@ impl Scene {
         self.count = n as u32;
         self.degree = splats.sh_degree().get();
         self.group_count = groups.iter().max().map_or(0, |&g| g.saturating_add(1));
-        self.version = NEXT.fetch_add(1, Ordering::Relaxed);
         Ok(())
     }
 
@@ -103,11 +92,6 @@ impl Scene {
     /// Bytes on the device.
     pub fn bytes(&self) -> u64 {
         self.gaussians.bytes() + self.harmonics.bytes() + self.groups.bytes()
-    }
-
-    /// Different after every upload.
-    pub(super) fn version(&self) -> u64 {
-        self.version
     }
 
     /// Gaussians, harmonics, groups.

@@ -1,15 +1,19 @@
-//! Tile lists on the device, of whatever made them.
+//! Tile lists, made by the CPU or by the device, serve the engines over states.
 
-use super::layout::{Frame, Splat};
-use super::states::{filled, storage, uniform};
-use super::wgsl::{Bind, LAYOUT, Source};
-use super::{Device, GpuError, Kernel, Lists, Scene, groups_2d};
-use crate::counterfactual::Variants;
-use crate::stage::{self, TILE, bin, project, sort};
-use crate::{Camera, Settings};
+use super::{
+    Device, GpuError, Lists, Scene,
+    layout::{Frame, Splat, WORKGROUP},
+    recording::{Recording, Workgroups},
+    source::{Bind, Kernel, LAYOUT, Source},
+};
+use crate::{
+    Camera, Settings,
+    counterfactual::Variants,
+    stage::{self, TILE, bin, project, sort},
+};
 
 /// The place of every splat in the order of depth.
-pub const RANK: Source = Source {
+pub static RANK: Source = Source {
     name: "rank.wgsl",
     parts: &[LAYOUT, include_str!("../counterfactual/rank.wgsl")],
     bindings: &[
@@ -78,11 +82,11 @@ impl Tiles {
         Ok(Self {
             size,
             capacity: list.len(),
-            frame: uniform(device, "frame", bytemuck::bytes_of(&frame))?,
-            splats: filled(device, "splats", bytemuck::cast_slice(&splats))?,
-            ranks: filled(device, "ranks", bytemuck::cast_slice(&ranks))?,
-            starts: filled(device, "starts", bytemuck::cast_slice(&starts))?,
-            list: filled(device, "list", bytemuck::cast_slice(&list))?,
+            frame: device.uniform("frame", bytemuck::bytes_of(&frame))?,
+            splats: device.filled("splats", bytemuck::cast_slice(&splats))?,
+            ranks: device.filled("ranks", bytemuck::cast_slice(&ranks))?,
+            starts: device.filled("starts", bytemuck::cast_slice(&starts))?,
+            list: device.filled("list", bytemuck::cast_slice(&list))?,
         })
     }
 
@@ -103,17 +107,16 @@ impl Tiles {
 #[derive(Debug)]
 pub struct Stages {
     lists: Lists,
-    rank: Kernel,
-    ranks: Option<(wgpu::Buffer, wgpu::BindGroup)>,
+    ranks: Option<wgpu::Buffer>,
 }
 
 impl Stages {
-    /// Compiles.
+    /// No room yet.
     ///
     /// # Errors
-    /// The device refuses a shader.
+    /// No memory for the little that every frame needs.
     pub fn new(device: &Device) -> Result<Self, GpuError> {
-        Ok(Self { lists: Lists::new(device)?, rank: Kernel::new(device, &RANK, "rank", &[])?, ranks: None })
+        Ok(Self { lists: Lists::new(device)?, ranks: None })
     }
 
     /// Makes room for `scene` and sends the camera. True when a buffer was replaced: then what was bound to
@@ -130,14 +133,10 @@ impl Stages {
     ) -> Result<bool, GpuError> {
         let moved = self.lists.prepare(device, scene, camera, settings, |_| ())?;
         let needed = 4 * u64::from(scene.len());
-        if !moved && self.ranks.as_ref().is_some_and(|(ranks, _)| ranks.size() >= needed) {
+        if !moved && self.ranks.as_ref().is_some_and(|ranks| ranks.size() >= needed) {
             return Ok(false);
         }
-        let lists = &self.lists;
-        let ranks = storage(device, "ranks", needed)?;
-        let buffers = [lists.frame_buffer(), lists.counts(), lists.order()?, &ranks];
-        let bound = self.rank.bind(device, &buffers);
-        self.ranks = Some((ranks, bound));
+        self.ranks = Some(device.storage("ranks", needed)?);
         Ok(true)
     }
 
@@ -147,9 +146,7 @@ impl Stages {
     /// [`Stages::prepare`] was not called.
     pub fn tiles(&self) -> Result<Tiles, GpuError> {
         let lists = &self.lists;
-        let Some((ranks, _)) = &self.ranks else {
-            return Err(GpuError::Refused { what: "tiles", message: "nothing was prepared".into() });
-        };
+        let ranks = self.ranks()?;
         let [width, height, ..] = lists.frame().size;
         Ok(Tiles {
             size: [width, height],
@@ -162,18 +159,23 @@ impl Stages {
         })
     }
 
-    /// The commands of one frame: project, sort, bin and ranks.
+    /// Records the work of one frame of `scene`: project, sort, bin and ranks.
     ///
     /// # Errors
     /// [`Stages::prepare`] was not called.
-    pub fn encode(&self, encoder: &mut wgpu::CommandEncoder) -> Result<(), GpuError> {
-        self.lists.encode(encoder, None)?;
-        if let Some((ranks, bound)) = &self.ranks {
-            encoder.clear_buffer(ranks, 0, None);
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            self.rank.run(&mut pass, bound, groups_2d(self.lists.frame().gaussians.div_ceil(256)));
-        }
+    pub fn record(&self, scene: &Scene, recording: &mut Recording) -> Result<(), GpuError> {
+        let (lists, ranks) = (&self.lists, self.ranks()?);
+        lists.record(scene, recording)?;
+        recording.clear(ranks);
+        let buffers = [lists.frame_buffer(), lists.counts(), lists.order()?, ranks];
+        let workgroups = Workgroups::row(lists.frame().gaussians.div_ceil(WORKGROUP));
+        recording.dispatch_in(Kernel::new(&RANK, "rank"), &buffers, workgroups);
         Ok(())
+    }
+
+    fn ranks(&self) -> Result<&wgpu::Buffer, GpuError> {
+        let missing = || GpuError::Refused { what: "ranks", message: "nothing was prepared".into() };
+        self.ranks.as_ref().ok_or_else(missing)
     }
 
     /// The lists, and how many entries they wanted.

@@ -1,5 +1,4 @@
-//! The only unsafe code of the backend: what wgpu does not show of Vulkan, and shaders without run-time
-//! checks.
+//! Reads what wgpu does not show of Vulkan, and makes shaders without run-time checks: the only unsafe code.
 #![allow(
     unsafe_code,
     reason = "reading driver facts through raw handles, and trusting shaders whose bounds are proven, have no safe form"

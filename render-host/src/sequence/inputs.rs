@@ -1,11 +1,11 @@
-//! What the frame before was given, and its projection: which Gaussians changed, and on the film how.
+//! Remembers the inputs of the frame before and their projection, to find what changed and how.
 
 use super::Changes;
 use crate::camera::Camera;
 use crate::settings::Settings;
 use crate::splats::held_degree;
 use crate::stage::Splat;
-use crate::stage::project::{Film, Projected, SKIPPED, Skip};
+use crate::stage::project::{Projected, Projector, SKIPPED, Skip};
 use crate::{Counters, Splats, parallel};
 use codec_core::Gaussian;
 
@@ -120,8 +120,8 @@ impl Inputs {
             }
             _ => None,
         };
-        let film = Film::new(camera, settings, settings.degree(splats.sh_degree()));
-        let frame = Frame { splats, film, marked: marked.map(Vec::as_slice), fresh, keep };
+        let projector = Projector::new(camera, settings, settings.degree(splats.sh_degree()));
+        let frame = Frame { splats, projector, marked: marked.map(Vec::as_slice), fresh, keep };
         let mut rest = self.rest.as_mut_slice();
         let parts = self.gaussians.chunks_mut(CHUNK).zip(self.held.chunks_mut(CHUNK));
         let parts = parts.zip(self.weighed.chunks_mut(CHUNK)).zip(self.fates.chunks_mut(CHUNK));
@@ -197,7 +197,7 @@ impl Inputs {
 /// What all chunks of a frame read.
 struct Frame<'a> {
     splats: &'a Splats<'a>,
-    film: Film<'a>,
+    projector: Projector<'a>,
     marked: Option<&'a [bool]>,
     fresh: bool,
     keep: bool,
@@ -222,7 +222,7 @@ impl Frame<'_> {
             }
             *chunk.projected += 1;
             let degree = chunk.weighed[i];
-            let (fate, key, splat) = match self.film.splat(self.splats, index, degree) {
+            let (fate, key, splat) = match self.projector.splat(self.splats, index, degree) {
                 Ok((splat, key)) => (None, key, splat),
                 Err(reason) => (Some(reason), SKIPPED, chunk.slots[i]),
             };
@@ -243,7 +243,7 @@ impl Frame<'_> {
             *chunk.counts = Counters::default();
             for (fate, &weighed) in chunk.fates.iter().zip(chunk.weighed.iter()) {
                 match fate {
-                    None => chunk.counts.draw(self.film.degree, weighed),
+                    None => chunk.counts.draw(self.projector.degree, weighed),
                     Some(reason) => chunk.counts.skip(*reason),
                 }
             }
@@ -263,7 +263,7 @@ impl Frame<'_> {
             old.copy_from_slice(rest);
             chunk.held[i] = held_degree(rest);
         }
-        let weighed = self.film.weighed(chunk.held[i].min(self.splats.band(index)));
+        let weighed = self.projector.weighed(chunk.held[i].min(self.splats.band(index)));
         altered |= weighed != chunk.weighed[i];
         chunk.weighed[i] = weighed;
         altered

@@ -1,4 +1,4 @@
-//! The tile lists of a whole picture, kept between frames.
+//! Retains the tile lists of a whole picture between frames.
 
 use std::ops::Range;
 

@@ -1,4 +1,4 @@
-//! Stage 3: which splats touch which tile, nearest first.
+//! Stage 3 lists for each tile the splats that touch it, nearest first.
 //!
 //! Work is done one *band* of tile rows at a time, so that memory stays bounded however large the image
 //! or the splats ([`bands`]); most pictures are one band. In a band, equal pieces of the depth order each

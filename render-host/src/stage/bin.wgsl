@@ -1,4 +1,4 @@
-// Stage 3: an entry per splat and tile, written in order of depth; sort.wgsl then gathers them by tile,
+// Stage 3 writes an entry per splat and tile in order of depth; sort.wgsl then gathers them by tile,
 // stably, so every tile's list is nearest first.
 
 @group(0) @binding(0) var<uniform> frame: Frame;

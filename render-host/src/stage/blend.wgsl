@@ -1,41 +1,9 @@
-// Stage 4: every pixel of a tile takes its list of splats, nearest first: `C += T·a·c; T -= T·a`, until T
-// is below the stop (inclusive). A workgroup is a tile, a thread a pixel; splats pass through workgroup
-// memory in batches, already turned to the tile's own coordinates.
+// Stage 4 blends: each pixel of a tile takes its list of splats, nearest first: `C += T·a·c; T -= T·a`, until
+// T is below the stop (inclusive). A workgroup is a tile, a thread a pixel. Put after staged.wgsl.
 
-@group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> splats: array<Splat>;
-@group(0) @binding(2) var<storage, read> entries: array<u32>;
-@group(0) @binding(3) var<storage, read> starts: array<u32>;
 @group(0) @binding(4) var<storage, read_write> counts: array<atomic<u32>, 16>;
 // r, g, b without background and transmittance, row by row.
 @group(0) @binding(5) var<storage, read_write> image: array<vec4<f32>>;
-
-const BATCH: u32 = 256u;
-
-// u and v at the tile's first pixel, log2 of alpha, first of the factor.
-var<workgroup> near: array<vec4<f32>, 256>;
-// The rest of the factor, red, green.
-var<workgroup> shape: array<vec4<f32>, 256>;
-var<workgroup> blue: array<f32, 256>;
-// Blocks of pixels that the splat may reach.
-var<workgroup> blocks: array<u32, 256>;
-// The same seen from the blocks: eight words each, a bit per splat.
-var<workgroup> reaching: array<u32, 64>;
-var<workgroup> open: atomic<u32>;
-var<workgroup> still_open: u32;
-
-// Word `word` of `reaching`.
-fn turned(word: u32) -> u32 {
-    let block = word / 8u;
-    let first = (word % 8u) * 32u;
-    var bits = 0u;
-    for (var i = 0u; i < 32u; i++) {
-        // Threads begin at different places, so that they do not wait for one bank of memory.
-        let k = (i + word) % 32u;
-        bits |= ((blocks[first + k] >> block) & 1u) << k;
-    }
-    return bits;
-}
 
 @compute @workgroup_size(256)
 fn blend(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
@@ -67,11 +35,7 @@ fn blend(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) 
         var reached = 0u;
         if thread < n {
             let s = splats[entries[batch + thread]];
-            let here = vec3<f32>(axes(s, corner), s.log2_alpha);
-            reached = blocks_of(here, s.root, log2_cutoff);
-            near[thread] = vec4<f32>(here, s.root.x);
-            shape[thread] = vec4<f32>(s.root.yz, s.colour.xy);
-            blue[thread] = s.colour.z;
+            reached = blocks_of(put(s, thread, corner), s.root, log2_cutoff);
         }
         blocks[thread] = reached;
         workgroupBarrier();

@@ -1,4 +1,4 @@
-//! Colour and shape of a splat in 16 bits each, for the setting `half_attributes`.
+//! Stores colour and shape of a splat in 16 bits each, for the setting `half_attributes`.
 //!
 //! What f16 cannot hold goes to its nearest finite value, and what must stay above 0 to its smallest one,
 //! so that a rounded splat is a splat.

@@ -1,4 +1,5 @@
-// What every kernel shares: `gpu/layout.rs` in WGSL. A test compares the two.
+// Every kernel shares these structs, constants and functions: `gpu/layout.rs` in WGSL. A test compares the
+// two.
 
 const TILE: u32 = 16u;
 const SMALL_BOX: u32 = 6u;

@@ -1,4 +1,4 @@
-//! The exponential of the blend.
+//! Computes the exponential of the blend.
 
 /// 2ˣ for x ≤ 0, with a relative error below 2e-7; 2⁻¹²⁶ for anything smaller and for NaN.
 ///

@@ -1,4 +1,4 @@
-//! Stage 1: Gaussians to ellipses on the film (EWA), with colour and a depth key.
+//! Stage 1 projects Gaussians to ellipses on the image plane (EWA), with colour and a depth key.
 //!
 //! Geometry is f64: it is a small share of the time, and it makes needles, specks and far coordinates
 //! ordinary. With `u`, `v` the two rows of the 2×3 factor `J·W·R·S` of the covariance and `p` the low
@@ -53,7 +53,7 @@ pub(crate) enum Skip {
 /// Projects every Gaussian into `out` and returns the counts of those drawn and skipped.
 pub fn project(splats: &Splats, camera: &Camera, settings: &Settings, out: &mut Projected) -> Counters {
     let n = splats.len();
-    let film = Film::new(camera, settings, settings.degree(splats.sh_degree()));
+    let projector = Projector::new(camera, settings, settings.degree(splats.sh_degree()));
     out.splats.resize(n, Splat::NONE);
     out.keys.resize(n, SKIPPED);
     out.counts.clear();
@@ -61,10 +61,12 @@ pub fn project(splats: &Splats, camera: &Camera, settings: &Settings, out: &mut 
     let Projected { splats: slots, keys, counts } = out;
     if settings.parallel {
         let chunks = slots.par_chunks_mut(CHUNK).zip(keys.par_chunks_mut(CHUNK)).zip(counts).enumerate();
-        chunks.for_each(|(i, ((slots, keys), counts))| film.fill(splats, i * CHUNK, slots, keys, counts));
+        chunks
+            .for_each(|(i, ((slots, keys), counts))| projector.fill(splats, i * CHUNK, slots, keys, counts));
     } else {
         let chunks = slots.chunks_mut(CHUNK).zip(keys.chunks_mut(CHUNK)).zip(counts).enumerate();
-        chunks.for_each(|(i, ((slots, keys), counts))| film.fill(splats, i * CHUNK, slots, keys, counts));
+        chunks
+            .for_each(|(i, ((slots, keys), counts))| projector.fill(splats, i * CHUNK, slots, keys, counts));
     }
     let mut total = Counters { gaussians: n as u64, ..Counters::default() };
     out.counts.iter().for_each(|counts| total.add(counts));
@@ -96,7 +98,7 @@ impl Counters {
 }
 
 /// What is the same for every Gaussian of a frame.
-pub(crate) struct Film<'a> {
+pub(crate) struct Projector<'a> {
     pub(crate) camera: &'a Camera,
     pub(crate) rotation: [[f64; 3]; 3],
     pub(crate) centre: [f64; 3],
@@ -118,13 +120,13 @@ pub(crate) struct Film<'a> {
     half_attributes: bool,
 }
 
-/// The Jacobian of the film at one point: pixels per unit, and `x / z`, `y / z` within their limits.
+/// The Jacobian of the projection at one point: pixels per unit, and `x / z`, `y / z` within their limits.
 pub(crate) struct Lens {
     pub(crate) gain: [f64; 2],
     pub(crate) slope: [f64; 2],
 }
 
-/// The factor of a covariance on the film, and what follows from it.
+/// The factor of a covariance on the image plane, and what follows from it.
 pub(crate) struct Factor {
     /// `W·R·S`: column `k` is local axis `k`, scaled, in camera axes.
     pub(crate) axes: [[f64; 3]; 3],
@@ -149,7 +151,7 @@ pub(crate) fn slope_limits(camera: &Camera) -> [[f64; 2]; 2] {
     [limits(i.width, i.fx, i.cx), limits(i.height, i.fy, i.cy)]
 }
 
-impl<'a> Film<'a> {
+impl<'a> Projector<'a> {
     pub(crate) fn new(camera: &'a Camera, settings: &Settings, degree: u8) -> Self {
         let i = camera.intrinsics();
         Self {
@@ -204,7 +206,7 @@ impl<'a> Film<'a> {
         if self.sh_by_need { self.degree.min(held) } else { self.degree }
     }
 
-    /// Gaussian `index` on the film, its bands weighed up to `degree`, and its depth key.
+    /// Gaussian `index` on the image plane, its bands weighed up to `degree`, and its depth key.
     pub(crate) fn splat(&self, splats: &Splats, index: usize, degree: u8) -> Result<(Splat, u32), Skip> {
         let g = &splats.gaussians()[index];
         if g.is_absent() {

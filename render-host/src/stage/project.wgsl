@@ -1,4 +1,4 @@
-// Stage 1: Gaussians to ellipses on the film, with colour, a depth key and a count of tiles.
+// Stage 1 projects Gaussians to ellipses on the image plane, with colour, a depth key and a count of tiles.
 //
 // The decisions are those of project.rs, in its order. Camera coordinates, depth and centre are computed
 // in pairs of f32 (value and remainder, about 46 bits), so depth keys and centres equal those of f64 but
@@ -16,7 +16,7 @@
 @group(0) @binding(6) var<storage, read_write> touched: array<u32>;
 @group(0) @binding(7) var<storage, read_write> counts: array<atomic<u32>, 16>;
 
-// Longest axis on the film, pixels.
+// Longest axis on the image plane, pixels.
 const LONGEST: f32 = 1e15;
 const LN_2: f32 = 0.6931472;
 const LOG2_E: f32 = 1.442695;

@@ -1,4 +1,4 @@
-//! How large the tiles are that lists are made for.
+//! A tile side says how large the tiles are that lists are made for.
 
 use serde::{Deserialize, Serialize};
 

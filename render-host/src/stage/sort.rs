@@ -1,4 +1,4 @@
-//! Stage 2: one stable depth order for the whole image.
+//! Stage 2 puts the splats of the whole image in one stable order of depth.
 //!
 //! An entry is a depth key (high 32 bits) above a Gaussian's index (low 32 bits), so entries are all
 //! different and order is total: nearest first, ties by index, on any machine and any number of threads.

@@ -1,4 +1,4 @@
-//! Which tiles of a row a splat touches: the twin of `span.wgsl`.
+//! Finds which tiles of a row a splat touches: the twin of `span.wgsl`.
 //!
 //! A span is exact: the cut-off ellipse over the pixel centres of one tile row is a convex piece, whose
 //! left and right ends have a closed form (the idea of SnugBox/AccuTile in Speedy-Splat).

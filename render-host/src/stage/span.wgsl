@@ -1,4 +1,4 @@
-// Which tiles of a row a splat touches; the spans of bin.rs in f32, a sliver wider.
+// Finds which tiles of a row a splat touches; the spans of bin.rs in f32, a sliver wider.
 
 // Half-open columns of tiles in tile row `row`; empty where x >= y.
 fn span(s: Splat, row: u32) -> vec2<u32> {

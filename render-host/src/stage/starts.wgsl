@@ -1,4 +1,4 @@
-// Where every tile's list starts in the sorted entries; one start more than there are tiles.
+// Finds where every tile's list starts in the sorted entries; one start more than there are tiles.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read_write> counts: array<atomic<u32>, 16>;

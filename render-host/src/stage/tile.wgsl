@@ -1,4 +1,4 @@
-// Inside a tile: what all blending kernels share, so that they give the same bits.
+// All blending kernels share these functions inside a tile, so that they give the same bits.
 
 // Pixel of a thread: neighbouring threads cover 8 × 4 pixels, so that those of one subgroup agree more often.
 fn pixel_of(thread: u32) -> vec2<u32> {

@@ -1,42 +1,15 @@
-// Stage 4 for a batch of worlds: the tile's list is walked once for eight worlds, whose colours and
+// Stage 4 blends a batch of worlds: the tile's list is walked once for eight worlds, whose colours and
 // transmittances stay in registers. Alpha is computed once per splat and pixel; a world that lacks the
 // splat's group takes 0 of it, which leaves its bits alone. Per world the operations and their order are
-// those of blend.wgsl.
+// those of blend.wgsl. Put after staged.wgsl.
 
-@group(0) @binding(0) var<uniform> frame: Frame;
-@group(0) @binding(1) var<storage, read> splats: array<Splat>;
-@group(0) @binding(2) var<storage, read> entries: array<u32>;
-@group(0) @binding(3) var<storage, read> starts: array<u32>;
 // `world_words` words per group, a bit per world.
 @group(0) @binding(4) var<storage, read> presence: array<u32>;
 // World after world, each as in blend.wgsl.
 @group(0) @binding(5) var<storage, read_write> images: array<vec4<f32>>;
 
-const BATCH: u32 = 256u;
-
-// As in blend.wgsl.
-var<workgroup> near: array<vec4<f32>, 256>;
-var<workgroup> shape: array<vec4<f32>, 256>;
-var<workgroup> blue: array<f32, 256>;
-// Which of the eight worlds hold the splat.
+// Which of the eight worlds include the splat; one that none includes reaches no block.
 var<workgroup> holders: array<u32, 256>;
-// Blocks of pixels that it may reach; none where no world holds it. And the same seen from the blocks.
-var<workgroup> blocks: array<u32, 256>;
-var<workgroup> reaching: array<u32, 64>;
-var<workgroup> open: atomic<u32>;
-var<workgroup> still_open: u32;
-
-// As in blend.wgsl.
-fn turned(word: u32) -> u32 {
-    let block = word / 8u;
-    let first = (word % 8u) * 32u;
-    var bits = 0u;
-    for (var i = 0u; i < 32u; i++) {
-        let k = (i + word) % 32u;
-        bits |= ((blocks[first + k] >> block) & 1u) << k;
-    }
-    return bits;
-}
 
 fn bits_of(mask: u32, first: u32) -> vec4<bool> {
     let shifts = vec4<u32>(first, first + 1u, first + 2u, first + 3u);
@@ -84,14 +57,11 @@ fn blend_worlds(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_
         var reached = 0u;
         if thread < n {
             let s = splats[entries[batch + thread]];
-            let here = vec3<f32>(axes(s, corner), s.log2_alpha);
-            near[thread] = vec4<f32>(here, s.root.x);
-            shape[thread] = vec4<f32>(s.root.yz, s.colour.xy);
-            blue[thread] = s.colour.z;
+            let here = put(s, thread, corner);
             let word = presence[s.group * frame.world_words + first_world / 32u];
-            let held = (word >> (first_world % 32u)) & 0xffu;
-            holders[thread] = held;
-            reached = select(0u, blocks_of(here, s.root, log2_cutoff), held != 0u);
+            let holding = (word >> (first_world % 32u)) & 0xffu;
+            holders[thread] = holding;
+            reached = select(0u, blocks_of(here, s.root, log2_cutoff), holding != 0u);
         }
         blocks[thread] = reached;
         workgroupBarrier();

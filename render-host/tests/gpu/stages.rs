@@ -1,12 +1,16 @@
 //! Every stage on the device against its twin on the CPU, fed with the same buffers.
 
-use render_host::gpu::layout::Splat;
-use render_host::gpu::{Device, Renderer, wgpu};
-use render_host::stage::{TILE, bin, blend, project, sort};
-use render_host::{Camera, Rendered, Settings, reference};
+use render_host::{
+    Camera, Rendered, Settings,
+    gpu::{Device, Renderer, layout::Splat, wgpu},
+    reference,
+    stage::{TILE, bin, blend, project, sort},
+};
 
-use super::renderer;
-use super::support::{Scene, camera};
+use super::{
+    renderer,
+    support::{Scene, camera},
+};
 
 /// Reads a buffer of plain values.
 fn values<T: Copy + bytemuck::Pod>(device: &Device, buffer: &wgpu::Buffer, n: usize) -> Vec<T> {

@@ -10,3 +10,4 @@ pub mod figures;
 pub mod fixture;
 pub mod setup;
 pub mod source;
+pub mod stress;

@@ -1,10 +1,10 @@
-// `1 - SSIM` and the squared error of many pictures, and their gradients: ssim.rs in WGSL. Put after
+// Takes `1 - SSIM` and the squared error of many pictures, and their gradients: ssim.rs in WGSL. Put after
 // counterfactual/states.wgsl. Workgroups: columns, rows, planes (three per world, from `batch.first` on).
 //
-// `unlike` takes the moments of every window that is centred in a tile, along rows and then down, and
-// leaves how the loss changes with each; `pull` takes those back to pixels in the same way, and puts the
-// gradient in the place of the picture. A tile reads the pixels up to a radius around it; no number
-// depends on the tiles beyond that.
+// `window_gradients` takes the moments of every window that is centred in a tile, along rows and then down,
+// and leaves how the loss changes with each; `pixel_gradients` takes those back to pixels in the same way,
+// and puts the gradient in the place of the picture. A tile reads the pixels up to a radius around it; no
+// number depends on the tiles beyond that.
 
 // Of `1 - SSIM` and its mix with the squared error.
 struct Window {
@@ -26,8 +26,8 @@ struct Window {
 // Mean less 1/2 and variance of the picture wanted around each pixel: three planes, row by row.
 @group(0) @binding(4) var<storage, read> target_moments: array<vec2<f32>>;
 // Pictures, then their gradients: plane by plane, row by row; three planes per world.
-@group(0) @binding(5) var<storage, read_write> film: array<f32>;
-// How the loss changes with e, e² and (y - 1/2)·e of each window: three planes for each of the film.
+@group(0) @binding(5) var<storage, read_write> framebuffer: array<f32>;
+// How the loss changes with e, e² and (y - 1/2)·e of each window: three planes for each of the framebuffer.
 @group(0) @binding(6) var<storage, read_write> slopes: array<f32>;
 // Per tile and channel, of each world: sums of squared errors and of `1 - SSIM`.
 @group(0) @binding(7) var<storage, read_write> losses: array<f32>;
@@ -93,7 +93,7 @@ fn filter_down(thread: u32, kind: u32) -> f32 {
 }
 
 @compute @workgroup_size(256)
-fn unlike(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+fn window_gradients(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let corner = TILE * id.xy;
     let width = frame.size.x;
     let plane = width * frame.size.y;
@@ -105,7 +105,7 @@ fn unlike(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index)
         if within(pixel) {
             let place = u32(pixel.y) * width + u32(pixel.x);
             y = wanted[3u * place + channel];
-            e = clamp(film[id.z * plane + place] - y, -FARTHEST, FARTHEST);
+            e = clamp(framebuffer[id.z * plane + place] - y, -FARTHEST, FARTHEST);
         }
         flat[i] = e;
         flat[AROUND + i] = e * e;
@@ -149,7 +149,7 @@ fn unlike(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index)
         slopes[first] = by.x;
         slopes[first + plane] = by.y;
         slopes[first + 2u * plane] = by.z;
-        let d = film[id.z * plane + place] - wanted[3u * place + channel];
+        let d = framebuffer[id.z * plane + place] - wanted[3u * place + channel];
         sums.x = d * d;
     }
 
@@ -172,7 +172,7 @@ fn unlike(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index)
 }
 
 @compute @workgroup_size(256)
-fn pull(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+fn pixel_gradients(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let corner = TILE * id.xy;
     let width = frame.size.x;
     let plane = width * frame.size.y;
@@ -191,10 +191,10 @@ fn pull(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) t
     if all(pixel < frame.size.xy) {
         let place = pixel.y * width + pixel.x;
         let y = wanted[3u * place + id.z % 3u];
-        let d = film[id.z * plane + place] - y;
+        let d = framebuffer[id.z * plane + place] - y;
         let e = clamp(d, -FARTHEST, FARTHEST);
         let structure =
             filter_down(thread, 0u) + 2.0 * e * filter_down(thread, 1u) + (y - 0.5) * filter_down(thread, 2u);
-        film[id.z * plane + place] = window.scale.x * d + window.scale.y * structure;
+        framebuffer[id.z * plane + place] = window.scale.x * d + window.scale.y * structure;
     }
 }

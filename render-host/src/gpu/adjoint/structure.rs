@@ -1,23 +1,28 @@
-//! Losses that look further than one pixel, on the device: pictures of many worlds are drawn and kept, a
-//! kernel makes gradients of them, and the way back starts from those.
+//! Differentiates losses that look further than one pixel: pictures of many worlds are blended and retained,
+//! a kernel replaces them by their gradients, and the way back starts from those.
 //!
 //! As many worlds at a time as fit the buffers that every WebGPU device binds, all in one submission; which
 //! worlds go together does not show in any number.
 
 use bytemuck::{Pod, Zeroable};
 
-use super::super::states::{Batch, QUAD, STATES, Totals, filled, storage, uniform};
-use super::super::wgsl::{Bind, LAYOUT, Source, TILE};
-use super::super::{Device, GpuError, Kernel};
-use super::{BLEND_BACK, FORWARD, Shared};
-use crate::adjoint::loss::Mix;
-use crate::adjoint::loss::ssim::{Dissimilarity, FARTHEST, MIDDLE};
-use crate::image::Image;
-use crate::metric::ssim::{C1, C2};
+use super::{
+    super::{
+        Device, GpuError,
+        recording::Recording,
+        source::{Bind, Kernel, LAYOUT, Source, TILE},
+        states::{Batch, QUAD, STATES, Totals},
+    },
+    walk::{BLEND_BACK, FORWARD, Walk},
+};
+use crate::{
+    adjoint::loss::{Mix, ssim::Dissimilarity},
+    image::Image,
+};
 
 /// Bytes of the largest buffer that worlds share, unless four worlds need more: what every WebGPU device
 /// binds.
-pub(super) const KEPT_BYTES: usize = 1 << 27;
+pub(super) const CHUNK_BYTES: usize = 1 << 27;
 /// Vectors of worlds at a time: their planes are workgroups along z, at most 65535.
 const MOST_QUADS: usize = 4096;
 /// Values a pixel.
@@ -25,18 +30,10 @@ const CHANNELS: usize = 3;
 /// Slopes per value.
 const KINDS: usize = 3;
 
-/// Constants of the loss that must have the same value in WGSL, by name.
-pub const CONSTANTS: &[(&str, f64)] = &[
-    ("MIDDLE", MIDDLE as f64),
-    ("C1", C1 as f32 as f64),
-    ("C2", C2 as f32 as f64),
-    ("FARTHEST", FARTHEST as f64),
-];
-
-/// The forward way, with pictures as its end.
-pub const FILM: Source = Source {
-    name: "adjoint/film.wgsl",
-    parts: &[LAYOUT, TILE, STATES, FORWARD, include_str!("../../adjoint/film.wgsl")],
+/// Blending front to back, with pictures at its end.
+pub static FRAMEBUFFER: Source = Source {
+    name: "adjoint/framebuffer.wgsl",
+    parts: &[LAYOUT, TILE, STATES, FORWARD, include_str!("../../adjoint/framebuffer.wgsl")],
     bindings: &[
         ("frame", Bind::Uniform),
         ("batch", Bind::Uniform),
@@ -45,13 +42,13 @@ pub const FILM: Source = Source {
         ("entries", Bind::Read),
         ("masks", Bind::Read),
         ("marks", Bind::Write),
-        ("film", Bind::Write),
+        ("framebuffer", Bind::Write),
         ("found", Bind::Write),
     ],
 };
 
 /// `1 - SSIM` and squared error, and their gradients.
-pub const STRUCTURE: Source = Source {
+pub static STRUCTURE: Source = Source {
     name: "adjoint/loss/ssim.wgsl",
     parts: &[LAYOUT, TILE, STATES, include_str!("../../adjoint/loss/ssim.wgsl")],
     bindings: &[
@@ -60,7 +57,7 @@ pub const STRUCTURE: Source = Source {
         ("window", Bind::Uniform),
         ("wanted", Bind::Read),
         ("target_moments", Bind::Read),
-        ("film", Bind::Write),
+        ("framebuffer", Bind::Write),
         ("slopes", Bind::Write),
         ("losses", Bind::Write),
     ],
@@ -82,33 +79,8 @@ pub struct Window {
     pub unused: [u32; 2],
 }
 
-/// The compiled kernels.
-#[derive(Debug)]
-pub(super) struct Kernels {
-    draw: Kernel,
-    unlike: Kernel,
-    pull: Kernel,
-    pull_back: Kernel,
-}
-
-impl Kernels {
-    pub(super) fn new(device: &Device) -> Result<Self, GpuError> {
-        Self::of(device, &STRUCTURE)
-    }
-
-    /// With another text of the loss.
-    pub(super) fn of(device: &Device, structure: &Source) -> Result<Self, GpuError> {
-        Ok(Self {
-            draw: Kernel::new(device, &FILM, "draw", &[])?,
-            unlike: Kernel::new(device, structure, "unlike", &[])?,
-            pull: Kernel::new(device, structure, "pull", &[])?,
-            pull_back: Kernel::new(device, &BLEND_BACK, "pull_back", &[])?,
-        })
-    }
-}
-
 /// What the loss knows of the picture wanted.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Structure {
     mix: Mix,
     window: wgpu::Buffer,
@@ -137,8 +109,8 @@ impl Structure {
         let moments = loss.target_planes();
         Ok(Self {
             mix,
-            window: uniform(device, "window", bytemuck::bytes_of(&window))?,
-            moments: filled(device, "moments of the target", bytemuck::cast_slice(&moments))?,
+            window: device.uniform("window", bytemuck::bytes_of(&window))?,
+            moments: device.filled("moments of the target", bytemuck::cast_slice(&moments))?,
             values,
             windows,
         })
@@ -157,10 +129,7 @@ impl Structure {
 /// Worlds that go together.
 #[derive(Debug)]
 struct Chunk {
-    draw: wgpu::BindGroup,
-    unlike: wgpu::BindGroup,
-    pull: wgpu::BindGroup,
-    pull_back: wgpu::BindGroup,
+    batch: wgpu::Buffer,
     quads: u32,
     planes: u32,
 }
@@ -168,82 +137,93 @@ struct Chunk {
 /// The batch of worlds, as many together as fit.
 #[derive(Debug)]
 pub(super) struct Chunks {
+    structure: Structure,
     chunks: Vec<Chunk>,
+    framebuffer: wgpu::Buffer,
+    slopes: wgpu::Buffer,
+    marks: wgpu::Buffer,
+    losses: wgpu::Buffer,
     totals: Totals,
 }
 
-/// Vectors of worlds that go together, of `quads`, in buffers of `kept` bytes each, when `pixels` pixels and
-/// `marks` bytes of transmittances are kept for each.
-fn together(quads: usize, kept: usize, pixels: usize, marks: usize) -> usize {
+/// Vectors of worlds that go together, of `quads`, in buffers of `bytes` bytes each, when `pixels` pixels and
+/// `marks` bytes of transmittances are retained for each.
+fn together(quads: usize, bytes: usize, pixels: usize, marks: usize) -> usize {
     let slopes = 4 * QUAD * CHANNELS * KINDS * pixels;
-    (kept / slopes.max(marks).max(1)).clamp(1, quads.clamp(1, MOST_QUADS))
+    (bytes / slopes.max(marks).max(1)).clamp(1, quads.clamp(1, MOST_QUADS))
 }
 
 impl Chunks {
-    /// Room for the worlds of `batch`; `marks` are the bytes of the transmittances of four worlds.
+    /// Room for the worlds of `batch` on `tiles` tiles; `marks` are the bytes of the transmittances of four
+    /// worlds, `bytes` those of the largest buffer.
     pub(super) fn new(
         device: &Device,
-        kernels: &super::Kernels,
         structure: &Structure,
-        shared: &Shared,
+        tiles: usize,
         batch: Batch,
         marks: usize,
+        bytes: usize,
     ) -> Result<Self, GpuError> {
-        let tiles = shared.tiles;
         let (worlds, pixels) = (batch.worlds as usize, structure.values / CHANNELS);
-        let quads = together(worlds.div_ceil(QUAD), shared.kept, pixels, marks);
-        let film = storage(device, "pictures", (4 * QUAD * CHANNELS * pixels * quads) as u64)?;
-        let slopes = storage(device, "slopes", (4 * QUAD * CHANNELS * KINDS * pixels * quads) as u64)?;
-        let marks = storage(device, "transmittances", (marks * quads) as u64)?;
-        let rows = CHANNELS * tiles.count();
-        let losses = storage(device, "losses of tiles", (4 * 2 * worlds * rows) as u64)?;
-        let of = &kernels.structure;
-        let (frame, splats, starts) = (&tiles.frame, &tiles.splats, &tiles.starts);
-        let (entries, masks, found) = (shared.entries, shared.masks, shared.found);
-        let chunks = (0..worlds).step_by(QUAD * quads).map(|first| {
+        let quads = together(worlds.div_ceil(QUAD), bytes, pixels, marks);
+        let planes = QUAD * CHANNELS * pixels * quads;
+        let rows = CHANNELS * tiles;
+        let mut chunks = Vec::new();
+        for first in (0..worlds).step_by(QUAD * quads) {
             let past = (first + QUAD * quads).min(worlds);
-            let here = Batch { first: first as u32, past: past as u32, ..batch };
-            let here = uniform(device, "batch", bytemuck::bytes_of(&here))?;
-            let lists = [frame, &here, splats, starts, entries, masks, &marks];
-            let loss =
-                [frame, &here, &structure.window, shared.wanted, &structure.moments, &film, &slopes, &losses];
-            Ok(Chunk {
-                draw: of.draw.bind(device, &[&lists[..], &[&film, found]].concat()),
-                unlike: of.unlike.bind(device, &loss),
-                pull: of.pull.bind(device, &loss),
-                pull_back: of
-                    .pull_back
-                    .bind(device, &[&lists[..], &[&film, shared.partials, found]].concat()),
+            let batch = Batch { first: first as u32, past: past as u32, ..batch };
+            chunks.push(Chunk {
+                batch: device.uniform("batch", bytemuck::bytes_of(&batch))?,
                 quads: (past - first).div_ceil(QUAD) as u32,
                 planes: (CHANNELS * (past - first)) as u32,
-            })
-        });
+            });
+        }
+        let losses = device.storage("losses of tiles", (4 * 2 * worlds * rows) as u64)?;
         Ok(Self {
-            chunks: chunks.collect::<Result<_, GpuError>>()?,
-            totals: Totals::new(device, &kernels.common, &losses, [rows, 2 * worlds, 1])?,
+            structure: structure.clone(),
+            chunks,
+            framebuffer: device.storage("pictures", (4 * planes) as u64)?,
+            slopes: device.storage("slopes", (4 * KINDS * planes) as u64)?,
+            marks: device.storage("transmittances", (marks * quads) as u64)?,
+            totals: Totals::new(device, &losses, [rows, 2 * worlds, 1])?,
+            losses,
         })
     }
 
-    /// All chunks, one after the other; then the losses.
-    pub(super) fn encode(
-        &self,
-        kernels: &super::Kernels,
-        [columns, rows]: [u32; 2],
-        pass: &mut wgpu::ComputePass,
-    ) {
-        let of = &kernels.structure;
-        for chunk in &self.chunks {
-            of.draw.run(pass, &chunk.draw, [columns, rows, chunk.quads]);
-            of.unlike.run(pass, &chunk.unlike, [columns, rows, chunk.planes]);
-            of.pull.run(pass, &chunk.pull, [columns, rows, chunk.planes]);
-            of.pull_back.run(pass, &chunk.pull_back, [columns, rows, 1]);
+    /// Records all chunks, one after the other; then the losses.
+    pub(super) fn record(&self, walk: &Walk, recording: &mut Recording) {
+        let [columns, rows] = walk.grid;
+        for Chunk { batch, quads, planes } in &self.chunks {
+            let lists = walk.lists(batch, &self.marks);
+            let forward = [&lists[..], &[&self.framebuffer, &walk.found]].concat();
+            let back = [&lists[..], &[&self.framebuffer, &walk.partials, &walk.found]].concat();
+            recording.dispatch(Kernel::new(&FRAMEBUFFER, "draw"), &forward, [columns, rows, *quads]);
+            let (frame, wanted) = (&walk.frame, &walk.wanted);
+            self.record_loss(&STRUCTURE, [frame, batch, wanted], [columns, rows, *planes], recording);
+            recording.dispatch(Kernel::new(&BLEND_BACK, "back_from_gradients"), &back, [columns, rows, 1]);
         }
-        self.totals.add_up(&kernels.common, pass);
+        self.totals.record(recording);
+    }
+
+    /// Records how the pictures become their gradients, by the kernels of `source`.
+    fn record_loss(
+        &self,
+        source: &'static Source,
+        [frame, batch, wanted]: [&wgpu::Buffer; 3],
+        workgroups: [u32; 3],
+        recording: &mut Recording,
+    ) {
+        let Structure { window, moments, .. } = &self.structure;
+        let Self { framebuffer, slopes, losses, .. } = self;
+        let buffers = [frame, batch, window, wanted, moments, framebuffer, slopes, losses];
+        for entry in ["window_gradients", "pixel_gradients"] {
+            recording.dispatch(Kernel::new(source, entry), &buffers, workgroups);
+        }
     }
 
     /// Waits, and reads the loss of each world.
-    pub(super) fn read(&self, device: &Device, structure: &Structure) -> Result<Vec<f64>, GpuError> {
-        Ok(structure.losses(&self.totals.read(device)?))
+    pub(super) fn read(&self, device: &Device) -> Result<Vec<f64>, GpuError> {
+        Ok(self.structure.losses(&self.totals.read(device)?))
     }
 }
 

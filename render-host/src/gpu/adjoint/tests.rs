@@ -1,27 +1,29 @@
 //! Gradients on the device against those of the CPU.
 
-use super::super::Stages;
-use super::super::case::{Case, device};
-use super::*;
-use crate::Workspace;
-use crate::adjoint::loss::{Dissimilarity, Distortion, Loss, Mse};
-use crate::adjoint::render_and_gradients;
-use crate::counterfactual::brute;
-use crate::splats::Splats;
-use std::sync::OnceLock;
+use super::{
+    super::{
+        Stages,
+        test_scene::{TestScene, executor},
+    },
+    *,
+};
+use crate::{
+    Workspace,
+    adjoint::{
+        loss::{Dissimilarity, Distortion, Loss, Mse},
+        render_and_gradients,
+    },
+    counterfactual::brute,
+    splats::Splats,
+};
 
-fn kernels(device: &Device) -> &'static Kernels {
-    static KERNELS: OnceLock<Kernels> = OnceLock::new();
-    KERNELS.get_or_init(|| Kernels::new(device).unwrap())
-}
-
-fn engine(device: &Device, case: &Case, mix: Mix, settings: &Settings) -> Engine<'static> {
+fn engine(executor: &Executor, case: &TestScene, mix: Mix, settings: &Settings) -> Engine {
     let objective = Objective { target: &case.against, mix };
-    Engine::new(device, kernels(device), &case.variants(), &case.camera, &objective, settings).unwrap()
+    Engine::new(executor, &case.variants(), &case.camera, &objective, settings).unwrap()
 }
 
 /// The loss of the CPU.
-fn loss(case: &Case, mix: Mix) -> Box<dyn Loss> {
+fn loss(case: &TestScene, mix: Mix) -> Box<dyn Loss> {
     let target = case.against.clone();
     match mix {
         Mix::MSE => Box::new(Mse::new(target)),
@@ -34,7 +36,7 @@ fn loss(case: &Case, mix: Mix) -> Box<dyn Loss> {
 }
 
 /// Fields of a Gaussian's gradient, by name.
-const FIELDS: [&str; 6] = ["position", "log_scale", "rotation", "opacity_logit", "sh0", "film"];
+const FIELDS: [&str; 6] = ["position", "log_scale", "rotation", "opacity_logit", "sh0", "image mean"];
 
 fn fields(g: &SplatGradient) -> [Vec<f32>; 6] {
     [
@@ -43,7 +45,7 @@ fn fields(g: &SplatGradient) -> [Vec<f32>; 6] {
         g.rotation.to_vec(),
         vec![g.opacity_logit],
         g.sh0.to_vec(),
-        g.film.to_vec(),
+        g.image_mean.to_vec(),
     ]
 }
 
@@ -75,7 +77,7 @@ fn six(pose: &Pose) -> [f64; 6] {
     [a, b, c, d, e, f]
 }
 
-fn twin(case: &Case, states: &States, mix: Mix, settings: &Settings) -> Twin {
+fn twin(case: &TestScene, states: &States, mix: Mix, settings: &Settings) -> Twin {
     let (n, each) = (case.gaussians.len(), case.degree.rest_len());
     let mut out = Twin {
         loss: Vec::new(),
@@ -107,18 +109,18 @@ fn twin(case: &Case, states: &States, mix: Mix, settings: &Settings) -> Twin {
     out
 }
 
-fn compare(name: &str, case: &Case, worlds: usize, settings: &Settings) {
+fn compare(name: &str, case: &TestScene, worlds: usize, settings: &Settings) {
     compare_mix(name, case, worlds, Mix::MSE, settings);
 }
 
-fn compare_mix(name: &str, case: &Case, worlds: usize, mix: Mix, settings: &Settings) {
-    let Some(device) = device() else { return };
+fn compare_mix(name: &str, case: &TestScene, worlds: usize, mix: Mix, settings: &Settings) {
+    let Some(executor) = executor() else { return };
     let states = if worlds == 0 { States::full(case.groups) } else { case.states(worlds, 3) };
-    let got = engine(device, case, mix, settings).gradients(&states).unwrap();
+    let got = engine(executor, case, mix, settings).gradients(&states).unwrap();
     judge(name, case, &states, mix, settings, &got);
 }
 
-fn judge(name: &str, case: &Case, states: &States, mix: Mix, settings: &Settings, got: &Gradients) {
+fn judge(name: &str, case: &TestScene, states: &States, mix: Mix, settings: &Settings, got: &Gradients) {
     let expected = twin(case, states, mix, settings);
     assert_eq!(got.loss.len(), expected.loss.len());
     for (a, b) in got.loss.iter().zip(&expected.loss) {
@@ -146,13 +148,13 @@ fn settings() -> Settings {
 
 #[test]
 fn gradients_of_one_world_are_those_of_the_cpu() {
-    compare("plain", &Case::new(900, 0, 27, [75, 53], 1), 0, &settings());
+    compare("plain", &TestScene::new(900, 0, 27, [75, 53], 1), 0, &settings());
 }
 
 /// Lists of many segments, most of which nobody sees.
 #[test]
 fn gradients_of_opaque_crowds_are_those_of_the_cpu() {
-    let mut case = Case::new(5000, 0, 27, [25, 20], 7);
+    let mut case = TestScene::new(5000, 0, 27, [25, 20], 7);
     case.gaussians.iter_mut().for_each(|g| g.opacity = g.opacity.sqrt());
     compare("opaque crowd", &case, 2, &settings());
     compare("crowd without stop", &case, 0, &Settings { early_stop: false, ..settings() });
@@ -161,9 +163,9 @@ fn gradients_of_opaque_crowds_are_those_of_the_cpu() {
 /// The comparison would see a Gaussian that is a little off, in every field.
 #[test]
 fn a_wrong_gradient_is_seen() {
-    let Some(device) = device() else { return };
-    let mut case = Case::new(60, 1, 5, [40, 30], 8);
-    let got = engine(device, &case, Mix::MSE, &settings()).gradients(&States::full(5)).unwrap();
+    let Some(executor) = executor() else { return };
+    let mut case = TestScene::new(60, 1, 5, [40, 30], 8);
+    let got = engine(executor, &case, Mix::MSE, &settings()).gradients(&States::full(5)).unwrap();
     case.gaussians.iter_mut().for_each(|g| g.opacity *= 0.99);
     let expected = twin(&case, &States::full(5), Mix::MSE, &settings());
     for (k, field) in FIELDS.iter().enumerate() {
@@ -175,9 +177,9 @@ fn a_wrong_gradient_is_seen() {
 
 #[test]
 fn gradients_of_harmonics_are_those_of_the_cpu() {
-    compare("degree 3", &Case::new(500, 3, 5, [50, 40], 2), 0, &settings());
+    compare("degree 3", &TestScene::new(500, 3, 5, [50, 40], 2), 0, &settings());
     let antialiased = Settings { antialiased: true, max_sh_degree: 1, ..settings() };
-    compare("antialiased, degree 1 of 2", &Case::new(400, 2, 5, [40, 50], 3), 0, &antialiased);
+    compare("antialiased, degree 1 of 2", &TestScene::new(400, 2, 5, [40, 50], 3), 0, &antialiased);
 }
 
 /// Lists made on the device, without a word to the host between camera and gradients.
@@ -187,23 +189,23 @@ fn gradients_from_lists_of_the_device_are_those_of_the_cpu() {
 }
 
 fn from_lists_of_the_device(mix: Mix) {
-    let Some(device) = device() else { return };
-    let (case, settings) = (Case::new(700, 1, 27, [61, 47], 6), settings());
+    let Some(executor) = executor() else { return };
+    let (case, settings) = (TestScene::new(700, 1, 27, [61, 47], 6), settings());
     let states = case.states(3, 2);
-    let mut stages = Stages::new(device).unwrap();
-    let scene = Scene::with_groups(device, &case.splats(), &case.ids).unwrap();
-    stages.prepare(device, &scene, &case.camera, &settings).unwrap();
+    let mut stages = Stages::new(executor.device()).unwrap();
+    let scene = Scene::with_groups(executor.device(), &case.splats(), &case.ids).unwrap();
+    stages.prepare(executor.device(), &scene, &case.camera, &settings).unwrap();
     let tiles = stages.tiles().unwrap();
     let objective = Objective { target: &case.against, mix };
-    let engine =
-        Engine::with_tiles(device, kernels(device), scene, tiles, case.groups, &objective, &settings);
+    let engine = Engine::with_tiles(executor, scene, tiles, case.groups, &objective, &settings);
     let engine = engine.unwrap();
     let worlds = engine.worlds(&states).unwrap();
+    let mut recording = Recording::new();
+    stages.record(engine.scene(), &mut recording).unwrap();
+    engine.record(&worlds, &mut recording).unwrap();
+    let bound = executor.bind(recording).unwrap();
     let once = || {
-        let mut encoder = device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        stages.encode(&mut encoder).unwrap();
-        engine.encode(&worlds, &mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));
-        device.queue().submit([encoder.finish()]);
+        executor.submit(&bound, None);
         engine.read(&worlds).unwrap()
     };
     let got = once();
@@ -213,47 +215,47 @@ fn from_lists_of_the_device(mix: Mix) {
 
 #[test]
 fn gradients_add_up_over_worlds() {
-    compare("9 worlds", &Case::new(600, 1, 27, [45, 33], 4), 9, &settings());
+    compare("9 worlds", &TestScene::new(600, 1, 27, [45, 33], 4), 9, &settings());
 }
 
 #[test]
 fn gradients_of_similarity_are_those_of_the_cpu() {
-    let case = |size, seed| Case::new(700, 1, 27, size, seed);
+    let case = |size, seed| TestScene::new(700, 1, 27, size, seed);
     compare_mix("distortion", &case([75, 53], 1), 0, Mix::DISTORTION, &settings());
     compare_mix("1 - ssim", &case([61, 47], 2), 0, Mix::STRUCTURE, &settings());
     compare_mix("9 worlds of equal weight", &case([45, 33], 3), 9, Mix::weighted(1.0), &settings());
     compare_mix("a picture below the window", &case([9, 40], 4), 2, Mix::DISTORTION, &settings());
-    let mut crowd = Case::new(5000, 0, 27, [25, 20], 7);
+    let mut crowd = TestScene::new(5000, 0, 27, [25, 20], 7);
     crowd.gaussians.iter_mut().for_each(|g| g.opacity = g.opacity.sqrt());
     compare_mix("opaque crowd", &crowd, 5, Mix::DISTORTION, &settings());
     let endless = Settings { early_stop: false, ..settings() };
     compare_mix("crowd without stop", &crowd, 0, Mix::DISTORTION, &endless);
 }
 
-/// How many worlds are kept at a time is a matter of memory alone.
+/// How many worlds are retained at a time is a matter of memory alone.
 #[test]
 fn worlds_in_chunks_give_the_same_bits() {
-    let Some(device) = device() else { return };
-    let case = Case::new(600, 0, 27, [45, 33], 4);
+    let Some(executor) = executor() else { return };
+    let case = TestScene::new(600, 0, 27, [45, 33], 4);
     let states = case.states(11, 5);
-    let mut engine = engine(device, &case, Mix::DISTORTION, &settings());
+    let mut engine = engine(executor, &case, Mix::DISTORTION, &settings());
     let together = engine.gradients(&states).unwrap();
-    engine.kept = 1;
+    engine.chunk_bytes = 1;
     assert!(engine.gradients(&states).unwrap() == together);
 }
 
 /// Given pixel gradients of squared error, the way back alone is what the way in one does.
 #[test]
 fn both_ways_of_squared_error_agree() {
-    let Some(device) = device() else { return };
-    let case = Case::new(600, 1, 27, [45, 33], 4);
+    let Some(executor) = executor() else { return };
+    let case = TestScene::new(600, 1, 27, [45, 33], 4);
     let states = case.states(6, 5);
-    let mut engine = engine(device, &case, Mix::MSE, &settings());
+    let mut engine = engine(executor, &case, Mix::MSE, &settings());
     let at_once = engine.gradients(&states).unwrap();
-    engine.structure = Some(Structure::new(device, &case.against, Mix::MSE).unwrap());
-    let kept = engine.gradients(&states).unwrap();
-    for (a, b) in kept.loss.iter().zip(&at_once.loss) {
+    engine.structure = Some(Structure::new(executor.device(), &case.against, Mix::MSE).unwrap());
+    let with_pictures = engine.gradients(&states).unwrap();
+    for (a, b) in with_pictures.loss.iter().zip(&at_once.loss) {
         assert!((a / b - 1.0).abs() < 1e-6, "{a} {b}");
     }
-    assert!(kept.splats == at_once.splats, "same pixel gradients, same sums");
+    assert!(with_pictures.splats == at_once.splats, "same pixel gradients, same sums");
 }

@@ -1,58 +1,58 @@
 //! The engine on the device against the engine on the CPU and brute force.
 
-use super::super::case::{Case, device, worst};
-use super::super::tiles::through_f32;
-use super::super::{Renderer, Scene, Stages};
-use super::*;
-use crate::counterfactual::{self, brute};
-use crate::{Splats, render};
-use std::sync::OnceLock;
-
-fn kernels(device: &Device) -> &'static Kernels {
-    static KERNELS: OnceLock<Kernels> = OnceLock::new();
-    KERNELS.get_or_init(|| Kernels::new(device).unwrap())
-}
+use super::{
+    super::{
+        Renderer, Scene, Stages,
+        test_scene::{TestScene, executor, worst},
+        tiles::through_f32,
+    },
+    *,
+};
+use crate::{
+    Splats,
+    counterfactual::{self, brute},
+    render,
+};
 
 fn settings() -> Settings {
     Settings { early_stop: false, background: [0.3, 0.1, 0.6], ..Settings::default() }
 }
 
-fn engine(device: &Device, case: &Case) -> Engine<'static> {
-    let (variants, kernels) = (case.variants(), kernels(device));
-    Engine::new(device, kernels, &variants, &case.camera, &case.against, &settings()).unwrap()
+fn engine(executor: &Executor, case: &TestScene) -> Engine {
+    Engine::new(executor, &case.variants(), &case.camera, &case.against, &settings()).unwrap()
 }
 
 /// The CPU's engine, fed with the ellipses of the device.
-fn twin(case: &Case) -> counterfactual::Engine {
+fn twin(case: &TestScene) -> counterfactual::Engine {
     let mut twin =
         counterfactual::Engine::new(&case.variants(), &case.camera, &case.against, &settings()).unwrap();
     twin.map_splats(through_f32);
     twin
 }
 
-fn cases() -> [(Case, usize); 4] {
+fn cases() -> [(TestScene, usize); 4] {
     [
-        (Case::new(1500, 0, 27, [75, 53], 1), 37),
-        (Case::new(800, 1, 5, [16, 16], 2), 1),
-        (Case::new(0, 0, 3, [40, 20], 3), 4),
+        (TestScene::new(1500, 0, 27, [75, 53], 1), 37),
+        (TestScene::new(800, 1, 5, [16, 16], 2), 1),
+        (TestScene::new(0, 0, 3, [40, 20], 3), 4),
         // More groups than a word, and in one place: several passes over a block.
         (many_groups(), 20),
     ]
 }
 
-fn many_groups() -> Case {
-    let mut case = Case::new(900, 0, 100, [33, 20], 4);
+fn many_groups() -> TestScene {
+    let mut case = TestScene::new(900, 0, 100, [33, 20], 4);
     case.ids = (0..900).map(|i| i * 7 % 100).collect();
     case
 }
 
 #[test]
 fn errors_are_those_of_the_cpu() {
-    let Some(device) = device() else { return };
+    let Some(executor) = executor() else { return };
     let mut most = 0.0f64;
     for (case, worlds) in cases() {
         let states = case.states(worlds, 9);
-        let got = engine(device, &case).fast(&states).unwrap();
+        let got = engine(executor, &case).fast(&states).unwrap();
         let expected = twin(&case).fast(&states).unwrap();
         let error = worst(&got, &expected, |i| expected[i]);
         most = most.max(error);
@@ -66,10 +66,10 @@ fn errors_are_those_of_the_cpu() {
 
 #[test]
 fn utilities_are_those_of_the_cpu() {
-    let Some(device) = device() else { return };
+    let Some(executor) = executor() else { return };
     for (case, worlds) in cases() {
         let states = case.states(worlds.min(5), 10);
-        let got = engine(device, &case).utilities(&states).unwrap();
+        let got = engine(executor, &case).utilities(&states).unwrap();
         let expected = twin(&case).utilities(&states).unwrap();
         let base = worst(&got.sse, &expected.sse, |i| expected.sse[i]);
         let largest = expected.delta.iter().fold(1e-30f64, |m, d| m.max(d.abs()));
@@ -84,24 +84,21 @@ fn utilities_are_those_of_the_cpu() {
 /// Lists made on the device, without a word to the host between camera and errors.
 #[test]
 fn errors_from_lists_of_the_device_are_those_of_the_cpu() {
-    let Some(device) = device() else { return };
-    let mut stages = Stages::new(device).unwrap();
+    let Some(executor) = executor() else { return };
+    let mut stages = Stages::new(executor.device()).unwrap();
     for (case, worlds) in cases() {
         let states = case.states(worlds, 9);
-        let scene = Scene::with_groups(device, &case.splats(), &case.ids).unwrap();
-        stages.prepare(device, &scene, &case.camera, &settings()).unwrap();
+        let scene = Scene::with_groups(executor.device(), &case.splats(), &case.ids).unwrap();
+        stages.prepare(executor.device(), &scene, &case.camera, &settings()).unwrap();
         let tiles = stages.tiles().unwrap();
-        let engine = Engine::with_tiles(device, kernels(device), tiles, case.groups, &case.against).unwrap();
+        let engine = Engine::with_tiles(executor, tiles, case.groups, &case.against).unwrap();
         let batch = engine.worlds(&states).unwrap();
-        let mut encoder = device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        stages.encode(&mut encoder).unwrap();
-        {
-            let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-            engine.encode_lists(&mut pass);
-            engine.encode_fast(&batch, &mut pass);
-        }
-        device.queue().submit([encoder.finish()]);
-        let got = engine.read_fast(&batch).unwrap();
+        let mut recording = Recording::new();
+        stages.record(&scene, &mut recording).unwrap();
+        engine.record_lists(&mut recording);
+        engine.record_fast(&batch, &mut recording);
+        executor.run(recording).unwrap();
+        let got = engine.read_errors(&batch).unwrap();
         let alone = brute::sse(&case.variants(), &states, &case.camera, &case.against, &settings()).unwrap();
         let error = worst(&got, &alone, |i| alone[i]);
         println!("lists of the device, {worlds} worlds: {error:.1e} against brute force");
@@ -111,10 +108,10 @@ fn errors_from_lists_of_the_device_are_those_of_the_cpu() {
 
 #[test]
 fn a_batch_equals_its_worlds_alone_and_every_run_equals_the_first() {
-    let Some(device) = device() else { return };
-    let case = Case::new(700, 0, 27, [70, 40], 11);
+    let Some(executor) = executor() else { return };
+    let case = TestScene::new(700, 0, 27, [70, 40], 11);
     let states = case.states(35, 12);
-    let engine = engine(device, &case);
+    let engine = engine(executor, &case);
     let bits = |values: Vec<f64>| values.into_iter().map(f64::to_bits).collect::<Vec<_>>();
     let all = bits(engine.fast(&states).unwrap());
     assert_eq!(all, bits(engine.fast(&states).unwrap()));
@@ -167,21 +164,22 @@ fn squares(picture: &Image, wanted: &Image) -> f32 {
 /// Strict errors are, on exact bits, those of the pictures that the renderer draws of each world alone.
 #[test]
 fn strict_errors_are_those_of_worlds_drawn_alone() {
-    let Some(device) = device() else { return };
-    let (mut renderer, mut stages) = (Renderer::new(device).unwrap(), Stages::new(device).unwrap());
+    let Some(executor) = executor() else { return };
+    let (mut renderer, mut stages) =
+        (Renderer::new(executor).unwrap(), Stages::new(executor.device()).unwrap());
     // A background of zeros and ones is exact however it is added.
     let settings = Settings { background: [0.0, 1.0, 0.0], ..Settings::default() };
     for (mut case, worlds) in cases() {
         // Opaque enough to stop early.
         case.gaussians.iter_mut().for_each(|g| g.opacity = g.opacity.sqrt());
-        let scene = Scene::with_groups(device, &case.splats(), &case.ids).unwrap();
-        stages.prepare(device, &scene, &case.camera, &settings).unwrap();
+        let scene = Scene::with_groups(executor.device(), &case.splats(), &case.ids).unwrap();
+        stages.prepare(executor.device(), &scene, &case.camera, &settings).unwrap();
         let tiles = stages.tiles().unwrap();
-        let engine = Engine::with_tiles(device, kernels(device), tiles, case.groups, &case.against).unwrap();
-        let mut encoder = device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        stages.encode(&mut encoder).unwrap();
-        engine.encode_lists(&mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));
-        device.queue().submit([encoder.finish()]);
+        let engine = Engine::with_tiles(executor, tiles, case.groups, &case.against).unwrap();
+        let mut recording = Recording::new();
+        stages.record(&scene, &mut recording).unwrap();
+        engine.record_lists(&mut recording);
+        executor.run(recording).unwrap();
         let states = case.states(worlds, 13);
         let got = engine.strict(&states).unwrap();
         for world in (0..worlds).step_by(5) {
@@ -199,27 +197,27 @@ fn strict_errors_are_those_of_worlds_drawn_alone() {
 
 #[test]
 fn what_is_refused_is_named() {
-    let Some(device) = device() else { return };
-    let case = Case::new(10, 0, 4, [20, 20], 1);
-    let refused = engine(device, &case).fast(&States::full(5)).unwrap_err().to_string();
+    let Some(executor) = executor() else { return };
+    let case = TestScene::new(10, 0, 4, [20, 20], 1);
+    let refused = engine(executor, &case).fast(&States::full(5)).unwrap_err().to_string();
     assert!(refused.contains("groups of the states: found 5 values, need 4"), "{refused}");
     let small = Image::filled(10, 20, [0.0; 3]).unwrap();
-    let error = Engine::new(device, kernels(device), &case.variants(), &case.camera, &small, &settings());
+    let error = Engine::new(executor, &case.variants(), &case.camera, &small, &settings());
     assert!(error.unwrap_err().to_string().contains("20 x 20 and 10 x 20"));
 }
 
 /// The comparison would see a splat that is missing.
 #[test]
 fn a_missing_splat_is_seen() {
-    let Some(device) = device() else { return };
-    let case = Case::new(300, 0, 6, [50, 40], 5);
+    let Some(executor) = executor() else { return };
+    let case = TestScene::new(300, 0, 6, [50, 40], 5);
     let states = case.states(3, 1);
-    let got = engine(device, &case).fast(&states).unwrap();
+    let got = engine(executor, &case).fast(&states).unwrap();
     let drawn = |g: &&codec_core::Gaussian| {
         render(&Splats::plain(&[**g]), &case.camera, &settings()).unwrap().counters.drawn == 1
     };
     let seen = case.gaussians.iter().position(|g| drawn(&g)).unwrap();
-    let mut fewer = Case::new(300, 0, 6, [50, 40], 5);
+    let mut fewer = TestScene::new(300, 0, 6, [50, 40], 5);
     fewer.gaussians[seen].opacity = 0.0;
     let expected = twin(&fewer).fast(&States::full(6)).unwrap();
     let full = twin(&case).fast(&States::full(6)).unwrap();

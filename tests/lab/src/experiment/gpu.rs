@@ -12,7 +12,7 @@ mod worlds;
 use anyhow::Result;
 use render_host::{
     Settings,
-    gpu::{Device, GpuError, Options},
+    gpu::{Device, DeviceOptions, Executor, GpuError},
 };
 
 use super::{cloud::Kind, partial::Partial};
@@ -28,9 +28,9 @@ fn partials(n: usize, side: u32, quick: bool) -> Result<Vec<(String, Partial)>> 
         .collect()
 }
 
-/// What every part is told.
+/// What every part measures with.
 struct Context {
-    device: Device,
+    executor: Executor,
     /// Smaller sizes and three runs.
     quick: bool,
     /// The adapter is a CPU.
@@ -41,16 +41,11 @@ struct Context {
 pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "gpu",
-        "random Gaussians in [-1,1]^3, SH 0, focal length 0.9 W, distance 3.2, default settings. forward: \
-            medians of \
-         7 (quick: 3) interleaved frames; stage times by device timestamps, wall from submission to \
-         completion, \
-         stream per frame of a train without waiting between (not on a CPU adapter); error max: pixels away \
-         from any threshold, against the \
-         f64 reference; peer: crate wgpu-3dgs-viewer (feature gpu-peer) with an 8-bit film, interleaved on \
-         the same \
-         device. worlds: three repetitions after five warm-ups, mean and Student-t 95 % interval; serial \
-         draws \
+        "random Gaussians in [-1,1]^3, SH 0, focal length 0.9 W, distance 3.2, default settings. forward: medians of \
+         7 (quick: 3) interleaved frames; stage times by device timestamps, wall from submission to completion, \
+         stream per frame of a train without waiting between (not on a CPU adapter); error max: pixels away from any threshold, against the \
+         f64 reference; peer: crate wgpu-3dgs-viewer (feature gpu-peer) with an 8-bit picture, interleaved on the same \
+         device. worlds: three repetitions after five warm-ups, mean and Student-t 95 % interval; serial draws \
          every world alone; error: bits of a world in the batch that differ from the world drawn alone. \
          counterfactual and gradients: scene A (64 cells) and B (64 shells), 128 groups, every step from the \
          camera to \
@@ -58,7 +53,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
          gradients: \
          of squared error, and (mse+ssim) of squared error + (1 - SSIM)",
     );
-    let device = match Device::open(&Options::from_env()) {
+    let device = match Device::open(&DeviceOptions::from_env()) {
         Ok(device) => device,
         Err(error @ GpuError::NoAdapter { .. }) => {
             bench.skipped.push(error.to_string());
@@ -68,7 +63,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     };
     let facts = device.facts();
     bench.machine.device = Some(format!("{} ({}, {})", facts.name, facts.api, facts.driver));
-    let context = Context { quick: setup.quick, is_cpu: facts.is_cpu, device };
+    let context = Context { quick: setup.quick, is_cpu: facts.is_cpu, executor: Executor::new(&device) };
     forward::run(&context, &mut bench)?;
     worlds::run(&context, &mut bench)?;
     counterfactual::run(&context, &mut bench)?;

@@ -8,7 +8,7 @@ use codec_core::{
 };
 use dgs::{args::ProfileName, pipeline, quality};
 use rayon::prelude::*;
-use render_host::{Renderer, Settings, Splats, metric};
+use render_host::{Backend, Renderer, Settings, Splats, metric};
 use trainer_host::{
     Scene, Stream,
     encode::Protection,
@@ -108,7 +108,7 @@ fn loss(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, masks: u64
     let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?[0];
     let settings = Settings { parallel: false, ..Settings::default() };
     let frames = spread(scene.frames(), 4);
-    let references = quality::references(scene, &frames, camera, &settings)?;
+    let references = quality::references(scene, &frames, camera, &settings, &Backend::Cpu)?;
     for percent in [0u32, 1, 5, 10, 20] {
         let seeds = if percent == 0 { 1 } else { masks };
         let psnr: Result<Vec<f64>> = (0..seeds)
@@ -116,7 +116,7 @@ fn loss(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, masks: u64
             .map(|seed| {
                 let state = map.state(|id| draw(seed ^ 0xff00, id) >= f64::from(percent) / 100.0);
                 let shown: Vec<_> = frames.iter().map(|&f| (f, Some(state.as_slice()))).collect();
-                let images = quality::renders(&content, &shown, camera, &settings)?;
+                let images = quality::renders(&content, &shown, camera, &settings, &Backend::Cpu)?;
                 let psnr: Result<Vec<f64>, _> =
                     images.iter().zip(&references).map(|(a, b)| metric::psnr(a, b)).collect();
                 Ok(crate::figures::mean(&psnr?).min(quality::PSNR_CAP_DB))

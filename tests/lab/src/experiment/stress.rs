@@ -4,14 +4,12 @@ use std::{fmt::Write as _, time::Instant};
 
 use anyhow::Result;
 use dgs::output::print;
-use render_host::{
-    Renderer, Workspace, stress,
-    stress::{Case, Verdict, cases, refusals},
-};
+use render_host::{Renderer, Workspace};
 
 use crate::{
     figures::{Bench, Figure, median, number},
     setup::Setup,
+    stress::{self, StressCase, Verdict, cases, refusals},
 };
 
 /// Times of one case, ms.
@@ -39,12 +37,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "stress",
         format!(
-            "render_host::stress::cases, crowds of {million}: CPU renderer, its gradients (MSE + 0.2 (1 - \
-                SSIM)) and its counterfactual engine (5 worlds \
-             alone, strict and fast, and utilities of {} groups) per case, medians of {runs} runs; error \
-             against the f64 reference at the same settings \
-             as a share of the largest value (clear: pixels away from any threshold); fast: relative error \
-             of sums of squares",
+            "dgs_lab::stress::cases, crowds of {million}: CPU renderer, its gradients (MSE + 0.2 (1 - SSIM)) and its counterfactual engine (5 worlds \
+             alone, strict and fast, and utilities of {} groups) per case, medians of {runs} runs; error against the f64 reference at the same settings \
+             as a share of the largest value (clear: pixels away from any threshold); fast: relative error of sums of squares",
             stress::GROUPS
         ),
     );
@@ -114,7 +109,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     Ok(bench)
 }
 
-fn examine(case: &Case, runs: usize) -> Result<(Times, Verdict, u64)> {
+fn examine(case: &StressCase, runs: usize) -> Result<(Times, Verdict, u64)> {
     let (mut renderer, mut workspace) = (Renderer::new(), Workspace::new());
     let mut times: [Vec<f64>; 3] = Default::default();
     let mut timed = |which: usize, start: Instant| times[which].push(1000.0 * start.elapsed().as_secs_f64());
@@ -129,7 +124,7 @@ fn examine(case: &Case, runs: usize) -> Result<(Times, Verdict, u64)> {
         let start = Instant::now();
         let worlds = case.worlds()?;
         timed(2, start);
-        last = Some(stress::Outcome { rendered, gradients, worlds });
+        last = Some(stress::StressOutcome { rendered, gradients, worlds });
     }
     let [forward, gradients, worlds] = times.map(|t| median(&t));
     let times = Times { forward, gradients, worlds };

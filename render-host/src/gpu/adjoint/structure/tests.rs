@@ -1,9 +1,13 @@
 //! The loss alone: same pictures on both sides.
 
-use super::super::super::case::{Numbers, device};
-use super::super::super::layout::Frame;
-use super::super::super::states::read;
-use super::*;
+use super::{
+    super::super::{
+        Executor,
+        layout::Frame,
+        test_scene::{Numbers, executor},
+    },
+    *,
+};
 use crate::adjoint::loss::{Distortion, Loss};
 
 /// Largest difference of a gradient, by its largest value, and of a loss, relative.
@@ -14,52 +18,47 @@ fn noise(width: u32, height: u32, seed: u64) -> Image {
     Image::new(width, height, (0..3 * width * height).map(|_| r.unit()).collect()).unwrap()
 }
 
-/// Losses and gradients of `pictures` by `kernels`.
+/// Losses and gradients of `pictures` by the kernels of `source`.
 fn stage(
-    device: &Device,
-    kernels: &Kernels,
+    executor: &Executor,
+    source: &'static Source,
     structure: &Structure,
     target: &Image,
     pictures: &[Image],
 ) -> (Vec<f64>, Vec<Vec<f32>>) {
+    let device = executor.device();
     let size = [target.width(), target.height()];
     let pixels = (size[0] * size[1]) as usize;
-    let tiles = size.map(|side| side.div_ceil(16));
-    let worlds = pictures.len();
-    let frame = Frame { size: [size[0], size[1], tiles[0], tiles[1]], ..Frame::default() };
-    let frame = uniform(device, "frame", bytemuck::bytes_of(&frame)).unwrap();
-    let batch = Batch { worlds: worlds as u32, past: worlds as u32, ..Batch::default() };
-    let batch = uniform(device, "batch", bytemuck::bytes_of(&batch)).unwrap();
+    let [columns, rows] = size.map(|side| side.div_ceil(16));
+    let worlds = pictures.len() as u32;
+    let frame = Frame { size: [size[0], size[1], columns, rows], ..Frame::default() };
+    let frame = device.uniform("frame", bytemuck::bytes_of(&frame)).unwrap();
+    let batch = Batch { worlds, past: worlds, ..Batch::default() };
     let planes: Vec<f32> = pictures
         .iter()
         .flat_map(|p| (0..3).flat_map(|c| p.rgb()[c..].iter().step_by(3).copied().collect::<Vec<_>>()))
         .collect();
-    let film = filled(device, "film", bytemuck::cast_slice(&planes)).unwrap();
-    let wanted = filled(device, "wanted", bytemuck::cast_slice(target.rgb())).unwrap();
-    let slopes = storage(device, "slopes", (12 * planes.len()) as u64).unwrap();
-    let rows = 3 * (tiles[0] * tiles[1]) as usize;
-    let losses = storage(device, "losses", (8 * worlds * rows) as u64).unwrap();
-    let bound = [&frame, &batch, &structure.window, &wanted, &structure.moments, &film, &slopes, &losses];
-    let common = super::super::Common::new(device).unwrap();
-    let totals = Totals::new(device, &common, &losses, [rows, 2 * worlds, 1]).unwrap();
-    let (unlike, pull) = (kernels.unlike.bind(device, &bound), kernels.pull.bind(device, &bound));
-    super::super::submit(device, |pass| {
-        let groups = [tiles[0], tiles[1], 3 * worlds as u32];
-        kernels.unlike.run(pass, &unlike, groups);
-        kernels.pull.run(pass, &pull, groups);
-        totals.add_up(&common, pass);
-    });
-    let gradients = read(device, &film, planes.len()).unwrap();
+    let wanted = device.filled("wanted", bytemuck::cast_slice(target.rgb())).unwrap();
+    let tiles = (columns * rows) as usize;
+    let chunks = Chunks::new(device, structure, tiles, batch, 0, CHUNK_BYTES).unwrap();
+    assert_eq!(chunks.chunks.len(), 1);
+    device.queue().write_buffer(&chunks.framebuffer, 0, bytemuck::cast_slice(&planes));
+    let mut recording = Recording::new();
+    let buffers = [&frame, &chunks.chunks[0].batch, &wanted];
+    chunks.record_loss(source, buffers, [columns, rows, 3 * worlds], &mut recording);
+    chunks.totals.record(&mut recording);
+    executor.run(recording).unwrap();
+    let gradients = device.read_f32(&chunks.framebuffer, planes.len()).unwrap();
     let gradients = gradients
         .chunks_exact(3 * pixels)
         .map(|planes| (0..3 * pixels).map(|i| planes[i % 3 * pixels + i / 3]).collect());
-    (structure.losses(&totals.read(device).unwrap()), gradients.collect())
+    (chunks.read(device).unwrap(), gradients.collect())
 }
 
 /// Worst error of a loss and of a gradient of `worlds` pictures against the twin.
 fn error(
-    device: &Device,
-    kernels: &Kernels,
+    executor: &Executor,
+    source: &'static Source,
     [width, height]: [u32; 2],
     worlds: usize,
     wrong: impl Fn(&mut Structure),
@@ -67,9 +66,9 @@ fn error(
     let target = noise(width, height, 1);
     let pictures: Vec<Image> = (0..worlds).map(|w| noise(width, height, 2 + w as u64)).collect();
     let mix = Mix::weighted(0.7);
-    let mut structure = Structure::new(device, &target, mix).unwrap();
+    let mut structure = Structure::new(executor.device(), &target, mix).unwrap();
     wrong(&mut structure);
-    let (losses, gradients) = stage(device, kernels, &structure, &target, &pictures);
+    let (losses, gradients) = stage(executor, source, &structure, &target, &pictures);
     assert_eq!((losses.len(), gradients.len()), (worlds, worlds));
     let twin = Distortion::weighted(target, mix.structure);
     let mut most = 0.0f64;
@@ -86,8 +85,7 @@ fn error(
 
 #[test]
 fn losses_and_pixel_gradients_are_those_of_the_cpu() {
-    let Some(device) = device() else { return };
-    let kernels = Kernels::new(device).unwrap();
+    let Some(executor) = executor() else { return };
     for (size, worlds) in [
         ([75, 53], 1),
         ([75, 53], 5),
@@ -98,7 +96,7 @@ fn losses_and_pixel_gradients_are_those_of_the_cpu() {
         ([4, 30], 1),
         ([1, 1], 2),
     ] {
-        let error = error(device, &kernels, size, worlds, |_| ());
+        let error = error(executor, &STRUCTURE, size, worlds, |_| ());
         println!("{size:?}, {worlds} worlds: {error:.1e}");
         assert!(error < TOLERANCE, "{size:?}, {worlds} worlds: {error}");
     }
@@ -107,7 +105,7 @@ fn losses_and_pixel_gradients_are_those_of_the_cpu() {
 /// Each is wrong in one thing, and is found to be.
 #[test]
 fn a_wrong_window_or_constant_is_seen() {
-    let Some(device) = device() else { return };
+    let Some(executor) = executor() else { return };
     for (here, there) in [
         ("const C1: f32 = 1e-4;", "const C1: f32 = 2e-4;"),
         ("const C2: f32 = 9e-4;", "const C2: f32 = 1e-3;"),
@@ -119,27 +117,26 @@ fn a_wrong_window_or_constant_is_seen() {
         let text: &'static str = STRUCTURE.text().replace(here, there).leak();
         assert_ne!(text, STRUCTURE.text(), "{here} is in the text");
         let parts: &'static [&'static str] = vec![text].leak();
-        let kernels = Kernels::of(device, &Source { parts, ..STRUCTURE }).unwrap();
+        let wrong: &'static Source = Box::leak(Box::new(Source { name: there, parts, ..STRUCTURE }));
         // Below the window along one side: weights along and down differ.
-        let error = error(device, &kernels, [31, 8], 2, |_| ());
+        let error = error(executor, wrong, [31, 8], 2, |_| ());
         assert!(error > 10.0 * TOLERANCE, "{there} went unseen: {error}");
     }
-    let kernels = Kernels::new(device).unwrap();
-    let error = error(device, &kernels, [31, 24], 1, |structure| {
+    let error = error(executor, &STRUCTURE, [31, 24], 1, |structure| {
         let weights = [0.27f32, 0.22, 0.11, 0.03, 0.004, 0.001, 0.0, 0.0];
-        device.queue().write_buffer(&structure.window, 0, bytemuck::cast_slice(&weights));
+        executor.device().queue().write_buffer(&structure.window, 0, bytemuck::cast_slice(&weights));
     });
     assert!(error > 10.0 * TOLERANCE, "a wrong weight went unseen: {error}");
 }
 
 #[test]
 fn as_many_worlds_go_together_as_fit() {
-    let kept = KEPT_BYTES;
-    assert_eq!(together(32, kept, 800 * 800, 0), 1);
-    assert_eq!(together(32, kept, 400 * 400, 0), 5);
-    assert_eq!(together(3, kept, 400 * 400, 0), 3);
-    assert_eq!(together(32, kept, 400 * 400, kept / 2), 2);
-    assert_eq!(together(32, kept, 10_000 * 10_000, 0), 1, "four worlds at least");
-    assert_eq!(together(1 << 20, kept, 1, 0), MOST_QUADS);
-    assert_eq!(together(0, kept, 0, 0), 1);
+    let bytes = CHUNK_BYTES;
+    assert_eq!(together(32, bytes, 800 * 800, 0), 1);
+    assert_eq!(together(32, bytes, 400 * 400, 0), 5);
+    assert_eq!(together(3, bytes, 400 * 400, 0), 3);
+    assert_eq!(together(32, bytes, 400 * 400, bytes / 2), 2);
+    assert_eq!(together(32, bytes, 10_000 * 10_000, 0), 1, "four worlds at least");
+    assert_eq!(together(1 << 20, bytes, 1, 0), MOST_QUADS);
+    assert_eq!(together(0, bytes, 0, 0), 1);
 }

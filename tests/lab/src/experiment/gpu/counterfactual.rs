@@ -7,9 +7,8 @@ use render_host::{
     Settings,
     counterfactual::{Engine as OnCpu, States},
     gpu::{
-        Device, Scene, Stages,
-        counterfactual::{Contexts, Engine, Kernels, Worlds},
-        wgpu,
+        Device, Executor, Recording, Scene, Stages,
+        counterfactual::{Contexts, Engine, Worlds},
     },
 };
 
@@ -22,12 +21,12 @@ use super::{
 };
 use crate::figures::{Bench, Figure, median};
 
-struct Case<'k> {
+struct Case {
     name: String,
     subject: Partial,
     scene: Scene,
     stages: Stages,
-    engine: Engine<'k>,
+    engine: Engine,
     states: States,
     worlds: Worlds,
     full: Contexts,
@@ -45,12 +44,11 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
             (false, true) => (20_000, &[128], 32, 2, 7),
             (false, false) => (84_000, &[400, 800], 128, 32, 7),
         };
-    let device = &context.device;
-    let kernels = Kernels::new(device)?;
+    let executor = &context.executor;
     let mut cases = Vec::new();
     for &side in sides {
         for (name, subject) in partials(n, side, context.quick)? {
-            cases.push(Case::new(device, &kernels, (name, subject), worlds, contexts)?);
+            cases.push(Case::new(executor, (name, subject), worlds, contexts)?);
         }
     }
     for run in 0..=runs {
@@ -62,24 +60,23 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
         }
     }
     for case in &cases {
-        case.report(device, worlds, contexts, n, bench)?;
+        case.report(executor.device(), worlds, contexts, n, bench)?;
     }
     Ok(())
 }
 
-impl<'k> Case<'k> {
+impl Case {
     fn new(
-        device: &Device,
-        kernels: &'k Kernels,
+        executor: &Executor,
         (name, subject): (String, Partial),
         worlds: usize,
         contexts: usize,
     ) -> Result<Self> {
+        let device = executor.device();
         let scene = Scene::with_groups(device, &subject.splats(), &subject.groups)?;
         let mut stages = Stages::new(device)?;
         stages.prepare(device, &scene, &subject.camera, &Settings::default())?;
-        let engine =
-            Engine::with_tiles(device, kernels, stages.tiles()?, LATTICE.groups(), &subject.against)?;
+        let engine = Engine::with_tiles(executor, stages.tiles()?, LATTICE.groups(), &subject.against)?;
         let states = deliveries(worlds);
         Ok(Self {
             worlds: engine.worlds(&states)?,
@@ -96,33 +93,31 @@ impl<'k> Case<'k> {
     }
 
     fn measure(&mut self, context: &Context) -> Result<()> {
-        let device = &context.device;
+        let executor = &context.executor;
+        let device = executor.device();
         // Steps in a train without waiting.
         let train = if context.is_cpu { 1 } else { 16 };
         let Self { subject, scene, stages, engine, worlds, full, many, .. } = self;
-        let mut time = |question: &dyn Fn(&mut wgpu::ComputePass)| -> Result<f64> {
+        let mut time = |question: &dyn Fn(&mut Recording)| -> Result<f64> {
+            let mut recording = Recording::new();
+            stages.record(scene, &mut recording)?;
+            engine.record_lists(&mut recording);
+            question(&mut recording);
+            let bound = executor.bind(recording)?;
             device.wait()?;
             let start = Instant::now();
             for _ in 0..train {
                 stages.prepare(device, scene, &subject.camera, &Settings::default())?;
-                let mut encoder =
-                    device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-                stages.encode(&mut encoder)?;
-                {
-                    let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
-                    engine.encode_lists(&mut pass);
-                    question(&mut pass);
-                }
-                device.queue().submit([encoder.finish()]);
+                executor.submit(&bound, None);
             }
             device.wait()?;
             Ok(start.elapsed().as_secs_f64() / train as f64)
         };
         let found = [
-            time(&|pass| engine.encode_fast(worlds, pass))?,
-            time(&|pass| engine.encode_utilities(full, pass))?,
-            time(&|pass| engine.encode_utilities(many, pass))?,
-            time(&|pass| engine.encode_strict(worlds, pass))?,
+            time(&|recording| engine.record_fast(worlds, recording))?,
+            time(&|recording| engine.record_utilities(full, recording))?,
+            time(&|recording| engine.record_utilities(many, recording))?,
+            time(&|recording| engine.record_strict(worlds, recording))?,
         ];
         self.seconds.iter_mut().zip(found).for_each(|(all, one)| all.push(one));
         let start = Instant::now();
@@ -148,14 +143,12 @@ impl<'k> Case<'k> {
         bench: &mut Bench,
     ) -> Result<()> {
         let on_cpu = self.on_cpu()?;
-        self.engine.submit_fast(&self.worlds);
         let relative = |got: &[f64], expected: &[f64]| {
             got.iter().zip(expected).map(|(a, b)| (a / b - 1.0).abs()).fold(0.0, f64::max)
         };
-        let error = relative(&self.engine.read_fast(&self.worlds)?, &on_cpu.fast(&self.states)?);
+        let error = relative(&self.engine.fast(&self.states)?, &on_cpu.fast(&self.states)?);
         let strictly = relative(&self.engine.strict(&self.states)?, &on_cpu.strict(&self.states)?);
-        self.engine.submit_utilities(&self.full);
-        let got = self.engine.read_utilities(&self.full)?.delta;
+        let got = self.engine.utilities(&States::full(LATTICE.groups()))?.delta;
         let expected = on_cpu.utilities(&States::full(LATTICE.groups()))?.delta;
         let largest = expected.iter().fold(0.0f64, |m, d| m.max(d.abs()));
         let off = got.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest;

@@ -33,14 +33,14 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
         if context.quick { (&[128], &[4000], 3) } else { (&[400, 800], &[20_000, 100_000], 7) };
     // Frames in a train without waiting; on a CPU there is nothing to overlap with.
     let train = if context.is_cpu { 0 } else { 64 };
-    let (device, settings) = (&context.device, Settings::default());
+    let (device, settings) = (context.executor.device(), Settings::default());
     let mut cases = Vec::new();
     for &n in counts {
         let gaussians = cloud(Kind::Volume, n).gaussians;
         let splats = Splats::plain(&gaussians);
         for &side in sides {
             let camera = camera(side)?;
-            let mut renderer = Renderer::new(device)?;
+            let mut renderer = Renderer::new(&context.executor)?;
             let on_device = Scene::new(device, &splats)?;
             let got = renderer.render(&on_device, &camera, &settings)?;
             let exact = reference::render(&splats, &camera, &settings)?;

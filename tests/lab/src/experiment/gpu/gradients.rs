@@ -13,9 +13,8 @@ use render_host::{
     },
     counterfactual::{States, brute},
     gpu::{
-        Device, Scene, Stages,
-        adjoint::{Engine, Kernels, Objective, Worlds},
-        wgpu,
+        Device, Executor, Recording, Scene, Stages,
+        adjoint::{Engine, Objective, Worlds},
     },
 };
 
@@ -34,13 +33,13 @@ const JUDGED: usize = 3;
 /// The losses, and what their keys add.
 const MIXES: [(Mix, &str); 2] = [(Mix::MSE, ""), (Mix::weighted(1.0), ".mse+ssim")];
 
-struct Case<'k> {
+struct Case {
     name: String,
     /// The loss of the CPU.
     loss: Box<dyn Loss>,
     subject: Partial,
     stages: Stages,
-    engine: Engine<'k>,
+    engine: Engine,
     /// One world, and many; how many, and seconds per step.
     batches: Vec<(Worlds, usize, Vec<f64>)>,
     /// Seconds per world on the CPU.
@@ -56,14 +55,13 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
         (false, true) => (20_000, &[128], 16, 7),
         (false, false) => (84_000, &[400, 800], 128, 7),
     };
-    let device = &context.device;
-    let kernels = Kernels::new(device)?;
+    let executor = &context.executor;
     let mut cases = Vec::new();
     for &side in sides {
         for (name, subject) in partials(n, side, context.quick)? {
             for (mix, suffix) in MIXES {
                 let name = format!("{name}{suffix}");
-                cases.push(Case::new(device, &kernels, (name, subject.clone()), mix, worlds)?);
+                cases.push(Case::new(executor, (name, subject.clone()), mix, worlds)?);
             }
         }
     }
@@ -77,7 +75,7 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
         }
     }
     for case in &cases {
-        let [loss, worst] = case.judge(device)?;
+        let [loss, worst] = case.judge(executor.device())?;
         let name = format!("gradients.{n}.{}", case.name);
         bench.push(Figure::new(format!("{name}.loss_error"), loss, "relative"));
         let peer = 1.0 / median(&case.cpu);
@@ -91,22 +89,15 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     Ok(())
 }
 
-impl<'k> Case<'k> {
-    fn new(
-        device: &Device,
-        kernels: &'k Kernels,
-        (name, subject): (String, Partial),
-        mix: Mix,
-        worlds: usize,
-    ) -> Result<Self> {
-        let settings = Settings::default();
+impl Case {
+    fn new(executor: &Executor, (name, subject): (String, Partial), mix: Mix, worlds: usize) -> Result<Self> {
+        let (device, settings) = (executor.device(), Settings::default());
         let scene = Scene::with_groups(device, &subject.splats(), &subject.groups)?;
         let mut stages = Stages::new(device)?;
         stages.prepare(device, &scene, &subject.camera, &settings)?;
         let tiles = stages.tiles()?;
         let objective = Objective { target: &subject.against, mix };
-        let engine =
-            Engine::with_tiles(device, kernels, scene, tiles, LATTICE.groups(), &objective, &settings)?;
+        let engine = Engine::with_tiles(executor, scene, tiles, LATTICE.groups(), &objective, &settings)?;
         let batch =
             |count: usize| -> Result<_> { Ok((engine.worlds(&deliveries(count))?, count, Vec::new())) };
         Ok(Self {
@@ -127,21 +118,21 @@ impl<'k> Case<'k> {
     }
 
     fn measure(&mut self, context: &Context) -> Result<()> {
-        let (device, settings) = (&context.device, Settings::default());
+        let (executor, settings) = (&context.executor, Settings::default());
+        let device = executor.device();
         let Self { subject, loss, stages, engine, batches, cpu, workspace, room, .. } = self;
         for (worlds, count, seconds) in batches {
             // Steps in a train without waiting.
             let train = if context.is_cpu { 1 } else { 4 + 60 / *count };
+            let mut recording = Recording::new();
+            stages.record(engine.scene(), &mut recording)?;
+            engine.record(worlds, &mut recording)?;
+            let bound = executor.bind(recording)?;
             device.wait()?;
             let start = Instant::now();
             for _ in 0..train {
                 stages.prepare(device, engine.scene(), &subject.camera, &settings)?;
-                let mut encoder =
-                    device.raw().create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-                stages.encode(&mut encoder)?;
-                engine
-                    .encode(worlds, &mut encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default()));
-                device.queue().submit([encoder.finish()]);
+                executor.submit(&bound, None);
             }
             device.wait()?;
             seconds.push(start.elapsed().as_secs_f64() / train as f64);
@@ -157,9 +148,7 @@ impl<'k> Case<'k> {
     fn judge(&self, device: &Device) -> Result<[f64; 2]> {
         let (subject, settings) = (&self.subject, Settings::default());
         let states = deliveries(JUDGED);
-        let worlds = self.engine.worlds(&states)?;
-        self.engine.submit(&worlds);
-        let got = self.engine.read(&worlds)?;
+        let got = self.engine.gradients(&states)?;
         self.stages.lists().read_counts(device)?;
         let mut expected = vec![[0.0f64; 16]; subject.gaussians.len()];
         let mut loss_error = 0.0f64;
@@ -172,7 +161,7 @@ impl<'k> Case<'k> {
                 expected[i].iter_mut().zip(values).for_each(|(sum, v)| *sum += f64::from(v));
             }
         }
-        // Position, log-scale, rotation, opacity, colour, film.
+        // Position, log-scale, rotation, opacity, colour, image mean.
         let fields = [0..3, 3..6, 6..10, 10..11, 11..14, 14..16];
         let worst = fields.into_iter().map(|field| {
             let (mut off, mut all) = (0.0, 0.0);
@@ -204,7 +193,7 @@ fn alone(
 }
 
 fn numbers(g: &SplatGradient) -> [f32; 16] {
-    let fields = [&g.position[..], &g.log_scale, &g.rotation, &[g.opacity_logit], &g.sh0, &g.film];
+    let fields = [&g.position[..], &g.log_scale, &g.rotation, &[g.opacity_logit], &g.sh0, &g.image_mean];
     let mut out = [0.0; 16];
     out.iter_mut().zip(fields.concat()).for_each(|(out, v)| *out = v);
     out

@@ -39,13 +39,13 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
         (false, false) => (84_000, 400, 128),
     };
     let frames = if context.is_cpu { 1 } else { 32 };
-    let (device, settings) = (&context.device, Settings::default());
+    let (device, settings) = (context.executor.device(), Settings::default());
     let Cloud { gaussians, groups: of } = cloud(Kind::Volume, n);
     let splats = Splats::plain(&gaussians);
     let camera = camera(side)?;
     let all = Scene::with_groups(device, &splats, &of)?;
     let states = deliveries(most);
-    let mut renderer = Renderer::new(device)?;
+    let mut renderer = Renderer::new(&context.executor)?;
     let world = |w: usize| -> Vec<Gaussian> {
         let held = gaussians.iter().zip(&of).filter(|(_, group)| states.has(w, **group as usize));
         held.map(|(g, _)| *g).collect()
@@ -100,10 +100,10 @@ fn rate(
     draw: &mut dyn FnMut(usize) -> Result<()>,
 ) -> Result<f64> {
     draw(warm_ups)?;
-    context.device.wait()?;
+    context.executor.device().wait()?;
     let start = Instant::now();
     draw(frames)?;
-    context.device.wait()?;
+    context.executor.device().wait()?;
     Ok((frames * worlds) as f64 / start.elapsed().as_secs_f64())
 }
 

@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use render_host::{
     Camera, Image, Rendered, Renderer, Settings, Splats,
-    gpu::{self, Device, GpuError, Options},
+    gpu::{self, Device, DeviceOptions, Executor, GpuError},
     stage::TileSide,
 };
 
@@ -34,7 +34,7 @@ pub type Backends = Vec<Box<dyn Backend>>;
 /// All backends of this machine, the CPU first; and the name of the graphics device, or why there is none.
 pub fn all(quick: bool) -> Result<(Backends, Result<String, String>)> {
     let mut out = vec![cpu()];
-    let device = match Device::open(&Options::from_env()) {
+    let device = match Device::open(&DeviceOptions::from_env()) {
         Ok(device) => device,
         Err(error @ GpuError::NoAdapter { .. }) => return Ok((out, Err(error.to_string()))),
         Err(error) => return Err(error.into()),
@@ -46,7 +46,7 @@ pub fn all(quick: bool) -> Result<(Backends, Result<String, String>)> {
         (true, false) => 3,
         (false, _) => usize::MAX,
     };
-    let renderer = gpu::Renderer::new(&device)?;
+    let renderer = gpu::Renderer::new(&Executor::new(&device))?;
     out.push(Box::new(Gpu { device, renderer, scene: None, rendered: Rendered::default(), most_runs }));
     Ok((out, Ok(name)))
 }

@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use dgs::quality;
-use render_host::{Settings, metric};
+use render_host::{Backend, Settings, metric};
 use trainer_host::{
     Scene,
     viewpoint::{Framing, Ring},
@@ -94,7 +94,7 @@ fn readers(bench: &mut Bench, setup: &Setup, size: u32) -> Result<()> {
     }
     let camera = &Framing::of(&a).ring(Ring::HeldOut, 3, (size, size))?[0];
     let settings = Settings::default();
-    let one = quality::references(&a, &[0], camera, &settings)?;
+    let one = quality::references(&a, &[0], camera, &settings, &Backend::Cpu)?;
     let psnr = metric::psnr(&quality::render(&turned, camera, &settings)?, &one[0])?;
     bench.push(Figure::new("biker.readers.psnr", psnr, "dB"));
     let apart = a.max_count().abs_diff(b.max_count()) as f64;

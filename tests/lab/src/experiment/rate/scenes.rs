@@ -4,7 +4,7 @@
 use anyhow::Result;
 use dgs::quality;
 use rayon::prelude::*;
-use render_host::{Camera, Image, Settings};
+use render_host::{Backend, Camera, Image, Settings};
 use trainer_host::{
     Instant, Scene,
     viewpoint::{Framing, Ring},
@@ -92,8 +92,10 @@ impl Evaluator {
         let cameras = Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?;
         let frames = spread(scene.frames(), shown);
         let settings = Settings::default();
-        let references: Result<Vec<_>, _> =
-            cameras.iter().map(|c| quality::references(scene, &frames, c, &settings)).collect();
+        let references: Result<Vec<_>, _> = cameras
+            .iter()
+            .map(|c| quality::references(scene, &frames, c, &settings, &Backend::Cpu))
+            .collect();
         Ok(Self { cameras, frames, references: references? })
     }
 

@@ -1,10 +1,12 @@
-//! One value that is no number in one field of one Gaussian, each field in its turn.
+//! Poisons one field of one Gaussian with a value that is no number, each field in its turn.
 
 use codec_core::{Gaussian, ShDegree};
+use render_host::Settings;
 
-use super::Case;
-use super::cases::{BOUND, ball, camera, neighbours};
-use crate::Settings;
+use super::{
+    StressCase,
+    parts::{BOUND, ball, camera, neighbours},
+};
 
 /// Names of the fields of a [`Gaussian`], then the first and the last of its harmonics.
 const FIELDS: [&str; 16] = [
@@ -36,7 +38,7 @@ const VALUES: [(&str, f32); 6] = [
 ];
 
 /// All of them. The poisoned Gaussian is the middle one of three.
-pub(super) fn cases() -> Vec<Case> {
+pub(super) fn cases() -> Vec<StressCase> {
     let degree = ShDegree::MAX;
     let each = degree.rest_len();
     let mut out = Vec::new();
@@ -51,7 +53,7 @@ pub(super) fn cases() -> Vec<Case> {
             }
             // An infinite opacity is no opacity; one of minus infinity or nearly 0 is a Gaussian that is absent.
             let skipped = if value.is_finite() { None } else { Some(1) };
-            out.push(Case {
+            out.push(StressCase {
                 family,
                 name: format!("{field} = {value:e}"),
                 gaussians,

@@ -1,11 +1,14 @@
-//! What is not rendered at all: who refuses it, and the words that must be in the error.
+//! Lists inputs that are not rendered at all, who refuses them and the words that must be in the error.
 
 use codec_core::{Gaussian, ShDegree};
+use render_host::{
+    Camera, Image, Intrinsics, Settings, Splats, Workspace,
+    adjoint::loss::Mse,
+    counterfactual::{Engine, States, Variants},
+    metric, render, render_and_gradients,
+};
 
-use super::cases::camera;
-use crate::adjoint::loss::Mse;
-use crate::counterfactual::{Engine, States, Variants};
-use crate::{Camera, Image, Intrinsics, Settings, Splats, Workspace, metric, render, render_and_gradients};
+use super::parts::{IDENTITY, camera};
 
 /// An input that must be refused.
 #[derive(Clone, Debug)]
@@ -45,42 +48,40 @@ pub fn refusals() -> Vec<Refusal> {
     out
 }
 
-const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-
 fn of_camera() -> Vec<Refusal> {
-    let film = Intrinsics { width: 8, height: 8, fx: 9.0, fy: 9.0, cx: 4.0, cy: 4.0 };
-    let with = |film: Intrinsics| Camera::new(film, IDENTITY, [0.0; 3]);
-    let placed = |t: [f64; 3]| Camera::new(film, IDENTITY, t);
+    let plane = Intrinsics { width: 8, height: 8, fx: 9.0, fy: 9.0, cx: 4.0, cy: 4.0 };
+    let with = |plane: Intrinsics| Camera::new(plane, IDENTITY, [0.0; 3]);
+    let placed = |t: [f64; 3]| Camera::new(plane, IDENTITY, t);
     let mirrored = [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
     let near = |near: f64| camera(8, 8).with_near(near);
     let up = [0.0, 1.0, 0.0];
     let look = |eye: [f64; 3], fov: f64| Camera::look_at(eye, [0.0; 3], up, fov, 8, 8);
     let (new, near_of, look_at) = ("Camera::new", "Camera::with_near", "Camera::look_at");
     vec![
-        refusal(new, "width 0", &["width is 0", "1 to 16384"], with(Intrinsics { width: 0, ..film })),
+        refusal(new, "width 0", &["width is 0", "1 to 16384"], with(Intrinsics { width: 0, ..plane })),
         refusal(
             new,
             "height 16385",
             &["height is 16385", "1 to 16384"],
-            with(Intrinsics { height: 16_385, ..film }),
+            with(Intrinsics { height: 16_385, ..plane }),
         ),
-        refusal(new, "focal length 0", &["fx is 0", "is allowed"], with(Intrinsics { fx: 0.0, ..film })),
+        refusal(new, "focal length 0", &["fx is 0", "is allowed"], with(Intrinsics { fx: 0.0, ..plane })),
         refusal(
             new,
             "focal length NaN",
             &["fy is NaN", "is allowed"],
-            with(Intrinsics { fy: f64::NAN, ..film }),
+            with(Intrinsics { fy: f64::NAN, ..plane }),
         ),
         refusal(
             new,
             "principal point infinite",
             &["cx is inf", "is allowed"],
-            with(Intrinsics { cx: f64::INFINITY, ..film }),
+            with(Intrinsics { cx: f64::INFINITY, ..plane }),
         ),
         refusal(new, "translation NaN", &["translation is NaN", "is allowed"], placed([0.0, f64::NAN, 0.0])),
         refusal(new, "translation 1e16", &["translation is 1", "is allowed"], placed([1e16, 0.0, 0.0])),
-        refusal(new, "mirror", &["rotation", "1e-3 is allowed"], Camera::new(film, mirrored, [0.0; 3])),
-        refusal(new, "rotation NaN", &["rotation", "NaN"], Camera::new(film, [[f64::NAN; 3]; 3], [0.0; 3])),
+        refusal(new, "mirror", &["rotation", "1e-3 is allowed"], Camera::new(plane, mirrored, [0.0; 3])),
+        refusal(new, "rotation NaN", &["rotation", "NaN"], Camera::new(plane, [[f64::NAN; 3]; 3], [0.0; 3])),
         refusal(near_of, "near plane 0", &["near is 0", "is allowed"], near(0.0)),
         refusal(near_of, "near plane NaN", &["near is NaN", "is allowed"], near(f64::NAN)),
         refusal(look_at, "eye at target", &["target - eye", "no direction"], look([0.0; 3], 0.8)),
@@ -124,7 +125,7 @@ fn of_settings() -> Vec<Refusal> {
             "reference::render",
             what,
             words,
-            crate::reference::render(&Splats::plain(&[]), &camera(8, 8), settings),
+            render_host::reference::render(&Splats::plain(&[]), &camera(8, 8), settings),
         )
     });
     by_render.chain(by_reference).collect()
@@ -162,7 +163,7 @@ fn of_data() -> Vec<Refusal> {
 fn of_counterfactual() -> Vec<Refusal> {
     let two = [Gaussian::ABSENT; 2];
     let splats = Splats::plain(&two);
-    let film = Image::filled(8, 8, [0.0; 3]).unwrap_or_default();
+    let reference = Image::filled(8, 8, [0.0; 3]).unwrap_or_default();
     let small = Image::filled(3, 3, [0.0; 3]).unwrap_or_default();
     let (view, settings) = (camera(8, 8), Settings::default());
     let mut out = vec![
@@ -188,8 +189,8 @@ fn of_counterfactual() -> Vec<Refusal> {
         &["8 x 8", "3 x 3"],
         new(&small, &settings),
     ));
-    out.push(refusal("Engine::new", "a setting", &["alpha_max is 2"], new(&film, &bad)));
-    let Ok(engine) = new(&film, &settings) else { return out };
+    out.push(refusal("Engine::new", "a setting", &["alpha_max is 2"], new(&reference, &bad)));
+    let Ok(engine) = new(&reference, &settings) else { return out };
     let (full, other) = (States::full(2), States::full(3));
     out.push(refusal("Engine::strict", "states of 3 groups", &["3 groups", "of 2"], engine.strict(&other)));
     out.push(refusal("Engine::fast", "states of 3 groups", &["3 groups", "of 2"], engine.fast(&other)));

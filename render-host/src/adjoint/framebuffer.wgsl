@@ -1,8 +1,8 @@
-// Pictures of many worlds, kept for a loss that looks further than one pixel. Put after
+// Draws pictures of many worlds and retains them for a loss that looks further than one pixel. Put after
 // adjoint/forward.wgsl. Workgroups: columns, rows, vectors of four worlds from `batch.first` on.
 
 // Plane by plane, row by row; planes r g b of one world, then of the next.
-@group(0) @binding(7) var<storage, read_write> film: array<f32>;
+@group(0) @binding(7) var<storage, read_write> framebuffer: array<f32>;
 // Per tile and vector of worlds, at its first world: entries seen, in whole loads.
 @group(0) @binding(8) var<storage, read_write> found: array<f32>;
 
@@ -13,7 +13,7 @@ fn draw(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) t
     let pixel = here.corner + pixel_of(thread);
     let inside = all(pixel < frame.size.xy);
     let quad = batch.first / 4u + id.z;
-    here.kept = (batch.past + 3u) / 4u - batch.first / 4u;
+    here.retained = (batch.past + 3u) / 4u - batch.first / 4u;
     here.slot = id.z;
     if thread == 0u {
         atomicStore(&open, 0u);
@@ -28,9 +28,9 @@ fn draw(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) t
     for (var k = 0u; k < 4u; k++) {
         if live[k] {
             let first = 3u * (4u * id.z + k) * plane + place;
-            film[first] = seen.r[k];
-            film[first + plane] = seen.g[k];
-            film[first + 2u * plane] = seen.b[k];
+            framebuffer[first] = seen.r[k];
+            framebuffer[first + plane] = seen.g[k];
+            framebuffer[first + 2u * plane] = seen.b[k];
         }
     }
 }

@@ -1,10 +1,9 @@
-//! Numerical stress: named cases that break careless arithmetic, what must hold in each, and how far off
-//! the renderer is.
+//! Numerical stress judges the renderer on named cases that break careless arithmetic.
 //!
 //! ```text
-//! cases ─▶ Case ─▶ forward, gradients, worlds  (the renderer's work, for a caller with a clock to time)
+//! cases ─▶ StressCase ─▶ forward, gradients, worlds  (the renderer's work, for a caller with a clock to time)
 //!              └─▶ truth, world_truth          (the f64 reference)
-//! Case::judge(outcome, truth) ─▶ Verdict { errors against f64, complaints }
+//! StressCase::judge(outcome, truth) ─▶ Verdict { errors against f64, complaints }
 //! ```
 //!
 //! Every case must give finite values everywhere, count every Gaussian once, and stay within its bound of
@@ -12,6 +11,7 @@
 //! who refuses it and what the error must say. Nothing here asks a clock.
 
 mod cases;
+mod parts;
 mod poison;
 mod refusals;
 
@@ -19,13 +19,13 @@ pub use cases::cases;
 pub use refusals::{Refusal, refusals};
 
 use codec_core::{Gaussian, ShDegree};
-
-use crate::adjoint::{AdjointError, loss::Distortion};
-use crate::counterfactual::{CounterfactualError, Engine, States, Utilities, Variants, brute};
-use crate::reference::{self, Difference, Reference};
-use crate::{
+use render_host::{
     Camera, Gradients, Image, ImageError, RenderError, Rendered, Renderer, Settings, SettingsError, Splats,
-    SplatsError, Workspace, render_and_gradients,
+    SplatsError, Workspace,
+    adjoint::{AdjointError, SplatGradient, loss::Distortion},
+    counterfactual::{CounterfactualError, Engine, States, Utilities, Variants, brute},
+    reference::{self, Difference, Reference},
+    render_and_gradients,
 };
 
 /// Groups that the Gaussians of a case are dealt to, in turn.
@@ -37,7 +37,7 @@ pub const FAST_BOUND: f64 = 2e-6;
 
 /// A scene, a camera and settings that are hard to render, and how well they must be rendered.
 #[derive(Clone, Debug)]
-pub struct Case {
+pub struct StressCase {
     /// What it belongs to, a row of the table.
     pub family: &'static str,
     /// What is special about it.
@@ -97,12 +97,12 @@ pub struct Worlds {
 
 /// What the renderer made of a case.
 #[derive(Clone, Debug)]
-pub struct Outcome {
+pub struct StressOutcome {
     /// The picture.
     pub rendered: Rendered,
-    /// Gradients of the distortion from [`Case::target`].
+    /// Gradients of the distortion from [`StressCase::target`].
     pub gradients: Gradients,
-    /// Squared errors from [`Case::target`].
+    /// Squared errors from [`StressCase::target`].
     pub worlds: Worlds,
 }
 
@@ -130,7 +130,7 @@ pub struct Verdict {
     pub complaints: Vec<String>,
 }
 
-impl Case {
+impl StressCase {
     /// The case's Gaussians.
     ///
     /// # Errors
@@ -195,8 +195,8 @@ impl Case {
     ///
     /// # Errors
     /// A mistake in the case.
-    pub fn outcome(&self) -> Result<Outcome, StressError> {
-        Ok(Outcome {
+    pub fn outcome(&self) -> Result<StressOutcome, StressError> {
+        Ok(StressOutcome {
             rendered: self.forward(&mut Renderer::new())?,
             gradients: self.gradients(&mut Workspace::new())?,
             worlds: self.worlds()?,
@@ -226,8 +226,8 @@ impl Case {
     }
 
     /// Holds `outcome` to what the case promises.
-    pub fn judge(&self, outcome: &Outcome, truth: &Truth) -> Verdict {
-        let Outcome { rendered, gradients, worlds } = outcome;
+    pub fn judge(&self, outcome: &StressOutcome, truth: &Truth) -> Verdict {
+        let StressOutcome { rendered, gradients, worlds } = outcome;
         let mut out = Verdict {
             largest: truth.picture.rgb.iter().fold(1.0, |a, v| v.abs().max(a)),
             ..Verdict::default()
@@ -306,8 +306,8 @@ fn finite(values: &[f32]) -> bool {
 }
 
 fn all_finite(g: &Gradients) -> bool {
-    let of_splat = |s: &crate::adjoint::SplatGradient| {
-        [&s.position[..], &s.log_scale, &s.rotation, &s.sh0, &s.film, &[s.opacity_logit]]
+    let of_splat = |s: &SplatGradient| {
+        [&s.position[..], &s.log_scale, &s.rotation, &s.sh0, &s.image_mean, &[s.opacity_logit]]
             .into_iter()
             .all(finite)
     };

@@ -1,5 +1,5 @@
-// The kernel of all fast modes, as far as they share it: a batch of a tile's list in workgroup memory,
-// and sixteen lanes of worlds in registers. Put after states.wgsl.
+// Kernels that walk a tile's list for sixteen worlds share this: a batch of the list in workgroup memory,
+// and the sixteen worlds in registers ("world lanes"). Put after states.wgsl.
 //
 // Per pixel, consecutive splats of one group are composed once to a run, which is then applied to every
 // lane: `w = T · mask; C += w · c; T += w · hidden`. No division, no early stop. strict.wgsl takes splats one
@@ -10,14 +10,14 @@
 @group(0) @binding(2) var<storage, read> splats: array<Splat>;
 @group(0) @binding(3) var<storage, read> starts: array<u32>;
 @group(0) @binding(4) var<storage, read> entries: array<Entry>;
-// Per group, 1 where a world holds it and 0 where not, four worlds a vector.
+// Per group, 1 where a world includes it and 0 where not, four worlds a vector.
 @group(0) @binding(5) var<storage, read> masks: array<vec4<f32>>;
 // r g b per pixel, row by row.
 @group(0) @binding(6) var<storage, read> wanted: array<f32>;
 @group(0) @binding(7) var<storage, read_write> partials: array<f32>;
 
 // A batch of 256 entries: [u0, v0, xx, xy] and, behind them, [yy, log2_alpha, r, g]. Sums of lanes later.
-var<workgroup> bowl: array<vec4<f32>, 512>;
+var<workgroup> staged: array<vec4<f32>, 512>;
 var<workgroup> blue: array<f32, 256>;
 var<workgroup> owner: array<u32, 256>;
 // Per block, a bit per entry of the batch that touches it.
@@ -41,10 +41,51 @@ fn no_lanes() -> Lanes {
     return Lanes(mat4x4<f32>(ones, ones, ones, ones), zeros, zeros, zeros);
 }
 
-// Puts entry `at` of the list in place `thread` of the batch.
+// Where a thread works: its tile, its pixel, and the tile's half-open list.
+struct Spot {
+    tile: u32,
+    corner: vec2<u32>,
+    // Pixel of the tile.
+    inside: vec2<u32>,
+    at: vec2<f32>,
+    // Block of the pixel.
+    block: u32,
+    start: u32,
+    end: u32,
+}
+
+fn spot(id: vec3<u32>, thread: u32) -> Spot {
+    let tile = id.y * frame.size.z + id.x;
+    let inside = pixel_of(thread);
+    return Spot(tile, TILE * id.xy, inside, vec2<f32>(inside), thread >> 5u, starts[tile], starts[tile + 1u]);
+}
+
+// Empties the batch.
+fn empty_batch(thread: u32) {
+    workgroupBarrier();
+    if thread < 64u {
+        atomicStore(&touching[thread], 0u);
+    }
+    workgroupBarrier();
+}
+
+// Puts entry `first + thread` of the list in place `thread` of the batch; false when it touches nothing.
+// A barrier must follow.
+fn load(here: Spot, first: u32, thread: u32) -> bool {
+    if first + thread >= here.end {
+        return false;
+    }
+    let entry = entries[first + thread];
+    if entry.blocks == 0u {
+        return false;
+    }
+    put(entry, splats[entry.splat], thread, here.corner);
+    return true;
+}
+
 fn put(entry: Entry, splat: Splat, thread: u32, corner: vec2<u32>) {
-    bowl[thread] = vec4<f32>(axes(splat, corner), splat.root.xy);
-    bowl[PIXELS + thread] = vec4<f32>(splat.root.z, splat.log2_alpha, splat.colour.rg);
+    staged[thread] = vec4<f32>(axes(splat, corner), splat.root.xy);
+    staged[PIXELS + thread] = vec4<f32>(splat.root.z, splat.log2_alpha, splat.colour.rg);
     blue[thread] = splat.colour.b;
     owner[thread] = splat.group;
     for (var block = 0u; block < BLOCKS; block++) {
@@ -56,8 +97,8 @@ fn put(entry: Entry, splat: Splat, thread: u32, corner: vec2<u32>) {
 
 // Alpha of place `i` of the batch on pixel `at` of the tile.
 fn alpha_at(i: u32, at: vec2<f32>) -> f32 {
-    let a = bowl[i];
-    let b = bowl[PIXELS + i].xy;
+    let a = staged[i];
+    let b = staged[PIXELS + i].xy;
     let log2 = log2_alpha_in_tile(vec3<f32>(a.xy, b.y), vec3<f32>(a.zw, b.x), at);
     return alpha_of(log2, frame.cutoff, frame.alpha_max);
 }
@@ -65,7 +106,7 @@ fn alpha_at(i: u32, at: vec2<f32>) -> f32 {
 // `run` with place `i` of the batch behind it.
 fn extend(run: vec4<f32>, i: u32, alpha: f32) -> vec4<f32> {
     let weight = alpha * run.w;
-    let colour = vec3<f32>(bowl[PIXELS + i].zw, blue[i]);
+    let colour = vec3<f32>(staged[PIXELS + i].zw, blue[i]);
     return vec4<f32>(run.rgb + weight * colour, run.w - weight);
 }
 
@@ -99,7 +140,7 @@ fn errors(lanes: Lanes, at: vec2<u32>) -> mat4x4<f32> {
     );
 }
 
-// 1 for the worlds from vector `column` on that hold group `own`.
+// 1 for the worlds from vector `column` on that include group `own`.
 fn mask_of(own: u32, column: u32) -> mat4x4<f32> {
     let row = own * batch.quads + column;
     return mat4x4<f32>(masks[row], masks[row + 1u], masks[row + 2u], masks[row + 3u]);
@@ -108,18 +149,26 @@ fn mask_of(own: u32, column: u32) -> mat4x4<f32> {
 // Adds eight lanes over the tile in a fixed tree and writes the sums.
 fn add_up(thread: u32, a: vec4<f32>, b: vec4<f32>, out: u32) {
     workgroupBarrier();
-    bowl[thread] = a;
-    bowl[PIXELS + thread] = b;
+    staged[thread] = a;
+    staged[PIXELS + thread] = b;
     for (var half = PIXELS / 2u; half > 0u; half /= 2u) {
         workgroupBarrier();
         if thread < half {
-            bowl[thread] += bowl[thread + half];
-            bowl[PIXELS + thread] += bowl[PIXELS + thread + half];
+            staged[thread] += staged[thread + half];
+            staged[PIXELS + thread] += staged[PIXELS + thread + half];
         }
     }
     workgroupBarrier();
     if thread < 4u {
-        partials[out + thread] = bowl[0][thread];
-        partials[out + 4u + thread] = bowl[PIXELS][thread];
+        partials[out + thread] = staged[0][thread];
+        partials[out + 4u + thread] = staged[PIXELS][thread];
     }
+}
+
+// Writes the squared errors of sixteen worlds over the tile, from vector `column` on.
+fn write_errors(here: Spot, lanes: Lanes, thread: u32, column: u32) {
+    let found = errors(lanes, here.corner + here.inside);
+    let out = (here.tile * batch.quads + column) * 4u;
+    add_up(thread, found[0], found[1], out);
+    add_up(thread, found[2], found[3], out + 8u);
 }

@@ -1,19 +1,22 @@
-//! Scenes and a device for the tests of engines over states.
+//! Tests of engines over states share scenes and one executor.
 
 use std::sync::OnceLock;
 
 use codec_core::{Gaussian, ShDegree};
 
-use super::{Device, GpuError, Options};
-use crate::counterfactual::{States, Variants};
-use crate::{Camera, Image, Splats};
+use super::{Device, DeviceOptions, Executor, GpuError};
+use crate::{
+    Camera, Image, Splats,
+    counterfactual::{States, Variants},
+};
 
-/// The device of all tests; `None`, with a notice, where there is no adapter. A build server must have one.
-pub(super) fn device() -> Option<&'static Device> {
-    static DEVICE: OnceLock<Result<Device, GpuError>> = OnceLock::new();
-    let opened = DEVICE.get_or_init(|| Device::open(&Options { checked: true, ..Options::from_env() }));
-    match opened {
-        Ok(device) => Some(device),
+/// The executor of all tests, with run-time checks in every shader; `None`, with a notice, where there is no
+/// adapter. A build server must have one.
+pub(super) fn executor() -> Option<&'static Executor> {
+    static SHARED: OnceLock<Result<Executor, GpuError>> = OnceLock::new();
+    let options = DeviceOptions { checked: true, ..DeviceOptions::from_env() };
+    match SHARED.get_or_init(|| Ok(Executor::new(&Device::open(&options)?))) {
+        Ok(executor) => Some(executor),
         Err(error) => {
             assert!(std::env::var("CI").as_deref() != Ok("true"), "{error}");
             eprintln!("skipped: {error}");
@@ -37,8 +40,8 @@ impl Numbers {
     }
 }
 
-/// A scene whose groups are cells of space, so that they overlap on the film and in depth.
-pub(super) struct Case {
+/// A scene whose groups are cells of space, so that they overlap in the picture and in depth.
+pub(super) struct TestScene {
     pub(super) gaussians: Vec<Gaussian>,
     pub(super) rest: Vec<f32>,
     pub(super) degree: ShDegree,
@@ -48,7 +51,7 @@ pub(super) struct Case {
     pub(super) against: Image,
 }
 
-impl Case {
+impl TestScene {
     pub(super) fn new(n: usize, degree: u8, groups: usize, [width, height]: [u32; 2], seed: u64) -> Self {
         let mut r = Numbers(seed);
         let degree = ShDegree::new(degree).unwrap();

@@ -1,16 +1,16 @@
-//! The cases, family by family.
+//! Lists the cases, family by family.
 
 use codec_core::{Gaussian, ShDegree};
+use render_host::{Camera, Intrinsics, Settings};
 
-use super::{Case, poison};
-use crate::{Camera, Intrinsics, Settings};
+use super::{
+    StressCase,
+    parts::{BOUND, IDENTITY, ball, camera, fallback, neighbours},
+    poison,
+};
 
-/// Error allowed where no decision is close: the renderer's promise.
-pub(super) const BOUND: f64 = 1e-4;
-const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-
-/// Every case. `million` Gaussians in the cases of a million, on smaller films where it is below 100,000.
-pub fn cases(million: usize) -> Vec<Case> {
+/// Every case. `million` Gaussians in the cases of a million, on smaller images where it is below 100,000.
+pub fn cases(million: usize) -> Vec<StressCase> {
     let mut out = Vec::new();
     quaternions(&mut out);
     scales(&mut out);
@@ -21,47 +21,10 @@ pub fn cases(million: usize) -> Vec<Case> {
     ties(&mut out);
     harmonics(&mut out);
     out.extend(poison::cases());
-    films(&mut out);
+    image_sizes(&mut out);
     settings(&mut out);
     crowds(&mut out, million);
     out
-}
-
-/// Four units before the origin, looking at it; the widest film shows the same height as a small one.
-pub(super) fn camera(width: u32, height: u32) -> Camera {
-    let f = 1.2 * f64::from(height);
-    let (cx, cy) = (0.5 * f64::from(width), 0.5 * f64::from(height));
-    fallback(Camera::new(Intrinsics { width, height, fx: f, fy: f, cx, cy }, IDENTITY, [0.0, 0.0, 4.0]))
-}
-
-/// Cases hold only cameras that exist; a test says so.
-fn fallback(camera: Result<Camera, crate::CameraError>) -> Camera {
-    match camera {
-        Ok(camera) => camera,
-        Err(_) => camera_of_one_pixel(),
-    }
-}
-
-fn camera_of_one_pixel() -> Camera {
-    camera(1, 1)
-}
-
-/// A Gaussian without anything special.
-pub(super) fn ball() -> Gaussian {
-    Gaussian {
-        scale: [0.3, 0.2, 0.25],
-        rotation: [0.8, 0.2, -0.4, 0.4],
-        opacity: 0.7,
-        sh0: [0.9, -0.3, 0.2],
-        ..Gaussian::ABSENT
-    }
-}
-
-/// `g` between two others, one nearer and one farther.
-pub(super) fn neighbours(g: Gaussian) -> Vec<Gaussian> {
-    let farther = Gaussian { position: [-0.4, 0.1, 0.5], sh0: [-0.8, 1.1, 0.4], ..ball() };
-    let nearer = Gaussian { position: [0.3, -0.2, -0.6], opacity: 0.4, ..ball() };
-    vec![farther, g, nearer]
 }
 
 /// Numbers from a seed (a 64-bit linear congruence; top bits), uniform in 0..1.
@@ -86,8 +49,13 @@ impl Numbers {
     }
 }
 
-fn plain(family: &'static str, name: impl Into<String>, gaussians: Vec<Gaussian>, camera: Camera) -> Case {
-    Case {
+fn plain(
+    family: &'static str,
+    name: impl Into<String>,
+    gaussians: Vec<Gaussian>,
+    camera: Camera,
+) -> StressCase {
+    StressCase {
         family,
         name: name.into(),
         gaussians,
@@ -100,15 +68,15 @@ fn plain(family: &'static str, name: impl Into<String>, gaussians: Vec<Gaussian>
     }
 }
 
-/// One Gaussian between its neighbours on a small film.
-fn small(family: &'static str, name: impl Into<String>, g: Gaussian) -> Case {
+/// One Gaussian between its neighbours on a small image.
+fn small(family: &'static str, name: impl Into<String>, g: Gaussian) -> StressCase {
     plain(family, name, neighbours(g), camera(48, 32))
 }
 
-fn quaternions(out: &mut Vec<Case>) {
+fn quaternions(out: &mut Vec<StressCase>) {
     let family = "quaternion";
     let turned = |rotation: [f32; 4]| Gaussian { rotation, ..ball() };
-    let skipped = |case: Case, n| Case { skipped: Some(n), ..case };
+    let skipped = |case: StressCase, n| StressCase { skipped: Some(n), ..case };
     out.push(skipped(small(family, "zero", turned([0.0; 4])), 1));
     out.push(skipped(small(family, "denormal", turned([1e-45, 0.0, 1e-44, 0.0])), 1));
     out.push(skipped(small(family, "length 1e-7, no direction", turned([1e-7, 0.0, 0.0, 0.0])), 1));
@@ -120,7 +88,7 @@ fn quaternions(out: &mut Vec<Case>) {
     out.push(skipped(small(family, "negated", turned(ball().rotation.map(|v| -v))), 0));
 }
 
-fn scales(out: &mut Vec<Case>) {
+fn scales(out: &mut Vec<StressCase>) {
     for exponent in -12..=6 {
         let scale = 10f32.powi(exponent);
         out.push(small(
@@ -154,14 +122,14 @@ fn scales(out: &mut Vec<Case>) {
                 format!("low pass {low_pass}, scale {scale:e}"),
                 Gaussian { scale: [scale; 3], ..ball() },
             );
-            out.push(Case { settings: Settings { low_pass, ..Settings::default() }, ..case });
+            out.push(StressCase { settings: Settings { low_pass, ..Settings::default() }, ..case });
         }
     }
 }
 
-fn opacities(out: &mut Vec<Case>) {
+fn opacities(out: &mut Vec<StressCase>) {
     let family = "opacity";
-    let of = |name: &'static str, opacity: f32, skipped: u64| Case {
+    let of = |name: &'static str, opacity: f32, skipped: u64| StressCase {
         skipped: Some(skipped),
         ..small(family, name, Gaussian { opacity, ..ball() })
     };
@@ -179,12 +147,12 @@ fn opacities(out: &mut Vec<Case>) {
     out.push(of("at the cut-off", 1.0 / 255.0, 0));
     out.push(of("below the cut-off", 0.0039, 1));
     let settings = Settings { alpha_max: 1.0, ..Settings::default() };
-    out.push(Case { settings, ..of("1, alpha not clamped", 1.0, 0) });
+    out.push(StressCase { settings, ..of("1, alpha not clamped", 1.0, 0) });
     let settings = Settings { alpha_cutoff: 0.0, ..Settings::default() };
-    out.push(Case { settings, ..of("denormal, no cut-off", 1e-45, 0) });
+    out.push(StressCase { settings, ..of("denormal, no cut-off", 1e-45, 0) });
 }
 
-fn near_plane(out: &mut Vec<Case>) {
+fn near_plane(out: &mut Vec<StressCase>) {
     let family = "near plane";
     // The camera is at z = -4, its near plane 0.01 before it.
     let at = |z: f32, scale: f32| Gaussian { position: [0.0, 0.0, z], scale: [scale; 3], ..ball() };
@@ -215,7 +183,7 @@ fn near_plane(out: &mut Vec<Case>) {
     }
 }
 
-fn inside(out: &mut Vec<Case>) {
+fn inside(out: &mut Vec<StressCase>) {
     let family = "camera inside a Gaussian";
     for (name, distance, scale) in [
         ("deep inside", 0.02f32, 1.0),
@@ -231,7 +199,7 @@ fn inside(out: &mut Vec<Case>) {
     out.push(plain(family, "inside sixty", cloud, camera(48, 32)));
 }
 
-fn far(out: &mut Vec<Case>) {
+fn far(out: &mut Vec<StressCase>) {
     let family = "coordinates at 1e6";
     for (name, offset) in
         [("x", [1e6, 0.0, 0.0]), ("all axes", [1e6f32; 3]), ("negative", [-1e6; 3]), ("1e9", [1e9; 3])]
@@ -256,7 +224,7 @@ fn far(out: &mut Vec<Case>) {
     ));
 }
 
-fn ties(out: &mut Vec<Case>) {
+fn ties(out: &mut Vec<StressCase>) {
     let family = "coincident depths, duplicates";
     let mut plane = Numbers(9).cloud(200, 0.3);
     plane.iter_mut().for_each(|g| g.position[2] = 0.25);
@@ -273,7 +241,7 @@ fn ties(out: &mut Vec<Case>) {
     out.push(plain(family, "200 one ulp apart", close, camera(48, 32)));
 }
 
-fn harmonics(out: &mut Vec<Case>) {
+fn harmonics(out: &mut Vec<StressCase>) {
     let family = "huge harmonics";
     for size in [1e6f32, 1e18, 1e30, 1e38] {
         out.push(small(
@@ -285,36 +253,36 @@ fn harmonics(out: &mut Vec<Case>) {
             let degree = ShDegree::new(degree).unwrap_or_default();
             let rest = (0..3 * degree.rest_len()).map(|i| size * ((i * i) as f32).sin()).collect();
             let case = small(family, format!("sh rest of {size:e}, degree {}", degree.get()), ball());
-            out.push(Case { rest, degree, ..case });
+            out.push(StressCase { rest, degree, ..case });
         }
     }
     let degree = ShDegree::MAX;
     // All bands point at the camera and add up beyond f32.
     let rest = vec![f32::MAX; 3 * degree.rest_len()];
-    out.push(Case { rest, degree, ..small(family, "sh rest of the largest f32", ball()) });
+    out.push(StressCase { rest, degree, ..small(family, "sh rest of the largest f32", ball()) });
     let same = vec![Gaussian { sh0: [3e38; 3], opacity: 1.0, ..ball() }; 30];
     out.push(plain(family, "thirty of sh0 3e38", same, camera(48, 32)));
 }
 
-fn films(out: &mut Vec<Case>) {
+fn image_sizes(out: &mut Vec<StressCase>) {
     let family = "film sizes";
     for (w, h) in [(1, 1), (2, 1), (16, 16), (17, 15), (8192, 3), (3, 8192), (8192, 40), (16_384, 1)] {
         let mut cloud = Numbers(12).cloud(40, 0.4);
-        // Spread over the wide films, which show more of the world.
+        // Spread over the wide images, which show more of the world.
         let aspect = f64::from(w) / f64::from(h);
         cloud.iter_mut().for_each(|g| g.position[0] *= aspect.clamp(1.0, 400.0) as f32);
         out.push(plain(family, format!("{w} x {h}"), cloud, camera(w, h)));
     }
     for (w, h) in [(1, 1), (48, 32), (8192, 3)] {
         let settings = Settings::over([0.25, 0.5, 0.75]);
-        out.push(Case {
+        out.push(StressCase {
             settings,
             ..plain("zero Gaussians", format!("{w} x {h}"), Vec::new(), camera(w, h))
         });
     }
 }
 
-fn settings(out: &mut Vec<Case>) {
+fn settings(out: &mut Vec<StressCase>) {
     let family = "precisions";
     for (name, settings) in [
         ("16 depth bits", Settings { depth_bits: 16, ..Settings::default() }),
@@ -329,19 +297,22 @@ fn settings(out: &mut Vec<Case>) {
             cloud[i].scale = [10f32.powi(exponent), 0.1, 0.1];
             cloud[30 + i].scale = [10f32.powi(exponent); 3];
         }
-        out.push(Case { settings, bound: None, ..plain(family, name, cloud, camera(48, 32)) });
+        out.push(StressCase { settings, bound: None, ..plain(family, name, cloud, camera(48, 32)) });
     }
     let exact = "nothing cut, nothing stopped";
     let cloud = Numbers(14).cloud(500, 0.4);
-    out.push(Case { settings: Settings::exact(), ..plain("exact settings", exact, cloud, camera(48, 32)) });
+    out.push(StressCase {
+        settings: Settings::exact(),
+        ..plain("exact settings", exact, cloud, camera(48, 32))
+    });
     let bright = Settings::over([1e6, -1e6, 0.0]);
-    out.push(Case {
+    out.push(StressCase {
         settings: bright,
         ..plain("exact settings", "background of 1e6", neighbours(ball()), camera(48, 32))
     });
 }
 
-fn crowds(out: &mut Vec<Case>, million: usize) {
+fn crowds(out: &mut Vec<StressCase>, million: usize) {
     let family = "a million coincident";
     let dot = Gaussian { scale: [0.02; 3], ..ball() };
     let faint = Gaussian { opacity: 0.006, ..ball() };
@@ -353,18 +324,18 @@ fn crowds(out: &mut Vec<Case>, million: usize) {
         ("dots", dot, (48, 32)),
         ("faint balls", faint, (48, 32)),
         ("veils over everything", veil, (48, 32)),
-        ("covers of a square film", cover, square),
-        ("veils over a wide film", veil, wide),
+        ("covers of a square image", cover, square),
+        ("veils over a wide image", veil, wide),
     ] {
         let case = plain(family, format!("{million} {name}, {w} x {h}"), vec![g; million], camera(w, h));
-        out.push(Case { skipped: Some(0), ..case });
+        out.push(StressCase { skipped: Some(0), ..case });
     }
     let mut walls = Numbers(15).cloud(million / 50, 1e5);
     let side = if few { 104 } else { 1024 };
     walls.iter_mut().for_each(|g| g.opacity = 0.3);
     let case = plain(
         "many over everything",
-        format!("{} over a film of {side} x {side}", walls.len()),
+        format!("{} over an image of {side} x {side}", walls.len()),
         walls,
         camera(side, side),
     );

@@ -1,170 +1,49 @@
-//! Every shader: its text, and its bindings in order. A test holds each against its Rust side.
+//! Every shader is listed here; tests check each text, its structs, constants and bindings against Rust.
 
-/// How a shader sees a buffer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Bind {
-    /// `var<uniform>`.
-    Uniform,
-    /// `var<storage, read>`.
-    Read,
-    /// `var<storage, read_write>`.
-    Write,
-}
-
-/// A shader.
-#[derive(Clone, Copy, Debug)]
-pub struct Source {
-    /// Name of its file.
-    pub name: &'static str,
-    /// Pieces of its text; [`LAYOUT`] first.
-    pub parts: &'static [&'static str],
-    /// Names and kinds of its bindings: place in the list is the number of the binding, group 0.
-    pub bindings: &'static [(&'static str, Bind)],
-}
-
-impl Source {
-    /// The whole text.
-    pub fn text(&self) -> String {
-        self.parts.concat()
-    }
-}
-
-/// Structs, constants and functions that every shader begins with.
-pub const LAYOUT: &str = include_str!("../stage/layout.wgsl");
-/// Functions of kernels that list tiles.
-pub const SPAN: &str = include_str!("../stage/span.wgsl");
-/// Functions of kernels in which a workgroup is a tile.
-pub const TILE: &str = include_str!("../stage/tile.wgsl");
-
-/// Stage 1.
-pub const PROJECT: Source = Source {
-    name: "project.wgsl",
-    parts: &[LAYOUT, SPAN, include_str!("../stage/project.wgsl")],
-    bindings: &[
-        ("frame", Bind::Uniform),
-        ("gaussians", Bind::Read),
-        ("harmonics", Bind::Read),
-        ("groups", Bind::Read),
-        ("splats", Bind::Write),
-        ("keys", Bind::Write),
-        ("touched", Bind::Write),
-        ("counts", Bind::Write),
-    ],
-};
-
-/// Sizes of indirect dispatches.
-pub const PLAN: Source = Source {
-    name: "plan.wgsl",
-    parts: &[LAYOUT, include_str!("../stage/plan.wgsl")],
-    bindings: &[
-        ("frame", Bind::Uniform),
-        ("counts", Bind::Write),
-        ("sums", Bind::Write),
-        ("dispatch", Bind::Write),
-    ],
-};
-
-/// Stage 2, and the gathering of entries by tile.
-pub const SORT: Source = Source {
-    name: "sort.wgsl",
-    parts: &[LAYOUT, include_str!("../stage/sort.wgsl")],
-    bindings: &[
-        ("frame", Bind::Uniform),
-        ("counts", Bind::Read),
-        ("keys", Bind::Read),
-        ("values", Bind::Read),
-        ("keys_out", Bind::Write),
-        ("values_out", Bind::Write),
-        ("table", Bind::Write),
-        ("totals", Bind::Write),
-    ],
-};
-
-/// Stage 3.
-pub const BIN: Source = Source {
-    name: "bin.wgsl",
-    parts: &[LAYOUT, SPAN, include_str!("../stage/bin.wgsl")],
-    bindings: &[
-        ("frame", Bind::Uniform),
-        ("counts", Bind::Read),
-        ("splats", Bind::Read),
-        ("touched", Bind::Read),
-        ("order", Bind::Read),
-        ("sums", Bind::Write),
-        ("keys", Bind::Write),
-        ("values", Bind::Write),
-    ],
-};
-
-/// The end of stage 3: where lists start.
-pub const STARTS: Source = Source {
-    name: "starts.wgsl",
-    parts: &[LAYOUT, include_str!("../stage/starts.wgsl")],
-    bindings: &[
-        ("frame", Bind::Uniform),
-        ("counts", Bind::Write),
-        ("keys", Bind::Read),
-        ("starts", Bind::Write),
-    ],
-};
-
-/// Stage 4.
-pub const BLEND: Source = Source {
-    name: "blend.wgsl",
-    parts: &[LAYOUT, TILE, include_str!("../stage/blend.wgsl")],
-    bindings: &[
-        ("frame", Bind::Uniform),
-        ("splats", Bind::Read),
-        ("entries", Bind::Read),
-        ("starts", Bind::Read),
-        ("counts", Bind::Write),
-        ("image", Bind::Write),
-    ],
-};
-
-/// Stage 4 for a batch of worlds.
-pub const WORLDS: Source = Source {
-    name: "worlds.wgsl",
-    parts: &[LAYOUT, TILE, include_str!("../stage/worlds.wgsl")],
-    bindings: &[
-        ("frame", Bind::Uniform),
-        ("splats", Bind::Read),
-        ("entries", Bind::Read),
-        ("starts", Bind::Read),
-        ("presence", Bind::Read),
-        ("images", Bind::Write),
-    ],
+use super::{
+    adjoint::{self, structure, walk},
+    counterfactual, lists, renderer,
+    source::Source,
+    states, tiles,
 };
 
 /// All shaders. Add yours here, and its structs to `structs` in the tests below.
-pub const ALL: &[Source] = &[
-    PROJECT,
-    PLAN,
-    SORT,
-    BIN,
-    STARTS,
-    BLEND,
-    WORLDS,
-    super::states::SCAFFOLD,
-    super::states::SQUARES,
-    super::counterfactual::FAST,
-    super::counterfactual::STRICT,
-    super::counterfactual::UTILITIES,
-    super::adjoint::BLEND_BACK,
-    super::adjoint::structure::FILM,
-    super::adjoint::structure::STRUCTURE,
-    super::adjoint::PROJECT_BACK,
-    super::tiles::RANK,
+pub static ALL: &[&Source] = &[
+    &lists::PROJECT,
+    &lists::PLAN,
+    &lists::SORT,
+    &lists::BIN,
+    &lists::STARTS,
+    &renderer::BLEND,
+    &renderer::WORLDS,
+    &tiles::RANK,
+    &states::SHARED_LISTS,
+    &states::COLUMN_SUMS,
+    &counterfactual::FAST,
+    &counterfactual::STRICT,
+    &counterfactual::UTILITIES,
+    &walk::BLEND_BACK,
+    &structure::FRAMEBUFFER,
+    &structure::STRUCTURE,
+    &adjoint::PROJECT_BACK,
 ];
 
 #[cfg(test)]
 mod tests {
-    use super::super::adjoint::structure::{self, STRUCTURE, Window};
-    use super::super::layout::{CONSTANTS, Frame, Splat};
-    use super::super::states::{Batch, Entry, Table};
-    use super::*;
-    use naga::valid::{Capabilities, ValidationFlags, Validator};
     use std::mem::offset_of;
+
+    use naga::valid::{Capabilities, ValidationFlags, Validator};
+
+    use super::{
+        super::{
+            adjoint::structure::{STRUCTURE, Window},
+            layout::{CONSTANTS, Frame, LOSS_CONSTANTS, Splat},
+            lists::PROJECT,
+            source::{Bind, LAYOUT},
+            states::{Batch, Entry, Table},
+        },
+        *,
+    };
 
     /// Workgroup memory that every WebGPU device has, bytes.
     const WORKGROUP_BYTES: u32 = 16_384;
@@ -224,7 +103,7 @@ mod tests {
         }
         for (_, constant) in module.constants.iter() {
             let Some(name) = &constant.name else { continue };
-            let mut shared = CONSTANTS.iter().chain(structure::CONSTANTS);
+            let mut shared = CONSTANTS.iter().chain(LOSS_CONSTANTS);
             let Some(&(_, expected)) = shared.find(|c| c.0 == name.as_str()) else { continue };
             let naga::Expression::Literal(literal) = module.global_expressions[constant.init] else {
                 found.push(format!("constant {name} is no literal"));
@@ -291,7 +170,7 @@ mod tests {
     #[test]
     fn every_constant_of_the_loss_is_in_its_text() {
         let module = parse(&STRUCTURE.text()).unwrap();
-        for (name, _) in structure::CONSTANTS {
+        for (name, _) in LOSS_CONSTANTS {
             let there = module.constants.iter().any(|(_, c)| c.name.as_deref() == Some(name));
             assert!(there, "{name} is not in {}", STRUCTURE.name);
         }

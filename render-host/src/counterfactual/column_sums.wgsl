@@ -14,7 +14,7 @@ struct Table {
 var<workgroup> pieces: array<f32, 256>;
 
 @compute @workgroup_size(256)
-fn squares(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+fn column_sums(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let column = 16u * id.x + (thread & 15u);
     let piece = thread >> 4u;
     let first = id.z * table.rows * table.columns + column;

@@ -1,4 +1,4 @@
-// For each entry of each tile's list, the blocks that it touches; for each block, the set of its groups
+// Finds for each entry of each tile's list the blocks that it touches; for each block the set of its groups
 // and their ranks. Put after states.wgsl. Workgroups: columns, rows.
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -34,7 +34,7 @@ fn exact_blocks(splat: Splat, corner: vec2<u32>) -> u32 {
 }
 
 @compute @workgroup_size(256)
-fn scaffold(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
+fn shared_lists(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) thread: u32) {
     let tile = id.y * frame.size.z + id.x;
     let stride = 2u * batch.words;
     let first = tile * BLOCKS * stride;

@@ -9,7 +9,7 @@ fn a_wrong_outcome_is_complained_about() {
     assert_eq!(verdict.complaints, [""; 0]);
     assert!(verdict.difference.max_clear > 0.0 && verdict.fast_error > 0.0, "{verdict:?}");
 
-    let wrong = |change: &dyn Fn(&mut Outcome), expected: &str| {
+    let wrong = |change: &dyn Fn(&mut StressOutcome), expected: &str| {
         let mut outcome = good.clone();
         change(&mut outcome);
         let complaints = case.judge(&outcome, &truth).complaints;
@@ -28,7 +28,7 @@ fn a_wrong_outcome_is_complained_about() {
     wrong(&|o| o.worlds.fast[1] = f64::NAN, "fast sums");
     wrong(&|o| o.worlds.utilities.delta[0] = f64::NAN, "sum of squares");
     wrong(&|o| o.rendered.image = Image::filled(2, 2, [0.0; 3]).unwrap(), "another size");
-    let strict = Case { skipped: Some(3), ..case.clone() };
+    let strict = StressCase { skipped: Some(3), ..case.clone() };
     assert!(!strict.judge(&good, &truth).complaints.is_empty());
 }
 
