@@ -17,7 +17,7 @@ use emulator_host::{
 };
 use trainer_host::{
     Stream,
-    stream::{Mark, PacketMap},
+    stream::{PacketMap, SlicePlacement},
     utility::Table,
 };
 
@@ -57,14 +57,14 @@ pub fn graph(
     // Which packet brings which block of which cell at which level.
     let mut bringer = std::collections::BTreeMap::new();
     for id in 0..stream.packets().len() {
-        for mark in map.marks(id) {
+        for mark in map.placements(id) {
             for block in mark.first_block..mark.first_block + mark.blocks {
                 bringer.insert((block, mark.group.level), PacketIndex(id as u32));
             }
         }
     }
     let cells = first_blocks(manifest);
-    let canonical_block = |mark: &Mark, block: usize| -> Option<usize> {
+    let canonical_block = |mark: &SlicePlacement, block: usize| -> Option<usize> {
         let Span::Motion(window) = mark.group.span else { return None };
         let epoch = EpochId(manifest.window(window)?.epoch);
         let own = cells[manifest.cell(mark.group.span, mark.group.cluster)?.index()];
@@ -75,11 +75,11 @@ pub fn graph(
     let mut packets = Vec::new();
     for (id, bytes) in stream.packets().iter().enumerate() {
         let mut groups: Vec<GroupIndex> =
-            map.marks(id).iter().filter_map(|m| index.get(&m.group).copied()).collect();
+            map.placements(id).iter().filter_map(|m| index.get(&m.group).copied()).collect();
         groups.dedup();
         let mut needs_packets = Vec::new();
         if sliced {
-            for mark in map.marks(id) {
+            for mark in map.placements(id) {
                 for block in mark.first_block..mark.first_block + mark.blocks {
                     let below = Level::ALL.into_iter().rev().filter(|l| *l < mark.group.level);
                     needs_packets.extend(below.filter_map(|l| bringer.get(&(block, l))).next());
@@ -224,7 +224,7 @@ impl<'e> WireEndpoint<'e> {
 
     /// Whether all blocks of `mark` are usable up to its level, and for motion coefficients the
     /// blocks they bend are there.
-    fn is_usable(&self, content: &Content<'_>, mark: &Mark, whole_cell: bool) -> bool {
+    fn is_usable(&self, content: &Content<'_>, mark: &SlicePlacement, whole_cell: bool) -> bool {
         let manifest = &content.manifest;
         let Some(cell) = manifest.cell(mark.group.span, mark.group.cluster) else { return false };
         let own = self.first_blocks[cell.index()];
@@ -299,7 +299,7 @@ impl Endpoint for WireEndpoint<'_> {
         let mut snapshot = Snapshot::empty(self.graph);
         if let Some(content) = self.player.as_ref().map(Player::content) {
             for (i, (group, symbols)) in self.map.groups().iter().enumerate() {
-                let mark = Mark { group: *group, first_block: 0, blocks: 0, symbols: *symbols };
+                let mark = SlicePlacement { group: *group, first_block: 0, blocks: 0, symbols: *symbols };
                 let needs = &self.graph.groups()[i].needs;
                 if needs.iter().all(|&n| snapshot.has_group(n)) && self.is_usable(&content, &mark, true) {
                     snapshot.insert_group(GroupIndex(i as u32));
@@ -307,7 +307,7 @@ impl Endpoint for WireEndpoint<'_> {
             }
             for id in 0..self.stream.packets().len() {
                 let packet = PacketIndex(id as u32);
-                let marks = self.map.marks(id);
+                let marks = self.map.placements(id);
                 if !marks.is_empty() && self.has(packet) {
                     let usable = match self.graph.profile() {
                         graph::Profile::Sliced => marks.iter().all(|m| self.is_usable(&content, m, false)),

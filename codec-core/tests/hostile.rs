@@ -136,6 +136,7 @@ fn each_cap_refuses_what_exceeds_it() {
 /// A packet of 22 bytes that claims 27 million values once took 160 ms to refuse, as often as it was
 /// sent.
 #[test]
+#[expect(clippy::disallowed_methods, reason = "how long it takes is what is tested")]
 fn a_refusal_costs_little_however_often() {
     let bytes = std::fs::read(folder().join("refused.dgs")).unwrap();
     let (message, start) = file::manifest(&bytes).unwrap();

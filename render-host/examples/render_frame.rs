@@ -16,5 +16,5 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene: Vec<Gaussian> = (0..200).map(place).collect();
     let camera = Camera::look_at([0.0, 1.0, -4.0], [0.0; 3], [0.0, 1.0, 0.0], 0.8, 320, 240)?;
     let frame = render(&Splats::plain(&scene), &camera, &Settings::default())?;
-    Ok(frame.image.write_png("frame.png".as_ref())?)
+    Ok(std::fs::write("frame.png", frame.image.to_png()?)?)
 }

@@ -20,7 +20,8 @@
 //! (alpha at `alpha_max`, a colour at 0, the Jacobian's slope, the dimming floor) the gradient is 0.
 //!
 //! A Gaussian that was skipped has gradient 0. One whose gradient overflows or is not a number gets 0 and
-//! is counted in [`Gradients::non_finite`].
+//! is counted in [`Gradients::non_finite`], and so is a value of the picture about which the loss says nothing
+//! finite: it counts as 0.
 
 mod blend;
 pub mod check;
@@ -97,7 +98,8 @@ pub struct Gradients {
     pub background: [f64; 3],
     /// Camera pose: see [`Pose`].
     pub pose: Pose,
-    /// Gaussians whose gradient was not finite in f32, and was set to 0.
+    /// Gradients that were not finite in f32 and were set to 0: of Gaussians (one each), of values of the
+    /// picture (a target that is not a number gives such) and of channels of the background.
     pub non_finite: u64,
 }
 
@@ -129,11 +131,11 @@ impl Workspace {
     }
 
     /// Of the last call: how the loss changes with a factor at 1 before every alpha of a group, `count`
-    /// numbers, where Gaussian `i` is in group `groups[i]`. So `-presence` is what the group is worth to
+    /// numbers, where Gaussian `i` is in group `groups[i]`. So `-presence` is what the group adds to
     /// first order, for any loss. Alpha at its clamp counts as 0.
     ///
     /// A poor estimate where a group hides what is behind it (the derivative of an opaque surface is 0):
-    /// [`crate::counterfactual::Engine::single_pass`] is exact, for squared errors.
+    /// [`crate::counterfactual::Engine::utilities`] is exact, for squared errors.
     ///
     /// # Errors
     /// Another number of ids than Gaussians of the last call, or an id that is not below `count`.
@@ -185,6 +187,11 @@ pub fn render_and_gradients_into(
     renderer.render_into(splats, camera, settings, &mut out.rendered)?;
     image.resize(out.rendered.image.rgb().len(), 0.0);
     out.loss = loss.differentiate(&out.rendered.image, settings.parallel, image)?;
+    let mut lost = 0;
+    for value in image.iter_mut().filter(|value| !value.is_finite()) {
+        *value = 0.0;
+        lost += 1;
+    }
 
     let size = [camera.width() as usize, camera.height() as usize];
     let columns = size[0].div_ceil(TILE);
@@ -200,8 +207,15 @@ pub fn render_and_gradients_into(
         blend::blend(&projected.splats, bins, band, size, settings, image, tiles);
         blend::gather(tiles, bins, columns, settings.parallel, ellipses, &mut background);
     }
-    out.background = background.map(|v| if v.is_finite() { v } else { 0.0 });
     project::project(splats, camera, settings, projected, ellipses, chunks, out);
+    out.background = background;
+    for value in &mut out.background {
+        if !value.is_finite() {
+            *value = 0.0;
+            out.non_finite += 1;
+        }
+    }
+    out.non_finite += lost;
     Ok(())
 }
 

@@ -1,69 +1,93 @@
-//! Many states of one scene at once: what each of them costs in squared error, and what each group is worth.
+//! Renders many states of one scene at once, and says what each is missing and what each group adds.
 //!
-//! A scene is given as *variants*: Gaussians, each with the id of its *group*. A *world* is a set of groups;
-//! its picture is the picture of the Gaussians whose group is in the set. All worlds share one camera and
-//! one reference image, so projection, depth order and tile lists are made once ([`Engine::new`]), and a
-//! world matters to a tile only through the groups that reach the tile.
+//! A scene is given as [`Variants`]: Gaussians, each with the id of its *group*. A *world* (or state) is a
+//! set of groups; its picture is the picture of the Gaussians whose group is in the set. Where a level
+//! replaces the one below it, every level of a cluster is a group of its own, and [`Versions`] says which.
+//! All worlds share one camera and one reference image, so projection, depth order and tile lists are made
+//! once, and a world matters to a tile only through the groups that reach the tile.
 //!
 //! ```text
-//! Variants + Camera ─▶ shared lists ─▶ per tile, per block of 4 × 4 pixels (sixteen lanes), alphas once:
-//!     strict    worlds blended as one until a group comes that only some hold
-//!     fast      runs of one group composed once ─▶ segments of few groups once per look ─▶ worlds walk
-//!     gradients the same, then back over segments, runs and splats; projection once for all worlds
+//! Variants + Camera + reference ─▶ Engine: shared tile lists
+//!     distortions  MSE + 0.20 (1 − SSIM) of contexts, and with any one cluster at another version   exact
+//!     strict       sum of squared errors of each world, pictures                                     exact
+//!     fast         sum of squared errors of each world                                               2e-6
+//!     utilities    the same for every world with any one group toggled                               2e-6
+//!     gradients    of the mean squared errors of all worlds together                                 1e-5
 //! ```
 //!
-//! *Strict* does the operations of [`crate::Renderer`] in its order: images and errors equal, bit for bit,
-//! those of the world rendered alone ([`brute`]). *Fast* has no early stop and no division; its relative
-//! error of a sum of squares is below 2e-6 against f64 arithmetic. The fast modes are one kernel under
-//! different plans of lanes: whole worlds, one group toggled, two groups toggled, groups arriving in order.
-//! [`Engine::single_pass`] has no lanes: one context at a time, every group for one number per pixel. Groups
-//! that change nothing but colours need no engine at all: [`Quadratic`] answers every state without drawing.
-//! Sums over tiles are f64 in order of tiles, so every result is the same for any number of threads, and a
-//! world's result does not depend on what other worlds were asked about in the same call.
+//! *Exact* is bit for bit the picture of the world rendered alone ([`brute`] is the twin); the others have no
+//! early stop and no division, and the relative error given against f64 arithmetic. Sums over tiles are f64
+//! in order of tiles, so every result is the same for any number of threads, and a world's result does not
+//! depend on what other worlds were asked about in the same call.
 //!
 //! [`WorldBatch`] and [`render_worlds`] draw many worlds without a reference image.
 //!
-//! Deliberately absent: which groups depend on which. A level that replaces the one below it is two
-//! variants; [`levels`] maps delivered levels to worlds.
+//! ```
+//! use render_host::counterfactual::{Engine, Variants, Versions};
+//! use render_host::{Camera, Gaussian, Settings, Splats, render};
+//!
+//! // Cluster 0 is a ball behind, cluster 1 one in front that is absent, coarse or fine.
+//! let ball = |z: f32, size: f32| Gaussian {
+//!     position: [0.0, 0.0, z],
+//!     scale: [size; 3],
+//!     opacity: 0.9,
+//!     ..Gaussian::ABSENT
+//! };
+//! let gaussians = [ball(1.0, 0.5), ball(0.0, 0.3), ball(0.0, 0.2)];
+//! let versions = Versions::new(&[1, 3])?;
+//! let groups = [(0, 0), (1, 1), (1, 2)].map(|(cluster, version)| versions.group(cluster, version) as u32);
+//! let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.8, 64, 48)?;
+//! let settings = Settings::default();
+//!
+//! // What should be seen: the fine version.
+//! let whole = [gaussians[0], gaussians[2]];
+//! let reference = render(&Splats::plain(&whole), &camera, &settings)?.image;
+//!
+//! let variants = Variants::new(Splats::plain(&gaussians), &groups, versions.groups())?;
+//! let engine = Engine::new(&variants, &camera, &reference, &settings)?;
+//! let absent = vec![0, 0];
+//! let found = engine.distortions(&versions, &[absent])?;
+//! assert!(found.of(0, 1, 2) < 1e-12 && found.of_context(0) > found.of(0, 1, 1));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! Deliberately absent: which groups depend on which.
 
 mod backward;
 mod batch;
+mod bright;
 pub mod brute;
 mod classes;
-mod dimmed;
+mod culling;
+mod distortion;
 mod engine;
 mod error;
-mod faded;
 mod fast;
 mod gradients;
-pub mod greedy;
+mod hidden;
 mod lanes;
 pub mod levels;
 mod operator;
-pub mod pairs;
+mod patches;
 mod plan;
-mod prefixes;
-pub mod quadratic;
-mod runs;
 mod scaffold;
 mod segments;
-mod sieve;
-mod single_pass;
+mod splat_runs;
 mod squares;
 mod states;
 mod strict;
+mod tree;
 pub mod tuner;
 mod utilities;
 mod variants;
+mod versions;
 
 pub use batch::{WorldBatch, render_worlds};
 pub use engine::Engine;
 pub use error::CounterfactualError;
 pub use gradients::WorldGradients;
-pub use greedy::Greedy;
 pub use levels::Lattice;
-pub use pairs::Pairs;
-pub use quadratic::Quadratic;
 pub use states::States;
 pub use utilities::Utilities;
 pub use variants::Variants;
+pub use versions::{Distortions, Versions};

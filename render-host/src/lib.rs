@@ -5,8 +5,7 @@
 //! … on a device   ─▶ Backend (CPU or gpu)               ─▶ the same
 //! … frame after frame ─▶ Sequence                     ─▶ the same, from what the frame before left
 //! … + loss        ─▶ adjoint                            ─▶ Gradients { loss, splats, pose, … }
-//! Variants + States ─▶ counterfactual::Engine ─▶ squared error of every state, utility of every group
-//! Repaints ─▶ counterfactual::Quadratic ─▶ the same where groups change colours only
+//! Variants + States ─▶ counterfactual::Engine ─▶ distortion of every state, utility of every group
 //! Image × Image   ─▶ metric::{psnr, ssim, flip, flicker, distortion, heat}
 //! ```
 //!
@@ -18,6 +17,9 @@
 //! `(x + 0.5, y + 0.5)`; row 0 is at the top. *Transmittance*: the share of the background that still
 //! shows, 1 where nothing was drawn. *World*: one delivery state of a scene; worlds of one call share a
 //! camera and settings.
+//!
+//! Examples: `cargo run -p render-host --example counterfactuals` (what each level of each cluster adds) and
+//! `--example gradients` (a Gaussian that moves towards a picture).
 //!
 //! Deliberately absent: files of splats (trainer-host reads them), packets (codec-core), clocks.
 

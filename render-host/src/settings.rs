@@ -110,6 +110,10 @@ fn allowed(low: f64, high: f64) -> String {
     if low == high { format!("only {low} is allowed here") } else { format!("{low} to {high} is allowed") }
 }
 
+/// Transmittance that counts as nothing: no sum of f32 shows what is behind it. Below it, it would decay
+/// into subnormal numbers, which take a processor up to thirty times as long.
+pub(crate) const NOTHING: f32 = 1e-30;
+
 impl Settings {
     /// The defaults over `background`.
     pub fn over(background: [f32; 3]) -> Self {
@@ -174,6 +178,11 @@ impl Settings {
     /// The degree actually evaluated for splats of degree `available`.
     pub(crate) fn degree(&self, available: ShDegree) -> u8 {
         self.max_sh_degree.min(available.get())
+    }
+
+    /// Transmittance below which a pixel takes no more splats: the stop, and [`NOTHING`] where there is none.
+    pub(crate) fn closed_below(&self) -> f32 {
+        self.stop().max(NOTHING)
     }
 
     /// Transmittance below which a pixel is finished; 0 when `early_stop` is off.

@@ -134,26 +134,6 @@ proptest! {
         }).collect();
         prop_assert!(worst(&utilities.delta, &expected, |i| alone[i / count]) < 2e-6);
 
-        // Pairs of every other group.
-        let chosen: Vec<u32> = (0..count as u32).rev().step_by(2).collect();
-        let pairs = engine.pairs(&states, 1, &chosen).unwrap();
-        let (mut both, mut found) = (States::new(count), Vec::new());
-        for i in 0..chosen.len() {
-            for j in 0..=i {
-                let hit = |h: usize| chosen[i] as usize == h || chosen[j] as usize == h;
-                both.push(|h| states.has(1, h) != hit(h));
-                found.push(pairs.sse(i, j));
-            }
-        }
-        prop_assert!(worst(&found, &case.brute(&both, &settings), |_| alone[1]) < 4e-6);
-
-        // Prefixes of a reversed order from a world that holds some already.
-        let order: Vec<u32> = (0..count as u32).rev().collect();
-        let mut prefixes = States::new(count);
-        (0..=count).for_each(|t| prefixes.push(|g| states.has(2, g) || g >= count - t));
-        let expected = case.brute(&prefixes, &settings);
-        let got = engine.prefixes(&states, 2, &order).unwrap();
-        prop_assert!(worst(&got, &expected, |i| expected[i].max(expected[0])) < 4e-6);
     }
 }
 
@@ -192,66 +172,21 @@ fn a_wrong_comparator_fails() {
     let utilities = engine.utilities(&states).unwrap();
     let turned: Vec<f64> = utilities.delta.iter().map(|d| -d).collect();
     assert!(worst(&utilities.delta, &turned, |_| strict[0]) > 1e-3);
-    // Without interactions, pairs fail.
-    let pairs = engine.pairs(&states, 0, &[1, 2, 3, 4, 5, 6]).unwrap();
-    assert!(pairs.interaction.iter().any(|i| i.abs() > 1e-4 * pairs.base));
     // Early stop changes strict mode, as it should.
     let stopped = Settings { transmittance_stop: 0.2, early_stop: true, ..settings };
     assert_ne!(bits(&case.engine(&stopped).strict(&states).unwrap()), bits(&strict));
 }
 
 #[test]
-fn greedy_takes_the_largest_gain_at_every_step() {
-    let case = Case::new(1500, 0, 12, (64, 48), 8);
-    let settings = no_stop();
-    let engine = case.engine(&settings);
-    let base = random(12, 1, 1);
-    let costs: Vec<f64> = (0..12).map(|g| 1.0 + f64::from(g % 3)).collect();
-    let greedy = engine.greedy(&base, 0, &costs).unwrap();
-    let mut state = base.clone();
-    assert_eq!(greedy.order.len(), (0..12).filter(|&g| !base.has(0, g)).count());
-    for (step, &chosen) in greedy.order.iter().enumerate() {
-        let absent: Vec<usize> = (0..12).filter(|&g| !state.has(0, g)).collect();
-        let mut tries = States::new(12);
-        tries.push(|g| state.has(0, g));
-        absent.iter().for_each(|&a| tries.push(|g| g == a || state.has(0, g)));
-        let sse = case.brute(&tries, &settings);
-        let rate = |i: usize| (sse[0] - sse[i + 1]) / costs[absent[i]];
-        let best = (0..absent.len()).map(rate).fold(f64::NEG_INFINITY, f64::max);
-        let at = absent.iter().position(|&a| a == chosen as usize).unwrap();
-        assert!(best - rate(at) <= 2e-6 * sse[0], "step {step}");
-        assert!((greedy.gains[step] - (sse[0] - sse[at + 1])).abs() < 2e-6 * sse[0]);
-        assert!((greedy.sse[step] / sse[0] - 1.0).abs() < 2e-6);
-        // The worst choice would not have passed.
-        let least = (0..absent.len()).map(rate).fold(f64::INFINITY, f64::min);
-        assert!(absent.len() == 1 || best - least > 2e-6 * sse[0]);
-        let before = state.clone();
-        state = States::new(12);
-        state.push(|g| g == chosen as usize || before.has(0, g));
-    }
-    let all_tiles = 4 * 3 * (greedy.order.len() + 1);
-    assert!(greedy.tiles <= all_tiles, "{} of {all_tiles}", greedy.tiles);
-    // What was kept is what a fresh look finds.
-    let last = engine.fast(&state).unwrap()[0];
-    assert_eq!(greedy.sse.last().unwrap().to_bits(), engine.utilities(&state).unwrap().sse[0].to_bits());
-    assert!((greedy.sse.last().unwrap() / last - 1.0).abs() < 2e-7);
-}
-
-#[test]
 fn threads_do_not_show() {
     let case = Case::new(3000, 0, 27, (150, 110), 5);
     let states = random(27, 140, 6);
-    let order: Vec<u32> = (0..27).map(|i| i * 5 % 27).collect();
     let all = |settings: &Settings| {
         let engine = case.engine(settings);
         let mut out = engine.strict(&states).unwrap();
         out.extend(engine.fast(&states).unwrap());
         let utilities = engine.utilities(&states).unwrap();
         out.extend(utilities.sse.iter().chain(&utilities.delta));
-        let pairs = engine.pairs(&states, 3, &order[..9]).unwrap();
-        out.extend(pairs.single.iter().chain(&pairs.interaction));
-        out.extend(engine.prefixes(&states, 4, &order).unwrap());
-        out.extend(engine.greedy(&states, 5, &[1.0; 27]).unwrap().sse);
         bits(&out)
     };
     let expected = all(&Settings { parallel: false, ..Settings::default() });
@@ -321,51 +256,7 @@ fn what_is_refused_is_named() {
     let refused = |e: CounterfactualError, words: &str| assert!(e.to_string().contains(words), "{e}");
     refused(engine.fast(&States::full(5)).unwrap_err(), "5 groups for variants of 4");
     refused(engine.image(&states, 1).unwrap_err(), "world 1 of 1");
-    refused(engine.pairs(&states, 0, &[1, 4]).unwrap_err(), "group 4");
-    refused(engine.prefixes(&states, 0, &[1, 1]).unwrap_err(), "group 1 is listed twice");
-    refused(engine.greedy(&states, 0, &[1.0, 0.0, 1.0, 1.0]).unwrap_err(), "4 positive");
     let small = Image::filled(10, 20, [0.0; 3]).unwrap();
     let error = Engine::new(&variants(&case), &case.camera, &small, &Settings::default()).unwrap_err();
     refused(error, "20 x 20 and 10 x 20");
-}
-
-/// Against the lanes of the engine: cells of space interleave, so a pixel meets a group many times.
-#[test]
-fn a_single_pass_gives_the_utilities_of_every_group() {
-    for (n, count, seed) in [(900, 9, 4), (2500, 27, 5), (40, 3, 6), (0, 2, 7)] {
-        let case = Case::new(n, 1, count, (90, 60), seed);
-        let settings = no_stop();
-        let mut states = random(count, 3, 8);
-        states.push(|_| true);
-        states.push(|_| false);
-        let engine = case.engine(&settings);
-        let (exact, got) = (engine.utilities(&states).unwrap(), engine.single_pass(&states).unwrap());
-        let largest = exact.delta.iter().fold(1e-30f64, |m, d| m.max(d.abs()));
-        assert!(worst(&got.delta, &exact.delta, |_| largest) < 1e-5, "{n}");
-        assert!(worst(&got.sse, &exact.sse, |i| exact.sse[i]) < 2e-6, "{n}");
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(3).build().unwrap();
-        let other = pool.install(|| engine.single_pass(&states).unwrap());
-        assert_eq!(bits(&other.delta), bits(&got.delta));
-        assert!(engine.single_pass(&States::full(count + 1)).is_err());
-    }
-}
-
-/// Long lists are walked in segments; a group opaque many times over has its rear left in.
-#[test]
-fn a_single_pass_says_where_it_ends() {
-    let stack = |n: usize, opacity: f32| {
-        let mut case = Case::new(n, 0, 2, (20, 20), 1);
-        for (i, g) in case.scene.gaussians.iter_mut().enumerate() {
-            g.position = [0.0, 0.0, 0.4 - i as f32 * 1e-3];
-            (g.scale, g.opacity) = ([3.0; 3], opacity);
-        }
-        case.groups = (0..n).map(|i| u32::from(5 * i / n == 4)).collect();
-        let (engine, full) = (case.engine(&no_stop()), States::full(2));
-        let (exact, got) = (engine.utilities(&full).unwrap(), engine.single_pass(&full).unwrap());
-        let largest = exact.delta.iter().fold(1e-30f64, |m, d| m.max(d.abs()));
-        worst(&got.delta, &exact.delta, |_| largest)
-    };
-    assert!(stack(1500, 0.01) < 1e-4);
-    assert!(stack(15, 0.99) < 1e-4);
-    assert!(stack(60, 0.99) > 1e-3, "past the end it is off");
 }

@@ -113,18 +113,46 @@ fn squares_of_bright_scenes_are_held_by_every_mode() {
     let settings = Settings { early_stop: false, ..Settings::default() };
     let target = Image::filled(40, 30, [0.4; 3]).unwrap();
     let engine = Engine::new(&variants, &view, &target, &settings).unwrap();
-    let empty = States::empty(4);
     let order = [3, 0, 2, 1];
     let mut along = States::new(4);
     (0..=4).for_each(|count| along.push(|group| order[..count].contains(&(group as u32))));
     let exact = engine.strict(&along).unwrap();
     assert!(exact[0] < 1e6 && exact[4] > 1e55, "{exact:?}");
     let close = |a: f64, b: f64| a.is_finite() && (a - b).abs() <= 2e-6 * b.abs();
-    let prefixes = engine.prefixes(&empty, 0, &order).unwrap();
-    assert!(prefixes.iter().zip(&exact).all(|(&a, &b)| close(a, b)), "{prefixes:?} {exact:?}");
-    let pairs = engine.pairs(&empty, 0, &[3, 0]).unwrap();
-    assert!(close(pairs.sse(0, 1), exact[2]) && close(pairs.sse(0, 0), exact[1]), "{pairs:?} {exact:?}");
-    let greedy = engine.greedy(&empty, 0, &[1.0; 4]).unwrap();
-    assert!(greedy.sse.iter().chain(&greedy.gains).all(|v| v.is_finite()), "{greedy:?}");
-    assert!(close(greedy.sse[4], exact[4]), "{greedy:?} {exact:?}");
+    let fast = engine.fast(&along).unwrap();
+    assert!(fast.iter().zip(&exact).all(|(&a, &b)| close(a, b)), "{fast:?} {exact:?}");
+    // Adding the first group to the empty world, and taking it away from the next.
+    let delta = engine.utilities(&along.range(0..2)).unwrap();
+    let rise = exact[0] - exact[1];
+    assert!(close(delta.of(0, 3), rise) && close(delta.of(1, 3), rise), "{delta:?} {exact:?}");
+}
+
+#[test]
+fn transmittance_never_decays_into_subnormal_numbers() {
+    // Discs one behind the other, each of which halves what it covers, and nothing ends a pixel early.
+    let mut scene = Scene::random(400, 0, 0.5, 0.6, 23);
+    for (i, g) in scene.gaussians.iter_mut().enumerate() {
+        (g.position, g.opacity) = ([0.0, 0.0, 0.4 - i as f32 * 1e-3], 0.5);
+    }
+    let view = camera(40, 30);
+    let settings = Settings { early_stop: false, ..Settings::default() };
+    let drawn = render_host::render(&scene.splats(), &view, &settings).unwrap();
+    let least = drawn.transmittance.iter().fold(f32::INFINITY, |least, &t| least.min(t));
+    // 0.5 to the power of 400 is far below what f32 holds.
+    assert!(least < 1e-29 && least >= 1e-33, "{least:e}");
+    assert!(drawn.transmittance.iter().all(|&t| t >= f32::MIN_POSITIVE));
+    let exact = render_host::reference::render(&scene.splats(), &view, &settings).unwrap();
+    let off = exact.difference(drawn.image.rgb()).unwrap().max_clear;
+    assert!(off < 1e-5, "{off:e}");
+    // The modes of the engine agree with it, where groups alternate and where one is whole.
+    for share in [1, 200] {
+        let groups: Vec<u32> = (0..400).map(|i| i / share % 2).collect();
+        let variants = Variants::new(scene.splats(), &groups, 2).unwrap();
+        let target = Image::filled(40, 30, [0.4; 3]).unwrap();
+        let engine = Engine::new(&variants, &view, &target, &settings).unwrap();
+        let full = States::full(2);
+        let alone = brute::sse(&variants, &full, &view, &target, &settings).unwrap();
+        assert_eq!(engine.strict(&full).unwrap(), alone);
+        assert!((engine.fast(&full).unwrap()[0] / alone[0] - 1.0).abs() < 2e-6);
+    }
 }

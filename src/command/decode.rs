@@ -24,7 +24,14 @@ pub fn run(args: &Decode) -> Result<VerbOutput> {
     let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
     let received = stream.receive()?;
     let counters = *received.counters();
-    for kind in [ErrorKind::Checksum, ErrorKind::Illegal, ErrorKind::Contradiction, ErrorKind::Short] {
+    let kinds = [
+        ErrorKind::Checksum,
+        ErrorKind::Illegal,
+        ErrorKind::Contradiction,
+        ErrorKind::Short,
+        ErrorKind::Capacity,
+    ];
+    for kind in kinds {
         let refused = counters.refused[kind.index()];
         if refused > 0 {
             warnings.push(format!("{refused} packets were refused as {}", kind.name()));

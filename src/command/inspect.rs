@@ -25,7 +25,7 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
             missing += 1;
         } else if map.is_parity(id) {
             parity += 1;
-        } else if let Some(mark) = map.marks(id).first() {
+        } else if let Some(mark) = map.placements(id).first() {
             let kind = usize::from(matches!(mark.group.span, Span::Motion(_)));
             let slot = &mut by_kind[kind][mark.group.level.index()];
             *slot = (slot.0 + 1, slot.1 + packet.len() as u64);

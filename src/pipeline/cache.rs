@@ -15,7 +15,7 @@ use super::Quiet;
 use crate::{files, progress::Progress};
 
 /// Grows when what is stored means something else.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// What is stored as a digest.
 const DIGESTED: [&str; 4] = ["stream", "scene", "cameras", "settings"];
 /// How two pictures are compared.

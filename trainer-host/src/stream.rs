@@ -6,7 +6,7 @@ mod map;
 mod player;
 
 pub use dgs_player::{Damage, Stream};
-pub use map::{Mark, PacketMap};
+pub use map::{PacketMap, SlicePlacement};
 pub use player::Player;
 
 pub(crate) use dgs_player::sealed;

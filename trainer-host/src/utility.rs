@@ -1,15 +1,14 @@
-//! Counterfactual render utility: what a group is worth, measured in images (paper section 5).
+//! Measures the counterfactual utility of every group: what it adds to a picture (paper section 5).
 //!
 //! For group g and a valid partial state m without g: Δ_g(m) = D(I, R(m)) − D(I, R(m ∪ g)), with
-//! D = MSE + 0.20 (1 − SSIM) against the source's own render I. A context is a random
-//! dependency-closed state; inside it each cell is stepped through its levels with everything
-//! else held, so that L + 1 pictures measure L groups. The pictures of all cells are one world batch of the
-//! renderer, bit for bit those of separate renders. Cameras and frames are the caller's; keep
-//! them apart from those on which quality is reported.
+//! D = MSE + 0.20 (1 − SSIM) against the source's own render I. A context is a random dependency-closed
+//! state; inside it each cell is stepped through its levels with everything else held, so that L + 1
+//! pictures measure L groups. All contexts of a span are looked at in the same views (a frame and a camera
+//! each), so mean, lower tail and deviation are over states and not over views. Cameras are the caller's;
+//! keep them apart from those on which quality is reported.
 
 use codec_core::internals::{
-    closure::Arrived,
-    ids::{Group, Level, Span},
+    ids::{EpochId, Level, Span},
     receiver::Content,
 };
 use rand::RngExt;
@@ -17,46 +16,47 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use render_host::{Camera, Image, Renderer, Settings, Splats};
 
-use crate::{
-    scene::Scene,
-    stream::{PacketMap, Player},
-};
+use crate::{scene::Scene, stream::PacketMap};
 
-use pictures::Pictures;
+use contexts::{SpanCells, spans};
+use versions::Clusters;
 
-mod pictures;
-mod worth;
+mod alone;
+mod contexts;
+mod truncation;
+mod versions;
 
-pub use worth::{Truncated, group_bytes, tops, truncate};
+pub use alone::measure_alone;
+pub use truncation::{Truncated, group_bytes, tops, truncate};
 
 /// How to measure.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Cameras to measure on.
+    /// Cameras to measure on, at least one.
     pub cameras: Vec<Camera>,
-    /// Contexts per cell and frame.
+    /// Random states per span, at least 1.
     pub contexts: usize,
-    /// Frames per window (or per epoch, for canonical groups) to measure at.
+    /// Frames of a span (a window, or an epoch for canonical groups) that each camera looks at, at least 1.
     pub frames_per_span: usize,
-    /// Weight α of the lower tail.
+    /// Weight α of the lower tail, 0..=1.
     pub alpha: f64,
-    /// Weight β of the interaction deviation.
+    /// Weight β of the interaction deviation, at least 0.
     pub beta: f64,
-    /// Measure with everything else arrived, instead of in random states.
+    /// Measure with everything else arrived, instead of in random states: one context.
     pub complete: bool,
-    /// Seed of the contexts.
+    /// Seed of the contexts and of the frames looked at.
     pub seed: u64,
     /// Render settings.
     pub settings: Settings,
 }
 
 impl Options {
-    /// The paper's α = 0.25, β = 0.05 and 0.10 quantile on `cameras`, four contexts, one frame per
-    /// span.
+    /// The paper's α = 0.25, β = 0.05 and 0.10 quantile on `cameras`: 32 contexts, one frame per span and
+    /// camera.
     pub fn paper(cameras: Vec<Camera>) -> Self {
         Self {
             cameras,
-            contexts: 4,
+            contexts: 32,
             frames_per_span: 1,
             alpha: 0.25,
             beta: 0.05,
@@ -65,20 +65,30 @@ impl Options {
             settings: Settings::default(),
         }
     }
+
+    /// States that are looked at per span.
+    fn states(&self) -> usize {
+        if self.complete { 1 } else { self.contexts.max(1) }
+    }
+
+    /// Frame and camera pairs per span.
+    fn views(&self) -> usize {
+        self.cameras.len() * self.frames_per_span.max(1)
+    }
 }
 
-/// What one group is worth.
+/// What one group adds to a picture.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct GroupUtility {
     /// Cell of the lattice.
     pub cell: u32,
     /// Level.
     pub level: u8,
-    /// Mean of Δ over contexts, frames and cameras.
+    /// Mean of Δ over contexts; the Δ of a context is the mean over its views.
     pub mean: f64,
-    /// 0.10 quantile of Δ.
+    /// 0.10 quantile of Δ over contexts.
     pub tail: f64,
-    /// Standard deviation of Δ.
+    /// Standard deviation of Δ over contexts.
     pub deviation: f64,
     /// Risk-adjusted utility Ũ = ((1 − α) mean + α tail) / (1 + β deviation).
     pub utility: f64,
@@ -87,12 +97,12 @@ pub struct GroupUtility {
 /// Utilities of all groups of one stream, as stored beside it.
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Table {
-    /// How they were measured.
+    /// How they were measured, for people.
     pub protocol: String,
     /// CRC-32 of the manifest they belong to.
     pub manifest_crc: u32,
-    /// Renders it took.
-    pub renders: u64,
+    /// Pairs of a state and a group whose Δ was measured, in every view.
+    pub deltas: u64,
     /// One per group, in the order of [`PacketMap::groups`].
     pub groups: Vec<GroupUtility>,
 }
@@ -106,20 +116,26 @@ pub enum UtilityError {
     /// The stream does not decode.
     #[error(transparent)]
     Decode(#[from] codec_core::Error),
+    /// A cluster that a decoded frame does not hold.
+    #[error("a state shows no version of a cluster; the stream's lattice does not hold together")]
+    NoVersion,
     /// The renderer refused its input.
     #[error("rendering failed: {0}")]
     Render(String),
 }
 
-/// One frame and camera at which a span is measured.
-struct Shot {
+/// A camera and frame in which the contexts of a span are looked at.
+struct View {
     frame: u32,
     camera: usize,
     reference: Image,
 }
 
+/// Most numbers that the versions of one view's clusters may hold before they are asked about: 128 MiB.
+const MOST_VALUES: usize = 32 << 20;
+
 /// Measures all groups of `content` (a complete decode of a stream whose map is `map`) against
-/// `scene`. `progress` is told the share done.
+/// `scene`. `progress` is told the share done, 0..=1.
 ///
 /// Deterministic for equal inputs on any number of threads.
 ///
@@ -136,43 +152,47 @@ pub fn measure(
         return Err(UtilityError::NoCamera);
     }
     let spans = spans(map);
+    let views = options.views();
+    let jobs: Vec<(usize, usize)> =
+        (0..spans.len()).flat_map(|s| (0..views).map(move |view| (s, view))).collect();
     let done = std::sync::atomic::AtomicUsize::new(0);
-    let total = spans.len() * options.contexts.max(1);
-    let jobs: Vec<(usize, u64)> =
-        (0..spans.len()).flat_map(|s| (0..options.contexts as u64).map(move |c| (s, c))).collect();
-    let results: Result<Vec<Vec<(usize, f64)>>, UtilityError> = jobs
+    let results: Result<Vec<Vec<Delta>>, UtilityError> = jobs
         .par_iter()
-        .map(|&(s, context)| {
-            let samples = span_samples(scene, content, map, &spans[s], context, options)?;
+        .map(|&(s, view)| {
+            let deltas = deltas_in_view(scene, content, map, &spans[s], view, options)?;
             let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
-            progress(n as f64 / total as f64);
-            Ok(samples)
+            progress(n as f64 / jobs.len() as f64);
+            Ok(deltas)
         })
         .collect();
+    // Of each group and context, the mean over views.
     let mut samples: Vec<Vec<f64>> = vec![Vec::new(); map.groups().len()];
-    for (group, delta) in results?.into_iter().flatten() {
-        samples[group].push(delta);
+    let mut deltas = 0;
+    for Delta { group, context, delta } in results?.into_iter().flatten() {
+        samples[group].resize(options.states(), 0.0);
+        samples[group][context] += delta / views as f64;
+        deltas += 1;
     }
-    let renders = samples.iter().map(|s| s.len() as u64).sum();
     let groups = map.groups().iter().zip(&mut samples).map(|((group, _), samples)| {
         let cell = content.manifest.cell(group.span, group.cluster).map_or(0, |c| c.0);
         summarise(cell, group.level, samples, options)
     });
-    let cameras = options.cameras.len();
+    let contexts =
+        if options.complete { "complete state".to_owned() } else { format!("{} contexts", options.states()) };
     Ok(Table {
         protocol: format!(
-            "paired renders, D = MSE + 0.20 (1 - SSIM), {cameras} cameras at {}x{}, {} {}contexts, {} frames per span, alpha {}, beta {}, seed {}",
+            "D = MSE + 0.20 (1 - SSIM), {} cameras at {}x{}, {contexts}, {} frames per span and camera, alpha {}, \
+             beta {}, seed {}",
+            options.cameras.len(),
             options.cameras[0].width(),
             options.cameras[0].height(),
-            options.contexts,
-            if options.complete { "complete " } else { "" },
             options.frames_per_span,
             options.alpha,
             options.beta,
             options.seed
         ),
         manifest_crc: codec_core::internals::wire::crc::crc32(content.manifest.raw()),
-        renders,
+        deltas,
         groups: groups.collect(),
     })
 }
@@ -197,180 +217,104 @@ pub fn quantile(sorted: &[f64], q: f64) -> f64 {
     sorted[low] + part * (sorted[(low + 1).min(last)] - sorted[low])
 }
 
-/// A span and its cells: per cell the first group index and its groups' levels.
-struct SpanCells {
-    span: Span,
-    cells: Vec<Vec<usize>>,
+/// Δ of a group in a context and a view.
+struct Delta {
+    group: usize,
+    context: usize,
+    delta: f64,
 }
 
-fn spans(map: &PacketMap) -> Vec<SpanCells> {
-    let mut spans: Vec<SpanCells> = Vec::new();
-    let mut last: Option<Group> = None;
-    for (index, (group, _)) in map.groups().iter().enumerate() {
-        if last.is_none_or(|l| l.span != group.span) {
-            spans.push(SpanCells { span: group.span, cells: Vec::new() });
-        }
-        if let Some(span) = spans.last_mut() {
-            let same = last.is_some_and(|l| (l.span, l.cluster) == (group.span, group.cluster));
-            match span.cells.last_mut().filter(|_| same) {
-                Some(cell) => cell.push(index),
-                None => span.cells.push(vec![index]),
-            }
-        }
-        last = Some(*group);
-    }
-    spans
-}
-
-/// Δ samples of all groups of one span in one context.
-fn span_samples(
+/// Δ of all groups of one span in all contexts, in view `view` of the span.
+fn deltas_in_view(
     scene: &Scene,
     content: &Content<'_>,
     map: &PacketMap,
     span: &SpanCells,
-    context: u64,
+    view: usize,
     options: &Options,
-) -> Result<Vec<(usize, f64)>, UtilityError> {
-    let manifest = &content.manifest;
-    let (first, frames, label) = match span.span {
-        Span::Canonical(e) => {
-            let epoch = manifest.epoch(e).unwrap_or_default();
-            (epoch.first_frame, epoch.frames, u64::from(e.0) << 1)
+) -> Result<Vec<Delta>, UtilityError> {
+    let (epoch, view) = view_of(scene, content, span.span, view, options)?;
+    let mut clusters = Clusters::new(content, epoch, view.frame);
+    let (mut asked, mut out) = (Vec::new(), Vec::new());
+    for context in 0..options.states() {
+        let state = state_of(content, map, span.span, context, options);
+        let shown = clusters.shown_by(&state)?;
+        let steps: Result<Vec<Vec<u32>>, UtilityError> = (0..=span.most_levels())
+            .map(|levels| clusters.shown_by(&span.stepped(map, content, &state, levels)))
+            .collect();
+        asked.push((context, shown, steps?));
+        if clusters.values() > MOST_VALUES || context + 1 == options.states() {
+            let shown: Vec<Vec<u32>> = asked.iter().map(|(_, shown, _)| shown.clone()).collect();
+            let camera = &options.cameras[view.camera];
+            let found = clusters.distortions(&shown, camera, &view.reference, &options.settings)?;
+            for (index, (context, _, steps)) in asked.drain(..).enumerate() {
+                for (cluster, groups) in span.groups(map) {
+                    let distortion =
+                        |levels: usize| found.of(index, cluster, steps[levels][cluster] as usize);
+                    for (level, &group) in groups.iter().enumerate() {
+                        let delta = distortion(level) - distortion(level + 1);
+                        out.push(Delta { group, context, delta });
+                    }
+                }
+            }
+            clusters.clear();
         }
-        Span::Motion(w) => {
-            let window = manifest.window(w).unwrap_or_default();
-            (window.first_frame, u32::from(window.frames), u64::from(w.0) << 1 | 1)
+    }
+    Ok(out)
+}
+
+/// Numbers for one purpose, keyed by what they are for, so that no other span changes this one's luck.
+fn random(span: Span, index: u32, purpose: u32, options: &Options) -> Pcg64 {
+    let label = match span {
+        Span::Canonical(e) => u64::from(e.0) << 1,
+        Span::Motion(w) => u64::from(w.0) << 1 | 1,
+    };
+    let key = u128::from(label) << 32 | u128::from(purpose) << 31 | u128::from(index);
+    Pcg64::new(u128::from(options.seed) << 64 | key, 0xa02_bdbf_7bb3_c0a7)
+}
+
+/// The state that context `context` of `span` is.
+fn state_of(
+    content: &Content<'_>,
+    map: &PacketMap,
+    span: Span,
+    context: usize,
+    options: &Options,
+) -> Vec<u8> {
+    if options.complete {
+        return content.blocks.to_vec();
+    }
+    contexts::random_state(map, &mut random(span, context as u32, 1, options), content)
+}
+
+/// View `index` of `span`, with the source's own render, and the epoch that it shows.
+fn view_of(
+    scene: &Scene,
+    content: &Content<'_>,
+    span: Span,
+    index: usize,
+    options: &Options,
+) -> Result<(EpochId, View), UtilityError> {
+    let (epoch, first, frames) = match span {
+        Span::Canonical(id) => {
+            let epoch = content.manifest.epoch(id).unwrap_or_default();
+            (id, epoch.first_frame, epoch.frames)
+        }
+        Span::Motion(id) => {
+            let window = content.manifest.window(id).unwrap_or_default();
+            (EpochId(window.epoch), window.first_frame, u32::from(window.frames))
         }
     };
-    // The random stream is keyed by what it is for, so that no other span changes this one's luck.
-    let mut rng = Pcg64::new(
-        u128::from(options.seed) << 64 | u128::from(label) << 32 | u128::from(context),
-        0xa02_bdbf_7bb3_c0a7,
-    );
-    let mut shots = Vec::new();
-    for k in 0..options.frames_per_span.max(1) {
-        let frame = first + rng.random_range(0..frames.max(1));
-        let camera = (context as usize + k) % options.cameras.len();
-        let source = scene.instant(frame as usize).unwrap_or_default();
-        let splats = Splats::new(&source.gaussians, &source.sh_rest, source.sh_degree);
-        let reference = render(splats, &options.cameras[camera], &options.settings, &mut Renderer::new())?;
-        shots.push(Shot { frame, camera, reference });
-    }
-    let mut state =
-        if options.complete { content.blocks.to_vec() } else { random_state(map, &mut rng, content) };
-    let mut player = Player::new(manifest);
-    let mut samples = Vec::new();
-    for shot in &shots {
-        let mut pictures = Pictures::new(player.instant(&content.with_state(&state), shot.frame)?);
-        // Groups whose gain lies between one state and the next; none before the first of a cell.
-        let mut steps = Vec::new();
-        for (family, cell_groups) in (0..).zip(&span.cells) {
-            let (group, _) = map.groups()[cell_groups[0]];
-            let Some(cell) = content.cell(group.span, group.cluster) else { continue };
-            let blocks = cell.blocks as usize..cell.blocks as usize + blocks_of(map, cell_groups, content);
-            let kept: Vec<u8> = state[blocks.clone()].to_vec();
-            // Motion shows only on blocks that are there.
-            let canonical = match group.span {
-                Span::Motion(w) => {
-                    let epoch = manifest.window(w).map_or(0, |w| w.epoch);
-                    content.cell(Span::Canonical(codec_core::internals::ids::EpochId(epoch)), group.cluster)
-                }
-                Span::Canonical(_) => None,
-            };
-            let canonical = canonical.map(|c| c.blocks as usize..c.blocks as usize + blocks.len());
-            let kept_canonical: Vec<u8> = canonical.clone().map(|r| state[r].to_vec()).unwrap_or_default();
-            if let Some(range) = canonical.clone() {
-                state[range].iter_mut().for_each(|m| *m = Arrived(*m).with(Level::BASE).0);
-            }
-            state[blocks.clone()].copy_from_slice(&map.initial()[blocks.clone()]);
-            for index in std::iter::once(None).chain(cell_groups.iter().map(|&index| Some(index))) {
-                if let Some(index) = index {
-                    let level = map.groups()[index].0.level;
-                    state[blocks.clone()].iter_mut().for_each(|m| *m = Arrived(*m).with(level).0);
-                }
-                let shown = player.show(&content.with_state(&state), shot.frame)?;
-                pictures.add(family, shown.gaussians, shown.sh_rest);
-                steps.push(index);
-            }
-            state[blocks].copy_from_slice(&kept);
-            if let Some(range) = canonical {
-                state[range].copy_from_slice(&kept_canonical);
-            }
-        }
-        // The threads are busy with other states: one batch is one task.
-        let settings = Settings { parallel: false, ..options.settings.clone() };
-        let distances = pictures.distances(&options.cameras[shot.camera], &settings, &shot.reference)?;
-        let gains = steps[1.min(steps.len())..].iter().zip(distances.windows(2));
-        samples.extend(gains.filter_map(|(index, pair)| index.map(|index| (index, pair[0] - pair[1]))));
-    }
-    Ok(samples)
-}
-
-fn blocks_of(map: &PacketMap, cell_groups: &[usize], content: &Content<'_>) -> usize {
-    let (group, _) = map.groups()[cell_groups[0]];
-    codec_core::internals::layout::Shape::of(&content.manifest, group.span, group.cluster)
-        .map_or(0, |s| s.blocks())
-}
-
-/// A random dependency-closed state: every cell at a random number of levels, bases likelier than
-/// not, as a receiver in mid-delivery has them.
-fn random_state(map: &PacketMap, rng: &mut Pcg64, content: &Content<'_>) -> Vec<u8> {
-    let mut state = map.initial().to_vec();
-    let arriving: f64 = rng.random_range(0.4..1.0);
-    let mut cell: Option<Group> = None;
-    let mut open = true;
-    for (group, _) in map.groups() {
-        if cell.is_none_or(|c| (c.span, c.cluster) != (group.span, group.cluster)) {
-            open = true;
-        }
-        cell = Some(*group);
-        let chance = if group.level == Level::BASE { arriving.sqrt() } else { arriving };
-        open &= rng.random::<f64>() < chance;
-        if open
-            && let Some(found) = content.cell(group.span, group.cluster)
-            && let Some(shape) =
-                codec_core::internals::layout::Shape::of(&content.manifest, group.span, group.cluster)
-        {
-            let first = found.blocks as usize;
-            for mask in &mut state[first..first + shape.blocks()] {
-                *mask = Arrived(*mask).with(group.level).0;
-            }
-        }
-    }
-    state
-}
-
-fn render<E: std::fmt::Display>(
-    splats: Result<Splats<'_>, E>,
-    camera: &Camera,
-    settings: &Settings,
-    renderer: &mut Renderer,
-) -> Result<Image, UtilityError> {
-    let splats = splats.map_err(|e| UtilityError::Render(e.to_string()))?;
-    // The threads are busy with other states: one render is one task.
-    let settings = Settings { parallel: false, ..settings.clone() };
-    let rendered = renderer.render(&splats, camera, &settings);
-    rendered.map(|r| r.image).map_err(|e| UtilityError::Render(e.to_string()))
+    let frame = first + random(span, index as u32, 0, options).random_range(0..frames.max(1));
+    let camera = index % options.cameras.len();
+    let refused = |error: &dyn std::fmt::Display| UtilityError::Render(error.to_string());
+    let source = scene.instant(frame as usize).unwrap_or_default();
+    let splats = Splats::new(&source.gaussians, &source.sh_rest, source.sh_degree);
+    let splats = splats.map_err(|e| refused(&e))?;
+    let rendered = Renderer::new().render(&splats, &options.cameras[camera], &options.settings);
+    let reference = rendered.map_err(|e| refused(&e))?.image;
+    Ok((epoch, View { frame, camera, reference }))
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_risk_adjusted_utility_is_the_papers() {
-        let options = Options::paper(Vec::new());
-        let mut samples = vec![4.0, 0.0, 1.0, 2.0, 3.0];
-        let u = summarise(7, Level::BASE, &mut samples, &options);
-        let deviation = 2f64.sqrt();
-        assert_eq!((u.mean, u.tail), (2.0, 0.4));
-        assert!((u.utility - (0.75 * 2.0 + 0.25 * 0.4) / (1.0 + 0.05 * deviation)).abs() < 1e-12);
-    }
-
-    #[test]
-    fn quantiles_interpolate() {
-        assert_eq!(quantile(&[1.0, 2.0, 3.0], 0.5), 2.0);
-        assert_eq!(quantile(&[0.0, 10.0], 0.1), 1.0);
-        assert_eq!(quantile(&[], 0.1), 0.0);
-    }
-}
+mod tests;

@@ -207,7 +207,7 @@ fn one_lost_packet_changes_only_its_blocks() {
         for c in 0..manifest.epoch(epoch).unwrap().clusters {
             let cluster = codec_core::internals::ids::ClusterId(c as u16);
             let count = usize::from(manifest.cluster(epoch, cluster).unwrap().gaussians);
-            for mark in map.marks(lost).iter().filter(|m| m.group.cluster == cluster) {
+            for mark in map.placements(lost).iter().filter(|m| m.group.cluster == cluster) {
                 let cell = content.cell(mark.group.span, cluster).unwrap();
                 let block = mark.first_block - cell.blocks as usize;
                 let from = block * manifest.block_len();

@@ -97,7 +97,6 @@ impl Waiting {
     ///
     /// # Errors
     /// Why the message is refused, and the player as it was: it goes on waiting.
-    #[expect(clippy::result_large_err, reason = "the player that goes on waiting is given back")]
     pub fn manifest(self, message: &[u8]) -> std::result::Result<Player, (Self, Error)> {
         match Player::new(message, &self.caps) {
             Ok(mut player) => {

@@ -33,7 +33,6 @@ impl Default for BatchReceiver {
 }
 
 /// A packet of a batch.
-#[expect(clippy::large_enum_variant, reason = "most are of the largest kind")]
 enum Entry<'p> {
     /// Not even whole.
     Refused(Error),
@@ -70,18 +69,22 @@ impl BatchReceiver {
             while batch.len() < BATCH && values < MOST_VALUES {
                 let Some(packet) = packets.next() else { break };
                 let first = self.runs.len();
-                let planned = Checked::new(packet, receiver.crc())
-                    .map(|packet| receiver.plan(packet, |run| self.runs.push(run)));
-                batch.push(match planned {
-                    Ok(Ok(planned)) => {
+                let packet = match Checked::new(packet, receiver.crc()) {
+                    Ok(packet) => packet,
+                    Err(error) => {
+                        batch.push(Entry::Refused(error));
+                        continue;
+                    }
+                };
+                batch.push(match receiver.plan(packet, |run| self.runs.push(run)) {
+                    Ok(planned) => {
                         values += planned.values;
                         Entry::Planned(planned, self.runs.len())
                     }
-                    Ok(Err(packet)) => {
+                    Err(packet) => {
                         self.runs.truncate(first);
                         Entry::Alone(packet)
                     }
-                    Err(error) => Entry::Refused(error),
                 });
             }
             if batch.is_empty() {

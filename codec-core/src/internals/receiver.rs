@@ -18,9 +18,9 @@ pub use repair::Recovered;
 
 use crate::{
     caps::Caps,
-    closure::Arrived,
+    closure,
     error::{Error, ErrorKind, Result},
-    ids::{Level, PacketId},
+    ids::PacketId,
     limits,
     rans::form::Form,
     repair::{Combine, combine},
@@ -152,8 +152,7 @@ impl<'a> Receiver<'a> {
             if let Some(cell) = targets.next() {
                 *cell = next;
             }
-            let empty = Level::ALL.into_iter().filter(|&l| shape.level_len(l) == 0);
-            let mask = empty.fold(Arrived::default(), Arrived::with);
+            let mask = closure::initial(&shape);
             let first = next.blocks as usize;
             next.symbols += shape.len() as u32;
             next.blocks += shape.blocks() as u32;

@@ -281,3 +281,26 @@ fn nothing_to_draw_moves_the_background_alone() {
     let error = render_and_gradients(&mut Workspace::new(), &Splats::plain(&[]), &camera, &settings, &small);
     assert!(error.unwrap_err().to_string().contains("20 x 10"));
 }
+
+#[test]
+fn a_target_that_is_not_a_number_is_counted() {
+    let camera = camera(20, 10);
+    let ball = Gaussian { scale: [0.5; 3], opacity: 0.9, ..Gaussian::ABSENT };
+    let mut target = Image::filled(20, 10, [0.4; 3]).unwrap();
+    let gradients = |target: &Image| {
+        let loss = Mse::new(target.clone());
+        let splats = [ball];
+        render_and_gradients(&mut Workspace::new(), &Splats::plain(&splats), &camera, &smooth(), &loss)
+            .unwrap()
+    };
+    let good = gradients(&target);
+    assert_eq!(good.non_finite, 0);
+    target.rgb_mut()[3 * 105] = f32::NAN;
+    target.rgb_mut()[3 * 12 + 1] = f32::INFINITY;
+    let bad = gradients(&target);
+    assert!(bad.loss.is_nan() && bad.non_finite == 2, "{} {}", bad.loss, bad.non_finite);
+    // What is left is finite, and the other values still say something.
+    assert!(bad.splats[0].position.iter().chain(&bad.splats[0].sh0).all(|v| v.is_finite()));
+    assert!(bad.splats[0] != SplatGradient::default() && bad.splats[0] != good.splats[0]);
+    assert!(bad.background.iter().all(|v| v.is_finite()));
+}

@@ -1,27 +1,27 @@
-//! The gradient of a weighted sum of the losses of many worlds.
+//! Differentiates a weighted sum of the losses of many worlds.
 //!
 //! Worlds differ only in which runs they hold, so their gradients are added up before the chain to splats:
 //!
 //! ```text
 //! forward, per kind of worlds:   T before each segment, the picture, its pixel gradient v
 //! back to front, per kind:       dC += T v    dT += T q    q ← v·C + T' q      (q starts as v·background)
-//! per look of a segment:         the same recursion over its runs
+//! per subset of a segment:         the same recursion over its runs
 //! per run:                       the same over its splats, then alpha → exponent → ellipse
 //! once, for all worlds:          ellipse → Gaussian, by the adjoint of projection
 //! ```
 //!
 //! Nothing is divided. There is no early stop.
 
+use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
 use super::fast::Worlds;
 use super::lanes::{Kinds, Lanes, Wanted, difference};
-use super::operator::{Operator, Part, lanes, lanes_mut, parts};
-use super::plan::{Pass, look, wanted, within};
-use super::runs::Runs;
-use super::segments::Segments;
-use super::sieve::{ACROSS, BLOCKS, SIDE, Sieve};
+use super::operator::{FLUSH_EVERY, Operator, Part, flush, lanes, lanes_mut, parts};
+use super::plan::{Pass, group_set, wanted, within};
+use super::segments::RunSegments;
+use super::splat_runs::SplatRuns;
 use super::squares::inside;
 use super::states::CHUNK;
-use super::{Engine, States, Variants, WorldGradients, plan::Plan};
+use super::{Engine, States, Variants, WorldGradients, plan::LanePlan};
 use crate::adjoint::{self, Gradients};
 use crate::parallel;
 use crate::stage::TILE;
@@ -42,8 +42,8 @@ struct Found {
 
 #[derive(Default)]
 struct Room {
-    sieve: Sieve,
-    runs: Runs,
+    culling: TileCulling,
+    runs: SplatRuns,
     passes: Vec<Pass>,
     seen: Vec<u64>,
     sums: Vec<Sums>,
@@ -154,7 +154,7 @@ impl pulp::WithSimd for Walk<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { room, engine, plan, tile, weights, scale, found, errors } = self;
-        let Room { sieve, runs, passes, seen, sums, back } = room;
+        let Room { culling, runs, passes, seen, sums, back } = room;
         let Engine { shared, settings, .. } = engine;
         let groups = shared.groups(tile);
         passes.resize_with(plan.passes(), Pass::default);
@@ -168,17 +168,17 @@ impl pulp::WithSimd for Walk<'_> {
             };
             of_lanes.push(pass.block.classes.iter().map(of_class).collect::<Vec<f64>>());
         }
-        sieve.fill(shared, tile, settings);
+        culling.fill(shared, tile, settings);
         sums.clear();
-        sums.resize(sieve.splats().len(), [[0.0; SIDE]; adjoint::PARTS]);
+        sums.resize(culling.splats().len(), [[0.0; SIDE]; adjoint::PARTS]);
         back.background = Default::default();
         let corner = shared.corner(tile);
         let size = inside(corner, shared.size);
         for index in (0..BLOCKS).filter(|&b| within(b, size)) {
-            runs.find(sieve, index, settings);
-            runs.compose(simd, sieve, true);
+            runs.find(culling, index, settings);
+            runs.compose(simd, culling, true);
             let wanted = wanted(&engine.reference[tile], index, size);
-            look(&runs.locals, groups.len(), seen);
+            group_set(&runs.locals, groups.len(), seen);
             back.open(runs.len());
             for (pass, of_lanes) in passes.iter_mut().zip(&of_lanes) {
                 let at = pass.cut(simd, runs, seen, |groups| plan.kinds(groups));
@@ -187,14 +187,14 @@ impl pulp::WithSimd for Walk<'_> {
                 back.lanes(simd, runs, segments, &mut block.lanes, &kinds[at], &wanted, settings.background);
                 back.segments(simd, runs, segments);
             }
-            back.splats(simd, runs, sieve, index, settings.alpha_max, sums);
+            back.splats(simd, runs, culling, index, settings.alpha_max, sums);
         }
         for (index, pass) in passes.iter_mut().enumerate() {
             plan.gather(index, &pass.block, &pass.block.lanes.errors(), errors);
         }
         found.background = back.background.map(|row| super::lanes::total(&row.0));
         found.partials.clear();
-        let ellipses = sums.iter().zip(sieve.copies());
+        let ellipses = sums.iter().zip(culling.copies());
         found.partials.extend(ellipses.map(|(sums, splat)| {
             adjoint::ellipse(sums.map(|s| s.iter().map(|&v| f64::from(v)).sum()), splat, corner)
         }));
@@ -223,8 +223,8 @@ impl Back {
     fn lanes<S: Simd>(
         &mut self,
         simd: S,
-        runs: &Runs,
-        segments: &Segments,
+        runs: &SplatRuns,
+        segments: &RunSegments,
         lanes_of: &mut Lanes,
         kinds: &Kinds,
         wanted: &Wanted,
@@ -243,9 +243,12 @@ impl Back {
             segments.path(lane as usize, path);
             for part in 0..parts::<S>() {
                 let mut now = Part::identity(simd);
-                for (&step, before) in path.iter().zip(before.iter_mut()) {
-                    *lanes_mut::<S>(&mut before.0, part) = now.t;
-                    now = now.then(simd, Part::load(&runs.operators[step as usize], part));
+                for (path, before) in path.chunks(FLUSH_EVERY).zip(before.chunks_mut(FLUSH_EVERY)) {
+                    for (&step, before) in path.iter().zip(before) {
+                        *lanes_mut::<S>(&mut before.0, part) = now.t;
+                        now = now.then(simd, Part::load(&runs.operators[step as usize], part));
+                    }
+                    now = now.flushed(simd);
                 }
                 let (mut sum, mut q) = (simd.splat_f32s(0.0), simd.splat_f32s(0.0));
                 let mut v = [q; 3];
@@ -275,14 +278,14 @@ impl Back {
         lanes_of.add(simd, kinds);
     }
 
-    /// From the looks of each segment to its runs.
+    /// From the subsets of each segment to its runs.
     #[inline(always)]
-    fn segments<S: Simd>(&mut self, simd: S, runs: &Runs, segments: &mut Segments) {
+    fn segments<S: Simd>(&mut self, simd: S, runs: &SplatRuns, segments: &mut RunSegments) {
         let Self { operators, before, .. } = self;
         for at in 0..segments.list().len() {
             let segment = segments.list()[at];
-            for (look, operator) in segments.composed(&segment, runs.len()) {
-                let picked = segments.picked(segment.runs, look);
+            for (subset, operator) in segments.composed(&segment, runs.len()) {
+                let picked = segments.picked(segment.runs, subset);
                 if before.len() < picked.len() {
                     before.resize(picked.len(), Row::default());
                 }
@@ -291,7 +294,7 @@ impl Back {
                     let mut t = simd.splat_f32s(1.0);
                     for (&run, before) in picked.iter().zip(before.iter_mut()) {
                         *lanes_mut::<S>(&mut before.0, part) = t;
-                        t = simd.mul_f32s(t, lanes::<S>(&runs.operators[run as usize].t, part));
+                        t = flush(simd, simd.mul_f32s(t, lanes::<S>(&runs.operators[run as usize].t, part)));
                     }
                     let mut q = given.t;
                     for (&run, before) in picked.iter().zip(before.iter()).rev() {
@@ -308,8 +311,8 @@ impl Back {
     fn splats<S: Simd>(
         &mut self,
         simd: S,
-        runs: &Runs,
-        sieve: &Sieve,
+        runs: &SplatRuns,
+        culling: &TileCulling,
         block: usize,
         max: f32,
         sums: &mut [Sums],
@@ -322,7 +325,7 @@ impl Back {
             let mut behind = Row(given.t);
             for i in runs.members(run).rev() {
                 let at = runs.position(i);
-                let (splat, visit) = (&sieve.splats()[at], &runs.visits[i]);
+                let (splat, visit) = (&culling.splats()[at], &runs.visits[i]);
                 let (u, v) = splat.axes(block);
                 let mut rows = [Row([0.0; TILE]); 8];
                 for part in 0..parts::<S>() {
@@ -340,7 +343,7 @@ impl Back {
                     let h = simd.select_f32s(free, simd.mul_f32s(weight, ahead), zero);
                     let (hu, hv) =
                         (simd.mul_f32s(h, lanes::<S>(&u, part)), simd.mul_f32s(h, lanes::<S>(&v, part)));
-                    let down = lanes::<S>(&super::sieve::ROW, part);
+                    let down = lanes::<S>(&super::culling::ROW, part);
                     let down = simd.add_f32s(down, simd.splat_f32s(top));
                     let values = [
                         h,

@@ -1,6 +1,6 @@
-//! World batches: pictures of many worlds in one call, each bit for bit that of the world rendered alone.
+//! Draws pictures of many worlds in one call, each bit for bit that of the world rendered alone.
 
-use super::scaffold::Shared;
+use super::scaffold::SharedLists;
 use super::states::CHUNK;
 use super::tuner::{self, OutOfMemory, Tuned};
 use super::{CounterfactualError, States, Variants, strict};
@@ -12,7 +12,7 @@ use std::ops::Range;
 /// What the worlds of a batch share, ready to draw any of them.
 #[derive(Debug)]
 pub struct WorldBatch {
-    shared: Shared,
+    shared: SharedLists,
     camera: Camera,
     settings: Settings,
     groups: usize,
@@ -32,7 +32,7 @@ impl WorldBatch {
         settings: &Settings,
     ) -> Result<Self, CounterfactualError> {
         settings.validate_for_one_tile_side()?;
-        let shared = Shared::new(variants, camera, settings);
+        let shared = SharedLists::new(variants, camera, settings);
         Ok(Self { shared, camera: camera.clone(), settings: settings.clone(), groups: variants.count() })
     }
 

@@ -1,9 +1,10 @@
-//! Every world rendered alone: the slow twin that judges the engine.
+//! Renders every world alone: the slow twin that judges the engine.
 
 use super::engine::check_weights;
 use super::squares::{Planes, between, cut};
-use super::{CounterfactualError, States, Variants, WorldGradients};
+use super::{CounterfactualError, Distortions, States, Variants, Versions, WorldGradients};
 use crate::adjoint::{self, AdjointError, SplatGradient};
+use crate::metric;
 use crate::{Camera, Image, RenderError, Renderer, Settings, Splats};
 use codec_core::Gaussian;
 use rayon::prelude::*;
@@ -61,6 +62,50 @@ pub fn sse(
     let serial = Settings { parallel: false, ..settings.clone() };
     let one = |renderer: &mut Renderer, w| error(renderer, variants, states, w, camera, &serial, &planes);
     (0..states.len()).into_par_iter().map_init(Renderer::new, one).collect()
+}
+
+/// Distortion of every context and of every version in it, a full render each: the twin of
+/// [`super::Engine::distortions`].
+///
+/// # Errors
+/// A setting out of range, versions of another number of groups, a context that does not name a version of
+/// every cluster, or a reference of another size.
+pub fn distortions(
+    variants: &Variants,
+    versions: &Versions,
+    contexts: &[Vec<u32>],
+    camera: &Camera,
+    reference: &Image,
+    settings: &Settings,
+) -> Result<Distortions, CounterfactualError> {
+    let (found, needed) = (versions.groups(), variants.count());
+    if found != needed {
+        return Err(CounterfactualError::States { found, needed });
+    }
+    versions.check(contexts)?;
+    let mut renderer = Renderer::new();
+    let mut distortion = |shown: &dyn Fn(usize, usize) -> bool| {
+        let mut state = States::new(versions.groups());
+        state.push(|group| {
+            let (cluster, version) = versions.of(group as u32);
+            shown(cluster as usize, version as usize)
+        });
+        let picture = render(&mut renderer, variants, &state, 0, camera, settings)?;
+        Ok::<_, CounterfactualError>(metric::distortion(&picture, reference)?)
+    };
+    let as_is = |context: &Vec<u32>, c: usize, v: usize| context[c] as usize == v;
+    let base: Result<Vec<f64>, _> =
+        contexts.iter().map(|context| distortion(&|c, v| as_is(context, c, v))).collect();
+    let mut out = Distortions::new(versions, base?);
+    for (index, context) in contexts.iter().enumerate() {
+        for (cluster, &version) in context.iter().enumerate() {
+            for other in (0..versions.count(cluster)).filter(|&other| other != version as usize) {
+                let with = |c: usize, v: usize| if c == cluster { v == other } else { as_is(context, c, v) };
+                out.set(index, versions.group(cluster, other), distortion(&with)?);
+            }
+        }
+    }
+    Ok(out)
 }
 
 /// Gradients of every world, one after the other, added up in f64: the twin of

@@ -1,4 +1,4 @@
-//! Which worlds look the same to some groups.
+//! Sorts worlds into classes that hold the same of some groups.
 
 /// Splits `worlds` into classes that agree on every one of `columns`, each a set of worlds (a bit per world).
 ///

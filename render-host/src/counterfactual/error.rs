@@ -1,4 +1,4 @@
-//! What a counterfactual call refuses.
+//! Names what a counterfactual call refuses.
 
 use crate::image::ImageError;
 use crate::settings::SettingsError;
@@ -23,9 +23,6 @@ pub enum CounterfactualError {
         /// Number of groups.
         count: usize,
     },
-    /// A group named twice where order or pairing matters.
-    #[error("group {0} is listed twice")]
-    Twice(u32),
     /// States of another number of groups than the variants have.
     #[error("states of {found} groups for variants of {needed}")]
     States {
@@ -34,6 +31,30 @@ pub enum CounterfactualError {
         /// Groups of the variants.
         needed: usize,
     },
+    /// A cluster that shows nothing in any context.
+    #[error("cluster {cluster} has no version; at least one is needed")]
+    NoVersion {
+        /// The cluster.
+        cluster: usize,
+    },
+    /// A context that does not name a version of every cluster.
+    #[error("context of {found} clusters; need {needed}")]
+    Context {
+        /// Clusters found.
+        found: usize,
+        /// Clusters of the versions.
+        needed: usize,
+    },
+    /// A context that names a version that its cluster has not.
+    #[error("version {version} of cluster {cluster}; versions below {count} are allowed")]
+    Version {
+        /// The cluster.
+        cluster: usize,
+        /// The version it is said to show.
+        version: u32,
+        /// Its versions.
+        count: usize,
+    },
     /// A world out of range.
     #[error("world {world} of {count}")]
     World {
@@ -41,36 +62,6 @@ pub enum CounterfactualError {
         world: usize,
         /// Number of worlds.
         count: usize,
-    },
-    /// Costs that are not one positive finite number per group.
-    #[error("costs must be {needed} positive finite numbers")]
-    Costs {
-        /// Number of groups.
-        needed: usize,
-    },
-    /// Harmonics of colour changes of the wrong length.
-    #[error("changes: found {found} harmonic coefficients, need {needed}")]
-    Rest {
-        /// Values found.
-        found: usize,
-        /// Values needed.
-        needed: usize,
-    },
-    /// A colour change of a Gaussian that is not there.
-    #[error("change {change}: Gaussian {gaussian}; indices below {count} are allowed")]
-    Gaussian {
-        /// Index of the change.
-        change: usize,
-        /// The Gaussian it names.
-        gaussian: u32,
-        /// Number of Gaussians.
-        count: usize,
-    },
-    /// A colour change that is not finite.
-    #[error("change {change}: coefficients must be finite")]
-    NonFinite {
-        /// Index of the change.
-        change: usize,
     },
     /// Weights that are not one finite number per world.
     #[error("weights must be {needed} finite numbers")]

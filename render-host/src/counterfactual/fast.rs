@@ -1,7 +1,7 @@
-//! Squared errors of whole worlds: lanes are the classes of worlds that a tile can tell apart.
+//! Adds up squared errors of whole worlds, a lane for each class of worlds that a tile can tell apart.
 
 use super::classes::{members, split};
-use super::plan::{Block, Plan, run};
+use super::plan::{Block, LanePlan, run};
 use super::states::CHUNK;
 use super::{Engine, States};
 
@@ -17,7 +17,7 @@ impl Worlds {
     }
 }
 
-impl Plan for Worlds {
+impl LanePlan for Worlds {
     fn size(&self, _: &[u32]) -> usize {
         self.count
     }

@@ -1,4 +1,4 @@
-//! Gradients of many worlds at once.
+//! Holds the gradients of many worlds together.
 
 use crate::adjoint::{Pose, SplatGradient};
 

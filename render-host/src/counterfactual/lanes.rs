@@ -1,12 +1,12 @@
-//! The kernel of all fast modes: the pixels of one block under many sets of groups.
+//! Composes the pixels of one block under many sets of groups: the kernel of all fast modes.
 //!
 //! A *lane* of work is a set of groups: a class of worlds, or one with a group toggled. Its picture is a
-//! walk over the block's segments, each the operator of the lane's look at it; the sixteen pixels of the
+//! walk over the block's segments, each the operator of what the lane holds of it; the sixteen pixels of the
 //! block go side by side. There is no division and no early stop.
 
-use super::operator::{Operator, Part, lanes, lanes_mut, parts};
-use super::runs::Runs;
-use super::segments::{NONE, Segments};
+use super::operator::{FLUSH_EVERY, Operator, Part, lanes, lanes_mut, parts};
+use super::segments::{NONE, RunSegments};
+use super::splat_runs::SplatRuns;
 use crate::stage::TILE;
 use crate::stage::blend;
 use pulp::Simd;
@@ -42,7 +42,7 @@ pub(super) struct Lanes {
 #[repr(C, align(64))]
 struct Row(blend::Lanes);
 
-/// Lanes that look alike in a block: those that hold the same of its groups.
+/// Lanes that are alike in a block: those that hold the same of its groups.
 #[derive(Debug, Default)]
 pub(super) struct Kinds {
     /// The block's groups, a bit each.
@@ -78,13 +78,6 @@ impl Lanes {
         for (lane, words) in self.bits.chunks_exact_mut(self.words).enumerate() {
             words[word] |= u64::from(holds(lane)) << bit;
         }
-    }
-
-    /// As [`Lanes::row`]: all lanes alike, then those of `except` flipped.
-    pub(super) fn row_except(&mut self, local: u32, holds: bool, except: impl Iterator<Item = usize>) {
-        self.row(local, |_| holds);
-        let (word, bit) = (local as usize / 64, local % 64);
-        except.for_each(|lane| self.bits[lane * self.words + word] ^= 1 << bit);
     }
 
     /// Whether `lane` holds group `local`.
@@ -137,8 +130,8 @@ impl Lanes {
     pub(super) fn composite<S: Simd>(
         &mut self,
         simd: S,
-        runs: &Runs,
-        segments: &Segments,
+        runs: &SplatRuns,
+        segments: &RunSegments,
         kinds: &Kinds,
         wanted: &Wanted,
         background: [f32; 3],
@@ -197,8 +190,11 @@ impl Lanes {
 #[inline(always)]
 pub(super) fn walk<S: Simd>(simd: S, operators: &[Operator], steps: &[u32], part: usize) -> Part<S> {
     let mut now = Part::identity(simd);
-    for &step in steps {
-        now = now.then(simd, Part::load(&operators[step as usize], part));
+    for steps in steps.chunks(FLUSH_EVERY) {
+        for &step in steps {
+            now = now.then(simd, Part::load(&operators[step as usize], part));
+        }
+        now = now.flushed(simd);
     }
     now
 }
@@ -240,7 +236,7 @@ mod tests {
         fn kinds_are_lanes_that_hold_the_same_of_a_set(
             bits in proptest::collection::vec(any::<u128>(), 0..60), set in any::<u128>(), some in any::<u128>(),
         ) {
-            // Few groups in the set, so that lanes do look alike.
+            // Few groups in the set, so that lanes are alike.
             let set = set & some & (some >> 64) & 0x11;
             let mut lanes = Lanes::default();
             lanes.reset(bits.len(), 128);
@@ -255,7 +251,7 @@ mod tests {
             let mut keys: Vec<_> = kinds.first.iter().map(|&lane| bits[lane as usize] & set).collect();
             keys.sort_unstable();
             keys.dedup();
-            prop_assert_eq!(keys.len(), kinds.first.len(), "two kinds with one look");
+            prop_assert_eq!(keys.len(), kinds.first.len(), "two kinds with one set of groups");
         }
     }
 }

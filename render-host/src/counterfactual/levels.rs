@@ -1,4 +1,4 @@
-//! From delivered levels to worlds.
+//! Turns delivered levels of clusters into worlds of groups.
 
 use super::States;
 
@@ -32,7 +32,7 @@ impl Lattice {
     }
 
     /// Adds a world in which each level replaces the attributes of the one below: variant `l` of a cluster
-    /// is its look at level `l`, and the one shown is the highest usable, `usable(l) & !usable(l + 1)`.
+    /// is what it shows at level `l`, and the one shown is the highest usable, `usable(l) & !usable(l + 1)`.
     pub fn push_replacing(&self, states: &mut States, delivered: impl Fn(usize, usize) -> bool) {
         states.push(|group| {
             let (cluster, level) = (group / self.levels, group % self.levels);

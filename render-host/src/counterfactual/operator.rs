@@ -1,7 +1,8 @@
-//! What splats do to the light from behind them: `x → C + T·x` on each of sixteen pixels.
+//! Composes what splats do to the light from behind them: `x → C + T·x` on each of sixteen pixels.
 //!
 //! Such operators form a monoid: two in a row are one, and an absent splat is the identity.
 
+use crate::settings::NOTHING;
 use crate::stage::TILE;
 use crate::stage::blend::Lanes;
 use pulp::Simd;
@@ -85,6 +86,22 @@ impl<S: Simd> Part<S> {
     pub(super) fn splat(self, simd: S, alpha: S::f32s, colour: [f32; 3]) -> Self {
         let weight = simd.mul_f32s(alpha, self.t);
         let add = |c: usize| simd.mul_add_e_f32s(weight, simd.splat_f32s(colour[c]), self.rgb[c]);
-        Self { t: simd.sub_f32s(self.t, weight), rgb: [add(0), add(1), add(2)] }
+        Self { t: simd.sub_f32s(self.t, weight), rgb: [add(0), add(1), add(2)] }.flushed(simd)
     }
+
+    /// With 0 for what lets through less than [`NOTHING`].
+    #[inline(always)]
+    pub(super) fn flushed(self, simd: S) -> Self {
+        Self { t: flush(simd, self.t), ..self }
+    }
+}
+
+/// Operators that are composed between two flushes of what lets through next to nothing.
+pub(super) const FLUSH_EVERY: usize = 8;
+
+/// 0 for what is less than [`NOTHING`], so that products do not decay into subnormal numbers.
+#[inline(always)]
+pub(super) fn flush<S: Simd>(simd: S, t: S::f32s) -> S::f32s {
+    let shows = simd.greater_than_or_equal_f32s(t, simd.splat_f32s(NOTHING));
+    simd.select_f32s(shows, t, simd.splat_f32s(0.0))
 }

@@ -1,17 +1,17 @@
-//! Walks tiles and their blocks for a fast mode, which says what the lanes are and where errors go.
+//! Walks tiles and their blocks for a fast mode, which decides what the lanes are and where errors go.
 
 use super::Engine;
+use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
 use super::lanes::{Kinds, Lanes, Wanted};
-use super::runs::Runs;
-use super::segments::{self, Segments};
-use super::sieve::{ACROSS, BLOCKS, SIDE, Sieve};
+use super::segments::{self, RunSegments};
+use super::splat_runs::SplatRuns;
 use super::squares::{Planes, inside};
 use crate::parallel;
 use crate::stage::TILE;
 use pulp::Simd;
 
 /// A fast mode.
-pub(super) trait Plan: Sync {
+pub(super) trait LanePlan: Sync {
     /// Numbers kept per tile that meets `groups`.
     fn size(&self, groups: &[u32]) -> usize;
 
@@ -67,8 +67,8 @@ impl Sums {
 
 #[derive(Default)]
 struct Room {
-    sieve: Sieve,
-    runs: Runs,
+    culling: TileCulling,
+    runs: SplatRuns,
     passes: Vec<Pass>,
     seen: Vec<u64>,
 }
@@ -77,7 +77,7 @@ struct Room {
 #[derive(Default)]
 pub(super) struct Pass {
     pub block: Block,
-    pub segments: Segments,
+    pub segments: RunSegments,
     /// Kinds met so far; `known` of them count.
     pub kinds: Vec<Kinds>,
     known: usize,
@@ -113,7 +113,7 @@ impl Pass {
     pub(super) fn cut<S: Simd>(
         &mut self,
         simd: S,
-        runs: &mut Runs,
+        runs: &mut SplatRuns,
         seen: &[u64],
         guess: impl Fn(usize) -> usize,
     ) -> usize {
@@ -128,8 +128,8 @@ impl Pass {
     }
 }
 
-/// Runs `plan` over all tiles.
-pub(super) fn run(engine: &Engine, plan: &impl Plan) -> Sums {
+/// SplatRuns `plan` over all tiles.
+pub(super) fn run(engine: &Engine, plan: &impl LanePlan) -> Sums {
     let shared = &engine.shared;
     let mut starts = vec![0];
     let mut end = 0;
@@ -137,32 +137,18 @@ pub(super) fn run(engine: &Engine, plan: &impl Plan) -> Sums {
         end += plan.size(shared.groups(tile));
         starts.push(end);
     }
-    let mut sums = Sums { values: vec![0.0; end], starts };
-    rerun(engine, plan, |_| true, &mut sums);
-    sums
-}
-
-/// Runs `plan` again over the tiles for which `wanted` says so. Returns how many.
-pub(super) fn rerun(
-    engine: &Engine,
-    plan: &impl Plan,
-    wanted: impl Fn(usize) -> bool,
-    sums: &mut Sums,
-) -> usize {
-    let Sums { values, starts } = sums;
+    let mut values = vec![0.0; end];
     let mut rest = values.as_mut_slice();
-    let mut work = Vec::new();
+    let mut work = Vec::with_capacity(shared.tiles());
     for (tile, bounds) in starts.windows(2).enumerate() {
         let (own, after) = rest.split_at_mut(bounds[1] - bounds[0]);
         rest = after;
-        if wanted(tile) {
-            work.push((tile, own));
-        }
+        work.push((tile, own));
     }
     parallel::for_each_with(engine.settings.parallel, &mut work, |room: &mut Room, _, (tile, out)| {
         pulp::Arch::new().dispatch(Walk { room, engine, plan, tile: *tile, out });
     });
-    work.len()
+    Sums { values, starts }
 }
 
 /// One tile's work, as a value, so that it can be compiled once per vector width.
@@ -174,13 +160,13 @@ struct Walk<'a, P> {
     out: &'a mut [f64],
 }
 
-impl<P: Plan> pulp::WithSimd for Walk<'_, P> {
+impl<P: LanePlan> pulp::WithSimd for Walk<'_, P> {
     type Output = ();
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { room, engine, plan, tile, out } = self;
-        let Room { sieve, runs, passes, seen } = room;
+        let Room { culling, runs, passes, seen } = room;
         let Engine { shared, settings, .. } = engine;
         let groups = shared.groups(tile);
         out.fill(0.0);
@@ -192,13 +178,13 @@ impl<P: Plan> pulp::WithSimd for Walk<'_, P> {
         if passes.iter().all(|pass| pass.block.count == 0) {
             return;
         }
-        sieve.fill(shared, tile, settings);
+        culling.fill(shared, tile, settings);
         let size = inside(shared.corner(tile), shared.size);
         for index in (0..BLOCKS).filter(|&b| within(b, size)) {
-            runs.find(sieve, index, settings);
-            runs.compose(simd, sieve, false);
+            runs.find(culling, index, settings);
+            runs.compose(simd, culling, false);
             let wanted = wanted(&engine.reference[tile], index, size);
-            look(&runs.locals, groups.len(), seen);
+            group_set(&runs.locals, groups.len(), seen);
             for pass in passes.iter_mut().filter(|pass| pass.block.count > 0) {
                 let at = pass.cut(simd, runs, seen, |groups| plan.kinds(groups));
                 let Pass { block, segments, kinds, .. } = pass;
@@ -235,7 +221,7 @@ pub(super) fn wanted(reference: &Planes, block: usize, size: (usize, usize)) -> 
 }
 
 /// The set of groups of `locals`, a bit each.
-pub(super) fn look(locals: &[u32], groups: usize, seen: &mut Vec<u64>) {
+pub(super) fn group_set(locals: &[u32], groups: usize, seen: &mut Vec<u64>) {
     seen.clear();
     seen.resize(groups.div_ceil(64).max(1), 0);
     locals.iter().for_each(|&local| seen[local as usize / 64] |= 1 << (local % 64));

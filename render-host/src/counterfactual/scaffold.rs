@@ -1,7 +1,7 @@
-//! What all worlds share: projection, depth order, exact tile lists and the groups of each tile.
+//! Makes what all worlds share: projection, depth order, exact tile lists and the groups of each tile.
 
 use super::Variants;
-use super::faded::Faded;
+use super::hidden::HiddenInGroup;
 use crate::parallel;
 use crate::stage::{Splat, TILE, bin, project, sort};
 use crate::{Camera, Settings};
@@ -17,7 +17,7 @@ pub(super) struct Entry {
 
 /// Tile lists of every variant, nearest first, and the groups met in each.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Shared {
+pub(super) struct SharedLists {
     pub projected: project::Projected,
     /// Width and height, pixels.
     pub size: [usize; 2],
@@ -42,10 +42,10 @@ struct Lists {
 struct Room {
     /// Of each group, the tile it was last met in, from 1, and its place there.
     slots: Vec<(usize, u32)>,
-    faded: Faded,
+    hidden: HiddenInGroup,
 }
 
-impl Shared {
+impl SharedLists {
     pub(super) fn new(variants: &Variants, camera: &Camera, settings: &Settings) -> Self {
         let size = [camera.width() as usize, camera.height() as usize];
         let columns = size[0].div_ceil(TILE);
@@ -120,9 +120,9 @@ impl Lists {
         room: &mut Room,
         settings: &Settings,
     ) {
-        let Room { slots, faded } = room;
+        let Room { slots, hidden } = room;
         let first = self.sets.len();
-        faded.open(list.len(), settings);
+        hidden.open(list.len(), settings);
         for &splat in list {
             let group = groups[splat as usize];
             let slot = &mut slots[group as usize];
@@ -130,7 +130,7 @@ impl Lists {
                 *slot = (tile + 1, (self.sets.len() - first) as u32);
                 self.sets.push(group);
             }
-            if faded.shows(&splats[splat as usize], slot.1, corner, settings) {
+            if hidden.shows(&splats[splat as usize], slot.1, corner, settings) {
                 self.entries.push(Entry { splat, local: slot.1 });
             }
         }

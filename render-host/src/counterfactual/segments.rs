@@ -1,78 +1,78 @@
-//! Runs of a few groups composed once for every look that the worlds have of those groups.
+//! Composes runs of a few groups once for every subset of those groups that some world holds.
 //!
 //! A segment is a stretch of runs of at most a few groups. Worlds that hold the same of these groups see
-//! the same operator, so it is composed once per such *look* and a world is a walk over segments, not over
-//! runs. With G groups in a segment there are at most 2^G looks, one of which is the identity.
+//! the same operator, so it is composed once per such *subset* and a world is a walk over segments, not over
+//! runs. With G groups in a segment there are at most 2^G subsets, one of which is the identity.
 
 use super::lanes::Lanes;
-use super::operator::{Operator, Part, parts};
-use super::runs::Runs;
+use super::operator::{FLUSH_EVERY, Operator, Part, parts};
+use super::splat_runs::SplatRuns;
 use pulp::Simd;
 
 /// Groups in a segment at most.
 const MOST: usize = 4;
 /// Looks at a segment at most.
-pub(super) const LOOKS: usize = 1 << MOST;
+pub(super) const SUBSETS: usize = 1 << MOST;
 /// No group.
 pub(super) const NONE: u32 = u32::MAX;
 
 /// Up to [`MOST`] groups in order of appearance; unused places hold [`NONE`].
-type Few = [u32; MOST];
+type GroupSlots = [u32; MOST];
 
 /// How the lanes of a tile see a few groups.
 #[derive(Debug, Default)]
 struct View {
-    groups: Few,
+    groups: GroupSlots,
     /// Per lane, a bit per group that it holds.
-    looks: Vec<u8>,
-    /// Bit `l` is set when some lane has look `l`.
+    subsets: Vec<u8>,
+    /// Bit `l` is set when some lane has subset `l`.
     used: u32,
 }
 
 /// A stretch of runs.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Segment {
+pub(super) struct RunSegment {
     /// First run and the one past the last.
     pub runs: [usize; 2],
     view: usize,
-    /// Operator of each look.
-    pub operators: [u32; LOOKS],
+    /// Operator of each subset.
+    pub operators: [u32; SUBSETS],
 }
 
 /// The segments of one block.
 #[derive(Debug, Default)]
-pub(super) struct Segments {
+pub(super) struct RunSegments {
     /// Views of the tile's lanes, made when first needed; `known` of them count.
     views: Vec<View>,
     known: usize,
-    list: Vec<Segment>,
-    /// Of each run, which of its segment's groups it is, as a bit of a look.
+    list: Vec<RunSegment>,
+    /// Of each run, which of its segment's groups it is, as a bit of a subset.
     ranks: Vec<u8>,
-    /// Room for the runs of one look.
+    /// Room for the runs of one subset.
     picked: Vec<u32>,
     /// One past the last operator that was composed.
     end: usize,
 }
 
-impl Segments {
+impl RunSegments {
     /// Forgets all views: the lanes are others.
     pub(super) fn reset(&mut self) {
         self.known = 0;
     }
 
-    pub(super) fn list(&self) -> &[Segment] {
+    pub(super) fn list(&self) -> &[RunSegment] {
         &self.list
     }
 
-    /// The look that `lane` has of `segment`.
+    /// The subset that `lane` has of `segment`.
     #[inline(always)]
-    fn look(&self, segment: &Segment, lane: usize) -> usize {
-        usize::from(self.views[segment.view].looks[lane]) % LOOKS
+    fn subset(&self, segment: &RunSegment, lane: usize) -> usize {
+        usize::from(self.views[segment.view].subsets[lane]) % SUBSETS
     }
 
-    /// Cuts the runs of a block into segments of at most `limit` groups and composes every look of each.
+    /// Cuts the runs of a block into segments of at most `limit` groups and composes every subset of each.
     #[inline(always)]
-    pub(super) fn fill<S: Simd>(&mut self, simd: S, runs: &mut Runs, lanes: &Lanes, limit: usize) {
+    pub(super) fn fill<S: Simd>(&mut self, simd: S, runs: &mut SplatRuns, lanes: &Lanes, limit: usize) {
         self.list.clear();
         self.ranks.clear();
         let identity = runs.len() as u32;
@@ -86,7 +86,7 @@ impl Segments {
                 past += 1;
             }
             let view = self.view(groups, lanes);
-            self.list.push(Segment { runs: [first, past], view, operators: [identity; LOOKS] });
+            self.list.push(RunSegment { runs: [first, past], view, operators: [identity; SUBSETS] });
             first = past;
         }
         if self.picked.len() <= runs.len() {
@@ -97,9 +97,9 @@ impl Segments {
             let mut segment = self.list[at];
             let mut used = self.views[segment.view].used & !1;
             while used != 0 {
-                let look = used.trailing_zeros() as usize % LOOKS;
+                let subset = used.trailing_zeros() as usize % SUBSETS;
                 used &= used - 1;
-                segment.operators[look] = self.compose(simd, runs, segment.runs, look, &mut end);
+                segment.operators[subset] = self.compose(simd, runs, segment.runs, subset, &mut end);
             }
             self.list[at] = segment;
         }
@@ -115,38 +115,38 @@ impl Segments {
     #[inline(always)]
     pub(super) fn path(&self, lane: usize, path: &mut [u32]) {
         for (step, segment) in path.iter_mut().zip(&self.list) {
-            *step = segment.operators[self.look(segment, lane)];
+            *step = segment.operators[self.subset(segment, lane)];
         }
     }
 
-    /// The looks of a segment whose operators were composed, where a block has `runs` runs.
+    /// The subsets of a segment whose operators were composed, where a block has `runs` runs.
     pub(super) fn composed(
         &self,
-        segment: &Segment,
+        segment: &RunSegment,
         runs: usize,
     ) -> impl Iterator<Item = (usize, usize)> + use<> {
         let operators = segment.operators;
-        (0..LOOKS).map(move |look| (look, operators[look] as usize)).filter(move |&(_, at)| at > runs)
+        (0..SUBSETS).map(move |subset| (subset, operators[subset] as usize)).filter(move |&(_, at)| at > runs)
     }
 
-    /// The runs that a look holds.
+    /// The runs that a subset holds.
     #[inline(always)]
-    pub(super) fn picked(&mut self, runs: [usize; 2], look: usize) -> &[u32] {
-        let count = self.pick(runs, look);
+    pub(super) fn picked(&mut self, runs: [usize; 2], subset: usize) -> &[u32] {
+        let count = self.pick(runs, subset);
         &self.picked[..count]
     }
 
-    /// The operator of one look: a run if it is one, else composed behind all others, at `end`.
+    /// The operator of one subset: a run if it is one, else composed behind all others, at `end`.
     #[inline(always)]
     fn compose<S: Simd>(
         &mut self,
         simd: S,
-        runs: &mut Runs,
+        runs: &mut SplatRuns,
         [first, past]: [usize; 2],
-        look: usize,
+        subset: usize,
         end: &mut usize,
     ) -> u32 {
-        let count = self.pick([first, past], look);
+        let count = self.pick([first, past], subset);
         let picked = &self.picked[..count];
         if count == 1 {
             return picked[0];
@@ -157,8 +157,11 @@ impl Segments {
         let (sources, made) = runs.operators.split_at_mut(*end);
         for part in 0..parts::<S>() {
             let mut now = Part::identity(simd);
-            for &run in picked {
-                now = now.then(simd, Part::load(&sources[run as usize], part));
+            for picked in picked.chunks(FLUSH_EVERY) {
+                for &run in picked {
+                    now = now.then(simd, Part::load(&sources[run as usize], part));
+                }
+                now = now.flushed(simd);
             }
             now.store(&mut made[0], part);
         }
@@ -166,38 +169,38 @@ impl Segments {
         (*end - 1) as u32
     }
 
-    /// Puts the runs that a look holds at the start of `picked`. Returns how many.
+    /// Puts the runs that a subset holds at the start of `picked`. Returns how many.
     #[inline(always)]
-    fn pick(&mut self, [first, past]: [usize; 2], look: usize) -> usize {
+    fn pick(&mut self, [first, past]: [usize; 2], subset: usize) -> usize {
         let mut count = 0;
         for (run, &rank) in (first as u32..).zip(&self.ranks[first..past]) {
             self.picked[count] = run;
-            count += look >> rank & 1;
+            count += subset >> rank & 1;
         }
         count
     }
 
     /// The view of `groups`.
     #[inline(always)]
-    fn view(&mut self, groups: Few, lanes: &Lanes) -> usize {
+    fn view(&mut self, groups: GroupSlots, lanes: &Lanes) -> usize {
         let found = self.views[..self.known].iter().position(|view| view.groups == groups);
         found.unwrap_or_else(|| self.make(groups, lanes))
     }
 
-    fn make(&mut self, groups: Few, lanes: &Lanes) -> usize {
+    fn make(&mut self, groups: GroupSlots, lanes: &Lanes) -> usize {
         let at = self.known;
         if self.views.len() == at {
             self.views.push(View::default());
         }
         let view = &mut self.views[at];
         (view.groups, view.used) = (groups, 0);
-        view.looks.clear();
-        view.looks.resize(lanes.count(), 0);
+        view.subsets.clear();
+        view.subsets.resize(lanes.count(), 0);
         for (rank, &group) in groups.iter().enumerate().filter(|(_, group)| **group != NONE) {
-            let looks = view.looks.iter_mut().enumerate();
-            looks.for_each(|(lane, look)| *look |= u8::from(lanes.has(lane, group)) << rank);
+            let subsets = view.subsets.iter_mut().enumerate();
+            subsets.for_each(|(lane, subset)| *subset |= u8::from(lanes.has(lane, group)) << rank);
         }
-        view.looks.iter().for_each(|&look| view.used |= 1 << look);
+        view.subsets.iter().for_each(|&subset| view.used |= 1 << subset);
         self.known += 1;
         at
     }
@@ -205,7 +208,7 @@ impl Segments {
 
 /// Place of `local` among `groups`, where it is added if it is missing and there is room.
 #[inline(always)]
-fn place(groups: &mut Few, limit: usize, local: u32) -> Option<usize> {
+fn place(groups: &mut GroupSlots, limit: usize, local: u32) -> Option<usize> {
     for (rank, group) in groups[..limit].iter_mut().enumerate() {
         if *group == NONE {
             *group = local;
@@ -219,14 +222,14 @@ fn place(groups: &mut Few, limit: usize, local: u32) -> Option<usize> {
 
 /// The number of groups per segment for which `lanes` lanes over these runs are estimated cheapest.
 ///
-/// A run is composed into about half of the looks; a lane walks over every segment.
+/// A run is composed into about half of the subsets; a lane walks over every segment.
 pub(super) fn limit(locals: &[u32], lanes: usize) -> usize {
     let mut best = (f32::INFINITY, 1);
     for limit in 1..=MOST {
         let (mut groups, mut length, mut count, mut cost) = ([NONE; MOST], 0, 0, 0.0);
-        let looks = (((1 << limit) - 1) as f32 * 0.6).min(lanes as f32);
+        let subsets = (((1 << limit) - 1) as f32 * 0.6).min(lanes as f32);
         // One run is one operator already.
-        let compose = |length: usize| if length > 1 { looks * length as f32 } else { 0.0 };
+        let compose = |length: usize| if length > 1 { subsets * length as f32 } else { 0.0 };
         for &local in locals {
             if place(&mut groups, limit, local).is_none() {
                 cost += compose(length);
@@ -250,10 +253,10 @@ mod tests {
     use proptest::prelude::*;
 
     struct Walk<'a> {
-        runs: &'a mut Runs,
+        runs: &'a mut SplatRuns,
         lanes: &'a Lanes,
         limit: usize,
-        segments: &'a mut Segments,
+        segments: &'a mut RunSegments,
     }
 
     impl pulp::WithSimd for Walk<'_> {
@@ -265,7 +268,7 @@ mod tests {
     }
 
     /// What `path` makes of the light from behind, in pixel 3.
-    fn walked(runs: &Runs, path: impl Iterator<Item = u32>) -> [f64; 2] {
+    fn walked(runs: &SplatRuns, path: impl Iterator<Item = u32>) -> [f64; 2] {
         let step = |[t, c]: [f64; 2], at: u32| {
             let operator = &runs.operators[at as usize];
             [t * f64::from(operator.t[3]), c + t * f64::from(operator.rgb[1][3])]
@@ -286,12 +289,12 @@ mod tests {
                 Operator { t: [0.3 + 0.6 * v.sin().abs(); TILE], rgb: [[v.cos().abs(); TILE]; 3] }
             };
             let operators: Vec<_> = (0..locals.len()).map(operator).chain([Operator::IDENTITY]).collect();
-            let mut runs = Runs::default();
+            let mut runs = SplatRuns::default();
             (runs.locals, runs.operators) = (locals.clone(), operators);
             let mut lanes = Lanes::default();
             lanes.reset(bits.len(), 70);
             (0..70).for_each(|l| lanes.row(l, |lane| bits[lane][l as usize / 64] >> (l % 64) & 1 == 1));
-            let mut segments = Segments::default();
+            let mut segments = RunSegments::default();
             for scalar in [true, false] {
                 segments.reset();
                 let walk = Walk { runs: &mut runs, lanes: &lanes, limit, segments: &mut segments };

@@ -1,8 +1,8 @@
-//! Sums of squared differences, tile by tile, in one fixed order.
+//! Adds up squared differences from the reference, tile by tile, in one fixed order.
 
+use super::culling::BLOCKS;
 use super::lanes::Wanted;
 use super::plan::{wanted, within};
-use super::sieve::BLOCKS;
 use crate::image::Image;
 use crate::parallel;
 use crate::stage::TILE;

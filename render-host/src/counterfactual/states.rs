@@ -1,4 +1,4 @@
-//! Worlds as sets of groups.
+//! Holds worlds as sets of groups.
 
 /// Worlds of one call: per world, a bit per group.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -1,49 +1,33 @@
-//! Worlds exactly as they are rendered alone, bit for bit.
+//! Renders worlds exactly as they are rendered alone, bit for bit.
 //!
 //! A world's list is the shared list without the absent groups: the splats and their order are those of a
 //! render of that world, and so is every operation on every pixel. What is shared is what does not change
 //! a bit: alphas do not depend on the world, and worlds that hold the same of the groups met so far are one
 //! until a group is met that only some of them hold.
 
+use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
 use super::fast::Worlds;
-use super::lanes::Lanes;
-use super::operator::{Operator, Part, lanes, parts};
-use super::plan::{Pass, Plan, look, wanted, within};
-use super::runs::Runs;
-use super::scaffold::Shared;
-use super::sieve::{ACROSS, BLOCKS, SIDE, Sieve};
+use super::operator::Operator;
+use super::plan::{LanePlan, Pass, group_set, wanted, within};
+use super::scaffold::SharedLists;
+use super::splat_runs::SplatRuns;
 use super::squares::{Squares, add, inside, squares};
 use super::states::CHUNK;
+use super::tree::Tree;
 use super::{Engine, States};
 use crate::image::{Image, ImageError};
 use crate::settings::Settings;
 use crate::stage::TILE;
 use crate::{Camera, parallel};
 use pulp::Simd;
-use std::ops::Range;
 
 #[derive(Default)]
 struct Room {
-    sieve: Sieve,
-    runs: Runs,
+    culling: TileCulling,
+    runs: SplatRuns,
     passes: Vec<Pass>,
     seen: Vec<u64>,
     tree: Tree,
-}
-
-/// Worlds that part where a group is met that only some of them hold.
-#[derive(Default)]
-struct Tree {
-    /// Kinds, those that part last side by side.
-    order: Vec<u32>,
-    /// Whether each run is the first of its group.
-    first: Vec<bool>,
-    /// Kinds that wait at a run, with what they have gathered.
-    waiting: Vec<(Range<usize>, usize, Operator)>,
-    /// What each kind has gathered behind the last run.
-    found: Vec<Operator>,
-    /// Groups in order of appearance.
-    groups: Vec<u32>,
 }
 
 /// Where the pictures of a tile's blocks go.
@@ -53,7 +37,7 @@ trait Sink: Sync {
     /// The classes of a pass over a tile.
     fn classes(&self, tile: &mut Self::Tile, pass: usize, classes: &[u128]);
 
-    /// What a block looks like, given tile, pass and block: class `i` has the picture `found[of[i]]`.
+    /// What a block shows, given tile, pass and block: class `i` has the picture `found[of[i]]`.
     fn block(
         &self,
         tile: &mut Self::Tile,
@@ -67,7 +51,7 @@ trait Sink: Sync {
 /// One tile's work, as a value, so that it can be compiled once per vector width.
 struct Walk<'a, K: Sink> {
     room: &'a mut Room,
-    shared: &'a Shared,
+    shared: &'a SharedLists,
     settings: &'a Settings,
     plan: &'a Worlds,
     tile: usize,
@@ -81,7 +65,7 @@ impl<K: Sink> pulp::WithSimd for Walk<'_, K> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let Self { room, shared, settings, plan, tile, sink, out } = self;
-        let Room { sieve, runs, passes, seen, tree } = room;
+        let Room { culling, runs, passes, seen, tree } = room;
         let groups = shared.groups(tile);
         passes.resize_with(plan.passes(), Pass::default);
         for (index, pass) in passes.iter_mut().enumerate() {
@@ -89,93 +73,19 @@ impl<K: Sink> pulp::WithSimd for Walk<'_, K> {
             plan.lanes(index, &mut pass.block);
             sink.classes(out, index, &pass.block.classes);
         }
-        sieve.fill(shared, tile, settings);
+        culling.fill(shared, tile, settings);
         let size = inside(shared.corner(tile), shared.size);
         for block in (0..BLOCKS).filter(|&b| within(b, size)) {
-            runs.find(sieve, block, settings);
-            look(&runs.locals, groups.len(), seen);
+            runs.find(culling, block, settings);
+            group_set(&runs.locals, groups.len(), seen);
             for (index, pass) in passes.iter_mut().enumerate() {
                 let at = pass.find_kinds(seen);
                 let Pass { block: lanes, kinds, .. } = pass;
                 let kinds = &kinds[at];
-                tree.walk(simd, sieve, runs, &lanes.lanes, &kinds.first, settings.stop());
+                tree.walk(simd, culling, runs, &lanes.lanes, &kinds.first, settings.closed_below());
                 sink.block(out, (tile, index, block), size, &kinds.of, &tree.found);
             }
         }
-    }
-}
-
-impl Tree {
-    /// Blends a block for every kind of lanes, of each of which `lanes_of` names one.
-    #[inline(always)]
-    fn walk<S: Simd>(
-        &mut self,
-        simd: S,
-        sieve: &Sieve,
-        runs: &Runs,
-        lanes: &Lanes,
-        lanes_of: &[u32],
-        stop: f32,
-    ) {
-        let Self { order, first, waiting, found, groups } = self;
-        groups.clear();
-        first.clear();
-        for local in &runs.locals {
-            let fresh = !groups.contains(local);
-            first.push(fresh);
-            if fresh {
-                groups.push(*local);
-            }
-        }
-        let holds = |kind: u32, local: u32| lanes.has(lanes_of[kind as usize] as usize, local);
-        order.clear();
-        order.extend(0..lanes_of.len() as u32);
-        order.sort_unstable_by(|&a, &b| {
-            let differ = groups.iter().map(|&group| (holds(a, group), holds(b, group)));
-            differ.map(|(a, b)| b.cmp(&a)).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal)
-        });
-        found.resize(lanes_of.len(), Operator::IDENTITY);
-        waiting.clear();
-        if !order.is_empty() {
-            waiting.push((0..order.len(), 0, Operator::IDENTITY));
-        }
-        while let Some((mut kinds, from, mut now)) = waiting.pop() {
-            for (run, (&local, &fresh)) in runs.locals.iter().zip(first.iter()).enumerate().skip(from) {
-                if fresh {
-                    let with = order[kinds.clone()].partition_point(|&kind| holds(kind, local));
-                    let middle = kinds.start + with;
-                    if middle < kinds.end && with > 0 {
-                        waiting.push((middle..kinds.end, run, now));
-                        kinds.end = middle;
-                    }
-                }
-                if holds(order[kinds.start], local) {
-                    blend(simd, sieve, runs, run, stop, &mut now);
-                }
-            }
-            order[kinds].iter().for_each(|&kind| found[kind as usize] = now);
-        }
-    }
-}
-
-/// Blends the splats of a run, with the operations of a render in its order.
-#[inline(always)]
-fn blend<S: Simd>(simd: S, sieve: &Sieve, runs: &Runs, run: usize, stop: f32, now: &mut Operator) {
-    let (stop, zero) = (simd.splat_f32s(stop), simd.splat_f32s(0.0));
-    for part in 0..parts::<S>() {
-        let mut part_now = Part::<S>::load(now, part);
-        for i in runs.members(run) {
-            let colour = sieve.splats()[runs.position(i)].colour;
-            let Part { t, rgb } = &mut part_now;
-            let open = simd.greater_than_or_equal_f32s(*t, stop);
-            let alpha = simd.select_f32s(open, lanes::<S>(runs.alpha(i), part), zero);
-            let weight = simd.mul_f32s(alpha, *t);
-            for (sum, c) in rgb.iter_mut().zip(colour) {
-                *sum = simd.add_f32s(*sum, simd.mul_f32s(weight, simd.splat_f32s(c)));
-            }
-            *t = simd.sub_f32s(*t, weight);
-        }
-        part_now.store(now, part);
     }
 }
 
@@ -212,7 +122,7 @@ impl Sink for Errors<'_> {
 
 /// What shows over `background`.
 #[inline(always)]
-fn over(found: &Operator, background: [f32; 3]) -> [[f32; TILE]; 3] {
+pub(super) fn over(found: &Operator, background: [f32; 3]) -> [[f32; TILE]; 3] {
     let mut out = found.rgb;
     for (out, back) in out.iter_mut().zip(background) {
         (0..TILE).for_each(|i| out[i] += found.t[i] * back);
@@ -308,7 +218,7 @@ pub(super) struct Drawn {
 
 /// The pictures of all worlds.
 pub(super) fn images(
-    shared: &Shared,
+    shared: &SharedLists,
     camera: &Camera,
     settings: &Settings,
     states: &States,
@@ -322,7 +232,7 @@ pub(super) fn images(
         out.push(image);
     }
     let width = camera.width() as usize;
-    // A row of tiles at a time, so that what tiles look like need not all be kept.
+    // A row of tiles at a time, so that the pictures of tiles need not all be kept.
     let mut views = vec![Views::default(); shared.columns];
     let mut scratch = 0;
     for row in 0..shared.tiles() / shared.columns.max(1) {

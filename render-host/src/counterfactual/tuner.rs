@@ -1,4 +1,4 @@
-//! How many worlds one call may hold under a memory budget.
+//! Finds how many worlds one call may hold under a memory budget.
 //!
 //! The tuner predicts before it probes: the first probe is the largest size that the prediction allows. A
 //! probe that fits tells how good the prediction was, and the next is the largest size that the corrected

@@ -1,10 +1,10 @@
-//! What each group is worth in each context: leave one out of those present, add one of those absent.
+//! Measures what each group adds in each context: leave one out of those present, add one of those absent.
 //!
 //! Lanes are the contexts that a tile can tell apart, each as it is and with one of the tile's groups
 //! toggled. Their number does not depend on how many groups the scene has.
 
 use super::classes::{members, split};
-use super::plan::{Block, Plan, Sums, rerun, run};
+use super::plan::{Block, LanePlan, Sums, run};
 use super::states::CHUNK;
 use super::{Engine, States};
 
@@ -48,7 +48,7 @@ struct Toggles {
     chunks: Vec<(u128, Vec<u128>)>,
 }
 
-impl Plan for Toggles {
+impl LanePlan for Toggles {
     fn size(&self, groups: &[u32]) -> usize {
         self.contexts * (groups.len() + 1)
     }
@@ -94,30 +94,6 @@ impl Plan for Toggles {
 
 /// All utilities in all contexts.
 pub(super) fn utilities(engine: &Engine, contexts: &States) -> Utilities {
-    Kept::new(engine, contexts).total(engine)
-}
-
-/// Utilities of one context that changes by a group at a time: only tiles that the group reaches are
-/// looked at again.
-pub(super) struct Kept {
-    contexts: usize,
-    sums: Sums,
-}
-
-impl Kept {
-    pub(super) fn new(engine: &Engine, contexts: &States) -> Self {
-        let plan = Toggles { contexts: contexts.len(), chunks: contexts.chunks() };
-        Self { contexts: contexts.len(), sums: run(engine, &plan) }
-    }
-
-    /// Looks again at the tiles of `group`. Returns how many.
-    pub(super) fn refresh(&mut self, engine: &Engine, contexts: &States, group: u32) -> usize {
-        let plan = Toggles { contexts: contexts.len(), chunks: contexts.chunks() };
-        let touched = |tile| engine.shared.groups(tile).contains(&group);
-        rerun(engine, &plan, touched, &mut self.sums)
-    }
-
-    pub(super) fn total(&self, engine: &Engine) -> Utilities {
-        Utilities::add_up(engine, self.contexts, &self.sums)
-    }
+    let plan = Toggles { contexts: contexts.len(), chunks: contexts.chunks() };
+    Utilities::add_up(engine, contexts.len(), &run(engine, &plan))
 }

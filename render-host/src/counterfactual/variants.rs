@@ -1,4 +1,4 @@
-//! The scene of a counterfactual question: Gaussians with the group each belongs to.
+//! Holds the scene of a counterfactual question: Gaussians with the group each belongs to.
 
 use super::CounterfactualError;
 use crate::Splats;

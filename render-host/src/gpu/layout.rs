@@ -235,7 +235,7 @@ impl Frame {
             cutoff: settings.cutoff(),
             log2_cutoff: settings.log2_cutoff() as f32,
             alpha_max: settings.alpha_max,
-            stop: settings.stop(),
+            stop: settings.closed_below(),
             gaussians,
             degree: u32::from(degree),
             flags: flag(settings.antialiased, FLAG_ANTIALIASED)

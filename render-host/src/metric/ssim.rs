@@ -10,6 +10,8 @@
 use crate::image::{Image, ImageError, same_size};
 use crate::parallel;
 
+pub(crate) mod target;
+
 /// Side of the window, pixels.
 pub const WINDOW: usize = 11;
 /// Standard deviation of the window, pixels.
@@ -74,6 +76,7 @@ fn moments_along(x: &[f64], y: &[f64], weights: &[f64], out: &mut [f64]) {
 }
 
 /// Similarity of two windows from their weighted moments x, y, x², y², xy.
+#[inline(always)]
 pub(crate) fn similarity([mx, my, xx, yy, xy]: [f64; MOMENTS]) -> f64 {
     let (vx, vy, cov) = (xx - mx * mx, yy - my * my, xy - mx * my);
     (2.0 * mx * my + C1) * (2.0 * cov + C2) / ((mx * mx + my * my + C1) * (vx + vy + C2))

@@ -1,7 +1,8 @@
 //! Stage 4: every pixel of a tile takes its list of splats, nearest first.
 //!
 //! `C += T·a·c; T -= T·a`, where alpha `a` is clamped to `alpha_max` and left out below `alpha_cutoff`,
-//! until `T` is below the stop (inclusive: the splat that crosses it is blended).
+//! until `T` is below the stop (inclusive: the splat that crosses it is blended), or below 1e-30 where there
+//! is no stop.
 //!
 //! A row of a tile is 16 pixels in arrays of fixed size, written so that the compiler turns it into
 //! vectors; `pulp` picks the widest ones at run time. Nothing is fused or reordered, so every vector
@@ -243,7 +244,7 @@ impl pulp::NullaryFnOnce for Blend<'_> {
             TileSide::Sixteen => walk::<0, TILE, false>(splats, lists[0], corner, 0..TILE, &rules, tile),
             TileSide::ThirtyTwo => walk::<0, TILE, true>(splats, lists[0], corner, 0..TILE, &rules, tile),
         }
-        if rules.stop > 0.0 {
+        if settings.early_stop {
             let (w, h) = ((size[0] - corner[0]).min(TILE), (size[1] - corner[1]).min(TILE));
             let finished = |row: &[Lanes; 4]| row[3][..w].iter().filter(|&&t| t < rules.stop).count();
             tile.work.stopped = tile.rows[..h].iter().map(finished).sum::<usize>() as u64;
@@ -267,7 +268,7 @@ fn walk<const LEFT: usize, const WIDTH: usize, const SHARED: bool>(
     let mut near = [Splat::NONE; LOOK_EVERY];
     for k in 0..list.len() {
         if k % LOOK_EVERY == 0 {
-            if k > 0 && rules.stop > 0.0 {
+            if k > 0 {
                 open = open_rows::<LEFT, WIDTH>(&tile.rows, &part, rules.stop);
                 if open == 0 {
                     work.unread += (list.len() - k) as u64;
@@ -336,7 +337,7 @@ impl Rules {
     pub(crate) fn new(settings: &Settings) -> Self {
         let reach =
             if settings.row_reach { REACH_MARGIN - settings.log2_cutoff() as f32 } else { f32::INFINITY };
-        Self { cutoff: settings.cutoff(), max: settings.alpha_max, stop: settings.stop(), reach }
+        Self { cutoff: settings.cutoff(), max: settings.alpha_max, stop: settings.closed_below(), reach }
     }
 
     /// Alpha of a pixel of transmittance `t`, 0 where the splat is left out.

@@ -119,10 +119,11 @@ fn windows(manifest: &Manifest<'_>) -> Vec<Value> {
 
 fn quantisers(of: &[Quantiser]) -> Vec<Value> {
     let one = |(class, quantiser): (Class, &Quantiser)| {
+        let ratios = [1, 2, 3].map(|level: usize| quantiser.ratio(Level::ALL[level]));
         json!({
             "class": format!("{class:?}"),
             "step": quantiser.step(Level::ALL[3]),
-            "ratios": [1, 2, 3].map(|l: usize| quantiser.ratio(Level::ALL[l])),
+            "ratios": ratios,
             "predicted": quantiser.predicted(),
             "decorrelated": quantiser.decorrelated(),
         })
@@ -157,8 +158,8 @@ fn group(group: &Group) -> Value {
 fn groups(content: &Stream, map: &PacketMap) -> Vec<Value> {
     let mut bringing = std::collections::BTreeMap::<Group, Vec<usize>>::new();
     for id in 0..content.packets().len() {
-        for mark in map.marks(id) {
-            bringing.entry(mark.group).or_default().push(id);
+        for placement in map.placements(id) {
+            bringing.entry(placement.group).or_default().push(id);
         }
     }
     let one = |(key, symbols): &(Group, usize)| {
@@ -173,10 +174,10 @@ fn groups(content: &Stream, map: &PacketMap) -> Vec<Value> {
 /// Every packet of the stream: what it is, its bytes (0 if it is missing), what it brings.
 fn packets(content: &Stream, map: &PacketMap) -> Vec<Value> {
     let one = |(id, bytes): (usize, &Vec<u8>)| {
-        let slices = map.marks(id).iter().map(|mark| {
-            let mut value = group(&mark.group);
-            value["blocks"] = json!(mark.blocks);
-            value["symbols"] = json!(mark.symbols);
+        let slices = map.placements(id).iter().map(|placement| {
+            let mut value = group(&placement.group);
+            value["blocks"] = json!(placement.blocks);
+            value["symbols"] = json!(placement.symbols);
             value
         });
         let kind = match bytes.first().map(|first| first >> 5) {

@@ -20,6 +20,7 @@ mod skips;
 mod stress;
 mod structure;
 mod transport;
+mod utility;
 mod worlds;
 
 use anyhow::Result;
@@ -92,6 +93,11 @@ pub const ALL: &[Experiment] = &[
         name: "counterfactual",
         about: "states, utilities and gradients per second against rendering every state alone",
         run: counterfactual::run,
+    },
+    Experiment {
+        name: "utility",
+        about: "utilities of all groups of a stream: time and error against every state decoded and rendered alone",
+        run: utility::run,
     },
     Experiment {
         name: "gradient",

@@ -1,23 +1,23 @@
 //! What each packet of a stream brings, worked out from headers and the manifest's lattice.
 
 use codec_core::internals::{
-    closure::Arrived,
+    closure::{self, Arrived, levels_with_symbols},
     error,
     ids::{ClusterId, EpochId, Group, Level, Span},
     layout::Shape,
     receiver::for_each_cell,
     wire::{
-        crc::{checked, crc32},
-        manifest::Profile,
-        packet::Packet,
+        checked::Checked,
+        manifest::{Manifest, Profile},
+        packet::{Chunk, Packet, Slices},
     },
 };
 
 use super::Stream;
 
-/// One part of what a packet brings: some blocks of one group.
+/// Where a slice lies: some blocks of one group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Mark {
+pub struct SlicePlacement {
     /// The group.
     pub group: Group,
     /// First block, counted over the whole state.
@@ -32,10 +32,51 @@ pub struct Mark {
 #[derive(Clone, Debug)]
 pub struct PacketMap {
     initial: Vec<u8>,
-    marks: Vec<Vec<Mark>>,
+    placements: Vec<Vec<SlicePlacement>>,
     parity: Vec<bool>,
     group_symbols: Vec<(Group, usize)>,
     profile: Profile,
+}
+
+/// Where the slices of a `dgs1` packet lie.
+fn slices_of(manifest: &Manifest<'_>, slices: &Slices<'_>, first_block: &[usize]) -> Vec<SlicePlacement> {
+    let mut placements = Vec::new();
+    for extent in &slices.extents {
+        let (span, level) = (extent.span, extent.level);
+        for (cluster, blocks) in manifest.slices(*extent) {
+            let shape = Shape::of(manifest, span, cluster);
+            let Some((cell, shape)) = manifest.cell(span, cluster).zip(shape) else { continue };
+            let blocks = blocks.start as usize..blocks.end as usize;
+            let (_, symbols) = shape.range(level, blocks.clone());
+            if symbols > 0 {
+                placements.push(SlicePlacement {
+                    group: Group { span, cluster, level },
+                    first_block: first_block[cell.index()] + blocks.start,
+                    blocks: blocks.len(),
+                    symbols,
+                });
+            }
+        }
+    }
+    placements
+}
+
+/// Where a `paper` chunk lies, if there is such a cluster.
+fn chunk_of(manifest: &Manifest<'_>, chunk: &Chunk<'_>, first_block: &[usize]) -> Option<SlicePlacement> {
+    let cluster = u32::from(chunk.cluster);
+    for (e, epoch) in manifest.epochs().enumerate() {
+        let inside = cluster.checked_sub(epoch.first_cluster).filter(|&local| local < epoch.clusters);
+        if let Some(local) = inside {
+            let span = Span::Canonical(EpochId(e as u16));
+            return Some(SlicePlacement {
+                group: Group { span, cluster: ClusterId(local as u16), level: chunk.level },
+                first_block: first_block[cluster as usize],
+                blocks: 1,
+                symbols: usize::from(chunk.symbols),
+            });
+        }
+    }
+    None
 }
 
 impl PacketMap {
@@ -50,65 +91,25 @@ impl PacketMap {
         let mut group_symbols = Vec::new();
         for_each_cell(&manifest, |span, cluster, shape| {
             first_block.push(initial.len());
-            let empty = Level::ALL.into_iter().filter(|&l| shape.level_len(l) == 0);
-            let mask = empty.fold(Arrived::default(), Arrived::with);
-            initial.extend(std::iter::repeat_n(mask.0, shape.blocks()));
-            for level in Level::ALL.into_iter().filter(|&l| shape.level_len(l) > 0) {
+            initial.extend(std::iter::repeat_n(closure::initial(&shape).0, shape.blocks()));
+            let with_symbols = levels_with_symbols(&shape);
+            for level in Level::ALL.into_iter().filter(|&level| with_symbols.has(level)) {
                 group_symbols.push((Group { span, cluster, level }, shape.level_len(level)));
             }
         });
-        let mut map = Self {
-            initial,
-            marks: Vec::new(),
-            parity: Vec::new(),
-            group_symbols,
-            profile: manifest.profile(),
-        };
+        let (mut placements, mut parity) = (Vec::new(), Vec::new());
         for packet in stream.packets() {
-            let parsed = checked("packet.crc", packet, crc32).and_then(Packet::parse);
-            let mut marks = Vec::new();
-            let mut parity = false;
-            match parsed {
-                Ok(Packet::Slices(slices)) => {
-                    for extent in &slices.extents {
-                        let (span, level) = (extent.span, extent.level);
-                        for (cluster, blocks) in manifest.slices(*extent) {
-                            let group = Group { span, cluster, level };
-                            let found = manifest.cell(span, cluster);
-                            let Some((cell, shape)) = found.zip(Shape::of(&manifest, span, cluster)) else {
-                                continue;
-                            };
-                            let blocks = blocks.start as usize..blocks.end as usize;
-                            let (_, symbols) = shape.range(level, blocks.clone());
-                            if symbols > 0 {
-                                let first_block = first_block[cell.index()] + blocks.start;
-                                marks.push(Mark { group, first_block, blocks: blocks.len(), symbols });
-                            }
-                        }
-                    }
-                }
-                Ok(Packet::Chunk(chunk)) => {
-                    let cluster = u32::from(chunk.cluster);
-                    let found = manifest
-                        .epochs()
-                        .enumerate()
-                        .find(|(_, e)| cluster.checked_sub(e.first_cluster).is_some_and(|c| c < e.clusters));
-                    if let Some((e, epoch)) = found {
-                        let span = Span::Canonical(EpochId(e as u16));
-                        let local = ClusterId((cluster - epoch.first_cluster) as u16);
-                        let group = Group { span, cluster: local, level: chunk.level };
-                        let first_block = first_block[cluster as usize];
-                        let symbols = usize::from(chunk.symbols);
-                        marks.push(Mark { group, first_block, blocks: 1, symbols });
-                    }
-                }
-                Ok(Packet::Parity(_)) => parity = true,
-                Err(_) => {}
-            }
-            map.marks.push(marks);
-            map.parity.push(parity);
+            // Packets were checked when the stream was read or made; one that is missing is empty.
+            let checked = Checked::vouched(packet).ok();
+            let packet = checked.as_ref().map(Checked::packet);
+            parity.push(matches!(packet, Some(Packet::Parity(_))));
+            placements.push(match packet {
+                Some(Packet::Slices(slices)) => slices_of(&manifest, slices, &first_block),
+                Some(Packet::Chunk(chunk)) => chunk_of(&manifest, chunk, &first_block).into_iter().collect(),
+                Some(Packet::Parity(_)) | None => Vec::new(),
+            });
         }
-        Ok(map)
+        Ok(Self { initial, placements, parity, group_symbols, profile: manifest.profile() })
     }
 
     /// The state before any packet.
@@ -117,8 +118,8 @@ impl PacketMap {
     }
 
     /// What packet `id` brings; nothing for parity.
-    pub fn marks(&self, id: usize) -> &[Mark] {
-        &self.marks[id]
+    pub fn placements(&self, id: usize) -> &[SlicePlacement] {
+        &self.placements[id]
     }
 
     /// Whether packet `id` is parity.
@@ -136,32 +137,32 @@ impl PacketMap {
     pub fn state(&self, have: impl Fn(usize) -> bool) -> Vec<u8> {
         let mut state = self.initial.clone();
         let mut whole = std::collections::BTreeMap::new();
-        for (id, marks) in self.marks.iter().enumerate() {
+        for (id, placements) in self.placements.iter().enumerate() {
             if !have(id) {
                 continue;
             }
-            for mark in marks {
+            for placement in placements {
                 match self.profile {
-                    Profile::Dgs1 => set(&mut state, mark),
+                    Profile::Dgs1 => set(&mut state, placement),
                     Profile::Paper => {
-                        whole.entry(mark.group).or_insert((*mark, 0)).1 += mark.symbols;
+                        whole.entry(placement.group).or_insert((*placement, 0)).1 += placement.symbols;
                     }
                 }
             }
         }
         for (group, symbols) in &self.group_symbols {
-            if let Some((mark, found)) = whole.get(group)
+            if let Some((placement, found)) = whole.get(group)
                 && found >= symbols
             {
-                set(&mut state, mark);
+                set(&mut state, placement);
             }
         }
         state
     }
 }
 
-fn set(state: &mut [u8], mark: &Mark) {
-    for mask in &mut state[mark.first_block..mark.first_block + mark.blocks] {
-        *mask = Arrived(*mask).with(mark.group.level).0;
+fn set(state: &mut [u8], placement: &SlicePlacement) {
+    for mask in &mut state[placement.first_block..placement.first_block + placement.blocks] {
+        *mask = Arrived(*mask).with(placement.group.level).0;
     }
 }

@@ -12,6 +12,7 @@ use super::{
     column::{Column, Runs, SPAN, Values, carried, each, triple},
 };
 use crate::{
+    closure::bending_level,
     gaussian::Gaussian,
     ids::{EpochId, Level, Span, WindowId},
     layout::Shape,
@@ -174,11 +175,8 @@ pub(super) fn apply(part: &mut Part<'_, '_>, frame: &Frame) {
         }
     }
     for block in 0..shape.blocks() {
-        let usable = content.arrived(cell, block).usable();
-        if let Some(level) = usable.checked_sub(1).and_then(|l| Level::new(l as u8))
-            && level > Level::BASE
-            && content.arrived(part.cell, block).usable() > 0
-        {
+        let (motion, canonical) = (content.arrived(cell, block), content.arrived(part.cell, block));
+        if let Some(level) = bending_level(motion, canonical) {
             bend(part, &shape, cell, block, level, frame);
         }
     }

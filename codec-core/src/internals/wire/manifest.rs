@@ -349,27 +349,28 @@ impl<'a> Manifest<'a> {
 
     /// Blocks of cluster `cluster` (`paper`: one).
     fn blocks_of(&self, cluster: &Cluster) -> u32 {
-        u32::from(cluster.gaussians).div_ceil(self.block_len() as u32)
+        // At least 1 since `parse`; said again, so that no compiler sees a division by zero.
+        u32::from(cluster.gaussians).div_ceil((self.block_len() as u32).max(1))
     }
 
     /// Clusters of the epoch that `span` is or lies in; 0 for a span that does not exist.
     pub fn clusters_of(&self, span: Span) -> u32 {
-        let epoch = match span {
+        self.epoch_of(span).and_then(|id| self.epoch(id)).map_or(0, |e| e.clusters)
+    }
+
+    /// The epoch that `span` is or lies in.
+    pub fn epoch_of(&self, span: Span) -> Option<EpochId> {
+        match span {
             Span::Canonical(id) => Some(id),
             Span::Motion(id) => self.window(id).map(|w| EpochId(w.epoch)),
-        };
-        epoch.and_then(|id| self.epoch(id)).map_or(0, |e| e.clusters)
+        }
     }
 
     /// The slices of `extent`, in order: cluster, and its blocks inside the extent. Clusters that
     /// carry nothing at the level are among them. An extent past the span's end stops there.
     pub fn slices(&self, extent: Extent) -> impl Iterator<Item = (ClusterId, Range<u32>)> + use<'a> {
         let this = *self;
-        let epoch_id = match extent.span {
-            Span::Canonical(id) => Some(id),
-            Span::Motion(id) => this.window(id).map(|w| EpochId(w.epoch)),
-        };
-        let epoch = epoch_id.and_then(|id| this.epoch(id)).unwrap_or_default();
+        let epoch = this.epoch_of(extent.span).and_then(|id| this.epoch(id)).unwrap_or_default();
         let end = extent.first.saturating_add(extent.blocks);
         let mut before = 0u32;
         (0..epoch.clusters)

@@ -63,20 +63,16 @@ fn measure(
     let scene = Partial::new(kind, n, side, &settings)?;
     let (variants, camera, against) = (scene.variants()?, &scene.camera, &scene.against);
     let (states, groups) = (deliveries(worlds), LATTICE.groups());
-    let (full, empty) = (States::full(groups), States::empty(groups));
+    let full = States::full(groups);
     let (few, fewer) = (some(&states, ALONE), some(&states, ALONE_GRADIENTS));
     let contexts = states.range(0..32);
     let weights = vec![1.0 / worlds as f64; worlds];
-    let chosen: Vec<u32> = (0..groups as u32).step_by(4).collect();
-    let order: Vec<u32> = (0..groups as u32).map(|i| i * 37 % groups as u32).collect();
-    let costs = vec![1.0; groups];
 
     let engine = || Engine::new(&variants, camera, against, &settings);
     let mut renderer = Renderer::new();
-    let mut times: [Vec<f64>; 11] = Default::default();
+    let mut times: [Vec<f64>; 9] = Default::default();
     for _ in 0..runs {
-        let [single, alone, set_up, fast, strict, leave, all, pairs, prefixes, gradients, alone_gradients] =
-            &mut times;
+        let [single, alone, set_up, fast, strict, leave, all, gradients, alone_gradients] = &mut times;
         time(single, || renderer.render(&scene.splats(), camera, &settings))?;
         time(fast, || engine()?.fast(&states))?;
         time(leave, || engine()?.utilities(&full))?;
@@ -85,25 +81,15 @@ fn measure(
         time(set_up, engine)?;
         time(strict, || engine()?.strict(&states))?;
         time(all, || engine()?.utilities(&contexts))?;
-        time(pairs, || engine()?.pairs(&full, 0, &chosen))?;
-        time(prefixes, || engine()?.prefixes(&empty, 0, &order))?;
         let unit = vec![1.0; fewer.len()];
         time(alone_gradients, || brute::gradients(&variants, &fewer, &unit, camera, against, &settings))?;
     }
-    let [single, alone, set_up, fast, strict, leave, all, pairs, prefixes, gradients, alone_gradients] =
+    let [single, alone, set_up, fast, strict, leave, all, gradients, alone_gradients] =
         times.map(|t| median(&t));
     let alone = few.len() as f64 / alone;
     let alone_gradients = fewer.len() as f64 / alone_gradients;
 
     let engine = engine()?;
-    let mut greedy_times = Vec::new();
-    let mut greedy = None;
-    for _ in 0..runs.min(3) {
-        time(&mut greedy_times, || {
-            greedy = Some(engine.greedy(&empty, 0, &costs)?);
-            Ok::<_, anyhow::Error>(())
-        })?;
-    }
     let errors = Errors::new(&scene, &variants, &engine, &states, &no_stop)?;
     let strict_differs = {
         let (got, expected) =
@@ -147,27 +133,6 @@ fn measure(
             .error(errors.utilities, of_largest)
             .peer("brute force", alone, false),
     );
-    let of_own = "relative SSE against brute force without early stop";
-    let count = chosen.len() * (chosen.len() - 1) / 2;
-    push(
-        Figure::new(key("pairs"), 1e3 * pairs, &format!("ms for {count} pairs")).error(errors.pairs, of_own),
-    );
-    push(
-        Figure::new(key("prefixes"), 1e3 * prefixes, &format!("ms for {groups} prefixes"))
-            .error(errors.prefixes, of_own),
-    );
-    if let Some(greedy) = greedy {
-        let tiles = f64::from(side.div_ceil(16).pow(2));
-        let mut ordered = States::new(groups);
-        ordered.push(|_| true);
-        let last = engine.fast(&ordered)?;
-        let error = greedy.sse.last().map_or(f64::NAN, |sse| (sse / last[0] - 1.0).abs());
-        push(
-            Figure::new(key("greedy"), 1e3 * median(&greedy_times), "ms for the order of all groups")
-                .error(error, "relative SSE at the end, against a fresh look"),
-        );
-        push(Figure::new(key("greedy_looks"), greedy.tiles as f64 / tiles, "looks per tile"));
-    }
     push(
         Figure::new(key("forward_backward"), w / gradients, "world-frames/s")
             .error(
@@ -186,8 +151,6 @@ struct Errors {
     fast: f64,
     leave_one_out: f64,
     utilities: f64,
-    pairs: f64,
-    prefixes: f64,
     gradients: f64,
 }
 
@@ -229,19 +192,6 @@ impl Errors {
             Ok((0..8).map(error).fold(0.0, f64::max))
         };
         let full = States::full(groups);
-        let pairs = engine.pairs(&full, 0, &[0, 1, 64, 65])?;
-        let mut both = States::new(groups);
-        both.push(|g| g != 0 && g != 1);
-        both.push(|g| g != 64 && g != 1);
-        let both = sse(&both)?;
-        let found = [pairs.sse(0, 1), pairs.sse(1, 2)];
-        let of_pairs = found.iter().zip(&both).map(|(a, b)| (a / b - 1.0).abs());
-        let order: Vec<u32> = (0..groups as u32).map(|i| i * 37 % groups as u32).collect();
-        let prefixes = engine.prefixes(&States::empty(groups), 0, &order)?;
-        let mut steps = States::new(groups);
-        (0..=4).for_each(|k| steps.push(|g| order[..32 * k].contains(&(g as u32))));
-        let steps = sse(&steps)?;
-        let of_prefixes = (0..=4).map(|k| (prefixes[32 * k] / steps[k] - 1.0).abs());
         let weights = vec![1.0; two.len()];
         let gradients = distance(
             &engine.gradients(variants, &two, &weights)?,
@@ -253,8 +203,6 @@ impl Errors {
             fast: of_fast,
             leave_one_out: toggled(&full)?,
             utilities: toggled(states)?,
-            pairs: of_pairs.fold(0.0, f64::max),
-            prefixes: of_prefixes.fold(0.0, f64::max),
             gradients,
         })
     }

@@ -152,7 +152,7 @@ fn locality(bench: &mut Bench, key: &str, stream: &Stream) -> Result<()> {
                 let two = b.show(&content.with_state(&state), frame)?;
                 let epoch = one.decoded.epoch;
                 let own: std::collections::BTreeSet<(u16, usize)> = map
-                    .marks(lost)
+                    .placements(lost)
                     .iter()
                     .filter_map(|m| {
                         let cell = content.cell(m.group.span, m.group.cluster)?;

@@ -195,18 +195,5 @@ fn of_counterfactual() -> Vec<Refusal> {
     out.push(refusal("Engine::strict", "states of 3 groups", &["3 groups", "of 2"], engine.strict(&other)));
     out.push(refusal("Engine::fast", "states of 3 groups", &["3 groups", "of 2"], engine.fast(&other)));
     out.push(refusal("Engine::image", "world 1 of 1", &["world 1 of 1"], engine.image(&full, 1)));
-    out.push(refusal(
-        "Engine::prefixes",
-        "a group twice",
-        &["group 1", "twice"],
-        engine.prefixes(&full, 0, &[1, 1]),
-    ));
-    out.push(refusal("Engine::pairs", "group 7 of 2", &["group 7", "below 2"], engine.pairs(&full, 0, &[7])));
-    out.push(refusal(
-        "Engine::greedy",
-        "a cost of NaN",
-        &["costs", "2 positive finite"],
-        engine.greedy(&full, 0, &[1.0, f64::NAN]),
-    ));
     out
 }

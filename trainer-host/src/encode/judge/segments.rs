@@ -53,7 +53,7 @@ pub fn segments(scene: &Scene, stream: &Stream, frames: u32) -> Result<Vec<Segme
     let mut segments = outline(&content.manifest);
     for (id, packet) in stream.packets().iter().enumerate() {
         // All marks of a packet of `dgs1` are of one span and level; `paper` has one.
-        let Some(mark) = map.marks(id).first() else { continue };
+        let Some(mark) = map.placements(id).first() else { continue };
         let bytes = packet.len() as u64;
         let (span, level) = (mark.group.span, mark.group.level.index());
         let its = |s: &&mut Segment| match span {

@@ -1,4 +1,4 @@
-//! Which levels are worth their bytes: the last step of rate against distortion.
+//! Leaves out the levels that gain less than their bytes cost: the last step of rate against distortion.
 
 use codec_core::internals::{
     ids::{Level, Span},
@@ -14,8 +14,8 @@ use crate::{
 };
 
 impl Options {
-    /// How to measure what levels are worth once everything is there: in the complete state, one
-    /// context per camera of two measuring rings, as far above the horizon as below.
+    /// How to measure what levels gain once everything is there: in the complete state, from the cameras
+    /// of two measuring rings, as far above the horizon as below.
     ///
     /// # Errors
     /// None in practice: the size is one that cameras accept.
@@ -26,8 +26,7 @@ impl Options {
             let ring = framing.ring(Ring::Measuring, 4, (160, 160));
             cameras.extend(ring.map_err(|e| super::UtilityError::Render(e.to_string()))?);
         }
-        let contexts = cameras.len();
-        Ok(Self { contexts, complete: true, ..Self::paper(cameras) })
+        Ok(Self { complete: true, ..Self::paper(cameras) })
     }
 }
 
@@ -37,7 +36,7 @@ pub fn group_bytes(stream: &Stream, map: &PacketMap) -> Vec<f64> {
         map.groups().iter().enumerate().map(|(i, (group, _))| (*group, i)).collect();
     let mut bytes = vec![0.0; map.groups().len()];
     for (id, packet) in stream.packets().iter().enumerate() {
-        let marks = map.marks(id);
+        let marks = map.placements(id);
         let symbols: usize = marks.iter().map(|m| m.symbols).sum();
         for mark in marks {
             if let Some(&at) = index.get(&mark.group) {
@@ -48,16 +47,16 @@ pub fn group_bytes(stream: &Stream, map: &PacketMap) -> Vec<f64> {
     bytes
 }
 
-/// The highest level of each cell that is worth sending at `lambda`: where the sum over the levels
+/// The highest level of each cell that pays for its bytes at `lambda`: where the sum over the levels
 /// of gain − λ · bytes is largest, the lowest of equals. Gain is the mean of Δ in `table`, averaged
-/// over all frames of the clip; λ is gain per byte. Base levels are always worth it.
+/// over all frames of the clip; λ is gain per byte. Base levels are always sent.
 pub fn tops(content: &Content<'_>, map: &PacketMap, table: &Table, bytes: &[f64], lambda: f64) -> Vec<Level> {
     let manifest = &content.manifest;
     let all = f64::from(manifest.head().frames.max(1));
     let mut tops = vec![Level::BASE; manifest.cells()];
     // Best sum so far and sum so far, per cell.
     let mut sums = vec![(0.0, 0.0); manifest.cells()];
-    for (((group, _), worth), bytes) in map.groups().iter().zip(&table.groups).zip(bytes) {
+    for (((group, _), utility), bytes) in map.groups().iter().zip(&table.groups).zip(bytes) {
         let Some(cell) = manifest.cell(group.span, group.cluster) else { continue };
         if group.level == Level::BASE {
             continue;
@@ -67,7 +66,7 @@ pub fn tops(content: &Content<'_>, map: &PacketMap, table: &Table, bytes: &[f64]
             Span::Motion(w) => manifest.window(w).map_or(0, |w| u32::from(w.frames)),
         };
         let (best, sum) = &mut sums[cell.index()];
-        *sum += worth.mean * f64::from(frames) / all - lambda * bytes;
+        *sum += utility.mean * f64::from(frames) / all - lambda * bytes;
         if *sum > *best {
             *best = *sum;
             tops[cell.index()] = group.level;
@@ -91,8 +90,8 @@ pub struct Truncated {
     pub wire_after: f64,
 }
 
-/// Encodes `scene` again without the levels that `table`, the utilities of `whole`, does not find
-/// worth sending at `lambda` (0: those that gain nothing). `options` are those of `whole`.
+/// Encodes `scene` again without the levels that, by `table`, the utilities of `whole`, do not pay for
+/// their bytes at `lambda` (0: those that gain nothing). `options` are those of `whole`.
 ///
 /// # Errors
 /// A λ that is not a number of at least 0; a stream that does not decode; as [`encode::encode`].
@@ -200,7 +199,7 @@ mod tests {
         let judge = Judge::measuring(&scene, vec![0]).unwrap();
         let (before, after) = (judge.whole(&whole.stream).unwrap(), judge.whole(&cut.stream).unwrap());
         assert!(after > before - 0.1, "{after} dB after {before}");
-        // A price no level is worth leaves base levels; one that is no price is refused.
+        // A price that no level pays leaves base levels; one that is no price is refused.
         let (base, _) = truncate(&scene, &options, &whole, &table, 1e9, &|_, _| {}).unwrap();
         codec_core::internals::receiver::for_each_cell(&base.stream.manifest().unwrap(), |_, _, shape| {
             assert_eq!(shape.top(), Level::BASE);

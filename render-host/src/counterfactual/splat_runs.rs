@@ -1,11 +1,11 @@
-//! Per block, consecutive splats of one group composed once.
+//! Composes consecutive splats of one group (a splat run) once per block.
 //!
 //! A run is one operator, the same for every world that holds the group and the identity for every other.
 //! A block has one list of runs for its sixteen pixels: a pixel that a run does not touch has the identity
 //! there.
 
+use super::culling::TileCulling;
 use super::operator::{Operator, Part, lanes, lanes_mut, parts};
-use super::sieve::Sieve;
 use crate::settings::Settings;
 use crate::stage::TILE;
 use crate::stage::blend::Lanes;
@@ -23,8 +23,8 @@ pub(super) struct Visit {
 
 /// The runs of one block, nearest first.
 #[derive(Debug, Default)]
-pub(super) struct Runs {
-    /// Positions in the sieve of the block's splats, then anything.
+pub(super) struct SplatRuns {
+    /// Positions in the culling of the block's splats, then anything.
     list: Vec<u32>,
     /// Group of each run, as an index into the tile's groups.
     pub locals: Vec<u32>,
@@ -41,14 +41,14 @@ pub(super) struct Runs {
 #[repr(C, align(64))]
 struct Alphas(Lanes);
 
-impl Runs {
+impl SplatRuns {
     /// Takes the splats of `block`, of all its groups, and says where runs begin and end.
     #[inline(always)]
-    pub(super) fn find(&mut self, sieve: &Sieve, block: usize, settings: &Settings) {
+    pub(super) fn find(&mut self, culling: &TileCulling, block: usize, settings: &Settings) {
         let limits = [settings.cutoff(), settings.alpha_max];
-        let reached = sieve.block(block, &mut self.list);
+        let reached = culling.block(block, &mut self.list);
         let Self { list, locals, starts, alphas, .. } = self;
-        let splats = sieve.splats();
+        let splats = culling.splats();
         if alphas.len() < reached {
             alphas.resize(reached, Alphas([0.0; TILE]));
         }
@@ -80,9 +80,9 @@ impl Runs {
 
     /// Composes the runs that were found; with what each splat did if `visits`.
     #[inline(always)]
-    pub(super) fn compose<S: Simd>(&mut self, simd: S, sieve: &Sieve, visits: bool) {
+    pub(super) fn compose<S: Simd>(&mut self, simd: S, culling: &TileCulling, visits: bool) {
         let Self { list, locals, starts, operators, alphas, visits: seen } = self;
-        let (splats, runs) = (sieve.splats(), locals.len());
+        let (splats, runs) = (culling.splats(), locals.len());
         let kept = starts.last().map_or(0, |&end| end as usize);
         if operators.len() <= runs {
             operators.resize(2 * runs + 1, Operator::IDENTITY);
@@ -118,7 +118,7 @@ impl Runs {
         &self.alphas[i].0
     }
 
-    /// Position in the sieve of splat `i` of the list.
+    /// Position in the culling of splat `i` of the list.
     pub(super) fn position(&self, i: usize) -> usize {
         self.list[i] as usize
     }

@@ -1,10 +1,10 @@
-//! Which splats of a tile reach which block of 4 × 4 pixels.
+//! Finds which splats of a tile reach which block of 4 × 4 pixels.
 //!
 //! A block is the unit of all fast modes: its sixteen pixels are one row of lanes, and all of them share
-//! one list of splats. The sieve is conservative, as every skip: what it leaves out is below the cut-off
+//! one list of splats. The culling is conservative, as every skip: what it leaves out is below the cut-off
 //! on every pixel of the block.
 
-use super::scaffold::Shared;
+use super::scaffold::SharedLists;
 use crate::settings::Settings;
 use crate::stage::blend::{Lanes, exp2};
 use crate::stage::{REACH_MARGIN, Splat, TILE};
@@ -33,7 +33,7 @@ const fn grid(down: bool) -> Lanes {
 
 /// A splat as one tile sees it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Near {
+pub(super) struct TileSplat {
     /// `u` and `v` at the tile's first pixel centre.
     origin: [f32; 2],
     root: [f32; 3],
@@ -45,22 +45,22 @@ pub(super) struct Near {
 
 /// The splats of one tile, nearest first, and the blocks that each reaches.
 #[derive(Debug, Default)]
-pub(super) struct Sieve {
-    splats: Vec<Near>,
+pub(super) struct TileCulling {
+    splats: Vec<TileSplat>,
     /// Bit `b` is set where the splat may reach block `b`.
     reach: Vec<u16>,
     /// The splats as they were projected, side by side.
     copies: Vec<Splat>,
 }
 
-impl Sieve {
+impl TileCulling {
     /// Takes the splats of `tile`.
-    pub(super) fn fill(&mut self, shared: &Shared, tile: usize, settings: &Settings) {
-        pulp::Arch::new().dispatch(Fill { shared, tile, settings, sieve: self });
+    pub(super) fn fill(&mut self, shared: &SharedLists, tile: usize, settings: &Settings) {
+        pulp::Arch::new().dispatch(Fill { shared, tile, settings, culling: self });
     }
 
     /// The splats.
-    pub(super) fn splats(&self) -> &[Near] {
+    pub(super) fn splats(&self) -> &[TileSplat] {
         &self.splats
     }
 
@@ -86,10 +86,10 @@ impl Sieve {
 }
 
 struct Fill<'a> {
-    shared: &'a Shared,
+    shared: &'a SharedLists,
     tile: usize,
     settings: &'a Settings,
-    sieve: &'a mut Sieve,
+    culling: &'a mut TileCulling,
 }
 
 impl pulp::NullaryFnOnce for Fill<'_> {
@@ -97,7 +97,7 @@ impl pulp::NullaryFnOnce for Fill<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let Self { shared, tile, settings, sieve: Sieve { splats, reach, copies } } = self;
+        let Self { shared, tile, settings, culling: TileCulling { splats, reach, copies } } = self;
         splats.clear();
         reach.clear();
         let corner = shared.corner(tile);
@@ -111,7 +111,7 @@ impl pulp::NullaryFnOnce for Fill<'_> {
             // As the blend sees it: the same origin, bit for bit.
             let (dx, dy) = (centre[0] - splat.mean[0], centre[1] - splat.mean[1]);
             let [xx, xy, yy] = splat.root;
-            let near = Near {
+            let near = TileSplat {
                 origin: [(xx * dx + xy * dy) as f32, (yy * dy) as f32],
                 root: splat.root.map(|v| v as f32),
                 log2_alpha: splat.log2_alpha,
@@ -126,7 +126,7 @@ impl pulp::NullaryFnOnce for Fill<'_> {
     }
 }
 
-impl Near {
+impl TileSplat {
     /// Alpha on the pixels of `block`, 0 below the cut-off: that of the blend, bit for bit.
     #[inline(always)]
     pub(super) fn alphas(&self, block: usize, [cutoff, max]: [f32; 2]) -> Lanes {
@@ -200,7 +200,7 @@ mod tests {
     use proptest::prelude::*;
 
     /// A splat with its mean at `mean` from the tile's first pixel centre, and the reach of its cut-off.
-    fn near(mean: [f32; 2], axes: [f32; 2], turn: f32, log2_alpha: f32) -> (Near, f32) {
+    fn near(mean: [f32; 2], axes: [f32; 2], turn: f32, log2_alpha: f32) -> (TileSplat, f32) {
         // Root of the inverse covariance of an ellipse with these half axes, by its Cholesky factor.
         let (sin, cos) = turn.sin_cos();
         let [a, b] = axes.map(|axis| 1.0 / (axis * axis));
@@ -209,7 +209,7 @@ mod tests {
         let root = [xx.sqrt(), xy / xx.sqrt(), (yy - xy * xy / xx).max(1e-12).sqrt()];
         let [dx, dy] = mean.map(|m| -m);
         let origin = [root[0] * dx + root[1] * dy, root[2] * dy];
-        let near = Near { origin, root, log2_alpha, colour: [1.0; 3], local: 0 };
+        let near = TileSplat { origin, root, log2_alpha, colour: [1.0; 3], local: 0 };
         (near, REACH_MARGIN + log2_alpha - (1.0f32 / 255.0).log2())
     }
 

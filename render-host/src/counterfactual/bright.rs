@@ -1,31 +1,31 @@
-//! Scenes so bright that squares of their colours leave f32.
+//! Scales scenes down that are so bright that squares of their colours leave f32.
 //!
 //! The fast modes square in f32. Where a colour is above 2⁴⁰ they are asked about the same scene at a power
 //! of two of its brightness as well, and what overflowed is taken from that answer, scaled back in f64: it
-//! is a square of about the brightest, which the dimmed scene holds to the last bit. Any other scene is
+//! is a square of about the brightest, which the darker scene holds to the last bit. Any other scene is
 //! asked about once.
 
-use super::scaffold::Shared;
+use super::scaffold::SharedLists;
 use super::squares::Planes;
-use super::{Engine, Greedy, Pairs, Utilities};
+use super::{Engine, Utilities};
 use crate::stage::Splat;
 use crate::{Camera, Settings};
 
 /// Brightest colour that is squared in f32 as it is: of its square, f32 holds a tile's sum many times over.
 const BRIGHTEST: f32 = (1u64 << 40) as f32;
 
-/// The engine of the same scene, dimmed.
+/// The engine of the same scene, scaled down in brightness.
 #[derive(Debug)]
-pub(super) struct Dimmed {
+pub(super) struct ScaledDown {
     engine: Engine,
-    /// Squares of the scene over squares of the dimmed one.
+    /// Squares of the scene over squares of the darker one.
     gain: f64,
 }
 
-impl Dimmed {
-    /// The dimmed scene, if this one is too bright.
+impl ScaledDown {
+    /// The darker scene, if this one is too bright.
     pub(super) fn new(
-        shared: &Shared,
+        shared: &SharedLists,
         reference: &[Planes],
         settings: &Settings,
         camera: &Camera,
@@ -47,7 +47,15 @@ impl Dimmed {
         let settings = Settings { background: settings.background.map(|c| c * factor), ..settings.clone() };
         let gain = f64::from(factor).powi(-2);
         Some(Box::new(Self {
-            engine: Engine { shared, reference, settings, camera: camera.clone(), groups, dimmed: None },
+            engine: Engine {
+                shared,
+                reference,
+                against: crate::Image::default(),
+                settings,
+                camera: camera.clone(),
+                groups,
+                scaled_down: None,
+            },
             gain,
         }))
     }
@@ -85,38 +93,12 @@ impl Squared for Utilities {
     }
 }
 
-impl Squared for Pairs {
-    fn mend(&mut self, other: Self, gain: f64) {
-        self.base.mend(other.base, gain);
-        self.single.mend(other.single, gain);
-        self.interaction.mend(other.interaction, gain);
-    }
-}
-
-impl Squared for Greedy {
-    /// An order is one piece: that of the dimmed scene if any of its squares left f32.
-    fn mend(&mut self, other: Self, gain: f64) {
-        if !self.gains.iter().chain(&self.sse).all(|v| v.is_finite()) {
-            let scaled = |values: Vec<f64>| values.into_iter().map(|v| v * gain).collect();
-            *self = Self { gains: scaled(other.gains), sse: scaled(other.sse), ..other };
-        }
-    }
-}
-
-impl<T: Squared, E> Squared for Result<T, E> {
-    fn mend(&mut self, other: Self, gain: f64) {
-        if let (Ok(answer), Ok(other)) = (self, other) {
-            answer.mend(other, gain);
-        }
-    }
-}
-
 impl Engine {
-    /// Asks a fast mode, and the dimmed scene, if there is one, about what overflows.
+    /// Asks a fast mode, and the darker scene, if there is one, about what overflows.
     pub(super) fn ask<T: Squared>(&self, mode: impl Fn(&Self) -> T) -> T {
         let mut answer = mode(self);
-        if let Some(dimmed) = &self.dimmed {
-            answer.mend(mode(&dimmed.engine), dimmed.gain);
+        if let Some(scaled_down) = &self.scaled_down {
+            answer.mend(mode(&scaled_down.engine), scaled_down.gain);
         }
         answer
     }

@@ -1,4 +1,4 @@
-//! Long tile lists without splats that no world can see.
+//! Leaves out of long tile lists the splats that no world can see.
 //!
 //! A world that holds a splat holds its whole group, so what the group itself has taken from a pixel is a
 //! bound for every such world. Where that is below the stop, and below 1e-10, the splat is blended in no
@@ -16,13 +16,13 @@ const FAINTEST: f32 = 1e-10;
 
 /// What each group has left of the pixels of a tile.
 #[derive(Debug, Default)]
-pub(super) struct Faded {
+pub(super) struct HiddenInGroup {
     /// Per group of the tile, 16 rows.
     left: Vec<[Lanes; TILE]>,
     active: bool,
 }
 
-impl Faded {
+impl HiddenInGroup {
     /// Starts the list of a tile.
     pub(super) fn open(&mut self, length: usize, settings: &Settings) {
         self.left.clear();
@@ -76,17 +76,17 @@ mod tests {
             pixels: [0, 16, 0, 16],
         };
         let (settings, corner) = (Settings::default(), [0, 0]);
-        let mut faded = Faded::default();
-        faded.open(LONG, &settings);
-        let shown = (0..LONG).filter(|_| faded.shows(&splat, 0, corner, &settings)).count();
+        let mut hidden = HiddenInGroup::default();
+        hidden.open(LONG, &settings);
+        let shown = (0..LONG).filter(|_| hidden.shows(&splat, 0, corner, &settings)).count();
         // The faintest pixels, just above the cut-off, need ln(1e-10) / ln(1 - 1/255) or fewer.
         assert!((100..5900).contains(&shown), "{shown}");
-        assert!(faded.shows(&splat, 1, corner, &settings));
+        assert!(hidden.shows(&splat, 1, corner, &settings));
         let wider = Splat { root: [0.4, 0.0, 0.4], ..splat };
-        assert!(faded.shows(&wider, 0, corner, &settings), "it reaches pixels that the others did not");
-        faded.open(LONG - 1, &settings);
-        assert!((0..2 * LONG).all(|_| faded.shows(&splat, 0, corner, &settings)));
-        faded.open(LONG, &Settings::exact());
-        assert!((0..2 * LONG).all(|_| faded.shows(&splat, 0, corner, &settings)));
+        assert!(hidden.shows(&wider, 0, corner, &settings), "it reaches pixels that the others did not");
+        hidden.open(LONG - 1, &settings);
+        assert!((0..2 * LONG).all(|_| hidden.shows(&splat, 0, corner, &settings)));
+        hidden.open(LONG, &Settings::exact());
+        assert!((0..2 * LONG).all(|_| hidden.shows(&splat, 0, corner, &settings)));
     }
 }

@@ -1,0 +1,112 @@
+//! Measures utilities from states that are each decoded, rendered and compared alone: the slow twin.
+
+use codec_core::internals::{
+    ids::{ClusterId, EpochId, Span, WindowId},
+    receiver::Content,
+};
+use rayon::prelude::*;
+use render_host::{Renderer, Settings, Splats, metric};
+
+use super::{Delta, Options, UtilityError, View, contexts::SpanCells, spans, state_of, versions, view_of};
+use crate::{
+    scene::Scene,
+    stream::{PacketMap, Player},
+};
+
+/// Mean Δ of the groups of every `every`-th cell, as [`super::measure`] finds it: index in
+/// [`PacketMap::groups`] and mean, in order of groups.
+///
+/// # Errors
+/// As [`super::measure`].
+pub fn measure_alone(
+    scene: &Scene,
+    content: &Content<'_>,
+    map: &PacketMap,
+    options: &Options,
+    every: usize,
+) -> Result<Vec<(usize, f64)>, UtilityError> {
+    if options.cameras.is_empty() {
+        return Err(UtilityError::NoCamera);
+    }
+    let mut sums = std::collections::BTreeMap::new();
+    for span in spans(map) {
+        for view in 0..options.views() {
+            for Delta { group, delta, .. } in
+                deltas_in_view(scene, content, map, &span, view, options, every)?
+            {
+                *sums.entry(group).or_insert(0.0) += delta;
+            }
+        }
+    }
+    let count = (options.views() * options.states()) as f64;
+    Ok(sums.into_iter().map(|(group, sum)| (group, sum / count)).collect())
+}
+
+/// Δ of the groups of every `every`-th cell of `span` in all contexts, in view `view` of the span.
+pub(super) fn deltas_in_view(
+    scene: &Scene,
+    content: &Content<'_>,
+    map: &PacketMap,
+    span: &SpanCells,
+    view: usize,
+    options: &Options,
+    every: usize,
+) -> Result<Vec<Delta>, UtilityError> {
+    let (_, view) = view_of(scene, content, span.span, view, options)?;
+    let cells: Vec<(usize, &[usize])> = span.groups(map).step_by(every.max(1)).collect();
+    let mut out = Vec::new();
+    for context in 0..options.states() {
+        let state = state_of(content, map, span.span, context, options);
+        let of_cell = |(player, renderer): &mut (Player, Renderer),
+                       &(cluster, groups): &(usize, &[usize])| {
+            let mut before = None;
+            let mut deltas = Vec::new();
+            for levels in 0..=groups.len() {
+                let stepped = span.stepped(map, content, &state, levels);
+                let state = with_cluster(content, &state, &stepped, ClusterId(cluster as u16));
+                let distance = distance(content, &state, &view, options, player, renderer)?;
+                if let (Some(before), Some(below)) = (before, levels.checked_sub(1)) {
+                    deltas.push(Delta { group: groups[below], context, delta: before - distance });
+                }
+                before = Some(distance);
+            }
+            Ok(deltas)
+        };
+        let start = || (Player::new(&content.manifest), Renderer::new());
+        let found: Result<Vec<Vec<Delta>>, UtilityError> =
+            cells.par_iter().map_init(start, of_cell).collect();
+        out.extend(found?.into_iter().flatten());
+    }
+    Ok(out)
+}
+
+/// `state` with all blocks of one cluster as in `other`.
+fn with_cluster(content: &Content<'_>, state: &[u8], other: &[u8], cluster: ClusterId) -> Vec<u8> {
+    let mut out = state.to_vec();
+    let head = content.manifest.head();
+    let windows = (0..head.windows).map(|w| Span::Motion(WindowId(w)));
+    let epochs = (0..head.epochs).map(|e| Span::Canonical(EpochId(e)));
+    for blocks in epochs.chain(windows).filter_map(|s| versions::blocks_of(content, s, cluster)) {
+        out[blocks.clone()].copy_from_slice(&other[blocks]);
+    }
+    out
+}
+
+/// D of the picture that `state` shows.
+fn distance(
+    content: &Content<'_>,
+    state: &[u8],
+    view: &View,
+    options: &Options,
+    player: &mut Player,
+    renderer: &mut Renderer,
+) -> Result<f64, UtilityError> {
+    let shown = player.show(&content.with_state(state), view.frame)?;
+    let refused = |e: &dyn std::fmt::Display| UtilityError::Render(e.to_string());
+    let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree).map_err(|e| refused(&e))?;
+    // The threads are busy with other states: one render is one task.
+    let settings = Settings { parallel: false, ..options.settings.clone() };
+    let rendered = renderer.render(&splats, &options.cameras[view.camera], &settings);
+    let picture = rendered.map_err(|e| refused(&e))?.image;
+    metric::distortion(&picture, &view.reference).map_err(|e| refused(&e))
+}
