@@ -1,5 +1,5 @@
-//! The scenes of the bench, and the evaluator of each: cameras nothing was tuned on, and the pictures that the
-//! uncompressed source gives there.
+//! The scenes of the bench, and the evaluator of each: cameras nothing was tuned on, and the pictures that
+//! the uncompressed source gives there.
 
 use anyhow::Result;
 use dgs::quality;
@@ -99,8 +99,8 @@ impl Evaluator {
         Ok(Self { cameras, frames, references: references? })
     }
 
-    /// Marks of `shown`, the decoded [`Evaluator::frames`] in order. FLIP is that of the first camera: it takes
-    /// as long as all else together.
+    /// Marks of `shown`, the decoded [`Evaluator::frames`] in order. FLIP is that of the first camera: it
+    /// takes as long as all else together.
     ///
     /// # Errors
     /// What the renderer refuses.
