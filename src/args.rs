@@ -1,10 +1,15 @@
-//! What can be typed. One struct per verb; meaning is given in `command`.
+//! Parses what is typed: one struct per verb. What it means is given in `command`.
+
+mod number;
 
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use render_host::DeviceChoice;
+use codec_core::internals::limits;
+use render_host::{DeviceChoice, camera::MAX_SIDE};
 use trainer_host::encode::Protection;
+
+use self::number::{background, coarseness, not_negative, positive, real, repair_set, whole};
 
 /// Dynamic Gaussian splats that stay renderable when delivery is incomplete: encode, send over a
 /// lossy link, decode what arrived, render, measure.
@@ -43,11 +48,14 @@ pub enum Verb {
 /// A scene and how to read it.
 #[derive(Clone, Debug, Args)]
 pub struct SceneArgs {
-    /// Frames per second for sources that do not say.
-    #[arg(long, default_value_t = 30.0)]
+    /// Frames per second for sources that do not say: 0.001 to 10000.
+    #[arg(
+        long, default_value_t = 30.0, value_parser = real(0.001..=10_000.0, "frames per second"),
+        allow_negative_numbers = true
+    )]
     pub fps: f64,
-    /// Gaussians to place on an animated mesh.
-    #[arg(long, default_value_t = 20_000)]
+    /// Gaussians to place on an animated mesh: at least 1.
+    #[arg(long, default_value_t = 20_000, value_parser = whole(1..=5_000_000, "Gaussians"))]
     pub samples: usize,
     /// Clip of an animated mesh: name or number from 0 [default: the first].
     #[arg(long)]
@@ -76,63 +84,58 @@ pub struct CodecArgs {
     /// Format choices.
     #[arg(long, value_enum, default_value_t = ProfileName::Dgs1)]
     pub profile: ProfileName,
-    /// Quantiser steps relative to the visually lossless default: 2 is twice as coarse.
-    #[arg(long, default_value_t = 1.0, group = "fineness")]
+    /// Quantiser steps relative to the visually lossless default, 0.001 to 1000: 2 is twice as coarse.
+    #[arg(
+        long, default_value_t = 1.0, group = "fineness", value_parser = coarseness,
+        allow_negative_numbers = true
+    )]
     pub coarseness: f32,
     /// Choose the coarseness: at most this many bits per Gaussian on the wire, as close as possible.
-    #[arg(long, value_name = "BITS", group = "fineness", value_parser = positive, allow_negative_numbers = true)]
+    #[arg(
+        long, value_name = "BITS", group = "fineness", value_parser = positive,
+        allow_negative_numbers = true
+    )]
     pub target_bits_per_gaussian: Option<f64>,
     /// Choose the coarseness: at most this many bytes on the wire (manifest, packets and parity).
     #[arg(long, value_name = "BYTES", group = "fineness", value_parser = clap::value_parser!(u64).range(1..))]
     pub target_bytes: Option<u64>,
     /// Choose the coarseness: at least this PSNR in dB from measuring (never held-out) cameras.
-    #[arg(long, value_name = "DB", group = "fineness", value_parser = positive, allow_negative_numbers = true)]
+    #[arg(
+        long, value_name = "DB", group = "fineness", value_parser = positive,
+        allow_negative_numbers = true
+    )]
     pub target_psnr: Option<f64>,
     /// Pictures per epoch that tell how much an error in each Gaussian shows: steps follow (dgs1). 1 to
     /// 1024; 0: the same steps for all.
-    #[arg(long, default_value_t = 16)]
+    #[arg(long, default_value_t = 16, value_parser = whole(0..=1024, "pictures"))]
     pub pictures: usize,
-    /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR from
-    /// measuring cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
+    /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR
+    /// from measuring cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
     #[arg(long, value_name = "ENCODINGS", default_value_t = 0)]
     pub search: usize,
-    /// Most Gaussians in a cluster.
-    #[arg(long, default_value_t = 512)]
+    /// Most Gaussians in a cluster: 1 to 32768.
+    #[arg(long, default_value_t = 512, value_parser = whole(1..=limits::MAX_CLUSTER_LEN, "Gaussians"))]
     pub cluster_size: usize,
-    /// Gaussians per block, the unit of loss.
-    #[arg(long, default_value_t = 64)]
+    /// Gaussians per block, the unit of loss: 1 to 256.
+    #[arg(long, default_value_t = 64, value_parser = whole(1..=limits::MAX_BLOCK_LEN, "Gaussians"))]
     pub block_len: usize,
-    /// Most frames in a motion window [default: one second].
-    #[arg(long)]
+    /// Most frames in a motion window, 1 to 64 [default: one second].
+    #[arg(long, value_parser = whole(1..=limits::MAX_WINDOW_FRAMES, "frames"))]
     pub window_frames: Option<usize>,
-    /// Most vectors in the shared temporal basis [default: 8, in profile paper 4].
-    #[arg(long)]
+    /// Most vectors in the shared temporal basis, 0 to 64 [default: 8, in profile paper 4].
+    #[arg(long, value_parser = whole(0..=limits::MAX_RANK, "vectors"))]
     pub rank: Option<usize>,
-    /// Largest packet, bytes, header and CRC included (dgs1).
-    #[arg(long, default_value_t = 1150)]
+    /// Largest packet, 200 to 1226 bytes, header and CRC included (dgs1).
+    #[arg(long, default_value_t = 1150, value_parser = whole(200..=1226, "bytes"))]
     pub packet_bytes: usize,
     /// Base packets per XOR repair set, 2 to 64; 0 sends no parity.
-    #[arg(long, conflicts_with = "repair")]
+    #[arg(long, conflicts_with = "repair", value_parser = repair_set)]
     pub repair_set: Option<u8>,
     /// Parity per kind of packets: none, standard, or a list of KIND=K+R (any R losses of K packets
     /// are repaired) with KIND base, tracks, 1, 2 or 3 [default: none in encode, standard in stream
     /// and demo].
     #[arg(long, value_parser = Protection::parse)]
     pub repair: Option<Protection>,
-}
-
-fn positive(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value > 0.0 && value.is_finite() => Ok(value),
-        _ => Err("a number above 0 is allowed".to_owned()),
-    }
-}
-
-fn not_negative(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(value) if value >= 0.0 && value.is_finite() => Ok(value),
-        _ => Err("a number of at least 0 is allowed".to_owned()),
-    }
 }
 
 /// A named set of format choices.
@@ -147,11 +150,11 @@ pub enum ProfileName {
 /// Where to look from.
 #[derive(Clone, Debug, Args)]
 pub struct ViewArgs {
-    /// Image width, pixels [default: 512, or what a file of cameras says].
-    #[arg(long)]
+    /// Image width, 1 to 16384 pixels [default: 512, or what a file of cameras says].
+    #[arg(long, value_parser = whole(1..=MAX_SIDE, "pixels"))]
     pub width: Option<u32>,
-    /// Image height, pixels [default: 512, or what a file of cameras says].
-    #[arg(long)]
+    /// Image height, 1 to 16384 pixels [default: 512, or what a file of cameras says].
+    #[arg(long, value_parser = whole(1..=MAX_SIDE, "pixels"))]
     pub height: Option<u32>,
     /// Background, 0 to 1 per channel: grey level or r,g,b.
     #[arg(long, default_value = "0", value_parser = background)]
@@ -195,20 +198,6 @@ impl From<Up> for trainer_host::scene::Up {
     }
 }
 
-fn background(text: &str) -> Result<[f32; 3], String> {
-    let values: Result<Vec<f32>, _> = text.split(',').map(|v| v.trim().parse::<f32>()).collect();
-    let values = values.map_err(|e| format!("{e}; a grey level such as 0.5, or r,g,b"))?;
-    let rgb = match values[..] {
-        [v] => [v; 3],
-        [r, g, b] => [r, g, b],
-        _ => return Err(format!("found {} numbers; 1 or 3 are allowed", values.len())),
-    };
-    match rgb.iter().all(|v| (0.0..=1.0).contains(v)) {
-        true => Ok(rgb),
-        false => Err("each channel must lie in 0..=1".to_owned()),
-    }
-}
-
 /// The link.
 #[derive(Clone, Debug, Args)]
 pub struct LinkArgs {
@@ -216,23 +205,26 @@ pub struct LinkArgs {
     /// bursty trace, scaled so that the stream is `load` times what fits].
     #[arg(long)]
     pub trace: Option<PathBuf>,
-    /// Start this many seconds into the trace.
-    #[arg(long, default_value_t = 0.0)]
+    /// Start this many seconds into the trace: at least 0.
+    #[arg(long, default_value_t = 0.0, value_parser = not_negative, allow_negative_numbers = true)]
     pub trace_offset: f64,
-    /// Multiply the trace's capacity by this.
-    #[arg(long)]
+    /// Multiply the trace's capacity by this, above 0.
+    #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     pub scale: Option<f64>,
-    /// For the built-in trace: stream bytes over what the link carries during the clip.
-    #[arg(long, default_value_t = 1.6)]
+    /// For the built-in trace: stream bytes over what the link carries during the clip, above 0.
+    #[arg(long, default_value_t = 1.6, value_parser = positive, allow_negative_numbers = true)]
     pub load: f64,
-    /// One-way delay, milliseconds [default: half the trace's own round trip, else 30].
-    #[arg(long)]
+    /// One-way delay, 0 to 60000 milliseconds [default: half the trace's own round trip, else 30].
+    #[arg(long, value_parser = whole(0..=60_000, "milliseconds"))]
     pub delay_ms: Option<u64>,
     /// Share of time lost in Gilbert–Elliott bursts (mean burst four packets), 0 to 0.3.
-    #[arg(long, default_value_t = 0.02)]
+    #[arg(
+        long, default_value_t = 0.02, value_parser = real(0.0..=0.3, "a share"),
+        allow_negative_numbers = true
+    )]
     pub burst_loss: f64,
-    /// Queue, as milliseconds of the mean rate.
-    #[arg(long, default_value_t = 250)]
+    /// Queue, as 0 to 60000 milliseconds of the mean rate.
+    #[arg(long, default_value_t = 250, value_parser = whole(0..=60_000, "milliseconds"))]
     pub queue_ms: u64,
     /// Congestion controller.
     #[arg(long, value_enum, default_value_t = ControllerName::Newreno)]
@@ -288,7 +280,8 @@ pub enum PolicyName {
 /// `dgs import`.
 #[derive(Debug, Args)]
 pub struct Import {
-    /// File or folder, or synth:KIND:GAUSSIANS:FRAMES (numbers optional), KIND balls, figure, cloth or births,
+    /// File or folder, or synth:KIND:GAUSSIANS:FRAMES (numbers optional), KIND balls, figure, cloth or
+    /// births,
     /// GAUSSIANS at least 1000.
     pub input: String,
     /// How to read it.
@@ -466,8 +459,8 @@ pub struct Demo {
     /// What renders the frames of the report. Utilities are measured on the processor, whatever this says.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
     pub device: DeviceName,
-    /// Contexts per group when utilities are measured.
-    #[arg(long, default_value_t = 3)]
+    /// Contexts per group when utilities are measured: 1 to 64.
+    #[arg(long, default_value_t = 3, value_parser = whole(1..=64, "contexts"))]
     pub contexts: usize,
 }
 

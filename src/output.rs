@@ -34,14 +34,15 @@ pub struct VerbOutput {
 /// What was typed, or the exit status after help, version or a refusal has been printed.
 ///
 /// # Errors
-/// 0 after `--help` and `--version`, 64 if it is not a command, 1 if that cannot be printed.
+/// 0 after `--help` and `--version` (1 if they cannot be printed), 64 if it is not a command.
 pub fn parse<T: Parser>() -> Result<T, ExitCode> {
     T::try_parse().map_err(|error| {
-        let code = if error.use_stderr() { USAGE } else { 0 };
-        match error.print() {
-            Err(io) if io.kind() != ErrorKind::BrokenPipe => refuse(&io.into()),
-            _ => ExitCode::from(code),
+        if error.use_stderr() {
+            // Where nobody can be told, the status still says it.
+            let _ = error.print();
+            return ExitCode::from(USAGE);
         }
+        written(error.print()).map_or_else(|error| refuse(&error), |()| ExitCode::SUCCESS)
     })
 }
 
@@ -64,7 +65,12 @@ pub fn finish(said: Result<VerbOutput>, json: bool) -> ExitCode {
 /// Any other failure to write, a full disk for example.
 pub fn print(text: &str) -> Result<()> {
     let mut out = io::stdout().lock();
-    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+    written(out.write_all(text.as_bytes()).and_then(|()| out.flush()))
+}
+
+/// What writing to standard output came to, a closed pipe being no error.
+fn written(result: io::Result<()>) -> Result<()> {
+    match result {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
             Err(error).context("standard output: cannot write")
         }

@@ -1,4 +1,4 @@
-//! The walk, step by step, as every verb and every experiment takes it.
+//! Takes the walk step by step, as every verb and every experiment does.
 
 mod cache;
 mod cameras;
@@ -160,7 +160,7 @@ pub fn write(scene: &Scene, decisions: &Decisions, quiet: Quiet) -> Result<Encod
     encode::write(scene, decisions, &|stage, share| progress.stage(stage, share)).context("cannot encode")
 }
 
-/// `whole` without the levels that measuring cameras do not find worth `lambda` per byte.
+/// `whole` without the levels that gain less than `lambda` per byte from measuring cameras.
 ///
 /// # Errors
 /// If measuring or encoding fails.
@@ -175,11 +175,11 @@ pub fn truncate(
     let how = utility::Options::complete(scene)?;
     let table = utilities(scene, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
     let progress = Progress::new("encode", quiet.0);
-    let told = |stage, share| progress.stage(stage, share);
-    utility::truncate(scene, whole, &table, lambda, options.table_choices, &told).context("cannot encode")
+    let report = |stage, share| progress.stage(stage, share);
+    utility::truncate(scene, whole, &table, lambda, options.table_choices, &report).context("cannot encode")
 }
 
-/// A stream from a `.dgs` file; what is damaged is told to `warn`.
+/// A stream from a `.dgs` file; damage is passed to `warn`.
 ///
 /// # Errors
 /// If the file or its manifest cannot be read.

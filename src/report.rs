@@ -30,7 +30,7 @@ pub struct Page {
     /// Link capacity over the run: (seconds, Mbit/s) steps.
     pub capacity_mbps: Vec<(f64, f64)>,
     /// One per scheduler, in the paper's order.
-    pub runs: Vec<Run>,
+    pub runs: Vec<SchedulerRun>,
     /// Frames shown side by side.
     pub strips: Vec<Strip>,
     /// Things a reader should know (identity not stored, losses, warnings).
@@ -39,7 +39,7 @@ pub struct Page {
 
 /// One scheduler over the link.
 #[derive(Debug, Serialize)]
-pub struct Run {
+pub struct SchedulerRun {
     /// Name for people, for example `deadline-utility`.
     pub name: String,
     /// Startup, misses, waste, trajectory.

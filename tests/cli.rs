@@ -1,4 +1,4 @@
-//! The front door: every verb as typed, its exit code, and what it says about bad input.
+//! Tests the command line: every verb as typed, its exit status, what it says about bad input.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
@@ -19,9 +19,15 @@ fn ok(folder: &Path, args: &[&str]) -> String {
 }
 
 fn refused(folder: &Path, args: &[&str]) -> String {
+    stopped(folder, args, 1)
+}
+
+/// What `args` say on standard error when they end with exit status `code`.
+fn stopped(folder: &Path, args: &[&str], code: i32) -> String {
     let output = dgs(folder, args);
-    assert!(!output.status.success(), "dgs {args:?} should fail");
-    String::from_utf8(output.stderr).unwrap()
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(code), "dgs {args:?}: {text}");
+    text
 }
 
 /// Decisions that were written out replay to the same bytes; a file of something else is named.
@@ -124,15 +130,140 @@ fn bad_input_is_refused_by_name_and_place() {
         (vec!["import", "a.ply"], vec!["a.ply"]),
         (vec!["import", "nowhere.ply"], vec!["nowhere.ply", "no such file"]),
         (vec!["import", "synth:teapot"], vec!["teapot", "balls, figure, cloth, births"]),
-        (
-            vec!["encode", "synth:balls:1000:2", "--out", "x.dgs", "--block-len", "0"],
-            vec!["block_len", "found", "1..=256"],
-        ),
+        (vec!["import", "synth:balls:999"], vec!["999", "1000 to 1000000"]),
         (vec!["stream", "synth:balls:1000:3", "--trace", "trace"], vec!["trace", "line 1"]),
     ] {
         let text = refused(at, &args);
         for part in wanted {
-            assert!(text.contains(part) || part == "found", "dgs {args:?} says {text:?}, not {part:?}");
+            assert!(text.contains(part), "dgs {args:?} says {text:?}, not {part:?}");
         }
     }
+}
+
+/// What is not a command ends with 64; what is asked for about commands with 0.
+#[test]
+fn what_was_typed_wrong_is_told_apart_from_what_was_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    for args in [&[][..], &["frobnicate"], &["encode"], &["encode", "a", "--out"], &["inspect", "a", "b"]] {
+        let text = stopped(at, args, 64);
+        assert!(text.contains("error: ") || text.contains("Usage: dgs"), "{args:?}: {text}");
+    }
+    for args in [&["--help"][..], &["help"], &["--version"], &["encode", "--help"], &["bench", "--help"]] {
+        assert!(ok(at, args).contains("dgs"), "{args:?}");
+    }
+}
+
+/// Every number out of range is refused before anything is read or written, by its option's name, with the
+/// range in its own unit.
+#[test]
+fn options_out_of_range_are_refused_by_name_with_their_range() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let encode = ["encode", "synth:balls:1000:2", "--out", "x.dgs"];
+    let stream = ["stream", "synth:balls:1000:2"];
+    let render = ["render", "synth:balls:1000:2", "--out", "x.png"];
+    let demo = ["demo", "--out", "x"];
+    let factor = "a factor on the default steps from 0.001 to 1000 is allowed";
+    let above = "a finite number above 0 is allowed";
+    let least = "a finite number of at least 0 is allowed";
+    for (verb, option, values, range) in [
+        (&encode[..], "--coarseness", &["nan", "inf", "-inf", "0", "-1", "1e30"][..], factor),
+        (&encode, "--fps", &["nan", "inf", "0", "-30"], "frames per second from 0.001 to 10000 is allowed"),
+        (&encode, "--truncate", &["nan", "inf", "-1"], least),
+        (&encode, "--target-psnr", &["nan", "inf", "0", "-40"], above),
+        (&encode, "--target-bits-per-gaussian", &["nan", "inf", "0"], above),
+        (&encode, "--packet-bytes", &["199", "1227", "nan"], "bytes from 200 to 1226 is allowed"),
+        (&encode, "--block-len", &["0", "257"], "Gaussians from 1 to 256 is allowed"),
+        (&encode, "--cluster-size", &["0", "32769"], "Gaussians from 1 to 32768 is allowed"),
+        (&encode, "--window-frames", &["0", "65"], "frames from 1 to 64 is allowed"),
+        (&encode, "--rank", &["65"], "vectors from 0 to 64 is allowed"),
+        (&encode, "--pictures", &["1025"], "pictures from 0 to 1024 is allowed"),
+        (&encode, "--samples", &["0"], "Gaussians from 1 to 5000000 is allowed"),
+        (&encode, "--repair-set", &["1", "65"], "2 to 64 packets per set"),
+        (&stream, "--burst-loss", &["nan", "0.31", "-0.1"], "a share from 0 to 0.3 is allowed"),
+        (&stream, "--load", &["nan", "inf", "0"], above),
+        (&stream, "--scale", &["nan", "inf", "0"], above),
+        (&stream, "--trace-offset", &["nan", "inf", "-1"], least),
+        (&stream, "--delay-ms", &["60001"], "milliseconds from 0 to 60000 is allowed"),
+        (&render, "--width", &["0", "16385"], "pixels from 1 to 16384 is allowed"),
+        (&render, "--background", &["nan", "2", "0,0"], "allowed"),
+        (&demo, "--contexts", &["0", "65"], "contexts from 1 to 64 is allowed"),
+    ] {
+        for value in values {
+            let typed = format!("{option}={value}");
+            let args: Vec<&str> = verb.iter().copied().chain([typed.as_str()]).collect();
+            let text = stopped(at, &args, 64);
+            assert!(text.contains(option) && text.contains(range), "{typed}: {text}");
+        }
+    }
+    assert_eq!(std::fs::read_dir(at).unwrap().count(), 0, "nothing is written");
+}
+
+/// A reader that has seen enough is no error.
+#[test]
+fn a_closed_pipe_ends_quietly() {
+    let folder = tempfile::tempdir().unwrap();
+    for args in
+        [&["--help"][..], &["import", "synth:balls:1000:2"], &["--json", "import", "synth:balls:1000:2"]]
+    {
+        let (reader, writer) = std::io::pipe().unwrap();
+        drop(reader);
+        let output = Command::new(env!("CARGO_BIN_EXE_dgs"))
+            .current_dir(folder.path())
+            .args(args)
+            .stdout(writer)
+            .output()
+            .unwrap();
+        assert_eq!(output.status.code(), Some(0), "{args:?}");
+        assert_eq!(String::from_utf8_lossy(&output.stderr), "", "{args:?}");
+    }
+}
+
+/// A full disk behind standard output is an error, and one behind standard error no panic.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_output_device_is_an_error_and_no_panic() {
+    let folder = tempfile::tempdir().unwrap();
+    let full = || std::fs::File::options().write(true).open("/dev/full").unwrap();
+    for args in
+        [&["--help"][..], &["import", "synth:balls:1000:2"], &["--json", "import", "synth:balls:1000:2"]]
+    {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_dgs"));
+        command.current_dir(folder.path()).args(args).stdout(full());
+        let output = command.output().unwrap();
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(1), "{args:?}: {text}");
+        assert!(text.starts_with("dgs: ") && text.lines().count() == 1, "{args:?}: {text}");
+        let status = command.stdout(full()).stderr(full()).status().unwrap();
+        assert_eq!(status.code(), Some(1), "{args:?}");
+    }
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dgs"));
+    assert_eq!(command.arg("frobnicate").stderr(full()).status().unwrap().code(), Some(64));
+}
+
+/// Away from the source tree `dgs bench` runs the laboratory beside it, with what was typed and its status.
+#[cfg(unix)]
+#[test]
+fn bench_runs_the_laboratory_beside_it() {
+    use std::os::unix::fs::PermissionsExt as _;
+
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let installed = at.join("dgs");
+    std::fs::copy(env!("CARGO_BIN_EXE_dgs"), &installed).unwrap();
+    let bench = |args: &[&str]| Command::new(&installed).current_dir(at).args(args).output().unwrap();
+
+    let output = bench(&["bench", "rate"]);
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("dgs-lab") && text.contains("cargo run"), "{text}");
+
+    let laboratory = at.join("dgs-lab");
+    std::fs::write(&laboratory, "#!/bin/sh\necho \"$@\"\nexit 7\n").unwrap();
+    std::fs::set_permissions(&laboratory, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let output = bench(&["--json", "bench", "rate", "--quick", "--data", "d", "--out", "o"]);
+    assert_eq!(output.status.code(), Some(7));
+    assert_eq!(String::from_utf8_lossy(&output.stdout), "--quick --json --data d --out o -- rate\n");
+    assert_eq!(String::from_utf8_lossy(&bench(&["bench", "--list"]).stdout), "--list\n");
 }

@@ -40,10 +40,10 @@ fn folder() -> PathBuf {
     root().join("tests/damage")
 }
 
-/// A line of the table: file, what is wrong, how much is kept, what is said.
+/// A line of the table: file, what is wrong, how much is readable, what is said.
 struct Case {
     file: String,
-    kept: Option<usize>,
+    readable: Option<usize>,
     says: Vec<String>,
 }
 
@@ -52,10 +52,10 @@ fn cases() -> Vec<Case> {
     let rows = text.lines().filter(|l| l.starts_with("| `"));
     let case = |line: &str| {
         let cells: Vec<&str> = line.trim_matches('|').split('|').map(str::trim).collect();
-        let [file, _, kept, says] = cells[..] else { panic!("four cells: {line}") };
+        let [file, _, readable, says] = cells[..] else { panic!("four cells: {line}") };
         Case {
             file: file.trim_matches('`').to_owned(),
-            kept: kept.parse().ok(),
+            readable: readable.parse().ok(),
             says: says.split('`').skip(1).step_by(2).map(str::to_owned).collect(),
         }
     };
@@ -95,12 +95,12 @@ fn damaged_streams() {
     assert!(damage.is_none(), "{damage}");
     for case in cases().iter().filter(|c| c.file.ends_with(".dgs")) {
         let bytes = std::fs::read(folder().join(&case.file)).unwrap();
-        match (Stream::from_bytes(&bytes), case.kept) {
+        match (Stream::from_bytes(&bytes), case.readable) {
             (Err(error), None) => assert_says(case, &error.to_string()),
-            (Ok((stream, damage)), Some(kept)) => {
+            (Ok((stream, damage)), Some(readable)) => {
                 assert_says(case, &damage.to_string());
                 let left = stream.packets().iter().filter(|p| !p.is_empty()).count();
-                assert_eq!(left, kept, "{}", case.file);
+                assert_eq!(left, readable, "{}", case.file);
                 for (id, packet) in stream.packets().iter().enumerate().filter(|(_, p)| !p.is_empty()) {
                     assert_eq!(packet, &whole.packets()[id], "{}: packet {id}", case.file);
                 }
@@ -129,10 +129,10 @@ fn damaged_scenes() {
             assert!(text.contains(part), "{text:?} does not say {part:?}");
         }
         let limits = Limits { keep_readable: true, ..Limits::default() };
-        let kept = import(&path, &import::Options { limits, ..import::Options::default() });
-        match (kept, case.kept) {
-            (Ok(scene), Some(kept)) => {
-                assert_eq!(scene.max_count(), kept, "{}", case.file);
+        let readable = import(&path, &import::Options { limits, ..import::Options::default() });
+        match (readable, case.readable) {
+            (Ok(scene), Some(readable)) => {
+                assert_eq!(scene.max_count(), readable, "{}", case.file);
                 assert!(!scene.notes.is_empty(), "{} says what is missing", case.file);
                 assert_drawable(&scene.instant(0).unwrap().gaussians);
             }
@@ -170,7 +170,7 @@ fn damaged_traces() {
 #[test]
 #[should_panic(expected = "does not say")]
 fn another_message_is_noticed() {
-    let case = Case { file: "x".into(), kept: None, says: vec!["file.magic at byte 0".into()] };
+    let case = Case { file: "x".into(), readable: None, says: vec!["file.magic at byte 0".into()] };
     assert_says(&case, "something is wrong");
 }
 

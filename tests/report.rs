@@ -6,7 +6,7 @@
 
 use dgs::{
     figures::Machine,
-    report::{Page, Picture, Run, Shown, Strip, html},
+    report::{Page, Picture, SchedulerRun, Shown, Strip, html},
 };
 use emulator_host::{
     Nanos,
@@ -108,7 +108,7 @@ fn delivery(i: usize) -> Report {
     }
 }
 
-fn run(i: usize) -> Run {
+fn run(i: usize) -> SchedulerRun {
     let delivery = delivery(i);
     let frames = delivery
         .frames
@@ -121,7 +121,7 @@ fn run(i: usize) -> Run {
         })
         .collect();
     let rank = i as f64;
-    Run {
+    SchedulerRun {
         name: NAMES[i].into(),
         delivery,
         frames,

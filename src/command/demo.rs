@@ -1,4 +1,4 @@
-//! `dgs demo`: the whole walk under four schedulers, side by side, as one page.
+//! Takes the whole walk under four schedulers and writes one page: `dgs demo`.
 
 use anyhow::{Context, Result};
 use emulator_host::PolicyKind;
@@ -6,7 +6,8 @@ use rayon::prelude::*;
 use render_host::{Backend, Image, metric};
 use serde_json::json;
 use trainer_host::{
-    encode::Protection,
+    Scene, Stream,
+    encode::{Ledger, Protection},
     evaluator::{self, PSNR_CAP_DB},
     stream::PacketMap,
     utility,
@@ -20,7 +21,7 @@ use crate::{
     output::VerbOutput,
     pipeline::{self, Loaded, Quiet},
     progress::Progress,
-    report::{Page, Picture, Run, Shown, Strip, html},
+    report::{Page, Picture, SchedulerRun, Shown, Strip, html},
 };
 
 /// The built-in scene.
@@ -160,7 +161,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
         }
         let psnr: Vec<f64> = scores.iter().map(|s| s.psnr_db).collect();
         let ssim: Vec<f64> = scores.iter().map(|s| s.ssim).collect();
-        runs.push(Run {
+        runs.push(SchedulerRun {
             name: report.policy.clone(),
             mean_psnr_db: mean(&psnr),
             tail_psnr_db: evaluator::worst_tenth(&psnr),
@@ -174,21 +175,12 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let width = emulator_host::Nanos::from_ms(100);
     let capacity = pipeline::capacity_bins(&link.trace, width, (end_s * 10.0).ceil().max(1.0) as usize);
     notes.extend(link.warnings.iter().cloned());
-    let protocol = [
-        ("scene", format!("{name}, {} Gaussians, {} frames at {} fps", scene.max_count(), frames.len(), scene.frames_per_second())),
-        ("stream", format!("profile {}, {} packets of at most {} bytes, {} parity", pipeline::profile_name(content.manifest.profile()), ledger.packets, args.codec.packet_bytes, ledger.parity_packets)),
-        ("link", link.description.clone()),
-        ("controller", format!("{:?}", args.link.controller).to_lowercase()),
-        ("quality", format!("camera held out from every choice, {}×{}, background {:?}, all frames, PSNR capped at {PSNR_CAP_DB} dB, against the uncompressed source's own render", args.view.size().0, args.view.size().1, args.view.background)),
-        ("pictures", format!("rendered by {}", backend.name())),
-        ("utilities", table.protocol.clone()),
-        ("playout", "starts when 95 % of the base groups of frame 0 are usable (at most 5 s), then never waits; a frame not shown counts as background".to_owned()),
-        ("seeds", format!("scene {}, link {}", args.source.seed, args.link.link_seed)),
-    ];
+    let mut protocol = protocol(args, &name, &scene, &stream, &ledger, &link, &table)?;
+    protocol.push(("pictures".to_owned(), format!("rendered by {}", backend.name())));
     Ok(Page {
         title: format!("{name} over {}", link.trace.name()),
         machine: Machine::this(),
-        protocol: protocol.into_iter().map(|(k, v)| (k.to_owned(), v)).collect(),
+        protocol,
         ledger,
         complete_psnr_db,
         capacity_mbps: capacity.iter().enumerate().map(|(i, bps)| (i as f64 * 0.1, bps / 1e6)).collect(),
@@ -196,6 +188,49 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
         strips,
         notes,
     })
+}
+
+/// How the page was measured: (what, value) pairs in reading order.
+fn protocol(
+    args: &Demo,
+    name: &str,
+    scene: &Scene,
+    stream: &Stream,
+    ledger: &Ledger,
+    link: &pipeline::Link,
+    table: &utility::Table,
+) -> Result<Vec<(String, String)>> {
+    let profile = pipeline::profile_name(stream.manifest()?.profile());
+    let (fps, count, frames) = (scene.frames_per_second(), scene.max_count(), scene.frames());
+    let ((width, height), background) = (args.view.size(), args.view.background);
+    let pairs = [
+        ("scene", format!("{name}, {count} Gaussians, {frames} frames at {fps} fps")),
+        (
+            "stream",
+            format!(
+                "profile {profile}, {} packets of at most {} bytes, {} parity",
+                ledger.packets, args.codec.packet_bytes, ledger.parity_packets
+            ),
+        ),
+        ("link", link.description.clone()),
+        ("controller", format!("{:?}", args.link.controller).to_lowercase()),
+        (
+            "quality",
+            format!(
+                "camera held out from every choice, {width}×{height}, background {background:?}, all frames, \
+                 PSNR capped at {PSNR_CAP_DB} dB, against the uncompressed source's own render"
+            ),
+        ),
+        ("utilities", table.protocol.clone()),
+        (
+            "playout",
+            "starts when 95 % of the base groups of frame 0 are usable (at most 5 s), then never waits; \
+             a frame not shown counts as background"
+                .to_owned(),
+        ),
+        ("seeds", format!("scene {}, link {}", args.source.seed, args.link.link_seed)),
+    ];
+    Ok(pairs.map(|(what, value)| (what.to_owned(), value)).into())
 }
 
 fn psnrs(images: &[Image], references: &[Image]) -> Result<Vec<f64>> {

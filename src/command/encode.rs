@@ -191,7 +191,8 @@ fn report_table(report: &Report, packets: &PacketReport) -> String {
         text += &format!("  {name:18} {bytes:>12.0} bytes\n");
     }
     text += &format!(
-        "  {} packets + {} parity, {} bits/Gaussian, {} bytes/frame, packetisation {:.2} %, robustness premium {:.2} %\n",
+        "  {} packets + {} parity, {} bits/Gaussian, {} bytes/frame, packetisation {:.2} %, robustness \
+            premium {:.2} %\n",
         ledger.packets,
         ledger.parity_packets,
         number(ledger.bits_per_gaussian()),
@@ -236,7 +237,8 @@ fn report_table(report: &Report, packets: &PacketReport) -> String {
     for (k, class) in classes.iter().enumerate().filter(|_| classes.len() > 1) {
         let q = class.quality;
         text += &format!(
-            "  quantiser class {k}: {:>7} Gaussians, steps: position {:.4} sizes, scale {:.4}, rotation {:.4}, opacity {:.4}, sh0 {:.4}, harmonics {:.4}\n",
+            "  quantiser class {k}: {:>7} Gaussians, steps: position {:.4} sizes, scale {:.4}, rotation {:.4}, \
+             opacity {:.4}, sh0 {:.4}, harmonics {:.4}\n",
             class.gaussians, q.position, q.scale, q.rotation, q.opacity, q.sh0, q.sh_rest
         );
     }

@@ -64,7 +64,8 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     let startup = report.startup_ms.map_or("never".to_owned(), |ms| format!("{ms:.0} ms"));
     let text = format!(
         "{} over {}\n  startup {startup}, miss {:.1} % (base {:.1} %), utility {:.3}\n  \
-         goodput {} kbit/s, usable {} kbit/s, wasted {:.1} KiB, {} of {} frames shown, {} recovered by repair\n",
+         goodput {} kbit/s, usable {} kbit/s, wasted {:.1} KiB, {} of {} frames shown, {} recovered by \
+         repair\n",
         report.policy,
         link.description,
         100.0 * report.miss_rate,

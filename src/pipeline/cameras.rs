@@ -11,7 +11,8 @@ use render_host::camera::{
 /// Most bytes of one file of cameras.
 const MAX_BYTES: u64 = 1 << 30;
 
-/// The cameras of `path`: a JSON file, one of COLMAP's two files, or the folder with both. `size` is the width
+/// The cameras of `path`: a JSON file, one of COLMAP's two files, or the folder with both. `size` is the
+/// width
 /// and height of images in pixels for files that do not say.
 ///
 /// # Errors

@@ -4,13 +4,15 @@
 //! finite numbers are em dashes. Equal pages give equal bytes.
 
 mod bytes;
+mod elements;
 mod merits;
 mod strips;
 
 use std::fmt::Write as _;
 
+use self::elements::{count, figure, kib};
 use super::{
-    Page, Run, Shown,
+    Page, SchedulerRun, Shown,
     plot::{Hue, Panel, Plot, Series, Shape, escape, number},
 };
 
@@ -20,14 +22,6 @@ const POLICY: &str =
     "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'";
 /// Values under the pointer, one series in focus, enlarged images.
 const SCRIPT: &str = include_str!("page.js");
-
-fn kib(bytes: u64) -> f64 {
-    bytes as f64 / 1024.0
-}
-
-fn count(n: u64) -> String {
-    number(n as f64, 0)
-}
 
 /// The complete document.
 pub fn page(page: &Page) -> String {
@@ -57,7 +51,8 @@ pub fn page(page: &Page) -> String {
     let device = page.machine.device.as_deref().unwrap_or("—");
     let machine = [("processor", page.machine.cpu.as_str()), ("cores", &cores), ("graphics device", device)];
     pairs(&mut out, machine.into_iter());
-    out += "<footer class=\"note\">Written by <code>dgs</code>. This file needs nothing else and asks for nothing.\
+    out += "<footer class=\"note\">Written by <code>dgs</code>. This file needs nothing else and asks for \
+        nothing.\
             </footer>\n</main>\n<script>\n";
     out + SCRIPT + "</script></body></html>\n"
 }
@@ -67,7 +62,8 @@ fn summary(page: &Page) -> String {
     let l = &page.ledger;
     let mut out = format!(
         "A dynamic scene of {} Gaussians and {} frames was encoded once, to {} KiB on the wire, and sent \
-         over the same emulated link by {}. Each frame shows, at its deadline, whatever had arrived in usable form \
+         over the same emulated link by {}. Each frame shows, at its deadline, whatever had arrived in \
+         usable form \
          by then; nothing waits.",
         count(l.gaussians),
         count(l.frames),
@@ -79,7 +75,7 @@ fn summary(page: &Page) -> String {
         }
     );
     let finite = page.runs.iter().filter(|r| r.mean_psnr_db.is_finite());
-    let mut ranked: Vec<&Run> = finite.collect();
+    let mut ranked: Vec<&SchedulerRun> = finite.collect();
     ranked.sort_by(|a, b| b.mean_psnr_db.total_cmp(&a.mean_psnr_db));
     if let Some(best) = ranked.first() {
         let (name, mean) = (escape(&best.name), number(best.mean_psnr_db, 2));
@@ -113,24 +109,22 @@ fn pairs<'a>(out: &mut String, pairs: impl Iterator<Item = (&'a str, &'a str)>) 
 }
 
 /// A drawing under its heading.
-fn figure(out: &mut String, heading: &str, says: &str, svg: &str) {
-    let _ = writeln!(
-        out,
-        "<figure class=\"figure\"><h3>{heading}</h3><p class=\"note\">{says}</p>{svg}</figure>"
-    );
-}
-
 /// Series of all runs over time.
 fn series<'a>(
-    runs: &'a [Run],
+    runs: &'a [SchedulerRun],
     shape: Shape,
-    points: impl Fn(&'a Run) -> Vec<(f64, f64)> + 'a,
+    points: impl Fn(&'a SchedulerRun) -> Vec<(f64, f64)> + 'a,
 ) -> impl Iterator<Item = Series<'a>> {
-    let one = move |(i, r)| Series { name: Run::name(r), hue: Hue::Run(i), shape, points: points(r) };
+    let one = move |(i, r)| Series {
+        name: SchedulerRun::name(r),
+        hue: Hue::Scheduler(i),
+        shape,
+        points: points(r),
+    };
     runs.iter().enumerate().map(one)
 }
 
-impl Run {
+impl SchedulerRun {
     fn name(&self) -> &str {
         &self.name
     }
@@ -157,7 +151,7 @@ fn plots(out: &mut String, page: &Page) {
     );
     let mut quality: Vec<Series<'_>> = Vec::new();
     // Frames of the complete state have no playout time of their own: they take the earliest run's.
-    let start = |r: &Run| r.frames.iter().filter_map(|f| f.time_s).fold(f64::INFINITY, f64::min);
+    let start = |r: &SchedulerRun| r.frames.iter().filter_map(|f| f.time_s).fold(f64::INFINITY, f64::min);
     let earliest = page.runs.iter().filter(|r| start(r).is_finite());
     let earliest = earliest.min_by(|a, b| start(a).total_cmp(&start(b)));
     if let Some(run) = earliest {
@@ -166,7 +160,7 @@ fn plots(out: &mut String, page: &Page) {
         quality.push(Series { name: "complete state", hue: Hue::Reference, shape: Shape::Line, points });
     }
     // A frame that was never shown is a gap where the one before it was.
-    let psnr = |r: &Run| {
+    let psnr = |r: &SchedulerRun| {
         let point = |last: &mut f64, f: &Shown| match f.time_s {
             Some(t) => {
                 *last = t;

@@ -41,7 +41,7 @@ for (const svg of document.querySelectorAll('svg.plot[data-x]')) {
 const box = make('dialog', '', document.body), big = make('img', '', box), says = make('p', '', box);
 let row = [], at = 0;
 const show = i => { at = (i + row.length) % row.length; big.src = row[at].src; says.textContent = row[at].alt; };
-for (const strip of document.querySelectorAll('.strip')) for (const kind of ['shot', 'map']) {
+for (const strip of document.querySelectorAll('.strip')) for (const kind of ['frame', 'map']) {
   const all = [...strip.querySelectorAll('img.' + kind)];
   all.forEach((img, i) => img.addEventListener('click', () => { row = all; show(i); box.showModal(); }));
 }

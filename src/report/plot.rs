@@ -106,7 +106,7 @@ pub enum Shape {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hue {
     /// The run at this place; six colours and markers, then again.
-    Run(usize),
+    Scheduler(usize),
     /// What runs are compared with: grey and dashed.
     Reference,
     /// The link: a grey area.
@@ -117,7 +117,7 @@ impl Hue {
     /// Its class in `page.css`.
     pub fn class(self) -> String {
         match self {
-            Self::Run(i) => format!("s{}", i % 6),
+            Self::Scheduler(i) => format!("s{}", i % 6),
             Self::Reference => "ref".to_owned(),
             Self::Link => "link".to_owned(),
         }
@@ -167,7 +167,7 @@ pub struct Plot<'a> {
     pub panels: Vec<Panel<'a>>,
 }
 
-/// Where data land: a range of values and the stretch of the drawing that it takes.
+/// Where data land: a range of values and the extent of the drawing that it takes.
 #[derive(Clone, Copy)]
 struct Scale {
     from: (f64, f64),
@@ -264,26 +264,26 @@ impl Series<'_> {
             r#"<g class="series {class}" data-n="{name}" data-u="{unit}"{step} data-p="{}"><title>{name}</title>"#,
             values.trim_end()
         );
-        // Each stretch without a gap is one path.
-        let mut stretches: Vec<Vec<(f64, f64)>> = vec![Vec::new()];
+        // Each piece without a gap is one path.
+        let mut pieces: Vec<Vec<(f64, f64)>> = vec![Vec::new()];
         for p in &points {
-            match (usable(p.1), stretches.last_mut()) {
-                (true, Some(stretch)) => stretch.push((x.at(p.0), y.at(p.1))),
-                (false, Some(stretch)) if !stretch.is_empty() => {
+            match (usable(p.1), pieces.last_mut()) {
+                (true, Some(piece)) => piece.push((x.at(p.0), y.at(p.1))),
+                (false, Some(piece)) if !piece.is_empty() => {
                     if self.shape != Shape::Line {
-                        let held = stretch.last().map_or(y.to.0, |last| last.1);
-                        stretch.push((x.at(p.0), held));
+                        let level = piece.last().map_or(y.to.0, |last| last.1);
+                        piece.push((x.at(p.0), level));
                     }
-                    stretches.push(Vec::new());
+                    pieces.push(Vec::new());
                 }
                 _ => {}
             }
         }
         let zero = y.at(0.0).clamp(y.to.1, y.to.0);
-        for stretch in &stretches {
-            let (Some(first), Some(last)) = (stretch.first(), stretch.last()) else { continue };
+        for piece in &pieces {
+            let (Some(first), Some(last)) = (piece.first(), piece.last()) else { continue };
             let mut d = format!("M{:.1} {:.1}", first.0, first.1);
-            for p in &stretch[1..] {
+            for p in &piece[1..] {
                 let _ = match self.shape {
                     Shape::Line => write!(d, "L{:.1} {:.1}", p.0, p.1),
                     Shape::Step | Shape::Area => write!(d, "H{:.1}V{:.1}", p.0, p.1),
@@ -292,13 +292,13 @@ impl Series<'_> {
             if self.shape == Shape::Area {
                 let _ = write!(out, r#"<path class="fill" d="{d}V{zero:.1}H{:.1}Z"/>"#, first.0);
             }
-            if stretch.len() > 1 {
+            if piece.len() > 1 {
                 let _ = write!(out, r#"<path class="halo" d="{d}"/><path class="line" d="{d}"/>"#);
             } else {
                 let _ = write!(out, r#"<circle class="dot" cx="{:.1}" cy="{:.1}" r="3"/>"#, last.0, last.1);
             }
         }
-        if let Hue::Run(run) = self.hue {
+        if let Hue::Scheduler(run) = self.hue {
             let drawn: Vec<(f64, f64)> =
                 points.iter().filter(|p| usable(p.1)).map(|p| (x.at(p.0), y.at(p.1))).collect();
             for p in spread(&drawn, (x.to.0, x.to.1), place) {
@@ -361,7 +361,7 @@ fn legend<'a>(entries: impl Iterator<Item = (&'a str, Hue)>) -> (String, f64) {
                 let _ = write!(out, r#"<path class="line" d="M{x:.1} {:.1}h30"/>"#, y - 4.0);
             }
         }
-        if let Hue::Run(run) = hue {
+        if let Hue::Scheduler(run) = hue {
             marker(&mut out, run, (x + 15.0, y - 4.0));
         }
         let _ = write!(out, r#"<text x="{:.1}" y="{y:.1}">{escaped}</text></g>"#, x + 38.0);
@@ -413,7 +413,7 @@ mod tests {
     }
 
     fn plot(points: Vec<(f64, f64)>, shape: Shape) -> String {
-        let series = vec![Series { name: "a<b", hue: Hue::Run(0), shape, points }];
+        let series = vec![Series { name: "a<b", hue: Hue::Scheduler(0), shape, points }];
         let panel = Panel { label: "PSNR, dB", unit: "dB", decimals: 2, height: 200.0, covers: &[], series };
         Plot { title: "t", x_label: "time, s", x: (0.0, 2.0), panels: vec![panel] }.svg()
     }

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use trainer_host::encode::Ledger;
 
-use super::{count, figure};
+use super::elements::{count, figure};
 use crate::report::plot::{Bar, Bars, number};
 
 /// The ledger as tables and bars.
@@ -29,7 +29,8 @@ pub(super) fn ledger(out: &mut String, l: &Ledger) {
         };
         let _ = writeln!(
             out,
-            "<tr class=\"{class}\"><th>{name}</th><td>{size}</td><td>{part}</td><td class=\"meter\">{meter}</td>\
+            "<tr class=\"{class}\"><th>{name}</th><td>{size}</td><td>{part}</td><td \
+                class=\"meter\">{meter}</td>\
              <td class=\"text\">{says}</td></tr>"
         );
     };
@@ -79,7 +80,8 @@ pub(super) fn ledger(out: &mut String, l: &Ledger) {
     for (name, unit, value, says) in facts {
         let _ = writeln!(
             out,
-            "<tr><th>{name}</th><td>{value}</td><td class=\"text\">{unit}</td><td class=\"text\">{says}</td></tr>"
+            "<tr><th>{name}</th><td>{value}</td><td class=\"text\">{unit}</td><td \
+                class=\"text\">{says}</td></tr>"
         );
     }
     out.push_str("</tbody></table></div>\n");
@@ -106,7 +108,8 @@ fn shares(out: &mut String, l: &Ledger) {
     rows.iter_mut().for_each(|r| r.parts.sort_by_key(|p| p.0));
     let total = |r: &Bar<'_>| r.parts.iter().map(|p| p.1).filter(|v| v.is_finite()).sum::<f64>();
     rows.sort_by(|a, b| total(b).total_cmp(&total(a)));
-    let says = "Estimated entropy-coded payload, thousands of bits, largest attribute first; at the right its total and \
+    let says = "Estimated entropy-coded payload, thousands of bits, largest attribute first; at the right \
+        its total and \
                 its share of all payload bits.";
     let svg = Bars {
         title: "Payload bits by attribute and level",

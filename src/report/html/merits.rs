@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
-use super::{count, kib};
+use super::elements::{count, kib};
 use crate::report::{
-    Run,
+    SchedulerRun,
     plot::{Hue, escape, number},
 };
 
@@ -21,26 +21,32 @@ struct Column {
     unit: &'static str,
     better: Better,
     decimals: usize,
-    value: fn(&Run) -> f64,
+    value: fn(&SchedulerRun) -> f64,
 }
 
 /// The headline table.
 #[rustfmt::skip]
 const COLUMNS: [Column; 10] = [
     Column { name: "Startup", unit: "ms", better: Better::Down, decimals: 0, value: |r| r.delivery.startup_ms.unwrap_or(f64::NAN) },
-    Column { name: "Deadline miss", unit: "% of groups", better: Better::Down, decimals: 1, value: |r| 100.0 * r.delivery.miss_rate },
-    Column { name: "Base miss", unit: "% of groups", better: Better::Down, decimals: 1, value: |r| 100.0 * r.delivery.base_miss_rate },
-    Column { name: "Utility", unit: "share, 0–1", better: Better::Up, decimals: 3, value: |r| r.delivery.utility },
+    Column { name: "Deadline miss", unit: "% of \
+        groups", better: Better::Down, decimals: 1, value: |r| 100.0 * r.delivery.miss_rate },
+    Column { name: "Base miss", unit: "% of \
+        groups", better: Better::Down, decimals: 1, value: |r| 100.0 * r.delivery.base_miss_rate },
+    Column { name: "Utility", unit: "share, \
+        0–1", better: Better::Up, decimals: 3, value: |r| r.delivery.utility },
     Column { name: "Mean PSNR", unit: "dB", better: Better::Up, decimals: 2, value: |r| r.mean_psnr_db },
-    Column { name: "Worst 10 %", unit: "PSNR, dB", better: Better::Up, decimals: 2, value: |r| r.tail_psnr_db },
+    Column { name: "Worst 10 %", unit: "PSNR, \
+        dB", better: Better::Up, decimals: 2, value: |r| r.tail_psnr_db },
     Column { name: "SSIM", unit: "0–1", better: Better::Up, decimals: 4, value: |r| r.mean_ssim },
-    Column { name: "Flicker", unit: "10⁻³ of range", better: Better::Down, decimals: 2, value: |r| 1e3 * r.flicker },
-    Column { name: "Usable goodput", unit: "Mbit/s", better: Better::Up, decimals: 2, value: |r| r.delivery.usable_goodput_bps / 1e6 },
+    Column { name: "Flicker", unit: "10⁻³ of \
+        range", better: Better::Down, decimals: 2, value: |r| 1e3 * r.flicker },
+    Column { name: "Usable \
+        goodput", unit: "Mbit/s", better: Better::Up, decimals: 2, value: |r| r.delivery.usable_goodput_bps / 1e6 },
     Column { name: "Wasted", unit: "KiB", better: Better::Down, decimals: 1, value: |r| kib(r.delivery.waste.total_bytes()) },
 ];
 
 /// A row of the delivery details: what, unit, and the text of a run's value.
-type Detail = (&'static str, &'static str, fn(&Run) -> String);
+type Detail = (&'static str, &'static str, fn(&SchedulerRun) -> String);
 
 /// What the headline leaves out.
 #[rustfmt::skip]
@@ -48,7 +54,8 @@ const DETAILS: [Detail; 22] = [
     ("Congestion controller", "", |r| escape(&r.delivery.controller)),
     ("Seed of the path", "", |r| r.delivery.seed.to_string()),
     ("Session length", "s", |r| number(r.delivery.duration_ns.as_s(), 3)),
-    ("Frames shown / all", "frames", |r| format!("{} / {}", r.frames.iter().filter(|f| f.time_s.is_some()).count(), r.frames.len())),
+    ("Frames shown / all", "frames", |r| format!("{} / \
+        {}", r.frames.iter().filter(|f| f.time_s.is_some()).count(), r.frames.len())),
     ("Media that arrived", "KiB", |r| number(kib(r.delivery.media_bytes), 1)),
     ("Goodput", "Mbit/s", |r| number(r.delivery.goodput_bps / 1e6, 2)),
     ("Usable goodput", "Mbit/s", |r| number(r.delivery.usable_goodput_bps / 1e6, 2)),
@@ -61,8 +68,10 @@ const DETAILS: [Detail; 22] = [
     ("Media packets, first time", "packets", |r| count(r.delivery.sender.media)),
     ("Media packets, again", "packets", |r| count(r.delivery.sender.retransmitted)),
     ("Parity packets", "packets", |r| count(r.delivery.sender.parity)),
-    ("Control · pings", "datagrams", |r| format!("{} · {}", count(r.delivery.sender.control), count(r.delivery.sender.pings))),
-    ("Declared lost · spuriously", "packets", |r| format!("{} · {}", count(r.delivery.sender.lost), count(r.delivery.sender.spurious))),
+    ("Control · pings", "datagrams", |r| format!("{} · \
+        {}", count(r.delivery.sender.control), count(r.delivery.sender.pings))),
+    ("Declared lost · spuriously", "packets", |r| format!("{} · \
+        {}", count(r.delivery.sender.lost), count(r.delivery.sender.spurious))),
     ("Probe timeouts", "times", |r| count(r.delivery.sender.probe_timeouts)),
     ("Recovered from parity", "packets", |r| count(r.delivery.recovered)),
     ("Arrived before the manifest", "packets", |r| count(r.delivery.buffered_before_manifest)),
@@ -70,7 +79,7 @@ const DETAILS: [Detail; 22] = [
 ];
 
 /// Every scheduler's figures of merit, the best of each column marked.
-pub(super) fn headline(out: &mut String, runs: &[Run]) {
+pub(super) fn headline(out: &mut String, runs: &[SchedulerRun]) {
     out.push_str("<h2>Schedulers compared</h2>\n");
     if runs.is_empty() {
         out.push_str("<p class=\"note\">No scheduler was run.</p>\n");
@@ -87,7 +96,7 @@ pub(super) fn headline(out: &mut String, runs: &[Run]) {
     out.push_str("</tr></thead><tbody>\n");
     let best: Vec<Option<String>> = COLUMNS.iter().map(|c| best(c, runs)).collect();
     for (i, run) in runs.iter().enumerate() {
-        let class = Hue::Run(i).class();
+        let class = Hue::Scheduler(i).class();
         let _ = write!(out, r#"<tr><th><i class="swatch {class}"></i>{}</th>"#, escape(&run.name));
         for (c, best) in COLUMNS.iter().zip(&best) {
             let text = number((c.value)(run), c.decimals);
@@ -105,10 +114,12 @@ pub(super) fn headline(out: &mut String, runs: &[Run]) {
         out.push_str("</tr>\n");
     }
     out.push_str(
-        "</tbody></table></div>\n<p class=\"note\">↑ higher is better, ↓ lower is better; the best of each column is \
+        "</tbody></table></div>\n<p class=\"note\">↑ higher is better, ↓ lower is better; the best of each \
+            column is \
          highlighted. A miss is a group active at a frame whose closure was not usable at its deadline; base \
          counts level 0 only. Utility is the usable share of the positive utility on offer. A frame that was \
-         never shown counts as missed, and as background in the image metrics. Worst 10 % is the mean PSNR of \
+         never shown counts as missed, and as background in the image metrics. Worst 10 % is the mean PSNR \
+         of \
          the worst tenth of frames. Flicker is the mean absolute difference between shown and source \
          frame-to-frame changes. Wasted bytes arrived and showed nothing.</p>\n",
     );
@@ -119,7 +130,10 @@ pub(super) fn headline(out: &mut String, runs: &[Run]) {
             "<p class=\"note\">{name} began because its wait was over, not its threshold reached.</p>"
         );
     }
-    out.push_str("<details><summary>Delivery in detail, waste by kind</summary><div class=\"scroll\"><table class=\"wide\">");
+    out.push_str(
+        "<details><summary>Delivery in detail, waste by kind</summary><div class=\"scroll\"><table \
+        class=\"wide\">",
+    );
     let names: String = runs.iter().map(|r| format!("<th>{}</th>", escape(&r.name))).collect();
     let _ =
         writeln!(out, "<thead><tr><th>Quantity</th>{names}<th class=\"text\">Unit</th></tr></thead><tbody>");
@@ -131,7 +145,7 @@ pub(super) fn headline(out: &mut String, runs: &[Run]) {
 }
 
 /// The text of the column's best value, unless all runs share it.
-fn best(column: &Column, runs: &[Run]) -> Option<String> {
+fn best(column: &Column, runs: &[SchedulerRun]) -> Option<String> {
     let values: Vec<f64> = runs.iter().map(column.value).filter(|v| v.is_finite()).collect();
     let best = values.iter().copied().reduce(|a, b| match column.better {
         Better::Up => a.max(b),
@@ -143,7 +157,7 @@ fn best(column: &Column, runs: &[Run]) -> Option<String> {
 }
 
 /// Waste by kind, for a tooltip.
-fn waste(run: &Run) -> String {
+fn waste(run: &SchedulerRun) -> String {
     let w = &run.delivery.waste;
     let kinds = [
         ("too late", w.late_bytes),

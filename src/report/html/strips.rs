@@ -17,10 +17,13 @@ pub(super) fn strips(out: &mut String, page: &Page) {
         return;
     }
     out.push_str(
-        "<p class=\"note\">The source’s own render, then what each scheduler showed at that frame’s deadline; PSNR \
-         against the source, the best of each row highlighted. <span class=\"hint\">Click an image to enlarge it, \
+        "<p class=\"note\">The source’s own render, then what each scheduler showed at that frame’s \
+            deadline; PSNR \
+         against the source, the best of each row highlighted. <span class=\"hint\">Click an image to \
+         enlarge it, \
          then flip along its row with ← and →.</span></p>\n<div class=\"strips\"><p class=\"toggle\"><label>\
-         <input type=\"checkbox\" id=\"maps\" checked>Error maps</label><span class=\"scale\">no error <i></i> full \
+         <input type=\"checkbox\" id=\"maps\" checked>Error maps</label><span class=\"scale\">no error \
+         <i></i> full \
          scale or more; mean absolute difference of r, g, b</span></p>\n",
     );
     for strip in &page.strips {
@@ -45,7 +48,8 @@ pub(super) fn strips(out: &mut String, page: &Page) {
 fn picture(out: &mut String, strip: &Strip, picture: &Picture, run: Option<usize>, best: Option<&str>) {
     let caption = escape(&picture.caption);
     let psnr = picture.psnr_db.map_or("—".to_owned(), |v| number(v, 2));
-    let swatch = run.map_or(String::new(), |i| format!(r#"<i class="swatch {}"></i>"#, Hue::Run(i).class()));
+    let swatch =
+        run.map_or(String::new(), |i| format!(r#"<i class="swatch {}"></i>"#, Hue::Scheduler(i).class()));
     let score = match run {
         None if picture.psnr_db.is_none() => "reference".to_owned(),
         _ if best == Some(&psnr) => format!("<b>{psnr} dB</b>"),
@@ -53,7 +57,7 @@ fn picture(out: &mut String, strip: &Strip, picture: &Picture, run: Option<usize
     };
     let _ = write!(out, "<figure><figcaption>{swatch}{caption}<span>{score}</span></figcaption>");
     let about = format!("frame {}, {caption}, {psnr} dB", strip.frame);
-    embed(out, &picture.image, "shot", &about);
+    embed(out, &picture.image, "frame", &about);
     if let Some(error) = &picture.error {
         embed(out, error, "map", &format!("error map of {about}"));
     }

@@ -18,6 +18,7 @@ mod render;
 mod repair;
 mod skips;
 mod stress;
+mod structure;
 mod transport;
 mod utility;
 mod worlds;
@@ -41,7 +42,8 @@ pub const ALL: &[Experiment] = &[
     Experiment { name: "demo", about: "wall time and peak memory of `dgs demo`", run: demo::run },
     Experiment {
         name: "rate",
-        about: "rate and distortion of dgs1 beside the paper's format and public peers, Bjøntegaard rates, overheads (--out)",
+        about: "rate and distortion of dgs1 beside the paper's format and public peers, Bjøntegaard rates, \
+            overheads (--out)",
         run: rate::run,
     },
     Experiment {
@@ -51,7 +53,8 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "entropy",
-        about: "the packet coder: symbols per second beside bytes over entropy, public coders in the same run",
+        about: "the packet coder: symbols per second beside bytes over entropy, public coders in the same \
+            run",
         run: entropy::run,
     },
     Experiment {
@@ -66,12 +69,14 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "embedded",
-        about: "flash, RAM, stack, instructions and digests on Cortex-M4F, WebAssembly and in C, within budget",
+        about: "flash, RAM, stack, instructions and digests on Cortex-M4F, WebAssembly and in C, within \
+            budget",
         run: embedded::run,
     },
     Experiment {
         name: "repair",
-        about: "residual loss of XOR and of the Cauchy code at equal overhead, and the code's speed beside public peers",
+        about: "residual loss of XOR and of the Cauchy code at equal overhead, and the code's speed beside \
+            public peers",
         run: repair::run,
     },
     Experiment {
@@ -96,7 +101,8 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "gradient",
-        about: "gradients against f64 differences, time with gradients, utilities of groups estimated from them",
+        about: "gradients against f64 differences, time with gradients, utilities of groups estimated from \
+            them",
         run: gradient::run,
     },
     Experiment {
@@ -123,5 +129,11 @@ pub const ALL: &[Experiment] = &[
         name: "transport",
         about: "startup, miss, utility and waste of four schedulers on measured traces",
         run: transport::run,
+    },
+    Experiment {
+        name: "structure",
+        about: "the source itself: lines per floor, public items, circles between files, crates, lengths of \
+            examples",
+        run: structure::run,
     },
 ];

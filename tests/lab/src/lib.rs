@@ -9,4 +9,5 @@ pub mod experiment;
 pub mod figures;
 pub mod fixture;
 pub mod setup;
+pub mod source;
 pub mod stress;

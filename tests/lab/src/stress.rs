@@ -1,7 +1,7 @@
 //! Numerical stress judges the renderer on named cases that break careless arithmetic.
 //!
 //! ```text
-//! cases ─▶ StressCase ─▶ forward, gradients, worlds  (the renderer's work, for a caller with a clock to time)
+//! cases ─▶ StressCase ─▶ forward, gradients, worlds (the renderer's work, for a caller with a clock to time)
 //!              └─▶ truth, world_truth          (the f64 reference)
 //! StressCase::judge(outcome, truth) ─▶ Verdict { errors against f64, complaints }
 //! ```

@@ -26,7 +26,8 @@ const PAPER_MIB: [(&str, f64); 9] = [
 pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "accounting",
-        "every byte of a stream, MiB; the peer column is the paper's own table (28.8k Gaussians of another scene), \
+        "every byte of a stream, MiB; the peer column is the paper's own table (28.8k Gaussians of another \
+            scene), \
          so shapes compare, not sizes; default quality, no parity",
     );
     let samples = if setup.quick { 4000 } else { 28_640 };

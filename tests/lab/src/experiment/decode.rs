@@ -33,11 +33,15 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "decode",
         format!(
-            "{gaussians} Gaussians, {frames} frames, profile dgs1, default options; thread CPU time, medians of {runs} interleaved runs; \
-             receive: all packets of the stream through a receiver one by one (CRC, header, lattice, entropy decoding in place); receive_many: \
+            "{gaussians} Gaussians, {frames} frames, profile dgs1, default options; thread CPU time, medians \
+                of {runs} interleaved runs; \
+             receive: all packets of the stream through a receiver one by one (CRC, header, lattice, entropy \
+             decoding in place); receive_many: \
              the same packets in batches, entropy decoded in lockstep; frames: every frame \
-             in order by one decoder that keeps what did not change; bytes to Gaussians: both together, per Gaussian and frame; the naive \
-             twin takes a CRC bit by bit and dequantises everything again for every frame; its Gaussians must be bit-identical"
+             in order by one decoder that keeps what did not change; bytes to Gaussians: both together, per \
+             Gaussian and frame; the naive \
+             twin takes a CRC bit by bit and dequantises everything again for every frame; its Gaussians \
+             must be bit-identical"
         ),
     );
     let mut scenes: Vec<(&str, Scene)> = vec![("synth-balls", synth("balls", gaussians, frames)?)];

@@ -19,7 +19,8 @@ use crate::{
 pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "demo",
-        "dgs demo with its defaults: synth figure, 8,000 Gaussians, 60 frames, 512x512, four schedulers; no cached utilities",
+        "dgs demo with its defaults: synth figure, 8,000 Gaussians, 60 frames, 512x512, four schedulers; no \
+            cached utilities",
     );
     let folder = std::env::temp_dir().join(format!("dgs-bench-demo-{}", std::process::id()));
     let out = folder.to_string_lossy().into_owned();

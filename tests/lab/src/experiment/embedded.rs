@@ -91,8 +91,10 @@ impl Report<'_> {
 pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "embedded",
-        "1,000 Gaussians, 24 frames, two windows; packets shuffled, two lost and repaired, one lost for good, one \
-         doubled, one damaged; five frames decoded. thumbv7em: QEMU mps2-an386 with icount, instructions, not cycles; \
+        "1,000 Gaussians, 24 frames, two windows; packets shuffled, two lost and repaired, one lost for \
+            good, one \
+         doubled, one damaged; five frames decoded. thumbv7em: QEMU mps2-an386 with icount, instructions, \
+         not cycles; \
          opt-level 2, fat LTO; flash and static RAM are those of the receiver alone, no stream in it",
     );
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");

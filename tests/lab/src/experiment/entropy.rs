@@ -8,7 +8,7 @@ mod peers;
 use anyhow::{Result, ensure};
 
 use self::{
-    coders::{Arena, Coder, Many, Naive, Output, Scalar, Small},
+    coders::{Arena, Coder, Decoded, Many, Naive, Scalar, Small},
     law::{Law, Packets},
 };
 use super::clock::seconds;
@@ -28,10 +28,14 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "entropy",
         format!(
-            "{count} different packets of at most {LIMIT} bytes per law (quantised Laplace of 1.5 and 4 bit, quantised Gauss of 8 bit; \
-             i.i.d.), one table per law, known beforehand; thread CPU time, medians of {runs} interleaved rounds over all packets, after \
-             one checked round; {BATCH} packets at a time into the same memory; Msymbol/s; coders marked u8 code one-byte tokens, raw low bits neither coded nor written (their \
-             sizes include them); overhead over the values' information under their law, beside each speed; every round trip is checked"
+            "{count} different packets of at most {LIMIT} bytes per law (quantised Laplace of 1.5 and 4 bit, \
+                quantised Gauss of 8 bit; \
+             i.i.d.), one table per law, known beforehand; thread CPU time, medians of {runs} interleaved \
+             rounds over all packets, after \
+             one checked round; {BATCH} packets at a time into the same memory; Msymbol/s; coders marked u8 \
+             code one-byte tokens, raw low bits neither coded nor written (their \
+             sizes include them); overhead over the values' information under their law, beside each speed; \
+             every round trip is checked"
         ),
     );
     for law in Law::all() {
@@ -57,7 +61,7 @@ fn measure(bench: &mut Bench, packets: Packets, runs: usize) -> Result<()> {
     list.push(Box::new(Naive));
     let total = packets.values.len();
     let room = packets.len * BATCH.min(packets.count);
-    let mut out = Output { values: vec![0; room], tokens: vec![0; room] };
+    let mut out = Decoded { values: vec![0; room], tokens: vec![0; room] };
     let mut lanes = Vec::new();
     for mut coder in list {
         let mut arena = Arena::new(packets.count);

@@ -47,8 +47,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
          f64 reference; peer: crate wgpu-3dgs-viewer (feature gpu-peer) with an 8-bit picture, interleaved on the same \
          device. worlds: three repetitions after five warm-ups, mean and Student-t 95 % interval; serial draws \
          every world alone; error: bits of a world in the batch that differ from the world drawn alone. \
-         counterfactual and gradients: scene A (64 cells) and B (64 shells), 128 groups, every step from the camera to \
-         sums on the device in one submission, steps in a train without waiting; peers with their set-up; gradients: \
+         counterfactual and gradients: scene A (64 cells) and B (64 shells), 128 groups, every step from the \
+         camera to \
+         sums on the device in one submission, steps in a train without waiting; peers with their set-up; \
+         gradients: \
          of squared error, and (mse+ssim) of squared error + (1 - SSIM)",
     );
     let device = match Device::open(&DeviceOptions::from_env()) {

@@ -28,8 +28,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "loss",
         format!(
-            "{subsets} random packet subsets per profile (each keeps a uniform share of packets), rendered at 96x96; IID packet loss without \
-             retransmission or repair: {masks} masks x 4 frames x 1 held-out camera at {size}x{size}, black background, PSNR against the \
+            "{subsets} random packet subsets per profile (each keeps a uniform share of packets), rendered \
+                at 96x96; IID packet loss without \
+             retransmission or repair: {masks} masks x 4 frames x 1 held-out camera at {size}x{size}, black \
+             background, PSNR against the \
              uncompressed source's own render"
         ),
     );

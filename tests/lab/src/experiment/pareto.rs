@@ -34,7 +34,7 @@ use crate::{
 const BUDGET: f64 = 0.5 / 255.0;
 
 /// Share of the time that a value must save to be recommended over the default: less is noise.
-const WORTH: f64 = 0.05;
+const PAYS: f64 = 0.05;
 
 /// A scene to look at.
 struct View {
@@ -68,7 +68,7 @@ struct Row {
     mean: f64,
     psnr_db: f64,
     flip: f64,
-    /// Largest error against each of [`judges`].
+    /// Largest error against each of [`reference_settings`].
     against: [f64; 3],
     /// On the front of time and largest error; of time and mean error.
     front: [bool; 2],
@@ -82,8 +82,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "pareto",
         format!(
-            "one held-out view per scene at {sides:?} squared, black background; ms per frame: medians of {runs} interleaved runs after one that is dropped, \
-             order rotated; a graphics device: scene uploaded before, picture read back within the time, 3 runs on one that is a CPU; errors per channel, data range 1, against the f64 reference without early stop and cut only at 1e-12; FLIP at 67 pixels per degree; own: against the reference that lacks only what the knob takes away, pixels near a threshold left out; \
+            "one held-out view per scene at {sides:?} squared, black background; ms per frame: medians of \
+                {runs} interleaved runs after one that is dropped, \
+             order rotated; a graphics device: scene uploaded before, picture read back within the time, 3 \
+             runs on one that is a CPU; errors per channel, data range 1, against the f64 reference without \
+             early stop and cut only at 1e-12; FLIP at 67 pixels per degree; own: against the reference that \
+             lacks only what the knob takes away, pixels near a threshold left out; \
              states: 32 states of 32 groups, relative error of sums of squares against the same reference"
         ),
     );
@@ -105,7 +109,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
             }
             for row in &rows {
                 let Row { name, backend, knob, time_ms, max, mean, psnr_db, flip, against, front } = row;
-                let own = against[judge_of(*knob)];
+                let own = against[reference_of(*knob)];
                 let _ = writeln!(
                     csv,
                     "{},{side},{backend},{},{name},{time_ms:.4},{max:.4e},{mean:.4e},{psnr_db:.2},{flip:.4e},{own:.4e},{},{}",
@@ -160,7 +164,7 @@ fn random(n: usize, side: u32) -> Result<View> {
     Ok(View { name: format!("random-{n}"), gaussians, rest, degree, camera })
 }
 
-/// What judges: the picture without cut and stop.
+/// The exact picture, the reference: without cut and stop.
 fn exact() -> Settings {
     // Beyond 1e-12, a hundred thousand splats add less than 1e-7.
     Settings { alpha_cutoff: 1e-12, ..Settings::exact() }
@@ -168,12 +172,12 @@ fn exact() -> Settings {
 
 /// Pictures of the f64 reference that tell the error of one knob from that of the others: exact; the defaults
 /// without stop; the defaults.
-fn judges() -> [Settings; 3] {
+fn reference_settings() -> [Settings; 3] {
     [exact(), Settings { early_stop: false, ..Settings::default() }, Settings::default()]
 }
 
-/// Which of [`judges`] has everything that the knob takes away, and nothing else.
-fn judge_of(knob: usize) -> usize {
+/// Which of [`reference_settings`] has everything that the knob takes away, and nothing else.
+fn reference_of(knob: usize) -> usize {
     match KNOBS[knob] {
         "default" | "alpha cut-off" | "presets" => 0,
         "stop" => 1,
@@ -184,7 +188,7 @@ fn judge_of(knob: usize) -> usize {
 fn measure(view: &View, runs: usize, backends: &mut [Box<dyn Backend>]) -> Result<Vec<Row>> {
     let splats = view.splats()?;
     let mut references = Vec::new();
-    for settings in judges() {
+    for settings in reference_settings() {
         references.push(reference::render(&splats, &view.camera, &settings)?);
     }
     let truth = &references[0];
@@ -229,7 +233,8 @@ fn measure(view: &View, runs: usize, backends: &mut [Box<dyn Backend>]) -> Resul
         let errors = || image.rgb().iter().zip(&truth.rgb).map(|(a, e)| (f64::from(*a) - e).abs());
         let max = errors().fold(0.0, worse);
         // With a cut, rounding may decide a pixel either way: those that it may are left out.
-        let clear = |judge: &Reference| judge.difference(image.rgb()).map_or(f64::NAN, |d| d.max_clear);
+        let clear =
+            |reference: &Reference| reference.difference(image.rgb()).map_or(f64::NAN, |d| d.max_clear);
         let against = [max, clear(&references[1]), clear(&references[2])];
         rows.push(Row {
             name: candidate.name.clone(),
@@ -268,23 +273,24 @@ fn table(key: &str, rows: &[Row]) -> String {
             r.mean,
             r.psnr_db,
             r.flip,
-            r.against[judge_of(r.knob)],
+            r.against[reference_of(r.knob)],
             mark(r.front[0], "max"),
             mark(r.front[1], "mean")
         );
     }
     for (knob, name) in KNOBS.iter().enumerate() {
         if let Some((fastest, default)) = justified(rows, knob) {
-            let keep = fastest.time_ms > (1.0 - WORTH) * default.time_ms;
+            let keep = fastest.time_ms > (1.0 - PAYS) * default.time_ms;
             let advice = if keep { "keep the default" } else { fastest.name.as_str() };
             let _ = writeln!(
                 out,
-                "  {name}, its own error: within half an 8-bit step ({BUDGET:.1e}) the fastest is {} ({} ms, {:.1e}); the default: {} ms, {:.1e}; recommended: {advice}",
+                "  {name}, its own error: within half an 8-bit step ({BUDGET:.1e}) the fastest is {} ({} ms, \
+                    {:.1e}); the default: {} ms, {:.1e}; recommended: {advice}",
                 fastest.name,
                 number(fastest.time_ms),
-                fastest.against[judge_of(knob)],
+                fastest.against[reference_of(knob)],
                 number(default.time_ms),
-                default.against[judge_of(knob)]
+                default.against[reference_of(knob)]
             );
         }
     }
@@ -299,7 +305,8 @@ fn justified(rows: &[Row], knob: usize) -> Option<(&Row, &Row)> {
     if knob == candidates::DEFAULT || !rows.iter().any(|r| of_knob(&r)) {
         return None;
     }
-    let within = rows.iter().filter(of_knob).chain([default]).filter(|r| r.against[judge_of(knob)] <= BUDGET);
+    let within =
+        rows.iter().filter(of_knob).chain([default]).filter(|r| r.against[reference_of(knob)] <= BUDGET);
     let fastest = within.min_by(|a, b| a.time_ms.total_cmp(&b.time_ms))?;
     Some((fastest, default))
 }
@@ -314,7 +321,7 @@ fn push(bench: &mut Bench, key: &str, rows: &[Row], runs: usize) {
         bench.push(Figure::new(format!("{key}.mean_abs"), r.mean, ""));
         bench.push(Figure::new(format!("{key}.psnr"), r.psnr_db, "dB"));
         bench.push(Figure::new(format!("{key}.flip"), r.flip, ""));
-        bench.push(Figure::new(format!("{key}.own_max"), r.against[judge_of(r.knob)], ""));
+        bench.push(Figure::new(format!("{key}.own_max"), r.against[reference_of(r.knob)], ""));
         bench.push(Figure::new(format!("{key}.on_front"), f64::from(u8::from(r.front[0])), ""));
     }
 }
@@ -330,7 +337,8 @@ fn draw(setup: &Setup, scene: &str, side: u32, rows: &[Row]) -> Result<()> {
         let point = |r: &Row| Point { name: name(r), group: r.knob, x: r.time_ms, y: error(r) };
         let plot = Scatter {
             title: &format!("{scene} at {side} × {side}: time against error"),
-            subtitle: "Each knob alone from the defaults, and presets; against the f64 reference without cut and stop. Smaller is better in both.",
+            subtitle: "Each knob alone from the defaults, and presets; against the f64 reference without cut \
+                and stop. Smaller is better in both.",
             x_label: "time per frame, ms",
             y_label: label,
             groups: &KNOBS,
@@ -362,12 +370,12 @@ mod tests {
     }
 
     #[test]
-    fn every_knob_has_its_judge() {
-        let [exact, unstopped, default] = judges();
+    fn every_knob_has_its_reference() {
+        let [exact, unstopped, default] = reference_settings();
         assert!(exact.alpha_cutoff < 1e-11 && !exact.early_stop && !unstopped.early_stop);
         assert_eq!(default, Settings::default());
         assert_eq!(
-            KNOBS.map(|name| judge_of(KNOBS.iter().position(|k| *k == name).unwrap())),
+            KNOBS.map(|name| reference_of(KNOBS.iter().position(|k| *k == name).unwrap())),
             [0, 0, 1, 2, 2, 2, 2, 2, 0]
         );
     }

@@ -5,6 +5,7 @@
 
 mod bjontegaard;
 mod codec;
+mod coded;
 mod context;
 mod dgs1;
 mod facts;
@@ -23,9 +24,9 @@ use dgs::output::print;
 use rayon::prelude::*;
 
 use self::{
-    codec::{Codec, Kind},
-    scenes::{Judge, Named},
-    table::Row,
+    codec::{Codec, CodecKind},
+    scenes::{Evaluator, Named},
+    table::Measurement,
 };
 use crate::{
     figures::{Bench, Figure, mean},
@@ -39,19 +40,23 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "rate",
         format!(
-            "complete decoded state against the uncompressed source's own render; 3 held-out ring cameras at {size}x{size}, black background, \
-             up to {shown} frames spread over the clip, PSNR of a picture capped at 99 dB, FLIP from the first camera; \
+            "complete decoded state against the uncompressed source's own render; 3 held-out ring cameras at \
+                {size}x{size}, black background, \
+             up to {shown} frames spread over the clip, PSNR of a picture capped at 99 dB, FLIP from the \
+             first camera; \
              bits per Gaussian: all bytes sent over the Gaussians of the source (all epochs); no repair; \
              every codec decodes its own bytes and those Gaussians are rendered; \
-             comparisons: Bjøntegaard rate (PCHIP of log rate over PSNR, efficient points only) over the PSNR both reach, \
+             comparisons: Bjøntegaard rate (PCHIP of log rate over PSNR, efficient points only) over the \
+             PSNR both reach, \
              or at a peer's own points where it has no curve; negative: dgs1 needs fewer bits; \
-             times alone: wall time with all cores, of decoding all frames to Gaussians (ply-zstd, spz over frames and 4dgs: to their attributes)"
+             times alone: wall time with all cores, of decoding all frames to Gaussians (ply-zstd, spz over \
+             frames and 4dgs: to their attributes)"
         ),
     );
     for codec in &codecs {
         bench.protocol += &format!("; {}: {} in {:?}", codec.name, codec.knob, codec.settings);
     }
-    let mut rows: Vec<Row> = Vec::new();
+    let mut rows: Vec<Measurement> = Vec::new();
     let mut compared = Vec::new();
     let mut shares = Vec::new();
     scenes::for_each(setup, &mut bench, |bench, named| {
@@ -69,20 +74,26 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     table::means(&mut bench, &compared);
     bench.push(Figure::new("mean.overhead", 100.0 * mean(&shares), "% of the wire, without repair"));
     setup.write("rate.csv", &table::csv(&rows))?;
-    if let Some(ours) = codecs.iter().find(|c| c.kind == Kind::Ours) {
+    if let Some(ours) = codecs.iter().find(|c| c.kind == CodecKind::Ours) {
         facts::run(&mut bench, setup, size, ours)?;
     }
     Ok(bench)
 }
 
 /// All codecs at all settings on one scene. One setting of each is timed alone, the others run in parallel.
-fn measure(bench: &mut Bench, named: &Named, codecs: &[Codec], size: u32, shown: usize) -> Result<Vec<Row>> {
+fn measure(
+    bench: &mut Bench,
+    named: &Named,
+    codecs: &[Codec],
+    size: u32,
+    shown: usize,
+) -> Result<Vec<Measurement>> {
     let scene = &named.scene;
-    let judge = Judge::of(scene, size, shown)?;
+    let evaluator = Evaluator::of(scene, size, shown)?;
     let gaussians: usize = scene.epochs().iter().map(|e| e.count()).sum();
-    let one = |codec: &Codec, setting: f32, timed: bool| -> Result<Row> {
-        let coded = (codec.code)(scene, setting, codec.level, &judge.frames)?;
-        Ok(Row {
+    let one = |codec: &Codec, setting: f32, timed: bool| -> Result<Measurement> {
+        let coded = (codec.code)(scene, setting, codec.level, &evaluator.frames)?;
+        Ok(Measurement {
             scene: named.key.clone(),
             counts: named.counts,
             dynamic: scene.epochs().iter().any(|e| e.frames() > 1),
@@ -91,14 +102,14 @@ fn measure(bench: &mut Bench, named: &Named, codecs: &[Codec], size: u32, shown:
             setting,
             bits: 8.0 * coded.bytes as f64 / gaussians.max(1) as f64,
             bytes_per_frame: coded.bytes as f64 / scene.frames() as f64,
-            marks: judge.marks(&coded.shown)?,
+            marks: evaluator.marks(&coded.shown)?,
             encode_s: coded.encode_s,
             decode_ms: 1000.0 * coded.decode_s / scene.frames() as f64,
             timed,
         })
     };
     let mut jobs: Vec<(usize, &Codec, f32)> = Vec::new();
-    let mut found: Vec<(usize, Row)> = Vec::new();
+    let mut found: Vec<(usize, Measurement)> = Vec::new();
     for codec in codecs {
         let timed = codec.settings.iter().position(|&s| s >= 1.0).unwrap_or(0);
         for (k, &setting) in codec.settings.iter().enumerate() {
@@ -117,7 +128,7 @@ fn measure(bench: &mut Bench, named: &Named, codecs: &[Codec], size: u32, shown:
             }
         }
     }
-    let rest: Result<Vec<(usize, Row)>> = jobs
+    let rest: Result<Vec<(usize, Measurement)>> = jobs
         .par_iter()
         .with_max_len(1)
         .map(|&(place, codec, setting)| Ok((place, one(codec, setting, false)?)))
@@ -128,7 +139,7 @@ fn measure(bench: &mut Bench, named: &Named, codecs: &[Codec], size: u32, shown:
 }
 
 /// The rows timed alone, and the ends of each codec's range, as figures.
-fn push(bench: &mut Bench, rows: &[Row]) {
+fn push(bench: &mut Bench, rows: &[Measurement]) {
     for row in rows.iter().filter(|r| r.timed) {
         let key = |what: &str| format!("{}.{}.{what}", row.scene, row.codec);
         bench.push(Figure::new(key("bits_per_gaussian"), row.bits, "bit"));

@@ -21,8 +21,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "render",
         format!(
-            "one frame of each size (the last part of a key, pixels square), held-out ring camera (random scenes: 3.2 away, focal length 0.9 \
-             of the width), black background, default settings; medians of {runs} interleaved runs; error against the f64 reference at the \
+            "one frame of each size (the last part of a key, pixels square), held-out ring camera (random \
+                scenes: 3.2 away, focal length 0.9 \
+             of the width), black background, default settings; medians of {runs} interleaved runs; error \
+             against the f64 reference at the \
              same settings (max: pixels away from any threshold; all: every pixel)"
         ),
     );

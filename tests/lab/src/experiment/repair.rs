@@ -9,7 +9,7 @@ use codec_core::internals::{
     wire::manifest::Repair,
 };
 
-use super::skips::processor_ms;
+use super::clock;
 use crate::{
     figures::{Bench, Figure, median},
     setup::Setup,
@@ -31,11 +31,16 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "repair",
         format!(
-            "share of protected packets that are neither received nor repaired: IID by the formula; bursts (Gilbert-Elliott, mean burst 5 \
-             packets, all lost inside one) over {trips} ranges of 320 packets in id order, sets interleaved as on the wire, each draw the same for \
-             all; times of one set of {PACKET_BYTES}-byte packets in processor time of one thread, median of {runs} interleaved runs, {SETS} sets in turn; MB of \
-             protected packets per second; own coder: the fastest arithmetic of this machine, which gives the bytes of the slow twin; senders have \
-             all packets of a set at hand, receivers get one after the other; aims: encode 16+4 at least as fast as reed-solomon-simd, recover \
+            "share of protected packets that are neither received nor repaired: IID by the formula; bursts \
+                (Gilbert-Elliott, mean burst 5 \
+             packets, all lost inside one) over {trips} ranges of 320 packets in id order, sets interleaved \
+             as on the wire, each draw the same for \
+             all; times of one set of {PACKET_BYTES}-byte packets in processor time of one thread, median of \
+             {runs} interleaved runs, {SETS} sets in turn; MB of \
+             protected packets per second; own coder: the fastest arithmetic of this machine, which gives \
+             the bytes of the slow twin; senders have \
+             all packets of a set at hand, receivers get one after the other; aims: encode 16+4 at least as \
+             fast as reed-solomon-simd, recover \
              faster"
         ),
     );
@@ -228,14 +233,14 @@ fn speed(bench: &mut Bench, k: usize, r: usize, runs: usize) -> Result<()> {
     let mut seconds = vec![Vec::new(); tasks.len()];
     for run in 0..=runs {
         for (((name, task), seconds), passes) in tasks.iter_mut().zip(&mut seconds).zip(&mut passes) {
-            let start = processor_ms();
+            let start = clock::seconds();
             for _ in 0..*passes as usize {
                 for set in 0..sets.len() {
                     let wrong = task(set)?;
                     ensure!(wrong == 0, "{name}, {k}+{r}: {wrong} bytes come back wrong");
                 }
             }
-            let each = (processor_ms() - start) / 1e3 / *passes;
+            let each = (clock::seconds() - start) / *passes;
             if run == 0 {
                 *passes = (ROUND_SECONDS / each.max(1e-6)).ceil().min(200.0);
             } else {

@@ -1,17 +1,19 @@
 //! What each skip of the CPU renderer removes, what it saves, and what it changes.
 
 mod frames;
+mod paired;
 
 use anyhow::{Result, ensure};
 use codec_core::ShDegree;
-use render_host::{Camera, Counters, Image, Renderer, Settings, Splats, reference};
+use render_host::{Camera, Counters, Renderer, Settings, Splats, reference};
 use trainer_host::{
     Instant, Scene,
     viewpoint::{Framing, Ring},
 };
 
+use self::paired::{max_abs, pair, pays, serial, share, time, verdict};
 use crate::{
-    figures::{Bench, Figure, bootstrap95, median},
+    figures::{Bench, Figure},
     setup::{Setup, load, synth},
 };
 
@@ -83,64 +85,8 @@ const SKIPS: [Skip; 9] = [
     },
 ];
 
-fn share(part: u64, whole: u64) -> f64 {
-    if whole == 0 { 0.0 } else { 100.0 * part as f64 / whole as f64 }
-}
-
 fn blended(c: &Counters) -> u64 {
     c.rows - c.rows_unreached - c.rows_finished
-}
-
-/// Largest difference of two pictures of one size.
-fn max_abs(a: &Image, b: &Image) -> f64 {
-    a.rgb().iter().zip(b.rgb()).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max)
-}
-
-/// Milliseconds of processor time that `work` takes of this thread: it does not grow with what else runs.
-fn time(work: impl FnOnce() -> Result<()>) -> Result<f64> {
-    let start = processor_ms();
-    work()?;
-    Ok(processor_ms() - start)
-}
-
-/// Processor time of this thread so far.
-#[cfg(unix)]
-pub(super) fn processor_ms() -> f64 {
-    let t = rustix::time::clock_gettime(rustix::time::ClockId::ThreadCPUTime);
-    1e3 * t.tv_sec as f64 + 1e-6 * t.tv_nsec as f64
-}
-
-/// Where no such clock is known: wall time.
-#[cfg(not(unix))]
-pub(super) fn processor_ms() -> f64 {
-    static START: std::sync::OnceLock<std::time::Instant> = std::sync::OnceLock::new();
-    1e3 * START.get_or_init(std::time::Instant::now).elapsed().as_secs_f64()
-}
-
-/// Default settings on one thread, whose time is what is measured.
-fn serial() -> Settings {
-    Settings { parallel: false, ..Settings::default() }
-}
-
-/// Paired times with and without a saving, as one figure: the median with it beside the median without it,
-/// the median ratio of pairs and its interval.
-fn pair(key: String, on: &[f64], off: &[f64]) -> Figure {
-    let ratios: Vec<f64> = on.iter().zip(off).map(|(on, off)| off / on).collect();
-    let mut figure = Figure::new(key, median(on), "ms").peer("off", median(off), true).runs(on.len());
-    figure.ratio = Some(median(&ratios));
-    figure.ci95 = bootstrap95(&ratios, median, 7);
-    figure
-}
-
-/// Whether a figure of [`pair`] says that the saving saves.
-fn pays(figure: &Figure) -> bool {
-    figure.ci95.is_some_and(|[low, _]| low > 1.0)
-}
-
-/// Names what does not pay on a scene.
-fn verdict(key: &str, failing: &[&str]) -> Figure {
-    let names = if failing.is_empty() { "none".to_owned() } else { failing.join(", ") };
-    Figure::new(format!("{key}.not_paying"), failing.len() as f64, &format!("skips: {names}"))
 }
 
 /// Runs the bench.
@@ -149,10 +95,14 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "skips",
         format!(
-            "CPU renderer, {size}x{size} (garden: its own first camera), held-out ring camera, black background, default settings; each skip alone \
-             switched off (cull_entries: on), paired runs in turn, medians of {runs}, ms of processor time on one thread, ratio = off / on with its 95 % interval; a skip pays if the \
-             interval lies above 1; error = max abs between on and off; sequences: consecutive frames after the first, one camera, against a fresh \
-             render of each; states: one frame while the packets of a dgs1 stream arrive (biker, garden: while its Gaussians do)"
+            "CPU renderer, {size}x{size} (garden: its own first camera), held-out ring camera, black \
+                background, default settings; each skip alone \
+             switched off (cull_entries: on), paired runs in turn, medians of {runs}, ms of processor time \
+             on one thread, ratio = off / on with its 95 % interval; a skip pays if the \
+             interval lies above 1; error = max abs between on and off; sequences: consecutive frames after \
+             the first, one camera, against a fresh \
+             render of each; states: one frame while the packets of a dgs1 stream arrive (biker, garden: \
+             while its Gaussians do)"
         ),
     );
     let samples = if setup.quick { 3000 } else { 20_000 };

@@ -169,7 +169,8 @@ fn table(families: &[Family]) -> String {
         let Family { name, cases, times, slowest, worst, non_finite } = f;
         let d = &worst.difference;
         out += &format!(
-            "{name:30}{cases:>6}{:>10.1e}{:>10.1e}{:>8.1}{:>8.2}{:>9.1e}{:>10}{:>10}{:>10}{non_finite:>8}  {slowest}{}\n",
+            "{name:30}{cases:>6}{:>10.1e}{:>10.1e}{:>8.1}{:>8.2}{:>9.1e}{:>10}{:>10}{:>10}{non_finite:>8}  \
+                {slowest}{}\n",
             d.max_clear,
             d.max_close,
             d.psnr_db,

@@ -29,9 +29,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "transport",
         format!(
-            "the real encoded stream through the real receiver; {windows} windows per trace (starts spread over it), means over windows, the same \
-             windows, losses and seeds for every scheduler; UCC 5G at its own capacity, mahimahi likewise; 2 % loss in bursts, base sets of 16 + 4, \
-             base-only retransmission; capacity scaled so that the stream is 1.6 times what the clip's time carries on average where it says `scaled`"
+            "the real encoded stream through the real receiver; {windows} windows per trace (starts spread \
+                over it), means over windows, the same \
+             windows, losses and seeds for every scheduler; UCC 5G at its own capacity, mahimahi likewise; 2 \
+             % loss in bursts, base sets of 16 + 4, \
+             base-only retransmission; capacity scaled so that the stream is 1.6 times what the clip's time \
+             carries on average where it says `scaled`"
         ),
     );
     let found = setup.data("scenes/gltf-fox/Fox.glb", &mut bench)?;

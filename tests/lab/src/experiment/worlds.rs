@@ -31,9 +31,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "worlds",
         format!(
-            "pictures of W states of one scene and camera, {n} Gaussians in {} groups, scene A (uniform volume in cells), {side}x{side}, default \
-             settings; one call per batch, set-up included; median of {calls} calls (more of fewer than 16 worlds) after {WARM_UPS} warm-ups, mean of {REPETITIONS} repetitions, 95 % CI \
-             by Student t; serial, between the calls of each batch, renders a state alone with all threads, decoded states given; training is forward+backward of the weighted MSE of W \
+            "pictures of W states of one scene and camera, {n} Gaussians in {} groups, scene A (uniform \
+                volume in cells), {side}x{side}, default \
+             settings; one call per batch, set-up included; median of {calls} calls (more of fewer than 16 \
+             worlds) after {WARM_UPS} warm-ups, mean of {REPETITIONS} repetitions, 95 % CI \
+             by Student t; serial, between the calls of each batch, renders a state alone with all threads, \
+             decoded states given; training is forward+backward of the weighted MSE of W \
              worlds in fast mode (no early stop)",
             LATTICE.groups()
         ),

@@ -51,7 +51,8 @@ pub(super) fn cases() -> Vec<StressCase> {
                 15 => rest[2 * each - 1] = value,
                 _ => poison(&mut gaussians[1], k, value),
             }
-            // An infinite opacity is no opacity; one of minus infinity or nearly 0 is a Gaussian that is absent.
+            // An infinite opacity is no opacity; one of minus infinity or nearly 0 is a Gaussian that is
+            // absent.
             let skipped = if value.is_finite() { None } else { Some(1) };
             out.push(StressCase {
                 family,

@@ -61,7 +61,7 @@ pub(super) fn cargo(folder: &Path, target: &Path) -> Program {
 }
 
 /// What a program left behind.
-pub(super) struct Output {
+pub(super) struct ProgramOutput {
     status: std::process::ExitStatus,
     text: String,
     /// What it wrote to stderr.
@@ -85,7 +85,7 @@ impl Program {
     }
 
     /// Runs it to its end; one that takes too long is ended.
-    pub(super) fn run(mut self) -> Result<Output> {
+    pub(super) fn run(mut self) -> Result<ProgramOutput> {
         let name = PathBuf::from(self.0.get_program()).display().to_string();
         let command = self.0.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().with_context(|| format!("{name} does not start"))?;
@@ -104,7 +104,7 @@ impl Program {
         let all = |thread: std::thread::JoinHandle<Vec<u8>>| thread.join().unwrap_or_default();
         let (text, errors) = (all(text), all(errors));
         let (text, errors) = (String::from_utf8_lossy(&text), String::from_utf8_lossy(&errors));
-        Ok(Output { status, text: text.into_owned(), errors: errors.into_owned() })
+        Ok(ProgramOutput { status, text: text.into_owned(), errors: errors.into_owned() })
     }
 }
 
@@ -120,7 +120,7 @@ fn drain(pipe: Option<impl Read + Send + 'static>) -> std::thread::JoinHandle<Ve
     })
 }
 
-impl Output {
+impl ProgramOutput {
     pub(super) fn is_success(&self) -> bool {
         self.status.success()
     }

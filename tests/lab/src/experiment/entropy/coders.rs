@@ -34,7 +34,7 @@ impl Arena {
 }
 
 /// What a coder decodes into.
-pub struct Output {
+pub struct Decoded {
     pub values: Vec<i16>,
     pub tokens: Vec<u8>,
 }
@@ -53,7 +53,7 @@ pub trait Coder {
     /// Encodes all packets; `false` if it has no encoder of its own.
     fn encode(&mut self, packets: &Packets, arena: &mut Arena) -> Result<bool>;
     /// Decodes `bodies` into the front of `out`, packet after packet.
-    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()>;
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Decoded) -> Result<()>;
 }
 
 /// Four-lane rANS, scalar.
@@ -83,7 +83,7 @@ impl Coder for Scalar {
         Ok(true)
     }
 
-    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Decoded) -> Result<()> {
         let k = packets.table.raw_bits();
         for (body, values) in bodies.iter().copied().zip(out.values.chunks_exact_mut(packets.len)) {
             let mut decoder = Decoder::new(body, values.len(), values.len() * usize::from(k))?;
@@ -117,7 +117,7 @@ impl Coder for Small {
         Ok(false)
     }
 
-    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Decoded) -> Result<()> {
         let k = packets.table.raw_bits();
         let table = Compact { token: &self.token, range: &self.range };
         for (body, values) in bodies.iter().copied().zip(out.values.chunks_exact_mut(packets.len)) {
@@ -151,7 +151,7 @@ impl Coder for Naive {
         Ok(true)
     }
 
-    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Decoded) -> Result<()> {
         let tables = [packets.table];
         let table_of = vec![0u8; packets.len];
         for (body, values) in bodies.iter().copied().zip(out.values.chunks_exact_mut(packets.len)) {
@@ -190,7 +190,7 @@ impl Coder for Many {
         Ok(false)
     }
 
-    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Decoded) -> Result<()> {
         let run = [Run { table: 0, len: packets.len }];
         let tables = Tables { slots: &self.slots, raw_bits: &[packets.table.raw_bits()] };
         let values = out.values.chunks_exact_mut(packets.len);

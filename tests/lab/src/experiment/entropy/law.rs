@@ -69,8 +69,8 @@ impl Law {
             let mut counts = [0u64; 256];
             let tokens = self.tokens();
             for (token, p) in tokens.iter().enumerate() {
-                let kept = if *p < threshold { usize::from(ESCAPE) } else { token };
-                counts[kept] += (p * 1e12) as u64;
+                let slot = if *p < threshold { usize::from(ESCAPE) } else { token };
+                counts[slot] += (p * 1e12) as u64;
             }
             let table = Table::from_counts(&counts, self.raw_bits)?;
             let bits: f64 = (-self.half..=self.half)

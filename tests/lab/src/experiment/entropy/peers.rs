@@ -17,7 +17,7 @@ use zstd::{
 };
 
 use super::{
-    coders::{Arena, Coder, Output},
+    coders::{Arena, Coder, Decoded},
     law::Packets,
 };
 
@@ -92,7 +92,7 @@ impl Coder for Ryg {
         Ok(true)
     }
 
-    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Decoded) -> Result<()> {
         for (body, tokens) in bodies.iter().copied().zip(out.tokens.chunks_exact_mut(packets.len)) {
             let mut reader = ByteReader::new(body);
             let mut a = rans_byte_dec_init(&mut reader).map_err(refused)?;
@@ -160,7 +160,7 @@ impl Coder for Constriction {
         Ok(true)
     }
 
-    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Decoded) -> Result<()> {
         let mut words = Vec::new();
         for (body, tokens) in bodies.iter().copied().zip(out.tokens.chunks_exact_mut(packets.len)) {
             words.clear();
@@ -214,7 +214,7 @@ impl Coder for Zstd {
         Ok(true)
     }
 
-    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Output) -> Result<()> {
+    fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Decoded) -> Result<()> {
         for (body, tokens) in bodies.iter().copied().zip(out.tokens.chunks_exact_mut(packets.len)) {
             self.decompressor.decompress_to_buffer(body, tokens)?;
         }

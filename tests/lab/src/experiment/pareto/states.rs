@@ -20,7 +20,7 @@ use crate::{
 /// Groups, dealt by place in space, and states, each group present in two of three.
 const GROUPS: usize = 32;
 const STATES: usize = 32;
-/// States that brute force renders and that the reference judges.
+/// States that brute force renders and that the reference renders too.
 const JUDGED: usize = 2;
 
 /// Measures `view` and adds to `bench` and `csv`.
@@ -39,8 +39,8 @@ pub fn run(
     let variants = Variants::new(splats, &groups, GROUPS)?;
     let camera = &view.camera;
     let full = brute::image(&variants, &States::full(GROUPS), 0, camera, &Settings::default())?;
-    let faded = full.rgb().iter().map(|v| 0.97 * v + 0.01).collect();
-    let target = Image::new(side, side, faded)?;
+    let paler = full.rgb().iter().map(|v| 0.97 * v + 0.01).collect();
+    let target = Image::new(side, side, paler)?;
     let mut states = States::new(GROUPS);
     let mut few = States::new(GROUPS);
     for world in 0..STATES {
@@ -117,7 +117,8 @@ pub fn run(
     let point = |(i, (&name, &(x, y)))| Point { name: String::from(name), group: i, x, y };
     let plot = Scatter {
         title: &format!("{} at {side} × {side}: time per state against error", view.name),
-        subtitle: "Squared errors of 32 states of 32 groups against a picture; error against the f64 reference without cut and stop.",
+        subtitle: "Squared errors of 32 states of 32 groups against a picture; error against the f64 \
+            reference without cut and stop.",
         x_label: "time per state, ms",
         y_label: "relative error of the sum of squares",
         groups: &names,

@@ -1,42 +1,13 @@
-//! What every codec under measurement gives, and the list of them.
-
-use std::time::Instant;
+//! Lists the codecs under measurement, each with its knob.
 
 use anyhow::Result;
-use trainer_host::{Instant as Frame, Scene};
+use trainer_host::Scene;
 
-use super::{context, dgs1, plain, spz, uniform};
-
-/// A scene, coded and decoded again.
-pub struct Coded {
-    /// Everything a receiver needs, bytes.
-    pub bytes: usize,
-    /// Wall time of encoding, seconds.
-    pub encode_s: f64,
-    /// Wall time of decoding all frames, seconds.
-    pub decode_s: f64,
-    /// The decoded frames that were asked for.
-    pub shown: Vec<Frame>,
-}
-
-/// Wall time.
-pub struct Timer(Instant);
-
-impl Timer {
-    /// Starts now.
-    pub fn start() -> Self {
-        Self(Instant::now())
-    }
-
-    /// Seconds since.
-    pub fn seconds(&self) -> f64 {
-        self.0.elapsed().as_secs_f64()
-    }
-}
+use super::{coded::Coded, context, dgs1, plain, spz, uniform};
 
 /// What a codec is to `dgs1`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum CodecKind {
     /// `dgs1` itself.
     Ours,
     /// `dgs1` without one of its means: no peer.
@@ -49,7 +20,7 @@ pub enum Kind {
     Public,
 }
 
-impl Kind {
+impl CodecKind {
     /// Whether `dgs1` competes with it.
     pub const fn is_peer(self) -> bool {
         matches!(self, Self::Method | Self::Public)
@@ -66,7 +37,7 @@ pub struct Codec {
     /// Name in keys and tables.
     pub name: &'static str,
     /// What it is.
-    pub kind: Kind,
+    pub kind: CodecKind,
     /// What the knob means.
     pub knob: &'static str,
     /// Settings, finest first.
@@ -92,17 +63,17 @@ pub fn all(quick: bool) -> Vec<Codec> {
     let fine = [0.2, 0.35, 0.5, 0.71, 1.0, 1.6, 2.5, 4.0, 6.3];
     let wide = [0.35, 0.7, 1.4, 2.8, 5.6, 11.0];
     let mut out = vec![
-        codec("dgs1", Kind::Ours, steps, ladder(&fine), 0, dgs1::dgs1),
-        codec("dgs1-even", Kind::Variant, steps, ladder(&wide), 0, dgs1::even),
-        codec("paper", Kind::Paper, steps, ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]), 0, dgs1::paper),
-        codec("uniform-rans", Kind::Method, steps, ladder(&wide), 0, uniform::code),
-        codec("context-rans", Kind::Method, steps, ladder(&wide), 0, context::code),
-        codec("ply-zstd", Kind::Public, "bits of a float", vec![32.0, 16.0], 19, plain::code),
-        codec("spz-frames", Kind::Public, position, vec![1.0], 0, spz::code_frames),
-        codec("spz-zstd", Kind::Public, position, vec![1.0], 12, spz::code),
+        codec("dgs1", CodecKind::Ours, steps, ladder(&fine), 0, dgs1::dgs1),
+        codec("dgs1-even", CodecKind::Variant, steps, ladder(&wide), 0, dgs1::even),
+        codec("paper", CodecKind::Paper, steps, ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]), 0, dgs1::paper),
+        codec("uniform-rans", CodecKind::Method, steps, ladder(&wide), 0, uniform::code),
+        codec("context-rans", CodecKind::Method, steps, ladder(&wide), 0, context::code),
+        codec("ply-zstd", CodecKind::Public, "bits of a float", vec![32.0, 16.0], 19, plain::code),
+        codec("spz-frames", CodecKind::Public, position, vec![1.0], 0, spz::code_frames),
+        codec("spz-zstd", CodecKind::Public, position, vec![1.0], 12, spz::code),
         codec(
             "spz-delta-zstd",
-            Kind::Public,
+            CodecKind::Public,
             position,
             ladder(&[0.5, 1.0, 2.0, 4.0, 8.0, 16.0]),
             12,
@@ -117,7 +88,7 @@ pub fn all(quick: bool) -> Vec<Codec> {
 fn fourdgs() -> Codec {
     Codec {
         name: "4dgs",
-        kind: Kind::Public,
+        kind: CodecKind::Public,
         knob: "profile: 0 fine, 1 default, 2 coarse",
         settings: vec![0.0, 1.0, 2.0],
         level: 0,

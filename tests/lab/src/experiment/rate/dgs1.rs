@@ -11,7 +11,7 @@ use trainer_host::{
     stream::{Player, Stream},
 };
 
-use super::codec::{Coded, Timer};
+use super::coded::{Coded, Timer};
 use crate::setup::codec_args;
 
 /// Profile `dgs1`.

@@ -10,7 +10,7 @@ use trainer_host::{
 use super::{
     bjontegaard::{RateCurve, efficient},
     codec::Codec,
-    scenes::Judge,
+    scenes::Evaluator,
 };
 use crate::{
     figures::{Bench, Figure},
@@ -58,11 +58,11 @@ fn sog(bench: &mut Bench, key: &str, scene: &Scene, bytes: f64, size: u32, ours:
     let count = scene.max_count() as f64;
     let own = 8.0 * bytes / count;
     bench.push(Figure::new(format!("{key}.sog-file.bits_per_gaussian"), own, "bit"));
-    let judge = Judge::of(scene, size, 1)?;
+    let evaluator = Evaluator::of(scene, size, 1)?;
     let mut points = Vec::new();
     for &setting in ours.settings.iter().step_by(2) {
-        let coded = (ours.code)(scene, setting, ours.level, &judge.frames)?;
-        points.push((8.0 * coded.bytes as f64 / count, judge.marks(&coded.shown)?.psnr));
+        let coded = (ours.code)(scene, setting, ours.level, &evaluator.frames)?;
+        points.push((8.0 * coded.bytes as f64 / count, evaluator.marks(&coded.shown)?.psnr));
     }
     match RateCurve::new(&efficient(&points)) {
         Ok(curve) => {

@@ -14,7 +14,7 @@ use fourdgs::{
 use trainer_host::{Epoch, Instant, Scene};
 
 use super::{
-    codec::{Coded, Timer},
+    coded::{Coded, Timer},
     lattice::morton_order,
 };
 

@@ -6,7 +6,7 @@ use codec_core::ShDegree;
 use half::f16;
 use trainer_host::{Attributes, Epoch, Instant, Scene, Track};
 
-use super::codec::{Coded, Timer};
+use super::coded::{Coded, Timer};
 
 /// Codes `scene` as PLY of `bits` (32 or 16) per property and zstd at `level`.
 pub fn code(scene: &Scene, bits: f32, level: i32, shown: &[u32]) -> Result<Coded> {

@@ -1,5 +1,5 @@
-//! The scenes of the bench, and the judge of each: cameras nothing was tuned on, and the pictures that the
-//! uncompressed source gives there.
+//! The scenes of the bench, and the evaluator of each: cameras nothing was tuned on, and the pictures that
+//! the uncompressed source gives there.
 
 use anyhow::Result;
 use rayon::prelude::*;
@@ -74,7 +74,7 @@ pub struct Marks {
 }
 
 /// Cameras, frames, and the source's pictures.
-pub struct Judge {
+pub struct Evaluator {
     cameras: Vec<Camera>,
     /// Frames looked at.
     pub frames: Vec<u32>,
@@ -82,7 +82,7 @@ pub struct Judge {
     references: Vec<Vec<Image>>,
 }
 
-impl Judge {
+impl Evaluator {
     /// Three held-out cameras of `size` squared, up to `shown` frames spread over the clip.
     ///
     /// # Errors
@@ -98,8 +98,8 @@ impl Judge {
         Ok(Self { cameras, frames, references: references? })
     }
 
-    /// Marks of `shown`, the decoded [`Judge::frames`] in order. FLIP is that of the first camera: it takes
-    /// as long as all else together.
+    /// Marks of `shown`, the decoded [`Evaluator::frames`] in order. FLIP is that of the first camera: it
+    /// takes as long as all else together.
     ///
     /// # Errors
     /// What the renderer refuses.

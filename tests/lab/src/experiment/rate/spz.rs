@@ -12,7 +12,7 @@ use trainer_host::{
 };
 
 use super::{
-    codec::{Coded, Timer},
+    coded::{Coded, Timer},
     plain::pack,
 };
 
@@ -73,14 +73,14 @@ impl Unpacked {
     fn of(epoch: &Epoch, t: usize, fraction_bits: u8) -> Result<Self> {
         let options = Options { version: Version::V4, fraction_bits };
         let (fraction_bits, planes) = unpacked(epoch, t, &options)?;
-        let kept = planes.iter().filter(|p| !p.is_empty()).count().max(5);
+        let present = planes.iter().filter(|p| !p.is_empty()).count().max(5);
         let mut header = b"NGSP".to_vec();
         header.extend(4u32.to_le_bytes());
         header.extend((epoch.count() as u32).to_le_bytes());
-        header.extend([epoch.attributes().sh_degree.get(), fraction_bits, 0, kept as u8]);
+        header.extend([epoch.attributes().sh_degree.get(), fraction_bits, 0, present as u8]);
         header.extend((HEADER as u32).to_le_bytes());
         header.resize(HEADER, 0);
-        Ok(Self { header, planes: planes.into_iter().take(kept).collect() })
+        Ok(Self { header, planes: planes.into_iter().take(present).collect() })
     }
 
     /// A file with these planes, packed as little as zstd can.

@@ -7,7 +7,7 @@ use trainer_host::evaluator::PSNR_CAP_DB;
 
 use super::{
     bjontegaard::{Difference, RateCurve, RatePoint, Refused, difference, difference_cubic, efficient},
-    codec::Kind,
+    codec::CodecKind,
     scenes::Marks,
 };
 use crate::{
@@ -18,7 +18,7 @@ use crate::{
 
 /// One codec on one scene at one setting.
 #[derive(Clone, Debug)]
-pub struct Row {
+pub struct Measurement {
     /// Scene.
     pub scene: String,
     /// Whether means over scenes count it.
@@ -28,7 +28,7 @@ pub struct Row {
     /// Codec.
     pub codec: &'static str,
     /// What the codec is.
-    pub kind: Kind,
+    pub kind: CodecKind,
     /// Setting of the knob.
     pub setting: f32,
     /// Bits per Gaussian of the source.
@@ -46,7 +46,7 @@ pub struct Row {
 }
 
 /// All rows as CSV.
-pub fn csv(rows: &[Row]) -> String {
+pub fn csv(rows: &[Measurement]) -> String {
     let mut out = String::from(
         "scene,codec,setting,bits_per_gaussian,bytes_per_frame,psnr_mean_db,psnr_min_db,ssim,flip,encode_s,decode_ms_per_frame,alone\n",
     );
@@ -62,12 +62,13 @@ pub fn csv(rows: &[Row]) -> String {
 }
 
 /// The rows of one scene as a table for people.
-pub fn text(rows: &[Row]) -> String {
+pub fn text(rows: &[Measurement]) -> String {
     let mut out = String::new();
     for r in rows {
         let _ = writeln!(
             out,
-            "  {:12} {:15} {:>5}  {:9.1} bit/G {:10.0} B/frame  {:6.2} dB (min {:6.2})  ssim {:.5}  flip {:.5}  enc {:7.2} s  dec {:7.2} ms/frame{}",
+            "  {:12} {:15} {:>5}  {:9.1} bit/G {:10.0} B/frame  {:6.2} dB (min {:6.2})  ssim {:.5}  flip \
+                {:.5}  enc {:7.2} s  dec {:7.2} ms/frame{}",
             r.scene,
             r.codec,
             r.setting,
@@ -94,19 +95,19 @@ pub struct Compared {
     dynamic: bool,
     /// The codec compared with.
     pub codec: &'static str,
-    kind: Kind,
+    kind: CodecKind,
     /// ln(bits of `dgs1` / bits of the codec) at equal PSNR.
     pub log_ratio: f64,
 }
 
 /// Points of `codec` in `rows` below the cap of PSNR.
-fn points(rows: &[Row], codec: &str) -> Vec<RatePoint> {
+fn points(rows: &[Measurement], codec: &str) -> Vec<RatePoint> {
     let these = rows.iter().filter(|r| r.codec == codec && r.marks.psnr < PSNR_CAP_DB - 1e-6);
     these.map(|r| (r.bits, r.marks.psnr)).collect()
 }
 
 /// Compares `dgs1` with every other codec of `rows`, which are those of one scene.
-pub fn compare(bench: &mut Bench, rows: &[Row]) -> Vec<Compared> {
+pub fn compare(bench: &mut Bench, rows: &[Measurement]) -> Vec<Compared> {
     let mut out = Vec::new();
     let Some(first) = rows.first() else { return out };
     let scene = &first.scene;
@@ -122,8 +123,8 @@ pub fn compare(bench: &mut Bench, rows: &[Row]) -> Vec<Compared> {
             bench.push(Figure::new(format!("{scene}.dgs1.bits_at_{psnr}_db"), bits, "bit/Gaussian"));
         }
     }
-    let mut names: Vec<(&'static str, Kind)> = Vec::new();
-    for row in rows.iter().filter(|r| r.kind != Kind::Ours) {
+    let mut names: Vec<(&'static str, CodecKind)> = Vec::new();
+    for row in rows.iter().filter(|r| r.kind != CodecKind::Ours) {
         if !names.contains(&(row.codec, row.kind)) {
             names.push((row.codec, row.kind));
         }
@@ -142,7 +143,7 @@ pub fn compare(bench: &mut Bench, rows: &[Row]) -> Vec<Compared> {
                 if let Ok(cubic) = cubic {
                     bench.push(Figure::new(format!("{key}.cubic"), cubic.percent(), "% (cross-check)"));
                 }
-                if kind == Kind::Paper {
+                if kind == CodecKind::Paper {
                     let times = (-found.log_ratio).exp();
                     bench.push(Figure::new(format!("{scene}.paper_over_dgs1"), times, "× at equal PSNR"));
                 }
@@ -154,7 +155,7 @@ pub fn compare(bench: &mut Bench, rows: &[Row]) -> Vec<Compared> {
         }
     }
     let best = |public: bool| {
-        let fit = out.iter().filter(|c| if public { c.kind == Kind::Public } else { c.kind.is_peer() });
+        let fit = out.iter().filter(|c| if public { c.kind == CodecKind::Public } else { c.kind.is_peer() });
         fit.max_by(|a, b| a.log_ratio.total_cmp(&b.log_ratio))
     };
     for (what, best) in [("best_public", best(true)), ("best_peer", best(false))] {
@@ -219,7 +220,7 @@ pub fn means(bench: &mut Bench, all: &[Compared]) {
     let mut scenes: Vec<&str> = counted.iter().map(|c| c.scene.as_str()).collect();
     scenes.dedup();
     for (what, public) in [("best_public", true), ("best_peer", false)] {
-        let fit = |c: &&&Compared| if public { c.kind == Kind::Public } else { c.kind.is_peer() };
+        let fit = |c: &&&Compared| if public { c.kind == CodecKind::Public } else { c.kind.is_peer() };
         let best = |scene: &&str| {
             let these = counted.iter().filter(|c| c.scene == **scene).filter(fit);
             these.map(|c| c.log_ratio).max_by(f64::total_cmp)
@@ -228,7 +229,7 @@ pub fn means(bench: &mut Bench, all: &[Compared]) {
         push(format!("mean.dgs1_against.{what}"), &logs);
     }
     let paper: Vec<f64> =
-        counted.iter().filter(|c| c.kind == Kind::Paper && c.dynamic).map(|c| -c.log_ratio).collect();
+        counted.iter().filter(|c| c.kind == CodecKind::Paper && c.dynamic).map(|c| -c.log_ratio).collect();
     if !paper.is_empty() {
         let mut figure = Figure::new("mean.paper_over_dgs1.dynamic", mean(&paper).exp(), "× at equal PSNR");
         figure.ci95 = bootstrap95(&paper, mean, 11).map(|ends| ends.map(f64::exp));
@@ -241,7 +242,7 @@ pub fn means(bench: &mut Bench, all: &[Compared]) {
 ///
 /// # Errors
 /// If the drawing cannot be written.
-pub fn draw(setup: &Setup, rows: &[Row]) -> Result<()> {
+pub fn draw(setup: &Setup, rows: &[Measurement]) -> Result<()> {
     let Some(first) = rows.first() else { return Ok(()) };
     let mut curves: Vec<Curve> = Vec::new();
     for row in rows {
@@ -254,7 +255,8 @@ pub fn draw(setup: &Setup, rows: &[Row]) -> Result<()> {
     let title = format!("{}: quality of the decoded state against its size", first.scene);
     let drawing = Curves {
         title: &title,
-        subtitle: "mean over held-out cameras and frames against the uncompressed source's pictures; up and left is better",
+        subtitle: "mean over held-out cameras and frames against the uncompressed source's pictures; up and \
+            left is better",
         x_label: "bits per Gaussian, all frames and everything sent",
         y_label: "PSNR, dB",
         curves,
@@ -266,9 +268,9 @@ pub fn draw(setup: &Setup, rows: &[Row]) -> Result<()> {
 mod tests {
     use super::*;
 
-    fn row(codec: &'static str, kind: Kind, bits: f64, psnr: f64) -> Row {
+    fn row(codec: &'static str, kind: CodecKind, bits: f64, psnr: f64) -> Measurement {
         let marks = Marks { psnr, psnr_min: psnr, ssim: 1.0, flip: 0.0 };
-        Row {
+        Measurement {
             scene: "s".into(),
             counts: true,
             dynamic: true,
@@ -288,12 +290,12 @@ mod tests {
     fn peers_with_curves_points_and_neither() {
         let mut rows = Vec::new();
         for (i, psnr) in [40.0, 45.0, 50.0, 55.0].into_iter().enumerate() {
-            rows.push(row("dgs1", Kind::Ours, 100.0 * 2f64.powi(i as i32), psnr));
-            rows.push(row("paper", Kind::Paper, 2000.0 * 2f64.powi(i as i32), psnr));
+            rows.push(row("dgs1", CodecKind::Ours, 100.0 * 2f64.powi(i as i32), psnr));
+            rows.push(row("paper", CodecKind::Paper, 2000.0 * 2f64.powi(i as i32), psnr));
         }
-        rows.push(row("one", Kind::Public, 800.0, 50.0));
-        rows.push(row("lossless", Kind::Public, 5000.0, PSNR_CAP_DB));
-        rows.push(row("beyond", Kind::Public, 5000.0, 70.0));
+        rows.push(row("one", CodecKind::Public, 800.0, 50.0));
+        rows.push(row("lossless", CodecKind::Public, 5000.0, PSNR_CAP_DB));
+        rows.push(row("beyond", CodecKind::Public, 5000.0, 70.0));
         let mut bench = Bench::new("rate", "test");
         let found = compare(&mut bench, &rows);
         let ratio = |name: &str| found.iter().find(|c| c.codec == name).map(|c| c.log_ratio.exp());
@@ -310,7 +312,7 @@ mod tests {
 
     #[test]
     fn every_row_is_a_line() {
-        let rows = [row("dgs1", Kind::Ours, 1.0, 30.0), row("paper", Kind::Paper, 2.0, 31.0)];
+        let rows = [row("dgs1", CodecKind::Ours, 1.0, 30.0), row("paper", CodecKind::Paper, 2.0, 31.0)];
         assert_eq!((csv(&rows).lines().count(), text(&rows).lines().count()), (3, 2));
     }
 }

@@ -5,7 +5,7 @@ use anyhow::{Result, ensure};
 use trainer_host::{Scene, encode::Quality};
 
 use super::{
-    codec::{Coded, Timer},
+    coded::{Coded, Timer},
     lattice::{self, ATTRIBUTES, Grids, HEADER_BYTES},
     rans::{self, Decoder, Port, Sink},
 };

@@ -13,7 +13,7 @@ use trainer_host::{
     stream::{PacketMap, Player},
 };
 
-use super::{max_abs, pair, pays, serial, share, time, verdict};
+use super::paired::{max_abs, pair, pays, serial, share, time, verdict};
 use crate::{
     figures::{Bench, Figure},
     setup::codec_args,
@@ -93,16 +93,16 @@ fn measure(bench: &mut Bench, key: &str, instants: &[Instant], camera: &Camera, 
     let settings = serial();
     let mut renderer = Renderer::new();
     let mut sequence = Sequence::default();
-    let (mut error, mut kept) = (0.0f64, Vec::new());
+    let (mut error, mut reused) = (0.0f64, Vec::new());
     for instant in instants {
         let fresh = renderer.render(&splats(instant)?, camera, &settings)?;
         let got = sequence.render(&splats(instant)?, Changes::Unknown, camera, &settings)?;
         error = error.max(max_abs(&got.image, &fresh.image));
-        kept.push((sequence.reused(), fresh.counters.tiles, instant.gaussians.len() as u64));
+        reused.push((sequence.reused(), fresh.counters.tiles, instant.gaussians.len() as u64));
     }
     ensure!(error == 0.0, "{key}: a kept frame differs from a fresh one by {error}");
     let sum = |part: fn(&Reused) -> u64, whole: fn(&(Reused, u64, u64)) -> u64| {
-        let frames = &kept[1..];
+        let frames = &reused[1..];
         share(frames.iter().map(|k| part(&k.0)).sum(), frames.iter().map(whole).sum())
     };
     bench.push(Figure::new(
@@ -153,15 +153,15 @@ fn measure(bench: &mut Bench, key: &str, instants: &[Instant], camera: &Camera, 
         }
     }
     let mut failing = Vec::new();
-    let Some((kept, others)) = times.split_last() else { return Ok(()) };
+    let Some((sequence, others)) = times.split_last() else { return Ok(()) };
     for ((name, _), other) in choices.iter().zip(others) {
-        let figure = pair(format!("{key}.{name}"), kept, other).error(error, "max abs to fresh");
+        let figure = pair(format!("{key}.{name}"), sequence, other).error(error, "max abs to fresh");
         if !pays(&figure) {
             failing.push(*name);
         }
         bench.push(figure);
     }
-    let mut whole = pair(format!("{key}.sequence"), kept, &plain).error(error, "max abs to fresh");
+    let mut whole = pair(format!("{key}.sequence"), sequence, &plain).error(error, "max abs to fresh");
     whole.peer = Some("fresh renders".to_owned());
     if !pays(&whole) {
         failing.push("sequence");
