@@ -326,6 +326,20 @@ pub struct Encode {
     /// Print bytes and PSNR per window and level (measuring cameras).
     #[arg(long)]
     pub table: bool,
+    /// Also write everything that was chosen, as JSON: clusters, quantisers, motion, entropy tables, levels.
+    #[arg(long, value_name = "FILE")]
+    pub decisions_out: Option<PathBuf>,
+    /// Choose nothing: write the scene as this file of decisions says. The same scene and decisions give the
+    /// same bytes.
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with_all = [
+            "profile", "fineness", "pictures", "search", "cluster_size", "block_len", "window_frames", "rank",
+            "packet_bytes", "repair_set", "repair", "truncate",
+        ]
+    )]
+    pub decisions: Option<PathBuf>,
 }
 
 /// `dgs inspect`.
@@ -336,6 +350,9 @@ pub struct Inspect {
     /// Also write the whole manifest as JSON: clusters, motion, quantisers, tables, groups, packets.
     #[arg(long, value_name = "FILE")]
     pub manifest: Option<PathBuf>,
+    /// The file holds decisions instead, as `encode --decisions-out` writes them.
+    #[arg(long)]
+    pub decisions: bool,
 }
 
 /// `dgs decode`.

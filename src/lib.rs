@@ -2,7 +2,7 @@
 //!
 //! The rooms: codec-core knows bytes, render-host pixels, trainer-host scenes, emulator-host time.
 //! This package is the only one that sees all of them. Its library holds the walk
-//! ([`pipeline`], [`delivery`], [`quality`]), the report ([`report`]) and the verbs of the command
+//! ([`pipeline`], [`delivery`]), the report ([`report`]) and the verbs of the command
 //! line ([`command`]); the binary parses what was typed. What measures is package `dgs-lab`.
 //!
 //! Deliberately absent: anything that could live in one room. What only needs bytes, pixels,
@@ -16,5 +16,4 @@ pub mod files;
 pub mod output;
 pub mod pipeline;
 pub mod progress;
-pub mod quality;
 pub mod report;

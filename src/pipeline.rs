@@ -13,7 +13,7 @@ use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig};
 use render_host::{Camera, Settings};
 use trainer_host::{
     Scene, Stream,
-    encode::{self, Encoded, Protection, Quality, Target},
+    encode::{self, Decisions, Encoded, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
     stream::PacketMap,
     utility,
@@ -151,6 +151,15 @@ pub fn encode(scene: &Scene, options: &encode::Options, quiet: Quiet) -> Result<
     encode::encode(scene, options, &|stage, share| progress.stage(stage, share)).context("cannot encode")
 }
 
+/// The stream that `decisions` describe.
+///
+/// # Errors
+/// Decisions that do not fit the scene.
+pub fn write(scene: &Scene, decisions: &Decisions, quiet: Quiet) -> Result<Encoded> {
+    let progress = Progress::new("encode", quiet.0);
+    encode::write(scene, decisions, &|stage, share| progress.stage(stage, share)).context("cannot encode")
+}
+
 /// `whole` without the levels that measuring cameras do not find worth `lambda` per byte.
 ///
 /// # Errors
@@ -167,7 +176,7 @@ pub fn truncate(
     let table = utilities(scene, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
     let progress = Progress::new("encode", quiet.0);
     let told = |stage, share| progress.stage(stage, share);
-    utility::truncate(scene, options, whole, &table, lambda, &told).context("cannot encode")
+    utility::truncate(scene, whole, &table, lambda, options.table_choices, &told).context("cannot encode")
 }
 
 /// A stream from a `.dgs` file; what is damaged is told to `warn`.

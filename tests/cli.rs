@@ -24,6 +24,26 @@ fn refused(folder: &Path, args: &[&str]) -> String {
     String::from_utf8(output.stderr).unwrap()
 }
 
+/// Decisions that were written out replay to the same bytes; a file of something else is named.
+#[test]
+fn decisions_are_written_inspected_and_replayed() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:400:6";
+    let text = ok(at, &["encode", scene, "--out", "a.dgs", "--pictures", "2", "--decisions-out", "a.json"]);
+    assert!(text.contains("fill") && text.contains("feature weights: position 1, displacement 2"), "{text}");
+    ok(at, &["encode", scene, "--out", "b.dgs", "--decisions", "a.json"]);
+    assert_eq!(std::fs::read(at.join("a.dgs")).unwrap(), std::fs::read(at.join("b.dgs")).unwrap());
+    let text = ok(at, &["inspect", "--decisions", "a.json"]);
+    assert!(text.contains("decisions for profile dgs1") && text.contains("epoch 0: "), "{text}");
+    let error = refused(at, &["encode", scene, "--out", "c.dgs", "--decisions", "a.dgs"]);
+    assert!(error.contains("a.dgs: not a file of decisions"), "{error}");
+    let error = refused(at, &["encode", "synth:figure:400:9", "--out", "c.dgs", "--decisions", "a.json"]);
+    assert!(error.contains("decisions, epoch 0: frames of all windows is 6; 9..=9 is allowed"), "{error}");
+    let error = refused(at, &["encode", scene, "--out", "c.dgs", "--decisions", "a.json", "--search", "5"]);
+    assert!(error.contains("--search"), "{error}");
+}
+
 #[test]
 fn the_walk_verb_by_verb() {
     let folder = tempfile::tempdir().unwrap();

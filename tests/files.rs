@@ -106,8 +106,10 @@ fn a_folder_of_frames_is_whole_or_not_there() {
     let mut child =
         Command::new(DGS).current_dir(at).args(["decode", "long.dgs", "--out", "frames"]).spawn().unwrap();
     let half = loop {
-        let begun = names(at).into_iter().find(|name| name.starts_with(".frames."));
-        if let Some(half) = begun.filter(|half| names(&at.join(half)).len() > 1) {
+        // Whether the folder can be made is tried first, and the trial vanishes again.
+        let inside = |half: &String| fs::read_dir(at.join(half)).map_or(0, Iterator::count);
+        let begun = names(at).into_iter().find(|name| name.starts_with(".frames.") && inside(name) > 1);
+        if let Some(half) = begun {
             break half;
         }
         assert!(child.try_wait().unwrap().is_none(), "decoding ended before it was seen");
@@ -156,7 +158,7 @@ fn gaussians_that_have_not_arrived_are_left_out() {
     let at = folder.path();
     let streams = Path::new(env!("CARGO_MANIFEST_DIR")).join("codec-core/tests/conformance");
     let whole = fs::read(streams.join("still.dgs")).unwrap();
-    fs::write(at.join("cut.dgs"), &whole[..whole.len() / 2]).unwrap();
+    fs::write(at.join("cut.dgs"), &whole[..whole.len() / 3]).unwrap();
     let output = dgs(at, &["decode", "cut.dgs", "--out", "cut.ply"]);
     assert_eq!(output.status.code(), Some(2));
     let said = String::from_utf8_lossy(&output.stderr).into_owned();

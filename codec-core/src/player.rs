@@ -120,7 +120,8 @@ impl<'a> Waiting<'a> {
     /// # Errors
     /// As [`Waiting::manifest`], but for an arena that holds the manifest and no more.
     pub fn required(&mut self, message: &[u8]) -> Result<Required> {
-        let (manifest_words, _, plan) = self.open(message)?;
+        let (raw_len, _, plan) = self.open(message)?;
+        let manifest_words = words_of::<u8>(raw_len);
         let before = words_of::<u8>(self.early.len()).saturating_add(manifest_words);
         Ok(Required {
             words: before.saturating_add(plan.words()),
@@ -128,8 +129,8 @@ impl<'a> Waiting<'a> {
         })
     }
 
-    /// Unpacks and checks `message` at the front of the arena: its words, the manifest without its
-    /// bytes, what its stream needs.
+    /// Unpacks and checks `message` at the front of the arena: its length unpacked, the manifest without
+    /// its bytes, what its stream needs.
     fn open(&mut self, message: &[u8]) -> Result<(usize, Manifest<'static>, Plan)> {
         // Before anything of that size is unpacked; the other caps follow once it is.
         let raw_len = Sealed::parse(message)?.within(&self.caps)?.raw_len;
@@ -140,7 +141,7 @@ impl<'a> Waiting<'a> {
         let raw = manifest::open(message, self.crc, bytemuck::cast_slice_mut(room))?;
         let manifest = Manifest::parse(raw)?;
         let plan = Plan::of(&manifest, &self.caps)?;
-        Ok((words, manifest.over(&[]), plan))
+        Ok((raw_len, manifest.over(&[]), plan))
     }
 
     /// Takes the whole DGSM message `message`, then the packets that came early.
@@ -151,11 +152,11 @@ impl<'a> Waiting<'a> {
     /// with the bytes there are and the bytes needed.
     #[expect(clippy::result_large_err, reason = "the player that goes on waiting is given back")]
     pub fn manifest(mut self, message: &[u8]) -> core::result::Result<Player<'a>, (Self, Error)> {
-        let (words, index, plan) = match self.open(message) {
+        let (raw_len, index, plan) = match self.open(message) {
             Ok(opened) => opened,
             Err(error) => return Err((self, error)),
         };
-        let early_words = words_of::<u8>(self.early.len());
+        let (words, early_words) = (words_of::<u8>(raw_len), words_of::<u8>(self.early.len()));
         let needed = early_words.saturating_add(words).saturating_add(plan.least_words());
         let have = early_words.saturating_add(self.arena.len());
         if have < needed {
@@ -164,8 +165,9 @@ impl<'a> Waiting<'a> {
         }
         let Self { arena, early, early_used, counters, caps, crc, combine } = self;
         let (raw, rest) = arena.split_at_mut(words.min(arena.len()));
+        // Without the bytes that fill the last word up: they are no part of the manifest.
         let raw: &'a [u8] = bytemuck::cast_slice(raw);
-        let manifest = index.over(raw);
+        let manifest = index.over(raw.get(..raw_len).unwrap_or(raw));
         let parts = match plan.divide(rest) {
             Ok(parts) => parts,
             // Cannot happen after the check above; what is left has no memory and refuses everything.

@@ -7,6 +7,7 @@ use render_host::{Backend, Image, metric};
 use serde_json::json;
 use trainer_host::{
     encode::Protection,
+    evaluator::{self, PSNR_CAP_DB},
     stream::PacketMap,
     utility,
     viewpoint::{Framing, Ring},
@@ -19,7 +20,6 @@ use crate::{
     output::VerbOutput,
     pipeline::{self, Loaded, Quiet},
     progress::Progress,
-    quality::{self, PSNR_CAP_DB},
     report::{Page, Picture, Run, Shown, Strip, html},
 };
 
@@ -104,9 +104,9 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let (cameras, settings) = pipeline::view(&scene, &args.view, Ring::HeldOut, 3)?;
     let camera = &cameras[0];
     let frames: Vec<u32> = (0..scene.frames() as u32).collect();
-    let references = quality::references(&scene, &frames, camera, &settings, &backend)?;
+    let references = evaluator::references(&scene, &frames, camera, &settings, &backend)?;
     let complete: Vec<(u32, Option<&[u8]>)> = frames.iter().map(|&f| (f, Some(content.blocks))).collect();
-    let complete = quality::renders(&content, &complete, camera, &settings, &backend)?;
+    let complete = evaluator::renders(&content, &complete, camera, &settings, &backend)?;
     let complete_psnr_db = psnrs(&complete, &references)?;
     let picked = strip_frames(frames.len());
     let mut strips: Vec<Strip> = picked
@@ -133,9 +133,9 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
         for state in &states {
             shown[state.frame as usize].1 = Some(&state.state);
         }
-        let images = quality::renders(&content, &shown, camera, &settings, &backend)?;
+        let images = evaluator::renders(&content, &shown, camera, &settings, &backend)?;
         let scores: Result<Vec<_>, _> =
-            images.par_iter().zip(&references).map(|(a, b)| quality::score(a, b)).collect();
+            images.par_iter().zip(&references).map(|(a, b)| evaluator::score(a, b)).collect();
         let scores = scores?;
         let times: std::collections::BTreeMap<u32, f64> =
             report.frames.iter().map(|row| (row.frame, row.time_ns.as_s())).collect();
@@ -163,7 +163,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
         runs.push(Run {
             name: report.policy.clone(),
             mean_psnr_db: mean(&psnr),
-            tail_psnr_db: quality::worst_tenth(&psnr),
+            tail_psnr_db: evaluator::worst_tenth(&psnr),
             mean_ssim: mean(&ssim),
             flicker: metric::flicker(&images, &references)?,
             frames: rows,

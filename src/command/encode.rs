@@ -1,13 +1,13 @@
 //! `dgs encode`: a scene to a `.dgs` file, and where every byte went.
 
-use std::time::Instant;
+use std::{path::Path, time::Instant};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use codec_core::internals::wire::manifest::Profile;
 use serde_json::json;
 use trainer_host::{
-    encode::{Protection, Report},
-    judge::{self, Segment},
+    encode::{Decisions, PacketReport, Protection, Report},
+    evaluator::{self, Segment},
     stream::PacketMap,
     utility,
     viewpoint::{Framing, Ring},
@@ -27,10 +27,16 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     if args.utility {
         files::check(&pipeline::utility_path(&args.out))?;
     }
+    if let Some(path) = &args.decisions_out {
+        files::check(path)?;
+    }
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let options = pipeline::encode_options(&args.codec, Protection::NONE);
     let start = Instant::now();
-    let mut encoded = pipeline::encode(&loaded.scene, &options, quiet)?;
+    let mut encoded = match &args.decisions {
+        Some(path) => pipeline::write(&loaded.scene, &read_decisions(path)?, quiet)?,
+        None => pipeline::encode(&loaded.scene, &options, quiet)?,
+    };
     let mut truncated = None;
     if let Some(lambda) = args.truncate.filter(|_| options.profile == Profile::Dgs1) {
         let found = pipeline::truncate(&loaded.scene, &options, &encoded, lambda, quiet)?;
@@ -41,6 +47,10 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     }
     let seconds = start.elapsed().as_secs_f64();
     let (stream, report) = (&encoded.stream, &encoded.report);
+    let packets = encoded.packet_report()?;
+    if let Some(path) = &args.decisions_out {
+        files::write(path, serde_json::to_string(&encoded.decisions)?.as_bytes())?;
+    }
     let bytes = stream.to_bytes()?;
     files::write(&args.out, &bytes)?;
     let ledger = &report.ledger;
@@ -51,7 +61,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         bytes.len(),
         loaded.scene.frames(),
         seconds,
-        report_table(report)
+        report_table(report, &packets)
     );
     if let Some(t) = truncated {
         text += &format!(
@@ -68,14 +78,15 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     }
     let mut json = json!({
         "name": loaded.name, "out": args.out, "file_bytes": bytes.len(), "seconds": seconds,
-        "ledger": ledger, "report": report_json(report), "parts": ledger.parts(), "notes": loaded.scene.notes,
+        "ledger": ledger, "report": report_json(report), "packets": packets, "parts": ledger.parts(),
+        "notes": loaded.scene.notes,
         "bits_per_gaussian": ledger.bits_per_gaussian(), "bytes_per_frame": ledger.bytes_per_frame(),
     });
     if let Some(truncated) = truncated {
         json["truncated"] = json!(truncated);
     }
     if args.table {
-        let segments = judge::segments(&loaded.scene, stream, 2)?;
+        let segments = evaluator::segments(&loaded.scene, stream, 2)?;
         text += &segment_table(&segments);
         json["segments"] = json!(segments);
     }
@@ -108,6 +119,33 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     Ok(VerbOutput { text, json, warnings, damaged: false })
 }
 
+/// Decisions from a file.
+///
+/// # Errors
+/// A file that cannot be read, or does not hold decisions.
+pub(super) fn read_decisions(path: &Path) -> Result<Decisions> {
+    let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
+    serde_json::from_slice(&bytes).with_context(|| format!("{}: not a file of decisions", path.display()))
+}
+
+/// How Gaussians were clustered, for people.
+fn clustering_line(report: &Report) -> String {
+    let (c, w) = (&report.clustering, &report.clustering.options.weights);
+    format!(
+        "  {} clusters of {} to {} Gaussians (mean {:.1}, median {}), feature weights: position {}, displacement \
+         {}, speed {}, visibility {}\n",
+        c.clusters,
+        c.smallest,
+        c.largest,
+        c.mean,
+        c.median,
+        w.position,
+        w.displacement,
+        w.speed,
+        w.visibility
+    )
+}
+
 /// Rate and distortion per segment for people.
 fn segment_table(segments: &[Segment]) -> String {
     let mut text =
@@ -129,12 +167,13 @@ fn segment_table(segments: &[Segment]) -> String {
 fn report_json(report: &Report) -> serde_json::Value {
     json!({
         "quality": report.quality, "quantiser_classes": report.quantiser_classes,
+        "clustering": report.clustering,
         "reached": report.reached, "searched": report.searched,
     })
 }
 
 /// The accounting of a stream for people.
-fn report_table(report: &Report) -> String {
+fn report_table(report: &Report, packets: &PacketReport) -> String {
     let ledger = &report.ledger;
     let mut text = String::new();
     for (name, bytes) in [
@@ -160,6 +199,17 @@ fn report_table(report: &Report) -> String {
         100.0 * ledger.packetisation_overhead(),
         100.0 * ledger.robustness_premium(),
     );
+    text += &format!(
+        "  mean payload {:.1} bytes, fill {:.1} %, chunk loss {:.2} bytes/packet, {:.2} packets per base group, \
+         {:.2} per refinement group, {:.2} groups per packet\n",
+        packets.mean_payload_bytes,
+        100.0 * packets.fill,
+        packets.chunk_loss_bytes,
+        packets.packets_per_base_group,
+        packets.packets_per_refinement_group,
+        packets.groups_per_packet,
+    );
+    text += &clustering_line(report);
     if let Some(reached) = report.reached {
         text += &format!(
             "  {} {}: {} at coarseness {:.4}, {} encodings\n",

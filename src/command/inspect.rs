@@ -8,12 +8,22 @@ use codec_core::internals::{
     wire::manifest::Manifest,
 };
 use serde_json::{Value, json};
-use trainer_host::stream::PacketMap;
+use trainer_host::{
+    encode::{
+        Decisions,
+        decisions::{EpochDecisions, TrackForm},
+    },
+    stream::PacketMap,
+};
 
-use crate::{args::Inspect, files, output::VerbOutput, pipeline};
+use super::encode::read_decisions;
+use crate::{args::Inspect, figures::number, files, output::VerbOutput, pipeline};
 
 /// Runs the verb.
 pub fn run(args: &Inspect) -> Result<VerbOutput> {
+    if args.decisions {
+        return decisions(args);
+    }
     let mut warnings = Vec::new();
     let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
     let manifest = stream.manifest()?;
@@ -67,6 +77,58 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     }
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// What a file of decisions says, in short; as JSON, all of it.
+fn decisions(args: &Inspect) -> Result<VerbOutput> {
+    let decisions = read_decisions(&args.input)?;
+    let mut text = format!("{}: decisions for profile ", args.input.display());
+    match &decisions {
+        Decisions::Paper(paper) => {
+            text += "paper\n";
+            for (e, epoch) in paper.epochs.iter().enumerate() {
+                text += &format!(
+                    "  epoch {e}: {} clusters, rank {}, position step {}\n",
+                    epoch.clusters.len(),
+                    epoch.rank,
+                    epoch.quantisers.canonical[0].step
+                );
+            }
+        }
+        Decisions::Dgs1(dgs1) => {
+            text += &format!(
+                "dgs1\n  blocks of {} Gaussians, packets of at most {} bytes, proxies: {}, {} entropy tables\n",
+                dgs1.block_len,
+                dgs1.packet_bytes,
+                dgs1.proxies,
+                dgs1.tables.len()
+            );
+            for (e, epoch) in dgs1.epochs.iter().enumerate() {
+                text += &epoch_summary(e, epoch);
+            }
+        }
+    }
+    Ok(VerbOutput { text, json: serde_json::to_value(&decisions)?, ..VerbOutput::default() })
+}
+
+fn epoch_summary(e: usize, epoch: &EpochDecisions) -> String {
+    let motions = || epoch.windows.iter().flat_map(|window| &window.motions);
+    let tracks = |form: TrackForm| motions().filter(|motion| motion.track == form).count();
+    let mut text = format!(
+        "  epoch {e}: {} clusters, {} windows, rotations {:?}, tracks: {} static, {} rigid, {} affine\n",
+        epoch.clusters.len(),
+        epoch.windows.len(),
+        epoch.canonical_rotation,
+        tracks(TrackForm::Static),
+        tracks(TrackForm::Rigid),
+        tracks(TrackForm::Affine)
+    );
+    for (q, quantisers) in epoch.quantisers.iter().enumerate() {
+        let steps: Vec<String> = quantisers.canonical.iter().map(|q| number(q.step.into())).collect();
+        let clusters = epoch.clusters.iter().filter(|c| c.quantisers == q).count();
+        text += &format!("    quantisers {q} of {clusters} clusters, steps {}\n", steps.join(", "));
+    }
+    text
 }
 
 /// The manifest as JSON: for people, never on the wire.

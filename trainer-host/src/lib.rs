@@ -7,6 +7,18 @@
 //!   └─▶ scene (export)
 //! ```
 //!
+//! ```
+//! use trainer_host::{encode, import::{Limits, synth}};
+//!
+//! let options = synth::Options { gaussians: 200, frames: 2, ..synth::Options::default() };
+//! let scene = synth::make(&options, &Limits::default())?;
+//! let encoded = encode::encode(&scene, &encode::Options::default(), &|_stage, _share| {})?;
+//! // Everything that was chosen is plain data, and replays to the same bytes.
+//! let again = encode::write(&scene, &encoded.decisions, &|_, _| {})?;
+//! assert_eq!(again.stream.to_bytes()?, encoded.stream.to_bytes()?);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
 //! Deliberately absent: time and networks (emulator-host), pixels (render-host), and the bytes of
 //! packets themselves (codec-core: this crate chooses, that one writes down).
 
@@ -15,6 +27,6 @@ pub mod scene;
 pub mod stream;
 pub mod utility;
 
-pub use encode::{cluster, factorise, judge, sensitivity};
+pub use encode::{cluster, evaluator, factorise, sensitivity};
 pub use scene::{Attributes, Epoch, Instant, Scene, SceneError, Track, export, import, viewpoint};
 pub use stream::Stream;

@@ -8,5 +8,3 @@ mod player;
 pub use dgs_player::{Damage, Stream};
 pub use map::{PacketMap, SlicePlacement};
 pub use player::Player;
-
-pub(crate) use dgs_player::sealed;

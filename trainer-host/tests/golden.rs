@@ -17,7 +17,11 @@ use std::{collections::BTreeSet, path::Path};
 use codec_core::internals::{gaussian::ShDegree, ids::Level, quant::Class};
 use trainer_host::{
     Epoch, Scene,
-    encode::{Options, Protection, encode},
+    encode::{
+        Decisions, EncodeError, Options, Protection,
+        decisions::{Dgs1Decisions, TableSetEntry},
+        encode, write,
+    },
     scene::{Attributes, Track},
 };
 
@@ -207,14 +211,64 @@ fn write_golden() {
     std::fs::write(folder().join("index.txt"), lines.join("\n") + "\n").unwrap();
 }
 
-/// The committed streams are what the encoder writes today, to the byte.
+/// The committed streams are what the encoder writes today, to the byte; its decisions, read back from JSON,
+/// replay to the same bytes, and with another step to others.
 #[test]
-fn encoding_again_gives_the_committed_bytes() {
+fn encoding_and_replaying_decisions_give_the_committed_bytes() {
     for (name, _, scene, options) in all() {
-        let stream = encode(&scene, &options, &|_, _| {}).unwrap().stream;
+        let encoded = encode(&scene, &options, &|_, _| {}).unwrap();
         let committed = std::fs::read(folder().join(format!("{name}.dgs"))).unwrap();
-        assert!(stream.to_bytes().unwrap() == committed, "{name}");
+        assert!(encoded.stream.to_bytes().unwrap() == committed, "{name}");
+        let json = serde_json::to_string(&encoded.decisions).unwrap();
+        let mut decisions: Decisions = serde_json::from_str(&json).unwrap();
+        assert!(decisions == encoded.decisions, "{name}");
+        let replayed = |decisions: &Decisions| write(&scene, decisions, &|_, _| {}).unwrap();
+        let again = replayed(&decisions);
+        assert!(again.stream.to_bytes().unwrap() == committed, "{name} replayed");
+        assert_eq!((again.order, again.report), (encoded.order, encoded.report), "{name}");
+        let quantisers = match &mut decisions {
+            Decisions::Dgs1(decisions) => &mut decisions.epochs[0].quantisers[0],
+            Decisions::Paper(decisions) => &mut decisions.epochs[0].quantisers,
+        };
+        quantisers.canonical[Class::Scale.index()].step *= 1.25;
+        assert!(replayed(&decisions).stream.to_bytes().unwrap() != committed, "{name} with another step");
     }
+}
+
+/// Decisions that do not fit the scene are refused with the place and the field at fault.
+#[test]
+fn decisions_that_do_not_fit_are_named() {
+    let (.., scene, options) = all().into_iter().find(|(name, ..)| *name == "coefficients").unwrap();
+    let good = encode(&scene, &options, &|_, _| {}).unwrap().decisions;
+    let Decisions::Dgs1(good) = good else { panic!("profile dgs1") };
+    let refused = |change: fn(&mut Dgs1Decisions)| {
+        let mut changed = good.clone();
+        change(&mut changed);
+        write(&scene, &Decisions::Dgs1(changed), &|_, _| {}).unwrap_err().to_string()
+    };
+    let cases: [(fn(&mut Dgs1Decisions), &str); 8] = [
+        (|d| d.epochs.clear(), "number of epochs is 0"),
+        (|d| d.block_len = 0, "block_len is 0"),
+        (|d| d.epochs[0].clusters[1].gaussians[0] = 999, "epoch 0, cluster 1: gaussians is 999"),
+        (|d| d.epochs[0].clusters[0].quantisers = 7, "epoch 0, cluster 0: quantisers is 7"),
+        (|d| d.epochs[0].windows[1].frames += 1, "epoch 0, window 1: length of a basis vector"),
+        (|d| d.epochs[0].windows[0].motions[0].ranks[0] = 60, "epoch 0, window 0, cluster 0: ranks is 60"),
+        (|d| d.epochs[0].clusters[0].table_indices[0].clear(), "cluster 0: table_indices is too few"),
+        (|d| d.table_sets[0] = vec![TableSetEntry { table: 200, code_bits: 0 }], "table set 0: table is 200"),
+    ];
+    for (change, wanted) in cases {
+        let message = refused(change);
+        assert!(message.contains(wanted), "{message:?} lacks {wanted:?}");
+    }
+    // A step so fine that a block no longer fits a packet has an error of its own.
+    let mut fine = good;
+    for quantisers in &mut fine.epochs[0].quantisers {
+        for class in [Class::Scale, Class::Opacity, Class::Sh0] {
+            quantisers.canonical[class.index()].step *= 1e-4;
+        }
+    }
+    let error = write(&scene, &Decisions::Dgs1(fine), &|_, _| {}).unwrap_err();
+    assert!(matches!(error, EncodeError::BlockTooLarge { .. }), "{error}");
 }
 
 #[test]

@@ -54,6 +54,7 @@ pub struct Renderer {
     bound: Option<Bound>,
     clock: Option<Clock>,
     background: [f32; 3],
+    early_stop: bool,
 }
 
 impl Renderer {
@@ -69,6 +70,7 @@ impl Renderer {
             bound: None,
             clock: None,
             background: [0.0; 3],
+            early_stop: false,
         })
     }
 
@@ -153,6 +155,7 @@ impl Renderer {
         let frame = *self.lists.frame();
         self.image.reserve(device, PIXEL * pixels(&frame) * u64::from(count))?;
         self.background = settings.background;
+        self.early_stop = settings.early_stop;
 
         let mut recording = Recording::new();
         self.lists.record(scene, &mut recording)?;
@@ -189,7 +192,7 @@ impl Renderer {
     /// As [`Renderer::read`].
     pub fn read_worlds(&self) -> Result<Vec<Rendered>, GpuError> {
         let frame = self.lists.frame();
-        let counters = counters(&self.lists.read_counts(self.device())?, frame);
+        let counters = counters(&self.lists.read_counts(self.device())?, frame, self.early_stop);
         let world = PIXEL * pixels(frame);
         let bytes = self.device().read(self.image.get()?, world * u64::from(frame.worlds))?;
         bytes
@@ -283,7 +286,7 @@ fn pixels(frame: &Frame) -> u64 {
     u64::from(frame.size[0]) * u64::from(frame.size[1])
 }
 
-fn counters(counts: &[u32; COUNTS as usize], frame: &Frame) -> Counters {
+fn counters(counts: &[u32; COUNTS as usize], frame: &Frame, early_stop: bool) -> Counters {
     let at = |i: u32| u64::from(counts[i as usize]);
     Counters {
         gaussians: u64::from(frame.gaussians),
@@ -299,7 +302,8 @@ fn counters(counts: &[u32; COUNTS as usize], frame: &Frame) -> Counters {
         tiles_touched: at(COUNT_TOUCHED),
         intersections: at(COUNT_ENTRIES),
         pixels: pixels(frame),
-        pixels_stopped: at(COUNT_STOPPED),
+        // Without early stop, a pixel behind which nothing shows is no pixel that was stopped.
+        pixels_stopped: if early_stop { at(COUNT_STOPPED) } else { 0 },
         // What only the CPU stages count.
         ..Counters::default()
     }

@@ -100,5 +100,5 @@ pub fn synth(kind: &str, gaussians: usize, frames: usize) -> Result<Scene> {
 
 /// Up to `count` frames spread over a clip of `frames`.
 pub fn spread(frames: usize, count: usize) -> Vec<u32> {
-    trainer_host::judge::spread(0, frames as u32, count as u32)
+    trainer_host::evaluator::spread(0, frames as u32, count as u32)
 }

@@ -14,22 +14,35 @@ use crate::scene::Epoch;
 pub const FEATURES: usize = 13;
 
 /// How to cluster.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Options {
     /// Most Gaussians in a cluster, 1..=32768.
     pub max_gaussians: usize,
     /// Sets of at most this many Gaussians are not cut for their spread alone.
     pub min_gaussians: usize,
-    /// Largest weighted feature variance of a set that need not be cut; infinite to bound the
-    /// size only.
+    /// Largest weighted feature variance of a set that need not be cut.
     pub max_variance: f64,
-    /// Weights of position, displacement, velocity and visibility.
-    pub weights: [f64; 4],
+    /// How much each family of features counts.
+    pub weights: FeatureWeights,
+}
+
+/// Factors on the families of features, each of which has unit variance over the epoch before.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct FeatureWeights {
+    /// Canonical position.
+    pub position: f64,
+    /// Displacement over the epoch.
+    pub displacement: f64,
+    /// Speed.
+    pub speed: f64,
+    /// Visibility over the epoch.
+    pub visibility: f64,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { max_gaussians: 512, min_gaussians: 192, max_variance: 0.02, weights: [1.0, 2.0, 1.0, 1.0] }
+        let weights = FeatureWeights { position: 1.0, displacement: 2.0, speed: 1.0, visibility: 1.0 };
+        Self { max_gaussians: 512, min_gaussians: 192, max_variance: 0.02, weights }
     }
 }
 
@@ -63,7 +76,7 @@ pub fn cluster_within(epoch: &Epoch, parts: Vec<Vec<u32>>, options: &Options) ->
 }
 
 /// Weighted, normalised features, [`FEATURES`] per Gaussian.
-fn features(epoch: &Epoch, weights: &[f64; 4]) -> Vec<[f64; FEATURES]> {
+fn features(epoch: &Epoch, weights: &FeatureWeights) -> Vec<[f64; FEATURES]> {
     let (n, frames) = (epoch.count(), epoch.frames());
     let a = epoch.attributes();
     let mut out = vec![[0.0f64; FEATURES]; n];
@@ -111,8 +124,13 @@ fn features(epoch: &Epoch, weights: &[f64; 4]) -> Vec<[f64; FEATURES]> {
             row[12] = seen.iter().sum::<f64>() / (seen.len().max(1) * frames) as f64;
         }
     }
-    for (range, weight) in [(0..3, weights[0]), (3..9, weights[1]), (9..11, weights[2]), (11..13, weights[3])]
-    {
+    let families = [
+        (0..3, weights.position),
+        (3..9, weights.displacement),
+        (9..11, weights.speed),
+        (11..13, weights.visibility),
+    ];
+    for (range, weight) in families {
         // One scale per family, so that the shape of a family's distribution is kept.
         let total: f64 = range.clone().map(|f| variance(&out, f)).sum();
         let scale = if total > 1e-24 { weight / total.sqrt() } else { 0.0 };

@@ -1,8 +1,7 @@
 //! Where every byte went: the paper's accounting table, for any stream.
 
 use codec_core::internals::{error, wire::manifest};
-
-use crate::stream::sealed;
+use dgs_player::sealed;
 
 /// The byte cost of each part of a stream. All in bytes unless named otherwise.
 #[derive(Clone, Debug, Default, PartialEq, serde::Serialize)]
@@ -40,12 +39,12 @@ pub struct Ledger {
     /// Values that did not fit their symbol and were clamped.
     pub saturated: u64,
     /// Of the payload, code words that select tables.
-    pub selectors: f64,
+    pub table_indices: f64,
     /// Of the payload, what stands in front of the coder's lanes: how many values the states keep and
     /// how long the states are.
     pub lane_heads: f64,
     /// The manifest section by section.
-    pub manifest_parts: Vec<Part>,
+    pub manifest_parts: Vec<LedgerPart>,
     /// Payload by attribute and level as its tables price it: raw bits and escapes included, code
     /// words not.
     pub shares: Vec<Share>,
@@ -64,7 +63,7 @@ pub struct Share {
 
 /// A part of what is on the wire.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
-pub struct Part {
+pub struct LedgerPart {
     /// What it is.
     pub name: String,
     /// Bits.
@@ -80,21 +79,21 @@ impl Ledger {
             return 0.0;
         }
         let priced: f64 = self.shares.iter().map(|s| s.bits).sum();
-        8.0 * (self.payload - self.selectors - self.lane_heads) - priced
+        8.0 * (self.payload - self.table_indices - self.lane_heads) - priced
     }
 
     /// All parts, which together are [`Ledger::wire`], with nothing twice.
-    pub fn parts(&self) -> Vec<Part> {
-        let part = |name: &str, bytes: f64| Part { name: name.into(), bits: 8.0 * bytes };
+    pub fn parts(&self) -> Vec<LedgerPart> {
+        let part = |name: &str, bytes: f64| LedgerPart { name: name.into(), bits: 8.0 * bytes };
         let mut parts = Vec::new();
         if self.shares.is_empty() {
             parts.push(part("payload", self.payload));
         } else {
             let name = |s: &Share| format!("{} level {}", s.attribute, s.level);
-            parts.extend(self.shares.iter().map(|s| Part { name: name(s), bits: s.bits }));
-            parts.push(part("selectors", self.selectors));
+            parts.extend(self.shares.iter().map(|s| LedgerPart { name: name(s), bits: s.bits }));
+            parts.push(part("table indices", self.table_indices));
             parts.push(part("lane heads", self.lane_heads));
-            parts.push(Part { name: "coder gap".into(), bits: self.coder_gap() });
+            parts.push(LedgerPart { name: "coder gap".into(), bits: self.coder_gap() });
         }
         parts.push(part("headers", self.headers));
         parts.push(part("dependencies", self.dependencies));
@@ -140,7 +139,7 @@ pub(super) type Section = (&'static str, usize);
 
 /// What each section takes of a manifest of `len` bytes: header and CRC apart, the packed body is
 /// shared out in proportion to what the message shrinks by when it is packed without the section.
-pub(super) fn manifest_parts(raw: &[u8], sections: &[Section], len: usize) -> error::Result<Vec<Part>> {
+pub(super) fn manifest_parts(raw: &[u8], sections: &[Section], len: usize) -> error::Result<Vec<LedgerPart>> {
     let mut shrinks = Vec::new();
     for (i, &(name, start)) in sections.iter().enumerate() {
         let end = sections.get(i + 1).map_or(raw.len(), |next| next.1);
@@ -150,14 +149,14 @@ pub(super) fn manifest_parts(raw: &[u8], sections: &[Section], len: usize) -> er
     }
     let total: usize = shrinks.iter().map(|s| s.1).sum();
     let frame = (manifest::HEADER_BYTES + 4) as f64;
-    let mut parts = vec![Part { name: "manifest header and CRC".into(), bits: 8.0 * frame }];
+    let mut parts = vec![LedgerPart { name: "manifest header and CRC".into(), bits: 8.0 * frame }];
     parts.extend(shrinks.into_iter().filter(|s| s.1 > 0).map(|(name, by)| {
         let share = by as f64 / total as f64;
-        Part { name: format!("manifest {name}"), bits: 8.0 * share * (len as f64 - frame) }
+        LedgerPart { name: format!("manifest {name}"), bits: 8.0 * share * (len as f64 - frame) }
     }));
     let named: f64 = parts.iter().map(|p| p.bits).sum();
     if total == 0 {
-        parts.push(Part { name: "manifest body".into(), bits: 8.0 * len as f64 - named });
+        parts.push(LedgerPart { name: "manifest body".into(), bits: 8.0 * len as f64 - named });
     }
     Ok(parts)
 }

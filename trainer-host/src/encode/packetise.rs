@@ -1,9 +1,9 @@
-//! Packets of `dgs1`: slices until the packet is full, then the next one.
+//! Cut the cells of a slice batch into packets of `dgs1`: blocks until a packet is full, then the next one.
 
 use std::ops::Range;
 
 use codec_core::{
-    Error, ErrorKind,
+    ErrorKind,
     internals::{
         ids::{Level, PacketId, Span},
         layout::Shape,
@@ -23,10 +23,12 @@ use super::{EncodeError, statistics::Model};
 pub(super) struct CellSymbols {
     pub shape: Shape,
     pub levels: [Vec<i16>; Level::COUNT],
+    /// Per level, which table of its stream's set each symbol run takes; empty until that is decided.
+    pub table_indices: [Vec<u8>; Level::COUNT],
 }
 
 /// All clusters' data of one level in one span: what is packed together.
-pub(super) struct Lot<'c> {
+pub(super) struct SliceBatch<'c> {
     pub span: Span,
     pub level: Level,
     pub cells: &'c [CellSymbols],
@@ -34,7 +36,7 @@ pub(super) struct Lot<'c> {
 
 /// A packet that still lacks its id.
 #[derive(Clone, Debug)]
-pub(super) struct Proto {
+pub(super) struct PacketDraft {
     extent: Extent,
     body: Vec<u8>,
 }
@@ -55,49 +57,59 @@ struct Item {
 /// beyond its values' bits.
 const FIXED_BYTES: usize = 14;
 
-/// Packs a lot into packets of at most `limit` bytes.
-pub(super) fn packetise(lot: &Lot<'_>, model: &Model, limit: usize) -> Result<Vec<Proto>, EncodeError> {
-    let items = items(lot, model);
+/// Packs a batch into packets of at most `limit` bytes.
+///
+/// # Errors
+/// A block that does not fit one packet.
+pub(super) fn packetise(
+    batch: &SliceBatch<'_>,
+    model: &Model,
+    limit: usize,
+) -> Result<Vec<PacketDraft>, EncodeError> {
+    let items = items(batch, model);
     let symbols: Vec<lanes::Symbols> = model.tables.iter().map(lanes::Symbols::new).collect();
     let mut packets = Vec::new();
     let mut at = 0;
     while at < items.len() {
-        let mut take = fill(lot, &items[at..], limit);
-        let proto = loop {
-            match encode(lot, &items[at..at + take], model, &symbols, limit) {
-                Ok(proto) if proto.wire_len() <= limit => break proto,
-                Ok(_) if take > 1 => take -= 1,
-                Err(EncodeError::Format(e)) if e.kind == ErrorKind::Capacity && take > 1 => take -= 1,
-                Ok(proto) => {
-                    let short = Error::short("body", 0, limit, proto.wire_len());
-                    return Err(short.kind(ErrorKind::Capacity).into());
+        let mut take = fill(batch, &items[at..], limit);
+        let draft = loop {
+            match draft(batch, &items[at..at + take], model, &symbols, limit) {
+                Ok(draft) if draft.wire_len() <= limit => break draft,
+                Err(EncodeError::Format(e)) if e.kind != ErrorKind::Capacity => return Err(e.into()),
+                Ok(_) | Err(EncodeError::Format(_)) if take > 1 => take -= 1,
+                Ok(_) | Err(EncodeError::Format(_)) => {
+                    let Item { cluster, blocks, .. } = &items[at];
+                    let gaussians = batch.cells[*cluster].shape.block_gaussians(blocks.start);
+                    let (level, cluster) = (batch.level.get(), *cluster);
+                    return Err(EncodeError::BlockTooLarge { level, cluster, gaussians, limit });
                 }
                 Err(error) => return Err(error),
             }
         };
-        packets.push(proto);
+        packets.push(draft);
         at += take;
     }
     Ok(packets)
 }
 
-fn items(lot: &Lot<'_>, model: &Model) -> Vec<Item> {
+fn items(batch: &SliceBatch<'_>, model: &Model) -> Vec<Item> {
     let mut items = Vec::new();
     let mut first = 0;
-    for (cluster, cell) in lot.cells.iter().enumerate() {
+    for (cluster, cell) in batch.cells.iter().enumerate() {
         let (shape, start) = (&cell.shape, first);
         first += shape.blocks() as u32;
-        if shape.level_len(lot.level) == 0 {
+        if shape.level_len(batch.level) == 0 {
             continue;
         }
-        let whole = shape.is_whole(lot.level);
+        let whole = shape.is_whole(batch.level);
+        let mut table_indices = cell.table_indices[batch.level.index()].iter().copied();
         for block in 0..if whole { 1 } else { shape.blocks() } {
             let blocks = if whole { 0..shape.blocks() } else { block..block + 1 };
             let (mut choices, mut bits) = (Vec::new(), 0.0);
-            each_run(cell, lot.level, blocks.clone(), |stream, run| {
-                let (choice, price) = model.choose(stream, run);
-                choices.push(choice as u8);
-                bits += price;
+            each_run(cell, batch.level, blocks.clone(), |stream, run| {
+                let choice = table_indices.next().unwrap_or_default();
+                choices.push(choice);
+                bits += model.bits(stream, choice.into(), run);
             });
             items.push(Item { cluster, blocks, first: start + block as u32, choices, bits });
         }
@@ -131,12 +143,12 @@ fn symbols(cell: &CellSymbols, level: Level, blocks: Range<usize>) -> &[i16] {
 }
 
 /// How many of `items` are expected to fit.
-fn fill(lot: &Lot<'_>, items: &[Item], limit: usize) -> usize {
+fn fill(batch: &SliceBatch<'_>, items: &[Item], limit: usize) -> usize {
     let (mut bits, mut values) = (0.0, 0);
     for (n, item) in items.iter().enumerate() {
         bits += item.bits;
-        values += lot.cells[item.cluster].shape.range(lot.level, item.blocks.clone()).1;
-        let extent = extent(lot, &items[..=n]);
+        values += batch.cells[item.cluster].shape.range(batch.level, item.blocks.clone()).1;
+        let extent = extent(batch, &items[..=n]);
         let is_long = FIXED_BYTES + extent.header_len() + (bits / 8.0).ceil() as usize > limit;
         let is_large = values > MAX_PACKET_VALUES as usize || extent.blocks > MAX_PACKET_BLOCKS;
         if n > 0 && (is_long || is_large) {
@@ -146,32 +158,32 @@ fn fill(lot: &Lot<'_>, items: &[Item], limit: usize) -> usize {
     items.len()
 }
 
-/// The blocks of `items`, which follow each other in `lot`.
-fn extent(lot: &Lot<'_>, items: &[Item]) -> Extent {
+/// The blocks of `items`, which follow each other in `batch`.
+fn extent(batch: &SliceBatch<'_>, items: &[Item]) -> Extent {
     let (first, last) = match items {
         [first, .., last] => (first, last),
         [only] => (only, only),
-        [] => return Extent { span: lot.span, level: lot.level, first: 0, blocks: 0 },
+        [] => return Extent { span: batch.span, level: batch.level, first: 0, blocks: 0 },
     };
     let blocks = last.first + last.blocks.len() as u32 - first.first;
-    Extent { span: lot.span, level: lot.level, first: first.first, blocks }
+    Extent { span: batch.span, level: batch.level, first: first.first, blocks }
 }
 
-fn encode(
-    lot: &Lot<'_>,
+fn draft(
+    batch: &SliceBatch<'_>,
     items: &[Item],
     model: &Model,
     symbols: &[lanes::Symbols],
     limit: usize,
-) -> Result<Proto, EncodeError> {
+) -> Result<PacketDraft, EncodeError> {
     let (mut values, mut runs) = (Vec::new(), Vec::<lanes::Run>::new());
     let mut body = vec![0u8; 2 * limit + 64];
     let mut selectors = BitWriter::new(&mut body);
     let mut full = Ok(());
     for item in items {
-        let cell = &lot.cells[item.cluster];
+        let cell = &batch.cells[item.cluster];
         let mut choices = item.choices.iter();
-        each_run(cell, lot.level, item.blocks.clone(), |stream, run| {
+        each_run(cell, batch.level, item.blocks.clone(), |stream, run| {
             let choice = choices.next().copied().unwrap_or_default();
             let (table, code, length) = model.code(stream, choice.into());
             let written = selectors.code(code, length);
@@ -187,10 +199,10 @@ fn encode(
     let selectors = selectors.finish();
     let encoded = lanes::encode(&values, &runs, symbols, &mut body[selectors..])?;
     body.truncate(selectors + encoded.len);
-    Ok(Proto { extent: extent(lot, items), body })
+    Ok(PacketDraft { extent: extent(batch, items), body })
 }
 
-impl Proto {
+impl PacketDraft {
     fn packet(&self, id: PacketId) -> Slices<'_> {
         let extents = std::iter::once(self.extent).collect();
         Slices { id, extents, body: &self.body }

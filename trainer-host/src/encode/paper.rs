@@ -1,4 +1,4 @@
-//! Encoding in profile `paper`: the baseline, as the paper describes it.
+//! Encode in profile `paper`: the baseline, as the paper describes it.
 //!
 //! Equation 1 with one f32 affine per cluster and frame in the manifest, a shared basis of rank
 //! R, i16 residuals δ2 and δ3 per frame, attributes as a static base plus three per-frame
@@ -18,14 +18,14 @@ use codec_core::internals::{
 use rayon::prelude::*;
 
 use super::{
-    EncodeError, Encoded, Ledger, Options, Progress, Report,
-    ledger::manifest_parts,
+    Analysis, EncodeError, Encoded, Ledger, Options, Progress, Report,
+    decisions::{Decisions, MadeFrom, PaperDecisions, PaperEpochDecisions, Quantisers},
+    factorise::{fit_pose, mean_turn, temporal_basis},
+    ledger::{Section, manifest_parts},
     packet_id, parity, rate,
     steps::{self, Grid},
 };
 use crate::{
-    cluster,
-    factorise::{fit_pose, mean_turn, temporal_basis},
     scene::{Epoch, Scene},
     stream::Stream,
 };
@@ -50,17 +50,46 @@ struct Cell {
     saturated: u64,
 }
 
-/// Encodes `scene`; see [`super::encode`].
-pub(super) fn encode(
-    scene: &Scene,
+/// Decides clusters, quantisers and rank of every epoch: all that the paper leaves open.
+///
+/// # Errors
+/// Steps that the format does not hold.
+pub(super) fn decide(
+    analysis: &Analysis<'_>,
     options: &Options,
+    progress: Progress<'_>,
+) -> Result<PaperDecisions, EncodeError> {
+    progress("decide", 0.0);
+    let mut epochs = Vec::new();
+    for (epoch, clusters) in analysis.scene.epochs().iter().zip(analysis.classes.clusters()) {
+        let grid = Grid::of(epoch, 1.0);
+        let quant = steps::paper(&options.quality, grid.step(&options.quality))?;
+        epochs.push(PaperEpochDecisions {
+            origin: grid.origin,
+            quantisers: Quantisers::of(&quant),
+            rank: options.rank,
+            clusters: clusters.clone(),
+        });
+    }
+    let made_from =
+        MadeFrom { quality: options.quality, quantiser_classes: Vec::new(), clustering: options.cluster };
+    Ok(PaperDecisions { made_from, repair: options.repair, epochs })
+}
+
+/// Writes `scene` as `decisions`, which have been checked against it, say.
+///
+/// # Errors
+/// What the format refuses.
+pub(super) fn write(
+    scene: &Scene,
+    decisions: &PaperDecisions,
     progress: Progress<'_>,
 ) -> Result<Encoded, EncodeError> {
     let mut plans = Vec::new();
     let mut first_frame = 0;
-    for (e, epoch) in scene.epochs().iter().enumerate() {
+    for (e, (epoch, decided)) in scene.epochs().iter().zip(&decisions.epochs).enumerate() {
         progress("factorise", e as f64 / scene.epochs().len() as f64);
-        plans.push(plan(epoch, first_frame, options)?);
+        plans.push(plan(epoch, first_frame, decided)?);
         first_frame += epoch.frames();
     }
     let frames = first_frame;
@@ -83,7 +112,7 @@ pub(super) fn encode(
     let groups: Result<Vec<[Group; Level::COUNT]>, EncodeError> = cells
         .par_iter()
         .enumerate()
-        .map(|(c, (plan, cell))| groups(c, plan, cell, &quants, options))
+        .map(|(c, (plan, cell))| groups(c, plan, cell, &quants, &decisions.repair))
         .collect();
     let groups = groups?;
 
@@ -119,39 +148,33 @@ pub(super) fn encode(
                     packets.push(bytes);
                 }
             }
-            let strength = options.repair.of(false, level);
+            let strength = decisions.repair.of(false, level);
             repairs.extend(strength.and_then(|s| s.range(first_packet, &packets[first_packet..])));
         }
     }
     ledger.raw_symbols = 2.0 * ledger.symbols as f64;
     ledger.packets = packets.len() as u64;
     parity::append(&mut repairs, &mut packets, &mut ledger)?;
-    let raw = body(scene, &plans, &groups, &quants, &repairs, packets.len());
+    let (raw, sections) = body(scene, &plans, &groups, &quants, &repairs, packets.len());
     let stream = Stream::new(raw, packets)?;
     ledger.manifest = stream.message().len() as f64;
-    ledger.manifest_parts = manifest_parts(stream.manifest()?.raw(), &[], stream.message().len())?;
+    ledger.manifest_parts = manifest_parts(stream.manifest()?.raw(), &sections, stream.message().len())?;
     let order = plans.iter().map(|p| p.members.concat()).collect();
-    let report = Report {
-        ledger,
-        quality: options.quality,
-        quantiser_classes: Vec::new(),
-        reached: None,
-        searched: None,
-    };
-    Ok(Encoded { stream, report, order })
+    let decisions = Decisions::Paper(decisions.clone());
+    let report = Report::of(ledger, &decisions);
+    Ok(Encoded { stream, report, order, decisions })
 }
 
-fn plan(epoch: &Epoch, first_frame: usize, options: &Options) -> Result<EpochPlan, EncodeError> {
-    let members = cluster::cluster(epoch, &options.cluster);
-    let grid = Grid::of(epoch, 1.0);
-    let quant = steps::paper(&options.quality, grid.step(&options.quality))?;
+fn plan(epoch: &Epoch, first_frame: usize, decided: &PaperEpochDecisions) -> Result<EpochPlan, EncodeError> {
+    let (members, origin) = (decided.clusters.clone(), decided.origin);
+    let quant = decided.quantisers.quant()?;
     let (n, frames, a) = (epoch.count(), epoch.frames(), epoch.attributes());
     let position = quant.canonical[Class::Position.index()];
     let step = position.step(Level::ALL[3]);
     let index = |i: usize, d: usize| {
-        position.index(a.positions.frame(0, n)[i][d] - grid.origin[d]).clamp(-32_768, 32_767) as i16
+        position.index(a.positions.frame(0, n)[i][d] - origin[d]).clamp(-32_768, 32_767) as i16
     };
-    let still = |i: usize| [0, 1, 2].map(|d| grid.origin[d] + f32::from(index(i, d)) * step);
+    let still = |i: usize| [0, 1, 2].map(|d| origin[d] + f32::from(index(i, d)) * step);
 
     // Affine per cluster and frame, absolute coordinates as in equation 1, and what it leaves.
     let fits: Vec<(Vec<f32>, Vec<Vec<f64>>)> = members
@@ -193,7 +216,7 @@ fn plan(epoch: &Epoch, first_frame: usize, options: &Options) -> Result<EpochPla
             (transforms, left)
         })
         .collect();
-    let rank = options.rank.min(frames);
+    let rank = decided.rank.min(frames);
     let rows = fits.iter().flat_map(|(_, left)| left).map(Vec::as_slice);
     let (vectors, _) = temporal_basis(rows, frames, rank);
     let rank = vectors.len();
@@ -205,7 +228,7 @@ fn plan(epoch: &Epoch, first_frame: usize, options: &Options) -> Result<EpochPla
             symbols(epoch, members, &quant, &index, transforms, &left, &basis, rank)
         })
         .collect();
-    Ok(EpochPlan { first_frame, frames, origin: grid.origin, quant, basis, rank, members, cells })
+    Ok(EpochPlan { first_frame, frames, origin, quant, basis, rank, members, cells })
 }
 
 /// Symbols of one cluster in the order of [`layout`].
@@ -324,7 +347,7 @@ fn body(
     quants: &[Quant],
     repairs: &[Repair],
     packets: usize,
-) -> Vec<u8> {
+) -> (Vec<u8>, Vec<Section>) {
     let (rate_frames, rate_seconds) = rate(scene);
     let degree = scene.epochs().iter().map(|e| e.attributes().sh_degree.get()).max().unwrap_or(0);
     let head = Head {
@@ -345,7 +368,9 @@ fn body(
         basis_values: plans.iter().map(|p| p.basis.len() as u32).sum(),
         transform_values: plans.iter().flat_map(|p| &p.cells).map(|c| c.transforms.len() as u32).sum(),
     };
-    let mut out = head.to_bytes().to_vec();
+    let (mut out, mut sections) = (Vec::new(), Vec::new());
+    sections.push(("head, epochs", out.len()));
+    out.extend(head.to_bytes());
     let (mut first_cluster, mut basis_first, mut transform_first) = (0, 0, 0);
     for plan in plans {
         let record = manifest::Epoch {
@@ -368,6 +393,7 @@ fn body(
         basis_first += plan.basis.len() as u32;
         transform_first += plan.cells.iter().map(|c| c.transforms.len() as u32).sum::<u32>();
     }
+    sections.push(("clusters", out.len()));
     for (plan, epoch) in plans.iter().zip(scene.epochs()) {
         let quant = quant_index(quants, plan);
         for members in &plan.members {
@@ -381,14 +407,19 @@ fn body(
             out.extend(record.to_bytes());
         }
     }
+    sections.push(("quantisers", out.len()));
     quants.iter().for_each(|q| q.write(|bytes| out.extend_from_slice(bytes)));
+    sections.push(("repair ranges", out.len()));
     repairs.iter().for_each(|r| out.extend(r.to_bytes()));
+    sections.push(("basis", out.len()));
     plans.iter().flat_map(|p| &p.basis).for_each(|v| out.extend(v.to_le_bytes()));
+    sections.push(("transforms", out.len()));
     for cell in plans.iter().flat_map(|p| &p.cells) {
         cell.transforms.iter().for_each(|v| out.extend(v.to_le_bytes()));
     }
+    sections.push(("tables", out.len()));
     for table in groups.iter().flatten().flat_map(|g| &g.tables) {
         out.extend(table.to_bytes());
     }
-    out
+    (out, sections)
 }

@@ -3,7 +3,7 @@
 use codec_core::internals::{ids::Level, limits, wire::manifest::Repair};
 
 /// Parity of one kind of packets: any `parity` losses of a set of `set_len` packets are repaired.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Strength {
     /// Most packets in a set, 2..=64.
     pub set_len: u8,
@@ -12,7 +12,7 @@ pub struct Strength {
 }
 
 /// Parity per kind of packets; `None` sends none.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct Protection {
     /// Canonical base levels.
     pub base: Option<Strength>,

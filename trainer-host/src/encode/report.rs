@@ -1,6 +1,6 @@
 //! The report of an encoding: what was chosen, what it came to, and where every byte went.
 
-use super::{Ledger, Quality, Reached, Searched};
+use super::{Decisions, Ledger, Quality, Reached, Searched, cluster};
 use crate::stream::Stream;
 
 /// An encoded scene.
@@ -12,6 +12,8 @@ pub struct Encoded {
     pub report: Report,
     /// Per epoch, the source index of each decoded Gaussian.
     pub order: Vec<Vec<u32>>,
+    /// Everything that was chosen: [`write`](super::write) makes the same stream of them.
+    pub decisions: Decisions,
 }
 
 /// What an encoding came to.
@@ -23,14 +25,63 @@ pub struct Report {
     pub quality: Quality,
     /// Gaussians that share steps, the most sensitive first (`dgs1`; empty in `paper`).
     pub quantiser_classes: Vec<QuantiserClass>,
+    /// How Gaussians were clustered, and what that gave.
+    pub clustering: ClusteringReport,
     /// How the target was met, if there was one.
     pub reached: Option<Reached>,
     /// What the search of the steps came to, if there was one.
     pub searched: Option<Searched>,
 }
 
+impl Report {
+    /// The report of a stream with this ledger that was written by `decisions`.
+    pub(super) fn of(ledger: Ledger, decisions: &Decisions) -> Self {
+        let made_from = decisions.made_from();
+        Self {
+            ledger,
+            quality: made_from.quality,
+            quantiser_classes: made_from.quantiser_classes.clone(),
+            clustering: ClusteringReport::of(decisions),
+            reached: None,
+            searched: None,
+        }
+    }
+}
+
+/// How Gaussians were clustered (paper section 3), and the clusters that are sent.
+#[derive(Clone, Debug, PartialEq, serde::Serialize)]
+pub struct ClusteringReport {
+    /// Bounds and feature weights.
+    pub options: cluster::Options,
+    /// Clusters over all epochs.
+    pub clusters: usize,
+    /// Gaussians in the smallest; 0 if there are none.
+    pub smallest: usize,
+    /// Mean number of Gaussians.
+    pub mean: f64,
+    /// Gaussians in the median cluster, the upper one of two.
+    pub median: usize,
+    /// Gaussians in the largest.
+    pub largest: usize,
+}
+
+impl ClusteringReport {
+    fn of(decisions: &Decisions) -> Self {
+        let mut sizes = decisions.cluster_sizes();
+        sizes.sort_unstable();
+        Self {
+            options: decisions.made_from().clustering,
+            clusters: sizes.len(),
+            smallest: sizes.first().copied().unwrap_or(0),
+            mean: sizes.iter().sum::<usize>() as f64 / sizes.len().max(1) as f64,
+            median: sizes.get(sizes.len() / 2).copied().unwrap_or(0),
+            largest: sizes.last().copied().unwrap_or(0),
+        }
+    }
+}
+
 /// Gaussians that share steps.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct QuantiserClass {
     /// How many of the scene's, over all epochs.
     pub gaussians: u64,

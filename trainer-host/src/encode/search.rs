@@ -5,11 +5,12 @@
 //! and what gives the same PSNR for fewer bits is kept: a coordinate search, factors shrinking from
 //! round to round, bounded by a number of encodings.
 
-use super::{EncodeError, Encoded, Options, Progress, Quality, Report, Target, once, strata::Strata, target};
-use crate::{
-    judge::{Judge, PSNR_CAP_DB, spread},
-    scene::{Epoch, Scene},
+use super::{
+    Analysis, EncodeError, Encoded, Options, Progress, Quality, Report, Target, decide_and_write,
+    evaluator::{Evaluator, PSNR_CAP_DB, spread},
+    target,
 };
+use crate::scene::{Epoch, Scene};
 
 /// What a search found.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -36,17 +37,17 @@ const LEAST_GAIN: f64 = 0.005;
 /// Frames looked at.
 const FRAMES: u32 = 4;
 
-/// A stream as good as `start`, the encoding of `scene` with `options`, for fewer bits; or, at a
+/// A stream as good as `start`, the encoding of the scene of `analysis` with `options`, for fewer bits; or, at a
 /// target size, better.
 pub(super) fn encode(
-    scene: &Scene,
+    analysis: &Analysis<'_>,
     options: &Options,
-    strata: &Strata,
     mut start: Encoded,
     progress: Progress<'_>,
 ) -> Result<Encoded, EncodeError> {
-    let judge = Judge::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?;
-    let psnr = judge.whole(&start.stream)?;
+    let scene = analysis.scene;
+    let evaluator = Evaluator::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?;
+    let psnr = evaluator.whole(&start.stream)?;
     let before = start.report.ledger.wire();
     let nothing = Searched { encodes: 0, kept: false, bits: 1.0, psnr_db: 0.0 };
     start.report.searched = Some(nothing);
@@ -54,17 +55,17 @@ pub(super) fn encode(
         return Ok(start);
     }
     let quality = start.report.quality;
-    let (quality, encodes) = on_a_part(scene, options, strata, quality, progress)?;
+    let (quality, encodes) = on_a_part(analysis, options, quality, progress)?;
     // Sizes were asked for, or the PSNR that there was is to be kept.
     let wanted = options.target.unwrap_or(Target::PsnrDb(psnr));
     let again = Options { quality, target: None, ..options.clone() };
     start.report.searched = Some(Searched { encodes, ..nothing });
-    let mut found = match target::encode(scene, &again, strata, wanted, progress) {
+    let mut found = match target::encode(analysis, &again, wanted, progress) {
         Ok(found) => found,
         Err(EncodeError::Unreachable { .. }) => return Ok(start),
         Err(error) => return Err(error),
     };
-    let gain = judge.whole(&found.stream)? - psnr;
+    let gain = evaluator.whole(&found.stream)? - psnr;
     let kept = match wanted {
         Target::PsnrDb(_) => found.report.ledger.wire() < before,
         _ => gain > 0.0,
@@ -81,26 +82,27 @@ pub(super) fn encode(
     Ok(found)
 }
 
-/// Searches on the middle epoch of `scene`, which stands for the others.
+/// Searches on the middle epoch of the scene, which stands for the others.
 fn on_a_part(
-    scene: &Scene,
+    analysis: &Analysis<'_>,
     options: &Options,
-    strata: &Strata,
     quality: Quality,
     progress: Progress<'_>,
 ) -> Result<(Quality, usize), EncodeError> {
+    let scene = analysis.scene;
     let middle = scene.epochs().len() / 2;
-    let part = scene.epochs().get(middle).filter(|_| scene.epochs().len() > 1 && options.tops.is_empty());
+    let part = scene.epochs().get(middle).filter(|_| scene.epochs().len() > 1);
     let part = part.and_then(|epoch| Scene::new(vec![epoch.clone()], scene.frames_per_second()).ok());
-    let its_strata = part.as_ref().map(|_| strata.part(middle));
-    let (part, strata) = (part.as_ref().unwrap_or(scene), its_strata.as_ref().unwrap_or(strata));
-    let judge = Judge::measuring(part, spread(0, part.frames() as u32, FRAMES))?;
+    let of_part = part.as_ref().map(|part| analysis.of_epoch(part, middle));
+    let analysis = of_part.as_ref().unwrap_or(analysis);
+    let part = analysis.scene;
+    let evaluator = Evaluator::measuring(part, spread(0, part.frames() as u32, FRAMES))?;
     let mut tries = 0;
     descend(quality, &Axis::of(part), options.search, |quality| {
         progress("search", tries as f64 / options.search as f64);
         tries += 1;
-        let encoded = once(part, &Options { quality, target: None, ..options.clone() }, strata, &|_, _| {})?;
-        Ok(Marks { bits: encoded.report.ledger.wire(), psnr: judge.whole(&encoded.stream)? })
+        let encoded = decide_and_write(analysis, &Options { quality, ..options.clone() }, &|_, _| {})?;
+        Ok(RateAndPsnr { bits: encoded.report.ledger.wire(), psnr: evaluator.whole(&encoded.stream)? })
     })
 }
 
@@ -148,7 +150,7 @@ impl Axis {
 
 /// What an encoding came to.
 #[derive(Clone, Copy, Debug)]
-struct Marks {
+struct RateAndPsnr {
     /// Bits or bytes, any unit.
     bits: f64,
     /// dB.
@@ -160,7 +162,7 @@ fn descend<E>(
     start: Quality,
     axes: &[Axis],
     most: usize,
-    mut measure: impl FnMut(Quality) -> Result<Marks, E>,
+    mut measure: impl FnMut(Quality) -> Result<RateAndPsnr, E>,
 ) -> Result<(Quality, usize), E> {
     if most < 4 {
         return Ok((start, 0));
@@ -170,8 +172,8 @@ fn descend<E>(
     let (fine, coarse) = (measure(quality.scaled(AROUND.0))?, measure(quality.scaled(AROUND.1))?);
     let mut tries = 3;
     // dB for which bits grow e-fold.
-    let worth = (fine.psnr - coarse.psnr) / (fine.bits / coarse.bits).ln();
-    if !(worth > 0.0 && worth.is_finite()) {
+    let db_per_log_bits = (fine.psnr - coarse.psnr) / (fine.bits / coarse.bits).ln();
+    if !(db_per_log_bits > 0.0 && db_per_log_bits.is_finite()) {
         return Ok((start, tries));
     }
     for factor in FACTORS {
@@ -186,7 +188,7 @@ fn descend<E>(
                     let other = axis.scaled(quality, factor);
                     let found = measure(other)?;
                     tries += 1;
-                    let saved = (found.psnr - marks.psnr) / worth - (found.bits / marks.bits).ln();
+                    let saved = (found.psnr - marks.psnr) / db_per_log_bits - (found.bits / marks.bits).ln();
                     if saved <= LEAST_GAIN {
                         break;
                     }
@@ -210,12 +212,12 @@ mod tests {
     };
 
     /// Attributes with `values` values each whose squared errors weigh `weights`: log rate, PSNR of the sum.
-    fn model(values: [f64; 5], weights: [f64; 5]) -> impl Fn(Quality) -> Marks {
+    fn model(values: [f64; 5], weights: [f64; 5]) -> impl Fn(Quality) -> RateAndPsnr {
         move |q| {
             let steps = [q.position, q.scale, q.rotation, q.opacity, q.sh0].map(f64::from);
             let bits: f64 = steps.iter().zip(values).map(|(s, n)| n * (6.0 - s.log2())).sum();
             let error: f64 = steps.iter().zip(weights).map(|(s, w)| w * s * s).sum();
-            Marks { bits, psnr: -10.0 * error.log10() }
+            RateAndPsnr { bits, psnr: -10.0 * error.log10() }
         }
     }
 
@@ -269,7 +271,7 @@ mod tests {
     fn a_searched_stream_is_smaller_and_as_good_or_the_first_one() {
         let options = synth::Options { gaussians: 1000, frames: 4, kind: Kind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
-        let judge = Judge::measuring(&scene, spread(0, 4, FRAMES)).unwrap();
+        let evaluator = Evaluator::measuring(&scene, spread(0, 4, FRAMES)).unwrap();
         // Far from balance: positions much too fine.
         let quality = Quality { position: 0.002, ..Quality::default() };
         let plain = Options { quality, pictures: 0, ..Options::default() };
@@ -279,7 +281,7 @@ mod tests {
         let searched = found.report.searched.unwrap();
         assert!(searched.kept && searched.bits < 0.97, "{searched:?}");
         assert_eq!(searched.bits, found.report.ledger.wire() / first.report.ledger.wire());
-        assert!(judge.whole(&found.stream).unwrap() >= judge.whole(&first.stream).unwrap());
+        assert!(evaluator.whole(&found.stream).unwrap() >= evaluator.whole(&first.stream).unwrap());
         assert!(found.report.quality.position > 0.0024 && found.report.reached.is_none());
         // A size that was asked for is kept.
         let target = Some(Target::Bytes(first.report.ledger.wire() as u64));

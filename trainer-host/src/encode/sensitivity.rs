@@ -13,7 +13,7 @@ use render_host::{
 };
 
 use crate::{
-    judge::{JudgeError, failed, spread},
+    encode::evaluator::{EvaluationError, instant_at, spread},
     scene::Scene,
     viewpoint::Framing,
 };
@@ -43,29 +43,34 @@ const CUTOFF: f32 = 1e-5;
 ///
 /// # Errors
 /// What the renderer refuses.
-pub fn measure(scene: &Scene, pictures: usize) -> Result<Vec<Vec<Weights>>, JudgeError> {
+pub fn measure(scene: &Scene, pictures: usize) -> Result<Vec<Vec<Weights>>, EvaluationError> {
     let pictures = pictures.max(1);
-    let cameras = Framing::of(scene).around(pictures, SIZE).map_err(failed)?;
+    let cameras = Framing::of(scene).around(pictures, SIZE)?;
     let settings = Settings { alpha_cutoff: CUTOFF, ..Settings::default() };
     let (mut workspace, mut gradients) = (Workspace::new(), Gradients::default());
     let (mut out, mut first) = (Vec::new(), 0);
     for epoch in scene.epochs() {
         let frames = epoch.frames() as u32;
         let mut weights = vec![[0.0; CLASSES]; epoch.count()];
-        let looks = spread(first, frames, pictures as u32);
-        for (look, &frame) in looks.iter().enumerate() {
-            let instant = scene.instant(frame as usize);
-            let mut instant = instant.ok_or_else(|| failed(format!("no frame {frame}")))?;
+        let frames_seen = spread(first, frames, pictures as u32);
+        for (k_frame, &frame) in frames_seen.iter().enumerate() {
+            let mut instant = instant_at(scene, frame)?;
             for gaussian in &mut instant.gaussians {
                 gaussian.opacity = gaussian.opacity.clamp(OPACITIES.0, OPACITIES.1);
             }
             let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree);
-            let splats = splats.map_err(failed)?;
+            let splats = splats?;
             let rest = instant.sh_degree.rest_len();
-            for (k, camera) in cameras.iter().enumerate().skip(look).step_by(looks.len()) {
+            for (k, camera) in cameras.iter().enumerate().skip(k_frame).step_by(frames_seen.len()) {
                 let signs = Signs { seed: k as u64 };
-                render_and_gradients_into(&mut workspace, &splats, camera, &settings, &signs, &mut gradients)
-                    .map_err(failed)?;
+                render_and_gradients_into(
+                    &mut workspace,
+                    &splats,
+                    camera,
+                    &settings,
+                    &signs,
+                    &mut gradients,
+                )?;
                 add(&mut weights, &instant.gaussians, &gradients, rest, pictures);
             }
         }
@@ -112,12 +117,12 @@ struct Signs {
 impl Signs {
     /// 1 or −1 for value `i`.
     fn sign(&self, i: usize) -> f32 {
-        if mixed(mixed(self.seed) ^ i as u64) & 1 == 0 { 1.0 } else { -1.0 }
+        if hash(hash(self.seed) ^ i as u64) & 1 == 0 { 1.0 } else { -1.0 }
     }
 }
 
 /// SplitMix64 of `x` (source: Steele, Lea and Flood 2014).
-const fn mixed(x: u64) -> u64 {
+const fn hash(x: u64) -> u64 {
     let x = x.wrapping_add(0x9e37_79b9_7f4a_7c15);
     let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -1,6 +1,6 @@
 //! What symbols look like: histograms per stream, the table each gets, and what it costs.
 
-mod menu;
+mod table_set;
 
 use codec_core::internals::{
     rans::{
@@ -11,7 +11,10 @@ use codec_core::internals::{
 };
 use rayon::prelude::*;
 
-use super::EncodeError;
+use super::{
+    EncodeError,
+    decisions::{Dgs1Decisions, TableForm, TableSetEntry, misfit},
+};
 
 /// Counts of i16 values, exact.
 #[derive(Clone, Debug)]
@@ -123,7 +126,7 @@ impl<'c> Streams<'c> {
         self.0.iter().filter(|runs| !runs.is_empty()).map(|runs| Self::histogram(runs).entropy_bits()).sum()
     }
 
-    /// A menu per stream that occurs, of tables of the family or of its own, in at most `most`
+    /// A table set per stream that occurs, of tables of the family or of its own, in at most `most`
     /// choices.
     pub fn model(&self, most: usize) -> Result<Model, EncodeError> {
         let named: Result<Vec<Costs>, EncodeError> = family::indices()
@@ -132,10 +135,10 @@ impl<'c> Streams<'c> {
             .collect();
         let named = named?;
         let chosen: Result<Vec<Vec<Choice>>, EncodeError> =
-            self.0.par_iter().map(|runs| menu::choose(runs, &named, most)).collect();
+            self.0.par_iter().map(|runs| table_set::choose(runs, &named, most)).collect();
         let mut model =
-            Model { menus: vec![TableSet::EMPTY; stream::COUNT], tables: Vec::new(), costs: Vec::new() };
-        for (menu, choices) in model.menus.iter_mut().zip(chosen?) {
+            Model { table_sets: vec![TableSet::EMPTY; stream::COUNT], tables: Vec::new(), costs: Vec::new() };
+        for (table_set, choices) in model.table_sets.iter_mut().zip(chosen?) {
             let mut entries = Vec::new();
             for choice in choices {
                 let known = model.tables.iter().position(|t| *t == choice.costs.table);
@@ -146,47 +149,89 @@ impl<'c> Streams<'c> {
                 });
                 entries.push((index as u8, choice.length));
             }
-            *menu = TableSet::new(&entries)?;
+            *table_set = TableSet::new(&entries)?;
         }
         Ok(model)
     }
 }
 
-/// One table of a menu with the length of its code word.
+/// One table of a table set with the length of its code word.
 #[derive(Clone, Debug)]
 pub(super) struct Choice {
     pub costs: Costs,
     pub length: u8,
 }
 
-/// Menus for all streams.
+/// Table sets for all streams.
 #[derive(Clone, Debug)]
 pub(super) struct Model {
-    pub menus: Vec<TableSet>,
+    pub table_sets: Vec<TableSet>,
     pub tables: Vec<Table>,
     pub costs: Vec<Costs>,
 }
 
 impl Model {
-    /// The choice of `stream`'s menu that codes `run` in the fewest bits, and those bits, its code
-    /// word included.
-    pub fn choose(&self, stream: usize, run: &[i16]) -> (usize, f64) {
+    /// The tables and table sets of `decisions`.
+    ///
+    /// # Errors
+    /// A table or table set that the format does not hold.
+    pub fn of(decisions: &Dgs1Decisions) -> Result<Self, EncodeError> {
+        let tables: Result<Vec<Table>, EncodeError> = decisions.tables.iter().map(TableForm::table).collect();
+        let tables = tables?;
+        if tables.iter().any(|table| table.frequency(ESCAPE) == 0) {
+            return Err(misfit("tables", "frequency of the escape", 0, "1..=2048"));
+        }
+        if decisions.table_sets.len() != stream::COUNT {
+            return Err(misfit("all", "number of table_sets", decisions.table_sets.len(), stream::COUNT));
+        }
+        let mut table_sets = Vec::new();
+        for (stream, decided) in decisions.table_sets.iter().enumerate() {
+            let entries: Vec<(u8, u8)> = decided.iter().map(|e| (e.table, e.code_bits)).collect();
+            if let Some((table, _)) = entries.iter().find(|(table, _)| usize::from(*table) >= tables.len()) {
+                let place = format_args!("table set {stream}").to_string();
+                return Err(misfit(place, "table", table, format_args!("0..{}", tables.len())));
+            }
+            table_sets.push(if entries.is_empty() { TableSet::EMPTY } else { TableSet::new(&entries)? });
+        }
+        let costs = tables.iter().map(Costs::of).collect();
+        Ok(Self { table_sets, tables, costs })
+    }
+
+    /// Its tables and table sets as plain data.
+    pub fn decisions(&self) -> (Vec<TableForm>, Vec<Vec<TableSetEntry>>) {
+        let entries = |set: &TableSet| {
+            set.choices().map(|(table, code_bits)| TableSetEntry { table, code_bits }).collect()
+        };
+        (self.tables.iter().map(TableForm::of).collect(), self.table_sets.iter().map(entries).collect())
+    }
+
+    /// The choice of `stream`'s table set that codes `run` in the fewest bits.
+    pub fn choose(&self, stream: usize, run: &[i16]) -> usize {
         let mut best = (0, f64::INFINITY);
-        for (choice, (table, length)) in self.menus[stream].choices().enumerate() {
-            let costs = &self.costs[usize::from(table)];
-            let bits = f64::from(length) + run.iter().map(|&s| f64::from(costs.bits(s))).sum::<f64>();
+        for choice in 0..self.table_sets[stream].len() {
+            let bits = self.bits(stream, choice, run);
             if bits < best.1 {
                 best = (choice, bits);
             }
         }
-        best
+        best.0
+    }
+
+    /// Bits that `run` takes in choice `choice` of `stream`, the code word included; infinite if there is
+    /// no such choice.
+    pub fn bits(&self, stream: usize, choice: usize, run: &[i16]) -> f64 {
+        let Some((table, length)) = self.table_sets[stream].choices().nth(choice) else {
+            return f64::INFINITY;
+        };
+        let costs = &self.costs[usize::from(table)];
+        f64::from(length) + run.iter().map(|&s| f64::from(costs.bits(s))).sum::<f64>()
     }
 
     /// Table, code word and its length of choice `choice` of `stream`.
     pub fn code(&self, stream: usize, choice: usize) -> (u8, u32, u8) {
-        let menu = &self.menus[stream];
-        let (code, length) = menu.code(choice).unwrap_or_default();
-        (menu.choices().nth(choice).map_or(0, |(table, _)| table), code, length)
+        let set = &self.table_sets[stream];
+        let (code, length) = set.code(choice).unwrap_or_default();
+        (set.choices().nth(choice).map_or(0, |(table, _)| table), code, length)
     }
 }
 
@@ -204,7 +249,7 @@ mod tests {
     }
 
     fn bits(model: &Model, stream: usize, runs: &[&[i16]]) -> f64 {
-        runs.iter().map(|run| model.choose(stream, run).1).sum()
+        runs.iter().map(|run| model.bits(stream, model.choose(stream, run), run)).sum()
     }
 
     #[test]
@@ -227,8 +272,8 @@ mod tests {
         let runs: Vec<&[i16]> = quiet.chunks(64).zip(loud.chunks(64)).flat_map(|(a, b)| [a, b]).collect();
         runs.iter().for_each(|run| streams.add(40, run));
         let (one, many) = (streams.model(1).unwrap(), streams.model(8).unwrap());
-        assert_eq!((one.menus[40].len(), one.menus[3].len()), (1, 0));
-        assert!(many.menus[40].len() >= 2);
+        assert_eq!((one.table_sets[40].len(), one.table_sets[3].len()), (1, 0));
+        assert!(many.table_sets[40].len() >= 2);
         let (one, many) = (bits(&one, 40, &runs), bits(&many, 40, &runs));
         assert!(many < 0.9 * one, "{many} against {one}");
     }

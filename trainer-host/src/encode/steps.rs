@@ -5,11 +5,11 @@ use codec_core::internals::{
     wire::manifest::Quant,
 };
 
-use super::EncodeError;
-use crate::{scene::Epoch, sensitivity};
+use super::{EncodeError, sensitivity};
+use crate::scene::Epoch;
 
 /// Fineness of the quantisers at the last level, per attribute.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Quality {
     /// Position step, in units of the median Gaussian's size, the geometric mean of its axes.
     pub position: f32,

@@ -4,10 +4,9 @@
 //! secant on the logarithm of the coarseness needs few encodings. What is returned has been
 //! encoded and measured, so a stream that is not quite monotone costs closeness, never the promise.
 
-use super::{EncodeError, Encoded, Options, Progress, once, strata::Strata};
-use crate::{
-    judge::{Judge, spread},
-    scene::Scene,
+use super::{
+    Analysis, EncodeError, Encoded, Options, Progress, decide_and_write,
+    evaluator::{Evaluator, PSNR_CAP_DB, spread},
 };
 
 /// What an encoding must meet.
@@ -65,7 +64,7 @@ impl Target {
     }
 
     pub(super) fn check(self) -> Result<(), EncodeError> {
-        let most = if matches!(self, Self::PsnrDb(_)) { crate::judge::PSNR_CAP_DB } else { f64::MAX };
+        let most = if matches!(self, Self::PsnrDb(_)) { PSNR_CAP_DB } else { f64::MAX };
         let (option, found) = (self.name(), self.value());
         if found > 0.0 && found <= most {
             return Ok(());
@@ -82,20 +81,20 @@ impl Target {
     }
 }
 
-/// Encodes `scene` at the coarseness that comes closest to `target` without missing it.
+/// Encodes the scene of `analysis` at the coarseness that comes closest to `target` without missing it.
 pub(super) fn encode(
-    scene: &Scene,
+    analysis: &Analysis<'_>,
     options: &Options,
-    strata: &Strata,
     target: Target,
     progress: Progress<'_>,
 ) -> Result<Encoded, EncodeError> {
-    let judge = match target {
-        Target::PsnrDb(_) => Some(Judge::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?),
+    let scene = analysis.scene;
+    let evaluator = match target {
+        Target::PsnrDb(_) => Some(Evaluator::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?),
         _ => None,
     };
     // Towards the allowed side is coarser for sizes and finer for PSNR.
-    let sign = if judge.is_some() { -1.0 } else { 1.0 };
+    let sign = if evaluator.is_some() { -1.0 } else { 1.0 };
     let (finest, coarsest) = (f64::from(COARSENESS.0).ln(), f64::from(COARSENESS.1).ln());
     let search = Search {
         low: if sign > 0.0 { finest } else { -coarsest },
@@ -106,10 +105,10 @@ pub(super) fn encode(
     let found = search.run(|at| {
         let coarseness = (sign * at).exp() as f32;
         let quality = options.quality.scaled(coarseness);
-        let encoded = once(scene, &Options { quality, target: None, ..options.clone() }, strata, progress)?;
-        let value = match (target, &judge) {
+        let encoded = decide_and_write(analysis, &Options { quality, ..options.clone() }, progress)?;
+        let value = match (target, &evaluator) {
             (Target::BitsPerGaussian(_), _) => encoded.report.ledger.bits_per_gaussian(),
-            (Target::PsnrDb(_), Some(judge)) => judge.whole(&encoded.stream)?,
+            (Target::PsnrDb(_), Some(evaluator)) => evaluator.whole(&encoded.stream)?,
             _ => encoded.report.ledger.wire(),
         };
         Ok::<_, EncodeError>((target.excess(value), (encoded, coarseness, value)))
@@ -138,7 +137,7 @@ struct Search {
 }
 
 /// The best place measured.
-struct Found<T> {
+struct BestPlace<T> {
     excess: f64,
     what: T,
     tries: usize,
@@ -146,10 +145,10 @@ struct Found<T> {
 
 impl Search {
     /// Starts at 0; if nothing fits, the answer is the place that exceeds least.
-    fn run<T, E>(&self, mut measure: impl FnMut(f64) -> Result<(f64, T), E>) -> Result<Found<T>, E> {
+    fn run<T, E>(&self, mut measure: impl FnMut(f64) -> Result<(f64, T), E>) -> Result<BestPlace<T>, E> {
         let mut at = 0f64.clamp(self.low, self.high);
         let (excess, what) = measure(at)?;
-        let mut best = Found { excess, what, tries: 1 };
+        let mut best = BestPlace { excess, what, tries: 1 };
         let (mut fits, mut exceeds) = (None, None);
         let (mut last, mut slope) = ((at, excess), self.slope);
         loop {
@@ -164,7 +163,7 @@ impl Search {
                 (true, true) => excess > best.excess,
                 (fits, best_fits) => fits || !best_fits && excess < best.excess,
             };
-            best = if closer { Found { excess, what, tries } } else { Found { tries, ..best } };
+            best = if closer { BestPlace { excess, what, tries } } else { BestPlace { tries, ..best } };
             let found = (last.1 - excess) / (at - last.0);
             slope = if found.is_finite() { found.clamp(self.slope / 8.0, self.slope * 4.0) } else { slope };
             last = (at, excess);
@@ -207,6 +206,7 @@ mod tests {
         Limits,
         synth::{self, Kind},
     };
+    use crate::scene::Scene;
 
     fn scene() -> Scene {
         let options = synth::Options { gaussians: 1000, frames: 4, kind: Kind::Figure, ..Default::default() };
@@ -237,8 +237,8 @@ mod tests {
     #[test]
     fn a_psnr_is_reached_and_not_much_more() {
         let stream = encoded(Target::PsnrDb(46.0)).unwrap();
-        let judge = Judge::measuring(&scene(), spread(0, 4, FRAMES)).unwrap();
-        let found = judge.whole(&stream.stream).unwrap();
+        let evaluator = Evaluator::measuring(&scene(), spread(0, 4, FRAMES)).unwrap();
+        let found = evaluator.whole(&stream.stream).unwrap();
         assert_eq!(Some(found), stream.report.reached.map(|r| r.value));
         assert!((46.0..46.6).contains(&found), "{found}");
     }

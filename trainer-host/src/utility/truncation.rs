@@ -90,17 +90,17 @@ pub struct Truncated {
     pub wire_after: f64,
 }
 
-/// Encodes `scene` again without the levels that, by `table`, the utilities of `whole`, do not pay for
-/// their bytes at `lambda` (0: those that gain nothing). `options` are those of `whole`.
+/// Encodes `scene` again without the levels that `table`, the utilities of `whole`, does not find
+/// to pay for their bytes at `lambda` (0: those that gain nothing). Table sets have at most `table_choices` tables.
 ///
 /// # Errors
 /// A λ that is not a number of at least 0; a stream that does not decode; as [`encode::encode`].
 pub fn truncate(
     scene: &Scene,
-    options: &encode::Options,
     whole: &Encoded,
     table: &Table,
     lambda: f64,
+    table_choices: usize,
     progress: Progress<'_>,
 ) -> Result<(Encoded, Truncated), EncodeError> {
     let stream = &whole.stream;
@@ -110,10 +110,7 @@ pub fn truncate(
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let tops = tops(&received.content(), &map, table, &group_bytes(stream, &map), lambda);
-    let quality = whole.report.quality;
-    let block_len = stream.manifest()?.block_len();
-    let again = encode::Options { tops, quality, block_len, target: None, search: 0, ..options.clone() };
-    let mut cut = encode::encode(scene, &again, progress)?;
+    let mut cut = encode::with_levels(scene, &whole.decisions, &tops, table_choices, progress)?;
     let left = PacketMap::of(&cut.stream)?.groups().len();
     let truncated = Truncated {
         lambda,
@@ -133,7 +130,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        judge::Judge,
+        evaluator::Evaluator,
         scene::{Attributes, Epoch, Track},
         utility::measure,
     };
@@ -181,7 +178,8 @@ mod tests {
         let received = whole.stream.receive().unwrap();
         let how = Options::complete(&scene).unwrap();
         let table = measure(&scene, &received.content(), &map, &how, &|_| {}).unwrap();
-        let (cut, truncated) = truncate(&scene, &options, &whole, &table, 0.0, &|_, _| {}).unwrap();
+        let (cut, truncated) =
+            truncate(&scene, &whole, &table, 0.0, options.table_choices, &|_, _| {}).unwrap();
         assert!(truncated.dropped >= 3 && truncated.wire_after < truncated.wire_before, "{truncated:?}");
         let manifest = cut.stream.manifest().unwrap();
         // The core's clusters are the small ones.
@@ -196,16 +194,17 @@ mod tests {
         });
         assert!(0.0 < small && small < large && large.is_finite(), "{small} {large}");
         // What can be seen is no worse for it.
-        let judge = Judge::measuring(&scene, vec![0]).unwrap();
-        let (before, after) = (judge.whole(&whole.stream).unwrap(), judge.whole(&cut.stream).unwrap());
+        let evaluator = Evaluator::measuring(&scene, vec![0]).unwrap();
+        let (before, after) =
+            (evaluator.whole(&whole.stream).unwrap(), evaluator.whole(&cut.stream).unwrap());
         assert!(after > before - 0.1, "{after} dB after {before}");
         // A price that no level pays leaves base levels; one that is no price is refused.
-        let (base, _) = truncate(&scene, &options, &whole, &table, 1e9, &|_, _| {}).unwrap();
+        let (base, _) = truncate(&scene, &whole, &table, 1e9, options.table_choices, &|_, _| {}).unwrap();
         codec_core::internals::receiver::for_each_cell(&base.stream.manifest().unwrap(), |_, _, shape| {
             assert_eq!(shape.top(), Level::BASE);
         });
         for lambda in [-1.0, f64::NAN] {
-            let refused = truncate(&scene, &options, &whole, &table, lambda, &|_, _| {});
+            let refused = truncate(&scene, &whole, &table, lambda, options.table_choices, &|_, _| {});
             assert!(matches!(refused, Err(EncodeError::Lambda { .. })));
         }
     }

@@ -233,7 +233,7 @@ mod tests {
         let mut some = vec![0.0; at.len()];
         target.similarities(&test, &at, &mut scratch, &mut some);
         let columns = w - 10;
-        let mut matches = |some: &[f64], whole: &[f64]| {
+        let matches = |some: &[f64], whole: &[f64]| {
             let row = |y: usize| &whole[y * columns + at.columns.start..][..at.columns.len()];
             at.rows.clone().zip(some.chunks(at.columns.len())).all(|(y, some)| some == row(y))
         };

@@ -37,7 +37,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     };
     for profile in [ProfileName::Paper, ProfileName::Dgs1] {
         let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
-        let ledger = pipeline::encode(&scene, &options, setup.quiet)?.report.ledger;
+        let encoded = pipeline::encode(&scene, &options, setup.quiet)?;
+        let packets = encoded.packet_report()?;
+        let ledger = &encoded.report.ledger;
         let profile = pipeline::profile_name(options.profile);
         let key = |what: &str| format!("{name}.{profile}.{what}");
         let rows = [
@@ -71,6 +73,16 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         beside("packetisation_overhead", 100.0 * ledger.packetisation_overhead(), "%", 2.45);
         beside("robustness_premium", 100.0 * ledger.robustness_premium(), "%", 3.53);
         beside("bits_per_gaussian", ledger.bits_per_gaussian(), "bit", 12_894.7);
+        beside("mean_payload", packets.mean_payload_bytes, "byte", 1192.8);
+        beside("fill", 100.0 * packets.fill, "%", 99.4);
+        beside("chunk_loss_per_packet", packets.chunk_loss_bytes, "byte", 3.36);
+        beside("packets_per_refinement_group", packets.packets_per_refinement_group, "", 385.0);
+        let clusters = encoded.report.clustering.clusters as f64;
+        bench.push(Figure::new(key("clusters"), clusters, ""));
+        bench.push(Figure::new(key("packets_per_base_group"), packets.packets_per_base_group, ""));
+        let metadata = ledger.manifest_parts.iter().find(|part| part.name == "manifest clusters");
+        let metadata = metadata.map_or(0.0, |part| part.bits / 8.0);
+        bench.push(Figure::new(key("cluster_metadata"), metadata / 1048576.0, "MiB"));
     }
     Ok(bench)
 }

@@ -6,12 +6,13 @@ use codec_core::{
     Gaussian,
     internals::{ids::Span, receiver::Content},
 };
-use dgs::{args::ProfileName, pipeline, quality};
+use dgs::{args::ProfileName, pipeline};
 use rayon::prelude::*;
 use render_host::{Backend, Renderer, Settings, Splats, metric};
 use trainer_host::{
     Scene, Stream,
     encode::Protection,
+    evaluator,
     stream::{PacketMap, Player},
     viewpoint::{Framing, Ring},
 };
@@ -106,7 +107,7 @@ fn loss(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, masks: u64
     let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?[0];
     let settings = Settings { parallel: false, ..Settings::default() };
     let frames = spread(scene.frames(), 4);
-    let references = quality::references(scene, &frames, camera, &settings, &Backend::Cpu)?;
+    let references = evaluator::references(scene, &frames, camera, &settings, &Backend::Cpu)?;
     for percent in [0u32, 1, 5, 10, 20] {
         let seeds = if percent == 0 { 1 } else { masks };
         let psnr: Result<Vec<f64>> = (0..seeds)
@@ -114,10 +115,10 @@ fn loss(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, masks: u64
             .map(|seed| {
                 let state = map.state(|id| draw(seed ^ 0xff00, id) >= f64::from(percent) / 100.0);
                 let shown: Vec<_> = frames.iter().map(|&f| (f, Some(state.as_slice()))).collect();
-                let images = quality::renders(&content, &shown, camera, &settings, &Backend::Cpu)?;
+                let images = evaluator::renders(&content, &shown, camera, &settings, &Backend::Cpu)?;
                 let psnr: Result<Vec<f64>, _> =
                     images.iter().zip(&references).map(|(a, b)| metric::psnr(a, b)).collect();
-                Ok(crate::figures::mean(&psnr?).min(quality::PSNR_CAP_DB))
+                Ok(crate::figures::mean(&psnr?).min(evaluator::PSNR_CAP_DB))
             })
             .collect();
         let psnr = psnr?;
@@ -125,7 +126,7 @@ fn loss(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, masks: u64
             Figure::new(format!("{key}.psnr_at_{percent}_percent"), median(&psnr), "dB (median)");
         figure.ci95 = bootstrap95(&psnr, median, 7);
         bench.push(figure.runs(psnr.len()));
-        let tail = quality::worst_tenth(&psnr);
+        let tail = evaluator::worst_tenth(&psnr);
         bench.push(Figure::new(format!("{key}.worst_tenth_at_{percent}_percent"), tail, "dB"));
     }
     Ok(())

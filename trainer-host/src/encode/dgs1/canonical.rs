@@ -12,11 +12,12 @@ use rayon::prelude::*;
 use super::{
     super::{
         EncodeError, Options, Quality,
+        decisions::{ClusterDecisions, EpochDecisions},
         packetise::CellSymbols,
+        quantiser_class::EpochClasses,
         steps::{self, Grid},
-        strata::Layer,
     },
-    need,
+    pruning,
 };
 use crate::scene::Epoch;
 
@@ -27,21 +28,21 @@ pub(super) struct Canonical {
     pub saturated: u64,
 }
 
-/// The quantisers of each stratum of an epoch with nothing predicted, its Gaussians in `sets` of blocks,
+/// The quantisers of each quantiser class of an epoch with nothing predicted, its Gaussians in `sets` of blocks,
 /// and its origin.
 pub(super) fn plain(
     epoch: &Epoch,
     sets: &[Vec<u32>],
-    layer: &Layer<'_>,
+    classes: &EpochClasses<'_>,
     options: &Options,
 ) -> Result<(Vec<Quant>, [f32; 3]), EncodeError> {
     let grid = Grid::of(epoch, steps::DGS1_BASE_RATIO);
-    let of_stratum = |(stratum, quality): (usize, &Quality)| {
-        let quant = |mixed: [bool; Class::COUNT]| {
+    let of_class = |(class_index, quality): (usize, &Quality)| {
+        let quant = |decorrelated: [bool; Class::COUNT]| {
             let predicted = [false; Class::COUNT + Class::MOVING];
-            steps::dgs1(quality, grid.step(quality), epoch.frames(), &predicted, &mixed)
+            steps::dgs1(quality, grid.step(quality), epoch.frames(), &predicted, &decorrelated)
         };
-        let sets: Vec<&Vec<u32>> = sets.iter().filter(|set| layer.of(set) == stratum).collect();
+        let sets: Vec<&Vec<u32>> = sets.iter().filter(|set| classes.of(set) == class_index).collect();
         // What the spread of the indices within their blocks costs, per class.
         let bits = |quant: &Quant| -> [f64; Class::COUNT] {
             let each = |set: &&Vec<u32>| {
@@ -51,22 +52,21 @@ pub(super) fn plain(
             let each: Vec<[f64; Class::COUNT]> = sets.par_iter().map(each).collect();
             Class::ALL.map(|class| each.iter().map(|bits| bits[class.index()]).sum())
         };
-        let mixes = Class::ALL.map(Class::decorrelates);
-        let (plain, mixed) = (quant([false; Class::COUNT])?, quant(mixes)?);
-        let (kept, turned) = (bits(&plain), bits(&mixed));
+        let plain = bits(&quant([false; Class::COUNT])?);
+        let decorrelated = bits(&quant(Class::ALL.map(Class::decorrelates))?);
         let values = sets.iter().map(|set| set.len()).sum::<usize>() as f64;
         let pays = Class::ALL.map(|class| {
             let margin = LEAST_GAIN * values * class.components() as f64;
-            class.decorrelates() && turned[class.index()] + margin < kept[class.index()]
+            class.decorrelates() && decorrelated[class.index()] + margin < plain[class.index()]
         });
         quant(pays)
     };
     let quants: Result<Vec<Quant>, EncodeError> =
-        layer.qualities.iter().enumerate().map(of_stratum).collect();
+        classes.qualities.iter().enumerate().map(of_class).collect();
     Ok((quants?, grid.origin))
 }
 
-/// Bits per value that mixing must save: sums of independent values are closer to their mean than the
+/// Bits per value that decorrelating must save: sums of independent values are closer to their mean than the
 /// values, for what they cost.
 const LEAST_GAIN: f64 = 0.1;
 
@@ -82,18 +82,20 @@ pub(in crate::encode) fn spread_bits(indices: &[i32], block_len: usize) -> f64 {
     indices.chunks(block_len).map(block).sum()
 }
 
-/// Quantises frame 0 of `epoch`, cluster by cluster, Gaussians in the order of `members`.
-pub(super) fn quantise(
+/// Chooses the quantisers of each class of `classes`, and with which of them and up to which harmonic degree
+/// each cluster of `members` is sent. Also gives the epoch's origin.
+pub(super) fn decide(
     epoch: &Epoch,
-    members: &[Vec<u32>],
-    layer: &Layer<'_>,
+    members: Vec<Vec<u32>>,
+    classes: &EpochClasses<'_>,
     options: &Options,
-) -> Result<Canonical, EncodeError> {
-    let (plain, origin) = plain(epoch, members, layer, options)?;
-    let mut cells: Vec<Option<CellSymbols>> = vec![None; members.len()];
-    let mut saturated = 0;
-    for (stratum, (plain, quality)) in plain.iter().zip(&layer.qualities).enumerate() {
-        let places: Vec<usize> = (0..members.len()).filter(|&k| layer.of(&members[k]) == stratum).collect();
+) -> Result<(Vec<Quant>, Vec<ClusterDecisions>, [f32; 3]), EncodeError> {
+    let (unpredicted, origin) = plain(epoch, &members, classes, options)?;
+    let mut quants = Vec::new();
+    let mut degrees = vec![0u8; members.len()];
+    for (class_index, (plain, quality)) in unpredicted.iter().zip(&classes.qualities).enumerate() {
+        let places: Vec<usize> =
+            (0..members.len()).filter(|&k| classes.of(&members[k]) == class_index).collect();
         let indices: Vec<Indices> =
             places.par_iter().map(|&k| indices(epoch, &members[k], plain, origin)).collect();
         let mut predicted = [false; Class::COUNT + Class::MOVING];
@@ -101,21 +103,43 @@ pub(super) fn quantise(
         for class in Class::ALL {
             predicted[class.index()] = prediction_pays(&indices, class, plain, options.block_len);
         }
-        let mixed = plain.canonical.map(|quantiser| quantiser.decorrelated());
+        let decorrelated = plain.canonical.map(|quantiser| quantiser.decorrelated());
         let step = plain.canonical[Class::Position.index()].step(Level::ALL[3]);
-        let quant = steps::dgs1(quality, step, epoch.frames(), &predicted, &mixed)?;
-        let degrees = need::degrees(&indices, epoch.attributes().sh_degree.get());
-        let found: Vec<(CellSymbols, u64)> = indices
-            .par_iter()
-            .zip(&degrees)
-            .map(|(indices, &degree)| cell(indices, &quant, degree, options.block_len))
-            .collect();
-        for (k, (cell, clamped)) in places.into_iter().zip(found) {
-            cells[k] = Some(cell);
-            saturated += clamped;
+        quants.push(steps::dgs1(quality, step, epoch.frames(), &predicted, &decorrelated)?);
+        let found = pruning::degrees(&indices, epoch.attributes().sh_degree.get());
+        for (&k, degree) in places.iter().zip(found) {
+            degrees[k] = degree;
         }
     }
-    Ok(Canonical { origin, cells: cells.into_iter().flatten().collect(), saturated })
+    let decide = |(gaussians, harmonic_degree): (Vec<u32>, u8)| ClusterDecisions {
+        quantisers: classes.of(&gaussians),
+        harmonic_degree,
+        highest_level: 3,
+        gaussians,
+        table_indices: Default::default(),
+    };
+    Ok((quants, members.into_iter().zip(degrees).map(decide).collect(), origin))
+}
+
+/// Quantises frame 0 of `epoch` as `decisions` say; `quants` are their quantisers. Every level is there.
+pub(super) fn quantise(
+    epoch: &Epoch,
+    decisions: &EpochDecisions,
+    quants: &[Quant],
+    block_len: usize,
+) -> Canonical {
+    let quantised: Vec<(CellSymbols, u64)> = decisions
+        .clusters
+        .par_iter()
+        .map(|cluster| {
+            let quant = &quants[cluster.quantisers];
+            let indices = indices(epoch, &cluster.gaussians, quant, decisions.origin);
+            cell(&indices, quant, cluster.harmonic_degree, block_len)
+        })
+        .collect();
+    let saturated = quantised.iter().map(|(_, saturated)| saturated).sum();
+    let cells = quantised.into_iter().map(|(cell, _)| cell).collect();
+    Canonical { origin: decisions.origin, cells, saturated }
 }
 
 /// Finest indices of a cluster: per class and component, one per Gaussian.
@@ -232,7 +256,7 @@ fn cell(indices: &Indices, quant: &Quant, sh_degree: u8, block_len: usize) -> (C
             }
         }
     }
-    (CellSymbols { shape, levels }, saturated)
+    (CellSymbols { shape, levels, table_indices: Default::default() }, saturated)
 }
 
 /// `value` as a symbol; what does not fit is clamped and counted.

@@ -5,108 +5,187 @@
 //! only where leaving it out would exceed the tolerance: a cluster that does not move costs
 //! nothing.
 
+use std::ops::Range;
+
 use codec_core::internals::{
     decode::motion::cosine,
     ids::Level,
     layout::Shape,
     math,
     quant::{Class, recorrelate},
-    wire::manifest::{Motion, Quant},
+    wire::manifest::{Motion, Quant, Track},
 };
 use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{
-    super::{EncodeError, Options, packetise::CellSymbols},
-    WindowPlan,
+    super::{
+        EncodeError, Options,
+        decisions::{EpochDecisions, MotionDecisions, TrackForm, WindowDecisions, misfit},
+        factorise::temporal_basis,
+        packetise::CellSymbols,
+    },
     canonical::{Canonical, to_symbol},
-    price::Price,
-    track::{self, Member, dot},
+    rate_estimate::RateEstimate,
+    track::{self, Chosen, Member, dot},
 };
-use crate::{
-    factorise::temporal_basis,
-    scene::{Epoch, Scene},
-};
+use crate::scene::Epoch;
 
-/// A cluster's motion in one window after its track has been quantised.
-struct Tracked {
-    motion: Motion,
-    track: Vec<i16>,
-    /// What is left per moving class: one trajectory per Gaussian and component, empty if nothing.
-    left: [Vec<Vec<f64>>; Class::MOVING],
+/// What a cluster's track leaves per moving class: one trajectory per Gaussian and component, none where
+/// nothing is left.
+type Leftover = [Vec<Vec<f64>>; Class::MOVING];
+
+/// One window, quantised.
+pub(super) struct WindowSymbols {
+    pub frames: usize,
+    pub first_frame: usize,
+    pub cells: Vec<CellSymbols>,
+    pub saturated: u64,
 }
 
-/// Prices of a moving class's coefficients.
-fn price(quant: &Quant, class: Class) -> Price {
-    Price::of_step(quant.motion[class.index()].step(Level::ALL[3]))
+/// Rates of a moving class's coefficients.
+fn rate_of(quant: &Quant, class: Class) -> RateEstimate {
+    RateEstimate::of_step(quant.motion[class.index()].step(Level::ALL[3]))
 }
 
-/// The window plans of `epoch`, and the number of clamped values. No plans if nothing moves.
-pub(super) fn quantise(
+/// Chooses windows, tracks, bases and ranks for the clusters of `decisions`, of which `canonical` are the
+/// canonical values as sent. No windows if nothing moves.
+pub(super) fn decide(
     epoch: &Epoch,
-    first_frame: usize,
-    members: &[Vec<u32>],
+    decisions: &EpochDecisions,
     canonical: &Canonical,
-    scene: &Scene,
+    frames_per_second: f64,
     options: &Options,
-) -> Result<(Vec<WindowPlan>, u64), EncodeError> {
+) -> Vec<WindowDecisions> {
     if epoch.attributes().is_constant() {
-        return Ok((Vec::new(), 0));
+        return Vec::new();
     }
-    let second = (scene.frames_per_second().round() as usize).clamp(1, 64);
+    let second = (frames_per_second.round() as usize).clamp(1, 64);
     let most = options.window_frames.unwrap_or(second);
     let count = epoch.frames().div_ceil(most);
-    let mut plans = Vec::new();
-    let mut saturated = 0;
-    let mut start = 0;
-    for w in 0..count {
-        let end = epoch.frames() * (w + 1) / count;
-        let (plan, clamped) = window(epoch, first_frame, start..end, members, canonical, options)?;
-        saturated += clamped;
-        plans.push(plan);
-        start = end;
-    }
-    Ok((plans, saturated))
+    let edge = |w: usize| epoch.frames() * w / count;
+    (0..count).map(|w| decide_window(epoch, edge(w)..edge(w + 1), decisions, canonical, options)).collect()
 }
 
-fn window(
+fn decide_window(
     epoch: &Epoch,
-    first_frame: usize,
-    frames: std::ops::Range<usize>,
-    members: &[Vec<u32>],
+    frames: Range<usize>,
+    decisions: &EpochDecisions,
     canonical: &Canonical,
     options: &Options,
-) -> Result<(WindowPlan, u64), EncodeError> {
-    let count = frames.len();
-    let cosines: Vec<Vec<f64>> = cosine_vectors(count);
-    let tracked: Vec<Tracked> = members
+) -> WindowDecisions {
+    let cosines = cosine_vectors(frames.len());
+    let most_bits = 7.0 * (options.packet_bytes as f64 - 80.0);
+    let tracked: Vec<(Motion, Leftover)> = decisions
+        .clusters
         .par_iter()
         .zip(&canonical.cells)
-        .map(|(members, cell)| tracked(epoch, frames.clone(), members, cell, canonical, &cosines, options))
+        .map(|(cluster, cell)| {
+            let member = member(epoch, frames.clone(), &cluster.gaussians, cell, canonical.origin);
+            let quant = &cell.shape.quant;
+            let rates = [rate_of(quant, Class::Position), rate_of(quant, Class::Rotation)];
+            let track = track::choose(&member, &motionless(cell, frames.len()), &rates, &cosines, most_bits);
+            let leftover = leftover(epoch, &member, &track, cell, canonical.origin);
+            (track.motion, leftover)
+        })
         .collect();
-    let position = Class::Position.index();
-    let rows = tracked.iter().flat_map(|t| &t.left[position]).map(Vec::as_slice);
-    let most = options.rank.min(count);
-    let (vectors, energy) = temporal_basis(rows, count, most);
-    let mut basis: Vec<Vec<i16>> = vectors
-        .iter()
-        .zip(&energy)
-        .take_while(|(_, e)| **e > 0.0)
-        .map(|(v, _)| v.iter().map(|x| (x * 16_384.0).round() as i16).collect())
-        .collect();
-    let as_sent: Vec<Vec<f64>> =
-        basis.iter().map(|v| v.iter().map(|&x| f64::from(x) / 16_384.0).collect()).collect();
-    let cells: Vec<(CellSymbols, u64)> = tracked
-        .into_par_iter()
+    let mut basis = learned_basis(tracked.iter().map(|(_, leftover)| leftover), frames.len(), options.rank);
+    let learned = basis_vectors(&basis);
+    let motions: Vec<MotionDecisions> = tracked
+        .par_iter()
         .zip(&canonical.cells)
-        .map(|(tracked, cell)| coefficients(tracked, cell, count, &as_sent, &cosines))
+        .map(|((motion, leftover), cell)| MotionDecisions {
+            track: match motion.class() {
+                Track::Static => TrackForm::Static,
+                Track::Rigid => TrackForm::Rigid,
+                Track::Affine => TrackForm::Affine,
+            },
+            track_shift: motion.track_shift,
+            ranks: cheapest_ranks(leftover, &cell.shape.quant, &learned, &cosines),
+            highest_level: 3,
+            table_indices: Default::default(),
+        })
         .collect();
-    let saturated = cells.iter().map(|(_, s)| s).sum();
-    let cells: Vec<CellSymbols> = cells.into_iter().map(|(c, _)| c).collect();
-    let used = cells.iter().map(|c| usize::from(c.shape.motion.position)).max().unwrap_or(0);
+    let used = motions.iter().map(|m| usize::from(m.ranks[Class::Position.index()])).max().unwrap_or(0);
     basis.truncate(used);
-    let plan = WindowPlan { frames: count, first_frame: first_frame + frames.start, basis, cells };
-    Ok((plan, saturated))
+    WindowDecisions { frames: frames.len(), basis, motions }
+}
+
+/// The temporal basis of what positions lack after tracks: at most `most` vectors, in 1/16384.
+fn learned_basis<'l>(
+    leftovers: impl Iterator<Item = &'l Leftover>,
+    frames: usize,
+    most: usize,
+) -> Vec<Vec<i16>> {
+    let rows = leftovers.flat_map(|left| &left[Class::Position.index()]).map(Vec::as_slice);
+    let (vectors, energy) = temporal_basis(rows, frames, most.min(frames));
+    let mut basis = Vec::new();
+    for (vector, _) in vectors.iter().zip(&energy).take_while(|(_, energy)| **energy > 0.0) {
+        basis.push(vector.iter().map(|x| (x * BASIS_UNITS).round() as i16).collect());
+    }
+    basis
+}
+
+/// A basis vector's entries are counted in one over this.
+const BASIS_UNITS: f64 = 16_384.0;
+
+/// The basis as the decoder has it.
+fn basis_vectors(basis: &[Vec<i16>]) -> Vec<Vec<f64>> {
+    basis.iter().map(|v| v.iter().map(|&x| f64::from(x) / BASIS_UNITS).collect()).collect()
+}
+
+/// Per moving class, how many coefficients per Gaussian and component cost least.
+fn cheapest_ranks(
+    leftover: &Leftover,
+    quant: &Quant,
+    learned: &[Vec<f64>],
+    cosines: &[Vec<f64>],
+) -> [u8; Class::MOVING] {
+    let mut ranks = [0; Class::MOVING];
+    for class in Class::ALL.into_iter().take(Class::MOVING) {
+        let rows = &leftover[class.index()];
+        let vectors = if class == Class::Position { learned } else { cosines };
+        let projections: Vec<Vec<f64>> =
+            rows.iter().map(|row| vectors.iter().map(|v| dot(row, v)).collect()).collect();
+        ranks[class.index()] = cheapest_rank(rows, &projections, rate_of(quant, class)) as u8;
+    }
+    ranks
+}
+
+/// Quantises the motion of window `index` of `epoch` as `decisions` say; `first_frame` is the window's
+/// first frame within the epoch. Every level is there.
+///
+/// # Errors
+/// A track that is too fine for its symbols.
+pub(super) fn quantise(
+    epoch: &Epoch,
+    (index, first_frame): (usize, usize),
+    decisions: &EpochDecisions,
+    canonical: &Canonical,
+) -> Result<WindowSymbols, EncodeError> {
+    let window = &decisions.windows[index];
+    let frames = first_frame..first_frame + window.frames;
+    let cosines = cosine_vectors(window.frames);
+    let learned = basis_vectors(&window.basis);
+    let quantised: Result<Vec<(CellSymbols, u64)>, EncodeError> = (0..decisions.clusters.len())
+        .into_par_iter()
+        .map(|c| {
+            let (cluster, cell) = (&decisions.clusters[c], &canonical.cells[c]);
+            let motion = &window.motions[c];
+            let member = member(epoch, frames.clone(), &cluster.gaussians, cell, canonical.origin);
+            let track = track::follow(&member, &motionless(cell, window.frames), motion, &cosines);
+            let track = track.ok_or_else(|| {
+                let place = format_args!("window {index}, cluster {c}").to_string();
+                misfit(place, "track_shift", motion.track_shift, "a step coarse enough for i16 symbols")
+            })?;
+            let leftover = leftover(epoch, &member, &track, cell, canonical.origin);
+            Ok(coefficients(track, &leftover, motion, cell, &learned, &cosines))
+        })
+        .collect();
+    let quantised = quantised?;
+    let saturated = quantised.iter().map(|(_, saturated)| saturated).sum();
+    let cells = quantised.into_iter().map(|(cell, _)| cell).collect();
+    Ok(WindowSymbols { frames: window.frames, first_frame, cells, saturated })
 }
 
 /// The cosine basis as vectors over time.
@@ -115,47 +194,50 @@ fn cosine_vectors(frames: usize) -> Vec<Vec<f64>> {
     (0..frames).map(|k| at.iter().map(|weights| f64::from(weights[k])).collect()).collect()
 }
 
-fn tracked(
-    epoch: &Epoch,
-    frames: std::ops::Range<usize>,
-    members: &[u32],
-    cell: &CellSymbols,
-    canonical: &Canonical,
-    cosines: &[Vec<f64>],
-    options: &Options,
-) -> Tracked {
-    let (n, a) = (epoch.count(), epoch.attributes());
-    let quant = &cell.shape.quant;
-    let decoded: Vec<Vec<[f32; 3]>> = Class::ALL
-        .into_iter()
-        .take(Class::MOVING)
-        .map(|class| (0..members.len()).map(|i| dequantised(cell, class, i, canonical)).collect())
-        .collect();
-    let base = quant.canonical[Class::Position.index()].step(Level::BASE);
-    let record = cell.shape.cluster;
-    let centre = Vec3::new(
-        canonical.origin[0] + f32::from(record.centre_x) * base,
-        canonical.origin[1] + f32::from(record.centre_y) * base,
-        canonical.origin[2] + f32::from(record.centre_z) * base,
-    );
-    let rest = decoded[Class::Rotation.index()].iter();
-    let member = Member {
-        attributes: a,
-        count: n,
-        frames: frames.clone(),
-        members,
-        still: decoded[Class::Position.index()].clone(),
-        rest: rest.map(|&m| math::normalised(math::quat_from_mrp(m))).collect(),
-        centre,
-    };
-    let still = Shape::dgs1(record, *quant, Some(Motion::default()), frames.len() as u32, options.block_len);
-    let prices = [price(quant, Class::Position), price(quant, Class::Rotation)];
-    let most_bits = 7.0 * (options.packet_bytes as f64 - 80.0);
-    let chosen = track::choose(&member, &still, &prices, cosines, most_bits);
+/// The shape of a cluster's motion cell in a window of `frames` in which it does not move.
+fn motionless(cell: &CellSymbols, frames: usize) -> Shape {
+    let Shape { cluster, quant, block_len, .. } = cell.shape;
+    Shape::dgs1(cluster, quant, Some(Motion::default()), frames as u32, block_len)
+}
 
-    let mut left: [Vec<Vec<f64>>; Class::MOVING] = Default::default();
-    for i in 0..members.len() {
-        let rows = member.leftover(&chosen.poses, i);
+/// A cluster over `frames` of its epoch, as the decoder has it when nothing moves.
+fn member<'e>(
+    epoch: &'e Epoch,
+    frames: Range<usize>,
+    members: &'e [u32],
+    cell: &CellSymbols,
+    origin: [f32; 3],
+) -> Member<'e> {
+    let decoded = |class: Class| -> Vec<[f32; 3]> {
+        (0..members.len()).map(|i| dequantised(cell, class, i, origin)).collect()
+    };
+    let base = cell.shape.quant.canonical[Class::Position.index()].step(Level::BASE);
+    let record = cell.shape.cluster;
+    let centre = [record.centre_x, record.centre_y, record.centre_z];
+    let rotations = decoded(Class::Rotation).into_iter();
+    Member {
+        attributes: epoch.attributes(),
+        count: epoch.count(),
+        frames,
+        members,
+        still: decoded(Class::Position),
+        rest: rotations.map(|m| math::normalised(math::quat_from_mrp(m))).collect(),
+        centre: Vec3::from_array([0, 1, 2].map(|d| origin[d] + f32::from(centre[d]) * base)),
+    }
+}
+
+/// What the Gaussians of `member` do that `track` does not.
+fn leftover(
+    epoch: &Epoch,
+    member: &Member<'_>,
+    track: &Chosen,
+    cell: &CellSymbols,
+    origin: [f32; 3],
+) -> Leftover {
+    let (n, a) = (epoch.count(), epoch.attributes());
+    let mut left = Leftover::default();
+    for i in 0..member.members.len() {
+        let rows = member.leftover(&track.poses, i);
         for (d, row) in rows.into_iter().enumerate() {
             left[if d < 3 { Class::Position.index() } else { Class::Rotation.index() }].push(row);
         }
@@ -168,25 +250,25 @@ fn tracked(
         if constant {
             continue;
         }
-        for (i, &g) in members.iter().enumerate() {
-            let (g, still) = (g as usize, decoded[class.index()][i]);
+        for (i, &g) in member.members.iter().enumerate() {
+            let (g, still) = (g as usize, dequantised(cell, class, i, origin));
             for (d, &still) in still.iter().enumerate().take(class.components()) {
                 let value = |t: usize| match class {
                     Class::Scale => a.log_scales.frame(t, n)[g][d],
                     Class::Opacity => 1.0 / (1.0 + (-a.opacity_logits.frame(t, n)[g]).exp()),
                     _ => a.sh0.frame(t, n)[g][d],
                 };
-                left[class.index()].push(frames.clone().map(|t| f64::from(value(t) - still)).collect());
+                let row = member.frames.clone().map(|t| f64::from(value(t) - still)).collect();
+                left[class.index()].push(row);
             }
         }
     }
-    Tracked { motion: chosen.motion, track: chosen.symbols, left }
+    left
 }
 
 /// Values of Gaussian `i` of a cell as the decoder gets them at level 3 (Rodrigues parameters
 /// for rotation).
-fn dequantised(cell: &CellSymbols, class: Class, i: usize, canonical: &Canonical) -> [f32; 3] {
-    let origin = canonical.origin;
+fn dequantised(cell: &CellSymbols, class: Class, i: usize, origin: [f32; 3]) -> [f32; 3] {
     let shape = &cell.shape;
     let (block, within) = (i / shape.block_len, i % shape.block_len);
     let n = shape.block_gaussians(block);
@@ -224,49 +306,45 @@ fn dequantised(cell: &CellSymbols, class: Class, i: usize, canonical: &Canonical
     if quantiser.decorrelated() { recorrelate(out) } else { out }
 }
 
+/// Symbols of a cluster's track and of its Gaussians' coefficients, and how many were clamped.
 fn coefficients(
-    tracked: Tracked,
+    track: Chosen,
+    leftover: &Leftover,
+    decided: &MotionDecisions,
     cell: &CellSymbols,
-    frames: usize,
     learned: &[Vec<f64>],
     cosines: &[Vec<f64>],
 ) -> (CellSymbols, u64) {
-    let Tracked { mut motion, track, left } = tracked;
+    // Of a class of which nothing is left there is nothing to code.
+    let rank = |class: Class| match leftover[class.index()].is_empty() {
+        true => 0,
+        false => decided.ranks[class.index()],
+    };
+    let motion = Motion {
+        position: rank(Class::Position),
+        scale: rank(Class::Scale),
+        rotation: rank(Class::Rotation),
+        opacity: rank(Class::Opacity),
+        sh0: rank(Class::Sh0),
+        ..track.motion
+    };
     let mut saturated = 0;
-    // Projections per class: row-major, one list of coefficients per Gaussian and component.
-    let mut projected: [Vec<Vec<f64>>; Class::MOVING] = Default::default();
-    for class in Class::ALL.into_iter().take(Class::MOVING) {
-        let rows = &left[class.index()];
-        if rows.is_empty() {
-            continue;
-        }
-        let vectors = if class == Class::Position { learned } else { cosines };
-        let projections: Vec<Vec<f64>> =
-            rows.iter().map(|row| vectors.iter().map(|v| dot(row, v)).collect()).collect();
-        let rank = cheapest_rank(rows, &projections, price(&cell.shape.quant, class));
-        match class {
-            Class::Position => motion.position = rank as u8,
-            Class::Scale => motion.scale = rank as u8,
-            Class::Rotation => motion.rotation = rank as u8,
-            Class::Opacity => motion.opacity = rank as u8,
-            _ => motion.sh0 = rank as u8,
-        }
-        projected[class.index()] = projections;
-    }
     let quant = &cell.shape.quant;
-    let shape = Shape::dgs1(cell.shape.cluster, *quant, Some(motion), frames as u32, cell.shape.block_len);
+    let frames = cosines.len() as u32;
+    let shape = Shape::dgs1(cell.shape.cluster, *quant, Some(motion), frames, cell.shape.block_len);
     let mut levels: [Vec<i16>; Level::COUNT] = Default::default();
-    levels[0] = track;
+    levels[0] = track.symbols;
     for level in Level::ALL.into_iter().skip(1) {
         let out = &mut levels[level.index()];
         for block in 0..shape.blocks() {
             let first = block * shape.block_len;
             for (class, k, dims) in shape.components(level) {
                 let quantiser = quant.motion[class.index()];
+                let vector = if class == Class::Position { &learned[k] } else { &cosines[k] };
                 for d in 0..dims {
                     let mut previous = 0;
                     for i in first..first + shape.block_gaussians(block) {
-                        let value = projected[class.index()][dims * i + d][k];
+                        let value = dot(&leftover[class.index()][dims * i + d], vector);
                         let symbols = quantiser.split(quantiser.index(value as f32), Level::ALL[1]);
                         let mut symbol = symbols[level.index()];
                         if level == Level::ALL[1] && quantiser.predicted() {
@@ -278,20 +356,20 @@ fn coefficients(
             }
         }
     }
-    (CellSymbols { shape, levels }, saturated)
+    (CellSymbols { shape, levels, table_indices: Default::default() }, saturated)
 }
 
 /// How many of the basis' vectors are coded for all Gaussians of a cluster: where bits and what is
 /// left out together cost least.
-fn cheapest_rank(rows: &[Vec<f64>], projections: &[Vec<f64>], price: Price) -> usize {
+fn cheapest_rank(rows: &[Vec<f64>], projections: &[Vec<f64>], rate: RateEstimate) -> usize {
     let mut energy: f64 = rows.iter().map(|r| dot(r, r)).sum();
-    let (mut bits, mut best) = (0.0, (price.of_loss(energy), 0));
+    let (mut bits, mut best) = (0.0, (rate.of_loss(energy), 0));
     for rank in 0..projections.first().map_or(0, Vec::len) {
         for p in projections {
             energy -= p[rank] * p[rank];
-            bits += price.of(p[rank]) - price.of_loss(0.0);
+            bits += rate.of(p[rank]) - rate.of_loss(0.0);
         }
-        let cost = bits + price.of_loss(energy.max(0.0));
+        let cost = bits + rate.of_loss(energy.max(0.0));
         if cost < best.0 {
             best = (cost, rank + 1);
         }

@@ -9,11 +9,9 @@ use codec_core::internals::{ids::Level, quant::Class, wire::manifest::Quant};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
+use super::super::factorise::{fit_pose, mean_turn, quat_mul};
 use super::canonical::{Indices, indices, split};
-use crate::{
-    factorise::{fit_pose, mean_turn, quat_mul},
-    scene::Epoch,
-};
+use crate::scene::Epoch;
 
 /// Classes that appear at level 0.
 const STILL: usize = 5;

@@ -3,18 +3,20 @@
 use codec_core::internals::{ids::Level, math::mrp_from_quat, quant::Class, wire::manifest::Proxy};
 use nalgebra::{Matrix3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3};
 
-use super::{super::packetise::CellSymbols, canonical::Canonical};
-use crate::{factorise::rotation_matrix, scene::Epoch};
+use super::{
+    super::{decisions::EpochDecisions, factorise::rotation_matrix, packetise::CellSymbols},
+    canonical::Canonical,
+};
+use crate::scene::Epoch;
 
 /// The proxies of an epoch's blocks, clusters in order.
-pub(super) fn proxies(epoch: &Epoch, members: &[Vec<u32>], canonical: &Canonical) -> Vec<Proxy> {
+pub(super) fn proxies(epoch: &Epoch, decided: &EpochDecisions, canonical: &Canonical) -> Vec<Proxy> {
     let block_len = canonical.cells.first().map_or(1, |c| c.shape.block_len);
-    let blocks = members.iter().zip(&canonical.cells);
-    blocks
-        .flat_map(|(members, cell)| {
-            members.chunks(block_len).map(move |block| proxy(epoch, block, cell, canonical))
-        })
-        .collect()
+    let mut proxies = Vec::new();
+    for (cluster, cell) in decided.clusters.iter().zip(&canonical.cells) {
+        proxies.extend(cluster.gaussians.chunks(block_len).map(|block| proxy(epoch, block, cell, canonical)));
+    }
+    proxies
 }
 
 fn proxy(epoch: &Epoch, block: &[u32], cell: &CellSymbols, canonical: &Canonical) -> Proxy {

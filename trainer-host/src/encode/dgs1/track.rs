@@ -14,11 +14,14 @@ use codec_core::internals::{
 };
 use glam::Vec3;
 
-use super::price::Price;
-use crate::{
-    factorise::{fit_pose, fit_rigid, mean_turn},
-    scene::Attributes,
+use super::{
+    super::{
+        decisions::{MotionDecisions, TrackForm},
+        factorise::{self, fit_pose, fit_rigid, mean_turn},
+    },
+    rate_estimate::RateEstimate,
 };
+use crate::scene::Attributes;
 
 /// One cluster in one window, as the decoder has it when nothing moves.
 pub(super) struct Member<'a> {
@@ -69,29 +72,29 @@ const SAMPLE: usize = 48;
 /// Candidates of one class stop after this many coarser steps that cost more.
 const PATIENCE: usize = 2;
 
-/// The cheapest track. `still` is the shape without one; `prices` those of position and rotation
+/// The cheapest track. `still` is the shape without one; `rates` those of position and rotation
 /// coefficients; `vectors` the cosine basis; a track takes at most `most_bits`.
 pub(super) fn choose(
     member: &Member<'_>,
     still: &Shape,
-    prices: &[Price; 2],
+    rates: &[RateEstimate; 2],
     vectors: &[Vec<f64>],
     most_bits: f64,
 ) -> Chosen {
     let count = member.frames.len();
     let every = member.members.len().div_ceil(SAMPLE).max(1);
     let share = every as f64;
-    let judge = |poses: &[Pose]| -> f64 {
+    let residual_bits = |poses: &[Pose]| -> f64 {
         let mut sum = 0.0;
         for i in (0..member.members.len()).step_by(every) {
             for (d, row) in member.leftover(poses, i).iter().enumerate() {
-                sum += prices[d / 3].of_row(row, vectors);
+                sum += rates[d / 3].of_row(row, vectors);
             }
         }
         sum * share
     };
     let identity = vec![Pose::IDENTITY; count];
-    let mut best_cost = judge(&identity);
+    let mut best_cost = residual_bits(&identity);
     let mut best = Chosen { motion: Motion::default(), symbols: Vec::new(), poses: identity };
     if best_cost <= 0.0 {
         return best;
@@ -102,14 +105,8 @@ pub(super) fn choose(
         let coefficients = transform(track, &fits, vectors);
         let (mut least, mut worse) = (f64::INFINITY, 0);
         for shift in 0..=24u8 {
-            let motion = Motion {
-                kind: Motion::kind_of(track, Level::ALL[3]),
-                track_shift: shift,
-                ..Motion::default()
-            };
-            let with =
-                |motion| Shape::dgs1(still.cluster, still.quant, Some(motion), still.frames, still.block_len);
-            let shape = with(motion);
+            let motion = track_motion(track, shift);
+            let shape = with_motion(still, motion);
             let Some((kept, symbols)) = quantise(&shape, &coefficients, count) else { continue };
             if kept == 0 {
                 break;
@@ -118,9 +115,9 @@ pub(super) fn choose(
             if bits > most_bits {
                 continue;
             }
-            let shape = with(Motion { track: kept, ..motion });
+            let shape = with_motion(still, Motion { track: kept, ..motion });
             let poses: Vec<Pose> = cosines.iter().map(|c| pose(&shape, &symbols, c)).collect();
-            let cost = bits + judge(&poses);
+            let cost = bits + residual_bits(&poses);
             if cost < best_cost {
                 best_cost = cost;
                 best = Chosen { motion: shape.motion, symbols, poses };
@@ -138,8 +135,42 @@ pub(super) fn choose(
     best
 }
 
+/// The track that `decided` names; `None` if a coefficient does not fit its symbol.
+pub(super) fn follow(
+    member: &Member<'_>,
+    still: &Shape,
+    decided: &MotionDecisions,
+    vectors: &[Vec<f64>],
+) -> Option<Chosen> {
+    let count = member.frames.len();
+    let track = match decided.track {
+        TrackForm::Static => {
+            let poses = vec![Pose::IDENTITY; count];
+            return Some(Chosen { motion: Motion::default(), symbols: Vec::new(), poses });
+        }
+        TrackForm::Rigid => Track::Rigid,
+        TrackForm::Affine => Track::Affine,
+    };
+    let motion = track_motion(track, decided.track_shift);
+    let coefficients = transform(track, &fits(member), vectors);
+    let (kept, symbols) = quantise(&with_motion(still, motion), &coefficients, count)?;
+    let motion = Motion { track: kept, ..motion };
+    let shape = with_motion(still, motion);
+    let pose_at = |t: usize| pose(&shape, &symbols, &cosine(count as u32, t as u32));
+    let poses = (0..count).map(pose_at).collect();
+    Some(Chosen { motion, symbols, poses })
+}
+
+fn track_motion(track: Track, shift: u8) -> Motion {
+    Motion { kind: Motion::kind_of(track, Level::ALL[3]), track_shift: shift, ..Motion::default() }
+}
+
+fn with_motion(still: &Shape, motion: Motion) -> Shape {
+    Shape::dgs1(still.cluster, still.quant, Some(motion), still.frames, still.block_len)
+}
+
 /// The best poses of each frame: affine and rigid.
-fn fits(member: &Member<'_>) -> Vec<[crate::factorise::Pose; 2]> {
+fn fits(member: &Member<'_>) -> Vec<[factorise::Pose; 2]> {
     let (a, n) = (member.attributes, member.count);
     let pick3 = |values: &[[f32; 3]]| -> Vec<[f64; 3]> {
         member.members.iter().map(|&i| values[i as usize].map(f64::from)).collect()
@@ -167,9 +198,9 @@ fn fits(member: &Member<'_>) -> Vec<[crate::factorise::Pose; 2]> {
 }
 
 /// Cosine coefficients of a track's parameters: those that turn, then translation.
-fn transform(track: Track, fits: &[[crate::factorise::Pose; 2]], vectors: &[Vec<f64>]) -> Vec<Vec<f64>> {
+fn transform(track: Track, fits: &[[factorise::Pose; 2]], vectors: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let rigid = track == Track::Rigid;
-    let parameter = |fit: &[crate::factorise::Pose; 2], p: usize| -> f64 {
+    let parameter = |fit: &[factorise::Pose; 2], p: usize| -> f64 {
         let pose = &fit[usize::from(rigid)];
         if p >= track.turning() {
             return pose.translation[p - track.turning()];

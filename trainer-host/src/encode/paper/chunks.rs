@@ -11,7 +11,7 @@ use codec_core::internals::{
 };
 
 use super::{Cell, EpochPlan, quant_index};
-use crate::encode::{EncodeError, Options};
+use crate::encode::{EncodeError, Protection};
 
 /// One completion group, entropy-coded.
 pub(super) struct Group {
@@ -58,7 +58,7 @@ pub(super) fn groups(
     plan: &EpochPlan,
     cell: &Cell,
     quants: &[Quant],
-    options: &Options,
+    repair: &Protection,
 ) -> Result<[Group; Level::COUNT], EncodeError> {
     let mut groups = Vec::with_capacity(Level::COUNT);
     for level in Level::ALL {
@@ -77,7 +77,7 @@ pub(super) fn groups(
         let tables = counts.map(|c| ByteTable::from_counts(&c));
         let pair = [&tables[0], &tables[1]];
         let costs = tables.map(|t| costs(&t));
-        let limit = match options.repair.of(false, level) {
+        let limit = match repair.of(false, level) {
             Some(_) => limits::MAX_PAYLOAD_BYTES - 32 - PARITY_OVERHEAD_BYTES,
             None => limits::MAX_PAYLOAD_BYTES,
         };

@@ -1,10 +1,9 @@
 //! Public files as they are: their size, and what `dgs1` needs at the same count.
 
 use anyhow::Result;
-use dgs::quality;
 use render_host::{Backend, Settings, metric};
 use trainer_host::{
-    Scene,
+    Scene, evaluator,
     viewpoint::{Framing, Ring},
 };
 
@@ -94,8 +93,8 @@ fn readers(bench: &mut Bench, setup: &Setup, size: u32) -> Result<()> {
     }
     let camera = &Framing::of(&a).ring(Ring::HeldOut, 3, (size, size))?[0];
     let settings = Settings::default();
-    let one = quality::references(&a, &[0], camera, &settings, &Backend::Cpu)?;
-    let psnr = metric::psnr(&quality::render(&turned, camera, &settings)?, &one[0])?;
+    let one = evaluator::references(&a, &[0], camera, &settings, &Backend::Cpu)?;
+    let psnr = metric::psnr(&evaluator::render(&turned, camera, &settings)?, &one[0])?;
     bench.push(Figure::new("biker.readers.psnr", psnr, "dB"));
     let apart = a.max_count().abs_diff(b.max_count()) as f64;
     bench.push(Figure::new("biker.readers.gaussians_apart", apart, ""));

@@ -17,7 +17,7 @@ pub struct Overhead {
     /// the code words that select tables.
     pub models: f64,
     /// Of these, the code words.
-    pub selectors: f64,
+    pub table_indices: f64,
     /// Payload above that: rounding, what the lanes' states do not hold.
     pub gap: f64,
     /// What stands in front of the lanes.
@@ -40,8 +40,8 @@ impl Overhead {
         let proxy = proxies.map(|p| p.bits).sum::<f64>() / 8.0;
         Self {
             wire: ledger.wire() - ledger.parity,
-            models: priced + ledger.selectors,
-            selectors: ledger.selectors,
+            models: priced + ledger.table_indices,
+            table_indices: ledger.table_indices,
             gap: ledger.coder_gap() / 8.0,
             lane_heads: ledger.lane_heads,
             headers: ledger.headers + ledger.dependencies,
@@ -72,7 +72,7 @@ pub fn measure(bench: &mut Bench, key: &str, scene: &Scene) -> Result<Overhead> 
     };
     push("coder_gap", o.gap);
     push("lane_heads", o.lane_heads);
-    push("selectors", o.selectors);
+    push("selectors", o.table_indices);
     push("headers", o.headers);
     push("crc", o.crc);
     push("manifest", o.manifest);

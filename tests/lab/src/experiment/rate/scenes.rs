@@ -2,11 +2,10 @@
 //! uncompressed source gives there.
 
 use anyhow::Result;
-use dgs::quality;
 use rayon::prelude::*;
 use render_host::{Backend, Camera, Image, Settings};
 use trainer_host::{
-    Instant, Scene,
+    Instant, Scene, evaluator,
     viewpoint::{Framing, Ring},
 };
 
@@ -94,7 +93,7 @@ impl Judge {
         let settings = Settings::default();
         let references: Result<Vec<_>, _> = cameras
             .iter()
-            .map(|c| quality::references(scene, &frames, c, &settings, &Backend::Cpu))
+            .map(|c| evaluator::references(scene, &frames, c, &settings, &Backend::Cpu))
             .collect();
         Ok(Self { cameras, frames, references: references? })
     }
@@ -109,13 +108,13 @@ impl Judge {
         let settings = Settings { parallel: false, ..Settings::default() };
         let pairs: Vec<(usize, usize)> =
             (0..self.cameras.len()).flat_map(|c| (0..shown.len()).map(move |f| (c, f))).collect();
-        let scores: Result<Vec<(quality::Score, Option<f64>)>> = pairs
+        let scores: Result<Vec<(evaluator::Score, Option<f64>)>> = pairs
             .par_iter()
             .map(|&(c, f)| {
-                let image = quality::render(&shown[f], &self.cameras[c], &settings)?;
+                let image = evaluator::render(&shown[f], &self.cameras[c], &settings)?;
                 let reference = &self.references[c][f];
-                let flip = (c == 0).then(|| quality::flip(&image, reference)).transpose()?;
-                Ok((quality::score(&image, reference)?, flip))
+                let flip = (c == 0).then(|| evaluator::flip(&image, reference)).transpose()?;
+                Ok((evaluator::score(&image, reference)?, flip))
             })
             .collect();
         let scores = scores?;

@@ -3,7 +3,7 @@
 use std::fmt::Write as _;
 
 use anyhow::Result;
-use dgs::quality::PSNR_CAP_DB;
+use trainer_host::evaluator::PSNR_CAP_DB;
 
 use super::{
     bjontegaard::{Difference, RateCurve, RatePoint, Refused, difference, difference_cubic, efficient},

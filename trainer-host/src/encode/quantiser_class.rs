@@ -2,42 +2,39 @@
 //!
 //! An error shows much in a large opaque Gaussian in front and hardly in a faint one behind it. At
 //! high rate bits are spent best where step² times sensitivity is the same for every value. So
-//! Gaussians of like sensitivity make a *stratum* with steps of its own, per class of attributes, and
+//! Gaussians of like sensitivity make a *quantiser class* with steps of its own, per class of attributes, and
 //! are clustered apart from the others. What one saves is ½ log₂ of the ratio of the arithmetic to
-//! the geometric mean of the sensitivities per value; what it costs is to know which stratum a
-//! Gaussian is in, which its cluster tells: the entropy of the strata, in positions that lie farther
-//! apart. Where Gaussians move that would also tear apart what moves together, so there a stratum is
+//! the geometric mean of the sensitivities per value; what it costs is to know which class a
+//! Gaussian is in, which its cluster tells: the entropy of the classes, in positions that lie farther
+//! apart. Where Gaussians move that would also tear apart what moves together, so there a class is
 //! one of whole clusters. Where to cut is found exactly, by dynamic programming over a histogram.
 
-mod cheap;
+mod step_refinement;
 
 use super::{
-    EncodeError, Options, Quality, QuantiserClass,
+    EncodeError, Options, Quality, QuantiserClass, cluster,
+    sensitivity::{self, CLASSES, Weights},
     steps::{DGS1_BASE_RATIO, Factors, Grid},
 };
-use crate::{
-    cluster,
-    scene::Scene,
-    sensitivity::{self, CLASSES, Weights},
-};
+use crate::scene::Scene;
 
 /// The clusters of a scene, and which of them share steps.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Strata {
+pub(super) struct QuantiserClasses {
     /// Per epoch, clusters: see [`cluster::cluster`].
     sets: Vec<Vec<Vec<u32>>>,
-    /// Per epoch, the stratum of each Gaussian; the same within a cluster.
+    /// Per epoch, the class of each Gaussian; the same within a cluster.
     of: Vec<Vec<u8>>,
-    /// Per stratum, the most sensitive first, factors on the steps of [`Options::quality`].
+    /// Per class, the most sensitive first, factors on the steps of [`Options::quality`].
     factors: Vec<Factors>,
 }
 
-/// Most strata.
+/// Most classes.
 pub const MOST: usize = 6;
 /// A Gaussian counts as sensitive as this share of the mean, by class: less is beyond what a few
 /// pictures can tell.
 const FLOOR: f64 = 0.01;
-/// Bits that one more stratum must save: per Gaussian, and for its quantisers and clusters that are not
+/// Bits that one more class must save: per Gaussian, and for its quantisers and clusters that are not
 /// full.
 const LEAST_GAIN: (f64, f64) = (0.5, 2000.0);
 /// Factors stay within this and its inverse.
@@ -45,13 +42,19 @@ const MOST_FACTOR: f32 = 16.0;
 /// Bins of the histogram of sensitivities.
 const BINS: usize = 256;
 
-impl Strata {
-    /// No strata, for a profile without.
-    pub const fn none() -> Self {
-        Self { sets: Vec::new(), of: Vec::new(), factors: Vec::new() }
+impl QuantiserClasses {
+    /// Clusters of `scene` with no classes, for a profile without.
+    pub fn none(scene: &Scene, options: &Options) -> Self {
+        let sets = scene.epochs().iter().map(|epoch| cluster::cluster(epoch, &options.cluster)).collect();
+        Self { sets, of: Vec::new(), factors: Vec::new() }
     }
 
-    /// All Gaussians of `scene` in one stratum, with the steps of [`Options::quality`] or finer where
+    /// The clusters of each epoch.
+    pub fn clusters(&self) -> &[Vec<Vec<u32>>] {
+        &self.sets
+    }
+
+    /// All Gaussians of `scene` in one class, with the steps of [`Options::quality`] or finer where
     /// that is cheap.
     ///
     /// # Errors
@@ -60,12 +63,12 @@ impl Strata {
         let clustered = |epoch| cluster::cluster(epoch, &options.cluster);
         let sets: Vec<Vec<Vec<u32>>> = scene.epochs().iter().map(clustered).collect();
         let of = scene.epochs().iter().map(|epoch| vec![0; epoch.count()]).collect();
-        Self { sets, of, factors: vec![[1.0; CLASSES]] }.thrifty(scene, options)
+        Self { sets, of, factors: vec![[1.0; CLASSES]] }.with_finer_steps(scene, options)
     }
 
-    /// The strata of `scene` and steps that make errors weigh alike in pictures, in sum as much as
-    /// those of [`Options::quality`] do. Where nothing moves, Gaussians of different strata are
-    /// clustered apart; else whole clusters share a stratum.
+    /// The classes of `scene` and steps that make errors weigh alike in pictures, in sum as much as
+    /// those of [`Options::quality`] do. Where nothing moves, Gaussians of different classes are
+    /// clustered apart; else whole clusters share a class.
     ///
     /// # Errors
     /// What the renderer refuses; steps that the format does not hold.
@@ -84,15 +87,15 @@ impl Strata {
             return Self::one(scene, options);
         };
         let still = scene.epochs().iter().all(|epoch| epoch.attributes().is_constant());
-        let strata = if still { found.apart(scene, options) } else { found.together(scene, options) };
-        strata.thrifty(scene, options)
+        let classes = if still { found.apart(scene, options) } else { found.together(scene, options) };
+        classes.with_finer_steps(scene, options)
     }
 
     /// The same with finer steps where they are cheap in the middle epoch.
-    fn thrifty(mut self, scene: &Scene, options: &Options) -> Result<Self, EncodeError> {
+    fn with_finer_steps(mut self, scene: &Scene, options: &Options) -> Result<Self, EncodeError> {
         let middle = scene.epochs().len() / 2;
         if let Some(epoch) = scene.epochs().get(middle) {
-            let finer = cheap::finer(epoch, &self.layer(middle, &options.quality), options)?;
+            let finer = step_refinement::finer(epoch, &self.of_epoch(middle, &options.quality), options)?;
             for (factors, finer) in self.factors.iter_mut().zip(finer) {
                 factors.iter_mut().zip(finer).for_each(|(factor, finer)| *factor *= finer);
             }
@@ -100,7 +103,7 @@ impl Strata {
         Ok(self)
     }
 
-    /// The strata of epoch `epoch` alone.
+    /// The classes of epoch `epoch` alone.
     pub fn part(&self, epoch: usize) -> Self {
         Self {
             sets: self.sets.get(epoch).cloned().into_iter().collect(),
@@ -112,17 +115,17 @@ impl Strata {
     /// How many Gaussians each has, and its steps.
     pub fn shares(&self, quality: &Quality) -> Vec<QuantiserClass> {
         let count =
-            |stratum: usize| self.of.iter().flatten().filter(|&&s| usize::from(s) == stratum).count() as u64;
-        let share = |(stratum, factors): (usize, &Factors)| QuantiserClass {
-            gaussians: count(stratum),
+            |class: usize| self.of.iter().flatten().filter(|&&s| usize::from(s) == class).count() as u64;
+        let share = |(class, factors): (usize, &Factors)| QuantiserClass {
+            gaussians: count(class),
             quality: quality.times(factors),
         };
         self.factors.iter().enumerate().map(share).collect()
     }
 
     /// Those of epoch `epoch`, with their steps.
-    pub fn layer(&self, epoch: usize, quality: &Quality) -> Layer<'_> {
-        Layer {
+    pub fn of_epoch(&self, epoch: usize, quality: &Quality) -> EpochClasses<'_> {
+        EpochClasses {
             sets: self.sets.get(epoch).map_or(&[][..], Vec::as_slice),
             of: self.of.get(epoch).map_or(&[][..], Vec::as_slice),
             qualities: self.factors.iter().map(|factors| quality.times(factors)).collect(),
@@ -155,101 +158,116 @@ impl Costs {
         components.iter().any(|&n| n > 0.0).then_some(Self { each, mean, components })
     }
 
-    /// Gaussians of different strata clustered apart.
-    fn apart(&self, scene: &Scene, options: &Options) -> Strata {
+    /// Gaussians of different classes clustered apart.
+    fn apart(&self, scene: &Scene, options: &Options) -> QuantiserClasses {
         let units = self.each.iter().flatten().map(|&sums| Bin { count: 1.0, sums }).collect();
-        let (which, factors) = self.strata(units, true);
-        let mut which = which.into_iter();
-        let of: Vec<Vec<u8>> =
-            self.each.iter().map(|epoch| which.by_ref().take(epoch.len()).collect()).collect();
-        let sets = scene.epochs().iter().zip(&of).map(|(epoch, of)| {
+        let (classes, factors) = self.classes(units, true);
+        let mut classes = classes.into_iter();
+        let (mut sets, mut of) = (Vec::new(), Vec::new());
+        for epoch in scene.epochs() {
+            let class_of: Vec<u8> = classes.by_ref().take(epoch.count()).collect();
             let mut parts = vec![Vec::new(); factors.len()];
-            for (i, &stratum) in (0..).zip(of) {
-                parts[usize::from(stratum)].push(i);
+            for (i, &class) in (0..).zip(&class_of) {
+                parts[usize::from(class)].push(i);
             }
             parts.retain(|part| !part.is_empty());
-            cluster::cluster_within(epoch, parts, &options.cluster)
-        });
-        Strata { sets: sets.collect(), of, factors }
+            sets.push(cluster::cluster_within(epoch, parts, &options.cluster));
+            of.push(class_of);
+        }
+        QuantiserClasses { sets, of, factors }
     }
 
-    /// Clusters as they are, each in one stratum.
-    fn together(&self, scene: &Scene, options: &Options) -> Strata {
-        let clustered = |epoch| cluster::cluster(epoch, &options.cluster);
-        let sets: Vec<Vec<Vec<u32>>> = scene.epochs().iter().map(clustered).collect();
-        let unit = |(costs, set): (&Vec<Weights>, &Vec<u32>)| {
-            let each: Vec<Bin> = set.iter().map(|&i| Bin { count: 1.0, sums: costs[i as usize] }).collect();
-            Bin::sum(&each)
-        };
-        let all =
-            self.each.iter().zip(&sets).flat_map(|(costs, sets)| sets.iter().map(move |set| (costs, set)));
-        let (which, factors) = self.strata(all.map(unit).collect(), false);
-        let mut which = which.into_iter();
-        let of = scene.epochs().iter().zip(&sets).map(|(epoch, sets)| {
-            let mut of = vec![0; epoch.count()];
-            for (set, stratum) in sets.iter().zip(&mut which) {
-                set.iter().for_each(|&i| of[i as usize] = stratum);
+    /// Clusters as they are, each in one class.
+    fn together(&self, scene: &Scene, options: &Options) -> QuantiserClasses {
+        let mut sets = Vec::new();
+        let mut units = Vec::new();
+        for (epoch, costs) in scene.epochs().iter().zip(&self.each) {
+            let clusters = cluster::cluster(epoch, &options.cluster);
+            for members in &clusters {
+                let each: Vec<Bin> =
+                    members.iter().map(|&i| Bin { count: 1.0, sums: costs[i as usize] }).collect();
+                units.push(Bin::sum(&each));
             }
-            of
-        });
-        Strata { of: of.collect(), sets, factors }
+            sets.push(clusters);
+        }
+        let (classes, factors) = self.classes(units, false);
+        let mut classes = classes.into_iter();
+        let mut of = Vec::new();
+        for (epoch, clusters) in scene.epochs().iter().zip(&sets) {
+            let mut class_of = vec![0; epoch.count()];
+            for (members, class) in clusters.iter().zip(&mut classes) {
+                members.iter().for_each(|&i| class_of[i as usize] = class);
+            }
+            of.push(class_of);
+        }
+        QuantiserClasses { sets, of, factors }
     }
 
-    /// The stratum of each of `units`, and the factors of each stratum. `told`: whether it takes bits
-    /// to say which stratum a unit is in.
-    fn strata(&self, units: Vec<Bin>, told: bool) -> (Vec<u8>, Vec<Factors>) {
-        let values: f64 = self.components.iter().sum();
-        let score = |unit: &Bin| -> f64 {
-            let class = |c: usize| self.components[c] * (unit.sums[c] / unit.count / self.mean[c]).ln();
-            (0..CLASSES).filter(|&c| self.components[c] > 0.0).map(class).sum::<f64>() / values
-        };
-        let scores: Vec<f64> = units.iter().map(score).collect();
-        let (low, high) = scores
-            .iter()
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &s| (low.min(s), high.max(s)));
+    /// The class of each of `units`, and the factors of each class. `signalled`: whether it takes bits to
+    /// say which class a unit is in.
+    fn classes(&self, units: Vec<Bin>, signalled: bool) -> (Vec<u8>, Vec<Factors>) {
+        let scores: Vec<f64> = units.iter().map(|unit| self.score(unit)).collect();
+        let low = scores.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = scores.iter().copied().fold(f64::NEG_INFINITY, f64::max);
         let width = ((high - low) / BINS as f64).max(1e-12);
         // From the most sensitive down.
-        let bin = |score: f64| (((high - score) / width) as usize).min(BINS - 1);
+        let bin_of = |score: f64| (((high - score) / width) as usize).min(BINS - 1);
         let mut bins = vec![Bin::default(); BINS];
         for (unit, &score) in units.iter().zip(&scores) {
-            let bin = &mut bins[bin(score)];
+            let bin = &mut bins[bin_of(score)];
             *bin = Bin::sum(&[*bin, *unit]);
         }
-        let ends = cut(&bins, &self.components, told);
-        let stratum = |&score: &f64| ends.iter().take_while(|&&end| bin(score) >= end).count() as u8;
-        let which = scores.iter().map(stratum).collect();
-        // What the steps cost in all, spread evenly over the values.
-        let all = Bin::sum(&bins);
+        let ends = cut(&bins, &self.components, signalled);
+        let class_of = |&score: &f64| ends.iter().take_while(|&&end| bin_of(score) >= end).count() as u8;
+        let which = scores.iter().map(class_of).collect();
+        (which, self.factors(&bins, &ends))
+    }
+
+    /// How sensitive the values of `unit` are: mean logarithm of what an error costs over its mean.
+    fn score(&self, unit: &Bin) -> f64 {
+        let values: f64 = self.components.iter().sum();
+        let mut sum = 0.0;
+        for c in (0..CLASSES).filter(|&c| self.components[c] > 0.0) {
+            sum += self.components[c] * (unit.sums[c] / unit.count / self.mean[c]).ln();
+        }
+        sum / values
+    }
+
+    /// The factors of each class of `bins`, which end at `ends`: what the steps cost in all, spread evenly
+    /// over the values.
+    fn factors(&self, bins: &[Bin], ends: &[usize]) -> Vec<Factors> {
+        let values: f64 = self.components.iter().sum();
+        let all = Bin::sum(bins);
         let total: f64 = (0..CLASSES).map(|c| self.components[c] * all.sums[c]).sum();
         let each = total / all.count / values;
+        let mut factors = Vec::new();
         let mut first = 0;
-        let factors = ends.iter().map(|&end| {
-            let stratum = Bin::sum(&bins[first..end]);
+        for &end in ends {
+            let class = Bin::sum(&bins[first..end]);
             first = end;
-            std::array::from_fn(|c| {
-                if self.components[c] == 0.0 {
-                    return 1.0;
-                }
-                let factor = (each * stratum.count / stratum.sums[c]).sqrt() as f32;
-                factor.clamp(1.0 / MOST_FACTOR, MOST_FACTOR)
-            })
-        });
-        (which, factors.collect())
+            let mut own: Factors = [1.0; CLASSES];
+            for c in (0..CLASSES).filter(|&c| self.components[c] != 0.0) {
+                let factor = (each * class.count / class.sums[c]).sqrt() as f32;
+                own[c] = factor.clamp(1.0 / MOST_FACTOR, MOST_FACTOR);
+            }
+            factors.push(own);
+        }
+        factors
     }
 }
 
-/// The strata of one epoch.
+/// The classes of one epoch.
 #[derive(Clone, Debug)]
-pub(super) struct Layer<'s> {
-    /// Clusters, each of one stratum.
+pub(super) struct EpochClasses<'s> {
+    /// Clusters, each of one class.
     pub sets: &'s [Vec<u32>],
     of: &'s [u8],
-    /// Steps of each stratum.
+    /// Steps of each class.
     pub qualities: Vec<Quality>,
 }
 
-impl Layer<'_> {
-    /// The stratum of `set`, whose Gaussians all are of the same.
+impl EpochClasses<'_> {
+    /// The class of `set`, whose Gaussians all are of the same.
     pub fn of(&self, set: &[u32]) -> usize {
         set.first().and_then(|&i| self.of.get(i as usize)).map_or(0, |&s| s.into())
     }
@@ -275,7 +293,7 @@ impl Bin {
 }
 
 /// Ends of the ranges of `bins` that take the fewest bits; the last is the number of bins.
-fn cut(bins: &[Bin], components: &[f64; CLASSES], told: bool) -> Vec<usize> {
+fn cut(bins: &[Bin], components: &[f64; CLASSES], signalled: bool) -> Vec<usize> {
     let n = bins.len();
     let all = Bin::sum(bins);
     let least_gain = LEAST_GAIN.0 * all.count + LEAST_GAIN.1;
@@ -283,7 +301,7 @@ fn cut(bins: &[Bin], components: &[f64; CLASSES], told: bool) -> Vec<usize> {
     for (i, bin) in bins.iter().enumerate() {
         before[i + 1] = Bin::sum(&[before[i], *bin]);
     }
-    // Bits of bins `a..b` as one stratum, up to what all choices have in common.
+    // Bits of bins `a..b` as one class, up to what all choices have in common.
     let bits = |a: usize, b: usize| -> f64 {
         let count = before[b].count - before[a].count;
         if count < 0.5 {
@@ -293,24 +311,24 @@ fn cut(bins: &[Bin], components: &[f64; CLASSES], told: bool) -> Vec<usize> {
             let mean = (before[b].sums[c] - before[a].sums[c]) / count;
             0.5 * components[c] * mean.max(f64::MIN_POSITIVE).log2()
         };
-        let told = if told { (count / all.count).log2() } else { 0.0 };
-        count * ((0..CLASSES).map(half_log).sum::<f64>() - told) + least_gain
+        let signalling = if signalled { (count / all.count).log2() } else { 0.0 };
+        count * ((0..CLASSES).map(half_log).sum::<f64>() - signalling) + least_gain
     };
-    // best[s][b]: bits of bins `0..b` in s + 1 strata, and where the last begins.
+    // best[s][b]: bits of bins `0..b` in s + 1 classes, and where the last begins.
     let mut best: Vec<Vec<(f64, usize)>> = vec![(0..=n).map(|b| (bits(0, b), 0)).collect()];
     for s in 1..MOST {
-        let row = (0..=n)
+        let of_one_more = (0..=n)
             .map(|b| {
                 (s..b)
                     .map(|a| (best[s - 1][a].0 + bits(a, b), a))
                     .fold((f64::INFINITY, 0), |least, found| if found.0 < least.0 { found } else { least })
             })
             .collect();
-        best.push(row);
+        best.push(of_one_more);
     }
-    let strata = (0..MOST).fold(0, |least, s| if best[s][n].0 < best[least][n].0 { s } else { least });
+    let classes = (0..MOST).fold(0, |least, s| if best[s][n].0 < best[least][n].0 { s } else { least });
     let mut ends = vec![n];
-    for s in (1..=strata).rev() {
+    for s in (1..=classes).rev() {
         let end = ends.last().map_or(n, |&end| end);
         ends.push(best[s][end].1);
     }
@@ -322,18 +340,20 @@ fn cut(bins: &[Bin], components: &[f64; CLASSES], told: bool) -> Vec<usize> {
 mod tests {
     use super::*;
     use crate::{
-        encode::encode,
+        encode::{
+            encode,
+            evaluator::{Evaluator, spread},
+        },
         import::{
             Limits,
             synth::{self, Kind},
         },
-        judge::{Judge, spread},
     };
 
     const COMPONENTS: [usize; CLASSES] = [3, 3, 3, 1, 3, 0];
 
-    /// The definition: bits of every Gaussian's values at the factors of its stratum, and what it takes to
-    /// tell the strata.
+    /// The definition: bits of every Gaussian's values at the factors of its class, and what it takes to
+    /// tell the classes.
     fn naive_bits(each: &[Weights], of: &[u8], factors: &[Factors]) -> f64 {
         let n = each.len() as f64;
         let values: f64 = of
@@ -344,12 +364,12 @@ mod tests {
                     .sum::<f64>()
             })
             .sum();
-        let told: f64 = (0..factors.len())
+        let signalling: f64 = (0..factors.len())
             .map(|s| of.iter().filter(|&&o| usize::from(o) == s).count() as f64)
             .filter(|&k| k > 0.0)
             .map(|k| k * (n / k).log2())
             .sum();
-        values + told
+        values + signalling
     }
 
     fn distortion(each: &[Weights], of: &[u8], factors: &[Factors]) -> f64 {
@@ -372,10 +392,10 @@ mod tests {
     }
 
     #[test]
-    fn strata_keep_what_errors_cost_and_save_bits() {
+    fn classes_keep_what_errors_cost_and_save_bits() {
         let costs = Costs::new(vec![costs(3000)], COMPONENTS).unwrap();
         let each = &costs.each[0];
-        let (of, factors) = costs.strata(each.iter().map(|&sums| Bin { count: 1.0, sums }).collect(), true);
+        let (of, factors) = costs.classes(each.iter().map(|&sums| Bin { count: 1.0, sums }).collect(), true);
         assert!((2..=MOST).contains(&factors.len()), "{factors:?}");
         let (one, zero) = (vec![[1.0; CLASSES]], vec![0; each.len()]);
         let (before, after) = (distortion(each, &zero, &one), distortion(each, &of, &factors));
@@ -385,7 +405,7 @@ mod tests {
         // The most sensitive first, with the finest steps.
         assert!(factors.is_sorted_by(|a, b| a[0] < b[0]), "{factors:?}");
         for (cost, &s) in each.iter().zip(&of) {
-            assert!(cost[0] > 0.5 || s > 0, "a Gaussian of {cost:?} in stratum {s}");
+            assert!(cost[0] > 0.5 || s > 0, "a Gaussian of {cost:?} in class {s}");
         }
     }
 
@@ -400,7 +420,7 @@ mod tests {
         bins.retain(|bin| bin.count > 0.0);
         let components = COMPONENTS.map(|n| n as f64);
         let all = Bin::sum(&bins);
-        let cost = |ends: &[usize], told: bool| -> f64 {
+        let cost = |ends: &[usize], signalled: bool| -> f64 {
             let mut first = 0;
             let mut sum = 0.0;
             for &end in ends {
@@ -408,52 +428,52 @@ mod tests {
                 first = end;
                 let half_log = |c: usize| 0.5 * components[c] * (part.sums[c] / part.count).log2();
                 sum += part.count * (0..5).map(half_log).sum::<f64>();
-                sum += if told { part.count * (all.count / part.count).log2() } else { 0.0 };
+                sum += if signalled { part.count * (all.count / part.count).log2() } else { 0.0 };
                 sum += LEAST_GAIN.0 * all.count + LEAST_GAIN.1;
             }
             sum
         };
-        for told in [false, true] {
+        for signalled in [false, true] {
             let mut least = f64::INFINITY;
             for choice in 0..1u32 << (bins.len() - 1) {
                 let mut ends: Vec<usize> = (1..bins.len()).filter(|b| choice >> (b - 1) & 1 == 1).collect();
                 ends.push(bins.len());
                 if ends.len() <= MOST {
-                    least = least.min(cost(&ends, told));
+                    least = least.min(cost(&ends, signalled));
                 }
             }
-            let found = cut(&bins, &components, told);
-            assert!((cost(&found, told) - least).abs() < 1e-6, "{found:?}");
+            let found = cut(&bins, &components, signalled);
+            assert!((cost(&found, signalled) - least).abs() < 1e-6, "{found:?}");
         }
     }
 
     #[test]
-    fn nothing_to_see_or_all_alike_is_one_stratum() {
+    fn nothing_to_see_or_all_alike_is_one_class() {
         assert!(Costs::new(vec![vec![[0.0; CLASSES]; 9]], COMPONENTS).is_none());
         assert!(Costs::new(vec![Vec::new()], COMPONENTS).is_none());
         assert!(Costs::new(vec![vec![[f64::NAN; CLASSES]; 9]], COMPONENTS).is_none());
         let alike = Costs::new(vec![vec![[2.0, 2.0, 2.0, 2.0, 2.0, 0.0]; 50]], COMPONENTS).unwrap();
-        let (of, factors) = alike.strata(vec![Bin { count: 1.0, sums: alike.each[0][0] }; 50], true);
+        let (of, factors) = alike.classes(vec![Bin { count: 1.0, sums: alike.each[0][0] }; 50], true);
         assert_eq!((of, factors), (vec![0; 50], vec![[1.0; CLASSES]]));
     }
 
     #[test]
-    fn clusters_never_mix_strata_and_hold_everybody_once() {
+    fn clusters_never_mix_classes_and_hold_everybody_once() {
         for (kind, frames) in [(Kind::Figure, 1), (Kind::Figure, 6), (Kind::Births, 6)] {
             let options = synth::Options { gaussians: 1500, frames, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
-            let strata = Strata::measured(&scene, &Options::default()).unwrap();
-            assert!(strata.factors.len() > 1, "{kind:?} {frames}");
+            let classes = QuantiserClasses::measured(&scene, &Options::default()).unwrap();
+            assert!(classes.factors.len() > 1, "{kind:?} {frames}");
             for (e, epoch) in scene.epochs().iter().enumerate() {
-                let layer = strata.layer(e, &Quality::default());
-                let mut seen: Vec<u32> = layer.sets.concat();
+                let own = classes.of_epoch(e, &Quality::default());
+                let mut seen: Vec<u32> = own.sets.concat();
                 seen.sort_unstable();
                 assert!(seen.into_iter().eq(0..epoch.count() as u32));
-                for set in layer.sets {
-                    assert!(set.iter().all(|&i| layer.of(&[i]) == layer.of(set)));
+                for set in own.sets {
+                    assert!(set.iter().all(|&i| own.of(&[i]) == own.of(set)));
                 }
             }
-            let shares = strata.shares(&Quality::default());
+            let shares = classes.shares(&Quality::default());
             let all: u64 = shares.iter().map(|s| s.gaussians).sum();
             assert_eq!(all, scene.epochs().iter().map(|e| e.count() as u64).sum::<u64>());
         }
@@ -464,12 +484,12 @@ mod tests {
     fn measured_steps_pay() {
         let options = synth::Options { gaussians: 4000, frames: 1, kind: Kind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
-        let judge = Judge::measuring(&scene, spread(0, 1, 1)).unwrap();
+        let evaluator = Evaluator::measuring(&scene, spread(0, 1, 1)).unwrap();
         let marks = |pictures: usize, coarseness: f32| {
             let quality = Quality::default().scaled(coarseness);
             let encoded =
                 encode(&scene, &Options { pictures, quality, ..Options::default() }, &|_, _| {}).unwrap();
-            (encoded.report.ledger.wire(), judge.whole(&encoded.stream).unwrap())
+            (encoded.report.ledger.wire(), evaluator.whole(&encoded.stream).unwrap())
         };
         let (even, psnr) = marks(0, 1.0);
         let finer = (1..20).map(|k| marks(16, 1.1 * 0.9f32.powi(k))).find(|m| m.1 >= psnr);

@@ -10,16 +10,16 @@ use super::{Choice, Costs, EncodeError, Streams};
 /// A run's distinct values and how often each occurs.
 type Sparse = Vec<(i16, f32)>;
 
-/// A menu must save this many bits by a further table: its bytes in the manifest, twice over,
+/// A table set must save this many bits by a further table: its bytes in the manifest, twice over,
 /// for the memory of receivers.
-const WORTH_BITS: f64 = 64.0;
+const LEAST_SAVED_BITS: f64 = 64.0;
 /// … and this share of the stream.
-const WORTH_SHARE: f64 = 4e-4;
+const LEAST_SAVED_SHARE: f64 = 4e-4;
 
 /// Bits by which a table outside the family must beat those inside.
 const OWN_BITS: f64 = 1000.0;
 
-/// The menu for `runs`, code lengths ascending; empty for no runs.
+/// The table set for `runs`, code lengths ascending; empty for no runs.
 pub(super) fn choose(runs: &[&[i16]], named: &[Costs], most: usize) -> Result<Vec<Choice>, EncodeError> {
     if runs.is_empty() {
         return Ok(Vec::new());
@@ -40,33 +40,33 @@ pub(super) fn choose(runs: &[&[i16]], named: &[Costs], most: usize) -> Result<Ve
     let Some(first) = (0..candidates.len()).min_by(|&a, &b| total(a).total_cmp(&total(b))) else {
         return Ok(Vec::new());
     };
-    let mut menu = vec![(first, 0u8)];
+    let mut set = vec![(first, 0u8)];
     let mut bits = total(first);
-    while menu.len() < most.min(MAX_TABLE_SET) {
+    while set.len() < most.min(MAX_TABLE_SET) {
         let current: Vec<f32> = (0..runs.len())
-            .map(|r| menu.iter().map(|&(c, l)| costs[c][r] + f32::from(l.max(1))).fold(f32::MAX, f32::min))
+            .map(|r| set.iter().map(|&(c, l)| costs[c][r] + f32::from(l.max(1))).fold(f32::MAX, f32::min))
             .collect();
         let saves = |c: usize| -> f64 {
-            let length = (menu.len() as f32 + 1.0).log2();
+            let length = (set.len() as f32 + 1.0).log2();
             let each = costs[c].iter().zip(&current).map(|(&b, &now)| f64::from((now - b - length).max(0.0)));
             each.sum::<f64>() - wire_bits(c)
         };
-        let unused = (0..candidates.len()).filter(|c| menu.iter().all(|(used, _)| used != c));
+        let unused = (0..candidates.len()).filter(|c| set.iter().all(|(used, _)| used != c));
         let Some((next, _)) =
             unused.map(|c| (c, saves(c))).reduce(|a, b| if b.1 > a.1 { b } else { a }).filter(|n| n.1 > 0.0)
         else {
             break;
         };
-        let mut wider: Vec<usize> = menu.iter().map(|(c, _)| *c).collect();
+        let mut wider: Vec<usize> = set.iter().map(|(c, _)| *c).collect();
         wider.push(next);
         let (wider, wider_bits) = assign(&wider, &costs);
         let wider_bits = wider_bits + wider.iter().map(|&(c, _)| wire_bits(c)).sum::<f64>();
-        if bits - wider_bits < WORTH_BITS + WORTH_SHARE * bits {
+        if bits - wider_bits < LEAST_SAVED_BITS + LEAST_SAVED_SHARE * bits {
             break;
         }
-        (menu, bits) = (wider, wider_bits);
+        (set, bits) = (wider, wider_bits);
     }
-    Ok(menu.into_iter().map(|(c, length)| Choice { costs: candidates[c].clone(), length }).collect())
+    Ok(set.into_iter().map(|(c, length)| Choice { costs: candidates[c].clone(), length }).collect())
 }
 
 fn sparse(run: &[i16]) -> Sparse {
@@ -79,21 +79,21 @@ fn cost(costs: &Costs, run: &Sparse) -> f32 {
     run.iter().map(|&(value, count)| count * costs.bits(value)).sum()
 }
 
-/// Code lengths for `menu` by how often each table is the cheapest, ascending, and the bits that all
+/// Code lengths for `set` by how often each table is the cheapest, ascending, and the bits that all
 /// runs then take. Two rounds: lengths move some runs to another table.
-fn assign(menu: &[usize], costs: &[Vec<f32>]) -> (Vec<(usize, u8)>, f64) {
-    // One row per run, one column per table of the menu.
-    let columns: Vec<&[f32]> = menu.iter().map(|&table| costs[table].as_slice()).collect();
+fn assign(set: &[usize], costs: &[Vec<f32>]) -> (Vec<(usize, u8)>, f64) {
+    // One row per run, one column per table of the set.
+    let columns: Vec<&[f32]> = set.iter().map(|&table| costs[table].as_slice()).collect();
     let runs = columns.first().map_or(0, |c| c.len());
     let rows: Vec<Vec<f32>> = (0..runs).map(|run| columns.iter().map(|c| c[run]).collect()).collect();
-    let mut lengths = vec![(menu.len() as f32).log2().ceil() as u8; menu.len()];
+    let mut lengths = vec![(set.len() as f32).log2().ceil() as u8; set.len()];
     let mut bits = 0.0;
     for round in 0..3 {
-        let mut uses = vec![0u64; menu.len()];
+        let mut uses = vec![0u64; set.len()];
         bits = 0.0;
         for row in &rows {
             let of = |i: usize| row[i] + f32::from(lengths[i]);
-            let best = (0..menu.len()).reduce(|a, b| if of(b) < of(a) { b } else { a }).unwrap_or(0);
+            let best = (0..set.len()).reduce(|a, b| if of(b) < of(a) { b } else { a }).unwrap_or(0);
             uses[best] += 1;
             bits += f64::from(of(best));
         }
@@ -101,7 +101,7 @@ fn assign(menu: &[usize], costs: &[Vec<f32>]) -> (Vec<(usize, u8)>, f64) {
             lengths = huffman(&uses);
         }
     }
-    let mut entries: Vec<(usize, u8)> = menu.iter().copied().zip(lengths).collect();
+    let mut entries: Vec<(usize, u8)> = set.iter().copied().zip(lengths).collect();
     entries.sort_by_key(|&(table, length)| (length, table));
     (entries, bits)
 }

@@ -8,46 +8,45 @@ use std::collections::BTreeMap;
 
 use codec_core::internals::quant::Class;
 
-use super::Layer;
+use super::EpochClasses;
 use crate::{
-    cluster,
     encode::{
-        EncodeError, Options, Quality,
+        EncodeError, Options, Quality, cluster,
         dgs1::{
             canonical::{indices, spread_bits},
-            price::PER_D,
+            rate_estimate::PER_D,
         },
+        sensitivity::CLASSES,
         steps::{self, DGS1_BASE_RATIO, Factors, Grid},
     },
     scene::Epoch,
-    sensitivity::CLASSES,
 };
 
 /// Finer steps that are tried: thirds of thirds, so that all follow from the finest indices.
 const FINER: u32 = 4;
-/// Clusters of a stratum that are looked at, about.
+/// Clusters of a class that are looked at, about.
 const CLUSTERS: usize = 24;
 /// Bits by which a finer step must be better, per value.
 const LEAST_GAIN: f64 = 0.02;
 /// Bits of a run's choice of a table.
-const SELECTOR_BITS: f64 = 2.0;
+const TABLE_INDEX_BITS: f64 = 2.0;
 /// Bits that a value of its own in a table takes.
 const ENTRY_BITS: f64 = 16.0;
 
-/// Factors on the steps of each stratum of `layer`, at most 1.
+/// Factors on the steps of each class of `classes`, at most 1.
 ///
 /// # Errors
 /// Steps that the format does not hold.
 pub(super) fn finer(
     epoch: &Epoch,
-    layer: &Layer<'_>,
+    classes: &EpochClasses<'_>,
     options: &Options,
 ) -> Result<Vec<Factors>, EncodeError> {
     let positions = epoch.attributes().positions.frame(0, epoch.count());
     let grid = Grid::of(epoch, DGS1_BASE_RATIO);
     let thirds = 3f32.powi(FINER as i32);
-    let of_stratum = |(stratum, quality): (usize, &Quality)| {
-        let own: Vec<&Vec<u32>> = layer.sets.iter().filter(|set| layer.of(set) == stratum).collect();
+    let of_class = |(class_index, quality): (usize, &Quality)| {
+        let own: Vec<&Vec<u32>> = classes.sets.iter().filter(|set| classes.of(set) == class_index).collect();
         let quality = quality.scaled(1.0 / thirds);
         let plain = [false; Class::COUNT + Class::MOVING];
         let quant = steps::dgs1(&quality, grid.step(&quality), 1, &plain, &[false; Class::COUNT])?;
@@ -79,7 +78,7 @@ pub(super) fn finer(
         }
         Ok(factors)
     };
-    layer.qualities.iter().enumerate().map(of_stratum).collect()
+    classes.qualities.iter().enumerate().map(of_class).collect()
 }
 
 /// Bits of `values` over `ratio`, rounded: the base by its spread within blocks or by a table of it,
@@ -98,7 +97,7 @@ fn bits(values: &[i32], ratio: i32, block_len: usize) -> f64 {
             }
             let n = run.len() as f64;
             let entropy = |c: u32| if c == 0 { 0.0 } else { f64::from(c) * (n / f64::from(c)).log2() };
-            sum += n.min(SELECTOR_BITS) + counts.into_iter().map(entropy).sum::<f64>();
+            sum += n.min(TABLE_INDEX_BITS) + counts.into_iter().map(entropy).sum::<f64>();
         }
     }
     let mut counts: BTreeMap<i32, f64> = BTreeMap::new();
@@ -112,7 +111,7 @@ fn bits(values: &[i32], ratio: i32, block_len: usize) -> f64 {
 mod tests {
     use super::*;
     use crate::{
-        encode::strata::Strata,
+        encode::quantiser_class::QuantiserClasses,
         import::{
             Limits,
             synth::{self, Kind},
@@ -155,8 +154,8 @@ mod tests {
         };
         let scene = Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap();
         let options = Options::default();
-        let strata = Strata::one(&scene, &options).unwrap();
-        let steps = strata.layer(0, &Quality::default()).qualities[0];
+        let classes = QuantiserClasses::one(&scene, &options).unwrap();
+        let steps = classes.of_epoch(0, &Quality::default()).qualities[0];
         assert!(steps.opacity < 0.2 * Quality::default().opacity, "{steps:?}");
         assert_eq!(steps.sh0, Quality::default().sh0);
     }

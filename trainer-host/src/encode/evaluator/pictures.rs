@@ -1,28 +1,22 @@
-//! What a viewer saw, against the source: states to images to numbers.
+//! Render states and sources, and score one against the other.
 
 use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
 use render_host::{Backend, BackendError, Camera, FrameRenderer, Image, Renderer, Settings, Splats, metric};
-use trainer_host::{Instant, Scene, stream::Player};
 
-/// Why an image could not be made or compared.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct QualityError(String);
-
-fn failed(error: impl std::fmt::Display) -> QualityError {
-    QualityError(error.to_string())
-}
-
-pub use trainer_host::judge::PSNR_CAP_DB;
+use super::{EvaluationError, PSNR_CAP_DB, instant_at};
+use crate::{
+    scene::{Instant, Scene},
+    stream::Player,
+};
 
 /// Renders one instant.
 ///
 /// # Errors
 /// Splats or settings the renderer refuses.
-pub fn render(instant: &Instant, camera: &Camera, settings: &Settings) -> Result<Image, QualityError> {
-    let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree).map_err(failed)?;
-    let rendered = Renderer::new().render(&splats, camera, settings).map_err(failed)?;
+pub fn render(instant: &Instant, camera: &Camera, settings: &Settings) -> Result<Image, EvaluationError> {
+    let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
+    let rendered = Renderer::new().render(&splats, camera, settings)?;
     Ok(rendered.image)
 }
 
@@ -36,7 +30,7 @@ pub fn references(
     camera: &Camera,
     settings: &Settings,
     backend: &Backend,
-) -> Result<Vec<Image>, QualityError> {
+) -> Result<Vec<Image>, EvaluationError> {
     let serial = Settings { parallel: false, ..settings.clone() };
     frames
         .par_iter()
@@ -44,16 +38,15 @@ pub fn references(
         .map_init(
             || backend.frames(),
             |renderer, &frame| {
-                let instant = scene.instant(frame as usize);
-                let instant = instant.ok_or_else(|| failed(format!("no frame {frame}")))?;
-                let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree);
-                next(renderer, &splats.map_err(failed)?, camera, &serial)
+                let instant = instant_at(scene, frame)?;
+                let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
+                next(renderer, &splats, camera, &serial)
             },
         )
         .collect()
 }
 
-/// FrameRenderer that one renderer draws in a row: long enough to profit from the frame before, short enough to
+/// Frames that one renderer draws in a row: long enough to profit from the frame before, short enough to
 /// keep all threads busy. Pictures do not depend on it.
 fn run_length(frames: usize) -> usize {
     (frames / (2 * rayon::current_num_threads())).clamp(1, 16)
@@ -65,9 +58,9 @@ fn next(
     splats: &Splats<'_>,
     camera: &Camera,
     settings: &Settings,
-) -> Result<Image, QualityError> {
-    let renderer = renderer.as_mut().map_err(|error| failed(error))?;
-    Ok(renderer.render(splats, camera, settings).map_err(failed)?.image.clone())
+) -> Result<Image, EvaluationError> {
+    let renderer = renderer.as_mut().map_err(|error| error.clone())?;
+    Ok(renderer.render(splats, camera, settings)?.image.clone())
 }
 
 /// Renders `content` on `backend` in each (frame, state), in order, in parallel; no state gives the
@@ -81,7 +74,7 @@ pub fn renders(
     camera: &Camera,
     settings: &Settings,
     backend: &Backend,
-) -> Result<Vec<Image>, QualityError> {
+) -> Result<Vec<Image>, EvaluationError> {
     let settings = Settings { parallel: false, ..settings.clone() };
     shown
         .par_iter()
@@ -91,11 +84,10 @@ pub fn renders(
             |(player, renderer), (frame, state)| {
                 let Some(state) = state else {
                     let Settings { background, .. } = settings;
-                    return Image::filled(camera.width(), camera.height(), background.map(|c| c as _))
-                        .map_err(failed);
+                    return Ok(Image::filled(camera.width(), camera.height(), background.map(|c| c as _))?);
                 };
-                let shown = player.show(&content.with_state(state), *frame).map_err(failed)?;
-                let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree).map_err(failed)?;
+                let shown = player.show(&content.with_state(state), *frame)?;
+                let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree)?;
                 next(renderer, &splats, camera, &settings)
             },
         )
@@ -115,9 +107,9 @@ pub struct Score {
 ///
 /// # Errors
 /// Images of different sizes.
-pub fn score(image: &Image, reference: &Image) -> Result<Score, QualityError> {
-    let psnr = metric::psnr(image, reference).map_err(failed)?;
-    let ssim = metric::ssim(image, reference).map_err(failed)?;
+pub fn score(image: &Image, reference: &Image) -> Result<Score, EvaluationError> {
+    let psnr = metric::psnr(image, reference)?;
+    let ssim = metric::ssim(image, reference)?;
     Ok(Score { psnr_db: psnr.min(PSNR_CAP_DB), ssim })
 }
 
@@ -125,8 +117,8 @@ pub fn score(image: &Image, reference: &Image) -> Result<Score, QualityError> {
 ///
 /// # Errors
 /// Images of different sizes.
-pub fn flip(image: &Image, reference: &Image) -> Result<f64, QualityError> {
-    metric::flip(image, reference, metric::flip::PIXELS_PER_DEGREE).map(|f| f.mean).map_err(failed)
+pub fn flip(image: &Image, reference: &Image) -> Result<f64, EvaluationError> {
+    Ok(metric::flip(image, reference, metric::flip::PIXELS_PER_DEGREE)?.mean)
 }
 
 /// Mean of the worst tenth (at least one) of `values`.
@@ -134,25 +126,25 @@ pub fn worst_tenth(values: &[f64]) -> f64 {
     let mut sorted = values.to_vec();
     sorted.sort_by(f64::total_cmp);
     sorted.truncate(values.len().div_ceil(10).max(1));
-    crate::figures::mean(&sorted)
+    sorted.iter().sum::<f64>() / sorted.len().max(1) as f64
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// FrameRenderer out of order and twice, on any number of threads, are what each is alone.
+    /// Frames out of order and twice, on any number of threads, are what each is alone.
     #[test]
     fn frames_in_a_row_are_what_they_are_alone() {
-        let options = trainer_host::import::synth::Options {
-            kind: trainer_host::import::synth::Kind::Balls,
+        let options = crate::import::synth::Options {
+            kind: crate::import::synth::Kind::Balls,
             gaussians: 1500,
             frames: 12,
             ..Default::default()
         };
-        let scene = trainer_host::import::synth::make(&options, &Default::default()).unwrap();
-        let framing = trainer_host::viewpoint::Framing::of(&scene);
-        let camera = &framing.ring(trainer_host::viewpoint::Ring::HeldOut, 3, (64, 48)).unwrap()[0];
+        let scene = crate::import::synth::make(&options, &Default::default()).unwrap();
+        let framing = crate::viewpoint::Framing::of(&scene);
+        let camera = &framing.ring(crate::viewpoint::Ring::HeldOut, 3, (64, 48)).unwrap()[0];
         let settings = Settings::default();
         let frames = [0, 1, 2, 3, 3, 7, 4, 5, 11, 10];
         let expected: Vec<Image> = frames

@@ -1,4 +1,4 @@
-//! Levels that are not sent: cells cut off above a top.
+//! Leave levels out: cells are cut off above the highest level that is sent.
 
 use codec_core::internals::{
     ids::Level,
@@ -6,34 +6,50 @@ use codec_core::internals::{
     wire::manifest::{Cluster, Motion},
 };
 
-use super::{super::packetise::CellSymbols, EpochPlan};
+use super::super::{
+    decisions::{Dgs1Decisions, EpochDecisions},
+    packetise::CellSymbols,
+};
 
-/// Cuts the cells of `plans`, canonical ones before motion ones as in the lattice, off above `tops`;
-/// cells past the end of `tops` stay whole.
-pub(super) fn cut(plans: &mut [EpochPlan], tops: &[Level]) {
-    let mut tops = tops.iter().copied();
-    for plan in plans.iter_mut() {
-        for (cell, top) in plan.canonical.iter_mut().zip(&mut tops) {
-            let cluster = &cell.shape.cluster;
-            let kind = Cluster::kind_of(cluster.sh_degree(), top.min(cluster.top()));
-            let cluster = Cluster { kind, ..*cluster };
-            reshape(cell, cluster, None, top);
+/// Decides that cells, canonical ones before motion ones as in the lattice, are sent up to `highest`, or up
+/// to where they were already cut off; cells past the end of `highest` stay as they are.
+pub(super) fn decide(decisions: &mut Dgs1Decisions, highest: &[Level]) {
+    let mut highest = highest.iter().map(|level| level.get());
+    for epoch in &mut decisions.epochs {
+        for (cluster, highest) in epoch.clusters.iter_mut().zip(&mut highest) {
+            cluster.highest_level = cluster.highest_level.min(highest);
         }
-        plan.clusters = plan.canonical.iter().map(|c| c.shape.cluster).collect();
     }
-    for window in plans.iter_mut().flat_map(|p| &mut p.windows) {
-        for (cell, top) in window.cells.iter_mut().zip(&mut tops) {
-            let motion = cell.shape.motion;
-            let kind = Motion::kind_of(motion.class(), top.min(motion.top()));
-            let mut motion = Motion { kind, ..motion };
-            if motion.top() == Level::BASE {
-                (motion.position, motion.scale, motion.rotation) = (0, 0, 0);
-                (motion.opacity, motion.sh0) = (0, 0);
+    for window in decisions.epochs.iter_mut().flat_map(|epoch| &mut epoch.windows) {
+        for (motion, highest) in window.motions.iter_mut().zip(&mut highest) {
+            motion.highest_level = motion.highest_level.min(highest);
+            if motion.highest_level == 0 {
+                motion.ranks = Default::default();
             }
-            reshape(cell, cell.shape.cluster, Some(motion), top);
         }
-        let used = window.cells.iter().map(|c| usize::from(c.shape.motion.position)).max().unwrap_or(0);
+        let used = window.motions.iter().map(|motion| usize::from(motion.ranks[0])).max().unwrap_or(0);
         window.basis.truncate(used);
+    }
+}
+
+/// Cuts canonical cells of an epoch off as `decisions` say.
+pub(super) fn cut_canonical(cells: &mut [CellSymbols], decisions: &EpochDecisions) {
+    for (cell, decided) in cells.iter_mut().zip(&decisions.clusters) {
+        let top = Level::from_bits(decided.highest_level);
+        let cluster = cell.shape.cluster;
+        let kind = Cluster::kind_of(cluster.sh_degree(), top);
+        reshape(cell, Cluster { kind, ..cluster }, None, top);
+    }
+}
+
+/// Cuts the motion cells of window `window` off as `decisions` say.
+pub(super) fn cut_motion(cells: &mut [CellSymbols], decisions: &EpochDecisions, window: usize) {
+    let motions = decisions.windows.iter().skip(window).take(1).flat_map(|w| &w.motions);
+    for (cell, decided) in cells.iter_mut().zip(motions) {
+        let top = Level::from_bits(decided.highest_level);
+        let (cluster, motion) = (cell.shape.cluster, cell.shape.motion);
+        let kind = Motion::kind_of(motion.class(), top);
+        reshape(cell, cluster, Some(Motion { kind, ..motion }), top);
     }
 }
 
@@ -51,7 +67,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        encode::{Options, encode},
+        encode::{Options, encode, with_levels},
         import::{
             Limits,
             synth::{self, Kind},
@@ -73,18 +89,18 @@ mod tests {
         let options = Options { keep_invisible: true, ..Options::default() };
         let whole = encode(&scene, &options, &|_, _| {}).unwrap();
         let manifest = whole.stream.manifest().unwrap();
-        let tops: Vec<Level> = (0..manifest.cells()).map(|c| Level::ALL[(c * 7 / 3) % 4]).collect();
-        let cut = encode(&scene, &Options { tops: tops.clone(), ..options }, &|_, _| {}).unwrap();
+        let highest: Vec<Level> = (0..manifest.cells()).map(|c| Level::ALL[(c * 7 / 3) % 4]).collect();
+        let cut = with_levels(&scene, &whole.decisions, &highest, options.table_choices, &|_, _| {}).unwrap();
         assert_eq!(whole.order, cut.order);
         assert!(cut.report.ledger.wire() < 0.9 * whole.report.ledger.wire());
         let (received, received_cut) = (whole.stream.receive().unwrap(), cut.stream.receive().unwrap());
         assert_eq!(received_cut.counters().refused.iter().sum::<u32>(), 0);
         let (content, content_cut) = (received.content(), received_cut.content());
         let mut state = content.blocks.to_vec();
-        let mut tops = tops.into_iter();
+        let mut highest = highest.into_iter();
         for_each_cell(&manifest, |span, cluster, shape| {
             let first = content.cell(span, cluster).unwrap().blocks as usize;
-            let keep = (2u8 << tops.next().unwrap().get()) - 1;
+            let keep = (2u8 << highest.next().unwrap().get()) - 1;
             state[first..first + shape.blocks()].iter_mut().for_each(|m| *m &= keep);
         });
         let mut players = [Player::new(&content.manifest), Player::new(&content_cut.manifest)];

@@ -12,15 +12,15 @@ const ZERO_BITS: f64 = 0.3;
 /// Bits of sign and of the shape of the distribution, beyond ½ log₂(c²/D).
 const NONZERO_BITS: f64 = 1.2;
 
-/// The price list of one quantiser.
+/// What coefficients of one quantiser cost.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Price {
+pub(super) struct RateEstimate {
     /// D, the quantiser's own mean squared error.
     d: f64,
 }
 
-impl Price {
-    /// Prices at `step`.
+impl RateEstimate {
+    /// Of a quantiser of `step`.
     pub fn of_step(step: f32) -> Self {
         Self { d: f64::from(step).powi(2) / 12.0 }
     }
@@ -56,25 +56,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn coding_pays_from_about_a_step_on_and_prices_rise_with_size() {
-        let price = Price::of_step(1.0);
+    fn coding_pays_from_about_a_step_on_and_rates_rise_with_size() {
+        let estimate = RateEstimate::of_step(1.0);
         for c in [0.0, 0.2, 0.4] {
-            assert!(price.of_loss(c * c) < price.of(c), "{c}");
+            assert!(estimate.of_loss(c * c) < estimate.of(c), "{c}");
         }
         for c in [1.0, 3.0, 100.0] {
-            assert!(price.of_loss(c * c) > price.of(c), "{c}");
+            assert!(estimate.of_loss(c * c) > estimate.of(c), "{c}");
         }
-        assert!(price.of(8.0) - price.of(4.0) > 0.99 && price.of(8.0) - price.of(4.0) < 1.01);
+        assert!(estimate.of(8.0) - estimate.of(4.0) > 0.99 && estimate.of(8.0) - estimate.of(4.0) < 1.01);
     }
 
     #[test]
     fn a_row_costs_the_same_as_its_coefficients() {
         let s = 0.5f64.sqrt();
         let vectors = vec![vec![s, s], vec![s, -s]];
-        let price = Price::of_step(0.1);
+        let estimate = RateEstimate::of_step(0.1);
         let row = [3.0, 1.0];
-        let both = price.of(4.0 * s) + price.of(2.0 * s);
-        assert!((price.of_row(&row, &vectors) - both).abs() < 1e-9);
-        assert!(price.of_row(&[0.0, 0.0], &vectors) == 0.0);
+        let both = estimate.of(4.0 * s) + estimate.of(2.0 * s);
+        assert!((estimate.of_row(&row, &vectors) - both).abs() < 1e-9);
+        assert!(estimate.of_row(&[0.0, 0.0], &vectors) == 0.0);
     }
 }

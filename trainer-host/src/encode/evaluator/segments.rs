@@ -1,11 +1,11 @@
-//! Rate and distortion segment by segment: what a server needs to share out a link.
+//! Measure rate and distortion window by window: what a server needs to share out a link.
 
 use codec_core::internals::{
     ids::{EpochId, Level, Span, WindowId},
     wire::manifest::Manifest,
 };
 
-use super::{Judge, JudgeError, failed, spread};
+use super::{EvaluationError, Evaluator, spread};
 use crate::{
     scene::Scene,
     stream::{PacketMap, Stream},
@@ -42,13 +42,13 @@ pub struct Point {
 }
 
 /// Rate and distortion of all segments of `stream`, an encoding of `scene`, in display order; each
-/// judged on up to `frames` of its frames.
+/// evaluated on up to `frames` of its frames.
 ///
 /// # Errors
 /// A stream that does not decode, or what the renderer refuses.
-pub fn segments(scene: &Scene, stream: &Stream, frames: u32) -> Result<Vec<Segment>, JudgeError> {
-    let map = PacketMap::of(stream).map_err(failed)?;
-    let received = stream.receive().map_err(failed)?;
+pub fn segments(scene: &Scene, stream: &Stream, frames: u32) -> Result<Vec<Segment>, EvaluationError> {
+    let map = PacketMap::of(stream)?;
+    let received = stream.receive()?;
     let content = received.content();
     let mut segments = outline(&content.manifest);
     for (id, packet) in stream.packets().iter().enumerate() {
@@ -68,12 +68,12 @@ pub fn segments(scene: &Scene, stream: &Stream, frames: u32) -> Result<Vec<Segme
         }
     }
     for segment in &mut segments {
-        let judge = Judge::measuring(scene, spread(segment.first_frame, segment.frames, frames))?;
+        let evaluator = Evaluator::measuring(scene, spread(segment.first_frame, segment.frames, frames))?;
         let mut cumulative = 0;
         for (level, point) in Level::ALL.into_iter().zip(&mut segment.levels) {
             let keep = (2u8 << level.get()) - 1;
             let state: Vec<u8> = content.blocks.iter().map(|mask| mask & keep).collect();
-            let each = judge.psnr(&content, &state)?;
+            let each = evaluator.psnr(&content, &state)?;
             cumulative += point.canonical_bytes + point.motion_bytes;
             point.cumulative_bytes = cumulative;
             point.psnr_db = each.iter().sum::<f64>() / each.len().max(1) as f64;

@@ -4,7 +4,7 @@
 //! permute and flip the axes, under turns about the third axis where the other two scales are
 //! equal, and under all turns where all three are. The least turn has small Rodrigues parameters,
 //! and one or all of them are zero for discs and balls; but axes change places between neighbours.
-//! Which is cheaper depends on the scene, so [`Form`] names the choices and the encoder tries them
+//! Which is cheaper depends on the scene, so [`CanonicalRotation`] names the choices and the encoder tries them
 //! on a part of it.
 //!
 //! G is the same at every frame, so motion, which is coded as turns on the left, does not change.
@@ -12,39 +12,28 @@
 
 use rayon::prelude::*;
 
-use crate::{
-    factorise::{mean_turn, quat_mul},
-    scene::{Attributes, Epoch, Track},
+use super::super::{
+    decisions::CanonicalRotation,
+    factorise::{mean_turn, quat_mul, rotation_matrix},
 };
+use crate::scene::{Attributes, Epoch, Track};
 
 /// Log-scales this close are equal: a change of covariance by 1e-6.
 const EQUAL: f32 = 5e-7;
 
 type Quat = [f64; 4];
 
-/// How rotations and scales are written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Form {
-    /// As they came.
-    AsIs,
-    /// With the least turn.
-    Least,
-    /// As [`Form::Least`], and what is free turns with the cluster.
-    Following,
-}
-
-impl Form {
-    /// The forms worth a trial for `epoch`.
-    pub fn candidates(epoch: &Epoch) -> &'static [Self] {
-        let moving = !epoch.attributes().rotations.is_constant();
-        if moving { &[Self::AsIs, Self::Least, Self::Following] } else { &[Self::AsIs, Self::Least] }
-    }
+/// The forms worth a trial for `epoch`.
+pub(super) fn candidates(epoch: &Epoch) -> &'static [CanonicalRotation] {
+    use CanonicalRotation::{AsGiven, FollowingCluster, LeastTurn};
+    let moving = !epoch.attributes().rotations.is_constant();
+    if moving { &[AsGiven, LeastTurn, FollowingCluster] } else { &[AsGiven, LeastTurn] }
 }
 
 /// `epoch` with the rotation and scales of every Gaussian of `sets` in `form`; every covariance at
 /// every frame is what it was to 1e-6 of its size.
-pub(super) fn reduced(epoch: &Epoch, sets: &[Vec<u32>], form: Form) -> Epoch {
-    if form == Form::AsIs {
+pub(super) fn reduced(epoch: &Epoch, sets: &[Vec<u32>], form: CanonicalRotation) -> Epoch {
+    if form == CanonicalRotation::AsGiven {
         return epoch.clone();
     }
     let (n, a) = (epoch.count(), epoch.attributes());
@@ -65,7 +54,7 @@ pub(super) fn reduced(epoch: &Epoch, sets: &[Vec<u32>], form: Form) -> Epoch {
             frame[i] = quat_mul(frame[i].map(f64::from), change.turn).map(|v| v as f32);
         }
     }
-    if form == Form::Following
+    if form == CanonicalRotation::FollowingCluster
         && let Track::PerFrame(values) = &mut rotations
     {
         follow(epoch, sets, &changes, values);
@@ -207,7 +196,7 @@ fn group() -> Vec<(Quat, [usize; 3])> {
         };
         if first == Some(1) {
             let q = parts.map(|p| f64::from(p) * size);
-            let matrix = crate::factorise::rotation_matrix(q);
+            let matrix = rotation_matrix(q);
             let axes = [0, 1, 2].map(|new| (0..3).find(|&old| matrix[(old, new)].abs() > 0.5).unwrap_or(new));
             group.push((q, axes));
         }
@@ -258,7 +247,7 @@ mod tests {
         // As renderers do, at unit length: stored ones are so to f32's rounding.
         let q = a.rotations.frame(t, n)[i].map(f64::from);
         let length = q.iter().map(|v| v * v).sum::<f64>().sqrt();
-        let r = crate::factorise::rotation_matrix(q.map(|v| v / length));
+        let r = rotation_matrix(q.map(|v| v / length));
         let s = a.log_scales.frame(t, n)[i].map(|s| (2.0 * f64::from(s)).exp());
         r * nalgebra::Matrix3::from_diagonal(&s.into()) * r.transpose()
     }
@@ -267,7 +256,7 @@ mod tests {
     fn covariances_stay() {
         let source = epoch(100, 4);
         let sets: Vec<Vec<u32>> = vec![(0..37).collect(), (37..100).collect()];
-        for &form in Form::candidates(&source) {
+        for &form in candidates(&source) {
             let reduced = reduced(&source, &sets, form);
             for t in 0..4 {
                 for i in 0..100 {
@@ -281,7 +270,7 @@ mod tests {
     #[test]
     fn turns_are_small_and_flat_where_they_may_be() {
         let source = epoch(100, 2);
-        let reduced = reduced(&source, &[(0..100).collect()], Form::Least);
+        let reduced = reduced(&source, &[(0..100).collect()], CanonicalRotation::LeastTurn);
         for (i, q) in reduced.attributes().rotations.frame(0, 100).iter().enumerate() {
             match i % 5 {
                 // No rotation is farther than 62.8° from its nearest of the group.

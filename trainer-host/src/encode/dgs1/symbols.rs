@@ -1,0 +1,176 @@
+//! Quantise a scene into the symbols of a `dgs1` stream, as decisions say.
+
+use codec_core::internals::{
+    ids::{EpochId, Level, Span, WindowId},
+    wire::manifest::{Proxy, Quant},
+};
+
+use super::{
+    super::{
+        EncodeError,
+        decisions::{Dgs1Decisions, EpochDecisions, Quantisers, misfit},
+        packetise::{CellSymbols, each_run},
+        statistics::{Model, Streams},
+    },
+    canonical, canonical_rotation, levels_sent,
+    motion::{self, WindowSymbols},
+    proxy,
+};
+use crate::scene::{Epoch, Scene};
+
+/// One epoch, quantised.
+pub(super) struct EpochSymbols {
+    pub first_frame: usize,
+    pub frames: usize,
+    /// Canonical cells, one per cluster.
+    pub cells: Vec<CellSymbols>,
+    pub windows: Vec<WindowSymbols>,
+    pub proxies: Vec<Proxy>,
+    /// Values that did not fit their symbol and were clamped.
+    pub saturated: u64,
+}
+
+/// The symbols of all epochs of `scene`.
+///
+/// # Errors
+/// Quantisers out of range; a track too fine for its symbols.
+pub(super) fn quantise(scene: &Scene, decisions: &Dgs1Decisions) -> Result<Vec<EpochSymbols>, EncodeError> {
+    let mut epochs = Vec::new();
+    let mut first_frame = 0;
+    for (epoch, decided) in scene.epochs().iter().zip(&decisions.epochs) {
+        let epoch = &in_canonical_rotation(epoch, decided);
+        let mut symbols = quantise_epoch(epoch, decided, decisions.block_len, decisions.proxies)?;
+        symbols.first_frame = first_frame;
+        first_frame += epoch.frames();
+        epochs.push(symbols);
+    }
+    Ok(epochs)
+}
+
+/// `epoch` with its rotations and scales in the form that was decided.
+fn in_canonical_rotation(epoch: &Epoch, decided: &EpochDecisions) -> Epoch {
+    let mut sets: Vec<Vec<u32>> = decided.clusters.iter().map(|c| c.gaussians.clone()).collect();
+    // Sums over a cluster are rounded alike whatever the order in which it is sent.
+    sets.iter_mut().for_each(|set| set.sort_unstable());
+    canonical_rotation::reduced(epoch, &sets, decided.canonical_rotation)
+}
+
+/// The symbols of `epoch`, whose rotations are in the form that was decided.
+///
+/// # Errors
+/// As [`quantise`].
+pub(super) fn quantise_epoch(
+    epoch: &Epoch,
+    decided: &EpochDecisions,
+    block_len: usize,
+    with_proxies: bool,
+) -> Result<EpochSymbols, EncodeError> {
+    let quants: Result<Vec<Quant>, EncodeError> = decided.quantisers.iter().map(Quantisers::quant).collect();
+    let mut canonical = canonical::quantise(epoch, decided, &quants?, block_len);
+    let mut saturated = canonical.saturated;
+    let mut windows = Vec::new();
+    let mut first_frame = 0;
+    for (w, window) in decided.windows.iter().enumerate() {
+        let mut symbols = motion::quantise(epoch, (w, first_frame), decided, &canonical)?;
+        levels_sent::cut_motion(&mut symbols.cells, decided, w);
+        saturated += symbols.saturated;
+        first_frame += window.frames;
+        windows.push(symbols);
+    }
+    let proxies = if with_proxies { proxy::proxies(epoch, decided, &canonical) } else { Vec::new() };
+    levels_sent::cut_canonical(&mut canonical.cells, decided);
+    let mut cells = canonical.cells;
+    let decided_cells = decided.clusters.iter().map(|c| &c.table_indices);
+    for (cell, indices) in cells.iter_mut().zip(decided_cells) {
+        cell.table_indices = parsed(indices)?;
+    }
+    for (window, decided) in windows.iter_mut().zip(&decided.windows) {
+        for (cell, motion) in window.cells.iter_mut().zip(&decided.motions) {
+            cell.table_indices = parsed(&motion.table_indices)?;
+        }
+    }
+    Ok(EpochSymbols { first_frame: 0, frames: epoch.frames(), cells, windows, proxies, saturated })
+}
+
+/// Table indices from their digits.
+fn parsed(digits: &[String; Level::COUNT]) -> Result<[Vec<u8>; Level::COUNT], EncodeError> {
+    let mut indices: [Vec<u8>; Level::COUNT] = Default::default();
+    for (indices, digits) in indices.iter_mut().zip(digits) {
+        for digit in digits.bytes() {
+            if !(b'0'..b'8').contains(&digit) {
+                return Err(misfit("a cell", "table_indices", char::from(digit), "digits 0 to 7"));
+            }
+            indices.push(digit - b'0');
+        }
+    }
+    Ok(indices)
+}
+
+/// Whether every symbol run of `epochs` has a table of its stream's set, and no more.
+///
+/// # Errors
+/// Names the cell that has too few or too many table indices, or one past the end of its set.
+pub(super) fn check_table_indices(epochs: &[EpochSymbols], model: &Model) -> Result<(), EncodeError> {
+    for (span, cells) in spans(epochs) {
+        for (c, cell) in cells.iter().enumerate() {
+            let place = || match span {
+                Span::Canonical(epoch) => format!("epoch {}, cluster {c}", epoch.0),
+                Span::Motion(window) => format!("window {} of the stream, cluster {c}", window.0),
+            };
+            let mut left = cell.table_indices.each_ref().map(|indices| indices.iter());
+            let mut missing = Ok(());
+            symbol_runs(cell, |level, stream, _| {
+                let choices = model.table_sets[stream].len();
+                match left[level.index()].next() {
+                    Some(&index) if usize::from(index) < choices => {}
+                    Some(index) if missing.is_ok() => {
+                        missing = Err(misfit(place(), "table_indices", index, format_args!("0..{choices}")));
+                    }
+                    None if missing.is_ok() => {
+                        missing = Err(misfit(place(), "table_indices", "too few", "one per symbol run"));
+                    }
+                    _ => {}
+                }
+            });
+            missing?;
+            if left.iter_mut().any(|rest| rest.next().is_some()) {
+                return Err(misfit(place(), "table_indices", "too many", "one per symbol run"));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// All cells with their spans, canonical cells of an epoch before its windows.
+pub(super) fn spans(epochs: &[EpochSymbols]) -> Vec<(Span, &[CellSymbols])> {
+    let mut spans = Vec::new();
+    let mut windows = 0u16;
+    for (e, epoch) in epochs.iter().enumerate() {
+        spans.push((Span::Canonical(EpochId(e as u16)), epoch.cells.as_slice()));
+        for window in &epoch.windows {
+            spans.push((Span::Motion(WindowId(windows)), window.cells.as_slice()));
+            windows += 1;
+        }
+    }
+    spans
+}
+
+/// Calls `visit` with level, stream and symbols of each symbol run of a cell.
+pub(super) fn symbol_runs<'c>(cell: &'c CellSymbols, mut visit: impl FnMut(Level, usize, &'c [i16])) {
+    for level in Level::ALL {
+        if cell.shape.level_len(level) > 0 {
+            each_run(cell, level, 0..cell.shape.blocks(), |stream, run| visit(level, stream, run));
+        }
+    }
+}
+
+/// The symbol runs of all cells by stream.
+pub(super) fn streams(epochs: &[EpochSymbols]) -> Streams<'_> {
+    let mut streams = Streams::default();
+    for (_, cells) in spans(epochs) {
+        for cell in cells {
+            symbol_runs(cell, |_, stream, run| streams.add(stream, run));
+        }
+    }
+    streams
+}

@@ -1,0 +1,90 @@
+//! Errors name why a scene cannot be encoded.
+
+use super::evaluator::EvaluationError;
+
+/// Why a scene cannot be encoded.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EncodeError {
+    /// An option is out of range.
+    #[error("option {option} is {found}; {low}..={high} is allowed")]
+    Option {
+        /// Which option.
+        option: &'static str,
+        /// Value found.
+        found: usize,
+        /// Smallest allowed.
+        low: usize,
+        /// Largest allowed.
+        high: usize,
+    },
+    /// A target is out of range.
+    #[error("option {option} is {found}; a number above 0 and up to {most} is allowed")]
+    Target {
+        /// Which target.
+        option: &'static str,
+        /// Value found.
+        found: f64,
+        /// Largest allowed.
+        most: f64,
+    },
+    /// A price of bytes is out of range.
+    #[error("truncation's lambda is {found}; a number of at least 0 is allowed")]
+    Lambda {
+        /// Value found.
+        found: f64,
+    },
+    /// No coarseness meets the target.
+    #[error("{option} is {wanted}; coarseness {coarseness}, the furthest allowed, reaches {reached}")]
+    Unreachable {
+        /// Which target.
+        option: &'static str,
+        /// Value asked for.
+        wanted: f64,
+        /// The closest value, in the target's unit.
+        reached: f64,
+        /// Its coarseness.
+        coarseness: f32,
+    },
+    /// A picture of the stream could not be compared with the scene's.
+    #[error(transparent)]
+    Evaluation(#[from] EvaluationError),
+    /// The symbols of one block do not fit one packet.
+    #[error(
+        "a block of {gaussians} Gaussians of cluster {cluster} does not fit a packet of {limit} bytes at level {level}"
+    )]
+    BlockTooLarge {
+        /// Level of its symbols.
+        level: u8,
+        /// Its cluster, within the epoch.
+        cluster: usize,
+        /// Gaussians in the block.
+        gaussians: usize,
+        /// Most bytes of a packet.
+        limit: usize,
+    },
+    /// Decisions cannot be followed on this scene.
+    #[error("decisions, {place}: {field} is {found}; {allowed} is allowed")]
+    Decisions {
+        /// Where in the decisions.
+        place: String,
+        /// Which field.
+        field: &'static str,
+        /// Value found.
+        found: String,
+        /// What is allowed.
+        allowed: String,
+    },
+    /// The scene exceeds a bound of the format.
+    #[error("the scene has {found} {what}; the format holds up to {most}")]
+    Bound {
+        /// What there is too much of.
+        what: &'static str,
+        /// How much.
+        found: usize,
+        /// How much is allowed.
+        most: usize,
+    },
+    /// The wire format refused what the encoder made of the scene.
+    #[error("the encoder produced something the format refuses: {0}")]
+    Format(#[from] codec_core::Error),
+}

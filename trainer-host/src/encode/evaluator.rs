@@ -1,0 +1,201 @@
+//! Evaluate how close a decoded state is to its source, in pictures from measuring cameras.
+
+use codec_core::internals::receiver::Content;
+use rayon::prelude::*;
+use render_host::{
+    BackendError, Camera, CameraError, Image, ImageError, RenderError, Renderer, Settings, Splats,
+    SplatsError, adjoint::AdjointError, metric,
+};
+
+use crate::{
+    scene::{Instant, Scene},
+    stream::{Player, Stream},
+    viewpoint::{Framing, Ring},
+};
+
+mod pictures;
+mod segments;
+
+pub use pictures::{Score, flip, references, render, renders, score, worst_tenth};
+pub use segments::{Point, Segment, segments};
+
+/// PSNR counts up to this, dB: beyond it images are equal to the eye and to 8 bits.
+pub const PSNR_CAP_DB: f64 = 99.0;
+
+/// Width and height of the pictures of [`Evaluator::measuring`], pixels.
+const SIZE: (u32, u32) = (256, 256);
+/// Cameras of [`Evaluator::measuring`].
+const CAMERAS: usize = 3;
+
+/// Why a state cannot be evaluated.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EvaluationError {
+    /// A frame past the end.
+    #[error("cannot evaluate frame {frame}: the scene has frames 0..{frames}")]
+    Frame {
+        /// The frame asked for.
+        frame: u32,
+        /// Frames of the scene.
+        frames: usize,
+    },
+    /// The stream does not decode.
+    #[error("cannot evaluate a stream that does not decode: {0}")]
+    Decode(#[from] codec_core::Error),
+    /// No such camera.
+    #[error("cannot place a measuring camera: {0}")]
+    Camera(#[from] CameraError),
+    /// Gaussians that cannot be rendered.
+    #[error("cannot render the Gaussians: {0}")]
+    Splats(#[from] SplatsError),
+    /// A picture that cannot be rendered.
+    #[error("cannot render a picture: {0}")]
+    Render(#[from] RenderError),
+    /// A picture that the chosen device cannot make.
+    #[error("cannot render a picture: {0}")]
+    Device(#[from] BackendError),
+    /// Gradients that cannot be computed.
+    #[error("cannot compute gradients of a picture: {0}")]
+    Gradients(#[from] AdjointError),
+    /// Pictures that cannot be compared.
+    #[error("cannot compare pictures: {0}")]
+    Compare(#[from] ImageError),
+}
+
+/// Frame `frame` of `scene`.
+pub(super) fn instant_at(scene: &Scene, frame: u32) -> Result<Instant, EvaluationError> {
+    scene.instant(frame as usize).ok_or(EvaluationError::Frame { frame, frames: scene.frames() })
+}
+
+/// The source's own pictures of some frames from some cameras.
+#[derive(Debug)]
+pub struct Evaluator {
+    cameras: Vec<Camera>,
+    frames: Vec<u32>,
+    settings: Settings,
+    /// Frame by frame, one per camera.
+    references: Vec<Image>,
+}
+
+impl Evaluator {
+    /// Renders `frames` of `scene` from `cameras`.
+    ///
+    /// # Errors
+    /// A frame past the end, or what the renderer refuses.
+    pub fn new(
+        scene: &Scene,
+        cameras: Vec<Camera>,
+        frames: Vec<u32>,
+        settings: &Settings,
+    ) -> Result<Self, EvaluationError> {
+        // One picture is one task.
+        let settings = Settings { parallel: false, ..settings.clone() };
+        let reference = |&(frame, camera): &(u32, usize)| {
+            let instant = instant_at(scene, frame)?;
+            let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
+            Ok(Renderer::new().render(&splats, &cameras[camera], &settings)?.image)
+        };
+        let views = views(&frames, cameras.len());
+        let references: Result<Vec<Image>, EvaluationError> = views.par_iter().map(reference).collect();
+        let references = references?;
+        Ok(Self { cameras, frames, settings, references })
+    }
+
+    /// An evaluator that looks at `frames` from the measuring ring, never from held-out cameras.
+    ///
+    /// # Errors
+    /// As [`Evaluator::new`].
+    pub fn measuring(scene: &Scene, frames: Vec<u32>) -> Result<Self, EvaluationError> {
+        let framing = Framing::of(scene);
+        let cameras = framing.ring(Ring::Measuring, CAMERAS, SIZE)?;
+        Self::new(scene, cameras, frames, &Settings::default())
+    }
+
+    /// The frames it looks at.
+    pub fn frames(&self) -> &[u32] {
+        &self.frames
+    }
+
+    /// PSNR of `content` in `state` per frame of [`Evaluator::frames`]: mean over the cameras, dB, each
+    /// picture at most [`PSNR_CAP_DB`].
+    ///
+    /// # Errors
+    /// A frame past the end, or what the renderer refuses.
+    pub fn psnr(&self, content: &Content<'_>, state: &[u8]) -> Result<Vec<f64>, EvaluationError> {
+        let content = content.with_state(state);
+        let cameras = self.cameras.len().max(1);
+        let frames = self.frames.par_iter().zip(self.references.par_chunks(cameras));
+        let evaluated = frames.map_init(
+            || Player::new(&content.manifest),
+            |player, (&frame, references)| {
+                let shown = player.show(&content, frame)?;
+                let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree)?;
+                let mut sum = 0.0;
+                for (camera, reference) in self.cameras.iter().zip(references) {
+                    let rendered = Renderer::new().render(&splats, camera, &self.settings)?;
+                    sum += metric::psnr(&rendered.image, reference)?.min(PSNR_CAP_DB);
+                }
+                Ok(sum / cameras as f64)
+            },
+        );
+        evaluated.collect()
+    }
+
+    /// Mean over frames and cameras of the PSNR of all of `stream`, dB.
+    ///
+    /// # Errors
+    /// A stream that does not decode; otherwise as [`Evaluator::psnr`].
+    pub fn whole(&self, stream: &Stream) -> Result<f64, EvaluationError> {
+        let received = stream.receive()?;
+        let content = received.content();
+        let each = self.psnr(&content, content.blocks)?;
+        Ok(each.iter().sum::<f64>() / each.len().max(1) as f64)
+    }
+}
+
+fn views(frames: &[u32], cameras: usize) -> Vec<(u32, usize)> {
+    frames.iter().flat_map(|&frame| (0..cameras).map(move |camera| (frame, camera))).collect()
+}
+
+/// Up to `count` of the frames `first..first + frames`, each in the middle of an equal part.
+pub fn spread(first: u32, frames: u32, count: u32) -> Vec<u32> {
+    let count = count.min(frames);
+    (0..count).map(|k| first + (2 * k + 1) * frames / (2 * count)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        encode::{Options, Quality, encode},
+        import::{
+            Limits,
+            synth::{self, Kind},
+        },
+    };
+
+    #[test]
+    fn frames_are_spread_and_distinct() {
+        assert_eq!(spread(10, 4, 9), [10, 11, 12, 13]);
+        assert_eq!(spread(0, 60, 3), [10, 30, 50]);
+        assert_eq!((spread(0, 1, 4), spread(7, 0, 4)), (vec![0], vec![]));
+    }
+
+    #[test]
+    fn coarser_steps_and_missing_levels_are_evaluated_worse() {
+        let options = synth::Options { gaussians: 1000, frames: 6, kind: Kind::Figure, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let evaluator = Evaluator::measuring(&scene, spread(0, 6, 2)).unwrap();
+        let stream = |factor: f32| {
+            let options = Options { quality: Quality::default().scaled(factor), ..Options::default() };
+            encode(&scene, &options, &|_, _| {}).unwrap().stream
+        };
+        let (fine, coarse) = (stream(1.0), stream(8.0));
+        let found = evaluator.whole(&fine).unwrap();
+        assert!(found > evaluator.whole(&coarse).unwrap() + 3.0);
+        let received = fine.receive().unwrap();
+        let content = received.content();
+        let base: Vec<u8> = content.blocks.iter().map(|m| m & 1).collect();
+        assert!(evaluator.psnr(&content, &base).unwrap().iter().all(|&db| db < found - 3.0));
+        assert!(Evaluator::measuring(&scene, vec![6]).is_err());
+    }
+}
