@@ -79,7 +79,7 @@ pub const fn bending_level(motion: Arrived, canonical: Arrived) -> Option<Level>
 /// same number; what that needs in turn is asked in the same way.
 ///
 /// ```
-/// use codec_core::{
+/// use codec_core::internals::{
 ///     closure::{Arrived, Needs},
 ///     ids::{EpochId, Level, Span, WindowId},
 /// };
