@@ -55,7 +55,7 @@ impl Subject {
         };
         options.cluster.max_gaussians = 200;
         let stream = encode(scene, &options, &|_, _| {}).unwrap().stream;
-        let cameras = Framing::of(scene, [0.0, 1.0, 0.0]).ring(Ring::HeldOut, 2, (80, 60)).unwrap();
+        let cameras = Framing::of(scene).ring(Ring::HeldOut, 2, (80, 60)).unwrap();
         let source = scene.instant(FRAME as usize).unwrap();
         let views = cameras.into_iter().map(|camera| (camera.clone(), picture(&source, &camera))).collect();
         Self { stream, views }
@@ -131,7 +131,8 @@ fn no_level_makes_a_picture_worse() {
             let (whole, groups) = (subject.whole(), subject.groups());
             println!("{} {profile:?}: scene {whole:?}, groups {groups:?}", kind.name());
             assert_eq!((whole.taken, whole.fallen), (6, 0), "{} {profile:?}: {whole:?}", kind.name());
-            assert!(groups.taken > 20, "{groups:?}");
+            // A group alone may cost a little before its neighbours follow; more than a quarter do not.
+            assert!(groups.taken > 20 && 4 * groups.fallen <= groups.taken, "{groups:?}");
         }
     }
 }
