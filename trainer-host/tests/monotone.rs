@@ -131,7 +131,8 @@ fn no_level_makes_a_picture_worse() {
             let (whole, groups) = (subject.whole(), subject.groups());
             println!("{} {profile:?}: scene {whole:?}, groups {groups:?}", kind.name());
             assert_eq!((whole.taken, whole.fallen), (6, 0), "{} {profile:?}: {whole:?}", kind.name());
-            assert!(groups.taken > 20, "{groups:?}");
+            // A group alone may cost a little before its neighbours follow; more than a quarter do not.
+            assert!(groups.taken > 20 && 4 * groups.fallen <= groups.taken, "{groups:?}");
         }
     }
 }
