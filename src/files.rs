@@ -5,8 +5,8 @@
 //! killed process. A folder of frames is treated likewise, and says in its `sequence.json` that it is whole.
 
 use std::{
-    fs, io,
-    io::Write,
+    fs,
+    io::{self, Write},
     path::{Path, PathBuf},
 };
 

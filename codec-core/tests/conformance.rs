@@ -22,6 +22,7 @@ use codec_core::{
         packet::Packet,
     },
 };
+
 use session::{Line, Session, parts, unpacked};
 
 /// Name, what it exercises, the file, its line.

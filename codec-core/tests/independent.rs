@@ -34,6 +34,7 @@ use codec_core::internals::{
     ids::{ClusterId, EpochId, Group, Level, PacketId, Span, WindowId},
     wire::receipt::{Value, ViewerPose},
 };
+
 use model::Model;
 
 /// CRC-32/ISO-HDLC, a bit at a time.

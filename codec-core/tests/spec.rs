@@ -29,6 +29,7 @@ use codec_core::internals::{
     ids::{EpochId, Level, Span},
     wire::packet::{Extent, Packet},
 };
+
 use tables::{Tables, tables, text};
 
 /// Everything in which the tables and the code differ.

@@ -1,10 +1,13 @@
 //! Deliveries per second: 30 s of content at 5 Mbit/s over a constant 5 Mbit/s link and over a bursty trace.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use emulator_host::clock::Nanos;
-use emulator_host::graph::Synthetic;
-use emulator_host::link::{Capacity, PathConfig};
-use emulator_host::{PolicyKind, SessionConfig, Trace, simulate};
+use emulator_host::{
+    PolicyKind, SessionConfig, Trace,
+    clock::Nanos,
+    graph::Synthetic,
+    link::{Capacity, PathConfig},
+    simulate,
+};
 
 fn sims(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("sims");

@@ -2,8 +2,10 @@
 //!
 //! Arithmetic saturates: a far-away time stays far away instead of wrapping, in debug and release alike.
 
-use std::fmt;
-use std::ops::{Add, AddAssign, Sub};
+use std::{
+    fmt,
+    ops::{Add, AddAssign, Sub},
+};
 
 use serde::Serialize;
 

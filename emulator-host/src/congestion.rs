@@ -1,8 +1,9 @@
-//! RFC 9002: round-trip estimation, loss detection, probes, congestion windows and pacing, without a packet format.
+//! RFC 9002: round-trip estimation, loss detection, probes, congestion windows and pacing, without a packet
+//! format.
 //!
-//! [`Recovery`] owns the bookkeeping of what was sent; a [`Controller`] owns the window. One packet-number space, entered
-//! after a completed handshake: rules about Initial and Handshake packets, anti-amplification and key discard have no
-//! place here. All state is integers.
+//! [`Recovery`] owns the bookkeeping of what was sent; a [`Controller`] owns the window. One packet-number
+//! space, entered after a completed handshake: rules about Initial and Handshake packets, anti-amplification
+//! and key discard have no place here. All state is integers.
 
 mod bbr_model;
 mod delivery;
@@ -51,11 +52,12 @@ pub trait Controller: Debug + Send {
     /// One packet was acknowledged.
     fn on_ack(&mut self, acked: Acked, rtt: &Rtt, now: Nanos);
 
-    /// All packets of one acknowledgement were handed over; `sample` measures the path, `in_flight` is what is left.
+    /// All packets of one acknowledgement were handed over; `sample` measures the path, `in_flight` is what
+    /// is left.
     fn on_ack_end(&mut self, sample: Option<DeliverySample>, in_flight: u64, rtt: &Rtt, now: Nanos);
 
-    /// Packets were lost, or marked; `sent_at` is when the latest of them was sent. Returns whether a new recovery period
-    /// starts.
+    /// Packets were lost, or marked; `sent_at` is when the latest of them was sent. Returns whether a new
+    /// recovery period starts.
     fn on_congestion(&mut self, sent_at: Nanos, lost_bytes: u64, in_flight: u64, now: Nanos) -> bool;
 
     /// Persistent congestion was established (RFC 9002, 7.6).

@@ -2,8 +2,7 @@
 //!
 //! Equal times come out in the order in which they went in, so a run never depends on how a heap breaks ties.
 
-use std::cmp::Ordering;
-use std::collections::BinaryHeap;
+use std::{cmp::Ordering, collections::BinaryHeap};
 
 use crate::clock::Nanos;
 

@@ -1,23 +1,25 @@
 //! What is to be delivered, whatever the wire format: packets, groups, and what needs what.
 //!
-//! A [`PacketGraph`] that exists is consistent: every index is in range, packets and groups name each other, nothing
-//! needs itself, and every repair set has parity. So nothing that walks it has an error path.
+//! A [`PacketGraph`] that exists is consistent: every index is in range, packets and groups name each other,
+//! nothing needs itself, and every repair set has parity. So nothing that walks it has an error path.
 //!
 //! Closure, in the two profiles (paper, "Selective recovery and receiver closure"):
-//! - [`Profile::AllOrNothing`]: a group is usable when *all* its packets have arrived and all groups it needs are usable;
-//!   a packet is usable when a group that it carries is.
-//! - [`Profile::Sliced`]: a packet is usable when it and, recursively, its [`Packet::needs_packets`] have arrived; a group
-//!   is usable (complete) when all its packets have arrived and the groups it needs are usable, and earns utility by usable
-//!   bytes before. (A packet may carry slices of several groups, so it can complete one while another still lacks its base.)
+//! - [`Profile::AllOrNothing`]: a group is usable when *all* its packets have arrived and all groups it needs
+//!   are usable; a packet is usable when a group that it carries is.
+//! - [`Profile::Sliced`]: a packet is usable when it and, recursively, its [`Packet::needs_packets`] have
+//!   arrived; a group is usable (complete) when all its packets have arrived and the groups it needs are
+//!   usable, and earns utility by usable bytes before. (A packet may carry slices of several groups, so it
+//!   can complete one while another still lacks its base.)
 
 mod csr;
 mod derive;
 mod synthetic;
 
 use codec_core::internals::ids::{Group as GroupId, PacketId, Span};
-use csr::Csr;
 
 use crate::clock::Nanos;
+use csr::Csr;
+
 pub use synthetic::{Synthetic, Utilities};
 
 /// Index of a packet in [`PacketGraph::packets`].
@@ -79,7 +81,8 @@ pub struct Group {
     pub needs: Vec<GroupIndex>,
     /// Its packets, at least one.
     pub packets: Vec<PacketIndex>,
-    /// Risk-adjusted counterfactual gain per frame shown (paper, "Counterfactual Render Utility"); finite, may be negative.
+    /// Risk-adjusted counterfactual gain per frame shown (paper, "Counterfactual Render Utility"); finite,
+    /// may be negative.
     pub utility: f64,
 }
 
@@ -95,8 +98,8 @@ impl Group {
     }
 }
 
-/// Source packets protected by one or more parity packets: any losses among them, up to as many as parity arrives, can be
-/// repaired.
+/// Source packets protected by one or more parity packets: any losses among them, up to as many as parity
+/// arrives, can be repaired.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RepairSet {
     /// The protected packets.
@@ -373,7 +376,8 @@ impl PacketGraph {
         self.packet_level[packet.at()]
     }
 
-    /// Whether two groups in the closure of `group` share a packet, so that adding up their bytes counts it twice.
+    /// Whether two groups in the closure of `group` share a packet, so that adding up their bytes counts it
+    /// twice.
     pub fn closure_shares_packets(&self, group: GroupIndex) -> bool {
         self.shares_packets[group.at()]
     }

@@ -1,5 +1,5 @@
-//! `emulator-host` knows **time**: a discrete-event network emulator, congestion control, delivery schedulers and
-//! delivery metrics, all in virtual time.
+//! `emulator-host` knows **time**: a discrete-event network emulator, congestion control, delivery schedulers
+//! and delivery metrics, all in virtual time.
 //!
 //! The walk of a run, which is also the order of the modules:
 //!
@@ -10,14 +10,14 @@
 //! ```
 //!
 //! Promises:
-//! - **Time and chance are arguments.** `now` is a [`Nanos`] that the caller passes; every random draw comes from a
-//!   stream keyed by a seed and the label of its owner ([`rng::stream`]).
-//! - **The event path is integers**: nanoseconds, bytes, bits per second. Floating point appears in scheduler scores and
-//!   in metrics only, built from `+ − × ÷ √`, so one seed gives one [`Report::digest`] everywhere.
+//! - **Time and chance are arguments.** `now` is a [`Nanos`] that the caller passes; every random draw comes
+//!   from a stream keyed by a seed and the label of its owner ([`rng::stream`]).
+//! - **The event path is integers**: nanoseconds, bytes, bits per second. Floating point appears in scheduler
+//!   scores and in metrics only, built from `+ − × ÷ √`, so one seed gives one [`Report::digest`] everywhere.
 //! - Ties break by (time, sequence); nothing walks a hash map.
 //!
-//! Deliberately absent: handshakes, encryption, real sockets, pixels and the bytes of packets. A packet is an index here;
-//! an [`Endpoint`] may own the bytes.
+//! Deliberately absent: handshakes, encryption, real sockets, pixels and the bytes of packets. A packet is an
+//! index here; an [`Endpoint`] may own the bytes.
 //!
 //! ```
 //! use emulator_host::{SessionConfig, graph::Synthetic, simulate};

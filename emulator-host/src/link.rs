@@ -1,10 +1,10 @@
 //! A network as a chain of small boxes with one method.
 //!
-//! A datagram or nothing goes into [`LinkBox::step`] with `now`; out comes a datagram, a time to be woken, or nothing. The
-//! caller goes on with `step(None, now)` until no datagram comes out. Time never runs backwards.
+//! A datagram or nothing goes into [`LinkBox::step`] with `now`; out comes a datagram, a time to be woken, or
+//! nothing. The caller goes on with `step(None, now)` until no datagram comes out. Time never runs backwards.
 //!
-//! Every box keeps its books: received = delivered + dropped + held, at every moment ([`Counts::balanced`]). Every box
-//! that draws has its own random stream, so no box changes another's luck.
+//! Every box keeps its books: received = delivered + dropped + held, at every moment ([`Counts::balanced`]).
+//! Every box that draws has its own random stream, so no box changes another's luck.
 
 mod chain;
 mod delay;

@@ -1,7 +1,9 @@
-//! What to send next. A scheduler is asked at the moment a datagram may leave, never earlier, so nothing stale is queued.
+//! What to send next. A scheduler is asked at the moment a datagram may leave, never earlier, so nothing
+//! stale is queued.
 //!
-//! Every policy sees the same [`SenderView`] and is served by the same sender: control bytes and retransmissions go first,
-//! parity follows the last member of its set, and what can no longer be shown is never sent.
+//! Every policy sees the same [`SenderView`] and is served by the same sender: control bytes and
+//! retransmissions go first, parity follows the last member of its set, and what can no longer be shown is
+//! never sent.
 
 mod dash;
 mod deadline_utility;
@@ -9,8 +11,10 @@ mod dependency;
 mod layered;
 mod probability;
 
-use crate::clock::{Nanos, Rate};
-use crate::graph::{GroupIndex, PacketGraph, PacketIndex, Profile};
+use crate::{
+    clock::{Nanos, Rate},
+    graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
+};
 
 pub use dash::Dash;
 pub use deadline_utility::{DeadlineUtility, DeadlineUtilityConfig};
@@ -81,7 +85,8 @@ impl SenderView<'_> {
             && !self.is_expired(packet, now)
     }
 
-    /// Whether `group` can never be complete because a packet of it was abandoned. Slices stay useful one by one.
+    /// Whether `group` can never be complete because a packet of it was abandoned. Slices stay useful one by
+    /// one.
     pub fn is_dead(&self, group: GroupIndex) -> bool {
         let packets = &self.graph.groups()[group.at()].packets;
         self.graph.profile() == Profile::AllOrNothing

@@ -1,11 +1,13 @@
 //! The receiving end: what has arrived, and what of it can be shown.
 //!
-//! [`Endpoint`] is what a session needs of a receiver. [`GraphReceiver`] implements it over the graph alone; a receiver
-//! that owns real bytes implements it too, and the two must agree on every snapshot.
+//! [`Endpoint`] is what a session needs of a receiver. [`GraphReceiver`] implements it over the graph alone;
+//! a receiver that owns real bytes implements it too, and the two must agree on every snapshot.
 
-use crate::clock::Nanos;
-use crate::graph::{GroupIndex, PacketGraph, PacketIndex, Profile};
-use crate::repair::Repair;
+use crate::{
+    clock::Nanos,
+    graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
+    repair::Repair,
+};
 
 /// What became of an arriving media packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -61,20 +63,22 @@ impl Snapshot {
 
 /// A receiver, as a session sees it. Packets are indices; whoever implements this may own their bytes.
 pub trait Endpoint {
-    /// `bytes_received` distinct bytes of the control stream have arrived so far; `complete` once all have, so that the
-    /// manifest can be read. Called with `complete` exactly once, and not again after it. Packets that become known now
-    /// are pushed to `recovered`.
+    /// `bytes_received` distinct bytes of the control stream have arrived so far; `complete` once all have,
+    /// so that the manifest can be read. Called with `complete` exactly once, and not again after it. Packets
+    /// that become known now are pushed to `recovered`.
     fn control(&mut self, bytes_received: usize, complete: bool, recovered: &mut Vec<PacketIndex>);
 
-    /// `packet` arrives at `now`, parity packets and duplicates included. Packets that repair makes known are pushed to
-    /// `recovered`.
+    /// `packet` arrives at `now`, parity packets and duplicates included. Packets that repair makes known are
+    /// pushed to `recovered`.
     fn media(&mut self, packet: PacketIndex, now: Nanos, recovered: &mut Vec<PacketIndex>) -> Arrival;
 
-    /// What can be shown of `frame` now. What was usable once stays usable; before the manifest is complete nothing is.
+    /// What can be shown of `frame` now. What was usable once stays usable; before the manifest is complete
+    /// nothing is.
     fn snapshot(&mut self, frame: u32) -> &Snapshot;
 }
 
-/// A receiver that knows the graph and no bytes. Each arrival costs the edges it completes, so a run is linear in the graph.
+/// A receiver that knows the graph and no bytes. Each arrival costs the edges it completes, so a run is
+/// linear in the graph.
 #[derive(Debug)]
 pub struct GraphReceiver<'a> {
     graph: &'a PacketGraph,

@@ -1,7 +1,7 @@
 //! Repair: when no more members of a set are missing than parity packets of it are there, all are known.
 //!
-//! Only indices are tracked here. An [`crate::Endpoint`] that owns bytes must check that what it recovers passes the
-//! original CRC (paper, "Selective recovery and receiver closure").
+//! Only indices are tracked here. An [`crate::Endpoint`] that owns bytes must check that what it recovers
+//! passes the original CRC (paper, "Selective recovery and receiver closure").
 
 use crate::graph::{PacketGraph, PacketIndex};
 
@@ -36,8 +36,8 @@ impl Repair {
         }
     }
 
-    /// `packet` is there for the first time, arrived or recovered. Calls `recovered` for each media packet that this makes
-    /// known; the caller passes it back in if it did not have it yet.
+    /// `packet` is there for the first time, arrived or recovered. Calls `recovered` for each media packet
+    /// that this makes known; the caller passes it back in if it did not have it yet.
     pub fn on_packet(
         &mut self,
         graph: &PacketGraph,

@@ -2,8 +2,7 @@
 
 use serde::Serialize;
 
-use crate::clock::Nanos;
-use crate::link::Counts;
+use crate::{clock::Nanos, link::Counts};
 
 /// One playout time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -14,7 +13,8 @@ pub struct FrameRow {
     pub frame: u32,
     /// Bytes of distinct packets that can be shown so far, whatever frame they belong to.
     pub usable_bytes: u64,
-    /// Usable utility ÷ positive utility of the groups active at this frame; may be negative if only harmful groups arrived.
+    /// Usable utility ÷ positive utility of the groups active at this frame; may be negative if only harmful
+    /// groups arrived.
     pub utility: f64,
     /// Share of the groups active at this frame whose closure is not usable, 0..=1.
     pub miss: f64,
@@ -93,7 +93,8 @@ pub struct SenderCounts {
     pub spurious: u64,
     /// Probe timeouts.
     pub probe_timeouts: u64,
-    /// Choices of the scheduler that were refused because they were expired, early or not media; a correct one has none.
+    /// Choices of the scheduler that were refused because they were expired, early or not media; a correct
+    /// one has none.
     pub refused_choices: u64,
     /// Receipts whose bytes could not be read.
     pub refused_receipts: u64,

@@ -1,7 +1,7 @@
 //! Random streams keyed by a seed and the label of their owner.
 //!
-//! Adding a box to a chain, or drawing more numbers in one box, changes no other box's luck: this is what lets every
-//! policy meet the same losses (common random numbers).
+//! Adding a box to a chain, or drawing more numbers in one box, changes no other box's luck: this is what
+//! lets every policy meet the same losses (common random numbers).
 
 use rand::Rng;
 use rand_pcg::Pcg64;

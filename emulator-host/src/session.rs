@@ -1,12 +1,13 @@
 //! One delivery: sender, path, receiver, feedback, playout, in virtual time.
 //!
-//! Order within one instant: arrivals at the receiver, arrivals at the sender, timers, playout, sending, receipts. So what
-//! arrives at the very time of a snapshot is in it.
+//! Order within one instant: arrivals at the receiver, arrivals at the sender, timers, playout, sending,
+//! receipts. So what arrives at the very time of a snapshot is in it.
 //!
-//! What is modelled: control and media share one congestion budget, control first; media that overtakes the manifest is
-//! buffered; receipts cost uplink and may be lost; lost base packets are sent again within a budget while they can still be
-//! shown; playout starts at a threshold and never waits after it. Not modelled: handshake, clock offset (the receipt
-//! carries the playout time and both ends share a clock), decoding time.
+//! What is modelled: control and media share one congestion budget, control first; media that overtakes the
+//! manifest is buffered; receipts cost uplink and may be lost; lost base packets are sent again within a
+//! budget while they can still be shown; playout starts at a threshold and never waits after it. Not
+//! modelled: handshake, clock offset (the receipt carries the playout time and both ends share a clock),
+//! decoding time.
 
 mod client;
 mod control;
@@ -14,19 +15,21 @@ mod feedback;
 mod metrics;
 mod sender;
 
-use crate::clock::{Nanos, Rate};
-use crate::congestion::ControllerKind;
-use crate::graph::PacketGraph;
-use crate::link::{Chain, Datagram, LinkBox, Output, PathConfig, PathError};
-use crate::policy::{PolicyKind, Scheduler};
-use crate::receiver::{Endpoint, GraphReceiver};
-use crate::report::Report;
-
+use crate::{
+    clock::{Nanos, Rate},
+    congestion::ControllerKind,
+    graph::PacketGraph,
+    link::{Chain, Datagram, LinkBox, Output, PathConfig, PathError},
+    policy::{PolicyKind, Scheduler},
+    receiver::{Endpoint, GraphReceiver},
+    report::Report,
+};
 use client::Client;
 use metrics::Metrics;
 use sender::Sender;
 
-/// Bytes around a DGSP packet inside the UDP payload: QUIC short header 11, DATAGRAM frame 3, authentication tag 16.
+/// Bytes around a DGSP packet inside the UDP payload: QUIC short header 11, DATAGRAM frame 3, authentication
+/// tag 16.
 pub const QUIC_OVERHEAD_BYTES: u32 = 30;
 /// IPv4 and UDP headers, counted on the link only.
 pub const IP_UDP_BYTES: u32 = 28;
@@ -147,8 +150,8 @@ pub fn simulate(graph: &PacketGraph, config: &SessionConfig) -> Result<Report, S
     run(graph, config, &mut *scheduler, &mut endpoint)
 }
 
-/// Runs `graph` under `config` with a scheduler and a receiver of the caller's; `config.policy` and `config.buffer_limit` are
-/// not used.
+/// Runs `graph` under `config` with a scheduler and a receiver of the caller's; `config.policy` and
+/// `config.buffer_limit` are not used.
 ///
 /// # Errors
 /// As [`simulate`].

@@ -1,11 +1,11 @@
 //! Capacity over time: measured traces and a synthetic one.
 //!
-//! Loaders take bytes, never panic on any of them, and hold no more than [`Limits`] allow. What looks wrong but is legal
-//! comes back as a [`Warning`] on the trace; what is illegal comes back as a [`TraceError`] with line, field, what was
-//! found and what is allowed.
+//! Loaders take bytes, never panic on any of them, and hold no more than [`Limits`] allow. What looks wrong
+//! but is legal comes back as a [`Warning`] on the trace; what is illegal comes back as a [`TraceError`] with
+//! line, field, what was found and what is allowed.
 //!
-//! Rates of 0.2 s or 1 s averages hide the short stalls that delivery-opportunity traces show: do not compare tail latency
-//! across families.
+//! Rates of 0.2 s or 1 s averages hide the short stalls that delivery-opportunity traces show: do not compare
+//! tail latency across families.
 
 mod bursty;
 mod delay;
@@ -14,10 +14,7 @@ mod mahimahi;
 mod two_column;
 mod ucc;
 
-use std::fs::File;
-use std::io::Read;
-use std::path::Path;
-use std::sync::Arc;
+use std::{fs::File, io::Read, path::Path, sync::Arc};
 
 use crate::clock::{Nanos, Rate};
 
@@ -153,7 +150,8 @@ pub enum Shape {
     Steps(Arc<[Step]>),
 }
 
-/// A capacity trace that repeats with its period. It has some capacity, its points are ordered and inside the period.
+/// A capacity trace that repeats with its period. It has some capacity, its points are ordered and inside the
+/// period.
 #[derive(Clone, Debug)]
 pub struct Trace {
     name: String,
@@ -202,7 +200,8 @@ impl Trace {
         Self { name: name.to_owned(), shape, period, warnings: Vec::new(), base_rtt: None }
     }
 
-    /// Loads a mahimahi delivery-opportunity trace: one time in ms per line, not decreasing; the period is the last time.
+    /// Loads a mahimahi delivery-opportunity trace: one time in ms per line, not decreasing; the period is
+    /// the last time.
     ///
     /// # Errors
     /// See [`TraceError`].
@@ -226,7 +225,8 @@ impl Trace {
         ucc::load(name, bytes, direction, limits)
     }
 
-    /// A built-in trace of mean 4 Mbit/s (within 1 %) with fades to a few per cent of it; see the module `bursty`.
+    /// A built-in trace of mean 4 Mbit/s (within 1 %) with fades to a few per cent of it; see the module
+    /// `bursty`.
     pub fn bursty(seed: u64, length: Nanos) -> Self {
         bursty::generate(seed, length)
     }
@@ -271,8 +271,8 @@ impl Trace {
     /// The part of `length` from `offset` on, going round at the end, as a trace with period `length`.
     ///
     /// # Errors
-    /// [`TraceError::Period`] if `length` is out of range, [`TraceError::NoCapacity`] if the part has none, or
-    /// [`TraceError::TooLarge`] if going round multiplies the points beyond 16 million.
+    /// [`TraceError::Period`] if `length` is out of range, [`TraceError::NoCapacity`] if the part has none,
+    /// or [`TraceError::TooLarge`] if going round multiplies the points beyond 16 million.
     pub fn window(&self, offset: Nanos, length: Nanos) -> Result<Self, TraceError> {
         check_period(length, None)?;
         let rounds = length.0 / self.period.0 + 2;

@@ -2,13 +2,13 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail like tests")]
 
-use emulator_host::clock::{Nanos, Rate};
-use emulator_host::graph::{Profile, Synthetic, Utilities};
-use emulator_host::link::{Capacity, LossModel, PathConfig, QueueLimit, Reordering};
-use emulator_host::policy::{Dependency, Scheduler, SenderView};
 use emulator_host::{
-    ControllerKind, GraphReceiver, PacketGraph, PacketIndex, PolicyKind, Report, SessionConfig, Trace, run,
-    simulate,
+    ControllerKind, GraphReceiver, PacketGraph, PacketIndex, PolicyKind, Report, SessionConfig, Trace,
+    clock::{Nanos, Rate},
+    graph::{Profile, Synthetic, Utilities},
+    link::{Capacity, LossModel, PathConfig, QueueLimit, Reordering},
+    policy::{Dependency, Scheduler, SenderView},
+    run, simulate,
 };
 
 fn graph(spec: Synthetic, seed: u64) -> PacketGraph {
@@ -69,7 +69,8 @@ fn check_sane(report: &Report, graph: &PacketGraph) {
 #[test]
 fn everything_arrives_on_an_ample_path_under_every_policy() {
     let graph = graph(Synthetic { rate: Rate::from_mbps(4), ..short() }, 1);
-    // The queue is ample too: slow start overruns a short one and loses refinements, which are not sent again.
+    // The queue is ample too: slow start overruns a short one and loses refinements, which are not sent
+    // again.
     let queue = QueueLimit { bytes: 10_000_000, datagrams: u32::MAX };
     let ample =
         PathConfig { capacity: Capacity::Constant(Rate::from_mbps(40)), queue, ..PathConfig::default() };
@@ -136,7 +137,8 @@ fn a_flat_table_recovers_the_conventional_order() {
     assert_ne!(with(PolicyKind::DeadlineUtility), with(PolicyKind::Layered));
 }
 
-/// Paired: the same graph, trace and losses for both, over several traces; the claim is about the mean, as in the paper.
+/// Paired: the same graph, trace and losses for both, over several traces; the claim is about the mean, as in
+/// the paper.
 #[test]
 fn utility_order_misses_less_and_shows_more_than_layer_order_on_bottlenecks() {
     let (mut miss, mut utility) = ([0.0; 2], [0.0; 2]);
@@ -247,7 +249,8 @@ fn loss_timers_start_after_serialisation() {
     let path = PathConfig { capacity: Capacity::Unlimited, ..PathConfig::default() };
     let slow = SessionConfig { access_rate: Some(Rate::from_mbps(1)), ..down(path) };
     let report = simulate(&graph, &slow).unwrap();
-    // 1208 bytes take 9.7 ms at 1 Mbit/s: they are no part of a round trip of 40 ms and up to 25 ms of held receipts.
+    // 1208 bytes take 9.7 ms at 1 Mbit/s: they are no part of a round trip of 40 ms and up to 25 ms of held
+    // receipts.
     let longest = report.samples.iter().skip(20).map(|row| row.smoothed_rtt_ns).max().unwrap();
     assert!(longest < Nanos::from_ms(48), "{longest}");
     assert_eq!(report.sender.lost, 0);

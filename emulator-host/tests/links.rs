@@ -2,11 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail like tests")]
 
-use emulator_host::clock::{Nanos, Rate};
-use emulator_host::link::{
-    Capacity, Chain, Datagram, LinkBox, LossModel, Output, PathConfig, QueueLimit, Reordering,
+use emulator_host::{
+    clock::{Nanos, Rate},
+    link::{Capacity, Chain, Datagram, LinkBox, LossModel, Output, PathConfig, QueueLimit, Reordering},
+    trace::{DelayTrace, Limits, Trace},
 };
-use emulator_host::trace::{DelayTrace, Limits, Trace};
 use proptest::prelude::*;
 
 fn capacity() -> impl Strategy<Value = Capacity> {

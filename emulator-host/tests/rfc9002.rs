@@ -1,23 +1,26 @@
 //! RFC 9002 (and RFC 9221, RFC 9000 13.2) by item. The number in a test's name is the item of the list below.
 //!
-//! Round trip: 1 which acknowledgements give samples; 2 minimum without ack delay; 3 clamping of ack delay; 4 first sample;
-//! 5 order of A.7. Loss: 6 thresholds; 7 loss timer before probe timer; 8 spurious losses. Probes: 9 timeout and backoff;
-//! 10 timed from the last eliciting packet; 11 no loss, no window change, past the window; 12 reset by acknowledgement;
-//! 14 initial round trip. Congestion: 15 initial and minimum window; 16 one halving per recovery period; 17 one packet on
-//! entry; 18 growth in avoidance; 19 CE as one loss; 20 persistent congestion; 21 application-limited; 22, 23 pacing (in
-//! `congestion/pacer.rs`). 25 datagrams; 26 receipts every two packets or 25 ms; 27 receipts cost uplink; 28 what is counted.
+//! Round trip: 1 which acknowledgements give samples; 2 minimum without ack delay; 3 clamping of ack delay; 4
+//! first sample; 5 order of A.7. Loss: 6 thresholds; 7 loss timer before probe timer; 8 spurious losses.
+//! Probes: 9 timeout and backoff; 10 timed from the last eliciting packet; 11 no loss, no window change, past
+//! the window; 12 reset by acknowledgement; 14 initial round trip. Congestion: 15 initial and minimum window;
+//! 16 one halving per recovery period; 17 one packet on entry; 18 growth in avoidance; 19 CE as one loss; 20
+//! persistent congestion; 21 application-limited; 22, 23 pacing (in `congestion/pacer.rs`). 25 datagrams; 26
+//! receipts every two packets or 25 ms; 27 receipts cost uplink; 28 what is counted.
 //!
-//! Exceptions, because packets here start after a completed handshake and have one number space: 13, 24, 30 and the parts
-//! of 3, 9 and 12 about Initial packets. 29: there is no path-MTU discovery.
+//! Exceptions, because packets here start after a completed handshake and have one number space: 13, 24, 30
+//! and the parts of 3, 9 and 12 about Initial packets. 29: there is no path-MTU discovery.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail like tests")]
 
-use emulator_host::ControllerKind;
-use emulator_host::clock::Nanos;
-use emulator_host::congestion::{Outcome, Recovery, Rtt, TimerOutcome, initial_window, minimum_window};
-use emulator_host::graph::Synthetic;
-use emulator_host::link::{Capacity, LossModel, PathConfig, QueueLimit};
-use emulator_host::{SessionConfig, simulate};
+use emulator_host::{
+    ControllerKind, SessionConfig,
+    clock::Nanos,
+    congestion::{Outcome, Recovery, Rtt, TimerOutcome, initial_window, minimum_window},
+    graph::Synthetic,
+    link::{Capacity, LossModel, PathConfig, QueueLimit},
+    simulate,
+};
 
 const MDS: u64 = 1200;
 const ACK_DELAY: Nanos = Nanos::from_ms(25);
@@ -341,8 +344,8 @@ fn rfc9002_21_paced_media_below_the_link_rate_does_not_run_away() {
         ..SessionConfig::default()
     };
     let report = simulate(&graph, &config).unwrap();
-    // Slow start runs into the queue once while the sender catches up; from then on the source is slower than the link, and
-    // for 29 s the window must neither grow nor lose anything.
+    // Slow start runs into the queue once while the sender catches up; from then on the source is slower than
+    // the link, and for 29 s the window must neither grow nor lose anything.
     let settled: Vec<u64> = report.samples.iter().skip(10).map(|row| row.window_bytes).collect();
     assert!(settled.len() > 250 && settled.windows(2).all(|pair| pair[0] == pair[1]), "{settled:?}");
     assert!(report.sender.lost < 50, "{:?}", report.sender);

@@ -4,11 +4,14 @@
 
 use std::path::{Path, PathBuf};
 
-use emulator_host::clock::Nanos;
-use emulator_host::graph::Synthetic;
-use emulator_host::link::{Capacity, PathConfig};
-use emulator_host::trace::{self, DelayTrace, Direction, Holds, Limits, Warning};
-use emulator_host::{SessionConfig, Trace, simulate};
+use emulator_host::{
+    SessionConfig, Trace,
+    clock::Nanos,
+    graph::Synthetic,
+    link::{Capacity, PathConfig},
+    simulate,
+    trace::{self, DelayTrace, Direction, Holds, Limits, Warning},
+};
 use proptest::prelude::*;
 
 fn all_loaders(bytes: &[u8]) {

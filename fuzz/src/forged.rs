@@ -1,15 +1,16 @@
 //! A liar's whole session: a manifest that passes and says what it likes, then packets whose CRCs fit.
 
+use codec_core::internals::{
+    limits::MAX_PACKET_BYTES,
+    pack::packed_bound,
+    wire::manifest::{self as dgsm, Manifest},
+};
+
 use crate::{
     input::{Choices, edit},
     seal::with_crc,
     session::assert_frame_drawable,
     streams::{player, small},
-};
-use codec_core::internals::{
-    limits::MAX_PACKET_BYTES,
-    pack::packed_bound,
-    wire::manifest::{self as dgsm, Manifest},
 };
 
 /// Up to `count` edits, four bytes each.

@@ -15,7 +15,6 @@ use codec_core::{
         },
     },
 };
-
 use trainer_host::stream::Stream;
 
 use crate::seal::{dgs_file, with_crc};

@@ -8,11 +8,19 @@
 #[path = "../tests/support/mod.rs"]
 mod support;
 
-use criterion::Criterion;
-use render_host::adjoint::loss::{Distortion, Mse};
-use render_host::adjoint::{check, render_and_gradients_into};
-use render_host::{Camera, Gradients, Image, Loss, Renderer, Settings, Splats, Workspace, reference};
 use std::hint::black_box;
+
+use criterion::Criterion;
+use render_host::{
+    Camera, Gradients, Image, Loss, Renderer, Settings, Splats, Workspace,
+    adjoint::{
+        check,
+        loss::{Distortion, Mse},
+        render_and_gradients_into,
+    },
+    reference,
+};
+
 use support::{Scene, camera};
 
 /// What one writes first: all f32, the covariance by its matrix, `a·c - b²`, splat by splat over its

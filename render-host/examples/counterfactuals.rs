@@ -1,7 +1,10 @@
 //! Measures what each level of each cluster adds to a picture, in one call.
 
-use render_host::counterfactual::{Engine, Variants, Versions};
-use render_host::{Camera, Gaussian, Settings, Splats, render};
+use render_host::{
+    Camera, Gaussian, Settings, Splats,
+    counterfactual::{Engine, Variants, Versions},
+    render,
+};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Four clusters of 25 Gaussians. Version 0 is absent, 1 coarse, 2 as it should be.

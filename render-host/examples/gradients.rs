@@ -1,7 +1,8 @@
 //! Moves a Gaussian towards a picture by the gradients of its render.
 
-use render_host::adjoint::loss::Mse;
-use render_host::{Camera, Gaussian, Settings, Splats, Workspace, render, render_and_gradients};
+use render_host::{
+    Camera, Gaussian, Settings, Splats, Workspace, adjoint::loss::Mse, render, render_and_gradients,
+};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let at = |x: f32| Gaussian { position: [x, 0.0, 0.0], scale: [0.3; 3], opacity: 0.8, ..Gaussian::ABSENT };

@@ -19,8 +19,8 @@
 //! and a change of depth order the picture jumps, and the jump has no gradient. Where a value is clamped
 //! (alpha at `alpha_max`, a colour at 0, the Jacobian's slope, the dimming floor) the gradient is 0.
 //!
-//! A Gaussian that was skipped has gradient 0. One whose gradient overflows or is not a number gets 0 and
-//! is counted in [`Gradients::non_finite`], and so is a value of the picture about which the loss says nothing
+//! A Gaussian that was skipped has gradient 0. One whose gradient overflows or is not a number gets 0 and is
+//! counted in [`Gradients::non_finite`], and so is a value of the picture about which the loss says nothing
 //! finite: it counts as 0.
 
 mod blend;
@@ -35,9 +35,11 @@ pub(crate) use blend::{Ellipse, PARTS, Partial, ellipse};
 pub use check::{Check, ClassError, check};
 pub use loss::Loss;
 
-use crate::render::{RenderError, Rendered, Renderer};
-use crate::stage::{self, TILE, bin};
-use crate::{Camera, ImageError, Settings, Splats};
+use crate::{
+    Camera, ImageError, Settings, Splats,
+    render::{RenderError, Rendered, Renderer},
+    stage::{self, TILE, bin},
+};
 
 /// Gradients that could not be computed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -1,7 +1,8 @@
 //! Counters say what a render did, what it left out and why.
 //!
 //! Invariant: every Gaussian is counted once, so `gaussians` is the sum of `drawn` and all reasons
-//! ([`Counters::skipped`]); a field that says "of" one is a part of it. Counts do not depend on the number of threads.
+//! ([`Counters::skipped`]); a field that says "of" one is a part of it. Counts do not depend on the number of
+//! threads.
 
 use serde::{Deserialize, Serialize};
 

@@ -3,9 +3,9 @@
 //! Values are display values, 0..=1 for what a screen shows, as the splats' colours are; nothing here
 //! converts to or from linear light. Files have 8 bits: a value is clamped, multiplied by 255 and rounded.
 
+use std::{io::Cursor, path::Path};
+
 use crate::camera::MAX_SIDE;
-use std::io::Cursor;
-use std::path::Path;
 
 /// An image; row 0 is at the top.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -12,12 +12,13 @@
 //! they differ by rounding alone. [`Reference::close`] counts these, so that a comparison can hold each
 //! kind to its own bound.
 
-use crate::camera::{Camera, dot, rotation_matrix};
-use crate::harmonics;
-use crate::parallel;
-use crate::settings::{Settings, SettingsError};
-use crate::splats::Splats;
-use crate::stage::project::{MIN_COMPENSATION, MIN_QUATERNION_NORM2, slope_limits};
+use crate::{
+    camera::{Camera, dot, rotation_matrix},
+    harmonics, parallel,
+    settings::{Settings, SettingsError},
+    splats::Splats,
+    stage::project::{MIN_COMPENSATION, MIN_QUATERNION_NORM2, slope_limits},
+};
 
 /// Relative distance from the alpha cut-off that counts as close.
 pub const CLOSE_ALPHA: f64 = 1e-5;

@@ -1,12 +1,15 @@
 //! The tile renderer makes a picture: project → sort → bin → blend.
 
-use crate::image::{Image, ImageError};
-use crate::settings::{Settings, SettingsError};
-use crate::stage::{bin, blend, project, sort};
-use crate::{Camera, Counters, Splats};
+use std::ops::Range;
 
 use rayon::prelude::*;
-use std::ops::Range;
+
+use crate::{
+    Camera, Counters, Splats,
+    image::{Image, ImageError},
+    settings::{Settings, SettingsError},
+    stage::{bin, blend, project, sort},
+};
 
 /// A render that could not start.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -16,14 +16,19 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::camera::Camera;
-use crate::render::{RenderError, Rendered};
-use crate::settings::Settings;
-use crate::stage::bin;
-use crate::stage::blend::{self, Tile};
-use crate::stage::span::Spans;
-use crate::stage::{TILE, sort};
-use crate::{Renderer, Splats, parallel};
+use crate::{
+    Renderer, Splats,
+    camera::Camera,
+    parallel,
+    render::{RenderError, Rendered},
+    settings::Settings,
+    stage::{
+        TILE, bin,
+        blend::{self, Tile},
+        sort,
+        span::Spans,
+    },
+};
 use inputs::{Inputs, View};
 use lists::Lists;
 

@@ -6,9 +6,10 @@
 //! `half_attributes`) says how many bits a value is kept in; it changes the picture by an error that the
 //! reference, which keeps every bit, makes visible.
 
-use crate::stage::TileSide;
 use codec_core::ShDegree;
 use serde::{Deserialize, Serialize};
+
+use crate::stage::TileSide;
 
 /// How to render. Plain data; checked by [`Settings::validate`] when rendering starts.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -37,8 +38,8 @@ pub struct Settings {
     /// Precision: colour and shape of a projected splat are rounded to f16, as a device with little memory
     /// stores them; centre and opacity are not. Gradients go straight through the rounding.
     pub half_attributes: bool,
-    /// Side of the tiles that lists are made for; changes no bit of the picture. Only the forward renderer of the
-    /// CPU has others than 16; whatever else is asked for them refuses.
+    /// Side of the tiles that lists are made for; changes no bit of the picture. Only the forward renderer of
+    /// the CPU has others than 16; whatever else is asked for them refuses.
     pub tile: TileSide,
     /// Uses the current rayon pool. The picture is the same bit for bit either way.
     pub parallel: bool,

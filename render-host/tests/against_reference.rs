@@ -11,6 +11,7 @@ mod support;
 
 use proptest::prelude::*;
 use render_host::{Settings, Splats, reference, render};
+
 use support::{Scene, camera};
 
 /// Largest display colour of the random scenes at degree 0, and with all their harmonics.

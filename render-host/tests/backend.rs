@@ -9,6 +9,7 @@ use render_host::{
     counterfactual::{States, Variants},
     reference,
 };
+
 use support::{Numbers, Scene, camera};
 
 /// Largest difference of a channel between backends, away from cut-offs.

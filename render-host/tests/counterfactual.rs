@@ -5,8 +5,12 @@
 mod support;
 
 use proptest::prelude::*;
-use render_host::counterfactual::{CounterfactualError, Engine, States, Variants, brute, tuner};
-use render_host::{Camera, Image, Settings, Splats, reference};
+use render_host::{
+    Camera, Image, Settings, Splats,
+    counterfactual::{CounterfactualError, Engine, States, Variants, brute, tuner},
+    reference,
+};
+
 use support::{Numbers, Scene, camera};
 
 /// A scene whose groups are cells of space, so that they overlap on the image plane and in depth.

@@ -5,9 +5,13 @@
 mod support;
 
 use codec_core::Gaussian;
-use render_host::adjoint::{SplatGradient, loss::Mse};
-use render_host::counterfactual::{Engine, States, Variants, brute};
-use render_host::{Image, Renderer, Settings, Splats, Workspace, render_and_gradients};
+use render_host::{
+    Image, Renderer, Settings, Splats, Workspace,
+    adjoint::{SplatGradient, loss::Mse},
+    counterfactual::{Engine, States, Variants, brute},
+    render_and_gradients,
+};
+
 use support::{Scene, camera};
 
 /// Walls over everything, nearest last in index so that order is not that of indices.

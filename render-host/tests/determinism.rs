@@ -7,8 +7,8 @@ mod support;
 
 use codec_core::Gaussian;
 use proptest::prelude::*;
-use render_host::stage::TileSide;
-use render_host::{Rendered, Renderer, Settings, Splats, render, render_many};
+use render_host::{Rendered, Renderer, Settings, Splats, render, render_many, stage::TileSide};
+
 use support::{Scene, camera};
 
 fn bits(r: &Rendered) -> Vec<u32> {

@@ -5,8 +5,11 @@
 mod support;
 
 use proptest::prelude::*;
-use render_host::counterfactual::{Distortions, Engine, Variants, Versions, brute};
-use render_host::{Camera, Image, Settings};
+use render_host::{
+    Camera, Image, Settings,
+    counterfactual::{Distortions, Engine, Variants, Versions, brute},
+};
+
 use support::{Numbers, Scene, camera};
 
 /// A scene in which clusters, regions of space, show one of up to four versions.

@@ -17,6 +17,7 @@ use render_host::{
     gpu::{Device, DeviceOptions, Executor, GpuError, Presence, Renderer, Scene as OnDevice, wgpu},
     reference, render,
 };
+
 use support::{Numbers, Scene, camera};
 
 /// The renderer that all tests share, with run-time checks in every shader; what was drawn before must not

@@ -5,8 +5,12 @@
 
 mod support;
 
-use render_host::counterfactual::{Engine, States, Variants, brute};
-use render_host::{Settings, reference, render};
+use render_host::{
+    Settings,
+    counterfactual::{Engine, States, Variants, brute},
+    reference, render,
+};
+
 use support::{Scene, camera};
 
 fn precisions() -> [(&'static str, Settings); 4] {

@@ -7,6 +7,7 @@ mod support;
 use codec_core::Gaussian;
 use proptest::prelude::*;
 use render_host::{Camera, Rendered, Settings, Splats, reference, render};
+
 use support::{Scene, camera};
 
 fn finite(r: &Rendered) -> bool {

@@ -10,6 +10,7 @@ use std::ops::Range;
 use codec_core::{Gaussian, ShDegree};
 use proptest::prelude::*;
 use render_host::{Camera, Changes, Rendered, Reuse, Sequence, Settings, Splats, render};
+
 use support::{Numbers, Scene, camera};
 
 fn bits(r: &Rendered) -> Vec<u32> {

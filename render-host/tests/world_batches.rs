@@ -5,9 +5,14 @@
 mod support;
 
 use proptest::prelude::*;
-use render_host::counterfactual::tuner::OutOfMemory;
-use render_host::counterfactual::{CounterfactualError, States, Variants, WorldBatch, brute, render_worlds};
-use render_host::{Image, Settings, render_many};
+use render_host::{
+    Image, Settings,
+    counterfactual::{
+        CounterfactualError, States, Variants, WorldBatch, brute, render_worlds, tuner::OutOfMemory,
+    },
+    render_many,
+};
+
 use support::{Numbers, Scene, camera};
 
 fn groups(scene: &Scene, count: usize) -> Vec<u32> {

@@ -4,9 +4,12 @@
 
 mod support;
 
-use render_host::adjoint::SplatGradient;
-use render_host::counterfactual::{Engine, States, Variants, WorldGradients, brute};
-use render_host::{Camera, Image, Settings};
+use render_host::{
+    Camera, Image, Settings,
+    adjoint::SplatGradient,
+    counterfactual::{Engine, States, Variants, WorldGradients, brute},
+};
+
 use support::{Numbers, Scene, camera};
 
 struct Case {

@@ -17,7 +17,6 @@ use rayon::prelude::*;
 use render_host::{Camera, Image, Renderer, Settings, Splats};
 
 use crate::{scene::Scene, stream::PacketMap};
-
 use contexts::{SpanCells, spans};
 use versions::Clusters;
 

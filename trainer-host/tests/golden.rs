@@ -303,7 +303,8 @@ fn title(line: &str) -> String {
     line.split(" | ").take(2).collect::<Vec<_>>().join(" | ")
 }
 
-/// The index names what this file would write, beside the streams made by hand; the bytes are the encoder's to change.
+/// The index names what this file would write, beside the streams made by hand; the bytes are the encoder's
+/// to change.
 #[test]
 fn the_index_is_of_these_streams() {
     let index = std::fs::read_to_string(folder().join("index.txt")).unwrap();

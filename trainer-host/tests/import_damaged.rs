@@ -3,9 +3,8 @@
 
 use std::path::{Path, PathBuf};
 
-use trainer_host::import::{ErrorKind, Limits, Options, import};
-
 use ErrorKind::{Empty, Malformed, TooLarge, Truncated, Unsupported};
+use trainer_host::import::{ErrorKind, Limits, Options, import};
 
 /// File, kind of error, and a part of its text.
 const DAMAGED: [(&str, ErrorKind, &str); 33] = [

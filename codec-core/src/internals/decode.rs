@@ -1,10 +1,10 @@
 //! Symbols and a state in, Gaussians at a frame out.
 //!
-//! Deterministic: integers up to the last dequantise, then + − × ÷ √ in a fixed order. Every
-//! state is valid: a block without its base gives [`Gaussian::ABSENT`] values at its fixed
-//! indices, but for the first, which is the block's proxy if there are proxies, a cluster without its track keeps the last pose of the latest earlier window that has
-//! one (else its canonical pose), and missing refinements leave coarser values. Dropping a packet
-//! therefore changes the Gaussians of its blocks and no others.
+//! Deterministic: integers up to the last dequantise, then + − × ÷ √ in a fixed order. Every state is valid:
+//! a block without its base gives [`Gaussian::ABSENT`] values at its fixed indices, but for the first, which
+//! is the block's proxy if there are proxies, a cluster without its track keeps the last pose of the latest
+//! earlier window that has one (else its canonical pose), and missing refinements leave coarser values.
+//! Dropping a packet therefore changes the Gaussians of its blocks and no others.
 //!
 //! The decoder keeps dequantised canonical Gaussians between frames and redoes only blocks whose
 //! state changed.

@@ -79,7 +79,8 @@ impl Class {
         }
     }
 
-    /// Whether triples of its components go together, so that they may be coded as [`decorrelate`] makes them.
+    /// Whether triples of its components go together, so that they may be coded as [`decorrelate`] makes
+    /// them.
     pub const fn decorrelates(self) -> bool {
         !matches!(self, Self::Position | Self::Rotation | Self::Opacity)
     }

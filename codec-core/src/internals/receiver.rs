@@ -1,9 +1,10 @@
 //! Receives the packets of one stream: bytes in, usable state out. No socket, no clock, no heap.
 //!
 //! All memory is the caller's ([`Memory`]), cut from one arena by [`Plan`](crate::arena::Plan);
-//! [`Requirements`] says from a manifest how much of each is needed. Every packet is checked (CRC, header, lattice, entropy coder's end state) before its
-//! arrival is recorded, decodes straight to its place in the symbol store, and is used at most
-//! once; order does not matter. What is refused is counted by kind and costs bounded work.
+//! [`Requirements`] says from a manifest how much of each is needed. Every packet is checked (CRC, header,
+//! lattice, entropy coder's end state) before its arrival is recorded, decodes straight to its place in the
+//! symbol store, and is used at most once; order does not matter. What is refused is counted by kind and
+//! costs bounded work.
 
 mod ahead;
 mod chunk;

@@ -254,7 +254,8 @@ fn packets(model: &Model, most: usize, numbers: &mut Numbers) -> Vec<Packet> {
     packets
 }
 
-/// The blocks of a span at all levels, at most `most` or three in each extent; extents of tracks hold whole clusters.
+/// The blocks of a span at all levels, at most `most` or three in each extent; extents of tracks hold whole
+/// clusters.
 fn pieces(model: &Model, (motion, span): (bool, usize), most: usize) -> Vec<Extent> {
     let mut pieces = Vec::new();
     for level in 0..4 {

@@ -1,15 +1,17 @@
-//! The paper's BBR-inspired model: delivery rate, minimum round trip, two bandwidth-delay products in flight, and a
-//! ceiling learned from bursts of loss. An ablation for scheduler sensitivity, no implementation of any BBR version.
+//! The paper's BBR-inspired model: delivery rate, minimum round trip, two bandwidth-delay products in flight,
+//! and a ceiling learned from bursts of loss. An ablation for scheduler sensitivity, no implementation of any
+//! BBR version.
 //!
 //! - Rate: maximum delivery rate over ten round trips, from acknowledged bytes.
 //! - Round trip: minimum over the whole run.
 //! - Window: twice their product, at least four datagrams; before the first sample, the initial window.
-//! - Ceiling: when a round trip loses more than 2 % of what it acknowledged, the window is held to 7/8 of what was in
-//!   flight, no lower than one product; each following round trip without such loss raises the ceiling by a sixteenth.
-//! - Start: while the rate still grows by a quarter per round trip, pace at twice the rate; then at 5/4 of it.
+//! - Ceiling: when a round trip loses more than 2 % of what it acknowledged, the window is held to 7/8 of
+//!   what was in flight, no lower than one product; each following round trip without such loss raises the
+//!   ceiling by a sixteenth.
+//! - Start: while the rate still grows by a quarter per round trip, pace at twice the rate; then at 5/4 of
+//!   it.
 
-use super::delivery::DeliveryRate;
-use super::{Acked, Controller, DeliverySample, Rtt, initial_window, minimum_window};
+use super::{Acked, Controller, DeliverySample, Rtt, delivery::DeliveryRate, initial_window, minimum_window};
 use crate::clock::{Nanos, Rate};
 
 /// The model's state.

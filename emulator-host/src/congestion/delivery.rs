@@ -1,8 +1,10 @@
-//! Delivery rate: how fast acknowledged bytes went through, and its windowed maximum, the paper's estimate of the path.
+//! Delivery rate: how fast acknowledged bytes went through, and its windowed maximum, the paper's estimate of
+//! the path.
 //!
-//! A sample spans from the acknowledgement that preceded the sending of a packet to the acknowledgement of that packet,
-//! and no less than the time it took to send, so that acknowledgements that arrive bunched do not inflate it. A sample
-//! taken while the application had too little to send can raise the estimate, not lower it.
+//! A sample spans from the acknowledgement that preceded the sending of a packet to the acknowledgement of
+//! that packet, and no less than the time it took to send, so that acknowledgements that arrive bunched do
+//! not inflate it. A sample taken while the application had too little to send can raise the estimate, not
+//! lower it.
 
 use std::collections::VecDeque;
 
@@ -30,7 +32,8 @@ impl DeliveryRate {
         Self::default()
     }
 
-    /// Takes a sample at `now` and forgets those older than `window`, except that the last one is kept for want of a better.
+    /// Takes a sample at `now` and forgets those older than `window`, except that the last one is kept for
+    /// want of a better.
     pub fn take(&mut self, sample: DeliverySample, window: Nanos, now: Nanos) {
         if sample.app_limited && self.estimate().is_some_and(|estimate| sample.rate < estimate) {
             return;

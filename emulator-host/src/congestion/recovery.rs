@@ -1,12 +1,12 @@
-//! What was sent and what became of it: acknowledgement, loss detection, probes, bytes in flight (RFC 9002, 6 and A).
+//! What was sent and what became of it: acknowledgement, loss detection, probes, bytes in flight (RFC 9002, 6
+//! and A).
 //!
-//! Packets enter when the sender's own serialiser is through with them, so loss timers start then (paper, "Congestion
-//! control and pacing"). Packet numbers count up from 0 without gaps.
+//! Packets enter when the sender's own serialiser is through with them, so loss timers start then (paper,
+//! "Congestion control and pacing"). Packet numbers count up from 0 without gaps.
 
 use std::collections::VecDeque;
 
-use super::rtt::GRANULARITY;
-use super::{Acked, Controller, DeliveryRate, DeliverySample, Pacer, Rtt};
+use super::{Acked, Controller, DeliveryRate, DeliverySample, Pacer, Rtt, rtt::GRANULARITY};
 use crate::clock::{Bytes, Nanos, Rate};
 
 /// Reordering threshold in packets (RFC 9002, 6.1.1).
@@ -46,7 +46,8 @@ pub struct Outcome {
     pub acked: Vec<u64>,
     /// Newly declared lost.
     pub lost: Vec<u64>,
-    /// Declared lost before, acknowledged now: the loss was spurious. They left flight when they were declared lost.
+    /// Declared lost before, acknowledged now: the loss was spurious. They left flight when they were
+    /// declared lost.
     pub spurious: Vec<u64>,
 }
 
@@ -174,8 +175,9 @@ impl Recovery {
         self.pacer.ready_at(bytes, now)
     }
 
-    /// The application has nothing to send although the window and the pacer would let it: from here on the window does not
-    /// grow until it is filled again (RFC 9002, 7.8). Waiting for the pacer neither sets nor clears this.
+    /// The application has nothing to send although the window and the pacer would let it: from here on the
+    /// window does not grow until it is filled again (RFC 9002, 7.8). Waiting for the pacer neither sets nor
+    /// clears this.
     pub fn on_app_limited(&mut self) {
         self.app_limited = true;
     }
@@ -216,8 +218,9 @@ impl Recovery {
         number
     }
 
-    /// An acknowledgement of inclusive `ranges`, newest first, held back by the peer for `ack_delay`. One that names
-    /// packets never sent is ignored. The order is that of A.7: round trip, losses, then growth of the window.
+    /// An acknowledgement of inclusive `ranges`, newest first, held back by the peer for `ack_delay`. One
+    /// that names packets never sent is ignored. The order is that of A.7: round trip, losses, then growth of
+    /// the window.
     pub fn on_ack(&mut self, ranges: &[(u64, u64)], ack_delay: Nanos, now: Nanos, out: &mut Outcome) {
         let next = self.base + self.sent.len() as u64;
         let already = out.acked.len();
@@ -263,14 +266,15 @@ impl Recovery {
         self.pace(now);
     }
 
-    /// Explicit congestion notification: a CE count rose with the acknowledgement of a packet sent at `sent_at`. Has the
-    /// effect of one loss event (RFC 9002, 7.1).
+    /// Explicit congestion notification: a CE count rose with the acknowledgement of a packet sent at
+    /// `sent_at`. Has the effect of one loss event (RFC 9002, 7.1).
     pub fn on_ecn(&mut self, sent_at: Nanos, now: Nanos) {
         self.entry_credit |= self.controller.on_congestion(sent_at, 0, self.in_flight, now);
         self.pace(now);
     }
 
-    /// When [`Self::on_timer`] is due: the loss timer if set, else the probe timeout while anything is in flight.
+    /// When [`Self::on_timer`] is due: the loss timer if set, else the probe timeout while anything is in
+    /// flight.
     pub fn timer(&self) -> Nanos {
         if let Some(at) = self.loss_at {
             return at;
@@ -384,8 +388,9 @@ impl Recovery {
         Some(DeliverySample { rate, app_limited: sent.app_limited })
     }
 
-    /// r_send = min(r_cwnd, headroom × r̂_path): the path's estimate never exceeds what was sent, so a cap without headroom
-    /// could never learn that the path is faster. Headroom is 2 while the controller probes and 5/4 afterwards.
+    /// r_send = min(r_cwnd, headroom × r̂_path): the path's estimate never exceeds what was sent, so a cap
+    /// without headroom could never learn that the path is faster. Headroom is 2 while the controller probes
+    /// and 5/4 afterwards.
     fn pace(&mut self, now: Nanos) {
         let (numerator, denominator) = if self.controller.is_probing() { (2, 1) } else { (5, 4) };
         let window = self.controller.pacing_rate(&self.rtt);
@@ -393,8 +398,8 @@ impl Recovery {
         self.pacer.set_rate(window.min(cap), now);
     }
 
-    /// Drops settled packets from the old end. Lost ones are kept for a while, so that a late acknowledgement is seen to be
-    /// one: at most 64 behind the largest acknowledged.
+    /// Drops settled packets from the old end. Lost ones are kept for a while, so that a late acknowledgement
+    /// is seen to be one: at most 64 behind the largest acknowledged.
     fn forget(&mut self) {
         let keep_from = self.largest_acked.unwrap_or(0).saturating_sub(64);
         while let Some(front) = self.sent.front() {

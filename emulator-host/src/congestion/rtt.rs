@@ -31,8 +31,9 @@ impl Rtt {
         }
     }
 
-    /// Takes a sample at `now`: the time since the largest newly acknowledged packet was sent, and how long the peer says
-    /// that it held the acknowledgement. Order of the lines as in A.7: the variation uses the old smoothed value.
+    /// Takes a sample at `now`: the time since the largest newly acknowledged packet was sent, and how long
+    /// the peer says that it held the acknowledgement. Order of the lines as in A.7: the variation uses the
+    /// old smoothed value.
     pub fn update(&mut self, latest: Nanos, ack_delay: Nanos, now: Nanos) {
         self.latest = latest;
         if self.first_sample_at.is_none() {
@@ -80,7 +81,8 @@ impl Rtt {
         self.first_sample_at
     }
 
-    /// SRTT + max(4 RTTVAR, 1 ms) + max_ack_delay, without backoff (RFC 9002, 6.2.1; paper, "Congestion control and pacing").
+    /// SRTT + max(4 RTTVAR, 1 ms) + max_ack_delay, without backoff (RFC 9002, 6.2.1; paper, "Congestion
+    /// control and pacing").
     pub fn probe_timeout(&self) -> Nanos {
         self.smoothed + self.variation.times(4).max(GRANULARITY) + self.max_ack_delay
     }

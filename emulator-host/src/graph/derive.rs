@@ -2,9 +2,9 @@
 
 use codec_core::internals::ids::{Group as GroupId, PacketId};
 
-use super::csr::Csr;
 use super::{
     GraphError, GraphParts, GroupIndex, MAX_CLOSURE_ENTRIES, MAX_PACKET_BYTES, PacketGraph, PacketIndex,
+    csr::Csr,
 };
 
 pub(super) fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {

@@ -1,23 +1,26 @@
 //! Seeded graphs for tests, benches and demos.
 //!
-//! Shape: a canonical stack of levels per cluster over the whole clip, and a motion stack per (window, cluster). A level
-//! needs the level below it and, for motion, the canonical group of its own level. Sizes double with the level, as
-//! refinements cost more than they show.
+//! Shape: a canonical stack of levels per cluster over the whole clip, and a motion stack per (window,
+//! cluster). A level needs the level below it and, for motion, the canonical group of its own level. Sizes
+//! double with the level, as refinements cost more than they show.
 
 use codec_core::internals::ids::{ClusterId, EpochId, Group as GroupId, Level, PacketId, Span, WindowId};
 
 use super::{
     GraphError, GraphParts, Group, GroupIndex, Packet, PacketGraph, PacketIndex, Profile, RepairSet,
 };
-use crate::clock::{Nanos, Rate};
-use crate::rng::{Stream, stream};
+use crate::{
+    clock::{Nanos, Rate},
+    rng::{Stream, stream},
+};
 
 /// How utilities are drawn.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Utilities {
     /// The same for all groups.
     Flat,
-    /// Heavy-tailed over clusters, falling with the level; a tenth of the finest level is negative, as measured in the paper.
+    /// Heavy-tailed over clusters, falling with the level; a tenth of the finest level is negative, as
+    /// measured in the paper.
     Unequal,
 }
 
@@ -174,7 +177,8 @@ impl Draft<'_> {
         }
     }
 
-    /// Packets of one group; slice `i` needs the slice at the same relative place in every group that this one needs.
+    /// Packets of one group; slice `i` needs the slice at the same relative place in every group that this
+    /// one needs.
     fn split(&mut self, bytes: u64, group: GroupIndex, needs: &[GroupIndex]) -> Vec<PacketIndex> {
         let count = bytes.div_ceil(u64::from(self.spec.packet_bytes.max(1)));
         let mut indices = Vec::with_capacity(count as usize);

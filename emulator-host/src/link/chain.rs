@@ -1,6 +1,7 @@
 //! Boxes one after the other, as one box.
 //!
-//! At one instant the box nearest to the exit moves first, so that in every box departures come before arrivals.
+//! At one instant the box nearest to the exit moves first, so that in every box departures come before
+//! arrivals.
 
 use std::collections::VecDeque;
 

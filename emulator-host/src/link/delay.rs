@@ -1,14 +1,17 @@
 //! A box that holds every datagram for a while and keeps their order.
 //!
-//! The delay is constant or follows a [`DelayTrace`], plus uniform jitter from the box's own stream. A datagram never
-//! overtakes: it leaves no earlier than the one before it. Overtaking is the [`super::Reorder`] box's work.
+//! The delay is constant or follows a [`DelayTrace`], plus uniform jitter from the box's own stream. A
+//! datagram never overtakes: it leaves no earlier than the one before it. Overtaking is the
+//! [`super::Reorder`] box's work.
 
 use std::collections::VecDeque;
 
 use super::{Counts, Datagram, LinkBox, Output, Tally};
-use crate::clock::Nanos;
-use crate::rng::{Stream, stream};
-use crate::trace::DelayTrace;
+use crate::{
+    clock::Nanos,
+    rng::{Stream, stream},
+    trace::DelayTrace,
+};
 
 /// Holds datagrams for a base delay plus jitter.
 #[derive(Debug)]

@@ -1,11 +1,13 @@
 //! A box that loses datagrams in bursts: the two-state Markov channel of Gilbert and Elliott.
 //!
-//! The state changes once per datagram, before the loss is drawn. Mean burst length is 1 / `leave_bad` datagrams; the
-//! long-run share of time in the bad state is `enter_bad / (enter_bad + leave_bad)`.
+//! The state changes once per datagram, before the loss is drawn. Mean burst length is 1 / `leave_bad`
+//! datagrams; the long-run share of time in the bad state is `enter_bad / (enter_bad + leave_bad)`.
 
 use super::{Counts, Datagram, LinkBox, Output};
-use crate::clock::Nanos;
-use crate::rng::{Chance, Stream, stream};
+use crate::{
+    clock::Nanos,
+    rng::{Chance, Stream, stream},
+};
 
 /// Chances per datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

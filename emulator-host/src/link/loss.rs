@@ -1,11 +1,13 @@
 //! A box that loses datagrams independently of each other.
 
 use super::{Counts, Datagram, LinkBox, Output};
-use crate::clock::Nanos;
-use crate::rng::{Chance, Stream, stream};
+use crate::{
+    clock::Nanos,
+    rng::{Chance, Stream, stream},
+};
 
-/// Loses each datagram with the same chance. Draws once per datagram, so the n-th datagram meets the same luck whatever
-/// its size and time.
+/// Loses each datagram with the same chance. Draws once per datagram, so the n-th datagram meets the same
+/// luck whatever its size and time.
 #[derive(Debug)]
 pub struct IidLoss {
     label: String,

@@ -1,15 +1,17 @@
 //! One direction of a path as plain data, from which every run builds fresh boxes.
 //!
-//! Order of the boxes: capacity with its queue, loss, delay, reordering. Loss comes after capacity because a datagram that
-//! is lost on the air has used the air.
+//! Order of the boxes: capacity with its queue, loss, delay, reordering. Loss comes after capacity because a
+//! datagram that is lost on the air has used the air.
 
 use super::{
     Chain, ConstantRate, Delay, GilbertElliott, GilbertElliottParams, IidLoss, LinkBox, QueueLimit, Reorder,
     TraceRate,
 };
-use crate::clock::{Nanos, Rate};
-use crate::rng::Chance;
-use crate::trace::{DelayTrace, Trace};
+use crate::{
+    clock::{Nanos, Rate},
+    rng::Chance,
+    trace::{DelayTrace, Trace},
+};
 
 /// How fast a path is.
 #[derive(Clone, Debug)]

@@ -1,7 +1,9 @@
 //! A link of constant rate with a drop-tail queue.
 
-use super::serialiser::{Serialiser, Service};
-use super::{Counts, Datagram, LinkBox, Output, QueueLimit};
+use super::{
+    Counts, Datagram, LinkBox, Output, QueueLimit,
+    serialiser::{Serialiser, Service},
+};
 use crate::clock::{Bytes, Nanos, Rate};
 
 /// Serialises one datagram after the other at a constant rate.

@@ -1,9 +1,11 @@
 //! A box that lets some datagrams be overtaken.
 
 use super::{Counts, Datagram, LinkBox, Output, Tally};
-use crate::clock::Nanos;
-use crate::event::EventQueue;
-use crate::rng::{Chance, Stream, stream};
+use crate::{
+    clock::Nanos,
+    event::EventQueue,
+    rng::{Chance, Stream, stream},
+};
 
 /// Holds some datagrams back for a random while; all others pass at once.
 #[derive(Debug)]

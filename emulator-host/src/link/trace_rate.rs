@@ -1,15 +1,20 @@
 //! A link whose capacity follows a [`Trace`], looping at the trace's period.
 //!
-//! Delivery opportunities follow mahimahi: each moves up to 1500 bytes at its instant; a datagram larger than what is left
-//! straddles into the next; what is left when the queue runs empty is lost; an arrival at the very instant of an
-//! opportunity is too late for it. Steps of rate are integrated exactly, in bits × nanoseconds.
+//! Delivery opportunities follow mahimahi: each moves up to 1500 bytes at its instant; a datagram larger than
+//! what is left straddles into the next; what is left when the queue runs empty is lost; an arrival at the
+//! very instant of an opportunity is too late for it. Steps of rate are integrated exactly, in bits ×
+//! nanoseconds.
 
 use std::sync::Arc;
 
-use super::serialiser::{Serialiser, Service};
-use super::{Counts, Datagram, LinkBox, Output, QueueLimit};
-use crate::clock::Nanos;
-use crate::trace::{OPPORTUNITY_BYTES, Shape, Step, Trace};
+use super::{
+    Counts, Datagram, LinkBox, Output, QueueLimit,
+    serialiser::{Serialiser, Service},
+};
+use crate::{
+    clock::Nanos,
+    trace::{OPPORTUNITY_BYTES, Shape, Step, Trace},
+};
 
 /// Serialises at the pace of a trace.
 #[derive(Debug)]

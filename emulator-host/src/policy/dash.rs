@@ -1,14 +1,17 @@
-//! Segment budgets in the manner of DASH: for each second of content, choose what fits the estimated rate, then send it.
+//! Segment budgets in the manner of DASH: for each second of content, choose what fits the estimated rate,
+//! then send it.
 //!
-//! A segment is [`Dash::SEGMENT_FRAMES_S`] of frames. When its turn comes, levels are added from the base up, and within a
-//! level cluster by cluster (a cluster is a tile), while the bytes fit 90 % of what the path is expected to move in a
-//! segment's time; the base is always taken. The choice is then sent in order, whatever happens meanwhile. One segment is
-//! prefetched: a segment's turn comes when the playout of the segment before it starts. Long-lived groups that did not fit
-//! are offered again to later segments.
+//! A segment is [`Dash::SEGMENT_FRAMES_S`] of frames. When its turn comes, levels are added from the base up,
+//! and within a level cluster by cluster (a cluster is a tile), while the bytes fit 90 % of what the path is
+//! expected to move in a segment's time; the base is always taken. The choice is then sent in order, whatever
+//! happens meanwhile. One segment is prefetched: a segment's turn comes when the playout of the segment
+//! before it starts. Long-lived groups that did not fit are offered again to later segments.
 
 use super::{PacketStatus, Scheduler, SenderView};
-use crate::clock::Nanos;
-use crate::graph::{GroupIndex, PacketGraph, PacketIndex};
+use crate::{
+    clock::Nanos,
+    graph::{GroupIndex, PacketGraph, PacketIndex},
+};
 
 /// The policy's state.
 #[derive(Clone, Debug)]

@@ -1,24 +1,30 @@
 //! The paper's policy: S(g) = P_g · Ũ_g · U_g ÷ Σ_{p ∈ C(g)} B_p.
 //!
 //! - C(g): packets of g and of its transitive closure that are not acknowledged; B_p their wire bytes.
-//! - P_g: [`mean_arrival`] over the frames at which g changes pixels. Expected arrival is half a round trip plus what of
-//!   C(g) is not yet sent at the path's rate; its spread is the round trip's deviation plus half of that sending time. The
-//!   result is multiplied by the chance that no packet of it is lost, counting the retransmissions that a base packet has.
-//! - Ũ_g: the group's utility per frame times the frames on which it shows; with P_g the mean over those frames, the
-//!   product is what the group is expected to add to all frames together. Groups with none, or less, are never targets.
-//! - U_g = ½ (1 + f), with f the share of g's own bytes that is under way or there: it rises as g nears completion.
+//! - P_g: [`mean_arrival`] over the frames at which g changes pixels. Expected arrival is half a round trip
+//!   plus what of C(g) is not yet sent at the path's rate; its spread is the round trip's deviation plus half
+//!   of that sending time. The result is multiplied by the chance that no packet of it is lost, counting the
+//!   retransmissions that a base packet has.
+//! - Ũ_g: the group's utility per frame times the frames on which it shows; with P_g the mean over those
+//!   frames, the product is what the group is expected to add to all frames together. Groups with none, or
+//!   less, are never targets.
+//! - U_g = ½ (1 + f), with f the share of g's own bytes that is under way or there: it rises as g nears
+//!   completion.
 //!
 //! Until playout has started, the base of the first frame comes before everything else, in order of S.
 //!
-//! Infeasible groups are skipped: abandoned (a packet in the closure is lost for good), expired, or with P_g below a floor.
-//! The best groups are ranked together and served in turn; the ranking is renewed when they are done, after
-//! [`DeadlineUtilityConfig::refresh`], or when something in it died. A group once begun is finished first.
+//! Infeasible groups are skipped: abandoned (a packet in the closure is lost for good), expired, or with P_g
+//! below a floor. The best groups are ranked together and served in turn; the ranking is renewed when they
+//! are done, after [`DeadlineUtilityConfig::refresh`], or when something in it died. A group once begun is
+//! finished first.
 //!
 //! A flat utility table carries no order, and the policy then *is* the conventional one ([`Dependency`]).
 
 use super::{Dependency, PacketStatus, Scheduler, SenderView, first_of_closure, mean_arrival};
-use crate::clock::Nanos;
-use crate::graph::{GroupIndex, PacketGraph, PacketIndex, Profile};
+use crate::{
+    clock::Nanos,
+    graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
+};
 
 /// Settings.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -98,7 +104,8 @@ impl DeadlineUtility {
         }
     }
 
-    /// S(g) at `now`; `None` if g is infeasible or has nothing left to send. Public so that tests can compare.
+    /// S(g) at `now`; `None` if g is infeasible or has nothing left to send. Public so that tests can
+    /// compare.
     #[doc(hidden)]
     pub fn score(&self, view: &SenderView<'_>, group: GroupIndex, now: Nanos) -> Option<f64> {
         self.score_above(view, group, now, 0.0)
@@ -222,7 +229,8 @@ impl DeadlineUtility {
                 continue;
             }
             let Some(score) = self.score_above(view, *group, now, floor) else { continue };
-            // Ascending by score; of equals the earlier group in time is served first and lies nearer to the back.
+            // Ascending by score; of equals the earlier group in time is served first and lies nearer to the
+            // back.
             let place = self.ranking.partition_point(|(other, _)| *other < score);
             self.ranking.insert(place, (score, *group));
             if self.ranking.len() > batch {

@@ -1,11 +1,14 @@
-//! Dependency-aware order without utility: whole closures by (deadline, level), one group finished before the next starts.
+//! Dependency-aware order without utility: whole closures by (deadline, level), one group finished before the
+//! next starts.
 //!
-//! The paper's third baseline: it wastes nothing on groups that cannot be completed, and starts late because it completes
-//! refinements of the first frames before it moves on.
+//! The paper's third baseline: it wastes nothing on groups that cannot be completed, and starts late because
+//! it completes refinements of the first frames before it moves on.
 
 use super::{Scheduler, SenderView, first_of_closure};
-use crate::clock::Nanos;
-use crate::graph::{GroupIndex, PacketGraph, PacketIndex};
+use crate::{
+    clock::Nanos,
+    graph::{GroupIndex, PacketGraph, PacketIndex},
+};
 
 /// The policy's state.
 #[derive(Clone, Debug)]

@@ -1,11 +1,13 @@
 //! Layer order: all of level 0 within the horizon in time order, then level 1, and so on; clusters in order.
 //!
-//! The conventional scheduler and the paper's first baseline. It does not look at deadlines beyond not sending what has
-//! expired, nor at whether a group can still be completed.
+//! The conventional scheduler and the paper's first baseline. It does not look at deadlines beyond not
+//! sending what has expired, nor at whether a group can still be completed.
 
 use super::{PacketStatus, Scheduler, SenderView};
-use crate::clock::Nanos;
-use crate::graph::{PacketGraph, PacketIndex};
+use crate::{
+    clock::Nanos,
+    graph::{PacketGraph, PacketIndex},
+};
 
 /// The policy's state.
 #[derive(Clone, Debug)]
@@ -19,7 +21,8 @@ pub struct Layered {
 impl Layered {
     /// For `graph`.
     pub fn new(graph: &PacketGraph) -> Self {
-        // One integer per packet: level, frame needed from, cluster, index. Sorting it is a good part of a short run.
+        // One integer per packet: level, frame needed from, cluster, index. Sorting it is a good part of a
+        // short run.
         let mut keyed: Vec<u128> = Vec::with_capacity(graph.packets().len());
         for (at, packet) in graph.packets().iter().enumerate() {
             let index = PacketIndex(at as u32);

@@ -1,9 +1,9 @@
 //! Chance that data sent now is there in time.
 //!
-//! The paper asks for a P_g "from remaining slack, path rate, RTT, and loss". Arrival time is taken as the expected time
-//! plus an error with the heavy tail of Student's t with two degrees of freedom: mobile links are late more often than a
-//! normal law says, and its distribution function F(z) = ½ (1 + z / √(2 + z²)) and the integral ½ (z + √(2 + z²)) need
-//! only + × ÷ √, so they are the same to the bit on every machine.
+//! The paper asks for a P_g "from remaining slack, path rate, RTT, and loss". Arrival time is taken as the
+//! expected time plus an error with the heavy tail of Student's t with two degrees of freedom: mobile links
+//! are late more often than a normal law says, and its distribution function F(z) = ½ (1 + z / √(2 + z²)) and
+//! the integral ½ (z + √(2 + z²)) need only + × ÷ √, so they are the same to the bit on every machine.
 
 /// Integral of the distribution function.
 fn integral(z: f64) -> f64 {
@@ -16,9 +16,10 @@ fn distribution(z: f64) -> f64 {
     0.5 * (1.0 + z / (2.0 + z * z).sqrt())
 }
 
-/// Mean over the playout times from `first` to `last` of the chance to have arrived by then. All in seconds relative to
-/// now; `expected` is the expected arrival and `spread` its scale (at least 1 µs is used). For one frame, `first == last`,
-/// this is the chance to meet that deadline. Range 0..=1; falls with `expected`, rises with both deadlines.
+/// Mean over the playout times from `first` to `last` of the chance to have arrived by then. All in seconds
+/// relative to now; `expected` is the expected arrival and `spread` its scale (at least 1 µs is used). For
+/// one frame, `first == last`, this is the chance to meet that deadline. Range 0..=1; falls with `expected`,
+/// rises with both deadlines.
 pub fn mean_arrival(first: f64, last: f64, expected: f64, spread: f64) -> f64 {
     let spread = spread.max(1e-6);
     let (from, to) = ((first - expected) / spread, (last - expected) / spread);

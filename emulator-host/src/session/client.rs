@@ -1,19 +1,21 @@
 //! The receiving end: acknowledges, starts playout, and shows frames on time.
 
-use super::control::ControlReceiver;
-use super::feedback::ReceiptWriter;
-use super::metrics::Metrics;
-use super::sender::Content;
-use super::{IP_UDP_BYTES, SessionConfig, StartupRule};
-use crate::clock::Nanos;
-use crate::graph::{GroupIndex, PacketGraph, PacketIndex};
-use crate::link::Datagram;
-use crate::receiver::{Arrival, Endpoint, Snapshot};
+use super::{
+    IP_UDP_BYTES, SessionConfig, StartupRule, control::ControlReceiver, feedback::ReceiptWriter,
+    metrics::Metrics, sender::Content,
+};
+use crate::{
+    clock::Nanos,
+    graph::{GroupIndex, PacketGraph, PacketIndex},
+    link::Datagram,
+    receiver::{Arrival, Endpoint, Snapshot},
+};
 
 /// Most ranges remembered; older ones are forgotten.
 const RANGES: usize = 32;
-/// Numbers behind the largest that an acknowledgement still reports. A peer that heard that its acknowledgements arrived would forget at that
-/// point (RFC 9000, 13.2.4); a fixed reach stands in for it, or every hole would be reported for ever.
+/// Numbers behind the largest that an acknowledgement still reports. A peer that heard that its
+/// acknowledgements arrived would forget at that point (RFC 9000, 13.2.4); a fixed reach stands in for it, or
+/// every hole would be reported for ever.
 const REACH: u64 = 256;
 /// Short header, tag and fixed part of an acknowledgement, and the frame header of the receipt behind it.
 const ACK_BYTES: u32 = 35 + 3;

@@ -1,8 +1,9 @@
 //! The receiver writes receipts and the sender reads them: real DGSF bytes (SPEC.md, receipts).
 //!
-//! A transport acknowledges datagrams; a receipt says what the application knows beyond that: which packets have arrived by
-//! id, which were recovered by repair, which groups are complete, and when playout began. Each piece of news is repeated in
-//! a few receipts, so that losing one does no harm, and lists are cut so that a receipt always fits one datagram.
+//! A transport acknowledges datagrams; a receipt says what the application knows beyond that: which packets
+//! have arrived by id, which were recovered by repair, which groups are complete, and when playout began.
+//! Each piece of news is repeated in a few receipts, so that losing one does no harm, and lists are cut so
+//! that a receipt always fits one datagram.
 
 use std::collections::VecDeque;
 
@@ -22,7 +23,8 @@ use crate::{
 
 /// Receipts in which one piece of news is repeated.
 const REPEATS: u8 = 4;
-/// Most id ranges, recovered ids and completed groups of one receipt. At 8, 4 and 7 bytes each they fit together.
+/// Most id ranges, recovered ids and completed groups of one receipt. At 8, 4 and 7 bytes each they fit
+/// together.
 const MOST_RANGES: usize = 64;
 const MOST_RECOVERED: usize = 64;
 const MOST_COMPLETED: usize = 48;
@@ -113,7 +115,8 @@ impl ReceiptWriter {
         self.sequence = self.sequence.wrapping_add(1);
         let start = out.len();
         out.resize(start + MAX_RECEIPT_BYTES, 0);
-        // Ranges ascend and the space is the largest receipt's, so writing cannot fail; an empty one would be ignored.
+        // Ranges ascend and the space is the largest receipt's, so writing cannot fail; an empty one would be
+        // ignored.
         let len = value.write(&mut out[start..]).unwrap_or(0);
         out.truncate(start + len);
     }

@@ -1,10 +1,12 @@
 //! What is counted while a run goes on, and the report made of it.
 
-use crate::clock::{Bytes, Nanos, Rate};
-use crate::graph::{GroupIndex, PacketGraph, PacketIndex, Profile};
-use crate::link::Counts;
-use crate::receiver::{Arrival, Snapshot};
-use crate::report::{BoxRow, FrameRow, Report, SenderCounts, SenderRow, Waste};
+use crate::{
+    clock::{Bytes, Nanos, Rate},
+    graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
+    link::Counts,
+    receiver::{Arrival, Snapshot},
+    report::{BoxRow, FrameRow, Report, SenderCounts, SenderRow, Waste},
+};
 
 const NEVER: u32 = u32::MAX;
 
@@ -136,7 +138,8 @@ impl<'a> Metrics<'a> {
         });
     }
 
-    /// Groups come and go with the frames. After a change everything active counts as missing until looked up.
+    /// Groups come and go with the frames. After a change everything active counts as missing until looked
+    /// up.
     fn renew_active(&mut self, frame: u32) {
         let before = (self.entered, self.active.len());
         while let Some(group) = self.by_first.get(self.entered).copied() {

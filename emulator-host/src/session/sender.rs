@@ -2,16 +2,18 @@
 
 use std::collections::VecDeque;
 
-use super::client::Acknowledgement;
-use super::control::ControlSender;
-use super::feedback;
-use super::{IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig};
-use crate::clock::{Bytes, Nanos, Rate};
-use crate::congestion::{Outcome, Recovery, TimerOutcome};
-use crate::graph::{PacketGraph, PacketIndex};
-use crate::link::Datagram;
-use crate::policy::{PacketStatus, Scheduler, SenderView};
-use crate::report::{SenderCounts, SenderRow};
+use super::{
+    IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig, client::Acknowledgement, control::ControlSender,
+    feedback,
+};
+use crate::{
+    clock::{Bytes, Nanos, Rate},
+    congestion::{Outcome, Recovery, TimerOutcome},
+    graph::{PacketGraph, PacketIndex},
+    link::Datagram,
+    policy::{PacketStatus, Scheduler, SenderView},
+    report::{SenderCounts, SenderRow},
+};
 
 /// What a datagram carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -392,8 +394,8 @@ impl<'a> Sender<'a> {
         }
     }
 
-    /// Renews what the scheduler sees of path and playout. Before playout has started, the sender expects it to start when
-    /// the rest of the first base could be there.
+    /// Renews what the scheduler sees of path and playout. Before playout has started, the sender expects it
+    /// to start when the rest of the first base could be there.
     fn look(&mut self, now: Nanos) {
         let rtt = self.recovery.rtt();
         let sampled = rtt.first_sample_at().is_some();

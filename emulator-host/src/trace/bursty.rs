@@ -1,11 +1,14 @@
 //! A synthetic mobile-like trace, so that a demo needs no file.
 //!
-//! Steps of 100 ms. The link is good (mostly), middling or in a deep fade; stays are 1 to 4 s, 0.5 to 2 s and 0.3 to 1.5 s.
-//! Within a state the rate wanders by a quarter. At the end all rates are scaled so that the mean is 4 Mbit/s.
+//! Steps of 100 ms. The link is good (mostly), middling or in a deep fade; stays are 1 to 4 s, 0.5 to 2 s and
+//! 0.3 to 1.5 s. Within a state the rate wanders by a quarter. At the end all rates are scaled so that the
+//! mean is 4 Mbit/s.
 
 use super::{MAX_PERIOD, Step, Trace};
-use crate::clock::{Nanos, Rate};
-use crate::rng::stream;
+use crate::{
+    clock::{Nanos, Rate},
+    rng::stream,
+};
 
 const STEP: Nanos = Nanos::from_ms(100);
 const MEAN: u64 = 4_000_000;

@@ -2,8 +2,10 @@
 
 use std::sync::Arc;
 
-use super::lines::{check_points, check_size, decimal, field, lines};
-use super::{Limits, TraceError};
+use super::{
+    Limits, TraceError,
+    lines::{check_points, check_size, decimal, field, lines},
+};
 use crate::clock::Nanos;
 
 /// One-way delays, one per interval, repeating at the end. Not empty.

@@ -1,7 +1,9 @@
 //! Mahimahi delivery-opportunity traces.
 
-use super::lines::{check_points, check_size, field, integer, lines};
-use super::{Limits, MAX_PERIOD, Trace, TraceError};
+use super::{
+    Limits, MAX_PERIOD, Trace, TraceError,
+    lines::{check_points, check_size, field, integer, lines},
+};
 use crate::clock::Nanos;
 
 pub(super) fn load(name: &str, bytes: &[u8], limits: &Limits) -> Result<Trace, TraceError> {

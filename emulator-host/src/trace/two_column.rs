@@ -1,7 +1,9 @@
 //! Throughput traces of two columns: time in seconds, rate in Mbit/s.
 
-use super::lines::{check_points, check_size, decimal, field, lines};
-use super::{Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError};
+use super::{
+    Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError,
+    lines::{check_points, check_size, decimal, field, lines},
+};
 use crate::clock::{Nanos, Rate};
 
 /// Which way the rate of a row holds. The two families of public traces differ; the difference is one step.

@@ -1,16 +1,18 @@
 //! UCC 5G production logs (Raca et al., MMSys 2020): about one row per second of a phone that downloads.
 //!
 //! The log is not capacity as it stands, and the loader says what it did about it:
-//! - About every 14 s the logger itself stops the download to ping. Near-zero seconds within 2 s of a row with a PINGAVG
-//!   are treated as missing. Near zero is less than 100 kbit/s or 5 % of the median non-zero second, whichever is more.
-//!   Other zeros stay: they are handovers and coverage holes.
-//! - Seconds without a row are missing too; of two rows in one second the last counts. Missing seconds are interpolated
-//!   over holes of up to 5 s and hold the rate before them in longer ones.
+//! - About every 14 s the logger itself stops the download to ping. Near-zero seconds within 2 s of a row
+//!   with a PINGAVG are treated as missing. Near zero is less than 100 kbit/s or 5 % of the median non-zero
+//!   second, whichever is more. Other zeros stay: they are handovers and coverage holes.
+//! - Seconds without a row are missing too; of two rows in one second the last counts. Missing seconds are
+//!   interpolated over holes of up to 5 s and hold the rate before them in longer ones.
 //! - If more than a fifth of the rows say State = I, the rate is what an application asked for:
 //!   [`Warning::ApplicationLimited`]. Less than 100 kbit/s for 20 s or more gives [`Warning::LongZeroRun`].
 
-use super::lines::{check_points, check_size, decimal, field, lines};
-use super::{Limits, MAX_RATE, Step, Trace, TraceError, Warning};
+use super::{
+    Limits, MAX_RATE, Step, Trace, TraceError, Warning,
+    lines::{check_points, check_size, decimal, field, lines},
+};
 use crate::clock::{Nanos, Rate};
 
 /// Seconds around a ping in which a near-zero rate is an artefact.

@@ -4,18 +4,23 @@
 //! gradient `g`: `dL/dc = T·a·g`, `dL/da = T·(g·c - g·behind)`, and one number per pixel, `g·behind`, is
 //! carried from back to front. Nothing is divided.
 
-use std::ops::Range;
-use std::sync::Mutex;
+use std::{ops::Range, sync::Mutex};
 
 use pulp::Simd;
 
-use super::term::{Term, dropped, flipped, keep};
-use super::trace::{Rows, SEGMENT, Trace};
-use crate::parallel;
-use crate::settings::Settings;
-use crate::stage::bin::Bins;
-use crate::stage::blend::{LANE, Lanes, Rules, offset};
-use crate::stage::{Splat, TILE};
+use super::{
+    term::{Term, dropped, flipped, keep},
+    trace::{Rows, SEGMENT, Trace},
+};
+use crate::{
+    parallel,
+    settings::Settings,
+    stage::{
+        Splat, TILE,
+        bin::Bins,
+        blend::{LANE, Lanes, Rules, offset},
+    },
+};
 
 /// Numbers per splat: centre (2), root (3), log₂ alpha, colour (3).
 pub(crate) const PARTS: usize = 9;

@@ -8,9 +8,12 @@
 use codec_core::Gaussian;
 
 use super::{AdjointError, Gradients, Loss, Workspace, render_and_gradients};
-use crate::camera::{cross, dot};
-use crate::render::RenderError;
-use crate::{Camera, Settings, Splats, reference};
+use crate::{
+    Camera, Settings, Splats,
+    camera::{cross, dot},
+    reference,
+    render::RenderError,
+};
 
 /// Step of [`check`]; an error of the difference is of the order of its fourth power.
 pub const STEP: f64 = 1.0 / 256.0;

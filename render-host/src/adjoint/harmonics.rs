@@ -1,8 +1,10 @@
 //! The adjoint of the harmonics takes the gradient of a colour back to coefficients and view direction.
 
 use super::term::{Term, keep};
-use crate::camera::dot;
-use crate::harmonics::{C0, C1, C2, C3, basis};
+use crate::{
+    camera::dot,
+    harmonics::{C0, C1, C2, C3, basis},
+};
 
 /// Gradient of `basis(degree, d)` with respect to the three parts of `d`, taken as free.
 fn slopes(degree: u8, [x, y, z]: [f64; 3]) -> [[f64; 3]; 15] {

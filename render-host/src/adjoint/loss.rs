@@ -5,12 +5,13 @@
 mod mse;
 pub(crate) mod ssim;
 
+use crate::{
+    image::{Image, ImageError},
+    metric::distortion::STRUCTURE_WEIGHT,
+};
 pub use mse::Mse;
 pub use ssim::Dissimilarity;
 use ssim::Parts;
-
-use crate::image::{Image, ImageError};
-use crate::metric::distortion::STRUCTURE_WEIGHT;
 
 /// A number about a picture, smaller for a better one.
 pub trait Loss: Sync {

@@ -3,17 +3,24 @@
 //! In f64, through the 2×3 factor (`u`, `v`) that the forward pass also goes through, so that no
 //! determinant is a difference and a scale of 0 has a finite gradient.
 
-use super::blend::Ellipse;
-use super::harmonics;
-use super::term::{Term, dropped, keep};
-use super::{Gradients, Pose, SplatGradient};
-use crate::camera::{cross, dot};
-use crate::harmonics::count;
-use crate::stage::Splat;
-use crate::stage::project::{Factor, Lens, MIN_COMPENSATION, Projected, Projector, SKIPPED};
-use crate::{Camera, Settings, Splats, parallel};
-
 use rayon::prelude::*;
+
+use super::{
+    Gradients, Pose, SplatGradient,
+    blend::Ellipse,
+    harmonics,
+    term::{Term, dropped, keep},
+};
+use crate::{
+    Camera, Settings, Splats,
+    camera::{cross, dot},
+    harmonics::count,
+    parallel,
+    stage::{
+        Splat,
+        project::{Factor, Lens, MIN_COMPENSATION, Projected, Projector, SKIPPED},
+    },
+};
 
 /// Gaussians in one piece of work; part of the order of sums.
 const CHUNK: usize = 2048;

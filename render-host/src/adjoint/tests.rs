@@ -1,8 +1,11 @@
-use super::loss::{Dissimilarity, Distortion, Linear, Mse};
-use super::term::{CHOICES, DAMAGED, Damage, Term};
-use super::*;
-use crate::{Image, reference};
 use codec_core::{Gaussian, ShDegree};
+
+use super::{
+    loss::{Dissimilarity, Distortion, Linear, Mse},
+    term::{CHOICES, DAMAGED, Damage, Term},
+    *,
+};
+use crate::{Image, reference};
 
 struct Numbers(u64);
 

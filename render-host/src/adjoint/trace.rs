@@ -5,8 +5,10 @@
 
 use std::ops::Range;
 
-use crate::stage::blend::{LANE, LOOK_EVERY, Lanes, Local, Rules, fetch, is_open};
-use crate::stage::{Splat, TILE};
+use crate::stage::{
+    Splat, TILE,
+    blend::{LANE, LOOK_EVERY, Lanes, Local, Rules, fetch, is_open},
+};
 
 /// Splats between two kept transmittances. A multiple of [`LOOK_EVERY`].
 pub(crate) const SEGMENT: usize = 512;

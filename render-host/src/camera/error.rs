@@ -1,4 +1,5 @@
-//! Says what is wrong with a camera or a file of cameras: which field, where, what was found, what is allowed.
+//! Says what is wrong with a camera or a file of cameras: which field, where, what was found, what is
+//! allowed.
 
 /// A camera, or a file of cameras, that cannot be rendered from.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -12,21 +12,25 @@
 //!
 //! Nothing is divided. There is no early stop.
 
-use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
-use super::fast::Worlds;
-use super::lanes::{Kinds, Lanes, Wanted, difference};
-use super::operator::{FLUSH_EVERY, Operator, Part, flush, lanes, lanes_mut, parts};
-use super::plan::{Pass, group_set, wanted, within};
-use super::segments::RunSegments;
-use super::splat_runs::SplatRuns;
-use super::squares::inside;
-use super::states::CHUNK;
-use super::{Engine, States, Variants, WorldGradients, plan::LanePlan};
-use crate::adjoint::{self, Gradients};
-use crate::parallel;
-use crate::stage::TILE;
-use crate::stage::blend;
 use pulp::Simd;
+
+use super::{
+    Engine, States, Variants, WorldGradients,
+    culling::{ACROSS, BLOCKS, SIDE, TileCulling},
+    fast::Worlds,
+    lanes::{Kinds, Lanes, Wanted, difference},
+    operator::{FLUSH_EVERY, Operator, Part, flush, lanes, lanes_mut, parts},
+    plan::{LanePlan, Pass, group_set, wanted, within},
+    segments::RunSegments,
+    splat_runs::SplatRuns,
+    squares::inside,
+    states::CHUNK,
+};
+use crate::{
+    adjoint::{self, Gradients},
+    parallel,
+    stage::{TILE, blend},
+};
 
 /// Sums of a splat over the pixels of a tile, by column of a block: h, h·u, h·u·x, h·u·y, h·v, h·v·y and
 /// three colours, where h is the gradient of the exponent over ln 2.

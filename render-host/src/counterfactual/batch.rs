@@ -1,13 +1,19 @@
 //! Draws pictures of many worlds in one call, each bit for bit that of the world rendered alone.
 
-use super::scaffold::SharedLists;
-use super::states::CHUNK;
-use super::tuner::{self, OutOfMemory, Tuned};
-use super::{CounterfactualError, States, Variants, strict};
-use crate::image::Image;
-use crate::stage::{TILE, bin, project, sort};
-use crate::{Camera, Counters, Rendered, Renderer, Settings};
 use std::ops::Range;
+
+use super::{
+    CounterfactualError, States, Variants,
+    scaffold::SharedLists,
+    states::CHUNK,
+    strict,
+    tuner::{self, OutOfMemory, Tuned},
+};
+use crate::{
+    Camera, Counters, Rendered, Renderer, Settings,
+    image::Image,
+    stage::{TILE, bin, project, sort},
+};
 
 /// What the worlds of a batch share, ready to draw any of them.
 #[derive(Debug)]

@@ -5,11 +5,8 @@
 //! is a square of about the brightest, which the darker scene holds to the last bit. Any other scene is
 //! asked about once.
 
-use super::scaffold::SharedLists;
-use super::squares::Planes;
-use super::{Engine, Utilities};
-use crate::stage::Splat;
-use crate::{Camera, Settings};
+use super::{Engine, Utilities, scaffold::SharedLists, squares::Planes};
+use crate::{Camera, Settings, stage::Splat};
 
 /// Brightest colour that is squared in f32 as it is: of its square, f32 holds a tile's sum many times over.
 const BRIGHTEST: f32 = (1u64 << 40) as f32;

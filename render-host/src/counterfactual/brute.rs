@@ -1,13 +1,18 @@
 //! Renders every world alone: the slow twin that judges the engine.
 
-use super::engine::check_weights;
-use super::squares::{Planes, between, cut};
-use super::{CounterfactualError, Distortions, States, Variants, Versions, WorldGradients};
-use crate::adjoint::{self, AdjointError, SplatGradient};
-use crate::metric;
-use crate::{Camera, Image, RenderError, Renderer, Settings, Splats};
 use codec_core::Gaussian;
 use rayon::prelude::*;
+
+use super::{
+    CounterfactualError, Distortions, States, Variants, Versions, WorldGradients,
+    engine::check_weights,
+    squares::{Planes, between, cut},
+};
+use crate::{
+    Camera, Image, RenderError, Renderer, Settings, Splats,
+    adjoint::{self, AdjointError, SplatGradient},
+    metric,
+};
 
 /// The Gaussians of one world and their harmonics, without those whose group is absent.
 pub fn world(variants: &Variants, states: &States, world: usize) -> (Vec<Gaussian>, Vec<f32>) {

@@ -5,9 +5,13 @@
 //! on every pixel of the block.
 
 use super::scaffold::SharedLists;
-use crate::settings::Settings;
-use crate::stage::blend::{Lanes, exp2};
-use crate::stage::{REACH_MARGIN, Splat, TILE};
+use crate::{
+    settings::Settings,
+    stage::{
+        REACH_MARGIN, Splat, TILE,
+        blend::{Lanes, exp2},
+    },
+};
 
 /// Side of a block, pixels. Small blocks meet few groups, so worlds fall into few classes.
 pub(super) const SIDE: usize = 4;

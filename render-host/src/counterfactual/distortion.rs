@@ -10,15 +10,22 @@
 //! the block and the windows beyond its reach keep the context's numbers; sums are f64, so a distortion is
 //! within 1e-12 of [`crate::metric::distortion`] of the picture ([`super::brute::distortions`] is the twin).
 
-use super::culling::{ACROSS, BLOCKS, SIDE};
-use super::patches::{Changes, Patch, Pixels};
-use super::squares::Planes as TilePlanes;
-use super::versions::{Distortions, Versions};
-use super::{Engine, patches};
-use crate::metric::distortion::STRUCTURE_WEIGHT;
-use crate::metric::ssim::target::{Planes, Rectangle, Scratch, Target};
-use crate::parallel;
 use std::ops::Range;
+
+use super::{
+    Engine,
+    culling::{ACROSS, BLOCKS, SIDE},
+    patches::{self, Changes, Patch, Pixels},
+    squares::Planes as TilePlanes,
+    versions::{Distortions, Versions},
+};
+use crate::{
+    metric::{
+        distortion::STRUCTURE_WEIGHT,
+        ssim::target::{Planes, Rectangle, Scratch, Target},
+    },
+    parallel,
+};
 
 /// Contexts times blocks whose patches are kept at once: bounds memory, and shares alphas among contexts.
 const KEPT: usize = 16 * 1600;

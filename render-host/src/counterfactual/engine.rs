@@ -1,15 +1,18 @@
 //! Answers questions about many states of one scene, seen by one camera, against one reference image.
 
-use super::bright::ScaledDown;
-use super::scaffold::SharedLists;
-use super::squares::{Planes, cut};
-use super::states::CHUNK;
 use super::{
     CounterfactualError, Distortions, States, Utilities, Variants, Versions, WorldGradients, backward,
-    distortion, fast, strict, utilities,
+    bright::ScaledDown,
+    distortion, fast,
+    scaffold::SharedLists,
+    squares::{Planes, cut},
+    states::CHUNK,
+    strict, utilities,
 };
-use crate::image::{Image, same_size};
-use crate::{Camera, Settings};
+use crate::{
+    Camera, Settings,
+    image::{Image, same_size},
+};
 
 /// What all worlds share. Every answer is the same for any number of threads.
 #[derive(Debug)]

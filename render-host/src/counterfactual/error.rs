@@ -1,8 +1,6 @@
 //! Names what a counterfactual call refuses.
 
-use crate::image::ImageError;
-use crate::settings::SettingsError;
-use crate::splats::SplatsError;
+use crate::{image::ImageError, settings::SettingsError, splats::SplatsError};
 
 /// An input that cannot be used.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

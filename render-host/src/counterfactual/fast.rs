@@ -1,9 +1,11 @@
 //! Adds up squared errors of whole worlds, a lane for each class of worlds that a tile can tell apart.
 
-use super::classes::{members, split};
-use super::plan::{Block, LanePlan, run};
-use super::states::CHUNK;
-use super::{Engine, States};
+use super::{
+    Engine, States,
+    classes::{members, split},
+    plan::{Block, LanePlan, run},
+    states::CHUNK,
+};
 
 /// All worlds: a lane per class that a tile can tell apart.
 pub(super) struct Worlds {

@@ -5,9 +5,13 @@
 //! world, or too faint for a sum of squares to show. Without this, a million splats in one spot are a
 //! million runs per pixel.
 
-use crate::settings::Settings;
-use crate::stage::blend::{LANE, Lanes, Local, Rules};
-use crate::stage::{Splat, TILE};
+use crate::{
+    settings::Settings,
+    stage::{
+        Splat, TILE,
+        blend::{LANE, Lanes, Local, Rules},
+    },
+};
 
 /// Splats in a list from which on it is looked through.
 const LONG: usize = 4096;

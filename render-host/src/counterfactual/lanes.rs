@@ -4,12 +4,14 @@
 //! walk over the block's segments, each the operator of what the lane holds of it; the sixteen pixels of the
 //! block go side by side. There is no division and no early stop.
 
-use super::operator::{FLUSH_EVERY, Operator, Part, lanes, lanes_mut, parts};
-use super::segments::{NONE, RunSegments};
-use super::splat_runs::SplatRuns;
-use crate::stage::TILE;
-use crate::stage::blend;
 use pulp::Simd;
+
+use super::{
+    operator::{FLUSH_EVERY, Operator, Part, lanes, lanes_mut, parts},
+    segments::{NONE, RunSegments},
+    splat_runs::SplatRuns,
+};
+use crate::stage::{TILE, blend};
 
 /// What the pixels of a block are judged by.
 #[derive(Clone, Copy, Debug)]

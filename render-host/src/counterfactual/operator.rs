@@ -2,10 +2,12 @@
 //!
 //! Such operators form a monoid: two in a row are one, and an absent splat is the identity.
 
-use crate::settings::NOTHING;
-use crate::stage::TILE;
-use crate::stage::blend::Lanes;
 use pulp::Simd;
+
+use crate::{
+    settings::NOTHING,
+    stage::{TILE, blend::Lanes},
+};
 
 /// One operator on each pixel of a block.
 #[derive(Clone, Copy, Debug)]

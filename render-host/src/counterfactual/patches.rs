@@ -3,19 +3,23 @@
 //! A tile meets few clusters, and only their versions can change it. Alphas of all versions are computed
 //! once per block of pixels for all contexts; a version that leaves a block as it is leaves no patch.
 
-use super::culling::{BLOCKS, TileCulling};
-use super::lanes::Lanes;
-use super::plan::{Pass, group_set, within};
-use super::segments::NONE;
-use super::splat_runs::SplatRuns;
-use super::squares::inside;
-use super::strict::over;
-use super::tree::Tree;
-use super::{Engine, Versions};
-use crate::parallel;
-use crate::stage::TILE;
-use crate::stage::blend;
 use pulp::Simd;
+
+use super::{
+    Engine, Versions,
+    culling::{BLOCKS, TileCulling},
+    lanes::Lanes,
+    plan::{Pass, group_set, within},
+    segments::NONE,
+    splat_runs::SplatRuns,
+    squares::inside,
+    strict::over,
+    tree::Tree,
+};
+use crate::{
+    parallel,
+    stage::{TILE, blend},
+};
 
 /// r, g, b of the sixteen pixels of a block, over the background.
 pub(super) type Pixels = [blend::Lanes; 3];

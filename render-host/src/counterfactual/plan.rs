@@ -1,14 +1,16 @@
 //! Walks tiles and their blocks for a fast mode, which decides what the lanes are and where errors go.
 
-use super::Engine;
-use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
-use super::lanes::{Kinds, Lanes, Wanted};
-use super::segments::{self, RunSegments};
-use super::splat_runs::SplatRuns;
-use super::squares::{Planes, inside};
-use crate::parallel;
-use crate::stage::TILE;
 use pulp::Simd;
+
+use super::{
+    Engine,
+    culling::{ACROSS, BLOCKS, SIDE, TileCulling},
+    lanes::{Kinds, Lanes, Wanted},
+    segments::{self, RunSegments},
+    splat_runs::SplatRuns,
+    squares::{Planes, inside},
+};
+use crate::{parallel, stage::TILE};
 
 /// A fast mode.
 pub(super) trait LanePlan: Sync {

@@ -1,10 +1,10 @@
 //! Makes what all worlds share: projection, depth order, exact tile lists and the groups of each tile.
 
-use super::Variants;
-use super::hidden::HiddenInGroup;
-use crate::parallel;
-use crate::stage::{Splat, TILE, bin, project, sort};
-use crate::{Camera, Settings};
+use super::{Variants, hidden::HiddenInGroup};
+use crate::{
+    Camera, Settings, parallel,
+    stage::{Splat, TILE, bin, project, sort},
+};
 
 /// One splat of a tile's list.
 #[derive(Clone, Copy, Debug)]

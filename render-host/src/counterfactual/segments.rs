@@ -4,10 +4,13 @@
 //! the same operator, so it is composed once per such *subset* and a world is a walk over segments, not over
 //! runs. With G groups in a segment there are at most 2^G subsets, one of which is the identity.
 
-use super::lanes::Lanes;
-use super::operator::{FLUSH_EVERY, Operator, Part, parts};
-use super::splat_runs::SplatRuns;
 use pulp::Simd;
+
+use super::{
+    lanes::Lanes,
+    operator::{FLUSH_EVERY, Operator, Part, parts},
+    splat_runs::SplatRuns,
+};
 
 /// Groups in a segment at most.
 const MOST: usize = 4;

@@ -4,13 +4,18 @@
 //! A block has one list of runs for its sixteen pixels: a pixel that a run does not touch has the identity
 //! there.
 
-use super::culling::TileCulling;
-use super::operator::{Operator, Part, lanes, lanes_mut, parts};
-use crate::settings::Settings;
-use crate::stage::TILE;
-use crate::stage::blend::Lanes;
-use pulp::Simd;
 use std::ops::Range;
+
+use pulp::Simd;
+
+use super::{
+    culling::TileCulling,
+    operator::{Operator, Part, lanes, lanes_mut, parts},
+};
+use crate::{
+    settings::Settings,
+    stage::{TILE, blend::Lanes},
+};
 
 /// What a splat did to the pixels of a block, as the backward pass reads it.
 #[derive(Clone, Copy, Debug)]

@@ -1,12 +1,15 @@
 //! Adds up squared differences from the reference, tile by tile, in one fixed order.
 
-use super::culling::BLOCKS;
-use super::lanes::Wanted;
-use super::plan::{wanted, within};
-use crate::image::Image;
-use crate::parallel;
-use crate::stage::TILE;
-use crate::stage::blend::Lanes;
+use super::{
+    culling::BLOCKS,
+    lanes::Wanted,
+    plan::{wanted, within},
+};
+use crate::{
+    image::Image,
+    parallel,
+    stage::{TILE, blend::Lanes},
+};
 
 /// r, g, b of the 16 rows of a tile; what lies outside the image is 0.
 pub(super) type Planes = [[Lanes; 3]; TILE];

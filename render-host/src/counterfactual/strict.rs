@@ -5,21 +5,27 @@
 //! a bit: alphas do not depend on the world, and worlds that hold the same of the groups met so far are one
 //! until a group is met that only some of them hold.
 
-use super::culling::{ACROSS, BLOCKS, SIDE, TileCulling};
-use super::fast::Worlds;
-use super::operator::Operator;
-use super::plan::{LanePlan, Pass, group_set, wanted, within};
-use super::scaffold::SharedLists;
-use super::splat_runs::SplatRuns;
-use super::squares::{Squares, add, inside, squares};
-use super::states::CHUNK;
-use super::tree::Tree;
-use super::{Engine, States};
-use crate::image::{Image, ImageError};
-use crate::settings::Settings;
-use crate::stage::TILE;
-use crate::{Camera, parallel};
 use pulp::Simd;
+
+use super::{
+    Engine, States,
+    culling::{ACROSS, BLOCKS, SIDE, TileCulling},
+    fast::Worlds,
+    operator::Operator,
+    plan::{LanePlan, Pass, group_set, wanted, within},
+    scaffold::SharedLists,
+    splat_runs::SplatRuns,
+    squares::{Squares, add, inside, squares},
+    states::CHUNK,
+    tree::Tree,
+};
+use crate::{
+    Camera,
+    image::{Image, ImageError},
+    parallel,
+    settings::Settings,
+    stage::TILE,
+};
 
 #[derive(Default)]
 struct Room {

@@ -4,12 +4,16 @@
 //! until a group comes that only some of them hold. Each world's splats, their order and every operation
 //! are those of a render of that world alone; a walk ends where no pixel of the block is open any more.
 
-use super::culling::TileCulling;
-use super::lanes::Lanes;
-use super::operator::{Operator, Part, lanes, parts};
-use super::splat_runs::SplatRuns;
-use pulp::Simd;
 use std::ops::Range;
+
+use pulp::Simd;
+
+use super::{
+    culling::TileCulling,
+    lanes::Lanes,
+    operator::{Operator, Part, lanes, parts},
+    splat_runs::SplatRuns,
+};
 
 /// Runs between two checks of whether every pixel is finished.
 const CHECK_EVERY: usize = 4;

@@ -3,10 +3,12 @@
 //! Lanes are the contexts that a tile can tell apart, each as it is and with one of the tile's groups
 //! toggled. Their number does not depend on how many groups the scene has.
 
-use super::classes::{members, split};
-use super::plan::{Block, LanePlan, Sums, run};
-use super::states::CHUNK;
-use super::{Engine, States};
+use super::{
+    Engine, States,
+    classes::{members, split},
+    plan::{Block, LanePlan, Sums, run},
+    states::CHUNK,
+};
 
 /// Δ_g(m) of all groups g in all contexts m.
 #[derive(Clone, Debug, PartialEq)]

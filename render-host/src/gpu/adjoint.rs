@@ -12,9 +12,6 @@
 //!
 //! What is differentiated, and where gradients are 0, is as in [`crate::adjoint`]; arithmetic is f32.
 
-use structure::{CHUNK_BYTES, Chunks, Structure};
-use walk::{BLEND_BACK, Walk};
-
 use super::{
     Executor, GpuError, Scene, Tiles,
     layout::WORKGROUP,
@@ -29,6 +26,8 @@ use crate::{
     harmonics::count,
     image::{Image, same_size},
 };
+use structure::{CHUNK_BYTES, Chunks, Structure};
+use walk::{BLEND_BACK, Walk};
 
 pub(super) mod structure;
 pub(super) mod walk;

@@ -8,8 +8,10 @@
 //! along rows, then along columns; edges repeat the border pixel. Equal images give exactly 0.
 //! A test holds this file to the authors' own program.
 
-use crate::image::{Image, ImageError, same_size};
-use crate::parallel;
+use crate::{
+    image::{Image, ImageError, same_size},
+    parallel,
+};
 
 /// A 0.7 m wide 3840-pixel screen seen from 0.7 m. Source: the FLIP paper.
 pub const PIXELS_PER_DEGREE: f64 = 67.020_645_5;

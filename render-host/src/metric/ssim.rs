@@ -7,8 +7,10 @@
 //!
 //! The window is separable: five moments are filtered along rows, then along columns, in f64.
 
-use crate::image::{Image, ImageError, same_size};
-use crate::parallel;
+use crate::{
+    image::{Image, ImageError, same_size},
+    parallel,
+};
 
 pub(crate) mod target;
 

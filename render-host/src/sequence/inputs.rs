@@ -1,13 +1,19 @@
 //! Remembers the inputs of the frame before and their projection, to find what changed and how.
 
-use super::Changes;
-use crate::camera::Camera;
-use crate::settings::Settings;
-use crate::splats::held_degree;
-use crate::stage::Splat;
-use crate::stage::project::{Projected, Projector, SKIPPED, Skip};
-use crate::{Counters, Splats, parallel};
 use codec_core::Gaussian;
+
+use super::Changes;
+use crate::{
+    Counters, Splats,
+    camera::Camera,
+    parallel,
+    settings::Settings,
+    splats::held_degree,
+    stage::{
+        Splat,
+        project::{Projected, Projector, SKIPPED, Skip},
+    },
+};
 
 /// Gaussians in one piece of work.
 const CHUNK: usize = 2048;

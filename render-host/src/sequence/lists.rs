@@ -3,10 +3,14 @@
 use std::ops::Range;
 
 use super::inputs::Change;
-use crate::stage::bin::Bins;
-use crate::stage::project::{Projected, SKIPPED};
-use crate::stage::span::Spans;
-use crate::{Counters, parallel};
+use crate::{
+    Counters, parallel,
+    stage::{
+        bin::Bins,
+        project::{Projected, SKIPPED},
+        span::Spans,
+    },
+};
 
 /// Entries per tile, on average over a row, from which on lists are made and not mended: merging would cost
 /// more than binning, and a maker of lists may end such lists where nothing behind shows.

@@ -10,13 +10,8 @@
 
 use std::ops::Range;
 
-use super::Splat;
-use super::fade::Fade;
-use super::project::Projected;
-use super::sort::Order;
-use super::span::Spans;
-use crate::parallel;
-use crate::settings::Settings;
+use super::{Splat, fade::Fade, project::Projected, sort::Order, span::Spans};
+use crate::{parallel, settings::Settings};
 
 /// Tile lists a band may need at most, by the boxes of its splats. One row is always allowed.
 const BAND_ENTRIES: u64 = 1 << 24;

@@ -11,6 +11,7 @@
 use std::ops::Range;
 
 use super::bin::Bins;
+
 pub(crate) use super::power::exp2;
 use super::{REACH_MARGIN, Splat, TILE, TileSide};
 use crate::settings::Settings;
@@ -252,8 +253,8 @@ impl pulp::NullaryFnOnce for Blend<'_> {
     }
 }
 
-/// Blends a list into `WIDTH` columns from `LEFT` on of the rows `part` of a cell. `SHARED` says that the list
-/// is that of other cells too, so that boxes need not meet this one.
+/// Blends a list into `WIDTH` columns from `LEFT` on of the rows `part` of a cell. `SHARED` says that the
+/// list is that of other cells too, so that boxes need not meet this one.
 #[inline(always)]
 fn walk<const LEFT: usize, const WIDTH: usize, const SHARED: bool>(
     splats: &[Splat],

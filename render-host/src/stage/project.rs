@@ -8,13 +8,15 @@
 //! The Jacobian is taken at the centre clamped to the frustum widened by 30 % of its half angle's
 //! tangent, so that splats beside the camera do not smear over the image.
 
+use codec_core::Gaussian;
 use rayon::prelude::*;
 
 use super::{REACH_MARGIN, Splat, half};
-use crate::camera::{cross, dot, rotation_matrix};
-use crate::harmonics;
-use crate::{Camera, Counters, Settings, Splats};
-use codec_core::Gaussian;
+use crate::{
+    Camera, Counters, Settings, Splats,
+    camera::{cross, dot, rotation_matrix},
+    harmonics,
+};
 
 /// Depth key of a Gaussian that was skipped; above every key of one that is drawn.
 pub const SKIPPED: u32 = u32::MAX;

@@ -1,6 +1,7 @@
 //! Holds figures as programs read them: one JSON shape for every bench.
 
 use codec_core::internals::digest::Digest;
+
 pub use dgs::figures::{Machine, mean, number};
 use serde::Serialize;
 

@@ -15,6 +15,7 @@ mod write;
 
 use codec_core::internals::ids::Level;
 use rayon::prelude::*;
+
 pub(super) use write::write;
 
 use self::symbols::{quantise, quantise_epoch, spans, symbol_runs};

@@ -26,8 +26,8 @@ pub struct Options {
     pub target: Option<Target>,
     /// Most encodings spent on how attributes share the bits, 0 (none) to 500.
     pub search: usize,
-    /// Most entropy tables that the symbol runs of one stream choose from, 1..=8 (`dgs1`): fewer take less memory of a
-    /// receiver.
+    /// Most entropy tables that the symbol runs of one stream choose from, 1..=8 (`dgs1`): fewer take less
+    /// memory of a receiver.
     pub table_choices: usize,
     /// Whether every block has a proxy in the manifest (`dgs1`).
     pub proxies: bool,

@@ -7,7 +7,6 @@
 
 mod chunks;
 
-use chunks::{Group, groups};
 use codec_core::internals::{
     ids::Level,
     layout::paper as layout,
@@ -29,6 +28,7 @@ use crate::{
     scene::{Epoch, Scene},
     stream::Stream,
 };
+use chunks::{Group, groups};
 
 /// One epoch, quantised.
 struct EpochPlan {

@@ -37,8 +37,8 @@ const LEAST_GAIN: f64 = 0.005;
 /// Frames looked at.
 const FRAMES: u32 = 4;
 
-/// A stream as good as `start`, the encoding of the scene of `analysis` with `options`, for fewer bits; or, at a
-/// target size, better.
+/// A stream as good as `start`, the encoding of the scene of `analysis` with `options`, for fewer bits; or,
+/// at a target size, better.
 pub(super) fn encode(
     analysis: &Analysis<'_>,
     options: &Options,

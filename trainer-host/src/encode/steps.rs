@@ -167,9 +167,9 @@ fn thirds(coarser: f32, most: u8) -> [u8; 3] {
 /// Least base position step over the usual last one: [`thirds`] lead to 27 or, rounded, to 27 / √3.
 pub(super) const DGS1_BASE_RATIO: f32 = 15.588;
 
-/// The `dgs1` quantisation profile for `quality` on a grid of `position_step`.
-/// `frames` are those of the epoch; `predicted` says per canonical class, then per moving class, whether differences are coded,
-/// `mixed` per canonical class whether triples are mixed.
+/// The `dgs1` quantisation profile for `quality` on a grid of `position_step`. `frames` are those of the
+/// epoch; `predicted` says per canonical class, then per moving class, whether differences are coded, `mixed`
+/// per canonical class whether triples are mixed.
 pub(super) fn dgs1(
     quality: &Quality,
     position_step: f32,

@@ -90,8 +90,8 @@ pub struct Truncated {
     pub wire_after: f64,
 }
 
-/// Encodes `scene` again without the levels that `table`, the utilities of `whole`, does not find
-/// to pay for their bytes at `lambda` (0: those that gain nothing). Table sets have at most `table_choices` tables.
+/// Encodes `scene` again without the levels that `table`, the utilities of `whole`, does not find to pay for
+/// their bytes at `lambda` (0: those that gain nothing). Table sets have at most `table_choices` tables.
 ///
 /// # Errors
 /// A λ that is not a number of at least 0; a stream that does not decode; as [`encode::encode`].

@@ -4,17 +4,20 @@
 //! names a version of every cluster; states that name versions already known cost no decode. Contexts that
 //! are asked about together share one projection, one depth order and one set of tile lists.
 
-use std::collections::BTreeMap;
-use std::ops::Range;
+use std::{collections::BTreeMap, ops::Range};
 
-use codec_core::Gaussian;
-use codec_core::internals::{
-    ids::{ClusterId, EpochId, Span, WindowId},
-    layout::Shape,
-    receiver::Content,
+use codec_core::{
+    Gaussian,
+    internals::{
+        ids::{ClusterId, EpochId, Span, WindowId},
+        layout::Shape,
+        receiver::Content,
+    },
 };
-use render_host::counterfactual::{self, Distortions, Engine, Variants};
-use render_host::{Camera, Image, Settings, Splats};
+use render_host::{
+    Camera, Image, Settings, Splats,
+    counterfactual::{self, Distortions, Engine, Variants},
+};
 
 use super::UtilityError;
 use crate::stream::Player;

@@ -1,7 +1,9 @@
 //! The code against itself (encode, lose, recover) and against sums by definition.
 
-use super::{gf256::slow, *};
 use proptest::prelude::*;
+
+use super::{gf256::slow, *};
+
 extern crate std;
 use std::{vec, vec::Vec};
 

@@ -1,8 +1,10 @@
 //! Mean squared error over channels.
 
 use super::Loss;
-use crate::image::{Image, ImageError, same_size};
-use crate::parallel;
+use crate::{
+    image::{Image, ImageError, same_size},
+    parallel,
+};
 
 /// Mean squared distance from a target, as [`crate::metric::mse`] measures it.
 #[derive(Clone, Debug)]

@@ -16,13 +16,15 @@
 //! stays in the cache and no picture-sized temporary is made. Rows of a band's neighbours that it needs
 //! are done again.
 
-use std::ops::Range;
-use std::sync::Mutex;
+use std::{ops::Range, sync::Mutex};
 
 use super::Loss;
-use crate::image::{Image, ImageError, same_size};
-use crate::metric::ssim::{Windows, similarity};
-use crate::parallel;
+use crate::{
+    image::{Image, ImageError, same_size},
+    metric::ssim::{Windows, similarity},
+    parallel,
+};
+
 #[cfg(feature = "gpu")]
 pub(crate) use sweep::FARTHEST;
 pub(crate) use sweep::MIDDLE;

@@ -12,14 +12,14 @@ mod tools;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use budget::Budget;
-use tools::{Lines, Tool};
 
 use crate::{
     figures::{Bench, Figure},
     fixture::Fixture,
     setup::Setup,
 };
+use budget::Budget;
+use tools::{Lines, Tool};
 
 const THUMB: &str = "thumbv7em-none-eabihf";
 const WASM: &str = "wasm32-unknown-unknown";

@@ -10,8 +10,6 @@ mod states;
 use std::{fmt::Write as _, time::Instant};
 
 use anyhow::Result;
-use backend::Backend;
-use candidates::{Candidate, KNOBS, candidates};
 use codec_core::{Gaussian, ShDegree};
 use dgs::output::print;
 use render_host::{
@@ -29,6 +27,8 @@ use crate::{
     figures::{Bench, Figure, median, number},
     setup::{Setup, load, synth},
 };
+use backend::Backend;
+use candidates::{Candidate, KNOBS, candidates};
 
 /// Largest error of a channel that a default may add: half a step of an 8-bit display.
 const BUDGET: f64 = 0.5 / 255.0;

@@ -28,8 +28,8 @@ pub(super) struct Canonical {
     pub saturated: u64,
 }
 
-/// The quantisers of each quantiser class of an epoch with nothing predicted, its Gaussians in `sets` of blocks,
-/// and its origin.
+/// The quantisers of each quantiser class of an epoch with nothing predicted, its Gaussians in `sets` of
+/// blocks, and its origin.
 pub(super) fn plain(
     epoch: &Epoch,
     sets: &[Vec<u32>],

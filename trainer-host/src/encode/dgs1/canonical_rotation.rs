@@ -1,11 +1,10 @@
 //! Which of its equivalent rotations a Gaussian is sent with.
 //!
-//! A covariance R·S²·Rᵀ stays what it is under R → R·G, S → GᵀSG for the 24 rotations G that
-//! permute and flip the axes, under turns about the third axis where the other two scales are
-//! equal, and under all turns where all three are. The least turn has small Rodrigues parameters,
-//! and one or all of them are zero for discs and balls; but axes change places between neighbours.
-//! Which is cheaper depends on the scene, so [`CanonicalRotation`] names the choices and the encoder tries them
-//! on a part of it.
+//! A covariance R·S²·Rᵀ stays what it is under R → R·G, S → GᵀSG for the 24 rotations G that permute and flip
+//! the axes, under turns about the third axis where the other two scales are equal, and under all turns where
+//! all three are. The least turn has small Rodrigues parameters, and one or all of them are zero for discs
+//! and balls; but axes change places between neighbours. Which is cheaper depends on the scene, so
+//! [`CanonicalRotation`] names the choices and the encoder tries them on a part of it.
 //!
 //! G is the same at every frame, so motion, which is coded as turns on the left, does not change.
 //! A disc may besides turn in its plane as it likes, and so follow its cluster.

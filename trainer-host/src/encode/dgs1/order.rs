@@ -9,8 +9,10 @@ use codec_core::internals::{ids::Level, quant::Class, wire::manifest::Quant};
 use nalgebra::Vector3;
 use rayon::prelude::*;
 
-use super::super::factorise::{fit_pose, mean_turn, quat_mul};
-use super::canonical::{Indices, indices, split};
+use super::{
+    super::factorise::{fit_pose, mean_turn, quat_mul},
+    canonical::{Indices, indices, split},
+};
 use crate::scene::Epoch;
 
 /// Classes that appear at level 0.

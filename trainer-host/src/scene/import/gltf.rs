@@ -16,6 +16,7 @@ mod pose;
 mod surface;
 mod texture;
 
+use codec_core::ShDegree;
 use rayon::prelude::*;
 
 use self::{
@@ -30,7 +31,6 @@ use super::{
     snapshot::{SH_C0, logit, scene_error},
 };
 use crate::scene::{Attributes, Epoch, Scene, Track};
-use codec_core::ShDegree;
 
 const FORMAT: Format = Format::Gltf;
 /// Opacity of a sample on an opaque surface.

@@ -12,13 +12,13 @@
 pub(super) mod header;
 
 use codec_core::ShDegree;
-use header::{Column, Header, Rows};
 
 use super::{
     Limits,
     error::{Format, ImportError},
     snapshot::{Columns, Snapshot},
 };
+use header::{Column, Header, Rows};
 
 /// Reads a 3DGS PLY.
 ///

@@ -6,10 +6,11 @@
 //! must be lossless: a lossy one decodes to other labels, and is not told apart here. Axes are kept.
 //! Absent: version 1, and the streamed form (`lod-meta.json`), whose levels are SOG folders each.
 
+use std::io::Cursor;
+
 use codec_core::ShDegree;
 use image::{ImageDecoder, codecs::webp::WebPDecoder};
 use serde::Deserialize;
-use std::io::Cursor;
 
 use super::{
     Limits,

@@ -8,10 +8,10 @@
 //! 4e 47 53 50 | 04 00 00 00 | count u32 | degree fraction flags streams | toc u32 | 12 reserved
 //! ```
 //!
-//! Sizes of all planes follow from the header and are checked against the bytes at hand before
-//! anything is allocated. The file's axes (right, up, back by the format's rule: right-handed) are kept; a PLY of the
-//! same scene usually is half a turn about x away, `(x, -y, -z)`. A degree
-//! above 3 is cut to 3. Absent: extension records, which are skipped.
+//! Sizes of all planes follow from the header and are checked against the bytes at hand before anything is
+//! allocated. The file's axes (right, up, back by the format's rule: right-handed) are kept; a PLY of the
+//! same scene usually is half a turn about x away, `(x, -y, -z)`. A degree above 3 is cut to 3. Absent:
+//! extension records, which are skipped.
 
 use std::io::Read;
 

@@ -1,3 +1,5 @@
+use proptest::prelude::*;
+
 use super::*;
 use crate::{
     error::ErrorKind,
@@ -6,7 +8,7 @@ use crate::{
         table::{SLOTS, Table},
     },
 };
-use proptest::prelude::*;
+
 extern crate std;
 use std::{boxed::Box, sync::OnceLock, vec, vec::Vec};
 

@@ -1,7 +1,7 @@
 //! Loads the file as data: JSON validated by the `gltf` crate, buffers at hand, accessors read with every
 //! index checked. The crate's own accessor readers slice without checking and are not used.
 
-use ::gltf::{
+use gltf::{
     accessor::{DataType, Dimensions},
     json,
 };

@@ -1,7 +1,7 @@
 //! Evaluates node hierarchy and animation: where every node is at a time of the clip.
 
-use ::gltf::animation::{Interpolation, Property};
 use glam::{DMat4, DQuat, DVec3, DVec4};
+use gltf::animation::{Interpolation, Property};
 
 use super::{Clip, FORMAT, document::Document};
 use crate::scene::import::{Limits, error::ImportError};

@@ -1,7 +1,7 @@
 //! Collects the drawn surface: the triangles of every visible mesh, with what colours them.
 
-use ::gltf::{Semantic, mesh::Mode};
 use glam::DVec3;
+use gltf::{Semantic, mesh::Mode};
 
 use super::{
     FORMAT,

@@ -1,9 +1,11 @@
 //! Tests on a strip of two squares, the right one moved up by a joint, with a two-colour texture.
 
+use std::io::Cursor;
+
+use serde_json::json;
+
 use super::*;
 use crate::scene::import::ErrorKind;
-use serde_json::json;
-use std::io::Cursor;
 
 fn nothing_beside(name: &str) -> Result<Vec<u8>, ImportError> {
     Err(FORMAT.malformed("uri", name, "nothing beside"))

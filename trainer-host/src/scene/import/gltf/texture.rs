@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, io::Cursor, sync::Arc};
 
-use ::gltf::{material::AlphaMode, texture::WrappingMode};
+use gltf::{material::AlphaMode, texture::WrappingMode};
 
 use super::{FORMAT, document::Document};
 use crate::scene::import::{Limits, error::ImportError};
@@ -122,8 +122,8 @@ impl Texture {
     }
 }
 
-/// Decodes an image that may take `most` bytes. No format read here packs more than 8192 pixels into a byte (PNG: deflate's
-/// 1032 times eight one-bit pixels), so a small file cannot ask for a large picture.
+/// Decodes an image that may take `most` bytes. No format read here packs more than 8192 pixels into a byte
+/// (PNG: deflate's 1032 times eight one-bit pixels), so a small file cannot ask for a large picture.
 fn decode(bytes: &[u8], most: u64) -> image::ImageResult<image::RgbaImage> {
     let (width, height) =
         image::ImageReader::new(Cursor::new(bytes)).with_guessed_format()?.into_dimensions()?;

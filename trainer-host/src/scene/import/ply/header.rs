@@ -4,12 +4,13 @@
 //! that there is one reader of values. Offsets of properties come from the header; nothing assumes an
 //! order. Absent: list properties inside the element that is read (skipped in elements before it).
 
+use std::borrow::Cow;
+
 use crate::scene::import::{
     Limits,
     bytes::array,
     error::{Format, ImportError},
 };
-use std::borrow::Cow;
 
 const MAX_HEADER_BYTES: usize = 1 << 16;
 

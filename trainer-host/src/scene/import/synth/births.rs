@@ -10,8 +10,10 @@ use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 
 use super::{Disc, OPACITY, Options, log_scales, on_disc, on_sphere, paint, shares, sigma_of, wxyz};
-use crate::scene::import::snapshot::{logit, sh0_of_colour};
-use crate::scene::{Attributes, Epoch, SceneError, Track};
+use crate::scene::{
+    Attributes, Epoch, SceneError, Track,
+    import::snapshot::{logit, sh0_of_colour},
+};
 
 const FLOOR: f64 = -1.0;
 const FLOOR_RADIUS: f64 = 1.7;
