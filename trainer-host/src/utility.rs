@@ -235,14 +235,19 @@ fn deltas_in_view(
     let (epoch, view) = view_of(scene, content, span.span, view, options)?;
     let mut clusters = Clusters::new(content, epoch, view.frame);
     let (mut asked, mut out) = (Vec::new(), Vec::new());
+    // Contexts whose clusters show versions of their own are asked about one at a time: together, each would
+    // be shown in the versions of all.
+    let mut are_shared = true;
     for context in 0..options.states() {
         let state = state_of(content, map, span.span, context, options);
+        let known = clusters.values();
         let shown = clusters.shown_by(&state)?;
         let steps: Result<Vec<Vec<u32>>, UtilityError> = (0..=span.most_levels())
             .map(|levels| clusters.shown_by(&span.stepped(map, content, &state, levels)))
             .collect();
         asked.push((context, shown, steps?));
-        if clusters.values() > MOST_VALUES || context + 1 == options.states() {
+        are_shared &= known == 0 || clusters.values() == known;
+        if !are_shared || clusters.values() > MOST_VALUES || context + 1 == options.states() {
             let shown: Vec<Vec<u32>> = asked.iter().map(|(_, shown, _)| shown.clone()).collect();
             let camera = &options.cameras[view.camera];
             let found = clusters.distortions(&shown, camera, &view.reference, &options.settings)?;
