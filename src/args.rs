@@ -55,7 +55,7 @@ pub struct SceneArgs {
     )]
     pub fps: f64,
     /// Gaussians to place on an animated mesh: at least 1.
-    #[arg(long, default_value_t = 20_000, value_parser = whole(1..=5_000_000, "Gaussians"))]
+    #[arg(long, default_value_t = 20_000, value_parser = whole::<usize>(1..=5_000_000, "Gaussians"))]
     pub samples: usize,
     /// Clip of an animated mesh: name or number from 0 [default: the first].
     #[arg(long)]
@@ -107,7 +107,7 @@ pub struct CodecArgs {
     pub target_psnr: Option<f64>,
     /// Pictures per epoch that tell how much an error in each Gaussian shows: steps follow (dgs1). 1 to
     /// 1024; 0: the same steps for all.
-    #[arg(long, default_value_t = 16, value_parser = whole(0..=1024, "pictures"))]
+    #[arg(long, default_value_t = 16, value_parser = whole::<usize>(0..=1024, "pictures"))]
     pub pictures: usize,
     /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR
     /// from measuring cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
@@ -126,7 +126,7 @@ pub struct CodecArgs {
     #[arg(long, value_parser = whole(0..=limits::MAX_RANK, "vectors"))]
     pub rank: Option<usize>,
     /// Largest packet, 200 to 1226 bytes, header and CRC included (dgs1).
-    #[arg(long, default_value_t = 1150, value_parser = whole(200..=1226, "bytes"))]
+    #[arg(long, default_value_t = 1150, value_parser = whole::<usize>(200..=1226, "bytes"))]
     pub packet_bytes: usize,
     /// Base packets per XOR repair set, 2 to 64; 0 sends no parity.
     #[arg(long, conflicts_with = "repair", value_parser = repair_set)]
@@ -215,7 +215,7 @@ pub struct LinkArgs {
     #[arg(long, default_value_t = 1.6, value_parser = positive, allow_negative_numbers = true)]
     pub load: f64,
     /// One-way delay, 0 to 60000 milliseconds [default: half the trace's own round trip, else 30].
-    #[arg(long, value_parser = whole(0..=60_000, "milliseconds"))]
+    #[arg(long, value_parser = whole::<u64>(0..=60_000, "milliseconds"))]
     pub delay_ms: Option<u64>,
     /// Share of time lost in Gilbert–Elliott bursts (mean burst four packets), 0 to 0.3.
     #[arg(
@@ -224,7 +224,7 @@ pub struct LinkArgs {
     )]
     pub burst_loss: f64,
     /// Queue, as 0 to 60000 milliseconds of the mean rate.
-    #[arg(long, default_value_t = 250, value_parser = whole(0..=60_000, "milliseconds"))]
+    #[arg(long, default_value_t = 250, value_parser = whole::<u64>(0..=60_000, "milliseconds"))]
     pub queue_ms: u64,
     /// Congestion controller.
     #[arg(long, value_enum, default_value_t = ControllerName::Newreno)]
@@ -460,7 +460,7 @@ pub struct Demo {
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
     pub device: DeviceName,
     /// Contexts per group when utilities are measured: 1 to 64.
-    #[arg(long, default_value_t = 3, value_parser = whole(1..=64, "contexts"))]
+    #[arg(long, default_value_t = 3, value_parser = whole::<usize>(1..=64, "contexts"))]
     pub contexts: usize,
 }
 

@@ -3,6 +3,7 @@
 use codec_core::{
     Caps, ErrorKind,
     internals::{
+        closure::{Arrived, Needs},
         ids::{EpochId, Group, Level, PacketId, Span},
         layout::Shape,
         receiver::{Content, for_each_cell},
@@ -38,37 +39,30 @@ pub fn graph(
     for (i, (group, _)) in map.groups().iter().enumerate() {
         index.insert(*group, GroupIndex(i as u32));
     }
+    let rule = |group: &Group| Needs::in_manifest(manifest, group.span, group.cluster, group.level);
     let needs = |group: &Group| -> Vec<GroupIndex> {
-        let below = Level::ALL.into_iter().rev().filter(|l| *l < group.level);
-        for level in below {
-            if let Some(&found) = index.get(&Group { level, ..*group }) {
-                return vec![found];
-            }
-        }
-        match group.span {
-            Span::Motion(window) => {
-                let epoch = EpochId(manifest.window(window).map_or(0, |w| w.epoch));
-                let base = Group { span: Span::Canonical(epoch), cluster: group.cluster, level: Level::BASE };
-                index.get(&base).copied().into_iter().collect()
-            }
-            Span::Canonical(_) => Vec::new(),
-        }
+        let Some(needs) = rule(group) else { return Vec::new() };
+        let below = needs.below.map(|level| Group { level, ..*group });
+        let base = |epoch| Group { span: Span::Canonical(epoch), level: Level::BASE, ..*group };
+        // What the level below needs in turn, it says itself.
+        let needed = below.or(needs.seen_with.map(base));
+        needed.and_then(|needed| index.get(&needed).copied()).into_iter().collect()
     };
     // Which packet brings which block of which cell at which level.
     let mut bringer = std::collections::BTreeMap::new();
     for id in 0..stream.packets().len() {
-        for mark in map.placements(id) {
-            for block in mark.first_block..mark.first_block + mark.blocks {
-                bringer.insert((block, mark.group.level), PacketIndex(id as u32));
+        for placement in map.placements(id) {
+            for block in placement.first_block..placement.first_block + placement.blocks {
+                bringer.insert((block, placement.group.level), PacketIndex(id as u32));
             }
         }
     }
     let cells = first_blocks(manifest);
-    let canonical_block = |mark: &SlicePlacement, block: usize| -> Option<usize> {
-        let Span::Motion(window) = mark.group.span else { return None };
+    let canonical_block = |placement: &SlicePlacement, block: usize| -> Option<usize> {
+        let Span::Motion(window) = placement.group.span else { return None };
         let epoch = EpochId(manifest.window(window)?.epoch);
-        let own = cells[manifest.cell(mark.group.span, mark.group.cluster)?.index()];
-        let base = cells[manifest.cell(Span::Canonical(epoch), mark.group.cluster)?.index()];
+        let own = cells[manifest.cell(placement.group.span, placement.group.cluster)?.index()];
+        let base = cells[manifest.cell(Span::Canonical(epoch), placement.group.cluster)?.index()];
         Some(base + block - own)
     };
     let sliced = manifest.profile() == Profile::Dgs1;
@@ -79,12 +73,12 @@ pub fn graph(
         groups.dedup();
         let mut needs_packets = Vec::new();
         if sliced {
-            for mark in map.placements(id) {
-                for block in mark.first_block..mark.first_block + mark.blocks {
-                    let below = Level::ALL.into_iter().rev().filter(|l| *l < mark.group.level);
-                    needs_packets.extend(below.filter_map(|l| bringer.get(&(block, l))).next());
-                    if mark.group.level > Level::BASE
-                        && let Some(base) = canonical_block(mark, block)
+            for placement in map.placements(id) {
+                let Some(needs) = rule(&placement.group) else { continue };
+                for block in placement.first_block..placement.first_block + placement.blocks {
+                    needs_packets.extend(needs.below.and_then(|level| bringer.get(&(block, level))));
+                    if needs.base.is_some()
+                        && let Some(base) = canonical_block(placement, block)
                     {
                         needs_packets.extend(bringer.get(&(base, Level::BASE)));
                     }
@@ -222,31 +216,27 @@ impl<'e> WireEndpoint<'e> {
         PacketId::new(packet.0).zip(player).is_some_and(|(id, player)| player.has(id))
     }
 
-    /// Whether all blocks of `mark` are usable up to its level, and for motion coefficients the
+    /// Whether all blocks of `placement` are usable up to its level, and for motion coefficients the
     /// blocks they bend are there.
-    fn is_usable(&self, content: &Content<'_>, mark: &SlicePlacement, whole_cell: bool) -> bool {
+    fn is_usable(&self, content: &Content<'_>, placement: &SlicePlacement, whole_cell: bool) -> bool {
         let manifest = &content.manifest;
-        let Some(cell) = manifest.cell(mark.group.span, mark.group.cluster) else { return false };
+        let Some(cell) = manifest.cell(placement.group.span, placement.group.cluster) else { return false };
         let own = self.first_blocks[cell.index()];
         let blocks = if whole_cell {
-            let shape = Shape::of(manifest, mark.group.span, mark.group.cluster);
+            let shape = Shape::of(manifest, placement.group.span, placement.group.cluster);
             own..own + shape.map_or(0, |s| s.blocks())
         } else {
-            mark.first_block..mark.first_block + mark.blocks
+            placement.first_block..placement.first_block + placement.blocks
         };
-        let usable = |block: usize| {
-            codec_core::internals::closure::Arrived(content.blocks.get(block).copied().unwrap_or(0)).usable()
-        };
-        if !blocks.clone().all(|b| usable(b) > mark.group.level.index()) {
+        let usable = |block: usize| Arrived(content.blocks.get(block).copied().unwrap_or(0)).usable();
+        if !blocks.clone().all(|b| usable(b) > placement.group.level.index()) {
             return false;
         }
-        let Span::Motion(window) = mark.group.span else { return true };
+        let group = &placement.group;
+        let needs = Needs::in_manifest(manifest, group.span, group.cluster, group.level).unwrap_or_default();
         // A track alone needs nothing to be decoded; to complete its group the base must be there.
-        if mark.group.level == Level::BASE && !whole_cell {
-            return true;
-        }
-        let epoch = EpochId(manifest.window(window).map_or(0, |w| w.epoch));
-        let base = manifest.cell(Span::Canonical(epoch), mark.group.cluster);
+        let Some(epoch) = (if whole_cell { needs.seen_with } else { needs.base }) else { return true };
+        let base = manifest.cell(Span::Canonical(epoch), placement.group.cluster);
         base.is_some_and(|base| {
             let base = self.first_blocks[base.index()];
             blocks.clone().all(|b| usable(base + b - own) > 0)
@@ -299,18 +289,22 @@ impl Endpoint for WireEndpoint<'_> {
         let mut snapshot = Snapshot::empty(self.graph);
         if let Some(content) = self.player.as_ref().map(Player::content) {
             for (i, (group, symbols)) in self.map.groups().iter().enumerate() {
-                let mark = SlicePlacement { group: *group, first_block: 0, blocks: 0, symbols: *symbols };
+                let placement =
+                    SlicePlacement { group: *group, first_block: 0, blocks: 0, symbols: *symbols };
                 let needs = &self.graph.groups()[i].needs;
-                if needs.iter().all(|&n| snapshot.has_group(n)) && self.is_usable(&content, &mark, true) {
+                if needs.iter().all(|&n| snapshot.has_group(n)) && self.is_usable(&content, &placement, true)
+                {
                     snapshot.insert_group(GroupIndex(i as u32));
                 }
             }
             for id in 0..self.stream.packets().len() {
                 let packet = PacketIndex(id as u32);
-                let marks = self.map.placements(id);
-                if !marks.is_empty() && self.has(packet) {
+                let placements = self.map.placements(id);
+                if !placements.is_empty() && self.has(packet) {
                     let usable = match self.graph.profile() {
-                        graph::Profile::Sliced => marks.iter().all(|m| self.is_usable(&content, m, false)),
+                        graph::Profile::Sliced => {
+                            placements.iter().all(|m| self.is_usable(&content, m, false))
+                        }
                         graph::Profile::AllOrNothing => {
                             self.graph.packets()[id].groups.iter().any(|&g| snapshot.has_group(g))
                         }

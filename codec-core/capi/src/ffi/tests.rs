@@ -1,6 +1,6 @@
 //! What can be checked is refused: null, misaligned, overlapping, short, closed, moved.
 
-use std::vec::{self, Vec};
+use std::{vec, vec::Vec};
 
 use codec_core::{file, internals::wire::crc::crc32};
 
