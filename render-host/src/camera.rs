@@ -442,9 +442,10 @@ mod tests {
             for fov in [low, high] {
                 let look = Camera::look_at([0.0; 3], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], fov, width, height);
                 let blender = Camera::from_blender(identity4(), fov, width, height);
-                for camera in [look.unwrap(), blender.unwrap()] {
+                // `look_at` takes a vertical field of view, Blender a horizontal one.
+                for (camera, side) in [(look.unwrap(), height), (blender.unwrap(), width)] {
                     let f = camera.intrinsics().fy;
-                    assert!((f * (0.5 * fov).tan() / (0.5 * f64::from(height)) - 1.0).abs() < 1e-9, "{fov}");
+                    assert!((f * (0.5 * fov).tan() / (0.5 * f64::from(side)) - 1.0).abs() < 1e-9, "{fov}");
                 }
             }
         }

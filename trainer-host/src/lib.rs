@@ -10,7 +10,7 @@
 //! ```
 //! use trainer_host::{encode, import::{Limits, synth}};
 //!
-//! let options = synth::Options { gaussians: 200, frames: 2, ..synth::Options::default() };
+//! let options = synth::Options { gaussians: 1000, frames: 2, ..synth::Options::default() };
 //! let scene = synth::make(&options, &Limits::default())?;
 //! let encoded = encode::encode(&scene, &encode::Options::default(), &|_stage, _share| {})?;
 //! // Everything that was chosen is plain data, and replays to the same bytes.

@@ -47,6 +47,9 @@ pub fn group_bytes(stream: &Stream, map: &PacketMap) -> Vec<f64> {
     bytes
 }
 
+/// A gain up to this is rounding: two sums of one picture, taken in different order, agree within it.
+const NO_GAIN: f64 = 1e-12;
+
 /// The highest level of each cell that pays for its bytes at `lambda`: where the sum over the levels
 /// of gain − λ · bytes is largest, the lowest of equals. Gain is the mean of Δ in `table`, averaged
 /// over all frames of the clip; λ is gain per byte. Base levels are always sent.
@@ -66,7 +69,8 @@ pub fn tops(content: &Content<'_>, map: &PacketMap, table: &Table, bytes: &[f64]
             Span::Motion(w) => manifest.window(w).map_or(0, |w| u32::from(w.frames)),
         };
         let (best, sum) = &mut sums[cell.index()];
-        *sum += utility.mean * f64::from(frames) / all - lambda * bytes;
+        let gain = if utility.mean.abs() > NO_GAIN { utility.mean } else { 0.0 };
+        *sum += gain * f64::from(frames) / all - lambda * bytes;
         if *sum > *best {
             *best = *sum;
             tops[cell.index()] = group.level;
