@@ -119,7 +119,7 @@ impl Backend {
     /// The graphics device has no memory.
     pub fn frames(&self) -> Result<FrameRenderer, BackendError> {
         Ok(match self {
-            Self::Cpu => FrameRenderer(Inner::Cpu(Sequence::default())),
+            Self::Cpu => FrameRenderer(Inner::Cpu(Box::default())),
             #[cfg(feature = "gpu")]
             Self::Gpu(executor) => FrameRenderer(Inner::Gpu(Box::new(OnGpu {
                 renderer: gpu::Renderer::new(executor)?,
@@ -171,7 +171,7 @@ pub struct FrameRenderer(Inner);
 
 #[derive(Debug)]
 enum Inner {
-    Cpu(Sequence),
+    Cpu(Box<Sequence>),
     #[cfg(feature = "gpu")]
     Gpu(Box<OnGpu>),
 }

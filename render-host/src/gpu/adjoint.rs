@@ -101,7 +101,7 @@ enum Blend {
     /// Forward, squared error and back in one, with this batch and these transmittances.
     AtOnce { batch: wgpu::Buffer, marks: wgpu::Buffer },
     /// With pictures in between.
-    WithPictures(Chunks),
+    WithPictures(Box<Chunks>),
 }
 
 /// Loss of each world, and gradients summed over the worlds.
@@ -215,14 +215,8 @@ impl Engine {
         let pose = Totals::new(device, &gradients, [stride / 256, 256, POSE_ROWS])?;
         let pose = [Totals::new(device, &pose.buffer, [256, 1, POSE_ROWS])?, pose];
         let blend = if let Some(structure) = &self.structure {
-            Blend::WithPictures(Chunks::new(
-                device,
-                structure,
-                tiles.count(),
-                batch,
-                marks,
-                self.chunk_bytes,
-            )?)
+            let chunks = Chunks::new(device, structure, tiles.count(), batch, marks, self.chunk_bytes)?;
+            Blend::WithPictures(Box::new(chunks))
         } else {
             Blend::AtOnce {
                 batch: device.uniform("batch", bytemuck::bytes_of(&batch))?,

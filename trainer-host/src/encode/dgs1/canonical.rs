@@ -82,6 +82,9 @@ pub(in crate::encode) fn spread_bits(indices: &[i32], block_len: usize) -> f64 {
     indices.chunks(block_len).map(block).sum()
 }
 
+/// What is decided of an epoch's canonical cells: quantisers, clusters, origin.
+pub(super) type Decided = (Vec<Quant>, Vec<ClusterDecisions>, [f32; 3]);
+
 /// Chooses the quantisers of each class of `classes`, and with which of them and up to which harmonic degree
 /// each cluster of `members` is sent. Also gives the epoch's origin.
 pub(super) fn decide(
@@ -89,7 +92,7 @@ pub(super) fn decide(
     members: Vec<Vec<u32>>,
     classes: &EpochClasses<'_>,
     options: &Options,
-) -> Result<(Vec<Quant>, Vec<ClusterDecisions>, [f32; 3]), EncodeError> {
+) -> Result<Decided, EncodeError> {
     let (unpredicted, origin) = plain(epoch, &members, classes, options)?;
     let mut quants = Vec::new();
     let mut degrees = vec![0u8; members.len()];

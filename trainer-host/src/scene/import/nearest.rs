@@ -119,8 +119,8 @@ impl<A: Fn(usize) -> bool> Search<'_, A> {
         let index = self.tree.order[place] as usize;
         let point = self.tree.points[index];
         let mut squared = 0.0;
-        for axis in 0..3 {
-            let difference = self.query[axis] - f64::from(point[axis]);
+        for (query, point) in self.query.iter().zip(point) {
+            let difference = query - f64::from(point);
             squared += difference * difference;
         }
         if !self.counts(squared) || !(self.accept)(index) {
