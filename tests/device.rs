@@ -1,5 +1,12 @@
 //! `--device`: the graphics device shows what the processor shows, and what is missing is named.
 
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    reason = "a test's helpers fail like tests"
+)]
+
 use std::{
     path::Path,
     process::{Command, Output},

@@ -274,7 +274,8 @@ fn decisions_that_do_not_fit_are_named() {
         change(&mut changed);
         write(&scene, &Decisions::Dgs1(changed), &|_, _| {}).unwrap_err().to_string()
     };
-    let cases: [(fn(&mut Dgs1Decisions), &str); 8] = [
+    type Spoil = fn(&mut Dgs1Decisions);
+    let cases: [(Spoil, &str); 8] = [
         (|d| d.epochs.clear(), "number of epochs is 0"),
         (|d| d.block_len = 0, "block_len is 0"),
         (|d| d.epochs[0].clusters[1].gaussians[0] = 999, "epoch 0, cluster 1: gaussians is 999"),

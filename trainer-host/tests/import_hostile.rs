@@ -1,7 +1,7 @@
 //! Files made to be slow: geometry on which a neighbour search can degenerate. Each is legal, small, and
 //! read at the sizes people use; that the work grows as n log n is counted beside the search itself.
 
-#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
 use std::{
     io::{Cursor, Write},

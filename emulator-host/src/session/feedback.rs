@@ -214,7 +214,7 @@ mod tests {
         let packets: Vec<PacketIndex> = (0..count).step_by(2).map(PacketIndex).collect();
         packets.iter().for_each(|packet| writer.on_arrived(&graph, *packet));
         packets.iter().for_each(|packet| writer.on_recovered(&graph, *packet));
-        writer.on_complete(&graph, &vec![u64::MAX >> 1; 1]);
+        writer.on_complete(&graph, &[u64::MAX >> 1]);
         let mut known = std::collections::BTreeSet::new();
         for _ in 0..40 {
             let mut bytes = Vec::new();
