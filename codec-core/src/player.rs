@@ -58,7 +58,7 @@ pub struct Waiting<'a> {
 impl<'a> Waiting<'a> {
     /// A player that will keep everything in `arena` and accept streams within `caps`.
     ///
-    /// [`Caps::memory_words`] are enough for every such stream; a smaller arena takes those that fit.
+    /// [`Caps::arena_words`] are enough for every such stream; a smaller arena takes those that fit.
     ///
     /// # Errors
     /// [`ErrorKind::Capacity`] if `arena` does not hold [`Caps::early_bytes`].

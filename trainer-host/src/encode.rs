@@ -9,7 +9,7 @@
 //!          once per scene          again and again: target, search, truncation
 //! ```
 //!
-//! Whatever is chosen is in [`Decisions`], which is plain data; [`write`] has no choice in it.
+//! Whatever is chosen is in [`Decisions`], which is plain data; [`write()`] has no choice in it.
 
 mod analysis;
 pub mod cluster;
@@ -127,7 +127,7 @@ pub fn write(scene: &Scene, decisions: &Decisions, progress: Progress<'_>) -> Re
 /// decided anew. Profile `paper` sends every level, whatever `highest` says.
 ///
 /// # Errors
-/// As [`write`].
+/// As [`write()`].
 pub fn with_levels(
     scene: &Scene,
     decisions: &Decisions,

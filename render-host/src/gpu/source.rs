@@ -18,7 +18,7 @@ pub enum Bind {
 pub struct Source {
     /// Path of its file below `src`, unique.
     pub name: &'static str,
-    /// Pieces of its text; [`LAYOUT`] first.
+    /// Pieces of its text; `LAYOUT` first.
     pub parts: &'static [&'static str],
     /// Names and kinds of its bindings: place in the list is the number of the binding, group 0.
     pub bindings: &'static [(&'static str, Bind)],
