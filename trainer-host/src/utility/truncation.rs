@@ -165,7 +165,8 @@ mod tests {
                         .collect(),
                 ),
                 opacity_logits: Track::Constant(vec![7.0; n]),
-                // Colours of the shell change slowly, so that it does not matter which of two discs is in front.
+                // Colours of the shell change slowly, so that it does not matter which of two discs is in
+                // front.
                 sh0: Track::Constant(
                     (0..n)
                         .map(|i| {
