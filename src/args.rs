@@ -353,7 +353,7 @@ pub struct Inspect {
 /// PLY and SPZ hold other values than a decoder gives: natural logs of scales (clamped to -20..10), logits
 /// of opacities (clamped to ±12) and quaternions normalised once more, so that PLY differs from the decoded
 /// values in the last bits, and SPZ by its own quantisation. Gaussians of which nothing has arrived are left
-/// out. What the decoder gives bit by bit is told by --digest.
+/// out. For what the decoder gives, bit by bit, see --digest.
 #[derive(Debug, Args)]
 pub struct Decode {
     /// A .dgs file.

@@ -155,8 +155,8 @@ impl Player {
         Ok(Self { player, batches: BatchReceiver::default() })
     }
 
-    /// Plays the `.dgs` file `file`, all of whose packets have arrived; what could not be used of a
-    /// damaged one is told beside it.
+    /// Plays the `.dgs` file `file`, all of whose packets have arrived; the
+    /// [`Damage`] says what of a damaged one could not be used.
     ///
     /// # Errors
     /// If the manifest is unreadable or exceeds [`Caps::HOST`]; refused packets are counted.

@@ -30,7 +30,7 @@ struct Optics {
     p2: Option<f64>,
 }
 
-/// Models without distortion, or whose distortion is told by parameters.
+/// Models without distortion, or whose parameters say how much there is.
 const MODELS: [&str; 5] = ["PINHOLE", "SIMPLE_PINHOLE", "OPENCV", "RADIAL", "SIMPLE_RADIAL"];
 
 #[derive(Deserialize)]

@@ -117,10 +117,17 @@ fn compare_mix(name: &str, case: &TestScene, worlds: usize, mix: Mix, settings: 
     let Some(executor) = executor() else { return };
     let states = if worlds == 0 { States::full(case.groups) } else { case.states(worlds, 3) };
     let got = engine(executor, case, mix, settings).gradients(&states).unwrap();
-    judge(name, case, &states, mix, settings, &got);
+    check_gradients(name, case, &states, mix, settings, &got);
 }
 
-fn judge(name: &str, case: &TestScene, states: &States, mix: Mix, settings: &Settings, got: &Gradients) {
+fn check_gradients(
+    name: &str,
+    case: &TestScene,
+    states: &States,
+    mix: Mix,
+    settings: &Settings,
+    got: &Gradients,
+) {
     let expected = twin(case, states, mix, settings);
     assert_eq!(got.loss.len(), expected.loss.len());
     for (a, b) in got.loss.iter().zip(&expected.loss) {
@@ -209,7 +216,7 @@ fn from_lists_of_the_device(mix: Mix) {
         engine.read(&worlds).unwrap()
     };
     let got = once();
-    judge("lists of the device", &case, &states, mix, &settings, &got);
+    check_gradients("lists of the device", &case, &states, mix, &settings, &got);
     assert_eq!(once(), got, "every run equals the first");
 }
 
