@@ -405,7 +405,7 @@ pub struct Render {
     /// Mip-Splatting-style opacity compensation.
     #[arg(long)]
     pub antialiased: bool,
-    /// What renders the images.
+    /// What renders the images; gpu is in builds with `--features gpu`.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
     pub device: DeviceName,
     /// Where to look from.
