@@ -1,6 +1,7 @@
 //! Parses what is typed: one struct per verb. What it means is given in `command`.
 
 mod number;
+pub mod train;
 
 use std::path::PathBuf;
 
@@ -9,7 +10,10 @@ use codec_core::internals::limits;
 use render_host::{DeviceChoice, camera::MAX_SIDE};
 use trainer_host::encode::Protection;
 
-use self::number::{background, coarseness, not_negative, positive, real, repair_set, whole};
+use self::{
+    number::{background, coarseness, not_negative, positive, real, repair_set, whole},
+    train::Train,
+};
 
 /// Dynamic Gaussian splats that stay renderable when delivery is incomplete: encode, send over a
 /// lossy link, decode what arrived, render, measure.
@@ -29,6 +33,8 @@ pub struct Cli {
 pub enum Verb {
     /// Read a scene in any supported format, say what it is, and optionally convert it.
     Import(Import),
+    /// Fit a moving scene to photographs, or to the renders of another scene.
+    Train(Box<Train>),
     /// Encode a scene to a .dgs stream.
     Encode(Encode),
     /// Say what a .dgs file holds: manifest, packets, damage.

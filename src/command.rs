@@ -8,6 +8,7 @@ mod import;
 mod inspect;
 mod render;
 mod stream;
+mod train;
 
 use std::process::ExitCode;
 
@@ -24,6 +25,7 @@ pub fn run(cli: Cli) -> ExitCode {
     let quiet = Quiet(cli.json);
     let said = match cli.verb {
         Verb::Import(args) => import::run(&args),
+        Verb::Train(args) => train::run(&args, quiet),
         Verb::Encode(args) => encode::run(&args, quiet),
         Verb::Inspect(args) => inspect::run(&args),
         Verb::Decode(args) => decode::run(&args),

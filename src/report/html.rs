@@ -11,12 +11,14 @@ mod strips;
 use std::fmt::Write as _;
 
 use self::elements::{count, figure, kib};
+pub(crate) use self::strips::data_of_png;
 use super::{
     Page, SchedulerRun, Shown,
     plot::{Hue, Panel, Plot, Series, Shape, escape, number},
 };
 
-const STYLE: &str = include_str!("page.css");
+/// Style of every page.
+pub(crate) const STYLE: &str = include_str!("page.css");
 /// Forbids every request.
 const POLICY: &str =
     "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'";

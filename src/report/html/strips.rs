@@ -77,6 +77,11 @@ fn embed(out: &mut String, image: &Image, class: &str, about: &str) {
     );
 }
 
+/// The source of an `img` element that shows PNG bytes.
+pub(crate) fn data_of_png(png: &[u8]) -> String {
+    format!("data:image/png;base64,{}", base64(png))
+}
+
 /// RFC 4648, padded.
 fn base64(bytes: &[u8]) -> String {
     const LETTERS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";

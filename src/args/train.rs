@@ -1,0 +1,100 @@
+//! What `dgs train` takes.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+
+use super::{
+    CodecArgs, SceneArgs,
+    number::{background, not_negative, positive, real, whole},
+};
+
+/// `dgs train`.
+///
+/// Writes into the folder of --out: scene.dgs (the encoded scene), checkpoint.dgst (to resume, and a scene for
+/// `dgs encode` and `dgs render`), log.csv, preview.png and report.html.
+#[derive(Debug, Args)]
+pub struct Train {
+    /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), sparse/0 (COLMAP) or train_meta.json
+    /// (Panoptic). Or any scene that import reads: its own renders are then the photographs, and a sequence
+    /// without identity becomes one moving scene.
+    pub input: String,
+    /// Folder to write into.
+    #[arg(short, long, default_value = "dgs-train")]
+    pub out: PathBuf,
+    /// Steps, one photograph each: the same steps and seed give the same scene.
+    #[arg(long, default_value_t = 15_000, value_parser = whole::<u32>(1..=10_000_000, "steps"))]
+    pub steps: u32,
+    /// Train for so many minutes instead of steps: 0.01 to 100000.
+    #[arg(
+        long, conflicts_with = "steps", value_parser = real(0.01..=100_000.0, "minutes"),
+        allow_negative_numbers = true
+    )]
+    pub minutes: Option<f64>,
+    /// Go on from the checkpoint in --out; options are those it was made with.
+    #[arg(long)]
+    pub resume: bool,
+    /// Replace what is in --out.
+    #[arg(long, conflicts_with = "resume")]
+    pub overwrite: bool,
+    /// Most Gaussians.
+    #[arg(long, default_value_t = 26_000, value_parser = whole::<usize>(1..=5_000_000, "Gaussians"))]
+    pub gaussians: usize,
+    /// Control nodes that carry the motion; 0: nothing moves.
+    #[arg(long, default_value_t = 512, value_parser = whole::<usize>(0..=65_536, "nodes"))]
+    pub nodes: usize,
+    /// Degree of the spherical harmonics, 0 to 3.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub sh_degree: u8,
+    /// Longest side of the photographs that are trained on, pixels: larger ones are halved, or more.
+    #[arg(long, default_value_t = 800, value_parser = whole::<u32>(16..=16_384, "pixels"))]
+    pub max_side: u32,
+    /// Background that figures are for, 0 to 1 per channel: grey level or r,g,b.
+    #[arg(long, default_value = "1", value_parser = background)]
+    pub background: [f32; 3],
+    /// Time whose Gaussians are stored and others moved from, 0 to 1.
+    #[arg(
+        long, default_value_t = 0.5, value_parser = real(0.0..=1.0, "a share of the clip"),
+        allow_negative_numbers = true
+    )]
+    pub canonical_time: f64,
+    /// How strongly neighbouring nodes move as one rigid body.
+    #[arg(long, default_value_t = 0.01, value_parser = not_negative, allow_negative_numbers = true)]
+    pub rigidity: f64,
+    /// How Gaussians are added.
+    #[arg(long, value_enum, default_value_t = DensityName::Split)]
+    pub density: DensityName,
+    /// All learning rates times this, above 0.
+    #[arg(long, default_value_t = 1.0, value_parser = positive, allow_negative_numbers = true)]
+    pub rate: f64,
+    /// Steps between checkpoints.
+    #[arg(long, default_value_t = 2000, value_parser = whole::<u32>(1..=10_000_000, "steps"))]
+    pub checkpoint_every: u32,
+    /// Times that quality is measured during training: 0 to 1000.
+    #[arg(long, default_value_t = 10, value_parser = whole::<u32>(0..=1000, "times"))]
+    pub evaluations: u32,
+    /// Frames of the encoded scene [default: as many as the training photographs have instants].
+    #[arg(long, value_parser = whole::<usize>(1..=100_000, "frames"))]
+    pub frames: Option<usize>,
+    /// Cameras around a scene that is rendered.
+    #[arg(long, default_value_t = 24, value_parser = whole::<usize>(1..=1000, "cameras"))]
+    pub cameras: usize,
+    /// Side of the renders of a scene, pixels.
+    #[arg(long, default_value_t = 400, value_parser = whole::<u32>(16..=16_384, "pixels"))]
+    pub side: u32,
+    /// How to read a scene; --fps and --seed also apply to the trained one.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// How to encode the result.
+    #[command(flatten)]
+    pub codec: CodecArgs,
+}
+
+/// How Gaussians are added.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DensityName {
+    /// Split those that views pull at.
+    Split,
+    /// Move transparent ones to opaque ones (MCMC).
+    Relocate,
+}

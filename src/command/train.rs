@@ -1,0 +1,343 @@
+//! `dgs train`: photographs, or the renders of a scene, to a moving scene and its stream.
+
+mod log;
+mod page;
+
+use std::{
+    path::{Path, PathBuf},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Instant as Clock,
+};
+
+use anyhow::{Context, Result, bail};
+use codec_core::internals::ids::Level;
+use serde_json::json;
+use trainer_host::{
+    Instant,
+    encode::Protection,
+    train::{
+        self, Checkpoint, Dataset, DensityControl, Evaluation, Posable, Rates, Trainer,
+        dataset::{self, rendered},
+    },
+};
+
+use self::{
+    log::{Log, Sample},
+    page::Page,
+};
+use crate::{
+    args::train::{DensityName, Train},
+    files,
+    output::VerbOutput,
+    pipeline::{self, Frames, Quiet},
+    progress::Progress,
+};
+
+/// Steps between two lines of the log.
+const LOG_EVERY: u32 = 100;
+/// Views that quality during training is measured on, at most.
+const GLANCE_VIEWS: usize = 8;
+
+/// Files in the folder of a training.
+struct Folder {
+    checkpoint: PathBuf,
+    stream: PathBuf,
+    log: PathBuf,
+    preview: PathBuf,
+    report: PathBuf,
+}
+
+impl Folder {
+    fn of(out: &Path) -> Self {
+        let file = |name: &str| out.join(name);
+        Self {
+            checkpoint: file("checkpoint.dgst"),
+            stream: file("scene.dgs"),
+            log: file("log.csv"),
+            preview: file("preview.png"),
+            report: file("report.html"),
+        }
+    }
+
+    /// Makes the folder, or refuses one that is in use.
+    fn open(&self, args: &Train) -> Result<()> {
+        let out = &args.out;
+        std::fs::create_dir_all(out)
+            .with_context(|| format!("{}: cannot make this folder", out.display()))?;
+        if args.resume && !self.checkpoint.is_file() {
+            bail!("{}: no such checkpoint; train without --resume first", self.checkpoint.display());
+        }
+        if !args.resume && !args.overwrite && self.checkpoint.exists() {
+            bail!("{}: holds a training; --resume goes on with it, --overwrite replaces it", out.display());
+        }
+        for path in [&self.checkpoint, &self.stream, &self.log, &self.preview, &self.report] {
+            files::check(path)?;
+        }
+        Ok(())
+    }
+}
+
+/// Runs the verb.
+pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
+    let folder = Folder::of(&args.out);
+    let loading = Progress::new("read the dataset", quiet.0);
+    let dataset = load(args)?;
+    drop(loading);
+    folder.open(args)?;
+    let (mut trainer, begun) = begin(args, &folder, &dataset)?;
+    let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
+    let stop = interruption();
+    let ended = fit(args, &folder, &dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
+    finish(args, &folder, &dataset, &trainer, &log, ended, quiet)
+}
+
+/// The dataset that was named.
+fn load(args: &Train) -> Result<Dataset> {
+    let path = Path::new(&args.input);
+    if path.is_dir() && !args.input.starts_with("synth:") {
+        match dataset::read(path) {
+            Err(dataset::DatasetError::Unknown { .. }) => {}
+            found => return Ok(found?),
+        }
+    }
+    let loaded = pipeline::import(&args.input, &args.scene)?;
+    let options =
+        rendered::Options { cameras: args.cameras, side: args.side, ..rendered::Options::default() };
+    Ok(rendered::rendered(&loaded.scene, &loaded.name, &options)?)
+}
+
+/// A trainer at its start or at its checkpoint, and how far it had come.
+fn begin<'d>(args: &Train, folder: &Folder, dataset: &'d Dataset) -> Result<(Trainer<'d>, f64)> {
+    if args.resume {
+        let path = &folder.checkpoint;
+        let failed = || path.display().to_string();
+        let bytes = std::fs::read(path).with_context(failed)?;
+        let checkpoint = Checkpoint::from_bytes(&bytes).with_context(failed)?;
+        let progress = checkpoint.progress;
+        return Ok((checkpoint.resume(dataset).with_context(failed)?, progress));
+    }
+    Ok((Trainer::new(dataset, &options(args))?, 0.0))
+}
+
+/// The options as typed.
+fn options(args: &Train) -> train::Options {
+    let rate = args.rate as f32;
+    let Rates { position, log_scale, rotation, opacity, sh0, sh_rest, skin, node_motion } = Rates::default();
+    train::Options {
+        seed: args.scene.seed,
+        max_gaussians: args.gaussians,
+        nodes: args.nodes,
+        sh_degree: args.sh_degree,
+        max_side: args.max_side,
+        background: args.background,
+        canonical_time: args.canonical_time as f32,
+        rigidity: args.rigidity as f32,
+        density: match args.density {
+            DensityName::Split => DensityControl::Split,
+            DensityName::Relocate => DensityControl::Relocate,
+        },
+        rates: Rates {
+            position: rate * position,
+            log_scale: rate * log_scale,
+            rotation: rate * rotation,
+            opacity: rate * opacity,
+            sh0: rate * sh0,
+            sh_rest: rate * sh_rest,
+            skin: rate * skin,
+            node_motion: rate * node_motion,
+        },
+        ..train::Options::default()
+    }
+}
+
+/// True once a person has asked to stop: the state is then written, and the verb ends.
+fn interruption() -> Arc<AtomicBool> {
+    let stop = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&stop);
+    // Where no handler can be set, an interruption ends the process as it does any other.
+    let _ = ctrlc::set_handler(move || told.store(true, Ordering::Relaxed));
+    stop
+}
+
+/// How a training ended.
+struct Ended {
+    seconds: f64,
+    interrupted: bool,
+}
+
+/// Takes steps until the budget is spent or a person asks to stop.
+#[allow(clippy::too_many_arguments, reason = "each is another thing that a step touches")]
+fn fit(
+    args: &Train,
+    folder: &Folder,
+    dataset: &Dataset,
+    trainer: &mut Trainer,
+    begun: f64,
+    log: &mut Log,
+    stop: &AtomicBool,
+    quiet: Quiet,
+) -> Result<Ended> {
+    let bar = Progress::new("train", quiet.0);
+    let clock = Clock::now();
+    let before = log.seconds();
+    let mut progress = begun;
+    let mut next_glance = 0.0;
+    let glances = f64::from(args.evaluations);
+    let mut interrupted = false;
+    while progress < 1.0 && !interrupted {
+        let report = trainer.step(progress)?;
+        let seconds = clock.elapsed().as_secs_f64();
+        progress = match args.minutes {
+            None => f64::from(report.step) / f64::from(args.steps),
+            Some(minutes) => begun + (1.0 - begun) * (seconds / (60.0 * minutes * (1.0 - begun).max(1e-9))),
+        };
+        if let Some(what) = &report.retreat {
+            log.notes.push(format!("step {}: {what}; fell back, with half the rates", report.step));
+        }
+        let due = glances > 0.0 && progress >= next_glance;
+        if due {
+            next_glance = ((progress * glances).floor() + 1.0) / glances;
+        }
+        if due || report.step.is_multiple_of(LOG_EVERY) {
+            let psnr_db = if due { glance(trainer, dataset) } else { None };
+            log.samples.push(Sample::of(&report, before + seconds, psnr_db));
+            let left = seconds * (1.0 - progress) / (progress - begun).max(1e-9);
+            bar.stage(&log.line(left), progress);
+        }
+        interrupted = stop.load(Ordering::Relaxed);
+        if interrupted || report.step.is_multiple_of(args.checkpoint_every) {
+            save(folder, dataset, trainer, progress)?;
+            files::write(&folder.log, log.csv().as_bytes())?;
+        }
+    }
+    if !interrupted {
+        save(folder, dataset, trainer, 1.0)?;
+    }
+    files::write(&folder.log, log.csv().as_bytes())?;
+    Ok(Ended { seconds: before + clock.elapsed().as_secs_f64(), interrupted })
+}
+
+fn save(folder: &Folder, dataset: &Dataset, trainer: &Trainer, progress: f64) -> Result<()> {
+    let checkpoint = Checkpoint::of(trainer, dataset, progress.min(1.0));
+    files::write(&folder.checkpoint, &checkpoint.to_bytes()?)
+}
+
+/// PSNR (dB) on a few views that no gradient comes from, for the eye; nothing is chosen by it.
+fn glance(trainer: &Trainer, dataset: &Dataset) -> Option<f64> {
+    let (reduced, background) = (trainer.reduced(), trainer.options().background);
+    let found = if dataset.validation.is_empty() {
+        train::evaluate(trainer.model(), &dataset.test.sample(GLANCE_VIEWS), reduced, background)
+    } else {
+        train::evaluate(trainer.model(), &dataset.validation.sample(GLANCE_VIEWS), reduced, background)
+    };
+    found.ok().map(|found| found.psnr_db)
+}
+
+/// Encodes the scene, measures it, and writes the pages.
+fn finish(
+    args: &Train,
+    folder: &Folder,
+    dataset: &Dataset,
+    trainer: &Trainer,
+    log: &Log,
+    ended: Ended,
+    quiet: Quiet,
+) -> Result<VerbOutput> {
+    let frames = args.frames.unwrap_or(dataset.frames);
+    let mut scene = trainer.model().scene(frames, args.scene.fps)?;
+    scene.up = dataset.up;
+    let encoded = pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::NONE), quiet)?;
+    let bytes = encoded.stream.to_bytes()?;
+    files::write(&folder.stream, &bytes)?;
+
+    let mut decoded = Frames::of_stream(encoded.stream.receive()?, Level::from_bits(3), dataset.up);
+    let decoded: Vec<Instant> =
+        (0..decoded.count()).map(|frame| decoded.instant(frame)).collect::<Result<_>>()?;
+    let reduced = trainer.reduced();
+    let plain = trainer.options().background;
+    let other = plain.map(|v| 1.0 - v);
+    let mut figures: Vec<(String, Evaluation)> = Vec::new();
+    let mut measure = |what: &str, scene: &dyn Posable, background: [f32; 3]| -> Result<()> {
+        if !dataset.test.is_empty() {
+            figures.push((what.to_owned(), train::evaluate(scene, &dataset.test, reduced, background)?));
+        }
+        Ok(())
+    };
+    measure("test views, as trained", trainer.model(), plain)?;
+    measure("test views, as decoded from scene.dgs", &decoded, plain)?;
+    if dataset.has_alpha {
+        measure("test views, as trained, opposite background", trainer.model(), other)?;
+    }
+    let seen = dataset.train.sample(dataset.test.photographs().len().max(GLANCE_VIEWS));
+    figures.push((
+        "training views, as trained".to_owned(),
+        train::evaluate(trainer.model(), &seen, reduced, plain)?,
+    ));
+
+    let page = Page { dataset, trainer, log, figures: &figures, bytes: bytes.len(), ended: &ended };
+    let preview = page.preview()?;
+    files::write(&folder.preview, &preview.to_png()?)?;
+    files::write(&folder.report, page.html()?.as_bytes())?;
+    Ok(said(args, folder, trainer, log, &figures, bytes.len(), frames, &ended))
+}
+
+/// What the verb says.
+#[allow(clippy::too_many_arguments, reason = "each is a figure that is said")]
+fn said(
+    args: &Train,
+    folder: &Folder,
+    trainer: &Trainer,
+    log: &Log,
+    figures: &[(String, Evaluation)],
+    bytes: usize,
+    frames: usize,
+    ended: &Ended,
+) -> VerbOutput {
+    let mut text = format!(
+        "{}: {} steps, {:.1} min, {} Gaussians, {} nodes{}\n",
+        args.input,
+        trainer.steps(),
+        ended.seconds / 60.0,
+        trainer.model().gaussians(),
+        trainer.model().nodes(),
+        if ended.interrupted { ", interrupted: --resume goes on" } else { "" },
+    );
+    for (what, found) in figures {
+        text += &format!(
+            "  {what:<48} {:.2} dB (worst view {:.2}, foreground {:.2}), SSIM {:.4}, {} x {}, background {:?}\n",
+            found.psnr_db,
+            found.worst_psnr_db,
+            found.foreground_psnr_db,
+            found.ssim,
+            found.size.0,
+            found.size.1,
+            found.background
+        );
+    }
+    text += &format!(
+        "  {bytes} bytes, {frames} frames, in {}\n{}\n",
+        folder.stream.display(),
+        folder.report.display()
+    );
+    let json = json!({
+        "input": args.input,
+        "steps": trainer.steps(),
+        "seconds": ended.seconds,
+        "interrupted": ended.interrupted,
+        "gaussians": trainer.model().gaussians(),
+        "nodes": trainer.model().nodes(),
+        "options": trainer.options(),
+        "figures": figures.iter().map(|(what, found)| json!({"what": what, "found": found})).collect::<Vec<_>>(),
+        "stream": folder.stream,
+        "bytes": bytes,
+        "frames": frames,
+        "checkpoint": folder.checkpoint,
+        "log": folder.log,
+        "report": folder.report,
+        "notes": log.notes,
+    });
+    VerbOutput { text, json, warnings: log.notes.clone(), damaged: false }
+}

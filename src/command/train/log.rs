@@ -1,0 +1,129 @@
+//! Keeps the log of a training: samples over its steps, as CSV and as a line for the progress bar.
+
+use std::{fmt::Write as _, path::Path};
+
+use anyhow::{Context, Result, bail};
+use trainer_host::train::StepReport;
+
+const HEADER: &str = "step,seconds,loss,gaussians,nodes,width,height,psnr_db";
+
+/// What training looked like at one step.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Sample {
+    pub(super) step: u32,
+    pub(super) seconds: f64,
+    /// Running mean.
+    pub(super) loss: f64,
+    gaussians: usize,
+    nodes: usize,
+    size: (u32, u32),
+    /// Where it was measured.
+    pub(super) psnr_db: Option<f64>,
+}
+
+impl Sample {
+    pub(super) fn of(report: &StepReport, seconds: f64, psnr_db: Option<f64>) -> Self {
+        Self {
+            step: report.step,
+            seconds,
+            loss: report.mean_loss,
+            gaussians: report.gaussians,
+            nodes: report.nodes,
+            size: report.size,
+            psnr_db,
+        }
+    }
+
+    fn csv(&self) -> String {
+        let Self { step, seconds, loss, gaussians, nodes, size: (width, height), psnr_db } = self;
+        let psnr = psnr_db.map_or_else(String::new, |v| format!("{v:.3}"));
+        format!("{step},{seconds:.2},{loss:.6},{gaussians},{nodes},{width},{height},{psnr}")
+    }
+
+    fn parse(line: &str) -> Option<Self> {
+        let mut fields = line.split(',');
+        let mut next = || fields.next();
+        Some(Self {
+            step: next()?.parse().ok()?,
+            seconds: next()?.parse().ok()?,
+            loss: next()?.parse().ok()?,
+            gaussians: next()?.parse().ok()?,
+            nodes: next()?.parse().ok()?,
+            size: (next()?.parse().ok()?, next()?.parse().ok()?),
+            psnr_db: match next()? {
+                "" => None,
+                text => Some(text.parse().ok()?),
+            },
+        })
+    }
+}
+
+/// Samples in order of step, and what a person should know.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Log {
+    pub(super) samples: Vec<Sample>,
+    pub(super) notes: Vec<String>,
+}
+
+impl Log {
+    /// Reads what [`Log::csv`] wrote.
+    pub(super) fn read(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+        let mut lines = text.lines();
+        if lines.next() != Some(HEADER) {
+            bail!("{}: line 1 is not {HEADER:?}", path.display());
+        }
+        let sample = |(index, line): (usize, &str)| {
+            Sample::parse(line)
+                .with_context(|| format!("{}: line {} is not a sample of a log", path.display(), index + 2))
+        };
+        Ok(Self { samples: lines.enumerate().map(sample).collect::<Result<_>>()?, notes: Vec::new() })
+    }
+
+    pub(super) fn csv(&self) -> String {
+        let mut out = format!("{HEADER}\n");
+        for sample in &self.samples {
+            let _ = writeln!(out, "{}", sample.csv());
+        }
+        out
+    }
+
+    /// Seconds of training so far.
+    pub(super) fn seconds(&self) -> f64 {
+        self.samples.last().map_or(0.0, |sample| sample.seconds)
+    }
+
+    /// For the progress bar; `left` is an estimate, seconds.
+    pub(super) fn line(&self, left: f64) -> String {
+        let Some(last) = self.samples.last() else { return "train".to_owned() };
+        let psnr = self.samples.iter().rev().find_map(|sample| sample.psnr_db);
+        let psnr = psnr.map_or_else(String::new, |v| format!("{v:.1} dB, "));
+        let (minutes, seconds) = (left as u64 / 60, left as u64 % 60);
+        format!("{psnr}{} Gaussians, {} px, {minutes}:{seconds:02} left", last.gaussians, last.size.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_reads_back_what_it_wrote() {
+        let sample = |step: u32, psnr_db| Sample {
+            step,
+            seconds: 1.5,
+            loss: 0.25,
+            gaussians: 10,
+            nodes: 2,
+            size: (40, 30),
+            psnr_db,
+        };
+        let log = Log { samples: vec![sample(100, None), sample(200, Some(31.5))], notes: Vec::new() };
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.csv");
+        std::fs::write(&path, log.csv()).unwrap();
+        assert_eq!(Log::read(&path).unwrap(), log);
+        std::fs::write(&path, log.csv() + "x\n").unwrap();
+        assert!(Log::read(&path).unwrap_err().to_string().contains("line 4"));
+    }
+}

@@ -1,0 +1,34 @@
+//! Trains scenes: fits Gaussians that move to photographs.
+//!
+//! ```text
+//! dataset (photographs, cameras, times) ─▶ Trainer (one view per step) ─▶ Model ─▶ Scene
+//!                                             └─▶ Checkpoint                └─▶ evaluate
+//! ```
+//!
+//! Deliberately absent: clocks and files (`dgs train` has them); how far the training has come is an argument
+//! of every step.
+
+mod checkpoint;
+pub mod dataset;
+mod density;
+pub mod evaluation;
+mod gaussians;
+mod model;
+pub mod motion;
+pub mod options;
+mod parameter;
+mod photographs;
+mod rotation;
+mod schedule;
+mod start;
+mod trainer;
+pub mod views;
+
+pub use checkpoint::{Checkpoint, CheckpointError};
+pub use evaluation::{Evaluation, EvaluationError, Posable, compare, evaluate};
+pub use model::Model;
+pub use options::{DensityControl, Options, OptionsError, Rates};
+pub use trainer::{Stage, StepReport, TrainError, Trainer};
+pub use views::{
+    ColouredPoint, Dataset, PosedPhotograph, Start, Test, Training, Validation, Views, ViewsError,
+};

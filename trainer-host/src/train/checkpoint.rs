@@ -1,0 +1,148 @@
+//! A checkpoint is a training at rest: it goes on from there bit for bit.
+//!
+//! Layout, little-endian: `DGSTRAIN`, u16 version, u32 CRC-32 of what follows, then the numbers in the postcard
+//! format. Also a scene: `dgs encode` and `dgs render` read it at any number of frames.
+
+use render_host::Camera;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    model::Model,
+    options::Options,
+    trainer::{State, TrainError, Trainer},
+    views::Dataset,
+};
+
+const MAGIC: &[u8; 8] = b"DGSTRAIN";
+const VERSION: u16 = 1;
+const HEADER: usize = 14;
+
+/// A training between two steps, with what it was trained on and how.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Checkpoint {
+    /// Name of the dataset.
+    pub dataset: String,
+    /// Frames of the clip.
+    pub frames: usize,
+    /// How far the training had come, 0 to 1.
+    pub progress: f64,
+    options: Options,
+    /// FNV-1a over names, times and sizes of the training views.
+    views: u64,
+    state: State,
+}
+
+/// A file that is not a checkpoint, or a damaged one.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum CheckpointError {
+    /// Not a checkpoint at all.
+    #[error("not a checkpoint: it does not begin with DGSTRAIN")]
+    Magic,
+    /// Written by another version.
+    #[error("version is {found}; {VERSION} is allowed")]
+    Version {
+        /// The version found.
+        found: u16,
+    },
+    /// Bytes changed or missing.
+    #[error("damaged: {0}")]
+    Damaged(&'static str),
+}
+
+impl Checkpoint {
+    /// The state of `trainer` after a step at `progress`.
+    pub fn of(trainer: &Trainer, dataset: &Dataset, progress: f64) -> Self {
+        Self {
+            dataset: dataset.name.clone(),
+            frames: dataset.frames,
+            progress,
+            options: trainer.options().clone(),
+            views: fingerprint(dataset),
+            state: trainer.state().clone(),
+        }
+    }
+
+    /// How the scene is trained.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// The scene.
+    pub fn model(&self) -> &Model {
+        &self.state.model
+    }
+
+    /// Steps taken.
+    pub fn steps(&self) -> u32 {
+        self.state.step
+    }
+
+    /// A trainer that goes on from here.
+    ///
+    /// # Errors
+    /// Another dataset than the one the checkpoint was made on, or numbers that do not fit together.
+    pub fn resume(self, dataset: &Dataset) -> Result<Trainer<'_>, TrainError> {
+        if self.views != fingerprint(dataset) {
+            return Err(TrainError::Checkpoint(format!(
+                "made from {:?}, whose training images have other names, times or sizes than those of {:?}",
+                self.dataset, dataset.name
+            )));
+        }
+        Trainer::new(dataset, &self.options)?.with_state(self.state)
+    }
+
+    /// The bytes of a file.
+    ///
+    /// # Errors
+    /// Never for a checkpoint made by [`Checkpoint::of`].
+    pub fn to_bytes(&self) -> Result<Vec<u8>, CheckpointError> {
+        let body = postcard::to_stdvec(self).map_err(|_| CheckpointError::Damaged("cannot be written"))?;
+        let mut out = Vec::with_capacity(HEADER + body.len());
+        out.extend_from_slice(MAGIC);
+        out.extend_from_slice(&VERSION.to_le_bytes());
+        out.extend_from_slice(&crc32fast::hash(&body).to_le_bytes());
+        out.extend_from_slice(&body);
+        Ok(out)
+    }
+
+    /// Reads the bytes of a file. Memory is bounded by their number.
+    ///
+    /// # Errors
+    /// Other bytes than [`Checkpoint::to_bytes`] gives.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
+        let Some((header, body)) = bytes.split_at_checked(HEADER).filter(|(h, _)| h.starts_with(MAGIC))
+        else {
+            return Err(CheckpointError::Magic);
+        };
+        let found = u16::from_le_bytes([header[8], header[9]]);
+        if found != VERSION {
+            return Err(CheckpointError::Version { found });
+        }
+        if crc32fast::hash(body).to_le_bytes() != header[10..14] {
+            return Err(CheckpointError::Damaged("its checksum does not match its bytes"));
+        }
+        let read: Self = postcard::from_bytes(body)
+            .map_err(|_| CheckpointError::Damaged("its numbers end early or have no meaning"))?;
+        let sound = read.state.model.is_sound() && read.options.validate().is_ok() && read.frames > 0;
+        if sound { Ok(read) } else { Err(CheckpointError::Damaged("its numbers do not fit together")) }
+    }
+}
+
+/// FNV-1a, 64 bits, over what tells the training views of one dataset from those of another.
+fn fingerprint(dataset: &Dataset) -> u64 {
+    let mut hash = 0xCBF2_9CE4_8422_2325u64;
+    let mut add = |bytes: &[u8]| {
+        for &byte in bytes {
+            hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01B3);
+        }
+    };
+    for view in dataset.train.photographs() {
+        let camera: &Camera = &view.camera;
+        add(view.name.as_bytes());
+        add(&view.time.to_le_bytes());
+        add(&camera.width().to_le_bytes());
+        add(&camera.height().to_le_bytes());
+        camera.rotation().iter().flatten().chain(&camera.translation()).for_each(|v| add(&v.to_le_bytes()));
+    }
+    hash
+}

@@ -1,0 +1,150 @@
+//! Reads COLMAP datasets: `sparse/0` and a folder of images.
+//!
+//! Images are in `images`, or in the first folder named `images_N`, where they may be smaller than the cameras
+//! say. Nothing moves. Every eighth image in the order of names is for testing, as in Mip-NeRF 360.
+
+use std::path::{Path, PathBuf};
+
+use rayon::prelude::*;
+use render_host::camera::colmap::{self, Format};
+
+use super::{DatasetError, name_of, read_bytes, read_photograph};
+use crate::{
+    scene::Up,
+    train::views::{ColouredPoint, Dataset, PosedPhotograph, Start, Views},
+};
+
+/// One image in this many is for testing.
+const TEST_EVERY: usize = 8;
+/// Bytes of a point before its track: id, position, colour, error, length of the track.
+const POINT_BYTES: usize = 8 + 24 + 3 + 8 + 8;
+/// Bytes of each entry of a track.
+const TRACK_BYTES: usize = 8;
+
+pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
+    let model = folder.join("sparse/0");
+    let (extension, format) =
+        if model.join("cameras.bin").is_file() { ("bin", Format::Binary) } else { ("txt", Format::Text) };
+    let file = |name: &str| model.join(format!("{name}.{extension}"));
+    let views = colmap::read(&read_bytes(&file("cameras"))?, &read_bytes(&file("images"))?, format)
+        .map_err(|source| DatasetError::Cameras { path: model.clone(), source })?;
+    let images = image_folder(folder)?;
+    let posed = views
+        .into_par_iter()
+        .map(|view| {
+            let path = images.join(&view.name);
+            let (photograph, _) = read_photograph(&path)?;
+            let camera = view
+                .camera
+                .resized(photograph.width(), photograph.height())
+                .map_err(|source| DatasetError::Cameras { path, source })?;
+            Ok(PosedPhotograph { name: view.name, camera, time: 0.0, photograph })
+        })
+        .collect::<Result<Vec<_>, DatasetError>>()?;
+    let (mut train, mut test) = (Vec::new(), Vec::new());
+    for (index, view) in posed.into_iter().enumerate() {
+        if index.is_multiple_of(TEST_EVERY) { test.push(view) } else { train.push(view) }
+    }
+    let of_views = |source| DatasetError::Views { path: folder.to_owned(), source };
+    let points = points(&file("points3D"), format)?;
+    Ok(Dataset {
+        name: name_of(folder),
+        train: Views::new(train).map_err(of_views)?,
+        validation: Views::new(Vec::new()).map_err(of_views)?,
+        test: Views::new(test).map_err(of_views)?,
+        start: Start::Points(points),
+        has_alpha: false,
+        frames: 1,
+        up: Up::MinusY,
+    })
+}
+
+fn image_folder(folder: &Path) -> Result<PathBuf, DatasetError> {
+    let images = folder.join("images");
+    if images.is_dir() {
+        return Ok(images);
+    }
+    let entries =
+        std::fs::read_dir(folder).map_err(|source| DatasetError::File { path: folder.to_owned(), source })?;
+    let mut reduced: Vec<PathBuf> = entries
+        .filter_map(|entry| entry.ok().map(|entry| entry.path()))
+        .filter(|path| {
+            path.is_dir() && path.file_name().is_some_and(|n| n.to_string_lossy().starts_with("images_"))
+        })
+        .collect();
+    reduced.sort();
+    reduced.into_iter().next().ok_or_else(|| DatasetError::Field {
+        path: folder.to_owned(),
+        field: "folder of images".to_owned(),
+        found: "absent".to_owned(),
+        allowed: "a folder named images, or images_2, images_4 and so on, is needed",
+    })
+}
+
+/// The points of `points3D`.
+fn points(path: &Path, format: Format) -> Result<Vec<ColouredPoint>, DatasetError> {
+    let bytes = read_bytes(path)?;
+    let points = match format {
+        Format::Binary => binary_points(&bytes),
+        Format::Text => text_points(&bytes),
+    };
+    let points: Option<Vec<ColouredPoint>> =
+        points.filter(|points| points.iter().all(|p| p.position.iter().all(|v| v.is_finite())));
+    points.filter(|points| !points.is_empty()).ok_or_else(|| DatasetError::Field {
+        path: path.to_owned(),
+        field: "list of points".to_owned(),
+        found: "empty, short or not finite".to_owned(),
+        allowed: "one point at least, each with place and colour, is needed",
+    })
+}
+
+fn binary_points(bytes: &[u8]) -> Option<Vec<ColouredPoint>> {
+    let (count, mut rest) = bytes.split_at_checked(8)?;
+    let count = u64::from_le_bytes(count.try_into().ok()?);
+    let mut points = Vec::new();
+    for _ in 0..count {
+        let (point, after) = rest.split_at_checked(POINT_BYTES)?;
+        let number = |at: usize| Some(f64::from_le_bytes(point.get(at..at + 8)?.try_into().ok()?) as f32);
+        let position = [number(8)?, number(16)?, number(24)?];
+        let colour = [point[32], point[33], point[34]].map(|v| f32::from(v) / 255.0);
+        points.push(ColouredPoint { position, colour });
+        let track = u64::from_le_bytes(point[43..51].try_into().ok()?);
+        rest = after.get(usize::try_from(track).ok()?.checked_mul(TRACK_BYTES)?..)?;
+    }
+    Some(points)
+}
+
+fn text_points(bytes: &[u8]) -> Option<Vec<ColouredPoint>> {
+    let text = std::str::from_utf8(bytes).ok()?;
+    let lines = text.lines().map(str::trim).filter(|line| !line.is_empty() && !line.starts_with('#'));
+    let point = |line: &str| {
+        let mut words = line.split_ascii_whitespace().skip(1);
+        let mut next = || words.next()?.parse::<f32>().ok();
+        let position = [next()?, next()?, next()?];
+        let colour = [next()?, next()?, next()?].map(|v| v / 255.0);
+        Some(ColouredPoint { position, colour })
+    };
+    lines.map(point).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn binary_and_text_points_agree_and_short_ones_are_refused() {
+        let mut bytes = 1u64.to_le_bytes().to_vec();
+        bytes.extend(7u64.to_le_bytes());
+        [1.5f64, -2.0, 0.25].iter().for_each(|v| bytes.extend(v.to_le_bytes()));
+        bytes.extend([255, 0, 51]);
+        bytes.extend(0.3f64.to_le_bytes());
+        bytes.extend(1u64.to_le_bytes());
+        bytes.extend([0; 8]);
+        let text = b"# id x y z r g b error track\n7 1.5 -2 0.25 255 0 51 0.3 1 2\n";
+        let point = ColouredPoint { position: [1.5, -2.0, 0.25], colour: [1.0, 0.0, 0.2] };
+        assert_eq!(binary_points(&bytes), Some(vec![point]));
+        assert_eq!(text_points(text), Some(vec![point]));
+        assert_eq!(binary_points(&bytes[..bytes.len() - 1]), None);
+        assert_eq!(text_points(b"7 1.5 -2\n"), None);
+    }
+}

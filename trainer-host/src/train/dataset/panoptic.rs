@@ -1,0 +1,110 @@
+//! Reads datasets of the Panoptic layout of Dynamic 3D Gaussians: `train_meta.json`, `test_meta.json`, `ims`.
+//!
+//! A meta file has `w` and `h` (pixels) and, by frame and camera, `k` (3 × 3), `w2c` (4 × 4, OpenCV axes), `fn`
+//! (file name under `ims`) and `cam_id`. Frame `i` of `n` is at time `i / (n - 1)`.
+
+use std::path::Path;
+
+use rand::RngExt;
+use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
+use rayon::prelude::*;
+use render_host::Camera;
+use serde::Deserialize;
+
+use super::{DatasetError, name_of, read_bytes, read_photograph};
+use crate::{
+    scene::Up,
+    train::views::{ColouredPoint, Dataset, PosedPhotograph, Start, Views},
+};
+
+/// Points that training starts with, since the layout has none that we may rely on.
+const POINTS: usize = 20_000;
+
+#[derive(Deserialize)]
+struct Meta {
+    w: u32,
+    h: u32,
+    k: Vec<Vec<[[f64; 3]; 3]>>,
+    w2c: Vec<Vec<[[f64; 4]; 4]>>,
+    #[serde(rename = "fn")]
+    names: Vec<Vec<String>>,
+}
+
+pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
+    let train = split(folder, "train_meta.json")?;
+    let test =
+        if folder.join("test_meta.json").is_file() { split(folder, "test_meta.json")? } else { Vec::new() };
+    let of_views = |source| DatasetError::Views { path: folder.to_owned(), source };
+    let start = Start::Points(points_inside(&train));
+    let train = Views::new(train).map_err(of_views)?;
+    let frames = train.instants();
+    Ok(Dataset {
+        name: name_of(folder),
+        train,
+        validation: Views::new(Vec::new()).map_err(of_views)?,
+        test: Views::new(test).map_err(of_views)?,
+        start,
+        has_alpha: false,
+        frames,
+        up: Up::MinusY,
+    })
+}
+
+fn split(folder: &Path, file: &str) -> Result<Vec<PosedPhotograph>, DatasetError> {
+    let path = folder.join(file);
+    let bytes = read_bytes(&path)?;
+    let refused = |field: String, found: String, allowed| DatasetError::Field {
+        path: path.clone(),
+        field,
+        found,
+        allowed,
+    };
+    let meta: Meta = serde_json::from_slice(&bytes).map_err(|error| {
+        refused("JSON".to_owned(), error.to_string(), "w, h, k, w2c and fn, by frame and camera, are needed")
+    })?;
+    let frames = meta.names.len();
+    let mut wanted = Vec::new();
+    for (frame, names) in meta.names.iter().enumerate() {
+        let (Some(k), Some(w2c)) = (meta.k.get(frame), meta.w2c.get(frame)) else {
+            let found = format!("{} and {} frames", meta.k.len(), meta.w2c.len());
+            return Err(refused("k and w2c".to_owned(), found, "as many frames as fn has are needed"));
+        };
+        if k.len() != names.len() || w2c.len() != names.len() {
+            let found = format!("{} and {} cameras", k.len(), w2c.len());
+            let field = format!("k and w2c of frame {frame}");
+            return Err(refused(field, found, "as many cameras as fn has are needed"));
+        }
+        for ((name, k), w2c) in names.iter().zip(k).zip(w2c) {
+            wanted.push((frame, name, *k, *w2c));
+        }
+    }
+    let view = |(frame, name, k, w2c): (usize, &String, [[f64; 3]; 3], [[f64; 4]; 4])| {
+        let image = folder.join("ims").join(name);
+        let (photograph, _) = read_photograph(&image)?;
+        let camera = Camera::from_opencv(k, w2c, meta.w, meta.h)
+            .map_err(|source| DatasetError::Cameras { path: image.clone(), source })?;
+        let time = frame as f32 / frames.saturating_sub(1).max(1) as f32;
+        Ok(PosedPhotograph { name: name.clone(), camera, time, photograph })
+    };
+    wanted.into_par_iter().map(view).collect()
+}
+
+/// Grey points all over the place that the cameras stand around, and beyond it.
+fn points_inside(views: &[PosedPhotograph]) -> Vec<ColouredPoint> {
+    let centres: Vec<[f64; 3]> = views.iter().map(|view| view.camera.centre()).collect();
+    let bound = |k: usize| {
+        let values = || centres.iter().map(|c| c[k]);
+        (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
+    };
+    let bounds = [bound(0), bound(1), bound(2)];
+    let reach = bounds.iter().map(|(low, high)| 0.5 * (high - low)).fold(0.0, f64::max);
+    let mut rng = Pcg64Mcg::seed_from_u64(1);
+    let mut point = || {
+        let place = bounds.map(|(low, high)| {
+            let middle = 0.5 * (low + high);
+            (middle + 1.3 * reach * (2.0 * rng.random::<f64>() - 1.0)) as f32
+        });
+        ColouredPoint { position: place, colour: [0.5; 3] }
+    };
+    if centres.is_empty() { Vec::new() } else { (0..POINTS).map(|_| point()).collect() }
+}

@@ -1,0 +1,101 @@
+//! Makes a dataset of a scene by rendering it: training then gives it one identity over all frames.
+//!
+//! A sequence of splats whose identity is not stored costs an epoch per frame to send. Its own renders, without
+//! noise and from any camera, are photographs that a moving scene can be fitted to.
+
+use rayon::prelude::*;
+use render_host::{
+    Camera, RenderError, Renderer, Settings, Splats, adjoint::loss::photograph::Photograph,
+    camera::CameraError,
+};
+
+use crate::{
+    scene::{
+        Scene,
+        viewpoint::{Framing, Ring},
+    },
+    train::views::{Dataset, PosedPhotograph, Start, Views, ViewsError},
+};
+
+/// How a scene is looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Options {
+    /// Cameras all around per frame, for training.
+    pub cameras: usize,
+    /// Cameras on the held-out ring, for testing, each at every frame.
+    pub test_cameras: usize,
+    /// Side of the square images, pixels.
+    pub side: u32,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { cameras: 24, test_cameras: 4, side: 400 }
+    }
+}
+
+/// A scene that cannot be rendered.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum RenderedError {
+    /// A side that the camera refuses.
+    #[error("side: {0}")]
+    Camera(#[from] CameraError),
+    /// A picture that cannot be made.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// Pictures that do not fit together.
+    #[error(transparent)]
+    Views(#[from] ViewsError),
+}
+
+/// Renders `scene`, called `name`. Cameras for testing stand at least 6 degrees from all others.
+///
+/// # Errors
+/// A side that is out of range.
+pub fn rendered(scene: &Scene, name: &str, options: &Options) -> Result<Dataset, RenderedError> {
+    let framing = Framing::of(scene);
+    let size = (options.side, options.side);
+    let train = photographs(scene, &framing.around(options.cameras, size)?)?;
+    let test = photographs(scene, &framing.ring(Ring::HeldOut, options.test_cameras, size)?)?;
+    let middle = scene.instant(scene.frames() / 2).unwrap_or_default();
+    let degree = middle.sh_degree;
+    Ok(Dataset {
+        name: name.to_owned(),
+        train: Views::new(train)?,
+        validation: Views::new(Vec::new())?,
+        test: Views::new(test)?,
+        start: Start::Gaussians(middle, degree),
+        has_alpha: true,
+        frames: scene.frames(),
+        up: scene.up,
+    })
+}
+
+/// What every camera sees of every frame.
+fn photographs(scene: &Scene, cameras: &[Camera]) -> Result<Vec<PosedPhotograph>, RenderedError> {
+    let frames = scene.frames();
+    let settings = Settings { parallel: false, ..Settings::default() };
+    let of_frame = |frame: usize| -> Result<Vec<PosedPhotograph>, RenderedError> {
+        let instant = scene.instant(frame).unwrap_or_default();
+        let Ok(splats) = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree) else {
+            return Ok(Vec::new());
+        };
+        let mut renderer = Renderer::new();
+        let time = frame as f32 / frames.saturating_sub(1).max(1) as f32;
+        let view = |(index, camera): (usize, &Camera)| {
+            let picture = renderer.render(&splats, camera, &settings)?;
+            let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
+            let pixels = picture.image.rgb().chunks_exact(3).zip(&picture.transmittance);
+            // Over black a picture is premultiplied by its alpha.
+            let rgba = pixels.flat_map(|(rgb, clear)| [rgb[0], rgb[1], rgb[2], 1.0 - clear].map(byte));
+            let photograph = Photograph::new(camera.width(), camera.height(), rgba.collect())
+                .map_err(RenderError::from)?;
+            let name = format!("frame {frame}, camera {index}");
+            Ok(PosedPhotograph { name, camera: camera.clone(), time, photograph })
+        };
+        cameras.iter().enumerate().map(view).collect()
+    };
+    let all: Vec<Vec<PosedPhotograph>> =
+        (0..frames).into_par_iter().map(of_frame).collect::<Result<_, _>>()?;
+    Ok(all.into_iter().flatten().collect())
+}

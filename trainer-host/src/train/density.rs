@@ -1,0 +1,242 @@
+//! Density control adds Gaussians where the pictures ask for more and removes those that do nothing.
+
+use glam::{Mat3, Vec3};
+use rand::RngExt;
+use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    gaussians::{TrainedGaussians, sigmoid},
+    options::DensityControl,
+    rotation::{dot, matrix},
+    start::Extent,
+};
+
+/// Gaussians fainter than this logit (1.5 %) are removed.
+const FAINT: f32 = -4.2;
+/// Longest standard deviation that is kept, extents.
+const LONGEST: f32 = 0.3;
+/// Farthest place that is kept, extents from the centre.
+const FARTHEST: f64 = 1.9;
+/// A split pair stands apart by this many standard deviations each way.
+const APART: f32 = 0.55;
+/// What a split takes from the logarithm of the scale along its axis.
+const NARROWER: f32 = 0.5;
+
+/// How much the views have pulled at each Gaussian's centre since Gaussians were last added.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub(super) struct Pull {
+    /// Sum of the lengths of gradients on the image plane.
+    sum: Vec<f32>,
+    /// Views that showed the Gaussian.
+    views: Vec<f32>,
+}
+
+impl Pull {
+    pub(super) fn none(count: usize) -> Self {
+        Self { sum: vec![0.0; count], views: vec![0.0; count] }
+    }
+
+    pub(super) fn len(&self) -> usize {
+        self.sum.len()
+    }
+
+    /// Adds the gradients of one view.
+    pub(super) fn add(&mut self, splats: &[render_host::adjoint::SplatGradient]) {
+        for ((sum, views), splat) in self.sum.iter_mut().zip(&mut self.views).zip(splats) {
+            let [x, y] = splat.image_mean;
+            if x != 0.0 || y != 0.0 {
+                *sum += x.hypot(y);
+                *views += 1.0;
+            }
+        }
+    }
+
+    /// How likely a Gaussian is to be split. One that few views show is not trusted.
+    fn weight(&self, index: usize) -> f64 {
+        let (sum, views) = (self.sum[index], self.views[index]);
+        f64::from(sum / views.max(5.0) * views.min(30.0))
+    }
+}
+
+/// Removes what does nothing and adds up to `target` Gaussians, at most a quarter more than there are.
+/// Returns for each Gaussian now there the index it had, or its parent had, before.
+pub(super) fn control(
+    gaussians: &mut TrainedGaussians,
+    pull: &Pull,
+    target: usize,
+    kind: DensityControl,
+    extent: &Extent,
+    rng: &mut Pcg64Mcg,
+) -> Vec<usize> {
+    let mut indices: Vec<usize> =
+        (0..gaussians.len()).filter(|&i| !is_useless(gaussians, i, extent)).collect();
+    let kept = indices.len();
+    let room = target.saturating_sub(kept).min(kept / 4);
+    let weight = |&index: &usize| match kind {
+        DensityControl::Split => pull.weight(index),
+        DensityControl::Relocate => f64::from(gaussians.opacity(index)),
+    };
+    let weights: Vec<f64> = indices.iter().map(weight).collect();
+    let parents = drawn(&weights, room, rng);
+    indices.extend(parents.iter().map(|&place| indices[place]).collect::<Vec<_>>());
+    gaussians.select(&indices, kept);
+    for (child, &parent) in parents.iter().enumerate() {
+        match kind {
+            DensityControl::Split => split(gaussians, parent, kept + child),
+            DensityControl::Relocate => share(gaussians, parent, kept + child),
+        }
+    }
+    indices
+}
+
+fn is_useless(gaussians: &TrainedGaussians, index: usize, extent: &Extent) -> bool {
+    let unit = extent.half_side as f32;
+    let faint = gaussians.opacity.item(index)[0] < FAINT;
+    let long = gaussians.log_scale.item(index).iter().any(|&s| s > (LONGEST * unit).ln());
+    let place = gaussians.positions()[index];
+    let far = place
+        .iter()
+        .zip(extent.centre)
+        .any(|(&p, c)| !((f64::from(p) - c).abs() <= FARTHEST * extent.half_side));
+    faint || long || far
+}
+
+/// Up to `count` different places of `weights`, heavier ones the more likely.
+fn drawn(weights: &[f64], count: usize, rng: &mut Pcg64Mcg) -> Vec<usize> {
+    let mut total = 0.0;
+    let sums: Vec<f64> = weights
+        .iter()
+        .map(|weight| {
+            total += weight;
+            total
+        })
+        .collect();
+    let mut taken = vec![false; weights.len()];
+    let mut out = Vec::with_capacity(count);
+    if total > 0.0 && total.is_finite() {
+        for _ in 0..4 * count {
+            let at = rng.random::<f64>() * total;
+            let place = sums.partition_point(|&sum| sum <= at).min(weights.len() - 1);
+            if out.len() < count && !std::mem::replace(&mut taken[place], true) {
+                out.push(place);
+            }
+        }
+    }
+    out
+}
+
+/// Two Gaussians side by side along the longest axis of one.
+fn split(gaussians: &mut TrainedGaussians, parent: usize, child: usize) {
+    let scales = gaussians.log_scale.item(parent);
+    let longest = (0..3).max_by(|&a, &b| scales[a].total_cmp(&scales[b])).unwrap_or(0);
+    let step = axis(gaussians, parent, longest) * (APART * scales[longest].exp());
+    let logit = gaussians.opacity.item(parent)[0];
+    for (index, sign) in [(parent, 1.0), (child, -1.0)] {
+        let moved = Vec3::from_slice(gaussians.position.item(index)) + sign * step;
+        gaussians.position.item_mut(index).copy_from_slice(&moved.to_array());
+        gaussians.log_scale.item_mut(index)[longest] -= NARROWER;
+        if sigmoid(logit) > 0.3 {
+            gaussians.opacity.item_mut(index)[0] = (logit - 0.4).max(-2.0);
+        }
+    }
+}
+
+/// Two Gaussians in one place that together hide as much as one did.
+fn share(gaussians: &mut TrainedGaussians, parent: usize, child: usize) {
+    let opacity = gaussians.opacity(parent);
+    let each = (1.0 - (1.0 - opacity).max(1e-4).sqrt()).clamp(1e-3, 0.999);
+    let logit = (each / (1.0 - each)).ln();
+    gaussians.opacity.item_mut(parent)[0] = logit;
+    gaussians.opacity.item_mut(child)[0] = logit;
+}
+
+/// Moves Gaussians at random along their own shape, the fainter the more: how relocated ones part
+/// (Kheradmand et al. 2024, equation 9). `rate` is the learning rate of positions.
+pub(super) fn jitter(gaussians: &mut TrainedGaussians, rate: f32, rng: &mut Pcg64Mcg) {
+    for index in 0..gaussians.len() {
+        let faintness = 1.0 / (1.0 + (100.0 * (gaussians.opacity(index) - 0.005)).exp());
+        let strength = 50.0 * rate * faintness;
+        let luck = Vec3::new(normal(rng), normal(rng), normal(rng));
+        if strength > 1e-7 {
+            let turn = unit_matrix(gaussians, index);
+            let scales = gaussians.log_scale.item(index);
+            let variances = Vec3::new(scales[0], scales[1], scales[2]).map(|s| (2.0 * s).exp());
+            let step = turn * (variances * (turn.transpose() * luck)) * strength;
+            let moved = Vec3::from_slice(gaussians.position.item(index)) + step;
+            gaussians.position.item_mut(index).copy_from_slice(&moved.to_array());
+        }
+    }
+}
+
+/// A number of the standard normal distribution (Box and Muller 1958).
+fn normal(rng: &mut Pcg64Mcg) -> f32 {
+    let (a, b): (f32, f32) = (rng.random(), rng.random());
+    (-2.0 * a.max(1e-7).ln()).sqrt() * (std::f32::consts::TAU * b).cos()
+}
+
+fn unit_matrix(gaussians: &TrainedGaussians, index: usize) -> Mat3 {
+    let q = gaussians.rotation.item(index);
+    let q = [q[0], q[1], q[2], q[3]];
+    let length = dot(q, q).sqrt().max(1e-12);
+    matrix(q.map(|v| v / length))
+}
+
+fn axis(gaussians: &TrainedGaussians, index: usize, which: usize) -> Vec3 {
+    unit_matrix(gaussians, index).col(which)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Instant;
+    use codec_core::{Gaussian, ShDegree};
+    use rand_pcg::rand_core::SeedableRng;
+    use render_host::adjoint::SplatGradient;
+
+    const EXTENT: Extent = Extent { centre: [0.0; 3], half_side: 1.0 };
+
+    fn row(opacities: &[f32]) -> TrainedGaussians {
+        let at = |(i, &opacity): (usize, &f32)| Gaussian {
+            position: [0.1 * i as f32, 0.0, 0.0],
+            scale: [0.01, 0.05, 0.02],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            opacity,
+            sh0: [0.0; 3],
+        };
+        let gaussians = opacities.iter().enumerate().map(at).collect();
+        TrainedGaussians::new(
+            &Instant { gaussians, sh_rest: Vec::new(), sh_degree: ShDegree::ZERO },
+            ShDegree::ZERO,
+        )
+    }
+
+    #[test]
+    fn the_pulled_one_is_split_along_its_longest_axis_and_the_faint_one_goes() {
+        let mut gaussians = row(&[0.5, 0.001, 0.5, 0.5, 0.5, 0.5]);
+        let mut pull = Pull::none(6);
+        let splat = |x: f32| SplatGradient { image_mean: [x, 0.0], ..SplatGradient::default() };
+        pull.add(&[splat(0.0), splat(9.0), splat(0.0), splat(1.0), splat(0.0), splat(0.0)]);
+        let mut rng = Pcg64Mcg::seed_from_u64(1);
+        let from = control(&mut gaussians, &pull, 100, DensityControl::Split, &EXTENT, &mut rng);
+        assert_eq!(from, [0, 2, 3, 4, 5, 3]);
+        let (a, b) = (gaussians.positions()[2], gaussians.positions()[5]);
+        assert!((a[1] - b[1] - 2.0 * APART * 0.05).abs() < 1e-6 && a[0] == b[0], "{a:?} {b:?}");
+    }
+
+    #[test]
+    fn two_that_share_a_place_hide_what_one_did() {
+        let mut gaussians = row(&[0.7, 0.5]);
+        share(&mut gaussians, 0, 1);
+        let through = (1.0 - gaussians.opacity(0)) * (1.0 - gaussians.opacity(1));
+        assert!((through - 0.3).abs() < 1e-5, "{through}");
+    }
+
+    #[test]
+    fn jitter_moves_the_faint_and_leaves_the_opaque() {
+        let mut gaussians = row(&[0.002, 0.99]);
+        let before = gaussians.positions().to_vec();
+        jitter(&mut gaussians, 0.01, &mut Pcg64Mcg::seed_from_u64(1));
+        assert!(gaussians.positions()[0] != before[0] && gaussians.positions()[1] == before[1]);
+    }
+}

@@ -1,0 +1,148 @@
+//! Evaluation renders a trained scene as held-out cameras saw it and compares.
+
+use render_host::{Image, ImageError, RenderError, Renderer, Settings, Splats, metric};
+use serde::Serialize;
+
+use super::{model::Model, views::Views};
+use crate::scene::Instant;
+
+/// How well pictures agree with photographs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Evaluation {
+    /// Width and height of the pictures, pixels, of the first view.
+    pub size: (u32, u32),
+    /// Background of both.
+    pub background: [f32; 3],
+    /// Mean over views of each view's PSNR, dB.
+    pub psnr_db: f64,
+    /// Mean over views of the PSNR over pixels whose alpha is at least a half, dB.
+    pub foreground_psnr_db: f64,
+    /// Lowest PSNR of a view, dB.
+    pub worst_psnr_db: f64,
+    /// Mean SSIM.
+    pub ssim: f64,
+    /// PSNR of each view, dB, in the order of the views.
+    pub psnr_of_views_db: Vec<f64>,
+}
+
+/// An evaluation that could not be made.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum EvaluationError {
+    /// A picture could not be rendered.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// Two images do not fit together.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// There is nothing to evaluate on.
+    #[error("the split is empty; at least one view is needed")]
+    Empty,
+}
+
+/// A picture beside the photograph of the same view.
+#[derive(Clone, Debug)]
+pub struct Compared {
+    /// What was rendered, clamped to 0..=1.
+    pub rendered: Image,
+    /// The photograph over the background.
+    pub photograph: Image,
+}
+
+/// A scene that can be shown at any time from 0 to 1.
+pub trait Posable {
+    /// The Gaussians at `time`, into memory that is used again.
+    fn pose(&self, time: f32, out: &mut Instant);
+}
+
+impl Posable for Model {
+    fn pose(&self, time: f32, out: &mut Instant) {
+        self.instant_into(time, out);
+    }
+}
+
+/// Frames spread evenly from time 0 to 1: the nearest one is shown.
+impl Posable for Vec<Instant> {
+    fn pose(&self, time: f32, out: &mut Instant) {
+        let last = self.len().saturating_sub(1);
+        let frame = (f64::from(time) * last as f64).round() as usize;
+        out.clone_from(self.get(frame.min(last)).unwrap_or(&Instant::default()));
+    }
+}
+
+/// Renders `scene` as view `index` sees it, `reduced` times smaller, over `background`.
+///
+/// # Errors
+/// A size that `reduced` does not divide, or a picture that cannot be rendered.
+pub fn compare<S>(
+    scene: &dyn Posable,
+    views: &Views<S>,
+    index: usize,
+    reduced: u32,
+    background: [f32; 3],
+) -> Result<Compared, EvaluationError> {
+    let view = views.photographs().get(index).ok_or(EvaluationError::Empty)?;
+    let (width, height) = (view.camera.width() / reduced, view.camera.height() / reduced);
+    let camera = view.camera.resized(width, height).map_err(|_| ImageError::Size { width, height })?;
+    let settings = Settings { background, ..Settings::default() };
+    let mut instant = Instant::default();
+    scene.pose(view.time, &mut instant);
+    let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)
+        .map_err(|_| EvaluationError::Empty)?;
+    let rendered = Renderer::new().render(&splats, &camera, &settings)?.image;
+    let clamped = rendered.rgb().iter().map(|v| v.clamp(0.0, 1.0)).collect();
+    let mut photograph = view.photograph.over(background);
+    if reduced > 1 {
+        photograph = photograph.resized_box(width, height)?;
+    }
+    Ok(Compared { rendered: Image::new(width, height, clamped)?, photograph })
+}
+
+/// Evaluates `scene` on all `views`, `reduced` times smaller, over `background`.
+///
+/// # Errors
+/// No views, a size that `reduced` does not divide, or a picture that cannot be rendered.
+pub fn evaluate<S>(
+    scene: &dyn Posable,
+    views: &Views<S>,
+    reduced: u32,
+    background: [f32; 3],
+) -> Result<Evaluation, EvaluationError> {
+    let mut psnr_of_views_db = Vec::with_capacity(views.photographs().len());
+    let (mut foreground, mut ssim) = (0.0, 0.0);
+    let mut size = None;
+    for (index, view) in views.photographs().iter().enumerate() {
+        let Compared { rendered, photograph } = compare(scene, views, index, reduced, background)?;
+        psnr_of_views_db.push(metric::psnr(&rendered, &photograph)?);
+        ssim += metric::ssim(&rendered, &photograph)?;
+        let alpha = |x: u32, y: u32| {
+            let at = (y * reduced * view.photograph.width() + x * reduced) as usize;
+            view.photograph.rgba().get(4 * at + 3).copied().unwrap_or(0)
+        };
+        foreground += psnr_where(&rendered, &photograph, |x, y| alpha(x, y) >= 128);
+        size.get_or_insert(rendered.size());
+    }
+    let count = psnr_of_views_db.len() as f64;
+    Ok(Evaluation {
+        size: size.ok_or(EvaluationError::Empty)?,
+        background,
+        psnr_db: psnr_of_views_db.iter().sum::<f64>() / count,
+        foreground_psnr_db: foreground / count,
+        worst_psnr_db: psnr_of_views_db.iter().copied().fold(f64::INFINITY, f64::min),
+        ssim: ssim / count,
+        psnr_of_views_db,
+    })
+}
+
+/// PSNR in dB over the pixels that `counts` accepts; 100 where none is or none differs.
+fn psnr_where(a: &Image, b: &Image, counts: impl Fn(u32, u32) -> bool) -> f64 {
+    let width = a.width() as usize;
+    let (mut sum, mut values) = (0.0, 0usize);
+    for (index, (a, b)) in a.rgb().chunks_exact(3).zip(b.rgb().chunks_exact(3)).enumerate() {
+        if counts((index % width) as u32, (index / width) as u32) {
+            sum += a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+            values += 3;
+        }
+    }
+    let error = sum / values.max(1) as f64;
+    if error > 0.0 { (-10.0 * error.log10()).min(100.0) } else { 100.0 }
+}

@@ -1,0 +1,97 @@
+//! A model is a scene under training: Gaussians at the canonical instant and the nodes that move them.
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::{
+    gaussians::TrainedGaussians,
+    motion::{ControlNodes, FOLLOWED},
+};
+use crate::scene::{Attributes, Epoch, Instant, Scene, SceneError, Track};
+
+/// A scene that can be posed at any time from 0 to 1.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Model {
+    pub(super) gaussians: TrainedGaussians,
+    pub(super) nodes: ControlNodes,
+    /// Nodes that each Gaussian follows.
+    pub(super) followed: Vec<[u32; FOLLOWED]>,
+}
+
+impl Model {
+    /// Number of Gaussians.
+    pub fn gaussians(&self) -> usize {
+        self.gaussians.len()
+    }
+
+    /// Number of control nodes.
+    pub fn nodes(&self) -> usize {
+        self.nodes.len()
+    }
+
+    /// The Gaussians at `time` (0 to 1), into memory that is used again.
+    pub fn instant_into(&self, time: f32, out: &mut Instant) {
+        let poses = self.nodes.poses(time);
+        self.gaussians.pose_into(&self.nodes.skin(&poses), &self.followed, out);
+    }
+
+    /// The clip as `frames` frames, evenly spread over it from the first instant to the last.
+    ///
+    /// # Errors
+    /// No frames, a frame rate that is not positive, or a Gaussian that is not finite.
+    pub fn scene(&self, frames: usize, frames_per_second: f64) -> Result<Scene, SceneError> {
+        let instants: Vec<Instant> = (0..frames)
+            .into_par_iter()
+            .map(|frame| {
+                let mut instant = Instant::default();
+                self.instant_into(frame as f32 / frames.saturating_sub(1).max(1) as f32, &mut instant);
+                instant
+            })
+            .collect();
+        let all = || instants.iter().flat_map(|instant| &instant.gaussians);
+        let values = &self.gaussians;
+        let attributes = Attributes {
+            positions: Track::PerFrame(all().map(|g| g.position).collect()),
+            rotations: Track::PerFrame(all().map(|g| g.rotation).collect()),
+            log_scales: Track::Constant(values.log_scale.values().as_chunks().0.to_vec()),
+            opacity_logits: Track::Constant(values.opacity.values().to_vec()),
+            sh0: Track::Constant(values.sh0.values().as_chunks().0.to_vec()),
+            sh_rest: values.sh_rest.values().to_vec(),
+            sh_degree: codec_core::ShDegree::new(values.degree).unwrap_or_default(),
+        };
+        Scene::new(vec![Epoch::new(frames, attributes)?], frames_per_second)
+    }
+
+    /// Nodes of another number, as the present ones move the scene; Gaussians follow the nearest anew.
+    pub(super) fn spread_nodes(&mut self, count: usize) {
+        let visible = |&index: &usize| self.gaussians.opacity.item(index)[0] > VISIBLE;
+        let places: Vec<[f32; 3]> = (0..self.gaussians.len())
+            .filter(visible)
+            .map(|index| self.gaussians.positions()[index])
+            .collect();
+        let places = if places.is_empty() { self.gaussians.positions().to_vec() } else { places };
+        self.nodes = self.nodes.spread(&places, count);
+        self.follow_nearest();
+    }
+
+    fn follow_nearest(&mut self) {
+        self.followed = if self.nodes.is_empty() {
+            vec![[0; FOLLOWED]; self.gaussians.len()]
+        } else {
+            self.nodes.followed(self.gaussians.positions())
+        };
+        self.gaussians.skin.values_mut().fill(0.0);
+    }
+
+    /// Whether what was read from a file can be used.
+    pub(super) fn is_sound(&self) -> bool {
+        let nodes = self.nodes.len().max(1);
+        self.gaussians.is_sound()
+            && self.nodes.is_sound()
+            && self.followed.len() == self.gaussians.len()
+            && self.followed.iter().flatten().all(|&node| (node as usize) < nodes)
+    }
+}
+
+/// Nodes stand among Gaussians of at least this logit (10 %).
+const VISIBLE: f32 = -2.2;

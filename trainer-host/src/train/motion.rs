@@ -1,0 +1,18 @@
+//! Moves Gaussians by control nodes: a few rigid motions that every Gaussian near them blends.
+//!
+//! A node is a place with a motion over time (a turn about the place, and a shift); a Gaussian follows its
+//! nearest nodes with weights that fall off with distance and that training corrects ("skinning"). Sparse
+//! nodes join the views of different instants: without them each Gaussian would learn its path alone from
+//! few views (Huang et al., "SC-GS", CVPR 2024, sections 4.1 and 4.2).
+
+mod basis;
+mod nodes;
+mod rigidity;
+mod skinning;
+
+pub use basis::TemporalBasis;
+pub(super) use nodes::{ControlNodes, NodeGradient};
+pub(super) use skinning::{PosedGradient, Rest, Skinned, SkinnedGradient};
+
+/// Nodes that a Gaussian follows.
+pub(super) const FOLLOWED: usize = 4;

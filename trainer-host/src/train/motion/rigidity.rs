@@ -1,0 +1,75 @@
+//! Keeps neighbouring nodes moving as one rigid body where the pictures do not say otherwise.
+//!
+//! As rigid as possible (Sorkine and Alexa 2007, equation 3; SC-GS section 4.3): each node's turn should take
+//! the arrows to its neighbours to where they are at the instant.
+
+use glam::Mat3;
+
+use super::nodes::{ControlNodes, NodeGradient, NodePose};
+
+/// Adds the gradient of `weight / nodes · Σ |(c_j + s_j) - (c_i + s_i) - R_i (c_j - c_i)|²` over nodes `i`
+/// and their neighbours `j`.
+pub(super) fn add_gradient(
+    nodes: &ControlNodes,
+    weight: f32,
+    poses: &[NodePose],
+    gradients: &mut [NodeGradient],
+) {
+    let scale = 2.0 * weight / nodes.len().max(1) as f32;
+    for (node, neighbours) in nodes.neighbours().iter().enumerate() {
+        for &other in neighbours {
+            let (from, to) = (&poses[node], &poses[other as usize]);
+            let arrow = to.place - from.place;
+            let error = scale * (arrow + to.shift - from.shift - from.matrix * arrow);
+            gradients[other as usize].shift += error;
+            gradients[node].shift -= error;
+            gradients[node].matrix -= Mat3::from_cols(error * arrow.x, error * arrow.y, error * arrow.z);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::motion::TemporalBasis;
+
+    fn energy(nodes: &ControlNodes, poses: &[NodePose]) -> f64 {
+        let mut sum = 0.0;
+        for (node, neighbours) in nodes.neighbours().iter().enumerate() {
+            for &other in neighbours {
+                let (from, to) = (&poses[node], &poses[other as usize]);
+                let arrow = to.place - from.place;
+                let error = arrow + to.shift - from.shift - from.matrix * arrow;
+                sum += f64::from(error.length_squared());
+            }
+        }
+        sum / nodes.len() as f64
+    }
+
+    #[test]
+    fn gradient_of_the_motion_is_the_difference_quotient() {
+        let points: Vec<[f32; 3]> =
+            (0..40).map(|i| [(i as f32).sin(), (1.7 * i as f32).cos(), (0.3 * i as f32).sin()]).collect();
+        let mut nodes = ControlNodes::none(TemporalBasis::new(&[4]), 1.3).spread(&points, 9);
+        for (i, v) in nodes.motion_mut().values_mut().iter_mut().enumerate() {
+            *v = 0.3 * (i as f32 * 1.3).sin();
+        }
+        let time = 0.4;
+        let poses = nodes.poses(time);
+        let mut gradients = vec![NodeGradient::default(); nodes.len()];
+        add_gradient(&nodes, 1.0, &poses, &mut gradients);
+        nodes.backward(time, &poses, &gradients);
+        let found = nodes.motion_mut().gradient_mut().to_vec();
+        let largest = found.iter().fold(0.0f32, |a, v| a.max(v.abs()));
+        for index in (0..found.len()).step_by(5) {
+            let mut at = |change: f32| {
+                let mut changed = nodes.clone();
+                changed.motion_mut().values_mut()[index] += change;
+                energy(&changed, &changed.poses(time))
+            };
+            let expected = (at(1e-2) - at(-1e-2)) / 2e-2;
+            let error = (f64::from(found[index]) - expected).abs() / f64::from(largest);
+            assert!(error < 2e-3, "{index}: {} {expected}", found[index]);
+        }
+    }
+}

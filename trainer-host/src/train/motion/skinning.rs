@@ -1,0 +1,256 @@
+//! Skinning blends the motions of the nodes that a Gaussian follows, and takes gradients back through it.
+//!
+//! With weights `w = softmax(-|p - c|² / 2r² + logits)`: position `Σ w (R (p - c) + c + s)`, rotation
+//! `(Σ ± w q) q_own`, signs such that the turns do not cancel.
+
+use glam::{Mat3, Vec3};
+use rayon::prelude::*;
+
+use super::{
+    FOLLOWED,
+    nodes::{ControlNodes, NodeGradient, NodePose},
+};
+use crate::train::rotation::{Quaternion, conjugate, dot, product};
+
+/// Gaussians that one task sums over: fixed, so that sums do not depend on the number of threads.
+const CHUNK: usize = 4096;
+
+/// Nodes at an instant, ready to move Gaussians.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Skinned<'a> {
+    pub(super) nodes: &'a ControlNodes,
+    pub(super) poses: &'a [NodePose],
+}
+
+/// What of a Gaussian takes part in its motion.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rest<'a> {
+    /// Position at the canonical instant.
+    pub(crate) position: Vec3,
+    /// Raw quaternion at the canonical instant.
+    pub(crate) rotation: Quaternion,
+    /// The nodes it follows.
+    pub(crate) followed: &'a [u32; FOLLOWED],
+    /// Added to the logarithms of their weights.
+    pub(crate) logits: &'a [f32; FOLLOWED],
+}
+
+/// A Gaussian at the instant.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Posed {
+    pub(crate) position: Vec3,
+    /// Not normalised.
+    pub(crate) rotation: Quaternion,
+}
+
+/// What the loss gains per unit of a Gaussian at the instant.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct PosedGradient {
+    pub(crate) position: Vec3,
+    pub(crate) rotation: Quaternion,
+}
+
+/// What the loss gains per unit of a Gaussian at the canonical instant.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct SkinnedGradient {
+    pub(crate) position: Vec3,
+    pub(crate) rotation: Quaternion,
+    pub(crate) logits: [f32; FOLLOWED],
+}
+
+/// Weights of the nodes that a point follows; they sum to 1.
+pub(super) fn node_weights(
+    point: Vec3,
+    followed: &[u32; FOLLOWED],
+    logits: &[f32; FOLLOWED],
+    nodes: &ControlNodes,
+    poses: &[NodePose],
+) -> [f32; FOLLOWED] {
+    let scores: [f32; FOLLOWED] = std::array::from_fn(|k| {
+        let node = followed[k] as usize;
+        logits[k] - 0.5 * point.distance_squared(poses[node].place) * nodes.falloff()[node]
+    });
+    let top = scores.iter().copied().fold(f32::MIN, f32::max);
+    let shares = scores.map(|score| (score - top).exp());
+    let sum: f32 = shares.iter().sum();
+    shares.map(|share| share / sum)
+}
+
+impl Skinned<'_> {
+    /// 1 or -1: whether a node's quaternion or its opposite, the same turn, is nearer to the first one's.
+    fn signs(&self, followed: &[u32; FOLLOWED]) -> [f32; FOLLOWED] {
+        let first = self.poses[followed[0] as usize].turn;
+        std::array::from_fn(
+            |k| {
+                if dot(first, self.poses[followed[k] as usize].turn) < 0.0 { -1.0 } else { 1.0 }
+            },
+        )
+    }
+
+    /// The Gaussian at the instant.
+    pub(crate) fn pose(&self, rest: &Rest) -> Posed {
+        if self.poses.is_empty() {
+            return Posed { position: rest.position, rotation: rest.rotation };
+        }
+        let weights = node_weights(rest.position, rest.followed, rest.logits, self.nodes, self.poses);
+        let signs = self.signs(rest.followed);
+        let (mut position, mut turn) = (Vec3::ZERO, [0.0; 4]);
+        for k in 0..FOLLOWED {
+            let pose = &self.poses[rest.followed[k] as usize];
+            position += weights[k] * pose.carry(rest.position);
+            (0..4).for_each(|j| turn[j] += signs[k] * weights[k] * pose.turn[j]);
+        }
+        Posed { position, rotation: product(turn, rest.rotation) }
+    }
+
+    /// Gradient with respect to the Gaussian at the canonical instant; adds to those of the nodes.
+    pub(crate) fn backward(
+        &self,
+        rest: &Rest,
+        gradient: &PosedGradient,
+        nodes: &mut [NodeGradient],
+    ) -> SkinnedGradient {
+        if self.poses.is_empty() {
+            let PosedGradient { position, rotation } = *gradient;
+            return SkinnedGradient { position, rotation, logits: [0.0; FOLLOWED] };
+        }
+        let point = rest.position;
+        let weights = node_weights(point, rest.followed, rest.logits, self.nodes, self.poses);
+        let signs = self.signs(rest.followed);
+        let of_turn = product(gradient.rotation, conjugate(rest.rotation));
+        let (mut turn, mut position) = ([0.0; 4], Vec3::ZERO);
+        let (mut of_weight, mut mean) = ([0.0; FOLLOWED], 0.0);
+        for k in 0..FOLLOWED {
+            let node = rest.followed[k] as usize;
+            let (pose, sum) = (&self.poses[node], &mut nodes[node]);
+            let arrow = point - pose.place;
+            let weighted = weights[k] * gradient.position;
+            sum.shift += weighted;
+            sum.matrix += Mat3::from_cols(weighted * arrow.x, weighted * arrow.y, weighted * arrow.z);
+            for j in 0..4 {
+                sum.turn[j] += signs[k] * weights[k] * of_turn[j];
+                turn[j] += signs[k] * weights[k] * pose.turn[j];
+            }
+            position += pose.matrix.transpose() * weighted;
+            of_weight[k] = gradient.position.dot(pose.carry(point)) + signs[k] * dot(of_turn, pose.turn);
+            mean += weights[k] * of_weight[k];
+        }
+        // Softmax, and the distances in it, which move with the Gaussian.
+        let logits: [f32; FOLLOWED] = std::array::from_fn(|k| weights[k] * (of_weight[k] - mean));
+        for (slope, &node) in logits.iter().zip(rest.followed) {
+            let node = node as usize;
+            position -= *slope * self.nodes.falloff()[node] * (point - self.poses[node].place);
+        }
+        SkinnedGradient { position, rotation: product(conjugate(turn), gradient.rotation), logits }
+    }
+
+    /// Takes the gradients of many Gaussians back, in order: `one(index, nodes)` handles one of them and adds
+    /// to the nodes' gradients. Returns what all have added to the nodes.
+    pub(crate) fn backward_all<T: Send>(
+        &self,
+        out: &mut [T],
+        one: impl Fn(usize, &mut T, &mut [NodeGradient]) + Sync,
+    ) -> Vec<NodeGradient> {
+        let count = self.poses.len();
+        let partial: Vec<Vec<NodeGradient>> = out
+            .par_chunks_mut(CHUNK)
+            .enumerate()
+            .map(|(chunk, out)| {
+                let mut sums = vec![NodeGradient::default(); count];
+                out.iter_mut().enumerate().for_each(|(i, out)| one(chunk * CHUNK + i, out, &mut sums));
+                sums
+            })
+            .collect();
+        let mut sums = vec![NodeGradient::default(); count];
+        for partial in &partial {
+            sums.iter_mut().zip(partial).for_each(|(sum, part)| sum.add(part));
+        }
+        sums
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::motion::TemporalBasis;
+
+    const WEIGHTS: [f32; 7] = [0.7, -0.3, 0.5, 0.2, -0.9, 0.4, 0.6];
+    const FOLLOWS: [u32; FOLLOWED] = [2, 0, 5, 3];
+
+    fn nodes() -> ControlNodes {
+        let points: Vec<[f32; 3]> =
+            (0..30).map(|i| [(i as f32).sin(), (1.7 * i as f32).cos(), (0.3 * i as f32).sin()]).collect();
+        let mut nodes = ControlNodes::none(TemporalBasis::new(&[4, 6]), 1.3).spread(&points, 6);
+        for (i, v) in nodes.motion_mut().values_mut().iter_mut().enumerate() {
+            *v = 0.4 * (i as f32 * 1.3).sin();
+        }
+        nodes
+    }
+
+    /// Position (3), rotation (4) and logits (4) of a Gaussian.
+    type Numbers = [f32; 11];
+
+    fn rest(numbers: &Numbers) -> (Vec3, Quaternion, [f32; FOLLOWED]) {
+        let [x, y, z, a, b, c, d, e, f, g, h] = *numbers;
+        (Vec3::new(x, y, z), [a, b, c, d], [e, f, g, h])
+    }
+
+    fn value(nodes: &ControlNodes, time: f32, numbers: &Numbers) -> f64 {
+        let poses = nodes.poses(time);
+        let (position, rotation, logits) = rest(numbers);
+        let posed =
+            nodes.skin(&poses).pose(&Rest { position, rotation, followed: &FOLLOWS, logits: &logits });
+        let values = posed.position.to_array().into_iter().chain(posed.rotation);
+        values.zip(WEIGHTS).map(|(v, w)| f64::from(v * w)).sum()
+    }
+
+    #[test]
+    fn gradients_are_difference_quotients() {
+        let (mut nodes, time) = (nodes(), 0.37);
+        let numbers: Numbers = [0.1, 0.4, -0.2, 0.8, -0.1, 0.3, 0.5, 0.2, -0.4, 0.1, 0.3];
+        let poses = nodes.poses(time);
+        let mut sums = vec![NodeGradient::default(); nodes.len()];
+        let gradient = PosedGradient {
+            position: Vec3::new(WEIGHTS[0], WEIGHTS[1], WEIGHTS[2]),
+            rotation: [WEIGHTS[3], WEIGHTS[4], WEIGHTS[5], WEIGHTS[6]],
+        };
+        let (position, rotation, logits) = rest(&numbers);
+        let rest = Rest { position, rotation, followed: &FOLLOWS, logits: &logits };
+        let found = nodes.skin(&poses).backward(&rest, &gradient, &mut sums);
+        let found: Vec<f32> =
+            found.position.to_array().into_iter().chain(found.rotation).chain(found.logits).collect();
+        for (index, found) in found.into_iter().enumerate() {
+            let mut at = |change: f32| {
+                let mut changed = numbers;
+                changed[index] += change;
+                value(&nodes, time, &changed)
+            };
+            let expected = (at(1e-2) - at(-1e-2)) / 2e-2;
+            assert!((f64::from(found) - expected).abs() < 2e-3, "{index}: {found} {expected}");
+        }
+        nodes.backward(time, &poses, &sums);
+        let found = nodes.motion_mut().gradient_mut().to_vec();
+        for index in (0..found.len()).step_by(3) {
+            let at = |change: f32| {
+                let mut changed = nodes.clone();
+                changed.motion_mut().values_mut()[index] += change;
+                value(&changed, time, &numbers)
+            };
+            let expected = (at(1e-2) - at(-1e-2)) / 2e-2;
+            assert!(
+                (f64::from(found[index]) - expected).abs() < 2e-3,
+                "{index}: {} {expected}",
+                found[index]
+            );
+        }
+    }
+
+    #[test]
+    fn without_nodes_nothing_moves() {
+        let nodes = ControlNodes::none(TemporalBasis::default(), 1.3);
+        let numbers: Numbers = [0.1, 0.4, -0.2, 0.8, -0.1, 0.3, 0.5, 0.0, 0.0, 0.0, 0.0];
+        let (position, rotation, logits) = rest(&numbers);
+        let rest = Rest { position, rotation, followed: &[0; FOLLOWED], logits: &logits };
+        assert_eq!(nodes.skin(&[]).pose(&rest), Posed { position, rotation });
+    }
+}

@@ -1,0 +1,180 @@
+//! Options of a reconstruction: how much, how fast, how rigid. Plain data with defaults that work.
+
+use codec_core::ShDegree;
+use render_host::adjoint::loss::photograph::Weights;
+use serde::{Deserialize, Serialize};
+
+/// How a scene is reconstructed.
+///
+/// Lengths are in units of the scene's extent (half the side of the cube that holds it), so that the same
+/// numbers work for a scene of any size.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Options {
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Gaussians to begin with.
+    pub initial_gaussians: usize,
+    /// Gaussians at the end, at most.
+    pub max_gaussians: usize,
+    /// Control nodes at the end; 0 for a scene that does not move.
+    pub nodes: usize,
+    /// Degree of the harmonics, 0 to 3.
+    pub sh_degree: u8,
+    /// Time whose Gaussians are stored, 0 to 1: others are moved ones.
+    pub canonical_time: f32,
+    /// Longest side of the photographs that are trained on, pixels: larger ones are reduced.
+    pub max_side: u32,
+    /// Background that the result is judged over.
+    pub background: [f32; 3],
+    /// Weight of the mean absolute error in the loss.
+    pub absolute_weight: f32,
+    /// Weight of `1 - SSIM` in the loss.
+    pub structure_weight: f32,
+    /// Weight of rigid motion of neighbouring nodes at the start; it falls to a twentieth.
+    pub rigidity: f32,
+    /// Weight of the mean opacity in the loss.
+    pub opacity_weight: f32,
+    /// Weight of the mean scale in the loss.
+    pub scale_weight: f32,
+    /// How new Gaussians come about.
+    pub density: DensityControl,
+    /// Learning rates.
+    pub rates: Rates,
+}
+
+/// How Gaussians are added where the pictures ask for more.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum DensityControl {
+    /// Those whose centres are pulled most are split along their longest axis (Kerbl et al. 2023, section 5).
+    Split,
+    /// Transparent ones move to opaque ones, and all jitter (Kheradmand et al. 2024).
+    Relocate,
+}
+
+/// Learning rates at the start, per step of Adam. Lengths are in extents.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Rates {
+    /// Positions.
+    pub position: f32,
+    /// Logarithms of scales.
+    pub log_scale: f32,
+    /// Quaternions.
+    pub rotation: f32,
+    /// Logits of opacities.
+    pub opacity: f32,
+    /// Band 0 of the harmonics.
+    pub sh0: f32,
+    /// Higher bands.
+    pub sh_rest: f32,
+    /// Weights of nodes.
+    pub skin: f32,
+    /// Shifts and turns of nodes.
+    pub node_motion: f32,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            initial_gaussians: 4000,
+            max_gaussians: 26_000,
+            nodes: 512,
+            sh_degree: 1,
+            canonical_time: 0.5,
+            max_side: 800,
+            background: [1.0; 3],
+            absolute_weight: 0.8,
+            structure_weight: 0.2,
+            rigidity: 1e-2,
+            opacity_weight: 0.0,
+            scale_weight: 0.0,
+            density: DensityControl::Split,
+            rates: Rates::default(),
+        }
+    }
+}
+
+impl Default for Rates {
+    fn default() -> Self {
+        Self {
+            position: 4.6e-4,
+            log_scale: 6e-3,
+            rotation: 3e-3,
+            opacity: 4e-2,
+            sh0: 8e-3,
+            sh_rest: 1e-3,
+            skin: 1e-2,
+            node_motion: 4.5e-3,
+        }
+    }
+}
+
+/// An option out of range.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{field} is {found}; {allowed} is allowed")]
+pub struct OptionsError {
+    /// Which option.
+    pub field: &'static str,
+    /// Its value.
+    pub found: String,
+    /// What is allowed.
+    pub allowed: &'static str,
+}
+
+impl Options {
+    /// Checks every number.
+    ///
+    /// # Errors
+    /// The first that is out of range.
+    pub fn validate(&self) -> Result<(), OptionsError> {
+        let whole = |field, found: usize, low: usize, high: usize, allowed| {
+            let fits = (low..=high).contains(&found);
+            if fits { Ok(()) } else { Err(OptionsError { field, found: found.to_string(), allowed }) }
+        };
+        let real = |field, found: f32, high: f32, allowed| {
+            let fits = (0.0..=high).contains(&found);
+            if fits { Ok(()) } else { Err(OptionsError { field, found: found.to_string(), allowed }) }
+        };
+        whole("initial_gaussians", self.initial_gaussians, 1, 5_000_000, "1 to 5000000")?;
+        whole("max_gaussians", self.max_gaussians, 1, 5_000_000, "1 to 5000000")?;
+        whole("nodes", self.nodes, 0, 65_536, "0 to 65536")?;
+        whole("sh_degree", usize::from(self.sh_degree), 0, 3, "0 to 3")?;
+        whole("max_side", self.max_side as usize, 16, 16_384, "16 to 16384")?;
+        real("canonical_time", self.canonical_time, 1.0, "0 to 1")?;
+        for value in self.background {
+            real("background", value, 1.0, "0 to 1")?;
+        }
+        let Rates { position, log_scale, rotation, opacity, sh0, sh_rest, skin, node_motion } = self.rates;
+        let rates = [
+            ("rates.position", position),
+            ("rates.log_scale", log_scale),
+            ("rates.rotation", rotation),
+            ("rates.opacity", opacity),
+            ("rates.sh0", sh0),
+            ("rates.sh_rest", sh_rest),
+            ("rates.skin", skin),
+            ("rates.node_motion", node_motion),
+        ];
+        let weights = [
+            ("absolute_weight", self.absolute_weight),
+            ("structure_weight", self.structure_weight),
+            ("rigidity", self.rigidity),
+            ("opacity_weight", self.opacity_weight),
+            ("scale_weight", self.scale_weight),
+        ];
+        for (field, value) in rates.into_iter().chain(weights) {
+            real(field, value, 100.0, "0 to 100")?;
+        }
+        Ok(())
+    }
+
+    /// Weights of the loss.
+    pub(super) fn weights(&self) -> Weights {
+        Weights { absolute: self.absolute_weight, squared: 0.0, structure: self.structure_weight }
+    }
+
+    pub(super) fn degree(&self) -> ShDegree {
+        ShDegree::new(self.sh_degree).unwrap_or_default()
+    }
+}

@@ -1,0 +1,492 @@
+//! A trainer fits a scene to photographs, one view per step.
+//!
+//! Every step: a view, the scene posed at its time, a render with gradients, one step of Adam. From time to
+//! time: more pixels, more nodes, more Gaussians ([`super::schedule`] says when, as shares of the training).
+//! The same views, options and shares give the same scene bit for bit, on any number of threads.
+
+use rand::{RngExt, seq::SliceRandom};
+use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
+use render_host::{
+    CameraError, Gradients, RenderError, Settings, Splats, Workspace,
+    adjoint::{
+        AdjointError,
+        loss::photograph::{Photograph, PhotographLoss},
+        render_and_gradients_into,
+    },
+};
+use serde::{Deserialize, Serialize};
+
+use super::{
+    density::{self, Pull},
+    gaussians::TrainedGaussians,
+    model::Model,
+    motion::{ControlNodes, FOLLOWED, TemporalBasis},
+    options::{DensityControl, Options, OptionsError},
+    parameter::AdamStep,
+    photographs::Pyramid,
+    schedule,
+    start::{self, Extent},
+    views::{Dataset, Training, Views},
+};
+use crate::scene::Instant;
+
+/// Steps between two controls of density.
+const DENSITY_EVERY: u32 = 100;
+/// Steps between two states to fall back to.
+const KEEP_EVERY: u32 = 500;
+/// Times that training may fall back before it gives up.
+const MOST_RETREATS: u32 = 3;
+/// One step in this many shows the whole photograph and not only what its outline needs.
+const WHOLE_EVERY: u32 = 8;
+
+/// Training that cannot start or go on.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// An option out of range.
+    #[error("option {0}")]
+    Options(#[from] OptionsError),
+    /// No view to train on.
+    #[error("{dataset}: the training split is empty; at least one image is needed")]
+    Empty {
+        /// The dataset.
+        dataset: String,
+    },
+    /// A view that cannot be rendered or compared.
+    #[error("{view}: {source}")]
+    View {
+        /// The view.
+        view: String,
+        /// What is wrong.
+        source: AdjointError,
+    },
+    /// A camera that cannot be made smaller or cut.
+    #[error("{view}: {source}")]
+    Camera {
+        /// The view.
+        view: String,
+        /// What is wrong.
+        source: CameraError,
+    },
+    /// Training left what numbers can hold, again and again.
+    #[error(
+        "training diverged at step {step}: {what}, for the {} time; lower rates or more rigidity may help",
+        if *retreats == 2 { "second".to_owned() } else { format!("{retreats}th") }
+    )]
+    Diverged {
+        /// The step.
+        step: u32,
+        /// What was found.
+        what: String,
+        /// How often training had fallen back.
+        retreats: u32,
+    },
+    /// A checkpoint that does not belong to this dataset and these options.
+    #[error("checkpoint: {0}")]
+    Checkpoint(String),
+}
+
+/// What a step did.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepReport {
+    /// Steps taken, this one included.
+    pub step: u32,
+    /// Index of the view in the training split.
+    pub view: usize,
+    /// Loss of the view.
+    pub loss: f64,
+    /// Running mean of the loss, over about 100 steps.
+    pub mean_loss: f64,
+    /// Width and height of the photographs that are trained on now, pixels.
+    pub size: (u32, u32),
+    /// Gaussians now.
+    pub gaussians: usize,
+    /// Control nodes now.
+    pub nodes: usize,
+    /// What made training fall back to an earlier state, if it did.
+    pub retreat: Option<String>,
+}
+
+/// Parts of a step, for whoever measures them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Choosing a view; new sizes and nodes.
+    Prepare,
+    /// Moving the Gaussians to the view's time.
+    Pose,
+    /// Rendering, loss and gradients of the splats.
+    Render,
+    /// Gradients of attributes and nodes.
+    Motion,
+    /// Steps of Adam.
+    Update,
+    /// Adding and removing Gaussians.
+    Density,
+}
+
+/// All that a training knows between two steps.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct State {
+    pub(super) model: Model,
+    pub(super) step: u32,
+    /// Steps since the nodes were spread.
+    node_step: u32,
+    /// Stages of nodes entered.
+    node_stages: usize,
+    /// Index of the size of photographs.
+    size: usize,
+    /// Views drawn, those passed over included.
+    drawn: u64,
+    pull: Pull,
+    mean_loss: f64,
+    /// Smallest running mean at this size of photographs.
+    lowest_loss: f64,
+    last_density: u32,
+    retreats: u32,
+}
+
+/// Fits a scene to the training split of a dataset.
+#[derive(Debug)]
+pub struct Trainer<'a> {
+    views: &'a Views<Training>,
+    has_alpha: bool,
+    options: Options,
+    extent: Extent,
+    pyramid: Pyramid<'a>,
+    state: State,
+    /// What to fall back to.
+    kept: State,
+    /// The order of views of one pass over them, and which pass it is.
+    order: (u64, Vec<usize>),
+    memory: Memory,
+}
+
+/// Memory that steps use again.
+#[derive(Debug, Default)]
+struct Memory {
+    workspace: Workspace,
+    gradients: Gradients,
+    instant: Instant,
+}
+
+impl<'a> Trainer<'a> {
+    /// Prepares to train on `dataset`.
+    ///
+    /// # Errors
+    /// Options out of range, or an empty training split.
+    pub fn new(dataset: &'a Dataset, options: &Options) -> Result<Self, TrainError> {
+        options.validate()?;
+        let mut options = options.clone();
+        if dataset.train.instants() < 2 {
+            options.nodes = 0;
+        }
+        let photographs = dataset.train.photographs();
+        if photographs.is_empty() {
+            return Err(TrainError::Empty { dataset: dataset.name.clone() });
+        }
+        let extent = Extent::of(&dataset.start, photographs);
+        let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
+        let begun = start::gaussians(&dataset.start, photographs, &extent, &options, &mut rng);
+        options.initial_gaussians = begun.gaussians.len().max(1);
+        let gaussians = TrainedGaussians::new(&begun, options.degree());
+        let count = gaussians.len();
+        let nodes = ControlNodes::none(TemporalBasis::default(), extent.half_side as f32);
+        let model = Model { gaussians, nodes, followed: vec![[0; FOLLOWED]; count] };
+        let state = State {
+            model,
+            step: 0,
+            node_step: 0,
+            node_stages: 0,
+            size: 0,
+            drawn: 0,
+            pull: Pull::none(count),
+            mean_loss: 0.0,
+            lowest_loss: f64::INFINITY,
+            last_density: 0,
+            retreats: 0,
+        };
+        Ok(Self {
+            views: &dataset.train,
+            has_alpha: dataset.has_alpha,
+            pyramid: Pyramid::new(photographs, options.max_side),
+            options,
+            extent,
+            kept: state.clone(),
+            state,
+            order: (u64::MAX, Vec::new()),
+            memory: Memory::default(),
+        })
+    }
+
+    /// Goes on from the state of a checkpoint.
+    pub(super) fn with_state(mut self, state: State) -> Result<Self, TrainError> {
+        let refused = |what: &str| Err(TrainError::Checkpoint(what.to_owned()));
+        if !state.model.is_sound() || state.pull.len() != state.model.gaussians() {
+            return refused("numbers that do not fit together; the file is damaged");
+        }
+        if state.size >= self.pyramid.sizes() {
+            return refused("made for photographs of another size");
+        }
+        self.kept = state.clone();
+        self.state = state;
+        Ok(self)
+    }
+
+    pub(super) fn state(&self) -> &State {
+        &self.state
+    }
+
+    /// The options in force.
+    pub fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// The scene as it is now.
+    pub fn model(&self) -> &Model {
+        &self.state.model
+    }
+
+    /// Steps taken.
+    pub fn steps(&self) -> u32 {
+        self.state.step
+    }
+
+    /// How many times smaller than the photographs the largest pictures of the training are.
+    pub fn reduced(&self) -> u32 {
+        self.pyramid.smallest_divisor()
+    }
+
+    /// Takes a step at `progress` of the training, 0 to 1, which never falls from one step to the next.
+    ///
+    /// # Errors
+    /// A view that cannot be rendered, or a training that has diverged for the fourth time.
+    pub fn step(&mut self, progress: f64) -> Result<StepReport, TrainError> {
+        self.step_observed(progress, &mut |_| {})
+    }
+
+    /// As [`Trainer::step`]; `observe` is called when a stage begins.
+    ///
+    /// # Errors
+    /// As [`Trainer::step`].
+    pub fn step_observed(
+        &mut self,
+        progress: f64,
+        observe: &mut dyn FnMut(Stage),
+    ) -> Result<StepReport, TrainError> {
+        let progress = progress.clamp(0.0, 1.0);
+        observe(Stage::Prepare);
+        self.enter_stages(progress);
+        let mut rng = self.luck();
+        let view = self.next_view(progress);
+        let loss = self.differentiate(view, &mut rng, observe)?;
+        let mut retreat = self.trouble(loss);
+        if retreat.is_none() {
+            self.update(view, progress, observe);
+            observe(Stage::Density);
+            self.control_density(progress, &mut rng);
+            self.state.step += 1;
+            retreat = self.keep_or_find_trouble();
+        }
+        if let Some(what) = &retreat {
+            self.retreat(what)?;
+        }
+        let state = &self.state;
+        Ok(StepReport {
+            step: state.step,
+            view,
+            loss,
+            mean_loss: state.mean_loss,
+            size: self.pyramid.size(view, state.size),
+            gaussians: state.model.gaussians(),
+            nodes: state.model.nodes(),
+            retreat,
+        })
+    }
+
+    /// Random numbers of this step and no other.
+    fn luck(&self) -> Pcg64Mcg {
+        let attempt = u64::from(self.state.step) | u64::from(self.state.retreats) << 40;
+        Pcg64Mcg::seed_from_u64(self.options.seed ^ attempt.wrapping_mul(0x9E37_79B9_7F4A_7C15))
+    }
+
+    /// Goes on to more pixels and more nodes where the schedule says so.
+    fn enter_stages(&mut self, progress: f64) {
+        let state = &mut self.state;
+        let size = self.pyramid.schedule().at(progress);
+        if size != state.size {
+            state.size = size;
+            state.pull = Pull::none(state.model.gaussians());
+            state.lowest_loss = f64::INFINITY;
+        }
+        let stages = schedule::node_stages(self.options.nodes);
+        while let Some(&(from, count)) = stages.get(state.node_stages)
+            && progress >= from
+        {
+            state.model.spread_nodes(count);
+            state.node_stages += 1;
+            state.node_step = 0;
+        }
+    }
+
+    /// The next view, in an order that is drawn anew for each pass over them; early in the training those
+    /// near the canonical instant.
+    fn next_view(&mut self, progress: f64) -> usize {
+        let photographs = self.views.photographs();
+        let count = photographs.len() as u64;
+        let away = |view: &usize| (photographs[*view].time - self.options.canonical_time).abs();
+        let nearest = (0..photographs.len()).map(|view| away(&view)).fold(f32::MAX, f32::min);
+        let span = schedule::time_span(progress).max(nearest);
+        loop {
+            let pass = self.state.drawn / count;
+            if self.order.0 != pass {
+                let mut order: Vec<usize> = (0..photographs.len()).collect();
+                let seed = self.options.seed ^ pass.wrapping_mul(0xD1B5_4A32_D192_ED03) ^ 0x5EED;
+                order.shuffle(&mut Pcg64Mcg::seed_from_u64(seed));
+                self.order = (pass, order);
+            }
+            let view = self.order.1[(self.state.drawn % count) as usize];
+            self.state.drawn += 1;
+            if away(&view) <= span {
+                return view;
+            }
+        }
+    }
+
+    /// Renders the view and leaves the gradients of its splats in memory; returns the loss.
+    fn differentiate(
+        &mut self,
+        view: usize,
+        rng: &mut Pcg64Mcg,
+        observe: &mut dyn FnMut(Stage),
+    ) -> Result<f64, TrainError> {
+        let posed = &self.views.photographs()[view];
+        let photograph: &Photograph = self.pyramid.photograph(view, self.state.size);
+        let [left, top, width, height] = if self.has_alpha && !self.state.step.is_multiple_of(WHOLE_EVERY) {
+            self.pyramid.outline(view, self.state.size)
+        } else {
+            [0, 0, photograph.width(), photograph.height()]
+        };
+        let camera = posed
+            .camera
+            .resized(photograph.width(), photograph.height())
+            .and_then(|camera| camera.cropped(left, top, width, height))
+            .map_err(|source| TrainError::Camera { view: posed.name.clone(), source })?;
+        // Over two backgrounds nothing but an outline explains the photograph.
+        let plain = self.options.background;
+        let other = self.has_alpha && rng.random::<bool>();
+        let background = if other { plain.map(|v| 1.0 - v) } else { plain };
+
+        observe(Stage::Pose);
+        let Memory { workspace, gradients, instant } = &mut self.memory;
+        self.state.model.instant_into(posed.time, instant);
+        observe(Stage::Render);
+        let settings = Settings { background, ..Settings::default() };
+        let loss = PhotographLoss::new(photograph, background, self.options.weights())
+            .cropped(left, top, width, height);
+        let failed = |source: AdjointError| TrainError::View { view: posed.name.clone(), source };
+        let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)
+            .map_err(|_| failed(AdjointError::Render(RenderError::Image(empty_image()))))?;
+        render_and_gradients_into(workspace, &splats, &camera, &settings, &loss, gradients)
+            .map_err(failed)?;
+        Ok(gradients.loss)
+    }
+
+    /// Takes the gradients in memory back to all parameters, and a step against them.
+    fn update(&mut self, view: usize, progress: f64, observe: &mut dyn FnMut(Stage)) {
+        observe(Stage::Motion);
+        let time = self.views.photographs()[view].time;
+        let gradients = &self.memory.gradients;
+        let state = &mut self.state;
+        let Model { gaussians, nodes, followed } = &mut state.model;
+        let poses = nodes.poses(time);
+        let mut of_nodes =
+            gaussians.backward(&nodes.skin(&poses), followed, &gradients.splats, &gradients.sh_rest);
+        // Rigidity is a sum of squared lengths: measured in extents it means the same in every scene.
+        let unit = self.extent.half_side as f32;
+        let rigidity = schedule::rigidity(&self.options, progress) / (unit * unit);
+        nodes.keep_rigid(rigidity, &poses, &mut of_nodes);
+        nodes.backward(time, &poses, &of_nodes);
+        gaussians.regularise(self.options.opacity_weight, self.options.scale_weight);
+        if progress < schedule::DENSITY_END {
+            state.pull.add(&gradients.splats);
+        }
+
+        observe(Stage::Update);
+        let caution = 0.5f32.powi(state.retreats as i32);
+        let rates = schedule::attribute_rates(&self.options, progress, caution * unit);
+        let step = AdamStep { rate: 0.0, first_decay: 0.9, second_decay: 0.999, number: state.step + 1 };
+        gaussians.step(rates, step);
+        state.node_step += 1;
+        nodes.step(AdamStep {
+            rate: caution * schedule::node_rate(&self.options, progress),
+            second_decay: 0.99,
+            number: state.node_step,
+            ..step
+        });
+    }
+
+    /// Adds and removes Gaussians if it is time.
+    fn control_density(&mut self, progress: f64, rng: &mut Pcg64Mcg) {
+        let (options, state) = (&self.options, &mut self.state);
+        let unit = self.extent.half_side as f32;
+        if options.density == DensityControl::Relocate && progress < 0.85 {
+            let rate = schedule::attribute_rates(options, progress, unit).position;
+            density::jitter(&mut state.model.gaussians, rate, rng);
+        }
+        let due = state.step.saturating_sub(state.last_density) >= DENSITY_EVERY;
+        if !due || !(0.01..schedule::DENSITY_END).contains(&progress) {
+            return;
+        }
+        state.last_density = state.step;
+        let target = schedule::gaussians(options, progress);
+        let Model { gaussians, followed, .. } = &mut state.model;
+        let from = density::control(gaussians, &state.pull, target, options.density, &self.extent, rng);
+        *followed = from.iter().map(|&index| followed[index]).collect();
+        state.pull = Pull::none(gaussians.len());
+    }
+
+    /// What is wrong with the loss of a step, if anything is. Follows its mean.
+    fn trouble(&mut self, loss: f64) -> Option<String> {
+        if !loss.is_finite() {
+            return Some("the loss is not a number".to_owned());
+        }
+        let state = &mut self.state;
+        state.mean_loss = if state.step == 0 { loss } else { 0.99 * state.mean_loss + 0.01 * loss };
+        let limit = 10.0 * state.lowest_loss + 0.1;
+        if state.mean_loss > limit {
+            return Some(format!(
+                "the mean loss rose from {:.4} to {:.4}",
+                state.lowest_loss, state.mean_loss
+            ));
+        }
+        state.lowest_loss = state.lowest_loss.min(state.mean_loss);
+        None
+    }
+
+    /// From time to time keeps the state to fall back to, unless a number in it is not finite.
+    fn keep_or_find_trouble(&mut self) -> Option<String> {
+        if !self.state.step.is_multiple_of(KEEP_EVERY) {
+            return None;
+        }
+        if !self.state.model.is_sound() {
+            return Some("a parameter is not a number".to_owned());
+        }
+        self.kept = self.state.clone();
+        None
+    }
+
+    /// Falls back to the kept state; from then on rates are half as large.
+    fn retreat(&mut self, what: &str) -> Result<(), TrainError> {
+        let retreats = self.state.retreats + 1;
+        if retreats > MOST_RETREATS {
+            return Err(TrainError::Diverged { step: self.state.step, what: what.to_owned(), retreats });
+        }
+        self.state = self.kept.clone();
+        self.state.retreats = retreats;
+        Ok(())
+    }
+}
+
+/// The error of splats whose arrays do not fit together, which [`Model`] never makes.
+fn empty_image() -> render_host::ImageError {
+    render_host::ImageError::Empty("the list of harmonics")
+}

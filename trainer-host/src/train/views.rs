@@ -1,0 +1,151 @@
+//! Views hold what a scene is trained on and judged by: photographs with their cameras and times.
+
+use std::marker::PhantomData;
+
+use codec_core::ShDegree;
+use render_host::{Camera, adjoint::loss::photograph::Photograph};
+
+use crate::scene::{Instant, Up};
+
+/// A photograph, from where and when it was taken.
+#[derive(Clone, Debug)]
+pub struct PosedPhotograph {
+    /// Name of the image in its source.
+    pub name: String,
+    /// Camera, of the photograph's size.
+    pub camera: Camera,
+    /// Time in the clip, 0 to 1.
+    pub time: f32,
+    /// The photograph.
+    pub photograph: Photograph,
+}
+
+/// Marks views that training may see.
+#[derive(Clone, Copy, Debug)]
+pub enum Training {}
+/// Marks views that choices may be made on, and no gradients.
+#[derive(Clone, Copy, Debug)]
+pub enum Validation {}
+/// Marks views that only reported figures come from.
+#[derive(Clone, Copy, Debug)]
+pub enum Test {}
+
+/// Photographs of one split: a function that trains cannot be given those of another.
+#[derive(Clone, Debug)]
+pub struct Views<Split> {
+    photographs: Vec<PosedPhotograph>,
+    split: PhantomData<Split>,
+}
+
+/// Views that do not fit together.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum ViewsError {
+    /// A photograph of another size than its camera's.
+    #[error(
+        "{name}: image of {} x {} pixels, camera of {} x {}",
+        image.0, image.1, camera.0, camera.1
+    )]
+    Size {
+        /// Name of the image.
+        name: String,
+        /// Width and height of the image, pixels.
+        image: (u32, u32),
+        /// Width and height that the camera has, pixels.
+        camera: (u32, u32),
+    },
+    /// A time that is not in the clip.
+    #[error("{name}: time is {found}; 0 to 1 is allowed")]
+    Time {
+        /// Name of the image.
+        name: String,
+        /// The time found.
+        found: f32,
+    },
+}
+
+impl<Split> Views<Split> {
+    /// Checks `photographs`.
+    ///
+    /// # Errors
+    /// A photograph of another size than its camera, or a time outside 0 to 1.
+    pub fn new(photographs: Vec<PosedPhotograph>) -> Result<Self, ViewsError> {
+        for PosedPhotograph { name, camera, time, photograph } in &photographs {
+            let (image, camera) =
+                ((photograph.width(), photograph.height()), (camera.width(), camera.height()));
+            if image != camera {
+                return Err(ViewsError::Size { name: name.clone(), image, camera });
+            }
+            if !(0.0..=1.0).contains(time) {
+                return Err(ViewsError::Time { name: name.clone(), found: *time });
+            }
+        }
+        Ok(Self { photographs, split: PhantomData })
+    }
+
+    /// The photographs in the order of their source.
+    pub fn photographs(&self) -> &[PosedPhotograph] {
+        &self.photographs
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.photographs.is_empty()
+    }
+
+    /// At most `count` of them, evenly spread.
+    #[must_use]
+    pub fn sample(&self, count: usize) -> Self {
+        let (all, count) = (self.photographs.len(), count.min(self.photographs.len()));
+        let photographs = (0..count).map(|k| self.photographs[k * all / count].clone()).collect();
+        Self { photographs, split: PhantomData }
+    }
+
+    /// Number of different times.
+    pub fn instants(&self) -> usize {
+        let mut times: Vec<f32> = self.photographs.iter().map(|view| view.time).collect();
+        times.sort_by(f32::total_cmp);
+        times.dedup();
+        times.len()
+    }
+}
+
+/// A point of known colour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ColouredPoint {
+    /// Scene units.
+    pub position: [f32; 3],
+    /// Red, green, blue, 0 to 1.
+    pub colour: [f32; 3],
+}
+
+/// What training begins with.
+#[derive(Clone, Debug)]
+pub enum Start {
+    /// Points inside the outlines of the photographs, which have alpha, near the canonical instant.
+    VisualHull,
+    /// Points that a reconstruction found.
+    Points(Vec<ColouredPoint>),
+    /// Gaussians of the canonical instant.
+    Gaussians(Instant, ShDegree),
+}
+
+/// A capture: its views by split, and what else its source knows.
+#[derive(Clone, Debug)]
+pub struct Dataset {
+    /// What the source is called.
+    pub name: String,
+    /// Views to train on.
+    pub train: Views<Training>,
+    /// Views to choose by; may be empty.
+    pub validation: Views<Validation>,
+    /// Views to report; may be empty.
+    pub test: Views<Test>,
+    /// What training begins with.
+    pub start: Start,
+    /// Whether photographs have an outline: what lies outside it is empty space, not background.
+    pub has_alpha: bool,
+    /// Frames that the clip has, one at least.
+    pub frames: usize,
+    /// Which way is up.
+    pub up: Up,
+}
