@@ -85,6 +85,19 @@ pub struct SplatGradient {
     pub image_mean: [f32; 2],
 }
 
+/// What density control asks of a Gaussian in one picture: whether it should be split, and whether it shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct DensityStatistics {
+    /// Sum over pixels of the length of that pixel's gradient of the centre on the image plane, loss per
+    /// pixel of way. Pulls in opposite directions do not cancel, as they do in
+    /// [`SplatGradient::image_mean`]. Source: AbsGS (Ye et al. 2024).
+    pub gradient: f32,
+    /// Sum over pixels of blend weights `alpha · T`.
+    pub weight: f32,
+    /// Pixels in which it was blended.
+    pub pixels: u32,
+}
+
 /// A loss, the picture it judged, and its gradients.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gradients {
@@ -184,16 +197,43 @@ pub fn render_and_gradients_into(
     loss: &dyn Loss,
     out: &mut Gradients,
 ) -> Result<(), AdjointError> {
+    differentiate(workspace, splats, camera, settings, loss, out, None)
+}
+
+/// As [`render_and_gradients_into`], with statistics of each Gaussian in `statistics`. The gradients are the
+/// same bit for bit.
+///
+/// # Errors
+/// As [`render_and_gradients_into`].
+pub fn render_and_gradients_with_statistics(
+    workspace: &mut Workspace,
+    splats: &Splats,
+    camera: &Camera,
+    settings: &Settings,
+    loss: &dyn Loss,
+    out: &mut Gradients,
+    statistics: &mut Vec<DensityStatistics>,
+) -> Result<(), AdjointError> {
+    statistics.clear();
+    statistics.resize(splats.len(), DensityStatistics::default());
+    differentiate(workspace, splats, camera, settings, loss, out, Some(statistics.as_mut_slice()))
+}
+
+fn differentiate(
+    workspace: &mut Workspace,
+    splats: &Splats,
+    camera: &Camera,
+    settings: &Settings,
+    loss: &dyn Loss,
+    out: &mut Gradients,
+    mut statistics: Option<&mut [DensityStatistics]>,
+) -> Result<(), AdjointError> {
     let Workspace { renderer, image, tiles, ellipses, chunks } = workspace;
     settings.validate_for_one_tile_side().map_err(RenderError::from)?;
     renderer.render_into(splats, camera, settings, &mut out.rendered)?;
     image.resize(out.rendered.image.rgb().len(), 0.0);
     out.loss = loss.differentiate(&out.rendered.image, settings.parallel, image)?;
-    let mut lost = 0;
-    for value in image.iter_mut().filter(|value| !value.is_finite()) {
-        *value = 0.0;
-        lost += 1;
-    }
+    let mut non_finite = 0;
 
     let size = [camera.width() as usize, camera.height() as usize];
     let columns = size[0].div_ceil(TILE);
@@ -206,8 +246,11 @@ pub fn render_and_gradients_into(
         if bands.len() > 1 {
             bin::bin(projected, order, band, columns, settings, bins);
         }
-        blend::blend(&projected.splats, bins, band, size, settings, image, tiles);
-        blend::gather(tiles, bins, columns, settings.parallel, ellipses, &mut background);
+        blend::blend(&projected.splats, bins, band, size, settings, image, statistics.is_some(), tiles);
+        non_finite += blend::gather(tiles, bins, columns, settings.parallel, ellipses, &mut background);
+        if let Some(statistics) = &mut statistics {
+            blend::gather_statistics(tiles, bins, columns, statistics);
+        }
     }
     project::project(splats, camera, settings, projected, ellipses, chunks, out);
     out.background = background;
@@ -217,7 +260,7 @@ pub fn render_and_gradients_into(
             out.non_finite += 1;
         }
     }
-    out.non_finite += lost;
+    out.non_finite += non_finite;
     Ok(())
 }
 

@@ -9,6 +9,7 @@ use std::{ops::Range, sync::Mutex};
 use pulp::Simd;
 
 use super::{
+    DensityStatistics,
     term::{Term, dropped, flipped, keep},
     trace::{Rows, SEGMENT, Trace},
 };
@@ -37,19 +38,28 @@ pub(crate) type Partial = [f32; PARTS];
 /// Sums over the pixels of a tile: h, h·q, h·q·y, h·v, h·v·y and three colours, where h = dL/d(exponent).
 const SUMS: usize = 8;
 
-/// What each tile of a band has found.
+/// Statistics of one splat in one tile: sum of lengths of the centre's gradient, of blend weights, pixels.
+type TileStatistics = [f32; STATISTICS];
+/// Numbers in [`TileStatistics`].
+const STATISTICS: usize = 3;
+
+/// Gradients of the tiles of a band.
 #[derive(Debug, Default)]
 pub(super) struct Tiles {
-    tiles: Vec<Found>,
+    tiles: Vec<TileGradients>,
     /// Scratch memory, passed from tile to tile; what it held does not matter.
     pool: Mutex<Vec<Box<Scratch>>>,
 }
 
 #[derive(Clone, Debug, Default)]
-struct Found {
-    /// One per entry of the tile's list.
+struct TileGradients {
+    /// One per entry of the tile's list; none where no pixel has a gradient.
     partials: Vec<Partial>,
+    /// Likewise, if asked for.
+    statistics: Vec<TileStatistics>,
     background: [f32; 3],
+    /// Values of the picture's gradient that were not finite and count as 0.
+    non_finite: u64,
 }
 
 #[derive(Debug, Default)]
@@ -61,7 +71,8 @@ struct Scratch {
     gradient: [Rows; 3],
 }
 
-/// Differentiates the tiles of a band. `image` is dL/dImage of the whole picture.
+/// Differentiates the tiles of a band. `image` is dL/dImage of the whole picture; where it is not finite it
+/// counts as 0. A tile where it is 0 is not walked, unless `statistics` are asked for.
 pub(super) fn blend(
     splats: &[Splat],
     bins: &Bins,
@@ -69,26 +80,54 @@ pub(super) fn blend(
     size: [usize; 2],
     settings: &Settings,
     image: &[f32],
+    statistics: bool,
     out: &mut Tiles,
 ) {
     let columns = size[0].div_ceil(TILE);
     let Tiles { tiles, pool } = out;
     let pool = &*pool;
-    tiles.resize(columns * band.len(), Found::default());
+    tiles.resize(columns * band.len(), TileGradients::default());
     let arch = pulp::Arch::new();
     parallel::for_each(settings.parallel, tiles, |index, found| {
         let (row, column) = (index / columns, index % columns);
         let corner = [column * TILE, (band.start + row) * TILE];
         let list = bins.rows()[row].tile(column);
         let mut scratch = pool.lock().ok().and_then(|mut pool| pool.pop()).unwrap_or_default();
-        arch.dispatch(Backward { splats, list, corner, size, settings, image, found, scratch: &mut scratch });
+        let scratch_memory = &mut *scratch;
+        let tile = Backward {
+            splats,
+            list,
+            corner,
+            size,
+            settings,
+            image,
+            statistics,
+            found,
+            scratch: scratch_memory,
+        };
+        arch.dispatch(tile);
         if let Ok(mut pool) = pool.lock() {
             pool.push(scratch);
         }
     });
 }
 
-/// Adds what the tiles of a band found to each ellipse, in order of tiles.
+/// Adds the statistics of the tiles of a band to those of each Gaussian, in order of tiles.
+pub(super) fn gather_statistics(tiles: &Tiles, bins: &Bins, columns: usize, out: &mut [DensityStatistics]) {
+    for (index, tile) in tiles.tiles.iter().enumerate() {
+        let list = bins.rows()[index / columns].tile(index % columns);
+        for (&splat, &[gradient, weight, pixels]) in list.iter().zip(&tile.statistics) {
+            let sum = &mut out[splat as usize];
+            sum.gradient += gradient;
+            sum.weight += weight;
+            // A whole number of at most 256.
+            sum.pixels += pixels as u32;
+        }
+    }
+}
+
+/// Adds what the tiles of a band found to each ellipse, in order of tiles; returns how many values of the
+/// picture's gradient were not finite.
 pub(super) fn gather(
     tiles: &Tiles,
     bins: &Bins,
@@ -96,7 +135,7 @@ pub(super) fn gather(
     parallel: bool,
     ellipses: &mut [Ellipse],
     background: &mut [f64; 3],
-) {
+) -> u64 {
     // Each piece reads every list and keeps what is its own: the order of each sum is that of the tiles,
     // however many pieces there are.
     let pieces = if parallel { rayon::current_num_threads() } else { 1 };
@@ -115,6 +154,7 @@ pub(super) fn gather(
     for found in &tiles.tiles {
         (0..3).for_each(|c| background[c] += f64::from(found.background[c]));
     }
+    tiles.tiles.iter().map(|tile| tile.non_finite).sum()
 }
 
 /// One tile's work, as a value, so that it can be compiled once per vector width.
@@ -125,7 +165,8 @@ struct Backward<'a> {
     size: [usize; 2],
     settings: &'a Settings,
     image: &'a [f32],
-    found: &'a mut Found,
+    statistics: bool,
+    found: &'a mut TileGradients,
     scratch: &'a mut Scratch,
 }
 
@@ -134,11 +175,19 @@ impl pulp::WithSimd for Backward<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { splats, list, corner, size, settings, image, found, scratch } = self;
-        let rules = Rules::new(settings);
+        let Self { splats, list, corner, size, settings, image, statistics, found, scratch } = self;
         found.partials.clear();
+        found.statistics.clear();
+        (found.background, found.non_finite) = ([0.0; 3], 0);
+        if !statistics && is_zero(image, corner, size) {
+            return;
+        }
+        let rules = Rules::new(settings);
         found.partials.resize(list.len(), [0.0; PARTS]);
-        scratch.open(image, corner, size);
+        if statistics {
+            found.statistics.resize(list.len(), [0.0; STATISTICS]);
+        }
+        found.non_finite = scratch.open(image, corner, size);
 
         let walked = scratch.trace.forward(splats, list, corner, &rules);
         found.background = scratch.turn(settings.background);
@@ -153,6 +202,10 @@ impl pulp::WithSimd for Backward<'_> {
                 let visits = scratch.trace.visits(i);
                 if !visits.is_empty() {
                     let splat = scratch.trace.near[i];
+                    if statistics {
+                        found.statistics[start + i] =
+                            scratch.statistics(simd, visits.clone(), &splat, rules.max);
+                    }
                     let sums = scratch.sweep(simd, visits, &splat, rules.max);
                     *partial = chain(&sums, &splat, corner);
                 }
@@ -162,18 +215,22 @@ impl pulp::WithSimd for Backward<'_> {
 }
 
 impl Scratch {
-    /// Starts a tile: pixel gradients of the image, 0 outside it.
+    /// Starts a tile: pixel gradients of the image, 0 outside it and where they are not finite. Returns how
+    /// many were not.
     #[inline(always)]
-    fn open(&mut self, image: &[f32], corner: [usize; 2], size: [usize; 2]) {
+    fn open(&mut self, image: &[f32], corner: [usize; 2], size: [usize; 2]) -> u64 {
         self.gradient.iter_mut().for_each(|rows| rows.0 = [[0.0; TILE]; TILE]);
-        let (w, h) = ((size[0] - corner[0]).min(TILE), (size[1] - corner[1]).min(TILE));
-        for y in 0..h {
-            let first = 3 * ((corner[1] + y) * size[0] + corner[0]);
-            let pixels = &image[first..first + 3 * w];
-            for (x, pixel) in pixels.chunks_exact(3).enumerate() {
-                (0..3).for_each(|c| self.gradient[c].0[y][x] = pixel[c]);
+        let mut non_finite = 0;
+        for (y, row) in rows(image, corner, size).enumerate() {
+            for (x, pixel) in row.chunks_exact(3).enumerate() {
+                for c in 0..3 {
+                    let value = pixel[c];
+                    non_finite += u64::from(!value.is_finite());
+                    self.gradient[c].0[y][x] = if value.is_finite() { value } else { 0.0 };
+                }
             }
         }
+        non_finite
     }
 
     /// From front-to-back to back-to-front: behind everything is the background. Returns its gradient.
@@ -191,6 +248,31 @@ impl Scratch {
             }
         }
         sums.map(|sum| keep(Term::Background, f64::from(total(&sum))) as f32)
+    }
+
+    /// Statistics of one splat's visits, before [`Scratch::sweep`] steps in front of it.
+    #[inline(always)]
+    fn statistics<S: Simd>(&self, _: S, visits: Range<usize>, splat: &Splat, max: f32) -> TileStatistics {
+        let Self { behind, gradient: [red, green, blue], trace } = self;
+        let [xx, xy, yy] = splat.root.map(|v| v as f32);
+        let [r, g, b] = splat.colour;
+        let mut sums = [[0.0f32; TILE]; STATISTICS];
+        for (visit, record) in trace.visits[visits.clone()].iter().zip(&trace.records[visits]) {
+            let y = visit.y as usize % TILE;
+            for i in 0..TILE {
+                let weight = record.alpha[i] * record.transmittance[i];
+                let own = red.0[y][i] * r + green.0[y][i] * g + blue.0[y][i] * b;
+                let h = if record.alpha[i] < max { weight * (own - behind.0[y][i]) } else { 0.0 };
+                let (u, v) = (visit.u + xx * LANE[i], visit.v);
+                // The exponent falls by u² + v² in bits, and both fall with the centre.
+                let [along, down] = [h * (xx * u), h * (xy * u + yy * v)];
+                sums[0][i] += (along * along + down * down).sqrt();
+                sums[1][i] += weight;
+                sums[2][i] += if record.alpha[i] > 0.0 { 1.0 } else { 0.0 };
+            }
+        }
+        let [gradient, weight, pixels] = sums.map(|sum| total(&sum));
+        [2.0 * std::f32::consts::LN_2 * gradient, weight, pixels]
     }
 
     /// Differentiates one splat's visits and steps in front of it.
@@ -245,6 +327,20 @@ impl Scratch {
         }
         out
     }
+}
+
+/// Rows of the tile at `corner` of a picture of `size`, r g b per pixel.
+#[inline(always)]
+fn rows(image: &[f32], corner: [usize; 2], size: [usize; 2]) -> impl Iterator<Item = &[f32]> {
+    let (w, h) = ((size[0] - corner[0]).min(TILE), (size[1] - corner[1]).min(TILE));
+    (corner[1]..corner[1] + h).map(move |y| &image[3 * (y * size[0] + corner[0])..][..3 * w])
+}
+
+/// Whether every value of the tile at `corner` is 0.
+#[inline(always)]
+fn is_zero(image: &[f32], corner: [usize; 2], size: [usize; 2]) -> bool {
+    // Without a way out inside a row, so that it becomes vectors.
+    rows(image, corner, size).all(|row| row.iter().fold(true, |zero, &value| zero & (value == 0.0)))
 }
 
 #[inline(always)]
@@ -345,10 +441,11 @@ mod tests {
         list: &'a [u32],
         settings: &'a Settings,
         image: &'a [f32],
-        found: &'a mut Found,
+        found: &'a mut TileGradients,
         scratch: &'a mut Scratch,
     ) -> Backward<'a> {
-        Backward { splats, list, corner: [0, 0], size: [16, 16], settings, image, found, scratch }
+        let (corner, size) = ([0, 0], [16, 16]);
+        Backward { splats, list, corner, size, settings, image, statistics: false, found, scratch }
     }
 
     #[test]
@@ -364,12 +461,13 @@ mod tests {
         let list: Vec<u32> = (0..300).collect();
         let image: Vec<f32> = (0..768).map(|i| (i as f32 * 0.7).sin()).collect();
         let settings = Settings::default();
-        let (mut a, mut b) = (Found::default(), Found::default());
+        let (mut a, mut b) = (TileGradients::default(), TileGradients::default());
         work(&splats, &list, &settings, &image, &mut a, &mut Scratch::default())
             .with_simd(pulp::Scalar::new());
         let mut scratch = Scratch::default();
         pulp::Arch::new().dispatch(work(&splats, &list, &settings, &image, &mut b, &mut scratch));
-        let bits = |f: &Found| f.partials.as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        let bits =
+            |f: &TileGradients| f.partials.as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
         assert!(a.partials[0] != [0.0; PARTS]);
         assert_eq!(bits(&a), bits(&b));
         assert_eq!(a.background, b.background);
@@ -384,7 +482,7 @@ mod tests {
         let list: Vec<u32> = (0..n as u32).collect();
         let image: Vec<f32> = (0..768).map(|i| (i as f32 * 0.7).sin()).collect();
         let settings = Settings { background: [0.3, 0.6, 0.9], ..Settings::exact() };
-        let (mut found, mut scratch) = (Found::default(), Scratch::default());
+        let (mut found, mut scratch) = (TileGradients::default(), Scratch::default());
         pulp::Arch::new().dispatch(work(&splats, &list, &settings, &image, &mut found, &mut scratch));
 
         let mut exact = vec![[0.0f64; 4]; n];

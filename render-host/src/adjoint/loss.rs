@@ -3,6 +3,7 @@
 //! Each has a twin in f64, written by the definition, for differences of the f64 reference.
 
 mod mse;
+pub mod photograph;
 pub(crate) mod ssim;
 
 use crate::{

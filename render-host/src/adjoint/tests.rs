@@ -189,6 +189,95 @@ fn presence_is_the_derivative_of_a_factor_before_alpha() {
     assert_eq!(workspace.presence(&groups, 3).unwrap_err(), AdjointError::Group { group: 3, count: 3 });
 }
 
+/// Statistics against what each pixel alone gives: a loss of one pixel's values at a time.
+#[test]
+fn statistics_are_sums_over_pixels() {
+    let scene = Scene::random(9, 1, [0.1, 0.5], 12);
+    let (width, height) = (21u32, 18u32);
+    let camera = camera(width, height);
+    let settings = Settings { background: [0.3, 0.6, 0.1], ..Settings::default() };
+    let pull = noise(width, height, 7);
+    let (mut workspace, mut out, mut got) = (Workspace::new(), Gradients::default(), Vec::new());
+    let mut of = |weights: Image, got: &mut Vec<DensityStatistics>| {
+        let (splats, loss) = (scene.splats(), Linear(weights));
+        let (workspace, out) = (&mut workspace, &mut out);
+        render_and_gradients_with_statistics(workspace, &splats, &camera, &settings, &loss, out, got)
+            .unwrap();
+        out.clone()
+    };
+    let whole = of(pull.clone(), &mut got);
+    let plain = render_and_gradients(
+        &mut Workspace::new(),
+        &scene.splats(),
+        &camera,
+        &settings,
+        &Linear(pull.clone()),
+    );
+    assert_eq!(bits(&whole), bits(&plain.unwrap()), "statistics change no gradient");
+    let (mut lengths, mut weights, mut signed) = (vec![0.0f64; 9], vec![0.0f64; 9], vec![[0.0f64; 2]; 9]);
+    for pixel in 0..(width * height) as usize {
+        for (value, sums) in [(pull.rgb(), true), ([1.0; 3].repeat(378).as_slice(), false)] {
+            let mut alone = Image::filled(width, height, [0.0; 3]).unwrap();
+            alone.rgb_mut()[3 * pixel..3 * pixel + 3].copy_from_slice(&value[3 * pixel..3 * pixel + 3]);
+            if !sums {
+                // A pull of 1 on red alone: the gradient of band 0 is the blend weight.
+                alone.rgb_mut()[3 * pixel + 1..3 * pixel + 3].fill(0.0);
+            }
+            let found = of(alone, &mut Vec::new());
+            for (i, splat) in found.splats.iter().enumerate() {
+                let [x, y] = splat.image_mean.map(f64::from);
+                if sums {
+                    lengths[i] += x.hypot(y);
+                    (signed[i][0], signed[i][1]) = (signed[i][0] + x, signed[i][1] + y);
+                } else {
+                    weights[i] += f64::from(splat.sh0[0]) / crate::harmonics::C0;
+                }
+            }
+        }
+    }
+    let mut cancelled = 0;
+    for (i, found) in got.iter().enumerate() {
+        let length = f64::from(found.gradient);
+        assert!((length - lengths[i]).abs() < 1e-4 * lengths[i], "{i}: {length} {}", lengths[i]);
+        cancelled += usize::from(signed[i][0].hypot(signed[i][1]) < 0.9 * length);
+        // Every fifth has a red clamped at 0, which hides its weight.
+        if i % 5 != 4 {
+            assert!((f64::from(found.weight) - weights[i]).abs() < 1e-4 * weights[i], "{i}: {found:?}");
+        }
+        assert!(found.pixels > 0 && found.pixels <= width * height && found.weight <= found.pixels as f32);
+    }
+    assert!(cancelled > 0, "the signed sums would do");
+}
+
+/// Where the picture has no gradient nothing is walked, and statistics still are.
+#[test]
+fn tiles_without_a_gradient_are_skipped() {
+    let scene = Scene::random(40, 0, [0.05, 0.2], 3);
+    let camera = camera(96, 64);
+    let mut pull = Image::filled(96, 64, [0.0; 3]).unwrap();
+    pull.rgb_mut()[3 * (30 * 96 + 50)] = 1.0;
+    let (settings, loss) = (Settings { background: [0.5; 3], ..Settings::default() }, Linear(pull));
+    let some =
+        render_and_gradients(&mut Workspace::new(), &scene.splats(), &camera, &settings, &loss).unwrap();
+    let (mut all, mut statistics) = (Gradients::default(), Vec::new());
+    let mut workspace = Workspace::new();
+    render_and_gradients_with_statistics(
+        &mut workspace,
+        &scene.splats(),
+        &camera,
+        &settings,
+        &loss,
+        &mut all,
+        &mut statistics,
+    )
+    .unwrap();
+    assert_eq!(bits(&some), bits(&all));
+    assert!(some.splats.iter().filter(|s| **s != SplatGradient::default()).count() < 40);
+    let shown = statistics.iter().filter(|s| s.pixels > 0).count();
+    assert!(shown > 35 && statistics.iter().any(|s| s.gradient > 0.0), "{shown}");
+    assert!(statistics.iter().all(|s| s.pixels == 0 || s.weight > 0.0));
+}
+
 /// Skips leave out nothing that has a gradient.
 #[test]
 fn skips_change_no_gradient() {

@@ -25,12 +25,14 @@ use crate::{
     parallel,
 };
 
+use rows::MARGIN;
+pub(crate) use rows::MIDDLE;
 #[cfg(feature = "gpu")]
 pub(crate) use sweep::FARTHEST;
-pub(crate) use sweep::MIDDLE;
-use sweep::{MARGIN, Room, Strip, Sweep};
+use sweep::{Room, Strip, Sweep};
 
-mod sweep;
+pub(super) mod rows;
+pub(super) mod sweep;
 
 /// Rows in a band, about; part of the order of sums.
 const BAND: usize = 64;
@@ -186,29 +188,33 @@ impl Loss for Dissimilarity {
         self.sweep(image, parallel, weight, gradient).map(|found| found.structure)
     }
 
-    /// Every window, every weight.
     fn exact(&self, rgb: &[f64]) -> f64 {
-        let width = self.target.width() as usize;
-        let Windows { along, down, columns, rows } = &self.windows;
-        let mut sum = 0.0;
-        for c in 0..3 {
-            for row in 0..*rows {
-                for column in 0..*columns {
-                    let mut moments = [0.0; 5];
-                    for (j, v) in down.iter().enumerate() {
-                        for (i, u) in along.iter().enumerate() {
-                            let at = 3 * ((row + j) * width + column + i) + c;
-                            let (w, x, y) = (u * v, rgb[at], f64::from(self.target.rgb()[at]));
-                            let values = [x, y, x * x, y * y, x * y];
-                            moments.iter_mut().zip(values).for_each(|(m, v)| *m += w * v);
-                        }
+        let target: Vec<f64> = self.target.rgb().iter().map(|&y| f64::from(y)).collect();
+        exact(&self.windows, self.target.width() as usize, rgb, &target)
+    }
+}
+
+/// `1 - SSIM` of x and y, r g b per pixel of rows of `width` pixels: every window, every weight.
+pub(super) fn exact(windows: &Windows, width: usize, x: &[f64], y: &[f64]) -> f64 {
+    let Windows { along, down, columns, rows } = windows;
+    let mut sum = 0.0;
+    for c in 0..3 {
+        for row in 0..*rows {
+            for column in 0..*columns {
+                let mut moments = [0.0; 5];
+                for (j, v) in down.iter().enumerate() {
+                    for (i, u) in along.iter().enumerate() {
+                        let at = 3 * ((row + j) * width + column + i) + c;
+                        let (x, y) = (x[at], y[at]);
+                        let values = [x, y, x * x, y * y, x * y];
+                        moments.iter_mut().zip(values).for_each(|(m, value)| *m += u * v * value);
                     }
-                    sum += similarity(moments);
                 }
+                sum += similarity(moments);
             }
         }
-        1.0 - sum / self.windows.count() as f64
     }
+    1.0 - sum / windows.count() as f64
 }
 
 /// Moments y and y² of the windows of one row.

@@ -5,65 +5,16 @@
 
 use std::ops::Range;
 
-use super::Parts;
+use super::{
+    Parts,
+    rows::{MARGIN, MIDDLE, Pack, Ring, down, filter, total},
+};
 use crate::metric::ssim::{C1, C2, WINDOW};
 
-/// Values worked on at a time, and zeros on either side of a row that is filtered along.
-pub(super) const MARGIN: usize = 16;
-/// Pixels from the middle of a window to its end.
-pub(crate) const MIDDLE: usize = WINDOW / 2;
 /// Largest difference that counts.
 pub(crate) const FARTHEST: f32 = 1e6;
 /// Filtered quantities: three moments, then three slopes.
 const KINDS: usize = 3;
-
-/// Values side by side.
-type Pack = [f32; MARGIN];
-
-/// Rows of a ring: slot `row mod WINDOW`, a row of each kind.
-#[derive(Debug, Default)]
-struct Ring {
-    packs: Vec<Pack>,
-    /// Packs per row.
-    width: usize,
-    empty: [bool; WINDOW],
-}
-
-impl Ring {
-    fn open(&mut self, width: usize) {
-        self.width = width;
-        self.packs.resize(WINDOW * KINDS * width, [0.0; MARGIN]);
-        self.packs.fill([0.0; MARGIN]);
-        self.empty = [true; WINDOW];
-    }
-
-    /// Rows of the slot of `row`, to be written.
-    #[inline(always)]
-    fn slot(&mut self, row: isize) -> &mut [Pack] {
-        let slot = row.rem_euclid(WINDOW as isize) as usize;
-        self.empty[slot] = false;
-        &mut self.packs[slot * KINDS * self.width..][..KINDS * self.width]
-    }
-
-    /// Makes the slot of `row` zeros.
-    #[inline(always)]
-    fn clear(&mut self, row: isize) {
-        let slot = row.rem_euclid(WINDOW as isize) as usize;
-        if !std::mem::replace(&mut self.empty[slot], true) {
-            self.packs[slot * KINDS * self.width..][..KINDS * self.width].fill([0.0; MARGIN]);
-        }
-    }
-
-    /// The rows around `middle`, top first; of each, its kinds one after the other.
-    #[inline(always)]
-    fn around(&self, middle: isize) -> [&[Pack]; WINDOW] {
-        std::array::from_fn(|k| {
-            let row = middle + k as isize - MIDDLE as isize;
-            let slot = row.rem_euclid(WINDOW as isize) as usize;
-            &self.packs[slot * KINDS * self.width..][..KINDS * self.width]
-        })
-    }
-}
 
 /// Scratch memory of a band.
 #[derive(Debug, Default)]
@@ -116,8 +67,8 @@ impl Strip<'_> {
         let side = 3 * self.size[0];
         let packs = side.div_ceil(MARGIN);
         let Room { moments, slopes, flat } = room;
-        moments.open(packs);
-        slopes.open(packs);
+        moments.open(KINDS, packs);
+        slopes.open(KINDS, packs);
         for flat in flat.iter_mut() {
             flat.clear();
             flat.resize((packs + 2) * MARGIN, 0.0);
@@ -128,7 +79,7 @@ impl Strip<'_> {
         for row in first - 2 * reach..past + 2 * reach {
             if let Some(row) = usize::try_from(row).ok().filter(|&row| row < self.size[1]) {
                 self.moments(row, flat);
-                filter(flat, self.along, moments.slot(row as isize));
+                filter(flat.each_ref().map(Vec::as_slice), self.along, moments.slot(row as isize));
             } else {
                 moments.clear(row);
             }
@@ -137,7 +88,7 @@ impl Strip<'_> {
                 if let Some(at) = usize::try_from(centre).ok().filter(|at| self.centres.contains(at)) {
                     let sum = self.slopes(&moments.around(centre), at, flat);
                     sums.structure += if self.rows.contains(&at) { sum } else { 0.0 };
-                    filter(flat, self.along, slopes.slot(centre));
+                    filter(flat.each_ref().map(Vec::as_slice), self.along, slopes.slot(centre));
                 } else {
                     slopes.clear(centre);
                 }
@@ -273,52 +224,4 @@ fn middle(flat: &mut [f32], packs: usize) -> &mut [Pack] {
 #[inline(always)]
 fn difference(x: f32, y: f32) -> f32 {
     (x - y).clamp(-FARTHEST, FARTHEST)
-}
-
-/// Filters each of `flat` along, pixel by pixel of three values, to the rows of a slot.
-#[inline(always)]
-fn filter(flat: &[Vec<f32>; KINDS], weights: &[f32; MIDDLE + 1], out: &mut [Pack]) {
-    let packs = out.len() / KINDS;
-    for (flat, out) in flat.iter().zip(out.chunks_exact_mut(packs.max(1))) {
-        for (around, out) in flat.windows(3 * MARGIN).step_by(MARGIN).zip(out) {
-            let mut sum = [0.0; MARGIN];
-            for i in 0..MARGIN {
-                sum[i] = weights[0] * around[MARGIN + i];
-            }
-            for k in 1..=MIDDLE {
-                for i in 0..MARGIN {
-                    sum[i] += weights[k] * (around[MARGIN + i - 3 * k] + around[MARGIN + i + 3 * k]);
-                }
-            }
-            *out = sum;
-        }
-    }
-}
-
-/// Pack `at` of the rows, filtered down.
-#[inline(always)]
-fn down(rows: &[&[Pack]; WINDOW], at: usize, weights: &[f32; MIDDLE + 1]) -> Pack {
-    let middle = &rows[MIDDLE][at];
-    let mut sum = [0.0; MARGIN];
-    for i in 0..MARGIN {
-        sum[i] = weights[0] * middle[i];
-    }
-    for k in 1..=MIDDLE {
-        let (above, below) = (&rows[MIDDLE - k][at], &rows[MIDDLE + k][at]);
-        for i in 0..MARGIN {
-            sum[i] += weights[k] * (above[i] + below[i]);
-        }
-    }
-    sum
-}
-
-/// Sum in a fixed tree.
-#[inline(always)]
-fn total(mut sums: [f64; MARGIN]) -> f64 {
-    for half in [8, 4, 2, 1] {
-        for i in 0..half {
-            sums[i] += sums[i + half];
-        }
-    }
-    sums[0]
 }
