@@ -16,6 +16,7 @@ use trainer_host::{
     encode::{self, Decisions, Encoded, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
     stream::PacketMap,
+    train::Checkpoint,
     utility,
     viewpoint::{Framing, Ring},
 };
@@ -82,10 +83,24 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
     if !path.exists() {
         bail!("{input}: no such file or folder (built-in scenes are named synth:figure and the like)");
     }
-    let mut scene = import::import(path, &options)?;
+    let mut scene = match trained(path, args.fps)? {
+        Some(scene) => scene,
+        None => import::import(path, &options)?,
+    };
     scene.up = args.up.into();
     let name = path.file_name().map_or_else(|| input.to_owned(), |n| n.to_string_lossy().into_owned());
     Ok(Loaded { name, scene })
+}
+
+/// The scene in a checkpoint of a training, if the file is one.
+fn trained(path: &Path, frames_per_second: f64) -> Result<Option<Scene>> {
+    if path.extension().is_none_or(|extension| extension != "dgst") {
+        return Ok(None);
+    }
+    let failed = || path.display().to_string();
+    let checkpoint =
+        Checkpoint::from_bytes(&std::fs::read(path).with_context(failed)?).with_context(failed)?;
+    Ok(Some(checkpoint.model().scene(checkpoint.frames, frames_per_second)?))
 }
 
 fn synth_options(text: &str, args: &SceneArgs) -> Result<synth::Options> {

@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 
 use super::{
     CodecArgs, SceneArgs,
-    number::{background, not_negative, positive, real, whole},
+    number::{background, not_negative, real, whole},
 };
 
 /// `dgs train`.
@@ -37,36 +37,34 @@ pub struct Train {
     /// Replace what is in --out.
     #[arg(long, conflicts_with = "resume")]
     pub overwrite: bool,
-    /// Most Gaussians.
-    #[arg(long, default_value_t = 26_000, value_parser = whole::<usize>(1..=5_000_000, "Gaussians"))]
-    pub gaussians: usize,
-    /// Control nodes that carry the motion; 0: nothing moves.
-    #[arg(long, default_value_t = 512, value_parser = whole::<usize>(0..=65_536, "nodes"))]
-    pub nodes: usize,
-    /// Degree of the spherical harmonics, 0 to 3.
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u8).range(0..=3))]
-    pub sh_degree: u8,
-    /// Longest side of the photographs that are trained on, pixels: larger ones are halved, or more.
-    #[arg(long, default_value_t = 800, value_parser = whole::<u32>(16..=16_384, "pixels"))]
-    pub max_side: u32,
-    /// Background that figures are for, 0 to 1 per channel: grey level or r,g,b.
-    #[arg(long, default_value = "1", value_parser = background)]
-    pub background: [f32; 3],
-    /// Time whose Gaussians are stored and others moved from, 0 to 1.
-    #[arg(
-        long, default_value_t = 0.5, value_parser = real(0.0..=1.0, "a share of the clip"),
-        allow_negative_numbers = true
-    )]
-    pub canonical_time: f64,
-    /// How strongly neighbouring nodes move as one rigid body.
-    #[arg(long, default_value_t = 0.01, value_parser = not_negative, allow_negative_numbers = true)]
-    pub rigidity: f64,
-    /// How Gaussians are added.
-    #[arg(long, value_enum, default_value_t = DensityName::Split)]
-    pub density: DensityName,
-    /// All learning rates times this, above 0.
-    #[arg(long, default_value_t = 1.0, value_parser = positive, allow_negative_numbers = true)]
-    pub rate: f64,
+    /// Options of the training as JSON: any of those that report.html lists. What is typed besides wins.
+    #[arg(long, value_name = "FILE")]
+    pub options: Option<PathBuf>,
+    /// Most Gaussians [default: 26000].
+    #[arg(long, value_parser = whole::<usize>(1..=5_000_000, "Gaussians"))]
+    pub gaussians: Option<usize>,
+    /// Control nodes that carry the motion [default: 512]; 0: nothing moves.
+    #[arg(long, value_parser = whole::<usize>(0..=65_536, "nodes"))]
+    pub nodes: Option<usize>,
+    /// Degree of the spherical harmonics, 0 to 3 [default: 1].
+    #[arg(long, value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub sh_degree: Option<u8>,
+    /// Longest side of the photographs that are trained on, pixels: larger ones are halved, or more
+    /// [default: 800].
+    #[arg(long, value_parser = whole::<u32>(16..=16_384, "pixels"))]
+    pub max_side: Option<u32>,
+    /// Background that figures are for, 0 to 1 per channel: grey level or r,g,b [default: 1].
+    #[arg(long, value_parser = background)]
+    pub background: Option<[f32; 3]>,
+    /// Time whose Gaussians are stored and others moved from, 0 to 1 [default: 0.5].
+    #[arg(long, value_parser = real(0.0..=1.0, "a share of the clip"), allow_negative_numbers = true)]
+    pub canonical_time: Option<f64>,
+    /// How strongly neighbouring nodes move as one rigid body [default: 0.01].
+    #[arg(long, value_parser = not_negative, allow_negative_numbers = true)]
+    pub rigidity: Option<f64>,
+    /// How Gaussians are added [default: split].
+    #[arg(long, value_enum)]
+    pub density: Option<DensityName>,
     /// Steps between checkpoints.
     #[arg(long, default_value_t = 2000, value_parser = whole::<u32>(1..=10_000_000, "steps"))]
     pub checkpoint_every: u32,
@@ -93,8 +91,10 @@ pub struct Train {
 /// How Gaussians are added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum DensityName {
-    /// Split those that views pull at.
+    /// Split those that views pull at, pixel by pixel.
     Split,
+    /// Split those that views pull at in sum.
+    SplitBySum,
     /// Move transparent ones to opaque ones (MCMC).
     Relocate,
 }

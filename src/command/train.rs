@@ -19,7 +19,7 @@ use trainer_host::{
     Instant,
     encode::Protection,
     train::{
-        self, Checkpoint, Dataset, DensityControl, Evaluation, Posable, Rates, Trainer,
+        self, Checkpoint, Dataset, DensityControl, Evaluation, Posable, Trainer,
         dataset::{self, rendered},
     },
 };
@@ -119,38 +119,36 @@ fn begin<'d>(args: &Train, folder: &Folder, dataset: &'d Dataset) -> Result<(Tra
         let progress = checkpoint.progress;
         return Ok((checkpoint.resume(dataset).with_context(failed)?, progress));
     }
-    Ok((Trainer::new(dataset, &options(args))?, 0.0))
+    Ok((Trainer::new(dataset, &options(args)?)?, 0.0))
 }
 
-/// The options as typed.
-fn options(args: &Train) -> train::Options {
-    let rate = args.rate as f32;
-    let Rates { position, log_scale, rotation, opacity, sh0, sh_rest, skin, node_motion } = Rates::default();
-    train::Options {
-        seed: args.scene.seed,
-        max_gaussians: args.gaussians,
-        nodes: args.nodes,
-        sh_degree: args.sh_degree,
-        max_side: args.max_side,
-        background: args.background,
-        canonical_time: args.canonical_time as f32,
-        rigidity: args.rigidity as f32,
-        density: match args.density {
+/// The options of the file, if there is one, and what was typed besides.
+fn options(args: &Train) -> Result<train::Options> {
+    let mut options = match &args.options {
+        None => train::Options::default(),
+        Some(path) => {
+            let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            serde_json::from_str(&text).with_context(|| path.display().to_string())?
+        }
+    };
+    options.seed = args.scene.seed;
+    let set = |to: &mut f32, typed: Option<f64>| *to = typed.map_or(*to, |v| v as f32);
+    set(&mut options.canonical_time, args.canonical_time);
+    set(&mut options.rigidity, args.rigidity);
+    options.max_gaussians = args.gaussians.unwrap_or(options.max_gaussians);
+    options.initial_gaussians = options.initial_gaussians.min(options.max_gaussians);
+    options.nodes = args.nodes.unwrap_or(options.nodes);
+    options.sh_degree = args.sh_degree.unwrap_or(options.sh_degree);
+    options.max_side = args.max_side.unwrap_or(options.max_side);
+    options.background = args.background.unwrap_or(options.background);
+    if let Some(density) = args.density {
+        options.density = match density {
             DensityName::Split => DensityControl::Split,
+            DensityName::SplitBySum => DensityControl::SplitBySum,
             DensityName::Relocate => DensityControl::Relocate,
-        },
-        rates: Rates {
-            position: rate * position,
-            log_scale: rate * log_scale,
-            rotation: rate * rotation,
-            opacity: rate * opacity,
-            sh0: rate * sh0,
-            sh_rest: rate * sh_rest,
-            skin: rate * skin,
-            node_motion: rate * node_motion,
-        },
-        ..train::Options::default()
+        };
     }
+    Ok(options)
 }
 
 /// True once a person has asked to stop: the state is then written, and the verb ends.

@@ -1,10 +1,10 @@
-//! trainer-host imports and exports scenes, encodes them into streams, and measures what parts are worth.
+//! trainer-host imports, exports and trains scenes, encodes them into streams, and measures what parts add.
 //!
-//! Four rooms, in the order of the walk (`train`, which fits scenes to pictures, is not built yet):
+//! Five rooms, in the order of the walk:
 //!
 //! ```text
-//! scene (import) ─▶ encode ─▶ stream ─▶ (codec-core decodes) ─▶ utility
-//!   └─▶ scene (export)
+//! photographs ─▶ train ─▶ scene (import) ─▶ encode ─▶ stream ─▶ (codec-core decodes) ─▶ utility
+//!                           └─▶ scene (export)
 //! ```
 //!
 //! ```

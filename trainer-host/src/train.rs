@@ -27,8 +27,11 @@ pub mod views;
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use evaluation::{Evaluation, EvaluationError, Posable, compare, evaluate};
 pub use model::Model;
-pub use options::{DensityControl, Options, OptionsError, Rates};
+pub use options::{DensityControl, Options, OptionsError, Rates, Schedule};
 pub use trainer::{Stage, StepReport, TrainError, Trainer};
 pub use views::{
     ColouredPoint, Dataset, PosedPhotograph, Start, Test, Training, Validation, Views, ViewsError,
 };
+
+#[cfg(test)]
+mod tests;

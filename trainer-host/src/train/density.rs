@@ -3,6 +3,7 @@
 use glam::{Mat3, Vec3};
 use rand::RngExt;
 use rand_pcg::Pcg64Mcg;
+use render_host::adjoint::{DensityStatistics, SplatGradient};
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -41,12 +42,14 @@ impl Pull {
         self.sum.len()
     }
 
-    /// Adds the gradients of one view.
-    pub(super) fn add(&mut self, splats: &[render_host::adjoint::SplatGradient]) {
-        for ((sum, views), splat) in self.sum.iter_mut().zip(&mut self.views).zip(splats) {
-            let [x, y] = splat.image_mean;
-            if x != 0.0 || y != 0.0 {
-                *sum += x.hypot(y);
+    /// Adds one view: by `statistics` where there are some, else by the gradients of `splats`.
+    pub(super) fn add(&mut self, splats: &[SplatGradient], statistics: &[DensityStatistics]) {
+        let by_sum = |splat: &SplatGradient| splat.image_mean[0].hypot(splat.image_mean[1]);
+        for (index, (sum, views)) in self.sum.iter_mut().zip(&mut self.views).enumerate() {
+            let pull =
+                statistics.get(index).map_or_else(|| splats.get(index).map_or(0.0, by_sum), |s| s.gradient);
+            if pull > 0.0 {
+                *sum += pull;
                 *views += 1.0;
             }
         }
@@ -74,7 +77,7 @@ pub(super) fn control(
     let kept = indices.len();
     let room = target.saturating_sub(kept).min(kept / 4);
     let weight = |&index: &usize| match kind {
-        DensityControl::Split => pull.weight(index),
+        DensityControl::Split | DensityControl::SplitBySum => pull.weight(index),
         DensityControl::Relocate => f64::from(gaussians.opacity(index)),
     };
     let weights: Vec<f64> = indices.iter().map(weight).collect();
@@ -83,7 +86,7 @@ pub(super) fn control(
     gaussians.select(&indices, kept);
     for (child, &parent) in parents.iter().enumerate() {
         match kind {
-            DensityControl::Split => split(gaussians, parent, kept + child),
+            DensityControl::Split | DensityControl::SplitBySum => split(gaussians, parent, kept + child),
             DensityControl::Relocate => share(gaussians, parent, kept + child),
         }
     }
@@ -192,7 +195,6 @@ mod tests {
     use crate::scene::Instant;
     use codec_core::{Gaussian, ShDegree};
     use rand_pcg::rand_core::SeedableRng;
-    use render_host::adjoint::SplatGradient;
 
     const EXTENT: Extent = Extent { centre: [0.0; 3], half_side: 1.0 };
 
@@ -216,7 +218,7 @@ mod tests {
         let mut gaussians = row(&[0.5, 0.001, 0.5, 0.5, 0.5, 0.5]);
         let mut pull = Pull::none(6);
         let splat = |x: f32| SplatGradient { image_mean: [x, 0.0], ..SplatGradient::default() };
-        pull.add(&[splat(0.0), splat(9.0), splat(0.0), splat(1.0), splat(0.0), splat(0.0)]);
+        pull.add(&[splat(0.0), splat(9.0), splat(0.0), splat(1.0), splat(0.0), splat(0.0)], &[]);
         let mut rng = Pcg64Mcg::seed_from_u64(1);
         let from = control(&mut gaussians, &pull, 100, DensityControl::Split, &EXTENT, &mut rng);
         assert_eq!(from, [0, 2, 3, 4, 5, 3]);

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 /// Lengths are in units of the scene's extent (half the side of the cube that holds it), so that the same
 /// numbers work for a scene of any size.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Options {
     /// Seed of everything random.
     pub seed: u64,
@@ -40,20 +41,67 @@ pub struct Options {
     pub density: DensityControl,
     /// Learning rates.
     pub rates: Rates,
+    /// When what happens.
+    pub schedule: Schedule,
+}
+
+/// Shares of the training, 0 to 1, at which things change.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Schedule {
+    /// Until here only views near the canonical instant are used, and nothing moves.
+    pub still: f64,
+    /// Over this share after it the span of time grows to all of the clip.
+    pub growth: f64,
+    /// From here a quarter of the nodes carry the motion; before, a sixteenth.
+    pub quarter_of_nodes: f64,
+    /// From here all nodes do.
+    pub all_nodes: f64,
+    /// From here Gaussians are neither added nor removed.
+    pub density_end: f64,
+    /// Until here photographs have their smallest, second and third size (an eighth, a quarter and a half of
+    /// the last); of fewer sizes the first numbers count.
+    pub sizes: [f64; 3],
+    /// Rates of positions and nodes at the end, of those at the start.
+    pub motion_decay: f64,
+    /// Other rates at the end, of those at the start.
+    pub decay: f64,
+    /// Weight of rigidity at the end, of that at the start.
+    pub rigidity_decay: f64,
+}
+
+impl Default for Schedule {
+    fn default() -> Self {
+        Self {
+            still: 0.03,
+            growth: 0.12,
+            quarter_of_nodes: 0.1,
+            all_nodes: 0.22,
+            density_end: 0.6,
+            sizes: [0.12, 0.35, 0.6],
+            motion_decay: 0.02,
+            decay: 0.1,
+            rigidity_decay: 0.05,
+        }
+    }
 }
 
 /// How Gaussians are added where the pictures ask for more.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DensityControl {
-    /// Those whose centres are pulled most are split along their longest axis (Kerbl et al. 2023, section 5).
+    /// Those whose centres are pulled most are split along their longest axis; pulls of single pixels add up
+    /// by length, so that those in opposite directions count (Ye et al., "AbsGS", 2024).
     Split,
+    /// As `Split`, by the length of the sum of pulls (Kerbl et al. 2023, section 5).
+    SplitBySum,
     /// Transparent ones move to opaque ones, and all jitter (Kheradmand et al. 2024).
     Relocate,
 }
 
 /// Learning rates at the start, per step of Adam. Lengths are in extents.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Rates {
     /// Positions.
     pub position: f32,
@@ -91,6 +139,7 @@ impl Default for Options {
             scale_weight: 0.0,
             density: DensityControl::Split,
             rates: Rates::default(),
+            schedule: Schedule::default(),
         }
     }
 }
@@ -165,6 +214,33 @@ impl Options {
         ];
         for (field, value) in rates.into_iter().chain(weights) {
             real(field, value, 100.0, "0 to 100")?;
+        }
+        let Schedule {
+            still,
+            growth,
+            quarter_of_nodes,
+            all_nodes,
+            density_end,
+            sizes: [first, second, third],
+            motion_decay,
+            decay,
+            rigidity_decay,
+        } = self.schedule;
+        let shares = [
+            ("schedule.still", still),
+            ("schedule.growth", growth),
+            ("schedule.quarter_of_nodes", quarter_of_nodes),
+            ("schedule.all_nodes", all_nodes),
+            ("schedule.density_end", density_end),
+            ("schedule.sizes[0]", first),
+            ("schedule.sizes[1]", second),
+            ("schedule.sizes[2]", third),
+            ("schedule.motion_decay", motion_decay),
+            ("schedule.decay", decay),
+            ("schedule.rigidity_decay", rigidity_decay),
+        ];
+        for (field, value) in shares {
+            real(field, value as f32, 1.0, "0 to 1")?;
         }
         Ok(())
     }

@@ -2,14 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{gaussians::AttributeRates, options::Options};
-
-/// Share of the training in which only views near the canonical instant are used, and nothing moves.
-pub(super) const STILL: f64 = 0.03;
-/// Share after it over which the span of time grows to all of the clip.
-const GROWTH: f64 = 0.12;
-/// Share after which Gaussians are neither added nor removed.
-pub(super) const DENSITY_END: f64 = 0.6;
+use super::{
+    gaussians::AttributeRates,
+    options::{Options, Schedule},
+};
 
 /// How the photographs shrink for a part of the training.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,37 +26,37 @@ impl Sizes {
     }
 
     /// Index of the reduction that applies.
-    pub(super) fn at(&self, progress: f64) -> usize {
-        // Shares of the training after which each size but the last is done.
-        let ends: &[f64] = match self.0.len() {
-            0 | 1 => &[],
-            2 => &[0.3],
-            3 => &[0.12, 0.42],
-            _ => &[0.10, 0.32, 0.6],
-        };
+    pub(super) fn at(&self, schedule: &Schedule, progress: f64) -> usize {
+        let last = (self.0.len() - 1).min(schedule.sizes.len());
+        let ends = &schedule.sizes[..last];
         ends.iter().filter(|&&end| progress >= end).count()
     }
 }
 
 /// Largest distance in time from the canonical instant of a view that is used.
-pub(super) fn time_span(progress: f64) -> f32 {
-    let grown = ((progress - STILL) / GROWTH).clamp(0.0, 1.0);
+pub(super) fn time_span(schedule: &Schedule, progress: f64) -> f32 {
+    let grown = ((progress - schedule.still) / schedule.growth.max(1e-9)).clamp(0.0, 1.0);
     (f64::from(super::start::HULL_TIME) + grown) as f32
 }
 
 /// Numbers of nodes and the shares of the training at which they take over.
-pub(super) fn node_stages(nodes: usize) -> Vec<(f64, usize)> {
+pub(super) fn node_stages(options: &Options) -> Vec<(f64, usize)> {
+    let (nodes, schedule) = (options.nodes, &options.schedule);
     if nodes == 0 {
         return Vec::new();
     }
-    let stages = [(STILL, (nodes / 16).max(8)), (0.10, (nodes / 4).max(8)), (0.22, nodes)];
+    let stages = [
+        (schedule.still, (nodes / 16).max(8)),
+        (schedule.quarter_of_nodes, (nodes / 4).max(8)),
+        (schedule.all_nodes, nodes),
+    ];
     stages.map(|(from, count)| (from, count.min(nodes))).into()
 }
 
 /// Number of Gaussians to have.
 pub(super) fn gaussians(options: &Options, progress: f64) -> usize {
     let (from, to) = (options.initial_gaussians as f64, options.max_gaussians as f64);
-    let grown = ((progress - 0.02) / (0.8 * DENSITY_END)).clamp(0.0, 1.0);
+    let grown = ((progress - 0.02) / (0.8 * options.schedule.density_end).max(1e-9)).clamp(0.0, 1.0);
     (from + (to - from) * grown).max(0.0) as usize
 }
 
@@ -71,7 +67,8 @@ fn decay(progress: f64, end: f64) -> f32 {
 
 /// Rates of the Gaussians' attributes; `extent` is the scene's, scene units.
 pub(super) fn attribute_rates(options: &Options, progress: f64, extent: f32) -> AttributeRates {
-    let (slow, fast) = (decay(progress, 0.1), decay(progress, 0.02));
+    let (slow, fast) =
+        (decay(progress, options.schedule.decay), decay(progress, options.schedule.motion_decay));
     let rates = &options.rates;
     AttributeRates {
         position: rates.position * extent * fast,
@@ -86,10 +83,10 @@ pub(super) fn attribute_rates(options: &Options, progress: f64, extent: f32) -> 
 
 /// Rate of the nodes' motion.
 pub(super) fn node_rate(options: &Options, progress: f64) -> f32 {
-    options.rates.node_motion * decay(progress, 0.02)
+    options.rates.node_motion * decay(progress, options.schedule.motion_decay)
 }
 
 /// Weight of rigidity.
 pub(super) fn rigidity(options: &Options, progress: f64) -> f32 {
-    options.rigidity * ((1.0 - progress).max(0.05)) as f32
+    options.rigidity * (1.0 - progress).max(options.schedule.rigidity_decay) as f32
 }

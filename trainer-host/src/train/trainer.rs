@@ -9,9 +9,9 @@ use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use render_host::{
     CameraError, Gradients, RenderError, Settings, Splats, Workspace,
     adjoint::{
-        AdjointError,
+        AdjointError, DensityStatistics,
         loss::photograph::{Photograph, PhotographLoss},
-        render_and_gradients_into,
+        render_and_gradients_into, render_and_gradients_with_statistics,
     },
 };
 use serde::{Deserialize, Serialize};
@@ -32,8 +32,10 @@ use crate::scene::Instant;
 
 /// Steps between two controls of density.
 const DENSITY_EVERY: u32 = 100;
-/// Steps between two states to fall back to.
-const KEEP_EVERY: u32 = 500;
+/// Steps between two looks at every number.
+const CHECK_EVERY: u32 = 100;
+/// Looks between two states to fall back to.
+const KEEP_EVERY: u32 = 5;
 /// Times that training may fall back before it gives up.
 const MOST_RETREATS: u32 = 3;
 /// One step in this many shows the whole photograph and not only what its outline needs.
@@ -69,8 +71,8 @@ pub enum TrainError {
     },
     /// Training left what numbers can hold, again and again.
     #[error(
-        "training diverged at step {step}: {what}, for the {} time; lower rates or more rigidity may help",
-        if *retreats == 2 { "second".to_owned() } else { format!("{retreats}th") }
+        "training diverged at step {step}: {what}; it fell back {retreats} times and did so again; lower rates \
+         or more rigidity may help"
     )]
     Diverged {
         /// The step.
@@ -165,6 +167,8 @@ pub struct Trainer<'a> {
 struct Memory {
     workspace: Workspace,
     gradients: Gradients,
+    /// Of the view, where density control asks for them.
+    statistics: Vec<DensityStatistics>,
     instant: Instant,
 }
 
@@ -235,6 +239,12 @@ impl<'a> Trainer<'a> {
         &self.state
     }
 
+    /// Makes a parameter not a number, as a division by zero would.
+    #[cfg(test)]
+    pub(super) fn poison(&mut self) {
+        self.state.model.gaussians.sh0.values_mut().fill(f32::NAN);
+    }
+
     /// The options in force.
     pub fn options(&self) -> &Options {
         &self.options
@@ -277,7 +287,7 @@ impl<'a> Trainer<'a> {
         self.enter_stages(progress);
         let mut rng = self.luck();
         let view = self.next_view(progress);
-        let loss = self.differentiate(view, &mut rng, observe)?;
+        let loss = self.differentiate(view, progress, &mut rng, observe)?;
         let mut retreat = self.trouble(loss);
         if retreat.is_none() {
             self.update(view, progress, observe);
@@ -311,13 +321,13 @@ impl<'a> Trainer<'a> {
     /// Goes on to more pixels and more nodes where the schedule says so.
     fn enter_stages(&mut self, progress: f64) {
         let state = &mut self.state;
-        let size = self.pyramid.schedule().at(progress);
+        let size = self.pyramid.schedule().at(&self.options.schedule, progress);
         if size != state.size {
             state.size = size;
             state.pull = Pull::none(state.model.gaussians());
             state.lowest_loss = f64::INFINITY;
         }
-        let stages = schedule::node_stages(self.options.nodes);
+        let stages = schedule::node_stages(&self.options);
         while let Some(&(from, count)) = stages.get(state.node_stages)
             && progress >= from
         {
@@ -334,7 +344,7 @@ impl<'a> Trainer<'a> {
         let count = photographs.len() as u64;
         let away = |view: &usize| (photographs[*view].time - self.options.canonical_time).abs();
         let nearest = (0..photographs.len()).map(|view| away(&view)).fold(f32::MAX, f32::min);
-        let span = schedule::time_span(progress).max(nearest);
+        let span = schedule::time_span(&self.options.schedule, progress).max(nearest);
         loop {
             let pass = self.state.drawn / count;
             if self.order.0 != pass {
@@ -355,6 +365,7 @@ impl<'a> Trainer<'a> {
     fn differentiate(
         &mut self,
         view: usize,
+        progress: f64,
         rng: &mut Pcg64Mcg,
         observe: &mut dyn FnMut(Stage),
     ) -> Result<f64, TrainError> {
@@ -376,17 +387,27 @@ impl<'a> Trainer<'a> {
         let background = if other { plain.map(|v| 1.0 - v) } else { plain };
 
         observe(Stage::Pose);
-        let Memory { workspace, gradients, instant } = &mut self.memory;
+        let Memory { workspace, gradients, statistics, instant } = &mut self.memory;
         self.state.model.instant_into(posed.time, instant);
         observe(Stage::Render);
         let settings = Settings { background, ..Settings::default() };
-        let loss = PhotographLoss::new(photograph, background, self.options.weights())
-            .cropped(left, top, width, height);
         let failed = |source: AdjointError| TrainError::View { view: posed.name.clone(), source };
+        let loss = PhotographLoss::new(photograph, background, self.options.weights())
+            .cropped(left, top, width, height)
+            .map_err(|error| failed(error.into()))?;
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)
             .map_err(|_| failed(AdjointError::Render(RenderError::Image(empty_image()))))?;
-        render_and_gradients_into(workspace, &splats, &camera, &settings, &loss, gradients)
-            .map_err(failed)?;
+        let schedule = &self.options.schedule;
+        let counted = self.options.density == DensityControl::Split && progress < schedule.density_end;
+        let rendered = if counted {
+            render_and_gradients_with_statistics(
+                workspace, &splats, &camera, &settings, &loss, gradients, statistics,
+            )
+        } else {
+            statistics.clear();
+            render_and_gradients_into(workspace, &splats, &camera, &settings, &loss, gradients)
+        };
+        rendered.map_err(failed)?;
         Ok(gradients.loss)
     }
 
@@ -406,8 +427,8 @@ impl<'a> Trainer<'a> {
         nodes.keep_rigid(rigidity, &poses, &mut of_nodes);
         nodes.backward(time, &poses, &of_nodes);
         gaussians.regularise(self.options.opacity_weight, self.options.scale_weight);
-        if progress < schedule::DENSITY_END {
-            state.pull.add(&gradients.splats);
+        if progress < self.options.schedule.density_end {
+            state.pull.add(&gradients.splats, &self.memory.statistics);
         }
 
         observe(Stage::Update);
@@ -433,7 +454,7 @@ impl<'a> Trainer<'a> {
             density::jitter(&mut state.model.gaussians, rate, rng);
         }
         let due = state.step.saturating_sub(state.last_density) >= DENSITY_EVERY;
-        if !due || !(0.01..schedule::DENSITY_END).contains(&progress) {
+        if !due || !(0.01..options.schedule.density_end).contains(&progress) {
             return;
         }
         state.last_density = state.step;
@@ -462,15 +483,18 @@ impl<'a> Trainer<'a> {
         None
     }
 
-    /// From time to time keeps the state to fall back to, unless a number in it is not finite.
+    /// From time to time looks whether every number is finite, and keeps the state to fall back to.
     fn keep_or_find_trouble(&mut self) -> Option<String> {
-        if !self.state.step.is_multiple_of(KEEP_EVERY) {
+        let step = self.state.step;
+        if !step.is_multiple_of(CHECK_EVERY) {
             return None;
         }
         if !self.state.model.is_sound() {
             return Some("a parameter is not a number".to_owned());
         }
-        self.kept = self.state.clone();
+        if step.is_multiple_of(CHECK_EVERY * KEEP_EVERY) {
+            self.kept = self.state.clone();
+        }
         None
     }
 
@@ -478,7 +502,9 @@ impl<'a> Trainer<'a> {
     fn retreat(&mut self, what: &str) -> Result<(), TrainError> {
         let retreats = self.state.retreats + 1;
         if retreats > MOST_RETREATS {
-            return Err(TrainError::Diverged { step: self.state.step, what: what.to_owned(), retreats });
+            let what = what.to_owned();
+            self.state = self.kept.clone();
+            return Err(TrainError::Diverged { step: self.state.step, what, retreats: MOST_RETREATS });
         }
         self.state = self.kept.clone();
         self.state.retreats = retreats;

@@ -46,7 +46,8 @@ fn split<S>(folder: &Path, split: &str, needed: bool) -> Result<(Views<S>, bool)
     let named = cameras(Some((1, 1)))?;
     let paths: Vec<PathBuf> = named.iter().map(|view| image_path(folder, &view.name)).collect();
     let images = paths.par_iter().map(|path| read_photograph(path)).collect::<Result<Vec<_>, _>>()?;
-    let has_alpha = !images.is_empty() && images.iter().all(|(_, has_alpha)| *has_alpha);
+    // An image that is opaque all over may be stored without alpha.
+    let has_alpha = images.iter().any(|(_, has_alpha)| *has_alpha);
     let size = images.first().map(|(photograph, _)| (photograph.width(), photograph.height()));
     let views = cameras(size)?.into_iter().zip(images).map(|(view, (photograph, _))| {
         let time = view.time.unwrap_or(0.0) as f32;

@@ -86,6 +86,7 @@ impl ControlNodes {
         self.places.is_empty()
     }
 
+    #[cfg(test)]
     pub(crate) fn motion_mut(&mut self) -> &mut Parameter {
         &mut self.motion
     }

@@ -1,0 +1,136 @@
+//! Tests of training as a whole, on a small scene whose photographs are its own renders.
+
+use super::{dataset::rendered, *};
+use crate::import::{Limits, synth};
+
+fn dataset(kind: synth::Kind, frames: usize) -> Dataset {
+    let options = synth::Options { kind, gaussians: 1000, frames, ..synth::Options::default() };
+    let scene = synth::make(&options, &Limits::default()).unwrap();
+    let views = rendered::Options { cameras: 6, test_cameras: 2, side: 64 };
+    let mut dataset = rendered::rendered(&scene, "balls", &views).unwrap();
+    dataset.start = Start::VisualHull;
+    dataset
+}
+
+fn options() -> Options {
+    Options {
+        initial_gaussians: 300,
+        max_gaussians: 600,
+        nodes: 16,
+        sh_degree: 1,
+        background: [0.0; 3],
+        ..Options::default()
+    }
+}
+
+fn trained<'a>(dataset: &'a Dataset, options: &Options, steps: u32) -> Trainer<'a> {
+    let mut trainer = Trainer::new(dataset, options).unwrap();
+    for step in 0..steps {
+        trainer.step(f64::from(step) / f64::from(steps)).unwrap();
+    }
+    trainer
+}
+
+#[test]
+fn training_finds_the_scene_and_its_motion() {
+    let dataset = dataset(synth::Kind::Balls, 6);
+    let psnr = |options: &Options| {
+        let trainer = trained(&dataset, options, 600);
+        evaluate(trainer.model(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db
+    };
+    let start = evaluate(Trainer::new(&dataset, &options()).unwrap().model(), &dataset.test, 1, [0.0; 3]);
+    let (start, moving, still) =
+        (start.unwrap().psnr_db, psnr(&options()), psnr(&Options { nodes: 0, ..options() }));
+    assert!(moving > start + 6.0, "{start} {moving}");
+    // Without nodes nothing can follow the motion.
+    assert!(moving > still + 2.0, "{still} {moving}");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_scene_on_any_number_of_threads() {
+    let dataset = dataset(synth::Kind::Balls, 3);
+    let on = |threads: usize, seed: u64| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| trained(&dataset, &Options { seed, ..options() }, 150).model().clone())
+    };
+    let one = on(1, 1);
+    assert_eq!(one, on(3, 1));
+    assert_ne!(one, on(1, 2));
+}
+
+#[test]
+fn a_training_goes_on_from_a_checkpoint_bit_for_bit() {
+    let dataset = dataset(synth::Kind::Balls, 3);
+    let (half, all) = (130u32, 260u32);
+    let whole = trained(&dataset, &options(), all);
+    let mut first = Trainer::new(&dataset, &options()).unwrap();
+    for step in 0..half {
+        first.step(f64::from(step) / f64::from(all)).unwrap();
+    }
+    let bytes = Checkpoint::of(&first, &dataset, 0.5).to_bytes().unwrap();
+    let mut second = Checkpoint::from_bytes(&bytes).unwrap().resume(&dataset).unwrap();
+    for step in half..all {
+        second.step(f64::from(step) / f64::from(all)).unwrap();
+    }
+    assert_eq!(second.model(), whole.model());
+}
+
+#[test]
+fn foreign_and_damaged_checkpoints_are_refused() {
+    let dataset = dataset(synth::Kind::Balls, 3);
+    let trainer = trained(&dataset, &options(), 3);
+    let bytes = Checkpoint::of(&trainer, &dataset, 0.1).to_bytes().unwrap();
+    for at in (0..bytes.len()).step_by(bytes.len() / 40) {
+        let mut changed = bytes.clone();
+        changed[at] ^= 0x10;
+        assert!(Checkpoint::from_bytes(&changed).is_err(), "byte {at}");
+        assert!(Checkpoint::from_bytes(&bytes[..at]).is_err(), "cut at {at}");
+    }
+    let other = self::dataset(synth::Kind::Cloth, 3);
+    let refused = Checkpoint::from_bytes(&bytes).unwrap().resume(&other).unwrap_err().to_string();
+    assert!(refused.contains("other names, times or sizes"), "{refused}");
+}
+
+#[test]
+fn a_training_that_diverges_falls_back_and_then_gives_up_by_name() {
+    let dataset = dataset(synth::Kind::Balls, 3);
+    let mut trainer = Trainer::new(&dataset, &options()).unwrap();
+    let mut poisoned_until_noticed = || {
+        trainer.poison();
+        let reports: Result<Vec<StepReport>, TrainError> = (0..100).map(|_| trainer.step(0.5)).collect();
+        reports.map(|reports| reports.into_iter().find_map(|report| report.retreat))
+    };
+    for _ in 0..3 {
+        let retreat = poisoned_until_noticed().unwrap().unwrap();
+        assert!(retreat.contains("not a number"), "{retreat}");
+    }
+    let error = poisoned_until_noticed().unwrap_err().to_string();
+    assert!(error.contains("diverged at step"), "{error}");
+    // What it fell back to is sound.
+    assert!(trainer.model().is_sound());
+}
+
+#[test]
+fn options_out_of_range_and_empty_splits_are_refused_by_name() {
+    let mut dataset = dataset(synth::Kind::Balls, 2);
+    let refused =
+        |dataset: &Dataset, options: &Options| Trainer::new(dataset, options).unwrap_err().to_string();
+    let text = refused(&dataset, &Options { sh_degree: 4, ..options() });
+    assert!(text.contains("sh_degree is 4; 0 to 3"), "{text}");
+    let text = refused(&dataset, &Options { rigidity: f32::NAN, ..options() });
+    assert!(text.contains("rigidity is NaN"), "{text}");
+    dataset.train = Views::new(Vec::new()).unwrap();
+    assert!(refused(&dataset, &options()).contains("balls: the training split is empty"));
+}
+
+#[test]
+fn a_trained_scene_has_as_many_frames_as_asked_for() {
+    let dataset = dataset(synth::Kind::Balls, 3);
+    let trainer = trained(&dataset, &options(), 60);
+    let scene = trainer.model().scene(7, 24.0).unwrap();
+    assert_eq!((scene.frames(), scene.epochs().len()), (7, 1));
+    let mut instant = crate::Instant::default();
+    trainer.model().instant_into(0.5, &mut instant);
+    assert_eq!(scene.instant(3).unwrap().gaussians[0].position, instant.gaussians[0].position);
+    assert!(trainer.model().scene(0, 24.0).is_err());
+}
