@@ -116,11 +116,13 @@ pub fn lines(tree: &Tree) -> BTreeMap<Floor, usize> {
     counted
 }
 
-/// One `use` of one name: the path as written, and whether the name is public from there on.
+/// One `use` of one name: the path as written, the name it gets, and whether that name is public.
 #[derive(Clone, Debug)]
 pub struct Import {
     /// Segments, for example `crate`, `receiver`, `Cell`; the last is `*` for a glob.
     pub path: Vec<String>,
+    /// The name from there on: the last segment, or what stands after `as`.
+    pub name: String,
     /// Whether it is a `pub use` of any reach.
     pub public: bool,
 }
@@ -131,18 +133,25 @@ pub fn imports(file: &syn::File) -> Vec<Import> {
     for item in &file.items {
         if let Item::Use(item) = item {
             let public = !matches!(item.vis, Visibility::Inherited);
-            leaves(&item.tree, &mut Vec::new(), &mut |path| {
-                found.push(Import { path: path.to_vec(), public })
+            leaves(&item.tree, &mut Vec::new(), &mut |path, name| {
+                // `a::{self}` names the module `a`.
+                let path = path.strip_suffix(&["self".to_owned()]).filter(|p| !p.is_empty()).unwrap_or(path);
+                let name = match name {
+                    "self" => path.last().cloned().unwrap_or_default(),
+                    name => name.to_owned(),
+                };
+                found.push(Import { path: path.to_vec(), name, public });
             });
         }
     }
     found
 }
 
-fn leaves(tree: &UseTree, path: &mut Vec<String>, found: &mut dyn FnMut(&[String])) {
-    let mut with = |name: String, found: &mut dyn FnMut(&[String])| {
-        path.push(name);
-        found(path);
+/// Calls `found` with the path of every leaf of `tree` and the name that it gets.
+fn leaves(tree: &UseTree, path: &mut Vec<String>, found: &mut dyn FnMut(&[String], &str)) {
+    let mut leaf = |last: String, name: &str| {
+        path.push(last);
+        found(path, name);
         path.pop();
     };
     match tree {
@@ -151,9 +160,9 @@ fn leaves(tree: &UseTree, path: &mut Vec<String>, found: &mut dyn FnMut(&[String
             leaves(&step.tree, path, found);
             path.pop();
         }
-        UseTree::Name(name) => with(name.ident.to_string(), found),
-        UseTree::Rename(name) => with(name.ident.to_string(), found),
-        UseTree::Glob(_) => with("*".to_owned(), found),
+        UseTree::Name(name) => leaf(name.ident.to_string(), &name.ident.to_string()),
+        UseTree::Rename(name) => leaf(name.ident.to_string(), &name.rename.to_string()),
+        UseTree::Glob(_) => leaf("*".to_owned(), "*"),
         UseTree::Group(group) => group.items.iter().for_each(|tree| leaves(tree, path, found)),
     }
 }
@@ -175,6 +184,11 @@ impl<'ast> Visit<'ast> for Paths {
         syn::visit::visit_path(self, path);
     }
 
+    fn visit_macro(&mut self, call: &'ast syn::Macro) {
+        self.0.extend(paths_in_text(&call.tokens.to_string()));
+        syn::visit::visit_macro(self, call);
+    }
+
     fn visit_item_mod(&mut self, module: &'ast syn::ItemMod) {
         // Inline modules are tests here, or small; their names would not resolve from this file.
         if module.content.is_none() {
@@ -183,15 +197,53 @@ impl<'ast> Visit<'ast> for Paths {
     }
 }
 
-/// Modules of one crate: path and what each imports or names.
-struct Modules {
-    imports: BTreeMap<Vec<String>, Vec<Import>>,
-    paths: BTreeMap<Vec<String>, Vec<Vec<String>>>,
+/// Paths of at least two segments in the tokens of a macro call, string literals included: a path in
+/// a literal is rare, and one too many shows at once.
+fn paths_in_text(tokens: &str) -> Vec<Vec<String>> {
+    let joined = tokens.replace(" ::", "::").replace(":: ", "::");
+    let words = joined.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
+    let paths = words.map(|word| word.split("::").map(str::to_owned).collect::<Vec<_>>());
+    paths.filter(|path| path.len() > 1 && path.iter().all(|step| !step.is_empty())).collect()
 }
+
+/// The names of the items that `file` declares itself.
+fn declared(file: &syn::File) -> BTreeSet<String> {
+    let names = file.items.iter().filter_map(|item| match item {
+        Item::Fn(item) => Some(&item.sig.ident),
+        Item::Struct(item) => Some(&item.ident),
+        Item::Enum(item) => Some(&item.ident),
+        Item::Trait(item) => Some(&item.ident),
+        Item::Const(item) => Some(&item.ident),
+        Item::Static(item) => Some(&item.ident),
+        Item::Type(item) => Some(&item.ident),
+        Item::Union(item) => Some(&item.ident),
+        _ => None,
+    });
+    names.map(ToString::to_string).collect()
+}
+
+/// What one file of a crate imports, names by path and declares.
+struct Module {
+    imports: Vec<Import>,
+    paths: Vec<Vec<String>>,
+    declared: BTreeSet<String>,
+}
+
+/// What a path leads to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Target {
+    /// A module as a whole: the path went no further.
+    Module(Vec<String>),
+    /// Something that the file of this module declares.
+    Item(Vec<String>),
+}
+
+/// The files of one crate by module path; the root is the empty path.
+struct Modules(BTreeMap<Vec<String>, Module>);
 
 impl Modules {
     fn of(tree: &Tree, folder: &str) -> Self {
-        let (mut imports_of, mut paths_of) = (BTreeMap::new(), BTreeMap::new());
+        let mut modules = BTreeMap::new();
         let src = format!("{folder}src/");
         for (path, text) in tree.rust().filter(|(p, _)| p.starts_with(&src)) {
             let inside = &path[src.len()..];
@@ -204,58 +256,79 @@ impl Modules {
             for item in file.items.iter().filter(|item| !matches!(item, Item::Use(_))) {
                 paths.visit_item(item);
             }
-            imports_of.insert(module(inside), imports(&file));
-            paths_of.insert(module(inside), paths.0);
+            let (imports, declared) = (imports(&file), declared(&file));
+            modules.insert(module(inside), Module { imports, paths: paths.0, declared });
         }
-        Self { imports: imports_of, paths: paths_of }
+        Self(modules)
     }
 
-    /// The file that `path`, written in `from`, leads to, through re-exports; none if it leaves the crate.
-    fn target(&self, from: &[String], path: &[String], depth: usize) -> Option<Vec<String>> {
+    /// What `path`, written in `from`, leads to, through imports and re-exports; none outside the crate.
+    fn target(&self, from: &[String], path: &[String], depth: usize) -> Option<Target> {
         let mut at: Vec<String> = from.to_vec();
-        let mut rest = path;
-        match rest.first()?.as_str() {
+        let (head, mut rest) = path.split_first()?;
+        match head.as_str() {
             "crate" => at.clear(),
             "super" => {
                 at.pop()?;
             }
             "self" => {}
-            child => {
-                let inside = [from, &[child.to_owned()]].concat();
-                self.imports.contains_key(&inside).then_some(())?;
-                at = inside;
-            }
+            name => match self.inside(from, name, depth)? {
+                Target::Module(module) => at = module,
+                item => return Some(item),
+            },
         }
-        rest = &rest[1..];
-        while let Some(step) = rest.first() {
-            let inside = [&at[..], std::slice::from_ref(step)].concat();
+        while let Some((step, beyond)) = rest.split_first() {
             if step == "super" {
                 at.pop()?;
-            } else if self.imports.contains_key(&inside) {
-                at = inside;
             } else {
-                break;
+                match self.inside(&at, step, depth) {
+                    Some(Target::Module(module)) => at = module,
+                    Some(item) => return Some(item),
+                    // Declared by a macro, or brought in from another crate: it belongs to where it is named.
+                    None => return Some(Target::Item(at)),
+                }
             }
-            rest = &rest[1..];
+            rest = beyond;
         }
-        let exported = rest.first().filter(|_| depth < 8).and_then(|name| {
-            let of = self.imports.get(&at)?;
-            of.iter().find(|import| import.public && import.path.last() == Some(name))
-        });
-        match exported {
-            Some(import) => self.target(&at, &import.path, depth + 1).or(Some(at)),
-            None => Some(at),
-        }
+        Some(Target::Module(at))
     }
 
-    /// What each file needs of others. A re-export is a name for something, no need.
+    /// What `name` means inside the module `at`: a child, an item of its own, or what an import brings in.
+    fn inside(&self, at: &[String], name: &str, depth: usize) -> Option<Target> {
+        let child = [at, &[name.to_owned()]].concat();
+        if self.0.contains_key(&child) {
+            return Some(Target::Module(child));
+        }
+        let module = self.0.get(at)?;
+        if module.declared.contains(name) {
+            return Some(Target::Item(at.to_vec()));
+        }
+        if depth == 8 {
+            return None;
+        }
+        let named = module.imports.iter().find(|import| import.name == name && import.path != [name]);
+        if let Some(import) = named {
+            return self.target(at, &import.path, depth + 1);
+        }
+        let globs = module.imports.iter().filter_map(|import| import.path.strip_suffix(&["*".to_owned()]));
+        globs.filter(|glob| !glob.is_empty()).find_map(|glob| match self.target(at, glob, depth + 1)? {
+            Target::Module(opened) if opened != at => self.inside(&opened, name, depth + 1),
+            _ => None,
+        })
+    }
+
+    /// What each file needs of others. A re-export is a name for something, no need; neither is the name of
+    /// a module: what is taken from the module is.
     fn needs(&self) -> BTreeMap<Vec<String>, BTreeSet<Vec<String>>> {
         let mut needs = BTreeMap::new();
-        for (from, imports) in &self.imports {
-            let used = imports.iter().filter(|import| !import.public).map(|import| &import.path);
-            let named = self.paths.get(from).into_iter().flatten();
-            let targets = used.chain(named).filter_map(|path| self.target(from, path, 0));
-            needs.insert(from.clone(), targets.filter(|to| to != from).collect::<BTreeSet<_>>());
+        for (from, module) in &self.0 {
+            let used = module.imports.iter().filter(|import| !import.public).map(|import| &import.path);
+            let targets = used.chain(&module.paths).filter_map(|path| self.target(from, path, 0));
+            let files = targets.filter_map(|target| match target {
+                Target::Item(file) => Some(file),
+                Target::Module(_) => None,
+            });
+            needs.insert(from.clone(), files.filter(|to| to != from).collect::<BTreeSet<_>>());
         }
         needs
     }
@@ -310,7 +383,7 @@ pub fn public_items(tree: &Tree, folder: &str) -> usize {
             count += match item {
                 Item::Use(item) => {
                     let mut names = 0;
-                    leaves(&item.tree, &mut Vec::new(), &mut |_| names += 1);
+                    leaves(&item.tree, &mut Vec::new(), &mut |_, _| names += 1);
                     names
                 }
                 _ => 1,
