@@ -22,6 +22,7 @@ mod bytes;
 pub mod compressed_ply;
 mod error;
 pub mod gltf;
+mod limits;
 pub mod nearest;
 pub mod ply;
 pub mod points_npz;
@@ -36,38 +37,11 @@ pub mod unity;
 use std::path::Path;
 
 pub use error::{ErrorKind, Format, ImportError};
-pub use sequence::{SEQUENCE_INDEX, SequenceIndex};
+pub use limits::Limits;
+pub use sequence::{Identity, SEQUENCE_INDEX, SequenceIndex};
 pub use snapshot::Snapshot;
 
 use crate::scene::Scene;
-
-/// What a reader accepts of a file it does not trust.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Limits {
-    /// Most Gaussians (or points, or mesh vertices) in one file.
-    pub max_gaussians: usize,
-    /// Most bytes in one file, one decompressed stream, or one sequence.
-    pub max_bytes: u64,
-    /// Give the readable part of a file that ends early or holds values that are not numbers, with a
-    /// note, instead of an error.
-    pub keep_readable: bool,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self { max_gaussians: 20_000_000, max_bytes: 2 << 30, keep_readable: false }
-    }
-}
-
-/// Whether row `i` of one frame of a numbered sequence is row `i` of the next.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Identity {
-    /// Nobody knows: each frame is an epoch of its own.
-    #[default]
-    PerFrame,
-    /// The caller knows that rows correspond: all frames are one epoch.
-    Stored,
-}
 
 /// How to import.
 #[derive(Clone, Debug, PartialEq)]
@@ -120,7 +94,8 @@ pub fn import(path: &Path, options: &Options) -> Result<Scene, ImportError> {
         }
         _ => {
             let frame = snapshot_of(&bytes, path, options)?;
-            sequence::assemble(vec![(path.to_owned(), frame)], options).map_err(in_file)
+            sequence::assemble(vec![(path.to_owned(), frame)], options.identity, options.frames_per_second)
+                .map_err(in_file)
         }
     }
 }
@@ -181,7 +156,7 @@ fn folder(path: &Path, options: &Options) -> Result<Scene, ImportError> {
         })?;
         frames.push((file, frame));
     }
-    let mut scene = sequence::assemble(frames, options)?;
+    let mut scene = sequence::assemble(frames, options.identity, options.frames_per_second)?;
     scene.notes.extend(notes);
     Ok(scene)
 }

@@ -16,39 +16,28 @@ mod pose;
 mod surface;
 mod texture;
 
+pub use pose::Clip;
+
 use codec_core::ShDegree;
 use rayon::prelude::*;
 
 use self::{
-    document::Document,
+    document::{Document, FORMAT},
     placement::{PlacedFrame, Placement},
     pose::Rig,
     surface::Surface,
 };
 use super::{
     Limits,
-    error::{ErrorKind, Format, ImportError},
+    error::ImportError,
     snapshot::{SH_C0, logit, scene_error},
 };
 use crate::scene::{Attributes, Epoch, Scene, Track};
 
-const FORMAT: Format = Format::Gltf;
 /// Opacity of a sample on an opaque surface.
 const OPACITY: f32 = 0.92;
 /// Standard deviation across the surface over that along it.
 const THINNESS: f32 = 0.1;
-
-/// Which animation of a file to play.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Clip {
-    /// The first, or the mesh as it stands if there is none.
-    #[default]
-    First,
-    /// By place in the file, from 0.
-    Index(usize),
-    /// By name.
-    Name(String),
-}
 
 /// How to sample an animated mesh.
 #[derive(Clone, Debug, PartialEq)]
@@ -152,7 +141,7 @@ pub fn parse(
     .map_err(|e| scene_error(FORMAT, &e))?;
     let mut scene =
         Scene::new(vec![epoch], options.frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
-    scene.notes.push(format!("clip {}; clips in the file: {}", rig.clip_name(), clip_list(&document)));
+    scene.notes.push(format!("clip {}; clips in the file: {}", rig.clip_name(), document.clip_list()));
     scene.notes.push(format!("bounds over all frames: {low:?} to {high:?}, y up"));
     scene.notes.append(&mut surface.notes);
     Ok(scene)
@@ -167,30 +156,13 @@ pub fn clips(
     beside: impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
     limits: &Limits,
 ) -> Result<Vec<String>, ImportError> {
-    Ok(clip_names(&Document::load(bytes, beside, limits)?))
-}
-
-fn clip_names(document: &Document) -> Vec<String> {
-    document
-        .gltf
-        .animations()
-        .map(|a| a.name().map_or_else(|| a.index().to_string(), str::to_owned))
-        .collect()
-}
-
-fn clip_list(document: &Document) -> String {
-    let names = clip_names(document);
-    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+    Ok(Document::load(bytes, beside, limits)?.clip_names())
 }
 
 fn bounds(positions: &[[f32; 3]]) -> ([f32; 3], [f32; 3]) {
     positions.iter().fold(([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]), |(low, high), p| {
         ([0, 1, 2].map(|i| low[i].min(p[i])), [0, 1, 2].map(|i| high[i].max(p[i])))
     })
-}
-
-fn too_large(field: &str, found: impl std::fmt::Display, allowed: impl std::fmt::Display) -> ImportError {
-    FORMAT.error(ErrorKind::TooLarge, field, found, allowed)
 }
 
 #[cfg(test)]

@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 
 use glam::{DMat4, DVec3};
 
-use super::{FORMAT, document::Document, pose::Pose};
+use super::{
+    document::{Document, FORMAT},
+    pose::Pose,
+};
 use crate::scene::import::error::ImportError;
 
 /// One primitive of one node: a range of vertices and what moves them.

@@ -13,7 +13,7 @@ use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use rayon::prelude::*;
 
-use super::{FORMAT, mesh::Mesh, surface::Surface};
+use super::{document::FORMAT, mesh::Mesh, surface::Surface};
 use crate::scene::import::{error::ImportError, nearest::Tree};
 
 /// Candidates per wanted sample.

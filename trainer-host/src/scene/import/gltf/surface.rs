@@ -4,12 +4,10 @@ use glam::DVec3;
 use gltf::{Semantic, mesh::Mode};
 
 use super::{
-    FORMAT,
-    document::Document,
+    document::{Document, FORMAT, too_large},
     mesh::{Mesh, Part, Skin},
     pose::Rig,
     texture::{Material, Textures},
-    too_large,
 };
 use crate::scene::import::{Limits, error::ImportError};
 

@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, io::Cursor, sync::Arc};
 
 use gltf::{material::AlphaMode, texture::WrappingMode};
 
-use super::{FORMAT, document::Document};
+use super::document::{Document, FORMAT};
 use crate::scene::import::{Limits, error::ImportError};
 
 /// What a primitive's surface looks like.

@@ -7,7 +7,11 @@ use glam::{DQuat, DVec3};
 use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 
-use super::{Disc, Options, epoch_of, on_disc, on_sphere, paint, shares, sigma_of};
+use super::{
+    disc::{Disc, epoch_of, on_disc, on_sphere, shares, sigma_of},
+    options::Options,
+    paint,
+};
 use crate::scene::{Epoch, SceneError};
 
 const FLOOR: f64 = -1.0;

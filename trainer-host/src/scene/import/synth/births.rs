@@ -9,7 +9,11 @@ use glam::{DQuat, DVec3};
 use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 
-use super::{Disc, OPACITY, Options, log_scales, on_disc, on_sphere, paint, shares, sigma_of, wxyz};
+use super::{
+    disc::{Disc, OPACITY, golden_angle, log_scales, on_disc, on_sphere, shares, sigma_of, wxyz},
+    options::Options,
+    paint,
+};
 use crate::scene::{
     Attributes, Epoch, SceneError, Track,
     import::snapshot::{logit, sh0_of_colour},
@@ -94,7 +98,7 @@ fn ring(n: usize, hue: usize) -> Vec<Placed> {
     let area = TAU * TAU * large * small;
     (0..n)
         .map(|i| {
-            let around = i as f64 * super::golden_angle();
+            let around = i as f64 * golden_angle();
             let share = (i as f64 + 0.5) / n as f64;
             let mut tube = TAU * share;
             for _ in 0..20 {

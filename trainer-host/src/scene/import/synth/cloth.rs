@@ -19,7 +19,11 @@ use glam::{DQuat, DVec3};
 use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 
-use super::{Disc, Options, epoch_of, paint, sigma_of};
+use super::{
+    disc::{Disc, epoch_of, sigma_of},
+    options::Options,
+    paint,
+};
 use crate::scene::{Epoch, SceneError};
 
 /// Modes of the sheet's displacement.
