@@ -330,6 +330,18 @@ impl Scene {
         self.frames_per_second
     }
 
+    /// The frame rate as a fraction: frames, seconds. Rates that are none to a millionth are rounded to it.
+    pub(crate) fn frame_rate(&self) -> (u32, u32) {
+        let fps = self.frames_per_second();
+        for seconds in [1u32, 1001, 1000] {
+            let frames = fps * f64::from(seconds);
+            if frames.fract().abs() < 1e-9 && frames <= 1e9 {
+                return ((frames as u32).max(1), seconds);
+            }
+        }
+        (((fps * 1000.0).round().clamp(1.0, 1e9)) as u32, 1000)
+    }
+
     /// Frames over all epochs.
     pub fn frames(&self) -> usize {
         self.epochs.iter().map(Epoch::frames).sum()

@@ -22,10 +22,12 @@ use versions::Clusters;
 
 mod alone;
 mod contexts;
+mod error;
 mod truncation;
 mod versions;
 
 pub use alone::measure_alone;
+pub use error::UtilityError;
 pub use truncation::{Truncated, group_bytes, tops, truncate};
 
 /// How to measure.
@@ -104,23 +106,6 @@ pub struct Table {
     pub deltas: u64,
     /// One per group, in the order of [`PacketMap::groups`].
     pub groups: Vec<GroupUtility>,
-}
-
-/// Why utilities cannot be measured.
-#[derive(Debug, thiserror::Error)]
-pub enum UtilityError {
-    /// Nothing to look with.
-    #[error("no camera was given; at least one is needed")]
-    NoCamera,
-    /// The stream does not decode.
-    #[error(transparent)]
-    Decode(#[from] codec_core::Error),
-    /// A cluster that a decoded frame does not hold.
-    #[error("a state shows no version of a cluster; the stream's lattice does not hold together")]
-    NoVersion,
-    /// The renderer refused its input.
-    #[error("rendering failed: {0}")]
-    Render(String),
 }
 
 /// A camera and frame in which the contexts of a span are looked at.

@@ -15,7 +15,7 @@ use codec_core::internals::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::{EncodeError, Protection, Quality, QuantiserClass, cluster};
+use super::{EncodeError, Protection, Quality, cluster};
 
 /// Everything that was chosen for one stream.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -55,6 +55,15 @@ pub struct MadeFrom {
     pub quantiser_classes: Vec<QuantiserClass>,
     /// How Gaussians were clustered.
     pub clustering: cluster::Options,
+}
+
+/// Gaussians that share steps.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct QuantiserClass {
+    /// How many of the scene's, over all epochs.
+    pub gaussians: u64,
+    /// Their steps.
+    pub quality: Quality,
 }
 
 /// What was chosen for a stream of profile `dgs1`.

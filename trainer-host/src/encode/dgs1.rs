@@ -2,6 +2,7 @@
 
 pub(super) mod canonical;
 mod canonical_rotation;
+pub(super) mod indices;
 mod levels_sent;
 mod manifest_body;
 mod motion;

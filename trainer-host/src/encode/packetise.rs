@@ -226,3 +226,16 @@ impl PacketDraft {
         Ok(out)
     }
 }
+
+/// The packet with number `id`.
+///
+/// # Errors
+/// More packets than the format numbers.
+pub(super) fn packet_id(id: usize) -> Result<PacketId, EncodeError> {
+    let most = PacketId::MAX as usize;
+    u32::try_from(id).ok().and_then(PacketId::new).ok_or(EncodeError::Bound {
+        what: "packets",
+        found: id,
+        most,
+    })
+}

@@ -7,7 +7,7 @@ use codec_core::internals::{
 };
 use rayon::prelude::*;
 
-use super::{EncodeError, Ledger, packet_id};
+use super::{EncodeError, Ledger, packetise::packet_id};
 
 /// Appends the parity of `repairs` to `packets`, fills in where it starts, and counts its bytes.
 pub(super) fn append(

@@ -9,7 +9,10 @@
 //! apart. Where Gaussians move that would also tear apart what moves together, so there a class is
 //! one of whole clusters. Where to cut is found exactly, by dynamic programming over a histogram.
 
+mod epoch_classes;
 mod step_refinement;
+
+pub(super) use epoch_classes::EpochClasses;
 
 use super::{
     EncodeError, Options, Quality, QuantiserClass, cluster,
@@ -253,23 +256,6 @@ impl Costs {
             factors.push(own);
         }
         factors
-    }
-}
-
-/// The classes of one epoch.
-#[derive(Clone, Debug)]
-pub(super) struct EpochClasses<'s> {
-    /// Clusters, each of one class.
-    pub sets: &'s [Vec<u32>],
-    of: &'s [u8],
-    /// Steps of each class.
-    pub qualities: Vec<Quality>,
-}
-
-impl EpochClasses<'_> {
-    /// The class of `set`, whose Gaussians all are of the same.
-    pub fn of(&self, set: &[u32]) -> usize {
-        set.first().and_then(|&i| self.of.get(i as usize)).map_or(0, |&s| s.into())
     }
 }
 

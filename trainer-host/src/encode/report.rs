@@ -1,6 +1,6 @@
 //! The report of an encoding: what was chosen, what it came to, and where every byte went.
 
-use super::{Decisions, Ledger, Quality, Reached, Searched, cluster};
+use super::{Decisions, Ledger, Quality, QuantiserClass, Target, cluster};
 use crate::stream::Stream;
 
 /// An encoded scene.
@@ -80,11 +80,29 @@ impl ClusteringReport {
     }
 }
 
-/// Gaussians that share steps.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct QuantiserClass {
-    /// How many of the scene's, over all epochs.
-    pub gaussians: u64,
-    /// Their steps.
-    pub quality: Quality,
+/// How a target was met.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Reached {
+    /// What was asked for.
+    pub target: Target,
+    /// Factor on the steps of [`Options::quality`](super::Options::quality).
+    pub coarseness: f32,
+    /// Encodings it took.
+    pub encodes: usize,
+    /// Of the stream, in the target's unit: bits per Gaussian, bytes or dB.
+    pub value: f64,
+}
+
+/// What a search found.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Searched {
+    /// Encodings it took, those at the end included.
+    pub encodes: usize,
+    /// Whether its steps are better than those it began with; if not, the stream has those.
+    pub kept: bool,
+    /// Bits on the wire over those without the search: at the same PSNR, or at the same size if
+    /// that was asked for.
+    pub bits: f64,
+    /// PSNR from measuring cameras above that without the search, dB.
+    pub psnr_db: f64,
 }

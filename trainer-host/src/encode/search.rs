@@ -6,28 +6,13 @@
 //! round to round, bounded by a number of encodings.
 
 use super::{
-    Analysis, EncodeError, Encoded, Options, Progress, Quality, Report, Target, decide_and_write,
+    Analysis, EncodeError, Encoded, Options, Progress, Quality, Report, Searched, Target,
     evaluator::{Evaluator, PSNR_CAP_DB, spread},
+    profile::decide_and_write,
     target,
 };
 use crate::scene::{Epoch, Scene};
 
-/// What a search found.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Searched {
-    /// Encodings it took, those at the end included.
-    pub encodes: usize,
-    /// Whether its steps are better than those it began with; if not, the stream has those.
-    pub kept: bool,
-    /// Bits on the wire over those without the search: at the same PSNR, or at the same size if
-    /// that was asked for.
-    pub bits: f64,
-    /// PSNR from measuring cameras above that without the search, dB.
-    pub psnr_db: f64,
-}
-
-/// Most encodings that can be asked for.
-pub const MOST: usize = 500;
 /// Factors on a step, tried both ways, round by round.
 const FACTORS: [f32; 4] = [1.6, 1.3, 1.15, 1.07];
 /// Factors on all steps whose streams tell what a dB costs.

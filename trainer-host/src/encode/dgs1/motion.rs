@@ -26,8 +26,8 @@ use super::{
         packetise::CellSymbols,
     },
     canonical::{Canonical, to_symbol},
-    rate_estimate::RateEstimate,
-    track::{self, Chosen, Member, dot},
+    rate_estimate::{RateEstimate, dot},
+    track::{self, Chosen, Member},
 };
 use crate::scene::Epoch;
 

@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::{
     super::factorise::{fit_pose, mean_turn, quat_mul},
-    canonical::{Indices, indices, split},
+    indices::{Indices, indices, split},
 };
 use crate::scene::Epoch;
 

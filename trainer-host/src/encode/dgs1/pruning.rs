@@ -3,7 +3,7 @@
 use codec_core::internals::quant::Class;
 use rayon::prelude::*;
 
-use super::canonical::Indices;
+use super::indices::Indices;
 use crate::scene::{Epoch, Track};
 
 /// Renderers draw nothing below opacity 1/255 (source: 3DGS), whose logit is −ln 254; the rest is a

@@ -19,7 +19,7 @@ use super::{
         decisions::{MotionDecisions, TrackForm},
         factorise::{self, fit_pose, fit_rigid, mean_turn},
     },
-    rate_estimate::RateEstimate,
+    rate_estimate::{RateEstimate, dot},
 };
 use crate::scene::Attributes;
 
@@ -252,8 +252,4 @@ fn quantise(shape: &Shape, coefficients: &[Vec<f64>], frames: usize) -> Option<(
 /// An estimate of what a track takes, bits.
 fn size_bits(symbols: &[i16]) -> f64 {
     symbols.iter().map(|&s| if s == 0 { 0.4 } else { 2.4 + 1.5 * f64::from(s.unsigned_abs()).log2() }).sum()
-}
-
-pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }

@@ -10,7 +10,7 @@ use codec_core::internals::{
     },
 };
 
-use super::{Cell, EpochPlan, quant_index};
+use super::plan::{Cell, EpochPlan, quant_index};
 use crate::encode::{EncodeError, Protection};
 
 /// One completion group, entropy-coded.

@@ -8,12 +8,12 @@ use std::collections::BTreeMap;
 
 use codec_core::internals::quant::Class;
 
-use super::EpochClasses;
+use super::epoch_classes::EpochClasses;
 use crate::{
     encode::{
         EncodeError, Options, Quality, cluster,
         dgs1::{
-            canonical::{indices, spread_bits},
+            indices::{indices, spread_bits},
             rate_estimate::PER_D,
         },
         sensitivity::CLASSES,

@@ -5,7 +5,15 @@
 
 use codec_core::internals::{limits::MAX_TABLE_SET, rans::family};
 
-use super::{Choice, Costs, EncodeError, Streams};
+use super::histogram::{Costs, Histogram};
+use crate::encode::EncodeError;
+
+/// One table of a table set with the length of its code word.
+#[derive(Clone, Debug)]
+pub(super) struct Choice {
+    pub costs: Costs,
+    pub length: u8,
+}
 
 /// A run's distinct values and how often each occurs.
 type Sparse = Vec<(i16, f32)>;
@@ -24,7 +32,7 @@ pub(super) fn choose(runs: &[&[i16]], named: &[Costs], most: usize) -> Result<Ve
     if runs.is_empty() {
         return Ok(Vec::new());
     }
-    let own = Costs::of(&Streams::histogram(runs).best_table()?);
+    let own = Costs::of(&Histogram::of(runs).best_table()?);
     let sparse: Vec<Sparse> = runs.iter().map(|run| self::sparse(run)).collect();
     let candidates: Vec<&Costs> = named.iter().chain([&own]).collect();
     // Per candidate, the cost of every run.
