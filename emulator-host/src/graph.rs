@@ -261,14 +261,6 @@ pub struct PacketGraph {
 }
 
 impl PacketGraph {
-    /// Checks `parts` and derives order, closures and deadlines. Cost is linear in the size of all closures.
-    ///
-    /// # Errors
-    /// The first inconsistency found; see [`GraphError`].
-    pub fn new(parts: GraphParts) -> Result<Self, GraphError> {
-        derive::graph(parts)
-    }
-
     /// All packets.
     pub fn packets(&self) -> &[Packet] {
         &self.parts.packets

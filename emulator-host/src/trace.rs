@@ -14,11 +14,12 @@ mod mahimahi;
 mod two_column;
 mod ucc;
 
-use std::{fs::File, io::Read, path::Path, sync::Arc};
+use std::sync::Arc;
 
 use crate::clock::{Nanos, Rate};
 
 pub use delay::DelayTrace;
+pub use lines::read;
 pub use two_column::Holds;
 pub use ucc::Direction;
 
@@ -200,37 +201,6 @@ impl Trace {
         Self { name: name.to_owned(), shape, period, warnings: Vec::new(), base_rtt: None }
     }
 
-    /// Loads a mahimahi delivery-opportunity trace: one time in ms per line, not decreasing; the period is
-    /// the last time.
-    ///
-    /// # Errors
-    /// See [`TraceError`].
-    pub fn mahimahi(name: &str, bytes: &[u8], limits: &Limits) -> Result<Self, TraceError> {
-        mahimahi::load(name, bytes, limits)
-    }
-
-    /// Loads `time_s rate_Mbps` lines, rebased to the first time; `holds` says which way a rate holds.
-    ///
-    /// # Errors
-    /// See [`TraceError`].
-    pub fn two_column(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Self, TraceError> {
-        two_column::load(name, bytes, holds, limits)
-    }
-
-    /// Loads a UCC 5G log (CSV with a header) and repairs the dips that its own pings cause; see [`Warning`].
-    ///
-    /// # Errors
-    /// See [`TraceError`].
-    pub fn ucc(name: &str, bytes: &[u8], direction: Direction, limits: &Limits) -> Result<Self, TraceError> {
-        ucc::load(name, bytes, direction, limits)
-    }
-
-    /// A built-in trace of mean 4 Mbit/s (within 1 %) with fades to a few per cent of it; see the module
-    /// `bursty`.
-    pub fn bursty(seed: u64, length: Nanos) -> Self {
-        bursty::generate(seed, length)
-    }
-
     /// Name, as the caller gave it.
     pub fn name(&self) -> &str {
         &self.name
@@ -320,19 +290,6 @@ impl Trace {
     pub fn starting_at(&self, offset: Nanos) -> Result<Self, TraceError> {
         self.window(offset, self.period)
     }
-}
-
-/// Reads a file for one of the loaders, no more of it than the limits allow.
-///
-/// # Errors
-/// [`TraceError::Unreadable`] or [`TraceError::TooLarge`].
-pub fn read(path: &Path, limits: &Limits) -> Result<Vec<u8>, TraceError> {
-    let unreadable = |error: std::io::Error| TraceError::Unreadable { reason: error.to_string() };
-    let mut bytes = Vec::new();
-    let file = File::open(path).map_err(unreadable)?;
-    file.take(limits.file_bytes.saturating_add(1)).read_to_end(&mut bytes).map_err(unreadable)?;
-    lines::check_size(&bytes, limits)?;
-    Ok(bytes)
 }
 
 fn check_period(period: Nanos, last: Option<Nanos>) -> Result<(), TraceError> {

@@ -6,8 +6,17 @@ use super::{
     GraphError, GraphParts, GroupIndex, MAX_CLOSURE_ENTRIES, MAX_PACKET_BYTES, PacketGraph, PacketIndex,
     csr::Csr,
 };
+impl PacketGraph {
+    /// Checks `parts` and derives order, closures and deadlines. Cost is linear in the size of all closures.
+    ///
+    /// # Errors
+    /// The first inconsistency found; see [`GraphError`].
+    pub fn new(parts: GraphParts) -> Result<Self, GraphError> {
+        graph(parts)
+    }
+}
 
-pub(super) fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
+fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
     check_ranges(&parts)?;
     check_carriage(&parts)?;
     let parity_of_set = check_repair(&parts)?;

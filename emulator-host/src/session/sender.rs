@@ -3,7 +3,9 @@
 use std::collections::VecDeque;
 
 use super::{
-    IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig, client::Acknowledgement, control::ControlSender,
+    IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig,
+    control::ControlSender,
+    datagram::{Acknowledgement, Content},
     feedback,
 };
 use crate::{
@@ -14,14 +16,6 @@ use crate::{
     policy::{PacketStatus, Scheduler, SenderView},
     report::{SenderCounts, SenderRow},
 };
-
-/// What a datagram carries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Content {
-    Media(PacketIndex),
-    Control(u32),
-    Ping,
-}
 
 /// What the view holds besides the graph and the status table; renewed when feedback comes.
 #[derive(Clone, Copy, Debug)]

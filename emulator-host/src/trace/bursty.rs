@@ -13,7 +13,15 @@ use crate::{
 const STEP: Nanos = Nanos::from_ms(100);
 const MEAN: u64 = 4_000_000;
 
-pub(super) fn generate(seed: u64, length: Nanos) -> Trace {
+impl Trace {
+    /// A built-in trace of mean 4 Mbit/s (within 1 %) with fades to a few per cent of it; see the module
+    /// `bursty`.
+    pub fn bursty(seed: u64, length: Nanos) -> Self {
+        generate(seed, length)
+    }
+}
+
+fn generate(seed: u64, length: Nanos) -> Trace {
     let mut luck = stream(seed, "trace/bursty");
     let count = (length.min(MAX_PERIOD).0.div_ceil(STEP.0)).max(1);
     let mut rates: Vec<u64> = Vec::with_capacity(count as usize);

@@ -38,12 +38,17 @@ struct Row {
     ping_ms: Option<f64>,
 }
 
-pub(super) fn load(
-    name: &str,
-    bytes: &[u8],
-    direction: Direction,
-    limits: &Limits,
-) -> Result<Trace, TraceError> {
+impl Trace {
+    /// Loads a UCC 5G log (CSV with a header) and repairs the dips that its own pings cause; see [`Warning`].
+    ///
+    /// # Errors
+    /// See [`TraceError`].
+    pub fn ucc(name: &str, bytes: &[u8], direction: Direction, limits: &Limits) -> Result<Self, TraceError> {
+        load(name, bytes, direction, limits)
+    }
+}
+
+fn load(name: &str, bytes: &[u8], direction: Direction, limits: &Limits) -> Result<Trace, TraceError> {
     check_size(bytes, limits)?;
     let (rows, idle) = rows(bytes, direction, limits)?;
     let Some(first) = rows.first().map(|row| row.second) else { return Err(TraceError::NoCapacity) };
