@@ -1,4 +1,4 @@
-//! Where bytes meet time: a stream as a packet graph, and the real receiver as an endpoint.
+//! Connects streams to the emulator: a stream as a packet graph, and the real receiver as an endpoint.
 
 use codec_core::{
     Caps, ErrorKind,
@@ -251,11 +251,11 @@ impl Endpoint for WireEndpoint<'_> {
             Err((waiting, _)) => self.waiting = Some(waiting),
             Ok(player) => {
                 self.player = Some(player);
-                let kept = std::mem::take(&mut self.buffered);
+                let early = std::mem::take(&mut self.buffered);
                 // Everything known now that had not arrived by itself was recovered from parity.
                 for id in 0..self.stream.packets().len() as u32 {
                     let packet = PacketIndex(id);
-                    if self.has(packet) && !kept.contains(&packet) {
+                    if self.has(packet) && !early.contains(&packet) {
                         recovered.push(packet);
                     }
                 }

@@ -1,5 +1,4 @@
-//! RFC 9002: round-trip estimation, loss detection, probes, congestion windows and pacing, without a packet
-//! format.
+//! Implements RFC 9002 without a packet format: round-trip times, loss detection, probes, windows, pacing.
 //!
 //! [`Recovery`] owns the bookkeeping of what was sent; a [`Controller`] owns the window. One packet-number
 //! space, entered after a completed handshake: rules about Initial and Handshake packets, anti-amplification
@@ -7,6 +6,7 @@
 
 mod bbr_model;
 mod delivery;
+mod kind;
 mod newreno;
 mod pacer;
 mod recovery;
@@ -18,9 +18,10 @@ use crate::clock::{Nanos, Rate};
 
 pub use bbr_model::BbrModel;
 pub use delivery::{DeliveryRate, DeliverySample};
+pub use kind::ControllerKind;
 pub use newreno::NewReno;
 pub use pacer::Pacer;
-pub use recovery::{Outcome, Recovery, Sent, TimerOutcome};
+pub use recovery::{AckOutcome, Recovery, Sent, TimerOutcome};
 pub use rtt::Rtt;
 
 /// Initial congestion window in bytes: ten datagrams, at most 14 720 bytes or two datagrams (RFC 9002, 7.2).
@@ -71,34 +72,4 @@ pub trait Controller: Debug + Send {
 
     /// Whether the window still grows fast, so that a cap by the path's estimated rate must leave it room.
     fn is_probing(&self) -> bool;
-}
-
-/// The controllers by name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum ControllerKind {
-    /// [`NewReno`].
-    NewReno,
-    /// [`BbrModel`].
-    BbrModel,
-}
-
-impl ControllerKind {
-    /// Every controller.
-    pub const ALL: [Self; 2] = [Self::NewReno, Self::BbrModel];
-
-    /// Name in reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::NewReno => "newreno",
-            Self::BbrModel => "bbr-model",
-        }
-    }
-
-    /// A fresh controller for datagrams of up to `datagram_bytes` of UDP payload.
-    pub fn build(self, datagram_bytes: u64) -> Box<dyn Controller> {
-        match self {
-            Self::NewReno => Box::new(NewReno::new(datagram_bytes)),
-            Self::BbrModel => Box::new(BbrModel::new(datagram_bytes)),
-        }
-    }
 }

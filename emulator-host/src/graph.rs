@@ -1,4 +1,4 @@
-//! What is to be delivered, whatever the wire format: packets, groups, and what needs what.
+//! Describes what is to be delivered, whatever the wire format: packets, groups, and what needs what.
 //!
 //! A [`PacketGraph`] that exists is consistent: every index is in range, packets and groups name each other,
 //! nothing needs itself, and every repair set has parity. So nothing that walks it has an error path.
@@ -17,8 +17,8 @@ mod synthetic;
 
 use codec_core::internals::ids::{Group as GroupId, PacketId, Span};
 
+use self::csr::Csr;
 use crate::clock::Nanos;
-use csr::Csr;
 
 pub use synthetic::{Synthetic, Utilities};
 
@@ -261,14 +261,6 @@ pub struct PacketGraph {
 }
 
 impl PacketGraph {
-    /// Checks `parts` and derives order, closures and deadlines. Cost is linear in the size of all closures.
-    ///
-    /// # Errors
-    /// The first inconsistency found; see [`GraphError`].
-    pub fn new(parts: GraphParts) -> Result<Self, GraphError> {
-        derive::graph(parts)
-    }
-
     /// All packets.
     pub fn packets(&self) -> &[Packet] {
         &self.parts.packets

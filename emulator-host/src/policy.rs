@@ -1,5 +1,5 @@
-//! What to send next. A scheduler is asked at the moment a datagram may leave, never earlier, so nothing
-//! stale is queued.
+//! Chooses what to send next. A scheduler is called at the moment a datagram may leave, never earlier, so
+//! nothing stale is queued.
 //!
 //! Every policy sees the same [`SenderView`] and is served by the same sender: control bytes and
 //! retransmissions go first, parity follows the last member of its set, and what can no longer be shown is
@@ -8,6 +8,7 @@
 mod dash;
 mod deadline_utility;
 mod dependency;
+mod kind;
 mod layered;
 mod probability;
 
@@ -19,6 +20,7 @@ use crate::{
 pub use dash::Dash;
 pub use deadline_utility::{DeadlineUtility, DeadlineUtilityConfig};
 pub use dependency::Dependency;
+pub use kind::PolicyKind;
 pub use layered::Layered;
 pub use probability::mean_arrival;
 
@@ -105,44 +107,6 @@ pub trait Scheduler {
 
     /// The status of `packet` has just changed from `before` to `view.status[packet]`.
     fn on_status(&mut self, _view: &SenderView<'_>, _packet: PacketIndex, _before: PacketStatus) {}
-}
-
-/// The policies by name.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum PolicyKind {
-    /// [`Layered`].
-    Layered,
-    /// [`Dash`].
-    Dash,
-    /// [`Dependency`].
-    Dependency,
-    /// [`DeadlineUtility`].
-    DeadlineUtility,
-}
-
-impl PolicyKind {
-    /// Every policy.
-    pub const ALL: [Self; 4] = [Self::Dash, Self::DeadlineUtility, Self::Dependency, Self::Layered];
-
-    /// Name in reports, as in the paper's table.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Layered => "layered",
-            Self::Dash => "dash",
-            Self::Dependency => "dependency",
-            Self::DeadlineUtility => "deadline-utility",
-        }
-    }
-
-    /// A fresh scheduler for `graph`.
-    pub fn build(self, graph: &PacketGraph) -> Box<dyn Scheduler> {
-        match self {
-            Self::Layered => Box::new(Layered::new(graph)),
-            Self::Dash => Box::new(Dash::new(graph)),
-            Self::Dependency => Box::new(Dependency::new(graph)),
-            Self::DeadlineUtility => Box::new(DeadlineUtility::new(graph, DeadlineUtilityConfig::default())),
-        }
-    }
 }
 
 /// The first sendable packet of `group`'s closure, needed groups first.

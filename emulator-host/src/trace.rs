@@ -1,4 +1,4 @@
-//! Capacity over time: measured traces and a synthetic one.
+//! Describes capacity over time: measured traces and a synthetic one.
 //!
 //! Loaders take bytes, never panic on any of them, and hold no more than [`Limits`] allow. What looks wrong
 //! but is legal comes back as a [`Warning`] on the trace; what is illegal comes back as a [`TraceError`] with
@@ -14,11 +14,12 @@ mod mahimahi;
 mod two_column;
 mod ucc;
 
-use std::{fs::File, io::Read, path::Path, sync::Arc};
+use std::sync::Arc;
 
 use crate::clock::{Nanos, Rate};
 
 pub use delay::DelayTrace;
+pub use lines::read;
 pub use two_column::Holds;
 pub use ucc::Direction;
 
@@ -77,11 +78,13 @@ impl std::fmt::Display for Warning {
         match self {
             Self::PingDipsRepaired { seconds } => write!(
                 f,
-                "{seconds} near-zero seconds beside a ping are an artefact of the logger and were interpolated"
+                "{seconds} near-zero seconds beside a ping are an artefact of the logger and were \
+                 interpolated"
             ),
             Self::ApplicationLimited { idle } => write!(
                 f,
-                "{:.0} % of the rows say the phone was idle: this is what an application asked for, not capacity",
+                "{:.0} % of the rows say the phone was idle: this is what an application asked for, not \
+                 capacity",
                 100.0 * idle
             ),
             Self::LongZeroRun { seconds } => write!(f, "the rate stays at zero for {seconds} s"),
@@ -152,6 +155,19 @@ pub enum Shape {
 
 /// A capacity trace that repeats with its period. It has some capacity, its points are ordered and inside the
 /// period.
+///
+/// # Examples
+/// ```
+/// use emulator_host::{
+///     Rate, Trace,
+///     trace::{Holds, Limits},
+/// };
+///
+/// // Time in seconds, rate in Mbit/s.
+/// let trace = Trace::two_column("phone", b"0 2\n1 4\n", Holds::Forward, &Limits::default())?;
+/// assert_eq!(trace.mean_rate(), Rate::from_mbps(3));
+/// # Ok::<(), emulator_host::trace::TraceError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Trace {
     name: String,
@@ -198,37 +214,6 @@ impl Trace {
 
     fn raw(name: &str, shape: Shape, period: Nanos) -> Self {
         Self { name: name.to_owned(), shape, period, warnings: Vec::new(), base_rtt: None }
-    }
-
-    /// Loads a mahimahi delivery-opportunity trace: one time in ms per line, not decreasing; the period is
-    /// the last time.
-    ///
-    /// # Errors
-    /// See [`TraceError`].
-    pub fn mahimahi(name: &str, bytes: &[u8], limits: &Limits) -> Result<Self, TraceError> {
-        mahimahi::load(name, bytes, limits)
-    }
-
-    /// Loads `time_s rate_Mbps` lines, rebased to the first time; `holds` says which way a rate holds.
-    ///
-    /// # Errors
-    /// See [`TraceError`].
-    pub fn two_column(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Self, TraceError> {
-        two_column::load(name, bytes, holds, limits)
-    }
-
-    /// Loads a UCC 5G log (CSV with a header) and repairs the dips that its own pings cause; see [`Warning`].
-    ///
-    /// # Errors
-    /// See [`TraceError`].
-    pub fn ucc(name: &str, bytes: &[u8], direction: Direction, limits: &Limits) -> Result<Self, TraceError> {
-        ucc::load(name, bytes, direction, limits)
-    }
-
-    /// A built-in trace of mean 4 Mbit/s (within 1 %) with fades to a few per cent of it; see the module
-    /// `bursty`.
-    pub fn bursty(seed: u64, length: Nanos) -> Self {
-        bursty::generate(seed, length)
     }
 
     /// Name, as the caller gave it.
@@ -320,19 +305,6 @@ impl Trace {
     pub fn starting_at(&self, offset: Nanos) -> Result<Self, TraceError> {
         self.window(offset, self.period)
     }
-}
-
-/// Reads a file for one of the loaders, no more of it than the limits allow.
-///
-/// # Errors
-/// [`TraceError::Unreadable`] or [`TraceError::TooLarge`].
-pub fn read(path: &Path, limits: &Limits) -> Result<Vec<u8>, TraceError> {
-    let unreadable = |error: std::io::Error| TraceError::Unreadable { reason: error.to_string() };
-    let mut bytes = Vec::new();
-    let file = File::open(path).map_err(unreadable)?;
-    file.take(limits.file_bytes.saturating_add(1)).read_to_end(&mut bytes).map_err(unreadable)?;
-    lines::check_size(&bytes, limits)?;
-    Ok(bytes)
 }
 
 fn check_period(period: Nanos, last: Option<Nanos>) -> Result<(), TraceError> {

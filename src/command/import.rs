@@ -1,4 +1,4 @@
-//! `dgs import`: read, say what it is, convert.
+//! Imports a scene, says what it is, and converts it: `dgs import`.
 
 use std::{borrow::Borrow, path::Path};
 
@@ -124,7 +124,7 @@ impl Format {
     fn encode(self, epoch: &Epoch, t: usize) -> Result<Vec<u8>> {
         match self {
             Self::Ply => Ok(export::ply::encode(epoch, t)),
-            Self::Spz => Ok(export::spz::encode(epoch, t, &export::spz::Options::default())?),
+            Self::Spz => Ok(export::spz::encode(epoch, t, &export::spz::SpzOptions::default())?),
         }
     }
 }

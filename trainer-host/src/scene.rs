@@ -292,6 +292,18 @@ impl Up {
 }
 
 /// A dynamic scene: epochs in order at one frame rate, with its cameras where known.
+///
+/// # Examples
+/// ```
+/// use trainer_host::import::{Limits, synth};
+///
+/// let options = synth::SynthOptions { gaussians: 1000, frames: 3, ..Default::default() };
+/// let scene = synth::make(&options, &Limits::default())?;
+/// assert_eq!((scene.epochs().len(), scene.frames(), scene.max_count()), (1, 3, 1000));
+/// let last = scene.instant(2).ok_or("three frames")?;
+/// assert_eq!(last.gaussians.len(), 1000);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Scene {
     epochs: Vec<Epoch>,
@@ -328,6 +340,18 @@ impl Scene {
     /// Frames per second.
     pub fn frames_per_second(&self) -> f64 {
         self.frames_per_second
+    }
+
+    /// The frame rate as a fraction: frames, seconds. Rates that are none to a millionth are rounded to it.
+    pub(crate) fn frame_rate(&self) -> (u32, u32) {
+        let fps = self.frames_per_second();
+        for seconds in [1u32, 1001, 1000] {
+            let frames = fps * f64::from(seconds);
+            if frames.fract().abs() < 1e-9 && frames <= 1e9 {
+                return ((frames as u32).max(1), seconds);
+            }
+        }
+        (((fps * 1000.0).round().clamp(1.0, 1e9)) as u32, 1000)
     }
 
     /// Frames over all epochs.

@@ -16,21 +16,25 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use render_host::{Camera, Image, Renderer, Settings, Splats};
 
+use self::{
+    contexts::{SpanCells, spans},
+    versions::Clusters,
+};
 use crate::{scene::Scene, stream::PacketMap};
-use contexts::{SpanCells, spans};
-use versions::Clusters;
 
 mod alone;
 mod contexts;
+mod error;
 mod truncation;
 mod versions;
 
 pub use alone::measure_alone;
+pub use error::UtilityError;
 pub use truncation::{Truncated, group_bytes, tops, truncate};
 
 /// How to measure.
 #[derive(Clone, Debug)]
-pub struct Options {
+pub struct UtilityOptions {
     /// Cameras to measure on, at least one.
     pub cameras: Vec<Camera>,
     /// Random states per span, at least 1.
@@ -49,7 +53,7 @@ pub struct Options {
     pub settings: Settings,
 }
 
-impl Options {
+impl UtilityOptions {
     /// The paper's α = 0.25, β = 0.05 and 0.10 quantile on `cameras`: 32 contexts, one frame per span and
     /// camera.
     pub fn paper(cameras: Vec<Camera>) -> Self {
@@ -94,6 +98,27 @@ pub struct GroupUtility {
 }
 
 /// Utilities of all groups of one stream, as stored beside it.
+///
+/// # Examples
+/// ```
+/// use trainer_host::{
+///     encode::{EncodeOptions, encode},
+///     import::{Limits, synth},
+///     stream::PacketMap,
+///     utility::{UtilityOptions, measure},
+///     viewpoint::{Framing, Ring},
+/// };
+///
+/// let options = synth::SynthOptions { gaussians: 1000, frames: 1, ..Default::default() };
+/// let scene = synth::make(&options, &Limits::default())?;
+/// let stream = encode(&scene, &EncodeOptions { pictures: 0, ..Default::default() }, &|_, _| {})?.stream;
+/// let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
+/// let cameras = Framing::of(&scene).ring(Ring::Measuring, 1, (48, 48))?;
+/// let how = UtilityOptions { contexts: 2, ..UtilityOptions::paper(cameras) };
+/// let table = measure(&scene, &received.content(), &map, &how, &|_share| {})?;
+/// assert_eq!(table.groups.len(), map.groups().len());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Table {
     /// How they were measured, for people.
@@ -104,23 +129,6 @@ pub struct Table {
     pub deltas: u64,
     /// One per group, in the order of [`PacketMap::groups`].
     pub groups: Vec<GroupUtility>,
-}
-
-/// Why utilities cannot be measured.
-#[derive(Debug, thiserror::Error)]
-pub enum UtilityError {
-    /// Nothing to look with.
-    #[error("no camera was given; at least one is needed")]
-    NoCamera,
-    /// The stream does not decode.
-    #[error(transparent)]
-    Decode(#[from] codec_core::Error),
-    /// A cluster that a decoded frame does not hold.
-    #[error("a state shows no version of a cluster; the stream's lattice does not hold together")]
-    NoVersion,
-    /// The renderer refused its input.
-    #[error("rendering failed: {0}")]
-    Render(String),
 }
 
 /// A camera and frame in which the contexts of a span are looked at.
@@ -144,7 +152,7 @@ pub fn measure(
     scene: &Scene,
     content: &Content<'_>,
     map: &PacketMap,
-    options: &Options,
+    options: &UtilityOptions,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<Table, UtilityError> {
     if options.cameras.is_empty() {
@@ -180,8 +188,8 @@ pub fn measure(
         if options.complete { "complete state".to_owned() } else { format!("{} contexts", options.states()) };
     Ok(Table {
         protocol: format!(
-            "D = MSE + 0.20 (1 - SSIM), {} cameras at {}x{}, {contexts}, {} frames per span and camera, alpha {}, \
-             beta {}, seed {}",
+            "D = MSE + 0.20 (1 - SSIM), {} cameras at {}x{}, {contexts}, {} frames per span and camera, \
+             alpha {}, beta {}, seed {}",
             options.cameras.len(),
             options.cameras[0].width(),
             options.cameras[0].height(),
@@ -197,7 +205,7 @@ pub fn measure(
 }
 
 /// Mean, tail, deviation and risk-adjusted utility of a group's samples.
-fn summarise(cell: u32, level: Level, samples: &mut [f64], options: &Options) -> GroupUtility {
+fn summarise(cell: u32, level: Level, samples: &mut [f64], options: &UtilityOptions) -> GroupUtility {
     samples.sort_unstable_by(f64::total_cmp);
     let n = samples.len().max(1) as f64;
     let mean = samples.iter().sum::<f64>() / n;
@@ -230,11 +238,11 @@ fn deltas_in_view(
     map: &PacketMap,
     span: &SpanCells,
     view: usize,
-    options: &Options,
+    options: &UtilityOptions,
 ) -> Result<Vec<Delta>, UtilityError> {
     let (epoch, view) = view_of(scene, content, span.span, view, options)?;
     let mut clusters = Clusters::new(content, epoch, view.frame);
-    let (mut asked, mut out) = (Vec::new(), Vec::new());
+    let (mut waiting, mut out) = (Vec::new(), Vec::new());
     // Contexts whose clusters show versions of their own are asked about one at a time: together, each would
     // be shown in the versions of all.
     let mut are_shared = true;
@@ -245,13 +253,13 @@ fn deltas_in_view(
         let steps: Result<Vec<Vec<u32>>, UtilityError> = (0..=span.most_levels())
             .map(|levels| clusters.shown_by(&span.stepped(map, content, &state, levels)))
             .collect();
-        asked.push((context, shown, steps?));
+        waiting.push((context, shown, steps?));
         are_shared &= known == 0 || clusters.values() == known;
         if !are_shared || clusters.values() > MOST_VALUES || context + 1 == options.states() {
-            let shown: Vec<Vec<u32>> = asked.iter().map(|(_, shown, _)| shown.clone()).collect();
+            let shown: Vec<Vec<u32>> = waiting.iter().map(|(_, shown, _)| shown.clone()).collect();
             let camera = &options.cameras[view.camera];
             let found = clusters.distortions(&shown, camera, &view.reference, &options.settings)?;
-            for (index, (context, _, steps)) in asked.drain(..).enumerate() {
+            for (index, (context, _, steps)) in waiting.drain(..).enumerate() {
                 for (cluster, groups) in span.groups(map) {
                     let distortion =
                         |levels: usize| found.of(index, cluster, steps[levels][cluster] as usize);
@@ -268,7 +276,7 @@ fn deltas_in_view(
 }
 
 /// Numbers for one purpose, keyed by what they are for, so that no other span changes this one's luck.
-fn random(span: Span, index: u32, purpose: u32, options: &Options) -> Pcg64 {
+fn random(span: Span, index: u32, purpose: u32, options: &UtilityOptions) -> Pcg64 {
     let label = match span {
         Span::Canonical(e) => u64::from(e.0) << 1,
         Span::Motion(w) => u64::from(w.0) << 1 | 1,
@@ -283,7 +291,7 @@ fn state_of(
     map: &PacketMap,
     span: Span,
     context: usize,
-    options: &Options,
+    options: &UtilityOptions,
 ) -> Vec<u8> {
     if options.complete {
         return content.blocks.to_vec();
@@ -297,7 +305,7 @@ fn view_of(
     content: &Content<'_>,
     span: Span,
     index: usize,
-    options: &Options,
+    options: &UtilityOptions,
 ) -> Result<(EpochId, View), UtilityError> {
     let (epoch, first, frames) = match span {
         Span::Canonical(id) => {

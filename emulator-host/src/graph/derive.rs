@@ -1,4 +1,4 @@
-//! Checks of a graph's parts and what follows from them: order, closures, deadlines.
+//! Checks the parts of a graph, and derives what follows from them: order, closures, deadlines.
 
 use codec_core::internals::ids::{Group as GroupId, PacketId};
 
@@ -6,8 +6,17 @@ use super::{
     GraphError, GraphParts, GroupIndex, MAX_CLOSURE_ENTRIES, MAX_PACKET_BYTES, PacketGraph, PacketIndex,
     csr::Csr,
 };
+impl PacketGraph {
+    /// Checks `parts` and derives order, closures and deadlines. Cost is linear in the size of all closures.
+    ///
+    /// # Errors
+    /// The first inconsistency found; see [`GraphError`].
+    pub fn new(parts: GraphParts) -> Result<Self, GraphError> {
+        graph(parts)
+    }
+}
 
-pub(super) fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
+fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
     check_ranges(&parts)?;
     check_carriage(&parts)?;
     let parity_of_set = check_repair(&parts)?;
@@ -45,16 +54,16 @@ pub(super) fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
 
     let (mut from, mut until, mut level) = (Vec::new(), Vec::new(), Vec::new());
     for packet in &parts.packets {
-        let carried: Vec<usize> = match packet.parity_of {
+        let groups: Vec<usize> = match packet.parity_of {
             Some(set) => {
                 let members = &parts.repair_sets[set as usize].members;
                 members.iter().flat_map(|member| &parts.packets[member.at()].groups).map(|g| g.at()).collect()
             }
             None => packet.groups.iter().map(|group| group.at()).collect(),
         };
-        from.push(carried.iter().map(|group| group_needed_from[*group]).min().unwrap_or(0));
-        until.push(carried.iter().map(|group| group_useful_until[*group]).max().unwrap_or(0));
-        level.push(carried.iter().map(|group| parts.groups[*group].level()).min().unwrap_or(0));
+        from.push(groups.iter().map(|group| group_needed_from[*group]).min().unwrap_or(0));
+        until.push(groups.iter().map(|group| group_useful_until[*group]).max().unwrap_or(0));
+        level.push(groups.iter().map(|group| parts.groups[*group].level()).min().unwrap_or(0));
     }
     Ok(PacketGraph {
         order: order.into_iter().map(GroupIndex).collect(),
@@ -247,11 +256,11 @@ fn closures(order: &[u32], needs: &[Vec<u32>]) -> Result<Csr, GraphError> {
 }
 
 fn shares(parts: &GraphParts, closure: &[u32]) -> bool {
-    let carried = closure.iter().flat_map(|group| &parts.groups[*group as usize].packets);
-    if carried.clone().all(|packet| parts.packets[packet.at()].groups.len() < 2) {
+    let packets = closure.iter().flat_map(|group| &parts.groups[*group as usize].packets);
+    if packets.clone().all(|packet| parts.packets[packet.at()].groups.len() < 2) {
         return false;
     }
-    let mut packets: Vec<PacketIndex> = carried.copied().collect();
+    let mut packets: Vec<PacketIndex> = packets.copied().collect();
     packets.sort_unstable();
     packets.windows(2).any(|pair| pair[0] == pair[1])
 }

@@ -1,8 +1,11 @@
-//! The receiving end: acknowledges, starts playout, and shows frames on time.
+//! Receives datagrams, acknowledges them, starts playout, and shows frames on time.
 
 use super::{
-    IP_UDP_BYTES, SessionConfig, StartupRule, control::ControlReceiver, feedback::ReceiptWriter,
-    metrics::Metrics, sender::Content,
+    IP_UDP_BYTES, SessionConfig, StartupRule,
+    control::ControlReceiver,
+    datagram::{Acknowledgement, Content},
+    feedback::ReceiptWriter,
+    metrics::Metrics,
 };
 use crate::{
     clock::Nanos,
@@ -19,14 +22,6 @@ const RANGES: usize = 32;
 const REACH: u64 = 256;
 /// Short header, tag and fixed part of an acknowledgement, and the frame header of the receipt behind it.
 const ACK_BYTES: u32 = 35 + 3;
-
-/// What the transport acknowledges (RFC 9000, 19.3).
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Acknowledgement<'a> {
-    /// Datagram numbers, inclusive, newest first.
-    pub(super) ranges: &'a [(u64, u64)],
-    pub(super) ack_delay: Nanos,
-}
 
 /// A datagram of feedback under way; its lists and bytes lie in shared tables.
 #[derive(Clone, Copy, Debug)]

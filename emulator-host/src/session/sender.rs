@@ -1,27 +1,21 @@
-//! The sending end: asks the scheduler when a datagram may leave, and learns from receipts.
+//! Sends what the scheduler chooses whenever a datagram may leave, and learns from receipts.
 
 use std::collections::VecDeque;
 
 use super::{
-    IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig, client::Acknowledgement, control::ControlSender,
+    IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig,
+    control::ControlSender,
+    datagram::{Acknowledgement, Content},
     feedback,
 };
 use crate::{
     clock::{Bytes, Nanos, Rate},
-    congestion::{Outcome, Recovery, TimerOutcome},
+    congestion::{AckOutcome, Recovery, TimerOutcome},
     graph::{PacketGraph, PacketIndex},
     link::Datagram,
     policy::{PacketStatus, Scheduler, SenderView},
     report::{SenderCounts, SenderRow},
 };
-
-/// What a datagram carries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Content {
-    Media(PacketIndex),
-    Control(u32),
-    Ping,
-}
 
 /// What the view holds besides the graph and the status table; renewed when feedback comes.
 #[derive(Clone, Copy, Debug)]
@@ -78,7 +72,7 @@ pub(super) struct Sender<'a> {
     pace_at: Nanos,
     starved: bool,
     dirty: bool,
-    outcome: Outcome,
+    outcome: AckOutcome,
     counts: SenderCounts,
 }
 
@@ -126,7 +120,7 @@ impl<'a> Sender<'a> {
             pace_at: Nanos::MAX,
             starved: false,
             dirty: true,
-            outcome: Outcome::default(),
+            outcome: AckOutcome::default(),
             counts: SenderCounts::default(),
             recovery,
         };
@@ -350,7 +344,7 @@ impl<'a> Sender<'a> {
         }
     }
 
-    fn settle(&mut self, outcome: &Outcome, now: Nanos) {
+    fn settle(&mut self, outcome: &AckOutcome, now: Nanos) {
         self.counts.spurious += outcome.spurious.len() as u64;
         for number in outcome.acked.iter().chain(&outcome.spurious) {
             match self.content(*number) {

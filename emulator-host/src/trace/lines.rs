@@ -1,6 +1,21 @@
-//! Lines and fields of text that nobody has checked.
+//! Reads lines and fields of untrusted text.
+
+use std::{fs::File, io::Read, path::Path};
 
 use super::{Limits, TraceError};
+
+/// Reads a file for one of the loaders, no more of it than the limits allow.
+///
+/// # Errors
+/// [`TraceError::Unreadable`] or [`TraceError::TooLarge`].
+pub fn read(path: &Path, limits: &Limits) -> Result<Vec<u8>, TraceError> {
+    let unreadable = |error: std::io::Error| TraceError::Unreadable { reason: error.to_string() };
+    let mut bytes = Vec::new();
+    let file = File::open(path).map_err(unreadable)?;
+    file.take(limits.file_bytes.saturating_add(1)).read_to_end(&mut bytes).map_err(unreadable)?;
+    check_size(&bytes, limits)?;
+    Ok(bytes)
+}
 
 pub(super) fn check_size(bytes: &[u8], limits: &Limits) -> Result<(), TraceError> {
     let found = bytes.len() as u64;

@@ -1,4 +1,4 @@
-//! Mahimahi delivery-opportunity traces.
+//! Reads Mahimahi delivery-opportunity traces.
 
 use super::{
     Limits, MAX_PERIOD, Trace, TraceError,
@@ -6,7 +6,18 @@ use super::{
 };
 use crate::clock::Nanos;
 
-pub(super) fn load(name: &str, bytes: &[u8], limits: &Limits) -> Result<Trace, TraceError> {
+impl Trace {
+    /// Loads a mahimahi delivery-opportunity trace: one time in ms per line, not decreasing; the period is
+    /// the last time.
+    ///
+    /// # Errors
+    /// See [`TraceError`].
+    pub fn mahimahi(name: &str, bytes: &[u8], limits: &Limits) -> Result<Self, TraceError> {
+        load(name, bytes, limits)
+    }
+}
+
+fn load(name: &str, bytes: &[u8], limits: &Limits) -> Result<Trace, TraceError> {
     check_size(bytes, limits)?;
     let mut at: Vec<Nanos> = Vec::new();
     for line in lines(bytes, limits) {

@@ -1,4 +1,4 @@
-//! Throughput traces of two columns: time in seconds, rate in Mbit/s.
+//! Reads throughput traces of two columns: time in seconds, rate in Mbit/s.
 
 use super::{
     Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError,
@@ -15,7 +15,17 @@ pub enum Holds {
     Backward,
 }
 
-pub(super) fn load(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Trace, TraceError> {
+impl Trace {
+    /// Loads `time_s rate_Mbps` lines, rebased to the first time; `holds` says which way a rate holds.
+    ///
+    /// # Errors
+    /// See [`TraceError`].
+    pub fn two_column(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Self, TraceError> {
+        load(name, bytes, holds, limits)
+    }
+}
+
+fn load(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Trace, TraceError> {
     check_size(bytes, limits)?;
     let mut rows: Vec<Step> = Vec::new();
     let mut first_s = None;

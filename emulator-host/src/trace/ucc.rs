@@ -1,4 +1,5 @@
-//! UCC 5G production logs (Raca et al., MMSys 2020): about one row per second of a phone that downloads.
+//! Reads UCC 5G production logs (Raca et al., MMSys 2020): about one row per second of a phone that
+//! downloads.
 //!
 //! The log is not capacity as it stands, and the loader says what it did about it:
 //! - About every 14 s the logger itself stops the download to ping. Near-zero seconds within 2 s of a row
@@ -38,12 +39,17 @@ struct Row {
     ping_ms: Option<f64>,
 }
 
-pub(super) fn load(
-    name: &str,
-    bytes: &[u8],
-    direction: Direction,
-    limits: &Limits,
-) -> Result<Trace, TraceError> {
+impl Trace {
+    /// Loads a UCC 5G log (CSV with a header) and repairs the dips that its own pings cause; see [`Warning`].
+    ///
+    /// # Errors
+    /// See [`TraceError`].
+    pub fn ucc(name: &str, bytes: &[u8], direction: Direction, limits: &Limits) -> Result<Self, TraceError> {
+        load(name, bytes, direction, limits)
+    }
+}
+
+fn load(name: &str, bytes: &[u8], direction: Direction, limits: &Limits) -> Result<Trace, TraceError> {
     check_size(bytes, limits)?;
     let (rows, idle) = rows(bytes, direction, limits)?;
     let Some(first) = rows.first().map(|row| row.second) else { return Err(TraceError::NoCapacity) };

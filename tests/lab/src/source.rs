@@ -7,7 +7,15 @@ use std::{
     path::Path,
 };
 
-use syn::{Item, UseTree, Visibility, visit::Visit};
+use syn::{Item, Visibility};
+
+#[path = "source/circles.rs"]
+mod circles;
+#[path = "source/imports.rs"]
+mod imports;
+
+use self::imports::leaves;
+pub use self::{circles::circles, imports::imports};
 
 /// Made on the spot and ignored by git.
 const IGNORED: [&str; 4] = [".git", "target", "dgs-demo", ".dgs-out"];
@@ -116,174 +124,39 @@ pub fn lines(tree: &Tree) -> BTreeMap<Floor, usize> {
     counted
 }
 
-/// One `use` of one name: the path as written, and whether the name is public from there on.
-#[derive(Clone, Debug)]
-pub struct Import {
-    /// Segments, for example `crate`, `receiver`, `Cell`; the last is `*` for a glob.
-    pub path: Vec<String>,
-    /// Whether it is a `pub use` of any reach.
-    pub public: bool,
+/// One of the walks that `tests/lab/WALKS.md` describes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Walk {
+    /// Its name, as in the comment before its table.
+    pub name: String,
+    /// The files entered, in order; a file entered twice is there twice.
+    pub files: Vec<String>,
 }
 
-/// Every name that the `use` items of `item`'s file bring in, tests left out.
-pub fn imports(file: &syn::File) -> Vec<Import> {
-    let mut found = Vec::new();
-    for item in &file.items {
-        if let Item::Use(item) = item {
-            let public = !matches!(item.vis, Visibility::Inherited);
-            leaves(&item.tree, &mut Vec::new(), &mut |path| {
-                found.push(Import { path: path.to_vec(), public })
-            });
+impl Walk {
+    /// How often each file is entered.
+    pub fn entries(&self) -> BTreeMap<&str, usize> {
+        let mut entries = BTreeMap::new();
+        for file in &self.files {
+            *entries.entry(file.as_str()).or_default() += 1;
         }
-    }
-    found
-}
-
-fn leaves(tree: &UseTree, path: &mut Vec<String>, found: &mut dyn FnMut(&[String])) {
-    let mut with = |name: String, found: &mut dyn FnMut(&[String])| {
-        path.push(name);
-        found(path);
-        path.pop();
-    };
-    match tree {
-        UseTree::Path(step) => {
-            path.push(step.ident.to_string());
-            leaves(&step.tree, path, found);
-            path.pop();
-        }
-        UseTree::Name(name) => with(name.ident.to_string(), found),
-        UseTree::Rename(name) => with(name.ident.to_string(), found),
-        UseTree::Glob(_) => with("*".to_owned(), found),
-        UseTree::Group(group) => group.items.iter().for_each(|tree| leaves(tree, path, found)),
+        entries
     }
 }
 
-/// The module path of a file below `src/`, for example `rans/table.rs` → `rans`, `table`.
-fn module(file: &str) -> Vec<String> {
-    let file = file.trim_end_matches(".rs").trim_end_matches("/mod");
-    file.split('/').filter(|step| !["lib", "main"].contains(step)).map(str::to_owned).collect()
-}
-
-/// Paths of code outside `use`, for example `child::run` or `crate::figures::mean`.
-struct Paths(Vec<Vec<String>>);
-
-impl<'ast> Visit<'ast> for Paths {
-    fn visit_path(&mut self, path: &'ast syn::Path) {
-        if path.segments.len() > 1 {
-            self.0.push(path.segments.iter().map(|s| s.ident.to_string()).collect());
-        }
-        syn::visit::visit_path(self, path);
-    }
-
-    fn visit_item_mod(&mut self, module: &'ast syn::ItemMod) {
-        // Inline modules are tests here, or small; their names would not resolve from this file.
-        if module.content.is_none() {
-            syn::visit::visit_item_mod(self, module);
+/// The walks of `tests/lab/WALKS.md`: after a comment `<!-- walk: name -->`, the first cell of each row.
+pub fn walks(tree: &Tree) -> Vec<Walk> {
+    let mut walks: Vec<Walk> = Vec::new();
+    for line in tree.text("tests/lab/WALKS.md").lines() {
+        if let Some(name) = line.strip_prefix("<!-- walk: ").and_then(|rest| rest.strip_suffix(" -->")) {
+            walks.push(Walk { name: name.to_owned(), files: Vec::new() });
+        } else if let Some((file, _)) = line.strip_prefix("| `").and_then(|rest| rest.split_once('`'))
+            && let Some(walk) = walks.last_mut()
+        {
+            walk.files.push(file.to_owned());
         }
     }
-}
-
-/// Modules of one crate: path and what each imports or names.
-struct Modules {
-    imports: BTreeMap<Vec<String>, Vec<Import>>,
-    paths: BTreeMap<Vec<String>, Vec<Vec<String>>>,
-}
-
-impl Modules {
-    fn of(tree: &Tree, folder: &str) -> Self {
-        let (mut imports_of, mut paths_of) = (BTreeMap::new(), BTreeMap::new());
-        let src = format!("{folder}src/");
-        for (path, text) in tree.rust().filter(|(p, _)| p.starts_with(&src)) {
-            let inside = &path[src.len()..];
-            let is_apart = inside.starts_with("bin/") || inside == "main.rs" || inside.ends_with("tests.rs");
-            if is_apart {
-                continue;
-            }
-            let Ok(file) = syn::parse_file(outside_tests(text)) else { continue };
-            let mut paths = Paths(Vec::new());
-            for item in file.items.iter().filter(|item| !matches!(item, Item::Use(_))) {
-                paths.visit_item(item);
-            }
-            imports_of.insert(module(inside), imports(&file));
-            paths_of.insert(module(inside), paths.0);
-        }
-        Self { imports: imports_of, paths: paths_of }
-    }
-
-    /// The file that `path`, written in `from`, leads to, through re-exports; none if it leaves the crate.
-    fn target(&self, from: &[String], path: &[String], depth: usize) -> Option<Vec<String>> {
-        let mut at: Vec<String> = from.to_vec();
-        let mut rest = path;
-        match rest.first()?.as_str() {
-            "crate" => at.clear(),
-            "super" => {
-                at.pop()?;
-            }
-            "self" => {}
-            child => {
-                let inside = [from, &[child.to_owned()]].concat();
-                self.imports.contains_key(&inside).then_some(())?;
-                at = inside;
-            }
-        }
-        rest = &rest[1..];
-        while let Some(step) = rest.first() {
-            let inside = [&at[..], std::slice::from_ref(step)].concat();
-            if step == "super" {
-                at.pop()?;
-            } else if self.imports.contains_key(&inside) {
-                at = inside;
-            } else {
-                break;
-            }
-            rest = &rest[1..];
-        }
-        let exported = rest.first().filter(|_| depth < 8).and_then(|name| {
-            let of = self.imports.get(&at)?;
-            of.iter().find(|import| import.public && import.path.last() == Some(name))
-        });
-        match exported {
-            Some(import) => self.target(&at, &import.path, depth + 1).or(Some(at)),
-            None => Some(at),
-        }
-    }
-
-    /// What each file needs of others. A re-export is a name for something, no need.
-    fn needs(&self) -> BTreeMap<Vec<String>, BTreeSet<Vec<String>>> {
-        let mut needs = BTreeMap::new();
-        for (from, imports) in &self.imports {
-            let used = imports.iter().filter(|import| !import.public).map(|import| &import.path);
-            let named = self.paths.get(from).into_iter().flatten();
-            let targets = used.chain(named).filter_map(|path| self.target(from, path, 0));
-            needs.insert(from.clone(), targets.filter(|to| to != from).collect::<BTreeSet<_>>());
-        }
-        needs
-    }
-}
-
-/// Files of the crate in `folder` that need each other in a circle: each circle the names of its files.
-pub fn circles(tree: &Tree, folder: &str) -> Vec<Vec<String>> {
-    let needs = Modules::of(tree, folder).needs();
-    let reach = |start: &Vec<String>| {
-        let mut seen = BTreeSet::new();
-        let mut ahead: Vec<&Vec<String>> = needs[start].iter().collect();
-        while let Some(next) = ahead.pop() {
-            if seen.insert(next.clone()) {
-                ahead.extend(needs.get(next).into_iter().flatten());
-            }
-        }
-        seen
-    };
-    let reached: BTreeMap<&Vec<String>, BTreeSet<Vec<String>>> =
-        needs.keys().map(|file| (file, reach(file))).collect();
-    let mut circles = BTreeSet::new();
-    for (file, beyond) in &reached {
-        if beyond.contains(*file) {
-            let members = beyond.iter().filter(|other| reached.get(other).is_some_and(|r| r.contains(*file)));
-            circles.insert(members.map(|path| path.join("::")).collect::<Vec<_>>());
-        }
-    }
-    circles.into_iter().collect()
+    walks
 }
 
 /// Items that a user of the crate in `folder` can name: public items of public modules, `internals` left out.
@@ -310,7 +183,7 @@ pub fn public_items(tree: &Tree, folder: &str) -> usize {
             count += match item {
                 Item::Use(item) => {
                     let mut names = 0;
-                    leaves(&item.tree, &mut Vec::new(), &mut |_| names += 1);
+                    leaves(&item.tree, &mut Vec::new(), &mut |_, _| names += 1);
                     names
                 }
                 _ => 1,
@@ -343,23 +216,12 @@ mod tests {
     }
 
     #[test]
-    fn two_files_that_need_each_other_are_a_circle_and_a_re_export_is_not() {
-        let straight = [
-            ("src/lib.rs", "pub mod a;\npub mod b;\npub use a::A;\n"),
-            ("src/a.rs", "pub struct A;\n"),
-            ("src/b.rs", "use crate::A;\nfn f(_: A) {}\n"),
-        ];
-        assert!(circles(&tree(&straight), "").is_empty());
-        let mut bent = tree(&straight);
-        bent.files.insert("src/a.rs".into(), "pub struct A;\nfn f() { crate::b::f() }\n".into());
-        assert_eq!(circles(&bent, ""), [["a", "b"]]);
-        // A parent that calls its child, whose types are the parent's.
-        let family = tree(&[
-            ("src/lib.rs", "mod a;\n"),
-            ("src/a.rs", "mod c;\npub struct A;\nfn f() { c::g() }\n"),
-            ("src/a/c.rs", "use super::A;\npub fn g() {}\n#[cfg(test)]\nmod tests { use crate::x; }\n"),
-        ]);
-        assert_eq!(circles(&family, ""), [["a", "a::c"]]);
+    fn a_walk_is_the_first_cells_of_its_table() {
+        let text = "<!-- walk: there -->\n| file | does |\n| --- | --- |\n\
+                    | `a.rs` | x |\n| `b.rs` | y |\n| `a.rs` | z |\n";
+        let walks = walks(&tree(&[("tests/lab/WALKS.md", text)]));
+        assert_eq!(walks[0].files, ["a.rs", "b.rs", "a.rs"]);
+        assert_eq!(walks[0].entries(), BTreeMap::from([("a.rs", 2), ("b.rs", 1)]));
     }
 
     #[test]

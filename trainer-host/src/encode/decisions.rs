@@ -15,7 +15,7 @@ use codec_core::internals::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::{EncodeError, Protection, Quality, QuantiserClass, cluster};
+use super::{EncodeError, Protection, Quality, cluster};
 
 /// Everything that was chosen for one stream.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -54,7 +54,16 @@ pub struct MadeFrom {
     /// Gaussians that share steps, the most sensitive first (`dgs1`; empty in `paper`).
     pub quantiser_classes: Vec<QuantiserClass>,
     /// How Gaussians were clustered.
-    pub clustering: cluster::Options,
+    pub clustering: cluster::ClusterOptions,
+}
+
+/// Gaussians that share steps.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct QuantiserClass {
+    /// How many of the scene's, over all epochs.
+    pub gaussians: u64,
+    /// Their steps.
+    pub quality: Quality,
 }
 
 /// What was chosen for a stream of profile `dgs1`.
@@ -183,7 +192,7 @@ pub enum TrackForm {
     Static,
     /// It turns and glides.
     Rigid,
-    /// It also stretches.
+    /// It also scales and shears.
     Affine,
 }
 

@@ -1,4 +1,4 @@
-//! Evaluate how close a decoded state is to its source, in pictures from measuring cameras.
+//! Evaluates how close a decoded state is to its source, in pictures from measuring cameras.
 
 use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
@@ -67,6 +67,22 @@ pub(super) fn instant_at(scene: &Scene, frame: u32) -> Result<Instant, Evaluatio
 }
 
 /// The source's own pictures of some frames from some cameras.
+///
+/// # Examples
+/// ```
+/// use trainer_host::{
+///     encode::{EncodeOptions, encode},
+///     evaluator::{Evaluator, spread},
+///     import::{Limits, synth},
+/// };
+///
+/// let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..Default::default() };
+/// let scene = synth::make(&options, &Limits::default())?;
+/// let encoded = encode(&scene, &EncodeOptions { pictures: 0, ..Default::default() }, &|_, _| {})?;
+/// let evaluator = Evaluator::measuring(&scene, spread(0, 2, 1))?;
+/// assert!(evaluator.whole(&encoded.stream)? > 30.0, "dB");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Evaluator {
     cameras: Vec<Camera>,
@@ -166,10 +182,10 @@ pub fn spread(first: u32, frames: u32, count: u32) -> Vec<u32> {
 mod tests {
     use super::*;
     use crate::{
-        encode::{Options, Quality, encode},
+        encode::{EncodeOptions, Quality, encode},
         import::{
             Limits,
-            synth::{self, Kind},
+            synth::{self, SynthKind},
         },
     };
 
@@ -182,11 +198,13 @@ mod tests {
 
     #[test]
     fn coarser_steps_and_missing_levels_are_evaluated_worse() {
-        let options = synth::Options { gaussians: 1000, frames: 6, kind: Kind::Figure, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 1000, frames: 6, kind: SynthKind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let evaluator = Evaluator::measuring(&scene, spread(0, 6, 2)).unwrap();
         let stream = |factor: f32| {
-            let options = Options { quality: Quality::default().scaled(factor), ..Options::default() };
+            let options =
+                EncodeOptions { quality: Quality::default().scaled(factor), ..EncodeOptions::default() };
             encode(&scene, &options, &|_, _| {}).unwrap().stream
         };
         let (fine, coarse) = (stream(1.0), stream(8.0));

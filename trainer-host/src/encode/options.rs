@@ -1,16 +1,75 @@
-//! Options say what an encoding is to be like.
+//! Holds the options of an encoding, and checks their ranges.
 
 use codec_core::internals::{limits, wire::manifest::Profile};
 
-use super::{EncodeError, Protection, Quality, Target, cluster, search, sensitivity::MOST_PICTURES};
+use super::{EncodeError, Protection, Quality, cluster, evaluator::PSNR_CAP_DB, sensitivity::MOST_PICTURES};
+
+/// Most encodings that a search may be asked for.
+const MOST_TRIALS: usize = 500;
+
+/// What an encoding must meet.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub enum Target {
+    /// At most this many bits on the wire per Gaussian of the scene, above 0.
+    BitsPerGaussian(f64),
+    /// At most this many bytes on the wire: manifest, packets and parity, at least 1.
+    Bytes(u64),
+    /// At least this PSNR in dB, above 0 and at most 99: mean over measuring cameras and frames spread
+    /// over the clip.
+    PsnrDb(f64),
+}
+
+impl Target {
+    /// The option's name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::BitsPerGaussian(_) => "target_bits_per_gaussian",
+            Self::Bytes(_) => "target_bytes",
+            Self::PsnrDb(_) => "target_psnr",
+        }
+    }
+
+    /// The number asked for.
+    pub const fn value(self) -> f64 {
+        match self {
+            Self::BitsPerGaussian(v) | Self::PsnrDb(v) => v,
+            Self::Bytes(v) => v as f64,
+        }
+    }
+
+    pub(super) fn check(self) -> Result<(), EncodeError> {
+        let most = if matches!(self, Self::PsnrDb(_)) { PSNR_CAP_DB } else { f64::MAX };
+        let (option, found) = (self.name(), self.value());
+        if found > 0.0 && found <= most {
+            return Ok(());
+        }
+        Err(EncodeError::Target { option, found, most })
+    }
+}
 
 /// What to encode, and how.
+///
+/// # Examples
+/// ```
+/// use trainer_host::{
+///     encode::{EncodeOptions, Target, encode},
+///     import::{Limits, synth},
+/// };
+///
+/// let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..Default::default() };
+/// let scene = synth::make(&options, &Limits::default())?;
+/// let target = Some(Target::Bytes(20_000));
+/// let options = EncodeOptions { target, pictures: 0, ..EncodeOptions::default() };
+/// let encoded = encode(&scene, &options, &|_stage, _share| {})?;
+/// assert!(encoded.report.ledger.wire() <= 20_000.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct EncodeOptions {
     /// Format choices.
     pub profile: Profile,
     /// Clustering.
-    pub cluster: cluster::Options,
+    pub cluster: cluster::ClusterOptions,
     /// Gaussians per block, 1..=256 (`dgs1`).
     pub block_len: usize,
     /// Most frames in a motion window, 1..=64; default one second.
@@ -39,11 +98,11 @@ pub struct Options {
     pub keep_invisible: bool,
 }
 
-impl Default for Options {
+impl Default for EncodeOptions {
     fn default() -> Self {
         Self {
             profile: Profile::Dgs1,
-            cluster: cluster::Options::default(),
+            cluster: cluster::ClusterOptions::default(),
             block_len: 64,
             window_frames: None,
             rank: 8,
@@ -60,7 +119,7 @@ impl Default for Options {
     }
 }
 
-impl Options {
+impl EncodeOptions {
     /// Defaults of the `paper` profile: rank 4.
     pub fn paper() -> Self {
         Self { profile: Profile::Paper, rank: 4, ..Self::default() }
@@ -77,7 +136,7 @@ impl Options {
         within("window_frames", self.window_frames.unwrap_or(1), 1, limits::MAX_WINDOW_FRAMES)?;
         within("rank", self.rank, 0, limits::MAX_RANK)?;
         within("pictures", self.pictures, 0, MOST_PICTURES)?;
-        within("search", self.search, 0, search::MOST)?;
+        within("search", self.search, 0, MOST_TRIALS)?;
         within("table_choices", self.table_choices, 1, limits::MAX_TABLE_SET)?;
         within("packet_bytes", self.packet_bytes, 200, 1226)?;
         within("cluster.max_gaussians", self.cluster.max_gaussians, 1, limits::MAX_CLUSTER_LEN)?;

@@ -1,4 +1,4 @@
-//! Parity packets over ranges of media packets.
+//! Appends parity packets over ranges of media packets.
 
 use codec_core::internals::{
     limits::MAX_PACKET_BYTES,
@@ -7,7 +7,7 @@ use codec_core::internals::{
 };
 use rayon::prelude::*;
 
-use super::{EncodeError, Ledger, packet_id};
+use super::{EncodeError, Ledger, packetise::packet_id};
 
 /// Appends the parity of `repairs` to `packets`, fills in where it starts, and counts its bytes.
 pub(super) fn append(

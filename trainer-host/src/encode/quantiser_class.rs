@@ -1,4 +1,4 @@
-//! Which Gaussians get fine steps, and which coarse ones.
+//! Chooses which Gaussians get fine steps, and which coarse ones.
 //!
 //! An error shows much in a large opaque Gaussian in front and hardly in a faint one behind it. At
 //! high rate bits are spent best where step² times sensitivity is the same for every value. So
@@ -9,10 +9,14 @@
 //! apart. Where Gaussians move that would also tear apart what moves together, so there a class is
 //! one of whole clusters. Where to cut is found exactly, by dynamic programming over a histogram.
 
+mod epoch_classes;
 mod step_refinement;
 
+pub(super) use epoch_classes::EpochClasses;
+
 use super::{
-    EncodeError, Options, Quality, QuantiserClass, cluster,
+    EncodeError, EncodeOptions, Quality, cluster,
+    decisions::QuantiserClass,
     sensitivity::{self, CLASSES, Weights},
     steps::{DGS1_BASE_RATIO, Factors, Grid},
 };
@@ -25,7 +29,7 @@ pub(super) struct QuantiserClasses {
     sets: Vec<Vec<Vec<u32>>>,
     /// Per epoch, the class of each Gaussian; the same within a cluster.
     of: Vec<Vec<u8>>,
-    /// Per class, the most sensitive first, factors on the steps of [`Options::quality`].
+    /// Per class, the most sensitive first, factors on the steps of [`EncodeOptions::quality`].
     factors: Vec<Factors>,
 }
 
@@ -44,7 +48,7 @@ const BINS: usize = 256;
 
 impl QuantiserClasses {
     /// Clusters of `scene` with no classes, for a profile without.
-    pub fn none(scene: &Scene, options: &Options) -> Self {
+    pub fn none(scene: &Scene, options: &EncodeOptions) -> Self {
         let sets = scene.epochs().iter().map(|epoch| cluster::cluster(epoch, &options.cluster)).collect();
         Self { sets, of: Vec::new(), factors: Vec::new() }
     }
@@ -54,12 +58,12 @@ impl QuantiserClasses {
         &self.sets
     }
 
-    /// All Gaussians of `scene` in one class, with the steps of [`Options::quality`] or finer where
+    /// All Gaussians of `scene` in one class, with the steps of [`EncodeOptions::quality`] or finer where
     /// that is cheap.
     ///
     /// # Errors
     /// Steps that the format does not hold.
-    pub fn one(scene: &Scene, options: &Options) -> Result<Self, EncodeError> {
+    pub fn one(scene: &Scene, options: &EncodeOptions) -> Result<Self, EncodeError> {
         let clustered = |epoch| cluster::cluster(epoch, &options.cluster);
         let sets: Vec<Vec<Vec<u32>>> = scene.epochs().iter().map(clustered).collect();
         let of = scene.epochs().iter().map(|epoch| vec![0; epoch.count()]).collect();
@@ -67,12 +71,12 @@ impl QuantiserClasses {
     }
 
     /// The classes of `scene` and steps that make errors weigh alike in pictures, in sum as much as
-    /// those of [`Options::quality`] do. Where nothing moves, Gaussians of different classes are
+    /// those of [`EncodeOptions::quality`] do. Where nothing moves, Gaussians of different classes are
     /// clustered apart; else whole clusters share a class.
     ///
     /// # Errors
     /// What the renderer refuses; steps that the format does not hold.
-    pub fn measured(scene: &Scene, options: &Options) -> Result<Self, EncodeError> {
+    pub fn measured(scene: &Scene, options: &EncodeOptions) -> Result<Self, EncodeError> {
         let mut costs = sensitivity::measure(scene, options.pictures)?;
         for (epoch, costs) in scene.epochs().iter().zip(&mut costs) {
             let mut quality = options.quality;
@@ -92,7 +96,7 @@ impl QuantiserClasses {
     }
 
     /// The same with finer steps where they are cheap in the middle epoch.
-    fn with_finer_steps(mut self, scene: &Scene, options: &Options) -> Result<Self, EncodeError> {
+    fn with_finer_steps(mut self, scene: &Scene, options: &EncodeOptions) -> Result<Self, EncodeError> {
         let middle = scene.epochs().len() / 2;
         if let Some(epoch) = scene.epochs().get(middle) {
             let finer = step_refinement::finer(epoch, &self.of_epoch(middle, &options.quality), options)?;
@@ -159,7 +163,7 @@ impl Costs {
     }
 
     /// Gaussians of different classes clustered apart.
-    fn apart(&self, scene: &Scene, options: &Options) -> QuantiserClasses {
+    fn apart(&self, scene: &Scene, options: &EncodeOptions) -> QuantiserClasses {
         let units = self.each.iter().flatten().map(|&sums| Bin { count: 1.0, sums }).collect();
         let (classes, factors) = self.classes(units, true);
         let mut classes = classes.into_iter();
@@ -178,7 +182,7 @@ impl Costs {
     }
 
     /// Clusters as they are, each in one class.
-    fn together(&self, scene: &Scene, options: &Options) -> QuantiserClasses {
+    fn together(&self, scene: &Scene, options: &EncodeOptions) -> QuantiserClasses {
         let mut sets = Vec::new();
         let mut units = Vec::new();
         for (epoch, costs) in scene.epochs().iter().zip(&self.each) {
@@ -256,23 +260,6 @@ impl Costs {
     }
 }
 
-/// The classes of one epoch.
-#[derive(Clone, Debug)]
-pub(super) struct EpochClasses<'s> {
-    /// Clusters, each of one class.
-    pub sets: &'s [Vec<u32>],
-    of: &'s [u8],
-    /// Steps of each class.
-    pub qualities: Vec<Quality>,
-}
-
-impl EpochClasses<'_> {
-    /// The class of `set`, whose Gaussians all are of the same.
-    pub fn of(&self, set: &[u32]) -> usize {
-        set.first().and_then(|&i| self.of.get(i as usize)).map_or(0, |&s| s.into())
-    }
-}
-
 /// Gaussians of like sensitivity.
 #[derive(Clone, Copy, Debug, Default)]
 struct Bin {
@@ -346,7 +333,7 @@ mod tests {
         },
         import::{
             Limits,
-            synth::{self, Kind},
+            synth::{self, SynthKind},
         },
     };
 
@@ -459,10 +446,10 @@ mod tests {
 
     #[test]
     fn clusters_never_mix_classes_and_hold_everybody_once() {
-        for (kind, frames) in [(Kind::Figure, 1), (Kind::Figure, 6), (Kind::Births, 6)] {
-            let options = synth::Options { gaussians: 1500, frames, kind, ..Default::default() };
+        for (kind, frames) in [(SynthKind::Figure, 1), (SynthKind::Figure, 6), (SynthKind::Births, 6)] {
+            let options = synth::SynthOptions { gaussians: 1500, frames, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
-            let classes = QuantiserClasses::measured(&scene, &Options::default()).unwrap();
+            let classes = QuantiserClasses::measured(&scene, &EncodeOptions::default()).unwrap();
             assert!(classes.factors.len() > 1, "{kind:?} {frames}");
             for (e, epoch) in scene.epochs().iter().enumerate() {
                 let own = classes.of_epoch(e, &Quality::default());
@@ -482,13 +469,15 @@ mod tests {
     /// The same PSNR from cameras on which nothing was chosen, for fewer bytes.
     #[test]
     fn measured_steps_pay() {
-        let options = synth::Options { gaussians: 4000, frames: 1, kind: Kind::Figure, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 4000, frames: 1, kind: SynthKind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let evaluator = Evaluator::measuring(&scene, spread(0, 1, 1)).unwrap();
         let marks = |pictures: usize, coarseness: f32| {
             let quality = Quality::default().scaled(coarseness);
             let encoded =
-                encode(&scene, &Options { pictures, quality, ..Options::default() }, &|_, _| {}).unwrap();
+                encode(&scene, &EncodeOptions { pictures, quality, ..EncodeOptions::default() }, &|_, _| {})
+                    .unwrap();
             (encoded.report.ledger.wire(), evaluator.whole(&encoded.stream).unwrap())
         };
         let (even, psnr) = marks(0, 1.0);

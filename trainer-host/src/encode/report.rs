@@ -1,9 +1,26 @@
-//! The report of an encoding: what was chosen, what it came to, and where every byte went.
+//! Reports an encoding: what was chosen, what it came to, and where every byte went.
 
-use super::{Decisions, Ledger, Quality, Reached, Searched, cluster};
+use super::{Decisions, Ledger, Quality, Target, cluster, decisions::QuantiserClass};
 use crate::stream::Stream;
 
 /// An encoded scene.
+///
+/// # Examples
+/// ```
+/// use trainer_host::{
+///     encode::{EncodeOptions, encode},
+///     import::{Limits, synth},
+/// };
+///
+/// let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..Default::default() };
+/// let scene = synth::make(&options, &Limits::default())?;
+/// let encoded = encode(&scene, &EncodeOptions { pictures: 0, ..Default::default() }, &|_, _| {})?;
+/// let file = encoded.stream.to_bytes()?;
+/// println!("{} bytes, {:.0} bits per Gaussian", file.len(), encoded.report.ledger.bits_per_gaussian());
+/// // Which of the scene's Gaussians the first decoded one is.
+/// assert!((encoded.order[0][0] as usize) < scene.max_count());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Encoded {
     /// The manifest and the packets.
@@ -52,7 +69,7 @@ impl Report {
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ClusteringReport {
     /// Bounds and feature weights.
-    pub options: cluster::Options,
+    pub options: cluster::ClusterOptions,
     /// Clusters over all epochs.
     pub clusters: usize,
     /// Gaussians in the smallest; 0 if there are none.
@@ -80,11 +97,30 @@ impl ClusteringReport {
     }
 }
 
-/// Gaussians that share steps.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct QuantiserClass {
-    /// How many of the scene's, over all epochs.
-    pub gaussians: u64,
-    /// Their steps.
-    pub quality: Quality,
+/// How a target was met.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Reached {
+    /// What was asked for.
+    pub target: Target,
+    /// Factor on the steps of [`EncodeOptions::quality`](super::EncodeOptions::quality).
+    pub coarseness: f32,
+    /// Encodings it took.
+    pub encodes: usize,
+    /// Of the stream, in the target's unit: bits per Gaussian, bytes or dB.
+    pub value: f64,
+}
+
+/// What a search found.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Searched {
+    /// Encodings it took, those at the end included.
+    pub encodes: usize,
+    /// Whether its steps are better than those it began with; if not, the stream has those.
+    #[serde(rename = "kept")]
+    pub is_better: bool,
+    /// Bits on the wire over those without the search: at the same PSNR, or at the same size if
+    /// that was asked for.
+    pub bits: f64,
+    /// PSNR from measuring cameras above that without the search, dB.
+    pub psnr_db: f64,
 }

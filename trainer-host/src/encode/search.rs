@@ -1,4 +1,4 @@
-//! How attributes share the bits, by trial: the steps that a scene's own pictures ask for.
+//! Searches by trial how attributes share the bits: the steps that suit a scene's own pictures.
 //!
 //! The steps of [`Quality`] weigh attributes against each other as typical scenes do. Here one step
 //! at a time is made coarser or finer, the scene is encoded and looked at from measuring cameras,
@@ -6,28 +6,13 @@
 //! round to round, bounded by a number of encodings.
 
 use super::{
-    Analysis, EncodeError, Encoded, Options, Progress, Quality, Report, Target, decide_and_write,
+    Analysis, EncodeError, EncodeOptions, Encoded, Progress, Quality, Report, Searched, Target,
     evaluator::{Evaluator, PSNR_CAP_DB, spread},
+    profile::decide_and_write,
     target,
 };
 use crate::scene::{Epoch, Scene};
 
-/// What a search found.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Searched {
-    /// Encodings it took, those at the end included.
-    pub encodes: usize,
-    /// Whether its steps are better than those it began with; if not, the stream has those.
-    pub kept: bool,
-    /// Bits on the wire over those without the search: at the same PSNR, or at the same size if
-    /// that was asked for.
-    pub bits: f64,
-    /// PSNR from measuring cameras above that without the search, dB.
-    pub psnr_db: f64,
-}
-
-/// Most encodings that can be asked for.
-pub const MOST: usize = 500;
 /// Factors on a step, tried both ways, round by round.
 const FACTORS: [f32; 4] = [1.6, 1.3, 1.15, 1.07];
 /// Factors on all steps whose streams tell what a dB costs.
@@ -41,7 +26,7 @@ const FRAMES: u32 = 4;
 /// at a target size, better.
 pub(super) fn encode(
     analysis: &Analysis<'_>,
-    options: &Options,
+    options: &EncodeOptions,
     mut start: Encoded,
     progress: Progress<'_>,
 ) -> Result<Encoded, EncodeError> {
@@ -49,7 +34,7 @@ pub(super) fn encode(
     let evaluator = Evaluator::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?;
     let psnr = evaluator.whole(&start.stream)?;
     let before = start.report.ledger.wire();
-    let nothing = Searched { encodes: 0, kept: false, bits: 1.0, psnr_db: 0.0 };
+    let nothing = Searched { encodes: 0, is_better: false, bits: 1.0, psnr_db: 0.0 };
     start.report.searched = Some(nothing);
     if psnr >= PSNR_CAP_DB {
         return Ok(start);
@@ -58,7 +43,7 @@ pub(super) fn encode(
     let (quality, encodes) = on_a_part(analysis, options, quality, progress)?;
     // Sizes were asked for, or the PSNR that there was is to be kept.
     let wanted = options.target.unwrap_or(Target::PsnrDb(psnr));
-    let again = Options { quality, target: None, ..options.clone() };
+    let again = EncodeOptions { quality, target: None, ..options.clone() };
     start.report.searched = Some(Searched { encodes, ..nothing });
     let mut found = match target::encode(analysis, &again, wanted, progress) {
         Ok(found) => found,
@@ -66,18 +51,18 @@ pub(super) fn encode(
         Err(error) => return Err(error),
     };
     let gain = evaluator.whole(&found.stream)? - psnr;
-    let kept = match wanted {
+    let is_better = match wanted {
         Target::PsnrDb(_) => found.report.ledger.wire() < before,
         _ => gain > 0.0,
     };
     let encodes = encodes + found.report.reached.map_or(0, |r| r.encodes);
-    if !kept {
+    if !is_better {
         start.report.searched = Some(Searched { encodes, ..nothing });
         return Ok(start);
     }
     let bits = found.report.ledger.wire() / before;
     let reached = options.target.and(found.report.reached);
-    let searched = Some(Searched { encodes, kept, bits, psnr_db: gain });
+    let searched = Some(Searched { encodes, is_better, bits, psnr_db: gain });
     found.report = Report { reached, searched, ..found.report };
     Ok(found)
 }
@@ -85,7 +70,7 @@ pub(super) fn encode(
 /// Searches on the middle epoch of the scene, which stands for the others.
 fn on_a_part(
     analysis: &Analysis<'_>,
-    options: &Options,
+    options: &EncodeOptions,
     quality: Quality,
     progress: Progress<'_>,
 ) -> Result<(Quality, usize), EncodeError> {
@@ -101,7 +86,7 @@ fn on_a_part(
     descend(quality, &Axis::of(part), options.search, |quality| {
         progress("search", tries as f64 / options.search as f64);
         tries += 1;
-        let encoded = decide_and_write(analysis, &Options { quality, ..options.clone() }, &|_, _| {})?;
+        let encoded = decide_and_write(analysis, &EncodeOptions { quality, ..options.clone() }, &|_, _| {})?;
         Ok(RateAndPsnr { bits: encoded.report.ledger.wire(), psnr: evaluator.whole(&encoded.stream)? })
     })
 }
@@ -208,7 +193,7 @@ mod tests {
     use super::*;
     use crate::import::{
         Limits,
-        synth::{self, Kind},
+        synth::{self, SynthKind},
     };
 
     /// Attributes with `values` values each whose squared errors weigh `weights`: log rate, PSNR of the sum.
@@ -269,23 +254,24 @@ mod tests {
 
     #[test]
     fn a_searched_stream_is_smaller_and_as_good_or_the_first_one() {
-        let options = synth::Options { gaussians: 1000, frames: 4, kind: Kind::Figure, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 1000, frames: 4, kind: SynthKind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let evaluator = Evaluator::measuring(&scene, spread(0, 4, FRAMES)).unwrap();
         // Far from balance: positions much too fine.
         let quality = Quality { position: 0.002, ..Quality::default() };
-        let plain = Options { quality, pictures: 0, ..Options::default() };
+        let plain = EncodeOptions { quality, pictures: 0, ..EncodeOptions::default() };
         let first = super::super::encode(&scene, &plain, &|_, _| {}).unwrap();
         let found =
-            super::super::encode(&scene, &Options { search: 16, ..plain.clone() }, &|_, _| {}).unwrap();
+            super::super::encode(&scene, &EncodeOptions { search: 16, ..plain.clone() }, &|_, _| {}).unwrap();
         let searched = found.report.searched.unwrap();
-        assert!(searched.kept && searched.bits < 0.97, "{searched:?}");
+        assert!(searched.is_better && searched.bits < 0.97, "{searched:?}");
         assert_eq!(searched.bits, found.report.ledger.wire() / first.report.ledger.wire());
         assert!(evaluator.whole(&found.stream).unwrap() >= evaluator.whole(&first.stream).unwrap());
         assert!(found.report.quality.position > 0.0024 && found.report.reached.is_none());
         // A size that was asked for is kept.
         let target = Some(Target::Bytes(first.report.ledger.wire() as u64));
-        let sized = Options { search: 16, target, ..plain };
+        let sized = EncodeOptions { search: 16, target, ..plain };
         let found = super::super::encode(&scene, &sized, &|_, _| {}).unwrap();
         assert!(found.report.ledger.wire() <= first.report.ledger.wire() && found.report.reached.is_some());
         assert!(found.report.searched.unwrap().psnr_db > 0.0);

@@ -1,104 +1,25 @@
-//! What symbols look like: histograms per stream, the table each gets, and what it costs.
+//! Chooses entropy tables from the statistics of symbols, and prices symbols in them.
 
+mod histogram;
 mod table_set;
 
 use codec_core::internals::{
     rans::{
         family,
-        table::{ESCAPE, MAX_RAW_BITS, PRECISION, Table},
+        table::{ESCAPE, Table},
     },
     wire::manifest::{TableSet, stream},
 };
 use rayon::prelude::*;
 
+use self::{
+    histogram::{Costs, Histogram},
+    table_set::Choice,
+};
 use super::{
     EncodeError,
     decisions::{Dgs1Decisions, TableForm, TableSetEntry, misfit},
 };
-
-/// Counts of i16 values, exact.
-#[derive(Clone, Debug)]
-pub(super) struct Histogram {
-    counts: Vec<u64>,
-    total: u64,
-}
-
-impl Default for Histogram {
-    fn default() -> Self {
-        Self { counts: vec![0; 65_536], total: 0 }
-    }
-}
-
-impl Histogram {
-    pub fn add(&mut self, value: i16) {
-        self.counts[value as u16 as usize] += 1;
-        self.total += 1;
-    }
-
-    fn values(&self) -> impl Iterator<Item = (i16, u64)> + '_ {
-        self.counts.iter().enumerate().filter(|(_, c)| **c > 0).map(|(v, &c)| (v as u16 as i16, c))
-    }
-
-    /// Shannon entropy of all values seen, bits.
-    pub fn entropy_bits(&self) -> f64 {
-        let total = self.total as f64;
-        self.values().map(|(_, c)| c as f64 * (total / c as f64).log2()).sum()
-    }
-
-    /// The table that codes these values in the fewest bits, its own bytes included.
-    fn best_table(&self) -> Result<Table, EncodeError> {
-        let mut best: Option<(f64, Table)> = None;
-        for raw_bits in 0..=MAX_RAW_BITS {
-            let mut counts = [0u64; 256];
-            for (value, count) in self.values() {
-                counts[usize::from(Table::token(value, raw_bits))] += count;
-            }
-            // A token rarer than a quarter of the least probability is cheaper as an escape.
-            for token in 1..256 {
-                if counts[token] << (PRECISION + 2) < self.total {
-                    counts[usize::from(ESCAPE)] += counts[token];
-                    counts[token] = 0;
-                }
-            }
-            let table = Table::from_counts(&counts, raw_bits)?;
-            let costs = Costs::of(&table);
-            let bits: f64 = self.values().map(|(v, c)| c as f64 * f64::from(costs.bits(v))).sum();
-            let bits = bits + 8.0 * table.wire_len() as f64;
-            if best.as_ref().is_none_or(|(b, _)| bits < *b) {
-                best = Some((bits, table));
-            }
-        }
-        match best {
-            Some((_, table)) => Ok(table),
-            None => Ok(Table::from_counts(&[0; 256], 0)?),
-        }
-    }
-}
-
-/// Cost of each token of a table, bits.
-#[derive(Clone, Debug)]
-pub(super) struct Costs {
-    table: Table,
-    token_bits: [f32; 256],
-}
-
-impl Costs {
-    fn of(table: &Table) -> Self {
-        let scale = (1u32 << PRECISION) as f32;
-        let raw = f32::from(table.raw_bits());
-        let token_bits = std::array::from_fn(|t| {
-            let f = table.frequency(t as u8);
-            let escape = if t == usize::from(ESCAPE) { 16.0 } else { 0.0 };
-            if f == 0 { f32::INFINITY } else { (scale / f as f32).log2() + raw + escape }
-        });
-        Self { table: *table, token_bits }
-    }
-
-    /// Bits that `value` takes, escapes and raw bits included.
-    pub fn bits(&self, value: i16) -> f32 {
-        self.token_bits[usize::from(self.table.code(value))]
-    }
-}
 
 /// The runs of all streams: what one choice of table covers.
 #[derive(Clone, Debug)]
@@ -115,15 +36,9 @@ impl<'c> Streams<'c> {
         self.0[stream].push(run);
     }
 
-    fn histogram(runs: &[&[i16]]) -> Histogram {
-        let mut histogram = Histogram::default();
-        runs.iter().flat_map(|run| run.iter()).for_each(|&s| histogram.add(s));
-        histogram
-    }
-
     /// Sum of the streams' entropies, bits.
     pub fn entropy_bits(&self) -> f64 {
-        self.0.iter().filter(|runs| !runs.is_empty()).map(|runs| Self::histogram(runs).entropy_bits()).sum()
+        self.0.iter().filter(|runs| !runs.is_empty()).map(|runs| Histogram::of(runs).entropy_bits()).sum()
     }
 
     /// A table set per stream that occurs, of tables of the family or of its own, in at most `most`
@@ -155,19 +70,12 @@ impl<'c> Streams<'c> {
     }
 }
 
-/// One table of a table set with the length of its code word.
-#[derive(Clone, Debug)]
-pub(super) struct Choice {
-    pub costs: Costs,
-    pub length: u8,
-}
-
 /// Table sets for all streams.
 #[derive(Clone, Debug)]
 pub(super) struct Model {
     pub table_sets: Vec<TableSet>,
     pub tables: Vec<Table>,
-    pub costs: Vec<Costs>,
+    costs: Vec<Costs>,
 }
 
 impl Model {
@@ -290,7 +198,7 @@ mod tests {
         let bits = bits(&model, 0, &runs);
         assert!(bits < 1800.0, "{bits}");
         // A table of its own for all of them would not list what occurs once.
-        let table = Streams::histogram(&runs).best_table().unwrap();
+        let table = Histogram::of(&runs).best_table().unwrap();
         assert_eq!((table.code(30_000), table.code(-900)), (ESCAPE, ESCAPE));
     }
 }

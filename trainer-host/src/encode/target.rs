@@ -1,38 +1,14 @@
-//! Rate control: the coarseness at which a stream has a given size or quality.
+//! Controls the rate: finds the coarseness at which a stream has a given size or quality.
 //!
 //! Coarser steps give fewer bytes and a lower PSNR, nearly linearly in logarithms, so a bracketed
 //! secant on the logarithm of the coarseness needs few encodings. What is returned has been
 //! encoded and measured, so a stream that is not quite monotone costs closeness, never the promise.
 
 use super::{
-    Analysis, EncodeError, Encoded, Options, Progress, decide_and_write,
-    evaluator::{Evaluator, PSNR_CAP_DB, spread},
+    Analysis, EncodeError, EncodeOptions, Encoded, Progress, Reached, Target,
+    evaluator::{Evaluator, spread},
+    profile::decide_and_write,
 };
-
-/// What an encoding must meet.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub enum Target {
-    /// At most this many bits on the wire per Gaussian of the scene, above 0.
-    BitsPerGaussian(f64),
-    /// At most this many bytes on the wire: manifest, packets and parity, at least 1.
-    Bytes(u64),
-    /// At least this PSNR in dB, above 0 and at most 99: mean over measuring cameras and frames spread
-    /// over the clip.
-    PsnrDb(f64),
-}
-
-/// How a target was met.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct Reached {
-    /// What was asked for.
-    pub target: Target,
-    /// Factor on the steps of [`Options::quality`].
-    pub coarseness: f32,
-    /// Encodings it took.
-    pub encodes: usize,
-    /// Of the stream, in the target's unit: bits per Gaussian, bytes or dB.
-    pub value: f64,
-}
 
 /// Finest and coarsest factor on the steps that is tried.
 pub const COARSENESS: (f32, f32) = (1.0 / 16.0, 64.0);
@@ -45,46 +21,10 @@ const CLOSE: f64 = 0.02;
 /// As is a PSNR within this many dB above it.
 const CLOSE_DB: f64 = 0.3;
 
-impl Target {
-    /// The option's name.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::BitsPerGaussian(_) => "target_bits_per_gaussian",
-            Self::Bytes(_) => "target_bytes",
-            Self::PsnrDb(_) => "target_psnr",
-        }
-    }
-
-    /// The number asked for.
-    pub const fn value(self) -> f64 {
-        match self {
-            Self::BitsPerGaussian(v) | Self::PsnrDb(v) => v,
-            Self::Bytes(v) => v as f64,
-        }
-    }
-
-    pub(super) fn check(self) -> Result<(), EncodeError> {
-        let most = if matches!(self, Self::PsnrDb(_)) { PSNR_CAP_DB } else { f64::MAX };
-        let (option, found) = (self.name(), self.value());
-        if found > 0.0 && found <= most {
-            return Ok(());
-        }
-        Err(EncodeError::Target { option, found, most })
-    }
-
-    /// Excess of `value` over what is allowed: logarithm of a size's ratio, or dB that lack.
-    fn excess(self, value: f64) -> f64 {
-        match self {
-            Self::PsnrDb(wanted) => wanted - value,
-            _ => (value / self.value()).ln(),
-        }
-    }
-}
-
 /// Encodes the scene of `analysis` at the coarseness that comes closest to `target` without missing it.
 pub(super) fn encode(
     analysis: &Analysis<'_>,
-    options: &Options,
+    options: &EncodeOptions,
     target: Target,
     progress: Progress<'_>,
 ) -> Result<Encoded, EncodeError> {
@@ -105,13 +45,13 @@ pub(super) fn encode(
     let found = search.run(|at| {
         let coarseness = (sign * at).exp() as f32;
         let quality = options.quality.scaled(coarseness);
-        let encoded = decide_and_write(analysis, &Options { quality, ..options.clone() }, progress)?;
+        let encoded = decide_and_write(analysis, &EncodeOptions { quality, ..options.clone() }, progress)?;
         let value = match (target, &evaluator) {
             (Target::BitsPerGaussian(_), _) => encoded.report.ledger.bits_per_gaussian(),
             (Target::PsnrDb(_), Some(evaluator)) => evaluator.whole(&encoded.stream)?,
             _ => encoded.report.ledger.wire(),
         };
-        Ok::<_, EncodeError>((target.excess(value), (encoded, coarseness, value)))
+        Ok::<_, EncodeError>((excess(target, value), (encoded, coarseness, value)))
     })?;
     let (mut encoded, coarseness, value) = found.what;
     if found.excess > 0.0 {
@@ -124,6 +64,14 @@ pub(super) fn encode(
     }
     encoded.report.reached = Some(Reached { target, coarseness, encodes: found.tries, value });
     Ok(encoded)
+}
+
+/// Excess of `value` over what `target` allows: logarithm of a size's ratio, or dB that lack.
+fn excess(target: Target, value: f64) -> f64 {
+    match target {
+        Target::PsnrDb(wanted) => wanted - value,
+        _ => (value / target.value()).ln(),
+    }
 }
 
 /// A search for the least place whose excess, which falls from left to right, is at most zero.
@@ -204,24 +152,25 @@ mod tests {
     use super::*;
     use crate::import::{
         Limits,
-        synth::{self, Kind},
+        synth::{self, SynthKind},
     };
     use crate::scene::Scene;
 
     fn scene() -> Scene {
-        let options = synth::Options { gaussians: 1000, frames: 4, kind: Kind::Figure, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 1000, frames: 4, kind: SynthKind::Figure, ..Default::default() };
         synth::make(&options, &Limits::default()).unwrap()
     }
 
     fn encoded(target: Target) -> Result<Encoded, EncodeError> {
-        let options = Options { target: Some(target), ..Options::default() };
+        let options = EncodeOptions { target: Some(target), ..EncodeOptions::default() };
         super::super::encode(&scene(), &options, &|_, _| {})
     }
 
     #[test]
     fn sizes_are_met_closely_and_never_exceeded() {
         for factor in [0.5, 1.7] {
-            let free = super::super::encode(&scene(), &Options::default(), &|_, _| {}).unwrap();
+            let free = super::super::encode(&scene(), &EncodeOptions::default(), &|_, _| {}).unwrap();
             let wanted = (free.report.ledger.wire() * factor) as u64;
             let stream = encoded(Target::Bytes(wanted)).unwrap();
             let sent = stream.stream.wire_bytes();

@@ -11,8 +11,8 @@
 //! opacity logits, wxyz, band-0 coefficients) and say in [`Scene::notes`] what a person should know.
 //!
 //! ```no_run
-//! use trainer_host::import::{Options, import};
-//! let scene = import("capture/time_00000.ply".as_ref(), &Options::default())?;
+//! use trainer_host::import::{ImportOptions, import};
+//! let scene = import("capture/time_00000.ply".as_ref(), &ImportOptions::default())?;
 //! assert_eq!(scene.frames(), 1);
 //! # Ok::<(), trainer_host::import::ImportError>(())
 //! ```
@@ -22,6 +22,7 @@ mod bytes;
 pub mod compressed_ply;
 mod error;
 pub mod gltf;
+mod limits;
 pub mod nearest;
 pub mod ply;
 pub mod points_npz;
@@ -36,42 +37,15 @@ pub mod unity;
 use std::path::Path;
 
 pub use error::{ErrorKind, Format, ImportError};
-pub use sequence::{SEQUENCE_INDEX, SequenceIndex};
+pub use limits::Limits;
+pub use sequence::{Identity, SEQUENCE_INDEX, SequenceIndex};
 pub use snapshot::Snapshot;
 
 use crate::scene::Scene;
 
-/// What a reader accepts of a file it does not trust.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Limits {
-    /// Most Gaussians (or points, or mesh vertices) in one file.
-    pub max_gaussians: usize,
-    /// Most bytes in one file, one decompressed stream, or one sequence.
-    pub max_bytes: u64,
-    /// Give the readable part of a file that ends early or holds values that are not numbers, with a
-    /// note, instead of an error.
-    pub keep_readable: bool,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self { max_gaussians: 20_000_000, max_bytes: 2 << 30, keep_readable: false }
-    }
-}
-
-/// Whether row `i` of one frame of a numbered sequence is row `i` of the next.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Identity {
-    /// Nobody knows: each frame is an epoch of its own.
-    #[default]
-    PerFrame,
-    /// The caller knows that rows correspond: all frames are one epoch.
-    Stored,
-}
-
 /// How to import.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct ImportOptions {
     /// What is accepted.
     pub limits: Limits,
     /// What is known of numbered sequences.
@@ -79,16 +53,16 @@ pub struct Options {
     /// Frame rate of numbered sequences and of single files.
     pub frames_per_second: f64,
     /// How animated meshes are sampled.
-    pub gltf: gltf::Options,
+    pub gltf: gltf::GltfOptions,
 }
 
-impl Default for Options {
+impl Default for ImportOptions {
     fn default() -> Self {
         Self {
             limits: Limits::default(),
             identity: Identity::default(),
             frames_per_second: 30.0,
-            gltf: gltf::Options::default(),
+            gltf: gltf::GltfOptions::default(),
         }
     }
 }
@@ -97,7 +71,7 @@ impl Default for Options {
 ///
 /// # Errors
 /// The file cannot be read, is no format known here, or is refused by its reader.
-pub fn import(path: &Path, options: &Options) -> Result<Scene, ImportError> {
+pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     if path.is_dir() {
         if path.join("meta.json").is_file() {
             return import(&path.join("meta.json"), options);
@@ -120,7 +94,8 @@ pub fn import(path: &Path, options: &Options) -> Result<Scene, ImportError> {
         }
         _ => {
             let frame = snapshot_of(&bytes, path, options)?;
-            sequence::assemble(vec![(path.to_owned(), frame)], options).map_err(in_file)
+            sequence::assemble(vec![(path.to_owned(), frame)], options.identity, options.frames_per_second)
+                .map_err(in_file)
         }
     }
 }
@@ -165,7 +140,7 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
     }
 }
 
-fn folder(path: &Path, options: &Options) -> Result<Scene, ImportError> {
+fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     let (files, notes) = sequence::files(path, &options.limits)?;
     let mut left = options.limits.max_bytes;
     let mut frames = Vec::with_capacity(files.len());
@@ -174,20 +149,20 @@ fn folder(path: &Path, options: &Options) -> Result<Scene, ImportError> {
         // What the frames become is bounded too: a compressed frame may hold far more than its bytes.
         let frame = snapshot_of(&bytes, &file, options)?;
         let per_gaussian = (14 + frame.epoch.attributes().sh_degree.rest_len()) * 4;
-        let held = (frame.epoch.count() * per_gaussian).max(bytes.len()) as u64;
-        left = left.checked_sub(held).ok_or_else(|| {
+        let bytes_of_frame = (frame.epoch.count() * per_gaussian).max(bytes.len()) as u64;
+        left = left.checked_sub(bytes_of_frame).ok_or_else(|| {
             let allowed = format!("up to {} bytes in all", options.limits.max_bytes);
             Format::Sequence.error(ErrorKind::TooLarge, "frames", "more", allowed).in_file(&file)
         })?;
         frames.push((file, frame));
     }
-    let mut scene = sequence::assemble(frames, options)?;
+    let mut scene = sequence::assemble(frames, options.identity, options.frames_per_second)?;
     scene.notes.extend(notes);
     Ok(scene)
 }
 
 /// Reads one still file of any format that is one.
-fn snapshot_of(bytes: &[u8], path: &Path, options: &Options) -> Result<Snapshot, ImportError> {
+fn snapshot_of(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Snapshot, ImportError> {
     let limits = &options.limits;
     match sniff(bytes, path) {
         Format::Ply => ply::parse(bytes, limits),
@@ -213,7 +188,7 @@ fn snapshot_of(bytes: &[u8], path: &Path, options: &Options) -> Result<Snapshot,
     .map_err(|e| e.in_file(path))
 }
 
-fn unity_frame(description: &[u8], path: &Path, options: &Options) -> Result<Snapshot, ImportError> {
+fn unity_frame(description: &[u8], path: &Path, options: &ImportOptions) -> Result<Snapshot, ImportError> {
     unity::described_count(description, &options.limits)?;
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let name = |plane: &str| format!("{stem}_{plane}.bytes");
@@ -232,7 +207,7 @@ fn unity_frame(description: &[u8], path: &Path, options: &Options) -> Result<Sna
     unity::parse(&asset, &options.limits)
 }
 
-fn read(path: &Path, options: &Options) -> Result<Vec<u8>, ImportError> {
+fn read(path: &Path, options: &ImportOptions) -> Result<Vec<u8>, ImportError> {
     let io = |e: std::io::Error| Format::Unknown.io(&e, path);
     let length = std::fs::metadata(path).map_err(io)?.len();
     options.limits.bytes(Format::Unknown, "file", length).map_err(|e| e.in_file(path))?;
@@ -244,7 +219,12 @@ fn read(path: &Path, options: &Options) -> Result<Vec<u8>, ImportError> {
 }
 
 /// A file that another one names; names that lead out of its folder are refused.
-fn read_beside(path: &Path, name: &str, options: &Options, format: Format) -> Result<Vec<u8>, ImportError> {
+fn read_beside(
+    path: &Path,
+    name: &str,
+    options: &ImportOptions,
+    format: Format,
+) -> Result<Vec<u8>, ImportError> {
     let inside = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
     if !inside {
         return Err(format.malformed("file name", name, "a name inside the folder").in_file(path));
@@ -270,25 +250,25 @@ mod tests {
     #[test]
     fn content_decides_before_the_name() {
         let (_folder, path) = file("wrong.splat", &ply::tests::sample("binary_little_endian", 0, 5));
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 5);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 5);
         let (_folder, path) = file("wrong.ply", &spz::tests::sample(2));
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 2);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 2);
         let (_folder, path) = file("scene.zip", &sog::tests::sample());
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 6);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 6);
         let (_folder, path) = file("a.splat", &splat::tests::sample(4));
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 4);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 4);
         let (_folder, path) = file("a.ply", &compressed_ply::tests::sample(3));
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 3);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 3);
     }
 
     #[test]
     fn errors_name_the_file() {
         let (_folder, path) = file("nothing.bin", b"no scene");
-        let error = import(&path, &Options::default()).unwrap_err();
+        let error = import(&path, &ImportOptions::default()).unwrap_err();
         assert!(error.to_string().contains("nothing.bin"), "{error}");
         let (_folder, path) = file("empty.ply", b"");
-        assert_eq!(import(&path, &Options::default()).unwrap_err().kind, ErrorKind::Empty);
-        let missing = import("no/such/file.ply".as_ref(), &Options::default()).unwrap_err();
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap_err().kind, ErrorKind::Empty);
+        let missing = import("no/such/file.ply".as_ref(), &ImportOptions::default()).unwrap_err();
         assert_eq!(missing.kind, ErrorKind::Io);
     }
 
@@ -296,10 +276,10 @@ mod tests {
     fn files_above_the_limit_are_not_read() {
         let (_folder, path) = file("a.splat", &splat::tests::sample(4));
         let limits = Limits { max_bytes: 100, ..Limits::default() };
-        let error = import(&path, &Options { limits, ..Options::default() }).unwrap_err();
+        let error = import(&path, &ImportOptions { limits, ..ImportOptions::default() }).unwrap_err();
         assert_eq!(error.kind, ErrorKind::TooLarge);
         let limits = Limits { max_gaussians: 3, ..Limits::default() };
-        let error = import(&path, &Options { limits, ..Options::default() }).unwrap_err();
+        let error = import(&path, &ImportOptions { limits, ..ImportOptions::default() }).unwrap_err();
         assert_eq!(error.kind, ErrorKind::TooLarge);
     }
 
@@ -310,10 +290,10 @@ mod tests {
         for (plane, bytes) in ["chk", "pos", "oth", "col", "shs"].iter().zip(&sample.planes) {
             std::fs::write(folder.path().join(format!("000001_{plane}.bytes")), bytes).unwrap();
         }
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 20);
-        assert_eq!(import(folder.path(), &Options::default()).unwrap().frames(), 1);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 20);
+        assert_eq!(import(folder.path(), &ImportOptions::default()).unwrap().frames(), 1);
         std::fs::remove_file(folder.path().join("000001_oth.bytes")).unwrap();
-        let error = import(&path, &Options::default()).unwrap_err();
+        let error = import(&path, &ImportOptions::default()).unwrap_err();
         assert!(error.to_string().contains("000001_oth.bytes"), "{error}");
     }
 }

@@ -19,7 +19,7 @@ use render_host::{
     counterfactual::{self, Distortions, Engine, Variants},
 };
 
-use super::UtilityError;
+use super::error::UtilityError;
 use crate::stream::Player;
 
 /// A cluster as some state shows it.

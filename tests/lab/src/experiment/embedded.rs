@@ -1,4 +1,4 @@
-//! What the receiver costs where there is little, and that every target decodes to the same bits.
+//! Measures the receiver on small targets, and checks that all of them decode to the same bits.
 //!
 //! One [`Fixture`] goes to a Cortex-M4F in QEMU, to WebAssembly under node (plain and with simd128) and
 //! to a C program; their digests must be this host's. Flash, static memory, stack and instructions
@@ -13,13 +13,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
+use self::{
+    budget::Budget,
+    tools::{Lines, Tool},
+};
 use crate::{
     figures::{Bench, Figure},
     fixture::Fixture,
     setup::Setup,
 };
-use budget::Budget;
-use tools::{Lines, Tool};
 
 const THUMB: &str = "thumbv7em-none-eabihf";
 const WASM: &str = "wasm32-unknown-unknown";

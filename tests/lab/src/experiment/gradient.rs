@@ -1,4 +1,4 @@
-//! Gradients: how wrong against differences of the f64 reference, how fast, and what they tell about groups.
+//! Measures gradients: their error against the f64 reference, their speed, what they tell about groups.
 
 mod groups;
 mod rank;
@@ -18,7 +18,10 @@ use render_host::{
 };
 use trainer_host::viewpoint::{Framing, Ring};
 
-use super::cloud::{Kind, Numbers, beside, camera, cloud};
+use super::{
+    clock::milliseconds_of,
+    cloud::{CloudShape, Numbers, beside, camera, cloud},
+};
 use crate::{
     figures::{Bench, Figure, median},
     setup::{Setup, load},
@@ -30,10 +33,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "gradient",
         format!(
-            "check: 8 Gaussians, 24x18, nothing cut, every parameter against central differences of the f64 reference (worst: relative, \
-             at least 1 % of the class's largest; error: relative L2); frames: ms forward, and forward with all gradients, default settings, \
-             medians of {runs} interleaved runs, beside one f64 reference forward; their error: derivative along a random change of all \
-             colours against the f64 reference; groups: first order of utilities from a gradient, against leave-one-out by the engine's lanes"
+            "check: 8 Gaussians, 24x18, nothing cut, every parameter against central differences of the \
+             f64 reference (worst: relative, at least 1 % of the class's largest; error: relative L2); \
+             frames: ms forward, and forward with all gradients, default settings, medians of {runs} \
+             interleaved runs, beside one f64 reference forward; their error: derivative along a random \
+             change of all colours against the f64 reference; groups: first order of utilities from a \
+             gradient, against leave-one-out by the engine's lanes"
         ),
     );
     checks(&mut bench, runs)?;
@@ -43,18 +48,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     Ok(bench)
 }
 
-/// Milliseconds of `work`.
-fn ms(times: &mut Vec<f64>, work: impl FnOnce() -> Result<()>) -> Result<()> {
-    let start = Instant::now();
-    work()?;
-    times.push(1000.0 * start.elapsed().as_secs_f64());
-    Ok(())
-}
-
 /// Figure 5: every class of parameters on scenes of every degree.
 fn checks(bench: &mut Bench, runs: usize) -> Result<()> {
     let mut r = Numbers(3);
-    let film = Camera::look_at([1.9, -2.1, 1.45], [0.1, 0.0, -0.05], [0.0, 0.0, 1.0], 0.95, 24, 18)?;
+    let camera = Camera::look_at([1.9, -2.1, 1.45], [0.1, 0.0, -0.05], [0.0, 0.0, 1.0], 0.95, 24, 18)?;
     let target = Image::new(24, 18, (0..3 * 24 * 18).map(|_| r.unit()).collect())?;
     let settings = Settings { background: [0.3, 0.6, 0.1], ..Settings::exact() };
     let losses: [(&str, Box<dyn Loss>); 3] = [
@@ -80,18 +77,18 @@ fn checks(bench: &mut Bench, runs: usize) -> Result<()> {
             let splats = Splats::new(&gaussians, &rest, degree)?;
             let (mut workspace, mut out) = (Workspace::new(), Gradients::default());
             for _ in 0..runs {
-                ms(&mut times, || {
+                milliseconds_of(&mut times, || {
                     Ok(render_and_gradients_into(
                         &mut workspace,
                         &splats,
-                        &film,
+                        &camera,
                         &settings,
                         &**loss,
                         &mut out,
                     )?)
                 })?;
             }
-            let found = check::compare(&splats, &film, &settings, &**loss, &out, 1.0 / 4096.0)?;
+            let found = check::compare(&splats, &camera, &settings, &**loss, &out, 1.0 / 4096.0)?;
             for class in found.classes {
                 match worst.iter_mut().find(|w| w.class == class.class) {
                     Some(w) => {
@@ -129,7 +126,7 @@ fn checks(bench: &mut Bench, runs: usize) -> Result<()> {
 fn losses(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
     let sides: &[u32] = if setup.quick { &[160] } else { &[400, 800] };
     for &side in sides {
-        let scene = cloud(Kind::Shells, 20_000);
+        let scene = cloud(CloudShape::Shells, 20_000);
         let image =
             render_host::render(&Splats::plain(&scene.gaussians), &camera(side)?, &Settings::default())?
                 .image;
@@ -140,11 +137,11 @@ fn losses(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
         let mut gradient = vec![0.0; image.rgb().len()];
         let (mut of_mse, mut of_both, mut mean, mut value) = (Vec::new(), Vec::new(), 0.0, 0.0);
         for _ in 0..2 * runs + 1 {
-            ms(&mut of_mse, || {
+            milliseconds_of(&mut of_mse, || {
                 mean = mse.differentiate(&image, true, &mut gradient)?;
                 Ok(())
             })?;
-            ms(&mut of_both, || {
+            milliseconds_of(&mut of_both, || {
                 value = both.differentiate(&image, true, &mut gradient)?;
                 Ok(())
             })?;
@@ -169,7 +166,7 @@ fn frames(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
     let (counts, sides): (&[usize], &[u32]) =
         if setup.quick { (&[4000], &[160]) } else { (&[20_000, 100_000], &[400, 800]) };
     for &n in counts {
-        let scene = cloud(Kind::Volume, n);
+        let scene = cloud(CloudShape::Volume, n);
         for &side in sides {
             frame(
                 bench,
@@ -186,19 +183,19 @@ fn frames(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
         let instant = scene.instant(0).unwrap_or_default();
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
         for &side in sides {
-            let film = &Framing::of(&scene).ring(Ring::HeldOut, 3, (side, side))?[0];
-            frame(bench, &format!("biker-{}.{side}", splats.len()), &splats, film, runs)?;
+            let camera = &Framing::of(&scene).ring(Ring::HeldOut, 3, (side, side))?[0];
+            frame(bench, &format!("biker-{}.{side}", splats.len()), &splats, camera, runs)?;
         }
     }
     Ok(())
 }
 
-fn frame(bench: &mut Bench, name: &str, splats: &Splats, film: &Camera, runs: usize) -> Result<()> {
+fn frame(bench: &mut Bench, name: &str, splats: &Splats, camera: &Camera, runs: usize) -> Result<()> {
     let settings = Settings::default();
     let (mut renderer, mut picture) = (Renderer::new(), Default::default());
-    renderer.render_into(splats, film, &settings, &mut picture)?;
+    renderer.render_into(splats, camera, &settings, &mut picture)?;
     let start = Instant::now();
-    let exact = reference::render(splats, film, &settings)?;
+    let exact = reference::render(splats, camera, &settings)?;
     let slow = 1000.0 * start.elapsed().as_secs_f64();
     let error = exact.difference(picture.image.rgb()).unwrap_or_default();
     let target = beside(&picture.image)?;
@@ -206,12 +203,14 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, film: &Camera, runs: us
     let (mut workspace, mut out) = (Workspace::new(), Gradients::default());
     let [mut forward, mut with_mse, mut with_both] = [const { Vec::new() }; 3];
     for _ in 0..runs {
-        ms(&mut forward, || Ok(renderer.render_into(splats, film, &settings, &mut picture)?))?;
-        ms(&mut with_mse, || {
-            Ok(render_and_gradients_into(&mut workspace, splats, film, &settings, &mse, &mut out)?)
+        milliseconds_of(&mut forward, || {
+            Ok(renderer.render_into(splats, camera, &settings, &mut picture)?)
         })?;
-        ms(&mut with_both, || {
-            Ok(render_and_gradients_into(&mut workspace, splats, film, &settings, &both, &mut out)?)
+        milliseconds_of(&mut with_mse, || {
+            Ok(render_and_gradients_into(&mut workspace, splats, camera, &settings, &mse, &mut out)?)
+        })?;
+        milliseconds_of(&mut with_both, || {
+            Ok(render_and_gradients_into(&mut workspace, splats, camera, &settings, &both, &mut out)?)
         })?;
     }
     bench.push(
@@ -224,7 +223,7 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, film: &Camera, runs: us
     for (which, loss, times) in losses {
         bench.push(
             Figure::new(format!("{name}.forward_backward.{which}"), median(times), "ms")
-                .error(along_colours(splats, film, &settings, loss)?, "relative, derivative along colours")
+                .error(along_colours(splats, camera, &settings, loss)?, "relative, derivative along colours")
                 .peer("f64 reference forward", slow, true)
                 .runs(runs),
         );
@@ -234,8 +233,8 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, film: &Camera, runs: us
 
 /// Relative error of the derivative along a random change of all colours. The picture is linear in
 /// colours that stay above 0, so thresholds do not disturb the difference.
-fn along_colours(splats: &Splats, film: &Camera, settings: &Settings, loss: &dyn Loss) -> Result<f64> {
-    let got = render_and_gradients(&mut Workspace::new(), splats, film, settings, loss)?;
+fn along_colours(splats: &Splats, camera: &Camera, settings: &Settings, loss: &dyn Loss) -> Result<f64> {
+    let got = render_and_gradients(&mut Workspace::new(), splats, camera, settings, loss)?;
     let step = 1.0 / 2048.0;
     let mut r = Numbers(17);
     let n = splats.len();
@@ -256,7 +255,7 @@ fn along_colours(splats: &Splats, film: &Camera, settings: &Settings, loss: &dyn
         }
         let moved = gaussians.iter().map(|g| g.sh0.map(f64::from)).collect();
         let splats = Splats::new(&gaussians, &rest, splats.sh_degree())?;
-        Ok((loss.exact(&reference::render(&splats, film, settings)?.rgb), moved))
+        Ok((loss.exact(&reference::render(&splats, camera, settings)?.rgb), moved))
     };
     let ((above, a), (below, b)) = (at(step)?, at(-step)?);
     let expected = above - below;

@@ -1,4 +1,4 @@
-//! Random scenes cut into groups, states in which groups are missing, and a picture to judge them by.
+//! Makes random scenes cut into groups, states that lack groups, and the picture to compare with.
 
 use anyhow::Result;
 use codec_core::Gaussian;
@@ -7,9 +7,12 @@ use render_host::{
     counterfactual::{Lattice, States, Variants, brute},
 };
 
-use super::cloud::{Cloud, Kind, LATTICE, Numbers, beside, camera, cloud};
+use super::cloud::{Cloud, CloudShape, LATTICE, Numbers, beside, camera, cloud};
 
-/// A scene, its groups, a camera and what its pictures are judged by.
+/// States that brute force renders per round; its time is scaled to all.
+pub(super) const STATES_ALONE: usize = 16;
+
+/// A scene, its groups, a camera and the picture that its pictures are compared with.
 #[derive(Clone)]
 pub(crate) struct Partial {
     pub gaussians: Vec<Gaussian>,
@@ -21,12 +24,18 @@ pub(crate) struct Partial {
 
 impl Partial {
     /// Scene `kind` of `n` Gaussians at `side` × `side` pixels.
-    pub(crate) fn new(kind: Kind, n: usize, side: u32, settings: &Settings) -> Result<Self> {
+    pub(crate) fn new(kind: CloudShape, n: usize, side: u32, settings: &Settings) -> Result<Self> {
         Self::turned(kind, n, side, 0.0, settings)
     }
 
     /// As [`Partial::new`], every centre turned by `angle` radians about z.
-    pub(crate) fn turned(kind: Kind, n: usize, side: u32, angle: f32, settings: &Settings) -> Result<Self> {
+    pub(crate) fn turned(
+        kind: CloudShape,
+        n: usize,
+        side: u32,
+        angle: f32,
+        settings: &Settings,
+    ) -> Result<Self> {
         let Cloud { mut gaussians, groups } = cloud(kind, n);
         let (sin, cos) = angle.sin_cos();
         for Gaussian { position: [x, y, _], .. } in &mut gaussians {
@@ -68,4 +77,12 @@ pub(crate) fn deliveries_of(lattice: Lattice, worlds: usize) -> States {
         lattice.push_additive(&mut states, |cluster, level| level < depth[cluster]);
     }
     states
+}
+
+/// Up to `count` worlds, evenly spread.
+pub(super) fn spread(states: &States, count: usize) -> States {
+    let mut out = States::new(states.groups());
+    let step = states.len().div_ceil(count).max(1);
+    (0..states.len()).step_by(step).for_each(|world| out.push(|g| states.has(world, g)));
+    out
 }

@@ -1,4 +1,4 @@
-//! CPU render time per frame beside its error against the f64 reference.
+//! Measures CPU render time per frame beside its error against the f64 reference.
 
 use std::time::Instant;
 
@@ -9,7 +9,7 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
-use super::cloud::{Kind, camera, cloud};
+use super::cloud::{CloudShape, camera, cloud};
 use crate::{
     figures::{Bench, Figure, median},
     setup::{Setup, load, synth},
@@ -46,8 +46,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
         let sizes = if name.starts_with("biker") { sizes } else { &sizes[sizes.len() - 1..] };
         for &size in sizes {
-            let film = &Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?[0];
-            frame(&mut bench, &format!("{name}.{size}"), &splats, film, runs)?;
+            let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?[0];
+            frame(&mut bench, &format!("{name}.{size}"), &splats, camera, runs)?;
         }
     }
     bench.skipped.push(
@@ -55,7 +55,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     );
     let counts: &[usize] = if setup.quick { &[4000] } else { &[20_000, 100_000] };
     for &n in counts {
-        let scene = cloud(Kind::Volume, n);
+        let scene = cloud(CloudShape::Volume, n);
         for &size in sizes {
             let name = format!("random-{n}.{size}");
             frame(&mut bench, &name, &Splats::plain(&scene.gaussians), &camera(size)?, runs)?;

@@ -1,4 +1,4 @@
-//! The stress table: every hard case with its time, its error against f64, and what it broke.
+//! Prints the stress table: every hard case with its time, its error against f64, and what it broke.
 
 use std::{fmt::Write as _, time::Instant};
 
@@ -37,16 +37,19 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "stress",
         format!(
-            "dgs_lab::stress::cases, crowds of {million}: CPU renderer, its gradients (MSE + 0.2 (1 - SSIM)) and its counterfactual engine (5 worlds \
-             alone, strict and fast, and utilities of {} groups) per case, medians of {runs} runs; error against the f64 reference at the same settings \
-             as a share of the largest value (clear: pixels away from any threshold); fast: relative error of sums of squares",
+            "dgs_lab::stress::cases, crowds of {million}: CPU renderer, its gradients (MSE + 0.2 (1 - \
+             SSIM)) and its counterfactual engine (5 worlds alone, strict and fast, and utilities of {} \
+             groups) per case, medians of {runs} runs; error against the f64 reference at the same \
+             settings as a share of the largest value (clear: pixels away from any threshold); fast: \
+             relative error of sums of squares",
             stress::GROUPS
         ),
     );
     let mut families: Vec<Family> = Vec::new();
     let mut broken = Vec::new();
     let mut csv = String::from(
-        "family,case,forward_ms,gradients_ms,counterfactual_ms,max_clear,max_close,psnr_db,near_share,fast_error,gradients_that_overflow\n",
+        "family,case,forward_ms,gradients_ms,counterfactual_ms,max_clear,max_close,psnr_db,near_share,fast_error,\
+         gradients_that_overflow\n",
     );
     for case in cases(million) {
         let (times, verdict, non_finite) = examine(&case, runs)?;
@@ -129,7 +132,7 @@ fn examine(case: &StressCase, runs: usize) -> Result<(Times, Verdict, u64)> {
     let [forward, gradients, worlds] = times.map(|t| median(&t));
     let times = Times { forward, gradients, worlds };
     let Some(outcome) = last else { return Ok((times, Verdict::default(), 0)) };
-    let verdict = case.judge(&outcome, &case.truth()?);
+    let verdict = case.check(&outcome, &case.truth()?);
     Ok((times, verdict, outcome.gradients.non_finite))
 }
 

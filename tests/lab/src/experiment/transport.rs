@@ -1,4 +1,4 @@
-//! The transport table: four schedulers, two controllers, measured traces, paired windows.
+//! Prints the transport table: four schedulers, two controllers, measured traces, paired windows.
 
 use anyhow::Result;
 use dgs::{
@@ -135,7 +135,7 @@ fn utilities(
     setup: &Setup,
 ) -> Result<utility::Table> {
     let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (96, 96))?;
-    let options = utility::Options { contexts: 2, ..utility::Options::paper(cameras) };
+    let options = utility::UtilityOptions { contexts: 2, ..utility::UtilityOptions::paper(cameras) };
     let received = stream.receive()?;
     pipeline::utilities(scene, &received.content(), map, &options, None, setup.quiet, &mut |_| ())
 }

@@ -1,4 +1,5 @@
-//! Utilities of all groups of a stream: time by the engine against every state decoded and rendered alone.
+//! Times the utilities of all groups of a stream: by the engine against every state decoded and rendered
+//! alone.
 
 use std::time::Instant;
 
@@ -28,10 +29,11 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "utility",
         format!(
-            "D = MSE + 0.20 (1 - SSIM) against the source's own render, default encode of each scene, measuring ring at \
-             160x160; contexts: random states, 3 cameras, one frame per span and camera; complete: all else arrived, 8 \
-             cameras; peer: each state decoded, rendered and compared alone, every {EVERY}th cell (1 context), its time \
-             scaled to all cells and contexts; error: worst mean of those cells, of the largest"
+            "D = MSE + 0.20 (1 - SSIM) against the source's own render, default encode of each scene, \
+             measuring ring at 160x160; contexts: random states, 3 cameras, one frame per span and camera; \
+             complete: all else arrived, 8 cameras; peer: each state decoded, rendered and compared alone, \
+             every {EVERY}th cell (1 context), its time scaled to all cells and contexts; error: worst \
+             mean of those cells, of the largest"
         ),
     );
     let samples = if setup.quick { 1000 } else { 10_000 };
@@ -55,17 +57,17 @@ fn measure(bench: &mut Bench, key: &str, scene: &Scene, setup: &Setup) -> Result
     let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
     let content = received.content();
     let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (160, 160))?;
-    let paper = utility::Options::paper(cameras);
-    let complete = utility::Options::complete(scene)?;
+    let paper = utility::UtilityOptions::paper(cameras);
+    let complete = utility::UtilityOptions::complete(scene)?;
     let contexts = if setup.quick { 4 } else { paper.contexts };
-    let paper = utility::Options { contexts, ..paper };
+    let paper = utility::UtilityOptions { contexts, ..paper };
     bench.push(Figure::new(format!("{key}.groups"), map.groups().len() as f64, "groups"));
     for (name, options) in [("contexts", paper), ("complete", complete)] {
         let start = Instant::now();
         let table = utility::measure(scene, &content, &map, &options, &|_| {})?;
         let ours = start.elapsed().as_secs_f64();
         // One context is the first of many: the engine's own answer to it is what is compared.
-        let one = utility::Options { contexts: 1, ..options.clone() };
+        let one = utility::UtilityOptions { contexts: 1, ..options.clone() };
         let first = utility::measure(scene, &content, &map, &one, &|_| {})?;
         let start = Instant::now();
         let alone = utility::measure_alone(scene, &content, &map, &one, EVERY)?;

@@ -1,4 +1,4 @@
-//! World batches: pictures of W states of one scene, frame and camera in one call, in the shape of the
+//! Times world batches: pictures of W states of one scene, frame and camera in one call, in the shape of the
 //! paper's world-batch table.
 
 use std::{hint::black_box, time::Instant};
@@ -11,7 +11,7 @@ use render_host::{
 };
 
 use super::{
-    cloud::{Kind, LATTICE},
+    cloud::{CloudShape, LATTICE},
     counterfactual::distance,
     partial::{Partial, deliveries},
 };
@@ -42,7 +42,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         ),
     );
     let settings = Settings::default();
-    let scene = Partial::new(Kind::Volume, n, side, &settings)?;
+    let scene = Partial::new(CloudShape::Volume, n, side, &settings)?;
     let (variants, camera) = (scene.variants()?, &scene.camera);
     let states = deliveries(most);
 

@@ -1,4 +1,4 @@
-//! Write the manifest body of a `dgs1` stream.
+//! Writes the manifest body of a `dgs1` stream.
 
 use codec_core::internals::{
     gaussian::ShDegree,
@@ -6,7 +6,7 @@ use codec_core::internals::{
 };
 
 use super::{
-    super::{decisions::Dgs1Decisions, ledger::Section, rate, statistics::Model},
+    super::{decisions::Dgs1Decisions, ledger::Section, statistics::Model},
     symbols::EpochSymbols,
 };
 use crate::scene::Scene;
@@ -24,7 +24,7 @@ pub(super) fn body(
     let decided_windows = || decisions.epochs.iter().flat_map(|epoch| &epoch.windows);
     let clusters: usize = epochs.iter().map(|epoch| epoch.cells.len()).sum();
     let degree = scene.epochs().iter().map(|e| e.attributes().sh_degree).max().unwrap_or(ShDegree::ZERO);
-    let (rate_frames, rate_seconds) = rate(scene);
+    let (rate_frames, rate_seconds) = scene.frame_rate();
     let distinct = distinct(epochs.iter().flat_map(|epoch| &epoch.cells).map(|cell| &cell.shape.quant));
     let basis_values: usize = decided_windows().flat_map(|w| &w.basis).map(Vec::len).sum();
     let head = Head {

@@ -1,4 +1,4 @@
-//! Motion to symbols: a track per cluster and window, then coefficients per Gaussian.
+//! Quantises motion to symbols: a track per cluster and window, then coefficients per Gaussian.
 //!
 //! Closed loop: what a coarser term leaves over is measured after that term has been quantised
 //! and reconstructed by the decoder's own functions, so errors do not add up. Each term is sent
@@ -20,14 +20,14 @@ use rayon::prelude::*;
 
 use super::{
     super::{
-        EncodeError, Options,
+        EncodeError, EncodeOptions,
         decisions::{EpochDecisions, MotionDecisions, TrackForm, WindowDecisions, misfit},
         factorise::temporal_basis,
         packetise::CellSymbols,
     },
     canonical::{Canonical, to_symbol},
-    rate_estimate::RateEstimate,
-    track::{self, Chosen, Member, dot},
+    rate_estimate::{RateEstimate, dot},
+    track::{self, Chosen, Member},
 };
 use crate::scene::Epoch;
 
@@ -55,7 +55,7 @@ pub(super) fn decide(
     decisions: &EpochDecisions,
     canonical: &Canonical,
     frames_per_second: f64,
-    options: &Options,
+    options: &EncodeOptions,
 ) -> Vec<WindowDecisions> {
     if epoch.attributes().is_constant() {
         return Vec::new();
@@ -72,7 +72,7 @@ fn decide_window(
     frames: Range<usize>,
     decisions: &EpochDecisions,
     canonical: &Canonical,
-    options: &Options,
+    options: &EncodeOptions,
 ) -> WindowDecisions {
     let cosines = cosine_vectors(frames.len());
     let most_bits = 7.0 * (options.packet_bytes as f64 - 80.0);

@@ -1,9 +1,9 @@
-//! What need not be sent: Gaussians that are never drawn, harmonic bands that do not show.
+//! Prunes what need not be sent: Gaussians that are never drawn, harmonic bands that do not show.
 
 use codec_core::internals::quant::Class;
 use rayon::prelude::*;
 
-use super::canonical::Indices;
+use super::indices::Indices;
 use crate::scene::{Epoch, Track};
 
 /// Renderers draw nothing below opacity 1/255 (source: 3DGS), whose logit is −ln 254; the rest is a

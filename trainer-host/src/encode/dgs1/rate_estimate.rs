@@ -1,9 +1,7 @@
-//! What a coefficient costs: bits plus distortion in bits, at the slope of its quantiser.
+//! Estimates what a coefficient costs: bits plus distortion in bits, at the slope of its quantiser.
 //!
 //! At high rate a uniform quantiser of step Δ has distortion D = Δ²/12 and dD/dR = −2 ln 2 · D, so
 //! that one D of squared error weighs 1 / (2 ln 2) = 0.72 bits.
-
-use super::track::dot;
 
 /// Bits that a squared error of one D is worth.
 pub(in crate::encode) const PER_D: f64 = 0.721;
@@ -49,6 +47,11 @@ impl RateEstimate {
         });
         each.sum()
     }
+}
+
+/// The scalar product of `a` and `b`.
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(x, y)| x * y).sum()
 }
 
 #[cfg(test)]

@@ -1,4 +1,4 @@
-//! Write the `dgs1` stream that decisions describe.
+//! Writes the `dgs1` stream that decisions describe.
 
 use codec_core::internals::{
     ids::{Level, Span},
@@ -13,8 +13,7 @@ use super::{
         EncodeError, Encoded, Ledger, Progress, Report, Share,
         decisions::{Decisions, Dgs1Decisions},
         ledger::manifest_parts,
-        packet_id,
-        packetise::{PacketDraft, SliceBatch, packetise},
+        packetise::{PacketDraft, SliceBatch, packet_id, packetise},
         parity,
         statistics::Model,
     },

@@ -1,4 +1,4 @@
-//! Entropy coding of completion groups into chunks that each fit a packet.
+//! Entropy-codes completion groups into chunks that each fit a packet.
 
 use codec_core::internals::{
     ids::{Level, PacketId},
@@ -10,7 +10,7 @@ use codec_core::internals::{
     },
 };
 
-use super::{Cell, EpochPlan, quant_index};
+use super::plan::{Cell, EpochPlan, quant_index};
 use crate::encode::{EncodeError, Protection};
 
 /// One completion group, entropy-coded.

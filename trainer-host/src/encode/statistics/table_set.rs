@@ -1,11 +1,19 @@
-//! Which few tables serve the runs of a stream best, their code words and their own bytes counted.
+//! Chooses the few tables that serve the runs of a stream best, code words and table bytes counted.
 //!
 //! Greedy: from the best single table, add the one that saves most, until it saves less than it
 //! costs. Candidates are the family and one table of the stream's own frequencies.
 
 use codec_core::internals::{limits::MAX_TABLE_SET, rans::family};
 
-use super::{Choice, Costs, EncodeError, Streams};
+use super::histogram::{Costs, Histogram};
+use crate::encode::EncodeError;
+
+/// One table of a table set with the length of its code word.
+#[derive(Clone, Debug)]
+pub(super) struct Choice {
+    pub costs: Costs,
+    pub length: u8,
+}
 
 /// A run's distinct values and how often each occurs.
 type Sparse = Vec<(i16, f32)>;
@@ -24,7 +32,7 @@ pub(super) fn choose(runs: &[&[i16]], named: &[Costs], most: usize) -> Result<Ve
     if runs.is_empty() {
         return Ok(Vec::new());
     }
-    let own = Costs::of(&Streams::histogram(runs).best_table()?);
+    let own = Costs::of(&Histogram::of(runs).best_table()?);
     let sparse: Vec<Sparse> = runs.iter().map(|run| self::sparse(run)).collect();
     let candidates: Vec<&Costs> = named.iter().chain([&own]).collect();
     // Per candidate, the cost of every run.
@@ -114,9 +122,9 @@ fn huffman(uses: &[u64]) -> Vec<u8> {
         // Rarest last; ties by the symbols they hold, so that equal input gives equal codes.
         nodes.sort_by(|a, b| b.0.cmp(&a.0).then_with(|| a.1.cmp(&b.1)));
         let (Some(a), Some(b)) = (nodes.pop(), nodes.pop()) else { break };
-        let held: Vec<usize> = a.1.into_iter().chain(b.1).collect();
-        held.iter().for_each(|&i| lengths[i] += 1);
-        nodes.push((a.0 + b.0, held));
+        let members: Vec<usize> = a.1.into_iter().chain(b.1).collect();
+        members.iter().for_each(|&i| lengths[i] += 1);
+        nodes.push((a.0 + b.0, members));
     }
     lengths
 }

@@ -1,10 +1,5 @@
 //! Reads little-endian values from untrusted bytes: every read is checked, none allocates.
 
-use super::{
-    Limits,
-    error::{ErrorKind, Format, ImportError},
-};
-
 /// The `N` bytes at `offset`, if they are there.
 pub(super) fn array<const N: usize>(bytes: &[u8], offset: usize) -> Option<[u8; N]> {
     bytes.get(offset..offset.checked_add(N)?)?.try_into().ok()
@@ -35,33 +30,4 @@ pub(super) fn unorm(value: u32, shift: u32, bits: u32) -> f32 {
 /// `lo` at 0, `hi` at 1.
 pub(super) fn lerp(lo: f32, hi: f32, t: f32) -> f32 {
     lo * (1.0 - t) + hi * t
-}
-
-impl Limits {
-    /// `count` as a `usize` if this many Gaussians are accepted.
-    pub(super) fn gaussians(&self, format: Format, count: u64) -> Result<usize, ImportError> {
-        match usize::try_from(count) {
-            Ok(0) => Err(format.empty("Gaussian count")),
-            Ok(n) if n <= self.max_gaussians => Ok(n),
-            _ => Err(format.error(
-                ErrorKind::TooLarge,
-                "Gaussian count",
-                count,
-                format_args!("up to {}", self.max_gaussians),
-            )),
-        }
-    }
-
-    /// `bytes` as a `usize` if a file or stream of this length is accepted.
-    pub(super) fn bytes(&self, format: Format, field: &str, bytes: u64) -> Result<usize, ImportError> {
-        match usize::try_from(bytes) {
-            Ok(n) if bytes <= self.max_bytes => Ok(n),
-            _ => Err(format.error(
-                ErrorKind::TooLarge,
-                field,
-                format_args!("{bytes} bytes"),
-                format_args!("up to {} bytes", self.max_bytes),
-            )),
-        }
-    }
 }

@@ -16,43 +16,32 @@ mod pose;
 mod surface;
 mod texture;
 
+pub use pose::Clip;
+
 use codec_core::ShDegree;
 use rayon::prelude::*;
 
 use self::{
-    document::Document,
+    document::{Document, FORMAT},
     placement::{PlacedFrame, Placement},
     pose::Rig,
     surface::Surface,
 };
 use super::{
     Limits,
-    error::{ErrorKind, Format, ImportError},
+    error::ImportError,
     snapshot::{SH_C0, logit, scene_error},
 };
 use crate::scene::{Attributes, Epoch, Scene, Track};
 
-const FORMAT: Format = Format::Gltf;
 /// Opacity of a sample on an opaque surface.
 const OPACITY: f32 = 0.92;
 /// Standard deviation across the surface over that along it.
 const THINNESS: f32 = 0.1;
 
-/// Which animation of a file to play.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub enum Clip {
-    /// The first, or the mesh as it stands if there is none.
-    #[default]
-    First,
-    /// By place in the file, from 0.
-    Index(usize),
-    /// By name.
-    Name(String),
-}
-
 /// How to sample an animated mesh.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct GltfOptions {
     /// Which animation.
     pub clip: Clip,
     /// Frames per second the clip is evaluated at.
@@ -62,13 +51,13 @@ pub struct Options {
     /// Seed of the placement: same seed, same scene.
     pub seed: u64,
     /// Let Gaussians grow and shrink with their triangles. Off, sizes are constant over the clip,
-    /// which costs nothing to send; thin cracks may show where skin stretches.
-    pub follow_stretch: bool,
+    /// which costs nothing to send; thin cracks may show where skin grows.
+    pub follow_area: bool,
 }
 
-impl Default for Options {
+impl Default for GltfOptions {
     fn default() -> Self {
-        Self { clip: Clip::First, frames_per_second: 30.0, samples: 20_000, seed: 1, follow_stretch: false }
+        Self { clip: Clip::First, frames_per_second: 30.0, samples: 20_000, seed: 1, follow_area: false }
     }
 }
 
@@ -80,7 +69,7 @@ impl Default for Options {
 pub fn parse(
     bytes: &[u8],
     beside: impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
-    options: &Options,
+    options: &GltfOptions,
     limits: &Limits,
 ) -> Result<Scene, ImportError> {
     limits.bytes(FORMAT, "file", bytes.len() as u64)?;
@@ -93,7 +82,7 @@ pub fn parse(
     let mut surface = Surface::new(&document, &rig, limits)?;
 
     let times = rig.frame_times(options.frames_per_second, limits)?;
-    let per_frame = if options.follow_stretch { 40 } else { 28 };
+    let per_frame = if options.follow_area { 40 } else { 28 };
     limits.bytes(
         FORMAT,
         "samples x frames",
@@ -108,7 +97,7 @@ pub fn parse(
     let n = placed.len();
     let mut positions = Vec::with_capacity(n * times.len());
     let mut rotations: Vec<[f32; 4]> = Vec::with_capacity(n * times.len());
-    let mut log_scales = Vec::with_capacity(if options.follow_stretch { n * times.len() } else { n });
+    let mut log_scales = Vec::with_capacity(if options.follow_area { n * times.len() } else { n });
     let disc = |sigma: f32| [sigma.ln(), sigma.ln(), (sigma * THINNESS).ln()];
     for (frame, placed_frame) in frames.into_iter().enumerate() {
         positions.extend(placed_frame.positions);
@@ -126,8 +115,8 @@ pub fn parse(
                 q
             });
         }
-        if options.follow_stretch {
-            log_scales.extend(placed.sigmas().zip(placed_frame.stretch).map(|(s, k)| disc(s * k)));
+        if options.follow_area {
+            log_scales.extend(placed.sigmas().zip(placed_frame.growth).map(|(s, k)| disc(s * k)));
         } else if frame == 0 {
             log_scales.extend(placed.sigmas().map(disc));
         }
@@ -138,7 +127,7 @@ pub fn parse(
         Attributes {
             positions: Track::PerFrame(positions),
             rotations: Track::PerFrame(rotations),
-            log_scales: if options.follow_stretch {
+            log_scales: if options.follow_area {
                 Track::PerFrame(log_scales)
             } else {
                 Track::Constant(log_scales)
@@ -152,7 +141,7 @@ pub fn parse(
     .map_err(|e| scene_error(FORMAT, &e))?;
     let mut scene =
         Scene::new(vec![epoch], options.frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
-    scene.notes.push(format!("clip {}; clips in the file: {}", rig.clip_name(), clip_list(&document)));
+    scene.notes.push(format!("clip {}; clips in the file: {}", rig.clip_name(), document.clip_list()));
     scene.notes.push(format!("bounds over all frames: {low:?} to {high:?}, y up"));
     scene.notes.append(&mut surface.notes);
     Ok(scene)
@@ -167,30 +156,13 @@ pub fn clips(
     beside: impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
     limits: &Limits,
 ) -> Result<Vec<String>, ImportError> {
-    Ok(clip_names(&Document::load(bytes, beside, limits)?))
-}
-
-fn clip_names(document: &Document) -> Vec<String> {
-    document
-        .gltf
-        .animations()
-        .map(|a| a.name().map_or_else(|| a.index().to_string(), str::to_owned))
-        .collect()
-}
-
-fn clip_list(document: &Document) -> String {
-    let names = clip_names(document);
-    if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+    Ok(Document::load(bytes, beside, limits)?.clip_names())
 }
 
 fn bounds(positions: &[[f32; 3]]) -> ([f32; 3], [f32; 3]) {
     positions.iter().fold(([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]), |(low, high), p| {
         ([0, 1, 2].map(|i| low[i].min(p[i])), [0, 1, 2].map(|i| high[i].max(p[i])))
     })
-}
-
-fn too_large(field: &str, found: impl std::fmt::Display, allowed: impl std::fmt::Display) -> ImportError {
-    FORMAT.error(ErrorKind::TooLarge, field, found, allowed)
 }
 
 #[cfg(test)]

@@ -4,12 +4,12 @@
 //! of them are there. In any other folder a frame file is a prefix, a trailing integer and a known ending;
 //! files that share prefix and ending are one sequence, in order of the integer. Trained sequences rarely
 //! say whether row `i` of one frame is row `i` of the next, so by default each frame is its own epoch; a
-//! caller who knows better says so with [`Identity::Stored`](super::Identity).
+//! caller who knows better says so with [`Identity::Stored`].
 
 use std::path::{Path, PathBuf};
 
 use super::{
-    Identity, Limits, Options,
+    Limits,
     error::{Format, ImportError},
     snapshot::{Snapshot, scene_error},
 };
@@ -19,6 +19,16 @@ const FORMAT: Format = Format::Sequence;
 /// Name of the index of a folder of frames.
 pub const SEQUENCE_INDEX: &str = "sequence.json";
 const ENDINGS: [&str; 6] = [".compressed.ply", ".ply", ".spz", ".splat", ".sog", ".asset"];
+
+/// Whether row `i` of one frame of a numbered sequence is row `i` of the next.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Identity {
+    /// Nobody knows: each frame is an epoch of its own.
+    #[default]
+    PerFrame,
+    /// The caller knows that rows correspond: all frames are one epoch.
+    Stored,
+}
 
 /// What `sequence.json` says of the folder it is in. It is written last: a folder without all of its
 /// frames has one that is not complete.
@@ -116,9 +126,13 @@ fn numbered_files(folder: &Path) -> Result<(Vec<PathBuf>, Vec<String>), ImportEr
 }
 
 /// The scene of frames in display order.
-pub(super) fn assemble(frames: Vec<(PathBuf, Snapshot)>, options: &Options) -> Result<Scene, ImportError> {
+pub(super) fn assemble(
+    frames: Vec<(PathBuf, Snapshot)>,
+    identity: Identity,
+    frames_per_second: f64,
+) -> Result<Scene, ImportError> {
     let mut notes = gathered(&frames);
-    let epochs = match options.identity {
+    let epochs = match identity {
         Identity::PerFrame => {
             if frames.len() > 1 {
                 notes.push("identity is not stored: each frame is an epoch of its own".to_owned());
@@ -127,7 +141,7 @@ pub(super) fn assemble(frames: Vec<(PathBuf, Snapshot)>, options: &Options) -> R
         }
         Identity::Stored => vec![joined(&frames, &mut notes)?],
     };
-    let mut scene = Scene::new(epochs, options.frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
+    let mut scene = Scene::new(epochs, frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
     scene.notes = notes;
     Ok(scene)
 }
@@ -220,7 +234,7 @@ fn numbered(name: &str) -> Option<(String, u64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::import::{import, ply, splat};
+    use crate::scene::import::{ImportOptions, import, ply, splat};
 
     #[test]
     fn names_split_into_prefix_and_number() {
@@ -238,12 +252,12 @@ mod tests {
             std::fs::write(folder.path().join(name), ply::tests::sample("binary_little_endian", 9, n))
                 .unwrap();
         }
-        let scene = import(folder.path(), &Options::default()).unwrap();
+        let scene = import(folder.path(), &ImportOptions::default()).unwrap();
         assert_eq!((scene.epochs().len(), scene.frames()), (3, 3));
         assert!(scene.notes.iter().any(|n| n.contains("identity")), "{:?}", scene.notes);
         assert!(scene.notes.iter().any(|n| n.contains("6 frame numbers")), "{:?}", scene.notes);
 
-        let stored = Options { identity: Identity::Stored, ..Options::default() };
+        let stored = ImportOptions { identity: Identity::Stored, ..ImportOptions::default() };
         let scene = import(folder.path(), &stored).unwrap();
         assert_eq!((scene.epochs().len(), scene.frames()), (1, 3));
         assert!(scene.epochs()[0].attributes().positions.is_constant());
@@ -264,7 +278,7 @@ mod tests {
             let files = files.iter().map(|&f| f.to_owned()).collect();
             let index = serde_json::to_vec(&SequenceIndex { frames, files, complete }).unwrap();
             std::fs::write(folder.path().join(SEQUENCE_INDEX), index).unwrap();
-            import(folder.path(), &Options::default())
+            import(folder.path(), &ImportOptions::default())
         };
         assert_eq!(with(2, &["a1.splat", "a0.splat"], true).unwrap().frames(), 2);
         for (frames, files, complete, says) in [
@@ -286,7 +300,7 @@ mod tests {
             std::fs::write(folder.path().join(name), splat::tests::sample(2)).unwrap();
         }
         assert!(splat::parse(&splat::tests::sample(2), &Limits::default()).is_ok());
-        let error = import(folder.path(), &Options::default()).unwrap_err();
+        let error = import(folder.path(), &ImportOptions::default()).unwrap_err();
         assert!(error.to_string().contains("one prefix"), "{error}");
     }
 }

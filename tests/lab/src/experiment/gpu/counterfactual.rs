@@ -1,4 +1,4 @@
-//! The counterfactual engine: states and utilities per second, beside the engine of the CPU.
+//! Measures the counterfactual engine: states and utilities per second, beside the engine of the CPU.
 
 use std::time::Instant;
 
@@ -17,7 +17,7 @@ use super::{
         cloud::LATTICE,
         partial::{Partial, deliveries},
     },
-    Context, partials,
+    context::{Context, partials},
 };
 use crate::figures::{Bench, Figure, median};
 

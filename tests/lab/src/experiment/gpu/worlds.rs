@@ -1,4 +1,4 @@
-//! World batches: world-frames per second for W = 1, 2, 4 … 128.
+//! Measures world batches: world-frames per second for W = 1, 2, 4 … 128.
 
 use std::time::Instant;
 
@@ -11,10 +11,10 @@ use render_host::{
 
 use super::{
     super::{
-        cloud::{Cloud, Kind, camera, cloud},
+        cloud::{Cloud, CloudShape, camera, cloud},
         partial::deliveries,
     },
-    Context,
+    context::Context,
 };
 use crate::figures::{Bench, Figure, mean, student95};
 
@@ -40,15 +40,15 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     };
     let frames = if context.is_cpu { 1 } else { 32 };
     let (device, settings) = (context.executor.device(), Settings::default());
-    let Cloud { gaussians, groups: of } = cloud(Kind::Volume, n);
+    let Cloud { gaussians, groups: of } = cloud(CloudShape::Volume, n);
     let splats = Splats::plain(&gaussians);
     let camera = camera(side)?;
     let all = Scene::with_groups(device, &splats, &of)?;
     let states = deliveries(most);
     let mut renderer = Renderer::new(&context.executor)?;
     let world = |w: usize| -> Vec<Gaussian> {
-        let held = gaussians.iter().zip(&of).filter(|(_, group)| states.has(w, **group as usize));
-        held.map(|(g, _)| *g).collect()
+        let present = gaussians.iter().zip(&of).filter(|(_, group)| states.has(w, **group as usize));
+        present.map(|(g, _)| *g).collect()
     };
     let alone: Vec<Scene> = (0..SERIAL.min(most))
         .map(|w| Scene::new(device, &Splats::plain(&world(w))))

@@ -13,8 +13,11 @@ use trainer_host::{
 };
 
 use super::{
-    super::cloud::{Kind, LATTICE, beside, camera, cloud},
-    ms, rank,
+    super::{
+        clock::milliseconds_of,
+        cloud::{CloudShape, LATTICE, beside, camera, cloud},
+    },
+    rank,
 };
 use crate::{
     figures::{Bench, Figure, median},
@@ -27,30 +30,31 @@ struct Case {
     gaussians: Vec<Gaussian>,
     groups: Vec<u32>,
     count: usize,
-    film: Camera,
+    camera: Camera,
 }
 
 fn cases(setup: &Setup) -> Result<Vec<Case>> {
     let (n, side) = if setup.quick { (3000, 120) } else { (84_000, 400) };
     let mut out = Vec::new();
-    for (kind, name) in [(Kind::Volume, "volume"), (Kind::Shells, "shells")] {
+    for (kind, name) in [(CloudShape::Volume, "volume"), (CloudShape::Shells, "shells")] {
         let scene = cloud(kind, n);
         out.push(Case {
             name: format!("{name}-{n}.{side}"),
             gaussians: scene.gaussians,
             groups: scene.groups,
             count: LATTICE.groups(),
-            film: camera(side)?,
+            camera: camera(side)?,
         });
     }
     let n = if setup.quick { 3000 } else { 20_000 };
     for kind in ["figure", "cloth", "balls"] {
         let scene = synth(kind, n, 2)?;
         let instant = scene.instant(0).unwrap_or_default();
-        let film = Framing::of(&scene).ring(Ring::Measuring, 1, (side, side))?.remove(0);
+        let camera = Framing::of(&scene).ring(Ring::Measuring, 1, (side, side))?.remove(0);
         let mut groups = vec![0; instant.gaussians.len()];
         let epoch = scene.epochs().first();
-        let clusters = epoch.map_or_else(Vec::new, |e| cluster::cluster(e, &cluster::Options::default()));
+        let clusters =
+            epoch.map_or_else(Vec::new, |e| cluster::cluster(e, &cluster::ClusterOptions::default()));
         for (group, cluster) in (0..).zip(&clusters) {
             for &member in cluster {
                 if let Some(slot) = groups.get_mut(member as usize) {
@@ -64,7 +68,7 @@ fn cases(setup: &Setup) -> Result<Vec<Case>> {
             gaussians: instant.gaussians,
             groups,
             count,
-            film,
+            camera,
         });
     }
     Ok(out)
@@ -76,24 +80,24 @@ pub(super) fn utilities(setup: &Setup, bench: &mut Bench, runs: usize) -> Result
     for case in cases(setup)? {
         let splats = Splats::plain(&case.gaussians);
         let variants = Variants::new(splats, &case.groups, case.count)?;
-        let picture = render_host::render(&splats, &case.film, &settings)?.image;
+        let picture = render_host::render(&splats, &case.camera, &settings)?.image;
         let target = beside(&picture)?;
         let full = States::full(case.count);
         let mse = Mse::new(target.clone());
-        let engine = Engine::new(&variants, &case.film, &target, &settings)?;
+        let engine = Engine::new(&variants, &case.camera, &target, &settings)?;
         let (mut workspace, mut out) = (Workspace::new(), Gradients::default());
         let [mut exact_ms, mut backward_ms] = [const { Vec::new() }; 2];
         let mut exact = Vec::new();
         for _ in 0..runs {
-            ms(&mut exact_ms, || {
+            milliseconds_of(&mut exact_ms, || {
                 exact = engine.utilities(&full)?.delta;
                 Ok(())
             })?;
-            ms(&mut backward_ms, || {
+            milliseconds_of(&mut backward_ms, || {
                 Ok(render_host::adjoint::render_and_gradients_into(
                     &mut workspace,
                     &splats,
-                    &case.film,
+                    &case.camera,
                     &settings,
                     &mse,
                     &mut out,

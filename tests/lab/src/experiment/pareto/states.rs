@@ -1,4 +1,5 @@
-//! Time per state against error of the sum of squares: strict and fast counterfactuals, and brute force.
+//! Measures time per state against error of the sum of squares: strict and fast counterfactuals, and brute
+//! force.
 
 use std::{fmt::Write as _, time::Instant};
 
@@ -10,7 +11,7 @@ use render_host::{
     reference,
 };
 
-use super::{View, exact};
+use super::view::{View, exact};
 use crate::{
     draw::scatter::{Point, Scatter, front},
     figures::{Bench, Figure, median, number},

@@ -1,5 +1,5 @@
-//! Peer: uniform quantisation and context-adaptive rANS. No tables travel: every model starts flat and
-//! follows what it has seen.
+//! Codes by uniform quantisation and context-adaptive rANS: a peer. No tables travel: every model starts flat
+//! and follows what it has seen.
 //!
 //! A residual is the bit length of its magnitude, its sign, its two bits after the leading one, and what is
 //! left as it is. The context of the length is the attribute, the kind of frame, the length of the Gaussian
@@ -219,11 +219,11 @@ mod tests {
         let still = coded(&[0; 20_000], 1000);
         assert!(still.len() < 60, "{} bytes for nothing", still.len());
         // Calm and lively Gaussians side by side: the frame before tells them apart.
-        let mixed: Vec<i32> = (0..20_000i32)
+        let side_by_side: Vec<i32> = (0..20_000i32)
             .map(|i| if (i % 1000) * 7919 % 3 == 0 { ((i * 7919) >> 3) % 256 - 128 } else { 0 })
             .collect();
-        let lively = mixed.iter().filter(|v| **v != 0).count() as f64;
-        let bits = 8.0 * coded(&mixed, 1000).len() as f64 / lively;
+        let lively = side_by_side.iter().filter(|v| **v != 0).count() as f64;
+        let bits = 8.0 * coded(&side_by_side, 1000).len() as f64 / lively;
         assert!(bits < 9.2, "{bits} bits per lively value of 8 bits");
     }
 }

@@ -1,17 +1,26 @@
 //! Loads the file as data: JSON validated by the `gltf` crate, buffers at hand, accessors read with every
 //! index checked. The crate's own accessor readers slice without checking and are not used.
 
+use std::fmt::Display;
+
 use gltf::{
     accessor::{DataType, Dimensions},
     json,
 };
 
-use super::FORMAT;
 use crate::scene::import::{
     Limits,
     bytes::{array, u32_at},
-    error::ImportError,
+    error::{ErrorKind, Format, ImportError},
 };
+
+/// The format that errors of every file below name.
+pub(super) const FORMAT: Format = Format::Gltf;
+
+/// The error of a `field` that is more than the limits allow.
+pub(super) fn too_large(field: &str, found: impl Display, allowed: impl Display) -> ImportError {
+    FORMAT.error(ErrorKind::TooLarge, field, found, allowed)
+}
 
 /// A loaded file.
 pub(super) struct Document {
@@ -21,6 +30,18 @@ pub(super) struct Document {
 }
 
 impl Document {
+    /// Names of the clips, in order; a clip without a name is its number.
+    pub fn clip_names(&self) -> Vec<String> {
+        let clips = self.gltf.animations();
+        clips.map(|a| a.name().map_or_else(|| a.index().to_string(), str::to_owned)).collect()
+    }
+
+    /// The names of the clips in a sentence.
+    pub fn clip_list(&self) -> String {
+        let names = self.clip_names();
+        if names.is_empty() { "none".to_owned() } else { names.join(", ") }
+    }
+
     /// Loads text or binary glTF, its buffers included.
     pub fn load(
         bytes: &[u8],
@@ -51,7 +72,7 @@ impl Document {
             }
             left = left
                 .checked_sub(data.len() as u64)
-                .ok_or_else(|| super::too_large(&field, "more", format!("{} bytes", limits.max_bytes)))?;
+                .ok_or_else(|| too_large(&field, "more", format!("{} bytes", limits.max_bytes)))?;
             buffers.push(data);
         }
         let max_values = limits.max_gaussians.saturating_mul(16);
@@ -139,11 +160,7 @@ impl Document {
         }
         let total = accessor.count().checked_mul(components).filter(|t| *t <= self.max_values);
         let total = total.ok_or_else(|| {
-            super::too_large(
-                &field,
-                format!("{} elements", accessor.count()),
-                format!("{} values", self.max_values),
-            )
+            too_large(&field, format!("{} elements", accessor.count()), format!("{} values", self.max_values))
         })?;
         let size = accessor.data_type().size();
         let mut out = Vec::new();
@@ -154,7 +171,7 @@ impl Document {
                 let bytes: usize = self.buffers.iter().map(Vec::len).sum();
                 if total > bytes {
                     let found = format!("{total} values without a buffer view");
-                    return Err(super::too_large(&field, found, format!("{bytes}, as many as bytes")));
+                    return Err(too_large(&field, found, format!("{bytes}, as many as bytes")));
                 }
                 out.resize(total, 0.0);
             }

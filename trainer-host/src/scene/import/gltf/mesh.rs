@@ -4,11 +4,14 @@ use std::collections::BTreeMap;
 
 use glam::{DMat4, DVec3};
 
-use super::{FORMAT, document::Document, pose::Pose};
+use super::{
+    document::{Document, FORMAT},
+    pose::Pose,
+};
 use crate::scene::import::error::ImportError;
 
 /// One primitive of one node: a range of vertices and what moves them.
-pub(super) struct Part {
+pub(super) struct SkinnedPrimitive {
     pub node: usize,
     pub positions: Vec<DVec3>,
     /// Displacements per morph target.
@@ -27,7 +30,7 @@ pub(super) struct Skin {
 /// Triangles whose vertices are those of all parts, in order.
 #[derive(Default)]
 pub(super) struct Mesh {
-    pub parts: Vec<Part>,
+    pub parts: Vec<SkinnedPrimitive>,
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -84,7 +87,7 @@ impl Mesh {
     }
 }
 
-impl Part {
+impl SkinnedPrimitive {
     /// Appends the world positions of this part's vertices in `pose`.
     fn posed(&self, pose: &Pose, out: &mut Vec<DVec3>) {
         // Most targets of a face rest at any one time.

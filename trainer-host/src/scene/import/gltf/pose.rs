@@ -3,8 +3,20 @@
 use glam::{DMat4, DQuat, DVec3, DVec4};
 use gltf::animation::{Interpolation, Property};
 
-use super::{Clip, FORMAT, document::Document};
+use super::document::{Document, FORMAT, too_large};
 use crate::scene::import::{Limits, error::ImportError};
+
+/// Which animation of a file to play.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum Clip {
+    /// The first, or the mesh as it stands if there is none.
+    #[default]
+    First,
+    /// By place in the file, from 0.
+    Index(usize),
+    /// By name.
+    Name(String),
+}
 
 /// A node's own transform.
 #[derive(Clone, Copy)]
@@ -81,7 +93,7 @@ impl Rig {
             let own = node.weights().or(node.mesh().and_then(|m| m.weights())).unwrap_or_default();
             total += own.len();
             if total > limits.max_gaussians {
-                return Err(super::too_large("morph weights", total, limits.max_gaussians));
+                return Err(too_large("morph weights", total, limits.max_gaussians));
             }
             weights.push(own.to_vec());
         }
@@ -101,7 +113,7 @@ impl Rig {
         let Some(animation) = chosen else {
             return match clip {
                 Clip::First => Ok(()),
-                other => Err(FORMAT.malformed("clip", format_args!("{other:?}"), super::clip_list(document))),
+                other => Err(FORMAT.malformed("clip", format_args!("{other:?}"), document.clip_list())),
             };
         };
         self.name = animation.name().map_or_else(|| animation.index().to_string(), str::to_owned);
@@ -136,7 +148,7 @@ impl Rig {
         }
         let frames = ((end - start) * fps + 1e-6).floor() + 1.0;
         if frames > limits.max_gaussians as f64 {
-            return Err(super::too_large("frames", frames, limits.max_gaussians));
+            return Err(too_large("frames", frames, limits.max_gaussians));
         }
         Ok((0..frames as usize).map(|i| start + i as f64 / fps).collect())
     }

@@ -4,12 +4,10 @@ use glam::DVec3;
 use gltf::{Semantic, mesh::Mode};
 
 use super::{
-    FORMAT,
-    document::Document,
-    mesh::{Mesh, Part, Skin},
+    document::{Document, FORMAT, too_large},
+    mesh::{Mesh, Skin, SkinnedPrimitive},
     pose::Rig,
     texture::{Material, Textures},
-    too_large,
 };
 use crate::scene::import::{Limits, error::ImportError};
 
@@ -96,7 +94,7 @@ impl Surface {
         self.materials.push(material);
         self.uvs.extend(uvs);
         self.colours.extend(colours);
-        self.mesh.parts.push(Part { node: node.index(), positions, morphs, skin });
+        self.mesh.parts.push(SkinnedPrimitive { node: node.index(), positions, morphs, skin });
         Ok(())
     }
 

@@ -52,7 +52,9 @@ pub fn sample() -> Vec<u8> {
         blob.extend(data);
         blob.resize(blob.len().next_multiple_of(4), 0);
     }
-    let accessor = |view: u32, kind: u32, count: u32, shape: &str| json!({"bufferView": view, "componentType": kind, "count": count, "type": shape});
+    fn accessor(view: u32, kind: u32, count: u32, shape: &str) -> serde_json::Value {
+        json!({"bufferView": view, "componentType": kind, "count": count, "type": shape})
+    }
     let mut first = accessor(0, 5126, 8, "VEC3");
     first["min"] = json!([0.0, 0.0, 0.0]);
     first["max"] = json!([2.0, 1.0, 0.0]);
@@ -78,8 +80,8 @@ pub fn sample() -> Vec<u8> {
     glb(&root, &blob)
 }
 
-fn options(clip: Clip) -> Options {
-    Options { clip, samples: 400, frames_per_second: 10.0, ..Options::default() }
+fn options(clip: Clip) -> GltfOptions {
+    GltfOptions { clip, samples: 400, frames_per_second: 10.0, ..GltfOptions::default() }
 }
 
 fn parsed(clip: Clip) -> Scene {
@@ -139,7 +141,7 @@ fn orientation_follows_the_surface() {
 #[test]
 fn the_seed_decides() {
     let with = |seed| {
-        let options = Options { seed, ..options(Clip::First) };
+        let options = GltfOptions { seed, ..options(Clip::First) };
         parse(&sample(), nothing_beside, &options, &Limits::default()).unwrap().epochs().to_vec()
     };
     assert_eq!(with(1), with(1));

@@ -1,12 +1,13 @@
 //! Reads one `.npy` array of an archive: its header first, its values when their number is accepted.
 
-use super::FORMAT;
 use crate::scene::import::{
     archive::{Archive, Member},
     bytes::array,
-    error::ImportError,
+    error::{Format, ImportError},
 };
 
+/// The format that errors of the archive name.
+pub(super) const FORMAT: Format = Format::PointsNpz;
 /// Longest header, bytes: that of version 1 counts them in 16 bits.
 const MAX_HEADER: usize = u16::MAX as usize;
 /// Bytes unpacked at a time, about.

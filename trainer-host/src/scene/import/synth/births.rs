@@ -9,7 +9,11 @@ use glam::{DQuat, DVec3};
 use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 
-use super::{Disc, OPACITY, Options, log_scales, on_disc, on_sphere, paint, shares, sigma_of, wxyz};
+use super::{
+    disc::{Disc, OPACITY, golden_angle, log_scales, on_disc, on_sphere, shares, sigma_of, wxyz},
+    options::SynthOptions,
+    paint,
+};
 use crate::scene::{
     Attributes, Epoch, SceneError, Track,
     import::snapshot::{logit, sh0_of_colour},
@@ -32,7 +36,7 @@ enum Owner {
 /// A disc with its owner; positions are relative to what moves it.
 type Placed = (Disc, Owner);
 
-pub(super) fn make(options: &Options) -> Result<Vec<Epoch>, SceneError> {
+pub(super) fn make(options: &SynthOptions) -> Result<Vec<Epoch>, SceneError> {
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let hue = (rng.random::<f64>() * 8.0) as usize;
     let half = (options.frames / 2).max(1);
@@ -94,7 +98,7 @@ fn ring(n: usize, hue: usize) -> Vec<Placed> {
     let area = TAU * TAU * large * small;
     (0..n)
         .map(|i| {
-            let around = i as f64 * super::golden_angle();
+            let around = i as f64 * golden_angle();
             let share = (i as f64 + 0.5) / n as f64;
             let mut tube = TAU * share;
             for _ in 0..20 {
@@ -142,7 +146,7 @@ fn presence(age: f64, life: f64) -> f64 {
     smooth(t * 5.0) * smooth((1.0 - t) * 2.5)
 }
 
-fn epoch(placed: &[Placed], start: usize, end: usize, options: &Options) -> Result<Epoch, SceneError> {
+fn epoch(placed: &[Placed], start: usize, end: usize, options: &SynthOptions) -> Result<Epoch, SceneError> {
     let (n, frames) = (placed.len(), end - start);
     let mut positions = Vec::with_capacity(n * frames);
     let mut rotations = Vec::with_capacity(n * frames);

@@ -8,7 +8,11 @@ use glam::{DQuat, DVec3};
 use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 
-use super::{Disc, Options, epoch_of, on_disc, paint, shares, sigma_of};
+use super::{
+    disc::{Disc, epoch_of, golden_angle, on_disc, shares, sigma_of},
+    options::SynthOptions,
+    paint,
+};
 use crate::scene::{Epoch, SceneError};
 
 const FLOOR: f64 = -1.0;
@@ -68,7 +72,7 @@ impl Bone {
         let span = self.length + 2.0 * self.radius;
         let along = (i as f64 + 0.5) / n as f64 * span - self.radius;
         let beyond = along - along.clamp(0.0, self.length);
-        let turn = i as f64 * super::golden_angle();
+        let turn = i as f64 * golden_angle();
         let ring = (1.0 - (beyond / self.radius).powi(2)).max(0.0).sqrt();
         let normal = DVec3::new(ring * turn.cos(), -beyond / self.radius, ring * turn.sin()).normalize();
         (DVec3::new(0.0, -along.clamp(0.0, self.length), 0.0) + normal * self.radius, normal)
@@ -95,7 +99,7 @@ fn pose(bones: &[Bone], seconds: f64) -> Vec<(DVec3, DQuat)> {
     out
 }
 
-pub(super) fn make(options: &Options) -> Result<Epoch, SceneError> {
+pub(super) fn make(options: &SynthOptions) -> Result<Epoch, SceneError> {
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let pick = (rng.random::<f64>() * 8.0) as usize % 8;
     let start = rng.random::<f64>() * STRIDE;

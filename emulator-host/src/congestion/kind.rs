@@ -1,0 +1,33 @@
+//! Names the controllers, and builds the one that is named.
+
+use super::{BbrModel, Controller, NewReno};
+
+/// The controllers by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum ControllerKind {
+    /// [`NewReno`].
+    NewReno,
+    /// [`BbrModel`].
+    BbrModel,
+}
+
+impl ControllerKind {
+    /// Every controller.
+    pub const ALL: [Self; 2] = [Self::NewReno, Self::BbrModel];
+
+    /// Name in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::NewReno => "newreno",
+            Self::BbrModel => "bbr-model",
+        }
+    }
+
+    /// A fresh controller for datagrams of up to `datagram_bytes` of UDP payload.
+    pub fn build(self, datagram_bytes: u64) -> Box<dyn Controller> {
+        match self {
+            Self::NewReno => Box::new(NewReno::new(datagram_bytes)),
+            Self::BbrModel => Box::new(BbrModel::new(datagram_bytes)),
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! Names the policies, and builds the scheduler of the one that is named.
+
+use super::{Dash, DeadlineUtility, DeadlineUtilityConfig, Dependency, Layered, Scheduler};
+use crate::graph::PacketGraph;
+
+/// The policies by name.
+///
+/// # Examples
+/// ```
+/// use emulator_host::{PolicyKind, graph::Synthetic};
+///
+/// let graph = Synthetic::default().build(1)?;
+/// for kind in PolicyKind::ALL {
+///     assert_eq!(kind.build(&graph).name(), kind.name());
+/// }
+/// # Ok::<(), emulator_host::graph::GraphError>(())
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum PolicyKind {
+    /// [`Layered`].
+    Layered,
+    /// [`Dash`].
+    Dash,
+    /// [`Dependency`].
+    Dependency,
+    /// [`DeadlineUtility`].
+    DeadlineUtility,
+}
+
+impl PolicyKind {
+    /// Every policy.
+    pub const ALL: [Self; 4] = [Self::Dash, Self::DeadlineUtility, Self::Dependency, Self::Layered];
+
+    /// Name in reports, as in the paper's table.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Layered => "layered",
+            Self::Dash => "dash",
+            Self::Dependency => "dependency",
+            Self::DeadlineUtility => "deadline-utility",
+        }
+    }
+
+    /// A fresh scheduler for `graph`.
+    pub fn build(self, graph: &PacketGraph) -> Box<dyn Scheduler> {
+        match self {
+            Self::Layered => Box::new(Layered::new(graph)),
+            Self::Dash => Box::new(Dash::new(graph)),
+            Self::Dependency => Box::new(Dependency::new(graph)),
+            Self::DeadlineUtility => Box::new(DeadlineUtility::new(graph, DeadlineUtilityConfig::default())),
+        }
+    }
+}

@@ -1,0 +1,168 @@
+//! Runs one delivery: steps from event to event, and hands datagrams from end to end.
+
+use super::{SessionConfig, SessionError, StartupRule, client::Client, metrics::Metrics, sender::Sender};
+use crate::{
+    clock::Nanos,
+    graph::PacketGraph,
+    link::{BoxOutput, Chain, Datagram, LinkBox, PathConfig},
+    policy::Scheduler,
+    receiver::{Endpoint, GraphReceiver},
+    report::Report,
+};
+
+/// Runs `graph` under `config` with the scheduler it names and a [`GraphReceiver`].
+///
+/// # Errors
+/// [`SessionError`] if the configuration is illegal; a legal run always ends and reports.
+pub fn simulate(graph: &PacketGraph, config: &SessionConfig) -> Result<Report, SessionError> {
+    let mut scheduler = config.policy.build(graph);
+    let mut endpoint = GraphReceiver::new(graph, config.buffer_limit);
+    run(graph, config, &mut *scheduler, &mut endpoint)
+}
+
+/// Runs `graph` under `config` with a scheduler and a receiver of the caller's; `config.policy` and
+/// `config.buffer_limit` are not used.
+///
+/// # Errors
+/// As [`simulate`].
+pub fn run(
+    graph: &PacketGraph,
+    config: &SessionConfig,
+    scheduler: &mut dyn Scheduler,
+    endpoint: &mut dyn Endpoint,
+) -> Result<Report, SessionError> {
+    check(config)?;
+    let path = |direction, path: &PathConfig| {
+        path.build(direction, config.seed).map_err(|error| SessionError::Path { direction, error })
+    };
+    let mut walk = Walk {
+        forward: path("forward", &config.forward)?,
+        reverse: path("reverse", &config.reverse)?,
+        sender: Sender::new(graph, config, scheduler),
+        client: Client::new(graph, config, endpoint),
+        metrics: Metrics::new(graph),
+        digest: 0xcbf2_9ce4_8422_2325,
+        sample_at: Nanos::ZERO,
+        config,
+    };
+    let mut now = Nanos::ZERO;
+    while now <= config.cap && !walk.step(now) {
+        now = walk.next_time(now);
+    }
+    Ok(walk.report(now.min(config.cap)))
+}
+
+fn check(config: &SessionConfig) -> Result<(), SessionError> {
+    let (StartupRule::BaseGroups(share) | StartupRule::BaseUtility(share)) = config.startup.rule;
+    if !(0.0..=1.0).contains(&share) {
+        return Err(SessionError::Config { field: "startup share", found: share, allowed: "0 to 1" });
+    }
+    if config.ack_every == 0 {
+        return Err(SessionError::Config { field: "ack_every", found: 0.0, allowed: "at least 1" });
+    }
+    Ok(())
+}
+
+/// One run: both ends, the path between them, and what is measured.
+struct Walk<'a> {
+    config: &'a SessionConfig,
+    forward: Chain,
+    reverse: Chain,
+    sender: Sender<'a>,
+    client: Client<'a>,
+    metrics: Metrics<'a>,
+    digest: u64,
+    sample_at: Nanos,
+}
+
+/// Directions in the digest.
+const DOWN_SENT: u64 = 0;
+const DOWN_DELIVERED: u64 = 1;
+const UP_SENT: u64 = 2;
+const UP_DELIVERED: u64 = 3;
+
+impl Walk<'_> {
+    /// Everything that happens at `now`; whether the run is over.
+    fn step(&mut self, now: Nanos) -> bool {
+        self.carry_down(None, now);
+        self.carry_up(None, now);
+        self.sender.on_timer(now);
+        self.client.start_if_ready(now);
+        if self.config.sample_interval > Nanos::ZERO && now >= self.sample_at {
+            self.metrics.sample(self.sender.row(now));
+            self.sample_at = now + self.config.sample_interval;
+        }
+        while let Some(frame) = self.client.frame_due(now) {
+            self.metrics.show(frame, now, self.client.snapshot(frame));
+            if self.client.is_over() {
+                return true;
+            }
+        }
+        self.sender.advance(now);
+        while let Some(datagram) = self.sender.poll(now) {
+            self.note(datagram, DOWN_SENT, now);
+            self.carry_down(Some(datagram), now);
+        }
+        while let Some(datagram) = self.client.poll(now) {
+            self.note(datagram, UP_SENT, now);
+            self.carry_up(Some(datagram), now);
+        }
+        false
+    }
+
+    fn next_time(&self, now: Nanos) -> Nanos {
+        let sample = if self.config.sample_interval > Nanos::ZERO { self.sample_at } else { Nanos::MAX };
+        let times = [
+            self.forward.next_wake(),
+            self.reverse.next_wake(),
+            self.sender.next_time(now),
+            self.client.next_time(),
+            sample,
+        ];
+        let next = times.into_iter().min().unwrap_or(Nanos::MAX);
+        // Time goes on even if something asks to be woken in the past.
+        next.max(now + Nanos(u64::from(!self.sender.is_dirty())))
+    }
+
+    fn carry_down(&mut self, mut input: Option<Datagram>, now: Nanos) {
+        if input.is_none() && self.forward.next_wake() > now {
+            return;
+        }
+        while let BoxOutput::Datagram(datagram) = self.forward.step(input.take(), now) {
+            self.note(datagram, DOWN_DELIVERED, now);
+            let content = self.sender.content(datagram.tag);
+            self.client.receive(datagram.tag, content, now, &mut self.metrics);
+        }
+    }
+
+    fn carry_up(&mut self, mut input: Option<Datagram>, now: Nanos) {
+        if input.is_none() && self.reverse.next_wake() > now {
+            return;
+        }
+        while let BoxOutput::Datagram(datagram) = self.reverse.step(input.take(), now) {
+            self.note(datagram, UP_DELIVERED, now);
+            let (acknowledgement, receipt) = self.client.feedback(datagram.tag);
+            self.sender.on_feedback(acknowledgement, receipt, now);
+        }
+    }
+
+    fn note(&mut self, datagram: Datagram, direction: u64, now: Nanos) {
+        for word in [now.0, u64::from(datagram.bytes) << 2 | direction] {
+            self.digest = (self.digest ^ word).wrapping_mul(0x0100_0000_01b3);
+        }
+    }
+
+    fn report(self, now: Nanos) -> Report {
+        let boxes = self.forward.box_counts().chain(self.reverse.box_counts());
+        let boxes = boxes.map(|(label, counts)| (label.to_owned(), counts)).collect();
+        let mut report = self.metrics.report(now, boxes);
+        report.policy = self.sender.policy().to_owned();
+        report.controller = self.sender.controller().to_owned();
+        report.seed = self.config.seed;
+        report.startup_ms = self.client.playout_start().map(Nanos::as_ms);
+        report.startup_reached = self.client.threshold_reached();
+        report.sender = self.sender.counts();
+        report.digest = self.digest;
+        report
+    }
+}
