@@ -115,6 +115,7 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::Options {
     let base = match args.profile {
         ProfileName::Dgs1 => encode::Options::default(),
         ProfileName::Paper => encode::Options::paper(),
+        ProfileName::PaperContext => encode::Options::paper_context(),
     };
     let mut cluster = base.cluster;
     cluster.max_gaussians = args.cluster_size;

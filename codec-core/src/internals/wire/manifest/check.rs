@@ -1,7 +1,7 @@
 //! What a manifest body must satisfy before a view of it exists.
 
 use super::{
-    Cluster, Epoch, Head, Manifest, Motion, Profile, Quant, Repair, TableSet, Track, Window, stream,
+    Cluster, Epoch, Head, Manifest, Motion, Profile, Quant, Repair, TableSet, Track, Window, byte_tables, stream,
 };
 use crate::{
     cursor::{Reader, in_range},
@@ -223,7 +223,7 @@ impl<'a> Manifest<'a> {
             for index in 0..self.head.basis_values as usize {
                 finite("manifest.basis", self.sections.basis + 4 * index, self.paper_basis(index))?;
             }
-            for index in 0..self.head.clusters as usize * Level::COUNT * 2 {
+            for index in 0..byte_tables(&self.head) {
                 self.read_byte_table(index)?;
             }
         }
