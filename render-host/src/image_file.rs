@@ -122,7 +122,9 @@ fn decode_png(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, ImageError> {
     }
     let rgba = match colour {
         ColorType::Grayscale => grey_to_rgba(&data),
-        ColorType::GrayscaleAlpha => data.as_chunks::<2>().0.iter().flat_map(|&[v, a]| [v, v, v, a]).collect(),
+        ColorType::GrayscaleAlpha => {
+            data.as_chunks::<2>().0.iter().flat_map(|&[v, a]| [v, v, v, a]).collect()
+        }
         ColorType::Rgb => rgb_to_rgba(&data),
         ColorType::Rgba => data,
         ColorType::Indexed => return Err(codec("a palette that was not resolved")),
@@ -233,7 +235,10 @@ mod tests {
             let bytes = file(&DynamicImage::ImageRgb8(picture().to_rgb8()), format);
             let refused = |bounds| Rgba8::decode(&bytes, bounds).unwrap_err().to_string();
             assert!(refused(Bounds { side: 28, ..BOUNDS }).contains("28"), "{format:?}");
-            assert!(refused(Bounds { bytes: 29 * 13 * 4 - 1, ..BOUNDS }).contains("1507 bytes"), "{format:?}");
+            assert!(
+                refused(Bounds { bytes: 29 * 13 * 4 - 1, ..BOUNDS }).contains("1507 bytes"),
+                "{format:?}"
+            );
             let cut = bytes.get(..20).unwrap();
             assert!(matches!(Rgba8::decode(cut, BOUNDS), Err(ImageError::Codec(_))), "{format:?}");
         }

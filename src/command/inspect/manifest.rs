@@ -12,7 +12,6 @@ use codec_core::internals::{
 use serde_json::{Value, json};
 use trainer_host::stream::{PacketMap, Stream};
 
-
 /// The whole document: lattice, quantisation, entropy tables, repair, groups, packets.
 ///
 /// # Errors

@@ -73,12 +73,7 @@ pub(super) fn decide(
     }
     let made_from =
         MadeFrom { quality: options.quality, quantiser_classes: Vec::new(), clustering: options.cluster };
-    Ok(PaperDecisions {
-        made_from,
-        repair: options.repair,
-        context_coder: options.context_coder,
-        epochs,
-    })
+    Ok(PaperDecisions { made_from, repair: options.repair, context_coder: options.context_coder, epochs })
 }
 
 /// Writes `scene` as `decisions`, which have been checked against it, say.

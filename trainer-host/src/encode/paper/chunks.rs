@@ -116,7 +116,13 @@ pub(super) fn groups(
             at += take;
         }
         let monolithic = coder.monolithic(symbols)?;
-        groups.push(Group { tables: coder.tables(), chunks, symbols: symbols.len(), entropy_bytes, monolithic });
+        groups.push(Group {
+            tables: coder.tables(),
+            chunks,
+            symbols: symbols.len(),
+            entropy_bytes,
+            monolithic,
+        });
     }
     groups.try_into().map_err(|_| EncodeError::Bound { what: "levels", found: 0, most: 4 })
 }
@@ -151,7 +157,11 @@ impl Coder {
                 // A few symbols less: the estimate is within a few bytes of the truth.
                 _ if take > 1 => take -= (take / 256).max(1),
                 Ok(_) => {
-                    return Err(EncodeError::Bound { what: "bytes per symbol", found: limit + 1, most: limit });
+                    return Err(EncodeError::Bound {
+                        what: "bytes per symbol",
+                        found: limit + 1,
+                        most: limit,
+                    });
                 }
                 Err(error) => return Err(error.into()),
             }

@@ -1,7 +1,8 @@
 //! What a manifest body must satisfy before a view of it exists.
 
 use super::{
-    Cluster, Epoch, Head, Manifest, Motion, Profile, Quant, Repair, TableSet, Track, Window, byte_tables, stream,
+    Cluster, Epoch, Head, Manifest, Motion, Profile, Quant, Repair, TableSet, Track, Window, byte_tables,
+    stream,
 };
 use crate::{
     cursor::{Reader, in_range},

@@ -82,11 +82,7 @@ impl Textures {
         Self { decoded: BTreeMap::new(), left: limits.max_bytes }
     }
 
-    fn image(
-        &mut self,
-        document: &Document,
-        source: &::gltf::Image<'_>,
-    ) -> Result<Arc<Rgba8>, ImportError> {
+    fn image(&mut self, document: &Document, source: &::gltf::Image<'_>) -> Result<Arc<Rgba8>, ImportError> {
         if let Some(image) = self.decoded.get(&source.index()) {
             return Ok(image.clone());
         }
