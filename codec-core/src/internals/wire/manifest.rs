@@ -291,7 +291,7 @@ impl<'a> Manifest<'a> {
         if index >= count {
             return None;
         }
-        read(&mut Reader::new(self.raw.get(section + index * bytes..)?)).ok()
+        read(&mut Reader::at(self.raw, section + index * bytes)).ok()
     }
 
     /// Epoch `id`.
@@ -450,7 +450,7 @@ impl<'a> Manifest<'a> {
 
     /// All entropy tables of `dgs1`, in order.
     pub fn tables(&self) -> impl Iterator<Item = Table> + use<'a> {
-        let mut reader = Reader::new(self.raw.get(self.sections.tables..).unwrap_or(&[]));
+        let mut reader = Reader::at(self.raw, self.sections.tables);
         (0..self.head.tables).map_while(move |_| Table::read(&mut reader).ok())
     }
 
@@ -465,7 +465,7 @@ impl<'a> Manifest<'a> {
 
     fn read_byte_table(&self, index: usize) -> Result<bytes::ByteTable> {
         let place = self.sections.byte_tables + index * bytes::TABLE_BYTES;
-        let mut reader = Reader::new(self.raw.get(place..).unwrap_or(&[]));
+        let mut reader = Reader::at(self.raw, place);
         let raw = reader.array("manifest.byte_tables")?;
         bytes::ByteTable::from_bytes(&raw).map_err(|e| Error { offset: place as u32, ..e })
     }
