@@ -149,6 +149,8 @@ pub struct CodecArgs {
 pub enum ProfileName {
     /// The paper's format, the baseline.
     Paper,
+    /// The paper's format with its context-adaptive coder.
+    PaperContext,
     /// This project's format.
     Dgs1,
 }

@@ -130,6 +130,7 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::EncodeOpt
     let base = match args.profile {
         ProfileName::Dgs1 => encode::EncodeOptions::default(),
         ProfileName::Paper => encode::EncodeOptions::paper(),
+        ProfileName::PaperContext => encode::EncodeOptions::paper_context(),
     };
     let mut cluster = base.cluster;
     cluster.max_gaussians = args.cluster_size;

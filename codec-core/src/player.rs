@@ -26,7 +26,7 @@ use crate::{
     wire::{
         checked::Checked,
         crc::{Crc32, crc32},
-        manifest::{self, Manifest, Sealed},
+        manifest::{Manifest, Sealed},
         receipt::{IdRange, Value},
     },
 };
@@ -121,24 +121,20 @@ impl<'a> Waiting<'a> {
     /// As [`Waiting::manifest`], but for an arena that holds the manifest and no more.
     pub fn required(&mut self, message: &[u8]) -> Result<Required> {
         let (raw_len, _, plan) = self.open(message)?;
-        let manifest_words = words_of::<u8>(raw_len);
-        let before = words_of::<u8>(self.early.len()).saturating_add(manifest_words);
-        Ok(Required {
-            words: before.saturating_add(plan.words()),
-            least_words: before.saturating_add(plan.least_words()),
-        })
+        Ok(Required::of(&plan, raw_len, self.early.len()))
     }
 
     /// Unpacks and checks `message` at the front of the arena: its length unpacked, the manifest without
     /// its bytes, what its stream needs.
     fn open(&mut self, message: &[u8]) -> Result<(usize, Manifest<'static>, Plan)> {
         // Before anything of that size is unpacked; the other caps follow once it is.
-        let raw_len = Sealed::parse(message)?.within(&self.caps)?.raw_len;
+        let sealed = Sealed::parse(message)?.within(&self.caps)?;
+        let raw_len = sealed.raw_len;
         let words = words_of::<u8>(raw_len);
         let have = self.arena.len().saturating_mul(WORD_BYTES);
         let short = Error::short("arena", 0, have, raw_len).kind(ErrorKind::Capacity);
         let room = self.arena.get_mut(..words).ok_or(short)?;
-        let raw = manifest::open(message, self.crc, bytemuck::cast_slice_mut(room))?;
+        let raw = sealed.open(message, self.crc, bytemuck::cast_slice_mut(room))?;
         let manifest = Manifest::parse(raw)?;
         let plan = Plan::of(&manifest, &self.caps)?;
         Ok((raw_len, manifest.over(&[]), plan))
@@ -152,23 +148,54 @@ impl<'a> Waiting<'a> {
     /// with the bytes there are and the bytes needed.
     #[expect(clippy::result_large_err, reason = "the player that goes on waiting is given back")]
     pub fn manifest(mut self, message: &[u8]) -> core::result::Result<Player<'a>, (Self, Error)> {
-        let (raw_len, index, plan) = match self.open(message) {
-            Ok(opened) => opened,
+        match self.open(message) {
+            Ok((raw_len, index, plan)) => self.play(raw_len, index, &plan),
+            Err(error) => Err((self, error)),
+        }
+    }
+
+    /// As [`Waiting::manifest`], of a manifest that the caller has unpacked: its bytes are copied into the arena.
+    ///
+    /// # Errors
+    /// As [`Waiting::manifest`].
+    #[expect(clippy::result_large_err, reason = "the player that goes on waiting is given back")]
+    pub fn unpacked(self, manifest: &Manifest<'_>) -> core::result::Result<Player<'a>, (Self, Error)> {
+        let raw = manifest.raw();
+        let plan = match Plan::of(manifest, &self.caps) {
+            Ok(plan) => plan,
             Err(error) => return Err((self, error)),
         };
-        let (words, early_words) = (words_of::<u8>(raw_len), words_of::<u8>(self.early.len()));
-        let needed = early_words.saturating_add(words).saturating_add(plan.least_words());
-        let have = early_words.saturating_add(self.arena.len());
+        let bytes: &mut [u8] = bytemuck::cast_slice_mut(self.arena);
+        if let Some(room) = bytes.get_mut(..raw.len()) {
+            room.copy_from_slice(raw);
+        }
+        // An arena without room for it is refused.
+        self.play(raw.len(), manifest.over(&[]), &plan)
+    }
+
+    /// The player of the manifest whose `raw_len` bytes lie at the front of the arena.
+    #[expect(clippy::result_large_err, reason = "the player that goes on waiting is given back")]
+    fn play(
+        self,
+        raw_len: usize,
+        index: Manifest<'static>,
+        plan: &Plan,
+    ) -> core::result::Result<Player<'a>, (Self, Error)> {
+        let words = words_of::<u8>(raw_len);
+        let needed = Required::of(plan, raw_len, self.early.len()).least_words;
+        let have = words_of::<u8>(self.early.len()).saturating_add(self.arena.len());
+        let (have_bytes, needed_bytes) = (have.saturating_mul(WORD_BYTES), needed.saturating_mul(WORD_BYTES));
+        let short = Error::short("arena", 0, have_bytes, needed_bytes).kind(ErrorKind::Capacity);
         if have < needed {
-            let (have, needed) = (have.saturating_mul(WORD_BYTES), needed.saturating_mul(WORD_BYTES));
-            return Err((self, Error::short("arena", 0, have, needed).kind(ErrorKind::Capacity)));
+            return Err((self, short));
         }
         let Self { arena, early, early_used, counters, caps, crc, combine } = self;
-        let (raw, rest) = arena.split_at_mut(words.min(arena.len()));
-        // Without the bytes that fill the last word up: they are no part of the manifest.
-        let raw: &'a [u8] = bytemuck::cast_slice(raw);
-        let manifest = index.over(raw.get(..raw_len).unwrap_or(raw));
-        let parts = match plan.divide(rest) {
+        let parts = arena.split_at_mut_checked(words).ok_or(short).and_then(|(raw, rest)| {
+            // Without the bytes that fill the last word up: they are no part of the manifest.
+            let raw: &'a [u8] = bytemuck::cast_slice(raw);
+            Ok((index.over(raw.get(..raw_len).ok_or(short)?), plan.divide(rest)?))
+        });
+        let (manifest, parts) = match parts {
             Ok(parts) => parts,
             // Cannot happen after the check above; what is left has no memory and refuses everything.
             Err(error) => {
@@ -183,7 +210,7 @@ impl<'a> Waiting<'a> {
             sh_rest: parts.sh_rest,
         };
         player.receiver.count_from(counters);
-        player.take_kept(early.get(..early_used).unwrap_or(early));
+        player.take_kept(early, early_used);
         Ok(player)
     }
 }
@@ -195,6 +222,25 @@ pub struct Required {
     pub words: usize,
     /// With entropy tables in the compact form: five eighths less of them, decoding is slower.
     pub least_words: usize,
+}
+
+impl Required {
+    /// What the stream of `manifest` takes, [`Caps::early_bytes`] included.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Capacity`] naming the count that exceeds `caps`.
+    pub fn by(manifest: &Manifest<'_>, caps: &Caps) -> Result<Self> {
+        let plan = Plan::of(manifest, caps)?;
+        Ok(Self::of(&plan, manifest.raw().len(), caps.early_bytes as usize))
+    }
+
+    fn of(plan: &Plan, raw_len: usize, early_bytes: usize) -> Self {
+        let before = words_of::<u8>(early_bytes).saturating_add(words_of::<u8>(raw_len));
+        Self {
+            words: before.saturating_add(plan.words()),
+            least_words: before.saturating_add(plan.least_words()),
+        }
+    }
 }
 
 /// A player with its manifest: packets in, frames out.
@@ -372,7 +418,7 @@ impl Player<'_> {
                 }
             }
         }
-        let acknowledged = ranges.get(first..).unwrap_or(&[]);
+        let (_, acknowledged) = ranges.split_at(first.min(ranges.len()));
         Value { sequence, playout_us, pose, acknowledged, recovered: &[], completed: &[] }.write(out)
     }
 
@@ -380,11 +426,12 @@ impl Player<'_> {
     /// memory was made once its manifest was there.
     pub fn take_over(&mut self, waiting: &Waiting<'_>) {
         self.receiver.count_from(waiting.counters);
-        self.take_kept(waiting.early.get(..waiting.early_used).unwrap_or(waiting.early));
+        self.take_kept(waiting.early, waiting.early_used);
     }
 
-    /// Takes packets kept early: length (u16, little-endian), bytes.
-    fn take_kept(&mut self, mut kept: &[u8]) {
+    /// Takes the packets in the first `used` bytes of `early`: length (u16, little-endian), bytes.
+    fn take_kept(&mut self, early: &[u8], used: usize) {
+        let (mut kept, _) = early.split_at(used.min(early.len()));
         while let Some((len, tail)) = kept.split_first_chunk::<2>() {
             let len = usize::from(u16::from_le_bytes(*len)).min(tail.len());
             let (packet, tail) = tail.split_at(len);

@@ -5,9 +5,11 @@ use std::sync::OnceLock;
 
 use codec_core::internals::{
     cursor::Reader,
+    ids::Level,
     pack as packer,
     rans::{
         bytes::{self as byte_coder, ByteTable},
+        context::{self as context_coder, Place},
         lanes::{self as lane_coder, Decoder, Run, Symbols, naive},
         table::{SLOTS, Table},
     },
@@ -206,6 +208,29 @@ pub fn bytes(data: &[u8]) {
     out[at + bit / 8] ^= 1 << (bit % 8);
     let damaged = byte_coder::decode(&out[at..], tables, [&slots[0], &slots[1]], &mut back);
     assert!(damaged.is_err() || back != values, "a flipped bit changes something");
+    context(rest, &values, usize::from(mode));
+}
+
+/// The context coder: `body` decodes or is refused, `values` come back, a flipped bit is noticed.
+fn context(body: &[u8], values: &[i16], mode: usize) {
+    let level = Level::from_bits(mode as u8);
+    let place = Place { level, first: mode * 7, gaussians: 1 + mode % 40, rank: mode % 5, frames: 9 };
+    let mut back = vec![0i16; values.len()];
+    let _ = context_coder::decode(body, place, &mut back);
+    let mut decisions = Vec::new();
+    context_coder::decisions(&mut values.to_vec(), place, |_, decision| {
+        decisions.push(decision);
+        true
+    });
+    let mut out = vec![0u8; 5 * values.len() + 16];
+    let coded = context_coder::encode(decisions.into_iter(), &mut out);
+    assert!(coded.is_ok(), "{coded:?}");
+    let body = &mut out[coded.unwrap_or(0)..];
+    assert_eq!(context_coder::decode(body, place, &mut back), Ok(()));
+    assert_eq!(back, values);
+    let bit = mode * 41 % (body.len() * 8);
+    body[bit / 8] ^= 1 << (bit % 8);
+    assert!(context_coder::decode(body, place, &mut back).is_err() || back != values);
 }
 
 /// The manifest packer: there is one packed form of each body.

@@ -88,7 +88,7 @@ fn body(raw: &[u8]) {
             assert!(cluster.is_some_and(|c| manifest.quant(c.quant).is_some()));
             for level in Level::ALL {
                 let tables = manifest.byte_tables((epoch.first_cluster + c) as usize, level);
-                assert_eq!(tables.is_some(), manifest.profile() == dgsm::Profile::Paper);
+                assert_eq!(tables.is_some(), manifest.chunk_coder() == Some(dgsm::ChunkCoder::Tables));
             }
         }
         assert!(manifest.cluster(id, ClusterId(epoch.clusters as u16)).is_none());

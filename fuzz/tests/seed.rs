@@ -288,9 +288,7 @@ fn compressed_ply(n: usize) -> Vec<u8> {
 fn webp(width: u32, height: u32, pixel: impl Fn(u32) -> [u8; 4]) -> Vec<u8> {
     let raw: Vec<u8> = (0..width * height).flat_map(pixel).collect();
     let mut out = Vec::new();
-    image::codecs::webp::WebPEncoder::new_lossless(&mut out)
-        .encode(&raw, width, height, image::ExtendedColorType::Rgba8)
-        .unwrap();
+    image_webp::WebPEncoder::new(&mut out).encode(&raw, width, height, image_webp::ColorType::Rgba8).unwrap();
     out
 }
 

@@ -3,9 +3,15 @@
 //! Values are display values, 0..=1 for what a screen shows, as the splats' colours are; nothing here
 //! converts to or from linear light. Files have 8 bits: a value is clamped, multiplied by 255 and rounded.
 
-use std::{io::Cursor, path::Path};
+use std::path::Path;
 
-use crate::camera::MAX_SIDE;
+use crate::{
+    camera::MAX_SIDE,
+    image_file::{Bounds, Rgba8, png_of_rgb8},
+};
+
+/// The most that a decoded file may take, bytes.
+const MAX_DECODED_BYTES: u64 = 512 << 20;
 
 /// An image; row 0 is at the top.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -158,12 +164,7 @@ impl Image {
         if self.rgb.is_empty() {
             return Err(ImageError::Empty("the image"));
         }
-        let mut out = Cursor::new(Vec::new());
-        let (data, format) = (self.to_rgb8(), image::ImageFormat::Png);
-        let colour = image::ExtendedColorType::Rgb8;
-        image::write_buffer_with_format(&mut out, &data, self.width, self.height, colour, format)
-            .map_err(|e| ImageError::Codec(e.to_string()))?;
-        Ok(out.into_inner())
+        png_of_rgb8(self.width, self.height, &self.to_rgb8())
     }
 
     /// Reads PNG, JPEG or WebP bytes. Transparent pixels are laid over `background`.
@@ -171,22 +172,13 @@ impl Image {
     /// # Errors
     /// Bytes that are no such image, or one with a side above 16384.
     pub fn decode(bytes: &[u8], background: [f32; 3]) -> Result<Self, ImageError> {
-        let codec = |e: image::ImageError| ImageError::Codec(e.to_string());
-        let mut reader = image::ImageReader::new(Cursor::new(bytes))
-            .with_guessed_format()
-            .map_err(|e| ImageError::Codec(e.to_string()))?;
-        let mut limits = image::Limits::default();
-        (limits.max_image_width, limits.max_image_height) = (Some(MAX_SIDE), Some(MAX_SIDE));
-        reader.limits(limits);
-        let rgba = reader.decode().map_err(codec)?.into_rgba8();
-        let (width, height) = rgba.dimensions();
-        let over = |p: &image::Rgba<u8>| {
-            let alpha = f32::from(p.0[3]) / 255.0;
-            std::array::from_fn::<f32, 3, _>(|c| {
-                alpha * (f32::from(p.0[c]) / 255.0) + (1.0 - alpha) * background[c]
-            })
+        let rgba = Rgba8::decode(bytes, Bounds { side: MAX_SIDE, bytes: MAX_DECODED_BYTES })?;
+        let (width, height) = rgba.size();
+        let over = |&[r, g, b, a]: &[u8; 4]| {
+            let (alpha, colour) = (f32::from(a) / 255.0, [r, g, b].map(|v| f32::from(v) / 255.0));
+            std::array::from_fn::<f32, 3, _>(|c| alpha * colour[c] + (1.0 - alpha) * background[c])
         };
-        Self::new(width, height, rgba.pixels().flat_map(over).collect())
+        Self::new(width, height, rgba.data().as_chunks().0.iter().flat_map(over).collect())
     }
 
     /// Reads a PNG, JPEG or WebP file. Transparent pixels are laid over `background`.
@@ -322,6 +314,8 @@ fn file_error(path: &Path, error: &std::io::Error) -> ImageError {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Cursor;
+
     use super::*;
 
     fn ramp(width: u32, height: u32) -> Image {

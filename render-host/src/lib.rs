@@ -32,6 +32,7 @@ pub mod counters;
 pub mod gpu;
 mod harmonics;
 pub mod image;
+pub mod image_file;
 pub mod metric;
 mod parallel;
 pub mod reference;

@@ -203,7 +203,7 @@ fn protocol(
     link: &pipeline::Link,
     table: &utility::Table,
 ) -> Result<Vec<(String, String)>> {
-    let profile = pipeline::profile_name(stream.manifest()?.profile());
+    let profile = stream.manifest()?.profile_name();
     let (fps, count, frames) = (scene.frames_per_second(), scene.max_count(), scene.frames());
     let ((width, height), background) = (args.view.size(), args.view.background);
     let pairs = [

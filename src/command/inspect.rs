@@ -46,7 +46,7 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
         "{}: profile {}, {} epochs, {} windows, {} clusters, {} frames at {} fps, harmonic degree {}\n\
          manifest {} bytes on the wire, {} unpacked, {} entropy tables, {} repair ranges\n",
         args.input.display(),
-        pipeline::profile_name(manifest.profile()),
+        manifest.profile_name(),
         head.epochs,
         head.windows,
         head.clusters,
@@ -67,7 +67,7 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     }
     text += &format!("  parity: {parity} packets; missing: {missing}\n");
     let json = json!({
-        "file": args.input, "profile": pipeline::profile_name(manifest.profile()),
+        "file": args.input, "profile": manifest.profile_name(),
         "manifest_bytes": stream.message().len(), "packets": packets, "parity_packets": parity,
         "missing_packets": missing, "damage": warnings, "manifest": manifest_json(&manifest),
     });

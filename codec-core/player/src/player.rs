@@ -9,7 +9,7 @@ use codec_core::{
         receiver::Content,
         wire::manifest::{Manifest, Sealed},
     },
-    player::{self as core, Accepted, Counters, Frame, StreamInfo, Usable},
+    player::{self as core, Accepted, Counters, Frame, Required, StreamInfo, Usable},
 };
 use codec_simd::BatchReceiver;
 use self_cell::{MutBorrow, self_cell};
@@ -43,11 +43,20 @@ self_cell!(
 /// # Errors
 /// As [`Player::new`].
 pub fn arena(message: &[u8], caps: &Caps) -> Result<Vec<u64>> {
-    let raw_len = Sealed::parse(message)?.raw_len.min(caps.manifest_bytes as usize);
-    let mut scratch = vec![0u64; raw_len.div_ceil(size_of::<u64>())];
-    let waiting_caps = Caps { early_bytes: 0, ..*caps };
-    let words = fast(&mut scratch, waiting_caps)?.required(message)?.words;
-    Ok(vec![0; words + (caps.early_bytes as usize).div_ceil(size_of::<u64>())])
+    arena_of(&Manifest::parse(&unpacked(message, caps)?)?, caps)
+}
+
+/// The same for a manifest that is unpacked.
+fn arena_of(manifest: &Manifest<'_>, caps: &Caps) -> Result<Vec<u64>> {
+    Ok(vec![0; Required::by(manifest, caps)?.words])
+}
+
+/// The body of the DGSM message `message`, if `caps` allow its length.
+fn unpacked(message: &[u8], caps: &Caps) -> Result<Vec<u8>> {
+    let sealed = Sealed::parse(message)?.within(caps)?;
+    let mut raw = vec![0u8; sealed.raw_len];
+    sealed.open(message, codec_simd::crc32, &mut raw)?;
+    Ok(raw)
 }
 
 /// A player that has no manifest yet and keeps the packets that come early.
@@ -147,10 +156,15 @@ impl Player {
     /// A damaged message; [`ErrorKind::Capacity`](codec_core::ErrorKind::Capacity) naming the count
     /// that exceeds `caps`.
     pub fn new(message: &[u8], caps: &Caps) -> Result<Self> {
+        Self::of(&Manifest::parse(&unpacked(message, caps)?)?, caps)
+    }
+
+    /// Plays the stream of a manifest that is unpacked.
+    pub(crate) fn of(manifest: &Manifest<'_>, caps: &Caps) -> Result<Self> {
         let caps = Caps { early_bytes: 0, ..*caps };
-        let arena = MutBorrow::new(arena(message, &caps)?.into_boxed_slice());
+        let arena = MutBorrow::new(arena_of(manifest, &caps)?.into_boxed_slice());
         let player = PlayerInArena::try_new(arena, |arena| {
-            fast(arena.borrow_mut(), caps)?.manifest(message).map_err(|(_, error)| error)
+            fast(arena.borrow_mut(), caps)?.unpacked(manifest).map_err(|(_, error)| error)
         })?;
         Ok(Self { player, batches: BatchReceiver::default() })
     }

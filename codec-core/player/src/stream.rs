@@ -135,7 +135,7 @@ impl Stream {
         let (message, start) = file::manifest(bytes)?;
         let sealed = Sealed::parse(message)?.within(&Caps::HOST)?;
         let mut raw = vec![0u8; sealed.raw_len];
-        manifest::open(message, crc32, &mut raw)?;
+        sealed.open(message, crc32, &mut raw)?;
         let parsed = Manifest::parse(&raw)?;
         // What no player here takes on is refused before memory is set aside for it.
         Requirements::of(&parsed, &Caps::HOST)?;
@@ -164,7 +164,7 @@ impl Stream {
     /// # Errors
     /// If the manifest is refused, by [`Caps::HOST`] perhaps; refused packets are counted, not errors.
     pub fn receive(&self) -> Result<Player> {
-        let mut player = Player::new(&self.message, &Caps::HOST)?;
+        let mut player = Player::of(&self.manifest()?, &Caps::HOST)?;
         player.push_all(self.packets.iter().filter(|p| !p.is_empty()).map(Vec::as_slice));
         Ok(player)
     }

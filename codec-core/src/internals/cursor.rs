@@ -9,8 +9,9 @@ use crate::error::{Error, ErrorKind, Result};
 /// A reader over `bytes`.
 #[derive(Clone, Copy, Debug)]
 pub struct Reader<'a> {
-    bytes: &'a [u8],
-    /// Invariant: `at <= bytes.len()`.
+    /// What has not been read.
+    rest: &'a [u8],
+    /// Offset of its first byte.
     at: usize,
 }
 
@@ -29,7 +30,13 @@ macro_rules! read_le {
 impl<'a> Reader<'a> {
     /// A reader at the start of `bytes`.
     pub const fn new(bytes: &'a [u8]) -> Self {
-        Self { bytes, at: 0 }
+        Self { rest: bytes, at: 0 }
+    }
+
+    /// A reader at offset `at` of `bytes`; past their end there is nothing to read.
+    pub fn at(bytes: &'a [u8], at: usize) -> Self {
+        let (_, rest) = bytes.split_at(at.min(bytes.len()));
+        Self { rest, at }
     }
 
     /// Offset of the next byte.
@@ -39,7 +46,7 @@ impl<'a> Reader<'a> {
 
     /// Bytes left.
     pub const fn left(&self) -> usize {
-        self.bytes.len() - self.at
+        self.rest.len()
     }
 
     /// The next `len` bytes.
@@ -47,9 +54,9 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// [`ErrorKind::Short`].
     pub fn bytes(&mut self, field: &'static str, len: usize) -> Result<&'a [u8]> {
-        let rest = self.bytes.get(self.at..).unwrap_or(&[]);
-        let found = rest.get(..len).ok_or(Error::short(field, self.at, rest.len(), len))?;
-        self.at += len;
+        let short = Error::short(field, self.at, self.rest.len(), len);
+        let (found, rest) = self.rest.split_at_checked(len).ok_or(short)?;
+        (self.rest, self.at) = (rest, self.at + len);
         Ok(found)
     }
 
@@ -58,9 +65,9 @@ impl<'a> Reader<'a> {
     /// # Errors
     /// [`ErrorKind::Short`].
     pub fn array<const N: usize>(&mut self, field: &'static str) -> Result<[u8; N]> {
-        let rest = self.bytes.get(self.at..).unwrap_or(&[]);
-        let (head, _) = rest.split_first_chunk::<N>().ok_or(Error::short(field, self.at, rest.len(), N))?;
-        self.at += N;
+        let short = Error::short(field, self.at, self.rest.len(), N);
+        let (head, rest) = self.rest.split_first_chunk::<N>().ok_or(short)?;
+        (self.rest, self.at) = (rest, self.at + N);
         Ok(*head)
     }
 
@@ -153,7 +160,7 @@ impl<'a> Writer<'a> {
 
     /// The bytes written so far.
     pub fn written(&self) -> &[u8] {
-        self.bytes.get(..self.at).unwrap_or(&[])
+        self.bytes.split_at(self.at.min(self.bytes.len())).0
     }
 
     /// Appends `bytes`.

@@ -14,6 +14,8 @@ mod column;
 pub mod motion;
 mod paper;
 
+use core::ops::Range;
+
 use crate::{
     closure::Arrived,
     error::{Error, ErrorKind, Result},
@@ -122,16 +124,10 @@ impl<'a> Decoder<'a> {
         for c in 0..epoch.clusters {
             let cluster = ClusterId(c as u16);
             let span = Span::Canonical(id);
-            let Some((shape, cell)) = Shape::of(manifest, span, cluster).zip(content.cell(span, cluster))
-            else {
-                continue;
-            };
+            let found = Shape::of(manifest, span, cluster).zip(content.cell(span, cluster));
+            let (shape, cell) = found.ok_or(lacking("memory.cells", content.cells.len(), c as usize))?;
             let (count, blocks) = (shape.gaussians(), shape.blocks());
-            let Some(known) = self.memory.known.get_mut(first_block..first_block + blocks) else {
-                let have = self.memory.known.len();
-                let short = Error::short("decode.known", 0, have, first_block + blocks);
-                return Err(short.kind(ErrorKind::Capacity));
-            };
+            let known = cut("decode.known", self.memory.known, first_block..first_block + blocks)?;
             let range = first..first + count;
             let part = Part {
                 content,
@@ -140,14 +136,15 @@ impl<'a> Decoder<'a> {
                 cluster,
                 shape: &shape,
                 cell,
-                canonical: self.memory.canonical.get_mut(range.clone()).unwrap_or(&mut []),
-                out: out.get_mut(range).unwrap_or(&mut []),
-                sh_rest: sh_rest.get_mut(first * rest..(first + count) * rest).unwrap_or(&mut []),
+                symbols: symbols_of(content, cell, &shape)?,
+                canonical: cut("decode.canonical", self.memory.canonical, range.clone())?,
+                out: cut("decode.out", out, range)?,
+                sh_rest: cut("decode.sh_rest", sh_rest, first * rest..(first + count) * rest)?,
                 rest,
             };
             let (present, redone) = match manifest.profile() {
-                Profile::Dgs1 => part.dgs1(known, motion.as_ref()),
-                Profile::Paper => part.paper(frame - epoch.first_frame),
+                Profile::Dgs1 => part.dgs1(known, motion.as_ref())?,
+                Profile::Paper => part.paper(frame - epoch.first_frame)?,
             };
             decoded.present_blocks += present;
             decoded.redone_blocks += redone;
@@ -167,47 +164,60 @@ struct Part<'p, 'm> {
     cluster: ClusterId,
     shape: &'p Shape,
     cell: Cell,
+    /// Symbols of the canonical cell.
+    symbols: &'m [i16],
     canonical: &'p mut [Gaussian],
     out: &'p mut [Gaussian],
     sh_rest: &'p mut [f32],
     rest: usize,
 }
 
-impl<'m> Part<'_, 'm> {
-    /// Symbols of the canonical cell.
-    fn symbols(&self) -> &'m [i16] {
-        let start = self.cell.symbols as usize;
-        self.content.symbols.get(start..start + self.shape.len()).unwrap_or(&[])
-    }
-
+impl Part<'_, '_> {
     /// Blocks that are present, blocks dequantised anew.
-    fn dgs1(mut self, known: &mut [u8], motion: Option<&motion::Frame>) -> (u32, u32) {
+    fn dgs1(mut self, known: &mut [u8], motion: Option<&motion::Frame>) -> Result<(u32, u32)> {
         let (mut present, mut redone) = (0, 0);
         for (block, known) in known.iter_mut().enumerate() {
             let usable = self.content.arrived(self.cell, block).usable() as u8;
             present += u32::from(usable > 0);
             if *known != usable {
-                canonical::dequantise(&mut self, block, usable);
+                canonical::dequantise(&mut self, block, usable)?;
                 *known = usable;
                 redone += 1;
             }
             if self.rest > 0 {
                 // The caller's buffer may be new every frame; bands do not move.
-                canonical::rest(&mut self, block, usable);
+                canonical::rest(&mut self, block, usable)?;
             }
         }
         self.out.iter_mut().zip(self.canonical.iter()).for_each(|(out, canonical)| *out = *canonical);
         if let Some(frame) = motion {
-            motion::apply(&mut self, frame);
+            motion::apply(&mut self, frame)?;
         }
-        (present, redone)
+        Ok((present, redone))
     }
 
-    fn paper(mut self, t: u32) -> (u32, u32) {
+    fn paper(mut self, t: u32) -> Result<(u32, u32)> {
         let arrived: Arrived = self.content.arrived(self.cell, 0);
-        paper::dequantise(&mut self, t, arrived.usable());
-        (u32::from(arrived.usable() > 0), 1)
+        paper::dequantise(&mut self, t, arrived.usable())?;
+        Ok((u32::from(arrived.usable() > 0), 1))
     }
+}
+
+/// Memory that holds less than the manifest says.
+const fn lacking(field: &'static str, have: usize, need: usize) -> Error {
+    Error::short(field, 0, have, need).kind(ErrorKind::Capacity)
+}
+
+/// The elements `range` of the caller's memory `field`.
+fn cut<'s, T>(field: &'static str, all: &'s mut [T], range: Range<usize>) -> Result<&'s mut [T]> {
+    let lacking = lacking(field, all.len(), range.end);
+    all.get_mut(range).ok_or(lacking)
+}
+
+/// The symbols of a cell.
+fn symbols_of<'m>(content: &Content<'m>, cell: Cell, shape: &Shape) -> Result<&'m [i16]> {
+    let (start, all) = (cell.symbols as usize, content.symbols);
+    all.get(start..start + shape.len()).ok_or(lacking("memory.symbols", all.len(), start + shape.len()))
 }
 
 /// Length of `sh_rest` for `gaussians` Gaussians of `degree`.

@@ -1,5 +1,7 @@
 //! Ids, each a type of its own, so that a cluster is never taken for a window.
 
+use crate::{cursor::Reader, error::Result};
+
 macro_rules! id {
     ($(#[$doc:meta])* $name:ident($inner:ty)) => {
         $(#[$doc])*
@@ -61,6 +63,15 @@ impl PacketId {
     /// From the three bytes on the wire.
     pub const fn from_bytes(bytes: [u8; 3]) -> Self {
         Self(u32::from_le_bytes([bytes[0], bytes[1], bytes[2], 0]))
+    }
+
+    /// From a varint on the wire, the field `packet.id`.
+    ///
+    /// # Errors
+    /// As [`Reader::varint`].
+    pub fn read(reader: &mut Reader<'_>) -> Result<Self> {
+        let [a, b, c, _] = reader.varint("packet.id", Self::MAX)?.to_le_bytes();
+        Ok(Self::from_bytes([a, b, c]))
     }
 
     /// The three bytes on the wire, little-endian.

@@ -139,8 +139,7 @@ impl<'a> Receiver<'a> {
 
     /// Whether packet `id` has been accepted or recovered.
     pub fn has(&self, id: PacketId) -> bool {
-        let word = self.memory.seen.get(id.index() / 32).copied().unwrap_or(0);
-        word >> (id.get() % 32) & 1 == 1
+        self.memory.seen.get(id.index() / 32).is_some_and(|word| word >> (id.get() % 32) & 1 == 1)
     }
 
     fn initialise(&mut self) {

@@ -118,9 +118,9 @@ impl<'a> Sums<'a> {
 
     /// Notes member `position` as seen; `None` if it cannot be added.
     fn term<'p>(&mut self, position: u32, packet: &'p [u8]) -> Option<Term<'p>> {
-        let bit = 1u64.checked_shl(position).unwrap_or(0);
+        let bit = 1u64.checked_shl(position)?;
         let members = self.members();
-        if bit == 0 || members & bit != 0 || packet.len() > self.longest() {
+        if members & bit != 0 || packet.len() > self.longest() {
             return None;
         }
         *self.head.first_chunk_mut()? = (members | bit).to_le_bytes();
@@ -155,7 +155,7 @@ impl<'a> Sums<'a> {
     /// Adds parity row `row`: coded length and content. A row that was there, or whose content is
     /// longer than the set's longest, changes nothing.
     pub fn add_parity(&mut self, row: u32, length: u16, content: &[u8]) {
-        let bit = 1u8.checked_shl(row).unwrap_or(0);
+        let Some(bit) = 1u8.checked_shl(row) else { return };
         if self.head[8] & bit != 0 || content.len() > self.longest() {
             return;
         }
@@ -199,7 +199,7 @@ impl<'a> Sums<'a> {
     /// whole set they are the content of its parity packet.
     pub fn parity(&self, row: u32, longest: usize) -> Option<(u16, &[u8])> {
         let (length, content) = self.sum(row)?.split_first_chunk::<LENGTH_BYTES>()?;
-        Some((u16::from_le_bytes(*length), content.get(..longest).unwrap_or(content)))
+        Some((u16::from_le_bytes(*length), content.split_at(longest.min(content.len())).0))
     }
 }
 

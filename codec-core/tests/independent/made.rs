@@ -1,11 +1,11 @@
 //! Golden streams that the encoder does not write, made of what no other stream has: packets of many
-//! extents, levels left out, full table sets, long tracks, unpredicted classes.
+//! extents, levels left out, full table sets, long tracks, unpredicted classes, `paper` in short chunks.
 
 use crate::{
     crc,
     model::{Cluster, Epoch, Model, Motion, Quantiser, Window},
-    pack::pack,
     packet::{self, Extent, Packet},
+    paper,
     table::Table,
 };
 
@@ -25,14 +25,20 @@ pub fn all() -> Vec<(&'static str, &'static str, Vec<u8>)> {
             "no class predicted, ratios of 1, 5 and 9, centres away from the origin",
             unpredicted(),
         ),
+        (
+            "made-paper",
+            "profile paper: two epochs, several degrees, groups in many short chunks that are apart",
+            paper::made(false),
+        ),
+        ("made-paper-context", "the same with the context coder", paper::made(true)),
     ]
 }
 
 /// A sequence of numbers that look random (splitmix64).
-struct Numbers(u64);
+pub struct Numbers(pub u64);
 
 impl Numbers {
-    fn next(&mut self) -> u64 {
+    pub fn next(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let z = (self.0 ^ self.0 >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
         let z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
@@ -40,7 +46,7 @@ impl Numbers {
     }
 
     /// A number in `-most..=most`.
-    fn within(&mut self, most: i64) -> i64 {
+    pub fn within(&mut self, most: i64) -> i64 {
         (self.next() % (2 * most as u64 + 1)) as i64 - most
     }
 }
@@ -213,21 +219,20 @@ fn file(mut model: Model, most: usize, seed: u64) -> Vec<u8> {
     let mut numbers = Numbers(seed);
     let packets = packets(&model, most, &mut numbers);
     model.packets = packets.len() as u32;
-    let raw = model.body();
-    let packed = pack(&raw);
-    let mut message = b"DGSM\x02\0\0\0".to_vec();
-    message.extend((raw.len() as u32).to_le_bytes());
-    message.extend((packed.len() as u32).to_le_bytes());
-    message.extend(packed);
-    message.extend(crc(&message).to_le_bytes());
+    let packets: Vec<Vec<u8>> = packets.iter().map(|packet| packet.write(&model)).collect();
+    file_of(&model.body(), &packets)
+}
+
+/// The whole file of a manifest body and packets.
+pub fn file_of(raw: &[u8], packets: &[Vec<u8>]) -> Vec<u8> {
+    let message = paper::message(raw);
     let mut out = b"DGS\x01".to_vec();
     out.extend((message.len() as u32).to_le_bytes());
     out.extend(message);
     let mut index = b"DGSX".to_vec();
     index.extend((packets.len() as u32).to_le_bytes());
-    for packet in packets {
+    for bytes in packets {
         index.extend((out.len() as u32).to_le_bytes());
-        let bytes = packet.write(&model);
         assert!(bytes.len() <= 1280);
         out.extend((bytes.len() as u16).to_le_bytes());
         out.extend(bytes);

@@ -12,8 +12,6 @@ use codec_core::internals::{
 use serde_json::{Value, json};
 use trainer_host::stream::{PacketMap, Stream};
 
-use crate::pipeline;
-
 /// The whole document: lattice, quantisation, entropy tables, repair, groups, packets.
 ///
 /// # Errors
@@ -26,7 +24,7 @@ pub fn document(content: &Stream, map: &PacketMap) -> codec_core::internals::err
     Ok(json!({
         "format": "dgs-manifest",
         "version": VERSION,
-        "profile": pipeline::profile_name(manifest.profile()),
+        "profile": manifest.profile_name(),
         "frames": head.frames,
         "rate": { "frames": head.rate_frames, "seconds": head.rate_seconds },
         "sh_degree": head.sh_degree,

@@ -229,6 +229,9 @@ pub struct PaperDecisions {
     pub made_from: MadeFrom,
     /// Parity per kind of packets.
     pub repair: Protection,
+    /// Whether probabilities follow the symbols of a chunk, in place of tables in the manifest.
+    #[serde(default)]
+    pub context_coder: bool,
     /// Per epoch of the scene.
     pub epochs: Vec<PaperEpochDecisions>,
 }

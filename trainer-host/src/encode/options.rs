@@ -94,6 +94,8 @@ pub struct EncodeOptions {
     pub packet_bytes: usize,
     /// Parity per kind of packets.
     pub repair: Protection,
+    /// Whether probabilities follow the symbols of a chunk, in place of tables in the manifest (`paper`).
+    pub context_coder: bool,
     /// Send also the Gaussians whose opacity stays below 1/255 at every frame (`dgs1`).
     pub keep_invisible: bool,
 }
@@ -114,6 +116,7 @@ impl Default for EncodeOptions {
             proxies: true,
             packet_bytes: limits::DEFAULT_PACKET_BYTES,
             repair: Protection::NONE,
+            context_coder: false,
             keep_invisible: false,
         }
     }
@@ -123,6 +126,11 @@ impl EncodeOptions {
     /// Defaults of the `paper` profile: rank 4.
     pub fn paper() -> Self {
         Self { profile: Profile::Paper, rank: 4, ..Self::default() }
+    }
+
+    /// Defaults of the `paper` profile with the context coder.
+    pub fn paper_context() -> Self {
+        Self { context_coder: true, ..Self::paper() }
     }
 
     pub(super) fn check(&self) -> Result<(), EncodeError> {

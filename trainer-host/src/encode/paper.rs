@@ -2,8 +2,8 @@
 //!
 //! Equation 1 with one f32 affine per cluster and frame in the manifest, a shared basis of rank
 //! R, i16 residuals δ2 and δ3 per frame, attributes as a static base plus three per-frame
-//! refinement planes, byte-wise rANS with a table pair per group, chunks of at most 1200 bytes,
-//! one dependency word per refinement.
+//! refinement planes, byte-wise rANS with a table pair per group or the context coder, chunks of at
+//! most 1200 bytes, one dependency word per refinement.
 
 mod chunks;
 mod plan;
@@ -11,7 +11,7 @@ mod plan;
 use codec_core::internals::{
     ids::Level,
     limits,
-    wire::manifest::{self, Cluster, Head, Profile, Quant, Repair},
+    wire::manifest::{self, ChunkCoder, Cluster, Head, Quant, Repair},
 };
 use rayon::prelude::*;
 
@@ -52,7 +52,7 @@ pub(super) fn decide(
     }
     let made_from =
         MadeFrom { quality: options.quality, quantiser_classes: Vec::new(), clustering: options.cluster };
-    Ok(PaperDecisions { made_from, repair: options.repair, epochs })
+    Ok(PaperDecisions { made_from, repair: options.repair, context_coder: options.context_coder, epochs })
 }
 
 /// Writes `scene` as `decisions`, which have been checked against it, say.
@@ -91,7 +91,7 @@ pub(super) fn write(
     let groups: Result<Vec<[Group; Level::COUNT]>, EncodeError> = cells
         .par_iter()
         .enumerate()
-        .map(|(c, (plan, cell))| groups(c, plan, cell, &quants, &decisions.repair))
+        .map(|(c, (plan, cell))| groups(c, plan, cell, &quants, decisions))
         .collect();
     let groups = groups?;
 
@@ -134,7 +134,8 @@ pub(super) fn write(
     ledger.raw_symbols = 2.0 * ledger.symbols as f64;
     ledger.packets = packets.len() as u64;
     parity::append(&mut repairs, &mut packets, &mut ledger)?;
-    let (raw, sections) = body(scene, &plans, &groups, &quants, &repairs, packets.len());
+    let coder = if decisions.context_coder { ChunkCoder::Context } else { ChunkCoder::Tables };
+    let (raw, sections) = body(scene, &plans, &groups, &quants, &repairs, packets.len(), coder);
     let stream = Stream::new(raw, packets)?;
     ledger.manifest = stream.message().len() as f64;
     ledger.manifest_parts = manifest_parts(stream.manifest()?.raw(), &sections, stream.message().len())?;
@@ -151,11 +152,12 @@ fn body(
     quants: &[Quant],
     repairs: &[Repair],
     packets: usize,
+    coder: ChunkCoder,
 ) -> (Vec<u8>, Vec<Section>) {
     let (rate_frames, rate_seconds) = scene.frame_rate();
     let degree = scene.epochs().iter().map(|e| e.attributes().sh_degree.get()).max().unwrap_or(0);
     let head = Head {
-        profile: Profile::Paper as u8,
+        profile: coder.profile_number(),
         sh_degree: degree,
         block_len: 64,
         frames: scene.frames() as u32,
@@ -222,7 +224,7 @@ fn body(
         cell.transforms.iter().for_each(|v| out.extend(v.to_le_bytes()));
     }
     sections.push(("tables", out.len()));
-    for table in groups.iter().flatten().flat_map(|g| &g.tables) {
+    for table in groups.iter().flatten().flat_map(|g| &g.tables).flatten() {
         out.extend(table.to_bytes());
     }
     (out, sections)

@@ -3,8 +3,10 @@
 use super::{
     Part,
     column::{Column, Runs, SPAN, Values, carried, each, triple},
+    cut,
 };
 use crate::{
+    error::Result,
     gaussian::Gaussian,
     ids::Level,
     math,
@@ -14,22 +16,21 @@ use crate::{
 
 /// Dequantises block `block` at its `usable` levels into the canonical cache; without any, its first
 /// Gaussian is the block's proxy and the others are absent.
-pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) {
+pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) -> Result<()> {
     let n = part.shape.block_gaussians(block);
     let first = block * part.shape.block_len;
     let Some(level) = usable.checked_sub(1).and_then(Level::new) else {
-        if let Some(out) = part.canonical.get_mut(first..first + n) {
-            out.fill(Gaussian::ABSENT);
-            let proxy = part.content.manifest.proxy(part.cell.blocks as usize + block);
-            if let Some((first, proxy)) = out.first_mut().zip(proxy) {
-                let step = part.shape.quant.canonical[Class::Position.index()].step(Level::BASE);
-                let Epoch { origin_x, origin_y, origin_z, .. } = *part.epoch;
-                *first = proxy.gaussian(&part.shape.cluster, [origin_x, origin_y, origin_z], step);
-            }
+        let out = cut("decode.canonical", part.canonical, first..first + n)?;
+        out.fill(Gaussian::ABSENT);
+        let proxy = part.content.manifest.proxy(part.cell.blocks as usize + block);
+        if let Some((first, proxy)) = out.first_mut().zip(proxy) {
+            let step = part.shape.quant.canonical[Class::Position.index()].step(Level::BASE);
+            let Epoch { origin_x, origin_y, origin_z, .. } = *part.epoch;
+            *first = proxy.gaussian(&part.shape.cluster, [origin_x, origin_y, origin_z], step);
         }
-        return;
+        return Ok(());
     };
-    let mut runs = Runs::of(part.shape, part.symbols(), block, level);
+    let mut runs = Runs::of(part.shape, part.symbols, block, level)?;
     for class in [Class::Position, Class::Scale, Class::Rotation, Class::Opacity, Class::Sh0] {
         let quantiser = part.shape.quant.canonical[class.index()];
         let carries = carried(part.shape, class);
@@ -41,10 +42,10 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) {
         };
         let mut columns = [const { None }; 3];
         for ((column, start), _) in columns.iter_mut().zip(starts).zip(0..class.components()) {
-            *column = Some(Column::new(runs.next(carries), quantiser, Level::BASE, level, start));
+            *column = Some(Column::new(runs.next(carries)?, quantiser, Level::BASE, level, start));
         }
         let step = quantiser.step(level);
-        let out = part.canonical.get_mut(first..first + n).unwrap_or(&mut []);
+        let out = cut("decode.canonical", part.canonical, first..first + n)?;
         for out in out.chunks_mut(SPAN) {
             let mut values = [[0f32; SPAN]; 3];
             for ((values, column), origin) in values.iter_mut().zip(&mut columns).zip(origins) {
@@ -56,6 +57,7 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) {
             put(class, quantiser.decorrelated(), &mut values, out);
         }
     }
+    Ok(())
 }
 
 /// The attribute that `values` of `class` stand for, to `out`.
@@ -93,14 +95,14 @@ fn put(class: Class, decorrelated: bool, values: &mut Values, out: &mut [Gaussia
 }
 
 /// Writes the higher bands of block `block` to the output; bands not there are zero.
-pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) {
+pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) -> Result<()> {
     let n = part.shape.block_gaussians(block);
     let first = block * part.shape.block_len;
     let rest = part.rest;
-    let Some(out) = part.sh_rest.get_mut(first * rest..(first + n) * rest) else { return };
+    let out = cut("decode.sh_rest", part.sh_rest, first * rest..(first + n) * rest)?;
     out.fill(0.0);
-    let Some(level) = usable.checked_sub(1).and_then(Level::new) else { return };
-    let mut runs = Runs::of(part.shape, part.symbols(), block, level);
+    let Some(level) = usable.checked_sub(1).and_then(Level::new) else { return Ok(()) };
+    let mut runs = Runs::of(part.shape, part.symbols, block, level)?;
     let mut offset = 0;
     for class in Class::ALL {
         let (components, carries) = (class.components(), carried(part.shape, class));
@@ -109,12 +111,11 @@ pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) {
         let is_here = class.first_level() > Level::BASE && class.first_level() <= level;
         let is_here = is_here && carries[class.first_level().index()];
         for component in 0..components {
-            let runs = runs.next(carries);
+            let runs = runs.next(carries)?;
             if !is_here {
                 continue;
             }
             let mut column = Column::new(runs, quantiser, class.first_level(), level, 0);
-            let out = part.sh_rest.get_mut(first * rest..(first + n) * rest).unwrap_or(&mut []);
             for out in out.chunks_mut(SPAN * rest) {
                 for (values, q) in out.chunks_exact_mut(rest).zip(column.take()) {
                     if let Some(value) = values.get_mut(offset + component) {
@@ -124,9 +125,8 @@ pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) {
             }
         }
         if is_here && quantiser.decorrelated() {
-            let out = part.sh_rest.get_mut(first * rest..(first + n) * rest).unwrap_or(&mut []);
             for values in out.chunks_exact_mut(rest) {
-                let values = values.get_mut(offset..offset + components).unwrap_or(&mut []);
+                let values = cut("decode.sh_rest", values, offset..offset + components)?;
                 values.as_chunks_mut::<3>().0.iter_mut().for_each(|triple| *triple = recorrelate(*triple));
             }
         }
@@ -134,4 +134,5 @@ pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) {
             offset += components;
         }
     }
+    Ok(())
 }

@@ -1,6 +1,8 @@
 //! From nested symbols to the indices of one component, many Gaussians at a time.
 
+use super::lacking;
 use crate::{
+    error::Result,
     gaussian::Gaussian,
     ids::Level,
     layout::Shape,
@@ -40,29 +42,41 @@ pub(super) struct Runs<'s> {
     rest: [&'s [i16]; Level::COUNT],
     /// Gaussians in the block.
     n: usize,
+    /// The highest level wanted.
+    level: Level,
 }
 
 impl<'s> Runs<'s> {
     /// The runs of block `block` at levels up to `level`; `symbols` are those of its cell.
     #[inline(never)]
-    pub(super) fn of(shape: &Shape, symbols: &'s [i16], block: usize, level: Level) -> Self {
-        let rest = Level::ALL.map(|l| {
-            let (at, len) = if l <= level { shape.range(l, block..block + 1) } else { (0, 0) };
-            symbols.get(at..at + len).unwrap_or(&[])
-        });
-        Self { rest, n: shape.block_gaussians(block) }
+    ///
+    /// # Errors
+    /// A cell that has fewer symbols than its shape.
+    pub(super) fn of(shape: &Shape, symbols: &'s [i16], block: usize, level: Level) -> Result<Self> {
+        let mut rest = [&[][..]; Level::COUNT];
+        for (rest, l) in rest.iter_mut().zip(Level::ALL).filter(|&(_, l)| l <= level) {
+            let (at, len) = shape.range(l, block..block + 1);
+            *rest = symbols.get(at..at + len).ok_or(lacking("memory.symbols", symbols.len(), at + len))?;
+        }
+        Ok(Self { rest, n: shape.block_gaussians(block), level })
     }
 
     /// The runs of the next component; none at levels that do not carry it.
     #[inline(never)]
-    pub(super) fn next(&mut self, carries: [bool; Level::COUNT]) -> [&'s [i16]; Level::COUNT] {
+    ///
+    /// # Errors
+    /// A block that has fewer symbols than its shape.
+    pub(super) fn next(&mut self, carries: [bool; Level::COUNT]) -> Result<[&'s [i16]; Level::COUNT]> {
         let mut runs = [&[][..]; Level::COUNT];
-        for ((run, rest), carries) in runs.iter_mut().zip(&mut self.rest).zip(carries) {
-            if carries {
-                (*run, *rest) = rest.split_at_checked(self.n).unwrap_or((rest, &[]));
+        let wanted =
+            Level::ALL.into_iter().zip(carries).map(|(level, carries)| carries && level <= self.level);
+        for ((run, rest), wanted) in runs.iter_mut().zip(&mut self.rest).zip(wanted) {
+            if wanted {
+                let short = lacking("memory.symbols", rest.len(), self.n);
+                (*run, *rest) = rest.split_at_checked(self.n).ok_or(short)?;
             }
         }
-        runs
+        Ok(runs)
     }
 }
 
@@ -115,7 +129,8 @@ impl<'s> Column<'s> {
             None => self.refine(&mut indices),
         }
         for run in &mut self.runs {
-            *run = run.get(SPAN..).unwrap_or(&[]);
+            // The last indices of a block may be fewer.
+            (_, *run) = run.split_at(run.len().min(SPAN));
         }
         indices
     }

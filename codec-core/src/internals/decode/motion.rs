@@ -10,9 +10,11 @@ use glam::{Mat3, Vec3};
 use super::{
     Part,
     column::{Column, Runs, SPAN, Values, carried, each, triple},
+    cut, lacking, symbols_of,
 };
 use crate::{
     closure::bending_level,
+    error::Result,
     gaussian::Gaussian,
     ids::{EpochId, Level, Span, WindowId},
     layout::Shape,
@@ -101,8 +103,8 @@ pub fn pose(shape: &Shape, symbols: &[i16], cosine: &[f32; MAX_WINDOW_FRAMES]) -
     let [translation, linear, rodrigues] = track_steps(shape);
     let track = shape.motion.class();
     let turning = track.turning();
-    let (turns, moves) =
-        symbols.split_at_checked(turning * usize::from(shape.motion.track)).unwrap_or((&[], &[]));
+    let count = turning * usize::from(shape.motion.track);
+    let (turns, moves) = symbols.split_at(count.min(symbols.len()));
     let mut value = [0f32; 9];
     let mut shift = [0f32; 3];
     let add = |sums: &mut [f32], symbols: &[i16]| {
@@ -117,7 +119,8 @@ pub fn pose(shape: &Shape, symbols: &[i16], cosine: &[f32; MAX_WINDOW_FRAMES]) -
             }
         }
     };
-    add(value.get_mut(..turning).unwrap_or(&mut []), turns);
+    let (turn, _) = value.split_at_mut(turning.min(9));
+    add(turn, turns);
     add(&mut shift, moves);
     let (rows, rotation) = match track {
         Track::Static => return Pose::IDENTITY,
@@ -150,11 +153,11 @@ fn bounded(parameter: f32) -> f32 {
 }
 
 /// Moves the cluster's Gaussians in the output.
-pub(super) fn apply(part: &mut Part<'_, '_>, frame: &Frame) {
+pub(super) fn apply(part: &mut Part<'_, '_>, frame: &Frame) -> Result<()> {
     let span = Span::Motion(frame.id);
     let content = part.content;
     let found = Shape::of(&content.manifest, span, part.cluster).zip(content.cell(span, part.cluster));
-    let Some((shape, cell)) = found else { return };
+    let (shape, cell) = found.ok_or(lacking("memory.cells", content.cells.len(), part.cluster.index()))?;
     let step = part.shape.quant.canonical[Class::Position.index()].step(Level::BASE);
     let record = part.shape.cluster;
     let centre = Vec3::new(
@@ -177,9 +180,10 @@ pub(super) fn apply(part: &mut Part<'_, '_>, frame: &Frame) {
     for block in 0..shape.blocks() {
         let (motion, canonical) = (content.arrived(cell, block), content.arrived(part.cell, block));
         if let Some(level) = bending_level(motion, canonical) {
-            bend(part, &shape, cell, block, level, frame);
+            bend(part, &shape, cell, block, level, frame)?;
         }
     }
+    Ok(())
 }
 
 /// The pose in the current window, if its track is usable.
@@ -222,12 +226,18 @@ fn held(part: &Part<'_, '_>, frame: &Frame) -> Option<Pose> {
 }
 
 /// Adds the per-Gaussian coefficients of one block.
-fn bend(part: &mut Part<'_, '_>, shape: &Shape, cell: Cell, block: usize, level: Level, frame: &Frame) {
+fn bend(
+    part: &mut Part<'_, '_>,
+    shape: &Shape,
+    cell: Cell,
+    block: usize,
+    level: Level,
+    frame: &Frame,
+) -> Result<()> {
     let n = shape.block_gaussians(block);
     let first = block * shape.block_len;
-    let base = cell.symbols as usize;
-    let symbols = part.content.symbols.get(base..base + shape.len()).unwrap_or(&[]);
-    let mut runs = Runs::of(shape, symbols, block, level);
+    let symbols = symbols_of(part.content, cell, shape)?;
+    let mut runs = Runs::of(shape, symbols, block, level)?;
     for class in Class::ALL.into_iter().take(Class::MOVING) {
         let rank = shape.motion.rank(class);
         if rank == 0 {
@@ -241,7 +251,7 @@ fn bend(part: &mut Part<'_, '_>, shape: &Shape, cell: Cell, block: usize, level:
         let mut sums = [[[0.0; SPAN]; 3]; MAX_BLOCK_LEN / SPAN];
         for &weight in weights {
             for d in 0..class.components() {
-                let mut column = Column::new(runs.next(carries), quantiser, Level::ALL[1], level, 0);
+                let mut column = Column::new(runs.next(carries)?, quantiser, Level::ALL[1], level, 0);
                 for sums in sums.iter_mut().take(n.div_ceil(SPAN)) {
                     let Some(sums) = sums.get_mut(d) else { continue };
                     for (sum, q) in sums.iter_mut().zip(column.take()) {
@@ -253,14 +263,15 @@ fn bend(part: &mut Part<'_, '_>, shape: &Shape, cell: Cell, block: usize, level:
         // No window has more coefficients than frames; what a hostile one has beyond is passed over.
         for _ in usize::from(frame.window.frames)..rank {
             for _ in 0..class.components() {
-                runs.next(carries);
+                runs.next(carries)?;
             }
         }
-        let out = part.out.get_mut(first..first + n).unwrap_or(&mut []);
+        let out = cut("decode.out", part.out, first..first + n)?;
         for (out, sums) in out.chunks_mut(SPAN).zip(&mut sums) {
             add(class, sums, out);
         }
     }
+    Ok(())
 }
 
 /// Adds `sums` of `class` to what `out` has of it.

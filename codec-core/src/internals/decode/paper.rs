@@ -2,8 +2,9 @@
 
 use glam::Vec3;
 
-use super::Part;
+use super::{Part, lacking};
 use crate::{
+    error::Result,
     gaussian::Gaussian,
     ids::Level,
     layout::{paper as layout, rest_len},
@@ -16,20 +17,22 @@ const ATTRIBUTES: [(Class, usize); 4] =
     [(Class::Scale, 3), (Class::Rotation, 4), (Class::Opacity, 1), (Class::Sh0, 3)];
 
 /// Dequantises the whole cluster at frame `t` of its epoch with `usable` levels.
-pub(super) fn dequantise(part: &mut Part<'_, '_>, t: u32, usable: usize) {
+pub(super) fn dequantise(part: &mut Part<'_, '_>, t: u32, usable: usize) -> Result<()> {
     let n = part.shape.gaussians();
     if usable == 0 {
         part.out.fill(Gaussian::ABSENT);
         part.sh_rest.fill(0.0);
-        return;
+        return Ok(());
     }
     let (frames, t) = (part.epoch.frames as usize, t as usize);
     let rank = usize::from(part.epoch.rank);
     let degree_rest = rest_len(part.shape.cluster.sh_degree());
-    let levels: [&[i16]; 4] = Level::ALL.map(|level| {
-        let start = part.cell.symbols as usize + part.shape.range(level, 0..1).0;
-        part.content.symbols.get(start..start + part.shape.level_len(level)).unwrap_or(&[])
-    });
+    let mut levels = [&[][..]; Level::COUNT];
+    for (symbols, level) in levels.iter_mut().zip(Level::ALL) {
+        let (start, len) = (part.shape.range(level, 0..1).0, part.shape.level_len(level));
+        let short = lacking("memory.symbols", part.symbols.len(), start + len);
+        *symbols = part.symbols.get(start..start + len).ok_or(short)?;
+    }
     let symbol = |level: usize, component: usize, offset: usize, i: usize| -> f32 {
         levels[level].get(offset + component * n + i).copied().map_or(0.0, f32::from)
     };
@@ -110,4 +113,5 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, t: u32, usable: usize) {
             }
         }
     }
+    Ok(())
 }

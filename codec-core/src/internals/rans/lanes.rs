@@ -97,7 +97,7 @@ impl<'a> Parts<'a> {
         // States and padding are the last bits of the body: fewer than 128, more than 56.
         let mut last = [0u8; 16];
         let (from, to) = (body.len().saturating_sub(last.len()), last.len().saturating_sub(body.len()));
-        for (place, &byte) in last.iter_mut().skip(to).zip(body.get(from..).unwrap_or(&[])) {
+        for (place, &byte) in last.iter_mut().skip(to).zip(body.split_at(from).1) {
             *place = byte;
         }
         let mut bits = u128::from_le_bytes(last) >> (128 - (8 * plane - raw_bits).min(128) as u32).min(127);
@@ -115,7 +115,7 @@ impl<'a> Parts<'a> {
 
     /// Words, escapes and plane: what [`Raw`] and a decoder read from.
     pub fn plane(&self) -> &'a [u8] {
-        self.body.get(self.stream..).unwrap_or(&[])
+        self.body.split_at(self.stream.min(self.body.len())).1
     }
 }
 

@@ -13,6 +13,9 @@ use crate::{
     },
 };
 
+#[cfg(feature = "paper-context")]
+use crate::{rans::context, wire::manifest::ChunkCoder};
+
 /// A field of a chunk that is at odds with the manifest.
 fn contradiction(field: &'static str, offset: usize, found: u64, allowed: (u64, u64)) -> Error {
     Error::illegal(field, offset, found, allowed).kind(ErrorKind::Contradiction)
@@ -25,6 +28,8 @@ struct ChunkGroup {
     number: usize,
     /// Symbols of the group.
     len: u64,
+    #[cfg_attr(not(feature = "paper-context"), allow(dead_code, reason = "only that coder asks for it"))]
+    epoch: Epoch,
 }
 
 impl ChunkGroup {
@@ -64,7 +69,19 @@ impl ChunkGroup {
         if let Some(&word) = chunk.dependencies.first().filter(|&&word| word != below) {
             return Err(contradiction("chunk.dependency", 22, word.into(), (below.into(), below.into())));
         }
-        Ok(Self { shape, number: number as usize, len })
+        Ok(Self { shape, number: number as usize, len, epoch })
+    }
+
+    /// Which symbols of the group `chunk` holds, as its coder has to know.
+    #[cfg(feature = "paper-context")]
+    fn place(&self, chunk: &Chunk<'_>) -> context::Place {
+        context::Place {
+            level: chunk.level,
+            first: chunk.first_symbol as usize,
+            gaussians: self.shape.gaussians(),
+            rank: self.epoch.rank.into(),
+            frames: self.epoch.frames as usize,
+        }
     }
 }
 
@@ -104,15 +121,21 @@ impl Receiver<'_> {
             let twice = Error::illegal("chunk.first_symbol", 14, found, (found, found));
             return Err(twice.kind(ErrorKind::Duplicate));
         }
-        let tables = manifest.byte_tables(chunk.cluster.into(), chunk.level);
-        let [low, high] = tables.ok_or(contradiction("chunk.tables", 0, 0, (1, 1)))?;
-        let slots: &mut [u8] = bytemuck::cast_slice_mut(slots);
-        let slots = slots.as_chunks_mut::<{ bytes::SLOTS }>().0.first_chunk_mut();
-        let [low_slots, high_slots] = slots.ok_or(lacking("memory.slots"))?;
-        low.fill_slots(low_slots);
-        high.fill_slots(high_slots);
         let target = symbols.get_mut(range.clone()).ok_or(lacking("memory.symbols"))?;
-        bytes::decode(chunk.payload, [&low, &high], [low_slots, high_slots], target)?;
+        match manifest.chunk_coder() {
+            #[cfg(feature = "paper-context")]
+            Some(ChunkCoder::Context) => context::decode(chunk.payload, group.place(chunk), target)?,
+            _ => {
+                let tables = manifest.byte_tables(chunk.cluster.into(), chunk.level);
+                let [low, high] = tables.ok_or(contradiction("chunk.tables", 0, 0, (1, 1)))?;
+                let slots: &mut [u8] = bytemuck::cast_slice_mut(slots);
+                let slots = slots.as_chunks_mut::<{ bytes::SLOTS }>().0.first_chunk_mut();
+                let [low_slots, high_slots] = slots.ok_or(lacking("memory.slots"))?;
+                low.fill_slots(low_slots);
+                high.fill_slots(high_slots);
+                bytes::decode(chunk.payload, [&low, &high], [low_slots, high_slots], target)?;
+            }
+        }
         let mask = blocks.get_mut(cell.blocks as usize).ok_or(lacking("memory.blocks"))?;
         mark(marks, range);
         *counter += u32::from(chunk.symbols);

@@ -11,7 +11,7 @@ use crate::{
     layout::Shape,
     limits,
     rans::{bytes, form::Form},
-    wire::manifest::{Manifest, Profile},
+    wire::manifest::{ChunkCoder, Manifest, Profile},
 };
 
 /// Where a cell's data starts.
@@ -84,7 +84,8 @@ impl Requirements {
                 need.least_slots = tables * Form::Compact.words();
             }
             Profile::Paper => {
-                need.slots = 2 * bytes::SLOTS / 4;
+                let tables = manifest.chunk_coder() == Some(ChunkCoder::Tables);
+                need.slots = if tables { 2 * bytes::SLOTS / 4 } else { 0 };
                 need.least_slots = need.slots;
                 need.progress = manifest.cells() * Level::COUNT + need.symbols.div_ceil(32);
             }

@@ -27,7 +27,7 @@ pub struct Recovered {
 impl Recovered {
     /// The packets.
     pub fn as_slice(&self) -> &[PacketId] {
-        self.ids.get(..self.count).unwrap_or(&self.ids)
+        self.ids.split_at(self.count.min(self.ids.len())).0
     }
 
     fn push(&mut self, id: PacketId) {

@@ -72,7 +72,7 @@ impl Places<'_, '_> {
         within("packet.blocks", blocks, self.caps.blocks_per_packet)?;
         let mut values = 0;
         for (index, extent) in packet.extents.iter().enumerate() {
-            let earlier = packet.extents.get(..index).unwrap_or(&packet.extents);
+            let (earlier, _) = packet.extents.split_at(index.min(packet.extents.len()));
             self.extent(index, extent, earlier, &mut values, sink)?;
         }
         Ok(())

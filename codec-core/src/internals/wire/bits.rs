@@ -39,10 +39,11 @@ impl<'a> Bits<'a> {
     /// # Errors
     /// [`ErrorKind::Illegal`] for a bit that is set.
     pub fn finish(self) -> Result<&'a [u8]> {
-        let (used, rest) = self.bytes.split_at_checked(self.used_bytes()).unwrap_or((self.bytes, &[]));
-        let padding = match self.at % 8 {
-            0 => 0,
-            left => used.last().copied().unwrap_or(0) >> left,
+        let short = Error::short("body.table_indices", 0, self.bytes.len(), self.used_bytes());
+        let (used, rest) = self.bytes.split_at_checked(self.used_bytes()).ok_or(short)?;
+        let padding = match (self.at % 8, used.last()) {
+            (left @ 1.., Some(last)) => last >> left,
+            _ => 0,
         };
         if padding == 0 {
             return Ok(rest);

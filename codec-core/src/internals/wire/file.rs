@@ -112,8 +112,8 @@ impl<'a> Packets<'a> {
     }
 
     fn is_end(&self, at: usize) -> bool {
-        let rest = self.file.get(at..).unwrap_or(&[]);
-        rest.get(..2) == Some(&[0, 0]) && rest.get(2..6) == Some(&INDEX_MAGIC)
+        let found = self.file.get(at..).and_then(|rest| rest.split_first_chunk::<2>());
+        found.is_some_and(|(end, rest)| *end == [0, 0] && rest.starts_with(&INDEX_MAGIC))
     }
 }
 

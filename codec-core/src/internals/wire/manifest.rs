@@ -52,6 +52,29 @@ pub enum Profile {
     Dgs1 = 1,
 }
 
+/// `head.profile` of profile `paper` with [`ChunkCoder::Context`].
+pub const PAPER_CONTEXT: u8 = 2;
+
+/// How the symbols of a `paper` chunk are coded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum ChunkCoder {
+    /// By two byte tables per group, which the manifest holds.
+    Tables,
+    /// By probabilities that follow the symbols of the chunk; no tables travel.
+    Context,
+}
+
+impl ChunkCoder {
+    /// The `head.profile` of a `paper` stream that is coded so.
+    pub const fn profile_number(self) -> u8 {
+        match self {
+            Self::Tables => Profile::Paper as u8,
+            Self::Context => PAPER_CONTEXT,
+        }
+    }
+}
+
 /// Symbol streams of `dgs1`, each with its own table set.
 pub mod stream {
     use super::{Class, Level, Track};
@@ -139,6 +162,11 @@ struct Sections {
     proxies: usize,
 }
 
+/// Byte tables in a manifest with this head: a pair for each group of `paper`.
+const fn byte_tables(head: &Head) -> usize {
+    if head.profile == Profile::Paper as u8 { head.clusters as usize * Level::COUNT * 2 } else { 0 }
+}
+
 impl<'a> Manifest<'a> {
     /// Checks `raw` (an unpacked body) from end to end.
     ///
@@ -150,10 +178,12 @@ impl<'a> Manifest<'a> {
         let profile = match head.profile {
             0 => Profile::Paper,
             1 => Profile::Dgs1,
+            #[cfg(feature = "paper-context")]
+            PAPER_CONTEXT => Profile::Paper,
             other => {
-                return Err(
-                    Error::illegal("manifest.profile", 0, other.into(), (0, 1)).kind(ErrorKind::Unknown)
-                );
+                let last = if cfg!(feature = "paper-context") { PAPER_CONTEXT } else { 1 };
+                let unknown = Error::illegal("manifest.profile", 0, other.into(), (0, last.into()));
+                return Err(unknown.kind(ErrorKind::Unknown));
             }
         };
         check_head(&head)?;
@@ -179,7 +209,7 @@ impl<'a> Manifest<'a> {
         let basis_width = if is_dgs1 { 2 } else { 4 };
         take(head.basis_values as usize * basis_width, &mut sections.basis, "manifest.basis")?;
         take(head.transform_values as usize * 4, &mut sections.transforms, "manifest.transforms")?;
-        let byte_tables = if is_dgs1 { 0 } else { clusters * Level::COUNT * 2 * bytes::TABLE_BYTES };
+        let byte_tables = byte_tables(&head) * bytes::TABLE_BYTES;
         take(byte_tables, &mut sections.byte_tables, "manifest.byte_tables")?;
         let proxies = if head.proxies == 1 { blocks * Proxy::BYTES } else { 0 };
         take(proxies, &mut sections.proxies, "manifest.proxies")?;
@@ -214,6 +244,24 @@ impl<'a> Manifest<'a> {
         self.profile
     }
 
+    /// The name of the profile and its coder, as people type it.
+    pub const fn profile_name(&self) -> &'static str {
+        match self.chunk_coder() {
+            Some(ChunkCoder::Tables) => "paper",
+            Some(ChunkCoder::Context) => "paper-context",
+            None => "dgs1",
+        }
+    }
+
+    /// How the symbols of chunks are coded; `None` in `dgs1`, which has no chunks.
+    pub const fn chunk_coder(&self) -> Option<ChunkCoder> {
+        match self.head.profile {
+            0 => Some(ChunkCoder::Tables),
+            PAPER_CONTEXT => Some(ChunkCoder::Context),
+            _ => None,
+        }
+    }
+
     /// Gaussians per block (`paper`: a whole cluster is one block).
     pub const fn block_len(&self) -> usize {
         match self.profile {
@@ -243,7 +291,7 @@ impl<'a> Manifest<'a> {
         if index >= count {
             return None;
         }
-        read(&mut Reader::new(self.raw.get(section + index * bytes..)?)).ok()
+        read(&mut Reader::at(self.raw, section + index * bytes)).ok()
     }
 
     /// Epoch `id`.
@@ -402,13 +450,13 @@ impl<'a> Manifest<'a> {
 
     /// All entropy tables of `dgs1`, in order.
     pub fn tables(&self) -> impl Iterator<Item = Table> + use<'a> {
-        let mut reader = Reader::new(self.raw.get(self.sections.tables..).unwrap_or(&[]));
+        let mut reader = Reader::at(self.raw, self.sections.tables);
         (0..self.head.tables).map_while(move |_| Table::read(&mut reader).ok())
     }
 
-    /// Low and high byte table of a `paper` group; `cluster` counts over all epochs.
+    /// Low and high byte table of a `paper` group, where its coder has tables; `cluster` counts over all epochs.
     pub fn byte_tables(&self, cluster: usize, level: Level) -> Option<[bytes::ByteTable; 2]> {
-        if self.profile != Profile::Paper || cluster >= self.head.clusters as usize {
+        if self.chunk_coder() != Some(ChunkCoder::Tables) || cluster >= self.head.clusters as usize {
             return None;
         }
         let first = (cluster * Level::COUNT + level.index()) * 2;
@@ -417,7 +465,7 @@ impl<'a> Manifest<'a> {
 
     fn read_byte_table(&self, index: usize) -> Result<bytes::ByteTable> {
         let place = self.sections.byte_tables + index * bytes::TABLE_BYTES;
-        let mut reader = Reader::new(self.raw.get(place..).unwrap_or(&[]));
+        let mut reader = Reader::at(self.raw, place);
         let raw = reader.array("manifest.byte_tables")?;
         bytes::ByteTable::from_bytes(&raw).map_err(|e| Error { offset: place as u32, ..e })
     }

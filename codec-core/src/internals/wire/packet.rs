@@ -56,12 +56,13 @@ impl Head {
         // One check of length; the varints of ids below 2^14, which most packets have.
         let Some(&[first, a, b, c]) = content.first_chunk() else { return Self::parse_slowly(content) };
         let (id, len) = match first >> 5 {
-            KIND_SLICES if a < 0x80 => (u32::from(a), 2),
-            KIND_SLICES if (1..0x80).contains(&b) => (u32::from(a & 0x7f) | u32::from(b) << 7, 3),
-            KIND_CHUNK | KIND_PARITY => (u32::from_le_bytes([a, b, c, 0]), 4),
+            KIND_SLICES if a < 0x80 => ([a, 0, 0], 2),
+            KIND_SLICES if (1..0x80).contains(&b) => ([a & 0x7f | b << 7, b >> 1, 0], 3),
+            KIND_CHUNK | KIND_PARITY => ([a, b, c], 4),
             _ => return Self::parse_slowly(content),
         };
-        Ok(Self { kind: first >> 5, flags: first & 0x1f, id: PacketId::new(id).unwrap_or_default(), len })
+        let id = PacketId::from_bytes(id);
+        Ok(Self { kind: first >> 5, flags: first & 0x1f, id, len })
     }
 
     /// Field by field.
@@ -70,8 +71,7 @@ impl Head {
         let mut reader = Reader::new(content);
         let first = reader.u8("packet.kind")?;
         let id = match first >> 5 {
-            // The varint's bound is the id's own.
-            KIND_SLICES => PacketId::new(reader.varint("packet.id", PacketId::MAX)?).unwrap_or_default(),
+            KIND_SLICES => PacketId::read(&mut reader)?,
             KIND_CHUNK => PacketId::from_bytes(reader.array("chunk.id")?),
             KIND_PARITY => PacketId::from_bytes(reader.array("parity.id")?),
             kind => return Err(unknown(kind)),
@@ -293,8 +293,7 @@ impl<'a> Slices<'a> {
         let first = reader.u8("extent.flags")?;
         in_range("packet.kind", 0, first >> 5, KIND_SLICES, KIND_SLICES)?;
         let mut flags = in_range("extent.flags", 0, first & 0x1f, 0, FLAGS)?;
-        // The varint's bound is the id's own.
-        let id = PacketId::new(reader.varint("packet.id", PacketId::MAX)?).unwrap_or_default();
+        let id = PacketId::read(&mut reader)?;
         let mut extents = Vec::new();
         loop {
             let place = reader.offset();

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     cursor::{Reader, Writer, in_range, varint_len},
-    error::Result,
+    error::{Error, Result},
     ids::{ClusterId, EpochId, Group, Level, PacketId, Span, WindowId},
     limits,
 };
@@ -75,7 +75,9 @@ impl<'a> Receipt<'a> {
             for _ in 0..n {
                 item(&mut reader)?;
             }
-            Ok((content.get(start..reader.offset()).unwrap_or(&[]), n))
+            let end = reader.offset();
+            let items = content.get(start..end);
+            Ok((items.ok_or(Error::short(count, start, content.len(), end))?, n))
         };
         let end = Cell::new(None);
         let ranges = list("receipt.ranges", &|r| {
@@ -149,7 +151,7 @@ impl Value<'_> {
         let ranges = self.acknowledged.iter().rev().take_while(|_| keep(8)).count();
         let recovered = self.recovered.iter().take_while(|id| keep(varint_len(id.get()))).count();
         let completed = self.completed.iter().take_while(|_| keep(7)).count();
-        let ranges = self.acknowledged.get(self.acknowledged.len() - ranges..).unwrap_or(&[]);
+        let older = self.acknowledged.len().saturating_sub(ranges);
         let mut writer = Writer::new(out);
         writer.bytes(&[KIND_RECEIPT << 5 | u8::from(self.pose.is_some())])?;
         writer.varint(self.sequence)?;
@@ -159,9 +161,9 @@ impl Value<'_> {
                 writer.bytes(&value.to_le_bytes())?;
             }
         }
-        writer.varint(ranges.len() as u32)?;
+        writer.varint(ranges as u32)?;
         let mut end: Option<u32> = None;
-        for (i, &(first, last)) in ranges.iter().enumerate() {
+        for (i, &(first, last)) in self.acknowledged.iter().skip(older).enumerate() {
             let least = end.map_or(0, |e| e + 2);
             in_range("receipt.range", i, first.get(), least, last.get().max(least))?;
             in_range("receipt.range", i, last.get(), first.get(), PacketId::MAX)?;
@@ -198,7 +200,8 @@ fn read_range(reader: &mut Reader<'_>, end: Option<PacketId>) -> Result<IdRange>
     let len = reader.varint("receipt.range", PacketId::MAX)?;
     let (first, last) = (least.saturating_add(gap), least.saturating_add(gap).saturating_add(len));
     in_range("receipt.range", place, last, 0, PacketId::MAX)?;
-    Ok((PacketId::new(first).unwrap_or_default(), PacketId::new(last).unwrap_or_default()))
+    let past = Error::illegal("receipt.range", place, last.into(), (0, PacketId::MAX.into()));
+    PacketId::new(first).zip(PacketId::new(last)).ok_or(past)
 }
 
 fn read_group(reader: &mut Reader<'_>) -> Result<Group> {

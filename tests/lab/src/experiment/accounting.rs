@@ -1,4 +1,4 @@
-//! Prints the accounting table of the paper (its table 3) for profile `paper`, and for `dgs1` beside it.
+//! Prints the accounting table of the paper (its table 3): profile `paper`, its context coder, and `dgs1` beside.
 
 use anyhow::Result;
 use dgs::{args::ProfileName, pipeline};
@@ -36,12 +36,16 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         Some(path) => ("fox", load(&path, samples)?),
         None => ("synth-figure", synth("figure", samples, 30)?),
     };
-    for profile in [ProfileName::Paper, ProfileName::Dgs1] {
-        let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
+    let profiles = [
+        ("paper", ProfileName::Paper),
+        ("paper-context", ProfileName::PaperContext),
+        ("dgs1", ProfileName::Dgs1),
+    ];
+    for (profile, typed) in profiles {
+        let options = pipeline::encode_options(&codec_args(typed), Protection::NONE);
         let encoded = pipeline::encode(&scene, &options, setup.quiet)?;
         let packets = encoded.packet_report()?;
         let ledger = &encoded.report.ledger;
-        let profile = pipeline::profile_name(options.profile);
         let key = |what: &str| format!("{name}.{profile}.{what}");
         let rows = [
             ledger.raw_symbols,

@@ -9,7 +9,7 @@
 use std::io::Cursor;
 
 use codec_core::ShDegree;
-use image::{ImageDecoder, codecs::webp::WebPDecoder};
+use image_webp::WebPDecoder;
 use serde::Deserialize;
 
 use super::{
@@ -207,8 +207,8 @@ struct Plane {
 
 impl Plane {
     fn decode(name: &str, bytes: &[u8], pixels: usize, limits: &Limits) -> Result<Self, ImportError> {
-        let damaged = |e: image::ImageError| FORMAT.malformed(name, e, "an undamaged lossless WebP");
-        let decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(damaged)?;
+        let damaged = |e: image_webp::DecodingError| FORMAT.malformed(name, e, "an undamaged lossless WebP");
+        let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(damaged)?;
         let (width, height) = decoder.dimensions();
         let area = u64::from(width) * u64::from(height);
         if area < pixels as u64 {
@@ -230,8 +230,8 @@ impl Plane {
             ));
         }
         limits.bytes(FORMAT, name, area * 4)?;
-        let rgb = decoder.color_type() == image::ColorType::Rgb8;
-        let mut raw = vec![0; usize::try_from(decoder.total_bytes()).unwrap_or(0)];
+        let rgb = !decoder.has_alpha();
+        let mut raw = vec![0; decoder.output_buffer_size().unwrap_or(0)];
         decoder.read_image(&mut raw).map_err(damaged)?;
         let rgba =
             if rgb { raw.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect() } else { raw };
@@ -252,8 +252,8 @@ pub(super) mod tests {
     fn webp(width: u32, height: u32, pixel: impl Fn(u32) -> [u8; 4]) -> Vec<u8> {
         let raw: Vec<u8> = (0..width * height).flat_map(pixel).collect();
         let mut out = Vec::new();
-        image::codecs::webp::WebPEncoder::new_lossless(&mut out)
-            .encode(&raw, width, height, image::ExtendedColorType::Rgba8)
+        image_webp::WebPEncoder::new(&mut out)
+            .encode(&raw, width, height, image_webp::ColorType::Rgba8)
             .unwrap();
         out
     }

@@ -60,11 +60,11 @@ impl<'a> Raw<'a> {
     ) -> Option<()> {
         let mut done = 0;
         if self.end - self.at >= tokens.len() * usize::from(raw_bits) {
-            let plane = self.plane.get(self.at / 8..).unwrap_or(&[]);
+            let plane = self.plane.get(self.at / 8..)?;
             done = wide(plane, self.at % 8, tokens, out).min(tokens.len()).min(out.len());
             self.at += done * usize::from(raw_bits);
         }
-        self.values(raw_bits, tokens.get(done..).unwrap_or(&[]), out.get_mut(done..).unwrap_or(&mut []))
+        self.values(raw_bits, tokens.get(done..)?, out.get_mut(done..)?)
     }
 
     /// The error of one who needs `needed` bits.

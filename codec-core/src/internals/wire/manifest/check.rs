@@ -1,7 +1,8 @@
 //! What a manifest body must satisfy before a view of it exists.
 
 use super::{
-    Cluster, Epoch, Head, Manifest, Motion, Profile, Quant, Repair, TableSet, Track, Window, stream,
+    Cluster, Epoch, Head, Manifest, Motion, Profile, Quant, Repair, TableSet, Track, Window, byte_tables,
+    stream,
 };
 use crate::{
     cursor::{Reader, in_range},
@@ -34,7 +35,7 @@ impl<'a> Manifest<'a> {
             let mut gaussians = 0u64;
             for c in 0..epoch.clusters {
                 let place = at(self.sections.clusters, (cluster + c) as usize, Cluster::BYTES);
-                let record = self.cluster_record((cluster + c) as usize).unwrap_or_default();
+                let record = Cluster::read(&mut Reader::at(self.raw, place))?;
                 let most = limits::MAX_CLUSTER_LEN as u16;
                 in_range("cluster.gaussians", place, record.gaussians, 1, most)?;
                 let quants = (self.head.quants - 1).min(255) as u8;
@@ -50,7 +51,7 @@ impl<'a> Manifest<'a> {
             let mut window_frame = frame;
             for w in 0..epoch.windows {
                 let place = at(self.sections.windows, (window + w) as usize, Window::BYTES);
-                let record = self.window(WindowId((window + w) as u16)).unwrap_or_default();
+                let record = Window::read(&mut Reader::at(self.raw, place))?;
                 in_range("window.epoch", place, record.epoch, e as u16, e as u16)?;
                 in_range("window.first_frame", place, record.first_frame, window_frame, window_frame)?;
                 let left = (frame + epoch.frames - window_frame).min(limits::MAX_WINDOW_FRAMES as u32);
@@ -117,8 +118,7 @@ impl<'a> Manifest<'a> {
     ) -> Result<()> {
         for index in 0..count {
             let place = section + index * bytes;
-            read(&mut Reader::new(self.raw.get(place..).unwrap_or(&[])))
-                .map_err(|e| Error { offset: e.offset.saturating_add(place as u32), ..e })?;
+            read(&mut Reader::at(self.raw, place))?;
         }
         Ok(())
     }
@@ -158,9 +158,7 @@ impl<'a> Manifest<'a> {
     fn check_quants(&self) -> Result<()> {
         for index in 0..usize::from(self.head.quants) {
             let place = self.sections.quants + index * Quant::BYTES;
-            let mut reader = Reader::new(self.raw.get(place..).unwrap_or(&[]));
-            let quant =
-                Quant::read(&mut reader).map_err(|e| Error { offset: e.offset + place as u32, ..e })?;
+            let quant = Quant::read(&mut Reader::at(self.raw, place))?;
             let classes = Class::ALL.map(|class| self.profile == Profile::Dgs1 && class.decorrelates());
             let may = classes.into_iter().chain([false; Class::MOVING]);
             for ((q, quantiser), may) in quant.canonical.iter().chain(&quant.motion).enumerate().zip(may) {
@@ -223,7 +221,7 @@ impl<'a> Manifest<'a> {
             for index in 0..self.head.basis_values as usize {
                 finite("manifest.basis", self.sections.basis + 4 * index, self.paper_basis(index))?;
             }
-            for index in 0..self.head.clusters as usize * Level::COUNT * 2 {
+            for index in 0..byte_tables(&self.head) {
                 self.read_byte_table(index)?;
             }
         }

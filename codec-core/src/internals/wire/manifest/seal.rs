@@ -47,6 +47,27 @@ impl Sealed {
     pub fn within(self, caps: &Caps) -> Result<Self> {
         within("manifest.raw_len", self.raw_len as u64, caps.manifest_bytes).map(|()| self)
     }
+
+    /// As [`open`], of the `message` that this is the head of.
+    ///
+    /// # Errors
+    /// As [`open`].
+    pub fn open<'a>(self, message: &[u8], crc: Crc32, raw: &'a mut [u8]) -> Result<&'a [u8]> {
+        let whole = message.get(..self.wire_len);
+        let whole = whole.ok_or(Error::short("manifest", 0, message.len(), self.wire_len))?;
+        let content = checked("manifest.crc", whole, crc)?;
+        if message.len() > whole.len() {
+            let over = (message.len() - whole.len()) as u64;
+            return Err(Error::illegal("manifest.leftover", whole.len(), over, (0, 0)));
+        }
+        let room = raw.len();
+        let target = raw.get_mut(..self.raw_len);
+        let short = Error::short("manifest.raw_len", 8, room, self.raw_len);
+        let target = target.ok_or(short.kind(ErrorKind::Capacity))?;
+        let short = Error::short("manifest.packed_len", 12, content.len(), HEADER_BYTES);
+        unpack(content.get(HEADER_BYTES..).ok_or(short)?, target)?;
+        Ok(target)
+    }
 }
 
 /// Checks a whole DGSM message and unpacks its body into the front of `raw`.
@@ -55,20 +76,7 @@ impl Sealed {
 /// What [`Sealed::parse`] refuses; a CRC that does not match; leftovers;
 /// [`ErrorKind::Capacity`] if `raw` is too small.
 pub fn open<'a>(message: &[u8], crc: Crc32, raw: &'a mut [u8]) -> Result<&'a [u8]> {
-    let sealed = Sealed::parse(message)?;
-    let whole = message.get(..sealed.wire_len);
-    let whole = whole.ok_or(Error::short("manifest", 0, message.len(), sealed.wire_len))?;
-    let content = checked("manifest.crc", whole, crc)?;
-    if message.len() > whole.len() {
-        let over = (message.len() - whole.len()) as u64;
-        return Err(Error::illegal("manifest.leftover", whole.len(), over, (0, 0)));
-    }
-    let room = raw.len();
-    let target = raw.get_mut(..sealed.raw_len);
-    let target =
-        target.ok_or(Error::short("manifest.raw_len", 8, room, sealed.raw_len).kind(ErrorKind::Capacity))?;
-    unpack(content.get(HEADER_BYTES..).unwrap_or(&[]), target)?;
-    Ok(target)
+    Sealed::parse(message)?.open(message, crc, raw)
 }
 
 /// Packs `raw` and seals it as a DGSM message at the front of `out`; returns its length.
@@ -88,8 +96,8 @@ pub fn seal(raw: &[u8], out: &mut [u8]) -> Result<usize> {
     writer.bytes(&(raw.len() as u32).to_le_bytes())?;
     writer.bytes(&(packed as u32).to_le_bytes())?;
     let end = HEADER_BYTES + packed;
-    let crc = crc32(out.get(..end).unwrap_or(&[])).to_le_bytes();
     let full = Error::short("manifest.crc", end, room - end, CRC_BYTES).kind(ErrorKind::Capacity);
-    out.get_mut(end..end + CRC_BYTES).ok_or(full)?.copy_from_slice(&crc);
+    let (content, rest) = out.split_at_mut_checked(end).ok_or(full)?;
+    *rest.first_chunk_mut::<CRC_BYTES>().ok_or(full)? = crc32(content).to_le_bytes();
     Ok(end + CRC_BYTES)
 }

@@ -1,8 +1,12 @@
 //! Colours a surface by its base colour: textures decoded within bounds, sampled in linear light.
 
-use std::{collections::BTreeMap, io::Cursor, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc};
 
 use gltf::{material::AlphaMode, texture::WrappingMode};
+use render_host::{
+    ImageError,
+    image_file::{Bounds, Rgba8},
+};
 
 use super::document::{Document, FORMAT};
 use crate::scene::import::{Limits, error::ImportError};
@@ -18,7 +22,7 @@ pub(super) struct Material {
 }
 
 struct Texture {
-    image: Arc<image::RgbaImage>,
+    image: Arc<Rgba8>,
     wrap: [WrappingMode; 2],
 }
 
@@ -67,7 +71,7 @@ impl Material {
 
 /// Images decoded so far: each once, however many materials and nodes show it.
 pub(super) struct Textures {
-    decoded: BTreeMap<usize, Arc<image::RgbaImage>>,
+    decoded: BTreeMap<usize, Arc<Rgba8>>,
     /// Bytes that further images may take.
     left: u64,
 }
@@ -78,18 +82,14 @@ impl Textures {
         Self { decoded: BTreeMap::new(), left: limits.max_bytes }
     }
 
-    fn image(
-        &mut self,
-        document: &Document,
-        source: &::gltf::Image<'_>,
-    ) -> Result<Arc<image::RgbaImage>, ImportError> {
+    fn image(&mut self, document: &Document, source: &::gltf::Image<'_>) -> Result<Arc<Rgba8>, ImportError> {
         if let Some(image) = self.decoded.get(&source.index()) {
             return Ok(image.clone());
         }
         let field = format!("image {}", source.index());
         let image = decode(document.image_bytes(source)?, self.left)
             .map_err(|e| FORMAT.malformed(field, e, "an undamaged PNG, JPEG or WebP"))?;
-        self.left = self.left.saturating_sub(image.as_raw().len() as u64);
+        self.left = self.left.saturating_sub(image.data().len() as u64);
         let image = Arc::new(image);
         self.decoded.insert(source.index(), image.clone());
         Ok(image)
@@ -99,7 +99,7 @@ impl Textures {
 impl Texture {
     /// Bilinear sample: linear rgb, alpha as stored.
     fn sample(&self, uv: [f32; 2]) -> [f32; 4] {
-        let size = [self.image.width(), self.image.height()];
+        let size: [u32; 2] = self.image.size().into();
         let at = [0, 1].map(|i| uv[i] * size[i] as f32 - 0.5);
         let low = at.map(f32::floor);
         let (fx, fy) = (at[0] - low[0], at[1] - low[1]);
@@ -112,7 +112,7 @@ impl Texture {
         ] {
             let x = wrapped((low[0] as i64).saturating_add(dx), size[0], self.wrap[0]);
             let y = wrapped((low[1] as i64).saturating_add(dy), size[1], self.wrap[1]);
-            let texel = self.image.get_pixel(x, y).0.map(|v| f32::from(v) / 255.0);
+            let texel = self.image.pixel(x, y).unwrap_or_default().map(|v| f32::from(v) / 255.0);
             for i in 0..3 {
                 out[i] += weight * decode_srgb(texel[i]);
             }
@@ -122,22 +122,11 @@ impl Texture {
     }
 }
 
-/// Decodes an image that may take `most` bytes. No format read here packs more than 8192 pixels into a byte
-/// (PNG: deflate's 1032 times eight one-bit pixels), so a small file cannot ask for a large picture.
-fn decode(bytes: &[u8], most: u64) -> image::ImageResult<image::RgbaImage> {
-    let (width, height) =
-        image::ImageReader::new(Cursor::new(bytes)).with_guessed_format()?.into_dimensions()?;
-    if u64::from(width) * u64::from(height) > (bytes.len() as u64).saturating_mul(8192) {
-        let kind = image::error::LimitErrorKind::DimensionError;
-        return Err(image::ImageError::Limits(image::error::LimitError::from_kind(kind)));
-    }
-    let mut reader = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format()?;
-    let mut bounds = image::Limits::default();
-    bounds.max_image_width = Some(16_384);
-    bounds.max_image_height = Some(16_384);
-    bounds.max_alloc = Some(most.min(1 << 30));
-    reader.limits(bounds);
-    Ok(reader.decode()?.into_rgba8())
+/// Decodes an image that may take `most` bytes, and 8192 pixels per byte of its file (what PNG can pack: deflate's
+/// 1032 times eight one-bit pixels), so that a small file cannot ask for a large picture.
+fn decode(bytes: &[u8], most: u64) -> Result<Rgba8, ImageError> {
+    let packed = (bytes.len() as u64).saturating_mul(8192 * 4);
+    Rgba8::decode(bytes, Bounds { side: 16_384, bytes: most.min(1 << 30).min(packed) })
 }
 
 fn wrapped(texel: i64, size: u32, mode: WrappingMode) -> u32 {

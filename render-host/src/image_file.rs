@@ -1,0 +1,247 @@
+//! This module reads PNG, JPEG and WebP files as 8-bit RGBA and writes 8-bit RGB as PNG.
+//!
+//! The decoders stand alone: together with colour management, animation and a dozen other formats they would
+//! be a third of what has to be compiled.
+
+use std::io::Cursor;
+
+use image_webp::WebPDecoder;
+use png::{BitDepth, ColorType, Transformations};
+use zune_jpeg::{
+    JpegDecoder,
+    zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions},
+};
+
+use crate::image::ImageError;
+
+/// A decoded file; row 0 is at the top.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Rgba8 {
+    width: u32,
+    height: u32,
+    /// Exactly `4 · width · height` values, alpha not multiplied in.
+    data: Vec<u8>,
+}
+
+/// What a file may ask for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Bounds {
+    /// The longest side, pixels.
+    pub side: u32,
+    /// The most that the decoded image may take, bytes.
+    pub bytes: u64,
+}
+
+impl Rgba8 {
+    /// Decodes PNG, JPEG or WebP bytes; the format is told by the first bytes.
+    ///
+    /// # Errors
+    /// [`ImageError::Codec`]: another format, damage, or a picture beyond `bounds`.
+    pub fn decode(bytes: &[u8], bounds: Bounds) -> Result<Self, ImageError> {
+        match bytes {
+            [0x89, b'P', b'N', b'G', 0x0d, 0x0a, 0x1a, 0x0a, ..] => decode_png(bytes, bounds),
+            [0xff, 0xd8, 0xff, ..] => decode_jpeg(bytes, bounds),
+            [b'R', b'I', b'F', b'F', _, _, _, _, b'W', b'E', b'B', b'P', ..] => decode_webp(bytes, bounds),
+            _ => Err(codec("not a PNG, JPEG or WebP file")),
+        }
+    }
+
+    /// Width and height, pixels.
+    pub fn size(&self) -> (u32, u32) {
+        (self.width, self.height)
+    }
+
+    /// Values r g b a per pixel.
+    pub fn data(&self) -> &[u8] {
+        &self.data
+    }
+
+    /// The values r g b a of pixel `(x, y)`; `None` outside.
+    pub fn pixel(&self, x: u32, y: u32) -> Option<[u8; 4]> {
+        if x >= self.width {
+            return None;
+        }
+        let at = y as usize * self.width as usize + x as usize;
+        self.data.as_chunks::<4>().0.get(at).copied()
+    }
+
+    fn new(size: (u32, u32), data: Vec<u8>) -> Result<Self, ImageError> {
+        let (width, height) = size;
+        if data.len() as u64 != 4 * u64::from(width) * u64::from(height) {
+            return Err(codec(format_args!("{} bytes for {width} x {height} pixels", data.len())));
+        }
+        Ok(Self { width, height, data })
+    }
+}
+
+impl Bounds {
+    fn check(self, (width, height): (u32, u32)) -> Result<(), ImageError> {
+        let bytes = 4 * u64::from(width) * u64::from(height);
+        if width == 0 || height == 0 || width > self.side || height > self.side || bytes > self.bytes {
+            let Self { side, bytes } = self;
+            return Err(codec(format_args!(
+                "{width} x {height} pixels; sides of 1 to {side} and {bytes} bytes are allowed"
+            )));
+        }
+        Ok(())
+    }
+}
+
+/// The PNG file of a picture of `width` × `height`, r g b per pixel.
+///
+/// # Errors
+/// [`ImageError::Codec`]: a length that is not `3 · width · height`.
+pub fn png_of_rgb8(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, ImageError> {
+    let mut out = Vec::new();
+    let mut encoder = png::Encoder::new(&mut out, width, height);
+    encoder.set_color(ColorType::Rgb);
+    encoder.set_depth(BitDepth::Eight);
+    encoder.set_compression(png::Compression::Fast);
+    encoder.set_filter(png::Filter::Adaptive);
+    let mut writer = encoder.write_header().map_err(codec)?;
+    writer.write_image_data(rgb).map_err(codec)?;
+    writer.finish().map_err(codec)?;
+    Ok(out)
+}
+
+fn decode_png(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, ImageError> {
+    let limits = png::Limits { bytes: usize::try_from(bounds.bytes).unwrap_or(usize::MAX) };
+    let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), limits);
+    let info = decoder.read_header_info().map_err(codec)?;
+    let size = (info.width, info.height);
+    bounds.check(size)?;
+    decoder.set_transformations(Transformations::EXPAND);
+    let mut reader = decoder.read_info().map_err(codec)?;
+    let len = reader.output_buffer_size().ok_or_else(|| codec("larger than the memory"))?;
+    let mut data = vec![0; len];
+    reader.next_frame(&mut data).map_err(codec)?;
+    let (colour, depth) = reader.output_color_type();
+    if depth == BitDepth::Sixteen {
+        let narrow = |v: &[u8; 2]| ((u32::from(u16::from_be_bytes(*v)) + 128) / 257) as u8;
+        data = data.as_chunks::<2>().0.iter().map(narrow).collect();
+    }
+    let rgba = match colour {
+        ColorType::Grayscale => grey_to_rgba(&data),
+        ColorType::GrayscaleAlpha => {
+            data.as_chunks::<2>().0.iter().flat_map(|&[v, a]| [v, v, v, a]).collect()
+        }
+        ColorType::Rgb => rgb_to_rgba(&data),
+        ColorType::Rgba => data,
+        ColorType::Indexed => return Err(codec("a palette that was not resolved")),
+    };
+    Rgba8::new(size, rgba)
+}
+
+fn decode_jpeg(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, ImageError> {
+    let options = DecoderOptions::default().set_strict_mode(false);
+    let options = options.set_max_width(bounds.side as usize).set_max_height(bounds.side as usize);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().map_err(codec)?;
+    let (width, height) = decoder.dimensions().ok_or_else(|| codec("no size"))?;
+    let size = (width as u32, height as u32);
+    bounds.check(size)?;
+    let grey = decoder.input_colorspace() == Some(ColorSpace::Luma);
+    let colours = if grey { ColorSpace::Luma } else { ColorSpace::RGB };
+    decoder.set_options(options.jpeg_set_out_colorspace(colours));
+    let data = decoder.decode().map_err(codec)?;
+    Rgba8::new(size, if grey { grey_to_rgba(&data) } else { rgb_to_rgba(&data) })
+}
+
+fn decode_webp(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, ImageError> {
+    let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(codec)?;
+    let size = decoder.dimensions();
+    bounds.check(size)?;
+    let mut data = vec![0; decoder.output_buffer_size().ok_or_else(|| codec("larger than the memory"))?];
+    decoder.read_image(&mut data).map_err(codec)?;
+    Rgba8::new(size, if decoder.has_alpha() { data } else { rgb_to_rgba(&data) })
+}
+
+fn grey_to_rgba(data: &[u8]) -> Vec<u8> {
+    data.iter().flat_map(|&v| [v, v, v, 255]).collect()
+}
+
+fn rgb_to_rgba(data: &[u8]) -> Vec<u8> {
+    data.as_chunks::<3>().0.iter().flat_map(|&[r, g, b]| [r, g, b, 255]).collect()
+}
+
+fn codec(error: impl std::fmt::Display) -> ImageError {
+    ImageError::Codec(error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use image::{DynamicImage, ImageFormat, Rgba, RgbaImage};
+
+    use super::*;
+
+    const BOUNDS: Bounds = Bounds { side: 64, bytes: 1 << 20 };
+
+    fn picture() -> DynamicImage {
+        let of = |x: u32, y: u32| Rgba([x as u8 * 9, y as u8 * 17, (x * y) as u8, 255 - x as u8 * 4]);
+        DynamicImage::ImageRgba8(RgbaImage::from_fn(29, 13, of))
+    }
+
+    fn file(picture: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+        let mut out = Cursor::new(Vec::new());
+        picture.write_to(&mut out, format).unwrap();
+        out.into_inner()
+    }
+
+    /// The crate `image` is the twin: every kind of pixel in every format decodes to what it decodes to.
+    #[test]
+    fn files_decode_as_the_crate_image_decodes_them() {
+        let p = picture();
+        let kinds = [
+            p.clone(),
+            DynamicImage::ImageLuma8(p.to_luma8()),
+            DynamicImage::ImageLumaA8(p.to_luma_alpha8()),
+            DynamicImage::ImageRgb8(p.to_rgb8()),
+            DynamicImage::ImageLuma16(p.to_luma16()),
+            DynamicImage::ImageLumaA16(p.to_luma_alpha16()),
+            DynamicImage::ImageRgb16(p.to_rgb16()),
+            DynamicImage::ImageRgba16(p.to_rgba16()),
+        ];
+        let mut files = Vec::new();
+        for (i, kind) in kinds.iter().enumerate() {
+            files.push(file(kind, ImageFormat::Png));
+            if i < 4 {
+                files.push(file(kind, ImageFormat::WebP));
+            }
+            if i == 1 || i == 3 {
+                files.push(file(kind, ImageFormat::Jpeg));
+            }
+        }
+        assert_eq!(files.len(), 14);
+        for bytes in files {
+            let twin = image::load_from_memory(&bytes).unwrap().into_rgba8();
+            let decoded = Rgba8::decode(&bytes, BOUNDS).unwrap();
+            assert_eq!((decoded.size(), decoded.data()), (twin.dimensions(), twin.as_raw().as_slice()));
+            assert_eq!(decoded.pixel(28, 12), Some(twin.get_pixel(28, 12).0));
+            assert_eq!((decoded.pixel(29, 0), decoded.pixel(0, 13)), (None, None));
+        }
+    }
+
+    #[test]
+    fn png_bytes_are_those_of_the_crate_image() {
+        let p = picture().to_rgb8();
+        let twin = file(&DynamicImage::ImageRgb8(p.clone()), ImageFormat::Png);
+        assert_eq!(png_of_rgb8(29, 13, p.as_raw()).unwrap(), twin);
+        assert!(png_of_rgb8(29, 12, p.as_raw()).is_err());
+    }
+
+    #[test]
+    fn what_is_damaged_or_beyond_the_bounds_is_refused() {
+        for format in [ImageFormat::Png, ImageFormat::Jpeg, ImageFormat::WebP] {
+            let bytes = file(&DynamicImage::ImageRgb8(picture().to_rgb8()), format);
+            let refused = |bounds| Rgba8::decode(&bytes, bounds).unwrap_err().to_string();
+            assert!(refused(Bounds { side: 28, ..BOUNDS }).contains("28"), "{format:?}");
+            assert!(
+                refused(Bounds { bytes: 29 * 13 * 4 - 1, ..BOUNDS }).contains("1507 bytes"),
+                "{format:?}"
+            );
+            let cut = bytes.get(..20).unwrap();
+            assert!(matches!(Rgba8::decode(cut, BOUNDS), Err(ImageError::Codec(_))), "{format:?}");
+        }
+        assert!(Rgba8::decode(b"not an image", BOUNDS).is_err());
+    }
+}
