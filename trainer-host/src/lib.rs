@@ -25,6 +25,7 @@
 pub mod encode;
 pub mod scene;
 pub mod stream;
+pub mod train;
 pub mod utility;
 
 pub use encode::{cluster, evaluator, factorise, sensitivity};

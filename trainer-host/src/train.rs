@@ -1,0 +1,3 @@
+//! Train scenes: fine-tune what a receiver shows when delivery is incomplete.
+
+pub mod delivery;
