@@ -112,7 +112,7 @@ mod tests {
         let count = |link: Link| link.delivered(&bytes, &mut rng(2)).iter().filter(|&&d| d).count();
         // Half a stream's time is left after half a round trip.
         assert_eq!(link.delivered(&bytes, &mut rng(2)), (0..20).map(|i| i < 10).collect::<Vec<_>>());
-        assert_eq!(count(Link { capacity: 2.0, ..link }), 20);
+        assert_eq!(count(Link { capacity: 2.1, ..link }), 20);
         assert_eq!(count(Link { round_trip_s: 0.3, ..link }), 8);
         assert_eq!(count(Link { deadline_s: 0.04, ..link }), 0);
     }

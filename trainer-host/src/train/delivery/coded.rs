@@ -227,7 +227,8 @@ impl Moving<'_> {
     /// the source, how it stands, and its axes.
     fn each(&self, state: &[u8], frame: u32, mut visit: impl FnMut(usize, usize, Anchor, [u8; 3])) {
         let (e, t) = self.place(frame);
-        let (Some(epoch), Some(order)) = (self.source.epochs().get(e), self.coded.encoded.order.get(e)) else {
+        let (Some(epoch), Some(order)) = (self.source.epochs().get(e), self.coded.encoded.order.get(e))
+        else {
             return;
         };
         for block in self.blocks(frame) {

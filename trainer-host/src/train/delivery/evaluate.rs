@@ -89,7 +89,11 @@ pub(super) fn evaluate_coded(
     let blocks = sampler.complete().len();
     if let Some(state) = masks.states.iter().find(|state| state.len() != blocks) {
         let found = format!("a state of {} blocks", state.len());
-        return Err(DeliveryError::Setting { field: "masks", found, allowed: "states of the stream's blocks" });
+        return Err(DeliveryError::Setting {
+            field: "masks",
+            found,
+            allowed: "states of the stream's blocks",
+        });
     }
     if references.is_empty() {
         return Err(DeliveryError::NoReference { found: 0, purpose: "evaluation" });

@@ -27,9 +27,8 @@ pub struct Masks {
 impl Masks {
     /// FNV-1a, 64 bits, over all states in order, each preceded by its length as little-endian u64.
     pub fn hash(&self) -> u64 {
-        let add = |digest: Digest, state: &Vec<u8>| {
-            digest.bytes(&(state.len() as u64).to_le_bytes()).bytes(state)
-        };
+        let add =
+            |digest: Digest, state: &Vec<u8>| digest.bytes(&(state.len() as u64).to_le_bytes()).bytes(state);
         self.states.iter().fold(Digest::new(), add).get()
     }
 
@@ -66,7 +65,9 @@ impl Masks {
         let mut states = Vec::new();
         for (index, digits) in recorded.states.iter().enumerate() {
             let state = parse(digits).ok_or_else(|| {
-                content(format!("states[{index}] is {digits:?}; hexadecimal digits 00 to 0f per block are allowed"))
+                content(format!(
+                    "states[{index}] is {digits:?}; hexadecimal digits 00 to 0f per block are allowed"
+                ))
             })?;
             if state.len() != blocks {
                 let found = state.len();

@@ -45,7 +45,8 @@ mod tests {
             let mut longer = distortions;
             longer[k] += h;
             let full = (hinge(&longer).0 - value) / h;
-            let stopped = if k + 1 < PREFIXES && distortions[k + 1] > distortions[k] { full + 1.0 } else { full };
+            let stopped =
+                if k + 1 < PREFIXES && distortions[k + 1] > distortions[k] { full + 1.0 } else { full };
             assert!((slopes[k] - stopped).abs() < 1e-6, "prefix {k}: {} {stopped}", slopes[k]);
         }
         assert_eq!(slopes[0], 0.0, "raising the shortest prefix would lower the full derivative");

@@ -127,7 +127,9 @@ pub(super) fn differentiate(
     let mut slopes = vec![Slopes::default(); states.len()];
     let each = 1.0 / of_world.len().max(1) as f64;
     let of_worlds: Vec<f64> = of_world.iter().map(|&s| distortions[s]).collect();
-    for ((&s, &d), tail) in of_world.iter().zip(&of_worlds).zip(tail::weights(&of_worlds, weights.cvar_fraction)) {
+    for ((&s, &d), tail) in
+        of_world.iter().zip(&of_worlds).zip(tail::weights(&of_worlds, weights.cvar_fraction))
+    {
         terms.expected += each * d;
         terms.tail += tail * d;
         slopes[s].distortion += each + weights.cvar * tail;

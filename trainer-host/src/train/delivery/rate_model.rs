@@ -159,7 +159,8 @@ mod tests {
             let options = encode::Options { pictures: 0, quality, ..Default::default() };
             encode::encode(&scene, &options, &|_, _| {}).unwrap()
         };
-        let (fine, coarse) = (decided(encode::Quality::default()), decided(encode::Quality::default().scaled(4.0)));
+        let (fine, coarse) =
+            (decided(encode::Quality::default()), decided(encode::Quality::default().scaled(4.0)));
         let mut parameters = no_change(&scene);
         parameters.all_mut().enumerate().for_each(|(i, values)| {
             *values = std::array::from_fn(|c| 0.05 * (((i * 31 + c * 17) % 19) as f32 / 9.0 - 1.0));

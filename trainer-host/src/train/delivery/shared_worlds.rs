@@ -192,7 +192,8 @@ mod tests {
                 let (frame, settings) = (1, Settings::default());
                 let (camera, reference) = (&references[1].camera, &references[1].picture);
                 let worlds = SharedWorlds::new(&moving, frame, &masks.states).unwrap();
-                let images = worlds.measured(camera, reference, &settings, |image| Ok(image.clone())).unwrap();
+                let images =
+                    worlds.measured(camera, reference, &settings, |image| Ok(image.clone())).unwrap();
                 let errors = worlds.squared_errors(camera, reference, &settings).unwrap();
                 assert_eq!(images.len(), 11);
                 let mut player = coded.player();

@@ -74,7 +74,8 @@ mod tests {
             Image::new(image.width(), image.height(), rgb).unwrap()
         };
         let mut gradient = vec![0.0; first.rgb().len()];
-        let mut value = |target: Image, image: &Image| Mse::new(target).differentiate(image, false, &mut gradient);
+        let mut value =
+            |target: Image, image: &Image| Mse::new(target).differentiate(image, false, &mut gradient);
         let still = value(after(&shifted(&first), &change).unwrap(), &shifted(&second)).unwrap();
         assert!(still < 1e-12, "{still}");
         let (bad_first, bad_second) = (noise(3), noise(4));
@@ -87,10 +88,8 @@ mod tests {
     fn the_sum_of_losses_has_the_sum_of_gradients_and_each_part_shows() {
         let (image, target) = (noise(5), noise(6));
         let distortion = Distortion::new(target.clone());
-        let both = WorldLoss {
-            distortion: Some((0.7, &distortion)),
-            change: Some((0.3, Mse::new(noise(7)))),
-        };
+        let both =
+            WorldLoss { distortion: Some((0.7, &distortion)), change: Some((0.3, Mse::new(noise(7)))) };
         let mut gradient = vec![f32::NAN; image.rgb().len()];
         let value = both.differentiate(&image, false, &mut gradient).unwrap();
         let mut rgb: Vec<f64> = image.rgb().iter().map(|&v| f64::from(v)).collect();

@@ -53,8 +53,7 @@ fn the_registration_is_there_before_the_first_update_and_all_variants_are_valida
     let mut validation = Vec::new();
     for variant in Variant::ALL {
         let path = folder.path().join(format!("{}.json", variant.name()));
-        let options =
-            DeliveryOptions { updates: 3, registration: Some(path.clone()), ..options(variant) };
+        let options = DeliveryOptions { updates: 3, registration: Some(path.clone()), ..options(variant) };
         let seen = Mutex::new(Vec::new());
         let tuned = fine_tune(&scene, &references, &options, &|update| {
             seen.lock().unwrap().push((update.updates, path.exists()));
