@@ -18,7 +18,7 @@ use render_host::{Splats, SplatsError, adjoint::SplatGradient};
 
 use super::{
     error::DeliveryError,
-    parameters::{Anchor, COMPONENTS, Parameters, Values},
+    parameters::{Anchor, COMPONENTS, Follows, Parameters, Values},
 };
 use crate::{
     encode::{self, Decisions, Encoded},
@@ -70,7 +70,33 @@ impl Coded {
         decisions: &Decisions,
     ) -> Result<Self, DeliveryError> {
         let scene = parameters.applied(source)?;
-        Self::new(source, encode::write(&scene, decisions, &|_, _| {})?, parameters.clone())
+        let decisions = with_proxies(decisions, parameters);
+        Self::new(source, encode::write(&scene, &decisions, &|_, _| {})?, parameters.clone())
+    }
+
+    /// Parameters of `source` and of the proxies of this encoding of it, all unchanged.
+    ///
+    /// # Errors
+    /// A frame that does not decode.
+    pub(super) fn parameters(&self, source: &Scene) -> Result<Parameters, DeliveryError> {
+        let has_proxies = matches!(&self.encoded.decisions, Decisions::Dgs1(decisions) if decisions.proxies);
+        if !has_proxies {
+            return Ok(no_change(source));
+        }
+        let content = self.received.content();
+        let nothing = vec![0u8; content.blocks.len()];
+        let mut player = self.player();
+        let (mut sizes, mut first_frame) = (Vec::new(), 0);
+        for (epoch, blocks) in source.epochs().iter().zip(&self.blocks) {
+            let shown = player.show(&content.with_state(&nothing), first_frame)?;
+            let size = |block: &Block| {
+                let scale = shown.gaussians.get(block.gaussians.start).map_or([1.0; 3], |g| g.scale);
+                scale.iter().product::<f32>().cbrt()
+            };
+            sizes.push(blocks.iter().map(size).collect());
+            first_frame += epoch.frames() as u32;
+        }
+        Ok(no_change(source).with_proxies(sizes))
     }
 
     fn new(source: &Scene, encoded: Encoded, parameters: Parameters) -> Result<Self, DeliveryError> {
@@ -93,14 +119,21 @@ impl Coded {
         Ok(coded)
     }
 
+    /// The same encoding, of which `parameters` are those that were encoded.
+    pub(super) fn with_parameters(self, parameters: Parameters) -> Self {
+        Self { parameters, ..self }
+    }
+
     /// Where to show states of it, with `parameters` as they are now.
     pub(super) fn moving<'a>(&'a self, source: &'a Scene, parameters: &Parameters) -> Moving<'a> {
-        let changed = |epoch: usize| -> Vec<Values> {
-            let pairs = parameters.epoch(epoch).iter().zip(self.parameters.epoch(epoch));
-            pairs.map(|(now, then)| std::array::from_fn(|c| now[c] - then[c])).collect()
+        let changed = |list: usize| {
+            let pairs = parameters.epoch(list).iter().zip(self.parameters.epoch(list));
+            pairs.map(|(now, then)| -> Values { std::array::from_fn(|c| now[c] - then[c]) })
         };
         let is_changed = *parameters != self.parameters;
-        let drift = if is_changed { (0..source.epochs().len()).map(changed).collect() } else { Vec::new() };
+        // Gaussians and proxies.
+        let lists = 2 * source.epochs().len();
+        let drift = if is_changed { (0..lists).flat_map(changed).collect() } else { Vec::new() };
         Moving { coded: self, content: self.received.content(), source, drift }
     }
 
@@ -138,8 +171,8 @@ pub(super) struct Moving<'a> {
     coded: &'a Coded,
     content: Content<'a>,
     source: &'a Scene,
-    /// Per epoch and source Gaussian, what parameters have changed since; empty if nothing has.
-    drift: Vec<Vec<Values>>,
+    /// What parameters have changed since, in their order; empty if nothing has.
+    drift: Vec<Values>,
 }
 
 /// The Gaussians that a state shows.
@@ -196,18 +229,16 @@ impl Moving<'_> {
         let shown = player.show(&self.content.with_state(state), frame)?;
         let degree = shown.sh_degree;
         let mut out = Shown { gaussians: shown.gaussians.to_vec(), sh_rest: shown.sh_rest.to_vec(), degree };
-        let (e, _) = self.place(frame);
-        if let Some(drift) = self.drift.get(e) {
-            self.each(state, frame, |decoded, source, anchor, axes| {
+        if !self.drift.is_empty() {
+            self.each(state, frame, |decoded, parameter, follows| {
                 let gaussian = &mut out.gaussians[decoded];
-                *gaussian = anchor.moved(gaussian, axes, &drift[source]);
+                *gaussian = follows.moved(gaussian, &self.drift[parameter]);
             });
         }
         Ok(out)
     }
 
-    /// Adds `weight` times the gradient by the Gaussians of `shown` to that by their parameters, one entry per source
-    /// Gaussian of all epochs. What stands in for a missing block has no parameters.
+    /// Adds the gradient by the Gaussians of `shown` to that by their parameters, in the order of parameters.
     pub(super) fn pull(
         &self,
         shown: &Shown,
@@ -215,33 +246,49 @@ impl Moving<'_> {
         (state, frame): (&[u8], u32),
         gradient: &mut [[f64; COMPONENTS]],
     ) {
-        let first = self.coded.parameters.first_of(self.place(frame).0);
-        self.each(state, frame, |decoded, source, anchor, axes| {
-            let pulled = anchor.pulled(&by[decoded], &shown.gaussians[decoded], axes);
-            let sums = &mut gradient[first + source];
+        self.each(state, frame, |decoded, parameter, follows| {
+            let pulled = follows.pulled(&by[decoded], &shown.gaussians[decoded]);
+            let sums = &mut gradient[parameter];
             sums.iter_mut().zip(pulled).for_each(|(sum, value)| *sum += f64::from(value));
         });
     }
 
-    /// Calls `visit` with each Gaussian that `state` shows itself, not by a proxy: its index in a decoded frame and in
-    /// the source, how it stands, and its axes.
-    fn each(&self, state: &[u8], frame: u32, mut visit: impl FnMut(usize, usize, Anchor, [u8; 3])) {
+    /// Calls `visit` with each Gaussian that `state` shows and that has parameters: its index in a decoded frame, that
+    /// of its parameters, and how it follows them.
+    fn each(&self, state: &[u8], frame: u32, mut visit: impl FnMut(usize, usize, Follows)) {
         let (e, t) = self.place(frame);
-        let (Some(epoch), Some(order)) = (self.source.epochs().get(e), self.coded.encoded.order.get(e))
-        else {
+        let Coded { encoded, parameters, axes, .. } = self.coded;
+        let (Some(epoch), Some(order)) = (self.source.epochs().get(e), encoded.order.get(e)) else {
             return;
         };
-        for block in self.blocks(frame) {
+        let first = parameters.first_of(e);
+        let (first_proxy, sizes) = (parameters.first_of(parameters.proxies_of(e)), parameters.proxy_sizes(e));
+        for (number, block) in self.blocks(frame).iter().enumerate() {
             let arrived = Arrived(state.get(block.canonical).copied().unwrap_or(0));
-            if arrived.usable() == 0 {
-                continue;
-            }
-            for decoded in block.gaussians.clone() {
-                let source = order[decoded] as usize;
-                visit(decoded, source, Anchor::of(epoch, source, t), self.coded.axes[e][decoded]);
+            if arrived.usable() > 0 {
+                for decoded in block.gaussians.clone() {
+                    let source = order[decoded] as usize;
+                    let follows = Follows::Source(Anchor::of(epoch, source, t), axes[e][decoded]);
+                    visit(decoded, first + source, follows);
+                }
+            } else if let Some(&size) = sizes.get(number).filter(|_| !block.gaussians.is_empty()) {
+                visit(block.gaussians.start, first_proxy + number, Follows::Proxy(size));
             }
         }
     }
+}
+
+/// `decisions` with the proxies of `parameters`, where it trains them.
+pub(super) fn with_proxies(decisions: &Decisions, parameters: &Parameters) -> Decisions {
+    let mut decisions = decisions.clone();
+    if let Decisions::Dgs1(decisions) = &mut decisions {
+        for (e, epoch) in decisions.epochs.iter_mut().enumerate() {
+            if !parameters.proxy_sizes(e).is_empty() {
+                epoch.proxy_changes = parameters.proxy_changes(e);
+            }
+        }
+    }
+    decisions
 }
 
 #[cfg(test)]

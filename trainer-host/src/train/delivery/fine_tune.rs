@@ -5,7 +5,7 @@ use render_host::Settings;
 
 use super::{
     adam::Adam,
-    coded::{Coded, no_change},
+    coded::{Coded, with_proxies},
     config::{DeliveryOptions, LearningRates, Variant, Weights},
     error::DeliveryError,
     evaluate::evaluate_coded,
@@ -71,6 +71,8 @@ pub fn fine_tune(
     let blocks = sampler.complete().len();
     let recorded = options.recorded.as_deref().map(|path| Masks::read(path, blocks)).transpose()?;
     let validation_masks = validation_masks(&sampler, options);
+    let parameters = coded.parameters(scene)?;
+    let coded = coded.with_parameters(parameters.clone());
     let mut run = Training {
         scene,
         options,
@@ -78,7 +80,7 @@ pub fn fine_tune(
         prefixes: std::array::from_fn(|level| sampler.prefix(level)),
         sampler,
         recorded,
-        parameters: no_change(scene),
+        parameters,
     };
     let first_worlds = run.worlds_of(0..options.updates.min(10));
     let registration = Registration::of(options, &validation_masks, &first_worlds);
@@ -132,6 +134,7 @@ pub fn fine_tune(
     record.candidates = candidates.iter().map(|(candidate, _)| *candidate).collect();
     record.taken = select(&record.candidates);
     let parameters = record.taken.map_or(&run.parameters, |taken| &candidates[taken].1);
+    let decisions = with_proxies(&decisions, parameters);
     Ok(FineTuned { scene: parameters.applied(scene)?, decisions, record })
 }
 

@@ -1,14 +1,18 @@
 //! Holds what is trained of each Gaussian, and moves scenes, decoded Gaussians and gradients by it.
 //!
 //! A Gaussian has 13 parameters, all 0 for the source scene: its centre in units of its own size and its turn, both in
-//! its own axes at frame 0 so that they follow its motion; its three log-scales; its opacity logit; its colour. Higher
-//! harmonic bands and motion stay as they are.
+//! its own axes so that they follow its motion; its three log-scales; its opacity logit; its colour. Higher
+//! harmonic bands and motion stay as they are. A block's proxy, which stands in for it until its base arrives, has eight
+//! parameters more.
 
 use codec_core::Gaussian;
 use glam::{Quat, Vec3};
 use render_host::adjoint::SplatGradient;
 
-use crate::scene::{Attributes, Epoch, Scene, SceneError, Track};
+use crate::{
+    encode::decisions::ProxyChange,
+    scene::{Attributes, Epoch, Scene, SceneError, Track},
+};
 
 /// Parameters of a Gaussian: centre 3, log-scale 3, turn 3 (radians), opacity logit, band 0 of colour 3.
 pub(super) const COMPONENTS: usize = 13;
@@ -20,16 +24,45 @@ const COLOUR: usize = 10;
 /// The 13 parameters of one Gaussian.
 pub(super) type Values = [f32; COMPONENTS];
 
-/// Parameters of all Gaussians of a scene.
+/// Parameters of all Gaussians of a scene, and of the proxies of its blocks where they are trained.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Parameters {
+    /// Gaussians, epoch by epoch; then proxies in the same way.
     epochs: Vec<Vec<Values>>,
+    /// Per epoch and block, the size of its proxy as it was first sent, scene units; empty if none is trained.
+    proxy_sizes: Vec<Vec<f32>>,
 }
 
 impl Parameters {
     /// Those of the source scene, whose epochs have `counts` Gaussians.
     pub(super) fn zeros(counts: &[usize]) -> Self {
-        Self { epochs: counts.iter().map(|&n| vec![[0.0; COMPONENTS]; n]).collect() }
+        let epochs = counts.iter().map(|&n| vec![[0.0; COMPONENTS]; n]).collect();
+        Self { epochs, proxy_sizes: Vec::new() }
+    }
+
+    /// With proxies of `sizes`, scene units, epoch by epoch, unchanged.
+    #[must_use]
+    pub(super) fn with_proxies(mut self, sizes: Vec<Vec<f32>>) -> Self {
+        self.epochs.extend(sizes.iter().map(|sizes| vec![[0.0; COMPONENTS]; sizes.len()]));
+        self.proxy_sizes = sizes;
+        self
+    }
+
+    /// Sizes of the proxies of epoch `epoch`, scene units; none if none is trained.
+    pub(super) fn proxy_sizes(&self, epoch: usize) -> &[f32] {
+        self.proxy_sizes.get(epoch).map_or(&[], Vec::as_slice)
+    }
+
+    /// Where the proxies of epoch `epoch` are, as an epoch.
+    pub(super) fn proxies_of(&self, epoch: usize) -> usize {
+        self.epochs.len() - self.proxy_sizes.len() + epoch
+    }
+
+    /// What is added to the proxies of epoch `epoch`; none if none is trained.
+    pub(super) fn proxy_changes(&self, epoch: usize) -> Vec<ProxyChange> {
+        let sizes = self.proxy_sizes(epoch);
+        let change = |(values, &size): (&Values, &f32)| proxy_change(values, size);
+        self.epoch(self.proxies_of(epoch)).iter().zip(sizes).map(change).collect()
     }
 
     /// Those of epoch `epoch`; none if there is no such epoch.
@@ -57,6 +90,7 @@ impl Parameters {
     /// # Errors
     /// A parameter that is not finite.
     pub(super) fn applied(&self, source: &Scene) -> Result<Scene, SceneError> {
+        // What is behind the epochs' Gaussians are proxies.
         let epochs = source.epochs().iter().zip(&self.epochs);
         let epochs: Result<Vec<Epoch>, SceneError> =
             epochs.map(|(epoch, values)| moved_epoch(epoch, values)).collect();
@@ -118,6 +152,62 @@ fn turn(values: &Values) -> Quat {
     Quat::from_scaled_axis(Vec3::from_slice(&values[TURN..TURN + 3]))
 }
 
+/// A proxy has fewer parameters: its centre along the world's axes in units of its size, one log-scale for all axes,
+/// its linear opacity, its colour.
+fn proxy_change(values: &Values, size: f32) -> ProxyChange {
+    ProxyChange {
+        offset: [0, 1, 2].map(|d| size * values[d]),
+        log_scale: values[SCALE],
+        opacity: values[OPACITY],
+        sh0: [0, 1, 2].map(|d| values[COLOUR + d]),
+    }
+}
+
+/// What decoded Gaussians follow: parameters of their own, or those of a block's proxy.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Follows {
+    /// How its source stands, and which source axis each of its axes is.
+    Source(Anchor, [u8; 3]),
+    /// A proxy of this size as it was first sent, scene units.
+    Proxy(f32),
+}
+
+impl Follows {
+    /// `decoded` moved by a `change` of its parameters.
+    pub(super) fn moved(&self, decoded: &Gaussian, change: &Values) -> Gaussian {
+        match *self {
+            Self::Source(anchor, axes) => anchor.moved(decoded, axes, change),
+            Self::Proxy(size) => {
+                let change = proxy_change(change, size);
+                let mut out = *decoded;
+                (0..3).for_each(|d| out.position[d] += change.offset[d]);
+                out.scale = out.scale.map(|s| s * change.log_scale.exp());
+                out.opacity = (out.opacity + change.opacity).clamp(0.0, 1.0);
+                (0..3).for_each(|d| out.sh0[d] += change.sh0[d]);
+                out
+            }
+        }
+    }
+
+    /// The gradient of its parameters that the gradient `by` of `decoded` is.
+    pub(super) fn pulled(&self, by: &SplatGradient, decoded: &Gaussian) -> Values {
+        match *self {
+            Self::Source(anchor, axes) => anchor.pulled(by, decoded, axes),
+            Self::Proxy(size) => {
+                let mut out = [0.0; COMPONENTS];
+                (0..3).for_each(|d| out[d] = size * by.position[d]);
+                out[SCALE] = by.log_scale.iter().sum();
+                let opacity = decoded.opacity;
+                if opacity > 0.0 && opacity < 1.0 {
+                    out[OPACITY] = by.opacity_logit / (opacity * (1.0 - opacity));
+                }
+                out[COLOUR..].copy_from_slice(&by.sh0);
+                out
+            }
+        }
+    }
+}
+
 /// How a source Gaussian stands at a frame: what carries its parameters to the world.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Anchor {
@@ -141,7 +231,7 @@ impl Anchor {
     }
 
     /// `decoded` moved by a `change` of its parameters; its axis `k` is axis `axes[k]` of the source.
-    pub(super) fn moved(&self, decoded: &Gaussian, axes: [u8; 3], change: &Values) -> Gaussian {
+    fn moved(&self, decoded: &Gaussian, axes: [u8; 3], change: &Values) -> Gaussian {
         if change.iter().all(|&v| v == 0.0) {
             return *decoded;
         }
@@ -161,7 +251,7 @@ impl Anchor {
     }
 
     /// The gradient of its parameters that the gradient `by` of `decoded` is.
-    pub(super) fn pulled(&self, by: &SplatGradient, decoded: &Gaussian, axes: [u8; 3]) -> Values {
+    fn pulled(&self, by: &SplatGradient, decoded: &Gaussian, axes: [u8; 3]) -> Values {
         let mut out = [0.0; COMPONENTS];
         let centre = self.size * (self.rotation.conjugate() * Vec3::from_array(by.position));
         out[..3].copy_from_slice(&centre.to_array());
@@ -251,6 +341,39 @@ mod tests {
         let quarter = quat(gaussian.rotation) * Quat::from_rotation_z(std::f32::consts::FRAC_PI_2);
         gaussian.rotation = [quarter.w, quarter.x, quarter.y, quarter.z];
         assert_eq!(anchor.axes(&gaussian), [1, 0, 2]);
+    }
+
+    #[test]
+    fn pulled_gradients_of_a_proxy_are_differences() {
+        let decoded =
+            Gaussian { opacity: 0.6, scale: [0.3, 0.2, 0.1], ..scene().instant(0).unwrap().gaussians[3] };
+        let by = SplatGradient {
+            position: [0.3, -0.7, 0.2],
+            log_scale: [0.5, -0.1, 0.9],
+            opacity_logit: 0.35,
+            sh0: [0.1, -0.2, 0.3],
+            ..Default::default()
+        };
+        let value = |g: &Gaussian| -> f64 {
+            let dot =
+                |a: [f32; 3], b: [f32; 3]| -> f64 { (0..3).map(|d| f64::from(a[d]) * f64::from(b[d])).sum() };
+            let logit = (f64::from(g.opacity) / (1.0 - f64::from(g.opacity))).ln();
+            dot(g.position, by.position)
+                + dot(g.scale.map(f32::ln), by.log_scale)
+                + dot(g.sh0, by.sh0)
+                + logit * f64::from(by.opacity_logit)
+        };
+        let follows = Follows::Proxy(0.4);
+        let found = follows.pulled(&by, &decoded);
+        for c in 0..COMPONENTS {
+            let at = |h: f32| {
+                let mut change = [0.0; COMPONENTS];
+                change[c] = h;
+                value(&follows.moved(&decoded, &change))
+            };
+            let numeric = (at(1e-2) - at(-1e-2)) / 2e-2;
+            assert!((f64::from(found[c]) - numeric).abs() < 2e-3, "{c}: {} {numeric}", found[c]);
+        }
     }
 
     /// Of a linear function of a moved Gaussian's centre, scale, rotation and colour.

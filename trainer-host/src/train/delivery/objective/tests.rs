@@ -6,7 +6,7 @@ use crate::{
     scene::Scene,
     train::delivery::{
         LossModel, LossUnit, Masks,
-        coded::{Coded, no_change},
+        coded::Coded,
         masks::Sampler,
         parameters::Parameters,
         view::{tests::study, views},
@@ -21,6 +21,8 @@ struct Study {
     view: View,
     states: Vec<Vec<u8>>,
     prefixes: [Vec<u8>; PREFIXES],
+    /// Of Gaussians and proxies, unchanged.
+    parameters: Parameters,
 }
 
 fn made() -> Study {
@@ -32,7 +34,9 @@ fn made() -> Study {
     let sampler = Sampler::new(stream, LossUnit::Packet).unwrap();
     let prefixes = [3, 2, 1, 0].map(|level| sampler.prefix(level));
     let view = views(&scene, &references, &Settings::exact()).unwrap().remove(1);
-    Study { scene, coded, view, states: masks.states, prefixes }
+    let parameters = coded.parameters(&scene).unwrap();
+    let coded = coded.with_parameters(parameters.clone());
+    Study { scene, coded, view, states: masks.states, prefixes, parameters }
 }
 
 impl Study {
@@ -56,7 +60,7 @@ impl Study {
     /// The slope of the objective along `direction`.
     fn slope(&self, direction: &[[f64; COMPONENTS]], weights: &Weights, fixed: &Terms) -> f64 {
         let at = |h: f64| {
-            let mut moved = no_change(&self.scene);
+            let mut moved = self.parameters.clone();
             for (values, direction) in moved.all_mut().zip(direction) {
                 values.iter_mut().zip(direction).for_each(|(v, d)| *v += (h * d) as f32);
             }
@@ -96,8 +100,8 @@ fn dot(a: &[[f64; COMPONENTS]], b: &[[f64; COMPONENTS]]) -> f64 {
 #[test]
 fn the_gradient_of_a_step_is_its_central_difference_and_no_term_can_be_dropped() {
     let study = made();
-    let weights = Weights { temporal: 1.0, monotone: 0.5, cvar_fraction: 0.2, ..Weights::default() };
-    let (terms, gradient) = study.terms(&no_change(&study.scene), &weights);
+    let weights = Weights { temporal: 30.0, monotone: 0.5, cvar_fraction: 0.2, ..Weights::default() };
+    let (terms, gradient) = study.terms(&study.parameters, &weights);
     assert!(terms.tail > terms.expected && terms.temporal > 0.0 && terms.monotone > 0.0, "{terms:?}");
     // What is clamped has no slope, and is left where it is.
     let sign = |g: f64| if g == 0.0 { 0.0 } else { g.signum() };
@@ -113,7 +117,7 @@ fn the_gradient_of_a_step_is_its_central_difference_and_no_term_can_be_dropped()
         (Weights { anchor: 0.0, ..weights }, "anchor"),
         (Weights { structure: 0.0, ..weights }, "structure"),
     ] {
-        let (_, without) = study.terms(&no_change(&study.scene), &dropped);
+        let (_, without) = study.terms(&study.parameters, &dropped);
         let found = dot(&without, &direction);
         assert!((found / expected - 1.0).abs() > 0.03, "without {name}: {found:e} {expected:e}");
     }
@@ -123,9 +127,8 @@ fn the_gradient_of_a_step_is_its_central_difference_and_no_term_can_be_dropped()
 fn terms_are_what_their_definitions_say() {
     let study = made();
     let weights = Weights { cvar_fraction: 0.3, ..Weights::default() };
-    let (terms, _) = study.terms(&no_change(&study.scene), &weights);
-    let parameters = no_change(&study.scene);
-    let moving = study.coded.moving(&study.scene, &parameters);
+    let (terms, _) = study.terms(&study.parameters, &weights);
+    let moving = study.coded.moving(&study.scene, &study.parameters);
     let settings = Settings { parallel: false, ..Settings::exact() };
     let mut player = study.coded.player();
     let mut picture = |state: &[u8], frame: u32| {
@@ -159,9 +162,9 @@ fn equal_worlds_count_each() {
     let mut study = made();
     let weights = Weights { anchor: 0.0, monotone: 0.0, temporal: 0.0, cvar: 0.0, ..Weights::default() };
     study.states.truncate(2);
-    let (first, once) = study.terms(&no_change(&study.scene), &weights);
+    let (first, once) = study.terms(&study.parameters, &weights);
     study.states = [0, 0, 1, 1].map(|k| study.states[k].clone()).to_vec();
-    let (second, twice) = study.terms(&no_change(&study.scene), &weights);
+    let (second, twice) = study.terms(&study.parameters, &weights);
     assert!((first.expected - second.expected).abs() < 1e-12);
     assert!((dot(&once, &once) / dot(&once, &twice) - 1.0).abs() < 1e-6);
 }
