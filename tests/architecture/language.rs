@@ -100,7 +100,7 @@ const CEILINGS: [(&str, Counts); 11] = [
     ("fuzz/", [10, 0, 0, 2, 0, 0, 2, 0, 30]),
     ("render-host/", [123, 3, 2, 16, 0, 7, 3, 17, 223]),
     ("tests/lab/", [50, 2, 0, 29, 0, 2, 12, 11, 47]),
-    ("trainer-host/", [65, 2, 0, 6, 0, 3, 25, 58, 172]),
+    ("trainer-host/", [65, 2, 0, 6, 0, 3, 25, 58, 198]),
 ];
 
 /// The room of a file: the longest folder of [`CEILINGS`] that it lies in.

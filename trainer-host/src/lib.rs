@@ -1,9 +1,9 @@
 //! trainer-host imports and exports scenes, encodes them into streams, and measures what parts are worth.
 //!
-//! Four rooms, in the order of the walk (`train`, which fits scenes to pictures, is not built yet):
+//! Four rooms, in the order of the walk (of `train`, fine-tuning for delivery is built):
 //!
 //! ```text
-//! scene (import) ─▶ encode ─▶ stream ─▶ (codec-core decodes) ─▶ utility
+//! scene (import) ─▶ (train) ─▶ encode ─▶ stream ─▶ (codec-core decodes) ─▶ utility
 //!   └─▶ scene (export)
 //! ```
 //!

@@ -1,4 +1,5 @@
-//! Prepares what the studies of packet-conditioned training share: a scene, finer truth, test states, and figures.
+//! Prepares what the studies of packet-conditioned training share: a scene, finer truth, test states, and
+//! figures.
 
 use anyhow::Result;
 use render_host::{Backend, Settings};
@@ -66,8 +67,10 @@ impl Size {
     /// As a protocol says it.
     pub(super) fn words(&self) -> String {
         format!(
-            "synthetic sheet with four modes, {} Gaussians over {} frames, towards pictures of one with {} (same motion), \
-             {} measuring cameras at {side}x{side}, tested on 2 held-out cameras and 2 frames, black background, profile \
+            "synthetic sheet with four modes, {} Gaussians over {} frames, towards pictures of one with {} \
+            (same motion), \
+             {} measuring cameras at {side}x{side}, tested on 2 held-out cameras and 2 frames, black \
+             background, profile \
              dgs1 with packets of 400 bytes and blocks of 16, {} updates of {} worlds",
             self.gaussians,
             self.frames,

@@ -33,10 +33,14 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "erasure",
         format!(
-            "{}; trained: variant mixed, the candidate that validation takes; untrained: variant reconstruction with as many \
-             complete pictures per update as mixed has worlds, taken by the same rule; {} seeds; the same {} states per \
-             loss for both (FNV-1a: {}); PSNR on held-out pictures, drop: below the own complete state, cliffs: states more \
-             than 3 dB below it; gain: mean over states of trained less untrained, paired bootstrap over states",
+            "{}; trained: variant mixed, the candidate that validation takes; untrained: variant \
+            reconstruction with as many \
+             complete pictures per update as mixed has worlds, taken by the same rule; {} seeds; the same \
+             {} states per \
+             loss for both (FNV-1a: {}); PSNR on held-out pictures, drop: below the own complete state, \
+             cliffs: states more \
+             than 3 dB below it; gain: mean over states of trained less untrained, paired bootstrap over \
+             states",
             study.size.words(),
             study.size.seeds,
             study.size.states,

@@ -1,4 +1,5 @@
-//! Objective study: what each way of training does to the complete state and to the worst tenth of partial ones.
+//! Objective study: what each way of training does to the complete state and to the worst tenth of partial
+//! ones.
 
 use anyhow::Result;
 use trainer_host::train::delivery::{DeliveryOptions, Evaluation, LossModel, Masks, Variant, Weights};
@@ -37,8 +38,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "objective",
         format!(
-            "{}; mean over {} seeds, error: their standard deviation; {} states per loss, the same for all (FNV-1a: IID 5 % \
-             {:016x}, bursts of {BURST} packets and as much {:016x}); weights are the paper's, the last update is taken; \
+            "{}; mean over {} seeds, error: their standard deviation; {} states per loss, the same for all \
+            (FNV-1a: IID 5 % \
+             {:016x}, bursts of {BURST} packets and as much {:016x}); weights are the paper's, the last \
+             update is taken; \
              *-views: as many complete pictures per update as others have worlds",
             study.size.words(),
             study.size.seeds,

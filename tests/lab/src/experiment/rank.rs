@@ -1,4 +1,5 @@
-//! Rank study: the shared temporal basis of profile paper after packet-conditioned training, rank by validation.
+//! Rank study: the shared temporal basis of profile paper after packet-conditioned training, rank by
+//! validation.
 
 use anyhow::{Context, Result};
 use trainer_host::{
@@ -22,7 +23,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "rank",
         format!(
-            "profile paper, variant mixed; {}, but as that profile has it; {} seeds, error: their standard deviation; {} \
+            "profile paper, variant mixed; {}, but as that profile has it; {} seeds, error: their standard \
+            deviation; {} \
              states after bursts of 5 % by packets of each rank's own stream; the rank is chosen by rule",
             study.size.words(),
             seeds.len(),

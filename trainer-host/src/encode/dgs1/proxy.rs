@@ -99,7 +99,11 @@ mod tests {
 
     use super::*;
     use crate::{
-        encode::{Options, encode},
+        encode::{Decisions, Options, encode, write},
+        import::{
+            Limits,
+            synth::{self, Kind},
+        },
         scene::{Attributes, Scene, Track},
         stream::Player,
     };
@@ -148,5 +152,49 @@ mod tests {
             "{sizes:?}"
         );
         assert!((0.4..=1.0).contains(&g.opacity) && (g.sh0[2] - 1.2).abs() < 0.06, "{g:?}");
+    }
+
+    /// Changes move what stands in for a block, and must be as many as there are blocks.
+    #[test]
+    fn changes_show_and_misfits_are_named() {
+        let options = synth::Options { gaussians: 1000, frames: 1, kind: Kind::Balls, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let options = Options { pictures: 0, ..Options::default() };
+        let mut decisions = encode(&scene, &options, &|_, _| {}).unwrap().decisions;
+        let shown = |decisions: &Decisions| -> Vec<Gaussian> {
+            let stream = write(&scene, decisions, &|_, _| {}).unwrap().stream;
+            let received = stream.receive().unwrap();
+            let content = received.content();
+            let none = vec![0u8; content.blocks.len()];
+            let mut player = Player::new(&content.manifest);
+            player.show(&content.with_state(&none), 0).unwrap().gaussians.to_vec()
+        };
+        let before = shown(&decisions);
+        let Decisions::Dgs1(decided) = &mut decisions else { panic!("profile dgs1") };
+        let blocks: usize =
+            decided.epochs[0].clusters.iter().map(|c| c.gaussians.len().div_ceil(options.block_len)).sum();
+        let ln2 = std::f32::consts::LN_2;
+        let change = ProxyChange { offset: [0.1, 0.0, 0.0], log_scale: -ln2, opacity: -0.2, sh0: [0.5; 3] };
+        decided.epochs[0].proxy_changes = vec![change; blocks];
+        let after = shown(&decisions);
+        let (mut moved, mut seen) = (0.0, 0);
+        for (a, b) in before.iter().zip(&after).filter(|(a, _)| a.opacity > 0.0) {
+            assert!((b.scale[0] / a.scale[0] - 0.5).abs() < 1e-4, "{a:?} {b:?}");
+            assert!((b.sh0[1] - a.sh0[1] - 0.5).abs() < 1e-4 && (a.opacity - b.opacity - 0.2).abs() < 1e-4);
+            moved += b.position[0] - a.position[0];
+            seen += 1;
+        }
+        assert_eq!(seen, blocks);
+        assert!((moved / blocks as f32 - 0.1).abs() < 0.02, "{moved}");
+
+        let refused = |change: &dyn Fn(&mut Vec<ProxyChange>)| {
+            let mut decisions = decisions.clone();
+            if let Decisions::Dgs1(decided) = &mut decisions {
+                change(&mut decided.epochs[0].proxy_changes);
+            }
+            write(&scene, &decisions, &|_, _| {}).unwrap_err().to_string()
+        };
+        assert!(refused(&|changes| drop(changes.pop())).contains("proxy_changes"));
+        assert!(refused(&|changes| changes[1].opacity = f32::NAN).contains("block 1"));
     }
 }

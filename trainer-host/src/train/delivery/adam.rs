@@ -23,17 +23,21 @@ impl Adam {
         Self { first: vec![[0.0; COMPONENTS]; count], second: vec![[0.0; COMPONENTS]; count], updates: 0 }
     }
 
-    /// Moves `parameters` against `gradient`, one list per Gaussian, at most about `rates` in each component.
+    /// Moves `parameters` against `gradient`, one list per Gaussian and per proxy, at most about `rates` in
+    /// each component: the first of Gaussians, the second of proxies.
     pub(super) fn step(
         &mut self,
         parameters: &mut Parameters,
         gradient: &[[f64; COMPONENTS]],
-        rates: &[f64; COMPONENTS],
+        rates: &[[f64; COMPONENTS]; 2],
     ) {
+        let first_proxy = parameters.first_of(parameters.proxies_of(0));
         self.updates += 1;
         let bias = [1.0 - FIRST.powi(self.updates), 1.0 - SECOND.powi(self.updates)];
         let moments = self.first.iter_mut().zip(&mut self.second);
-        for ((values, gradient), (first, second)) in parameters.all_mut().zip(gradient).zip(moments) {
+        let each = parameters.all_mut().zip(gradient).zip(moments);
+        for (index, ((values, gradient), (first, second))) in each.enumerate() {
+            let rates = &rates[usize::from(index >= first_proxy)];
             for c in 0..COMPONENTS {
                 first[c] = FIRST * first[c] + (1.0 - FIRST) * gradient[c];
                 second[c] = SECOND * second[c] + (1.0 - SECOND) * gradient[c] * gradient[c];
@@ -52,7 +56,7 @@ mod tests {
     fn it_reaches_the_bottom_of_a_bowl_and_leaves_what_has_no_slope() {
         let mut parameters = Parameters::zeros(&[2]);
         let mut adam = Adam::new(2);
-        let rates = [0.05; COMPONENTS];
+        let rates = [[0.05; COMPONENTS]; 2];
         for _ in 0..400 {
             let gradient: Vec<[f64; COMPONENTS]> = parameters
                 .all_mut()
@@ -73,11 +77,13 @@ mod tests {
 
     #[test]
     fn the_first_step_is_the_rate_against_the_sign() {
-        let mut parameters = Parameters::zeros(&[1]);
+        let mut parameters = Parameters::zeros(&[1]).with_proxies(vec![vec![1.0]]);
         let mut gradient = [0.0; COMPONENTS];
         (gradient[3], gradient[4]) = (1e-4, -7.0);
-        Adam::new(1).step(&mut parameters, &[gradient], &[0.01; COMPONENTS]);
-        let values = *parameters.all_mut().next().unwrap();
-        assert!((values[3] + 0.01).abs() < 1e-6 && (values[4] - 0.01).abs() < 1e-6, "{values:?}");
+        Adam::new(2).step(&mut parameters, &[gradient; 2], &[[0.01; COMPONENTS], [0.02; COMPONENTS]]);
+        let found: Vec<_> = parameters.all_mut().collect();
+        for (values, rate) in found.into_iter().zip([0.01, 0.02]) {
+            assert!((values[3] + rate).abs() < 1e-6 && (values[4] - rate).abs() < 1e-6, "{values:?}");
+        }
     }
 }

@@ -1,4 +1,5 @@
-//! Draws which packets of a stream arrive in time: a link's capacity, delay and deadline, and two kinds of erasure.
+//! Draws which packets of a stream arrive in time: a link's capacity, delay and deadline, and two kinds of
+//! erasure.
 
 use rand::RngExt;
 use rand_pcg::Pcg64;
@@ -14,7 +15,8 @@ pub enum LossModel {
         /// The probability.
         probability: f64,
     },
-    /// Losses come in bursts (Gilbert–Elliott with a good state that loses nothing and a bad one that loses all).
+    /// Losses come in bursts (Gilbert–Elliott with a good state that loses nothing and a bad one that loses
+    /// all).
     Burst {
         /// Share that is lost in the long run, 0..1.
         share: f64,
@@ -45,8 +47,8 @@ impl LossModel {
     }
 }
 
-/// A link and when its pictures are shown. The stream is sent from its first packet on, at full capacity; a packet
-/// that is lost is sent once more, one round trip later and after everything else.
+/// A link and when its pictures are shown. The stream is sent from its first packet on, at full capacity; a
+/// packet that is lost is sent once more, one round trip later and after everything else.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Link {
     /// Whole streams that it carries per second.

@@ -1,7 +1,8 @@
 //! Encodes the scene that parameters make, and shows it as a receiver in any state does.
 //!
-//! What the encoder chooses is chosen once; afterwards the scene is written with the same choices, so blocks, levels
-//! and states keep their meaning. Between two encodings a decoded Gaussian moves by what its parameters have changed.
+//! What the encoder chooses is chosen once; afterwards the scene is written with the same choices, so blocks,
+//! levels and states keep their meaning. Between two encodings a decoded Gaussian moves by what its
+//! parameters have changed.
 
 use std::ops::Range;
 
@@ -253,8 +254,8 @@ impl Moving<'_> {
         });
     }
 
-    /// Calls `visit` with each Gaussian that `state` shows and that has parameters: its index in a decoded frame, that
-    /// of its parameters, and how it follows them.
+    /// Calls `visit` with each Gaussian that `state` shows and that has parameters: its index in a decoded
+    /// frame, that of its parameters, and how it follows them.
     fn each(&self, state: &[u8], frame: u32, mut visit: impl FnMut(usize, usize, Follows)) {
         let (e, t) = self.place(frame);
         let Coded { encoded, parameters, axes, .. } = self.coded;

@@ -129,7 +129,8 @@ impl Default for ChannelRanges {
 }
 
 impl ChannelRanges {
-    /// The link of world `index` in `variant`. Variants of one loss have no deadline; the combined one takes turns.
+    /// The link of world `index` in `variant`. Variants of one loss have no deadline; the combined one takes
+    /// turns.
     pub(super) fn link(&self, variant: Variant, index: usize, rng: &mut Pcg64) -> Link {
         let mut draw = |[low, high]: [f64; 2]| low + (high - low) * rng.random::<f64>();
         let iid = LossModel::Iid { probability: draw(self.iid) };
@@ -164,11 +165,13 @@ pub struct LearningRates {
     pub opacity: f64,
     /// Band 0 of colour.
     pub colour: f64,
+    /// Factor on all of these for proxies, whose steps are coarser; 0 leaves them as they are.
+    pub proxies: f64,
 }
 
 impl Default for LearningRates {
     fn default() -> Self {
-        Self { position: 0.03, log_scale: 0.015, turn: 0.01, opacity: 0.03, colour: 0.015 }
+        Self { position: 0.03, log_scale: 0.015, turn: 0.01, opacity: 0.03, colour: 0.015, proxies: 3.0 }
     }
 }
 
@@ -323,6 +326,7 @@ impl DeliveryOptions {
             ("learning_rates.turn", rates.turn),
             ("learning_rates.opacity", rates.opacity),
             ("learning_rates.colour", rates.colour),
+            ("learning_rates.proxies", rates.proxies),
         ] {
             if !(0.0..=1e3).contains(&found) {
                 return refuse(field, &found, "0 to 1000");

@@ -5,6 +5,7 @@ use render_host::Settings;
 
 use super::{
     adam::Adam,
+    channel::LossModel,
     coded::{Coded, with_proxies},
     config::{DeliveryOptions, LearningRates, Variant, Weights},
     error::DeliveryError,
@@ -19,8 +20,6 @@ use super::{
     view::{Reference, View, views},
 };
 use crate::{encode::Decisions, scene::Scene};
-
-use super::channel::LossModel;
 
 /// What a caller hears after each update.
 #[derive(Clone, Copy, Debug)]
@@ -42,8 +41,8 @@ pub struct Update {
 pub struct FineTuned {
     /// The scene.
     pub scene: Scene,
-    /// What the encoder chose for it: [`encode::write`](crate::encode::write) with these gives the stream that was
-    /// trained for.
+    /// What the encoder chose for it: [`encode::write`](crate::encode::write) with these gives the stream
+    /// that was trained for.
     pub decisions: Decisions,
     /// What was fixed, measured and chosen.
     pub record: Record,
@@ -54,8 +53,9 @@ pub struct FineTuned {
 /// Every `validation.every`-th reference, and states from seeds of their own, are for validation alone.
 ///
 /// # Errors
-/// An option out of range, references that do not fit the scene or are too few, a file of states that does not fit, a
-/// registration that cannot be written, an objective that is not finite; what encoder and renderer refuse.
+/// An option out of range, references that do not fit the scene or are too few, a file of states that does
+/// not fit, a registration that cannot be written, an objective that is not finite; what encoder and renderer
+/// refuse.
 pub fn fine_tune(
     scene: &Scene,
     references: &[Reference],
@@ -180,19 +180,17 @@ fn validation_masks(sampler: &Sampler, options: &DeliveryOptions) -> Masks {
     Masks { states: (0..options.validation.states).map(draw).collect() }
 }
 
-/// Largest steps of each parameter, times `factor`.
-fn rates(rates: &LearningRates, factor: f64) -> [f64; COMPONENTS] {
-    let LearningRates { position, log_scale, turn, opacity, colour } = *rates;
-    std::array::from_fn(|c| {
-        factor
-            * match c {
-                0..3 => position,
-                3..6 => log_scale,
-                6..9 => turn,
-                9 => opacity,
-                _ => colour,
-            }
-    })
+/// Largest steps of each parameter of Gaussians and of proxies, times `factor`.
+fn rates(rates: &LearningRates, factor: f64) -> [[f64; COMPONENTS]; 2] {
+    let LearningRates { position, log_scale, turn, opacity, colour, proxies } = *rates;
+    let rate = |c: usize| match c {
+        0..3 => position,
+        3..6 => log_scale,
+        6..9 => turn,
+        9 => opacity,
+        _ => colour,
+    };
+    [factor, factor * proxies].map(|factor| std::array::from_fn(|c| factor * rate(c)))
 }
 
 /// A fine-tuning under way.
@@ -240,7 +238,8 @@ impl Training<'_> {
         Masks { states: each.flat_map(|(update, view)| self.worlds(update, view)).collect() }
     }
 
-    /// The `view`-th picture of update `update`: all pictures come once, in random order, before any comes again.
+    /// The `view`-th picture of update `update`: all pictures come once, in random order, before any comes
+    /// again.
     fn view(&self, update: usize, view: usize) -> &View {
         let place = update * self.options.views + view;
         let mut order: Vec<usize> = (0..self.views.len()).collect();

@@ -1,8 +1,8 @@
 //! Draws the states that deliveries leave, and reads those that others recorded.
 //!
-//! A state is a byte per block of the stream, a bit per level that arrived (see codec-core's closure). States are drawn
-//! over the packets, or the completion groups, of the first encoding; blocks and levels stay the same while a scene is
-//! trained, so equal seeds give equal states to every variant.
+//! A state is a byte per block of the stream, a bit per level that arrived (see codec-core's closure). States
+//! are drawn over the packets, or the completion groups, of the first encoding; blocks and levels stay the
+//! same while a scene is trained, so equal seeds give equal states to every variant.
 
 use std::{collections::BTreeMap, path::Path};
 
@@ -52,8 +52,8 @@ impl Masks {
         Ok(Self { states: (0..count).map(draw).collect() })
     }
 
-    /// Reads recorded states from a JSON file: `{"states": ["0f0f03…", …]}`, two hexadecimal digits per block. Each
-    /// must have `blocks` blocks.
+    /// Reads recorded states from a JSON file: `{"states": ["0f0f03…", …]}`, two hexadecimal digits per
+    /// block. Each must have `blocks` blocks.
     ///
     /// # Errors
     /// A file that cannot be read or holds something else, named by field.
@@ -175,8 +175,8 @@ impl Sampler {
         self.map.state(|id| self.unit_of.get(id).is_some_and(|&unit| arrived[unit]))
     }
 
-    /// The states of one update's worlds, as `variant` has them: `worlds` of them, the first `clean` complete where
-    /// it has clean anchors. `recorded` states take turns with the variant's own where there are any.
+    /// The states of one update's worlds, as `variant` has them: `worlds` of them, the first `clean` complete
+    /// where it has clean anchors. `recorded` states take turns with the variant's own where there are any.
     pub(super) fn worlds(
         &self,
         variant: Variant,

@@ -1,4 +1,5 @@
-//! Evaluates the objective of one update and its gradient, world by world, in memory that does not grow with worlds.
+//! Evaluates the objective of one update and its gradient, world by world, in memory that does not grow with
+//! worlds.
 
 use std::collections::BTreeMap;
 
@@ -93,9 +94,9 @@ struct Slopes {
     temporal: f64,
 }
 
-/// Terms of `worlds` in `view`, but for the rate, and the gradient of their sum weighted by `weights`: added to
-/// `gradient`, one entry per source Gaussian. All worlds are measured together, so that the tail is known; then each
-/// is differentiated with its own weight.
+/// Terms of `worlds` in `view`, but for the rate, and the gradient of their sum weighted by `weights`: added
+/// to `gradient`, one entry per source Gaussian. All worlds are measured together, so that the tail is known;
+/// then each is differentiated with its own weight.
 ///
 /// # Errors
 /// What the renderer refuses.
@@ -183,7 +184,8 @@ struct World<'a> {
 }
 
 impl World<'_> {
-    /// Adds the gradient of `slopes.distortion · D + slopes.temporal · F` to `gradient`; gives F, 0 without weight.
+    /// Adds the gradient of `slopes.distortion · D + slopes.temporal · F` to `gradient`; gives F, 0 without
+    /// weight.
     fn differentiate(
         &self,
         slopes: Slopes,

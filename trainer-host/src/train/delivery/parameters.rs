@@ -1,9 +1,9 @@
 //! Holds what is trained of each Gaussian, and moves scenes, decoded Gaussians and gradients by it.
 //!
-//! A Gaussian has 13 parameters, all 0 for the source scene: its centre in units of its own size and its turn, both in
-//! its own axes so that they follow its motion; its three log-scales; its opacity logit; its colour. Higher
-//! harmonic bands and motion stay as they are. A block's proxy, which stands in for it until its base arrives, has eight
-//! parameters more.
+//! A Gaussian has 13 parameters, all 0 for the source scene: its centre in units of its own size and its
+//! turn, both in its own axes so that they follow its motion; its three log-scales; its opacity logit; its
+//! colour. Higher harmonic bands and motion stay as they are. A block's proxy, which stands in for it until
+//! its base arrives, has eight parameters more.
 
 use codec_core::Gaussian;
 use glam::{Quat, Vec3};
@@ -29,7 +29,8 @@ pub(super) type Values = [f32; COMPONENTS];
 pub(super) struct Parameters {
     /// Gaussians, epoch by epoch; then proxies in the same way.
     epochs: Vec<Vec<Values>>,
-    /// Per epoch and block, the size of its proxy as it was first sent, scene units; empty if none is trained.
+    /// Per epoch and block, the size of its proxy as it was first sent, scene units; empty if none is
+    /// trained.
     proxy_sizes: Vec<Vec<f32>>,
 }
 
@@ -152,8 +153,8 @@ fn turn(values: &Values) -> Quat {
     Quat::from_scaled_axis(Vec3::from_slice(&values[TURN..TURN + 3]))
 }
 
-/// A proxy has fewer parameters: its centre along the world's axes in units of its size, one log-scale for all axes,
-/// its linear opacity, its colour.
+/// A proxy has fewer parameters: its centre along the world's axes in units of its size, one log-scale for
+/// all axes, its linear opacity, its colour.
 fn proxy_change(values: &Values, size: f32) -> ProxyChange {
     ProxyChange {
         offset: [0, 1, 2].map(|d| size * values[d]),

@@ -39,11 +39,14 @@ pub struct RankChoice {
     pub rule: &'static str,
 }
 
+/// The rule, as it is reported.
+const RULE: &str = "the highest mean 0.10 quantile of PSNR over validation states; within 0.02 dB of it the \
+     fewest bytes";
 /// Ranks within this of the best count as equal to it, dB.
 const EQUAL_DB: f64 = 0.02;
 
-/// Trains `scene` at each of `ranks` with each of `seeds` under `options`, and measures each on `validation`: the same
-/// bursts of 5 % loss at every rank, drawn on that rank's own stream with the seed of the states.
+/// Trains `scene` at each of `ranks` with each of `seeds` under `options`, and measures each on `validation`:
+/// the same bursts of 5 % loss at every rank, drawn on that rank's own stream with the seed of the states.
 ///
 /// # Errors
 /// As [`fine_tune`].
@@ -79,8 +82,8 @@ pub fn sweep_ranks(
     Ok(results)
 }
 
-/// The rank with the highest mean 0.10 quantile over seeds; of ranks within 0.02 dB of it the one with the fewest wire
-/// bytes, of equals the lowest. `None` of no result.
+/// The rank with the highest mean 0.10 quantile over seeds; of ranks within 0.02 dB of it the one with the
+/// fewest wire bytes, of equals the lowest. `None` of no result.
 pub fn choose_rank(results: &[RankResult]) -> Option<RankChoice> {
     let mut ranks: Vec<usize> = results.iter().map(|r| r.rank).collect();
     ranks.sort_unstable();
@@ -94,8 +97,7 @@ pub fn choose_rank(results: &[RankResult]) -> Option<RankChoice> {
     let best = ranks.iter().map(|&rank| quality(rank)).max_by(f64::total_cmp)?;
     let equal = ranks.into_iter().filter(|&rank| quality(rank) >= best - EQUAL_DB);
     let rank = equal.min_by(|&a, &b| bytes(a).total_cmp(&bytes(b)).then(a.cmp(&b)))?;
-    let rule = "the highest mean 0.10 quantile of PSNR over validation states; within 0.02 dB of it the fewest bytes";
-    Some(RankChoice { rank, p10_db: quality(rank), rule })
+    Some(RankChoice { rank, p10_db: quality(rank), rule: RULE })
 }
 
 #[cfg(test)]

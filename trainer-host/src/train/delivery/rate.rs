@@ -1,8 +1,9 @@
 //! Estimates the bits of quantised values by a model of their distribution, with its slope.
 //!
-//! A cluster's values of one component are modelled as Laplace about their mean with their mean distance as scale,
-//! which are measured once per encoding and then stay. A value costs the logarithm of the probability of its
-//! quantiser's cell, at the value itself instead of the cell's centre, so that the estimate has a slope.
+//! A cluster's values of one component are modelled as Laplace about their mean with their mean distance as
+//! scale, which are measured once per encoding and then stay. A value costs the logarithm of the probability
+//! of its quantiser's cell, at the value itself instead of the cell's centre, so that the estimate has a
+//! slope.
 
 use std::f64::consts::LN_2;
 

@@ -1,8 +1,9 @@
-//! Estimates the bits of a scene's canonical values under the encoder's quantisers, and their slope by parameters.
+//! Estimates the bits of a scene's canonical values under the encoder's quantisers, and their slope by
+//! parameters.
 //!
-//! Per cluster and component one distribution (see `rate`): what entropy tables come to when each cluster may choose
-//! among them. Motion keeps its bits, since it is not trained; what prediction and mixing of components save is not
-//! counted, so this is a bound of its shape and not the size of the stream.
+//! Per cluster and component one distribution (see `rate`): what entropy tables come to when each cluster may
+//! choose among them. Motion keeps its bits, since it is not trained; what prediction and mixing of
+//! components save is not counted, so this is a bound of its shape and not the size of the stream.
 
 use codec_core::internals::{math::mrp_from_quat, quant::Class};
 use glam::Quat;
@@ -19,7 +20,8 @@ use crate::{
     scene::{Epoch, Scene},
 };
 
-/// Quantised values of a Gaussian: position 3, log-scale 3, Rodrigues parameters 3, opacity 1, band 0 of colour 3.
+/// Quantised values of a Gaussian: position 3, log-scale 3, Rodrigues parameters 3, opacity 1, band 0 of
+/// colour 3.
 type Quantised = [f64; COMPONENTS];
 
 /// Classes that the values belong to, and how many of each.

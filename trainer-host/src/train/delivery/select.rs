@@ -16,11 +16,13 @@ pub struct Candidate {
 }
 
 /// The rule, as it is registered.
-pub(super) const RULE: &str = "of the candidates with the fewest prefix violations (none, where there is such a one), the \
-     highest 0.10 quantile of PSNR over validation states; of equals the fewest wire bytes, then the fewest updates";
+pub(super) const RULE: &str = "of the candidates with the fewest prefix violations (none, where there is \
+such a one), the \
+     highest 0.10 quantile of PSNR over validation states; of equals the fewest wire bytes, then the fewest \
+     updates";
 
 /// Index of the candidate that the rule takes; `None` of none. Source: paper section 4, selection.
-pub fn select(candidates: &[Candidate]) -> Option<usize> {
+pub(super) fn select(candidates: &[Candidate]) -> Option<usize> {
     let order = |&a: &usize, &b: &usize| {
         let (a, b) = (&candidates[a], &candidates[b]);
         let quality = b.p10_db.total_cmp(&a.p10_db);

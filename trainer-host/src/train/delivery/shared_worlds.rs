@@ -84,7 +84,8 @@ impl SharedWorlds {
         Ok(out)
     }
 
-    /// Adds the versions of a block in order of Gaussians, so that equal depths are drawn as in a single render.
+    /// Adds the versions of a block in order of Gaussians, so that equal depths are drawn as in a single
+    /// render.
     fn add(&mut self, versions: &Versions, first: usize) {
         let rest = self.degree.rest_len();
         for place in 0..versions.gaussians.first().map_or(0, Vec::len) {
@@ -99,8 +100,8 @@ impl SharedWorlds {
         }
     }
 
-    /// `measure` of each world's picture, seen by `camera`, against `reference`; pictures are bit for bit those of
-    /// the worlds rendered alone.
+    /// `measure` of each world's picture, seen by `camera`, against `reference`; pictures are bit for bit
+    /// those of the worlds rendered alone.
     ///
     /// # Errors
     /// Settings or a reference that the renderer refuses.

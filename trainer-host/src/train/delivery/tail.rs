@@ -1,8 +1,8 @@
 //! Weighs worlds for the conditional value at risk: the mean of the worst fraction of their distortions.
 
-/// Weights, one per world and summing to 1, whose weighted sum of `distortions` is their CVaR: the mean over the
-/// largest `fraction` of them, the last one counted in part. `fraction` is in 0..=1; a tail of less than one world
-/// is the worst world. Ties go to the lower index. Source: paper section 4, CVaR at 0.05.
+/// Weights, one per world and summing to 1, whose weighted sum of `distortions` is their CVaR: the mean over
+/// the largest `fraction` of them, the last one counted in part. `fraction` is in 0..=1; a tail of less than
+/// one world is the worst world. Ties go to the lower index. Source: paper section 4, CVaR at 0.05.
 pub(super) fn weights(distortions: &[f64], fraction: f64) -> Vec<f64> {
     let count = distortions.len();
     let mut order: Vec<usize> = (0..count).collect();

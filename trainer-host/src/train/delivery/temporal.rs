@@ -1,7 +1,8 @@
 //! Measures how a picture changes from a frame to the next: squared error of the change.
 //!
-//! `F = mean((I(t+1) − I(t)) − C)²` over pixels and channels, with `C` the change that should be seen. By either
-//! picture it is a mean squared error against a target made of the other one. Source: paper section 4, F.
+//! `F = mean((I(t+1) − I(t)) − C)²` over pixels and channels, with `C` the change that should be seen. By
+//! either picture it is a mean squared error against a target made of the other one. Source: paper section 4,
+//! F.
 
 use render_host::{
     Image, ImageError,

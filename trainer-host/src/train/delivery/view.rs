@@ -28,8 +28,8 @@ pub(super) struct View {
     pub change: Option<Image>,
 }
 
-/// Checks `references` against `scene` and finds the change after each: from the reference of the next frame by the
-/// same camera if there is one, else from the scene's own renders of both frames.
+/// Checks `references` against `scene` and finds the change after each: from the reference of the next frame
+/// by the same camera if there is one, else from the scene's own renders of both frames.
 ///
 /// # Errors
 /// A picture of another size than its camera's, a frame past the end, or what the renderer refuses.

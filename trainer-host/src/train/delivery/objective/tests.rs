@@ -13,8 +13,8 @@ use crate::{
     },
 };
 
-/// A scene, its encoding, a view with a change, worlds, and prefixes from the longest to the shortest so that every
-/// step of them is a rise.
+/// A scene, its encoding, a view with a change, worlds, and prefixes from the longest to the shortest so that
+/// every step of them is a rise.
 struct Study {
     scene: Scene,
     coded: Coded,
@@ -72,9 +72,9 @@ impl Study {
 }
 
 impl Study {
-    /// Turns what `direction` says of centres to the right of the picture or to its left: where two Gaussians change
-    /// their order of depth the picture jumps, and a jump has no gradient. What turns from this frame to the next
-    /// would change its depth there, and stays.
+    /// Turns what `direction` says of centres to the right of the picture or to its left: where two Gaussians
+    /// change their order of depth the picture jumps, and a jump has no gradient. What turns from this frame
+    /// to the next would change its depth there, and stays.
     fn keep_depths(&self, gradient: &[[f64; COMPONENTS]], direction: &mut [[f64; COMPONENTS]]) {
         let epoch = &self.scene.epochs()[0];
         let rotations = |t: u32| epoch.attributes().rotations.frame(t as usize, epoch.count());
@@ -95,8 +95,8 @@ fn dot(a: &[[f64; COMPONENTS]], b: &[[f64; COMPONENTS]]) -> f64 {
     a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| a * b).sum()
 }
 
-/// All terms together, along the sign of the gradient: every parameter of every Gaussian takes part. Without any one
-/// of the terms the gradient is another one.
+/// All terms together, along the sign of the gradient: every parameter of every Gaussian takes part. Without
+/// any one of the terms the gradient is another one.
 #[test]
 fn the_gradient_of_a_step_is_its_central_difference_and_no_term_can_be_dropped() {
     let study = made();
