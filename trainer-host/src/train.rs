@@ -10,6 +10,7 @@
 
 mod checkpoint;
 pub mod dataset;
+pub mod delivery;
 mod density;
 pub mod evaluation;
 mod gaussians;

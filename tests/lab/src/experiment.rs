@@ -5,14 +5,18 @@ mod clock;
 mod cloud;
 mod counterfactual;
 mod decode;
+mod delivery;
 mod demo;
 mod embedded;
 mod entropy;
+mod erasure;
 mod gpu;
 mod gradient;
 mod loss;
+mod objective;
 mod pareto;
 mod partial;
+mod rank;
 mod rate;
 mod render;
 mod repair;
@@ -99,6 +103,21 @@ pub const ALL: &[Experiment] = &[
         about: "utilities of all groups of a stream: time and error against every state decoded and \
         rendered alone",
         run: utility::run,
+    },
+    Experiment {
+        name: "rank",
+        about: "rank of the temporal basis after packet-conditioned training, chosen by validation (--out)",
+        run: rank::run,
+    },
+    Experiment {
+        name: "objective",
+        about: "four ways of training for delivery: the complete state and the worst tenth of partial ones",
+        run: objective::run,
+    },
+    Experiment {
+        name: "erasure",
+        about: "a scene trained for delivery beside one trained without, in the same states",
+        run: erasure::run,
     },
     Experiment {
         name: "gradient",

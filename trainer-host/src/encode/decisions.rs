@@ -102,6 +102,23 @@ pub struct EpochDecisions {
     pub clusters: Vec<ClusterDecisions>,
     /// Motion windows in order; none if nothing moves.
     pub windows: Vec<WindowDecisions>,
+    /// What is added to each block's proxy, clusters in order; none, or one per block.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub proxy_changes: Vec<ProxyChange>,
+}
+
+/// What is added to the proxy of one block before it is quantised.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProxyChange {
+    /// To the centre, scene units.
+    pub offset: [f32; 3],
+    /// To the natural log of all three scales.
+    pub log_scale: f32,
+    /// To the linear opacity.
+    pub opacity: f32,
+    /// To band 0 of colour.
+    pub sh0: [f32; 3],
 }
 
 /// How rotations and scales are sent; every form describes the same covariances.

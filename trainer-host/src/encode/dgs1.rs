@@ -105,6 +105,7 @@ fn decide_epoch(
         quantisers: quants.iter().map(Quantisers::of).collect(),
         clusters,
         windows: Vec::new(),
+        proxy_changes: Vec::new(),
     };
     // Closed loop: motion is decided on canonical values as they are sent.
     let as_sent = canonical::quantise(epoch, &decisions, &quants, options.block_len);

@@ -41,7 +41,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
 }
 
 /// Largest resident set of this process so far.
-fn peak_bytes() -> Option<f64> {
+pub(super) fn peak_bytes() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
     let kib: f64 = line.split_whitespace().nth(1)?.parse().ok()?;

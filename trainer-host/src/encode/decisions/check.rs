@@ -78,6 +78,24 @@ fn check_dgs1(decisions: &Dgs1Decisions, scene: &Scene) -> Result<(), EncodeErro
     within("all", "packet_bytes", decisions.packet_bytes, 200, 1226)?;
     for (e, (decided, epoch)) in decisions.epochs.iter().zip(scene.epochs()).enumerate() {
         check_epoch(e, decided, epoch)?;
+        check_proxy_changes(e, decided, decisions.block_len)?;
+    }
+    Ok(())
+}
+
+fn check_proxy_changes(e: usize, decided: &EpochDecisions, block_len: usize) -> Result<(), EncodeError> {
+    let changes = &decided.proxy_changes;
+    let place = format!("epoch {e}");
+    if !changes.is_empty() {
+        let blocks = decided.clusters.iter().map(|c| c.gaussians.len().div_ceil(block_len)).sum();
+        within(&place, "number of proxy_changes", changes.len(), blocks, blocks)?;
+    }
+    for (b, change) in changes.iter().enumerate() {
+        let values = [change.offset.as_slice(), &[change.log_scale, change.opacity], &change.sh0].concat();
+        if !values.iter().all(|v| v.is_finite()) {
+            let place = format!("epoch {e}, block {b}");
+            return Err(misfit(place, "proxy_changes", format_args!("{change:?}"), "finite numbers"));
+        }
     }
     Ok(())
 }

@@ -4,7 +4,11 @@ use codec_core::internals::{ids::Level, math::mrp_from_quat, quant::Class, wire:
 use nalgebra::{Matrix3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3};
 
 use super::{
-    super::{decisions::EpochDecisions, factorise::rotation_matrix, packetise::CellSymbols},
+    super::{
+        decisions::{EpochDecisions, ProxyChange},
+        factorise::rotation_matrix,
+        packetise::CellSymbols,
+    },
     canonical::Canonical,
 };
 use crate::scene::Epoch;
@@ -14,12 +18,21 @@ pub(super) fn proxies(epoch: &Epoch, decided: &EpochDecisions, canonical: &Canon
     let block_len = canonical.cells.first().map_or(1, |c| c.shape.block_len);
     let mut proxies = Vec::new();
     for (cluster, cell) in decided.clusters.iter().zip(&canonical.cells) {
-        proxies.extend(cluster.gaussians.chunks(block_len).map(|block| proxy(epoch, block, cell, canonical)));
+        for block in cluster.gaussians.chunks(block_len) {
+            let change = decided.proxy_changes.get(proxies.len()).copied().unwrap_or_default();
+            proxies.push(proxy(epoch, block, cell, canonical, change));
+        }
     }
     proxies
 }
 
-fn proxy(epoch: &Epoch, block: &[u32], cell: &CellSymbols, canonical: &Canonical) -> Proxy {
+fn proxy(
+    epoch: &Epoch,
+    block: &[u32],
+    cell: &CellSymbols,
+    canonical: &Canonical,
+    change: ProxyChange,
+) -> Proxy {
     let (n, a) = (epoch.count(), epoch.attributes());
     let (p, q) = (a.positions.frame(0, n), a.rotations.frame(0, n));
     let (s, o, c) = (a.log_scales.frame(0, n), a.opacity_logits.frame(0, n), a.sh0.frame(0, n));
@@ -51,26 +64,31 @@ fn proxy(epoch: &Epoch, block: &[u32], cell: &CellSymbols, canonical: &Canonical
     }
     let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
     let turn = [turn.w, turn.i, turn.j, turn.k].map(|v| v as f32);
-    let sigma: [f64; 3] = std::array::from_fn(|d| eigen.eigenvalues[d].max(1e-30).sqrt());
+    let own: [f64; 3] = std::array::from_fn(|d| eigen.eigenvalues[d].max(1e-30).sqrt());
+    let sigma = own.map(|sigma| sigma * f64::from(change.log_scale).exp());
 
     let record = cell.shape.cluster;
     let step = f64::from(cell.shape.quant.canonical[Class::Position.index()].step(Level::BASE));
     let radius = f64::from(record.radius) * step;
     let centre = [record.centre_x, record.centre_y, record.centre_z];
     let whole = |value: f64, low: f64, high: f64| value.round().clamp(low, high);
-    let size =
-        sigma.map(|sigma| whole(-2.0 * (sigma / radius).log2(), 0.0, f64::from(Proxy::MAX_SIZE)) as u8);
-    // Opacity as the area that is left once the size has been rounded.
-    let rounded = size.map(|v| radius * (-f64::from(v) / 2.0).exp2());
-    let opacity = (total / area(rounded)).min(1.0);
+    let halvings = |sigma: f64| whole(-2.0 * (sigma / radius).log2(), 0.0, f64::from(Proxy::MAX_SIZE));
+    let size = sigma.map(|sigma| halvings(sigma) as u8);
+    // Opacity as the area that is left once the size has been rounded; a change of size leaves it.
+    let rounded = own.map(|sigma| radius * (-halvings(sigma) / 2.0).exp2());
+    let opacity = ((total / area(rounded)).min(1.0) + f64::from(change.opacity)).clamp(0.0, 1.0);
     Proxy {
         offset: std::array::from_fn(|d| {
             let middle = f64::from(canonical.origin[d]) + f64::from(centre[d]) * step;
-            whole((mean[d] - middle) / radius * f64::from(Proxy::OFFSET_UNITS), -128.0, 127.0) as i8
+            let centre = mean[d] + f64::from(change.offset[d]);
+            whole((centre - middle) / radius * f64::from(Proxy::OFFSET_UNITS), -128.0, 127.0) as i8
         }),
         size,
         rotation: mrp_from_quat(turn).map(|v| whole(f64::from(v * Proxy::ROTATION_UNITS), -12.0, 12.0) as i8),
-        sh0: colour.map(|v| whole(v * f64::from(Proxy::SH0_UNITS), -128.0, 127.0) as i8),
+        sh0: std::array::from_fn(|d| {
+            let colour = colour[d] + f64::from(change.sh0[d]);
+            whole(colour * f64::from(Proxy::SH0_UNITS), -128.0, 127.0) as i8
+        }),
         opacity: whole(opacity * f64::from(Proxy::OPACITY_UNITS), 0.0, 15.0) as u8,
     }
 }
@@ -81,7 +99,11 @@ mod tests {
 
     use super::*;
     use crate::{
-        encode::{EncodeOptions, encode},
+        encode::{Decisions, Options, encode, write},
+        import::{
+            Limits,
+            synth::{self, Kind},
+        },
         scene::{Attributes, Scene, Track},
         stream::Player,
     };
@@ -130,5 +152,49 @@ mod tests {
             "{sizes:?}"
         );
         assert!((0.4..=1.0).contains(&g.opacity) && (g.sh0[2] - 1.2).abs() < 0.06, "{g:?}");
+    }
+
+    /// Changes move what stands in for a block, and must be as many as there are blocks.
+    #[test]
+    fn changes_show_and_misfits_are_named() {
+        let options = synth::Options { gaussians: 1000, frames: 1, kind: Kind::Balls, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let options = Options { pictures: 0, ..Options::default() };
+        let mut decisions = encode(&scene, &options, &|_, _| {}).unwrap().decisions;
+        let shown = |decisions: &Decisions| -> Vec<Gaussian> {
+            let stream = write(&scene, decisions, &|_, _| {}).unwrap().stream;
+            let received = stream.receive().unwrap();
+            let content = received.content();
+            let none = vec![0u8; content.blocks.len()];
+            let mut player = Player::new(&content.manifest);
+            player.show(&content.with_state(&none), 0).unwrap().gaussians.to_vec()
+        };
+        let before = shown(&decisions);
+        let Decisions::Dgs1(decided) = &mut decisions else { panic!("profile dgs1") };
+        let blocks: usize =
+            decided.epochs[0].clusters.iter().map(|c| c.gaussians.len().div_ceil(options.block_len)).sum();
+        let ln2 = std::f32::consts::LN_2;
+        let change = ProxyChange { offset: [0.1, 0.0, 0.0], log_scale: -ln2, opacity: -0.2, sh0: [0.5; 3] };
+        decided.epochs[0].proxy_changes = vec![change; blocks];
+        let after = shown(&decisions);
+        let (mut moved, mut seen) = (0.0, 0);
+        for (a, b) in before.iter().zip(&after).filter(|(a, _)| a.opacity > 0.0) {
+            assert!((b.scale[0] / a.scale[0] - 0.5).abs() < 1e-4, "{a:?} {b:?}");
+            assert!((b.sh0[1] - a.sh0[1] - 0.5).abs() < 1e-4 && (a.opacity - b.opacity - 0.2).abs() < 1e-4);
+            moved += b.position[0] - a.position[0];
+            seen += 1;
+        }
+        assert_eq!(seen, blocks);
+        assert!((moved / blocks as f32 - 0.1).abs() < 0.02, "{moved}");
+
+        let refused = |change: &dyn Fn(&mut Vec<ProxyChange>)| {
+            let mut decisions = decisions.clone();
+            if let Decisions::Dgs1(decided) = &mut decisions {
+                change(&mut decided.epochs[0].proxy_changes);
+            }
+            write(&scene, &decisions, &|_, _| {}).unwrap_err().to_string()
+        };
+        assert!(refused(&|changes| drop(changes.pop())).contains("proxy_changes"));
+        assert!(refused(&|changes| changes[1].opacity = f32::NAN).contains("block 1"));
     }
 }

@@ -1,0 +1,62 @@
+//! Rank study: the shared temporal basis of profile paper after packet-conditioned training, rank by
+//! validation.
+
+use anyhow::{Context, Result};
+use trainer_host::{
+    encode,
+    train::delivery::{DeliveryOptions, RankResult, Variant, choose_rank, sweep_ranks},
+};
+
+use super::delivery::{Size, Study, mean_and_deviation};
+use crate::{
+    figures::{Bench, Figure},
+    setup::Setup,
+};
+
+/// Runs the bench.
+pub fn run(setup: &Setup) -> Result<Bench> {
+    let size = Size::of(setup);
+    let (ranks, seeds): (&[usize], &[u64]) =
+        if setup.quick { (&[0, 2, 4, 8], &[1]) } else { (&[0, 1, 2, 3, 4, 5, 6, 7, 8], &[1, 2, 3]) };
+    let updates = size.updates / 2;
+    let study = Study::make(Size { updates, ..size })?;
+    let mut bench = Bench::new(
+        "rank",
+        format!(
+            "profile paper, variant mixed; {}, but as that profile has it; {} seeds, error: their standard \
+            deviation; {} \
+             states after bursts of 5 % by packets of each rank's own stream; the rank is chosen by rule",
+            study.size.words(),
+            seeds.len(),
+            size.states
+        ),
+    );
+    let mut options =
+        DeliveryOptions { encode: encode::Options::paper(), ..study.options(Variant::Combined) };
+    options.encode.pictures = 0;
+    options.validation.states = size.states;
+    let results = sweep_ranks(&study.scene, &study.training, &study.test, &options, (ranks, seeds))?;
+    let values: [(&str, &str, fn(&RankResult) -> f64); 4] = [
+        ("clean", "dB", |r| r.clean_db),
+        ("burst5_p10", "dB", |r| r.p10_db),
+        ("burst5_worst10", "dB", |r| r.worst_tenth_db),
+        ("rate", "bytes", |r| r.wire_bytes as f64),
+    ];
+    let mut table = String::from("rank,seed,clean_db,burst5_p10_db,burst5_worst10_db,wire_bytes\n");
+    for r in &results {
+        let (quality, bytes) = ([r.clean_db, r.p10_db, r.worst_tenth_db], r.wire_bytes);
+        table += &format!("{},{},{},{},{},{bytes}\n", r.rank, r.seed, quality[0], quality[1], quality[2]);
+    }
+    setup.write("rank.csv", &table)?;
+    for rank in ranks {
+        for (key, unit, value) in values {
+            let own: Vec<f64> = results.iter().filter(|r| r.rank == *rank).map(value).collect();
+            let (mean, deviation) = mean_and_deviation(&own);
+            let figure = Figure::new(format!("rank{rank}.{key}"), mean, unit);
+            bench.push(figure.error(deviation, &format!("{unit}, standard deviation")).runs(own.len()));
+        }
+    }
+    let choice = choose_rank(&results).context("no rank was measured")?;
+    bench.push(Figure::new("chosen", choice.rank as f64, choice.rule));
+    Ok(bench)
+}

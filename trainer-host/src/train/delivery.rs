@@ -1,0 +1,54 @@
+//! Fine-tunes a scene over sampled partial deliveries, so that what arrives looks its best (paper section 4).
+//!
+//! ```text
+//! scene ─▶ encode once ─▶ decisions, which stay ─▶ lattice of blocks and levels
+//!            parameters ─▶ scene ─▶ write ─▶ decode in each world's state ─▶ render ─▶ distortion
+//!                 ▲                                                                       │
+//!                 └── Adam ◀── gradients, straight through the quantisers ◀───────────────┘
+//! ```
+//!
+//! A *world* is a state: the levels of each block that a sampled delivery brings. The forward pass is the
+//! codec's own: a world's Gaussians are those that the decoder shows, dependencies enforced by its closure.
+//! The gradient of a decoded value goes to the parameter it was quantised from as if quantisation were the
+//! identity. The objective is the paper's:
+//!
+//! ```text
+//! L = E[D] + λc CVaR(D) + λr R + λt F + λm M + λa D(complete),   D = MSE + 0.20 (1 − SSIM)
+//! ```
+//!
+//! Trained are canonical attributes and, in `dgs1`, the proxies that stand in for blocks whose base is
+//! missing. Equal inputs and seed give equal results on any number of threads. Deliberately absent: networks
+//! (emulator-host; its deliveries come as a file of states), motion and quantiser steps, which stay as the
+//! encoder chose them.
+
+mod adam;
+mod channel;
+mod coded;
+mod config;
+mod error;
+mod evaluate;
+mod fine_tune;
+mod masks;
+mod monotone;
+mod objective;
+mod parameters;
+mod rank;
+mod rate;
+mod rate_model;
+mod record;
+mod select;
+mod shared_worlds;
+mod tail;
+mod temporal;
+mod view;
+
+pub use channel::LossModel;
+pub use config::{ChannelRanges, DeliveryOptions, LearningRates, LossUnit, Validation, Variant, Weights};
+pub use error::DeliveryError;
+pub use evaluate::{Evaluation, evaluate};
+pub use fine_tune::{FineTuned, Update, fine_tune};
+pub use masks::Masks;
+pub use rank::{RankChoice, RankResult, choose_rank, sweep_ranks};
+pub use record::{Record, Registration};
+pub use select::Candidate;
+pub use view::Reference;

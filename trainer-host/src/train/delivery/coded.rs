@@ -1,0 +1,358 @@
+//! Encodes the scene that parameters make, and shows it as a receiver in any state does.
+//!
+//! What the encoder chooses is chosen once; afterwards the scene is written with the same choices, so blocks,
+//! levels and states keep their meaning. Between two encodings a decoded Gaussian moves by what its
+//! parameters have changed.
+
+use std::ops::Range;
+
+use codec_core::{
+    Gaussian, ShDegree,
+    internals::{
+        closure::Arrived,
+        ids::{ClusterId, EpochId, Span},
+        layout::Shape,
+        receiver::Content,
+    },
+};
+use render_host::{Splats, SplatsError, adjoint::SplatGradient};
+
+use super::{
+    error::DeliveryError,
+    parameters::{Anchor, COMPONENTS, Follows, Parameters, Values},
+};
+use crate::{
+    encode::{self, Decisions, Encoded},
+    scene::{Epoch, Scene},
+    stream::Player,
+};
+
+/// A block of an epoch: what is lost or arrives together.
+#[derive(Clone, Debug)]
+pub(super) struct Block {
+    /// Its Gaussians in a decoded frame.
+    pub gaussians: Range<usize>,
+    /// Place of its canonical mask in a state.
+    canonical: usize,
+    cluster: ClusterId,
+    /// Which block of its cluster.
+    index: usize,
+}
+
+/// An encoded scene with what it was made from.
+pub(super) struct Coded {
+    pub encoded: Encoded,
+    received: dgs_player::Player,
+    /// The parameters that were encoded.
+    parameters: Parameters,
+    /// Per epoch and decoded Gaussian, the source axis that each of its axes is.
+    axes: Vec<Vec<[u8; 3]>>,
+    /// Per epoch.
+    blocks: Vec<Vec<Block>>,
+}
+
+impl Coded {
+    /// Encodes `source`, choosing everything.
+    ///
+    /// # Errors
+    /// What the encoder refuses.
+    pub(super) fn first(source: &Scene, options: &encode::Options) -> Result<Self, DeliveryError> {
+        let encoded = encode::encode(source, options, &|_, _| {})?;
+        Self::new(source, encoded, no_change(source))
+    }
+
+    /// Writes `source` with `parameters` by `decisions`.
+    ///
+    /// # Errors
+    /// Parameters that are not finite, or a block that no longer fits a packet.
+    pub(super) fn again(
+        source: &Scene,
+        parameters: &Parameters,
+        decisions: &Decisions,
+    ) -> Result<Self, DeliveryError> {
+        let scene = parameters.applied(source)?;
+        let decisions = with_proxies(decisions, parameters);
+        Self::new(source, encode::write(&scene, &decisions, &|_, _| {})?, parameters.clone())
+    }
+
+    /// Parameters of `source` and of the proxies of this encoding of it, all unchanged.
+    ///
+    /// # Errors
+    /// A frame that does not decode.
+    pub(super) fn parameters(&self, source: &Scene) -> Result<Parameters, DeliveryError> {
+        let has_proxies = matches!(&self.encoded.decisions, Decisions::Dgs1(decisions) if decisions.proxies);
+        if !has_proxies {
+            return Ok(no_change(source));
+        }
+        let content = self.received.content();
+        let nothing = vec![0u8; content.blocks.len()];
+        let mut player = self.player();
+        let (mut sizes, mut first_frame) = (Vec::new(), 0);
+        for (epoch, blocks) in source.epochs().iter().zip(&self.blocks) {
+            let shown = player.show(&content.with_state(&nothing), first_frame)?;
+            let size = |block: &Block| {
+                let scale = shown.gaussians.get(block.gaussians.start).map_or([1.0; 3], |g| g.scale);
+                scale.iter().product::<f32>().cbrt()
+            };
+            sizes.push(blocks.iter().map(size).collect());
+            first_frame += epoch.frames() as u32;
+        }
+        Ok(no_change(source).with_proxies(sizes))
+    }
+
+    fn new(source: &Scene, encoded: Encoded, parameters: Parameters) -> Result<Self, DeliveryError> {
+        let received = encoded.stream.receive()?;
+        let mut coded = Self { encoded, received, parameters, axes: Vec::new(), blocks: Vec::new() };
+        let content = coded.received.content();
+        let complete = content.blocks.to_vec();
+        let epochs = source.epochs().len();
+        coded.blocks = (0..epochs).map(|e| blocks(&content, EpochId(e as u16))).collect();
+        let mut player = Player::new(&content.manifest);
+        let mut axes = Vec::new();
+        let mut first_frame = 0;
+        for (epoch, order) in source.epochs().iter().zip(&coded.encoded.order) {
+            let shown = player.show(&content.with_state(&complete), first_frame)?;
+            let of = |(&i, g): (&u32, &Gaussian)| Anchor::of(epoch, i as usize, 0).axes(g);
+            axes.push(order.iter().zip(shown.gaussians).map(of).collect());
+            first_frame += epoch.frames() as u32;
+        }
+        coded.axes = axes;
+        Ok(coded)
+    }
+
+    /// The same encoding, of which `parameters` are those that were encoded.
+    pub(super) fn with_parameters(self, parameters: Parameters) -> Self {
+        Self { parameters, ..self }
+    }
+
+    /// Where to show states of it, with `parameters` as they are now.
+    pub(super) fn moving<'a>(&'a self, source: &'a Scene, parameters: &Parameters) -> Moving<'a> {
+        let changed = |list: usize| {
+            let pairs = parameters.epoch(list).iter().zip(self.parameters.epoch(list));
+            pairs.map(|(now, then)| -> Values { std::array::from_fn(|c| now[c] - then[c]) })
+        };
+        let is_changed = *parameters != self.parameters;
+        // Gaussians and proxies.
+        let lists = 2 * source.epochs().len();
+        let drift = if is_changed { (0..lists).flat_map(changed).collect() } else { Vec::new() };
+        Moving { coded: self, content: self.received.content(), source, drift }
+    }
+
+    /// A decoder for its frames.
+    pub(super) fn player(&self) -> Player {
+        Player::new(&self.received.content().manifest)
+    }
+}
+
+/// Parameters of `source` itself.
+pub(super) fn no_change(source: &Scene) -> Parameters {
+    Parameters::zeros(&source.epochs().iter().map(Epoch::count).collect::<Vec<_>>())
+}
+
+fn blocks(content: &Content<'_>, epoch: EpochId) -> Vec<Block> {
+    let (span, mut first) = (Span::Canonical(epoch), 0);
+    let mut blocks = Vec::new();
+    for cluster in (0..content.manifest.clusters_of(span)).map(|c| ClusterId(c as u16)) {
+        let Some(shape) = Shape::of(&content.manifest, span, cluster) else { continue };
+        let Some(cell) = content.cell(span, cluster) else { continue };
+        let end = first + shape.gaussians();
+        for index in 0..shape.blocks() {
+            let count = if shape.blocks() == 1 { shape.gaussians() } else { shape.block_gaussians(index) };
+            let gaussians = first..(first + count).min(end);
+            first = gaussians.end;
+            blocks.push(Block { gaussians, canonical: cell.blocks as usize + index, cluster, index });
+        }
+        first = end;
+    }
+    blocks
+}
+
+/// An encoded scene whose parameters may have moved on.
+pub(super) struct Moving<'a> {
+    coded: &'a Coded,
+    content: Content<'a>,
+    source: &'a Scene,
+    /// What parameters have changed since, in their order; empty if nothing has.
+    drift: Vec<Values>,
+}
+
+/// The Gaussians that a state shows.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Shown {
+    pub gaussians: Vec<Gaussian>,
+    pub sh_rest: Vec<f32>,
+    pub degree: ShDegree,
+}
+
+impl Shown {
+    /// As the renderer takes them.
+    ///
+    /// # Errors
+    /// Bands that do not fit the Gaussians.
+    pub(super) fn splats(&self) -> Result<Splats<'_>, SplatsError> {
+        Splats::new(&self.gaussians, &self.sh_rest, self.degree)
+    }
+}
+
+impl Moving<'_> {
+    /// The encoding that it shows.
+    pub(super) fn coded(&self) -> &Coded {
+        self.coded
+    }
+
+    /// Epoch and its number of `frame`; the first if there is no such frame.
+    fn place(&self, frame: u32) -> (usize, usize) {
+        self.source.locate(frame as usize).unwrap_or((0, 0))
+    }
+
+    /// Blocks of the epoch of `frame`.
+    pub(super) fn blocks(&self, frame: u32) -> &[Block] {
+        self.coded.blocks.get(self.place(frame).0).map_or(&[], Vec::as_slice)
+    }
+
+    /// What a block looks like at `frame` depends on these masks of a state: its own, and that of its motion.
+    pub(super) fn masks(&self, block: &Block, frame: u32) -> (usize, Option<usize>) {
+        let window = self.content.manifest.window_at(frame).map(Span::Motion);
+        let cell = window.and_then(|span| self.content.cell(span, block.cluster));
+        (block.canonical, cell.map(|cell| cell.blocks as usize + block.index))
+    }
+
+    /// What a receiver in `state` shows at `frame`.
+    ///
+    /// # Errors
+    /// A frame past the end.
+    pub(super) fn shown(
+        &self,
+        player: &mut Player,
+        state: &[u8],
+        frame: u32,
+    ) -> Result<Shown, DeliveryError> {
+        let shown = player.show(&self.content.with_state(state), frame)?;
+        let degree = shown.sh_degree;
+        let mut out = Shown { gaussians: shown.gaussians.to_vec(), sh_rest: shown.sh_rest.to_vec(), degree };
+        if !self.drift.is_empty() {
+            self.each(state, frame, |decoded, parameter, follows| {
+                let gaussian = &mut out.gaussians[decoded];
+                *gaussian = follows.moved(gaussian, &self.drift[parameter]);
+            });
+        }
+        Ok(out)
+    }
+
+    /// Adds the gradient by the Gaussians of `shown` to that by their parameters, in the order of parameters.
+    pub(super) fn pull(
+        &self,
+        shown: &Shown,
+        by: &[SplatGradient],
+        (state, frame): (&[u8], u32),
+        gradient: &mut [[f64; COMPONENTS]],
+    ) {
+        self.each(state, frame, |decoded, parameter, follows| {
+            let pulled = follows.pulled(&by[decoded], &shown.gaussians[decoded]);
+            let sums = &mut gradient[parameter];
+            sums.iter_mut().zip(pulled).for_each(|(sum, value)| *sum += f64::from(value));
+        });
+    }
+
+    /// Calls `visit` with each Gaussian that `state` shows and that has parameters: its index in a decoded
+    /// frame, that of its parameters, and how it follows them.
+    fn each(&self, state: &[u8], frame: u32, mut visit: impl FnMut(usize, usize, Follows)) {
+        let (e, t) = self.place(frame);
+        let Coded { encoded, parameters, axes, .. } = self.coded;
+        let (Some(epoch), Some(order)) = (self.source.epochs().get(e), encoded.order.get(e)) else {
+            return;
+        };
+        let first = parameters.first_of(e);
+        let (first_proxy, sizes) = (parameters.first_of(parameters.proxies_of(e)), parameters.proxy_sizes(e));
+        for (number, block) in self.blocks(frame).iter().enumerate() {
+            let arrived = Arrived(state.get(block.canonical).copied().unwrap_or(0));
+            if arrived.usable() > 0 {
+                for decoded in block.gaussians.clone() {
+                    let source = order[decoded] as usize;
+                    let follows = Follows::Source(Anchor::of(epoch, source, t), axes[e][decoded]);
+                    visit(decoded, first + source, follows);
+                }
+            } else if let Some(&size) = sizes.get(number).filter(|_| !block.gaussians.is_empty()) {
+                visit(block.gaussians.start, first_proxy + number, Follows::Proxy(size));
+            }
+        }
+    }
+}
+
+/// `decisions` with the proxies of `parameters`, where it trains them.
+pub(super) fn with_proxies(decisions: &Decisions, parameters: &Parameters) -> Decisions {
+    let mut decisions = decisions.clone();
+    if let Decisions::Dgs1(decisions) = &mut decisions {
+        for (e, epoch) in decisions.epochs.iter_mut().enumerate() {
+            if !parameters.proxy_sizes(e).is_empty() {
+                epoch.proxy_changes = parameters.proxy_changes(e);
+            }
+        }
+    }
+    decisions
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::train::delivery::view::tests::study;
+
+    fn options() -> encode::Options {
+        encode::Options { packet_bytes: 400, block_len: 16, pictures: 0, ..Default::default() }
+    }
+
+    #[test]
+    fn blocks_partition_the_gaussians_and_the_complete_state_is_near_the_source() {
+        let (scene, _) = study(3, 1);
+        for options in [options(), encode::Options::paper()] {
+            let coded = Coded::first(&scene, &options).unwrap();
+            let parameters = no_change(&scene);
+            let moving = coded.moving(&scene, &parameters);
+            let mut next = 0;
+            for block in moving.blocks(1) {
+                assert_eq!(block.gaussians.start, next);
+                next = block.gaussians.end;
+            }
+            assert_eq!(next, coded.encoded.order[0].len());
+            let complete = coded.received.content().blocks.to_vec();
+            let shown = moving.shown(&mut coded.player(), &complete, 2).unwrap();
+            let source = scene.instant(2).unwrap();
+            let size = |g: &Gaussian| g.scale.iter().fold(0f32, |a, &s| a.max(s));
+            for (g, &i) in shown.gaussians.iter().zip(&coded.encoded.order[0]) {
+                let other = source.gaussians[i as usize];
+                let far = (0..3).map(|d| (g.position[d] - other.position[d]).abs()).fold(0f32, f32::max);
+                assert!(far < 0.5 * size(&other), "{far} {other:?}");
+            }
+        }
+    }
+
+    /// A change that is encoded is the change that was only moved, within the quantisers' steps.
+    #[test]
+    fn drift_is_what_the_next_encoding_shows() {
+        let (scene, _) = study(3, 1);
+        let first = Coded::first(&scene, &options()).unwrap();
+        let mut parameters = no_change(&scene);
+        for (i, values) in parameters.all_mut().enumerate() {
+            *values = std::array::from_fn(|c| 0.3 * (((i * 31 + c * 17) % 19) as f32 / 9.0 - 1.0));
+        }
+        let again = Coded::again(&scene, &parameters, &first.encoded.decisions).unwrap();
+        assert_eq!(again.encoded.order, first.encoded.order);
+        let complete = first.received.content().blocks.to_vec();
+        let show = |coded: &Coded, parameters: &Parameters| {
+            coded.moving(&scene, parameters).shown(&mut coded.player(), &complete, 1).unwrap()
+        };
+        let (encoded, drifted) = (show(&again, &parameters), show(&first, &parameters));
+        let still = show(&first, &no_change(&scene));
+        let distance = |a: &Shown, b: &Shown| -> f64 {
+            let pairs = a.gaussians.iter().zip(&b.gaussians);
+            pairs
+                .map(|(a, b)| {
+                    let colour = (0..3).map(|d| f64::from((a.sh0[d] - b.sh0[d]).powi(2))).sum::<f64>();
+                    colour + f64::from((a.opacity - b.opacity).powi(2))
+                })
+                .sum()
+        };
+        let (near, far) = (distance(&encoded, &drifted), distance(&encoded, &still));
+        assert!(near < 0.02 * far, "{near} {far}");
+    }
+}

@@ -1,0 +1,154 @@
+//! Measures what receivers see of a scene in given states: PSNR of every world, and of the complete one.
+
+use render_host::Settings;
+
+use super::{
+    coded::{Coded, Moving, no_change},
+    error::DeliveryError,
+    masks::{Masks, Sampler},
+    monotone::{self, PREFIXES},
+    shared_worlds::{SharedWorlds, distortion},
+    view::Reference,
+};
+use crate::{
+    encode::Decisions,
+    evaluator::{PSNR_CAP_DB, worst_tenth},
+    scene::Scene,
+    utility::quantile,
+};
+
+/// Rises of distortion from a prefix to the next that count as none: below rounding.
+const TOLERANCE: f64 = 1e-7;
+/// Worlds this far below the complete state are cliffs, dB. Source: the paper's erasure study.
+const CLIFF_DB: f64 = 3.0;
+
+/// What states show of a scene.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Evaluation {
+    /// PSNR of the complete state, mean over pictures, dB.
+    pub clean_db: f64,
+    /// PSNR of each state, mean over pictures, dB.
+    pub worlds_db: Vec<f64>,
+    /// Bytes of packets and manifest.
+    pub wire_bytes: u64,
+    /// Steps at which a longer prefix looks worse than a shorter one, mean D over pictures, 0 to 3.
+    pub violations: usize,
+}
+
+impl Evaluation {
+    /// Mean PSNR over states, dB.
+    pub fn mean_db(&self) -> f64 {
+        self.worlds_db.iter().sum::<f64>() / self.worlds_db.len().max(1) as f64
+    }
+
+    /// Mean PSNR of the worst tenth of the states, dB.
+    pub fn worst_tenth_db(&self) -> f64 {
+        worst_tenth(&self.worlds_db)
+    }
+
+    /// The 0.10 quantile of PSNR over states, dB.
+    pub fn p10_db(&self) -> f64 {
+        let mut sorted = self.worlds_db.clone();
+        sorted.sort_by(f64::total_cmp);
+        quantile(&sorted, 0.1)
+    }
+
+    /// Share of states more than 3 dB below the complete one, 0..=1.
+    pub fn cliffs(&self) -> f64 {
+        let fallen = self.worlds_db.iter().filter(|&&db| db < self.clean_db - CLIFF_DB).count();
+        fallen as f64 / self.worlds_db.len().max(1) as f64
+    }
+}
+
+/// Writes `scene` by `decisions` and measures `masks` against `references`.
+///
+/// # Errors
+/// Decisions that do not fit the scene, states of another stream, or what the renderer refuses.
+pub fn evaluate(
+    scene: &Scene,
+    decisions: &Decisions,
+    masks: &Masks,
+    references: &[Reference],
+) -> Result<Evaluation, DeliveryError> {
+    let parameters = no_change(scene);
+    let coded = Coded::again(scene, &parameters, decisions)?;
+    evaluate_coded(&coded.moving(scene, &parameters), masks, references)
+}
+
+/// As [`evaluate`], of a scene that is encoded.
+///
+/// # Errors
+/// As [`evaluate`].
+pub(super) fn evaluate_coded(
+    moving: &Moving<'_>,
+    masks: &Masks,
+    references: &[Reference],
+) -> Result<Evaluation, DeliveryError> {
+    let encoded = &moving.coded().encoded;
+    let sampler = Sampler::new(&encoded.stream, super::config::LossUnit::Packet)?;
+    let blocks = sampler.complete().len();
+    if let Some(state) = masks.states.iter().find(|state| state.len() != blocks) {
+        let found = format!("a state of {} blocks", state.len());
+        return Err(DeliveryError::Setting {
+            field: "masks",
+            found,
+            allowed: "states of the stream's blocks",
+        });
+    }
+    if references.is_empty() {
+        return Err(DeliveryError::NoReference { found: 0, purpose: "evaluation" });
+    }
+    let prefixes: Vec<Vec<u8>> = (0..PREFIXES).map(|level| sampler.prefix(level)).collect();
+    let settings = Settings { parallel: true, ..Settings::default() };
+    let share = 1.0 / references.len() as f64;
+    let mut worlds_db = vec![0.0; masks.states.len()];
+    let (mut clean_db, mut of_prefixes) = (0.0, [0.0; PREFIXES]);
+    for Reference { frame, camera, picture } in references {
+        let shared = SharedWorlds::new(moving, *frame, &masks.states)?;
+        let errors = shared.squared_errors(camera, picture, &settings)?;
+        worlds_db.iter_mut().zip(errors).for_each(|(sum, error)| *sum += share * psnr(error));
+        let shared = SharedWorlds::new(moving, *frame, &prefixes)?;
+        let found = shared.measured(camera, picture, &settings, |image| distortion(image, picture, 0.20))?;
+        of_prefixes.iter_mut().zip(found).for_each(|(sum, d)| *sum += share * d);
+        let errors = shared.squared_errors(camera, picture, &settings)?;
+        clean_db += share * errors.last().copied().map_or(0.0, psnr);
+    }
+    let wire_bytes = encoded.report.ledger.wire() as u64;
+    let violations = monotone::violations(&of_prefixes, TOLERANCE);
+    Ok(Evaluation { clean_db, worlds_db, wire_bytes, violations })
+}
+
+/// PSNR of a mean squared error, dB, capped at 99.
+fn psnr(error: f64) -> f64 {
+    (-10.0 * error.log10()).min(PSNR_CAP_DB)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        encode,
+        train::delivery::{LossModel, LossUnit, view::tests::study},
+    };
+
+    #[test]
+    fn losses_cost_quality_and_the_complete_state_is_the_best() {
+        let (scene, references) = study(3, 1);
+        let options = encode::Options { packet_bytes: 300, block_len: 16, pictures: 0, ..Default::default() };
+        let encoded = encode::encode(&scene, &options, &|_, _| {}).unwrap();
+        let share = |probability| {
+            let loss = LossModel::Iid { probability };
+            let masks = Masks::draw(&encoded.stream, loss, LossUnit::Packet, 12, 3).unwrap();
+            evaluate(&scene, &encoded.decisions, &masks, &references).unwrap()
+        };
+        let (none, some, many) = (share(0.0), share(0.05), share(0.5));
+        assert!(none.worlds_db.iter().all(|&db| (db - none.clean_db).abs() < 1e-9), "{none:?}");
+        assert!(some.mean_db() < none.mean_db() && many.mean_db() < some.mean_db());
+        assert!(many.worst_tenth_db() <= many.p10_db() && many.p10_db() <= many.mean_db());
+        assert!(many.cliffs() > none.cliffs() && none.cliffs() == 0.0);
+        assert_eq!(none.violations, 0, "levels of dgs1 are nested");
+        let other = Masks { states: vec![vec![0; 3]] };
+        let error = evaluate(&scene, &encoded.decisions, &other, &references).unwrap_err().to_string();
+        assert!(error.contains("3 blocks"), "{error}");
+    }
+}

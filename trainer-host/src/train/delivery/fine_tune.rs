@@ -1,0 +1,283 @@
+//! Fine-tunes a scene: draws worlds, steps the parameters, and takes the candidate that validation prefers.
+
+use rand::seq::SliceRandom;
+use render_host::Settings;
+
+use super::{
+    adam::Adam,
+    channel::LossModel,
+    coded::{Coded, with_proxies},
+    config::{DeliveryOptions, LearningRates, Variant, Weights},
+    error::DeliveryError,
+    evaluate::evaluate_coded,
+    masks::{Masks, Purpose, Sampler, random, share_arrived},
+    monotone::PREFIXES,
+    objective::{self, Terms, Worlds},
+    parameters::{COMPONENTS, Parameters},
+    rate_model::RateModel,
+    record::{Record, Registration, hex},
+    select::{Candidate, select},
+    view::{Reference, View, views},
+};
+use crate::{encode::Decisions, scene::Scene};
+
+/// What a caller hears after each update.
+#[derive(Clone, Copy, Debug)]
+pub struct Update {
+    /// Updates made.
+    pub updates: usize,
+    /// Updates in all.
+    pub of: usize,
+    /// The objective.
+    pub objective: f64,
+    /// E\[D\] over the update's worlds.
+    pub expected: f64,
+    /// Mean share of blocks' levels that arrived, 0..=1.
+    pub arrived: f64,
+}
+
+/// A fine-tuned scene.
+#[derive(Clone, Debug)]
+pub struct FineTuned {
+    /// The scene.
+    pub scene: Scene,
+    /// What the encoder chose for it: [`encode::write`](crate::encode::write) with these gives the stream
+    /// that was trained for.
+    pub decisions: Decisions,
+    /// What was fixed, measured and chosen.
+    pub record: Record,
+}
+
+/// Fine-tunes `scene` towards `references` over sampled deliveries. `progress` hears every update.
+///
+/// Every `validation.every`-th reference, and states from seeds of their own, are for validation alone.
+///
+/// # Errors
+/// An option out of range, references that do not fit the scene or are too few, a file of states that does
+/// not fit, a registration that cannot be written, an objective that is not finite; what encoder and renderer
+/// refuse.
+pub fn fine_tune(
+    scene: &Scene,
+    references: &[Reference],
+    options: &DeliveryOptions,
+    progress: &dyn Fn(&Update),
+) -> Result<FineTuned, DeliveryError> {
+    options.check()?;
+    let (training, validation) = split(references, options)?;
+    let settings = Settings::default();
+    let views = views(scene, &training, &settings)?;
+    let coded = Coded::first(scene, &options.encode)?;
+    let sampler = Sampler::new(&coded.encoded.stream, options.unit)?;
+    let blocks = sampler.complete().len();
+    let recorded = options.recorded.as_deref().map(|path| Masks::read(path, blocks)).transpose()?;
+    let validation_masks = validation_masks(&sampler, options);
+    let parameters = coded.parameters(scene)?;
+    let coded = coded.with_parameters(parameters.clone());
+    let mut run = Training {
+        scene,
+        options,
+        views: &views,
+        prefixes: std::array::from_fn(|level| sampler.prefix(level)),
+        sampler,
+        recorded,
+        parameters,
+    };
+    let first_worlds = run.worlds_of(0..options.updates.min(10));
+    let registration = Registration::of(options, &validation_masks, &first_worlds);
+    if let Some(path) = &options.registration {
+        registration.write(path)?;
+    }
+
+    let decisions = coded.encoded.decisions.clone();
+    let mut candidates: Vec<(Candidate, Parameters)> = Vec::new();
+    let mut coded = coded;
+    let mut rate_model = RateModel::of(scene, &run.parameters, &decisions);
+    let mut adam = Adam::new(run.parameters.count());
+    let mut record = Record {
+        registration,
+        worlds: hex(run.worlds_of(0..options.updates).hash()),
+        objective: Vec::new(),
+        last_terms: Terms::default(),
+        candidates: Vec::new(),
+        taken: None,
+    };
+    for update in 0..=options.updates {
+        if update > 0 && (update.is_multiple_of(options.encode_every) || run.is_candidate(update)) {
+            coded = Coded::again(scene, &run.parameters, &decisions)?;
+            rate_model = RateModel::of(scene, &run.parameters, &decisions);
+        }
+        if run.is_candidate(update) {
+            let moving = coded.moving(scene, &run.parameters);
+            let found = evaluate_coded(&moving, &validation_masks, &validation)?;
+            let candidate = Candidate {
+                updates: update,
+                violations: found.violations,
+                p10_db: found.p10_db(),
+                clean_db: found.clean_db,
+                wire_bytes: found.wire_bytes,
+            };
+            candidates.push((candidate, run.parameters.clone()));
+        }
+        if update == options.updates {
+            break;
+        }
+        let (terms, gradient, heard) = run.step(update, &coded, &rate_model, &settings)?;
+        record.objective.push(heard.objective);
+        record.last_terms = terms;
+        if !heard.objective.is_finite() {
+            return Err(DeliveryError::Diverged { update, found: heard.objective });
+        }
+        let share = update as f64 / options.updates as f64;
+        adam.step(&mut run.parameters, &gradient, &rates(&options.learning_rates, 0.1f64.powf(share)));
+        progress(&heard);
+    }
+    record.candidates = candidates.iter().map(|(candidate, _)| *candidate).collect();
+    record.taken = select(&record.candidates);
+    let parameters = record.taken.map_or(&run.parameters, |taken| &candidates[taken].1);
+    let decisions = with_proxies(&decisions, parameters);
+    Ok(FineTuned { scene: parameters.applied(scene)?, decisions, record })
+}
+
+/// References for training and for validation.
+fn split(
+    references: &[Reference],
+    options: &DeliveryOptions,
+) -> Result<(Vec<Reference>, Vec<Reference>), DeliveryError> {
+    if options.validation.candidates == 0 {
+        return match references.is_empty() {
+            true => Err(DeliveryError::NoReference { found: 0, purpose: "training" }),
+            false => Ok((references.to_vec(), Vec::new())),
+        };
+    }
+    let every = options.validation.every;
+    let (mut training, mut validation) = (Vec::new(), Vec::new());
+    for (index, reference) in references.iter().enumerate() {
+        let list = if index % every == every - 1 { &mut validation } else { &mut training };
+        list.push(reference.clone());
+    }
+    for (list, purpose) in [(&training, "training"), (&validation, "validation")] {
+        if list.is_empty() {
+            return Err(DeliveryError::NoReference { found: 0, purpose });
+        }
+    }
+    Ok((training, validation))
+}
+
+/// Half the states after independent losses of 5 %, half after bursts of as much; none without validation.
+fn validation_masks(sampler: &Sampler, options: &DeliveryOptions) -> Masks {
+    if options.validation.candidates == 0 {
+        return Masks { states: Vec::new() };
+    }
+    let draw = |index: usize| {
+        let loss = match index % 2 {
+            0 => LossModel::Iid { probability: 0.05 },
+            _ => LossModel::Burst { share: 0.05, length: 6.0 },
+        };
+        let mut rng = random(options.seed, Purpose::Validation, 0, index);
+        let lost = loss.lost(sampler.units(), &mut rng);
+        sampler.state(&lost.iter().map(|lost| !lost).collect::<Vec<_>>())
+    };
+    Masks { states: (0..options.validation.states).map(draw).collect() }
+}
+
+/// Largest steps of each parameter of Gaussians and of proxies, times `factor`.
+fn rates(rates: &LearningRates, factor: f64) -> [[f64; COMPONENTS]; 2] {
+    let LearningRates { position, log_scale, turn, opacity, colour, proxies } = *rates;
+    let rate = |c: usize| match c {
+        0..3 => position,
+        3..6 => log_scale,
+        6..9 => turn,
+        9 => opacity,
+        _ => colour,
+    };
+    [factor, factor * proxies].map(|factor| std::array::from_fn(|c| factor * rate(c)))
+}
+
+/// A fine-tuning under way.
+struct Training<'a> {
+    scene: &'a Scene,
+    options: &'a DeliveryOptions,
+    views: &'a [View],
+    prefixes: [Vec<u8>; PREFIXES],
+    sampler: Sampler,
+    recorded: Option<Masks>,
+    parameters: Parameters,
+}
+
+impl Training<'_> {
+    fn warm_up(&self) -> usize {
+        (self.options.warm_up * self.options.updates as f64).round() as usize
+    }
+
+    /// Whether the scene before update `update` is a candidate: the given one, and some after the warm-up.
+    fn is_candidate(&self, update: usize) -> bool {
+        let (wanted, all) = (self.options.validation.candidates, self.options.updates);
+        let after = all - self.warm_up().min(all);
+        let is_mark = |k: usize| update == all - after * (wanted - k) / wanted.max(1);
+        wanted > 0 && (update == 0 || (1..=wanted).any(is_mark))
+    }
+
+    /// The variant and weights of update `update`: in the warm-up only the complete state counts.
+    fn objective_of(&self, update: usize) -> (Variant, Weights) {
+        let variant = if update < self.warm_up() { Variant::Reconstruction } else { self.options.variant };
+        (variant, variant.weights(&self.options.weights))
+    }
+
+    /// States of the worlds of update `update` in its `view`-th picture.
+    fn worlds(&self, update: usize, view: usize) -> Vec<Vec<u8>> {
+        let (variant, _) = self.objective_of(update);
+        let (options, recorded) = (self.options, self.recorded.as_ref());
+        let (worlds, first) = (options.worlds, view * options.worlds);
+        let rng = |index| random(options.seed, Purpose::Training, update, first + index);
+        self.sampler.worlds(variant, &options.channel, (worlds, options.clean()), recorded, rng)
+    }
+
+    fn worlds_of(&self, updates: std::ops::Range<usize>) -> Masks {
+        let views = 0..self.options.views;
+        let each = updates.flat_map(|update| views.clone().map(move |view| (update, view)));
+        Masks { states: each.flat_map(|(update, view)| self.worlds(update, view)).collect() }
+    }
+
+    /// The `view`-th picture of update `update`: all pictures come once, in random order, before any comes
+    /// again.
+    fn view(&self, update: usize, view: usize) -> &View {
+        let place = update * self.options.views + view;
+        let mut order: Vec<usize> = (0..self.views.len()).collect();
+        order.shuffle(&mut random(self.options.seed, Purpose::Views, place / self.views.len(), 0));
+        &self.views[order[place % self.views.len()]]
+    }
+
+    /// Terms and gradient of the objective of update `update`, and what the caller hears.
+    fn step(
+        &self,
+        update: usize,
+        coded: &Coded,
+        rate_model: &RateModel,
+        settings: &Settings,
+    ) -> Result<(Terms, Vec<[f64; COMPONENTS]>, Update), DeliveryError> {
+        let (_, weights) = self.objective_of(update);
+        let moving = coded.moving(self.scene, &self.parameters);
+        let count = self.parameters.count();
+        let (mut terms, mut gradient) = (Terms::default(), vec![[0.0; COMPONENTS]; count]);
+        let share = 1.0 / self.options.views as f64;
+        let mut arrived = 0.0;
+        for view in 0..self.options.views {
+            let states = self.worlds(update, view);
+            arrived += share * states.iter().map(|s| share_arrived(s)).sum::<f64>() / states.len() as f64;
+            let worlds = Worlds { states: &states, prefixes: &self.prefixes };
+            let view = self.view(update, view);
+            let found = objective::differentiate(&moving, &worlds, view, &weights, settings, &mut gradient)?;
+            terms.add(&found, share);
+        }
+        gradient.iter_mut().flatten().for_each(|g| *g *= share);
+        if weights.rate > 0.0 {
+            terms.rate = rate_model.differentiate(self.scene, &self.parameters, weights.rate, &mut gradient);
+        }
+        let objective = terms.total(&weights);
+        let (updates, of, expected) = (update + 1, self.options.updates, terms.expected);
+        Ok((terms, gradient, Update { updates, of, objective, expected, arrived }))
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,130 @@
+use std::sync::Mutex;
+
+use super::*;
+use crate::{
+    encode,
+    train::delivery::{evaluate, view::tests::study},
+};
+
+fn options(variant: Variant) -> DeliveryOptions {
+    DeliveryOptions {
+        worlds: 6,
+        updates: 12,
+        encode_every: 3,
+        validation: crate::train::delivery::Validation { every: 3, states: 6, candidates: 2 },
+        encode: encode::Options { packet_bytes: 400, block_len: 16, pictures: 0, ..Default::default() },
+        ..DeliveryOptions::of(variant)
+    }
+}
+
+#[test]
+fn one_seed_gives_one_scene_on_any_number_of_threads() {
+    let (scene, references) = study(3, 2);
+    let train = |threads: usize, seed| {
+        let options = DeliveryOptions { seed, updates: 6, ..options(Variant::Combined) };
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| fine_tune(&scene, &references, &options, &|_| {}).unwrap())
+    };
+    let (one, three, other) = (train(1, 1), train(3, 1), train(1, 2));
+    assert_eq!(one.record, three.record);
+    assert!(one.scene.epochs() == three.scene.epochs());
+    assert_ne!(one.record.worlds, other.record.worlds);
+    assert_ne!(one.record.objective, other.record.objective);
+}
+
+#[test]
+fn reconstruction_brings_the_complete_state_nearer_to_its_pictures() {
+    let (scene, references) = study(3, 2);
+    let options = DeliveryOptions { updates: 40, ..options(Variant::Reconstruction) };
+    let tuned = fine_tune(&scene, &references, &options, &|_| {}).unwrap();
+    let [first, .., last] = tuned.record.candidates[..] else { panic!("{:?}", tuned.record.candidates) };
+    assert_eq!((first.updates, last.updates), (0, 40));
+    assert!(last.clean_db > first.clean_db + 0.3, "{first:?} {last:?}");
+    let masks = Masks { states: Vec::new() };
+    let found = evaluate(&tuned.scene, &tuned.decisions, &masks, &references).unwrap();
+    let before = evaluate(&scene, &tuned.decisions, &masks, &references).unwrap();
+    assert!(found.clean_db > before.clean_db + 0.3, "what is returned is what was trained");
+}
+
+#[test]
+fn the_registration_is_there_before_the_first_update_and_all_variants_are_validated_alike() {
+    let (scene, references) = study(3, 1);
+    let folder = tempfile::tempdir().unwrap();
+    let mut validation = Vec::new();
+    for variant in Variant::ALL {
+        let path = folder.path().join(format!("{}.json", variant.name()));
+        let options = DeliveryOptions { updates: 3, registration: Some(path.clone()), ..options(variant) };
+        let seen = Mutex::new(Vec::new());
+        let tuned = fine_tune(&scene, &references, &options, &|update| {
+            seen.lock().unwrap().push((update.updates, path.exists()));
+        })
+        .unwrap();
+        assert_eq!(*seen.lock().unwrap(), [(1, true), (2, true), (3, true)]);
+        let written: Registration = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        assert_eq!(written.config_hash, hex(options.hash()));
+        assert_eq!(written.weights, variant.weights(&options.weights));
+        assert_eq!(written.validation_masks, tuned.record.registration.validation_masks);
+        validation.push(written.validation_masks);
+    }
+    assert!(validation.windows(2).all(|pair| pair[0] == pair[1]), "{validation:?}");
+
+    let options = DeliveryOptions {
+        registration: Some(folder.path().join("no/such/folder.json")),
+        ..options(Variant::Iid)
+    };
+    let error = fine_tune(&scene, &references, &options, &|_| panic!("nothing is trained")).unwrap_err();
+    assert!(error.to_string().contains("folder.json"), "{error}");
+}
+
+#[test]
+fn too_few_references_and_bad_options_are_named() {
+    let (scene, references) = study(3, 1);
+    let refused = |references: &[Reference], options: &DeliveryOptions| {
+        fine_tune(&scene, references, options, &|_| {}).unwrap_err().to_string()
+    };
+    let options = options(Variant::Iid);
+    assert!(refused(&[], &options).contains("0 reference pictures for training"));
+    assert!(refused(&references[..2], &options).contains("for validation"));
+    let none = DeliveryOptions { worlds: 0, ..options };
+    assert!(refused(&references, &none).contains("worlds is 0"));
+}
+
+#[test]
+fn rate_in_the_objective_makes_the_stream_smaller() {
+    let (scene, references) = study(2, 2);
+    let bytes = |rate| {
+        let mut options = DeliveryOptions { updates: 30, ..options(Variant::Combined) };
+        options.weights.rate = rate;
+        options.validation.candidates = 1;
+        let tuned = fine_tune(&scene, &references, &options, &|_| {}).unwrap();
+        tuned.record.candidates[1].wire_bytes
+    };
+    let (without, with) = (bytes(0.0), bytes(3.0));
+    assert!(with < without, "{with} {without}");
+}
+
+#[test]
+fn recorded_states_are_trained_on_and_must_fit() {
+    let (scene, references) = study(2, 2);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("states.json");
+    let mut options = DeliveryOptions { updates: 2, warm_up: 0.0, ..options(Variant::Combined) };
+    let encoded = encode::encode(&scene, &options.encode, &|_, _| {}).unwrap();
+    let masks = Masks::draw(
+        &encoded.stream,
+        LossModel::Iid { probability: 0.5 },
+        crate::train::delivery::LossUnit::Packet,
+        2,
+        9,
+    )
+    .unwrap();
+    let worlds = |options: &DeliveryOptions| {
+        fine_tune(&scene, &references, options, &|_| {}).map(|tuned| tuned.record.worlds)
+    };
+    let without = worlds(&options).unwrap();
+    options.recorded = Some(path.clone());
+    std::fs::write(&path, masks.to_json()).unwrap();
+    assert_ne!(worlds(&options).unwrap(), without);
+    std::fs::write(&path, r#"{"states": ["0f"]}"#).unwrap();
+    assert!(worlds(&options).unwrap_err().to_string().contains("states[0] has 1 blocks"));
+}

@@ -1,0 +1,298 @@
+//! Draws the states that deliveries leave, and reads those that others recorded.
+//!
+//! A state is a byte per block of the stream, a bit per level that arrived (see codec-core's closure). States
+//! are drawn over the packets, or the completion groups, of the first encoding; blocks and levels stay the
+//! same while a scene is trained, so equal seeds give equal states to every variant.
+
+use std::{collections::BTreeMap, path::Path};
+
+use codec_core::internals::{closure::Arrived, digest::Digest};
+use rand::RngExt;
+use rand_pcg::Pcg64;
+
+use super::{
+    channel::LossModel,
+    config::{ChannelRanges, LossUnit, Variant},
+    error::DeliveryError,
+};
+use crate::stream::{PacketMap, Stream};
+
+/// States and their hash.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Masks {
+    /// One state per world: a byte per block, bit `l` for level `l`.
+    pub states: Vec<Vec<u8>>,
+}
+
+impl Masks {
+    /// FNV-1a, 64 bits, over all states in order, each preceded by its length as little-endian u64.
+    pub fn hash(&self) -> u64 {
+        let add =
+            |digest: Digest, state: &Vec<u8>| digest.bytes(&(state.len() as u64).to_le_bytes()).bytes(state);
+        self.states.iter().fold(Digest::new(), add).get()
+    }
+
+    /// `count` states of `stream` after `loss` by packets or by groups, from `seed`.
+    ///
+    /// # Errors
+    /// A stream whose manifest does not hold.
+    pub fn draw(
+        stream: &Stream,
+        loss: LossModel,
+        unit: LossUnit,
+        count: usize,
+        seed: u64,
+    ) -> Result<Self, DeliveryError> {
+        let sampler = Sampler::new(stream, unit)?;
+        let draw = |index| {
+            let mut rng = random(seed, Purpose::Test, 0, index);
+            let lost = loss.lost(sampler.units(), &mut rng);
+            sampler.state(&lost.iter().map(|lost| !lost).collect::<Vec<_>>())
+        };
+        Ok(Self { states: (0..count).map(draw).collect() })
+    }
+
+    /// Reads recorded states from a JSON file: `{"states": ["0f0f03…", …]}`, two hexadecimal digits per
+    /// block. Each must have `blocks` blocks.
+    ///
+    /// # Errors
+    /// A file that cannot be read or holds something else, named by field.
+    pub fn read(path: &Path, blocks: usize) -> Result<Self, DeliveryError> {
+        let content = |message: String| DeliveryError::Content { path: path.to_owned(), message };
+        let text = std::fs::read_to_string(path)
+            .map_err(|error| DeliveryError::File { path: path.to_owned(), error })?;
+        let recorded: Recorded = serde_json::from_str(&text).map_err(|error| content(error.to_string()))?;
+        let mut states = Vec::new();
+        for (index, digits) in recorded.states.iter().enumerate() {
+            let state = parse(digits).ok_or_else(|| {
+                content(format!(
+                    "states[{index}] is {digits:?}; hexadecimal digits 00 to 0f per block are allowed"
+                ))
+            })?;
+            if state.len() != blocks {
+                let found = state.len();
+                return Err(content(format!("states[{index}] has {found} blocks; the stream has {blocks}")));
+            }
+            states.push(state);
+        }
+        if states.is_empty() {
+            return Err(content("states is empty; at least 1 is needed".to_owned()));
+        }
+        Ok(Self { states })
+    }
+
+    /// The states as [`Masks::read`] reads them.
+    pub fn to_json(&self) -> String {
+        let digits = |state: &Vec<u8>| state.iter().map(|mask| format!("{mask:02x}")).collect();
+        let states: Vec<String> = self.states.iter().map(digits).collect();
+        serde_json::json!({ "states": states }).to_string()
+    }
+}
+
+#[derive(serde::Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Recorded {
+    states: Vec<String>,
+}
+
+fn parse(digits: &str) -> Option<Vec<u8>> {
+    let (pairs, rest) = digits.as_bytes().as_chunks::<2>();
+    let byte = |pair: &[u8; 2]| {
+        let byte = u8::from_str_radix(std::str::from_utf8(pair).ok()?, 16).ok()?;
+        (byte <= 0xf).then_some(byte)
+    };
+    if rest.is_empty() { pairs.iter().map(byte).collect() } else { None }
+}
+
+/// What random numbers are for: no purpose changes another's luck.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Purpose {
+    Training,
+    Views,
+    Validation,
+    Test,
+}
+
+/// Random numbers of world `index` of update `update`.
+pub(super) fn random(seed: u64, purpose: Purpose, update: usize, index: usize) -> Pcg64 {
+    let key = (purpose as u128) << 60 | (update as u128 & 0xfff_ffff) << 28 | (index as u128 & 0xfff_ffff);
+    Pcg64::new(u128::from(seed) << 64 | key, 0x5851_f42d_4c95_7f2d_1405_7b7e_f767_814f)
+}
+
+/// Draws states of one stream.
+#[derive(Clone, Debug)]
+pub(super) struct Sampler {
+    map: PacketMap,
+    /// Bytes of each packet, or of each group's packets, in the order of sending.
+    bytes: Vec<usize>,
+    /// Per packet, its unit: itself, or the group it belongs to.
+    unit_of: Vec<usize>,
+    complete: Vec<u8>,
+}
+
+impl Sampler {
+    /// # Errors
+    /// A stream whose manifest does not hold.
+    pub(super) fn new(stream: &Stream, unit: LossUnit) -> Result<Self, DeliveryError> {
+        let map = PacketMap::of(stream)?;
+        let mut groups = BTreeMap::new();
+        let (mut bytes, mut unit_of) = (Vec::new(), Vec::new());
+        for (id, packet) in stream.packets().iter().enumerate() {
+            let group = map.placements(id).first().map(|p| (p.group.span, p.group.cluster, p.group.level));
+            let index = match (unit, group) {
+                (LossUnit::Group, Some(group)) => *groups.entry(group).or_insert(bytes.len()),
+                _ => bytes.len(),
+            };
+            if index == bytes.len() {
+                bytes.push(0);
+            }
+            bytes[index] += packet.len();
+            unit_of.push(index);
+        }
+        let complete = map.state(|_| true);
+        Ok(Self { map, bytes, unit_of, complete })
+    }
+
+    /// Packets or groups.
+    pub(super) fn units(&self) -> usize {
+        self.bytes.len()
+    }
+
+    /// The state in which everything has arrived.
+    pub(super) fn complete(&self) -> &[u8] {
+        &self.complete
+    }
+
+    /// The state in which everything has arrived up to level `level`.
+    pub(super) fn prefix(&self, level: usize) -> Vec<u8> {
+        let levels = (2u8 << level.min(3)) - 1;
+        let initial = self.map.initial();
+        self.complete.iter().zip(initial).map(|(all, initial)| initial | all & levels).collect()
+    }
+
+    /// The state after the units for which `arrived` says so; `paper` completes a group or has none of it.
+    pub(super) fn state(&self, arrived: &[bool]) -> Vec<u8> {
+        self.map.state(|id| self.unit_of.get(id).is_some_and(|&unit| arrived[unit]))
+    }
+
+    /// The states of one update's worlds, as `variant` has them: `worlds` of them, the first `clean` complete
+    /// where it has clean anchors. `recorded` states take turns with the variant's own where there are any.
+    pub(super) fn worlds(
+        &self,
+        variant: Variant,
+        ranges: &ChannelRanges,
+        (worlds, clean): (usize, usize),
+        recorded: Option<&Masks>,
+        rng: impl Fn(usize) -> Pcg64,
+    ) -> Vec<Vec<u8>> {
+        let world = |index: usize| {
+            let mut rng = rng(index);
+            if index < clean && variant == Variant::Combined || variant == Variant::Reconstruction {
+                return self.complete.clone();
+            }
+            if let Some(recorded) = recorded
+                && variant == Variant::Combined
+                && index.is_multiple_of(2)
+            {
+                let pick = rng.random_range(0..recorded.states.len());
+                return recorded.states[pick].clone();
+            }
+            let link = ranges.link(variant, index, &mut rng);
+            self.state(&link.delivered(&self.bytes, &mut rng))
+        };
+        (0..worlds).map(world).collect()
+    }
+}
+
+/// Levels of `state` that arrived, of all levels in it, 0..=1.
+pub(super) fn share_arrived(state: &[u8]) -> f64 {
+    let levels: usize = state.iter().map(|&mask| Arrived(mask).usable()).sum();
+    levels as f64 / (4 * state.len()).max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        encode,
+        import::{
+            Limits,
+            synth::{self, Kind},
+        },
+    };
+
+    pub(in crate::train::delivery) fn stream(profile: &str) -> Stream {
+        let options = synth::Options { gaussians: 1000, frames: 4, kind: Kind::Balls, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let options = match profile {
+            "paper" => encode::Options::paper(),
+            _ => encode::Options { packet_bytes: 200, block_len: 16, pictures: 0, ..Default::default() },
+        };
+        encode::encode(&scene, &options, &|_, _| {}).unwrap().stream
+    }
+
+    #[test]
+    fn equal_seeds_give_equal_states_and_the_hash_sees_one_bit() {
+        let stream = stream("dgs1");
+        let loss = LossModel::Iid { probability: 0.1 };
+        let draw = |seed| Masks::draw(&stream, loss, LossUnit::Packet, 8, seed).unwrap();
+        let (first, again, other) = (draw(1), draw(1), draw(2));
+        assert_eq!(first, again);
+        assert_ne!(first.hash(), other.hash());
+        let mut bent = first.clone();
+        bent.states[3][0] ^= 1;
+        assert_ne!(first.hash(), bent.hash());
+        // The hash of nothing, by the definition of FNV-1a.
+        assert_eq!(Masks { states: Vec::new() }.hash(), 0xcbf2_9ce4_8422_2325);
+    }
+
+    #[test]
+    fn groups_are_lost_whole_and_packets_in_part() {
+        let stream = stream("dgs1");
+        let map = PacketMap::of(&stream).unwrap();
+        let [packets, groups] =
+            [LossUnit::Packet, LossUnit::Group].map(|unit| Sampler::new(&stream, unit).unwrap());
+        assert!(groups.units() <= packets.units() && packets.units() == stream.packets().len());
+        let everything = vec![true; packets.units()];
+        assert_eq!(packets.state(&everything), packets.complete());
+        assert_eq!(packets.state(&vec![false; packets.units()]), map.initial());
+        assert_eq!(packets.prefix(3), packets.complete());
+        assert!(share_arrived(&packets.prefix(0)) < share_arrived(&packets.prefix(1)));
+    }
+
+    #[test]
+    fn recorded_states_come_back_and_bad_files_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("states.json");
+        let masks = Masks { states: vec![vec![0, 1, 15], vec![7, 0, 3]] };
+        std::fs::write(&path, masks.to_json()).unwrap();
+        assert_eq!(Masks::read(&path, 3).unwrap(), masks);
+        let refused = |text: &str, blocks| {
+            std::fs::write(&path, text).unwrap();
+            Masks::read(&path, blocks).unwrap_err().to_string()
+        };
+        let short = refused(&masks.to_json(), 4);
+        assert!(short.contains("states[0] has 3 blocks; the stream has 4"), "{short}");
+        let high = refused(r#"{"states": ["0f1f"]}"#, 2);
+        assert!(high.contains("states[0]") && high.contains("0f1f"), "{high}");
+        assert!(refused(r#"{"states": []}"#, 2).contains("at least 1"));
+        assert!(refused(r#"{"stat": []}"#, 2).contains("stat"));
+        assert!(Masks::read(&folder.path().join("no"), 1).unwrap_err().to_string().contains("no"));
+    }
+
+    #[test]
+    fn variants_draw_their_own_worlds_and_combined_has_clean_anchors() {
+        let sampler = Sampler::new(&stream("dgs1"), LossUnit::Packet).unwrap();
+        let ranges = ChannelRanges::default();
+        let worlds = |variant, seed| {
+            sampler.worlds(variant, &ranges, (12, 3), None, |i| random(seed, Purpose::Training, 0, i))
+        };
+        let complete = |states: &[Vec<u8>]| states.iter().filter(|s| **s == sampler.complete()).count();
+        assert_eq!(complete(&worlds(Variant::Reconstruction, 1)), 12);
+        assert!(complete(&worlds(Variant::Combined, 1)) >= 3);
+        assert!(complete(&worlds(Variant::Iid, 1)) < 6);
+        assert_ne!(worlds(Variant::Iid, 1), worlds(Variant::Iid, 2));
+        assert_ne!(worlds(Variant::Iid, 1), worlds(Variant::BurstCvar, 1));
+        assert_eq!(worlds(Variant::Combined, 4), worlds(Variant::Combined, 4));
+    }
+}

@@ -1,0 +1,77 @@
+//! Records what was fixed before training, and what came of it.
+
+use std::path::Path;
+
+use super::{
+    config::{DeliveryOptions, Weights},
+    error::DeliveryError,
+    masks::Masks,
+    objective::Terms,
+    select::{Candidate, RULE},
+};
+
+/// What is fixed before the first update, so that nothing is chosen by its result.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Registration {
+    /// All options.
+    pub options: DeliveryOptions,
+    /// Hash of the options, how the scene is encoded included; 16 hexadecimal digits of FNV-1a.
+    pub config_hash: String,
+    /// Weights that count in the variant.
+    pub weights: Weights,
+    /// Hash of the validation states.
+    pub validation_masks: String,
+    /// Hash of the first ten updates' worlds.
+    pub first_worlds: String,
+    /// How a candidate is chosen.
+    pub selection_rule: String,
+}
+
+impl Registration {
+    /// That of `options`, with the states of validation and of the first updates.
+    pub(super) fn of(options: &DeliveryOptions, validation: &Masks, first_worlds: &Masks) -> Self {
+        Self {
+            options: options.clone(),
+            config_hash: hex(options.hash()),
+            weights: options.variant.weights(&options.weights),
+            validation_masks: hex(validation.hash()),
+            first_worlds: hex(first_worlds.hash()),
+            selection_rule: RULE.to_owned(),
+        }
+    }
+
+    /// Writes it to `path` as JSON, whole or not at all.
+    ///
+    /// # Errors
+    /// What the system says about the path.
+    pub(super) fn write(&self, path: &Path) -> Result<(), DeliveryError> {
+        let file = |error| DeliveryError::File { path: path.to_owned(), error };
+        let text = serde_json::to_string_pretty(self).map_err(|error| file(error.into()))?;
+        let mut beside = path.as_os_str().to_owned();
+        beside.push(".part");
+        std::fs::write(&beside, text).map_err(file)?;
+        std::fs::rename(&beside, path).map_err(file)
+    }
+}
+
+/// A hash as 16 hexadecimal digits.
+pub(super) fn hex(hash: u64) -> String {
+    format!("{hash:016x}")
+}
+
+/// What was fixed, what every update measured, and what was chosen.
+#[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
+pub struct Record {
+    /// What was fixed before.
+    pub registration: Registration,
+    /// Hash of all worlds of all updates, in order.
+    pub worlds: String,
+    /// Objective of each update.
+    pub objective: Vec<f64>,
+    /// Terms of the last update's objective.
+    pub(super) last_terms: Terms,
+    /// What validation saw; empty without.
+    pub candidates: Vec<Candidate>,
+    /// Which of the candidates was taken.
+    pub taken: Option<usize>,
+}
