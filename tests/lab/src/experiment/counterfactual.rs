@@ -3,8 +3,6 @@
 
 mod table;
 
-use std::{hint::black_box, time::Instant};
-
 use anyhow::Result;
 use render_host::{
     Renderer, Settings,
@@ -13,16 +11,16 @@ use render_host::{
 };
 
 use super::{
+    clock::seconds_of,
     cloud::{Kind, LATTICE},
-    partial::{Partial, deliveries},
+    partial::{Partial, STATES_ALONE, deliveries, spread},
 };
 use crate::{
     figures::{Bench, Figure, median},
     setup::Setup,
 };
 
-/// Worlds that brute force renders per round, and differentiates; its time is scaled to all.
-const ALONE: usize = 16;
+/// Worlds that brute force differentiates per round; its time is scaled to all.
 const ALONE_GRADIENTS: usize = 4;
 
 /// Runs the bench.
@@ -37,7 +35,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
                 which each lacks a tenth of the clusters, one \
              camera; A: uniform volume in cells, B: overlapping shells; medians of {runs} interleaved runs, \
              set-up (project, sort, bin) included; brute \
-             force renders {ALONE} states with the tile renderer (early stop on), its time scaled to W; \
+             force renders {STATES_ALONE} states with the tile renderer (early stop on), its time scaled to W; \
              table: all utilities of 32 clusters of 4 levels in 32 contexts at 4 frames"
         ),
     );
@@ -64,7 +62,7 @@ fn measure(
     let (variants, camera, against) = (scene.variants()?, &scene.camera, &scene.against);
     let (states, groups) = (deliveries(worlds), LATTICE.groups());
     let full = States::full(groups);
-    let (few, fewer) = (some(&states, ALONE), some(&states, ALONE_GRADIENTS));
+    let (few, fewer) = (spread(&states, STATES_ALONE), spread(&states, ALONE_GRADIENTS));
     let contexts = states.range(0..32);
     let weights = vec![1.0 / worlds as f64; worlds];
 
@@ -73,16 +71,18 @@ fn measure(
     let mut times: [Vec<f64>; 9] = Default::default();
     for _ in 0..runs {
         let [single, alone, set_up, fast, strict, leave, all, gradients, alone_gradients] = &mut times;
-        time(single, || renderer.render(&scene.splats(), camera, &settings))?;
-        time(fast, || engine()?.fast(&states))?;
-        time(leave, || engine()?.utilities(&full))?;
-        time(gradients, || engine()?.gradients(&variants, &states, &weights))?;
-        time(alone, || brute::sse(&variants, &few, camera, against, &settings))?;
-        time(set_up, engine)?;
-        time(strict, || engine()?.strict(&states))?;
-        time(all, || engine()?.utilities(&contexts))?;
+        seconds_of(single, || renderer.render(&scene.splats(), camera, &settings))?;
+        seconds_of(fast, || engine()?.fast(&states))?;
+        seconds_of(leave, || engine()?.utilities(&full))?;
+        seconds_of(gradients, || engine()?.gradients(&variants, &states, &weights))?;
+        seconds_of(alone, || brute::sse(&variants, &few, camera, against, &settings))?;
+        seconds_of(set_up, engine)?;
+        seconds_of(strict, || engine()?.strict(&states))?;
+        seconds_of(all, || engine()?.utilities(&contexts))?;
         let unit = vec![1.0; fewer.len()];
-        time(alone_gradients, || brute::gradients(&variants, &fewer, &unit, camera, against, &settings))?;
+        seconds_of(alone_gradients, || {
+            brute::gradients(&variants, &fewer, &unit, camera, against, &settings)
+        })?;
     }
     let [single, alone, set_up, fast, strict, leave, all, gradients, alone_gradients] =
         times.map(|t| median(&t));
@@ -168,7 +168,7 @@ impl Errors {
         let picture = render_host::render(&scene.splats(), camera, &stop)?.image;
         let exact = reference::render(&scene.splats(), camera, &stop)?.difference(picture.rgb());
         let (mut of_brute, mut of_fast) = (0.0f64, 0.0f64);
-        let two = some(states, 2);
+        let two = spread(states, 2);
         let stopped = brute::sse(variants, &two, camera, against, &stop)?;
         for (world, fast) in engine.fast(&two)?.iter().enumerate() {
             let (gaussians, _) = brute::world(variants, &two, world);
@@ -229,22 +229,6 @@ pub(super) fn distance(got: &WorldGradients, expected: &WorldGradients) -> f64 {
         (difference / length).sqrt()
     };
     classes.map(of).into_iter().fold(0.0, f64::max)
-}
-
-/// Up to `count` worlds, evenly spread.
-fn some(states: &States, count: usize) -> States {
-    let mut out = States::new(states.groups());
-    let step = states.len().div_ceil(count).max(1);
-    (0..states.len()).step_by(step).for_each(|world| out.push(|g| states.has(world, g)));
-    out
-}
-
-/// Adds the seconds that `work` takes.
-fn time<T, E>(times: &mut Vec<f64>, work: impl FnOnce() -> Result<T, E>) -> Result<(), E> {
-    let start = Instant::now();
-    black_box(work()?);
-    times.push(start.elapsed().as_secs_f64());
-    Ok(())
 }
 
 #[cfg(test)]

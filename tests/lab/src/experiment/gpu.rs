@@ -3,6 +3,7 @@
 //! Needs only the binary and a Vulkan driver. `DGS_GPU` names the adapter; an adapter that is a CPU gets
 //! smaller worlds. Every part is one function over a [`Context`].
 
+mod context;
 mod counterfactual;
 mod forward;
 mod gradients;
@@ -10,32 +11,10 @@ mod peer;
 mod worlds;
 
 use anyhow::Result;
-use render_host::{
-    Settings,
-    gpu::{Device, DeviceOptions, Executor, GpuError},
-};
+use render_host::gpu::{Device, DeviceOptions, Executor, GpuError};
 
-use super::{cloud::Kind, partial::Partial};
+use self::context::Context;
 use crate::{figures::Bench, setup::Setup};
-
-/// The scenes of the engines over states, and the start of their keys; only A when it must be quick.
-fn partials(n: usize, side: u32, quick: bool) -> Result<Vec<(String, Partial)>> {
-    let kinds = Kind::ALL.into_iter().take(if quick { 1 } else { 2 });
-    kinds
-        .map(|(kind, letter)| {
-            Ok((format!("{letter}.{side}"), Partial::new(kind, n, side, &Settings::default())?))
-        })
-        .collect()
-}
-
-/// What every part measures with.
-struct Context {
-    executor: Executor,
-    /// Smaller sizes and three runs.
-    quick: bool,
-    /// The adapter is a CPU.
-    is_cpu: bool,
-}
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {

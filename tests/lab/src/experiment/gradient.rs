@@ -18,7 +18,10 @@ use render_host::{
 };
 use trainer_host::viewpoint::{Framing, Ring};
 
-use super::cloud::{Kind, Numbers, beside, camera, cloud};
+use super::{
+    clock::milliseconds_of,
+    cloud::{Kind, Numbers, beside, camera, cloud},
+};
 use crate::{
     figures::{Bench, Figure, median},
     setup::{Setup, load},
@@ -41,14 +44,6 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     frames(setup, &mut bench, runs)?;
     groups::utilities(setup, &mut bench, runs)?;
     Ok(bench)
-}
-
-/// Milliseconds of `work`.
-fn ms(times: &mut Vec<f64>, work: impl FnOnce() -> Result<()>) -> Result<()> {
-    let start = Instant::now();
-    work()?;
-    times.push(1000.0 * start.elapsed().as_secs_f64());
-    Ok(())
 }
 
 /// Figure 5: every class of parameters on scenes of every degree.
@@ -80,7 +75,7 @@ fn checks(bench: &mut Bench, runs: usize) -> Result<()> {
             let splats = Splats::new(&gaussians, &rest, degree)?;
             let (mut workspace, mut out) = (Workspace::new(), Gradients::default());
             for _ in 0..runs {
-                ms(&mut times, || {
+                milliseconds_of(&mut times, || {
                     Ok(render_and_gradients_into(
                         &mut workspace,
                         &splats,
@@ -140,11 +135,11 @@ fn losses(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
         let mut gradient = vec![0.0; image.rgb().len()];
         let (mut of_mse, mut of_both, mut mean, mut value) = (Vec::new(), Vec::new(), 0.0, 0.0);
         for _ in 0..2 * runs + 1 {
-            ms(&mut of_mse, || {
+            milliseconds_of(&mut of_mse, || {
                 mean = mse.differentiate(&image, true, &mut gradient)?;
                 Ok(())
             })?;
-            ms(&mut of_both, || {
+            milliseconds_of(&mut of_both, || {
                 value = both.differentiate(&image, true, &mut gradient)?;
                 Ok(())
             })?;
@@ -206,11 +201,11 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, film: &Camera, runs: us
     let (mut workspace, mut out) = (Workspace::new(), Gradients::default());
     let [mut forward, mut with_mse, mut with_both] = [const { Vec::new() }; 3];
     for _ in 0..runs {
-        ms(&mut forward, || Ok(renderer.render_into(splats, film, &settings, &mut picture)?))?;
-        ms(&mut with_mse, || {
+        milliseconds_of(&mut forward, || Ok(renderer.render_into(splats, film, &settings, &mut picture)?))?;
+        milliseconds_of(&mut with_mse, || {
             Ok(render_and_gradients_into(&mut workspace, splats, film, &settings, &mse, &mut out)?)
         })?;
-        ms(&mut with_both, || {
+        milliseconds_of(&mut with_both, || {
             Ok(render_and_gradients_into(&mut workspace, splats, film, &settings, &both, &mut out)?)
         })?;
     }

@@ -6,57 +6,33 @@
 mod backend;
 mod candidates;
 mod states;
+mod view;
 
 use std::{fmt::Write as _, time::Instant};
 
 use anyhow::Result;
-use codec_core::{Gaussian, ShDegree};
 use dgs::output::print;
 use render_host::{
-    Camera, Image, Settings, Splats, metric,
+    Image, Settings, metric,
     reference::{self, Reference},
 };
-use trainer_host::{
-    Scene,
-    viewpoint::{Framing, Ring},
-};
 
-use super::cloud::{Numbers, camera};
+use self::{
+    backend::Backend,
+    candidates::{Candidate, KNOBS, candidates},
+    view::{View, exact},
+};
 use crate::{
     draw::scatter::{Point, Scatter, front},
     figures::{Bench, Figure, median, number},
     setup::{Setup, load, synth},
 };
-use backend::Backend;
-use candidates::{Candidate, KNOBS, candidates};
 
 /// Largest error of a channel that a default may add: half a step of an 8-bit display.
 const BUDGET: f64 = 0.5 / 255.0;
 
 /// Share of the time that a value must save to be recommended over the default: less is noise.
 const PAYS: f64 = 0.05;
-
-/// A scene to look at.
-struct View {
-    name: String,
-    gaussians: Vec<Gaussian>,
-    rest: Vec<f32>,
-    degree: ShDegree,
-    camera: Camera,
-}
-
-impl View {
-    fn splats(&self) -> Result<Splats<'_>> {
-        Ok(Splats::new(&self.gaussians, &self.rest, self.degree)?)
-    }
-
-    fn of(name: String, scene: &Scene, side: u32) -> Result<Self> {
-        let instant = scene.instant(scene.frames() / 2).unwrap_or_default();
-        let camera = Framing::of(scene).ring(Ring::HeldOut, 3, (side, side))?.swap_remove(0);
-        let (gaussians, rest, degree) = (instant.gaussians, instant.sh_rest, instant.sh_degree);
-        Ok(Self { name, gaussians, rest, degree, camera })
-    }
-}
 
 /// What a candidate costs and how far off it is.
 struct Row {
@@ -130,7 +106,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
 
 fn views(setup: &Setup, side: u32, bench: &mut Bench) -> Result<Vec<View>> {
     let (n, m) = if setup.quick { (4000, 2000) } else { (100_000, 20_000) };
-    let mut out = vec![random(n, side)?, View::of(format!("synth-cloth-{m}"), &synth("cloth", m, 2)?, side)?];
+    let mut out =
+        vec![View::random(n, side)?, View::of(format!("synth-cloth-{m}"), &synth("cloth", m, 2)?, side)?];
     if let Some(path) = setup.data("scenes/gltf-fox/Fox.glb", bench)? {
         out.push(View::of(format!("fox-{m}"), &load(&path, m)?, side)?);
     }
@@ -141,33 +118,6 @@ fn views(setup: &Setup, side: u32, bench: &mut Bench) -> Result<Vec<View>> {
     }
     bench.skipped.dedup();
     Ok(out)
-}
-
-/// `n` Gaussians in [-1, 1]³ with harmonics of degree 3, seen from 3.2 away with a focal length of 0.9 of the
-/// width: the random scene of the renderer's goals.
-fn random(n: usize, side: u32) -> Result<View> {
-    let mut r = Numbers(7);
-    let mut between = |low: f32, high: f32| r.between(low, high);
-    let degree = ShDegree::MAX;
-    let (low, high) = (0.004f32.ln(), 0.02f32.ln());
-    let gaussians = (0..n)
-        .map(|_| Gaussian {
-            position: [0; 3].map(|_| between(-1.0, 1.0)),
-            scale: [0; 3].map(|_| between(low, high).exp()),
-            rotation: [0; 4].map(|_| between(-1.0, 1.0)),
-            opacity: between(0.02, 1.0),
-            sh0: [0; 3].map(|_| between(-1.7, 1.7)),
-        })
-        .collect();
-    let rest = (0..n * degree.rest_len()).map(|_| between(-0.1, 0.1)).collect();
-    let camera = camera(side)?;
-    Ok(View { name: format!("random-{n}"), gaussians, rest, degree, camera })
-}
-
-/// The exact picture, the reference: without cut and stop.
-fn exact() -> Settings {
-    // Beyond 1e-12, a hundred thousand splats add less than 1e-7.
-    Settings { alpha_cutoff: 1e-12, ..Settings::exact() }
 }
 
 /// Pictures of the f64 reference that tell the error of one knob from that of the others: exact; the defaults

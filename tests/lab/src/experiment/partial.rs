@@ -9,6 +9,9 @@ use render_host::{
 
 use super::cloud::{Cloud, Kind, LATTICE, Numbers, beside, camera, cloud};
 
+/// States that brute force renders per round; its time is scaled to all.
+pub(super) const STATES_ALONE: usize = 16;
+
 /// A scene, its groups, a camera and what its pictures are judged by.
 #[derive(Clone)]
 pub(crate) struct Partial {
@@ -68,4 +71,12 @@ pub(crate) fn deliveries_of(lattice: Lattice, worlds: usize) -> States {
         lattice.push_additive(&mut states, |cluster, level| level < depth[cluster]);
     }
     states
+}
+
+/// Up to `count` worlds, evenly spread.
+pub(super) fn spread(states: &States, count: usize) -> States {
+    let mut out = States::new(states.groups());
+    let step = states.len().div_ceil(count).max(1);
+    (0..states.len()).step_by(step).for_each(|world| out.push(|g| states.has(world, g)));
+    out
 }

@@ -7,11 +7,11 @@ use render_host::{
     counterfactual::{Engine, Lattice, States, brute},
 };
 
-use super::{ALONE, some, time};
 use crate::{
     experiment::{
+        clock::seconds_of,
         cloud::Kind,
-        partial::{Partial, deliveries_of},
+        partial::{Partial, STATES_ALONE, deliveries_of, spread},
     },
     figures::{Bench, Figure, median},
 };
@@ -27,10 +27,10 @@ pub(super) fn run(bench: &mut Bench, n: usize, side: u32, runs: usize) -> Result
         .map(|frame| Partial::turned(Kind::Volume, n, side, 0.05 * frame as f32, &settings))
         .collect::<Result<Vec<_>>>()?;
     let contexts = deliveries_of(LATTICE, CONTEXTS);
-    let few = some(&contexts, ALONE);
+    let few = spread(&contexts, STATES_ALONE);
     let (mut table, mut alone) = (Vec::new(), Vec::new());
     for run in 0..runs {
-        time(&mut table, || {
+        seconds_of(&mut table, || {
             for frame in &frames {
                 let engine = Engine::new(&frame.variants()?, &frame.camera, &frame.against, &settings)?;
                 std::hint::black_box(engine.utilities(&contexts)?);
@@ -38,7 +38,7 @@ pub(super) fn run(bench: &mut Bench, n: usize, side: u32, runs: usize) -> Result
             Ok::<_, anyhow::Error>(())
         })?;
         let frame = &frames[run % FRAMES];
-        time(&mut alone, || {
+        seconds_of(&mut alone, || {
             brute::sse(&frame.variants()?, &few, &frame.camera, &frame.against, &settings)
                 .map_err(anyhow::Error::from)
         })?;

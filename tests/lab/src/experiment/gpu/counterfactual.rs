@@ -17,7 +17,7 @@ use super::{
         cloud::LATTICE,
         partial::{Partial, deliveries},
     },
-    Context, partials,
+    context::{Context, partials},
 };
 use crate::figures::{Bench, Figure, median};
 

@@ -11,7 +11,8 @@ use render_host::{
 
 use super::{
     super::cloud::{Kind, camera, cloud},
-    Context, peer,
+    context::Context,
+    peer,
 };
 use crate::figures::{Bench, Figure, median};
 

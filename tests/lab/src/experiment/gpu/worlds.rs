@@ -14,7 +14,7 @@ use super::{
         cloud::{Cloud, Kind, camera, cloud},
         partial::deliveries,
     },
-    Context,
+    context::Context,
 };
 use crate::figures::{Bench, Figure, mean, student95};
 

@@ -13,8 +13,11 @@ use trainer_host::{
 };
 
 use super::{
-    super::cloud::{Kind, LATTICE, beside, camera, cloud},
-    ms, rank,
+    super::{
+        clock::milliseconds_of,
+        cloud::{Kind, LATTICE, beside, camera, cloud},
+    },
+    rank,
 };
 use crate::{
     figures::{Bench, Figure, median},
@@ -85,11 +88,11 @@ pub(super) fn utilities(setup: &Setup, bench: &mut Bench, runs: usize) -> Result
         let [mut exact_ms, mut backward_ms] = [const { Vec::new() }; 2];
         let mut exact = Vec::new();
         for _ in 0..runs {
-            ms(&mut exact_ms, || {
+            milliseconds_of(&mut exact_ms, || {
                 exact = engine.utilities(&full)?.delta;
                 Ok(())
             })?;
-            ms(&mut backward_ms, || {
+            milliseconds_of(&mut backward_ms, || {
                 Ok(render_host::adjoint::render_and_gradients_into(
                     &mut workspace,
                     &splats,

@@ -10,7 +10,7 @@ use render_host::{
     reference,
 };
 
-use super::{View, exact};
+use super::view::{View, exact};
 use crate::{
     draw::scatter::{Point, Scatter, front},
     figures::{Bench, Figure, median, number},
