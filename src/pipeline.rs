@@ -66,16 +66,16 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         None => Clip::First,
         Some(text) => text.parse().map_or_else(|_| Clip::Name(text.clone()), Clip::Index),
     };
-    let options = import::Options {
+    let options = import::ImportOptions {
         limits,
         identity: if args.identity_stored { import::Identity::Stored } else { import::Identity::PerFrame },
         frames_per_second: args.fps,
-        gltf: import::gltf::Options {
+        gltf: import::gltf::GltfOptions {
             clip,
             frames_per_second: args.fps,
             samples: args.samples,
             seed: args.seed,
-            ..import::gltf::Options::default()
+            ..import::gltf::GltfOptions::default()
         },
     };
     let path = Path::new(input);
@@ -88,11 +88,11 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
     Ok(Loaded { name, scene })
 }
 
-fn synth_options(text: &str, args: &SceneArgs) -> Result<synth::Options> {
+fn synth_options(text: &str, args: &SceneArgs) -> Result<synth::SynthOptions> {
     let mut parts = text.split(':');
     let kind = parts.next().unwrap_or_default();
-    let names: Vec<&str> = synth::Kind::ALL.iter().map(|k| k.name()).collect();
-    let kind = synth::Kind::from_name(kind)
+    let names: Vec<&str> = synth::SynthKind::ALL.iter().map(|k| k.name()).collect();
+    let kind = synth::SynthKind::from_name(kind)
         .with_context(|| format!("synth:{kind}: no such scene; there are {}", names.join(", ")))?;
     let mut number = |what: &str, default: usize| -> Result<usize> {
         match parts.next() {
@@ -107,19 +107,19 @@ fn synth_options(text: &str, args: &SceneArgs) -> Result<synth::Options> {
     if let Some(extra) = parts.next() {
         bail!("synth: {extra:?} is one part too many; synth:KIND[:GAUSSIANS[:FRAMES]] is allowed");
     }
-    Ok(synth::Options { kind, gaussians, frames, frames_per_second: args.fps, seed: args.seed })
+    Ok(synth::SynthOptions { kind, gaussians, frames, frames_per_second: args.fps, seed: args.seed })
 }
 
 /// The encoder's options as typed, with `repair` if nothing is said about parity.
-pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::Options {
+pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::EncodeOptions {
     let base = match args.profile {
-        ProfileName::Dgs1 => encode::Options::default(),
-        ProfileName::Paper => encode::Options::paper(),
+        ProfileName::Dgs1 => encode::EncodeOptions::default(),
+        ProfileName::Paper => encode::EncodeOptions::paper(),
     };
     let mut cluster = base.cluster;
     cluster.max_gaussians = args.cluster_size;
     cluster.min_gaussians = cluster.min_gaussians.min(args.cluster_size);
-    encode::Options {
+    encode::EncodeOptions {
         cluster,
         block_len: args.block_len,
         window_frames: args.window_frames,
@@ -146,7 +146,7 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::Options {
 ///
 /// # Errors
 /// Options out of range, or a scene beyond the format's bounds.
-pub fn encode(scene: &Scene, options: &encode::Options, quiet: Quiet) -> Result<Encoded> {
+pub fn encode(scene: &Scene, options: &encode::EncodeOptions, quiet: Quiet) -> Result<Encoded> {
     let progress = Progress::new("encode", quiet.0);
     encode::encode(scene, options, &|stage, share| progress.stage(stage, share)).context("cannot encode")
 }
@@ -166,13 +166,13 @@ pub fn write(scene: &Scene, decisions: &Decisions, quiet: Quiet) -> Result<Encod
 /// If measuring or encoding fails.
 pub fn truncate(
     scene: &Scene,
-    options: &encode::Options,
+    options: &encode::EncodeOptions,
     whole: &Encoded,
     lambda: f64,
     quiet: Quiet,
 ) -> Result<(Encoded, utility::Truncated)> {
     let (map, received) = (PacketMap::of(&whole.stream)?, whole.stream.receive()?);
-    let how = utility::Options::complete(scene)?;
+    let how = utility::UtilityOptions::complete(scene)?;
     let table = utilities(scene, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
     let progress = Progress::new("encode", quiet.0);
     let report = |stage, share| progress.stage(stage, share);

@@ -26,7 +26,7 @@ use emulator_host::{
 };
 use trainer_host::{
     Scene, Stream,
-    encode::{Options, Protection, encode},
+    encode::{EncodeOptions, Protection, encode},
     export::{ply as ply_writer, spz as spz_writer},
     import::{self, Limits, import},
     stream::Player,
@@ -122,14 +122,14 @@ fn damaged_scenes() {
     let scenes = ["ply", "splat", "spz", "sog", "glb", "npz", "asset"];
     for case in cases().iter().filter(|c| scenes.iter().any(|e| c.file.ends_with(&format!(".{e}")))) {
         let path = folder().join(&case.file);
-        let error = import(&path, &import::Options::default()).expect_err(&case.file);
+        let error = import(&path, &import::ImportOptions::default()).expect_err(&case.file);
         let text = error.to_string();
         assert_says(case, &text);
         for part in [case.file.as_str(), "found", "allowed"] {
             assert!(text.contains(part), "{text:?} does not say {part:?}");
         }
         let limits = Limits { keep_readable: true, ..Limits::default() };
-        let readable = import(&path, &import::Options { limits, ..import::Options::default() });
+        let readable = import(&path, &import::ImportOptions { limits, ..import::ImportOptions::default() });
         match (readable, case.readable) {
             (Ok(scene), Some(readable)) => {
                 assert_eq!(scene.max_count(), readable, "{}", case.file);
@@ -189,8 +189,12 @@ fn records(n: usize) -> Vec<u8> {
 fn good_stream() -> Stream {
     let snapshot = import::splat::parse(&records(40), &Limits::default()).unwrap();
     let scene = Scene::new(vec![snapshot.epoch], 30.0).unwrap();
-    let options =
-        Options { packet_bytes: 200, block_len: 8, repair: Protection::xor(4), ..Options::default() };
+    let options = EncodeOptions {
+        packet_bytes: 200,
+        block_len: 8,
+        repair: Protection::xor(4),
+        ..EncodeOptions::default()
+    };
     encode(&scene, &options, &|_, _| {}).unwrap().stream
 }
 

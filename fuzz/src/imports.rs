@@ -136,7 +136,7 @@ pub fn points_npz(data: &[u8]) {
 /// glTF and GLB.
 pub fn gltf(data: &[u8]) {
     let clips = import::gltf::clips(data, nothing_beside, &limits(false));
-    let options = import::gltf::Options { samples: 60, ..import::gltf::Options::default() };
+    let options = import::gltf::GltfOptions { samples: 60, ..import::gltf::GltfOptions::default() };
     let parsed = import::gltf::parse(data, nothing_beside, &options, &limits(false));
     assert!(parsed.is_err() || clips.is_ok());
     moving(parsed);

@@ -5,10 +5,10 @@ use std::sync::OnceLock;
 use codec_core::{Caps, ErrorKind};
 use dgs_player::Player;
 use trainer_host::{
-    encode::{Options, Protection, Strength, encode},
+    encode::{EncodeOptions, Protection, Strength, encode},
     import::{
         Limits,
-        synth::{self, Kind},
+        synth::{self, SynthKind},
     },
     scene::{Attributes, Epoch, Scene, Track},
     stream::Stream,
@@ -16,14 +16,19 @@ use trainer_host::{
 
 /// A scene with two epochs, several windows, tracks and coefficients.
 fn scene() -> Option<Scene> {
-    let options =
-        synth::Options { kind: Kind::Births, gaussians: 1000, frames: 8, frames_per_second: 8.0, seed: 3 };
+    let options = synth::SynthOptions {
+        kind: SynthKind::Births,
+        gaussians: 1000,
+        frames: 8,
+        frames_per_second: 8.0,
+        seed: 3,
+    };
     synth::make(&options, &Limits::default()).ok()
 }
 
 /// `dgs1` with several packets in everything, and parity of several rows.
-fn dgs1(packet_bytes: usize) -> Options {
-    Options {
+fn dgs1(packet_bytes: usize) -> EncodeOptions {
+    EncodeOptions {
         block_len: 16,
         window_frames: Some(3),
         repair: Protection {
@@ -31,7 +36,7 @@ fn dgs1(packet_bytes: usize) -> Options {
             ..Protection::STANDARD
         },
         packet_bytes,
-        ..Options::default()
+        ..EncodeOptions::default()
     }
 }
 
@@ -40,7 +45,7 @@ fn dgs1(packet_bytes: usize) -> Options {
 pub fn fixture(paper: bool) -> &'static Stream {
     static STREAMS: OnceLock<Vec<Stream>> = OnceLock::new();
     let streams = STREAMS.get_or_init(|| {
-        let all = [dgs1(400), Options { repair: Protection::xor(4), ..Options::paper() }];
+        let all = [dgs1(400), EncodeOptions { repair: Protection::xor(4), ..EncodeOptions::paper() }];
         let encoded =
             |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}).map(|e| e.stream));
         scene().into_iter().flat_map(encoded).flatten().collect()
@@ -69,7 +74,7 @@ pub fn cuts() -> &'static [(Stream, Player)] {
 pub fn small(paper: bool) -> &'static Stream {
     static STREAMS: OnceLock<Vec<Stream>> = OnceLock::new();
     let streams = STREAMS.get_or_init(|| {
-        let all = [dgs1(200), Options { repair: Protection::xor(4), ..Options::paper() }];
+        let all = [dgs1(200), EncodeOptions { repair: Protection::xor(4), ..EncodeOptions::paper() }];
         let encoded =
             |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}).map(|e| e.stream));
         few().into_iter().flat_map(encoded).flatten().collect()
@@ -80,8 +85,13 @@ pub fn small(paper: bool) -> &'static Stream {
 
 /// Every sixteenth Gaussian of a scene with two epochs.
 fn few() -> Option<Scene> {
-    let options =
-        synth::Options { kind: Kind::Births, gaussians: 1000, frames: 6, frames_per_second: 6.0, seed: 5 };
+    let options = synth::SynthOptions {
+        kind: SynthKind::Births,
+        gaussians: 1000,
+        frames: 6,
+        frames_per_second: 6.0,
+        seed: 5,
+    };
     let scene = synth::make(&options, &Limits::default()).ok()?;
     let epochs = scene.epochs().iter().map(|epoch| {
         let (n, frames, all) = (epoch.count(), epoch.frames(), epoch.attributes());

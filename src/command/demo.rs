@@ -87,7 +87,10 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
 
     let framing = Framing::of(&scene);
     let measuring = framing.ring(Ring::Measuring, 3, (128, 128))?;
-    let options = utility::Options { contexts: args.contexts.max(1), ..utility::Options::paper(measuring) };
+    let options = utility::UtilityOptions {
+        contexts: args.contexts.max(1),
+        ..utility::UtilityOptions::paper(measuring)
+    };
     let cache = args.out.join(UTILITIES);
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot create", args.out.display()))?;
     let mut notes = scene.notes.clone();

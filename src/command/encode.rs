@@ -97,7 +97,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         let framing = Framing::of(&loaded.scene);
         let cameras = framing.ring(Ring::Measuring, 3, (160, 160))?;
         let path = pipeline::utility_path(&args.out);
-        let options = utility::Options::paper(cameras);
+        let options = utility::UtilityOptions::paper(cameras);
         let table = pipeline::utilities(
             &loaded.scene,
             &received.content(),

@@ -124,7 +124,7 @@ impl Format {
     fn encode(self, epoch: &Epoch, t: usize) -> Result<Vec<u8>> {
         match self {
             Self::Ply => Ok(export::ply::encode(epoch, t)),
-            Self::Spz => Ok(export::spz::encode(epoch, t, &export::spz::Options::default())?),
+            Self::Spz => Ok(export::spz::encode(epoch, t, &export::spz::SpzOptions::default())?),
         }
     }
 }

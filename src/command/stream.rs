@@ -42,7 +42,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         let map = PacketMap::of(&stream)?;
         let received = stream.receive()?;
         let framing = Framing::of(&loaded.scene);
-        let options = utility::Options::paper(framing.ring(Ring::Measuring, 3, (128, 128))?);
+        let options = utility::UtilityOptions::paper(framing.ring(Ring::Measuring, 3, (128, 128))?);
         let measured = pipeline::utilities(
             &loaded.scene,
             &received.content(),

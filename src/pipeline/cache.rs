@@ -38,7 +38,7 @@ pub fn utilities(
     scene: &Scene,
     content: &Content<'_>,
     map: &PacketMap,
-    options: &utility::Options,
+    options: &utility::UtilityOptions,
     cache: Option<&Path>,
     quiet: Quiet,
     warn: &mut dyn FnMut(String),
@@ -84,10 +84,10 @@ pub fn stored_utilities(path: &Path, manifest: &[u8]) -> Result<utility::Table> 
 fn measured(
     scene: &Scene,
     content: &Content<'_>,
-    options: &utility::Options,
+    options: &utility::UtilityOptions,
 ) -> Result<BTreeMap<String, Value>> {
     // Exhaustive, so that an option cannot be forgotten here.
-    let utility::Options { cameras, contexts, frames_per_span, alpha, beta, complete, seed, settings } =
+    let utility::UtilityOptions { cameras, contexts, frames_per_span, alpha, beta, complete, seed, settings } =
         options;
     let values = [
         ("version", json!(VERSION)),
@@ -176,14 +176,14 @@ mod tests {
 
     #[test]
     fn what_was_measured_otherwise_is_named_and_measured_anew() {
-        let make = synth::Options { gaussians: 1000, frames: 2, ..synth::Options::default() };
+        let make = synth::SynthOptions { gaussians: 1000, frames: 2, ..synth::SynthOptions::default() };
         let scene = synth::make(&make, &Limits::default()).unwrap();
-        let other = synth::make(&synth::Options { seed: 9, ..make }, &Limits::default()).unwrap();
-        let stream = encode::encode(&scene, &encode::Options::default(), &|_, _| {}).unwrap().stream;
+        let other = synth::make(&synth::SynthOptions { seed: 9, ..make }, &Limits::default()).unwrap();
+        let stream = encode::encode(&scene, &encode::EncodeOptions::default(), &|_, _| {}).unwrap().stream;
         let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
         let folder = tempfile::tempdir().unwrap();
         let cache = folder.path().join("a.utility.json");
-        let measure = |scene: &Scene, options: &utility::Options| {
+        let measure = |scene: &Scene, options: &utility::UtilityOptions| {
             let mut warnings = Vec::new();
             let table =
                 utilities(scene, &received.content(), &map, options, Some(&cache), Quiet(true), &mut |w| {
@@ -191,7 +191,8 @@ mod tests {
                 });
             (table.unwrap(), warnings.join("\n"))
         };
-        let plain = || utility::Options { contexts: 1, ..utility::Options::paper(vec![camera(0.0)]) };
+        let plain =
+            || utility::UtilityOptions { contexts: 1, ..utility::UtilityOptions::paper(vec![camera(0.0)]) };
 
         let (first, warnings) = measure(&scene, &plain());
         assert_eq!(warnings, "", "there was nothing to differ from");
@@ -204,10 +205,10 @@ mod tests {
         };
         let (again, warnings) = measure(&scene, &plain());
         assert!(same(&again, &first) && warnings.is_empty(), "{warnings}");
-        let (more, warnings) = measure(&scene, &utility::Options { contexts: 2, ..plain() });
+        let (more, warnings) = measure(&scene, &utility::UtilityOptions { contexts: 2, ..plain() });
         assert!(warnings.contains("measured with contexts 1, not 2"), "{warnings}");
         assert!(!same(&more, &first));
-        let moved = utility::Options { cameras: vec![camera(1.0)], contexts: 2, ..plain() };
+        let moved = utility::UtilityOptions { cameras: vec![camera(1.0)], contexts: 2, ..plain() };
         assert!(measure(&scene, &moved).1.contains("measured with other cameras"));
         assert!(measure(&other, &moved).1.contains("measured with other scene"));
         std::fs::write(&cache, b"{}").unwrap();

@@ -39,7 +39,7 @@ pub use analysis::Analysis;
 pub use decisions::{Decisions, QuantiserClass};
 pub use error::EncodeError;
 pub use ledger::{Ledger, LedgerPart, Share};
-pub use options::{Options, Target};
+pub use options::{EncodeOptions, Target};
 pub use packet_report::PacketReport;
 pub use profile::{decide, with_levels, write};
 pub use progress::Progress;
@@ -58,7 +58,11 @@ use crate::scene::Scene;
 /// # Errors
 /// An option out of range, a scene beyond the bounds of the format, or a target that no coarseness
 /// meets.
-pub fn encode(scene: &Scene, options: &Options, progress: Progress<'_>) -> Result<Encoded, EncodeError> {
+pub fn encode(
+    scene: &Scene,
+    options: &EncodeOptions,
+    progress: Progress<'_>,
+) -> Result<Encoded, EncodeError> {
     options.check()?;
     check_scene(scene)?;
     let analysis = Analysis::of(scene, options, progress)?;

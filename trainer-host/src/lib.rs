@@ -10,9 +10,9 @@
 //! ```
 //! use trainer_host::{encode, import::{Limits, synth}};
 //!
-//! let options = synth::Options { gaussians: 1000, frames: 2, ..synth::Options::default() };
+//! let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..synth::SynthOptions::default() };
 //! let scene = synth::make(&options, &Limits::default())?;
-//! let encoded = encode::encode(&scene, &encode::Options::default(), &|_stage, _share| {})?;
+//! let encoded = encode::encode(&scene, &encode::EncodeOptions::default(), &|_stage, _share| {})?;
 //! // Everything that was chosen is plain data, and replays to the same bytes.
 //! let again = encode::write(&scene, &encoded.decisions, &|_, _| {})?;
 //! assert_eq!(again.stream.to_bytes()?, encoded.stream.to_bytes()?);

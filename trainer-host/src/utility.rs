@@ -32,7 +32,7 @@ pub use truncation::{Truncated, group_bytes, tops, truncate};
 
 /// How to measure.
 #[derive(Clone, Debug)]
-pub struct Options {
+pub struct UtilityOptions {
     /// Cameras to measure on, at least one.
     pub cameras: Vec<Camera>,
     /// Random states per span, at least 1.
@@ -51,7 +51,7 @@ pub struct Options {
     pub settings: Settings,
 }
 
-impl Options {
+impl UtilityOptions {
     /// The paper's α = 0.25, β = 0.05 and 0.10 quantile on `cameras`: 32 contexts, one frame per span and
     /// camera.
     pub fn paper(cameras: Vec<Camera>) -> Self {
@@ -129,7 +129,7 @@ pub fn measure(
     scene: &Scene,
     content: &Content<'_>,
     map: &PacketMap,
-    options: &Options,
+    options: &UtilityOptions,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<Table, UtilityError> {
     if options.cameras.is_empty() {
@@ -182,7 +182,7 @@ pub fn measure(
 }
 
 /// Mean, tail, deviation and risk-adjusted utility of a group's samples.
-fn summarise(cell: u32, level: Level, samples: &mut [f64], options: &Options) -> GroupUtility {
+fn summarise(cell: u32, level: Level, samples: &mut [f64], options: &UtilityOptions) -> GroupUtility {
     samples.sort_unstable_by(f64::total_cmp);
     let n = samples.len().max(1) as f64;
     let mean = samples.iter().sum::<f64>() / n;
@@ -215,7 +215,7 @@ fn deltas_in_view(
     map: &PacketMap,
     span: &SpanCells,
     view: usize,
-    options: &Options,
+    options: &UtilityOptions,
 ) -> Result<Vec<Delta>, UtilityError> {
     let (epoch, view) = view_of(scene, content, span.span, view, options)?;
     let mut clusters = Clusters::new(content, epoch, view.frame);
@@ -253,7 +253,7 @@ fn deltas_in_view(
 }
 
 /// Numbers for one purpose, keyed by what they are for, so that no other span changes this one's luck.
-fn random(span: Span, index: u32, purpose: u32, options: &Options) -> Pcg64 {
+fn random(span: Span, index: u32, purpose: u32, options: &UtilityOptions) -> Pcg64 {
     let label = match span {
         Span::Canonical(e) => u64::from(e.0) << 1,
         Span::Motion(w) => u64::from(w.0) << 1 | 1,
@@ -268,7 +268,7 @@ fn state_of(
     map: &PacketMap,
     span: Span,
     context: usize,
-    options: &Options,
+    options: &UtilityOptions,
 ) -> Vec<u8> {
     if options.complete {
         return content.blocks.to_vec();
@@ -282,7 +282,7 @@ fn view_of(
     content: &Content<'_>,
     span: Span,
     index: usize,
-    options: &Options,
+    options: &UtilityOptions,
 ) -> Result<(EpochId, View), UtilityError> {
     let (epoch, first, frames) = match span {
         Span::Canonical(id) => {

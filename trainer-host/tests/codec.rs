@@ -10,27 +10,27 @@ use codec_core::{
 };
 use trainer_host::{
     Epoch, Scene, Track,
-    encode::{Encoded, Options, encode},
+    encode::{EncodeOptions, Encoded, encode},
     import::{
         Limits,
-        synth::{self, Kind},
+        synth::{self, SynthKind},
     },
     stream::{PacketMap, Player, Stream},
 };
 
-fn scene(kind: Kind) -> Scene {
-    let options = synth::Options { kind, gaussians: 3000, frames: 40, frames_per_second: 20.0, seed: 7 };
+fn scene(kind: SynthKind) -> Scene {
+    let options = synth::SynthOptions { kind, gaussians: 3000, frames: 40, frames_per_second: 20.0, seed: 7 };
     synth::make(&options, &Limits::default()).unwrap()
 }
 
-fn options(profile: Profile) -> Options {
+fn options(profile: Profile) -> EncodeOptions {
     match profile {
-        Profile::Dgs1 => Options::default(),
-        Profile::Paper => Options::paper(),
+        Profile::Dgs1 => EncodeOptions::default(),
+        Profile::Paper => EncodeOptions::paper(),
     }
 }
 
-fn encoded(scene: &Scene, options: &Options) -> Encoded {
+fn encoded(scene: &Scene, options: &EncodeOptions) -> Encoded {
     encode(scene, options, &|_, _| {}).unwrap()
 }
 
@@ -64,13 +64,13 @@ fn errors(scene: &Scene, encoded: &Encoded, frame: usize) -> [f64; 4] {
 
 #[test]
 fn the_complete_state_is_close_to_the_source() {
-    for kind in Kind::ALL {
+    for kind in SynthKind::ALL {
         let scene = scene(kind);
         // With measured steps what hardly shows may be coarser.
         for (profile, pictures, shape) in
             [(Profile::Dgs1, 0, 0.12), (Profile::Dgs1, 16, 0.15), (Profile::Paper, 0, 0.12)]
         {
-            let stream = encoded(&scene, &Options { pictures, ..options(profile) });
+            let stream = encoded(&scene, &EncodeOptions { pictures, ..options(profile) });
             let ledger = &stream.report.ledger;
             println!(
                 "{} {profile:?}: {:.0} bits/Gaussian, {} packets, manifest {} bytes, saturated {}",
@@ -100,7 +100,7 @@ fn the_complete_state_is_close_to_the_source() {
 
 #[test]
 fn what_does_not_show_is_not_sent() {
-    let made = scene(Kind::Balls);
+    let made = scene(SynthKind::Balls);
     let mut attributes = made.epochs()[0].attributes().clone();
     let n = made.epochs()[0].count();
     let hidden = |i: usize| i % 10 == 3;
@@ -113,7 +113,7 @@ fn what_does_not_show_is_not_sent() {
         .collect();
     let epoch = Epoch::new(made.frames(), attributes).unwrap();
     let scene = Scene::new(vec![epoch.clone()], made.frames_per_second()).unwrap();
-    let encoding = encoded(&scene, &Options::default());
+    let encoding = encoded(&scene, &EncodeOptions::default());
     let stream = &encoding.stream;
     let sent = (0..n).filter(|&i| !hidden(i)).count();
     let order = &encoding.order[0];
@@ -130,14 +130,14 @@ fn what_does_not_show_is_not_sent() {
     }
     let zero = decoded.sh_rest.chunks(9).filter(|rest| rest.iter().all(|v| *v == 0.0)).count();
     assert!(zero > sent / 5 && zero < sent, "{zero} of {sent}");
-    let all = encoded(&scene, &Options { keep_invisible: true, ..Options::default() });
+    let all = encoded(&scene, &EncodeOptions { keep_invisible: true, ..EncodeOptions::default() });
     assert_eq!((all.order[0].len(), all.report.ledger.invisible), (n, 0));
     assert!(all.report.ledger.wire() > encoding.report.ledger.wire());
 }
 
 #[test]
 fn equal_input_gives_equal_bytes() {
-    let scene = scene(Kind::Figure);
+    let scene = scene(SynthKind::Figure);
     for profile in [Profile::Dgs1, Profile::Paper] {
         let pool = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let one = pool(1).install(|| encoded(&scene, &options(profile)).stream.to_bytes().unwrap());
@@ -166,7 +166,7 @@ fn is_valid(gaussians: &[Gaussian]) -> bool {
 
 #[test]
 fn every_subset_is_valid_and_its_state_needs_no_decoding() {
-    for kind in [Kind::Figure, Kind::Births] {
+    for kind in [SynthKind::Figure, SynthKind::Births] {
         let scene = scene(kind);
         for profile in [Profile::Dgs1, Profile::Paper] {
             let stream = encoded(&scene, &options(profile)).stream;
@@ -189,7 +189,7 @@ fn every_subset_is_valid_and_its_state_needs_no_decoding() {
 
 #[test]
 fn one_lost_packet_changes_only_its_blocks() {
-    let scene = scene(Kind::Figure);
+    let scene = scene(SynthKind::Figure);
     let stream = encoded(&scene, &options(Profile::Dgs1)).stream;
     let manifest = stream.manifest().unwrap();
     let map = PacketMap::of(&stream).unwrap();

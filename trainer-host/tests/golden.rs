@@ -21,7 +21,7 @@ use codec_core::internals::{gaussian::ShDegree, ids::Level, quant::Class};
 use trainer_host::{
     Epoch, Scene,
     encode::{
-        Decisions, EncodeError, Options, Protection,
+        Decisions, EncodeError, EncodeOptions, Protection,
         decisions::{Dgs1Decisions, TableSetEntry},
         encode, write,
     },
@@ -118,19 +118,23 @@ fn scene(epochs: Vec<Epoch>) -> Scene {
 }
 
 /// Name, what it exercises, scene, options.
-fn all() -> Vec<(&'static str, &'static str, Scene, Options)> {
+fn all() -> Vec<(&'static str, &'static str, Scene, EncodeOptions)> {
     let still = Motion::default();
     let rigid = Motion { rigid: true, ..still };
     let wave = Motion { wave: true, ..rigid };
     let breath = Motion { breath: true, ..wave };
     let small = |block_len, packet_bytes| {
-        let mut options = Options { block_len, packet_bytes, window_frames: Some(4), ..Options::default() };
+        let mut options =
+            EncodeOptions { block_len, packet_bytes, window_frames: Some(4), ..EncodeOptions::default() };
         options.cluster.max_gaussians = 64;
         options.cluster.min_gaussians = 32;
         options
     };
-    let with = |text: &str, options: Options| Options { repair: Protection::parse(text).unwrap(), ..options };
-    let mut paper = Options { packet_bytes: 1150, ..Options::paper() };
+    let with = |text: &str, options: EncodeOptions| EncodeOptions {
+        repair: Protection::parse(text).unwrap(),
+        ..options
+    };
+    let mut paper = EncodeOptions { packet_bytes: 1150, ..EncodeOptions::paper() };
     paper.cluster.max_gaussians = 64;
     vec![
         ("one", "one Gaussian, one frame", scene(vec![epoch(1, 1, 0, still, 1)]), small(64, 1150)),
@@ -170,7 +174,7 @@ fn all() -> Vec<(&'static str, &'static str, Scene, Options)> {
             "xor",
             "one parity packet per set of base levels",
             scene(vec![epoch(150, 6, 0, wave, 9)]),
-            Options { repair: Protection::xor(4), ..small(8, 200) },
+            EncodeOptions { repair: Protection::xor(4), ..small(8, 200) },
         ),
         (
             "cauchy",
@@ -189,7 +193,7 @@ fn all() -> Vec<(&'static str, &'static str, Scene, Options)> {
             "paper-repaired",
             "profile paper with parity",
             scene(vec![epoch(60, 5, 0, rigid, 13)]),
-            Options { repair: Protection::parse("base=4+2").unwrap(), ..paper },
+            EncodeOptions { repair: Protection::parse("base=4+2").unwrap(), ..paper },
         ),
     ]
 }

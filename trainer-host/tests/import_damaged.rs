@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 
 use ErrorKind::{Empty, Malformed, TooLarge, Truncated, Unsupported};
-use trainer_host::import::{ErrorKind, Limits, Options, import};
+use trainer_host::import::{ErrorKind, ImportOptions, Limits, import};
 
 /// File, kind of error, and a part of its text.
 const DAMAGED: [(&str, ErrorKind, &str); 33] = [
@@ -50,7 +50,7 @@ fn data() -> PathBuf {
 #[test]
 fn every_damaged_file_is_refused_with_a_reason() {
     for (name, kind, text) in DAMAGED {
-        let error = import(&data().join(name), &Options::default()).expect_err(name);
+        let error = import(&data().join(name), &ImportOptions::default()).expect_err(name);
         println!("{error}");
         assert_eq!(error.kind, kind, "{error}");
         assert!(error.to_string().contains(text), "{error}");
@@ -69,7 +69,7 @@ fn every_file_is_in_the_table() {
 #[test]
 fn readable_parts_are_kept_when_asked_for() {
     let limits = Limits { keep_readable: true, ..Limits::default() };
-    let options = Options { limits, ..Options::default() };
+    let options = ImportOptions { limits, ..ImportOptions::default() };
     for (name, count) in [("cut.ply", 3), ("too_many.ply", 4), ("not_a_number.ply", 3), ("cut.splat", 2)] {
         let scene = import(&data().join(name), &options).unwrap_or_else(|e| panic!("{e}"));
         assert_eq!(scene.max_count(), count, "{name}");
@@ -80,6 +80,7 @@ fn readable_parts_are_kept_when_asked_for() {
 #[test]
 fn limits_hold() {
     let limits = Limits { max_gaussians: 2, ..Limits::default() };
-    let error = import(&data().join("cut.ply"), &Options { limits, ..Options::default() }).unwrap_err();
+    let error =
+        import(&data().join("cut.ply"), &ImportOptions { limits, ..ImportOptions::default() }).unwrap_err();
     assert_eq!(error.kind, TooLarge);
 }

@@ -10,7 +10,7 @@ use std::{
 
 use trainer_host::{
     Scene,
-    import::{Limits, Options, gltf, import, points_npz},
+    import::{ImportOptions, Limits, gltf, import, points_npz},
 };
 
 fn file(name: &str) -> PathBuf {
@@ -18,8 +18,8 @@ fn file(name: &str) -> PathBuf {
 }
 
 fn sampled(name: &str, samples: usize) -> Scene {
-    let gltf = gltf::Options { samples, ..gltf::Options::default() };
-    import(&file(name), &Options { gltf, ..Options::default() }).unwrap_or_else(|e| panic!("{e}"))
+    let gltf = gltf::GltfOptions { samples, ..gltf::GltfOptions::default() };
+    import(&file(name), &ImportOptions { gltf, ..ImportOptions::default() }).unwrap_or_else(|e| panic!("{e}"))
 }
 
 #[test]
@@ -37,7 +37,7 @@ fn three_thousand_nodes_show_one_triangle() {
 
 #[test]
 fn all_points_lie_in_one_place() {
-    let scene = import(&file("same20000.npz"), &Options::default()).unwrap();
+    let scene = import(&file("same20000.npz"), &ImportOptions::default()).unwrap();
     assert_eq!(scene.max_count(), 20_000);
     assert!(scene.instant(0).unwrap().gaussians.iter().all(|g| g.scale[0] > 0.0));
     // Ten times as many.

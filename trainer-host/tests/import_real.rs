@@ -10,7 +10,7 @@ use std::path::PathBuf;
 
 use trainer_host::{
     Epoch, Scene,
-    import::{Format, Identity, Limits, Options, gltf, import, nearest::Tree, ply, sniff},
+    import::{Format, Identity, ImportOptions, Limits, gltf, import, nearest::Tree, ply, sniff},
     scene::Instant,
 };
 
@@ -27,7 +27,7 @@ fn scenes(test: &str) -> Option<PathBuf> {
 }
 
 fn read(path: PathBuf) -> Scene {
-    import(&path, &Options::default()).unwrap_or_else(|e| panic!("{e}"))
+    import(&path, &ImportOptions::default()).unwrap_or_else(|e| panic!("{e}"))
 }
 
 fn quantile(values: &mut [f32], q: f64) -> f32 {
@@ -153,7 +153,7 @@ fn playbot_levels_load_with_harmonics() {
     // Bounds that the levels' own index declares: -1.03..1.04, -1.08..0.05, -1.04..1.04 for centres
     // and extents together; centres lie within.
     assert!(extents.iter().all(|e| e[0] < 2.07 && e[1] < 1.14 && e[2] < 2.09), "{extents:?}");
-    let error = import(&folder, &Options::default()).unwrap_err();
+    let error = import(&folder, &ImportOptions::default()).unwrap_err();
     assert!(error.to_string().contains("folder of one level"), "{error}");
 }
 
@@ -174,8 +174,9 @@ fn garden_points_come_with_cameras() {
 }
 
 fn animated(path: PathBuf, clip: gltf::Clip, fps: f64) -> Scene {
-    let gltf = gltf::Options { clip, samples: 5_000, frames_per_second: fps, ..gltf::Options::default() };
-    import(&path, &Options { gltf, ..Options::default() }).unwrap_or_else(|e| panic!("{e}"))
+    let gltf =
+        gltf::GltfOptions { clip, samples: 5_000, frames_per_second: fps, ..gltf::GltfOptions::default() };
+    import(&path, &ImportOptions { gltf, ..ImportOptions::default() }).unwrap_or_else(|e| panic!("{e}"))
 }
 
 #[test]
@@ -262,7 +263,7 @@ fn content_is_recognised() {
         let bytes = std::fs::read(folder.join(file)).unwrap();
         assert_eq!(sniff(&bytes, "unnamed".as_ref()), format, "{file}");
     }
-    let stored = Options { identity: Identity::Stored, ..Options::default() };
+    let stored = ImportOptions { identity: Identity::Stored, ..ImportOptions::default() };
     let error = import(&folder.join("splat-seq-human"), &stored).unwrap_err();
     assert!(error.to_string().contains("000021.asset"), "{error}");
 }

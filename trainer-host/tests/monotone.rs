@@ -7,10 +7,10 @@ use codec_core::internals::{receiver::for_each_cell, wire::manifest::Profile};
 use render_host::{Camera, Image, Renderer, Settings, Splats, metric};
 use trainer_host::{
     Scene,
-    encode::{Options, encode},
+    encode::{EncodeOptions, encode},
     import::{
         Limits,
-        synth::{self, Kind},
+        synth::{self, SynthKind},
     },
     stream::{PacketMap, Player, Stream},
     viewpoint::{Framing, Ring},
@@ -50,8 +50,8 @@ fn picture(instant: &trainer_host::Instant, camera: &Camera) -> Image {
 impl Subject {
     fn new(scene: &Scene, profile: Profile) -> Self {
         let mut options = match profile {
-            Profile::Dgs1 => Options::default(),
-            Profile::Paper => Options::paper(),
+            Profile::Dgs1 => EncodeOptions::default(),
+            Profile::Paper => EncodeOptions::paper(),
         };
         options.cluster.max_gaussians = 200;
         let stream = encode(scene, &options, &|_, _| {}).unwrap().stream;
@@ -123,8 +123,9 @@ impl Subject {
 
 #[test]
 fn no_level_makes_a_picture_worse() {
-    for kind in Kind::ALL {
-        let options = synth::Options { kind, gaussians: 1000, frames: 10, frames_per_second: 20.0, seed: 3 };
+    for kind in SynthKind::ALL {
+        let options =
+            synth::SynthOptions { kind, gaussians: 1000, frames: 10, frames_per_second: 20.0, seed: 3 };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         for profile in [Profile::Dgs1, Profile::Paper] {
             let subject = Subject::new(&scene, profile);
@@ -145,7 +146,7 @@ fn levels_taken_away_are_falls() {
     assert_eq!(steps, Steps { taken: 1, fallen: 0, worst_db: 0.0 });
     steps.take(31.0, 29.0);
     assert_eq!(steps, Steps { taken: 2, fallen: 1, worst_db: 2.0 });
-    let options = synth::Options { gaussians: 1000, frames: 10, ..synth::Options::default() };
+    let options = synth::SynthOptions { gaussians: 1000, frames: 10, ..synth::SynthOptions::default() };
     let scene = synth::make(&options, &Limits::default()).unwrap();
     let subject = Subject::new(&scene, Profile::Dgs1);
     let initial = PacketMap::of(&subject.stream).unwrap().initial().to_vec();

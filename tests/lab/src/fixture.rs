@@ -19,7 +19,7 @@ use codec_core::{
 };
 use trainer_host::{
     Stream, cluster,
-    encode::{self, EncodeError, Options, Protection},
+    encode::{self, EncodeError, EncodeOptions, Protection},
     import::{ImportError, Limits, synth},
     stream::PacketMap,
 };
@@ -104,20 +104,20 @@ impl Fixture {
     /// # Errors
     /// None in practice.
     pub fn make() -> Result<Self, FixtureError> {
-        let options = synth::Options {
-            kind: synth::Kind::Figure,
+        let options = synth::SynthOptions {
+            kind: synth::SynthKind::Figure,
             gaussians: 1000,
             frames: 24,
             frames_per_second: 24.0,
             seed: 1,
         };
         let scene = synth::make(&options, &Limits::default())?;
-        let options = Options {
-            cluster: cluster::Options { max_gaussians: 128, ..cluster::Options::default() },
+        let options = EncodeOptions {
+            cluster: cluster::ClusterOptions { max_gaussians: 128, ..cluster::ClusterOptions::default() },
             window_frames: Some(12),
             repair: Protection::STANDARD,
             packet_bytes: 600,
-            ..Options::default()
+            ..EncodeOptions::default()
         };
         Self::of(encode::encode(&scene, &options, &|_, _| {})?.stream)
     }
@@ -365,12 +365,15 @@ mod tests {
 
     #[test]
     fn a_stream_without_parity_makes_no_fixture() {
-        let options = synth::Options { gaussians: 1000, frames: 2, ..synth::Options::default() };
+        let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..synth::SynthOptions::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
-        let stream =
-            encode::encode(&scene, &Options { repair: Protection::NONE, ..Options::default() }, &|_, _| {})
-                .unwrap()
-                .stream;
+        let stream = encode::encode(
+            &scene,
+            &EncodeOptions { repair: Protection::NONE, ..EncodeOptions::default() },
+            &|_, _| {},
+        )
+        .unwrap()
+        .stream;
         assert!(matches!(Fixture::of(stream), Err(FixtureError::NoPacket(_))));
     }
 }

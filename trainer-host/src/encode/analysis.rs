@@ -2,7 +2,7 @@
 
 use codec_core::internals::wire::manifest::Profile;
 
-use super::{EncodeError, Options, Progress, quantiser_class::QuantiserClasses};
+use super::{EncodeError, EncodeOptions, Progress, quantiser_class::QuantiserClasses};
 use crate::scene::Scene;
 
 /// A scene, its clusters, and which of them share steps because errors in them show alike.
@@ -16,7 +16,11 @@ impl<'s> Analysis<'s> {
     ///
     /// # Errors
     /// What the renderer refuses; steps that the format does not hold.
-    pub fn of(scene: &'s Scene, options: &Options, progress: Progress<'_>) -> Result<Self, EncodeError> {
+    pub fn of(
+        scene: &'s Scene,
+        options: &EncodeOptions,
+        progress: Progress<'_>,
+    ) -> Result<Self, EncodeError> {
         progress("analyse", 0.0);
         let classes = if options.profile == Profile::Paper {
             QuantiserClasses::none(scene, options)

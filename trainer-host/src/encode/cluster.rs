@@ -15,7 +15,7 @@ pub const FEATURES: usize = 13;
 
 /// How to cluster.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
-pub struct Options {
+pub struct ClusterOptions {
     /// Most Gaussians in a cluster, 1..=32768.
     pub max_gaussians: usize,
     /// Sets of at most this many Gaussians are not cut for their spread alone.
@@ -39,7 +39,7 @@ pub struct FeatureWeights {
     pub visibility: f64,
 }
 
-impl Default for Options {
+impl Default for ClusterOptions {
     fn default() -> Self {
         let weights = FeatureWeights { position: 1.0, displacement: 2.0, speed: 1.0, visibility: 1.0 };
         Self { max_gaussians: 512, min_gaussians: 192, max_variance: 0.02, weights }
@@ -47,7 +47,7 @@ impl Default for Options {
 }
 
 /// Clusters of `epoch`: lists of Gaussian indices, each ascending; together a partition.
-pub fn cluster(epoch: &Epoch, options: &Options) -> Vec<Vec<u32>> {
+pub fn cluster(epoch: &Epoch, options: &ClusterOptions) -> Vec<Vec<u32>> {
     if epoch.count() == 0 {
         return Vec::new();
     }
@@ -56,7 +56,7 @@ pub fn cluster(epoch: &Epoch, options: &Options) -> Vec<Vec<u32>> {
 
 /// Clusters of `epoch` as [`cluster`] makes them, none with Gaussians of two of `parts`: disjoint lists
 /// of Gaussian indices, none empty. In order of the parts.
-pub fn cluster_within(epoch: &Epoch, parts: Vec<Vec<u32>>, options: &Options) -> Vec<Vec<u32>> {
+pub fn cluster_within(epoch: &Epoch, parts: Vec<Vec<u32>>, options: &ClusterOptions) -> Vec<Vec<u32>> {
     let features = features(epoch, &options.weights);
     let mut leaves = Vec::new();
     let mut stack = parts;
@@ -247,7 +247,7 @@ mod tests {
     fn clusters_are_a_bounded_partition_and_repeatable() {
         let positions: Vec<_> = (0..3000).map(|i| [scatter(i), scatter(i + 17), scatter(3 * i)]).collect();
         let epoch = epoch(positions, 1);
-        let options = Options { max_gaussians: 100, ..Options::default() };
+        let options = ClusterOptions { max_gaussians: 100, ..ClusterOptions::default() };
         let clusters = cluster(&epoch, &options);
         assert_eq!(clusters, cluster(&epoch, &options));
         assert!(clusters.iter().all(|c| !c.is_empty() && c.len() <= 100));
@@ -267,7 +267,7 @@ mod tests {
                 positions.push([scatter(i) + moved, scatter(i + 5), scatter(2 * i)]);
             }
         }
-        let options = Options { max_gaussians: 200, ..Options::default() };
+        let options = ClusterOptions { max_gaussians: 200, ..ClusterOptions::default() };
         for members in cluster(&epoch(positions, frames), &options) {
             let moving = members.iter().filter(|&&i| i % 2 == 1).count();
             assert!(moving == 0 || moving == members.len(), "{moving} of {} move", members.len());

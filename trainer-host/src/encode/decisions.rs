@@ -54,7 +54,7 @@ pub struct MadeFrom {
     /// Gaussians that share steps, the most sensitive first (`dgs1`; empty in `paper`).
     pub quantiser_classes: Vec<QuantiserClass>,
     /// How Gaussians were clustered.
-    pub clustering: cluster::Options,
+    pub clustering: cluster::ClusterOptions,
 }
 
 /// Gaussians that share steps.

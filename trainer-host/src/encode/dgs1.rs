@@ -21,7 +21,7 @@ pub(super) use write::write;
 
 use self::symbols::{quantise, quantise_epoch, spans, symbol_runs};
 use super::{
-    EncodeError, Options, Progress,
+    EncodeError, EncodeOptions, Progress,
     analysis::Analysis,
     cluster,
     decisions::{CanonicalRotation, Dgs1Decisions, EpochDecisions, MadeFrom, Quantisers, digits},
@@ -37,7 +37,7 @@ use crate::scene::{Epoch, Scene};
 /// Steps or tables that the format does not hold.
 pub(super) fn decide(
     analysis: &Analysis<'_>,
-    options: &Options,
+    options: &EncodeOptions,
     progress: Progress<'_>,
 ) -> Result<Dgs1Decisions, EncodeError> {
     let scene = analysis.scene;
@@ -95,7 +95,7 @@ fn decide_epoch(
     clusters: Vec<Vec<u32>>,
     classes: &EpochClasses<'_>,
     scene: &Scene,
-    options: &Options,
+    options: &EncodeOptions,
 ) -> Result<EpochDecisions, EncodeError> {
     let members = in_sending_order(epoch, clusters, classes, options)?;
     let (quants, clusters, origin) = canonical::decide(epoch, members, classes, options)?;
@@ -121,7 +121,7 @@ fn cheapest_rotation(
     clusters: &[Vec<u32>],
     classes: &EpochClasses<'_>,
     scene: &Scene,
-    options: &Options,
+    options: &EncodeOptions,
 ) -> Result<CanonicalRotation, EncodeError> {
     let every = (clusters.len() / TRIAL_CLUSTERS).max(1);
     let some: Vec<Vec<u32>> = clusters.iter().step_by(every).cloned().collect();
@@ -156,7 +156,7 @@ fn in_sending_order(
     epoch: &Epoch,
     clusters: Vec<Vec<u32>>,
     classes: &EpochClasses<'_>,
-    options: &Options,
+    options: &EncodeOptions,
 ) -> Result<Vec<Vec<u32>>, EncodeError> {
     let positions = epoch.attributes().positions.frame(0, epoch.count());
     let in_blocks: Vec<Vec<u32>> = clusters

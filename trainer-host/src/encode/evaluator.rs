@@ -166,10 +166,10 @@ pub fn spread(first: u32, frames: u32, count: u32) -> Vec<u32> {
 mod tests {
     use super::*;
     use crate::{
-        encode::{Options, Quality, encode},
+        encode::{EncodeOptions, Quality, encode},
         import::{
             Limits,
-            synth::{self, Kind},
+            synth::{self, SynthKind},
         },
     };
 
@@ -182,11 +182,13 @@ mod tests {
 
     #[test]
     fn coarser_steps_and_missing_levels_are_evaluated_worse() {
-        let options = synth::Options { gaussians: 1000, frames: 6, kind: Kind::Figure, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 1000, frames: 6, kind: SynthKind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let evaluator = Evaluator::measuring(&scene, spread(0, 6, 2)).unwrap();
         let stream = |factor: f32| {
-            let options = Options { quality: Quality::default().scaled(factor), ..Options::default() };
+            let options =
+                EncodeOptions { quality: Quality::default().scaled(factor), ..EncodeOptions::default() };
             encode(&scene, &options, &|_, _| {}).unwrap().stream
         };
         let (fine, coarse) = (stream(1.0), stream(8.0));

@@ -164,20 +164,20 @@ pub(super) fn manifest_parts(raw: &[u8], sections: &[Section], len: usize) -> er
 #[cfg(test)]
 mod tests {
     use crate::{
-        encode::{Options, Protection, encode},
+        encode::{EncodeOptions, Protection, encode},
         import::{
             Limits,
-            synth::{self, Kind},
+            synth::{self, SynthKind},
         },
     };
 
     #[test]
     fn the_parts_are_the_whole() {
-        for kind in [Kind::Figure, Kind::Balls] {
-            let options = synth::Options { gaussians: 1500, frames: 40, kind, ..Default::default() };
+        for kind in [SynthKind::Figure, SynthKind::Balls] {
+            let options = synth::SynthOptions { gaussians: 1500, frames: 40, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
-            let repaired = Options { repair: Protection::xor(4), ..Options::default() };
-            for options in [repaired, Options::default(), Options::paper()] {
+            let repaired = EncodeOptions { repair: Protection::xor(4), ..EncodeOptions::default() };
+            for options in [repaired, EncodeOptions::default(), EncodeOptions::paper()] {
                 let encoded = encode(&scene, &options, &|_, _| {}).unwrap();
                 let (sent, ledger) = (encoded.stream.wire_bytes(), &encoded.report.ledger);
                 assert_eq!(ledger.wire(), sent as f64);

@@ -1,4 +1,4 @@
-//! Options say what an encoding is to be like.
+//! EncodeOptions say what an encoding is to be like.
 
 use codec_core::internals::{limits, wire::manifest::Profile};
 
@@ -49,11 +49,11 @@ impl Target {
 
 /// What to encode, and how.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct EncodeOptions {
     /// Format choices.
     pub profile: Profile,
     /// Clustering.
-    pub cluster: cluster::Options,
+    pub cluster: cluster::ClusterOptions,
     /// Gaussians per block, 1..=256 (`dgs1`).
     pub block_len: usize,
     /// Most frames in a motion window, 1..=64; default one second.
@@ -82,11 +82,11 @@ pub struct Options {
     pub keep_invisible: bool,
 }
 
-impl Default for Options {
+impl Default for EncodeOptions {
     fn default() -> Self {
         Self {
             profile: Profile::Dgs1,
-            cluster: cluster::Options::default(),
+            cluster: cluster::ClusterOptions::default(),
             block_len: 64,
             window_frames: None,
             rank: 8,
@@ -103,7 +103,7 @@ impl Default for Options {
     }
 }
 
-impl Options {
+impl EncodeOptions {
     /// Defaults of the `paper` profile: rank 4.
     pub fn paper() -> Self {
         Self { profile: Profile::Paper, rank: 4, ..Self::default() }

@@ -76,20 +76,24 @@ impl Encoded {
 #[cfg(test)]
 mod tests {
     use crate::{
-        encode::{Options, encode},
+        encode::{EncodeOptions, encode},
         import::{
             Limits,
-            synth::{self, Kind},
+            synth::{self, SynthKind},
         },
     };
 
     /// `paper` cuts groups into chunks of their own; `dgs1` packs parts of several groups together.
     #[test]
     fn packets_are_counted_per_group() {
-        let options =
-            synth::Options { gaussians: 2000, frames: 12, kind: Kind::Figure, ..Default::default() };
+        let options = synth::SynthOptions {
+            gaussians: 2000,
+            frames: 12,
+            kind: SynthKind::Figure,
+            ..Default::default()
+        };
         let scene = synth::make(&options, &Limits::default()).unwrap();
-        let report = |options: &Options| {
+        let report = |options: &EncodeOptions| {
             let encoded = encode(&scene, options, &|_, _| {}).unwrap();
             let longest = encoded.stream.packets().iter().map(Vec::len).max().unwrap();
             let report = encoded.packet_report().unwrap();
@@ -97,13 +101,13 @@ mod tests {
             assert!(report.fill > 0.5 && report.fill <= 1.0, "{report:?}");
             (encoded, report)
         };
-        let (encoded, paper) = report(&Options::paper());
+        let (encoded, paper) = report(&EncodeOptions::paper());
         assert_eq!(paper.groups_per_packet, 1.0);
         assert!(paper.packets_per_refinement_group > paper.packets_per_base_group);
         let groups = encoded.report.clustering.clusters as f64;
         let packets = groups * (paper.packets_per_base_group + 3.0 * paper.packets_per_refinement_group);
         assert!((packets - encoded.report.ledger.packets as f64).abs() < 1e-6);
-        let (_, dgs1) = report(&Options::default());
+        let (_, dgs1) = report(&EncodeOptions::default());
         assert!(dgs1.groups_per_packet > 1.0, "{dgs1:?}");
     }
 }

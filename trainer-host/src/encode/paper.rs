@@ -20,7 +20,7 @@ use self::{
     plan::{Cell, EpochPlan, plan, quant_index},
 };
 use super::{
-    Analysis, EncodeError, Encoded, Ledger, Options, Progress, Report,
+    Analysis, EncodeError, EncodeOptions, Encoded, Ledger, Progress, Report,
     decisions::{Decisions, MadeFrom, PaperDecisions, PaperEpochDecisions, Quantisers},
     ledger::{Section, manifest_parts},
     packetise::packet_id,
@@ -35,7 +35,7 @@ use crate::{scene::Scene, stream::Stream};
 /// Steps that the format does not hold.
 pub(super) fn decide(
     analysis: &Analysis<'_>,
-    options: &Options,
+    options: &EncodeOptions,
     progress: Progress<'_>,
 ) -> Result<PaperDecisions, EncodeError> {
     progress("decide", 0.0);

@@ -2,13 +2,13 @@
 
 use codec_core::internals::{ids::Level, limits, wire::manifest::Profile};
 
-use super::{Analysis, Decisions, EncodeError, Encoded, Options, Progress, dgs1, paper};
+use super::{Analysis, Decisions, EncodeError, EncodeOptions, Encoded, Progress, dgs1, paper};
 use crate::scene::Scene;
 
 /// Encodes the scene of `analysis` at the quality of `options`, whatever their target and search.
 pub(super) fn decide_and_write(
     analysis: &Analysis<'_>,
-    options: &Options,
+    options: &EncodeOptions,
     progress: Progress<'_>,
 ) -> Result<Encoded, EncodeError> {
     let mut options = options.clone();
@@ -30,7 +30,7 @@ pub(super) fn decide_and_write(
 /// Steps or tables that the format does not hold.
 pub fn decide(
     analysis: &Analysis<'_>,
-    options: &Options,
+    options: &EncodeOptions,
     progress: Progress<'_>,
 ) -> Result<Decisions, EncodeError> {
     match options.profile {

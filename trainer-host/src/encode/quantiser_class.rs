@@ -15,7 +15,7 @@ mod step_refinement;
 pub(super) use epoch_classes::EpochClasses;
 
 use super::{
-    EncodeError, Options, Quality, QuantiserClass, cluster,
+    EncodeError, EncodeOptions, Quality, QuantiserClass, cluster,
     sensitivity::{self, CLASSES, Weights},
     steps::{DGS1_BASE_RATIO, Factors, Grid},
 };
@@ -28,7 +28,7 @@ pub(super) struct QuantiserClasses {
     sets: Vec<Vec<Vec<u32>>>,
     /// Per epoch, the class of each Gaussian; the same within a cluster.
     of: Vec<Vec<u8>>,
-    /// Per class, the most sensitive first, factors on the steps of [`Options::quality`].
+    /// Per class, the most sensitive first, factors on the steps of [`EncodeOptions::quality`].
     factors: Vec<Factors>,
 }
 
@@ -47,7 +47,7 @@ const BINS: usize = 256;
 
 impl QuantiserClasses {
     /// Clusters of `scene` with no classes, for a profile without.
-    pub fn none(scene: &Scene, options: &Options) -> Self {
+    pub fn none(scene: &Scene, options: &EncodeOptions) -> Self {
         let sets = scene.epochs().iter().map(|epoch| cluster::cluster(epoch, &options.cluster)).collect();
         Self { sets, of: Vec::new(), factors: Vec::new() }
     }
@@ -57,12 +57,12 @@ impl QuantiserClasses {
         &self.sets
     }
 
-    /// All Gaussians of `scene` in one class, with the steps of [`Options::quality`] or finer where
+    /// All Gaussians of `scene` in one class, with the steps of [`EncodeOptions::quality`] or finer where
     /// that is cheap.
     ///
     /// # Errors
     /// Steps that the format does not hold.
-    pub fn one(scene: &Scene, options: &Options) -> Result<Self, EncodeError> {
+    pub fn one(scene: &Scene, options: &EncodeOptions) -> Result<Self, EncodeError> {
         let clustered = |epoch| cluster::cluster(epoch, &options.cluster);
         let sets: Vec<Vec<Vec<u32>>> = scene.epochs().iter().map(clustered).collect();
         let of = scene.epochs().iter().map(|epoch| vec![0; epoch.count()]).collect();
@@ -70,12 +70,12 @@ impl QuantiserClasses {
     }
 
     /// The classes of `scene` and steps that make errors weigh alike in pictures, in sum as much as
-    /// those of [`Options::quality`] do. Where nothing moves, Gaussians of different classes are
+    /// those of [`EncodeOptions::quality`] do. Where nothing moves, Gaussians of different classes are
     /// clustered apart; else whole clusters share a class.
     ///
     /// # Errors
     /// What the renderer refuses; steps that the format does not hold.
-    pub fn measured(scene: &Scene, options: &Options) -> Result<Self, EncodeError> {
+    pub fn measured(scene: &Scene, options: &EncodeOptions) -> Result<Self, EncodeError> {
         let mut costs = sensitivity::measure(scene, options.pictures)?;
         for (epoch, costs) in scene.epochs().iter().zip(&mut costs) {
             let mut quality = options.quality;
@@ -95,7 +95,7 @@ impl QuantiserClasses {
     }
 
     /// The same with finer steps where they are cheap in the middle epoch.
-    fn with_finer_steps(mut self, scene: &Scene, options: &Options) -> Result<Self, EncodeError> {
+    fn with_finer_steps(mut self, scene: &Scene, options: &EncodeOptions) -> Result<Self, EncodeError> {
         let middle = scene.epochs().len() / 2;
         if let Some(epoch) = scene.epochs().get(middle) {
             let finer = step_refinement::finer(epoch, &self.of_epoch(middle, &options.quality), options)?;
@@ -162,7 +162,7 @@ impl Costs {
     }
 
     /// Gaussians of different classes clustered apart.
-    fn apart(&self, scene: &Scene, options: &Options) -> QuantiserClasses {
+    fn apart(&self, scene: &Scene, options: &EncodeOptions) -> QuantiserClasses {
         let units = self.each.iter().flatten().map(|&sums| Bin { count: 1.0, sums }).collect();
         let (classes, factors) = self.classes(units, true);
         let mut classes = classes.into_iter();
@@ -181,7 +181,7 @@ impl Costs {
     }
 
     /// Clusters as they are, each in one class.
-    fn together(&self, scene: &Scene, options: &Options) -> QuantiserClasses {
+    fn together(&self, scene: &Scene, options: &EncodeOptions) -> QuantiserClasses {
         let mut sets = Vec::new();
         let mut units = Vec::new();
         for (epoch, costs) in scene.epochs().iter().zip(&self.each) {
@@ -332,7 +332,7 @@ mod tests {
         },
         import::{
             Limits,
-            synth::{self, Kind},
+            synth::{self, SynthKind},
         },
     };
 
@@ -445,10 +445,10 @@ mod tests {
 
     #[test]
     fn clusters_never_mix_classes_and_hold_everybody_once() {
-        for (kind, frames) in [(Kind::Figure, 1), (Kind::Figure, 6), (Kind::Births, 6)] {
-            let options = synth::Options { gaussians: 1500, frames, kind, ..Default::default() };
+        for (kind, frames) in [(SynthKind::Figure, 1), (SynthKind::Figure, 6), (SynthKind::Births, 6)] {
+            let options = synth::SynthOptions { gaussians: 1500, frames, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
-            let classes = QuantiserClasses::measured(&scene, &Options::default()).unwrap();
+            let classes = QuantiserClasses::measured(&scene, &EncodeOptions::default()).unwrap();
             assert!(classes.factors.len() > 1, "{kind:?} {frames}");
             for (e, epoch) in scene.epochs().iter().enumerate() {
                 let own = classes.of_epoch(e, &Quality::default());
@@ -468,13 +468,15 @@ mod tests {
     /// The same PSNR from cameras on which nothing was chosen, for fewer bytes.
     #[test]
     fn measured_steps_pay() {
-        let options = synth::Options { gaussians: 4000, frames: 1, kind: Kind::Figure, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 4000, frames: 1, kind: SynthKind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let evaluator = Evaluator::measuring(&scene, spread(0, 1, 1)).unwrap();
         let marks = |pictures: usize, coarseness: f32| {
             let quality = Quality::default().scaled(coarseness);
             let encoded =
-                encode(&scene, &Options { pictures, quality, ..Options::default() }, &|_, _| {}).unwrap();
+                encode(&scene, &EncodeOptions { pictures, quality, ..EncodeOptions::default() }, &|_, _| {})
+                    .unwrap();
             (encoded.report.ledger.wire(), evaluator.whole(&encoded.stream).unwrap())
         };
         let (even, psnr) = marks(0, 1.0);

@@ -52,7 +52,7 @@ impl Report {
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct ClusteringReport {
     /// Bounds and feature weights.
-    pub options: cluster::Options,
+    pub options: cluster::ClusterOptions,
     /// Clusters over all epochs.
     pub clusters: usize,
     /// Gaussians in the smallest; 0 if there are none.
@@ -85,7 +85,7 @@ impl ClusteringReport {
 pub struct Reached {
     /// What was asked for.
     pub target: Target,
-    /// Factor on the steps of [`Options::quality`](super::Options::quality).
+    /// Factor on the steps of [`EncodeOptions::quality`](super::EncodeOptions::quality).
     pub coarseness: f32,
     /// Encodings it took.
     pub encodes: usize,

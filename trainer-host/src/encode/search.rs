@@ -6,7 +6,7 @@
 //! round to round, bounded by a number of encodings.
 
 use super::{
-    Analysis, EncodeError, Encoded, Options, Progress, Quality, Report, Searched, Target,
+    Analysis, EncodeError, EncodeOptions, Encoded, Progress, Quality, Report, Searched, Target,
     evaluator::{Evaluator, PSNR_CAP_DB, spread},
     profile::decide_and_write,
     target,
@@ -26,7 +26,7 @@ const FRAMES: u32 = 4;
 /// at a target size, better.
 pub(super) fn encode(
     analysis: &Analysis<'_>,
-    options: &Options,
+    options: &EncodeOptions,
     mut start: Encoded,
     progress: Progress<'_>,
 ) -> Result<Encoded, EncodeError> {
@@ -43,7 +43,7 @@ pub(super) fn encode(
     let (quality, encodes) = on_a_part(analysis, options, quality, progress)?;
     // Sizes were asked for, or the PSNR that there was is to be kept.
     let wanted = options.target.unwrap_or(Target::PsnrDb(psnr));
-    let again = Options { quality, target: None, ..options.clone() };
+    let again = EncodeOptions { quality, target: None, ..options.clone() };
     start.report.searched = Some(Searched { encodes, ..nothing });
     let mut found = match target::encode(analysis, &again, wanted, progress) {
         Ok(found) => found,
@@ -70,7 +70,7 @@ pub(super) fn encode(
 /// Searches on the middle epoch of the scene, which stands for the others.
 fn on_a_part(
     analysis: &Analysis<'_>,
-    options: &Options,
+    options: &EncodeOptions,
     quality: Quality,
     progress: Progress<'_>,
 ) -> Result<(Quality, usize), EncodeError> {
@@ -86,7 +86,7 @@ fn on_a_part(
     descend(quality, &Axis::of(part), options.search, |quality| {
         progress("search", tries as f64 / options.search as f64);
         tries += 1;
-        let encoded = decide_and_write(analysis, &Options { quality, ..options.clone() }, &|_, _| {})?;
+        let encoded = decide_and_write(analysis, &EncodeOptions { quality, ..options.clone() }, &|_, _| {})?;
         Ok(RateAndPsnr { bits: encoded.report.ledger.wire(), psnr: evaluator.whole(&encoded.stream)? })
     })
 }
@@ -193,7 +193,7 @@ mod tests {
     use super::*;
     use crate::import::{
         Limits,
-        synth::{self, Kind},
+        synth::{self, SynthKind},
     };
 
     /// Attributes with `values` values each whose squared errors weigh `weights`: log rate, PSNR of the sum.
@@ -254,15 +254,16 @@ mod tests {
 
     #[test]
     fn a_searched_stream_is_smaller_and_as_good_or_the_first_one() {
-        let options = synth::Options { gaussians: 1000, frames: 4, kind: Kind::Figure, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 1000, frames: 4, kind: SynthKind::Figure, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let evaluator = Evaluator::measuring(&scene, spread(0, 4, FRAMES)).unwrap();
         // Far from balance: positions much too fine.
         let quality = Quality { position: 0.002, ..Quality::default() };
-        let plain = Options { quality, pictures: 0, ..Options::default() };
+        let plain = EncodeOptions { quality, pictures: 0, ..EncodeOptions::default() };
         let first = super::super::encode(&scene, &plain, &|_, _| {}).unwrap();
         let found =
-            super::super::encode(&scene, &Options { search: 16, ..plain.clone() }, &|_, _| {}).unwrap();
+            super::super::encode(&scene, &EncodeOptions { search: 16, ..plain.clone() }, &|_, _| {}).unwrap();
         let searched = found.report.searched.unwrap();
         assert!(searched.kept && searched.bits < 0.97, "{searched:?}");
         assert_eq!(searched.bits, found.report.ledger.wire() / first.report.ledger.wire());
@@ -270,7 +271,7 @@ mod tests {
         assert!(found.report.quality.position > 0.0024 && found.report.reached.is_none());
         // A size that was asked for is kept.
         let target = Some(Target::Bytes(first.report.ledger.wire() as u64));
-        let sized = Options { search: 16, target, ..plain };
+        let sized = EncodeOptions { search: 16, target, ..plain };
         let found = super::super::encode(&scene, &sized, &|_, _| {}).unwrap();
         assert!(found.report.ledger.wire() <= first.report.ledger.wire() && found.report.reached.is_some());
         assert!(found.report.searched.unwrap().psnr_db > 0.0);

@@ -227,7 +227,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        encode::{Options, encode},
+        encode::{EncodeOptions, encode},
         scene::{Attributes, Scene, Track},
     };
 
@@ -260,7 +260,7 @@ mod tests {
                 let base = quant.canonical[Class::Position.index()].step(Level::BASE);
                 assert!(1000.0 / base < 32_767.0, "size {size}, coarseness {coarseness}: {base}");
                 let scene = Scene::new(vec![epoch.clone()], 30.0).unwrap();
-                let options = Options { quality, pictures: 2, ..Options::default() };
+                let options = EncodeOptions { quality, pictures: 2, ..EncodeOptions::default() };
                 let stream = encode(&scene, &options, &|_, _| {}).unwrap();
                 assert_eq!(stream.report.ledger.saturated, 0, "size {size}, coarseness {coarseness}");
             }

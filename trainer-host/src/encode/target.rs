@@ -5,7 +5,7 @@
 //! encoded and measured, so a stream that is not quite monotone costs closeness, never the promise.
 
 use super::{
-    Analysis, EncodeError, Encoded, Options, Progress, Reached, Target,
+    Analysis, EncodeError, EncodeOptions, Encoded, Progress, Reached, Target,
     evaluator::{Evaluator, spread},
     profile::decide_and_write,
 };
@@ -24,7 +24,7 @@ const CLOSE_DB: f64 = 0.3;
 /// Encodes the scene of `analysis` at the coarseness that comes closest to `target` without missing it.
 pub(super) fn encode(
     analysis: &Analysis<'_>,
-    options: &Options,
+    options: &EncodeOptions,
     target: Target,
     progress: Progress<'_>,
 ) -> Result<Encoded, EncodeError> {
@@ -45,7 +45,7 @@ pub(super) fn encode(
     let found = search.run(|at| {
         let coarseness = (sign * at).exp() as f32;
         let quality = options.quality.scaled(coarseness);
-        let encoded = decide_and_write(analysis, &Options { quality, ..options.clone() }, progress)?;
+        let encoded = decide_and_write(analysis, &EncodeOptions { quality, ..options.clone() }, progress)?;
         let value = match (target, &evaluator) {
             (Target::BitsPerGaussian(_), _) => encoded.report.ledger.bits_per_gaussian(),
             (Target::PsnrDb(_), Some(evaluator)) => evaluator.whole(&encoded.stream)?,
@@ -152,24 +152,25 @@ mod tests {
     use super::*;
     use crate::import::{
         Limits,
-        synth::{self, Kind},
+        synth::{self, SynthKind},
     };
     use crate::scene::Scene;
 
     fn scene() -> Scene {
-        let options = synth::Options { gaussians: 1000, frames: 4, kind: Kind::Figure, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 1000, frames: 4, kind: SynthKind::Figure, ..Default::default() };
         synth::make(&options, &Limits::default()).unwrap()
     }
 
     fn encoded(target: Target) -> Result<Encoded, EncodeError> {
-        let options = Options { target: Some(target), ..Options::default() };
+        let options = EncodeOptions { target: Some(target), ..EncodeOptions::default() };
         super::super::encode(&scene(), &options, &|_, _| {})
     }
 
     #[test]
     fn sizes_are_met_closely_and_never_exceeded() {
         for factor in [0.5, 1.7] {
-            let free = super::super::encode(&scene(), &Options::default(), &|_, _| {}).unwrap();
+            let free = super::super::encode(&scene(), &EncodeOptions::default(), &|_, _| {}).unwrap();
             let wanted = (free.report.ledger.wire() * factor) as u64;
             let stream = encoded(Target::Bytes(wanted)).unwrap();
             let sent = stream.stream.wire_bytes();

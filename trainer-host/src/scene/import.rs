@@ -11,8 +11,8 @@
 //! opacity logits, wxyz, band-0 coefficients) and say in [`Scene::notes`] what a person should know.
 //!
 //! ```no_run
-//! use trainer_host::import::{Options, import};
-//! let scene = import("capture/time_00000.ply".as_ref(), &Options::default())?;
+//! use trainer_host::import::{ImportOptions, import};
+//! let scene = import("capture/time_00000.ply".as_ref(), &ImportOptions::default())?;
 //! assert_eq!(scene.frames(), 1);
 //! # Ok::<(), trainer_host::import::ImportError>(())
 //! ```
@@ -45,7 +45,7 @@ use crate::scene::Scene;
 
 /// How to import.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct ImportOptions {
     /// What is accepted.
     pub limits: Limits,
     /// What is known of numbered sequences.
@@ -53,16 +53,16 @@ pub struct Options {
     /// Frame rate of numbered sequences and of single files.
     pub frames_per_second: f64,
     /// How animated meshes are sampled.
-    pub gltf: gltf::Options,
+    pub gltf: gltf::GltfOptions,
 }
 
-impl Default for Options {
+impl Default for ImportOptions {
     fn default() -> Self {
         Self {
             limits: Limits::default(),
             identity: Identity::default(),
             frames_per_second: 30.0,
-            gltf: gltf::Options::default(),
+            gltf: gltf::GltfOptions::default(),
         }
     }
 }
@@ -71,7 +71,7 @@ impl Default for Options {
 ///
 /// # Errors
 /// The file cannot be read, is no format known here, or is refused by its reader.
-pub fn import(path: &Path, options: &Options) -> Result<Scene, ImportError> {
+pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     if path.is_dir() {
         if path.join("meta.json").is_file() {
             return import(&path.join("meta.json"), options);
@@ -140,7 +140,7 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
     }
 }
 
-fn folder(path: &Path, options: &Options) -> Result<Scene, ImportError> {
+fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     let (files, notes) = sequence::files(path, &options.limits)?;
     let mut left = options.limits.max_bytes;
     let mut frames = Vec::with_capacity(files.len());
@@ -162,7 +162,7 @@ fn folder(path: &Path, options: &Options) -> Result<Scene, ImportError> {
 }
 
 /// Reads one still file of any format that is one.
-fn snapshot_of(bytes: &[u8], path: &Path, options: &Options) -> Result<Snapshot, ImportError> {
+fn snapshot_of(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Snapshot, ImportError> {
     let limits = &options.limits;
     match sniff(bytes, path) {
         Format::Ply => ply::parse(bytes, limits),
@@ -188,7 +188,7 @@ fn snapshot_of(bytes: &[u8], path: &Path, options: &Options) -> Result<Snapshot,
     .map_err(|e| e.in_file(path))
 }
 
-fn unity_frame(description: &[u8], path: &Path, options: &Options) -> Result<Snapshot, ImportError> {
+fn unity_frame(description: &[u8], path: &Path, options: &ImportOptions) -> Result<Snapshot, ImportError> {
     unity::described_count(description, &options.limits)?;
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let name = |plane: &str| format!("{stem}_{plane}.bytes");
@@ -207,7 +207,7 @@ fn unity_frame(description: &[u8], path: &Path, options: &Options) -> Result<Sna
     unity::parse(&asset, &options.limits)
 }
 
-fn read(path: &Path, options: &Options) -> Result<Vec<u8>, ImportError> {
+fn read(path: &Path, options: &ImportOptions) -> Result<Vec<u8>, ImportError> {
     let io = |e: std::io::Error| Format::Unknown.io(&e, path);
     let length = std::fs::metadata(path).map_err(io)?.len();
     options.limits.bytes(Format::Unknown, "file", length).map_err(|e| e.in_file(path))?;
@@ -219,7 +219,12 @@ fn read(path: &Path, options: &Options) -> Result<Vec<u8>, ImportError> {
 }
 
 /// A file that another one names; names that lead out of its folder are refused.
-fn read_beside(path: &Path, name: &str, options: &Options, format: Format) -> Result<Vec<u8>, ImportError> {
+fn read_beside(
+    path: &Path,
+    name: &str,
+    options: &ImportOptions,
+    format: Format,
+) -> Result<Vec<u8>, ImportError> {
     let inside = Path::new(name).components().all(|c| matches!(c, std::path::Component::Normal(_)));
     if !inside {
         return Err(format.malformed("file name", name, "a name inside the folder").in_file(path));
@@ -245,25 +250,25 @@ mod tests {
     #[test]
     fn content_decides_before_the_name() {
         let (_folder, path) = file("wrong.splat", &ply::tests::sample("binary_little_endian", 0, 5));
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 5);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 5);
         let (_folder, path) = file("wrong.ply", &spz::tests::sample(2));
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 2);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 2);
         let (_folder, path) = file("scene.zip", &sog::tests::sample());
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 6);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 6);
         let (_folder, path) = file("a.splat", &splat::tests::sample(4));
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 4);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 4);
         let (_folder, path) = file("a.ply", &compressed_ply::tests::sample(3));
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 3);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 3);
     }
 
     #[test]
     fn errors_name_the_file() {
         let (_folder, path) = file("nothing.bin", b"no scene");
-        let error = import(&path, &Options::default()).unwrap_err();
+        let error = import(&path, &ImportOptions::default()).unwrap_err();
         assert!(error.to_string().contains("nothing.bin"), "{error}");
         let (_folder, path) = file("empty.ply", b"");
-        assert_eq!(import(&path, &Options::default()).unwrap_err().kind, ErrorKind::Empty);
-        let missing = import("no/such/file.ply".as_ref(), &Options::default()).unwrap_err();
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap_err().kind, ErrorKind::Empty);
+        let missing = import("no/such/file.ply".as_ref(), &ImportOptions::default()).unwrap_err();
         assert_eq!(missing.kind, ErrorKind::Io);
     }
 
@@ -271,10 +276,10 @@ mod tests {
     fn files_above_the_limit_are_not_read() {
         let (_folder, path) = file("a.splat", &splat::tests::sample(4));
         let limits = Limits { max_bytes: 100, ..Limits::default() };
-        let error = import(&path, &Options { limits, ..Options::default() }).unwrap_err();
+        let error = import(&path, &ImportOptions { limits, ..ImportOptions::default() }).unwrap_err();
         assert_eq!(error.kind, ErrorKind::TooLarge);
         let limits = Limits { max_gaussians: 3, ..Limits::default() };
-        let error = import(&path, &Options { limits, ..Options::default() }).unwrap_err();
+        let error = import(&path, &ImportOptions { limits, ..ImportOptions::default() }).unwrap_err();
         assert_eq!(error.kind, ErrorKind::TooLarge);
     }
 
@@ -285,10 +290,10 @@ mod tests {
         for (plane, bytes) in ["chk", "pos", "oth", "col", "shs"].iter().zip(&sample.planes) {
             std::fs::write(folder.path().join(format!("000001_{plane}.bytes")), bytes).unwrap();
         }
-        assert_eq!(import(&path, &Options::default()).unwrap().max_count(), 20);
-        assert_eq!(import(folder.path(), &Options::default()).unwrap().frames(), 1);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 20);
+        assert_eq!(import(folder.path(), &ImportOptions::default()).unwrap().frames(), 1);
         std::fs::remove_file(folder.path().join("000001_oth.bytes")).unwrap();
-        let error = import(&path, &Options::default()).unwrap_err();
+        let error = import(&path, &ImportOptions::default()).unwrap_err();
         assert!(error.to_string().contains("000001_oth.bytes"), "{error}");
     }
 }

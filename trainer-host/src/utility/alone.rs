@@ -7,7 +7,9 @@ use codec_core::internals::{
 use rayon::prelude::*;
 use render_host::{Renderer, Settings, Splats, metric};
 
-use super::{Delta, Options, UtilityError, View, contexts::SpanCells, spans, state_of, versions, view_of};
+use super::{
+    Delta, UtilityError, UtilityOptions, View, contexts::SpanCells, spans, state_of, versions, view_of,
+};
 use crate::{
     scene::Scene,
     stream::{PacketMap, Player},
@@ -22,7 +24,7 @@ pub fn measure_alone(
     scene: &Scene,
     content: &Content<'_>,
     map: &PacketMap,
-    options: &Options,
+    options: &UtilityOptions,
     every: usize,
 ) -> Result<Vec<(usize, f64)>, UtilityError> {
     if options.cameras.is_empty() {
@@ -49,7 +51,7 @@ pub(super) fn deltas_in_view(
     map: &PacketMap,
     span: &SpanCells,
     view: usize,
-    options: &Options,
+    options: &UtilityOptions,
     every: usize,
 ) -> Result<Vec<Delta>, UtilityError> {
     let (_, view) = view_of(scene, content, span.span, view, options)?;
@@ -97,7 +99,7 @@ fn distance(
     content: &Content<'_>,
     state: &[u8],
     view: &View,
-    options: &Options,
+    options: &UtilityOptions,
     player: &mut Player,
     renderer: &mut Renderer,
 ) -> Result<f64, UtilityError> {

@@ -10,7 +10,7 @@ use crate::{
 
 #[test]
 fn the_risk_adjusted_utility_is_the_papers() {
-    let options = Options::paper(Vec::new());
+    let options = UtilityOptions::paper(Vec::new());
     let mut samples = vec![4.0, 0.0, 1.0, 2.0, 3.0];
     let u = summarise(7, Level::BASE, &mut samples, &options);
     let deviation = 2f64.sqrt();
@@ -27,15 +27,15 @@ fn quantiles_interpolate() {
 
 /// A moving figure of two windows, and its stream.
 fn moving() -> (Scene, Stream) {
-    let options = synth::Options { gaussians: 1000, frames: 40, ..synth::Options::default() };
+    let options = synth::SynthOptions { gaussians: 1000, frames: 40, ..synth::SynthOptions::default() };
     let scene = synth::make(&options, &import::Limits::default()).unwrap();
-    let stream = encode(&scene, &encode::Options::default(), &|_, _| {}).unwrap().stream;
+    let stream = encode(&scene, &encode::EncodeOptions::default(), &|_, _| {}).unwrap().stream;
     (scene, stream)
 }
 
-fn few(scene: &Scene) -> Options {
+fn few(scene: &Scene) -> UtilityOptions {
     let cameras = Framing::of(scene).ring(Ring::Measuring, 2, (48, 36)).unwrap();
-    Options { contexts: 2, ..Options::paper(cameras) }
+    UtilityOptions { contexts: 2, ..UtilityOptions::paper(cameras) }
 }
 
 #[test]
@@ -68,7 +68,7 @@ fn one_table_on_any_number_of_threads_and_another_for_other_contexts() {
     let (scene, stream) = moving();
     let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
     let (content, options) = (received.content(), few(&scene));
-    let measure = |options: &Options| measure(&scene, &content, &map, options, &|_| {}).unwrap();
+    let measure = |options: &UtilityOptions| measure(&scene, &content, &map, options, &|_| {}).unwrap();
     let table = measure(&options);
     assert_eq!(table.groups.len(), map.groups().len());
     let means = measure_alone(&scene, &content, &map, &options, 5).unwrap();
@@ -79,6 +79,6 @@ fn one_table_on_any_number_of_threads_and_another_for_other_contexts() {
     assert_eq!(table.deltas as usize, map.groups().len() * 2 * 2, "two contexts, two views");
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     assert_eq!(pool.install(|| measure(&options)), table);
-    let other = measure(&Options { seed: 2, ..options.clone() });
+    let other = measure(&UtilityOptions { seed: 2, ..options.clone() });
     assert_ne!(other.groups, table.groups);
 }

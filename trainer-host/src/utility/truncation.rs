@@ -5,7 +5,7 @@ use codec_core::internals::{
     receiver::Content,
 };
 
-use super::{Options, Table};
+use super::{Table, UtilityOptions};
 use crate::{
     encode::{self, EncodeError, Encoded, Progress, Report},
     scene::Scene,
@@ -13,7 +13,7 @@ use crate::{
     viewpoint::{Framing, Ring},
 };
 
-impl Options {
+impl UtilityOptions {
     /// How to measure what levels gain once everything is there: in the complete state, from the cameras
     /// of two measuring rings, as far above the horizon as below.
     ///
@@ -189,11 +189,11 @@ mod tests {
         let scene = hidden(400);
         // Equal steps for all: where steps follow what shows, the base of what is hidden is so coarse that it
         // may stick out of the shell, and finer levels put it back.
-        let options = encode::Options { pictures: 0, ..encode::Options::default() };
+        let options = encode::EncodeOptions { pictures: 0, ..encode::EncodeOptions::default() };
         let whole = encode::encode(&scene, &options, &|_, _| {}).unwrap();
         let map = PacketMap::of(&whole.stream).unwrap();
         let received = whole.stream.receive().unwrap();
-        let how = Options::complete(&scene).unwrap();
+        let how = UtilityOptions::complete(&scene).unwrap();
         let table = measure(&scene, &received.content(), &map, &how, &|_| {}).unwrap();
         let (cut, truncated) =
             truncate(&scene, &whole, &table, 0.0, options.table_choices, &|_, _| {}).unwrap();

@@ -9,14 +9,14 @@ pub(super) const LATTICE: Lattice = Lattice { clusters: 64, levels: 2 };
 
 /// Which scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum CloudShape {
     /// Evenly in [-1, 1]³; clusters are 4×4×4 cells. The worst case for interleaved depths.
     Volume,
     /// On overlapping ellipsoid shells, flat along one axis; clusters are the shells.
     Shells,
 }
 
-impl Kind {
+impl CloudShape {
     /// Both, and the letter of each in keys of figures.
     pub(super) const ALL: [(Self, char); 2] = [(Self::Volume, 'A'), (Self::Shells, 'B')];
 }
@@ -52,7 +52,7 @@ impl Numbers {
 
 /// `n` Gaussians: scales of 0.012 (shells 0.013) times a log-normal of σ = 0.4, opacities the logistic of
 /// a normal of σ = 1.5.
-pub(super) fn cloud(kind: Kind, n: usize) -> Cloud {
+pub(super) fn cloud(kind: CloudShape, n: usize) -> Cloud {
     let mut r = Numbers(7);
     let shells: Vec<[[f32; 3]; 3]> = (0..LATTICE.clusters)
         .map(|_| [[-0.9, 0.9], [0.08, 0.3], [0.0, 1.0]].map(|[a, b]| [0; 3].map(|_| r.between(a, b))))
@@ -60,13 +60,13 @@ pub(super) fn cloud(kind: Kind, n: usize) -> Cloud {
     let mut one = |i: usize| {
         let grow = |size: f32, r: &mut Numbers| size * (0.4 * r.normal()).exp();
         let (position, scale, colour, cluster, bias) = match kind {
-            Kind::Volume => {
+            CloudShape::Volume => {
                 let position = [0; 3].map(|_| r.between(-1.0, 1.0));
                 let cell = |p: f32| (((p + 1.0) * 2.0) as usize).min(3);
                 let cluster = cell(position[0]) + 4 * cell(position[1]) + 16 * cell(position[2]);
                 (position, [0; 3].map(|_| grow(0.012, &mut r)), [0; 3].map(|_| r.unit()), cluster, 0.0)
             }
-            Kind::Shells => {
+            CloudShape::Shells => {
                 let [centre, radii, base] = shells[i % LATTICE.clusters];
                 let d = [0; 3].map(|_| r.normal());
                 let length = d.iter().map(|v| v * v).sum::<f32>().sqrt();

@@ -12,7 +12,7 @@ use render_host::{
 
 use super::{
     clock::seconds_of,
-    cloud::{Kind, LATTICE},
+    cloud::{CloudShape, LATTICE},
     partial::{Partial, STATES_ALONE, deliveries, spread},
 };
 use crate::{
@@ -40,7 +40,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         ),
     );
     for &side in &sides {
-        for kind in Kind::ALL {
+        for kind in CloudShape::ALL {
             measure(&mut bench, kind, n, side, worlds, runs)?;
         }
         table::run(&mut bench, n, side, runs)?;
@@ -50,7 +50,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
 
 fn measure(
     bench: &mut Bench,
-    (kind, letter): (Kind, char),
+    (kind, letter): (CloudShape, char),
     n: usize,
     side: u32,
     worlds: usize,

@@ -20,7 +20,7 @@ use trainer_host::viewpoint::{Framing, Ring};
 
 use super::{
     clock::milliseconds_of,
-    cloud::{Kind, Numbers, beside, camera, cloud},
+    cloud::{CloudShape, Numbers, beside, camera, cloud},
 };
 use crate::{
     figures::{Bench, Figure, median},
@@ -124,7 +124,7 @@ fn checks(bench: &mut Bench, runs: usize) -> Result<()> {
 fn losses(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
     let sides: &[u32] = if setup.quick { &[160] } else { &[400, 800] };
     for &side in sides {
-        let scene = cloud(Kind::Shells, 20_000);
+        let scene = cloud(CloudShape::Shells, 20_000);
         let image =
             render_host::render(&Splats::plain(&scene.gaussians), &camera(side)?, &Settings::default())?
                 .image;
@@ -164,7 +164,7 @@ fn frames(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
     let (counts, sides): (&[usize], &[u32]) =
         if setup.quick { (&[4000], &[160]) } else { (&[20_000, 100_000], &[400, 800]) };
     for &n in counts {
-        let scene = cloud(Kind::Volume, n);
+        let scene = cloud(CloudShape::Volume, n);
         for &side in sides {
             frame(
                 bench,

@@ -7,7 +7,7 @@ use render_host::{
     counterfactual::{Lattice, States, Variants, brute},
 };
 
-use super::cloud::{Cloud, Kind, LATTICE, Numbers, beside, camera, cloud};
+use super::cloud::{Cloud, CloudShape, LATTICE, Numbers, beside, camera, cloud};
 
 /// States that brute force renders per round; its time is scaled to all.
 pub(super) const STATES_ALONE: usize = 16;
@@ -24,12 +24,18 @@ pub(crate) struct Partial {
 
 impl Partial {
     /// Scene `kind` of `n` Gaussians at `side` × `side` pixels.
-    pub(crate) fn new(kind: Kind, n: usize, side: u32, settings: &Settings) -> Result<Self> {
+    pub(crate) fn new(kind: CloudShape, n: usize, side: u32, settings: &Settings) -> Result<Self> {
         Self::turned(kind, n, side, 0.0, settings)
     }
 
     /// As [`Partial::new`], every centre turned by `angle` radians about z.
-    pub(crate) fn turned(kind: Kind, n: usize, side: u32, angle: f32, settings: &Settings) -> Result<Self> {
+    pub(crate) fn turned(
+        kind: CloudShape,
+        n: usize,
+        side: u32,
+        angle: f32,
+        settings: &Settings,
+    ) -> Result<Self> {
         let Cloud { mut gaussians, groups } = cloud(kind, n);
         let (sin, cos) = angle.sin_cos();
         for Gaussian { position: [x, y, _], .. } in &mut gaussians {

@@ -9,7 +9,7 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
-use super::cloud::{Kind, camera, cloud};
+use super::cloud::{CloudShape, camera, cloud};
 use crate::{
     figures::{Bench, Figure, median},
     setup::{Setup, load, synth},
@@ -55,7 +55,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     );
     let counts: &[usize] = if setup.quick { &[4000] } else { &[20_000, 100_000] };
     for &n in counts {
-        let scene = cloud(Kind::Volume, n);
+        let scene = cloud(CloudShape::Volume, n);
         for &size in sizes {
             let name = format!("random-{n}.{size}");
             frame(&mut bench, &name, &Splats::plain(&scene.gaussians), &camera(size)?, runs)?;

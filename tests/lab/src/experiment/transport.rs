@@ -135,7 +135,7 @@ fn utilities(
     setup: &Setup,
 ) -> Result<utility::Table> {
     let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (96, 96))?;
-    let options = utility::Options { contexts: 2, ..utility::Options::paper(cameras) };
+    let options = utility::UtilityOptions { contexts: 2, ..utility::UtilityOptions::paper(cameras) };
     let received = stream.receive()?;
     pipeline::utilities(scene, &received.content(), map, &options, None, setup.quiet, &mut |_| ())
 }

@@ -55,17 +55,17 @@ fn measure(bench: &mut Bench, key: &str, scene: &Scene, setup: &Setup) -> Result
     let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
     let content = received.content();
     let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (160, 160))?;
-    let paper = utility::Options::paper(cameras);
-    let complete = utility::Options::complete(scene)?;
+    let paper = utility::UtilityOptions::paper(cameras);
+    let complete = utility::UtilityOptions::complete(scene)?;
     let contexts = if setup.quick { 4 } else { paper.contexts };
-    let paper = utility::Options { contexts, ..paper };
+    let paper = utility::UtilityOptions { contexts, ..paper };
     bench.push(Figure::new(format!("{key}.groups"), map.groups().len() as f64, "groups"));
     for (name, options) in [("contexts", paper), ("complete", complete)] {
         let start = Instant::now();
         let table = utility::measure(scene, &content, &map, &options, &|_| {})?;
         let ours = start.elapsed().as_secs_f64();
         // One context is the first of many: the engine's own answer to it is what is compared.
-        let one = utility::Options { contexts: 1, ..options.clone() };
+        let one = utility::UtilityOptions { contexts: 1, ..options.clone() };
         let first = utility::measure(scene, &content, &map, &one, &|_| {})?;
         let start = Instant::now();
         let alone = utility::measure_alone(scene, &content, &map, &one, EVERY)?;

@@ -11,7 +11,7 @@ use render_host::{
 };
 
 use super::{
-    cloud::{Kind, LATTICE},
+    cloud::{CloudShape, LATTICE},
     counterfactual::distance,
     partial::{Partial, deliveries},
 };
@@ -42,7 +42,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         ),
     );
     let settings = Settings::default();
-    let scene = Partial::new(Kind::Volume, n, side, &settings)?;
+    let scene = Partial::new(CloudShape::Volume, n, side, &settings)?;
     let (variants, camera) = (scene.variants()?, &scene.camera);
     let states = deliveries(most);
 

@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::{
     super::{
-        EncodeError, Options, Quality,
+        EncodeError, EncodeOptions, Quality,
         decisions::{ClusterDecisions, EpochDecisions},
         packetise::CellSymbols,
         quantiser_class::EpochClasses,
@@ -34,7 +34,7 @@ pub(super) fn plain(
     epoch: &Epoch,
     sets: &[Vec<u32>],
     classes: &EpochClasses<'_>,
-    options: &Options,
+    options: &EncodeOptions,
 ) -> Result<(Vec<Quant>, [f32; 3]), EncodeError> {
     let grid = Grid::of(epoch, steps::DGS1_BASE_RATIO);
     let of_class = |(class_index, quality): (usize, &Quality)| {
@@ -79,7 +79,7 @@ pub(super) fn decide(
     epoch: &Epoch,
     members: Vec<Vec<u32>>,
     classes: &EpochClasses<'_>,
-    options: &Options,
+    options: &EncodeOptions,
 ) -> Result<Decided, EncodeError> {
     let (unpredicted, origin) = plain(epoch, &members, classes, options)?;
     let mut quants = Vec::new();

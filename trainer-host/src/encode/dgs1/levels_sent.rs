@@ -67,10 +67,10 @@ mod tests {
 
     use super::*;
     use crate::{
-        encode::{Options, encode, with_levels},
+        encode::{EncodeOptions, encode, with_levels},
         import::{
             Limits,
-            synth::{self, Kind},
+            synth::{self, SynthKind},
         },
         stream::Player,
     };
@@ -83,10 +83,14 @@ mod tests {
     /// What a stream without some levels shows is what the whole stream shows where they are missing.
     #[test]
     fn a_level_not_sent_is_a_level_that_is_missing() {
-        let options =
-            synth::Options { gaussians: 1500, frames: 40, kind: Kind::Figure, ..Default::default() };
+        let options = synth::SynthOptions {
+            gaussians: 1500,
+            frames: 40,
+            kind: SynthKind::Figure,
+            ..Default::default()
+        };
         let scene = synth::make(&options, &Limits::default()).unwrap();
-        let options = Options { keep_invisible: true, ..Options::default() };
+        let options = EncodeOptions { keep_invisible: true, ..EncodeOptions::default() };
         let whole = encode(&scene, &options, &|_, _| {}).unwrap();
         let manifest = whole.stream.manifest().unwrap();
         let highest: Vec<Level> = (0..manifest.cells()).map(|c| Level::ALL[(c * 7 / 3) % 4]).collect();

@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 use super::{
     super::{
-        EncodeError, Options,
+        EncodeError, EncodeOptions,
         decisions::{EpochDecisions, MotionDecisions, TrackForm, WindowDecisions, misfit},
         factorise::temporal_basis,
         packetise::CellSymbols,
@@ -55,7 +55,7 @@ pub(super) fn decide(
     decisions: &EpochDecisions,
     canonical: &Canonical,
     frames_per_second: f64,
-    options: &Options,
+    options: &EncodeOptions,
 ) -> Vec<WindowDecisions> {
     if epoch.attributes().is_constant() {
         return Vec::new();
@@ -72,7 +72,7 @@ fn decide_window(
     frames: Range<usize>,
     decisions: &EpochDecisions,
     canonical: &Canonical,
-    options: &Options,
+    options: &EncodeOptions,
 ) -> WindowDecisions {
     let cosines = cosine_vectors(frames.len());
     let most_bits = 7.0 * (options.packet_bytes as f64 - 80.0);

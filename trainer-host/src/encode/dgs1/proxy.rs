@@ -81,7 +81,7 @@ mod tests {
 
     use super::*;
     use crate::{
-        encode::{Options, encode},
+        encode::{EncodeOptions, encode},
         scene::{Attributes, Scene, Track},
         stream::Player,
     };
@@ -110,7 +110,7 @@ mod tests {
             sh_degree: ShDegree::ZERO,
         };
         let scene = Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap();
-        let stream = encode(&scene, &Options::default(), &|_, _| {}).unwrap().stream;
+        let stream = encode(&scene, &EncodeOptions::default(), &|_, _| {}).unwrap().stream;
         let received = stream.receive().unwrap();
         let content = received.content();
         let none = vec![0u8; content.blocks.len()];

@@ -136,8 +136,8 @@ mod tests {
     /// Frames out of order and twice, on any number of threads, are what each is alone.
     #[test]
     fn frames_in_a_row_are_what_they_are_alone() {
-        let options = crate::import::synth::Options {
-            kind: crate::import::synth::Kind::Balls,
+        let options = crate::import::synth::SynthOptions {
+            kind: crate::import::synth::SynthKind::Balls,
             gaussians: 1500,
             frames: 12,
             ..Default::default()

@@ -111,19 +111,19 @@ fn outline(manifest: &Manifest<'_>) -> Vec<Segment> {
 mod tests {
     use super::*;
     use crate::{
-        encode::{Options, Protection, encode},
+        encode::{EncodeOptions, Protection, encode},
         import::{
             Limits,
-            synth::{self, Kind},
+            synth::{self, SynthKind},
         },
     };
 
     #[test]
     fn segments_hold_every_packet_and_each_level_adds_quality() {
-        for (kind, windows) in [(Kind::Figure, 2), (Kind::Births, 1)] {
-            let options = synth::Options { gaussians: 1000, frames: 40, kind, ..Default::default() };
+        for (kind, windows) in [(SynthKind::Figure, 2), (SynthKind::Births, 1)] {
+            let options = synth::SynthOptions { gaussians: 1000, frames: 40, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
-            let options = Options { repair: Protection::xor(4), ..Options::default() };
+            let options = EncodeOptions { repair: Protection::xor(4), ..EncodeOptions::default() };
             let encoded = encode(&scene, &options, &|_, _| {}).unwrap();
             let segments = segments(&scene, &encoded.stream, 1).unwrap();
             assert!(segments.len() >= windows);

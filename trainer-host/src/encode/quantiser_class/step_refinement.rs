@@ -11,7 +11,7 @@ use codec_core::internals::quant::Class;
 use super::epoch_classes::EpochClasses;
 use crate::{
     encode::{
-        EncodeError, Options, Quality, cluster,
+        EncodeError, EncodeOptions, Quality, cluster,
         dgs1::{
             indices::{indices, spread_bits},
             rate_estimate::PER_D,
@@ -40,7 +40,7 @@ const ENTRY_BITS: f64 = 16.0;
 pub(super) fn finer(
     epoch: &Epoch,
     classes: &EpochClasses<'_>,
-    options: &Options,
+    options: &EncodeOptions,
 ) -> Result<Vec<Factors>, EncodeError> {
     let positions = epoch.attributes().positions.frame(0, epoch.count());
     let grid = Grid::of(epoch, DGS1_BASE_RATIO);
@@ -114,7 +114,7 @@ mod tests {
         encode::quantiser_class::QuantiserClasses,
         import::{
             Limits,
-            synth::{self, Kind},
+            synth::{self, SynthKind},
         },
         scene::{Attributes, Scene, Track},
     };
@@ -141,7 +141,8 @@ mod tests {
 
     #[test]
     fn attributes_that_are_alike_get_finer_steps_and_others_do_not() {
-        let options = synth::Options { gaussians: 2000, frames: 1, kind: Kind::Cloth, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 2000, frames: 1, kind: SynthKind::Cloth, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let epoch = &scene.epochs()[0];
         let n = epoch.count();
@@ -153,7 +154,7 @@ mod tests {
             ..epoch.attributes().clone()
         };
         let scene = Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap();
-        let options = Options::default();
+        let options = EncodeOptions::default();
         let classes = QuantiserClasses::one(&scene, &options).unwrap();
         let steps = classes.of_epoch(0, &Quality::default()).qualities[0];
         assert!(steps.opacity < 0.2 * Quality::default().opacity, "{steps:?}");

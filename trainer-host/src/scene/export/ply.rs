@@ -38,18 +38,18 @@ pub fn encode(epoch: &Epoch, t: usize) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::import::{self, Identity, Limits, Options, synth};
+    use crate::scene::import::{self, Identity, ImportOptions, Limits, synth};
 
     #[test]
     fn a_sequence_reads_back_as_the_same_epoch() {
-        let make = synth::Options { gaussians: 1_000, frames: 5, ..synth::Options::default() };
+        let make = synth::SynthOptions { gaussians: 1_000, frames: 5, ..synth::SynthOptions::default() };
         let scene = synth::make(&make, &Limits::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
         for t in 0..5 {
             std::fs::write(folder.path().join(format!("ball_{t}.ply")), encode(&scene.epochs()[0], t))
                 .unwrap();
         }
-        let options = Options { identity: Identity::Stored, ..Options::default() };
+        let options = ImportOptions { identity: Identity::Stored, ..ImportOptions::default() };
         let back = import::import(folder.path(), &options).unwrap();
         // Rotations are normalised again on entry, which may move their last bit.
         let (a, b) = (scene.epochs()[0].attributes(), back.epochs()[0].attributes());

@@ -27,14 +27,14 @@ pub enum Version {
 
 /// How to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Options {
+pub struct SpzOptions {
     /// Which version.
     pub version: Version,
     /// Fraction bits of positions, at most 23; fewer are used where positions would not fit.
     pub fraction_bits: u8,
 }
 
-impl Default for Options {
+impl Default for SpzOptions {
     fn default() -> Self {
         Self { version: Version::V3, fraction_bits: 12 }
     }
@@ -44,7 +44,7 @@ impl Default for Options {
 ///
 /// # Errors
 /// More Gaussians than the format counts, positions beyond ±8388607 units, or a compressor's refusal.
-pub fn encode(epoch: &Epoch, t: usize, options: &Options) -> io::Result<Vec<u8>> {
+pub fn encode(epoch: &Epoch, t: usize, options: &SpzOptions) -> io::Result<Vec<u8>> {
     let count = u32::try_from(epoch.count()).map_err(|_| refused("more Gaussians than SPZ counts"))?;
     let fraction_bits = fraction_bits(epoch, t, options.fraction_bits)?;
     let planes = planes(epoch, t, fraction_bits);
@@ -87,7 +87,7 @@ pub fn encode(epoch: &Epoch, t: usize, options: &Options) -> io::Result<Vec<u8>>
 ///
 /// # Errors
 /// Positions beyond ±8388607 units.
-pub fn unpacked(epoch: &Epoch, t: usize, options: &Options) -> io::Result<(u8, [Vec<u8>; 6])> {
+pub fn unpacked(epoch: &Epoch, t: usize, options: &SpzOptions) -> io::Result<(u8, [Vec<u8>; 6])> {
     let fraction_bits = fraction_bits(epoch, t, options.fraction_bits)?;
     Ok((fraction_bits, planes(epoch, t, fraction_bits)))
 }
@@ -243,7 +243,7 @@ mod tests {
     fn both_versions_read_back_within_quantisation() {
         let epoch = random(500, 20.0);
         for version in [Version::V3, Version::V4] {
-            let options = Options { version, ..Options::default() };
+            let options = SpzOptions { version, ..SpzOptions::default() };
             let bytes = encode(&epoch, 0, &options).unwrap();
             let back = import::spz::parse(&bytes, &Limits::default()).unwrap();
             agree(&epoch, &back.epoch, 12);
@@ -253,7 +253,7 @@ mod tests {
     #[test]
     fn far_positions_get_fewer_fraction_bits_and_never_wrap() {
         let epoch = random(50, 100_000.0);
-        let bytes = encode(&epoch, 0, &Options { version: Version::V4, ..Options::default() }).unwrap();
+        let bytes = encode(&epoch, 0, &SpzOptions { version: Version::V4, ..SpzOptions::default() }).unwrap();
         assert_eq!(bytes[13], 6);
         let back = import::spz::parse(&bytes, &Limits::default()).unwrap();
         agree(&epoch, &back.epoch, 6);
@@ -261,14 +261,15 @@ mod tests {
 
     #[test]
     fn sequences_read_back_as_frames() {
-        let make = synth::Options { gaussians: 1_000, frames: 3, ..synth::Options::default() };
+        let make = synth::SynthOptions { gaussians: 1_000, frames: 3, ..synth::SynthOptions::default() };
         let scene = synth::make(&make, &Limits::default()).unwrap();
         let folder = tempfile::tempdir().unwrap();
         for t in 0..3 {
-            let bytes = encode(&scene.epochs()[0], t, &Options::default()).unwrap();
+            let bytes = encode(&scene.epochs()[0], t, &SpzOptions::default()).unwrap();
             std::fs::write(folder.path().join(format!("ball_{t}.spz")), bytes).unwrap();
         }
-        let options = import::Options { identity: Identity::Stored, ..import::Options::default() };
+        let options =
+            import::ImportOptions { identity: Identity::Stored, ..import::ImportOptions::default() };
         let back = import::import(folder.path(), &options).unwrap();
         assert_eq!((back.epochs().len(), back.frames(), back.max_count()), (1, 3, 1_000));
     }

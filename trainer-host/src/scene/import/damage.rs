@@ -36,7 +36,7 @@ fn cases() -> Vec<Case> {
         case(points_npz::tests::sample(), |b, l| points_npz::parse(b, 30.0, l).map(|s| s.max_count())),
         case(gltf::tests::sample(), |b, l| {
             let beside = |name: &str| Err(Format::Gltf.malformed("uri", name, "nothing beside"));
-            let options = gltf::Options { samples: 60, ..gltf::Options::default() };
+            let options = gltf::GltfOptions { samples: 60, ..gltf::GltfOptions::default() };
             gltf::parse(b, beside, &options, l).map(|s| s.max_count())
         }),
         case(UNITY.description.clone().into_bytes(), |b, l| {
@@ -75,7 +75,7 @@ fn sog_with(name: &str, bytes: &[u8], limits: &Limits) -> Result<Snapshot, Impor
 
 fn spz_4() -> Vec<u8> {
     let epoch = splat::parse(&splat::tests::sample(9), &Limits::default()).unwrap().epoch;
-    let options = crate::scene::export::spz::Options {
+    let options = crate::scene::export::spz::SpzOptions {
         version: crate::scene::export::spz::Version::V4,
         fraction_bits: 12,
     };

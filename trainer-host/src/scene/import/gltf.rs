@@ -41,7 +41,7 @@ const THINNESS: f32 = 0.1;
 
 /// How to sample an animated mesh.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct GltfOptions {
     /// Which animation.
     pub clip: Clip,
     /// Frames per second the clip is evaluated at.
@@ -55,7 +55,7 @@ pub struct Options {
     pub follow_stretch: bool,
 }
 
-impl Default for Options {
+impl Default for GltfOptions {
     fn default() -> Self {
         Self { clip: Clip::First, frames_per_second: 30.0, samples: 20_000, seed: 1, follow_stretch: false }
     }
@@ -69,7 +69,7 @@ impl Default for Options {
 pub fn parse(
     bytes: &[u8],
     beside: impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
-    options: &Options,
+    options: &GltfOptions,
     limits: &Limits,
 ) -> Result<Scene, ImportError> {
     limits.bytes(FORMAT, "file", bytes.len() as u64)?;

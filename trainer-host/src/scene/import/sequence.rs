@@ -234,7 +234,7 @@ fn numbered(name: &str) -> Option<(String, u64)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::import::{Options, import, ply, splat};
+    use crate::scene::import::{ImportOptions, import, ply, splat};
 
     #[test]
     fn names_split_into_prefix_and_number() {
@@ -252,12 +252,12 @@ mod tests {
             std::fs::write(folder.path().join(name), ply::tests::sample("binary_little_endian", 9, n))
                 .unwrap();
         }
-        let scene = import(folder.path(), &Options::default()).unwrap();
+        let scene = import(folder.path(), &ImportOptions::default()).unwrap();
         assert_eq!((scene.epochs().len(), scene.frames()), (3, 3));
         assert!(scene.notes.iter().any(|n| n.contains("identity")), "{:?}", scene.notes);
         assert!(scene.notes.iter().any(|n| n.contains("6 frame numbers")), "{:?}", scene.notes);
 
-        let stored = Options { identity: Identity::Stored, ..Options::default() };
+        let stored = ImportOptions { identity: Identity::Stored, ..ImportOptions::default() };
         let scene = import(folder.path(), &stored).unwrap();
         assert_eq!((scene.epochs().len(), scene.frames()), (1, 3));
         assert!(scene.epochs()[0].attributes().positions.is_constant());
@@ -278,7 +278,7 @@ mod tests {
             let files = files.iter().map(|&f| f.to_owned()).collect();
             let index = serde_json::to_vec(&SequenceIndex { frames, files, complete }).unwrap();
             std::fs::write(folder.path().join(SEQUENCE_INDEX), index).unwrap();
-            import(folder.path(), &Options::default())
+            import(folder.path(), &ImportOptions::default())
         };
         assert_eq!(with(2, &["a1.splat", "a0.splat"], true).unwrap().frames(), 2);
         for (frames, files, complete, says) in [
@@ -300,7 +300,7 @@ mod tests {
             std::fs::write(folder.path().join(name), splat::tests::sample(2)).unwrap();
         }
         assert!(splat::parse(&splat::tests::sample(2), &Limits::default()).is_ok());
-        let error = import(folder.path(), &Options::default()).unwrap_err();
+        let error = import(folder.path(), &ImportOptions::default()).unwrap_err();
         assert!(error.to_string().contains("one prefix"), "{error}");
     }
 }

@@ -20,7 +20,7 @@ mod options;
 mod paint;
 
 pub use cloth::MODES as CLOTH_MODES;
-pub use options::{Kind, Options};
+pub use options::{SynthKind, SynthOptions};
 
 use super::{
     Limits,
@@ -33,7 +33,7 @@ use crate::scene::Scene;
 ///
 /// # Errors
 /// A count outside 1,000..=1,000,000, no frames, more than `limits` hold, or a bad frame rate.
-pub fn make(options: &Options, limits: &Limits) -> Result<Scene, ImportError> {
+pub fn make(options: &SynthOptions, limits: &Limits) -> Result<Scene, ImportError> {
     const FORMAT: Format = Format::Unknown;
     if !(1_000..=1_000_000).contains(&options.gaussians) {
         return Err(FORMAT.malformed("Gaussians", options.gaussians, "1000 to 1000000"));
@@ -43,10 +43,10 @@ pub fn make(options: &Options, limits: &Limits) -> Result<Scene, ImportError> {
     let held = (options.gaussians as u64 * 56).saturating_mul(options.frames as u64);
     limits.bytes(FORMAT, "Gaussians x frames", held)?;
     let epochs = match options.kind {
-        Kind::Balls => balls::make(options).map(|e| vec![e]),
-        Kind::Figure => figure::make(options).map(|e| vec![e]),
-        Kind::Cloth => cloth::make(options).map(|e| vec![e]),
-        Kind::Births => births::make(options),
+        SynthKind::Balls => balls::make(options).map(|e| vec![e]),
+        SynthKind::Figure => figure::make(options).map(|e| vec![e]),
+        SynthKind::Cloth => cloth::make(options).map(|e| vec![e]),
+        SynthKind::Births => births::make(options),
     };
     let mut scene = epochs
         .and_then(|epochs| Scene::new(epochs, options.frames_per_second))
@@ -59,23 +59,23 @@ pub fn make(options: &Options, limits: &Limits) -> Result<Scene, ImportError> {
 mod tests {
     use super::*;
 
-    fn small(kind: Kind) -> Options {
-        Options { kind, gaussians: 2_000, frames: 20, ..Options::default() }
+    fn small(kind: SynthKind) -> SynthOptions {
+        SynthOptions { kind, gaussians: 2_000, frames: 20, ..SynthOptions::default() }
     }
 
     #[test]
     fn the_same_options_give_the_same_scene() {
-        for kind in Kind::ALL {
-            let make = |seed| make(&Options { seed, ..small(kind) }, &Limits::default()).unwrap();
+        for kind in SynthKind::ALL {
+            let make = |seed| make(&SynthOptions { seed, ..small(kind) }, &Limits::default()).unwrap();
             assert_eq!(make(7).epochs(), make(7).epochs(), "{kind:?}");
             assert_ne!(make(7).epochs(), make(8).epochs(), "{kind:?}");
-            assert_eq!(Kind::from_name(kind.name()), Some(kind));
+            assert_eq!(SynthKind::from_name(kind.name()), Some(kind));
         }
     }
 
     #[test]
     fn scenes_have_the_size_asked_for_and_stay_near_the_origin() {
-        for kind in Kind::ALL {
+        for kind in SynthKind::ALL {
             let scene = make(&small(kind), &Limits::default()).unwrap();
             assert_eq!(scene.frames(), 20, "{kind:?}");
             assert_eq!(scene.epochs()[0].count(), 2_000, "{kind:?}");
@@ -91,7 +91,7 @@ mod tests {
 
     #[test]
     fn births_have_two_epochs_of_different_size_and_opacities_that_move() {
-        let scene = make(&small(Kind::Births), &Limits::default()).unwrap();
+        let scene = make(&small(SynthKind::Births), &Limits::default()).unwrap();
         assert_eq!(scene.epochs().len(), 2);
         assert_ne!(scene.epochs()[0].count(), scene.epochs()[1].count());
         assert!(!scene.epochs()[0].attributes().opacity_logits.is_constant());
@@ -99,10 +99,10 @@ mod tests {
 
     #[test]
     fn requests_out_of_range_are_refused() {
-        let few = Options { gaussians: 10, ..Options::default() };
+        let few = SynthOptions { gaussians: 10, ..SynthOptions::default() };
         assert!(make(&few, &Limits::default()).unwrap_err().to_string().contains("1000 to 1000000"));
-        assert!(make(&Options { frames: 0, ..small(Kind::Cloth) }, &Limits::default()).is_err());
-        let many = Options { gaussians: 1_000_000, frames: usize::MAX, ..Options::default() };
+        assert!(make(&SynthOptions { frames: 0, ..small(SynthKind::Cloth) }, &Limits::default()).is_err());
+        let many = SynthOptions { gaussians: 1_000_000, frames: usize::MAX, ..SynthOptions::default() };
         assert!(make(&many, &Limits::default()).is_err());
     }
 }

@@ -10,7 +10,7 @@ use render_host::{
 use crate::{
     experiment::{
         clock::seconds_of,
-        cloud::Kind,
+        cloud::CloudShape,
         partial::{Partial, STATES_ALONE, deliveries_of, spread},
     },
     figures::{Bench, Figure, median},
@@ -24,7 +24,7 @@ const FRAMES: usize = 4;
 pub(super) fn run(bench: &mut Bench, n: usize, side: u32, runs: usize) -> Result<()> {
     let settings = Settings::default();
     let frames = (0..FRAMES)
-        .map(|frame| Partial::turned(Kind::Volume, n, side, 0.05 * frame as f32, &settings))
+        .map(|frame| Partial::turned(CloudShape::Volume, n, side, 0.05 * frame as f32, &settings))
         .collect::<Result<Vec<_>>>()?;
     let contexts = deliveries_of(LATTICE, CONTEXTS);
     let few = spread(&contexts, STATES_ALONE);

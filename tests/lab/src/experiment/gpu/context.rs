@@ -3,11 +3,11 @@
 use anyhow::Result;
 use render_host::{Settings, gpu::Executor};
 
-use crate::experiment::{cloud::Kind, partial::Partial};
+use crate::experiment::{cloud::CloudShape, partial::Partial};
 
 /// The scenes of the engines over states, and the start of their keys; only A when it must be quick.
 pub(super) fn partials(n: usize, side: u32, quick: bool) -> Result<Vec<(String, Partial)>> {
-    let kinds = Kind::ALL.into_iter().take(if quick { 1 } else { 2 });
+    let kinds = CloudShape::ALL.into_iter().take(if quick { 1 } else { 2 });
     kinds
         .map(|(kind, letter)| {
             Ok((format!("{letter}.{side}"), Partial::new(kind, n, side, &Settings::default())?))

@@ -10,7 +10,7 @@ use render_host::{
 };
 
 use super::{
-    super::cloud::{Kind, camera, cloud},
+    super::cloud::{CloudShape, camera, cloud},
     context::Context,
     peer,
 };
@@ -37,7 +37,7 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     let (device, settings) = (context.executor.device(), Settings::default());
     let mut cases = Vec::new();
     for &n in counts {
-        let gaussians = cloud(Kind::Volume, n).gaussians;
+        let gaussians = cloud(CloudShape::Volume, n).gaussians;
         let splats = Splats::plain(&gaussians);
         for &side in sides {
             let camera = camera(side)?;

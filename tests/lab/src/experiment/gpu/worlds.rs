@@ -11,7 +11,7 @@ use render_host::{
 
 use super::{
     super::{
-        cloud::{Cloud, Kind, camera, cloud},
+        cloud::{Cloud, CloudShape, camera, cloud},
         partial::deliveries,
     },
     context::Context,
@@ -40,7 +40,7 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     };
     let frames = if context.is_cpu { 1 } else { 32 };
     let (device, settings) = (context.executor.device(), Settings::default());
-    let Cloud { gaussians, groups: of } = cloud(Kind::Volume, n);
+    let Cloud { gaussians, groups: of } = cloud(CloudShape::Volume, n);
     let splats = Splats::plain(&gaussians);
     let camera = camera(side)?;
     let all = Scene::with_groups(device, &splats, &of)?;

@@ -15,7 +15,7 @@ use trainer_host::{
 use super::{
     super::{
         clock::milliseconds_of,
-        cloud::{Kind, LATTICE, beside, camera, cloud},
+        cloud::{CloudShape, LATTICE, beside, camera, cloud},
     },
     rank,
 };
@@ -36,7 +36,7 @@ struct Case {
 fn cases(setup: &Setup) -> Result<Vec<Case>> {
     let (n, side) = if setup.quick { (3000, 120) } else { (84_000, 400) };
     let mut out = Vec::new();
-    for (kind, name) in [(Kind::Volume, "volume"), (Kind::Shells, "shells")] {
+    for (kind, name) in [(CloudShape::Volume, "volume"), (CloudShape::Shells, "shells")] {
         let scene = cloud(kind, n);
         out.push(Case {
             name: format!("{name}-{n}.{side}"),
@@ -53,7 +53,8 @@ fn cases(setup: &Setup) -> Result<Vec<Case>> {
         let film = Framing::of(&scene).ring(Ring::Measuring, 1, (side, side))?.remove(0);
         let mut groups = vec![0; instant.gaussians.len()];
         let epoch = scene.epochs().first();
-        let clusters = epoch.map_or_else(Vec::new, |e| cluster::cluster(e, &cluster::Options::default()));
+        let clusters =
+            epoch.map_or_else(Vec::new, |e| cluster::cluster(e, &cluster::ClusterOptions::default()));
         for (group, cluster) in (0..).zip(&clusters) {
             for &member in cluster {
                 if let Some(slot) = groups.get_mut(member as usize) {

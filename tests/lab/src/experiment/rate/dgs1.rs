@@ -24,7 +24,7 @@ pub fn even(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Cod
     let timer = Timer::start();
     let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::NONE);
     let quality = options.quality.scaled(coarseness);
-    let options = trainer_host::encode::Options { quality, pictures: 0, ..options };
+    let options = trainer_host::encode::EncodeOptions { quality, pictures: 0, ..options };
     decoded(scene, &pipeline::encode(scene, &options, Quiet(true))?.stream, timer.seconds(), shown)
 }
 
@@ -37,7 +37,7 @@ pub fn paper(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Result<Co
 pub fn stream(scene: &Scene, profile: ProfileName, coarseness: f32) -> Result<Encoded> {
     let options = pipeline::encode_options(&codec_args(profile), Protection::NONE);
     let quality = options.quality.scaled(coarseness);
-    pipeline::encode(scene, &trainer_host::encode::Options { quality, ..options }, Quiet(true))
+    pipeline::encode(scene, &trainer_host::encode::EncodeOptions { quality, ..options }, Quiet(true))
 }
 
 fn code(scene: &Scene, profile: ProfileName, coarseness: f32, shown: &[u32]) -> Result<Coded> {

@@ -78,8 +78,8 @@ pub fn sample() -> Vec<u8> {
     glb(&root, &blob)
 }
 
-fn options(clip: Clip) -> Options {
-    Options { clip, samples: 400, frames_per_second: 10.0, ..Options::default() }
+fn options(clip: Clip) -> GltfOptions {
+    GltfOptions { clip, samples: 400, frames_per_second: 10.0, ..GltfOptions::default() }
 }
 
 fn parsed(clip: Clip) -> Scene {
@@ -139,7 +139,7 @@ fn orientation_follows_the_surface() {
 #[test]
 fn the_seed_decides() {
     let with = |seed| {
-        let options = Options { seed, ..options(Clip::First) };
+        let options = GltfOptions { seed, ..options(Clip::First) };
         parse(&sample(), nothing_beside, &options, &Limits::default()).unwrap().epochs().to_vec()
     };
     assert_eq!(with(1), with(1));

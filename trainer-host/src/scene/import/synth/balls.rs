@@ -9,7 +9,7 @@ use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 
 use super::{
     disc::{Disc, epoch_of, on_disc, on_sphere, shares, sigma_of},
-    options::Options,
+    options::SynthOptions,
     paint,
 };
 use crate::scene::{Epoch, SceneError};
@@ -47,7 +47,7 @@ impl Ball {
     }
 }
 
-pub(super) fn make(options: &Options) -> Result<Epoch, SceneError> {
+pub(super) fn make(options: &SynthOptions) -> Result<Epoch, SceneError> {
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let start = rng.random::<f64>() * std::f64::consts::TAU;
     let balls: Vec<Ball> = (0..BALLS)
@@ -122,11 +122,12 @@ fn pattern(ball: usize, n: DVec3, main: [f32; 3], second: [f32; 3]) -> [f32; 3] 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::import::synth::Kind;
+    use crate::scene::import::synth::SynthKind;
 
     #[test]
     fn balls_are_rigid_and_stay_above_the_floor() {
-        let options = Options { kind: Kind::Balls, gaussians: 3_000, frames: 40, ..Options::default() };
+        let options =
+            SynthOptions { kind: SynthKind::Balls, gaussians: 3_000, frames: 40, ..SynthOptions::default() };
         let epoch = make(&options).unwrap();
         let a = epoch.attributes();
         let n = epoch.count();

@@ -11,7 +11,7 @@ use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 
 use super::{
     disc::{Disc, OPACITY, golden_angle, log_scales, on_disc, on_sphere, shares, sigma_of, wxyz},
-    options::Options,
+    options::SynthOptions,
     paint,
 };
 use crate::scene::{
@@ -36,7 +36,7 @@ enum Owner {
 /// A disc with its owner; positions are relative to what moves it.
 type Placed = (Disc, Owner);
 
-pub(super) fn make(options: &Options) -> Result<Vec<Epoch>, SceneError> {
+pub(super) fn make(options: &SynthOptions) -> Result<Vec<Epoch>, SceneError> {
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let hue = (rng.random::<f64>() * 8.0) as usize;
     let half = (options.frames / 2).max(1);
@@ -146,7 +146,7 @@ fn presence(age: f64, life: f64) -> f64 {
     smooth(t * 5.0) * smooth((1.0 - t) * 2.5)
 }
 
-fn epoch(placed: &[Placed], start: usize, end: usize, options: &Options) -> Result<Epoch, SceneError> {
+fn epoch(placed: &[Placed], start: usize, end: usize, options: &SynthOptions) -> Result<Epoch, SceneError> {
     let (n, frames) = (placed.len(), end - start);
     let mut positions = Vec::with_capacity(n * frames);
     let mut rotations = Vec::with_capacity(n * frames);

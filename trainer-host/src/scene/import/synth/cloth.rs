@@ -21,7 +21,7 @@ use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 
 use super::{
     disc::{Disc, epoch_of, sigma_of},
-    options::Options,
+    options::SynthOptions,
     paint,
 };
 use crate::scene::{Epoch, SceneError};
@@ -55,7 +55,7 @@ fn slopes(u: f64, v: f64) -> [(DVec3, DVec3); MODES] {
     ]
 }
 
-pub(super) fn make(options: &Options) -> Result<Epoch, SceneError> {
+pub(super) fn make(options: &SynthOptions) -> Result<Epoch, SceneError> {
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let phases: [f64; MODES] = std::array::from_fn(|_| rng.random::<f64>() * TAU);
     let hue = (rng.random::<f64>() * 8.0) as usize % 8;
@@ -113,11 +113,12 @@ fn weave(u: f64, v: f64, main: [f32; 3], second: [f32; 3]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::import::synth::Kind;
+    use crate::scene::import::synth::SynthKind;
 
     #[test]
     fn displacement_has_rank_four() {
-        let options = Options { kind: Kind::Cloth, gaussians: 1_000, frames: 24, ..Options::default() };
+        let options =
+            SynthOptions { kind: SynthKind::Cloth, gaussians: 1_000, frames: 24, ..SynthOptions::default() };
         let epoch = make(&options).unwrap();
         let (n, a) = (epoch.count(), epoch.attributes());
         // Displacement from frame 0 over the first 200 Gaussians.

@@ -10,7 +10,7 @@ use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 
 use super::{
     disc::{Disc, epoch_of, golden_angle, on_disc, shares, sigma_of},
-    options::Options,
+    options::SynthOptions,
     paint,
 };
 use crate::scene::{Epoch, SceneError};
@@ -99,7 +99,7 @@ fn pose(bones: &[Bone], seconds: f64) -> Vec<(DVec3, DQuat)> {
     out
 }
 
-pub(super) fn make(options: &Options) -> Result<Epoch, SceneError> {
+pub(super) fn make(options: &SynthOptions) -> Result<Epoch, SceneError> {
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed);
     let pick = (rng.random::<f64>() * 8.0) as usize % 8;
     let start = rng.random::<f64>() * STRIDE;

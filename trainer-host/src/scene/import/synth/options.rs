@@ -1,8 +1,8 @@
-//! Options say which scene is made from formulas, and how large.
+//! SynthOptions say which scene is made from formulas, and how large.
 
 /// Which scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Kind {
+pub enum SynthKind {
     /// Rigid textured balls bouncing over a still chequered floor.
     Balls,
     /// A figure walking on the spot.
@@ -13,7 +13,7 @@ pub enum Kind {
     Births,
 }
 
-impl Kind {
+impl SynthKind {
     /// All kinds.
     pub const ALL: [Self; 4] = [Self::Balls, Self::Figure, Self::Cloth, Self::Births];
 
@@ -35,9 +35,9 @@ impl Kind {
 
 /// How to make a scene.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct SynthOptions {
     /// Which scene.
-    pub kind: Kind,
+    pub kind: SynthKind,
     /// Gaussians in all, 1,000 to 1,000,000; a scene holds exactly as many (births: its first epoch).
     pub gaussians: usize,
     /// Frames.
@@ -48,8 +48,8 @@ pub struct Options {
     pub seed: u64,
 }
 
-impl Default for Options {
+impl Default for SynthOptions {
     fn default() -> Self {
-        Self { kind: Kind::Balls, gaussians: 20_000, frames: 60, frames_per_second: 30.0, seed: 1 }
+        Self { kind: SynthKind::Balls, gaussians: 20_000, frames: 60, frames_per_second: 30.0, seed: 1 }
     }
 }
