@@ -251,11 +251,11 @@ impl Endpoint for WireEndpoint<'_> {
             Err((waiting, _)) => self.waiting = Some(waiting),
             Ok(player) => {
                 self.player = Some(player);
-                let kept = std::mem::take(&mut self.buffered);
+                let early = std::mem::take(&mut self.buffered);
                 // Everything known now that had not arrived by itself was recovered from parity.
                 for id in 0..self.stream.packets().len() as u32 {
                     let packet = PacketIndex(id);
-                    if self.has(packet) && !kept.contains(&packet) {
+                    if self.has(packet) && !early.contains(&packet) {
                         recovered.push(packet);
                     }
                 }

@@ -143,7 +143,7 @@ fn bad_input_is_refused_by_name_and_place() {
 
 /// What is not a command ends with 64; what is asked for about commands with 0.
 #[test]
-fn what_was_typed_wrong_is_told_apart_from_what_was_refused() {
+fn wrong_usage_and_refused_input_exit_differently() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     for args in [&[][..], &["frobnicate"], &["encode"], &["encode", "a", "--out"], &["inspect", "a", "b"]] {

@@ -22,7 +22,7 @@ pub use delivery::{DeliveryRate, DeliverySample};
 pub use kind::ControllerKind;
 pub use newreno::NewReno;
 pub use pacer::Pacer;
-pub use recovery::{Outcome, Recovery, Sent, TimerOutcome};
+pub use recovery::{AckOutcome, Recovery, Sent, TimerOutcome};
 pub use rtt::Rtt;
 
 /// Initial congestion window in bytes: ten datagrams, at most 14 720 bytes or two datagrams (RFC 9002, 7.2).

@@ -3,7 +3,7 @@
 //! A datagram or nothing goes into [`LinkBox::step`] with `now`; out comes a datagram, a time to be woken, or
 //! nothing. The caller goes on with `step(None, now)` until no datagram comes out. Time never runs backwards.
 //!
-//! Every box keeps its books: received = delivered + dropped + held, at every moment ([`Counts::balanced`]).
+//! Every box keeps its books: received = delivered + dropped + inside, at every moment ([`Counts::balanced`]).
 //! Every box that draws has its own random stream, so no box changes another's luck.
 
 mod chain;
@@ -42,7 +42,7 @@ pub struct Datagram {
 
 /// What a box has to say.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Output {
+pub enum BoxOutput {
     /// A datagram leaves now; ask again.
     Datagram(Datagram),
     /// Nothing until this time.
@@ -57,7 +57,7 @@ pub trait LinkBox: Send {
     fn label(&self) -> &str;
 
     /// Takes a datagram or nothing at `now`; see the module's text for the protocol.
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> Output;
+    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput;
 
     /// The books.
     fn counts(&self) -> Counts;
@@ -79,7 +79,7 @@ impl Tally {
     }
 }
 
-/// What a box has received, delivered and dropped; the rest is held.
+/// What a box has received, delivered and dropped; the rest is inside.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Counts {
     /// Came in.
@@ -89,13 +89,14 @@ pub struct Counts {
     /// Will never go out.
     pub dropped: Tally,
     /// Inside, counted where it lies and not by subtraction.
-    pub held: Tally,
+    #[serde(rename = "held")]
+    pub inside: Tally,
 }
 
 impl Counts {
-    /// Whether received = delivered + dropped + held, in datagrams and in bytes.
+    /// Whether received = delivered + dropped + inside, in datagrams and in bytes.
     pub fn balanced(&self) -> bool {
-        let parts = [self.delivered, self.dropped, self.held];
+        let parts = [self.delivered, self.dropped, self.inside];
         self.received.datagrams == parts.iter().map(|part| part.datagrams).sum::<u64>()
             && self.received.bytes == parts.iter().map(|part| part.bytes).sum::<u64>()
     }

@@ -4,7 +4,7 @@
 
 use emulator_host::{
     clock::{Nanos, Rate},
-    link::{Capacity, Chain, Datagram, LinkBox, LossModel, Output, PathConfig, QueueLimit, Reordering},
+    link::{BoxOutput, Capacity, Chain, Datagram, LinkBox, LossModel, PathConfig, QueueLimit, Reordering},
     trace::{DelayTrace, Limits, Trace},
 };
 use proptest::prelude::*;
@@ -62,9 +62,9 @@ fn drive(chain: &mut Chain, arrivals: &[(Nanos, u32)], until: Nanos) -> Vec<(Nan
         let more = input.is_some();
         let wake = loop {
             match chain.step(input.take(), now) {
-                Output::Datagram(datagram) => out.push((now, datagram.tag)),
-                Output::Wake(at) => break at,
-                Output::Idle => break Nanos::MAX,
+                BoxOutput::Datagram(datagram) => out.push((now, datagram.tag)),
+                BoxOutput::Wake(at) => break at,
+                BoxOutput::Idle => break Nanos::MAX,
             }
         };
         assert!(wake > now, "a box asked to be woken at {wake}, and it is {now}");

@@ -16,7 +16,7 @@
 use emulator_host::{
     ControllerKind, SessionConfig,
     clock::Nanos,
-    congestion::{Outcome, Recovery, Rtt, TimerOutcome, initial_window, minimum_window},
+    congestion::{AckOutcome, Recovery, Rtt, TimerOutcome, initial_window, minimum_window},
     graph::Synthetic,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
     simulate,
@@ -31,13 +31,13 @@ fn ms(ms: u64) -> Nanos {
 
 struct Peer {
     recovery: Recovery,
-    out: Outcome,
+    out: AckOutcome,
 }
 
 impl Peer {
     fn new() -> Self {
         let controller = ControllerKind::NewReno.build(MDS);
-        Self { recovery: Recovery::new(controller, MDS, ACK_DELAY), out: Outcome::default() }
+        Self { recovery: Recovery::new(controller, MDS, ACK_DELAY), out: AckOutcome::default() }
     }
 
     fn send(&mut self, at: u64) -> u64 {

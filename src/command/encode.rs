@@ -225,7 +225,7 @@ fn report_table(report: &Report, packets: &PacketReport) -> String {
         text += &format!(
             "  search: {} encodings, {} {:+.2} % bytes, {:+.2} dB from measuring cameras\n",
             searched.encodes,
-            if searched.kept { "kept," } else { "nothing better:" },
+            if searched.is_better { "kept," } else { "nothing better:" },
             100.0 * (searched.bits - 1.0),
             searched.psnr_db
         );

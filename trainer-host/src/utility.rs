@@ -219,7 +219,7 @@ fn deltas_in_view(
 ) -> Result<Vec<Delta>, UtilityError> {
     let (epoch, view) = view_of(scene, content, span.span, view, options)?;
     let mut clusters = Clusters::new(content, epoch, view.frame);
-    let (mut asked, mut out) = (Vec::new(), Vec::new());
+    let (mut waiting, mut out) = (Vec::new(), Vec::new());
     // Contexts whose clusters show versions of their own are asked about one at a time: together, each would
     // be shown in the versions of all.
     let mut are_shared = true;
@@ -230,13 +230,13 @@ fn deltas_in_view(
         let steps: Result<Vec<Vec<u32>>, UtilityError> = (0..=span.most_levels())
             .map(|levels| clusters.shown_by(&span.stepped(map, content, &state, levels)))
             .collect();
-        asked.push((context, shown, steps?));
+        waiting.push((context, shown, steps?));
         are_shared &= known == 0 || clusters.values() == known;
         if !are_shared || clusters.values() > MOST_VALUES || context + 1 == options.states() {
-            let shown: Vec<Vec<u32>> = asked.iter().map(|(_, shown, _)| shown.clone()).collect();
+            let shown: Vec<Vec<u32>> = waiting.iter().map(|(_, shown, _)| shown.clone()).collect();
             let camera = &options.cameras[view.camera];
             let found = clusters.distortions(&shown, camera, &view.reference, &options.settings)?;
-            for (index, (context, _, steps)) in asked.drain(..).enumerate() {
+            for (index, (context, _, steps)) in waiting.drain(..).enumerate() {
                 for (cluster, groups) in span.groups(map) {
                     let distortion =
                         |levels: usize| found.of(index, cluster, steps[levels][cluster] as usize);

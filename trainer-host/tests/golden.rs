@@ -99,7 +99,7 @@ fn epoch(n: usize, frames: usize, degree: u8, motion: Motion, seed: usize) -> Ep
 }
 
 /// `epoch` with two in three of its Gaussians small and faint.
-fn faded(epoch: &Epoch) -> Epoch {
+fn fading(epoch: &Epoch) -> Epoch {
     let mut attributes = epoch.attributes().clone();
     let (Track::Constant(logits), Track::Constant(sizes)) =
         (&mut attributes.opacity_logits, &mut attributes.log_scales)
@@ -153,7 +153,7 @@ fn all() -> Vec<(&'static str, &'static str, Scene, EncodeOptions)> {
         (
             "quantiser-classes",
             "several quantisers, some with fewer refinements",
-            scene(vec![faded(&epoch(900, 1, 0, still, 14))]),
+            scene(vec![fading(&epoch(900, 1, 0, still, 14))]),
             small(64, 1150),
         ),
         ("tracks", "clusters that glide and turn", scene(vec![epoch(120, 8, 0, rigid, 4)]), small(64, 400)),

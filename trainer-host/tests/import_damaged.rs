@@ -67,7 +67,7 @@ fn every_file_is_in_the_table() {
 }
 
 #[test]
-fn readable_parts_are_kept_when_asked_for() {
+fn readable_parts_are_returned_when_the_limits_say_so() {
     let limits = Limits { keep_readable: true, ..Limits::default() };
     let options = ImportOptions { limits, ..ImportOptions::default() };
     for (name, count) in [("cut.ply", 3), ("too_many.ply", 4), ("not_a_number.ply", 3), ("cut.splat", 2)] {

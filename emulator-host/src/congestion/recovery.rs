@@ -41,7 +41,7 @@ enum State {
 
 /// Packet numbers whose fate became known.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Outcome {
+pub struct AckOutcome {
     /// Newly acknowledged.
     pub acked: Vec<u64>,
     /// Newly declared lost.
@@ -51,7 +51,7 @@ pub struct Outcome {
     pub spurious: Vec<u64>,
 }
 
-impl Outcome {
+impl AckOutcome {
     /// Empties all lists.
     pub fn clear(&mut self) {
         self.acked.clear();
@@ -221,7 +221,7 @@ impl Recovery {
     /// An acknowledgement of inclusive `ranges`, newest first, held back by the peer for `ack_delay`. One
     /// that names packets never sent is ignored. The order is that of A.7: round trip, losses, then growth of
     /// the window.
-    pub fn on_ack(&mut self, ranges: &[(u64, u64)], ack_delay: Nanos, now: Nanos, out: &mut Outcome) {
+    pub fn on_ack(&mut self, ranges: &[(u64, u64)], ack_delay: Nanos, now: Nanos, out: &mut AckOutcome) {
         let next = self.base + self.sent.len() as u64;
         let already = out.acked.len();
         let Some(largest) = ranges.first().map(|(_, last)| *last).filter(|last| *last < next) else { return };
@@ -287,7 +287,7 @@ impl Recovery {
     }
 
     /// Handles the timer if it is due.
-    pub fn on_timer(&mut self, now: Nanos, out: &mut Outcome) -> TimerOutcome {
+    pub fn on_timer(&mut self, now: Nanos, out: &mut AckOutcome) -> TimerOutcome {
         if self.timer() > now {
             return TimerOutcome::NotDue;
         }
@@ -306,7 +306,7 @@ impl Recovery {
         self.sent.get(usize::try_from(number.checked_sub(self.base)?).ok()?)
     }
 
-    fn ack_one(&mut self, number: u64, now: Nanos, out: &mut Outcome) -> Option<Sent> {
+    fn ack_one(&mut self, number: u64, now: Nanos, out: &mut AckOutcome) -> Option<Sent> {
         let at = usize::try_from(number.checked_sub(self.base)?).ok()?;
         let sent = self.sent.get_mut(at)?;
         let before = std::mem::replace(&mut sent.state, State::Acked);
@@ -328,7 +328,7 @@ impl Recovery {
     }
 
     /// RFC 9002, A.10 and B.8. Sets the loss timer for what is not yet late enough.
-    fn detect_losses(&mut self, now: Nanos, out: &mut Outcome) {
+    fn detect_losses(&mut self, now: Nanos, out: &mut AckOutcome) {
         self.loss_at = None;
         let Some(largest) = self.largest_acked else { return };
         let delay = self.rtt.loss_delay();

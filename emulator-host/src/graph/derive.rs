@@ -54,16 +54,16 @@ fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
 
     let (mut from, mut until, mut level) = (Vec::new(), Vec::new(), Vec::new());
     for packet in &parts.packets {
-        let carried: Vec<usize> = match packet.parity_of {
+        let groups: Vec<usize> = match packet.parity_of {
             Some(set) => {
                 let members = &parts.repair_sets[set as usize].members;
                 members.iter().flat_map(|member| &parts.packets[member.at()].groups).map(|g| g.at()).collect()
             }
             None => packet.groups.iter().map(|group| group.at()).collect(),
         };
-        from.push(carried.iter().map(|group| group_needed_from[*group]).min().unwrap_or(0));
-        until.push(carried.iter().map(|group| group_useful_until[*group]).max().unwrap_or(0));
-        level.push(carried.iter().map(|group| parts.groups[*group].level()).min().unwrap_or(0));
+        from.push(groups.iter().map(|group| group_needed_from[*group]).min().unwrap_or(0));
+        until.push(groups.iter().map(|group| group_useful_until[*group]).max().unwrap_or(0));
+        level.push(groups.iter().map(|group| parts.groups[*group].level()).min().unwrap_or(0));
     }
     Ok(PacketGraph {
         order: order.into_iter().map(GroupIndex).collect(),
@@ -256,11 +256,11 @@ fn closures(order: &[u32], needs: &[Vec<u32>]) -> Result<Csr, GraphError> {
 }
 
 fn shares(parts: &GraphParts, closure: &[u32]) -> bool {
-    let carried = closure.iter().flat_map(|group| &parts.groups[*group as usize].packets);
-    if carried.clone().all(|packet| parts.packets[packet.at()].groups.len() < 2) {
+    let packets = closure.iter().flat_map(|group| &parts.groups[*group as usize].packets);
+    if packets.clone().all(|packet| parts.packets[packet.at()].groups.len() < 2) {
         return false;
     }
-    let mut packets: Vec<PacketIndex> = carried.copied().collect();
+    let mut packets: Vec<PacketIndex> = packets.copied().collect();
     packets.sort_unstable();
     packets.windows(2).any(|pair| pair[0] == pair[1])
 }

@@ -232,7 +232,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_rate_is_as_asked_and_the_seed_decides() {
+    fn the_rate_is_that_of_the_parameters_and_the_seed_decides() {
         let graph = Synthetic::default().build(3).unwrap();
         let rate = Rate::over(crate::clock::Bytes(graph.total_bytes()), Nanos::from_s(30)).0;
         assert!((4_600_000..5_400_000).contains(&rate), "{rate}");

@@ -5,7 +5,7 @@
 
 use std::collections::VecDeque;
 
-use super::{Counts, Datagram, LinkBox, Output, Tally};
+use super::{BoxOutput, Counts, Datagram, LinkBox, Tally};
 use crate::clock::Nanos;
 
 /// A chain of boxes. An empty chain passes everything at once.
@@ -54,12 +54,12 @@ impl Chain {
         }
         loop {
             match self.boxes[at].inner.step(input.take(), now) {
-                Output::Datagram(datagram) => self.feed(at + 1, Some(datagram), now),
-                Output::Wake(wake) => {
+                BoxOutput::Datagram(datagram) => self.feed(at + 1, Some(datagram), now),
+                BoxOutput::Wake(wake) => {
                     self.boxes[at].wake = wake;
                     return;
                 }
-                Output::Idle => {
+                BoxOutput::Idle => {
                     self.boxes[at].wake = Nanos::MAX;
                     return;
                 }
@@ -73,7 +73,7 @@ impl LinkBox for Chain {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> Output {
+    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
         if self.wake <= now {
             for at in (0..self.boxes.len()).rev() {
                 if self.boxes[at].wake <= now {
@@ -88,20 +88,20 @@ impl LinkBox for Chain {
         self.wake = self.boxes.iter().map(|slot| slot.wake).min().unwrap_or(Nanos::MAX);
         if let Some(datagram) = self.ready.pop_front() {
             self.delivered.add(datagram);
-            return Output::Datagram(datagram);
+            return BoxOutput::Datagram(datagram);
         }
-        if self.wake == Nanos::MAX { Output::Idle } else { Output::Wake(self.wake) }
+        if self.wake == Nanos::MAX { BoxOutput::Idle } else { BoxOutput::Wake(self.wake) }
     }
 
     fn counts(&self) -> Counts {
         let mut counts = Counts { received: self.received, delivered: self.delivered, ..Counts::default() };
         for (_, inner) in self.box_counts() {
-            for (sum, part) in [(&mut counts.dropped, inner.dropped), (&mut counts.held, inner.held)] {
+            for (sum, part) in [(&mut counts.dropped, inner.dropped), (&mut counts.inside, inner.inside)] {
                 sum.datagrams += part.datagrams;
                 sum.bytes += part.bytes;
             }
         }
-        self.ready.iter().for_each(|datagram| counts.held.add(*datagram));
+        self.ready.iter().for_each(|datagram| counts.inside.add(*datagram));
         counts
     }
 }

@@ -6,7 +6,7 @@
 
 use std::collections::VecDeque;
 
-use super::{Counts, Datagram, LinkBox, Output, Tally};
+use super::{BoxOutput, Counts, Datagram, LinkBox, Tally};
 use crate::{
     clock::Nanos,
     rng::{Stream, stream},
@@ -21,7 +21,7 @@ pub struct Delay {
     trace: Option<DelayTrace>,
     jitter: Nanos,
     luck: Stream,
-    held: VecDeque<(Nanos, Datagram)>,
+    delayed: VecDeque<(Nanos, Datagram)>,
     last: Nanos,
     counts: Counts,
 }
@@ -37,7 +37,7 @@ impl Delay {
             trace: None,
             jitter,
             luck,
-            held: VecDeque::new(),
+            delayed: VecDeque::new(),
             last: Nanos::ZERO,
             counts: Counts::default(),
         }
@@ -56,10 +56,10 @@ impl LinkBox for Delay {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> Output {
+    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
         if let Some(datagram) = input {
             self.counts.received.add(datagram);
-            self.counts.held.add(datagram);
+            self.counts.inside.add(datagram);
             let mut span = self.base;
             if let Some(trace) = &self.trace {
                 span += trace.at(now);
@@ -68,19 +68,21 @@ impl LinkBox for Delay {
                 span += Nanos(self.luck.up_to(self.jitter.0));
             }
             self.last = self.last.max(now + span);
-            self.held.push_back((self.last, datagram));
+            self.delayed.push_back((self.last, datagram));
         }
-        match self.held.front() {
-            None => Output::Idle,
-            Some((at, _)) if *at > now => Output::Wake(*at),
+        match self.delayed.front() {
+            None => BoxOutput::Idle,
+            Some((at, _)) if *at > now => BoxOutput::Wake(*at),
             Some((_, datagram)) => {
                 let datagram = *datagram;
-                self.held.pop_front();
+                self.delayed.pop_front();
                 self.counts.delivered.add(datagram);
-                let held = self.counts.held;
-                self.counts.held =
-                    Tally { datagrams: held.datagrams - 1, bytes: held.bytes - u64::from(datagram.bytes) };
-                Output::Datagram(datagram)
+                let inside = self.counts.inside;
+                self.counts.inside = Tally {
+                    datagrams: inside.datagrams - 1,
+                    bytes: inside.bytes - u64::from(datagram.bytes),
+                };
+                BoxOutput::Datagram(datagram)
             }
         }
     }

@@ -3,7 +3,7 @@
 //! The state changes once per datagram, before the loss is drawn. Mean burst length is 1 / `leave_bad`
 //! datagrams; the long-run share of time in the bad state is `enter_bad / (enter_bad + leave_bad)`.
 
-use super::{Counts, Datagram, LinkBox, Output};
+use super::{BoxOutput, Counts, Datagram, LinkBox};
 use crate::{
     clock::Nanos,
     rng::{Chance, Stream, stream},
@@ -46,18 +46,18 @@ impl LinkBox for GilbertElliott {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, _now: Nanos) -> Output {
-        let Some(datagram) = input else { return Output::Idle };
+    fn step(&mut self, input: Option<Datagram>, _now: Nanos) -> BoxOutput {
+        let Some(datagram) = input else { return BoxOutput::Idle };
         self.counts.received.add(datagram);
         let change = if self.bad { self.params.leave_bad } else { self.params.enter_bad };
         self.bad ^= self.luck.happens(change);
         let loss = if self.bad { self.params.loss_bad } else { self.params.loss_good };
         if self.luck.happens(loss) {
             self.counts.dropped.add(datagram);
-            return Output::Idle;
+            return BoxOutput::Idle;
         }
         self.counts.delivered.add(datagram);
-        Output::Datagram(datagram)
+        BoxOutput::Datagram(datagram)
     }
 
     fn counts(&self) -> Counts {
@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn losses_come_in_bursts_of_the_asked_length_and_share() {
+    fn losses_come_in_bursts_of_the_given_length_and_share() {
         let chance = |p| Chance::new(p).unwrap();
         let params = GilbertElliottParams {
             enter_bad: chance(0.01),
@@ -80,7 +80,7 @@ mod tests {
         };
         let mut link = GilbertElliott::new("ge", params, 5);
         let lost: Vec<bool> = (0..200_000)
-            .map(|tag| link.step(Some(Datagram { tag, bytes: 100 }), Nanos::ZERO) == Output::Idle)
+            .map(|tag| link.step(Some(Datagram { tag, bytes: 100 }), Nanos::ZERO) == BoxOutput::Idle)
             .collect();
         let losses = lost.iter().filter(|lost| **lost).count() as f64;
         let bursts = lost.windows(2).filter(|pair| !pair[0] && pair[1]).count() as f64;

@@ -1,6 +1,6 @@
 //! A box that loses datagrams independently of each other.
 
-use super::{Counts, Datagram, LinkBox, Output};
+use super::{BoxOutput, Counts, Datagram, LinkBox};
 use crate::{
     clock::Nanos,
     rng::{Chance, Stream, stream},
@@ -30,15 +30,15 @@ impl LinkBox for IidLoss {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, _now: Nanos) -> Output {
-        let Some(datagram) = input else { return Output::Idle };
+    fn step(&mut self, input: Option<Datagram>, _now: Nanos) -> BoxOutput {
+        let Some(datagram) = input else { return BoxOutput::Idle };
         self.counts.received.add(datagram);
         if self.luck.happens(self.chance) {
             self.counts.dropped.add(datagram);
-            return Output::Idle;
+            return BoxOutput::Idle;
         }
         self.counts.delivered.add(datagram);
-        Output::Datagram(datagram)
+        BoxOutput::Datagram(datagram)
     }
 
     fn counts(&self) -> Counts {

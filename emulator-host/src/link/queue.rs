@@ -56,7 +56,7 @@ impl DropTail {
     }
 
     /// What waits.
-    pub fn held(&self) -> Tally {
+    pub fn contents(&self) -> Tally {
         Tally { datagrams: self.waiting.len() as u64, bytes: self.bytes }
     }
 }

@@ -1,7 +1,7 @@
 //! A link of constant rate with a drop-tail queue.
 
 use super::{
-    Counts, Datagram, LinkBox, Output, QueueLimit,
+    BoxOutput, Counts, Datagram, LinkBox, QueueLimit,
     serialiser::{Serialiser, Service},
 };
 use crate::clock::{Bytes, Nanos, Rate};
@@ -25,7 +25,7 @@ impl LinkBox for ConstantRate {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> Output {
+    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
         self.inner.step(input, now)
     }
 

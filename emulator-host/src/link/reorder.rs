@@ -1,6 +1,6 @@
 //! A box that lets some datagrams be overtaken.
 
-use super::{Counts, Datagram, LinkBox, Output, Tally};
+use super::{BoxOutput, Counts, Datagram, LinkBox, Tally};
 use crate::{
     clock::Nanos,
     event::EventQueue,
@@ -14,7 +14,7 @@ pub struct Reorder {
     chance: Chance,
     extra: Nanos,
     luck: Stream,
-    held: EventQueue<Datagram>,
+    waiting: EventQueue<Datagram>,
     counts: Counts,
 }
 
@@ -23,7 +23,7 @@ impl Reorder {
     pub fn new(label: impl Into<String>, chance: Chance, extra: Nanos, seed: u64) -> Self {
         let label = label.into();
         let luck = stream(seed, &label);
-        Self { label, chance, extra, luck, held: EventQueue::new(), counts: Counts::default() }
+        Self { label, chance, extra, luck, waiting: EventQueue::new(), counts: Counts::default() }
     }
 }
 
@@ -32,22 +32,22 @@ impl LinkBox for Reorder {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> Output {
+    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
         if let Some(datagram) = input {
             self.counts.received.add(datagram);
-            self.counts.held.add(datagram);
-            let held_back = self.luck.happens(self.chance);
+            self.counts.inside.add(datagram);
+            let is_late = self.luck.happens(self.chance);
             let span = self.luck.up_to(self.extra.0);
-            self.held.push(if held_back { now + Nanos(span) } else { now }, datagram);
+            self.waiting.push(if is_late { now + Nanos(span) } else { now }, datagram);
         }
-        if let Some((_, datagram)) = self.held.pop_due(now) {
+        if let Some((_, datagram)) = self.waiting.pop_due(now) {
             self.counts.delivered.add(datagram);
-            let held = self.counts.held;
-            self.counts.held =
-                Tally { datagrams: held.datagrams - 1, bytes: held.bytes - u64::from(datagram.bytes) };
-            return Output::Datagram(datagram);
+            let inside = self.counts.inside;
+            self.counts.inside =
+                Tally { datagrams: inside.datagrams - 1, bytes: inside.bytes - u64::from(datagram.bytes) };
+            return BoxOutput::Datagram(datagram);
         }
-        self.held.next_at().map_or(Output::Idle, Output::Wake)
+        self.waiting.next_at().map_or(BoxOutput::Idle, BoxOutput::Wake)
     }
 
     fn counts(&self) -> Counts {

@@ -1,6 +1,6 @@
 //! What the rate boxes share: a drop-tail queue and one datagram in service.
 
-use super::{Counts, Datagram, DropTail, Output, QueueLimit};
+use super::{BoxOutput, Counts, Datagram, DropTail, QueueLimit};
 use crate::clock::Nanos;
 
 /// How long the next datagram takes. The state is where the link stands after the last one.
@@ -26,7 +26,7 @@ impl<S: Service> Serialiser<S> {
     }
 
     /// Departures due at `now` come before arrivals at `now`: capacity that passed unused is lost.
-    pub(super) fn step(&mut self, input: Option<Datagram>, now: Nanos) -> Output {
+    pub(super) fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
         let mut leaving = None;
         if let Some((datagram, at)) = self.in_service
             && at <= now
@@ -45,17 +45,17 @@ impl<S: Service> Serialiser<S> {
             }
         }
         match (leaving, self.in_service) {
-            (Some(datagram), _) => Output::Datagram(datagram),
-            (None, Some((_, Nanos::MAX))) | (None, None) => Output::Idle,
-            (None, Some((_, at))) => Output::Wake(at),
+            (Some(datagram), _) => BoxOutput::Datagram(datagram),
+            (None, Some((_, Nanos::MAX))) | (None, None) => BoxOutput::Idle,
+            (None, Some((_, at))) => BoxOutput::Wake(at),
         }
     }
 
     pub(super) fn counts(&self) -> Counts {
-        let mut held = self.queue.held();
+        let mut inside = self.queue.contents();
         if let Some((datagram, _)) = self.in_service {
-            held.add(datagram);
+            inside.add(datagram);
         }
-        Counts { held, ..self.counts }
+        Counts { inside, ..self.counts }
     }
 }

@@ -8,7 +8,7 @@
 use std::sync::Arc;
 
 use super::{
-    Counts, Datagram, LinkBox, Output, QueueLimit,
+    BoxOutput, Counts, Datagram, LinkBox, QueueLimit,
     serialiser::{Serialiser, Service},
 };
 use crate::{
@@ -58,7 +58,7 @@ impl LinkBox for TraceRate {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> Output {
+    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
         match &mut self.inner {
             Inner::Opportunities(serialiser) => serialiser.step(input, now),
             Inner::Steps(serialiser) => serialiser.step(input, now),
@@ -210,16 +210,16 @@ mod tests {
             while let Some(at) = wake.filter(|at| *at <= until) {
                 loop {
                     match link.step(None, at) {
-                        Output::Datagram(_) => out.push(at.0),
-                        Output::Wake(next) => break *wake = Some(next),
-                        Output::Idle => break *wake = None,
+                        BoxOutput::Datagram(_) => out.push(at.0),
+                        BoxOutput::Wake(next) => break *wake = Some(next),
+                        BoxOutput::Idle => break *wake = None,
                     }
                 }
             }
         };
         for (tag, (at, bytes)) in arrivals.iter().enumerate() {
             drain(link, Nanos(*at), &mut wake, &mut out);
-            if let Output::Wake(next) =
+            if let BoxOutput::Wake(next) =
                 link.step(Some(Datagram { tag: tag as u64, bytes: *bytes }), Nanos(*at))
             {
                 wake = Some(next);

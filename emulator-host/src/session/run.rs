@@ -4,7 +4,7 @@ use super::{SessionConfig, SessionError, StartupRule, client::Client, metrics::M
 use crate::{
     clock::Nanos,
     graph::PacketGraph,
-    link::{Chain, Datagram, LinkBox, Output, PathConfig},
+    link::{BoxOutput, Chain, Datagram, LinkBox, PathConfig},
     policy::Scheduler,
     receiver::{Endpoint, GraphReceiver},
     report::Report,
@@ -128,7 +128,7 @@ impl Walk<'_> {
         if input.is_none() && self.forward.next_wake() > now {
             return;
         }
-        while let Output::Datagram(datagram) = self.forward.step(input.take(), now) {
+        while let BoxOutput::Datagram(datagram) = self.forward.step(input.take(), now) {
             self.note(datagram, DOWN_DELIVERED, now);
             let content = self.sender.content(datagram.tag);
             self.client.receive(datagram.tag, content, now, &mut self.metrics);
@@ -139,7 +139,7 @@ impl Walk<'_> {
         if input.is_none() && self.reverse.next_wake() > now {
             return;
         }
-        while let Output::Datagram(datagram) = self.reverse.step(input.take(), now) {
+        while let BoxOutput::Datagram(datagram) = self.reverse.step(input.take(), now) {
             self.note(datagram, UP_DELIVERED, now);
             let (acknowledgement, receipt) = self.client.feedback(datagram.tag);
             self.sender.on_feedback(acknowledgement, receipt, now);

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     clock::{Bytes, Nanos, Rate},
-    congestion::{Outcome, Recovery, TimerOutcome},
+    congestion::{AckOutcome, Recovery, TimerOutcome},
     graph::{PacketGraph, PacketIndex},
     link::Datagram,
     policy::{PacketStatus, Scheduler, SenderView},
@@ -72,7 +72,7 @@ pub(super) struct Sender<'a> {
     pace_at: Nanos,
     starved: bool,
     dirty: bool,
-    outcome: Outcome,
+    outcome: AckOutcome,
     counts: SenderCounts,
 }
 
@@ -120,7 +120,7 @@ impl<'a> Sender<'a> {
             pace_at: Nanos::MAX,
             starved: false,
             dirty: true,
-            outcome: Outcome::default(),
+            outcome: AckOutcome::default(),
             counts: SenderCounts::default(),
             recovery,
         };
@@ -344,7 +344,7 @@ impl<'a> Sender<'a> {
         }
     }
 
-    fn settle(&mut self, outcome: &Outcome, now: Nanos) {
+    fn settle(&mut self, outcome: &AckOutcome, now: Nanos) {
         self.counts.spurious += outcome.spurious.len() as u64;
         for number in outcome.acked.iter().chain(&outcome.spurious) {
             match self.content(*number) {

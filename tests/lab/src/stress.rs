@@ -1,9 +1,9 @@
-//! Numerical stress judges the renderer on named cases that break careless arithmetic.
+//! Stress checks the renderer on named cases that break careless arithmetic.
 //!
 //! ```text
 //! cases ─▶ StressCase ─▶ forward, gradients, worlds (the renderer's work, for a caller with a clock to time)
 //!              └─▶ truth, world_truth          (the f64 reference)
-//! StressCase::judge(outcome, truth) ─▶ Verdict { errors against f64, complaints }
+//! StressCase::check(outcome, truth) ─▶ Verdict { errors against f64, complaints }
 //! ```
 //!
 //! Every case must give finite values everywhere, count every Gaussian once, and stay within its bound of
@@ -226,7 +226,7 @@ impl StressCase {
     }
 
     /// Holds `outcome` to what the case promises.
-    pub fn judge(&self, outcome: &StressOutcome, truth: &Truth) -> Verdict {
+    pub fn check(&self, outcome: &StressOutcome, truth: &Truth) -> Verdict {
         let StressOutcome { rendered, gradients, worlds } = outcome;
         let mut out = Verdict {
             largest: truth.picture.rgb.iter().fold(1.0, |a, v| v.abs().max(a)),

@@ -192,7 +192,7 @@ pub enum TrackForm {
     Static,
     /// It turns and glides.
     Rigid,
-    /// It also stretches.
+    /// It also scales and shears.
     Affine,
 }
 

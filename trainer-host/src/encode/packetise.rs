@@ -178,7 +178,7 @@ fn draft(
 ) -> Result<PacketDraft, EncodeError> {
     let (mut values, mut runs) = (Vec::new(), Vec::<lanes::Run>::new());
     let mut body = vec![0u8; 2 * limit + 64];
-    let mut selectors = BitWriter::new(&mut body);
+    let mut code_words = BitWriter::new(&mut body);
     let mut full = Ok(());
     for item in items {
         let cell = &batch.cells[item.cluster];
@@ -186,7 +186,7 @@ fn draft(
         each_run(cell, batch.level, item.blocks.clone(), |stream, run| {
             let choice = choices.next().copied().unwrap_or_default();
             let (table, code, length) = model.code(stream, choice.into());
-            let written = selectors.code(code, length);
+            let written = code_words.code(code, length);
             full = full.and(written);
             values.extend_from_slice(run);
             match runs.last_mut() {
@@ -196,9 +196,9 @@ fn draft(
         });
     }
     full?;
-    let selectors = selectors.finish();
-    let encoded = lanes::encode(&values, &runs, symbols, &mut body[selectors..])?;
-    body.truncate(selectors + encoded.len);
+    let code_words = code_words.finish();
+    let encoded = lanes::encode(&values, &runs, symbols, &mut body[code_words..])?;
+    body.truncate(code_words + encoded.len);
     Ok(PacketDraft { extent: extent(batch, items), body })
 }
 
@@ -213,7 +213,7 @@ impl PacketDraft {
         self.packet(PacketId::new(PacketId::MAX).unwrap_or_default()).wire_len()
     }
 
-    /// Bytes of the body: selectors and entropy-coded values.
+    /// Bytes of the body: code words and entropy-coded values.
     pub fn body_len(&self) -> usize {
         self.body.len()
     }

@@ -99,7 +99,8 @@ pub struct Searched {
     /// Encodings it took, those at the end included.
     pub encodes: usize,
     /// Whether its steps are better than those it began with; if not, the stream has those.
-    pub kept: bool,
+    #[serde(rename = "kept")]
+    pub is_better: bool,
     /// Bits on the wire over those without the search: at the same PSNR, or at the same size if
     /// that was asked for.
     pub bits: f64,

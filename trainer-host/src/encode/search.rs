@@ -34,7 +34,7 @@ pub(super) fn encode(
     let evaluator = Evaluator::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?;
     let psnr = evaluator.whole(&start.stream)?;
     let before = start.report.ledger.wire();
-    let nothing = Searched { encodes: 0, kept: false, bits: 1.0, psnr_db: 0.0 };
+    let nothing = Searched { encodes: 0, is_better: false, bits: 1.0, psnr_db: 0.0 };
     start.report.searched = Some(nothing);
     if psnr >= PSNR_CAP_DB {
         return Ok(start);
@@ -51,18 +51,18 @@ pub(super) fn encode(
         Err(error) => return Err(error),
     };
     let gain = evaluator.whole(&found.stream)? - psnr;
-    let kept = match wanted {
+    let is_better = match wanted {
         Target::PsnrDb(_) => found.report.ledger.wire() < before,
         _ => gain > 0.0,
     };
     let encodes = encodes + found.report.reached.map_or(0, |r| r.encodes);
-    if !kept {
+    if !is_better {
         start.report.searched = Some(Searched { encodes, ..nothing });
         return Ok(start);
     }
     let bits = found.report.ledger.wire() / before;
     let reached = options.target.and(found.report.reached);
-    let searched = Some(Searched { encodes, kept, bits, psnr_db: gain });
+    let searched = Some(Searched { encodes, is_better, bits, psnr_db: gain });
     found.report = Report { reached, searched, ..found.report };
     Ok(found)
 }
@@ -265,7 +265,7 @@ mod tests {
         let found =
             super::super::encode(&scene, &EncodeOptions { search: 16, ..plain.clone() }, &|_, _| {}).unwrap();
         let searched = found.report.searched.unwrap();
-        assert!(searched.kept && searched.bits < 0.97, "{searched:?}");
+        assert!(searched.is_better && searched.bits < 0.97, "{searched:?}");
         assert_eq!(searched.bits, found.report.ledger.wire() / first.report.ledger.wire());
         assert!(evaluator.whole(&found.stream).unwrap() >= evaluator.whole(&first.stream).unwrap());
         assert!(found.report.quality.position > 0.0024 && found.report.reached.is_none());

@@ -168,14 +168,14 @@ fn thirds(coarser: f32, most: u8) -> [u8; 3] {
 pub(super) const DGS1_BASE_RATIO: f32 = 15.588;
 
 /// The `dgs1` quantisation profile for `quality` on a grid of `position_step`. `frames` are those of the
-/// epoch; `predicted` says per canonical class, then per moving class, whether differences are coded, `mixed`
-/// per canonical class whether triples are mixed.
+/// epoch; `predicted` says per canonical class, then per moving class, whether differences are coded,
+/// `decorrelated` per canonical class whether triples are coded as their mean and differences.
 pub(super) fn dgs1(
     quality: &Quality,
     position_step: f32,
     frames: usize,
     predicted: &[bool; Class::COUNT + Class::MOVING],
-    mixed: &[bool; Class::COUNT],
+    decorrelated: &[bool; Class::COUNT],
 ) -> Result<Quant, EncodeError> {
     let step = |class: Class| if class == Class::Position { position_step } else { quality.of(class) };
     let usual = Quality::default();
@@ -185,7 +185,7 @@ pub(super) fn dgs1(
     for (class, target) in Class::ALL.into_iter().zip(&mut quant.canonical) {
         let ratio = thirds(coarser(class), 3);
         let quantiser = Quantiser::new(step(class), ratio, predicted[class.index()])?;
-        *target = quantiser.with_decorrelated(mixed[class.index()]);
+        *target = quantiser.with_decorrelated(decorrelated[class.index()]);
     }
     // An error of a canonical value shows on every frame, one of an orthonormal coefficient is spread
     // over its window: at equal slope of rate against distortion their steps differ by the root of

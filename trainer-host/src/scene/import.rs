@@ -149,8 +149,8 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
         // What the frames become is bounded too: a compressed frame may hold far more than its bytes.
         let frame = snapshot_of(&bytes, &file, options)?;
         let per_gaussian = (14 + frame.epoch.attributes().sh_degree.rest_len()) * 4;
-        let held = (frame.epoch.count() * per_gaussian).max(bytes.len()) as u64;
-        left = left.checked_sub(held).ok_or_else(|| {
+        let bytes_of_frame = (frame.epoch.count() * per_gaussian).max(bytes.len()) as u64;
+        left = left.checked_sub(bytes_of_frame).ok_or_else(|| {
             let allowed = format!("up to {} bytes in all", options.limits.max_bytes);
             Format::Sequence.error(ErrorKind::TooLarge, "frames", "more", allowed).in_file(&file)
         })?;

@@ -125,7 +125,7 @@ impl Framing {
     fn camera(&self, angle: f64, height: f64, size: (u32, u32)) -> Result<Camera, CameraError> {
         let [ux, uy, uz] = self.up;
         // Two axes across `up`.
-        let helper = if ux.abs() < 0.9 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
+        let least_aligned = if ux.abs() < 0.9 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
         let cross = |a: [f64; 3], b: [f64; 3]| {
             [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
         };
@@ -133,7 +133,7 @@ impl Framing {
             let length = a.iter().map(|v| v * v).sum::<f64>().sqrt();
             a.map(|v| v / length)
         };
-        let side = unit(cross([ux, uy, uz], helper));
+        let side = unit(cross([ux, uy, uz], least_aligned));
         let front = cross(side, [ux, uy, uz]);
         let distance = DISTANCE * self.radius;
         let flat = (1.0 - height * height).sqrt();

@@ -39,7 +39,7 @@ pub fn skinned(bytes: &[u8], time: f64) -> Vec<[[f64; 3]; 3]> {
         let b = keys.iter().position(|&k| k >= t).unwrap().max(1).min(keys.len() - 1);
         let s = if keys.len() == 1 { 0.0 } else { (t - keys[b - 1]) / (keys[b] - keys[b - 1]) };
         let at = |k: usize| &values[k * width..(k + 1) * width];
-        let v = mixed(at(b.saturating_sub(1).min(keys.len() - 1)), at(b), s, width == 4);
+        let v = interpolated(at(b.saturating_sub(1).min(keys.len() - 1)), at(b), s, width == 4);
         match path {
             "translation" => local[node].0 = [v[0], v[1], v[2]],
             "rotation" => local[node].1 = [v[0], v[1], v[2], v[3]],
@@ -157,7 +157,7 @@ fn local(node: &Value) -> Local {
     (three("translation", 0.0), rotation, three("scale", 1.0), matrix)
 }
 
-fn mixed(a: &[f64], b: &[f64], s: f64, spherical: bool) -> Vec<f64> {
+fn interpolated(a: &[f64], b: &[f64], s: f64, spherical: bool) -> Vec<f64> {
     if !spherical {
         return a.iter().zip(b).map(|(a, b)| a + (b - a) * s).collect();
     }

@@ -49,7 +49,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
 /// Figure 5: every class of parameters on scenes of every degree.
 fn checks(bench: &mut Bench, runs: usize) -> Result<()> {
     let mut r = Numbers(3);
-    let film = Camera::look_at([1.9, -2.1, 1.45], [0.1, 0.0, -0.05], [0.0, 0.0, 1.0], 0.95, 24, 18)?;
+    let camera = Camera::look_at([1.9, -2.1, 1.45], [0.1, 0.0, -0.05], [0.0, 0.0, 1.0], 0.95, 24, 18)?;
     let target = Image::new(24, 18, (0..3 * 24 * 18).map(|_| r.unit()).collect())?;
     let settings = Settings { background: [0.3, 0.6, 0.1], ..Settings::exact() };
     let losses: [(&str, Box<dyn Loss>); 3] = [
@@ -79,14 +79,14 @@ fn checks(bench: &mut Bench, runs: usize) -> Result<()> {
                     Ok(render_and_gradients_into(
                         &mut workspace,
                         &splats,
-                        &film,
+                        &camera,
                         &settings,
                         &**loss,
                         &mut out,
                     )?)
                 })?;
             }
-            let found = check::compare(&splats, &film, &settings, &**loss, &out, 1.0 / 4096.0)?;
+            let found = check::compare(&splats, &camera, &settings, &**loss, &out, 1.0 / 4096.0)?;
             for class in found.classes {
                 match worst.iter_mut().find(|w| w.class == class.class) {
                     Some(w) => {
@@ -181,19 +181,19 @@ fn frames(setup: &Setup, bench: &mut Bench, runs: usize) -> Result<()> {
         let instant = scene.instant(0).unwrap_or_default();
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
         for &side in sides {
-            let film = &Framing::of(&scene).ring(Ring::HeldOut, 3, (side, side))?[0];
-            frame(bench, &format!("biker-{}.{side}", splats.len()), &splats, film, runs)?;
+            let camera = &Framing::of(&scene).ring(Ring::HeldOut, 3, (side, side))?[0];
+            frame(bench, &format!("biker-{}.{side}", splats.len()), &splats, camera, runs)?;
         }
     }
     Ok(())
 }
 
-fn frame(bench: &mut Bench, name: &str, splats: &Splats, film: &Camera, runs: usize) -> Result<()> {
+fn frame(bench: &mut Bench, name: &str, splats: &Splats, camera: &Camera, runs: usize) -> Result<()> {
     let settings = Settings::default();
     let (mut renderer, mut picture) = (Renderer::new(), Default::default());
-    renderer.render_into(splats, film, &settings, &mut picture)?;
+    renderer.render_into(splats, camera, &settings, &mut picture)?;
     let start = Instant::now();
-    let exact = reference::render(splats, film, &settings)?;
+    let exact = reference::render(splats, camera, &settings)?;
     let slow = 1000.0 * start.elapsed().as_secs_f64();
     let error = exact.difference(picture.image.rgb()).unwrap_or_default();
     let target = beside(&picture.image)?;
@@ -201,12 +201,14 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, film: &Camera, runs: us
     let (mut workspace, mut out) = (Workspace::new(), Gradients::default());
     let [mut forward, mut with_mse, mut with_both] = [const { Vec::new() }; 3];
     for _ in 0..runs {
-        milliseconds_of(&mut forward, || Ok(renderer.render_into(splats, film, &settings, &mut picture)?))?;
+        milliseconds_of(&mut forward, || {
+            Ok(renderer.render_into(splats, camera, &settings, &mut picture)?)
+        })?;
         milliseconds_of(&mut with_mse, || {
-            Ok(render_and_gradients_into(&mut workspace, splats, film, &settings, &mse, &mut out)?)
+            Ok(render_and_gradients_into(&mut workspace, splats, camera, &settings, &mse, &mut out)?)
         })?;
         milliseconds_of(&mut with_both, || {
-            Ok(render_and_gradients_into(&mut workspace, splats, film, &settings, &both, &mut out)?)
+            Ok(render_and_gradients_into(&mut workspace, splats, camera, &settings, &both, &mut out)?)
         })?;
     }
     bench.push(
@@ -219,7 +221,7 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, film: &Camera, runs: us
     for (which, loss, times) in losses {
         bench.push(
             Figure::new(format!("{name}.forward_backward.{which}"), median(times), "ms")
-                .error(along_colours(splats, film, &settings, loss)?, "relative, derivative along colours")
+                .error(along_colours(splats, camera, &settings, loss)?, "relative, derivative along colours")
                 .peer("f64 reference forward", slow, true)
                 .runs(runs),
         );
@@ -229,8 +231,8 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, film: &Camera, runs: us
 
 /// Relative error of the derivative along a random change of all colours. The picture is linear in
 /// colours that stay above 0, so thresholds do not disturb the difference.
-fn along_colours(splats: &Splats, film: &Camera, settings: &Settings, loss: &dyn Loss) -> Result<f64> {
-    let got = render_and_gradients(&mut Workspace::new(), splats, film, settings, loss)?;
+fn along_colours(splats: &Splats, camera: &Camera, settings: &Settings, loss: &dyn Loss) -> Result<f64> {
+    let got = render_and_gradients(&mut Workspace::new(), splats, camera, settings, loss)?;
     let step = 1.0 / 2048.0;
     let mut r = Numbers(17);
     let n = splats.len();
@@ -251,7 +253,7 @@ fn along_colours(splats: &Splats, film: &Camera, settings: &Settings, loss: &dyn
         }
         let moved = gaussians.iter().map(|g| g.sh0.map(f64::from)).collect();
         let splats = Splats::new(&gaussians, &rest, splats.sh_degree())?;
-        Ok((loss.exact(&reference::render(&splats, film, settings)?.rgb), moved))
+        Ok((loss.exact(&reference::render(&splats, camera, settings)?.rgb), moved))
     };
     let ((above, a), (below, b)) = (at(step)?, at(-step)?);
     let expected = above - below;

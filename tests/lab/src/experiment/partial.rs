@@ -1,4 +1,4 @@
-//! Random scenes cut into groups, states in which groups are missing, and a picture to judge them by.
+//! Random scenes cut into groups, states in which groups are missing, and the picture that they are compared with.
 
 use anyhow::Result;
 use codec_core::Gaussian;
@@ -12,7 +12,7 @@ use super::cloud::{Cloud, CloudShape, LATTICE, Numbers, beside, camera, cloud};
 /// States that brute force renders per round; its time is scaled to all.
 pub(super) const STATES_ALONE: usize = 16;
 
-/// A scene, its groups, a camera and what its pictures are judged by.
+/// A scene, its groups, a camera and the picture that its pictures are compared with.
 #[derive(Clone)]
 pub(crate) struct Partial {
     pub gaussians: Vec<Gaussian>,

@@ -46,8 +46,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
         let sizes = if name.starts_with("biker") { sizes } else { &sizes[sizes.len() - 1..] };
         for &size in sizes {
-            let film = &Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?[0];
-            frame(&mut bench, &format!("{name}.{size}"), &splats, film, runs)?;
+            let camera = &Framing::of(scene).ring(Ring::HeldOut, 3, (size, size))?[0];
+            frame(&mut bench, &format!("{name}.{size}"), &splats, camera, runs)?;
         }
     }
     bench.skipped.push(

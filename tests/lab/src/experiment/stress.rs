@@ -129,7 +129,7 @@ fn examine(case: &StressCase, runs: usize) -> Result<(Times, Verdict, u64)> {
     let [forward, gradients, worlds] = times.map(|t| median(&t));
     let times = Times { forward, gradients, worlds };
     let Some(outcome) = last else { return Ok((times, Verdict::default(), 0)) };
-    let verdict = case.judge(&outcome, &case.truth()?);
+    let verdict = case.check(&outcome, &case.truth()?);
     Ok((times, verdict, outcome.gradients.non_finite))
 }
 

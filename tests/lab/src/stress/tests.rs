@@ -5,14 +5,14 @@ use super::*;
 fn a_wrong_outcome_is_complained_about() {
     let case = cases(100).into_iter().find(|c| c.name == "60 twice").unwrap();
     let (good, truth) = (case.outcome().unwrap(), case.truth().unwrap());
-    let verdict = case.judge(&good, &truth);
+    let verdict = case.check(&good, &truth);
     assert_eq!(verdict.complaints, [""; 0]);
     assert!(verdict.difference.max_clear > 0.0 && verdict.fast_error > 0.0, "{verdict:?}");
 
     let wrong = |change: &dyn Fn(&mut StressOutcome), expected: &str| {
         let mut outcome = good.clone();
         change(&mut outcome);
-        let complaints = case.judge(&outcome, &truth).complaints;
+        let complaints = case.check(&outcome, &truth).complaints;
         assert!(complaints.iter().any(|c| c.contains(expected)), "{expected}: {complaints:?}");
     };
     let middle = 3 * (16 * 48 + 24);
@@ -29,7 +29,7 @@ fn a_wrong_outcome_is_complained_about() {
     wrong(&|o| o.worlds.utilities.delta[0] = f64::NAN, "sum of squares");
     wrong(&|o| o.rendered.image = Image::filled(2, 2, [0.0; 3]).unwrap(), "another size");
     let strict = StressCase { skipped: Some(3), ..case.clone() };
-    assert!(!strict.judge(&good, &truth).complaints.is_empty());
+    assert!(!strict.check(&good, &truth).complaints.is_empty());
 }
 
 /// A case with a mistake in its camera would silently be a picture of one pixel.
@@ -47,7 +47,7 @@ fn cases_are_what_they_say() {
 fn every_case_holds() {
     let mut complaints = Vec::new();
     for case in cases(5000) {
-        let verdict = case.judge(&case.outcome().unwrap(), &case.truth().unwrap());
+        let verdict = case.check(&case.outcome().unwrap(), &case.truth().unwrap());
         complaints.extend(verdict.complaints.into_iter().map(|c| format!("{}, {c}", case.family)));
     }
     assert!(complaints.is_empty(), "{complaints:#?}");

@@ -89,13 +89,13 @@ fn follow(epoch: &Epoch, sets: &[Vec<u32>], changes: &[Vec<Change>], rotations: 
                 for (&i, change) in set.iter().zip(changes) {
                     let i = i as usize;
                     let rest = rotations[i].map(f64::from);
-                    let carried = quat_mul(turn, rest);
+                    let turned = quat_mul(turn, rest);
                     let own = rotations[t * n + i].map(f64::from);
-                    let relative = quat_mul(conjugate(carried), own);
+                    let relative = quat_mul(conjugate(turned), own);
                     let new = match change.free {
                         Free::None => continue,
                         Free::Plane => quat_mul(own, conjugate(twist(relative))),
-                        Free::All => carried,
+                        Free::All => turned,
                     };
                     out.push((t * n + i, new.map(|v| v as f32)));
                 }

@@ -107,15 +107,15 @@ pub(super) fn choose(
         for shift in 0..=24u8 {
             let motion = track_motion(track, shift);
             let shape = with_motion(still, motion);
-            let Some((kept, symbols)) = quantise(&shape, &coefficients, count) else { continue };
-            if kept == 0 {
+            let Some((coded, symbols)) = quantise(&shape, &coefficients, count) else { continue };
+            if coded == 0 {
                 break;
             }
             let bits = size_bits(&symbols);
             if bits > most_bits {
                 continue;
             }
-            let shape = with_motion(still, Motion { track: kept, ..motion });
+            let shape = with_motion(still, Motion { track: coded, ..motion });
             let poses: Vec<Pose> = cosines.iter().map(|c| pose(&shape, &symbols, c)).collect();
             let cost = bits + residual_bits(&poses);
             if cost < best_cost {
@@ -153,8 +153,8 @@ pub(super) fn follow(
     };
     let motion = track_motion(track, decided.track_shift);
     let coefficients = transform(track, &fits(member), vectors);
-    let (kept, symbols) = quantise(&with_motion(still, motion), &coefficients, count)?;
-    let motion = Motion { track: kept, ..motion };
+    let (coded, symbols) = quantise(&with_motion(still, motion), &coefficients, count)?;
+    let motion = Motion { track: coded, ..motion };
     let shape = with_motion(still, motion);
     let pose_at = |t: usize| pose(&shape, &symbols, &cosine(count as u32, t as u32));
     let poses = (0..count).map(pose_at).collect();
@@ -226,7 +226,7 @@ fn quantise(shape: &Shape, coefficients: &[Vec<f64>], frames: usize) -> Option<(
     let track = shape.motion.class();
     let turning = track.turning();
     let turn_step = f64::from(if track == Track::Rigid { rodrigues } else { linear });
-    let mut kept = 0;
+    let mut coded = 0;
     let mut quantised = vec![vec![0i16; coefficients.len()]; frames];
     for (p, list) in coefficients.iter().enumerate() {
         let step = if p < turning { turn_step } else { f64::from(translation) };
@@ -238,15 +238,15 @@ fn quantise(shape: &Shape, coefficients: &[Vec<f64>], frames: usize) -> Option<(
                 return None;
             }
             if symbol != 0.0 {
-                kept = kept.max(k + 1);
+                coded = coded.max(k + 1);
             }
             quantised[k][p] = symbol as i16;
         }
     }
-    quantised.truncate(kept);
+    quantised.truncate(coded);
     let turns = quantised.iter().flat_map(|row| &row[..turning]);
     let moves = quantised.iter().flat_map(|row| &row[turning..]);
-    Some((kept as u8, turns.chain(moves).copied().collect()))
+    Some((coded as u8, turns.chain(moves).copied().collect()))
 }
 
 /// An estimate of what a track takes, bits.

@@ -122,9 +122,9 @@ fn huffman(uses: &[u64]) -> Vec<u8> {
         // Rarest last; ties by the symbols they hold, so that equal input gives equal codes.
         nodes.sort_by(|a, b| b.0.cmp(&a.0).then_with(|| a.1.cmp(&b.1)));
         let (Some(a), Some(b)) = (nodes.pop(), nodes.pop()) else { break };
-        let held: Vec<usize> = a.1.into_iter().chain(b.1).collect();
-        held.iter().for_each(|&i| lengths[i] += 1);
-        nodes.push((a.0 + b.0, held));
+        let members: Vec<usize> = a.1.into_iter().chain(b.1).collect();
+        members.iter().for_each(|&i| lengths[i] += 1);
+        nodes.push((a.0 + b.0, members));
     }
     lengths
 }

@@ -51,13 +51,13 @@ pub struct GltfOptions {
     /// Seed of the placement: same seed, same scene.
     pub seed: u64,
     /// Let Gaussians grow and shrink with their triangles. Off, sizes are constant over the clip,
-    /// which costs nothing to send; thin cracks may show where skin stretches.
-    pub follow_stretch: bool,
+    /// which costs nothing to send; thin cracks may show where skin grows.
+    pub follow_area: bool,
 }
 
 impl Default for GltfOptions {
     fn default() -> Self {
-        Self { clip: Clip::First, frames_per_second: 30.0, samples: 20_000, seed: 1, follow_stretch: false }
+        Self { clip: Clip::First, frames_per_second: 30.0, samples: 20_000, seed: 1, follow_area: false }
     }
 }
 
@@ -82,7 +82,7 @@ pub fn parse(
     let mut surface = Surface::new(&document, &rig, limits)?;
 
     let times = rig.frame_times(options.frames_per_second, limits)?;
-    let per_frame = if options.follow_stretch { 40 } else { 28 };
+    let per_frame = if options.follow_area { 40 } else { 28 };
     limits.bytes(
         FORMAT,
         "samples x frames",
@@ -97,7 +97,7 @@ pub fn parse(
     let n = placed.len();
     let mut positions = Vec::with_capacity(n * times.len());
     let mut rotations: Vec<[f32; 4]> = Vec::with_capacity(n * times.len());
-    let mut log_scales = Vec::with_capacity(if options.follow_stretch { n * times.len() } else { n });
+    let mut log_scales = Vec::with_capacity(if options.follow_area { n * times.len() } else { n });
     let disc = |sigma: f32| [sigma.ln(), sigma.ln(), (sigma * THINNESS).ln()];
     for (frame, placed_frame) in frames.into_iter().enumerate() {
         positions.extend(placed_frame.positions);
@@ -115,8 +115,8 @@ pub fn parse(
                 q
             });
         }
-        if options.follow_stretch {
-            log_scales.extend(placed.sigmas().zip(placed_frame.stretch).map(|(s, k)| disc(s * k)));
+        if options.follow_area {
+            log_scales.extend(placed.sigmas().zip(placed_frame.growth).map(|(s, k)| disc(s * k)));
         } else if frame == 0 {
             log_scales.extend(placed.sigmas().map(disc));
         }
@@ -127,7 +127,7 @@ pub fn parse(
         Attributes {
             positions: Track::PerFrame(positions),
             rotations: Track::PerFrame(rotations),
-            log_scales: if options.follow_stretch {
+            log_scales: if options.follow_area {
                 Track::PerFrame(log_scales)
             } else {
                 Track::Constant(log_scales)

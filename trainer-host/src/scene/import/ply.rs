@@ -179,9 +179,9 @@ pub(super) mod tests {
         let error = parse(cut, &Limits::default()).unwrap_err();
         assert_eq!(error.kind, ErrorKind::Truncated);
         let limits = Limits { keep_readable: true, ..Limits::default() };
-        let kept = parse(cut, &limits).unwrap();
-        assert_eq!(kept.epoch.count(), 3);
-        assert!(kept.notes[0].contains("3 of 4"), "{:?}", kept.notes);
+        let readable = parse(cut, &limits).unwrap();
+        assert_eq!(readable.epoch.count(), 3);
+        assert!(readable.notes[0].contains("3 of 4"), "{:?}", readable.notes);
         let huge = String::from_utf8_lossy(&sample("ascii", 0, 1)).replace("vertex 1", "vertex 99999999999");
         assert_eq!(parse(huge.as_bytes(), &Limits::default()).unwrap_err().kind, ErrorKind::TooLarge);
     }

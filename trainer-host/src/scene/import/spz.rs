@@ -221,9 +221,9 @@ fn inflate_zstd(name: &str, data: &[u8], length: u64) -> Result<Vec<u8>, ImportE
 }
 
 fn read(header: &Header, planes: &Planes) -> Columns {
-    let kept = ShDegree::new(header.degree.min(3)).unwrap_or(ShDegree::MAX);
+    let degree = ShDegree::new(header.degree.min(3)).unwrap_or(ShDegree::MAX);
     let stored = planes.harmonics.len() / header.count;
-    let mut c = Columns::with_capacity(header.count, kept);
+    let mut c = Columns::with_capacity(header.count, degree);
     if header.version == 1 {
         let half = |at: &[u8], axis: usize| f16::from_bits(u16_at(at, axis * 2).unwrap_or(0)).to_f32();
         c.positions.extend(planes.positions.chunks_exact(6).map(|p| [half(p, 0), half(p, 1), half(p, 2)]));
@@ -251,7 +251,7 @@ fn read(header: &Header, planes: &Planes) -> Columns {
     }
     if stored > 0 {
         for values in planes.harmonics.chunks_exact(stored) {
-            c.sh_rest.extend(values[..kept.rest_len()].iter().map(|&u| (f32::from(u) - 128.0) / 128.0));
+            c.sh_rest.extend(values[..degree.rest_len()].iter().map(|&u| (f32::from(u) - 128.0) / 128.0));
         }
     }
     c

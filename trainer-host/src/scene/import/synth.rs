@@ -40,8 +40,8 @@ pub fn make(options: &SynthOptions, limits: &Limits) -> Result<Scene, ImportErro
     }
     limits.gaussians(FORMAT, options.gaussians as u64)?;
     // Positions and rotations are stored per frame; cloth and births need more for a while.
-    let held = (options.gaussians as u64 * 56).saturating_mul(options.frames as u64);
-    limits.bytes(FORMAT, "Gaussians x frames", held)?;
+    let bytes = (options.gaussians as u64 * 56).saturating_mul(options.frames as u64);
+    limits.bytes(FORMAT, "Gaussians x frames", bytes)?;
     let epochs = match options.kind {
         SynthKind::Balls => balls::make(options).map(|e| vec![e]),
         SynthKind::Figure => figure::make(options).map(|e| vec![e]),
@@ -74,7 +74,7 @@ mod tests {
     }
 
     #[test]
-    fn scenes_have_the_size_asked_for_and_stay_near_the_origin() {
+    fn scenes_have_the_given_size_and_stay_near_the_origin() {
         for kind in SynthKind::ALL {
             let scene = make(&small(kind), &Limits::default()).unwrap();
             assert_eq!(scene.frames(), 20, "{kind:?}");

@@ -75,7 +75,7 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
         }
     }
     for case in &cases {
-        let [loss, worst] = case.judge(executor.device())?;
+        let [loss, worst] = case.check(executor.device())?;
         let name = format!("gradients.{n}.{}", case.name);
         bench.push(Figure::new(format!("{name}.loss_error"), loss, "relative"));
         let peer = 1.0 / median(&case.cpu);
@@ -145,7 +145,7 @@ impl Case {
 
     /// Worst relative error of a loss, and worst relative L2 error of a field of the gradient, against the
     /// CPU's world by world.
-    fn judge(&self, device: &Device) -> Result<[f64; 2]> {
+    fn check(&self, device: &Device) -> Result<[f64; 2]> {
         let (subject, settings) = (&self.subject, Settings::default());
         let states = deliveries(JUDGED);
         let got = self.engine.gradients(&states)?;
@@ -155,8 +155,8 @@ impl Case {
         for (world, &found) in got.loss.iter().enumerate() {
             let alone = alone(subject, &states, world, &settings, &*self.loss)?;
             loss_error = loss_error.max((found / alone.loss - 1.0).abs());
-            let held = subject.groups.iter().enumerate().filter(|(_, g)| states.has(world, **g as usize));
-            for ((i, _), gradient) in held.zip(&alone.splats) {
+            let present = subject.groups.iter().enumerate().filter(|(_, g)| states.has(world, **g as usize));
+            for ((i, _), gradient) in present.zip(&alone.splats) {
                 let values = numbers(gradient);
                 expected[i].iter_mut().zip(values).for_each(|(sum, v)| *sum += f64::from(v));
             }

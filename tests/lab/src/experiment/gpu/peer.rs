@@ -73,7 +73,7 @@ mod viewer {
     pub(crate) struct Peer {
         device: Device,
         viewer: Viewer<GaussianPodWithShNoneCov3dSingleConfigs>,
-        film: wgpu::Texture,
+        target: wgpu::Texture,
         size: [u32; 2],
     }
 
@@ -94,7 +94,7 @@ mod viewer {
                 GaussianMaxStdDev::new(LARGEST).context("the peer has another range of deviations")?,
             );
             viewer.update_camera_with_pod(queue, &seen_by(camera));
-            let film = device.guarded("peer", || {
+            let target = device.guarded("peer", || {
                 device.raw().create_texture(&wgpu::TextureDescriptor {
                     label: Some("peer"),
                     size: wgpu::Extent3d { width: size[0], height: size[1], depth_or_array_layers: 1 },
@@ -106,12 +106,12 @@ mod viewer {
                     view_formats: &[],
                 })
             })?;
-            Ok(Some(Self { device: device.clone(), viewer, film, size }))
+            Ok(Some(Self { device: device.clone(), viewer, target, size }))
         }
 
         /// Submits one frame.
         pub(crate) fn draw(&self) -> Result<()> {
-            let view = self.film.create_view(&wgpu::TextureViewDescriptor::default());
+            let view = self.target.create_view(&wgpu::TextureViewDescriptor::default());
             let mut encoder = self.encoder();
             self.viewer.render(&mut encoder, &view);
             self.device.queue().submit([encoder.finish()]);
@@ -127,7 +127,7 @@ mod viewer {
             let landing = self.device.buffer("peer", bytes, usage)?;
             let mut encoder = self.encoder();
             encoder.copy_texture_to_buffer(
-                self.film.as_image_copy(),
+                self.target.as_image_copy(),
                 wgpu::TexelCopyBufferInfo {
                     buffer: &landing,
                     layout: wgpu::TexelCopyBufferLayout {
@@ -136,7 +136,7 @@ mod viewer {
                         rows_per_image: None,
                     },
                 },
-                self.film.size(),
+                self.target.size(),
             );
             self.device.queue().submit([encoder.finish()]);
             let texels = self.device.read(&landing, bytes)?;

@@ -47,8 +47,8 @@ pub(super) fn run(context: &Context, bench: &mut Bench) -> Result<()> {
     let states = deliveries(most);
     let mut renderer = Renderer::new(&context.executor)?;
     let world = |w: usize| -> Vec<Gaussian> {
-        let held = gaussians.iter().zip(&of).filter(|(_, group)| states.has(w, **group as usize));
-        held.map(|(g, _)| *g).collect()
+        let present = gaussians.iter().zip(&of).filter(|(_, group)| states.has(w, **group as usize));
+        present.map(|(g, _)| *g).collect()
     };
     let alone: Vec<Scene> = (0..SERIAL.min(most))
         .map(|w| Scene::new(device, &Splats::plain(&world(w))))

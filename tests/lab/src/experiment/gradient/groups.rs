@@ -30,7 +30,7 @@ struct Case {
     gaussians: Vec<Gaussian>,
     groups: Vec<u32>,
     count: usize,
-    film: Camera,
+    camera: Camera,
 }
 
 fn cases(setup: &Setup) -> Result<Vec<Case>> {
@@ -43,14 +43,14 @@ fn cases(setup: &Setup) -> Result<Vec<Case>> {
             gaussians: scene.gaussians,
             groups: scene.groups,
             count: LATTICE.groups(),
-            film: camera(side)?,
+            camera: camera(side)?,
         });
     }
     let n = if setup.quick { 3000 } else { 20_000 };
     for kind in ["figure", "cloth", "balls"] {
         let scene = synth(kind, n, 2)?;
         let instant = scene.instant(0).unwrap_or_default();
-        let film = Framing::of(&scene).ring(Ring::Measuring, 1, (side, side))?.remove(0);
+        let camera = Framing::of(&scene).ring(Ring::Measuring, 1, (side, side))?.remove(0);
         let mut groups = vec![0; instant.gaussians.len()];
         let epoch = scene.epochs().first();
         let clusters =
@@ -68,7 +68,7 @@ fn cases(setup: &Setup) -> Result<Vec<Case>> {
             gaussians: instant.gaussians,
             groups,
             count,
-            film,
+            camera,
         });
     }
     Ok(out)
@@ -80,11 +80,11 @@ pub(super) fn utilities(setup: &Setup, bench: &mut Bench, runs: usize) -> Result
     for case in cases(setup)? {
         let splats = Splats::plain(&case.gaussians);
         let variants = Variants::new(splats, &case.groups, case.count)?;
-        let picture = render_host::render(&splats, &case.film, &settings)?.image;
+        let picture = render_host::render(&splats, &case.camera, &settings)?.image;
         let target = beside(&picture)?;
         let full = States::full(case.count);
         let mse = Mse::new(target.clone());
-        let engine = Engine::new(&variants, &case.film, &target, &settings)?;
+        let engine = Engine::new(&variants, &case.camera, &target, &settings)?;
         let (mut workspace, mut out) = (Workspace::new(), Gradients::default());
         let [mut exact_ms, mut backward_ms] = [const { Vec::new() }; 2];
         let mut exact = Vec::new();
@@ -97,7 +97,7 @@ pub(super) fn utilities(setup: &Setup, bench: &mut Bench, runs: usize) -> Result
                 Ok(render_host::adjoint::render_and_gradients_into(
                     &mut workspace,
                     &splats,
-                    &case.film,
+                    &case.camera,
                     &settings,
                     &mse,
                     &mut out,

@@ -219,11 +219,11 @@ mod tests {
         let still = coded(&[0; 20_000], 1000);
         assert!(still.len() < 60, "{} bytes for nothing", still.len());
         // Calm and lively Gaussians side by side: the frame before tells them apart.
-        let mixed: Vec<i32> = (0..20_000i32)
+        let side_by_side: Vec<i32> = (0..20_000i32)
             .map(|i| if (i % 1000) * 7919 % 3 == 0 { ((i * 7919) >> 3) % 256 - 128 } else { 0 })
             .collect();
-        let lively = mixed.iter().filter(|v| **v != 0).count() as f64;
-        let bits = 8.0 * coded(&mixed, 1000).len() as f64 / lively;
+        let lively = side_by_side.iter().filter(|v| **v != 0).count() as f64;
+        let bits = 8.0 * coded(&side_by_side, 1000).len() as f64 / lively;
         assert!(bits < 9.2, "{bits} bits per lively value of 8 bits");
     }
 }

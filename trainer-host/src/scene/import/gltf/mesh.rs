@@ -11,7 +11,7 @@ use super::{
 use crate::scene::import::error::ImportError;
 
 /// One primitive of one node: a range of vertices and what moves them.
-pub(super) struct Part {
+pub(super) struct SkinnedPrimitive {
     pub node: usize,
     pub positions: Vec<DVec3>,
     /// Displacements per morph target.
@@ -30,7 +30,7 @@ pub(super) struct Skin {
 /// Triangles whose vertices are those of all parts, in order.
 #[derive(Default)]
 pub(super) struct Mesh {
-    pub parts: Vec<Part>,
+    pub parts: Vec<SkinnedPrimitive>,
     pub triangles: Vec<[u32; 3]>,
 }
 
@@ -87,7 +87,7 @@ impl Mesh {
     }
 }
 
-impl Part {
+impl SkinnedPrimitive {
     /// Appends the world positions of this part's vertices in `pose`.
     fn posed(&self, pose: &Pose, out: &mut Vec<DVec3>) {
         // Most targets of a face rest at any one time.

@@ -47,7 +47,7 @@ pub(super) struct PlacedFrame {
     /// wxyz; all zero where a triangle has no direction.
     pub rotations: Vec<[f32; 4]>,
     /// Length of each sample's triangle over its length in the first frame.
-    pub stretch: Vec<f32>,
+    pub growth: Vec<f32>,
 }
 
 impl Placement {
@@ -121,7 +121,7 @@ impl Placement {
             let corners = self.mesh.corners(s.triangle, vertices);
             frame(corners).map_or([0.0; 4], |q| [q.w, q.x, q.y, q.z].map(|v| v as f32))
         };
-        let stretch = |(s, &before): (&Sample, &f64)| {
+        let growth = |(s, &before): (&Sample, &f64)| {
             let now = area(self.mesh.corners(s.triangle, vertices));
             if before > 0.0 { (now / before).sqrt().clamp(0.1, 10.0) as f32 } else { 1.0 }
         };
@@ -129,7 +129,7 @@ impl Placement {
         PlacedFrame {
             positions: self.samples.iter().map(position).collect(),
             rotations: self.samples.iter().map(turn).collect(),
-            stretch: self.samples.iter().zip(&self.areas).map(stretch).collect(),
+            growth: self.samples.iter().zip(&self.areas).map(growth).collect(),
         }
     }
 }

@@ -5,7 +5,7 @@ use gltf::{Semantic, mesh::Mode};
 
 use super::{
     document::{Document, FORMAT, too_large},
-    mesh::{Mesh, Part, Skin},
+    mesh::{Mesh, Skin, SkinnedPrimitive},
     pose::Rig,
     texture::{Material, Textures},
 };
@@ -94,7 +94,7 @@ impl Surface {
         self.materials.push(material);
         self.uvs.extend(uvs);
         self.colours.extend(colours);
-        self.mesh.parts.push(Part { node: node.index(), positions, morphs, skin });
+        self.mesh.parts.push(SkinnedPrimitive { node: node.index(), positions, morphs, skin });
         Ok(())
     }
 

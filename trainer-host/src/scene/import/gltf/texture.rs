@@ -168,7 +168,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn texels_wrap_as_asked() {
+    fn texels_wrap_as_the_sampler_says() {
         let at = |mode| [-1, 0, 3, 4, 5].map(|t| wrapped(t, 4, mode));
         assert_eq!(at(WrappingMode::Repeat), [3, 0, 3, 0, 1]);
         assert_eq!(at(WrappingMode::ClampToEdge), [0, 0, 3, 3, 3]);
