@@ -1,4 +1,4 @@
-//! Parses what is typed: one struct per verb. What it means is given in `command`.
+//! Parses the command line: one struct per verb, whose meaning is in `command`.
 
 mod number;
 

@@ -1,4 +1,4 @@
-//! Where bytes meet time: a stream as a packet graph, and the real receiver as an endpoint.
+//! Connects streams to the emulator: a stream as a packet graph, and the real receiver as an endpoint.
 
 use codec_core::{
     Caps, ErrorKind,

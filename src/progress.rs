@@ -1,4 +1,4 @@
-//! Progress on anything that takes over a second, on standard error, never in the way of `--json`.
+//! Shows the progress of anything that takes over a second, on standard error, never in the way of `--json`.
 
 use std::time::Duration;
 

@@ -1,4 +1,4 @@
-//! What `dgs demo` and `dgs stream` show a person: one self-contained HTML page, and the same
+//! Reports a demo or a stream to a person: one self-contained HTML page, and the same
 //! figures as JSON beside it.
 //!
 //! This file is the data; `html` lays it out and `plot` draws it. Nothing here measures.

@@ -1,4 +1,4 @@
-//! Time, size and rate as integers with their unit in the type.
+//! Holds time, size and rate as integers with their unit in the type.
 //!
 //! Arithmetic saturates: a far-away time stays far away instead of wrapping, in debug and release alike.
 

@@ -1,5 +1,4 @@
-//! RFC 9002: round-trip estimation, loss detection, probes, congestion windows and pacing, without a packet
-//! format.
+//! Implements RFC 9002 without a packet format: round-trip times, loss detection, probes, windows, pacing.
 //!
 //! [`Recovery`] owns the bookkeeping of what was sent; a [`Controller`] owns the window. One packet-number
 //! space, entered after a completed handshake: rules about Initial and Handshake packets, anti-amplification

@@ -1,4 +1,4 @@
-//! A priority queue of things to happen, in an order that has no ties.
+//! Queues events by time, and by order of insertion where times are equal.
 //!
 //! Equal times come out in the order in which they went in, so a run never depends on how a heap breaks ties.
 

@@ -1,4 +1,4 @@
-//! What is to be delivered, whatever the wire format: packets, groups, and what needs what.
+//! Describes what is to be delivered, whatever the wire format: packets, groups, and what needs what.
 //!
 //! A [`PacketGraph`] that exists is consistent: every index is in range, packets and groups name each other,
 //! nothing needs itself, and every repair set has parity. So nothing that walks it has an error path.

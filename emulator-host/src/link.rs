@@ -1,4 +1,4 @@
-//! A network as a chain of small boxes with one method.
+//! Emulates a network as a chain of small boxes with one method.
 //!
 //! A datagram or nothing goes into [`LinkBox::step`] with `now`; out comes a datagram, a time to be woken, or
 //! nothing. The caller goes on with `step(None, now)` until no datagram comes out. Time never runs backwards.

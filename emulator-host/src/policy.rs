@@ -1,5 +1,5 @@
-//! What to send next. A scheduler is asked at the moment a datagram may leave, never earlier, so nothing
-//! stale is queued.
+//! Chooses what to send next. A scheduler is called at the moment a datagram may leave, never earlier, so
+//! nothing stale is queued.
 //!
 //! Every policy sees the same [`SenderView`] and is served by the same sender: control bytes and
 //! retransmissions go first, parity follows the last member of its set, and what can no longer be shown is

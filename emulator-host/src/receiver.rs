@@ -1,4 +1,4 @@
-//! The receiving end: what has arrived, and what of it can be shown.
+//! Records what has arrived, and says what of it can be shown.
 //!
 //! [`Endpoint`] is what a session needs of a receiver. [`GraphReceiver`] implements it over the graph alone;
 //! a receiver that owns real bytes implements it too, and the two must agree on every snapshot.

@@ -1,4 +1,4 @@
-//! Repair: when no more members of a set are missing than parity packets of it are there, all are known.
+//! Repairs a set when no more of its members are missing than parity packets of it have arrived.
 //!
 //! Only indices are tracked here. An [`crate::Endpoint`] that owns bytes must check that what it recovers
 //! passes the original CRC (paper, "Selective recovery and receiver closure").

@@ -1,4 +1,4 @@
-//! What a run has shown, in the terms of the paper's tables. Everything serialises.
+//! Reports what a run has shown, in the terms of the paper's tables. Everything serialises.
 
 use serde::Serialize;
 

@@ -1,4 +1,4 @@
-//! Random streams keyed by a seed and the label of their owner.
+//! Makes random streams, keyed by a seed and the label of their owner.
 //!
 //! Adding a box to a chain, or drawing more numbers in one box, changes no other box's luck: this is what
 //! lets every policy meet the same losses (common random numbers).

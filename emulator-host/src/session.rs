@@ -1,4 +1,4 @@
-//! One delivery: sender, path, receiver, feedback, playout, in virtual time.
+//! Simulates one delivery in virtual time: sender, path, receiver, feedback, playout.
 //!
 //! Order within one instant: arrivals at the receiver, arrivals at the sender, timers, playout, sending,
 //! receipts. So what arrives at the very time of a snapshot is in it.

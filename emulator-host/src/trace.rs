@@ -1,4 +1,4 @@
-//! Capacity over time: measured traces and a synthetic one.
+//! Describes capacity over time: measured traces and a synthetic one.
 //!
 //! Loaders take bytes, never panic on any of them, and hold no more than [`Limits`] allow. What looks wrong
 //! but is legal comes back as a [`Warning`] on the trace; what is illegal comes back as a [`TraceError`] with

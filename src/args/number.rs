@@ -1,4 +1,4 @@
-//! Parses numbers as typed, and says in their own unit which ones are allowed.
+//! Parses numbers of the command line, and says in their own unit which ones are allowed.
 
 use std::{fmt::Display, ops::RangeInclusive, str::FromStr};
 

@@ -1,4 +1,4 @@
-//! `dgs encode`: a scene to a `.dgs` file, and where every byte went.
+//! Encodes a scene to a `.dgs` file, and says where every byte went: `dgs encode`.
 
 use std::{path::Path, time::Instant};
 

@@ -1,4 +1,4 @@
-//! `dgs import`: read, say what it is, convert.
+//! Imports a scene, says what it is, and converts it: `dgs import`.
 
 use std::{borrow::Borrow, path::Path};
 

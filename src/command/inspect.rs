@@ -1,4 +1,4 @@
-//! `dgs inspect`: the manifest for people, packets by kind, damage.
+//! Describes a stream to people: its manifest, packets by kind, damage: `dgs inspect`.
 
 mod manifest;
 

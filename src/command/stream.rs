@@ -1,4 +1,4 @@
-//! `dgs stream`: one scheduler over one link.
+//! Streams a scene by one scheduler over one link: `dgs stream`.
 
 use anyhow::Result;
 use serde_json::json;

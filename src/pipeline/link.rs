@@ -1,4 +1,5 @@
-//! The link as typed: a capacity trace, scaled to the stream, with its delay, loss and queue.
+//! Builds the link of the command line: a capacity trace, scaled to the stream, with its delay, loss and
+//! queue.
 
 use std::path::Path;
 

@@ -1,4 +1,4 @@
-//! The page as one HTML document that needs nothing else: style, script and images are inside it.
+//! Writes the page as one HTML document that needs nothing else: style, script and images are inside it.
 //!
 //! Without scripts everything is there but values under the pointer and enlarged images. Missing and not
 //! finite numbers are em dashes. Equal pages give equal bytes.

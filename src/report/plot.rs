@@ -1,4 +1,4 @@
-//! Plots as SVG text: lines and steps over time in panels that share their axis, and stacked bars.
+//! Draws plots as SVG text: lines and steps over time in panels that share their axis, and stacked bars.
 //!
 //! Colours, weights and type come from `page.css` by class, so one drawing serves the light theme, the dark
 //! theme and paper. Series differ by marker as well as by colour. Every mark carries a `<title>`, and

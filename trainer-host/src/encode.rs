@@ -1,4 +1,4 @@
-//! Encode a scene into a stream: analyse, decide, write.
+//! Encodes a scene into a stream: analyse, decide, write.
 //!
 //! ```text
 //! scene ─▶ analyse ─▶ Analysis ─▶ decide ─▶ Decisions ─▶ write ─▶ Encoded

@@ -1,6 +1,6 @@
-//! The paper's BBR-inspired model: delivery rate, minimum round trip, two bandwidth-delay products in flight,
-//! and a ceiling learned from bursts of loss. An ablation for scheduler sensitivity, no implementation of any
-//! BBR version.
+//! Sets the window by the paper's model of BBR: delivery rate, minimum round trip, two bandwidth-delay
+//! products in flight, and a ceiling learned from bursts of loss. An ablation for scheduler sensitivity, no
+//! implementation of any BBR version.
 //!
 //! - Rate: maximum delivery rate over ten round trips, from acknowledged bytes.
 //! - Round trip: minimum over the whole run.

@@ -1,4 +1,4 @@
-//! Delivery rate: how fast acknowledged bytes went through, and its windowed maximum, the paper's estimate of
+//! Measures how fast acknowledged bytes went through, and the windowed maximum, the paper's estimate of
 //! the path.
 //!
 //! A sample spans from the acknowledgement that preceded the sending of a packet to the acknowledgement of

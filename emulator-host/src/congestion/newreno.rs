@@ -1,4 +1,4 @@
-//! NewReno (RFC 9002, 7 and appendix B), counting bytes.
+//! Sets the window by NewReno (RFC 9002, 7 and appendix B), counting bytes.
 
 use super::{Acked, Controller, DeliverySample, Rtt, initial_window, minimum_window};
 use crate::clock::{Bytes, Nanos, Rate};

@@ -1,4 +1,4 @@
-//! Pacing by a token bucket (RFC 9002, 7.7).
+//! Paces datagrams by a token bucket (RFC 9002, 7.7).
 //!
 //! The bucket holds two milliseconds' worth, at least two datagrams and at most the initial window, whatever
 //! time has passed: an idle connection gains no larger burst. The first flight may be the initial window.

@@ -1,5 +1,5 @@
-//! What was sent and what became of it: acknowledgement, loss detection, probes, bytes in flight (RFC 9002, 6
-//! and A).
+//! Tracks what was sent and what became of it: acknowledgement, loss detection, probes, bytes in flight (RFC
+//! 9002, 6 and A).
 //!
 //! Packets enter when the sender's own serialiser is through with them, so loss timers start then (paper,
 //! "Congestion control and pacing"). Packet numbers count up from 0 without gaps.

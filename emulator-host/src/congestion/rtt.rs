@@ -1,4 +1,4 @@
-//! Round-trip estimation (RFC 9002, 5 and A.7).
+//! Estimates the round-trip time (RFC 9002, 5 and A.7).
 
 use crate::clock::Nanos;
 

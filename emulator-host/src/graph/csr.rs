@@ -1,4 +1,4 @@
-//! Rows of indices in one allocation (compressed sparse rows).
+//! Stores rows of indices in one allocation (compressed sparse rows).
 
 /// `row(i)` is a slice of a shared table.
 #[derive(Clone, Debug, Default)]

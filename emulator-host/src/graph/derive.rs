@@ -1,4 +1,4 @@
-//! Checks of a graph's parts and what follows from them: order, closures, deadlines.
+//! Checks the parts of a graph, and derives what follows from them: order, closures, deadlines.
 
 use codec_core::internals::ids::{Group as GroupId, PacketId};
 

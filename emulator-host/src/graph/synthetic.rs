@@ -1,4 +1,4 @@
-//! Seeded graphs for tests, benches and demos.
+//! Makes seeded graphs for tests, benches and demos.
 //!
 //! Shape: a canonical stack of levels per cluster over the whole clip, and a motion stack per (window,
 //! cluster). A level needs the level below it and, for motion, the canonical group of its own level. Sizes

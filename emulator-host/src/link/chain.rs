@@ -1,4 +1,4 @@
-//! Boxes one after the other, as one box.
+//! Chains boxes one after the other into one box.
 //!
 //! At one instant the box nearest to the exit moves first, so that in every box departures come before
 //! arrivals.

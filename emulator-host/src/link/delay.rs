@@ -1,4 +1,4 @@
-//! A box that holds every datagram for a while and keeps their order.
+//! Delays every datagram and keeps their order.
 //!
 //! The delay is constant or follows a [`DelayTrace`], plus uniform jitter from the box's own stream. A
 //! datagram never overtakes: it leaves no earlier than the one before it. Overtaking is the

@@ -1,4 +1,4 @@
-//! A box that loses datagrams in bursts: the two-state Markov channel of Gilbert and Elliott.
+//! Loses datagrams in bursts: the two-state Markov channel of Gilbert and Elliott.
 //!
 //! The state changes once per datagram, before the loss is drawn. Mean burst length is 1 / `leave_bad`
 //! datagrams; the long-run share of time in the bad state is `enter_bad / (enter_bad + leave_bad)`.

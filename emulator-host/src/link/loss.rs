@@ -1,4 +1,4 @@
-//! A box that loses datagrams independently of each other.
+//! Loses datagrams independently of each other.
 
 use super::{BoxOutput, Counts, Datagram, LinkBox};
 use crate::{

@@ -1,4 +1,4 @@
-//! One direction of a path as plain data, from which every run builds fresh boxes.
+//! Describes one direction of a path as plain data, from which every run builds fresh boxes.
 //!
 //! Order of the boxes: capacity with its queue, loss, delay, reordering. Loss comes after capacity because a
 //! datagram that is lost on the air has used the air.

@@ -1,4 +1,4 @@
-//! The waiting room in front of a serialiser: first in, first out, dropping at the tail.
+//! Queues datagrams in front of a serialiser: first in, first out, dropping at the tail.
 //!
 //! It is a part of the rate boxes and no box by itself, because only the serialiser knows when the head may
 //! leave. The datagram in service does not count against the limit.

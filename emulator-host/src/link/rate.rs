@@ -1,4 +1,4 @@
-//! A link of constant rate with a drop-tail queue.
+//! Serialises datagrams at a constant rate behind a drop-tail queue.
 
 use super::{
     BoxOutput, Counts, Datagram, LinkBox, QueueLimit,

@@ -1,4 +1,4 @@
-//! A box that lets some datagrams be overtaken.
+//! Delays some datagrams at random, so that others overtake them.
 
 use super::{BoxOutput, Counts, Datagram, LinkBox, Tally};
 use crate::{

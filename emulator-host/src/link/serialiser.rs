@@ -1,4 +1,4 @@
-//! What the rate boxes share: a drop-tail queue and one datagram in service.
+//! Serialises one datagram at a time from a drop-tail queue: what all links with a rate share.
 
 use super::{BoxOutput, Counts, Datagram, DropTail, QueueLimit};
 use crate::clock::Nanos;

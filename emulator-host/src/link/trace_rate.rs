@@ -1,4 +1,4 @@
-//! A link whose capacity follows a [`Trace`], looping at the trace's period.
+//! Serialises datagrams at a capacity that follows a [`Trace`], looping at the trace's period.
 //!
 //! Delivery opportunities follow mahimahi: each moves up to 1500 bytes at its instant; a datagram larger than
 //! what is left straddles into the next; what is left when the queue runs empty is lost; an arrival at the

@@ -1,5 +1,5 @@
-//! Segment budgets in the manner of DASH: for each second of content, choose what fits the estimated rate,
-//! then send it.
+//! Fills segment budgets in the manner of DASH: for each second of content, choose what fits the estimated
+//! rate, then send it.
 //!
 //! A segment is [`Dash::SEGMENT_FRAMES_S`] of frames. When its turn comes, levels are added from the base up,
 //! and within a level cluster by cluster (a cluster is a tile), while the bytes fit 90 % of what the path is

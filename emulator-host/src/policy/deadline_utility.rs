@@ -1,4 +1,4 @@
-//! The paper's policy: S(g) = P_g · Ũ_g · U_g ÷ Σ_{p ∈ C(g)} B_p.
+//! Sends by the paper's score: S(g) = P_g · Ũ_g · U_g ÷ Σ_{p ∈ C(g)} B_p.
 //!
 //! - C(g): packets of g and of its transitive closure that are not acknowledged; B_p their wire bytes.
 //! - P_g: [`mean_arrival`] over the frames at which g changes pixels. Expected arrival is half a round trip

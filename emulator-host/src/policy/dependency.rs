@@ -1,4 +1,4 @@
-//! Dependency-aware order without utility: whole closures by (deadline, level), one group finished before the
+//! Sends whole closures, regardless of utility, by (deadline, level), one group finished before the
 //! next starts.
 //!
 //! The paper's third baseline: it wastes nothing on groups that cannot be completed, and starts late because

@@ -1,4 +1,5 @@
-//! Layer order: all of level 0 within the horizon in time order, then level 1, and so on; clusters in order.
+//! Sends level by level: all of level 0 within the horizon in time order, then level 1, and so on; clusters
+//! in order.
 //!
 //! The conventional scheduler and the paper's first baseline. It does not look at deadlines beyond not
 //! sending what has expired, nor at whether a group can still be completed.

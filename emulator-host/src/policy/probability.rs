@@ -1,4 +1,4 @@
-//! Chance that data sent now is there in time.
+//! Estimates the probability that data sent now arrives in time.
 //!
 //! The paper asks for a P_g "from remaining slack, path rate, RTT, and loss". Arrival time is taken as the
 //! expected time plus an error with the heavy tail of Student's t with two degrees of freedom: mobile links

@@ -1,4 +1,4 @@
-//! The receiving end: acknowledges, starts playout, and shows frames on time.
+//! Receives datagrams, acknowledges them, starts playout, and shows frames on time.
 
 use super::{
     IP_UDP_BYTES, SessionConfig, StartupRule,

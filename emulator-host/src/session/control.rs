@@ -1,4 +1,4 @@
-//! The reliable control stream: the manifest in chunks, each sent until it is acknowledged.
+//! Sends the manifest reliably, in chunks, each until it is acknowledged.
 
 use std::collections::VecDeque;
 

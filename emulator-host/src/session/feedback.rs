@@ -1,4 +1,4 @@
-//! The receiver writes receipts and the sender reads them: real DGSF bytes (SPEC.md, receipts).
+//! Writes receipts at the receiver and reads them at the sender: real DGSF bytes (SPEC.md, receipts).
 //!
 //! A transport acknowledges datagrams; a receipt says what the application knows beyond that: which packets
 //! have arrived by id, which were recovered by repair, which groups are complete, and when playout began.

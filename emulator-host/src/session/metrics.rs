@@ -1,4 +1,4 @@
-//! What is counted while a run goes on, and the report made of it.
+//! Counts what happens during a run, and makes the report.
 
 use crate::{
     clock::{Bytes, Nanos, Rate},

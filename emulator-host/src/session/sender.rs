@@ -1,4 +1,4 @@
-//! The sending end: asks the scheduler when a datagram may leave, and learns from receipts.
+//! Sends what the scheduler chooses whenever a datagram may leave, and learns from receipts.
 
 use std::collections::VecDeque;
 

@@ -1,4 +1,4 @@
-//! A synthetic mobile-like trace, so that a demo needs no file.
+//! Makes a synthetic trace that resembles a mobile link, so that a demo needs no file.
 //!
 //! Steps of 100 ms. The link is good (mostly), middling or in a deep fade; stays are 1 to 4 s, 0.5 to 2 s and
 //! 0.3 to 1.5 s. Within a state the rate wanders by a quarter. At the end all rates are scaled so that the

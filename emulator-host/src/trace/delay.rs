@@ -1,4 +1,4 @@
-//! One-way delay over time: one number in milliseconds per interval (10 ms in the LeoCC recordings).
+//! Reads one-way delay over time: one number in milliseconds per interval (10 ms in the LeoCC recordings).
 
 use std::sync::Arc;
 

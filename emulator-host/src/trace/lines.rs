@@ -1,4 +1,4 @@
-//! Lines and fields of text that nobody has checked.
+//! Reads lines and fields of untrusted text.
 
 use std::{fs::File, io::Read, path::Path};
 

@@ -1,4 +1,4 @@
-//! Mahimahi delivery-opportunity traces.
+//! Reads Mahimahi delivery-opportunity traces.
 
 use super::{
     Limits, MAX_PERIOD, Trace, TraceError,

@@ -1,4 +1,4 @@
-//! Throughput traces of two columns: time in seconds, rate in Mbit/s.
+//! Reads throughput traces of two columns: time in seconds, rate in Mbit/s.
 
 use super::{
     Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError,

@@ -1,4 +1,5 @@
-//! UCC 5G production logs (Raca et al., MMSys 2020): about one row per second of a phone that downloads.
+//! Reads UCC 5G production logs (Raca et al., MMSys 2020): about one row per second of a phone that
+//! downloads.
 //!
 //! The log is not capacity as it stands, and the loader says what it did about it:
 //! - About every 14 s the logger itself stops the download to ping. Near-zero seconds within 2 s of a row

@@ -1,4 +1,4 @@
-//! Where the bytes went.
+//! Writes the section that says where the bytes went.
 
 use std::fmt::Write as _;
 

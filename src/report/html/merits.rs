@@ -1,4 +1,4 @@
-//! Every scheduler's figures of merit.
+//! Writes the table of every scheduler's figures of merit.
 
 use std::fmt::Write as _;
 

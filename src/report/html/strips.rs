@@ -1,4 +1,4 @@
-//! Frames side by side, as images inside the page.
+//! Writes frames side by side, as images inside the page.
 
 use std::fmt::Write as _;
 

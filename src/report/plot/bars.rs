@@ -1,4 +1,4 @@
-//! Stacked horizontal bars.
+//! Draws stacked horizontal bars.
 
 use std::fmt::Write as _;
 

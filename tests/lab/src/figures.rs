@@ -1,4 +1,4 @@
-//! Holds figures as programs read them: one JSON shape for every bench.
+//! Holds figures in the one JSON shape of every bench.
 
 use codec_core::internals::digest::Digest;
 

@@ -1,4 +1,4 @@
-//! What a decoder on another machine is given, and what it must answer.
+//! Makes the stream that decoders on other machines are given, and the answer expected of them.
 //!
 //! A fixture is a small real stream as it arrives over a bad link: packets out of order, two lost that
 //! repair brings back, one lost for good, one twice, one damaged. Microcontroller, browser and C

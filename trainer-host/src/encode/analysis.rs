@@ -1,4 +1,4 @@
-//! Analyse a scene once: what decisions at any fineness are made from.
+//! Analyses a scene once: what decisions at any fineness are made from.
 
 use codec_core::internals::wire::manifest::Profile;
 

@@ -1,4 +1,4 @@
-//! Clustering: Gaussians that lie and move together (paper section 3).
+//! Clusters Gaussians that lie and move together (paper section 3).
 //!
 //! Features, each family normalised to unit variance over the epoch and then weighted: canonical
 //! position (3), displacement over the epoch (mean and standard deviation per axis: 6), velocity

@@ -1,4 +1,4 @@
-//! Decide how a scene is represented and coded in profile `dgs1`.
+//! Decides how a scene is represented and coded in profile `dgs1`.
 
 pub(super) mod canonical;
 mod canonical_rotation;

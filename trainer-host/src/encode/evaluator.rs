@@ -1,4 +1,4 @@
-//! Evaluate how close a decoded state is to its source, in pictures from measuring cameras.
+//! Evaluates how close a decoded state is to its source, in pictures from measuring cameras.
 
 use codec_core::internals::receiver::Content;
 use rayon::prelude::*;

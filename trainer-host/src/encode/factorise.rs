@@ -1,4 +1,4 @@
-//! Factorisation of motion: cluster poses by least squares, a shared temporal basis by SVD.
+//! Factorises motion: cluster poses by least squares, a shared temporal basis by SVD.
 //!
 //! All in f64; what is sent is quantised elsewhere. (Paper section 3, equation 1: the affine
 //! A_{c,t}, the basis b_{t,r} and coefficients q_{i,r}.)

@@ -1,4 +1,4 @@
-//! Where every byte went: the paper's accounting table, for any stream.
+//! Accounts for every byte: the paper's accounting table, for any stream.
 
 use codec_core::internals::{error, wire::manifest};
 use dgs_player::sealed;

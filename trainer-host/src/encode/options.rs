@@ -1,4 +1,4 @@
-//! EncodeOptions say what an encoding is to be like.
+//! Holds the options of an encoding, and checks their ranges.
 
 use codec_core::internals::{limits, wire::manifest::Profile};
 

@@ -1,4 +1,4 @@
-//! Report how packets are filled and how many a completion group takes.
+//! Reports how packets are filled and how many a completion group takes.
 
 use std::collections::BTreeMap;
 

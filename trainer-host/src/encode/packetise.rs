@@ -1,4 +1,4 @@
-//! Cut the cells of a slice batch into packets of `dgs1`: blocks until a packet is full, then the next one.
+//! Cuts the cells of a slice batch into packets of `dgs1`: blocks until a packet is full, then the next one.
 
 use std::ops::Range;
 

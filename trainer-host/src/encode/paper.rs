@@ -1,4 +1,4 @@
-//! Encode in profile `paper`: the baseline, as the paper describes it.
+//! Encodes in profile `paper`: the baseline, as the paper describes it.
 //!
 //! Equation 1 with one f32 affine per cluster and frame in the manifest, a shared basis of rank
 //! R, i16 residuals δ2 and δ3 per frame, attributes as a static base plus three per-frame

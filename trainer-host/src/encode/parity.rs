@@ -1,4 +1,4 @@
-//! Parity packets over ranges of media packets.
+//! Appends parity packets over ranges of media packets.
 
 use codec_core::internals::{
     limits::MAX_PACKET_BYTES,

@@ -1,4 +1,4 @@
-//! How much parity which packets get: what everything else needs, first.
+//! Says how much parity which packets get: most where everything else depends on them.
 
 use codec_core::internals::{ids::Level, limits, wire::manifest::Repair};
 

@@ -1,4 +1,4 @@
-//! Which Gaussians get fine steps, and which coarse ones.
+//! Chooses which Gaussians get fine steps, and which coarse ones.
 //!
 //! An error shows much in a large opaque Gaussian in front and hardly in a faint one behind it. At
 //! high rate bits are spent best where step² times sensitivity is the same for every value. So

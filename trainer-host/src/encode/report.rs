@@ -1,4 +1,4 @@
-//! The report of an encoding: what was chosen, what it came to, and where every byte went.
+//! Reports an encoding: what was chosen, what it came to, and where every byte went.
 
 use super::{Decisions, Ledger, Quality, QuantiserClass, Target, cluster};
 use crate::stream::Stream;

@@ -1,4 +1,4 @@
-//! How attributes share the bits, by trial: the steps that a scene's own pictures ask for.
+//! Searches by trial how attributes share the bits: the steps that suit a scene's own pictures.
 //!
 //! The steps of [`Quality`] weigh attributes against each other as typical scenes do. Here one step
 //! at a time is made coarser or finer, the scene is encoded and looked at from measuring cameras,

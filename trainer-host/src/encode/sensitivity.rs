@@ -1,4 +1,4 @@
-//! How much an error in each attribute of each Gaussian shows.
+//! Measures how much an error in each attribute of each Gaussian shows in pictures.
 //!
 //! To first order an error `e` in a value changes a picture by `e · ∂I/∂value`, so its squared error
 //! is `e² · Σ (∂I/∂value)²` over pixels and channels: the diagonal of the Gauss-Newton matrix. One

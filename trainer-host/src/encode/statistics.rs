@@ -1,4 +1,4 @@
-//! What symbols look like: histograms per stream, the table each gets, and what it costs.
+//! Chooses entropy tables from the statistics of symbols, and prices symbols in them.
 
 mod histogram;
 mod table_set;

@@ -1,4 +1,4 @@
-//! How finely to quantise: steps per attribute class, and how levels nest.
+//! Says how finely to quantise: steps per attribute class, and how levels nest.
 
 use codec_core::internals::{
     quant::{Class, Quantiser},

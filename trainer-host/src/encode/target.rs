@@ -1,4 +1,4 @@
-//! Rate control: the coarseness at which a stream has a given size or quality.
+//! Controls the rate: finds the coarseness at which a stream has a given size or quality.
 //!
 //! Coarser steps give fewer bytes and a lower PSNR, nearly linearly in logarithms, so a bracketed
 //! secant on the logarithm of the coarseness needs few encodings. What is returned has been

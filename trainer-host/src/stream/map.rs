@@ -1,4 +1,4 @@
-//! What each packet of a stream brings, worked out from headers and the manifest's lattice.
+//! Maps each packet of a stream to what it brings, worked out from headers and the manifest's lattice.
 
 use codec_core::internals::{
     closure::{self, Arrived, levels_with_symbols},

@@ -1,4 +1,4 @@
-//! Utilities against stepping one cell at a time and rendering every state alone.
+//! Tests utilities against stepping one cell at a time and rendering every state alone.
 
 use super::*;
 use crate::{

@@ -1,5 +1,5 @@
-//! Curves of quality against size as a self-contained SVG: a logarithmic axis to the right, a linear one
-//! upward, a line with markers per curve, names beside their last points and in a legend.
+//! Draws curves of quality against size as a self-contained SVG: a logarithmic axis to the right, a linear
+//! one upward, a line with markers per curve, names beside their last points and in a legend.
 //!
 //! Points that are not finite or not above 0 to the right are left out.
 

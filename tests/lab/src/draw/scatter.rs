@@ -1,4 +1,4 @@
-//! A scatter of named points over two logarithmic axes as a self-contained SVG, with the Pareto front drawn:
+//! Draws named points over two logarithmic axes as a self-contained SVG, with their Pareto front:
 //! the points that no other beats in both directions, where smaller is better.
 //!
 //! Every point is labelled. A label stands beside its point where there is room, else farther off with a

@@ -1,4 +1,4 @@
-//! The accounting table of the paper (its table 3) for profile `paper`, and for `dgs1` beside it.
+//! Prints the accounting table of the paper (its table 3) for profile `paper`, and for `dgs1` beside it.
 
 use anyhow::Result;
 use dgs::{args::ProfileName, pipeline};

@@ -1,4 +1,4 @@
-//! Random scenes whose sizes and groups are known, for timing: a volume and a set of shells.
+//! Makes random scenes of known sizes and groups, for timing: a volume and a set of shells.
 
 use anyhow::Result;
 use codec_core::Gaussian;

@@ -1,5 +1,5 @@
-//! States per second of the counterfactual engine against rendering every state alone, with the errors
-//! beside the speeds.
+//! Measures states per second of the counterfactual engine against rendering every state alone, with the
+//! errors beside the speeds.
 
 mod table;
 

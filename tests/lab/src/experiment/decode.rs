@@ -1,4 +1,4 @@
-//! Bytes to Gaussians on one core: the receiver, the decoder, and their smallest parts.
+//! Times the way from bytes to Gaussians on one core: the receiver, the decoder, and their smallest parts.
 
 use std::hint::black_box;
 

@@ -1,4 +1,4 @@
-//! Wall time and peak memory of the demo with its defaults.
+//! Measures wall time and peak memory of the demo with its defaults.
 
 use std::time::Instant;
 

@@ -1,4 +1,4 @@
-//! What the receiver costs where there is little, and that every target decodes to the same bits.
+//! Measures the receiver on small targets, and checks that all of them decode to the same bits.
 //!
 //! One [`Fixture`] goes to a Cortex-M4F in QEMU, to WebAssembly under node (plain and with simd128) and
 //! to a C program; their digests must be this host's. Flash, static memory, stack and instructions

@@ -1,4 +1,4 @@
-//! The packet coder: speed beside size beside a checked round trip, many different packets in
+//! Measures the packet coder: speed, size and a checked round trip, many different packets in
 //! turn, public coders in the same rounds.
 
 mod coders;

@@ -1,4 +1,4 @@
-//! The wgpu backend: time on the device beside the error against f64, and many worlds in one call.
+//! Measures the wgpu backend: time on the device beside the error against f64, many worlds in one call.
 //!
 //! Needs only the binary and a Vulkan driver. `DGS_GPU` names the adapter; an adapter that is a CPU gets
 //! smaller worlds. Every part is one function over a [`Context`].

@@ -1,4 +1,4 @@
-//! Gradients: how wrong against differences of the f64 reference, how fast, and what they tell about groups.
+//! Measures gradients: their error against the f64 reference, their speed, what they tell about groups.
 
 mod groups;
 mod rank;

@@ -1,4 +1,4 @@
-//! The loss promise: any subset of packets renders, one packet changes its own blocks only, and
+//! Checks the promise about loss: any subset of packets renders, one packet changes its own blocks only, and
 //! what packet loss costs without retransmission.
 
 use anyhow::{Result, ensure};

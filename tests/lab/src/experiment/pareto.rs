@@ -1,5 +1,5 @@
-//! Accuracy against time: every tolerance, precision and skip alone, a few together, and every backend,
-//! each against the f64 reference at exact settings (nothing cut, nothing stopped).
+//! Measures accuracy against time: every tolerance, precision and skip alone, a few together, and every
+//! backend, each against the f64 reference at exact settings (nothing cut, nothing stopped).
 //!
 //! `--out DIR` writes `pareto.csv`, `pareto-states.csv` and a drawing per scene, size and error.
 

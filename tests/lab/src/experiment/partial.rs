@@ -1,4 +1,4 @@
-//! Random scenes cut into groups, states in which groups are missing, and the picture that they are compared with.
+//! Makes random scenes cut into groups, states that lack groups, and the picture to compare with.
 
 use anyhow::Result;
 use codec_core::Gaussian;

@@ -1,5 +1,5 @@
-//! Rate and quality of the complete decoded state: `dgs1` beside the paper's format, known methods and
-//! public formats, on real and synthetic scenes; what a stream spends on overhead.
+//! Measures rate and quality of the complete decoded state: `dgs1` beside the paper's format, known methods
+//! and public formats, on real and synthetic scenes; what a stream spends on overhead.
 //!
 //! `--out DIR` writes `rate.csv` and a rate–distortion drawing per scene.
 

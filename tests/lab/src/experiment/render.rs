@@ -1,4 +1,4 @@
-//! CPU render time per frame beside its error against the f64 reference.
+//! Measures CPU render time per frame beside its error against the f64 reference.
 
 use std::time::Instant;
 

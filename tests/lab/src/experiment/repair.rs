@@ -1,4 +1,4 @@
-//! Repair: what is still lost behind XOR and behind the code at equal overhead, and how fast the
+//! Measures repair: what is still lost behind XOR and the Cauchy code at equal overhead, and how fast the
 //! code runs beside its slow twin and public peers.
 
 use anyhow::{Context, Result, ensure};

@@ -1,4 +1,4 @@
-//! What each skip of the CPU renderer removes, what it saves, and what it changes.
+//! Measures what each skip of the CPU renderer removes, saves and changes.
 
 mod frames;
 mod paired;

@@ -1,4 +1,4 @@
-//! The stress table: every hard case with its time, its error against f64, and what it broke.
+//! Prints the stress table: every hard case with its time, its error against f64, and what it broke.
 
 use std::{fmt::Write as _, time::Instant};
 

@@ -1,4 +1,4 @@
-//! The transport table: four schedulers, two controllers, measured traces, paired windows.
+//! Prints the transport table: four schedulers, two controllers, measured traces, paired windows.
 
 use anyhow::Result;
 use dgs::{

@@ -1,4 +1,5 @@
-//! Utilities of all groups of a stream: time by the engine against every state decoded and rendered alone.
+//! Times the utilities of all groups of a stream: by the engine against every state decoded and rendered
+//! alone.
 
 use std::time::Instant;
 

@@ -1,4 +1,4 @@
-//! World batches: pictures of W states of one scene, frame and camera in one call, in the shape of the
+//! Times world batches: pictures of W states of one scene, frame and camera in one call, in the shape of the
 //! paper's world-batch table.
 
 use std::{hint::black_box, time::Instant};

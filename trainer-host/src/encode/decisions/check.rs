@@ -1,4 +1,4 @@
-//! Check decisions against the scene they are to be followed on, so that writing can rely on them.
+//! Checks decisions against the scene they are to be followed on, so that writing can rely on them.
 
 use codec_core::internals::{ids::Level, limits, quant::Class};
 

@@ -1,4 +1,4 @@
-//! Canonical attributes to nested symbols.
+//! Quantises canonical attributes to nested symbols.
 
 use codec_core::internals::{
     ids::Level,

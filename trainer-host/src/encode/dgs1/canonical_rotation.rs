@@ -1,4 +1,4 @@
-//! Which of its equivalent rotations a Gaussian is sent with.
+//! Chooses which of its equivalent rotations a Gaussian is sent with.
 //!
 //! A covariance R·S²·Rᵀ stays what it is under R → R·G, S → GᵀSG for the 24 rotations G that permute and flip
 //! the axes, under turns about the third axis where the other two scales are equal, and under all turns where

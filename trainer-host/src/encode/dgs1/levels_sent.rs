@@ -1,4 +1,4 @@
-//! Leave levels out: cells are cut off above the highest level that is sent.
+//! Leaves levels out: cells are cut off above the highest level that is sent.
 
 use codec_core::internals::{
     ids::Level,

@@ -1,4 +1,4 @@
-//! Write the manifest body of a `dgs1` stream.
+//! Writes the manifest body of a `dgs1` stream.
 
 use codec_core::internals::{
     gaussian::ShDegree,

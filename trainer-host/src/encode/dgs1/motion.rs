@@ -1,4 +1,4 @@
-//! Motion to symbols: a track per cluster and window, then coefficients per Gaussian.
+//! Quantises motion to symbols: a track per cluster and window, then coefficients per Gaussian.
 //!
 //! Closed loop: what a coarser term leaves over is measured after that term has been quantised
 //! and reconstructed by the decoder's own functions, so errors do not add up. Each term is sent

@@ -1,4 +1,4 @@
-//! In which order the Gaussians of a block are sent.
+//! Orders the Gaussians of a block.
 //!
 //! First-level symbols of predicted classes are differences to the Gaussian before, so a block is
 //! walked along a short path. Length is estimated bits: a pair costs what the differences of its

@@ -1,4 +1,4 @@
-//! Stand-ins for blocks: one Gaussian with the first two moments of those it stands for.
+//! Makes the proxies of blocks: one Gaussian with the first two moments of those it stands for.
 
 use codec_core::internals::{ids::Level, math::mrp_from_quat, quant::Class, wire::manifest::Proxy};
 use nalgebra::{Matrix3, Rotation3, SymmetricEigen, UnitQuaternion, Vector3};

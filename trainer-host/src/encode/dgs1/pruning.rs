@@ -1,4 +1,4 @@
-//! What need not be sent: Gaussians that are never drawn, harmonic bands that do not show.
+//! Prunes what need not be sent: Gaussians that are never drawn, harmonic bands that do not show.
 
 use codec_core::internals::quant::Class;
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! What a coefficient costs: bits plus distortion in bits, at the slope of its quantiser.
+//! Estimates what a coefficient costs: bits plus distortion in bits, at the slope of its quantiser.
 //!
 //! At high rate a uniform quantiser of step Δ has distortion D = Δ²/12 and dD/dR = −2 ln 2 · D, so
 //! that one D of squared error weighs 1 / (2 ln 2) = 0.72 bits.

@@ -1,4 +1,4 @@
-//! Quantise a scene into the symbols of a `dgs1` stream, as decisions say.
+//! Quantises a scene into the symbols of a `dgs1` stream, as decisions say.
 
 use codec_core::internals::{
     ids::{EpochId, Level, Span, WindowId},

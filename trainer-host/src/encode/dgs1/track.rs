@@ -1,4 +1,4 @@
-//! How a cluster moves as a whole: the cheapest of static, rigid and affine, and how finely.
+//! Chooses how a cluster moves as a whole: the cheapest of static, rigid and affine, and how finely.
 //!
 //! Each candidate is quantised, reconstructed by the decoder's own function, and judged by its own
 //! bits plus an estimate of what the per-Gaussian coefficients behind it would take, with the

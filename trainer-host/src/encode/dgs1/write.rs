@@ -1,4 +1,4 @@
-//! Write the `dgs1` stream that decisions describe.
+//! Writes the `dgs1` stream that decisions describe.
 
 use codec_core::internals::{
     ids::{Level, Span},

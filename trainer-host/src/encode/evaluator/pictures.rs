@@ -1,4 +1,4 @@
-//! Render states and sources, and score one against the other.
+//! Renders states and sources, and scores one against the other.
 
 use codec_core::internals::receiver::Content;
 use rayon::prelude::*;

@@ -1,4 +1,4 @@
-//! Measure rate and distortion window by window: what a server needs to share out a link.
+//! Measures rate and distortion window by window: what a server needs to share out a link.
 
 use codec_core::internals::{
     ids::{EpochId, Level, Span, WindowId},

@@ -1,4 +1,4 @@
-//! Entropy coding of completion groups into chunks that each fit a packet.
+//! Entropy-codes completion groups into chunks that each fit a packet.
 
 use codec_core::internals::{
     ids::{Level, PacketId},

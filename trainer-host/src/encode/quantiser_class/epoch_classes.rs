@@ -1,4 +1,5 @@
-//! Quantiser classes of one epoch: its clusters, which class each is in, and the steps of the classes.
+//! Holds the quantiser classes of one epoch: its clusters, which class each is in, and the steps of the
+//! classes.
 
 use crate::encode::Quality;
 

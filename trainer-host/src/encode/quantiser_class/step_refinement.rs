@@ -1,4 +1,4 @@
-//! Steps that are finer than sensitivity asks, because that costs little.
+//! Refines steps beyond what sensitivity requires, where that costs little.
 //!
 //! Half the step costs a bit per value only where values spread over many steps. Where an attribute is
 //! the same for many Gaussians it costs nothing, and what is gained is more than the share of one value:

@@ -1,4 +1,4 @@
-//! Which few tables serve the runs of a stream best, their code words and their own bytes counted.
+//! Chooses the few tables that serve the runs of a stream best, code words and table bytes counted.
 //!
 //! Greedy: from the best single table, add the one that saves most, until it saves less than it
 //! costs. Candidates are the family and one table of the stream's own frequencies.

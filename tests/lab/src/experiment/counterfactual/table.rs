@@ -1,5 +1,5 @@
-//! The utility table of a scheduler: every group of 32 clusters of 4 levels, in 32 contexts, at 4 frames.
-//! That is 16,512 different pictures per table when each is rendered.
+//! Measures the utility table of a scheduler: every group of 32 clusters of 4 levels, in 32 contexts, at 4
+//! frames. That is 16,512 different pictures per table when each is rendered.
 
 use anyhow::Result;
 use render_host::{

@@ -1,4 +1,4 @@
-//! `codec-core/budget.toml`: the most that each figure may be. `[target]` headings, then
+//! Reads `codec-core/budget.toml`, the most that each figure may be. `[target]` headings, then
 //! `key = number`; comments. No more of TOML than that is understood.
 
 use std::{collections::BTreeMap, path::Path};

@@ -1,4 +1,4 @@
-//! What a 32-bit ELF file puts into flash and RAM, from its section headers.
+//! Reads from the sections of a 32-bit ELF file what it puts into flash and RAM.
 
 use anyhow::{Result, ensure};
 

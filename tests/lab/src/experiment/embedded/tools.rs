@@ -1,4 +1,4 @@
-//! Programs that build and run the other targets: found, run to an end, and read.
+//! Runs the programs that build and emulate the other targets, and reads what they print.
 
 use std::{
     ffi::OsStr,

@@ -1,4 +1,4 @@
-//! The coders of this repository as the bench sees them.
+//! Presents the coders of this repository to the bench.
 
 use anyhow::Result;
 use codec_core::internals::rans::{

@@ -1,4 +1,4 @@
-//! Laws of values, packets drawn from them, and one table per law.
+//! Draws packets from distributions of values, and makes one table per distribution.
 
 use anyhow::{Result, bail};
 use codec_core::internals::rans::{

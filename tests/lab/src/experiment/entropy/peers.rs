@@ -1,4 +1,4 @@
-//! Public coders on the same packets, each with one table for all of them where it can.
+//! Runs public coders on the same packets, each with one table for all of them where it can.
 
 use anyhow::{Result, anyhow};
 use constriction::stream::{

@@ -1,4 +1,4 @@
-//! The counterfactual engine: states and utilities per second, beside the engine of the CPU.
+//! Measures the counterfactual engine: states and utilities per second, beside the engine of the CPU.
 
 use std::time::Instant;
 

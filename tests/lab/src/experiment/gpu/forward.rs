@@ -1,4 +1,4 @@
-//! One picture: milliseconds per frame and stage.
+//! Measures one picture: milliseconds per frame and stage.
 
 use std::time::Instant;
 

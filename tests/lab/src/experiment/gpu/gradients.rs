@@ -1,4 +1,4 @@
-//! Forward and backward of many worlds, through squared error and with `1 - SSIM` added: world-frames per
+//! Times forward and backward of many worlds, by squared error and with `1 - SSIM` added: world-frames per
 //! second, beside the adjoint of the CPU.
 
 use std::time::Instant;

@@ -1,4 +1,5 @@
-//! A public renderer beside ours: crate `wgpu-3dgs-viewer`, offscreen, on the same device in the same run.
+//! Runs a public renderer beside ours: crate `wgpu-3dgs-viewer`, offscreen, on the same device in the same
+//! run.
 //!
 //! It compiles wgpu with all backends and a shader language, so it is behind feature `gpu-peer`.
 

@@ -1,4 +1,4 @@
-//! World batches: world-frames per second for W = 1, 2, 4 … 128.
+//! Measures world batches: world-frames per second for W = 1, 2, 4 … 128.
 
 use std::time::Instant;
 

@@ -1,4 +1,4 @@
-//! How well one list of numbers ranks as another does.
+//! Measures how well one list of numbers ranks as another does.
 
 /// Kendall's τ-b of the pairs; NaN when one list is constant or shorter than 2.
 pub(super) fn kendall(a: &[f64], b: &[f64]) -> f64 {

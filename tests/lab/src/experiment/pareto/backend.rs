@@ -1,4 +1,4 @@
-//! What makes the pictures: the CPU, and a graphics device where there is one.
+//! Renders the pictures: on the CPU, and on a graphics device where there is one.
 
 use anyhow::{Context, Result};
 use render_host::{

@@ -1,4 +1,4 @@
-//! Settings to measure: each knob alone, and presets.
+//! Lists the settings to measure: each knob alone, and presets.
 
 use render_host::{Settings, stage::TileSide};
 

@@ -1,4 +1,5 @@
-//! Time per state against error of the sum of squares: strict and fast counterfactuals, and brute force.
+//! Measures time per state against error of the sum of squares: strict and fast counterfactuals, and brute
+//! force.
 
 use std::{fmt::Write as _, time::Instant};
 

@@ -1,4 +1,4 @@
-//! A view is a scene at one frame, seen from one camera.
+//! Holds views: a scene at one frame, seen from one camera.
 
 use anyhow::Result;
 use codec_core::{Gaussian, ShDegree};

@@ -1,5 +1,5 @@
-//! Bjøntegaard rate: how many bits one codec needs against another at equal PSNR, averaged over the PSNR
-//! that both reach.
+//! Computes Bjøntegaard rates: how many bits one codec needs against another at equal PSNR, averaged over the
+//! PSNR that both reach.
 //!
 //! The logarithm of the rate is interpolated over PSNR, by a monotone piecewise cubic through the points
 //! (PCHIP, as the common test conditions of video coding do it) or by the one cubic polynomial of the

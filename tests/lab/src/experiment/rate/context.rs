@@ -1,5 +1,5 @@
-//! Peer: uniform quantisation and context-adaptive rANS. No tables travel: every model starts flat and
-//! follows what it has seen.
+//! Codes by uniform quantisation and context-adaptive rANS: a peer. No tables travel: every model starts flat
+//! and follows what it has seen.
 //!
 //! A residual is the bit length of its magnitude, its sign, its two bits after the leading one, and what is
 //! left as it is. The context of the length is the attribute, the kind of frame, the length of the Gaussian

@@ -1,4 +1,4 @@
-//! Our two profiles, through the walk that everything else takes.
+//! Encodes our two profiles through the same pipeline as every verb.
 
 use anyhow::Result;
 use dgs::{

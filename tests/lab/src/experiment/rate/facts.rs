@@ -1,4 +1,4 @@
-//! Public files as they are: their size, and what `dgs1` needs at the same count.
+//! Measures public files as they are: their size, and what `dgs1` needs at the same count.
 
 use anyhow::Result;
 use render_host::{Backend, Settings, metric};

@@ -1,4 +1,4 @@
-//! Peer: `.4dgs` through the public crate `fourdgs`. Clips of fixed identity as a keyframe and deltas
+//! Codes `.4dgs` through the public crate `fourdgs`: a peer. Clips of fixed identity as a keyframe and deltas
 //! (one keyframe per second, each delta on the state before), snapshots as Gaussians that live in the
 //! window of their epoch. Quality is one of the format's three profiles.
 

@@ -1,4 +1,4 @@
-//! A scene on uniform grids: what the order-0 and the adaptive peer code.
+//! Quantises a scene on uniform grids: what the order-0 and the adaptive peer code.
 //!
 //! Every attribute component is a plane of integers, frame by frame, or one frame if it does not change.
 //! Gaussians stand in Morton order of their first frame. What is coded are residuals: of a key frame

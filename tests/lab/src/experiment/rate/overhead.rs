@@ -1,5 +1,5 @@
-//! What a real `dgs1` stream spends on anything but its symbols: the coder's gap to the entropy of its own
-//! models, lane heads, headers, CRC, manifest, proxies, each as a share of the wire.
+//! Measures what a `dgs1` stream spends on anything but its symbols: the coder's gap to the entropy of its
+//! own models, lane heads, headers, CRC, manifest, proxies, each as a share of the wire.
 
 use anyhow::Result;
 use dgs::args::ProfileName;

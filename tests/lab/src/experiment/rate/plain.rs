@@ -1,4 +1,4 @@
-//! Peer: PLY and zstd. The first frame of an epoch with every property, later frames with those that
+//! Codes PLY and zstd, a peer: the first frame of an epoch with every property, later frames with those that
 //! change, all in one zstd stream; as floats, and with every property cut to half precision.
 
 use anyhow::{Result, ensure};

@@ -1,6 +1,6 @@
-//! One rANS state over intervals of any power-of-two scale: the coder under the order-0 and the adaptive
-//! peer. 64-bit state, 32-bit words, no lanes and no packets: as small as a coder of its kind gets, so that
-//! the peers are not charged for what only `dgs1` needs.
+//! Codes with one rANS state over intervals of any power-of-two scale: the coder under the order-0 and the
+//! adaptive peer. 64-bit state, 32-bit words, no lanes and no packets: as small as a coder of its kind gets,
+//! so that the peers are not charged for what only `dgs1` needs.
 
 use anyhow::{Result, ensure};
 

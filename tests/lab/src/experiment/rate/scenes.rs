@@ -1,4 +1,4 @@
-//! The scenes of the bench, and the evaluator of each: cameras nothing was tuned on, and the pictures that
+//! Lists the scenes of the bench with the evaluator of each: cameras nothing was tuned on, and pictures that
 //! the uncompressed source gives there.
 
 use anyhow::Result;

@@ -1,5 +1,5 @@
-//! Peer: SPZ, one file per frame as our exporter writes it: alone, and its unpacked planes over all frames
-//! in one zstd stream, as they are and as differences to the frame before.
+//! Codes SPZ, a peer, one file per frame as our exporter writes it: alone, and its unpacked planes over all
+//! frames in one zstd stream, as they are and as differences to the frame before.
 //!
 //! Attributes other than position have the format's fixed bytes; the knob is the step of positions.
 

@@ -1,4 +1,4 @@
-//! From points to comparisons: CSV, drawings, Bjøntegaard rates per scene and over scenes.
+//! Turns points into comparisons: CSV, drawings, Bjøntegaard rates per scene and over scenes.
 
 use std::fmt::Write as _;
 

@@ -1,4 +1,4 @@
-//! Peer: uniform quantisation and rANS with one static order-0 table per attribute, for key frames and for
+//! Codes, as a peer, by uniform quantisation and rANS with a static table per attribute, for key frames and
 //! residuals of later frames each. Tables travel with the stream and are counted.
 
 use anyhow::{Result, ensure};

@@ -1,4 +1,4 @@
-//! What a sequence keeps between frames of one camera, and between delivery states of one frame.
+//! Measures what a sequence keeps between frames of one camera, and between delivery states of one frame.
 
 use anyhow::{Result, ensure};
 use codec_core::Gaussian;

@@ -1,4 +1,4 @@
-//! Discs make up every scene here: how they cover a surface, and how they become an epoch.
+//! Covers surfaces with discs, and makes an epoch of discs that move.
 
 use codec_core::ShDegree;
 use glam::{DQuat, DVec3};

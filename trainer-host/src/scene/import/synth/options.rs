@@ -1,4 +1,4 @@
-//! SynthOptions say which scene is made from formulas, and how large.
+//! Names the scenes made from formulas, and holds their size and seed.
 
 /// Which scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
