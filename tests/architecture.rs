@@ -129,8 +129,8 @@ fn dependencies(manifest: &str, dev: bool) -> BTreeSet<String> {
 
 type Rule = fn(&Tree, &mut Vec<String>);
 
-const RULES: [Rule; 9] =
-    [arrows, lints, no_std, top, names, unsafe_code, machine_paths, clocks, licence_and_recipe];
+const RULES: [Rule; 10] =
+    [arrows, lints, no_std, top, names, unsafe_code, machine_paths, clocks, licence_and_recipe, walked_files];
 
 fn broken(tree: &Tree) -> Vec<String> {
     let mut found = Vec::new();
@@ -289,6 +289,17 @@ fn licence_and_recipe(tree: &Tree, found: &mut Vec<String>) {
     }
 }
 
+fn walked_files(tree: &Tree, found: &mut Vec<String>) {
+    let walks = source::walks(tree);
+    if walks.len() != 2 {
+        found.push(format!("tests/lab/WALKS.md describes {} walks, not 2", walks.len()));
+    }
+    for walk in walks {
+        let missing = walk.files.iter().filter(|file| !tree.files.contains_key(*file));
+        found.extend(missing.map(|file| format!("tests/lab/WALKS.md: {}: {file} does not exist", walk.name)));
+    }
+}
+
 fn tree() -> Tree {
     Tree::of(Path::new(env!("CARGO_MANIFEST_DIR")))
 }
@@ -362,6 +373,7 @@ fn a_broken_map_is_found() {
             "emulator-host/clippy.toml does not ban",
         ),
         (Box::new(replace("LICENSE", "Version 2.0, January 2004", "")), "LICENSE lacks"),
+        (Box::new(replace("tests/lab/WALKS.md", "stage/sort.rs", "stage/none.rs")), "none.rs does not exist"),
     ];
     for (change, named) in changes {
         let mut tree = good.clone();

@@ -276,11 +276,11 @@ fn write_damaged_files() {
     write("infinite.splat", &put(&good, 64, &f32::INFINITY.to_le_bytes()));
     write("empty.splat", &[]);
 
-    let options = spz_writer::Options { version: spz_writer::Version::V3, fraction_bits: 12 };
+    let options = spz_writer::SpzOptions { version: spz_writer::Version::V3, fraction_bits: 12 };
     let good = spz_writer::encode(&epoch, 0, &options).unwrap();
     write("cut.spz", &cut(&good, 12));
     write("checksum.spz", &put(&good, good.len() - 8, &[0; 4]));
-    let options = spz_writer::Options { version: spz_writer::Version::V4, ..options };
+    let options = spz_writer::SpzOptions { version: spz_writer::Version::V4, ..options };
     let good = spz_writer::encode(&epoch, 0, &options).unwrap();
     write("version.spz", &put(&good, 4, &[77]));
     write("count.spz", &put(&good, 8, &u32::MAX.to_le_bytes()));

@@ -17,8 +17,8 @@ mod synthetic;
 
 use codec_core::internals::ids::{Group as GroupId, PacketId, Span};
 
+use self::csr::Csr;
 use crate::clock::Nanos;
-use csr::Csr;
 
 pub use synthetic::{Synthetic, Utilities};
 

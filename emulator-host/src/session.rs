@@ -52,6 +52,21 @@ pub struct Startup {
 }
 
 /// Everything that a run depends on besides the graph.
+///
+/// # Examples
+/// ```
+/// use emulator_host::{ControllerKind, PolicyKind, SessionConfig, graph::Synthetic, simulate};
+///
+/// let config = SessionConfig {
+///     policy: PolicyKind::Layered,
+///     controller: ControllerKind::BbrModel,
+///     ..SessionConfig::default()
+/// };
+/// let graph = Synthetic { frames: 30, ..Synthetic::default() }.build(1)?;
+/// let report = simulate(&graph, &config)?;
+/// assert_eq!((report.policy.as_str(), report.controller.as_str()), ("layered", "bbr-model"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct SessionConfig {
     /// Seed of the path's random streams.

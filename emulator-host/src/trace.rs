@@ -153,6 +153,19 @@ pub enum Shape {
 
 /// A capacity trace that repeats with its period. It has some capacity, its points are ordered and inside the
 /// period.
+///
+/// # Examples
+/// ```
+/// use emulator_host::{
+///     Rate, Trace,
+///     trace::{Holds, Limits},
+/// };
+///
+/// // Time in seconds, rate in Mbit/s.
+/// let trace = Trace::two_column("phone", b"0 2\n1 4\n", Holds::Forward, &Limits::default())?;
+/// assert_eq!(trace.mean_rate(), Rate::from_mbps(3));
+/// # Ok::<(), emulator_host::trace::TraceError>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Trace {
     name: String,

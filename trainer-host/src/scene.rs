@@ -292,6 +292,18 @@ impl Up {
 }
 
 /// A dynamic scene: epochs in order at one frame rate, with its cameras where known.
+///
+/// # Examples
+/// ```
+/// use trainer_host::import::{Limits, synth};
+///
+/// let options = synth::SynthOptions { gaussians: 1000, frames: 3, ..Default::default() };
+/// let scene = synth::make(&options, &Limits::default())?;
+/// assert_eq!((scene.epochs().len(), scene.frames(), scene.max_count()), (1, 3, 1000));
+/// let last = scene.instant(2).ok_or("three frames")?;
+/// assert_eq!(last.gaussians.len(), 1000);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Scene {
     epochs: Vec<Epoch>,

@@ -16,9 +16,11 @@ use rand_pcg::Pcg64;
 use rayon::prelude::*;
 use render_host::{Camera, Image, Renderer, Settings, Splats};
 
+use self::{
+    contexts::{SpanCells, spans},
+    versions::Clusters,
+};
 use crate::{scene::Scene, stream::PacketMap};
-use contexts::{SpanCells, spans};
-use versions::Clusters;
 
 mod alone;
 mod contexts;
@@ -96,6 +98,27 @@ pub struct GroupUtility {
 }
 
 /// Utilities of all groups of one stream, as stored beside it.
+///
+/// # Examples
+/// ```
+/// use trainer_host::{
+///     encode::{EncodeOptions, encode},
+///     import::{Limits, synth},
+///     stream::PacketMap,
+///     utility::{UtilityOptions, measure},
+///     viewpoint::{Framing, Ring},
+/// };
+///
+/// let options = synth::SynthOptions { gaussians: 1000, frames: 1, ..Default::default() };
+/// let scene = synth::make(&options, &Limits::default())?;
+/// let stream = encode(&scene, &EncodeOptions { pictures: 0, ..Default::default() }, &|_, _| {})?.stream;
+/// let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
+/// let cameras = Framing::of(&scene).ring(Ring::Measuring, 1, (48, 48))?;
+/// let how = UtilityOptions { contexts: 2, ..UtilityOptions::paper(cameras) };
+/// let table = measure(&scene, &received.content(), &map, &how, &|_share| {})?;
+/// assert_eq!(table.groups.len(), map.groups().len());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct Table {
     /// How they were measured, for people.

@@ -54,6 +54,27 @@ pub struct Reordering {
 }
 
 /// One direction of a path.
+///
+/// # Examples
+/// A link that follows a trace and loses one datagram in a hundred:
+/// ```
+/// use emulator_host::{
+///     Nanos, SessionConfig, Trace,
+///     graph::Synthetic,
+///     link::{Capacity, LossModel, PathConfig},
+///     simulate,
+/// };
+///
+/// let forward = PathConfig {
+///     capacity: Capacity::Trace(Trace::bursty(7, Nanos::from_s(60))),
+///     loss: LossModel::Iid(0.01),
+///     ..PathConfig::default()
+/// };
+/// let graph = Synthetic { frames: 30, ..Synthetic::default() }.build(1)?;
+/// let report = simulate(&graph, &SessionConfig { forward, ..SessionConfig::default() })?;
+/// assert!(report.boxes.iter().any(|link| link.counts.dropped.datagrams > 0));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct PathConfig {
     /// How fast.

@@ -4,6 +4,17 @@ use super::{Dash, DeadlineUtility, DeadlineUtilityConfig, Dependency, Layered, S
 use crate::graph::PacketGraph;
 
 /// The policies by name.
+///
+/// # Examples
+/// ```
+/// use emulator_host::{PolicyKind, graph::Synthetic};
+///
+/// let graph = Synthetic::default().build(1)?;
+/// for kind in PolicyKind::ALL {
+///     assert_eq!(kind.build(&graph).name(), kind.name());
+/// }
+/// # Ok::<(), emulator_host::graph::GraphError>(())
+/// ```
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum PolicyKind {
     /// [`Layered`].

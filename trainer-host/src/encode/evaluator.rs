@@ -67,6 +67,22 @@ pub(super) fn instant_at(scene: &Scene, frame: u32) -> Result<Instant, Evaluatio
 }
 
 /// The source's own pictures of some frames from some cameras.
+///
+/// # Examples
+/// ```
+/// use trainer_host::{
+///     encode::{EncodeOptions, encode},
+///     evaluator::{Evaluator, spread},
+///     import::{Limits, synth},
+/// };
+///
+/// let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..Default::default() };
+/// let scene = synth::make(&options, &Limits::default())?;
+/// let encoded = encode(&scene, &EncodeOptions { pictures: 0, ..Default::default() }, &|_, _| {})?;
+/// let evaluator = Evaluator::measuring(&scene, spread(0, 2, 1))?;
+/// assert!(evaluator.whole(&encoded.stream)? > 30.0, "dB");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Evaluator {
     cameras: Vec<Camera>,

@@ -48,6 +48,22 @@ impl Target {
 }
 
 /// What to encode, and how.
+///
+/// # Examples
+/// ```
+/// use trainer_host::{
+///     encode::{EncodeOptions, Target, encode},
+///     import::{Limits, synth},
+/// };
+///
+/// let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..Default::default() };
+/// let scene = synth::make(&options, &Limits::default())?;
+/// let target = Some(Target::Bytes(20_000));
+/// let options = EncodeOptions { target, pictures: 0, ..EncodeOptions::default() };
+/// let encoded = encode(&scene, &options, &|_stage, _share| {})?;
+/// assert!(encoded.report.ledger.wire() <= 20_000.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug, PartialEq)]
 pub struct EncodeOptions {
     /// Format choices.

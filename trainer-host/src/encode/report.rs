@@ -4,6 +4,23 @@ use super::{Decisions, Ledger, Quality, QuantiserClass, Target, cluster};
 use crate::stream::Stream;
 
 /// An encoded scene.
+///
+/// # Examples
+/// ```
+/// use trainer_host::{
+///     encode::{EncodeOptions, encode},
+///     import::{Limits, synth},
+/// };
+///
+/// let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..Default::default() };
+/// let scene = synth::make(&options, &Limits::default())?;
+/// let encoded = encode(&scene, &EncodeOptions { pictures: 0, ..Default::default() }, &|_, _| {})?;
+/// let file = encoded.stream.to_bytes()?;
+/// println!("{} bytes, {:.0} bits per Gaussian", file.len(), encoded.report.ledger.bits_per_gaussian());
+/// // Which of the scene's Gaussians the first decoded one is.
+/// assert!((encoded.order[0][0] as usize) < scene.max_count());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Debug)]
 pub struct Encoded {
     /// The manifest and the packets.

@@ -13,13 +13,15 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
+use self::{
+    budget::Budget,
+    tools::{Lines, Tool},
+};
 use crate::{
     figures::{Bench, Figure},
     fixture::Fixture,
     setup::Setup,
 };
-use budget::Budget;
-use tools::{Lines, Tool};
 
 const THUMB: &str = "thumbv7em-none-eabihf";
 const WASM: &str = "wasm32-unknown-unknown";

@@ -11,19 +11,18 @@ use anyhow::{Context, Result, ensure};
 use crate::{
     figures::{Bench, Figure},
     setup::Setup,
-    source::{Floor, Tree, circles, lines, outside_tests, public_items},
+    source::{Floor, Tree, circles, lines, outside_tests, public_items, walks},
 };
 
 /// Runs the bench.
 pub fn run(_: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "structure",
-        "lines of Rust that are neither blank nor comment, inline tests counted as tests; public items: what \
-            a user of a \
-         crate can name, methods and module `internals` left out; circles: files of a crate that need each \
-         other, by `use` \
-         and by path, re-exports followed; crates: what `cargo build --package dgs` compiles, build scripts' \
-         included",
+        "lines of Rust that are neither blank nor comment, inline tests counted as tests; public items: what a \
+         user of a crate can name, methods and module `internals` left out; circles: files of a crate that need \
+         each other, by `use`, by path and in macros, names followed to the file that declares the thing; walks: \
+         files that tests/lab/WALKS.md enters; crates: what `cargo build --package dgs` compiles, build \
+         scripts' included",
     );
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     if !root.join("Cargo.toml").is_file() {
@@ -44,6 +43,13 @@ pub fn run(_: &Setup) -> Result<Bench> {
         bench.push(Figure::new(format!("public_items.{name}"), public_items(&tree, &folder) as f64, "items"));
         bench.push(Figure::new(format!("circles.{name}"), circles.len() as f64, "circles"));
         bench.push(Figure::new(format!("circles.{name}.files"), files as f64, "files"));
+    }
+    for walk in walks(&tree) {
+        let (key, entries) = (format!("walk.{}", walk.name), walk.entries());
+        bench.push(Figure::new(format!("{key}.files"), entries.len() as f64, "files"));
+        bench.push(Figure::new(format!("{key}.entries"), walk.files.len() as f64, "entries"));
+        let most = entries.values().copied().max().unwrap_or(0);
+        bench.push(Figure::new(format!("{key}.most_entries_of_a_file"), most as f64, "entries"));
     }
     for (path, text) in tree.rust().filter(|(path, _)| path.contains("examples/")) {
         let code = outside_tests(text).lines().map(str::trim);
@@ -90,7 +96,14 @@ mod tests {
     fn every_floor_and_crate_is_counted() {
         let setup = Setup::new(None, true, dgs::pipeline::Quiet(true));
         let bench = run(&setup).unwrap();
-        for key in ["lines.product", "lines.laboratory", "lines.tests", "public_items.codec-core"] {
+        for key in [
+            "lines.product",
+            "lines.laboratory",
+            "lines.tests",
+            "public_items.codec-core",
+            "walk.packet_to_pixel.entries",
+            "walk.scene_to_packets.entries",
+        ] {
             let figure = bench.figures.iter().find(|figure| figure.key == key);
             assert!(figure.is_some_and(|figure| figure.value > 20.0), "{key}: {figure:?}");
         }

@@ -19,12 +19,12 @@ use crate::scene::Epoch;
 const STILL: usize = 5;
 /// Those, and what is left of the motion of position and rotation.
 const CLASSES: usize = STILL + 2;
-/// Frames at which motion is looked at.
-const LOOKS: usize = 3;
+/// Frames at which motion is compared.
+const MOTION_FRAMES: usize = 3;
 /// Components of the still classes.
 const STILL_COMPONENTS: usize = 13;
-/// Components in all: per look three of position and three of rotation.
-const COMPONENTS: usize = STILL_COMPONENTS + 6 * LOOKS;
+/// Components in all: per such frame three of position and three of rotation.
+const COMPONENTS: usize = STILL_COMPONENTS + 6 * MOTION_FRAMES;
 /// Class of each component.
 const CLASS_OF: [usize; COMPONENTS] =
     [0, 0, 0, 1, 1, 1, 2, 2, 2, 3, 4, 4, 4, 5, 5, 5, 6, 6, 6, 5, 5, 5, 6, 6, 6, 5, 5, 5, 6, 6, 6];
@@ -118,8 +118,8 @@ fn add_motion(rows: &mut [Row], epoch: &Epoch, set: &[u32], quant: &Quant) {
     };
     let (p0, q0) = (places(0), turns(0));
     let mut turn = [1.0, 0.0, 0.0, 0.0];
-    for look in 0..LOOKS {
-        let t = (2 * look + 1) * epoch.frames() / (2 * LOOKS);
+    for look in 0..MOTION_FRAMES {
+        let t = (2 * look + 1) * epoch.frames() / (2 * MOTION_FRAMES);
         let (p, q) = (places(t), turns(t));
         turn = mean_turn(&q0, &q, turn);
         let pose = fit_pose(&p0, &p, [0.0; 3], turn);

@@ -13,12 +13,12 @@ pub(super) mod header;
 
 use codec_core::ShDegree;
 
+use self::header::{Column, Header, Rows};
 use super::{
     Limits,
     error::{Format, ImportError},
     snapshot::{Columns, Snapshot},
 };
-use header::{Column, Header, Rows};
 
 /// Reads a 3DGS PLY.
 ///
