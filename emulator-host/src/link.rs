@@ -3,7 +3,7 @@
 //! A datagram or nothing goes into [`LinkBox::step`] with `now`; out comes a datagram, a time to be woken, or
 //! nothing. The caller goes on with `step(None, now)` until no datagram comes out. Time never runs backwards.
 //!
-//! Every box keeps its books: received = delivered + dropped + inside, at every moment ([`Counts::balanced`]).
+//! In every box, at every moment, received = delivered + dropped + inside ([`Counts::balanced`]).
 //! Every box that draws has its own random stream, so no box changes another's luck.
 
 mod chain;

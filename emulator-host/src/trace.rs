@@ -78,11 +78,13 @@ impl std::fmt::Display for Warning {
         match self {
             Self::PingDipsRepaired { seconds } => write!(
                 f,
-                "{seconds} near-zero seconds beside a ping are an artefact of the logger and were interpolated"
+                "{seconds} near-zero seconds beside a ping are an artefact of the logger and were \
+                 interpolated"
             ),
             Self::ApplicationLimited { idle } => write!(
                 f,
-                "{:.0} % of the rows say the phone was idle: this is what an application asked for, not capacity",
+                "{:.0} % of the rows say the phone was idle: this is what an application asked for, not \
+                 capacity",
                 100.0 * idle
             ),
             Self::LongZeroRun { seconds } => write!(f, "the rate stays at zero for {seconds} s"),

@@ -132,7 +132,8 @@ pub(super) fn read_decisions(path: &Path) -> Result<Decisions> {
 fn clustering_line(report: &Report) -> String {
     let (c, w) = (&report.clustering, &report.clustering.options.weights);
     format!(
-        "  {} clusters of {} to {} Gaussians (mean {:.1}, median {}), feature weights: position {}, displacement \
+        "  {} clusters of {} to {} Gaussians (mean {:.1}, median {}), feature weights: position {}, \
+         displacement \
          {}, speed {}, visibility {}\n",
         c.clusters,
         c.smallest,
@@ -201,7 +202,8 @@ fn report_table(report: &Report, packets: &PacketReport) -> String {
         100.0 * ledger.robustness_premium(),
     );
     text += &format!(
-        "  mean payload {:.1} bytes, fill {:.1} %, chunk loss {:.2} bytes/packet, {:.2} packets per base group, \
+        "  mean payload {:.1} bytes, fill {:.1} %, chunk loss {:.2} bytes/packet, {:.2} packets per base \
+         group, \
          {:.2} per refinement group, {:.2} groups per packet\n",
         packets.mean_payload_bytes,
         100.0 * packets.fill,
@@ -237,7 +239,8 @@ fn report_table(report: &Report, packets: &PacketReport) -> String {
     for (k, class) in classes.iter().enumerate().filter(|_| classes.len() > 1) {
         let q = class.quality;
         text += &format!(
-            "  quantiser class {k}: {:>7} Gaussians, steps: position {:.4} sizes, scale {:.4}, rotation {:.4}, \
+            "  quantiser class {k}: {:>7} Gaussians, steps: position {:.4} sizes, scale {:.4}, rotation \
+             {:.4}, \
              opacity {:.4}, sh0 {:.4}, harmonics {:.4}\n",
             class.gaussians, q.position, q.scale, q.rotation, q.opacity, q.sh0, q.sh_rest
         );

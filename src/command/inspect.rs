@@ -97,7 +97,8 @@ fn decisions(args: &Inspect) -> Result<VerbOutput> {
         }
         Decisions::Dgs1(dgs1) => {
             text += &format!(
-                "dgs1\n  blocks of {} Gaussians, packets of at most {} bytes, proxies: {}, {} entropy tables\n",
+                "dgs1\n  blocks of {} Gaussians, packets of at most {} bytes, proxies: {}, {} entropy \
+                 tables\n",
                 dgs1.block_len,
                 dgs1.packet_bytes,
                 dgs1.proxies,

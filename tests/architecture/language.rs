@@ -90,17 +90,17 @@ type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 11] = [
-    ("", [3, 1, 0, 11, 0, 0, 1, 0, 88]),
+    ("", [0, 1, 0, 7, 0, 0, 0, 0, 88]),
     ("codec-core/", [51, 1, 0, 19, 0, 4, 2, 21, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 1, 0, 0, 12]),
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 2, 19]),
     ("codec-core/simd/", [1, 0, 0, 5, 0, 0, 0, 5, 9]),
-    ("emulator-host/", [44, 0, 0, 2, 0, 2, 2, 11, 130]),
+    ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 130]),
     ("fuzz/", [10, 0, 0, 2, 0, 0, 2, 0, 30]),
     ("render-host/", [123, 3, 2, 16, 0, 7, 3, 17, 223]),
-    ("tests/lab/", [50, 2, 0, 29, 0, 2, 12, 11, 47]),
-    ("trainer-host/", [65, 2, 0, 6, 0, 3, 25, 58, 172]),
+    ("tests/lab/", [4, 0, 0, 16, 0, 0, 0, 0, 47]),
+    ("trainer-host/", [0, 0, 0, 1, 0, 0, 0, 0, 173]),
 ];
 
 /// The room of a file: the longest folder of [`CEILINGS`] that it lies in.

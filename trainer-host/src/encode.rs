@@ -36,7 +36,7 @@ mod steps;
 mod target;
 
 pub use analysis::Analysis;
-pub use decisions::{Decisions, QuantiserClass};
+pub use decisions::Decisions;
 pub use error::EncodeError;
 pub use ledger::{Ledger, LedgerPart, Share};
 pub use options::{EncodeOptions, Target};

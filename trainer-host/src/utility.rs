@@ -188,8 +188,8 @@ pub fn measure(
         if options.complete { "complete state".to_owned() } else { format!("{} contexts", options.states()) };
     Ok(Table {
         protocol: format!(
-            "D = MSE + 0.20 (1 - SSIM), {} cameras at {}x{}, {contexts}, {} frames per span and camera, alpha {}, \
-             beta {}, seed {}",
+            "D = MSE + 0.20 (1 - SSIM), {} cameras at {}x{}, {contexts}, {} frames per span and camera, \
+             alpha {}, beta {}, seed {}",
             options.cameras.len(),
             options.cameras[0].width(),
             options.cameras[0].height(),

@@ -96,7 +96,8 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "utility",
-        about: "utilities of all groups of a stream: time and error against every state decoded and rendered alone",
+        about: "utilities of all groups of a stream: time and error against every state decoded and \
+        rendered alone",
         run: utility::run,
     },
     Experiment {

@@ -50,7 +50,8 @@ pub enum EncodeError {
     Evaluation(#[from] EvaluationError),
     /// The symbols of one block do not fit one packet.
     #[error(
-        "a block of {gaussians} Gaussians of cluster {cluster} does not fit a packet of {limit} bytes at level {level}"
+        "a block of {gaussians} Gaussians of cluster {cluster} does not fit a packet of {limit} bytes at \
+         level {level}"
     )]
     BlockTooLarge {
         /// Level of its symbols.

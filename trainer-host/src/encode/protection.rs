@@ -25,8 +25,8 @@ pub struct Protection {
 /// Why a protection cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "repair: {found:?} is not known; none, standard, or a list of KIND=K+R is allowed, with KIND one of base, \
-     tracks, 1, 2, 3, K packets in a set 2 to 64 and R parity packets 1 to 8 (base=16+4,tracks=8+2)"
+    "repair: {found:?} is not known; none, standard, or a list of KIND=K+R is allowed, with KIND one of \
+     base, tracks, 1, 2, 3, K packets in a set 2 to 64 and R parity packets 1 to 8 (base=16+4,tracks=8+2)"
 )]
 pub struct ProtectionError {
     /// The part at fault.

@@ -1,6 +1,6 @@
 //! Reports an encoding: what was chosen, what it came to, and where every byte went.
 
-use super::{Decisions, Ledger, Quality, QuantiserClass, Target, cluster};
+use super::{Decisions, Ledger, Quality, Target, cluster, decisions::QuantiserClass};
 use crate::stream::Stream;
 
 /// An encoded scene.

@@ -25,10 +25,10 @@ pub(super) fn seconds_of<T, E>(times: &mut Vec<f64>, work: impl FnOnce() -> Resu
 }
 
 /// Adds the milliseconds of wall time that `work` takes to `times`.
-pub(super) fn milliseconds_of<E>(
+pub(super) fn milliseconds_of(
     times: &mut Vec<f64>,
-    work: impl FnOnce() -> Result<(), E>,
-) -> Result<(), E> {
+    work: impl FnOnce() -> anyhow::Result<()>,
+) -> anyhow::Result<()> {
     let start = Instant::now();
     work()?;
     times.push(1000.0 * start.elapsed().as_secs_f64());

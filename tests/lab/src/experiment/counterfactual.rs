@@ -32,11 +32,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "counterfactual",
         format!(
             "{n} Gaussians in {groups} groups (64 clusters of 2 additive levels), W = {worlds} states of \
-                which each lacks a tenth of the clusters, one \
-             camera; A: uniform volume in cells, B: overlapping shells; medians of {runs} interleaved runs, \
-             set-up (project, sort, bin) included; brute \
-             force renders {STATES_ALONE} states with the tile renderer (early stop on), its time scaled to W; \
-             table: all utilities of 32 clusters of 4 levels in 32 contexts at 4 frames"
+             which each lacks a tenth of the clusters, one camera; A: uniform volume in cells, B: \
+             overlapping shells; medians of {runs} interleaved runs, set-up (project, sort, bin) included; \
+             brute force renders {STATES_ALONE} states with the tile renderer (early stop on), its time \
+             scaled to W; table: all utilities of 32 clusters of 4 levels in 32 contexts at 4 frames"
         ),
     );
     for &side in &sides {

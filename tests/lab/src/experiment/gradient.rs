@@ -33,10 +33,12 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "gradient",
         format!(
-            "check: 8 Gaussians, 24x18, nothing cut, every parameter against central differences of the f64 reference (worst: relative, \
-             at least 1 % of the class's largest; error: relative L2); frames: ms forward, and forward with all gradients, default settings, \
-             medians of {runs} interleaved runs, beside one f64 reference forward; their error: derivative along a random change of all \
-             colours against the f64 reference; groups: first order of utilities from a gradient, against leave-one-out by the engine's lanes"
+            "check: 8 Gaussians, 24x18, nothing cut, every parameter against central differences of the \
+             f64 reference (worst: relative, at least 1 % of the class's largest; error: relative L2); \
+             frames: ms forward, and forward with all gradients, default settings, medians of {runs} \
+             interleaved runs, beside one f64 reference forward; their error: derivative along a random \
+             change of all colours against the f64 reference; groups: first order of utilities from a \
+             gradient, against leave-one-out by the engine's lanes"
         ),
     );
     checks(&mut bench, runs)?;

@@ -339,7 +339,7 @@ mod tests {
 
     #[test]
     fn the_random_scene_is_measured_against_another_picture_than_its_own() {
-        let view = random(300, 48).unwrap();
+        let view = View::random(300, 48).unwrap();
         let rows = measure(&view, 1, &mut [backend::cpu()]).unwrap();
         let of = |name: &str| rows.iter().find(|r| r.name == name).unwrap();
         assert!(of("exact").max < 1e-5, "{}", of("exact").max);

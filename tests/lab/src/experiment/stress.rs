@@ -37,9 +37,11 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "stress",
         format!(
-            "dgs_lab::stress::cases, crowds of {million}: CPU renderer, its gradients (MSE + 0.2 (1 - SSIM)) and its counterfactual engine (5 worlds \
-             alone, strict and fast, and utilities of {} groups) per case, medians of {runs} runs; error against the f64 reference at the same settings \
-             as a share of the largest value (clear: pixels away from any threshold); fast: relative error of sums of squares",
+            "dgs_lab::stress::cases, crowds of {million}: CPU renderer, its gradients (MSE + 0.2 (1 - \
+             SSIM)) and its counterfactual engine (5 worlds alone, strict and fast, and utilities of {} \
+             groups) per case, medians of {runs} runs; error against the f64 reference at the same \
+             settings as a share of the largest value (clear: pixels away from any threshold); fast: \
+             relative error of sums of squares",
             stress::GROUPS
         ),
     );

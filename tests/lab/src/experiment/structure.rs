@@ -18,11 +18,11 @@ use crate::{
 pub fn run(_: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "structure",
-        "lines of Rust that are neither blank nor comment, inline tests counted as tests; public items: what a \
-         user of a crate can name, methods and module `internals` left out; circles: files of a crate that need \
-         each other, by `use`, by path and in macros, names followed to the file that declares the thing; walks: \
-         files that tests/lab/WALKS.md enters; crates: what `cargo build --package dgs` compiles, build \
-         scripts' included",
+        "lines of Rust that are neither blank nor comment, inline tests counted as tests; public items: \
+         what a user of a crate can name, methods and module `internals` left out; circles: files of a \
+         crate that need each other, by `use`, by path and in macros, names followed to the file that \
+         declares the thing; walks: files that tests/lab/WALKS.md enters; crates: what `cargo build \
+         --package dgs` compiles, build scripts' included",
     );
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     if !root.join("Cargo.toml").is_file() {

@@ -29,10 +29,11 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "utility",
         format!(
-            "D = MSE + 0.20 (1 - SSIM) against the source's own render, default encode of each scene, measuring ring at \
-             160x160; contexts: random states, 3 cameras, one frame per span and camera; complete: all else arrived, 8 \
-             cameras; peer: each state decoded, rendered and compared alone, every {EVERY}th cell (1 context), its time \
-             scaled to all cells and contexts; error: worst mean of those cells, of the largest"
+            "D = MSE + 0.20 (1 - SSIM) against the source's own render, default encode of each scene, \
+             measuring ring at 160x160; contexts: random states, 3 cameras, one frame per span and camera; \
+             complete: all else arrived, 8 cameras; peer: each state decoded, rendered and compared alone, \
+             every {EVERY}th cell (1 context), its time scaled to all cells and contexts; error: worst \
+             mean of those cells, of the largest"
         ),
     );
     let samples = if setup.quick { 1000 } else { 10_000 };

@@ -32,7 +32,7 @@ pub(super) struct Cell {
     pub saturated: u64,
 }
 
-/// Fits the transforms and the basis of `epoch`, which begins at `first_frame`, and quantises what they leave.
+/// Fits transforms and a basis to `epoch`, which begins at `first_frame`, and quantises what they leave.
 ///
 /// # Errors
 /// Quantisers that the format does not hold.

@@ -209,7 +209,8 @@ pub(super) mod tests {
 
     pub fn sample(n: usize) -> Sample {
         let description = format!(
-            "%YAML 1.1\nMonoBehaviour:\n  m_FormatVersion: 20231020\n  m_SplatCount: {n}\n  m_PosFormat: 2\n  \
+            "%YAML 1.1\nMonoBehaviour:\n  m_FormatVersion: 20231020\n  m_SplatCount: {n}\n  m_PosFormat: \
+             2\n  \
              m_ScaleFormat: 2\n  m_SHFormat: 3\n  m_ColorFormat: 2\n"
         );
         let mut chunk = Vec::new();

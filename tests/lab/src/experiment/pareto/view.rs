@@ -31,8 +31,8 @@ impl View {
         Ok(Self { name, gaussians, rest, degree, camera })
     }
 
-    /// `n` Gaussians in [-1, 1]³ with harmonics of degree 3, seen from 3.2 away with a focal length of 0.9 of the
-    /// width: the random scene of the renderer's goals.
+    /// `n` Gaussians in [-1, 1]³ with harmonics of degree 3, seen from 3.2 away with a focal length of 0.9 of
+    /// the width: the random scene of the renderer's goals.
     pub fn random(n: usize, side: u32) -> Result<Self> {
         let mut r = Numbers(7);
         let mut between = |low: f32, high: f32| r.between(low, high);
