@@ -9,7 +9,11 @@ use anyhow::{Context, Result};
 use codec_core::internals::{digest::Digest, receiver::Content, wire::crc::crc32};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
-use trainer_host::{Scene, Track, stream::PacketMap, utility};
+use trainer_host::{
+    Scene, Track,
+    stream::PacketMap,
+    utility::{self, UtilityOptions},
+};
 
 use super::Quiet;
 use crate::{files, progress::Progress};
@@ -38,7 +42,7 @@ pub fn utilities(
     scene: &Scene,
     content: &Content<'_>,
     map: &PacketMap,
-    options: &utility::UtilityOptions,
+    options: &UtilityOptions,
     cache: Option<&Path>,
     quiet: Quiet,
     warn: &mut dyn FnMut(String),
@@ -84,10 +88,10 @@ pub fn stored_utilities(path: &Path, manifest: &[u8]) -> Result<utility::Table> 
 fn measured(
     scene: &Scene,
     content: &Content<'_>,
-    options: &utility::UtilityOptions,
+    options: &UtilityOptions,
 ) -> Result<BTreeMap<String, Value>> {
     // Exhaustive, so that an option cannot be forgotten here.
-    let utility::UtilityOptions { cameras, contexts, frames_per_span, alpha, beta, complete, seed, settings } =
+    let UtilityOptions { cameras, contexts, frames_per_span, alpha, beta, complete, seed, settings } =
         options;
     let values = [
         ("version", json!(VERSION)),
@@ -183,7 +187,7 @@ mod tests {
         let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
         let folder = tempfile::tempdir().unwrap();
         let cache = folder.path().join("a.utility.json");
-        let measure = |scene: &Scene, options: &utility::UtilityOptions| {
+        let measure = |scene: &Scene, options: &UtilityOptions| {
             let mut warnings = Vec::new();
             let table =
                 utilities(scene, &received.content(), &map, options, Some(&cache), Quiet(true), &mut |w| {
@@ -191,8 +195,7 @@ mod tests {
                 });
             (table.unwrap(), warnings.join("\n"))
         };
-        let plain =
-            || utility::UtilityOptions { contexts: 1, ..utility::UtilityOptions::paper(vec![camera(0.0)]) };
+        let plain = || UtilityOptions { contexts: 1, ..UtilityOptions::paper(vec![camera(0.0)]) };
 
         let (first, warnings) = measure(&scene, &plain());
         assert_eq!(warnings, "", "there was nothing to differ from");
@@ -205,10 +208,10 @@ mod tests {
         };
         let (again, warnings) = measure(&scene, &plain());
         assert!(same(&again, &first) && warnings.is_empty(), "{warnings}");
-        let (more, warnings) = measure(&scene, &utility::UtilityOptions { contexts: 2, ..plain() });
+        let (more, warnings) = measure(&scene, &UtilityOptions { contexts: 2, ..plain() });
         assert!(warnings.contains("measured with contexts 1, not 2"), "{warnings}");
         assert!(!same(&more, &first));
-        let moved = utility::UtilityOptions { cameras: vec![camera(1.0)], contexts: 2, ..plain() };
+        let moved = UtilityOptions { cameras: vec![camera(1.0)], contexts: 2, ..plain() };
         assert!(measure(&scene, &moved).1.contains("measured with other cameras"));
         assert!(measure(&other, &moved).1.contains("measured with other scene"));
         std::fs::write(&cache, b"{}").unwrap();

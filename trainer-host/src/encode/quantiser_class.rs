@@ -15,7 +15,8 @@ mod step_refinement;
 pub(super) use epoch_classes::EpochClasses;
 
 use super::{
-    EncodeError, EncodeOptions, Quality, QuantiserClass, cluster,
+    EncodeError, EncodeOptions, Quality, cluster,
+    decisions::QuantiserClass,
     sensitivity::{self, CLASSES, Weights},
     steps::{DGS1_BASE_RATIO, Factors, Grid},
 };

@@ -48,7 +48,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut families: Vec<Family> = Vec::new();
     let mut broken = Vec::new();
     let mut csv = String::from(
-        "family,case,forward_ms,gradients_ms,counterfactual_ms,max_clear,max_close,psnr_db,near_share,fast_error,gradients_that_overflow\n",
+        "family,case,forward_ms,gradients_ms,counterfactual_ms,max_clear,max_close,psnr_db,near_share,fast_error,\
+         gradients_that_overflow\n",
     );
     for case in cases(million) {
         let (times, verdict, non_finite) = examine(&case, runs)?;

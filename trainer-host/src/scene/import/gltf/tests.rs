@@ -52,7 +52,9 @@ pub fn sample() -> Vec<u8> {
         blob.extend(data);
         blob.resize(blob.len().next_multiple_of(4), 0);
     }
-    let accessor = |view: u32, kind: u32, count: u32, shape: &str| json!({"bufferView": view, "componentType": kind, "count": count, "type": shape});
+    fn accessor(view: u32, kind: u32, count: u32, shape: &str) -> serde_json::Value {
+        json!({"bufferView": view, "componentType": kind, "count": count, "type": shape})
+    }
     let mut first = accessor(0, 5126, 8, "VEC3");
     first["min"] = json!([0.0, 0.0, 0.0]);
     first["max"] = json!([2.0, 1.0, 0.0]);
