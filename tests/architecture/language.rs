@@ -97,10 +97,10 @@ const CEILINGS: [(&str, Counts); 11] = [
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 2, 19]),
     ("codec-core/simd/", [1, 0, 0, 5, 0, 0, 0, 5, 9]),
     ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 130]),
-    ("fuzz/", [10, 0, 0, 2, 0, 0, 2, 0, 30]),
+    ("fuzz/", [10, 0, 0, 2, 0, 0, 0, 0, 30]),
     ("render-host/", [123, 3, 2, 16, 0, 7, 3, 17, 223]),
-    ("tests/lab/", [4, 0, 0, 16, 0, 0, 0, 0, 47]),
-    ("trainer-host/", [0, 0, 0, 1, 0, 0, 0, 0, 173]),
+    ("tests/lab/", [4, 0, 0, 13, 0, 0, 0, 0, 47]),
+    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 172]),
 ];
 
 /// The room of a file: the longest folder of [`CEILINGS`] that it lies in.
