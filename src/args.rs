@@ -45,7 +45,7 @@ pub enum Verb {
     Render(Render),
     /// Send a scene or a .dgs file over an emulated link under one scheduler.
     Stream(StreamArgs),
-    /// The whole walk with a report: four schedulers side by side over one link.
+    /// The whole pipeline with a report: four schedulers side by side over one link.
     Demo(Demo),
     /// Measure: every figure this project quotes.
     Bench(Bench),

@@ -1,4 +1,4 @@
-//! Runs the verbs: one file each, from what was typed to steps of the walk to a [`output::VerbOutput`].
+//! Runs the verbs: one file each, from the command line to steps of the pipeline to a [`output::VerbOutput`].
 
 mod bench;
 mod decode;

@@ -314,7 +314,7 @@ impl Endpoint for WireEndpoint<'_> {
                     }
                 }
             }
-            // Frame 0 is asked for again and again until playout starts; the last answer is what is shown.
+            // Frame 0 is requested again and again until playout starts; the last answer is what is shown.
             if self.shown.last().is_some_and(|s| s.frame == frame) {
                 self.shown.pop();
             }

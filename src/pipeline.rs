@@ -1,4 +1,4 @@
-//! Takes the walk step by step, as every verb and every experiment does.
+//! Runs the steps from scene to report that every verb and every experiment is made of.
 
 mod cache;
 mod cameras;

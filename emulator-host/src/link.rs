@@ -88,7 +88,7 @@ pub struct Counts {
     pub delivered: Tally,
     /// Will never go out.
     pub dropped: Tally,
-    /// Inside, counted where it lies and not by subtraction.
+    /// Inside, counted by itself and not by subtraction.
     #[serde(rename = "held")]
     pub inside: Tally,
 }

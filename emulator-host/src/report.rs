@@ -42,7 +42,7 @@ pub struct SenderRow {
 pub struct BoxRow {
     /// Label of the box.
     pub label: String,
-    /// Its books at the end of the run.
+    /// Its counts at the end of the run.
     pub counts: Counts,
 }
 
@@ -152,7 +152,7 @@ pub struct Report {
     pub frames: Vec<FrameRow>,
     /// The sender's state over time.
     pub samples: Vec<SenderRow>,
-    /// Books of every box, downlink first.
+    /// Counts of every box, downlink first.
     pub boxes: Vec<BoxRow>,
     /// FNV-1a over (time, length, direction) of every datagram sent and delivered: equal digests, equal runs.
     pub digest: u64,

@@ -1,4 +1,4 @@
-//! Takes the whole walk under four schedulers and writes one page: `dgs demo`.
+//! Runs the whole pipeline under four schedulers and writes one page: `dgs demo`.
 
 use anyhow::{Context, Result};
 use emulator_host::PolicyKind;
@@ -70,7 +70,7 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
     Ok(VerbOutput { text, json, ..VerbOutput::default() })
 }
 
-/// Takes the walk and gathers the page.
+/// Runs the pipeline and gathers the page.
 ///
 /// # Errors
 /// Whatever stops a step.

@@ -3,7 +3,7 @@
 //! For group g and a valid partial state m without g: Δ_g(m) = D(I, R(m)) − D(I, R(m ∪ g)), with
 //! D = MSE + 0.20 (1 − SSIM) against the source's own render I. A context is a random dependency-closed
 //! state; inside it each cell is stepped through its levels with everything else held, so that L + 1
-//! pictures measure L groups. All contexts of a span are looked at in the same views (a frame and a camera
+//! pictures measure L groups. All contexts of a span are rendered in the same views (a frame and a camera
 //! each), so mean, lower tail and deviation are over states and not over views. Cameras are the caller's;
 //! keep them apart from those on which quality is reported.
 
@@ -39,7 +39,7 @@ pub struct UtilityOptions {
     pub cameras: Vec<Camera>,
     /// Random states per span, at least 1.
     pub contexts: usize,
-    /// Frames of a span (a window, or an epoch for canonical groups) that each camera looks at, at least 1.
+    /// Frames of a span (a window, or an epoch for canonical groups) that each camera renders, at least 1.
     pub frames_per_span: usize,
     /// Weight α of the lower tail, 0..=1.
     pub alpha: f64,
@@ -47,7 +47,7 @@ pub struct UtilityOptions {
     pub beta: f64,
     /// Measure with everything else arrived, instead of in random states: one context.
     pub complete: bool,
-    /// Seed of the contexts and of the frames looked at.
+    /// Seed of the contexts and of the frames rendered.
     pub seed: u64,
     /// Render settings.
     pub settings: Settings,
@@ -69,7 +69,7 @@ impl UtilityOptions {
         }
     }
 
-    /// States that are looked at per span.
+    /// States rendered per span.
     fn states(&self) -> usize {
         if self.complete { 1 } else { self.contexts.max(1) }
     }
@@ -131,14 +131,14 @@ pub struct Table {
     pub groups: Vec<GroupUtility>,
 }
 
-/// A camera and frame in which the contexts of a span are looked at.
+/// A camera and frame in which the contexts of a span are rendered.
 struct View {
     frame: u32,
     camera: usize,
     reference: Image,
 }
 
-/// Most numbers that the versions of one view's clusters may hold before they are asked about: 128 MiB.
+/// Most numbers that the versions of one view's clusters may hold before the engine is called: 128 MiB.
 const MOST_VALUES: usize = 32 << 20;
 
 /// Measures all groups of `content` (a complete decode of a stream whose map is `map`) against
@@ -243,7 +243,7 @@ fn deltas_in_view(
     let (epoch, view) = view_of(scene, content, span.span, view, options)?;
     let mut clusters = Clusters::new(content, epoch, view.frame);
     let (mut waiting, mut out) = (Vec::new(), Vec::new());
-    // Contexts whose clusters show versions of their own are asked about one at a time: together, each would
+    // Contexts whose clusters show versions of their own go to the engine one at a time: together, each would
     // be shown in the versions of all.
     let mut are_shared = true;
     for context in 0..options.states() {

@@ -41,7 +41,7 @@ impl Chain {
         if self.ready.is_empty() { self.wake } else { Nanos::ZERO }
     }
 
-    /// Label and books of every box, from entry to exit.
+    /// Label and counts of every box, from entry to exit.
     pub fn box_counts(&self) -> impl Iterator<Item = (&str, Counts)> {
         self.boxes.iter().map(|slot| (slot.inner.label(), slot.inner.counts()))
     }

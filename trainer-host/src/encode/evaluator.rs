@@ -116,7 +116,7 @@ impl Evaluator {
         Ok(Self { cameras, frames, settings, references })
     }
 
-    /// An evaluator that looks at `frames` from the measuring ring, never from held-out cameras.
+    /// An evaluator that renders `frames` from the measuring ring, never from held-out cameras.
     ///
     /// # Errors
     /// As [`Evaluator::new`].
@@ -126,7 +126,7 @@ impl Evaluator {
         Self::new(scene, cameras, frames, &Settings::default())
     }
 
-    /// The frames it looks at.
+    /// The frames it renders.
     pub fn frames(&self) -> &[u32] {
         &self.frames
     }

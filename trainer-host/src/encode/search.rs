@@ -1,7 +1,7 @@
 //! Searches by trial how attributes share the bits: the steps that suit a scene's own pictures.
 //!
 //! The steps of [`Quality`] weigh attributes against each other as typical scenes do. Here one step
-//! at a time is made coarser or finer, the scene is encoded and looked at from measuring cameras,
+//! at a time is made coarser or finer, the scene is encoded and rendered from measuring cameras,
 //! and what gives the same PSNR for fewer bits is kept: a coordinate search, factors shrinking from
 //! round to round, bounded by a number of encodings.
 
@@ -19,7 +19,7 @@ const FACTORS: [f32; 4] = [1.6, 1.3, 1.15, 1.07];
 const AROUND: (f32, f32) = (0.75, 1.3);
 /// Share of the bits that a change must save: less is the noise of one set of pictures.
 const LEAST_GAIN: f64 = 0.005;
-/// Frames looked at.
+/// Frames rendered.
 const FRAMES: u32 = 4;
 
 /// A stream as good as `start`, the encoding of the scene of `analysis` with `options`, for fewer bits; or,

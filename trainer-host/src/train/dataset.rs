@@ -11,7 +11,12 @@ pub mod rendered;
 
 use std::path::{Path, PathBuf};
 
-use render_host::{CameraError, ImageError, adjoint::loss::photograph::Photograph};
+use render_host::{
+    CameraError, ImageError,
+    adjoint::loss::photograph::Photograph,
+    camera::MAX_SIDE,
+    image_file::{Bounds, Rgba8},
+};
 
 use super::views::{Dataset, ViewsError};
 
@@ -94,19 +99,18 @@ fn read_bytes(path: &Path) -> Result<Vec<u8>, DatasetError> {
     std::fs::read(path).map_err(|source| DatasetError::File { path: path.to_owned(), source })
 }
 
-/// The photograph in an image file; `true` where it has an alpha channel.
+/// The photograph in an image file; `true` where some of it is transparent.
 fn read_photograph(path: &Path) -> Result<(Photograph, bool), DatasetError> {
     let bytes = read_bytes(path)?;
     let failed = |source| DatasetError::Image { path: path.to_owned(), source };
-    let image = image::load_from_memory(&bytes).map_err(|e| failed(ImageError::Codec(e.to_string())))?;
-    let has_alpha = image.color().has_alpha();
-    let rgba = image.to_rgba8();
-    let (width, height) = rgba.dimensions();
-    let premultiplied = rgba.pixels().flat_map(|pixel| {
-        let [r, g, b, a] = pixel.0;
-        let by_alpha = |v: u8| ((u32::from(v) * u32::from(a) + 127) / 255) as u8;
-        [by_alpha(r), by_alpha(g), by_alpha(b), a]
+    let bounds = Bounds { side: MAX_SIDE, bytes: 4 * u64::from(MAX_SIDE) * u64::from(MAX_SIDE) };
+    let image = Rgba8::decode(&bytes, bounds).map_err(failed)?;
+    let premultiplied = image.data().chunks_exact(4).flat_map(|pixel| {
+        let by_alpha = |c: usize| ((u32::from(pixel[c]) * u32::from(pixel[3]) + 127) / 255) as u8;
+        [by_alpha(0), by_alpha(1), by_alpha(2), pixel[3]]
     });
+    let (width, height) = image.size();
+    let has_alpha = image.data().iter().skip(3).step_by(4).any(|&alpha| alpha < 255);
     Photograph::new(width, height, premultiplied.collect()).map(|p| (p, has_alpha)).map_err(failed)
 }
 

@@ -3,10 +3,10 @@
 use super::{dataset::rendered, *};
 use crate::import::{Limits, synth};
 
-fn dataset(kind: synth::Kind, frames: usize) -> Dataset {
-    let options = synth::Options { kind, gaussians: 1000, frames, ..synth::Options::default() };
+fn dataset(kind: synth::SynthKind, frames: usize, cameras: usize) -> Dataset {
+    let options = synth::SynthOptions { kind, gaussians: 1000, frames, ..synth::SynthOptions::default() };
     let scene = synth::make(&options, &Limits::default()).unwrap();
-    let views = rendered::Options { cameras: 6, test_cameras: 2, side: 64 };
+    let views = rendered::Options { cameras, test_cameras: 2, side: 64 };
     let mut dataset = rendered::rendered(&scene, "balls", &views).unwrap();
     dataset.start = Start::VisualHull;
     dataset
@@ -33,7 +33,7 @@ fn trained<'a>(dataset: &'a Dataset, options: &Options, steps: u32) -> Trainer<'
 
 #[test]
 fn training_finds_the_scene_and_its_motion() {
-    let dataset = dataset(synth::Kind::Balls, 6);
+    let dataset = dataset(synth::SynthKind::Balls, 4, 24);
     let psnr = |options: &Options| {
         let trainer = trained(&dataset, options, 600);
         evaluate(trainer.model(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db
@@ -48,7 +48,7 @@ fn training_finds_the_scene_and_its_motion() {
 
 #[test]
 fn the_same_seed_gives_the_same_scene_on_any_number_of_threads() {
-    let dataset = dataset(synth::Kind::Balls, 3);
+    let dataset = dataset(synth::SynthKind::Balls, 3, 6);
     let on = |threads: usize, seed: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| trained(&dataset, &Options { seed, ..options() }, 150).model().clone())
@@ -60,7 +60,7 @@ fn the_same_seed_gives_the_same_scene_on_any_number_of_threads() {
 
 #[test]
 fn a_training_goes_on_from_a_checkpoint_bit_for_bit() {
-    let dataset = dataset(synth::Kind::Balls, 3);
+    let dataset = dataset(synth::SynthKind::Balls, 3, 6);
     let (half, all) = (130u32, 260u32);
     let whole = trained(&dataset, &options(), all);
     let mut first = Trainer::new(&dataset, &options()).unwrap();
@@ -77,7 +77,7 @@ fn a_training_goes_on_from_a_checkpoint_bit_for_bit() {
 
 #[test]
 fn foreign_and_damaged_checkpoints_are_refused() {
-    let dataset = dataset(synth::Kind::Balls, 3);
+    let dataset = dataset(synth::SynthKind::Balls, 3, 6);
     let trainer = trained(&dataset, &options(), 3);
     let bytes = Checkpoint::of(&trainer, &dataset, 0.1).to_bytes().unwrap();
     for at in (0..bytes.len()).step_by(bytes.len() / 40) {
@@ -86,14 +86,14 @@ fn foreign_and_damaged_checkpoints_are_refused() {
         assert!(Checkpoint::from_bytes(&changed).is_err(), "byte {at}");
         assert!(Checkpoint::from_bytes(&bytes[..at]).is_err(), "cut at {at}");
     }
-    let other = self::dataset(synth::Kind::Cloth, 3);
+    let other = self::dataset(synth::SynthKind::Cloth, 3, 6);
     let refused = Checkpoint::from_bytes(&bytes).unwrap().resume(&other).unwrap_err().to_string();
     assert!(refused.contains("other names, times or sizes"), "{refused}");
 }
 
 #[test]
 fn a_training_that_diverges_falls_back_and_then_gives_up_by_name() {
-    let dataset = dataset(synth::Kind::Balls, 3);
+    let dataset = dataset(synth::SynthKind::Balls, 3, 6);
     let mut trainer = Trainer::new(&dataset, &options()).unwrap();
     let mut poisoned_until_noticed = || {
         trainer.poison();
@@ -112,7 +112,7 @@ fn a_training_that_diverges_falls_back_and_then_gives_up_by_name() {
 
 #[test]
 fn options_out_of_range_and_empty_splits_are_refused_by_name() {
-    let mut dataset = dataset(synth::Kind::Balls, 2);
+    let mut dataset = dataset(synth::SynthKind::Balls, 2, 6);
     let refused =
         |dataset: &Dataset, options: &Options| Trainer::new(dataset, options).unwrap_err().to_string();
     let text = refused(&dataset, &Options { sh_degree: 4, ..options() });
@@ -125,7 +125,7 @@ fn options_out_of_range_and_empty_splits_are_refused_by_name() {
 
 #[test]
 fn a_trained_scene_has_as_many_frames_as_asked_for() {
-    let dataset = dataset(synth::Kind::Balls, 3);
+    let dataset = dataset(synth::SynthKind::Balls, 3, 6);
     let trainer = trained(&dataset, &options(), 60);
     let scene = trainer.model().scene(7, 24.0).unwrap();
     assert_eq!((scene.frames(), scene.epochs().len()), (7, 1));

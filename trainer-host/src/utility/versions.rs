@@ -1,8 +1,8 @@
-//! Decodes the versions in which states show each cluster, and asks the renderer about all of them at once.
+//! Decodes the versions in which states show each cluster, and renders all of them in one call.
 //!
 //! What a cluster looks like depends on which of its own blocks have arrived and on nothing else, so a state
 //! names a version of every cluster; states that name versions already known cost no decode. Contexts that
-//! are asked about together share one projection, one depth order and one set of tile lists.
+//! are rendered together share one projection, one depth order and one set of tile lists.
 
 use std::{collections::BTreeMap, ops::Range};
 

@@ -32,7 +32,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         ),
     );
     let mut options =
-        DeliveryOptions { encode: encode::Options::paper(), ..study.options(Variant::Combined) };
+        DeliveryOptions { encode: encode::EncodeOptions::paper(), ..study.options(Variant::Combined) };
     options.encode.pictures = 0;
     options.validation.states = size.states;
     let results = sweep_ranks(&study.scene, &study.training, &study.test, &options, (ranks, seeds))?;

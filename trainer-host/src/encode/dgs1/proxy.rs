@@ -99,10 +99,10 @@ mod tests {
 
     use super::*;
     use crate::{
-        encode::{Decisions, Options, encode, write},
+        encode::{Decisions, EncodeOptions, encode, write},
         import::{
             Limits,
-            synth::{self, Kind},
+            synth::{self, SynthKind},
         },
         scene::{Attributes, Scene, Track},
         stream::Player,
@@ -157,9 +157,9 @@ mod tests {
     /// Changes move what stands in for a block, and must be as many as there are blocks.
     #[test]
     fn changes_show_and_misfits_are_named() {
-        let options = synth::Options { gaussians: 1000, frames: 1, kind: Kind::Balls, ..Default::default() };
+        let options = synth::SynthOptions { gaussians: 1000, frames: 1, kind: SynthKind::Balls, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
-        let options = Options { pictures: 0, ..Options::default() };
+        let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
         let mut decisions = encode(&scene, &options, &|_, _| {}).unwrap().decisions;
         let shown = |decisions: &Decisions| -> Vec<Gaussian> {
             let stream = write(&scene, decisions, &|_, _| {}).unwrap().stream;

@@ -56,7 +56,7 @@ impl Coded {
     ///
     /// # Errors
     /// What the encoder refuses.
-    pub(super) fn first(source: &Scene, options: &encode::Options) -> Result<Self, DeliveryError> {
+    pub(super) fn first(source: &Scene, options: &encode::EncodeOptions) -> Result<Self, DeliveryError> {
         let encoded = encode::encode(source, options, &|_, _| {})?;
         Self::new(source, encoded, no_change(source))
     }
@@ -297,14 +297,14 @@ mod tests {
     use super::*;
     use crate::train::delivery::view::tests::study;
 
-    fn options() -> encode::Options {
-        encode::Options { packet_bytes: 400, block_len: 16, pictures: 0, ..Default::default() }
+    fn options() -> encode::EncodeOptions {
+        encode::EncodeOptions { packet_bytes: 400, block_len: 16, pictures: 0, ..Default::default() }
     }
 
     #[test]
     fn blocks_partition_the_gaussians_and_the_complete_state_is_near_the_source() {
         let (scene, _) = study(3, 1);
-        for options in [options(), encode::Options::paper()] {
+        for options in [options(), encode::EncodeOptions::paper()] {
             let coded = Coded::first(&scene, &options).unwrap();
             let parameters = no_change(&scene);
             let moving = coded.moving(&scene, &parameters);

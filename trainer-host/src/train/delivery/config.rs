@@ -229,7 +229,7 @@ pub struct DeliveryOptions {
     pub registration: Option<PathBuf>,
     /// How the scene is encoded.
     #[serde(skip)]
-    pub encode: encode::Options,
+    pub encode: encode::EncodeOptions,
 }
 
 impl Default for DeliveryOptions {
@@ -251,7 +251,7 @@ impl Default for DeliveryOptions {
             encode_every: 4,
             validation: Validation::default(),
             registration: None,
-            encode: encode::Options::default(),
+            encode: encode::EncodeOptions::default(),
         }
     }
 }

@@ -295,11 +295,11 @@ mod tests {
     use super::*;
     use crate::import::{
         Limits,
-        synth::{self, Kind},
+        synth::{self, SynthKind},
     };
 
     fn scene() -> Scene {
-        let options = synth::Options { gaussians: 1000, frames: 3, kind: Kind::Figure, ..Default::default() };
+        let options = synth::SynthOptions { gaussians: 1000, frames: 3, kind: SynthKind::Figure, ..Default::default() };
         synth::make(&options, &Limits::default()).unwrap()
     }
 

@@ -158,7 +158,7 @@ mod tests {
     fn finer_steps_cost_more_and_the_gradient_is_a_difference() {
         let (scene, _) = study(2, 1);
         let decided = |quality: encode::Quality| {
-            let options = encode::Options { pictures: 0, quality, ..Default::default() };
+            let options = encode::EncodeOptions { pictures: 0, quality, ..Default::default() };
             encode::encode(&scene, &options, &|_, _| {}).unwrap()
         };
         let (fine, coarse) =

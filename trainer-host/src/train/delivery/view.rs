@@ -90,7 +90,7 @@ pub(super) mod tests {
     use crate::{
         import::{
             Limits,
-            synth::{self, Kind},
+            synth::{self, SynthKind},
         },
         viewpoint::{Framing, Ring},
     };
@@ -98,7 +98,7 @@ pub(super) mod tests {
     /// A small scene, and pictures of a finer one at all frames from `cameras` cameras.
     pub(in crate::train::delivery) fn study(frames: usize, cameras: usize) -> (Scene, Vec<Reference>) {
         let make = |gaussians: usize| {
-            let options = synth::Options { gaussians, frames, kind: Kind::Balls, ..Default::default() };
+            let options = synth::SynthOptions { gaussians, frames, kind: SynthKind::Balls, ..Default::default() };
             synth::make(&options, &Limits::default()).unwrap()
         };
         let (scene, finer) = (make(1000), make(1600));

@@ -62,12 +62,12 @@ mod tests {
         let found = nodes.motion_mut().gradient_mut().to_vec();
         let largest = found.iter().fold(0.0f32, |a, v| a.max(v.abs()));
         for index in (0..found.len()).step_by(5) {
-            let mut at = |change: f32| {
+            let at = |change: f32| {
                 let mut changed = nodes.clone();
                 changed.motion_mut().values_mut()[index] += change;
                 energy(&changed, &changed.poses(time))
             };
-            let expected = (at(1e-2) - at(-1e-2)) / 2e-2;
+            let expected = (8.0 * (at(1e-2) - at(-1e-2)) - (at(2e-2) - at(-2e-2))) / 0.12;
             let error = (f64::from(found[index]) - expected).abs() / f64::from(largest);
             assert!(error < 2e-3, "{index}: {} {expected}", found[index]);
         }

@@ -220,12 +220,12 @@ mod tests {
         let found: Vec<f32> =
             found.position.to_array().into_iter().chain(found.rotation).chain(found.logits).collect();
         for (index, found) in found.into_iter().enumerate() {
-            let mut at = |change: f32| {
+            let at = |change: f32| {
                 let mut changed = numbers;
                 changed[index] += change;
                 value(&nodes, time, &changed)
             };
-            let expected = (at(1e-2) - at(-1e-2)) / 2e-2;
+            let expected = (8.0 * (at(1e-2) - at(-1e-2)) - (at(2e-2) - at(-2e-2))) / 0.12;
             assert!((f64::from(found) - expected).abs() < 2e-3, "{index}: {found} {expected}");
         }
         nodes.backward(time, &poses, &sums);
@@ -236,7 +236,7 @@ mod tests {
                 changed.motion_mut().values_mut()[index] += change;
                 value(&changed, time, &numbers)
             };
-            let expected = (at(1e-2) - at(-1e-2)) / 2e-2;
+            let expected = (8.0 * (at(1e-2) - at(-1e-2)) - (at(2e-2) - at(-2e-2))) / 0.12;
             assert!(
                 (f64::from(found[index]) - expected).abs() < 2e-3,
                 "{index}: {} {expected}",

@@ -12,7 +12,7 @@ fn options(variant: Variant) -> DeliveryOptions {
         updates: 12,
         encode_every: 3,
         validation: crate::train::delivery::Validation { every: 3, states: 6, candidates: 2 },
-        encode: encode::Options { packet_bytes: 400, block_len: 16, pictures: 0, ..Default::default() },
+        encode: encode::EncodeOptions { packet_bytes: 400, block_len: 16, pictures: 0, ..Default::default() },
         ..DeliveryOptions::of(variant)
     }
 }
