@@ -95,6 +95,18 @@ pub struct View {
 }
 
 /// A perspective pinhole camera. See the module documentation for its axes.
+///
+/// ```
+/// use render_host::Camera;
+///
+/// let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.8, 640, 480)?;
+/// // Four units in front of the camera.
+/// assert_eq!(camera.to_camera([0.0; 3]), [0.0, 0.0, 4.0]);
+/// // The same view on a quarter of the pixels, and its upper left corner.
+/// let corner = camera.scaled(0.5)?.cropped(0, 0, 64, 64)?;
+/// assert_eq!((corner.width(), corner.height()), (64, 64));
+/// # Ok::<(), render_host::CameraError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "Plain", into = "Plain")]
 pub struct Camera {

@@ -54,6 +54,7 @@
 //!
 //! Deliberately absent: which groups depend on which.
 
+mod answers;
 mod backward;
 mod batch;
 mod bright;
@@ -71,8 +72,8 @@ pub mod levels;
 mod operator;
 mod patches;
 mod plan;
-mod scaffold;
 mod segments;
+mod shared;
 mod splat_runs;
 mod squares;
 mod states;

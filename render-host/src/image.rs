@@ -14,6 +14,16 @@ use crate::{
 const MAX_DECODED_BYTES: u64 = 512 << 20;
 
 /// An image; row 0 is at the top.
+///
+/// ```
+/// use render_host::Image;
+///
+/// let image = Image::filled(4, 2, [0.5, 0.25, 1.0])?;
+/// assert_eq!(image.pixel(3, 1), Some([0.5, 0.25, 1.0]));
+/// let again = Image::decode(&image.to_png()?, [0.0; 3])?;
+/// assert_eq!(again.to_rgb8(), image.to_rgb8());
+/// # Ok::<(), render_host::ImageError>(())
+/// ```
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Image {
     width: u32,

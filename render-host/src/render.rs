@@ -37,13 +37,24 @@ pub struct Rendered {
 ///
 /// Same splats, camera and settings give the same bits, whatever was rendered before, with any number of
 /// threads, with `parallel` on or off, on any machine.
+///
+/// ```
+/// use render_host::{Camera, Gaussian, Renderer, Settings, Splats};
+///
+/// let ball = [Gaussian { scale: [0.3; 3], opacity: 0.9, ..Gaussian::ABSENT }];
+/// let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.8, 64, 48)?;
+/// let rendered = Renderer::new().render(&Splats::plain(&ball), &camera, &Settings::default())?;
+/// assert_eq!(rendered.counters.drawn, 1);
+/// assert!(rendered.transmittance[24 * 64 + 32] < 0.2, "the ball hides the background");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug, Default)]
 pub struct Renderer {
     pub(crate) projected: project::Projected,
     pub(crate) order: sort::Order,
     pub(crate) bands: Vec<Range<usize>>,
     pub(crate) bins: bin::Bins,
-    tiles: blend::Tiles,
+    pub(crate) tiles: blend::Tiles,
 }
 
 impl Renderer {

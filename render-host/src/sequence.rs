@@ -9,13 +9,16 @@
 //!
 //! Another camera, other settings, another number of Gaussians or another degree start from nothing.
 
+mod changes;
 mod inputs;
 mod lists;
 
-use std::ops::Range;
-
 use serde::{Deserialize, Serialize};
 
+use self::{
+    inputs::{Inputs, View},
+    lists::Lists,
+};
 use crate::{
     Renderer, Splats,
     camera::Camera,
@@ -29,8 +32,7 @@ use crate::{
         span::Spans,
     },
 };
-use inputs::{Inputs, View};
-use lists::Lists;
+pub use changes::Changes;
 
 /// Tiles blended at a time, so that room stays bounded.
 const BATCH: usize = 1 << 14;
@@ -38,18 +40,6 @@ const BATCH: usize = 1 << 14;
 const MOST_ENTRIES: u64 = 1 << 26;
 /// Splats are looked up one by one while at most one drawn splat in this many changed; else one looks at all.
 const FEW: usize = 16;
-
-/// Which Gaussians may differ from the frame before.
-#[derive(Clone, Copy, Debug, Default)]
-pub enum Changes<'a> {
-    /// Nobody knows: all are compared with those of the frame before.
-    #[default]
-    Unknown,
-    /// Those in these ranges of indices, which may overlap and end past the last one; all others are what
-    /// they were in the last call that succeeded. That is the caller's promise: a change outside is not
-    /// seen.
-    Within(&'a [Range<usize>]),
-}
 
 /// What may be kept between frames. Every choice gives the same picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -74,7 +64,7 @@ pub struct Reused {
     /// Gaussians projected.
     pub projected: u64,
     /// Gaussians not projected, because they are what they were.
-    pub projections_kept: u64,
+    pub projections_reused: u64,
     /// Splats that changed on the image plane: came, went, moved, or took another colour.
     pub changed: u64,
     /// Entries of the depth order that were sorted.
@@ -84,13 +74,13 @@ pub struct Reused {
     /// Tile lists mended: left or entered by a splat, without binning everything.
     pub lists_mended: u64,
     /// Tile lists kept.
-    pub lists_kept: u64,
+    pub lists_reused: u64,
     /// Tiles blended.
     pub tiles_blended: u64,
     /// Tiles that hold no splat and took the background.
     pub tiles_emptied: u64,
     /// Tiles whose pixels were kept.
-    pub tiles_kept: u64,
+    pub tiles_reused: u64,
 }
 
 /// A renderer that keeps what the frame before made. See the module documentation.
@@ -197,7 +187,7 @@ impl Sequence {
         let projected = &mut self.renderer.projected;
         let mut counters = self.inputs.update(splats, changes, camera, settings, fresh, keep, projected);
         self.reused.projected = self.inputs.projected();
-        self.reused.projections_kept = splats.len() as u64 - self.reused.projected;
+        self.reused.projections_reused = splats.len() as u64 - self.reused.projected;
         self.reused.changed = if fresh { counters.drawn } else { self.inputs.changed() as u64 };
         self.ordered &= self.inputs.moved() == 0;
 
@@ -239,7 +229,7 @@ impl Sequence {
         }
         if let Some(lists) = self.lists.as_mut().filter(|_| self.reuse.order) {
             if self.inputs.changed() == 0 {
-                self.reused.lists_kept = all;
+                self.reused.lists_reused = all;
                 return;
             }
             let few = lists.drawn / FEW;
@@ -255,7 +245,7 @@ impl Sequence {
                 );
                 if !lists.are_long() {
                     self.reused.lists_mended = mended;
-                    self.reused.lists_kept = all - mended;
+                    self.reused.lists_reused = all - mended;
                     return;
                 }
             }
@@ -304,7 +294,7 @@ impl Sequence {
         };
         let columns = size[0].div_ceil(TILE);
         let splats = &renderer.projected.splats;
-        reused.tiles_kept = work.len() as u64 - dirty.len() as u64;
+        reused.tiles_reused = work.len() as u64 - dirty.len() as u64;
         for batch in dirty.chunks(BATCH) {
             let empty = |tile: u32| settings.skip_empty_tiles && lists.list(tile as usize).is_empty();
             room.resize(room.len().max(batch.len()), Tile::EMPTY);
@@ -312,7 +302,7 @@ impl Sequence {
                 let tile = batch[i] as usize;
                 if !empty(batch[i]) {
                     let corner = [tile % columns * TILE, tile / columns * TILE];
-                    blend::blend_tile(splats, lists.list(tile), corner, size, settings, room);
+                    blend::blend_tile(splats, lists.list(tile), corner, size, settings, false, room);
                 }
             });
             for (&tile, room) in batch.iter().zip(room.iter()) {

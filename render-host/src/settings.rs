@@ -12,6 +12,16 @@ use serde::{Deserialize, Serialize};
 use crate::stage::TileSide;
 
 /// How to render. Plain data; checked by [`Settings::validate`] when rendering starts.
+///
+/// ```
+/// use render_host::Settings;
+///
+/// let settings = Settings { antialiased: true, ..Settings::over([1.0; 3]) };
+/// settings.validate()?;
+/// let wrong = Settings { alpha_max: 2.0, ..settings };
+/// assert_eq!(wrong.validate().unwrap_err().field, "alpha_max");
+/// # Ok::<(), render_host::SettingsError>(())
+/// ```
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Settings {
@@ -50,7 +60,7 @@ pub struct Settings {
     /// Skip: bound a splat by its own opacity, not as if it were opaque.
     pub opacity_bounds: bool,
     /// Skip: list a splat only in tiles that its cut-off ellipse touches, not in all of its box, where that
-    /// is more than [`SMALL_BOX`](crate::stage::SMALL_BOX) tiles.
+    /// is more than 6 tiles.
     pub exact_tiles: bool,
     /// Skip: leave a splat out of the lists of tiles none of whose pixel centres it reaches, by looking at
     /// pixel rows where `exact_tiles` (which this refines) looks at the strip they lie in.

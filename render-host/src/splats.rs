@@ -6,6 +6,18 @@ use codec_core::{Gaussian, ShDegree};
 ///
 /// Values are not checked: a NaN or a zero quaternion is skipped and counted while rendering, because a
 /// state decoded from what happened to arrive must always give a picture.
+///
+/// ```
+/// use render_host::{Gaussian, ShDegree, Splats};
+///
+/// let gaussians = [Gaussian { scale: [0.1; 3], opacity: 0.9, ..Gaussian::ABSENT }];
+/// assert_eq!(Splats::plain(&gaussians).len(), 1);
+/// // With harmonics of degree 1: nine numbers per Gaussian.
+/// let degree = ShDegree::new(1).ok_or("degrees are 0 to 3")?;
+/// assert!(Splats::new(&gaussians, &[0.0; 9], degree).is_ok());
+/// assert!(Splats::new(&gaussians, &[], degree).is_err());
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Clone, Copy, Debug)]
 pub struct Splats<'a> {
     gaussians: &'a [Gaussian],
@@ -80,7 +92,7 @@ impl<'a> Splats<'a> {
         Self { gaussians: &gaussians[..n], sh_rest: &[], sh_degree: ShDegree::ZERO, bands: &[] }
     }
 
-    /// The same Gaussians, with the degree that each one holds, as [`Splats::held_bands`] finds it: bands
+    /// The same Gaussians, with the degree that each one holds, as [`Splats::used_bands`] finds it: bands
     /// above it are not weighed (`Settings::sh_by_need`). A degree below what a Gaussian holds changes its
     /// colour; one above costs time and nothing else.
     ///
@@ -96,8 +108,8 @@ impl<'a> Splats<'a> {
 
     /// Per Gaussian the highest degree (0..=3) in which a coefficient is not zero; a NaN is not zero.
     /// Higher bands do not move with frames, so once per scene is enough.
-    pub fn held_bands(&self) -> Vec<u8> {
-        (0..self.len()).map(|index| held_degree(self.rest(index))).collect()
+    pub fn used_bands(&self) -> Vec<u8> {
+        (0..self.len()).map(|index| highest_degree(self.rest(index))).collect()
     }
 
     /// The degree of Gaussian `index` as far as it is known, 0..=3.
@@ -133,7 +145,7 @@ impl<'a> Splats<'a> {
 }
 
 /// The highest degree in which one of the coefficients `rest` of a Gaussian is not zero.
-pub(crate) fn held_degree(rest: &[f32]) -> u8 {
+pub(crate) fn highest_degree(rest: &[f32]) -> u8 {
     let used = rest.iter().rposition(|&v| v != 0.0).map_or(0, |last| last + 1);
     match used {
         0 => 0,
@@ -148,15 +160,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_band_is_held_by_its_last_coefficient() {
+    fn a_band_is_used_by_its_last_coefficient() {
         let mut rest = [0.0f32; 45];
         for (at, degree) in [(0, 1), (8, 1), (9, 2), (23, 2), (24, 3), (44, 3)] {
             rest.fill(0.0);
-            assert_eq!(held_degree(&rest), 0);
+            assert_eq!(highest_degree(&rest), 0);
             rest[at] = f32::NAN;
-            assert_eq!(held_degree(&rest), degree);
+            assert_eq!(highest_degree(&rest), degree);
         }
-        assert_eq!(held_degree(&[]), 0);
+        assert_eq!(highest_degree(&[]), 0);
         let gaussians = [Gaussian::ABSENT; 2];
         let error = Splats::plain(&gaussians).with_bands(&[0]).unwrap_err().to_string();
         assert!(error.contains("found 1") && error.contains("need 2"), "{error}");

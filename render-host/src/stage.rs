@@ -14,6 +14,7 @@ mod fade;
 mod half;
 mod power;
 pub mod project;
+pub(crate) mod reach;
 mod side;
 pub mod sort;
 pub(crate) mod span;
@@ -26,7 +27,7 @@ pub const TILE: usize = 16;
 
 /// log₂ of alpha by which skips reach past the cut-off, so that rounding in the blend (about 2e-6) can
 /// never make a skip visible.
-pub const REACH_MARGIN: f32 = 1e-4;
+pub(crate) const REACH_MARGIN: f32 = 1e-4;
 
 /// A projected splat: one cache line, all that bin and blend read.
 ///
@@ -70,7 +71,7 @@ impl Splat {
 
 /// Tiles in the box of a splat up to which it is listed in all of them. Measured: the exact bounds of so
 /// small a box cost more than the entries that they leave out.
-pub const SMALL_BOX: usize = 6;
+pub(crate) const SMALL_BOX: usize = 6;
 
 #[cfg(test)]
 mod tests {

@@ -59,7 +59,7 @@ fn check_behind(walls: &[Gaussian]) {
 
 /// Enough for lists to be made piece by piece; only some of the tiles are ever finished.
 #[test]
-fn a_crowd_over_a_part_of_the_film() {
+fn many_splats_over_a_part_of_the_image() {
     let mut gaussians = walls(70_000).gaussians;
     for (i, g) in gaussians.iter_mut().enumerate() {
         // Balls at one side of the image, a few anywhere.
@@ -108,7 +108,7 @@ fn worlds_see_behind_walls_that_they_lack() {
 }
 
 #[test]
-fn squares_of_bright_scenes_are_held_by_every_mode() {
+fn every_mode_can_square_bright_scenes() {
     let mut scene = Scene::random(300, 0, 0.05, 0.3, 22);
     scene.gaussians[..40].iter_mut().for_each(|g| g.sh0 = g.sh0.map(|c| 1e30 * c));
     let view = camera(40, 30);

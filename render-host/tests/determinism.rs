@@ -59,8 +59,8 @@ fn untidy(n: usize, degree: u8, smallest: f32, largest: f32, seed: u64) -> Scene
         if i % 3 == 0 {
             g.opacity *= 0.02;
         }
-        let held = [0, 9, 24, 45][i % 4];
-        scene.rest[i * each..(i + 1) * each].iter_mut().skip(held).for_each(|v| *v = 0.0);
+        let used = [0, 9, 24, 45][i % 4];
+        scene.rest[i * each..(i + 1) * each].iter_mut().skip(used).for_each(|v| *v = 0.0);
     }
     scene
 }
@@ -76,7 +76,7 @@ proptest! {
     ) {
         let scene = untidy(n, degree, 0.001, largest, seed);
         let camera = camera(97, 66);
-        let bands = scene.splats().held_bands();
+        let bands = scene.splats().used_bands();
         let splats = scene.splats().with_bands(&bands).unwrap();
         let all = Settings { alpha_cutoff: cutoff, antialiased, early_stop, background, ..Settings::default() };
         let a = render(&splats, &camera, &all).unwrap();
@@ -113,7 +113,7 @@ fn every_skip_is_counted() {
     // A tail of splats far apart, so that some tiles stay empty.
     scene.gaussians.iter_mut().for_each(|g| g.position[2] = g.position[2].abs());
     let camera = camera(400, 300);
-    let bands = scene.splats().held_bands();
+    let bands = scene.splats().used_bands();
     let splats = scene.splats().with_bands(&bands).unwrap();
     let on = Settings::default();
     let counts = |settings: &Settings| render(&splats, &camera, settings).unwrap().counters;
@@ -205,7 +205,7 @@ fn a_used_renderer_gives_what_a_fresh_one_gives() {
 
 /// Where lists are long, they end at another splat with every side of tiles.
 #[test]
-fn tile_sides_do_not_show_in_a_crowd() {
+fn tile_sides_do_not_show_where_many_splats_overlap() {
     let mut scene = Scene::random(9000, 0, 0.3, 3.0, 5);
     for (i, g) in scene.gaussians.iter_mut().enumerate() {
         g.opacity = 0.01 + 0.2 * f32::from(u8::from(i % 90 == 0));

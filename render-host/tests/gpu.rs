@@ -48,18 +48,19 @@ fn finite(r: &Rendered) -> bool {
 }
 
 /// Compares a picture with the f64 reference: no pixel away from a threshold may be off by 1e-4.
-fn judge(got: &Rendered, splats: &Splats, camera: &Camera, settings: &Settings) -> reference::Difference {
-    judge_with(got, splats, camera, settings, 0)
+fn compare(got: &Rendered, splats: &Splats, camera: &Camera, settings: &Settings) -> reference::Difference {
+    compare_with(got, splats, camera, settings, 0)
 }
 
-/// As [`judge`], for long needles. Their alphas are good to 1e-4 only (the factor is f32), so that a few more
-/// decisions are close to the cut-off than the reference marks: one pixel in a thousand may be off by one.
-fn judge_needles(got: &Rendered, splats: &Splats, camera: &Camera, settings: &Settings) {
+/// As [`compare`], for long needles. Their alphas are good to 1e-4 only (the factor is f32), so that a few
+/// more decisions are close to the cut-off than the reference marks: one pixel in a thousand may be off by
+/// one.
+fn compare_needles(got: &Rendered, splats: &Splats, camera: &Camera, settings: &Settings) {
     let excused = if settings.alpha_cutoff > 0.0 { 1 + got.transmittance.len() / 1000 } else { 0 };
-    judge_with(got, splats, camera, settings, excused);
+    compare_with(got, splats, camera, settings, excused);
 }
 
-fn judge_with(
+fn compare_with(
     got: &Rendered,
     splats: &Splats,
     camera: &Camera,
@@ -87,11 +88,11 @@ fn judge_with(
 fn one_wrong_pixel_is_seen() {
     let (scene, camera, settings) = (Scene::random(40, 0, 0.02, 0.3, 5), camera(40, 30), Settings::default());
     let mut got = render(&scene.splats(), &camera, &settings).unwrap();
-    judge(&got, &scene.splats(), &camera, &settings);
+    compare(&got, &scene.splats(), &camera, &settings);
     let close = reference::render(&scene.splats(), &camera, &settings).unwrap().close;
     let clear = close.iter().position(|&c| c == 0).unwrap();
     got.image.rgb_mut()[3 * clear] += 2e-4;
-    judge(&got, &scene.splats(), &camera, &settings);
+    compare(&got, &scene.splats(), &camera, &settings);
 }
 
 fn settings() -> impl Strategy<Value = Settings> {
@@ -126,7 +127,7 @@ proptest! {
         let scene = Scene::random(n, degree, 0.003, largest, seed);
         let camera = camera(width, height);
         let got = renderer.render_splats(&scene.splats(), &camera, &settings).unwrap();
-        judge(&got, &scene.splats(), &camera, &settings);
+        compare(&got, &scene.splats(), &camera, &settings);
     }
 
     /// Needles 10⁵ times as long as wide, at every angle.
@@ -138,7 +139,7 @@ proptest! {
         let camera = camera(100, 100);
         for settings in [Settings::default(), Settings::exact()] {
             let got = renderer.render_splats(&scene.splats(), &camera, &settings).unwrap();
-            judge_needles(&got, &scene.splats(), &camera, &settings);
+            compare_needles(&got, &scene.splats(), &camera, &settings);
         }
     }
 
@@ -161,9 +162,9 @@ proptest! {
         prop_assert_eq!(batch.len(), worlds);
         // The first, the last, and some between.
         for world in [0, worlds / 3, worlds / 2, worlds - 1] {
-            let held: Vec<usize> = (0..400).filter(|&i| states.has(world, of[i] as usize)).collect();
-            let gaussians: Vec<Gaussian> = held.iter().map(|&i| scene.gaussians[i]).collect();
-            let rest: Vec<f32> = held.iter().flat_map(|&i| scene.splats().rest(i).to_vec()).collect();
+            let present: Vec<usize> = (0..400).filter(|&i| states.has(world, of[i] as usize)).collect();
+            let gaussians: Vec<Gaussian> = present.iter().map(|&i| scene.gaussians[i]).collect();
+            let rest: Vec<f32> = present.iter().flat_map(|&i| scene.splats().rest(i).to_vec()).collect();
             let splats = Splats::new(&gaussians, &rest, scene.degree).unwrap();
             let alone = renderer.render_splats(&splats, &camera, &settings).unwrap();
             prop_assert_eq!(bits(&batch[world]), bits(&alone), "world {}", world);
@@ -185,8 +186,9 @@ fn all_128_worlds_equal_serial_renders() {
     let presence = Presence::new(&device, &states).unwrap();
     let batch = renderer.render_worlds(&all, &presence, &camera, &settings).unwrap();
     for (world, got) in batch.iter().enumerate() {
-        let held = scene.gaussians.iter().zip(&of).filter(|(_, group)| states.has(world, **group as usize));
-        let gaussians: Vec<Gaussian> = held.map(|(g, _)| *g).collect();
+        let present =
+            scene.gaussians.iter().zip(&of).filter(|(_, group)| states.has(world, **group as usize));
+        let gaussians: Vec<Gaussian> = present.map(|(g, _)| *g).collect();
         let alone = renderer.render_splats(&Splats::plain(&gaussians), &camera, &settings).unwrap();
         assert_eq!(bits(got), bits(&alone), "world {world}");
     }
@@ -201,7 +203,7 @@ fn a_dense_scene_meets_the_promise_and_repeats_itself() {
     let device = renderer.device().clone();
     let on_device = OnDevice::new(&device, &scene.splats()).unwrap();
     let first = renderer.render(&on_device, &camera, &settings).unwrap();
-    let d = judge(&first, &scene.splats(), &camera, &settings);
+    let d = compare(&first, &scene.splats(), &camera, &settings);
     assert!(d.max_clear <= 1e-5, "{d:?}");
     // Another picture in between leaves no trace.
     renderer.render_splats(&Splats::plain(&[]), &camera, &settings).unwrap();
@@ -229,7 +231,7 @@ fn trusted_shaders_give_the_bits_of_checked_ones() {
 }
 
 #[test]
-fn the_judge_sees_one_splat_too_few() {
+fn one_splat_too_few_is_seen() {
     let Some(mut renderer) = renderer() else { return };
     let mut scene = Scene::random(500, 0, 0.02, 0.1, 3);
     let (camera, settings) = (camera(80, 60), Settings::default());
@@ -254,7 +256,7 @@ fn odd_sizes_and_empty_scenes() {
         assert_eq!(empty.counters.pixels, u64::from(w) * u64::from(h));
         let got = renderer.render_splats(&scene.splats(), &camera, &settings).unwrap();
         assert!(finite(&got));
-        judge(&got, &scene.splats(), &camera, &settings);
+        compare(&got, &scene.splats(), &camera, &settings);
     }
     let hidden = [Gaussian::ABSENT; 3];
     let got = renderer.render_splats(&Splats::plain(&hidden), &camera(20, 20), &settings).unwrap();
@@ -283,7 +285,7 @@ fn lists_that_do_not_fit_are_made_room_for() {
     assert!(!renderer.make_room().unwrap());
     let got = renderer.read().unwrap();
     assert_eq!(got.counters.intersections, u64::from(needed));
-    judge(&got, &scene.splats(), &camera, &settings);
+    compare(&got, &scene.splats(), &camera, &settings);
     // One call that recovers by itself.
     let once =
         Renderer::new(&Executor::new(&device)).unwrap().render(&on_device, &camera, &settings).unwrap();

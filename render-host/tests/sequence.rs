@@ -18,7 +18,7 @@ fn bits(r: &Rendered) -> Vec<u32> {
 }
 
 fn fresh(scene: &Scene, camera: &Camera, settings: &Settings) -> Rendered {
-    let bands = scene.splats().held_bands();
+    let bands = scene.splats().used_bands();
     render(&scene.splats().with_bands(&bands).unwrap(), camera, settings).unwrap()
 }
 
@@ -98,10 +98,10 @@ impl World {
             }),
             Edit::Recolour => gaussians.iter_mut().for_each(|g| g.sh0[1] = r.between(-1.0, 1.0)),
             Edit::Bands => {
-                let held = if r.unit() < 0.5 { 0 } else { each };
+                let used = if r.unit() < 0.5 { 0 } else { each };
                 for rest in scene.rest[some.start * each..some.end * each].chunks_mut(each.max(1)) {
-                    rest[..held].fill_with(|| r.between(-0.3, 0.3));
-                    rest[held..].fill(0.0);
+                    rest[..used].fill_with(|| r.between(-0.3, 0.3));
+                    rest[used..].fill(0.0);
                 }
             }
             Edit::Broken => gaussians.iter_mut().for_each(|g| {
@@ -155,7 +155,7 @@ proptest! {
     ) {
         let settings = Settings { parallel, ..Settings::over([0.1, 0.5, 0.2]) };
         let mut world = World::new(n, degree, seed, settings);
-        let (mut blind, mut told) = (sequences(), sequences());
+        let (mut blind, mut informed) = (sequences(), sequences());
         let mut bounded = Sequence::default().keeping_at_most(n as u64);
         for edits in [Vec::new()].into_iter().chain(edits) {
             world.changed.clear();
@@ -163,21 +163,22 @@ proptest! {
             let expected = fresh(&world.scene, &world.camera, &world.settings);
             let (splats, view) = (world.scene.splats(), &world.camera);
             let within = Changes::Within(&world.changed);
-            let cases = blind.iter_mut().map(|s| (s, Changes::Unknown)).chain(told.iter_mut().map(|s| (s, within)));
+            let informed = informed.iter_mut().map(|s| (s, within));
+            let cases = blind.iter_mut().map(|s| (s, Changes::Unknown)).chain(informed);
             for (i, (sequence, changes)) in cases.chain([(&mut bounded, Changes::Unknown)]).enumerate() {
                 let got = sequence.render(&splats, changes, view, &world.settings).unwrap();
                 prop_assert_eq!(bits(got), bits(&expected), "sequence {} after {:?}", i, edits);
                 prop_assert_eq!(got, &expected, "sequence {} after {:?}", i, edits);
                 let r = sequence.reused();
-                prop_assert_eq!(r.projected + r.projections_kept, splats.len() as u64);
-                prop_assert_eq!(r.tiles_blended + r.tiles_emptied + r.tiles_kept, expected.counters.tiles);
+                prop_assert_eq!(r.projected + r.projections_reused, splats.len() as u64);
+                prop_assert_eq!(r.tiles_blended + r.tiles_emptied + r.tiles_reused, expected.counters.tiles);
             }
         }
     }
 }
 
 #[test]
-fn what_stays_is_kept() {
+fn what_stays_is_reused() {
     let mut world = World::new(3000, 1, 3, Settings::default());
     let mut sequence = Sequence::default();
     let mut show = |world: &World| {
@@ -187,24 +188,24 @@ fn what_stays_is_kept() {
         sequence.reused()
     };
     let first = show(&world);
-    assert_eq!((first.projected, first.tiles_kept, first.lists_made), (3000, 0, 48));
+    assert_eq!((first.projected, first.tiles_reused, first.lists_made), (3000, 0, 48));
     let idle = show(&world);
-    assert_eq!((idle.projected, idle.changed, idle.sorted, idle.tiles_kept), (0, 0, 0, 48));
+    assert_eq!((idle.projected, idle.changed, idle.sorted, idle.tiles_reused), (0, 0, 0, 48));
     // One splat takes another colour: its tiles, no lists.
     let small = (0..3000).find(|&i| world.scene.gaussians[i].position.iter().all(|p| p.abs() < 0.2)).unwrap();
     world.scene.gaussians[small].sh0 = [1.0, -1.0, 1.0];
     let recoloured = show(&world);
     assert_eq!((recoloured.projected, recoloured.changed), (1, 1));
-    assert_eq!((recoloured.lists_kept, recoloured.sorted), (48, 0));
-    assert!(recoloured.tiles_blended > 0 && recoloured.tiles_kept > 24, "{recoloured:?}");
+    assert_eq!((recoloured.lists_reused, recoloured.sorted), (48, 0));
+    assert!(recoloured.tiles_blended > 0 && recoloured.tiles_reused > 24, "{recoloured:?}");
     // It moves: the lists of its tiles are mended, nothing is sorted.
     world.scene.gaussians[small].position[0] += 0.2;
     let moved = show(&world);
-    assert!(moved.lists_mended > 0 && moved.lists_mended + moved.lists_kept == 48 && moved.sorted == 0);
+    assert!(moved.lists_mended > 0 && moved.lists_mended + moved.lists_reused == 48 && moved.sorted == 0);
     // Gone, and back.
-    let kept = std::mem::replace(&mut world.scene.gaussians[small], Gaussian::ABSENT);
+    let before = std::mem::replace(&mut world.scene.gaussians[small], Gaussian::ABSENT);
     assert_eq!(show(&world).changed, 1);
-    world.scene.gaussians[small] = kept;
+    world.scene.gaussians[small] = before;
     assert_eq!(show(&world).changed, 1);
     // Everything moves: everything is made, but nothing is lost.
     world.scene.gaussians.iter_mut().for_each(|g| g.position[1] += 0.01);

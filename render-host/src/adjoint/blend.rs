@@ -9,9 +9,9 @@ use std::{ops::Range, sync::Mutex};
 use pulp::Simd;
 
 use super::{
-    DensityStatistics,
+    gradients::DensityStatistics,
     term::{Term, dropped, flipped, keep},
-    trace::{Rows, SEGMENT, Trace},
+    trace::{Rows, Trace},
 };
 use crate::{
     parallel,
@@ -19,7 +19,8 @@ use crate::{
     stage::{
         Splat, TILE,
         bin::Bins,
-        blend::{LANE, Lanes, Rules, offset},
+        blend::{self, SEGMENT, Tile, Transmittances},
+        reach::{LANE, Lanes, Rules, offset},
     },
 };
 
@@ -71,18 +72,29 @@ struct Scratch {
     gradient: [Rows; 3],
 }
 
-/// Differentiates the tiles of a band. `image` is dL/dImage of the whole picture; where it is not finite it
-/// counts as 0. A tile where it is 0 is not walked, unless `statistics` are asked for.
+/// A picture as it was blended, and the gradient of a loss with respect to it.
+#[derive(Clone, Copy)]
+pub(super) struct Picture<'a> {
+    /// Width and height, pixels.
+    pub(super) size: [usize; 2],
+    /// dLoss/dImage, r g b per pixel; where it is not finite it counts as 0.
+    pub(super) gradient: &'a [f32],
+    /// The tiles of the band, with marks.
+    pub(super) cells: &'a blend::Tiles,
+}
+
+/// Differentiates the tiles of a band. A tile without a pixel that has a gradient is not walked, unless
+/// `statistics` are asked for.
 pub(super) fn blend(
     splats: &[Splat],
     bins: &Bins,
     band: &Range<usize>,
-    size: [usize; 2],
+    picture: Picture<'_>,
     settings: &Settings,
-    image: &[f32],
     statistics: bool,
     out: &mut Tiles,
 ) {
+    let Picture { size, gradient: image, cells } = picture;
     let columns = size[0].div_ceil(TILE);
     let Tiles { tiles, pool } = out;
     let pool = &*pool;
@@ -93,10 +105,12 @@ pub(super) fn blend(
         let corner = [column * TILE, (band.start + row) * TILE];
         let list = bins.rows()[row].tile(column);
         let mut scratch = pool.lock().ok().and_then(|mut pool| pool.pop()).unwrap_or_default();
+        let cell = &cells.tiles[index];
         let scratch_memory = &mut *scratch;
-        let tile = Backward {
+        arch.dispatch(Backward {
             splats,
             list,
+            cell,
             corner,
             size,
             settings,
@@ -104,8 +118,7 @@ pub(super) fn blend(
             statistics,
             found,
             scratch: scratch_memory,
-        };
-        arch.dispatch(tile);
+        });
         if let Ok(mut pool) = pool.lock() {
             pool.push(scratch);
         }
@@ -161,6 +174,8 @@ pub(super) fn gather(
 struct Backward<'a> {
     splats: &'a [Splat],
     list: &'a [u32],
+    /// The tile as it was blended; anything if the list is empty.
+    cell: &'a Tile,
     corner: [usize; 2],
     size: [usize; 2],
     settings: &'a Settings,
@@ -175,7 +190,7 @@ impl pulp::WithSimd for Backward<'_> {
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
-        let Self { splats, list, corner, size, settings, image, statistics, found, scratch } = self;
+        let Self { splats, list, cell, corner, size, settings, image, statistics, found, scratch } = self;
         found.partials.clear();
         found.statistics.clear();
         (found.background, found.non_finite) = ([0.0; 3], 0);
@@ -189,14 +204,11 @@ impl pulp::WithSimd for Backward<'_> {
         }
         found.non_finite = scratch.open(image, corner, size);
 
-        let walked = scratch.trace.forward(splats, list, corner, &rules);
-        found.background = scratch.turn(settings.background);
-        for k in (0..walked).rev() {
+        let now = if list.is_empty() { [[1.0; TILE]; TILE] } else { cell.transmittances() };
+        found.background = scratch.turn(settings.background, &now);
+        for (k, (segment, before)) in list.chunks(SEGMENT).zip(&cell.marks).enumerate().rev() {
             let start = k * SEGMENT;
-            let segment = &list[start..list.len().min(start + SEGMENT)];
-            if k + 1 < walked {
-                scratch.trace.again(k, splats, segment, corner, &rules, |_| true);
-            }
+            scratch.trace.walk(splats, segment, corner, &rules, before);
             let partials = &mut found.partials[start..start + segment.len()];
             for (i, partial) in partials.iter_mut().enumerate().rev() {
                 let visits = scratch.trace.visits(i);
@@ -223,10 +235,9 @@ impl Scratch {
         let mut non_finite = 0;
         for (y, row) in rows(image, corner, size).enumerate() {
             for (x, pixel) in row.chunks_exact(3).enumerate() {
-                for c in 0..3 {
-                    let value = pixel[c];
+                for (rows, &value) in self.gradient.iter_mut().zip(pixel) {
                     non_finite += u64::from(!value.is_finite());
-                    self.gradient[c].0[y][x] = if value.is_finite() { value } else { 0.0 };
+                    rows.0[y][x] = if value.is_finite() { value } else { 0.0 };
                 }
             }
         }
@@ -235,11 +246,11 @@ impl Scratch {
 
     /// From front-to-back to back-to-front: behind everything is the background. Returns its gradient.
     #[inline(always)]
-    fn turn(&mut self, background: [f32; 3]) -> [f32; 3] {
+    fn turn(&mut self, background: [f32; 3], now: &Transmittances) -> [f32; 3] {
         let mut sums = [[0.0f32; TILE]; 3];
         self.behind.0 = [[0.0; TILE]; TILE];
         for ((rows, colour), sum) in self.gradient.iter().zip(background).zip(&mut sums) {
-            let rows = rows.0.iter().zip(&self.trace.now.0).zip(&mut self.behind.0);
+            let rows = rows.0.iter().zip(now).zip(&mut self.behind.0);
             for ((gradient, now), behind) in rows {
                 for i in 0..TILE {
                     behind[i] += gradient[i] * colour;
@@ -417,105 +428,4 @@ pub(crate) fn ellipse(sums: [f64; PARTS], splat: &Splat, corner: [usize; 2]) -> 
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use pulp::WithSimd;
-
-    fn splats(n: usize) -> Vec<Splat> {
-        (0..n)
-            .map(|i| {
-                let t = i as f64;
-                Splat {
-                    mean: [8.0 + 9.0 * (1.7 * t).sin(), 8.0 + 9.0 * (2.3 * t).cos()],
-                    root: [0.1 + 0.002 * (t % 200.0), 0.3 * (0.9 * t).sin(), 0.7 - 0.003 * (t % 200.0)],
-                    colour: [0.3, 0.001 * (i % 200) as f32, 1.5],
-                    log2_alpha: -0.02 * (i % 200) as f32 - 3.0,
-                    pixels: [0, 16, 0, 16],
-                }
-            })
-            .collect()
-    }
-
-    fn work<'a>(
-        splats: &'a [Splat],
-        list: &'a [u32],
-        settings: &'a Settings,
-        image: &'a [f32],
-        found: &'a mut TileGradients,
-        scratch: &'a mut Scratch,
-    ) -> Backward<'a> {
-        let (corner, size) = ([0, 0], [16, 16]);
-        Backward { splats, list, corner, size, settings, image, statistics: false, found, scratch }
-    }
-
-    #[test]
-    fn totals_are_the_sums_of_each_row() {
-        let rows: [Lanes; SUMS] = std::array::from_fn(|k| LANE.map(|i| (0.1 + i).powi(k as i32 - 3)));
-        let bits = |v: [f32; SUMS]| v.map(f32::to_bits);
-        assert_eq!(bits(totals(&rows)), bits(rows.map(|row| total(&row))));
-    }
-
-    #[test]
-    fn every_vector_width_gives_the_same_bits() {
-        let splats = splats(300);
-        let list: Vec<u32> = (0..300).collect();
-        let image: Vec<f32> = (0..768).map(|i| (i as f32 * 0.7).sin()).collect();
-        let settings = Settings::default();
-        let (mut a, mut b) = (TileGradients::default(), TileGradients::default());
-        work(&splats, &list, &settings, &image, &mut a, &mut Scratch::default())
-            .with_simd(pulp::Scalar::new());
-        let mut scratch = Scratch::default();
-        pulp::Arch::new().dispatch(work(&splats, &list, &settings, &image, &mut b, &mut scratch));
-        let bits =
-            |f: &TileGradients| f.partials.as_flattened().iter().map(|v| v.to_bits()).collect::<Vec<_>>();
-        assert!(a.partials[0] != [0.0; PARTS]);
-        assert_eq!(bits(&a), bits(&b));
-        assert_eq!(a.background, b.background);
-    }
-
-    /// A list of several segments gives each splat what the definition gives: f64, every prefix anew.
-    #[test]
-    fn long_lists_are_walked_in_segments() {
-        let n = 3 * SEGMENT + 77;
-        let mut splats = splats(n);
-        splats.iter_mut().for_each(|s| s.log2_alpha -= 4.0);
-        let list: Vec<u32> = (0..n as u32).collect();
-        let image: Vec<f32> = (0..768).map(|i| (i as f32 * 0.7).sin()).collect();
-        let settings = Settings { background: [0.3, 0.6, 0.9], ..Settings::exact() };
-        let (mut found, mut scratch) = (TileGradients::default(), Scratch::default());
-        pulp::Arch::new().dispatch(work(&splats, &list, &settings, &image, &mut found, &mut scratch));
-
-        let mut exact = vec![[0.0f64; 4]; n];
-        for p in 0..256 {
-            let g: [f64; 3] = std::array::from_fn(|c| f64::from(image[3 * p + c]));
-            let alphas: Vec<f64> = splats
-                .iter()
-                .map(|s| {
-                    let (dx, dy) = ((p % 16) as f64 + 0.5 - s.mean[0], (p / 16) as f64 + 0.5 - s.mean[1]);
-                    let (u, v) = (s.root[0] * dx + s.root[1] * dy, s.root[2] * dy);
-                    (f64::from(s.log2_alpha) - u * u - v * v).exp2()
-                })
-                .collect();
-            let mut front = vec![1.0; n];
-            for k in 1..n {
-                front[k] = front[k - 1] * (1.0 - alphas[k - 1]);
-            }
-            let mut behind = settings.background.map(f64::from);
-            for k in (0..n).rev() {
-                let colour = splats[k].colour.map(f64::from);
-                for c in 0..3 {
-                    exact[k][0] +=
-                        std::f64::consts::LN_2 * alphas[k] * front[k] * g[c] * (colour[c] - behind[c]);
-                    exact[k][1 + c] += alphas[k] * front[k] * g[c];
-                    behind[c] = alphas[k] * colour[c] + (1.0 - alphas[k]) * behind[c];
-                }
-            }
-        }
-        let largest = exact.as_flattened().iter().fold(0.0f64, |a, v| a.max(v.abs()));
-        for (exact, partial) in exact.iter().zip(&found.partials) {
-            for (e, p) in exact.iter().zip(&partial[5..]) {
-                assert!((e - f64::from(*p)).abs() < 1e-4 * largest, "{e} {p}, largest {largest}");
-            }
-        }
-    }
-}
+mod tests;

@@ -124,7 +124,7 @@ pub fn compare(
     };
     let g = &got.splats;
     class("position", of_gaussians(3, &|i, k| g[i].position[k], |g, k, h| shift(&mut g.position[k], h))?);
-    class("log-scale", of_gaussians(3, &|i, k| g[i].log_scale[k], |g, k, h| stretch(&mut g.scale[k], h))?);
+    class("log-scale", of_gaussians(3, &|i, k| g[i].log_scale[k], |g, k, h| scale_by(&mut g.scale[k], h))?);
     class("rotation", of_gaussians(4, &|i, k| g[i].rotation[k], |g, k, h| shift(&mut g.rotation[k], h))?);
     class("opacity logit", of_gaussians(1, &|i, _| g[i].opacity_logit, |g, _, h| odds(&mut g.opacity, h))?);
     class("sh0", of_gaussians(3, &|i, k| g[i].sh0[k], |g, k, h| shift(&mut g.sh0[k], h))?);
@@ -250,7 +250,7 @@ fn shift(value: &mut f32, h: f64) -> f64 {
     f64::from(*value) - was
 }
 
-fn stretch(value: &mut f32, h: f64) -> f64 {
+fn scale_by(value: &mut f32, h: f64) -> f64 {
     let was = f64::from(*value);
     *value = (was * h.exp()) as f32;
     (f64::from(*value) / was).ln()

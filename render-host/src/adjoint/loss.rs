@@ -2,30 +2,19 @@
 //!
 //! Each has a twin in f64, written by the definition, for differences of the f64 reference.
 
+mod definition;
 mod mse;
 pub mod photograph;
 pub(crate) mod ssim;
 
+use self::ssim::sweep::Parts;
 use crate::{
     image::{Image, ImageError},
     metric::distortion::STRUCTURE_WEIGHT,
 };
+pub use definition::Loss;
 pub use mse::Mse;
 pub use ssim::Dissimilarity;
-use ssim::Parts;
-
-/// A number about a picture, smaller for a better one.
-pub trait Loss: Sync {
-    /// The value; its gradient with respect to every value of `image` goes to `gradient` (r g b per
-    /// pixel, row by row, as long as the image).
-    ///
-    /// # Errors
-    /// The loss is made for another size of picture.
-    fn differentiate(&self, image: &Image, parallel: bool, gradient: &mut [f32]) -> Result<f64, ImageError>;
-
-    /// The value alone, of a picture in f64 with as many values as the loss is made for.
-    fn exact(&self, rgb: &[f64]) -> f64;
-}
 
 /// The distortion of the paper, `MSE + 0.20 (1 - SSIM)`, as [`crate::metric::distortion()`] measures it.
 #[derive(Debug)]

@@ -6,8 +6,8 @@
 use rayon::prelude::*;
 
 use super::{
-    Gradients, Pose, SplatGradient,
     blend::Ellipse,
+    gradients::{Gradients, Pose, SplatGradient},
     harmonics,
     term::{Term, dropped, keep},
 };
@@ -172,7 +172,7 @@ impl Projector<'_> {
         // axes column k = W · local column k · scale k, so d ln scale = d axes · axes.
         let column = |m: &[[f64; 3]; 3], k: usize| [m[0][k], m[1][k], m[2][k]];
         let log_scale: [f64; 3] =
-            std::array::from_fn(|k| keep(Term::Stretch, dot(column(&d_axes, k), column(&axes, k))));
+            std::array::from_fn(|k| keep(Term::AxisLength, dot(column(&d_axes, k), column(&axes, k))));
         let columns: [[f64; 3]; 3] =
             std::array::from_fn(|k| turned_back(column(&d_axes, k)).map(|d| d * f64::from(g.scale[k])));
         let rotation = quaternion(g.rotation.map(f64::from), columns).map(|v| keep(Term::Turn, v));

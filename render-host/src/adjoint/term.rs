@@ -53,7 +53,7 @@ pub(super) enum Term {
     /// The determinant, by the area of its axes.
     Area,
     /// Lengths of the axes.
-    Stretch,
+    AxisLength,
     /// Directions of the axes.
     Turn,
     /// Logit of opacity.
@@ -107,7 +107,7 @@ impl Term {
         Self::Place,
         Self::Variance,
         Self::Area,
-        Self::Stretch,
+        Self::AxisLength,
         Self::Turn,
         Self::Logit,
         Self::Band0,

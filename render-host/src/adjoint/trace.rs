@@ -1,17 +1,15 @@
-//! Walks a tile's list again front to back and writes down what each splat met.
+//! Walks a segment of a tile's list again front to back and writes down what each splat met.
 //!
-//! The list is walked in segments of bounded length. Transmittances at the start of each are kept, so a
-//! list of a million needs the memory of one segment.
+//! The forward pass keeps the transmittances before each segment, so that a list of any length needs the
+//! memory of one segment.
 
 use std::ops::Range;
 
 use crate::stage::{
     Splat, TILE,
-    blend::{LANE, LOOK_EVERY, Lanes, Local, Rules, fetch, is_open},
+    blend::{LOOK_EVERY, SEGMENT, Transmittances, fetch, is_open},
+    reach::{LANE, Lanes, Local, Rules, for_each_row},
 };
-
-/// Splats between two kept transmittances. A multiple of [`LOOK_EVERY`].
-pub(crate) const SEGMENT: usize = 512;
 
 /// What a splat did to a row of pixels.
 #[derive(Clone, Debug)]
@@ -39,7 +37,7 @@ pub(crate) struct Rows(pub(crate) [Lanes; TILE]);
 #[derive(Debug, Default)]
 pub(crate) struct Trace {
     /// Transmittance now.
-    pub(crate) now: Rows,
+    now: Rows,
     /// Splats of the segment.
     pub(crate) near: Vec<Splat>,
     /// Rows visited in the segment, splat by splat.
@@ -48,96 +46,36 @@ pub(crate) struct Trace {
     pub(crate) records: Vec<Record>,
     /// Number of visits before each splat of the segment.
     starts: Vec<usize>,
-    /// Transmittance at the start of each segment.
-    marks: Vec<Rows>,
 }
 
 impl Trace {
-    /// Walks a whole list as the forward pass does. Returns the number of segments until every pixel was
-    /// finished; what is written down is the last of them.
-    #[inline(always)]
-    pub(crate) fn forward(
-        &mut self,
-        splats: &[Splat],
-        list: &[u32],
-        corner: [usize; 2],
-        rules: &Rules,
-    ) -> usize {
-        self.start();
-        let mut walked = 0;
-        for segment in list.chunks(SEGMENT) {
-            if walked > 0 && rules.stop > 0.0 && open_rows(&self.now, rules.stop) == 0 {
-                break;
-            }
-            self.next(splats, segment, corner, rules, |_| true);
-            walked += 1;
-        }
-        walked
-    }
-
-    /// Starts a list.
-    #[inline(always)]
-    pub(crate) fn start(&mut self) {
-        self.now.0 = [[1.0; TILE]; TILE];
-        self.marks.clear();
-    }
-
-    /// Walks the next segment. Only splats at places of it for which `present` says so hide what is
-    /// behind them.
-    #[inline(always)]
-    pub(crate) fn next(
-        &mut self,
-        splats: &[Splat],
-        segment: &[u32],
-        corner: [usize; 2],
-        rules: &Rules,
-        present: impl Fn(usize) -> bool,
-    ) {
-        self.marks.push(self.now.clone());
-        let open = open_rows(&self.now, rules.stop);
-        self.walk(splats, segment, corner, rules, open, present);
-    }
-
-    /// Walks segment `k` of the list again.
-    #[inline(always)]
-    pub(crate) fn again(
-        &mut self,
-        k: usize,
-        splats: &[Splat],
-        segment: &[u32],
-        corner: [usize; 2],
-        rules: &Rules,
-        present: impl Fn(usize) -> bool,
-    ) {
-        self.now.clone_from(&self.marks[k]);
-        self.walk(splats, segment, corner, rules, u16::MAX, present);
-    }
-
     /// Places in `visits` and `records` of splat `i` of the segment.
     #[inline(always)]
     pub(crate) fn visits(&self, i: usize) -> Range<usize> {
         self.starts[i]..self.starts[i + 1]
     }
 
-    /// Blends a segment as the forward pass does, writing down each visit.
+    /// Blends a segment, of at most [`SEGMENT`] splats, as the forward pass did, from the transmittances
+    /// `before` it; writes down each visit.
     #[inline(always)]
-    fn walk(
+    pub(crate) fn walk(
         &mut self,
         splats: &[Splat],
-        list: &[u32],
+        segment: &[u32],
         corner: [usize; 2],
         rules: &Rules,
-        mut open: u16,
-        present: impl Fn(usize) -> bool,
+        before: &Transmittances,
     ) {
+        self.now.0 = *before;
         self.visits.clear();
         self.starts.clear();
         let room = Record { alpha: [0.0; TILE], transmittance: [0.0; TILE] };
         self.near.resize(SEGMENT, Splat::NONE);
-        fetch(splats, list, &mut self.near);
-        for (k, splat) in self.near[..list.len()].iter().enumerate() {
+        fetch(splats, segment, &mut self.near);
+        let mut open = u32::MAX;
+        for (k, splat) in self.near[..segment.len()].iter().enumerate() {
             self.starts.push(self.visits.len());
-            if k % LOOK_EVERY == 0 && k > 0 && rules.stop > 0.0 {
+            if k % LOOK_EVERY == 0 && rules.stop > 0.0 {
                 open = open_rows(&self.now, rules.stop);
             }
             if open == 0 {
@@ -148,39 +86,36 @@ impl Trace {
             if self.records.len() < most {
                 self.records.resize(2 * most, room.clone());
             }
-            let hides = if present(k) { 1.0 } else { 0.0 };
-            for y in local.first..local.past {
-                if let Some((u, v)) = local.row(y)
-                    && open >> y & 1 == 1
-                {
-                    let record = &mut self.records[self.visits.len()];
-                    let exponent = splat.log2_alpha - v * v;
-                    take_row(&mut self.now.0[y], record, u, local.root[0], exponent, hides, rules);
-                    self.visits.push(Visit { u, v, y: y as u32 });
-                }
-            }
+            let Self { now, visits, records, .. } = self;
+            let reached = local.rows();
+            for_each_row(reached.rows & open, |y| {
+                let (u, v) = (reached.u[y], reached.v[y]);
+                let record = &mut records[visits.len()];
+                record_row(&mut now.0[y], record, u, local.root[0], splat.log2_alpha - v * v, rules);
+                visits.push(Visit { u, v, y: y as u32 });
+            });
         }
         self.starts.push(self.visits.len());
     }
 }
 
 #[inline(always)]
-fn take_row(t: &mut Lanes, record: &mut Record, u: f32, xx: f32, exponent: f32, hides: f32, rules: &Rules) {
+fn record_row(t: &mut Lanes, record: &mut Record, u: f32, xx: f32, exponent: f32, rules: &Rules) {
     for i in 0..TILE {
         let q = u + xx * LANE[i];
         let alpha = rules.alpha(exponent - q * q, t[i]);
         record.alpha[i] = alpha;
         record.transmittance[i] = t[i];
-        t[i] -= hides * (alpha * t[i]);
+        t[i] -= alpha * t[i];
     }
 }
 
 /// Bit `y` is set while a pixel of row `y` is not finished.
 #[inline(always)]
-fn open_rows(now: &Rows, stop: f32) -> u16 {
+fn open_rows(now: &Rows, stop: f32) -> u32 {
     let mut open = 0;
     for (y, row) in now.0.iter().enumerate() {
-        open |= u16::from(is_open(row, stop)) << y;
+        open |= u32::from(is_open(row, stop)) << y;
     }
     open
 }

@@ -19,11 +19,11 @@ use super::{
     culling::{ACROSS, BLOCKS, SIDE, TileCulling},
     fast::Worlds,
     lanes::{Kinds, Lanes, Wanted, difference},
-    operator::{FLUSH_EVERY, Operator, Part, flush, lanes, lanes_mut, parts},
-    plan::{LanePlan, Pass, group_set, wanted, within},
+    operator::{FLUSH_EVERY, Operator, OperatorPart, flush, lanes, lanes_mut, parts},
+    plan::{LanePlan, Pass, group_set},
     segments::RunSegments,
     splat_runs::SplatRuns,
-    squares::inside,
+    squares::{inside, wanted, within},
     states::CHUNK,
 };
 use crate::{
@@ -246,11 +246,11 @@ impl Back {
         for (kind, (&lane, &weight)) in kinds.first.iter().zip(weights.iter()).enumerate() {
             segments.path(lane as usize, path);
             for part in 0..parts::<S>() {
-                let mut now = Part::identity(simd);
+                let mut now = OperatorPart::identity(simd);
                 for (path, before) in path.chunks(FLUSH_EVERY).zip(before.chunks_mut(FLUSH_EVERY)) {
                     for (&step, before) in path.iter().zip(before) {
                         *lanes_mut::<S>(&mut before.0, part) = now.t;
-                        now = now.then(simd, Part::load(&runs.operators[step as usize], part));
+                        now = now.then(simd, OperatorPart::load(&runs.operators[step as usize], part));
                     }
                     now = now.flushed(simd);
                 }
@@ -294,7 +294,7 @@ impl Back {
                     before.resize(picked.len(), Row::default());
                 }
                 for part in 0..parts::<S>() {
-                    let given = Part::<S>::load(&operators[operator], part);
+                    let given = OperatorPart::<S>::load(&operators[operator], part);
                     let mut t = simd.splat_f32s(1.0);
                     for (&run, before) in picked.iter().zip(before.iter_mut()) {
                         *lanes_mut::<S>(&mut before.0, part) = t;

@@ -1,16 +1,18 @@
 //! Draws pictures of many worlds in one call, each bit for bit that of the world rendered alone.
 
-use std::ops::Range;
+use std::{cell::Cell, ops::Range};
+
+use codec_core::Gaussian;
 
 use super::{
     CounterfactualError, States, Variants,
-    scaffold::SharedLists,
+    shared::SharedLists,
     states::CHUNK,
     strict,
     tuner::{self, OutOfMemory, Tuned},
 };
 use crate::{
-    Camera, Counters, Rendered, Renderer, Settings,
+    Camera, Counters, Rendered, Renderer, Settings, Splats,
     image::Image,
     stage::{TILE, bin, project, sort},
 };
@@ -108,9 +110,9 @@ impl WorldBatch {
     }
 }
 
-/// Worlds up to which each has lists of its own: shared lists of all variants made two of them slower than
-/// two serial renders (`dgs bench worlds` prints the ratio).
-const FEW: usize = 2;
+/// Worlds up to which each has tile lists of its own: lists of all variants, shared by so few worlds, cost
+/// more than they saved (`dgs bench worlds` prints the ratio).
+const FEW: usize = 4;
 
 /// Renders all worlds of `states` with one projection, one depth order and, unless they are few, one set of
 /// tile lists; picture `w` is bit for bit that of world `w` rendered alone.
@@ -124,38 +126,91 @@ pub fn render_worlds(
     settings: &Settings,
 ) -> Result<Vec<Image>, CounterfactualError> {
     let (found, needed) = (states.groups(), variants.count());
-    if found == needed && states.len() <= FEW {
-        return one_by_one(variants, states, camera, settings);
+    if found != needed || states.len() > FEW {
+        return WorldBatch::new(variants, camera, settings)?.images(states);
     }
-    WorldBatch::new(variants, camera, settings)?.images(states)
+    settings.validate_for_one_tile_side()?;
+    let mut memory = FEW_WORLDS.take().unwrap_or_default();
+    let pictures = if states.len() == 1 {
+        memory.alone(variants, states, camera, settings).map(|picture| vec![picture])
+    } else {
+        memory.one_by_one(variants, states, camera, settings)
+    };
+    FEW_WORLDS.set(Some(memory));
+    pictures
 }
 
-/// Pictures of worlds that share a projection and a depth order only.
-fn one_by_one(
-    variants: &Variants,
-    states: &States,
-    camera: &Camera,
-    settings: &Settings,
-) -> Result<Vec<Image>, CounterfactualError> {
-    settings.validate_for_one_tile_side()?;
-    let size = [camera.width() as usize, camera.height() as usize];
-    let (mut renderer, mut all) = (Renderer::new(), sort::Order::default());
-    project::project(&variants.splats(), camera, settings, &mut renderer.projected);
-    sort::sort(&renderer.projected.keys, settings.parallel, &mut all);
-    let mut pictures = Vec::with_capacity(states.len());
-    for world in 0..states.len() {
-        let present: Vec<bool> = (0..states.groups()).map(|group| states.has(world, group)).collect();
-        let groups = variants.groups();
-        renderer.order.take(&all, |splat| present[groups[splat as usize] as usize]);
-        let Renderer { projected, order, bands, .. } = &mut renderer;
-        bin::bands(projected, order, size, settings, bands);
-        let mut drawn = Rendered::default();
-        drawn.image.reset(camera.width(), camera.height())?;
-        drawn.transmittance.resize(size[0] * size[1], 1.0);
-        renderer.compose(size, settings, &mut drawn, &mut Counters::default());
-        pictures.push(drawn.image);
+thread_local! {
+    /// What the last call on this thread allocated, so that calls for a few worlds do not pay for new memory
+    /// each time. A call takes it away while it works, since its thread may be given another meanwhile.
+    static FEW_WORLDS: Cell<Option<Box<FewWorlds>>> = const { Cell::new(None) };
+}
+
+/// What rendering a few worlds takes.
+#[derive(Default)]
+struct FewWorlds {
+    renderer: Renderer,
+    rendered: Rendered,
+    /// Depth order of all variants.
+    order: sort::Order,
+    gaussians: Vec<Gaussian>,
+    sh_rest: Vec<f32>,
+}
+
+impl FewWorlds {
+    /// Picture of the first world: what it does not hold is not even projected.
+    fn alone(
+        &mut self,
+        variants: &Variants,
+        states: &States,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<Image, CounterfactualError> {
+        let Self { renderer, rendered, gaussians, sh_rest, .. } = self;
+        let (all, groups, present) = (variants.splats(), variants.groups(), present(states, 0));
+        gaussians.clear();
+        sh_rest.clear();
+        for (index, (gaussian, &group)) in all.gaussians().iter().zip(groups).enumerate() {
+            if present[group as usize] {
+                gaussians.push(*gaussian);
+                sh_rest.extend_from_slice(all.rest(index));
+            }
+        }
+        let splats = Splats::new(gaussians, sh_rest, all.sh_degree())?;
+        renderer.render_into(&splats, camera, settings, rendered)?;
+        Ok(std::mem::take(&mut rendered.image))
     }
-    Ok(pictures)
+
+    /// Pictures of worlds that share a projection and a depth order only.
+    fn one_by_one(
+        &mut self,
+        variants: &Variants,
+        states: &States,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<Vec<Image>, CounterfactualError> {
+        let Self { renderer, rendered, order: all, .. } = self;
+        let size = [camera.width() as usize, camera.height() as usize];
+        project::project(&variants.splats(), camera, settings, &mut renderer.projected);
+        sort::sort(&renderer.projected.keys, settings.parallel, all);
+        let mut pictures = Vec::with_capacity(states.len());
+        for world in 0..states.len() {
+            let (present, groups) = (present(states, world), variants.groups());
+            renderer.order.take(all, |splat| present[groups[splat as usize] as usize]);
+            let Renderer { projected, order, bands, .. } = &mut *renderer;
+            bin::bands(projected, order, size, settings, bands);
+            rendered.image.reset(camera.width(), camera.height())?;
+            rendered.transmittance.resize(size[0] * size[1], 1.0);
+            renderer.compose(size, settings, rendered, &mut Counters::default());
+            pictures.push(std::mem::take(&mut rendered.image));
+        }
+        Ok(pictures)
+    }
+}
+
+/// Whether `world` holds each group.
+fn present(states: &States, world: usize) -> Vec<bool> {
+    (0..states.groups()).map(|group| states.has(world, group)).collect()
 }
 
 /// Whether the system gives so many bytes.

@@ -17,9 +17,9 @@ use crate::{
 /// The Gaussians of one world and their harmonics, without those whose group is absent.
 pub fn world(variants: &Variants, states: &States, world: usize) -> (Vec<Gaussian>, Vec<f32>) {
     let (splats, groups) = (variants.splats(), variants.groups());
-    let kept = (0..splats.len()).filter(|&i| states.has(world, groups[i] as usize));
+    let present = (0..splats.len()).filter(|&i| states.has(world, groups[i] as usize));
     let mut out = (Vec::new(), Vec::new());
-    for i in kept {
+    for i in present {
         out.0.push(splats.gaussians()[i]);
         out.1.extend_from_slice(splats.rest(i));
     }
@@ -55,9 +55,9 @@ pub fn sse(
     if found != needed {
         return Err(CounterfactualError::States { found, needed });
     }
-    let mut film = Image::default();
-    film.reset(camera.width(), camera.height())?;
-    crate::image::same_size(&film, reference)?;
+    let mut blank = Image::default();
+    blank.reset(camera.width(), camera.height())?;
+    crate::image::same_size(&blank, reference)?;
     let planes = cut(reference, settings.parallel);
     if !settings.parallel || states.len() < rayon::current_num_threads() {
         let mut renderer = Renderer::new();
@@ -144,8 +144,8 @@ pub fn gradients(
         out.losses.push(alone.loss);
         out.loss += weight * alone.loss;
         out.non_finite += alone.non_finite;
-        let held = (0..splats.len()).filter(|&i| states.has(index, variants.groups()[i] as usize));
-        for (k, i) in held.enumerate() {
+        let present = (0..splats.len()).filter(|&i| states.has(index, variants.groups()[i] as usize));
+        for (k, i) in present.enumerate() {
             let parts = numbers(&alone.splats[k]);
             sums[i].iter_mut().zip(parts).for_each(|(sum, v)| *sum += weight * f64::from(v));
             let rest = &alone.sh_rest[k * each..(k + 1) * each];

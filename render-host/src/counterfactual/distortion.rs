@@ -28,7 +28,7 @@ use crate::{
 };
 
 /// Contexts times blocks whose patches are kept at once: bounds memory, and shares alphas among contexts.
-const KEPT: usize = 16 * 1600;
+const BLOCKS_AT_ONCE: usize = 16 * 1600;
 /// Rows of windows that are compared together.
 const BAND: usize = 16;
 
@@ -38,7 +38,7 @@ pub(super) fn distortions(engine: &Engine, versions: &Versions, contexts: &[Vec<
     let blocks = engine.shared.tiles() * BLOCKS;
     let mut base = Vec::with_capacity(contexts.len());
     let mut changed = Vec::new();
-    for some in contexts.chunks((KEPT / blocks.max(1)).max(1)) {
+    for some in contexts.chunks((BLOCKS_AT_ONCE / blocks.max(1)).max(1)) {
         let first = base.len();
         let tiles = patches::draw(engine, versions, some);
         let pictures: Vec<Base> = (0..some.len()).map(|i| Base::new(engine, &target, &tiles, i)).collect();

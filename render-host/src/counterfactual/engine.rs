@@ -1,20 +1,41 @@
-//! Answers questions about many states of one scene, seen by one camera, against one reference image.
+//! An engine holds what all states of one scene share, seen by one camera, beside one reference image.
 
 use super::{
-    CounterfactualError, Distortions, States, Utilities, Variants, Versions, WorldGradients, backward,
-    bright::ScaledDown,
-    distortion, fast,
-    scaffold::SharedLists,
+    error::CounterfactualError,
+    shared::SharedLists,
     squares::{Planes, cut},
-    states::CHUNK,
-    strict, utilities,
+    states::{CHUNK, States},
+    variants::Variants,
 };
 use crate::{
     Camera, Settings,
     image::{Image, same_size},
+    stage::Splat,
 };
 
 /// What all worlds share. Every answer is the same for any number of threads.
+///
+/// ```
+/// use render_host::{Camera, Gaussian, Settings, Splats, render};
+/// use render_host::counterfactual::{Engine, States, Variants};
+///
+/// let ball = |x: f32| {
+///     Gaussian { position: [x, 0.0, 0.0], scale: [0.3; 3], opacity: 0.9, ..Gaussian::ABSENT }
+/// };
+/// let gaussians = [ball(-0.5), ball(0.5)];
+/// let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, -1.0, 0.0], 0.8, 64, 48)?;
+/// let settings = Settings::default();
+/// let whole = render(&Splats::plain(&gaussians), &camera, &settings)?.image;
+///
+/// // Each ball is a group; what is the error without the second one?
+/// let variants = Variants::new(Splats::plain(&gaussians), &[0, 1], 2)?;
+/// let engine = Engine::new(&variants, &camera, &whole, &settings)?;
+/// let mut states = States::full(2);
+/// states.push(|group| group == 0);
+/// let errors = engine.strict(&states)?;
+/// assert!(errors[0] == 0.0 && errors[1] > 1.0);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 #[derive(Debug)]
 pub struct Engine {
     pub(super) shared: SharedLists,
@@ -42,103 +63,14 @@ impl Engine {
         settings: &Settings,
     ) -> Result<Self, CounterfactualError> {
         settings.validate_for_one_tile_side()?;
-        let mut film = Image::default();
-        film.reset(camera.width(), camera.height())?;
-        same_size(&film, reference)?;
+        let mut blank = Image::default();
+        blank.reset(camera.width(), camera.height())?;
+        same_size(&blank, reference)?;
         let shared = SharedLists::new(variants, camera, settings);
         let (reference, against) = (cut(reference, settings.parallel), reference.clone());
         let (settings, camera, groups) = (settings.clone(), camera.clone(), variants.count());
         let scaled_down = ScaledDown::new(&shared, &reference, &settings, &camera, groups);
         Ok(Self { shared, reference, against, settings, camera, groups, scaled_down })
-    }
-
-    /// Squared error of each world, bit for bit that of the world rendered alone.
-    ///
-    /// # Errors
-    /// States of another number of groups.
-    pub fn strict(&self, states: &States) -> Result<Vec<f64>, CounterfactualError> {
-        self.check(states)?;
-        Ok(strict::errors(self, states))
-    }
-
-    /// Distortion, MSE + 0.20 (1 − SSIM), of each context and of each context with any one cluster at each of
-    /// its versions: a context names the version of every cluster, and the groups of the engine's variants
-    /// are those of `versions`. Pictures are bit for bit those of the states rendered alone, the distortion
-    /// is within 1e-12 of theirs. Source: the paper's section 5.
-    ///
-    /// # Errors
-    /// Versions of another number of groups, or a context that does not name a version of every cluster.
-    pub fn distortions(
-        &self,
-        versions: &Versions,
-        contexts: &[Vec<u32>],
-    ) -> Result<Distortions, CounterfactualError> {
-        let (found, needed) = (versions.groups(), self.groups);
-        if found != needed {
-            return Err(CounterfactualError::States { found, needed });
-        }
-        versions.check(contexts)?;
-        Ok(distortion::distortions(self, versions, contexts))
-    }
-
-    /// Picture of `world`, bit for bit that of the world rendered alone.
-    ///
-    /// # Errors
-    /// States of another number of groups, or no such world.
-    pub fn image(&self, states: &States, world: usize) -> Result<Image, CounterfactualError> {
-        self.check_world(states, world)?;
-        Ok(self.images(&states.one(world))?.pop().unwrap_or_default())
-    }
-
-    /// Pictures of all worlds, each bit for bit that of the world rendered alone.
-    ///
-    /// # Errors
-    /// States of another number of groups.
-    pub fn images(&self, states: &States) -> Result<Vec<Image>, CounterfactualError> {
-        self.check(states)?;
-        Ok(strict::images(&self.shared, &self.camera, &self.settings, states)?.images)
-    }
-
-    /// Squared error of each world without early stop: relative error below 2e-6 against f64 arithmetic.
-    ///
-    /// # Errors
-    /// States of another number of groups.
-    pub fn fast(&self, states: &States) -> Result<Vec<f64>, CounterfactualError> {
-        self.check(states)?;
-        Ok(self.ask(|engine| fast::errors(engine, states)))
-    }
-
-    /// Δ_g(m) of every group g in every context m: leave-one-out of those present and add-one-in of those
-    /// absent, in one pass. Arithmetic as in [`Engine::fast`].
-    ///
-    /// # Errors
-    /// States of another number of groups.
-    pub fn utilities(&self, contexts: &States) -> Result<Utilities, CounterfactualError> {
-        self.check(contexts)?;
-        Ok(self.ask(|engine| utilities::utilities(engine, contexts)))
-    }
-
-    /// Mean squared error of every world, and the gradient of their sum weighted by `weights`, one finite
-    /// number per world, with respect to everything `variants` and the camera hold. `variants` are those the
-    /// engine was made of. No early stop; gradients as [`crate::render_and_gradients`] has them with early
-    /// stop off, within 1e-5 relative to their length ([`super::brute::gradients`] is the twin).
-    ///
-    /// # Errors
-    /// States of another number of groups, variants that are not the engine's, or weights that are not one
-    /// finite number per world.
-    pub fn gradients(
-        &self,
-        variants: &Variants,
-        states: &States,
-        weights: &[f64],
-    ) -> Result<WorldGradients, CounterfactualError> {
-        self.check(states)?;
-        let (found, needed) = (variants.splats().len(), self.shared.projected.splats.len());
-        if found != needed {
-            return Err(CounterfactualError::Variants { found, needed });
-        }
-        check_weights(states, weights)?;
-        Ok(backward::gradients(self, variants, states, weights))
     }
 
     /// Bytes that [`Engine::fast`] or [`Engine::strict`] of `worlds` worlds needs, this engine included.
@@ -156,12 +88,12 @@ impl Engine {
         self.groups
     }
 
-    fn check(&self, states: &States) -> Result<(), CounterfactualError> {
+    pub(super) fn check(&self, states: &States) -> Result<(), CounterfactualError> {
         let (found, needed) = (states.groups(), self.groups);
         if found == needed { Ok(()) } else { Err(CounterfactualError::States { found, needed }) }
     }
 
-    fn check_world(&self, states: &States, world: usize) -> Result<(), CounterfactualError> {
+    pub(super) fn check_world(&self, states: &States, world: usize) -> Result<(), CounterfactualError> {
         self.check(states)?;
         let count = states.len();
         if world < count { Ok(()) } else { Err(CounterfactualError::World { world, count }) }
@@ -169,7 +101,7 @@ impl Engine {
 
     /// Changes every ellipse, as if the projection had given another.
     #[cfg(test)]
-    pub(crate) fn map_splats(&mut self, change: impl Fn(&crate::stage::Splat) -> crate::stage::Splat) {
+    pub(crate) fn map_splats(&mut self, change: impl Fn(&Splat) -> Splat) {
         self.shared.projected.splats.iter_mut().for_each(|splat| *splat = change(splat));
     }
 }
@@ -179,4 +111,59 @@ pub(super) fn check_weights(states: &States, weights: &[f64]) -> Result<(), Coun
     let needed = states.len();
     let good = weights.len() == needed && weights.iter().all(|w| w.is_finite());
     if good { Ok(()) } else { Err(CounterfactualError::Weights { needed }) }
+}
+
+/// Brightest colour that is squared in f32 as it is: of its square, f32 holds a tile's sum many times over.
+const BRIGHTEST: f32 = (1u64 << 40) as f32;
+
+/// The engine of the same scene, scaled down in brightness.
+#[derive(Debug)]
+pub(super) struct ScaledDown {
+    pub(super) engine: Engine,
+    /// Squares of the scene over squares of the darker one.
+    pub(super) gain: f64,
+}
+
+impl ScaledDown {
+    /// The darker scene, if this one is too bright.
+    fn new(
+        shared: &SharedLists,
+        reference: &[Planes],
+        settings: &Settings,
+        camera: &Camera,
+        groups: usize,
+    ) -> Option<Box<Self>> {
+        let mut brightest = 0.0f32;
+        for Splat { colour: [r, g, b], .. } in &shared.projected.splats {
+            brightest = brightest.max(r.max(*g).max(*b));
+        }
+        if brightest <= BRIGHTEST {
+            return None;
+        }
+        let factor = f32::powi(0.5, (brightest / BRIGHTEST).log2().ceil() as i32);
+        let mut shared = shared.clone();
+        shared.projected.splats.iter_mut().for_each(|splat| splat.colour = splat.colour.map(|c| c * factor));
+        let mut reference = reference.to_vec();
+        let values = reference.as_flattened_mut().as_flattened_mut().as_flattened_mut();
+        values.iter_mut().for_each(|v| *v *= factor);
+        let settings = Settings { background: settings.background.map(|c| c * factor), ..settings.clone() };
+        let gain = f64::from(factor).powi(-2);
+        Some(Box::new(Self {
+            engine: Engine {
+                shared,
+                reference,
+                against: Image::default(),
+                settings,
+                camera: camera.clone(),
+                groups,
+                scaled_down: None,
+            },
+            gain,
+        }))
+    }
+
+    /// Bytes held.
+    fn bytes(&self) -> u64 {
+        self.engine.shared.bytes() + size_of_val(self.engine.reference.as_slice()) as u64
+    }
 }

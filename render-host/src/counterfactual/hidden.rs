@@ -9,7 +9,7 @@ use crate::{
     settings::Settings,
     stage::{
         Splat, TILE,
-        blend::{LANE, Lanes, Local, Rules},
+        reach::{LANE, Lanes, Local, Rules, for_each_row},
     },
 };
 
@@ -52,8 +52,9 @@ impl HiddenInGroup {
         }
         let (left, local) = (&mut self.left[local as usize], Local::new(splat, corner, &rules));
         let mut shows = false;
-        for y in local.first..local.past {
-            let Some((u, v)) = local.row(y) else { continue };
+        let reached = local.rows();
+        for_each_row(reached.rows, |y| {
+            let (u, v) = (reached.u[y], reached.v[y]);
             let exponent = splat.log2_alpha - v * v;
             for (left, lane) in left[y].iter_mut().zip(LANE) {
                 let q = u + local.root[0] * lane;
@@ -61,7 +62,7 @@ impl HiddenInGroup {
                 shows |= alpha > 0.0 && *left >= least;
                 *left -= alpha * *left;
             }
-        }
+        });
         shows
     }
 }

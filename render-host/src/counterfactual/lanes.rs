@@ -4,16 +4,17 @@
 //! walk over the block's segments, each the operator of what the lane holds of it; the sixteen pixels of the
 //! block go side by side. There is no division and no early stop.
 
+mod composite;
+
 use pulp::Simd;
 
-use super::{
-    operator::{FLUSH_EVERY, Operator, Part, lanes, lanes_mut, parts},
-    segments::{NONE, RunSegments},
-    splat_runs::SplatRuns,
-};
+use super::operator::{FLUSH_EVERY, Operator, OperatorPart, lanes, lanes_mut, parts};
 use crate::stage::{TILE, blend};
 
-/// What the pixels of a block are judged by.
+/// A place of a hash table that holds nothing.
+const VACANT: u32 = u32::MAX;
+
+/// What the pixels of a block are compared with.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub(super) struct Wanted {
@@ -100,7 +101,7 @@ impl Lanes {
         let (bits, words) = (&bits[..*words * *count], *words);
         let size = (2 * *count).next_power_of_two();
         table.clear();
-        table.resize(size, NONE);
+        table.resize(size, VACANT);
         for (lane, own) in (0u32..).zip(bits.chunks_exact(words)) {
             let mut hash = 0u64;
             for (bits, set) in own.iter().zip(set) {
@@ -116,49 +117,15 @@ impl Lanes {
             };
             let mut at = hash as usize % size;
             // Half of the table is empty, so every search ends.
-            while table[at] != NONE && !alike(first[table[at] as usize]) {
+            while table[at] != VACANT && !alike(first[table[at] as usize]) {
                 at = (at + 1) % size;
             }
-            if table[at] == NONE {
+            if table[at] == VACANT {
                 table[at] = first.len() as u32;
                 first.push(lane);
             }
             of.push(table[at]);
         }
-    }
-
-    /// Adds the squared errors of a block.
-    #[inline(always)]
-    pub(super) fn composite<S: Simd>(
-        &mut self,
-        simd: S,
-        runs: &SplatRuns,
-        segments: &RunSegments,
-        kinds: &Kinds,
-        wanted: &Wanted,
-        background: [f32; 3],
-    ) {
-        let Self { kinds: errors, walk: path, .. } = self;
-        if path.len() < segments.list().len() + 1 {
-            path.resize(segments.list().len() + 1, 0);
-        }
-        if errors.len() < kinds.first.len() {
-            errors.resize(kinds.first.len(), Row([0.0; TILE]));
-        }
-        for (&lane, squares) in kinds.first.iter().zip(errors.iter_mut()) {
-            // As long for every lane: a processor predicts the end of the walk.
-            segments.path(lane as usize, path);
-            for part in 0..parts::<S>() {
-                let now = walk(simd, &runs.operators, &path[..segments.list().len()], part);
-                let mut sum = simd.splat_f32s(0.0);
-                for c in 0..3 {
-                    let d = difference(simd, &now, wanted, background, c, part);
-                    sum = simd.mul_add_e_f32s(d, d, sum);
-                }
-                *lanes_mut::<S>(&mut squares.0, part) = sum;
-            }
-        }
-        self.add(simd, kinds);
     }
 
     /// Where the squared errors of one kind go.
@@ -190,11 +157,11 @@ impl Lanes {
 
 /// The operators of `steps` as one.
 #[inline(always)]
-pub(super) fn walk<S: Simd>(simd: S, operators: &[Operator], steps: &[u32], part: usize) -> Part<S> {
-    let mut now = Part::identity(simd);
+pub(super) fn walk<S: Simd>(simd: S, operators: &[Operator], steps: &[u32], part: usize) -> OperatorPart<S> {
+    let mut now = OperatorPart::identity(simd);
     for steps in steps.chunks(FLUSH_EVERY) {
         for &step in steps {
-            now = now.then(simd, Part::load(&operators[step as usize], part));
+            now = now.then(simd, OperatorPart::load(&operators[step as usize], part));
         }
         now = now.flushed(simd);
     }
@@ -205,7 +172,7 @@ pub(super) fn walk<S: Simd>(simd: S, operators: &[Operator], steps: &[u32], part
 #[inline(always)]
 pub(super) fn difference<S: Simd>(
     simd: S,
-    now: &Part<S>,
+    now: &OperatorPart<S>,
     wanted: &Wanted,
     background: [f32; 3],
     c: usize,

@@ -41,12 +41,12 @@ pub(super) fn lanes_mut<S: Simd>(row: &mut Lanes, part: usize) -> &mut S::f32s {
 
 /// Some lanes of an operator, in registers.
 #[derive(Clone, Copy)]
-pub(super) struct Part<S: Simd> {
+pub(super) struct OperatorPart<S: Simd> {
     pub t: S::f32s,
     pub rgb: [S::f32s; 3],
 }
 
-impl<S: Simd> Part<S> {
+impl<S: Simd> OperatorPart<S> {
     #[inline(always)]
     pub(super) fn identity(simd: S) -> Self {
         Self { t: simd.splat_f32s(1.0), rgb: [simd.splat_f32s(0.0); 3] }

@@ -9,10 +9,10 @@ use super::{
     Engine, Versions,
     culling::{BLOCKS, TileCulling},
     lanes::Lanes,
-    plan::{Pass, group_set, within},
+    plan::{Pass, group_set},
     segments::NONE,
     splat_runs::SplatRuns,
-    squares::inside,
+    squares::{inside, within},
     strict::over,
     tree::Tree,
 };

@@ -4,13 +4,13 @@ use pulp::Simd;
 
 use super::{
     Engine,
-    culling::{ACROSS, BLOCKS, SIDE, TileCulling},
-    lanes::{Kinds, Lanes, Wanted},
+    culling::{BLOCKS, TileCulling},
+    lanes::{Kinds, Lanes},
     segments::{self, RunSegments},
     splat_runs::SplatRuns,
-    squares::{Planes, inside},
+    squares::{inside, wanted, within},
 };
-use crate::{parallel, stage::TILE};
+use crate::parallel;
 
 /// A fast mode.
 pub(super) trait LanePlan: Sync {
@@ -198,28 +198,6 @@ impl<P: LanePlan> pulp::WithSimd for Walk<'_, P> {
             plan.gather(index, &pass.block, &errors, out);
         }
     }
-}
-
-/// Whether a block has a pixel inside the image, where a tile has `size` of them.
-pub(super) fn within(block: usize, size: (usize, usize)) -> bool {
-    block % ACROSS * SIDE < size.0 && block / ACROSS * SIDE < size.1
-}
-
-/// The reference on the pixels of a block.
-#[inline(always)]
-pub(super) fn wanted(reference: &Planes, block: usize, size: (usize, usize)) -> Wanted {
-    let (left, top) = (block % ACROSS * SIDE, block / ACROSS * SIDE);
-    let mut out = Wanted { rgb: [[0.0; TILE]; 3], inside: [0.0; TILE] };
-    for row in 0..SIDE {
-        for (to, from) in out.rgb.iter_mut().zip(&reference[top + row]) {
-            to[SIDE * row..][..SIDE].copy_from_slice(&from[left..left + SIDE]);
-        }
-        for column in 0..SIDE {
-            let is_inside = left + column < size.0 && top + row < size.1;
-            out.inside[SIDE * row + column] = f32::from(u8::from(is_inside));
-        }
-    }
-    out
 }
 
 /// The set of groups of `locals`, a bit each.

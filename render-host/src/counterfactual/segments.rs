@@ -1,6 +1,6 @@
 //! Composes runs of a few groups once for every subset of those groups that some world holds.
 //!
-//! A segment is a stretch of runs of at most a few groups. Worlds that hold the same of these groups see
+//! A segment is a sequence of runs of at most a few groups. Worlds that hold the same of these groups see
 //! the same operator, so it is composed once per such *subset* and a world is a walk over segments, not over
 //! runs. With G groups in a segment there are at most 2^G subsets, one of which is the identity.
 
@@ -8,7 +8,7 @@ use pulp::Simd;
 
 use super::{
     lanes::Lanes,
-    operator::{FLUSH_EVERY, Operator, Part, parts},
+    operator::{FLUSH_EVERY, Operator, OperatorPart, parts},
     splat_runs::SplatRuns,
 };
 
@@ -32,7 +32,7 @@ struct View {
     used: u32,
 }
 
-/// A stretch of runs.
+/// Consecutive runs.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct RunSegment {
     /// First run and the one past the last.
@@ -159,10 +159,10 @@ impl RunSegments {
         }
         let (sources, made) = runs.operators.split_at_mut(*end);
         for part in 0..parts::<S>() {
-            let mut now = Part::identity(simd);
+            let mut now = OperatorPart::identity(simd);
             for picked in picked.chunks(FLUSH_EVERY) {
                 for &run in picked {
-                    now = now.then(simd, Part::load(&sources[run as usize], part));
+                    now = now.then(simd, OperatorPart::load(&sources[run as usize], part));
                 }
                 now = now.flushed(simd);
             }
@@ -310,8 +310,8 @@ mod tests {
                     let mut path = vec![0; segments.list().len()];
                     segments.path(lane, &mut path);
                     let got = walked(&runs, path.into_iter());
-                    let held = (0..).zip(&locals).filter(|(_, l)| lanes.has(lane, **l)).map(|(i, _)| i);
-                    let expected = walked(&runs, held);
+                    let present = (0..).zip(&locals).filter(|(_, l)| lanes.has(lane, **l)).map(|(i, _)| i);
+                    let expected = walked(&runs, present);
                     prop_assert!((0..2).all(|k| (got[k] - expected[k]).abs() < 2e-6 * (1.0 + expected[k])));
                 }
             }
@@ -325,7 +325,7 @@ mod tests {
         assert_eq!(places, [Some(0), Some(1), Some(0), None, Some(1)]);
         // One lane: a segment per run costs least. Many lanes over interleaved groups: large segments.
         assert_eq!(limit(&[1, 2, 3, 4], 1), 1);
-        let mixed: Vec<u32> = (0..60).map(|i| i * 7 % 4).collect();
-        assert_eq!(limit(&mixed, 128), MOST);
+        let interleaved: Vec<u32> = (0..60).map(|i| i * 7 % 4).collect();
+        assert_eq!(limit(&interleaved, 128), MOST);
     }
 }

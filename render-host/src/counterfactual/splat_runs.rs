@@ -10,7 +10,7 @@ use pulp::Simd;
 
 use super::{
     culling::TileCulling,
-    operator::{Operator, Part, lanes, lanes_mut, parts},
+    operator::{Operator, OperatorPart, lanes, lanes_mut, parts},
 };
 use crate::{
     settings::Settings,
@@ -59,18 +59,18 @@ impl SplatRuns {
         }
         // Alphas of all splats first: their long chains of arithmetic overlap. A splat that touches no
         // pixel would only cut runs short.
-        let mut kept = 0;
+        let mut touching = 0;
         for i in 0..reached {
             let at = list[i];
             let alpha = splats[at as usize].alphas(block, limits);
-            list[kept] = at;
-            alphas[kept] = Alphas(alpha);
-            kept += usize::from(touches(&alpha));
+            list[touching] = at;
+            alphas[touching] = Alphas(alpha);
+            touching += usize::from(touches(&alpha));
         }
-        locals.resize(kept + 1, 0);
-        starts.resize(kept + 1, 0);
+        locals.resize(touching + 1, 0);
+        starts.resize(touching + 1, 0);
         let (mut runs, mut last) = (0, u32::MAX);
-        for (i, &at) in (0..).zip(&list[..kept]) {
+        for (i, &at) in (0..).zip(&list[..touching]) {
             // Without a branch: where runs end is anyone's guess.
             let local = splats[at as usize].local;
             locals[runs] = local;
@@ -80,7 +80,7 @@ impl SplatRuns {
         }
         locals.truncate(runs);
         starts.truncate(runs);
-        starts.push(kept as u32);
+        starts.push(touching as u32);
     }
 
     /// Composes the runs that were found; with what each splat did if `visits`.
@@ -88,17 +88,17 @@ impl SplatRuns {
     pub(super) fn compose<S: Simd>(&mut self, simd: S, culling: &TileCulling, visits: bool) {
         let Self { list, locals, starts, operators, alphas, visits: seen } = self;
         let (splats, runs) = (culling.splats(), locals.len());
-        let kept = starts.last().map_or(0, |&end| end as usize);
+        let touching = starts.last().map_or(0, |&end| end as usize);
         if operators.len() <= runs {
             operators.resize(2 * runs + 1, Operator::IDENTITY);
         }
         operators[runs] = Operator::IDENTITY;
-        if visits && seen.len() < kept {
-            seen.resize(kept, Visit { alpha: [0.0; TILE], before: [0.0; TILE] });
+        if visits && seen.len() < touching {
+            seen.resize(touching, Visit { alpha: [0.0; TILE], before: [0.0; TILE] });
         }
         for part in 0..parts::<S>() {
             for (run, bounds) in starts.windows(2).enumerate() {
-                let mut now = Part::identity(simd);
+                let mut now = OperatorPart::identity(simd);
                 for i in bounds[0] as usize..bounds[1] as usize {
                     let alpha = lanes::<S>(&alphas[i].0, part);
                     if visits {

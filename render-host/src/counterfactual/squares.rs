@@ -1,9 +1,8 @@
 //! Adds up squared differences from the reference, tile by tile, in one fixed order.
 
 use super::{
-    culling::BLOCKS,
+    culling::{ACROSS, BLOCKS, SIDE},
     lanes::Wanted,
-    plan::{wanted, within},
 };
 use crate::{
     image::Image,
@@ -73,6 +72,28 @@ pub(super) fn between(image: &Image, reference: &[Planes]) -> f64 {
 /// Width and height of the part of a tile that lies inside the image.
 pub(super) fn inside(corner: [usize; 2], size: [usize; 2]) -> (usize, usize) {
     ((size[0] - corner[0]).min(TILE), (size[1] - corner[1]).min(TILE))
+}
+
+/// Whether a block has a pixel inside the image, where a tile has `size` of them.
+pub(super) fn within(block: usize, size: (usize, usize)) -> bool {
+    block % ACROSS * SIDE < size.0 && block / ACROSS * SIDE < size.1
+}
+
+/// The reference on the pixels of a block.
+#[inline(always)]
+pub(super) fn wanted(reference: &Planes, block: usize, size: (usize, usize)) -> Wanted {
+    let (left, top) = (block % ACROSS * SIDE, block / ACROSS * SIDE);
+    let mut out = Wanted { rgb: [[0.0; TILE]; 3], inside: [0.0; TILE] };
+    for row in 0..SIDE {
+        for (to, from) in out.rgb.iter_mut().zip(&reference[top + row]) {
+            to[SIDE * row..][..SIDE].copy_from_slice(&from[left..left + SIDE]);
+        }
+        for column in 0..SIDE {
+            let is_inside = left + column < size.0 && top + row < size.1;
+            out.inside[SIDE * row + column] = f32::from(u8::from(is_inside));
+        }
+    }
+    out
 }
 
 #[cfg(test)]

@@ -12,10 +12,10 @@ use super::{
     culling::{ACROSS, BLOCKS, SIDE, TileCulling},
     fast::Worlds,
     operator::Operator,
-    plan::{LanePlan, Pass, group_set, wanted, within},
-    scaffold::SharedLists,
+    plan::{LanePlan, Pass, group_set},
+    shared::SharedLists,
     splat_runs::SplatRuns,
-    squares::{Squares, add, inside, squares},
+    squares::{Squares, add, inside, squares, wanted, within},
     states::CHUNK,
     tree::Tree,
 };

@@ -11,7 +11,7 @@ use pulp::Simd;
 use super::{
     culling::TileCulling,
     lanes::Lanes,
-    operator::{Operator, Part, lanes, parts},
+    operator::{Operator, OperatorPart, lanes, parts},
     splat_runs::SplatRuns,
 };
 
@@ -124,10 +124,10 @@ fn blend<S: Simd>(
 ) {
     let (stop, zero) = (simd.splat_f32s(stop), simd.splat_f32s(0.0));
     for part in 0..parts::<S>() {
-        let mut part_now = Part::<S>::load(now, part);
+        let mut part_now = OperatorPart::<S>::load(now, part);
         for i in runs.members(run) {
             let colour = culling.splats()[runs.position(i)].colour;
-            let Part { t, rgb } = &mut part_now;
+            let OperatorPart { t, rgb } = &mut part_now;
             let open = simd.greater_than_or_equal_f32s(*t, stop);
             let alpha = simd.select_f32s(open, lanes::<S>(runs.alpha(i), part), zero);
             let weight = simd.mul_f32s(alpha, *t);

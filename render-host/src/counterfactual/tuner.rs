@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn a_right_prediction_needs_one_probe_and_the_cap_is_kept() {
+    fn a_right_prediction_needs_one_probe_within_the_cap() {
         let predict = |w: usize| 1000 + 10 * w as u64;
         // 1500 bytes hold 50 worlds; that 51 do not is predicted, then confirmed.
         let tuned = largest(1500, 1000, predict, machine(u64::MAX, 1000, 10));

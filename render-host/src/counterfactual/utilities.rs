@@ -85,9 +85,9 @@ impl LanePlan for Toggles {
                 let out = &mut out[(pass * CHUNK + context) * stride..][..stride];
                 out[0] += base;
                 for (&local, &error) in block.present.iter().zip(&errors[1..]) {
-                    let held = columns[block.groups[local as usize] as usize] & class != 0;
+                    let present = columns[block.groups[local as usize] as usize] & class != 0;
                     let rise = error - base;
-                    out[local as usize + 1] += if held { rise } else { -rise };
+                    out[local as usize + 1] += if present { rise } else { -rise };
                 }
             }
         }

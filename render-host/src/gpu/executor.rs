@@ -63,13 +63,13 @@ impl Executor {
     pub fn bind_again<'a>(
         &self,
         recording: Recording,
-        kept: &'a mut Option<Bound>,
+        cache: &'a mut Option<Bound>,
     ) -> Result<&'a Bound, GpuError> {
-        let bound = match kept.take() {
+        let bound = match cache.take() {
             Some(bound) if bound.recording == recording => bound,
             _ => self.bind(recording)?,
         };
-        Ok(kept.insert(bound))
+        Ok(cache.insert(bound))
     }
 
     /// Submits; nothing is waited for. With a clock, stages are timed.

@@ -2,13 +2,13 @@
 
 use codec_core::Gaussian;
 
-use super::Changes;
+use super::changes::Changes;
 use crate::{
     Counters, Splats,
     camera::Camera,
     parallel,
     settings::Settings,
-    splats::held_degree,
+    splats::highest_degree,
     stage::{
         Splat,
         project::{Projected, Projector, SKIPPED, Skip},
@@ -64,7 +64,7 @@ pub(super) struct Inputs {
     gaussians: Vec<Gaussian>,
     rest: Vec<f32>,
     /// The degree that a Gaussian's own coefficients hold.
-    held: Vec<u8>,
+    degrees: Vec<u8>,
     /// The degree that it was projected with.
     weighed: Vec<u8>,
     fates: Vec<Option<Skip>>,
@@ -81,7 +81,7 @@ pub(super) struct Inputs {
 struct Chunk<'a> {
     gaussians: &'a mut [Gaussian],
     rest: &'a mut [f32],
-    held: &'a mut [u8],
+    degrees: &'a mut [u8],
     weighed: &'a mut [u8],
     fates: &'a mut [Option<Skip>],
     flags: &'a mut [bool],
@@ -129,20 +129,20 @@ impl Inputs {
         let projector = Projector::new(camera, settings, settings.degree(splats.sh_degree()));
         let frame = Frame { splats, projector, marked: marked.map(Vec::as_slice), fresh, keep };
         let mut rest = self.rest.as_mut_slice();
-        let parts = self.gaussians.chunks_mut(CHUNK).zip(self.held.chunks_mut(CHUNK));
+        let parts = self.gaussians.chunks_mut(CHUNK).zip(self.degrees.chunks_mut(CHUNK));
         let parts = parts.zip(self.weighed.chunks_mut(CHUNK)).zip(self.fates.chunks_mut(CHUNK));
         let parts = parts.zip(self.flags.chunks_mut(CHUNK));
         let parts = parts.zip(out.splats.chunks_mut(CHUNK).zip(out.keys.chunks_mut(CHUNK)));
         let parts = parts.zip(self.counts.iter_mut().zip(&mut self.changes).zip(&mut self.projected));
         let mut chunks: Vec<Chunk<'_>> = parts
-            .map(|((((((gaussians, held), weighed), fates), flags), (slots, keys)), one)| {
+            .map(|((((((gaussians, degrees), weighed), fates), flags), (slots, keys)), one)| {
                 let ((counts, changes), projected) = one;
                 let (front, back) = std::mem::take(&mut rest).split_at_mut(gaussians.len() * each);
                 rest = back;
                 Chunk {
                     gaussians,
                     rest: front,
-                    held,
+                    degrees,
                     weighed,
                     fates,
                     flags,
@@ -163,7 +163,7 @@ impl Inputs {
     fn resize(&mut self, n: usize, each: usize, pieces: usize) {
         self.gaussians.resize(n, Gaussian::ABSENT);
         self.rest.resize(n * each, 0.0);
-        self.held.resize(n, 0);
+        self.degrees.resize(n, 0);
         self.weighed.resize(n, 0);
         self.fates.resize(n, None);
         self.flags.clear();
@@ -267,9 +267,9 @@ impl Frame<'_> {
         if self.fresh || !same_bits(old, rest) {
             altered = true;
             old.copy_from_slice(rest);
-            chunk.held[i] = held_degree(rest);
+            chunk.degrees[i] = highest_degree(rest);
         }
-        let weighed = self.projector.weighed(chunk.held[i].min(self.splats.band(index)));
+        let weighed = self.projector.weighed(chunk.degrees[i].min(self.splats.band(index)));
         altered |= weighed != chunk.weighed[i];
         chunk.weighed[i] = weighed;
         altered

@@ -18,7 +18,7 @@ const LONG: u64 = 512;
 
 /// One tile.
 #[derive(Debug, Default)]
-struct Kept {
+struct StoredList {
     list: Vec<u32>,
     /// Its pixels are not those of its list.
     dirty: bool,
@@ -31,13 +31,13 @@ struct Kept {
 /// Tile lists, nearest first, row by row of tiles.
 #[derive(Debug, Default)]
 pub(super) struct Lists {
-    tiles: Vec<Kept>,
+    tiles: Vec<StoredList>,
     columns: usize,
     rows: usize,
     /// Tiles in the boxes of all splats.
     boxed: u64,
     /// Entries that splats ask for, by row of tiles.
-    asked: Vec<u64>,
+    requested: Vec<u64>,
     /// Splats drawn when the lists were last made as a whole.
     pub(super) drawn: usize,
     /// Splats that came, as entries of the depth order.
@@ -49,9 +49,9 @@ impl Lists {
     /// Empty lists of an image of so many tiles, all dirty.
     pub(super) fn reset(&mut self, columns: usize, rows: usize) {
         (self.columns, self.rows, self.boxed) = (columns, rows, 0);
-        self.asked.clear();
-        self.asked.resize(rows, 0);
-        self.tiles.resize_with(columns * rows, Kept::default);
+        self.requested.clear();
+        self.requested.resize(rows, 0);
+        self.tiles.resize_with(columns * rows, StoredList::default);
         for tile in &mut self.tiles {
             tile.list.clear();
             (tile.dirty, tile.mend) = (true, false);
@@ -70,7 +70,7 @@ impl Lists {
 
     /// Whether some lists are too long to mend.
     pub(super) fn are_long(&self) -> bool {
-        self.asked.iter().any(|&asked| asked > LONG * self.columns as u64)
+        self.requested.iter().any(|&requested| requested > LONG * self.columns as u64)
     }
 
     /// Says that all pixels are what the lists say.
@@ -95,7 +95,7 @@ impl Lists {
         let columns = self.columns;
         self.boxed += bins.boxed();
         for row in band.clone() {
-            self.asked[row] = bins.asked(row - band.start);
+            self.requested[row] = bins.requested(row - band.start);
         }
         let tiles = &mut self.tiles[band.start * columns..band.end * columns];
         parallel::for_each(parallel, tiles, |index, tile| {
@@ -121,7 +121,7 @@ impl Lists {
         shape: &Spans,
         parallel: bool,
     ) -> u64 {
-        let Self { tiles, columns, rows, boxed, asked, came, moved, .. } = self;
+        let Self { tiles, columns, rows, boxed, requested, came, moved, .. } = self;
         let (columns, all) = (*columns, 0..*rows);
         moved.resize(projected.keys.len(), false);
         came.clear();
@@ -140,7 +140,7 @@ impl Lists {
             moved[change.index as usize] = true;
             if change.old_key != SKIPPED {
                 *boxed -= shape.spans(&change.old, &all, &mut |row, span| {
-                    asked[row] -= span.len() as u64;
+                    requested[row] -= span.len() as u64;
                     let row = &mut tiles[row * columns..];
                     row[span].iter_mut().for_each(|tile| tile.mend = true);
                 });
@@ -153,7 +153,7 @@ impl Lists {
         for &entry in came.iter() {
             let index = entry as u32;
             *boxed += shape.spans(&projected.splats[index as usize], &all, &mut |row, span| {
-                asked[row] += span.len() as u64;
+                requested[row] += span.len() as u64;
                 for tile in &mut tiles[row * columns..][span] {
                     tile.came.push(index);
                     tile.mend = true;
@@ -185,7 +185,7 @@ impl Lists {
     }
 }
 
-impl Kept {
+impl StoredList {
     fn holds_any(&self, splats: &[bool]) -> bool {
         self.list.iter().any(|&splat| splats[splat as usize])
     }

@@ -20,7 +20,7 @@ const BAND_PIXELS: usize = 1 << 22;
 /// Entries per tile of a row, on average, from which on tiles that are finished are looked for.
 const LONG: usize = 1024;
 /// Splats counted by one thread.
-const LOT: usize = 16_384;
+const SPLATS_PER_PART: usize = 16_384;
 /// Pieces looked at first, to tell a crowd.
 const HEAD: usize = 8;
 /// Splats in one piece of the depth order.
@@ -50,12 +50,12 @@ struct Piece {
 
 /// The tile lists of one tile row.
 #[derive(Debug, Default)]
-pub struct Row {
+pub struct TileRow {
     starts: Vec<usize>,
     entries: Vec<u32>,
 }
 
-impl Row {
+impl TileRow {
     /// Indices of the splats of tile `column`, nearest first.
     pub fn tile(&self, column: usize) -> &[u32] {
         &self.entries[self.starts[column]..self.starts[column + 1]]
@@ -66,18 +66,18 @@ impl Row {
 #[derive(Debug, Default)]
 pub struct Bins {
     pieces: Vec<Piece>,
-    rows: Vec<Row>,
+    rows: Vec<TileRow>,
     height: usize,
 }
 
 impl Bins {
     /// The rows of the band, top first.
-    pub fn rows(&self) -> &[Row] {
+    pub fn rows(&self) -> &[TileRow] {
         &self.rows[..self.height]
     }
 
     /// Entries that the splats found in tile row `row` of the band ask for.
-    pub fn asked(&self, row: usize) -> u64 {
+    pub fn requested(&self, row: usize) -> u64 {
         let spans = self.pieces.iter().flat_map(|p| &p.by_row[p.starts[row]..p.starts[row + 1]]);
         spans.map(|span| u64::from(span.past - span.first)).sum()
     }
@@ -90,7 +90,7 @@ impl Bins {
     /// Entries in all lists of the band, and tiles with at least one.
     pub fn totals(&self) -> (u64, u64) {
         let entries = self.rows().iter().map(|row| row.entries.len() as u64).sum();
-        let touched = |row: &Row| row.starts.windows(2).filter(|w| w[0] < w[1]).count() as u64;
+        let touched = |row: &TileRow| row.starts.windows(2).filter(|w| w[0] < w[1]).count() as u64;
         (entries, self.rows().iter().map(touched).sum())
     }
 }
@@ -108,11 +108,12 @@ pub fn bands(
     let [columns, rows] = size.map(|side| tile.tiles(side));
     let entries = order.entries();
     // Whole numbers, so how they are added up does not show.
-    let mut parts = vec![Vec::new(); if settings.parallel { entries.len().div_ceil(LOT).max(1) } else { 1 }];
-    let lot = entries.len().div_ceil(parts.len());
+    let mut parts =
+        vec![Vec::new(); if settings.parallel { entries.len().div_ceil(SPLATS_PER_PART).max(1) } else { 1 }];
+    let per_part = entries.len().div_ceil(parts.len());
     parallel::for_each(settings.parallel, &mut parts, |part, change: &mut Vec<i64>| {
         change.resize(rows + 1, 0);
-        for &entry in entries.iter().skip(part * lot).take(lot) {
+        for &entry in entries.iter().skip(part * per_part).take(per_part) {
             let splat = &projected.splats[entry as u32 as usize];
             let (width, span) = (splat.tile_columns(tile).len() as i64, splat.tile_rows(tile));
             change[span.start] += width;
@@ -186,7 +187,7 @@ fn fill(
     out.pieces.resize_with(pieces, Piece::default);
     out.height = band.len();
     if out.rows.len() < band.len() {
-        out.rows.resize_with(band.len(), Row::default);
+        out.rows.resize_with(band.len(), TileRow::default);
     }
     let (shape, side) = (Spans::new(settings), settings.tile.pixels());
     let find = |i: usize, piece: &mut Piece| {
@@ -315,7 +316,7 @@ impl Piece {
     }
 }
 
-impl Row {
+impl TileRow {
     fn gather(&mut self, pieces: &[Piece], row: usize, columns: usize) {
         let spans = || pieces.iter().flat_map(|p| p.row(row));
         self.starts.clear();
@@ -422,7 +423,7 @@ mod tests {
     #[test]
     fn lists_are_in_depth_order_over_pieces_and_bands() {
         // Enough full-image splats that the entries do not fit one band: 9000 · 64 · 64 > 2²⁴.
-        let n = 2 * LOT + 9000;
+        let n = 2 * SPLATS_PER_PART + 9000;
         let wide = splat([500.0, 500.0], [1e-4, 0.0, 1e-4], 1024);
         let exact = lists(vec![wide; n], 64, 64, true);
         let expected: Vec<u32> = (0..n as u32).collect();
@@ -445,7 +446,7 @@ mod tests {
 
     #[test]
     fn bands_are_whole_and_bounded() {
-        let n = 2 * LOT + 9000;
+        let n = 2 * SPLATS_PER_PART + 9000;
         let wide = splat([500.0, 500.0], [1e-4, 0.0, 1e-4], 1024);
         let projected = Projected { splats: vec![wide; n], keys: vec![1; n], ..Projected::default() };
         let mut order = Order::default();

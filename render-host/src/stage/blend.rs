@@ -10,43 +10,42 @@
 
 use std::ops::Range;
 
-use super::bin::Bins;
-
-pub(crate) use super::power::exp2;
-use super::{REACH_MARGIN, Splat, TILE, TileSide};
-use crate::settings::Settings;
-use crate::{Counters, parallel};
-
-/// A value per pixel of one row of a tile.
-pub(crate) type Lanes = [f32; TILE];
-
-/// 0, 1, … 15.
-pub(crate) const LANE: Lanes = {
-    let mut lane = [0.0; TILE];
-    let mut i = 0;
-    while i < TILE {
-        lane[i] = i as f32;
-        i += 1;
-    }
-    lane
+use super::{
+    Splat, TILE, TileSide,
+    bin::Bins,
+    reach::{Local, Rules, for_each_row, row_bits},
 };
+pub(crate) use super::{
+    power::exp2,
+    reach::{LANE, Lanes},
+};
+use crate::{Counters, parallel, settings::Settings};
 
 /// Splats between two looks at which rows of a tile are finished.
 pub(crate) const LOOK_EVERY: usize = 16;
 
+/// Splats between two transmittances that are kept for the adjoint. A multiple of [`LOOK_EVERY`]; so few that
+/// what the adjoint writes down about them stays in the nearest cache.
+pub(crate) const SEGMENT: usize = 128;
+
+/// Transmittances of a cell.
+pub(crate) type Transmittances = [Lanes; TILE];
+
 /// What the pixels of a cell have gathered.
 #[derive(Clone, Debug)]
 #[repr(align(64))]
-pub struct Tile {
+pub(crate) struct Tile {
     /// Rows of 16 pixels: r, g, b (without background) and transmittance.
     rows: [[Lanes; 4]; TILE],
     /// What it took.
     pub(crate) work: Work,
+    /// Transmittances before each segment of the list that was begun, if they are kept.
+    pub(crate) marks: Vec<Transmittances>,
 }
 
 /// What blending a tile took and left out; sums over tiles fit too.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Work {
+pub(crate) struct Work {
     /// Pixels inside the image whose transmittance is below the stop.
     pub stopped: u64,
     /// Entries never read, because every pixel was finished before them.
@@ -76,8 +75,15 @@ impl Work {
 }
 
 impl Tile {
-    pub(crate) const EMPTY: Self =
-        Self { rows: [[[0.0; TILE], [0.0; TILE], [0.0; TILE], [1.0; TILE]]; TILE], work: Work::NONE };
+    pub(crate) const EMPTY: Self = Self { rows: Self::ROWS, work: Work::NONE, marks: Vec::new() };
+    /// Nothing blended yet.
+    const ROWS: [[Lanes; 4]; TILE] = [[[0.0; TILE], [0.0; TILE], [0.0; TILE], [1.0; TILE]]; TILE];
+
+    /// Transmittances now.
+    #[inline(always)]
+    pub(crate) fn transmittances(&self) -> Transmittances {
+        std::array::from_fn(|y| self.rows[y][3])
+    }
 
     /// Row `y` over `background`: r, g, b of its 16 pixels.
     #[cfg(test)]
@@ -97,6 +103,8 @@ pub struct Tiles {
     pub(crate) tiles: Vec<Tile>,
     /// Tiles whose room holds nothing of use, because their lists are empty; past its end none is.
     pub(crate) empty: Vec<bool>,
+    /// Whether transmittances before each segment of a list are kept.
+    pub(crate) keeps_marks: bool,
 }
 
 impl Tiles {
@@ -116,15 +124,18 @@ impl Tiles {
 type CellLists<'a> = [&'a [u32]; 4];
 
 /// Blends one cell, whose first pixel is `corner`, from the list of its tile, which is of the usual side.
+/// `marks` says whether transmittances before each segment of the list are kept.
 pub(crate) fn blend_tile(
     splats: &[Splat],
     list: &[u32],
     corner: [usize; 2],
     size: [usize; 2],
     settings: &Settings,
+    marks: bool,
     tile: &mut Tile,
 ) {
-    pulp::Arch::new().dispatch(Blend { splats, lists: [list, &[], &[], &[]], corner, size, settings, tile });
+    let lists = [list, &[], &[], &[]];
+    pulp::Arch::new().dispatch(Blend { splats, lists, corner, size, settings, marks, tile });
 }
 
 /// Blends the tiles of a band. `band` is its tile rows, `size` the image's width and height in pixels.
@@ -147,14 +158,15 @@ pub fn blend(
         |index: usize| cell_lists(bins, side, side.tiles(size[0]), [index % columns, index / columns]);
     let none = |index: usize| lists(index).iter().all(|list| list.is_empty());
     out.empty.extend((0..out.tiles.len()).map(|i| settings.skip_empty_tiles && none(i)));
-    let Tiles { tiles, empty } = out;
+    let Tiles { tiles, empty, keeps_marks } = out;
+    let marks = *keeps_marks && side == TileSide::Sixteen;
     let arch = pulp::Arch::new();
     let work = |index: usize, tile: &mut Tile| {
         if empty[index] {
             return;
         }
         let corner = [index % columns * TILE, top + index / columns * TILE];
-        arch.dispatch(Blend { splats, lists: lists(index), corner, size, settings, tile });
+        arch.dispatch(Blend { splats, lists: lists(index), corner, size, settings, marks, tile });
     };
     parallel::for_each(settings.parallel, tiles, work);
     let stopped = |(tile, empty): (&Tile, &bool)| if *empty { 0 } else { tile.work.stopped };
@@ -224,6 +236,7 @@ struct Blend<'a> {
     corner: [usize; 2],
     size: [usize; 2],
     settings: &'a Settings,
+    marks: bool,
     tile: &'a mut Tile,
 }
 
@@ -232,18 +245,26 @@ impl pulp::NullaryFnOnce for Blend<'_> {
 
     #[inline(always)]
     fn call(self) {
-        let Self { splats, lists, corner, size, settings, tile } = self;
-        *tile = Tile::EMPTY;
+        let Self { splats, lists, corner, size, settings, marks, tile } = self;
+        (tile.rows, tile.work) = (Tile::ROWS, Work::NONE);
+        tile.marks.clear();
         let rules = Rules::new(settings);
         match settings.tile {
             TileSide::Eight => {
                 for (k, top) in [(0, 0), (2, 8)] {
-                    walk::<0, 8, false>(splats, lists[k], corner, top..top + 8, &rules, tile);
-                    walk::<8, 8, false>(splats, lists[k + 1], corner, top..top + 8, &rules, tile);
+                    walk::<0, 8, false, false>(splats, lists[k], corner, top..top + 8, &rules, tile);
+                    walk::<8, 8, false, false>(splats, lists[k + 1], corner, top..top + 8, &rules, tile);
                 }
             }
-            TileSide::Sixteen => walk::<0, TILE, false>(splats, lists[0], corner, 0..TILE, &rules, tile),
-            TileSide::ThirtyTwo => walk::<0, TILE, true>(splats, lists[0], corner, 0..TILE, &rules, tile),
+            TileSide::Sixteen if marks => {
+                walk::<0, TILE, false, true>(splats, lists[0], corner, 0..TILE, &rules, tile);
+            }
+            TileSide::Sixteen => {
+                walk::<0, TILE, false, false>(splats, lists[0], corner, 0..TILE, &rules, tile);
+            }
+            TileSide::ThirtyTwo => {
+                walk::<0, TILE, true, false>(splats, lists[0], corner, 0..TILE, &rules, tile)
+            }
         }
         if settings.early_stop {
             let (w, h) = ((size[0] - corner[0]).min(TILE), (size[1] - corner[1]).min(TILE));
@@ -254,9 +275,10 @@ impl pulp::NullaryFnOnce for Blend<'_> {
 }
 
 /// Blends a list into `WIDTH` columns from `LEFT` on of the rows `part` of a cell. `SHARED` says that the
-/// list is that of other cells too, so that boxes need not meet this one.
+/// list is that of other cells too, so that boxes need not meet this one; `MARKS` that transmittances before
+/// each segment are kept.
 #[inline(always)]
-fn walk<const LEFT: usize, const WIDTH: usize, const SHARED: bool>(
+fn walk<const LEFT: usize, const WIDTH: usize, const SHARED: bool, const MARKS: bool>(
     splats: &[Splat],
     list: &[u32],
     corner: [usize; 2],
@@ -265,7 +287,7 @@ fn walk<const LEFT: usize, const WIDTH: usize, const SHARED: bool>(
     tile: &mut Tile,
 ) {
     let mut work = tile.work;
-    let mut open = u16::MAX;
+    let (mut open, part_rows) = (u32::MAX, row_bits(part.start, part.end));
     let mut near = [Splat::NONE; LOOK_EVERY];
     for k in 0..list.len() {
         if k % LOOK_EVERY == 0 {
@@ -275,6 +297,10 @@ fn walk<const LEFT: usize, const WIDTH: usize, const SHARED: bool>(
                     work.unread += (list.len() - k) as u64;
                     break;
                 }
+            }
+            if MARKS && k % SEGMENT == 0 {
+                let now = tile.transmittances();
+                tile.marks.push(now);
             }
             fetch(splats, &list[k..], &mut near);
         }
@@ -287,30 +313,17 @@ fn walk<const LEFT: usize, const WIDTH: usize, const SHARED: bool>(
             }
         }
         let local = Local::new(splat, corner, rules);
-        let (mut reached, mut blended) = (0, 0);
-        let (first, past) = (local.first.max(part.start), local.past.min(part.end));
-        for y in first..past {
-            if let Some((u, v)) = local.row(y) {
-                reached += 1;
-                if open >> y & 1 == 1 {
-                    blended += 1;
-                    let exponent = splat.log2_alpha - v * v;
-                    blend_row::<LEFT, WIDTH>(
-                        &mut tile.rows[y],
-                        u,
-                        local.root[0],
-                        exponent,
-                        &splat.colour,
-                        rules,
-                    );
-                }
-            }
-        }
-        let boxed = past.saturating_sub(first) as u64;
-        work.rows += boxed;
-        work.unreached += boxed - reached;
-        work.finished += reached - blended;
-        work.idle += u64::from(reached == 0);
+        let reached = local.rows();
+        let (boxed, rows) = (row_bits(local.first, local.past) & part_rows, reached.rows & part_rows);
+        for_each_row(rows & open, |y| {
+            let (u, v) = (reached.u[y], reached.v[y]);
+            let (row, exponent) = (&mut tile.rows[y], splat.log2_alpha - v * v);
+            blend_row::<LEFT, WIDTH>(row, u, local.root[0], exponent, &splat.colour, rules);
+        });
+        work.rows += u64::from(boxed.count_ones());
+        work.unreached += u64::from((boxed & !rows).count_ones());
+        work.finished += u64::from((rows & !open).count_ones());
+        work.idle += u64::from(rows == 0);
     }
     tile.work = work;
 }
@@ -322,77 +335,6 @@ pub(crate) fn fetch(splats: &[Splat], list: &[u32], near: &mut [Splat]) {
     for (near, &index) in near.iter_mut().zip(list) {
         *near = splats[index as usize];
     }
-}
-
-/// What decides whether a splat is blended into a pixel.
-#[derive(Clone, Copy)]
-pub(crate) struct Rules {
-    pub(crate) cutoff: f32,
-    pub(crate) max: f32,
-    pub(crate) stop: f32,
-    /// Added to `log2_alpha` gives the largest `u² + v²` worth a look.
-    reach: f32,
-}
-
-impl Rules {
-    pub(crate) fn new(settings: &Settings) -> Self {
-        let reach =
-            if settings.row_reach { REACH_MARGIN - settings.log2_cutoff() as f32 } else { f32::INFINITY };
-        Self { cutoff: settings.cutoff(), max: settings.alpha_max, stop: settings.closed_below(), reach }
-    }
-
-    /// Alpha of a pixel of transmittance `t`, 0 where the splat is left out.
-    #[inline(always)]
-    pub(crate) fn alpha(&self, log2: f32, t: f32) -> f32 {
-        let alpha = exp2(log2);
-        let alpha = if alpha < self.max { alpha } else { self.max };
-        if (alpha >= self.cutoff) & (t >= self.stop) { alpha } else { 0.0 }
-    }
-}
-
-/// A splat as one tile sees it. The adjoint walks the same rows.
-pub(crate) struct Local {
-    /// `u` and `v` at the tile's first pixel centre.
-    pub(crate) origin: [f32; 2],
-    pub(crate) root: [f32; 3],
-    reach: f32,
-    /// Half-open range of rows of its pixel box.
-    pub(crate) first: usize,
-    pub(crate) past: usize,
-}
-
-impl Local {
-    #[inline(always)]
-    pub(crate) fn new(splat: &Splat, corner: [usize; 2], rules: &Rules) -> Self {
-        // Position of the tile's first pixel centre in the splat's own axes, in f64: what remains is
-        // at most 16 pixels long.
-        let [dx, dy] = offset(splat, corner);
-        let [xx, xy, yy] = splat.root;
-        Self {
-            origin: [(xx * dx + xy * dy) as f32, (yy * dy) as f32],
-            root: splat.root.map(|v| v as f32),
-            reach: splat.log2_alpha + rules.reach,
-            first: usize::from(splat.pixels[2]).saturating_sub(corner[1]),
-            past: usize::from(splat.pixels[3]).saturating_sub(corner[1]).min(TILE),
-        }
-    }
-
-    /// `u` and `v` at the first pixel centre of row `y`, unless the row is out of reach.
-    #[inline(always)]
-    pub(crate) fn row(&self, y: usize) -> Option<(f32, f32)> {
-        let [xx, xy, yy] = self.root;
-        let (u, v) = (self.origin[0] + xy * y as f32, self.origin[1] + yy * y as f32);
-        let left = self.reach - v * v;
-        // Distance of the row's 16 centres from the splat's axis; 0 when they straddle it.
-        let gap = u.max(-(u + 15.0 * xx)).max(0.0);
-        if gap * gap > left { None } else { Some((u, v)) }
-    }
-}
-
-/// First pixel centre of the tile at `corner`, from the splat's centre, pixels.
-#[inline(always)]
-pub(crate) fn offset(splat: &Splat, corner: [usize; 2]) -> [f64; 2] {
-    [corner[0] as f64 + 0.5 - splat.mean[0], corner[1] as f64 + 0.5 - splat.mean[1]]
 }
 
 #[inline(always)]
@@ -420,10 +362,10 @@ fn open_rows<const LEFT: usize, const WIDTH: usize>(
     rows: &[[Lanes; 4]; TILE],
     part: &Range<usize>,
     stop: f32,
-) -> u16 {
+) -> u32 {
     let mut open = 0;
     for (y, row) in rows.iter().enumerate().take(part.end).skip(part.start) {
-        open |= u16::from(is_open(&row[3][LEFT..LEFT + WIDTH], stop)) << y;
+        open |= u32::from(is_open(&row[3][LEFT..LEFT + WIDTH], stop)) << y;
     }
     open
 }
@@ -478,6 +420,7 @@ mod tests {
             corner: [0, 0],
             size: [16, 16],
             settings: &settings,
+            marks: true,
             tile,
         };
         let (mut plain, mut wide) = (Tile::EMPTY, Tile::EMPTY);

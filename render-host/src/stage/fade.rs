@@ -99,7 +99,7 @@ mod tests {
         let picture = |count: usize| {
             let list: Vec<u32> = (0..count as u32).collect();
             let mut tile = Tile::EMPTY;
-            blend_tile(&splats, &list, [16, 16], [40, 40], &settings, &mut tile);
+            blend_tile(&splats, &list, [16, 16], [40, 40], &settings, false, &mut tile);
             (0..TILE).flat_map(|y| tile.over(y, [0.3; 3])).flatten().map(f32::to_bits).collect::<Vec<_>>()
         };
         assert_eq!(picture(needed), picture(4000));

@@ -21,9 +21,9 @@ use crate::{
 /// Depth key of a Gaussian that was skipped; above every key of one that is drawn.
 pub const SKIPPED: u32 = u32::MAX;
 /// Squared length below which a quaternion has no direction.
-pub const MIN_QUATERNION_NORM2: f64 = 1e-12;
+pub(crate) const MIN_QUATERNION_NORM2: f64 = 1e-12;
 /// Least factor by which `antialiased` dims a splat. Source: Mip-Splatting.
-pub const MIN_COMPENSATION: f64 = 0.005;
+pub(crate) const MIN_COMPENSATION: f64 = 0.005;
 /// Gaussians in one piece of work.
 const CHUNK: usize = 2048;
 
@@ -204,8 +204,8 @@ impl<'a> Projector<'a> {
     }
 
     /// The degree up to which bands of a Gaussian that holds `held` are weighed.
-    pub(crate) fn weighed(&self, held: u8) -> u8 {
-        if self.sh_by_need { self.degree.min(held) } else { self.degree }
+    pub(crate) fn weighed(&self, used: u8) -> u8 {
+        if self.sh_by_need { self.degree.min(used) } else { self.degree }
     }
 
     /// Gaussian `index` on the image plane, its bands weighed up to `degree`, and its depth key.

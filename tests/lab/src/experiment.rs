@@ -23,6 +23,7 @@ mod repair;
 mod skips;
 mod stress;
 mod structure;
+mod train;
 mod transport;
 mod utility;
 mod worlds;
@@ -124,6 +125,11 @@ pub const ALL: &[Experiment] = &[
         about: "gradients against f64 differences, time with gradients, utilities of groups estimated from \
             them",
         run: gradient::run,
+    },
+    Experiment {
+        name: "train",
+        about: "one iteration of training by stage: time of picture, loss and gradients beside their error",
+        run: train::run,
     },
     Experiment {
         name: "skips",

@@ -15,7 +15,7 @@ mod parts;
 mod poison;
 mod refusals;
 
-pub use cases::cases;
+pub use cases::{cases, discs};
 pub use refusals::{Refusal, refusals};
 
 use codec_core::{Gaussian, ShDegree};

@@ -1,6 +1,6 @@
 //! Mean squared error over channels.
 
-use super::Loss;
+use super::definition::Loss;
 use crate::{
     image::{Image, ImageError, same_size},
     parallel,

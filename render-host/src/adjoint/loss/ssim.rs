@@ -18,18 +18,20 @@
 
 use std::{ops::Range, sync::Mutex};
 
-use super::Loss;
+use super::definition::Loss;
 use crate::{
     image::{Image, ImageError, same_size},
     metric::ssim::{Windows, similarity},
     parallel,
 };
 
-use rows::MARGIN;
+use self::{
+    rows::MARGIN,
+    sweep::{Parts, Strip, Sweep, SweepMemory},
+};
 pub(crate) use rows::MIDDLE;
 #[cfg(feature = "gpu")]
 pub(crate) use sweep::FARTHEST;
-use sweep::{Room, Strip, Sweep};
 
 pub(super) mod rows;
 pub(super) mod sweep;
@@ -53,16 +55,7 @@ pub struct Dissimilarity {
     mean: Vec<f32>,
     variance: Vec<f32>,
     /// Scratch memory, passed from band to band; what it held does not matter.
-    pool: Mutex<Vec<Room>>,
-}
-
-/// What a sweep adds up, and how much of each goes to the gradient.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Parts {
-    /// Mean squared error.
-    pub(super) mse: f64,
-    /// `1 - SSIM`.
-    pub(super) structure: f64,
+    pool: Mutex<Vec<SweepMemory>>,
 }
 
 impl Dissimilarity {

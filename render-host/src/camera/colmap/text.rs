@@ -6,7 +6,8 @@
 
 use std::collections::BTreeMap;
 
-use super::{CameraError, Intrinsics, MAX_PARAMETERS, MODELS, MODELS_ALLOWED, View, view};
+use super::model::{MAX_PARAMETERS, MODELS, MODELS_ALLOWED, view};
+use crate::camera::{CameraError, Intrinsics, View};
 
 /// The cameras by id.
 pub(super) fn read_cameras(bytes: &[u8]) -> Result<BTreeMap<u32, Intrinsics>, CameraError> {

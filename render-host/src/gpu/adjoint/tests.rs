@@ -95,8 +95,8 @@ fn twin(case: &TestScene, states: &States, mix: Mix, settings: &Settings) -> Twi
         out.loss.push(found.loss);
         (0..3).for_each(|c| out.background[c] += found.background[c]);
         out.pose.iter_mut().zip(six(&found.pose)).for_each(|(sum, v)| *sum += v);
-        let held = (0..n).filter(|&i| states.has(world, case.ids[i] as usize));
-        for (k, i) in held.enumerate() {
+        let present = (0..n).filter(|&i| states.has(world, case.ids[i] as usize));
+        for (k, i) in present.enumerate() {
             for (sums, values) in out.fields.iter_mut().zip(fields(&found.splats[k])) {
                 let width = values.len();
                 let sums = &mut sums[i * width..][..width];
@@ -232,11 +232,11 @@ fn gradients_of_similarity_are_those_of_the_cpu() {
     compare_mix("1 - ssim", &case([61, 47], 2), 0, Mix::STRUCTURE, &settings());
     compare_mix("9 worlds of equal weight", &case([45, 33], 3), 9, Mix::weighted(1.0), &settings());
     compare_mix("a picture below the window", &case([9, 40], 4), 2, Mix::DISTORTION, &settings());
-    let mut crowd = TestScene::new(5000, 0, 27, [25, 20], 7);
-    crowd.gaussians.iter_mut().for_each(|g| g.opacity = g.opacity.sqrt());
-    compare_mix("opaque crowd", &crowd, 5, Mix::DISTORTION, &settings());
+    let mut opaque = TestScene::new(5000, 0, 27, [25, 20], 7);
+    opaque.gaussians.iter_mut().for_each(|g| g.opacity = g.opacity.sqrt());
+    compare_mix("opaque crowd", &opaque, 5, Mix::DISTORTION, &settings());
     let endless = Settings { early_stop: false, ..settings() };
-    compare_mix("crowd without stop", &crowd, 0, Mix::DISTORTION, &endless);
+    compare_mix("crowd without stop", &opaque, 0, Mix::DISTORTION, &endless);
 }
 
 /// How many worlds are retained at a time is a matter of memory alone.

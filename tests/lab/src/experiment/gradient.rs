@@ -233,8 +233,13 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, camera: &Camera, runs: 
 
 /// Relative error of the derivative along a random change of all colours. The picture is linear in
 /// colours that stay above 0, so thresholds do not disturb the difference.
-fn along_colours(splats: &Splats, camera: &Camera, settings: &Settings, loss: &dyn Loss) -> Result<f64> {
-    let got = render_and_gradients(&mut Workspace::new(), splats, camera, settings, loss)?;
+pub(super) fn along_colours(
+    splats: &Splats,
+    film: &Camera,
+    settings: &Settings,
+    loss: &dyn Loss,
+) -> Result<f64> {
+    let got = render_and_gradients(&mut Workspace::new(), splats, film, settings, loss)?;
     let step = 1.0 / 2048.0;
     let mut r = Numbers(17);
     let n = splats.len();

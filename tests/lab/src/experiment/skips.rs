@@ -155,7 +155,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
 /// Every skip of a single render, alone.
 fn single(bench: &mut Bench, name: &str, instant: &Instant, camera: &Camera, runs: usize) -> Result<()> {
     let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
-    let bands = splats.held_bands();
+    let bands = splats.used_bands();
     let splats = splats.with_bands(&bands)?;
     let mut failing = Vec::new();
     for skip in &SKIPS {

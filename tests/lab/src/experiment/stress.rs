@@ -94,6 +94,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         bench.push(Figure::new(format!("{key}.psnr_vs_f64"), f.worst.difference.psnr_db, "dB"));
         bench.push(Figure::new(format!("{key}.pixels_near_a_threshold"), f.worst.close_share, "share"));
     }
+    subnormal(&mut bench, runs)?;
     let refused = refusals();
     broken.extend(
         refused.iter().filter(|r| !r.holds()).map(|r| format!("{} takes {}: {:?}", r.api, r.what, r.error)),
@@ -110,6 +111,36 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     bench.push(Figure::new("broken_promises", broken.len() as f64, ""));
     anyhow::ensure!(broken.is_empty(), "{} promises are broken:\n{}", broken.len(), broken.join("\n"));
     Ok(bench)
+}
+
+/// Times where transmittances would decay below what f32 holds as normal numbers, beside those of the same
+/// discs so faint that none does: subnormal numbers take a processor up to thirty times as long.
+fn subnormal(bench: &mut Bench, runs: usize) -> Result<()> {
+    let [decaying, faint] = [0.5, 0.005].map(stress::discs);
+    let mut times: [Vec<f64>; 6] = Default::default();
+    for _ in 0..runs {
+        for (which, case) in [&decaying, &faint].into_iter().enumerate() {
+            let (mut renderer, mut workspace) = (Renderer::new(), Workspace::new());
+            let mut timed = |at: usize, start: Instant| {
+                times[2 * at + which].push(1000.0 * start.elapsed().as_secs_f64())
+            };
+            let start = Instant::now();
+            case.forward(&mut renderer)?;
+            timed(0, start);
+            let start = Instant::now();
+            case.gradients(&mut workspace)?;
+            timed(1, start);
+            let start = Instant::now();
+            case.worlds()?;
+            timed(2, start);
+        }
+    }
+    for (name, times) in ["forward", "gradients", "counterfactual"].iter().zip(times.as_chunks::<2>().0) {
+        let [decaying, faint] = [&times[0], &times[1]].map(|times| median(times));
+        let figure = Figure::new(format!("subnormal.{name}"), decaying, "ms");
+        bench.push(figure.peer("the same discs, faint", faint, true).runs(runs));
+    }
+    Ok(())
 }
 
 fn examine(case: &StressCase, runs: usize) -> Result<(Times, Verdict, u64)> {

@@ -27,6 +27,19 @@ pub fn cases(million: usize) -> Vec<StressCase> {
     out
 }
 
+/// 4,000 discs of `opacity` one behind the other, and nothing that ends a pixel early.
+pub fn discs(opacity: f32) -> StressCase {
+    let disc = |i: usize| Gaussian {
+        position: [0.0, 0.0, 1e-4 * i as f32],
+        scale: [0.5, 0.5, 0.01],
+        opacity,
+        ..ball()
+    };
+    let settings = Settings { early_stop: false, ..Settings::default() };
+    let name = format!("opacity {opacity}");
+    StressCase { settings, ..plain("discs", name, (0..4000).map(disc).collect(), camera(96, 72)) }
+}
+
 /// Numbers from a seed (a 64-bit linear congruence; top bits), uniform in 0..1.
 struct Numbers(u64);
 

@@ -50,7 +50,7 @@ pub(crate) struct NodePose {
 }
 
 /// What the loss gains per unit of a node's pose.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct NodeGradient {
     pub(crate) shift: Vec3,
     pub(crate) matrix: Mat3,
@@ -58,6 +58,9 @@ pub(crate) struct NodeGradient {
 }
 
 impl NodeGradient {
+    /// Nothing. (The default of a matrix is the identity.)
+    pub(crate) const ZERO: Self = Self { shift: Vec3::ZERO, matrix: Mat3::ZERO, turn: [0.0; 4] };
+
     pub(super) fn add(&mut self, other: &Self) {
         self.shift += other.shift;
         self.matrix += other.matrix;

@@ -56,7 +56,7 @@ mod tests {
         }
         let time = 0.4;
         let poses = nodes.poses(time);
-        let mut gradients = vec![NodeGradient::default(); nodes.len()];
+        let mut gradients = vec![NodeGradient::ZERO; nodes.len()];
         add_gradient(&nodes, 1.0, &poses, &mut gradients);
         nodes.backward(time, &poses, &gradients);
         let found = nodes.motion_mut().gradient_mut().to_vec();

@@ -156,12 +156,12 @@ impl Skinned<'_> {
             .par_chunks_mut(CHUNK)
             .enumerate()
             .map(|(chunk, out)| {
-                let mut sums = vec![NodeGradient::default(); count];
+                let mut sums = vec![NodeGradient::ZERO; count];
                 out.iter_mut().enumerate().for_each(|(i, out)| one(chunk * CHUNK + i, out, &mut sums));
                 sums
             })
             .collect();
-        let mut sums = vec![NodeGradient::default(); count];
+        let mut sums = vec![NodeGradient::ZERO; count];
         for partial in &partial {
             sums.iter_mut().zip(partial).for_each(|(sum, part)| sum.add(part));
         }
@@ -209,7 +209,7 @@ mod tests {
         let (mut nodes, time) = (nodes(), 0.37);
         let numbers: Numbers = [0.1, 0.4, -0.2, 0.8, -0.1, 0.3, 0.5, 0.2, -0.4, 0.1, 0.3];
         let poses = nodes.poses(time);
-        let mut sums = vec![NodeGradient::default(); nodes.len()];
+        let mut sums = vec![NodeGradient::ZERO; nodes.len()];
         let gradient = PosedGradient {
             position: Vec3::new(WEIGHTS[0], WEIGHTS[1], WEIGHTS[2]),
             rotation: [WEIGHTS[3], WEIGHTS[4], WEIGHTS[5], WEIGHTS[6]],

@@ -5,16 +5,29 @@ use std::ops::Range;
 use super::source::{Photograph, SQUARE};
 use crate::parallel;
 
-/// Rows of squares that are compared together; part of the order of sums.
-const BAND_SQUARES: usize = 4;
-/// Pixel rows in a band.
-pub(super) const BAND: usize = BAND_SQUARES * SQUARE;
+/// Squares from one that shows something to the last one that its windows and gradients reach, in 10 pixels.
+const REACH: usize = 2;
 /// Squares without interest between two areas up to which they become one: around each area
 /// 10 pixels on either side are read.
-const GAP: usize = 1;
+const GAP: usize = 2;
+/// Bands that a picture is split into, about, and least and most pixel rows in one.
+const BANDS: usize = 7;
+const BAND_ROWS: [usize; 2] = [64, 128];
 
-/// Columns of pixels to be compared in each band of rows, from the top: all that are within a square of one
-/// in which the picture (r g b, of `size`) or the part of the photograph from `corner` on shows anything but
+/// Pixel rows that are compared together in a picture of `height` rows; part of the order of sums.
+pub(super) fn band_rows(height: usize) -> usize {
+    height.div_ceil(BANDS).clamp(BAND_ROWS[0], BAND_ROWS[1]).next_multiple_of(SQUARE)
+}
+
+/// Columns and rows of pixels that are compared together.
+#[derive(Clone, Debug)]
+pub(super) struct Area {
+    pub(super) columns: Range<usize>,
+    pub(super) rows: Range<usize>,
+}
+
+/// Areas to be compared in each band of rows, from the top: all that are within two squares of one in which
+/// the picture (r g b, of `size`) or the part of the photograph from `corner` on shows anything but
 /// `background`. Elsewhere value and gradient of every part of the loss are exactly 0, since a window
 /// and the pixels that its gradient reaches end within 10 pixels.
 pub(super) fn areas(
@@ -24,7 +37,7 @@ pub(super) fn areas(
     corner: [usize; 2],
     background: [f32; 3],
     parallel: bool,
-) -> Vec<Vec<Range<usize>>> {
+) -> Vec<Vec<Area>> {
     let [width, height] = size;
     let [columns, rows] = size.map(|side| side.div_ceil(SQUARE));
     let mut shown = vec![false; columns * rows];
@@ -40,23 +53,34 @@ pub(super) fn areas(
                     .any(|y| differs(&picture[3 * (y * width + x.start)..3 * (y * width + x.end)], &pattern));
         }
     });
-    let near = |index: usize, past: usize| index.saturating_sub(1)..(index + 2).min(past);
+    let near = |index: usize, past: usize| index.saturating_sub(REACH)..(index + REACH + 1).min(past);
+    let of_interest = |column: usize, row: usize| {
+        let mut rows = near(row, rows).map(|row| &shown[row * columns..][near(column, columns)]);
+        rows.any(|squares| squares.contains(&true))
+    };
+    let squares = band_rows(height) / SQUARE;
     let band = |first: usize| {
-        let of_interest = |column: usize| {
-            let from = first.saturating_sub(1)..(first + BAND_SQUARES + 1).min(rows);
-            let mut rows = from.map(|row| &shown[row * columns..][near(column, columns)]);
-            rows.any(|squares| squares.contains(&true))
-        };
-        let mut found: Vec<Range<usize>> = Vec::new();
-        for column in (0..columns).filter(|&column| of_interest(column)) {
+        let past = (first + squares).min(rows);
+        let mut found: Vec<Area> = Vec::new();
+        for column in 0..columns {
+            let mut inside = (first..past).filter(|&row| of_interest(column, row));
+            let Some(top) = inside.next() else { continue };
+            let bottom = inside.next_back().unwrap_or(top) + 1;
             match found.last_mut() {
-                Some(last) if column <= last.end + GAP => last.end = column + 1,
-                _ => found.push(column..column + 1),
+                Some(last) if column <= last.columns.end + GAP => {
+                    last.columns.end = column + 1;
+                    last.rows = last.rows.start.min(top)..last.rows.end.max(bottom);
+                }
+                _ => found.push(Area { columns: column..column + 1, rows: top..bottom }),
             }
         }
-        found.iter().map(|at| at.start * SQUARE..(at.end * SQUARE).min(width)).collect()
+        let pixels =
+            |squares: &Range<usize>, side: usize| squares.start * SQUARE..(squares.end * SQUARE).min(side);
+        let in_pixels =
+            |area: &Area| Area { columns: pixels(&area.columns, width), rows: pixels(&area.rows, height) };
+        found.iter().map(in_pixels).collect()
     };
-    (0..rows).step_by(BAND_SQUARES).map(band).collect()
+    (0..rows).step_by(squares).map(band).collect()
 }
 
 /// Whether a value of `row` is not that of `pattern`.

@@ -3,9 +3,9 @@
 use std::{cell::RefCell, ops::Range};
 
 use super::{
-    areas::{BAND, areas},
+    areas::{areas, band_rows},
     source::{Photograph, put_over},
-    sweep::{Area, Memory, Sums, Sweep},
+    sweep::{Compared, Memory, Sums, Sweep},
 };
 use crate::{
     adjoint::loss::{
@@ -121,18 +121,20 @@ impl Loss for PhotographLoss<'_> {
         let (values, count) = ((3 * width * height) as f64, windows.count() as f64);
         let [absolute, squared, structure] =
             [self.weights.absolute, self.weights.squared, self.weights.structure].map(f64::from);
+        let band = band_rows(height);
         let bands = areas(image.rgb(), self.size, self.photograph, self.corner, self.background, parallel);
         let mut bands: Vec<_> = bands
             .into_iter()
-            .zip(gradient.chunks_mut(3 * width * BAND))
+            .zip(gradient.chunks_mut(3 * width * band))
             .map(|(areas, gradient)| (areas, gradient, Sums::default()))
             .collect();
         let arch = pulp::Arch::new();
         parallel::for_each(parallel, &mut bands, |index, (areas, gradient, sums)| {
             gradient.fill(0.0);
-            let rows = index * BAND..((index + 1) * BAND).min(height);
-            for columns in areas.drain(..) {
-                let area = Area {
+            for area in areas.iter() {
+                let first = area.rows.start - index * band;
+                let gradient = &mut gradient[3 * width * first..];
+                let compared = Compared {
                     picture: image.rgb(),
                     photograph: &self.photograph.rgba,
                     photograph_width: self.photograph.width as usize,
@@ -140,15 +142,15 @@ impl Loss for PhotographLoss<'_> {
                     pixel_weights: self.pixel_weights,
                     background: self.background,
                     size: self.size,
-                    rows: rows.clone(),
-                    columns,
+                    rows: area.rows.clone(),
+                    columns: area.columns.clone(),
                     centres: [centres(&windows.along, windows.columns), centres(&windows.down, windows.rows)],
                     along: &along,
                     down: &down,
                     scale: [absolute / values, 2.0 * squared / values, structure / count].map(|v| v as f32),
                 };
                 MEMORY.with_borrow_mut(|memory| {
-                    sums.add(&arch.dispatch(Sweep { area, memory, gradient }));
+                    sums.add(&arch.dispatch(Sweep { compared, memory, gradient }));
                 });
             }
         });

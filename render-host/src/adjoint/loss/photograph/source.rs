@@ -8,7 +8,7 @@ use crate::{
 };
 
 /// Side of the squares in which a photograph knows whether it shows anything, pixels.
-pub(super) const SQUARE: usize = 16;
+pub(super) const SQUARE: usize = 8;
 
 /// What a camera saw: red, green, blue and alpha of 8 bits, premultiplied (no colour is above its alpha).
 ///
@@ -34,7 +34,8 @@ impl Photograph {
     /// A photograph of r g b a per pixel, row by row, premultiplied.
     ///
     /// # Errors
-    /// A side out of 1..=16384, another number of bytes than `4 · width · height`, or a colour above its alpha.
+    /// A side out of 1..=16384, another number of bytes than `4 · width · height`, or a colour above its
+    /// alpha.
     pub fn new(width: u32, height: u32, rgba: Vec<u8>) -> Result<Self, ImageError> {
         let allowed = 1..=MAX_SIDE;
         if !allowed.contains(&width) || !allowed.contains(&height) {

@@ -34,8 +34,10 @@ pub(super) struct Memory {
     flat: [Vec<f32>; MOMENTS],
     /// One row of the photograph.
     photograph: Vec<f32>,
-    /// 1 where a window that is looked at can be centred, else 0; and where it is one of the area's own.
+    /// 1 where a window that is compared can be centred, else 0; and where it is one of the area's own.
     centred: Vec<Pack>,
+    own_centred: Vec<Pack>,
+    /// 1 where a value is one of the area's own.
     own: Vec<Pack>,
 }
 
@@ -57,7 +59,7 @@ impl Sums {
 }
 
 /// What a sweep is made from.
-pub(super) struct Area<'a> {
+pub(super) struct Compared<'a> {
     /// r g b per pixel.
     pub(super) picture: &'a [f32],
     /// r g b a per pixel; the picture's first pixel lies at `corner`.
@@ -85,7 +87,7 @@ pub(super) struct Area<'a> {
 /// the picture; yields sums over its values and windows. A value, so that it can be compiled once per
 /// vector width.
 pub(super) struct Sweep<'a> {
-    pub(super) area: Area<'a>,
+    pub(super) compared: Compared<'a>,
     pub(super) memory: &'a mut Memory,
     pub(super) gradient: &'a mut [f32],
 }
@@ -95,11 +97,11 @@ impl pulp::NullaryFnOnce for Sweep<'_> {
 
     #[inline(always)]
     fn call(self) -> Sums {
-        self.area.sweep(self.memory, self.gradient)
+        self.compared.sweep(self.memory, self.gradient)
     }
 }
 
-impl Area<'_> {
+impl Compared<'_> {
     #[inline(always)]
     fn sweep(&self, memory: &mut Memory, gradient: &mut [f32]) -> Sums {
         let reach = if self.scale[2] == 0.0 { 0 } else { MIDDLE };
@@ -111,6 +113,8 @@ impl Area<'_> {
         let [across, centre_rows] = &self.centres;
         mark(&mut memory.centred, &read, near.start.max(across.start)..near.end.min(across.end));
         mark(&mut memory.own, &read, self.columns.clone());
+        let own = self.columns.start.max(across.start)..self.columns.end.min(across.end);
+        mark(&mut memory.own_centred, &read, own);
         let mut sums = Sums::default();
         let (first, past, reach) = (self.rows.start as isize, self.rows.end as isize, reach as isize);
         for row in first - 2 * reach..past + 2 * reach {
@@ -178,17 +182,20 @@ impl Area<'_> {
     /// `1 - SSIM` over the area's own columns.
     #[inline(always)]
     fn slopes(&self, memory: &mut Memory, centre: isize) -> f64 {
-        let Memory { moments, flat, centred, own, .. } = memory;
+        let Memory { moments, flat, centred, own_centred, .. } = memory;
         let rows = &moments.around(centre);
         let packs = centred.len();
         let [by_e, by_ee, by_ye, ..] = flat;
         let (by_e, by_ee, by_ye) = (middle(by_e, packs), middle(by_ee, packs), middle(by_ye, packs));
         let (c1, c2) = (C1 as f32, C2 as f32);
-        let mut sums = [0.0f64; MARGIN];
+        let mut sums = [0.0; MARGIN];
         for at in 0..packs {
-            let [me, ee, ye, mean, yy]: [Pack; MOMENTS] =
-                std::array::from_fn(|kind| down(rows, kind * packs + at, self.down));
-            let (centred, own) = (&centred[at], &own[at]);
+            let me = down(rows, at, self.down);
+            let ee = down(rows, packs + at, self.down);
+            let ye = down(rows, 2 * packs + at, self.down);
+            let mean = down(rows, 3 * packs + at, self.down);
+            let yy = down(rows, 4 * packs + at, self.down);
+            let (centred, own) = (&centred[at], &own_centred[at]);
             let (by_e, by_ee, by_ye) = (&mut by_e[at], &mut by_ee[at], &mut by_ye[at]);
             for i in 0..MARGIN {
                 let (mean, my) = (mean[i], mean[i] + 0.5);
@@ -207,10 +214,10 @@ impl Area<'_> {
                 by_e[i] = by_mean - 2.0 * me * by_variance - mean * by_cov;
                 by_ee[i] = by_variance;
                 by_ye[i] = by_cov;
-                sums[i] += f64::from(centred[i] * own[i] * (unlike + s * apart));
+                sums[i] += own[i] * (unlike + s * apart);
             }
         }
-        total(sums)
+        total(sums.map(f64::from))
     }
 
     /// Gradient of row `row` from column `skip` of what is read on; adds its errors to `sums`.
@@ -223,26 +230,27 @@ impl Area<'_> {
         let rows = &slopes.around(row);
         let [absolute, squared, structure] = self.scale;
         let all = middle(&mut flat[0], packs);
-        let (mut absolutes, mut squares) = ([0.0f64; MARGIN], [0.0f64; MARGIN]);
+        let (mut absolutes, mut squares) = ([0.0; MARGIN], [0.0; MARGIN]);
         for at in 0..packs {
             let (e, y, own, out) = (&e[at], &y[at], &own[at], &mut all[at]);
             for i in 0..MARGIN {
                 let ee = e[i] * e[i];
                 let length = (ee + TIP * TIP).sqrt();
                 out[i] = absolute * (e[i] / length) + squared * e[i];
-                absolutes[i] += f64::from(own[i] * (ee / (length + TIP)));
-                squares[i] += f64::from(own[i] * ee);
+                absolutes[i] += own[i] * (ee / (length + TIP));
+                squares[i] += own[i] * ee;
             }
             if structure != 0.0 {
-                let [by_e, by_ee, by_ye]: [Pack; SLOPES] =
-                    std::array::from_fn(|kind| down(rows, kind * packs + at, self.down));
+                let by_e = down(rows, at, self.down);
+                let by_ee = down(rows, packs + at, self.down);
+                let by_ye = down(rows, 2 * packs + at, self.down);
                 for i in 0..MARGIN {
                     out[i] += structure * (by_e[i] + 2.0 * e[i] * by_ee[i] + y[i] * by_ye[i]);
                 }
             }
         }
-        sums.absolute += total(absolutes);
-        sums.squared += total(squares);
+        sums.absolute += total(absolutes.map(f64::from));
+        sums.squared += total(squares.map(f64::from));
         out.copy_from_slice(&all.as_flattened()[3 * skip..][..out.len()]);
         if let Some(weights) = self.pixel_weights {
             let first = (self.corner[1] + row as usize) * self.photograph_width + self.corner[0];
@@ -264,7 +272,7 @@ impl Memory {
             flat.clear();
             flat.resize((packs + 2) * MARGIN, 0.0);
         }
-        for marks in [&mut self.centred, &mut self.own] {
+        for marks in [&mut self.centred, &mut self.own_centred, &mut self.own] {
             marks.clear();
             marks.resize(packs, [0.0; MARGIN]);
         }

@@ -5,10 +5,7 @@
 
 use std::ops::Range;
 
-use super::{
-    Parts,
-    rows::{MARGIN, MIDDLE, Pack, Ring, down, filter, total},
-};
+use super::rows::{MARGIN, MIDDLE, Pack, Ring, down, filter, total};
 use crate::metric::ssim::{C1, C2, WINDOW};
 
 /// Largest difference that counts.
@@ -18,11 +15,20 @@ const KINDS: usize = 3;
 
 /// Scratch memory of a band.
 #[derive(Debug, Default)]
-pub(super) struct Room {
+pub(super) struct SweepMemory {
     moments: Ring,
     slopes: Ring,
     /// Rows to be filtered along, with margins of zeros.
     flat: [Vec<f32>; KINDS],
+}
+
+/// What a sweep adds up, and how much of each goes to the gradient.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Parts {
+    /// Mean squared error.
+    pub(crate) mse: f64,
+    /// `1 - SSIM`.
+    pub(crate) structure: f64,
 }
 
 /// What a band is made from.
@@ -48,7 +54,7 @@ pub(super) struct Strip<'a> {
 /// that it can be compiled once per vector width.
 pub(super) struct Sweep<'a> {
     pub(super) strip: Strip<'a>,
-    pub(super) room: &'a mut Room,
+    pub(super) room: &'a mut SweepMemory,
     pub(super) out: &'a mut [f32],
 }
 
@@ -63,10 +69,10 @@ impl pulp::NullaryFnOnce for Sweep<'_> {
 
 impl Strip<'_> {
     #[inline(always)]
-    fn sweep(&self, room: &mut Room, out: &mut [f32]) -> Parts {
+    fn sweep(&self, room: &mut SweepMemory, out: &mut [f32]) -> Parts {
         let side = 3 * self.size[0];
         let packs = side.div_ceil(MARGIN);
-        let Room { moments, slopes, flat } = room;
+        let SweepMemory { moments, slopes, flat } = room;
         moments.open(KINDS, packs);
         slopes.open(KINDS, packs);
         for flat in flat.iter_mut() {

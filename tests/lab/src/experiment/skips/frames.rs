@@ -107,17 +107,17 @@ fn measure(bench: &mut Bench, key: &str, instants: &[Instant], camera: &Camera, 
     };
     bench.push(Figure::new(
         format!("{key}.projection.removed"),
-        sum(|r| r.projections_kept, |k| k.2),
+        sum(|r| r.projections_reused, |k| k.2),
         "% of Gaussians not projected",
     ));
     bench.push(Figure::new(
         format!("{key}.lists.removed"),
-        sum(|r| r.lists_kept, |k| k.1),
+        sum(|r| r.lists_reused, |k| k.1),
         "% of tile lists neither made nor mended",
     ));
     bench.push(Figure::new(
         format!("{key}.tiles.removed"),
-        sum(|r| r.tiles_kept, |k| k.1),
+        sum(|r| r.tiles_reused, |k| k.1),
         "% of tiles not blended (empty ones kept included)",
     ));
 
