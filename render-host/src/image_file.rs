@@ -91,7 +91,7 @@ impl Bounds {
 ///
 /// # Errors
 /// [`ImageError::Codec`]: a length that is not `3 · width · height`.
-pub fn png_of_rgb8(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, ImageError> {
+pub(crate) fn png_of_rgb8(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, ImageError> {
     let mut out = Vec::new();
     let mut encoder = png::Encoder::new(&mut out, width, height);
     encoder.set_color(ColorType::Rgb);

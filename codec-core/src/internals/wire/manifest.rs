@@ -361,7 +361,8 @@ impl<'a> Manifest<'a> {
         (0..self.head.tables).map_while(move |_| Table::read(&mut reader).ok())
     }
 
-    /// Low and high byte table of a `paper` group, where its coder has tables; `cluster` counts over all epochs.
+    /// Low and high byte table of a `paper` group, where its coder has tables; `cluster` counts over all
+    /// epochs.
     pub fn byte_tables(&self, cluster: usize, level: Level) -> Option<[bytes::ByteTable; 2]> {
         if self.chunk_coder() != Some(ChunkCoder::Tables) || cluster >= self.head.clusters as usize {
             return None;
