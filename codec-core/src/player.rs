@@ -154,7 +154,8 @@ impl<'a> Waiting<'a> {
         }
     }
 
-    /// As [`Waiting::manifest`], of a manifest that the caller has unpacked: its bytes are copied into the arena.
+    /// As [`Waiting::manifest`], of a manifest that the caller has unpacked: its bytes are copied into
+    /// the arena.
     ///
     /// # Errors
     /// As [`Waiting::manifest`].

@@ -1,5 +1,5 @@
-//! Profile `paper` with both of its coders, from `SPEC.md` sections 5.3, 6.1 and 10: reads and writes chunks, and
-//! writes the golden streams that several epochs and short chunks make.
+//! Profile `paper` with both of its coders, from `SPEC.md` sections 5.3, 6.1 and 10: reads and writes
+//! chunks, and writes the golden streams that several epochs and short chunks make.
 
 use crate::{
     body as body_of, crc, golden, is_dgs1, made::Numbers, pack::pack, read_file, session, u16_at, u32_at,

@@ -67,7 +67,7 @@ impl<'s> Runs<'s> {
         let mut runs = [&[][..]; Level::COUNT];
         for ((run, rest), carries) in runs.iter_mut().zip(&mut self.rest).zip(carries) {
             if carries {
-                // Levels that are wanted have `n` symbols for each component that they carry, others have none.
+                // Levels that are wanted have `n` symbols per component that they carry, others none.
                 (*run, *rest) = rest.split_at(self.n.min(rest.len()));
             }
         }

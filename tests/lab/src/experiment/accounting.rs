@@ -1,4 +1,4 @@
-//! The accounting table of the paper (its table 3) for profile `paper`, also with its context coder, and for `dgs1`.
+//! The accounting table of the paper (its table 3) for profile `paper` with either coder, and for `dgs1`.
 
 use anyhow::Result;
 use dgs::{args::ProfileName, pipeline};

@@ -65,8 +65,8 @@ enum Coder {
     Context(Place),
 }
 
-/// Codes the four groups of `cell`, cluster `cluster` of the stream: each with a table pair of its own, or with
-/// the context coder.
+/// Codes the four groups of `cell`, cluster `cluster` of the stream: each with a table pair of its own, or
+/// with the context coder.
 pub(super) fn groups(
     cluster: usize,
     plan: &EpochPlan,
@@ -189,7 +189,8 @@ impl Coder {
     }
 }
 
-/// How many symbols are expected to fit `limit` bytes, and the decisions that code them, each with its symbol.
+/// How many symbols are expected to fit `limit` bytes, and the decisions that code them with the symbol of
+/// each.
 fn expected_decisions(symbols: &[i16], place: Place, limit: usize) -> (usize, Vec<(usize, Decision)>) {
     let most = symbols.len().min(usize::from(u16::MAX));
     let budget = budget_bits(limit);
