@@ -5,16 +5,13 @@
 use codec_core::internals::wire::manifest::ChunkCoder;
 use trainer_host::{
     Scene,
-    encode::{Decisions, Encoded, Options, encode, write},
-    import::{
-        Limits,
-        synth::{self, Kind},
-    },
+    encode::{self, Decisions, Encoded, encode, write},
+    import::{Limits, synth},
     stream::Player,
 };
 
 fn scene() -> Scene {
-    let kind = Kind::Cloth;
+    let kind = synth::Kind::Cloth;
     let options = synth::Options { kind, gaussians: 1000, frames: 10, frames_per_second: 20.0, seed: 7 };
     synth::make(&options, &Limits::default()).unwrap()
 }
@@ -38,8 +35,8 @@ fn decoded(encoded: &Encoded) -> Vec<u32> {
 #[test]
 fn both_coders_give_the_same_gaussians_and_the_context_coder_takes_fewer_bytes() {
     let scene = scene();
-    let coded = |options: &Options| encode(&scene, options, &|_, _| {}).unwrap();
-    let (tables, context) = (coded(&Options::paper()), coded(&Options::paper_context()));
+    let coded = |options: &encode::Options| encode(&scene, options, &|_, _| {}).unwrap();
+    let (tables, context) = (coded(&encode::Options::paper()), coded(&encode::Options::paper_context()));
     assert_eq!(tables.stream.manifest().unwrap().chunk_coder(), Some(ChunkCoder::Tables));
     assert_eq!(context.stream.manifest().unwrap().chunk_coder(), Some(ChunkCoder::Context));
     assert_eq!(decoded(&tables), decoded(&context));
@@ -56,7 +53,7 @@ fn both_coders_give_the_same_gaussians_and_the_context_coder_takes_fewer_bytes()
 #[test]
 fn decisions_with_the_context_coder_replay_to_the_same_bytes() {
     let scene = scene();
-    let first = encode(&scene, &Options::paper_context(), &|_, _| {}).unwrap();
+    let first = encode(&scene, &encode::Options::paper_context(), &|_, _| {}).unwrap();
     let json = serde_json::to_string(&first.decisions).unwrap();
     let decisions: Decisions = serde_json::from_str(&json).unwrap();
     let again = write(&scene, &decisions, &|_, _| {}).unwrap();
@@ -65,6 +62,6 @@ fn decisions_with_the_context_coder_replay_to_the_same_bytes() {
     let old = json.replace("\"context_coder\":true,", "");
     assert_ne!(old, json);
     let replayed = write(&scene, &serde_json::from_str(&old).unwrap(), &|_, _| {}).unwrap();
-    let tables = encode(&scene, &Options::paper(), &|_, _| {}).unwrap();
+    let tables = encode(&scene, &encode::Options::paper(), &|_, _| {}).unwrap();
     assert_eq!(replayed.stream.to_bytes().unwrap(), tables.stream.to_bytes().unwrap());
 }

@@ -1,6 +1,6 @@
 //! A profile names a set of format choices; that of `paper` has two coders.
 
-use super::Head;
+use super::record::Head;
 use crate::ids::Level;
 
 /// The named sets of format choices.
