@@ -154,7 +154,8 @@ impl<'a> Waiting<'a> {
         }
     }
 
-    /// As [`Waiting::manifest`], of a manifest that the caller has unpacked: its bytes are copied into the arena.
+    /// As [`Waiting::manifest`], of a manifest that the caller has unpacked: its bytes are copied into
+    /// the arena.
     ///
     /// # Errors
     /// As [`Waiting::manifest`].
@@ -210,7 +211,7 @@ impl<'a> Waiting<'a> {
             sh_rest: parts.sh_rest,
         };
         player.receiver.count_from(counters);
-        player.take_kept(early, early_used);
+        player.take_early(early, early_used);
         Ok(player)
     }
 }
@@ -426,16 +427,16 @@ impl Player<'_> {
     /// memory was made once its manifest was there.
     pub fn take_over(&mut self, waiting: &Waiting<'_>) {
         self.receiver.count_from(waiting.counters);
-        self.take_kept(waiting.early, waiting.early_used);
+        self.take_early(waiting.early, waiting.early_used);
     }
 
     /// Takes the packets in the first `used` bytes of `early`: length (u16, little-endian), bytes.
-    fn take_kept(&mut self, early: &[u8], used: usize) {
-        let (mut kept, _) = early.split_at(used.min(early.len()));
-        while let Some((len, tail)) = kept.split_first_chunk::<2>() {
+    fn take_early(&mut self, early: &[u8], used: usize) {
+        let (mut packets, _) = early.split_at(used.min(early.len()));
+        while let Some((len, tail)) = packets.split_first_chunk::<2>() {
             let len = usize::from(u16::from_le_bytes(*len)).min(tail.len());
             let (packet, tail) = tail.split_at(len);
-            kept = tail;
+            packets = tail;
             // A refusal is counted by the receiver; nobody waits for this packet's answer.
             let _ = self.push(packet);
         }

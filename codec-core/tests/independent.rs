@@ -38,7 +38,6 @@ use codec_core::internals::{
 };
 
 use model::Model;
-use paper::Paper;
 
 /// CRC-32/ISO-HDLC, a bit at a time.
 fn crc(bytes: &[u8]) -> u32 {
@@ -312,33 +311,6 @@ fn made_streams_are_the_committed_files_and_have_what_no_other_has() {
 
 fn is_dgs1(file: &[u8]) -> bool {
     body(read_file(file).0)[0] == 1
-}
-
-/// Chunks are read to the crate's symbols, with either coder, and written again to the bytes they came from.
-#[test]
-fn every_golden_chunk_is_read_and_written_again() {
-    let mut chunks = [0; 2];
-    for (name, bytes) in golden().into_iter().filter(|(_, bytes)| !is_dgs1(bytes)) {
-        let (message, packets) = read_file(&bytes);
-        let paper = Paper::read(&body(message));
-        let clusters: usize = paper.epochs.iter().map(|e| e.clusters.len()).sum();
-        let (mut starts, mut end) = (Vec::new(), 0);
-        for size in (0..clusters).flat_map(|c| paper.sizes(c)) {
-            starts.push(end);
-            end += size;
-        }
-        let mut symbols = vec![0i16; end];
-        for bytes in packets.iter().filter(|packet| packet[0] >> 5 == 0b100) {
-            let chunk = paper.read_chunk(bytes);
-            let at = starts[4 * chunk.cluster + chunk.level] + chunk.first;
-            symbols[at..at + chunk.values.len()].copy_from_slice(&chunk.values);
-            assert!(paper.write_chunk(&chunk) == *bytes, "{name}: packet {}", chunk.id);
-            chunks[usize::from(paper.is_context)] += 1;
-        }
-        let received = session::Session::open(message).after(&packets);
-        assert!(received.symbols[..end] == symbols, "{name}");
-    }
-    assert!(chunks[0] > 50 && chunks[1] > 50, "{chunks:?}");
 }
 
 /// What of the rare features a `dgs1` file uses in a packet.

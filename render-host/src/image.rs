@@ -174,7 +174,7 @@ impl Image {
         if self.rgb.is_empty() {
             return Err(ImageError::Empty("the image"));
         }
-        png_of_rgb8(self.width, self.height, &self.to_rgb8())
+        png_of_rgb8(self.width, self.height, &self.to_rgb8()).map_err(|e| ImageError::Codec(e.to_string()))
     }
 
     /// Reads PNG, JPEG or WebP bytes. Transparent pixels are laid over `background`.
@@ -182,7 +182,8 @@ impl Image {
     /// # Errors
     /// Bytes that are no such image, or one with a side above 16384.
     pub fn decode(bytes: &[u8], background: [f32; 3]) -> Result<Self, ImageError> {
-        let rgba = Rgba8::decode(bytes, Bounds { side: MAX_SIDE, bytes: MAX_DECODED_BYTES })?;
+        let bounds = Bounds { side: MAX_SIDE, bytes: MAX_DECODED_BYTES };
+        let rgba = Rgba8::decode(bytes, bounds).map_err(|e| ImageError::Codec(e.to_string()))?;
         let (width, height) = rgba.size();
         let over = |&[r, g, b, a]: &[u8; 4]| {
             let (alpha, colour) = (f32::from(a) / 255.0, [r, g, b].map(|v| f32::from(v) / 255.0));

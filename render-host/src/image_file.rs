@@ -12,8 +12,6 @@ use zune_jpeg::{
     zune_core::{bytestream::ZCursor, colorspace::ColorSpace, options::DecoderOptions},
 };
 
-use crate::image::ImageError;
-
 /// A decoded file; row 0 is at the top.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Rgba8 {
@@ -22,6 +20,11 @@ pub struct Rgba8 {
     /// Exactly `4 · width · height` values, alpha not multiplied in.
     data: Vec<u8>,
 }
+
+/// A file that cannot be read as an image, and why.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct FileError(String);
 
 /// What a file may ask for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,8 +39,8 @@ impl Rgba8 {
     /// Decodes PNG, JPEG or WebP bytes; the format is told by the first bytes.
     ///
     /// # Errors
-    /// [`ImageError::Codec`]: another format, damage, or a picture beyond `bounds`.
-    pub fn decode(bytes: &[u8], bounds: Bounds) -> Result<Self, ImageError> {
+    /// [`FileError`]: another format, damage, or a picture beyond `bounds`.
+    pub fn decode(bytes: &[u8], bounds: Bounds) -> Result<Self, FileError> {
         match bytes {
             [0x89, b'P', b'N', b'G', 0x0d, 0x0a, 0x1a, 0x0a, ..] => decode_png(bytes, bounds),
             [0xff, 0xd8, 0xff, ..] => decode_jpeg(bytes, bounds),
@@ -65,7 +68,7 @@ impl Rgba8 {
         self.data.as_chunks::<4>().0.get(at).copied()
     }
 
-    fn new(size: (u32, u32), data: Vec<u8>) -> Result<Self, ImageError> {
+    fn new(size: (u32, u32), data: Vec<u8>) -> Result<Self, FileError> {
         let (width, height) = size;
         if data.len() as u64 != 4 * u64::from(width) * u64::from(height) {
             return Err(codec(format_args!("{} bytes for {width} x {height} pixels", data.len())));
@@ -75,7 +78,7 @@ impl Rgba8 {
 }
 
 impl Bounds {
-    fn check(self, (width, height): (u32, u32)) -> Result<(), ImageError> {
+    fn check(self, (width, height): (u32, u32)) -> Result<(), FileError> {
         let bytes = 4 * u64::from(width) * u64::from(height);
         if width == 0 || height == 0 || width > self.side || height > self.side || bytes > self.bytes {
             let Self { side, bytes } = self;
@@ -90,8 +93,8 @@ impl Bounds {
 /// The PNG file of a picture of `width` × `height`, r g b per pixel.
 ///
 /// # Errors
-/// [`ImageError::Codec`]: a length that is not `3 · width · height`.
-pub fn png_of_rgb8(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, ImageError> {
+/// [`FileError`]: a length that is not `3 · width · height`.
+pub(crate) fn png_of_rgb8(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, FileError> {
     let mut out = Vec::new();
     let mut encoder = png::Encoder::new(&mut out, width, height);
     encoder.set_color(ColorType::Rgb);
@@ -104,7 +107,7 @@ pub fn png_of_rgb8(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, Image
     Ok(out)
 }
 
-fn decode_png(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, ImageError> {
+fn decode_png(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     let limits = png::Limits { bytes: usize::try_from(bounds.bytes).unwrap_or(usize::MAX) };
     let mut decoder = png::Decoder::new_with_limits(Cursor::new(bytes), limits);
     let info = decoder.read_header_info().map_err(codec)?;
@@ -132,7 +135,7 @@ fn decode_png(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, ImageError> {
     Rgba8::new(size, rgba)
 }
 
-fn decode_jpeg(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, ImageError> {
+fn decode_jpeg(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     let options = DecoderOptions::default().set_strict_mode(false);
     let options = options.set_max_width(bounds.side as usize).set_max_height(bounds.side as usize);
     let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
@@ -147,7 +150,7 @@ fn decode_jpeg(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, ImageError> {
     Rgba8::new(size, if grey { grey_to_rgba(&data) } else { rgb_to_rgba(&data) })
 }
 
-fn decode_webp(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, ImageError> {
+fn decode_webp(bytes: &[u8], bounds: Bounds) -> Result<Rgba8, FileError> {
     let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(codec)?;
     let size = decoder.dimensions();
     bounds.check(size)?;
@@ -164,8 +167,8 @@ fn rgb_to_rgba(data: &[u8]) -> Vec<u8> {
     data.as_chunks::<3>().0.iter().flat_map(|&[r, g, b]| [r, g, b, 255]).collect()
 }
 
-fn codec(error: impl std::fmt::Display) -> ImageError {
-    ImageError::Codec(error.to_string())
+fn codec(error: impl std::fmt::Display) -> FileError {
+    FileError(error.to_string())
 }
 
 #[cfg(test)]
@@ -240,7 +243,7 @@ mod tests {
                 "{format:?}"
             );
             let cut = bytes.get(..20).unwrap();
-            assert!(matches!(Rgba8::decode(cut, BOUNDS), Err(ImageError::Codec(_))), "{format:?}");
+            assert!(matches!(Rgba8::decode(cut, BOUNDS), Err(FileError(_))), "{format:?}");
         }
         assert!(Rgba8::decode(b"not an image", BOUNDS).is_err());
     }

@@ -125,7 +125,8 @@ impl<'a> Decoder<'a> {
             let cluster = ClusterId(c as u16);
             let span = Span::Canonical(id);
             let found = Shape::of(manifest, span, cluster).zip(content.cell(span, cluster));
-            let (shape, cell) = found.ok_or(lacking("memory.cells", content.cells.len(), c as usize))?;
+            let (shape, cell) =
+                found.ok_or_else(|| lacking("memory.cells", content.cells.len(), c as usize))?;
             let (count, blocks) = (shape.gaussians(), shape.blocks());
             let known = cut("decode.known", self.memory.known, first_block..first_block + blocks)?;
             let range = first..first + count;
@@ -210,14 +211,15 @@ const fn lacking(field: &'static str, have: usize, need: usize) -> Error {
 
 /// The elements `range` of the caller's memory `field`.
 fn cut<'s, T>(field: &'static str, all: &'s mut [T], range: Range<usize>) -> Result<&'s mut [T]> {
-    let lacking = lacking(field, all.len(), range.end);
-    all.get_mut(range).ok_or(lacking)
+    let (have, need) = (all.len(), range.end);
+    all.get_mut(range).ok_or_else(|| lacking(field, have, need))
 }
 
 /// The symbols of a cell.
 fn symbols_of<'m>(content: &Content<'m>, cell: Cell, shape: &Shape) -> Result<&'m [i16]> {
     let (start, all) = (cell.symbols as usize, content.symbols);
-    all.get(start..start + shape.len()).ok_or(lacking("memory.symbols", all.len(), start + shape.len()))
+    let end = start + shape.len();
+    all.get(start..end).ok_or_else(|| lacking("memory.symbols", all.len(), end))
 }
 
 /// Length of `sh_rest` for `gaussians` Gaussians of `degree`.

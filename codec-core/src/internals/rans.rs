@@ -8,8 +8,8 @@
 //!   11-bit probabilities, tokens with an escape and raw low bits, so that every i16 can be coded.
 //! - [`bytes`]: profile `paper`. One 32-bit state, bytewise renormalisation, 12-bit
 //!   probabilities, an i16 as its low and high byte, each with its own table.
-//! - `context`: profile `paper` with the coder named `paper-context`. Binary decisions on the same state, whose
-//!   probabilities follow the packet's own symbols.
+//! - `context`: profile `paper-context`. Binary decisions on the same state, whose probabilities follow
+//!   the packet's own symbols.
 //! - [`family`]: tables that one byte names.
 //! - [`table`]: frequency tables, normalisation, decode slots.
 //! - [`form`]: decode tables in the caller's memory, fast or small.

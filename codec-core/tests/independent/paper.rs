@@ -1,7 +1,9 @@
-//! Profile `paper` with both of its coders, from `SPEC.md` sections 5.3, 6.1 and 10: reads and writes chunks, and
-//! writes the golden streams that several epochs and short chunks make.
+//! Profile `paper` with both of its coders, from `SPEC.md` sections 5.3, 6.1 and 10: reads and writes
+//! chunks, and writes the golden streams that several epochs and short chunks make.
 
-use crate::{crc, made::Numbers, pack::pack, u16_at, u32_at};
+use crate::{
+    body as body_of, crc, golden, is_dgs1, made::Numbers, pack::pack, read_file, session, u16_at, u32_at,
+};
 
 /// Which Gaussians a stream has, and how its chunks are coded.
 pub struct Paper {
@@ -380,4 +382,31 @@ pub fn message(raw: &[u8]) -> Vec<u8> {
     message.extend(packed);
     message.extend(crc(&message).to_le_bytes());
     message
+}
+
+/// Chunks are read to the crate's symbols, with either coder, and written again to the bytes they came from.
+#[test]
+fn every_golden_chunk_is_read_and_written_again() {
+    let mut chunks = [0; 2];
+    for (name, bytes) in golden().into_iter().filter(|(_, bytes)| !is_dgs1(bytes)) {
+        let (message, packets) = read_file(&bytes);
+        let paper = Paper::read(&body_of(message));
+        let clusters: usize = paper.epochs.iter().map(|e| e.clusters.len()).sum();
+        let (mut starts, mut end) = (Vec::new(), 0);
+        for size in (0..clusters).flat_map(|c| paper.sizes(c)) {
+            starts.push(end);
+            end += size;
+        }
+        let mut symbols = vec![0i16; end];
+        for bytes in packets.iter().filter(|packet| packet[0] >> 5 == 0b100) {
+            let chunk = paper.read_chunk(bytes);
+            let at = starts[4 * chunk.cluster + chunk.level] + chunk.first;
+            symbols[at..at + chunk.values.len()].copy_from_slice(&chunk.values);
+            assert!(paper.write_chunk(&chunk) == *bytes, "{name}: packet {}", chunk.id);
+            chunks[usize::from(paper.is_context)] += 1;
+        }
+        let received = session::Session::open(message).after(&packets);
+        assert!(received.symbols[..end] == symbols, "{name}");
+    }
+    assert!(chunks[0] > 50 && chunks[1] > 50, "{chunks:?}");
 }

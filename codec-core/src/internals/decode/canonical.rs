@@ -42,7 +42,7 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) -> R
         };
         let mut columns = [const { None }; 3];
         for ((column, start), _) in columns.iter_mut().zip(starts).zip(0..class.components()) {
-            *column = Some(Column::new(runs.next(carries)?, quantiser, Level::BASE, level, start));
+            *column = Some(Column::new(runs.next(carries), quantiser, Level::BASE, level, start));
         }
         let step = quantiser.step(level);
         let out = cut("decode.canonical", part.canonical, first..first + n)?;
@@ -111,7 +111,7 @@ pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) -> Result<
         let is_here = class.first_level() > Level::BASE && class.first_level() <= level;
         let is_here = is_here && carries[class.first_level().index()];
         for component in 0..components {
-            let runs = runs.next(carries)?;
+            let runs = runs.next(carries);
             if !is_here {
                 continue;
             }

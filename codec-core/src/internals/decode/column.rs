@@ -42,8 +42,6 @@ pub(super) struct Runs<'s> {
     rest: [&'s [i16]; Level::COUNT],
     /// Gaussians in the block.
     n: usize,
-    /// The highest level wanted.
-    level: Level,
 }
 
 impl<'s> Runs<'s> {
@@ -56,27 +54,24 @@ impl<'s> Runs<'s> {
         let mut rest = [&[][..]; Level::COUNT];
         for (rest, l) in rest.iter_mut().zip(Level::ALL).filter(|&(_, l)| l <= level) {
             let (at, len) = shape.range(l, block..block + 1);
-            *rest = symbols.get(at..at + len).ok_or(lacking("memory.symbols", symbols.len(), at + len))?;
+            *rest = symbols
+                .get(at..at + len)
+                .ok_or_else(|| lacking("memory.symbols", symbols.len(), at + len))?;
         }
-        Ok(Self { rest, n: shape.block_gaussians(block), level })
+        Ok(Self { rest, n: shape.block_gaussians(block) })
     }
 
     /// The runs of the next component; none at levels that do not carry it.
     #[inline(never)]
-    ///
-    /// # Errors
-    /// A block that has fewer symbols than its shape.
-    pub(super) fn next(&mut self, carries: [bool; Level::COUNT]) -> Result<[&'s [i16]; Level::COUNT]> {
+    pub(super) fn next(&mut self, carries: [bool; Level::COUNT]) -> [&'s [i16]; Level::COUNT] {
         let mut runs = [&[][..]; Level::COUNT];
-        let wanted =
-            Level::ALL.into_iter().zip(carries).map(|(level, carries)| carries && level <= self.level);
-        for ((run, rest), wanted) in runs.iter_mut().zip(&mut self.rest).zip(wanted) {
-            if wanted {
-                let short = lacking("memory.symbols", rest.len(), self.n);
-                (*run, *rest) = rest.split_at_checked(self.n).ok_or(short)?;
+        for ((run, rest), carries) in runs.iter_mut().zip(&mut self.rest).zip(carries) {
+            if carries {
+                // Levels that are wanted have `n` symbols per component that they carry, others none.
+                (*run, *rest) = rest.split_at(self.n.min(rest.len()));
             }
         }
-        Ok(runs)
+        runs
     }
 }
 

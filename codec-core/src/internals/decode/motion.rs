@@ -157,7 +157,8 @@ pub(super) fn apply(part: &mut Part<'_, '_>, frame: &Frame) -> Result<()> {
     let span = Span::Motion(frame.id);
     let content = part.content;
     let found = Shape::of(&content.manifest, span, part.cluster).zip(content.cell(span, part.cluster));
-    let (shape, cell) = found.ok_or(lacking("memory.cells", content.cells.len(), part.cluster.index()))?;
+    let (shape, cell) =
+        found.ok_or_else(|| lacking("memory.cells", content.cells.len(), part.cluster.index()))?;
     let step = part.shape.quant.canonical[Class::Position.index()].step(Level::BASE);
     let record = part.shape.cluster;
     let centre = Vec3::new(
@@ -251,7 +252,7 @@ fn bend(
         let mut sums = [[[0.0; SPAN]; 3]; MAX_BLOCK_LEN / SPAN];
         for &weight in weights {
             for d in 0..class.components() {
-                let mut column = Column::new(runs.next(carries)?, quantiser, Level::ALL[1], level, 0);
+                let mut column = Column::new(runs.next(carries), quantiser, Level::ALL[1], level, 0);
                 for sums in sums.iter_mut().take(n.div_ceil(SPAN)) {
                     let Some(sums) = sums.get_mut(d) else { continue };
                     for (sum, q) in sums.iter_mut().zip(column.take()) {
@@ -263,7 +264,7 @@ fn bend(
         // No window has more coefficients than frames; what a hostile one has beyond is passed over.
         for _ in usize::from(frame.window.frames)..rank {
             for _ in 0..class.components() {
-                runs.next(carries)?;
+                runs.next(carries);
             }
         }
         let out = cut("decode.out", part.out, first..first + n)?;

@@ -30,8 +30,8 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, t: u32, usable: usize) -> Resu
     let mut levels = [&[][..]; Level::COUNT];
     for (symbols, level) in levels.iter_mut().zip(Level::ALL) {
         let (start, len) = (part.shape.range(level, 0..1).0, part.shape.level_len(level));
-        let short = lacking("memory.symbols", part.symbols.len(), start + len);
-        *symbols = part.symbols.get(start..start + len).ok_or(short)?;
+        let found = part.symbols.get(start..start + len);
+        *symbols = found.ok_or_else(|| lacking("memory.symbols", part.symbols.len(), start + len))?;
     }
     let symbol = |level: usize, component: usize, offset: usize, i: usize| -> f32 {
         levels[level].get(offset + component * n + i).copied().map_or(0.0, f32::from)

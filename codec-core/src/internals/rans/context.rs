@@ -186,7 +186,7 @@ impl Model {
     }
 }
 
-/// Walks the symbols of a chunk in order; `values` are written where `side` decodes and read where it encodes.
+/// Walks the symbols of a chunk in order; `values` are written where `side` decodes, read where it encodes.
 fn walk(side: &mut impl Decisions, place: Place, values: &mut [i16]) -> Result<()> {
     let mut model = Model::NEW;
     let place = Place { gaussians: place.gaussians.max(1), ..place };

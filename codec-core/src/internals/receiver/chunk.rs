@@ -13,9 +13,6 @@ use crate::{
     },
 };
 
-#[cfg(feature = "paper-context")]
-use crate::{rans::context, wire::manifest::ChunkCoder};
-
 /// A field of a chunk that is at odds with the manifest.
 fn contradiction(field: &'static str, offset: usize, found: u64, allowed: (u64, u64)) -> Error {
     Error::illegal(field, offset, found, allowed).kind(ErrorKind::Contradiction)
@@ -74,8 +71,8 @@ impl ChunkGroup {
 
     /// Which symbols of the group `chunk` holds, as its coder has to know.
     #[cfg(feature = "paper-context")]
-    fn place(&self, chunk: &Chunk<'_>) -> context::Place {
-        context::Place {
+    fn place(&self, chunk: &Chunk<'_>) -> crate::rans::context::Place {
+        crate::rans::context::Place {
             level: chunk.level,
             first: chunk.first_symbol as usize,
             gaussians: self.shape.gaussians(),
@@ -124,7 +121,9 @@ impl Receiver<'_> {
         let target = symbols.get_mut(range.clone()).ok_or(lacking("memory.symbols"))?;
         match manifest.chunk_coder() {
             #[cfg(feature = "paper-context")]
-            Some(ChunkCoder::Context) => context::decode(chunk.payload, group.place(chunk), target)?,
+            Some(crate::wire::manifest::ChunkCoder::Context) => {
+                crate::rans::context::decode(chunk.payload, group.place(chunk), target)?;
+            }
             _ => {
                 let tables = manifest.byte_tables(chunk.cluster.into(), chunk.level);
                 let [low, high] = tables.ok_or(contradiction("chunk.tables", 0, 0, (1, 1)))?;

@@ -10,11 +10,14 @@
 //! `SPEC.md` gives every byte.
 
 mod check;
+mod profile;
 mod proxy;
 mod record;
 mod seal;
+pub mod stream;
 mod table_set;
 
+pub use profile::{ChunkCoder, PAPER_CONTEXT, Profile};
 pub use proxy::Proxy;
 pub use record::{Cluster, Epoch, Head, Motion, Quant, Repair, Track, Window};
 pub use seal::{Sealed, open, seal};
@@ -29,10 +32,10 @@ use crate::{
     gaussian::ShDegree,
     ids::{CellId, ClusterId, EpochId, Level, Span, WindowId},
     limits,
-    quant::Class,
     rans::{bytes, table::Table},
 };
 use check::check_head;
+use profile::byte_tables;
 
 /// First four bytes of a manifest.
 pub const MAGIC: [u8; 4] = *b"DGSM";
@@ -40,97 +43,6 @@ pub const MAGIC: [u8; 4] = *b"DGSM";
 pub const VERSION: u8 = 2;
 /// Bytes before the packed body.
 pub const HEADER_BYTES: usize = 16;
-
-/// The named sets of format choices.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-#[repr(u8)]
-pub enum Profile {
-    /// The paper's format: all-or-nothing groups, per-frame residuals, byte-wise rANS.
-    Paper = 0,
-    /// This project's format: slices that decode alone, transformed motion, four-lane rANS.
-    Dgs1 = 1,
-}
-
-/// `head.profile` of profile `paper` with [`ChunkCoder::Context`].
-pub const PAPER_CONTEXT: u8 = 2;
-
-/// How the symbols of a `paper` chunk are coded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub enum ChunkCoder {
-    /// By two byte tables per group, which the manifest holds.
-    Tables,
-    /// By probabilities that follow the symbols of the chunk; no tables travel.
-    Context,
-}
-
-impl ChunkCoder {
-    /// The `head.profile` of a `paper` stream that is coded so.
-    pub const fn profile_number(self) -> u8 {
-        match self {
-            Self::Tables => Profile::Paper as u8,
-            Self::Context => PAPER_CONTEXT,
-        }
-    }
-}
-
-/// Symbol streams of `dgs1`, each with its own table set.
-pub mod stream {
-    use super::{Class, Level, Track};
-
-    /// Bands of temporal frequencies of a track: 0, 1..=3, 4..=7 and those above.
-    pub const TRACK_BANDS: [usize; 5] = [0, 1, 4, 8, usize::MAX];
-    const START_FIRST: usize = Class::COUNT * Level::COUNT;
-    const TRACK_FIRST: usize = START_FIRST + Class::COUNT;
-    const COEFFICIENT_FIRST: usize = TRACK_FIRST + 3 * 4;
-    const COEFFICIENT_START_FIRST: usize = COEFFICIENT_FIRST + Class::MOVING * 3 * 2;
-    /// Number of streams.
-    pub const COUNT: usize = COEFFICIENT_START_FIRST + Class::MOVING;
-
-    /// Canonical attribute `class` at `level`.
-    pub const fn canonical(class: Class, level: Level) -> usize {
-        class.index() * Level::COUNT + level.index()
-    }
-
-    /// The first value of each component of a block where `class` is coded in differences.
-    pub const fn start(class: Class) -> usize {
-        START_FIRST + class.index()
-    }
-
-    /// Track parameters of band `band` (0..4): those that turn by `track`, or translation.
-    pub const fn track(track: Option<Track>, band: usize) -> usize {
-        let kind = match track {
-            None => 0,
-            Some(Track::Rigid) => 1,
-            Some(_) => 2,
-        };
-        TRACK_FIRST + kind * 4 + band % 4
-    }
-
-    /// Motion coefficient `k` of `class` (one of the moving ones) at `level` 1..=3.
-    pub const fn coefficient(class: Class, level: Level, k: usize) -> usize {
-        let level = (level.index() + 2) % 3;
-        COEFFICIENT_FIRST + (class.index() % Class::MOVING * 3 + level) * 2 + if k == 0 { 0 } else { 1 }
-    }
-
-    /// The first coefficient of each component of a block where `class`'s are coded in differences.
-    pub const fn coefficient_start(class: Class) -> usize {
-        COEFFICIENT_START_FIRST + class.index() % Class::MOVING
-    }
-
-    /// What `stream` codes, for people: attribute and whether it is motion.
-    pub fn attribute(stream: usize) -> (Option<Class>, bool) {
-        let class = |index: usize| Class::ALL.get(index).copied();
-        match stream {
-            0..START_FIRST => (class(stream / Level::COUNT), false),
-            START_FIRST..TRACK_FIRST => (class(stream - START_FIRST), false),
-            TRACK_FIRST..COEFFICIENT_FIRST => (None, true),
-            COEFFICIENT_FIRST..COEFFICIENT_START_FIRST => (class((stream - COEFFICIENT_FIRST) / 6), true),
-            _ => (class(stream - COEFFICIENT_START_FIRST), true),
-        }
-    }
-}
 
 /// A checked view of an unpacked manifest body.
 #[derive(Clone, Copy, Debug)]
@@ -160,11 +72,6 @@ struct Sections {
     transforms: usize,
     byte_tables: usize,
     proxies: usize,
-}
-
-/// Byte tables in a manifest with this head: a pair for each group of `paper`.
-const fn byte_tables(head: &Head) -> usize {
-    if head.profile == Profile::Paper as u8 { head.clusters as usize * Level::COUNT * 2 } else { 0 }
 }
 
 impl<'a> Manifest<'a> {
@@ -454,7 +361,8 @@ impl<'a> Manifest<'a> {
         (0..self.head.tables).map_while(move |_| Table::read(&mut reader).ok())
     }
 
-    /// Low and high byte table of a `paper` group, where its coder has tables; `cluster` counts over all epochs.
+    /// Low and high byte table of a `paper` group, where its coder has tables; `cluster` counts over all
+    /// epochs.
     pub fn byte_tables(&self, cluster: usize, level: Level) -> Option<[bytes::ByteTable; 2]> {
         if self.chunk_coder() != Some(ChunkCoder::Tables) || cluster >= self.head.clusters as usize {
             return None;

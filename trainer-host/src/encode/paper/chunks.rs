@@ -60,13 +60,13 @@ impl OwnedChunk {
 /// How the symbols of a group are coded.
 enum Coder {
     /// By a table for low bytes and one for high bytes; what each byte costs, bits.
-    Tables([ByteTable; 2], Box<[[f32; 256]; 2]>),
+    Tables(Box<[ByteTable; 2]>, Box<[[f32; 256]; 2]>),
     /// By probabilities that follow the symbols of a chunk; where the group's first symbol lies.
     Context(Place),
 }
 
-/// Codes the four groups of `cell`, cluster `cluster` of the stream: each with a table pair of its own, or with
-/// the context coder.
+/// Codes the four groups of `cell`, cluster `cluster` of the stream: each with a table pair of its own, or
+/// with the context coder.
 pub(super) fn groups(
     cluster: usize,
     plan: &EpochPlan,
@@ -93,7 +93,7 @@ pub(super) fn groups(
             Coder::Context(Place { level, first: 0, gaussians, rank: plan.rank, frames: plan.frames })
         } else {
             let tables = counts.map(|c| ByteTable::from_counts(&c));
-            Coder::Tables(tables, Box::new(tables.map(|t| costs(&t))))
+            Coder::Tables(Box::new(tables), Box::new(tables.map(|t| costs(&t))))
         };
         let limit = match decisions.repair.of(false, level) {
             Some(_) => limits::MAX_PAYLOAD_BYTES - 32 - PARITY_OVERHEAD_BYTES,
@@ -130,7 +130,7 @@ pub(super) fn groups(
 impl Coder {
     fn tables(&self) -> Option<[ByteTable; 2]> {
         match self {
-            Self::Tables(tables, _) => Some(*tables),
+            Self::Tables(tables, _) => Some(**tables),
             Self::Context(_) => None,
         }
     }
@@ -146,7 +146,7 @@ impl Coder {
         };
         loop {
             let start = match self {
-                Self::Tables([low, high], _) => bytes::encode(&rest[..take], [low, high], &mut scratch),
+                Self::Tables(tables, _) => bytes::encode(&rest[..take], tables.each_ref(), &mut scratch),
                 Self::Context(_) => {
                     let end = decisions.partition_point(|&(symbol, _)| symbol < take);
                     context::encode(decisions[..end].iter().map(|&(_, decision)| decision), &mut scratch)
@@ -175,7 +175,7 @@ impl Coder {
         }
         let mut whole = vec![0u8; symbols.len() * 5 + 16];
         let start = match self {
-            Self::Tables([low, high], _) => bytes::encode(symbols, [low, high], &mut whole)?,
+            Self::Tables(tables, _) => bytes::encode(symbols, tables.each_ref(), &mut whole)?,
             Self::Context(place) => {
                 let mut all = Vec::new();
                 context::decisions(&mut symbols.to_vec(), *place, |_, decision| {
@@ -189,7 +189,8 @@ impl Coder {
     }
 }
 
-/// How many symbols are expected to fit `limit` bytes, and the decisions that code them, each with its symbol.
+/// How many symbols are expected to fit `limit` bytes, and the decisions that code them with the symbol of
+/// each.
 fn expected_decisions(symbols: &[i16], place: Place, limit: usize) -> (usize, Vec<(usize, Decision)>) {
     let most = symbols.len().min(usize::from(u16::MAX));
     let budget = budget_bits(limit);

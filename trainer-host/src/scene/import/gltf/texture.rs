@@ -3,10 +3,7 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use gltf::{material::AlphaMode, texture::WrappingMode};
-use render_host::{
-    ImageError,
-    image_file::{Bounds, Rgba8},
-};
+use render_host::image_file::{Bounds, FileError, Rgba8};
 
 use super::document::{Document, FORMAT};
 use crate::scene::import::{Limits, error::ImportError};
@@ -122,9 +119,9 @@ impl Texture {
     }
 }
 
-/// Decodes an image that may take `most` bytes, and 8192 pixels per byte of its file (what PNG can pack: deflate's
-/// 1032 times eight one-bit pixels), so that a small file cannot ask for a large picture.
-fn decode(bytes: &[u8], most: u64) -> Result<Rgba8, ImageError> {
+/// Decodes an image that may take `most` bytes, and 8192 pixels per byte of its file (what PNG can pack:
+/// deflate's 1032 times eight one-bit pixels), so that a small file cannot ask for a large picture.
+fn decode(bytes: &[u8], most: u64) -> Result<Rgba8, FileError> {
     let packed = (bytes.len() as u64).saturating_mul(8192 * 4);
     Rgba8::decode(bytes, Bounds { side: 16_384, bytes: most.min(1 << 30).min(packed) })
 }
