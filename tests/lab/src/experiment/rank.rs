@@ -13,6 +13,9 @@ use crate::{
     setup::Setup,
 };
 
+/// What a figure shows of a training.
+type Value = fn(&RankResult) -> f64;
+
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
     let size = Size::of(setup);
@@ -36,7 +39,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     options.encode.pictures = 0;
     options.validation.states = size.states;
     let results = sweep_ranks(&study.scene, &study.training, &study.test, &options, (ranks, seeds))?;
-    let values: [(&str, &str, fn(&RankResult) -> f64); 4] = [
+    let values: [(&str, &str, Value); 4] = [
         ("clean", "dB", |r| r.clean_db),
         ("burst5_p10", "dB", |r| r.p10_db),
         ("burst5_worst10", "dB", |r| r.worst_tenth_db),

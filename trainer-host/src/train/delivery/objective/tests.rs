@@ -81,11 +81,14 @@ impl Study {
         let (this, next) = (rotations(self.view.frame), rotations(self.view.frame + 1));
         let right = glam::DVec3::from_array(self.view.camera.rotation()[0]);
         for (i, (direction, gradient)) in direction.iter_mut().zip(gradient).enumerate() {
-            let [w, x, y, z] = this[i].map(f64::from);
-            let own = glam::DQuat::from_xyzw(x, y, z, w).conjugate() * right;
+            // Proxies come after the Gaussians, and move along the world's axes.
+            let own = this.get(i).map_or(right, |q| {
+                let [w, x, y, z] = q.map(f64::from);
+                glam::DQuat::from_xyzw(x, y, z, w).conjugate() * right
+            });
             let slope = own.dot(glam::DVec3::from_slice(&gradient[..3]));
-            let along =
-                if this[i] == next[i] && slope != 0.0 { own * slope.signum() } else { glam::DVec3::ZERO };
+            let moves = this.get(i) == next.get(i) && slope != 0.0;
+            let along = if moves { own * slope.signum() } else { glam::DVec3::ZERO };
             direction[..3].copy_from_slice(&along.to_array());
         }
     }
