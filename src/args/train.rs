@@ -71,6 +71,14 @@ pub struct Train {
     /// Times that quality is measured during training: 0 to 1000.
     #[arg(long, default_value_t = 10, value_parser = whole::<u32>(0..=1000, "times"))]
     pub evaluations: u32,
+    /// Fine-tune for what delivery leaves: reconstruction, iid, burst-cvar, mixed, or a JSON file of options. A
+    /// dataset is trained first; a scene is taken as it is, and its renders are what it is compared with. Also
+    /// writes registration.json (what was fixed before) and delivery.json (what came of it).
+    #[arg(long, value_name = "CONFIG")]
+    pub delivery: Option<String>,
+    /// Pictures that fine-tuning compares with, at most.
+    #[arg(long, default_value_t = 64, value_parser = whole::<usize>(2..=10_000, "pictures"))]
+    pub references: usize,
     /// Frames of the encoded scene [default: as many as the training photographs have instants].
     #[arg(long, value_parser = whole::<usize>(1..=100_000, "frames"))]
     pub frames: Option<usize>,

@@ -1,5 +1,6 @@
 //! `dgs train`: photographs, or the renders of a scene, to a moving scene and its stream.
 
+mod delivery;
 mod log;
 mod page;
 
@@ -16,11 +17,12 @@ use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
 use serde_json::json;
 use trainer_host::{
-    Instant,
-    encode::Protection,
+    Instant, Scene,
+    encode::{Encoded, Protection},
     train::{
         self, Checkpoint, Dataset, DensityControl, Evaluation, Posable, Trainer,
         dataset::{self, rendered},
+        delivery::DeliveryOptions,
     },
 };
 
@@ -48,6 +50,10 @@ struct Folder {
     log: PathBuf,
     preview: PathBuf,
     report: PathBuf,
+    /// What was fixed before fine-tuning for delivery.
+    registration: PathBuf,
+    /// What came of it.
+    delivery: PathBuf,
 }
 
 impl Folder {
@@ -59,6 +65,8 @@ impl Folder {
             log: file("log.csv"),
             preview: file("preview.png"),
             report: file("report.html"),
+            registration: file("registration.json"),
+            delivery: file("delivery.json"),
         }
     }
 
@@ -73,7 +81,8 @@ impl Folder {
         if !args.resume && !args.overwrite && self.checkpoint.exists() {
             bail!("{}: holds a training; --resume goes on with it, --overwrite replaces it", out.display());
         }
-        for path in [&self.checkpoint, &self.stream, &self.log, &self.preview, &self.report] {
+        let Self { checkpoint, stream, log, preview, report, registration, delivery } = self;
+        for path in [checkpoint, stream, log, preview, report, registration, delivery] {
             files::check(path)?;
         }
         Ok(())
@@ -83,30 +92,34 @@ impl Folder {
 /// Runs the verb.
 pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     let folder = Folder::of(&args.out);
+    let delivery = args.delivery.as_deref().map(DeliveryOptions::read).transpose().context("--delivery")?;
     let loading = Progress::new("read the dataset", quiet.0);
-    let dataset = load(args)?;
+    let (scene, dataset) = load(args)?;
     drop(loading);
     folder.open(args)?;
+    if let (Some(scene), Some(options)) = (&scene, &delivery) {
+        return delivery::run(args, &folder, scene, &dataset, options, quiet);
+    }
     let (mut trainer, begun) = begin(args, &folder, &dataset)?;
     let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
     let stop = interruption();
     let ended = fit(args, &folder, &dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
-    finish(args, &folder, &dataset, &trainer, &log, ended, quiet)
+    finish(args, &folder, &dataset, &trainer, &log, ended, delivery.as_ref(), quiet)
 }
 
-/// The dataset that was named.
-fn load(args: &Train) -> Result<Dataset> {
+/// The dataset that was named; if it was a scene, with the scene.
+fn load(args: &Train) -> Result<(Option<Scene>, Dataset)> {
     let path = Path::new(&args.input);
     if path.is_dir() && !args.input.starts_with("synth:") {
         match dataset::read(path) {
             Err(dataset::DatasetError::Unknown { .. }) => {}
-            found => return Ok(found?),
+            found => return Ok((None, found?)),
         }
     }
     let loaded = pipeline::import(&args.input, &args.scene)?;
-    let options =
-        rendered::Options { cameras: args.cameras, side: args.side, ..rendered::Options::default() };
-    Ok(rendered::rendered(&loaded.scene, &loaded.name, &options)?)
+    let options = rendered::Options { cameras: args.cameras, side: args.side, ..rendered::Options::default() };
+    let dataset = rendered::rendered(&loaded.scene, &loaded.name, &options)?;
+    Ok((Some(loaded.scene), dataset))
 }
 
 /// A trainer at its start or at its checkpoint, and how far it had come.
@@ -235,6 +248,7 @@ fn glance(trainer: &Trainer, dataset: &Dataset) -> Option<f64> {
 }
 
 /// Encodes the scene, measures it, and writes the pages.
+#[allow(clippy::too_many_arguments, reason = "each is another thing that is written")]
 fn finish(
     args: &Train,
     folder: &Folder,
@@ -242,18 +256,20 @@ fn finish(
     trainer: &Trainer,
     log: &Log,
     ended: Ended,
+    delivery: Option<&DeliveryOptions>,
     quiet: Quiet,
 ) -> Result<VerbOutput> {
     let frames = args.frames.unwrap_or(dataset.frames);
     let mut scene = trainer.model().scene(frames, args.scene.fps)?;
     scene.up = dataset.up;
-    let encoded = pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::NONE), quiet)?;
+    let encoded = match delivery.filter(|_| !ended.interrupted) {
+        Some(options) => delivery::fine_tuned(args, folder, &scene, dataset, options, quiet)?,
+        None => pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::NONE), quiet)?,
+    };
     let bytes = encoded.stream.to_bytes()?;
     files::write(&folder.stream, &bytes)?;
 
-    let mut decoded = Frames::of_stream(encoded.stream.receive()?, Level::from_bits(3), dataset.up);
-    let decoded: Vec<Instant> =
-        (0..decoded.count()).map(|frame| decoded.instant(frame)).collect::<Result<_>>()?;
+    let decoded = decoded(&encoded, dataset)?;
     let reduced = trainer.reduced();
     let plain = trainer.options().background;
     let other = plain.map(|v| 1.0 - v);
@@ -282,6 +298,12 @@ fn finish(
     Ok(said(args, folder, trainer, log, &figures, bytes.len(), frames, &ended))
 }
 
+/// The frames that a receiver of the whole stream shows.
+fn decoded(encoded: &Encoded, dataset: &Dataset) -> Result<Vec<Instant>> {
+    let mut frames = Frames::of_stream(encoded.stream.receive()?, Level::from_bits(3), dataset.up);
+    (0..frames.count()).map(|frame| frames.instant(frame)).collect()
+}
+
 /// What the verb says.
 #[allow(clippy::too_many_arguments, reason = "each is a figure that is said")]
 fn said(
@@ -304,16 +326,7 @@ fn said(
         if ended.interrupted { ", interrupted: --resume goes on" } else { "" },
     );
     for (what, found) in figures {
-        text += &format!(
-            "  {what:<48} {:.2} dB (worst view {:.2}, foreground {:.2}), SSIM {:.4}, {} x {}, background {:?}\n",
-            found.psnr_db,
-            found.worst_psnr_db,
-            found.foreground_psnr_db,
-            found.ssim,
-            found.size.0,
-            found.size.1,
-            found.background
-        );
+        text += &figure(what, found);
     }
     text += &format!(
         "  {bytes} bytes, {frames} frames, in {}\n{}\n",
@@ -338,4 +351,18 @@ fn said(
         "notes": log.notes,
     });
     VerbOutput { text, json, warnings: log.notes.clone(), damaged: false }
+}
+
+/// A line about how well some views agree.
+fn figure(what: &str, found: &Evaluation) -> String {
+    format!(
+        "  {what:<48} {:.2} dB (worst view {:.2}, foreground {:.2}), SSIM {:.4}, {} x {}, background {:?}\n",
+        found.psnr_db,
+        found.worst_psnr_db,
+        found.foreground_psnr_db,
+        found.ssim,
+        found.size.0,
+        found.size.1,
+        found.background
+    )
 }

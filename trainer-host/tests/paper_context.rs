@@ -5,7 +5,7 @@
 use codec_core::internals::wire::manifest::ChunkCoder;
 use trainer_host::{
     Scene,
-    encode::{Decisions, Encoded, EncodeOptions, encode, write},
+    encode::{Decisions, EncodeOptions, Encoded, encode, write},
     import::{
         Limits,
         synth::{self, SynthKind},

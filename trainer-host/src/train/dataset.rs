@@ -104,7 +104,7 @@ fn read_photograph(path: &Path) -> Result<(Photograph, bool), DatasetError> {
     let bytes = read_bytes(path)?;
     let failed = |source| DatasetError::Image { path: path.to_owned(), source };
     let bounds = Bounds { side: MAX_SIDE, bytes: 4 * u64::from(MAX_SIDE) * u64::from(MAX_SIDE) };
-    let image = Rgba8::decode(&bytes, bounds).map_err(failed)?;
+    let image = Rgba8::decode(&bytes, bounds).map_err(|e| failed(ImageError::Codec(e.to_string())))?;
     let premultiplied = image.data().chunks_exact(4).flat_map(|pixel| {
         let by_alpha = |c: usize| ((u32::from(pixel[c]) * u32::from(pixel[3]) + 127) / 255) as u8;
         [by_alpha(0), by_alpha(1), by_alpha(2), pixel[3]]

@@ -98,10 +98,8 @@ fn is_useless(gaussians: &TrainedGaussians, index: usize, extent: &Extent) -> bo
     let faint = gaussians.opacity.item(index)[0] < FAINT;
     let long = gaussians.log_scale.item(index).iter().any(|&s| s > (LONGEST * unit).ln());
     let place = gaussians.positions()[index];
-    let far = place
-        .iter()
-        .zip(extent.centre)
-        .any(|(&p, c)| !((f64::from(p) - c).abs() <= FARTHEST * extent.half_side));
+    let near = |(&p, c): (&f32, f64)| (f64::from(p) - c).abs() <= FARTHEST * extent.half_side;
+    let far = !place.iter().zip(extent.centre).all(near);
     faint || long || far
 }
 

@@ -49,7 +49,7 @@ impl Parameter {
 
     /// Number of items.
     pub fn items(&self) -> usize {
-        if self.width == 0 { 0 } else { self.values.len() / self.width }
+        self.values.len().checked_div(self.width).unwrap_or(0)
     }
 
     /// All values, item after item.

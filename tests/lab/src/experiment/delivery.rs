@@ -168,7 +168,12 @@ impl Study {
 
 /// Small packets and blocks, so that a small scene has many, and one quantiser class.
 fn coding() -> encode::EncodeOptions {
-    encode::EncodeOptions { packet_bytes: 400, block_len: 16, pictures: 0, ..encode::EncodeOptions::default() }
+    encode::EncodeOptions {
+        packet_bytes: 400,
+        block_len: 16,
+        pictures: 0,
+        ..encode::EncodeOptions::default()
+    }
 }
 
 /// Mean and standard deviation (of a sample) of `values`.

@@ -235,11 +235,11 @@ fn frame(bench: &mut Bench, name: &str, splats: &Splats, camera: &Camera, runs: 
 /// colours that stay above 0, so thresholds do not disturb the difference.
 pub(super) fn along_colours(
     splats: &Splats,
-    film: &Camera,
+    camera: &Camera,
     settings: &Settings,
     loss: &dyn Loss,
 ) -> Result<f64> {
-    let got = render_and_gradients(&mut Workspace::new(), splats, film, settings, loss)?;
+    let got = render_and_gradients(&mut Workspace::new(), splats, camera, settings, loss)?;
     let step = 1.0 / 2048.0;
     let mut r = Numbers(17);
     let n = splats.len();

@@ -157,7 +157,8 @@ mod tests {
     /// Changes move what stands in for a block, and must be as many as there are blocks.
     #[test]
     fn changes_show_and_misfits_are_named() {
-        let options = synth::SynthOptions { gaussians: 1000, frames: 1, kind: SynthKind::Balls, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 1000, frames: 1, kind: SynthKind::Balls, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
         let mut decisions = encode(&scene, &options, &|_, _| {}).unwrap().decisions;

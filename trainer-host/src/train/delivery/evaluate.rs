@@ -134,7 +134,8 @@ mod tests {
     #[test]
     fn losses_cost_quality_and_the_complete_state_is_the_best() {
         let (scene, references) = study(3, 1);
-        let options = encode::EncodeOptions { packet_bytes: 300, block_len: 16, pictures: 0, ..Default::default() };
+        let options =
+            encode::EncodeOptions { packet_bytes: 300, block_len: 16, pictures: 0, ..Default::default() };
         let encoded = encode::encode(&scene, &options, &|_, _| {}).unwrap();
         let share = |probability| {
             let loss = LossModel::Iid { probability };

@@ -222,11 +222,14 @@ mod tests {
     };
 
     pub(in crate::train::delivery) fn stream(profile: &str) -> Stream {
-        let options = synth::SynthOptions { gaussians: 1000, frames: 4, kind: SynthKind::Balls, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 1000, frames: 4, kind: SynthKind::Balls, ..Default::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = match profile {
             "paper" => encode::EncodeOptions::paper(),
-            _ => encode::EncodeOptions { packet_bytes: 200, block_len: 16, pictures: 0, ..Default::default() },
+            _ => {
+                encode::EncodeOptions { packet_bytes: 200, block_len: 16, pictures: 0, ..Default::default() }
+            }
         };
         encode::encode(&scene, &options, &|_, _| {}).unwrap().stream
     }

@@ -299,7 +299,8 @@ mod tests {
     };
 
     fn scene() -> Scene {
-        let options = synth::SynthOptions { gaussians: 1000, frames: 3, kind: SynthKind::Figure, ..Default::default() };
+        let options =
+            synth::SynthOptions { gaussians: 1000, frames: 3, kind: SynthKind::Figure, ..Default::default() };
         synth::make(&options, &Limits::default()).unwrap()
     }
 

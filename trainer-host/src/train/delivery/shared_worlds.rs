@@ -181,7 +181,8 @@ mod tests {
     #[test]
     fn pictures_of_worlds_together_are_those_of_each_alone() {
         let (scene, references) = study(3, 1);
-        let small = encode::EncodeOptions { packet_bytes: 300, block_len: 16, pictures: 0, ..Default::default() };
+        let small =
+            encode::EncodeOptions { packet_bytes: 300, block_len: 16, pictures: 0, ..Default::default() };
         for options in [small, encode::EncodeOptions::paper()] {
             let coded = Coded::first(&scene, &options).unwrap();
             let loss = LossModel::Iid { probability: 0.2 };

@@ -98,7 +98,8 @@ pub(super) mod tests {
     /// A small scene, and pictures of a finer one at all frames from `cameras` cameras.
     pub(in crate::train::delivery) fn study(frames: usize, cameras: usize) -> (Scene, Vec<Reference>) {
         let make = |gaussians: usize| {
-            let options = synth::SynthOptions { gaussians, frames, kind: SynthKind::Balls, ..Default::default() };
+            let options =
+                synth::SynthOptions { gaussians, frames, kind: SynthKind::Balls, ..Default::default() };
             synth::make(&options, &Limits::default()).unwrap()
         };
         let (scene, finer) = (make(1000), make(1600));

@@ -27,7 +27,8 @@ struct Study {
 
 fn made() -> Study {
     let (scene, references) = study(3, 1);
-    let options = encode::EncodeOptions { packet_bytes: 300, block_len: 16, pictures: 0, ..Default::default() };
+    let options =
+        encode::EncodeOptions { packet_bytes: 300, block_len: 16, pictures: 0, ..Default::default() };
     let coded = Coded::first(&scene, &options).unwrap();
     let stream = &coded.encoded.stream;
     let masks = Masks::draw(stream, LossModel::Iid { probability: 0.15 }, LossUnit::Packet, 7, 5).unwrap();
