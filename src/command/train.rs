@@ -40,6 +40,8 @@ use crate::{
 
 /// Steps between two lines of the log.
 const LOG_EVERY: u32 = 100;
+/// Exit status after a second interruption: 128 and the number of the signal, as shells have it.
+const INTERRUPTED: i32 = 130;
 /// Views that quality during training is measured on, at most.
 const GLANCE_VIEWS: usize = 8;
 
@@ -117,7 +119,8 @@ fn load(args: &Train) -> Result<(Option<Scene>, Dataset)> {
         }
     }
     let loaded = pipeline::import(&args.input, &args.scene)?;
-    let options = rendered::Options { cameras: args.cameras, side: args.side, ..rendered::Options::default() };
+    let options =
+        rendered::Options { cameras: args.cameras, side: args.side, ..rendered::Options::default() };
     let dataset = rendered::rendered(&loaded.scene, &loaded.name, &options)?;
     Ok((Some(loaded.scene), dataset))
 }
@@ -164,12 +167,17 @@ fn options(args: &Train) -> Result<train::Options> {
     Ok(options)
 }
 
-/// True once a person has asked to stop: the state is then written, and the verb ends.
+/// True once a person has asked to stop: the state is then written, and the verb ends. Asked twice, it ends at
+/// once.
 fn interruption() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
-    let told = Arc::clone(&stop);
+    let asked = Arc::clone(&stop);
     // Where no handler can be set, an interruption ends the process as it does any other.
-    let _ = ctrlc::set_handler(move || told.store(true, Ordering::Relaxed));
+    let _ = ctrlc::set_handler(move || {
+        if asked.swap(true, Ordering::Relaxed) {
+            std::process::exit(INTERRUPTED);
+        }
+    });
     stop
 }
 

@@ -1,0 +1,141 @@
+//! Tests `dgs train` as typed: what it writes, how it stops and goes on, what it refuses.
+
+#![allow(clippy::unwrap_used, reason = "a test that cannot go on has failed")]
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output, Stdio},
+    thread,
+    time::Duration,
+};
+
+const SCENE: &str = "synth:balls:1000:3";
+/// Small enough to train in a few seconds.
+const SMALL: [&str; 16] = [
+    "--side",
+    "64",
+    "--cameras",
+    "6",
+    "--steps",
+    "200",
+    "--nodes",
+    "16",
+    "--gaussians",
+    "500",
+    "--pictures",
+    "0",
+    "--checkpoint-every",
+    "20",
+    "--background",
+    "0",
+];
+
+fn command(folder: &Path, args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dgs"));
+    command.current_dir(folder).args(["train", SCENE]).args(SMALL).args(args);
+    command
+}
+
+fn train(folder: &Path, args: &[&str]) -> Output {
+    command(folder, args).output().unwrap()
+}
+
+fn ok(folder: &Path, args: &[&str]) -> String {
+    let output = train(folder, args);
+    assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn refused(folder: &Path, args: &[&str]) -> String {
+    let output = train(folder, args);
+    assert_eq!(output.status.code(), Some(1), "{args:?}");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+#[test]
+fn a_training_writes_a_stream_a_checkpoint_a_log_and_a_report() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let text = ok(at, &["-o", "out"]);
+    assert!(text.contains("200 steps") && text.contains("test views, as decoded from scene.dgs"), "{text}");
+    let log = fs::read_to_string(at.join("out/log.csv")).unwrap();
+    assert!(log.starts_with("step,seconds,loss") && log.contains("\n200,"), "{log}");
+    let page = fs::read_to_string(at.join("out/report.html")).unwrap();
+    assert!(page.contains("<svg") && page.contains("data:image/png;base64,"));
+    assert!(fs::read(at.join("out/preview.png")).unwrap().starts_with(b"\x89PNG"));
+
+    // The stream and the checkpoint are scenes for the other verbs.
+    let dgs = |args: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_dgs")).current_dir(at).args(args).output().unwrap();
+        assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    assert!(dgs(&["import", "out/checkpoint.dgst"]).contains("3 frames"));
+    dgs(&["render", "out/scene.dgs", "-o", "a.png", "--width", "64", "--height", "64"]);
+
+    // A folder in use is refused, kept, and replaced only where asked.
+    let before = fs::read(at.join("out/scene.dgs")).unwrap();
+    let error = refused(at, &["-o", "out"]);
+    assert!(error.contains("out: holds a training; --resume"), "{error}");
+    assert_eq!(fs::read(at.join("out/scene.dgs")).unwrap(), before);
+    ok(at, &["-o", "out", "--overwrite"]);
+    assert_eq!(fs::read(at.join("out/scene.dgs")).unwrap(), before);
+
+    // A damaged checkpoint is refused by name.
+    let mut bytes = fs::read(at.join("out/checkpoint.dgst")).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    fs::write(at.join("out/checkpoint.dgst"), bytes).unwrap();
+    let error = refused(at, &["-o", "out", "--resume"]);
+    assert!(error.contains("checkpoint.dgst") && error.contains("checksum"), "{error}");
+}
+
+/// Interrupted at any step and resumed, a training gives the bytes of one that was not interrupted.
+#[cfg(unix)]
+#[test]
+fn an_interrupted_training_goes_on_to_the_same_bytes() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["-o", "whole"]);
+    let mut child = command(at, &["-o", "parts"]).stdout(Stdio::null()).spawn().unwrap();
+    while !at.join("parts/checkpoint.dgst").exists() && child.try_wait().unwrap().is_none() {
+        thread::sleep(Duration::from_millis(5));
+    }
+    let _ = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(child.wait().unwrap().success());
+    ok(at, &["-o", "parts", "--resume"]);
+    assert_eq!(fs::read(at.join("parts/scene.dgs")).unwrap(), fs::read(at.join("whole/scene.dgs")).unwrap());
+}
+
+#[test]
+fn fine_tuning_for_delivery_fixes_its_rules_before_it_starts() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let config = r#"{"updates": 4, "worlds": 4, "validation": {"every": 4, "states": 4, "candidates": 1}}"#;
+    fs::write(at.join("config.json"), config).unwrap();
+    let text = ok(at, &["-o", "out", "--delivery", "config.json", "--references", "8"]);
+    assert!(text.contains("fine-tuned by 4 updates, mixed"), "{text}");
+    let registration = fs::read_to_string(at.join("out/registration.json")).unwrap();
+    assert!(registration.contains("config_hash") && registration.contains("selection_rule"));
+    assert!(fs::read_to_string(at.join("out/delivery.json")).unwrap().contains("objective"));
+    let error = refused(at, &["-o", "other", "--delivery", "no-such-variant"]);
+    assert!(error.contains("no-such-variant"), "{error}");
+}
+
+#[test]
+fn options_and_inputs_are_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    fs::write(at.join("options.json"), r#"{"rigidty": 1}"#).unwrap();
+    let error = refused(at, &["-o", "out", "--options", "options.json"]);
+    assert!(error.contains("options.json") && error.contains("rigidty"), "{error}");
+    let error = refused(at, &["-o", "out", "--resume"]);
+    assert!(error.contains("checkpoint.dgst: no such checkpoint"), "{error}");
+    let output = train(at, &["-o", "out", "--canonical-time=nan"]);
+    assert_eq!(output.status.code(), Some(64));
+    fs::create_dir(at.join("empty")).unwrap();
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_dgs")).current_dir(at).args(["train", "empty"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+}
