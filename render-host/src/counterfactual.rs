@@ -73,7 +73,7 @@ mod operator;
 mod patches;
 mod plan;
 mod segments;
-mod shared;
+mod shared_lists;
 mod splat_runs;
 mod squares;
 mod states;

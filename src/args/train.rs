@@ -5,14 +5,15 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 
 use super::{
-    CodecArgs, SceneArgs,
+    codec::CodecArgs,
     number::{background, not_negative, real, whole},
+    scene::SceneArgs,
 };
 
 /// `dgs train`.
 ///
-/// Writes into the folder of --out: scene.dgs (the encoded scene), checkpoint.dgst (to resume, and a scene for
-/// `dgs encode` and `dgs render`), log.csv, preview.png and report.html.
+/// Writes into the folder of --out: scene.dgs (the encoded scene), checkpoint.dgst (to resume, and a scene
+/// for `dgs encode` and `dgs render`), log.csv, preview.png and report.html.
 #[derive(Debug, Args)]
 pub struct Train {
     /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), sparse/0 (COLMAP) or train_meta.json
@@ -71,9 +72,9 @@ pub struct Train {
     /// Times that quality is measured during training: 0 to 1000.
     #[arg(long, default_value_t = 10, value_parser = whole::<u32>(0..=1000, "times"))]
     pub evaluations: u32,
-    /// Fine-tune for what delivery leaves: reconstruction, iid, burst-cvar, mixed, or a JSON file of options. A
-    /// dataset is trained first; a scene is taken as it is, and its renders are what it is compared with. Also
-    /// writes registration.json (what was fixed before) and delivery.json (what came of it).
+    /// Fine-tune for what delivery leaves: reconstruction, iid, burst-cvar, mixed, or a JSON file of
+    /// options. A dataset is trained first; a scene is taken as it is and compared with its own renders.
+    /// Also writes registration.json (what was fixed before) and delivery.json (what came of it).
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
     /// Pictures that fine-tuning compares with, at most.

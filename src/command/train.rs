@@ -1,11 +1,13 @@
 //! `dgs train`: photographs, or the renders of a scene, to a moving scene and its stream.
 
 mod delivery;
+mod figures;
+mod folder;
 mod log;
 mod page;
 
 use std::{
-    path::{Path, PathBuf},
+    path::Path,
     sync::{
         Arc,
         atomic::{AtomicBool, Ordering},
@@ -13,12 +15,11 @@ use std::{
     time::Instant as Clock,
 };
 
-use anyhow::{Context, Result, bail};
-use codec_core::internals::ids::Level;
+use anyhow::{Context, Result};
 use serde_json::json;
 use trainer_host::{
-    Instant, Scene,
-    encode::{Encoded, Protection},
+    Scene,
+    encode::Protection,
     train::{
         self, Checkpoint, Dataset, DensityControl, Evaluation, Posable, Trainer,
         dataset::{self, rendered},
@@ -27,14 +28,16 @@ use trainer_host::{
 };
 
 use self::{
+    figures::{decoded, figure},
+    folder::Folder,
     log::{Log, Sample},
-    page::Page,
+    page::{Ended, Page},
 };
 use crate::{
     args::train::{DensityName, Train},
     files,
     output::VerbOutput,
-    pipeline::{self, Frames, Quiet},
+    pipeline::{self, Quiet},
     progress::Progress,
 };
 
@@ -44,52 +47,6 @@ const LOG_EVERY: u32 = 100;
 const INTERRUPTED: i32 = 130;
 /// Views that quality during training is measured on, at most.
 const GLANCE_VIEWS: usize = 8;
-
-/// Files in the folder of a training.
-struct Folder {
-    checkpoint: PathBuf,
-    stream: PathBuf,
-    log: PathBuf,
-    preview: PathBuf,
-    report: PathBuf,
-    /// What was fixed before fine-tuning for delivery.
-    registration: PathBuf,
-    /// What came of it.
-    delivery: PathBuf,
-}
-
-impl Folder {
-    fn of(out: &Path) -> Self {
-        let file = |name: &str| out.join(name);
-        Self {
-            checkpoint: file("checkpoint.dgst"),
-            stream: file("scene.dgs"),
-            log: file("log.csv"),
-            preview: file("preview.png"),
-            report: file("report.html"),
-            registration: file("registration.json"),
-            delivery: file("delivery.json"),
-        }
-    }
-
-    /// Makes the folder, or refuses one that is in use.
-    fn open(&self, args: &Train) -> Result<()> {
-        let out = &args.out;
-        std::fs::create_dir_all(out)
-            .with_context(|| format!("{}: cannot make this folder", out.display()))?;
-        if args.resume && !self.checkpoint.is_file() {
-            bail!("{}: no such checkpoint; train without --resume first", self.checkpoint.display());
-        }
-        if !args.resume && !args.overwrite && self.checkpoint.exists() {
-            bail!("{}: holds a training; --resume goes on with it, --overwrite replaces it", out.display());
-        }
-        let Self { checkpoint, stream, log, preview, report, registration, delivery } = self;
-        for path in [checkpoint, stream, log, preview, report, registration, delivery] {
-            files::check(path)?;
-        }
-        Ok(())
-    }
-}
 
 /// Runs the verb.
 pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
@@ -119,8 +76,11 @@ fn load(args: &Train) -> Result<(Option<Scene>, Dataset)> {
         }
     }
     let loaded = pipeline::import(&args.input, &args.scene)?;
-    let options =
-        rendered::Options { cameras: args.cameras, side: args.side, ..rendered::Options::default() };
+    let options = rendered::RenderedOptions {
+        cameras: args.cameras,
+        side: args.side,
+        ..rendered::RenderedOptions::default()
+    };
     let dataset = rendered::rendered(&loaded.scene, &loaded.name, &options)?;
     Ok((Some(loaded.scene), dataset))
 }
@@ -139,9 +99,9 @@ fn begin<'d>(args: &Train, folder: &Folder, dataset: &'d Dataset) -> Result<(Tra
 }
 
 /// The options of the file, if there is one, and what was typed besides.
-fn options(args: &Train) -> Result<train::Options> {
+fn options(args: &Train) -> Result<train::TrainOptions> {
     let mut options = match &args.options {
-        None => train::Options::default(),
+        None => train::TrainOptions::default(),
         Some(path) => {
             let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
             serde_json::from_str(&text).with_context(|| path.display().to_string())?
@@ -167,24 +127,18 @@ fn options(args: &Train) -> Result<train::Options> {
     Ok(options)
 }
 
-/// True once a person has asked to stop: the state is then written, and the verb ends. Asked twice, it ends at
-/// once.
+/// True once a person has asked to stop: the state is then written, and the verb ends. Asked twice, it
+/// ends at once.
 fn interruption() -> Arc<AtomicBool> {
     let stop = Arc::new(AtomicBool::new(false));
-    let asked = Arc::clone(&stop);
+    let requested = Arc::clone(&stop);
     // Where no handler can be set, an interruption ends the process as it does any other.
     let _ = ctrlc::set_handler(move || {
-        if asked.swap(true, Ordering::Relaxed) {
+        if requested.swap(true, Ordering::Relaxed) {
             std::process::exit(INTERRUPTED);
         }
     });
     stop
-}
-
-/// How a training ended.
-struct Ended {
-    seconds: f64,
-    interrupted: bool,
 }
 
 /// Takes steps until the budget is spent or a person asks to stop.
@@ -306,12 +260,6 @@ fn finish(
     Ok(said(args, folder, trainer, log, &figures, bytes.len(), frames, &ended))
 }
 
-/// The frames that a receiver of the whole stream shows.
-fn decoded(encoded: &Encoded, dataset: &Dataset) -> Result<Vec<Instant>> {
-    let mut frames = Frames::of_stream(encoded.stream.receive()?, Level::from_bits(3), dataset.up);
-    (0..frames.count()).map(|frame| frames.instant(frame)).collect()
-}
-
 /// What the verb says.
 #[allow(clippy::too_many_arguments, reason = "each is a figure that is said")]
 fn said(
@@ -341,6 +289,8 @@ fn said(
         folder.stream.display(),
         folder.report.display()
     );
+    let measured: Vec<_> =
+        figures.iter().map(|(what, found)| json!({"what": what, "found": found})).collect();
     let json = json!({
         "input": args.input,
         "steps": trainer.steps(),
@@ -349,7 +299,7 @@ fn said(
         "gaussians": trainer.model().gaussians(),
         "nodes": trainer.model().nodes(),
         "options": trainer.options(),
-        "figures": figures.iter().map(|(what, found)| json!({"what": what, "found": found})).collect::<Vec<_>>(),
+        "figures": measured,
         "stream": folder.stream,
         "bytes": bytes,
         "frames": frames,
@@ -359,18 +309,4 @@ fn said(
         "notes": log.notes,
     });
     VerbOutput { text, json, warnings: log.notes.clone(), damaged: false }
-}
-
-/// A line about how well some views agree.
-fn figure(what: &str, found: &Evaluation) -> String {
-    format!(
-        "  {what:<48} {:.2} dB (worst view {:.2}, foreground {:.2}), SSIM {:.4}, {} x {}, background {:?}\n",
-        found.psnr_db,
-        found.worst_psnr_db,
-        found.foreground_psnr_db,
-        found.ssim,
-        found.size.0,
-        found.size.1,
-        found.background
-    )
 }

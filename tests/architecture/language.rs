@@ -90,17 +90,17 @@ type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 11] = [
-    ("", [0, 1, 0, 7, 0, 0, 0, 0, 88]),
-    ("codec-core/", [51, 1, 0, 19, 0, 4, 2, 21, 24]),
+    ("", [0, 1, 0, 7, 0, 0, 0, 0, 91]),
+    ("codec-core/", [46, 1, 0, 19, 0, 4, 2, 14, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 1, 0, 0, 12]),
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 2, 19]),
     ("codec-core/simd/", [1, 0, 0, 5, 0, 0, 0, 5, 9]),
     ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 130]),
     ("fuzz/", [10, 0, 0, 2, 0, 0, 0, 0, 30]),
-    ("render-host/", [123, 3, 2, 16, 0, 7, 3, 17, 223]),
-    ("tests/lab/", [4, 0, 0, 13, 0, 0, 0, 0, 47]),
-    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 172]),
+    ("render-host/", [0, 0, 0, 15, 0, 3, 0, 4, 229]),
+    ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 48]),
+    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 256]),
 ];
 
 /// The room of a file: the longest folder of [`CEILINGS`] that it lies in.
@@ -128,7 +128,7 @@ fn words(name: &str) -> Vec<String> {
 }
 
 /// Names outside the glossary.
-struct Names(usize);
+struct Names(Vec<String>);
 
 impl<'ast> Visit<'ast> for Names {
     fn visit_ident(&mut self, name: &'ast syn::Ident) {
@@ -136,7 +136,7 @@ impl<'ast> Visit<'ast> for Names {
         // A held-out camera is a term of the field.
         let term = words.windows(2).any(|pair| pair == ["held", "out"]);
         if !term && words.iter().any(|word| NAMES.contains(&word.as_str())) {
-            self.0 += 1;
+            self.0.push(name.to_string());
         }
     }
 }
@@ -202,9 +202,9 @@ fn counts(tree: &Tree) -> BTreeMap<&'static str, Counts> {
         count[3] += text.lines().filter(|line| line.chars().count() > 110).count();
         count[4] += usize::from(path.ends_with("/mod.rs") && !path.ends_with("tests/support/mod.rs"));
         let Ok(file) = syn::parse_file(text) else { continue };
-        let mut names = Names(0);
+        let mut names = Names(Vec::new());
         names.visit_file(&file);
-        count[0] += names.0;
+        count[0] += names.0.len();
         count[5] += usize::from(is_disordered(&file));
         count[6] += bare(&file);
     }
@@ -227,8 +227,40 @@ pub fn above(tree: &Tree) -> Vec<String> {
             if count > most {
                 let room = if room.is_empty() { "src/ and tests/" } else { room };
                 found.push(format!("{room}: {count} {name}; at most {most} are allowed"));
+                found.extend(places(tree, if room == "src/ and tests/" { "" } else { room }, rule));
             }
         }
+    }
+    found
+}
+
+/// Where in `of_room` a rule counts, so that whoever reads the failure finds it.
+fn places(tree: &Tree, of_room: &str, rule: usize) -> Vec<String> {
+    let mut found = Vec::new();
+    for (path, text) in tree.rust().filter(|(path, _)| room(path) == of_room) {
+        let Ok(file) = syn::parse_file(text) else { continue };
+        let mut names = Names(Vec::new());
+        names.visit_file(&file);
+        let lines = |counts: &dyn Fn(&str) -> bool| {
+            let numbered = text.lines().enumerate().filter(|(_, line)| counts(line));
+            numbered.map(|(index, _)| (index + 1).to_string()).collect::<Vec<_>>()
+        };
+        let here = match rule {
+            0 => names.0,
+            1 => lines(&speaks_in_metaphors),
+            2 if text.lines().count() > 500 => vec![text.lines().count().to_string()],
+            3 => lines(&|line| line.chars().count() > 110),
+            5 if is_disordered(&file) => vec!["imports".to_owned()],
+            6 if bare(&file) > 0 => vec![bare(&file).to_string()],
+            _ => Vec::new(),
+        };
+        if !here.is_empty() {
+            found.push(format!("    {path}: {}", here.join(", ")));
+        }
+    }
+    for (_, folder) in tree.libraries().into_iter().filter(|(_, folder)| rule == 7 && room(folder) == of_room)
+    {
+        found.extend(circles(tree, &folder).iter().map(|circle| format!("    {}", circle.join(" -> "))));
     }
     found
 }

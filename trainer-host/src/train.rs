@@ -12,6 +12,7 @@ mod checkpoint;
 pub mod dataset;
 pub mod delivery;
 mod density;
+mod error;
 pub mod evaluation;
 mod gaussians;
 mod model;
@@ -26,10 +27,11 @@ mod trainer;
 pub mod views;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
+pub use error::TrainError;
 pub use evaluation::{Evaluation, EvaluationError, Posable, compare, evaluate};
 pub use model::Model;
-pub use options::{DensityControl, Options, OptionsError, Rates, Schedule};
-pub use trainer::{Stage, StepReport, TrainError, Trainer};
+pub use options::{DensityControl, OptionsError, Rates, Schedule, TrainOptions};
+pub use trainer::{Stage, StepReport, Trainer};
 pub use views::{
     ColouredPoint, Dataset, PosedPhotograph, Start, Test, Training, Validation, Views, ViewsError,
 };

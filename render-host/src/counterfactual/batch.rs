@@ -6,7 +6,7 @@ use codec_core::Gaussian;
 
 use super::{
     CounterfactualError, States, Variants,
-    shared::SharedLists,
+    shared_lists::SharedLists,
     states::CHUNK,
     strict,
     tuner::{self, OutOfMemory, Tuned},

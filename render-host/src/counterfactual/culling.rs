@@ -4,7 +4,7 @@
 //! one list of splats. The culling is conservative, as every skip: what it leaves out is below the cut-off
 //! on every pixel of the block.
 
-use super::shared::SharedLists;
+use super::shared_lists::SharedLists;
 use crate::{
     settings::Settings,
     stage::{

@@ -2,7 +2,7 @@
 
 use super::{
     error::CounterfactualError,
-    shared::SharedLists,
+    shared_lists::SharedLists,
     squares::{Planes, cut},
     states::{CHUNK, States},
     variants::Variants,

@@ -13,7 +13,7 @@ use super::{
     fast::Worlds,
     operator::Operator,
     plan::{LanePlan, Pass, group_set},
-    shared::SharedLists,
+    shared_lists::SharedLists,
     splat_runs::SplatRuns,
     squares::{Squares, add, inside, squares, wanted, within},
     states::CHUNK,

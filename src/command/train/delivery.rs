@@ -11,7 +11,10 @@ use trainer_host::{
     },
 };
 
-use super::{Folder, decoded, figure};
+use super::{
+    figures::{decoded, figure},
+    folder::Folder,
+};
 use crate::{
     args::train::Train,
     files,

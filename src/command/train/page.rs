@@ -6,7 +6,7 @@ use anyhow::Result;
 use render_host::Image;
 use trainer_host::train::{self, Dataset, Evaluation, Trainer};
 
-use super::{Ended, log::Log};
+use super::log::Log;
 use crate::report::{
     html::{STYLE, data_of_png},
     plot::{Hue, Panel, Plot, Series, Shape, escape},
@@ -19,6 +19,12 @@ const PREVIEW: u32 = 240;
 /// Errors in the preview are shown so many times as bright.
 const BRIGHTER: f32 = 5.0;
 
+/// How a training ended.
+pub(super) struct Ended {
+    pub(super) seconds: f64,
+    pub(super) interrupted: bool,
+}
+
 /// What the page shows.
 pub(super) struct Page<'a> {
     pub(super) dataset: &'a Dataset,
@@ -30,8 +36,8 @@ pub(super) struct Page<'a> {
 }
 
 impl Page<'_> {
-    /// Photographs, pictures and errors of some views, row by row: of the test split, or of the training split
-    /// where there is none.
+    /// Photographs, pictures and errors of some views, row by row: of the test split, or of the training
+    /// split where there is none.
     pub(super) fn preview(&self) -> Result<Image> {
         let (trainer, dataset) = (self.trainer, self.dataset);
         let reduced = trainer.reduced();
@@ -68,8 +74,10 @@ impl Page<'_> {
         let mut out = format!(
             "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><meta name=\"viewport\" \
              content=\"width=device-width, initial-scale=1\"><title>{title} · dgs</title>\n\
-             <style>{STYLE}</style></head>\n<body><main>\n<header><h1>{title}</h1>\n<p class=\"lead\">{} steps \
-             in {:.1} minutes gave {} Gaussians moved by {} control nodes, {} bytes as scene.dgs.</p></header>\n",
+             <style>{STYLE}</style></head>\n<body><main>\n<header><h1>{title}</h1>\n\
+             <p class=\"lead\">{} steps \
+             in {:.1} minutes gave {} Gaussians moved by {} control nodes, {} bytes as scene.dgs.</p>\n\
+             </header>\n",
             self.trainer.steps(),
             self.ended.seconds / 60.0,
             self.trainer.model().gaussians(),
@@ -97,7 +105,7 @@ impl Page<'_> {
         out += "</table>\n<h2>Photographs, pictures, errors</h2>\n";
         let _ = writeln!(
             out,
-            "<img alt=\"photographs above, pictures below them, errors at the bottom\" style=\"max-width:100%\" \
+            "<img alt=\"photographs above, pictures below, errors at the bottom\" style=\"max-width:100%\" \
              src=\"{}\">\n<p class=\"note\">Errors are {BRIGHTER} times as bright as they are.</p>",
             data_of_png(&self.preview()?.to_png()?)
         );

@@ -1,15 +1,16 @@
 //! A checkpoint is a training at rest: it goes on from there bit for bit.
 //!
-//! Layout, little-endian: `DGSTRAIN`, u16 version, u32 CRC-32 of what follows, then the numbers in the postcard
-//! format. Also a scene: `dgs encode` and `dgs render` read it at any number of frames.
+//! Layout, little-endian: `DGSTRAIN`, u16 version, u32 CRC-32 of what follows, then the numbers in the
+//! postcard format. Also a scene: `dgs encode` and `dgs render` read it at any number of frames.
 
 use render_host::Camera;
 use serde::{Deserialize, Serialize};
 
 use super::{
+    error::TrainError,
     model::Model,
-    options::Options,
-    trainer::{State, TrainError, Trainer},
+    options::TrainOptions,
+    trainer::{State, Trainer},
     views::Dataset,
 };
 
@@ -26,7 +27,7 @@ pub struct Checkpoint {
     pub frames: usize,
     /// How far the training had come, 0 to 1.
     pub progress: f64,
-    options: Options,
+    options: TrainOptions,
     /// FNV-1a over names, times and sizes of the training views.
     views: u64,
     state: State,
@@ -63,7 +64,7 @@ impl Checkpoint {
     }
 
     /// How the scene is trained.
-    pub fn options(&self) -> &Options {
+    pub fn options(&self) -> &TrainOptions {
         &self.options
     }
 

@@ -15,9 +15,9 @@ use super::{
 
 /// Gaussians fainter than this logit (1.5 %) are removed.
 const FAINT: f32 = -4.2;
-/// Longest standard deviation that is kept, extents.
+/// Longest standard deviation that remains, extents.
 const LONGEST: f32 = 0.3;
-/// Farthest place that is kept, extents from the centre.
+/// Farthest place that remains, extents from the centre.
 const FARTHEST: f64 = 1.9;
 /// A split pair stands apart by this many standard deviations each way.
 const APART: f32 = 0.55;
@@ -74,8 +74,8 @@ pub(super) fn control(
 ) -> Vec<usize> {
     let mut indices: Vec<usize> =
         (0..gaussians.len()).filter(|&i| !is_useless(gaussians, i, extent)).collect();
-    let kept = indices.len();
-    let room = target.saturating_sub(kept).min(kept / 4);
+    let remaining = indices.len();
+    let room = target.saturating_sub(remaining).min(remaining / 4);
     let weight = |&index: &usize| match kind {
         DensityControl::Split | DensityControl::SplitBySum => pull.weight(index),
         DensityControl::Relocate => f64::from(gaussians.opacity(index)),
@@ -83,11 +83,11 @@ pub(super) fn control(
     let weights: Vec<f64> = indices.iter().map(weight).collect();
     let parents = drawn(&weights, room, rng);
     indices.extend(parents.iter().map(|&place| indices[place]).collect::<Vec<_>>());
-    gaussians.select(&indices, kept);
+    gaussians.select(&indices, remaining);
     for (child, &parent) in parents.iter().enumerate() {
         match kind {
-            DensityControl::Split | DensityControl::SplitBySum => split(gaussians, parent, kept + child),
-            DensityControl::Relocate => share(gaussians, parent, kept + child),
+            DensityControl::Split | DensityControl::SplitBySum => split(gaussians, parent, remaining + child),
+            DensityControl::Relocate => share(gaussians, parent, remaining + child),
         }
     }
     indices

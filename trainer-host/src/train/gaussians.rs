@@ -160,8 +160,8 @@ impl TrainedGaussians {
         nodes
     }
 
-    /// Adds the gradients of `opacity_weight · mean opacity + scale_weight · mean scale`: what is not needed
-    /// fades and shrinks (Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", section 3.4).
+    /// Adds the gradients of `opacity_weight · mean opacity + scale_weight · mean scale`: what is not
+    /// needed fades and shrinks (Kheradmand et al. 2024, section 3.4).
     pub(super) fn regularise(&mut self, opacity_weight: f32, scale_weight: f32) {
         let count = self.len().max(1) as f32;
         if opacity_weight > 0.0 {

@@ -1,4 +1,4 @@
-//! Options of a reconstruction: how much, how fast, how rigid. Plain data with defaults that work.
+//! TrainOptions of a reconstruction: how much, how fast, how rigid. Plain data with defaults that work.
 
 use codec_core::ShDegree;
 use render_host::adjoint::loss::photograph::Weights;
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 /// numbers work for a scene of any size.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
-pub struct Options {
+pub struct TrainOptions {
     /// Seed of everything random.
     pub seed: u64,
     /// Gaussians to begin with.
@@ -121,7 +121,7 @@ pub struct Rates {
     pub node_motion: f32,
 }
 
-impl Default for Options {
+impl Default for TrainOptions {
     fn default() -> Self {
         Self {
             seed: 1,
@@ -171,7 +171,7 @@ pub struct OptionsError {
     pub allowed: &'static str,
 }
 
-impl Options {
+impl TrainOptions {
     /// Checks every number.
     ///
     /// # Errors

@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn selected_copies_forget_their_momentum_and_kept_items_do_not() {
+    fn selected_copies_forget_their_momentum_and_other_items_do_not() {
         let mut parameter = Parameter::new(1, vec![1.0, 2.0, 3.0]);
         parameter.gradient_mut().fill(1.0);
         parameter.step(step(1));

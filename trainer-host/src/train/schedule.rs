@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     gaussians::AttributeRates,
-    options::{Options, Schedule},
+    options::{Schedule, TrainOptions},
 };
 
 /// How the photographs shrink for a part of the training.
@@ -12,8 +12,8 @@ use super::{
 pub(super) struct Sizes(Vec<u32>);
 
 impl Sizes {
-    /// The reductions (a divisor each, coarsest first, 1 last) that divide `common`, which divides every side,
-    /// and leave the shortest side 64 pixels at least.
+    /// The reductions (a divisor each, coarsest first, 1 last) that divide `common`, which divides every
+    /// side, and leave the shortest side 64 pixels at least.
     pub(super) fn of(common: u32, shortest: u32) -> Self {
         let fits = |by: &u32| common.is_multiple_of(*by) && shortest / by >= 64;
         let mut divisors: Vec<u32> = [8, 4, 2].into_iter().filter(fits).collect();
@@ -40,7 +40,7 @@ pub(super) fn time_span(schedule: &Schedule, progress: f64) -> f32 {
 }
 
 /// Numbers of nodes and the shares of the training at which they take over.
-pub(super) fn node_stages(options: &Options) -> Vec<(f64, usize)> {
+pub(super) fn node_stages(options: &TrainOptions) -> Vec<(f64, usize)> {
     let (nodes, schedule) = (options.nodes, &options.schedule);
     if nodes == 0 {
         return Vec::new();
@@ -54,7 +54,7 @@ pub(super) fn node_stages(options: &Options) -> Vec<(f64, usize)> {
 }
 
 /// Number of Gaussians to have.
-pub(super) fn gaussians(options: &Options, progress: f64) -> usize {
+pub(super) fn gaussians(options: &TrainOptions, progress: f64) -> usize {
     let (from, to) = (options.initial_gaussians as f64, options.max_gaussians as f64);
     let grown = ((progress - 0.02) / (0.8 * options.schedule.density_end).max(1e-9)).clamp(0.0, 1.0);
     (from + (to - from) * grown).max(0.0) as usize
@@ -66,7 +66,7 @@ fn decay(progress: f64, end: f64) -> f32 {
 }
 
 /// Rates of the Gaussians' attributes; `extent` is the scene's, scene units.
-pub(super) fn attribute_rates(options: &Options, progress: f64, extent: f32) -> AttributeRates {
+pub(super) fn attribute_rates(options: &TrainOptions, progress: f64, extent: f32) -> AttributeRates {
     let (slow, fast) =
         (decay(progress, options.schedule.decay), decay(progress, options.schedule.motion_decay));
     let rates = &options.rates;
@@ -82,11 +82,11 @@ pub(super) fn attribute_rates(options: &Options, progress: f64, extent: f32) -> 
 }
 
 /// Rate of the nodes' motion.
-pub(super) fn node_rate(options: &Options, progress: f64) -> f32 {
+pub(super) fn node_rate(options: &TrainOptions, progress: f64) -> f32 {
     options.rates.node_motion * decay(progress, options.schedule.motion_decay)
 }
 
 /// Weight of rigidity.
-pub(super) fn rigidity(options: &Options, progress: f64) -> f32 {
+pub(super) fn rigidity(options: &TrainOptions, progress: f64) -> f32 {
     options.rigidity * (1.0 - progress).max(options.schedule.rigidity_decay) as f32
 }

@@ -9,7 +9,7 @@ use render_host::{Camera, adjoint::loss::photograph::Photograph};
 use serde::{Deserialize, Serialize};
 
 use super::{
-    options::Options,
+    options::TrainOptions,
     views::{ColouredPoint, PosedPhotograph, Start},
 };
 use crate::scene::{Instant, import::nearest::Tree};
@@ -86,7 +86,7 @@ pub(super) fn gaussians(
     start: &Start,
     views: &[PosedPhotograph],
     extent: &Extent,
-    options: &Options,
+    options: &TrainOptions,
     rng: &mut Pcg64Mcg,
 ) -> Instant {
     match start {
@@ -114,12 +114,12 @@ fn thinned(instant: &Instant, most: usize, rng: &mut Pcg64Mcg) -> Instant {
         keys.push((rng.random::<f64>().max(1e-300).ln() / weight, index));
     }
     keys.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-    let mut kept: Vec<usize> = keys[..most].iter().map(|key| key.1).collect();
-    kept.sort_unstable();
+    let mut chosen: Vec<usize> = keys[..most].iter().map(|key| key.1).collect();
+    chosen.sort_unstable();
     let rest = instant.sh_degree.rest_len();
     Instant {
-        gaussians: kept.iter().map(|&i| instant.gaussians[i]).collect(),
-        sh_rest: kept.iter().flat_map(|&i| instant.sh_rest[i * rest..][..rest].iter().copied()).collect(),
+        gaussians: chosen.iter().map(|&i| instant.gaussians[i]).collect(),
+        sh_rest: chosen.iter().flat_map(|&i| instant.sh_rest[i * rest..][..rest].iter().copied()).collect(),
         sh_degree: instant.sh_degree,
     }
 }
@@ -159,7 +159,7 @@ fn of_points(points: &[ColouredPoint], extent: &Extent) -> Instant {
 fn hull_points(
     views: &[PosedPhotograph],
     extent: &Extent,
-    options: &Options,
+    options: &TrainOptions,
     count: usize,
     rng: &mut Pcg64Mcg,
 ) -> Vec<ColouredPoint> {

@@ -7,7 +7,7 @@
 use rand::{RngExt, seq::SliceRandom};
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use render_host::{
-    CameraError, Gradients, RenderError, Settings, Splats, Workspace,
+    Gradients, RenderError, Settings, Splats, Workspace,
     adjoint::{
         AdjointError, DensityStatistics,
         loss::photograph::{Photograph, PhotographLoss},
@@ -18,10 +18,11 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     density::{self, Pull},
+    error::TrainError,
     gaussians::TrainedGaussians,
     model::Model,
     motion::{ControlNodes, FOLLOWED, TemporalBasis},
-    options::{DensityControl, Options, OptionsError},
+    options::{DensityControl, TrainOptions},
     parameter::AdamStep,
     photographs::Pyramid,
     schedule,
@@ -40,52 +41,6 @@ const KEEP_EVERY: u32 = 5;
 const MOST_RETREATS: u32 = 3;
 /// One step in this many shows the whole photograph and not only what its outline needs.
 const WHOLE_EVERY: u32 = 8;
-
-/// Training that cannot start or go on.
-#[derive(Debug, thiserror::Error)]
-pub enum TrainError {
-    /// An option out of range.
-    #[error("option {0}")]
-    Options(#[from] OptionsError),
-    /// No view to train on.
-    #[error("{dataset}: the training split is empty; at least one image is needed")]
-    Empty {
-        /// The dataset.
-        dataset: String,
-    },
-    /// A view that cannot be rendered or compared.
-    #[error("{view}: {source}")]
-    View {
-        /// The view.
-        view: String,
-        /// What is wrong.
-        source: AdjointError,
-    },
-    /// A camera that cannot be made smaller or cut.
-    #[error("{view}: {source}")]
-    Camera {
-        /// The view.
-        view: String,
-        /// What is wrong.
-        source: CameraError,
-    },
-    /// Training left what numbers can hold, again and again.
-    #[error(
-        "training diverged at step {step}: {what}; it fell back {retreats} times and did so again; lower rates \
-         or more rigidity may help"
-    )]
-    Diverged {
-        /// The step.
-        step: u32,
-        /// What was found.
-        what: String,
-        /// How often training had fallen back.
-        retreats: u32,
-    },
-    /// A checkpoint that does not belong to this dataset and these options.
-    #[error("checkpoint: {0}")]
-    Checkpoint(String),
-}
 
 /// What a step did.
 #[derive(Clone, Debug, PartialEq)]
@@ -151,12 +106,12 @@ pub(super) struct State {
 pub struct Trainer<'a> {
     views: &'a Views<Training>,
     has_alpha: bool,
-    options: Options,
+    options: TrainOptions,
     extent: Extent,
     pyramid: Pyramid<'a>,
     state: State,
     /// What to fall back to.
-    kept: State,
+    fallback: State,
     /// The order of views of one pass over them, and which pass it is.
     order: (u64, Vec<usize>),
     memory: Memory,
@@ -176,8 +131,8 @@ impl<'a> Trainer<'a> {
     /// Prepares to train on `dataset`.
     ///
     /// # Errors
-    /// Options out of range, or an empty training split.
-    pub fn new(dataset: &'a Dataset, options: &Options) -> Result<Self, TrainError> {
+    /// TrainOptions out of range, or an empty training split.
+    pub fn new(dataset: &'a Dataset, options: &TrainOptions) -> Result<Self, TrainError> {
         options.validate()?;
         let mut options = options.clone();
         if dataset.train.instants() < 2 {
@@ -214,7 +169,7 @@ impl<'a> Trainer<'a> {
             pyramid: Pyramid::new(photographs, options.max_side),
             options,
             extent,
-            kept: state.clone(),
+            fallback: state.clone(),
             state,
             order: (u64::MAX, Vec::new()),
             memory: Memory::default(),
@@ -230,7 +185,7 @@ impl<'a> Trainer<'a> {
         if state.size >= self.pyramid.sizes() {
             return refused("made for photographs of another size");
         }
-        self.kept = state.clone();
+        self.fallback = state.clone();
         self.state = state;
         Ok(self)
     }
@@ -246,7 +201,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// The options in force.
-    pub fn options(&self) -> &Options {
+    pub fn options(&self) -> &TrainOptions {
         &self.options
     }
 
@@ -483,7 +438,7 @@ impl<'a> Trainer<'a> {
         None
     }
 
-    /// From time to time looks whether every number is finite, and keeps the state to fall back to.
+    /// From time to time looks whether every number is finite, and remembers the state to fall back to.
     fn keep_or_find_trouble(&mut self) -> Option<String> {
         let step = self.state.step;
         if !step.is_multiple_of(CHECK_EVERY) {
@@ -493,20 +448,20 @@ impl<'a> Trainer<'a> {
             return Some("a parameter is not a number".to_owned());
         }
         if step.is_multiple_of(CHECK_EVERY * KEEP_EVERY) {
-            self.kept = self.state.clone();
+            self.fallback = self.state.clone();
         }
         None
     }
 
-    /// Falls back to the kept state; from then on rates are half as large.
+    /// Falls back to the state before; from then on rates are half as large.
     fn retreat(&mut self, what: &str) -> Result<(), TrainError> {
         let retreats = self.state.retreats + 1;
         if retreats > MOST_RETREATS {
             let what = what.to_owned();
-            self.state = self.kept.clone();
+            self.state = self.fallback.clone();
             return Err(TrainError::Diverged { step: self.state.step, what, retreats: MOST_RETREATS });
         }
-        self.state = self.kept.clone();
+        self.state = self.fallback.clone();
         self.state.retreats = retreats;
         Ok(())
     }

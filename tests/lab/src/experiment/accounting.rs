@@ -1,4 +1,4 @@
-//! Prints the accounting table of the paper (its table 3): profile `paper`, its context coder, and `dgs1` beside.
+//! Prints the accounting table of the paper (its table 3): `paper`, its context coder, `dgs1`.
 
 use anyhow::Result;
 use dgs::{args::ProfileName, pipeline};

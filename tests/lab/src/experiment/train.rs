@@ -30,8 +30,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "train",
         format!(
-            "synth figure, {gaussians} Gaussians, frame 0 trained towards a photograph of frame 3, on white; ms of processor time on one \
-             thread, medians of {runs} interleaved runs; loss 0.8 L1 + 0.2 (1 - SSIM); peer: MSE + 0.20 (1 - SSIM) with a target \
+            "synth figure, {gaussians} Gaussians, frame 0 towards a photograph of frame 3, on white; ms of \
+             processor time on one thread, medians of {runs} interleaved runs; loss 0.8 L1 + 0.2 (1 - SSIM); \
+             peer: MSE + 0.20 (1 - SSIM) with a target \
              prepared beforehand"
         ),
     );

@@ -8,7 +8,10 @@ use std::path::{Path, PathBuf};
 use rayon::prelude::*;
 use render_host::camera::blender;
 
-use super::{DatasetError, name_of, read_bytes, read_photograph};
+use super::{
+    error::DatasetError,
+    files::{name_of, read_bytes, read_photograph},
+};
 use crate::{
     scene::Up,
     train::views::{Dataset, PosedPhotograph, Start, Views},

@@ -1,14 +1,17 @@
 //! Reads COLMAP datasets: `sparse/0` and a folder of images.
 //!
-//! Images are in `images`, or in the first folder named `images_N`, where they may be smaller than the cameras
-//! say. Nothing moves. Every eighth image in the order of names is for testing, as in Mip-NeRF 360.
+//! Images are in `images`, or in the first folder named `images_N`, where they may be smaller than the
+//! cameras say. Nothing moves. Every eighth image in the order of names is for testing, as in Mip-NeRF 360.
 
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
 use render_host::camera::colmap::{self, Format};
 
-use super::{DatasetError, name_of, read_bytes, read_photograph};
+use super::{
+    error::DatasetError,
+    files::{name_of, read_bytes, read_photograph},
+};
 use crate::{
     scene::Up,
     train::views::{ColouredPoint, Dataset, PosedPhotograph, Start, Views},
@@ -32,7 +35,7 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
     let posed = views
         .into_par_iter()
         .map(|view| {
-            let path = images.join(&view.name);
+            let path = image_path(&images, &view.name);
             let (photograph, _) = read_photograph(&path)?;
             let camera = view
                 .camera
@@ -57,6 +60,14 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
         frames: 1,
         up: Up::MinusY,
     })
+}
+
+/// The image of this name; of reduced copies, which are often JPEG, the one of this stem.
+fn image_path(folder: &Path, name: &str) -> PathBuf {
+    let path = folder.join(name);
+    let copies = ["jpg", "jpeg", "png", "webp", "JPG"].map(|extension| path.with_extension(extension));
+    let found = copies.into_iter().find(|copy| !path.is_file() && copy.is_file());
+    found.unwrap_or(path)
 }
 
 fn image_folder(folder: &Path) -> Result<PathBuf, DatasetError> {

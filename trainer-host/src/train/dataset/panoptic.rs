@@ -1,7 +1,7 @@
 //! Reads datasets of the Panoptic layout of Dynamic 3D Gaussians: `train_meta.json`, `test_meta.json`, `ims`.
 //!
-//! A meta file has `w` and `h` (pixels) and, by frame and camera, `k` (3 × 3), `w2c` (4 × 4, OpenCV axes), `fn`
-//! (file name under `ims`) and `cam_id`. Frame `i` of `n` is at time `i / (n - 1)`.
+//! A meta file has `w` and `h` (pixels) and, by frame and camera, `k` (3 × 3), `w2c` (4 × 4, OpenCV axes),
+//! `fn` (file name under `ims`) and `cam_id`. Frame `i` of `n` is at time `i / (n - 1)`.
 
 use std::path::Path;
 
@@ -11,7 +11,10 @@ use rayon::prelude::*;
 use render_host::Camera;
 use serde::Deserialize;
 
-use super::{DatasetError, name_of, read_bytes, read_photograph};
+use super::{
+    error::DatasetError,
+    files::{name_of, read_bytes, read_photograph},
+};
 use crate::{
     scene::Up,
     train::views::{ColouredPoint, Dataset, PosedPhotograph, Start, Views},

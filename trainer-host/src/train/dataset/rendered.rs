@@ -1,7 +1,7 @@
 //! Makes a dataset of a scene by rendering it: training then gives it one identity over all frames.
 //!
-//! A sequence of splats whose identity is not stored costs an epoch per frame to send. Its own renders, without
-//! noise and from any camera, are photographs that a moving scene can be fitted to.
+//! A sequence of splats whose identity is not stored costs an epoch per frame to send. Its own renders,
+//! without noise and from any camera, are photographs that a moving scene can be fitted to.
 
 use rayon::prelude::*;
 use render_host::{
@@ -19,7 +19,7 @@ use crate::{
 
 /// How a scene is looked at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Options {
+pub struct RenderedOptions {
     /// Cameras all around per frame, for training.
     pub cameras: usize,
     /// Cameras on the held-out ring, for testing, each at every frame.
@@ -28,7 +28,7 @@ pub struct Options {
     pub side: u32,
 }
 
-impl Default for Options {
+impl Default for RenderedOptions {
     fn default() -> Self {
         Self { cameras: 24, test_cameras: 4, side: 400 }
     }
@@ -52,7 +52,7 @@ pub enum RenderedError {
 ///
 /// # Errors
 /// A side that is out of range.
-pub fn rendered(scene: &Scene, name: &str, options: &Options) -> Result<Dataset, RenderedError> {
+pub fn rendered(scene: &Scene, name: &str, options: &RenderedOptions) -> Result<Dataset, RenderedError> {
     let framing = Framing::of(scene);
     let size = (options.side, options.side);
     let train = photographs(scene, &framing.around(options.cameras, size)?)?;

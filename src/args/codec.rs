@@ -1,0 +1,78 @@
+//! What every verb takes that encodes.
+
+use clap::{Args, ValueEnum};
+use codec_core::internals::limits;
+use trainer_host::encode::Protection;
+
+use super::number::{coarseness, positive, repair_set, whole};
+
+/// How to encode.
+#[derive(Clone, Debug, Args)]
+pub struct CodecArgs {
+    /// Format choices.
+    #[arg(long, value_enum, default_value_t = ProfileName::Dgs1)]
+    pub profile: ProfileName,
+    /// Quantiser steps relative to the visually lossless default, 0.001 to 1000: 2 is twice as coarse.
+    #[arg(
+        long, default_value_t = 1.0, group = "fineness", value_parser = coarseness,
+        allow_negative_numbers = true
+    )]
+    pub coarseness: f32,
+    /// Choose the coarseness: at most this many bits per Gaussian on the wire, as close as possible.
+    #[arg(
+        long, value_name = "BITS", group = "fineness", value_parser = positive,
+        allow_negative_numbers = true
+    )]
+    pub target_bits_per_gaussian: Option<f64>,
+    /// Choose the coarseness: at most this many bytes on the wire (manifest, packets and parity).
+    #[arg(long, value_name = "BYTES", group = "fineness", value_parser = clap::value_parser!(u64).range(1..))]
+    pub target_bytes: Option<u64>,
+    /// Choose the coarseness: at least this PSNR in dB from measuring (never held-out) cameras.
+    #[arg(
+        long, value_name = "DB", group = "fineness", value_parser = positive,
+        allow_negative_numbers = true
+    )]
+    pub target_psnr: Option<f64>,
+    /// Pictures per epoch that tell how much an error in each Gaussian shows: steps follow (dgs1). 1 to
+    /// 1024; 0: the same steps for all.
+    #[arg(long, default_value_t = 16, value_parser = whole::<usize>(0..=1024, "pictures"))]
+    pub pictures: usize,
+    /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR
+    /// from measuring cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
+    #[arg(long, value_name = "ENCODINGS", default_value_t = 0)]
+    pub search: usize,
+    /// Most Gaussians in a cluster: 1 to 32768.
+    #[arg(long, default_value_t = 512, value_parser = whole(1..=limits::MAX_CLUSTER_LEN, "Gaussians"))]
+    pub cluster_size: usize,
+    /// Gaussians per block, the unit of loss: 1 to 256.
+    #[arg(long, default_value_t = 64, value_parser = whole(1..=limits::MAX_BLOCK_LEN, "Gaussians"))]
+    pub block_len: usize,
+    /// Most frames in a motion window, 1 to 64 [default: one second].
+    #[arg(long, value_parser = whole(1..=limits::MAX_WINDOW_FRAMES, "frames"))]
+    pub window_frames: Option<usize>,
+    /// Most vectors in the shared temporal basis, 0 to 64 [default: 8, in profile paper 4].
+    #[arg(long, value_parser = whole(0..=limits::MAX_RANK, "vectors"))]
+    pub rank: Option<usize>,
+    /// Largest packet, 200 to 1226 bytes, header and CRC included (dgs1).
+    #[arg(long, default_value_t = 1150, value_parser = whole::<usize>(200..=1226, "bytes"))]
+    pub packet_bytes: usize,
+    /// Base packets per XOR repair set, 2 to 64; 0 sends no parity.
+    #[arg(long, conflicts_with = "repair", value_parser = repair_set)]
+    pub repair_set: Option<u8>,
+    /// Parity per kind of packets: none, standard, or a list of KIND=K+R (any R losses of K packets
+    /// are repaired) with KIND base, tracks, 1, 2 or 3 [default: none in encode, standard in stream
+    /// and demo].
+    #[arg(long, value_parser = Protection::parse)]
+    pub repair: Option<Protection>,
+}
+
+/// A named set of format choices.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ProfileName {
+    /// The paper's format, the baseline.
+    Paper,
+    /// The paper's format with its context-adaptive coder.
+    PaperContext,
+    /// This project's format.
+    Dgs1,
+}

@@ -1,0 +1,68 @@
+//! What every verb takes that reads a scene.
+
+use clap::{Args, ValueEnum};
+
+use super::number::{real, whole};
+
+/// A scene and how to read it.
+#[derive(Clone, Debug, Args)]
+pub struct SceneArgs {
+    /// Frames per second for sources that do not say: 0.001 to 10000.
+    #[arg(
+        long, default_value_t = 30.0, value_parser = real(0.001..=10_000.0, "frames per second"),
+        allow_negative_numbers = true
+    )]
+    pub fps: f64,
+    /// Gaussians to place on an animated mesh: at least 1.
+    #[arg(long, default_value_t = 20_000, value_parser = whole::<usize>(1..=5_000_000, "Gaussians"))]
+    pub samples: usize,
+    /// Clip of an animated mesh: name or number from 0 [default: the first].
+    #[arg(long)]
+    pub clip: Option<String>,
+    /// Seed of everything random in the scene.
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// Rows of a numbered PLY sequence are the same Gaussians in every frame.
+    #[arg(long)]
+    pub identity_stored: bool,
+    /// Keep the readable part of a damaged source instead of refusing it.
+    #[arg(long)]
+    pub keep_readable: bool,
+    /// Most Gaussians to accept from one file.
+    #[arg(long, default_value_t = 5_000_000)]
+    pub max_gaussians: usize,
+    /// Which way is up: cameras placed around the scene stand upright by it, those that the encoder
+    /// chooses on too.
+    #[arg(long, value_enum, default_value_t = Up::Y)]
+    pub up: Up,
+}
+
+/// An axis that points up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Up {
+    /// +x.
+    X,
+    /// +y.
+    Y,
+    /// +z.
+    Z,
+    /// −x.
+    MinusX,
+    /// −y (COLMAP and 3DGS captures).
+    MinusY,
+    /// −z.
+    MinusZ,
+}
+
+impl From<Up> for trainer_host::scene::Up {
+    fn from(up: Up) -> Self {
+        match up {
+            Up::X => Self::X,
+            Up::Y => Self::Y,
+            Up::Z => Self::Z,
+            Up::MinusX => Self::MinusX,
+            Up::MinusY => Self::MinusY,
+            Up::MinusZ => Self::MinusZ,
+        }
+    }
+}

@@ -1,0 +1,53 @@
+//! Names the files of a training, and opens the folder they are in.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::{Context, Result, bail};
+
+use crate::{args::train::Train, files};
+
+/// Files in the folder of a training.
+pub(super) struct Folder {
+    pub(super) checkpoint: PathBuf,
+    pub(super) stream: PathBuf,
+    pub(super) log: PathBuf,
+    pub(super) preview: PathBuf,
+    pub(super) report: PathBuf,
+    /// What was fixed before fine-tuning for delivery.
+    pub(super) registration: PathBuf,
+    /// What came of it.
+    pub(super) delivery: PathBuf,
+}
+
+impl Folder {
+    pub(super) fn of(out: &Path) -> Self {
+        let file = |name: &str| out.join(name);
+        Self {
+            checkpoint: file("checkpoint.dgst"),
+            stream: file("scene.dgs"),
+            log: file("log.csv"),
+            preview: file("preview.png"),
+            report: file("report.html"),
+            registration: file("registration.json"),
+            delivery: file("delivery.json"),
+        }
+    }
+
+    /// Makes the folder, or refuses one that is in use.
+    pub(super) fn open(&self, args: &Train) -> Result<()> {
+        let out = &args.out;
+        std::fs::create_dir_all(out)
+            .with_context(|| format!("{}: cannot make this folder", out.display()))?;
+        if args.resume && !self.checkpoint.is_file() {
+            bail!("{}: no such checkpoint; train without --resume first", self.checkpoint.display());
+        }
+        if !args.resume && !args.overwrite && self.checkpoint.exists() {
+            bail!("{}: holds a training; --resume goes on with it, --overwrite replaces it", out.display());
+        }
+        let Self { checkpoint, stream, log, preview, report, registration, delivery } = self;
+        for path in [checkpoint, stream, log, preview, report, registration, delivery] {
+            files::check(path)?;
+        }
+        Ok(())
+    }
+}

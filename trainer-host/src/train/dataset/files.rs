@@ -1,0 +1,38 @@
+//! Reads the files of a dataset: bytes, photographs, names.
+
+use std::path::Path;
+
+use render_host::{
+    ImageError,
+    adjoint::loss::photograph::Photograph,
+    camera::MAX_SIDE,
+    image_file::{Bounds, Rgba8},
+};
+
+use super::error::DatasetError;
+
+/// All bytes of a file.
+pub(super) fn read_bytes(path: &Path) -> Result<Vec<u8>, DatasetError> {
+    std::fs::read(path).map_err(|source| DatasetError::File { path: path.to_owned(), source })
+}
+
+/// The photograph in an image file; `true` where some of it is transparent.
+pub(super) fn read_photograph(path: &Path) -> Result<(Photograph, bool), DatasetError> {
+    let bytes = read_bytes(path)?;
+    let failed = |source| DatasetError::Image { path: path.to_owned(), source };
+    let bounds = Bounds { side: MAX_SIDE, bytes: 4 * u64::from(MAX_SIDE) * u64::from(MAX_SIDE) };
+    let image = Rgba8::decode(&bytes, bounds).map_err(|e| failed(ImageError::Codec(e.to_string())))?;
+    let premultiplied = image.data().chunks_exact(4).flat_map(|pixel| {
+        let by_alpha = |c: usize| ((u32::from(pixel[c]) * u32::from(pixel[3]) + 127) / 255) as u8;
+        [by_alpha(0), by_alpha(1), by_alpha(2), pixel[3]]
+    });
+    let (width, height) = image.size();
+    let has_alpha = image.data().iter().skip(3).step_by(4).any(|&alpha| alpha < 255);
+    Photograph::new(width, height, premultiplied.collect()).map(|p| (p, has_alpha)).map_err(failed)
+}
+
+/// The name of the last part of a path.
+pub(super) fn name_of(path: &Path) -> String {
+    let path = std::fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    path.file_name().map_or_else(|| path.display().to_string(), |name| name.to_string_lossy().into_owned())
+}

@@ -1,0 +1,51 @@
+//! Defines why a training cannot start or go on.
+
+use render_host::{CameraError, adjoint::AdjointError};
+
+use super::options::OptionsError;
+
+/// Training that cannot start or go on.
+#[derive(Debug, thiserror::Error)]
+pub enum TrainError {
+    /// An option out of range.
+    #[error("option {0}")]
+    Options(#[from] OptionsError),
+    /// No view to train on.
+    #[error("{dataset}: the training split is empty; at least one image is needed")]
+    Empty {
+        /// The dataset.
+        dataset: String,
+    },
+    /// A view that cannot be rendered or compared.
+    #[error("{view}: {source}")]
+    View {
+        /// The view.
+        view: String,
+        /// What is wrong.
+        source: AdjointError,
+    },
+    /// A camera that cannot be made smaller or cut.
+    #[error("{view}: {source}")]
+    Camera {
+        /// The view.
+        view: String,
+        /// What is wrong.
+        source: CameraError,
+    },
+    /// Training left what numbers can hold, again and again.
+    #[error(
+        "training diverged at step {step}: {what}; it fell back {retreats} times and did so again; lower \
+         rates or more rigidity may help"
+    )]
+    Diverged {
+        /// The step.
+        step: u32,
+        /// What was found.
+        what: String,
+        /// How often training had fallen back.
+        retreats: u32,
+    },
+    /// A checkpoint that does not belong to this dataset and these options.
+    #[error("checkpoint: {0}")]
+    Checkpoint(String),
+}
