@@ -131,3 +131,30 @@ fn a_trained_scene_has_as_many_frames_as_requested() {
     assert_eq!(scene.instant(3).unwrap().gaussians[0].position, instant.gaussians[0].position);
     assert!(trainer.model().scene(0, 24.0).is_err());
 }
+
+/// Trained splats may be brighter than white; what they are rendered to is a photograph all the same.
+#[test]
+fn a_scene_brighter_than_white_is_rendered_to_photographs() {
+    let gaussian = |x: f32| codec_core::Gaussian {
+        position: [x, 0.0, 0.0],
+        scale: [0.2; 3],
+        rotation: [1.0, 0.0, 0.0, 0.0],
+        opacity: 0.6,
+        sh0: [6.0, 3.0, 0.0],
+    };
+    let gaussians: Vec<codec_core::Gaussian> = [-0.5, 0.0, 0.5].map(gaussian).into();
+    let attributes = crate::Attributes {
+        positions: crate::Track::Constant(gaussians.iter().map(|g| g.position).collect()),
+        rotations: crate::Track::Constant(gaussians.iter().map(|g| g.rotation).collect()),
+        log_scales: crate::Track::Constant(gaussians.iter().map(|g| g.scale.map(f32::ln)).collect()),
+        opacity_logits: crate::Track::Constant(vec![0.4; 3]),
+        sh0: crate::Track::Constant(gaussians.iter().map(|g| g.sh0).collect()),
+        sh_rest: Vec::new(),
+        sh_degree: codec_core::ShDegree::ZERO,
+    };
+    let scene = crate::Scene::new(vec![crate::Epoch::new(1, attributes).unwrap()], 30.0).unwrap();
+    let views = rendered::RenderedOptions { cameras: 2, test_cameras: 1, side: 32 };
+    let dataset = rendered::rendered(&scene, "bright", &views).unwrap();
+    let brightest = |view: &PosedPhotograph| view.photograph.rgba().iter().copied().max();
+    assert!(dataset.train.photographs().iter().all(|view| brightest(view) > Some(100)));
+}

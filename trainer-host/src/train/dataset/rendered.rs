@@ -86,8 +86,11 @@ fn photographs(scene: &Scene, cameras: &[Camera]) -> Result<Vec<PosedPhotograph>
             let picture = renderer.render(&splats, camera, &settings)?;
             let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
             let pixels = picture.image.rgb().chunks_exact(3).zip(&picture.transmittance);
-            // Over black a picture is premultiplied by its alpha.
-            let rgba = pixels.flat_map(|(rgb, clear)| [rgb[0], rgb[1], rgb[2], 1.0 - clear].map(byte));
+            // Over black a picture is premultiplied by its alpha. Colours brighter than white are cut at it.
+            let rgba = pixels.flat_map(|(rgb, clear)| {
+                let alpha = byte(1.0 - clear);
+                [byte(rgb[0]).min(alpha), byte(rgb[1]).min(alpha), byte(rgb[2]).min(alpha), alpha]
+            });
             let photograph = Photograph::new(camera.width(), camera.height(), rgba.collect())
                 .map_err(RenderError::from)?;
             let name = format!("frame {frame}, camera {index}");
