@@ -24,8 +24,9 @@ pub struct Train {
     #[arg(short, long, default_value = "dgs-train")]
     pub out: PathBuf,
     /// Steps, one photograph each: the same steps and seed give the same scene.
-    #[arg(long, default_value_t = 15_000, value_parser = whole::<u32>(1..=10_000_000, "steps"))]
-    pub steps: u32,
+    /// [default: 15000, or what is left of the training that is resumed]
+    #[arg(long, value_parser = whole::<u32>(1..=10_000_000, "steps"))]
+    pub steps: Option<u32>,
     /// Train for so many minutes instead of steps: 0.01 to 100000.
     #[arg(
         long, conflicts_with = "steps", value_parser = real(0.01..=100_000.0, "minutes"),

@@ -43,6 +43,8 @@ use crate::{
 
 /// Steps between two lines of the log.
 const LOG_EVERY: u32 = 100;
+/// Steps of a training where nothing is said.
+const DEFAULT_STEPS: u32 = 15_000;
 /// Exit status after a second interruption: 128 and the number of the signal, as shells have it.
 const INTERRUPTED: i32 = 130;
 /// Views that quality during training is measured on, at most.
@@ -158,13 +160,14 @@ fn fit(
     let before = log.seconds();
     let mut progress = begun;
     let mut next_glance = 0.0;
+    let steps = steps(args, trainer, begun);
     let glances = f64::from(args.evaluations);
     let mut interrupted = false;
     while progress < 1.0 && !interrupted {
         let report = trainer.step(progress)?;
         let seconds = clock.elapsed().as_secs_f64();
         progress = match args.minutes {
-            None => f64::from(report.step) / f64::from(args.steps),
+            None => (f64::from(report.step) / steps).max(begun),
             Some(minutes) => begun + (1.0 - begun) * (seconds / (60.0 * minutes * (1.0 - begun).max(1e-9))),
         };
         if let Some(what) = &report.retreat {
@@ -191,6 +194,15 @@ fn fit(
     }
     files::write(&folder.log, log.csv().as_bytes())?;
     Ok(Ended { seconds: before + clock.elapsed().as_secs_f64(), interrupted })
+}
+
+/// Steps of the whole training: as typed, else as many as the checkpoint was part of.
+fn steps(args: &Train, trainer: &Trainer, begun: f64) -> f64 {
+    match args.steps {
+        Some(steps) => f64::from(steps),
+        None if begun > 0.0 => (f64::from(trainer.steps()) / begun).round(),
+        None => f64::from(DEFAULT_STEPS),
+    }
 }
 
 fn save(folder: &Folder, dataset: &Dataset, trainer: &Trainer, progress: f64) -> Result<()> {

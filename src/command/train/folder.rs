@@ -41,7 +41,8 @@ impl Folder {
         if args.resume && !self.checkpoint.is_file() {
             bail!("{}: no such checkpoint; train without --resume first", self.checkpoint.display());
         }
-        if !args.resume && !args.overwrite && self.checkpoint.exists() {
+        let used = self.checkpoint.exists() || self.stream.exists();
+        if !args.resume && !args.overwrite && used {
             bail!("{}: holds a training; --resume goes on with it, --overwrite replaces it", out.display());
         }
         let Self { checkpoint, stream, log, preview, report, registration, delivery } = self;

@@ -3,7 +3,7 @@
 //! Layout, little-endian: `DGSTRAIN`, u16 version, u32 CRC-32 of what follows, then the numbers in the
 //! postcard format. Also a scene: `dgs encode` and `dgs render` read it at any number of frames.
 
-use render_host::Camera;
+use codec_core::internals::digest::Digest;
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -11,12 +11,14 @@ use super::{
     model::Model,
     options::TrainOptions,
     trainer::{State, Trainer},
-    views::Dataset,
+    views::{Dataset, PosedPhotograph},
 };
 
 const MAGIC: &[u8; 8] = b"DGSTRAIN";
 const VERSION: u16 = 1;
 const HEADER: usize = 14;
+/// Most Gaussians over all frames of the scene in a checkpoint: about 3 GB.
+const MOST_POSED: usize = 50_000_000;
 
 /// A training between two steps, with what it was trained on and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -124,26 +126,24 @@ impl Checkpoint {
         }
         let read: Self = postcard::from_bytes(body)
             .map_err(|_| CheckpointError::Damaged("its numbers end early or have no meaning"))?;
-        let sound = read.state.model.is_sound() && read.options.validate().is_ok() && read.frames > 0;
+        let posed = read.frames.saturating_mul(read.state.model.gaussians());
+        let sound = read.state.is_sound()
+            && read.options.validate().is_ok()
+            && (0.0..=1.0).contains(&read.progress)
+            && (1..=MOST_POSED).contains(&posed);
         if sound { Ok(read) } else { Err(CheckpointError::Damaged("its numbers do not fit together")) }
     }
 }
 
 /// FNV-1a, 64 bits, over what tells the training views of one dataset from those of another.
 fn fingerprint(dataset: &Dataset) -> u64 {
-    let mut hash = 0xCBF2_9CE4_8422_2325u64;
-    let mut add = |bytes: &[u8]| {
-        for &byte in bytes {
-            hash = (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01B3);
+    let mut digest = Digest::new();
+    for PosedPhotograph { name, camera, time, .. } in dataset.train.photographs() {
+        digest = digest.bytes(name.as_bytes()).bytes(&time.to_le_bytes());
+        digest = digest.bytes(&camera.width().to_le_bytes()).bytes(&camera.height().to_le_bytes());
+        for value in camera.rotation().iter().flatten().chain(&camera.translation()) {
+            digest = digest.bytes(&value.to_le_bytes());
         }
-    };
-    for view in dataset.train.photographs() {
-        let camera: &Camera = &view.camera;
-        add(view.name.as_bytes());
-        add(&view.time.to_le_bytes());
-        add(&camera.width().to_le_bytes());
-        add(&camera.height().to_le_bytes());
-        camera.rotation().iter().flatten().chain(&camera.translation()).for_each(|v| add(&v.to_le_bytes()));
     }
-    hash
+    digest.get()
 }

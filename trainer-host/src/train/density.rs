@@ -38,8 +38,11 @@ impl Pull {
         Self { sum: vec![0.0; count], views: vec![0.0; count] }
     }
 
-    pub(super) fn len(&self) -> usize {
-        self.sum.len()
+    /// Whether what was read from a file is about `count` Gaussians.
+    pub(super) fn is_sound(&self, count: usize) -> bool {
+        [&self.sum, &self.views]
+            .iter()
+            .all(|part| part.len() == count && part.iter().all(|v| v.is_finite() && *v >= 0.0))
     }
 
     /// Adds one view: by `statistics` where there are some, else by the gradients of `splats`.

@@ -1,6 +1,6 @@
 //! Defines why a training cannot start or go on.
 
-use render_host::{CameraError, adjoint::AdjointError};
+use render_host::{CameraError, SplatsError, adjoint::AdjointError};
 
 use super::options::OptionsError;
 
@@ -23,6 +23,14 @@ pub enum TrainError {
         view: String,
         /// What is wrong.
         source: AdjointError,
+    },
+    /// Gaussians whose arrays do not fit together.
+    #[error("{view}: {source}")]
+    Splats {
+        /// The view.
+        view: String,
+        /// What is wrong.
+        source: SplatsError,
     },
     /// A camera that cannot be made smaller or cut.
     #[error("{view}: {source}")]

@@ -47,6 +47,16 @@ pub(super) struct AttributeRates {
     pub(super) skin: f32,
 }
 
+impl AttributeRates {
+    /// All rates times `factor`.
+    pub(super) fn scaled(self, factor: f32) -> Self {
+        let Self { position, log_scale, rotation, opacity, sh0, sh_rest, skin } = self;
+        let scaled = [position, log_scale, rotation, opacity, sh0, sh_rest, skin].map(|rate| factor * rate);
+        let [position, log_scale, rotation, opacity, sh0, sh_rest, skin] = scaled;
+        Self { position, log_scale, rotation, opacity, sh0, sh_rest, skin }
+    }
+}
+
 impl TrainedGaussians {
     /// From the Gaussians of an instant, with harmonics of degree `degree` (those that are not there are 0).
     pub(super) fn new(instant: &Instant, degree: ShDegree) -> Self {

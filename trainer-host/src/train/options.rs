@@ -1,4 +1,4 @@
-//! TrainOptions of a reconstruction: how much, how fast, how rigid. Plain data with defaults that work.
+//! Options of a reconstruction: how much, how fast, how rigid. Plain data with defaults that work.
 
 use codec_core::ShDegree;
 use render_host::adjoint::loss::photograph::Weights;

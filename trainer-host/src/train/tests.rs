@@ -88,6 +88,30 @@ fn foreign_and_damaged_checkpoints_are_refused() {
     assert!(refused.contains("other names, times or sizes"), "{refused}");
 }
 
+/// Files whose checksum is right and whose numbers are not are refused, or harmless.
+#[test]
+fn forged_checkpoints_cannot_panic() {
+    let dataset = dataset(synth::SynthKind::Balls, 3, 6);
+    let small = TrainOptions { initial_gaussians: 30, max_gaussians: 40, nodes: 8, ..options() };
+    let bytes = Checkpoint::of(&trained(&dataset, &small, 40), &dataset, 0.5).to_bytes().unwrap();
+    let (mut refused, mut harmless) = (0, 0);
+    let spread = (14..bytes.len()).step_by(bytes.len() / 40);
+    for (k, at) in spread.chain(14..54).chain(bytes.len() - 30..bytes.len()).enumerate() {
+        let mut forged = bytes.clone();
+        forged[at] = [0, 0x7f, 0xff][k % 3];
+        let checksum = crc32fast::hash(&forged[14..]).to_le_bytes();
+        forged[10..14].copy_from_slice(&checksum);
+        match Checkpoint::from_bytes(&forged).ok().and_then(|read| read.resume(&dataset).ok()) {
+            None => refused += 1,
+            Some(mut trainer) => {
+                harmless += 1;
+                let _ = trainer.step(0.5);
+            }
+        }
+    }
+    assert!(refused > 10 && harmless > 10, "{refused} {harmless}");
+}
+
 #[test]
 fn a_training_that_diverges_falls_back_and_then_gives_up_by_name() {
     let dataset = dataset(synth::SynthKind::Balls, 3, 6);

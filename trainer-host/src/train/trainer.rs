@@ -7,7 +7,7 @@
 use rand::{RngExt, seq::SliceRandom};
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use render_host::{
-    Gradients, RenderError, Settings, Splats, Workspace,
+    Gradients, Settings, Splats, Workspace,
     adjoint::{
         AdjointError, DensityStatistics,
         loss::photograph::{Photograph, PhotographLoss},
@@ -33,12 +33,14 @@ use crate::scene::Instant;
 
 /// Steps between two controls of density.
 const DENSITY_EVERY: u32 = 100;
-/// Steps between two looks at every number.
+/// Steps between two checks that every number is finite.
 const CHECK_EVERY: u32 = 100;
-/// Looks between two states to fall back to.
+/// Checks between two states to fall back to.
 const KEEP_EVERY: u32 = 5;
 /// Times that training may fall back before it gives up.
 const MOST_RETREATS: u32 = 3;
+/// Most steps of a training.
+const MOST_STEPS: u32 = 1 << 30;
 /// One step in this many shows the whole photograph and not only what its outline needs.
 const WHOLE_EVERY: u32 = 8;
 
@@ -101,6 +103,20 @@ pub(super) struct State {
     retreats: u32,
 }
 
+impl State {
+    /// Whether what was read from a file can be used: numbers that do not fit together would be out of bounds
+    /// somewhere later.
+    pub(super) fn is_sound(&self) -> bool {
+        let counts = [self.step, self.node_step, self.last_density];
+        self.model.is_sound()
+            && self.pull.is_sound(self.model.gaussians())
+            && counts.iter().all(|&count| count <= MOST_STEPS)
+            && self.retreats <= MOST_RETREATS
+            && !self.mean_loss.is_nan()
+            && !self.lowest_loss.is_nan()
+    }
+}
+
 /// Fits a scene to the training split of a dataset.
 #[derive(Debug)]
 pub struct Trainer<'a> {
@@ -131,7 +147,7 @@ impl<'a> Trainer<'a> {
     /// Prepares to train on `dataset`.
     ///
     /// # Errors
-    /// TrainOptions out of range, or an empty training split.
+    /// An option out of range, or an empty training split.
     pub fn new(dataset: &'a Dataset, options: &TrainOptions) -> Result<Self, TrainError> {
         options.validate()?;
         let mut options = options.clone();
@@ -179,7 +195,7 @@ impl<'a> Trainer<'a> {
     /// Goes on from the state of a checkpoint.
     pub(super) fn with_state(mut self, state: State) -> Result<Self, TrainError> {
         let refused = |what: &str| Err(TrainError::Checkpoint(what.to_owned()));
-        if !state.model.is_sound() || state.pull.len() != state.model.gaussians() {
+        if !state.is_sound() {
             return refused("numbers that do not fit together; the file is damaged");
         }
         if state.size >= self.pyramid.sizes() {
@@ -220,7 +236,7 @@ impl<'a> Trainer<'a> {
         self.pyramid.smallest_divisor()
     }
 
-    /// Takes a step at `progress` of the training, 0 to 1, which never falls from one step to the next.
+    /// Takes a step at `progress` of the training, 0 to 1, which only falls after a retreat.
     ///
     /// # Errors
     /// A view that cannot be rendered, or a training that has diverged for the fourth time.
@@ -351,7 +367,7 @@ impl<'a> Trainer<'a> {
             .cropped(left, top, width, height)
             .map_err(|error| failed(error.into()))?;
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)
-            .map_err(|_| failed(AdjointError::Render(RenderError::Image(empty_image()))))?;
+            .map_err(|source| TrainError::Splats { view: posed.name.clone(), source })?;
         let schedule = &self.options.schedule;
         let counted = self.options.density == DensityControl::Split && progress < schedule.density_end;
         let rendered = if counted {
@@ -388,7 +404,7 @@ impl<'a> Trainer<'a> {
 
         observe(Stage::Update);
         let caution = 0.5f32.powi(state.retreats as i32);
-        let rates = schedule::attribute_rates(&self.options, progress, caution * unit);
+        let rates = schedule::attribute_rates(&self.options, progress, unit).scaled(caution);
         let step = AdamStep { rate: 0.0, first_decay: 0.9, second_decay: 0.999, number: state.step + 1 };
         gaussians.step(rates, step);
         state.node_step += 1;
@@ -438,7 +454,7 @@ impl<'a> Trainer<'a> {
         None
     }
 
-    /// From time to time looks whether every number is finite, and remembers the state to fall back to.
+    /// From time to time checks that every number is finite, and remembers the state to fall back to.
     fn keep_or_find_trouble(&mut self) -> Option<String> {
         let step = self.state.step;
         if !step.is_multiple_of(CHECK_EVERY) {
@@ -457,17 +473,12 @@ impl<'a> Trainer<'a> {
     fn retreat(&mut self, what: &str) -> Result<(), TrainError> {
         let retreats = self.state.retreats + 1;
         if retreats > MOST_RETREATS {
-            let what = what.to_owned();
+            let (step, what) = (self.state.step, what.to_owned());
             self.state = self.fallback.clone();
-            return Err(TrainError::Diverged { step: self.state.step, what, retreats: MOST_RETREATS });
+            return Err(TrainError::Diverged { step, what, retreats: MOST_RETREATS });
         }
         self.state = self.fallback.clone();
         self.state.retreats = retreats;
         Ok(())
     }
-}
-
-/// The error of splats whose arrays do not fit together, which [`Model`] never makes.
-fn empty_image() -> render_host::ImageError {
-    render_host::ImageError::Empty("the list of harmonics")
 }

@@ -1,6 +1,6 @@
 //! Records what was fixed before training, and what came of it.
 
-use std::path::Path;
+use std::{fs::File, io::Write as _, path::Path};
 
 use super::{
     config::{DeliveryOptions, Weights},
@@ -49,8 +49,14 @@ impl Registration {
         let text = serde_json::to_string_pretty(self).map_err(|error| file(error.into()))?;
         let mut beside = path.as_os_str().to_owned();
         beside.push(".part");
-        std::fs::write(&beside, text).map_err(file)?;
-        std::fs::rename(&beside, path).map_err(file)
+        let written = File::create(&beside)
+            .and_then(|mut part| part.write_all(text.as_bytes()).and_then(|()| part.sync_all()))
+            .and_then(|()| std::fs::rename(&beside, path));
+        if written.is_err() {
+            // Nothing half-written stays; why it failed is what matters.
+            let _ = std::fs::remove_file(&beside);
+        }
+        written.map_err(file)
     }
 }
 

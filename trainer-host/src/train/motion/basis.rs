@@ -2,6 +2,11 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Most splines side by side.
+const MOST_SPLINES: usize = 8;
+/// Most functions of a spline.
+const MOST_FUNCTIONS: usize = 1024;
+
 /// Functions over time 0 to 1: uniform cubic B-splines of several numbers of knots, side by side. The coarse
 /// ones learn the large motion from few views, the fine ones add to it.
 ///
@@ -28,6 +33,12 @@ impl TemporalBasis {
     /// Splines of so many functions each; fewer than 4 become 4.
     pub fn new(splines: &[usize]) -> Self {
         Self { splines: splines.iter().map(|&count| count.max(4)).collect() }
+    }
+
+    /// Whether [`TemporalBasis::new`] could have made this: what was read from a file need not be.
+    pub(super) fn is_sound(&self) -> bool {
+        (1..=MOST_SPLINES).contains(&self.splines.len())
+            && self.splines.iter().all(|count| (4..=MOST_FUNCTIONS).contains(count))
     }
 
     /// Number of functions.

@@ -215,6 +215,7 @@ impl ControlNodes {
     pub(crate) fn is_sound(&self) -> bool {
         let count = self.places.len();
         self.unit.is_finite()
+            && self.basis.is_sound()
             && self.falloff.len() == count
             && self.neighbours.len() == count
             && self.neighbours.iter().flatten().all(|&node| (node as usize) < count)
