@@ -190,6 +190,10 @@ pub struct Encode {
     /// Also measure render utilities and write them beside the stream (NAME.utility.json).
     #[arg(long)]
     pub utility: bool,
+    /// Measure utilities against photographs of the scene instead of its own renders: the training split of a
+    /// dataset as `dgs train` reads it, in the scene's coordinates and clip.
+    #[arg(long, value_name = "DATASET", requires = "utility")]
+    pub photographs: Option<PathBuf>,
     /// Measure what levels gain and do not send those that gain less than this per byte (mean
     /// distortion of the clip, MSE + 0.2 (1 - SSIM)); 0 drops what gains nothing (dgs1).
     #[arg(long, value_name = "LAMBDA", value_parser = not_negative, allow_negative_numbers = true)]

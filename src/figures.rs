@@ -1,6 +1,7 @@
 //! Names the machine, formats numbers and averages them: what reports and benches both need.
 
 use serde::Serialize;
+use trainer_host::utility::LevelAudit;
 
 /// The machine a figure was measured on.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -39,4 +40,15 @@ pub fn number(value: f64) -> String {
 /// The mean of `values`; NaN if there are none.
 pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64
+}
+
+/// How many groups of each level make pictures worse, a line per level.
+pub fn audit_lines(levels: &[LevelAudit]) -> String {
+    let line = |audit: &LevelAudit| {
+        format!(
+            "  level {}: {} groups; negative: mean {}, lower tenth {}, 95 % interval of the mean {}\n",
+            audit.level, audit.groups, audit.negative_mean, audit.negative_tail, audit.below_zero
+        )
+    };
+    levels.iter().map(line).collect()
 }

@@ -22,7 +22,7 @@ use trainer_host::{
 };
 
 pub use self::{
-    cache::{stored_utilities, utilities, utility_path},
+    cache::{reference_photographs, stored_utilities, utilities, utility_path},
     cameras::read_cameras,
     frames::{Frames, snapshot},
     link::{Link, capacity_bins, link, read_trace},
@@ -188,8 +188,10 @@ pub fn truncate(
     quiet: Quiet,
 ) -> Result<(Encoded, utility::Truncated)> {
     let (map, received) = (PacketMap::of(&whole.stream)?, whole.stream.receive()?);
-    let how = utility::UtilityOptions::complete(scene)?;
-    let table = utilities(scene, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
+    let cameras = utility::truncation_cameras(scene)?;
+    let (references, how) =
+        (utility::References::renders(scene, &cameras), utility::UtilityOptions::complete());
+    let table = utilities(&references, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
     let progress = Progress::new("encode", quiet.0);
     let report = |stage, share| progress.stage(stage, share);
     utility::truncate(scene, whole, &table, lambda, options.table_choices, &report).context("cannot encode")

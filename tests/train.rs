@@ -57,8 +57,10 @@ fn refused(folder: &Path, args: &[&str]) -> String {
 fn a_training_writes_a_stream_a_checkpoint_a_log_and_a_report() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    let text = ok(at, &["-o", "out"]);
+    let text = ok(at, &["-o", "out", "--utility"]);
     assert!(text.contains("200 steps") && text.contains("test views, as decoded from scene.dgs"), "{text}");
+    assert!(text.contains("utilities, training photographs\n  level 0: "), "{text}");
+    assert!(text.contains("utilities, test photographs\n"), "{text}");
     let log = fs::read_to_string(at.join("out/log.csv")).unwrap();
     assert!(log.starts_with("step,seconds,loss") && log.contains("\n200,"), "{log}");
     let page = fs::read_to_string(at.join("out/report.html")).unwrap();
@@ -73,6 +75,14 @@ fn a_training_writes_a_stream_a_checkpoint_a_log_and_a_report() {
     };
     assert!(dgs(&["import", "out/checkpoint.dgst"]).contains("3 frames"));
     dgs(&["render", "out/scene.dgs", "-o", "a.png", "--width", "64", "--height", "64"]);
+    // The sender finds the utilities beside the stream, and says so where there are none.
+    let warned = |stream: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_dgs"));
+        let output = command.current_dir(at).args(["stream", stream]).output().unwrap();
+        String::from_utf8(output.stderr).unwrap().contains("no utilities beside it")
+    };
+    fs::copy(at.join("out/scene.dgs"), at.join("alone.dgs")).unwrap();
+    assert!(!warned("out/scene.dgs") && warned("alone.dgs"));
 
     // A folder in use is refused, kept, and replaced only where asked.
     let before = fs::read(at.join("out/scene.dgs")).unwrap();

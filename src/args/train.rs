@@ -78,6 +78,10 @@ pub struct Train {
     /// Also writes registration.json (what was fixed before) and delivery.json (what came of it).
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
+    /// Also measure what each group of packets adds to a picture, against the training photographs, and write
+    /// it beside the stream (scene.utility.json); the test photographs are a check on it.
+    #[arg(long)]
+    pub utility: bool,
     /// Pictures that fine-tuning compares with, at most.
     #[arg(long, default_value_t = 64, value_parser = whole::<usize>(2..=10_000, "pictures"))]
     pub references: usize,

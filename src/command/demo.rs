@@ -87,15 +87,14 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
 
     let framing = Framing::of(&scene);
     let measuring = framing.ring(Ring::Measuring, 3, (128, 128))?;
-    let options = utility::UtilityOptions {
-        contexts: args.contexts.max(1),
-        ..utility::UtilityOptions::paper(measuring)
-    };
+    let sources = utility::References::renders(&scene, &measuring);
+    let options =
+        utility::UtilityOptions { contexts: args.contexts.max(1), ..utility::UtilityOptions::paper() };
     let cache = args.out.join(UTILITIES);
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot create", args.out.display()))?;
     let mut notes = scene.notes.clone();
     let table =
-        pipeline::utilities(&scene, &content, &map, &options, Some(&cache), quiet, &mut |w| notes.push(w))?;
+        pipeline::utilities(&sources, &content, &map, &options, Some(&cache), quiet, &mut |w| notes.push(w))?;
 
     let graph = pipeline::graph(&stream, &map, Some(&table))?;
     let link = pipeline::link(&args.link, &graph)?;

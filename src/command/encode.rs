@@ -6,16 +6,18 @@ use anyhow::{Context, Result, bail};
 use codec_core::internals::wire::manifest::Profile;
 use serde_json::json;
 use trainer_host::{
+    Scene, Stream,
     encode::{Decisions, PacketReport, Protection, Report},
     evaluator::{self, Segment},
     stream::PacketMap,
-    utility,
+    train::dataset,
+    utility::{References, Table, UtilityOptions},
     viewpoint::{Framing, Ring},
 };
 
 use crate::{
     args::Encode,
-    figures::number,
+    figures::{audit_lines, number},
     files,
     output::VerbOutput,
     pipeline::{self, Quiet},
@@ -92,31 +94,47 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     }
     let mut warnings = Vec::new();
     if args.utility {
-        let map = PacketMap::of(stream)?;
-        let received = stream.receive()?;
-        let framing = Framing::of(&loaded.scene);
-        let cameras = framing.ring(Ring::Measuring, 3, (160, 160))?;
         let path = pipeline::utility_path(&args.out);
-        let options = utility::UtilityOptions::paper(cameras);
-        let table = pipeline::utilities(
-            &loaded.scene,
-            &received.content(),
-            &map,
-            &options,
-            Some(&path),
-            quiet,
-            &mut |w| warnings.push(w),
-        )?;
-        let negative = table.groups.iter().filter(|g| g.mean < 0.0).count();
-        text += &format!(
-            "utilities of {} groups ({} with a negative mean) → {}\n",
-            table.groups.len(),
-            negative,
-            path.display()
-        );
-        json["utility"] = json!({ "groups": table.groups.len(), "negative_mean": negative, "path": path });
+        let table = utilities(args, &loaded.scene, stream, &path, quiet, &mut warnings)?;
+        let audit = table.audit();
+        text += &format!("utilities of {} groups → {}\n", table.groups.len(), path.display());
+        text += &audit_lines(&audit);
+        if audit.first().is_some_and(|base| 2 * base.negative_mean > base.groups) {
+            warnings.push(
+                "most base levels make pictures worse: the references may show another scene".to_owned(),
+            );
+        }
+        json["utility"] = json!({
+            "groups": table.groups.len(), "protocol": table.protocol, "levels": audit, "path": path,
+            "negative_mean": audit.iter().map(|level| level.negative_mean).sum::<usize>(),
+        });
     }
     Ok(VerbOutput { text, json, warnings, damaged: false })
+}
+
+/// Utilities of the groups of `stream`, against photographs if some were named.
+fn utilities(
+    args: &Encode,
+    scene: &Scene,
+    stream: &Stream,
+    path: &Path,
+    quiet: Quiet,
+    warnings: &mut Vec<String>,
+) -> Result<Table> {
+    let (map, received) = (PacketMap::of(stream)?, stream.receive()?);
+    let options = UtilityOptions::paper();
+    let mut measure = |references: &References<'_>| {
+        let warn = &mut |warning| warnings.push(warning);
+        pipeline::utilities(references, &received.content(), &map, &options, Some(path), quiet, warn)
+    };
+    if let Some(folder) = &args.photographs {
+        let dataset = dataset::read(folder).context("--photographs")?;
+        let photographs = pipeline::reference_photographs(&dataset.train, options.settings.background)
+            .context("--photographs")?;
+        return measure(&References::Photographs(&photographs)).context("--photographs");
+    }
+    let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (160, 160))?;
+    measure(&References::renders(scene, &cameras))
 }
 
 /// Decisions from a file.

@@ -42,9 +42,10 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         let map = PacketMap::of(&stream)?;
         let received = stream.receive()?;
         let framing = Framing::of(&loaded.scene);
-        let options = utility::UtilityOptions::paper(framing.ring(Ring::Measuring, 3, (128, 128))?);
+        let cameras = framing.ring(Ring::Measuring, 3, (128, 128))?;
+        let options = utility::UtilityOptions::paper();
         let measured = pipeline::utilities(
-            &loaded.scene,
+            &utility::References::renders(&loaded.scene, &cameras),
             &received.content(),
             &map,
             &options,

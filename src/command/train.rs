@@ -5,6 +5,7 @@ mod figures;
 mod folder;
 mod log;
 mod page;
+mod utility;
 
 use std::{
     path::Path,
@@ -265,11 +266,23 @@ fn finish(
         train::evaluate(trainer.model(), &seen, reduced, plain)?,
     ));
 
+    let audits = if args.utility {
+        let background = trainer.options().background;
+        utility::audits(&encoded.stream, dataset, background, &folder.utility, quiet)?
+    } else {
+        Vec::new()
+    };
+
     let page = Page { dataset, trainer, log, figures: &figures, bytes: bytes.len(), ended: &ended };
     let preview = page.preview()?;
     files::write(&folder.preview, &preview.to_png()?)?;
     files::write(&folder.report, page.html()?.as_bytes())?;
-    Ok(said(args, folder, trainer, log, &figures, bytes.len(), frames, &ended))
+    let mut output = said(args, folder, trainer, log, &figures, bytes.len(), frames, &ended);
+    for audit in &audits {
+        output.text += &audit.text();
+    }
+    output.json["utility"] = json!(audits);
+    Ok(output)
 }
 
 /// What the verb says.

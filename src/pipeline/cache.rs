@@ -12,16 +12,17 @@ use serde_json::{Value, json};
 use trainer_host::{
     Scene, Track,
     stream::PacketMap,
-    utility::{self, UtilityOptions},
+    train::Views,
+    utility::{self, ReferencePhotographs, References, SourceRenders, UtilityError, UtilityOptions},
 };
 
 use super::Quiet;
 use crate::{files, progress::Progress};
 
 /// Grows when what is stored means something else.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// What is stored as a digest.
-const DIGESTED: [&str; 4] = ["stream", "scene", "cameras", "settings"];
+const DIGESTED: [&str; 5] = ["stream", "scene", "cameras", "photographs", "settings"];
 /// How two pictures are compared.
 const METRIC: &str = "MSE + 0.20 (1 - SSIM)";
 
@@ -33,13 +34,13 @@ struct StoredUtilities {
     table: utility::Table,
 }
 
-/// Utilities of `content` against `scene`, from `cache` if it holds those that would be measured; if it
+/// Utilities of `content` against `references`, from `cache` if it holds those that would be measured; if it
 /// holds others, `warn` is told what differs and they are replaced.
 ///
 /// # Errors
 /// If measuring fails, or the cache cannot be written.
 pub fn utilities(
-    scene: &Scene,
+    references: &References<'_>,
     content: &Content<'_>,
     map: &PacketMap,
     options: &UtilityOptions,
@@ -47,7 +48,7 @@ pub fn utilities(
     quiet: Quiet,
     warn: &mut dyn FnMut(String),
 ) -> Result<utility::Table> {
-    let measured = measured(scene, content, options)?;
+    let measured = measured(references, content, options)?;
     if let Some((path, bytes)) = cache.and_then(|path| Some((path, std::fs::read(path).ok()?))) {
         match accepted(&bytes, &measured, map) {
             Ok(table) => return Ok(table),
@@ -55,12 +56,28 @@ pub fn utilities(
         }
     }
     let progress = Progress::new("measure utilities", quiet.0);
-    let table = utility::measure(scene, content, map, options, &|share| progress.at(share))?;
+    let table = utility::measure(references, content, map, options, &|share| progress.at(share))?;
     if let Some(path) = cache {
         let stored = StoredUtilities { measured, table: table.clone() };
         files::write(path, serde_json::to_string(&stored)?.as_bytes())?;
     }
     Ok(table)
+}
+
+/// Photographs of a span that states are compared with, at most.
+const PER_SPAN: usize = 4;
+/// Longest side of photographs that states are compared with, pixels.
+const LONGEST_SIDE: u32 = 160;
+
+/// The photographs of a split over `background`, small, to measure utilities against.
+///
+/// # Errors
+/// An empty split.
+pub fn reference_photographs<S: Sync>(
+    views: &Views<S>,
+    background: [f32; 3],
+) -> Result<ReferencePhotographs, UtilityError> {
+    ReferencePhotographs::new(views, background, LONGEST_SIDE, PER_SPAN)
 }
 
 /// Where the utilities of the stream in file `stream` are kept.
@@ -86,33 +103,52 @@ pub fn stored_utilities(path: &Path, manifest: &[u8]) -> Result<utility::Table> 
 
 /// Everything that decides what is measured, by name.
 fn measured(
-    scene: &Scene,
+    references: &References<'_>,
     content: &Content<'_>,
     options: &UtilityOptions,
 ) -> Result<BTreeMap<String, Value>> {
     // Exhaustive, so that an option cannot be forgotten here.
-    let UtilityOptions { cameras, contexts, frames_per_span, alpha, beta, complete, seed, settings } =
-        options;
-    let values = [
+    let UtilityOptions { contexts, alpha, beta, complete, seed, settings } = options;
+    let mut values = vec![
         ("version", json!(VERSION)),
         ("program", json!(env!("CARGO_PKG_VERSION"))),
         ("metric", json!(METRIC)),
         ("contexts", json!(contexts)),
-        ("frames per span", json!(frames_per_span)),
         ("alpha", json!(alpha.to_string())),
         ("beta", json!(beta.to_string())),
         ("complete", json!(complete)),
         ("seed", json!(seed)),
     ];
-    // Too long to be told apart by reading.
-    let digested = [
+    // Too long to be compared by reading.
+    let mut digested = vec![
         ("stream", Digest::new().bytes(content.manifest.raw())),
-        ("scene", digest(scene)),
-        ("cameras", Digest::new().bytes(&serde_json::to_vec(cameras)?)),
         ("settings", Digest::new().bytes(&serde_json::to_vec(settings)?)),
     ];
-    let digested = digested.map(|(name, digest)| (name, json!(format!("{:016x}", digest.get()))));
+    match references {
+        References::Renders(SourceRenders { scene, cameras, frames_per_span }) => {
+            values.push(("references", json!("renders of the source")));
+            values.push(("frames per span", json!(frames_per_span)));
+            digested.push(("scene", digest(scene)));
+            digested.push(("cameras", Digest::new().bytes(&serde_json::to_vec(cameras)?)));
+        }
+        References::Photographs(photographs) => {
+            values.push(("references", json!("photographs")));
+            values.push(("photographs per span", json!(photographs.per_span())));
+            digested.push(("photographs", digest_of_photographs(photographs)?));
+        }
+    }
+    let digested = digested.into_iter().map(|(name, digest)| (name, json!(format!("{:016x}", digest.get()))));
     Ok(values.into_iter().chain(digested).map(|(name, value)| (name.to_owned(), value)).collect())
+}
+
+/// A digest of every photograph, its camera and its time.
+fn digest_of_photographs(photographs: &ReferencePhotographs) -> Result<Digest> {
+    let mut all = Digest::new();
+    for photograph in photographs.photographs() {
+        let camera = serde_json::to_vec(&photograph.camera)?;
+        all = all.bytes(&camera).values(&[photograph.time]).values(photograph.image.rgb());
+    }
+    Ok(all)
 }
 
 /// The table in `bytes` if it was measured as `wanted`, or why it is of no use.
@@ -187,17 +223,23 @@ mod tests {
         let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
         let folder = tempfile::tempdir().unwrap();
         let cache = folder.path().join("a.utility.json");
-        let measure = |scene: &Scene, options: &UtilityOptions| {
-            let mut warnings = Vec::new();
-            let table =
-                utilities(scene, &received.content(), &map, options, Some(&cache), Quiet(true), &mut |w| {
-                    warnings.push(w)
-                });
+        let measure = |scene: &Scene, x: f64, options: &UtilityOptions| {
+            let (mut warnings, cameras) = (Vec::new(), [camera(x)]);
+            let references = References::renders(scene, &cameras);
+            let table = utilities(
+                &references,
+                &received.content(),
+                &map,
+                options,
+                Some(&cache),
+                Quiet(true),
+                &mut |w| warnings.push(w),
+            );
             (table.unwrap(), warnings.join("\n"))
         };
-        let plain = || UtilityOptions { contexts: 1, ..UtilityOptions::paper(vec![camera(0.0)]) };
+        let plain = || UtilityOptions { contexts: 1, ..UtilityOptions::paper() };
 
-        let (first, warnings) = measure(&scene, &plain());
+        let (first, warnings) = measure(&scene, 0.0, &plain());
         assert_eq!(warnings, "", "there was nothing to differ from");
         // JSON gives floats back to the last bit or two.
         let same = |a: &utility::Table, b: &utility::Table| {
@@ -206,17 +248,17 @@ mod tests {
             };
             a.groups.len() == b.groups.len() && a.groups.iter().zip(&b.groups).all(close)
         };
-        let (again, warnings) = measure(&scene, &plain());
+        let (again, warnings) = measure(&scene, 0.0, &plain());
         assert!(same(&again, &first) && warnings.is_empty(), "{warnings}");
-        let (more, warnings) = measure(&scene, &UtilityOptions { contexts: 2, ..plain() });
+        let (more, warnings) = measure(&scene, 0.0, &UtilityOptions { contexts: 2, ..plain() });
         assert!(warnings.contains("measured with contexts 1, not 2"), "{warnings}");
         assert!(!same(&more, &first));
-        let moved = UtilityOptions { cameras: vec![camera(1.0)], contexts: 2, ..plain() };
-        assert!(measure(&scene, &moved).1.contains("measured with other cameras"));
-        assert!(measure(&other, &moved).1.contains("measured with other scene"));
+        let more = UtilityOptions { contexts: 2, ..plain() };
+        assert!(measure(&scene, 1.0, &more).1.contains("measured with other cameras"));
+        assert!(measure(&other, 1.0, &more).1.contains("measured with other scene"));
         std::fs::write(&cache, b"{}").unwrap();
-        assert!(measure(&scene, &plain()).1.contains("not stored utilities"));
-        let (again, warnings) = measure(&scene, &plain());
+        assert!(measure(&scene, 0.0, &plain()).1.contains("not stored utilities"));
+        let (again, warnings) = measure(&scene, 0.0, &plain());
         assert!(same(&again, &first) && warnings.is_empty(), "it was replaced: {warnings}");
 
         let manifest = stream.manifest().unwrap();

@@ -1,46 +1,45 @@
 //! Measures the counterfactual utility of every group: what it adds to a picture (paper section 5).
 //!
 //! For group g and a valid partial state m without g: Δ_g(m) = D(I, R(m)) − D(I, R(m ∪ g)), with
-//! D = MSE + 0.20 (1 − SSIM) against the source's own render I. A context is a random dependency-closed
-//! state; inside it each cell is stepped through its levels with everything else held, so that L + 1
-//! pictures measure L groups. All contexts of a span are rendered in the same views (a frame and a camera
-//! each), so mean, lower tail and deviation are over states and not over views. Cameras are the caller's;
-//! keep them apart from those on which quality is reported.
+//! D = MSE + 0.20 (1 − SSIM) against a reference I: the source's own render, or a photograph. A context is
+//! a random dependency-closed state; inside it each cell is stepped through its levels with everything else
+//! held, so that L + 1 pictures measure L groups. All contexts of a span are rendered in the same views (a
+//! frame and a camera each), so mean, lower tail and deviation are over states and not over views. Cameras
+//! are the caller's; keep them apart from those on which quality is reported.
 
 use codec_core::internals::{
-    ids::{EpochId, Level, Span},
+    ids::{Level, Span},
     receiver::Content,
 };
-use rand::RngExt;
-use rand_pcg::Pcg64;
 use rayon::prelude::*;
-use render_host::{Camera, Image, Renderer, Settings, Splats};
+use render_host::Settings;
 
 use self::{
     contexts::{SpanCells, spans},
+    references::random,
     versions::Clusters,
 };
-use crate::{scene::Scene, stream::PacketMap};
+use crate::stream::PacketMap;
 
 mod alone;
+mod audit;
 mod contexts;
 mod error;
+mod references;
 mod truncation;
 mod versions;
 
 pub use alone::measure_alone;
+pub use audit::LevelAudit;
 pub use error::UtilityError;
-pub use truncation::{Truncated, group_bytes, tops, truncate};
+pub use references::{ReferencePhotograph, ReferencePhotographs, References, SourceRenders};
+pub use truncation::{Truncated, group_bytes, tops, truncate, truncation_cameras};
 
 /// How to measure.
 #[derive(Clone, Debug)]
 pub struct UtilityOptions {
-    /// Cameras to measure on, at least one.
-    pub cameras: Vec<Camera>,
     /// Random states per span, at least 1.
     pub contexts: usize,
-    /// Frames of a span (a window, or an epoch for canonical groups) that each camera renders, at least 1.
-    pub frames_per_span: usize,
     /// Weight α of the lower tail, 0..=1.
     pub alpha: f64,
     /// Weight β of the interaction deviation, at least 0.
@@ -54,13 +53,10 @@ pub struct UtilityOptions {
 }
 
 impl UtilityOptions {
-    /// The paper's α = 0.25, β = 0.05 and 0.10 quantile on `cameras`: 32 contexts, one frame per span and
-    /// camera.
-    pub fn paper(cameras: Vec<Camera>) -> Self {
+    /// The paper's α = 0.25, β = 0.05 and 0.10 quantile: 32 contexts.
+    pub fn paper() -> Self {
         Self {
-            cameras,
             contexts: 32,
-            frames_per_span: 1,
             alpha: 0.25,
             beta: 0.05,
             complete: false,
@@ -72,11 +68,6 @@ impl UtilityOptions {
     /// States rendered per span.
     fn states(&self) -> usize {
         if self.complete { 1 } else { self.contexts.max(1) }
-    }
-
-    /// Frame and camera pairs per span.
-    fn views(&self) -> usize {
-        self.cameras.len() * self.frames_per_span.max(1)
     }
 }
 
@@ -105,7 +96,7 @@ pub struct GroupUtility {
 ///     encode::{EncodeOptions, encode},
 ///     import::{Limits, synth},
 ///     stream::PacketMap,
-///     utility::{UtilityOptions, measure},
+///     utility::{References, UtilityOptions, measure},
 ///     viewpoint::{Framing, Ring},
 /// };
 ///
@@ -114,8 +105,9 @@ pub struct GroupUtility {
 /// let stream = encode(&scene, &EncodeOptions { pictures: 0, ..Default::default() }, &|_, _| {})?.stream;
 /// let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
 /// let cameras = Framing::of(&scene).ring(Ring::Measuring, 1, (48, 48))?;
-/// let how = UtilityOptions { contexts: 2, ..UtilityOptions::paper(cameras) };
-/// let table = measure(&scene, &received.content(), &map, &how, &|_share| {})?;
+/// let references = References::renders(&scene, &cameras);
+/// let how = UtilityOptions { contexts: 2, ..UtilityOptions::paper() };
+/// let table = measure(&references, &received.content(), &map, &how, &|_share| {})?;
 /// assert_eq!(table.groups.len(), map.groups().len());
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```
@@ -125,48 +117,43 @@ pub struct Table {
     pub protocol: String,
     /// CRC-32 of the manifest they belong to.
     pub manifest_crc: u32,
+    /// States that mean, tail and deviation of a group are over.
+    pub contexts: u32,
     /// Pairs of a state and a group whose Δ was measured, in every view.
     pub deltas: u64,
     /// One per group, in the order of [`PacketMap::groups`].
     pub groups: Vec<GroupUtility>,
 }
 
-/// A camera and frame in which the contexts of a span are rendered.
-struct View {
-    frame: u32,
-    camera: usize,
-    reference: Image,
-}
-
 /// Most numbers that the versions of one view's clusters may hold before the engine is called: 128 MiB.
 const MOST_VALUES: usize = 32 << 20;
 
 /// Measures all groups of `content` (a complete decode of a stream whose map is `map`) against
-/// `scene`. `progress` is told the share done, 0..=1.
+/// `references`. `progress` is told the share done, 0..=1.
 ///
 /// Deterministic for equal inputs on any number of threads.
 ///
 /// # Errors
-/// No camera, or a stream that does not decode.
+/// No camera, a span that no photograph shows, or a stream that does not decode.
 pub fn measure(
-    scene: &Scene,
+    references: &References<'_>,
     content: &Content<'_>,
     map: &PacketMap,
     options: &UtilityOptions,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<Table, UtilityError> {
-    if options.cameras.is_empty() {
-        return Err(UtilityError::NoCamera);
-    }
     let spans = spans(map);
-    let views = options.views();
-    let jobs: Vec<(usize, usize)> =
-        (0..spans.len()).flat_map(|s| (0..views).map(move |view| (s, view))).collect();
+    let mut jobs: Vec<Job> = Vec::new();
+    for span in &spans {
+        let views = references.views_of(content, span.span, options.seed)?;
+        jobs.extend((0..views).map(|view| Job { span, view, views }));
+    }
     let done = std::sync::atomic::AtomicUsize::new(0);
     let results: Result<Vec<Vec<Delta>>, UtilityError> = jobs
         .par_iter()
-        .map(|&(s, view)| {
-            let deltas = deltas_in_view(scene, content, map, &spans[s], view, options)?;
+        .map(|&Job { span, view, views }| {
+            let mut deltas = deltas_in_view(references, content, map, span, view, options)?;
+            deltas.iter_mut().for_each(|delta| delta.delta /= views as f64);
             let n = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
             progress(n as f64 / jobs.len() as f64);
             Ok(deltas)
@@ -177,7 +164,7 @@ pub fn measure(
     let mut deltas = 0;
     for Delta { group, context, delta } in results?.into_iter().flatten() {
         samples[group].resize(options.states(), 0.0);
-        samples[group][context] += delta / views as f64;
+        samples[group][context] += delta;
         deltas += 1;
     }
     let groups = map.groups().iter().zip(&mut samples).map(|((group, _), samples)| {
@@ -188,20 +175,26 @@ pub fn measure(
         if options.complete { "complete state".to_owned() } else { format!("{} contexts", options.states()) };
     Ok(Table {
         protocol: format!(
-            "D = MSE + 0.20 (1 - SSIM), {} cameras at {}x{}, {contexts}, {} frames per span and camera, \
-             alpha {}, beta {}, seed {}",
-            options.cameras.len(),
-            options.cameras[0].width(),
-            options.cameras[0].height(),
-            options.frames_per_span,
+            "D = MSE + 0.20 (1 - SSIM) against {}; {contexts}, alpha {}, beta {}, seed {}",
+            references.description(),
             options.alpha,
             options.beta,
             options.seed
         ),
         manifest_crc: codec_core::internals::wire::crc::crc32(content.manifest.raw()),
+        contexts: options.states() as u32,
         deltas,
         groups: groups.collect(),
     })
+}
+
+/// A view of a span.
+#[derive(Clone, Copy)]
+struct Job<'a> {
+    span: &'a SpanCells,
+    view: usize,
+    /// Views of the span.
+    views: usize,
 }
 
 /// Mean, tail, deviation and risk-adjusted utility of a group's samples.
@@ -233,14 +226,14 @@ struct Delta {
 
 /// Δ of all groups of one span in all contexts, in view `view` of the span.
 fn deltas_in_view(
-    scene: &Scene,
+    references: &References<'_>,
     content: &Content<'_>,
     map: &PacketMap,
     span: &SpanCells,
     view: usize,
     options: &UtilityOptions,
 ) -> Result<Vec<Delta>, UtilityError> {
-    let (epoch, view) = view_of(scene, content, span.span, view, options)?;
+    let (epoch, view) = references.view(content, span.span, view, options.seed, &options.settings)?;
     let mut clusters = Clusters::new(content, epoch, view.frame);
     let (mut waiting, mut out) = (Vec::new(), Vec::new());
     // Contexts whose clusters show versions of their own go to the engine one at a time: together, each would
@@ -257,8 +250,7 @@ fn deltas_in_view(
         are_shared &= known == 0 || clusters.values() == known;
         if !are_shared || clusters.values() > MOST_VALUES || context + 1 == options.states() {
             let shown: Vec<Vec<u32>> = waiting.iter().map(|(_, shown, _)| shown.clone()).collect();
-            let camera = &options.cameras[view.camera];
-            let found = clusters.distortions(&shown, camera, &view.reference, &options.settings)?;
+            let found = clusters.distortions(&shown, &view.camera, &view.reference, &options.settings)?;
             for (index, (context, _, steps)) in waiting.drain(..).enumerate() {
                 for (cluster, groups) in span.groups(map) {
                     let distortion =
@@ -275,16 +267,6 @@ fn deltas_in_view(
     Ok(out)
 }
 
-/// Numbers for one purpose, keyed by what they are for, so that no other span changes this one's luck.
-fn random(span: Span, index: u32, purpose: u32, options: &UtilityOptions) -> Pcg64 {
-    let label = match span {
-        Span::Canonical(e) => u64::from(e.0) << 1,
-        Span::Motion(w) => u64::from(w.0) << 1 | 1,
-    };
-    let key = u128::from(label) << 32 | u128::from(purpose) << 31 | u128::from(index);
-    Pcg64::new(u128::from(options.seed) << 64 | key, 0xa02_bdbf_7bb3_c0a7)
-}
-
 /// The state that context `context` of `span` is.
 fn state_of(
     content: &Content<'_>,
@@ -296,36 +278,7 @@ fn state_of(
     if options.complete {
         return content.blocks.to_vec();
     }
-    contexts::random_state(map, &mut random(span, context as u32, 1, options), content)
-}
-
-/// View `index` of `span`, with the source's own render, and the epoch that it shows.
-fn view_of(
-    scene: &Scene,
-    content: &Content<'_>,
-    span: Span,
-    index: usize,
-    options: &UtilityOptions,
-) -> Result<(EpochId, View), UtilityError> {
-    let (epoch, first, frames) = match span {
-        Span::Canonical(id) => {
-            let epoch = content.manifest.epoch(id).unwrap_or_default();
-            (id, epoch.first_frame, epoch.frames)
-        }
-        Span::Motion(id) => {
-            let window = content.manifest.window(id).unwrap_or_default();
-            (EpochId(window.epoch), window.first_frame, u32::from(window.frames))
-        }
-    };
-    let frame = first + random(span, index as u32, 0, options).random_range(0..frames.max(1));
-    let camera = index % options.cameras.len();
-    let refused = |error: &dyn std::fmt::Display| UtilityError::Render(error.to_string());
-    let source = scene.instant(frame as usize).unwrap_or_default();
-    let splats = Splats::new(&source.gaussians, &source.sh_rest, source.sh_degree);
-    let splats = splats.map_err(|e| refused(&e))?;
-    let rendered = Renderer::new().render(&splats, &options.cameras[camera], &options.settings);
-    let reference = rendered.map_err(|e| refused(&e))?.image;
-    Ok((epoch, View { frame, camera, reference }))
+    contexts::random_state(map, &mut random(span, context as u32, 1, options.seed), content)
 }
 
 #[cfg(test)]

@@ -4,12 +4,14 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
 
-use crate::{args::train::Train, files};
+use crate::{args::train::Train, files, pipeline};
 
 /// Files in the folder of a training.
 pub(super) struct Folder {
     pub(super) checkpoint: PathBuf,
     pub(super) stream: PathBuf,
+    /// Where `dgs stream` finds the utilities of `stream`.
+    pub(super) utility: PathBuf,
     pub(super) log: PathBuf,
     pub(super) preview: PathBuf,
     pub(super) report: PathBuf,
@@ -24,6 +26,7 @@ impl Folder {
         let file = |name: &str| out.join(name);
         Self {
             checkpoint: file("checkpoint.dgst"),
+            utility: pipeline::utility_path(&file("scene.dgs")),
             stream: file("scene.dgs"),
             log: file("log.csv"),
             preview: file("preview.png"),
@@ -45,8 +48,8 @@ impl Folder {
         if !args.resume && !args.overwrite && used {
             bail!("{}: holds a training; --resume goes on with it, --overwrite replaces it", out.display());
         }
-        let Self { checkpoint, stream, log, preview, report, registration, delivery } = self;
-        for path in [checkpoint, stream, log, preview, report, registration, delivery] {
+        let Self { checkpoint, stream, utility, log, preview, report, registration, delivery } = self;
+        for path in [checkpoint, stream, utility, log, preview, report, registration, delivery] {
             files::check(path)?;
         }
         Ok(())

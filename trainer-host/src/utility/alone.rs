@@ -8,12 +8,12 @@ use rayon::prelude::*;
 use render_host::{Renderer, Settings, Splats, metric};
 
 use super::{
-    Delta, UtilityError, UtilityOptions, View, contexts::SpanCells, spans, state_of, versions, view_of,
+    Delta, References, UtilityError, UtilityOptions,
+    contexts::{SpanCells, spans},
+    references::View,
+    state_of, versions,
 };
-use crate::{
-    scene::Scene,
-    stream::{PacketMap, Player},
-};
+use crate::stream::{PacketMap, Player};
 
 /// Mean Δ of the groups of every `every`-th cell, as [`super::measure`] finds it: index in
 /// [`PacketMap::groups`] and mean, in order of groups.
@@ -21,32 +21,29 @@ use crate::{
 /// # Errors
 /// As [`super::measure`].
 pub fn measure_alone(
-    scene: &Scene,
+    references: &References<'_>,
     content: &Content<'_>,
     map: &PacketMap,
     options: &UtilityOptions,
     every: usize,
 ) -> Result<Vec<(usize, f64)>, UtilityError> {
-    if options.cameras.is_empty() {
-        return Err(UtilityError::NoCamera);
-    }
     let mut sums = std::collections::BTreeMap::new();
     for span in spans(map) {
-        for view in 0..options.views() {
-            for Delta { group, delta, .. } in
-                deltas_in_view(scene, content, map, &span, view, options, every)?
-            {
-                *sums.entry(group).or_insert(0.0) += delta;
+        let views = references.views_of(content, span.span, options.seed)?;
+        let samples = (views * options.states()) as f64;
+        for view in 0..views {
+            let deltas = deltas_in_view(references, content, map, &span, view, options, every)?;
+            for Delta { group, delta, .. } in deltas {
+                *sums.entry(group).or_insert(0.0) += delta / samples;
             }
         }
     }
-    let count = (options.views() * options.states()) as f64;
-    Ok(sums.into_iter().map(|(group, sum)| (group, sum / count)).collect())
+    Ok(sums.into_iter().collect())
 }
 
 /// Δ of the groups of every `every`-th cell of `span` in all contexts, in view `view` of the span.
 pub(super) fn deltas_in_view(
-    scene: &Scene,
+    references: &References<'_>,
     content: &Content<'_>,
     map: &PacketMap,
     span: &SpanCells,
@@ -54,7 +51,7 @@ pub(super) fn deltas_in_view(
     options: &UtilityOptions,
     every: usize,
 ) -> Result<Vec<Delta>, UtilityError> {
-    let (_, view) = view_of(scene, content, span.span, view, options)?;
+    let (_, view) = references.view(content, span.span, view, options.seed, &options.settings)?;
     let cells: Vec<(usize, &[usize])> = span.groups(map).step_by(every.max(1)).collect();
     let mut out = Vec::new();
     for context in 0..options.states() {
@@ -108,7 +105,7 @@ fn distance(
     let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree).map_err(|e| refused(&e))?;
     // The threads are busy with other states: one render is one task.
     let settings = Settings { parallel: false, ..options.settings.clone() };
-    let rendered = renderer.render(&splats, &options.cameras[view.camera], &settings);
+    let rendered = renderer.render(&splats, &view.camera, &settings);
     let picture = rendered.map_err(|e| refused(&e))?.image;
     metric::distortion(&picture, &view.reference).map_err(|e| refused(&e))
 }

@@ -4,8 +4,32 @@
 #[derive(Debug, thiserror::Error)]
 pub enum UtilityError {
     /// Nothing to look with.
-    #[error("no camera was given; at least one is needed")]
+    #[error("no camera or photograph was given; at least one is needed")]
     NoCamera,
+    /// A span that no photograph shows.
+    #[error("no photograph shows frames {first}..{end}; each window needs at least one")]
+    NoPhotograph {
+        /// First frame of the span.
+        first: u32,
+        /// One past its last frame.
+        end: u32,
+    },
+    /// A photograph that cannot be compared with.
+    #[error("{name}: {why}")]
+    Photograph {
+        /// Name of the image.
+        name: String,
+        /// What is wrong with it.
+        why: String,
+    },
+    /// A stream that has more frames than its source.
+    #[error("the stream shows frame {frame}; the source has frames 0..{frames}")]
+    Frame {
+        /// The frame that a span holds.
+        frame: u32,
+        /// Frames of the source.
+        frames: usize,
+    },
     /// The stream does not decode.
     #[error(transparent)]
     Decode(#[from] codec_core::Error),

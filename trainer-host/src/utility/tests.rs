@@ -1,16 +1,20 @@
 //! Tests utilities against stepping one cell at a time and rendering every state alone.
 
+use codec_core::internals::ids::Span;
+use render_host::{Camera, Renderer, Splats, adjoint::loss::photograph::Photograph};
+
 use super::*;
 use crate::{
-    Stream,
+    Scene, Stream,
     encode::{self, encode},
     import::{self, synth},
+    train::{PosedPhotograph, Training, Views},
     viewpoint::{Framing, Ring},
 };
 
 #[test]
 fn the_risk_adjusted_utility_is_the_papers() {
-    let options = UtilityOptions::paper(Vec::new());
+    let options = UtilityOptions::paper();
     let mut samples = vec![4.0, 0.0, 1.0, 2.0, 3.0];
     let u = summarise(7, Level::BASE, &mut samples, &options);
     let deviation = 2f64.sqrt();
@@ -33,22 +37,27 @@ fn moving() -> (Scene, Stream) {
     (scene, stream)
 }
 
-fn few(scene: &Scene) -> UtilityOptions {
-    let cameras = Framing::of(scene).ring(Ring::Measuring, 2, (48, 36)).unwrap();
-    UtilityOptions { contexts: 2, ..UtilityOptions::paper(cameras) }
+fn few() -> UtilityOptions {
+    UtilityOptions { contexts: 2, ..UtilityOptions::paper() }
+}
+
+fn two_cameras(scene: &Scene) -> Vec<Camera> {
+    Framing::of(scene).ring(Ring::Measuring, 2, (48, 36)).unwrap()
 }
 
 #[test]
 fn utilities_are_those_of_states_rendered_alone() {
     let (scene, stream) = moving();
     let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
-    let (content, options) = (received.content(), few(&scene));
+    let (content, options) = (received.content(), few());
+    let cameras = two_cameras(&scene);
+    let references = References::renders(&scene, &cameras);
     let spans = spans(&map);
     assert!(spans.iter().any(|s| matches!(s.span, Span::Motion(_))), "there is motion to measure");
     let (mut compared, mut largest, mut shifted) = (0, 0.0f64, 0.0f64);
     for span in [&spans[0], &spans[spans.len() - 1]] {
-        let got = deltas_in_view(&scene, &content, &map, span, 1, &options).unwrap();
-        let expected = alone::deltas_in_view(&scene, &content, &map, span, 1, &options, 1).unwrap();
+        let got = deltas_in_view(&references, &content, &map, span, 1, &options).unwrap();
+        let expected = alone::deltas_in_view(&references, &content, &map, span, 1, &options, 1).unwrap();
         assert_eq!(got.len(), expected.len());
         for (got, expected) in got.iter().zip(&expected) {
             assert_eq!((got.group, got.context), (expected.group, expected.context));
@@ -67,11 +76,13 @@ fn utilities_are_those_of_states_rendered_alone() {
 fn one_table_on_any_number_of_threads_and_another_for_other_contexts() {
     let (scene, stream) = moving();
     let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
-    let (content, options) = (received.content(), few(&scene));
-    let measure = |options: &UtilityOptions| measure(&scene, &content, &map, options, &|_| {}).unwrap();
+    let (content, options) = (received.content(), few());
+    let cameras = two_cameras(&scene);
+    let references = References::renders(&scene, &cameras);
+    let measure = |options: &UtilityOptions| measure(&references, &content, &map, options, &|_| {}).unwrap();
     let table = measure(&options);
     assert_eq!(table.groups.len(), map.groups().len());
-    let means = measure_alone(&scene, &content, &map, &options, 5).unwrap();
+    let means = measure_alone(&references, &content, &map, &options, 5).unwrap();
     assert!(means.len() > 4);
     for (group, mean) in means {
         assert!((table.groups[group].mean - mean).abs() < 1e-12, "group {group}");
@@ -81,4 +92,80 @@ fn one_table_on_any_number_of_threads_and_another_for_other_contexts() {
     assert_eq!(pool.install(|| measure(&options)), table);
     let other = measure(&UtilityOptions { seed: 2, ..options.clone() });
     assert_ne!(other.groups, table.groups);
+}
+
+/// 8-bit photographs of `scene` at some frames, from every camera in turn, twice as large as the cameras.
+fn photographs(scene: &Scene, cameras: &[Camera], frames: &[u32]) -> Views<Training> {
+    let taken = frames.iter().enumerate().map(|(index, &frame)| {
+        let camera = cameras[index % cameras.len()].resized(96, 72).unwrap();
+        let instant = scene.instant(frame as usize).unwrap();
+        let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree).unwrap();
+        let image = Renderer::new().render(&splats, &camera, &Settings::default()).unwrap().image;
+        let bytes = image.rgb().as_chunks::<3>().0.iter().flat_map(|&[r, g, b]| {
+            [r, g, b, 1.0].map(|value: f32| (255.0 * value).clamp(0.0, 255.0).round() as u8)
+        });
+        let photograph = Photograph::new(96, 72, bytes.collect()).unwrap();
+        let time = frame as f32 / (scene.frames() - 1) as f32;
+        PosedPhotograph { name: format!("frame {frame}"), camera, time, photograph }
+    });
+    Views::new(taken.collect()).unwrap()
+}
+
+#[test]
+fn utilities_against_photographs_are_those_against_the_renders_that_they_show() {
+    let (scene, stream) = moving();
+    let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
+    let (content, options) = (received.content(), few());
+    let cameras = two_cameras(&scene);
+    let frames: Vec<u32> = (0..40).step_by(5).collect();
+    let taken = ReferencePhotographs::new(&photographs(&scene, &cameras, &frames), [0.0; 3], 48, 2).unwrap();
+    assert_eq!(taken.photographs()[0].image.size(), (48, 36), "reduced");
+    let references = References::Photographs(&taken);
+    let table = measure(&references, &content, &map, &options, &|_| {}).unwrap();
+    assert!(table.protocol.contains("8 photographs at 48x36, up to 2 per span"), "{}", table.protocol);
+    // The twin renders every state alone.
+    let alone = measure_alone(&references, &content, &map, &options, 5).unwrap();
+    assert!(alone.len() > 4);
+    for (group, mean) in alone {
+        assert!((table.groups[group].mean - mean).abs() < 1e-12, "group {group}");
+    }
+    // Frames shown are those that the photographs were taken of: a reference is its render, but for 8 bits.
+    let span = Span::Motion(codec_core::internals::ids::WindowId(0));
+    for index in 0..2 {
+        let (_, view) = references.view(&content, span, index, 1, &options.settings).unwrap();
+        let source = scene.instant(view.frame as usize).unwrap();
+        let splats = Splats::new(&source.gaussians, &source.sh_rest, source.sh_degree).unwrap();
+        let large = view.camera.resized(96, 72).unwrap();
+        let expected = Renderer::new().render(&splats, &large, &options.settings).unwrap().image;
+        let expected = expected.resized_box(48, 36).unwrap();
+        let worst = view.reference.rgb().iter().zip(expected.rgb()).map(|(a, b)| (a - b).abs());
+        assert!(worst.fold(0.0, f32::max) < 0.003);
+    }
+    // Photographs of other instants are another matter.
+    let shifted = photographs(&scene, &cameras, &frames);
+    let shifted: Vec<PosedPhotograph> = shifted
+        .photographs()
+        .iter()
+        .map(|view| PosedPhotograph { time: 1.0 - view.time, ..view.clone() })
+        .collect();
+    let shifted = Views::<Training>::new(shifted).unwrap();
+    let shifted = ReferencePhotographs::new(&shifted, [0.0; 3], 48, 2).unwrap();
+    let other = measure(&References::Photographs(&shifted), &content, &map, &options, &|_| {}).unwrap();
+    let sum = |table: &Table| table.groups.iter().map(|group| group.mean).sum::<f64>();
+    assert!(sum(&other) < sum(&table), "{} {}", sum(&other), sum(&table));
+}
+
+#[test]
+fn a_window_that_no_photograph_shows_is_named() {
+    let (scene, stream) = moving();
+    let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
+    let (content, cameras) = (received.content(), two_cameras(&scene));
+    let taken = ReferencePhotographs::new(&photographs(&scene, &cameras, &[0, 1]), [0.0; 3], 48, 2).unwrap();
+    let refused = measure(&References::Photographs(&taken), &content, &map, &few(), &|_| {}).unwrap_err();
+    let text = refused.to_string();
+    assert!(text.starts_with("no photograph shows frames "), "{text}");
+    let none = ReferencePhotographs::new(&Views::<Training>::new(Vec::new()).unwrap(), [0.0; 3], 48, 2);
+    assert!(matches!(none, Err(UtilityError::NoCamera)));
+    let none = References::renders(&scene, &[]);
+    assert!(matches!(measure(&none, &content, &map, &few(), &|_| {}), Err(UtilityError::NoCamera)));
 }

@@ -4,6 +4,7 @@ use codec_core::internals::{
     ids::{Level, Span},
     receiver::Content,
 };
+use render_host::{Camera, CameraError};
 
 use super::{Table, UtilityOptions};
 use crate::{
@@ -14,20 +15,21 @@ use crate::{
 };
 
 impl UtilityOptions {
-    /// How to measure what levels gain once everything is there: in the complete state, from the cameras
-    /// of two measuring rings, as far above the horizon as below.
-    ///
-    /// # Errors
-    /// None in practice: the size is one that cameras accept.
-    pub fn complete(scene: &Scene) -> Result<Self, super::UtilityError> {
-        let mut cameras = Vec::new();
-        let framing = Framing::of(scene);
-        for framing in [framing, framing.upside_down()] {
-            let ring = framing.ring(Ring::Measuring, 4, (160, 160));
-            cameras.extend(ring.map_err(|e| super::UtilityError::Render(e.to_string()))?);
-        }
-        Ok(Self { complete: true, ..Self::paper(cameras) })
+    /// How to measure what levels gain once everything is there: in the complete state.
+    pub fn complete() -> Self {
+        Self { complete: true, ..Self::paper() }
     }
+}
+
+/// The cameras that truncation measures from: two measuring rings, as far above the horizon as below.
+///
+/// # Errors
+/// None in practice: the size is one that cameras accept.
+pub fn truncation_cameras(scene: &Scene) -> Result<Vec<Camera>, CameraError> {
+    let framing = Framing::of(scene);
+    let mut cameras = framing.ring(Ring::Measuring, 4, (160, 160))?;
+    cameras.extend(framing.upside_down().ring(Ring::Measuring, 4, (160, 160))?);
+    Ok(cameras)
 }
 
 /// Bytes that each group of [`PacketMap::groups`] takes: of each packet in proportion to symbols.
@@ -136,7 +138,7 @@ mod tests {
     use crate::{
         evaluator::Evaluator,
         scene::{Attributes, Epoch, Track},
-        utility::measure,
+        utility::{References, measure},
     };
 
     /// An opaque ball of large discs around a core of `inner` small Gaussians that nobody sees.
@@ -193,8 +195,10 @@ mod tests {
         let whole = encode::encode(&scene, &options, &|_, _| {}).unwrap();
         let map = PacketMap::of(&whole.stream).unwrap();
         let received = whole.stream.receive().unwrap();
-        let how = UtilityOptions::complete(&scene).unwrap();
-        let table = measure(&scene, &received.content(), &map, &how, &|_| {}).unwrap();
+        let cameras = truncation_cameras(&scene).unwrap();
+        let references = References::renders(&scene, &cameras);
+        let how = UtilityOptions::complete();
+        let table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
         let (cut, truncated) =
             truncate(&scene, &whole, &table, 0.0, options.table_choices, &|_, _| {}).unwrap();
         assert!(truncated.dropped >= 3 && truncated.wire_after < truncated.wire_before, "{truncated:?}");

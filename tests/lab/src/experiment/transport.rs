@@ -135,7 +135,8 @@ fn utilities(
     setup: &Setup,
 ) -> Result<utility::Table> {
     let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (96, 96))?;
-    let options = utility::UtilityOptions { contexts: 2, ..utility::UtilityOptions::paper(cameras) };
+    let options = utility::UtilityOptions { contexts: 2, ..utility::UtilityOptions::paper() };
+    let references = utility::References::renders(scene, &cameras);
     let received = stream.receive()?;
-    pipeline::utilities(scene, &received.content(), map, &options, None, setup.quiet, &mut |_| ())
+    pipeline::utilities(&references, &received.content(), map, &options, None, setup.quiet, &mut |_| ())
 }

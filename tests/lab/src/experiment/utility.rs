@@ -57,20 +57,21 @@ fn measure(bench: &mut Bench, key: &str, scene: &Scene, setup: &Setup) -> Result
     let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
     let content = received.content();
     let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (160, 160))?;
-    let paper = utility::UtilityOptions::paper(cameras);
-    let complete = utility::UtilityOptions::complete(scene)?;
+    let rings = utility::truncation_cameras(scene)?;
+    let (paper, complete) = (utility::UtilityOptions::paper(), utility::UtilityOptions::complete());
     let contexts = if setup.quick { 4 } else { paper.contexts };
     let paper = utility::UtilityOptions { contexts, ..paper };
     bench.push(Figure::new(format!("{key}.groups"), map.groups().len() as f64, "groups"));
-    for (name, options) in [("contexts", paper), ("complete", complete)] {
+    for (name, options, cameras) in [("contexts", paper, &cameras), ("complete", complete, &rings)] {
+        let references = utility::References::renders(scene, cameras);
         let start = Instant::now();
-        let table = utility::measure(scene, &content, &map, &options, &|_| {})?;
+        let table = utility::measure(&references, &content, &map, &options, &|_| {})?;
         let ours = start.elapsed().as_secs_f64();
         // One context is the first of many: the engine's own answer to it is what is compared.
         let one = utility::UtilityOptions { contexts: 1, ..options.clone() };
-        let first = utility::measure(scene, &content, &map, &one, &|_| {})?;
+        let first = utility::measure(&references, &content, &map, &one, &|_| {})?;
         let start = Instant::now();
-        let alone = utility::measure_alone(scene, &content, &map, &one, EVERY)?;
+        let alone = utility::measure_alone(&references, &content, &map, &one, EVERY)?;
         let share = alone.len() as f64 / map.groups().len().max(1) as f64;
         let contexts = if options.complete { 1.0 } else { options.contexts as f64 };
         let peer = start.elapsed().as_secs_f64() / share * contexts;

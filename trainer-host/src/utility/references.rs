@@ -1,0 +1,249 @@
+//! References are the pictures that states are compared with: renders of the source, or photographs.
+
+use std::ops::Range;
+
+use codec_core::internals::{
+    ids::{EpochId, Span},
+    receiver::Content,
+};
+use rand::{RngExt, seq::SliceRandom};
+use rand_pcg::Pcg64;
+use rayon::prelude::*;
+use render_host::{Camera, Image, Renderer, Settings, Splats};
+
+use super::error::UtilityError;
+use crate::{scene::Scene, train::Views};
+
+/// What states are compared with.
+#[derive(Clone, Copy, Debug)]
+pub enum References<'a> {
+    /// Renders of the source.
+    Renders(SourceRenders<'a>),
+    /// Photographs of what the scene shows.
+    Photographs(&'a ReferencePhotographs),
+}
+
+/// Renders of the source as references.
+#[derive(Clone, Copy, Debug)]
+pub struct SourceRenders<'a> {
+    /// The source.
+    pub scene: &'a Scene,
+    /// Cameras to render from, at least one.
+    pub cameras: &'a [Camera],
+    /// Frames of a span (a window, or an epoch for canonical groups) that each camera renders, at least 1.
+    pub frames_per_span: usize,
+}
+
+/// Photographs as references: the scene's own posed images (paper, section 5).
+#[derive(Clone, Debug)]
+pub struct ReferencePhotographs {
+    photographs: Vec<ReferencePhotograph>,
+    per_span: usize,
+}
+
+/// A photograph over the background, from where and when it was taken.
+#[derive(Clone, Debug)]
+pub struct ReferencePhotograph {
+    /// Name of the image in its source.
+    pub name: String,
+    /// Camera, of the image's size.
+    pub camera: Camera,
+    /// Time in the clip, 0 to 1.
+    pub time: f32,
+    /// The photograph.
+    pub image: Image,
+}
+
+/// A camera and frame in which the contexts of a span are rendered.
+#[derive(Debug)]
+pub(super) struct View {
+    pub(super) frame: u32,
+    pub(super) camera: Camera,
+    pub(super) reference: Image,
+}
+
+impl ReferencePhotographs {
+    /// The photographs of `views` over `background`, each reduced by the smallest whole divisor of its sides
+    /// that leaves neither longer than `longest_side` pixels. Of each span, up to `per_span` are used: at
+    /// least 1.
+    ///
+    /// # Errors
+    /// No photographs, or one that cannot be reduced.
+    pub fn new<S: Sync>(
+        views: &Views<S>,
+        background: [f32; 3],
+        longest_side: u32,
+        per_span: usize,
+    ) -> Result<Self, UtilityError> {
+        let reduced = |view: &crate::train::PosedPhotograph| {
+            let refused = |why: String| UtilityError::Photograph { name: view.name.clone(), why };
+            let (width, height) = (view.camera.width(), view.camera.height());
+            let divides = |by: &u32| width.is_multiple_of(*by) && height.is_multiple_of(*by);
+            let fits = |by: &u32| divides(by) && width.max(height) / by <= longest_side;
+            let by = (1..=width.min(height)).find(fits).unwrap_or(1);
+            let (width, height) = (width / by, height / by);
+            let camera = view.camera.resized(width, height).map_err(|error| refused(error.to_string()))?;
+            let whole = view.photograph.over(background);
+            let image = whole.resized_box(width, height).map_err(|error| refused(error.to_string()))?;
+            Ok(ReferencePhotograph { name: view.name.clone(), camera, time: view.time, image })
+        };
+        let photographs: Result<Vec<_>, UtilityError> = views.photographs().par_iter().map(reduced).collect();
+        let photographs = photographs?;
+        if photographs.is_empty() {
+            return Err(UtilityError::NoCamera);
+        }
+        Ok(Self { photographs, per_span: per_span.max(1) })
+    }
+
+    /// The photographs in the order of their source.
+    pub fn photographs(&self) -> &[ReferencePhotograph] {
+        &self.photographs
+    }
+
+    /// Photographs used of a span, at most.
+    pub const fn per_span(&self) -> usize {
+        self.per_span
+    }
+
+    /// Those used of a span of `frames`, each with the frame nearest to it.
+    fn of_span(
+        &self,
+        frames: &Range<u32>,
+        clip: u32,
+        rng: &mut Pcg64,
+    ) -> Result<Vec<(usize, u32)>, UtilityError> {
+        let last = f64::from(clip.saturating_sub(1));
+        let frame_of = |photograph: &ReferencePhotograph| (f64::from(photograph.time) * last).round() as u32;
+        let placed = self.photographs.iter().map(frame_of).enumerate();
+        let mut inside: Vec<(usize, u32)> = placed.filter(|(_, frame)| frames.contains(frame)).collect();
+        if inside.is_empty() {
+            return Err(UtilityError::NoPhotograph { first: frames.start, end: frames.end });
+        }
+        inside.shuffle(rng);
+        inside.truncate(self.per_span);
+        Ok(inside)
+    }
+}
+
+impl<'a> References<'a> {
+    /// Renders of `scene`, one frame per span and camera.
+    pub const fn renders(scene: &'a Scene, cameras: &'a [Camera]) -> Self {
+        Self::Renders(SourceRenders { scene, cameras, frames_per_span: 1 })
+    }
+}
+
+impl References<'_> {
+    /// Views in which the contexts of `span` are rendered.
+    ///
+    /// # Errors
+    /// No camera, or a span that no photograph shows.
+    pub(super) fn views_of(
+        &self,
+        content: &Content<'_>,
+        span: Span,
+        seed: u64,
+    ) -> Result<usize, UtilityError> {
+        match self {
+            Self::Renders(SourceRenders { cameras: [], .. }) => Err(UtilityError::NoCamera),
+            Self::Renders(renders) => Ok(renders.cameras.len() * renders.frames_per_span.max(1)),
+            Self::Photographs(photographs) => {
+                let clip = content.manifest.head().frames;
+                let (_, frames) = frames_of(content, span);
+                Ok(photographs.of_span(&frames, clip, &mut random(span, 0, 0, seed))?.len())
+            }
+        }
+    }
+
+    /// View `index` of `span`, and the epoch that it shows.
+    ///
+    /// # Errors
+    /// A source that cannot be rendered, or a span that no photograph shows.
+    pub(super) fn view(
+        &self,
+        content: &Content<'_>,
+        span: Span,
+        index: usize,
+        seed: u64,
+        settings: &Settings,
+    ) -> Result<(EpochId, View), UtilityError> {
+        let (epoch, frames) = frames_of(content, span);
+        let view = match self {
+            Self::Renders(renders) => {
+                let count = frames.len().max(1) as u32;
+                let frame = frames.start + random(span, index as u32, 0, seed).random_range(0..count);
+                let camera = &renders.cameras[index % renders.cameras.len()];
+                View { frame, camera: camera.clone(), reference: renders.render(frame, camera, settings)? }
+            }
+            Self::Photographs(photographs) => {
+                let clip = content.manifest.head().frames;
+                let chosen = photographs.of_span(&frames, clip, &mut random(span, 0, 0, seed))?;
+                let (place, frame) = chosen[index % chosen.len()];
+                let ReferencePhotograph { camera, image, .. } = &photographs.photographs[place];
+                View { frame, camera: camera.clone(), reference: image.clone() }
+            }
+        };
+        Ok((epoch, view))
+    }
+
+    /// What they are, for people.
+    pub(super) fn description(&self) -> String {
+        let size = |camera: Option<&Camera>| camera.map_or((0, 0), |c| (c.width(), c.height()));
+        match self {
+            Self::Renders(renders) => {
+                let (width, height) = size(renders.cameras.first());
+                format!(
+                    "renders of the source from {} cameras at {width}x{height}, {} frames per span and \
+                     camera",
+                    renders.cameras.len(),
+                    renders.frames_per_span
+                )
+            }
+            Self::Photographs(photographs) => {
+                let all = &photographs.photographs;
+                let (width, height) = size(all.first().map(|photograph| &photograph.camera));
+                format!(
+                    "{} photographs at {width}x{height}, up to {} per span",
+                    all.len(),
+                    photographs.per_span
+                )
+            }
+        }
+    }
+}
+
+impl SourceRenders<'_> {
+    fn render(&self, frame: u32, camera: &Camera, settings: &Settings) -> Result<Image, UtilityError> {
+        let refused = |error: &dyn std::fmt::Display| UtilityError::Render(error.to_string());
+        let frames = self.scene.frames();
+        let source = self.scene.instant(frame as usize).ok_or(UtilityError::Frame { frame, frames })?;
+        let splats = Splats::new(&source.gaussians, &source.sh_rest, source.sh_degree);
+        let splats = splats.map_err(|error| refused(&error))?;
+        let rendered = Renderer::new().render(&splats, camera, settings);
+        Ok(rendered.map_err(|error| refused(&error))?.image)
+    }
+}
+
+/// The epoch of a span and its frames.
+fn frames_of(content: &Content<'_>, span: Span) -> (EpochId, Range<u32>) {
+    match span {
+        Span::Canonical(id) => {
+            let epoch = content.manifest.epoch(id).unwrap_or_default();
+            (id, epoch.first_frame..epoch.first_frame + epoch.frames)
+        }
+        Span::Motion(id) => {
+            let window = content.manifest.window(id).unwrap_or_default();
+            let end = window.first_frame + u32::from(window.frames);
+            (EpochId(window.epoch), window.first_frame..end)
+        }
+    }
+}
+
+/// Numbers for one purpose, keyed by what they are for, so that no other span changes this one's luck.
+pub(super) fn random(span: Span, index: u32, purpose: u32, seed: u64) -> Pcg64 {
+    let label = match span {
+        Span::Canonical(e) => u64::from(e.0) << 1,
+        Span::Motion(w) => u64::from(w.0) << 1 | 1,
+    };
+    let key = u128::from(label) << 32 | u128::from(purpose) << 31 | u128::from(index);
+    Pcg64::new(u128::from(seed) << 64 | key, 0xa02_bdbf_7bb3_c0a7)
+}
