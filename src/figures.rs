@@ -43,7 +43,7 @@ pub fn mean(values: &[f64]) -> f64 {
 }
 
 /// How many groups of each level make pictures worse, a line per level.
-pub fn audit_lines(levels: &[LevelAudit]) -> String {
+pub(crate) fn audit_lines(levels: &[LevelAudit]) -> String {
     let line = |audit: &LevelAudit| {
         format!(
             "  level {}: {} groups; negative: mean {}, lower tenth {}, 95 % interval of the mean {}\n",

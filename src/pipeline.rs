@@ -22,11 +22,12 @@ use trainer_host::{
 };
 
 pub use self::{
-    cache::{reference_photographs, stored_utilities, utilities, utility_path},
+    cache::{stored_utilities, utilities, utility_path},
     cameras::read_cameras,
     frames::{Frames, snapshot},
     link::{Link, capacity_bins, link, read_trace},
 };
+pub(crate) use self::cache::reference_photographs;
 use crate::{
     args::{CodecArgs, PolicyName, ProfileName, SceneArgs, ViewArgs},
     delivery::{self, ShownState, WireEndpoint},

@@ -59,6 +59,7 @@ fn a_training_writes_a_stream_a_checkpoint_a_log_and_a_report() {
     let at = folder.path();
     let text = ok(at, &["-o", "out", "--utility"]);
     assert!(text.contains("200 steps") && text.contains("test views, as decoded from scene.dgs"), "{text}");
+    assert!(text.contains(", FLIP ") && text.contains("LPIPS: no weights given"), "{text}");
     assert!(text.contains("utilities, training photographs\n  level 0: "), "{text}");
     assert!(text.contains("utilities, test photographs\n"), "{text}");
     let log = fs::read_to_string(at.join("out/log.csv")).unwrap();
@@ -162,6 +163,10 @@ fn options_and_inputs_are_refused_by_name() {
     assert!(error.contains("checkpoint.dgst: no such checkpoint"), "{error}");
     let output = train(at, &["-o", "out", "--canonical-time=nan"]);
     assert_eq!(output.status.code(), Some(64));
+    fs::write(at.join("weights"), b"none").unwrap();
+    let error = refused(at, &["-o", "out", "--lpips", "weights"]);
+    assert!(error.contains("--lpips: weights") && error.contains("safetensors"), "{error}");
+    assert!(!at.join("out/scene.dgs").exists());
     fs::create_dir(at.join("empty")).unwrap();
     let output =
         Command::new(env!("CARGO_BIN_EXE_dgs")).current_dir(at).args(["train", "empty"]).output().unwrap();

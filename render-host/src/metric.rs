@@ -7,6 +7,7 @@ pub mod distortion;
 pub mod flicker;
 pub mod flip;
 pub mod heat;
+pub mod lpips;
 pub mod psnr;
 pub mod ssim;
 
@@ -14,5 +15,6 @@ pub use distortion::distortion;
 pub use flicker::flicker;
 pub use flip::flip;
 pub use heat::heat;
+pub use lpips::{Lpips, LpipsError};
 pub use psnr::{mse, psnr};
 pub use ssim::ssim;

@@ -78,6 +78,16 @@ pub struct Train {
     /// Also writes registration.json (what was fixed before) and delivery.json (what came of it).
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
+    /// Most that encoding may take from the PSNR of training views, dB: steps are chosen to keep to it.
+    /// Where the size or the steps are typed, they decide instead.
+    #[arg(
+        long, value_name = "DB", default_value_t = 0.1, value_parser = real(0.001..=100.0, "dB"),
+        conflicts_with = "fineness", allow_negative_numbers = true
+    )]
+    pub encoding_loss: f64,
+    /// Weights of LPIPS (AlexNet, safetensors), to measure it too; FLIP is always measured.
+    #[arg(long, value_name = "FILE")]
+    pub lpips: Option<PathBuf>,
     /// Also measure what each group of packets adds to a picture, against the training photographs, and write
     /// it beside the stream (scene.utility.json); the test photographs are a check on it.
     #[arg(long)]

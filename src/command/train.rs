@@ -1,6 +1,7 @@
 //! `dgs train`: photographs, or the renders of a scene, to a moving scene and its stream.
 
 mod delivery;
+mod encoding;
 mod figures;
 mod folder;
 mod log;
@@ -17,19 +18,19 @@ use std::{
 };
 
 use anyhow::{Context, Result};
+use render_host::metric::Lpips;
 use serde_json::json;
 use trainer_host::{
     Scene,
-    encode::Protection,
     train::{
-        self, Checkpoint, Dataset, DensityControl, Evaluation, Posable, Trainer,
+        self, Checkpoint, Dataset, DensityControl, Posable, Trainer,
         dataset::{self, rendered},
         delivery::DeliveryOptions,
     },
 };
 
 use self::{
-    figures::{decoded, figure},
+    figures::{Figure, decoded, lpips},
     folder::Folder,
     log::{Log, Sample},
     page::{Ended, Page},
@@ -62,11 +63,12 @@ pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     if let (Some(scene), Some(options)) = (&scene, &delivery) {
         return delivery::run(args, &folder, scene, &dataset, options, quiet);
     }
+    let network = args.lpips.as_deref().map(lpips).transpose()?;
     let (mut trainer, begun) = begin(args, &folder, &dataset)?;
     let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
     let stop = interruption();
     let ended = fit(args, &folder, &dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
-    finish(args, &folder, &dataset, &trainer, &log, ended, delivery.as_ref(), quiet)
+    finish(args, &folder, &dataset, &trainer, &log, ended, delivery.as_ref(), network.as_ref(), quiet)
 }
 
 /// The dataset that was named; if it was a scene, with the scene.
@@ -232,6 +234,7 @@ fn finish(
     log: &Log,
     ended: Ended,
     delivery: Option<&DeliveryOptions>,
+    network: Option<&Lpips>,
     quiet: Quiet,
 ) -> Result<VerbOutput> {
     let frames = args.frames.unwrap_or(dataset.frames);
@@ -239,7 +242,7 @@ fn finish(
     scene.up = dataset.up;
     let encoded = match delivery.filter(|_| !ended.interrupted) {
         Some(options) => delivery::fine_tuned(args, folder, &scene, dataset, options, quiet)?,
-        None => pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::NONE), quiet)?,
+        None => encoding::encode(args, &scene, dataset, trainer, quiet)?,
     };
     let bytes = encoded.stream.to_bytes()?;
     files::write(&folder.stream, &bytes)?;
@@ -248,10 +251,12 @@ fn finish(
     let reduced = trainer.reduced();
     let plain = trainer.options().background;
     let other = plain.map(|v| 1.0 - v);
-    let mut figures: Vec<(String, Evaluation)> = Vec::new();
+    let mut figures: Vec<Figure> = Vec::new();
     let mut measure = |what: &str, scene: &dyn Posable, background: [f32; 3]| -> Result<()> {
         if !dataset.test.is_empty() {
-            figures.push((what.to_owned(), train::evaluate(scene, &dataset.test, reduced, background)?));
+            let found = train::evaluate(scene, &dataset.test, reduced, background)?;
+            let seen = train::perceptual(scene, &dataset.test, reduced, background, network)?;
+            figures.push(Figure { what: what.to_owned(), found, seen: Some(seen) });
         }
         Ok(())
     };
@@ -261,10 +266,11 @@ fn finish(
         measure("test views, as trained, opposite background", trainer.model(), other)?;
     }
     let seen = dataset.train.sample(dataset.test.photographs().len().max(GLANCE_VIEWS));
-    figures.push((
-        "training views, as trained".to_owned(),
-        train::evaluate(trainer.model(), &seen, reduced, plain)?,
-    ));
+    figures.push(Figure {
+        what: "training views, as trained".to_owned(),
+        found: train::evaluate(trainer.model(), &seen, reduced, plain)?,
+        seen: None,
+    });
 
     let audits = if args.utility {
         let background = trainer.options().background;
@@ -292,7 +298,7 @@ fn said(
     folder: &Folder,
     trainer: &Trainer,
     log: &Log,
-    figures: &[(String, Evaluation)],
+    figures: &[Figure],
     bytes: usize,
     frames: usize,
     ended: &Ended,
@@ -306,16 +312,17 @@ fn said(
         trainer.model().nodes(),
         if ended.interrupted { ", interrupted: --resume goes on" } else { "" },
     );
-    for (what, found) in figures {
-        text += &figure(what, found);
+    for figure in figures {
+        text += &figure.line();
+    }
+    if args.lpips.is_none() {
+        text += "  LPIPS: no weights given\n";
     }
     text += &format!(
         "  {bytes} bytes, {frames} frames, in {}\n{}\n",
         folder.stream.display(),
         folder.report.display()
     );
-    let measured: Vec<_> =
-        figures.iter().map(|(what, found)| json!({"what": what, "found": found})).collect();
     let json = json!({
         "input": args.input,
         "steps": trainer.steps(),
@@ -324,7 +331,7 @@ fn said(
         "gaussians": trainer.model().gaussians(),
         "nodes": trainer.model().nodes(),
         "options": trainer.options(),
-        "figures": measured,
+        "figures": figures,
         "stream": folder.stream,
         "bytes": bytes,
         "frames": frames,

@@ -73,7 +73,7 @@ const LONGEST_SIDE: u32 = 160;
 ///
 /// # Errors
 /// An empty split.
-pub fn reference_photographs<S: Sync>(
+pub(crate) fn reference_photographs<S: Sync>(
     views: &Views<S>,
     background: [f32; 3],
 ) -> Result<ReferencePhotographs, UtilityError> {

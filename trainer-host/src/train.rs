@@ -28,7 +28,7 @@ pub mod views;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use error::TrainError;
-pub use evaluation::{Evaluation, EvaluationError, Posable, compare, evaluate};
+pub use evaluation::{Evaluation, EvaluationError, Perceptual, Posable, compare, evaluate, perceptual};
 pub use model::Model;
 pub use options::{DensityControl, OptionsError, Rates, Schedule, TrainOptions};
 pub use trainer::{Stage, StepReport, Trainer};

@@ -1,11 +1,15 @@
 //! Measures what a receiver of the whole stream shows, and says how well views agree.
 
-use anyhow::Result;
+use std::path::Path;
+
+use anyhow::{Context, Result};
 use codec_core::internals::ids::Level;
+use render_host::metric::Lpips;
+use serde::Serialize;
 use trainer_host::{
     Instant,
     encode::Encoded,
-    train::{Dataset, Evaluation},
+    train::{Dataset, Evaluation, Perceptual},
 };
 
 use crate::pipeline::Frames;
@@ -14,6 +18,37 @@ use crate::pipeline::Frames;
 pub(super) fn decoded(encoded: &Encoded, dataset: &Dataset) -> Result<Vec<Instant>> {
     let mut frames = Frames::of_stream(encoded.stream.receive()?, Level::from_bits(3), dataset.up);
     (0..frames.count()).map(|frame| frames.instant(frame)).collect()
+}
+
+/// How well a scene agrees with some views.
+#[derive(Debug, Serialize)]
+pub(super) struct Figure {
+    pub(super) what: String,
+    pub(super) found: Evaluation,
+    /// How different it looks, where that was measured.
+    pub(super) seen: Option<Perceptual>,
+}
+
+impl Figure {
+    /// The figure for people.
+    pub(super) fn line(&self) -> String {
+        let mut text = figure(&self.what, &self.found);
+        if let Some(Perceptual { flip, lpips }) = self.seen {
+            let lpips = lpips.map_or(String::new(), |lpips| format!(", LPIPS {lpips:.4}"));
+            text.insert_str(text.trim_end().len(), &format!(", FLIP {flip:.4}{lpips}"));
+        }
+        text
+    }
+}
+
+/// The network whose weights are in a file.
+///
+/// # Errors
+/// A file that cannot be read, or holds something else.
+pub(super) fn lpips(path: &Path) -> Result<Lpips> {
+    let failed = || format!("--lpips: {}", path.display());
+    let bytes = std::fs::read(path).with_context(failed)?;
+    Lpips::from_safetensors(&bytes).with_context(failed)
 }
 
 /// A line about how well some views agree.

@@ -4,9 +4,9 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use render_host::Image;
-use trainer_host::train::{self, Dataset, Evaluation, Trainer};
+use trainer_host::train::{self, Dataset, Trainer};
 
-use super::log::Log;
+use super::{figures::Figure, log::Log};
 use crate::report::{
     html::{STYLE, data_of_png},
     plot::{Hue, Panel, Plot, Series, Shape, escape},
@@ -30,7 +30,7 @@ pub(super) struct Page<'a> {
     pub(super) dataset: &'a Dataset,
     pub(super) trainer: &'a Trainer<'a>,
     pub(super) log: &'a Log,
-    pub(super) figures: &'a [(String, Evaluation)],
+    pub(super) figures: &'a [Figure],
     pub(super) bytes: usize,
     pub(super) ended: &'a Ended,
 }
@@ -86,12 +86,15 @@ impl Page<'_> {
         );
         out += &self.curves();
         out += "<h2>Quality</h2>\n<table><tr><th>views</th><th>size</th><th>background</th><th>PSNR, dB</th>\
-                <th>worst view</th><th>foreground</th><th>SSIM</th></tr>\n";
-        for (what, found) in self.figures {
+                <th>worst view</th><th>foreground</th><th>SSIM</th><th>FLIP</th><th>LPIPS</th></tr>\n";
+        for Figure { what, found, seen } in self.figures {
+            let flip = seen.map_or("–".to_owned(), |seen| format!("{:.4}", seen.flip));
+            let lpips = seen.and_then(|seen| seen.lpips);
+            let lpips = lpips.map_or("–".to_owned(), |lpips| format!("{lpips:.4}"));
             let _ = writeln!(
                 out,
                 "<tr><td>{}</td><td>{} × {}</td><td>{:?}</td><td>{:.2}</td><td>{:.2}</td><td>{:.2}</td>\
-                 <td>{:.4}</td></tr>",
+                 <td>{:.4}</td><td>{flip}</td><td>{lpips}</td></tr>",
                 escape(what),
                 found.size.0,
                 found.size.1,

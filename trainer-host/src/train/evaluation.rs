@@ -1,6 +1,9 @@
 //! Evaluation renders a trained scene as held-out cameras saw it and compares.
 
-use render_host::{Image, ImageError, RenderError, Renderer, Settings, Splats, metric};
+use render_host::{
+    Image, ImageError, RenderError, Renderer, Settings, Splats,
+    metric::{self, Lpips},
+};
 use serde::Serialize;
 
 use super::{model::Model, views::Views};
@@ -23,6 +26,15 @@ pub struct Evaluation {
     pub ssim: f64,
     /// PSNR of each view, dB, in the order of the views.
     pub psnr_of_views_db: Vec<f64>,
+}
+
+/// How different pictures look from photographs to a person.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Perceptual {
+    /// Mean FLIP, 0 to 1.
+    pub flip: f64,
+    /// Mean LPIPS (AlexNet), where weights are there.
+    pub lpips: Option<f64>,
 }
 
 /// An evaluation that could not be made.
@@ -131,6 +143,32 @@ pub fn evaluate<S>(
         ssim: ssim / count,
         psnr_of_views_db,
     })
+}
+
+/// How different `scene` looks from all `views`, `reduced` times smaller, over `background`.
+///
+/// # Errors
+/// As [`evaluate`], or pictures too small for LPIPS.
+pub fn perceptual<S>(
+    scene: &dyn Posable,
+    views: &Views<S>,
+    reduced: u32,
+    background: [f32; 3],
+    network: Option<&Lpips>,
+) -> Result<Perceptual, EvaluationError> {
+    let (mut flip, mut lpips) = (0.0, 0.0);
+    for index in 0..views.photographs().len() {
+        let Compared { rendered, photograph } = compare(scene, views, index, reduced, background)?;
+        flip += metric::flip(&rendered, &photograph, metric::flip::PIXELS_PER_DEGREE)?.mean;
+        if let Some(network) = network {
+            lpips += network.distance(&rendered, &photograph)?;
+        }
+    }
+    let count = views.photographs().len() as f64;
+    if views.is_empty() {
+        return Err(EvaluationError::Empty);
+    }
+    Ok(Perceptual { flip: flip / count, lpips: network.map(|_| lpips / count) })
 }
 
 /// PSNR in dB over the pixels that `counts` accepts; 100 where none is or none differs.

@@ -1,0 +1,91 @@
+//! Encodes a trained scene as coarsely as its photographs allow.
+
+use anyhow::Result;
+use trainer_host::{
+    Scene,
+    encode::{EncodeOptions, Encoded, Protection, Quality},
+    train::{self, Dataset, Trainer},
+};
+
+use super::figures::decoded;
+use crate::{
+    args::{ProfileName, train::Train},
+    pipeline::{self, Quiet},
+};
+
+/// Training views that the loss is measured on.
+const VIEWS: usize = 20;
+/// Encodings at most.
+const ATTEMPTS: usize = 4;
+/// Range of the factor on quantiser steps.
+const COARSENESS: (f64, f64) = (0.05, 4.0);
+/// A loss above this share of what is allowed is near enough to it.
+const NEAR: f64 = 0.6;
+/// The share of what is allowed that the next attempt is meant to take.
+const AIM: f64 = 0.85;
+
+/// A stream, and how it was made.
+struct Attempt {
+    encoded: Encoded,
+    /// Factor on quantiser steps.
+    coarseness: f64,
+    /// What encoding took from the PSNR of training views, dB.
+    lost_db: f64,
+}
+
+impl Attempt {
+    /// Whether this is what was asked for rather than `other`: a loss that is allowed before one that is not,
+    /// then the coarser of allowed ones, the finer of others.
+    fn beats(&self, other: &Self, allowed_db: f64) -> bool {
+        match (self.lost_db <= allowed_db, other.lost_db <= allowed_db) {
+            (true, true) => self.coarseness > other.coarseness,
+            (false, false) => self.coarseness < other.coarseness,
+            (is_allowed, _) => is_allowed,
+        }
+    }
+
+    /// Steps for the next attempt: loss in dB grows with their square while it is small.
+    fn next_coarseness(&self, allowed_db: f64) -> f64 {
+        let ratio = (AIM * allowed_db / self.lost_db.max(1e-3 * allowed_db)).sqrt();
+        (self.coarseness * ratio.clamp(0.3, 2.0)).clamp(COARSENESS.0, COARSENESS.1)
+    }
+}
+
+/// The stream of `scene`. Unless its size or steps were typed, steps are the coarsest of a few that take at
+/// most `--encoding-loss` from the PSNR of training views, or else the finest of them.
+pub(super) fn encode(
+    args: &Train,
+    scene: &Scene,
+    dataset: &Dataset,
+    trainer: &Trainer,
+    quiet: Quiet,
+) -> Result<Encoded> {
+    let options = pipeline::encode_options(&args.codec, Protection::NONE);
+    let is_typed = options.target.is_some() || args.codec.coarseness != 1.0;
+    if is_typed || args.codec.profile != ProfileName::Dgs1 {
+        return pipeline::encode(scene, &options, quiet);
+    }
+    let views = dataset.train.sample(VIEWS);
+    let (reduced, background) = (trainer.reduced(), trainer.options().background);
+    let trained_db = train::evaluate(trainer.model(), &views, reduced, background)?.psnr_db;
+    let attempt = |coarseness: f64| -> Result<Attempt> {
+        let quality = Quality::default().scaled(coarseness as f32);
+        let encoded = pipeline::encode(scene, &EncodeOptions { quality, ..options.clone() }, quiet)?;
+        let shown = train::evaluate(&decoded(&encoded, dataset)?, &views, reduced, background)?;
+        Ok(Attempt { encoded, coarseness, lost_db: trained_db - shown.psnr_db })
+    };
+    let allowed = args.encoding_loss;
+    let mut best = attempt(1.0)?;
+    let mut next = best.next_coarseness(allowed);
+    for _ in 1..ATTEMPTS {
+        if (NEAR * allowed..=allowed).contains(&best.lost_db) {
+            break;
+        }
+        let found = attempt(next)?;
+        next = found.next_coarseness(allowed);
+        if found.beats(&best, allowed) {
+            best = found;
+        }
+    }
+    Ok(best.encoded)
+}
