@@ -1,9 +1,9 @@
 //! LPIPS v0.1 (Zhang et al. 2018) compares images by what the layers of AlexNet make of them.
 //!
 //! Each layer's features are normalised over channels; squared differences are weighted per channel,
-//! averaged over pixels and summed over layers. Input is sRGB display values, clamped to 0..=1. Weights are the user's:
-//! a safetensors file with `features.0..4.{weight,bias}` (the convolutions, `[out, in, height, width]`) and
-//! `linear.0..4.weight` (the weights per channel), all f32.
+//! averaged over pixels and summed over layers. Input is sRGB display values, clamped to 0..=1. Weights are
+//! the user's: a safetensors file with `features.0..4.{weight,bias}` (the convolutions, `[out, in, height,
+//! width]`) and `linear.0..4.weight` (the weights per channel), all f32.
 //!
 //! Features are f32, sums over pixels f64: the result is within 1e-5 of that of f64 throughout.
 
