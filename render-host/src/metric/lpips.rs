@@ -13,7 +13,7 @@ use safetensors::{Dtype, SafeTensors};
 use crate::image::{Image, ImageError, same_size};
 
 /// Smallest side of an image, pixels: below it a layer has nothing left.
-pub const SMALLEST_SIDE: u32 = 31;
+const SMALLEST_SIDE: u32 = 31;
 
 /// Mean and deviation of the images that the network knows, per channel of -1 to 1.
 const MEAN: [f32; 3] = [-0.030, -0.088, -0.188];
@@ -112,7 +112,7 @@ impl Lpips {
     /// Distance of `test` from `reference`: 0 for equal images, about 0.7 for unrelated ones.
     ///
     /// # Errors
-    /// Different sizes, or a side below [`SMALLEST_SIDE`].
+    /// Different sizes, or a side below 31 pixels.
     pub fn distance(&self, test: &Image, reference: &Image) -> Result<f64, ImageError> {
         same_size(test, reference)?;
         let side = test.width().min(test.height());
