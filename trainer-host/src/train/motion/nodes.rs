@@ -8,9 +8,12 @@ use super::{
     FOLLOWED, TemporalBasis,
     skinning::{Skinned, node_weights},
 };
-use crate::train::{
-    parameter::Parameter,
-    rotation::{Quaternion, dot, matrix, matrix_gradient},
+use crate::{
+    scene::import::nearest::Tree,
+    train::{
+        parameter::Parameter,
+        rotation::{Quaternion, dot, matrix, matrix_gradient},
+    },
 };
 
 /// Numbers of a node per function of the basis: shift (3) and quaternion (4).
@@ -262,18 +265,9 @@ fn farthest_points(points: &[[f32; 3]], count: usize) -> Vec<[f32; 3]> {
 
 /// Of each point, the indices of the `count` nearest `places`, nearest first; of equal ones the first.
 fn nearest(points: &[[f32; 3]], places: &[[f32; 3]], count: usize) -> Vec<Vec<u32>> {
+    let tree = Tree::new(places);
     let of_point = |point: &[f32; 3]| {
-        let point = Vec3::from_array(*point);
-        let mut best: Vec<(f32, u32)> = Vec::with_capacity(count + 1);
-        for (index, place) in places.iter().enumerate() {
-            let distance = point.distance_squared(Vec3::from_array(*place));
-            if best.len() < count || best.last().is_some_and(|last| distance < last.0) {
-                let at = best.partition_point(|other| other.0 <= distance);
-                best.insert(at, (distance, index as u32));
-                best.truncate(count);
-            }
-        }
-        best.into_iter().map(|(_, index)| index).collect()
+        tree.nearest(*point, count, |_| true).into_iter().map(|(_, index)| index as u32).collect()
     };
     points.par_iter().with_min_len(256).map(of_point).collect()
 }
