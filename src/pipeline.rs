@@ -21,13 +21,13 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
+pub(crate) use self::cache::reference_photographs;
 pub use self::{
     cache::{stored_utilities, utilities, utility_path},
     cameras::read_cameras,
     frames::{Frames, snapshot},
     link::{Link, capacity_bins, link, read_trace},
 };
-pub(crate) use self::cache::reference_photographs;
 use crate::{
     args::{CodecArgs, PolicyName, ProfileName, SceneArgs, ViewArgs},
     delivery::{self, ShownState, WireEndpoint},

@@ -57,6 +57,8 @@ pub struct Schedule {
     pub quarter_of_nodes: f64,
     /// From here all nodes do.
     pub all_nodes: f64,
+    /// From here nodes can change their motion twice as fast; 1: never.
+    pub fine_time: f64,
     /// From here Gaussians are neither added nor removed.
     pub density_end: f64,
     /// Until here photographs have their smallest, second and third size (an eighth, a quarter and a half of
@@ -77,6 +79,7 @@ impl Default for Schedule {
             growth: 0.12,
             quarter_of_nodes: 0.1,
             all_nodes: 0.22,
+            fine_time: 1.0,
             density_end: 0.6,
             sizes: [0.12, 0.35, 0.6],
             motion_decay: 0.02,
@@ -220,6 +223,7 @@ impl TrainOptions {
             growth,
             quarter_of_nodes,
             all_nodes,
+            fine_time,
             density_end,
             sizes: [first, second, third],
             motion_decay,
@@ -231,6 +235,7 @@ impl TrainOptions {
             ("schedule.growth", growth),
             ("schedule.quarter_of_nodes", quarter_of_nodes),
             ("schedule.all_nodes", all_nodes),
+            ("schedule.fine_time", fine_time),
             ("schedule.density_end", density_end),
             ("schedule.sizes[0]", first),
             ("schedule.sizes[1]", second),

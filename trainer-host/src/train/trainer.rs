@@ -41,6 +41,8 @@ const KEEP_EVERY: u32 = 5;
 const MOST_RETREATS: u32 = 3;
 /// Most steps of a training.
 const MOST_STEPS: u32 = 1 << 30;
+/// Functions over time of the finest spline that nodes move by.
+const FINEST_TIME: usize = 32;
 /// One step in this many shows the whole photograph and not only what its outline needs.
 const WHOLE_EVERY: u32 = 8;
 
@@ -304,6 +306,12 @@ impl<'a> Trainer<'a> {
         {
             state.model.spread_nodes(count);
             state.node_stages += 1;
+            state.node_step = 0;
+        }
+        let nodes = &mut state.model.nodes;
+        let is_due = (self.options.schedule.fine_time..1.0).contains(&progress);
+        if is_due && !nodes.is_empty() && nodes.finest() < FINEST_TIME {
+            nodes.refine_time(FINEST_TIME);
             state.node_step = 0;
         }
     }

@@ -35,6 +35,16 @@ impl TemporalBasis {
         Self { splines: splines.iter().map(|&count| count.max(4)).collect() }
     }
 
+    /// The same splines and one of `count` functions, at least 4, besides.
+    pub(super) fn with(&self, count: usize) -> Self {
+        Self { splines: self.splines.iter().copied().chain([count.max(4)]).collect() }
+    }
+
+    /// Functions of the finest spline.
+    pub(super) fn finest(&self) -> usize {
+        self.splines.iter().copied().max().unwrap_or(0)
+    }
+
     /// Whether [`TemporalBasis::new`] could have made this: what was read from a file need not be.
     pub(super) fn is_sound(&self) -> bool {
         (1..=MOST_SPLINES).contains(&self.splines.len())

@@ -170,6 +170,24 @@ impl ControlNodes {
         }
     }
 
+    /// Functions of the finest spline over time.
+    pub(crate) fn finest(&self) -> usize {
+        self.basis.finest()
+    }
+
+    /// The same motion over a basis with one more spline, of `count` functions: finer motion can then be
+    /// learnt. What Adam remembers is forgotten.
+    pub(crate) fn refine_time(&mut self, count: usize) {
+        let (before, nodes) = (MOTION * self.basis.len(), self.len());
+        self.basis = self.basis.with(count);
+        let width = MOTION * self.basis.len();
+        let mut motion = vec![0.0; width * nodes];
+        for (to, from) in motion.chunks_exact_mut(width).zip(self.motion.values().chunks_exact(before)) {
+            to[..before].copy_from_slice(from);
+        }
+        self.motion = Parameter::new(width, motion);
+    }
+
     /// Motions of nodes at other places: those of the present nodes there.
     fn motion_at(&self, places: &[[f32; 3]]) -> Vec<f32> {
         let followed = self.followed(places);
@@ -279,6 +297,29 @@ mod tests {
     fn cloud(count: usize) -> Vec<[f32; 3]> {
         let at = |i: usize, k: f32| ((i as f32 * k).sin() * 43758.547).fract();
         (0..count).map(|i| [at(i, 12.9), at(i, 78.2), at(i, 37.7)]).collect()
+    }
+
+    #[test]
+    fn a_finer_basis_moves_nodes_as_before_and_can_do_more() {
+        let mut nodes = ControlNodes::none(TemporalBasis::new(&[4, 8]), 1.3).spread(&cloud(60), 7);
+        for (i, v) in nodes.motion.values_mut().iter_mut().enumerate() {
+            *v = 0.3 * (i as f32 * 1.3).sin();
+        }
+        let mut finer = nodes.clone();
+        finer.refine_time(16);
+        assert_eq!((nodes.finest(), finer.finest()), (8, 16));
+        assert!(finer.is_sound());
+        let shift =
+            |nodes: &ControlNodes, time: f32| nodes.poses(time).iter().map(|pose| pose.shift).collect();
+        for time in [0.0, 0.31, 0.8, 1.0] {
+            let (before, after): (Vec<Vec3>, Vec<Vec3>) = (shift(&nodes, time), shift(&finer, time));
+            assert_eq!(before, after);
+        }
+        // A function of the new spline is nobody else's.
+        let last = finer.motion.width() - MOTION;
+        finer.motion.item_mut(3)[last] = 0.5;
+        let (before, after): (Vec<Vec3>, Vec<Vec3>) = (shift(&nodes, 1.0), shift(&finer, 1.0));
+        assert!(before[3] != after[3] && before[2] == after[2]);
     }
 
     #[test]
