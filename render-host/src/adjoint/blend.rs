@@ -261,8 +261,8 @@ impl Scratch {
         sums.map(|sum| keep(Term::Background, f64::from(total(&sum))) as f32)
     }
 
-    /// Statistics of one splat's visits in the first `columns` columns, which are those of the picture, before
-    /// [`Scratch::sweep`] steps in front of it.
+    /// Statistics of one splat's visits in the first `columns` columns, which are those of the picture,
+    /// before [`Scratch::sweep`] steps in front of it.
     #[inline(always)]
     fn statistics<S: Simd>(
         &self,

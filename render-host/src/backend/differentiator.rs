@@ -13,15 +13,17 @@ use crate::{
 
 /// Renders pictures, evaluates losses and differentiates them; keeps its buffers between pictures.
 ///
-/// What it finds does not depend on the pictures before, and on one device the same input gives the same bits.
-/// Gradients and statistics of the two kinds of backend agree to 1e-4 (relative L2 distance per field), except
-/// where a rounding decides on which side of a cut-off a splat falls; see `tests/backend.rs`.
+/// What it finds does not depend on the pictures before, and on one device the same input gives the same
+/// bits. Gradients and statistics of the two kinds of backend agree to 1e-4 (relative L2 distance per field),
+/// except where a rounding decides on which side of a cut-off a splat falls; see `tests/backend.rs`.
 ///
 /// A loss is always evaluated on the processor: with a graphics device, each picture is read back (16 bytes
 /// per pixel) and its gradient sent (12 bytes per pixel).
 ///
 /// ```
-/// use render_host::{Camera, Differentiator, Gaussian, Gradients, Image, Settings, Splats, adjoint::loss::Mse};
+/// use render_host::{
+///     Camera, Differentiator, Gaussian, Gradients, Image, Settings, Splats, adjoint::loss::Mse,
+/// };
 ///
 /// let scene = [Gaussian { scale: [0.3; 3], opacity: 0.9, sh0: [1.0; 3], ..Gaussian::ABSENT }];
 /// let camera = Camera::look_at([0.0, 0.0, -4.0], [0.0; 3], [0.0, 1.0, 0.0], 0.8, 64, 48)?;

@@ -12,6 +12,11 @@
 //!
 //! What is differentiated, and where gradients are 0, is as in [`crate::adjoint`]; arithmetic is f32.
 
+use self::{
+    rows::{POSE_ROWS, Rows},
+    structure::{CHUNK_BYTES, Chunks, Structure},
+    walk::{BLEND_BACK, Walk},
+};
 use super::{
     Device, Executor, GpuError, Scene, Tiles,
     layout::WORKGROUP,
@@ -25,16 +30,13 @@ use crate::{
     counterfactual::{States, Variants},
     image::{Image, same_size},
 };
-use rows::{POSE_ROWS, Rows};
-use structure::{CHUNK_BYTES, Chunks, Structure};
-use walk::{BLEND_BACK, Walk};
 
 mod differentiator;
 mod rows;
 pub(super) mod structure;
 pub(super) mod walk;
 
-pub use differentiator::Differentiator;
+pub(crate) use differentiator::Differentiator;
 
 /// Entries between two retained transmittances.
 const SEGMENT: usize = 32;

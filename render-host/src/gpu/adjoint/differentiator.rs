@@ -1,7 +1,7 @@
 //! A differentiator draws one picture on the device and takes a gradient of it back to all it was made from.
 //!
-//! Between the two the picture and its gradient pass through the processor: any [`crate::Loss`] can evaluate it.
-//! A picture then costs 16 bytes per pixel down and 12 up, and the device waits meanwhile.
+//! Between the two the picture and its gradient pass through the processor: any [`crate::Loss`] can evaluate
+//! it. A picture then costs 16 bytes per pixel down and 12 up, and the device waits meanwhile.
 //!
 //! The kernels are those of many worlds, with one world of one group: three of four lanes are idle.
 
@@ -147,8 +147,8 @@ impl Differentiator {
     }
 
     /// Takes `gradient` (r g b per pixel of the last picture, row by row; where it is not finite it counts as
-    /// 0) back to everything, into all of `out` but its picture and loss; if asked for, with the statistics of
-    /// each Gaussian.
+    /// 0) back to everything, into all of `out` but its picture and loss; if asked for, with the statistics
+    /// of each Gaussian.
     ///
     /// # Errors
     /// Nothing was drawn, another number of values, no room, or a device that was lost.
