@@ -44,7 +44,7 @@ const SEGMENT: usize = 32;
 const VECTOR: usize = 16;
 
 /// Adjoint of stage 1.
-pub static PROJECT_BACK: Source = Source {
+pub(super) static PROJECT_BACK: Source = Source {
     name: "adjoint/project.wgsl",
     parts: &[LAYOUT, TILE, STATES, include_str!("../adjoint/project.wgsl")],
     bindings: &[
