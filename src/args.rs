@@ -1,6 +1,7 @@
 //! Parses the command line: one struct per verb, whose meaning is in `command`.
 
 mod codec;
+mod device;
 mod number;
 mod scene;
 pub mod train;
@@ -8,10 +9,11 @@ pub mod train;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use render_host::{DeviceChoice, camera::MAX_SIDE};
+use render_host::camera::MAX_SIDE;
 
 pub use self::{
     codec::{CodecArgs, ProfileName},
+    device::DeviceName,
     scene::{SceneArgs, Up},
 };
 use self::{
@@ -119,27 +121,6 @@ pub enum ControllerName {
     Newreno,
     /// The paper's BBR-inspired model.
     BbrModel,
-}
-
-/// What renders.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum DeviceName {
-    /// The processor: the same images on every machine.
-    Cpu,
-    /// A graphics device, a software driver included; DGS_GPU, part of its name, chooses among several.
-    Gpu,
-    /// A graphics card where there is one, else the processor.
-    Auto,
-}
-
-impl From<DeviceName> for DeviceChoice {
-    fn from(name: DeviceName) -> Self {
-        match name {
-            DeviceName::Cpu => Self::Cpu,
-            DeviceName::Gpu => Self::Gpu,
-            DeviceName::Auto => Self::Auto,
-        }
-    }
 }
 
 /// A scheduler.

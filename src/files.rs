@@ -3,6 +3,9 @@
 //! A file is written under a temporary name in the folder that it will be in, synced, and then given its
 //! name: whoever opens it finds what was there before or all of what is new, also after a full disk or a
 //! killed process. A folder of frames is treated likewise, and says in its `sequence.json` that it is whole.
+//! What a killed process left under a temporary name, whoever next writes there removes.
+
+mod leftovers;
 
 use std::{
     fs,
@@ -55,11 +58,15 @@ fn temporary(path: &Path) -> Result<NamedTempFile> {
     let folder = folder_of(path);
     check_folder(folder)?;
     let (prefix, suffix) = affixes(path);
+    leftovers::remove(folder, &prefix, suffix);
     let mut builder = tempfile::Builder::new();
     builder.prefix(&prefix).suffix(suffix);
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    builder.tempfile_in(folder).with_context(|| format!("{}: cannot write in this folder", folder.display()))
+    let failed = || format!("{}: cannot write in this folder", folder.display());
+    let file = builder.tempfile_in(folder).with_context(failed)?;
+    leftovers::hold(file.as_file());
+    Ok(file)
 }
 
 /// What temporary names beside `path` start and end with.
@@ -99,6 +106,8 @@ pub struct FrameFolder {
     target: PathBuf,
     /// Removed if it is never finished.
     temporary: TempDir,
+    /// Says that somebody is at work on it.
+    _hold: Option<fs::File>,
     index: SequenceIndex,
 }
 
@@ -114,6 +123,7 @@ impl FrameFolder {
         fs::create_dir_all(folder)
             .with_context(|| format!("{}: cannot make this folder", folder.display()))?;
         let (prefix, suffix) = affixes(target);
+        leftovers::remove(folder, &prefix, suffix);
         let mut builder = tempfile::Builder::new();
         builder.prefix(&prefix).suffix(suffix);
         #[cfg(unix)]
@@ -121,7 +131,9 @@ impl FrameFolder {
         let temporary = builder.tempdir_in(folder);
         let temporary =
             temporary.with_context(|| format!("{}: cannot write in this folder", folder.display()))?;
-        let frames = Self { target: target.to_owned(), temporary, index: SequenceIndex::default() };
+        let hold = leftovers::hold_folder(temporary.path());
+        let index = SequenceIndex::default();
+        let frames = Self { target: target.to_owned(), temporary, _hold: hold, index };
         // Whoever finds the folder half made is told so.
         frames.write_index()?;
         Ok(frames)

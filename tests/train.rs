@@ -10,6 +10,8 @@ use std::{
     time::Duration,
 };
 
+use render_host::Backend;
+
 const SCENE: &str = "synth:balls:1000:3";
 /// Small enough to train in a few seconds.
 const SMALL: [&str; 16] = [
@@ -145,11 +147,76 @@ fn fine_tuning_for_delivery_fixes_its_rules_before_it_starts() {
     fs::write(at.join("config.json"), config).unwrap();
     let text = ok(at, &["-o", "out", "--delivery", "config.json", "--references", "8"]);
     assert!(text.contains("fine-tuned by 4 updates, mixed"), "{text}");
+    assert!(text.contains("background [0.0, 0.0, 0.0]"), "{text}");
     let registration = fs::read_to_string(at.join("out/registration.json")).unwrap();
     assert!(registration.contains("config_hash") && registration.contains("selection_rule"));
     assert!(fs::read_to_string(at.join("out/delivery.json")).unwrap().contains("objective"));
+    let white = ["train", SCENE, "-o", "white", "--side", "64", "--cameras", "6", "--pictures", "0"];
+    let output = Command::new(env!("CARGO_BIN_EXE_dgs"))
+        .current_dir(at)
+        .args(white)
+        .args(["--delivery", "config.json", "--references", "8", "--background", "1"])
+        .output()
+        .unwrap();
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && text.contains("background [1.0, 1.0, 1.0]"), "{text}");
     let error = refused(at, &["-o", "other", "--delivery", "no-such-variant"]);
     assert!(error.contains("no-such-variant"), "{error}");
+}
+
+#[test]
+fn a_device_is_named_and_one_that_is_missing_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let error = refused(at, &["-o", "scene", "--delivery", "iid", "--device", "gpu"]);
+    if !Backend::HAS_GPU {
+        assert!(error.contains("--device") && error.contains("--features gpu"), "{error}");
+        assert!(!at.join("scene").exists());
+        return;
+    }
+    if error.contains("no graphics adapter") {
+        assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "{error}");
+        eprintln!("SKIPPED: {error}");
+        return;
+    }
+    assert!(error.contains("--device is gpu") && error.contains("cpu is allowed"), "{error}");
+    assert!(!at.join("scene").exists());
+    let report: serde_json::Value =
+        serde_json::from_str(&ok(at, &["-o", "out", "--device", "gpu", "--json"])).unwrap();
+    assert_ne!(report["device"], "cpu");
+    // A training goes on on another device.
+    fs::remove_file(at.join("out/scene.dgs")).unwrap();
+    let resumed =
+        ["train", SCENE, "-o", "out", "--resume", "--side", "64", "--cameras", "6", "--pictures", "0"];
+    let output = Command::new(env!("CARGO_BIN_EXE_dgs")).current_dir(at).args(resumed).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(at.join("out/scene.dgs").exists());
+}
+
+/// Interrupted, a fine-tuning stops at its next step and writes what exists.
+#[cfg(unix)]
+#[test]
+fn an_interrupted_fine_tuning_writes_what_exists() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    // More updates than anybody waits for: only the interruption ends them.
+    let config = r#"{"updates": 3000, "worlds": 2, "warm_up": 0.0,
+        "validation": {"every": 4, "states": 2, "candidates": 1}}"#;
+    fs::write(at.join("config.json"), config).unwrap();
+    let args = ["-o", "out", "--delivery", "config.json", "--references", "8", "--json"];
+    let mut child = command(at, &args).stdout(Stdio::piped()).spawn().unwrap();
+    // It is written before the first update.
+    while !at.join("out/registration.json").exists() && child.try_wait().unwrap().is_none() {
+        thread::sleep(Duration::from_millis(5));
+    }
+    let _ = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    let output = child.wait_with_output().unwrap();
+    assert!(output.status.success(), "{:?}", output.status);
+    let report: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["interrupted"], true);
+    assert!(report["updates"].as_u64().is_some_and(|updates| updates > 0), "{report}");
+    assert!(fs::read_to_string(at.join("out/delivery.json")).unwrap().contains("candidates"));
+    assert!(at.join("out/scene.dgs").exists());
 }
 
 #[test]

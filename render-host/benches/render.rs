@@ -161,7 +161,8 @@ fn gradients(lines: &mut Vec<String>) {
         let mut b = || (both.borrow_mut())(&distortion, with_distortion);
         let times = medians(9, &mut [&mut forward, &mut a, &mut b]);
         lines.push(format!(
-            "{n} splats, {side} x {side}, medians of 9: forward {:.1} ms; with gradients {:.1} ms (mse), {:.1} ms (distortion)",
+            "{n} splats, {side} x {side}, medians of 9: forward {:.1} ms; with gradients {:.1} ms (mse), \
+             {:.1} ms (distortion)",
             times[0], times[1], times[2]
         ));
     }
@@ -221,7 +222,8 @@ fn main() {
         let counters = out.counters;
         lines.push(format!(
             "{n} splats, {side} x {side}: fast {fast_ms:.1} ms ({serial_ms:.1} on one thread); \
-             naive f32 {naive_ms:.0} ms = {:.1}x ({:.1}x one thread); f64 reference {slow_ms:.0} ms = {:.0}x\n  \
+             naive f32 {naive_ms:.0} ms = {:.1}x ({:.1}x one thread); \
+             f64 reference {slow_ms:.0} ms = {:.0}x\n  \
              fast against f64: {error:?}\n  naive against f64: {naive_error:?}\n  {counters:?}",
             naive_ms / fast_ms,
             naive_ms / serial_ms,

@@ -121,7 +121,7 @@ pub fn render_and_gradients_into(
 ///
 /// # Errors
 /// As [`render_and_gradients_into`].
-pub fn render_and_gradients_with_statistics(
+pub(crate) fn render_and_gradients_with_statistics(
     workspace: &mut Workspace,
     splats: &Splats,
     camera: &Camera,

@@ -12,12 +12,20 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
-#[cfg(feature = "gpu")]
-use crate::gpu::{self, GpuError, Presence};
+mod differentiator;
+mod error;
+
+pub use differentiator::Differentiator;
+pub use error::BackendError;
+
 use crate::{
     Camera, Changes, Image, Rendered, Sequence, Settings, Splats,
-    counterfactual::{CounterfactualError, States, Variants, render_worlds},
-    render::RenderError,
+    counterfactual::{States, Variants, render_worlds},
+};
+#[cfg(feature = "gpu")]
+use crate::{
+    counterfactual::CounterfactualError,
+    gpu::{self, GpuError, Presence},
 };
 
 /// Which device is wanted.
@@ -30,26 +38,6 @@ pub enum DeviceChoice {
     Gpu,
     /// A graphics card where there is one, else the processor.
     Auto,
-}
-
-/// Why a backend cannot be had, or cannot make a picture.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum BackendError {
-    /// Feature `gpu` is off.
-    #[error(
-        "this program was built without graphics devices; `cargo build --release --features gpu` adds them"
-    )]
-    NotBuilt,
-    /// The CPU refused.
-    #[error(transparent)]
-    Render(#[from] RenderError),
-    /// The CPU refused worlds.
-    #[error(transparent)]
-    Worlds(#[from] CounterfactualError),
-    /// The graphics device refused.
-    #[cfg(feature = "gpu")]
-    #[error(transparent)]
-    Gpu(#[from] GpuError),
 }
 
 /// What makes pictures. Cheap to clone.
@@ -127,6 +115,19 @@ impl Backend {
                 picture: Rendered::default(),
             }))),
         })
+    }
+
+    /// What takes losses of pictures back to everything they were made from, with buffers of its own. Each
+    /// thread takes one.
+    ///
+    /// # Errors
+    /// The graphics device has no memory.
+    pub fn differentiator(&self) -> Result<Differentiator, BackendError> {
+        match self {
+            Self::Cpu => Ok(Differentiator::default()),
+            #[cfg(feature = "gpu")]
+            Self::Gpu(executor) => Differentiator::on_gpu(executor),
+        }
     }
 
     /// Pictures of W worlds of one scene: project, sort and bin are done once for all. Picture `w` is bit for

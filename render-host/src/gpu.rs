@@ -43,7 +43,7 @@ mod test_scene;
 mod tiles;
 mod vulkan;
 
-pub use buffers::Growing;
+use self::buffers::Growing;
 pub use clock::{Clock, StageTime};
 pub use device::{Device, DeviceFacts, DeviceOptions};
 pub use error::GpuError;
@@ -56,4 +56,4 @@ pub use scene::Scene;
 pub use source::{Bind, Kernel, Source};
 pub use tiles::{Stages, Tiles};
 /// The graphics library whose types appear here.
-pub use wgpu;
+pub use wgpu::{self};

@@ -45,7 +45,7 @@ pub mod stage;
 pub use codec_core::{Gaussian, ShDegree};
 
 pub use adjoint::{Gradients, Loss, Workspace, render_and_gradients};
-pub use backend::{Backend, BackendError, DeviceChoice, FrameRenderer};
+pub use backend::{Backend, BackendError, DeviceChoice, Differentiator, FrameRenderer};
 pub use camera::{Camera, CameraError, Intrinsics, View};
 pub use counters::Counters;
 pub use image::{Image, ImageError};

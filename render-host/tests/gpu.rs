@@ -334,7 +334,9 @@ proptest! {
     ) {
         let Some(mut renderer) = renderer() else { return Ok(()) };
         let mut r = Numbers(seed);
-        let value = |kind: &usize, r: &mut Numbers| POISON.get(*kind).copied().unwrap_or_else(|| r.between(-1.5, 1.5));
+        let value = |kind: &usize, r: &mut Numbers| {
+            POISON.get(*kind).copied().unwrap_or_else(|| r.between(-1.5, 1.5))
+        };
         let gaussians: Vec<Gaussian> = fields.iter().map(|f| {
             let v: Vec<f32> = f.iter().map(|kind| value(kind, &mut r)).collect();
             Gaussian {

@@ -79,7 +79,8 @@ proptest! {
         cutoff in prop_oneof![Just(1.0f32 / 255.0), Just(0.0)],
         antialiased in any::<bool>(), early_stop in any::<bool>(), alpha_max in 0.5..=1.0f32,
     ) {
-        let settings = Settings { low_pass, alpha_cutoff: cutoff, antialiased, early_stop, alpha_max, ..Settings::default() };
+        let cut = Settings { alpha_cutoff: cutoff, alpha_max, ..Settings::default() };
+        let settings = Settings { low_pass, antialiased, early_stop, ..cut };
         let out = render(&Splats::plain(&gaussians), &camera(50, 40), &settings).unwrap();
         prop_assert!(finite(&out), "{:?}", out.counters);
     }

@@ -38,7 +38,8 @@ proptest! {
     #[test]
     fn every_picture_is_that_of_the_world_alone(
         seed in any::<u64>(), n in 0usize..1200, degree in 0u8..2, count in 1usize..27,
-        worlds in prop_oneof![1usize..=4, 1usize..=128], width in 1u32..60, height in 1u32..40, early_stop in any::<bool>(),
+        worlds in prop_oneof![1usize..=4, 1usize..=128],
+        width in 1u32..60, height in 1u32..40, early_stop in any::<bool>(),
         parallel in any::<bool>(),
     ) {
         let scene = Scene::random(n, degree, 0.01, 0.15, seed);

@@ -6,6 +6,7 @@ use clap::{Args, ValueEnum};
 
 use super::{
     codec::CodecArgs,
+    device::DeviceName,
     number::{background, not_negative, real, whole},
     scene::SceneArgs,
 };
@@ -55,7 +56,8 @@ pub struct Train {
     /// [default: 800].
     #[arg(long, value_parser = whole::<u32>(16..=16_384, "pixels"))]
     pub max_side: Option<u32>,
-    /// Background that figures are for, 0 to 1 per channel: grey level or r,g,b [default: 1].
+    /// Background that figures are for, 0 to 1 per channel: grey level or r,g,b [default: 1; of --delivery on
+    /// a scene 0].
     #[arg(long, value_parser = background)]
     pub background: Option<[f32; 3]>,
     /// Time whose Gaussians are stored and others moved from, 0 to 1 [default: 0.5].
@@ -67,6 +69,11 @@ pub struct Train {
     /// How Gaussians are added [default: split].
     #[arg(long, value_enum)]
     pub density: Option<DensityName>,
+    /// What renders and differentiates photographs; gpu is in builds with `--features gpu`. Fine-tuning for
+    /// delivery, encoding and figures run on the processor, whatever this says. A training may be resumed on
+    /// another device; bit for bit it goes on only on its own.
+    #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
+    pub device: DeviceName,
     /// Steps between checkpoints.
     #[arg(long, default_value_t = 2000, value_parser = whole::<u32>(1..=10_000_000, "steps"))]
     pub checkpoint_every: u32,

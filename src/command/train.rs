@@ -4,21 +4,15 @@ mod delivery;
 mod encoding;
 mod figures;
 mod folder;
+mod interruption;
 mod log;
 mod page;
 mod utility;
 
-use std::{
-    path::Path,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::Instant as Clock,
-};
+use std::{path::Path, time::Instant as Clock};
 
-use anyhow::{Context, Result};
-use render_host::metric::Lpips;
+use anyhow::{Context, Result, bail};
+use render_host::{Backend, metric::Lpips};
 use serde_json::json;
 use trainer_host::{
     Scene,
@@ -30,13 +24,18 @@ use trainer_host::{
 };
 
 use self::{
+    encoding::within_loss,
     figures::{Figure, decoded, lpips},
     folder::Folder,
+    interruption::Interruption,
     log::{Log, Sample},
     page::{Ended, Page},
 };
 use crate::{
-    args::train::{DensityName, Train},
+    args::{
+        DeviceName,
+        train::{DensityName, Train},
+    },
     files,
     output::VerbOutput,
     pipeline::{self, Quiet},
@@ -47,8 +46,9 @@ use crate::{
 const LOG_EVERY: u32 = 100;
 /// Steps of a training where nothing is said.
 const DEFAULT_STEPS: u32 = 15_000;
-/// Exit status after a second interruption: 128 and the number of the signal, as shells have it.
-const INTERRUPTED: i32 = 130;
+/// What is left where a person leaves before the scene is encoded, and after.
+const TRAINED: &str = "the checkpoint is whole; --resume encodes it";
+const ENCODED: &str = "checkpoint and stream are whole; the report is not there";
 /// Views that quality during training is measured on, at most.
 const GLANCE_VIEWS: usize = 8;
 
@@ -56,19 +56,26 @@ const GLANCE_VIEWS: usize = 8;
 pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     let folder = Folder::of(&args.out);
     let delivery = args.delivery.as_deref().map(DeliveryOptions::read).transpose().context("--delivery")?;
+    let backend = Backend::open(args.device.into()).context("--device")?;
     let loading = Progress::new("read the dataset", quiet.0);
     let (scene, dataset) = load(args)?;
     drop(loading);
-    folder.open(args)?;
-    if let (Some(scene), Some(options)) = (&scene, &delivery) {
-        return delivery::run(args, &folder, scene, &dataset, options, quiet);
+    if scene.is_some() && delivery.is_some() && args.device == DeviceName::Gpu {
+        bail!("--device is gpu; fine-tuning a scene for delivery runs on the processor: cpu is allowed");
     }
     let network = args.lpips.as_deref().map(lpips).transpose()?;
-    let (mut trainer, begun) = begin(args, &folder, &dataset)?;
+    folder.open(args)?;
+    let stop = Interruption::watch();
+    if let (Some(scene), Some(options)) = (&scene, &delivery) {
+        return delivery::run(args, &folder, scene, &dataset, options, &stop, quiet);
+    }
+    let (mut trainer, begun) = begin(args, &folder, &dataset, &backend)?;
     let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
-    let stop = interruption();
     let ended = fit(args, &folder, &dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
-    finish(args, &folder, &dataset, &trainer, &log, ended, delivery.as_ref(), network.as_ref(), quiet)
+    let (delivery, network) = (delivery.as_ref(), network.as_ref());
+    let mut output = finish(args, &folder, &dataset, &trainer, &log, ended, delivery, network, &stop, quiet)?;
+    output.json["device"] = json!(backend.name());
+    Ok(output)
 }
 
 /// The dataset that was named; if it was a scene, with the scene.
@@ -90,17 +97,22 @@ fn load(args: &Train) -> Result<(Option<Scene>, Dataset)> {
     Ok((Some(loaded.scene), dataset))
 }
 
-/// A trainer at its start or at its checkpoint, and how far it had come.
-fn begin<'d>(args: &Train, folder: &Folder, dataset: &'d Dataset) -> Result<(Trainer<'d>, f64)> {
+/// A trainer on `backend`, at its start or at its checkpoint, and how far it had come.
+fn begin<'d>(
+    args: &Train,
+    folder: &Folder,
+    dataset: &'d Dataset,
+    backend: &Backend,
+) -> Result<(Trainer<'d>, f64)> {
     if args.resume {
         let path = &folder.checkpoint;
         let failed = || path.display().to_string();
         let bytes = std::fs::read(path).with_context(failed)?;
         let checkpoint = Checkpoint::from_bytes(&bytes).with_context(failed)?;
         let progress = checkpoint.progress;
-        return Ok((checkpoint.resume(dataset).with_context(failed)?, progress));
+        return Ok((checkpoint.resume(dataset).with_context(failed)?.on(backend)?, progress));
     }
-    Ok((Trainer::new(dataset, &options(args)?)?, 0.0))
+    Ok((Trainer::new(dataset, &options(args)?)?.on(backend)?, 0.0))
 }
 
 /// The options of the file, if there is one, and what was typed besides.
@@ -132,20 +144,6 @@ fn options(args: &Train) -> Result<train::TrainOptions> {
     Ok(options)
 }
 
-/// True once a person has asked to stop: the state is then written, and the verb ends. Asked twice, it
-/// ends at once.
-fn interruption() -> Arc<AtomicBool> {
-    let stop = Arc::new(AtomicBool::new(false));
-    let requested = Arc::clone(&stop);
-    // Where no handler can be set, an interruption ends the process as it does any other.
-    let _ = ctrlc::set_handler(move || {
-        if requested.swap(true, Ordering::Relaxed) {
-            std::process::exit(INTERRUPTED);
-        }
-    });
-    stop
-}
-
 /// Takes steps until the budget is spent or a person asks to stop.
 #[allow(clippy::too_many_arguments, reason = "each is another thing that a step touches")]
 fn fit(
@@ -155,7 +153,7 @@ fn fit(
     trainer: &mut Trainer,
     begun: f64,
     log: &mut Log,
-    stop: &AtomicBool,
+    stop: &Interruption,
     quiet: Quiet,
 ) -> Result<Ended> {
     let bar = Progress::new("train", quiet.0);
@@ -186,7 +184,7 @@ fn fit(
             let left = seconds * (1.0 - progress) / (progress - begun).max(1e-9);
             bar.stage(&log.line(left), progress);
         }
-        interrupted = stop.load(Ordering::Relaxed);
+        interrupted = stop.take();
         if interrupted || report.step.is_multiple_of(args.checkpoint_every) {
             save(folder, dataset, trainer, progress)?;
             files::write(&folder.log, log.csv().as_bytes())?;
@@ -235,24 +233,29 @@ fn finish(
     ended: Ended,
     delivery: Option<&DeliveryOptions>,
     network: Option<&Lpips>,
+    stop: &Interruption,
     quiet: Quiet,
 ) -> Result<VerbOutput> {
     let frames = args.frames.unwrap_or(dataset.frames);
     let mut scene = trainer.model().scene(frames, args.scene.fps)?;
     scene.up = dataset.up;
-    let encoded = match delivery.filter(|_| !ended.interrupted) {
-        Some(options) => delivery::fine_tuned(args, folder, &scene, dataset, options, quiet)?,
-        None => encoding::encode(args, &scene, dataset, trainer, quiet)?,
+    let written = match delivery.filter(|_| !ended.interrupted) {
+        Some(options) => {
+            let references = (dataset, trainer.options().background);
+            delivery::fine_tuned(args, folder, &scene, references, options, stop, quiet)?.0
+        }
+        None => within_loss(args, &scene, dataset, trainer, stop, TRAINED, quiet)?,
     };
-    let bytes = encoded.stream.to_bytes()?;
+    let bytes = written.stream.to_bytes()?;
     files::write(&folder.stream, &bytes)?;
 
-    let decoded = decoded(&encoded, dataset)?;
+    let decoded = decoded(&written, dataset)?;
     let reduced = trainer.reduced();
     let plain = trainer.options().background;
     let other = plain.map(|v| 1.0 - v);
     let mut figures: Vec<Figure> = Vec::new();
     let mut measure = |what: &str, scene: &dyn Posable, background: [f32; 3]| -> Result<()> {
+        stop.leave(ENCODED);
         if !dataset.test.is_empty() {
             let found = train::evaluate(scene, &dataset.test, reduced, background)?;
             let seen = train::perceptual(scene, &dataset.test, reduced, background, network)?;
@@ -274,7 +277,7 @@ fn finish(
 
     let audits = if args.utility {
         let background = trainer.options().background;
-        utility::audits(&encoded.stream, dataset, background, &folder.utility, quiet)?
+        utility::audits(&written.stream, dataset, background, &folder.utility, quiet)?
     } else {
         Vec::new()
     };

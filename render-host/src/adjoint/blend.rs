@@ -216,7 +216,7 @@ impl pulp::WithSimd for Backward<'_> {
                     let splat = scratch.trace.near[i];
                     if statistics {
                         found.statistics[start + i] =
-                            scratch.statistics(simd, visits.clone(), &splat, rules.max);
+                            scratch.statistics(simd, visits.clone(), &splat, rules.max, size[0] - corner[0]);
                     }
                     let sums = scratch.sweep(simd, visits, &splat, rules.max);
                     *partial = chain(&sums, &splat, corner);
@@ -261,9 +261,18 @@ impl Scratch {
         sums.map(|sum| keep(Term::Background, f64::from(total(&sum))) as f32)
     }
 
-    /// Statistics of one splat's visits, before [`Scratch::sweep`] steps in front of it.
+    /// Statistics of one splat's visits in the first `columns` columns, which are those of the picture,
+    /// before [`Scratch::sweep`] steps in front of it.
     #[inline(always)]
-    fn statistics<S: Simd>(&self, _: S, visits: Range<usize>, splat: &Splat, max: f32) -> TileStatistics {
+    fn statistics<S: Simd>(
+        &self,
+        _: S,
+        visits: Range<usize>,
+        splat: &Splat,
+        max: f32,
+        columns: usize,
+    ) -> TileStatistics {
+        let inside: Lanes = std::array::from_fn(|i| if i < columns { 1.0 } else { 0.0 });
         let Self { behind, gradient: [red, green, blue], trace } = self;
         let [xx, xy, yy] = splat.root.map(|v| v as f32);
         let [r, g, b] = splat.colour;
@@ -278,8 +287,8 @@ impl Scratch {
                 // The exponent falls by u² + v² in bits, and both fall with the centre.
                 let [along, down] = [h * (xx * u), h * (xy * u + yy * v)];
                 sums[0][i] += (along * along + down * down).sqrt();
-                sums[1][i] += weight;
-                sums[2][i] += if record.alpha[i] > 0.0 { 1.0 } else { 0.0 };
+                sums[1][i] += weight * inside[i];
+                sums[2][i] += if record.alpha[i] > 0.0 { inside[i] } else { 0.0 };
             }
         }
         let [gradient, weight, pixels] = sums.map(|sum| total(&sum));

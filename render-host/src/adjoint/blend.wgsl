@@ -11,10 +11,15 @@
 // The gradients that a splat's pixels give it are added up over the four worlds, then over rows, then over
 // the tile, in one order; one entry has one place for its sums. Worlds beyond four are added there.
 
+// 1: also count what density control asks of each splat, of the one world that there then is.
+override STATISTICS: u32 = 0u;
+
 // `blend_back`: r g b per pixel, row by row, the picture wanted. `back_from_gradients`: pixel gradients,
 // plane by plane (row by row), three planes per world, from world `batch.first` on.
 @group(0) @binding(7) var<storage, read> wanted: array<f32>;
-// Three per entry: [h, hu, hv, hu·dx], [hu·dy, hv·dy, r, g], [b], with h = dL/d(exponent) / ln 2.
+// Three per entry: [h, hu, hv, hu·dx], [hu·dy, hv·dy, r, g], [b, pull, weight, pixels], with
+// h = dL/d(exponent) / ln 2. Statistics: pull is the sum over pixels of the length of the gradient of the
+// centre, / (2 ln 2); weight that of blend weights; pixels those in which the splat was blended. Else 0.
 @group(0) @binding(8) var<storage, read_write> partials: array<vec4<f32>>;
 // Per tile: of each world the squared error, or what framebuffer.wgsl says; then the gradient of the
 // background.
@@ -22,6 +27,8 @@
 
 // Gradients of two entries from each pixel: h, r, g, b. Sums over the tile at the end.
 var<workgroup> pixel_gradients: array<vec4<f32>, 512>;
+// With statistics, of the same entries: the blend weight, -1 where the entry is not blended.
+var<workgroup> pixel_weights: array<f32, 512>;
 // Per entry and part of its sums, a row each.
 var<workgroup> rows: array<vec4<f32>, 96>;
 
@@ -41,19 +48,28 @@ fn add_row(i: u32, half: u32, y: u32) {
     var hu = 0.0;
     var hux = 0.0;
     var colour = vec3<f32>(0.0);
+    // Pull, weight, pixels.
+    var statistics = vec3<f32>(0.0);
     // Each row starts elsewhere, so that the rows read different banks of memory.
     for (var k = 0u; k < TILE; k++) {
         let x = (k + y) % TILE;
         let gradient = pixel_gradients[PIXELS * half + thread_of(x, y)];
-        let part = gradient.x * fma(near[i].z, f32(x), u0);
+        let u = fma(near[i].z, f32(x), u0);
+        let part = gradient.x * u;
         h += gradient.x;
         hu += part;
         hux += part * (dx + f32(x));
         colour += gradient.yzw;
+        if STATISTICS == 1u {
+            let weight = pixel_weights[PIXELS * half + thread_of(x, y)];
+            let pull = gradient.x * vec2<f32>(near[i].z * u, fma(near[i].w, u, shape[i].x * v));
+            let blended = select(vec2<f32>(0.0), vec2<f32>(weight, 1.0), weight >= 0.0);
+            statistics += vec3<f32>(sqrt(dot(pull, pull)), blended);
+        }
     }
     rows[48u * half + y] = vec4<f32>(h, hu, h * v, hux);
     rows[48u * half + 16u + y] = vec4<f32>(hu * dy, h * v * dy, colour.rg);
-    rows[48u * half + 32u + y] = vec4<f32>(colour.b, 0.0, 0.0, 0.0);
+    rows[48u * half + 32u + y] = vec4<f32>(colour.b, statistics);
 }
 
 // Adds eight numbers over the tile in a fixed tree: the sums are pixel_gradients[0] and pixel_gradients[256].
@@ -75,6 +91,7 @@ fn add_up(thread: u32, a: vec4<f32>, b: vec4<f32>) {
 // returns the transmittances behind all.
 fn backward(here: Spot, quad: u32, past: u32, gr: vec4<f32>, gg: vec4<f32>, gb: vec4<f32>) -> vec4<f32> {
     let thread = here.thread;
+    let inside = all(here.corner + pixel_of(thread) < frame.size.xy);
     let block = thread >> 5u;
     let start = here.start;
     let end = here.end;
@@ -112,6 +129,7 @@ fn backward(here: Spot, quad: u32, past: u32, gr: vec4<f32>, gg: vec4<f32>, gb: 
                 for (var e = 2u; e > 0u; e--) {
                     let j = 2u * (pair - 1u) + e - 1u;
                     var gradient = vec4<f32>(0.0);
+                    var blended = -1.0;
                     if ((touched >> j) & 1u) == 1u {
                         let i = SEGMENT * s + j;
                         let alpha = alphas[j] * takes(i, quad, before[j]);
@@ -122,6 +140,10 @@ fn backward(here: Spot, quad: u32, past: u32, gr: vec4<f32>, gg: vec4<f32>, gb: 
                         // Alpha at its clamp does not move.
                         let h = select(0.0, dot(weight, ahead), alphas[j] < frame.alpha_max);
                         gradient = vec4<f32>(h, dot(weight, gr), dot(weight, gg), dot(weight, gb));
+                        blended = select(-1.0, weight.x, inside && alpha.x > 0.0);
+                    }
+                    if STATISTICS == 1u {
+                        pixel_weights[PIXELS * (e - 1u) + thread] = blended;
                     }
                     pixel_gradients[PIXELS * (e - 1u) + thread] = gradient;
                 }

@@ -1,6 +1,9 @@
 // Draws pictures of many worlds and retains them for a loss that looks further than one pixel. Put after
 // adjoint/forward.wgsl. Workgroups: columns, rows, vectors of four worlds from `batch.first` on.
 
+// 1: there is one world, and its transmittances are a fourth plane.
+override TRANSMITTANCE: u32 = 0u;
+
 // Plane by plane, row by row; planes r g b of one world, then of the next.
 @group(0) @binding(7) var<storage, read_write> framebuffer: array<f32>;
 // Per tile and vector of worlds, at its first world: entries seen, in whole loads.
@@ -32,5 +35,8 @@ fn draw(@builtin(workgroup_id) id: vec3<u32>, @builtin(local_invocation_index) t
             framebuffer[first + plane] = seen.g[k];
             framebuffer[first + 2u * plane] = seen.b[k];
         }
+    }
+    if TRANSMITTANCE == 1u && inside {
+        framebuffer[3u * plane + place] = seen.t.x;
     }
 }

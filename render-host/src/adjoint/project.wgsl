@@ -18,7 +18,8 @@
 @group(0) @binding(7) var<storage, read> partials: array<vec4<f32>>;
 // First what each Gaussian adds to the camera's pose: translation 3, rotation 3, rows of a length that 256
 // divides. Then one row per field: position 3, log-scale 3, rotation 4, opacity logit, band 0 of the
-// harmonics 3, centre on the image plane 2, then higher bands.
+// harmonics 3, centre on the image plane 2, then higher bands; then what is no gradient: statistics (sum of
+// the centre's gradients, of blend weights, of pixels), and 1 where a gradient overflowed and counts as 0.
 @group(0) @binding(8) var<storage, read_write> gradients: array<f32>;
 
 const LN_2: f32 = 0.6931472;
@@ -164,6 +165,11 @@ fn bands(i: u32, d: vec3<f32>, given: vec3<f32>) -> vec3<f32> {
 
 fn count_rows() -> u32 {
     return ROWS + 3u * ((frame.degree + 1u) * (frame.degree + 1u) - 1u);
+}
+
+fn put_statistics(i: u32, statistics: vec3<f32>, overflowed: f32) {
+    put3(count_rows(), i, statistics);
+    put(count_rows() + 3u, i, overflowed);
 }
 
 // Column `k` of the rotation matrix of the unit quaternion `q` (wxyz).
@@ -323,9 +329,13 @@ fn project_back(
     if i >= frame.gaussians {
         return;
     }
+    var statistics = vec3<f32>(0.0);
+    var overflowed = 0.0;
     if ranks[i] != 0u {
         let s = splats[i];
-        back(i, s, gather(s, i));
+        let sums = gather(s, i);
+        statistics = vec3<f32>(2.0 * LN_2 * sums.c.y, sums.c.zw);
+        back(i, s, sums);
         // All or nothing: a gradient that overflowed is none.
         var good = true;
         for (var row = 0u; row < count_rows(); row++) {
@@ -335,12 +345,15 @@ fn project_back(
             good = good && is_finite(gradients[pose_place(row, i)]);
         }
         if good {
+            put_statistics(i, statistics, 0.0);
             return;
         }
+        overflowed = 1.0;
     }
     for (var row = 0u; row < count_rows(); row++) {
         put(row, i, 0.0);
     }
     put_pose(0u, i, vec3<f32>(0.0));
     put_pose(3u, i, vec3<f32>(0.0));
+    put_statistics(i, statistics, overflowed);
 }

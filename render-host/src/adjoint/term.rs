@@ -68,83 +68,18 @@ pub(super) enum Term {
     PosePlace,
 }
 
-/// Terms that are a choice, not a summand: only taking them away means something.
-#[cfg(test)]
-pub(super) const CHOICES: [Term; 2] = [Term::AlphaClamp, Term::ColourClamp];
-
-/// What a test does to a term.
-#[cfg(test)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Damage {
-    Drop,
-    Flip,
-}
-
-#[cfg(test)]
-impl Term {
-    pub(super) const ALL: [Self; 31] = [
-        Self::Behind,
-        Self::AlphaClamp,
-        Self::Along,
-        Self::Shear,
-        Self::Down,
-        Self::Centre,
-        Self::Determinant,
-        Self::Dilation,
-        Self::Correlation,
-        Self::Dimming,
-        Self::Gain,
-        Self::Slope,
-        Self::Perspective,
-        Self::Tangent,
-        Self::Direction,
-        Self::ColourClamp,
-        Self::PoseShape,
-        Self::PoseDirection,
-        Self::Colour,
-        Self::Exponent,
-        Self::Background,
-        Self::Place,
-        Self::Variance,
-        Self::Area,
-        Self::AxisLength,
-        Self::Turn,
-        Self::Logit,
-        Self::Band0,
-        Self::Bands,
-        Self::PoseMove,
-        Self::PosePlace,
-    ];
-}
-
-#[cfg(test)]
-thread_local! {
-    /// The term that is damaged on this thread.
-    pub(super) static DAMAGED: std::cell::Cell<Option<(Term, Damage)>> = const { std::cell::Cell::new(None) };
-}
-
-/// True when a test has taken `term` away.
+/// True when a test has taken the term away.
+#[cfg(not(test))]
 #[inline(always)]
-pub(super) fn dropped(term: Term) -> bool {
-    #[cfg(test)]
-    return DAMAGED.get() == Some((term, Damage::Drop));
-    #[cfg(not(test))]
-    {
-        let _ = term;
-        false
-    }
+pub(super) fn dropped(_: Term) -> bool {
+    false
 }
 
-/// True when a test has turned the sign of `term`.
+/// True when a test has turned the sign of the term.
+#[cfg(not(test))]
 #[inline(always)]
-pub(super) fn flipped(term: Term) -> bool {
-    #[cfg(test)]
-    return DAMAGED.get() == Some((term, Damage::Flip));
-    #[cfg(not(test))]
-    {
-        let _ = term;
-        false
-    }
+pub(super) fn flipped(_: Term) -> bool {
+    false
 }
 
 /// `value`, or what a test has made of it.
@@ -156,5 +91,76 @@ pub(super) fn keep(term: Term, value: f64) -> f64 {
         -value
     } else {
         value
+    }
+}
+
+#[cfg(test)]
+pub(super) use damage::{CHOICES, DAMAGED, Damage, dropped, flipped};
+
+#[cfg(test)]
+mod damage {
+    use std::cell::Cell;
+
+    use super::Term;
+
+    /// Terms that are a choice, not a summand: only taking them away means something.
+    pub(in crate::adjoint) const CHOICES: [Term; 2] = [Term::AlphaClamp, Term::ColourClamp];
+
+    /// What a test does to a term.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub(in crate::adjoint) enum Damage {
+        Drop,
+        Flip,
+    }
+
+    thread_local! {
+        /// The term that is damaged on this thread.
+        pub(in crate::adjoint) static DAMAGED: Cell<Option<(Term, Damage)>> = const { Cell::new(None) };
+    }
+
+    /// True when a test has taken `term` away.
+    pub(in crate::adjoint) fn dropped(term: Term) -> bool {
+        DAMAGED.get() == Some((term, Damage::Drop))
+    }
+
+    /// True when a test has turned the sign of `term`.
+    pub(in crate::adjoint) fn flipped(term: Term) -> bool {
+        DAMAGED.get() == Some((term, Damage::Flip))
+    }
+
+    impl Term {
+        pub(in crate::adjoint) const ALL: [Self; 31] = [
+            Self::Behind,
+            Self::AlphaClamp,
+            Self::Along,
+            Self::Shear,
+            Self::Down,
+            Self::Centre,
+            Self::Determinant,
+            Self::Dilation,
+            Self::Correlation,
+            Self::Dimming,
+            Self::Gain,
+            Self::Slope,
+            Self::Perspective,
+            Self::Tangent,
+            Self::Direction,
+            Self::ColourClamp,
+            Self::PoseShape,
+            Self::PoseDirection,
+            Self::Colour,
+            Self::Exponent,
+            Self::Background,
+            Self::Place,
+            Self::Variance,
+            Self::Area,
+            Self::AxisLength,
+            Self::Turn,
+            Self::Logit,
+            Self::Band0,
+            Self::Bands,
+            Self::PoseMove,
+            Self::PosePlace,
+        ];
     }
 }

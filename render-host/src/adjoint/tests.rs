@@ -249,6 +249,30 @@ fn statistics_are_sums_over_pixels() {
     assert!(cancelled > 0, "the signed sums would do");
 }
 
+/// Tiles reach beyond the picture; its own pixels alone count.
+#[test]
+fn statistics_are_of_pixels_of_the_picture() {
+    let gaussian = Gaussian { scale: [3.0; 3], opacity: 0.01, sh0: [0.3; 3], ..Gaussian::ABSENT };
+    let scene = Scene { gaussians: vec![gaussian], rest: vec![], degree: ShDegree::ZERO };
+    let (settings, loss) =
+        (Settings { alpha_cutoff: 0.0, ..Settings::default() }, Mse::new(noise(21, 18, 2)));
+    let (mut out, mut found) = (Gradients::default(), Vec::new());
+    let (splats, camera, mut workspace) = (scene.splats(), camera(21, 18), Workspace::new());
+    render_and_gradients_with_statistics(
+        &mut workspace,
+        &splats,
+        &camera,
+        &settings,
+        &loss,
+        &mut out,
+        &mut found,
+    )
+    .unwrap();
+    assert_eq!(found[0].pixels, 21 * 18);
+    let covered: f64 = out.rendered.transmittance.iter().map(|&t| 1.0 - f64::from(t)).sum();
+    assert!((f64::from(found[0].weight) - covered).abs() < 1e-4 * covered, "{covered}");
+}
+
 /// Where the picture has no gradient nothing is walked, and statistics still are.
 #[test]
 fn tiles_without_a_gradient_are_skipped() {

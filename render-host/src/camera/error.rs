@@ -84,7 +84,10 @@ pub enum CameraError {
         allowed: &'static str,
     },
     /// A lens that bends straight lines. Renderers here do not: images are to be undistorted first.
-    #[error("camera {camera} has model {model}{}; {allowed} is allowed: undistort the images first", shown(.values))]
+    #[error(
+        "camera {camera} has model {model}{}; {allowed} is allowed: undistort the images first",
+        shown(.values)
+    )]
     Distorted {
         /// The camera, as the file names it.
         camera: String,

@@ -35,7 +35,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn classes_are_the_distinct_keys(worlds in any::<u128>(), columns in proptest::collection::vec(any::<u128>(), 0..9)) {
+        fn classes_are_the_distinct_keys(
+            worlds in any::<u128>(), columns in proptest::collection::vec(any::<u128>(), 0..9),
+        ) {
             let mut classes = Vec::new();
             split(worlds, columns.iter().copied(), &mut classes);
             let key = |world: usize| columns.iter().map(|c| c >> world & 1).collect::<Vec<_>>();

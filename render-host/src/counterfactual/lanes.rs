@@ -203,7 +203,8 @@ mod tests {
     proptest! {
         #[test]
         fn kinds_are_lanes_that_hold_the_same_of_a_set(
-            bits in proptest::collection::vec(any::<u128>(), 0..60), set in any::<u128>(), some in any::<u128>(),
+            bits in proptest::collection::vec(any::<u128>(), 0..60),
+            set in any::<u128>(), some in any::<u128>(),
         ) {
             // Few groups in the set, so that lanes are alike.
             let set = set & some & (some >> 64) & 0x11;

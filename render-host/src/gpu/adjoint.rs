@@ -12,8 +12,13 @@
 //!
 //! What is differentiated, and where gradients are 0, is as in [`crate::adjoint`]; arithmetic is f32.
 
+use self::{
+    rows::{POSE_ROWS, Rows},
+    structure::{CHUNK_BYTES, Chunks, Structure},
+    walk::{BLEND_BACK, Walk},
+};
 use super::{
-    Executor, GpuError, Scene, Tiles,
+    Device, Executor, GpuError, Scene, Tiles,
     layout::WORKGROUP,
     recording::{Recording, Workgroups},
     source::{Bind, Kernel, LAYOUT, Source, TILE},
@@ -23,26 +28,23 @@ use crate::{
     Camera, Settings,
     adjoint::{Pose, SplatGradient, loss::Mix},
     counterfactual::{States, Variants},
-    harmonics::count,
     image::{Image, same_size},
 };
-use structure::{CHUNK_BYTES, Chunks, Structure};
-use walk::{BLEND_BACK, Walk};
 
+mod differentiator;
+mod rows;
 pub(super) mod structure;
 pub(super) mod walk;
 
+pub(crate) use differentiator::Differentiator;
+
 /// Entries between two retained transmittances.
 const SEGMENT: usize = 32;
-/// Rows of gradients before those of higher bands.
-const ROWS: usize = 16;
-/// Rows of the pose.
-const POSE_ROWS: usize = 6;
 /// Bytes of a vector of four.
 const VECTOR: usize = 16;
 
 /// Adjoint of stage 1.
-pub static PROJECT_BACK: Source = Source {
+pub(super) static PROJECT_BACK: Source = Source {
     name: "adjoint/project.wgsl",
     parts: &[LAYOUT, TILE, STATES, include_str!("../adjoint/project.wgsl")],
     bindings: &[
@@ -208,12 +210,9 @@ impl Engine {
         };
         let segments = tiles.capacity / SEGMENT + tiles.count() + 1;
         let marks = VECTOR * 256 * segments;
-        let rows = ROWS + 3 * count(self.degree);
-        let n = self.scene.len() as usize;
-        let stride = n.next_multiple_of(256);
-        let gradients = device.storage("gradients", 4 * (POSE_ROWS * stride + rows * n) as u64)?;
-        let pose = Totals::new(device, &gradients, [stride / 256, 256, POSE_ROWS])?;
-        let pose = [Totals::new(device, &pose.buffer, [256, 1, POSE_ROWS])?, pose];
+        let rows = self.rows();
+        let gradients = device.storage("gradients", rows.bytes())?;
+        let pose = pose_totals(device, &gradients, rows)?;
         let blend = if let Some(structure) = &self.structure {
             let chunks = Chunks::new(device, structure, tiles.count(), batch, marks, self.chunk_bytes)?;
             Blend::WithPictures(Box::new(chunks))
@@ -271,35 +270,31 @@ impl Engine {
             }
         };
         let last = totals.len() - QUAD;
-        let (n, degree) = (self.scene.len() as usize, self.scene.degree());
-        let (bands, each) = (3 * count(self.degree), 3 * count(degree));
-        let first = POSE_ROWS * n.next_multiple_of(256);
-        let rows = device.read_f32(&worlds.gradients, first + (ROWS + bands) * n)?;
-        let at = |row: usize, i: usize| rows[first + row * n + i];
-        let pose: Vec<f64> = worlds.pose[0].read(device)?.into_iter().map(f64::from).collect();
-        let splats = (0..n).map(|i| SplatGradient {
-            position: [0, 1, 2].map(|row| at(row, i)),
-            log_scale: [3, 4, 5].map(|row| at(row, i)),
-            rotation: [6, 7, 8, 9].map(|row| at(row, i)),
-            opacity_logit: at(10, i),
-            sh0: [11, 12, 13].map(|row| at(row, i)),
-            image_mean: [14, 15].map(|row| at(row, i)),
-        });
-        let mut sh_rest = vec![0.0; n * each];
-        for (i, rest) in sh_rest.chunks_exact_mut(each.max(1)).enumerate() {
-            (0..bands).for_each(|k| rest[k] = at(ROWS + k, i));
-        }
-        Ok(Gradients {
-            loss,
-            splats: splats.collect(),
-            sh_rest,
-            background: std::array::from_fn(|c| f64::from(totals[last + c])),
-            pose: Pose {
-                translation: std::array::from_fn(|k| pose[k]),
-                rotation: std::array::from_fn(|k| pose[3 + k]),
-            },
-        })
+        let rows = self.rows();
+        let values = device.read_f32(&worlds.gradients, rows.len())?;
+        let (mut splats, mut sh_rest) = (Vec::new(), Vec::new());
+        rows.splats(&values, &mut splats);
+        rows.sh_rest(&values, &mut sh_rest);
+        let pose = pose(&worlds.pose[0].read(device)?);
+        let background = std::array::from_fn(|c| f64::from(totals[last + c]));
+        Ok(Gradients { loss, splats, sh_rest, background, pose })
     }
+
+    fn rows(&self) -> Rows {
+        Rows::new(self.scene.len() as usize, self.scene.degree(), self.degree)
+    }
+}
+
+/// Sums of the pose over every 256th Gaussian in `gradients`, and over those: the last ones first.
+fn pose_totals(device: &Device, gradients: &wgpu::Buffer, rows: Rows) -> Result<[Totals; 2], GpuError> {
+    let parts = Totals::new(device, gradients, [rows.pose_stride() / 256, 256, POSE_ROWS])?;
+    Ok([Totals::new(device, &parts.buffer, [256, 1, POSE_ROWS])?, parts])
+}
+
+/// The pose from its sums.
+fn pose(sums: &[f32]) -> Pose {
+    let sum = |k: usize| sums.get(k).map_or(0.0, |&v| f64::from(v));
+    Pose { translation: [0, 1, 2].map(sum), rotation: [3, 4, 5].map(sum) }
 }
 
 #[cfg(test)]

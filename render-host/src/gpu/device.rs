@@ -198,13 +198,23 @@ impl Device {
     /// # Errors
     /// No memory for the copy, or the device was lost.
     pub fn read(&self, buffer: &wgpu::Buffer, bytes: u64) -> Result<Vec<u8>, GpuError> {
+        self.read_all(&[(buffer, bytes)])
+    }
+
+    /// As [`Device::read`], of several buffers at once, one after the other.
+    pub(super) fn read_all(&self, parts: &[(&wgpu::Buffer, u64)]) -> Result<Vec<u8>, GpuError> {
+        let bytes = parts.iter().map(|&(_, bytes)| bytes).sum();
         if bytes == 0 {
             return Ok(Vec::new());
         }
         let usage = wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST;
         let landing = self.buffer("read-back", bytes, usage)?;
         let mut encoder = self.raw.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());
-        encoder.copy_buffer_to_buffer(buffer, 0, &landing, 0, bytes);
+        let mut first = 0;
+        for &(buffer, bytes) in parts {
+            encoder.copy_buffer_to_buffer(buffer, 0, &landing, first, bytes);
+            first += bytes;
+        }
         self.queue.submit([encoder.finish()]);
         landing.slice(..).map_async(wgpu::MapMode::Read, |_| ());
         self.wait()?;

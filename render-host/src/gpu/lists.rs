@@ -93,6 +93,8 @@ const DEPTH_DIGITS: usize = 4;
 const SORT_ALL: u32 = 0;
 const SORT_DRAWN: u32 = 1;
 const SORT_ENTRIES: u32 = 2;
+/// Bytes of the counts.
+pub(super) const COUNT_BYTES: u64 = 4 * COUNTS as u64;
 /// Tile entries per Gaussian that there is room for at first.
 const FIRST_ROOM: u64 = 8;
 
@@ -358,7 +360,14 @@ impl Lists {
     /// [`GpuError::Entries`] when the tile lists did not fit (see [`Lists::reserve_entries`]), or the
     /// device was lost.
     pub fn read_counts(&self, device: &Device) -> Result<[u32; COUNTS as usize], GpuError> {
-        let bytes = device.read(&self.buffers.counts, 4 * u64::from(COUNTS))?;
+        Self::checked_counts(&device.read(&self.buffers.counts, COUNT_BYTES)?)
+    }
+
+    /// The counts in `bytes`, read from [`Lists::counts`].
+    ///
+    /// # Errors
+    /// [`GpuError::Entries`] when the tile lists did not fit.
+    pub(super) fn checked_counts(bytes: &[u8]) -> Result<[u32; COUNTS as usize], GpuError> {
         let mut counts = [0; COUNTS as usize];
         counts.iter_mut().zip(bytes.chunks_exact(4)).for_each(|(c, b)| *c = bytemuck::pod_read_unaligned(b));
         let (found, room) = (counts[COUNT_WANTED as usize], counts[COUNT_ENTRIES as usize]);

@@ -286,7 +286,8 @@ fn pixels(frame: &Frame) -> u64 {
     u64::from(frame.size[0]) * u64::from(frame.size[1])
 }
 
-fn counters(counts: &[u32; COUNTS as usize], frame: &Frame, early_stop: bool) -> Counters {
+/// Counters from what the device counted.
+pub(super) fn counters(counts: &[u32; COUNTS as usize], frame: &Frame, early_stop: bool) -> Counters {
     let at = |i: u32| u64::from(counts[i as usize]);
     Counters {
         gaussians: u64::from(frame.gaussians),

@@ -63,9 +63,9 @@ mod tests {
     fn structs() -> Vec<Layout> {
         vec![
             layout!(Splat: mean, columns, rows, root, log2_alpha, colour, group),
-            layout!(Frame: view, view_low, focal, principal, slope, background, size, near, near_low, low_pass,
-                alpha_cutoff, cutoff, log2_cutoff, alpha_max, stop, gaussians, degree, flags, zero, capacity,
-                worlds, world_words, spare),
+            layout!(Frame: view, view_low, focal, principal, slope, background, size, near, near_low,
+                low_pass, alpha_cutoff, cutoff, log2_cutoff, alpha_max, stop, gaussians, degree, flags, zero,
+                capacity, worlds, world_words, spare),
             layout!(Batch: groups, words, worlds, quads, scale, columns, first, past),
             layout!(Entry: splat, blocks),
             layout!(Table: rows, columns, unused),

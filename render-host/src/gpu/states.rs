@@ -91,14 +91,15 @@ pub(super) struct SharedLists {
     pub(super) words: usize,
     pub(super) entries: wgpu::Buffer,
     pub(super) sets: wgpu::Buffer,
-    batch: wgpu::Buffer,
+    /// A [`Batch`], of which groups and words are read.
+    pub(super) batch: wgpu::Buffer,
 }
 
 impl SharedLists {
     pub(super) fn new(device: &Device, tiles: Tiles, groups: usize) -> Result<Self, GpuError> {
         let words = groups.div_ceil(32).max(1);
         let entries = device.storage("entries", 8 * tiles.capacity as u64)?;
-        let sets = device.storage("sets", tiles.count() as u64 * BLOCKS * 8 * words as u64)?;
+        let sets = device.storage("sets", set_bytes(&tiles, words))?;
         let batch = Batch { groups: groups as u32, words: words as u32, ..Batch::default() };
         let batch = device.uniform("batch", bytemuck::bytes_of(&batch))?;
         Ok(Self { tiles, groups, words, entries, sets, batch })
@@ -128,6 +129,11 @@ impl SharedLists {
             Err(GpuError::Length { field: "groups of the states", found, needed })
         }
     }
+}
+
+/// Bytes of the sets of groups of all blocks, of `words` words each.
+pub(super) fn set_bytes(tiles: &Tiles, words: usize) -> u64 {
+    tiles.count() as u64 * BLOCKS * 8 * words as u64
 }
 
 /// Per group a row of `quads` vectors: 1 for the worlds that hold it, 0 for the others and for padding.
@@ -171,6 +177,11 @@ impl Totals {
         let buffers = [&self.table, &self.values, &self.buffer];
         let workgroups = [self.columns.div_ceil(16), 1, self.count];
         recording.dispatch(Kernel::new(&COLUMN_SUMS, "column_sums"), &buffers, workgroups);
+    }
+
+    /// Bytes of the sums.
+    pub(super) fn bytes(&self) -> u64 {
+        4 * u64::from(self.columns) * u64::from(self.count)
     }
 
     /// Waits, and reads the sums, table after table.

@@ -178,6 +178,11 @@ impl Stages {
         self.ranks.as_ref().ok_or_else(missing)
     }
 
+    /// Asks for room for `entries` tile entries in the next frame.
+    pub fn reserve_entries(&mut self, entries: u32) {
+        self.lists.reserve_entries(entries);
+    }
+
     /// The lists, and how many entries they wanted.
     pub fn lists(&self) -> &Lists {
         &self.lists

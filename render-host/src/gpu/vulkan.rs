@@ -1,11 +1,14 @@
 //! Reads what wgpu does not show of Vulkan, and makes shaders without run-time checks: the only unsafe code.
 #![allow(
     unsafe_code,
-    reason = "reading driver facts through raw handles, and trusting shaders whose bounds are proven, have no safe form"
+    reason = "reading driver facts through raw handles and trusting shaders whose bounds are proven have no \
+              safe form"
 )]
 
 #[cfg(not(target_vendor = "apple"))]
-use {ash::vk, wgpu::hal::api::Vulkan};
+use ash::vk;
+#[cfg(not(target_vendor = "apple"))]
+use wgpu::hal::api::Vulkan;
 
 /// Device memory that is free for this process and that there is in all, bytes, summed over heaps on the
 /// device. From `VK_EXT_memory_budget` where the driver has it, else heap sizes alone.

@@ -54,6 +54,17 @@ pub(crate) enum Skip {
 
 /// Projects every Gaussian into `out` and returns the counts of those drawn and skipped.
 pub fn project(splats: &Splats, camera: &Camera, settings: &Settings, out: &mut Projected) -> Counters {
+    project_some(splats, |_| true, camera, settings, out)
+}
+
+/// As [`project`], of the Gaussians at whose index `has` is true; the others count as absent.
+pub(crate) fn project_some(
+    splats: &Splats,
+    has: impl Fn(usize) -> bool + Sync,
+    camera: &Camera,
+    settings: &Settings,
+    out: &mut Projected,
+) -> Counters {
     let n = splats.len();
     let projector = Projector::new(camera, settings, settings.degree(splats.sh_degree()));
     out.splats.resize(n, Splat::NONE);
@@ -61,14 +72,15 @@ pub fn project(splats: &Splats, camera: &Camera, settings: &Settings, out: &mut 
     out.counts.clear();
     out.counts.resize(n.div_ceil(CHUNK), Counters::default());
     let Projected { splats: slots, keys, counts } = out;
+    let fill = |i: usize, slots: &mut [Splat], keys: &mut [u32], counts: &mut Counters| {
+        projector.fill(splats, &has, i * CHUNK, slots, keys, counts);
+    };
     if settings.parallel {
         let chunks = slots.par_chunks_mut(CHUNK).zip(keys.par_chunks_mut(CHUNK)).zip(counts).enumerate();
-        chunks
-            .for_each(|(i, ((slots, keys), counts))| projector.fill(splats, i * CHUNK, slots, keys, counts));
+        chunks.for_each(|(i, ((slots, keys), counts))| fill(i, slots, keys, counts));
     } else {
         let chunks = slots.chunks_mut(CHUNK).zip(keys.chunks_mut(CHUNK)).zip(counts).enumerate();
-        chunks
-            .for_each(|(i, ((slots, keys), counts))| projector.fill(splats, i * CHUNK, slots, keys, counts));
+        chunks.for_each(|(i, ((slots, keys), counts))| fill(i, slots, keys, counts));
     }
     let mut total = Counters { gaussians: n as u64, ..Counters::default() };
     out.counts.iter().for_each(|counts| total.add(counts));
@@ -179,16 +191,22 @@ impl<'a> Projector<'a> {
         }
     }
 
-    /// Projects the Gaussians from index `first` on into equally many slots and keys.
+    /// Projects the Gaussians from index `first` on, those that it `has`, into equally many slots and keys.
     fn fill(
         &self,
         splats: &Splats,
+        has: &impl Fn(usize) -> bool,
         first: usize,
         slots: &mut [Splat],
         keys: &mut [u32],
         counts: &mut Counters,
     ) {
         for (i, (slot, key)) in slots.iter_mut().zip(keys).enumerate() {
+            if !has(first + i) {
+                *key = SKIPPED;
+                counts.skip(Skip::Absent);
+                continue;
+            }
             let degree = self.weighed(splats.band(first + i));
             match self.splat(splats, first + i, degree) {
                 Ok((splat, depth)) => {

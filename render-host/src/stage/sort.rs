@@ -104,7 +104,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn radix_equals_a_stable_sort(keys in proptest::collection::vec(0u32..=u32::MAX, 0..300), bits in 1u32..32) {
+        fn radix_equals_a_stable_sort(
+            keys in proptest::collection::vec(0u32..=u32::MAX, 0..300), bits in 1u32..32,
+        ) {
             let keys: Vec<u32> = keys.iter().map(|k| k >> bits).collect();
             let mut expected: Vec<u32> = (0..keys.len() as u32).collect();
             expected.sort_by_key(|&i| keys[i as usize]);

@@ -1,16 +1,17 @@
-//! Encodes a trained scene as coarsely as its photographs allow.
+//! Encodes a trained scene as coarsely as its photographs allow, unless a person asks to stop.
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use trainer_host::{
     Scene,
-    encode::{EncodeOptions, Encoded, Protection, Quality},
+    encode::{self, EncodeOptions, Encoded, Protection, Quality},
     train::{self, Dataset, Trainer},
 };
 
-use super::figures::decoded;
+use super::{figures::decoded, interruption::Interruption};
 use crate::{
     args::{ProfileName, train::Train},
     pipeline::{self, Quiet},
+    progress::Progress,
 };
 
 /// Training views that the loss is measured on.
@@ -51,26 +52,57 @@ impl Attempt {
     }
 }
 
+/// The stream of `scene` with the options typed; between two stages of the encoder a person may leave with
+/// `what_is_left`.
+pub(super) fn encoded(
+    args: &Train,
+    scene: &Scene,
+    stop: &Interruption,
+    what_is_left: &str,
+    quiet: Quiet,
+) -> Result<Encoded> {
+    let options = pipeline::encode_options(&args.codec, Protection::NONE);
+    stoppable(scene, &options, stop, what_is_left, quiet)
+}
+
+fn stoppable(
+    scene: &Scene,
+    options: &EncodeOptions,
+    stop: &Interruption,
+    what_is_left: &str,
+    quiet: Quiet,
+) -> Result<Encoded> {
+    let bar = Progress::new("encode", quiet.0);
+    let progress = |stage: &'static str, share: f64| {
+        stop.leave(what_is_left);
+        bar.stage(stage, share);
+    };
+    encode::encode(scene, options, &progress).context("cannot encode")
+}
+
 /// The stream of `scene`. Unless its size or steps were typed, steps are the coarsest of a few that take at
 /// most `--encoding-loss` from the PSNR of training views, or else the finest of them.
-pub(super) fn encode(
+pub(super) fn within_loss(
     args: &Train,
     scene: &Scene,
     dataset: &Dataset,
     trainer: &Trainer,
+    stop: &Interruption,
+    what_is_left: &str,
     quiet: Quiet,
 ) -> Result<Encoded> {
     let options = pipeline::encode_options(&args.codec, Protection::NONE);
+    let encode = |options: &EncodeOptions| stoppable(scene, options, stop, what_is_left, quiet);
     let is_typed = options.target.is_some() || args.codec.coarseness != 1.0;
     if is_typed || args.codec.profile != ProfileName::Dgs1 {
-        return pipeline::encode(scene, &options, quiet);
+        return encode(&options);
     }
     let views = dataset.train.sample(VIEWS);
     let (reduced, background) = (trainer.reduced(), trainer.options().background);
     let trained_db = train::evaluate(trainer.model(), &views, reduced, background)?.psnr_db;
     let attempt = |coarseness: f64| -> Result<Attempt> {
         let quality = Quality::default().scaled(coarseness as f32);
-        let encoded = pipeline::encode(scene, &EncodeOptions { quality, ..options.clone() }, quiet)?;
+        let encoded = encode(&EncodeOptions { quality, ..options.clone() })?;
         let shown = train::evaluate(&decoded(&encoded, dataset)?, &views, reduced, background)?;
         Ok(Attempt { encoded, coarseness, lost_db: trained_db - shown.psnr_db })
     };

@@ -1,6 +1,6 @@
 //! Defines why a training cannot start or go on.
 
-use render_host::{CameraError, SplatsError, adjoint::AdjointError};
+use render_host::{BackendError, CameraError, SplatsError};
 
 use super::options::OptionsError;
 
@@ -22,8 +22,11 @@ pub enum TrainError {
         /// The view.
         view: String,
         /// What is wrong.
-        source: AdjointError,
+        source: BackendError,
     },
+    /// A graphics device that cannot be used.
+    #[error("graphics device: {0}")]
+    Device(BackendError),
     /// Gaussians whose arrays do not fit together.
     #[error("{view}: {source}")]
     Splats {

@@ -1,7 +1,12 @@
 //! Tests of training as a whole, on a small scene whose photographs are its own renders.
 
+use render_host::{Backend, DeviceChoice};
+
 use super::{dataset::rendered, *};
 use crate::import::{Limits, synth};
+
+/// How far apart two devices may train the same scene in a few steps, dB.
+const TRAINED_TOLERANCE_DB: f64 = 0.1;
 
 fn dataset(kind: synth::SynthKind, frames: usize, cameras: usize) -> Dataset {
     let options = synth::SynthOptions { kind, gaussians: 1000, frames, ..synth::SynthOptions::default() };
@@ -41,6 +46,54 @@ fn training_finds_the_scene_and_its_motion() {
     assert!(moving > start + 8.0, "{start} {moving}");
     // Without nodes nothing can follow the motion.
     assert!(moving > still + 2.0, "{still} {moving}");
+}
+
+/// A graphics device follows the processor's training, and takes its checkpoints.
+#[test]
+fn another_device_trains_to_the_same_quality() {
+    if !Backend::HAS_GPU {
+        let error = Backend::open(DeviceChoice::Gpu).unwrap_err().to_string();
+        assert!(error.contains("--features gpu"), "{error}");
+        return;
+    }
+    let gpu = match Backend::open(DeviceChoice::Gpu) {
+        Ok(gpu) => gpu,
+        Err(error) => {
+            assert!(std::env::var("CI").as_deref() != Ok("true"), "{error}");
+            eprintln!("SKIPPED: {error}");
+            return;
+        }
+    };
+    const STEPS: u32 = 60;
+    let dataset = dataset(synth::SynthKind::Balls, 3, 8);
+    let steps = |trainer: &mut Trainer, from: u32, to: u32| {
+        let step = |step: u32| trainer.step(f64::from(step) / f64::from(STEPS)).unwrap().loss;
+        (from..to).map(step).collect::<Vec<f64>>()
+    };
+    let psnr = |trainer: &Trainer| evaluate(trainer.model(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db;
+    let begun = |backend: &Backend| Trainer::new(&dataset, &options()).unwrap().on(backend).unwrap();
+
+    let (mut on_cpu, mut on_gpu) = (begun(&Backend::Cpu), begun(&gpu));
+    let start = psnr(&on_cpu);
+    let losses = [steps(&mut on_cpu, 0, STEPS), steps(&mut on_gpu, 0, STEPS)];
+    assert!((losses[0][0] - losses[1][0]).abs() < 1e-5 * losses[0][0], "{losses:?}");
+    let [cpu, other] = [psnr(&on_cpu), psnr(&on_gpu)];
+    println!("start {start:.3} dB; cpu {cpu:.3} dB, {} {other:.3} dB", gpu.name());
+    assert!(cpu > start + 0.5 && (cpu - other).abs() < TRAINED_TOLERANCE_DB, "{start} {cpu} {other}");
+
+    // The same again is the same bit for bit; half on one device and half on the other is as good.
+    let mut again = begun(&gpu);
+    assert_eq!(steps(&mut again, 0, STEPS / 2), losses[1][..30]);
+    let checkpoint = Checkpoint::of(&again, &dataset, 0.5).to_bytes().unwrap();
+    let resumed = |backend: &Backend| {
+        let checkpoint = Checkpoint::from_bytes(&checkpoint).unwrap();
+        let mut trainer = checkpoint.resume(&dataset).unwrap().on(backend).unwrap();
+        (steps(&mut trainer, STEPS / 2, STEPS), psnr(&trainer))
+    };
+    let (whole, _) = resumed(&gpu);
+    assert_eq!(whole, losses[1][30..], "resumed on its own device");
+    let (_, half) = resumed(&Backend::Cpu);
+    assert!((cpu - half).abs() < TRAINED_TOLERANCE_DB, "{cpu} {half}");
 }
 
 #[test]

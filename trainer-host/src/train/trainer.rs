@@ -7,11 +7,10 @@
 use rand::{RngExt, seq::SliceRandom};
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use render_host::{
-    Gradients, Settings, Splats, Workspace,
+    Backend, BackendError, Differentiator, Gradients, Settings, Splats,
     adjoint::{
         AdjointError, DensityStatistics,
         loss::photograph::{Photograph, PhotographLoss},
-        render_and_gradients_into, render_and_gradients_with_statistics,
     },
 };
 use serde::{Deserialize, Serialize};
@@ -138,7 +137,7 @@ pub struct Trainer<'a> {
 /// Memory that steps use again.
 #[derive(Debug, Default)]
 struct Memory {
-    workspace: Workspace,
+    differentiator: Differentiator,
     gradients: Gradients,
     /// Of the view, where density control asks for them.
     statistics: Vec<DensityStatistics>,
@@ -192,6 +191,18 @@ impl<'a> Trainer<'a> {
             order: (u64::MAX, Vec::new()),
             memory: Memory::default(),
         })
+    }
+
+    /// The same, with pictures and their gradients made by `backend`; without it, by the processor.
+    ///
+    /// A backend gives the same scene bit for bit each time; that of another one differs as its roundings do.
+    /// Between two steps a training may go from one to another, with a checkpoint or without.
+    ///
+    /// # Errors
+    /// The graphics device has no memory.
+    pub fn on(mut self, backend: &Backend) -> Result<Self, TrainError> {
+        self.memory.differentiator = backend.differentiator().map_err(TrainError::Device)?;
+        Ok(self)
     }
 
     /// Goes on from the state of a checkpoint.
@@ -366,27 +377,23 @@ impl<'a> Trainer<'a> {
         let background = if other { plain.map(|v| 1.0 - v) } else { plain };
 
         observe(Stage::Pose);
-        let Memory { workspace, gradients, statistics, instant } = &mut self.memory;
+        let Memory { differentiator, gradients, statistics, instant } = &mut self.memory;
         self.state.model.instant_into(posed.time, instant);
         observe(Stage::Render);
         let settings = Settings { background, ..Settings::default() };
-        let failed = |source: AdjointError| TrainError::View { view: posed.name.clone(), source };
+        let failed = |source: BackendError| TrainError::View { view: posed.name.clone(), source };
         let loss = PhotographLoss::new(photograph, background, self.options.weights())
             .cropped(left, top, width, height)
-            .map_err(|error| failed(error.into()))?;
+            .map_err(|error| failed(AdjointError::from(error).into()))?;
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)
             .map_err(|source| TrainError::Splats { view: posed.name.clone(), source })?;
         let schedule = &self.options.schedule;
         let counted = self.options.density == DensityControl::Split && progress < schedule.density_end;
-        let rendered = if counted {
-            render_and_gradients_with_statistics(
-                workspace, &splats, &camera, &settings, &loss, gradients, statistics,
-            )
-        } else {
-            statistics.clear();
-            render_and_gradients_into(workspace, &splats, &camera, &settings, &loss, gradients)
-        };
-        rendered.map_err(failed)?;
+        statistics.clear();
+        let statistics = counted.then_some(statistics);
+        differentiator
+            .differentiate(&splats, &camera, &settings, &loss, gradients, statistics)
+            .map_err(failed)?;
         Ok(gradients.loss)
     }
 

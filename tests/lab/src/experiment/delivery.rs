@@ -1,6 +1,8 @@
 //! Prepares what the studies of packet-conditioned training share: a scene, finer truth, test states, and
 //! figures.
 
+use std::ops::ControlFlow::Continue;
+
 use anyhow::Result;
 use render_host::{Backend, Settings};
 use trainer_host::{
@@ -107,8 +109,9 @@ impl Study {
             for camera in framing.ring(ring, cameras, (size.side, size.side))? {
                 let pictures =
                     evaluator::references(&truth, frames, &camera, &Settings::default(), &Backend::Cpu)?;
+                let background = Settings::default().background;
                 for (&frame, picture) in frames.iter().zip(pictures) {
-                    references.push(Reference { frame, camera: camera.clone(), picture });
+                    references.push(Reference { frame, camera: camera.clone(), background, picture });
                 }
             }
             Ok(references)
@@ -134,7 +137,7 @@ impl Study {
     /// # Errors
     /// What training refuses.
     pub(super) fn train(&self, options: &DeliveryOptions) -> Result<FineTuned> {
-        Ok(trainer_host::train::delivery::fine_tune(&self.scene, &self.training, options, &|_| {})?)
+        Ok(trainer_host::train::delivery::fine_tune(&self.scene, &self.training, options, &|_| Continue(()))?)
     }
 
     /// Options of `variant` at this study's size; the last scene is taken.

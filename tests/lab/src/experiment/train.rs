@@ -1,15 +1,19 @@
 //! Times one iteration of training by stage, with the error beside each part.
 
+use std::time::Instant;
+
 use anyhow::{Context, Result};
 use render_host::{
-    Camera, Gradients, Image, Loss, Renderer, Settings, Splats, Workspace,
+    Backend, BackendError, Camera, DeviceChoice, Differentiator, Gradients, Image, Loss, Renderer, Settings,
+    Splats, Workspace,
     adjoint::{
         loss::{
             Distortion,
             photograph::{Photograph, PhotographLoss, Weights},
         },
-        render_and_gradients_into, render_and_gradients_with_statistics,
+        render_and_gradients_into,
     },
+    gpu::GpuError,
     metric,
 };
 
@@ -33,7 +37,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
             "synth figure, {gaussians} Gaussians, frame 0 towards a photograph of frame 3, on white; ms of \
              processor time on one thread, medians of {runs} interleaved runs; loss 0.8 L1 + 0.2 (1 - SSIM); \
              peer: MSE + 0.20 (1 - SSIM) with a target \
-             prepared beforehand"
+             prepared beforehand; `device`: wall time of picture, loss, gradients and statistics, the \
+             processor on all threads, a graphics device with the loss on the processor"
         ),
     );
     let scene = synth("figure", gaussians, 4)?;
@@ -41,11 +46,72 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let (now, later) = (now.context("no frame 0")?, later.context("no frame 3")?);
     let splats = Splats::new(&now.gaussians, &now.sh_rest, now.sh_degree)?;
     let seen = Splats::new(&later.gaussians, &later.sh_rest, later.sh_degree)?;
+    let backends = backends()?;
     for &side in sides {
         let camera = Camera::look_at([2.6, 0.6, 3.4], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0], 0.69, side, side)?;
-        iteration(&mut bench, &splats, &photograph(&seen, &camera)?, &camera, runs)?;
+        let photograph = photograph(&seen, &camera)?;
+        iteration(&mut bench, &splats, &photograph, &camera, runs)?;
+        devices(&mut bench, &splats, &photograph, &camera, runs, &backends)?;
     }
     Ok(bench)
+}
+
+/// The processor, and a graphics device where there is one.
+fn backends() -> Result<Vec<Backend>> {
+    match Backend::open(DeviceChoice::Gpu) {
+        Ok(gpu) => Ok(vec![Backend::Cpu, gpu]),
+        Err(BackendError::Gpu(GpuError::NoAdapter { .. })) => Ok(vec![Backend::Cpu]),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// A row per device: the picture of a step with all that is asked of it.
+fn devices(
+    bench: &mut Bench,
+    splats: &Splats,
+    photograph: &Photograph,
+    camera: &Camera,
+    runs: usize,
+    backends: &[Backend],
+) -> Result<()> {
+    let settings = Settings::over(WHITE);
+    let mut of_cpu: Option<(f64, Gradients)> = None;
+    for backend in backends {
+        let mut differentiator = backend.differentiator()?;
+        let (mut found, mut statistics, mut times) = (Gradients::default(), Vec::new(), Vec::new());
+        // The first one compiles kernels and makes room.
+        for run in 0..=runs {
+            let start = Instant::now();
+            let loss = PhotographLoss::new(photograph, WHITE, WEIGHTS);
+            let counted = Some(&mut statistics);
+            differentiator.differentiate(splats, camera, &settings, &loss, &mut found, counted)?;
+            if run > 0 {
+                times.push(1000.0 * start.elapsed().as_secs_f64());
+            }
+        }
+        let key = format!("{}.device.{}", camera.width(), if of_cpu.is_none() { "cpu" } else { "gpu" });
+        let figure = Figure::new(key, median(&times), "ms").runs(runs);
+        bench.push(match &of_cpu {
+            None => figure,
+            Some((cpu_ms, expected)) => figure
+                .error(apart(&found, expected), "relative L2 distance of position gradients from the cpu's")
+                .peer("cpu", *cpu_ms, true),
+        });
+        of_cpu.get_or_insert((median(&times), found));
+    }
+    Ok(())
+}
+
+/// Relative L2 distance of the gradients of positions.
+fn apart(found: &Gradients, expected: &Gradients) -> f64 {
+    let (mut off, mut all) = (0.0, 0.0);
+    for (a, b) in found.splats.iter().zip(&expected.splats) {
+        for (a, b) in a.position.iter().zip(b.position) {
+            off += f64::from(a - b).powi(2);
+            all += f64::from(b).powi(2);
+        }
+    }
+    (off / all).sqrt()
 }
 
 /// What a camera sees of `splats`, with transparency.
@@ -82,6 +148,7 @@ fn iteration(
     let loss = || PhotographLoss::new(photograph, WHITE, WEIGHTS);
     let (mut renderer, mut picture) = (Renderer::new(), Default::default());
     let (mut workspace, mut out, mut statistics) = (Workspace::new(), Gradients::default(), Vec::new());
+    let mut differentiator = Differentiator::default();
     renderer.render_into(splats, camera, &settings, &mut picture)?;
     let mut gradient = vec![0.0; picture.image.rgb().len()];
     let [mut forward, mut compare, mut peer, mut prepare, mut whole, mut with_peer, mut counted] =
@@ -107,16 +174,8 @@ fn iteration(
             Ok(render_and_gradients_into(&mut workspace, splats, camera, &settings, &prepared, &mut out)?)
         })?;
         ms(&mut counted, || {
-            let (loss, out) = (loss(), &mut out);
-            Ok(render_and_gradients_with_statistics(
-                &mut workspace,
-                splats,
-                camera,
-                &settings,
-                &loss,
-                out,
-                &mut statistics,
-            )?)
+            let counted = Some(&mut statistics);
+            Ok(differentiator.differentiate(splats, camera, &settings, &loss(), &mut out, counted)?)
         })?;
     }
     let share = picture.counters.tiles_touched as f64 / picture.counters.tiles as f64;

@@ -99,11 +99,13 @@ pub(super) fn evaluate_coded(
         return Err(DeliveryError::NoReference { found: 0, purpose: "evaluation" });
     }
     let prefixes: Vec<Vec<u8>> = (0..PREFIXES).map(|level| sampler.prefix(level)).collect();
-    let settings = Settings { parallel: true, ..Settings::default() };
+    let plain = Settings { parallel: true, ..Settings::default() };
     let share = 1.0 / references.len() as f64;
     let mut worlds_db = vec![0.0; masks.states.len()];
     let (mut clean_db, mut of_prefixes) = (0.0, [0.0; PREFIXES]);
-    for Reference { frame, camera, picture } in references {
+    for reference in references {
+        let Reference { frame, camera, picture, .. } = reference;
+        let settings = reference.settings(&plain);
         let shared = SharedWorlds::new(moving, *frame, &masks.states)?;
         let errors = shared.squared_errors(camera, picture, &settings)?;
         worlds_db.iter_mut().zip(errors).for_each(|(sum, error)| *sum += share * psnr(error));
@@ -130,6 +132,27 @@ mod tests {
         encode,
         train::delivery::{LossModel, LossUnit, view::tests::study},
     };
+
+    /// A scene before its own picture over white is right over white, and wrong over anything else.
+    #[test]
+    fn a_picture_is_compared_over_its_own_background() {
+        let (scene, mut references) = study(2, 1);
+        let decisions =
+            encode::encode(&scene, &encode::EncodeOptions::default(), &|_, _| {}).unwrap().decisions;
+        let instant = scene.instant(0).unwrap();
+        let splats =
+            render_host::Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree).unwrap();
+        let white = Settings::over([1.0; 3]);
+        let rendered = render_host::Renderer::new().render(&splats, &references[0].camera, &white).unwrap();
+        references.truncate(1);
+        references[0].picture = rendered.image;
+        let clean_db = |background: [f32; 3]| {
+            let reference = Reference { background, ..references[0].clone() };
+            evaluate(&scene, &decisions, &Masks { states: Vec::new() }, &[reference]).unwrap().clean_db
+        };
+        let (right, wrong) = (clean_db([1.0; 3]), clean_db([0.0; 3]));
+        assert!(right > 35.0 && wrong < 15.0, "{right} {wrong}");
+    }
 
     #[test]
     fn losses_cost_quality_and_the_complete_state_is_the_best() {

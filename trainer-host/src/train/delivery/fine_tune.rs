@@ -1,5 +1,7 @@
 //! Fine-tunes a scene: draws worlds, steps the parameters, and takes the candidate that validation prefers.
 
+use std::ops::ControlFlow;
+
 use rand::seq::SliceRandom;
 use render_host::Settings;
 
@@ -48,7 +50,9 @@ pub struct FineTuned {
     pub record: Record,
 }
 
-/// Fine-tunes `scene` towards `references` over sampled deliveries. `progress` hears every update.
+/// Fine-tunes `scene` towards `references` over sampled deliveries. `progress` hears every update, and ends
+/// the fine-tuning where it breaks: what is then taken is the best of the candidates so far, without
+/// validation the scene of that update.
 ///
 /// Every `validation.every`-th reference, and states from seeds of their own, are for validation alone.
 ///
@@ -60,7 +64,7 @@ pub fn fine_tune(
     scene: &Scene,
     references: &[Reference],
     options: &DeliveryOptions,
-    progress: &dyn Fn(&Update),
+    progress: &dyn Fn(&Update) -> ControlFlow<()>,
 ) -> Result<FineTuned, DeliveryError> {
     options.check()?;
     let (training, validation) = split(references, options)?;
@@ -129,7 +133,9 @@ pub fn fine_tune(
         }
         let share = update as f64 / options.updates as f64;
         adam.step(&mut run.parameters, &gradient, &rates(&options.learning_rates, 0.1f64.powf(share)));
-        progress(&heard);
+        if progress(&heard).is_break() {
+            break;
+        }
     }
     record.candidates = candidates.iter().map(|(candidate, _)| *candidate).collect();
     record.taken = select(&record.candidates);

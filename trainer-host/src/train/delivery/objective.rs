@@ -117,7 +117,7 @@ pub(super) fn differentiate(
         Vec::new()
     };
     let states = distinct.states;
-    let settings = Settings { parallel: false, ..settings.clone() };
+    let settings = Settings { parallel: false, background: view.background, ..settings.clone() };
     let shared = SharedWorlds::new(moving, view.frame, &states)?;
     let distortions = shared.measured(&view.camera, &view.picture, &settings, |image| {
         distortion(image, &view.picture, weights.structure)

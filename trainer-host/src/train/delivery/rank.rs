@@ -1,5 +1,7 @@
 //! Chooses the rank of the shared temporal basis by validation: never fixed by hand (paper section 3).
 
+use std::ops::ControlFlow;
+
 use super::{
     config::DeliveryOptions,
     error::DeliveryError,
@@ -63,7 +65,7 @@ pub fn sweep_ranks(
             let mut options = DeliveryOptions { seed, registration: None, ..options.clone() };
             options.encode.rank = rank;
             options.validation = Validation { candidates: 0, ..options.validation };
-            let tuned = fine_tune(scene, references, &options, &|_| {})?;
+            let tuned = fine_tune(scene, references, &options, &|_| ControlFlow::Continue(()))?;
             let encoded = crate::encode::write(&tuned.scene, &tuned.decisions, &|_, _| {})?;
             let loss = LossModel::Burst { share: 0.05, length: 6.0 };
             let states = options.validation.states;

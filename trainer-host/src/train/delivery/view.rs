@@ -14,6 +14,8 @@ pub struct Reference {
     pub frame: u32,
     /// Where it was seen from.
     pub camera: Camera,
+    /// What is behind everything in the picture, r g b.
+    pub background: [f32; 3],
     /// What was seen; the camera's size, data range 1.
     pub picture: Image,
 }
@@ -23,9 +25,17 @@ pub struct Reference {
 pub(super) struct View {
     pub frame: u32,
     pub camera: Camera,
+    pub background: [f32; 3],
     pub picture: Image,
     /// Picture of the next frame less this one; none at the last frame of an epoch.
     pub change: Option<Image>,
+}
+
+impl Reference {
+    /// `settings` with what is behind everything in the picture.
+    pub(super) fn settings(&self, settings: &Settings) -> Settings {
+        Settings { background: self.background, ..settings.clone() }
+    }
 }
 
 /// Checks `references` against `scene` and finds the change after each: from the reference of the next frame
@@ -49,7 +59,8 @@ fn view(
     reference: &Reference,
     settings: &Settings,
 ) -> Result<View, DeliveryError> {
-    let Reference { frame, camera, picture } = reference;
+    let Reference { frame, camera, background, picture } = reference;
+    let (background, settings) = (*background, reference.settings(settings));
     let refuse = |field, found, allowed| Err(DeliveryError::Reference { index, field, found, allowed });
     let (width, height) = (camera.width(), camera.height());
     if (picture.width(), picture.height()) != (width, height) {
@@ -66,10 +77,10 @@ fn view(
     } else if let Some(given) = references.iter().find(|r| r.frame == next && r.camera == *camera) {
         Some(temporal::before(&given.picture, picture)?)
     } else {
-        let [this, next] = [*frame, next].map(|frame| render(scene, frame, camera, settings));
+        let [this, next] = [*frame, next].map(|frame| render(scene, frame, camera, &settings));
         Some(temporal::before(&next?, &this?)?)
     };
-    Ok(View { frame: *frame, camera: camera.clone(), picture: picture.clone(), change })
+    Ok(View { frame: *frame, camera: camera.clone(), background, picture: picture.clone(), change })
 }
 
 fn frames_of_epoch(scene: &Scene, frame: u32) -> Option<Range<u32>> {
@@ -108,7 +119,8 @@ pub(super) mod tests {
         for frame in 0..frames as u32 {
             for camera in &ring {
                 let picture = render(&finer, frame, camera, &Settings::default()).unwrap();
-                references.push(Reference { frame, camera: camera.clone(), picture });
+                let background = Settings::default().background;
+                references.push(Reference { frame, camera: camera.clone(), background, picture });
             }
         }
         (scene, references)

@@ -1,4 +1,7 @@
-use std::sync::Mutex;
+use std::{
+    ops::ControlFlow::{Break, Continue},
+    sync::Mutex,
+};
 
 use super::*;
 use crate::{
@@ -23,7 +26,7 @@ fn one_seed_gives_one_scene_on_any_number_of_threads() {
     let train = |threads: usize, seed| {
         let options = DeliveryOptions { seed, updates: 6, ..options(Variant::Combined) };
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| fine_tune(&scene, &references, &options, &|_| {}).unwrap())
+        pool.install(|| fine_tune(&scene, &references, &options, &|_| Continue(())).unwrap())
     };
     let (one, three, other) = (train(1, 1), train(3, 1), train(1, 2));
     assert_eq!(one.record, three.record);
@@ -36,7 +39,7 @@ fn one_seed_gives_one_scene_on_any_number_of_threads() {
 fn reconstruction_brings_the_complete_state_nearer_to_its_pictures() {
     let (scene, references) = study(3, 2);
     let options = DeliveryOptions { updates: 40, ..options(Variant::Reconstruction) };
-    let tuned = fine_tune(&scene, &references, &options, &|_| {}).unwrap();
+    let tuned = fine_tune(&scene, &references, &options, &|_| Continue(())).unwrap();
     let [first, .., last] = tuned.record.candidates[..] else { panic!("{:?}", tuned.record.candidates) };
     assert_eq!((first.updates, last.updates), (0, 40));
     assert!(last.clean_db > first.clean_db + 0.3, "{first:?} {last:?}");
@@ -57,6 +60,7 @@ fn the_registration_is_there_before_the_first_update_and_all_variants_are_valida
         let seen = Mutex::new(Vec::new());
         let tuned = fine_tune(&scene, &references, &options, &|update| {
             seen.lock().unwrap().push((update.updates, path.exists()));
+            Continue(())
         })
         .unwrap();
         assert_eq!(*seen.lock().unwrap(), [(1, true), (2, true), (3, true)]);
@@ -76,11 +80,30 @@ fn the_registration_is_there_before_the_first_update_and_all_variants_are_valida
     assert!(error.to_string().contains("folder.json"), "{error}");
 }
 
+/// What breaks off takes the best candidate so far; without candidates, the scene as it is then.
+#[test]
+fn a_fine_tuning_that_is_broken_off_returns_what_exists() {
+    let (scene, references) = study(3, 1);
+    let until_third = |options: &DeliveryOptions| {
+        let progress = |update: &Update| if update.updates == 3 { Break(()) } else { Continue(()) };
+        fine_tune(&scene, &references, options, &progress).unwrap()
+    };
+    let mut options = options(Variant::Iid);
+    let tuned = until_third(&options);
+    assert_eq!(tuned.record.objective.len(), 3);
+    let updates: Vec<usize> = tuned.record.candidates.iter().map(|candidate| candidate.updates).collect();
+    assert_eq!((updates, tuned.record.taken), (vec![0], Some(0)));
+    options.validation.candidates = 0;
+    let tuned = until_third(&options);
+    assert_eq!((tuned.record.objective.len(), tuned.record.taken), (3, None));
+    assert!(tuned.scene.epochs() != scene.epochs(), "three updates show");
+}
+
 #[test]
 fn too_few_references_and_bad_options_are_named() {
     let (scene, references) = study(3, 1);
     let refused = |references: &[Reference], options: &DeliveryOptions| {
-        fine_tune(&scene, references, options, &|_| {}).unwrap_err().to_string()
+        fine_tune(&scene, references, options, &|_| Continue(())).unwrap_err().to_string()
     };
     let options = options(Variant::Iid);
     assert!(refused(&[], &options).contains("0 reference pictures for training"));
@@ -96,7 +119,7 @@ fn rate_in_the_objective_makes_the_stream_smaller() {
         let mut options = DeliveryOptions { updates: 30, ..options(Variant::Combined) };
         options.weights.rate = rate;
         options.validation.candidates = 1;
-        let tuned = fine_tune(&scene, &references, &options, &|_| {}).unwrap();
+        let tuned = fine_tune(&scene, &references, &options, &|_| Continue(())).unwrap();
         tuned.record.candidates[1].wire_bytes
     };
     let (without, with) = (bytes(0.0), bytes(3.0));
@@ -119,7 +142,7 @@ fn recorded_states_are_trained_on_and_must_fit() {
     )
     .unwrap();
     let worlds = |options: &DeliveryOptions| {
-        fine_tune(&scene, &references, options, &|_| {}).map(|tuned| tuned.record.worlds)
+        fine_tune(&scene, &references, options, &|_| Continue(())).map(|tuned| tuned.record.worlds)
     };
     let without = worlds(&options).unwrap();
     options.recorded = Some(path.clone());

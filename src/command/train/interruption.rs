@@ -1,0 +1,46 @@
+//! An interruption is a person's wish to stop (Ctrl-C): work leaves at its next step; asked twice, at once.
+
+use std::{
+    process,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+};
+
+/// Exit status after an interruption that ends the process: 128 and the number of the signal, as shells have
+/// it.
+const INTERRUPTED: i32 = 130;
+
+/// Whether a person has asked to stop.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Interruption(Arc<AtomicBool>);
+
+impl Interruption {
+    /// From now on asking to stop ends the process only if it was asked before and nothing was done about it.
+    pub(super) fn watch() -> Self {
+        let interruption = Self::default();
+        let requested = Arc::clone(&interruption.0);
+        // Where no handler can be set, an interruption ends the process as it does any other.
+        let _ = ctrlc::set_handler(move || {
+            if requested.swap(true, Ordering::Relaxed) {
+                process::exit(INTERRUPTED);
+            }
+        });
+        interruption
+    }
+
+    /// Whether stopping was asked for since the last time: whoever takes this does something about it.
+    pub(super) fn take(&self) -> bool {
+        self.0.swap(false, Ordering::Relaxed)
+    }
+
+    /// Ends the process if stopping was asked for, with a line about what is left. To be called where nothing
+    /// is half written.
+    pub(super) fn leave(&self, what_is_left: &str) {
+        if self.take() {
+            eprintln!("interrupted: {what_is_left}");
+            process::exit(INTERRUPTED);
+        }
+    }
+}

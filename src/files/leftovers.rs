@@ -1,0 +1,113 @@
+//! A leftover is a temporary file or folder whose process was killed: whoever next writes there removes it.
+//!
+//! Who writes under a temporary name locks it, and the system unlocks what a killed process had locked: what
+//! has such a name, is not locked and is not brand-new is nobody's. Where locks or folders that can be opened
+//! are missing, leftovers stay.
+
+use std::{
+    fs::{self, File},
+    path::Path,
+    time::Duration,
+};
+
+/// Age from which a name counts as left over: longer than its process takes from making to locking it.
+const SETTLED: Duration = Duration::from_secs(2);
+/// Random letters and digits between the ends of a temporary name.
+const RANDOM: usize = 6;
+
+/// Says that this process is at work on `file`, until it is closed.
+pub(super) fn hold(file: &File) {
+    // Without a lock the file is as whole, and only what is left of it after a kill is not recognised.
+    let _ = file.try_lock();
+}
+
+/// As [`hold`], for a folder.
+pub(super) fn hold_folder(folder: &Path) -> Option<File> {
+    let opened = File::open(folder).ok()?;
+    hold(&opened);
+    Some(opened)
+}
+
+/// Removes from `folder` what is left over under temporary names from `prefix` to `suffix`. What cannot be
+/// read or removed stays: it harms nobody.
+pub(super) fn remove(folder: &Path, prefix: &str, suffix: &str) {
+    for entry in fs::read_dir(folder).into_iter().flatten().flatten() {
+        let name = entry.file_name();
+        let Some(name) = name.to_str() else { continue };
+        let random = name.strip_prefix(prefix).and_then(|rest| rest.strip_suffix(suffix));
+        let is_temporary = random.is_some_and(|random| {
+            random.len() == RANDOM && random.bytes().all(|b| b.is_ascii_alphanumeric())
+        });
+        if is_temporary {
+            remove_unless_used(&entry.path());
+        }
+    }
+}
+
+fn remove_unless_used(path: &Path) {
+    let Ok(found) = fs::symlink_metadata(path) else { return };
+    let settled = found.modified().ok().and_then(|at| at.elapsed().ok()).is_some_and(|age| age >= SETTLED);
+    if !settled || found.is_symlink() {
+        return;
+    }
+    let Ok(opened) = File::open(path) else { return };
+    if opened.try_lock().is_err() {
+        return;
+    }
+    let _ = if found.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::SystemTime;
+
+    use super::*;
+
+    /// Makes `path` as old as what a killed process left an hour ago.
+    fn age(path: &Path) {
+        let then = SystemTime::now() - Duration::from_secs(3600);
+        File::open(path).unwrap().set_modified(then).unwrap();
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_nobody_writes_is_removed_and_all_else_stays() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let [left, used, young, other, target] =
+            [".a.dgs.Ab3xY9.part", ".a.dgs.used12.part", ".a.dgs.young1.part", ".b.dgs.Ab3xY9.part", "a.dgs"];
+        let [notes, linked] = [".a.dgs.notes.part", ".a.dgs.linked.part"];
+        for name in [left, used, young, other, target, notes] {
+            fs::write(at(name), name).unwrap();
+        }
+        let frames = at(".a.dgs.frames.part");
+        fs::create_dir(&frames).unwrap();
+        fs::write(frames.join("f_0.ply"), "half").unwrap();
+        std::os::unix::fs::symlink(at(target), at(linked)).unwrap();
+        [left, used, other, target, notes].iter().for_each(|name| age(&at(name)));
+        age(&frames);
+        let user = File::open(at(used)).unwrap();
+        hold(&user);
+        remove(folder.path(), ".a.dgs.", ".part");
+        assert!(!at(left).exists() && !frames.exists(), "nobody's");
+        for name in [used, young, other, target, notes, linked] {
+            assert!(fs::symlink_metadata(at(name)).is_ok(), "{name}");
+        }
+        // Its process was killed: the system lets go of the lock.
+        drop(user);
+        remove(folder.path(), ".a.dgs.", ".part");
+        assert!(!at(used).exists());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_later_write_removes_what_an_earlier_one_left() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.dgs");
+        let left = super::super::temporary(&path).unwrap().keep().unwrap().1;
+        age(&left);
+        super::super::write(&path, b"whole").unwrap();
+        let names: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        assert_eq!(names, ["a.dgs"]);
+    }
+}
