@@ -49,7 +49,7 @@ pub struct Train {
     /// Control nodes that carry the motion [default: 512]; 0: nothing moves.
     #[arg(long, value_parser = whole::<usize>(0..=65_536, "nodes"))]
     pub nodes: Option<usize>,
-    /// Degree of the spherical harmonics, 0 to 3 [default: 1].
+    /// Degree of the spherical harmonics, 0 to 3 [default: 2].
     #[arg(long, value_parser = clap::value_parser!(u8).range(0..=3))]
     pub sh_degree: Option<u8>,
     /// Longest side of the photographs that are trained on, pixels: larger ones are halved, or more

@@ -131,7 +131,7 @@ impl Default for TrainOptions {
             initial_gaussians: 4000,
             max_gaussians: 26_000,
             nodes: 512,
-            sh_degree: 1,
+            sh_degree: 2,
             canonical_time: 0.5,
             max_side: 800,
             background: [1.0; 3],
@@ -155,9 +155,9 @@ impl Default for Rates {
             rotation: 3e-3,
             opacity: 4e-2,
             sh0: 8e-3,
-            sh_rest: 1e-3,
+            sh_rest: 3e-3,
             skin: 1e-2,
-            node_motion: 4.5e-3,
+            node_motion: 2.2e-3,
         }
     }
 }
