@@ -6,7 +6,7 @@ use codec_core::{
         closure::{Arrived, Needs},
         ids::{EpochId, Group, Level, PacketId, Span},
         layout::Shape,
-        receiver::{Content, for_each_cell},
+        receiver::Content,
         wire::manifest::{Manifest, Profile},
     },
 };
@@ -57,7 +57,7 @@ pub fn graph(
             }
         }
     }
-    let cells = first_blocks(manifest);
+    let cells = map.first_blocks();
     let canonical_block = |placement: &SlicePlacement, block: usize| -> Option<usize> {
         let Span::Motion(window) = placement.group.span else { return None };
         let epoch = EpochId(manifest.window(window)?.epoch);
@@ -148,17 +148,6 @@ fn coverage(manifest: &Manifest<'_>, span: Span) -> (u32, u32) {
     }
 }
 
-/// Index of every cell's first block in a state.
-fn first_blocks(manifest: &Manifest<'_>) -> Vec<usize> {
-    let mut first = Vec::with_capacity(manifest.cells());
-    let mut next = 0;
-    for_each_cell(manifest, |_, _, shape| {
-        first.push(next);
-        next += shape.blocks();
-    });
-    first
-}
-
 /// What was usable when one frame was shown.
 #[derive(Clone, Debug)]
 pub struct ShownState {
@@ -179,7 +168,7 @@ pub struct WireEndpoint<'e> {
     map: &'e PacketMap,
     graph: &'e PacketGraph,
     snapshot: Snapshot,
-    first_blocks: Vec<usize>,
+    first_blocks: &'e [usize],
     buffered: Vec<PacketIndex>,
     /// The state at each shown frame, in playout order.
     pub shown: Vec<ShownState>,
@@ -193,7 +182,6 @@ impl<'e> WireEndpoint<'e> {
     pub fn new(
         early_bytes: usize,
         stream: &'e Stream,
-        manifest: &Manifest<'_>,
         map: &'e PacketMap,
         graph: &'e PacketGraph,
     ) -> codec_core::Result<Self> {
@@ -205,7 +193,7 @@ impl<'e> WireEndpoint<'e> {
             map,
             graph,
             snapshot: Snapshot::empty(graph),
-            first_blocks: first_blocks(manifest),
+            first_blocks: map.first_blocks(),
             buffered: Vec::new(),
             shown: Vec::new(),
         })
@@ -219,7 +207,7 @@ impl<'e> WireEndpoint<'e> {
     /// Whether all blocks of `placement` are usable up to its level, and for motion coefficients the
     /// blocks they bend are there.
     fn is_usable(&self, content: &Content<'_>, placement: &SlicePlacement, whole_cell: bool) -> bool {
-        let manifest = &content.manifest;
+        let manifest = content.manifest;
         let Some(cell) = manifest.cell(placement.group.span, placement.group.cluster) else { return false };
         let own = self.first_blocks[cell.index()];
         let blocks = if whole_cell {
@@ -268,7 +256,7 @@ impl Endpoint for WireEndpoint<'_> {
         if let Some(player) = &mut self.player {
             return match player.push(bytes) {
                 Ok(accepted) => {
-                    recovered.extend(accepted.recovered.as_slice().iter().map(|id| PacketIndex(id.get())));
+                    recovered.extend(accepted.recovered.iter().map(|id| PacketIndex(id.get())));
                     Arrival::Fresh
                 }
                 Err(error) if error.kind == ErrorKind::Duplicate => Arrival::Duplicate,

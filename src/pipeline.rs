@@ -260,10 +260,9 @@ pub fn deliver(
     config: &SessionConfig,
     policy: PolicyKind,
 ) -> Result<(Report, Vec<ShownState>)> {
-    let manifest = stream.manifest()?;
     let config = SessionConfig { policy, ..config.clone() };
     let early_bytes = config.buffer_limit * codec_core::internals::limits::MAX_PACKET_BYTES;
-    let mut endpoint = WireEndpoint::new(early_bytes, stream, &manifest, map, graph)?;
+    let mut endpoint = WireEndpoint::new(early_bytes, stream, map, graph)?;
     let mut scheduler = policy.build(graph);
     let report = emulator_host::run(graph, &config, &mut *scheduler, &mut endpoint)?;
     let shown = std::mem::take(&mut endpoint.shown);

@@ -45,11 +45,10 @@ fn draw(seed: u64, i: u64, n: usize) -> usize {
 fn the_real_receiver_agrees_with_the_naive_one() {
     for profile in ["dgs1", "paper"] {
         let (stream, map, graph, _) = walk(&["--profile", profile]);
-        let manifest = stream.manifest().unwrap();
         for seed in 0..4u64 {
             let packets = stream.packets().len();
             let early_bytes = packets * (MAX_PACKET_BYTES + 2);
-            let mut real = WireEndpoint::new(early_bytes, &stream, &manifest, &map, &graph).unwrap();
+            let mut real = WireEndpoint::new(early_bytes, &stream, &map, &graph).unwrap();
             let mut naive = GraphReceiver::new(&graph, usize::MAX);
             let control_at = draw(seed, 1 << 40, packets) as u64;
             for step in 0..packets as u64 * 2 {
@@ -86,8 +85,7 @@ fn the_real_receiver_agrees_with_the_naive_one() {
 #[test]
 fn the_comparison_above_can_fail() {
     let (stream, map, graph, _) = walk(&[]);
-    let manifest = stream.manifest().unwrap();
-    let mut real = WireEndpoint::new(0, &stream, &manifest, &map, &graph).unwrap();
+    let mut real = WireEndpoint::new(0, &stream, &map, &graph).unwrap();
     let mut naive = GraphReceiver::new(&graph, usize::MAX);
     real.control(1, true, &mut Vec::new());
     naive.control(1, true, &mut Vec::new());

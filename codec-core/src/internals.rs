@@ -3,8 +3,8 @@
 //!
 //! | module | what it knows |
 //! | --- | --- |
-//! | [`wire`] | DGSM manifest, DGSP packets, DGSF receipts, `.dgs` files, CRC: every field, offset, limit and error |
-//! | [`rans`] | entropy coding: four lanes per packet, tables named by one byte, the byte-wise form of `paper` |
+//! | [`wire`] | DGSM manifest, DGSP packets, DGSF receipts, `.dgs` files, CRC: every field, limit and error |
+//! | [`rans`] | entropy coding: four lanes per packet, tables named by a byte, the bytewise form of `paper` |
 //! | [`arena`] | how one block of memory is divided |
 //! | [`receiver`] | packets in, state out |
 //! | [`repair`] | lost packets from parity: XOR and a GF(256) Cauchy code |

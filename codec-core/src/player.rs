@@ -5,6 +5,8 @@
 //! arrived. Neither asks for a heap, a socket or a clock: bytes go in, the caller's memory holds
 //! everything else.
 
+mod early;
+
 pub use crate::{
     decode::Decoded,
     limits::MAX_RECEIPT_BYTES,
@@ -12,12 +14,14 @@ pub use crate::{
     wire::receipt::ViewerPose,
 };
 
+use heapless::Vec;
+
+use self::early::EarlyPackets;
 use crate::{
     arena::{Plan, Rest, WORD_BYTES, words_of},
     caps::Caps,
-    closure::Arrived,
     decode::Decoder,
-    error::{Error, ErrorKind, Result},
+    error::{Error, Result},
     gaussian::{Gaussian, ShDegree},
     ids::{ClusterId, Level, PacketId, Span},
     layout::Shape,
@@ -26,7 +30,7 @@ use crate::{
     wire::{
         checked::Checked,
         crc::{Crc32, crc32},
-        manifest::{Manifest, Sealed},
+        manifest::{Manifest, Outline, Sealed},
         receipt::{IdRange, Value},
     },
 };
@@ -47,8 +51,7 @@ use crate::{
 #[derive(Debug)]
 pub struct Waiting<'a> {
     arena: &'a mut [u64],
-    early: &'a mut [u8],
-    early_used: usize,
+    early: EarlyPackets<'a>,
     counters: Counters,
     caps: Caps,
     crc: Crc32,
@@ -61,15 +64,15 @@ impl<'a> Waiting<'a> {
     /// [`Caps::arena_words`] are enough for every such stream; a smaller arena takes those that fit.
     ///
     /// # Errors
-    /// [`ErrorKind::Capacity`] if `arena` does not hold [`Caps::early_bytes`].
+    /// [`ErrorKind::Capacity`](crate::ErrorKind::Capacity) if `arena` does not hold
+    /// [`Caps::early_bytes`].
     pub fn new(arena: &'a mut [u64], caps: Caps) -> Result<Self> {
-        let have = arena.len().saturating_mul(WORD_BYTES);
+        let have = size_of_val(arena);
         let mut rest = Rest(arena);
         let early = rest.take(caps.early_bytes as usize);
-        let short = Error::short("arena", 0, have, caps.early_bytes as usize).kind(ErrorKind::Capacity);
-        let early = early.ok_or(short)?;
-        let counters = Counters::default();
-        Ok(Self { arena: rest.0, early, early_used: 0, counters, caps, crc: crc32, combine })
+        let bytes = early.ok_or_else(|| Error::lacking("arena", have, caps.early_bytes as usize))?;
+        let (arena, early) = (rest.0, EarlyPackets::new(bytes));
+        Ok(Self { arena, early, counters: Counters::default(), caps, crc: crc32, combine })
     }
 
     /// The same player with faster arithmetic of the host's: CRC-32/ISO-HDLC and sums of repair.
@@ -87,29 +90,16 @@ impl<'a> Waiting<'a> {
     /// Keeps one packet until the manifest comes.
     ///
     /// # Errors
-    /// A damaged packet; [`ErrorKind::Capacity`] if [`Caps::early_bytes`] are full (a packet takes two
+    /// A damaged packet; [`ErrorKind::Capacity`](crate::ErrorKind::Capacity) if [`Caps::early_bytes`]
+    /// are full (a packet takes two
     /// bytes more than its length). Refusals are counted by kind.
     pub fn push(&mut self, packet: &[u8]) -> Result<()> {
-        let result = self.keep(packet);
+        let result = Checked::new(packet, self.crc).and_then(|_| self.early.push(packet));
         match &result {
             Ok(()) => self.counters.early += 1,
             Err(error) => self.counters.refuse(error),
         }
         result
-    }
-
-    fn keep(&mut self, packet: &[u8]) -> Result<()> {
-        Checked::new(packet, self.crc)?;
-        let room = self.early.len().saturating_sub(self.early_used);
-        let needed = packet.len() + 2;
-        let short = Error::short("caps.early_bytes", 0, room, needed).kind(ErrorKind::Capacity);
-        let free = self.early.get_mut(self.early_used..).ok_or(short)?;
-        let (len, free) = free.split_first_chunk_mut::<2>().ok_or(short)?;
-        let target = free.get_mut(..packet.len()).ok_or(short)?;
-        *len = (packet.len() as u16).to_le_bytes();
-        target.copy_from_slice(packet);
-        self.early_used += needed;
-        Ok(())
     }
 
     /// How long an arena must be for the stream of the DGSM message `message` and the packets kept
@@ -121,35 +111,34 @@ impl<'a> Waiting<'a> {
     /// As [`Waiting::manifest`], but for an arena that holds the manifest and no more.
     pub fn required(&mut self, message: &[u8]) -> Result<Required> {
         let (raw_len, _, plan) = self.open(message)?;
-        Ok(Required::of(&plan, raw_len, self.early.len()))
+        Ok(Required::of(&plan, raw_len, self.early.room()))
     }
 
     /// Unpacks and checks `message` at the front of the arena: its length unpacked, the manifest without
     /// its bytes, what its stream needs.
-    fn open(&mut self, message: &[u8]) -> Result<(usize, Manifest<'static>, Plan)> {
+    fn open(&mut self, message: &[u8]) -> Result<(usize, Outline, Plan)> {
         // Before anything of that size is unpacked; the other caps follow once it is.
         let sealed = Sealed::parse(message)?.within(&self.caps)?;
-        let raw_len = sealed.raw_len;
-        let words = words_of::<u8>(raw_len);
-        let have = self.arena.len().saturating_mul(WORD_BYTES);
-        let short = Error::short("arena", 0, have, raw_len).kind(ErrorKind::Capacity);
-        let room = self.arena.get_mut(..words).ok_or(short)?;
+        let (have, raw_len) = (size_of_val(self.arena), sealed.raw_len);
+        let room = self.arena.get_mut(..words_of::<u8>(raw_len));
+        let room = room.ok_or_else(|| Error::lacking("arena", have, raw_len))?;
         let raw = sealed.open(message, self.crc, bytemuck::cast_slice_mut(room))?;
         let manifest = Manifest::parse(raw)?;
         let plan = Plan::of(&manifest, &self.caps)?;
-        Ok((raw_len, manifest.over(&[]), plan))
+        Ok((raw_len, manifest.outline(), plan))
     }
 
     /// Takes the whole DGSM message `message`, then the packets that came early.
     ///
     /// # Errors
     /// Why the message is refused, and the player as it was: it goes on waiting.
-    /// [`ErrorKind::Capacity`] names the count that exceeds the caps, or the `arena` that is too small,
+    /// [`ErrorKind::Capacity`](crate::ErrorKind::Capacity) names the count that exceeds the caps, or
+    /// the `arena` that is too small,
     /// with the bytes there are and the bytes needed.
     #[expect(clippy::result_large_err, reason = "the player that goes on waiting is given back")]
     pub fn manifest(mut self, message: &[u8]) -> core::result::Result<Player<'a>, (Self, Error)> {
         match self.open(message) {
-            Ok((raw_len, index, plan)) => self.play(raw_len, index, &plan),
+            Ok((raw_len, outline, plan)) => self.play(raw_len, outline, &plan),
             Err(error) => Err((self, error)),
         }
     }
@@ -166,53 +155,44 @@ impl<'a> Waiting<'a> {
             Ok(plan) => plan,
             Err(error) => return Err((self, error)),
         };
+        let have = size_of_val(self.arena);
         let bytes: &mut [u8] = bytemuck::cast_slice_mut(self.arena);
-        if let Some(room) = bytes.get_mut(..raw.len()) {
-            room.copy_from_slice(raw);
-        }
-        // An arena without room for it is refused.
-        self.play(raw.len(), manifest.over(&[]), &plan)
+        let Some(room) = bytes.get_mut(..raw.len()) else {
+            return Err((self, Error::lacking("arena", have, raw.len())));
+        };
+        room.copy_from_slice(raw);
+        self.play(raw.len(), manifest.outline(), &plan)
     }
 
-    /// The player of the manifest whose `raw_len` bytes lie at the front of the arena.
+    /// The player of the manifest whose `raw_len` bytes lie at the front of the arena. Apart from what
+    /// unpacks them, which needs the stack.
+    #[inline(never)]
     #[expect(clippy::result_large_err, reason = "the player that goes on waiting is given back")]
     fn play(
         self,
         raw_len: usize,
-        index: Manifest<'static>,
+        outline: Outline,
         plan: &Plan,
     ) -> core::result::Result<Player<'a>, (Self, Error)> {
-        let words = words_of::<u8>(raw_len);
-        let needed = Required::of(plan, raw_len, self.early.len()).least_words;
-        let have = words_of::<u8>(self.early.len()).saturating_add(self.arena.len());
-        let (have_bytes, needed_bytes) = (have.saturating_mul(WORD_BYTES), needed.saturating_mul(WORD_BYTES));
-        let short = Error::short("arena", 0, have_bytes, needed_bytes).kind(ErrorKind::Capacity);
+        let needed = Required::of(plan, raw_len, self.early.room()).least_words;
+        let have = words_of::<u8>(self.early.room()).saturating_add(self.arena.len());
         if have < needed {
-            return Err((self, short));
+            let bytes = |words: usize| words.saturating_mul(WORD_BYTES);
+            return Err((self, Error::lacking("arena", bytes(have), bytes(needed))));
         }
-        let Self { arena, early, early_used, counters, caps, crc, combine } = self;
-        let parts = arena.split_at_mut_checked(words).ok_or(short).and_then(|(raw, rest)| {
-            // Without the bytes that fill the last word up: they are no part of the manifest.
-            let raw: &'a [u8] = bytemuck::cast_slice(raw);
-            Ok((index.over(raw.get(..raw_len).ok_or(short)?), plan.divide(rest)?))
+        let Self { arena, early, counters, caps, crc, combine } = self;
+        let player = Player::divide(arena, raw_len, outline, plan, caps).and_then(|mut player| {
+            player.receiver.set_arithmetic(crc, combine);
+            player.receiver.count_from(counters);
+            player.take_early(&early)?;
+            Ok(player)
         });
-        let (manifest, parts) = match parts {
-            Ok(parts) => parts,
-            // Cannot happen after the check above; what is left has no memory and refuses everything.
-            Err(error) => {
-                let arena = Default::default();
-                return Err((Self { arena, early, early_used, counters, caps, crc, combine }, error));
-            }
-        };
-        let mut player = Player {
-            receiver: Receiver::new(parts.receiver, manifest, caps).with_arithmetic(crc, combine),
-            decoder: Decoder::new(parts.decoder),
-            gaussians: parts.gaussians,
-            sh_rest: parts.sh_rest,
-        };
-        player.receiver.count_from(counters);
-        player.take_early(early, early_used);
-        Ok(player)
+        // An arena that is long enough is in order. After any other error nothing is left of it, and the
+        // player that waits on refuses every manifest.
+        player.map_err(|error| {
+            let arena = Default::default();
+            (Self { arena, early, counters, caps, crc, combine }, error)
+        })
     }
 }
 
@@ -229,7 +209,7 @@ impl Required {
     /// What the stream of `manifest` takes, [`Caps::early_bytes`] included.
     ///
     /// # Errors
-    /// [`ErrorKind::Capacity`] naming the count that exceeds `caps`.
+    /// [`ErrorKind::Capacity`](crate::ErrorKind::Capacity) naming the count that exceeds `caps`.
     pub fn by(manifest: &Manifest<'_>, caps: &Caps) -> Result<Self> {
         let plan = Plan::of(manifest, caps)?;
         Ok(Self::of(&plan, manifest.raw().len(), caps.early_bytes as usize))
@@ -308,6 +288,33 @@ pub struct StreamInfo {
     pub sh_degree: ShDegree,
 }
 
+impl<'a> Player<'a> {
+    /// The player of the manifest of `outline`, whose `raw_len` bytes lie at the front of `arena`, in
+    /// the
+    /// rest of that.
+    fn divide(
+        arena: &'a mut [u64],
+        raw_len: usize,
+        outline: Outline,
+        plan: &Plan,
+        caps: Caps,
+    ) -> Result<Self> {
+        let (have, words) = (size_of_val(arena), words_of::<u8>(raw_len));
+        let lacking = || Error::lacking("arena", have, raw_len);
+        let (raw, rest) = arena.split_at_mut_checked(words).ok_or_else(lacking)?;
+        // Without the bytes that fill the last word up: they are no part of the manifest.
+        let raw: &'a [u8] = bytemuck::cast_slice(raw);
+        let manifest = outline.over(raw.get(..raw_len).ok_or_else(lacking)?)?;
+        let parts = plan.divide(rest)?;
+        Ok(Self {
+            receiver: Receiver::new(parts.receiver, manifest, caps)?,
+            decoder: Decoder::new(parts.decoder),
+            gaussians: parts.gaussians,
+            sh_rest: parts.sh_rest,
+        })
+    }
+}
+
 impl Player<'_> {
     /// Takes one packet, media or parity.
     ///
@@ -321,27 +328,28 @@ impl Player<'_> {
     /// are absent or stood in for by a proxy, missing levels leave coarser values.
     ///
     /// # Errors
-    /// [`ErrorKind::Illegal`]: a frame past the end.
+    /// [`ErrorKind::Illegal`](crate::ErrorKind::Illegal): a frame past the end.
     pub fn frame(&mut self, frame: u32) -> Result<Frame<'_>> {
         let content = self.receiver.content();
         let sh_degree = content.manifest.sh_degree();
         let decoded = self.decoder.frame(&content, frame, self.gaussians, self.sh_rest)?;
-        let rest = decoded.gaussians.saturating_mul(sh_degree.rest_len());
+        let rest = decoded.gaussians * sh_degree.rest_len();
         let (gaussians, sh_rest) = (self.gaussians.get(..decoded.gaussians), self.sh_rest.get(..rest));
+        let (have, need) = (self.gaussians.len(), decoded.gaussians);
         // The decoder has filled as many.
-        let short = Error::short("decode.out", 0, self.gaussians.len(), decoded.gaussians);
-        let (gaussians, sh_rest) = gaussians.zip(sh_rest).ok_or(short.kind(ErrorKind::Capacity))?;
+        let lacking = || Error::lacking("decode.out", have, need);
+        let (gaussians, sh_rest) = gaussians.zip(sh_rest).ok_or_else(lacking)?;
         Ok(Frame { gaussians, sh_rest, sh_degree, decoded })
     }
 
     /// How much of frame `frame` can be shown.
     ///
     /// # Errors
-    /// [`ErrorKind::Illegal`]: a frame past the end.
+    /// [`ErrorKind::Illegal`](crate::ErrorKind::Illegal): a frame past the end.
     pub fn usable(&self, frame: u32) -> Result<Usable> {
         let content = self.receiver.content();
-        let manifest = &content.manifest;
-        let last = u64::from(manifest.head().frames).saturating_sub(1);
+        let manifest = content.manifest;
+        let last = u64::from(manifest.head().frames) - 1;
         let past = Error::illegal("frame", 0, frame.into(), (0, last));
         let id = manifest.epoch_at(frame).ok_or(past)?;
         let epoch = manifest.epoch(id).ok_or(past)?;
@@ -349,16 +357,18 @@ impl Player<'_> {
         let mut usable = Usable::default();
         for cluster in (0..epoch.clusters).map(|c| ClusterId(c as u16)) {
             let span = Span::Canonical(id);
-            let found = Shape::of(manifest, span, cluster).zip(content.cell(span, cluster));
-            let (shape, canonical) = found.ok_or(past)?;
-            let motion = window.and_then(|window| content.cell(Span::Motion(window), cluster));
-            for block in 0..shape.blocks() {
-                let base = content.arrived(canonical, block);
-                let moved = motion.map_or(Arrived::default(), |cell| content.arrived(cell, block));
+            let blocks = Shape::in_lattice(manifest, span, cluster)?.blocks();
+            let canonical = content.cell_in_lattice(span, cluster)?;
+            let motion = match window {
+                Some(window) => Some(content.cell_in_lattice(Span::Motion(window), cluster)?),
+                None => None,
+            };
+            for block in 0..blocks {
+                let base = content.arrived(canonical, block)?;
                 usable.blocks += 1;
                 count(&mut usable.canonical, base.usable());
-                if base.usable() > 0 {
-                    count(&mut usable.motion, moved.usable());
+                if let Some(cell) = motion.filter(|_| base.usable() > 0) {
+                    count(&mut usable.motion, content.arrived(cell, block)?.usable());
                 }
             }
         }
@@ -373,7 +383,7 @@ impl Player<'_> {
             frames: head.frames,
             frames_per_seconds: (head.rate_frames, head.rate_seconds),
             packets: head.packets,
-            gaussians: manifest.epochs().map(|epoch| epoch.gaussians).max().unwrap_or(0),
+            gaussians: manifest.largest_epoch(),
             sh_degree: manifest.sh_degree(),
         }
     }
@@ -383,7 +393,7 @@ impl Player<'_> {
         self.receiver.manifest()
     }
 
-    /// What happened to packets so far; refusals by [`ErrorKind::index`].
+    /// What happened to packets so far; refusals by [`ErrorKind::index`](crate::ErrorKind::index).
     pub const fn counters(&self) -> &Counters {
         self.receiver.counters()
     }
@@ -397,7 +407,7 @@ impl Player<'_> {
     /// arrived or was recovered, the newest [`MAX_RECEIPT_RANGES`] ranges of packets of it.
     ///
     /// # Errors
-    /// [`ErrorKind::Capacity`] if `out` is too small; [`MAX_RECEIPT_BYTES`]
+    /// [`ErrorKind::Capacity`](crate::ErrorKind::Capacity) if `out` is too small; [`MAX_RECEIPT_BYTES`]
     /// are enough.
     pub fn receipt(
         &self,
@@ -406,40 +416,40 @@ impl Player<'_> {
         pose: Option<ViewerPose>,
         out: &mut [u8],
     ) -> Result<usize> {
-        let mut ranges = [IdRange::default(); MAX_RECEIPT_RANGES];
-        let mut first = ranges.len();
+        // The newest first; what does not fit is old.
+        let mut ranges = Vec::<IdRange, MAX_RECEIPT_RANGES>::new();
         let packets = self.manifest().head().packets;
         for id in (0..packets).rev().filter_map(PacketId::new).filter(|&id| self.has(id)) {
-            match ranges.get_mut(first) {
-                Some((low, _)) if low.get() == id.get() + 1 => *low = id,
-                _ => {
-                    let Some(next) = first.checked_sub(1) else { break };
-                    first = next;
-                    ranges.iter_mut().skip(first).take(1).for_each(|range| *range = (id, id));
-                }
+            if let Some((low, _)) = ranges.last_mut().filter(|(low, _)| low.get() == id.get() + 1) {
+                *low = id;
+            } else if ranges.push((id, id)).is_err() {
+                break;
             }
         }
-        let (_, acknowledged) = ranges.split_at(first.min(ranges.len()));
-        Value { sequence, playout_us, pose, acknowledged, recovered: &[], completed: &[] }.write(out)
+        ranges.reverse();
+        Value { sequence, playout_us, pose, acknowledged: &ranges, recovered: &[], completed: &[] }.write(out)
     }
 
     /// Takes the packets that `waiting` kept and goes on counting from its counters: for a player whose
     /// memory was made once its manifest was there.
-    pub fn take_over(&mut self, waiting: &Waiting<'_>) {
+    ///
+    /// # Errors
+    /// None: what `waiting` keeps is whole. Refused packets are counted.
+    pub fn take_over(&mut self, waiting: &Waiting<'_>) -> Result<()> {
         self.receiver.count_from(waiting.counters);
-        self.take_early(waiting.early, waiting.early_used);
+        self.take_early(&waiting.early)
     }
 
-    /// Takes the packets in the first `used` bytes of `early`: length (u16, little-endian), bytes.
-    fn take_early(&mut self, early: &[u8], used: usize) {
-        let (mut packets, _) = early.split_at(used.min(early.len()));
-        while let Some((len, tail)) = packets.split_first_chunk::<2>() {
-            let len = usize::from(u16::from_le_bytes(*len)).min(tail.len());
-            let (packet, tail) = tail.split_at(len);
-            packets = tail;
+    /// Takes the packets of `early`.
+    fn take_early(&mut self, early: &EarlyPackets<'_>) -> Result<()> {
+        let mut packets = early.packets()?;
+        while packets.left() > 0 {
+            let len = packets.u16("caps.early_bytes")?;
+            let packet = packets.bytes("caps.early_bytes", len.into())?;
             // A refusal is counted by the receiver; nobody waits for this packet's answer.
             let _ = self.push(packet);
         }
+        Ok(())
     }
 
     /// The symbols and the state that have arrived, for decoders and tools of the host's own.

@@ -58,7 +58,9 @@ impl<'m> State<'m> {
                 // Two draws together: most levels are there, so that gaps lie at every level.
                 masks.push(initial(&shape).0 | ((state >> 60 | state >> 40) & 0xf) as u8);
             }
-        });
+            Ok(())
+        })
+        .unwrap();
         Self { manifest, first, masks }
     }
 
@@ -102,7 +104,9 @@ fn compare(name: &str, state: &State<'_>) -> (usize, usize) {
             seen += shown.len();
             hidden += usize::from(shown.len() < state.mask(span, cluster, block).0.count_ones() as usize);
         }
-    });
+        Ok(())
+    })
+    .unwrap();
     (seen, hidden)
 }
 
@@ -130,7 +134,9 @@ fn a_forgotten_need_is_seen() {
                     differs |= levels != shown(&state, span, cluster, &shape, block).len();
                 }
             }
-        });
+            Ok(())
+        })
+        .unwrap();
         assert!(!name.is_empty());
         differs
     };

@@ -358,8 +358,8 @@ fn features_of(bytes: &[u8]) -> BTreeSet<&'static str> {
 #[ignore = "writes committed files"]
 fn write_made_streams() {
     let index = std::fs::read_to_string(folder().join("index.txt")).unwrap();
-    let kept = index.lines().filter(|line| !line.starts_with("made-"));
-    let mut lines: Vec<String> = kept.map(str::to_owned).collect();
+    let others = index.lines().filter(|line| !line.starts_with("made-"));
+    let mut lines: Vec<String> = others.map(str::to_owned).collect();
     for (name, exercises, bytes) in made::all() {
         std::fs::write(folder().join(format!("{name}.dgs")), &bytes).unwrap();
         lines.push(session::Line::of(name, exercises, &bytes).text());

@@ -6,10 +6,13 @@
 use std::path::Path;
 
 use codec_core::{
-    Caps, Error, ErrorKind, file,
+    Caps, Error, ErrorKind, Gaussian, file,
     internals::{
+        arena::FrameRequirements,
+        decode::{Decoder, Memory},
         digest::Digest,
         ids::PacketId,
+        receiver::Content,
         wire::{crc::crc32, receipt::Receipt},
     },
     player::{Player, Usable, Waiting},
@@ -88,7 +91,7 @@ fn an_arena_sized_by_caps_alone_holds_every_stream_within_them() {
 }
 
 #[test]
-fn packets_before_the_manifest_are_kept_within_a_bound_and_shown_after_it() {
+fn packets_before_the_manifest_are_buffered_within_a_bound_and_shown_after_it() {
     for name in STREAMS {
         let bytes = stream(name);
         let (message, packets) = parts(&bytes);
@@ -96,8 +99,8 @@ fn packets_before_the_manifest_are_kept_within_a_bound_and_shown_after_it() {
         let mut after = play(&mut after, Caps::SMALL, message).unwrap();
         packets.iter().for_each(|packet| assert!(after.push(packet).is_ok()));
 
-        let kept: usize = packets.iter().map(|packet| packet.len() + 2).sum();
-        let caps = Caps { early_bytes: kept as u32, ..Caps::SMALL };
+        let buffered: usize = packets.iter().map(|packet| packet.len() + 2).sum();
+        let caps = Caps { early_bytes: buffered as u32, ..Caps::SMALL };
         let mut arena = vec![0; 1 << 16];
         let mut waiting = Waiting::new(&mut arena, caps).unwrap();
         packets.iter().for_each(|packet| assert_eq!(waiting.push(packet), Ok(())));
@@ -164,10 +167,43 @@ fn a_receipt_acknowledges_what_has_arrived_and_nothing_else() {
     let receipt = Receipt::parse(&out[..len], crc32).unwrap();
     assert_eq!((receipt.sequence, receipt.playout_us), (7, 40_000));
     let acknowledged: Vec<u32> =
-        receipt.acknowledged().flat_map(|(first, last)| first.get()..=last.get()).collect();
+        receipt.acknowledged().map(Result::unwrap).flat_map(|(a, z)| a.get()..=z.get()).collect();
     let wanted: Vec<u32> =
         (0..packets.len() as u32).filter(|&id| player.has(PacketId::new(id).unwrap())).collect();
     assert_eq!(acknowledged, wanted);
     assert!(wanted.len() < packets.len() && !wanted.contains(&3));
     assert_eq!(player.receipt(7, 0, None, &mut out[..8]).unwrap_err().kind, ErrorKind::Capacity);
+}
+
+/// Decodes every frame of `content`; the field of the first error.
+fn fault(content: &Content<'_>) -> Option<&'static str> {
+    let FrameRequirements { gaussians, blocks, sh_rest } = FrameRequirements::of(content.manifest);
+    let (mut canonical, mut known) = (vec![Gaussian::ABSENT; gaussians], vec![0; blocks]);
+    let (mut out, mut rest) = (canonical.clone(), vec![0.0; sh_rest]);
+    let mut decoder = Decoder::new(Memory { canonical: &mut canonical, known: &mut known });
+    let mut frames = 0..content.manifest.head().frames;
+    frames.find_map(|frame| decoder.frame(content, frame, &mut out, &mut rest).err()).map(|error| {
+        assert_eq!(error.kind, ErrorKind::Capacity, "{error}");
+        error.field
+    })
+}
+
+/// What is not there is an error by its name, and no Gaussian that is absent or at rest.
+#[test]
+fn content_that_is_short_is_named() {
+    for name in STREAMS {
+        let bytes = stream(name);
+        let (message, packets) = parts(&bytes);
+        let mut arena = vec![0; 1 << 16];
+        let mut player = play(&mut arena, Caps::SMALL, message).unwrap();
+        packets.iter().for_each(|packet| assert!(player.push(packet).is_ok()));
+        let content = player.content();
+        assert_eq!(fault(&content), None, "{name}");
+        let symbols = Content { symbols: &content.symbols[..content.symbols.len() - 1], ..content };
+        assert_eq!(fault(&symbols), Some("memory.symbols"), "{name}");
+        let blocks = content.with_state(&content.blocks[..content.blocks.len() - 1]);
+        assert_eq!(fault(&blocks), Some("memory.blocks"), "{name}");
+        let cells = Content { cells: &content.cells[..content.manifest.cells() - 1], ..content };
+        assert_eq!(fault(&cells), Some("memory.cells"), "{name}");
+    }
 }

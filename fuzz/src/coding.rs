@@ -1,7 +1,7 @@
 //! Entropy coders and the manifest packer: what is coded decodes; any bytes decode or are refused,
 //! and the fast decoder never accepts what the slow one does not.
 
-use std::sync::OnceLock;
+use std::{num::NonZero, sync::OnceLock};
 
 use codec_core::internals::{
     cursor::Reader,
@@ -10,7 +10,7 @@ use codec_core::internals::{
     rans::{
         bytes::{self as byte_coder, ByteTable},
         context::{self as context_coder, Place},
-        lanes::{self as lane_coder, Decoder, Run, Symbols, naive},
+        lanes::{self as lane_coder, Decoder, Symbols, TableRun, naive},
         table::{SLOTS, Table},
     },
 };
@@ -89,8 +89,8 @@ pub fn lanes(data: &[u8]) {
     }
     let values: Vec<i16> = (0..count).map(|_| choices.u16() as i16 >> (lie % 16)).collect();
     let symbols: Vec<Symbols> = all.iter().map(Symbols::new).collect();
-    let runs: Vec<Run> =
-        table_of.chunk_by(|a, b| a == b).map(|run| Run { table: run[0], len: run.len() }).collect();
+    let runs: Vec<TableRun> =
+        table_of.chunk_by(|a, b| a == b).map(|run| TableRun { table: run[0], len: run.len() }).collect();
     let mut out = vec![0u8; 6 * count + 64];
     let mut plain = Vec::new();
     let slowly = naive::encode::<2000>(&values, &table_of, &all, |byte| plain.push(byte));
@@ -184,7 +184,9 @@ pub fn bytes(data: &[u8]) {
             counts[usize::from(byte)] += 1;
         }
     }
-    let [low, high] = counts.map(|c| ByteTable::from_counts(&c));
+    let tables = counts.map(|c| ByteTable::from_counts(&c));
+    assert!(tables.iter().all(Result::is_ok), "any counts make a table");
+    let [Ok(low), Ok(high)] = tables else { return };
     for table in [&low, &high] {
         assert_eq!(ByteTable::from_bytes(&table.to_bytes()).as_ref(), Ok(table));
     }
@@ -214,14 +216,16 @@ pub fn bytes(data: &[u8]) {
 /// The context coder: `body` decodes or is refused, `values` come back, a flipped bit is noticed.
 fn context(body: &[u8], values: &[i16], mode: usize) {
     let level = Level::from_bits(mode as u8);
-    let place = Place { level, first: mode * 7, gaussians: 1 + mode % 40, rank: mode % 5, frames: 9 };
+    let Some(gaussians) = NonZero::new(1 + mode % 40) else { return };
+    let place = Place { level, first: mode * 7, gaussians, rank: mode % 5, frames: 9 };
     let mut back = vec![0i16; values.len()];
     let _ = context_coder::decode(body, place, &mut back);
     let mut decisions = Vec::new();
-    context_coder::decisions(&mut values.to_vec(), place, |_, decision| {
+    let walked = context_coder::decisions(&mut values.to_vec(), place, |_, decision| {
         decisions.push(decision);
         true
     });
+    assert_eq!(walked, Ok(()));
     let mut out = vec![0u8; 5 * values.len() + 16];
     let coded = context_coder::encode(decisions.into_iter(), &mut out);
     assert!(coded.is_ok(), "{coded:?}");

@@ -37,17 +37,17 @@ fn assert_epoch(epoch: &Epoch) {
 
 fn still(data: &[u8], parse: fn(&[u8], &Limits) -> Result<Snapshot, ImportError>) -> Option<Epoch> {
     let strict = parse(data, &limits(false));
-    let kept = parse(data, &limits(true));
-    for result in [&strict, &kept] {
+    let lenient = parse(data, &limits(true));
+    for result in [&strict, &lenient] {
         match result {
             Ok(snapshot) => assert_epoch(&snapshot.epoch),
             Err(error) => assert_explained(error),
         }
     }
-    if let (Ok(strict), Ok(kept)) = (&strict, &kept) {
-        assert_eq!(strict.epoch, kept.epoch, "keeping what is readable keeps everything of a whole file");
+    if let (Ok(strict), Ok(lenient)) = (&strict, &lenient) {
+        assert_eq!(strict.epoch, lenient.epoch, "keeping what is readable keeps everything of a whole file");
     }
-    assert!(strict.is_err() || kept.is_ok());
+    assert!(strict.is_err() || lenient.is_ok());
     strict.ok().map(|s| s.epoch)
 }
 

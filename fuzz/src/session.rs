@@ -66,7 +66,7 @@ fn instant(
 }
 
 pub(crate) fn assert_frame_drawable(content: &Content<'_>, frame: u32) {
-    let instant = instant(&mut FrameDecoder::new(&content.manifest), content, frame);
+    let instant = instant(&mut FrameDecoder::new(content.manifest), content, frame);
     assert!(instant.is_ok(), "{instant:?}");
     if let Ok((gaussians, sh_rest)) = instant {
         assert_drawable(&gaussians, &sh_rest);
@@ -136,15 +136,17 @@ pub fn decode(data: &[u8]) {
     let state: Vec<u8> = (0..need.blocks).map(|_| noise.next() as u8).collect();
     let mut cells = Vec::new();
     let mut next = codec_core::internals::receiver::Cell::default();
-    for_each_cell(&manifest, |_, _, shape| {
+    let walked = for_each_cell(&manifest, |_, _, shape| {
         cells.push(next);
         next.symbols += shape.len() as u32;
         next.blocks += shape.blocks() as u32;
+        Ok(())
     });
+    assert_eq!(walked, Ok(()), "every cell of a checked lattice has a shape");
     assert_eq!(cells.len(), manifest.cells(), "every cell of the lattice has a shape");
     assert_eq!((next.symbols as usize, next.blocks as usize), (symbols.len(), state.len()));
-    let content = Content { manifest, cells: &cells, symbols: &symbols, blocks: &state };
-    let largest = manifest.epochs().map(|e| e.gaussians).max().unwrap_or(0);
+    let content = Content { manifest: &manifest, cells: &cells, symbols: &symbols, blocks: &state };
+    let largest = manifest.largest_epoch();
     if largest <= 1 << 16 {
         assert_frame_drawable(&content, noise.next() as u32 % manifest.head().frames);
     }
@@ -194,14 +196,14 @@ struct Session {
     waiting: Option<Waiting>,
     player: Option<Player>,
     offered: u32,
-    kept: Vec<Vec<u8>>,
+    buffered: Vec<Vec<u8>>,
     accepted: Vec<Vec<u8>>,
 }
 
 impl Session {
     fn new(early_bytes: u32) -> Result<Self> {
         let waiting = Some(Waiting::new(Caps { early_bytes, ..CAPS })?);
-        Ok(Self { waiting, player: None, offered: 0, kept: Vec::new(), accepted: Vec::new() })
+        Ok(Self { waiting, player: None, offered: 0, buffered: Vec::new(), accepted: Vec::new() })
     }
 
     /// Whether `message` turns a waiting player into one that plays.
@@ -210,7 +212,7 @@ impl Session {
         match waiting.manifest(message) {
             Ok(player) => {
                 self.player = Some(player);
-                self.accepted.append(&mut self.kept);
+                self.accepted.append(&mut self.buffered);
                 true
             }
             Err((waiting, error)) => {
@@ -227,7 +229,7 @@ impl Session {
             player.push(packet).map(|_| self.accepted.push(packet.to_vec())).err()
         } else {
             let waiting = self.waiting.as_mut().map(|waiting| waiting.push(packet));
-            waiting.and_then(|kept| kept.map(|()| self.kept.push(packet.to_vec())).err())
+            waiting.and_then(|pushed| pushed.map(|()| self.buffered.push(packet.to_vec())).err())
         };
         assert!(error.is_none_or(|error| !error.to_string().is_empty()));
     }
@@ -319,15 +321,18 @@ pub fn receiver(data: &[u8]) {
 fn assert_same(a: &Content<'_>, b: &Content<'_>) {
     assert_eq!(a.blocks, b.blocks, "the same packets give the same state in any order");
     let manifest = a.manifest;
-    for_each_cell(&manifest, |span: Span, cluster, shape| {
-        let Some(cell) = a.cell(span, cluster) else { return };
+    let same = for_each_cell(manifest, |span: Span, cluster, shape| {
+        let cell = a.cell_in_lattice(span, cluster)?;
         let blocks = if manifest.profile() == Profile::Paper { 1 } else { shape.blocks() };
         for block in 0..blocks {
-            for level in Level::ALL.into_iter().filter(|&l| a.arrived(cell, block).has(l)) {
+            let arrived = a.arrived(cell, block)?;
+            for level in Level::ALL.into_iter().filter(|&l| arrived.has(l)) {
                 let (start, len) = shape.range(level, block..block + 1);
                 let range = cell.symbols as usize + start..cell.symbols as usize + start + len;
                 assert_eq!(a.symbols.get(range.clone()), b.symbols.get(range), "{span:?} {cluster} {level}");
             }
         }
+        Ok(())
     });
+    assert_eq!(same, Ok(()));
 }

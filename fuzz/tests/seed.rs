@@ -361,14 +361,19 @@ fn glb() -> Vec<u8> {
         blob.extend(data);
         blob.resize(blob.len().next_multiple_of(4), 0);
     }
-    let accessor = |view: u32, kind: u32, count: u32, shape: &str| json!({"bufferView": view, "componentType": kind, "count": count, "type": shape});
+    fn accessor(view: u32, kind: u32, count: u32, shape: &str) -> serde_json::Value {
+        json!({"bufferView": view, "componentType": kind, "count": count, "type": shape})
+    }
     let mut first = accessor(0, 5126, 4, "VEC3");
     first["min"] = json!([0.0, 0.0, 0.0]);
     first["max"] = json!([1.0, 1.0, 0.0]);
     let root = json!({
         "asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0, 1]}],
         "nodes": [{"mesh": 0, "skin": 0}, {"children": [2]}, {"name": "lift"}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0, "JOINTS_0": 1, "WEIGHTS_0": 2}, "indices": 3}]}],
+        "meshes": [{"primitives": [{
+            "attributes": {"POSITION": 0, "JOINTS_0": 1, "WEIGHTS_0": 2},
+            "indices": 3,
+        }]}],
         "skins": [{"joints": [1, 2]}],
         "animations": [{"name": "rise",
             "channels": [{"sampler": 0, "target": {"node": 2, "path": "translation"}}],

@@ -27,7 +27,7 @@ impl Frames {
         let content = received.content();
         let below = (1u8 << (level.get() + 1)) - 1;
         let state = content.blocks.iter().map(|mask| Arrived(mask & below).0).collect();
-        let player = Box::new(Player::new(&content.manifest));
+        let player = Box::new(Player::new(content.manifest));
         Frames::Stream { received: Box::new(received), state, player, up }
     }
 

@@ -92,13 +92,13 @@ type Counts = [usize; RULES.len()];
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 11] = [
     ("", [0, 1, 0, 7, 0, 0, 0, 0, 91]),
-    ("codec-core/", [46, 1, 0, 19, 0, 4, 2, 14, 24]),
+    ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
-    ("codec-core/embedded/", [0, 0, 0, 0, 0, 1, 0, 0, 12]),
-    ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 2, 19]),
-    ("codec-core/simd/", [1, 0, 0, 5, 0, 0, 0, 5, 9]),
+    ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
+    ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 0, 19]),
+    ("codec-core/simd/", [0, 0, 0, 0, 0, 0, 0, 0, 9]),
     ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 130]),
-    ("fuzz/", [10, 0, 0, 2, 0, 0, 0, 0, 30]),
+    ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 30]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 234]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 48]),
     ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 266]),

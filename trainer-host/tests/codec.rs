@@ -210,8 +210,9 @@ fn one_lost_packet_changes_only_its_blocks() {
             for mark in map.placements(lost).iter().filter(|m| m.group.cluster == cluster) {
                 let cell = content.cell(mark.group.span, cluster).unwrap();
                 let block = mark.first_block - cell.blocks as usize;
-                let from = block * manifest.block_len();
-                let to = (from + mark.blocks * manifest.block_len()).min(count);
+                let block_len = manifest.block_len().get() as usize;
+                let from = block * block_len;
+                let to = (from + mark.blocks * block_len).min(count);
                 own[first + from..first + to].fill(true);
             }
             first += count;

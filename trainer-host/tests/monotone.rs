@@ -100,7 +100,9 @@ impl Subject {
         for_each_cell(&manifest, |_, _, shape| {
             cells.push(end..end + shape.blocks());
             end += shape.blocks();
-        });
+            Ok(())
+        })
+        .unwrap();
         let mut steps = Steps::default();
         for level in 0..3u8 {
             let below = self.state(&initial, level);

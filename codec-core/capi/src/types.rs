@@ -139,9 +139,11 @@ impl DgsPushed {
 
 impl From<Accepted> for DgsPushed {
     fn from(accepted: Accepted) -> Self {
-        let recovered = accepted.recovered.as_slice();
-        let mut pushed = Self { id: accepted.id.get(), recovered: recovered.len() as u32, ..Self::waiting() };
-        pushed.recovered_ids.iter_mut().zip(recovered).for_each(|(place, id)| *place = id.get());
+        let mut pushed = Self { id: accepted.id.get(), ..Self::waiting() };
+        for (place, id) in pushed.recovered_ids.iter_mut().zip(accepted.recovered.iter()) {
+            *place = id.get();
+            pushed.recovered += 1;
+        }
         pushed
     }
 }

@@ -1,8 +1,12 @@
 // The program of `panicless` and `planted`: they differ in what `planted()` does.
 
-use codec_core::{player::Waiting, internals::wire::{crc::crc32, receipt::Receipt}};
-use codec_embedded::memory;
 use core::hint::black_box;
+
+use codec_core::{
+    internals::wire::{crc::crc32, receipt::Receipt},
+    player::Waiting,
+};
+use codec_embedded::memory;
 use cortex_m_rt::entry;
 
 #[allow(unsafe_code, reason = "a symbol that nobody defines can only be declared")]

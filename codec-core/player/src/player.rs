@@ -110,8 +110,10 @@ impl Waiting {
         match Player::new(message, &self.caps) {
             Ok(mut player) => {
                 let waiting = self.waiting.borrow_dependent();
-                player.player.with_dependent_mut(|_, player| player.take_over(waiting));
-                Ok(player)
+                match player.player.with_dependent_mut(|_, player| player.take_over(waiting)) {
+                    Ok(()) => Ok(player),
+                    Err(error) => Err((self, error)),
+                }
             }
             Err(error) => Err((self, error)),
         }
@@ -248,6 +250,18 @@ impl Player {
     /// The player over its arena: receipts, single packets, the receiver itself.
     pub fn with_core<R>(&mut self, work: impl for<'a> FnOnce(&mut core::Player<'a>) -> R) -> R {
         self.player.with_dependent_mut(|_, player| work(player))
+    }
+}
+
+impl Stream {
+    /// A player that has taken the manifest and every packet.
+    ///
+    /// # Errors
+    /// If the manifest is refused, by [`Caps::HOST`] perhaps; refused packets are counted, not errors.
+    pub fn receive(&self) -> Result<Player> {
+        let mut player = Player::of(&self.manifest()?, &Caps::HOST)?;
+        player.push_all(self.packets().iter().filter(|p| !p.is_empty()).map(Vec::as_slice));
+        Ok(player)
     }
 }
 

@@ -13,8 +13,6 @@ use codec_core::{
 };
 use codec_simd::crc32;
 
-use crate::Player;
-
 /// A manifest and its packets: bytes, and nothing about how they were made.
 ///
 /// ```
@@ -157,16 +155,6 @@ impl Stream {
         damage.missing_packets = missing.lost as usize;
         damage.index = file::index(bytes, crc32).err();
         Ok((Self { message: message.to_vec(), raw, packets }, damage))
-    }
-
-    /// A player that has taken the manifest and every packet.
-    ///
-    /// # Errors
-    /// If the manifest is refused, by [`Caps::HOST`] perhaps; refused packets are counted, not errors.
-    pub fn receive(&self) -> Result<Player> {
-        let mut player = Player::of(&self.manifest()?, &Caps::HOST)?;
-        player.push_all(self.packets.iter().filter(|p| !p.is_empty()).map(Vec::as_slice));
-        Ok(player)
     }
 }
 

@@ -7,7 +7,7 @@ use codec_core::{
     Caps,
     internals::{
         rans::{
-            lanes::{self, Compact, Decoder, Run, Symbols, naive},
+            lanes::{self, Compact, Decoder, Symbols, TableRun, naive},
             table::{SLOTS, Table},
         },
         wire::{
@@ -38,7 +38,7 @@ fn entropy(criterion: &mut Criterion) {
         let (mut token, mut range) = (Box::new([0u8; SLOTS]), Box::new([0u32; 256]));
         let compact = Compact::fill(&table, &mut token, &mut range);
         let symbols = [Symbols::new(&table)];
-        let run = [Run { table: 0, len: VALUES }];
+        let run = [TableRun { table: 0, len: VALUES }];
         let mut state = 1u64;
         let packets: Vec<(Vec<i16>, Vec<u8>)> = (0..PACKETS)
             .map(|_| {

@@ -3,13 +3,17 @@
 use codec_core::{
     Error, Result,
     internals::{
-        rans::lanes::Run,
+        rans::lanes::TableRun,
         receiver::{Accepted, Planned, Receiver},
         wire::checked::Checked,
     },
 };
 
-use crate::{Job, Kernel, Tables, decode_many_with};
+use crate::{
+    job::{Job, Tables},
+    kernel::Kernel,
+    many::decode_many_with,
+};
 
 /// Packets that are decoded together: several times as many as a kernel has places, so that few of
 /// them stand empty while the last ones end.
@@ -22,7 +26,7 @@ const MOST_VALUES: usize = 1 << 21;
 #[derive(Debug)]
 pub struct BatchReceiver {
     kernel: Kernel,
-    runs: Vec<Run>,
+    runs: Vec<TableRun>,
     values: Vec<i16>,
 }
 

@@ -1,14 +1,14 @@
-//! Packets into lockstep and out of it again. Safe code.
+//! Takes packets into lockstep and out of it again. Safe code.
 
 use codec_core::{
-    Result,
-    internals::rans::lanes::{Decoder, LANES, LOW, Run},
+    Error, Result,
+    internals::rans::lanes::{Decoder, LANES, LOW, TableRun},
 };
 
 use crate::{
-    Job, Tables, decode as decode_alone,
-    kernel::{BUFFER_BYTES, Lockstep, MOST_BYTES, MOST_PACKETS, MOST_STEPS, Vectors},
-    open,
+    job::{Job, Tables, decode as decode_alone, open},
+    kernel::Vectors,
+    lockstep::{BUFFER_BYTES, Lockstep, MOST_BYTES, MOST_PACKETS, MOST_STEPS},
 };
 
 /// A packet in lockstep.
@@ -17,13 +17,13 @@ struct Seat<'a> {
     job: usize,
     decoder: Decoder<'a>,
     /// Runs not yet done.
-    runs: &'a [Run],
+    runs: &'a [TableRun],
     /// Values of the first of them that are done.
     into: usize,
     /// Values done.
     done: usize,
     /// Runs whose tables are not all laid out yet, and values of the first that are.
-    ahead: (&'a [Run], usize),
+    ahead: (&'a [TableRun], usize),
     /// Whole groups of four values left.
     left: usize,
     /// Groups in which every lane takes words, from the next on.
@@ -82,16 +82,17 @@ impl<'a> Seat<'a> {
         self.ahead = (runs, into);
     }
 
-    /// Takes over the tokens of whole groups that the vectors popped.
+    /// Takes over the tokens of whole groups that the vectors popped, if they lie where they should.
     fn advance(
         &mut self,
         vectors: Vectors,
         tables: &Tables<'_>,
         state: [u32; LANES],
         words: usize,
-        mut tokens: &[u8],
+        tokens: Option<&[u8]>,
         out: &mut [i16],
     ) -> Result<()> {
+        let mut tokens = tokens.ok_or(Error::short("body.values", 0, self.done, self.done + 1))?;
         self.decoder.resume(state, words, tokens.len())?;
         while let (false, Some(run)) = (tokens.is_empty(), self.runs.first()) {
             let (_, raw_bits) = tables.table(run.table)?;
@@ -109,7 +110,9 @@ impl<'a> Seat<'a> {
             }
             let (popped, rest) = tokens.split_at(len);
             let end = self.done + popped.len();
-            let place = out.get_mut(self.done..end).unwrap_or(&mut []);
+            let have = out.len();
+            let place = out.get_mut(self.done..end);
+            let place = place.ok_or_else(|| Error::short("body.values", 0, have, end))?;
             let wide = |plane: &[u8], bit, tokens: &[u8], out: &mut [i16]| {
                 vectors.spread(raw_bits, plane, bit, tokens, out)
             };
@@ -122,12 +125,13 @@ impl<'a> Seat<'a> {
 
     /// Decodes what is left by the scalar decoder.
     fn finish(mut self, tables: &Tables<'_>, out: &mut [i16]) -> Result<()> {
-        let mut rest = out.get_mut(self.done..).unwrap_or(&mut []);
+        let have = out.len();
+        let lacking = || Error::short("body.values", 0, have, have + 1);
+        let mut rest = out.get_mut(self.done..).ok_or_else(lacking)?;
         for run in self.runs {
             let (slots, raw_bits) = tables.table(run.table)?;
             let left = run.len - core::mem::take(&mut self.into);
-            let whole = core::mem::take(&mut rest);
-            let (values, later) = whole.split_at_mut(left.min(whole.len()));
+            let (values, later) = rest.split_at_mut_checked(left).ok_or_else(lacking)?;
             rest = later;
             self.decoder.run(slots, raw_bits, values)?;
         }
@@ -184,7 +188,7 @@ pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]
             if (full || seat.left == 0)
                 && let Some(job) = jobs.get_mut(seat.job)
             {
-                let tokens = lockstep.tokens[p].get(LANES * seat.from..LANES * at).unwrap_or(&[]);
+                let tokens = lockstep.tokens[p].get(LANES * seat.from..LANES * at);
                 seat.from = if full { 0 } else { at };
                 let result =
                     seat.advance(vectors, tables, lockstep.state[p], lockstep.words[p], tokens, job.out);
@@ -206,7 +210,7 @@ pub(crate) fn decode(vectors: Vectors, tables: &Tables<'_>, jobs: &mut [Job<'_>]
     for (p, seat) in seats.into_iter().enumerate() {
         let Some(mut seat) = seat else { continue };
         let Some(job) = jobs.get_mut(seat.job) else { continue };
-        let tokens = lockstep.tokens[p].get(LANES * seat.from..LANES * at).unwrap_or(&[]);
+        let tokens = lockstep.tokens[p].get(LANES * seat.from..LANES * at);
         let result = seat.advance(vectors, tables, lockstep.state[p], lockstep.words[p], tokens, job.out);
         let result = result.and_then(|()| seat.finish(tables, job.out));
         settle(tables, result, job);

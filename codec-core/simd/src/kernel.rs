@@ -36,16 +36,9 @@ pub(crate) mod galois;
 #[cfg(target_arch = "x86_64")]
 mod spread;
 
-use codec_core::internals::rans::{lanes::LANES, table::SLOTS};
+use codec_core::internals::rans::table::SLOTS;
 
-/// Most packets in lockstep.
-pub(crate) const MOST_PACKETS: usize = 16;
-/// Most groups of four values per call.
-pub(crate) const MOST_STEPS: usize = 128;
-/// Longest body that fits a packet's buffer; longer ones are left to the scalar decoder.
-pub(crate) const MOST_BYTES: usize = 1408;
-/// Bytes of a packet's buffer: a call takes at most 8 bytes a step, and one load looks ahead 16.
-pub(crate) const BUFFER_BYTES: usize = MOST_BYTES + 8 * MOST_STEPS + 16;
+use crate::lockstep::{Lockstep, MOST_BYTES, MOST_STEPS};
 
 /// A way to decode packets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -137,7 +130,7 @@ type Spread = unsafe fn(raw_bits: u8, plane: &[u8], bit: usize, tokens: &[u8], o
 /// A kernel that this machine has.
 #[derive(Clone, Copy)]
 pub(crate) struct Vectors {
-    /// Packets in lockstep, at most [`MOST_PACKETS`].
+    /// Packets in lockstep, at most [`MOST_PACKETS`](crate::lockstep::MOST_PACKETS).
     pub packets: usize,
     /// Every lane takes words.
     run: Run,
@@ -192,27 +185,3 @@ impl Vectors {
         }
     }
 }
-
-/// The packets in lockstep, lane by lane.
-pub(crate) struct Lockstep {
-    pub state: [[u32; LANES]; MOST_PACKETS],
-    /// Table of each lane in every group, none behind the last.
-    pub tables: [[[u8; LANES]; MOST_PACKETS]; MOST_STEPS],
-    /// Groups that each lane still takes words in, from the start of a call on, if any is ending.
-    pub left: [[u32; LANES]; MOST_PACKETS],
-    /// Offset of the next word in each packet's buffer, at most [`MOST_BYTES`] before a call.
-    pub words: [usize; MOST_PACKETS],
-    pub tokens: [[u8; LANES * MOST_STEPS]; MOST_PACKETS],
-    pub bytes: [[u8; BUFFER_BYTES]; MOST_PACKETS],
-}
-
-/// What one word is worth in a byte shuffle that picks it: two bytes on, for both of its bytes.
-#[cfg(target_arch = "x86_64")]
-const WORD: i32 = 0x0202;
-/// The shuffle of a 32-bit lane that picks the window's first word is [`WORD`] more than this; the
-/// upper half becomes zero.
-#[cfg(target_arch = "x86_64")]
-const FIRST_WORD: i32 = (0x8080_0100_u32 as i32).wrapping_sub(WORD);
-/// log2 of the slots of a table.
-#[cfg(target_arch = "x86_64")]
-const TABLE_BITS: u32 = SLOTS.ilog2();

@@ -83,17 +83,20 @@ fn receive(
     let (manifest, symbols) = (content.manifest, content.symbols);
     let mut counted = vec![0i16; symbols.len()];
     let dgs1 = manifest.profile() == manifest::Profile::Dgs1;
-    codec_core::internals::receiver::for_each_cell(&manifest, |span, cluster, shape| {
+    codec_core::internals::receiver::for_each_cell(manifest, |span, cluster, shape| {
         let cell = content.cell(span, cluster).unwrap();
         for block in 0..if dgs1 { shape.blocks() } else { 1 } {
             let levels = codec_core::internals::ids::Level::ALL.into_iter();
-            for level in levels.filter(|&l| content.arrived(cell, block).has(l)) {
+            let arrived = content.arrived(cell, block)?;
+            for level in levels.filter(|&l| arrived.has(l)) {
                 let (start, len) = shape.range(level, block..block + 1);
                 let range = cell.symbols as usize + start..cell.symbols as usize + start + len;
                 counted[range.clone()].copy_from_slice(&symbols[range]);
             }
         }
-    });
+        Ok(())
+    })
+    .unwrap();
     Received { answers, counters, blocks: content.blocks.to_vec(), symbols: counted }
 }
 

@@ -9,7 +9,7 @@
 )]
 
 use codec_core::internals::rans::{
-    lanes::{self, Run, Symbols},
+    lanes::{self, Symbols, TableRun},
     table::{SLOTS, Table},
 };
 use codec_simd::{Job, Kernel, Tables, decode_many_with};
@@ -32,7 +32,7 @@ fn tables() -> Vec<Table> {
 }
 
 struct Packet {
-    runs: Vec<Run>,
+    runs: Vec<TableRun>,
     values: Vec<i16>,
     body: Vec<u8>,
 }
@@ -49,7 +49,7 @@ fn packet(tables: &[Table], symbols: &[Symbols], seed: u64, longest: usize) -> P
     let run_len = [1, 4, 40, 300, 5000][below(5)];
     while left > 0 {
         let len = (below(run_len) + usize::from(below(9) > 0)).min(left);
-        runs.push(Run { table: below(tables.len()) as u8, len });
+        runs.push(TableRun { table: below(tables.len()) as u8, len });
         left -= len;
     }
     let wide = [2, 8, 60, 65536][below(4)];
@@ -102,11 +102,17 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(40))]
 
     #[test]
-    fn whole_packets_come_back(seed: u64, count in 0usize..40, longest in prop_oneof![Just(60usize), Just(3000)]) {
+    fn whole_packets_come_back(
+        seed: u64,
+        count in 0usize..40,
+        longest in prop_oneof![Just(60usize), Just(3000)],
+    ) {
         let tables = tables();
         let symbols: Vec<Symbols> = tables.iter().map(Symbols::new).collect();
         let packets: Vec<Packet> =
-            (0..count as u64).map(|i| packet(&tables, &symbols, seed.wrapping_add(i << 7), longest)).collect();
+            (0..count as u64)
+                .map(|i| packet(&tables, &symbols, seed.wrapping_add(i << 7), longest))
+                .collect();
         for (kernel, found) in check(&tables, &packets) {
             for (packet, found) in packets.iter().zip(found) {
                 prop_assert_eq!(Some(&packet.values), found.as_ref(), "{:?}", kernel);
@@ -123,7 +129,7 @@ proptest! {
             .map(|i| {
                 let mut packet = packet(&tables, &symbols, seed.wrapping_add(i << 7), 900);
                 packet.values.resize(len, 1);
-                packet.runs = vec![Run { table, len }];
+                packet.runs = vec![TableRun { table, len }];
                 packet.body = vec![0; 4 * len + 64];
                 let body = lanes::encode(&packet.values, &packet.runs, &symbols, &mut packet.body).unwrap();
                 packet.body.truncate(body.len);

@@ -9,10 +9,8 @@ use bytemuck::Pod;
 use crate::{
     caps::Caps,
     decode,
-    error::{Error, ErrorKind, Result},
+    error::{Error, Result},
     gaussian::{Gaussian, ShDegree},
-    ids::{ClusterId, EpochId, Span},
-    layout::Shape,
     receiver::{self, Cell, Requirements},
     wire::manifest::Manifest,
 };
@@ -43,19 +41,8 @@ pub struct FrameRequirements {
 impl FrameRequirements {
     /// What frames of the stream of `manifest` take.
     pub fn of(manifest: &Manifest<'_>) -> Self {
-        let mut need = Self::default();
-        for (e, epoch) in manifest.epochs().enumerate() {
-            let mut blocks = 0usize;
-            for c in 0..epoch.clusters {
-                let span = Span::Canonical(EpochId(e as u16));
-                let shape = Shape::of(manifest, span, ClusterId(c as u16));
-                blocks = blocks.saturating_add(shape.map_or(0, |shape| shape.blocks()));
-            }
-            need.gaussians = need.gaussians.max(epoch.gaussians as usize);
-            need.blocks = need.blocks.max(blocks);
-        }
-        need.sh_rest = need.gaussians.saturating_mul(manifest.sh_degree().rest_len());
-        need
+        let (gaussians, blocks) = (manifest.largest_epoch() as usize, manifest.largest_blocks() as usize);
+        Self { gaussians, blocks, sh_rest: gaussians.saturating_mul(manifest.sh_degree().rest_len()) }
     }
 }
 
@@ -76,7 +63,7 @@ impl Plan {
     /// What the stream of `manifest` takes.
     ///
     /// # Errors
-    /// [`ErrorKind::Capacity`] naming the count that exceeds `caps`.
+    /// [`ErrorKind::Capacity`](crate::ErrorKind::Capacity) naming the count that exceeds `caps`.
     pub fn of(manifest: &Manifest<'_>, caps: &Caps) -> Result<Self> {
         // First the counts that the caps bound, then the walk over what is counted.
         let receiver = Requirements::of(manifest, caps)?;
@@ -128,12 +115,13 @@ impl Plan {
     /// Cuts the front of `arena` into parts: with tables in the fast form if they fit, else compact.
     ///
     /// # Errors
-    /// [`ErrorKind::Capacity`] if `arena` is shorter than [`Plan::least_words`]: bytes there are and
+    /// [`ErrorKind::Capacity`](crate::ErrorKind::Capacity) if `arena` is shorter than
+    /// [`Plan::least_words`]: bytes there are and
     /// bytes needed.
     pub fn divide<'a>(&self, arena: &'a mut [u64]) -> Result<Parts<'a>> {
         let (need, frames) = (&self.receiver, &self.frames);
         let slots = if self.words() <= arena.len() { need.slots } else { need.least_slots };
-        let have = arena.len().saturating_mul(WORD_BYTES);
+        let have = size_of_val(arena);
         let needed = self.least_words().saturating_mul(WORD_BYTES);
         let mut rest = Rest(arena);
         let parts = (|| {
@@ -155,7 +143,7 @@ impl Plan {
                 sh_rest: rest.take(frames.sh_rest)?,
             })
         })();
-        parts.ok_or(Error::short("arena", 0, have, needed).kind(ErrorKind::Capacity))
+        parts.ok_or_else(|| Error::lacking("arena", have, needed))
     }
 }
 

@@ -33,12 +33,6 @@ impl<'a> Reader<'a> {
         Self { rest: bytes, at: 0 }
     }
 
-    /// A reader at offset `at` of `bytes`; past their end there is nothing to read.
-    pub fn at(bytes: &'a [u8], at: usize) -> Self {
-        let (_, rest) = bytes.split_at(at.min(bytes.len()));
-        Self { rest, at }
-    }
-
     /// Offset of the next byte.
     pub const fn offset(&self) -> usize {
         self.at
@@ -160,7 +154,7 @@ impl<'a> Writer<'a> {
 
     /// The bytes written so far.
     pub fn written(&self) -> &[u8] {
-        self.bytes.split_at(self.at.min(self.bytes.len())).0
+        &self.bytes[..self.at]
     }
 
     /// Appends `bytes`.

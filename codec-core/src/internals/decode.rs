@@ -10,20 +10,19 @@
 //! state changed.
 
 mod canonical;
+mod cluster;
 mod column;
 pub mod motion;
 mod paper;
 
-use core::ops::Range;
-
+use self::cluster::{ClusterDecode, cut, symbols_of};
 use crate::{
-    closure::Arrived,
-    error::{Error, ErrorKind, Result},
+    error::{Error, Result},
     gaussian::{Gaussian, ShDegree},
     ids::{ClusterId, EpochId, Span},
     layout::{Shape, rest_len},
-    receiver::{Cell, Content},
-    wire::manifest::{Epoch, Profile},
+    receiver::Content,
+    wire::manifest::Profile,
 };
 
 /// What [`Decoder::frame`] produced.
@@ -95,7 +94,7 @@ impl<'a> Decoder<'a> {
         out: &mut [Gaussian],
         sh_rest: &mut [f32],
     ) -> Result<Decoded> {
-        let manifest = &content.manifest;
+        let manifest = content.manifest;
         let frames = manifest.head().frames;
         let illegal = Error::illegal("frame", 0, frame.into(), (0, u64::from(frames) - 1));
         let id = manifest.epoch_at(frame).ok_or(illegal)?;
@@ -108,7 +107,7 @@ impl<'a> Decoder<'a> {
             ("decode.sh_rest", sh_rest.len(), n * rest),
         ] {
             if have < need {
-                return Err(Error::short(field, 0, have, need).kind(ErrorKind::Capacity));
+                return Err(Error::lacking(field, have, need));
             }
         }
         if self.epoch != Some(id) {
@@ -117,20 +116,19 @@ impl<'a> Decoder<'a> {
         }
         let mut decoded = Decoded { epoch: id, gaussians: n, present_blocks: 0, blocks: 0, redone_blocks: 0 };
         let motion = match manifest.profile() {
-            Profile::Dgs1 => motion::Frame::of(manifest, frame),
+            Profile::Dgs1 => motion::Frame::of(manifest, frame)?,
             Profile::Paper => None,
         };
         let (mut first, mut first_block) = (0usize, 0usize);
         for c in 0..epoch.clusters {
             let cluster = ClusterId(c as u16);
             let span = Span::Canonical(id);
-            let found = Shape::of(manifest, span, cluster).zip(content.cell(span, cluster));
-            let (shape, cell) =
-                found.ok_or_else(|| lacking("memory.cells", content.cells.len(), c as usize))?;
+            let shape = Shape::in_lattice(manifest, span, cluster)?;
+            let cell = content.cell_in_lattice(span, cluster)?;
             let (count, blocks) = (shape.gaussians(), shape.blocks());
             let known = cut("decode.known", self.memory.known, first_block..first_block + blocks)?;
             let range = first..first + count;
-            let part = Part {
+            let part = ClusterDecode {
                 content,
                 epoch: &epoch,
                 id,
@@ -144,8 +142,8 @@ impl<'a> Decoder<'a> {
                 rest,
             };
             let (present, redone) = match manifest.profile() {
-                Profile::Dgs1 => part.dgs1(known, motion.as_ref())?,
-                Profile::Paper => part.paper(frame - epoch.first_frame)?,
+                Profile::Dgs1 => dgs1(part, known, motion.as_ref())?,
+                Profile::Paper => paper(part, frame - epoch.first_frame)?,
             };
             decoded.present_blocks += present;
             decoded.redone_blocks += redone;
@@ -157,69 +155,38 @@ impl<'a> Decoder<'a> {
     }
 }
 
-/// One cluster on its way out.
-struct Part<'p, 'm> {
-    content: &'p Content<'m>,
-    epoch: &'p Epoch,
-    id: EpochId,
-    cluster: ClusterId,
-    shape: &'p Shape,
-    cell: Cell,
-    /// Symbols of the canonical cell.
-    symbols: &'m [i16],
-    canonical: &'p mut [Gaussian],
-    out: &'p mut [Gaussian],
-    sh_rest: &'p mut [f32],
-    rest: usize,
-}
-
-impl Part<'_, '_> {
-    /// Blocks that are present, blocks dequantised anew.
-    fn dgs1(mut self, known: &mut [u8], motion: Option<&motion::Frame>) -> Result<(u32, u32)> {
-        let (mut present, mut redone) = (0, 0);
-        for (block, known) in known.iter_mut().enumerate() {
-            let usable = self.content.arrived(self.cell, block).usable() as u8;
-            present += u32::from(usable > 0);
-            if *known != usable {
-                canonical::dequantise(&mut self, block, usable)?;
-                *known = usable;
-                redone += 1;
-            }
-            if self.rest > 0 {
-                // The caller's buffer may be new every frame; bands do not move.
-                canonical::rest(&mut self, block, usable)?;
-            }
+/// Decodes a cluster of `dgs1`: blocks that are present, blocks dequantised anew.
+fn dgs1(
+    mut part: ClusterDecode<'_, '_>,
+    known: &mut [u8],
+    motion: Option<&motion::Frame>,
+) -> Result<(u32, u32)> {
+    let (mut present, mut redone) = (0, 0);
+    for (block, known) in known.iter_mut().enumerate() {
+        let usable = part.content.arrived(part.cell, block)?.usable() as u8;
+        present += u32::from(usable > 0);
+        if *known != usable {
+            canonical::dequantise(&mut part, block, usable)?;
+            *known = usable;
+            redone += 1;
         }
-        self.out.iter_mut().zip(self.canonical.iter()).for_each(|(out, canonical)| *out = *canonical);
-        if let Some(frame) = motion {
-            motion::apply(&mut self, frame)?;
+        if part.rest > 0 {
+            // The caller's buffer may be new every frame; bands do not move.
+            canonical::rest(&mut part, block, usable)?;
         }
-        Ok((present, redone))
     }
-
-    fn paper(mut self, t: u32) -> Result<(u32, u32)> {
-        let arrived: Arrived = self.content.arrived(self.cell, 0);
-        paper::dequantise(&mut self, t, arrived.usable())?;
-        Ok((u32::from(arrived.usable() > 0), 1))
+    part.out.iter_mut().zip(part.canonical.iter()).for_each(|(out, canonical)| *out = *canonical);
+    if let Some(frame) = motion {
+        motion::apply(&mut part, frame)?;
     }
+    Ok((present, redone))
 }
 
-/// Memory that holds less than the manifest says.
-const fn lacking(field: &'static str, have: usize, need: usize) -> Error {
-    Error::short(field, 0, have, need).kind(ErrorKind::Capacity)
-}
-
-/// The elements `range` of the caller's memory `field`.
-fn cut<'s, T>(field: &'static str, all: &'s mut [T], range: Range<usize>) -> Result<&'s mut [T]> {
-    let (have, need) = (all.len(), range.end);
-    all.get_mut(range).ok_or_else(|| lacking(field, have, need))
-}
-
-/// The symbols of a cell.
-fn symbols_of<'m>(content: &Content<'m>, cell: Cell, shape: &Shape) -> Result<&'m [i16]> {
-    let (start, all) = (cell.symbols as usize, content.symbols);
-    let end = start + shape.len();
-    all.get(start..end).ok_or_else(|| lacking("memory.symbols", all.len(), end))
+/// Decodes a cluster of `paper` at frame `t` of its epoch, as [`dgs1`].
+fn paper(mut part: ClusterDecode<'_, '_>, t: u32) -> Result<(u32, u32)> {
+    let usable = part.content.arrived(part.cell, 0)?.usable();
+    paper::dequantise(&mut part, t, usable)?;
+    Ok((u32::from(usable > 0), 1))
 }
 
 /// Length of `sh_rest` for `gaussians` Gaussians of `degree`.

@@ -79,6 +79,12 @@ impl Error {
         }
     }
 
+    /// The caller's memory `field` has `have` elements; `need` are needed.
+    #[cold]
+    pub(crate) const fn lacking(field: &'static str, have: usize, need: usize) -> Self {
+        Self::short(field, 0, have, need).kind(ErrorKind::Capacity)
+    }
+
     /// `found` lies outside `allowed`.
     pub const fn illegal(field: &'static str, offset: usize, found: u64, allowed: (u64, u64)) -> Self {
         Self { kind: ErrorKind::Illegal, field, offset: offset as u32, found, allowed }

@@ -6,7 +6,10 @@
 //! and a packet decodes straight into place. Motion level 0 (the cluster track) belongs to the
 //! whole cell. In `paper` a level is one range, stored as [`paper`] says.
 
+use core::{num::NonZero, ops::Range};
+
 use crate::{
+    error::{Error, ErrorKind, Result},
     ids::{ClusterId, EpochId, Level, Span},
     quant::{Class, Quantiser},
     wire::manifest::{Cluster, Manifest, Motion, Profile, Quant, stream},
@@ -26,7 +29,7 @@ pub struct Shape {
     /// Whether this is a motion cell.
     pub is_motion: bool,
     /// Gaussians per block.
-    pub block_len: usize,
+    pub block_len: NonZero<u32>,
     /// Symbols of the whole cell per level (track; everything in `paper`).
     fixed: [usize; Level::COUNT],
     /// Symbols per Gaussian per level.
@@ -65,6 +68,14 @@ impl Shape {
         Some(shape)
     }
 
+    /// As [`Shape::of`], of a cell that the lattice has.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Contradiction`]: there is no such cell.
+    pub fn in_lattice(manifest: &Manifest<'_>, span: Span, cluster: ClusterId) -> Result<Self> {
+        Self::of(manifest, span, cluster).ok_or_else(|| no_cell(manifest, cluster))
+    }
+
     /// The shape of a `dgs1` cell: canonical without `motion`, else a motion cell of `frames`
     /// frames.
     pub fn dgs1(
@@ -72,7 +83,7 @@ impl Shape {
         quant: Quant,
         motion: Option<Motion>,
         frames: u32,
-        block_len: usize,
+        block_len: NonZero<u32>,
     ) -> Self {
         let mut shape = Self {
             cluster,
@@ -80,7 +91,7 @@ impl Shape {
             motion: motion.unwrap_or_default(),
             frames,
             is_motion: motion.is_some(),
-            block_len: block_len.max(1),
+            block_len,
             fixed: [0; Level::COUNT],
             per_gaussian: [0; Level::COUNT],
         };
@@ -120,17 +131,18 @@ impl Shape {
     }
 
     /// Blocks in the cell, ≥ 1.
-    pub const fn blocks(&self) -> usize {
-        match self.block_len {
-            0 => 0,
-            len => self.gaussians().div_ceil(len),
-        }
+    pub fn blocks(&self) -> usize {
+        self.cluster.blocks(self.block_len) as usize
     }
 
-    /// Gaussians in block `block`.
-    pub const fn block_gaussians(&self, block: usize) -> usize {
-        let left = self.gaussians().saturating_sub(block * self.block_len);
-        if left < self.block_len { left } else { self.block_len }
+    /// Index of the first Gaussian of block `block`; past the last block, the number of Gaussians.
+    pub fn first_of(&self, block: usize) -> usize {
+        (block * self.block_len.get() as usize).min(self.gaussians())
+    }
+
+    /// Gaussians in block `block`; none past the last block.
+    pub fn block_gaussians(&self, block: usize) -> usize {
+        self.first_of(block + 1) - self.first_of(block)
     }
 
     /// Symbols of `level`.
@@ -157,16 +169,15 @@ impl Shape {
         self.fixed[level.index()] > 0
     }
 
-    /// Offset in the cell and number of symbols of `blocks` at `level`.
-    pub fn range(&self, level: Level, blocks: core::ops::Range<usize>) -> (usize, usize) {
+    /// Offset in the cell and number of symbols of `blocks`, first to last, at `level`.
+    pub fn range(&self, level: Level, blocks: Range<usize>) -> (usize, usize) {
         let before: usize = Level::ALL.into_iter().take(level.index()).map(|l| self.level_len(l)).sum();
         if self.is_whole(level) {
             return (before, self.level_len(level));
         }
         let per = self.per_gaussian[level.index()];
-        let start = (blocks.start * self.block_len).min(self.gaussians());
-        let end = (blocks.end * self.block_len).min(self.gaussians());
-        (before + per * start, per * end.saturating_sub(start))
+        let (start, end) = (self.first_of(blocks.start), self.first_of(blocks.end));
+        (before + per * start, per * (end - start))
     }
 
     /// The parts of a Gaussian at `level` (`dgs1`), in order: class, coefficient, components.
@@ -189,14 +200,14 @@ impl Shape {
     pub fn runs<E>(
         &self,
         level: Level,
-        blocks: core::ops::Range<usize>,
-        mut run: impl FnMut(usize, usize) -> Result<(), E>,
-    ) -> Result<(), E> {
+        blocks: Range<usize>,
+        mut run: impl FnMut(usize, usize) -> core::result::Result<(), E>,
+    ) -> core::result::Result<(), E> {
         if self.is_whole(level) {
             let (track, coefficients) = (self.motion.class(), usize::from(self.motion.track));
             for (kind, parameters) in [(Some(track), track.turning()), (None, 3)] {
-                for (band, edges) in stream::TRACK_BANDS.windows(2).enumerate() {
-                    let [low, high] = [0, 1].map(|i| edges.get(i).map_or(0, |&e| e.min(coefficients)));
+                let edges = stream::TRACK_BANDS.map(|edge| edge.min(coefficients));
+                for (band, (low, high)) in edges.iter().zip(edges.iter().skip(1)).enumerate() {
                     if high > low {
                         run(stream::track(kind, band), parameters * (high - low))?;
                     }
@@ -228,6 +239,13 @@ impl Shape {
         }
         Ok(())
     }
+}
+
+#[cold]
+fn no_cell(manifest: &Manifest<'_>, cluster: ClusterId) -> Error {
+    let last = u64::from(manifest.head().clusters).saturating_sub(1);
+    let none = Error::illegal("manifest.cells", 0, cluster.0.into(), (0, last));
+    none.kind(ErrorKind::Contradiction)
 }
 
 /// Harmonic coefficients above band 0, all channels, of `degree`.

@@ -133,7 +133,7 @@ fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// Steps of the iteration in [`turn_of`]: enough for stretches of up to a factor of ten.
+/// Steps of the iteration in [`turn_of`]: enough for scales of up to a factor of ten.
 pub const TURN_STEPS: usize = 8;
 
 /// The rotation part of linear map `m` as a unit quaternion, wxyz: Newton's iteration for the polar
@@ -203,12 +203,12 @@ mod tests {
         #[test]
         fn the_turn_of_a_stretched_rotation_is_the_rotation(
             w in -1f32..1.0, x in -1f32..1.0, y in -1f32..1.0, z in -1f32..1.0,
-            stretch in proptest::array::uniform3(0.4f32..2.5),
+            factors in proptest::array::uniform3(0.4f32..2.5),
         ) {
             prop_assume!(w * w + x * x + y * y + z * z > 1e-3);
             let q = normalised([w, x, y, z]);
             // R · S with S symmetric positive is a polar decomposition.
-            let map = rows_from_quat(q).map(|row| [0, 1, 2].map(|c| row[c] * stretch[c]));
+            let map = rows_from_quat(q).map(|row| [0, 1, 2].map(|c| row[c] * factors[c]));
             let found = turn_of(map);
             let dot: f32 = q.iter().zip(found).map(|(a, b)| a * b).sum();
             prop_assert!(dot.abs() > 1.0 - 1e-5, "{q:?} {found:?}");

@@ -1,4 +1,4 @@
-//! Compression of the manifest body: an adaptive binary range coder over bytes.
+//! Packs and unpacks the manifest body: an adaptive binary range coder over bytes.
 //!
 //! Manifests are small and made of fixed-width records, so there is little for a dictionary to
 //! find and much for statistics: each byte is coded as eight binary decisions down a bit tree,
@@ -145,20 +145,16 @@ impl Packer<'_> {
 /// [`ErrorKind::Short`] if the input ends too early to have been written by [`pack`] for this
 /// length, [`ErrorKind::Illegal`] for a first byte other than 0, a wrong end state or leftovers.
 pub fn unpack(packed: &[u8], out: &mut [u8]) -> Result<()> {
-    let mut next = 0usize;
+    let mut rest = packed;
     let mut take = || {
-        let byte = packed.get(next).copied();
-        next += 1;
-        byte
+        let (&byte, behind) = rest.split_first().ok_or_else(|| short(packed))?;
+        rest = behind;
+        Ok(byte)
     };
-    let (mut range, mut code, mut missing) = (u32::MAX, 0u32, 0usize);
-    let first = take();
-    missing += usize::from(first.is_none());
-    in_range("pack.first", 0, first.unwrap_or(0), 0, 0)?;
+    in_range("pack.first", 0, take()?, 0, 0)?;
+    let (mut range, mut code) = (u32::MAX, 0u32);
     for _ in 0..4 {
-        let byte = take();
-        missing += usize::from(byte.is_none());
-        code = code << 8 | u32::from(byte.unwrap_or(0));
+        code = code << 8 | u32::from(take()?);
     }
     let mut trees = EVEN;
     let mut model = Model::new(&mut trees);
@@ -179,24 +175,22 @@ pub fn unpack(packed: &[u8], out: &mut [u8]) -> Result<()> {
             node = node << 1 | usize::from(bit);
             while range < TOP {
                 range <<= 8;
-                let byte = take();
-                missing += usize::from(byte.is_none());
-                code = code << 8 | u32::from(byte.unwrap_or(0));
+                code = code << 8 | u32::from(take()?);
             }
-        }
-        if missing > 0 {
-            break;
         }
         *target = node as u8;
         model.advance(*target);
     }
-    if missing > 0 {
-        return Err(Error::short("pack", packed.len(), packed.len(), packed.len() + missing));
-    }
     // The packer writes out the low end of its last interval, so the distance from it is 0.
     in_range("pack.end", packed.len(), code, 0, 0)?;
-    in_range("pack.leftover", next, packed.len().saturating_sub(next) as u64, 0, 0)?;
+    in_range("pack.leftover", packed.len() - rest.len(), rest.len() as u64, 0, 0)?;
     Ok(())
+}
+
+/// `packed` ends before what it unpacks to does.
+#[cold]
+fn short(packed: &[u8]) -> Error {
+    Error::short("pack", packed.len(), packed.len(), packed.len() + 1)
 }
 
 /// A buffer length that [`pack`] never exceeds for `raw_len` bytes: a badly predicted bit costs
@@ -221,7 +215,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn round_trip(raw in proptest::collection::vec(prop_oneof![3 => 0u8..4, 1 => any::<u8>(), 1 => Just(255u8)], 0..if cfg!(miri) { 100 } else { 3000 })) {
+        fn round_trip(
+            raw in proptest::collection::vec(
+                prop_oneof![3 => 0u8..4, 1 => any::<u8>(), 1 => Just(255u8)],
+                0..if cfg!(miri) { 100 } else { 3000 },
+            ),
+        ) {
             let bytes = packed(&raw);
             let mut back = vec![0u8; raw.len()];
             unpack(&bytes, &mut back).unwrap();
@@ -229,7 +228,10 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_unpack_or_are_refused(bytes in proptest::collection::vec(any::<u8>(), 0..200), len in 0usize..if cfg!(miri) { 100 } else { 4000 }) {
+        fn any_bytes_unpack_or_are_refused(
+            bytes in proptest::collection::vec(any::<u8>(), 0..200),
+            len in 0usize..if cfg!(miri) { 100 } else { 4000 },
+        ) {
             let mut out = vec![0u8; len];
             let _ = unpack(&bytes, &mut out);
         }

@@ -7,11 +7,7 @@
 //! with every level: monotone by construction. A ratio of 1 means that the level adds nothing,
 //! and then costs nothing.
 
-use crate::{
-    cursor::{Reader, in_range},
-    error::Result,
-    ids::Level,
-};
+use crate::{cursor::in_range, error::Result, ids::Level};
 
 /// Attribute classes of a Gaussian, in coding order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -216,18 +212,27 @@ impl Quantiser {
         u8::from(self.predicted) | u8::from(self.decorrelated) << 1
     }
 
-    /// From the wire.
+    /// The quantiser of `bytes`, which [`Quantiser::check`] has let pass.
+    pub(crate) fn from_bytes([a, b, c, d, x, y, z, flags]: [u8; Self::BYTES]) -> Self {
+        Self {
+            step: f32::from_le_bytes([a, b, c, d]),
+            ratio: [x, y, z],
+            predicted: flags & 1 == 1,
+            decorrelated: flags & 2 == 2,
+        }
+    }
+
+    /// Checks `bytes`, a quantiser at offset `place`, and gives it back.
     ///
     /// # Errors
-    /// Short bytes, or what [`Quantiser::new`] refuses.
-    pub fn read(reader: &mut Reader<'_>) -> Result<Self> {
-        let start = reader.offset();
-        let step = reader.f32("quantiser.step")?;
-        let ratio = reader.array("quantiser.ratio")?;
-        let flags = in_range("quantiser.flags", start + 7, reader.u8("quantiser.flags")?, 0, 3)?;
-        let quantiser = Self::new(step, ratio, flags & 1 == 1);
-        let quantiser = quantiser.map_err(|e| crate::Error { offset: start as u32 + e.offset, ..e })?;
-        Ok(quantiser.with_decorrelated(flags & 2 == 2))
+    /// Flags that have no meaning, or what [`Quantiser::new`] refuses.
+    pub(crate) fn check(bytes: [u8; Self::BYTES], place: usize) -> Result<Self> {
+        let [.., flags] = bytes;
+        in_range("quantiser.flags", place + 7, flags, 0, 3)?;
+        let Self { step, ratio, predicted, decorrelated } = Self::from_bytes(bytes);
+        let quantiser = Self::new(step, ratio, predicted);
+        let quantiser = quantiser.map_err(|e| crate::Error { offset: place as u32 + e.offset, ..e })?;
+        Ok(quantiser.with_decorrelated(decorrelated))
     }
 }
 
@@ -295,9 +300,9 @@ mod tests {
         for (predicted, decorrelated) in [(false, false), (true, false), (false, true), (true, true)] {
             let quantiser = Quantiser::new(0.5, [3; 3], predicted).unwrap().with_decorrelated(decorrelated);
             let mut bytes = quantiser.to_bytes();
-            assert_eq!(Quantiser::read(&mut Reader::new(&bytes)), Ok(quantiser));
+            assert_eq!(Quantiser::check(bytes, 0), Ok(quantiser));
             bytes[7] |= 4;
-            assert_eq!(Quantiser::read(&mut Reader::new(&bytes)).unwrap_err().field, "quantiser.flags");
+            assert_eq!(Quantiser::check(bytes, 0).unwrap_err().field, "quantiser.flags");
         }
     }
 

@@ -20,4 +20,5 @@ pub mod context;
 pub mod family;
 pub mod form;
 pub mod lanes;
+mod scale;
 pub mod table;

@@ -7,15 +7,17 @@
 //! costs bounded work.
 
 mod ahead;
+mod answer;
 mod chunk;
 mod memory;
 mod payload;
 mod repair;
+mod sets;
 mod walk;
 
 pub use ahead::Planned;
+pub use answer::{Accepted, Counters, Recovered};
 pub use memory::{Cell, Content, Memory, Requirements, for_each_cell};
-pub use repair::Recovered;
 
 use crate::{
     caps::Caps,
@@ -28,46 +30,10 @@ use crate::{
     wire::{
         checked::Checked,
         crc::{Crc32, crc32},
-        manifest::{Manifest, TableSet, stream},
+        manifest::Manifest,
         packet::Packet,
     },
 };
-
-/// What happened to packets, by kind.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-#[cfg_attr(feature = "defmt", derive(defmt::Format))]
-pub struct Counters {
-    /// Media packets accepted and decoded.
-    pub media: u32,
-    /// Parity packets accepted.
-    pub parity: u32,
-    /// Packets buffered before the manifest.
-    pub early: u32,
-    /// Packets recovered by repair.
-    pub recovered: u32,
-    /// Repaired packets that failed their own checks.
-    pub repair_failed: u32,
-    /// Packets refused, by [`ErrorKind::index`].
-    pub refused: [u32; ErrorKind::COUNT],
-}
-
-impl Counters {
-    /// Counts a refusal.
-    pub(crate) fn refuse(&mut self, error: &Error) {
-        if let Some(count) = self.refused.get_mut(error.kind.index()) {
-            *count = count.saturating_add(1);
-        }
-    }
-}
-
-/// A packet that was decoded or, for parity, taken into account.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Accepted {
-    /// The packet.
-    pub id: PacketId,
-    /// Packets of its repair set that this one made recoverable.
-    pub recovered: Recovered,
-}
 
 /// A sans-I/O receiver over caller-owned memory.
 #[derive(Debug)]
@@ -80,8 +46,6 @@ pub struct Receiver<'a> {
     caps: Caps,
     /// Raw bits per value of each entropy table.
     raw_bits: [u8; limits::MAX_TABLES],
-    /// Tables that each stream's runs choose from.
-    table_sets: [TableSet; stream::COUNT],
     /// How entropy tables lie in memory.
     form: Form,
 }
@@ -89,7 +53,10 @@ pub struct Receiver<'a> {
 impl<'a> Receiver<'a> {
     /// A receiver of the stream of `manifest`, which stays within `caps`; `memory` is as large as
     /// [`Requirements::of`] both says.
-    pub fn new(memory: Memory<'a>, manifest: Manifest<'a>, caps: Caps) -> Self {
+    ///
+    /// # Errors
+    /// [`ErrorKind::Capacity`] naming the memory that is smaller.
+    pub fn new(memory: Memory<'a>, manifest: Manifest<'a>, caps: Caps) -> Result<Self> {
         let mut receiver = Self {
             memory,
             manifest,
@@ -98,18 +65,15 @@ impl<'a> Receiver<'a> {
             counters: Counters::default(),
             caps,
             raw_bits: [0; limits::MAX_TABLES],
-            table_sets: [TableSet::EMPTY; stream::COUNT],
             form: Form::Slots,
         };
-        receiver.initialise();
-        receiver
+        receiver.initialise()?;
+        Ok(receiver)
     }
 
-    /// The same receiver with faster arithmetic of the host's: CRC-32/ISO-HDLC and sums of repair.
-    #[must_use]
-    pub const fn with_arithmetic(mut self, crc: Crc32, combine: Combine) -> Self {
+    /// Takes faster arithmetic of the host's: CRC-32/ISO-HDLC and sums of repair.
+    pub const fn set_arithmetic(&mut self, crc: Crc32, combine: Combine) {
         (self.crc, self.combine) = (crc, combine);
-        self
     }
 
     /// Goes on counting from `counters`.
@@ -130,7 +94,7 @@ impl<'a> Receiver<'a> {
     /// What has been decoded so far.
     pub const fn content(&self) -> Content<'_> {
         Content {
-            manifest: self.manifest,
+            manifest: &self.manifest,
             cells: self.memory.cells,
             symbols: self.memory.symbols,
             blocks: self.memory.blocks,
@@ -139,41 +103,53 @@ impl<'a> Receiver<'a> {
 
     /// Whether packet `id` has been accepted or recovered.
     pub fn has(&self, id: PacketId) -> bool {
+        // What is past the stream's last packet has not come.
         self.memory.seen.get(id.index() / 32).is_some_and(|word| word >> (id.get() % 32) & 1 == 1)
     }
 
-    fn initialise(&mut self) {
+    fn initialise(&mut self) -> Result<()> {
         let manifest = &self.manifest;
-        let Memory { cells, symbols, blocks, seen, slots, progress, parity, .. } = &mut self.memory;
-        let mut next = Cell::default();
-        let mut targets = cells.iter_mut();
+        let Memory { cells, symbols, blocks, seen, slots, progress, parity } = &mut self.memory;
         symbols.fill(0);
+        seen.fill(0);
+        progress.fill(0);
+        parity.iter_mut().take(sets::memory_bytes(manifest)).for_each(|byte| *byte = 0);
+        let (have, need) = (cells.len(), manifest.cells() + 1);
+        let (block_room, mut next, mut targets) = (blocks.len(), Cell::default(), cells.iter_mut());
+        let mut begin = |cell| {
+            let target = targets.next().ok_or_else(|| Error::lacking("memory.cells", have, need))?;
+            *target = cell;
+            Ok(())
+        };
         for_each_cell(manifest, |_, _, shape| {
-            if let Some(cell) = targets.next() {
-                *cell = next;
-            }
-            let mask = closure::initial(&shape);
+            begin(next)?;
             let first = next.blocks as usize;
             next.symbols += shape.len() as u32;
             next.blocks += shape.blocks() as u32;
-            if let Some(blocks) = blocks.get_mut(first..next.blocks as usize) {
-                blocks.fill(mask.0);
+            let masks = blocks.get_mut(first..next.blocks as usize);
+            masks
+                .ok_or_else(|| Error::lacking("memory.blocks", block_room, next.blocks as usize))?
+                .fill(closure::initial(&shape).0);
+            Ok(())
+        })?;
+        begin(next)?;
+        for (field, have, need) in [
+            ("memory.symbols", symbols.len(), next.symbols as usize),
+            ("memory.seen", seen.len(), (manifest.head().packets as usize).div_ceil(32)),
+        ] {
+            if have < need {
+                return Err(Error::lacking(field, have, need));
             }
-        });
-        if let Some(end) = targets.next() {
-            *end = next;
         }
-        seen.fill(0);
-        progress.fill(0);
-        parity.iter_mut().take(repair::memory_bytes(manifest)).for_each(|byte| *byte = 0);
-        self.form = Form::that_fits(manifest.head().tables.into(), slots.len()).unwrap_or(Form::Compact);
-        for (index, (table, raw_bits)) in manifest.tables().zip(&mut self.raw_bits).enumerate() {
-            self.form.fill(slots, index, &table);
+        let (tables, room) = (usize::from(manifest.head().tables), slots.len());
+        let no_room = || Error::lacking("memory.slots", room, tables * Form::Compact.words());
+        self.form = Form::that_fits(tables, room).ok_or_else(no_room)?;
+        for ((index, table), raw_bits) in manifest.tables().enumerate().zip(&mut self.raw_bits) {
+            let table = table?;
+            self.form.fill(slots, index, &table).ok_or_else(no_room)?;
             *raw_bits = table.raw_bits();
         }
-        for (stream, table_set) in self.table_sets.iter_mut().enumerate() {
-            *table_set = manifest.table_set(stream);
-        }
+        Ok(())
     }
 
     /// Takes one media or parity packet as bytes.
@@ -208,10 +184,9 @@ impl<'a> Receiver<'a> {
     }
 
     fn take(&mut self, packet: &Checked<'_>) -> Result<Accepted> {
-        let manifest = self.manifest;
-        let id = packet.id();
-        let last = u64::from(manifest.head().packets.saturating_sub(1));
-        if id.get() >= manifest.head().packets {
+        let (id, packets) = (packet.id(), self.manifest.head().packets);
+        if id.get() >= packets {
+            let last = u64::from(packets).saturating_sub(1);
             return Err(
                 Error::illegal("packet.id", 1, id.get().into(), (0, last)).kind(ErrorKind::Contradiction)
             );
@@ -220,20 +195,32 @@ impl<'a> Receiver<'a> {
             let seen = u64::from(id.get());
             return Err(Error::illegal("packet.id", 1, seen, (seen, seen)).kind(ErrorKind::Duplicate));
         }
-        let recovered = if let Packet::Parity(parity) = packet.packet() {
-            self.take_parity(&manifest, parity)?
-        } else {
-            self.decode(&manifest, packet.packet())?;
-            self.counters.media += 1;
-            self.mark(id);
-            self.take_member(&manifest, id, packet.bytes())
+        let recovered = match packet.packet() {
+            Packet::Parity(parity) => self.take_parity(parity)?,
+            Packet::Slices(slices) => {
+                self.decode_slices(slices)?;
+                self.take_media(packet)?
+            }
+            Packet::Chunk(chunk) => {
+                self.decode_chunk(chunk)?;
+                self.take_media(packet)?
+            }
         };
         Ok(Accepted { id, recovered })
     }
 
-    fn mark(&mut self, id: PacketId) {
-        if let Some(word) = self.memory.seen.get_mut(id.index() / 32) {
-            *word |= 1 << (id.get() % 32);
-        }
+    /// Counts a media packet that has been decoded; what its arrival gives back.
+    fn take_media(&mut self, packet: &Checked<'_>) -> Result<Recovered> {
+        self.mark(packet.id())?;
+        self.counters.media += 1;
+        self.take_member(packet.id(), packet.bytes())
+    }
+
+    /// Notes packet `id` as accepted or recovered.
+    fn mark(&mut self, id: PacketId) -> Result<()> {
+        let (have, index) = (self.memory.seen.len(), id.index() / 32);
+        let word = self.memory.seen.get_mut(index);
+        *word.ok_or_else(|| Error::lacking("memory.seen", have, index + 1))? |= 1 << (id.get() % 32);
+        Ok(())
     }
 }

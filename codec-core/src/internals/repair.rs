@@ -1,4 +1,4 @@
-//! Repair: any r losses of a set from its r parity packets, no packet store.
+//! Repairs any r losses of a set from its r parity packets, without a packet store.
 //!
 //! Each set keeps r sums in the caller's memory: what its parity rows say, less everything that has
 //! arrived. As soon as no more members are missing than rows are there, the sums over the missing
@@ -11,13 +11,16 @@
 pub mod cauchy;
 pub mod gf256;
 
+use self::cauchy::{Solution, column};
 use crate::limits::{MAX_PACKET_BYTES, MAX_REPAIR_PARITY, MAX_REPAIR_SET};
-use cauchy::{Solution, column};
 
 /// Bytes of a set's memory before its sums: members seen u64, rows seen u8, zeros.
 pub const HEAD_BYTES: usize = 16;
 /// Bytes of a packet's length in what is coded.
 pub const LENGTH_BYTES: usize = 2;
+/// Most packets of a set: a bit for each.
+const MOST_MEMBERS: u32 = MAX_REPAIR_SET as u32;
+const _: () = assert!(MOST_MEMBERS == u64::BITS);
 /// Packets that a sender adds in one call.
 const AT_ONCE: usize = 16;
 /// Most bytes of one coded packet: its length, then itself.
@@ -32,12 +35,19 @@ pub const fn set_bytes(rows: usize, longest: usize) -> usize {
 /// The sums of one repair set, over [`set_bytes`] bytes of the caller's that start as zeros.
 #[derive(Debug)]
 pub struct Sums<'a> {
-    head: &'a mut [u8; HEAD_BYTES],
+    head: Head<'a>,
     /// Row after row, each a length u16 and `longest` bytes.
     sums: &'a mut [u8],
     /// Bytes of a row.
     stride: usize,
     combine: Combine,
+}
+
+/// What of a set has been seen, a bit each.
+#[derive(Debug)]
+struct Head<'a> {
+    members: &'a mut [u8; 8],
+    rows: &'a mut u8,
 }
 
 /// A coded packet, and what each row of sums multiplies it by.
@@ -83,9 +93,13 @@ impl<'a> Sums<'a> {
         let fits = (1..=MAX_REPAIR_PARITY).contains(&rows)
             && (1..=MAX_PACKET_BYTES).contains(&longest)
             && bytes.len() == set_bytes(rows, longest);
-        let (head, sums) = bytes.split_first_chunk_mut::<HEAD_BYTES>()?;
-        let stride = LENGTH_BYTES.saturating_add(longest);
-        fits.then_some(Self { head, sums, stride, combine })
+        if !fits {
+            return None;
+        }
+        let (head, sums) = bytes.split_at_mut_checked(HEAD_BYTES)?;
+        let (members, rest) = head.split_first_chunk_mut()?;
+        let head = Head { members, rows: rest.first_mut()? };
+        Some(Self { head, sums, stride: LENGTH_BYTES + longest, combine })
     }
 
     /// The same sums, added up by `combine`.
@@ -95,25 +109,22 @@ impl<'a> Sums<'a> {
 
     /// Bytes of the longest packet.
     fn longest(&self) -> usize {
-        self.stride.saturating_sub(LENGTH_BYTES)
+        self.stride - LENGTH_BYTES
     }
 
     /// Where row `row` lies.
-    fn place(&self, row: u32) -> core::ops::Range<usize> {
-        let start = (row as usize).saturating_mul(self.stride);
-        start..start.saturating_add(self.stride)
+    fn place(&self, row: u32) -> Option<core::ops::Range<usize>> {
+        let start = (row as usize).checked_mul(self.stride)?;
+        Some(start..start.checked_add(self.stride)?)
     }
 
+    /// Members seen, a bit each.
     fn members(&self) -> u64 {
-        self.head.first_chunk().map_or(0, |bytes| u64::from_le_bytes(*bytes))
-    }
-
-    fn rows(&self) -> u8 {
-        self.head[8]
+        u64::from_le_bytes(*self.head.members)
     }
 
     fn sum(&self, row: u32) -> Option<&[u8]> {
-        self.sums.get(self.place(row))
+        self.sums.get(self.place(row)?)
     }
 
     /// Notes member `position` as seen; `None` if it cannot be added.
@@ -123,9 +134,9 @@ impl<'a> Sums<'a> {
         if members & bit != 0 || packet.len() > self.longest() {
             return None;
         }
-        *self.head.first_chunk_mut()? = (members | bit).to_le_bytes();
-        let length = (packet.len() as u16).to_le_bytes();
-        Some(Term { length, content: packet, factors: column(position) })
+        let factors = column(position)?;
+        *self.head.members = (members | bit).to_le_bytes();
+        Some(Term { length: (packet.len() as u16).to_le_bytes(), content: packet, factors })
     }
 
     /// Adds member `position` (below [`MAX_REPAIR_SET`]) of the set; a member that was there, or is
@@ -156,11 +167,12 @@ impl<'a> Sums<'a> {
     /// longer than the set's longest, changes nothing.
     pub fn add_parity(&mut self, row: u32, length: u16, content: &[u8]) {
         let Some(bit) = 1u8.checked_shl(row) else { return };
-        if self.head[8] & bit != 0 || content.len() > self.longest() {
+        if *self.head.rows & bit != 0 || content.len() > self.longest() {
             return;
         }
-        if let Some(sum) = self.sums.get_mut(self.place(row)) {
-            self.head[8] |= bit;
+        // Of a row that the set has not there is no sum.
+        if let Some(sum) = self.place(row).and_then(|place| self.sums.get_mut(place)) {
+            *self.head.rows |= bit;
             let term = Term { length: length.to_le_bytes(), content, factors: &[1] };
             (self.combine)(sum, self.stride, &[term]);
         }
@@ -169,9 +181,13 @@ impl<'a> Sums<'a> {
     /// How to get the missing ones of the first `members` members, if some are missing and enough
     /// parity is there.
     pub fn solution(&self, members: u32) -> Option<Solution> {
-        let members = members.min(MAX_REPAIR_SET as u32);
-        let all = u64::MAX.checked_shr(u64::BITS - members).unwrap_or(0);
-        Solution::of(all & !self.members(), self.rows())
+        let all = match members {
+            0 => 0,
+            1..=MOST_MEMBERS => u64::MAX >> (MOST_MEMBERS - members),
+            // No set has as many.
+            _ => return None,
+        };
+        Solution::of(all & !self.members(), *self.head.rows)
     }
 
     /// The bytes of missing member number `index` of `solution`, in `out`; `None` if its length is
@@ -195,11 +211,11 @@ impl<'a> Sums<'a> {
         packet.get(..usize::from(u16::from_le_bytes(*length))).filter(|packet| !packet.is_empty())
     }
 
-    /// Row `row` of the sums so far: length, and bytes cut to the longest member `longest`. Over a
-    /// whole set they are the content of its parity packet.
+    /// Row `row` of the sums so far: length, and bytes cut to the longest member `longest`, which is at
+    /// most what the sums are over. Over a whole set they are the content of its parity packet.
     pub fn parity(&self, row: u32, longest: usize) -> Option<(u16, &[u8])> {
         let (length, content) = self.sum(row)?.split_first_chunk::<LENGTH_BYTES>()?;
-        Some((u16::from_le_bytes(*length), content.split_at(longest.min(content.len())).0))
+        Some((u16::from_le_bytes(*length), content.get(..longest)?))
     }
 }
 

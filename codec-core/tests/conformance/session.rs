@@ -178,7 +178,7 @@ fn masks(content: &Content<'_>) -> Vec<Vec<Vec<u8>>> {
     let mut masks: Vec<Vec<Vec<u8>>> =
         content.manifest.epochs().map(|e| vec![Vec::new(); e.gaussians as usize]).collect();
     let mut at = 0;
-    for_each_cell(&content.manifest, |span, cluster, shape| {
+    for_each_cell(content.manifest, |span, cluster, shape| {
         let epoch = match span {
             Span::Canonical(id) => id.index(),
             Span::Motion(id) => usize::from(content.manifest.window(id).unwrap().epoch),
@@ -189,10 +189,12 @@ fn masks(content: &Content<'_>) -> Vec<Vec<Vec<u8>>> {
         let cell = content.cell(span, cluster).unwrap();
         for block in 0..shape.blocks() {
             for _ in 0..shape.block_gaussians(block) {
-                masks[epoch][at].push(content.arrived(cell, block).0);
+                masks[epoch][at].push(content.arrived(cell, block)?.0);
                 at += 1;
             }
         }
-    });
+        Ok(())
+    })
+    .unwrap();
     masks
 }

@@ -46,13 +46,13 @@ impl Model {
 /// The packed form of `body`.
 pub fn pack(body: &[u8]) -> Vec<u8> {
     let (mut low, mut range) = (0u64, 0xffff_ffffu64);
-    let (mut held, mut count, mut out) = (0u64, 0, Vec::new());
+    let (mut pending, mut count, mut out) = (0u64, 0, Vec::new());
     let mut shift = |low: &mut u64| {
         if *low < 0xff00_0000 || *low >= 1 << 32 {
             let carry = *low >> 32;
-            out.push((held + carry) as u8);
+            out.push((pending + carry) as u8);
             (0..count).for_each(|_| out.push((0xff + carry) as u8));
-            held = *low >> 24 & 0xff;
+            pending = *low >> 24 & 0xff;
             count = 0;
         } else {
             count += 1;

@@ -177,10 +177,10 @@ pub fn lane_body(tables: &Tables, found: &mut Vec<String>) {
     (frequency[0], frequency[128]) = (1, 2047);
     let symbols = [lanes::Symbols::new(&table::Table::new(frequency, 2).unwrap())];
     let mut out = [0u8; 64];
-    let run = [lanes::Run { table: 0, len: 3 }];
+    let run = [lanes::TableRun { table: 0, len: 3 }];
     let len = lanes::encode(&[1, 0x1234, 3], &run, &symbols, &mut out).unwrap().len;
     let parts = lanes::Parts::of(&out[..len], 3, 6).unwrap();
-    same(found, "body: raw bits", parts.plane()[0] & 0x3f, 0b11_00_01);
+    same(found, "body: raw bits", parts.plane[0] & 0x3f, 0b11_00_01);
     let expected = BTreeMap::from([
         ("tail", vec![1]),
         ("lengths", {
@@ -189,7 +189,7 @@ pub fn lane_body(tables: &Tables, found: &mut Vec<String>) {
         }),
         ("words", vec![]),
         ("escapes", vec![0x34, 0x12]),
-        ("plane", parts.plane().to_vec()),
+        ("plane", parts.plane.to_vec()),
     ]);
     in_order(&tables["body"], "body", &expected, &out[..len], found);
 }

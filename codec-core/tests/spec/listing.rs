@@ -6,7 +6,7 @@ use codec_core::Gaussian;
 
 use crate::{
     session::{Received, Session, parts, unpacked},
-    tables::{Row, Tables, number, same},
+    tables::{TableRow, Tables, number, same},
 };
 
 /// Where the listed numbers and the stream differ.
@@ -29,14 +29,14 @@ pub fn differences(tables: &Tables, found: &mut Vec<String>) {
 }
 
 /// The bytes of a row, and whether it goes on to the next.
-fn bytes(row: &Row) -> (Vec<u8>, bool) {
+fn bytes(row: &TableRow) -> (Vec<u8>, bool) {
     let listed = row["bytes"].trim_end_matches('…').split_whitespace();
     let listed = listed.map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect();
     (listed, row["bytes"].ends_with('…'))
 }
 
 /// Rows follow each other to the end of `file`.
-fn whole(rows: &[Row], file: &[u8], found: &mut Vec<String>) {
+fn whole(rows: &[TableRow], file: &[u8], found: &mut Vec<String>) {
     let next = rows.iter().skip(1).map(|row| number(&row["offset"]) as usize).chain([file.len()]);
     for (row, next) in rows.iter().zip(next) {
         let offset = number(&row["offset"]) as usize;
@@ -48,7 +48,7 @@ fn whole(rows: &[Row], file: &[u8], found: &mut Vec<String>) {
 }
 
 /// Rows ascend in `body`, and what they leave out is zero.
-fn named(rows: &[Row], body: &[u8], found: &mut Vec<String>) {
+fn named(rows: &[TableRow], body: &[u8], found: &mut Vec<String>) {
     let mut rest = body.to_vec();
     let mut end = 0;
     for row in rows {
@@ -64,7 +64,7 @@ fn named(rows: &[Row], body: &[u8], found: &mut Vec<String>) {
 }
 
 /// Symbols of the one Gaussian, level after level, and the indices of section 7.2.
-fn symbols(rows: &[Row], received: &Received, found: &mut Vec<String>) {
+fn symbols(rows: &[TableRow], received: &Received, found: &mut Vec<String>) {
     const CLASSES: [(&str, usize); 5] =
         [("Position", 3), ("Scale", 3), ("Rotation", 3), ("Opacity", 1), ("Sh0", 3)];
     let symbols = &received.symbols;
@@ -78,7 +78,7 @@ fn symbols(rows: &[Row], received: &Received, found: &mut Vec<String>) {
     }
     compare(&rows[4], &indices, found);
 
-    fn compare(row: &Row, values: &[i32], found: &mut Vec<String>) {
+    fn compare(row: &TableRow, values: &[i32], found: &mut Vec<String>) {
         let mut at = 0;
         for (class, components) in CLASSES {
             let text: Vec<String> = values[at..at + components].iter().map(i32::to_string).collect();

@@ -17,7 +17,7 @@ use codec_core::{
     },
 };
 
-use crate::tables::{Row, Tables, at, contiguous, in_order, number, range, same};
+use crate::tables::{TableRow, Tables, at, contiguous, in_order, number, range, same};
 
 pub fn packets(tables: &Tables, found: &mut Vec<String>) {
     for (kind, bits) in [
@@ -100,7 +100,7 @@ pub fn packets(tables: &Tables, found: &mut Vec<String>) {
 }
 
 /// Values outside a packet header's ranges are refused by name.
-pub fn poke(rows: &[Row], prefix: &str, content: &[u8], shifts: &[&str], found: &mut Vec<String>) {
+pub fn poke(rows: &[TableRow], prefix: &str, content: &[u8], shifts: &[&str], found: &mut Vec<String>) {
     assert!(Packet::parse(content).is_ok());
     for row in rows {
         let Some((low, high)) = range(&row["allowed"]) else { continue };

@@ -3,9 +3,9 @@
 use std::{collections::BTreeMap, path::Path};
 
 /// A row by column name.
-pub type Row = BTreeMap<String, String>;
+pub type TableRow = BTreeMap<String, String>;
 /// Tables by name.
-pub type Tables = BTreeMap<String, Vec<Row>>;
+pub type Tables = BTreeMap<String, Vec<TableRow>>;
 
 pub fn text() -> String {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("SPEC.md")).unwrap()
@@ -60,7 +60,7 @@ pub fn range(text: &str) -> Option<(u64, u64)> {
 }
 
 /// Checks that rows follow each other without gaps and that widths fit types; returns the end.
-pub fn contiguous(rows: &[Row], name: &str, found: &mut Vec<String>) -> usize {
+pub fn contiguous(rows: &[TableRow], name: &str, found: &mut Vec<String>) -> usize {
     let mut end = 0;
     for row in rows {
         let field = &row["field"];
@@ -80,7 +80,7 @@ pub fn contiguous(rows: &[Row], name: &str, found: &mut Vec<String>) -> usize {
 }
 
 /// The bytes that `field`'s row names.
-pub fn at(rows: &[Row], field: &str, bytes: &[u8]) -> Option<Vec<u8>> {
+pub fn at(rows: &[TableRow], field: &str, bytes: &[u8]) -> Option<Vec<u8>> {
     let row = rows.iter().find(|r| r["field"] == field)?;
     let offset = number(&row["offset"]) as usize;
     bytes.get(offset..offset + number(&row["width"]) as usize).map(<[u8]>::to_vec)
@@ -88,7 +88,7 @@ pub fn at(rows: &[Row], field: &str, bytes: &[u8]) -> Option<Vec<u8>> {
 
 /// The spec's rows, in its order and with its fixed widths, give exactly the written bytes.
 pub fn in_order(
-    rows: &[Row],
+    rows: &[TableRow],
     name: &str,
     expected: &BTreeMap<&str, Vec<u8>>,
     written: &[u8],

@@ -153,14 +153,16 @@ pub(super) struct Feedback {
 pub(super) fn read(bytes: &[u8], graph: &PacketGraph) -> codec_core::Result<Feedback> {
     let receipt = Receipt::parse(bytes, crc32)?;
     let mut received = Vec::new();
-    for (first, last) in receipt.acknowledged() {
+    for range in receipt.acknowledged() {
+        let (first, last) = range?;
         received.extend(graph.packets_in(first, last));
     }
     for id in receipt.recovered() {
+        let id = id?;
         received.extend(graph.packets_in(id, id));
     }
     for id in receipt.completed() {
-        let group: Option<GroupIndex> = graph.group_of(id);
+        let group: Option<GroupIndex> = graph.group_of(id?);
         received.extend(group.into_iter().flat_map(|group| &graph.groups()[group.at()].packets));
     }
     let playout_start = (receipt.playout_us > 0).then(|| Nanos::from_us(receipt.playout_us));

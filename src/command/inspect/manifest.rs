@@ -3,11 +3,14 @@
 //! Never on the wire: a receiver reads DGSM. Numbers are as in `codec-core/SPEC.md`, counts and
 //! offsets in the order of the stream.
 
-use codec_core::internals::{
-    ids::{ClusterId, EpochId, Group, Level, Span, WindowId},
-    quant::{Class, Quantiser},
-    rans::table::Table,
-    wire::manifest::{Manifest, Track, VERSION, stream},
+use codec_core::{
+    Error,
+    internals::{
+        ids::{ClusterId, EpochId, Group, Level, Span, WindowId},
+        quant::{Class, Quantiser},
+        rans::table::Table,
+        wire::manifest::{Manifest, Track, VERSION, stream},
+    },
 };
 use serde_json::{Value, json};
 use trainer_host::stream::{PacketMap, Stream};
@@ -20,7 +23,9 @@ pub fn document(content: &Stream, map: &PacketMap) -> codec_core::internals::err
     let manifest = content.manifest()?;
     let head = manifest.head();
     let quants = (0..head.quants).filter_map(|q| manifest.quant(q as u8));
-    let sets = (0..stream::COUNT).map(|s| (s, manifest.table_set(s))).filter(|(_, set)| !set.is_empty());
+    let sets = (0..stream::COUNT).filter_map(|s| Some((s, manifest.table_set(s)?)));
+    let sets = sets.filter(|(_, set)| !set.is_empty());
+    let tables: Vec<Table> = manifest.tables().collect::<Result<_, Error>>()?;
     Ok(json!({
         "format": "dgs-manifest",
         "version": VERSION,
@@ -38,7 +43,7 @@ pub fn document(content: &Stream, map: &PacketMap) -> codec_core::internals::err
             "canonical": quantisers(&quant.canonical),
             "moving": quantisers(&quant.motion),
         })).collect::<Vec<Value>>(),
-        "tables": manifest.tables().map(|t| table(&t)).collect::<Vec<Value>>(),
+        "tables": tables.iter().map(table).collect::<Vec<Value>>(),
         "table_sets": sets.map(|(stream, set)| json!({
             "stream": stream,
             "choices": set.choices().map(|(table, code_length)| json!({
@@ -103,7 +108,7 @@ fn windows(manifest: &Manifest<'_>) -> Vec<Value> {
     };
     let windows = manifest.windows().enumerate().map(|(w, window)| {
         let id = WindowId(w as u16);
-        let clusters = manifest.clusters_of(Span::Motion(id));
+        let clusters = manifest.clusters_of(Span::Motion(id)).unwrap_or_default();
         json!({
             "epoch": window.epoch,
             "first_frame": window.first_frame,

@@ -336,7 +336,7 @@ fn bodies() -> Result<Vec<Body>, FixtureError> {
         }
         let table = Table::from_counts(&counts, raw_bits)?;
         let mut bytes = vec![0u8; 4 * SYMBOLS];
-        let runs = [lanes::Run { table: 0, len: SYMBOLS }];
+        let runs = [lanes::TableRun { table: 0, len: SYMBOLS }];
         let encoded = lanes::encode(&symbols, &runs, &[lanes::Symbols::new(&table)], &mut bytes)?;
         bytes.truncate(encoded.len);
         out.push(Body { name, table, symbols, bytes, encoded });

@@ -108,7 +108,7 @@ fn decide_epoch(
         proxy_changes: Vec::new(),
     };
     // Closed loop: motion is decided on canonical values as they are sent.
-    let as_sent = canonical::quantise(epoch, &decisions, &quants, options.block_len);
+    let as_sent = canonical::quantise(epoch, &decisions, &quants, options.block_len)?;
     decisions.windows = motion::decide(epoch, &decisions, &as_sent, scene.frames_per_second(), options);
     Ok(decisions)
 }

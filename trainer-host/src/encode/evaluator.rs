@@ -141,7 +141,7 @@ impl Evaluator {
         let cameras = self.cameras.len().max(1);
         let frames = self.frames.par_iter().zip(self.references.par_chunks(cameras));
         let evaluated = frames.map_init(
-            || Player::new(&content.manifest),
+            || Player::new(content.manifest),
             |player, (&frame, references)| {
                 let shown = player.show(&content, frame)?;
                 let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree)?;

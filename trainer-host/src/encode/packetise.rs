@@ -176,7 +176,7 @@ fn draft(
     symbols: &[lanes::Symbols],
     limit: usize,
 ) -> Result<PacketDraft, EncodeError> {
-    let (mut values, mut runs) = (Vec::new(), Vec::<lanes::Run>::new());
+    let (mut values, mut runs) = (Vec::new(), Vec::<lanes::TableRun>::new());
     let mut body = vec![0u8; 2 * limit + 64];
     let mut code_words = BitWriter::new(&mut body);
     let mut full = Ok(());
@@ -191,7 +191,7 @@ fn draft(
             values.extend_from_slice(run);
             match runs.last_mut() {
                 Some(last) if last.table == table => last.len += run.len(),
-                _ => runs.push(lanes::Run { table, len: run.len() }),
+                _ => runs.push(lanes::TableRun { table, len: run.len() }),
             }
         });
     }

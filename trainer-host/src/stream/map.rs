@@ -32,6 +32,7 @@ pub struct SlicePlacement {
 #[derive(Clone, Debug)]
 pub struct PacketMap {
     initial: Vec<u8>,
+    first_block: Vec<usize>,
     placements: Vec<Vec<SlicePlacement>>,
     parity: Vec<bool>,
     group_symbols: Vec<(Group, usize)>,
@@ -43,7 +44,9 @@ fn slices_of(manifest: &Manifest<'_>, slices: &Slices<'_>, first_block: &[usize]
     let mut placements = Vec::new();
     for extent in &slices.extents {
         let (span, level) = (extent.span, extent.level);
-        for (cluster, blocks) in manifest.slices(*extent) {
+        // A span that there is not brings nothing.
+        let Some(slices) = manifest.slices(*extent) else { continue };
+        for (cluster, blocks) in slices {
             let shape = Shape::of(manifest, span, cluster);
             let Some((cell, shape)) = manifest.cell(span, cluster).zip(shape) else { continue };
             let blocks = blocks.start as usize..blocks.end as usize;
@@ -96,7 +99,8 @@ impl PacketMap {
             for level in Level::ALL.into_iter().filter(|&level| with_symbols.has(level)) {
                 group_symbols.push((Group { span, cluster, level }, shape.level_len(level)));
             }
-        });
+            Ok(())
+        })?;
         let (mut placements, mut parity) = (Vec::new(), Vec::new());
         for packet in stream.packets() {
             // Packets were checked when the stream was read or made; one that is missing is empty.
@@ -109,12 +113,17 @@ impl PacketMap {
                 Some(Packet::Parity(_)) | None => Vec::new(),
             });
         }
-        Ok(Self { initial, placements, parity, group_symbols, profile: manifest.profile() })
+        Ok(Self { initial, first_block, placements, parity, group_symbols, profile: manifest.profile() })
     }
 
     /// The state before any packet.
     pub fn initial(&self) -> &[u8] {
         &self.initial
+    }
+
+    /// Index of every cell's first block in a state, in lattice order.
+    pub fn first_blocks(&self) -> &[usize] {
+        &self.first_block
     }
 
     /// What packet `id` brings; nothing for parity.

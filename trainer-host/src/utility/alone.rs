@@ -71,7 +71,7 @@ pub(super) fn deltas_in_view(
             }
             Ok(deltas)
         };
-        let start = || (Player::new(&content.manifest), Renderer::new());
+        let start = || (Player::new(content.manifest), Renderer::new());
         let found: Result<Vec<Vec<Delta>>, UtilityError> =
             cells.par_iter().map_init(start, of_cell).collect();
         out.extend(found?.into_iter().flatten());

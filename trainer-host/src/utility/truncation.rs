@@ -56,7 +56,7 @@ const NO_GAIN: f64 = 1e-12;
 /// of gain − λ · bytes is largest, the lowest of equals. Gain is the mean of Δ in `table`, averaged
 /// over all frames of the clip; λ is gain per byte. Base levels are always sent.
 pub fn tops(content: &Content<'_>, map: &PacketMap, table: &Table, bytes: &[f64], lambda: f64) -> Vec<Level> {
-    let manifest = &content.manifest;
+    let manifest = content.manifest;
     let all = f64::from(manifest.head().frames.max(1));
     let mut tops = vec![Level::BASE; manifest.cells()];
     // Best sum so far and sum so far, per cell.
@@ -212,7 +212,9 @@ mod tests {
                 Level::BASE => small = radius.max(small),
                 _ => large = radius.min(large),
             }
-        });
+            Ok(())
+        })
+        .unwrap();
         assert!(0.0 < small && small < large && large.is_finite(), "{small} {large}");
         // What can be seen is no worse for it.
         let evaluator = Evaluator::measuring(&scene, vec![0]).unwrap();
@@ -223,7 +225,9 @@ mod tests {
         let (base, _) = truncate(&scene, &whole, &table, 1e9, options.table_choices, &|_, _| {}).unwrap();
         codec_core::internals::receiver::for_each_cell(&base.stream.manifest().unwrap(), |_, _, shape| {
             assert_eq!(shape.top(), Level::BASE);
-        });
+            Ok(())
+        })
+        .unwrap();
         for lambda in [-1.0, f64::NAN] {
             let refused = truncate(&scene, &whole, &table, lambda, options.table_choices, &|_, _| {});
             assert!(matches!(refused, Err(EncodeError::Lambda { .. })));

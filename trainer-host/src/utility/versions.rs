@@ -63,10 +63,10 @@ impl<'a> Clusters<'a> {
             std::iter::once(Span::Canonical(epoch)).chain(windows.map(Span::Motion)).collect();
         let mut clusters = Vec::new();
         let mut first = 0;
-        for id in 0..manifest.clusters_of(spans[0]) {
+        for id in 0..manifest.epoch(epoch).map_or(0, |epoch| epoch.clusters) {
             let id = ClusterId(id as u16);
             let cell = |&span: &Span| blocks_of(content, span, id);
-            let count = Shape::of(&manifest, spans[0], id).map_or(0, |shape| shape.gaussians());
+            let count = Shape::of(manifest, spans[0], id).map_or(0, |shape| shape.gaussians());
             clusters.push(Cluster {
                 gaussians: first..first + count,
                 blocks: spans.iter().filter_map(cell).collect(),
@@ -76,7 +76,7 @@ impl<'a> Clusters<'a> {
             first += count;
         }
         let rest_len = manifest.sh_degree().rest_len();
-        Self { content: *content, frame, player: Player::new(&manifest), clusters, rest_len }
+        Self { content: *content, frame, player: Player::new(manifest), clusters, rest_len }
     }
 
     /// The version of each cluster that `state` shows.
@@ -176,7 +176,7 @@ impl Cluster {
 
 /// Blocks of a cell, counted over the whole state.
 pub(super) fn blocks_of(content: &Content<'_>, span: Span, cluster: ClusterId) -> Option<Range<usize>> {
-    let shape = Shape::of(&content.manifest, span, cluster)?;
+    let shape = Shape::of(content.manifest, span, cluster)?;
     let first = content.cell(span, cluster)?.blocks as usize;
     Some(first..first + shape.blocks())
 }

@@ -8,7 +8,7 @@ use codec_core::internals::rans::{
     table::{PRECISION, SCALE, SLOTS},
 };
 
-use super::{FIRST_WORD, Lockstep, TABLE_BITS, WORD};
+use crate::lockstep::{FIRST_WORD, Lockstep, TABLE_BITS, WORD};
 
 /// Packets in lockstep.
 pub const PACKETS: usize = 8;

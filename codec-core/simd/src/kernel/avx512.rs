@@ -8,7 +8,8 @@ use codec_core::internals::rans::{
     table::{PRECISION, SCALE, SLOTS},
 };
 
-use super::{FIRST_WORD, Lockstep, TABLE_BITS, WORD, avx2::look_up};
+use super::avx2::look_up;
+use crate::lockstep::{FIRST_WORD, Lockstep, TABLE_BITS, WORD};
 
 /// Packets in lockstep.
 pub const PACKETS: usize = 16;

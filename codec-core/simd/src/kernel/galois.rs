@@ -256,7 +256,8 @@ kernel!(
 
 kernel!(
     /// A matrix times 32 bytes.
-    matrices, "avx2,gfni", 32, _mm256_loadu_si256, _mm256_storeu_si256, _mm256_xor_si256, _mm256_setzero_si256,
+    matrices, "avx2,gfni", 32,
+        _mm256_loadu_si256, _mm256_storeu_si256, _mm256_xor_si256, _mm256_setzero_si256,
     {
         type Table = __m256i;
         type Parts = __m256i;
@@ -283,7 +284,8 @@ kernel!(
 
 kernel!(
     /// A matrix times 64 bytes.
-    wide_matrices, "avx512f,gfni", 64, _mm512_loadu_si512, _mm512_storeu_si512, _mm512_xor_si512, _mm512_setzero_si512,
+    wide_matrices, "avx512f,gfni", 64,
+        _mm512_loadu_si512, _mm512_storeu_si512, _mm512_xor_si512, _mm512_setzero_si512,
     {
         type Table = __m512i;
         type Parts = __m512i;

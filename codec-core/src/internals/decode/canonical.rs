@@ -1,12 +1,11 @@
 //! Canonical attributes of a block: nested indices to values.
 
 use super::{
-    Part,
-    column::{Column, Runs, SPAN, Values, carried, each, triple},
-    cut,
+    cluster::{ClusterDecode, cut},
+    column::{Column, Runs, SPAN, Values, carrying_levels, each, triple},
 };
 use crate::{
-    error::Result,
+    error::{Error, Result},
     gaussian::Gaussian,
     ids::Level,
     math,
@@ -16,13 +15,13 @@ use crate::{
 
 /// Dequantises block `block` at its `usable` levels into the canonical cache; without any, its first
 /// Gaussian is the block's proxy and the others are absent.
-pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) -> Result<()> {
+pub(super) fn dequantise(part: &mut ClusterDecode<'_, '_>, block: usize, usable: u8) -> Result<()> {
     let n = part.shape.block_gaussians(block);
-    let first = block * part.shape.block_len;
+    let first = part.shape.first_of(block);
     let Some(level) = usable.checked_sub(1).and_then(Level::new) else {
         let out = cut("decode.canonical", part.canonical, first..first + n)?;
         out.fill(Gaussian::ABSENT);
-        let proxy = part.content.manifest.proxy(part.cell.blocks as usize + block);
+        let proxy = part.content.manifest.proxy(part.cell.blocks as usize + block)?;
         if let Some((first, proxy)) = out.first_mut().zip(proxy) {
             let step = part.shape.quant.canonical[Class::Position.index()].step(Level::BASE);
             let Epoch { origin_x, origin_y, origin_z, .. } = *part.epoch;
@@ -33,7 +32,7 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) -> R
     let mut runs = Runs::of(part.shape, part.symbols, block, level)?;
     for class in [Class::Position, Class::Scale, Class::Rotation, Class::Opacity, Class::Sh0] {
         let quantiser = part.shape.quant.canonical[class.index()];
-        let carries = carried(part.shape, class);
+        let carries = carrying_levels(part.shape, class);
         let Cluster { centre_x, centre_y, centre_z, .. } = part.shape.cluster;
         let Epoch { origin_x, origin_y, origin_z, .. } = *part.epoch;
         let (starts, origins) = match class {
@@ -42,7 +41,7 @@ pub(super) fn dequantise(part: &mut Part<'_, '_>, block: usize, usable: u8) -> R
         };
         let mut columns = [const { None }; 3];
         for ((column, start), _) in columns.iter_mut().zip(starts).zip(0..class.components()) {
-            *column = Some(Column::new(runs.next(carries), quantiser, Level::BASE, level, start));
+            *column = Some(Column::new(runs.next(carries)?, quantiser, Level::BASE, level, start));
         }
         let step = quantiser.step(level);
         let out = cut("decode.canonical", part.canonical, first..first + n)?;
@@ -95,9 +94,9 @@ fn put(class: Class, decorrelated: bool, values: &mut Values, out: &mut [Gaussia
 }
 
 /// Writes the higher bands of block `block` to the output; bands not there are zero.
-pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) -> Result<()> {
+pub(super) fn rest(part: &mut ClusterDecode<'_, '_>, block: usize, usable: u8) -> Result<()> {
     let n = part.shape.block_gaussians(block);
-    let first = block * part.shape.block_len;
+    let first = part.shape.first_of(block);
     let rest = part.rest;
     let out = cut("decode.sh_rest", part.sh_rest, first * rest..(first + n) * rest)?;
     out.fill(0.0);
@@ -105,22 +104,24 @@ pub(super) fn rest(part: &mut Part<'_, '_>, block: usize, usable: u8) -> Result<
     let mut runs = Runs::of(part.shape, part.symbols, block, level)?;
     let mut offset = 0;
     for class in Class::ALL {
-        let (components, carries) = (class.components(), carried(part.shape, class));
+        let (components, carries) = (class.components(), carrying_levels(part.shape, class));
         let quantiser = part.shape.quant.canonical[class.index()];
         let step = quantiser.step(level);
         let is_here = class.first_level() > Level::BASE && class.first_level() <= level;
         let is_here = is_here && carries[class.first_level().index()];
+        if is_here && offset + components > rest {
+            return Err(Error::lacking("decode.sh_rest", rest, offset + components));
+        }
         for component in 0..components {
-            let runs = runs.next(carries);
+            let runs = runs.next(carries)?;
             if !is_here {
                 continue;
             }
             let mut column = Column::new(runs, quantiser, class.first_level(), level, 0);
             for out in out.chunks_mut(SPAN * rest) {
-                for (values, q) in out.chunks_exact_mut(rest).zip(column.take()) {
-                    if let Some(value) = values.get_mut(offset + component) {
-                        *value = q as f32 * step;
-                    }
+                let values = out.iter_mut().skip(offset + component).step_by(rest);
+                for (value, q) in values.zip(column.take()) {
+                    *value = q as f32 * step;
                 }
             }
         }

@@ -1,8 +1,7 @@
 //! From nested symbols to the indices of one component, many Gaussians at a time.
 
-use super::lacking;
 use crate::{
-    error::Result,
+    error::{Error, Result},
     gaussian::Gaussian,
     ids::Level,
     layout::Shape,
@@ -40,43 +39,48 @@ pub(super) const fn triple(gaussian: &mut Gaussian, class: Class) -> &mut [f32; 
 /// Symbols of a block whose components have not been taken yet, level by level.
 pub(super) struct Runs<'s> {
     rest: [&'s [i16]; Level::COUNT],
+    /// Levels wanted, from the base up.
+    levels: usize,
     /// Gaussians in the block.
     n: usize,
 }
 
 impl<'s> Runs<'s> {
     /// The runs of block `block` at levels up to `level`; `symbols` are those of its cell.
-    #[inline(never)]
     ///
     /// # Errors
     /// A cell that has fewer symbols than its shape.
+    #[inline(never)]
     pub(super) fn of(shape: &Shape, symbols: &'s [i16], block: usize, level: Level) -> Result<Self> {
         let mut rest = [&[][..]; Level::COUNT];
         for (rest, l) in rest.iter_mut().zip(Level::ALL).filter(|&(_, l)| l <= level) {
             let (at, len) = shape.range(l, block..block + 1);
             *rest = symbols
                 .get(at..at + len)
-                .ok_or_else(|| lacking("memory.symbols", symbols.len(), at + len))?;
+                .ok_or_else(|| Error::lacking("memory.symbols", symbols.len(), at + len))?;
         }
-        Ok(Self { rest, n: shape.block_gaussians(block) })
+        Ok(Self { rest, levels: level.index() + 1, n: shape.block_gaussians(block) })
     }
 
-    /// The runs of the next component; none at levels that do not carry it.
+    /// The runs of the next component; none at levels that do not carry it or are not wanted.
+    ///
+    /// # Errors
+    /// A block that has fewer components than its shape.
     #[inline(never)]
-    pub(super) fn next(&mut self, carries: [bool; Level::COUNT]) -> [&'s [i16]; Level::COUNT] {
+    pub(super) fn next(&mut self, carries: [bool; Level::COUNT]) -> Result<[&'s [i16]; Level::COUNT]> {
         let mut runs = [&[][..]; Level::COUNT];
-        for ((run, rest), carries) in runs.iter_mut().zip(&mut self.rest).zip(carries) {
+        for ((run, rest), carries) in runs.iter_mut().zip(&mut self.rest).take(self.levels).zip(carries) {
             if carries {
-                // Levels that are wanted have `n` symbols per component that they carry, others none.
-                (*run, *rest) = rest.split_at(self.n.min(rest.len()));
+                let halves = rest.split_at_checked(self.n);
+                (*run, *rest) = halves.ok_or_else(|| Error::lacking("memory.symbols", rest.len(), self.n))?;
             }
         }
-        runs
+        Ok(runs)
     }
 }
 
 /// Which levels of a cell carry `class`.
-pub(super) fn carried(shape: &Shape, class: Class) -> [bool; Level::COUNT] {
+pub(super) fn carrying_levels(shape: &Shape, class: Class) -> [bool; Level::COUNT] {
     Level::ALL.map(|level| shape.carries(class, level))
 }
 
@@ -89,13 +93,13 @@ pub(super) fn carried(shape: &Shape, class: Class) -> [bool; Level::COUNT] {
 pub(super) struct Column<'s> {
     /// Symbols not yet taken, by level; empty where none are coded.
     runs: [&'s [i16]; Level::COUNT],
-    /// What a symbol of each level is worth at the level wanted; none if sums may saturate.
-    worth: Option<[i16; Level::COUNT]>,
+    /// What a symbol of each level weighs at the level wanted; none if sums may saturate.
+    weight: Option<[i16; Level::COUNT]>,
     quantiser: Quantiser,
     first: Level,
     level: Level,
     /// Index of the Gaussian before at the first level, where symbols are differences, or else what
-    /// all are relative to; in units of the level wanted if there is a `worth`.
+    /// all are relative to; in units of the level wanted if there is a `weight`.
     before: i32,
 }
 
@@ -110,17 +114,17 @@ impl<'s> Column<'s> {
         level: Level,
         start: i16,
     ) -> Self {
-        let worth = worths(&quantiser, first, level);
-        let before = i32::from(start) * worth.map_or(1, |w| i32::from(w[first.index()]));
-        Self { runs, worth, quantiser, first, level, before }
+        let weight = weights(&quantiser, first, level);
+        let before = i32::from(start) * weight.map_or(1, |w| i32::from(w[first.index()]));
+        Self { runs, weight, quantiser, first, level, before }
     }
 
     /// The next indices; those behind the block's end mean nothing.
     #[inline(never)]
     pub(super) fn take(&mut self) -> [i32; SPAN] {
         let mut indices = [0; SPAN];
-        match self.worth {
-            Some(worth) => self.sum(worth, &mut indices),
+        match self.weight {
+            Some(weight) => self.sum(weight, &mut indices),
             None => self.refine(&mut indices),
         }
         for run in &mut self.runs {
@@ -131,10 +135,10 @@ impl<'s> Column<'s> {
     }
 
     #[inline]
-    fn sum(&mut self, worth: [i16; Level::COUNT], indices: &mut [i32; SPAN]) {
+    fn sum(&mut self, weight: [i16; Level::COUNT], indices: &mut [i32; SPAN]) {
         let first = self.first.index();
-        for (l, (run, worth)) in self.runs.iter().zip(worth).enumerate().skip(first) {
-            add(indices, run, worth);
+        for (l, (run, weight)) in self.runs.iter().zip(weight).enumerate().skip(first) {
+            add(indices, run, weight);
             if l != first {
                 continue;
             }
@@ -150,6 +154,7 @@ impl<'s> Column<'s> {
     #[cold]
     fn refine(&mut self, indices: &mut [i32; SPAN]) {
         for (i, index) in indices.iter_mut().enumerate() {
+            // None are coded at a level that does not refine, or behind the block's end.
             let symbol = |l: Level| self.runs[l.index()].get(i).copied().unwrap_or(0);
             let mut q = i32::from(symbol(self.first)).saturating_add(self.before);
             if self.quantiser.predicted() {
@@ -163,12 +168,12 @@ impl<'s> Column<'s> {
     }
 }
 
-/// Adds to `indices` what each of `symbols` is worth. A function of its own, with lengths that are
+/// Adds to `indices` `weight` times each of `symbols`. A function of its own, with lengths that are
 /// not known before: then it becomes a loop over vectors.
 #[inline(never)]
-fn add(indices: &mut [i32], symbols: &[i16], worth: i16) {
+fn add(indices: &mut [i32], symbols: &[i16], weight: i16) {
     for (index, &symbol) in indices.iter_mut().zip(symbols) {
-        *index += i32::from(symbol) * i32::from(worth);
+        *index += i32::from(symbol) * i32::from(weight);
     }
 }
 
@@ -180,19 +185,19 @@ fn sum_up(indices: &mut [i32], before: i32) -> i32 {
     })
 }
 
-/// What a symbol of each level from `first` to `level` is worth at `level`; `None` if the index of a
-/// Gaussian of the longest block could saturate, or a worth does not fit.
-fn worths(quantiser: &Quantiser, first: Level, level: Level) -> Option<[i16; Level::COUNT]> {
+/// What a symbol of each level from `first` to `level` is weight at `level`; `None` if the index of a
+/// Gaussian of the longest block could saturate, or a weight does not fit.
+fn weights(quantiser: &Quantiser, first: Level, level: Level) -> Option<[i16; Level::COUNT]> {
     // A run of the first level may sum up the symbols of a whole block, and where they begin.
     const MOST: i64 = crate::limits::MAX_BLOCK_LEN as i64 + 1;
-    let mut worths = [0i16; Level::COUNT];
-    let (mut worth, mut most) = (1i64, 0i64);
+    let mut weights = [0i16; Level::COUNT];
+    let (mut weight, mut most) = (1i64, 0i64);
     for l in Level::ALL.into_iter().rev().filter(|&l| l <= level && l >= first) {
-        worths[l.index()] = i16::try_from(worth).ok()?;
-        most += worth * if l == first { MOST } else { 1 };
-        worth *= i64::from(quantiser.ratio(l));
+        weights[l.index()] = i16::try_from(weight).ok()?;
+        most += weight * if l == first { MOST } else { 1 };
+        weight *= i64::from(quantiser.ratio(l));
     }
-    (most <= i64::from(i32::MAX) >> 15).then_some(worths)
+    (most <= i64::from(i32::MAX) >> 15).then_some(weights)
 }
 
 #[cfg(test)]
@@ -225,15 +230,16 @@ mod tests {
             Column::new(runs, quantiser, first, level, start)
         };
         let n = symbols[first.index()].len();
-        let mut slow = Column { worth: None, before: start.into(), ..column() };
-        let fast = column().worth.map(|_| all(&mut column(), n));
+        let mut slow = Column { weight: None, before: start.into(), ..column() };
+        let fast = column().weight.map(|_| all(&mut column(), n));
         (fast, all(&mut slow, n))
     }
 
     proptest! {
         #[test]
         fn sums_are_what_refining_gives(
-            n in 1usize..=MAX_BLOCK_LEN, seed: u64, shift in 0u32..16, ratio in [1u8..=255, 1u8..=255, 1u8..=9],
+            n in 1usize..=MAX_BLOCK_LEN, seed: u64, shift in 0u32..16,
+            ratio in [1u8..=255, 1u8..=255, 1u8..=9],
             present in [any::<bool>(), any::<bool>(), any::<bool>()],
             predicted: bool, first in 0usize..4, up in 0usize..4, start: i16,
         ) {

@@ -8,13 +8,12 @@
 use glam::{Mat3, Vec3};
 
 use super::{
-    Part,
-    column::{Column, Runs, SPAN, Values, carried, each, triple},
-    cut, lacking, symbols_of,
+    cluster::{ClusterDecode, cut, symbols_of},
+    column::{Column, Runs, SPAN, Values, carrying_levels, each, triple},
 };
 use crate::{
     closure::bending_level,
-    error::Result,
+    error::{Error, Result},
     gaussian::Gaussian,
     ids::{EpochId, Level, Span, WindowId},
     layout::Shape,
@@ -28,7 +27,6 @@ use crate::{
 /// What is common to all clusters at one frame.
 pub(super) struct Frame {
     id: WindowId,
-    window: Window,
     /// Cosine basis at this frame, one weight per frequency.
     cosine: [f32; MAX_WINDOW_FRAMES],
     /// Learned basis at this frame, one weight per vector.
@@ -37,17 +35,36 @@ pub(super) struct Frame {
 
 impl Frame {
     /// The window `frame` lies in, if motion is sent for it.
-    pub(super) fn of(manifest: &Manifest<'_>, frame: u32) -> Option<Self> {
-        let id = manifest.window_at(frame)?;
-        let window = manifest.window(id)?;
+    ///
+    /// # Errors
+    /// A basis beyond the values that there are.
+    pub(super) fn of(manifest: &Manifest<'_>, frame: u32) -> Result<Option<Self>> {
+        let Some(id) = manifest.window_at(frame) else { return Ok(None) };
+        let window = window_of(manifest, id)?;
         let t = frame - window.first_frame;
         let mut learned = [0f32; MAX_WINDOW_FRAMES];
-        for (r, weight) in learned.iter_mut().take(usize::from(window.rank)).enumerate() {
-            let vector = window.basis_first as usize + r * usize::from(window.frames);
-            *weight = manifest.basis(vector + t as usize);
+        let rank = usize::from(window.rank);
+        let vectors = learned.get_mut(..rank);
+        for (r, weight) in vectors.ok_or_else(|| most_vectors(rank))?.iter_mut().enumerate() {
+            let index = window.basis_first as usize + r * usize::from(window.frames) + t as usize;
+            let all = manifest.head().basis_values as usize;
+            *weight =
+                manifest.basis(index).ok_or_else(|| Error::lacking("manifest.basis", all, index + 1))?;
         }
-        Some(Self { id, window, cosine: cosine(u32::from(window.frames), t), learned })
+        Ok(Some(Self { id, cosine: cosine(u32::from(window.frames), t), learned }))
     }
+}
+
+/// Window `id`, which the stream must have.
+fn window_of(manifest: &Manifest<'_>, id: WindowId) -> Result<Window> {
+    let have = usize::from(manifest.head().windows);
+    manifest.window(id).ok_or_else(|| Error::lacking("manifest.windows", have, id.index() + 1))
+}
+
+/// More coefficients than a window can have.
+#[cold]
+fn most_vectors(rank: usize) -> Error {
+    Error::illegal("motion.rank", 0, rank as u64, (0, MAX_WINDOW_FRAMES as u64))
 }
 
 /// The orthonormal DCT-II basis of `frames` frames at frame `t`, one weight per frequency.
@@ -99,52 +116,52 @@ pub fn track_steps(shape: &Shape) -> [f32; 3] {
 
 /// The pose that a track's `symbols` give at `cosine`'s frame: parameters that turn, one list per
 /// frequency, then those of translation.
-pub fn pose(shape: &Shape, symbols: &[i16], cosine: &[f32; MAX_WINDOW_FRAMES]) -> Pose {
+///
+/// # Errors
+/// Fewer symbols than the track has.
+pub fn pose(shape: &Shape, symbols: &[i16], cosine: &[f32; MAX_WINDOW_FRAMES]) -> Result<Pose> {
     let [translation, linear, rodrigues] = track_steps(shape);
     let track = shape.motion.class();
-    let turning = track.turning();
-    let count = turning * usize::from(shape.motion.track);
-    let (turns, moves) = symbols.split_at(count.min(symbols.len()));
-    let mut value = [0f32; 9];
-    let mut shift = [0f32; 3];
-    let add = |sums: &mut [f32], symbols: &[i16]| {
-        if sums.is_empty() {
-            return;
-        }
-        for (symbols, &weight) in symbols.chunks_exact(sums.len()).zip(cosine) {
-            for (sum, &symbol) in sums.iter_mut().zip(symbols) {
-                if symbol != 0 {
-                    *sum += f32::from(symbol) * weight;
-                }
-            }
-        }
-    };
-    let (turn, _) = value.split_at_mut(turning.min(9));
-    add(turn, turns);
-    add(&mut shift, moves);
+    let count = track.turning() * usize::from(shape.motion.track);
+    let halves = symbols.split_at_checked(count);
+    let (turns, moves) = halves.ok_or_else(|| Error::lacking("memory.symbols", symbols.len(), count))?;
     let (rows, rotation) = match track {
-        Track::Static => return Pose::IDENTITY,
+        Track::Static => return Ok(Pose::IDENTITY),
         Track::Rigid => {
-            let m = [value[0], value[1], value[2]].map(|v| bounded(v * rodrigues));
+            let m = sums::<3>(turns, cosine).map(|v| bounded(v * rodrigues));
             let rotation = math::normalised(math::quat_from_mrp(m));
             (math::rows_from_quat(rotation), rotation)
         }
         Track::Affine => {
-            let l = value.map(|v| bounded(v * linear));
+            let l = sums::<9>(turns, cosine).map(|v| bounded(v * linear));
             let rows = [[1.0 + l[0], l[1], l[2]], [l[3], 1.0 + l[4], l[5]], [l[6], l[7], 1.0 + l[8]]];
             (rows, math::turn_of(rows))
         }
     };
     let [x, y, z] = rows;
-    Pose {
+    Ok(Pose {
         linear: Mat3::from_cols(
             Vec3::new(x[0], y[0], z[0]),
             Vec3::new(x[1], y[1], z[1]),
             Vec3::new(x[2], y[2], z[2]),
         ),
-        translation: Vec3::from_array(shift) * translation,
+        translation: Vec3::from_array(sums::<3>(moves, cosine)) * translation,
         rotation,
+    })
+}
+
+/// `N` parameters from their `symbols`, a list of `N` per frequency.
+#[inline(never)]
+fn sums<const N: usize>(symbols: &[i16], cosine: &[f32; MAX_WINDOW_FRAMES]) -> [f32; N] {
+    let mut sums = [0f32; N];
+    for (symbols, &weight) in symbols.as_chunks::<N>().0.iter().zip(cosine) {
+        for (sum, &symbol) in sums.iter_mut().zip(symbols) {
+            if symbol != 0 {
+                *sum += f32::from(symbol) * weight;
+            }
+        }
     }
+    sums
 }
 
 /// No real motion comes near the bound; it keeps hostile positions finite.
@@ -153,12 +170,11 @@ fn bounded(parameter: f32) -> f32 {
 }
 
 /// Moves the cluster's Gaussians in the output.
-pub(super) fn apply(part: &mut Part<'_, '_>, frame: &Frame) -> Result<()> {
+pub(super) fn apply(part: &mut ClusterDecode<'_, '_>, frame: &Frame) -> Result<()> {
     let span = Span::Motion(frame.id);
     let content = part.content;
-    let found = Shape::of(&content.manifest, span, part.cluster).zip(content.cell(span, part.cluster));
-    let (shape, cell) =
-        found.ok_or_else(|| lacking("memory.cells", content.cells.len(), part.cluster.index()))?;
+    let shape = Shape::in_lattice(content.manifest, span, part.cluster)?;
+    let cell = content.cell_in_lattice(span, part.cluster)?;
     let step = part.shape.quant.canonical[Class::Position.index()].step(Level::BASE);
     let record = part.shape.cluster;
     let centre = Vec3::new(
@@ -166,10 +182,10 @@ pub(super) fn apply(part: &mut Part<'_, '_>, frame: &Frame) -> Result<()> {
         part.epoch.origin_y + f32::from(record.centre_y) * step,
         part.epoch.origin_z + f32::from(record.centre_z) * step,
     );
-    let current = track(part, &shape, cell, frame);
-    let pose = match current {
+    let pose = match track(part, &shape, cell, &frame.cosine)? {
         Some(pose) => pose,
-        None => held(part, frame).unwrap_or(Pose::IDENTITY),
+        // Without any the cluster stays as it is in the canonical attributes.
+        None => earlier_pose(part, frame)?.unwrap_or(Pose::IDENTITY),
     };
     if pose != Pose::IDENTITY {
         for gaussian in part.out.iter_mut() {
@@ -179,7 +195,7 @@ pub(super) fn apply(part: &mut Part<'_, '_>, frame: &Frame) -> Result<()> {
         }
     }
     for block in 0..shape.blocks() {
-        let (motion, canonical) = (content.arrived(cell, block), content.arrived(part.cell, block));
+        let (motion, canonical) = (content.arrived(cell, block)?, content.arrived(part.cell, block)?);
         if let Some(level) = bending_level(motion, canonical) {
             bend(part, &shape, cell, block, level, frame)?;
         }
@@ -187,48 +203,51 @@ pub(super) fn apply(part: &mut Part<'_, '_>, frame: &Frame) -> Result<()> {
     Ok(())
 }
 
-/// The pose in the current window, if its track is usable.
-fn track(part: &Part<'_, '_>, shape: &Shape, cell: Cell, frame: &Frame) -> Option<Pose> {
+/// The pose in the window of `cell` at `cosine`'s frame, if the track is usable.
+#[inline(never)]
+fn track(
+    part: &ClusterDecode<'_, '_>,
+    shape: &Shape,
+    cell: Cell,
+    cosine: &[f32; MAX_WINDOW_FRAMES],
+) -> Result<Option<Pose>> {
     if shape.motion.class() == Track::Static {
-        return Some(Pose::IDENTITY);
+        return Ok(Some(Pose::IDENTITY));
     }
-    if !part.content.arrived(cell, 0).has(Level::BASE) {
-        return None;
+    if !part.content.arrived(cell, 0)?.has(Level::BASE) {
+        return Ok(None);
     }
-    let start = cell.symbols as usize;
-    let symbols = part.content.symbols.get(start..start + shape.level_len(Level::BASE))?;
-    Some(pose(shape, symbols, &frame.cosine))
+    let (symbols, len) = (symbols_of(part.content, cell, shape)?, shape.level_len(Level::BASE));
+    let symbols = symbols.get(..len).ok_or_else(|| Error::lacking("memory.symbols", symbols.len(), len))?;
+    pose(shape, symbols, cosine).map(Some)
 }
 
 /// The last pose of the latest earlier window of the epoch whose track is usable.
-fn held(part: &Part<'_, '_>, frame: &Frame) -> Option<Pose> {
+#[inline(never)]
+fn earlier_pose(part: &ClusterDecode<'_, '_>, frame: &Frame) -> Result<Option<Pose>> {
     let content = part.content;
-    let mut w = frame.id.0;
-    while w > 0 {
-        w -= 1;
+    for w in (0..frame.id.0).rev() {
         let id = WindowId(w);
-        let window = content.manifest.window(id)?;
+        let window = window_of(content.manifest, id)?;
         if EpochId(window.epoch) != part.id {
-            return None;
+            break;
         }
         let span = Span::Motion(id);
-        let shape = Shape::of(&content.manifest, span, part.cluster)?;
-        let cell = content.cell(span, part.cluster)?;
-        if shape.motion.class() != Track::Static && !part.content.arrived(cell, 0).has(Level::BASE) {
+        let shape = Shape::in_lattice(content.manifest, span, part.cluster)?;
+        let cell = content.cell_in_lattice(span, part.cluster)?;
+        if shape.motion.class() != Track::Static && !content.arrived(cell, 0)?.has(Level::BASE) {
             continue;
         }
         // Only here, not for every window passed over: a basis costs more than the rest of a step.
         let frames = u32::from(window.frames);
-        let cosine = cosine(frames, frames.saturating_sub(1));
-        let last = Frame { id, window, cosine, learned: [0.0; MAX_WINDOW_FRAMES] };
-        return track(part, &shape, cell, &last);
+        return track(part, &shape, cell, &cosine(frames, frames - 1));
     }
-    None
+    Ok(None)
 }
 
 /// Adds the per-Gaussian coefficients of one block.
 fn bend(
-    part: &mut Part<'_, '_>,
+    part: &mut ClusterDecode<'_, '_>,
     shape: &Shape,
     cell: Cell,
     block: usize,
@@ -236,7 +255,7 @@ fn bend(
     frame: &Frame,
 ) -> Result<()> {
     let n = shape.block_gaussians(block);
-    let first = block * shape.block_len;
+    let first = shape.first_of(block);
     let symbols = symbols_of(part.content, cell, shape)?;
     let mut runs = Runs::of(shape, symbols, block, level)?;
     for class in Class::ALL.into_iter().take(Class::MOVING) {
@@ -244,27 +263,21 @@ fn bend(
         if rank == 0 {
             continue;
         }
-        let carries = carried(shape, class);
+        let carries = carrying_levels(shape, class);
         let quantiser = shape.quant.motion[class.index()];
         let step = quantiser.step(level);
         let basis = if class == Class::Position { &frame.learned } else { &frame.cosine };
-        let weights = basis.iter().take(usize::from(frame.window.frames)).take(rank);
+        let weights = basis.get(..rank).ok_or_else(|| most_vectors(rank))?;
         let mut sums = [[[0.0; SPAN]; 3]; MAX_BLOCK_LEN / SPAN];
         for &weight in weights {
-            for d in 0..class.components() {
-                let mut column = Column::new(runs.next(carries), quantiser, Level::ALL[1], level, 0);
+            for (d, _) in (0..3).zip(0..class.components()) {
+                let runs = runs.next(carries)?;
+                let mut column = Column::new(runs, quantiser, Level::ALL[1], level, 0);
                 for sums in sums.iter_mut().take(n.div_ceil(SPAN)) {
-                    let Some(sums) = sums.get_mut(d) else { continue };
-                    for (sum, q) in sums.iter_mut().zip(column.take()) {
+                    for (sum, q) in sums[d].iter_mut().zip(column.take()) {
                         *sum += q as f32 * step * weight;
                     }
                 }
-            }
-        }
-        // No window has more coefficients than frames; what a hostile one has beyond is passed over.
-        for _ in usize::from(frame.window.frames)..rank {
-            for _ in 0..class.components() {
-                runs.next(carries);
             }
         }
         let out = cut("decode.out", part.out, first..first + n)?;

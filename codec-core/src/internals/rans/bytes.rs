@@ -4,6 +4,7 @@
 //! frequencies. One 32-bit state with the lower bound 2^23, renormalised by bytes. Layout:
 //! `[state: u32][bytes …]`. A body is whole only if the state ends at 2^23 and every byte is used.
 
+use super::table::starts;
 use crate::error::{Error, ErrorKind, Result};
 
 /// log2 of the sum of a byte table's frequencies.
@@ -33,22 +34,20 @@ impl ByteTable {
     /// # Errors
     /// If the frequencies do not sum to 4096.
     pub fn new(frequency: [u16; 256]) -> Result<Self> {
-        let mut start = [0u16; 256];
-        let mut sum = 0u32;
-        for (start, &f) in start.iter_mut().zip(&frequency) {
-            *start = sum.min(u32::from(u16::MAX)) as u16;
-            sum += u32::from(f);
-        }
+        let sum: u32 = frequency.iter().map(|&f| u32::from(f)).sum();
         if sum != SCALE {
             let allowed = (u64::from(SCALE), u64::from(SCALE));
             return Err(Error::illegal("byte_table.sum", 0, u64::from(sum), allowed));
         }
-        Ok(Self { frequency, start })
+        Ok(Self { frequency, start: starts(&frequency) })
     }
 
     /// A table for bytes seen `counts` times, every seen byte at least 1 in 4096; a table of
     /// nothing seen holds only byte 0.
-    pub fn from_counts(counts: &[u64; 256]) -> Self {
+    ///
+    /// # Errors
+    /// None: what is left to hand out always has a taker.
+    pub fn from_counts(counts: &[u64; 256]) -> Result<Self> {
         let mut counts = *counts;
         if counts.iter().all(|&c| c == 0) {
             counts[0] = 1;
@@ -79,23 +78,18 @@ impl ByteTable {
                 left += 1;
             }
         }
-        let mut start = [0u16; 256];
-        let mut sum = 0u16;
-        for (start, &f) in start.iter_mut().zip(&frequency) {
-            *start = sum;
-            sum += f;
-        }
-        Self { frequency, start }
+        Self::new(frequency)
     }
 
     /// From its 512 bytes in the manifest.
     ///
     /// # Errors
     /// As [`ByteTable::new`].
+    #[inline(never)]
     pub fn from_bytes(bytes: &[u8; TABLE_BYTES]) -> Result<Self> {
         let mut frequency = [0u16; 256];
-        for (f, pair) in frequency.iter_mut().zip(bytes.chunks_exact(2)) {
-            *f = u16::from_le_bytes([pair[0], pair[1]]);
+        for (f, pair) in frequency.iter_mut().zip(bytes.as_chunks().0) {
+            *f = u16::from_le_bytes(*pair);
         }
         Self::new(frequency)
     }
@@ -210,12 +204,15 @@ mod tests {
                 counts[usize::from(byte)] += 1;
             }
         }
-        counts.map(|c| ByteTable::from_counts(&c))
+        counts.map(|c| ByteTable::from_counts(&c).unwrap())
     }
 
     proptest! {
         #[test]
-        fn round_trip_and_damage(values in proptest::collection::vec(any::<i16>(), 0..if cfg!(miri) { 12 } else { 800 }), flip: usize) {
+        fn round_trip_and_damage(
+            values in proptest::collection::vec(any::<i16>(), 0..if cfg!(miri) { 12 } else { 800 }),
+            flip: usize,
+        ) {
             let [low, high] = tables(&values);
             for table in [&low, &high] {
                 prop_assert_eq!(&ByteTable::from_bytes(&table.to_bytes()).unwrap(), table);

@@ -7,6 +7,8 @@
 //! is that of the frame before. Layout, as in [`bytes`](super::bytes):
 //! `[state: u32][bytes …]`. A body is whole only if the state ends at 2^23 and every byte is used.
 
+use core::num::NonZero;
+
 use super::bytes::{PRECISION, SCALE, STATE_BYTES};
 use crate::{
     error::{Error, ErrorKind, Result},
@@ -37,8 +39,8 @@ pub struct Place {
     pub level: Level,
     /// First symbol of the group in the chunk.
     pub first: usize,
-    /// Gaussians of the cluster, ≥ 1: symbols of one component lie together.
-    pub gaussians: usize,
+    /// Gaussians of the cluster: symbols of one component lie together.
+    pub gaussians: NonZero<usize>,
     /// Vectors of the epoch's basis.
     pub rank: usize,
     /// Frames of the epoch.
@@ -49,7 +51,7 @@ impl Place {
     /// Symbols from a symbol to that of the same Gaussian and component in the frame after.
     fn frame(&self) -> usize {
         let components = if self.level.get() == 1 { REFINEMENTS } else { ATTRIBUTE_OF.len() };
-        components * self.gaussians
+        components * self.gaussians.get()
     }
 
     /// The attribute of component `component` of the group, 0 to 4.
@@ -61,7 +63,7 @@ impl Place {
             1 => ATTRIBUTE_OF.len() - 1,
             _ => component % ATTRIBUTE_OF.len(),
         };
-        ATTRIBUTE_OF.get(own).copied().map_or(0, usize::from)
+        usize::from(ATTRIBUTE_OF[own])
     }
 }
 
@@ -189,8 +191,7 @@ impl Model {
 /// Walks the symbols of a chunk in order; `values` are written where `side` decodes, read where it encodes.
 fn walk(side: &mut impl Decisions, place: Place, values: &mut [i16]) -> Result<()> {
     let mut model = Model::NEW;
-    let place = Place { gaussians: place.gaussians.max(1), ..place };
-    let gaussians = place.gaussians;
+    let gaussians = place.gaussians.get();
     for i in 0..values.len() {
         let at = place.first + i;
         let earlier = |distance: usize| i.checked_sub(distance).and_then(|j| values.get(j)).copied();
@@ -198,19 +199,18 @@ fn walk(side: &mut impl Decisions, place: Place, values: &mut [i16]) -> Result<(
         let before = earlier(place.frame());
         let above = before.or(earlier(gaussians));
         let left_before = earlier(place.frame() + 1);
+        // Neighbours outside the chunk count as zeros.
         let size = |v: Option<i16>| v.map_or(0, |v| u32::BITS - u32::from(v.unsigned_abs()).leading_zeros());
         let sign = |v: Option<i16>| (v.unwrap_or(0).signum() + 1) as usize;
         let context = Context {
-            attribute: place.attribute(at / gaussians),
+            attribute: place.attribute(at / place.gaussians),
             size: ((size(left) + size(above)) as usize).min(SIZES - 1),
             sign: 3 * sign(left) + sign(above),
             before,
             left_repeats: left.is_some() && left == left_before,
         };
         side.begin(i);
-        if let Some(value) = values.get_mut(i) {
-            *value = model.symbol(side, context, *value)?;
-        }
+        values[i] = model.symbol(side, context, values[i])?;
     }
     Ok(())
 }
@@ -268,19 +268,21 @@ pub fn decode(body: &[u8], place: Place, out: &mut [i16]) -> Result<()> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Decision {
     start: u16,
-    slots: u16,
+    slots: NonZero<u16>,
 }
 
 impl Decision {
     /// What the decision costs, bits.
     pub fn bits(self) -> f64 {
-        libm::log2(f64::from(SCALE) / f64::from(self.slots))
+        libm::log2(f64::from(SCALE) / f64::from(self.slots.get()))
     }
 }
 
 /// Hands decisions to an encoder, each with the symbol that it belongs to.
 struct Visitor<F> {
     index: usize,
+    /// Whether `visit` wants no more.
+    stopped: bool,
     visit: F,
 }
 
@@ -292,16 +294,21 @@ impl<F: FnMut(usize, Decision) -> bool> Decisions for Visitor<F> {
     fn pass(&mut self, slots: u32, yes: bool) -> Result<bool> {
         let (start, slots) = if yes { (slots, SCALE - slots) } else { (0, slots) };
         let stop = Error::illegal("encode.decision", 0, 0, (0, 0)).kind(ErrorKind::Capacity);
-        let decision = Decision { start: start as u16, slots: slots as u16 };
-        (self.visit)(self.index, decision).then_some(yes).ok_or(stop)
+        let decision = Decision { start: start as u16, slots: NonZero::new(slots as u16).ok_or(stop)? };
+        self.stopped = !(self.visit)(self.index, decision);
+        if self.stopped { Err(stop) } else { Ok(yes) }
     }
 }
 
 /// Calls `visit` with the decisions that code `values` and the symbol that each belongs to, in the order of
 /// a decoder, until it returns false. `values` stay as they are.
-pub fn decisions(values: &mut [i16], place: Place, visit: impl FnMut(usize, Decision) -> bool) {
-    // The only error is that `visit` wants no more.
-    let _ = walk(&mut Visitor { index: 0, visit }, place, values);
+///
+/// # Errors
+/// A `place` that `values` do not fit.
+pub fn decisions(values: &mut [i16], place: Place, visit: impl FnMut(usize, Decision) -> bool) -> Result<()> {
+    let mut visitor = Visitor { index: 0, stopped: false, visit };
+    let walked = walk(&mut visitor, place, values);
+    if visitor.stopped { Ok(()) } else { walked }
 }
 
 /// Encodes `decisions` at the END of `out` and returns where the body starts.
@@ -313,8 +320,8 @@ pub fn encode(decisions: impl DoubleEndedIterator<Item = Decision>, out: &mut [u
     let full = Error::short("chunk", 0, room, room + 1).kind(ErrorKind::Capacity);
     let (mut at, mut state) = (room, LOW);
     for decision in decisions.rev() {
-        let slots = u32::from(decision.slots).max(1);
-        while u64::from(state) >= u64::from(slots) << (31 - PRECISION) {
+        let slots = NonZero::<u32>::from(decision.slots);
+        while u64::from(state) >= u64::from(slots.get()) << (31 - PRECISION) {
             at = at.checked_sub(1).ok_or(full)?;
             *out.get_mut(at).ok_or(full)? = state as u8;
             state >>= 8;
@@ -338,13 +345,15 @@ mod tests {
         decisions(&mut values.to_vec(), place, |_, decision| {
             all.push(decision);
             true
-        });
+        })
+        .unwrap();
         let mut out = vec![0u8; values.len() * 5 + 16];
         let at = encode(all.into_iter(), &mut out).unwrap();
         out.split_off(at)
     }
 
-    const PLACE: Place = Place { level: Level::BASE, first: 0, gaussians: 40, rank: 2, frames: 3 };
+    const FORTY: NonZero<usize> = NonZero::new(40).unwrap();
+    const PLACE: Place = Place { level: Level::BASE, first: 0, gaussians: FORTY, rank: 2, frames: 3 };
 
     proptest! {
         #[test]
@@ -353,6 +362,7 @@ mod tests {
             level in 0u8..4, first in 0usize..5000, gaussians in 1usize..300, flip: usize,
         ) {
             let values: Vec<i16> = values.into_iter().map(|(v, shift)| v >> (shift % 16)).collect();
+            let gaussians = NonZero::new(gaussians).unwrap();
             let place = Place { level: Level::from_bits(level), first, gaussians, rank: 4, frames: 9 };
             let mut body = encoded(&values, place);
             let mut back = vec![0i16; values.len()];
@@ -377,12 +387,12 @@ mod tests {
         let still = encoded(&[0; 20_000], PLACE);
         assert!(still.len() < 120, "{} bytes for nothing", still.len());
         // Calm and lively Gaussians side by side: the component before tells them apart.
-        let mixed: Vec<i16> = (0..12_000i32)
+        let varied: Vec<i16> = (0..12_000i32)
             .map(|i| if (i % 40) * 7919 % 3 == 0 { (((i * 7919) >> 3) % 256 - 128) as i16 } else { 0 })
             .collect();
         let place = Place { level: Level::from_bits(2), ..PLACE };
-        let shuffled = Place { gaussians: 7, ..place };
-        assert!(encoded(&mixed, place).len() < encoded(&mixed, shuffled).len());
+        let shuffled = Place { gaussians: NonZero::new(7).unwrap(), ..place };
+        assert!(encoded(&varied, place).len() < encoded(&varied, shuffled).len());
     }
 
     #[test]
@@ -393,7 +403,7 @@ mod tests {
             let error = decode(body.get(..len).unwrap(), PLACE, &mut back).unwrap_err();
             assert!(matches!(error.kind, ErrorKind::Short | ErrorKind::Illegal), "{len}: {error:?}");
         }
-        let all = vec![Decision { start: 0, slots: 1 }; 9];
+        let all = vec![Decision { start: 0, slots: NonZero::new(1).unwrap() }; 9];
         assert_eq!(encode(all.into_iter(), &mut [0; 8]).unwrap_err().kind, ErrorKind::Capacity);
     }
 }

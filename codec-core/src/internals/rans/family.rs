@@ -9,7 +9,7 @@
 //!   that scale.
 //! - 128..=172, three values −1, 0, 1 with probabilities in eighths: what a refinement by thirds is.
 
-use super::table::{ESCAPE, SCALE, Table};
+use super::scale::{ESCAPE, SCALE};
 
 /// Number of scales of the geometric kinds.
 pub const SCALES: u8 = 54;
@@ -34,64 +34,77 @@ pub fn indices() -> impl Iterator<Item = u8> {
     (0..SCALES).chain(HEAVY..HEAVY + SCALES).chain(THREE..THREE + THREES)
 }
 
-/// The table that `index` names.
-pub fn table(index: u8) -> Option<Table> {
+/// Frequencies of all tokens, which sum to [`SCALE`], and raw bits per value.
+pub(super) struct Frequencies {
+    pub of: [u16; 256],
+    pub raw_bits: u8,
+}
+
+/// The frequencies of the table that `index` names.
+pub(super) fn frequencies(index: u8) -> Option<Frequencies> {
     let (weights, raw_bits) = match index {
-        0..SCALES => geometric(index, None),
+        0..SCALES => geometric(index, None)?,
         HEAVY..THREE if index - HEAVY < SCALES => {
             let scale = index - HEAVY;
-            geometric(scale, Some((scale + 9).min(SCALES - 1)))
+            geometric(scale, Some((scale + 9).min(SCALES - 1)))?
         }
         THREE.. if index - THREE < THREES => (three(index - THREE), 0),
         _ => return None,
     };
-    normalised(&weights, raw_bits)
+    Some(Frequencies { of: normalised(&weights)?, raw_bits })
 }
 
-/// Raw bits and ratio of `scale`.
-fn scale_of(scale: u8) -> (u8, u64) {
+/// Raw bits and ratio of `scale`, if there is such a one.
+fn scale_of(scale: u8) -> Option<(u8, u64)> {
     let (raw_bits, entry) = match scale.checked_sub(30) {
         Some(beyond) => (beyond / 3 + 1, 30 + beyond % 3),
         None => (0, scale),
     };
-    (raw_bits, u64::from(RATIOS.get(usize::from(entry)).copied().unwrap_or(0)))
+    Some((raw_bits, u64::from(*RATIOS.get(usize::from(entry))?)))
 }
 
 /// Weights of all tokens, 2^32 at most: geometric of `scale`, three quarters of it if there is a
 /// `tail` of another scale.
-fn geometric(scale: u8, tail: Option<u8>) -> ([u64; 256], u8) {
-    let (raw_bits, ratio) = scale_of(scale);
+fn geometric(scale: u8, tail: Option<u8>) -> Option<([u64; 256], u8)> {
+    let (raw_bits, ratio) = scale_of(scale)?;
     let mut weights = [0u64; 256];
     let share = if tail.is_some() { 3 } else { 4 };
-    add_geometric(&mut weights, ratio, raw_bits > 0, share);
+    add_geometric(&mut weights, ratio, raw_bits > 0, share)?;
     if let Some(tail) = tail {
-        let (tail_bits, mut tail_ratio) = scale_of(tail);
+        let (tail_bits, mut tail_ratio) = scale_of(tail)?;
         // Tokens of the narrow part hold fewer raw bits than the tail's own would.
         for _ in raw_bits..tail_bits {
             // The square root of a ratio near one is halfway to one.
             tail_ratio = (65_536 + tail_ratio) / 2;
         }
-        add_geometric(&mut weights, tail_ratio, raw_bits > 0, 1);
+        add_geometric(&mut weights, tail_ratio, raw_bits > 0, 1)?;
     }
-    (weights, raw_bits)
+    Some((weights, raw_bits))
 }
 
 /// Adds a geometric of total weight `share` · 2^30. With raw bits, a token holds a whole range of
 /// values and −1 mirrors 0.
-fn add_geometric(weights: &mut [u64; 256], ratio: u64, ranges: bool, share: u64) {
+#[inline(never)]
+fn add_geometric(weights: &mut [u64; 256], ratio: u64, ranges: bool, share: u64) -> Option<()> {
     // Total of the two sides: 2 / (1 − ratio) with ranges, else that less the zero counted twice.
     let one = 65_536u64;
     let sides = if ranges { 2 * one } else { one + ratio };
-    let mut weight = (share << 30) * (one - ratio) / sides.max(1);
-    for distance in 0..128usize {
-        let left = if ranges { 127usize.checked_sub(distance) } else { 128usize.checked_sub(distance) };
-        for token in [Some(128 + distance), left.filter(|_| ranges || distance > 0)].into_iter().flatten() {
-            if let Some(target) = weights.get_mut(token).filter(|_| token > usize::from(ESCAPE)) {
-                *target += weight;
-            }
+    let mut weight = ((share << 30) * (one - ratio)).checked_div(sides)?;
+    let (low, high) = weights.split_at_mut(128);
+    // Outwards from the middle: 128 and 127 with ranges, else 128 alone, then 129 and 127.
+    let mut left = low.iter_mut().rev();
+    for (distance, right) in high.iter_mut().enumerate() {
+        *right += weight;
+        if (ranges || distance > 0)
+            && let Some(left) = left.next()
+        {
+            *left += weight;
         }
         weight = weight * ratio / one;
     }
+    // The escape is no value.
+    low[usize::from(ESCAPE)] = 0;
+    Some(())
 }
 
 /// Weights of composition `index` of [`EIGHTHS`] into parts for −1, 0 and 1, in lexical order.
@@ -111,34 +124,41 @@ fn three(index: u8) -> [u64; 256] {
     weights
 }
 
-/// The table nearest to `weights`: shares rounded down, at least 1 where a share is over an eighth,
-/// tokens rarer than that escaped, what is left over to the likeliest token.
-fn normalised(weights: &[u64; 256], raw_bits: u8) -> Option<Table> {
+/// The frequencies nearest to `weights`: shares rounded down, at least 1 where a share is over an eighth,
+/// tokens rarer than that escaped, what is left over to the likeliest token. `None` of no weights at all.
+fn normalised(weights: &[u64; 256]) -> Option<[u16; 256]> {
     let total: u64 = weights.iter().sum();
     let mut frequency = [0u16; 256];
     let mut left = SCALE as u16 - 1;
     for (f, &w) in frequency.iter_mut().zip(weights) {
-        let eighths = w * 8 * u64::from(SCALE - 24) / total.max(1);
+        let eighths = (w * 8 * u64::from(SCALE - 24)).checked_div(total)?;
         *f = if eighths >= 1 { (eighths / 8).max(1) as u16 } else { 0 };
         left = left.checked_sub(*f)?;
     }
-    let mode = (1..=255u8).max_by_key(|&t| (weights.get(usize::from(t)).copied(), 255 - t.abs_diff(128)))?;
-    *frequency.get_mut(usize::from(mode))? += left;
-    *frequency.get_mut(usize::from(ESCAPE))? = 1;
-    Table::new(frequency, raw_bits).ok()
+    let tokens = (0..=255u8).zip(weights).skip(usize::from(ESCAPE) + 1);
+    // Of equally likely ones that nearest to zero.
+    let (likeliest, _) = tokens.max_by_key(|&(token, &weight)| (weight, 255 - token.abs_diff(128)))?;
+    frequency[usize::from(likeliest)] += left;
+    frequency[usize::from(ESCAPE)] = 1;
+    Some(frequency)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::rans::table::Table;
     extern crate std;
     use std::vec::Vec;
+
+    fn table(index: u8) -> Option<Table> {
+        Table::named(index).ok()
+    }
 
     /// Bits per value of a Laplace of mean magnitude `mean`, quantised, under `table`, and its entropy.
     fn cost(table: &Table, mean: f64) -> (f64, f64) {
         let ratio = ((1.0 + mean * mean).sqrt() - 1.0) / mean;
         let (mut bits, mut entropy) = (0.0, 0.0);
-        // Wider than any scale that is asked about; the tails weigh nothing.
+        // Wider than any scale here; the tails weigh nothing.
         let most = if cfg!(miri) { 300 } else { 30_000i32 };
         for value in -most..=most {
             let p = (1.0 - ratio) / (1.0 + ratio) * ratio.powi(value.abs());
@@ -192,8 +212,9 @@ mod tests {
     #[test]
     fn three_values_have_their_eighths() {
         // Interpreted, only the compositions near the even one are looked at.
-        let asked = if cfg!(miri) { THREE + 18..THREE + 24 } else { THREE..THREE + THREES };
-        let flat = asked.filter_map(table).find(|t| [127u8, 128, 129].iter().all(|&v| t.frequency(v) > 500));
+        let indices = if cfg!(miri) { THREE + 18..THREE + 24 } else { THREE..THREE + THREES };
+        let mut tables = indices.filter_map(table);
+        let flat = tables.find(|t| [127u8, 128, 129].iter().all(|&v| t.frequency(v) > 500));
         assert!(flat.is_some());
         let sure = table(THREE + THREES - 1).unwrap();
         assert!(sure.frequency(127) > 1900 && sure.frequency(129) >= 1, "{}", sure.frequency(127));

@@ -39,24 +39,19 @@ impl Form {
         [Self::Slots, Self::Compact].into_iter().find(|form| tables.saturating_mul(form.words()) <= words)
     }
 
-    /// Writes `table` as number `index` to `memory`; out of its bounds, nowhere.
-    pub fn fill(self, memory: &mut [u32], index: usize, table: &Table) {
-        let Some(words) = memory.chunks_exact_mut(self.words().max(1)).nth(index) else { return };
+    /// Writes `table` as number `index` to `memory`; `None` if that ends before it.
+    pub fn fill(self, memory: &mut [u32], index: usize, table: &Table) -> Option<()> {
+        let start = index.checked_mul(self.words())?;
+        let words = memory.get_mut(start..start.checked_add(self.words())?)?;
         match self {
-            Self::Slots => {
-                if let Some((slots, _)) = words.split_first_chunk_mut::<SLOTS>() {
-                    table.fill_slots(slots);
-                }
-            }
+            Self::Slots => table.fill_slots(words.first_chunk_mut()?),
             Self::Compact => {
-                let Some((tokens, ranges)) = words.split_first_chunk_mut::<TOKEN_WORDS>() else { return };
-                let Some((ranges, _)) = ranges.split_first_chunk_mut::<256>() else { return };
+                let (tokens, ranges) = words.split_first_chunk_mut::<TOKEN_WORDS>()?;
                 let tokens: &mut [u8] = bytemuck::cast_slice_mut(tokens.as_mut_slice());
-                if let Some((tokens, _)) = tokens.split_first_chunk_mut::<SLOTS>() {
-                    Compact::fill(table, tokens, ranges);
-                }
+                Compact::fill(table, tokens.first_chunk_mut()?, ranges.first_chunk_mut()?);
             }
         }
+        Some(())
     }
 
     /// Table number `index` of `memory`, if it is there.
@@ -107,7 +102,8 @@ mod tests {
     proptest! {
         #[test]
         fn both_forms_pop_the_same(
-            seen in proptest::collection::vec((1u8..=255, 1u64..1_000_000), 0..60), states in proptest::collection::vec(1u32 << 15..1 << 31, 50),
+            seen in proptest::collection::vec((1u8..=255, 1u64..1_000_000), 0..60),
+            states in proptest::collection::vec(1u32 << 15..1 << 31, 50),
         ) {
             let mut counts = [0u64; 256];
             for &(token, count) in &seen { counts[usize::from(token)] += count; }

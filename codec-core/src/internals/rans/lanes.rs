@@ -29,7 +29,7 @@ pub mod naive;
 mod plane;
 
 pub use decode::{Decoder, Lanes};
-pub use encode::{Encoded, Run, Symbols, encode};
+pub use encode::{Encoded, Symbols, TableRun, encode};
 pub use lookup::{Compact, Lookup};
 pub use plane::Raw;
 
@@ -51,10 +51,12 @@ pub const LOW: u32 = 1 << LOW_BITS;
 /// A body taken apart, nothing decoded yet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parts<'a> {
-    /// Words, escapes and plane.
+    /// Words, escapes and plane: what a decoder reads from.
     pub body: &'a [u8],
     /// Bytes of the words and the escapes together, at the front of `body`; an even number.
     pub stream: usize,
+    /// Raw bits and states, behind those: what [`Raw`] reads from.
+    pub plane: &'a [u8],
     /// States of the lanes before the first value, each `LOW..LOW << 16`.
     pub state: [u32; LANES],
     /// Values before those that the states keep.
@@ -87,10 +89,12 @@ impl<'a> Parts<'a> {
         let lengths: [u32; LANES] =
             core::array::from_fn(|lane| LOW_BITS + u32::from(lengths >> (4 * lane) & 15));
         let plane_bits = lengths.iter().fold(raw_bits, |sum, &bits| sum.saturating_add(bits as usize));
-        let plane = plane_bits.div_ceil(8);
-        let Some(stream) = rest.len().checked_sub(plane) else {
-            return Err(short(HEAD_BYTES.saturating_add(plane)));
+        let plane_len = plane_bits.div_ceil(8);
+        let halves = rest.len().checked_sub(plane_len).and_then(|stream| rest.split_at_checked(stream));
+        let Some((words, plane)) = halves else {
+            return Err(short(HEAD_BYTES.saturating_add(plane_len)));
         };
+        let stream = words.len();
         if !stream.is_multiple_of(2) {
             return Err(Error::illegal("body.words", HEAD_BYTES, stream as u64, (0, stream as u64 - 1)));
         }
@@ -100,7 +104,7 @@ impl<'a> Parts<'a> {
         for (place, &byte) in last.iter_mut().skip(to).zip(body.split_at(from).1) {
             *place = byte;
         }
-        let mut bits = u128::from_le_bytes(last) >> (128 - (8 * plane - raw_bits).min(128) as u32).min(127);
+        let mut bits = u128::from_le_bytes(last) >> (128 - (8 * plane.len() - raw_bits));
         let mut state = [0u32; LANES];
         for (state, length) in state.iter_mut().zip(lengths) {
             *state = 1 << length | bits as u32 & ((1 << length) - 1);
@@ -108,14 +112,9 @@ impl<'a> Parts<'a> {
         }
         if bits != 0 {
             let found = bits as u64;
-            return Err(Error::illegal("body.padding", body.len().saturating_sub(1), found, (0, 0)));
+            return Err(Error::illegal("body.padding", body.len() - 1, found, (0, 0)));
         }
-        Ok(Self { body: rest, stream, state, main: values - tail, tail, raw_bits })
-    }
-
-    /// Words, escapes and plane: what [`Raw`] and a decoder read from.
-    pub fn plane(&self) -> &'a [u8] {
-        self.body.split_at(self.stream.min(self.body.len())).1
+        Ok(Self { body: rest, stream, plane, state, main: values - tail, tail, raw_bits })
     }
 }
 

@@ -1,4 +1,4 @@
-//! Frequency tables of the `dgs1` coder: who sums to what, once and for all.
+//! A frequency table of the `dgs1` coder says how often each token comes: in every packet the same.
 //!
 //! A value `v` (any i16) is a token and `k` raw low bits: token `(v >> k) + 128` if that lies in
 //! 1..=255, else token 0, the escape, and the whole i16 travels in a section of its own.
@@ -7,22 +7,16 @@
 //! `count: u8`, `escape: u16`, then `count` frequencies `u16` of tokens `first ..`. Frequencies and
 //! the escape sum to exactly 2048.
 
-use super::family;
+pub use super::scale::{ESCAPE, PRECISION, SCALE, SLOTS};
+
+use super::family::{self, Frequencies};
 use crate::{
     cursor::{Reader, in_range},
     error::{Error, Result},
 };
 
-/// log2 of the sum of all frequencies.
-pub const PRECISION: u32 = 11;
-/// The sum of all frequencies.
-pub const SCALE: u32 = 1 << PRECISION;
-/// Slots of a decode table.
-pub const SLOTS: usize = SCALE as usize;
 /// Largest number of raw low bits.
 pub const MAX_RAW_BITS: u8 = 8;
-/// The token that announces an escaped value.
-pub const ESCAPE: u8 = 0;
 /// Bytes of a table on the wire before its frequencies.
 pub const TABLE_HEADER_BYTES: usize = 5;
 
@@ -39,6 +33,17 @@ pub struct Table {
     index: Option<u8>,
 }
 
+/// The sum of the frequencies before each, for frequencies that sum to less than 2^16.
+#[inline(never)]
+pub(super) fn starts(frequency: &[u16; 256]) -> [u16; 256] {
+    let (mut starts, mut sum) = ([0u16; 256], 0u16);
+    for (start, &f) in starts.iter_mut().zip(frequency) {
+        *start = sum;
+        sum += f;
+    }
+    starts
+}
+
 /// First byte of a table of the family on the wire.
 pub const NAMED: u8 = 0x80;
 
@@ -49,15 +54,9 @@ impl Table {
     /// If the frequencies do not sum to [`SCALE`] or `raw_bits` is over [`MAX_RAW_BITS`].
     pub fn new(frequency: [u16; 256], raw_bits: u8) -> Result<Self> {
         in_range("table.raw_bits", 0, raw_bits, 0, MAX_RAW_BITS)?;
-        let mut start = [0u16; 256];
-        let mut sum = 0u32;
-        for (start, &f) in start.iter_mut().zip(&frequency) {
-            // Saturates only when the check below refuses the table.
-            *start = sum.min(u32::from(u16::MAX)) as u16;
-            sum += u32::from(f);
-        }
+        let sum = frequency.iter().map(|&f| u32::from(f)).sum();
         in_range("table.sum", 0, sum, SCALE, SCALE)?;
-        Ok(Self { frequency, start, raw_bits, index: None })
+        Ok(Self { frequency, start: starts(&frequency), raw_bits, index: None })
     }
 
     /// Table `index` of the family.
@@ -65,10 +64,9 @@ impl Table {
     /// # Errors
     /// An index that names none.
     pub fn named(index: u8) -> Result<Self> {
-        match family::table(index) {
-            Some(table) => Ok(Self { index: Some(index), ..table }),
-            None => Err(Error::illegal("table.index", 1, index.into(), (0, 172))),
-        }
+        let unknown = Error::illegal("table.index", 1, index.into(), (0, 172));
+        let Frequencies { of, raw_bits } = family::frequencies(index).ok_or(unknown)?;
+        Ok(Self { index: Some(index), ..Self::new(of, raw_bits)? })
     }
 
     /// The best table of 11-bit probabilities for tokens seen `counts` times: largest-remainder
@@ -234,7 +232,11 @@ mod tests {
     proptest! {
         #[test]
         fn counts_give_a_full_table_in_which_everything_seen_is_codable(
-            seen in proptest::collection::vec((1u8..=255, 1u64..1_000_000), 0..if cfg!(miri) { 40 } else { 255 }), raw_bits in 0u8..=8,
+            seen in proptest::collection::vec(
+                (1u8..=255, 1u64..1_000_000),
+                0..if cfg!(miri) { 40 } else { 255 },
+            ),
+            raw_bits in 0u8..=8,
         ) {
             let mut counts = [0u64; 256];
             for &(token, count) in &seen { counts[usize::from(token)] += count; }
@@ -249,7 +251,9 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_are_a_table_or_an_error(bytes in proptest::collection::vec(any::<u8>(), 0..if cfg!(miri) { 100 } else { 600 })) {
+        fn any_bytes_are_a_table_or_an_error(
+            bytes in proptest::collection::vec(any::<u8>(), 0..if cfg!(miri) { 100 } else { 600 }),
+        ) {
             let _ = Table::read(&mut Reader::new(&bytes));
         }
     }

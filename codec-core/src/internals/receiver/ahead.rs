@@ -6,10 +6,10 @@
 //! back meanwhile) is left to [`Receiver::push`] in the packet's turn, so that committing packets one
 //! after the other is in every respect the same as giving them to `push`.
 
-use super::{Accepted, Receiver, payload::Survey};
+use super::{Receiver, answer::Accepted, payload::Survey};
 use crate::{
     error::Result,
-    rans::{form::Form, lanes::Run, table::SLOTS},
+    rans::{form::Form, lanes::TableRun, table::SLOTS},
     wire::{checked::Checked, manifest::Profile, packet::Packet},
 };
 
@@ -27,10 +27,12 @@ impl Receiver<'_> {
     /// Slots and raw bits of the stream's entropy tables, for a decoder of the host's. `None` in
     /// profile `paper`, and where memory is so short that tables are compact.
     pub fn tables(&self) -> Option<(&[[u32; SLOTS]], &[u8])> {
-        let manifest = Some(self.manifest).filter(|m| m.profile() == Profile::Dgs1)?;
-        let count = usize::from(manifest.head().tables);
+        if self.manifest.profile() != Profile::Dgs1 || self.form != Form::Slots {
+            return None;
+        }
+        let count = usize::from(self.manifest.head().tables);
         let slots = self.memory.slots.as_chunks::<SLOTS>().0.get(..count)?;
-        (self.form == Form::Slots).then_some((slots, self.raw_bits.get(..count)?))
+        Some((slots, self.raw_bits.get(..count)?))
     }
 
     /// Checks `packet` up to its values and calls `run` with every run of them, in order; there are at
@@ -43,16 +45,16 @@ impl Receiver<'_> {
     pub fn plan<'p>(
         &mut self,
         packet: Checked<'p>,
-        run: impl FnMut(Run),
+        run: impl FnMut(TableRun),
     ) -> core::result::Result<Planned<'p>, Checked<'p>> {
-        let manifest = self.manifest;
         let surveyed = match packet.packet() {
             Packet::Slices(slices)
-                if manifest.profile() == Profile::Dgs1
-                    && slices.id.get() < manifest.head().packets
+                if self.manifest.profile() == Profile::Dgs1
+                    && slices.id.get() < self.manifest.head().packets
                     && !self.has(slices.id) =>
             {
-                self.survey(&manifest, slices, run).ok()
+                // The error is that of `push`, in the packet's turn.
+                self.survey(slices, run).ok()
             }
             _ => None,
         };
@@ -69,18 +71,16 @@ impl Receiver<'_> {
     /// As [`Receiver::push`].
     pub fn commit(&mut self, planned: &Planned<'_>, values: Option<&[i16]>) -> Result<Accepted> {
         let packet = &planned.packet;
-        let (id, manifest) = (packet.id(), self.manifest);
+        let id = packet.id();
         let placed = match (packet.packet(), values) {
             (Packet::Slices(slices), Some(values)) if values.len() == planned.values && !self.has(id) => {
-                self.place(&manifest, slices, values).is_ok()
+                self.place(slices, values).is_ok()
             }
             _ => false,
         };
         if !placed {
             return self.push(packet);
         }
-        self.counters.media += 1;
-        self.mark(id);
-        Ok(Accepted { id, recovered: self.take_member(&manifest, id, packet.bytes()) })
+        Ok(Accepted { id, recovered: self.take_media(packet)? })
     }
 }

@@ -1,5 +1,7 @@
 //! Decodes a `paper` chunk: a range of symbols of one group, which arrives when all its ranges have.
 
+use core::ops::Range;
+
 use super::{Memory, Receiver};
 use crate::{
     closure::Arrived,
@@ -8,7 +10,7 @@ use crate::{
     layout::Shape,
     rans::bytes,
     wire::{
-        manifest::{Epoch, Manifest},
+        manifest::{Epoch, Manifest, Profile},
         packet::Chunk,
     },
 };
@@ -36,7 +38,7 @@ impl ChunkGroup {
         let last = u64::from(manifest.head().clusters.saturating_sub(1));
         let unknown = contradiction("chunk.cluster", 4, cluster.into(), (0, last));
         let (span, local, epoch) = locate(manifest, cluster).ok_or(unknown)?;
-        let shape = Shape::of(manifest, span, local).ok_or(unknown)?;
+        let shape = Shape::in_lattice(manifest, span, local)?;
         for (field, offset, found, wanted) in [
             ("chunk.first_frame", 6, u32::from(chunk.first_frame), epoch.first_frame & 0xffff),
             ("chunk.frames", 8, u32::from(chunk.frames), epoch.frames & 0xffff),
@@ -71,14 +73,15 @@ impl ChunkGroup {
 
     /// Which symbols of the group `chunk` holds, as its coder has to know.
     #[cfg(feature = "paper-context")]
-    fn place(&self, chunk: &Chunk<'_>) -> crate::rans::context::Place {
-        crate::rans::context::Place {
+    fn place(&self, chunk: &Chunk<'_>) -> Result<crate::rans::context::Place> {
+        let none = contradiction("cluster.gaussians", 4, 0, (1, u64::from(u16::MAX)));
+        Ok(crate::rans::context::Place {
             level: chunk.level,
             first: chunk.first_symbol as usize,
-            gaussians: self.shape.gaussians(),
+            gaussians: core::num::NonZero::new(self.shape.gaussians()).ok_or(none)?,
             rank: self.epoch.rank.into(),
             frames: self.epoch.frames as usize,
-        }
+        })
     }
 }
 
@@ -101,7 +104,9 @@ impl Receiver<'_> {
     /// # Errors
     /// Why it is refused; then none of its symbols counts as arrived.
     #[inline(never)]
-    pub(super) fn decode_chunk(&mut self, manifest: &Manifest<'_>, chunk: &Chunk<'_>) -> Result<()> {
+    pub(super) fn decode_chunk(&mut self, chunk: &Chunk<'_>) -> Result<()> {
+        self.check_profile(Profile::Paper)?;
+        let manifest = &self.manifest;
         let group = ChunkGroup::of(manifest, chunk)?;
         let Memory { cells, symbols, blocks, slots, progress, .. } = &mut self.memory;
         let lacking = |field| Error::illegal(field, 0, 0, (1, 1)).kind(ErrorKind::Capacity);
@@ -113,7 +118,10 @@ impl Receiver<'_> {
         let groups = manifest.cells() * Level::COUNT;
         let (counters, marks) = progress.split_at_mut_checked(groups).ok_or(lacking("memory.progress"))?;
         let counter = counters.get_mut(group.number).ok_or(lacking("memory.progress"))?;
-        if let Some(symbol) = first_mark(marks, range.clone()) {
+        let words = range.start / 32..range.end.div_ceil(32);
+        let first_word = words.start;
+        let marks = marks.get_mut(words).ok_or(lacking("memory.progress"))?;
+        if let Some(symbol) = first_mark(marks, first_word, &range) {
             let found = (symbol - group_start) as u64;
             let twice = Error::illegal("chunk.first_symbol", 14, found, (found, found));
             return Err(twice.kind(ErrorKind::Duplicate));
@@ -122,11 +130,10 @@ impl Receiver<'_> {
         match manifest.chunk_coder() {
             #[cfg(feature = "paper-context")]
             Some(crate::wire::manifest::ChunkCoder::Context) => {
-                crate::rans::context::decode(chunk.payload, group.place(chunk), target)?;
+                crate::rans::context::decode(chunk.payload, group.place(chunk)?, target)?;
             }
             _ => {
-                let tables = manifest.byte_tables(chunk.cluster.into(), chunk.level);
-                let [low, high] = tables.ok_or(contradiction("chunk.tables", 0, 0, (1, 1)))?;
+                let [low, high] = manifest.byte_tables(chunk.cluster.into(), chunk.level)?;
                 let slots: &mut [u8] = bytemuck::cast_slice_mut(slots);
                 let slots = slots.as_chunks_mut::<{ bytes::SLOTS }>().0.first_chunk_mut();
                 let [low_slots, high_slots] = slots.ok_or(lacking("memory.slots"))?;
@@ -136,7 +143,7 @@ impl Receiver<'_> {
             }
         }
         let mask = blocks.get_mut(cell.blocks as usize).ok_or(lacking("memory.blocks"))?;
-        mark(marks, range);
+        mark(marks, first_word, &range);
         *counter += u32::from(chunk.symbols);
         if u64::from(*counter) == group.len {
             *mask = Arrived(*mask).with(chunk.level).0;
@@ -146,17 +153,17 @@ impl Receiver<'_> {
 }
 
 /// Bits of word `word` that lie in `range` of a bitmap.
-fn bits_of(word: usize, range: &core::ops::Range<usize>) -> u32 {
+fn bits_of(word: usize, range: &Range<usize>) -> u32 {
     let from = range.start.saturating_sub(32 * word).min(32) as u32;
     let to = range.end.saturating_sub(32 * word).min(32) as u32;
     let below = |end: u32| ((1u64 << end) - 1) as u32;
     below(to) & !below(from)
 }
 
-/// The first bit of `range` that is set in bitmap `marks`.
-fn first_mark(marks: &[u32], range: core::ops::Range<usize>) -> Option<usize> {
-    for word in range.start / 32..range.end.div_ceil(32) {
-        let found = marks.get(word)? & bits_of(word, &range);
+/// The first bit of `range` that is set in bitmap `marks`, whose first word is word `first_word`.
+fn first_mark(marks: &[u32], first_word: usize, range: &Range<usize>) -> Option<usize> {
+    for (word, marks) in (first_word..).zip(marks) {
+        let found = marks & bits_of(word, range);
         if found != 0 {
             return Some(32 * word + found.trailing_zeros() as usize);
         }
@@ -164,11 +171,10 @@ fn first_mark(marks: &[u32], range: core::ops::Range<usize>) -> Option<usize> {
     None
 }
 
-/// Sets the bits of `range` in bitmap `marks`.
-fn mark(marks: &mut [u32], range: core::ops::Range<usize>) {
-    let words = range.start / 32..range.end.div_ceil(32);
-    for (word, marks) in marks.iter_mut().enumerate().take(words.end).skip(words.start) {
-        *marks |= bits_of(word, &range);
+/// Sets the bits of `range` in bitmap `marks`, whose first word is word `first_word`.
+fn mark(marks: &mut [u32], first_word: usize, range: &Range<usize>) {
+    for (word, marks) in (first_word..).zip(marks) {
+        *marks |= bits_of(word, range);
     }
 }
 
@@ -188,8 +194,10 @@ mod tests {
             let mut naive = vec![false; 400];
             for (start, len) in ranges {
                 let range = start..start + len;
-                prop_assert_eq!(first_mark(&marks, range.clone()), range.clone().find(|&i| naive[i]));
-                mark(&mut marks, range.clone());
+                let words = range.start / 32..range.end.div_ceil(32);
+                let part = &mut marks[words.clone()];
+                prop_assert_eq!(first_mark(part, words.start, &range), range.clone().find(|&i| naive[i]));
+                mark(part, words.start, &range);
                 naive[range].fill(true);
                 let found: Vec<bool> = (0..400).map(|i| marks[i / 32] >> (i % 32) & 1 == 1).collect();
                 prop_assert_eq!(&found, &naive);

@@ -2,11 +2,11 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use super::repair;
+use super::sets;
 use crate::{
     caps::{Caps, within},
     closure::Arrived,
-    error::Result,
+    error::{Error, Result},
     ids::{ClusterId, EpochId, Level, Span, WindowId},
     layout::Shape,
     limits,
@@ -53,7 +53,7 @@ impl Requirements {
     /// that are known without a walk over the cells come first, the number of cells among them.
     pub fn of(manifest: &Manifest<'_>, caps: &Caps) -> Result<Self> {
         let head = manifest.head();
-        let gaussians = manifest.epochs().map(|epoch| epoch.gaussians).max().unwrap_or(0);
+        let gaussians = manifest.largest_epoch();
         let blocks = manifest.state_blocks();
         for (field, found, most) in [
             ("manifest.raw_len", manifest.raw().len() as u64, caps.manifest_bytes),
@@ -67,14 +67,17 @@ impl Requirements {
             within(field, found, most)?;
         }
         let mut symbols = 0u64;
-        for_each_cell(manifest, |_, _, shape| symbols = symbols.saturating_add(shape.len() as u64));
+        for_each_cell(manifest, |_, _, shape| {
+            symbols = symbols.saturating_add(shape.len() as u64);
+            Ok(())
+        })?;
         within("manifest.symbols", symbols, caps.symbols.min(limits::MAX_SYMBOLS))?;
         let mut need = Self {
             cells: manifest.cells() + 1,
             symbols: symbols as usize,
             blocks: blocks as usize,
             seen: (head.packets as usize).div_ceil(32),
-            parity: repair::memory_bytes(manifest).min(caps.parity_bytes as usize),
+            parity: sets::memory_bytes(manifest).min(caps.parity_bytes as usize),
             ..Self::default()
         };
         match manifest.profile() {
@@ -112,22 +115,28 @@ impl Requirements {
 }
 
 /// Calls `visit` with every cell in lattice order: canonical cells, then motion cells.
-pub fn for_each_cell(manifest: &Manifest<'_>, mut visit: impl FnMut(Span, ClusterId, Shape)) {
-    let mut walk = |span, clusters: u32| {
-        for c in 0..clusters {
+///
+/// # Errors
+/// Whatever `visit` returns, which ends the walk.
+pub fn for_each_cell(
+    manifest: &Manifest<'_>,
+    mut visit: impl FnMut(Span, ClusterId, Shape) -> Result<()>,
+) -> Result<()> {
+    let mut walk = |span| {
+        let none = Error::illegal("manifest.windows", 0, 0, (0, 0));
+        for c in 0..manifest.clusters_of(span).ok_or(none)? {
             let cluster = ClusterId(c as u16);
-            if let Some(shape) = Shape::of(manifest, span, cluster) {
-                visit(span, cluster, shape);
-            }
+            visit(span, cluster, Shape::in_lattice(manifest, span, cluster)?)?;
         }
+        Ok(())
     };
-    for (e, epoch) in manifest.epochs().enumerate() {
-        walk(Span::Canonical(EpochId(e as u16)), epoch.clusters);
+    for e in 0..manifest.head().epochs {
+        walk(Span::Canonical(EpochId(e)))?;
     }
-    for (w, window) in manifest.windows().enumerate() {
-        let clusters = manifest.epoch(EpochId(window.epoch)).map_or(0, |e| e.clusters);
-        walk(Span::Motion(WindowId(w as u16)), clusters);
+    for w in 0..manifest.head().windows {
+        walk(Span::Motion(WindowId(w)))?;
     }
+    Ok(())
 }
 
 /// The caller's memory, cut from an arena by [`Plan::divide`](crate::arena::Plan::divide). Contents do
@@ -155,7 +164,7 @@ pub struct Memory<'a> {
 #[derive(Clone, Copy, Debug)]
 pub struct Content<'m> {
     /// The manifest.
-    pub manifest: Manifest<'m>,
+    pub manifest: &'m Manifest<'m>,
     /// Where cells start.
     pub cells: &'m [Cell],
     /// Symbols.
@@ -172,13 +181,72 @@ impl<'m> Content<'m> {
         self
     }
 
-    /// The cell of `cluster` in `span`.
+    /// The cell of `cluster` in `span`, if there is one.
     pub fn cell(&self, span: Span, cluster: ClusterId) -> Option<Cell> {
         self.cells.get(self.manifest.cell(span, cluster)?.index()).copied()
     }
 
+    /// The cell of `cluster` in `span`, which the lattice has.
+    ///
+    /// # Errors
+    /// [`ErrorKind::Capacity`](crate::ErrorKind::Capacity): there is no such cell.
+    pub fn cell_in_lattice(&self, span: Span, cluster: ClusterId) -> Result<Cell> {
+        let (have, need) = (self.cells.len(), self.manifest.cells());
+        self.cell(span, cluster).ok_or_else(|| Error::lacking("memory.cells", have, need))
+    }
+
     /// Levels of block `block` of a cell that have arrived.
-    pub fn arrived(&self, cell: Cell, block: usize) -> Arrived {
-        Arrived(self.blocks.get(cell.blocks as usize + block).copied().unwrap_or(0))
+    ///
+    /// # Errors
+    /// [`ErrorKind::Capacity`](crate::ErrorKind::Capacity): the state has no such block.
+    pub fn arrived(&self, cell: Cell, block: usize) -> Result<Arrived> {
+        let (have, at) = (self.blocks.len(), cell.blocks as usize + block);
+        let mask = self.blocks.get(at).ok_or_else(|| Error::lacking("memory.blocks", have, at + 1));
+        mask.copied().map(Arrived)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+    use std::vec;
+
+    use super::*;
+    use crate::{
+        arena::Plan,
+        error::ErrorKind,
+        receiver::Receiver,
+        wire::{crc::crc32, file, manifest::Sealed},
+    };
+
+    /// All of `list` but its first element.
+    fn shorten<T>(list: &mut &mut [T]) {
+        let (_, rest) = core::mem::take(list).split_first_mut().unwrap();
+        *list = rest;
+    }
+
+    #[test]
+    fn memory_that_is_short_is_named() {
+        let (message, _) = file::parts(include_bytes!("../../../tests/conformance/one.dgs")).unwrap();
+        let sealed = Sealed::parse(message).unwrap();
+        let mut raw = vec![0; sealed.raw_len];
+        sealed.open(message, crc32, &mut raw).unwrap();
+        let manifest = Manifest::parse(&raw).unwrap();
+        let plan = Plan::of(&manifest, &Caps::SMALL).unwrap();
+        let refused = |change: fn(&mut Memory<'_>)| {
+            let mut arena = vec![0; plan.words()];
+            let mut memory = plan.divide(&mut arena).unwrap().receiver;
+            change(&mut memory);
+            Receiver::new(memory, manifest, Caps::SMALL).map(|_| ()).map_err(|error| {
+                assert_eq!(error.kind, ErrorKind::Capacity, "{error}");
+                error.field
+            })
+        };
+        assert_eq!(refused(|_| ()), Ok(()));
+        assert_eq!(refused(|memory| shorten(&mut memory.cells)), Err("memory.cells"));
+        assert_eq!(refused(|memory| shorten(&mut memory.symbols)), Err("memory.symbols"));
+        assert_eq!(refused(|memory| shorten(&mut memory.blocks)), Err("memory.blocks"));
+        assert_eq!(refused(|memory| shorten(&mut memory.seen)), Err("memory.seen"));
+        assert_eq!(refused(|memory| memory.slots = &mut []), Err("memory.slots"));
     }
 }

@@ -10,12 +10,12 @@ use crate::{
     error::{Error, ErrorKind, Result},
     rans::{
         form::Form,
-        lanes::{self, Run},
+        lanes::{self, TableRun},
     },
     wire::{
         bits::Bits,
-        manifest::{Manifest, Profile, TableSet, stream},
-        packet::{Packet, Slices},
+        manifest::{Manifest, Profile, stream},
+        packet::Slices,
     },
 };
 
@@ -28,37 +28,29 @@ pub(super) struct Survey<'p> {
 }
 
 impl Receiver<'_> {
-    /// Decodes one media packet to its place and records its arrival.
+    /// Refuses a packet that is not of `wanted`, the profile of its kind.
+    pub(super) fn check_profile(&self, wanted: Profile) -> Result<()> {
+        let found = self.manifest.profile();
+        if wanted == found {
+            return Ok(());
+        }
+        let allowed = (found as u64, found as u64);
+        Err(Error::illegal("packet.profile", 0, wanted as u64, allowed).kind(ErrorKind::Contradiction))
+    }
+
+    /// Decodes `packet` to its place and records its arrival.
     ///
     /// # Errors
     /// Why it is refused; then no arrival is recorded.
-    pub(super) fn decode(&mut self, manifest: &Manifest<'_>, packet: &Packet<'_>) -> Result<()> {
-        let (wanted, found) = match packet {
-            Packet::Slices(_) => (Profile::Dgs1, manifest.profile()),
-            Packet::Chunk(_) => (Profile::Paper, manifest.profile()),
-            Packet::Parity(_) => return Err(Error::illegal("packet.kind", 0, 6, (4, 5))),
-        };
-        if wanted != found {
-            let allowed = (found as u64, found as u64);
-            return Err(
-                Error::illegal("packet.profile", 0, wanted as u64, allowed).kind(ErrorKind::Contradiction)
-            );
-        }
-        match packet {
-            Packet::Slices(slices) => self.decode_slices(manifest, slices),
-            Packet::Chunk(chunk) => self.decode_chunk(manifest, chunk),
-            Packet::Parity(_) => Ok(()),
-        }
-    }
-
-    fn decode_slices(&mut self, manifest: &Manifest<'_>, packet: &Slices<'_>) -> Result<()> {
-        let survey = self.survey(manifest, packet, |_| ())?;
+    pub(super) fn decode_slices(&mut self, packet: &Slices<'_>) -> Result<()> {
+        self.check_profile(Profile::Dgs1)?;
+        let survey = self.survey(packet, |_| ())?;
         let decoder = lanes::Decoder::new(survey.body, survey.values, survey.raw_bits)?;
-        let (table_sets, raw_bits, form) = (&self.table_sets, &self.raw_bits, self.form);
+        let (manifest, raw_bits, form) = (&self.manifest, &self.raw_bits, self.form);
         let Memory { cells, symbols, blocks, slots, .. } = &mut self.memory;
-        let mut places = Places { manifest, cells, symbols, blocks, caps: &self.caps };
+        let mut places = Places { manifest: &self.manifest, cells, symbols, blocks, caps: &self.caps };
         let indices = Bits::new(packet.body);
-        let mut decode = DecodeInPlace { indices, table_sets, raw_bits, form, slots, decoder };
+        let mut decode = DecodeInPlace { indices, manifest, raw_bits, form, slots, decoder };
         places.walk(packet, &mut decode)?;
         decode.decoder.finish()?;
         places.walk(packet, &mut RecordArrival)
@@ -72,15 +64,14 @@ impl Receiver<'_> {
     /// Why the packet is refused, after any number of runs.
     pub(super) fn survey<'p>(
         &mut self,
-        manifest: &Manifest<'_>,
         packet: &Slices<'p>,
-        run: impl FnMut(Run),
+        run: impl FnMut(TableRun),
     ) -> Result<Survey<'p>> {
         let Memory { cells, symbols, blocks, .. } = &mut self.memory;
-        let mut places = Places { manifest, cells, symbols, blocks, caps: &self.caps };
+        let mut places = Places { manifest: &self.manifest, cells, symbols, blocks, caps: &self.caps };
         let mut ahead = LookAhead {
             indices: Bits::new(packet.body),
-            table_sets: &self.table_sets,
+            manifest: &self.manifest,
             raw_bits_of: &self.raw_bits,
             values: 0,
             raw_bits: 0,
@@ -95,14 +86,9 @@ impl Receiver<'_> {
     ///
     /// # Errors
     /// If a place is taken, or there are more or fewer values than places; then nothing is recorded.
-    pub(super) fn place(
-        &mut self,
-        manifest: &Manifest<'_>,
-        packet: &Slices<'_>,
-        values: &[i16],
-    ) -> Result<()> {
+    pub(super) fn place(&mut self, packet: &Slices<'_>, values: &[i16]) -> Result<()> {
         let Memory { cells, symbols, blocks, .. } = &mut self.memory;
-        let mut places = Places { manifest, cells, symbols, blocks, caps: &self.caps };
+        let mut places = Places { manifest: &self.manifest, cells, symbols, blocks, caps: &self.caps };
         let mut copy = CopyValues { rest: values };
         places.walk(packet, &mut copy)?;
         if !copy.rest.is_empty() {
@@ -113,9 +99,9 @@ impl Receiver<'_> {
 }
 
 /// The table that the next index of `stream` names.
-fn next_table(table_sets: &[TableSet; stream::COUNT], stream: usize, indices: &mut Bits<'_>) -> Result<u8> {
+fn next_table(manifest: &Manifest<'_>, stream: usize, indices: &mut Bits<'_>) -> Result<u8> {
     let missing = Error::illegal("slice.table", 0, stream as u64, (0, stream::COUNT as u64 - 1));
-    table_sets.get(stream).ok_or(missing.kind(ErrorKind::Contradiction))?.select(indices)
+    manifest.table_set(stream).ok_or(missing.kind(ErrorKind::Contradiction))?.select(indices)
 }
 
 fn no_table(index: u8) -> Error {
@@ -125,22 +111,22 @@ fn no_table(index: u8) -> Error {
 /// Counts values and raw bits, and refuses what has arrived.
 struct LookAhead<'r, 'p, F> {
     indices: Bits<'p>,
-    table_sets: &'r [TableSet; stream::COUNT],
+    manifest: &'r Manifest<'r>,
     raw_bits_of: &'r [u8],
     values: usize,
     raw_bits: usize,
     run: F,
 }
 
-impl<F: FnMut(Run)> Sink for LookAhead<'_, '_, F> {
+impl<F: FnMut(TableRun)> Sink for LookAhead<'_, '_, F> {
     fn take(&mut self, slice: Slice<'_>) -> Result<()> {
         slice.check_free()?;
         slice.shape.runs(slice.level, slice.blocks, |stream, len| {
-            let table = next_table(self.table_sets, stream, &mut self.indices)?;
+            let table = next_table(self.manifest, stream, &mut self.indices)?;
             let bits = *self.raw_bits_of.get(usize::from(table)).ok_or(no_table(table))?;
             self.values += len;
             self.raw_bits += len * usize::from(bits);
-            (self.run)(Run { table, len });
+            (self.run)(TableRun { table, len });
             Ok(())
         })
     }
@@ -149,7 +135,7 @@ impl<F: FnMut(Run)> Sink for LookAhead<'_, '_, F> {
 /// Decodes values straight to their places.
 struct DecodeInPlace<'r, 'p> {
     indices: Bits<'p>,
-    table_sets: &'r [TableSet; stream::COUNT],
+    manifest: &'r Manifest<'r>,
     raw_bits: &'r [u8],
     form: Form,
     slots: &'r [u32],
@@ -160,7 +146,7 @@ impl Sink for DecodeInPlace<'_, '_> {
     fn take(&mut self, slice: Slice<'_>) -> Result<()> {
         let mut rest = slice.symbols;
         slice.shape.runs(slice.level, slice.blocks, |stream, len| {
-            let index = next_table(self.table_sets, stream, &mut self.indices)?;
+            let index = next_table(self.manifest, stream, &mut self.indices)?;
             let table = self.form.table(self.slots, index.into());
             let raw_bits = self.raw_bits.get(usize::from(index));
             let (table, &raw_bits) = table.zip(raw_bits).ok_or(no_table(index))?;

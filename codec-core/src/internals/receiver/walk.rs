@@ -72,8 +72,10 @@ impl Places<'_, '_> {
         within("packet.blocks", blocks, self.caps.blocks_per_packet)?;
         let mut values = 0;
         for (index, extent) in packet.extents.iter().enumerate() {
-            let (earlier, _) = packet.extents.split_at(index.min(packet.extents.len()));
-            self.extent(index, extent, earlier, &mut values, sink)?;
+            if packet.extents.iter().take(index).any(|earlier| overlap(earlier, extent)) {
+                return Err(arrived_before(index, extent.level));
+            }
+            self.extent(index, extent, &mut values, sink)?;
         }
         Ok(())
     }
@@ -83,7 +85,6 @@ impl Places<'_, '_> {
         &mut self,
         index: usize,
         extent: &Extent,
-        earlier: &[Extent],
         values: &mut u64,
         sink: &mut impl Sink,
     ) -> Result<()> {
@@ -93,13 +94,16 @@ impl Places<'_, '_> {
         let Some(first) = self.manifest.cell(extent.span, ClusterId(0)) else {
             return contradiction("extent.span", 0, (0, 0));
         };
-        let clusters = self.manifest.clusters_of(extent.span) as usize;
-        let lacking = Error::short("memory.cells", 0, self.cells.len(), first.index() + clusters + 1);
-        let all_cells = self.cells;
-        let Some([cells @ .., last]) = all_cells.get(first.index()..=first.index() + clusters) else {
-            return Err(lacking.kind(ErrorKind::Capacity));
+        let Some(clusters) = self.manifest.clusters_of(extent.span) else {
+            return contradiction("extent.span", 0, (0, 0));
         };
-        let start = cells.first().unwrap_or(last).blocks;
+        // The cells of the span, and the one behind them.
+        let range = first.index()..=first.index() + clusters as usize;
+        let (all_cells, need) = (self.cells, range.end() + 1);
+        let found = all_cells.get(range).and_then(|cells| Some((cells, cells.get(1..)?)));
+        let Some((cells @ [Cell { blocks: start, .. }, ..], ends @ [.., last])) = found else {
+            return Err(Error::lacking("memory.cells", all_cells.len(), need));
+        };
         let all = last.blocks - start;
         if extent.first >= all {
             return contradiction("extent.first", extent.first.into(), (0, u64::from(all).saturating_sub(1)));
@@ -109,26 +113,20 @@ impl Places<'_, '_> {
             return contradiction("extent.blocks", extent.blocks.into(), (1, left.into()));
         }
         let end = extent.first + extent.blocks;
-        if earlier.iter().any(|earlier| overlap(earlier, extent)) {
-            return Err(arrived_before(index, extent.level));
-        }
-        // The last cluster that begins at or before the first block; clusters are never empty.
-        let begin = cells.partition_point(|c| c.blocks - start <= extent.first).saturating_sub(1);
+        // Clusters that end at or before the first block.
+        let passed = ends.partition_point(|next| next.blocks - start <= extent.first);
         let before = *values;
-        let ends = cells.iter().skip(1).chain([last]).map(|next| next.blocks - start);
-        for ((c, cell), high) in cells.iter().enumerate().zip(ends).skip(begin) {
-            let low = cell.blocks - start;
+        for ((c, cell), next) in cells.iter().enumerate().zip(ends).skip(passed) {
+            let (low, high) = (cell.blocks - start, next.blocks - start);
             if low >= end {
                 break;
             }
             let cluster = ClusterId(c as u16);
-            let Some(shape) = Shape::of(self.manifest, extent.span, cluster) else {
-                return contradiction("extent.span", c as u64, (0, clusters as u64));
-            };
+            let shape = Shape::in_lattice(self.manifest, extent.span, cluster)?;
             if shape.level_len(extent.level) == 0 {
                 continue;
             }
-            let local = |block: u32| (block.min(high).saturating_sub(low)) as usize;
+            let local = |block: u32| (block.min(high).max(low) - low) as usize;
             let (blocks, all) = (local(extent.first)..local(end), shape.blocks());
             if shape.is_whole(extent.level) && blocks != (0..all) {
                 return contradiction("slice.blocks", blocks.len() as u64, (all as u64, all as u64));
@@ -149,13 +147,13 @@ impl Places<'_, '_> {
 
 /// `len` elements of `memory` from `start`.
 fn at<'m, T>(memory: &'m mut [T], start: usize, len: usize, field: &'static str) -> Result<&'m mut [T]> {
-    let lacking = Error::short(field, 0, memory.len(), start + len).kind(ErrorKind::Capacity);
-    memory.get_mut(start..start + len).ok_or(lacking)
+    let (have, end) = (memory.len(), start + len);
+    memory.get_mut(start..end).ok_or_else(|| Error::lacking(field, have, end))
 }
 
 /// Whether two extents bring the same level of the same block.
 fn overlap(a: &Extent, b: &Extent) -> bool {
-    let (a_end, b_end) = (a.first.saturating_add(a.blocks), b.first.saturating_add(b.blocks));
+    let (a_end, b_end) = (a.first + a.blocks, b.first + b.blocks);
     (a.span, a.level) == (b.span, b.level) && a.first < b_end && b.first < a_end
 }
 

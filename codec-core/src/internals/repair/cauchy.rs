@@ -1,4 +1,4 @@
-//! The code's matrix: Cauchy, scaled so that its first row is all ones.
+//! Makes and inverts the code's matrix: Cauchy, scaled so that its first row is all ones.
 //!
 //! Every square part of a Cauchy matrix is invertible, and scaling columns keeps it so: any r rows
 //! give back any r missing members. With one row the code is XOR.
@@ -23,15 +23,28 @@ static COEFFICIENTS: [[u8; MAX_REPAIR_PARITY]; MAX_REPAIR_SET] = {
 };
 
 /// What each parity row multiplies member `position` (below [`MAX_REPAIR_SET`]) by: y / (y − row)
-/// with y = [`MAX_REPAIR_PARITY`] + position. Beyond: zeros.
-pub fn column(position: u32) -> &'static [u8; MAX_REPAIR_PARITY] {
-    COEFFICIENTS.get(position as usize).unwrap_or(&[0; MAX_REPAIR_PARITY])
+/// with y = [`MAX_REPAIR_PARITY`] + position. Beyond there is none.
+pub fn column(position: u32) -> Option<&'static [u8; MAX_REPAIR_PARITY]> {
+    COEFFICIENTS.get(position as usize)
 }
 
-/// Entry `row` (below [`MAX_REPAIR_PARITY`]) of [`column()`] `position`. Beyond: 0.
-pub fn coefficient(row: u32, position: u32) -> u8 {
-    column(position).get(row as usize).copied().unwrap_or(0)
+/// Entry `row` (below [`MAX_REPAIR_PARITY`]) of [`column()`] `position`. Beyond there is none.
+pub fn coefficient(row: u32, position: u32) -> Option<u8> {
+    column(position)?.get(row as usize).copied()
 }
+
+/// Row per parity row, column per position; inverted the other way round.
+type Matrix = [[u8; MAX_REPAIR_PARITY]; MAX_REPAIR_PARITY];
+
+const IDENTITY: Matrix = {
+    let mut identity = [[0; MAX_REPAIR_PARITY]; MAX_REPAIR_PARITY];
+    let mut i = 0;
+    while i < MAX_REPAIR_PARITY {
+        identity[i][i] = 1;
+        i += 1;
+    }
+    identity
+};
 
 /// Turns sums of some rows over as many missing positions into those members.
 #[derive(Clone, Copy, Debug)]
@@ -40,7 +53,7 @@ pub struct Solution {
     rows: [u8; MAX_REPAIR_PARITY],
     count: usize,
     /// Row per position, column per parity row.
-    inverse: [[u8; MAX_REPAIR_PARITY]; MAX_REPAIR_PARITY],
+    inverse: Matrix,
 }
 
 impl Solution {
@@ -55,7 +68,7 @@ impl Solution {
             positions: [0; MAX_REPAIR_PARITY],
             rows: [0; MAX_REPAIR_PARITY],
             count: count as usize,
-            inverse: [[0; MAX_REPAIR_PARITY]; MAX_REPAIR_PARITY],
+            inverse: IDENTITY,
         };
         let (mut absent, mut present) = (absent, rows);
         for (position, row) in this.positions.iter_mut().zip(&mut this.rows).take(this.count) {
@@ -64,13 +77,14 @@ impl Solution {
             absent &= absent.wrapping_sub(1);
             present &= present.wrapping_sub(1);
         }
-        let mut matrix = [[0u8; MAX_REPAIR_PARITY]; MAX_REPAIR_PARITY];
+        // Rows and columns that are not needed stand for themselves.
+        let mut matrix = IDENTITY;
         for (line, &row) in matrix.iter_mut().zip(&this.rows).take(this.count) {
             for (entry, &position) in line.iter_mut().zip(&this.positions).take(this.count) {
-                *entry = coefficient(row.into(), position.into());
+                *entry = coefficient(row.into(), position.into())?;
             }
         }
-        invert(&mut matrix, &mut this.inverse, this.count);
+        invert(&mut matrix, &mut this.inverse);
         Some(this)
     }
 
@@ -86,35 +100,25 @@ impl Solution {
     }
 }
 
-/// Gauss and Jordan over the first `n` rows and columns. No leading part of a Cauchy matrix is
-/// singular, so no pivot is zero and no rows change places.
-fn invert(
-    matrix: &mut [[u8; MAX_REPAIR_PARITY]; MAX_REPAIR_PARITY],
-    inverted: &mut [[u8; MAX_REPAIR_PARITY]; MAX_REPAIR_PARITY],
-    n: usize,
-) {
-    let n = n.min(MAX_REPAIR_PARITY);
-    for (i, line) in inverted.iter_mut().enumerate().take(n) {
-        line[i] = 1;
-    }
-    for i in 0..n {
-        let scale = inverse(matrix[i][i]);
-        for entry in matrix[i].iter_mut().take(n).chain(inverted[i].iter_mut().take(n)) {
-            *entry = mul(*entry, scale);
+/// Multiplies `matrix` and `inverted` alike until the first is the identity (Gauss and Jordan). No leading
+/// part of a Cauchy matrix is singular, so no pivot is zero and no rows change places.
+fn invert(matrix: &mut Matrix, inverted: &mut Matrix) {
+    for i in 0..MAX_REPAIR_PARITY {
+        // Of the identity nothing is to be done, and most of a matrix may be that.
+        if matrix[i][i] != 1 {
+            let scale = inverse(matrix[i][i]);
+            for entry in matrix[i].iter_mut().chain(&mut inverted[i]) {
+                *entry = mul(*entry, scale);
+            }
         }
         let (pivot, pivot_inverted) = (matrix[i], inverted[i]);
-        // A plain range, whose bound the compiler sees: no index here can be out of bounds.
-        for j in 0..n {
-            if j == i {
+        for j in 0..MAX_REPAIR_PARITY {
+            let factor = matrix[j][i];
+            if j == i || factor == 0 {
                 continue;
             }
-            let factor = matrix[j][i];
-            for (entry, p) in matrix[j]
-                .iter_mut()
-                .zip(pivot)
-                .take(n)
-                .chain(inverted[j].iter_mut().zip(pivot_inverted).take(n))
-            {
+            let line = matrix[j].iter_mut().chain(&mut inverted[j]);
+            for (entry, p) in line.zip(pivot.into_iter().chain(pivot_inverted)) {
                 *entry ^= mul(p, factor);
             }
         }
@@ -129,9 +133,9 @@ mod tests {
     #[test]
     fn the_first_row_is_xor_and_no_coefficient_is_zero() {
         for position in 0..MAX_REPAIR_SET as u32 {
-            assert_eq!(coefficient(0, position), 1);
+            assert_eq!(coefficient(0, position), Some(1));
             for row in 1..MAX_REPAIR_PARITY as u32 {
-                assert!(coefficient(row, position) > 1, "{row} {position}");
+                assert!(coefficient(row, position).is_some_and(|c| c > 1), "{row} {position}");
             }
         }
     }
@@ -161,7 +165,7 @@ mod tests {
                 for (i, _) in solution.positions().enumerate() {
                     for (j, position) in solution.positions().enumerate() {
                         let sum = solution.terms(i).fold(0, |sum, (row, factor)| {
-                            sum ^ slow::mul(*factor, coefficient(row, position))
+                            sum ^ slow::mul(*factor, coefficient(row, position).unwrap())
                         });
                         assert_eq!(sum, u8::from(i == j), "{absent:x} {rows:x} {i} {j}");
                     }

@@ -1,11 +1,12 @@
 //! The code against itself (encode, lose, recover) and against sums by definition.
 
+extern crate std;
+
+use std::{vec, vec::Vec};
+
 use proptest::prelude::*;
 
 use super::{gf256::slow, *};
-
-extern crate std;
-use std::{vec, vec::Vec};
 
 const LONGEST: usize = if cfg!(miri) { 24 } else { 300 };
 const CASES: u32 = if cfg!(miri) { 3 } else { 200 };
@@ -94,7 +95,11 @@ fn the_callers_mix_is_used() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: CASES, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: CASES,
+        failure_persistence: None,
+        ..ProptestConfig::default()
+    })]
 
     /// Any loss of at most as many packets as rows is repaired, one more is not; order, repeats
     /// and which rows arrive do not matter.
@@ -139,7 +144,8 @@ proptest! {
             prop_assert!(missing.is_empty());
             return Ok(());
         };
-        prop_assert_eq!(solution.positions().collect::<Vec<_>>(), missing.iter().map(|&m| m as u32).collect::<Vec<_>>());
+        let positions: Vec<usize> = solution.positions().map(|p| p as usize).collect();
+        prop_assert_eq!(&positions, &missing);
         let mut out = [0u8; MAX_CODED_BYTES];
         for (index, &position) in missing.iter().enumerate() {
             prop_assert_eq!(sums.recover(&solution, index, &mut out), Some(&packets[position][..]));
@@ -196,7 +202,8 @@ proptest! {
             sums.add_parity(row, length, &content);
         }
         let first = seed % (n - rows as u32);
-        (0..n).filter(|i| !(first..=first + rows as u32).contains(i)).for_each(|i| sums.add(i, &packets[i as usize]));
+        let there = (0..n).filter(|i| !(first..=first + rows as u32).contains(i));
+        there.for_each(|i| sums.add(i, &packets[i as usize]));
         prop_assert!(sums.solution(n).is_none());
         sums.add(first, &packets[first as usize]);
         prop_assert!(sums.solution(n).is_some());

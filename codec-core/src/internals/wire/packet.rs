@@ -164,8 +164,8 @@ impl<'a> Chunk<'a> {
         let first_frame = reader.u16("chunk.first_frame")?;
         let frames = in_range("chunk.frames", 8, reader.u16("chunk.frames")?, 1, u16::MAX)?;
         let quant = reader.u8("chunk.quant")?;
-        let most = limits::MAX_DEPENDENCIES as u8;
-        let count = in_range("chunk.dependencies", 11, reader.u8("chunk.dependencies")?, 0, most)?;
+        let most_words = limits::MAX_DEPENDENCIES as u8;
+        let count = in_range("chunk.dependencies", 11, reader.u8("chunk.dependencies")?, 0, most_words)?;
         let most = limits::MAX_PAYLOAD_BYTES as u16;
         let payload_len = in_range("chunk.payload_len", 12, reader.u16("chunk.payload_len")?, 1, most)?;
         let first_symbol = reader.u32("chunk.first_symbol")?;
@@ -173,9 +173,9 @@ impl<'a> Chunk<'a> {
         let reserved = reader.offset();
         in_range("chunk.reserved", reserved, reader.u16("chunk.reserved")?, 0, 0)?;
         let mut dependencies = Vec::new();
+        let full = Error::illegal("chunk.dependencies", 11, count.into(), (0, most_words.into()));
         for _ in 0..count {
-            // `count` is at most the capacity, so this cannot fail.
-            let _ = dependencies.push(reader.u32("chunk.dependency")?);
+            dependencies.push(reader.u32("chunk.dependency")?).map_err(|_| full)?;
         }
         let payload = reader.bytes("chunk.payload", usize::from(payload_len))?;
         reader.finish("chunk.leftover")?;
@@ -418,7 +418,9 @@ mod tests {
 
     proptest! {
         #[test]
-        fn heads_are_read_alike(bytes in proptest::collection::vec(prop_oneof![any::<u8>(), Just(0xa0), Just(0x80)], 0..8)) {
+        fn heads_are_read_alike(
+            bytes in proptest::collection::vec(prop_oneof![any::<u8>(), Just(0xa0), Just(0x80)], 0..8),
+        ) {
             prop_assert_eq!(Head::parse(&bytes), Head::parse_slowly(&bytes));
         }
 

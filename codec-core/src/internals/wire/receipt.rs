@@ -1,4 +1,4 @@
-//! DGSF, the receipt: what the receiver tells the sender (paper section 7.1).
+//! DGSF, the receipt, holds what the receiver tells the sender (paper section 7.1).
 //!
 //! Acknowledged packet ranges, packets recovered by repair, groups completed since the last
 //! receipt, the playout time, and optionally where the viewer is. One receipt fits one datagram;
@@ -84,35 +84,33 @@ impl<'a> Receipt<'a> {
             end.set(Some(read_range(r, end.get())?.1));
             Ok(())
         })?;
-        let recovered =
-            list("receipt.recovered", &|r| r.varint("receipt.recovered", PacketId::MAX).map(|_| ()))?;
+        let recovered = list("receipt.recovered", &|r| read_recovered(r).map(|_| ()))?;
         let completed = list("receipt.completed", &|r| read_group(r).map(|_| ()))?;
         reader.finish("receipt.leftover")?;
         Ok(Self { sequence, playout_us, pose, ranges, recovered, completed })
     }
 
-    /// Acknowledged packets, ascending.
-    pub fn acknowledged(&self) -> impl Iterator<Item = IdRange> + use<'a> {
+    /// Acknowledged packets, ascending; none is an error, since [`Receipt::parse`] has read them all.
+    pub fn acknowledged(&self) -> impl Iterator<Item = Result<IdRange>> + use<'a> {
         let mut reader = Reader::new(self.ranges.0);
         let mut end = None;
-        (0..self.ranges.1).map_while(move |_| {
-            let range = read_range(&mut reader, end).ok()?;
+        (0..self.ranges.1).map(move |_| {
+            let range = read_range(&mut reader, end)?;
             end = Some(range.1);
-            Some(range)
+            Ok(range)
         })
     }
 
-    /// Packets recovered by repair.
-    pub fn recovered(&self) -> impl Iterator<Item = PacketId> + use<'a> {
+    /// Packets recovered by repair; none is an error.
+    pub fn recovered(&self) -> impl Iterator<Item = Result<PacketId>> + use<'a> {
         let mut reader = Reader::new(self.recovered.0);
-        (0..self.recovered.1)
-            .map_while(move |_| PacketId::new(reader.varint("receipt.recovered", PacketId::MAX).ok()?))
+        (0..self.recovered.1).map(move |_| read_recovered(&mut reader))
     }
 
-    /// Groups completed since the last receipt.
-    pub fn completed(&self) -> impl Iterator<Item = Group> + use<'a> {
+    /// Groups completed since the last receipt; none is an error.
+    pub fn completed(&self) -> impl Iterator<Item = Result<Group>> + use<'a> {
         let mut reader = Reader::new(self.completed.0);
-        (0..self.completed.1).map_while(move |_| read_group(&mut reader).ok())
+        (0..self.completed.1).map(move |_| read_group(&mut reader))
     }
 }
 
@@ -164,6 +162,7 @@ impl Value<'_> {
         writer.varint(ranges as u32)?;
         let mut end: Option<u32> = None;
         for (i, &(first, last)) in self.acknowledged.iter().skip(older).enumerate() {
+            // Before the first range there is no gap.
             let least = end.map_or(0, |e| e + 2);
             in_range("receipt.range", i, first.get(), least, last.get().max(least))?;
             in_range("receipt.range", i, last.get(), first.get(), PacketId::MAX)?;
@@ -204,6 +203,13 @@ fn read_range(reader: &mut Reader<'_>, end: Option<PacketId>) -> Result<IdRange>
     PacketId::new(first).zip(PacketId::new(last)).ok_or(past)
 }
 
+fn read_recovered(reader: &mut Reader<'_>) -> Result<PacketId> {
+    let place = reader.offset();
+    let id = reader.varint("receipt.recovered", PacketId::MAX)?;
+    let past = Error::illegal("receipt.recovered", place, id.into(), (0, PacketId::MAX.into()));
+    PacketId::new(id).ok_or(past)
+}
+
 fn read_group(reader: &mut Reader<'_>) -> Result<Group> {
     let place = reader.offset();
     let kind = in_range("receipt.group", place, reader.u8("receipt.group")?, 0, 7)?;
@@ -224,7 +230,8 @@ mod tests {
         #[test]
         fn receipts_round_trip(
             gaps in proptest::collection::vec((0u32..50, 0u32..50), 0..60), sequence: u32, playout_us: u64,
-            recovered in proptest::collection::vec(0u32..1 << 24, 0..20), pose in proptest::option::of(-9f32..9.0),
+            recovered in proptest::collection::vec(0u32..1 << 24, 0..20),
+            pose in proptest::option::of(-9f32..9.0),
             groups in proptest::collection::vec((any::<bool>(), any::<u16>(), any::<u16>(), 0u8..4), 0..20),
         ) {
             let mut at = 0;
@@ -240,15 +247,17 @@ mod tests {
             }).collect();
             let pose = pose.map(|v| ViewerPose { position: [v; 3], rotation: [1.0, 0.0, 0.0, 0.0] });
             let value = Value {
-                sequence, playout_us, pose, acknowledged: &ranges, recovered: &recovered, completed: &completed,
+                sequence, playout_us, pose,
+                acknowledged: &ranges, recovered: &recovered, completed: &completed,
             };
             let mut out = vec![0u8; 1200];
             let len = value.write(&mut out).unwrap();
             let receipt = Receipt::parse(&out[..len], crc32).unwrap();
-            prop_assert_eq!((receipt.sequence, receipt.playout_us, receipt.pose), (sequence, playout_us, pose));
-            prop_assert_eq!(receipt.acknowledged().collect::<Vec<_>>(), ranges);
-            prop_assert_eq!(receipt.recovered().collect::<Vec<_>>(), recovered);
-            prop_assert_eq!(receipt.completed().collect::<Vec<_>>(), completed);
+            let head = (receipt.sequence, receipt.playout_us, receipt.pose);
+            prop_assert_eq!(head, (sequence, playout_us, pose));
+            prop_assert_eq!(receipt.acknowledged().collect::<Result<Vec<_>>>(), Ok(ranges));
+            prop_assert_eq!(receipt.recovered().collect::<Result<Vec<_>>>(), Ok(recovered));
+            prop_assert_eq!(receipt.completed().collect::<Result<Vec<_>>>(), Ok(completed));
         }
 
         #[test]
@@ -259,7 +268,9 @@ mod tests {
             let fits: Crc32 = |_| 0;
             bytes.extend([0; 4]);
             if let Ok(receipt) = Receipt::parse(&bytes, fits) {
-                let _ = receipt.acknowledged().count() + receipt.recovered().count() + receipt.completed().count();
+                prop_assert!(receipt.acknowledged().all(|range| range.is_ok()));
+                prop_assert!(receipt.recovered().all(|id| id.is_ok()));
+                prop_assert!(receipt.completed().all(|group| group.is_ok()));
             }
         }
     }
@@ -280,7 +291,7 @@ mod tests {
         let mut out = vec![0u8; 1200];
         let len = value.write(&mut out).unwrap();
         let receipt = Receipt::parse(&out[..len], crc32).unwrap();
-        assert_eq!(receipt.acknowledged().last(), ranges.last().copied());
+        assert_eq!(receipt.acknowledged().last(), ranges.last().copied().map(Ok));
         assert!(receipt.acknowledged().count() > 100);
     }
 }

@@ -84,7 +84,7 @@ fn promise(bench: &mut Bench, key: &str, scene: &Scene, stream: &Stream, subsets
     let good: Result<Vec<bool>> = (0..subsets)
         .into_par_iter()
         .map_init(
-            || (Player::new(&content.manifest), Renderer::new()),
+            || (Player::new(content.manifest), Renderer::new()),
             |(player, renderer), seed| {
                 let share = draw(seed, usize::MAX);
                 let state = map.state(|id| draw(seed, id) < share);
@@ -139,13 +139,13 @@ fn locality(bench: &mut Bench, key: &str, stream: &Stream) -> Result<()> {
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let content = received.content();
-    let owner = owners(&content);
+    let owner = owners(&content)?;
     let whole = map.state(|_| true);
     let count = stream.packets().len();
     let spilled: Result<Vec<usize>> = (0..count)
         .into_par_iter()
         .map_init(
-            || (Player::new(&content.manifest), Player::new(&content.manifest)),
+            || (Player::new(content.manifest), Player::new(content.manifest)),
             |(a, b), lost| {
                 let frame = (draw(9, lost) * f64::from(content.manifest.head().frames)) as u32;
                 let state = map.state(|id| id != lost);
@@ -179,14 +179,15 @@ fn locality(bench: &mut Bench, key: &str, stream: &Stream) -> Result<()> {
 }
 
 /// (cluster, block) of every decoded Gaussian, per epoch.
-fn owners(content: &Content<'_>) -> Vec<Vec<(u16, usize)>> {
+fn owners(content: &Content<'_>) -> codec_core::Result<Vec<Vec<(u16, usize)>>> {
     let mut owners = vec![Vec::new(); usize::from(content.manifest.head().epochs)];
-    codec_core::internals::receiver::for_each_cell(&content.manifest, |span, cluster, shape| {
+    codec_core::internals::receiver::for_each_cell(content.manifest, |span, cluster, shape| {
         if let Span::Canonical(epoch) = span {
             let blocks = (0..shape.blocks())
                 .flat_map(|b| std::iter::repeat_n((cluster.0, b), shape.block_gaussians(b)));
             owners[epoch.index()].extend(blocks);
         }
-    });
-    owners
+        Ok(())
+    })?;
+    Ok(owners)
 }

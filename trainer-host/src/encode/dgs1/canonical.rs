@@ -1,10 +1,12 @@
 //! Quantises canonical attributes to nested symbols.
 
+use std::num::NonZero;
+
 use codec_core::internals::{
     ids::Level,
     layout::Shape,
     quant::Class,
-    wire::manifest::{Cluster, Quant},
+    wire::manifest::{self, Cluster, Quant},
 };
 use rayon::prelude::*;
 
@@ -118,7 +120,8 @@ pub(super) fn quantise(
     decisions: &EpochDecisions,
     quants: &[Quant],
     block_len: usize,
-) -> Canonical {
+) -> codec_core::Result<Canonical> {
+    let block_len = manifest::block_len(block_len as u64)?;
     let quantised: Vec<(CellSymbols, u64)> = decisions
         .clusters
         .par_iter()
@@ -130,7 +133,7 @@ pub(super) fn quantise(
         .collect();
     let saturated = quantised.iter().map(|(_, saturated)| saturated).sum();
     let cells = quantised.into_iter().map(|(cell, _)| cell).collect();
-    Canonical { origin: decisions.origin, cells, saturated }
+    Ok(Canonical { origin: decisions.origin, cells, saturated })
 }
 
 /// Whether differences to the Gaussian before are smaller than the values themselves.
@@ -152,7 +155,7 @@ fn prediction_pays(clusters: &[Indices], class: Class, quant: &Quant, block_len:
     class == Class::Position || differences < plain
 }
 
-fn cell(indices: &Indices, quant: &Quant, sh_degree: u8, block_len: usize) -> (CellSymbols, u64) {
+fn cell(indices: &Indices, quant: &Quant, sh_degree: u8, block_len: NonZero<u32>) -> (CellSymbols, u64) {
     let position = quant.canonical[Class::Position.index()];
     let base = |component: usize| -> Vec<i32> {
         indices[0][component].iter().map(|&q| split(&position, Class::Position, q)[0]).collect()
@@ -182,7 +185,7 @@ fn cell(indices: &Indices, quant: &Quant, sh_degree: u8, block_len: usize) -> (C
         let out = &mut levels[level.index()];
         out.reserve(shape.level_len(level));
         for block in 0..shape.blocks() {
-            let first = block * block_len;
+            let first = shape.first_of(block);
             let range = first..first + shape.block_gaussians(block);
             for (class, _, dims) in shape.components(level) {
                 let quantiser = quant.canonical[class.index()];

@@ -106,8 +106,10 @@ mod tests {
             let first = content.cell(span, cluster).unwrap().blocks as usize;
             let keep = (2u8 << highest.next().unwrap().get()) - 1;
             state[first..first + shape.blocks()].iter_mut().for_each(|m| *m &= keep);
-        });
-        let mut players = [Player::new(&content.manifest), Player::new(&content_cut.manifest)];
+            Ok(())
+        })
+        .unwrap();
+        let mut players = [Player::new(content.manifest), Player::new(content_cut.manifest)];
         let apart = |a: &[Gaussian], b: &[Gaussian]| {
             let close = |(a, b): (&Gaussian, &Gaussian)| {
                 values(a).iter().zip(values(b)).all(|(a, b)| (a - b).abs() <= 2e-5 * (1.0 + a.abs()))

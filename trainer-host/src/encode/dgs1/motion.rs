@@ -270,7 +270,8 @@ fn leftover(
 /// for rotation).
 fn dequantised(cell: &CellSymbols, class: Class, i: usize, origin: [f32; 3]) -> [f32; 3] {
     let shape = &cell.shape;
-    let (block, within) = (i / shape.block_len, i % shape.block_len);
+    let block_len = shape.block_len.get() as usize;
+    let (block, within) = (i / block_len, i % block_len);
     let n = shape.block_gaussians(block);
     let quantiser = shape.quant.canonical[class.index()];
     let step = quantiser.step(Level::ALL[3]);
@@ -337,7 +338,7 @@ fn coefficients(
     for level in Level::ALL.into_iter().skip(1) {
         let out = &mut levels[level.index()];
         for block in 0..shape.blocks() {
-            let first = block * shape.block_len;
+            let first = shape.first_of(block);
             for (class, k, dims) in shape.components(level) {
                 let quantiser = quant.motion[class.index()];
                 let vector = if class == Class::Position { &learned[k] } else { &cosines[k] };

@@ -15,10 +15,9 @@ use crate::scene::Epoch;
 
 /// The proxies of an epoch's blocks, clusters in order.
 pub(super) fn proxies(epoch: &Epoch, decided: &EpochDecisions, canonical: &Canonical) -> Vec<Proxy> {
-    let block_len = canonical.cells.first().map_or(1, |c| c.shape.block_len);
     let mut proxies = Vec::new();
     for (cluster, cell) in decided.clusters.iter().zip(&canonical.cells) {
-        for block in cluster.gaussians.chunks(block_len) {
+        for block in cluster.gaussians.chunks(cell.shape.block_len.get() as usize) {
             let change = decided.proxy_changes.get(proxies.len()).copied().unwrap_or_default();
             proxies.push(proxy(epoch, block, cell, canonical, change));
         }
@@ -136,7 +135,7 @@ mod tests {
         let received = stream.receive().unwrap();
         let content = received.content();
         let none = vec![0u8; content.blocks.len()];
-        let mut player = Player::new(&content.manifest);
+        let mut player = Player::new(content.manifest);
         let shown = player.show(&content.with_state(&none), 0).unwrap();
         let seen: Vec<&Gaussian> = shown.gaussians.iter().filter(|g| g.opacity > 0.0).collect();
         assert_eq!(seen.len(), 1);
@@ -167,7 +166,7 @@ mod tests {
             let received = stream.receive().unwrap();
             let content = received.content();
             let none = vec![0u8; content.blocks.len()];
-            let mut player = Player::new(&content.manifest);
+            let mut player = Player::new(content.manifest);
             player.show(&content.with_state(&none), 0).unwrap().gaussians.to_vec()
         };
         let before = shown(&decisions);

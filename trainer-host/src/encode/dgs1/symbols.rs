@@ -66,7 +66,7 @@ pub(super) fn quantise_epoch(
     with_proxies: bool,
 ) -> Result<EpochSymbols, EncodeError> {
     let quants: Result<Vec<Quant>, EncodeError> = decided.quantisers.iter().map(Quantisers::quant).collect();
-    let mut canonical = canonical::quantise(epoch, decided, &quants?, block_len);
+    let mut canonical = canonical::quantise(epoch, decided, &quants?, block_len)?;
     let mut saturated = canonical.saturated;
     let mut windows = Vec::new();
     let mut first_frame = 0;

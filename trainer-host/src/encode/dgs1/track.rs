@@ -116,7 +116,9 @@ pub(super) fn choose(
                 continue;
             }
             let shape = with_motion(still, Motion { track: coded, ..motion });
-            let poses: Vec<Pose> = cosines.iter().map(|c| pose(&shape, &symbols, c)).collect();
+            let poses = cosines.iter().map(|cosine| pose(&shape, &symbols, cosine));
+            // A candidate that the decoder refuses is none.
+            let Ok(poses) = poses.collect::<codec_core::Result<Vec<Pose>>>() else { continue };
             let cost = bits + residual_bits(&poses);
             if cost < best_cost {
                 best_cost = cost;
@@ -157,7 +159,7 @@ pub(super) fn follow(
     let motion = Motion { track: coded, ..motion };
     let shape = with_motion(still, motion);
     let pose_at = |t: usize| pose(&shape, &symbols, &cosine(count as u32, t as u32));
-    let poses = (0..count).map(pose_at).collect();
+    let poses = (0..count).map(pose_at).collect::<codec_core::Result<Vec<Pose>>>().ok()?;
     Some(Chosen { motion, symbols, poses })
 }
 

@@ -80,7 +80,7 @@ pub fn renders(
         .par_iter()
         .with_min_len(run_length(shown.len()))
         .map_init(
-            || (Player::new(&content.manifest), backend.frames()),
+            || (Player::new(content.manifest), backend.frames()),
             |(player, renderer), (frame, state)| {
                 let Some(state) = state else {
                     let Settings { background, .. } = settings;

@@ -50,7 +50,7 @@ pub fn segments(scene: &Scene, stream: &Stream, frames: u32) -> Result<Vec<Segme
     let map = PacketMap::of(stream)?;
     let received = stream.receive()?;
     let content = received.content();
-    let mut segments = outline(&content.manifest);
+    let mut segments = outline(content.manifest);
     for (id, packet) in stream.packets().iter().enumerate() {
         // All marks of a packet of `dgs1` are of one span and level; `paper` has one.
         let Some(mark) = map.placements(id).first() else { continue };

@@ -1,5 +1,7 @@
 //! Entropy-codes completion groups into chunks that each fit a packet.
 
+use std::num::NonZero;
+
 use codec_core::internals::{
     ids::{Level, PacketId},
     layout::paper as layout,
@@ -89,10 +91,13 @@ pub(super) fn groups(
         };
         let entropy_bytes = (entropy(&counts[0]) + entropy(&counts[1])) / 8.0;
         let coder = if decisions.context_coder {
-            let gaussians = cell.levels[0].len() / layout::BASE;
+            let gaussians = NonZero::new(cell.levels[0].len() / layout::BASE);
+            let none = EncodeError::Bound { what: "clusters without Gaussians", found: 1, most: 0 };
+            let gaussians = gaussians.ok_or(none)?;
             Coder::Context(Place { level, first: 0, gaussians, rank: plan.rank, frames: plan.frames })
         } else {
-            let tables = counts.map(|c| ByteTable::from_counts(&c));
+            let [low, high] = &counts;
+            let tables = [ByteTable::from_counts(low)?, ByteTable::from_counts(high)?];
             Coder::Tables(Box::new(tables), Box::new(tables.map(|t| costs(&t))))
         };
         let limit = match decisions.repair.of(false, level) {
@@ -142,7 +147,7 @@ impl Coder {
         let rest = &symbols[at..];
         let (mut take, decisions) = match self {
             Self::Tables(_, costs) => (expected(rest, costs, limit), Vec::new()),
-            Self::Context(place) => expected_decisions(rest, Place { first: at, ..*place }, limit),
+            Self::Context(place) => expected_decisions(rest, Place { first: at, ..*place }, limit)?,
         };
         loop {
             let start = match self {
@@ -181,7 +186,7 @@ impl Coder {
                 context::decisions(&mut symbols.to_vec(), *place, |_, decision| {
                     all.push(decision);
                     true
-                });
+                })?;
                 context::encode(all.into_iter(), &mut whole)?
             }
         };
@@ -191,7 +196,11 @@ impl Coder {
 
 /// How many symbols are expected to fit `limit` bytes, and the decisions that code them with the symbol of
 /// each.
-fn expected_decisions(symbols: &[i16], place: Place, limit: usize) -> (usize, Vec<(usize, Decision)>) {
+fn expected_decisions(
+    symbols: &[i16],
+    place: Place,
+    limit: usize,
+) -> codec_core::Result<(usize, Vec<(usize, Decision)>)> {
     let most = symbols.len().min(usize::from(u16::MAX));
     let budget = budget_bits(limit);
     let mut values = symbols[..most].to_vec();
@@ -204,8 +213,8 @@ fn expected_decisions(symbols: &[i16], place: Place, limit: usize) -> (usize, Ve
         }
         // A first symbol that is over the budget is coded to its end.
         bits <= budget || symbol == 0
-    });
-    (take, decisions)
+    })?;
+    Ok((take, decisions))
 }
 
 /// Bits of symbols that a payload of `limit` bytes holds beside its state.

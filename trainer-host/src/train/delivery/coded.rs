@@ -107,7 +107,7 @@ impl Coded {
         let complete = content.blocks.to_vec();
         let epochs = source.epochs().len();
         coded.blocks = (0..epochs).map(|e| blocks(&content, EpochId(e as u16))).collect();
-        let mut player = Player::new(&content.manifest);
+        let mut player = Player::new(content.manifest);
         let mut axes = Vec::new();
         let mut first_frame = 0;
         for (epoch, order) in source.epochs().iter().zip(&coded.encoded.order) {
@@ -140,7 +140,7 @@ impl Coded {
 
     /// A decoder for its frames.
     pub(super) fn player(&self) -> Player {
-        Player::new(&self.received.content().manifest)
+        Player::new(self.received.content().manifest)
     }
 }
 
@@ -152,8 +152,9 @@ pub(super) fn no_change(source: &Scene) -> Parameters {
 fn blocks(content: &Content<'_>, epoch: EpochId) -> Vec<Block> {
     let (span, mut first) = (Span::Canonical(epoch), 0);
     let mut blocks = Vec::new();
-    for cluster in (0..content.manifest.clusters_of(span)).map(|c| ClusterId(c as u16)) {
-        let Some(shape) = Shape::of(&content.manifest, span, cluster) else { continue };
+    let Some(clusters) = content.manifest.clusters_of(span) else { return blocks };
+    for cluster in (0..clusters).map(|c| ClusterId(c as u16)) {
+        let Some(shape) = Shape::of(content.manifest, span, cluster) else { continue };
         let Some(cell) = content.cell(span, cluster) else { continue };
         let end = first + shape.gaussians();
         for index in 0..shape.blocks() {

@@ -54,7 +54,7 @@ enum Fault {
     Bits(i16),
 }
 
-type Outcome<T> = core::result::Result<T, Fault>;
+type FaultResult<T> = core::result::Result<T, Fault>;
 
 impl<'a> Decoder<'a> {
     /// A decoder of `body`, which holds `values` values with `raw_bits` raw bits between them.
@@ -70,7 +70,7 @@ impl<'a> Decoder<'a> {
             state: parts.state,
             main: parts.main,
             tail: parts.tail,
-            raw: Raw::new(parts.plane(), raw_bits),
+            raw: Raw::new(parts.plane, raw_bits),
         })
     }
 
@@ -103,7 +103,7 @@ impl<'a> Decoder<'a> {
         }
         let mut tokens = [0u8; PART];
         for part in out.chunks_mut(PART) {
-            let Some(tokens) = tokens.get_mut(..part.len()) else { continue };
+            let tokens = &mut tokens[..part.len()];
             self.part::<L, WIDE>(table, raw_bits, tokens, part).map_err(|fault| self.refuse(fault))?;
         }
         Ok(())
@@ -116,7 +116,7 @@ impl<'a> Decoder<'a> {
         raw_bits: u8,
         tokens: &mut [u8],
         out: &mut [i16],
-    ) -> Outcome<()> {
+    ) -> FaultResult<()> {
         let (main, tail) = tokens.split_at_mut(self.main.min(tokens.len()));
         self.main -= main.len();
         self.tail -= tail.len();
@@ -211,13 +211,13 @@ impl<'a> Decoder<'a> {
 
     /// Escaped values among `out`, the values of `tokens`.
     #[inline]
-    fn escape(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Outcome<()> {
+    fn escape(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> FaultResult<()> {
         // Over all tokens, so that it is done many at a time.
         if has_escape(tokens) { self.some(raw_bits, tokens, out) } else { Ok(()) }
     }
 
     #[cold]
-    fn some(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> Outcome<()> {
+    fn some(&mut self, raw_bits: u8, tokens: &[u8], out: &mut [i16]) -> FaultResult<()> {
         // Few tokens are escapes: most groups of lanes hold none.
         const SOME: usize = 64;
         for (tokens, out) in tokens.chunks(SOME).zip(out.chunks_mut(SOME)) {
@@ -229,7 +229,7 @@ impl<'a> Decoder<'a> {
     }
 
     /// Escaped values for those of `out` that the escape token gave.
-    fn replace(&mut self, raw_bits: u8, out: &mut [i16]) -> Outcome<()> {
+    fn replace(&mut self, raw_bits: u8, out: &mut [i16]) -> FaultResult<()> {
         const TOKEN: i16 = ESCAPE as i16 - 128;
         let raw_bits = raw_bits & 15;
         for value in out.iter_mut().filter(|value| **value >> raw_bits == TOKEN) {
@@ -241,7 +241,7 @@ impl<'a> Decoder<'a> {
     /// The next escaped value, whose raw bits are `raw`.
     #[cold]
     #[inline(never)]
-    fn escaped(&mut self, raw: i16) -> Outcome<i16> {
+    fn escaped(&mut self, raw: i16) -> FaultResult<i16> {
         if raw != 0 {
             return Err(Fault::Bits(raw));
         }

@@ -93,7 +93,7 @@ pub struct Encoded {
 
 /// Values of a packet that share a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Run {
+pub struct TableRun {
     /// Index of the table.
     pub table: u8,
     /// Number of values.
@@ -104,10 +104,11 @@ fn full(room: usize) -> Error {
     Error::short("body", 0, room, room + 1).kind(ErrorKind::Capacity)
 }
 
-/// The values of one packet, run by run.
+/// The values of one packet, run by run. Invariant: runs are together as long as the values, and there is
+/// a table for each.
 struct Source<'a> {
     values: &'a [i16],
-    runs: &'a [Run],
+    runs: &'a [TableRun],
     tables: &'a [Symbols],
 }
 
@@ -140,28 +141,31 @@ impl<'a> Source<'a> {
         self.backwards().flat_map(|(_, values, table)| values.iter().rev().map(|&v| table.symbol(v)))
     }
 
-    fn check(&self) -> Result<()> {
-        let mut at = 0usize;
-        for run in self.runs {
-            let Some(table) = self.tables.get(usize::from(run.table)) else {
-                let most = self.tables.len().saturating_sub(1) as u64;
+    /// The source of these, if there is a table for every run and a code for every value.
+    fn new(values: &'a [i16], runs: &'a [TableRun], tables: &'a [Symbols]) -> Result<Self> {
+        let (mut at, mut rest) = (0usize, values);
+        for run in runs {
+            let Some(table) = tables.get(usize::from(run.table)) else {
+                let most = tables.len().saturating_sub(1) as u64;
                 return Err(Error::illegal("encode.table", at, run.table.into(), (0, most)));
             };
-            let end = at.saturating_add(run.len);
-            let values = self.values.get(at..end).unwrap_or(&[]);
+            let Some((own, after)) = rest.split_at_checked(run.len) else {
+                let (found, all) = (at as u64 + run.len as u64, values.len() as u64);
+                return Err(Error::illegal("encode.runs", 0, found, (all, all)));
+            };
             // A table whose escape has no frequency must know every value.
             if table.of[usize::from(ESCAPE)].limit == 0
-                && let Some(i) = values.iter().position(|&v| table.symbol(v).escaped())
+                && let Some(i) = own.iter().position(|&v| table.symbol(v).escaped())
             {
                 return Err(Error::illegal("encode.escape", at + i, 0, (1, u64::from(SCALE))));
             }
-            at = end;
+            (at, rest) = (at + run.len, after);
         }
-        let n = self.values.len();
-        if at != n {
-            return Err(Error::illegal("encode.runs", 0, at as u64, (n as u64, n as u64)));
+        if !rest.is_empty() {
+            let (found, all) = (at as u64, values.len() as u64);
+            return Err(Error::illegal("encode.runs", 0, found, (all, all)));
         }
-        Ok(())
+        Ok(Self { values, runs, tables })
     }
 }
 
@@ -184,8 +188,8 @@ fn keep(source: &Source<'_>) -> Tail {
             let mut next = state;
             // The group of values n − 4 (groups + 1) .. n − 4 groups, the last first.
             let last = n - LANES * groups;
-            for i in (last.saturating_sub(LANES)..last).rev() {
-                let (Some(symbol), Some(x)) = (symbols.next(), next.get_mut(i % LANES)) else { break };
+            for (i, symbol) in (last.saturating_sub(LANES)..last).rev().zip(&mut symbols) {
+                let x = &mut next[i % LANES];
                 if *x >= symbol.limit {
                     break 'groups;
                 }
@@ -215,9 +219,8 @@ fn keep(source: &Source<'_>) -> Tail {
 /// # Errors
 /// [`ErrorKind::Capacity`] if `out` is too small, [`ErrorKind::Illegal`] for a table index out of
 /// range, runs that are not as long as the values, or a value that its table cannot code.
-pub fn encode(values: &[i16], runs: &[Run], tables: &[Symbols], out: &mut [u8]) -> Result<Encoded> {
-    let source = Source { values, runs, tables };
-    source.check()?;
+pub fn encode(values: &[i16], runs: &[TableRun], tables: &[Symbols], out: &mut [u8]) -> Result<Encoded> {
+    let source = Source::new(values, runs, tables)?;
     let Tail { groups, mut state } = keep(&source);
     let main = values.len().saturating_sub(LANES * groups);
     let room = out.len();
@@ -331,7 +334,7 @@ fn finish(
     let [low, high] = packed.to_le_bytes();
     out[..HEAD_BYTES].copy_from_slice(&[groups as u8, low, high]);
     let plane = out.get_mut(plane_start..).ok_or(full(room))?;
-    let mut bits = Bits { plane, held: 0, count: 0, at: 0 };
+    let mut bits = Bits { plane, pending: 0, count: 0 };
     for (values, table) in source.forwards().filter(|(_, table)| table.raw_bits > 0) {
         let (k, mask) = (u32::from(table.raw_bits), (1u16 << table.raw_bits) - 1);
         // An escaped value's raw bits are zero: there is one encoding of each packet.
@@ -339,46 +342,51 @@ fn finish(
             |v: i16| if escapes > 0 && table.symbol(v).escaped() { 0 } else { u32::from(v as u16 & mask) };
         let (quads, rest) = values.as_chunks::<LANES>();
         for &[a, b, c, d] in quads {
-            bits.put(low(a) | low(b) << k | low(c) << (2 * k) | low(d) << (3 * k), 4 * k);
+            bits.put(low(a) | low(b) << k | low(c) << (2 * k) | low(d) << (3 * k), 4 * k)
+                .ok_or(full(room))?;
         }
         for &value in rest {
-            bits.put(low(value), k);
+            bits.put(low(value), k).ok_or(full(room))?;
         }
     }
     for (x, length) in state.into_iter().zip(lengths) {
-        bits.put(x & !(1 << length), length);
+        bits.put(x & !(1 << length), length).ok_or(full(room))?;
     }
-    bits.flush();
+    bits.flush().ok_or(full(room))?;
     Ok(Encoded { len, escapes, raw_bits })
 }
 
 /// Bits into bytes, low bits first.
 struct Bits<'a> {
+    /// Bytes not yet written.
     plane: &'a mut [u8],
-    held: u64,
+    /// Bits not yet written.
+    pending: u64,
     count: u32,
-    at: usize,
 }
 
 impl Bits<'_> {
-    /// Appends `bits` ≤ 32 bits.
+    /// Appends `bits` ≤ 32 bits; `None` past the end of the plane.
     #[inline(always)]
-    fn put(&mut self, value: u32, bits: u32) {
-        self.held |= u64::from(value) << self.count;
+    fn put(&mut self, value: u32, bits: u32) -> Option<()> {
+        self.pending |= u64::from(value) << self.count;
         self.count += bits;
         if self.count >= 32 {
-            if let Some(place) = self.plane.get_mut(self.at..self.at + 4) {
-                place.copy_from_slice(&(self.held as u32).to_le_bytes());
-            }
-            self.at += 4;
-            self.held >>= 32;
+            let (place, rest) = core::mem::take(&mut self.plane).split_first_chunk_mut()?;
+            *place = (self.pending as u32).to_le_bytes();
+            self.plane = rest;
+            self.pending >>= 32;
             self.count -= 32;
         }
+        Some(())
     }
 
-    fn flush(self) {
-        for (place, byte) in self.plane.iter_mut().skip(self.at).zip(self.held.to_le_bytes()) {
+    /// Writes the last bits; `None` past the end of the plane.
+    fn flush(self) -> Option<()> {
+        let used = self.plane.get_mut(..self.count.div_ceil(8) as usize)?;
+        for (place, byte) in used.iter_mut().zip(self.pending.to_le_bytes()) {
             *place = byte;
         }
+        Some(())
     }
 }

@@ -1,3 +1,9 @@
+//! Both decoders against both encoders, over whole and damaged bodies.
+
+extern crate std;
+
+use std::{boxed::Box, sync::OnceLock, vec, vec::Vec};
+
 use proptest::prelude::*;
 
 use super::*;
@@ -8,9 +14,6 @@ use crate::{
         table::{SLOTS, Table},
     },
 };
-
-extern crate std;
-use std::{boxed::Box, sync::OnceLock, vec, vec::Vec};
 
 /// Most values of a generated body; an interpreter takes a second for some hundred.
 const MOST: usize = if cfg!(miri) { 36 } else { 3000 };
@@ -37,8 +40,8 @@ fn tables() -> Vec<Table> {
     TABLES.get_or_init(|| made().to_vec()).clone()
 }
 
-fn runs(table_of: &[u8]) -> Vec<Run> {
-    table_of.chunk_by(|a, b| a == b).map(|run| Run { table: run[0], len: run.len() }).collect()
+fn runs(table_of: &[u8]) -> Vec<TableRun> {
+    table_of.chunk_by(|a, b| a == b).map(|run| TableRun { table: run[0], len: run.len() }).collect()
 }
 
 fn encoded(values: &[i16], table_of: &[u8], tables: &[Table]) -> Vec<u8> {
@@ -100,9 +103,9 @@ fn slow(body: &[u8], table_of: &[u8], tables: &[Table]) -> Option<Vec<i16>> {
 }
 
 fn values() -> impl Strategy<Value = Vec<i16>> {
-    let mixed = prop_oneof![6 => -8i16..8, 2 => -300i16..300, 1 => any::<i16>()];
+    let value = prop_oneof![6 => -8i16..8, 2 => -300i16..300, 1 => any::<i16>()];
     prop_oneof![
-        proptest::collection::vec(mixed, 0..MOST.min(500)),
+        proptest::collection::vec(value, 0..MOST.min(500)),
         proptest::collection::vec(-2i16..3, 0..MOST.min(1500)),
         proptest::collection::vec(Just(0i16), 0..MOST),
     ]
@@ -173,7 +176,7 @@ fn overwritten_bytes_are_noticed() {
 fn a_buffer_that_is_too_small_is_a_capacity_error() {
     let tables = tables();
     let symbols: Vec<Symbols> = tables.iter().map(Symbols::new).collect();
-    let run = [Run { table: 1, len: 64 }];
+    let run = [TableRun { table: 1, len: 64 }];
     let values = [i16::MAX; 64];
     let mut out = vec![0u8; 1000];
     let len = encode(&values, &run, &symbols, &mut out).unwrap().len;
@@ -191,7 +194,8 @@ fn an_encoder_names_what_it_cannot_code() {
     let symbols = [Symbols::new(&Table::new(certain, 0).unwrap())];
     let mut out = [0u8; 100];
     let mut field = |values: &[i16], table, len| {
-        encode(values, &[Run { table, len }], &symbols, &mut out).map_err(|e| (e.field, e.found, e.offset))
+        let run = [TableRun { table, len }];
+        encode(values, &run, &symbols, &mut out).map_err(|e| (e.field, e.found, e.offset))
     };
     assert_eq!(field(&[0, 1], 0, 2), Err(("encode.escape", 0, 1)));
     assert_eq!(field(&[0, 0], 1, 2), Err(("encode.table", 1, 0)));

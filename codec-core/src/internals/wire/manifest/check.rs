@@ -1,236 +1,248 @@
-//! What a manifest body must satisfy before a view of it exists.
+//! Says what a manifest body must satisfy before a view of it exists.
+
+use core::num::NonZero;
 
 use super::{
-    Cluster, Epoch, Head, Manifest, Motion, Profile, Quant, Repair, TableSet, Track, Window, byte_tables,
-    stream,
+    profile::Profile,
+    record::{Cluster, Epoch, Head, Motion, Quant, Repair, Track, Window, block_len},
+    sections::{LatticeSize, QuantRecord, Sections},
+    table_set::TableSet,
 };
 use crate::{
     cursor::{Reader, in_range},
     error::{Error, ErrorKind, Result},
     gaussian::ShDegree,
-    ids::{ClusterId, EpochId, Level, PacketId, WindowId},
+    ids::{Level, PacketId},
     limits,
     quant::{Class, Quantiser},
+    rans::{bytes::ByteTable, table::Table},
 };
 
-impl<'a> Manifest<'a> {
-    /// Checks epochs, windows and clusters; returns the number of motion cells.
-    pub(super) fn check_lattice(&self) -> Result<usize> {
-        let at = |section: usize, index: usize, bytes: usize| section + index * bytes;
-        let (mut frame, mut cluster, mut window) = (0u32, 0u32, 0u32);
-        let mut cell = 0u64;
-        for (e, epoch) in self.epochs().enumerate() {
-            let place = at(self.sections.epochs, e, Epoch::BYTES);
-            in_range("epoch.first_frame", place, epoch.first_frame, frame, frame)?;
-            in_range("epoch.frames", place, epoch.frames, 1, self.head.frames - frame)?;
-            in_range("epoch.gaussians", place, epoch.gaussians, 0, limits::MAX_EPOCH_GAUSSIANS)?;
-            in_range("epoch.first_cluster", place, epoch.first_cluster, cluster, cluster)?;
-            in_range("epoch.clusters", place, epoch.clusters, 0, self.head.clusters - cluster)?;
-            in_range("epoch.clusters", place, epoch.clusters, 0, u32::from(u16::MAX))?;
-            in_range("epoch.first_window", place, epoch.first_window, window, window)?;
-            in_range("epoch.windows", place, epoch.windows, 0, u32::from(self.head.windows) - window)?;
-            for origin in [epoch.origin_x, epoch.origin_y, epoch.origin_z] {
-                finite("epoch.origin", place, origin)?;
-            }
-            let mut gaussians = 0u64;
-            for c in 0..epoch.clusters {
-                let place = at(self.sections.clusters, (cluster + c) as usize, Cluster::BYTES);
-                let record = Cluster::read(&mut Reader::at(self.raw, place))?;
-                let most = limits::MAX_CLUSTER_LEN as u16;
-                in_range("cluster.gaussians", place, record.gaussians, 1, most)?;
-                let quants = (self.head.quants - 1).min(255) as u8;
-                in_range("cluster.quant", place, record.quant, 0, quants)?;
-                in_range("cluster.kind", place, record.kind, 0, Cluster::MAX_KIND)?;
-                in_range("cluster.sh_degree", place, record.sh_degree(), 0, self.head.sh_degree)?;
-                in_range("cluster.radius", place, record.radius, 1, u16::MAX)?;
-                gaussians += u64::from(record.gaussians);
-            }
-            let all = u64::from(epoch.gaussians);
-            in_range("epoch.gaussians", place, all, gaussians, gaussians)
+/// Records of a section with their offsets, the first of which is `start`.
+fn placed<const N: usize>(records: &[[u8; N]], start: usize) -> impl Iterator<Item = (usize, &[u8; N])> {
+    records.iter().enumerate().map(move |(index, bytes)| (start + index * N, bytes))
+}
+
+/// Fields of values, and the sections that the values lie in.
+const BASIS_OF_WINDOW: (&str, &str) = ("window.basis_first", "manifest.basis");
+const BASIS_OF_EPOCH: (&str, &str) = ("epoch.basis_first", "manifest.basis");
+const TRANSFORMS: (&str, &str) = ("epoch.transform_first", "manifest.transforms");
+
+/// Checks epochs, windows and clusters, whose blocks have `block_len` Gaussians; gives their sizes.
+pub(super) fn check_lattice(
+    sections: &Sections<'_>,
+    head: &Head,
+    profile: Profile,
+    block_len: NonZero<u32>,
+) -> Result<LatticeSize> {
+    let windows_start = Head::BYTES + sections.epochs.as_flattened().len();
+    let clusters_start = windows_start + sections.windows.as_flattened().len();
+    let mut clusters = placed(sections.clusters, clusters_start);
+    let mut windows = placed(sections.windows, windows_start);
+    let (mut frame, mut cluster, mut window) = (0u32, 0u32, 0u32);
+    let (mut cell, mut size) = (0u64, LatticeSize::default());
+    for (e, (place, bytes)) in placed(sections.epochs, Head::BYTES).enumerate() {
+        Epoch::check_reserved(bytes, place)?;
+        let epoch = Epoch::from_bytes(bytes);
+        in_range("epoch.first_frame", place, epoch.first_frame, frame, frame)?;
+        in_range("epoch.frames", place, epoch.frames, 1, head.frames - frame)?;
+        in_range("epoch.gaussians", place, epoch.gaussians, 0, limits::MAX_EPOCH_GAUSSIANS)?;
+        in_range("epoch.first_cluster", place, epoch.first_cluster, cluster, cluster)?;
+        in_range("epoch.clusters", place, epoch.clusters, 0, head.clusters - cluster)?;
+        in_range("epoch.clusters", place, epoch.clusters, 0, u32::from(u16::MAX))?;
+        in_range("epoch.first_window", place, epoch.first_window, window, window)?;
+        in_range("epoch.windows", place, epoch.windows, 0, u32::from(head.windows) - window)?;
+        for origin in [epoch.origin_x, epoch.origin_y, epoch.origin_z] {
+            finite("epoch.origin", place, origin)?;
+        }
+        let (mut gaussians, mut blocks) = (0u64, 0u32);
+        for (place, bytes) in clusters.by_ref().take(epoch.clusters as usize) {
+            let record = Cluster::from_bytes(bytes);
+            let most = limits::MAX_CLUSTER_LEN as u16;
+            in_range("cluster.gaussians", place, record.gaussians, 1, most)?;
+            in_range("cluster.quant", place, u16::from(record.quant), 0, head.quants - 1)?;
+            in_range("cluster.kind", place, record.kind, 0, Cluster::MAX_KIND)?;
+            in_range("cluster.sh_degree", place, record.sh_degree(), 0, head.sh_degree)?;
+            in_range("cluster.radius", place, record.radius, 1, u16::MAX)?;
+            gaussians += u64::from(record.gaussians);
+            blocks += record.blocks(block_len);
+        }
+        let all = u64::from(epoch.gaussians);
+        in_range("epoch.gaussians", place, all, gaussians, gaussians)
+            .map_err(|e| e.kind(ErrorKind::Contradiction))?;
+        let mut window_frame = frame;
+        for (place, bytes) in windows.by_ref().take(epoch.windows as usize) {
+            Window::check_reserved(bytes, place)?;
+            let record = Window::from_bytes(bytes);
+            in_range("window.epoch", place, record.epoch, e as u16, e as u16)?;
+            in_range("window.first_frame", place, record.first_frame, window_frame, window_frame)?;
+            let left = (frame + epoch.frames - window_frame).min(limits::MAX_WINDOW_FRAMES as u32);
+            in_range("window.frames", place, u32::from(record.frames), 1, left)?;
+            in_range("window.first_cell", place, u64::from(record.first_cell), cell, cell)?;
+            let values = u64::from(record.rank) * u64::from(record.frames);
+            check_part(BASIS_OF_WINDOW, place, record.basis_first, values, head.basis_values)?;
+            in_range("window.rank", place, u16::from(record.rank), 0, record.frames)?;
+            window_frame += u32::from(record.frames);
+            cell += u64::from(epoch.clusters);
+        }
+        if epoch.windows > 0 {
+            let covered = window_frame - frame;
+            in_range("epoch.frames", place, epoch.frames, covered, covered)
                 .map_err(|e| e.kind(ErrorKind::Contradiction))?;
-            let mut window_frame = frame;
-            for w in 0..epoch.windows {
-                let place = at(self.sections.windows, (window + w) as usize, Window::BYTES);
-                let record = Window::read(&mut Reader::at(self.raw, place))?;
-                in_range("window.epoch", place, record.epoch, e as u16, e as u16)?;
-                in_range("window.first_frame", place, record.first_frame, window_frame, window_frame)?;
-                let left = (frame + epoch.frames - window_frame).min(limits::MAX_WINDOW_FRAMES as u32);
-                in_range("window.frames", place, u32::from(record.frames), 1, left)?;
-                in_range("window.first_cell", place, u64::from(record.first_cell), cell, cell)?;
-                let values = u64::from(record.rank) * u64::from(record.frames);
-                self.check_basis("window.basis_first", place, record.basis_first, values)?;
-                in_range("window.rank", place, u16::from(record.rank), 0, record.frames)?;
-                window_frame += u32::from(record.frames);
-                cell += u64::from(epoch.clusters);
+        }
+        if profile == Profile::Paper {
+            in_range("epoch.windows", place, epoch.windows, 0, 0)?;
+            in_range("epoch.rank", place, epoch.rank, 0, limits::MAX_RANK as u8)?;
+            let frames = u64::from(epoch.frames);
+            let values = frames * u64::from(epoch.rank);
+            check_part(BASIS_OF_EPOCH, place, epoch.basis_first, values, head.basis_values)?;
+            let values = frames * u64::from(epoch.clusters) * 12;
+            check_part(TRANSFORMS, place, epoch.transform_first, values, head.transform_values)?;
+        }
+        size.blocks += u64::from(blocks);
+        // Each window has a motion cell for every cluster of its epoch.
+        size.state_blocks += u64::from(blocks) * (1 + u64::from(epoch.windows));
+        size.largest_blocks = size.largest_blocks.max(blocks);
+        size.largest_epoch = size.largest_epoch.max(epoch.gaussians);
+        frame += epoch.frames;
+        cluster += epoch.clusters;
+        window += epoch.windows;
+    }
+    for (field, found, all) in [
+        ("manifest.frames", frame, head.frames),
+        ("manifest.clusters", cluster, head.clusters),
+        ("manifest.windows", window, u32::from(head.windows)),
+    ] {
+        in_range(field, 0, found, all, all).map_err(|e| e.kind(ErrorKind::Contradiction))?;
+    }
+    in_range("manifest.cells", 0, cell, 0, u64::from(limits::MAX_CLUSTERS) * 64)?;
+    Ok(LatticeSize { motion_cells: cell as usize, ..size })
+}
+
+/// Checks what lies behind the lattice: each section in turn, the last of which ends at `end`.
+pub(super) fn check_records(
+    sections: &Sections<'_>,
+    head: &Head,
+    profile: Profile,
+    end: usize,
+) -> Result<()> {
+    let lattice = sections.epochs.as_flattened().len()
+        + sections.windows.as_flattened().len()
+        + sections.clusters.as_flattened().len();
+    let mut place = Head::BYTES + lattice;
+    check_motions(sections, place)?;
+    place += sections.motions.as_flattened().len();
+    check_quants(sections.quants, profile, place)?;
+    place += size_of_val(sections.quants);
+    check_table_sets(sections.table_sets, head, place)?;
+    place += sections.table_sets.as_flattened().len();
+    check_repairs(sections.repairs, head, place)?;
+    place += sections.repairs.as_flattened().len() + sections.window_basis.as_flattened().len();
+    check_finite("manifest.basis", sections.epoch_basis, place)?;
+    place += sections.epoch_basis.as_flattened().len();
+    check_finite("manifest.transforms", sections.transforms, place)?;
+    place += sections.transforms.as_flattened().len();
+    for (place, bytes) in placed(sections.byte_tables, place) {
+        ByteTable::from_bytes(bytes).map_err(|e| Error { offset: place as u32, ..e })?;
+    }
+    let start = end - sections.tables.len();
+    let in_body = |e: Error| Error { offset: e.offset + start as u32, ..e };
+    let mut reader = Reader::new(sections.tables);
+    for _ in 0..head.tables {
+        Table::read(&mut reader).map_err(in_body)?;
+    }
+    reader.finish("manifest.leftover").map_err(in_body)
+}
+
+/// Checks the motion of every cluster in every window; they lie in order of the windows.
+fn check_motions(sections: &Sections<'_>, start: usize) -> Result<()> {
+    let mut motions = placed(sections.motions, start);
+    for window in sections.windows.iter().map(Window::from_bytes) {
+        let last = (sections.epochs.len() as u64).saturating_sub(1);
+        let none = Error::illegal("window.epoch", 0, window.epoch.into(), (0, last));
+        let bytes = sections.epochs.get(usize::from(window.epoch)).ok_or(none)?;
+        let clusters = Epoch::from_bytes(bytes).clusters as usize;
+        for (place, bytes) in motions.by_ref().take(clusters) {
+            let motion = Motion::from_bytes(bytes);
+            in_range("motion.kind", place, motion.kind, 0, Motion::kind_of(Track::Affine, Level::BASE))?;
+            in_range("motion.track_class", place, motion.kind & 3, 0, Track::Affine as u8)?;
+            in_range("motion.track_shift", place, motion.track_shift, 0, 24)?;
+            let least = u16::from(motion.class() != Track::Static);
+            in_range("motion.track", place, u16::from(motion.track), least, least * window.frames)?;
+            in_range("motion.position", place, motion.position, 0, window.rank)?;
+            for rank in [motion.scale, motion.rotation, motion.opacity, motion.sh0] {
+                in_range("motion.rank", place, u16::from(rank), 0, window.frames)?;
             }
-            if epoch.windows > 0 {
-                let covered = window_frame - frame;
-                in_range("epoch.frames", place, epoch.frames, covered, covered)
-                    .map_err(|e| e.kind(ErrorKind::Contradiction))?;
+        }
+    }
+    Ok(())
+}
+
+/// Checks quantisers: which flags a class may have, and that ratios of `dgs1` are odd.
+fn check_quants(profiles: &[QuantRecord], profile: Profile, start: usize) -> Result<()> {
+    for (index, quantisers) in profiles.iter().enumerate() {
+        let classes = Class::ALL.map(|class| profile == Profile::Dgs1 && class.decorrelates());
+        let may = classes.into_iter().chain([false; Class::MOVING]);
+        for ((place, bytes), may) in placed(quantisers, start + index * Quant::BYTES).zip(may) {
+            let quantiser = Quantiser::check(*bytes, place)?;
+            if !may && quantiser.decorrelated() {
+                in_range("quantiser.flags", place, quantiser.flags(), 0, 1)?;
             }
-            if self.profile == Profile::Paper {
-                in_range("epoch.windows", place, epoch.windows, 0, 0)?;
-                in_range("epoch.rank", place, epoch.rank, 0, limits::MAX_RANK as u8)?;
-                let frames = u64::from(epoch.frames);
-                self.check_basis(
-                    "epoch.basis_first",
-                    place,
-                    epoch.basis_first,
-                    frames * u64::from(epoch.rank),
-                )?;
-                let (all, values) = (self.head.transform_values, frames * u64::from(epoch.clusters) * 12);
-                let fields = ("epoch.transform_first", "manifest.transforms");
-                check_part(fields, place, epoch.transform_first, values, all)?;
-            }
-            frame += epoch.frames;
-            cluster += epoch.clusters;
-            window += epoch.windows;
-        }
-        for (field, found, all) in [
-            ("manifest.frames", frame, self.head.frames),
-            ("manifest.clusters", cluster, self.head.clusters),
-            ("manifest.windows", window, u32::from(self.head.windows)),
-        ] {
-            in_range(field, 0, found, all, all).map_err(|e| e.kind(ErrorKind::Contradiction))?;
-        }
-        in_range("manifest.cells", 0, cell, 0, u64::from(limits::MAX_CLUSTERS) * 64)?;
-        Ok(cell as usize)
-    }
-
-    /// Reads each record once with its errors kept: accessors take an unreadable record for an
-    /// absent one.
-    fn check_reserved(&self) -> Result<()> {
-        let Head { epochs, windows, repairs, .. } = self.head;
-        self.each(self.sections.epochs, usize::from(epochs), Epoch::BYTES, Epoch::read)?;
-        self.each(self.sections.windows, usize::from(windows), Window::BYTES, Window::read)?;
-        self.each(self.sections.motions, self.motion_cells(), Motion::BYTES, Motion::read)?;
-        let table_sets = if self.profile == Profile::Dgs1 { stream::COUNT } else { 0 };
-        self.each(self.sections.streams, table_sets, TableSet::BYTES, TableSet::read)?;
-        self.each(self.sections.repairs, usize::from(repairs), Repair::BYTES, Repair::read)
-    }
-
-    fn each<T>(
-        &self,
-        section: usize,
-        count: usize,
-        bytes: usize,
-        read: impl Fn(&mut Reader<'a>) -> Result<T>,
-    ) -> Result<()> {
-        for index in 0..count {
-            let place = section + index * bytes;
-            read(&mut Reader::at(self.raw, place))?;
-        }
-        Ok(())
-    }
-
-    pub(super) fn check_records(&self) -> Result<()> {
-        self.check_reserved()?;
-        self.check_motions()?;
-        self.check_quants()?;
-        if self.profile == Profile::Dgs1 {
-            self.check_table_sets()?;
-        }
-        self.check_repairs()?;
-        self.check_values()
-    }
-
-    fn check_motions(&self) -> Result<()> {
-        for (w, window) in self.windows().enumerate() {
-            let epoch = self.epoch(EpochId(window.epoch)).unwrap_or_default();
-            for c in 0..epoch.clusters {
-                let index = window.first_cell as usize + c as usize;
-                let place = self.sections.motions + index * Motion::BYTES;
-                let motion = self.motion(WindowId(w as u16), ClusterId(c as u16)).unwrap_or_default();
-                in_range("motion.kind", place, motion.kind, 0, Motion::kind_of(Track::Affine, Level::BASE))?;
-                in_range("motion.track_class", place, motion.kind & 3, 0, Track::Affine as u8)?;
-                in_range("motion.track_shift", place, motion.track_shift, 0, 24)?;
-                let least = u16::from(motion.class() != Track::Static);
-                in_range("motion.track", place, u16::from(motion.track), least, least * window.frames)?;
-                in_range("motion.position", place, motion.position, 0, window.rank)?;
-                for rank in [motion.scale, motion.rotation, motion.opacity, motion.sh0] {
-                    in_range("motion.rank", place, u16::from(rank), 0, window.frames)?;
+            if profile == Profile::Dgs1 {
+                for ratio in Level::ALL.map(|level| quantiser.ratio(level)) {
+                    // Ratios are odd; what is allowed in place of an even one is the next below it.
+                    let odd = ratio - 1 + ratio % 2;
+                    in_range("quantiser.ratio", place, ratio, odd, odd)?;
                 }
             }
         }
-        Ok(())
     }
+    Ok(())
+}
 
-    fn check_quants(&self) -> Result<()> {
-        for index in 0..usize::from(self.head.quants) {
-            let place = self.sections.quants + index * Quant::BYTES;
-            let quant = Quant::read(&mut Reader::at(self.raw, place))?;
-            let classes = Class::ALL.map(|class| self.profile == Profile::Dgs1 && class.decorrelates());
-            let may = classes.into_iter().chain([false; Class::MOVING]);
-            for ((q, quantiser), may) in quant.canonical.iter().chain(&quant.motion).enumerate().zip(may) {
-                let place = place + q * Quantiser::BYTES;
-                if !may && quantiser.decorrelated() {
-                    in_range("quantiser.flags", place, quantiser.flags(), 0, 1)?;
-                }
-                if self.profile == Profile::Dgs1 {
-                    for ratio in Level::ALL.map(|level| quantiser.ratio(level)) {
-                        // Ratios are odd; what is allowed in place of an even one is the next below it.
-                        let odd = ratio - 1 + ratio % 2;
-                        in_range("quantiser.ratio", place, ratio, odd, odd)?;
-                    }
-                }
-            }
+/// Checks that table sets are complete codes of tables that there are.
+fn check_table_sets(sets: &[[u8; TableSet::BYTES]], head: &Head, start: usize) -> Result<()> {
+    for (place, bytes) in placed(sets, start) {
+        let set = TableSet::from_bytes(bytes);
+        set.check(place)?;
+        let unknown = |&(table, _): &(u8, u8)| u16::from(table) >= head.tables;
+        if let Some((table, _)) = set.choices().find(unknown) {
+            let last = u64::from(head.tables).saturating_sub(1);
+            return Err(Error::illegal("table_set.tables", place, table.into(), (0, last)));
         }
-        Ok(())
     }
+    Ok(())
+}
 
-    fn check_table_sets(&self) -> Result<()> {
-        for s in 0..stream::COUNT {
-            let place = self.sections.streams + s * TableSet::BYTES;
-            let unknown = |&(table, _): &(u8, u8)| u16::from(table) >= self.head.tables;
-            if let Some((table, _)) = self.table_set(s).choices().find(unknown) {
-                let last = u64::from(self.head.tables).saturating_sub(1);
-                return Err(Error::illegal("table_set.tables", place, table.into(), (0, last)));
-            }
-        }
-        Ok(())
+/// Ranges ascend and do not overlap, neither in what they protect nor in their parity packets: a
+/// packet belongs to one set, and all ranges together are no larger than the stream.
+fn check_repairs(repairs: &[[u8; Repair::BYTES]], head: &Head, start: usize) -> Result<()> {
+    let all = head.packets;
+    let (mut protected_end, mut parity_end) = (0u32, 0u32);
+    for (place, bytes) in placed(repairs, start) {
+        let repair = Repair::from_bytes(bytes);
+        let most = limits::MAX_REPAIR_SET as u8;
+        in_range("repair.set_len", place, repair.set_len, 2, most)?;
+        in_range("repair.parity", place, repair.parity, 1, limits::MAX_REPAIR_PARITY as u8)?;
+        in_range("repair.longest", place, repair.longest, 1, limits::MAX_PACKET_BYTES as u16)?;
+        in_range("repair.first_packet", place, repair.first_packet, protected_end, all)?;
+        in_range("repair.packets", place, repair.packets, 1, all - repair.first_packet)?;
+        let (rows, most) = (repair.parity_packets(), u64::from(PacketId::MAX));
+        in_range("manifest.packets", place, u64::from(all), u64::from(parity_end) + rows, most)?;
+        let (first, last) = (u64::from(repair.first_parity), u64::from(all) - rows);
+        in_range("repair.first_parity", place, first, parity_end.into(), last)?;
+        protected_end = repair.first_packet + repair.packets;
+        parity_end = repair.first_parity + repair.parity_packets() as u32;
     }
+    Ok(())
+}
 
-    /// Ranges ascend and do not overlap, neither in what they protect nor in their parity packets: a
-    /// packet belongs to one set, and all ranges together are no larger than the stream.
-    fn check_repairs(&self) -> Result<()> {
-        let all = self.head.packets;
-        let (mut protected_end, mut parity_end) = (0u32, 0u32);
-        for (r, repair) in self.repairs().enumerate() {
-            let place = self.sections.repairs + r * Repair::BYTES;
-            let most = limits::MAX_REPAIR_SET as u8;
-            in_range("repair.set_len", place, repair.set_len, 2, most)?;
-            in_range("repair.parity", place, repair.parity, 1, limits::MAX_REPAIR_PARITY as u8)?;
-            in_range("repair.longest", place, repair.longest, 1, limits::MAX_PACKET_BYTES as u16)?;
-            in_range("repair.first_packet", place, repair.first_packet, protected_end, all)?;
-            in_range("repair.packets", place, repair.packets, 1, all - repair.first_packet)?;
-            let (rows, most) = (repair.parity_packets(), u64::from(PacketId::MAX));
-            in_range("manifest.packets", place, u64::from(all), u64::from(parity_end) + rows, most)?;
-            let (first, last) = (u64::from(repair.first_parity), u64::from(all) - rows);
-            in_range("repair.first_parity", place, first, parity_end.into(), last)?;
-            protected_end = repair.first_packet + repair.packets;
-            parity_end = repair.first_parity + repair.parity_packets() as u32;
-        }
-        Ok(())
+/// Checks that every one of `values` is a number of some reasonable size.
+fn check_finite(field: &'static str, values: &[[u8; 4]], start: usize) -> Result<()> {
+    for (place, bytes) in placed(values, start) {
+        finite(field, place, f32::from_le_bytes(*bytes))?;
     }
-
-    fn check_values(&self) -> Result<()> {
-        for index in 0..self.head.transform_values as usize {
-            finite("manifest.transforms", self.sections.transforms + 4 * index, self.transform_value(index))?;
-        }
-        if self.profile == Profile::Paper {
-            for index in 0..self.head.basis_values as usize {
-                finite("manifest.basis", self.sections.basis + 4 * index, self.paper_basis(index))?;
-            }
-            for index in 0..byte_tables(&self.head) {
-                self.read_byte_table(index)?;
-            }
-        }
-        Ok(())
-    }
-
-    fn check_basis(&self, field: &'static str, place: usize, first: u32, values: u64) -> Result<()> {
-        check_part((field, "manifest.basis"), place, first, values, self.head.basis_values)
-    }
+    Ok(())
 }
 
 /// Checks that `values` values from `first` on lie among `all`; the two `fields` are that of `first`
@@ -248,14 +260,17 @@ fn check_part(
     in_range(fields.0, place, u64::from(first), 0, last).map(|_| ())
 }
 
-pub(super) fn check_head(head: &Head) -> Result<()> {
+/// Checks the head's numbers on their own; gives the harmonic degree and the block length.
+pub(super) fn check_head(head: &Head) -> Result<(ShDegree, NonZero<u32>)> {
     let in32 = |field, at, value: u32, low, high| in_range(field, at, value, low, high).map(|_| ());
-    in32("manifest.sh_degree", 1, head.sh_degree.into(), 0, ShDegree::MAX.get().into())?;
-    in32("manifest.block_len", 2, head.block_len.into(), 1, limits::MAX_BLOCK_LEN as u32)?;
+    let degrees = (0, ShDegree::MAX.get().into());
+    let illegal = Error::illegal("manifest.sh_degree", 1, head.sh_degree.into(), degrees);
+    let sh_degree = ShDegree::new(head.sh_degree).ok_or(illegal)?;
+    let block_len = block_len(head.block_len.into())?;
     in32("manifest.frames", 4, head.frames, 1, limits::MAX_FRAMES)?;
     in32("manifest.rate_frames", 8, head.rate_frames, 1, 1_000_000_000)?;
     in32("manifest.rate_seconds", 12, head.rate_seconds, 1, 1_000_000_000)?;
-    in32("manifest.packets", 16, head.packets, 0, crate::ids::PacketId::MAX)?;
+    in32("manifest.packets", 16, head.packets, 0, PacketId::MAX)?;
     in32("manifest.epochs", 20, head.epochs.into(), 1, limits::MAX_EPOCHS as u32)?;
     in32("manifest.windows", 22, head.windows.into(), 0, limits::MAX_WINDOWS as u32)?;
     in32("manifest.clusters", 24, head.clusters, 0, limits::MAX_CLUSTERS)?;
@@ -263,7 +278,8 @@ pub(super) fn check_head(head: &Head) -> Result<()> {
     in32("manifest.tables", 30, head.tables.into(), 0, limits::MAX_TABLES as u32)?;
     in32("manifest.proxies", 34, head.proxies.into(), 0, u32::from(head.profile == Profile::Dgs1 as u8))?;
     in32("manifest.basis_values", 36, head.basis_values, 0, limits::MAX_MANIFEST_BYTES as u32 / 4)?;
-    in32("manifest.transform_values", 40, head.transform_values, 0, limits::MAX_MANIFEST_BYTES as u32 / 4)
+    in32("manifest.transform_values", 40, head.transform_values, 0, limits::MAX_MANIFEST_BYTES as u32 / 4)?;
+    Ok((sh_degree, block_len))
 }
 
 fn finite(field: &'static str, place: usize, value: f32) -> Result<()> {

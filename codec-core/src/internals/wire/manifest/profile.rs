@@ -1,8 +1,5 @@
 //! A profile names a set of format choices; that of `paper` has two coders.
 
-use super::record::Head;
-use crate::ids::Level;
-
 /// The named sets of format choices.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -35,9 +32,4 @@ impl ChunkCoder {
             Self::Context => PAPER_CONTEXT,
         }
     }
-}
-
-/// Byte tables in a manifest with this head: a pair for each group of `paper`.
-pub(super) const fn byte_tables(head: &Head) -> usize {
-    if head.profile == Profile::Paper as u8 { head.clusters as usize * Level::COUNT * 2 } else { 0 }
 }

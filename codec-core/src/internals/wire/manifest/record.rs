@@ -1,16 +1,22 @@
 //! The fixed-width records of the manifest body, in the order of their fields on the wire.
 
+use core::num::NonZero;
+
 use crate::{
-    cursor::{Reader, in_range},
-    error::Result,
+    cursor::in_range,
+    error::{Error, Result},
     ids::Level,
+    limits::MAX_BLOCK_LEN,
     quant::{Class, Quantiser},
 };
 
 macro_rules! record {
     (
         $(#[$doc:meta])*
-        $name:ident, $prefix:literal, $bytes:literal { $($(#[$field_doc:meta])* $field:ident: $type:ty = $read:ident),* $(,)? } pad $pad:literal
+        $name:ident, $prefix:literal, $bytes:literal {
+            $($(#[$field_doc:meta])* $field:ident: $type:ty),* $(,)?
+        }
+        $(reserved $reserved:literal)?
     ) => {
         $(#[$doc])*
         #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -30,18 +36,31 @@ macro_rules! record {
                     bytes[at..at + field.len()].copy_from_slice(&field);
                     at += field.len();
                 })*
-                debug_assert_eq!(at + $pad, $bytes);
+                debug_assert_eq!(at $(+ $reserved)?, $bytes);
                 bytes
             }
 
-            pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self> {
-                let record = Self { $($field: reader.$read(concat!($prefix, stringify!($field)))?),* };
-                let start = reader.offset();
-                for &byte in reader.bytes(concat!($prefix, "reserved"), $pad)? {
-                    in_range(concat!($prefix, "reserved"), start, byte, 0, 0)?;
-                }
-                Ok(record)
+            /// The record of `bytes`, whatever its reserved bytes are.
+            pub(super) fn from_bytes(bytes: &[u8; $bytes]) -> Self {
+                let mut at = 0usize;
+                $(
+                    let $field = <$type>::from_le_bytes(core::array::from_fn(|i| bytes[at + i]));
+                    at += size_of::<$type>();
+                )*
+                debug_assert_eq!(at $(+ $reserved)?, $bytes);
+                Self { $($field),* }
             }
+
+            $(
+                /// Refuses `bytes`, which lie at offset `place`, if a reserved one of them is not zero.
+                pub(super) fn check_reserved(bytes: &[u8; $bytes], place: usize) -> Result<()> {
+                    let start = $bytes - $reserved;
+                    for &byte in bytes.iter().skip(start) {
+                        in_range(concat!($prefix, "reserved"), place + start, byte, 0, 0)?;
+                    }
+                    Ok(())
+                }
+            )?
         }
     };
 }
@@ -49,116 +68,126 @@ macro_rules! record {
 record! {
     /// Fixed head of the manifest body.
     Head, "manifest.", 44 {
-        /// [`super::Profile`] as a number.
-        profile: u8 = u8,
+        /// The profile as a number.
+        profile: u8,
         /// Highest harmonic degree of any cluster.
-        sh_degree: u8 = u8,
+        sh_degree: u8,
         /// Gaussians per block, the last block of a cluster may hold fewer.
-        block_len: u16 = u16,
+        block_len: u16,
         /// Frames of the stream.
-        frames: u32 = u32,
+        frames: u32,
         /// Frame rate, numerator (frames).
-        rate_frames: u32 = u32,
+        rate_frames: u32,
         /// Frame rate, denominator (seconds).
-        rate_seconds: u32 = u32,
+        rate_seconds: u32,
         /// Packets of the stream, parity included: ids are below this.
-        packets: u32 = u32,
+        packets: u32,
         /// Number of epochs.
-        epochs: u16 = u16,
+        epochs: u16,
         /// Number of windows.
-        windows: u16 = u16,
+        windows: u16,
         /// Number of clusters over all epochs.
-        clusters: u32 = u32,
+        clusters: u32,
         /// Number of quantisation profiles.
-        quants: u16 = u16,
+        quants: u16,
         /// Number of entropy tables.
-        tables: u16 = u16,
+        tables: u16,
         /// Number of repair ranges.
-        repairs: u16 = u16,
+        repairs: u16,
         /// 1 if there is a proxy for every canonical block (`dgs1`), else 0.
-        proxies: u16 = u16,
+        proxies: u16,
         /// i16 values of window bases (`dgs1`) or f32 values of epoch bases (`paper`).
-        basis_values: u32 = u32,
+        basis_values: u32,
         /// f32 values of cluster transforms (`paper`), else 0.
-        transform_values: u32 = u32,
-    } pad 0
+        transform_values: u32,
+    }
 }
 
 record! {
     /// A span of frames over which identity is fixed.
     Epoch, "epoch.", 52 {
         /// First frame, counted over the stream.
-        first_frame: u32 = u32,
+        first_frame: u32,
         /// Number of frames.
-        frames: u32 = u32,
+        frames: u32,
         /// Number of Gaussians.
-        gaussians: u32 = u32,
+        gaussians: u32,
         /// Index of the first cluster in the list of all clusters.
-        first_cluster: u32 = u32,
+        first_cluster: u32,
         /// Number of clusters.
-        clusters: u32 = u32,
+        clusters: u32,
         /// Index of the first window.
-        first_window: u32 = u32,
+        first_window: u32,
         /// Number of windows.
-        windows: u32 = u32,
+        windows: u32,
         /// World position of index 0, x.
-        origin_x: f32 = f32,
+        origin_x: f32,
         /// World position of index 0, y.
-        origin_y: f32 = f32,
+        origin_y: f32,
         /// World position of index 0, z.
-        origin_z: f32 = f32,
+        origin_z: f32,
         /// First value of the temporal basis (`paper`): `frames × rank` f32, frame-major.
-        basis_first: u32 = u32,
+        basis_first: u32,
         /// First value of the cluster transforms (`paper`): clusters × frames × 12 f32, row-major.
-        transform_first: u32 = u32,
+        transform_first: u32,
         /// Rank of the temporal basis (`paper`).
-        rank: u8 = u8,
-    } pad 3
+        rank: u8,
+    } reserved 3
 }
 
 record! {
     /// The temporal coverage of motion data inside an epoch.
     Window, "window.", 20 {
         /// Epoch it lies in.
-        epoch: u16 = u16,
+        epoch: u16,
         /// Number of frames, 1..=64.
-        frames: u16 = u16,
+        frames: u16,
         /// First frame, counted over the stream.
-        first_frame: u32 = u32,
+        first_frame: u32,
         /// Index of the motion cell of its first cluster.
-        first_cell: u32 = u32,
+        first_cell: u32,
         /// First value of its learned basis: `rank × frames` i16, vector-major, unit 2^-14.
-        basis_first: u32 = u32,
+        basis_first: u32,
         /// Vectors in its learned basis.
-        rank: u8 = u8,
-    } pad 3
+        rank: u8,
+    } reserved 3
 }
 
 record! {
     /// Gaussians that lie and move together.
     Cluster, "cluster.", 12 {
         /// Number of Gaussians.
-        gaussians: u16 = u16,
+        gaussians: u16,
         /// Index of its quantisation profile.
-        quant: u8 = u8,
+        quant: u8,
         /// Harmonic degree of its Gaussians (bits 0 and 1) and levels left out at the top (bits 2
         /// and 3): see [`Cluster::kind_of`].
-        kind: u8 = u8,
+        kind: u8,
         /// Centre, x, in base-level position steps from the epoch's origin.
-        centre_x: i16 = i16,
+        centre_x: i16,
         /// Centre, y.
-        centre_y: i16 = i16,
+        centre_y: i16,
         /// Centre, z.
-        centre_z: i16 = i16,
+        centre_z: i16,
         /// Radius in base-level position steps, ≥ 1: linear track parameters move a point this
         /// far by one translation step.
-        radius: u16 = u16,
-    } pad 0
+        radius: u16,
+    }
 }
 
 /// The highest level of `kind`, whose bits 2 and 3 count the levels left out.
 const fn top(kind: u8) -> Level {
     Level::from_bits(3 - (kind >> 2 & 3))
+}
+
+/// The number of Gaussians per block `found`, if the format allows it.
+///
+/// # Errors
+/// [`ErrorKind::Illegal`](crate::ErrorKind::Illegal).
+pub fn block_len(found: u64) -> Result<NonZero<u32>> {
+    let illegal = Error::illegal("manifest.block_len", 2, found, (1, MAX_BLOCK_LEN as u64));
+    let allowed = found <= MAX_BLOCK_LEN as u64;
+    NonZero::new(found as u32).filter(|_| allowed).ok_or(illegal)
 }
 
 impl Cluster {
@@ -176,6 +205,12 @@ impl Cluster {
         self.kind & 3
     }
 
+    /// Blocks of up to `block_len` Gaussians.
+    pub fn blocks(&self, block_len: NonZero<u32>) -> u32 {
+        // Rounded up; written so that no compiler sees a division by zero.
+        (u32::from(self.gaussians) + (block_len.get() - 1)) / block_len
+    }
+
     /// The highest level that carries canonical symbols.
     pub const fn top(&self) -> Level {
         top(self.kind)
@@ -187,22 +222,22 @@ record! {
     Motion, "motion.", 8 {
         /// [`Track`] (bits 0 and 1) and levels left out at the top (bits 2 and 3): see
         /// [`Motion::kind_of`].
-        kind: u8 = u8,
+        kind: u8,
         /// The track's step is a quarter of the position step times 2 to this.
-        track_shift: u8 = u8,
+        track_shift: u8,
         /// Coefficients of each track parameter: the lowest frequencies of the cosine basis.
-        track: u8 = u8,
+        track: u8,
         /// Coefficients of position per component: vectors of the window's learned basis.
-        position: u8 = u8,
+        position: u8,
         /// Coefficients of log-scale per component: cosine basis.
-        scale: u8 = u8,
+        scale: u8,
         /// Coefficients of relative rotation per component: cosine basis.
-        rotation: u8 = u8,
+        rotation: u8,
         /// Coefficients of opacity: cosine basis.
-        opacity: u8 = u8,
+        opacity: u8,
         /// Coefficients of band-0 colour per component: cosine basis.
-        sh0: u8 = u8,
-    } pad 0
+        sh0: u8,
+    }
 }
 
 /// How a cluster moves as a whole.
@@ -285,18 +320,18 @@ record! {
     /// `s` is parity packet `first_parity + i · sets + s`.
     Repair, "repair.", 16 {
         /// First protected packet.
-        first_packet: u32 = u32,
+        first_packet: u32,
         /// Number of protected packets, ≥ 1.
-        packets: u32 = u32,
+        packets: u32,
         /// First parity packet.
-        first_parity: u32 = u32,
+        first_parity: u32,
         /// Most packets in one set, 2..=64.
-        set_len: u8 = u8,
+        set_len: u8,
         /// Parity packets of one set, 1..=8: as many losses are repaired.
-        parity: u8 = u8,
+        parity: u8,
         /// Bytes of the longest protected packet, 1..=1280.
-        longest: u16 = u16,
-    } pad 0
+        longest: u16,
+    }
 }
 
 impl Repair {
@@ -362,16 +397,16 @@ pub struct Quant {
 }
 
 impl Quant {
+    /// Quantisers of one profile.
+    pub(super) const QUANTISERS: usize = Class::COUNT + Class::MOVING;
     /// Bytes on the wire.
-    pub const BYTES: usize = (Class::COUNT + Class::MOVING) * Quantiser::BYTES;
+    pub const BYTES: usize = Self::QUANTISERS * Quantiser::BYTES;
 
-    pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self> {
-        let first = Quantiser::read(reader)?;
-        let mut quant = Self { canonical: [first; Class::COUNT], motion: [first; Class::MOVING] };
-        for target in quant.canonical.iter_mut().skip(1).chain(&mut quant.motion) {
-            *target = Quantiser::read(reader)?;
-        }
-        Ok(quant)
+    /// The profile of `quantisers`, which [`Quantiser::check`] has let pass.
+    pub(super) fn from_bytes(quantisers: &[[u8; Quantiser::BYTES]; Self::QUANTISERS]) -> Self {
+        let [position, scale, rotation, opacity, sh0, sh1, sh2, sh3, motion @ ..] = *quantisers;
+        let canonical = [position, scale, rotation, opacity, sh0, sh1, sh2, sh3];
+        Self { canonical: canonical.map(Quantiser::from_bytes), motion: motion.map(Quantiser::from_bytes) }
     }
 
     /// Calls `emit` with its bytes on the wire.

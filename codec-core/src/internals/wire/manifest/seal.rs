@@ -1,6 +1,5 @@
 //! The envelope of the manifest: head, packed body, CRC.
 
-use super::{HEADER_BYTES, MAGIC, VERSION};
 use crate::{
     caps::{Caps, within},
     cursor::{Reader, Writer, in_range},
@@ -9,6 +8,13 @@ use crate::{
     pack::{pack, unpack},
     wire::crc::{CRC_BYTES, Crc32, checked, crc32},
 };
+
+/// First four bytes of a manifest.
+pub const MAGIC: [u8; 4] = *b"DGSM";
+/// Version this crate reads and writes.
+pub const VERSION: u8 = 2;
+/// Bytes before the packed body.
+pub const HEADER_BYTES: usize = 16;
 
 /// What the head of a DGSM message says, before anything is unpacked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

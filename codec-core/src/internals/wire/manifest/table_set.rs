@@ -5,7 +5,7 @@
 //! packet are known before its first value is decoded.
 
 use crate::{
-    cursor::{Reader, in_range},
+    cursor::in_range,
     error::{Error, ErrorKind, Result},
     limits::MAX_TABLE_SET,
     wire::bits::Bits,
@@ -48,16 +48,17 @@ impl TableSet {
         Ok(table_set)
     }
 
-    fn check(&self, place: usize) -> Result<()> {
+    /// Checks the record, which lies at offset `place`.
+    pub(super) fn check(&self, place: usize) -> Result<()> {
+        in_range("table_set.count", place, self.count, 0, MAX_TABLE_SET as u8)?;
         if self.count < 2 {
-            let longest = self.lengths.iter().copied().max().unwrap_or(0);
-            in_range("table_set.lengths", place + 1, longest, 0, 0)?;
+            in_range("table_set.lengths", place + 1, largest(&self.lengths, 0), 0, 0)?;
         } else {
             self.check_code(place)?;
         }
-        let unused = |values: &[u8]| values.iter().skip(usize::from(self.count)).copied().max().unwrap_or(0);
-        in_range("table_set.lengths", place + 1, unused(&self.lengths), 0, 0)?;
-        in_range("table_set.tables", place + 5, unused(&self.tables), 0, 0)?;
+        let used = usize::from(self.count);
+        in_range("table_set.lengths", place + 1, largest(&self.lengths, used), 0, 0)?;
+        in_range("table_set.tables", place + 5, largest(&self.tables, used), 0, 0)?;
         Ok(())
     }
 
@@ -69,33 +70,30 @@ impl TableSet {
         let mut before = 1;
         for (i, &length) in self.lengths.iter().take(usize::from(self.count)).enumerate() {
             in_range("table_set.lengths", place + 1, length, before, MAX_TABLE_SET_BITS)?;
-            if free == 0 {
-                in_range("table_set.count", place, usize::from(self.count) as u64, 0, i as u64)?;
-            }
-            let least = MAX_TABLE_SET_BITS - free.checked_ilog2().unwrap_or(0) as u8;
+            let Some(shortest) = free.checked_ilog2() else {
+                let (count, most) = (u64::from(self.count), i as u64);
+                return Err(Error::illegal("table_set.count", place, count, (0, most)));
+            };
+            let least = MAX_TABLE_SET_BITS - shortest as u8;
             in_range("table_set.lengths", place + 1, length, least, MAX_TABLE_SET_BITS)?;
-            free = free.saturating_sub(1 << (MAX_TABLE_SET_BITS - length));
+            free -= 1 << (MAX_TABLE_SET_BITS - length);
             before = length;
         }
         if free > 0 {
             // A shorter last code word would take what is left.
-            in_range("table_set.lengths", place + 1, before, 1, before.saturating_sub(1))?;
+            in_range("table_set.lengths", place + 1, before, 1, before - 1)?;
         }
         Ok(())
     }
 
-    pub(super) fn read(reader: &mut Reader<'_>) -> Result<Self> {
-        let place = reader.offset();
-        let count =
-            in_range("table_set.count", place, reader.u8("table_set.count")?, 0, MAX_TABLE_SET as u8)?;
-        let mut table_set = Self { count, ..Self::default() };
-        let packed: [u8; MAX_TABLE_SET / 2] = reader.array("table_set.lengths")?;
-        for ([low, high], byte) in table_set.lengths.as_chunks_mut::<2>().0.iter_mut().zip(packed) {
+    /// The record of `bytes`, which [`TableSet::check`] has let pass or has yet to.
+    pub(super) fn from_bytes(bytes: &[u8; Self::BYTES]) -> Self {
+        let [count, a, b, c, d, tables @ ..] = *bytes;
+        let mut lengths = [0; MAX_TABLE_SET];
+        for ([low, high], byte) in lengths.as_chunks_mut::<2>().0.iter_mut().zip([a, b, c, d]) {
             (*low, *high) = (byte & 0xf, byte >> 4);
         }
-        table_set.tables = reader.array("table_set.tables")?;
-        table_set.check(place)?;
-        Ok(table_set)
+        Self { count, lengths, tables }
     }
 
     /// The record's bytes: count, code lengths as nibbles (first low), tables.
@@ -168,6 +166,11 @@ impl TableSet {
     }
 }
 
+/// The largest of `values` behind the first `used`.
+fn largest(values: &[u8; MAX_TABLE_SET], used: usize) -> u8 {
+    values.iter().skip(used).fold(0, |largest, &value| largest.max(value))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -201,7 +204,8 @@ mod tests {
     fn records_round_trip_and_broken_codes_are_refused() {
         let table_set = table_set();
         let bytes = table_set.to_bytes();
-        assert_eq!(TableSet::read(&mut Reader::new(&bytes)).unwrap(), table_set);
+        assert_eq!(TableSet::from_bytes(&bytes), table_set);
+        assert_eq!(table_set.check(0), Ok(()));
         for (choices, field) in [
             (&[(1u8, 1u8), (2, 2)][..], "table_set.lengths"),
             (&[(1, 2), (2, 1), (3, 2)], "table_set.lengths"),
@@ -213,7 +217,10 @@ mod tests {
         }
         let mut dirty = bytes;
         dirty[12] = 1;
-        assert_eq!(TableSet::read(&mut Reader::new(&dirty)).unwrap_err().field, "table_set.tables");
+        assert_eq!(TableSet::from_bytes(&dirty).check(0).unwrap_err().field, "table_set.tables");
+        // Far more choices than there are places for.
+        dirty[0] = u8::MAX;
+        assert_eq!(TableSet::from_bytes(&dirty).check(0).unwrap_err().field, "table_set.count");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use anyhow::Result;
 use codec_core::internals::rans::{
-    lanes::{self, Compact, Decoder, Run, Symbols, naive},
+    lanes::{self, Compact, Decoder, Symbols, TableRun, naive},
     table::{SLOTS, Table},
 };
 use codec_simd::{Job, Kernel, Tables, decode_many_with};
@@ -76,7 +76,7 @@ impl Coder for Scalar {
     }
 
     fn encode(&mut self, packets: &Packets, arena: &mut Arena) -> Result<bool> {
-        let run = [Run { table: 0, len: packets.len }];
+        let run = [TableRun { table: 0, len: packets.len }];
         for (values, (room, place)) in packets.values.chunks_exact(packets.len).zip(arena.rooms()) {
             *place = (0, lanes::encode(values, &run, &self.symbols, room)?.len);
         }
@@ -191,7 +191,7 @@ impl Coder for Many {
     }
 
     fn decode(&mut self, packets: &Packets, bodies: &[&[u8]], out: &mut Decoded) -> Result<()> {
-        let run = [Run { table: 0, len: packets.len }];
+        let run = [TableRun { table: 0, len: packets.len }];
         let tables = Tables { slots: &self.slots, raw_bits: &[packets.table.raw_bits()] };
         let values = out.values.chunks_exact_mut(packets.len);
         let mut jobs: Vec<Job<'_>> =

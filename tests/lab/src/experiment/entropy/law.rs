@@ -2,7 +2,7 @@
 
 use anyhow::{Result, bail};
 use codec_core::internals::rans::{
-    lanes::{self, Run, Symbols},
+    lanes::{self, Symbols, TableRun},
     table::{ESCAPE, PRECISION, Table},
 };
 
@@ -157,7 +157,7 @@ impl Packets {
         loop {
             let fits = drawn.chunks(len).take(count).all(|packet| {
                 let values: Vec<i16> = packet.iter().map(value).collect();
-                lanes::encode(&values, &[Run { table: 0, len }], &symbols, &mut room)
+                lanes::encode(&values, &[TableRun { table: 0, len }], &symbols, &mut room)
                     .is_ok_and(|e| e.len <= limit)
             });
             if fits {

@@ -50,7 +50,7 @@ fn decoded(scene: &Scene, stream: &Stream, encode_s: f64, shown: &[u32]) -> Resu
     let timer = Timer::start();
     let received = stream.receive()?;
     let content = received.content();
-    let mut player = Player::new(&content.manifest);
+    let mut player = Player::new(content.manifest);
     for frame in 0..scene.frames() as u32 {
         player.show(&content, frame)?;
     }

@@ -51,7 +51,7 @@ pub(super) fn states(
     let map = PacketMap::of(&stream)?;
     let received = stream.receive()?;
     let content = received.content();
-    let mut player = Player::new(&content.manifest);
+    let mut player = Player::new(content.manifest);
     let (packets, frame) = (stream.packets().len(), scene.frames() as u32 / 2);
     let instants: Result<Vec<Instant>> = (1..=STATES)
         .map(|step| {
