@@ -2,6 +2,8 @@
 
 use std::{cell::Cell, ops::Range};
 
+use codec_core::Gaussian;
+
 use super::{
     CounterfactualError, States, Variants,
     shared_lists::SharedLists,
@@ -10,7 +12,7 @@ use super::{
     tuner::{self, OutOfMemory, Tuned},
 };
 use crate::{
-    Camera, Counters, Rendered, Renderer, Settings,
+    Camera, Counters, Rendered, Renderer, Settings, Splats,
     image::Image,
     stage::{TILE, bin, project, sort},
 };
@@ -129,7 +131,11 @@ pub fn render_worlds(
     }
     settings.validate_for_one_tile_side()?;
     let mut memory = FEW_WORLDS.take().unwrap_or_default();
-    let pictures = memory.one_by_one(variants, states, camera, settings);
+    let pictures = if states.len() == 1 {
+        memory.alone(variants, states, camera, settings).map(|picture| vec![picture])
+    } else {
+        memory.one_by_one(variants, states, camera, settings)
+    };
     FEW_WORLDS.set(Some(memory));
     pictures
 }
@@ -147,9 +153,35 @@ struct FewWorlds {
     rendered: Rendered,
     /// Depth order of what any of the worlds holds.
     order: sort::Order,
+    gaussians: Vec<Gaussian>,
+    sh_rest: Vec<f32>,
 }
 
 impl FewWorlds {
+    /// Picture of the first world: what it does not hold is not even projected, and what it holds lies side
+    /// by side, which saves more than the copy costs.
+    fn alone(
+        &mut self,
+        variants: &Variants,
+        states: &States,
+        camera: &Camera,
+        settings: &Settings,
+    ) -> Result<Image, CounterfactualError> {
+        let Self { renderer, rendered, gaussians, sh_rest, .. } = self;
+        let (all, groups, present) = (variants.splats(), variants.groups(), present(states, 0));
+        gaussians.clear();
+        sh_rest.clear();
+        for (index, (gaussian, &group)) in all.gaussians().iter().zip(groups).enumerate() {
+            if present[group as usize] {
+                gaussians.push(*gaussian);
+                sh_rest.extend_from_slice(all.rest(index));
+            }
+        }
+        let splats = Splats::new(gaussians, sh_rest, all.sh_degree())?;
+        renderer.render_into(&splats, camera, settings, rendered)?;
+        Ok(std::mem::take(&mut rendered.image))
+    }
+
     /// Pictures of worlds that share a projection of what any of them holds, and a depth order.
     fn one_by_one(
         &mut self,
@@ -158,7 +190,7 @@ impl FewWorlds {
         camera: &Camera,
         settings: &Settings,
     ) -> Result<Vec<Image>, CounterfactualError> {
-        let Self { renderer, rendered, order: all } = self;
+        let Self { renderer, rendered, order: all, .. } = self;
         let size = [camera.width() as usize, camera.height() as usize];
         let (splats, groups) = (variants.splats(), variants.groups());
         let worlds: Vec<Vec<bool>> = (0..states.len()).map(|world| present(states, world)).collect();
@@ -169,12 +201,7 @@ impl FewWorlds {
         sort::sort(&renderer.projected.keys, settings.parallel, all);
         let mut pictures = Vec::with_capacity(states.len());
         for present in &worlds {
-            if worlds.len() == 1 {
-                // What it does not hold is not even projected.
-                std::mem::swap(&mut renderer.order, all);
-            } else {
-                renderer.order.take(all, |splat| present[groups[splat as usize] as usize]);
-            }
+            renderer.order.take(all, |splat| present[groups[splat as usize] as usize]);
             let Renderer { projected, order, bands, .. } = &mut *renderer;
             bin::bands(projected, order, size, settings, bands);
             rendered.image.reset(camera.width(), camera.height())?;
