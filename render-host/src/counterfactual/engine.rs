@@ -100,7 +100,7 @@ impl Engine {
     }
 
     /// Changes every ellipse, as if the projection had given another.
-    #[cfg(test)]
+    #[cfg(all(test, feature = "gpu"))]
     pub(crate) fn map_splats(&mut self, change: impl Fn(&Splat) -> Splat) {
         self.shared.projected.splats.iter_mut().for_each(|splat| *splat = change(splat));
     }
