@@ -151,8 +151,10 @@ pub enum PolicyName {
     Dash,
     /// Dependency-closed groups by deadline.
     Dependency,
-    /// Deadline and render utility.
+    /// What each byte adds to the picture, by the time it arrives.
     DeadlineUtility,
+    /// The paper's score S(g), exactly.
+    DeadlineUtilityPaper,
 }
 
 /// `dgs import`.

@@ -243,6 +243,7 @@ pub const fn policy(name: PolicyName) -> PolicyKind {
         PolicyName::Dash => PolicyKind::Dash,
         PolicyName::Dependency => PolicyKind::Dependency,
         PolicyName::DeadlineUtility => PolicyKind::DeadlineUtility,
+        PolicyName::DeadlineUtilityPaper => PolicyKind::DeadlineUtilityPaper,
     }
 }
 

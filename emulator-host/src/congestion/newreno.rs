@@ -99,7 +99,7 @@ mod tests {
         let mut reno = NewReno::new(1000);
         reno.on_congestion(Nanos::ZERO, 1000, 0, Nanos::from_ms(1));
         assert_eq!(reno.window(), 5000);
-        let mut acknowledge = |reno: &mut NewReno, count: u64, ms: u64| {
+        let acknowledge = |reno: &mut NewReno, count: u64, ms: u64| {
             for _ in 0..count {
                 let acked = Acked { bytes: 1000, sent_at: Nanos::from_ms(ms), app_limited: false };
                 reno.on_ack(acked, &rtt, Nanos::from_ms(ms));

@@ -1,7 +1,7 @@
 //! Receives datagrams, acknowledges them, starts playout, and shows frames on time.
 
 use super::{
-    IP_UDP_BYTES, SessionConfig, StartupRule,
+    IP_UDP_BYTES, SessionConfig,
     control::ControlReceiver,
     datagram::{Acknowledgement, Content},
     feedback::ReceiptWriter,
@@ -59,13 +59,7 @@ impl<'a> Client<'a> {
         config: &'a SessionConfig,
         endpoint: &'a mut dyn Endpoint,
     ) -> Self {
-        let weight = |utility: f64| match config.startup.rule {
-            StartupRule::BaseGroups(_) => 1.0,
-            StartupRule::BaseUtility(_) => utility.max(0.0),
-        };
-        let groups =
-            (0u32..).zip(graph.groups()).filter(|(_, group)| group.level() == 0 && group.first_frame == 0);
-        let first_base = groups.map(|(at, group)| (GroupIndex(at), weight(group.utility))).collect();
+        let first_base = config.startup.rule.opening(graph);
         let control = ControlReceiver::new(graph.manifest_bytes());
         if control.is_complete() {
             endpoint.control(0, true, &mut Vec::new());
@@ -149,7 +143,6 @@ impl<'a> Client<'a> {
             return;
         }
         self.changed = false;
-        let (StartupRule::BaseGroups(share) | StartupRule::BaseUtility(share)) = self.config.startup.rule;
         let snapshot = self.endpoint.snapshot(0);
         let total: f64 = self.first_base.iter().map(|(_, weight)| weight).sum();
         let usable: f64 = self
@@ -158,7 +151,8 @@ impl<'a> Client<'a> {
             .filter(|(group, _)| snapshot.has_group(*group))
             .map(|(_, weight)| weight)
             .sum();
-        self.reached = self.control.is_complete() && usable >= share * total;
+        let share = self.config.startup.rule.share();
+        self.reached = self.control.is_complete() && share.is_some_and(|share| usable >= share * total);
         if self.reached || now >= self.config.startup.max_wait {
             self.start = Some(now);
             // The sender needs the playout time now.
