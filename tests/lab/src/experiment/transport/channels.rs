@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use dgs::pipeline;
 use emulator_host::{
-    Nanos, PacketGraph, Rate, SessionConfig, Trace,
+    Bytes, Nanos, PacketGraph, Rate, SessionConfig, Trace,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
     session::{Startup, StartupRule},
     trace::Step,
@@ -28,8 +28,8 @@ const FILES: [(&str, &str); 12] = [
 ];
 /// Stream bytes over what the link carries during the clip.
 pub(super) const LOAD: f64 = 1.6;
-/// Playout starts here, for everyone.
-pub(super) const START: Nanos = Nanos::from_s(1);
+/// A window whose bound is lower says nothing of schedulers: its link is dead.
+pub(super) const LEAST_BOUND: f64 = 0.05;
 
 /// A trace and the family that it stands for.
 pub(super) struct Channel {
@@ -68,6 +68,25 @@ fn constant() -> Result<Trace> {
     Ok(Trace::steps("constant", vec![step], Nanos::from_s(120))?)
 }
 
+/// Rate at which `graph` is [`LOAD`] times what fits into its clip.
+fn wanted(graph: &PacketGraph) -> Rate {
+    let clip = graph.frame_interval().times(u64::from(graph.frames()));
+    Rate((graph.total_bytes() as f64 * 8.0 / clip.as_s() / LOAD) as u64)
+}
+
+/// When playout starts, for everyone: after a second, or when the mean rate has carried the manifest and the
+/// base of frame 0 with a fifth to spare.
+pub(super) fn start(graph: &PacketGraph) -> Nanos {
+    let groups = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
+    let mut packets: Vec<_> = groups.flat_map(|group| &group.packets).collect();
+    packets.sort_unstable();
+    packets.dedup();
+    let base: u64 =
+        packets.iter().map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes) + 58).sum();
+    let least = wanted(graph).time_for(Bytes(base + u64::from(graph.manifest_bytes())));
+    (least + Nanos(least.0 / 5)).max(Nanos::from_s(1))
+}
+
 impl Channel {
     /// The link of window `window` of `windows`, on which `graph` is [`LOAD`] times what fits. `seed` differs
     /// between traces and windows and is the same for all schedulers. `None` if the window has no capacity.
@@ -82,14 +101,14 @@ impl Channel {
         loss: f64,
     ) -> Result<Option<SessionConfig>> {
         let clip = graph.frame_interval().times(u64::from(graph.frames()));
-        let length = (START + clip + Nanos::from_s(1)).min(self.trace.period());
+        let start = start(graph);
+        let length = (start + clip + Nanos::from_s(1)).min(self.trace.period());
         let offset = Nanos(self.trace.period().0 / windows as u64 * window as u64);
         let cut = match self.trace.window(offset, length) {
             Err(emulator_host::trace::TraceError::NoCapacity) => return Ok(None),
             cut => cut.with_context(|| self.trace.name().to_owned())?,
         };
-        let wanted = Rate((graph.total_bytes() as f64 * 8.0 / clip.as_s() / LOAD) as u64);
-        let cut = cut.scaled(wanted.0, cut.mean_rate().0)?;
+        let cut = cut.scaled(wanted(graph).0, cut.mean_rate().0)?;
         let queue = cut.mean_rate().bytes_in(Nanos::from_ms(500)).0.max(15_000);
         // Bursts of three datagrams on average.
         let leave_bad = 1.0 / 3.0;
@@ -105,7 +124,7 @@ impl Channel {
             loss: if loss > 0.0 { burst } else { LossModel::None },
             ..PathConfig::default()
         };
-        let startup = Startup { rule: StartupRule::AfterWait, max_wait: START };
+        let startup = Startup { rule: StartupRule::AfterWait, max_wait: start };
         let config = SessionConfig { seed, forward, startup, ..SessionConfig::default() };
         Ok(Some(SessionConfig { sample_interval: Nanos::ZERO, ..config }))
     }

@@ -14,7 +14,7 @@ use trainer_host::{
 };
 
 use super::{
-    channels::{Channel, START},
+    channels::{Channel, LEAST_BOUND, start},
     paired::{Window, clustered, families, rank_correlation},
     schedulers,
 };
@@ -49,9 +49,9 @@ struct Size {
 
 fn size(setup: &Setup) -> Size {
     if setup.quick {
-        Size { windows: 1, gaussians: 2000, frames: 90, pictures: 15 }
+        Size { windows: 1, gaussians: 12_000, frames: 60, pictures: 8 }
     } else {
-        Size { windows: 4, gaussians: 10_000, frames: 150, pictures: 30 }
+        Size { windows: 4, gaussians: 40_000, frames: 150, pictures: 20 }
     }
 }
 
@@ -139,9 +139,12 @@ fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, s
             let Some(session) = channel.session(&study.graph, (*window, windows), seed, 0.01)? else {
                 return Ok(None);
             };
+            let bound = upper_bound(&study.graph, &session.forward, start(&study.graph), 1500).utility;
+            if bound < LEAST_BOUND {
+                return Ok(None);
+            }
             let runs: Result<Vec<Seen>> =
                 POLICIES.iter().map(|policy| study.see(&session, *policy)).collect();
-            let bound = upper_bound(&study.graph, &session.forward, START, 1500).utility;
             Ok(Some((Window { family: channel.family, trace: *trace, runs: runs? }, bound)))
         })
         .collect();
