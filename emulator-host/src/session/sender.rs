@@ -84,6 +84,7 @@ pub(super) struct Sender<'a> {
     datagram_bytes: u64,
     serialising: Option<(Content, u32, Nanos)>,
     pace_at: Nanos,
+    last_sent_at: Nanos,
     starved: bool,
     dirty: bool,
     outcome: AckOutcome,
@@ -138,6 +139,7 @@ impl<'a> Sender<'a> {
             datagram_bytes,
             serialising: None,
             pace_at: Nanos::MAX,
+            last_sent_at: Nanos::ZERO,
             starved: false,
             dirty: true,
             outcome: AckOutcome::default(),
@@ -260,7 +262,7 @@ impl<'a> Sender<'a> {
             if !probe && !self.may_send(now) {
                 return None;
             }
-            if !probe && !self.control.has_pending() && self.fills_the_path() {
+            if !probe && !self.control.has_pending() && self.fills_the_path(now) {
                 self.recovery.on_path_filled();
                 return None;
             }
@@ -291,11 +293,11 @@ impl<'a> Sender<'a> {
         ready <= now
     }
 
-    /// Whether another datagram would only lengthen the sender's own queue on the path. Two may always be out:
-    /// without them nothing would renew what the sender believes of the path.
-    fn fills_the_path(&self) -> bool {
-        let Some(own_queue) = self.service.own_queue.filter(|_| self.outlook.minimum_rtt > Nanos::ZERO)
-        else {
+    /// Whether another datagram would only lengthen the sender's own queue on the path. Two may always be out,
+    /// and one more leaves after every silence of twice the queue: what is in flight may be lost, and without
+    /// an acknowledgement of something later nothing but the probe timeout would tell.
+    fn fills_the_path(&mut self, now: Nanos) -> bool {
+        let Some(own_queue) = self.service.own_queue.filter(|_| self.outlook.minimum_rtt > Nanos::ZERO) else {
             return false;
         };
         let in_flight = self.recovery.in_flight();
@@ -304,13 +306,21 @@ impl<'a> Sender<'a> {
         }
         let drain = self.outlook.rate.time_for(Bytes(in_flight));
         // A path of many milliseconds needs as many more to be probed for its rate.
-        drain > self.outlook.minimum_rtt + own_queue.max(self.outlook.minimum_rtt)
+        if drain <= self.outlook.minimum_rtt + own_queue.max(self.outlook.minimum_rtt) {
+            return false;
+        }
+        let silence_ends = self.last_sent_at + own_queue.times(2);
+        if now < silence_ends {
+            self.pace_at = silence_ends;
+        }
+        now < silence_ends
     }
 
     /// The datagram is through the sender's own serialiser: from here on it is in flight and its timers run.
     fn leave(&mut self, content: Content, bytes: u32, now: Nanos) -> Datagram {
         let number = self.recovery.on_sent(bytes, true, now);
         self.contents.push(content);
+        self.last_sent_at = now;
         self.counts.datagrams += 1;
         if let Content::Media(packet) = content {
             self.last_number[packet.at()] = number;
