@@ -3,6 +3,7 @@
 mod cache;
 mod cameras;
 mod frames;
+mod limit;
 mod link;
 
 use std::path::Path;

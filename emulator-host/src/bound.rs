@@ -1,7 +1,7 @@
 //! Bounds from above what any schedule could show over the same channel.
 //!
-//! The question is a linear programme. Frames are taken in slots of [`SLOT_FRAMES`]; y(i, s) in 0..=1 says how
-//! much of piece i is there by slot s:
+//! The question is a linear programme. Frames are taken in slots of three; y(i, s) in 0..=1 says how much of
+//! piece i is there by slot s:
 //!
 //! - maximise Σ v(i, s) y(i, s);
 //! - y(i, s) ≤ y(j, s) where i needs j; y(i, s) ≤ y(i, s + 1);
@@ -16,31 +16,17 @@
 
 mod programme;
 
-use self::programme::Programme;
+use self::programme::{DATAGRAM_OVERHEAD, Programme, SLOT_FRAMES};
 use crate::{
     clock::{Bytes, Nanos},
     graph::PacketGraph,
     link::{Capacity, PathConfig},
 };
 
-/// Frames per slot.
-pub const SLOT_FRAMES: u32 = 3;
+pub use self::programme::UpperBound;
 
-/// Bytes that the link spends on every datagram beside the packet.
-const DATAGRAM_OVERHEAD: u64 =
-    crate::session::QUIC_OVERHEAD_BYTES as u64 + crate::session::IP_UDP_BYTES as u64;
 /// Bytes of the manifest in one datagram.
 const CHUNK_BYTES: u64 = 1150;
-
-/// What bounds every schedule.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct UpperBound {
-    /// No run has a larger [`crate::Report::utility`].
-    pub utility: f64,
-    /// What the solver's own schedule, in fractions of pieces, shows: the optimum lies between, up to the
-    /// little by which that schedule breaks its limits.
-    pub estimate: f64,
-}
 
 /// The bound for `graph` over `path`, with playout that starts at `start`, after `steps` of the solver.
 ///
@@ -63,13 +49,13 @@ pub fn upper_bound(graph: &PacketGraph, path: &PathConfig, start: Nanos, steps: 
         let last = ((slot + 1) * SLOT_FRAMES).min(graph.frames()) - 1;
         let shown = start + graph.frame_interval().times(u64::from(last));
         // What is shown must have left the link one delay earlier.
-        carried(&path.capacity, shown - path.delay).0.saturating_sub(control) as f64
+        moved(&path.capacity, shown - path.delay).0.saturating_sub(control) as f64
     });
     Programme::new(graph, capacity.collect()).solve(steps)
 }
 
 /// Bytes that a path moves from the start until `time`.
-fn carried(capacity: &Capacity, time: Nanos) -> Bytes {
+fn moved(capacity: &Capacity, time: Nanos) -> Bytes {
     match capacity {
         Capacity::Unlimited => Bytes(u64::MAX / 4),
         Capacity::Constant(rate) => rate.bytes_in(time),
@@ -116,8 +102,8 @@ mod tests {
         }
     }
 
-    /// One cluster, one level and a link that carries half of the bytes: the fractional knapsack of the smallest
-    /// groups cannot be passed, and the solver's own schedule meets its bound.
+    /// One cluster, one level and a link that carries half of the bytes: the fractional knapsack of the
+    /// smallest groups cannot be passed, and the solver's own schedule meets its bound.
     #[test]
     fn it_is_tight_where_the_optimum_is_known() {
         let spec = Synthetic {
@@ -138,10 +124,10 @@ mod tests {
         items.sort_by(|one, other| (one.0 as f64 / one.1).total_cmp(&(other.0 as f64 / other.1)));
         let total: u64 = items.iter().map(|(bytes, _)| bytes).sum();
         let (mut left, mut most) = (total as f64 / 2.0, 0.0);
-        for (bytes, worth) in items {
+        for (bytes, gain) in items {
             let part = (left / bytes as f64).min(1.0);
             left -= part * bytes as f64;
-            most += part * worth;
+            most += part * gain;
         }
         let rate = Rate::over(Bytes(total / 2), Nanos::from_s(10));
         let path =

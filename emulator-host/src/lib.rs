@@ -31,13 +31,13 @@
 pub mod bound;
 pub mod clock;
 pub mod congestion;
-pub mod event;
+mod event;
 pub mod graph;
 pub mod link;
 mod pieces;
 pub mod policy;
 pub mod receiver;
-pub mod repair;
+mod repair;
 pub mod report;
 pub mod rng;
 pub mod session;

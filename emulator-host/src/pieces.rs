@@ -1,6 +1,6 @@
-//! Divides a graph into pieces that each add something to the picture at once, and says what, to which frames.
+//! Divides a graph into pieces that each add to the picture at once, and says what, to which frames.
 //!
-//! - [`Profile::Sliced`]: a packet is a piece. It adds, to every group that it carries, the share of its bytes.
+//! - [`Profile::Sliced`]: a packet is a piece. It adds to every group that it carries the share of its bytes.
 //! - [`Profile::AllOrNothing`]: a group is a piece, with the packets that it alone has. A packet that several
 //!   groups share is a piece of its own that adds nothing by itself and that each of them needs.
 //!
@@ -12,7 +12,7 @@ use crate::graph::{GroupIndex, PacketGraph, PacketIndex, Profile, csr::Csr};
 
 /// What a piece adds to each of some frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Part {
+pub(crate) struct Addition {
     /// First frame.
     pub first: u32,
     /// Last frame, inclusive.
@@ -30,14 +30,14 @@ pub(crate) struct Pieces {
     of_packet: Csr,
     needs: Csr,
     dependents: Csr,
-    parts: Vec<Vec<Part>>,
+    parts: Vec<Vec<Addition>>,
     order: Vec<u32>,
     place: Vec<u32>,
     needed_from: Vec<u32>,
     useful_until: Vec<u32>,
 }
 
-/// Running sums over frames, so that the worth of a span of frames is one subtraction.
+/// Running sums over frames, so that the gain of a span of frames is one subtraction.
 #[derive(Clone, Debug)]
 pub(crate) struct FrameSums {
     /// Σ over the frames before f of 1 ÷ positive utility showing.
@@ -73,7 +73,7 @@ impl FrameSums {
     }
 
     /// What `part` adds to its frames from `from` on: utility, and share of the level-0 groups.
-    pub(crate) fn worth(&self, part: &Part, from: u32) -> (f64, f64) {
+    pub(crate) fn gain(&self, part: &Addition, from: u32) -> (f64, f64) {
         let (first, after) = (part.first.max(from) as usize, part.last as usize + 1);
         if first >= after {
             return (0.0, 0.0);
@@ -163,7 +163,7 @@ impl Pieces {
     }
 
     /// What a piece adds.
-    pub(crate) fn parts(&self, piece: usize) -> &[Part] {
+    pub(crate) fn parts(&self, piece: usize) -> &[Addition] {
         &self.parts[piece]
     }
 
@@ -193,14 +193,14 @@ impl Pieces {
 struct Draft {
     packets: Vec<(u32, u32)>,
     needs: Vec<(u32, u32)>,
-    parts: Vec<Vec<Part>>,
+    parts: Vec<Vec<Addition>>,
 }
 
-fn part(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Part> {
+fn part(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Addition> {
     let facts = &graph.groups()[group.at()];
     let (utility, base) = (facts.utility.max(0.0) * share, if facts.level() == 0 { share } else { 0.0 });
     let (first, last) = (facts.first_frame, facts.last_frame);
-    (utility > 0.0 || (base > 0.0 && facts.utility >= 0.0)).then_some(Part { first, last, utility, base })
+    (utility > 0.0 || (base > 0.0 && facts.utility >= 0.0)).then_some(Addition { first, last, utility, base })
 }
 
 fn sliced(graph: &PacketGraph) -> Draft {
@@ -255,9 +255,9 @@ mod tests {
             let (mut utility, mut base) = (0.0, 0.0);
             for piece in 0..pieces.len() {
                 for part in pieces.parts(piece) {
-                    let worth = sums.worth(part, 0);
-                    utility += worth.0;
-                    base += worth.1;
+                    let gain = sums.gain(part, 0);
+                    utility += gain.0;
+                    base += gain.1;
                 }
             }
             assert!((utility - 90.0).abs() < 1e-6, "{profile:?}: {utility}");

@@ -22,12 +22,9 @@ use crate::{
 
 pub use dash::Dash;
 pub use deadline_utility::{DeadlineUtility, DeadlineUtilityConfig};
-pub use deadline_utility_paper::{DeadlineUtilityPaper, DeadlineUtilityPaperConfig};
 pub use dependency::Dependency;
 pub use kind::PolicyKind;
 pub use layered::Layered;
-use probability::distribution;
-pub use probability::mean_arrival;
 pub use service::Service;
 
 /// What the sender knows of a packet.

@@ -107,8 +107,6 @@ pub struct SenderCounts {
     pub media: u64,
     /// Media packets sent again.
     pub retransmitted: u64,
-    /// Parity packets that the scheduler had no use for.
-    pub declined_parity: u64,
     /// Parity packets sent.
     pub parity: u64,
     /// Control datagrams sent, repeats included.

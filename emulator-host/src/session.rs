@@ -16,6 +16,7 @@ mod feedback;
 mod forecast;
 mod loss_share;
 mod metrics;
+mod outlook;
 mod run;
 mod sender;
 

@@ -62,7 +62,7 @@ fn families(mean: Rate) -> Vec<PathConfig> {
 }
 
 /// On links that carry five eighths of the stream: four fifths of what lies between level order and the best
-/// that any schedule could do, in every profile; better than all conventional schedulers on every kind of link.
+/// that any schedule could do, in every profile; better than all conventional schedulers on every link.
 #[test]
 fn four_fifths_of_the_distance_to_the_bound_on_six_kinds_of_link() {
     for profile in [Profile::AllOrNothing, Profile::Sliced] {
@@ -90,8 +90,8 @@ fn four_fifths_of_the_distance_to_the_bound_on_six_kinds_of_link() {
     }
 }
 
-/// Two seconds of nothing at the start, then a twentieth of the rate for five: what the sender believes of the
-/// path is wrong for long, and it must go on to learn.
+/// Two seconds of nothing at the start, then a twentieth of the rate for five: what the sender believes of
+/// the path is wrong for long, and it must go on to learn.
 #[test]
 fn a_wrong_forecast_starves_nobody() {
     for seed in 0..4 {
@@ -116,7 +116,7 @@ fn a_wrong_forecast_starves_nobody() {
     }
 }
 
-/// Refinements are needed to the end of what they refine: on an idle link four lost packets cost a round trip.
+/// Refinements are needed to the end of what they refine: on an idle link a loss costs a round trip.
 #[test]
 fn every_loss_is_made_good_while_it_can_still_show() {
     let graph = graph(Synthetic { rate: Rate::from_kbps(500), ..Synthetic::default() }, 3);
@@ -128,14 +128,14 @@ fn every_loss_is_made_good_while_it_can_still_show() {
         let tail = &report.frames[60..];
         tail.iter().map(|row| row.miss).sum::<f64>() / tail.len() as f64
     };
-    let kept = missed(DeadlineUtilityConfig::default());
+    let repeated = missed(DeadlineUtilityConfig::default());
     let dropped = missed(DeadlineUtilityConfig { lost_compete: false, ..Default::default() });
     // What stays away is what would do harm: a tenth of the finest of four levels.
     let harmful = graph.groups().iter().filter(|group| group.utility <= 0.0).count();
     let harmful = harmful as f64 / graph.groups().len() as f64;
-    println!("missed: {kept:.4} repeated, {dropped:.4} by level, {harmful:.4} refused");
-    assert!(kept < harmful + 0.005, "{kept} {harmful}");
-    assert!(dropped > kept + 0.005, "{dropped} {kept}");
+    println!("missed: {repeated:.4} repeated, {dropped:.4} by level, {harmful:.4} refused");
+    assert!(repeated < harmful + 0.005, "{repeated} {harmful}");
+    assert!(dropped > repeated + 0.005, "{dropped} {repeated}");
 }
 
 #[test]
@@ -182,8 +182,7 @@ impl Scheduler for Noted {
     }
 }
 
-/// Nothing in the code asks whether the table is flat: frames per byte make levels come in order, and within a
-/// level windows.
+/// Nothing in the code asks whether the table is flat: frames per byte make levels come in order.
 #[test]
 fn a_flat_table_gives_the_conventional_order() {
     let spec = Synthetic { utilities: Utilities::Flat, rate: Rate::from_kbps(400), ..Synthetic::default() };
@@ -222,19 +221,23 @@ fn a_flat_table_gives_the_conventional_order() {
 /// comes too late.
 #[test]
 fn parity_is_sent_only_where_repetition_would_be_late() {
-    let spec = Synthetic { rate: Rate::from_kbps(600), repair: Some(8), ..Synthetic::default() };
-    let graph = graph(spec, 4);
-    let sent = |delay, parity_competes| {
-        let path = PathConfig { loss: LossModel::Iid(0.15), delay, ..PathConfig::default() };
-        // The live edge: nothing may be sent far ahead.
-        let config = SessionConfig { lookahead: Nanos::from_ms(100), ..after_a_second(path, 4) };
-        with(&graph, &config, DeadlineUtilityConfig { parity_competes, ..Default::default() }).sender.parity
+    // Bases only: refinements would be worth more than parity for them, and NewReno's window is small.
+    let spec = Synthetic { rate: Rate::from_kbps(60), levels: 1, repair: Some(8), ..Synthetic::default() };
+    let sent = |delay, parity_competes| -> u64 {
+        let of_seed = |seed| {
+            let path = PathConfig { loss: LossModel::Iid(0.05), delay, ..PathConfig::default() };
+            // The live edge: nothing may be sent far ahead.
+            let config = SessionConfig { lookahead: Nanos::from_ms(100), ..after_a_second(path, seed) };
+            let settings = DeadlineUtilityConfig { parity_competes, ..Default::default() };
+            with(&graph(spec, seed), &config, settings).sender.parity
+        };
+        (0..4).map(of_seed).sum()
     };
-    let (near, far) = (sent(Nanos::from_ms(5), true), sent(Nanos::from_ms(200), true));
+    let (near, far) = (sent(Nanos::from_ms(5), true), sent(Nanos::from_ms(120), true));
     let always = sent(Nanos::from_ms(5), false);
     println!("parity near {near}, far {far}, always {always}");
-    assert!(always > 12 && near * 4 < always, "{near} {always}");
-    assert!(far > near, "{far} {near}");
+    assert!(always > 40 && near * 4 < always, "{near} {always}");
+    assert!(far > 2 * near, "{far} {near}");
 }
 
 /// Forecasts are scored, and worth more than always saying how often they come true.

@@ -4,14 +4,28 @@
 //! method starts again from the better of the current and the mean multipliers. A step is linear in the size
 //! of the programme.
 
-use super::{DATAGRAM_OVERHEAD, SLOT_FRAMES, UpperBound};
 use crate::{
     graph::PacketGraph,
-    pieces::{FrameSums, Part, Pieces},
+    pieces::{Addition, FrameSums, Pieces},
 };
 
+/// Frames per slot.
+pub(super) const SLOT_FRAMES: u32 = 3;
+/// Bytes that the link spends on every datagram beside the packet.
+pub(super) const DATAGRAM_OVERHEAD: u64 =
+    crate::session::QUIC_OVERHEAD_BYTES as u64 + crate::session::IP_UDP_BYTES as u64;
 /// Steps between two looks at the bound.
 const ROUND: u32 = 50;
+
+/// What bounds every schedule.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct UpperBound {
+    /// No run has a larger [`crate::Report::utility`].
+    pub utility: f64,
+    /// What the solver's own schedule, in fractions of pieces, shows: the optimum lies between, up to the
+    /// little by which that schedule breaks its limits.
+    pub estimate: f64,
+}
 
 /// Variables of one piece: one per slot from `first` on.
 #[derive(Clone, Copy, Debug)]
@@ -275,7 +289,7 @@ fn distance(one: &[f64], other: &[f64]) -> f64 {
 }
 
 /// What `part` adds to the frames from `frames.0` to `frames.1`.
-fn within(sums: &FrameSums, part: &Part, frames: (u32, u32)) -> f64 {
-    let cut = Part { last: part.last.min(frames.1), ..*part };
-    if cut.last < cut.first { 0.0 } else { sums.worth(&cut, frames.0).0 }
+fn within(sums: &FrameSums, part: &Addition, frames: (u32, u32)) -> f64 {
+    let cut = Addition { last: part.last.min(frames.1), ..*part };
+    if cut.last < cut.first { 0.0 } else { sums.gain(&cut, frames.0).0 }
 }

@@ -2,9 +2,9 @@
 //!
 //! - C(g): packets of g and of its transitive closure that are not acknowledged; B_p their wire bytes.
 //! - P_g: [`mean_arrival`] over the frames at which g changes pixels. Expected arrival is the smoothed round
-//!   trip less the way back, plus what of C(g) is not yet sent at the path's rate; its spread is the round trip's deviation plus half
-//!   of that sending time. The result is multiplied by the chance that no packet of it is lost, counting the
-//!   retransmissions that a base packet has.
+//!   trip less the way back, plus what of C(g) is not yet sent at the path's rate; its spread is the round
+//!   trip's deviation plus half of that sending time. The result is multiplied by the chance that no packet
+//!   of it is lost, counting the retransmissions that a base packet has.
 //! - Ũ_g: the group's utility per frame times the frames on which it shows; with P_g the mean over those
 //!   frames, the product is what the group is expected to add to all frames together. Groups with none, or
 //!   less, are never targets.
@@ -15,12 +15,12 @@
 //!
 //! Infeasible groups are skipped: abandoned (a packet in the closure is lost for good), expired, or with P_g
 //! below a floor. The best groups are ranked together and served in turn; the ranking is renewed when they
-//! are done, after [`DeadlineUtilityPaperConfig::refresh`], or when something in it died. A group once begun is
-//! finished first.
+//! are done, after [`DeadlineUtilityPaperConfig::refresh`], or when something in it died. A group once begun
+//! is finished first.
 //!
 //! A flat utility table carries no order, and the policy then *is* the conventional one ([`Dependency`]).
 
-use super::{Dependency, PacketStatus, Scheduler, SenderView, first_of_closure, mean_arrival};
+use super::{Dependency, PacketStatus, Scheduler, SenderView, first_of_closure, probability::mean_arrival};
 use crate::{
     clock::Nanos,
     graph::{GroupIndex, PacketGraph, PacketIndex, Profile},

@@ -1,8 +1,8 @@
 //! Names the policies, and builds the scheduler of the one that is named.
 
 use super::{
-    Dash, DeadlineUtility, DeadlineUtilityConfig, DeadlineUtilityPaper, DeadlineUtilityPaperConfig,
-    Dependency, Layered, Scheduler,
+    Dash, DeadlineUtility, DeadlineUtilityConfig, Dependency, Layered, Scheduler,
+    deadline_utility_paper::{DeadlineUtilityPaper, DeadlineUtilityPaperConfig},
 };
 use crate::graph::PacketGraph;
 
@@ -28,7 +28,7 @@ pub enum PolicyKind {
     Dependency,
     /// [`DeadlineUtility`].
     DeadlineUtility,
-    /// [`DeadlineUtilityPaper`].
+    /// The paper's score S(g), exactly.
     DeadlineUtilityPaper,
 }
 

@@ -9,57 +9,16 @@ use super::{
     feedback,
     forecast::Forecasts,
     loss_share::LossShare,
+    outlook::Outlook,
 };
 use crate::{
-    clock::{Bytes, Nanos, Rate},
+    clock::{Bytes, Nanos},
     congestion::{AckOutcome, Recovery, TimerOutcome},
     graph::{PacketGraph, PacketIndex},
     link::Datagram,
-    policy::{PacketStatus, Scheduler, SenderView, Service},
+    policy::{PacketStatus, Scheduler, Service},
     report::{SenderCounts, SenderRow},
 };
-
-/// What the view holds besides the graph and the status table; renewed when feedback comes.
-#[derive(Clone, Copy, Debug)]
-struct Outlook {
-    playout_start: Nanos,
-    playing: bool,
-    horizon_frame: u32,
-    rate: Rate,
-    smoothed_rtt: Nanos,
-    rtt_variation: Nanos,
-    minimum_rtt: Nanos,
-    loss: f64,
-    in_flight: u64,
-    retransmissions: u32,
-    startup: StartupRule,
-}
-
-impl Outlook {
-    fn view<'a>(
-        &self,
-        graph: &'a PacketGraph,
-        status: &'a [PacketStatus],
-        sent_at: &'a [Nanos],
-    ) -> SenderView<'a> {
-        SenderView {
-            graph,
-            status,
-            sent_at,
-            in_flight: self.in_flight,
-            startup: self.startup,
-            playout_start: self.playout_start,
-            playing: self.playing,
-            horizon_frame: self.horizon_frame,
-            rate: self.rate,
-            smoothed_rtt: self.smoothed_rtt,
-            rtt_variation: self.rtt_variation,
-            minimum_rtt: self.minimum_rtt,
-            loss: self.loss,
-            retransmissions: self.retransmissions,
-        }
-    }
-}
 
 pub(super) struct Sender<'a> {
     graph: &'a PacketGraph,
@@ -75,6 +34,8 @@ pub(super) struct Sender<'a> {
     contents: Vec<Content>,
     again: VecDeque<PacketIndex>,
     parity: VecDeque<PacketIndex>,
+    /// Parity that the scheduler did not want when its set was sent.
+    later_parity: Vec<PacketIndex>,
     /// Members of each repair set that were never sent.
     set_waiting: Vec<u32>,
     /// Level-0 bytes of frame 0 that were never sent.
@@ -118,6 +79,7 @@ impl<'a> Sender<'a> {
             contents: Vec::with_capacity(graph.packets().len()),
             again: VecDeque::new(),
             parity: VecDeque::new(),
+            later_parity: Vec::new(),
             set_waiting: graph.repair_sets().iter().map(|set| set.members.len() as u32).collect(),
             first_base_bytes: first_base
                 .map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes))
@@ -293,11 +255,12 @@ impl<'a> Sender<'a> {
         ready <= now
     }
 
-    /// Whether another datagram would only lengthen the sender's own queue on the path. Two may always be out,
-    /// and one more leaves after every silence of twice the queue: what is in flight may be lost, and without
-    /// an acknowledgement of something later nothing but the probe timeout would tell.
+    /// Whether another datagram would only lengthen the sender's own queue on the path. Two may always be
+    /// out, and one more leaves after every silence of twice the queue: what is in flight may be lost, and
+    /// without an acknowledgement of something later nothing but the probe timeout would tell.
     fn fills_the_path(&mut self, now: Nanos) -> bool {
-        let Some(own_queue) = self.service.own_queue.filter(|_| self.outlook.minimum_rtt > Nanos::ZERO) else {
+        let Some(own_queue) = self.service.own_queue.filter(|_| self.outlook.minimum_rtt > Nanos::ZERO)
+        else {
             return false;
         };
         let in_flight = self.recovery.in_flight();
@@ -357,10 +320,9 @@ impl<'a> Sender<'a> {
                 continue;
             }
             if self.scheduler.wants_parity(&view, parity, now) {
-                self.counts.parity += 1;
                 packet = Some(parity);
             } else {
-                self.counts.declined_parity += 1;
+                self.later_parity.push(parity);
             }
         }
         if packet.is_none() && !self.starved {
@@ -371,11 +333,27 @@ impl<'a> Sender<'a> {
                 self.counts.refused_choices += 1;
                 packet = None;
             }
+            if packet.is_none() {
+                // With nothing else to send, parity that was not worth its bytes may be, while what it
+                // protects is on its way.
+                let (graph, status) = (self.graph, &self.status);
+                self.later_parity.retain(|parity| {
+                    let sets = graph.sets_of(*parity).iter();
+                    let mut members = sets.flat_map(|set| &graph.repair_sets()[*set as usize].members);
+                    !view.is_expired(*parity, now)
+                        && members.any(|member| status[member.at()] == PacketStatus::InFlight)
+                });
+                let scheduler = &mut self.scheduler;
+                let wanted =
+                    self.later_parity.iter().position(|parity| scheduler.wants_parity(&view, *parity, now));
+                packet = wanted.map(|at| self.later_parity.swap_remove(at));
+            }
             self.starved = packet.is_none();
+            let parity = packet.is_some_and(|packet| self.graph.packets()[packet.at()].parity_of.is_some());
             let again = packet.is_some_and(|packet| self.sent_times[packet.at()] > 0);
             self.counts.retransmitted += u64::from(again);
-            self.counts.media += u64::from(packet.is_some() && !again);
-            if let Some(packet) = packet.filter(|_| !again)
+            self.counts.media += u64::from(packet.is_some() && !again && !parity);
+            if let Some(packet) = packet.filter(|_| !again && !parity)
                 && let Some((chance, frame)) = self.scheduler.forecast(&view, packet, now)
             {
                 self.forecasts.note(packet, chance, frame);
@@ -383,6 +361,8 @@ impl<'a> Sender<'a> {
         }
         match packet {
             Some(packet) => {
+                let is_parity = self.graph.packets()[packet.at()].parity_of.is_some();
+                self.counts.parity += u64::from(is_parity);
                 let first = self.sent_times[packet.at()] == 0;
                 self.sent_times[packet.at()] = self.sent_times[packet.at()].saturating_add(1);
                 self.set_status(packet, PacketStatus::InFlight);

@@ -153,7 +153,7 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "transport",
-        about: "schedulers on measured traces: utility beside the best possible, pictures, startup, misses, waste",
+        about: "schedulers on measured traces: utility beside the best possible, pictures, startup, waste",
         run: transport::run,
     },
     Experiment {

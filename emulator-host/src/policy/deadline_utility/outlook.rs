@@ -3,8 +3,8 @@
 use super::config::DeadlineUtilityConfig;
 use crate::{
     clock::Nanos,
-    pieces::{FrameSums, Part},
-    policy::{SenderView, mean_arrival},
+    pieces::{Addition, FrameSums},
+    policy::{SenderView, probability::mean_arrival},
 };
 
 /// The forecast of one moment.
@@ -61,9 +61,9 @@ impl Outlook {
         }
     }
 
-    /// What `parts` are expected to add if `bytes` of theirs are sent from now on, losses aside; and, weighted,
-    /// how much less it is after a delay.
-    pub(super) fn value(&self, parts: &[Part], sums: &FrameSums, bytes: u32) -> f64 {
+    /// What `parts` are expected to add if `bytes` of theirs are sent from now on, losses aside; and,
+    /// weighted, how much less it is after a delay.
+    pub(super) fn value(&self, parts: &[Addition], sums: &FrameSums, bytes: u32) -> f64 {
         let (soon, late) = self.soon_and_late(parts, sums, bytes, self.delay_s);
         soon + self.delay_weight * (soon - late)
     }
@@ -76,7 +76,7 @@ impl Outlook {
     /// What `parts` are expected to add if sending starts now, and if it starts `delay_s` seconds from now.
     pub(super) fn soon_and_late(
         &self,
-        parts: &[Part],
+        parts: &[Addition],
         sums: &FrameSums,
         bytes: u32,
         delay_s: f64,
@@ -86,13 +86,13 @@ impl Outlook {
         let spread = self.spread_s + 0.5 * sending;
         let (mut soon, mut late) = (0.0, 0.0);
         for part in parts {
-            let (utility, base) = sums.worth(part, self.next_frame);
-            let worth = utility + self.base_weight * base;
-            if worth > 0.0 {
+            let (utility, base) = sums.gain(part, self.next_frame);
+            let gain = utility + self.base_weight * base;
+            if gain > 0.0 {
                 let first = self.shown_in(part.first.max(self.next_frame)) - expected;
                 let last = self.shown_in(part.last) - expected;
-                soon += worth * mean_arrival(first, last, 0.0, spread);
-                late += worth * mean_arrival(first, last, delay_s, spread);
+                soon += gain * mean_arrival(first, last, 0.0, spread);
+                late += gain * mean_arrival(first, last, delay_s, spread);
             }
         }
         (soon, late)

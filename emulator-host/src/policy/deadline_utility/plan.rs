@@ -1,8 +1,8 @@
 //! Ranks the pieces that may be sent now by what each byte of them adds, with all that stands on them.
 //!
 //! The rank of a piece is the largest Σ value ÷ Σ bytes over the sets that begin with it and hold only what
-//! stands on it: the piece, and of what needs it first the part of the highest rank, for as long as that raises the
-//! ratio. On trees this is Horn's rule, whose order is the best one; where something needs several pieces
+//! stands on it: the piece, and of what needs it first that of the highest rank, for as long as that raises
+//! the ratio. On trees this is Horn's rule, whose order is the best one; where something needs several pieces
 //! that are not sent yet, each of them is credited with an equal share of its value and of its bytes.
 
 use std::{cmp::Ordering, collections::BinaryHeap};
@@ -15,7 +15,7 @@ use crate::{
     clock::Nanos,
     graph::{PacketGraph, PacketIndex},
     pieces::{FrameSums, Pieces},
-    policy::{PacketStatus, SenderView, distribution},
+    policy::{PacketStatus, SenderView, probability::distribution},
 };
 
 /// What is left of one piece.
@@ -68,6 +68,9 @@ impl PartialEq for Ready {
 }
 
 impl Eq for Ready {}
+
+/// Parity that saves less than this share of what a loss of its members costs is never sent.
+const LEAST_SAVED: f64 = 0.1;
 
 /// The ranking, and what it is made from.
 #[derive(Debug)]
@@ -332,13 +335,18 @@ impl Plan {
         let members = &view.graph.repair_sets()[set as usize].members;
         // A loss is known after a round trip and an eighth, and what is sent then takes another half.
         let repetition = 1.125 * view.smoothed_rtt.as_s() + view.minimum_rtt.as_s() / 2.0;
-        let mut saved = 0.0;
+        let (mut saved, mut value) = (0.0, 0.0);
         for member in members.iter().filter(|member| view.status[member.at()] == PacketStatus::InFlight) {
             let Some(piece) = self.pieces.of_packet(*member) else { continue };
             let (parts, bytes) =
                 (self.pieces.parts(piece), u32::from(view.graph.packets()[member.at()].wire_bytes));
             let (soon, late) = outlook.soon_and_late(parts, &self.sums, bytes, repetition);
             saved += outlook.loss * (soon - late);
+            value += outlook.loss * soon;
+        }
+        // Repetition is cheaper: it costs bytes only where something was lost.
+        if saved < LEAST_SAVED * value {
+            return 0.0;
         }
         // Sent later, parity saves nothing any more: a delay costs all of it.
         outlook.urgent(saved) / f64::from(u32::from(facts.wire_bytes) + OVERHEAD_BYTES)
@@ -352,4 +360,111 @@ fn survival(view: &SenderView<'_>, packet: PacketIndex, loss: f64, now: Nanos) -
     let spread = view.rtt_variation.as_s().max(1e-3);
     let silent = 1.0 - distribution((age - view.smoothed_rtt.as_s()) / spread);
     1.0 - loss / (loss + (1.0 - loss) * silent.max(1e-9))
+}
+
+#[cfg(test)]
+mod tests {
+    use codec_core::internals::ids::{ClusterId, Group as GroupId, Level, PacketId, Span, WindowId};
+
+    use super::*;
+    use crate::{
+        clock::Rate,
+        graph::{GraphParts, Group, GroupIndex, Packet, Profile},
+        startup::StartupRule,
+    };
+
+    /// Groups of one packet each: (level, bytes, utility, needs).
+    fn graph(groups: &[(u8, u16, f64, &[u32])]) -> PacketGraph {
+        let packet = |at: usize, bytes| Packet {
+            id: PacketId::new(at as u32).unwrap(),
+            wire_bytes: bytes,
+            groups: vec![GroupIndex(at as u32)],
+            needs_packets: Vec::new(),
+            parity_of: None,
+        };
+        let group = |at: usize, level, utility, needs: &[u32]| Group {
+            id: GroupId {
+                span: Span::Motion(WindowId(0)),
+                cluster: ClusterId(at as u16),
+                level: Level::new(level).unwrap(),
+            },
+            first_frame: 0,
+            last_frame: 99,
+            needs: needs.iter().map(|need| GroupIndex(*need)).collect(),
+            packets: vec![PacketIndex(at as u32)],
+            utility,
+        };
+        let rows = || groups.iter().enumerate();
+        PacketGraph::new(GraphParts {
+            packets: rows().map(|(at, row)| packet(at, row.1)).collect(),
+            groups: rows().map(|(at, row)| group(at, row.0, row.2, row.3)).collect(),
+            repair_sets: Vec::new(),
+            frames: 100,
+            frame_interval: Nanos::from_ms(33),
+            manifest_bytes: 0,
+            profile: Profile::AllOrNothing,
+        })
+        .unwrap()
+    }
+
+    fn view<'a>(graph: &'a PacketGraph, status: &'a [PacketStatus], sent_at: &'a [Nanos]) -> SenderView<'a> {
+        SenderView {
+            graph,
+            status,
+            sent_at,
+            playout_start: Nanos::from_s(1),
+            playing: false,
+            horizon_frame: 100,
+            rate: Rate::from_mbps(1),
+            smoothed_rtt: Nanos::from_ms(50),
+            rtt_variation: Nanos::from_ms(5),
+            minimum_rtt: Nanos::from_ms(40),
+            in_flight: 0,
+            loss: 0.01,
+            startup: StartupRule::AfterWait,
+            retransmissions: 2,
+        }
+    }
+
+    fn first(graph: &PacketGraph, config: &DeadlineUtilityConfig) -> PacketIndex {
+        let count = graph.packets().len();
+        let (status, sent_at) = (vec![PacketStatus::Waiting; count], vec![Nanos::ZERO; count]);
+        let view = view(graph, &status, &sent_at);
+        let mut plan = Plan::new(graph);
+        plan.renew(&view, config, Nanos::ZERO);
+        plan.next(&view, Nanos::ZERO).unwrap()
+    }
+
+    /// A large ancestor that adds little by itself stands under three that add much: together they add more
+    /// per byte than the rival.
+    #[test]
+    fn an_ancestor_is_credited_with_what_stands_on_it() {
+        let graph = graph(&[
+            (1, 900, 0.01, &[]),
+            (1, 100, 1.0, &[0]),
+            (1, 100, 1.0, &[0]),
+            (1, 100, 1.0, &[0]),
+            (1, 700, 1.0, &[]),
+        ]);
+        let config = DeadlineUtilityConfig::default();
+        assert_eq!(first(&graph, &config), PacketIndex(0));
+        assert_eq!(first(&graph, &DeadlineUtilityConfig { credit: false, ..config }), PacketIndex(4));
+    }
+
+    #[test]
+    fn what_adds_nothing_is_never_sent() {
+        let graph = graph(&[(1, 100, -1.0, &[]), (1, 1000, 1e-6, &[])]);
+        assert_eq!(first(&graph, &DeadlineUtilityConfig::default()), PacketIndex(1));
+    }
+
+    #[test]
+    fn what_is_in_flight_counts_less_the_longer_no_receipt_tells_of_it() {
+        let graph = graph(&[(0, 100, 1.0, &[])]);
+        let (status, sent_at) = (vec![PacketStatus::InFlight], vec![Nanos::ZERO]);
+        let view = view(&graph, &status, &sent_at);
+        let chance = |ms| survival(&view, PacketIndex(0), 0.05, Nanos::from_ms(ms));
+        let falling: Vec<f64> = (0..40).map(|step| chance(10 * step)).collect();
+        assert!(falling.windows(2).all(|pair| pair[0] >= pair[1]), "{falling:?}");
+        assert!(falling[0] > 0.94 && falling[39] < 0.2, "{falling:?}");
+    }
 }

@@ -12,7 +12,7 @@ pub(super) struct Window<T> {
 /// Resamples drawn for an interval.
 const RESAMPLES: usize = 1000;
 
-/// `statistic` of all windows, and its 95 % interval: traces are drawn with replacement, then windows of each.
+/// `statistic` of all windows, and its 95 % interval: traces are drawn with replacement, then their windows.
 pub(super) fn clustered<T>(
     windows: &[Window<T>],
     statistic: &dyn Fn(&[&Window<T>]) -> f64,

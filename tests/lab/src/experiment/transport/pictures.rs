@@ -126,12 +126,15 @@ impl Study {
     }
 }
 
+/// A window and its bound.
+type Bounded = (Window<Seen>, f64);
+
 fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, scene: &Scene) -> Result<()> {
     let study = Study::make(scene, setup)?;
     let windows = size(setup).windows;
     let jobs: Vec<(usize, usize)> =
         (0..channels.len()).flat_map(|trace| (0..windows).map(move |w| (trace, w))).collect();
-    let results: Result<Vec<Option<(Window<Seen>, f64)>>> = jobs
+    let results: Result<Vec<Option<Bounded>>> = jobs
         .par_iter()
         .map(|(trace, window)| {
             let seed = 77_000 + 1000 * *trace as u64 + *window as u64;
