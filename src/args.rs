@@ -92,7 +92,7 @@ pub struct LinkArgs {
     #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     pub scale: Option<f64>,
     /// For the built-in trace: stream bytes over what the link carries during the clip, above 0.
-    #[arg(long, default_value_t = 1.6, value_parser = positive, allow_negative_numbers = true)]
+    #[arg(long, default_value_t = 1.2, value_parser = positive, allow_negative_numbers = true)]
     pub load: f64,
     /// One-way delay, 0 to 60000 milliseconds [default: half the trace's own round trip, else 30].
     #[arg(long, value_parser = whole::<u64>(0..=60_000, "milliseconds"))]
@@ -109,8 +109,8 @@ pub struct LinkArgs {
     /// Congestion controller.
     #[arg(long, value_enum, default_value_t = ControllerName::Newreno)]
     pub controller: ControllerName,
-    /// Seed of the link's luck.
-    #[arg(long, default_value_t = 1)]
+    /// Seed of the link's luck. The default does not begin in a fade.
+    #[arg(long, default_value_t = 2)]
     pub link_seed: u64,
 }
 
@@ -132,8 +132,10 @@ pub enum PolicyName {
     Dash,
     /// Dependency-closed groups by deadline.
     Dependency,
-    /// Deadline and render utility.
+    /// What each byte adds to the picture, by the time it arrives.
     DeadlineUtility,
+    /// The paper's score S(g), exactly.
+    DeadlineUtilityPaper,
 }
 
 /// `dgs import`.

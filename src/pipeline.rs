@@ -3,6 +3,7 @@
 mod cache;
 mod cameras;
 mod frames;
+mod limit;
 mod link;
 
 use std::path::Path;
@@ -246,6 +247,7 @@ pub const fn policy(name: PolicyName) -> PolicyKind {
         PolicyName::Dash => PolicyKind::Dash,
         PolicyName::Dependency => PolicyKind::Dependency,
         PolicyName::DeadlineUtility => PolicyKind::DeadlineUtility,
+        PolicyName::DeadlineUtilityPaper => PolicyKind::DeadlineUtilityPaper,
     }
 }
 

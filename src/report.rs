@@ -44,6 +44,8 @@ pub struct SchedulerRun {
     pub name: String,
     /// Startup, misses, waste, trajectory.
     pub delivery: Delivery,
+    /// What kept the run from showing more: link, congestion control or deadline.
+    pub limit: String,
     /// Image quality of what was shown, per frame.
     pub frames: Vec<Shown>,
     /// Mean PSNR over shown frames, dB; a frame that was never shown counts as the background.

@@ -101,6 +101,7 @@ fn delivery(i: usize) -> Report {
             lost: 57,
             ..Default::default()
         },
+        forecast: None,
         frames,
         samples: Vec::new(),
         boxes: Vec::new(),
@@ -124,6 +125,7 @@ fn run(i: usize) -> SchedulerRun {
     SchedulerRun {
         name: NAMES[i].into(),
         delivery,
+        limit: ["link", "congestion control"][i % 2].into(),
         frames,
         mean_psnr_db: 28.314 + 1.7 * rank,
         tail_psnr_db: 19.271 + 2.3 * rank,

@@ -37,16 +37,6 @@ impl<T> EventQueue<T> {
         }
         self.heap.pop().map(|entry| (entry.at, entry.item))
     }
-
-    /// Events waiting.
-    pub fn len(&self) -> usize {
-        self.heap.len()
-    }
-
-    /// Whether nothing waits.
-    pub fn is_empty(&self) -> bool {
-        self.heap.is_empty()
-    }
 }
 
 impl<T> Default for EventQueue<T> {
@@ -96,6 +86,6 @@ mod tests {
         assert_eq!(queue.pop_due(Nanos(0)), None);
         let order: Vec<char> = std::iter::from_fn(|| queue.pop_due(Nanos(9)).map(|(_, item)| item)).collect();
         assert_eq!(order, ['a', 'b', 'c', 'd']);
-        assert!(queue.is_empty());
+        assert!(queue.heap.is_empty());
     }
 }

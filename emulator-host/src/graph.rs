@@ -11,7 +11,7 @@
 //!   usable, and earns utility by usable bytes before. (A packet may carry slices of several groups, so it
 //!   can complete one while another still lacks its base.)
 
-mod csr;
+pub(crate) mod csr;
 mod derive;
 mod synthetic;
 

@@ -28,17 +28,20 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod bound;
 pub mod clock;
 pub mod congestion;
-pub mod event;
+mod event;
 pub mod graph;
 pub mod link;
+mod pieces;
 pub mod policy;
 pub mod receiver;
-pub mod repair;
+mod repair;
 pub mod report;
 pub mod rng;
 pub mod session;
+mod startup;
 pub mod trace;
 
 pub use clock::{Bytes, Nanos, Rate};

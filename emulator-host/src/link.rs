@@ -26,7 +26,7 @@ pub use delay::Delay;
 pub use gilbert_elliott::{GilbertElliott, GilbertElliottParams};
 pub use loss::IidLoss;
 pub use path::{Capacity, LossModel, PathConfig, PathError, Reordering};
-pub use queue::{DropTail, QueueLimit};
+pub use queue::QueueLimit;
 pub use rate::ConstantRate;
 pub use reorder::Reorder;
 pub use trace_rate::TraceRate;

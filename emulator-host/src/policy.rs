@@ -1,20 +1,23 @@
 //! Chooses what to send next. A scheduler is called at the moment a datagram may leave, never earlier, so
 //! nothing stale is queued.
 //!
-//! Every policy sees the same [`SenderView`] and is served by the same sender: control bytes and
-//! retransmissions go first, parity follows the last member of its set, and what can no longer be shown is
-//! never sent.
+//! Every policy sees the same [`SenderView`] and is served by the same sender: control bytes go first, parity
+//! follows the last member of its set, and what can no longer be shown is never sent. Who decides on lost
+//! packets, and how long a queue the sender may cause, is the policy's to say ([`Service`]).
 
 mod dash;
 mod deadline_utility;
+mod deadline_utility_paper;
 mod dependency;
 mod kind;
 mod layered;
 mod probability;
+mod service;
 
 use crate::{
-    clock::{Nanos, Rate},
+    clock::{Bytes, Nanos, Rate},
     graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
+    startup::StartupRule,
 };
 
 pub use dash::Dash;
@@ -22,12 +25,12 @@ pub use deadline_utility::{DeadlineUtility, DeadlineUtilityConfig};
 pub use dependency::Dependency;
 pub use kind::PolicyKind;
 pub use layered::Layered;
-pub use probability::mean_arrival;
+pub use service::Service;
 
 /// What the sender knows of a packet.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PacketStatus {
-    /// Never sent.
+    /// Never sent; or lost, where the scheduler decides on lost packets.
     Waiting,
     /// Sent, or lost and queued to be sent again.
     InFlight,
@@ -58,8 +61,14 @@ pub struct SenderView<'a> {
     pub rtt_variation: Nanos,
     /// Smallest round trip; zero before the first sample.
     pub minimum_rtt: Nanos,
-    /// Share of datagrams lost so far, 0..=1.
+    /// UDP payload bytes in flight.
+    pub in_flight: u64,
+    /// When each packet was last sent; zero if never.
+    pub sent_at: &'a [Nanos],
+    /// Share of datagrams that the path loses of late, 0..=1.
     pub loss: f64,
+    /// What playout waits for.
+    pub startup: StartupRule,
     /// Times that a lost base packet may be sent again.
     pub retransmissions: u32,
 }
@@ -68,6 +77,12 @@ impl SenderView<'_> {
     /// When `frame` is shown.
     pub fn playout_at(&self, frame: u32) -> Nanos {
         self.playout_start + self.graph.frame_interval().times(u64::from(frame))
+    }
+
+    /// How long what is in flight still takes to arrive beyond the smallest round trip: the queue on the
+    /// path, as far as the sender can know it. A round trip once measured says nothing of it.
+    pub fn queueing(&self) -> Nanos {
+        self.rate.time_for(Bytes(self.in_flight)) - self.minimum_rtt
     }
 
     /// Whether a datagram sent at `now` cannot arrive before `frame` is shown, even on an empty path.
@@ -104,6 +119,22 @@ pub trait Scheduler {
     /// The packet to send at `now`, or `None` if nothing is worth sending until the view changes. It must be
     /// [`SenderView::is_sendable`] and no parity packet. The sender sends what is returned.
     fn next(&mut self, view: &SenderView<'_>, now: Nanos) -> Option<PacketIndex>;
+
+    /// How the sender is to serve this scheduler.
+    fn service(&self) -> Service {
+        Service::CONVENTIONAL
+    }
+
+    /// Whether `parity`, whose set has just been sent, is worth its bytes at `now`.
+    fn wants_parity(&mut self, _view: &SenderView<'_>, _parity: PacketIndex, _now: Nanos) -> bool {
+        true
+    }
+
+    /// The chance that `packet`, sent at `now`, arrives before a frame is shown, and that frame; `None` if
+    /// this scheduler forecasts nothing.
+    fn forecast(&self, _view: &SenderView<'_>, _packet: PacketIndex, _now: Nanos) -> Option<(f64, u32)> {
+        None
+    }
 
     /// The status of `packet` has just changed from `before` to `view.status[packet]`.
     fn on_status(&mut self, _view: &SenderView<'_>, _packet: PacketIndex, _before: PacketStatus) {}

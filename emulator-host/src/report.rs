@@ -72,6 +72,32 @@ impl Waste {
     }
 }
 
+/// Forecasts whose chance lies in one tenth of 0..=1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct ForecastBin {
+    /// Forecasts.
+    pub count: u64,
+    /// Their mean chance.
+    pub chance: f64,
+    /// How many came true.
+    pub hits: u64,
+}
+
+/// A scheduler's forecasts, "this packet arrives before that frame is shown", beside what happened.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ForecastRow {
+    /// Forecasts.
+    pub count: u64,
+    /// Brier score: mean of (chance − outcome)².
+    pub brier: f64,
+    /// The score of always saying how often it comes true in this run.
+    pub base_rate_brier: f64,
+    /// Mean of (chance − share that came true)² over the bins: 0 if calibrated.
+    pub reliability: f64,
+    /// By tenths.
+    pub bins: Vec<ForecastBin>,
+}
+
 /// How often things happened at the sender.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct SenderCounts {
@@ -148,6 +174,8 @@ pub struct Report {
     pub waste: Waste,
     /// The sender's counters.
     pub sender: SenderCounts,
+    /// The scheduler's forecasts, if it makes any.
+    pub forecast: Option<ForecastRow>,
     /// One row per playout time.
     pub frames: Vec<FrameRow>,
     /// The sender's state over time.

@@ -13,7 +13,10 @@ mod client;
 mod control;
 mod datagram;
 mod feedback;
+mod forecast;
+mod loss_share;
 mod metrics;
+mod outlook;
 mod run;
 mod sender;
 
@@ -25,6 +28,7 @@ use crate::{
     receiver::GraphReceiver,
 };
 
+pub use crate::startup::{Startup, StartupRule};
 pub use run::{run, simulate};
 
 /// Bytes around a DGSP packet inside the UDP payload: QUIC short header 11, DATAGRAM frame 3, authentication
@@ -32,24 +36,6 @@ pub use run::{run, simulate};
 pub const QUIC_OVERHEAD_BYTES: u32 = 30;
 /// IPv4 and UDP headers, counted on the link only.
 pub const IP_UDP_BYTES: u32 = 28;
-
-/// What must be there before playout starts.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum StartupRule {
-    /// Share of the level-0 groups active at frame 0.
-    BaseGroups(f64),
-    /// The same, weighted by positive utility.
-    BaseUtility(f64),
-}
-
-/// When playout starts.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Startup {
-    /// What must be usable, 0..=1. The manifest is always needed.
-    pub rule: StartupRule,
-    /// Playout starts after this long in any case.
-    pub max_wait: Nanos,
-}
 
 /// Everything that a run depends on besides the graph.
 ///

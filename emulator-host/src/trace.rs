@@ -16,7 +16,7 @@ mod ucc;
 
 use std::sync::Arc;
 
-use crate::clock::{Nanos, Rate};
+use crate::clock::{Bytes, Nanos, Rate};
 
 pub use delay::DelayTrace;
 pub use lines::read;
@@ -251,6 +251,48 @@ impl Trace {
             }
         };
         Rate(u64::try_from(scaled / u128::from(self.period.0)).unwrap_or(u64::MAX))
+    }
+
+    /// Bytes that may move from the start until `time`, the trace repeating.
+    pub fn bytes_until(&self, time: Nanos) -> Bytes {
+        let (rounds, rest) = (time.0 / self.period.0, Nanos(time.0 % self.period.0));
+        let within = |end: Nanos| match &self.shape {
+            Shape::Opportunities(at) => {
+                at.partition_point(|at| *at <= end) as u64 * u64::from(OPPORTUNITY_BYTES)
+            }
+            Shape::Steps(steps) => {
+                let ends = steps.iter().skip(1).map(|step| step.at).chain([self.period]);
+                let used = steps.iter().zip(ends).take_while(|(step, _)| step.at < end);
+                used.map(|(step, until)| step.rate.bytes_in(until.min(end) - step.at).0).sum()
+            }
+        };
+        Bytes((within(Nanos(self.period.0 + 1)) * rounds).saturating_add(within(rest)))
+    }
+
+    /// The same trace with `numerator ÷ denominator` times the capacity: rates are multiplied, opportunities
+    /// become rates over 20 ms.
+    ///
+    /// # Errors
+    /// [`TraceError::NoCapacity`] if nothing is left.
+    pub fn scaled(&self, numerator: u64, denominator: u64) -> Result<Self, TraceError> {
+        const BIN: Nanos = Nanos::from_ms(20);
+        let steps: Vec<Step> = match &self.shape {
+            Shape::Steps(steps) => steps.to_vec(),
+            Shape::Opportunities(_) => (0..self.period.0.div_ceil(BIN.0))
+                .map(|bin| {
+                    let at = BIN.times(bin);
+                    let end = (at + BIN).min(self.period);
+                    let bytes = self.bytes_until(end) - self.bytes_until(at);
+                    Step { at, rate: Rate::over(bytes, end - at) }
+                })
+                .collect(),
+        };
+        let steps =
+            steps.into_iter().map(|step| Step { rate: step.rate.scaled(numerator, denominator), ..step });
+        let mut scaled = Self::steps(&self.name, steps.collect(), self.period)?;
+        scaled.warnings.clone_from(&self.warnings);
+        scaled.base_rtt = self.base_rtt;
+        Ok(scaled)
     }
 
     /// The part of `length` from `offset` on, going round at the end, as a trace with period `length`.

@@ -14,7 +14,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "helpers of tests fail like tests")]
 
 use emulator_host::{
-    ControllerKind, SessionConfig,
+    ControllerKind, PolicyKind, SessionConfig,
     clock::Nanos,
     congestion::{AckOutcome, Recovery, Rtt, TimerOutcome, initial_window, minimum_window},
     graph::Synthetic,
@@ -361,6 +361,8 @@ fn traffic(loss: LossModel, up: LossModel) -> emulator_host::Report {
         },
         reverse: PathConfig { loss: up, ..PathConfig::default() },
         retransmissions: 0,
+        // A scheduler that leaves lost packets to the sender, which here sends none again.
+        policy: PolicyKind::DeadlineUtilityPaper,
         ..SessionConfig::default()
     };
     simulate(&graph, &config).unwrap()

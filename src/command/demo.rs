@@ -65,6 +65,9 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
             run.delivery.waste.total_bytes() as f64 / 1024.0
         );
     }
+    for run in &page.runs {
+        text += &format!("  {:17} limited by {}\n", run.name, run.limit);
+    }
     text += &format!("{}\n{}\n", figures.display(), report.display());
     let json = json!({ "report": report, "figures": figures, "page": json });
     Ok(VerbOutput { text, json, ..VerbOutput::default() })
@@ -170,6 +173,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
             mean_ssim: mean(&ssim),
             flicker: metric::flicker(&images, &references)?,
             frames: rows,
+            limit: link.limit(&report),
             delivery: report,
         });
     }

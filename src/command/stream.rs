@@ -65,6 +65,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     let startup = report.startup_ms.map_or("never".to_owned(), |ms| format!("{ms:.0} ms"));
     let text = format!(
         "{} over {}\n  startup {startup}, miss {:.1} % (base {:.1} %), utility {:.3}\n  \
+         limited by {}\n  \
          goodput {} kbit/s, usable {} kbit/s, wasted {:.1} KiB, {} of {} frames shown, {} recovered by \
          repair\n",
         report.policy,
@@ -72,6 +73,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         100.0 * report.miss_rate,
         100.0 * report.base_miss_rate,
         report.utility,
+        link.limit(&report),
         number(report.goodput_bps / 1000.0),
         number(report.usable_goodput_bps / 1000.0),
         report.waste.total_bytes() as f64 / 1024.0,
@@ -79,6 +81,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         graph.frames(),
         report.recovered
     );
-    let json = json!({ "link": link.description, "report": report, "warnings": warnings });
+    let limit = link.limit(&report);
+    let json = json!({ "link": link.description, "limit": limit, "report": report, "warnings": warnings });
     Ok(VerbOutput { text, json, warnings, damaged: false })
 }

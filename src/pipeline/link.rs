@@ -89,10 +89,10 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
             loss_bad: 1.0,
         },
     };
-    let queue = (mean.0 as f64 / 8.0 * args.queue_ms as f64 / 1000.0) as u64;
+    let queue = queue_bytes(mean, args.queue_ms);
     let forward = PathConfig {
         capacity: Capacity::Trace(trace.clone()),
-        queue: QueueLimit { bytes: queue.max(24_000), ..QueueLimit::default() },
+        queue: QueueLimit { bytes: queue, ..QueueLimit::default() },
         loss,
         delay,
         ..PathConfig::default()
@@ -114,10 +114,17 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
         trace.name(),
         mean.0 as f64 / 1e6,
         delay.as_ms(),
-        queue.max(24_000) / 1000,
+        queue / 1000,
         100.0 * args.burst_loss
     );
     Ok(Link { config, trace, description, warnings })
+}
+
+/// Bytes of `ms` milliseconds at `rate`. The floor is two whole datagrams, without which nothing that comes
+/// in pairs would pass: on a slow link a larger one would be seconds.
+fn queue_bytes(rate: Rate, ms: u64) -> u64 {
+    const TWO_DATAGRAMS: u64 = 3_000;
+    rate.bytes_in(Nanos::from_ms(ms)).0.max(TWO_DATAGRAMS)
 }
 
 /// `trace` with `factor` times the capacity.
@@ -167,4 +174,19 @@ pub fn capacity_bins(trace: &Trace, width: Nanos, bins: usize) -> Vec<f64> {
         }
     }
     out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_queue_is_as_long_in_time_on_a_slow_link_as_on_a_fast_one() {
+        for kbps in [125, 1_000, 20_000] {
+            let bytes = queue_bytes(Rate::from_kbps(kbps), 250);
+            let span = Rate::from_kbps(kbps).time_for(emulator_host::Bytes(bytes));
+            assert!(span.as_ms() > 249.0 && span.as_ms() <= 251.0, "{kbps} kbit/s: {span}");
+        }
+        assert_eq!(queue_bytes(Rate::from_kbps(42), 250), 3_000);
+    }
 }

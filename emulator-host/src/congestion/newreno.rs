@@ -65,7 +65,7 @@ impl Controller for NewReno {
         self.recovery_start = Some(now);
         self.window = (self.window / 2).max(minimum_window(self.datagram));
         self.threshold = self.window;
-        self.credit = 0;
+        // Bytes acknowledged so far still count towards growth: RFC 9002, B.5 grows with every one of them.
         true
     }
 
@@ -86,5 +86,30 @@ impl Controller for NewReno {
 
     fn is_probing(&self) -> bool {
         self.window < self.threshold
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_loss_discards_no_growth_that_is_already_earned() {
+        let rtt = Rtt::new(Nanos::from_ms(25));
+        let mut reno = NewReno::new(1000);
+        reno.on_congestion(Nanos::ZERO, 1000, 0, Nanos::from_ms(1));
+        assert_eq!(reno.window(), 5000);
+        let acknowledge = |reno: &mut NewReno, count: u64, ms: u64| {
+            for _ in 0..count {
+                let acked = Acked { bytes: 1000, sent_at: Nanos::from_ms(ms), app_limited: false };
+                reno.on_ack(acked, &rtt, Nanos::from_ms(ms));
+            }
+        };
+        // Four of the five datagrams that a step of growth takes, then a loss, then the fifth.
+        acknowledge(&mut reno, 4, 10);
+        reno.on_congestion(Nanos::from_ms(11), 1000, 0, Nanos::from_ms(12));
+        assert_eq!(reno.window(), 2500);
+        acknowledge(&mut reno, 1, 20);
+        assert_eq!(reno.window(), 3500);
     }
 }

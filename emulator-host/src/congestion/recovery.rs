@@ -26,6 +26,7 @@ pub struct Sent {
     /// Whether it must be acknowledged, and counts in flight.
     pub eliciting: bool,
     app_limited: bool,
+    source_limited: bool,
     state: State,
     delivered: u64,
     delivered_at: Nanos,
@@ -92,6 +93,7 @@ pub struct Recovery {
     probes_owed: u32,
     entry_credit: bool,
     app_limited: bool,
+    source_limited: bool,
     lost_packets: u64,
 }
 
@@ -120,6 +122,7 @@ impl Recovery {
             probes_owed: 0,
             entry_credit: false,
             app_limited: false,
+            source_limited: false,
             lost_packets: 0,
         }
     }
@@ -180,10 +183,19 @@ impl Recovery {
     /// clears this.
     pub fn on_app_limited(&mut self) {
         self.app_limited = true;
+        self.source_limited = true;
+    }
+
+    /// The sender holds back because what is in flight already fills the path. The window must not grow, for
+    /// it is not filled; but what is acknowledged does measure the path.
+    pub fn on_path_filled(&mut self) {
+        self.app_limited = true;
+        self.source_limited = false;
     }
 
     /// The window, not the application, holds the sender back.
     pub fn on_window_limited(&mut self) {
+        self.source_limited = false;
         self.app_limited = false;
     }
 
@@ -199,6 +211,7 @@ impl Recovery {
             bytes,
             eliciting,
             app_limited: self.app_limited,
+            source_limited: self.source_limited,
             state: State::Outstanding,
             delivered: self.delivered,
             delivered_at: self.delivered_at,
@@ -385,7 +398,7 @@ impl Recovery {
             return None;
         }
         let rate = Rate::over(Bytes(self.delivered - sent.delivered), span);
-        Some(DeliverySample { rate, app_limited: sent.app_limited })
+        Some(DeliverySample { rate, app_limited: sent.source_limited })
     }
 
     /// r_send = min(r_cwnd, headroom × r̂_path): the path's estimate never exceeds what was sent, so a cap

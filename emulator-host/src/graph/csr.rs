@@ -2,14 +2,14 @@
 
 /// `row(i)` is a slice of a shared table.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Csr {
+pub(crate) struct Csr {
     ends: Vec<u32>,
     items: Vec<u32>,
 }
 
 impl Csr {
     /// Rows `0..rows` from (row, item) pairs; items keep the order of the pairs.
-    pub(super) fn from_pairs(rows: usize, pairs: &[(u32, u32)]) -> Self {
+    pub(crate) fn from_pairs(rows: usize, pairs: &[(u32, u32)]) -> Self {
         let mut ends = vec![0u32; rows];
         for (row, _) in pairs {
             ends[*row as usize] += 1;
@@ -30,17 +30,17 @@ impl Csr {
     }
 
     /// Rows one by one, in order.
-    pub(super) fn push_row(&mut self, row: &[u32]) {
+    pub(crate) fn push_row(&mut self, row: &[u32]) {
         self.items.extend_from_slice(row);
         self.ends.push(self.items.len() as u32);
     }
 
     /// Items over all rows.
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.items.len()
     }
 
-    pub(super) fn row(&self, row: usize) -> &[u32] {
+    pub(crate) fn row(&self, row: usize) -> &[u32] {
         let start = if row == 0 { 0 } else { self.ends[row - 1] };
         &self.items[start as usize..self.ends[row] as usize]
     }

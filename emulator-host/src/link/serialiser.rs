@@ -1,6 +1,6 @@
 //! Serialises one datagram at a time from a drop-tail queue: what all links with a rate share.
 
-use super::{BoxOutput, Counts, Datagram, DropTail, QueueLimit};
+use super::{BoxOutput, Counts, Datagram, QueueLimit, queue::DropTail};
 use crate::clock::Nanos;
 
 /// How long the next datagram takes. The state is where the link stands after the last one.

@@ -1,6 +1,9 @@
 //! Names the policies, and builds the scheduler of the one that is named.
 
-use super::{Dash, DeadlineUtility, DeadlineUtilityConfig, Dependency, Layered, Scheduler};
+use super::{
+    Dash, DeadlineUtility, DeadlineUtilityConfig, Dependency, Layered, Scheduler,
+    deadline_utility_paper::{DeadlineUtilityPaper, DeadlineUtilityPaperConfig},
+};
 use crate::graph::PacketGraph;
 
 /// The policies by name.
@@ -25,11 +28,14 @@ pub enum PolicyKind {
     Dependency,
     /// [`DeadlineUtility`].
     DeadlineUtility,
+    /// The paper's score S(g), exactly.
+    DeadlineUtilityPaper,
 }
 
 impl PolicyKind {
     /// Every policy.
-    pub const ALL: [Self; 4] = [Self::Dash, Self::DeadlineUtility, Self::Dependency, Self::Layered];
+    pub const ALL: [Self; 5] =
+        [Self::Dash, Self::DeadlineUtility, Self::DeadlineUtilityPaper, Self::Dependency, Self::Layered];
 
     /// Name in reports, as in the paper's table.
     pub fn name(self) -> &'static str {
@@ -38,6 +44,7 @@ impl PolicyKind {
             Self::Dash => "dash",
             Self::Dependency => "dependency",
             Self::DeadlineUtility => "deadline-utility",
+            Self::DeadlineUtilityPaper => "deadline-utility-paper",
         }
     }
 
@@ -48,6 +55,9 @@ impl PolicyKind {
             Self::Dash => Box::new(Dash::new(graph)),
             Self::Dependency => Box::new(Dependency::new(graph)),
             Self::DeadlineUtility => Box::new(DeadlineUtility::new(graph, DeadlineUtilityConfig::default())),
+            Self::DeadlineUtilityPaper => {
+                Box::new(DeadlineUtilityPaper::new(graph, DeadlineUtilityPaperConfig::default()))
+            }
         }
     }
 }

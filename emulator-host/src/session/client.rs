@@ -1,7 +1,7 @@
 //! Receives datagrams, acknowledges them, starts playout, and shows frames on time.
 
 use super::{
-    IP_UDP_BYTES, SessionConfig, StartupRule,
+    IP_UDP_BYTES, SessionConfig,
     control::ControlReceiver,
     datagram::{Acknowledgement, Content},
     feedback::ReceiptWriter,
@@ -59,13 +59,7 @@ impl<'a> Client<'a> {
         config: &'a SessionConfig,
         endpoint: &'a mut dyn Endpoint,
     ) -> Self {
-        let weight = |utility: f64| match config.startup.rule {
-            StartupRule::BaseGroups(_) => 1.0,
-            StartupRule::BaseUtility(_) => utility.max(0.0),
-        };
-        let groups =
-            (0u32..).zip(graph.groups()).filter(|(_, group)| group.level() == 0 && group.first_frame == 0);
-        let first_base = groups.map(|(at, group)| (GroupIndex(at), weight(group.utility))).collect();
+        let first_base = config.startup.rule.opening(graph);
         let control = ControlReceiver::new(graph.manifest_bytes());
         if control.is_complete() {
             endpoint.control(0, true, &mut Vec::new());
@@ -113,10 +107,11 @@ impl<'a> Client<'a> {
     }
 
     pub(super) fn receive(&mut self, number: u64, content: Content, now: Nanos, metrics: &mut Metrics<'_>) {
-        let in_order = self.enter_number(number);
-        if in_order {
+        // Delay is reported for the largest number, whether or not a gap lies before it (RFC 9000, 13.2.5).
+        if self.ranges.last().is_none_or(|(_, largest)| number > *largest) {
             self.largest_at = now;
         }
+        let in_order = self.enter_number(number);
         self.unacked += 1;
         let due = self.unacked >= self.config.ack_every || !in_order;
         self.ack_at = if due { now } else { self.ack_at.min(now + self.config.max_ack_delay) };
@@ -148,7 +143,6 @@ impl<'a> Client<'a> {
             return;
         }
         self.changed = false;
-        let (StartupRule::BaseGroups(share) | StartupRule::BaseUtility(share)) = self.config.startup.rule;
         let snapshot = self.endpoint.snapshot(0);
         let total: f64 = self.first_base.iter().map(|(_, weight)| weight).sum();
         let usable: f64 = self
@@ -157,7 +151,8 @@ impl<'a> Client<'a> {
             .filter(|(group, _)| snapshot.has_group(*group))
             .map(|(_, weight)| weight)
             .sum();
-        self.reached = self.control.is_complete() && usable >= share * total;
+        let share = self.config.startup.rule.share();
+        self.reached = self.control.is_complete() && share.is_some_and(|share| usable >= share * total);
         if self.reached || now >= self.config.startup.max_wait {
             self.start = Some(now);
             // The sender needs the playout time now.
@@ -246,5 +241,29 @@ impl<'a> Client<'a> {
             self.ranges.remove(0);
         }
         false
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{graph::Synthetic, receiver::GraphReceiver};
+
+    #[test]
+    fn the_delay_of_an_acknowledgement_starts_at_the_largest_number_even_behind_a_gap() {
+        let graph = Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap();
+        let config = SessionConfig::default();
+        let mut endpoint = GraphReceiver::new(&graph, 16);
+        let mut client = Client::new(&graph, &config, &mut endpoint);
+        let mut metrics = Metrics::new(&graph);
+        client.receive(0, Content::Ping, Nanos::from_ms(1), &mut metrics);
+        // Number 1 is missing when 2 arrives: the receipt leaves at once, and 2 waited for nothing.
+        client.receive(2, Content::Ping, Nanos::from_ms(20), &mut metrics);
+        let sent = client.poll(Nanos::from_ms(20)).unwrap();
+        assert_eq!(client.feedback(sent.tag).0.ack_delay, Nanos::ZERO);
+        // Number 1 comes late: the delay is still that of number 2.
+        client.receive(1, Content::Ping, Nanos::from_ms(23), &mut metrics);
+        let sent = client.poll(Nanos::from_ms(23)).unwrap();
+        assert_eq!(client.feedback(sent.tag).0.ack_delay, Nanos::from_ms(3));
     }
 }

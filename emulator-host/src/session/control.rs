@@ -35,6 +35,11 @@ impl ControlSender {
         Some(open as u32)
     }
 
+    /// Whether a chunk waits to be sent, for the first time or again.
+    pub(super) fn has_pending(&self) -> bool {
+        self.pending.iter().any(|chunk| !self.acked[*chunk as usize])
+    }
+
     pub(super) fn bytes(&self, chunk: u32) -> u32 {
         self.sizes[chunk as usize]
     }

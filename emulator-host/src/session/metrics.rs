@@ -1,5 +1,6 @@
 //! Counts what happens during a run, and makes the report.
 
+use super::forecast::Forecasts;
 use crate::{
     clock::{Bytes, Nanos, Rate},
     graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
@@ -186,7 +187,13 @@ impl<'a> Metrics<'a> {
     }
 
     /// Sorts what arrived into used and wasted, and takes the means.
-    pub(super) fn report(mut self, now: Nanos, boxes: Vec<(String, Counts)>) -> Report {
+    pub(super) fn report(
+        mut self,
+        now: Nanos,
+        forecasts: &Forecasts,
+        boxes: Vec<(String, Counts)>,
+    ) -> Report {
+        let forecast = forecasts.score(&self.arrived, self.frames.len() as u32);
         let mut used_bytes = 0;
         for (at, packet) in self.graph.packets().iter().enumerate() {
             let (index, bytes) = (PacketIndex(at as u32), u64::from(packet.wire_bytes));
@@ -231,6 +238,7 @@ impl<'a> Metrics<'a> {
             recovered: self.recovered,
             waste: self.waste,
             sender: SenderCounts::default(),
+            forecast,
             frames: self.frames,
             samples: self.samples,
             boxes: boxes.into_iter().map(|(label, counts)| BoxRow { label, counts }).collect(),

@@ -1,6 +1,6 @@
 //! Runs one delivery: steps from event to event, and hands datagrams from end to end.
 
-use super::{SessionConfig, SessionError, StartupRule, client::Client, metrics::Metrics, sender::Sender};
+use super::{SessionConfig, SessionError, client::Client, metrics::Metrics, sender::Sender};
 use crate::{
     clock::Nanos,
     graph::PacketGraph,
@@ -53,8 +53,7 @@ pub fn run(
 }
 
 fn check(config: &SessionConfig) -> Result<(), SessionError> {
-    let (StartupRule::BaseGroups(share) | StartupRule::BaseUtility(share)) = config.startup.rule;
-    if !(0.0..=1.0).contains(&share) {
+    if let Some(share) = config.startup.rule.share().filter(|share| !(0.0..=1.0).contains(share)) {
         return Err(SessionError::Config { field: "startup share", found: share, allowed: "0 to 1" });
     }
     if config.ack_every == 0 {
@@ -155,7 +154,7 @@ impl Walk<'_> {
     fn report(self, now: Nanos) -> Report {
         let boxes = self.forward.box_counts().chain(self.reverse.box_counts());
         let boxes = boxes.map(|(label, counts)| (label.to_owned(), counts)).collect();
-        let mut report = self.metrics.report(now, boxes);
+        let mut report = self.metrics.report(now, self.sender.forecasts(), boxes);
         report.policy = self.sender.policy().to_owned();
         report.controller = self.sender.controller().to_owned();
         report.seed = self.config.seed;

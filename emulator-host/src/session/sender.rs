@@ -3,51 +3,22 @@
 use std::collections::VecDeque;
 
 use super::{
-    IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig,
+    IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig, StartupRule,
     control::ControlSender,
     datagram::{Acknowledgement, Content},
     feedback,
+    forecast::Forecasts,
+    loss_share::LossShare,
+    outlook::Outlook,
 };
 use crate::{
-    clock::{Bytes, Nanos, Rate},
+    clock::{Bytes, Nanos},
     congestion::{AckOutcome, Recovery, TimerOutcome},
     graph::{PacketGraph, PacketIndex},
     link::Datagram,
-    policy::{PacketStatus, Scheduler, SenderView},
+    policy::{PacketStatus, Scheduler, Service},
     report::{SenderCounts, SenderRow},
 };
-
-/// What the view holds besides the graph and the status table; renewed when feedback comes.
-#[derive(Clone, Copy, Debug)]
-struct Outlook {
-    playout_start: Nanos,
-    playing: bool,
-    horizon_frame: u32,
-    rate: Rate,
-    smoothed_rtt: Nanos,
-    rtt_variation: Nanos,
-    minimum_rtt: Nanos,
-    loss: f64,
-    retransmissions: u32,
-}
-
-impl Outlook {
-    fn view<'a>(&self, graph: &'a PacketGraph, status: &'a [PacketStatus]) -> SenderView<'a> {
-        SenderView {
-            graph,
-            status,
-            playout_start: self.playout_start,
-            playing: self.playing,
-            horizon_frame: self.horizon_frame,
-            rate: self.rate,
-            smoothed_rtt: self.smoothed_rtt,
-            rtt_variation: self.rtt_variation,
-            minimum_rtt: self.minimum_rtt,
-            loss: self.loss,
-            retransmissions: self.retransmissions,
-        }
-    }
-}
 
 pub(super) struct Sender<'a> {
     graph: &'a PacketGraph,
@@ -56,11 +27,15 @@ pub(super) struct Sender<'a> {
     recovery: Recovery,
     control: ControlSender,
     status: Vec<PacketStatus>,
+    service: Service,
     sent_times: Vec<u8>,
+    sent_at: Vec<Nanos>,
     last_number: Vec<u64>,
     contents: Vec<Content>,
     again: VecDeque<PacketIndex>,
     parity: VecDeque<PacketIndex>,
+    /// Parity that the scheduler did not want when its set was sent.
+    later_parity: Vec<PacketIndex>,
     /// Members of each repair set that were never sent.
     set_waiting: Vec<u32>,
     /// Level-0 bytes of frame 0 that were never sent.
@@ -70,10 +45,13 @@ pub(super) struct Sender<'a> {
     datagram_bytes: u64,
     serialising: Option<(Content, u32, Nanos)>,
     pace_at: Nanos,
+    last_sent_at: Nanos,
     starved: bool,
     dirty: bool,
     outcome: AckOutcome,
     counts: SenderCounts,
+    loss: LossShare,
+    forecasts: Forecasts,
 }
 
 impl<'a> Sender<'a> {
@@ -91,14 +69,17 @@ impl<'a> Sender<'a> {
         let mut sender = Self {
             graph,
             config,
+            service: scheduler.service(),
             scheduler,
             control: ControlSender::new(graph.manifest_bytes()),
             status: vec![PacketStatus::Waiting; graph.packets().len()],
             sent_times: vec![0; graph.packets().len()],
+            sent_at: vec![Nanos::ZERO; graph.packets().len()],
             last_number: vec![u64::MAX; graph.packets().len()],
             contents: Vec::with_capacity(graph.packets().len()),
             again: VecDeque::new(),
             parity: VecDeque::new(),
+            later_parity: Vec::new(),
             set_waiting: graph.repair_sets().iter().map(|set| set.members.len() as u32).collect(),
             first_base_bytes: first_base
                 .map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes))
@@ -112,16 +93,21 @@ impl<'a> Sender<'a> {
                 rtt_variation: recovery.rtt().variation(),
                 minimum_rtt: Nanos::ZERO,
                 loss: 0.0,
+                in_flight: 0,
                 retransmissions: config.retransmissions,
+                startup: config.startup.rule,
             },
             known_start: None,
             datagram_bytes,
             serialising: None,
             pace_at: Nanos::MAX,
+            last_sent_at: Nanos::ZERO,
             starved: false,
             dirty: true,
             outcome: AckOutcome::default(),
             counts: SenderCounts::default(),
+            loss: LossShare::new(),
+            forecasts: Forecasts::default(),
             recovery,
         };
         sender.look(Nanos::ZERO);
@@ -138,6 +124,10 @@ impl<'a> Sender<'a> {
 
     pub(super) fn counts(&self) -> SenderCounts {
         self.counts
+    }
+
+    pub(super) fn forecasts(&self) -> &Forecasts {
+        &self.forecasts
     }
 
     pub(super) fn content(&self, number: u64) -> Content {
@@ -178,9 +168,10 @@ impl<'a> Sender<'a> {
                 for packet in feedback.received {
                     self.set_status(packet, PacketStatus::Delivered);
                 }
+                // Until playout starts, what is worth sending follows from what is known to be there.
+                self.starved &= self.known_start.is_some();
                 if self.known_start.is_none() && feedback.playout_start.is_some() {
                     self.known_start = feedback.playout_start;
-                    self.starved = false;
                 }
             }
             Err(_) => self.counts.refused_receipts += 1,
@@ -233,6 +224,10 @@ impl<'a> Sender<'a> {
             if !probe && !self.may_send(now) {
                 return None;
             }
+            if !probe && !self.control.has_pending() && self.fills_the_path(now) {
+                self.recovery.on_path_filled();
+                return None;
+            }
             let Some((content, media_bytes)) = self.pick(probe, now) else {
                 self.recovery.on_app_limited();
                 return None;
@@ -260,14 +255,41 @@ impl<'a> Sender<'a> {
         ready <= now
     }
 
+    /// Whether another datagram would only lengthen the sender's own queue on the path. Two may always be
+    /// out, and one more leaves after every silence of twice the queue: what is in flight may be lost, and
+    /// without an acknowledgement of something later nothing but the probe timeout would tell.
+    fn fills_the_path(&mut self, now: Nanos) -> bool {
+        let Some(own_queue) = self.service.own_queue.filter(|_| self.outlook.minimum_rtt > Nanos::ZERO)
+        else {
+            return false;
+        };
+        let in_flight = self.recovery.in_flight();
+        if in_flight < 2 * self.datagram_bytes {
+            return false;
+        }
+        let drain = self.outlook.rate.time_for(Bytes(in_flight));
+        // A path of many milliseconds needs as many more to be probed for its rate.
+        if drain <= self.outlook.minimum_rtt + own_queue.max(self.outlook.minimum_rtt) {
+            return false;
+        }
+        let silence_ends = self.last_sent_at + own_queue.times(2);
+        if now < silence_ends {
+            self.pace_at = silence_ends;
+        }
+        now < silence_ends
+    }
+
     /// The datagram is through the sender's own serialiser: from here on it is in flight and its timers run.
     fn leave(&mut self, content: Content, bytes: u32, now: Nanos) -> Datagram {
         let number = self.recovery.on_sent(bytes, true, now);
         self.contents.push(content);
+        self.last_sent_at = now;
         self.counts.datagrams += 1;
         if let Content::Media(packet) = content {
             self.last_number[packet.at()] = number;
+            self.sent_at[packet.at()] = now;
         }
+        self.outlook.in_flight = self.recovery.in_flight();
         Datagram { tag: number, bytes: bytes + IP_UDP_BYTES }
     }
 
@@ -277,7 +299,7 @@ impl<'a> Sender<'a> {
             self.counts.control += 1;
             return Some((Content::Control(chunk), self.control.bytes(chunk)));
         }
-        let view = self.outlook.view(self.graph, &self.status);
+        let view = self.outlook.view(self.graph, &self.status, &self.sent_at);
         let mut packet = None;
         while let Some(lost) = self.again.pop_front() {
             if self.status[lost.at()] != PacketStatus::InFlight {
@@ -294,9 +316,13 @@ impl<'a> Sender<'a> {
         while packet.is_none()
             && let Some(parity) = self.parity.pop_front()
         {
-            if !view.is_expired(parity, now) {
-                self.counts.parity += 1;
+            if view.is_expired(parity, now) {
+                continue;
+            }
+            if self.scheduler.wants_parity(&view, parity, now) {
                 packet = Some(parity);
+            } else {
+                self.later_parity.push(parity);
             }
         }
         if packet.is_none() && !self.starved {
@@ -307,13 +333,40 @@ impl<'a> Sender<'a> {
                 self.counts.refused_choices += 1;
                 packet = None;
             }
+            if packet.is_none() {
+                // With nothing else to send, parity that was not worth its bytes may be, while what it
+                // protects is on its way.
+                let (graph, status) = (self.graph, &self.status);
+                self.later_parity.retain(|parity| {
+                    let sets = graph.sets_of(*parity).iter();
+                    let mut members = sets.flat_map(|set| &graph.repair_sets()[*set as usize].members);
+                    !view.is_expired(*parity, now)
+                        && members.any(|member| status[member.at()] == PacketStatus::InFlight)
+                });
+                let scheduler = &mut self.scheduler;
+                let wanted =
+                    self.later_parity.iter().position(|parity| scheduler.wants_parity(&view, *parity, now));
+                packet = wanted.map(|at| self.later_parity.swap_remove(at));
+            }
             self.starved = packet.is_none();
-            self.counts.media += u64::from(packet.is_some());
+            let parity = packet.is_some_and(|packet| self.graph.packets()[packet.at()].parity_of.is_some());
+            let again = packet.is_some_and(|packet| self.sent_times[packet.at()] > 0);
+            self.counts.retransmitted += u64::from(again);
+            self.counts.media += u64::from(packet.is_some() && !again && !parity);
+            if let Some(packet) = packet.filter(|_| !again && !parity)
+                && let Some((chance, frame)) = self.scheduler.forecast(&view, packet, now)
+            {
+                self.forecasts.note(packet, chance, frame);
+            }
         }
         match packet {
             Some(packet) => {
+                let is_parity = self.graph.packets()[packet.at()].parity_of.is_some();
+                self.counts.parity += u64::from(is_parity);
+                let first = self.sent_times[packet.at()] == 0;
                 self.sent_times[packet.at()] = self.sent_times[packet.at()].saturating_add(1);
-                if self.status[packet.at()] == PacketStatus::Waiting {
+                self.set_status(packet, PacketStatus::InFlight);
+                if first {
                     self.first_send(packet);
                 }
                 Some((Content::Media(packet), u32::from(self.graph.packets()[packet.at()].wire_bytes)))
@@ -327,7 +380,6 @@ impl<'a> Sender<'a> {
     }
 
     fn first_send(&mut self, packet: PacketIndex) {
-        self.set_status(packet, PacketStatus::InFlight);
         let facts = &self.graph.packets()[packet.at()];
         let groups = self.graph.groups();
         if facts.groups.iter().any(|g| groups[g.at()].level() == 0 && groups[g.at()].first_frame == 0) {
@@ -346,6 +398,7 @@ impl<'a> Sender<'a> {
 
     fn settle(&mut self, outcome: &AckOutcome, now: Nanos) {
         self.counts.spurious += outcome.spurious.len() as u64;
+        self.loss.settle(outcome.acked.len(), outcome.lost.len(), now);
         for number in outcome.acked.iter().chain(&outcome.spurious) {
             match self.content(*number) {
                 Content::Media(packet) => self.set_status(packet, PacketStatus::Delivered),
@@ -367,7 +420,13 @@ impl<'a> Sender<'a> {
         if self.status[packet.at()] != PacketStatus::InFlight || self.last_number[packet.at()] != number {
             return;
         }
-        let view = self.outlook.view(self.graph, &self.status);
+        let view = self.outlook.view(self.graph, &self.status, &self.sent_at);
+        if self.service.lost_compete && self.graph.packets()[packet.at()].parity_of.is_none() {
+            let expired = view.is_expired(packet, now);
+            self.set_status(packet, if expired { PacketStatus::Abandoned } else { PacketStatus::Waiting });
+            self.starved = false;
+            return;
+        }
         let budget = u32::from(self.sent_times[packet.at()]) <= self.config.retransmissions;
         let facts = &self.graph.packets()[packet.at()];
         let canonical = facts.groups.iter().any(|g| self.graph.groups()[g.at()].is_canonical());
@@ -384,7 +443,11 @@ impl<'a> Sender<'a> {
     fn set_status(&mut self, packet: PacketIndex, after: PacketStatus) {
         let before = std::mem::replace(&mut self.status[packet.at()], after);
         if before != after {
-            self.scheduler.on_status(&self.outlook.view(self.graph, &self.status), packet, before);
+            self.scheduler.on_status(
+                &self.outlook.view(self.graph, &self.status, &self.sent_at),
+                packet,
+                before,
+            );
         }
     }
 
@@ -397,11 +460,16 @@ impl<'a> Sender<'a> {
         self.outlook.smoothed_rtt = rtt.smoothed();
         self.outlook.rtt_variation = rtt.variation();
         self.outlook.minimum_rtt = if sampled { rtt.minimum() } else { Nanos::ZERO };
-        self.outlook.loss = self.counts.lost as f64 / self.counts.datagrams.max(1) as f64;
+        self.outlook.loss = self.loss.share(now);
+        self.outlook.in_flight = self.recovery.in_flight();
         self.outlook.playing = self.known_start.is_some();
         self.outlook.playout_start = self.known_start.unwrap_or_else(|| {
-            now + rtt.smoothed()
-                + self.outlook.rate.time_for(Bytes(self.first_base_bytes)).min(Nanos::from_s(60))
+            let latest = self.config.startup.max_wait.max(now);
+            let base = self.outlook.rate.time_for(Bytes(self.first_base_bytes));
+            match self.config.startup.rule {
+                StartupRule::AfterWait => latest,
+                _ => (now + rtt.smoothed() + base).min(latest),
+            }
         });
         self.outlook.horizon_frame = self.horizon(now);
     }

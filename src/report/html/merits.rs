@@ -123,6 +123,9 @@ pub(super) fn headline(out: &mut String, runs: &[SchedulerRun]) {
          the worst tenth of frames. Flicker is the mean absolute difference between shown and source \
          frame-to-frame changes. Wasted bytes arrived and showed nothing.</p>\n",
     );
+    let limit = |run: &SchedulerRun| format!("{} by {}", escape(&run.name), escape(&run.limit));
+    let limits: Vec<String> = runs.iter().map(limit).collect();
+    let _ = writeln!(out, "<p class=\"note\">What limited each run: {}.</p>", limits.join("; "));
     for run in runs.iter().filter(|r| r.delivery.startup_ms.is_some() && !r.delivery.startup_reached) {
         let name = escape(&run.name);
         let _ = writeln!(

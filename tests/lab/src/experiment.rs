@@ -153,7 +153,7 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "transport",
-        about: "startup, miss, utility and waste of four schedulers on measured traces",
+        about: "schedulers on measured traces: utility beside the best possible, pictures, startup, waste",
         run: transport::run,
     },
     Experiment {

@@ -1,0 +1,150 @@
+//! Bounds from above what any schedule could show over the same channel.
+//!
+//! The question is a linear programme. Frames are taken in slots of three; y(i, s) in 0..=1 says how much of
+//! piece i is there by slot s:
+//!
+//! - maximise Σ v(i, s) y(i, s);
+//! - y(i, s) ≤ y(j, s) where i needs j; y(i, s) ≤ y(i, s + 1);
+//! - Σ_i b(i) y(i, min(s, last slot of i)) ≤ C(s), over the pieces needed by slot s: what the link carries
+//!   until the last frame of slot s, less the manifest.
+//!
+//! Every run is a feasible point: losses and repetitions only use more of the link, slots credit arrivals
+//! early, and negative groups, dropped here, only lower what a run shows. Whole packets, causality and the
+//! sender's look-ahead are not asked for. So the optimum is at least what any scheduler can show; and for any
+//! multipliers μ, π, ν ≥ 0 so is Σ μ(s) C(s) + Σ max(0, reduced v(i, s)), because no y exceeds 1. The solver
+//! may therefore be stopped whenever: the number holds.
+
+mod programme;
+
+use self::programme::{DATAGRAM_OVERHEAD, Programme, SLOT_FRAMES};
+use crate::{
+    clock::{Bytes, Nanos},
+    graph::PacketGraph,
+    link::{Capacity, PathConfig},
+};
+
+pub use self::programme::UpperBound;
+
+/// Bytes of the manifest in one datagram.
+const CHUNK_BYTES: u64 = 1150;
+
+/// The bound for `graph` over `path`, with playout that starts at `start`, after `steps` of the solver.
+///
+/// # Examples
+/// ```
+/// use emulator_host::{Nanos, SessionConfig, bound, graph::Synthetic, simulate};
+///
+/// let graph = Synthetic { frames: 60, ..Synthetic::default() }.build(1)?;
+/// let config = SessionConfig::default();
+/// let report = simulate(&graph, &config)?;
+/// let start = Nanos((report.startup_ms.unwrap_or(0.0) * 1e6) as u64);
+/// assert!(report.utility <= bound::upper_bound(&graph, &config.forward, start, 300).utility);
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn upper_bound(graph: &PacketGraph, path: &PathConfig, start: Nanos, steps: u32) -> UpperBound {
+    let manifest = u64::from(graph.manifest_bytes());
+    let control = manifest + manifest.div_ceil(CHUNK_BYTES) * DATAGRAM_OVERHEAD;
+    let slots = graph.frames().div_ceil(SLOT_FRAMES);
+    let capacity = (0..slots).map(|slot| {
+        let last = ((slot + 1) * SLOT_FRAMES).min(graph.frames()) - 1;
+        let shown = start + graph.frame_interval().times(u64::from(last));
+        // What is shown must have left the link one delay earlier.
+        moved(&path.capacity, shown - path.delay).0.saturating_sub(control) as f64
+    });
+    Programme::new(graph, capacity.collect()).solve(steps)
+}
+
+/// Bytes that a path moves from the start until `time`.
+fn moved(capacity: &Capacity, time: Nanos) -> Bytes {
+    match capacity {
+        Capacity::Unlimited => Bytes(u64::MAX / 4),
+        Capacity::Constant(rate) => rate.bytes_in(time),
+        Capacity::Trace(trace) => trace.bytes_until(time),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        PolicyKind, SessionConfig, Trace,
+        clock::Rate,
+        graph::{Profile, Synthetic},
+        session::{Startup, StartupRule},
+        simulate,
+    };
+
+    fn bottleneck() -> Synthetic {
+        Synthetic { frames: 150, clusters: 8, rate: Rate::from_kbps(800), ..Synthetic::default() }
+    }
+
+    fn after_a_second(path: PathConfig) -> SessionConfig {
+        let startup = Startup { rule: StartupRule::AfterWait, max_wait: Nanos::from_s(1) };
+        SessionConfig { startup, forward: path, ..SessionConfig::default() }
+    }
+
+    #[test]
+    fn no_scheduler_passes_it_at_any_step_and_more_steps_never_raise_it() {
+        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+            for seed in 0..3 {
+                let graph = Synthetic { profile, ..bottleneck() }.build(seed).unwrap();
+                let trace = Trace::bursty(seed, Nanos::from_s(20)).scaled(1, 10).unwrap();
+                let path = PathConfig { capacity: Capacity::Trace(trace), ..PathConfig::default() };
+                let bounds =
+                    [0, 50, 200, 800].map(|steps| upper_bound(&graph, &path, Nanos::from_s(1), steps));
+                assert!(bounds.windows(2).all(|pair| pair[1].utility <= pair[0].utility + 1e-12));
+                for policy in PolicyKind::ALL {
+                    let config = SessionConfig { policy, seed, ..after_a_second(path.clone()) };
+                    let utility = simulate(&graph, &config).unwrap().utility;
+                    assert!(utility <= bounds[3].utility, "{}: {utility} {bounds:?}", policy.name());
+                }
+            }
+        }
+    }
+
+    /// One cluster, one level and a link that carries half of the bytes: the fractional knapsack of the
+    /// smallest groups cannot be passed, and the solver's own schedule meets its bound.
+    #[test]
+    fn it_is_tight_where_the_optimum_is_known() {
+        let spec = Synthetic {
+            frames: 300,
+            clusters: 1,
+            levels: 1,
+            canonical_percent: 0,
+            manifest_bytes: 0,
+            utilities: crate::graph::Utilities::Flat,
+            ..Synthetic::default()
+        };
+        let graph = Synthetic { rate: Rate::from_kbps(8), ..spec }.build(1).unwrap();
+        let bytes = |packet: &crate::PacketIndex| u64::from(graph.packets()[packet.at()].wire_bytes) + 58;
+        let sizes = graph.groups().iter().map(|group| group.packets.iter().map(bytes).sum::<u64>());
+        let frames = graph.groups().iter().map(|group| f64::from(group.last_frame - group.first_frame + 1));
+        // Each frame shows two groups, that of its window and the canonical one, so each counts for half.
+        let mut items: Vec<(u64, f64)> = sizes.zip(frames.map(|frames| frames / 600.0)).collect();
+        items.sort_by(|one, other| (one.0 as f64 / one.1).total_cmp(&(other.0 as f64 / other.1)));
+        let total: u64 = items.iter().map(|(bytes, _)| bytes).sum();
+        let (mut left, mut most) = (total as f64 / 2.0, 0.0);
+        for (bytes, gain) in items {
+            let part = (left / bytes as f64).min(1.0);
+            left -= part * bytes as f64;
+            most += part * gain;
+        }
+        let rate = Rate::over(Bytes(total / 2), Nanos::from_s(10));
+        let path =
+            PathConfig { capacity: Capacity::Constant(rate), delay: Nanos::ZERO, ..PathConfig::default() };
+        let bound = upper_bound(&graph, &path, Nanos::ZERO, 3000);
+        assert!(bound.utility <= most + 1e-3 && bound.utility > most - 0.1, "{bound:?} {most}");
+        assert!((bound.utility - bound.estimate).abs() < 1e-3, "{bound:?}");
+    }
+
+    #[test]
+    fn a_dead_link_shows_nothing_and_an_ample_one_everything() {
+        let graph = bottleneck().build(1).unwrap();
+        let bound = |capacity| {
+            let path = PathConfig { capacity, ..PathConfig::default() };
+            upper_bound(&graph, &path, Nanos::from_s(1), 1000).utility
+        };
+        let (dead, ample) = (bound(Capacity::Constant(Rate(0))), bound(Capacity::Unlimited));
+        assert!(dead < 0.02 && ample > 0.999, "{dead} {ample}");
+    }
+}

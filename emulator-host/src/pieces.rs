@@ -1,0 +1,287 @@
+//! Divides a graph into pieces that each add to the picture at once, and says what, to which frames.
+//!
+//! - [`Profile::Sliced`]: a packet is a piece. It adds to every group that it carries the share of its bytes.
+//! - [`Profile::AllOrNothing`]: a group is a piece, with the packets that it alone has. A packet that several
+//!   groups share is a piece of its own that adds nothing by itself and that each of them needs.
+//!
+//! A piece counts once everything that it needs counts. What a schedule adds is then the sum over its pieces,
+//! exactly as [`crate::report::FrameRow::utility`] has it: per frame, over the positive utility of the groups
+//! that show. Groups of no or negative utility add nothing here.
+
+use crate::graph::{GroupIndex, PacketGraph, PacketIndex, Profile, csr::Csr};
+
+/// What a piece adds to each of some frames.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Addition {
+    /// First frame.
+    pub first: u32,
+    /// Last frame, inclusive.
+    pub last: u32,
+    /// Utility per frame, before division by that of all groups that show.
+    pub utility: f64,
+    /// Share of a level-0 group that it brings.
+    pub base: f64,
+}
+
+/// The pieces of a graph.
+#[derive(Clone, Debug)]
+pub(crate) struct Pieces {
+    packets: Csr,
+    of_packet: Csr,
+    needs: Csr,
+    dependents: Csr,
+    parts: Vec<Vec<Addition>>,
+    order: Vec<u32>,
+    place: Vec<u32>,
+    needed_from: Vec<u32>,
+    useful_until: Vec<u32>,
+}
+
+/// Running sums over frames, so that the gain of a span of frames is one subtraction.
+#[derive(Clone, Debug)]
+pub(crate) struct FrameSums {
+    /// Σ over the frames before f of 1 ÷ positive utility showing.
+    utility: Vec<f64>,
+    /// Σ over the frames before f of 1 ÷ level-0 groups showing.
+    base: Vec<f64>,
+}
+
+impl FrameSums {
+    pub(crate) fn new(graph: &PacketGraph) -> Self {
+        let frames = graph.frames() as usize;
+        let mut changes = vec![(0.0f64, 0i64); frames + 1];
+        for group in graph.groups() {
+            let base = i64::from(group.level() == 0);
+            let (first, after) = (group.first_frame as usize, group.last_frame as usize + 1);
+            changes[first].1 += base;
+            changes[after].1 -= base;
+            changes[first].0 += group.utility.max(0.0);
+            changes[after].0 -= group.utility.max(0.0);
+        }
+        let largest = graph.groups().iter().map(|group| group.utility).fold(0.0, f64::max);
+        let (mut utility, mut base) = (vec![0.0], vec![0.0]);
+        let (mut shows, mut bases) = (0.0, 0);
+        for (positive, count) in &changes[..frames] {
+            shows += positive;
+            bases += count;
+            // What is left by rounding after the last group is no utility.
+            let share = if shows > largest * 1e-9 { 1.0 / shows } else { 0.0 };
+            utility.push(utility[utility.len() - 1] + share);
+            base.push(base[base.len() - 1] + if bases > 0 { 1.0 / bases as f64 } else { 0.0 });
+        }
+        Self { utility, base }
+    }
+
+    /// What `part` adds to its frames from `from` on: utility, and share of the level-0 groups.
+    pub(crate) fn gain(&self, part: &Addition, from: u32) -> (f64, f64) {
+        let (first, after) = (part.first.max(from) as usize, part.last as usize + 1);
+        if first >= after {
+            return (0.0, 0.0);
+        }
+        let span = |sums: &[f64]| sums[after] - sums[first];
+        (part.utility * span(&self.utility), part.base * span(&self.base))
+    }
+}
+
+impl Pieces {
+    pub(crate) fn new(graph: &PacketGraph) -> Self {
+        let draft = match graph.profile() {
+            Profile::Sliced => sliced(graph),
+            Profile::AllOrNothing => whole_groups(graph),
+        };
+        let count = draft.parts.len();
+        let rows = |pairs: &[(u32, u32)]| Csr::from_pairs(count, pairs);
+        let turned =
+            |pairs: &[(u32, u32)]| -> Vec<(u32, u32)> { pairs.iter().map(|(a, b)| (*b, *a)).collect() };
+        let mut pieces = Self {
+            packets: rows(&draft.packets),
+            of_packet: Csr::from_pairs(graph.packets().len(), &turned(&draft.packets)),
+            needs: rows(&draft.needs),
+            dependents: rows(&turned(&draft.needs)),
+            order: Vec::with_capacity(count),
+            place: vec![0; count],
+            needed_from: vec![u32::MAX; count],
+            useful_until: vec![0; count],
+            parts: draft.parts,
+        };
+        pieces.sort();
+        for at in (0..count).rev().map(|place| pieces.order[place] as usize) {
+            let own = pieces.parts[at].iter();
+            let (mut from, mut until) =
+                own.fold((u32::MAX, 0), |(from, until), part| (from.min(part.first), until.max(part.last)));
+            for dependent in pieces.dependents.row(at) {
+                from = from.min(pieces.needed_from[*dependent as usize]);
+                until = until.max(pieces.useful_until[*dependent as usize]);
+            }
+            pieces.needed_from[at] = from;
+            pieces.useful_until[at] = until;
+        }
+        pieces
+    }
+
+    /// Kahn's order; the graph's checks leave no circle.
+    fn sort(&mut self) {
+        let mut open: Vec<usize> = (0..self.len()).map(|at| self.needs.row(at).len()).collect();
+        self.order.extend((0..self.len() as u32).filter(|at| open[*at as usize] == 0));
+        let mut done = 0;
+        while let Some(at) = self.order.get(done).copied() {
+            done += 1;
+            for dependent in self.dependents.row(at as usize) {
+                open[*dependent as usize] -= 1;
+                if open[*dependent as usize] == 0 {
+                    self.order.push(*dependent);
+                }
+            }
+        }
+        for (place, at) in (0u32..).zip(&self.order) {
+            self.place[*at as usize] = place;
+        }
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.parts.len()
+    }
+
+    /// Packets that a piece consists of.
+    pub(crate) fn packets(&self, piece: usize) -> impl Iterator<Item = PacketIndex> + '_ {
+        self.packets.row(piece).iter().map(|packet| PacketIndex(*packet))
+    }
+
+    /// The piece that `packet` belongs to; none for parity.
+    pub(crate) fn of_packet(&self, packet: PacketIndex) -> Option<usize> {
+        self.of_packet.row(packet.at()).first().map(|piece| *piece as usize)
+    }
+
+    /// Pieces that `piece` needs directly.
+    pub(crate) fn needs(&self, piece: usize) -> &[u32] {
+        self.needs.row(piece)
+    }
+
+    /// Pieces that need `piece` directly.
+    pub(crate) fn dependents(&self, piece: usize) -> &[u32] {
+        self.dependents.row(piece)
+    }
+
+    /// What a piece adds.
+    pub(crate) fn parts(&self, piece: usize) -> &[Addition] {
+        &self.parts[piece]
+    }
+
+    /// All pieces, needed ones first.
+    pub(crate) fn order(&self) -> &[u32] {
+        &self.order
+    }
+
+    /// Where `piece` stands in [`Self::order`].
+    pub(crate) fn place(&self, piece: usize) -> u32 {
+        self.place[piece]
+    }
+
+    /// First frame to which the piece or what needs it adds anything; `u32::MAX` if none.
+    pub(crate) fn needed_from(&self, piece: usize) -> u32 {
+        self.needed_from[piece]
+    }
+
+    /// Last frame to which the piece or what needs it adds anything.
+    pub(crate) fn useful_until(&self, piece: usize) -> u32 {
+        self.useful_until[piece]
+    }
+}
+
+/// Pairs of (piece, packet) and (piece, needed piece), and what the pieces add.
+#[derive(Default)]
+struct Draft {
+    packets: Vec<(u32, u32)>,
+    needs: Vec<(u32, u32)>,
+    parts: Vec<Vec<Addition>>,
+}
+
+fn part(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Addition> {
+    let facts = &graph.groups()[group.at()];
+    let (utility, base) = (facts.utility.max(0.0) * share, if facts.level() == 0 { share } else { 0.0 });
+    let (first, last) = (facts.first_frame, facts.last_frame);
+    (utility > 0.0 || (base > 0.0 && facts.utility >= 0.0)).then_some(Addition { first, last, utility, base })
+}
+
+fn sliced(graph: &PacketGraph) -> Draft {
+    let bytes = |packet: PacketIndex| f64::from(graph.packets()[packet.at()].wire_bytes);
+    let whole: Vec<f64> =
+        graph.groups().iter().map(|group| group.packets.iter().map(|packet| bytes(*packet)).sum()).collect();
+    let mut draft = Draft::default();
+    for (at, packet) in (0u32..).zip(graph.packets()) {
+        if packet.parity_of.is_none() {
+            draft.packets.push((at, at));
+        }
+        draft.needs.extend(packet.needs_packets.iter().map(|need| (at, need.0)));
+        let share = |group: &GroupIndex| f64::from(packet.wire_bytes) / whole[group.at()];
+        let parts = packet.groups.iter().filter_map(|group| part(graph, *group, share(group)));
+        draft.parts.push(parts.collect());
+    }
+    draft
+}
+
+fn whole_groups(graph: &PacketGraph) -> Draft {
+    let mut draft = Draft::default();
+    for (at, group) in (0u32..).zip(graph.groups()) {
+        draft.parts.push(part(graph, GroupIndex(at), 1.0).into_iter().collect());
+        draft.needs.extend(group.needs.iter().map(|need| (at, need.0)));
+    }
+    for (at, packet) in (0u32..).zip(graph.packets()) {
+        match packet.groups.as_slice() {
+            [] => {}
+            [group] => draft.packets.push((group.0, at)),
+            shared => {
+                let piece = draft.parts.len() as u32;
+                draft.parts.push(Vec::new());
+                draft.packets.push((piece, at));
+                draft.needs.extend(shared.iter().map(|group| (group.0, piece)));
+            }
+        }
+    }
+    draft
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::graph::Synthetic;
+
+    /// With everything there from the start, the pieces add up to 1 in every frame.
+    #[test]
+    fn all_pieces_together_are_the_whole_picture() {
+        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+            let graph = Synthetic { frames: 90, profile, ..Synthetic::default() }.build(3).unwrap();
+            let (pieces, sums) = (Pieces::new(&graph), FrameSums::new(&graph));
+            let (mut utility, mut base) = (0.0, 0.0);
+            for piece in 0..pieces.len() {
+                for part in pieces.parts(piece) {
+                    let gain = sums.gain(part, 0);
+                    utility += gain.0;
+                    base += gain.1;
+                }
+            }
+            assert!((utility - 90.0).abs() < 1e-6, "{profile:?}: {utility}");
+            assert!((base - 90.0).abs() < 1e-6, "{profile:?}: {base}");
+        }
+    }
+
+    #[test]
+    fn every_packet_is_in_one_piece_and_needs_come_first() {
+        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+            let graph =
+                Synthetic { frames: 60, profile, repair: Some(4), ..Synthetic::default() }.build(3).unwrap();
+            let pieces = Pieces::new(&graph);
+            for (at, packet) in (0u32..).zip(graph.packets()) {
+                let piece = pieces.of_packet(PacketIndex(at));
+                assert_eq!(piece.is_none(), packet.parity_of.is_some());
+                assert!(piece.is_none_or(|piece| pieces.packets(piece).any(|own| own == PacketIndex(at))));
+            }
+            let mut seen = vec![false; pieces.len()];
+            for piece in pieces.order() {
+                assert!(pieces.needs(*piece as usize).iter().all(|need| seen[*need as usize]));
+                seen[*piece as usize] = true;
+            }
+            assert!(seen.iter().all(|seen| *seen));
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! Names what the default scheduler does beyond the paper's score; each can be switched off by itself.
+
+use crate::clock::Nanos;
+
+/// Settings. [`Default`] is what measured best on windows that were not used to report.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DeadlineUtilityConfig {
+    /// Longest queue that media may cause on the path; `None`: as the congestion window allows.
+    pub own_queue: Option<Nanos>,
+    /// Every lost packet competes again for as long as it can show; otherwise lost base packets are repeated
+    /// within a budget and nothing else is.
+    pub lost_compete: bool,
+    /// A packet is credited with what stands on it; otherwise with what it adds by itself.
+    pub credit: bool,
+    /// Arrival is predicted from the bytes in flight; otherwise from the last measured round trip.
+    pub arrival_from_queue: bool,
+    /// What all level-0 groups of a frame count together, beside all utility of the frame, which counts 1: a
+    /// picture with holes looks worse than its utility says.
+    pub base_weight: f64,
+    /// How much a byte that could as well be sent later gives way to one that could not: weight of the loss
+    /// by a delay of [`Self::delay`].
+    pub delay_weight: f64,
+    /// The delay that is meant.
+    pub delay: Nanos,
+    /// Before playout, first what the startup rule counts, by count per byte.
+    pub opening: bool,
+    /// Parity is sent where it saves more than the same bytes of something else; otherwise always.
+    pub parity_competes: bool,
+    /// Longest time that a plan is used.
+    pub refresh: Nanos,
+    /// A loss renews the plan, but not sooner than this after the last.
+    pub refresh_after_loss: Nanos,
+}
+
+impl Default for DeadlineUtilityConfig {
+    fn default() -> Self {
+        Self {
+            own_queue: Some(Nanos::from_ms(100)),
+            lost_compete: true,
+            credit: true,
+            arrival_from_queue: true,
+            base_weight: 0.5,
+            delay_weight: 10.0,
+            delay: Nanos::from_s(1),
+            opening: true,
+            parity_competes: true,
+            refresh: Nanos::from_ms(200),
+            refresh_after_loss: Nanos::from_ms(20),
+        }
+    }
+}

@@ -1,0 +1,20 @@
+//! Says what a scheduler asks of the sender besides sending its choices.
+
+use crate::clock::Nanos;
+
+/// How the sender serves a scheduler.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Service {
+    /// Longest queue that media may cause on the path: nothing but control is sent while what is in flight
+    /// takes longer to arrive than the smallest round trip and this together. `None`: as the congestion
+    /// window allows.
+    pub own_queue: Option<Nanos>,
+    /// Whether a lost packet waits again and the scheduler decides on it like on any other. Otherwise the
+    /// sender repeats it before all else, if its level and the budget say so.
+    pub lost_compete: bool,
+}
+
+impl Service {
+    /// No bound on the queue, repetition by level and budget.
+    pub const CONVENTIONAL: Self = Self { own_queue: None, lost_compete: false };
+}

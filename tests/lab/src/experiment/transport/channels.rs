@@ -1,0 +1,131 @@
+//! Cuts windows out of measured and made traces, each scaled to one load.
+
+use anyhow::{Context, Result};
+use dgs::pipeline;
+use emulator_host::{
+    Bytes, Nanos, PacketGraph, Rate, SessionConfig, Trace,
+    link::{Capacity, LossModel, PathConfig, QueueLimit},
+    session::{Startup, StartupRule},
+    trace::Step,
+};
+
+use crate::{figures::Bench, setup::Setup};
+
+/// Family and file of the measured traces.
+const FILES: [(&str, &str); 12] = [
+    ("ucc5g", "ucc5g/driving/B_2020.01.16_07.26.43.csv"),
+    ("ucc5g", "ucc5g/static/B_2019.12.16_13.40.04.csv"),
+    ("mahimahi", "mahimahi_lte/ATT-LTE-driving-2016.down"),
+    ("mahimahi", "mahimahi_lte/Verizon-LTE-short.down"),
+    ("starlink", "starlink_leocc/bw_example.0-60s.txt"),
+    ("wifi", "wireless_zhuge/office-wifi_0.pitree-trace"),
+    ("wifi", "wireless_zhuge/rest-wifi_3.pitree-trace"),
+    ("cellular", "wireless_zhuge/abc4g_0.pitree-trace"),
+    ("hsdpa", "broadband_merina/hsdpa/norway_tram_43"),
+    ("fcc", "broadband_merina/fcc/ferry.nesoddtangen-oslo-report.2010-09-20_1542CEST.log"),
+    ("oboe", "broadband_merina/oboe/oboe_trace_24.txt"),
+    ("puffer", "broadband_merina/puffer/traceqlR-8J7X0pokdh-1du6gTz2WWgygH2P4X-SuTVinEVA=_3"),
+];
+/// Stream bytes over what the link carries during the clip.
+pub(super) const LOAD: f64 = 1.6;
+/// A window whose bound is lower says nothing of schedulers: its link is dead.
+pub(super) const LEAST_BOUND: f64 = 0.05;
+
+/// A trace and the family that it stands for.
+pub(super) struct Channel {
+    pub family: &'static str,
+    trace: Trace,
+}
+
+/// Measured traces as far as they are here, and three made ones.
+///
+/// # Errors
+/// A trace that cannot be read.
+pub(super) fn all(setup: &Setup, bench: &mut Bench) -> Result<Vec<Channel>> {
+    let mut channels = Vec::new();
+    for (family, file) in FILES {
+        if let Some(path) = setup.data(&format!("traces/{file}"), bench)? {
+            channels.push(Channel { family, trace: pipeline::read_trace(&path)? });
+        }
+    }
+    channels.push(Channel { family: "made", trace: Trace::bursty(5, Nanos::from_s(120)) });
+    channels.push(Channel { family: "made", trace: outages()? });
+    channels.push(Channel { family: "constant", trace: constant()? });
+    Ok(channels)
+}
+
+/// Five seconds at full rate, one without any.
+fn outages() -> Result<Trace> {
+    let steps = (0..20u64).flat_map(|round| {
+        let at = Nanos::from_s(6).times(round);
+        [Step { at, rate: Rate::from_mbps(6) }, Step { at: at + Nanos::from_s(5), rate: Rate(0) }]
+    });
+    Ok(Trace::steps("outages", steps.collect(), Nanos::from_s(120))?)
+}
+
+fn constant() -> Result<Trace> {
+    let step = Step { at: Nanos::ZERO, rate: Rate::from_mbps(5) };
+    Ok(Trace::steps("constant", vec![step], Nanos::from_s(120))?)
+}
+
+/// Rate at which `graph` is [`LOAD`] times what fits into its clip.
+fn wanted(graph: &PacketGraph) -> Rate {
+    let clip = graph.frame_interval().times(u64::from(graph.frames()));
+    Rate((graph.total_bytes() as f64 * 8.0 / clip.as_s() / LOAD) as u64)
+}
+
+/// When playout starts, for everyone: after a second, or when the mean rate has carried the manifest and the
+/// base of frame 0 with a fifth to spare.
+pub(super) fn start(graph: &PacketGraph) -> Nanos {
+    let groups = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
+    let mut packets: Vec<_> = groups.flat_map(|group| &group.packets).collect();
+    packets.sort_unstable();
+    packets.dedup();
+    let base: u64 =
+        packets.iter().map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes) + 58).sum();
+    let least = wanted(graph).time_for(Bytes(base + u64::from(graph.manifest_bytes())));
+    (least + Nanos(least.0 / 5)).max(Nanos::from_s(1))
+}
+
+impl Channel {
+    /// The link of window `window` of `windows`, on which `graph` is [`LOAD`] times what fits. `seed` differs
+    /// between traces and windows and is the same for all schedulers. `None` if the window has no capacity.
+    ///
+    /// # Errors
+    /// A window that cannot be cut.
+    pub(super) fn session(
+        &self,
+        graph: &PacketGraph,
+        (window, windows): (usize, usize),
+        seed: u64,
+        loss: f64,
+    ) -> Result<Option<SessionConfig>> {
+        let clip = graph.frame_interval().times(u64::from(graph.frames()));
+        let start = start(graph);
+        let length = (start + clip + Nanos::from_s(1)).min(self.trace.period());
+        let offset = Nanos(self.trace.period().0 / windows as u64 * window as u64);
+        let cut = match self.trace.window(offset, length) {
+            Err(emulator_host::trace::TraceError::NoCapacity) => return Ok(None),
+            cut => cut.with_context(|| self.trace.name().to_owned())?,
+        };
+        let cut = cut.scaled(wanted(graph).0, cut.mean_rate().0)?;
+        let queue = cut.mean_rate().bytes_in(Nanos::from_ms(500)).0.max(15_000);
+        // Bursts of three datagrams on average.
+        let leave_bad = 1.0 / 3.0;
+        let burst = LossModel::GilbertElliott {
+            enter_bad: loss * leave_bad / (1.0 - loss),
+            leave_bad,
+            loss_good: 0.0,
+            loss_bad: 1.0,
+        };
+        let forward = PathConfig {
+            capacity: Capacity::Trace(cut),
+            queue: QueueLimit { bytes: queue, ..QueueLimit::default() },
+            loss: if loss > 0.0 { burst } else { LossModel::None },
+            ..PathConfig::default()
+        };
+        let startup = Startup { rule: StartupRule::AfterWait, max_wait: start };
+        let config = SessionConfig { seed, forward, startup, ..SessionConfig::default() };
+        Ok(Some(SessionConfig { sample_interval: Nanos::ZERO, ..config }))
+    }
+}

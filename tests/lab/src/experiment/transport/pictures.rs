@@ -1,0 +1,208 @@
+//! Renders what schedulers delivered: D and PSNR of displayed frames, and whether utility follows them.
+
+use anyhow::Result;
+use dgs::{args::ProfileName, pipeline};
+use emulator_host::{PacketGraph, PolicyKind, bound::upper_bound};
+use rayon::prelude::*;
+use render_host::{Backend, Camera, Image, Settings, metric};
+use trainer_host::{
+    Scene, Stream,
+    encode::Protection,
+    evaluator,
+    stream::PacketMap,
+    viewpoint::{Framing, Ring},
+};
+
+use super::{
+    channels::{Channel, LEAST_BOUND, start},
+    paired::{Window, clustered, families, rank_correlation},
+    schedulers,
+};
+use crate::{
+    figures::{Bench, Figure},
+    setup::{Setup, codec_args, load, spread, synth},
+};
+
+/// The schedulers, and where two of them stand.
+const POLICIES: [PolicyKind; 5] = PolicyKind::ALL;
+const LAYERED: usize = 4;
+const OURS: usize = 1;
+/// Side of the pictures, pixels.
+const SIDE: u32 = 96;
+
+/// What one run showed.
+#[derive(Clone, Copy, Debug)]
+struct Seen {
+    utility: f64,
+    base_miss: f64,
+    distortion: f64,
+    psnr_db: f64,
+    worst_tenth_db: f64,
+}
+
+struct Size {
+    windows: usize,
+    gaussians: usize,
+    frames: usize,
+    pictures: usize,
+}
+
+fn size(setup: &Setup) -> Size {
+    if setup.quick {
+        Size { windows: 1, gaussians: 12_000, frames: 60, pictures: 8 }
+    } else {
+        Size { windows: 4, gaussians: 40_000, frames: 150, pictures: 20 }
+    }
+}
+
+/// How it is measured.
+pub(super) fn protocol(setup: &Setup) -> String {
+    let Size { windows, gaussians, frames, pictures } = size(setup);
+    format!(
+        "rows of pictures: encoded streams of {gaussians} Gaussians (figure, {frames} frames; fox) through \
+         the real receiver over {windows} windows of every trace, links as for the bound with 1 % loss; D = \
+         MSE + 0.20 (1 - SSIM) and PSNR of {pictures} frames at {SIDE}x{SIDE} from a held-out camera against \
+         the source's own render; rank correlation over all runs of utility with -D"
+    )
+}
+
+/// Adds the rows.
+pub(super) fn run(bench: &mut Bench, setup: &Setup, channels: &[Channel]) -> Result<()> {
+    let Size { gaussians, frames, .. } = size(setup);
+    measure(bench, setup, channels, "figure", &synth("figure", gaussians, frames)?)?;
+    if let Some(path) = setup.data("scenes/gltf-fox/Fox.glb", bench)? {
+        measure(bench, setup, channels, "fox", &load(&path, gaussians)?)?;
+    }
+    Ok(())
+}
+
+/// What stays the same over the runs of one stream.
+struct Study {
+    stream: Stream,
+    map: PacketMap,
+    graph: PacketGraph,
+    camera: Camera,
+    frames: Vec<u32>,
+    references: Vec<Image>,
+}
+
+impl Study {
+    fn make(scene: &Scene, setup: &Setup) -> Result<Self> {
+        let options = pipeline::encode_options(&codec_args(ProfileName::Dgs1), Protection::STANDARD);
+        let stream = pipeline::encode(scene, &options, setup.quiet)?.stream;
+        let map = PacketMap::of(&stream)?;
+        let table = schedulers::utilities(scene, &stream, &map, setup)?;
+        let graph = pipeline::graph(&stream, &map, Some(&table))?;
+        let camera = Framing::of(scene).ring(Ring::HeldOut, 1, (SIDE, SIDE))?.remove(0);
+        let frames = spread(scene.frames(), size(setup).pictures);
+        let references = evaluator::references(scene, &frames, &camera, &Settings::default(), &Backend::Cpu)?;
+        Ok(Self { stream, map, graph, camera, frames, references })
+    }
+
+    /// Delivers over one link and renders what was shown.
+    fn see(&self, session: &emulator_host::SessionConfig, policy: PolicyKind) -> Result<Seen> {
+        let (report, states) = pipeline::deliver(&self.stream, &self.map, &self.graph, session, policy)?;
+        let received = self.stream.receive()?;
+        let state_of = |frame: u32| states.iter().find(|state| state.frame == frame);
+        let shown: Vec<(u32, Option<&[u8]>)> = self
+            .frames
+            .iter()
+            .map(|frame| (*frame, state_of(*frame).map(|state| state.state.as_slice())))
+            .collect();
+        let settings = Settings::default();
+        let images = evaluator::renders(&received.content(), &shown, &self.camera, &settings, &Backend::Cpu)?;
+        let (mut distortion, mut psnr) = (0.0, Vec::new());
+        for (image, reference) in images.iter().zip(&self.references) {
+            distortion += metric::distortion(image, reference)? / images.len() as f64;
+            psnr.push(evaluator::score(image, reference)?.psnr_db);
+        }
+        Ok(Seen {
+            utility: report.utility,
+            base_miss: report.base_miss_rate,
+            distortion,
+            psnr_db: dgs::figures::mean(&psnr),
+            worst_tenth_db: evaluator::worst_tenth(&psnr),
+        })
+    }
+}
+
+/// A window and its bound.
+type Bounded = (Window<Seen>, f64);
+
+fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, scene: &Scene) -> Result<()> {
+    let study = Study::make(scene, setup)?;
+    let windows = size(setup).windows;
+    let jobs: Vec<(usize, usize)> =
+        (0..channels.len()).flat_map(|trace| (0..windows).map(move |w| (trace, w))).collect();
+    let results: Result<Vec<Option<Bounded>>> = jobs
+        .par_iter()
+        .map(|(trace, window)| {
+            let seed = 77_000 + 1000 * *trace as u64 + *window as u64;
+            let channel = &channels[*trace];
+            let Some(session) = channel.session(&study.graph, (*window, windows), seed, 0.01)? else {
+                return Ok(None);
+            };
+            let bound = upper_bound(&study.graph, &session.forward, start(&study.graph), 1500).utility;
+            if bound < LEAST_BOUND {
+                return Ok(None);
+            }
+            let runs: Result<Vec<Seen>> =
+                POLICIES.iter().map(|policy| study.see(&session, *policy)).collect();
+            Ok(Some((Window { family: channel.family, trace: *trace, runs: runs? }, bound)))
+        })
+        .collect();
+    let (results, bounds): (Vec<Window<Seen>>, Vec<f64>) = results?.into_iter().flatten().unzip();
+    push_rows(bench, name, &results, &bounds);
+    Ok(())
+}
+
+fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>], bounds: &[f64]) {
+    let mut push = |key: String, (value, ci): (f64, [f64; 2]), unit: &str| {
+        let mut figure = Figure::new(format!("pictures.{stream}.{key}"), value, unit).runs(windows.len());
+        figure.ci95 = Some(ci);
+        bench.push(figure);
+    };
+    let mean = |of: &dyn Fn(&Window<Seen>) -> f64| {
+        clustered(windows, &|all| all.iter().map(|window| of(window)).sum::<f64>() / all.len() as f64)
+    };
+    for (at, policy) in POLICIES.iter().enumerate() {
+        let name = policy.name();
+        push(format!("{name}.utility"), mean(&|window| window.runs[at].utility), "");
+        push(format!("{name}.base_miss"), mean(&|window| 100.0 * window.runs[at].base_miss), "%");
+        push(format!("{name}.distortion"), mean(&|window| 1000.0 * window.runs[at].distortion), "x 10^-3");
+        push(format!("{name}.psnr"), mean(&|window| window.runs[at].psnr_db), "dB");
+        push(format!("{name}.worst_tenth"), mean(&|window| window.runs[at].worst_tenth_db), "dB");
+    }
+    for (at, policy) in POLICIES.iter().enumerate().filter(|(at, _)| *at != OURS) {
+        let name = policy.name();
+        let utility = |w: &Window<Seen>| w.runs[OURS].utility - w.runs[at].utility;
+        let distortion = |w: &Window<Seen>| w.runs[at].distortion - w.runs[OURS].distortion;
+        push(format!("deadline-utility.less_{name}.utility"), mean(&utility), "paired");
+        let saved = |w: &Window<Seen>| 1000.0 * distortion(w);
+        push(format!("deadline-utility.less_{name}.distortion_saved"), mean(&saved), "x 10^-3, paired");
+        let psnr = |w: &Window<Seen>| w.runs[OURS].psnr_db - w.runs[at].psnr_db;
+        push(format!("deadline-utility.less_{name}.psnr"), mean(&psnr), "dB, paired");
+    }
+    let layered: f64 = windows.iter().map(|w| w.runs[LAYERED].utility).sum();
+    let ours: f64 = windows.iter().map(|w| w.runs[OURS].utility).sum();
+    let distance = bounds.iter().sum::<f64>() - layered;
+    let share = Figure::new(
+        format!("pictures.{stream}.deadline-utility.share"),
+        100.0 * (ours - layered) / distance,
+        "% of the distance",
+    );
+    bench.push(share.error(distance / windows.len() as f64, "distance"));
+    for (at, policy) in POLICIES.iter().enumerate().filter(|(at, _)| *at != OURS) {
+        let gain = |w: &Window<Seen>| w.runs[at].distortion - w.runs[OURS].distortion;
+        let [better, surely, worse, of] = families(windows, &gain);
+        let key = format!("pictures.{stream}.deadline-utility.families_over_{}", policy.name());
+        let words = format!("of {of} families smaller D, {surely} beyond doubt, {worse} larger beyond doubt");
+        bench.push(Figure::new(key, better as f64, &words));
+    }
+    let runs = || windows.iter().flat_map(|window| &window.runs);
+    let utility: Vec<f64> = runs().map(|run| run.utility).collect();
+    let negative: Vec<f64> = runs().map(|run| -run.distortion).collect();
+    let correlation = rank_correlation(&utility, &negative);
+    let figure = Figure::new(format!("pictures.{stream}.rank_correlation"), correlation, "Spearman");
+    bench.push(figure.runs(utility.len()));
+}
