@@ -170,6 +170,10 @@ pub struct Encode {
     /// How to encode it.
     #[command(flatten)]
     pub codec: CodecArgs,
+    /// What draws the pictures by which steps, a target PSNR and --search choose; utilities are measured on
+    /// the processor.
+    #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
+    pub device: DeviceName,
     /// Also measure render utilities and write them beside the stream (NAME.utility.json).
     #[arg(long)]
     pub utility: bool,

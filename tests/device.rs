@@ -84,3 +84,35 @@ fn a_device_that_is_not_there_is_named() {
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success() && errors.contains("cpu, gpu, auto"), "{errors}");
 }
+
+/// Bytes of a small scene encoded to `out` at a target PSNR of `db`, with `more` options; or what was said.
+fn encoded(out: &Path, db: &str, more: &[&str]) -> Result<Vec<u8>, String> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dgs"));
+    command.args(["encode", "synth:figure:1500:2", "--target-psnr", db, "--out"]).arg(out);
+    let output = command.args(more).env_remove("DGS_GPU").output().unwrap();
+    match output.status.success() {
+        true => Ok(std::fs::read(out).unwrap()),
+        false => Err(String::from_utf8_lossy(&output.stderr).into_owned()),
+    }
+}
+
+#[test]
+fn an_encoding_chosen_on_a_device_is_nearly_that_chosen_on_the_processor() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("a.dgs");
+    let cpu = encoded(&out, "40", &[]).unwrap();
+    assert_eq!(encoded(&out, "40", &["--device", "cpu"]).unwrap(), cpu);
+    let gpu = match encoded(&out, "40", &["--device", "gpu"]) {
+        Ok(bytes) => bytes,
+        Err(error) if !Backend::HAS_GPU => return assert!(error.contains("--features gpu"), "{error}"),
+        Err(error) => {
+            assert!(error.contains("no graphics adapter"), "{error}");
+            assert_ne!(std::env::var("CI").as_deref(), Ok("true"), "{error}");
+            eprintln!("SKIPPED: {error}");
+            return;
+        }
+    };
+    let off = |bytes: &[u8]| (bytes.len() as f64 / cpu.len() as f64 - 1.0).abs();
+    assert!(off(&gpu) < 0.02, "{} {}", gpu.len(), cpu.len());
+    assert!(off(&encoded(&out, "36", &[]).unwrap()) > 0.05);
+}

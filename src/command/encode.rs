@@ -4,10 +4,11 @@ use std::{path::Path, time::Instant};
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::wire::manifest::Profile;
+use render_host::Backend;
 use serde_json::json;
 use trainer_host::{
     Scene, Stream,
-    encode::{Decisions, PacketReport, Protection, Report},
+    encode::{Decisions, EncodeOptions, PacketReport, Protection, Report},
     evaluator::{self, Segment},
     stream::PacketMap,
     train::dataset,
@@ -33,7 +34,9 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         files::check(path)?;
     }
     let loaded = pipeline::import(&args.input, &args.scene)?;
-    let options = pipeline::encode_options(&args.codec, Protection::NONE);
+    let device = args.device.into();
+    Backend::open(device).context("--device")?;
+    let options = EncodeOptions { device, ..pipeline::encode_options(&args.codec, Protection::NONE) };
     let start = Instant::now();
     let mut encoded = match &args.decisions {
         Some(path) => pipeline::write(&loaded.scene, &read_decisions(path)?, quiet)?,

@@ -3,7 +3,7 @@
 use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
 use render_host::{
-    BackendError, Camera, CameraError, Image, ImageError, RenderError, Renderer, Settings, Splats,
+    Backend, BackendError, Camera, CameraError, Image, ImageError, RenderError, Settings, Splats,
     SplatsError, adjoint::AdjointError, metric,
 };
 
@@ -88,12 +88,13 @@ pub struct Evaluator {
     cameras: Vec<Camera>,
     frames: Vec<u32>,
     settings: Settings,
+    backend: Backend,
     /// Frame by frame, one per camera.
     references: Vec<Image>,
 }
 
 impl Evaluator {
-    /// Renders `frames` of `scene` from `cameras`.
+    /// Renders `frames` of `scene` from `cameras` on `backend`.
     ///
     /// # Errors
     /// A frame past the end, or what the renderer refuses.
@@ -102,18 +103,19 @@ impl Evaluator {
         cameras: Vec<Camera>,
         frames: Vec<u32>,
         settings: &Settings,
+        backend: &Backend,
     ) -> Result<Self, EvaluationError> {
         // One picture is one task.
         let settings = Settings { parallel: false, ..settings.clone() };
-        let reference = |&(frame, camera): &(u32, usize)| {
+        let reference = |renderer: &mut pictures::Drawing, &(frame, camera): &(u32, usize)| {
             let instant = instant_at(scene, frame)?;
             let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
-            Ok(Renderer::new().render(&splats, &cameras[camera], &settings)?.image)
+            pictures::next(renderer, &splats, &cameras[camera], &settings)
         };
         let views = views(&frames, cameras.len());
-        let references: Result<Vec<Image>, EvaluationError> = views.par_iter().map(reference).collect();
-        let references = references?;
-        Ok(Self { cameras, frames, settings, references })
+        let references: Result<Vec<Image>, EvaluationError> =
+            views.par_iter().map_init(|| backend.frames(), reference).collect();
+        Ok(Self { references: references?, cameras, frames, settings, backend: backend.clone() })
     }
 
     /// An evaluator that renders `frames` from the measuring ring, never from held-out cameras.
@@ -121,9 +123,21 @@ impl Evaluator {
     /// # Errors
     /// As [`Evaluator::new`].
     pub fn measuring(scene: &Scene, frames: Vec<u32>) -> Result<Self, EvaluationError> {
+        Self::measuring_on(scene, frames, &Backend::Cpu)
+    }
+
+    /// As [`Evaluator::measuring`], with pictures drawn by `backend`.
+    ///
+    /// # Errors
+    /// As [`Evaluator::new`].
+    pub fn measuring_on(
+        scene: &Scene,
+        frames: Vec<u32>,
+        backend: &Backend,
+    ) -> Result<Self, EvaluationError> {
         let framing = Framing::of(scene);
         let cameras = framing.ring(Ring::Measuring, CAMERAS, SIZE)?;
-        Self::new(scene, cameras, frames, &Settings::default())
+        Self::new(scene, cameras, frames, &Settings::default(), backend)
     }
 
     /// The frames it renders.
@@ -141,14 +155,14 @@ impl Evaluator {
         let cameras = self.cameras.len().max(1);
         let frames = self.frames.par_iter().zip(self.references.par_chunks(cameras));
         let evaluated = frames.map_init(
-            || Player::new(content.manifest),
-            |player, (&frame, references)| {
+            || (Player::new(content.manifest), self.backend.frames()),
+            |(player, renderer), (&frame, references)| {
                 let shown = player.show(&content, frame)?;
                 let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree)?;
                 let mut sum = 0.0;
                 for (camera, reference) in self.cameras.iter().zip(references) {
-                    let rendered = Renderer::new().render(&splats, camera, &self.settings)?;
-                    sum += metric::psnr(&rendered.image, reference)?.min(PSNR_CAP_DB);
+                    let picture = pictures::next(renderer, &splats, camera, &self.settings)?;
+                    sum += metric::psnr(&picture, reference)?.min(PSNR_CAP_DB);
                 }
                 Ok(sum / cameras as f64)
             },

@@ -2,7 +2,13 @@
 
 use codec_core::internals::{limits, wire::manifest::Profile};
 
-use super::{EncodeError, Protection, Quality, cluster, evaluator::PSNR_CAP_DB, sensitivity::MOST_PICTURES};
+use render_host::{Backend, DeviceChoice};
+
+use super::{
+    EncodeError, Protection, Quality, cluster,
+    evaluator::{EvaluationError, PSNR_CAP_DB},
+    sensitivity::MOST_PICTURES,
+};
 
 /// Most encodings that a search may be asked for.
 const MOST_TRIALS: usize = 500;
@@ -96,6 +102,8 @@ pub struct EncodeOptions {
     pub repair: Protection,
     /// Whether probabilities follow the symbols of a chunk, in place of tables in the manifest (`paper`).
     pub context_coder: bool,
+    /// What draws the pictures that choices are made by. Streams of two devices may differ a little.
+    pub device: DeviceChoice,
     /// Send also the Gaussians whose opacity stays below 1/255 at every frame (`dgs1`).
     pub keep_invisible: bool,
 }
@@ -117,6 +125,7 @@ impl Default for EncodeOptions {
             packet_bytes: limits::DEFAULT_PACKET_BYTES,
             repair: Protection::NONE,
             context_coder: false,
+            device: DeviceChoice::Cpu,
             keep_invisible: false,
         }
     }
@@ -131,6 +140,11 @@ impl EncodeOptions {
     /// Defaults of the `paper` profile with the context coder.
     pub fn paper_context() -> Self {
         Self { context_coder: true, ..Self::paper() }
+    }
+
+    /// What draws the pictures that choices are made by.
+    pub(super) fn backend(&self) -> Result<Backend, EvaluationError> {
+        Ok(Backend::open(self.device)?)
     }
 
     pub(super) fn check(&self) -> Result<(), EncodeError> {

@@ -77,7 +77,7 @@ impl QuantiserClasses {
     /// # Errors
     /// What the renderer refuses; steps that the format does not hold.
     pub fn measured(scene: &Scene, options: &EncodeOptions) -> Result<Self, EncodeError> {
-        let mut costs = sensitivity::measure(scene, options.pictures)?;
+        let mut costs = sensitivity::measure(scene, options.pictures, &options.backend()?)?;
         for (epoch, costs) in scene.epochs().iter().zip(&mut costs) {
             let mut quality = options.quality;
             quality.position = Grid::of(epoch, DGS1_BASE_RATIO).step(&quality);

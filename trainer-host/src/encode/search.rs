@@ -31,7 +31,8 @@ pub(super) fn encode(
     progress: Progress<'_>,
 ) -> Result<Encoded, EncodeError> {
     let scene = analysis.scene;
-    let evaluator = Evaluator::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?;
+    let frames = spread(0, scene.frames() as u32, FRAMES);
+    let evaluator = Evaluator::measuring_on(scene, frames, &options.backend()?)?;
     let psnr = evaluator.whole(&start.stream)?;
     let before = start.report.ledger.wire();
     let nothing = Searched { encodes: 0, is_better: false, bits: 1.0, psnr_db: 0.0 };
@@ -81,7 +82,8 @@ fn on_a_part(
     let of_part = part.as_ref().map(|part| analysis.of_epoch(part, middle));
     let analysis = of_part.as_ref().unwrap_or(analysis);
     let part = analysis.scene;
-    let evaluator = Evaluator::measuring(part, spread(0, part.frames() as u32, FRAMES))?;
+    let frames = spread(0, part.frames() as u32, FRAMES);
+    let evaluator = Evaluator::measuring_on(part, frames, &options.backend()?)?;
     let mut tries = 0;
     descend(quality, &Axis::of(part), options.search, |quality| {
         progress("search", tries as f64 / options.search as f64);

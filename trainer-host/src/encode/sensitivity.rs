@@ -8,8 +8,8 @@
 
 use codec_core::internals::gaussian::Gaussian;
 use render_host::{
-    Image, ImageError, Settings, Splats,
-    adjoint::{Gradients, Loss, Workspace, render_and_gradients_into},
+    Backend, Image, ImageError, Settings, Splats,
+    adjoint::{Gradients, Loss},
 };
 
 use crate::{
@@ -39,15 +39,19 @@ const CUTOFF: f32 = 1e-5;
 /// The weights of every Gaussian of every epoch of `scene`, from `pictures` pictures an epoch, at
 /// least one, spread over its frames and around the scene.
 ///
-/// Deterministic on any number of threads.
+/// Deterministic on any number of threads, for each `backend`.
 ///
 /// # Errors
 /// What the renderer refuses.
-pub fn measure(scene: &Scene, pictures: usize) -> Result<Vec<Vec<Weights>>, EvaluationError> {
+pub fn measure(
+    scene: &Scene,
+    pictures: usize,
+    backend: &Backend,
+) -> Result<Vec<Vec<Weights>>, EvaluationError> {
     let pictures = pictures.max(1);
     let cameras = Framing::of(scene).around(pictures, SIZE)?;
     let settings = Settings { alpha_cutoff: CUTOFF, ..Settings::default() };
-    let (mut workspace, mut gradients) = (Workspace::new(), Gradients::default());
+    let (mut differentiator, mut gradients) = (backend.differentiator()?, Gradients::default());
     let (mut out, mut first) = (Vec::new(), 0);
     for epoch in scene.epochs() {
         let frames = epoch.frames() as u32;
@@ -63,14 +67,7 @@ pub fn measure(scene: &Scene, pictures: usize) -> Result<Vec<Vec<Weights>>, Eval
             let rest = instant.sh_degree.rest_len();
             for (k, camera) in cameras.iter().enumerate().skip(k_frame).step_by(frames_seen.len()) {
                 let signs = Signs { seed: k as u64 };
-                render_and_gradients_into(
-                    &mut workspace,
-                    &splats,
-                    camera,
-                    &settings,
-                    &signs,
-                    &mut gradients,
-                )?;
+                differentiator.differentiate(&splats, camera, &settings, &signs, &mut gradients, None)?;
                 add(&mut weights, &instant.gaussians, &gradients, rest, pictures);
             }
         }
@@ -193,7 +190,7 @@ mod tests {
     fn weights_are_what_small_changes_do_to_pictures() {
         let pictures = 64;
         let plain = scene(|_| {});
-        let weights = &measure(&plain, pictures).unwrap()[0];
+        let weights = &measure(&plain, pictures, &Backend::Cpu).unwrap()[0];
         let by = 0.004f32;
         for i in [0, 2] {
             // The mean over components, by differences.

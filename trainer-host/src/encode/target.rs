@@ -30,7 +30,10 @@ pub(super) fn encode(
 ) -> Result<Encoded, EncodeError> {
     let scene = analysis.scene;
     let evaluator = match target {
-        Target::PsnrDb(_) => Some(Evaluator::measuring(scene, spread(0, scene.frames() as u32, FRAMES))?),
+        Target::PsnrDb(_) => {
+            let frames = spread(0, scene.frames() as u32, FRAMES);
+            Some(Evaluator::measuring_on(scene, frames, &options.backend()?)?)
+        }
         _ => None,
     };
     // Towards the allowed side is coarser for sizes and finer for PSNR.

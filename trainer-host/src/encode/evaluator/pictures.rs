@@ -52,9 +52,12 @@ fn run_length(frames: usize) -> usize {
     (frames / (2 * rayon::current_num_threads())).clamp(1, 16)
 }
 
+/// A renderer, or why there is none.
+pub(super) type Drawing = Result<FrameRenderer, BackendError>;
+
 /// The next picture of a renderer; equal to a fresh render, whatever came before.
-fn next(
-    renderer: &mut Result<FrameRenderer, BackendError>,
+pub(super) fn next(
+    renderer: &mut Drawing,
     splats: &Splats<'_>,
     camera: &Camera,
     settings: &Settings,
