@@ -86,7 +86,7 @@ impl<'a> Decoder<'a> {
     /// `sh_rest` ([`ShDegree::rest_len`] of the manifest's degree per Gaussian).
     ///
     /// # Errors
-    /// A frame past the end; [`ErrorKind::Capacity`] naming the memory that is too small.
+    /// A frame past the end; [`crate::ErrorKind::Capacity`] naming the memory that is too small.
     pub fn frame(
         &mut self,
         content: &Content<'_>,
