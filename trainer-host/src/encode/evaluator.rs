@@ -13,6 +13,7 @@ use crate::{
     viewpoint::{Framing, Ring},
 };
 
+mod drawing;
 mod pictures;
 mod segments;
 
@@ -107,10 +108,10 @@ impl Evaluator {
     ) -> Result<Self, EvaluationError> {
         // One picture is one task.
         let settings = Settings { parallel: false, ..settings.clone() };
-        let reference = |renderer: &mut pictures::Drawing, &(frame, camera): &(u32, usize)| {
+        let reference = |renderer: &mut drawing::Drawing, &(frame, camera): &(u32, usize)| {
             let instant = instant_at(scene, frame)?;
             let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
-            pictures::next(renderer, &splats, &cameras[camera], &settings)
+            Ok(drawing::next(renderer, &splats, &cameras[camera], &settings)?)
         };
         let views = views(&frames, cameras.len());
         let references: Result<Vec<Image>, EvaluationError> =
@@ -130,11 +131,7 @@ impl Evaluator {
     ///
     /// # Errors
     /// As [`Evaluator::new`].
-    pub fn measuring_on(
-        scene: &Scene,
-        frames: Vec<u32>,
-        backend: &Backend,
-    ) -> Result<Self, EvaluationError> {
+    pub fn measuring_on(scene: &Scene, frames: Vec<u32>, backend: &Backend) -> Result<Self, EvaluationError> {
         let framing = Framing::of(scene);
         let cameras = framing.ring(Ring::Measuring, CAMERAS, SIZE)?;
         Self::new(scene, cameras, frames, &Settings::default(), backend)
@@ -161,7 +158,7 @@ impl Evaluator {
                 let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree)?;
                 let mut sum = 0.0;
                 for (camera, reference) in self.cameras.iter().zip(references) {
-                    let picture = pictures::next(renderer, &splats, camera, &self.settings)?;
+                    let picture = drawing::next(renderer, &splats, camera, &self.settings)?;
                     sum += metric::psnr(&picture, reference)?.min(PSNR_CAP_DB);
                 }
                 Ok(sum / cameras as f64)

@@ -2,9 +2,9 @@
 
 use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
-use render_host::{Backend, BackendError, Camera, FrameRenderer, Image, Renderer, Settings, Splats, metric};
+use render_host::{Backend, Camera, Image, Renderer, Settings, Splats, metric};
 
-use super::{EvaluationError, PSNR_CAP_DB, instant_at};
+use super::{EvaluationError, PSNR_CAP_DB, drawing::next, instant_at};
 use crate::{
     scene::{Instant, Scene},
     stream::Player,
@@ -40,7 +40,7 @@ pub fn references(
             |renderer, &frame| {
                 let instant = instant_at(scene, frame)?;
                 let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
-                next(renderer, &splats, camera, &serial)
+                Ok(next(renderer, &splats, camera, &serial)?)
             },
         )
         .collect()
@@ -50,20 +50,6 @@ pub fn references(
 /// keep all threads busy. Pictures do not depend on it.
 fn run_length(frames: usize) -> usize {
     (frames / (2 * rayon::current_num_threads())).clamp(1, 16)
-}
-
-/// A renderer, or why there is none.
-pub(super) type Drawing = Result<FrameRenderer, BackendError>;
-
-/// The next picture of a renderer; equal to a fresh render, whatever came before.
-pub(super) fn next(
-    renderer: &mut Drawing,
-    splats: &Splats<'_>,
-    camera: &Camera,
-    settings: &Settings,
-) -> Result<Image, EvaluationError> {
-    let renderer = renderer.as_mut().map_err(|error| error.clone())?;
-    Ok(renderer.render(splats, camera, settings)?.image.clone())
 }
 
 /// Renders `content` on `backend` in each (frame, state), in order, in parallel; no state gives the
@@ -91,7 +77,7 @@ pub fn renders(
                 };
                 let shown = player.show(&content.with_state(state), *frame)?;
                 let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree)?;
-                next(renderer, &splats, camera, &settings)
+                Ok(next(renderer, &splats, camera, &settings)?)
             },
         )
         .collect()
