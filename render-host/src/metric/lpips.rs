@@ -220,31 +220,43 @@ fn convolved(from: &Features, shape: &Shape, layer: &Layer) -> Features {
             for lane in 0..out.len() / output {
                 from.window(shape, width, block * PIXELS + lane, lane, windows);
             }
-            arch.dispatch(|| sum_windows(windows, layer, out));
+            arch.dispatch(SumWindows { windows, layer, out });
         },
     );
     Features { width, height, channels: output, values }
 }
 
-/// All channels of up to [`PIXELS`] output pixels.
-#[inline(always)]
-fn sum_windows(windows: &[[f32; PIXELS]], layer: &Layer, out: &mut [f32]) {
-    let output = layer.bias.len();
-    for first in (0..output).step_by(CHANNELS) {
-        let mut sums = [0, 1, 2, 3].map(|c| [layer.bias[first + c]; PIXELS]);
-        let weights: [&[f32]; CHANNELS] =
-            [0, 1, 2, 3].map(|c| &layer.weights[(first + c) * windows.len()..][..windows.len()]);
-        for (tap, values) in windows.iter().enumerate() {
-            for (sums, weights) in sums.iter_mut().zip(&weights) {
-                let weight = weights[tap];
-                for (sum, value) in sums.iter_mut().zip(values) {
-                    *sum = value.mul_add(weight, *sum);
+/// Sums all channels of up to [`PIXELS`] output pixels. A type of its own, because a closure would not be
+/// compiled for the wide registers that are there.
+struct SumWindows<'a> {
+    windows: &'a [[f32; PIXELS]],
+    layer: &'a Layer,
+    out: &'a mut [f32],
+}
+
+impl pulp::NullaryFnOnce for SumWindows<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let Self { windows, layer, out } = self;
+        let output = layer.bias.len();
+        for first in (0..output).step_by(CHANNELS) {
+            let mut sums = [0, 1, 2, 3].map(|c| [layer.bias[first + c]; PIXELS]);
+            let weights: [&[f32]; CHANNELS] =
+                [0, 1, 2, 3].map(|c| &layer.weights[(first + c) * windows.len()..][..windows.len()]);
+            for (tap, values) in windows.iter().enumerate() {
+                for (sums, weights) in sums.iter_mut().zip(&weights) {
+                    let weight = weights[tap];
+                    for (sum, value) in sums.iter_mut().zip(values) {
+                        *sum += value * weight;
+                    }
                 }
             }
-        }
-        for (lane, out) in out.chunks_exact_mut(output).enumerate() {
-            for (c, sums) in sums.iter().enumerate() {
-                out[first + c] = sums[lane].max(0.0);
+            for (lane, out) in out.chunks_exact_mut(output).enumerate() {
+                for (c, sums) in sums.iter().enumerate() {
+                    out[first + c] = sums[lane].max(0.0);
+                }
             }
         }
     }

@@ -4,7 +4,7 @@ use anyhow::{Context, Result};
 use trainer_host::{
     Scene,
     encode::{self, EncodeOptions, Encoded, Protection, Quality},
-    train::{self, Dataset, Trainer},
+    train::{self, Dataset, Posable, Trainer},
 };
 
 use super::{figures::decoded, interruption::Interruption};
@@ -14,7 +14,7 @@ use crate::{
     progress::Progress,
 };
 
-/// Training views that the loss is measured on.
+/// Views that the loss is measured on.
 const VIEWS: usize = 20;
 /// Encodings at most.
 const ATTEMPTS: usize = 4;
@@ -30,7 +30,7 @@ struct Attempt {
     encoded: Encoded,
     /// Factor on quantiser steps.
     coarseness: f64,
-    /// What encoding took from the PSNR of training views, dB.
+    /// What encoding took from the PSNR of the views, dB.
     lost_db: f64,
 }
 
@@ -81,7 +81,8 @@ fn stoppable(
 }
 
 /// The stream of `scene`. Unless its size or steps were typed, steps are the coarsest of a few that take at
-/// most `--encoding-loss` from the PSNR of training views, or else the finest of them.
+/// most `--encoding-loss` from the PSNR of validation views (of training views where there are none), or else
+/// the finest of them.
 pub(super) fn within_loss(
     args: &Train,
     scene: &Scene,
@@ -97,14 +98,21 @@ pub(super) fn within_loss(
     if is_typed || args.codec.profile != ProfileName::Dgs1 {
         return encode(&options);
     }
-    let views = dataset.train.sample(VIEWS);
     let (reduced, background) = (trainer.reduced(), trainer.options().background);
-    let trained_db = train::evaluate(trainer.model(), &views, reduced, background)?.psnr_db;
+    let psnr_db = |shown: &dyn Posable| -> Result<f64> {
+        let found = if dataset.validation.is_empty() {
+            train::evaluate(shown, &dataset.train.sample(VIEWS), reduced, background)
+        } else {
+            train::evaluate(shown, &dataset.validation.sample(VIEWS), reduced, background)
+        };
+        Ok(found?.psnr_db)
+    };
+    let trained_db = psnr_db(trainer.model())?;
     let attempt = |coarseness: f64| -> Result<Attempt> {
         let quality = Quality::default().scaled(coarseness as f32);
         let encoded = encode(&EncodeOptions { quality, ..options.clone() })?;
-        let shown = train::evaluate(&decoded(&encoded, dataset)?, &views, reduced, background)?;
-        Ok(Attempt { encoded, coarseness, lost_db: trained_db - shown.psnr_db })
+        let shown_db = psnr_db(&decoded(&encoded, dataset)?)?;
+        Ok(Attempt { encoded, coarseness, lost_db: trained_db - shown_db })
     };
     let allowed = args.encoding_loss;
     let mut best = attempt(1.0)?;
