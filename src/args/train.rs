@@ -85,8 +85,8 @@ pub struct Train {
     /// Also writes registration.json (what was fixed before) and delivery.json (what came of it).
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
-    /// Most that encoding may take from the PSNR of validation views (of training views where there are none),
-    /// dB: steps are chosen to keep to it.
+    /// Most that encoding may take from the PSNR of validation views (of training views where there are
+    /// none), dB: steps are chosen to keep to it.
     /// Where the size or the steps are typed, they decide instead.
     #[arg(
         long, value_name = "DB", default_value_t = 0.1, value_parser = real(0.001..=100.0, "dB"),
