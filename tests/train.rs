@@ -160,6 +160,8 @@ fn fine_tuning_for_delivery_fixes_its_rules_before_it_starts() {
         .unwrap();
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && text.contains("background [1.0, 1.0, 1.0]"), "{text}");
+    let error = refused(at, &["-o", "other", "--delivery", "config.json", "--utility"]);
+    assert!(error.contains("--utility") && error.contains("measures neither"), "{error}");
     let error = refused(at, &["-o", "other", "--delivery", "no-such-variant"]);
     assert!(error.contains("no-such-variant"), "{error}");
 }
@@ -238,4 +240,17 @@ fn options_and_inputs_are_refused_by_name() {
     let output =
         Command::new(env!("CARGO_BIN_EXE_dgs")).current_dir(at).args(["train", "empty"]).output().unwrap();
     assert_eq!(output.status.code(), Some(1));
+}
+
+/// Photographs that are not there stop an encoding before it writes anything.
+#[test]
+fn utilities_need_photographs_that_are_there() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dgs"));
+    command.current_dir(folder.path()).args(["encode", SCENE, "-o", "a.dgs", "--utility"]);
+    let output = command.args(["--photographs", "nowhere"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(error.contains("--photographs: nowhere: no dataset"), "{error}");
+    assert!(!folder.path().join("a.dgs").exists());
 }

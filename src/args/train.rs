@@ -86,8 +86,8 @@ pub struct Train {
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
     /// Most that encoding may take from the PSNR of validation views (of training views where there are
-    /// none), dB: steps are chosen to keep to it.
-    /// Where the size or the steps are typed, they decide instead.
+    /// none), dB: steps are chosen to keep to it. Typed sizes or steps decide instead, and --delivery has
+    /// steps of its own.
     #[arg(
         long, value_name = "DB", default_value_t = 0.1, value_parser = real(0.001..=100.0, "dB"),
         conflicts_with = "fineness", allow_negative_numbers = true

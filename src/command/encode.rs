@@ -12,7 +12,7 @@ use trainer_host::{
     evaluator::{self, Segment},
     stream::PacketMap,
     train::dataset,
-    utility::{References, Table, UtilityOptions},
+    utility::{ReferencePhotographs, References, Table, UtilityOptions},
     viewpoint::{Framing, Ring},
 };
 
@@ -33,6 +33,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     if let Some(path) = &args.decisions_out {
         files::check(path)?;
     }
+    let photographs = args.photographs.as_deref().map(photographs).transpose().context("--photographs")?;
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let device = args.device.into();
     Backend::open(device).context("--device")?;
@@ -98,7 +99,7 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     if args.utility {
         let path = pipeline::utility_path(&args.out);
-        let table = utilities(args, &loaded.scene, stream, &path, quiet, &mut warnings)?;
+        let table = utilities(photographs.as_ref(), &loaded.scene, stream, &path, quiet, &mut warnings)?;
         let audit = table.audit();
         text += &format!("utilities of {} groups → {}\n", table.groups.len(), path.display());
         text += &audit_lines(&audit);
@@ -115,9 +116,16 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     Ok(VerbOutput { text, json, warnings, damaged: false })
 }
 
+/// The training photographs of a dataset, over the background that utilities are measured over.
+fn photographs(folder: &Path) -> Result<ReferencePhotographs> {
+    let dataset = dataset::read(folder)?;
+    let background = UtilityOptions::paper().settings.background;
+    Ok(pipeline::reference_photographs(&dataset.train, background)?)
+}
+
 /// Utilities of the groups of `stream`, against photographs if some were named.
 fn utilities(
-    args: &Encode,
+    photographs: Option<&ReferencePhotographs>,
     scene: &Scene,
     stream: &Stream,
     path: &Path,
@@ -130,11 +138,8 @@ fn utilities(
         let warn = &mut |warning| warnings.push(warning);
         pipeline::utilities(references, &received.content(), &map, &options, Some(path), quiet, warn)
     };
-    if let Some(folder) = &args.photographs {
-        let dataset = dataset::read(folder).context("--photographs")?;
-        let photographs = pipeline::reference_photographs(&dataset.train, options.settings.background)
-            .context("--photographs")?;
-        return measure(&References::Photographs(&photographs)).context("--photographs");
+    if let Some(photographs) = photographs {
+        return measure(&References::Photographs(photographs)).context("--photographs");
     }
     let cameras = Framing::of(scene).ring(Ring::Measuring, 3, (160, 160))?;
     measure(&References::renders(scene, &cameras))

@@ -63,6 +63,11 @@ pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     if scene.is_some() && delivery.is_some() && args.device == DeviceName::Gpu {
         bail!("--device is gpu; fine-tuning a scene for delivery runs on the processor: cpu is allowed");
     }
+    if scene.is_some() && delivery.is_some() && (args.utility || args.lpips.is_some()) {
+        bail!(
+            "--utility, --lpips: for trained photographs; fine-tuning a scene for delivery measures neither"
+        );
+    }
     let network = args.lpips.as_deref().map(lpips).transpose()?;
     folder.open(args)?;
     let stop = Interruption::watch();

@@ -129,7 +129,7 @@ pub struct Table {
 const MOST_VALUES: usize = 32 << 20;
 
 /// Measures all groups of `content` (a complete decode of a stream whose map is `map`) against
-/// `references`. `progress` is told the share done, 0..=1.
+/// `references`. `progress` is called with the share done, 0..=1.
 ///
 /// Deterministic for equal inputs on any number of threads.
 ///

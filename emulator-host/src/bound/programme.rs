@@ -14,7 +14,7 @@ pub(super) const SLOT_FRAMES: u32 = 3;
 /// Bytes that the link spends on every datagram beside the packet.
 pub(super) const DATAGRAM_OVERHEAD: u64 =
     crate::session::QUIC_OVERHEAD_BYTES as u64 + crate::session::IP_UDP_BYTES as u64;
-/// Steps between two looks at the bound.
+/// Steps between two evaluations of the bound.
 const ROUND: u32 = 50;
 
 /// What bounds every schedule.

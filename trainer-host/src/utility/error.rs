@@ -1,11 +1,19 @@
 //! Says why utilities cannot be measured.
 
+use codec_core::internals::ids::Span;
+
 /// Why utilities cannot be measured.
 #[derive(Debug, thiserror::Error)]
 pub enum UtilityError {
     /// Nothing to look with.
     #[error("no camera or photograph was given; at least one is needed")]
     NoCamera,
+    /// A span that the manifest does not hold.
+    #[error("the manifest holds no {span:?}; the stream's lattice does not hold together")]
+    NoSpan {
+        /// The epoch or window.
+        span: Span,
+    },
     /// A span that no photograph shows.
     #[error("no photograph shows frames {first}..{end}; each window needs at least one")]
     NoPhotograph {

@@ -64,8 +64,8 @@ pub(super) struct View {
 
 impl ReferencePhotographs {
     /// The photographs of `views` over `background`, each reduced by the smallest whole divisor of its sides
-    /// that leaves neither longer than `longest_side` pixels. Of each span, up to `per_span` are used: at
-    /// least 1.
+    /// that leaves neither longer than `longest_side` pixels; where there is none, as they are. Of each span,
+    /// up to `per_span` are used: at least 1.
     ///
     /// # Errors
     /// No photographs, or one that cannot be reduced.
@@ -148,7 +148,7 @@ impl References<'_> {
             Self::Renders(renders) => Ok(renders.cameras.len() * renders.frames_per_span.max(1)),
             Self::Photographs(photographs) => {
                 let clip = content.manifest.head().frames;
-                let (_, frames) = frames_of(content, span);
+                let (_, frames) = frames_of(content, span)?;
                 Ok(photographs.of_span(&frames, clip, &mut random(span, 0, 0, seed))?.len())
             }
         }
@@ -166,7 +166,7 @@ impl References<'_> {
         seed: u64,
         settings: &Settings,
     ) -> Result<(EpochId, View), UtilityError> {
-        let (epoch, frames) = frames_of(content, span);
+        let (epoch, frames) = frames_of(content, span)?;
         let view = match self {
             Self::Renders(renders) => {
                 let count = frames.len().max(1) as u32;
@@ -224,18 +224,22 @@ impl SourceRenders<'_> {
 }
 
 /// The epoch of a span and its frames.
-fn frames_of(content: &Content<'_>, span: Span) -> (EpochId, Range<u32>) {
-    match span {
+///
+/// # Errors
+/// A span that the manifest does not hold.
+fn frames_of(content: &Content<'_>, span: Span) -> Result<(EpochId, Range<u32>), UtilityError> {
+    let missing = UtilityError::NoSpan { span };
+    Ok(match span {
         Span::Canonical(id) => {
-            let epoch = content.manifest.epoch(id).unwrap_or_default();
+            let epoch = content.manifest.epoch(id).ok_or(missing)?;
             (id, epoch.first_frame..epoch.first_frame + epoch.frames)
         }
         Span::Motion(id) => {
-            let window = content.manifest.window(id).unwrap_or_default();
+            let window = content.manifest.window(id).ok_or(missing)?;
             let end = window.first_frame + u32::from(window.frames);
             (EpochId(window.epoch), window.first_frame..end)
         }
-    }
+    })
 }
 
 /// Numbers for one purpose, keyed by what they are for, so that no other span changes this one's luck.

@@ -353,7 +353,7 @@ impl Plan {
     }
 }
 
-/// Chance that a packet in flight arrives, given that no receipt has told of it: a loss grows likely as its
+/// Chance that a packet in flight arrives, given that no receipt has named it: a loss grows likely as its
 /// age passes what receipts take.
 fn survival(view: &SenderView<'_>, packet: PacketIndex, loss: f64, now: Nanos) -> f64 {
     let age = (now - view.sent_at[packet.at()]).as_s();
