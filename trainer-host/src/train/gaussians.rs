@@ -118,6 +118,17 @@ impl TrainedGaussians {
         }
     }
 
+    /// What a Gaussian follows, by the weights it has learnt.
+    pub(super) fn follows(
+        &self,
+        index: usize,
+        skinned: &Skinned,
+        followed: &[[u32; FOLLOWED]],
+    ) -> super::motion::Followed {
+        let weights = skinned.weights(&self.rest(index, followed));
+        super::motion::Followed { nodes: followed[index], weights }
+    }
+
     /// All Gaussians as `skinned` moves them, into `out`.
     pub(super) fn pose_into(&self, skinned: &Skinned, followed: &[[u32; FOLLOWED]], out: &mut Instant) {
         out.gaussians.resize(self.len(), Gaussian::ABSENT);

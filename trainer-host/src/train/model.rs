@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{
     gaussians::TrainedGaussians,
-    motion::{ControlNodes, FOLLOWED},
+    motion::{ControlNodes, FOLLOWED, MovedPoint, Trajectory, trajectory_times},
 };
 use crate::scene::{Attributes, Epoch, Instant, Scene, SceneError, Track};
 
@@ -62,25 +62,43 @@ impl Model {
         Scene::new(vec![Epoch::new(frames, attributes)?], frames_per_second)
     }
 
-    /// Nodes of another number, as the present ones move the scene; Gaussians follow the nearest anew.
+    /// Adds a layer of `count` nodes that move as the Gaussians do that they stand at; Gaussians follow those
+    /// nearest to them over the clip.
     pub(super) fn spread_nodes(&mut self, count: usize) {
-        let visible = |&index: &usize| self.gaussians.opacity.item(index)[0] > VISIBLE;
-        let places: Vec<[f32; 3]> = (0..self.gaussians.len())
-            .filter(visible)
-            .map(|index| self.gaussians.positions()[index])
-            .collect();
-        let places = if places.is_empty() { self.gaussians.positions().to_vec() } else { places };
-        self.nodes = self.nodes.spread(&places, count);
-        self.follow_nearest();
+        let trajectories = self.trajectories();
+        let poses = self.nodes.poses(0.0);
+        let skin = self.nodes.skin(&poses);
+        let point = |index: usize| MovedPoint {
+            place: self.gaussians.positions()[index],
+            followed: self.gaussians.follows(index, &skin, &self.followed),
+            trajectory: trajectories[index],
+        };
+        let opacity = self.gaussians.opacity.values();
+        let visible = (0..self.gaussians.len()).filter(|&index| opacity[index] > VISIBLE);
+        let mut points: Vec<MovedPoint> = visible.map(point).collect();
+        if points.is_empty() {
+            points = (0..self.gaussians.len()).map(point).collect();
+        }
+        self.nodes = std::mem::take(&mut self.nodes).spread(&points, count);
+        if !self.nodes.is_empty() {
+            self.followed = self.nodes.followed(&trajectories);
+        }
+        self.gaussians.skin.values_mut().fill(0.0);
     }
 
-    fn follow_nearest(&mut self) {
-        self.followed = if self.nodes.is_empty() {
-            vec![[0; FOLLOWED]; self.gaussians.len()]
-        } else {
-            self.nodes.followed(self.gaussians.positions())
-        };
-        self.gaussians.skin.values_mut().fill(0.0);
+    /// Where each Gaussian is over the clip.
+    fn trajectories(&self) -> Vec<Trajectory> {
+        let mut trajectories: Vec<Trajectory> = self.gaussians.positions().iter().map(|&p| [p; _]).collect();
+        if self.nodes.is_empty() {
+            return trajectories;
+        }
+        let mut posed = Instant::default();
+        for (instant, time) in trajectory_times().enumerate() {
+            self.instant_into(time, &mut posed);
+            let moved = trajectories.iter_mut().zip(&posed.gaussians);
+            moved.for_each(|(trajectory, g)| trajectory[instant] = g.position);
+        }
+        trajectories
     }
 
     /// Whether what was read from a file can be used.

@@ -6,13 +6,17 @@
 //! few views (Huang et al., "SC-GS", CVPR 2024, sections 4.1 and 4.2).
 
 mod basis;
+mod layer;
 mod nodes;
 mod rigidity;
 mod skinning;
+mod trajectory;
 
 pub use basis::TemporalBasis;
-pub(super) use nodes::{ControlNodes, NodeGradient};
+pub(super) use layer::{Followed, MovedPoint, NodeGradient};
+pub(super) use nodes::ControlNodes;
 pub(super) use skinning::{PosedGradient, Rest, Skinned, SkinnedGradient};
+pub(super) use trajectory::{Trajectory, times as trajectory_times};
 
 /// Nodes that a Gaussian follows.
 pub(super) const FOLLOWED: usize = 4;

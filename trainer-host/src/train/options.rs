@@ -79,7 +79,7 @@ impl Default for Schedule {
             growth: 0.12,
             quarter_of_nodes: 0.1,
             all_nodes: 0.22,
-            fine_time: 1.0,
+            fine_time: 0.3,
             density_end: 0.6,
             sizes: [0.12, 0.35, 0.6],
             motion_decay: 0.02,
@@ -157,7 +157,7 @@ impl Default for Rates {
             sh0: 8e-3,
             sh_rest: 3e-3,
             skin: 1e-2,
-            node_motion: 3e-3,
+            node_motion: 1.5e-3,
         }
     }
 }

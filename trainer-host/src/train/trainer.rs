@@ -88,8 +88,6 @@ pub enum Stage {
 pub(super) struct State {
     pub(super) model: Model,
     pub(super) step: u32,
-    /// Steps since the nodes were spread.
-    node_step: u32,
     /// Stages of nodes entered.
     node_stages: usize,
     /// Index of the size of photographs.
@@ -108,7 +106,7 @@ impl State {
     /// Whether what was read from a file can be used: numbers that do not fit together would be out of bounds
     /// somewhere later.
     pub(super) fn is_sound(&self) -> bool {
-        let counts = [self.step, self.node_step, self.last_density];
+        let counts = [self.step, self.last_density];
         self.model.is_sound()
             && self.pull.is_sound(self.model.gaussians())
             && counts.iter().all(|&count| count <= MOST_STEPS)
@@ -170,7 +168,6 @@ impl<'a> Trainer<'a> {
         let state = State {
             model,
             step: 0,
-            node_step: 0,
             node_stages: 0,
             size: 0,
             drawn: 0,
@@ -317,13 +314,11 @@ impl<'a> Trainer<'a> {
         {
             state.model.spread_nodes(count);
             state.node_stages += 1;
-            state.node_step = 0;
         }
         let nodes = &mut state.model.nodes;
         let is_due = (self.options.schedule.fine_time..1.0).contains(&progress);
         if is_due && !nodes.is_empty() && nodes.finest() < FINEST_TIME {
             nodes.refine_time(FINEST_TIME);
-            state.node_step = 0;
         }
     }
 
@@ -411,7 +406,7 @@ impl<'a> Trainer<'a> {
         let unit = self.extent.half_side as f32;
         let rigidity = schedule::rigidity(&self.options, progress) / (unit * unit);
         nodes.keep_rigid(rigidity, &poses, &mut of_nodes);
-        nodes.backward(time, &poses, &of_nodes);
+        nodes.backward(time, &poses, of_nodes);
         gaussians.regularise(self.options.opacity_weight, self.options.scale_weight);
         if progress < self.options.schedule.density_end {
             state.pull.add(&gradients.splats, &self.memory.statistics);
@@ -422,13 +417,8 @@ impl<'a> Trainer<'a> {
         let rates = schedule::attribute_rates(&self.options, progress, unit).scaled(caution);
         let step = AdamStep { rate: 0.0, first_decay: 0.9, second_decay: 0.999, number: state.step + 1 };
         gaussians.step(rates, step);
-        state.node_step += 1;
-        nodes.step(AdamStep {
-            rate: caution * schedule::node_rate(&self.options, progress),
-            second_decay: 0.99,
-            number: state.node_step,
-            ..step
-        });
+        let rate = caution * schedule::node_rate(&self.options, progress);
+        nodes.step(AdamStep { rate, second_decay: 0.99, ..step });
     }
 
     /// Adds and removes Gaussians if it is time.

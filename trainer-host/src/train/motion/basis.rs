@@ -80,70 +80,11 @@ impl TemporalBasis {
         }
         values
     }
-
-    /// Coefficients of the functions whose sum is nearest to samples at even times from 0 to 1, by least
-    /// squares: `samples[s]` holds as many values as every other; the answer has one list per function.
-    pub(super) fn fit(&self, samples: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        let (count, width) = (self.len(), samples.first().map_or(0, Vec::len));
-        let last = samples.len().saturating_sub(1).max(1) as f32;
-        // Normal equations; the splines overlap, so a little weight on small coefficients decides.
-        let mut matrix = vec![vec![0.0f64; count]; count];
-        let mut right = vec![vec![0.0f64; width]; count];
-        for (index, sample) in samples.iter().enumerate() {
-            let values = self.at(index as f32 / last);
-            for (a, &of_a) in values.iter().enumerate().filter(|(_, v)| **v != 0.0) {
-                for (sum, &of_b) in matrix[a].iter_mut().zip(&values) {
-                    *sum += f64::from(of_a) * f64::from(of_b);
-                }
-                right[a].iter_mut().zip(sample).for_each(|(sum, v)| *sum += f64::from(of_a) * v);
-            }
-        }
-        (0..count).for_each(|a| matrix[a][a] += 1e-4);
-        solve(matrix, right)
-    }
-}
-
-/// Solves a symmetric positive system for several right sides by elimination.
-fn solve(mut matrix: Vec<Vec<f64>>, mut right: Vec<Vec<f64>>) -> Vec<Vec<f64>> {
-    let count = matrix.len();
-    for a in 0..count {
-        let (done, below) = matrix.split_at_mut(a + 1);
-        let (done_right, below_right) = right.split_at_mut(a + 1);
-        for (row, values) in below.iter_mut().zip(below_right) {
-            let factor = row[a] / done[a][a];
-            row.iter_mut().zip(&done[a]).for_each(|(v, d)| *v -= factor * d);
-            values.iter_mut().zip(&done_right[a]).for_each(|(v, d)| *v -= factor * d);
-        }
-    }
-    for a in (0..count).rev() {
-        let (above, known) = right.split_at_mut(a + 1);
-        for (k, known) in known.iter().enumerate() {
-            let factor = matrix[a][a + 1 + k];
-            above[a].iter_mut().zip(known).for_each(|(v, d)| *v -= factor * d);
-        }
-        above[a].iter_mut().for_each(|v| *v /= matrix[a][a]);
-    }
-    right
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn fitted_coefficients_give_the_samples_back() {
-        let basis = TemporalBasis::default();
-        let sample = |t: f64| vec![0.5 - t, (3.0 * t).sin(), t * t];
-        let samples: Vec<Vec<f64>> = (0..112).map(|s| sample(f64::from(s) / 111.0)).collect();
-        let found = basis.fit(&samples);
-        for t in [0.0f32, 0.21, 0.77, 1.0] {
-            let values = basis.at(t);
-            for (k, expected) in sample(f64::from(t)).into_iter().enumerate() {
-                let sum: f64 = values.iter().zip(&found).map(|(&v, c)| f64::from(v) * c[k]).sum();
-                assert!((sum - expected).abs() < 2e-3, "{t} {k}: {sum} {expected}");
-            }
-        }
-    }
 
     #[test]
     fn times_outside_are_those_of_the_ends() {

@@ -5,22 +5,17 @@
 
 use glam::Mat3;
 
-use super::nodes::{ControlNodes, NodeGradient, NodePose};
+use super::layer::{Layer, Neighbour, NodeGradient, NodePose};
 
-/// Adds the gradient of `weight / nodes · Σ |(c_j + s_j) - (c_i + s_i) - R_i (c_j - c_i)|²` over nodes `i`
-/// and their neighbours `j`.
-pub(super) fn add_gradient(
-    nodes: &ControlNodes,
-    weight: f32,
-    poses: &[NodePose],
-    gradients: &mut [NodeGradient],
-) {
-    let scale = 2.0 * weight / nodes.len().max(1) as f32;
-    for (node, neighbours) in nodes.neighbours().iter().enumerate() {
-        for &other in neighbours {
+/// Adds the gradient of `weight / nodes · Σ k_ij |(c_j + s_j) - (c_i + s_i) - R_i (c_j - c_i)|²` over nodes
+/// `i` and their neighbours `j`, joined with stiffness `k_ij`.
+pub(super) fn add_gradient(layer: &Layer, weight: f32, poses: &[NodePose], gradients: &mut [NodeGradient]) {
+    let scale = 2.0 * weight / layer.len().max(1) as f32;
+    for (node, neighbours) in layer.neighbours().iter().enumerate() {
+        for &Neighbour { node: other, stiffness } in neighbours {
             let (from, to) = (&poses[node], &poses[other as usize]);
             let arrow = to.place - from.place;
-            let error = scale * (arrow + to.shift - from.shift - from.matrix * arrow);
+            let error = scale * stiffness * (arrow + to.shift - from.shift - from.matrix * arrow);
             gradients[other as usize].shift += error;
             gradients[node].shift -= error;
             gradients[node].matrix -= Mat3::from_cols(error * arrow.x, error * arrow.y, error * arrow.z);
@@ -31,41 +26,41 @@ pub(super) fn add_gradient(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::train::motion::TemporalBasis;
+    use crate::train::motion::{MovedPoint, TemporalBasis};
 
-    fn energy(nodes: &ControlNodes, poses: &[NodePose]) -> f64 {
+    fn energy(layer: &Layer, poses: &[NodePose]) -> f64 {
         let mut sum = 0.0;
-        for (node, neighbours) in nodes.neighbours().iter().enumerate() {
-            for &other in neighbours {
+        for (node, neighbours) in layer.neighbours().iter().enumerate() {
+            for &Neighbour { node: other, stiffness } in neighbours {
                 let (from, to) = (&poses[node], &poses[other as usize]);
                 let arrow = to.place - from.place;
                 let error = arrow + to.shift - from.shift - from.matrix * arrow;
-                sum += f64::from(error.length_squared());
+                sum += f64::from(stiffness * error.length_squared());
             }
         }
-        sum / nodes.len() as f64
+        sum / layer.len() as f64
     }
 
     #[test]
     fn gradient_of_the_motion_is_the_difference_quotient() {
-        let points: Vec<[f32; 3]> =
-            (0..40).map(|i| [(i as f32).sin(), (1.7 * i as f32).cos(), (0.3 * i as f32).sin()]).collect();
-        let mut nodes = ControlNodes::none(TemporalBasis::new(&[4]), 1.3).spread(&points, 9);
-        for (i, v) in nodes.motion_mut().values_mut().iter_mut().enumerate() {
+        let place = |i: f32| [i.sin(), (1.7 * i).cos(), (0.3 * i).sin()];
+        let points: Vec<MovedPoint> = (0..9).map(|i| MovedPoint::at_rest(place(i as f32))).collect();
+        let mut layer = Layer::new(&points, TemporalBasis::new(&[4]), 1.3, true);
+        for (i, v) in layer.motion_mut().values_mut().iter_mut().enumerate() {
             *v = 0.3 * (i as f32 * 1.3).sin();
         }
         let time = 0.4;
-        let poses = nodes.poses(time);
-        let mut gradients = vec![NodeGradient::ZERO; nodes.len()];
-        add_gradient(&nodes, 1.0, &poses, &mut gradients);
-        nodes.backward(time, &poses, &gradients);
-        let found = nodes.motion_mut().gradient_mut().to_vec();
+        let poses = layer.poses(time, &[]);
+        let mut gradients = vec![NodeGradient::ZERO; layer.len()];
+        add_gradient(&layer, 1.0, &poses, &mut gradients);
+        layer.backward(time, &poses, &gradients, (&[], &mut []));
+        let found = layer.motion_mut().gradient_mut().to_vec();
         let largest = found.iter().fold(0.0f32, |a, v| a.max(v.abs()));
         for index in (0..found.len()).step_by(5) {
             let at = |change: f32| {
-                let mut changed = nodes.clone();
+                let mut changed = layer.clone();
                 changed.motion_mut().values_mut()[index] += change;
-                energy(&changed, &changed.poses(time))
+                energy(&changed, &changed.poses(time, &[]))
             };
             let expected = (8.0 * (at(1e-2) - at(-1e-2)) - (at(2e-2) - at(-2e-2))) / 0.12;
             let error = (f64::from(found[index]) - expected).abs() / f64::from(largest);

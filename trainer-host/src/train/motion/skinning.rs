@@ -8,7 +8,7 @@ use rayon::prelude::*;
 
 use super::{
     FOLLOWED,
-    nodes::{ControlNodes, NodeGradient, NodePose},
+    layer::{NodeGradient, NodePose, signs},
 };
 use crate::train::rotation::{Quaternion, conjugate, dot, product};
 
@@ -18,7 +18,8 @@ const CHUNK: usize = 4096;
 /// Nodes at an instant, ready to move Gaussians.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Skinned<'a> {
-    pub(super) nodes: &'a ControlNodes,
+    /// Of each node, one over the square of the distance at which its influence falls off.
+    pub(super) falloff: &'a [f32],
     pub(super) poses: &'a [NodePose],
 }
 
@@ -58,33 +59,21 @@ pub(crate) struct SkinnedGradient {
     pub(crate) logits: [f32; FOLLOWED],
 }
 
-/// Weights of the nodes that a point follows; they sum to 1.
-pub(super) fn node_weights(
-    point: Vec3,
-    followed: &[u32; FOLLOWED],
-    logits: &[f32; FOLLOWED],
-    nodes: &ControlNodes,
-    poses: &[NodePose],
-) -> [f32; FOLLOWED] {
-    let scores: [f32; FOLLOWED] = std::array::from_fn(|k| {
-        let node = followed[k] as usize;
-        logits[k] - 0.5 * point.distance_squared(poses[node].place) * nodes.falloff()[node]
-    });
-    let top = scores.iter().copied().fold(f32::MIN, f32::max);
-    let shares = scores.map(|score| (score - top).exp());
-    let sum: f32 = shares.iter().sum();
-    shares.map(|share| share / sum)
-}
-
 impl Skinned<'_> {
-    /// 1 or -1: whether a node's quaternion or its opposite, the same turn, is nearer to the first one's.
-    fn signs(&self, followed: &[u32; FOLLOWED]) -> [f32; FOLLOWED] {
-        let first = self.poses[followed[0] as usize].turn;
-        std::array::from_fn(
-            |k| {
-                if dot(first, self.poses[followed[k] as usize].turn) < 0.0 { -1.0 } else { 1.0 }
-            },
-        )
+    /// Weights of the nodes that a Gaussian follows; they sum to 1, or are 0 where there are no nodes.
+    pub(crate) fn weights(&self, rest: &Rest) -> [f32; FOLLOWED] {
+        if self.poses.is_empty() {
+            return [0.0; FOLLOWED];
+        }
+        let scores: [f32; FOLLOWED] = std::array::from_fn(|k| {
+            let node = rest.followed[k] as usize;
+            let distance = rest.position.distance_squared(self.poses[node].place);
+            rest.logits[k] - 0.5 * distance * self.falloff[node]
+        });
+        let top = scores.iter().copied().fold(f32::MIN, f32::max);
+        let shares = scores.map(|score| (score - top).exp());
+        let sum: f32 = shares.iter().sum();
+        shares.map(|share| share / sum)
     }
 
     /// The Gaussian at the instant.
@@ -92,8 +81,8 @@ impl Skinned<'_> {
         if self.poses.is_empty() {
             return Posed { position: rest.position, rotation: rest.rotation };
         }
-        let weights = node_weights(rest.position, rest.followed, rest.logits, self.nodes, self.poses);
-        let signs = self.signs(rest.followed);
+        let weights = self.weights(rest);
+        let signs = signs(rest.followed, self.poses);
         let (mut position, mut turn) = (Vec3::ZERO, [0.0; 4]);
         for k in 0..FOLLOWED {
             let pose = &self.poses[rest.followed[k] as usize];
@@ -115,8 +104,8 @@ impl Skinned<'_> {
             return SkinnedGradient { position, rotation, logits: [0.0; FOLLOWED] };
         }
         let point = rest.position;
-        let weights = node_weights(point, rest.followed, rest.logits, self.nodes, self.poses);
-        let signs = self.signs(rest.followed);
+        let weights = self.weights(rest);
+        let signs = signs(rest.followed, self.poses);
         let of_turn = product(gradient.rotation, conjugate(rest.rotation));
         let (mut turn, mut position) = ([0.0; 4], Vec3::ZERO);
         let (mut of_weight, mut mean) = ([0.0; FOLLOWED], 0.0);
@@ -139,7 +128,7 @@ impl Skinned<'_> {
         let logits: [f32; FOLLOWED] = std::array::from_fn(|k| weights[k] * (of_weight[k] - mean));
         for (slope, &node) in logits.iter().zip(rest.followed) {
             let node = node as usize;
-            position -= *slope * self.nodes.falloff()[node] * (point - self.poses[node].place);
+            position -= *slope * self.falloff[node] * (point - self.poses[node].place);
         }
         SkinnedGradient { position, rotation: product(conjugate(turn), gradient.rotation), logits }
     }
@@ -172,15 +161,15 @@ impl Skinned<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::train::motion::TemporalBasis;
+    use crate::train::motion::{ControlNodes, MovedPoint, TemporalBasis, layer::Layer};
 
     const WEIGHTS: [f32; 7] = [0.7, -0.3, 0.5, 0.2, -0.9, 0.4, 0.6];
     const FOLLOWS: [u32; FOLLOWED] = [2, 0, 5, 3];
 
-    fn nodes() -> ControlNodes {
-        let points: Vec<[f32; 3]> =
-            (0..30).map(|i| [(i as f32).sin(), (1.7 * i as f32).cos(), (0.3 * i as f32).sin()]).collect();
-        let mut nodes = ControlNodes::none(TemporalBasis::new(&[4, 6]), 1.3).spread(&points, 6);
+    fn nodes() -> Layer {
+        let place = |i: f32| [i.sin(), (1.7 * i).cos(), (0.3 * i).sin()];
+        let points: Vec<MovedPoint> = (0..6).map(|i| MovedPoint::at_rest(place(i as f32))).collect();
+        let mut nodes = Layer::new(&points, TemporalBasis::new(&[4, 6]), 1.3, true);
         for (i, v) in nodes.motion_mut().values_mut().iter_mut().enumerate() {
             *v = 0.4 * (i as f32 * 1.3).sin();
         }
@@ -195,11 +184,15 @@ mod tests {
         (Vec3::new(x, y, z), [a, b, c, d], [e, f, g, h])
     }
 
-    fn value(nodes: &ControlNodes, time: f32, numbers: &Numbers) -> f64 {
-        let poses = nodes.poses(time);
+    fn skinned<'a>(nodes: &'a Layer, poses: &'a [NodePose]) -> Skinned<'a> {
+        Skinned { falloff: nodes.falloff(), poses }
+    }
+
+    fn value(nodes: &Layer, time: f32, numbers: &Numbers) -> f64 {
+        let poses = nodes.poses(time, &[]);
         let (position, rotation, logits) = rest(numbers);
         let posed =
-            nodes.skin(&poses).pose(&Rest { position, rotation, followed: &FOLLOWS, logits: &logits });
+            skinned(nodes, &poses).pose(&Rest { position, rotation, followed: &FOLLOWS, logits: &logits });
         let values = posed.position.to_array().into_iter().chain(posed.rotation);
         values.zip(WEIGHTS).map(|(v, w)| f64::from(v * w)).sum()
     }
@@ -208,7 +201,7 @@ mod tests {
     fn gradients_are_difference_quotients() {
         let (mut nodes, time) = (nodes(), 0.37);
         let numbers: Numbers = [0.1, 0.4, -0.2, 0.8, -0.1, 0.3, 0.5, 0.2, -0.4, 0.1, 0.3];
-        let poses = nodes.poses(time);
+        let poses = nodes.poses(time, &[]);
         let mut sums = vec![NodeGradient::ZERO; nodes.len()];
         let gradient = PosedGradient {
             position: Vec3::new(WEIGHTS[0], WEIGHTS[1], WEIGHTS[2]),
@@ -216,7 +209,7 @@ mod tests {
         };
         let (position, rotation, logits) = rest(&numbers);
         let rest = Rest { position, rotation, followed: &FOLLOWS, logits: &logits };
-        let found = nodes.skin(&poses).backward(&rest, &gradient, &mut sums);
+        let found = skinned(&nodes, &poses).backward(&rest, &gradient, &mut sums);
         let found: Vec<f32> =
             found.position.to_array().into_iter().chain(found.rotation).chain(found.logits).collect();
         for (index, found) in found.into_iter().enumerate() {
@@ -228,7 +221,7 @@ mod tests {
             let expected = (8.0 * (at(1e-2) - at(-1e-2)) - (at(2e-2) - at(-2e-2))) / 0.12;
             assert!((f64::from(found) - expected).abs() < 2e-3, "{index}: {found} {expected}");
         }
-        nodes.backward(time, &poses, &sums);
+        nodes.backward(time, &poses, &sums, (&[], &mut []));
         let found = nodes.motion_mut().gradient_mut().to_vec();
         for index in (0..found.len()).step_by(3) {
             let at = |change: f32| {
@@ -251,6 +244,6 @@ mod tests {
         let numbers: Numbers = [0.1, 0.4, -0.2, 0.8, -0.1, 0.3, 0.5, 0.0, 0.0, 0.0, 0.0];
         let (position, rotation, logits) = rest(&numbers);
         let rest = Rest { position, rotation, followed: &[0; FOLLOWED], logits: &logits };
-        assert_eq!(nodes.skin(&[]).pose(&rest), Posed { position, rotation });
+        assert_eq!(nodes.skin(&nodes.poses(0.5)).pose(&rest), Posed { position, rotation });
     }
 }
