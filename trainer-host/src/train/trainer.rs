@@ -18,6 +18,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     density::{self, Pull},
     error::TrainError,
+    finish::{Encoding, Finisher, Finishing, Pruning},
     gaussians::TrainedGaussians,
     model::Model,
     motion::{ControlNodes, FOLLOWED, TemporalBasis},
@@ -26,9 +27,13 @@ use super::{
     photographs::Pyramid,
     schedule,
     start::{self, Extent},
+    step_report::{Stage, StepReport},
     views::{Dataset, Training, Views},
 };
-use crate::scene::Instant;
+use crate::{
+    encode::{Decisions, EncodeOptions},
+    scene::Instant,
+};
 
 /// Steps between two controls of density.
 const DENSITY_EVERY: u32 = 100;
@@ -44,44 +49,6 @@ const MOST_STEPS: u32 = 1 << 30;
 const FINEST_TIME: usize = 32;
 /// One step in this many shows the whole photograph and not only what its outline needs.
 const WHOLE_EVERY: u32 = 8;
-
-/// What a step did.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StepReport {
-    /// Steps taken, this one included.
-    pub step: u32,
-    /// Index of the view in the training split.
-    pub view: usize,
-    /// Loss of the view.
-    pub loss: f64,
-    /// Running mean of the loss, over about 100 steps.
-    pub mean_loss: f64,
-    /// Width and height of the photographs that are trained on now, pixels.
-    pub size: (u32, u32),
-    /// Gaussians now.
-    pub gaussians: usize,
-    /// Control nodes now.
-    pub nodes: usize,
-    /// What made training fall back to an earlier state, if it did.
-    pub retreat: Option<String>,
-}
-
-/// Parts of a step, for whoever measures them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// Choosing a view; new sizes and nodes.
-    Prepare,
-    /// Moving the Gaussians to the view's time.
-    Pose,
-    /// Rendering, loss and gradients of the splats.
-    Render,
-    /// Gradients of attributes and nodes.
-    Motion,
-    /// Steps of Adam.
-    Update,
-    /// Adding and removing Gaussians.
-    Density,
-}
 
 /// All that a training knows between two steps.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -102,6 +69,7 @@ pub(super) struct State {
     lowest_loss: f64,
     last_density: u32,
     retreats: u32,
+    pub(super) finishing: Finishing,
 }
 
 impl State {
@@ -112,6 +80,7 @@ impl State {
         self.model.is_sound()
             && self.pull.is_sound(self.model.gaussians())
             && counts.iter().all(|&count| count <= MOST_STEPS)
+            && self.finishing.is_sound(self.model.gaussians())
             && self.retreats <= MOST_RETREATS
             && !self.mean_loss.is_nan()
             && !self.lowest_loss.is_nan()
@@ -132,6 +101,7 @@ pub struct Trainer<'a> {
     /// The order of views of one pass over them, and which pass it is.
     order: (u64, Vec<usize>),
     memory: Memory,
+    finisher: Finisher,
 }
 
 /// Memory that steps use again.
@@ -179,7 +149,10 @@ impl<'a> Trainer<'a> {
             lowest_loss: f64::INFINITY,
             last_density: 0,
             retreats: 0,
+            finishing: Finishing::default(),
         };
+        let encoding =
+            Encoding { options: EncodeOptions::default(), frames: dataset.frames, frames_per_second: 30.0 };
         Ok(Self {
             views: &dataset.train,
             has_alpha: dataset.has_alpha,
@@ -187,6 +160,7 @@ impl<'a> Trainer<'a> {
             options,
             extent,
             fallback: state.clone(),
+            finisher: Finisher::new(encoding, &state.model.gaussians),
             state,
             order: (u64::MAX, Vec::new()),
             memory: Memory::default(),
@@ -214,6 +188,7 @@ impl<'a> Trainer<'a> {
         if state.size >= self.pyramid.sizes() {
             return refused("made for photographs of another size");
         }
+        self.finisher.take_up(&state.finishing, state.model.gaussians())?;
         self.fallback = state.clone();
         self.state = state;
         Ok(self)
@@ -237,6 +212,36 @@ impl<'a> Trainer<'a> {
     /// The scene as it is now.
     pub fn model(&self) -> &Model {
         &self.state.model
+    }
+
+    /// The scene as a receiver has it, but for what is lost of its motion: the same as
+    /// [`Trainer::model`] until values are rounded.
+    pub fn shown(&self) -> Model {
+        self.finisher.shown(&self.state.model)
+    }
+
+    /// The choices of the encoder that the training has made its own, once values are rounded.
+    ///
+    /// # Errors
+    /// Never for those that it made itself.
+    pub fn decisions(&self) -> Result<Option<Decisions>, TrainError> {
+        self.state.finishing.decisions()
+    }
+
+    /// What was removed, pruning by pruning.
+    pub fn prunings(&self) -> &[Pruning] {
+        &self.state.finishing.prunings
+    }
+
+    /// Bytes that the canonical values of the stream are estimated to take, once they are rounded.
+    pub fn estimated_bytes(&self) -> Option<f64> {
+        self.finisher.estimated_bytes(&self.state.model)
+    }
+
+    /// The same, for an encoding by `encoding`.
+    pub fn encoded_by(mut self, encoding: Encoding) -> Self {
+        self.finisher.set_encoding(encoding);
+        self
     }
 
     /// Steps taken.
@@ -269,6 +274,7 @@ impl<'a> Trainer<'a> {
         let progress = progress.clamp(0.0, 1.0);
         observe(Stage::Prepare);
         self.enter_stages(progress);
+        self.finish(progress)?;
         let mut rng = self.luck();
         let view = self.next_view(progress);
         let loss = self.differentiate(view, progress, &mut rng, observe)?;
@@ -327,6 +333,23 @@ impl<'a> Trainer<'a> {
         }
     }
 
+    /// Prunes, or begins to round, where the schedule says so.
+    fn finish(&mut self, progress: f64) -> Result<(), TrainError> {
+        let State { model, finishing, pull, size, .. } = &mut self.state;
+        let size_of = |view| self.pyramid.size(view, *size);
+        let differentiator = &mut self.memory.differentiator;
+        let options = &self.options;
+        let needed = finishing.pruned(options, progress, model, self.views, size_of, differentiator)?;
+        if let Some(needed) = needed {
+            model.select(&needed);
+            *pull = Pull::none(needed.len());
+        }
+        if finishing.rounding_due(&options.finish, progress) {
+            self.finisher.encode_first(&options.finish, model, finishing)?;
+        }
+        Ok(())
+    }
+
     /// The next view, in an order that is drawn anew for each pass over them; early in the training those
     /// near the canonical instant.
     fn next_view(&mut self, progress: f64) -> usize {
@@ -378,7 +401,10 @@ impl<'a> Trainer<'a> {
 
         observe(Stage::Pose);
         let Memory { differentiator, gradients, statistics, instant } = &mut self.memory;
-        self.state.model.instant_into(posed.time, instant);
+        match self.finisher.rounded(&self.state.model) {
+            Some(rounded) => self.state.model.instant_of(rounded, posed.time, instant),
+            None => self.state.model.instant_into(posed.time, instant),
+        }
         observe(Stage::Render);
         let settings = Settings { background, ..Settings::default() };
         let failed = |source: BackendError| TrainError::View { view: posed.name.clone(), source };
@@ -413,6 +439,8 @@ impl<'a> Trainer<'a> {
         nodes.keep_rigid(rigidity, &poses, &mut of_nodes);
         nodes.backward(time, &poses, &of_nodes);
         gaussians.regularise(self.options.opacity_weight, self.options.scale_weight);
+        self.finisher.price(&self.options.finish, state.step, &mut state.model);
+        let Model { gaussians, nodes, .. } = &mut state.model;
         if progress < self.options.schedule.density_end {
             state.pull.add(&gradients.splats, &self.memory.statistics);
         }
@@ -494,6 +522,6 @@ impl<'a> Trainer<'a> {
         }
         self.state = self.fallback.clone();
         self.state.retreats = retreats;
-        Ok(())
+        self.finisher.take_up(&self.state.finishing, self.state.model.gaussians())
     }
 }
