@@ -24,6 +24,7 @@ mod photographs;
 mod rotation;
 mod schedule;
 mod start;
+mod state;
 mod step_report;
 mod trainer;
 pub mod views;

@@ -1,5 +1,5 @@
-//! Rounds the canonical values of one Gaussian at a time as the writer of a `dgs1` stream does, and back: what
-//! a receiver of all levels sees of them.
+//! Rounds the canonical values of one Gaussian at a time as the writer of a `dgs1` stream does, and back:
+//! what a receiver of all levels sees of them.
 //!
 //! Left out: Gaussians with two equal scales, whose turn in their plane the writer chooses. Training makes
 //! none.
@@ -115,7 +115,7 @@ impl Rounding {
         Some((self.quants.get(quant)?, degree))
     }
 
-    /// The turn that Gaussian `index` of rotation `rotation` is sent with, and which old axis each new one is.
+    /// The turn from the right that a Gaussian of `rotation` is sent with, and which old axis each new one is.
     fn turn(&self, rotation: Quat) -> (Quat, [usize; 3]) {
         let mut best = (-1.0f32, ([1.0, 0.0, 0.0, 0.0], [0, 1, 2]));
         for &(turn, axes) in &self.turns {
@@ -206,8 +206,8 @@ pub(crate) fn bands(rest: &mut [f32]) -> impl Iterator<Item = (Class, &mut [f32]
     })
 }
 
-/// Turns triples of `values` by `form` where they are sent so; it is its own transpose's inverse, so slopes by
-/// coordinates go back by [`recorrelate`].
+/// Turns triples of `values` by `form` where they are sent so. It keeps lengths, so slopes by coordinates go
+/// back by [`recorrelate`].
 pub(crate) fn triples(
     quantiser: &Quantiser,
     class: Class,
@@ -261,9 +261,9 @@ mod tests {
         let sh_rest = (0..24 * epoch.count()).map(|i| 0.3 * noise(i) * noise(i / 24)).collect();
         let sh_degree = ShDegree::new(2).unwrap();
         // No two axes alike: see the page.
-        let stretched = |(i, s): (usize, &[f32; 3])| [0, 1, 2].map(|d| s[d] + 0.2 * noise(3 * i + d));
+        let uneven = |(i, s): (usize, &[f32; 3])| [0, 1, 2].map(|d| s[d] + 0.2 * noise(3 * i + d));
         let log_scales = epoch.attributes().log_scales.frame(0, epoch.count()).iter().enumerate();
-        let log_scales = Track::Constant(log_scales.map(stretched).collect());
+        let log_scales = Track::Constant(log_scales.map(uneven).collect());
         let attributes = Attributes { sh_rest, sh_degree, log_scales, ..epoch.attributes().clone() };
         Scene::new(vec![Epoch::new(1, attributes).unwrap()], 30.0).unwrap()
     }

@@ -71,7 +71,8 @@ pub(super) fn encode(
     Ok(encoded)
 }
 
-/// As [`again`], with steps of motion such that the stream comes close to the size of `options`, if it has one.
+/// As [`again`], with steps of motion such that the stream comes close to the size that `options` name, if
+/// they do.
 ///
 /// # Errors
 /// As [`again`], or a size that steps of motion do not lead to.
@@ -262,5 +263,38 @@ mod tests {
         }
         let never = search.run(|u| Ok::<_, ()>((9.0 - u, u))).unwrap();
         assert_eq!((never.what, never.excess > 0.0), (4.1, true));
+    }
+
+    #[test]
+    fn steps_of_motion_lead_to_a_size_and_leave_canonical_values_alone() {
+        let options = synth::SynthOptions {
+            gaussians: 1500,
+            frames: 12,
+            kind: SynthKind::Figure,
+            ..Default::default()
+        };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
+        let first = crate::encode::encode(&scene, &options, &|_, _| {}).unwrap();
+        let bytes = first.report.ledger.wire();
+        for share in [0.95, 1.05] {
+            let target = Some(Target::Bytes((share * bytes) as u64));
+            let to_size = EncodeOptions { target, ..options.clone() };
+            let found = again_to_size(&scene, &first.decisions, &to_size, &|_, _| {}).unwrap();
+            let ratio = found.report.ledger.wire() / (share * bytes);
+            assert!((1.0 - CLOSE..=1.0).contains(&ratio), "{share}: {ratio}");
+            assert_eq!(found.order, first.order);
+            let canonical = |encoded: &Encoded| {
+                let shares = encoded.report.ledger.shares.iter();
+                shares.filter(|s| !s.attribute.contains("motion") && s.attribute != "track").count()
+            };
+            assert_eq!(canonical(&found), canonical(&first));
+        }
+        let few = EncodeOptions { target: Some(Target::Bytes(1000)), ..options.clone() };
+        let error = again_to_size(&scene, &first.decisions, &few, &|_, _| {}).unwrap_err();
+        assert!(matches!(error, EncodeError::Unreachable { .. }), "{error}");
+        // Without a size nothing is sought.
+        let again = again_to_size(&scene, &first.decisions, &options, &|_, _| {}).unwrap();
+        assert_eq!(again.report.reached, None);
     }
 }

@@ -2,11 +2,12 @@
 //! rounded.
 //!
 //! ```text
-//! training ─▶ prune ─▶ recover ─▶ prune ─▶ recover ─▶ encode once ─▶ train as rounded, with what values cost
-//!             [`importance`]                          decisions         [`coding`]
+//! training ─▶ prune ─▶ recover ─▶ prune ─▶ recover ─▶ encode once ─▶ train as rounded, values at a price
+//!             [`importance`]                          decisions      [`coding`]           [`price`]
 //! ```
 //!
-//! From the first encoding on its choices (clusters, orders, steps, degrees) stay; the last one writes by them.
+//! From the first encoding on its choices (clusters, orders, steps, degrees) stay; the last one writes by
+//! them.
 
 mod coding;
 mod importance;

@@ -13,7 +13,6 @@ use render_host::{
         loss::photograph::{Photograph, PhotographLoss},
     },
 };
-use serde::{Deserialize, Serialize};
 
 use super::{
     density::{self, Pull},
@@ -27,6 +26,7 @@ use super::{
     photographs::Pyramid,
     schedule,
     start::{self, Extent},
+    state::{MOST_RETREATS, State},
     step_report::{Stage, StepReport},
     views::{Dataset, Training, Views},
 };
@@ -41,51 +41,10 @@ const DENSITY_EVERY: u32 = 100;
 const CHECK_EVERY: u32 = 100;
 /// Checks between two states to fall back to.
 const KEEP_EVERY: u32 = 5;
-/// Times that training may fall back before it gives up.
-const MOST_RETREATS: u32 = 3;
-/// Most steps of a training.
-const MOST_STEPS: u32 = 1 << 30;
 /// Functions over time of the finest spline that nodes move by.
 const FINEST_TIME: usize = 32;
 /// One step in this many shows the whole photograph and not only what its outline needs.
 const WHOLE_EVERY: u32 = 8;
-
-/// All that a training knows between two steps.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct State {
-    pub(super) model: Model,
-    pub(super) step: u32,
-    /// Steps since the nodes were spread.
-    node_step: u32,
-    /// Stages of nodes entered.
-    node_stages: usize,
-    /// Index of the size of photographs.
-    size: usize,
-    /// Views drawn, those passed over included.
-    drawn: u64,
-    pull: Pull,
-    mean_loss: f64,
-    /// Smallest running mean at this size of photographs.
-    lowest_loss: f64,
-    last_density: u32,
-    retreats: u32,
-    pub(super) finishing: Finishing,
-}
-
-impl State {
-    /// Whether what was read from a file can be used: numbers that do not fit together would be out of bounds
-    /// somewhere later.
-    pub(super) fn is_sound(&self) -> bool {
-        let counts = [self.step, self.node_step, self.last_density];
-        self.model.is_sound()
-            && self.pull.is_sound(self.model.gaussians())
-            && counts.iter().all(|&count| count <= MOST_STEPS)
-            && self.finishing.is_sound(self.model.gaussians())
-            && self.retreats <= MOST_RETREATS
-            && !self.mean_loss.is_nan()
-            && !self.lowest_loss.is_nan()
-    }
-}
 
 /// Fits a scene to the training split of a dataset.
 #[derive(Debug)]

@@ -25,7 +25,7 @@ impl Laplace {
         Self { mean, scale: distance.max(0.05 * step), step }
     }
 
-    /// The distribution about 0 of whole numbers, in cells of 1: the one whose cells have their mean distance.
+    /// The distribution about 0 of whole numbers, in cells of 1, whose cells have their mean distance.
     pub(in crate::train) fn of_cells(values: impl Iterator<Item = f64>) -> Self {
         let (mut count, mut sum) = (0.0, 0.0);
         for value in values {

@@ -1,8 +1,8 @@
 //! Measures what pictures lose without each Gaussian, and says which are needed most.
 //!
 //! A picture is linear in the opacity of each Gaussian, so leaving one out changes it by exactly
-//! `-opacity · ∂I/∂opacity`. The squares of that, summed over pixels and channels, come from one backward pass
-//! with random signs ([`Signs`]), averaged over training views.
+//! `-opacity · ∂I/∂opacity`. The squares of that, summed over pixels and channels, come from one backward
+//! pass with random signs ([`Signs`]), averaged over training views.
 
 use render_host::{Differentiator, Settings, Splats, adjoint::Gradients};
 
@@ -121,8 +121,8 @@ mod tests {
         let exact: Vec<f64> = (0..found.len()).map(error_without).collect();
         let ratio = found.iter().sum::<f64>() / exact.iter().sum::<f64>();
         assert!((0.75..1.3).contains(&ratio), "{ratio}");
-        let (kept, best) = (most_needed(&found, 0.5), most_needed(&exact, 0.5));
-        let agreed = kept.iter().filter(|index| best.contains(index)).count();
+        let (needed, best) = (most_needed(&found, 0.5), most_needed(&exact, 0.5));
+        let agreed = needed.iter().filter(|index| best.contains(index)).count();
         assert!(agreed * 10 > 8 * best.len(), "{agreed} of {}", best.len());
     }
 

@@ -1,9 +1,9 @@
 //! Prices the canonical values of a block of Gaussians: bits, and their slopes by parameters.
 //!
 //! Per component of a block one Laplace distribution over cells of the quantiser, as a table per run of
-//! symbols is: about 0 for rotations and higher bands, whose least values are zero, about the block's mean for
-//! others. Where differences to the Gaussian before are sent, those of the base, and what refines it is spread
-//! evenly. Positions and rotations have no slope: what they cost is where things are.
+//! symbols is: about 0 for rotations and higher bands, whose least values are zero, about the block's mean
+//! for others. Where differences to the Gaussian before are sent, those of the base, and what refines it is
+//! spread evenly. Positions and rotations have no slope: what they cost is where things are.
 
 use codec_core::internals::{
     ids::Level,
@@ -125,5 +125,95 @@ fn by_parameters(
         opacity: plain[9] * values.opacity * (1.0 - values.opacity),
         sh0: [plain[10], plain[11], plain[12]],
         rest,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        encode::{Decisions, EncodeOptions, encode},
+        import::{
+            Limits,
+            synth::{self, SynthKind},
+        },
+    };
+
+    const REST: usize = 9;
+
+    /// The rounding of a scene whose colours and scales go in triples.
+    fn rounding() -> (Rounding, Quant) {
+        let options =
+            synth::SynthOptions { kind: SynthKind::Figure, gaussians: 1000, frames: 1, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let encoded = encode(&scene, &EncodeOptions::default(), &|_, _| {}).unwrap();
+        let Decisions::Dgs1(decisions) = encoded.decisions else { unreachable!("profile dgs1") };
+        let rounding = Rounding::of(&decisions, &decisions.epochs[0], 1000).unwrap();
+        let mut quant = *rounding.quantisers(0).unwrap().0;
+        for class in [Class::Scale, Class::Sh0, Class::Sh1] {
+            let quantiser = &mut quant.canonical[class.index()];
+            *quantiser = quantiser.with_decorrelated(true);
+        }
+        (rounding, quant)
+    }
+
+    /// Log-scales, logit, band 0 and band 1 as one list.
+    fn values(all: &[f32]) -> (CanonicalValues, Vec<f32>) {
+        let values = CanonicalValues {
+            position: [0.1, 0.2, 0.3],
+            rotation: [0.5, 0.5, -0.5, 0.5],
+            log_scale: [all[0], all[1], all[2]],
+            opacity: 1.0 / (1.0 + (-all[3]).exp()),
+            sh0: [all[4], all[5], all[6]],
+        };
+        (values, all[7..].to_vec())
+    }
+
+    #[test]
+    fn slopes_by_parameters_are_differences_of_coordinates() {
+        let (rounding, quant) = rounding();
+        let all: Vec<f32> = (0..7 + REST).map(|i| 0.3 * (1.7 * i as f32).sin()).collect();
+        let weight = |k: usize| 0.5 + (0.9 * k as f32).cos();
+        let coordinates = |all: &[f32]| -> f64 {
+            let (values, mut rest) = values(all);
+            rounding.rest_coordinates(&quant, &mut rest);
+            let (mut plain, _) = rounding.coordinates(&quant, &values);
+            // Positions and rotations have no slope.
+            (0..3).chain(6..9).for_each(|k| plain[k] = 0.0);
+            plain.iter().chain(&rest).enumerate().map(|(k, v)| f64::from(weight(k) * v)).sum()
+        };
+        let (here, _) = values(&all);
+        let (_, axes) = rounding.coordinates(&quant, &here);
+        let plain = std::array::from_fn(weight);
+        let rest = (0..REST).map(|k| weight(PLAIN + k)).collect();
+        let slopes = by_parameters(&quant, plain, rest, &here, &axes);
+        let found: Vec<f32> = [&slopes.log_scale[..], &[slopes.opacity], &slopes.sh0, &slopes.rest].concat();
+        for (i, found) in found.into_iter().enumerate() {
+            let at = |by: f32| {
+                let mut moved = all.clone();
+                moved[i] += by;
+                coordinates(&moved)
+            };
+            let expected = (at(5e-3) - at(-5e-3)) / 1e-2;
+            assert!(
+                (f64::from(found) - expected).abs() < 0.02 * expected.abs() + 0.05,
+                "{i}: {found} {expected}"
+            );
+        }
+    }
+
+    #[test]
+    fn what_is_spread_costs_more_and_is_drawn_together() {
+        let (_, quant) = rounding();
+        let quantiser = &quant.canonical[Class::Sh1.index()];
+        let spread = |by: f64| {
+            let column: Vec<f64> = (0..64).map(|i| by * (f64::from(i * 37 % 64) - 31.5) / 32.0).collect();
+            let mut slopes = vec![0.0; 64];
+            let bits = run(&column, quantiser, Class::Sh1, slopes.iter_mut());
+            (bits, column, slopes)
+        };
+        let (wide, column, slopes) = spread(20.0);
+        assert!(wide > spread(5.0).0 + 64.0 && spread(0.1).0 < 10.0, "{wide}");
+        assert!(slopes.iter().zip(column).all(|(slope, value)| f64::from(*slope) * value >= 0.0));
     }
 }
