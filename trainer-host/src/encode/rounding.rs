@@ -115,7 +115,8 @@ impl Rounding {
         Some((self.quants.get(quant)?, degree))
     }
 
-    /// The turn from the right that a Gaussian of `rotation` is sent with, and which old axis each new one is.
+    /// The turn from the right that a Gaussian of `rotation` is sent with, and which old axis each new one
+    /// is.
     fn turn(&self, rotation: Quat) -> (Quat, [usize; 3]) {
         let mut best = (-1.0f32, ([1.0, 0.0, 0.0, 0.0], [0, 1, 2]));
         for &(turn, axes) in &self.turns {
