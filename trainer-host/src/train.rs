@@ -18,7 +18,7 @@ mod finish;
 mod gaussians;
 mod model;
 pub mod motion;
-pub mod options;
+mod options;
 mod parameter;
 mod photographs;
 mod rotation;
@@ -27,7 +27,7 @@ mod start;
 mod state;
 mod step_report;
 mod trainer;
-pub mod views;
+mod views;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use error::TrainError;
