@@ -64,6 +64,9 @@ fn a_training_writes_a_stream_a_checkpoint_a_log_and_a_report() {
     assert!(text.contains(", FLIP ") && text.contains("LPIPS: no weights given"), "{text}");
     assert!(text.contains("utilities, training photographs\n  level 0: "), "{text}");
     assert!(text.contains("utilities, test photographs\n"), "{text}");
+    // Its end pruned and rounded, and says so.
+    assert_eq!(text.matches("  pruned: ").count(), 2, "{text}");
+    assert!(text.contains("  rounded: canonical values ") && text.contains("  harmonics: "), "{text}");
     let log = fs::read_to_string(at.join("out/log.csv")).unwrap();
     assert!(log.starts_with("step,seconds,loss") && log.contains("\n200,"), "{log}");
     let page = fs::read_to_string(at.join("out/report.html")).unwrap();

@@ -86,7 +86,9 @@ pub struct Train {
     #[arg(long, value_name = "CONFIG")]
     pub delivery: Option<String>,
     /// Most that encoding may take from the PSNR of validation views (of training views where there are
-    /// none), dB: steps are chosen to keep to it. Typed sizes or steps decide instead, and --delivery has
+    /// none), dB: steps are chosen to keep to it, those of motion alone where the training has rounded the
+    /// rest (the last fifth of it; `finish` in --options). --target-bytes N ends between 98 % and all of N
+    /// where something moves. Other typed sizes or steps leave rounding to the encoder, and --delivery has
     /// steps of its own.
     #[arg(
         long, value_name = "DB", default_value_t = 0.1, value_parser = real(0.001..=100.0, "dB"),

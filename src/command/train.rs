@@ -3,6 +3,7 @@
 mod delivery;
 mod encoding;
 mod figures;
+mod finishing;
 mod folder;
 mod interruption;
 mod log;
@@ -16,16 +17,18 @@ use render_host::{Backend, metric::Lpips};
 use serde_json::json;
 use trainer_host::{
     Scene,
+    encode::Protection,
     train::{
-        self, Checkpoint, Dataset, DensityControl, Posable, Trainer,
+        self, Checkpoint, Dataset, DensityControl, Encoding, Posable, Trainer,
         dataset::{self, rendered},
         delivery::DeliveryOptions,
     },
 };
 
 use self::{
-    encoding::within_loss,
+    encoding::{steps_are_typed, within_loss},
     figures::{Figure, decoded, lpips},
+    finishing::Finished,
     folder::Folder,
     interruption::Interruption,
     log::{Log, Sample},
@@ -74,7 +77,12 @@ pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     if let (Some(scene), Some(options)) = (&scene, &delivery) {
         return delivery::run(args, &folder, scene, &dataset, options, &stop, quiet);
     }
-    let (mut trainer, begun) = begin(args, &folder, &dataset, &backend)?;
+    let (trainer, begun) = begin(args, &folder, &dataset, &backend)?;
+    let mut trainer = trainer.encoded_by(Encoding {
+        options: pipeline::encode_options(&args.codec, Protection::NONE),
+        frames: args.frames.unwrap_or(dataset.frames),
+        frames_per_second: args.scene.fps,
+    });
     let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
     let ended = fit(args, &folder, &dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
     let (delivery, network) = (delivery.as_ref(), network.as_ref());
@@ -139,6 +147,10 @@ fn options(args: &Train) -> Result<train::TrainOptions> {
     options.sh_degree = args.sh_degree.unwrap_or(options.sh_degree);
     options.max_side = args.max_side.unwrap_or(options.max_side);
     options.background = args.background.unwrap_or(options.background);
+    options.finish.target_bytes = args.codec.target_bytes.unwrap_or(options.finish.target_bytes);
+    if steps_are_typed(args) || args.delivery.is_some() {
+        options.finish.round_from = 1.0;
+    }
     if let Some(density) = args.density {
         options.density = match density {
             DensityName::Split => DensityControl::Split,
@@ -268,15 +280,16 @@ fn finish(
         }
         Ok(())
     };
-    measure("test views, as trained", trainer.model(), plain)?;
+    let shown = trainer.shown();
+    measure("test views, as trained", &shown, plain)?;
     measure("test views, as decoded from scene.dgs", &decoded, plain)?;
     if dataset.has_alpha {
-        measure("test views, as trained, opposite background", trainer.model(), other)?;
+        measure("test views, as trained, opposite background", &shown, other)?;
     }
     let seen = dataset.train.sample(dataset.test.photographs().len().max(GLANCE_VIEWS));
     figures.push(Figure {
         what: "training views, as trained".to_owned(),
-        found: train::evaluate(trainer.model(), &seen, reduced, plain)?,
+        found: train::evaluate(&shown, &seen, reduced, plain)?,
         seen: None,
     });
 
@@ -292,6 +305,9 @@ fn finish(
     files::write(&folder.preview, &preview.to_png()?)?;
     files::write(&folder.report, page.html()?.as_bytes())?;
     let mut output = said(args, folder, trainer, log, &figures, bytes.len(), frames, &ended);
+    let finished = Finished::of(trainer, &written);
+    output.text += &finished.text();
+    output.json["finishing"] = json!(finished);
     for audit in &audits {
         output.text += &audit.text();
     }

@@ -101,7 +101,7 @@ const CEILINGS: [(&str, Counts); 11] = [
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 30]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 234]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 48]),
-    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 266]),
+    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 255]),
 ];
 
 /// The room of a file: the longest folder of [`CEILINGS`] that it lies in.

@@ -14,24 +14,29 @@ pub mod delivery;
 mod density;
 mod error;
 pub mod evaluation;
+mod finish;
 mod gaussians;
 mod model;
 pub mod motion;
-pub mod options;
+mod options;
 mod parameter;
 mod photographs;
 mod rotation;
 mod schedule;
 mod start;
+mod state;
+mod step_report;
 mod trainer;
-pub mod views;
+mod views;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use error::TrainError;
 pub use evaluation::{Evaluation, EvaluationError, Perceptual, Posable, compare, evaluate, perceptual};
+pub use finish::{Encoding, Pruning};
 pub use model::Model;
-pub use options::{DensityControl, OptionsError, Rates, Schedule, TrainOptions};
-pub use trainer::{Stage, StepReport, Trainer};
+pub use options::{DensityControl, Finish, OptionsError, Rates, Schedule, TrainOptions};
+pub use step_report::{Stage, StepReport};
+pub use trainer::Trainer;
 pub use views::{
     ColouredPoint, Dataset, PosedPhotograph, Start, Test, Training, Validation, Views, ViewsError,
 };

@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use trainer_host::{
     Scene,
-    encode::{self, EncodeOptions, Encoded, Protection, Quality},
+    encode::{self, EncodeOptions, Encoded, Protection, Quality, Target},
     train::{self, Dataset, Posable, Trainer},
 };
 
@@ -62,27 +62,24 @@ pub(super) fn encoded(
     quiet: Quiet,
 ) -> Result<Encoded> {
     let options = pipeline::encode_options(&args.codec, Protection::NONE);
-    stoppable(scene, &options, stop, what_is_left, quiet)
-}
-
-fn stoppable(
-    scene: &Scene,
-    options: &EncodeOptions,
-    stop: &Interruption,
-    what_is_left: &str,
-    quiet: Quiet,
-) -> Result<Encoded> {
     let bar = Progress::new("encode", quiet.0);
     let progress = |stage: &'static str, share: f64| {
         stop.leave(what_is_left);
         bar.stage(stage, share);
     };
-    encode::encode(scene, options, &progress).context("cannot encode")
+    encode::encode(scene, &options, &progress).context("cannot encode")
+}
+
+/// Whether `args` say how fine steps are, so that a training must not choose them.
+pub(super) fn steps_are_typed(args: &Train) -> bool {
+    let codec = &args.codec;
+    let by_goal = codec.target_bits_per_gaussian.is_some() || codec.target_psnr.is_some();
+    by_goal || codec.coarseness != 1.0 || codec.profile != ProfileName::Dgs1
 }
 
 /// The stream of `scene`. Unless its size or steps were typed, steps are the coarsest of a few that take at
 /// most `--encoding-loss` from the PSNR of validation views (of training views where there are none), or else
-/// the finest of them.
+/// the finest of them. Where the training has made the encoder's choices its own, steps of motion are.
 pub(super) fn within_loss(
     args: &Train,
     scene: &Scene,
@@ -92,11 +89,23 @@ pub(super) fn within_loss(
     what_is_left: &str,
     quiet: Quiet,
 ) -> Result<Encoded> {
-    let options = pipeline::encode_options(&args.codec, Protection::NONE);
-    let encode = |options: &EncodeOptions| stoppable(scene, options, stop, what_is_left, quiet);
-    let is_typed = options.target.is_some() || args.codec.coarseness != 1.0;
-    if is_typed || args.codec.profile != ProfileName::Dgs1 {
-        return encode(&options);
+    let mut options = pipeline::encode_options(&args.codec, Protection::NONE);
+    let decisions = trainer.decisions()?.filter(|_| !steps_are_typed(args));
+    let bar = Progress::new("encode", quiet.0);
+    let progress = |stage: &'static str, share: f64| {
+        stop.leave(what_is_left);
+        bar.stage(stage, share);
+    };
+    if let Some(decisions) = &decisions {
+        let bytes = trainer.options().finish.target_bytes;
+        options.target = options.target.or((bytes > 0).then_some(Target::Bytes(bytes)));
+        if options.target.is_some() {
+            let encoded = encode::again_to_size(scene, decisions, &options, &progress);
+            return encoded.context("cannot encode");
+        }
+    }
+    if options.target.is_some() || steps_are_typed(args) {
+        return encode::encode(scene, &options, &progress).context("cannot encode");
     }
     let (reduced, background) = (trainer.reduced(), trainer.options().background);
     let psnr_db = |shown: &dyn Posable| -> Result<f64> {
@@ -107,10 +116,16 @@ pub(super) fn within_loss(
         };
         Ok(found?.psnr_db)
     };
-    let trained_db = psnr_db(trainer.model())?;
+    let trained_db = psnr_db(&trainer.shown())?;
     let attempt = |coarseness: f64| -> Result<Attempt> {
-        let quality = Quality::default().scaled(coarseness as f32);
-        let encoded = encode(&EncodeOptions { quality, ..options.clone() })?;
+        let encoded = match &decisions {
+            Some(decisions) => encode::again(scene, decisions, coarseness as f32, &options, &progress),
+            None => {
+                let quality = Quality::default().scaled(coarseness as f32);
+                encode::encode(scene, &EncodeOptions { quality, ..options.clone() }, &progress)
+            }
+        };
+        let encoded = encoded.context("cannot encode")?;
         let shown_db = psnr_db(&decoded(&encoded, dataset)?)?;
         Ok(Attempt { encoded, coarseness, lost_db: trained_db - shown_db })
     };

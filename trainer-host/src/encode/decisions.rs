@@ -201,6 +201,13 @@ pub struct MotionDecisions {
     pub table_indices: [String; 4],
 }
 
+impl MotionDecisions {
+    /// Whether nothing of the cluster moves in the window.
+    pub fn is_still(&self) -> bool {
+        self.track == TrackForm::Static && self.ranks == [0; Class::MOVING]
+    }
+}
+
 /// How a cluster moves as a whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]

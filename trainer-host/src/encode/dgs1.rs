@@ -1,7 +1,7 @@
 //! Decides how a scene is represented and coded in profile `dgs1`.
 
 pub(super) mod canonical;
-mod canonical_rotation;
+pub(super) mod canonical_rotation;
 pub(super) mod indices;
 mod levels_sent;
 mod manifest_body;
@@ -84,6 +84,37 @@ pub(super) fn with_levels(
 ) -> Result<Dgs1Decisions, EncodeError> {
     levels_sent::decide(&mut decisions, highest);
     decide_tables(scene, &mut decisions, table_choices)?;
+    Ok(decisions)
+}
+
+/// Decides motion and tables of `scene` anew, with steps of motion `motion` times as long; what was decided
+/// of canonical values stays, but for bands that have become zero.
+///
+/// # Errors
+/// As [`decide`].
+pub(super) fn again(
+    scene: &Scene,
+    mut decisions: Dgs1Decisions,
+    motion: f32,
+    options: &EncodeOptions,
+) -> Result<Dgs1Decisions, EncodeError> {
+    let block_len = decisions.block_len;
+    for (epoch, decided) in scene.epochs().iter().zip(&mut decisions.epochs) {
+        let epoch = symbols::in_canonical_rotation(epoch, decided);
+        let of_motion = decided.quantisers.iter_mut().flat_map(|quantisers| &mut quantisers.motion);
+        of_motion.for_each(|quantiser| quantiser.step *= motion);
+        let quants: Result<Vec<_>, EncodeError> = decided.quantisers.iter().map(Quantisers::quant).collect();
+        let quants = quants?;
+        for cluster in &mut decided.clusters {
+            let indices =
+                indices::indices(&epoch, &cluster.gaussians, &quants[cluster.quantisers], decided.origin);
+            cluster.harmonic_degree = pruning::degree_in_use(&indices, cluster.harmonic_degree);
+        }
+        let as_sent = canonical::quantise(&epoch, decided, &quants, block_len)?;
+        decided.windows = motion::decide(&epoch, decided, &as_sent, scene.frames_per_second(), options);
+    }
+    (decisions.packet_bytes, decisions.repair) = (options.packet_bytes, options.repair);
+    decide_tables(scene, &mut decisions, options.table_choices)?;
     Ok(decisions)
 }
 

@@ -72,6 +72,25 @@ pub fn with_levels(
     write(scene, &Decisions::Dgs1(decided), progress)
 }
 
+/// Encodes `scene`, whose canonical values `decisions` were made for or which have changed a little since:
+/// motion, with steps `motion` times as long, and entropy tables are decided anew, packets as `options` say,
+/// and the rest stays. Profile `paper` keeps all.
+///
+/// # Errors
+/// As [`write()`].
+pub fn again(
+    scene: &Scene,
+    decisions: &Decisions,
+    motion: f32,
+    options: &EncodeOptions,
+    progress: Progress<'_>,
+) -> Result<Encoded, EncodeError> {
+    let Decisions::Dgs1(decided) = decisions else { return write(scene, decisions, progress) };
+    decisions.check(scene)?;
+    let decided = dgs1::again(scene, decided.clone(), motion, options)?;
+    write(scene, &Decisions::Dgs1(decided), progress)
+}
+
 /// Refuses a scene beyond the bounds of the format.
 pub(super) fn check_scene(scene: &Scene) -> Result<(), EncodeError> {
     let within = |what, found: usize, most: usize| {

@@ -107,8 +107,8 @@ fn squares(values: &[f32]) -> f64 {
 
 /// The sum of a picture's values, each with a random sign.
 #[derive(Debug)]
-struct Signs {
-    seed: u64,
+pub(crate) struct Signs {
+    pub(crate) seed: u64,
 }
 
 impl Signs {

@@ -5,13 +5,16 @@
 //! encoded and measured, so a stream that is not quite monotone costs closeness, never the promise.
 
 use super::{
-    Analysis, EncodeError, EncodeOptions, Encoded, Progress, Reached, Target,
+    Analysis, Decisions, EncodeError, EncodeOptions, Encoded, Progress, Reached, Target,
     evaluator::{Evaluator, spread},
-    profile::decide_and_write,
+    profile::{again, decide_and_write},
 };
+use crate::scene::Scene;
 
 /// Finest and coarsest factor on the steps that is tried.
 pub const COARSENESS: (f32, f32) = (1.0 / 16.0, 64.0);
+/// Shortest and longest factor on the steps of motion alone that is tried.
+const MOTION_STEPS: (f64, f64) = (1.0 / 16.0, 16.0);
 /// Most encodings of a search.
 const MOST: usize = 8;
 /// Frames a PSNR is measured on.
@@ -50,9 +53,8 @@ pub(super) fn encode(
         let quality = options.quality.scaled(coarseness);
         let encoded = decide_and_write(analysis, &EncodeOptions { quality, ..options.clone() }, progress)?;
         let value = match (target, &evaluator) {
-            (Target::BitsPerGaussian(_), _) => encoded.report.ledger.bits_per_gaussian(),
             (Target::PsnrDb(_), Some(evaluator)) => evaluator.whole(&encoded.stream)?,
-            _ => encoded.report.ledger.wire(),
+            _ => size(target, &encoded),
         };
         Ok::<_, EncodeError>((excess(target, value), (encoded, coarseness, value)))
     })?;
@@ -67,6 +69,47 @@ pub(super) fn encode(
     }
     encoded.report.reached = Some(Reached { target, coarseness, encodes: found.tries, value });
     Ok(encoded)
+}
+
+/// As [`again`], with steps of motion such that the stream comes close to the size that `options` name, if
+/// they do.
+///
+/// # Errors
+/// As [`again`], or a size that steps of motion do not lead to.
+pub fn again_to_size(
+    scene: &Scene,
+    decisions: &Decisions,
+    options: &EncodeOptions,
+    progress: Progress<'_>,
+) -> Result<Encoded, EncodeError> {
+    let target = match options.target {
+        Some(target @ (Target::Bytes(_) | Target::BitsPerGaussian(_))) => target,
+        None | Some(Target::PsnrDb(_)) => return again(scene, decisions, 1.0, options, progress),
+    };
+    target.check()?;
+    let (finest, coarsest) = MOTION_STEPS;
+    let search = Search { low: finest.ln(), high: coarsest.ln(), slope: 0.2, close: CLOSE };
+    let found = search.run(|at| {
+        let motion = at.exp() as f32;
+        let encoded = again(scene, decisions, motion, options, progress)?;
+        let value = size(target, &encoded);
+        Ok::<_, EncodeError>((excess(target, value), (encoded, motion, value)))
+    })?;
+    let (mut encoded, coarseness, value) = found.what;
+    if found.excess > 0.0 {
+        let (option, wanted) = (target.name(), target.value());
+        return Err(EncodeError::Unreachable { option, wanted, reached: value, coarseness });
+    }
+    encoded.report.reached = Some(Reached { target, coarseness, encodes: found.tries, value });
+    Ok(encoded)
+}
+
+/// What `target`, a size, is compared with.
+fn size(target: Target, encoded: &Encoded) -> f64 {
+    match target {
+        Target::BitsPerGaussian(_) => encoded.report.ledger.bits_per_gaussian(),
+        _ => encoded.report.ledger.wire(),
+    }
 }
 
 /// Excess of `value` over what `target` allows: logarithm of a size's ratio, or dB that lack.
@@ -220,5 +263,38 @@ mod tests {
         }
         let never = search.run(|u| Ok::<_, ()>((9.0 - u, u))).unwrap();
         assert_eq!((never.what, never.excess > 0.0), (4.1, true));
+    }
+
+    #[test]
+    fn steps_of_motion_lead_to_a_size_and_leave_canonical_values_alone() {
+        let options = synth::SynthOptions {
+            gaussians: 1500,
+            frames: 12,
+            kind: SynthKind::Figure,
+            ..Default::default()
+        };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
+        let first = crate::encode::encode(&scene, &options, &|_, _| {}).unwrap();
+        let bytes = first.report.ledger.wire();
+        for share in [0.95, 1.05] {
+            let target = Some(Target::Bytes((share * bytes) as u64));
+            let to_size = EncodeOptions { target, ..options.clone() };
+            let found = again_to_size(&scene, &first.decisions, &to_size, &|_, _| {}).unwrap();
+            let ratio = found.report.ledger.wire() / (share * bytes);
+            assert!((1.0 - CLOSE..=1.0).contains(&ratio), "{share}: {ratio}");
+            assert_eq!(found.order, first.order);
+            let canonical = |encoded: &Encoded| {
+                let shares = encoded.report.ledger.shares.iter();
+                shares.filter(|s| !s.attribute.contains("motion") && s.attribute != "track").count()
+            };
+            assert_eq!(canonical(&found), canonical(&first));
+        }
+        let few = EncodeOptions { target: Some(Target::Bytes(1000)), ..options.clone() };
+        let error = again_to_size(&scene, &first.decisions, &few, &|_, _| {}).unwrap_err();
+        assert!(matches!(error, EncodeError::Unreachable { .. }), "{error}");
+        // Without a size nothing is sought.
+        let again = again_to_size(&scene, &first.decisions, &options, &|_, _| {}).unwrap();
+        assert_eq!(again.report.reached, None);
     }
 }

@@ -10,7 +10,8 @@ use super::{
     error::TrainError,
     model::Model,
     options::TrainOptions,
-    trainer::{State, Trainer},
+    state::State,
+    trainer::Trainer,
     views::{Dataset, PosedPhotograph},
 };
 

@@ -33,7 +33,7 @@ mod monotone;
 mod objective;
 mod parameters;
 mod rank;
-mod rate;
+pub(super) mod rate;
 mod rate_model;
 mod record;
 mod select;

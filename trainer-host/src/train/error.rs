@@ -3,6 +3,7 @@
 use render_host::{BackendError, CameraError, SplatsError};
 
 use super::options::OptionsError;
+use crate::{encode::EncodeError, scene::SceneError};
 
 /// Training that cannot start or go on.
 #[derive(Debug, thiserror::Error)]
@@ -43,6 +44,12 @@ pub enum TrainError {
         /// What is wrong.
         source: CameraError,
     },
+    /// A scene that the encoder refuses.
+    #[error("encoding for the end of the training: {0}")]
+    Encode(EncodeError),
+    /// A scene that is none.
+    #[error("encoding for the end of the training: {0}")]
+    Scene(SceneError),
     /// Training left what numbers can hold, again and again.
     #[error(
         "training diverged at step {step}: {what}; it fell back {retreats} times and did so again; lower \

@@ -104,12 +104,16 @@ impl TrainedGaussians {
         self.skin.values().as_chunks().0
     }
 
-    fn rotations(&self) -> &[[f32; 4]] {
+    pub(super) fn rotations(&self) -> &[[f32; 4]] {
         self.rotation.values().as_chunks().0
     }
 
     /// What of Gaussian `index` takes part in its motion.
-    fn rest<'a>(&'a self, index: usize, followed: &'a [[u32; FOLLOWED]]) -> super::motion::Rest<'a> {
+    pub(super) fn rest<'a>(
+        &'a self,
+        index: usize,
+        followed: &'a [[u32; FOLLOWED]],
+    ) -> super::motion::Rest<'a> {
         super::motion::Rest {
             position: Vec3::from_array(self.positions()[index]),
             rotation: self.rotations()[index],

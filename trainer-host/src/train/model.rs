@@ -35,6 +35,12 @@ impl Model {
         self.gaussians.pose_into(&self.nodes.skin(&poses), &self.followed, out);
     }
 
+    /// As [`Model::instant_into`], of `gaussians` in place of its own.
+    pub(super) fn instant_of(&self, gaussians: &TrainedGaussians, time: f32, out: &mut Instant) {
+        let poses = self.nodes.poses(time);
+        gaussians.pose_into(&self.nodes.skin(&poses), &self.followed, out);
+    }
+
     /// The clip as `frames` frames, evenly spread over it from the first instant to the last.
     ///
     /// # Errors
@@ -60,6 +66,12 @@ impl Model {
             sh_degree: codec_core::ShDegree::new(values.degree).unwrap_or_default(),
         };
         Scene::new(vec![Epoch::new(frames, attributes)?], frames_per_second)
+    }
+
+    /// Keeps the Gaussians of these indices, in this order.
+    pub(super) fn select(&mut self, indices: &[usize]) {
+        self.gaussians.select(indices, indices.len());
+        self.followed = indices.iter().map(|&index| self.followed[index]).collect();
     }
 
     /// Adds a layer of `count` nodes that move as the Gaussians do that they stand at; Gaussians follow those

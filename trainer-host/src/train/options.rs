@@ -43,6 +43,44 @@ pub struct TrainOptions {
     pub rates: Rates,
     /// When what happens.
     pub schedule: Schedule,
+    /// What makes the scene small.
+    pub finish: Finish,
+}
+
+/// How a training ends: what the scene does not need goes, and the rest learns to be rounded.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Finish {
+    /// Shares of the training, in order, at which Gaussians that pictures hardly need are removed, once
+    /// density control has ended; 1: never.
+    pub prune_at: [f64; 2],
+    /// Share of the Gaussians that each pruning removes.
+    pub prune: f64,
+    /// From this share of the training on it runs as the encoder rounds and with what values cost; 1: never.
+    pub round_from: f64,
+    /// Quantiser steps from then on, of the encoder's default.
+    pub coarseness: f32,
+    /// Weight in the loss of what values cost, kilobits per Gaussian.
+    pub rate_weight: f32,
+    /// Bytes that the stream is to have at most; `coarseness` and `motion` then grow or shrink together. 0:
+    /// whatever they lead to.
+    pub target_bytes: u64,
+    /// Steps of motion from then on, of the encoder's default.
+    pub motion: f32,
+}
+
+impl Default for Finish {
+    fn default() -> Self {
+        Self {
+            prune_at: [0.65, 0.75],
+            prune: 0.4,
+            round_from: 0.8,
+            coarseness: 3.0,
+            rate_weight: 0.03,
+            target_bytes: 0,
+            motion: 1.0,
+        }
+    }
 }
 
 /// Shares of the training, 0 to 1, at which things change.
@@ -86,6 +124,39 @@ impl Default for Schedule {
             decay: 0.1,
             rigidity_decay: 0.05,
         }
+    }
+}
+
+impl Finish {
+    /// Checks every number with `real`, which takes a field, its value, the most and what is allowed.
+    fn validate(
+        &self,
+        real: impl Fn(&'static str, f32, f32, &'static str) -> Result<(), OptionsError>,
+    ) -> Result<(), OptionsError> {
+        let Self {
+            prune_at: [first, second],
+            prune,
+            round_from,
+            coarseness,
+            rate_weight,
+            target_bytes: _,
+            motion,
+        } = *self;
+        let shares = [
+            ("finish.prune_at[0]", first),
+            ("finish.prune_at[1]", second),
+            ("finish.prune", prune),
+            ("finish.round_from", round_from),
+        ];
+        for (field, value) in shares {
+            real(field, value as f32, 1.0, "0 to 1")?;
+        }
+        real("finish.rate_weight", rate_weight, 100.0, "0 to 100")?;
+        for (field, value) in [("finish.coarseness", coarseness), ("finish.motion", motion)] {
+            let positive = if value > 0.0 { value } else { f32::NAN };
+            real(field, positive, 64.0, "above 0, to 64")?;
+        }
+        Ok(())
     }
 }
 
@@ -143,6 +214,7 @@ impl Default for TrainOptions {
             density: DensityControl::Split,
             rates: Rates::default(),
             schedule: Schedule::default(),
+            finish: Finish::default(),
         }
     }
 }
@@ -247,7 +319,7 @@ impl TrainOptions {
         for (field, value) in shares {
             real(field, value as f32, 1.0, "0 to 1")?;
         }
-        Ok(())
+        self.finish.validate(real)
     }
 
     /// Weights of the loss.

@@ -3,7 +3,10 @@
 use render_host::{Backend, DeviceChoice};
 
 use super::{dataset::rendered, *};
-use crate::import::{Limits, synth};
+use crate::{
+    encode,
+    import::{Limits, synth},
+};
 
 /// How far apart two devices may train the same scene in a few steps, dB.
 const TRAINED_TOLERANCE_DB: f64 = 0.1;
@@ -125,6 +128,77 @@ fn a_training_goes_on_from_a_checkpoint_bit_for_bit() {
     assert_eq!(second.model(), whole.model());
 }
 
+/// Coarse steps and values at a price; on so small a scene no Gaussian is one too many.
+fn finished() -> TrainOptions {
+    let finish = Finish { prune: 0.1, coarseness: 6.0, motion: 2.0, ..Finish::default() };
+    TrainOptions { finish, sh_degree: 2, ..options() }
+}
+
+#[test]
+fn a_finished_training_goes_on_from_a_checkpoint_bit_for_bit() {
+    let dataset = dataset(synth::SynthKind::Balls, 3, 6);
+    let (most, all) = (180u32, 200u32);
+    let whole = trained(&dataset, &finished(), all);
+    let mut first = Trainer::new(&dataset, &finished()).unwrap();
+    for step in 0..most {
+        first.step(f64::from(step) / f64::from(all)).unwrap();
+    }
+    let bytes = Checkpoint::of(&first, &dataset, 0.9).to_bytes().unwrap();
+    let mut second = Checkpoint::from_bytes(&bytes).unwrap().resume(&dataset).unwrap();
+    assert!(second.decisions().unwrap().is_some());
+    let shown = |model: &Model| {
+        let mut instant = crate::Instant::default();
+        model.instant_into(0.3, &mut instant);
+        instant
+    };
+    assert!(shown(&second.shown()) == shown(&first.shown()));
+    assert!(shown(&second.shown()) != shown(second.model()));
+    for step in most..all {
+        second.step(f64::from(step) / f64::from(all)).unwrap();
+    }
+    assert!(second.model() == whole.model() && second.prunings() == whole.prunings());
+}
+
+/// What was trained as it is rounded loses less than what was rounded afterwards, at the same bytes.
+#[test]
+fn a_finished_scene_beats_a_plain_one_of_the_same_size() {
+    let dataset = dataset(synth::SynthKind::Balls, 4, 24);
+    let decoded_db = |encoded: &encode::Encoded| {
+        let received = encoded.stream.receive().unwrap();
+        let content = received.content();
+        let mut player = crate::stream::Player::new(content.manifest);
+        let frames: Vec<crate::Instant> = (0..4).map(|t| player.instant(&content, t).unwrap()).collect();
+        evaluate(&frames, &dataset.test, 1, [0.0; 3]).unwrap().psnr_db
+    };
+    let finished = trained(&dataset, &finished(), 900);
+    let scene = finished.model().scene(4, 30.0).unwrap();
+    let decisions = finished.decisions().unwrap().unwrap();
+    let options = encode::EncodeOptions::default();
+    let ours = encode::again(&scene, &decisions, 1.0, &options, &|_, _| {}).unwrap();
+
+    let never = Finish { prune: 0.0, round_from: 1.0, ..Finish::default() };
+    let plain = trained(&dataset, &TrainOptions { finish: never, ..self::finished() }, 900);
+    assert!(plain.decisions().unwrap().is_none() && plain.prunings().is_empty());
+    let bytes = ours.report.ledger.wire() as u64;
+    let options = encode::EncodeOptions { target: Some(encode::Target::Bytes(bytes)), ..options };
+    let theirs = encode::encode(&plain.model().scene(4, 30.0).unwrap(), &options, &|_, _| {}).unwrap();
+    let (ours_db, theirs_db) = (decoded_db(&ours), decoded_db(&theirs));
+    let shown_db = evaluate(&finished.shown(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db;
+    let estimated = finished.estimated_bytes().unwrap();
+    let ledger = &ours.report.ledger;
+    let is_canonical = |name: &str| !name.contains("motion") && name != "track";
+    let canonical = ledger.shares.iter().filter(|share| is_canonical(share.attribute));
+    let coded = canonical.map(|share| share.bits / 8.0).sum::<f64>() + ledger.table_indices;
+    assert!((0.85..1.15).contains(&(estimated / coded)), "{estimated} {coded}");
+    assert!(ours_db > theirs_db, "{ours_db} {theirs_db}");
+    // What is shown in training is what is received, but for motion.
+    assert!((shown_db - ours_db).abs() < 1.0, "{shown_db} {ours_db}");
+    assert_eq!(finished.prunings().len(), 2);
+    assert_eq!(finished.model().gaussians(), finished.prunings()[1].after);
+    assert!(finished.model().gaussians() < plain.model().gaussians());
+    assert!(finished.prunings().iter().all(|pruning| pruning.error_share < 0.05));
+}
+
 #[test]
 fn foreign_and_damaged_checkpoints_are_refused() {
     let dataset = dataset(synth::SynthKind::Balls, 3, 6);
@@ -191,6 +265,11 @@ fn options_out_of_range_and_empty_splits_are_refused_by_name() {
         |dataset: &Dataset, options: &TrainOptions| Trainer::new(dataset, options).unwrap_err().to_string();
     let text = refused(&dataset, &TrainOptions { sh_degree: 4, ..options() });
     assert!(text.contains("sh_degree is 4; 0 to 3"), "{text}");
+    let finish = Finish { coarseness: 0.0, ..Finish::default() };
+    let text = refused(&dataset, &TrainOptions { finish, ..options() });
+    assert!(text.contains("finish.coarseness") && text.contains("above 0, to 64"), "{text}");
+    let finish = Finish { prune_at: [0.5, 1.5], ..Finish::default() };
+    assert!(refused(&dataset, &TrainOptions { finish, ..options() }).contains("finish.prune_at[1] is 1.5"));
     let text = refused(&dataset, &TrainOptions { rigidity: f32::NAN, ..options() });
     assert!(text.contains("rigidity is NaN"), "{text}");
     dataset.train = Views::new(Vec::new()).unwrap();

@@ -13,11 +13,11 @@ use render_host::{
         loss::photograph::{Photograph, PhotographLoss},
     },
 };
-use serde::{Deserialize, Serialize};
 
 use super::{
     density::{self, Pull},
     error::TrainError,
+    finish::{Encoding, Finisher, Finishing, Pruning},
     gaussians::TrainedGaussians,
     model::Model,
     motion::{ControlNodes, FOLLOWED, TemporalBasis},
@@ -26,9 +26,14 @@ use super::{
     photographs::Pyramid,
     schedule,
     start::{self, Extent},
+    state::{MOST_RETREATS, State},
+    step_report::{Stage, StepReport},
     views::{Dataset, Training, Views},
 };
-use crate::scene::Instant;
+use crate::{
+    encode::{Decisions, EncodeOptions},
+    scene::Instant,
+};
 
 /// Steps between two controls of density.
 const DENSITY_EVERY: u32 = 100;
@@ -36,85 +41,10 @@ const DENSITY_EVERY: u32 = 100;
 const CHECK_EVERY: u32 = 100;
 /// Checks between two states to fall back to.
 const KEEP_EVERY: u32 = 5;
-/// Times that training may fall back before it gives up.
-const MOST_RETREATS: u32 = 3;
-/// Most steps of a training.
-const MOST_STEPS: u32 = 1 << 30;
 /// Functions over time of the finest spline that nodes move by.
 const FINEST_TIME: usize = 32;
 /// One step in this many shows the whole photograph and not only what its outline needs.
 const WHOLE_EVERY: u32 = 8;
-
-/// What a step did.
-#[derive(Clone, Debug, PartialEq)]
-pub struct StepReport {
-    /// Steps taken, this one included.
-    pub step: u32,
-    /// Index of the view in the training split.
-    pub view: usize,
-    /// Loss of the view.
-    pub loss: f64,
-    /// Running mean of the loss, over about 100 steps.
-    pub mean_loss: f64,
-    /// Width and height of the photographs that are trained on now, pixels.
-    pub size: (u32, u32),
-    /// Gaussians now.
-    pub gaussians: usize,
-    /// Control nodes now.
-    pub nodes: usize,
-    /// What made training fall back to an earlier state, if it did.
-    pub retreat: Option<String>,
-}
-
-/// Parts of a step, for whoever measures them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
-    /// Choosing a view; new sizes and nodes.
-    Prepare,
-    /// Moving the Gaussians to the view's time.
-    Pose,
-    /// Rendering, loss and gradients of the splats.
-    Render,
-    /// Gradients of attributes and nodes.
-    Motion,
-    /// Steps of Adam.
-    Update,
-    /// Adding and removing Gaussians.
-    Density,
-}
-
-/// All that a training knows between two steps.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct State {
-    pub(super) model: Model,
-    pub(super) step: u32,
-    /// Stages of nodes entered.
-    node_stages: usize,
-    /// Index of the size of photographs.
-    size: usize,
-    /// Views drawn, those passed over included.
-    drawn: u64,
-    pull: Pull,
-    mean_loss: f64,
-    /// Smallest running mean at this size of photographs.
-    lowest_loss: f64,
-    last_density: u32,
-    retreats: u32,
-}
-
-impl State {
-    /// Whether what was read from a file can be used: numbers that do not fit together would be out of bounds
-    /// somewhere later.
-    pub(super) fn is_sound(&self) -> bool {
-        let counts = [self.step, self.last_density];
-        self.model.is_sound()
-            && self.pull.is_sound(self.model.gaussians())
-            && counts.iter().all(|&count| count <= MOST_STEPS)
-            && self.retreats <= MOST_RETREATS
-            && !self.mean_loss.is_nan()
-            && !self.lowest_loss.is_nan()
-    }
-}
 
 /// Fits a scene to the training split of a dataset.
 #[derive(Debug)]
@@ -130,6 +60,7 @@ pub struct Trainer<'a> {
     /// The order of views of one pass over them, and which pass it is.
     order: (u64, Vec<usize>),
     memory: Memory,
+    finisher: Finisher,
 }
 
 /// Memory that steps use again.
@@ -176,7 +107,10 @@ impl<'a> Trainer<'a> {
             lowest_loss: f64::INFINITY,
             last_density: 0,
             retreats: 0,
+            finishing: Finishing::default(),
         };
+        let encoding =
+            Encoding { options: EncodeOptions::default(), frames: dataset.frames, frames_per_second: 30.0 };
         Ok(Self {
             views: &dataset.train,
             has_alpha: dataset.has_alpha,
@@ -184,6 +118,7 @@ impl<'a> Trainer<'a> {
             options,
             extent,
             fallback: state.clone(),
+            finisher: Finisher::new(encoding, &state.model.gaussians),
             state,
             order: (u64::MAX, Vec::new()),
             memory: Memory::default(),
@@ -211,6 +146,7 @@ impl<'a> Trainer<'a> {
         if state.size >= self.pyramid.sizes() {
             return refused("made for photographs of another size");
         }
+        self.finisher.take_up(&state.finishing, state.model.gaussians())?;
         self.fallback = state.clone();
         self.state = state;
         Ok(self)
@@ -234,6 +170,36 @@ impl<'a> Trainer<'a> {
     /// The scene as it is now.
     pub fn model(&self) -> &Model {
         &self.state.model
+    }
+
+    /// The scene as a receiver has it, but for what is lost of its motion: the same as
+    /// [`Trainer::model`] until values are rounded.
+    pub fn shown(&self) -> Model {
+        self.finisher.shown(&self.state.model)
+    }
+
+    /// The choices of the encoder that the training has made its own, once values are rounded.
+    ///
+    /// # Errors
+    /// Never for those that it made itself.
+    pub fn decisions(&self) -> Result<Option<Decisions>, TrainError> {
+        self.state.finishing.decisions()
+    }
+
+    /// What was removed, pruning by pruning.
+    pub fn prunings(&self) -> &[Pruning] {
+        &self.state.finishing.prunings
+    }
+
+    /// Bytes that the canonical values of the stream are estimated to take, once they are rounded.
+    pub fn estimated_bytes(&self) -> Option<f64> {
+        self.finisher.estimated_bytes(&self.state.model)
+    }
+
+    /// The same, for an encoding by `encoding`.
+    pub fn encoded_by(mut self, encoding: Encoding) -> Self {
+        self.finisher.set_encoding(encoding);
+        self
     }
 
     /// Steps taken.
@@ -266,6 +232,7 @@ impl<'a> Trainer<'a> {
         let progress = progress.clamp(0.0, 1.0);
         observe(Stage::Prepare);
         self.enter_stages(progress);
+        self.finish(progress)?;
         let mut rng = self.luck();
         let view = self.next_view(progress);
         let loss = self.differentiate(view, progress, &mut rng, observe)?;
@@ -322,6 +289,23 @@ impl<'a> Trainer<'a> {
         }
     }
 
+    /// Prunes, or begins to round, where the schedule says so.
+    fn finish(&mut self, progress: f64) -> Result<(), TrainError> {
+        let State { model, finishing, pull, size, .. } = &mut self.state;
+        let size_of = |view| self.pyramid.size(view, *size);
+        let differentiator = &mut self.memory.differentiator;
+        let options = &self.options;
+        let needed = finishing.pruned(options, progress, model, self.views, size_of, differentiator)?;
+        if let Some(needed) = needed {
+            model.select(&needed);
+            *pull = Pull::none(needed.len());
+        }
+        if finishing.rounding_due(&options.finish, progress) {
+            self.finisher.encode_first(&options.finish, model, finishing)?;
+        }
+        Ok(())
+    }
+
     /// The next view, in an order that is drawn anew for each pass over them; early in the training those
     /// near the canonical instant.
     fn next_view(&mut self, progress: f64) -> usize {
@@ -373,7 +357,10 @@ impl<'a> Trainer<'a> {
 
         observe(Stage::Pose);
         let Memory { differentiator, gradients, statistics, instant } = &mut self.memory;
-        self.state.model.instant_into(posed.time, instant);
+        match self.finisher.rounded(&self.state.model) {
+            Some(rounded) => self.state.model.instant_of(rounded, posed.time, instant),
+            None => self.state.model.instant_into(posed.time, instant),
+        }
         observe(Stage::Render);
         let settings = Settings { background, ..Settings::default() };
         let failed = |source: BackendError| TrainError::View { view: posed.name.clone(), source };
@@ -408,6 +395,8 @@ impl<'a> Trainer<'a> {
         nodes.keep_rigid(rigidity, &poses, &mut of_nodes);
         nodes.backward(time, &poses, of_nodes);
         gaussians.regularise(self.options.opacity_weight, self.options.scale_weight);
+        self.finisher.price(&self.options.finish, state.step, &mut state.model);
+        let Model { gaussians, nodes, .. } = &mut state.model;
         if progress < self.options.schedule.density_end {
             state.pull.add(&gradients.splats, &self.memory.statistics);
         }
@@ -484,6 +473,6 @@ impl<'a> Trainer<'a> {
         }
         self.state = self.fallback.clone();
         self.state.retreats = retreats;
-        Ok(())
+        self.finisher.take_up(&self.state.finishing, self.state.model.gaussians())
     }
 }

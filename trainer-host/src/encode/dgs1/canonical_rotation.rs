@@ -180,7 +180,7 @@ fn twist([w, _, _, z]: Quat) -> Quat {
 }
 
 /// The 24 rotations that permute and flip the axes, and which old axis each new one is.
-fn group() -> Vec<(Quat, [usize; 3])> {
+pub(in crate::encode) fn group() -> Vec<(Quat, [usize; 3])> {
     let half = std::f64::consts::FRAC_1_SQRT_2;
     // Unit quaternions with one, two or four non-zero parts of equal size, one of each pair ±q.
     let mut group: Vec<(Quat, [usize; 3])> = Vec::new();

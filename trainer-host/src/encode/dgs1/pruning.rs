@@ -50,6 +50,13 @@ pub(super) fn degrees(clusters: &[Indices], degree: u8) -> Vec<u8> {
     degrees
 }
 
+/// The least harmonic degree, at most `degree`, above which every value of a cluster is zero.
+pub(super) fn degree_in_use(cluster: &Indices, degree: u8) -> u8 {
+    let is_zero = |class: &Class| cluster[class.index()].iter().flatten().all(|&q| q == 0);
+    let unused = [Class::Sh3, Class::Sh2, Class::Sh1].into_iter().filter(|class| class.sh_degree() <= degree);
+    degree - unused.take_while(is_zero).count() as u8
+}
+
 /// Finest indices farther from 0 than this cost the same.
 const FAR: i32 = 2048;
 
@@ -112,6 +119,8 @@ mod tests {
     fn only_clusters_with_view_dependent_colour_keep_bands() {
         let clusters = [cluster(0, 0), cluster(5, 0), cluster(5, 5), cluster(0, 5)];
         assert_eq!(degrees(&clusters, 2), [0, 1, 2, 2]);
+        assert_eq!(clusters.each_ref().map(|cluster| degree_in_use(cluster, 2)), [0, 1, 2, 2]);
+        assert_eq!(degree_in_use(&clusters[2], 1), 1);
         // Nothing to drop, nothing dropped.
         assert_eq!(degrees(&clusters, 0), [0, 0, 0, 0]);
     }

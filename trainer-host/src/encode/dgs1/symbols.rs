@@ -48,7 +48,7 @@ pub(super) fn quantise(scene: &Scene, decisions: &Dgs1Decisions) -> Result<Vec<E
 }
 
 /// `epoch` with its rotations and scales in the form that was decided.
-fn in_canonical_rotation(epoch: &Epoch, decided: &EpochDecisions) -> Epoch {
+pub(super) fn in_canonical_rotation(epoch: &Epoch, decided: &EpochDecisions) -> Epoch {
     let mut sets: Vec<Vec<u32>> = decided.clusters.iter().map(|c| c.gaussians.clone()).collect();
     // Sums over a cluster are rounded alike whatever the order in which it is sent.
     sets.iter_mut().for_each(|set| set.sort_unstable());

@@ -9,7 +9,7 @@ use std::f64::consts::LN_2;
 
 /// A Laplace distribution over cells of one quantiser.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Laplace {
+pub(in crate::train) struct Laplace {
     mean: f64,
     /// Mean distance from the mean, at least a twentieth of a step: no cell is certain.
     scale: f64,
@@ -18,15 +18,28 @@ pub(super) struct Laplace {
 
 impl Laplace {
     /// The distribution of `values` in cells of `step`, positive and in the values' unit.
-    pub(super) fn of(values: impl Iterator<Item = f64> + Clone, step: f64) -> Self {
+    pub(in crate::train) fn of(values: impl Iterator<Item = f64> + Clone, step: f64) -> Self {
         let count = values.clone().count().max(1) as f64;
         let mean = values.clone().sum::<f64>() / count;
         let distance = values.map(|v| (v - mean).abs()).sum::<f64>() / count;
         Self { mean, scale: distance.max(0.05 * step), step }
     }
 
+    /// The distribution about 0 of whole numbers, in cells of 1, whose cells have their mean distance.
+    pub(in crate::train) fn of_cells(values: impl Iterator<Item = f64>) -> Self {
+        let (mut count, mut sum) = (0.0, 0.0);
+        for value in values {
+            count += 1.0;
+            sum += value.abs();
+        }
+        // Cells of a scale s have the mean distance 1 / (2 sinh(1 / 2s)).
+        let distance = sum / f64::max(count, 1.0);
+        let scale = if distance > 0.0 { 0.5 / (0.5 / distance).asinh() } else { 0.0 };
+        Self { mean: 0.0, scale: scale.max(0.05), step: 1.0 }
+    }
+
     /// Bits of a cell about `value`, and their slope per unit of the value.
-    pub(super) fn bits(&self, value: f64) -> (f64, f64) {
+    pub(in crate::train) fn bits(&self, value: f64) -> (f64, f64) {
         let (distance, sign) = ((value - self.mean).abs(), (value - self.mean).signum());
         let half = 0.5 * self.step;
         if distance >= half {
@@ -64,6 +77,17 @@ mod tests {
             assert!((found - numeric).abs() < 1e-5, "{value}: {found} {numeric}");
             assert!((0.9 * found - numeric).abs() > 1e-5 || found.abs() < 1e-3);
         }
+    }
+
+    #[test]
+    fn cells_of_a_distribution_have_the_distance_it_was_made_from() {
+        for distance in [0.1, 0.5, 3.0] {
+            let model = Laplace::of_cells([distance, -distance].into_iter());
+            let mean = (-400..400).map(|q| f64::from(q).abs() * 2f64.powf(-model.bits(f64::from(q)).0));
+            let mean: f64 = mean.sum();
+            assert!((mean - distance).abs() < 1e-6, "{mean} {distance}");
+        }
+        assert!(Laplace::of_cells([0.0, 0.0].into_iter()).bits(0.0).0 < 1e-3);
     }
 
     /// Bits of symbols that follow the model are their entropy, within sampling.

@@ -1,0 +1,90 @@
+//! Says what the end of a training left out, and what that cost and saved.
+
+use serde::Serialize;
+use trainer_host::{
+    encode::{Decisions, Encoded},
+    train::{Pruning, Trainer},
+};
+
+/// Attributes of the canonical values.
+const CANONICAL: [&str; 8] = ["position", "scale", "rotation", "opacity", "sh0", "sh1", "sh2", "sh3"];
+
+/// What the end of a training did.
+#[derive(Debug, Serialize)]
+pub(super) struct Finished {
+    /// Gaussians that were removed.
+    prunings: Vec<Pruning>,
+    /// Of canonical values: bytes that the training estimated, where it rounded, and that they take, with
+    /// their part of the code words of tables.
+    estimated_bytes: Option<f64>,
+    coded_bytes: f64,
+    /// Clusters by the degree of harmonics that they are sent with.
+    clusters_of_degree: [usize; 4],
+    /// Bytes of higher bands.
+    harmonics_bytes: f64,
+    /// Clusters over all windows, and those that do not move there.
+    moving_cells: usize,
+    still_cells: usize,
+    /// Bytes of motion.
+    motion_bytes: f64,
+}
+
+impl Finished {
+    /// Of the stream that `trainer` led to.
+    pub(super) fn of(trainer: &Trainer, encoded: &Encoded) -> Self {
+        let ledger = &encoded.report.ledger;
+        let bytes = |counts: &dyn Fn(&str) -> bool| -> f64 {
+            ledger.shares.iter().filter(|share| counts(share.attribute)).map(|share| share.bits / 8.0).sum()
+        };
+        let canonical = bytes(&|name| CANONICAL.contains(&name));
+        let all = bytes(&|_| true).max(1.0);
+        let mut clusters_of_degree = [0; 4];
+        let (mut cells, mut still_cells) = (0, 0);
+        if let Decisions::Dgs1(decisions) = &encoded.decisions {
+            for epoch in &decisions.epochs {
+                for cluster in &epoch.clusters {
+                    clusters_of_degree[usize::from(cluster.harmonic_degree.min(3))] += 1;
+                }
+                let motions = || epoch.windows.iter().flat_map(|window| &window.motions);
+                cells += motions().count();
+                still_cells += motions().filter(|motion| motion.is_still()).count();
+            }
+        }
+        Self {
+            prunings: trainer.prunings().to_vec(),
+            estimated_bytes: trainer.estimated_bytes(),
+            coded_bytes: canonical * (1.0 + ledger.table_indices / all),
+            clusters_of_degree,
+            harmonics_bytes: bytes(&|name| ["sh1", "sh2", "sh3"].contains(&name)),
+            moving_cells: cells - still_cells,
+            still_cells,
+            motion_bytes: bytes(&|name| !CANONICAL.contains(&name)),
+        }
+    }
+
+    /// For people.
+    pub(super) fn text(&self) -> String {
+        let mut text = String::new();
+        for Pruning { before, after, error_share } in &self.prunings {
+            let share = 100.0 * error_share;
+            text += &format!("  pruned: {before} to {after} Gaussians, {share:.3} % of what all add\n");
+        }
+        if let Some(estimated) = self.estimated_bytes {
+            let off = 100.0 * (estimated / self.coded_bytes.max(1.0) - 1.0);
+            text += &format!(
+                "  rounded: canonical values {estimated:.0} bytes estimated, {:.0} coded ({off:+.1} %)\n",
+                self.coded_bytes
+            );
+        }
+        let [none, first, second, third] = self.clusters_of_degree;
+        text += &format!(
+            "  harmonics: clusters of degree 0 to 3: {none}, {first}, {second}, {third}; {:.0} bytes\n",
+            self.harmonics_bytes
+        );
+        text += &format!(
+            "  motion: {} cells move, {} do not; {:.0} bytes\n",
+            self.moving_cells, self.still_cells, self.motion_bytes
+        );
+        text
+    }
+}

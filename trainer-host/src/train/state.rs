@@ -1,0 +1,45 @@
+//! Holds all that a training knows between two steps.
+
+use serde::{Deserialize, Serialize};
+
+use super::{density::Pull, finish::Finishing, model::Model};
+
+/// Times that training may fall back before it gives up.
+pub(super) const MOST_RETREATS: u32 = 3;
+/// Most steps of a training.
+const MOST_STEPS: u32 = 1 << 30;
+
+/// All that a training knows between two steps.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct State {
+    pub(super) model: Model,
+    pub(super) step: u32,
+    /// Stages of nodes entered.
+    pub(super) node_stages: usize,
+    /// Index of the size of photographs.
+    pub(super) size: usize,
+    /// Views drawn, those passed over included.
+    pub(super) drawn: u64,
+    pub(super) pull: Pull,
+    pub(super) mean_loss: f64,
+    /// Smallest running mean at this size of photographs.
+    pub(super) lowest_loss: f64,
+    pub(super) last_density: u32,
+    pub(super) retreats: u32,
+    pub(super) finishing: Finishing,
+}
+
+impl State {
+    /// Whether what was read from a file can be used: numbers that do not fit together would be out of bounds
+    /// somewhere later.
+    pub(super) fn is_sound(&self) -> bool {
+        let counts = [self.step, self.last_density];
+        self.model.is_sound()
+            && self.pull.is_sound(self.model.gaussians())
+            && counts.iter().all(|&count| count <= MOST_STEPS)
+            && self.finishing.is_sound(self.model.gaussians())
+            && self.retreats <= MOST_RETREATS
+            && !self.mean_loss.is_nan()
+            && !self.lowest_loss.is_nan()
+    }
+}
