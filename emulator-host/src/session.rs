@@ -1,5 +1,9 @@
 //! Simulates one delivery in virtual time: sender, path, receiver, feedback, playout.
 //!
+//! What is the same over any transport lies in cores that know time and packets and no transport:
+//! [`MediaSender`] decides what leaves next, [`MediaReceiver`] plays and writes receipts, [`Outstanding`] infers
+//! losses where a transport does not tell them, [`Viewer`] measures. Around them lies a model of QUIC.
+//!
 //! Order within one instant: arrivals at the receiver, arrivals at the sender, timers, playout, sending,
 //! receipts. So what arrives at the very time of a snapshot is in it.
 //!
@@ -15,10 +19,14 @@ mod datagram;
 mod feedback;
 mod forecast;
 mod loss_share;
+mod media_receiver;
+mod media_sender;
 mod metrics;
 mod outlook;
+mod outstanding;
 mod run;
 mod sender;
+mod viewer;
 
 use crate::{
     clock::{Nanos, Rate},
@@ -29,7 +37,12 @@ use crate::{
 };
 
 pub use crate::startup::{Startup, StartupRule};
+pub use media_receiver::MediaReceiver;
+pub use media_sender::{MediaSender, SendingRules};
+pub use outlook::PathFacts;
+pub use outstanding::Outstanding;
 pub use run::{run, simulate};
+pub use viewer::Viewer;
 
 /// Bytes around a DGSP packet inside the UDP payload: QUIC short header 11, DATAGRAM frame 3, authentication
 /// tag 16.
@@ -113,6 +126,19 @@ impl Default for SessionConfig {
             buffer_limit: GraphReceiver::BUFFER_LIMIT,
             sample_interval: Nanos::from_ms(100),
             cap: Nanos::from_s(3600),
+        }
+    }
+}
+
+impl SessionConfig {
+    /// What the sender of media may do, whatever the transport.
+    pub fn sending(&self) -> SendingRules {
+        SendingRules {
+            lookahead: self.lookahead,
+            startup: self.startup,
+            retransmissions: self.retransmissions,
+            retransmit_levels: self.retransmit_levels,
+            retransmit_canonical: self.retransmit_canonical,
         }
     }
 }
