@@ -1,0 +1,3 @@
+//! Carries sessions of `emulator-host` over QUIC.
+
+pub mod socket;
