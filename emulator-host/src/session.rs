@@ -31,7 +31,7 @@ mod viewer;
 use crate::{
     clock::{Nanos, Rate},
     congestion::ControllerKind,
-    link::{PathConfig, PathError},
+    link::{Chain, PathConfig, PathError},
     policy::PolicyKind,
     receiver::GraphReceiver,
 };
@@ -131,6 +131,31 @@ impl Default for SessionConfig {
 }
 
 impl SessionConfig {
+    /// Refuses numbers that no run can use.
+    ///
+    /// # Errors
+    /// [`SessionError::Config`] names the first.
+    pub fn check(&self) -> Result<(), SessionError> {
+        if let Some(share) = self.startup.rule.share().filter(|share| !(0.0..=1.0).contains(share)) {
+            return Err(SessionError::Config { field: "startup share", found: share, allowed: "0 to 1" });
+        }
+        if self.ack_every == 0 {
+            return Err(SessionError::Config { field: "ack_every", found: 0.0, allowed: "at least 1" });
+        }
+        Ok(())
+    }
+
+    /// Fresh boxes of both directions, forward first.
+    ///
+    /// # Errors
+    /// [`SessionError::Path`] names the direction and what is wrong with it.
+    pub fn paths(&self) -> Result<[Chain; 2], SessionError> {
+        let path = |direction, path: &PathConfig| {
+            path.build(direction, self.seed).map_err(|error| SessionError::Path { direction, error })
+        };
+        Ok([path("forward", &self.forward)?, path("reverse", &self.reverse)?])
+    }
+
     /// What the sender of media may do, whatever the transport.
     pub fn sending(&self) -> SendingRules {
         SendingRules {

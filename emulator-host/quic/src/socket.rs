@@ -4,8 +4,8 @@
 
 mod identity;
 mod impair;
-pub mod message;
 mod locator;
+pub mod message;
 
 pub use identity::{Identity, IdentityError, Pin, PinError, Trust};
 pub use impair::Impairment;

@@ -4,7 +4,7 @@ use super::{SessionConfig, SessionError, client::Client, sender::Sender};
 use crate::{
     clock::Nanos,
     graph::PacketGraph,
-    link::{BoxOutput, Chain, Datagram, LinkBox, PathConfig},
+    link::{BoxOutput, Chain, Datagram, LinkBox},
     policy::Scheduler,
     receiver::{Endpoint, GraphReceiver},
     report::Report,
@@ -31,13 +31,11 @@ pub fn run(
     scheduler: &mut dyn Scheduler,
     endpoint: &mut dyn Endpoint,
 ) -> Result<Report, SessionError> {
-    check(config)?;
-    let path = |direction, path: &PathConfig| {
-        path.build(direction, config.seed).map_err(|error| SessionError::Path { direction, error })
-    };
+    config.check()?;
+    let [forward, reverse] = config.paths()?;
     let mut walk = Walk {
-        forward: path("forward", &config.forward)?,
-        reverse: path("reverse", &config.reverse)?,
+        forward,
+        reverse,
         sender: Sender::new(graph, config, scheduler),
         client: Client::new(graph, config, endpoint),
         digest: 0xcbf2_9ce4_8422_2325,
@@ -49,16 +47,6 @@ pub fn run(
         now = walk.next_time(now);
     }
     Ok(walk.report(now.min(config.cap)))
-}
-
-fn check(config: &SessionConfig) -> Result<(), SessionError> {
-    if let Some(share) = config.startup.rule.share().filter(|share| !(0.0..=1.0).contains(share)) {
-        return Err(SessionError::Config { field: "startup share", found: share, allowed: "0 to 1" });
-    }
-    if config.ack_every == 0 {
-        return Err(SessionError::Config { field: "ack_every", found: 0.0, allowed: "at least 1" });
-    }
-    Ok(())
 }
 
 /// One run: both ends, the path between them, and what is measured.
