@@ -80,6 +80,9 @@ pub struct SessionConfig {
     pub reverse: PathConfig,
     /// Rate of the sender's own serialiser; loss timers start when it is through. `None`: instantly.
     pub access_rate: Option<Rate>,
+    /// Round trip that the handshake has measured, before the session's time begins; `None` if there was no
+    /// handshake.
+    pub handshake_rtt: Option<Nanos>,
     /// How far ahead of playout media may be sent.
     pub lookahead: Nanos,
     /// When playout starts.
@@ -116,6 +119,7 @@ impl Default for SessionConfig {
             forward: PathConfig::default(),
             reverse: up,
             access_rate: None,
+            handshake_rtt: None,
             lookahead: Nanos::from_s(2),
             startup: Startup { rule: StartupRule::BaseGroups(0.95), max_wait: Nanos::from_s(5) },
             retransmissions: 2,

@@ -38,7 +38,10 @@ impl<'a> Sender<'a> {
     ) -> Self {
         let datagram_bytes = widest_datagram(graph);
         let controller = config.controller.build(datagram_bytes);
-        let recovery = Recovery::new(controller, datagram_bytes, config.max_ack_delay);
+        let mut recovery = Recovery::new(controller, datagram_bytes, config.max_ack_delay);
+        if let Some(round_trip) = config.handshake_rtt {
+            recovery.on_handshake(round_trip, Nanos::ZERO);
+        }
         let path = facts(&recovery, datagram_bytes);
         Self {
             config,
