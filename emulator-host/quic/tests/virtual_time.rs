@@ -38,8 +38,10 @@ fn check_sane(report: &Report, graph: &PacketGraph) {
 #[test]
 fn the_same_seed_gives_the_same_run() {
     let graph = graph(4, 150);
-    for policy in [PolicyKind::Layered, PolicyKind::DeadlineUtility] {
-        let config = SessionConfig { policy, ..down(hostile()) };
+    for (policy, controller) in
+        [(PolicyKind::Layered, ControllerKind::NewReno), (PolicyKind::DeadlineUtility, ControllerKind::Cubic)]
+    {
+        let config = SessionConfig { policy, controller, ..down(hostile()) };
         let run = || virtual_time::simulate(&graph, &config).unwrap();
         let (first, second) = (run(), run());
         check_sane(&first, &graph);

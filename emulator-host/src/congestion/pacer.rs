@@ -1,9 +1,9 @@
 //! Paces datagrams by a token bucket (RFC 9002, 7.7).
 //!
 //! The bucket holds the initial window, the largest burst that the RFC allows, whatever time has passed. A
-//! smaller one leaves windows of few datagrams unused: acknowledgements come in bunches, and what they let out
-//! would be spread over time that the window does not have. Measured against `quinn-proto`, a bucket of two
-//! datagrams cost up to four percent of the goodput on lossy paths.
+//! smaller one leaves windows of few datagrams unused: acknowledgements come in bunches, and what they let
+//! out would be spread over time that the window does not have. Measured against `quinn-proto`, a bucket of
+//! two datagrams cost up to four percent of the goodput on lossy paths.
 
 use super::initial_window;
 use crate::clock::{Bytes, Nanos, Rate};

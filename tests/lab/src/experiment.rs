@@ -16,6 +16,7 @@ mod loss;
 mod objective;
 mod pareto;
 mod partial;
+mod quic_model;
 mod rank;
 mod rate;
 mod render;
@@ -150,6 +151,11 @@ pub const ALL: &[Experiment] = &[
         name: "gpu",
         about: "wgpu backend: time per stage beside its error, world batches",
         run: gpu::run,
+    },
+    Experiment {
+        name: "quic-model",
+        about: "the model of QUIC beside quinn-proto in virtual time: goodput, lateness of frames, speed",
+        run: quic_model::run,
     },
     Experiment {
         name: "transport",

@@ -10,10 +10,11 @@ use std::{
 };
 
 use bytes::BytesMut;
-use emulator_host::{Nanos, congestion, rng};
+use emulator_host::{ControllerKind, Nanos, congestion, rng};
 use quinn_proto::{
     ClientConfig, Connection, ConnectionHandle, ConnectionId, ConnectionIdGenerator, DatagramEvent, Endpoint,
-    EndpointConfig, ServerConfig, TransportConfig, ValidationTokenConfig, congestion::NewRenoConfig,
+    EndpointConfig, ServerConfig, TransportConfig, ValidationTokenConfig,
+    congestion::{ControllerFactory, CubicConfig, NewRenoConfig},
 };
 
 use super::{
@@ -97,13 +98,12 @@ impl End {
         clock: Clock,
         seed: u64,
         datagram_bytes: u16,
+        controller: Arc<dyn ControllerFactory + Send + Sync>,
         watch: Watch,
     ) -> Result<Self, VirtualError> {
         let Tls { server, .. } = tls::shared()?;
         let mut transport = transport(datagram_bytes);
-        let mut reno = NewRenoConfig::default();
-        reno.initial_window(congestion::initial_window(u64::from(datagram_bytes)));
-        transport.congestion_controller_factory(Arc::new(Watched { inner: Arc::new(reno), watch }));
+        transport.congestion_controller_factory(Arc::new(Watched { inner: controller, watch }));
         let mut config = ServerConfig::with_crypto(server);
         config.transport_config(Arc::new(transport));
         // No tokens for later connections: they would travel with the media.
@@ -212,6 +212,31 @@ impl End {
                 connection.handle_event(event);
             }
         }
+    }
+}
+
+/// The transport's own controller of this kind, with the initial window of the model.
+pub(super) fn controller(
+    kind: ControllerKind,
+    datagram_bytes: u16,
+) -> Result<Arc<dyn ControllerFactory + Send + Sync>, VirtualError> {
+    let window = congestion::initial_window(u64::from(datagram_bytes));
+    match kind {
+        ControllerKind::NewReno => {
+            let mut reno = NewRenoConfig::default();
+            reno.initial_window(window);
+            Ok(Arc::new(reno))
+        }
+        ControllerKind::Cubic => {
+            let mut cubic = CubicConfig::default();
+            cubic.initial_window(window);
+            Ok(Arc::new(cubic))
+        }
+        ControllerKind::BbrModel => Err(VirtualError::Unsupported {
+            field: "controller",
+            found: kind.name().to_owned(),
+            allowed: "newreno or cubic",
+        }),
     }
 }
 

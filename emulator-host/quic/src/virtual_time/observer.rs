@@ -166,12 +166,12 @@ impl Watch {
 }
 
 /// Builds controllers that are watched.
-pub(super) struct Watched<F> {
-    pub(super) inner: Arc<F>,
+pub(super) struct Watched {
+    pub(super) inner: Arc<dyn ControllerFactory + Send + Sync>,
     pub(super) watch: Watch,
 }
 
-impl<F: ControllerFactory + Send + Sync + 'static> ControllerFactory for Watched<F> {
+impl ControllerFactory for Watched {
     fn build(self: Arc<Self>, now: Instant, current_mtu: u16) -> Box<dyn Controller> {
         let inner = self.inner.clone().build(now, current_mtu);
         Box::new(WatchedController { inner, watch: self.watch.clone() })

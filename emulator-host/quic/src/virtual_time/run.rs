@@ -3,15 +3,14 @@
 //! The order within one instant is that of the model.
 
 use emulator_host::{
-    ControllerKind, Endpoint, GraphReceiver, Nanos, PacketGraph, Report, Scheduler, SessionConfig,
-    SessionError,
+    Endpoint, GraphReceiver, Nanos, PacketGraph, Report, Scheduler, SessionConfig, SessionError,
     link::{Capacity, Chain, LossModel, PathConfig},
     session::Viewer,
 };
 
 use super::{
     VirtualError,
-    end::{Clock, DATAGRAM_OVERHEAD, End},
+    end::{self, Clock, DATAGRAM_OVERHEAD, End},
     observer::{Observed, Watch},
     receiving::Receiving,
     sending::Sending,
@@ -96,9 +95,6 @@ fn check(config: &SessionConfig) -> Result<(), VirtualError> {
     config.check()?;
     let unsupported =
         |field, found: String, allowed| Err(VirtualError::Unsupported { field, found, allowed });
-    if config.controller != ControllerKind::NewReno {
-        return unsupported("controller", config.controller.name().to_owned(), "newreno");
-    }
     if let Some(rate) = config.access_rate {
         return unsupported("access_rate", format!("{} bit/s", rate.0), "none");
     }
@@ -152,8 +148,9 @@ impl Pair {
     ) -> Result<Self, VirtualError> {
         let clock = Clock::start();
         let watch = Watch::new(Observed::new(clock, config.max_ack_delay));
+        let controller = end::controller(config.controller, datagram_bytes)?;
         Ok(Self {
-            server: End::server(clock, config.seed, datagram_bytes, watch.clone())?,
+            server: End::server(clock, config.seed, datagram_bytes, controller, watch.clone())?,
             client: End::client(clock, config.seed, datagram_bytes)?,
             watch,
             forward: Wire::new(forward),

@@ -3,7 +3,8 @@
 use anyhow::Result;
 use dgs_quic::virtual_time;
 use emulator_host::{
-    Endpoint, GraphReceiver, Nanos, PacketGraph, PacketIndex, PolicyKind, Rate, Report, SessionConfig, Snapshot,
+    ControllerKind, Endpoint, GraphReceiver, Nanos, PacketGraph, PacketIndex, PolicyKind, Rate, Report,
+    SessionConfig, Snapshot,
     graph::{Synthetic, Utilities},
     link::PathConfig,
     receiver::Arrival,
@@ -57,10 +58,11 @@ impl Load {
     }
 
     /// The session over `forward`. The model's transport has seen a handshake, as the real one has.
-    pub fn session(self, forward: PathConfig, seed: u64) -> SessionConfig {
+    pub fn session(self, controller: ControllerKind, forward: PathConfig, seed: u64) -> SessionConfig {
         let base = SessionConfig::default();
         SessionConfig {
             seed,
+            controller,
             policy: PolicyKind::Layered,
             handshake_rtt: Some(forward.delay + base.reverse.delay),
             forward,
@@ -104,8 +106,6 @@ pub struct Seen {
     /// 95th percentile over the frames of the time from when a frame may be sent until the last of it that
     /// arrives at all is there; one whose base never comes counts as arriving when it is shown. Milliseconds.
     pub late_ms: f64,
-    /// Everything else.
-    pub report: Report,
 }
 
 /// One link under both transports.
@@ -131,21 +131,6 @@ impl Pair {
         })?;
         Ok(Self { model, quic })
     }
-
-    /// How much less or more the model brings, as a share of what QUIC brings.
-    pub fn goodput(&self) -> f64 {
-        self.model.goodput / self.quic.goodput.max(1.0) - 1.0
-    }
-
-    /// How much later or earlier frames are in the model, milliseconds.
-    pub fn late_ms(&self) -> f64 {
-        self.model.late_ms - self.quic.late_ms
-    }
-
-    /// Whether frames are as late within 5 ms or 5 %, whichever is more.
-    pub fn late_agrees(&self) -> bool {
-        self.late_ms().abs() <= (0.05 * self.quic.late_ms).max(5.0)
-    }
 }
 
 fn see(
@@ -157,7 +142,7 @@ fn see(
     let mut endpoint = Noting { inner, arrived: vec![None; graph.packets().len()] };
     let report = run(&mut *config.policy.build(graph), &mut endpoint)?;
     let late_ms = late_ms(graph, config, &endpoint.arrived);
-    Ok(Seen { goodput: report.goodput_bps, late_ms, report })
+    Ok(Seen { goodput: report.goodput_bps, late_ms })
 }
 
 fn late_ms(graph: &PacketGraph, config: &SessionConfig, arrived: &[Option<Nanos>]) -> f64 {
