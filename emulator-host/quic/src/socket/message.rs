@@ -374,7 +374,8 @@ impl Message for ClientMessage {
 
 /// The body of a hello.
 fn hello(mut fields: Fields<'_>) -> Result<ClientMessage, MessageError> {
-    let illegal = |field, found: u64, allowed| MessageError::Field { message: "hello", field, found, allowed };
+    let illegal =
+        |field, found: u64, allowed| MessageError::Field { message: "hello", field, found, allowed };
     let version = fields.byte()?;
     if version != VERSION {
         return Err(illegal("version", version.into(), "0"));
