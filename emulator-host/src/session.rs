@@ -1,8 +1,8 @@
 //! Simulates one delivery in virtual time: sender, path, receiver, feedback, playout.
 //!
 //! What is the same over any transport lies in cores that know time and packets and no transport:
-//! [`MediaSender`] decides what leaves next, [`MediaReceiver`] plays and writes receipts, [`Outstanding`] infers
-//! losses where a transport does not tell them, [`Viewer`] measures. Around them lies a model of QUIC.
+//! [`MediaSender`] decides what leaves next, [`MediaReceiver`] plays and writes receipts, [`Outstanding`]
+//! infers losses where a transport does not tell them, [`Viewer`] measures. Around them lies a model of QUIC.
 //!
 //! Order within one instant: arrivals at the receiver, arrivals at the sender, timers, playout, sending,
 //! receipts. So what arrives at the very time of a snapshot is in it.

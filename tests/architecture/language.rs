@@ -97,7 +97,7 @@ const CEILINGS: [(&str, Counts); 11] = [
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 0, 19]),
     ("codec-core/simd/", [0, 0, 0, 0, 0, 0, 0, 0, 9]),
-    ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 130]),
+    ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 136]),
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 30]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 234]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 48]),

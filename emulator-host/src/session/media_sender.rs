@@ -1,7 +1,7 @@
 //! Decides which media leaves next, and learns from what becomes of it, over any transport.
 //!
-//! The transport says when a datagram may leave, what it knows of the path ([`PathFacts`]), and what became of
-//! each datagram. This core knows time and packets: statuses, losses that compete again, parity, the horizon,
+//! The transport says when a datagram may leave, what it knows of the path ([`PathFacts`]), and what became
+//! of each datagram. This core knows time and packets: statuses, losses that compete again, parity, the horizon,
 //! when playout is expected, and the queue that it causes itself. It never asks a clock and moves no bytes.
 
 use std::{collections::VecDeque, ops::Deref};
@@ -50,7 +50,8 @@ pub struct SendingRules {
 /// let graph = Arc::new(Synthetic { frames: 30, ..Synthetic::default() }.build(1)?);
 /// let path = PathFacts { rate: Rate::from_mbps(5), ..PathFacts::unknown(1200) };
 /// let scheduler = PolicyKind::Layered.build(&graph);
-/// let mut sender = MediaSender::new(graph, scheduler, SessionConfig::default().sending(), path, Nanos::ZERO);
+/// let rules = SessionConfig::default().sending();
+/// let mut sender = MediaSender::new(graph, scheduler, rules, path, Nanos::ZERO);
 /// // Whenever the transport has room for a datagram:
 /// let now = Nanos::from_ms(1);
 /// sender.advance(now);

@@ -74,8 +74,8 @@ impl Outstanding {
         self.loss_at.unwrap_or(Nanos::MAX)
     }
 
-    /// Settles what `sender` has learnt from a receipt, or what time has shown to be lost; how many were found
-    /// lost. [`MediaSender::look`] is to be called after it.
+    /// Settles what `sender` has learnt from a receipt, or what time has shown to be lost; how many were
+    /// found lost. [`MediaSender::look`] is to be called after it.
     pub fn settle<G, S>(&mut self, sender: &mut MediaSender<G, S>, now: Nanos) -> usize
     where
         G: Deref<Target = PacketGraph>,

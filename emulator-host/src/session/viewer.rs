@@ -1,4 +1,4 @@
-//! Plays one clip at a modelled screen: a receiver behind [`Endpoint`], playout, receipts, and what is measured.
+//! Plays one clip at a modelled screen: a receiver behind [`Endpoint`], playout, receipts, and measures it.
 //!
 //! It serves every transport in virtual time; sizes of media come from the graph.
 
