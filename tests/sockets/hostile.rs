@@ -1,0 +1,1 @@
+//! Neither side can be hurt by the other: garbage, floods, silence.
