@@ -1,10 +1,8 @@
-//! Promises across bytes, time and sockets: what is served is what is played, and neither side can be hurt by
-//! the other.
+//! Promises across bytes, time and sockets: what is served is what is played. That neither side can be hurt by
+//! the other is tested in `dgs-quic`.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
-#[path = "sockets/hostile.rs"]
-mod hostile;
 #[path = "sockets/served.rs"]
 mod served;
 
@@ -35,9 +33,9 @@ use trainer_host::{Stream, encode::Protection, stream::PacketMap};
 fn stream() -> &'static Stream {
     static STREAM: OnceLock<Stream> = OnceLock::new();
     STREAM.get_or_init(|| {
-        let flags = ["dgs", "demo", "--window-frames", "10", "--pictures", "2"];
+        let flags = ["dgs", "demo", "--window-frames", "10", "--pictures", "2", "--coarseness", "0.2"];
         let Ok(Cli { verb: Verb::Demo(args), .. }) = Cli::try_parse_from(flags) else { panic!("{flags:?}") };
-        let scene = pipeline::import("synth:figure:1000:30", &args.source).unwrap().scene;
+        let scene = pipeline::import("synth:cloth:4000:30", &args.source).unwrap().scene;
         let options = pipeline::encode_options(&args.codec, Protection::STANDARD);
         pipeline::encode(&scene, &options, Quiet(true)).unwrap().stream
     })

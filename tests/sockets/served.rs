@@ -30,7 +30,7 @@ fn over_a_clean_path_every_frame_is_shown_and_decodes_as_the_file_does() {
         assert_eq!(screen.frames, (0..30).collect::<Vec<_>>());
         assert_eq!((report.shown_count, report.connections, report.rounds), (30, 1, 1));
         assert!(report.startup_reached && report.base_miss_rate == 0.0, "{report:?}");
-        assert_eq!((report.refused, report.duplicates), (0, 0), "{report:?}");
+        assert_eq!((report.refused, report.recovered), (0, 0), "{report:?}");
         // By the end everything has come; the first frames may be coarser.
         assert_eq!(screen.differs.filter(|frame| *frame >= 20), None, "{report:?}");
         let (counts, viewers) = server.stop().await;

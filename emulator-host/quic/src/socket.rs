@@ -15,6 +15,8 @@ mod playback;
 mod round;
 mod server;
 mod settings;
+#[cfg(test)]
+mod tests;
 mod viewer;
 
 pub use client::play;

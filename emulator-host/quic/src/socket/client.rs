@@ -21,6 +21,8 @@ use super::{
 
 /// A receipt leaves with every so many datagrams.
 const RECEIPT_EVERY: u32 = 2;
+/// And so long after any datagram at the latest.
+const RECEIPT_DELAY: Duration = Duration::from_millis(25);
 /// And at least so often: what was repeated enough and lost all the same is said again, and the server sees
 /// that somebody is there.
 const RECEIPT_INTERVAL: Duration = Duration::from_millis(100);
@@ -147,7 +149,8 @@ async fn converse(
     let hello = ClientMessage::Hello { stream, start_us: playback.start_us() };
     say(&mut send, &hello).await?;
     let deadline = Instant::now() + config.silence;
-    let mut receipt_at = Instant::now() + RECEIPT_INTERVAL;
+    let mut history_at = Instant::now() + RECEIPT_INTERVAL;
+    let mut answer_at = None;
     let mut unanswered = 0;
     let mut had_manifest = false;
     loop {
@@ -160,12 +163,13 @@ async fn converse(
             say(&mut send, &playback.next_round()).await?;
             continue;
         }
-        let receipt_due = unanswered >= RECEIPT_EVERY || playback.wants_receipt() || now >= receipt_at;
-        if had_manifest && receipt_due {
+        let (history, late) = (now >= history_at, answer_at.is_some_and(|at| now >= at));
+        if had_manifest && (history || late || unanswered >= RECEIPT_EVERY || playback.wants_receipt()) {
             // A receipt that finds no room is as lost as one that is dropped on the way.
-            let _ = connection.send_datagram(playback.receipt(now >= receipt_at).into());
-            (unanswered, receipt_at) = (0, now + RECEIPT_INTERVAL);
+            let _ = connection.send_datagram(playback.receipt(history).into());
+            (unanswered, answer_at, history_at) = (0, None, now + RECEIPT_INTERVAL);
         }
+        let receipt_at = answer_at.map_or(history_at, |at| history_at.min(at));
         let wake = if had_manifest {
             playback.next_time().map_or(receipt_at, |due| due.min(receipt_at))
         } else {
@@ -177,7 +181,7 @@ async fn converse(
                     Ok(Some(ServerMessage::Manifest(message))) if !had_manifest => {
                         playback.manifest(&message)?;
                         had_manifest = true;
-                        receipt_at = now;
+                        history_at = now;
                     }
                     Ok(Some(ServerMessage::Manifest(_))) => {
                         return Err(PlayError::Nonsense("a second manifest".to_owned()));
@@ -192,6 +196,7 @@ async fn converse(
                 let datagram = datagram.map_err(PlayError::Lost)?;
                 playback.media(&datagram)?;
                 unanswered += 1;
+                answer_at = answer_at.or(Some(now + RECEIPT_DELAY));
             }
             () = sleep_until(wake.into()) => {
                 if !had_manifest && Instant::now() >= deadline {

@@ -1,1 +1,0 @@
-//! Neither side can be hurt by the other: garbage, floods, silence.
