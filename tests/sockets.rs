@@ -94,7 +94,7 @@ impl Running {
 
     /// Plays on a screen that nobody looks at.
     async fn play(&self, config: &ClientConfig) -> Result<PlayReport, PlayError> {
-        play(config, &mut Headless, std::future::pending()).await
+        play(config, &mut Headless, std::future::pending()).await.whole()
     }
 
     async fn stop(mut self) -> (ServerReport, Vec<ViewerReport>) {

@@ -26,7 +26,7 @@ fn over_a_clean_path_every_frame_is_shown_and_decodes_as_the_file_does() {
     within(async {
         let server = Running::start(ServerLimits::default(), None);
         let mut screen = Decoded::default();
-        let report = play(&server.client(), &mut screen, std::future::pending()).await.unwrap();
+        let report = play(&server.client(), &mut screen, std::future::pending()).await.whole().unwrap();
         assert_eq!(screen.frames, (0..30).collect::<Vec<_>>());
         assert_eq!((report.shown_count, report.connections, report.rounds), (30, 1, 1));
         assert!(report.startup_reached && report.base_miss_rate == 0.0, "{report:?}");
@@ -59,14 +59,14 @@ fn playout_begins_in_the_window_of_the_time_and_repeats_from_the_start() {
         let server = Running::start(ServerLimits::default(), None);
         let late = ClientConfig { start_us: 500_000, ..server.client() };
         let mut screen = Watching::default();
-        play(&late, &mut screen, std::future::pending()).await.unwrap();
+        play(&late, &mut screen, std::future::pending()).await.whole().unwrap();
         // Half a second is frame 15, in the window of frames 10 to 19.
         assert_eq!(screen.frames, (10..30).collect::<Vec<_>>());
         assert!(screen.packets < stream().packets().len(), "what is over is not sent");
         let end = Duration::from_millis(2500);
         let looped = ClientConfig { loops: true, duration: Some(end), ..server.client() };
         let mut screen = Watching::default();
-        let report = play(&looped, &mut screen, std::future::pending()).await.unwrap();
+        let report = play(&looped, &mut screen, std::future::pending()).await.whole().unwrap();
         assert!(report.rounds >= 2 && screen.frames.len() > 40, "{report:?}");
         assert_eq!(screen.frames[..35], [(0..30).collect::<Vec<_>>(), (0..5).collect()].concat());
         let repeated = report.shown.iter().filter(|shown| shown.round == 1);
@@ -155,7 +155,9 @@ fn a_server_that_closes_says_so() {
         };
         let (played, (counts, viewers)) =
             tokio::join!(play(&config, &mut screen, std::future::pending()), stop);
-        let error = played.unwrap_err();
+        let shown = played.report.shown_count;
+        let error = played.whole().unwrap_err();
+        assert!(shown > 0);
         assert!(error.to_string().contains("the server is closing (closing)"), "{error}");
         assert_eq!((counts.viewers, viewers.len()), (1, 1));
         assert!(viewers[0].end.contains("closing"), "{viewers:?}");

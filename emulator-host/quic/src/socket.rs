@@ -19,7 +19,7 @@ mod settings;
 mod tests;
 mod viewer;
 
-pub use client::play;
+pub use client::{Played, play};
 pub use identity::{Identity, IdentityError, Pin, PinError, Trust};
 pub use impair::Impairment;
 pub use limits::ServerLimits;

@@ -6,6 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use dgs_player::Player;
 use quinn::{Connection, ConnectionError, Endpoint, SendStream, TransportErrorCode};
 use tokio::time::{sleep_until, timeout};
 
@@ -27,32 +28,33 @@ const RECEIPT_DELAY: Duration = Duration::from_millis(25);
 /// that somebody is there.
 const RECEIPT_INTERVAL: Duration = Duration::from_millis(100);
 
+/// What came of playing.
+#[derive(Debug)]
+pub struct Played {
+    /// What was seen.
+    pub report: PlayReport,
+    /// What has arrived, if the manifest has.
+    pub player: Option<Player>,
+    /// Why it ended before the clip, its time or the caller did.
+    pub error: Option<PlayError>,
+}
+
+impl Played {
+    /// The report of a session that nothing ended early.
+    ///
+    /// # Errors
+    /// What ended it.
+    pub fn whole(self) -> Result<PlayReport, PlayError> {
+        self.error.map_or(Ok(self.report), Err)
+    }
+}
+
 /// Plays what `config` names on `screen`, until the clip is over, its time is up or `stop` ends.
-///
-/// # Errors
-/// [`PlayError`]; what was shown before has been shown.
-pub async fn play(
-    config: &ClientConfig,
-    screen: &mut dyn Screen,
-    stop: impl Future<Output = ()>,
-) -> Result<PlayReport, PlayError> {
+pub async fn play(config: &ClientConfig, screen: &mut dyn Screen, stop: impl Future<Output = ()>) -> Played {
     let began = Instant::now();
-    let mut playback = Playback::new(config, began)?;
-    let played = async {
-        let mut left = config.reconnects;
-        loop {
-            let error = match session(config, &mut playback, screen).await {
-                Ok(()) => return Ok(()),
-                Err(error) => error,
-            };
-            // Who was never let in is not let in the next time either.
-            let again = matches!(error, PlayError::Lost(_)) && playback.has_manifest() && left > 0;
-            if !again {
-                return Err(error);
-            }
-            left -= 1;
-            playback.reconnect();
-        }
+    let mut playback = match Playback::new(config, began) {
+        Ok(playback) => playback,
+        Err(error) => return Played { report: PlayReport::default(), player: None, error: Some(error) },
     };
     let end = config.duration.map(|duration| began + duration);
     let up = async {
@@ -61,12 +63,32 @@ pub async fn play(
             None => std::future::pending().await,
         }
     };
-    tokio::select! {
-        played = played => played?,
-        () = up => {}
-        () = stop => {}
+    let played = tokio::select! {
+        played = sessions(config, &mut playback, screen) => played,
+        () = up => Ok(()),
+        () = stop => Ok(()),
+    };
+    let (report, player) = playback.end();
+    Played { report, player, error: played.err() }
+}
+
+/// Connections until the clip is over or none can be made any more.
+async fn sessions(
+    config: &ClientConfig,
+    playback: &mut Playback,
+    screen: &mut dyn Screen,
+) -> Result<(), PlayError> {
+    let mut left = config.reconnects;
+    loop {
+        let Err(error) = session(config, playback, screen).await else { return Ok(()) };
+        // Who was never let in is not let in the next time either.
+        let again = matches!(error, PlayError::Lost(_)) && playback.has_manifest() && left > 0;
+        if !again {
+            return Err(error);
+        }
+        left -= 1;
+        playback.reconnect();
     }
-    Ok(playback.report())
 }
 
 /// One connection, from the handshake to the end of the clip.

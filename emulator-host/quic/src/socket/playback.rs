@@ -59,7 +59,7 @@ pub struct FrameShown {
 }
 
 /// What a viewer saw.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct PlayReport {
     /// Frames of the clip.
     pub frames: u32,
@@ -137,22 +137,7 @@ impl Playback {
             sequence: 0,
             receipt: Vec::new(),
             wants_receipt: false,
-            report: PlayReport {
-                frames: 0,
-                startup_ms: None,
-                startup_reached: false,
-                rounds: 1,
-                connections: 1,
-                shown: Vec::new(),
-                shown_count: 0,
-                base_miss_rate: 0.0,
-                mean_levels: 0.0,
-                packets: 0,
-                received_bytes: 0,
-                recovered: 0,
-                duplicates: 0,
-                refused: 0,
-            },
+            report: PlayReport { rounds: 1, connections: 1, ..PlayReport::default() },
             sums: (0.0, 0.0),
         })
     }
@@ -336,10 +321,11 @@ impl Playback {
         out
     }
 
-    pub(super) fn report(mut self) -> PlayReport {
+    /// What was seen, and what has arrived.
+    pub(super) fn end(mut self) -> (PlayReport, Option<Player>) {
         let count = (self.report.shown_count as f64).max(1.0);
         (self.report.base_miss_rate, self.report.mean_levels) = (self.sums.0 / count, self.sums.1 / count);
-        self.report
+        (self.report, self.player)
     }
 }
 

@@ -104,7 +104,7 @@ impl Running {
 
     /// Plays to the end.
     async fn play(&self) -> Result<PlayReport, PlayError> {
-        play(&self.client(), &mut Headless, std::future::pending()).await
+        play(&self.client(), &mut Headless, std::future::pending()).await.whole()
     }
 
     /// A connection on which nothing has been said.
