@@ -39,6 +39,8 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     };
     let policy = pipeline::policy(args.policy);
     let config = ServerConfig { bind: args.listen, identity, limits, policy, impairment };
+    // At once: serving may take days.
+    warnings.iter().for_each(|warning| output::complain(&format!("warning: {warning}")));
     let mut viewers = Vec::new();
     let (urls, report) = runtime()?.block_on(async {
         let server = Server::bind(config, offers)?;
@@ -53,7 +55,11 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         let stop = interruption();
         // At once: whoever started this waits for it. With --json standard output is for the end.
         for url in &urls {
-            if quiet.0 { eprintln!("{url}") } else { output::print(&format!("{url}\n"))? }
+            if quiet.0 {
+                output::complain(&format!("serving {url}"))
+            } else {
+                output::print(&format!("{url}\n"))?
+            }
         }
         let ended = |viewer: &ViewerReport| {
             if !quiet.0 {
@@ -65,7 +71,7 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         anyhow::Ok((urls, server.run(stop, ended).await))
     })?;
     let json = json!({ "urls": urls, "server": report, "viewers": viewers, "warnings": warnings });
-    Ok(VerbOutput { text: summary(&report), json, warnings, damaged: false })
+    Ok(VerbOutput { text: summary(&report), json, ..VerbOutput::default() })
 }
 
 /// What a stream is called: its file's name without extension, other characters than a name has replaced.

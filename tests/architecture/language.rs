@@ -90,7 +90,7 @@ const MODULES: [&str; 2] = ["Options", "Kind"];
 type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
-const CEILINGS: [(&str, Counts); 11] = [
+const CEILINGS: [(&str, Counts); 12] = [
     ("", [0, 1, 0, 7, 0, 0, 0, 0, 91]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
@@ -98,6 +98,7 @@ const CEILINGS: [(&str, Counts); 11] = [
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 0, 19]),
     ("codec-core/simd/", [0, 0, 0, 0, 0, 0, 0, 0, 9]),
     ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 136]),
+    ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 60]),
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 30]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 234]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 48]),
