@@ -269,8 +269,8 @@ fn bench_runs_the_laboratory_beside_it() {
     assert_eq!(String::from_utf8_lossy(&bench(&["bench", "--list"]).stdout), "--list\n");
 }
 
-/// A server and its viewer as typed: the URL is all that goes between them, and Ctrl-C ends the server with its
-/// counts.
+/// A server and its viewer as typed: the URL is all that goes between them, and Ctrl-C ends the server with
+/// its counts.
 #[cfg(unix)]
 #[test]
 fn what_is_served_is_played() {

@@ -1,5 +1,5 @@
-//! Promises across bytes, time and sockets: what is served is what is played. That neither side can be hurt by
-//! the other is tested in `dgs-quic`.
+//! Promises across bytes, time and sockets: what is served is what is played. That neither side can be hurt
+//! by the other is tested in `dgs-quic`.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 

@@ -43,7 +43,10 @@ pub struct Serve {
     #[arg(long, value_name = "MBIT", value_parser = positive, allow_negative_numbers = true)]
     pub max_rate: Option<f64>,
     /// A viewer from whom nothing comes for so long is gone, 1 to 3600 seconds.
-    #[arg(long, value_name = "SECONDS", default_value_t = 10, value_parser = whole::<u64>(1..=3600, "seconds"))]
+    #[arg(
+        long, value_name = "SECONDS", default_value_t = 10,
+        value_parser = whole::<u64>(1..=3600, "seconds")
+    )]
     pub idle: u64,
     /// An emulated link before every viewer: a capacity trace, or a list of loss=5%, burst=PACKETS,
     /// rate=5mbit, delay=40ms, jitter=5ms, queue=250ms, trace=FILE, seed=1. What viewers send is left alone.

@@ -139,7 +139,7 @@ fn summary(args: &Play, report: &PlayReport, quality: Option<&Quality>) -> Strin
     let startup = report.startup_ms.map_or("never".to_owned(), |ms| format!("{ms:.0} ms"));
     let late = report.shown.iter().map(|shown| shown.late_ms).fold(0.0, f64::max);
     let mut text = format!(
-        "{}\n  startup {startup}, {} frames shown of a clip of {}, {} rounds, the latest {late:.1} ms late\n  \
+        "{}\n  startup {startup}, {} frames shown of a clip of {}, {} rounds, at most {late:.1} ms late\n  \
          base missed {:.2} %, {:.2} of 4 levels usable\n  {} packets, {:.1} KiB, {} recovered by repair, {} \
          twice, {} refused, {} connections\n",
         args.url,

@@ -100,7 +100,8 @@ fn summary(report: &ServerReport) -> String {
     let refused: Vec<String> = report.refused.iter().map(|(code, count)| format!("{code} {count}")).collect();
     let refused = if refused.is_empty() { "none".to_owned() } else { refused.join(", ") };
     format!(
-        "{} viewers; {} handshakes failed, {} turned away, {} had to prove their address; refused: {refused}\n",
+        "{} viewers; {} handshakes failed, {} turned away, {} had to prove their address; \
+         refused: {refused}\n",
         report.viewers, report.failed_handshakes, report.turned_away, report.retried
     )
 }

@@ -20,10 +20,10 @@ pub(super) fn runtime() -> Result<Runtime> {
 pub(super) fn interruption() -> impl Future<Output = ()> {
     let wish = Arc::new(Notify::new());
     let heard = wish.clone();
-    let mut asked = false;
+    let mut second = false;
     // Where no handler can be set, an interruption ends the process as it does any other.
     let _ = ctrlc::set_handler(move || {
-        if std::mem::replace(&mut asked, true) {
+        if std::mem::replace(&mut second, true) {
             process::exit(INTERRUPTED);
         }
         wish.notify_one();

@@ -104,7 +104,7 @@ fn two_viewers_watch_two_streams_and_a_third_finds_no_place() {
 }
 
 #[test]
-fn a_bound_on_the_rate_is_kept() {
+fn no_viewer_gets_more_than_the_bound() {
     within(async {
         let limits = ServerLimits { max_rate_bps: Some(200_000), ..ServerLimits::default() };
         let server = Running::start(limits, None);

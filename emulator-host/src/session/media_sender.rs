@@ -1,8 +1,9 @@
 //! Decides which media leaves next, and learns from what becomes of it, over any transport.
 //!
 //! The transport says when a datagram may leave, what it knows of the path ([`PathFacts`]), and what became
-//! of each datagram. This core knows time and packets: statuses, losses that compete again, parity, the horizon,
-//! when playout is expected, and the queue that it causes itself. It never asks a clock and moves no bytes.
+//! of each datagram. This core knows time and packets: statuses, losses that compete again, parity, the
+//! horizon, when playout is expected, and the queue that it causes itself. It never asks a clock and moves no
+//! bytes.
 
 use std::{collections::VecDeque, ops::Deref};
 

@@ -1,4 +1,4 @@
-//! Serves one viewer: rounds of playout, one datagram whenever the transport takes one, until somebody ends it.
+//! Serves one viewer: rounds of playout, a datagram whenever the transport takes one, until somebody ends it.
 
 use std::{
     net::SocketAddr,

@@ -62,8 +62,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "serve",
         format!(
             "{} viewers at once over loopback, each bounded to its part of 50 Mbit/s; synth cloth, {} \
-             Gaussians, {FRAMES} frames at {} fps, coarseness {COARSENESS}, deadline-utility without measured \
-             utilities; clients in the same process, on threads of their own",
+             Gaussians, {FRAMES} frames at {} fps, coarseness {COARSENESS}, deadline-utility without \
+             measured utilities; clients in the same process, on threads of their own",
             sizes.viewers, sizes.gaussians, sizes.frames_per_second
         ),
     );
