@@ -156,8 +156,12 @@ impl Round {
 
     /// Whether time alone has shown something to be lost.
     pub(super) fn is_due(&self) -> bool {
-        let expiry = self.outstanding.expires_at(self.silence());
-        self.outstanding.next_time().min(expiry) <= self.now()
+        self.loss_time() <= self.now()
+    }
+
+    /// When time alone shows something to be lost.
+    pub(super) fn loss_time(&self) -> Nanos {
+        self.outstanding.next_time().min(self.outstanding.expires_at(self.silence()))
     }
 
     /// The next packet to send, if one is worth sending and the path is not full.
@@ -180,11 +184,10 @@ impl Round {
         self.sender.on_left(self.outstanding.bytes(), now);
     }
 
-    /// When there is something to do without news.
+    /// When there may be something to send, or something is lost, without news.
     pub(super) fn next_time(&self) -> Nanos {
         let full = self.sender.full_until(self.now()).unwrap_or(Nanos::MAX);
-        let expiry = self.outstanding.expires_at(self.silence());
-        self.outstanding.next_time().min(expiry).min(full).min(self.sender.next_horizon_at())
+        self.loss_time().min(full).min(self.sender.next_horizon_at())
     }
 
     /// A packet of which nothing is heard for so long is lost.

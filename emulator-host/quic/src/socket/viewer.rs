@@ -247,10 +247,11 @@ impl<'s> Viewer<'s> {
             if self.round.is_due() {
                 self.round.settle(connection);
             }
-            if sending.is_none() && self.may_send() {
+            let chooses = sending.is_none() && self.may_send();
+            if chooses {
                 sending = self.pull();
             }
-            let wake = self.wake(sending.is_some(), limits);
+            let wake = self.wake(chooses && sending.is_none(), limits);
             tokio::select! {
                 biased;
                 error = connection.closed() => return End::Gone(error),
@@ -327,17 +328,13 @@ impl<'s> Viewer<'s> {
         }
     }
 
-    /// When the loop has something to do without being woken.
-    fn wake(&mut self, is_sending: bool, limits: &ServerLimits) -> Instant {
+    /// When the loop has something to do without being woken. `found_nothing`: there was room for a packet and
+    /// none worth sending, which time may change.
+    fn wake(&mut self, found_nothing: bool, limits: &ServerLimits) -> Instant {
         let idle = self.heard_at + limits.idle;
-        let round = match self.round.next_time() {
-            Nanos::MAX => idle,
-            at => self.round.instant(at).unwrap_or(idle),
-        };
-        let mut wake = idle.min(round);
-        if is_sending {
-            return wake.max(Instant::now());
-        }
+        let due = if found_nothing { self.round.next_time() } else { self.round.loss_time() };
+        let due = if due == Nanos::MAX { None } else { self.round.instant(due) };
+        let mut wake = due.map_or(idle, |due| due.min(idle));
         let now = Instant::now();
         if self.connection.stats().udp_tx.bytes - self.manifest.0 < self.manifest.1 {
             wake = wake.min(now + MANIFEST_POLL);
