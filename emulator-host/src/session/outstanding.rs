@@ -20,6 +20,7 @@ const PACKET_THRESHOLD: u64 = 3;
 struct Sending {
     number: u64,
     packet: PacketIndex,
+    bytes: u64,
     sent_at: Nanos,
 }
 
@@ -31,6 +32,7 @@ pub struct Outstanding {
     /// One more than the largest number known to have arrived.
     arrived_below: u64,
     lost: u64,
+    arrived_bytes: u64,
     loss_at: Option<Nanos>,
 }
 
@@ -47,13 +49,24 @@ impl Outstanding {
         S: Scheduler,
     {
         sender.on_sent(packet, self.next_number, now);
-        self.sendings.push_back(Sending { number: self.next_number, packet, sent_at: now });
+        let bytes = u64::from(sender.graph().packets()[packet.at()].wire_bytes);
+        self.sendings.push_back(Sending { number: self.next_number, packet, bytes, sent_at: now });
         self.next_number += 1;
     }
 
     /// Packets whose loss was inferred so far.
     pub fn lost(&self) -> u64 {
         self.lost
+    }
+
+    /// Bytes of packets whose fate is not known.
+    pub fn bytes(&self) -> u64 {
+        self.sendings.iter().map(|sending| sending.bytes).sum()
+    }
+
+    /// Bytes of packets that are known to have arrived.
+    pub fn arrived_bytes(&self) -> u64 {
+        self.arrived_bytes
     }
 
     /// When [`Self::settle`] finds the next loss without further news.
@@ -70,7 +83,7 @@ impl Outstanding {
     {
         let path = *sender.path();
         let delay = Nanos(path.smoothed_rtt.0 + path.smoothed_rtt.0 / 8).max(Nanos::from_ms(1));
-        let before = self.sendings.len();
+        let (before, bytes_before) = (self.sendings.len(), self.bytes());
         let mut arrived_below = self.arrived_below;
         self.sendings.retain(|sending| {
             let arrived = sender.status(sending.packet) == PacketStatus::Delivered;
@@ -82,6 +95,7 @@ impl Outstanding {
         });
         self.arrived_below = arrived_below;
         let arrived = before - self.sendings.len();
+        self.arrived_bytes += bytes_before - self.bytes();
         let mut lost = Vec::new();
         self.loss_at = None;
         let loss_at = &mut self.loss_at;
@@ -105,6 +119,30 @@ impl Outstanding {
         }
         self.lost += lost.len() as u64;
         lost.len()
+    }
+
+    /// Gives up what left `silence` ago and of which nothing was heard, whatever came later: at the end of a
+    /// burst nothing does. How many were given up; [`MediaSender::look`] is to be called after it.
+    pub fn expire<G, S>(&mut self, sender: &mut MediaSender<G, S>, silence: Nanos, now: Nanos) -> usize
+    where
+        G: Deref<Target = PacketGraph>,
+        S: Scheduler,
+    {
+        let old = self.sendings.partition_point(|sending| sending.sent_at + silence <= now);
+        let lost: Vec<Sending> = self.sendings.drain(..old).collect();
+        if !lost.is_empty() {
+            sender.on_settled(0, lost.len(), now);
+        }
+        for sending in &lost {
+            sender.on_lost(sending.packet, sending.number, now);
+        }
+        self.lost += lost.len() as u64;
+        lost.len()
+    }
+
+    /// When [`Self::expire`] gives something up, if nothing is heard of it.
+    pub fn expires_at(&self, silence: Nanos) -> Nanos {
+        self.sendings.front().map_or(Nanos::MAX, |sending| sending.sent_at + silence)
     }
 }
 
@@ -153,5 +191,13 @@ mod tests {
         assert_eq!(out.settle(&mut sender, Nanos::from_ms(47)), 1);
         assert_eq!(out.lost(), 2);
         assert_eq!(out.next_time(), Nanos::from_ms(50));
+        // Packets 5 and 6 left 5 and 6 ms after the first; nothing else tells that 6 is lost.
+        let bytes = |packet: usize| u64::from(graph.packets()[packets[packet].at()].wire_bytes);
+        assert_eq!(out.bytes(), bytes(5) + bytes(6));
+        assert_eq!(out.arrived_bytes(), [0, 2, 3, 7].map(bytes).iter().sum::<u64>());
+        let silence = Nanos::from_ms(100);
+        assert_eq!(out.expires_at(silence), Nanos::from_ms(105));
+        assert_eq!(out.expire(&mut sender, silence, Nanos::from_ms(105)), 1);
+        assert_eq!((out.lost(), out.bytes()), (3, bytes(6)));
     }
 }

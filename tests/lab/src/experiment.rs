@@ -21,6 +21,7 @@ mod rank;
 mod rate;
 mod render;
 mod repair;
+mod serve;
 mod skips;
 mod stress;
 mod structure;
@@ -161,6 +162,11 @@ pub const ALL: &[Experiment] = &[
         name: "transport",
         about: "schedulers on measured traces: utility beside the best possible, pictures, startup, waste",
         run: transport::run,
+    },
+    Experiment {
+        name: "serve",
+        about: "viewers at once over loopback at 50 Mbit/s: goodput, loss, processor time, memory, startup",
+        run: serve::run,
     },
     Experiment {
         name: "structure",

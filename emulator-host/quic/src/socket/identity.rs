@@ -117,7 +117,7 @@ impl Identity {
         Ok(Self { chain, key: key_of.map_err(|error| unreadable(key, &error))? })
     }
 
-    /// The certificate itself in PEM, for a client that takes it as its authority.
+    /// By what clients know the certificate.
     pub fn pin(&self) -> Pin {
         self.chain.first().map_or(Pin([0; 32]), Pin::of)
     }

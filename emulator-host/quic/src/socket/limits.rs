@@ -96,7 +96,7 @@ impl Allowance {
         self.left = (self.left + more).min(self.most);
     }
 
-    /// Takes `count` at `now`, a time since any one moment; false if there are not so many, and nothing is taken.
+    /// Takes `count` at `now`, a time since any one moment; nothing and false if there are not so many.
     pub(super) fn take(&mut self, count: f64, now: Duration) -> bool {
         self.renew(now);
         let enough = self.left >= count;

@@ -11,7 +11,7 @@ use emulator_host::{
     congestion::{DeliveryRate, DeliverySample},
     policy::PacketStatus,
     report::SenderCounts,
-    session::{MediaSender, Outstanding, PathFacts, QUIC_OVERHEAD_BYTES},
+    session::{MediaSender, Outstanding, PathFacts},
 };
 use quinn::Connection;
 
@@ -21,6 +21,9 @@ use super::offer::Offer;
 const SAMPLE: Nanos = Nanos::from_ms(50);
 /// Samples of the path older than this, and than ten round trips, are forgotten.
 const MEMORY: Nanos = Nanos::from_s(2);
+
+/// Receipts come at least so often while media arrives, twice over.
+const RECEIPTS: Nanos = Nanos::from_ms(100);
 
 type Sender = MediaSender<Arc<PacketGraph>, Box<dyn Scheduler + Send>>;
 
@@ -141,14 +144,24 @@ impl Round {
     /// Settles what news or time has shown, and renews what the scheduler sees.
     pub(super) fn settle(&mut self, connection: &Connection) {
         let now = self.now();
-        let before = self.outstanding.bytes();
-        let lost = self.outstanding.settle(&mut self.sender, now);
-        let settled = before - self.outstanding.bytes();
+        let before = self.outstanding.arrived_bytes();
+        self.outstanding.settle(&mut self.sender, now);
+        let silence = self.silence();
+        self.outstanding.expire(&mut self.sender, silence, now);
+        let arrived = self.outstanding.arrived_bytes() - before;
         let path = facts(connection, self.outstanding.bytes(), self.arrivals.estimate());
-        // Lost packets are counted at the mean length of what was settled.
-        let arrived = settled.saturating_sub(lost as u64 * path.datagram_bytes);
         self.arrivals.enter(arrived, &path, now);
         self.sender.look(path, now);
+    }
+
+    /// Whether time alone has shown something to be lost.
+    pub(super) fn is_due(&self) -> bool {
+        self.loss_time() <= self.now()
+    }
+
+    /// When time alone shows something to be lost.
+    pub(super) fn loss_time(&self) -> Nanos {
+        self.outstanding.next_time().min(self.outstanding.expires_at(self.silence()))
     }
 
     /// The next packet to send, if one is worth sending and the path is not full.
@@ -171,10 +184,15 @@ impl Round {
         self.sender.on_left(self.outstanding.bytes(), now);
     }
 
-    /// When there is something to do without news.
+    /// When there may be something to send, or something is lost, without news.
     pub(super) fn next_time(&self) -> Nanos {
         let full = self.sender.full_until(self.now()).unwrap_or(Nanos::MAX);
-        self.outstanding.next_time().min(full).min(self.sender.next_horizon_at())
+        self.loss_time().min(full).min(self.sender.next_horizon_at())
+    }
+
+    /// A packet of which nothing is heard for so long is lost.
+    fn silence(&self) -> Nanos {
+        self.sender.path().smoothed_rtt.times(3) + RECEIPTS
     }
 
     /// What the sender has counted.

@@ -6,12 +6,12 @@ use std::{
         Arc,
         atomic::{AtomicU64, Ordering},
     },
-    time::{Duration, Instant},
+    time::Duration,
 };
 
 use bytes::BytesMut;
 use emulator_host::{ControllerKind, Nanos, congestion, rng};
-use quinn_proto::{
+use quinn_machine::{
     ClientConfig, Connection, ConnectionHandle, ConnectionId, ConnectionIdGenerator, DatagramEvent, Endpoint,
     EndpointConfig, ServerConfig, TransportConfig, ValidationTokenConfig,
     congestion::{ControllerFactory, CubicConfig, NewRenoConfig},
@@ -19,6 +19,7 @@ use quinn_proto::{
 
 use super::{
     VirtualError,
+    clock::Clock,
     observer::{Watch, Watched},
     tls::{self, Tls},
 };
@@ -30,40 +31,6 @@ const ID_BYTES: usize = 8;
 pub(super) const DATAGRAM_OVERHEAD: u64 = 1 + ID_BYTES as u64 + 4 + 16 + 9;
 /// Most bytes of media that the transport may hold: one datagram.
 const DATAGRAM_BUFFER: usize = 4096;
-
-/// Turns virtual time into the transport's instants: a base, of which only differences matter, and the
-/// virtual time at which the session began.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Clock {
-    base: Instant,
-    /// Between the base and the session's zero.
-    before: Nanos,
-}
-
-impl Clock {
-    pub(super) fn start() -> Self {
-        Self { base: Instant::now(), before: Nanos::ZERO }
-    }
-
-    /// The same instants, counted from `zero` on.
-    pub(super) fn from_zero(self, zero: Nanos) -> Self {
-        Self { before: self.before + zero, ..self }
-    }
-
-    pub(super) fn instant(self, now: Nanos) -> Instant {
-        self.base + Duration::from_nanos((self.before + now).0)
-    }
-
-    /// Zero for what was before the session.
-    pub(super) fn nanos(self, instant: Instant) -> Nanos {
-        Self::span(instant.saturating_duration_since(self.base)) - self.before
-    }
-
-    /// A span of the transport's time.
-    pub(super) fn span(duration: Duration) -> Nanos {
-        Nanos(u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX))
-    }
-}
 
 /// Connection ids that follow from a seed.
 struct SeededIds(rng::Stream);

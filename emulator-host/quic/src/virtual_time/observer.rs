@@ -11,12 +11,12 @@ use emulator_host::{
     Bytes, Nanos, Rate,
     congestion::{DeliveryRate, DeliverySample, Rtt},
 };
-use quinn_proto::{
+use quinn_machine::{
     RttEstimator,
     congestion::{Controller, ControllerFactory},
 };
 
-use super::end::Clock;
+use super::clock::Clock;
 
 /// Time for which an unacknowledged packet is remembered.
 const MEMORY: Nanos = Nanos::from_s(10);

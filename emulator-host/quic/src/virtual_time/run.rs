@@ -10,7 +10,8 @@ use emulator_host::{
 
 use super::{
     VirtualError,
-    end::{self, Clock, DATAGRAM_OVERHEAD, End},
+    clock::Clock,
+    end::{self, DATAGRAM_OVERHEAD, End},
     observer::{Observed, Watch},
     receiving::Receiving,
     sending::Sending,

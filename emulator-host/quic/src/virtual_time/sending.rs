@@ -6,12 +6,9 @@ use emulator_host::{
     report::{SenderCounts, SenderRow},
     session::{MediaSender, Outstanding, PathFacts},
 };
-use quinn_proto::{Connection, ConnectionStats, Dir, FrameStats, StreamId};
+use quinn_machine::{Connection, ConnectionStats, Dir, FrameStats, StreamId};
 
-use super::{
-    end::{Clock, End},
-    observer::Watch,
-};
+use super::{clock::Clock, end::End, observer::Watch};
 
 /// Most bytes of the manifest that are handed over at once.
 const CONTROL_BYTES: usize = 16 * 1024;
