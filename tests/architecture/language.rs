@@ -98,7 +98,7 @@ const CEILINGS: [(&str, Counts); 12] = [
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 0, 19]),
     ("codec-core/simd/", [0, 0, 0, 0, 0, 0, 0, 0, 9]),
     ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 137]),
-    ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 16]),
+    ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 21]),
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 31]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 234]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 48]),

@@ -19,7 +19,7 @@ impl Clock {
     }
 
     /// The same instants, counted from `zero` on.
-    pub(super) fn from_zero(self, zero: Nanos) -> Self {
+    pub(super) fn counting_from(self, zero: Nanos) -> Self {
         Self { before: self.before + zero, ..self }
     }
 

@@ -99,7 +99,7 @@ impl End {
 
     /// Time counts from `zero` on.
     pub(super) fn restart(&mut self, zero: Nanos) {
-        self.clock = self.clock.from_zero(zero);
+        self.clock = self.clock.counting_from(zero);
     }
 
     pub(super) fn clock(&self) -> Clock {
