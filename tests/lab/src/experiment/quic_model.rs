@@ -34,15 +34,23 @@ pub fn run(setup: &Setup) -> Result<Bench> {
             for group in &groups {
                 let compared = compare(controller, load, group)?;
                 let key = format!("{}.{}.{}", controller.name(), load.name(), group.name);
-                enter(&mut bench, &key, &compared);
-                every.push((controller, compared));
+                enter_goodput(&mut bench, &key, &compared);
+                // Of bulk, lateness says no more than goodput: all of it may be sent from the start.
+                if load == Load::Limited {
+                    enter_lateness(&mut bench, &key, &compared);
+                }
+                every.push((controller, load, compared));
             }
         }
     }
     for controller in CONTROLLERS {
-        let of = every.iter().filter(|(other, _)| *other == controller);
-        let all: Vec<Compared> = of.flat_map(|(_, compared)| compared).copied().collect();
-        enter(&mut bench, &format!("{}.all", controller.name()), &all);
+        let all = |load: Load| -> Vec<Compared> {
+            let of = every.iter().filter(|row| (row.0, row.1) == (controller, load));
+            of.flat_map(|(_, _, compared)| compared).copied().collect()
+        };
+        let key = format!("{}.all", controller.name());
+        enter_goodput(&mut bench, &key, &[all(Load::Bulk), all(Load::Limited)].concat());
+        enter_lateness(&mut bench, &key, &all(Load::Limited));
     }
     speed(&mut bench, setup)?;
     Ok(bench)
@@ -100,24 +108,27 @@ fn compared(pairs: &[Pair]) -> Compared {
     }
 }
 
-/// Enters the three figures of `compared` under `key`.
-fn enter(bench: &mut Bench, key: &str, compared: &[Compared]) {
-    let ascending = |of: fn(&Compared) -> f64| {
-        let mut values: Vec<f64> = compared.iter().map(of).collect();
-        values.sort_by(f64::total_cmp);
-        values
-    };
-    let goodput = ascending(|path| 100.0 * path.goodput.abs());
-    let late = ascending(|path| path.late_ms.abs());
-    let signed = ascending(|path| 100.0 * path.goodput);
-    let agrees = compared.iter().filter(|path| path.late_agrees).count();
-    let worst = percentile(&goodput, 0.95);
-    let figure = Figure::new(format!("goodput.{key}"), percentile(&goodput, 0.5), "%");
-    bench.push(figure.error(worst, "% at the 95th percentile").runs(compared.len()));
+fn enter_goodput(bench: &mut Bench, key: &str, compared: &[Compared]) {
+    let sizes = ascending(compared, |path| 100.0 * path.goodput.abs());
+    let signed = ascending(compared, |path| 100.0 * path.goodput);
+    let figure = Figure::new(format!("goodput.{key}"), percentile(&sizes, 0.5), "%");
+    let figure = figure.error(percentile(&sizes, 0.95), "% at the 95th percentile");
+    bench.push(figure.runs(compared.len()));
     bench.push(Figure::new(format!("goodput_signed.{key}"), percentile(&signed, 0.5), "%"));
+}
+
+fn enter_lateness(bench: &mut Bench, key: &str, compared: &[Compared]) {
+    let late = ascending(compared, |path| path.late_ms.abs());
+    let agrees = compared.iter().filter(|path| path.late_agrees).count();
     let share = 100.0 * agrees as f64 / compared.len().max(1) as f64;
     let figure = Figure::new(format!("late.{key}"), share, "% of pairs agree");
     bench.push(figure.error(percentile(&late, 0.5), "ms, median difference").runs(compared.len()));
+}
+
+fn ascending(compared: &[Compared], of: fn(&Compared) -> f64) -> Vec<f64> {
+    let mut values: Vec<f64> = compared.iter().map(of).collect();
+    values.sort_by(f64::total_cmp);
+    values
 }
 
 /// Deliveries of 30 s at 5 Mbit/s per second of one core.
@@ -142,14 +153,13 @@ fn speed(bench: &mut Bench, setup: &Setup) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use emulator_host::{
-        Rate,
+        Nanos, Rate,
         link::{Capacity, LossModel, PathConfig},
     };
 
     use super::*;
 
-    fn pair(model_path: PathConfig, quic_path: PathConfig) -> Compared {
-        let load = Load::Bulk;
+    fn pair(load: Load, model_path: PathConfig, quic_path: PathConfig) -> Compared {
         let graph = load.graph(Rate::from_mbps(5)).unwrap();
         let session = |path| load.session(ControllerKind::NewReno, path, 1);
         let mut pair = Pair::run(&graph, &session(quic_path)).unwrap();
@@ -160,12 +170,17 @@ mod tests {
     #[test]
     fn the_model_agrees_on_a_constant_link_and_the_comparison_can_fail() {
         let path = PathConfig::default();
-        let same = pair(path.clone(), path.clone());
-        assert!(same.goodput.abs() < 0.01 && same.late_agrees, "{same:?}");
-        let slower = Capacity::Constant(Rate::from_mbps(4));
-        let other = pair(PathConfig { capacity: slower, ..path.clone() }, path.clone());
-        assert!(other.goodput < -0.1, "{other:?}");
-        let lossy = pair(PathConfig { loss: LossModel::Iid(0.05), ..path.clone() }, path);
-        assert!(lossy.goodput < -0.3 && !lossy.late_agrees, "{lossy:?}");
+        for load in Load::ALL {
+            let same = pair(load, path.clone(), path.clone());
+            assert!(same.goodput.abs() < 0.01 && same.late_agrees, "{same:?}");
+        }
+        let capacity = Capacity::Constant(Rate::from_mbps(4));
+        let slower = pair(Load::Bulk, PathConfig { capacity, ..path.clone() }, path.clone());
+        assert!(slower.goodput < -0.1, "{slower:?}");
+        let lossy = PathConfig { loss: LossModel::Iid(0.05), ..path.clone() };
+        assert!(pair(Load::Bulk, lossy, path.clone()).goodput < -0.3);
+        let longer = PathConfig { delay: Nanos::from_ms(40), ..path.clone() };
+        let later = pair(Load::Limited, longer, path);
+        assert!(later.late_ms > 10.0 && !later.late_agrees, "{later:?}");
     }
 }
