@@ -4,6 +4,7 @@ mod codec;
 mod device;
 mod number;
 mod scene;
+mod socket;
 pub mod train;
 
 use std::path::PathBuf;
@@ -15,6 +16,7 @@ pub use self::{
     codec::{CodecArgs, ProfileName},
     device::DeviceName,
     scene::{SceneArgs, Up},
+    socket::{Play, Serve},
 };
 use self::{
     number::{background, not_negative, positive, real, whole},
@@ -51,6 +53,10 @@ pub enum Verb {
     Render(Render),
     /// Send a scene or a .dgs file over an emulated link under one scheduler.
     Stream(StreamArgs),
+    /// Serve streams or scenes to viewers over QUIC.
+    Serve(Box<Serve>),
+    /// Play a served stream: receive, decode and show frames on time.
+    Play(Box<Play>),
     /// The whole pipeline with a report: four schedulers side by side over one link.
     Demo(Demo),
     /// Measure: every figure this project quotes.

@@ -6,7 +6,10 @@ mod demo;
 mod encode;
 mod import;
 mod inspect;
+mod play;
 mod render;
+mod serve;
+mod socket;
 mod stream;
 mod train;
 
@@ -31,6 +34,8 @@ pub fn run(cli: Cli) -> ExitCode {
         Verb::Decode(args) => decode::run(&args),
         Verb::Render(args) => render::run(&args),
         Verb::Stream(args) => stream::run(&args, quiet),
+        Verb::Serve(args) => serve::run(&args, quiet),
+        Verb::Play(args) => play::run(&args),
         Verb::Demo(args) => demo::run(&args, quiet),
         Verb::Bench(args) => match bench::run(&args, cli.json) {
             // It has printed for itself.

@@ -85,6 +85,6 @@ fn refuse(error: &anyhow::Error) -> ExitCode {
 }
 
 /// One line on standard error. Where nobody can be told, nobody is.
-fn complain(line: &str) {
+pub(crate) fn complain(line: &str) {
     let _ = writeln!(io::stderr(), "dgs: {line}");
 }

@@ -3,8 +3,10 @@
 mod cache;
 mod cameras;
 mod frames;
+mod impair;
 mod limit;
 mod link;
+mod sendable;
 
 use std::path::Path;
 
@@ -27,7 +29,9 @@ pub use self::{
     cache::{stored_utilities, utilities, utility_path},
     cameras::read_cameras,
     frames::{Frames, snapshot},
+    impair::impairment,
     link::{Link, capacity_bins, link, read_trace},
+    sendable::{Sendable, sendable},
 };
 use crate::{
     args::{CodecArgs, PolicyName, ProfileName, SceneArgs, ViewArgs},

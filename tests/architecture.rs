@@ -21,17 +21,39 @@ use std::{collections::BTreeSet, path::Path};
 use source::{Tree, outside_tests};
 
 /// Package, folder, and the workspace crates it must depend on: no more, no fewer.
-const ARROWS: [(&str, &str, &[&str]); 10] = [
+const ARROWS: [(&str, &str, &[&str]); 11] = [
     (
         "dgs-lab",
         "tests/lab/",
-        &["codec-core", "codec-simd", "dgs", "dgs-player", "emulator-host", "render-host", "trainer-host"],
+        &[
+            "codec-core",
+            "codec-simd",
+            "dgs",
+            "dgs-player",
+            "dgs-quic",
+            "emulator-host",
+            "render-host",
+            "trainer-host",
+        ],
     ),
-    ("dgs", "", &["codec-core", "codec-simd", "dgs-player", "emulator-host", "render-host", "trainer-host"]),
+    (
+        "dgs",
+        "",
+        &[
+            "codec-core",
+            "codec-simd",
+            "dgs-player",
+            "dgs-quic",
+            "emulator-host",
+            "render-host",
+            "trainer-host",
+        ],
+    ),
     ("trainer-host", "trainer-host/", &["codec-core", "codec-simd", "dgs-player", "render-host"]),
     ("render-host", "render-host/", &["codec-core"]),
     ("emulator-host", "emulator-host/", &["codec-core"]),
-    ("fuzz", "fuzz/", &["codec-core", "dgs-player", "emulator-host", "trainer-host"]),
+    ("dgs-quic", "emulator-host/quic/", &["codec-core", "dgs-player", "emulator-host"]),
+    ("fuzz", "fuzz/", &["codec-core", "dgs-player", "dgs-quic", "emulator-host", "trainer-host"]),
     ("codec-core", "codec-core/", &[]),
     ("codec-simd", "codec-core/simd/", &["codec-core"]),
     ("codec-capi", "codec-core/capi/", &["codec-core"]),

@@ -268,3 +268,48 @@ fn bench_runs_the_laboratory_beside_it() {
     assert_eq!(String::from_utf8_lossy(&output.stdout), "--quick --json --data d --out o -- rate\n");
     assert_eq!(String::from_utf8_lossy(&bench(&["bench", "--list"]).stdout), "--list\n");
 }
+
+/// A server and its viewer as typed: the URL is all that goes between them, and Ctrl-C ends the server with
+/// its counts.
+#[cfg(unix)]
+#[test]
+fn what_is_served_is_played() {
+    use std::io::{BufRead, BufReader, Read};
+
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["encode", "synth:figure:1000:12", "--out", "a b.dgs", "--pictures", "2"]);
+    let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
+        .current_dir(at)
+        .args(["serve", "a b.dgs", "--listen", "127.0.0.1:0", "--impair", "delay=5ms"])
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut said = BufReader::new(server.stdout.take().unwrap());
+    let mut url = String::new();
+    said.read_line(&mut url).unwrap();
+    let url = url.trim();
+    assert!(url.starts_with("dgs://127.0.0.1:") && url.contains("/a-b#"), "{url}");
+    let small = ["--width", "32", "--height", "32"];
+    let text = ok(at, &[&["play", url, "-o", "frames", "--reference", "a b.dgs"][..], &small].concat());
+    assert!(text.contains("12 frames shown of a clip of 12") && text.contains("PSNR"), "{text}");
+    assert!(at.join("frames/00011.png").is_file());
+    let json: serde_json::Value = serde_json::from_str(&ok(at, &["play", url, "--json"])).unwrap();
+    assert_eq!(json["report"]["shown_count"], 12);
+    let (bare, _) = url.split_once('#').unwrap();
+    assert!(refused(at, &["play", bare]).contains("by what is the server known"));
+    let wrong = format!("{bare}#{}", "0".repeat(64));
+    assert!(refused(at, &["play", &wrong]).contains("the server's certificate is "));
+    let unknown = url.replace("a-b", "other");
+    assert!(refused(at, &["play", &unknown]).contains("no stream called other; there are a-b"));
+    let id = i32::try_from(server.id()).unwrap().to_string();
+    assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    let mut rest = String::new();
+    said.read_to_string(&mut rest).unwrap();
+    assert!(server.wait().unwrap().success());
+    assert!(rest.contains("2 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
+    let error = refused(at, &["serve", "a b.dgs", "a b.dgs", "--listen", "127.0.0.1:0"]);
+    assert!(error.contains("two streams are called a-b"), "{error}");
+    let error = refused(at, &["serve", "a b.dgs", "--impair", "loss=2"]);
+    assert!(error.contains("--impair: \"loss=2\" is not allowed"), "{error}");
+}

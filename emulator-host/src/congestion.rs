@@ -5,6 +5,7 @@
 //! and key discard have no place here. All state is integers.
 
 mod bbr_model;
+mod cubic;
 mod delivery;
 mod kind;
 mod newreno;
@@ -17,6 +18,7 @@ use std::fmt::Debug;
 use crate::clock::{Nanos, Rate};
 
 pub use bbr_model::BbrModel;
+pub use cubic::Cubic;
 pub use delivery::{DeliveryRate, DeliverySample};
 pub use kind::ControllerKind;
 pub use newreno::NewReno;

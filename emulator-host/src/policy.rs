@@ -140,6 +140,58 @@ pub trait Scheduler {
     fn on_status(&mut self, _view: &SenderView<'_>, _packet: PacketIndex, _before: PacketStatus) {}
 }
 
+impl<S: Scheduler + ?Sized> Scheduler for &mut S {
+    fn name(&self) -> &'static str {
+        (**self).name()
+    }
+
+    fn next(&mut self, view: &SenderView<'_>, now: Nanos) -> Option<PacketIndex> {
+        (**self).next(view, now)
+    }
+
+    fn service(&self) -> Service {
+        (**self).service()
+    }
+
+    fn wants_parity(&mut self, view: &SenderView<'_>, parity: PacketIndex, now: Nanos) -> bool {
+        (**self).wants_parity(view, parity, now)
+    }
+
+    fn forecast(&self, view: &SenderView<'_>, packet: PacketIndex, now: Nanos) -> Option<(f64, u32)> {
+        (**self).forecast(view, packet, now)
+    }
+
+    fn on_status(&mut self, view: &SenderView<'_>, packet: PacketIndex, before: PacketStatus) {
+        (**self).on_status(view, packet, before);
+    }
+}
+
+impl<S: Scheduler + ?Sized> Scheduler for Box<S> {
+    fn name(&self) -> &'static str {
+        (**self).name()
+    }
+
+    fn next(&mut self, view: &SenderView<'_>, now: Nanos) -> Option<PacketIndex> {
+        (**self).next(view, now)
+    }
+
+    fn service(&self) -> Service {
+        (**self).service()
+    }
+
+    fn wants_parity(&mut self, view: &SenderView<'_>, parity: PacketIndex, now: Nanos) -> bool {
+        (**self).wants_parity(view, parity, now)
+    }
+
+    fn forecast(&self, view: &SenderView<'_>, packet: PacketIndex, now: Nanos) -> Option<(f64, u32)> {
+        (**self).forecast(view, packet, now)
+    }
+
+    fn on_status(&mut self, view: &SenderView<'_>, packet: PacketIndex, before: PacketStatus) {
+        (**self).on_status(view, packet, before);
+    }
+}
+
 /// The first sendable packet of `group`'s closure, needed groups first.
 fn first_of_closure(view: &SenderView<'_>, group: GroupIndex, now: Nanos) -> Option<PacketIndex> {
     let groups = view.graph.groups();

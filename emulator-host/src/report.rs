@@ -126,6 +126,26 @@ pub struct SenderCounts {
     pub refused_receipts: u64,
 }
 
+impl SenderCounts {
+    /// The sums of both: a transport counts datagrams, the sender of media packets.
+    #[must_use]
+    pub fn plus(self, other: Self) -> Self {
+        Self {
+            datagrams: self.datagrams + other.datagrams,
+            media: self.media + other.media,
+            retransmitted: self.retransmitted + other.retransmitted,
+            parity: self.parity + other.parity,
+            control: self.control + other.control,
+            pings: self.pings + other.pings,
+            lost: self.lost + other.lost,
+            spurious: self.spurious + other.spurious,
+            probe_timeouts: self.probe_timeouts + other.probe_timeouts,
+            refused_choices: self.refused_choices + other.refused_choices,
+            refused_receipts: self.refused_receipts + other.refused_receipts,
+        }
+    }
+}
+
 /// One run.
 ///
 /// # Examples

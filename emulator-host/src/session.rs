@@ -1,5 +1,9 @@
 //! Simulates one delivery in virtual time: sender, path, receiver, feedback, playout.
 //!
+//! What is the same over any transport lies in cores that know time and packets and no transport:
+//! [`MediaSender`] decides what leaves next, [`MediaReceiver`] plays and writes receipts, [`Outstanding`]
+//! infers losses where a transport does not tell them, [`Viewer`] measures. Around them lies a model of QUIC.
+//!
 //! Order within one instant: arrivals at the receiver, arrivals at the sender, timers, playout, sending,
 //! receipts. So what arrives at the very time of a snapshot is in it.
 //!
@@ -15,21 +19,30 @@ mod datagram;
 mod feedback;
 mod forecast;
 mod loss_share;
+mod media_receiver;
+mod media_sender;
 mod metrics;
 mod outlook;
+mod outstanding;
 mod run;
 mod sender;
+mod viewer;
 
 use crate::{
     clock::{Nanos, Rate},
     congestion::ControllerKind,
-    link::{PathConfig, PathError},
+    link::{Chain, PathConfig, PathError},
     policy::PolicyKind,
     receiver::GraphReceiver,
 };
 
 pub use crate::startup::{Startup, StartupRule};
+pub use media_receiver::MediaReceiver;
+pub use media_sender::{MediaSender, SendingRules};
+pub use outlook::PathFacts;
+pub use outstanding::Outstanding;
 pub use run::{run, simulate};
+pub use viewer::Viewer;
 
 /// Bytes around a DGSP packet inside the UDP payload: QUIC short header 11, DATAGRAM frame 3, authentication
 /// tag 16.
@@ -67,6 +80,9 @@ pub struct SessionConfig {
     pub reverse: PathConfig,
     /// Rate of the sender's own serialiser; loss timers start when it is through. `None`: instantly.
     pub access_rate: Option<Rate>,
+    /// Round trip that the handshake has measured, before the session's time begins; `None` if there was no
+    /// handshake.
+    pub handshake_rtt: Option<Nanos>,
     /// How far ahead of playout media may be sent.
     pub lookahead: Nanos,
     /// When playout starts.
@@ -103,6 +119,7 @@ impl Default for SessionConfig {
             forward: PathConfig::default(),
             reverse: up,
             access_rate: None,
+            handshake_rtt: None,
             lookahead: Nanos::from_s(2),
             startup: Startup { rule: StartupRule::BaseGroups(0.95), max_wait: Nanos::from_s(5) },
             retransmissions: 2,
@@ -113,6 +130,44 @@ impl Default for SessionConfig {
             buffer_limit: GraphReceiver::BUFFER_LIMIT,
             sample_interval: Nanos::from_ms(100),
             cap: Nanos::from_s(3600),
+        }
+    }
+}
+
+impl SessionConfig {
+    /// Refuses numbers that no run can use.
+    ///
+    /// # Errors
+    /// [`SessionError::Config`] names the first.
+    pub fn check(&self) -> Result<(), SessionError> {
+        if let Some(share) = self.startup.rule.share().filter(|share| !(0.0..=1.0).contains(share)) {
+            return Err(SessionError::Config { field: "startup share", found: share, allowed: "0 to 1" });
+        }
+        if self.ack_every == 0 {
+            return Err(SessionError::Config { field: "ack_every", found: 0.0, allowed: "at least 1" });
+        }
+        Ok(())
+    }
+
+    /// Fresh boxes of both directions, forward first.
+    ///
+    /// # Errors
+    /// [`SessionError::Path`] names the direction and what is wrong with it.
+    pub fn paths(&self) -> Result<[Chain; 2], SessionError> {
+        let path = |direction, path: &PathConfig| {
+            path.build(direction, self.seed).map_err(|error| SessionError::Path { direction, error })
+        };
+        Ok([path("forward", &self.forward)?, path("reverse", &self.reverse)?])
+    }
+
+    /// What the sender of media may do, whatever the transport.
+    pub fn sending(&self) -> SendingRules {
+        SendingRules {
+            lookahead: self.lookahead,
+            startup: self.startup,
+            retransmissions: self.retransmissions,
+            retransmit_levels: self.retransmit_levels,
+            retransmit_canonical: self.retransmit_canonical,
         }
     }
 }

@@ -26,8 +26,8 @@ pub struct Startup {
 }
 
 impl StartupRule {
-    /// Share of the weights of [`Self::opening`] that must be usable; `None` if only time counts.
-    pub(crate) fn share(self) -> Option<f64> {
+    /// Share of what the start waits for that must be usable; `None` if only time counts.
+    pub fn share(self) -> Option<f64> {
         match self {
             Self::BaseGroups(share) | Self::BaseUtility(share) => Some(share),
             Self::AfterWait => None,

@@ -66,6 +66,16 @@ pub enum Warning {
         /// Longest run.
         seconds: u32,
     },
+    /// Rows are so far apart that their times may be milliseconds.
+    LikelyMilliseconds {
+        /// Typical time from one row to the next, read as seconds.
+        seconds: u32,
+    },
+    /// The rate is so high that it may be in kbit/s.
+    LikelyKilobits {
+        /// Typical rate, read as Mbit/s.
+        mbps: u32,
+    },
     /// A long hole in the log was filled by holding the last rate.
     LongGap {
         /// Longest hole.
@@ -88,6 +98,14 @@ impl std::fmt::Display for Warning {
                 100.0 * idle
             ),
             Self::LongZeroRun { seconds } => write!(f, "the rate stays at zero for {seconds} s"),
+            Self::LikelyMilliseconds { seconds } => write!(
+                f,
+                "rows are {seconds} s apart: the first column is read as seconds and looks like milliseconds"
+            ),
+            Self::LikelyKilobits { mbps } => write!(
+                f,
+                "the rate is {mbps} Mbit/s: the second column is read as Mbit/s and looks like kbit/s"
+            ),
             Self::LongGap { seconds } => write!(f, "a hole of {seconds} s was filled with the last rate"),
         }
     }
@@ -118,6 +136,12 @@ pub enum TraceError {
         /// How much may be.
         allowed: u64,
     },
+    /// JSON, as Pantheon logs it.
+    #[error(
+        "this is JSON, and no trace: allowed are mahimahi (a time in ms per line; Pantheon's traces are of \
+         this kind), two columns (s, Mbit/s) and UCC CSV"
+    )]
+    Json,
     /// Nothing is ever delivered.
     #[error("the trace has no capacity")]
     NoCapacity,

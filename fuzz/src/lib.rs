@@ -17,6 +17,7 @@
 //! and anything that needs a file.
 
 mod coding;
+mod control;
 mod forged;
 mod imports;
 mod input;
@@ -28,6 +29,7 @@ mod traces;
 mod wire;
 
 pub use coding::{bytes, lanes, pack, tables};
+pub use control::control;
 pub use forged::forged;
 pub use imports::{compressed_ply, gltf, ply, points_npz, sog, splat, spz, unity, unity_planes};
 pub use parity::{cauchy, repair};
@@ -39,11 +41,12 @@ pub use wire::{file, manifest, packet, receipt};
 /// A fuzz body.
 pub type Body = fn(&[u8]);
 
-/// All bodies by name: wire, coding, session, imports, traces.
-pub const TARGETS: [(&str, Body); 25] = [
+/// All bodies by name: wire, control, coding, session, imports, traces.
+pub const TARGETS: [(&str, Body); 26] = [
     ("packet", packet),
     ("manifest", manifest),
     ("receipt", receipt),
+    ("control", control),
     ("file", file),
     ("tables", tables),
     ("lanes", lanes),

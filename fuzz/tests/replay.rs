@@ -152,8 +152,8 @@ macro_rules! replays {
 }
 
 replays! {
-    packet manifest receipt file tables lanes bytes pack slices sliced decode repair cauchy closure receiver
-    forged
+    packet manifest receipt control file tables lanes bytes pack slices sliced decode repair cauchy closure
+    receiver forged
     ply compressed_ply spz splat sog points_npz gltf unity trace
 }
 

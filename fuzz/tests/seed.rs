@@ -20,6 +20,7 @@ use codec_core::internals::{
     ids::{ClusterId, EpochId, Group, Level, PacketId, Span, WindowId},
     wire::receipt::{Value, ViewerPose},
 };
+use dgs_quic::socket::message::{ClientMessage, Message, Refusal, RefusalCode, ServerMessage, StreamChoice};
 use fuzz::{fixture, small, unity_planes};
 use serde_json::json;
 use trainer_host::{
@@ -56,6 +57,7 @@ fn noise(len: usize, seed: u32) -> Vec<u8> {
 #[ignore = "writes the committed corpus"]
 fn write_corpus() {
     wire();
+    control();
     coding();
     session();
     imports();
@@ -103,6 +105,25 @@ fn wire() {
         let mut out = [0u8; 1300];
         let len = value.write(&mut out).unwrap();
         put("receipt", name, &out[..len - 4]);
+    }
+}
+
+fn control() {
+    let named = StreamChoice::Name("fox.2".to_owned());
+    let client = [
+        ClientMessage::Hello { stream: named, start_us: 1_500_000 },
+        ClientMessage::Seek { round: 1, start_us: 0 },
+        ClientMessage::Bye,
+    ];
+    let indexed = ClientMessage::Hello { stream: StreamChoice::Index(1), start_us: 0 };
+    let refusal = Refusal { code: RefusalCode::Full, sentence: "all 2 places are taken".to_owned() };
+    let server = [ServerMessage::Manifest(small(false).message().to_vec()), ServerMessage::Refusal(refusal)];
+    let client: Vec<u8> = client.iter().flat_map(Message::to_bytes).collect();
+    let server: Vec<u8> = server.iter().flat_map(Message::to_bytes).collect();
+    for (name, step, bytes) in
+        [("client", 6, client), ("indexed", 0, indexed.to_bytes()), ("server", 30, server)]
+    {
+        put("control", name, &[&[step][..], &bytes].concat());
     }
 }
 

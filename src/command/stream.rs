@@ -2,62 +2,19 @@
 
 use anyhow::Result;
 use serde_json::json;
-use trainer_host::{
-    encode::Protection,
-    stream::PacketMap,
-    utility,
-    viewpoint::{Framing, Ring},
-};
 
 use crate::{
     args::StreamArgs,
     figures::number,
     output::VerbOutput,
-    pipeline::{self, Quiet},
+    pipeline::{self, Quiet, Sendable},
 };
 
 /// Runs the verb.
 pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
-    let table: Option<utility::Table>;
-    let stream = if pipeline::is_stream(&args.input) {
-        let path = std::path::Path::new(&args.input);
-        let stream = pipeline::read_stream(path, &mut |w| warnings.push(w))?;
-        table = pipeline::stored_utilities(&pipeline::utility_path(path), stream.manifest()?.raw()).ok();
-        if table.is_none() {
-            warnings.push(format!(
-                "{}: no utilities beside it (encode with --utility); all groups count the same",
-                args.input
-            ));
-        }
-        stream
-    } else {
-        let loaded = pipeline::import(&args.input, &args.scene)?;
-        let stream = pipeline::encode(
-            &loaded.scene,
-            &pipeline::encode_options(&args.codec, Protection::STANDARD),
-            quiet,
-        )?
-        .stream;
-        let map = PacketMap::of(&stream)?;
-        let received = stream.receive()?;
-        let framing = Framing::of(&loaded.scene);
-        let cameras = framing.ring(Ring::Measuring, 3, (128, 128))?;
-        let options = utility::UtilityOptions::paper();
-        let measured = pipeline::utilities(
-            &utility::References::renders(&loaded.scene, &cameras),
-            &received.content(),
-            &map,
-            &options,
-            None,
-            quiet,
-            &mut |_| (),
-        )?;
-        table = Some(measured);
-        stream
-    };
-    let map = PacketMap::of(&stream)?;
-    let graph = pipeline::graph(&stream, &map, table.as_ref())?;
+    let Sendable { stream, map, graph } =
+        pipeline::sendable(&args.input, &args.scene, &args.codec, quiet, &mut |w| warnings.push(w))?;
     let link = pipeline::link(&args.link, &graph)?;
     warnings.extend(link.warnings.iter().cloned());
     let (report, shown) =

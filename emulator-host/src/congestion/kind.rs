@@ -1,24 +1,27 @@
 //! Names the controllers, and builds the one that is named.
 
-use super::{BbrModel, Controller, NewReno};
+use super::{BbrModel, Controller, Cubic, NewReno};
 
 /// The controllers by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum ControllerKind {
     /// [`NewReno`].
     NewReno,
+    /// [`Cubic`].
+    Cubic,
     /// [`BbrModel`].
     BbrModel,
 }
 
 impl ControllerKind {
     /// Every controller.
-    pub const ALL: [Self; 2] = [Self::NewReno, Self::BbrModel];
+    pub const ALL: [Self; 3] = [Self::NewReno, Self::Cubic, Self::BbrModel];
 
     /// Name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::NewReno => "newreno",
+            Self::Cubic => "cubic",
             Self::BbrModel => "bbr-model",
         }
     }
@@ -27,6 +30,7 @@ impl ControllerKind {
     pub fn build(self, datagram_bytes: u64) -> Box<dyn Controller> {
         match self {
             Self::NewReno => Box::new(NewReno::new(datagram_bytes)),
+            Self::Cubic => Box::new(Cubic::new(datagram_bytes)),
             Self::BbrModel => Box::new(BbrModel::new(datagram_bytes)),
         }
     }

@@ -127,6 +127,12 @@ impl Recovery {
         }
     }
 
+    /// A handshake that ended at `now` has measured the round trip.
+    pub fn on_handshake(&mut self, round_trip: Nanos, now: Nanos) {
+        self.rtt.update(round_trip, Nanos::ZERO, now);
+        self.pace(now);
+    }
+
     /// Round-trip estimator.
     pub fn rtt(&self) -> &Rtt {
         &self.rtt
@@ -402,10 +408,10 @@ impl Recovery {
     }
 
     /// r_send = min(r_cwnd, headroom × r̂_path): the path's estimate never exceeds what was sent, so a cap
-    /// without headroom could never learn that the path is faster. Headroom is 2 while the controller probes
-    /// and 5/4 afterwards.
+    /// without headroom could never learn that the path is faster. Headroom is 3 while the controller probes,
+    /// for the estimate is a round trip old and the window doubles in one, and 5/4 afterwards.
     fn pace(&mut self, now: Nanos) {
-        let (numerator, denominator) = if self.controller.is_probing() { (2, 1) } else { (5, 4) };
+        let (numerator, denominator) = if self.controller.is_probing() { (3, 1) } else { (5, 4) };
         let window = self.controller.pacing_rate(&self.rtt);
         let cap = self.path_rate().map_or(Rate::MAX, |path| path.scaled(numerator, denominator));
         self.pacer.set_rate(window.min(cap), now);

@@ -49,7 +49,7 @@ impl PolicyKind {
     }
 
     /// A fresh scheduler for `graph`.
-    pub fn build(self, graph: &PacketGraph) -> Box<dyn Scheduler> {
+    pub fn build(self, graph: &PacketGraph) -> Box<dyn Scheduler + Send> {
         match self {
             Self::Layered => Box::new(Layered::new(graph)),
             Self::Dash => Box::new(Dash::new(graph)),

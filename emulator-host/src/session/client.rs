@@ -1,18 +1,12 @@
-//! Receives datagrams, acknowledges them, starts playout, and shows frames on time.
+//! Receives over the modelled transport: acknowledges datagrams, and hands what they carry to the viewer.
 
 use super::{
     IP_UDP_BYTES, SessionConfig,
     control::ControlReceiver,
     datagram::{Acknowledgement, Content},
-    feedback::ReceiptWriter,
-    metrics::Metrics,
+    viewer::Viewer,
 };
-use crate::{
-    clock::Nanos,
-    graph::{GroupIndex, PacketGraph, PacketIndex},
-    link::Datagram,
-    receiver::{Arrival, Endpoint, Snapshot},
-};
+use crate::{clock::Nanos, graph::PacketGraph, link::Datagram, receiver::Endpoint};
 
 /// Most ranges remembered; older ones are forgotten.
 const RANGES: usize = 32;
@@ -32,25 +26,17 @@ struct Sent {
 }
 
 pub(super) struct Client<'a> {
-    graph: &'a PacketGraph,
     config: &'a SessionConfig,
-    endpoint: &'a mut dyn Endpoint,
+    viewer: Viewer<'a>,
     control: ControlReceiver,
     /// Received numbers, inclusive, oldest first.
     ranges: Vec<(u64, u64)>,
     largest_at: Nanos,
     unacked: u32,
     ack_at: Nanos,
-    recovered: Vec<PacketIndex>,
-    receipts: ReceiptWriter,
     sent: Vec<Sent>,
     sent_ranges: Vec<(u64, u64)>,
     sent_receipts: Vec<u8>,
-    first_base: Vec<(GroupIndex, f64)>,
-    changed: bool,
-    start: Option<Nanos>,
-    reached: bool,
-    next_frame: u32,
 }
 
 impl<'a> Client<'a> {
@@ -59,54 +45,37 @@ impl<'a> Client<'a> {
         config: &'a SessionConfig,
         endpoint: &'a mut dyn Endpoint,
     ) -> Self {
-        let first_base = config.startup.rule.opening(graph);
-        let control = ControlReceiver::new(graph.manifest_bytes());
-        if control.is_complete() {
-            endpoint.control(0, true, &mut Vec::new());
-        }
         Self {
-            graph,
             config,
-            endpoint,
-            control,
+            viewer: Viewer::new(graph, config, endpoint),
+            control: ControlReceiver::new(graph.manifest_bytes()),
             ranges: Vec::with_capacity(RANGES + 1),
             largest_at: Nanos::ZERO,
             unacked: 0,
             ack_at: Nanos::MAX,
-            recovered: Vec::new(),
-            receipts: ReceiptWriter::new(graph),
             sent: Vec::new(),
             sent_ranges: Vec::new(),
             sent_receipts: Vec::new(),
-            first_base,
-            changed: true,
-            start: None,
-            reached: false,
-            next_frame: 0,
         }
     }
 
-    pub(super) fn playout_start(&self) -> Option<Nanos> {
-        self.start
+    pub(super) fn viewer(&mut self) -> &mut Viewer<'a> {
+        &mut self.viewer
     }
 
-    pub(super) fn threshold_reached(&self) -> bool {
-        self.reached
+    pub(super) fn into_viewer(self) -> Viewer<'a> {
+        self.viewer
     }
 
     pub(super) fn is_over(&self) -> bool {
-        self.next_frame >= self.graph.frames()
+        self.viewer.playout().is_over()
     }
 
     pub(super) fn next_time(&self) -> Nanos {
-        let playout = match self.start {
-            None => self.config.startup.max_wait,
-            Some(start) => start + self.graph.frame_interval().times(u64::from(self.next_frame)),
-        };
-        playout.min(self.ack_at)
+        self.viewer.playout().next_time().min(self.ack_at)
     }
 
-    pub(super) fn receive(&mut self, number: u64, content: Content, now: Nanos, metrics: &mut Metrics<'_>) {
+    pub(super) fn receive(&mut self, number: u64, content: Content, now: Nanos) {
         // Delay is reported for the largest number, whether or not a gap lies before it (RFC 9000, 13.2.5).
         if self.ranges.last().is_none_or(|(_, largest)| number > *largest) {
             self.largest_at = now;
@@ -115,66 +84,23 @@ impl<'a> Client<'a> {
         self.unacked += 1;
         let due = self.unacked >= self.config.ack_every || !in_order;
         self.ack_at = if due { now } else { self.ack_at.min(now + self.config.max_ack_delay) };
-        self.changed = true;
         match content {
-            Content::Media(packet) => {
-                let arrival = self.endpoint.media(packet, now, &mut self.recovered);
-                metrics.arrive(packet, arrival, self.next_frame);
-                if arrival != Arrival::Refused {
-                    self.receipts.on_arrived(self.graph, packet);
-                }
-            }
+            Content::Media(packet) => self.viewer.media(packet, now),
             Content::Control(chunk) => {
                 if let Some((bytes, complete)) = self.control.on_chunk(chunk) {
-                    self.endpoint.control(bytes, complete, &mut self.recovered);
+                    self.viewer.control(bytes, complete);
                 }
             }
             Content::Ping => {}
-        }
-        for packet in self.recovered.drain(..) {
-            metrics.recover(packet);
-            self.receipts.on_recovered(self.graph, packet);
         }
     }
 
     /// Starts playout if the threshold is reached or the wait is over.
     pub(super) fn start_if_ready(&mut self, now: Nanos) {
-        if self.start.is_some() || !(self.changed || now >= self.config.startup.max_wait) {
-            return;
-        }
-        self.changed = false;
-        let snapshot = self.endpoint.snapshot(0);
-        let total: f64 = self.first_base.iter().map(|(_, weight)| weight).sum();
-        let usable: f64 = self
-            .first_base
-            .iter()
-            .filter(|(group, _)| snapshot.has_group(*group))
-            .map(|(_, weight)| weight)
-            .sum();
-        let share = self.config.startup.rule.share();
-        self.reached = self.control.is_complete() && share.is_some_and(|share| usable >= share * total);
-        if self.reached || now >= self.config.startup.max_wait {
-            self.start = Some(now);
+        if self.viewer.start_if_ready(now) {
             // The sender needs the playout time now.
             self.ack_at = now;
         }
-    }
-
-    /// The next frame to show, if its time has come.
-    pub(super) fn frame_due(&mut self, now: Nanos) -> Option<u32> {
-        let start = self.start?;
-        let frame = self.next_frame;
-        if self.is_over() || start + self.graph.frame_interval().times(u64::from(frame)) > now {
-            return None;
-        }
-        self.next_frame += 1;
-        Some(frame)
-    }
-
-    pub(super) fn snapshot(&mut self, frame: u32) -> &Snapshot {
-        let snapshot = self.endpoint.snapshot(frame);
-        self.receipts.on_complete(self.graph, &snapshot.groups);
-        snapshot
     }
 
     /// Feedback that leaves at `now`.
@@ -189,7 +115,7 @@ impl<'a> Client<'a> {
         let recent = self.ranges.iter().rev().take_while(|(_, last)| *last >= oldest);
         self.sent_ranges.extend(recent.take(RANGES / 2));
         let first_byte = self.sent_receipts.len();
-        self.receipts.write(self.start, &mut self.sent_receipts);
+        self.viewer.receipt(&mut self.sent_receipts);
         let sent = Sent {
             ranges: (first_range, self.sent_ranges.len()),
             receipt: (first_byte, self.sent_receipts.len()),
@@ -255,14 +181,13 @@ mod tests {
         let config = SessionConfig::default();
         let mut endpoint = GraphReceiver::new(&graph, 16);
         let mut client = Client::new(&graph, &config, &mut endpoint);
-        let mut metrics = Metrics::new(&graph);
-        client.receive(0, Content::Ping, Nanos::from_ms(1), &mut metrics);
+        client.receive(0, Content::Ping, Nanos::from_ms(1));
         // Number 1 is missing when 2 arrives: the receipt leaves at once, and 2 waited for nothing.
-        client.receive(2, Content::Ping, Nanos::from_ms(20), &mut metrics);
+        client.receive(2, Content::Ping, Nanos::from_ms(20));
         let sent = client.poll(Nanos::from_ms(20)).unwrap();
         assert_eq!(client.feedback(sent.tag).0.ack_delay, Nanos::ZERO);
         // Number 1 comes late: the delay is still that of number 2.
-        client.receive(1, Content::Ping, Nanos::from_ms(23), &mut metrics);
+        client.receive(1, Content::Ping, Nanos::from_ms(23));
         let sent = client.poll(Nanos::from_ms(23)).unwrap();
         assert_eq!(client.feedback(sent.tag).0.ack_delay, Nanos::from_ms(3));
     }

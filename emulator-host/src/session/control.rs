@@ -79,10 +79,6 @@ impl ControlReceiver {
         self.missing -= 1;
         Some((self.bytes, self.missing == 0))
     }
-
-    pub(super) fn is_complete(&self) -> bool {
-        self.missing == 0
-    }
 }
 
 #[cfg(test)]
@@ -104,6 +100,5 @@ mod tests {
         assert_eq!(receiver.on_chunk(2), None);
         assert_eq!(receiver.on_chunk(0), Some((1250, false)));
         assert_eq!(receiver.on_chunk(1), Some((2400, true)));
-        assert!(receiver.is_complete() && ControlReceiver::new(0).is_complete());
     }
 }

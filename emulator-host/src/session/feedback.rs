@@ -61,42 +61,26 @@ pub(super) struct ReceiptWriter {
     arrived: News<PacketId>,
     recovered: News<PacketId>,
     completed: News<GroupId>,
-    /// Bit `i % 64` of word `i / 64`: group `i` has been reported.
-    reported_groups: Vec<u64>,
 }
 
 impl ReceiptWriter {
-    pub(super) fn new(graph: &PacketGraph) -> Self {
-        Self {
-            sequence: 0,
-            arrived: News::new(),
-            recovered: News::new(),
-            completed: News::new(),
-            reported_groups: vec![0; graph.groups().len().div_ceil(64)],
-        }
+    pub(super) fn new() -> Self {
+        Self { sequence: 0, arrived: News::new(), recovered: News::new(), completed: News::new() }
     }
 
     /// A packet arrived by itself.
-    pub(super) fn on_arrived(&mut self, graph: &PacketGraph, packet: PacketIndex) {
-        self.arrived.push(graph.wire_id(packet));
+    pub(super) fn on_arrived(&mut self, packet: PacketId) {
+        self.arrived.push(packet);
     }
 
     /// A packet was recovered from parity.
-    pub(super) fn on_recovered(&mut self, graph: &PacketGraph, packet: PacketIndex) {
-        self.recovered.push(graph.wire_id(packet));
+    pub(super) fn on_recovered(&mut self, packet: PacketId) {
+        self.recovered.push(packet);
     }
 
-    /// `groups` (a bit per group of the graph) are complete now; those not known before become news.
-    pub(super) fn on_complete(&mut self, graph: &PacketGraph, groups: &[u64]) {
-        for (word, (now, before)) in groups.iter().zip(&mut self.reported_groups).enumerate() {
-            let mut fresh = now & !*before;
-            *before |= now;
-            while fresh != 0 {
-                let index = word * 64 + fresh.trailing_zeros() as usize;
-                self.completed.push(graph.groups()[index].id);
-                fresh &= fresh - 1;
-            }
-        }
+    /// A group is complete.
+    pub(super) fn on_complete(&mut self, group: GroupId) {
+        self.completed.push(group);
     }
 
     /// Appends the next receipt to `out`. `playout_start`: when frame 0 was shown.
@@ -181,10 +165,10 @@ mod tests {
     #[test]
     fn news_comes_back_as_it_was_and_is_repeated_and_then_forgotten() {
         let graph = graph();
-        let mut writer = ReceiptWriter::new(&graph);
+        let mut writer = ReceiptWriter::new();
         let packets = [3, 4, 5, 9].map(PacketIndex);
-        packets[..3].iter().for_each(|packet| writer.on_arrived(&graph, *packet));
-        writer.on_recovered(&graph, packets[3]);
+        packets[..3].iter().for_each(|packet| writer.on_arrived(graph.wire_id(*packet)));
+        writer.on_recovered(graph.wire_id(packets[3]));
         for repeat in 0..=REPEATS {
             let mut bytes = Vec::new();
             writer.write(Some(Nanos(1)), &mut bytes);
@@ -197,10 +181,8 @@ mod tests {
     #[test]
     fn a_complete_group_stands_for_its_packets() {
         let graph = graph();
-        let mut writer = ReceiptWriter::new(&graph);
-        let mut complete = vec![0u64; graph.groups().len().div_ceil(64)];
-        complete[0] = 1 << 5;
-        writer.on_complete(&graph, &complete);
+        let mut writer = ReceiptWriter::new();
+        writer.on_complete(graph.groups()[5].id);
         let mut bytes = Vec::new();
         writer.write(None, &mut bytes);
         let feedback = read(&bytes, &graph).unwrap();
@@ -210,13 +192,13 @@ mod tests {
     #[test]
     fn a_flood_of_news_is_spread_over_receipts_that_each_fit_a_datagram() {
         let graph = graph();
-        let mut writer = ReceiptWriter::new(&graph);
+        let mut writer = ReceiptWriter::new();
         let count = graph.packets().len().min(400) as u32;
         // Every second packet: as many ranges as ids.
         let packets: Vec<PacketIndex> = (0..count).step_by(2).map(PacketIndex).collect();
-        packets.iter().for_each(|packet| writer.on_arrived(&graph, *packet));
-        packets.iter().for_each(|packet| writer.on_recovered(&graph, *packet));
-        writer.on_complete(&graph, &[u64::MAX >> 1]);
+        packets.iter().for_each(|packet| writer.on_arrived(graph.wire_id(*packet)));
+        packets.iter().for_each(|packet| writer.on_recovered(graph.wire_id(*packet)));
+        graph.groups().iter().take(63).for_each(|group| writer.on_complete(group.id));
         let mut known = std::collections::BTreeSet::new();
         for _ in 0..40 {
             let mut bytes = Vec::new();
@@ -231,7 +213,7 @@ mod tests {
     fn damaged_bytes_are_refused() {
         let graph = graph();
         let mut bytes = Vec::new();
-        ReceiptWriter::new(&graph).write(None, &mut bytes);
+        ReceiptWriter::new().write(None, &mut bytes);
         bytes[1] ^= 1;
         assert!(read(&bytes, &graph).is_err());
     }

@@ -7,23 +7,65 @@ use crate::{
     startup::StartupRule,
 };
 
+/// What a transport knows of its path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PathFacts {
+    /// What the sender can count on, bits/s of UDP payload: min(cwnd/srtt, estimated rate of the path).
+    pub rate: Rate,
+    /// Smoothed round trip; RFC 9002 assumes 333 ms before the first sample.
+    pub smoothed_rtt: Nanos,
+    /// Its mean deviation.
+    pub rtt_variation: Nanos,
+    /// Smallest round trip; zero before the first sample.
+    pub minimum_rtt: Nanos,
+    /// UDP payload bytes in flight.
+    pub in_flight: u64,
+    /// UDP payload of the largest datagram.
+    pub datagram_bytes: u64,
+}
+
+impl PathFacts {
+    /// What is known of a path before anything was sent: the assumptions of RFC 9002, and a rate of its
+    /// initial window per round trip.
+    pub fn unknown(datagram_bytes: u64) -> Self {
+        let smoothed_rtt = Nanos::from_ms(333);
+        let window = crate::congestion::initial_window(datagram_bytes);
+        Self {
+            rate: Rate::over(crate::clock::Bytes(window), smoothed_rtt),
+            smoothed_rtt,
+            rtt_variation: Nanos(smoothed_rtt.0 / 2),
+            minimum_rtt: Nanos::ZERO,
+            in_flight: 0,
+            datagram_bytes,
+        }
+    }
+}
+
 /// What the view holds besides the graph and the status table; renewed when feedback comes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Outlook {
+    pub(super) path: PathFacts,
     pub(super) playout_start: Nanos,
     pub(super) playing: bool,
     pub(super) horizon_frame: u32,
-    pub(super) rate: Rate,
-    pub(super) smoothed_rtt: Nanos,
-    pub(super) rtt_variation: Nanos,
-    pub(super) minimum_rtt: Nanos,
     pub(super) loss: f64,
-    pub(super) in_flight: u64,
     pub(super) retransmissions: u32,
     pub(super) startup: StartupRule,
 }
 
 impl Outlook {
+    pub(super) fn new(path: PathFacts, retransmissions: u32, startup: StartupRule) -> Self {
+        Self {
+            path,
+            playout_start: Nanos::ZERO,
+            playing: false,
+            horizon_frame: 0,
+            loss: 0.0,
+            retransmissions,
+            startup,
+        }
+    }
+
     pub(super) fn view<'a>(
         &self,
         graph: &'a PacketGraph,
@@ -34,15 +76,15 @@ impl Outlook {
             graph,
             status,
             sent_at,
-            in_flight: self.in_flight,
+            in_flight: self.path.in_flight,
             startup: self.startup,
             playout_start: self.playout_start,
             playing: self.playing,
             horizon_frame: self.horizon_frame,
-            rate: self.rate,
-            smoothed_rtt: self.smoothed_rtt,
-            rtt_variation: self.rtt_variation,
-            minimum_rtt: self.minimum_rtt,
+            rate: self.path.rate,
+            smoothed_rtt: self.path.smoothed_rtt,
+            rtt_variation: self.path.rtt_variation,
+            minimum_rtt: self.path.minimum_rtt,
             loss: self.loss,
             retransmissions: self.retransmissions,
         }

@@ -1,10 +1,10 @@
 //! Runs one delivery: steps from event to event, and hands datagrams from end to end.
 
-use super::{SessionConfig, SessionError, client::Client, metrics::Metrics, sender::Sender};
+use super::{SessionConfig, SessionError, client::Client, sender::Sender};
 use crate::{
     clock::Nanos,
     graph::PacketGraph,
-    link::{BoxOutput, Chain, Datagram, LinkBox, PathConfig},
+    link::{BoxOutput, Chain, Datagram, LinkBox},
     policy::Scheduler,
     receiver::{Endpoint, GraphReceiver},
     report::Report,
@@ -31,16 +31,13 @@ pub fn run(
     scheduler: &mut dyn Scheduler,
     endpoint: &mut dyn Endpoint,
 ) -> Result<Report, SessionError> {
-    check(config)?;
-    let path = |direction, path: &PathConfig| {
-        path.build(direction, config.seed).map_err(|error| SessionError::Path { direction, error })
-    };
+    config.check()?;
+    let [forward, reverse] = config.paths()?;
     let mut walk = Walk {
-        forward: path("forward", &config.forward)?,
-        reverse: path("reverse", &config.reverse)?,
+        forward,
+        reverse,
         sender: Sender::new(graph, config, scheduler),
         client: Client::new(graph, config, endpoint),
-        metrics: Metrics::new(graph),
         digest: 0xcbf2_9ce4_8422_2325,
         sample_at: Nanos::ZERO,
         config,
@@ -52,16 +49,6 @@ pub fn run(
     Ok(walk.report(now.min(config.cap)))
 }
 
-fn check(config: &SessionConfig) -> Result<(), SessionError> {
-    if let Some(share) = config.startup.rule.share().filter(|share| !(0.0..=1.0).contains(share)) {
-        return Err(SessionError::Config { field: "startup share", found: share, allowed: "0 to 1" });
-    }
-    if config.ack_every == 0 {
-        return Err(SessionError::Config { field: "ack_every", found: 0.0, allowed: "at least 1" });
-    }
-    Ok(())
-}
-
 /// One run: both ends, the path between them, and what is measured.
 struct Walk<'a> {
     config: &'a SessionConfig,
@@ -69,7 +56,6 @@ struct Walk<'a> {
     reverse: Chain,
     sender: Sender<'a>,
     client: Client<'a>,
-    metrics: Metrics<'a>,
     digest: u64,
     sample_at: Nanos,
 }
@@ -88,14 +74,12 @@ impl Walk<'_> {
         self.sender.on_timer(now);
         self.client.start_if_ready(now);
         if self.config.sample_interval > Nanos::ZERO && now >= self.sample_at {
-            self.metrics.sample(self.sender.row(now));
+            self.client.viewer().sample(self.sender.row(now));
             self.sample_at = now + self.config.sample_interval;
         }
-        while let Some(frame) = self.client.frame_due(now) {
-            self.metrics.show(frame, now, self.client.snapshot(frame));
-            if self.client.is_over() {
-                return true;
-            }
+        self.client.viewer().show_due(now);
+        if self.client.is_over() {
+            return true;
         }
         self.sender.advance(now);
         while let Some(datagram) = self.sender.poll(now) {
@@ -130,7 +114,7 @@ impl Walk<'_> {
         while let BoxOutput::Datagram(datagram) = self.forward.step(input.take(), now) {
             self.note(datagram, DOWN_DELIVERED, now);
             let content = self.sender.content(datagram.tag);
-            self.client.receive(datagram.tag, content, now, &mut self.metrics);
+            self.client.receive(datagram.tag, content, now);
         }
     }
 
@@ -152,14 +136,10 @@ impl Walk<'_> {
     }
 
     fn report(self, now: Nanos) -> Report {
-        let boxes = self.forward.box_counts().chain(self.reverse.box_counts());
-        let boxes = boxes.map(|(label, counts)| (label.to_owned(), counts)).collect();
-        let mut report = self.metrics.report(now, self.sender.forecasts(), boxes);
-        report.policy = self.sender.policy().to_owned();
+        let viewer = self.client.into_viewer();
+        let mut report = viewer.report(self.sender.media(), [&self.forward, &self.reverse], now);
         report.controller = self.sender.controller().to_owned();
         report.seed = self.config.seed;
-        report.startup_ms = self.client.playout_start().map(Nanos::as_ms);
-        report.startup_reached = self.client.threshold_reached();
         report.sender = self.sender.counts();
         report.digest = self.digest;
         report

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::{
     Limits, TraceError,
-    lines::{check_points, check_size, decimal, field, lines},
+    lines::{check_points, check_text, decimal, field, lines},
 };
 use crate::clock::Nanos;
 
@@ -21,7 +21,7 @@ impl DelayTrace {
     /// # Errors
     /// See [`TraceError`].
     pub fn load(bytes: &[u8], interval: Nanos, limits: &Limits) -> Result<Self, TraceError> {
-        check_size(bytes, limits)?;
+        check_text(bytes, limits)?;
         if interval < Nanos::from_ms(1) {
             return Err(TraceError::Period { found_ns: interval.0 });
         }

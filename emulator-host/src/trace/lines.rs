@@ -17,7 +17,16 @@ pub fn read(path: &Path, limits: &Limits) -> Result<Vec<u8>, TraceError> {
     Ok(bytes)
 }
 
-pub(super) fn check_size(bytes: &[u8], limits: &Limits) -> Result<(), TraceError> {
+/// Refuses what is too large, and JSON: Pantheon's own logs are JSON, and their traces are mahimahi's.
+pub(super) fn check_text(bytes: &[u8], limits: &Limits) -> Result<(), TraceError> {
+    check_size(bytes, limits)?;
+    match bytes.trim_ascii_start().first() {
+        Some(b'{' | b'[') => Err(TraceError::Json),
+        _ => Ok(()),
+    }
+}
+
+fn check_size(bytes: &[u8], limits: &Limits) -> Result<(), TraceError> {
     let found = bytes.len() as u64;
     if found > limits.file_bytes {
         return Err(TraceError::TooLarge { what: "bytes of the file", found, allowed: limits.file_bytes });

@@ -2,7 +2,7 @@
 
 use super::{
     Limits, MAX_PERIOD, Trace, TraceError,
-    lines::{check_points, check_size, field, integer, lines},
+    lines::{check_points, check_text, field, integer, lines},
 };
 use crate::clock::Nanos;
 
@@ -18,7 +18,7 @@ impl Trace {
 }
 
 fn load(name: &str, bytes: &[u8], limits: &Limits) -> Result<Trace, TraceError> {
-    check_size(bytes, limits)?;
+    check_text(bytes, limits)?;
     let mut at: Vec<Nanos> = Vec::new();
     for line in lines(bytes, limits) {
         let (number, text) = line?;

@@ -1,10 +1,15 @@
 //! Reads throughput traces of two columns: time in seconds, rate in Mbit/s.
 
 use super::{
-    Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError,
-    lines::{check_points, check_size, decimal, field, lines},
+    Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError, Warning,
+    lines::{check_points, check_text, decimal, field, lines},
 };
 use crate::clock::{Nanos, Rate};
+
+/// Rows that are typically further apart look like milliseconds: measured traces step by 0.1 to 5 s.
+const COARSEST: Nanos = Nanos::from_s(60);
+/// Rates that are typically higher than this look like kbit/s: measured traces stay below it but for seconds.
+const FASTEST: Rate = Rate::from_mbps(500);
 
 /// Which way the rate of a row holds. The two families of public traces differ; the difference is one step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +31,7 @@ impl Trace {
 }
 
 fn load(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Trace, TraceError> {
-    check_size(bytes, limits)?;
+    check_text(bytes, limits)?;
     let mut rows: Vec<Step> = Vec::new();
     let mut first_s = None;
     for line in lines(bytes, limits) {
@@ -59,8 +64,9 @@ fn load(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Trace
         check_points(rows.len(), limits)?;
     }
     let Some(last) = rows.last().map(|row| row.at) else { return Err(TraceError::NoCapacity) };
+    let warnings = doubts(&rows);
     let lone = Nanos::from_s(1);
-    match holds {
+    let trace = match holds {
         Holds::Forward => {
             let tail = rows.windows(2).last().map_or(lone, |pair| pair[1].at - pair[0].at);
             Trace::steps(name, rows, last + tail)
@@ -75,7 +81,24 @@ fn load(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Trace
             }
             Trace::steps(name, rows, last + head)
         }
+    };
+    trace.map(|trace| Trace { warnings, ..trace })
+}
+
+/// What makes the units doubtful, by the median row.
+fn doubts(rows: &[Step]) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    let mut gaps: Vec<Nanos> = rows.windows(2).map(|pair| pair[1].at - pair[0].at).collect();
+    gaps.sort_unstable();
+    if let Some(gap) = gaps.get(gaps.len() / 2).filter(|gap| **gap > COARSEST) {
+        warnings.push(Warning::LikelyMilliseconds { seconds: gap.as_s() as u32 });
     }
+    let mut rates: Vec<Rate> = rows.iter().map(|row| row.rate).collect();
+    rates.sort_unstable();
+    if let Some(rate) = rates.get(rates.len() / 2).filter(|rate| **rate > FASTEST) {
+        warnings.push(Warning::LikelyKilobits { mbps: (rate.0 / 1_000_000) as u32 });
+    }
+    warnings
 }
 
 #[cfg(test)]
@@ -94,6 +117,37 @@ mod tests {
     fn both_conventions_differ_by_one_step() {
         assert_eq!(steps(Holds::Forward), (vec![(0, 1000), (500, 2500), (2500, 3000)], 4500));
         assert_eq!(steps(Holds::Backward), (vec![(0, 1000), (500, 2500), (1000, 3000)], 3000));
+    }
+
+    #[test]
+    fn milliseconds_and_kilobits_are_noticed_and_named() {
+        let warnings = |text: &str| {
+            let trace = load("t", text.as_bytes(), Holds::Forward, &Limits::default()).unwrap();
+            trace.warnings().iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
+        };
+        assert_eq!(warnings("0 3.1\n1 2.7\n2 3.0\n3 2\n"), "");
+        assert!(warnings("0 3.1\n1000 2.7\n2000 3.0\n").contains("looks like milliseconds"));
+        assert!(warnings("0 3100\n1 2700\n2 3000\n").contains("looks like kbit/s"));
+        let both = warnings("0 3100\n1000 2700\n2000 3000\n");
+        assert!(
+            both.starts_with("rows are 1000 s apart") && both.contains("the rate is 3000 Mbit/s"),
+            "{both}"
+        );
+    }
+
+    #[test]
+    fn json_is_refused_by_every_loader_in_a_sentence() {
+        let json = b" {\"flows\": [1, 2]}\n";
+        let limits = Limits::default();
+        let direction = super::super::Direction::Down;
+        for loaded in [
+            Trace::mahimahi("t", json, &limits),
+            Trace::two_column("t", json, Holds::Forward, &limits),
+            Trace::ucc("t", json, direction, &limits),
+        ] {
+            assert_eq!(loaded.unwrap_err(), TraceError::Json);
+        }
+        assert!(TraceError::Json.to_string().contains("Pantheon"));
     }
 
     #[test]

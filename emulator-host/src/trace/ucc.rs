@@ -12,7 +12,7 @@
 
 use super::{
     Limits, MAX_RATE, Step, Trace, TraceError, Warning,
-    lines::{check_points, check_size, decimal, field, lines},
+    lines::{check_points, check_text, decimal, field, lines},
 };
 use crate::clock::{Nanos, Rate};
 
@@ -50,7 +50,7 @@ impl Trace {
 }
 
 fn load(name: &str, bytes: &[u8], direction: Direction, limits: &Limits) -> Result<Trace, TraceError> {
-    check_size(bytes, limits)?;
+    check_text(bytes, limits)?;
     let (rows, idle) = rows(bytes, direction, limits)?;
     let Some(first) = rows.first().map(|row| row.second) else { return Err(TraceError::NoCapacity) };
     let span = rows.last().map_or(0, |row| row.second - first) as usize + 1;

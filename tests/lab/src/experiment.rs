@@ -16,10 +16,12 @@ mod loss;
 mod objective;
 mod pareto;
 mod partial;
+mod quic_model;
 mod rank;
 mod rate;
 mod render;
 mod repair;
+mod serve;
 mod skips;
 mod stress;
 mod structure;
@@ -152,9 +154,19 @@ pub const ALL: &[Experiment] = &[
         run: gpu::run,
     },
     Experiment {
+        name: "quic-model",
+        about: "the model of QUIC beside quinn-proto in virtual time: goodput, lateness of frames, speed",
+        run: quic_model::run,
+    },
+    Experiment {
         name: "transport",
         about: "schedulers on measured traces: utility beside the best possible, pictures, startup, waste",
         run: transport::run,
+    },
+    Experiment {
+        name: "serve",
+        about: "viewers at once over loopback at 50 Mbit/s: goodput, loss, processor time, memory, startup",
+        run: serve::run,
     },
     Experiment {
         name: "structure",

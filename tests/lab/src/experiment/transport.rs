@@ -1,6 +1,6 @@
 //! Prints what schedulers deliver: over measured traces, beside the best that was possible, and in pictures.
 
-mod channels;
+pub(super) mod channels;
 mod optimum;
 mod paired;
 mod pictures;

@@ -42,16 +42,29 @@ pub(super) struct Channel {
 /// # Errors
 /// A trace that cannot be read.
 pub(super) fn all(setup: &Setup, bench: &mut Bench) -> Result<Vec<Channel>> {
+    let mut channels = families(setup, bench)?;
+    channels.push(Channel { family: "made", trace: Trace::bursty(5, Nanos::from_s(120)) });
+    channels.push(Channel { family: "made", trace: outages()? });
+    channels.push(Channel { family: "constant", trace: constant()? });
+    Ok(channels)
+}
+
+fn families(setup: &Setup, bench: &mut Bench) -> Result<Vec<Channel>> {
     let mut channels = Vec::new();
     for (family, file) in FILES {
         if let Some(path) = setup.data(&format!("traces/{file}"), bench)? {
             channels.push(Channel { family, trace: pipeline::read_trace(&path)? });
         }
     }
-    channels.push(Channel { family: "made", trace: Trace::bursty(5, Nanos::from_s(120)) });
-    channels.push(Channel { family: "made", trace: outages()? });
-    channels.push(Channel { family: "constant", trace: constant()? });
     Ok(channels)
+}
+
+/// The measured traces as far as they are here.
+///
+/// # Errors
+/// A trace that cannot be read.
+pub(in crate::experiment) fn measured(setup: &Setup, bench: &mut Bench) -> Result<Vec<Trace>> {
+    Ok(families(setup, bench)?.into_iter().map(|channel| channel.trace).collect())
 }
 
 /// Five seconds at full rate, one without any.

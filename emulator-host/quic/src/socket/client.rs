@@ -1,0 +1,246 @@
+//! Connects to a server, receives a stream, and shows its frames on time.
+
+use std::{
+    net::{Ipv4Addr, Ipv6Addr, SocketAddr},
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use dgs_player::Player;
+use quinn::{Connection, ConnectionError, Endpoint, SendStream, TransportErrorCode};
+use tokio::time::{sleep_until, timeout};
+
+use super::{
+    control::{Control, ControlError},
+    identity::{Mismatch, Trust},
+    limits::client_transport,
+    locator::Locator,
+    message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
+    playback::{PlayReport, Playback, Screen},
+    settings::{ClientConfig, PlayError},
+};
+
+/// A receipt leaves with every so many datagrams.
+const RECEIPT_EVERY: u32 = 2;
+/// And so long after any datagram at the latest.
+const RECEIPT_DELAY: Duration = Duration::from_millis(25);
+/// And at least so often: what was repeated enough and lost all the same is said again, and the server sees
+/// that somebody is there.
+const RECEIPT_INTERVAL: Duration = Duration::from_millis(100);
+
+/// What came of playing.
+#[derive(Debug)]
+pub struct Played {
+    /// What was seen.
+    pub report: PlayReport,
+    /// What has arrived, if the manifest has.
+    pub player: Option<Player>,
+    /// Why it ended before the clip, its time or the caller did.
+    pub error: Option<PlayError>,
+}
+
+impl Played {
+    /// The report of a session that nothing ended early.
+    ///
+    /// # Errors
+    /// What ended it.
+    pub fn whole(self) -> Result<PlayReport, PlayError> {
+        self.error.map_or(Ok(self.report), Err)
+    }
+}
+
+/// Plays what `config` names on `screen`, until the clip is over, its time is up or `stop` ends.
+pub async fn play(config: &ClientConfig, screen: &mut dyn Screen, stop: impl Future<Output = ()>) -> Played {
+    let began = Instant::now();
+    let mut playback = match Playback::new(config, began) {
+        Ok(playback) => playback,
+        Err(error) => return Played { report: PlayReport::default(), player: None, error: Some(error) },
+    };
+    let end = config.duration.map(|duration| began + duration);
+    let up = async {
+        match end {
+            Some(end) => sleep_until(end.into()).await,
+            None => std::future::pending().await,
+        }
+    };
+    let played = tokio::select! {
+        played = sessions(config, &mut playback, screen) => played,
+        () = up => Ok(()),
+        () = stop => Ok(()),
+    };
+    let (report, player) = playback.end();
+    Played { report, player, error: played.err() }
+}
+
+/// Connections until the clip is over or none can be made any more.
+async fn sessions(
+    config: &ClientConfig,
+    playback: &mut Playback,
+    screen: &mut dyn Screen,
+) -> Result<(), PlayError> {
+    let mut left = config.reconnects;
+    loop {
+        let Err(error) = session(config, playback, screen).await else { return Ok(()) };
+        // Who was never let in is not let in the next time either.
+        let again = matches!(error, PlayError::Lost(_)) && playback.has_manifest() && left > 0;
+        if !again {
+            return Err(error);
+        }
+        left -= 1;
+        playback.reconnect();
+    }
+}
+
+/// One connection, from the handshake to the end of the clip.
+async fn session(
+    config: &ClientConfig,
+    playback: &mut Playback,
+    screen: &mut dyn Screen,
+) -> Result<(), PlayError> {
+    let (endpoint, connection) = connect(config).await?;
+    let result = converse(config, playback, screen, &connection).await;
+    let result = result.map_err(|error| closed(error, &connection));
+    connection.close(0u32.into(), b"bye");
+    // So that the server hears of it at once.
+    let _ = timeout(Duration::from_millis(200), endpoint.wait_idle()).await;
+    result
+}
+
+/// The server may have closed with a reason that is better than what was seen first.
+fn closed(error: PlayError, connection: &Connection) -> PlayError {
+    let reason = match &error {
+        PlayError::Lost(reason) => Some(reason.clone()),
+        PlayError::Nonsense(_) => connection.close_reason(),
+        _ => None,
+    };
+    let Some(ConnectionError::ApplicationClosed(close)) = reason else { return error };
+    match RefusalCode::of(close.error_code.into_inner()) {
+        Some(code) => {
+            let sentence = String::from_utf8_lossy(&close.reason).into_owned();
+            PlayError::Refused(Refusal { code, sentence })
+        }
+        None => error,
+    }
+}
+
+async fn connect(config: &ClientConfig) -> Result<(Endpoint, Connection), PlayError> {
+    let Locator { host, port, .. } = &config.locator;
+    let unknown = || PlayError::Host { host: host.clone() };
+    let address = tokio::net::lookup_host((host.as_str(), *port)).await.map_err(|_| unknown())?.next();
+    let address = address.ok_or_else(unknown)?;
+    let (crypto, mismatch) = config.trust.client()?;
+    let mut client = quinn::ClientConfig::new(Arc::new(crypto));
+    client.transport_config(client_transport(config.silence));
+    let any: SocketAddr = match address {
+        SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
+        SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
+    };
+    let endpoint = Endpoint::client(any).map_err(PlayError::Socket)?;
+    let connecting = endpoint.connect_with(client, address, host);
+    let connecting = connecting.map_err(|error| PlayError::Handshake(error.to_string()))?;
+    let silence = PlayError::Silence { ms: config.silence.as_millis() };
+    let connected = timeout(config.silence, connecting).await.map_err(|_| silence)?;
+    Ok((endpoint, connected.map_err(|error| handshake(config, &mismatch, error))?))
+}
+
+/// What a failed handshake means.
+fn handshake(config: &ClientConfig, mismatch: &Mismatch, error: ConnectionError) -> PlayError {
+    match (&config.trust, mismatch.get(), error) {
+        (Trust::Pin(wanted), Some(found), _) => PlayError::WrongPin { found: *found, wanted: *wanted },
+        (_, _, ConnectionError::TimedOut) => PlayError::Silence { ms: config.silence.as_millis() },
+        (_, _, ConnectionError::ConnectionClosed(close))
+            if close.error_code == TransportErrorCode::CONNECTION_REFUSED =>
+        {
+            let sentence = "it has no room for another connection".to_owned();
+            PlayError::Refused(Refusal { code: RefusalCode::Full, sentence })
+        }
+        (_, _, error) => PlayError::Handshake(error.to_string()),
+    }
+}
+
+/// Says hello and plays.
+async fn converse(
+    config: &ClientConfig,
+    playback: &mut Playback,
+    screen: &mut dyn Screen,
+    connection: &Connection,
+) -> Result<(), PlayError> {
+    let (mut send, receive) = connection.open_bi().await.map_err(PlayError::Lost)?;
+    let mut control = Control::<ServerMessage>::new(receive);
+    let stream = config.locator.stream.clone();
+    let hello = ClientMessage::Hello { stream, start_us: playback.start_us() };
+    say(&mut send, &hello).await?;
+    let deadline = Instant::now() + config.silence;
+    let mut history_at = Instant::now() + RECEIPT_INTERVAL;
+    let mut answer_at = None;
+    let mut unanswered = 0;
+    let mut had_manifest = false;
+    loop {
+        let now = Instant::now();
+        playback.show_due(screen)?;
+        if playback.is_over() {
+            if !config.loops {
+                return say(&mut send, &ClientMessage::Bye).await;
+            }
+            say(&mut send, &playback.next_round()).await?;
+            continue;
+        }
+        let (history, late) = (now >= history_at, answer_at.is_some_and(|at| now >= at));
+        if had_manifest && (history || late || unanswered >= RECEIPT_EVERY || playback.wants_receipt()) {
+            // A receipt that finds no room is as lost as one that is dropped on the way.
+            let _ = connection.send_datagram(playback.receipt(history).into());
+            (unanswered, answer_at, history_at) = (0, None, now + RECEIPT_INTERVAL);
+        }
+        let receipt_at = answer_at.map_or(history_at, |at| history_at.min(at));
+        let wake = if had_manifest {
+            playback.next_time().map_or(receipt_at, |due| due.min(receipt_at))
+        } else {
+            deadline
+        };
+        tokio::select! {
+            message = control.next() => {
+                match message {
+                    Ok(Some(ServerMessage::Manifest(message))) if !had_manifest => {
+                        playback.manifest(&message)?;
+                        had_manifest = true;
+                        history_at = now;
+                    }
+                    Ok(Some(ServerMessage::Manifest(_))) => {
+                        return Err(PlayError::Nonsense("a second manifest".to_owned()));
+                    }
+                    Ok(Some(ServerMessage::Refusal(refusal))) => return Err(PlayError::Refused(refusal)),
+                    Ok(None) => return Err(gone(connection).await),
+                    Err(ControlError::Lost(_)) => return Err(gone(connection).await),
+                    Err(error) => return Err(PlayError::Nonsense(error.to_string())),
+                }
+            }
+            datagram = connection.read_datagram() => {
+                let datagram = datagram.map_err(PlayError::Lost)?;
+                playback.media(&datagram)?;
+                unanswered += 1;
+                answer_at = answer_at.or(Some(now + RECEIPT_DELAY));
+            }
+            () = sleep_until(wake.into()) => {
+                if !had_manifest && Instant::now() >= deadline {
+                    return Err(PlayError::Silence { ms: config.silence.as_millis() });
+                }
+            }
+        }
+    }
+}
+
+/// The server has ended the stream: why, once the connection has ended too.
+async fn gone(connection: &Connection) -> PlayError {
+    match timeout(Duration::from_secs(1), connection.closed()).await {
+        Ok(error) => PlayError::Lost(error),
+        Err(_) => PlayError::Nonsense("the control stream ended".to_owned()),
+    }
+}
+
+async fn say(send: &mut SendStream, message: &ClientMessage) -> Result<(), PlayError> {
+    let written = send.write_all(&message.to_bytes()).await;
+    written.map_err(|error| match error {
+        quinn::WriteError::ConnectionLost(error) => PlayError::Lost(error),
+        other => PlayError::Nonsense(other.to_string()),
+    })
+}

@@ -1,0 +1,136 @@
+//! Bounds what a peer can cost: time, memory, datagrams; and sets up the transport by them.
+
+use std::{sync::Arc, time::Duration};
+
+use quinn::{IdleTimeout, TransportConfig, VarInt};
+
+/// Bytes of datagrams that wait in the transport: two, so that the next leaves as soon as congestion control
+/// and pacing let it, and nothing is queued ahead of the scheduler.
+const SEND_BUFFER_BYTES: usize = 2560;
+/// Bytes of a datagram on the wire before more of the path is known. A packet of 1150 bytes fits.
+const INITIAL_MTU: u16 = 1200;
+/// Bytes of datagrams that wait to be read.
+const RECEIVE_BUFFER_BYTES: usize = 1 << 20;
+/// Bytes of the control stream that wait to be read, at the server: many messages.
+const CONTROL_WINDOW: u32 = 4096;
+
+/// What a server grants.
+#[derive(Clone, Debug)]
+pub struct ServerLimits {
+    /// Viewers at once.
+    pub max_viewers: usize,
+    /// Media bits per second for each viewer.
+    pub max_rate_bps: Option<u64>,
+    /// From the end of the handshake to a whole hello.
+    pub hello_wait: Duration,
+    /// A viewer from whom nothing comes for so long is gone. At least a millisecond.
+    pub idle: Duration,
+    /// Bytes that wait to be read or acknowledged, for each viewer: a manifest must fit.
+    pub viewer_bytes: u64,
+}
+
+impl Default for ServerLimits {
+    /// 100 viewers, no bound on the rate, 5 s for a hello, 10 s of silence, 1 MiB.
+    fn default() -> Self {
+        Self {
+            max_viewers: 100,
+            max_rate_bps: None,
+            hello_wait: Duration::from_secs(5),
+            idle: Duration::from_secs(10),
+            viewer_bytes: 1 << 20,
+        }
+    }
+}
+
+impl ServerLimits {
+    pub(super) fn transport(&self) -> Arc<TransportConfig> {
+        let mut config = TransportConfig::default();
+        config
+            .max_concurrent_bidi_streams(VarInt::from_u32(1))
+            .max_concurrent_uni_streams(VarInt::from_u32(0))
+            .stream_receive_window(VarInt::from_u32(CONTROL_WINDOW))
+            .receive_window(VarInt::from_u32(CONTROL_WINDOW))
+            .send_window(self.viewer_bytes)
+            .initial_mtu(INITIAL_MTU)
+            .datagram_receive_buffer_size(Some(RECEIVE_BUFFER_BYTES / 16))
+            .datagram_send_buffer_size(SEND_BUFFER_BYTES)
+            .max_idle_timeout(idle_timeout(self.idle));
+        Arc::new(config)
+    }
+}
+
+/// How a client waits. A quiet server is left after `silence`.
+pub(super) fn client_transport(silence: Duration) -> Arc<TransportConfig> {
+    let mut config = TransportConfig::default();
+    config
+        .max_concurrent_bidi_streams(VarInt::from_u32(0))
+        .max_concurrent_uni_streams(VarInt::from_u32(0))
+        .initial_mtu(INITIAL_MTU)
+        .datagram_receive_buffer_size(Some(RECEIVE_BUFFER_BYTES))
+        .datagram_send_buffer_size(RECEIVE_BUFFER_BYTES / 16)
+        .max_idle_timeout(idle_timeout(silence));
+    Arc::new(config)
+}
+
+fn idle_timeout(after: Duration) -> Option<IdleTimeout> {
+    let after = after.clamp(Duration::from_millis(1), Duration::from_secs(3600));
+    after.try_into().ok()
+}
+
+/// Allows so many events per second, and a number of them at once.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Allowance {
+    per_second: f64,
+    most: f64,
+    left: f64,
+    at: Duration,
+}
+
+impl Allowance {
+    pub(super) const fn new(per_second: f64, most: f64) -> Self {
+        Self { per_second, most, left: most, at: Duration::ZERO }
+    }
+
+    /// Allows `more` events besides those of time.
+    pub(super) fn add(&mut self, more: f64) {
+        self.left = (self.left + more).min(self.most);
+    }
+
+    /// Takes `count` at `now`, a time since any one moment; nothing and false if there are not so many.
+    pub(super) fn take(&mut self, count: f64, now: Duration) -> bool {
+        self.renew(now);
+        let enough = self.left >= count;
+        self.left -= if enough { count } else { 0.0 };
+        enough
+    }
+
+    /// How long from `now` until `count` can be taken.
+    pub(super) fn wait(&mut self, count: f64, now: Duration) -> Duration {
+        self.renew(now);
+        let missing = (count.min(self.most) - self.left).max(0.0);
+        Duration::from_secs_f64((missing / self.per_second.max(1e-9)).min(3600.0))
+    }
+
+    fn renew(&mut self, now: Duration) {
+        let passed = now.saturating_sub(self.at).as_secs_f64();
+        self.left = (self.left + passed * self.per_second).min(self.most);
+        self.at = self.at.max(now);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_allowance_is_used_up_and_comes_back_with_time() {
+        let mut allowance = Allowance::new(10.0, 2.0);
+        let now = Duration::from_secs(5);
+        assert!(allowance.take(2.0, now) && !allowance.take(1.0, now));
+        assert_eq!(allowance.wait(1.0, now), Duration::from_millis(100));
+        assert!(allowance.take(1.0, now + Duration::from_millis(101)));
+        assert!(!allowance.take(1.0, now));
+        allowance.add(5.0);
+        assert!(allowance.take(2.0, now) && !allowance.take(1.0, now));
+    }
+}

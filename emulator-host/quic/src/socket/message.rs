@@ -1,0 +1,455 @@
+//! Parses and writes the messages of the control stream (SESSION.md): bounded, typed, without a panic.
+//!
+//! A message is a kind, a length and a body. Its kind bounds its length, so that nothing is stored for a
+//! length that is only claimed: memory follows the bytes that came.
+
+use std::marker::PhantomData;
+
+/// Name of the protocol in the handshake (ALPN).
+pub const ALPN: &[u8] = b"dgs/0";
+/// Version of the session messages.
+pub const VERSION: u8 = 0;
+/// Longest name of a stream, bytes.
+pub const MAX_NAME_BYTES: usize = 64;
+/// Longest sentence of a refusal, bytes.
+pub const MAX_SENTENCE_BYTES: usize = 1000;
+/// Longest manifest message that a session carries, bytes.
+pub const MAX_MANIFEST_BYTES: usize = 1 << 24;
+/// Kind and length.
+const HEAD_BYTES: usize = 5;
+/// Shortest DGSM message.
+const MIN_MANIFEST_BYTES: usize = 21;
+
+const HELLO: u8 = 0x01;
+const SEEK: u8 = 0x02;
+const BYE: u8 = 0x03;
+const MANIFEST: u8 = 0x81;
+const REFUSAL: u8 = 0x82;
+
+/// Which stream a client wants.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum StreamChoice {
+    /// By name; see [`is_name`].
+    Name(String),
+    /// By its place in the server's list, from 0.
+    Index(u16),
+}
+
+/// What a client says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ClientMessage {
+    /// The first message: what to play, and from where. It begins round 0.
+    Hello {
+        /// The stream.
+        stream: StreamChoice,
+        /// Time in the clip, microseconds.
+        start_us: u64,
+    },
+    /// Begins another round of playout.
+    Seek {
+        /// Number of the round, above that of the round before.
+        round: u32,
+        /// Time in the clip, microseconds.
+        start_us: u64,
+    },
+    /// The client has seen enough.
+    Bye,
+}
+
+/// What a server says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ServerMessage {
+    /// The DGSM message of the stream.
+    Manifest(Vec<u8>),
+    /// There is no session.
+    Refusal(Refusal),
+}
+
+/// Why a server ends or refuses a session.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{sentence} ({code})")]
+pub struct Refusal {
+    /// For programs.
+    pub code: RefusalCode,
+    /// For people.
+    pub sentence: String,
+}
+
+/// Kinds of refusal. The same numbers are the application error codes with which a connection is closed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RefusalCode {
+    /// The version of the session messages is not known here.
+    Version,
+    /// There is no such stream.
+    UnknownStream,
+    /// As many viewers as allowed are there.
+    Full,
+    /// A message that is none, or one out of turn.
+    Message,
+    /// Nothing came for too long.
+    Silence,
+    /// More came than allowed.
+    Flood,
+    /// The server is closing.
+    Closing,
+}
+
+impl RefusalCode {
+    const ALL: [(Self, u8, &'static str); 7] = [
+        (Self::Version, 1, "version"),
+        (Self::UnknownStream, 2, "unknown stream"),
+        (Self::Full, 3, "full"),
+        (Self::Message, 4, "message"),
+        (Self::Silence, 5, "silence"),
+        (Self::Flood, 6, "flood"),
+        (Self::Closing, 7, "closing"),
+    ];
+
+    /// The number on the wire.
+    pub fn number(self) -> u8 {
+        Self::ALL.iter().find(|entry| entry.0 == self).map_or(0, |entry| entry.1)
+    }
+
+    /// The code of this number.
+    pub fn of(number: u64) -> Option<Self> {
+        Self::ALL.iter().find(|entry| u64::from(entry.1) == number).map(|entry| entry.0)
+    }
+}
+
+impl std::fmt::Display for RefusalCode {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(Self::ALL.iter().find(|entry| entry.0 == *self).map_or("", |entry| entry.2))
+    }
+}
+
+/// Why bytes are no message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MessageError {
+    /// No message of this kind comes from that side.
+    #[error("message kind is {found:#04x}, allowed {allowed}")]
+    Kind {
+        /// The kind.
+        found: u8,
+        /// Kinds from that side.
+        allowed: &'static str,
+    },
+    /// A body of impossible length.
+    #[error("{message}: length is {found}, allowed {least} to {most}")]
+    Length {
+        /// Name of the message.
+        message: &'static str,
+        /// What it claims.
+        found: u32,
+        /// Least.
+        least: usize,
+        /// Most.
+        most: usize,
+    },
+    /// A field with an impossible value.
+    #[error("{message}.{field} is {found}, allowed {allowed}")]
+    Field {
+        /// Name of the message.
+        message: &'static str,
+        /// Name of the field.
+        field: &'static str,
+        /// What it says.
+        found: u64,
+        /// What it may say.
+        allowed: &'static str,
+    },
+    /// A body that ends before its fields do, or goes on after them.
+    #[error("{message}: the body has {found} bytes, its fields take {needed}")]
+    Body {
+        /// Name of the message.
+        message: &'static str,
+        /// Bytes there are.
+        found: usize,
+        /// Bytes needed.
+        needed: usize,
+    },
+}
+
+/// Whether `text` can name a stream: 1 to [`MAX_NAME_BYTES`] letters, digits, `.`, `_` and `-` of ASCII.
+pub fn is_name(text: &str) -> bool {
+    let legal = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
+    (1..=MAX_NAME_BYTES).contains(&text.len()) && text.bytes().all(legal)
+}
+
+/// Messages of one side.
+pub trait Message: Sized {
+    /// Kinds, for errors.
+    const KINDS: &'static str;
+
+    /// Name of a kind, and least and most bytes of its body.
+    fn shape(kind: u8) -> Option<(&'static str, usize, usize)>;
+
+    /// Reads a body whose length fits its kind.
+    ///
+    /// # Errors
+    /// A field that is out of range.
+    fn parse(kind: u8, body: &[u8]) -> Result<Self, MessageError>;
+
+    /// Appends the message to `out`.
+    fn write(&self, out: &mut Vec<u8>);
+
+    /// The message as bytes.
+    fn to_bytes(&self) -> Vec<u8> {
+        let mut out = Vec::new();
+        self.write(&mut out);
+        out
+    }
+}
+
+/// Takes the bytes of a control stream as they come and gives whole messages.
+#[derive(Debug)]
+pub struct MessageReader<M> {
+    bytes: Vec<u8>,
+    message: PhantomData<M>,
+}
+
+impl<M> Default for MessageReader<M> {
+    fn default() -> Self {
+        Self { bytes: Vec::new(), message: PhantomData }
+    }
+}
+
+impl<M: Message> MessageReader<M> {
+    /// Takes from the front of `input` what the current message still needs; the message once it is whole.
+    /// After `None`, `input` is empty.
+    ///
+    /// # Errors
+    /// Bytes that are no message; the stream makes no sense after them.
+    pub fn take(&mut self, input: &mut &[u8]) -> Result<Option<M>, MessageError> {
+        if !self.fill(HEAD_BYTES, input) {
+            return Ok(None);
+        }
+        let mut head = Fields { message: "message", body: &self.bytes, needed: HEAD_BYTES };
+        let (kind, found) = (head.byte()?, head.word()?);
+        let (message, least, most) =
+            M::shape(kind).ok_or(MessageError::Kind { found: kind, allowed: M::KINDS })?;
+        let length = found as usize;
+        if !(least..=most).contains(&length) {
+            return Err(MessageError::Length { message, found, least, most });
+        }
+        if !self.fill(HEAD_BYTES + length, input) {
+            return Ok(None);
+        }
+        let whole = std::mem::take(&mut self.bytes);
+        M::parse(kind, whole.get(HEAD_BYTES..).unwrap_or(&[])).map(Some)
+    }
+
+    /// Whether part of a message has come.
+    pub fn is_inside(&self) -> bool {
+        !self.bytes.is_empty()
+    }
+
+    /// Moves bytes until there are `wanted`; whether there are.
+    fn fill(&mut self, wanted: usize, input: &mut &[u8]) -> bool {
+        let missing = wanted.saturating_sub(self.bytes.len()).min(input.len());
+        let (taken, rest) = input.split_at(missing);
+        self.bytes.extend_from_slice(taken);
+        *input = rest;
+        self.bytes.len() >= wanted
+    }
+}
+
+/// Reads the fields of a body in order.
+struct Fields<'b> {
+    message: &'static str,
+    body: &'b [u8],
+    needed: usize,
+}
+
+impl<'b> Fields<'b> {
+    const fn new(message: &'static str, body: &'b [u8]) -> Self {
+        Self { message, body, needed: 0 }
+    }
+
+    fn bytes(&mut self, len: usize) -> Result<&'b [u8], MessageError> {
+        let short = MessageError::Body {
+            message: self.message,
+            found: self.needed + self.body.len(),
+            needed: self.needed + len,
+        };
+        let (taken, rest) = self.body.split_at_checked(len).ok_or(short)?;
+        self.body = rest;
+        self.needed += len;
+        Ok(taken)
+    }
+
+    fn number(&mut self, len: usize) -> Result<u64, MessageError> {
+        let bytes = self.bytes(len)?.iter().rev();
+        Ok(bytes.fold(0, |number, byte| number << 8 | u64::from(*byte)))
+    }
+
+    fn byte(&mut self) -> Result<u8, MessageError> {
+        Ok(self.number(1)? as u8)
+    }
+
+    fn word(&mut self) -> Result<u32, MessageError> {
+        Ok(self.number(4)? as u32)
+    }
+
+    fn text(&mut self, len: usize, field: &'static str) -> Result<&'b str, MessageError> {
+        let bytes = self.bytes(len)?;
+        std::str::from_utf8(bytes).map_err(|error| {
+            let found = bytes.get(error.valid_up_to()).copied().unwrap_or(0).into();
+            MessageError::Field { message: self.message, field, found, allowed: "UTF-8" }
+        })
+    }
+
+    fn end(self) -> Result<(), MessageError> {
+        if self.body.is_empty() {
+            return Ok(());
+        }
+        let found = self.needed + self.body.len();
+        Err(MessageError::Body { message: self.message, found, needed: self.needed })
+    }
+}
+
+/// Appends a message of `kind` whose body `write` appends.
+fn framed(out: &mut Vec<u8>, kind: u8, write: impl FnOnce(&mut Vec<u8>)) {
+    out.push(kind);
+    let at = out.len();
+    out.extend_from_slice(&[0; 4]);
+    write(out);
+    let length = (out.len() - at - 4) as u32;
+    out[at..at + 4].copy_from_slice(&length.to_le_bytes());
+}
+
+impl Message for ClientMessage {
+    const KINDS: &'static str = "0x01 hello, 0x02 seek, 0x03 bye";
+
+    fn shape(kind: u8) -> Option<(&'static str, usize, usize)> {
+        match kind {
+            HELLO => Some(("hello", 12, 11 + MAX_NAME_BYTES)),
+            SEEK => Some(("seek", 12, 12)),
+            BYE => Some(("bye", 0, 0)),
+            _ => None,
+        }
+    }
+
+    fn parse(kind: u8, body: &[u8]) -> Result<Self, MessageError> {
+        match kind {
+            HELLO => hello(Fields::new("hello", body)),
+            SEEK => {
+                let mut fields = Fields::new("seek", body);
+                let (round, start_us) = (fields.word()?, fields.number(8)?);
+                fields.end()?;
+                Ok(Self::Seek { round, start_us })
+            }
+            BYE => {
+                Fields::new("bye", body).end()?;
+                Ok(Self::Bye)
+            }
+            _ => Err(MessageError::Kind { found: kind, allowed: Self::KINDS }),
+        }
+    }
+
+    fn write(&self, out: &mut Vec<u8>) {
+        match self {
+            Self::Hello { stream, start_us } => framed(out, HELLO, |out| {
+                out.push(VERSION);
+                out.extend_from_slice(&start_us.to_le_bytes());
+                match stream {
+                    StreamChoice::Name(name) => {
+                        // A name longer than allowed is written as it is, and refused by who reads it.
+                        out.extend_from_slice(&[0, name.len().min(255) as u8]);
+                        out.extend_from_slice(name.as_bytes());
+                    }
+                    StreamChoice::Index(index) => {
+                        out.push(1);
+                        out.extend_from_slice(&index.to_le_bytes());
+                    }
+                }
+            }),
+            Self::Seek { round, start_us } => framed(out, SEEK, |out| {
+                out.extend_from_slice(&round.to_le_bytes());
+                out.extend_from_slice(&start_us.to_le_bytes());
+            }),
+            Self::Bye => framed(out, BYE, |_| ()),
+        }
+    }
+}
+
+/// The body of a hello.
+fn hello(mut fields: Fields<'_>) -> Result<ClientMessage, MessageError> {
+    let illegal =
+        |field, found: u64, allowed| MessageError::Field { message: "hello", field, found, allowed };
+    let version = fields.byte()?;
+    if version != VERSION {
+        return Err(illegal("version", version.into(), "0"));
+    }
+    let start_us = fields.number(8)?;
+    let stream = match fields.byte()? {
+        0 => {
+            let len = fields.byte()?;
+            let name = fields.text(len.into(), "name")?;
+            if !is_name(name) {
+                let allowed = "1 to 64 letters, digits, '.', '_', '-'";
+                return Err(illegal("name length, or one of its characters,", len.into(), allowed));
+            }
+            StreamChoice::Name(name.to_owned())
+        }
+        1 => StreamChoice::Index(fields.number(2)? as u16),
+        other => return Err(illegal("choice", other.into(), "0 name, 1 index")),
+    };
+    fields.end()?;
+    Ok(ClientMessage::Hello { stream, start_us })
+}
+
+impl MessageError {
+    /// The refusal that answers such bytes.
+    pub fn refusal(&self) -> Refusal {
+        let code = match self {
+            Self::Field { field: "version", .. } => RefusalCode::Version,
+            _ => RefusalCode::Message,
+        };
+        Refusal { code, sentence: self.to_string() }
+    }
+}
+
+impl Message for ServerMessage {
+    const KINDS: &'static str = "0x81 manifest, 0x82 refusal";
+
+    fn shape(kind: u8) -> Option<(&'static str, usize, usize)> {
+        match kind {
+            MANIFEST => Some(("manifest", MIN_MANIFEST_BYTES, MAX_MANIFEST_BYTES)),
+            REFUSAL => Some(("refusal", 2, 1 + MAX_SENTENCE_BYTES)),
+            _ => None,
+        }
+    }
+
+    fn parse(kind: u8, body: &[u8]) -> Result<Self, MessageError> {
+        match kind {
+            MANIFEST => Ok(Self::Manifest(body.to_vec())),
+            REFUSAL => {
+                let mut fields = Fields::new("refusal", body);
+                let number = fields.byte()?;
+                let code = RefusalCode::of(number.into()).ok_or(MessageError::Field {
+                    message: "refusal",
+                    field: "code",
+                    found: number.into(),
+                    allowed: "1 to 7",
+                })?;
+                let sentence = fields.text(body.len() - 1, "sentence")?.to_owned();
+                Ok(Self::Refusal(Refusal { code, sentence }))
+            }
+            _ => Err(MessageError::Kind { found: kind, allowed: Self::KINDS }),
+        }
+    }
+
+    fn write(&self, out: &mut Vec<u8>) {
+        match self {
+            Self::Manifest(message) => framed(out, MANIFEST, |out| out.extend_from_slice(message)),
+            Self::Refusal(refusal) => framed(out, REFUSAL, |out| {
+                out.push(refusal.code.number());
+                let most = refusal.sentence.floor_char_boundary(MAX_SENTENCE_BYTES);
+                out.extend_from_slice(&refusal.sentence.as_bytes()[..most]);
+            }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

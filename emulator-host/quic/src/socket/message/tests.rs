@@ -1,0 +1,86 @@
+//! Messages come back however they are cut, and what is wrong with others is named.
+
+use super::*;
+
+fn read<M: Message>(bytes: &[u8]) -> Result<Vec<M>, MessageError> {
+    let (mut reader, mut input, mut messages) = (MessageReader::default(), bytes, Vec::new());
+    while let Some(message) = reader.take(&mut input)? {
+        messages.push(message);
+    }
+    assert!(input.is_empty());
+    Ok(messages)
+}
+
+fn client() -> Vec<ClientMessage> {
+    vec![
+        ClientMessage::Hello { stream: StreamChoice::Name("fox.2".into()), start_us: 1_500_000 },
+        ClientMessage::Hello { stream: StreamChoice::Index(513), start_us: u64::MAX },
+        ClientMessage::Seek { round: 7, start_us: 12 },
+        ClientMessage::Bye,
+    ]
+}
+
+#[test]
+fn messages_come_back_whole_however_they_are_cut() {
+    let bytes: Vec<u8> = client().iter().flat_map(Message::to_bytes).collect();
+    assert_eq!(read::<ClientMessage>(&bytes), Ok(client()));
+    for step in 1..bytes.len() {
+        let (mut reader, mut messages) = (MessageReader::<ClientMessage>::default(), Vec::new());
+        for mut part in bytes.chunks(step) {
+            while let Some(message) = reader.take(&mut part).unwrap() {
+                messages.push(message);
+            }
+        }
+        assert_eq!(messages, client());
+        assert!(!reader.is_inside());
+    }
+    let refusal = Refusal { code: RefusalCode::Full, sentence: "é".repeat(600) };
+    let server = [ServerMessage::Manifest(vec![9; 300]), ServerMessage::Refusal(refusal)];
+    let bytes: Vec<u8> = server.iter().flat_map(Message::to_bytes).collect();
+    let back = read::<ServerMessage>(&bytes).unwrap();
+    assert_eq!(back[0], server[0]);
+    let ServerMessage::Refusal(cut) = &back[1] else { panic!("{back:?}") };
+    assert_eq!((cut.code, cut.sentence.len()), (RefusalCode::Full, 1000));
+}
+
+#[test]
+fn a_length_is_refused_before_anything_is_stored_for_it() {
+    let mut bytes = vec![MANIFEST];
+    bytes.extend_from_slice(&u32::MAX.to_le_bytes());
+    let error = read::<ServerMessage>(&bytes).unwrap_err();
+    assert_eq!(error.to_string(), "manifest: length is 4294967295, allowed 21 to 16777216");
+    let error = read::<ClientMessage>(&[BYE, 1, 0, 0, 0]).unwrap_err();
+    assert_eq!(error.to_string(), "bye: length is 1, allowed 0 to 0");
+}
+
+#[test]
+fn what_is_wrong_is_named() {
+    let hello = client()[0].to_bytes();
+    let with = |at: usize, value: u8| {
+        let mut bytes = hello.clone();
+        bytes[at] = value;
+        read::<ClientMessage>(&bytes).unwrap_err()
+    };
+    for (at, value, named) in [
+        (0, 0x81, "message kind is 0x81"),
+        (5, 9, "hello.version is 9, allowed 0"),
+        (14, 2, "hello.choice is 2"),
+        (15, 200, "its fields take 211"),
+        (15, 3, "its fields take 14"),
+        (16, b'/', "letters, digits"),
+        (16, 0xff, "UTF-8"),
+    ] {
+        let error = with(at, value);
+        assert!(error.to_string().contains(named), "{at}: {error}");
+    }
+    assert_eq!(with(5, 9).refusal().code, RefusalCode::Version);
+    assert_eq!(with(14, 9).refusal().code, RefusalCode::Message);
+    let mut refusal = ServerMessage::Refusal(Refusal { code: RefusalCode::Full, sentence: "a".into() });
+    let mut bytes = refusal.to_bytes();
+    bytes[HEAD_BYTES] = 99;
+    assert!(read::<ServerMessage>(&bytes).unwrap_err().to_string().contains("code is 99"));
+    if let ServerMessage::Refusal(refusal) = &mut refusal {
+        refusal.sentence.clear();
+    }
+    assert!(read::<ServerMessage>(&refusal.to_bytes()).is_err());
+}

@@ -1,0 +1,352 @@
+//! Plays what arrives: the decoder of `dgs-player` under the receiver of `emulator-host`, in real time.
+
+use std::time::{Duration, Instant};
+
+use codec_core::{Caps, ErrorKind, internals::limits::MAX_RECEIPT_BYTES};
+use dgs_player::{Player, Waiting};
+use emulator_host::{
+    Nanos,
+    session::{MediaReceiver, Startup, StartupRule},
+};
+use serde::Serialize;
+
+use super::{
+    message::ClientMessage,
+    offer::{start_before, starts},
+    settings::{ClientConfig, PlayError},
+};
+
+/// Bytes of media that are stored until the manifest comes.
+const EARLY_BYTES: u32 = 1 << 17;
+/// Refused datagrams, besides one for each that was taken, before the server is left.
+const SPARE_REFUSALS: u64 = 5000;
+
+/// What shows frames.
+pub trait Screen {
+    /// Frame `frame` is due now and `player` has what has arrived. This must return soon: nothing is received
+    /// meanwhile.
+    ///
+    /// # Errors
+    /// What makes it pointless to go on.
+    fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String>;
+}
+
+/// A screen that nobody looks at.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Headless;
+
+impl Screen for Headless {
+    fn show(&mut self, _player: &mut Player, _frame: u32) -> Result<(), String> {
+        Ok(())
+    }
+}
+
+/// One frame as it was shown.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FrameShown {
+    /// Round of playout.
+    pub round: u32,
+    /// The frame.
+    pub frame: u32,
+    /// When it was shown after its time, milliseconds.
+    pub late_ms: f64,
+    /// Share of its blocks that lacked their base.
+    pub base_miss: f64,
+    /// Levels of attributes that were usable, 0 to 4, mean over its blocks.
+    pub levels: f64,
+    /// Levels of motion that were usable, 0 to 4, mean over its blocks; 0 where nothing moves.
+    pub motion_levels: f64,
+}
+
+/// What a viewer saw.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct PlayReport {
+    /// Frames of the clip.
+    pub frames: u32,
+    /// From the first hello to the first frame, milliseconds.
+    pub startup_ms: Option<f64>,
+    /// Whether playout started for enough was there, and not because the wait was over.
+    pub startup_reached: bool,
+    /// Rounds begun.
+    pub rounds: u32,
+    /// Connections made.
+    pub connections: u32,
+    /// Every frame shown, in order; of a clip that repeats, those of the last rounds.
+    pub shown: Vec<FrameShown>,
+    /// Frames shown in all.
+    pub shown_count: u64,
+    /// Mean of [`FrameShown::base_miss`] over all frames shown.
+    pub base_miss_rate: f64,
+    /// Mean of [`FrameShown::levels`] over all frames shown.
+    pub mean_levels: f64,
+    /// Packets accepted, parity included.
+    pub packets: u64,
+    /// Bytes of datagrams received.
+    pub received_bytes: u64,
+    /// Packets recovered from parity.
+    pub recovered: u64,
+    /// Packets that had arrived before.
+    pub duplicates: u64,
+    /// Other datagrams that were refused.
+    pub refused: u64,
+}
+
+/// Frames remembered one by one.
+const MAX_SHOWN: usize = 1 << 16;
+
+/// A stream while it plays.
+pub(super) struct Playback {
+    caps: Caps,
+    startup: Startup,
+    waiting: Option<Waiting>,
+    player: Option<Player>,
+    message: Vec<u8>,
+    starts: Vec<u32>,
+    interval: Nanos,
+    began: Instant,
+    round_began: Instant,
+    round: u32,
+    /// First frame of the round, and the time that was wanted.
+    first: u32,
+    start_us: u64,
+    receiver: MediaReceiver,
+    sequence: u32,
+    receipt: Vec<u8>,
+    wants_receipt: bool,
+    report: PlayReport,
+    sums: (f64, f64),
+}
+
+impl Playback {
+    pub(super) fn new(config: &ClientConfig, began: Instant) -> Result<Self, PlayError> {
+        let caps = Caps { early_bytes: EARLY_BYTES, ..config.caps };
+        Ok(Self {
+            caps,
+            startup: config.startup,
+            waiting: Some(Waiting::new(caps).map_err(PlayError::Manifest)?),
+            player: None,
+            message: Vec::new(),
+            starts: Vec::new(),
+            interval: Nanos::ZERO,
+            began,
+            round_began: began,
+            round: 0,
+            first: 0,
+            start_us: config.start_us,
+            receiver: MediaReceiver::new(config.startup),
+            sequence: 0,
+            receipt: Vec::new(),
+            wants_receipt: false,
+            report: PlayReport { rounds: 1, connections: 1, ..PlayReport::default() },
+            sums: (0.0, 0.0),
+        })
+    }
+
+    pub(super) fn has_manifest(&self) -> bool {
+        self.player.is_some()
+    }
+
+    /// The time that the hello asks for, which begins a round now.
+    pub(super) fn start_us(&mut self) -> u64 {
+        self.round_began = Instant::now();
+        self.start_us
+    }
+
+    /// The connection is gone and another is made: playout goes on from the frame that is due.
+    pub(super) fn reconnect(&mut self) {
+        self.report.connections += 1;
+        let frame = u64::from(self.first) + u64::from(self.receiver.next_frame());
+        self.begin(0, frame * self.interval.0 / 1000);
+    }
+
+    /// Begins the next round, at the start of the clip.
+    pub(super) fn next_round(&mut self) -> ClientMessage {
+        self.begin(self.round + 1, 0);
+        self.round_began = Instant::now();
+        ClientMessage::Seek { round: self.round, start_us: 0 }
+    }
+
+    fn begin(&mut self, round: u32, start_us: u64) {
+        (self.round, self.start_us) = (round, start_us);
+        self.report.rounds += 1;
+        self.receiver = MediaReceiver::new(self.startup);
+        self.set_clip();
+    }
+
+    /// Says how long the rest of the clip is.
+    fn set_clip(&mut self) {
+        let Some(player) = &self.player else { return };
+        let frames = player.info().frames;
+        let wanted = self.start_us / (self.interval.0 / 1000).max(1);
+        self.first = start_before(&self.starts, wanted);
+        self.receiver.on_clip(frames - self.first, self.interval);
+    }
+
+    /// The manifest has come, for the first time or again.
+    pub(super) fn manifest(&mut self, message: &[u8]) -> Result<(), PlayError> {
+        if self.player.is_some() && self.message == message {
+            return Ok(());
+        }
+        let waiting = match self.waiting.take() {
+            Some(waiting) => waiting,
+            None => Waiting::new(self.caps).map_err(PlayError::Manifest)?,
+        };
+        let player = waiting.manifest(message).map_err(|(_, error)| PlayError::Manifest(error))?;
+        let (info, manifest) = (player.info(), player.manifest());
+        self.starts = starts(manifest);
+        self.interval = Nanos((1e9 / manifest.frames_per_second()).round() as u64);
+        self.report.frames = info.frames;
+        self.message = message.to_vec();
+        self.player = Some(player);
+        self.set_clip();
+        // Parity may have been among what came early.
+        self.wants_receipt = true;
+        self.receiver.on_change();
+        Ok(())
+    }
+
+    /// A datagram of media.
+    pub(super) fn media(&mut self, datagram: &[u8]) -> Result<(), PlayError> {
+        self.report.received_bytes += datagram.len() as u64;
+        let result = match (&mut self.player, &mut self.waiting) {
+            (Some(player), _) => player.push(datagram).map(|accepted| {
+                for id in accepted.recovered.iter() {
+                    self.receiver.on_recovered(id);
+                }
+                self.report.recovered += accepted.recovered.iter().count() as u64;
+                Some(accepted.id)
+            }),
+            (None, Some(waiting)) => waiting.push(datagram).map(|()| None),
+            (None, None) => return Ok(()),
+        };
+        match result {
+            Ok(id) => {
+                self.report.packets += 1;
+                id.into_iter().for_each(|id| self.receiver.on_arrived(id));
+                Ok(())
+            }
+            Err(error) if error.kind == ErrorKind::Duplicate => {
+                self.report.duplicates += 1;
+                Ok(())
+            }
+            Err(error) => {
+                self.report.refused += 1;
+                if self.report.refused > SPARE_REFUSALS + self.report.packets {
+                    let what = format!("{} datagrams are no media, the last: {error}", self.report.refused);
+                    return Err(PlayError::Nonsense(what));
+                }
+                Ok(())
+            }
+        }
+    }
+
+    /// Time since the round began.
+    fn now(&self) -> Nanos {
+        Nanos(u64::try_from(self.round_began.elapsed().as_nanos()).unwrap_or(u64::MAX))
+    }
+
+    /// Starts playout if enough is there, and shows what is due.
+    pub(super) fn show_due(&mut self, screen: &mut dyn Screen) -> Result<(), PlayError> {
+        let now = self.now();
+        let Some(player) = &mut self.player else { return Ok(()) };
+        let (first, share) = (self.first, share(self.startup));
+        let is_usable = || share.is_some_and(|share| base(player, first) >= share);
+        if self.receiver.start_if_ready(now, is_usable) {
+            self.wants_receipt = true;
+            if self.report.startup_ms.is_none() {
+                self.report.startup_ms = Some(self.began.elapsed().as_secs_f64() * 1e3);
+                self.report.startup_reached = self.receiver.threshold_reached();
+            }
+        }
+        while let Some(at) = self.receiver.frame_due(self.now()) {
+            let frame = self.first + at;
+            let due = self.receiver.playout_start().unwrap_or(now) + self.interval.times(u64::from(at));
+            let late_ms = (self.now() - due).as_ms();
+            let Some(player) = &mut self.player else { return Ok(()) };
+            let usable = player.usable(frame).unwrap_or_default();
+            let shown = FrameShown {
+                round: self.round,
+                frame,
+                late_ms,
+                base_miss: 1.0 - base(player, frame),
+                levels: levels(&usable.canonical, usable.blocks),
+                motion_levels: levels(&usable.motion, usable.blocks),
+            };
+            self.sums = (self.sums.0 + shown.base_miss, self.sums.1 + shown.levels);
+            self.report.shown_count += 1;
+            if self.report.shown.len() >= MAX_SHOWN {
+                self.report.shown.drain(..MAX_SHOWN / 2);
+            }
+            self.report.shown.push(shown);
+            screen.show(player, frame).map_err(PlayError::Nonsense)?;
+        }
+        Ok(())
+    }
+
+    pub(super) fn is_over(&self) -> bool {
+        self.receiver.is_over()
+    }
+
+    /// When there is something to show next.
+    pub(super) fn next_time(&self) -> Option<Instant> {
+        match self.receiver.next_time() {
+            Nanos::MAX => None,
+            at => self.round_began.checked_add(Duration::from_nanos(at.0)),
+        }
+    }
+
+    /// Whether the server needs to know something now.
+    pub(super) fn wants_receipt(&self) -> bool {
+        self.wants_receipt
+    }
+
+    /// The next receipt with its round before it; with `history`, one of all that has arrived.
+    pub(super) fn receipt(&mut self, history: bool) -> Vec<u8> {
+        self.wants_receipt = false;
+        let mut out = self.round.to_le_bytes().to_vec();
+        match self.player.as_mut().filter(|_| history) {
+            Some(player) => {
+                let start = self.receiver.playout_start();
+                let playout_us = start.map_or(0, |start| start.0.div_ceil(1000).max(1));
+                self.sequence = self.sequence.wrapping_add(1);
+                let sequence = self.sequence;
+                self.receipt.resize(MAX_RECEIPT_BYTES, 0);
+                let room = &mut self.receipt;
+                let len = player.with_core(|core| core.receipt(sequence, playout_us, None, room));
+                // There is room for the longest, so that nothing is left out.
+                out.extend_from_slice(&self.receipt[..len.unwrap_or(0)]);
+            }
+            None => self.receiver.receipt(&mut out),
+        }
+        out
+    }
+
+    /// What was seen, and what has arrived.
+    pub(super) fn end(mut self) -> (PlayReport, Option<Player>) {
+        let count = (self.report.shown_count as f64).max(1.0);
+        (self.report.base_miss_rate, self.report.mean_levels) = (self.sums.0 / count, self.sums.1 / count);
+        (self.report, self.player)
+    }
+}
+
+/// The share of the base that playout waits for.
+fn share(startup: Startup) -> Option<f64> {
+    match startup.rule {
+        StartupRule::BaseGroups(share) | StartupRule::BaseUtility(share) => Some(share),
+        StartupRule::AfterWait => None,
+    }
+}
+
+/// Share of the blocks of a frame whose base is usable: their attributes, and their motion where the frame
+/// lies in a window.
+fn base(player: &Player, frame: u32) -> f64 {
+    let usable = player.usable(frame).unwrap_or_default();
+    let moves = player.manifest().window_at(frame).is_some();
+    let base = if moves { usable.motion[0] } else { usable.canonical[0] };
+    f64::from(base) / f64::from(usable.blocks.max(1))
+}
+
+/// Mean level count.
+fn levels(usable: &[u32], blocks: u32) -> f64 {
+    usable.iter().map(|count| f64::from(*count)).sum::<f64>() / f64::from(blocks.max(1))
+}

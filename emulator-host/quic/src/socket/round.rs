@@ -1,0 +1,207 @@
+//! Sends one round of playout to one viewer: the sender of `emulator-host` over what QUIC knows of the path.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use bytes::Bytes;
+use emulator_host::{
+    Bytes as Volume, Nanos, PacketGraph, PacketIndex, PolicyKind, Rate, Scheduler, SessionConfig,
+    congestion::{DeliveryRate, DeliverySample},
+    policy::PacketStatus,
+    report::SenderCounts,
+    session::{MediaSender, Outstanding, PathFacts},
+};
+use quinn::Connection;
+
+use super::offer::Offer;
+
+/// Shortest time over which arrivals are counted for the estimate of the path.
+const SAMPLE: Nanos = Nanos::from_ms(50);
+/// Samples of the path older than this, and than ten round trips, are forgotten.
+const MEMORY: Nanos = Nanos::from_s(2);
+
+/// Receipts come at least so often while media arrives, twice over.
+const RECEIPTS: Nanos = Nanos::from_ms(100);
+
+type Sender = MediaSender<Arc<PacketGraph>, Box<dyn Scheduler + Send>>;
+
+/// One round: a graph, and what of it was sent and has arrived.
+pub(super) struct Round {
+    /// Number by which the client calls it.
+    pub(super) number: u32,
+    began: Instant,
+    graph: Arc<PacketGraph>,
+    sender: Sender,
+    outstanding: Outstanding,
+    arrivals: Arrivals,
+}
+
+/// How fast what was sent arrives.
+#[derive(Debug, Default)]
+struct Arrivals {
+    rate: DeliveryRate,
+    since: Nanos,
+    bytes: u64,
+    /// Whether the scheduler had nothing to send at some time of this sample.
+    idle: bool,
+    busy_before: bool,
+}
+
+impl Arrivals {
+    /// Enters `bytes` that are known to have arrived.
+    fn enter(&mut self, bytes: u64, path: &PathFacts, now: Nanos) {
+        self.bytes += bytes;
+        let span = now - self.since;
+        if span < SAMPLE.max(path.smoothed_rtt) {
+            return;
+        }
+        let rate = Rate::over(Volume(self.bytes), span);
+        let sample = DeliverySample { rate, app_limited: self.idle };
+        self.rate.take(sample, MEMORY.max(path.smoothed_rtt.times(10)), now);
+        self.busy_before |= !self.idle;
+        (self.since, self.bytes, self.idle) = (now, 0, false);
+    }
+
+    /// The rate of the path, once some sample was limited by it and not by the sender.
+    fn estimate(&self) -> Option<Rate> {
+        self.rate.estimate().filter(|_| self.busy_before)
+    }
+}
+
+/// What QUIC knows of the path, with `in_flight` bytes of media out.
+fn facts(connection: &Connection, in_flight: u64, estimate: Option<Rate>) -> PathFacts {
+    let path = connection.stats().path;
+    let nanos = |span: Duration| Nanos(u64::try_from(span.as_nanos()).unwrap_or(u64::MAX));
+    let (smoothed_rtt, minimum_rtt) = (nanos(path.rtt), nanos(path.min_rtt));
+    let window = Rate::over(Volume(path.cwnd), smoothed_rtt.max(Nanos::from_us(100)));
+    PathFacts {
+        rate: estimate.map_or(window, |estimate| estimate.min(window)),
+        smoothed_rtt,
+        // The transport keeps its mean deviation to itself; the part of the round trip above the least it
+        // can be varies.
+        rtt_variation: Nanos((smoothed_rtt - minimum_rtt).0 / 2).max(Nanos::from_ms(1)),
+        minimum_rtt,
+        in_flight,
+        datagram_bytes: u64::from(path.current_mtu),
+    }
+}
+
+impl Round {
+    /// Round `number` of `offer` from the window of `start_us` on, to a client that has `delivered` already.
+    /// The client began it half a round trip ago.
+    pub(super) fn new(
+        number: u32,
+        connection: &Connection,
+        offer: &Offer,
+        start_us: u64,
+        policy: PolicyKind,
+        delivered: &[bool],
+    ) -> Result<Self, emulator_host::graph::GraphError> {
+        let graph = offer.graph_from(start_us)?;
+        let began = Instant::now();
+        let began = began.checked_sub(connection.rtt() / 2).unwrap_or(began);
+        let path = facts(connection, 0, None);
+        let rules = SessionConfig::default().sending();
+        let mut sender = Sender::new(graph.clone(), policy.build(&graph), rules, path, Nanos::ZERO);
+        for at in 0..graph.packets().len() {
+            let packet = PacketIndex(at as u32);
+            if delivered.get(graph.wire_id(packet).index()).is_some_and(|delivered| *delivered) {
+                sender.on_acked(packet);
+            }
+        }
+        let (outstanding, arrivals) = (Outstanding::new(), Arrivals::default());
+        Ok(Self { number, began, graph, sender, outstanding, arrivals })
+    }
+
+    /// Time since the client began the round.
+    pub(super) fn now(&self) -> Nanos {
+        Nanos(u64::try_from(self.began.elapsed().as_nanos()).unwrap_or(u64::MAX))
+    }
+
+    /// The moment of a time of this round.
+    pub(super) fn instant(&self, at: Nanos) -> Option<Instant> {
+        self.began.checked_add(Duration::from_nanos(at.0))
+    }
+
+    /// Marks what has arrived, by packet id.
+    pub(super) fn note_delivered(&self, delivered: &mut [bool]) {
+        for at in 0..self.graph.packets().len() {
+            let packet = PacketIndex(at as u32);
+            if let Some(place) = delivered.get_mut(self.graph.wire_id(packet).index()) {
+                *place |= self.sender.status(packet) == PacketStatus::Delivered;
+            }
+        }
+    }
+
+    /// The client's receipt.
+    pub(super) fn on_receipt(&mut self, receipt: &[u8], connection: &Connection) {
+        self.sender.on_receipt(receipt);
+        self.settle(connection);
+    }
+
+    /// Settles what news or time has shown, and renews what the scheduler sees.
+    pub(super) fn settle(&mut self, connection: &Connection) {
+        let now = self.now();
+        let before = self.outstanding.arrived_bytes();
+        self.outstanding.settle(&mut self.sender, now);
+        let silence = self.silence();
+        self.outstanding.expire(&mut self.sender, silence, now);
+        let arrived = self.outstanding.arrived_bytes() - before;
+        let path = facts(connection, self.outstanding.bytes(), self.arrivals.estimate());
+        self.arrivals.enter(arrived, &path, now);
+        self.sender.look(path, now);
+    }
+
+    /// Whether time alone has shown something to be lost.
+    pub(super) fn is_due(&self) -> bool {
+        self.loss_time() <= self.now()
+    }
+
+    /// When time alone shows something to be lost.
+    pub(super) fn loss_time(&self) -> Nanos {
+        self.outstanding.next_time().min(self.outstanding.expires_at(self.silence()))
+    }
+
+    /// The next packet to send, if one is worth sending and the path is not full.
+    pub(super) fn next(&mut self, offer: &Offer) -> Option<(PacketIndex, Bytes)> {
+        let now = self.now();
+        self.sender.advance(now);
+        if self.sender.full_until(now).is_some() {
+            return None;
+        }
+        let packet = self.sender.next(now);
+        self.arrivals.idle |= packet.is_none();
+        let packet = packet?;
+        Some((packet, offer.packet(&self.graph, packet)))
+    }
+
+    /// A packet has left.
+    pub(super) fn on_sent(&mut self, packet: PacketIndex) {
+        let now = self.now();
+        self.outstanding.on_sent(&mut self.sender, packet, now);
+        self.sender.on_left(self.outstanding.bytes(), now);
+    }
+
+    /// When there may be something to send, or something is lost, without news.
+    pub(super) fn next_time(&self) -> Nanos {
+        let full = self.sender.full_until(self.now()).unwrap_or(Nanos::MAX);
+        self.loss_time().min(full).min(self.sender.next_horizon_at())
+    }
+
+    /// A packet of which nothing is heard for so long is lost.
+    fn silence(&self) -> Nanos {
+        self.sender.path().smoothed_rtt.times(3) + RECEIPTS
+    }
+
+    /// What the sender has counted.
+    pub(super) fn counts(&self) -> SenderCounts {
+        self.sender.counts()
+    }
+
+    /// Packets that never arrived, as far as is known.
+    pub(super) fn lost(&self) -> u64 {
+        self.outstanding.lost()
+    }
+}

@@ -1,0 +1,130 @@
+//! Neither side can be hurt by the other: garbage, oversize, silence and floods end in a named refusal.
+
+mod clients;
+mod servers;
+
+use std::{
+    net::{Ipv4Addr, SocketAddr},
+    sync::Arc,
+    time::Duration,
+};
+
+use codec_core::internals::ids::{ClusterId, EpochId, Group as GroupId, Level, PacketId, Span};
+use dgs_player::Stream;
+use emulator_host::{
+    GroupIndex, Nanos, PacketGraph, PacketIndex, PolicyKind,
+    graph::{GraphParts, Group, Packet, Profile},
+};
+use quinn::{Connection, Endpoint};
+use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
+
+use super::{
+    ClientConfig, Headless, Identity, Locator, Offer, PlayError, PlayReport, Server, ServerConfig,
+    ServerLimits, ServerReport, Trust, ViewerReport, limits::client_transport, message::StreamChoice, play,
+};
+
+/// A small stream of a few frames.
+fn stream() -> Stream {
+    let file = include_bytes!("../../../../codec-core/tests/conformance/everything.dgs");
+    Stream::from_bytes(file).unwrap().0
+}
+
+/// Its packets as a graph in which nothing needs anything: what matters here is that they are sent.
+fn graph(stream: &Stream) -> PacketGraph {
+    let manifest = stream.manifest().unwrap();
+    let frames = manifest.head().frames;
+    let indices = 0..stream.packets().len() as u32;
+    let group = |at: u32| Group {
+        id: GroupId { span: Span::Canonical(EpochId(0)), cluster: ClusterId(at as u16), level: Level::BASE },
+        first_frame: 0,
+        last_frame: frames - 1,
+        needs: Vec::new(),
+        packets: vec![PacketIndex(at)],
+        utility: 1.0,
+    };
+    let packet = |at: u32| Packet {
+        id: PacketId::new(at).unwrap(),
+        wire_bytes: stream.packets()[at as usize].len() as u16,
+        groups: vec![GroupIndex(at)],
+        needs_packets: Vec::new(),
+        parity_of: None,
+    };
+    PacketGraph::new(GraphParts {
+        packets: indices.clone().map(packet).collect(),
+        groups: indices.map(group).collect(),
+        repair_sets: Vec::new(),
+        frames,
+        frame_interval: Nanos((1e9 / manifest.frames_per_second()) as u64),
+        manifest_bytes: stream.message().len() as u32,
+        profile: Profile::Sliced,
+    })
+    .unwrap()
+}
+
+/// Runs `test` where sockets have a runtime, and not for ever.
+fn within<T>(test: impl Future<Output = T>) -> T {
+    let limit = Duration::from_secs(60);
+    Runtime::new().unwrap().block_on(async { tokio::time::timeout(limit, test).await.unwrap() })
+}
+
+/// A server in the background.
+struct Running {
+    address: SocketAddr,
+    trust: Trust,
+    stop: oneshot::Sender<()>,
+    task: JoinHandle<(ServerReport, Vec<ViewerReport>)>,
+}
+
+impl Running {
+    fn start(limits: ServerLimits) -> Self {
+        let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
+        let (bind, policy) = ((Ipv4Addr::LOCALHOST, 0).into(), PolicyKind::Layered);
+        let config = ServerConfig { bind, identity, limits, policy, impairment: None };
+        let offer = Offer::new("everything", &stream(), graph(&stream())).unwrap();
+        let server = Server::bind(config, vec![offer]).unwrap();
+        let (address, trust) = (server.local_addr().unwrap(), Trust::Pin(server.pin()));
+        let (stop, stopped) = oneshot::channel::<()>();
+        let task = tokio::spawn(async move {
+            let mut viewers = Vec::new();
+            let on_end = |viewer: &ViewerReport| viewers.push(viewer.clone());
+            let report = server.run(async { drop(stopped.await) }, on_end).await;
+            (report, viewers)
+        });
+        Self { address, trust, stop, task }
+    }
+
+    async fn stop(self) -> (ServerReport, Vec<ViewerReport>) {
+        self.stop.send(()).unwrap();
+        self.task.await.unwrap()
+    }
+
+    fn client(&self) -> ClientConfig {
+        client(self.address, &self.trust)
+    }
+
+    /// Plays to the end.
+    async fn play(&self) -> Result<PlayReport, PlayError> {
+        play(&self.client(), &mut Headless, std::future::pending()).await.whole()
+    }
+
+    /// A connection on which nothing has been said.
+    async fn connect(&self) -> (Endpoint, Connection) {
+        let (crypto, _) = self.trust.client().unwrap();
+        let mut config = quinn::ClientConfig::new(Arc::new(crypto));
+        config.transport_config(client_transport(Duration::from_secs(10)));
+        let endpoint = Endpoint::client((Ipv4Addr::LOCALHOST, 0).into()).unwrap();
+        let connecting = endpoint.connect_with(config, self.address, "localhost").unwrap();
+        let connection = connecting.await.unwrap();
+        (endpoint, connection)
+    }
+}
+
+fn client(address: SocketAddr, trust: &Trust) -> ClientConfig {
+    let locator = Locator {
+        host: address.ip().to_string(),
+        port: address.port(),
+        stream: StreamChoice::Index(0),
+        pin: None,
+    };
+    ClientConfig { silence: Duration::from_secs(2), ..ClientConfig::new(locator, trust.clone()) }
+}

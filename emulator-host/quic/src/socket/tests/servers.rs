@@ -1,0 +1,136 @@
+//! Hostile servers: the client refuses them by name within a bound.
+
+use std::pin::Pin;
+
+use dgs_player::Caps;
+use quinn::{RecvStream, SendStream};
+
+use super::*;
+use crate::socket::message::{Message as _, Refusal, RefusalCode, ServerMessage};
+
+type Talk = Pin<Box<dyn Future<Output = ()> + Send>>;
+
+/// What the client makes of a server that answers a hello with `talk`.
+async fn played<F>(talk: F, change: impl FnOnce(&mut ClientConfig)) -> Result<PlayReport, PlayError>
+where
+    F: Fn(Connection, SendStream, RecvStream) -> Talk + Send + 'static,
+{
+    let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
+    let trust = Trust::Pin(identity.pin());
+    let config = quinn::ServerConfig::with_crypto(Arc::new(identity.server().unwrap()));
+    let endpoint = Endpoint::server(config, (Ipv4Addr::LOCALHOST, 0).into()).unwrap();
+    let address = endpoint.local_addr().unwrap();
+    let task = tokio::spawn(async move {
+        while let Some(incoming) = endpoint.accept().await {
+            let Ok(connection) = incoming.await else { continue };
+            if let Ok((send, receive)) = connection.accept_bi().await {
+                talk(connection, send, receive).await;
+            }
+        }
+    });
+    let mut config =
+        ClientConfig { silence: Duration::from_millis(400), reconnects: 0, ..client(address, &trust) };
+    change(&mut config);
+    let played = play(&config, &mut Headless, std::future::pending()).await.whole();
+    task.abort();
+    played
+}
+
+/// A server that writes `bytes` and then waits.
+fn writes(bytes: Vec<u8>) -> impl Fn(Connection, SendStream, RecvStream) -> Talk + Send + 'static {
+    move |connection, mut send, receive| {
+        let bytes = bytes.clone();
+        Box::pin(async move {
+            let _ = send.write_all(&bytes).await;
+            let _ = connection.closed().await;
+            drop(receive);
+        })
+    }
+}
+
+fn manifest() -> Vec<u8> {
+    ServerMessage::Manifest(stream().message().to_vec()).to_bytes()
+}
+
+#[test]
+fn what_is_no_manifest_is_refused_by_name() {
+    within(async {
+        let garbage = ServerMessage::Manifest((0..200).map(|at| (at * 7) as u8).collect()).to_bytes();
+        let mut damaged = manifest();
+        let middle = damaged.len() / 2;
+        damaged[middle] ^= 1;
+        let endless = [&[0x81u8][..], &u32::MAX.to_le_bytes()].concat();
+        let unending = [&[0x81u8][..], &(1u32 << 24).to_le_bytes(), &[0; 5000]].concat();
+        let twice = [manifest(), manifest()].concat();
+        for (bytes, named) in [
+            (garbage, "the manifest is refused"),
+            (damaged, "the manifest is refused"),
+            (endless, "manifest: length is 4294967295"),
+            (b"hello".to_vec(), "message kind is 0x68"),
+            (unending, "said nothing for 400 ms"),
+            (Vec::new(), "said nothing for 400 ms"),
+            (twice, "a second manifest"),
+        ] {
+            let error = played(writes(bytes), |_| ()).await.unwrap_err().to_string();
+            assert!(error.contains(named), "{named}: {error}");
+        }
+        let small = |config: &mut ClientConfig| config.caps = Caps { blocks: 1, ..Caps::HOST };
+        let error = played(writes(manifest()), small).await.unwrap_err();
+        assert!(matches!(error, PlayError::Manifest(_)), "{error}");
+        let refusal = Refusal { code: RefusalCode::Full, sentence: "no".into() };
+        let error = played(writes(ServerMessage::Refusal(refusal.clone()).to_bytes()), |_| ()).await;
+        assert!(matches!(error, Err(PlayError::Refused(found)) if found == refusal));
+    });
+}
+
+#[test]
+fn media_that_never_comes_and_media_that_is_none() {
+    within(async {
+        // Nothing but the manifest: playout starts after its wait and ends with the clip.
+        let soon = |config: &mut ClientConfig| config.startup.max_wait = Nanos::from_ms(50);
+        let report = played(writes(manifest()), soon).await.unwrap();
+        assert_eq!((report.shown_count as u32, report.base_miss_rate), (report.frames, 1.0), "{report:?}");
+        assert!(!report.startup_reached);
+        // Junk without end, before the manifest and after it.
+        for first in [Vec::new(), manifest()] {
+            let talk = move |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
+                let first = first.clone();
+                Box::pin(async move {
+                    let _ = send.write_all(&first).await;
+                    while connection.send_datagram_wait(vec![0x55; 100].into()).await.is_ok() {}
+                    drop(receive);
+                })
+            };
+            let patient = |config: &mut ClientConfig| {
+                config.silence = Duration::from_secs(20);
+                config.startup.max_wait = Nanos::from_s(20);
+            };
+            let error = played(talk, patient).await.unwrap_err().to_string();
+            assert!(error.contains("datagrams are no media"), "{error}");
+        }
+    });
+}
+
+#[test]
+fn a_connection_that_is_lost_is_made_again_and_goes_on_where_it_was() {
+    within(async {
+        // Each connection ends after the manifest and half of the packets.
+        let talk = |connection: Connection, mut send: SendStream, receive: RecvStream| -> Talk {
+            Box::pin(async move {
+                let _ = send.write_all(&manifest()).await;
+                for packet in stream().packets().iter().take(2) {
+                    let _ = connection.send_datagram_wait(packet.clone().into()).await;
+                }
+                tokio::time::sleep(Duration::from_millis(100)).await;
+                connection.close(0u32.into(), b"moved");
+                drop(receive);
+            })
+        };
+        let twice = |config: &mut ClientConfig| {
+            config.reconnects = 2;
+            config.startup.max_wait = Nanos::from_s(20);
+        };
+        let error = played(talk, twice).await.unwrap_err();
+        assert!(matches!(error, PlayError::Lost(_)), "{error}");
+    });
+}

@@ -1,0 +1,414 @@
+//! Serves one viewer: rounds of playout, a datagram whenever the transport takes one, until somebody ends it.
+
+use std::{
+    net::SocketAddr,
+    pin::Pin,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use emulator_host::{Nanos, PacketIndex, PolicyKind};
+use quinn::{Connection, ConnectionError, SendDatagramError, SendStream};
+use serde::Serialize;
+use tokio::{sync::watch, time::sleep_until};
+
+use super::{
+    control::{Control, ControlError},
+    limits::{Allowance, ServerLimits},
+    message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
+    offer::Offer,
+    round::Round,
+};
+
+/// Media that may leave before the first receipt: until then the manifest may need the path for repeats,
+/// and the client's memory for early packets is small.
+const EARLY_PACKETS: u64 = 32;
+/// How often it is looked whether the manifest has left, before media may.
+const MANIFEST_POLL: Duration = Duration::from_millis(1);
+/// Datagrams from a client besides one per packet sent to it: per second, and at once.
+const SPARE_DATAGRAMS: (f64, f64) = (50.0, 2000.0);
+/// Receipts that cannot be read before the session ends.
+const MAX_REFUSED: u64 = 100;
+/// Seeks per second, and at once.
+const SEEKS: (f64, f64) = (5.0, 20.0);
+/// Bytes before the receipt in a datagram of the client: the round.
+const ROUND_BYTES: usize = 4;
+
+/// What one viewer got and said.
+#[derive(Clone, Debug, Serialize)]
+pub struct ViewerReport {
+    /// Where it was.
+    pub address: SocketAddr,
+    /// Name of the stream.
+    pub stream: String,
+    /// Seconds from hello to end.
+    pub seconds: f64,
+    /// Rounds begun: the first, seeks and repeats.
+    pub rounds: u32,
+    /// Packets sent, repeats and parity included.
+    pub packets: u64,
+    /// Their bytes.
+    pub media_bytes: u64,
+    /// Packets sent again.
+    pub retransmitted: u64,
+    /// Parity sent.
+    pub parity: u64,
+    /// Packets that were lost, as far as receipts tell.
+    pub lost: u64,
+    /// Receipts taken.
+    pub receipts: u64,
+    /// Datagrams from the client that are no receipt of a known round.
+    pub refused_receipts: u64,
+    /// Smoothed round trip at the end, milliseconds.
+    pub rtt_ms: f64,
+    /// Why it ended.
+    pub end: String,
+}
+
+/// How a session ended.
+#[derive(Debug)]
+pub(super) enum End {
+    /// The client is through.
+    Bye,
+    /// The server ends it and says why.
+    Refused(Refusal),
+    /// The connection is gone.
+    Gone(ConnectionError),
+}
+
+impl std::fmt::Display for End {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Bye => f.write_str("the viewer is through"),
+            Self::Refused(refusal) => refusal.fmt(f),
+            Self::Gone(error) => error.fmt(f),
+        }
+    }
+}
+
+/// A session that a hello has begun.
+pub(super) struct Session {
+    pub(super) connection: Connection,
+    pub(super) send: SendStream,
+    pub(super) control: Control<ClientMessage>,
+    pub(super) offer: Arc<Offer>,
+    pub(super) limits: ServerLimits,
+    pub(super) policy: PolicyKind,
+    pub(super) stopping: watch::Receiver<bool>,
+}
+
+/// What is counted besides what the round counts.
+#[derive(Debug, Default)]
+struct Tally {
+    rounds: u32,
+    packets: u64,
+    media_bytes: u64,
+    retransmitted: u64,
+    parity: u64,
+    lost: u64,
+    receipts: u64,
+    refused: u64,
+}
+
+/// The moving parts of a session.
+struct Viewer<'s> {
+    connection: &'s Connection,
+    offer: &'s Offer,
+    policy: PolicyKind,
+    began: Instant,
+    round: Round,
+    /// By packet id, over all rounds.
+    delivered: Vec<bool>,
+    tally: Tally,
+    rate: Option<Allowance>,
+    datagrams: Allowance,
+    seeks: Allowance,
+    /// Bytes that had left when the manifest was written, and how many more must before media may.
+    manifest: (u64, u64),
+    heard_at: Instant,
+}
+
+/// A packet that waits for room in the transport.
+struct Sending<'s> {
+    round: u32,
+    packet: PacketIndex,
+    bytes: u64,
+    departure: Pin<Box<dyn Future<Output = Result<(), SendDatagramError>> + Send + 's>>,
+}
+
+/// Ends when the packet that waits, if there is one, has left.
+async fn departure(sending: &mut Option<Sending<'_>>) -> Result<(), SendDatagramError> {
+    match sending {
+        Some(sending) => sending.departure.as_mut().await,
+        None => std::future::pending().await,
+    }
+}
+
+impl Session {
+    /// Runs the session from `start_us` on.
+    pub(super) async fn run(self, start_us: u64) -> (ViewerReport, End) {
+        let Self { connection, mut send, mut control, offer, limits, policy, mut stopping } = self;
+        let began = Instant::now();
+        let address = connection.remote_address();
+        let mut tally = Tally::default();
+        let end = match Viewer::new(&connection, &offer, &limits, policy, start_us) {
+            Ok(mut viewer) => {
+                let end = viewer.run(&mut send, &mut control, &limits, &mut stopping).await;
+                viewer.close_round();
+                tally = viewer.tally;
+                end
+            }
+            Err(error) => End::Refused(Refusal { code: RefusalCode::Message, sentence: error.to_string() }),
+        };
+        end_session(&connection, send, &end).await;
+        let report = ViewerReport {
+            address,
+            stream: offer.name().to_owned(),
+            seconds: began.elapsed().as_secs_f64(),
+            rounds: tally.rounds,
+            packets: tally.packets,
+            media_bytes: tally.media_bytes,
+            retransmitted: tally.retransmitted,
+            parity: tally.parity,
+            lost: tally.lost,
+            receipts: tally.receipts,
+            refused_receipts: tally.refused,
+            rtt_ms: connection.rtt().as_secs_f64() * 1e3,
+            end: end.to_string(),
+        };
+        (report, end)
+    }
+}
+
+/// Says why, and closes.
+pub(super) async fn end_session(connection: &Connection, mut send: SendStream, end: &End) {
+    let code = match end {
+        End::Bye | End::Gone(_) => 0,
+        End::Refused(refusal) => {
+            // On the stream it is repeated until it has arrived; but a peer that does not read is not waited
+            // for.
+            let message = ServerMessage::Refusal(refusal.clone()).to_bytes();
+            let said = async {
+                if send.write_all(&message).await.is_ok() && send.finish().is_ok() {
+                    let _ = send.stopped().await;
+                }
+            };
+            let _ = tokio::time::timeout(Duration::from_millis(500), said).await;
+            u32::from(refusal.code.number())
+        }
+    };
+    connection.close(code.into(), end.to_string().as_bytes());
+}
+
+impl<'s> Viewer<'s> {
+    fn new(
+        connection: &'s Connection,
+        offer: &'s Offer,
+        limits: &ServerLimits,
+        policy: PolicyKind,
+        start_us: u64,
+    ) -> Result<Self, emulator_host::graph::GraphError> {
+        let delivered = vec![false; offer.count()];
+        let began = Instant::now();
+        // A tenth of a second of media may leave at once.
+        let rate = limits.max_rate_bps.map(|bps| {
+            let bytes = bps as f64 / 8.0;
+            Allowance::new(bytes, (bytes / 10.0).max(2.0 * super::offer::MAX_MEDIA_BYTES as f64))
+        });
+        Ok(Self {
+            connection,
+            offer,
+            policy,
+            began,
+            round: Round::new(0, connection, offer, start_us, policy, &delivered)?,
+            delivered,
+            tally: Tally { rounds: 1, ..Tally::default() },
+            rate,
+            datagrams: Allowance::new(SPARE_DATAGRAMS.0, SPARE_DATAGRAMS.1),
+            seeks: Allowance::new(SEEKS.0, SEEKS.1),
+            manifest: (0, 0),
+            heard_at: began,
+        })
+    }
+
+    async fn run(
+        &mut self,
+        send: &mut SendStream,
+        control: &mut Control<ClientMessage>,
+        limits: &ServerLimits,
+        stopping: &mut watch::Receiver<bool>,
+    ) -> End {
+        let connection = self.connection;
+        let message = ServerMessage::Manifest(self.offer.message().to_vec()).to_bytes();
+        self.manifest = (connection.stats().udp_tx.bytes, message.len() as u64);
+        let mut at = 0;
+        let mut sending: Option<Sending<'s>> = None;
+        loop {
+            if self.round.is_due() {
+                self.round.settle(connection);
+            }
+            let chooses = sending.is_none() && self.may_send();
+            if chooses {
+                sending = self.pull();
+            }
+            let wake = self.wake(chooses && sending.is_none(), limits);
+            tokio::select! {
+                biased;
+                error = connection.closed() => return End::Gone(error),
+                _ = stopping.changed() => {
+                    let sentence = "the server is closing".to_owned();
+                    return End::Refused(Refusal { code: RefusalCode::Closing, sentence });
+                }
+                message = control.next() => match self.on_message(message) {
+                    Ok(()) => {}
+                    Err(end) => return end,
+                },
+                written = send.write(message.get(at..).unwrap_or(&[])), if at < message.len() => {
+                    match written {
+                        Ok(bytes) => at += bytes,
+                        Err(_) => return End::Bye,
+                    }
+                }
+                left = departure(&mut sending), if sending.is_some() => match left {
+                    Ok(()) => self.on_left(&mut sending),
+                    Err(SendDatagramError::ConnectionLost(error)) => return End::Gone(error),
+                    Err(error) => {
+                        let sentence = format!("media does not pass as datagrams: {error}");
+                        return End::Refused(Refusal { code: RefusalCode::Message, sentence });
+                    }
+                },
+                datagram = connection.read_datagram() => match datagram {
+                    Ok(datagram) => if let Err(refusal) = self.on_datagram(&datagram) {
+                        return End::Refused(refusal);
+                    },
+                    Err(error) => return End::Gone(error),
+                },
+                () = sleep_until(wake.into()) => {
+                    if self.heard_at.elapsed() >= limits.idle {
+                        let sentence = format!("nothing was heard for {} ms", limits.idle.as_millis());
+                        return End::Refused(Refusal { code: RefusalCode::Silence, sentence });
+                    }
+                }
+            }
+        }
+    }
+
+    /// Whether the manifest is on its way and the early packets are not used up.
+    fn may_send(&mut self) -> bool {
+        let (before, bytes) = self.manifest;
+        let left = self.connection.stats().udp_tx.bytes - before >= bytes;
+        let early = self.tally.receipts > 0 || self.tally.packets < EARLY_PACKETS;
+        let now = self.began.elapsed();
+        let widest = super::offer::MAX_MEDIA_BYTES as f64;
+        let granted = self.rate.as_mut().is_none_or(|rate| rate.wait(widest, now).is_zero());
+        left && early && granted
+    }
+
+    /// The packet that leaves as soon as there is room.
+    fn pull(&mut self) -> Option<Sending<'s>> {
+        let (packet, bytes) = self.round.next(self.offer)?;
+        let now = self.began.elapsed();
+        if let Some(rate) = &mut self.rate {
+            rate.take(bytes.len() as f64, now);
+        }
+        let (round, len) = (self.round.number, bytes.len() as u64);
+        let departure = Box::pin(self.connection.send_datagram_wait(bytes));
+        Some(Sending { round, packet, bytes: len, departure })
+    }
+
+    /// The packet that waited has left.
+    fn on_left(&mut self, sending: &mut Option<Sending<'s>>) {
+        let Some(left) = sending.take() else { return };
+        self.tally.packets += 1;
+        self.tally.media_bytes += left.bytes;
+        self.datagrams.add(1.0);
+        // A seek may have begun another round meanwhile.
+        if left.round == self.round.number {
+            self.round.on_sent(left.packet);
+        }
+    }
+
+    /// When the loop has something to do without being woken. `found_nothing`: there was room for a packet
+    /// and none worth sending, which time may change.
+    fn wake(&mut self, found_nothing: bool, limits: &ServerLimits) -> Instant {
+        let idle = self.heard_at + limits.idle;
+        let due = if found_nothing { self.round.next_time() } else { self.round.loss_time() };
+        let due = if due == Nanos::MAX { None } else { self.round.instant(due) };
+        let mut wake = due.map_or(idle, |due| due.min(idle));
+        let now = Instant::now();
+        if self.connection.stats().udp_tx.bytes - self.manifest.0 < self.manifest.1 {
+            wake = wake.min(now + MANIFEST_POLL);
+        }
+        if let Some(rate) = &mut self.rate {
+            let wait = rate.wait(super::offer::MAX_MEDIA_BYTES as f64, self.began.elapsed());
+            if !wait.is_zero() {
+                wake = wake.min(now + wait);
+            }
+        }
+        // Time goes on even if something wants to be woken in the past.
+        wake.max(now + Duration::from_micros(100))
+    }
+
+    fn on_message(&mut self, message: Result<Option<ClientMessage>, ControlError>) -> Result<(), End> {
+        self.heard_at = Instant::now();
+        let refused = |code, sentence: String| End::Refused(Refusal { code, sentence });
+        match message {
+            Ok(Some(ClientMessage::Seek { round, start_us })) => {
+                if round <= self.round.number {
+                    let sentence = format!("seek.round is {round}, allowed above {}", self.round.number);
+                    return Err(refused(RefusalCode::Message, sentence));
+                }
+                if !self.seeks.take(1.0, self.began.elapsed()) {
+                    return Err(refused(RefusalCode::Flood, "too many seeks".to_owned()));
+                }
+                self.close_round();
+                let (connection, offer, policy) = (self.connection, self.offer, self.policy);
+                let next = Round::new(round, connection, offer, start_us, policy, &self.delivered);
+                self.round = next.map_err(|error| refused(RefusalCode::Message, error.to_string()))?;
+                self.tally.rounds += 1;
+                Ok(())
+            }
+            Ok(Some(ClientMessage::Bye) | None) | Err(ControlError::Lost(_)) => Err(End::Bye),
+            Ok(Some(ClientMessage::Hello { .. })) => {
+                Err(refused(RefusalCode::Message, "a session has one hello".to_owned()))
+            }
+            Err(ControlError::Message(error)) => Err(End::Refused(error.refusal())),
+            Err(error @ ControlError::Cut) => Err(refused(RefusalCode::Message, error.to_string())),
+        }
+    }
+
+    fn on_datagram(&mut self, datagram: &[u8]) -> Result<(), Refusal> {
+        // One for every packet, and some besides.
+        let now = self.began.elapsed();
+        if !self.datagrams.take(1.0, now) {
+            let sentence = "more datagrams than packets were sent".to_owned();
+            return Err(Refusal { code: RefusalCode::Flood, sentence });
+        }
+        self.heard_at = Instant::now();
+        let (round, receipt) = datagram.split_at(datagram.len().min(ROUND_BYTES));
+        let round = <[u8; ROUND_BYTES]>::try_from(round).ok().map(u32::from_le_bytes);
+        if round == Some(self.round.number) {
+            let before = self.round.counts().refused_receipts;
+            self.round.on_receipt(receipt, self.connection);
+            let refused = self.round.counts().refused_receipts - before;
+            self.tally.refused += refused;
+            self.tally.receipts += 1 - refused;
+        } else if !round.is_some_and(|round| round < self.round.number) {
+            self.tally.refused += 1;
+        }
+        if self.tally.refused > MAX_REFUSED {
+            let sentence = format!("more than {MAX_REFUSED} datagrams are no receipts");
+            return Err(Refusal { code: RefusalCode::Flood, sentence });
+        }
+        Ok(())
+    }
+
+    /// Takes what the round has counted.
+    fn close_round(&mut self) {
+        self.round.note_delivered(&mut self.delivered);
+        let counts = self.round.counts();
+        self.tally.retransmitted += counts.retransmitted;
+        self.tally.parity += counts.parity;
+        self.tally.lost += self.round.lost();
+    }
+}

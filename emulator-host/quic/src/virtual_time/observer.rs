@@ -1,0 +1,231 @@
+//! Watches a congestion controller at work, and derives what the sender of media wants to know of the path.
+
+use std::{
+    any::Any,
+    collections::VecDeque,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Instant,
+};
+
+use emulator_host::{
+    Bytes, Nanos, Rate,
+    congestion::{DeliveryRate, DeliverySample, Rtt},
+};
+use quinn_machine::{
+    RttEstimator,
+    congestion::{Controller, ControllerFactory},
+};
+
+use super::clock::Clock;
+
+/// Time for which an unacknowledged packet is remembered.
+const MEMORY: Nanos = Nanos::from_s(10);
+/// No measurement of the path spans less.
+const SHORTEST: Nanos = Nanos::from_ms(1);
+
+/// A packet that was sent, as the estimate of the path's rate needs it.
+#[derive(Clone, Copy, Debug)]
+struct Sent {
+    at: Nanos,
+    bytes: u64,
+    delivered: u64,
+    delivered_at: Nanos,
+    first_sent_at: Nanos,
+    source_limited: bool,
+}
+
+/// What was seen. The rate of the path is estimated as in the model.
+#[derive(Debug)]
+pub(super) struct Observed {
+    clock: Clock,
+    sent: VecDeque<Sent>,
+    in_flight: u64,
+    delivered: u64,
+    delivered_at: Nanos,
+    first_sent_at: Nanos,
+    newest: Option<Sent>,
+    path: DeliveryRate,
+    rtt: Rtt,
+    source_limited: bool,
+    news: bool,
+}
+
+impl Observed {
+    pub(super) fn new(clock: Clock, max_ack_delay: Nanos) -> Self {
+        Self {
+            clock,
+            sent: VecDeque::new(),
+            in_flight: 0,
+            delivered: 0,
+            delivered_at: Nanos::ZERO,
+            first_sent_at: Nanos::ZERO,
+            newest: None,
+            path: DeliveryRate::new(),
+            rtt: Rtt::new(max_ack_delay),
+            source_limited: false,
+            news: false,
+        }
+    }
+
+    /// Time counts by `clock` from now on; what is known of the round trip stays.
+    pub(super) fn restart(&mut self, clock: Clock, max_ack_delay: Nanos) {
+        let (rtt, in_flight) = (self.rtt.clone(), self.in_flight);
+        *self = Self { rtt, in_flight, ..Self::new(clock, max_ack_delay) };
+    }
+
+    /// An ack-eliciting packet has left.
+    pub(super) fn on_sent(&mut self, bytes: u64, now: Nanos) {
+        if self.in_flight == 0 {
+            self.first_sent_at = now;
+            self.delivered_at = now;
+        }
+        self.in_flight += bytes;
+        self.sent.push_back(Sent {
+            at: now,
+            bytes,
+            delivered: self.delivered,
+            delivered_at: self.delivered_at,
+            first_sent_at: self.first_sent_at,
+            source_limited: self.source_limited,
+        });
+    }
+
+    /// Whether the source has too little to send from now on.
+    pub(super) fn set_source_limited(&mut self, limited: bool) {
+        self.source_limited = limited;
+    }
+
+    /// Whether something was acknowledged or lost since the last question.
+    pub(super) fn take_news(&mut self) -> bool {
+        std::mem::take(&mut self.news)
+    }
+
+    /// UDP payload bytes in flight.
+    pub(super) fn in_flight(&self) -> u64 {
+        self.in_flight
+    }
+
+    /// Mean deviation of the round trip.
+    pub(super) fn variation(&self) -> Nanos {
+        self.rtt.variation()
+    }
+
+    /// Estimated rate of the path.
+    pub(super) fn path_rate(&self) -> Option<Rate> {
+        self.path.estimate()
+    }
+
+    fn on_ack(&mut self, sent_at: Nanos, bytes: u64, now: Nanos) {
+        self.delivered += bytes;
+        self.delivered_at = now;
+        // Packets of one instant and size are alike, so any of them stands for the one that was meant.
+        let first = self.sent.partition_point(|sent| sent.at < sent_at);
+        let alike = self.sent.iter().skip(first).take_while(|sent| sent.at == sent_at);
+        let place = alike.into_iter().position(|sent| sent.bytes == bytes);
+        let found = place.and_then(|place| self.sent.remove(first + place));
+        if let Some(found) = found.filter(|found| self.newest.is_none_or(|newest| newest.at <= found.at)) {
+            self.newest = Some(found);
+        }
+    }
+
+    fn on_end_acks(&mut self, in_flight: u64, now: Nanos) {
+        self.in_flight = in_flight;
+        self.news = true;
+        while self.sent.front().is_some_and(|sent| sent.at + MEMORY < now) {
+            self.sent.pop_front();
+        }
+        let Some(sent) = self.newest.take() else { return };
+        self.rtt.update(now - sent.at, Nanos::ZERO, now);
+        self.first_sent_at = sent.at;
+        let span = (sent.at - sent.first_sent_at).max(now - sent.delivered_at);
+        if span >= self.rtt.minimum().max(SHORTEST) {
+            let rate = Rate::over(Bytes(self.delivered - sent.delivered), span);
+            let sample = DeliverySample { rate, app_limited: sent.source_limited };
+            self.path.take(sample, self.rtt.smoothed().times(10), now);
+        }
+    }
+
+    fn on_lost(&mut self, bytes: u64) {
+        self.in_flight = self.in_flight.saturating_sub(bytes);
+        self.news = true;
+    }
+}
+
+/// What was seen, for the controller and for the sender.
+#[derive(Clone, Debug)]
+pub(super) struct Watch(Arc<Mutex<Observed>>);
+
+impl Watch {
+    pub(super) fn new(observed: Observed) -> Self {
+        Self(Arc::new(Mutex::new(observed)))
+    }
+
+    pub(super) fn look(&self) -> MutexGuard<'_, Observed> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Builds controllers that are watched.
+pub(super) struct Watched {
+    pub(super) inner: Arc<dyn ControllerFactory + Send + Sync>,
+    pub(super) watch: Watch,
+}
+
+impl ControllerFactory for Watched {
+    fn build(self: Arc<Self>, now: Instant, current_mtu: u16) -> Box<dyn Controller> {
+        let inner = self.inner.clone().build(now, current_mtu);
+        Box::new(WatchedController { inner, watch: self.watch.clone() })
+    }
+}
+
+struct WatchedController {
+    inner: Box<dyn Controller>,
+    watch: Watch,
+}
+
+impl Controller for WatchedController {
+    fn on_sent(&mut self, now: Instant, bytes: u64, last_packet_number: u64) {
+        self.inner.on_sent(now, bytes, last_packet_number);
+    }
+
+    fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, app_limited: bool, rtt: &RttEstimator) {
+        let mut observed = self.watch.look();
+        let (sent_at, at) = (observed.clock.nanos(sent), observed.clock.nanos(now));
+        observed.on_ack(sent_at, bytes, at);
+        drop(observed);
+        self.inner.on_ack(now, sent, bytes, app_limited, rtt);
+    }
+
+    fn on_end_acks(&mut self, now: Instant, in_flight: u64, app_limited: bool, largest: Option<u64>) {
+        let mut observed = self.watch.look();
+        let at = observed.clock.nanos(now);
+        observed.on_end_acks(in_flight, at);
+        drop(observed);
+        self.inner.on_end_acks(now, in_flight, app_limited, largest);
+    }
+
+    fn on_congestion_event(&mut self, now: Instant, sent: Instant, is_persistent: bool, lost_bytes: u64) {
+        self.watch.look().on_lost(lost_bytes);
+        self.inner.on_congestion_event(now, sent, is_persistent, lost_bytes);
+    }
+
+    fn on_mtu_update(&mut self, new_mtu: u16) {
+        self.inner.on_mtu_update(new_mtu);
+    }
+
+    fn window(&self) -> u64 {
+        self.inner.window()
+    }
+
+    fn clone_box(&self) -> Box<dyn Controller> {
+        Box::new(Self { inner: self.inner.clone_box(), watch: self.watch.clone() })
+    }
+
+    fn initial_window(&self) -> u64 {
+        self.inner.initial_window()
+    }
+
+    fn into_any(self: Box<Self>) -> Box<dyn Any> {
+        self
+    }
+}

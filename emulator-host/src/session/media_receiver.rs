@@ -1,0 +1,152 @@
+//! Starts playout, says which frame is due, and writes receipts, over any transport and without a graph.
+//!
+//! Whoever owns the bytes (a decoder, or a model of one) tells this core what has arrived in the wire's own
+//! ids. It knows time and ids, asks no clock and moves no bytes.
+
+use codec_core::internals::ids::{Group as GroupId, PacketId};
+
+use super::feedback::ReceiptWriter;
+use crate::{clock::Nanos, startup::Startup};
+
+/// How long a clip is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Clip {
+    frames: u32,
+    frame_interval: Nanos,
+}
+
+/// The receiver of one clip.
+///
+/// # Examples
+/// ```
+/// use emulator_host::{
+///     Nanos,
+///     session::{MediaReceiver, Startup, StartupRule},
+/// };
+///
+/// let rule = StartupRule::BaseGroups(0.95);
+/// let mut receiver = MediaReceiver::new(Startup { rule, max_wait: Nanos::from_s(5) });
+/// // The manifest has come: 90 frames, 30 a second.
+/// receiver.on_clip(90, Nanos::from_us(33_333));
+/// // Media comes until the share of the rule is usable.
+/// let now = Nanos::from_ms(80);
+/// assert!(receiver.start_if_ready(now, || true));
+/// assert_eq!(receiver.frame_due(now), Some(0));
+/// assert_eq!(receiver.frame_due(now), None);
+/// assert_eq!(receiver.next_time(), now + Nanos::from_us(33_333));
+/// let mut receipt = Vec::new();
+/// receiver.receipt(&mut receipt);
+/// assert!(!receipt.is_empty());
+/// ```
+#[derive(Debug)]
+pub struct MediaReceiver {
+    startup: Startup,
+    clip: Option<Clip>,
+    changed: bool,
+    start: Option<Nanos>,
+    reached: bool,
+    next_frame: u32,
+    receipts: ReceiptWriter,
+}
+
+impl MediaReceiver {
+    /// Nothing has arrived.
+    pub fn new(startup: Startup) -> Self {
+        Self {
+            startup,
+            clip: None,
+            changed: true,
+            start: None,
+            reached: false,
+            next_frame: 0,
+            receipts: ReceiptWriter::new(),
+        }
+    }
+
+    /// How long the clip is has become known. Without it nothing plays.
+    pub fn on_clip(&mut self, frames: u32, frame_interval: Nanos) {
+        self.clip = Some(Clip { frames, frame_interval });
+        self.changed = true;
+    }
+
+    /// Something came, of whatever kind: what is usable may have grown.
+    pub fn on_change(&mut self) {
+        self.changed = true;
+    }
+
+    /// A packet arrived by itself.
+    pub fn on_arrived(&mut self, packet: PacketId) {
+        self.receipts.on_arrived(packet);
+        self.changed = true;
+    }
+
+    /// A packet was recovered from parity.
+    pub fn on_recovered(&mut self, packet: PacketId) {
+        self.receipts.on_recovered(packet);
+        self.changed = true;
+    }
+
+    /// A group is complete; to be said once per group.
+    pub fn on_complete(&mut self, group: GroupId) {
+        self.receipts.on_complete(group);
+    }
+
+    /// Starts playout if `is_usable` says that what the rule waits for is there, or the wait is over; whether
+    /// it starts now. Asked only after something has changed. The sender needs to know of a start at once.
+    pub fn start_if_ready(&mut self, now: Nanos, is_usable: impl FnOnce() -> bool) -> bool {
+        let waited = now >= self.startup.max_wait;
+        if self.start.is_some() || self.clip.is_none() || !(self.changed || waited) {
+            return false;
+        }
+        self.changed = false;
+        self.reached = is_usable();
+        if self.reached || waited {
+            self.start = Some(now);
+        }
+        self.start.is_some()
+    }
+
+    /// When frame 0 was shown.
+    pub fn playout_start(&self) -> Option<Nanos> {
+        self.start
+    }
+
+    /// Whether playout started because the threshold was reached, and not because the wait was over.
+    pub fn threshold_reached(&self) -> bool {
+        self.reached
+    }
+
+    /// The frame to be shown next.
+    pub fn next_frame(&self) -> u32 {
+        self.next_frame
+    }
+
+    /// Whether the last frame has been shown.
+    pub fn is_over(&self) -> bool {
+        self.clip.is_some_and(|clip| self.next_frame >= clip.frames)
+    }
+
+    /// When playout has something to do next.
+    pub fn next_time(&self) -> Nanos {
+        match (self.start, self.clip) {
+            (_, None) => Nanos::MAX,
+            (None, Some(_)) => self.startup.max_wait,
+            (Some(start), Some(clip)) => start + clip.frame_interval.times(u64::from(self.next_frame)),
+        }
+    }
+
+    /// The next frame to show, if its time has come.
+    pub fn frame_due(&mut self, now: Nanos) -> Option<u32> {
+        if self.start.is_none() || self.is_over() || self.next_time() > now {
+            return None;
+        }
+        self.next_frame += 1;
+        Some(self.next_frame - 1)
+    }
+
+    /// Appends the bytes of the next receipt to `out`. One is due with every second media datagram, and when
+    /// playout starts.
+    pub fn receipt(&mut self, out: &mut Vec<u8>) {
+        self.receipts.write(self.start, out);
+    }
+}

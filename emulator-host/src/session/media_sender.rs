@@ -1,0 +1,417 @@
+//! Decides which media leaves next, and learns from what becomes of it, over any transport.
+//!
+//! The transport says when a datagram may leave, what it knows of the path ([`PathFacts`]), and what became
+//! of each datagram. This core knows time and packets: statuses, losses that compete again, parity, the
+//! horizon, when playout is expected, and the queue that it causes itself. It never asks a clock and moves no
+//! bytes.
+
+use std::{collections::VecDeque, ops::Deref};
+
+use super::{
+    feedback,
+    forecast::Forecasts,
+    loss_share::LossShare,
+    outlook::{Outlook, PathFacts},
+};
+use crate::{
+    clock::{Bytes, Nanos},
+    graph::{PacketGraph, PacketIndex},
+    policy::{PacketStatus, Scheduler, Service},
+    report::SenderCounts,
+    startup::{Startup, StartupRule},
+};
+
+/// What a sender of media may do, whatever the transport.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SendingRules {
+    /// How far ahead of playout media may be sent.
+    pub lookahead: Nanos,
+    /// When playout starts.
+    pub startup: Startup,
+    /// Times that one lost packet may be sent again.
+    pub retransmissions: u32,
+    /// Levels below this one are sent again; 1 = base only.
+    pub retransmit_levels: u8,
+    /// Whether canonical packets of every level are sent again too: motion of all windows stands on them.
+    pub retransmit_canonical: bool,
+}
+
+/// The sender of one clip to one receiver. `G` is a [`PacketGraph`] borrowed or shared (`&PacketGraph`,
+/// `Arc<PacketGraph>`), `S` a scheduler owned or borrowed.
+///
+/// # Examples
+/// ```
+/// use emulator_host::{
+///     Nanos, PacketIndex, PolicyKind, Rate, SessionConfig,
+///     graph::Synthetic,
+///     session::{MediaSender, PathFacts},
+/// };
+/// use std::sync::Arc;
+///
+/// let graph = Arc::new(Synthetic { frames: 30, ..Synthetic::default() }.build(1)?);
+/// let path = PathFacts { rate: Rate::from_mbps(5), ..PathFacts::unknown(1200) };
+/// let scheduler = PolicyKind::Layered.build(&graph);
+/// let rules = SessionConfig::default().sending();
+/// let mut sender = MediaSender::new(graph, scheduler, rules, path, Nanos::ZERO);
+/// // Whenever the transport has room for a datagram:
+/// let now = Nanos::from_ms(1);
+/// sender.advance(now);
+/// if sender.full_until(now).is_none()
+///     && let Some(packet) = sender.next(now)
+/// {
+///     sender.on_sent(packet, 0, now);
+///     sender.on_left(1180, now);
+///     // And when the transport hears of it, or a receipt says so:
+///     sender.on_acked(packet);
+/// }
+/// # Ok::<(), emulator_host::graph::GraphError>(())
+/// ```
+pub struct MediaSender<G, S> {
+    graph: G,
+    scheduler: S,
+    rules: SendingRules,
+    service: Service,
+    status: Vec<PacketStatus>,
+    sent_times: Vec<u8>,
+    sent_at: Vec<Nanos>,
+    last_number: Vec<u64>,
+    again: VecDeque<PacketIndex>,
+    parity: VecDeque<PacketIndex>,
+    /// Parity that the scheduler did not want when its set was sent.
+    later_parity: Vec<PacketIndex>,
+    /// Members of each repair set that were never sent.
+    set_waiting: Vec<u32>,
+    /// Level-0 bytes of frame 0 that were never sent.
+    first_base_bytes: u64,
+    outlook: Outlook,
+    known_start: Option<Nanos>,
+    last_sent_at: Nanos,
+    starved: bool,
+    counts: SenderCounts,
+    loss: LossShare,
+    forecasts: Forecasts,
+}
+
+impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
+    /// Nothing sent; `path` is what the transport knows at `now`.
+    pub fn new(graph: G, scheduler: S, rules: SendingRules, path: PathFacts, now: Nanos) -> Self {
+        let first = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
+        let first_base = first.flat_map(|group| &group.packets);
+        let first_base_bytes =
+            first_base.map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes)).sum();
+        let packets = graph.packets().len();
+        let mut sender = Self {
+            service: scheduler.service(),
+            scheduler,
+            rules,
+            status: vec![PacketStatus::Waiting; packets],
+            sent_times: vec![0; packets],
+            sent_at: vec![Nanos::ZERO; packets],
+            last_number: vec![u64::MAX; packets],
+            again: VecDeque::new(),
+            parity: VecDeque::new(),
+            later_parity: Vec::new(),
+            set_waiting: graph.repair_sets().iter().map(|set| set.members.len() as u32).collect(),
+            first_base_bytes,
+            outlook: Outlook::new(path, rules.retransmissions, rules.startup.rule),
+            known_start: None,
+            last_sent_at: Nanos::ZERO,
+            starved: false,
+            counts: SenderCounts::default(),
+            loss: LossShare::new(),
+            forecasts: Forecasts::default(),
+            graph,
+        };
+        sender.look(path, now);
+        sender
+    }
+
+    /// What is sent.
+    pub fn graph(&self) -> &PacketGraph {
+        &self.graph
+    }
+
+    /// Name of the scheduler.
+    pub fn policy(&self) -> &'static str {
+        self.scheduler.name()
+    }
+
+    /// What is known of `packet`.
+    pub fn status(&self, packet: PacketIndex) -> PacketStatus {
+        self.status[packet.at()]
+    }
+
+    /// What the transport said of the path when it was last heard.
+    pub fn path(&self) -> &PathFacts {
+        &self.outlook.path
+    }
+
+    /// What this core counts: media, parity, repeats, refusals. Counts of datagrams are the transport's.
+    pub fn counts(&self) -> SenderCounts {
+        self.counts
+    }
+
+    pub(super) fn forecasts(&self) -> &Forecasts {
+        &self.forecasts
+    }
+
+    /// When playout started, once a receipt has said so.
+    pub fn playout_start(&self) -> Option<Nanos> {
+        self.known_start
+    }
+
+    /// When more of the clip comes within the horizon, so that [`Self::next`] may have something again.
+    pub fn next_horizon_at(&self) -> Nanos {
+        let Some(start) = self.known_start else { return Nanos::MAX };
+        let reach = start + self.graph.frame_interval().times(u64::from(self.outlook.horizon_frame));
+        if self.outlook.horizon_frame >= self.graph.frames() {
+            Nanos::MAX
+        } else {
+            reach - self.rules.lookahead
+        }
+    }
+
+    /// Renews what the scheduler sees of path and playout; to be called after news of the path. Before
+    /// playout has started, the sender expects it to start when the rest of the first base could be there.
+    pub fn look(&mut self, path: PathFacts, now: Nanos) {
+        self.outlook.path = path;
+        self.outlook.loss = self.loss.share(now);
+        self.outlook.playing = self.known_start.is_some();
+        self.outlook.playout_start = self.known_start.unwrap_or_else(|| {
+            let latest = self.rules.startup.max_wait.max(now);
+            let base = path.rate.time_for(Bytes(self.first_base_bytes));
+            match self.rules.startup.rule {
+                StartupRule::AfterWait => latest,
+                _ => (now + path.smoothed_rtt + base).min(latest),
+            }
+        });
+        self.outlook.horizon_frame = self.horizon(now);
+    }
+
+    /// Time has come to `now`: more of the clip may be within the horizon.
+    pub fn advance(&mut self, now: Nanos) {
+        let before = self.outlook.horizon_frame;
+        self.outlook.horizon_frame = self.horizon(now);
+        self.starved &= self.outlook.horizon_frame == before;
+    }
+
+    /// Until when another datagram would only lengthen the sender's own queue on the path; `None` if it would
+    /// not. Two may always be out, and one more leaves after every silence of twice the queue: what is in
+    /// flight may be lost, and without an acknowledgement of something later nothing but the probe timeout
+    /// would tell. Control is not subject to this.
+    pub fn full_until(&self, now: Nanos) -> Option<Nanos> {
+        let path = &self.outlook.path;
+        let own_queue = self.service.own_queue.filter(|_| path.minimum_rtt > Nanos::ZERO)?;
+        if path.in_flight < 2 * path.datagram_bytes {
+            return None;
+        }
+        let drain = path.rate.time_for(Bytes(path.in_flight));
+        // A path of many milliseconds needs as many more to be probed for its rate.
+        if drain <= path.minimum_rtt + own_queue.max(path.minimum_rtt) {
+            return None;
+        }
+        let silence_ends = self.last_sent_at + own_queue.times(2);
+        (now < silence_ends).then_some(silence_ends)
+    }
+
+    /// The packet to send now, which counts as in flight from here on: first what was lost, then parity, then
+    /// what the scheduler says. `None`: nothing is worth sending until something is learnt, or time brings
+    /// more of the clip near.
+    pub fn next(&mut self, now: Nanos) -> Option<PacketIndex> {
+        let packet = self.next_lost(now).or_else(|| self.next_parity(now));
+        let packet = if packet.is_none() && !self.starved { self.next_choice(now) } else { packet }?;
+        let is_parity = self.is_parity(packet);
+        self.counts.parity += u64::from(is_parity);
+        let first = self.sent_times[packet.at()] == 0;
+        self.sent_times[packet.at()] = self.sent_times[packet.at()].saturating_add(1);
+        self.set_status(packet, PacketStatus::InFlight);
+        if first {
+            self.first_send(packet);
+        }
+        Some(packet)
+    }
+
+    /// A packet from [`Self::next`] has left. `number` ascends from one sending to the next; the transport
+    /// names it again in [`Self::on_lost`].
+    pub fn on_sent(&mut self, packet: PacketIndex, number: u64, now: Nanos) {
+        self.last_number[packet.at()] = number;
+        self.sent_at[packet.at()] = now;
+    }
+
+    /// A datagram of any kind has left; `in_flight` bytes of UDP payload are out now.
+    pub fn on_left(&mut self, in_flight: u64, now: Nanos) {
+        self.last_sent_at = now;
+        self.outlook.path.in_flight = in_flight;
+    }
+
+    /// The fate of so many datagrams of any kind has become known.
+    pub fn on_settled(&mut self, acked: usize, lost: usize, now: Nanos) {
+        self.loss.settle(acked, lost, now);
+    }
+
+    /// The receiver has `packet`.
+    pub fn on_acked(&mut self, packet: PacketIndex) {
+        self.set_status(packet, PacketStatus::Delivered);
+    }
+
+    /// The sending `number` of `packet` was lost.
+    pub fn on_lost(&mut self, packet: PacketIndex, number: u64, now: Nanos) {
+        if self.status[packet.at()] != PacketStatus::InFlight || self.last_number[packet.at()] != number {
+            return;
+        }
+        let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
+        let expired = view.is_expired(packet, now);
+        if self.service.lost_compete && !self.is_parity(packet) {
+            self.set_status(packet, if expired { PacketStatus::Abandoned } else { PacketStatus::Waiting });
+            self.starved = false;
+            return;
+        }
+        let budget = u32::from(self.sent_times[packet.at()]) <= self.rules.retransmissions;
+        let facts = &self.graph.packets()[packet.at()];
+        let canonical = facts.groups.iter().any(|g| self.graph.groups()[g.at()].is_canonical());
+        let protected = facts.parity_of.is_none()
+            && (self.graph.level(packet) < self.rules.retransmit_levels
+                || (self.rules.retransmit_canonical && canonical));
+        if budget && protected && !expired {
+            self.again.push_back(packet);
+        } else {
+            self.set_status(packet, PacketStatus::Abandoned);
+        }
+    }
+
+    /// The bytes of a receipt have come; [`Self::look`] is to be called after it. A receipt that cannot be
+    /// read is counted and ignored.
+    pub fn on_receipt(&mut self, bytes: &[u8]) {
+        let Ok(feedback) = feedback::read(bytes, &self.graph) else {
+            self.counts.refused_receipts += 1;
+            return;
+        };
+        for packet in feedback.received {
+            self.set_status(packet, PacketStatus::Delivered);
+        }
+        // Until playout starts, what is worth sending follows from what is known to be there.
+        self.starved &= self.known_start.is_some();
+        if self.known_start.is_none() && feedback.playout_start.is_some() {
+            self.known_start = feedback.playout_start;
+        }
+    }
+
+    fn is_parity(&self, packet: PacketIndex) -> bool {
+        self.graph.packets()[packet.at()].parity_of.is_some()
+    }
+
+    /// What was lost and is to be sent again before all else.
+    fn next_lost(&mut self, now: Nanos) -> Option<PacketIndex> {
+        while let Some(lost) = self.again.pop_front() {
+            if self.status[lost.at()] != PacketStatus::InFlight {
+                continue;
+            }
+            if !self.outlook.view(&self.graph, &self.status, &self.sent_at).is_expired(lost, now) {
+                self.counts.retransmitted += 1;
+                return Some(lost);
+            }
+            self.set_status(lost, PacketStatus::Abandoned);
+        }
+        None
+    }
+
+    /// Parity of a set whose last member has been sent.
+    fn next_parity(&mut self, now: Nanos) -> Option<PacketIndex> {
+        let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
+        while let Some(parity) = self.parity.pop_front() {
+            if view.is_expired(parity, now) {
+                continue;
+            }
+            if self.scheduler.wants_parity(&view, parity, now) {
+                return Some(parity);
+            }
+            self.later_parity.push(parity);
+        }
+        None
+    }
+
+    /// What the scheduler says; with nothing else to send, parity that was not worth its bytes before may be,
+    /// while what it protects is on its way.
+    fn next_choice(&mut self, now: Nanos) -> Option<PacketIndex> {
+        let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
+        let mut packet = self.scheduler.next(&view, now);
+        let is_parity = |packet: PacketIndex| view.graph.packets()[packet.at()].parity_of.is_some();
+        if packet.is_some_and(|packet| !view.is_sendable(packet, now) || is_parity(packet)) {
+            self.counts.refused_choices += 1;
+            packet = None;
+        }
+        if packet.is_none() {
+            self.later_parity.retain(|parity| {
+                let sets = view.graph.sets_of(*parity).iter();
+                let mut members = sets.flat_map(|set| &view.graph.repair_sets()[*set as usize].members);
+                !view.is_expired(*parity, now)
+                    && members.any(|member| view.status[member.at()] == PacketStatus::InFlight)
+            });
+            let scheduler = &mut self.scheduler;
+            let wanted =
+                self.later_parity.iter().position(|parity| scheduler.wants_parity(&view, *parity, now));
+            packet = wanted.map(|at| self.later_parity.swap_remove(at));
+        }
+        self.starved = packet.is_none();
+        let packet = packet?;
+        if self.sent_times[packet.at()] > 0 {
+            self.counts.retransmitted += 1;
+        } else if !is_parity(packet) {
+            self.counts.media += 1;
+            if let Some((chance, frame)) = self.scheduler.forecast(&view, packet, now) {
+                self.forecasts.note(packet, chance, frame);
+            }
+        }
+        Some(packet)
+    }
+
+    fn first_send(&mut self, packet: PacketIndex) {
+        let facts = &self.graph.packets()[packet.at()];
+        let groups = self.graph.groups();
+        if facts.groups.iter().any(|g| groups[g.at()].level() == 0 && groups[g.at()].first_frame == 0) {
+            self.first_base_bytes = self.first_base_bytes.saturating_sub(u64::from(facts.wire_bytes));
+        }
+        if facts.parity_of.is_some() {
+            return;
+        }
+        for set in self.graph.sets_of(packet) {
+            self.set_waiting[*set as usize] -= 1;
+            if self.set_waiting[*set as usize] == 0 {
+                self.parity.extend(self.graph.parity(*set));
+            }
+        }
+    }
+
+    fn set_status(&mut self, packet: PacketIndex, after: PacketStatus) {
+        let before = std::mem::replace(&mut self.status[packet.at()], after);
+        if before != after {
+            let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
+            self.scheduler.on_status(&view, packet, before);
+        }
+    }
+
+    fn horizon(&self, now: Nanos) -> u32 {
+        let played = self.known_start.map_or(Nanos::ZERO, |start| now - start);
+        let frames = (played + self.rules.lookahead).0 / self.graph.frame_interval().0 + 1;
+        u32::try_from(frames).unwrap_or(u32::MAX)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use super::*;
+    use crate::{graph::Synthetic, policy::PolicyKind, session::SessionConfig};
+
+    /// A sender that owns its graph and scheduler lives in a task of its own.
+    #[test]
+    fn a_sender_may_move_to_another_thread() {
+        let graph = Arc::new(Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap());
+        let scheduler = PolicyKind::DeadlineUtility.build(&graph);
+        let rules = SessionConfig::default().sending();
+        let mut sender = MediaSender::new(graph, scheduler, rules, PathFacts::unknown(1200), Nanos::ZERO);
+        let packet = std::thread::spawn(move || sender.next(Nanos::ZERO)).join().unwrap();
+        assert!(packet.is_some());
+    }
+}

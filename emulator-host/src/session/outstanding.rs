@@ -1,0 +1,203 @@
+//! Infers from receipts which media were lost, for transports that do not say it of single datagrams.
+//!
+//! The rules are those of RFC 9002, 6.1: a packet is lost if three sent after it have arrived, or if one sent
+//! after it has arrived and 9/8 of a round trip has passed since it was sent.
+
+use std::{collections::VecDeque, ops::Deref};
+
+use super::media_sender::MediaSender;
+use crate::{
+    clock::Nanos,
+    graph::{PacketGraph, PacketIndex},
+    policy::{PacketStatus, Scheduler},
+};
+
+/// Reordering threshold in packets (RFC 9002, 6.1.1).
+const PACKET_THRESHOLD: u64 = 3;
+
+/// One sending of a packet.
+#[derive(Clone, Copy, Debug)]
+struct Sending {
+    number: u64,
+    packet: PacketIndex,
+    bytes: u64,
+    sent_at: Nanos,
+}
+
+/// Media whose fate is not known, in the order in which they were sent.
+#[derive(Debug, Default)]
+pub struct Outstanding {
+    sendings: VecDeque<Sending>,
+    next_number: u64,
+    /// One more than the largest number known to have arrived.
+    arrived_below: u64,
+    lost: u64,
+    arrived_bytes: u64,
+    loss_at: Option<Nanos>,
+}
+
+impl Outstanding {
+    /// Nothing was sent.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// `packet` has left; enters it here and in `sender`.
+    pub fn on_sent<G, S>(&mut self, sender: &mut MediaSender<G, S>, packet: PacketIndex, now: Nanos)
+    where
+        G: Deref<Target = PacketGraph>,
+        S: Scheduler,
+    {
+        sender.on_sent(packet, self.next_number, now);
+        let bytes = u64::from(sender.graph().packets()[packet.at()].wire_bytes);
+        self.sendings.push_back(Sending { number: self.next_number, packet, bytes, sent_at: now });
+        self.next_number += 1;
+    }
+
+    /// Packets whose loss was inferred so far.
+    pub fn lost(&self) -> u64 {
+        self.lost
+    }
+
+    /// Bytes of packets whose fate is not known.
+    pub fn bytes(&self) -> u64 {
+        self.sendings.iter().map(|sending| sending.bytes).sum()
+    }
+
+    /// Bytes of packets that are known to have arrived.
+    pub fn arrived_bytes(&self) -> u64 {
+        self.arrived_bytes
+    }
+
+    /// When [`Self::settle`] finds the next loss without further news.
+    pub fn next_time(&self) -> Nanos {
+        self.loss_at.unwrap_or(Nanos::MAX)
+    }
+
+    /// Settles what `sender` has learnt from a receipt, or what time has shown to be lost; how many were
+    /// found lost. [`MediaSender::look`] is to be called after it.
+    pub fn settle<G, S>(&mut self, sender: &mut MediaSender<G, S>, now: Nanos) -> usize
+    where
+        G: Deref<Target = PacketGraph>,
+        S: Scheduler,
+    {
+        let path = *sender.path();
+        let delay = Nanos(path.smoothed_rtt.0 + path.smoothed_rtt.0 / 8).max(Nanos::from_ms(1));
+        let (before, bytes_before) = (self.sendings.len(), self.bytes());
+        let mut arrived_below = self.arrived_below;
+        self.sendings.retain(|sending| {
+            let arrived = sender.status(sending.packet) == PacketStatus::Delivered;
+            // What cannot have come back yet stands for an earlier sending of the same packet.
+            if arrived && sending.sent_at + path.minimum_rtt <= now {
+                arrived_below = arrived_below.max(sending.number + 1);
+            }
+            !arrived
+        });
+        self.arrived_below = arrived_below;
+        let arrived = before - self.sendings.len();
+        self.arrived_bytes += bytes_before - self.bytes();
+        let mut lost = Vec::new();
+        self.loss_at = None;
+        let loss_at = &mut self.loss_at;
+        self.sendings.retain(|sending| {
+            if sending.number >= arrived_below {
+                return true;
+            }
+            let due = sending.sent_at + delay;
+            if due <= now || arrived_below > sending.number + PACKET_THRESHOLD {
+                lost.push(*sending);
+                return false;
+            }
+            *loss_at = Some(loss_at.map_or(due, |at| at.min(due)));
+            true
+        });
+        if arrived + lost.len() > 0 {
+            sender.on_settled(arrived, lost.len(), now);
+        }
+        for sending in &lost {
+            sender.on_lost(sending.packet, sending.number, now);
+        }
+        self.lost += lost.len() as u64;
+        lost.len()
+    }
+
+    /// Gives up what left `silence` ago and of which nothing was heard, whatever came later: at the end of a
+    /// burst nothing does. How many were given up; [`MediaSender::look`] is to be called after it.
+    pub fn expire<G, S>(&mut self, sender: &mut MediaSender<G, S>, silence: Nanos, now: Nanos) -> usize
+    where
+        G: Deref<Target = PacketGraph>,
+        S: Scheduler,
+    {
+        let old = self.sendings.partition_point(|sending| sending.sent_at + silence <= now);
+        let lost: Vec<Sending> = self.sendings.drain(..old).collect();
+        if !lost.is_empty() {
+            sender.on_settled(0, lost.len(), now);
+        }
+        for sending in &lost {
+            sender.on_lost(sending.packet, sending.number, now);
+        }
+        self.lost += lost.len() as u64;
+        lost.len()
+    }
+
+    /// When [`Self::expire`] gives something up, if nothing is heard of it.
+    pub fn expires_at(&self, silence: Nanos) -> Nanos {
+        self.sendings.front().map_or(Nanos::MAX, |sending| sending.sent_at + silence)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        clock::Rate,
+        graph::Synthetic,
+        policy::PolicyKind,
+        session::{PathFacts, SessionConfig},
+    };
+
+    #[test]
+    fn what_later_arrivals_overtake_is_lost_and_nothing_else() {
+        let graph = Synthetic { frames: 60, ..Synthetic::default() }.build(1).unwrap();
+        let round_trip = Nanos::from_ms(40);
+        let path = PathFacts {
+            rate: Rate::from_mbps(50),
+            smoothed_rtt: round_trip,
+            minimum_rtt: round_trip,
+            ..PathFacts::unknown(1200)
+        };
+        let rules = SessionConfig::default().sending();
+        let scheduler = PolicyKind::Layered.build(&graph);
+        let mut sender = MediaSender::new(&graph, scheduler, rules, path, Nanos::ZERO);
+        let mut out = Outstanding::new();
+        let packets: Vec<PacketIndex> = (0..8)
+            .map(|ms| {
+                let packet = sender.next(Nanos::from_ms(ms)).unwrap();
+                out.on_sent(&mut sender, packet, Nanos::from_ms(ms));
+                packet
+            })
+            .collect();
+        // Two that left after packet 1 have arrived, and its 45 ms are not over.
+        for packet in [0, 2, 3] {
+            sender.on_acked(packets[packet]);
+        }
+        assert_eq!(out.settle(&mut sender, Nanos::from_ms(43)), 0);
+        // Time alone shows it.
+        assert_eq!(out.next_time(), Nanos::from_ms(46));
+        assert_eq!(out.settle(&mut sender, Nanos::from_ms(46)), 1);
+        assert_eq!(out.next_time(), Nanos::MAX);
+        // Three that were sent later show it at once.
+        sender.on_acked(packets[7]);
+        assert_eq!(out.settle(&mut sender, Nanos::from_ms(47)), 1);
+        assert_eq!(out.lost(), 2);
+        assert_eq!(out.next_time(), Nanos::from_ms(50));
+        // Packets 5 and 6 left 5 and 6 ms after the first; nothing else tells that 6 is lost.
+        let bytes = |packet: usize| u64::from(graph.packets()[packets[packet].at()].wire_bytes);
+        assert_eq!(out.bytes(), bytes(5) + bytes(6));
+        assert_eq!(out.arrived_bytes(), [0, 2, 3, 7].map(bytes).iter().sum::<u64>());
+        let silence = Nanos::from_ms(100);
+        assert_eq!(out.expires_at(silence), Nanos::from_ms(105));
+        assert_eq!(out.expire(&mut sender, silence, Nanos::from_ms(105)), 1);
+        assert_eq!((out.lost(), out.bytes()), (3, bytes(6)));
+    }
+}

@@ -1,0 +1,138 @@
+//! Plays one clip at a modelled screen: a receiver behind [`Endpoint`], playout, receipts, and measures it.
+//!
+//! It serves every transport in virtual time; sizes of media come from the graph.
+
+use super::{SessionConfig, media_receiver::MediaReceiver, media_sender::MediaSender, metrics::Metrics};
+use crate::{
+    clock::Nanos,
+    graph::{GroupIndex, PacketGraph, PacketIndex},
+    link::Chain,
+    policy::Scheduler,
+    receiver::{Arrival, Endpoint},
+    report::{Report, SenderRow},
+};
+
+/// The viewing end of a run.
+pub struct Viewer<'a> {
+    graph: &'a PacketGraph,
+    endpoint: &'a mut dyn Endpoint,
+    receiver: MediaReceiver,
+    metrics: Metrics<'a>,
+    manifest: bool,
+    /// The groups that playout waits for, each with what it counts, and the share of them that is enough.
+    opening: Vec<(GroupIndex, f64)>,
+    share: Option<f64>,
+    /// Bit `i % 64` of word `i / 64`: group `i` has been reported.
+    reported_groups: Vec<u64>,
+    recovered: Vec<PacketIndex>,
+}
+
+impl<'a> Viewer<'a> {
+    /// Nothing has arrived; a clip without a manifest has it already.
+    pub fn new(graph: &'a PacketGraph, config: &SessionConfig, endpoint: &'a mut dyn Endpoint) -> Self {
+        let mut receiver = MediaReceiver::new(config.startup);
+        receiver.on_clip(graph.frames(), graph.frame_interval());
+        let mut viewer = Self {
+            graph,
+            endpoint,
+            receiver,
+            metrics: Metrics::new(graph),
+            manifest: false,
+            opening: config.startup.rule.opening(graph),
+            share: config.startup.rule.share(),
+            reported_groups: vec![0; graph.groups().len().div_ceil(64)],
+            recovered: Vec::new(),
+        };
+        if graph.manifest_bytes() == 0 {
+            viewer.control(0, true);
+        }
+        viewer
+    }
+
+    /// Playout and its clock.
+    pub fn playout(&self) -> &MediaReceiver {
+        &self.receiver
+    }
+
+    /// A media packet arrives.
+    pub fn media(&mut self, packet: PacketIndex, now: Nanos) {
+        let arrival = self.endpoint.media(packet, now, &mut self.recovered);
+        self.metrics.arrive(packet, arrival, self.receiver.next_frame());
+        if arrival != Arrival::Refused {
+            self.receiver.on_arrived(self.graph.wire_id(packet));
+        }
+        self.take_recovered();
+    }
+
+    /// `bytes` distinct bytes of the control stream have arrived so far; `complete` once all have.
+    pub fn control(&mut self, bytes: usize, complete: bool) {
+        self.manifest |= complete;
+        self.endpoint.control(bytes, complete, &mut self.recovered);
+        self.take_recovered();
+    }
+
+    fn take_recovered(&mut self) {
+        for packet in self.recovered.drain(..) {
+            self.metrics.recover(packet);
+            self.receiver.on_recovered(self.graph.wire_id(packet));
+        }
+        self.receiver.on_change();
+    }
+
+    /// Starts playout if the threshold is reached or the wait is over; whether it starts now.
+    pub fn start_if_ready(&mut self, now: Nanos) -> bool {
+        let (endpoint, opening) = (&mut self.endpoint, &self.opening);
+        let (manifest, share) = (self.manifest, self.share);
+        self.receiver.start_if_ready(now, || {
+            let snapshot = endpoint.snapshot(0);
+            let total: f64 = opening.iter().map(|(_, weight)| weight).sum();
+            let there = opening.iter().filter(|(group, _)| snapshot.has_group(*group));
+            let usable: f64 = there.map(|(_, weight)| weight).sum();
+            manifest && share.is_some_and(|share| usable >= share * total)
+        })
+    }
+
+    /// Shows every frame that is due.
+    pub fn show_due(&mut self, now: Nanos) {
+        while let Some(frame) = self.receiver.frame_due(now) {
+            let snapshot = self.endpoint.snapshot(frame);
+            for (word, (now, before)) in snapshot.groups.iter().zip(&mut self.reported_groups).enumerate() {
+                let mut fresh = now & !*before;
+                *before |= now;
+                while fresh != 0 {
+                    let index = word * 64 + fresh.trailing_zeros() as usize;
+                    self.receiver.on_complete(self.graph.groups()[index].id);
+                    fresh &= fresh - 1;
+                }
+            }
+            self.metrics.show(frame, now, snapshot);
+        }
+    }
+
+    /// Appends the bytes of the next receipt to `out`.
+    pub fn receipt(&mut self, out: &mut Vec<u8>) {
+        self.receiver.receipt(out);
+    }
+
+    /// Enters the sender's state into the report.
+    pub fn sample(&mut self, row: SenderRow) {
+        self.metrics.sample(row);
+    }
+
+    /// The report of a run that ended at `now`. Name of the controller, seed, digest and counts of datagrams
+    /// are the caller's to enter.
+    pub fn report<G, S>(self, sender: &MediaSender<G, S>, paths: [&Chain; 2], now: Nanos) -> Report
+    where
+        G: std::ops::Deref<Target = PacketGraph>,
+        S: Scheduler,
+    {
+        let boxes = paths.into_iter().flat_map(Chain::box_counts);
+        let boxes = boxes.map(|(label, counts)| (label.to_owned(), counts)).collect();
+        let mut report = self.metrics.report(now, sender.forecasts(), boxes);
+        report.policy = sender.policy().to_owned();
+        report.startup_ms = self.receiver.playout_start().map(Nanos::as_ms);
+        report.startup_reached = self.receiver.threshold_reached();
+        report.sender = sender.counts();
+        report
+    }
+}

@@ -1,0 +1,8 @@
+//! `cargo +nightly fuzz run trace`: see `fuzz::control`.
+#![cfg_attr(fuzzing, no_main)]
+
+#[cfg(fuzzing)]
+libfuzzer_sys::fuzz_target!(|data: &[u8]| fuzz::control(data));
+
+#[cfg(not(fuzzing))]
+fn main() {}

@@ -1,0 +1,101 @@
+//! Parses what serving and playing over sockets take.
+
+use std::{net::SocketAddr, path::PathBuf};
+
+use clap::Args;
+use dgs_quic::socket::{DEFAULT_PORT, Locator, Pin};
+
+use super::{
+    CodecArgs, PolicyName, SceneArgs, ViewArgs,
+    number::{not_negative, positive, whole},
+};
+
+/// Where it listens when nothing is said: here alone.
+fn here() -> SocketAddr {
+    ([127, 0, 0, 1], DEFAULT_PORT).into()
+}
+
+/// `dgs serve`.
+#[derive(Debug, Args)]
+pub struct Serve {
+    /// .dgs files or scenes (which are encoded first), each called by its file name without extension.
+    #[arg(required = true, value_name = "STREAM|SCENE")]
+    pub inputs: Vec<String>,
+    /// Address and UDP port to listen on; port 0 takes a free one.
+    #[arg(long, value_name = "ADDRESS:PORT", default_value_t = here())]
+    pub listen: SocketAddr,
+    /// Name or address that viewers use, for the URL and the certificate [default: the address listened on].
+    #[arg(long, value_name = "NAME")]
+    pub host: Option<String>,
+    /// Certificate chain (PEM) [default: a new one, signed by itself; the URL has its pin].
+    #[arg(long, value_name = "FILE", requires = "key")]
+    pub cert: Option<PathBuf>,
+    /// Key of the certificate (PEM).
+    #[arg(long, value_name = "FILE", requires = "cert")]
+    pub key: Option<PathBuf>,
+    /// Scheduler of every viewer.
+    #[arg(long, value_enum, default_value_t = PolicyName::DeadlineUtility)]
+    pub policy: PolicyName,
+    /// Viewers at once, 1 to 10000.
+    #[arg(long, default_value_t = 100, value_parser = whole::<usize>(1..=10_000, "viewers"))]
+    pub max_viewers: usize,
+    /// Most media for each viewer, Mbit/s, above 0 [default: what the path takes].
+    #[arg(long, value_name = "MBIT", value_parser = positive, allow_negative_numbers = true)]
+    pub max_rate: Option<f64>,
+    /// A viewer from whom nothing comes for so long is gone, 1 to 3600 seconds.
+    #[arg(
+        long, value_name = "SECONDS", default_value_t = 10,
+        value_parser = whole::<u64>(1..=3600, "seconds")
+    )]
+    pub idle: u64,
+    /// An emulated link before every viewer: a capacity trace, or a list of loss=5%, burst=PACKETS,
+    /// rate=5mbit, delay=40ms, jitter=5ms, queue=250ms, trace=FILE, seed=1. What viewers send is left alone.
+    #[arg(long, value_name = "LINK")]
+    pub impair: Option<String>,
+    /// How to read a scene.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// How to encode a scene.
+    #[command(flatten)]
+    pub codec: CodecArgs,
+}
+
+/// `dgs play`.
+#[derive(Debug, Args)]
+pub struct Play {
+    /// dgs://HOST[:PORT][/NAME][#PIN], as `dgs serve` prints it.
+    pub url: Locator,
+    /// SHA-256 of the server's certificate, 64 hexadecimal digits.
+    #[arg(long, value_name = "SHA256", conflicts_with = "ca")]
+    pub pin: Option<Pin>,
+    /// Certificate authority of the server (PEM).
+    #[arg(long, value_name = "FILE")]
+    pub ca: Option<PathBuf>,
+    /// Write the frames as they were shown to this folder, as PNG. Without it nothing is drawn.
+    #[arg(short, long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
+    /// Replace a folder of images that is there already.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// The file that is served: what was shown is compared with its complete frames (PSNR).
+    #[arg(long, value_name = "FILE.dgs")]
+    pub reference: Option<PathBuf>,
+    /// Begin at the window of this time, at least 0 seconds.
+    #[arg(
+        long, value_name = "SECONDS", default_value_t = 0.0, value_parser = not_negative,
+        allow_negative_numbers = true
+    )]
+    pub seek: f64,
+    /// Begin again when the clip is over.
+    #[arg(long = "loop")]
+    pub repeat: bool,
+    /// Stop after so many seconds, above 0.
+    #[arg(long, value_name = "SECONDS", value_parser = positive, allow_negative_numbers = true)]
+    pub duration: Option<f64>,
+    /// Which way is up in the pictures.
+    #[arg(long, value_enum, default_value_t = super::Up::Y)]
+    pub up: super::Up,
+    /// Where to look from.
+    #[command(flatten)]
+    pub view: ViewArgs,
+}

@@ -1,0 +1,168 @@
+//! Plays a served stream and says how good it was: `dgs play`.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use anyhow::{Context, Result, bail};
+use codec_core::internals::ids::Level;
+use dgs_quic::socket::{ClientConfig, Headless, PlayReport, Screen, Trust, play};
+use render_host::{Backend, DeviceChoice, Image, metric};
+use serde::Serialize;
+use serde_json::json;
+use trainer_host::{
+    Stream,
+    evaluator::{self, PSNR_CAP_DB},
+    viewpoint::Ring,
+};
+
+use super::socket::{interruption, runtime};
+use crate::{
+    args::Play,
+    figures::mean,
+    files::FrameFolder,
+    output::VerbOutput,
+    pipeline::{self, Frames},
+};
+
+/// Remembers the state in which each frame was shown; pictures are drawn once nothing has to be on time.
+#[derive(Default)]
+struct States(BTreeMap<u32, Vec<u8>>);
+
+impl Screen for States {
+    fn show(&mut self, player: &mut dgs_player::Player, frame: u32) -> Result<(), String> {
+        self.0.insert(frame, player.content().blocks.to_vec());
+        Ok(())
+    }
+}
+
+/// What was shown against the complete frames of a file.
+#[derive(Debug, Serialize)]
+struct Quality {
+    mean_psnr_db: f64,
+    worst_tenth_psnr_db: f64,
+    psnr_db: BTreeMap<u32, f64>,
+}
+
+/// Runs the verb.
+pub fn run(args: &Play) -> Result<VerbOutput> {
+    let trust = match (args.pin.or(args.url.pin), &args.ca) {
+        (_, Some(file)) => Trust::Authority(file.clone()),
+        (Some(pin), None) => Trust::Pin(pin),
+        (None, None) => {
+            bail!("{}: by what is the server known? #PIN in the URL, --pin or --ca says", args.url)
+        }
+    };
+    if let Some(folder) = &args.out {
+        FrameFolder::create(folder, args.overwrite)?;
+    }
+    let mut warnings = Vec::new();
+    let reference = match &args.reference {
+        Some(path) => Some(pipeline::read_stream(path, &mut |w| warnings.push(w))?),
+        None => None,
+    };
+    let config = ClientConfig {
+        start_us: (args.seek * 1e6) as u64,
+        loops: args.repeat,
+        duration: args.duration.map(Duration::from_secs_f64),
+        ..ClientConfig::new(args.url.clone(), trust)
+    };
+    let mut states = States::default();
+    let draws = args.out.is_some() || reference.is_some();
+    let played = runtime()?.block_on(async {
+        let screen: &mut dyn Screen = if draws { &mut states } else { &mut Headless };
+        play(&config, screen, interruption()).await
+    });
+    if let Some(error) = played.error {
+        if played.report.shown_count == 0 {
+            return Err(error).with_context(|| args.url.to_string());
+        }
+        warnings.push(format!("{}: {error}; what was shown counts", args.url));
+    }
+    let quality = match (played.player, draws) {
+        (Some(player), true) => draw(args, player, &states, reference.as_ref())?,
+        _ => None,
+    };
+    let text = summary(args, &played.report, quality.as_ref());
+    let damaged = !warnings.is_empty();
+    let json = json!({ "report": played.report, "quality": quality, "out": args.out, "warnings": warnings });
+    Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// Draws every frame in the state in which it was shown.
+fn draw(
+    args: &Play,
+    player: dgs_player::Player,
+    states: &States,
+    reference: Option<&Stream>,
+) -> Result<Option<Quality>> {
+    let level = Level::ALL[Level::COUNT - 1];
+    let mut frames = Frames::of_stream(player, level, args.up.into());
+    let camera = frames.framing()?.ring(Ring::HeldOut, 1, args.view.size()).context("--width, --height")?;
+    let Some(camera) = camera.first() else { bail!("--width, --height: no camera") };
+    let settings = pipeline::settings(&args.view);
+    let backend = Backend::open(DeviceChoice::Cpu)?;
+    let Frames::Stream { received, .. } = &frames else { bail!("a stream has frames of a stream") };
+    let content = received.content();
+    let shown: Vec<(u32, Option<&[u8]>)> =
+        states.0.iter().map(|(frame, state)| (*frame, Some(state.as_slice()))).collect();
+    let images = evaluator::renders(&content, &shown, camera, &settings, &backend)?;
+    if let Some(folder) = &args.out {
+        let mut folder = FrameFolder::create(folder, args.overwrite)?;
+        for ((frame, _), image) in shown.iter().zip(&images) {
+            folder.add(format!("{frame:05}.png"), &image.to_png()?)?;
+        }
+        folder.finish(args.overwrite)?;
+    }
+    let Some(reference) = reference else { return Ok(None) };
+    let whole = reference.receive()?;
+    let complete = whole.content();
+    let (has, wants) = (complete.manifest.head().frames, content.manifest.head().frames);
+    if has != wants {
+        bail!("--reference has {has} frames; the stream that was played has {wants}");
+    }
+    let all: Vec<(u32, Option<&[u8]>)> =
+        shown.iter().map(|(frame, _)| (*frame, Some(complete.blocks))).collect();
+    let references = evaluator::renders(&complete, &all, camera, &settings, &backend)?;
+    quality(&shown, &images, &references).map(Some)
+}
+
+fn quality(shown: &[(u32, Option<&[u8]>)], images: &[Image], references: &[Image]) -> Result<Quality> {
+    let mut psnr_db = BTreeMap::new();
+    for ((frame, _), (image, reference)) in shown.iter().zip(images.iter().zip(references)) {
+        psnr_db.insert(*frame, metric::psnr(image, reference)?.min(PSNR_CAP_DB));
+    }
+    let all: Vec<f64> = psnr_db.values().copied().collect();
+    Ok(Quality { mean_psnr_db: mean(&all), worst_tenth_psnr_db: evaluator::worst_tenth(&all), psnr_db })
+}
+
+/// The report for people.
+fn summary(args: &Play, report: &PlayReport, quality: Option<&Quality>) -> String {
+    let startup = report.startup_ms.map_or("never".to_owned(), |ms| format!("{ms:.0} ms"));
+    let late = report.shown.iter().map(|shown| shown.late_ms).fold(0.0, f64::max);
+    let mut text = format!(
+        "{}\n  startup {startup}, {} frames shown of a clip of {}, {} rounds, at most {late:.1} ms late\n  \
+         base missed {:.2} %, {:.2} of 4 levels usable\n  {} packets, {:.1} KiB, {} recovered by repair, {} \
+         twice, {} refused, {} connections\n",
+        args.url,
+        report.shown_count,
+        report.frames,
+        report.rounds,
+        100.0 * report.base_miss_rate,
+        report.mean_levels,
+        report.packets,
+        report.received_bytes as f64 / 1024.0,
+        report.recovered,
+        report.duplicates,
+        report.refused,
+        report.connections,
+    );
+    if let Some(quality) = quality {
+        text += &format!(
+            "  PSNR against complete frames: mean {:.2} dB, worst tenth {:.2} dB\n",
+            quality.mean_psnr_db, quality.worst_tenth_psnr_db
+        );
+    }
+    if let Some(folder) = &args.out {
+        text += &format!("  frames as shown: {}\n", folder.display());
+    }
+    text
+}

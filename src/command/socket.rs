@@ -1,0 +1,32 @@
+//! Runs what serving and playing share: the runtime of sockets, and a person's wish to stop (Ctrl-C).
+
+use std::{process, sync::Arc};
+
+use anyhow::{Context, Result};
+use tokio::{runtime::Runtime, sync::Notify};
+
+/// Exit status of a second Ctrl-C: 128 and the number of the signal, as shells have it.
+const INTERRUPTED: i32 = 130;
+
+/// What sockets run on.
+///
+/// # Errors
+/// If the system refuses threads.
+pub(super) fn runtime() -> Result<Runtime> {
+    Runtime::new().context("cannot start a runtime for sockets")
+}
+
+/// Ends at the first Ctrl-C; a second ends the process.
+pub(super) fn interruption() -> impl Future<Output = ()> {
+    let wish = Arc::new(Notify::new());
+    let heard = wish.clone();
+    let mut second = false;
+    // Where no handler can be set, an interruption ends the process as it does any other.
+    let _ = ctrlc::set_handler(move || {
+        if std::mem::replace(&mut second, true) {
+            process::exit(INTERRUPTED);
+        }
+        wish.notify_one();
+    });
+    async move { heard.notified().await }
+}

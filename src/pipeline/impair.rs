@@ -1,0 +1,137 @@
+//! Builds the link that `dgs serve --impair` puts before every viewer.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use dgs_quic::socket::Impairment;
+use emulator_host::{
+    Bytes, Nanos, Rate,
+    link::{Capacity, LossModel, PathConfig, QueueLimit},
+};
+
+use super::link::read_trace;
+
+/// What is allowed, for errors.
+const ALLOWED: &str = "a trace file, or a list of loss=5%, burst=4, rate=5mbit, delay=40ms, jitter=5ms, \
+                       queue=250ms, trace=FILE, seed=1";
+/// Shortest queue: two whole datagrams.
+const LEAST_QUEUE: u64 = 3000;
+/// The queue of a link without a rate of its own has nothing to wait for; one with a rate has this.
+const QUEUE: Nanos = Nanos::from_ms(250);
+
+/// The link that `text` describes.
+///
+/// # Errors
+/// A word that is not allowed, a number out of range, an unreadable trace.
+pub fn impairment(text: &str) -> Result<Impairment> {
+    let mut path = PathConfig { capacity: Capacity::Unlimited, delay: Nanos::ZERO, ..PathConfig::default() };
+    let (mut loss, mut burst, mut queue, mut seed) = (0.0, None, QUEUE, 1);
+    let whole_trace = format!("trace={text}");
+    let words = if text.contains('=') { text } else { whole_trace.as_str() };
+    for word in words.split(',') {
+        let (key, value) = word.split_once('=').with_context(|| refusal(word))?;
+        match key {
+            "loss" => loss = share(value).with_context(|| refusal(word))?,
+            "burst" => burst = Some(mean_burst(value).with_context(|| refusal(word))?),
+            "rate" => path.capacity = Capacity::Constant(rate(value).with_context(|| refusal(word))?),
+            "delay" => path.delay = span(value).with_context(|| refusal(word))?,
+            "jitter" => path.jitter = span(value).with_context(|| refusal(word))?,
+            "queue" => queue = span(value).with_context(|| refusal(word))?,
+            "seed" => seed = value.parse().with_context(|| refusal(word))?,
+            "trace" => path.capacity = Capacity::Trace(read_trace(Path::new(value))?),
+            _ => bail!(refusal(word)),
+        }
+    }
+    path.loss = match (loss, burst) {
+        (0.0, _) => LossModel::None,
+        (loss, None) => LossModel::Iid(loss),
+        // Stationary share of the bad state: enter / (enter + leave).
+        (loss, Some(burst)) => LossModel::GilbertElliott {
+            enter_bad: (loss / (burst * (1.0 - loss))).min(1.0),
+            leave_bad: 1.0 / burst,
+            loss_good: 0.0,
+            loss_bad: 1.0,
+        },
+    };
+    let mean = match &path.capacity {
+        Capacity::Unlimited => None,
+        Capacity::Constant(rate) => Some(*rate),
+        Capacity::Trace(trace) => Some(trace.mean_rate()),
+    };
+    if let Some(mean) = mean {
+        let Bytes(bytes) = mean.bytes_in(queue);
+        path.queue = QueueLimit { bytes: bytes.max(LEAST_QUEUE), ..QueueLimit::default() };
+    }
+    Ok(Impairment { path, seed })
+}
+
+fn refusal(word: &str) -> String {
+    format!("--impair: {word:?} is not allowed; {ALLOWED} are")
+}
+
+/// A share of datagrams below all of them: `5%` or `0.05`.
+fn share(text: &str) -> Option<f64> {
+    let share = match text.strip_suffix('%') {
+        Some(percent) => percent.parse::<f64>().ok()? / 100.0,
+        None => text.parse().ok()?,
+    };
+    (0.0..=0.9).contains(&share).then_some(share)
+}
+
+/// Mean number of datagrams lost in a row.
+fn mean_burst(text: &str) -> Option<f64> {
+    text.parse().ok().filter(|burst| (1.0..=1000.0).contains(burst))
+}
+
+/// `5mbit` or `500kbit`, 1 kbit/s to 100 Gbit/s.
+fn rate(text: &str) -> Option<Rate> {
+    let (number, factor) = text
+        .strip_suffix("mbit")
+        .map(|number| (number, 1e6))
+        .or_else(|| text.strip_suffix("kbit").map(|number| (number, 1e3)))?;
+    let rate = number.parse::<f64>().ok()? * factor;
+    (1e3..=1e11).contains(&rate).then_some(Rate(rate as u64))
+}
+
+/// `40ms`, up to a minute.
+fn span(text: &str) -> Option<Nanos> {
+    let ms = text.strip_suffix("ms")?.parse::<f64>().ok()?;
+    (0.0..=60_000.0).contains(&ms).then_some(Nanos((ms * 1e6) as u64))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_link_is_read_word_by_word() {
+        let Impairment { path, seed } = impairment("loss=5%,rate=5mbit,delay=40ms,burst=4,seed=7").unwrap();
+        assert!(matches!(path.capacity, Capacity::Constant(Rate(5_000_000))));
+        assert_eq!((path.delay, path.queue.bytes, seed), (Nanos::from_ms(40), 156_250, 7));
+        let LossModel::GilbertElliott { enter_bad, leave_bad, .. } = path.loss else { panic!() };
+        assert!((enter_bad / (enter_bad + leave_bad) - 0.05).abs() < 1e-12 && leave_bad == 0.25);
+        let path = impairment("loss=0.1").unwrap().path;
+        assert!(matches!((path.capacity, path.loss), (Capacity::Unlimited, LossModel::Iid(0.1))));
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for text in [
+            "loss=2",
+            "loss=-1%",
+            "loss=nan",
+            "rate=5",
+            "rate=0mbit",
+            "delay=5",
+            "delay=1e9ms",
+            "burst=0",
+            "colour=red",
+            "loss=1%,,",
+            "seed=x",
+        ] {
+            let error = format!("{:#}", impairment(text).unwrap_err());
+            assert!(error.contains("--impair: ") && error.contains("rate=5mbit"), "{text}: {error}");
+        }
+        assert!(format!("{:#}", impairment("no.csv").unwrap_err()).contains("no.csv"));
+    }
+}

@@ -1,0 +1,67 @@
+//! Makes what is typed ready to be sent: a stream and its graph, from a file or by encoding a scene.
+
+use std::path::Path;
+
+use anyhow::Result;
+use emulator_host::PacketGraph;
+use trainer_host::{
+    Stream,
+    encode::Protection,
+    stream::PacketMap,
+    utility::{References, UtilityOptions},
+    viewpoint::{Framing, Ring},
+};
+
+use super::{
+    Quiet,
+    cache::{stored_utilities, utilities, utility_path},
+};
+use crate::args::{CodecArgs, SceneArgs};
+
+/// A stream that can be sent.
+#[derive(Debug)]
+pub struct Sendable {
+    /// Its bytes.
+    pub stream: Stream,
+    /// What each packet brings.
+    pub map: PacketMap,
+    /// The same as schedulers see it.
+    pub graph: PacketGraph,
+}
+
+/// Reads the stream `input` with the utilities beside it, or encodes the scene `input` and measures them.
+///
+/// # Errors
+/// What cannot be read, encoded or sent.
+pub fn sendable(
+    input: &str,
+    scene: &SceneArgs,
+    codec: &CodecArgs,
+    quiet: Quiet,
+    warn: &mut dyn FnMut(String),
+) -> Result<Sendable> {
+    let (stream, table) = if super::is_stream(input) {
+        let path = Path::new(input);
+        let stream = super::read_stream(path, warn)?;
+        let table = stored_utilities(&utility_path(path), stream.manifest()?.raw()).ok();
+        if table.is_none() {
+            warn(format!(
+                "{input}: no utilities beside it (encode with --utility); all groups count the same"
+            ));
+        }
+        (stream, table)
+    } else {
+        let loaded = super::import(input, scene)?;
+        let options = super::encode_options(codec, Protection::STANDARD);
+        let stream = super::encode(&loaded.scene, &options, quiet)?.stream;
+        let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
+        let cameras = Framing::of(&loaded.scene).ring(Ring::Measuring, 3, (128, 128))?;
+        let references = References::renders(&loaded.scene, &cameras);
+        let how = UtilityOptions::paper();
+        let table = utilities(&references, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
+        (stream, Some(table))
+    };
+    let map = PacketMap::of(&stream)?;
+    let graph = super::graph(&stream, &map, table.as_ref())?;
+    Ok(Sendable { stream, map, graph })
+}

@@ -1,0 +1,132 @@
+//! Promises across bytes, time and sockets: what is served is what is played. That neither side can be hurt
+//! by the other is tested in `dgs-quic`.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
+
+#[path = "sockets/served.rs"]
+mod served;
+
+use std::{
+    net::{Ipv4Addr, SocketAddr},
+    sync::OnceLock,
+    time::Duration,
+};
+
+use clap::Parser;
+use dgs::{
+    args::{Cli, Verb},
+    pipeline::{self, Quiet},
+};
+use dgs_player::Player;
+use dgs_quic::socket::{
+    ClientConfig, Headless, Identity, Impairment, Locator, Offer, PlayError, PlayReport, Screen, Server,
+    ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport, message::StreamChoice, play,
+};
+use emulator_host::{
+    Nanos, PolicyKind, Rate,
+    link::{Capacity, LossModel, PathConfig, QueueLimit},
+};
+use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
+use trainer_host::{Stream, encode::Protection, stream::PacketMap};
+
+/// One second of a small scene in windows of a third.
+fn stream() -> &'static Stream {
+    static STREAM: OnceLock<Stream> = OnceLock::new();
+    STREAM.get_or_init(|| {
+        let flags = ["dgs", "demo", "--window-frames", "10", "--pictures", "2", "--coarseness", "0.2"];
+        let Ok(Cli { verb: Verb::Demo(args), .. }) = Cli::try_parse_from(flags) else { panic!("{flags:?}") };
+        let scene = pipeline::import("synth:cloth:4000:30", &args.source).unwrap().scene;
+        let options = pipeline::encode_options(&args.codec, Protection::STANDARD);
+        pipeline::encode(&scene, &options, Quiet(true)).unwrap().stream
+    })
+}
+
+fn offer(name: &str) -> Offer {
+    let map = PacketMap::of(stream()).unwrap();
+    let graph = pipeline::graph(stream(), &map, None).unwrap();
+    Offer::new(name, stream(), graph).unwrap()
+}
+
+/// Runs `test` where sockets have a runtime.
+fn within<T>(test: impl Future<Output = T>) -> T {
+    let runtime = Runtime::new().unwrap();
+    runtime.block_on(async { tokio::time::timeout(Duration::from_secs(60), test).await.unwrap() })
+}
+
+/// A server in the background.
+struct Running {
+    address: SocketAddr,
+    trust: Trust,
+    stop: Option<oneshot::Sender<()>>,
+    task: JoinHandle<(ServerReport, Vec<ViewerReport>)>,
+}
+
+impl Running {
+    fn start(limits: ServerLimits, impairment: Option<Impairment>) -> Self {
+        Self::with(Identity::self_signed(&["127.0.0.1".to_owned()]).unwrap(), limits, impairment)
+    }
+
+    fn with(identity: Identity, limits: ServerLimits, impairment: Option<Impairment>) -> Self {
+        let bind = (Ipv4Addr::LOCALHOST, 0).into();
+        let policy = PolicyKind::DeadlineUtility;
+        let config = ServerConfig { bind, identity, limits, policy, impairment };
+        let server = Server::bind(config, vec![offer("figure"), offer("again")]).unwrap();
+        let (address, trust) = (server.local_addr().unwrap(), Trust::Pin(server.pin()));
+        let (stop, stopped) = oneshot::channel();
+        let task = tokio::spawn(async move {
+            let mut viewers = Vec::new();
+            let ended = |viewer: &ViewerReport| viewers.push(viewer.clone());
+            let report = server.run(async { drop(stopped.await) }, ended).await;
+            (report, viewers)
+        });
+        Self { address, trust, stop: Some(stop), task }
+    }
+
+    fn client(&self) -> ClientConfig {
+        let locator = Locator {
+            host: self.address.ip().to_string(),
+            port: self.address.port(),
+            stream: StreamChoice::Index(0),
+            pin: None,
+        };
+        ClientConfig::new(locator, self.trust.clone())
+    }
+
+    /// Plays on a screen that nobody looks at.
+    async fn play(&self, config: &ClientConfig) -> Result<PlayReport, PlayError> {
+        play(config, &mut Headless, std::future::pending()).await.whole()
+    }
+
+    async fn stop(mut self) -> (ServerReport, Vec<ViewerReport>) {
+        self.stop.take().unwrap().send(()).unwrap();
+        self.task.await.unwrap()
+    }
+}
+
+/// Ten megabits, twenty milliseconds, and luck.
+fn lossy(loss: f64) -> Impairment {
+    let path = PathConfig {
+        capacity: Capacity::Constant(Rate::from_mbps(10)),
+        queue: QueueLimit { bytes: 150_000, ..QueueLimit::default() },
+        loss: LossModel::Iid(loss),
+        delay: Nanos::from_ms(20),
+        ..PathConfig::default()
+    };
+    Impairment { path, seed: 5 }
+}
+
+/// Remembers which frames were shown, and the player's state at the last.
+#[derive(Default)]
+struct Watching {
+    frames: Vec<u32>,
+    packets: usize,
+}
+
+impl Screen for Watching {
+    fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String> {
+        self.frames.push(frame);
+        let ids = (0..player.info().packets).filter_map(codec_core::internals::ids::PacketId::new);
+        self.packets = ids.filter(|id| player.has(*id)).count();
+        player.frame(frame).map(drop).map_err(|error| error.to_string())
+    }
+}

@@ -1,0 +1,165 @@
+//! What is served is played: whole over a clean path, in part over a bad one, from anywhere, by several.
+
+use super::*;
+
+/// Digest of decoded frames, as `dgs decode --digest` has it.
+#[derive(Default)]
+struct Decoded {
+    frames: Vec<u32>,
+    differs: Option<u32>,
+}
+
+impl Screen for Decoded {
+    fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String> {
+        self.frames.push(frame);
+        let mut whole = stream().receive().map_err(|error| error.to_string())?;
+        let whole = whole.frame(frame).map_err(|error| error.to_string())?;
+        let shown = player.frame(frame).map_err(|error| error.to_string())?;
+        let same = whole.gaussians == shown.gaussians && whole.sh_rest == shown.sh_rest;
+        self.differs = self.differs.or((!same).then_some(frame));
+        Ok(())
+    }
+}
+
+#[test]
+fn over_a_clean_path_every_frame_is_shown_and_decodes_as_the_file_does() {
+    within(async {
+        let server = Running::start(ServerLimits::default(), None);
+        let mut screen = Decoded::default();
+        let report = play(&server.client(), &mut screen, std::future::pending()).await.whole().unwrap();
+        assert_eq!(screen.frames, (0..30).collect::<Vec<_>>());
+        assert_eq!((report.shown_count, report.connections, report.rounds), (30, 1, 1));
+        assert!(report.startup_reached && report.base_miss_rate == 0.0, "{report:?}");
+        assert_eq!((report.refused, report.recovered), (0, 0), "{report:?}");
+        // By the end everything has come; the first frames may be coarser.
+        assert_eq!(screen.differs.filter(|frame| *frame >= 20), None, "{report:?}");
+        let (counts, viewers) = server.stop().await;
+        assert_eq!((counts.viewers, counts.failed_handshakes), (1, 0), "{counts:?}");
+        assert_eq!(viewers[0].stream, "figure");
+        assert!(viewers[0].packets >= report.packets && viewers[0].receipts > 0, "{viewers:?}");
+        assert_eq!(viewers[0].refused_receipts, 0);
+    });
+}
+
+#[test]
+fn a_tenth_lost_still_shows_every_frame_with_nearly_all_bases() {
+    within(async {
+        let server = Running::start(ServerLimits::default(), Some(lossy(0.1)));
+        let report = server.play(&server.client()).await.unwrap();
+        assert_eq!(report.shown_count, 30);
+        assert!(report.base_miss_rate < 0.1, "{report:?}");
+        let (_, viewers) = server.stop().await;
+        assert!(viewers[0].lost > 0, "{viewers:?}");
+    });
+}
+
+#[test]
+fn playout_begins_in_the_window_of_the_time_and_repeats_from_the_start() {
+    within(async {
+        let server = Running::start(ServerLimits::default(), None);
+        let late = ClientConfig { start_us: 500_000, ..server.client() };
+        let mut screen = Watching::default();
+        play(&late, &mut screen, std::future::pending()).await.whole().unwrap();
+        // Half a second is frame 15, in the window of frames 10 to 19.
+        assert_eq!(screen.frames, (10..30).collect::<Vec<_>>());
+        assert!(screen.packets < stream().packets().len(), "what is over is not sent");
+        let end = Duration::from_millis(2500);
+        let looped = ClientConfig { loops: true, duration: Some(end), ..server.client() };
+        let mut screen = Watching::default();
+        let report = play(&looped, &mut screen, std::future::pending()).await.whole().unwrap();
+        assert!(report.rounds >= 2 && screen.frames.len() > 40, "{report:?}");
+        assert_eq!(screen.frames[..35], [(0..30).collect::<Vec<_>>(), (0..5).collect()].concat());
+        let repeated = report.shown.iter().filter(|shown| shown.round == 1);
+        assert!(repeated.clone().count() > 0 && repeated.clone().all(|shown| shown.base_miss == 0.0));
+        server.stop().await;
+    });
+}
+
+#[test]
+fn two_viewers_watch_two_streams_and_a_third_finds_no_place() {
+    within(async {
+        let server = Running::start(ServerLimits { max_viewers: 2, ..ServerLimits::default() }, None);
+        let other = |name: &str| {
+            let mut config = server.client();
+            config.locator.stream = StreamChoice::Name(name.to_owned());
+            config
+        };
+        let (first, second) = (other("figure"), other("again"));
+        let third = async {
+            // Both places are taken once both have shown something: half a clip later they still watch.
+            tokio::time::sleep(Duration::from_millis(500)).await;
+            server.play(&first).await
+        };
+        let (one, two, three) = tokio::join!(server.play(&first), server.play(&second), third);
+        assert_eq!((one.unwrap().shown_count, two.unwrap().shown_count), (30, 30));
+        let error = three.unwrap_err().to_string();
+        assert!(error.contains("all 2 places are taken"), "{error}");
+        let unknown = server.play(&other("fox")).await.unwrap_err().to_string();
+        assert!(unknown.contains("no stream called fox; there are figure, again"), "{unknown}");
+        let (counts, viewers) = server.stop().await;
+        let names: std::collections::BTreeSet<_> = viewers.iter().map(|v| v.stream.as_str()).collect();
+        assert_eq!(names, ["again", "figure"].into());
+        assert_eq!(counts.refused, [("full".to_owned(), 1), ("unknown stream".to_owned(), 1)].into());
+    });
+}
+
+#[test]
+fn no_viewer_gets_more_than_the_bound() {
+    within(async {
+        let limits = ServerLimits { max_rate_bps: Some(200_000), ..ServerLimits::default() };
+        let server = Running::start(limits, None);
+        let report = server.play(&server.client()).await.unwrap();
+        let (_, viewers) = server.stop().await;
+        let bits = viewers[0].media_bytes as f64 * 8.0;
+        assert!(bits > 0.0 && bits <= 200_000.0 * viewers[0].seconds + 30_000.0, "{viewers:?} {report:?}");
+    });
+}
+
+#[test]
+fn who_serves_is_checked_by_pin_and_by_authority() {
+    within(async {
+        let folder = tempfile::tempdir().unwrap();
+        let (certificate, key) = (folder.path().join("cert.pem"), folder.path().join("key.pem"));
+        let other = folder.path().join("other.pem");
+        let make = || rcgen::generate_simple_self_signed(["127.0.0.1".to_owned()]).unwrap();
+        let (made, stranger) = (make(), make());
+        std::fs::write(&certificate, made.cert.pem()).unwrap();
+        std::fs::write(&key, made.signing_key.serialize_pem()).unwrap();
+        std::fs::write(&other, stranger.cert.pem()).unwrap();
+        let identity = Identity::read(&certificate, &key).unwrap();
+        let pin = identity.pin();
+        let server = Running::with(identity, ServerLimits::default(), None);
+        let config = |trust| ClientConfig { trust, start_us: 900_000, ..server.client() };
+        assert_eq!(server.play(&config(Trust::Authority(certificate))).await.unwrap().shown_count, 10);
+        let wrong = Identity::self_signed(&["127.0.0.1".to_owned()]).unwrap();
+        let error = server.play(&config(Trust::Pin(wrong.pin()))).await.unwrap_err();
+        let said = error.to_string();
+        assert!(matches!(error, PlayError::WrongPin { .. }), "{said}");
+        assert!(said.contains(&pin.to_string()) && said.contains(&wrong.pin().to_string()));
+        let error = server.play(&config(Trust::Authority(other))).await.unwrap_err();
+        assert!(matches!(error, PlayError::Handshake(_)), "{error}");
+        let (counts, _) = server.stop().await;
+        assert_eq!(counts.failed_handshakes, 2);
+    });
+}
+
+#[test]
+fn a_server_that_closes_says_so() {
+    within(async {
+        let server = Running::start(ServerLimits::default(), None);
+        let config = ClientConfig { loops: true, ..server.client() };
+        let mut screen = Watching::default();
+        let stop = async {
+            tokio::time::sleep(Duration::from_millis(300)).await;
+            server.stop().await
+        };
+        let (played, (counts, viewers)) =
+            tokio::join!(play(&config, &mut screen, std::future::pending()), stop);
+        let shown = played.report.shown_count;
+        let error = played.whole().unwrap_err();
+        assert!(shown > 0);
+        assert!(error.to_string().contains("the server is closing (closing)"), "{error}");
+        assert_eq!((counts.viewers, viewers.len()), (1, 1));
+        assert!(viewers[0].end.contains("closing"), "{viewers:?}");
+    });
+}
