@@ -328,8 +328,8 @@ impl<'s> Viewer<'s> {
         }
     }
 
-    /// When the loop has something to do without being woken. `found_nothing`: there was room for a packet and
-    /// none worth sending, which time may change.
+    /// When the loop has something to do without being woken. `found_nothing`: there was room for a packet
+    /// and none worth sending, which time may change.
     fn wake(&mut self, found_nothing: bool, limits: &ServerLimits) -> Instant {
         let idle = self.heard_at + limits.idle;
         let due = if found_nothing { self.round.next_time() } else { self.round.loss_time() };
