@@ -8,7 +8,7 @@ mod served;
 
 use std::{
     net::{Ipv4Addr, SocketAddr},
-    sync::OnceLock,
+    sync::{Arc, OnceLock},
     time::Duration,
 };
 
@@ -26,7 +26,11 @@ use emulator_host::{
     Nanos, PolicyKind, Rate,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
 };
-use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
+use tokio::{
+    runtime::Runtime,
+    sync::{Semaphore, oneshot},
+    task::JoinHandle,
+};
 use trainer_host::{Stream, encode::Protection, stream::PacketMap};
 
 /// One second of a small scene in windows of a third.
@@ -128,5 +132,26 @@ impl Screen for Watching {
         let ids = (0..player.info().packets).filter_map(codec_core::internals::ids::PacketId::new);
         self.packets = ids.filter(|id| player.has(*id)).count();
         player.frame(frame).map(drop).map_err(|error| error.to_string())
+    }
+}
+
+/// Says when its first frame is shown.
+struct FirstFrame {
+    shown: Arc<Semaphore>,
+    said: bool,
+}
+
+impl FirstFrame {
+    fn new(shown: &Arc<Semaphore>) -> Self {
+        Self { shown: shown.clone(), said: false }
+    }
+}
+
+impl Screen for FirstFrame {
+    fn show(&mut self, _player: &mut Player, _frame: u32) -> Result<(), String> {
+        if !std::mem::replace(&mut self.said, true) {
+            self.shown.add_permits(1);
+        }
+        Ok(())
     }
 }

@@ -135,8 +135,8 @@ struct Names(Vec<String>);
 impl<'ast> Visit<'ast> for Names {
     fn visit_ident(&mut self, name: &'ast syn::Ident) {
         let words = words(&name.to_string());
-        // A held-out camera is a term of the field.
-        let term = words.windows(2).any(|pair| pair == ["held", "out"]);
+        // A held-out camera is a term of the field; `quinn-proto` is a crate's name.
+        let term = words.windows(2).any(|pair| pair == ["held", "out"] || pair == ["quinn", "proto"]);
         if !term && words.iter().any(|word| NAMES.contains(&word.as_str())) {
             self.0.push(name.to_string());
         }

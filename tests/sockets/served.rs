@@ -85,13 +85,21 @@ fn two_viewers_watch_two_streams_and_a_third_finds_no_place() {
             config
         };
         let (first, second) = (other("figure"), other("again"));
+        let repeated = |config: &ClientConfig| ClientConfig { loops: true, ..config.clone() };
+        let (looped, also) = (repeated(&first), repeated(&second));
+        let (shown, done) = (Arc::new(Semaphore::new(0)), Semaphore::new(0));
+        let (mut one, mut two) = (FirstFrame::new(&shown), FirstFrame::new(&shown));
         let third = async {
-            // Both places are taken once both have shown something: half a clip later they still watch.
-            tokio::time::sleep(Duration::from_millis(500)).await;
-            server.play(&first).await
+            // Both places are taken once both have shown something, until this is over.
+            shown.acquire_many(2).await.unwrap().forget();
+            let played = server.play(&first).await;
+            done.add_permits(2);
+            played
         };
-        let (one, two, three) = tokio::join!(server.play(&first), server.play(&second), third);
-        assert_eq!((one.unwrap().shown_count, two.unwrap().shown_count), (30, 30));
+        let over = || async { done.acquire().await.unwrap().forget() };
+        let (one, two, three) =
+            tokio::join!(play(&looped, &mut one, over()), play(&also, &mut two, over()), third);
+        assert!(one.whole().unwrap().shown_count > 0 && two.whole().unwrap().shown_count > 0);
         let error = three.unwrap_err().to_string();
         assert!(error.contains("all 2 places are taken"), "{error}");
         let unknown = server.play(&other("fox")).await.unwrap_err().to_string();
@@ -148,9 +156,10 @@ fn a_server_that_closes_says_so() {
     within(async {
         let server = Running::start(ServerLimits::default(), None);
         let config = ClientConfig { loops: true, ..server.client() };
-        let mut screen = Watching::default();
+        let shown = Arc::new(Semaphore::new(0));
+        let mut screen = FirstFrame::new(&shown);
         let stop = async {
-            tokio::time::sleep(Duration::from_millis(300)).await;
+            shown.acquire().await.unwrap().forget();
             server.stop().await
         };
         let (played, (counts, viewers)) =

@@ -99,7 +99,13 @@ async fn session(
 ) -> Result<(), PlayError> {
     let (endpoint, connection) = connect(config).await?;
     let result = converse(config, playback, screen, &connection).await;
-    let result = result.map_err(|error| closed(error, &connection));
+    let result = result.map_err(|error| match closed(error, &connection) {
+        // Both ends of the wait are the same: the transport's and the one for a manifest.
+        PlayError::Lost(ConnectionError::TimedOut) if !playback.has_manifest() => {
+            PlayError::Silence { ms: config.silence.as_millis() }
+        }
+        error => error,
+    });
     connection.close(0u32.into(), b"bye");
     // So that the server hears of it at once.
     let _ = timeout(Duration::from_millis(200), endpoint.wait_idle()).await;

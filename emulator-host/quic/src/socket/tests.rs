@@ -19,7 +19,7 @@ use quinn::{Connection, Endpoint};
 use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
 
 use super::{
-    ClientConfig, Headless, Identity, Locator, Offer, PlayError, PlayReport, Server, ServerConfig,
+    ClientConfig, Headless, Identity, Locator, Offer, PlayError, PlayReport, Played, Server, ServerConfig,
     ServerLimits, ServerReport, Trust, ViewerReport, limits::client_transport, message::StreamChoice, play,
 };
 

@@ -393,7 +393,7 @@ impl<'s> Viewer<'s> {
             let refused = self.round.counts().refused_receipts - before;
             self.tally.refused += refused;
             self.tally.receipts += 1 - refused;
-        } else if !round.is_some_and(|round| round < self.round.number) {
+        } else if round.is_none_or(|round| round > self.round.number) {
             self.tally.refused += 1;
         }
         if self.tally.refused > MAX_REFUSED {

@@ -11,7 +11,7 @@ use std::{
 
 use bytes::BytesMut;
 use emulator_host::{ControllerKind, Nanos, congestion, rng};
-use quinn_machine::{
+use quinn_proto::{
     ClientConfig, Connection, ConnectionHandle, ConnectionId, ConnectionIdGenerator, DatagramEvent, Endpoint,
     EndpointConfig, ServerConfig, TransportConfig, ValidationTokenConfig,
     congestion::{ControllerFactory, CubicConfig, NewRenoConfig},

@@ -11,7 +11,7 @@ use emulator_host::{
     Bytes, Nanos, Rate,
     congestion::{DeliveryRate, DeliverySample, Rtt},
 };
-use quinn_machine::{
+use quinn_proto::{
     RttEstimator,
     congestion::{Controller, ControllerFactory},
 };

@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use emulator_host::{Nanos, PacketGraph, PacketIndex, SessionConfig, session::Viewer};
-use quinn_machine::{Dir, StreamId};
+use quinn_proto::{Dir, StreamId};
 
 use super::end::End;
 

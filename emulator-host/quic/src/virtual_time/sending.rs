@@ -6,7 +6,7 @@ use emulator_host::{
     report::{SenderCounts, SenderRow},
     session::{MediaSender, Outstanding, PathFacts},
 };
-use quinn_machine::{Connection, ConnectionStats, Dir, FrameStats, StreamId};
+use quinn_proto::{Connection, ConnectionStats, Dir, FrameStats, StreamId};
 
 use super::{clock::Clock, end::End, observer::Watch};
 

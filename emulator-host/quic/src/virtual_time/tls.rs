@@ -4,7 +4,7 @@
 
 use std::sync::{Arc, OnceLock};
 
-use quinn_machine::crypto::rustls::{QuicClientConfig, QuicServerConfig};
+use quinn_proto::crypto::rustls::{QuicClientConfig, QuicServerConfig};
 use rustls::{
     ClientConfig, RootCertStore, ServerConfig,
     crypto::ring,

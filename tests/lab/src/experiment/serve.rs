@@ -54,9 +54,9 @@ struct Measured {
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
     let sizes = if setup.quick {
-        Sizes { viewers: 10, gaussians: 20_000, frames_per_second: 30.0 }
+        Sizes { viewers: 10, gaussians: 45_000, frames_per_second: 30.0 }
     } else {
-        Sizes { viewers: 100, gaussians: 20_000, frames_per_second: 4.0 }
+        Sizes { viewers: 100, gaussians: 20_000, frames_per_second: 5.5 }
     };
     let mut bench = Bench::new(
         "serve",

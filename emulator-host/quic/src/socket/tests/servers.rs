@@ -11,7 +11,7 @@ use crate::socket::message::{Message as _, Refusal, RefusalCode, ServerMessage};
 type Talk = Pin<Box<dyn Future<Output = ()> + Send>>;
 
 /// What the client makes of a server that answers a hello with `talk`.
-async fn played<F>(talk: F, change: impl FnOnce(&mut ClientConfig)) -> Result<PlayReport, PlayError>
+async fn played<F>(talk: F, change: impl FnOnce(&mut ClientConfig)) -> Played
 where
     F: Fn(Connection, SendStream, RecvStream) -> Talk + Send + 'static,
 {
@@ -31,7 +31,7 @@ where
     let mut config =
         ClientConfig { silence: Duration::from_millis(400), reconnects: 0, ..client(address, &trust) };
     change(&mut config);
-    let played = play(&config, &mut Headless, std::future::pending()).await.whole();
+    let played = play(&config, &mut Headless, std::future::pending()).await;
     task.abort();
     played
 }
@@ -71,14 +71,14 @@ fn what_is_no_manifest_is_refused_by_name() {
             (Vec::new(), "said nothing for 400 ms"),
             (twice, "a second manifest"),
         ] {
-            let error = played(writes(bytes), |_| ()).await.unwrap_err().to_string();
+            let error = played(writes(bytes), |_| ()).await.whole().unwrap_err().to_string();
             assert!(error.contains(named), "{named}: {error}");
         }
         let small = |config: &mut ClientConfig| config.caps = Caps { blocks: 1, ..Caps::HOST };
-        let error = played(writes(manifest()), small).await.unwrap_err();
+        let error = played(writes(manifest()), small).await.whole().unwrap_err();
         assert!(matches!(error, PlayError::Manifest(_)), "{error}");
         let refusal = Refusal { code: RefusalCode::Full, sentence: "no".into() };
-        let error = played(writes(ServerMessage::Refusal(refusal.clone()).to_bytes()), |_| ()).await;
+        let error = played(writes(ServerMessage::Refusal(refusal.clone()).to_bytes()), |_| ()).await.whole();
         assert!(matches!(error, Err(PlayError::Refused(found)) if found == refusal));
     });
 }
@@ -88,7 +88,7 @@ fn media_that_never_comes_and_media_that_is_none() {
     within(async {
         // Nothing but the manifest: playout starts after its wait and ends with the clip.
         let soon = |config: &mut ClientConfig| config.startup.max_wait = Nanos::from_ms(50);
-        let report = played(writes(manifest()), soon).await.unwrap();
+        let report = played(writes(manifest()), soon).await.whole().unwrap();
         assert_eq!((report.shown_count as u32, report.base_miss_rate), (report.frames, 1.0), "{report:?}");
         assert!(!report.startup_reached);
         // Junk without end, before the manifest and after it.
@@ -105,7 +105,7 @@ fn media_that_never_comes_and_media_that_is_none() {
                 config.silence = Duration::from_secs(20);
                 config.startup.max_wait = Nanos::from_s(20);
             };
-            let error = played(talk, patient).await.unwrap_err().to_string();
+            let error = played(talk, patient).await.whole().unwrap_err().to_string();
             assert!(error.contains("datagrams are no media"), "{error}");
         }
     });
@@ -130,7 +130,10 @@ fn a_connection_that_is_lost_is_made_again_and_goes_on_where_it_was() {
             config.reconnects = 2;
             config.startup.max_wait = Nanos::from_s(20);
         };
-        let error = played(talk, twice).await.unwrap_err();
-        assert!(matches!(error, PlayError::Lost(_)), "{error}");
+        let played = played(talk, twice).await;
+        assert_eq!((played.report.connections, played.report.rounds), (3, 3));
+        // Both packets are there once, however often they came.
+        assert_eq!((played.report.packets, played.report.duplicates), (2, 4));
+        assert!(matches!(played.error, Some(PlayError::Lost(_))), "{:?}", played.error);
     });
 }
