@@ -63,7 +63,7 @@ pub struct Serve {
 /// `dgs play`.
 #[derive(Debug, Args)]
 pub struct Play {
-    /// dgs://HOST[:PORT][/NAME][#PIN], as `dgs serve` prints it.
+    /// `dgs://HOST[:PORT][/NAME][#PIN]`, as `dgs serve` prints it.
     pub url: Locator,
     /// SHA-256 of the server's certificate, 64 hexadecimal digits.
     #[arg(long, value_name = "SHA256", conflicts_with = "ca")]

@@ -291,13 +291,12 @@ fn blend_backward(
     poses: &[NodePose],
     gradients: &mut [NodeGradient],
 ) {
-    let signs = signs(&followed.nodes, poses);
-    for k in 0..FOLLOWED {
-        let node = followed.nodes[k] as usize;
-        let (arrow, weight, sum) = (place - poses[node].place, followed.weights[k], &mut gradients[node]);
+    let each = followed.nodes.iter().zip(followed.weights).zip(signs(&followed.nodes, poses));
+    for ((&node, weight), sign) in each {
+        let (arrow, sum) = (place - poses[node as usize].place, &mut gradients[node as usize]);
         let of_shift = weight * of_shift;
         sum.shift += of_shift;
         sum.matrix += Mat3::from_cols(of_shift * arrow.x, of_shift * arrow.y, of_shift * arrow.z);
-        (0..4).for_each(|j| sum.turn[j] += signs[k] * weight * of_turn[j]);
+        (0..4).for_each(|j| sum.turn[j] += sign * weight * of_turn[j]);
     }
 }

@@ -213,8 +213,8 @@ mod tests {
                 let near = nodes.clone();
                 let first = ControlNodes { layers: near.layers[..1].to_vec(), ..near };
                 let follows = first.followed(&[point.unwrap().trajectory])[0];
-                let carried = follows.map(|node| poses.0[0][node as usize].carry(pose.place));
-                let there: Vec3 = carried.into_iter().zip([0.4, 0.3, 0.2, 0.1]).map(|(p, w)| p * w).sum();
+                let moved = follows.map(|node| poses.0[0][node as usize].carry(pose.place));
+                let there: Vec3 = moved.into_iter().zip([0.4, 0.3, 0.2, 0.1]).map(|(p, w)| p * w).sum();
                 assert!((pose.place + pose.shift - there).length() < 1e-5, "{time}");
             }
         }

@@ -1,8 +1,8 @@
 //! Compares points by where they are over the whole clip, so that what meets for an instant stays apart.
 //!
 //! A ball that touches a plate at the canonical instant is near it there and nowhere else: nodes and the
-//! Gaussians that follow them are chosen by the distance of their trajectories (SC-GS section 4.2 samples times
-//! likewise).
+//! Gaussians that follow them are chosen by the distance of their trajectories (SC-GS section 4.2 samples
+//! times likewise).
 
 use glam::Vec3;
 use rayon::prelude::*;
