@@ -115,9 +115,21 @@ pub struct LinkArgs {
     /// Congestion controller.
     #[arg(long, value_enum, default_value_t = ControllerName::Newreno)]
     pub controller: ControllerName,
+    /// What carries packets over the link.
+    #[arg(long, value_enum, default_value_t = TransportName::Model)]
+    pub transport: TransportName,
     /// Seed of the link's luck. The default does not begin in a fade.
     #[arg(long, default_value_t = 2)]
     pub link_seed: u64,
+}
+
+/// A transport of an emulated delivery.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum TransportName {
+    /// The emulator's model of QUIC.
+    Model,
+    /// QUIC itself (`quinn-proto`) in virtual time, its handshake done before; with newreno or cubic.
+    Quic,
 }
 
 /// A congestion controller.
@@ -125,6 +137,8 @@ pub struct LinkArgs {
 pub enum ControllerName {
     /// RFC 9002 NewReno.
     Newreno,
+    /// RFC 9438 CUBIC.
+    Cubic,
     /// The paper's BBR-inspired model.
     BbrModel,
 }

@@ -30,11 +30,11 @@ pub use self::{
     cameras::read_cameras,
     frames::{Frames, snapshot},
     impair::impairment,
-    link::{Link, capacity_bins, link, read_trace},
+    link::{Link, capacity_bins, controller, link, read_trace},
     sendable::{Sendable, sendable},
 };
 use crate::{
-    args::{CodecArgs, PolicyName, ProfileName, SceneArgs, ViewArgs},
+    args::{CodecArgs, PolicyName, ProfileName, SceneArgs, TransportName, ViewArgs},
     delivery::{self, ShownState, WireEndpoint},
     progress::Progress,
 };
@@ -258,19 +258,26 @@ pub const fn policy(name: PolicyName) -> PolicyKind {
 /// Steps 8 to 12: schedule, send, link, receive, repair, closure, with the real receiver.
 ///
 /// # Errors
-/// A configuration the emulator refuses.
+/// A configuration that the transport refuses.
 pub fn deliver(
     stream: &Stream,
     map: &PacketMap,
     graph: &PacketGraph,
     config: &SessionConfig,
     policy: PolicyKind,
+    transport: TransportName,
 ) -> Result<(Report, Vec<ShownState>)> {
     let config = SessionConfig { policy, ..config.clone() };
     let early_bytes = config.buffer_limit * codec_core::internals::limits::MAX_PACKET_BYTES;
     let mut endpoint = WireEndpoint::new(early_bytes, stream, map, graph)?;
     let mut scheduler = policy.build(graph);
-    let report = emulator_host::run(graph, &config, &mut *scheduler, &mut endpoint)?;
+    let report = match transport {
+        TransportName::Model => emulator_host::run(graph, &config, &mut *scheduler, &mut endpoint)?,
+        TransportName::Quic => {
+            let run = dgs_quic::virtual_time::run(graph, &config, &mut *scheduler, &mut endpoint);
+            run.context("--transport quic")?
+        }
+    };
     let shown = std::mem::take(&mut endpoint.shown);
     Ok((report, shown))
 }

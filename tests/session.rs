@@ -5,7 +5,7 @@
 
 use codec_core::internals::limits::MAX_PACKET_BYTES;
 use dgs::{
-    args::{Cli, Verb},
+    args::{Cli, TransportName, Verb},
     delivery::WireEndpoint,
     pipeline::{self, Link, Quiet},
 };
@@ -98,9 +98,14 @@ fn a_session_repeats_bit_for_bit_and_every_shown_state_is_renderable() {
     let (stream, map, graph, link) = walk(&["--burst-loss", "0.05"]);
     let manifest = stream.manifest().unwrap();
     let received = stream.receive().unwrap();
-    for policy in [PolicyKind::Layered, PolicyKind::DeadlineUtility] {
-        let (one, shown) = pipeline::deliver(&stream, &map, &graph, &link.config, policy).unwrap();
-        let (two, _) = pipeline::deliver(&stream, &map, &graph, &link.config, policy).unwrap();
+    let runs = [
+        (PolicyKind::Layered, TransportName::Model),
+        (PolicyKind::DeadlineUtility, TransportName::Model),
+        (PolicyKind::DeadlineUtility, TransportName::Quic),
+    ];
+    for (policy, transport) in runs {
+        let run = || pipeline::deliver(&stream, &map, &graph, &link.config, policy, transport).unwrap();
+        let ((one, shown), (two, _)) = (run(), run());
         assert_eq!(one.digest, two.digest);
         assert_eq!(one, two);
         let mut player = trainer_host::stream::Player::new(&manifest);

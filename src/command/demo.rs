@@ -103,7 +103,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let link = pipeline::link(&args.link, &graph)?;
     let deliveries: Result<Vec<_>> = POLICIES
         .par_iter()
-        .map(|&policy| pipeline::deliver(&stream, &map, &graph, &link.config, policy))
+        .map(|&policy| pipeline::deliver(&stream, &map, &graph, &link.config, policy, args.link.transport))
         .collect();
 
     let progress = Progress::new("render", quiet.0);

@@ -17,8 +17,9 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         pipeline::sendable(&args.input, &args.scene, &args.codec, quiet, &mut |w| warnings.push(w))?;
     let link = pipeline::link(&args.link, &graph)?;
     warnings.extend(link.warnings.iter().cloned());
+    let policy = pipeline::policy(args.policy);
     let (report, shown) =
-        pipeline::deliver(&stream, &map, &graph, &link.config, pipeline::policy(args.policy))?;
+        pipeline::deliver(&stream, &map, &graph, &link.config, policy, args.link.transport)?;
     let startup = report.startup_ms.map_or("never".to_owned(), |ms| format!("{ms:.0} ms"));
     let text = format!(
         "{} over {}\n  startup {startup}, miss {:.1} % (base {:.1} %), utility {:.3}\n  \

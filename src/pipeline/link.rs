@@ -101,10 +101,7 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
         PathConfig { capacity: Capacity::Constant(Rate::from_mbps(2)), delay, ..PathConfig::default() };
     let config = SessionConfig {
         seed: args.link_seed,
-        controller: match args.controller {
-            ControllerName::Newreno => ControllerKind::NewReno,
-            ControllerName::BbrModel => ControllerKind::BbrModel,
-        },
+        controller: controller(args.controller),
         forward,
         reverse,
         ..SessionConfig::default()
@@ -174,6 +171,15 @@ pub fn capacity_bins(trace: &Trace, width: Nanos, bins: usize) -> Vec<f64> {
         }
     }
     out
+}
+
+/// The controller of a name.
+pub fn controller(name: ControllerName) -> ControllerKind {
+    match name {
+        ControllerName::Newreno => ControllerKind::NewReno,
+        ControllerName::Cubic => ControllerKind::Cubic,
+        ControllerName::BbrModel => ControllerKind::BbrModel,
+    }
 }
 
 #[cfg(test)]

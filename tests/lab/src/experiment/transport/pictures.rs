@@ -1,7 +1,10 @@
 //! Renders what schedulers delivered: D and PSNR of displayed frames, and whether utility follows them.
 
 use anyhow::Result;
-use dgs::{args::ProfileName, pipeline};
+use dgs::{
+    args::{ProfileName, TransportName},
+    pipeline,
+};
 use emulator_host::{PacketGraph, PolicyKind, bound::upper_bound};
 use rayon::prelude::*;
 use render_host::{Backend, Camera, Image, Settings, metric};
@@ -101,7 +104,8 @@ impl Study {
 
     /// Delivers over one link and renders what was shown.
     fn see(&self, session: &emulator_host::SessionConfig, policy: PolicyKind) -> Result<Seen> {
-        let (report, states) = pipeline::deliver(&self.stream, &self.map, &self.graph, session, policy)?;
+        let (report, states) =
+            pipeline::deliver(&self.stream, &self.map, &self.graph, session, policy, TransportName::Model)?;
         let received = self.stream.receive()?;
         let state_of = |frame: u32| states.iter().find(|state| state.frame == frame);
         let shown: Vec<(u32, Option<&[u8]>)> = self

@@ -88,11 +88,14 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup) -> Result<()> {
                         args.trace_offset = period * w as f64 / windows as f64;
                         args.link_seed = 1 + w as u64;
                         let link = pipeline::link(&args, &graph)?;
-                        Ok((policy, pipeline::deliver(&stream, &map, &graph, &link.config, policy)?.0))
+                        Ok((
+                            policy,
+                            pipeline::deliver(&stream, &map, &graph, &link.config, policy, args.transport)?.0,
+                        ))
                     })
                     .collect();
                 let results = results?;
-                let controller = if controller == ControllerName::Newreno { "newreno" } else { "bbr-model" };
+                let controller = pipeline::controller(controller).name();
                 let load = if scaled { ".scaled" } else { "" };
                 let miss_of = |policy: PolicyKind| -> Vec<f64> {
                     results.iter().filter(|r| r.0 == policy).map(|r| 100.0 * r.1.miss_rate).collect()
