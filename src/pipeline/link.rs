@@ -18,7 +18,7 @@ use crate::args::{ControllerName, LinkArgs};
 /// What the loader refuses, with the file's name.
 pub fn read_trace(path: &Path) -> Result<Trace> {
     let limits = trace::Limits::default();
-    let bytes = trace::read(path, &limits)?;
+    let bytes = trace::read(path, &limits).with_context(|| path.display().to_string())?;
     let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let first = bytes.split(|b| *b == b'\n').find(|l| !l.trim_ascii().is_empty()).unwrap_or(&[]);
     let columns = first.split(|b| b.is_ascii_whitespace()).filter(|c| !c.is_empty()).count();

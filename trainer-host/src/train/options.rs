@@ -229,7 +229,7 @@ impl Default for Rates {
             sh0: 8e-3,
             sh_rest: 3e-3,
             skin: 1e-2,
-            node_motion: 1.5e-3,
+            node_motion: 2e-3,
         }
     }
 }

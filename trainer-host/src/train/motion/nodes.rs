@@ -14,6 +14,8 @@ use super::{
 };
 use crate::train::parameter::AdamStep;
 
+/// Rate of a layer, of that of the next finer one.
+const SETTLED: f32 = 0.3;
 /// Most layers.
 const MOST_LAYERS: usize = 8;
 
@@ -135,9 +137,14 @@ impl ControlNodes {
             && self.layers.iter().all(|layer| layer.is_sound(before.replace(layer.len())))
     }
 
-    /// Takes a step of the motion; each layer numbers its own.
+    /// Takes a step of the motion; each layer numbers its own. Layers add up, and so does the noise of their
+    /// steps: the last learns at the rate of `step`, each before it at [`SETTLED`] of the next one's.
     pub(crate) fn step(&mut self, step: AdamStep) {
-        self.layers.iter_mut().for_each(|layer| layer.step(step));
+        let mut rate = step.rate;
+        for layer in self.layers.iter_mut().rev() {
+            layer.step(AdamStep { rate, ..step });
+            rate *= SETTLED;
+        }
     }
 
     /// Poses blended by the skin: see [`Skinned`].
