@@ -174,7 +174,7 @@ pub fn capacity_bins(trace: &Trace, width: Nanos, bins: usize) -> Vec<f64> {
 }
 
 /// The controller of a name.
-pub fn controller(name: ControllerName) -> ControllerKind {
+fn controller(name: ControllerName) -> ControllerKind {
     match name {
         ControllerName::Newreno => ControllerKind::NewReno,
         ControllerName::Cubic => ControllerKind::Cubic,

@@ -95,7 +95,7 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup) -> Result<()> {
                     })
                     .collect();
                 let results = results?;
-                let controller = pipeline::controller(controller).name();
+                let controller = whole.config.controller.name();
                 let load = if scaled { ".scaled" } else { "" };
                 let miss_of = |policy: PolicyKind| -> Vec<f64> {
                     results.iter().filter(|r| r.0 == policy).map(|r| 100.0 * r.1.miss_rate).collect()
