@@ -17,7 +17,7 @@ pub struct TrainOptions {
     pub initial_gaussians: usize,
     /// Gaussians at the end, at most.
     pub max_gaussians: usize,
-    /// Control nodes at the end; 0 for a scene that does not move.
+    /// Control nodes of the last layer; 0 for a scene that does not move.
     pub nodes: usize,
     /// Degree of the harmonics, 0 to 3.
     pub sh_degree: u8,
@@ -91,9 +91,10 @@ pub struct Schedule {
     pub still: f64,
     /// Over this share after it the span of time grows to all of the clip.
     pub growth: f64,
-    /// From here a quarter of the nodes carry the motion; before, a sixteenth.
+    /// From here a layer of a quarter as many nodes as `nodes` adds to the motion of the first, of a
+    /// sixteenth.
     pub quarter_of_nodes: f64,
-    /// From here all nodes do.
+    /// From here the last layer, of all nodes, adds to both.
     pub all_nodes: f64,
     /// From here nodes can change their motion twice as fast; 1: never.
     pub fine_time: f64,
@@ -191,7 +192,7 @@ pub struct Rates {
     pub sh_rest: f32,
     /// Weights of nodes.
     pub skin: f32,
-    /// Shifts and turns of nodes.
+    /// Shifts and turns of the last layer of nodes; each before it learns at 0.3 of the next one's.
     pub node_motion: f32,
 }
 

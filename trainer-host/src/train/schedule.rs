@@ -39,7 +39,7 @@ pub(super) fn time_span(schedule: &Schedule, progress: f64) -> f32 {
     (f64::from(super::start::HULL_TIME) + grown) as f32
 }
 
-/// Numbers of nodes and the shares of the training at which they take over.
+/// Numbers of nodes of the layers and the shares of the training at which they begin.
 pub(super) fn node_stages(options: &TrainOptions) -> Vec<(f64, usize)> {
     let (nodes, schedule) = (options.nodes, &options.schedule);
     if nodes == 0 {
