@@ -96,7 +96,7 @@ impl Running {
         ClientConfig::new(locator, self.trust.clone())
     }
 
-    /// Plays on a screen that nobody looks at.
+    /// Plays without pictures.
     async fn play(&self, config: &ClientConfig) -> Result<PlayReport, PlayError> {
         play(config, &mut Headless, std::future::pending()).await.whole()
     }

@@ -10,7 +10,7 @@ use emulator_host::{
     trace,
 };
 
-use crate::args::{ControllerName, LinkArgs};
+use crate::args::{ControllerName, LinkArgs, TransportName};
 
 /// Reads a capacity trace, by content: UCC CSV, mahimahi (one column) or two columns.
 ///
@@ -107,12 +107,16 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
         ..SessionConfig::default()
     };
     let description = format!(
-        "{} × {scale:.3}, mean {:.2} Mbit/s, {:.0} ms one way, queue {} kB, bursts of loss {:.1} %",
+        "{} × {scale:.3}, mean {:.2} Mbit/s, {:.0} ms one way, queue {} kB, bursts of loss {:.1} %{}",
         trace.name(),
         mean.0 as f64 / 1e6,
         delay.as_ms(),
         queue / 1000,
-        100.0 * args.burst_loss
+        100.0 * args.burst_loss,
+        match args.transport {
+            TransportName::Model => "",
+            TransportName::Quic => ", over quinn-proto",
+        }
     );
     Ok(Link { config, trace, description, warnings })
 }

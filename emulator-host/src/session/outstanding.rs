@@ -32,6 +32,8 @@ pub struct Outstanding {
     /// One more than the largest number known to have arrived.
     arrived_below: u64,
     lost: u64,
+    /// Of all sendings.
+    bytes: u64,
     arrived_bytes: u64,
     loss_at: Option<Nanos>,
 }
@@ -51,6 +53,7 @@ impl Outstanding {
         sender.on_sent(packet, self.next_number, now);
         let bytes = u64::from(sender.graph().packets()[packet.at()].wire_bytes);
         self.sendings.push_back(Sending { number: self.next_number, packet, bytes, sent_at: now });
+        self.bytes += bytes;
         self.next_number += 1;
     }
 
@@ -61,7 +64,7 @@ impl Outstanding {
 
     /// Bytes of packets whose fate is not known.
     pub fn bytes(&self) -> u64 {
-        self.sendings.iter().map(|sending| sending.bytes).sum()
+        self.bytes
     }
 
     /// Bytes of packets that are known to have arrived.
@@ -83,11 +86,12 @@ impl Outstanding {
     {
         let path = *sender.path();
         let delay = Nanos(path.smoothed_rtt.0 + path.smoothed_rtt.0 / 8).max(Nanos::from_ms(1));
-        let (before, bytes_before) = (self.sendings.len(), self.bytes());
-        let mut arrived_below = self.arrived_below;
+        let before = self.sendings.len();
+        let (mut arrived_below, mut arrived_bytes) = (self.arrived_below, 0);
         self.sendings.retain(|sending| {
             let arrived = sender.status(sending.packet) == PacketStatus::Delivered;
             // What cannot have come back yet stands for an earlier sending of the same packet.
+            arrived_bytes += if arrived { sending.bytes } else { 0 };
             if arrived && sending.sent_at + path.minimum_rtt <= now {
                 arrived_below = arrived_below.max(sending.number + 1);
             }
@@ -95,7 +99,8 @@ impl Outstanding {
         });
         self.arrived_below = arrived_below;
         let arrived = before - self.sendings.len();
-        self.arrived_bytes += bytes_before - self.bytes();
+        self.arrived_bytes += arrived_bytes;
+        self.bytes -= arrived_bytes;
         let mut lost = Vec::new();
         self.loss_at = None;
         let loss_at = &mut self.loss_at;
@@ -111,11 +116,27 @@ impl Outstanding {
             *loss_at = Some(loss_at.map_or(due, |at| at.min(due)));
             true
         });
+        self.give_up(sender, arrived, &lost, now)
+    }
+
+    /// Enters in `sender` that `arrived` packets arrived and `lost` did not; how many were lost.
+    fn give_up<G, S>(
+        &mut self,
+        sender: &mut MediaSender<G, S>,
+        arrived: usize,
+        lost: &[Sending],
+        now: Nanos,
+    ) -> usize
+    where
+        G: Deref<Target = PacketGraph>,
+        S: Scheduler,
+    {
         if arrived + lost.len() > 0 {
             sender.on_settled(arrived, lost.len(), now);
         }
-        for sending in &lost {
+        for sending in lost {
             sender.on_lost(sending.packet, sending.number, now);
+            self.bytes -= sending.bytes;
         }
         self.lost += lost.len() as u64;
         lost.len()
@@ -130,14 +151,7 @@ impl Outstanding {
     {
         let old = self.sendings.partition_point(|sending| sending.sent_at + silence <= now);
         let lost: Vec<Sending> = self.sendings.drain(..old).collect();
-        if !lost.is_empty() {
-            sender.on_settled(0, lost.len(), now);
-        }
-        for sending in &lost {
-            sender.on_lost(sending.packet, sending.number, now);
-        }
-        self.lost += lost.len() as u64;
-        lost.len()
+        self.give_up(sender, 0, &lost, now)
     }
 
     /// When [`Self::expire`] gives something up, if nothing is heard of it.

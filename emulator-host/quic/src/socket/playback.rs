@@ -31,7 +31,7 @@ pub trait Screen {
     fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String>;
 }
 
-/// A screen that nobody looks at.
+/// Shows nothing: frames are only timed and counted.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Headless;
 

@@ -207,7 +207,8 @@ impl Server {
             }
         }
         self.endpoint.set_server_config(None);
-        // Every viewer is told; a task that does not end in time is dropped with its connection.
+        // Every viewer gets the refusal `closing`; a task that does not end in time is dropped with its
+        // connection.
         let _ = self.stop.send(true);
         let all = async { while tasks.join_next().await.is_some() {} };
         let _ = timeout(FAREWELL, all).await;
@@ -268,11 +269,11 @@ async fn serve(incoming: Incoming, shared: Arc<Shared>) {
     let hello = tokio::select! {
         hello = timeout(wait, hello(&connection)) => hello.unwrap_or_else(|_| {
             let sentence = format!("no hello within {} ms", wait.as_millis());
-            Err((None, Refusal { code: RefusalCode::Silence, sentence }))
+            Err((None, End::Refused(Refusal { code: RefusalCode::Silence, sentence })))
         }),
         _ = stopping.changed() => {
             let sentence = "the server is closing".to_owned();
-            Err((None, Refusal { code: RefusalCode::Closing, sentence }))
+            Err((None, End::Refused(Refusal { code: RefusalCode::Closing, sentence })))
         }
     };
     let greeted = hello.and_then(|hello| shared.greet(hello));
@@ -283,16 +284,17 @@ async fn serve(incoming: Incoming, shared: Arc<Shared>) {
             let session = Session { connection, send, control, offer, limits, policy, stopping };
             let (viewer, end) = session.run(start_us).await;
             drop(slot);
-            let refused = if let End::Refused(refusal) = end { Some(refusal.code) } else { None };
-            Ended { viewer: Some(viewer), refused }
+            Ended { viewer: Some(viewer), refused: end.refused() }
         }
-        Err((send, refusal)) => {
-            let refused = Some(refusal.code);
-            match send {
-                Some(send) => end_session(&connection, send, &End::Refused(refusal)).await,
-                None => connection.close(code(refusal.code), refusal.sentence.as_bytes()),
+        Err((send, end)) => {
+            match (send, &end) {
+                (Some(send), end) => end_session(&connection, send, end).await,
+                (None, End::Refused(refusal)) => {
+                    connection.close(code(refusal.code), refusal.sentence.as_bytes());
+                }
+                (None, End::Bye | End::Gone(_)) => {}
             }
-            Ended { viewer: None, refused }
+            Ended { viewer: None, refused: end.refused() }
         }
     };
     // Nobody listens any more once the server has closed.
@@ -307,25 +309,28 @@ struct Hello {
     start_us: u64,
 }
 
-/// A refusal, and the stream to say it on.
-type Refused = (Option<SendStream>, Refusal);
+/// Why there is no session, and the stream to say it on.
+type NoSession = (Option<SendStream>, End);
 
 /// Waits for the control stream and its first message.
-async fn hello(connection: &Connection) -> Result<Hello, Refused> {
-    let refusal = |sentence: String| Refusal { code: RefusalCode::Message, sentence };
-    let (send, receive) = connection.accept_bi().await.map_err(|error| (None, refusal(error.to_string())))?;
+async fn hello(connection: &Connection) -> Result<Hello, NoSession> {
+    let refusal = |sentence: String| End::Refused(Refusal { code: RefusalCode::Message, sentence });
+    let (send, receive) = connection.accept_bi().await.map_err(|error| (None, End::Gone(error)))?;
     let mut control = Control::new(receive);
     match control.next().await {
         Ok(Some(ClientMessage::Hello { stream, start_us })) => Ok(Hello { send, control, stream, start_us }),
         Ok(_) => Err((Some(send), refusal("the first message is hello".to_owned()))),
-        Err(ControlError::Message(error)) => Err((Some(send), error.refusal())),
+        Err(ControlError::Message(error)) => Err((Some(send), End::Refused(error.refusal()))),
         Err(error) => Err((Some(send), refusal(error.to_string()))),
     }
 }
 
 impl Shared {
     /// The stream that is wanted, and a place to watch it.
-    fn greet(&self, hello: Hello) -> Result<(Hello, Arc<Offer>, tokio::sync::OwnedSemaphorePermit), Refused> {
+    fn greet(
+        &self,
+        hello: Hello,
+    ) -> Result<(Hello, Arc<Offer>, tokio::sync::OwnedSemaphorePermit), NoSession> {
         let offer = match &hello.stream {
             StreamChoice::Name(name) => self.offers.iter().find(|offer| offer.name() == name),
             StreamChoice::Index(index) => self.offers.get(usize::from(*index)),
@@ -337,13 +342,14 @@ impl Shared {
                 StreamChoice::Index(index) => format!("of number {index}"),
             };
             let sentence = format!("there is no stream {wanted}; there are {}", names.join(", "));
-            return Err((Some(hello.send), Refusal { code: RefusalCode::UnknownStream, sentence }));
+            let refusal = Refusal { code: RefusalCode::UnknownStream, sentence };
+            return Err((Some(hello.send), End::Refused(refusal)));
         };
         match self.slots.clone().try_acquire_owned() {
             Ok(slot) => Ok((hello, offer.clone(), slot)),
             Err(_) => {
                 let sentence = format!("all {} places are taken", self.limits.max_viewers);
-                Err((Some(hello.send), Refusal { code: RefusalCode::Full, sentence }))
+                Err((Some(hello.send), End::Refused(Refusal { code: RefusalCode::Full, sentence })))
             }
         }
     }

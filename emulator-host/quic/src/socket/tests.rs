@@ -107,6 +107,12 @@ impl Running {
         play(&self.client(), &mut Headless, std::future::pending()).await.whole()
     }
 
+    /// An honest client sees all of the clip.
+    async fn shows_every_frame(&self) {
+        let report = self.play().await.unwrap();
+        assert!(report.frames > 0 && report.shown_count == u64::from(report.frames), "{report:?}");
+    }
+
     /// A connection on which nothing has been said.
     async fn connect(&self) -> (Endpoint, Connection) {
         let (crypto, _) = self.trust.client().unwrap();

@@ -23,7 +23,7 @@ use super::{
 /// Media that may leave before the first receipt: until then the manifest may need the path for repeats,
 /// and the client's memory for early packets is small.
 const EARLY_PACKETS: u64 = 32;
-/// How often it is looked whether the manifest has left, before media may.
+/// Time between two checks whether the manifest has left; media may leave after it.
 const MANIFEST_POLL: Duration = Duration::from_millis(1);
 /// Datagrams from a client besides one per packet sent to it: per second, and at once.
 const SPARE_DATAGRAMS: (f64, f64) = (50.0, 2000.0);
@@ -74,6 +74,16 @@ pub(super) enum End {
     Refused(Refusal),
     /// The connection is gone.
     Gone(ConnectionError),
+}
+
+impl End {
+    /// The code of a refusal.
+    pub(super) fn refused(&self) -> Option<RefusalCode> {
+        match self {
+            Self::Refused(refusal) => Some(refusal.code),
+            Self::Bye | Self::Gone(_) => None,
+        }
+    }
 }
 
 impl std::fmt::Display for End {

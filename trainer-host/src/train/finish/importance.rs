@@ -13,7 +13,7 @@ use super::super::{
 };
 use crate::{encode::sensitivity::Signs, scene::Instant};
 
-/// Most views that are looked at.
+/// Most views that are rendered.
 const MOST_VIEWS: usize = 160;
 /// Opacities count as no more than this: above it alpha is clamped, and derivatives vanish.
 const MOST_OPACITY: f32 = 0.98;

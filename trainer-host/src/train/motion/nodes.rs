@@ -14,8 +14,8 @@ use super::{
 };
 use crate::train::parameter::AdamStep;
 
-/// Rate of a layer, of that of the next finer one.
-const SETTLED: f32 = 0.3;
+/// Learning rate of a layer, of that of the next finer one.
+const COARSER_RATE: f32 = 0.3;
 /// Most layers.
 const MOST_LAYERS: usize = 8;
 
@@ -138,12 +138,12 @@ impl ControlNodes {
     }
 
     /// Takes a step of the motion; each layer numbers its own. Layers add up, and so does the noise of their
-    /// steps: the last learns at the rate of `step`, each before it at [`SETTLED`] of the next one's.
+    /// steps: the last learns at the rate of `step`, each before it at [`COARSER_RATE`] of the next one's.
     pub(crate) fn step(&mut self, step: AdamStep) {
         let mut rate = step.rate;
         for layer in self.layers.iter_mut().rev() {
             layer.step(AdamStep { rate, ..step });
-            rate *= SETTLED;
+            rate *= COARSER_RATE;
         }
     }
 

@@ -51,10 +51,23 @@ fn bytes_that_are_no_hello_are_refused_by_name() {
             }
             closed_by(&connection).await;
         }
-        assert!(server.play().await.is_ok());
+        server.shows_every_frame().await;
         let (report, viewers) = server.stop().await;
         assert_eq!((refusals(&report, RefusalCode::Message), viewers.len()), (4, 1), "{report:?}");
         assert_eq!(refusals(&report, RefusalCode::Version), 1);
+    });
+}
+
+#[test]
+fn who_leaves_before_a_hello_is_not_refused() {
+    within(async {
+        let server = Running::start(ServerLimits::default());
+        let (endpoint, connection) = server.connect().await;
+        connection.close(VarInt::from_u32(0), b"");
+        endpoint.wait_idle().await;
+        server.shows_every_frame().await;
+        let (report, viewers) = server.stop().await;
+        assert_eq!((report.refused.len(), viewers.len()), (0, 1), "{report:?}");
     });
 }
 
@@ -69,7 +82,7 @@ fn who_says_nothing_is_closed_and_who_stops_in_a_hello_too() {
         send.write_all(&hello()[..6]).await.unwrap();
         assert_eq!(closed_by(&silent).await, RefusalCode::Silence);
         assert_eq!(closed_by(&slow).await, RefusalCode::Silence);
-        assert!(server.play().await.is_ok());
+        server.shows_every_frame().await;
         let (report, _) = server.stop().await;
         assert_eq!(refusals(&report, RefusalCode::Silence), 2, "{report:?}");
     });
@@ -105,7 +118,7 @@ fn floods_end_the_session_and_are_counted() {
             send.write_all(&[hello(), bytes].concat()).await.unwrap();
             assert_eq!(closed_by(&connection).await, RefusalCode::Message);
         }
-        assert!(server.play().await.is_ok());
+        server.shows_every_frame().await;
         let (report, viewers) = server.stop().await;
         assert_eq!(refusals(&report, RefusalCode::Flood), 2, "{report:?}");
         assert!(viewers.iter().any(|viewer| viewer.refused_receipts > 100), "{viewers:?}");
@@ -121,7 +134,7 @@ fn datagrams_that_are_no_quic_change_nothing() {
             let bytes: Vec<u8> = (0..len).map(|at| (at * 31 + len * 17) as u8).collect();
             socket.send_to(&bytes, server.address).unwrap();
         }
-        assert!(server.play().await.is_ok());
+        server.shows_every_frame().await;
         let (report, _) = server.stop().await;
         assert_eq!(report.viewers, 1);
     });
