@@ -88,16 +88,23 @@ pub struct Bench {
 impl Bench {
     /// A bench without figures yet.
     pub fn new(name: &str, protocol: impl Into<String>) -> Self {
-        let protocol = protocol.into();
-        let hash = Digest::new().bytes(format!("{name}\n{protocol}").as_bytes()).get();
-        Self {
+        let mut bench = Self {
             name: name.to_owned(),
             machine: Machine::this(),
-            config_hash: format!("{hash:016x}"),
-            protocol,
+            config_hash: String::new(),
+            protocol: String::new(),
             figures: Vec::new(),
             skipped: Vec::new(),
-        }
+        };
+        bench.also(&protocol.into());
+        bench
+    }
+
+    /// Adds `words` to the protocol.
+    pub fn also(&mut self, words: &str) {
+        self.protocol.push_str(words);
+        let hash = Digest::new().bytes(format!("{}\n{}", self.name, self.protocol).as_bytes()).get();
+        self.config_hash = format!("{hash:016x}");
     }
 
     /// Adds a figure.

@@ -8,7 +8,7 @@ use codec_core::internals::{
     receiver::for_each_cell,
     wire::{
         checked::Checked,
-        manifest::{Manifest, Profile},
+        manifest::{Manifest, Profile, Repair},
         packet::{Chunk, Packet, Slices},
     },
 };
@@ -35,6 +35,7 @@ pub struct PacketMap {
     first_block: Vec<usize>,
     placements: Vec<Vec<SlicePlacement>>,
     parity: Vec<bool>,
+    repairs: Vec<Repair>,
     group_symbols: Vec<(Group, usize)>,
     profile: Profile,
 }
@@ -113,7 +114,8 @@ impl PacketMap {
                 Some(Packet::Parity(_)) | None => Vec::new(),
             });
         }
-        Ok(Self { initial, first_block, placements, parity, group_symbols, profile: manifest.profile() })
+        let (repairs, profile) = (manifest.repairs().collect(), manifest.profile());
+        Ok(Self { initial, first_block, placements, parity, repairs, group_symbols, profile })
     }
 
     /// The state before any packet.
@@ -141,8 +143,25 @@ impl PacketMap {
         &self.group_symbols
     }
 
-    /// The state in which exactly the packets for which `have` says so have arrived, without
-    /// repair.
+    /// Which packets a receiver has once it has repaired what it can, of those for which `arrived` says so:
+    /// a set is whole when no more of its packets are missing than parity packets of it have arrived.
+    pub fn repaired(&self, arrived: impl Fn(usize) -> bool) -> Vec<bool> {
+        let mut have: Vec<bool> = (0..self.placements.len()).map(arrived).collect();
+        for range in &self.repairs {
+            for set in 0..range.sets() {
+                let members = (0..range.members(set)).map(|position| range.member(set, position) as usize);
+                let rows = (0..u32::from(range.parity)).map(|row| range.parity_id(set, row) as usize);
+                let parity = rows.filter(|&id| have[id]).count();
+                if members.clone().filter(|&id| !have[id]).count() <= parity {
+                    members.for_each(|id| have[id] = true);
+                }
+            }
+        }
+        have
+    }
+
+    /// The state in which exactly the packets for which `have` says so are there: see
+    /// [`PacketMap::repaired`].
     pub fn state(&self, have: impl Fn(usize) -> bool) -> Vec<u8> {
         let mut state = self.initial.clone();
         let mut whole = std::collections::BTreeMap::new();
@@ -173,5 +192,53 @@ impl PacketMap {
 fn set(state: &mut [u8], placement: &SlicePlacement) {
     for mask in &mut state[placement.first_block..placement.first_block + placement.blocks] {
         *mask = Arrived(*mask).with(placement.group.level).0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use codec_core::{Caps, internals::ids::PacketId};
+    use rand::RngExt;
+    use rand_pcg::Pcg64;
+
+    use super::*;
+    use crate::{
+        encode::{self, EncodeOptions, Protection},
+        import::{
+            Limits,
+            synth::{self, SynthKind, SynthOptions},
+        },
+    };
+
+    #[test]
+    fn what_is_repaired_is_what_a_receiver_repairs() {
+        let options =
+            SynthOptions { gaussians: 1000, frames: 4, kind: SynthKind::Balls, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let repair = Protection::parse("base=5+2,tracks=2+1,2=7+1").unwrap();
+        let options =
+            EncodeOptions { packet_bytes: 200, block_len: 16, pictures: 0, repair, ..Default::default() };
+        let stream = encode::encode(&scene, &options, &|_, _| {}).unwrap().stream;
+        let map = PacketMap::of(&stream).unwrap();
+        let mut rng = Pcg64::new(1, 1);
+        let (mut repaired, mut beyond) = (0, 0);
+        for loss in [0.02, 0.1, 0.2, 0.3, 0.4, 0.6].repeat(4) {
+            let arrived: Vec<bool> = stream.packets().iter().map(|_| rng.random::<f64>() >= loss).collect();
+            let mut player = dgs_player::Player::new(stream.message(), &Caps::HOST).unwrap();
+            for (packet, _) in stream.packets().iter().zip(&arrived).filter(|(_, arrived)| **arrived) {
+                player.push(packet).unwrap();
+            }
+            let have = map.repaired(|id| arrived[id]);
+            for id in (0..arrived.len()).filter(|&id| !map.is_parity(id)) {
+                assert_eq!(
+                    have[id],
+                    player.has(PacketId::new(id as u32).unwrap()),
+                    "packet {id} at a loss of {loss}"
+                );
+                repaired += usize::from(have[id] && !arrived[id]);
+                beyond += usize::from(!have[id]);
+            }
+        }
+        assert!(repaired > 20 && beyond > 20, "{repaired} were repaired, {beyond} were not");
     }
 }

@@ -73,10 +73,10 @@ impl Default for Finish {
     fn default() -> Self {
         Self {
             prune_at: [0.65, 0.75],
-            prune: 0.4,
+            prune: 0.25,
             round_from: 0.8,
-            coarseness: 3.0,
-            rate_weight: 0.03,
+            coarseness: 1.5,
+            rate_weight: 0.01,
             target_bytes: 0,
             motion: 1.0,
         }

@@ -1,13 +1,15 @@
 //! Prepares what the studies of packet-conditioned training share: a scene, finer truth, test states, and
 //! figures.
 
+mod photographs;
+
 use std::ops::ControlFlow::Continue;
 
 use anyhow::Result;
 use render_host::{Backend, Settings};
 use trainer_host::{
     Scene,
-    encode::{self, Encoded},
+    encode::{self, EncodeOptions, Encoded, Protection},
     evaluator,
     train::delivery::{
         DeliveryOptions, Evaluation, FineTuned, LossModel, LossUnit, Masks, Reference, Validation, Variant,
@@ -72,8 +74,7 @@ impl Size {
             "synthetic sheet with four modes, {} Gaussians over {} frames, towards pictures of one with {} \
             (same motion), \
              {} measuring cameras at {side}x{side}, tested on 2 held-out cameras and 2 frames, black \
-             background, profile \
-             dgs1 with packets of 400 bytes and blocks of 16, {} updates of {} worlds",
+             background, profile dgs1 with packets of 400 bytes and blocks of 16, {} updates of {} worlds",
             self.gaussians,
             self.frames,
             3 * self.gaussians,
@@ -91,6 +92,8 @@ pub(super) struct Study {
     pub training: Vec<Reference>,
     pub test: Vec<Reference>,
     pub encoded: Encoded,
+    /// How the scene is encoded, at first and while it is trained.
+    pub coding: EncodeOptions,
     pub size: Size,
 }
 
@@ -119,8 +122,19 @@ impl Study {
         let all: Vec<u32> = (0..=last).collect();
         let training = pictures(Ring::Measuring, size.cameras, &all)?;
         let test = pictures(Ring::HeldOut, 2, &[last / 3, last])?;
-        let encoded = encode::encode(&scene, &coding(), &|_, _| {})?;
-        Ok(Self { scene, training, test, encoded, size })
+        let coding = coding();
+        let encoded = encode::encode(&scene, &coding, &|_, _| {})?;
+        Ok(Self { scene, training, test, encoded, coding, size })
+    }
+
+    /// The same with the parity that streams have by default when they are sent.
+    ///
+    /// # Errors
+    /// What the encoder refuses.
+    pub(super) fn protected(self) -> Result<Self> {
+        let coding = EncodeOptions { repair: Protection::STANDARD, ..self.coding };
+        let encoded = encode::encode(&self.scene, &coding, &|_, _| {})?;
+        Ok(Self { encoded, coding, ..self })
     }
 
     /// The test states after `loss`, by packets of the first encoding: the same for every checkpoint.
@@ -146,7 +160,7 @@ impl Study {
             worlds: self.size.worlds,
             updates: self.size.updates,
             validation: Validation { candidates: 0, ..Validation::default() },
-            encode: coding(),
+            encode: self.coding.clone(),
             ..DeliveryOptions::of(variant)
         }
     }
@@ -170,13 +184,8 @@ impl Study {
 }
 
 /// Small packets and blocks, so that a small scene has many, and one quantiser class.
-fn coding() -> encode::EncodeOptions {
-    encode::EncodeOptions {
-        packet_bytes: 400,
-        block_len: 16,
-        pictures: 0,
-        ..encode::EncodeOptions::default()
-    }
+fn coding() -> EncodeOptions {
+    EncodeOptions { packet_bytes: 400, block_len: 16, pictures: 0, ..EncodeOptions::default() }
 }
 
 /// Mean and standard deviation (of a sample) of `values`.

@@ -17,7 +17,36 @@ const BURST_PERCENT: [f64; 2] = [5.0, 10.0];
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
     let size = Size::of(setup);
-    let study = Study::make(Size { seeds: if setup.quick { 1 } else { size.seeds }, ..size })?;
+    let size = Size { seeds: if setup.quick { 1 } else { size.seeds }, ..size };
+    let mut bench = Bench::new(
+        "erasure",
+        "trained: variant mixed, the candidate that validation takes; untrained: variant reconstruction with \
+         as many complete pictures per update as mixed has worlds, taken by the same rule; the same states per \
+         loss for both; no retransmission, `repaired`: with the parity that streams have by default when they \
+         are sent; PSNR on held-out pictures, drop: below the own complete state, cliffs: states more than 3 dB \
+         below it; gain: mean over states of trained less untrained, paired bootstrap over states",
+    );
+    let sheet = Study::make(size)?;
+    let words = size.words();
+    measure(&mut bench, ("", &words), &sheet)?;
+    measure(&mut bench, ("repaired.", &words), &sheet.protected()?)?;
+    if setup.quick {
+        return Ok(bench);
+    }
+    let (folder, name) = ("scenes/dnerf-bouncingballs", "bouncingballs");
+    if let Some(path) = setup.data(folder, &mut bench)? {
+        let study = Study::of_photographs(&path, Size { seeds: 1, ..size })?;
+        let words = study.photographs_in_words(name);
+        measure(&mut bench, ("bouncingballs.", &words), &study)?;
+        let study = study.protected()?;
+        let words = study.photographs_in_words(name);
+        measure(&mut bench, ("bouncingballs.repaired.", &words), &study)?;
+    }
+    Ok(bench)
+}
+
+/// Adds the figures of one study, their keys after `prefix`.
+fn measure(bench: &mut Bench, (prefix, words): (&str, &str), study: &Study) -> Result<()> {
     let iid =
         IID_PERCENT.map(|percent| (format!("iid{percent}"), LossModel::Iid { probability: percent / 100.0 }));
     let burst = BURST_PERCENT.map(|percent| {
@@ -30,29 +59,17 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     }
     let hashes: Vec<String> =
         losses.iter().zip(&masks).map(|((name, _), masks)| format!("{name} {:016x}", masks.hash())).collect();
-    let mut bench = Bench::new(
-        "erasure",
-        format!(
-            "{}; trained: variant mixed, the candidate that validation takes; untrained: variant \
-            reconstruction with as many \
-             complete pictures per update as mixed has worlds, taken by the same rule; {} seeds; the same \
-             {} states per \
-             loss for both (FNV-1a: {}); PSNR on held-out pictures, drop: below the own complete state, \
-             cliffs: states more \
-             than 3 dB below it; gain: mean over states of trained less untrained, paired bootstrap over \
-             states",
-            study.size.words(),
-            study.size.seeds,
-            study.size.states,
-            hashes.join(", ")
-        ),
-    );
+    let Size { seeds, states, worlds, .. } = study.size;
+    bench.also(&format!(
+        "; {prefix}*: {words}, {seeds} seeds, {states} states per loss \
+         (FNV-1a: {})",
+        hashes.join(", ")
+    ));
     let validation = Validation { candidates: 2, ..Validation::default() };
     let mut pairs: Vec<[FineTuned; 2]> = Vec::new();
-    for seed in 1..=study.size.seeds {
+    for seed in 1..=seeds {
         let options = |variant| DeliveryOptions { seed, validation, ..study.options(variant) };
-        let complete =
-            DeliveryOptions { views: study.size.worlds, worlds: 1, ..options(Variant::Reconstruction) };
+        let complete = DeliveryOptions { views: worlds, worlds: 1, ..options(Variant::Reconstruction) };
         pairs.push([study.train(&options(Variant::Combined))?, study.train(&complete)?]);
     }
     for ((name, _), masks) in losses.iter().zip(&masks) {
@@ -62,9 +79,9 @@ pub fn run(setup: &Setup) -> Result<Bench> {
                 found.push(study.evaluate(tuned, masks)?);
             }
         }
-        push(&mut bench, name, &found);
+        push(bench, &format!("{prefix}{name}"), &found);
     }
-    Ok(bench)
+    Ok(())
 }
 
 /// Adds the figures of one loss: evaluations of trained and untrained scenes, seed by seed.

@@ -3,7 +3,7 @@
 //! A meta file has `w` and `h` (pixels) and, by frame and camera, `k` (3 × 3), `w2c` (4 × 4, OpenCV axes),
 //! `fn` (file name under `ims`) and `cam_id`. Frame `i` of `n` is at time `i / (n - 1)`.
 
-use std::path::Path;
+use std::{collections::BTreeSet, path::Path};
 
 use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
@@ -22,6 +22,13 @@ use crate::{
 
 /// Points that training starts with, since the layout has none that we may rely on.
 const POINTS: usize = 20_000;
+/// Most points drawn until there are so many.
+const MOST_DRAWS: usize = 4 * POINTS;
+/// What is this near to a camera and before it, in all of the cameras' reach, would hide the scene from
+/// cameras between those that are trained on, where nothing tells that it is not there.
+const CLEAR_DISTANCE: f64 = 0.45;
+/// Cosine of the angle to the optical axis within which it counts as before a camera.
+const CLEAR_COSINE: f64 = 0.35;
 
 #[derive(Deserialize)]
 struct Meta {
@@ -92,7 +99,7 @@ fn split(folder: &Path, file: &str) -> Result<Vec<PosedPhotograph>, DatasetError
     wanted.into_par_iter().map(view).collect()
 }
 
-/// Grey points all over the place that the cameras stand around, and beyond it.
+/// Grey points all over the place that the cameras stand around, and beyond it, but not in front of cameras.
 fn points_inside(views: &[PosedPhotograph]) -> Vec<ColouredPoint> {
     let centres: Vec<[f64; 3]> = views.iter().map(|view| view.camera.centre()).collect();
     let bound = |k: usize| {
@@ -101,13 +108,31 @@ fn points_inside(views: &[PosedPhotograph]) -> Vec<ColouredPoint> {
     };
     let bounds = [bound(0), bound(1), bound(2)];
     let reach = bounds.iter().map(|(low, high)| 0.5 * (high - low)).fold(0.0, f64::max);
+    let cameras = one_per_place(views);
+    let is_in_the_way = |place: [f32; 3]| {
+        cameras.iter().any(|camera| {
+            let [x, y, z] = camera.to_camera(place);
+            let distance = (x * x + y * y + z * z).sqrt();
+            distance < CLEAR_DISTANCE * reach && z > CLEAR_COSINE * distance
+        })
+    };
     let mut rng = Pcg64Mcg::seed_from_u64(1);
-    let mut point = || {
+    let mut points = Vec::new();
+    for _ in 0..MOST_DRAWS {
         let place = bounds.map(|(low, high)| {
             let middle = 0.5 * (low + high);
             (middle + 1.3 * reach * (2.0 * rng.random::<f64>() - 1.0)) as f32
         });
-        ColouredPoint { position: place, colour: [0.5; 3] }
-    };
-    if centres.is_empty() { Vec::new() } else { (0..POINTS).map(|_| point()).collect() }
+        if points.len() < POINTS && !cameras.is_empty() && !is_in_the_way(place) {
+            points.push(ColouredPoint { position: place, colour: [0.5; 3] });
+        }
+    }
+    points
+}
+
+/// The cameras of `views`, one of those that stand in the same place.
+fn one_per_place(views: &[PosedPhotograph]) -> Vec<&Camera> {
+    let mut places = BTreeSet::new();
+    let is_new = |view: &&PosedPhotograph| places.insert(view.camera.centre().map(f64::to_bits));
+    views.iter().filter(is_new).map(|view| &view.camera).collect()
 }

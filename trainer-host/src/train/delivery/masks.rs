@@ -170,9 +170,11 @@ impl Sampler {
         self.complete.iter().zip(initial).map(|(all, initial)| initial | all & levels).collect()
     }
 
-    /// The state after the units for which `arrived` says so; `paper` completes a group or has none of it.
+    /// The state after the units for which `arrived` says so, and what parity repairs; `paper` completes a
+    /// group or has none of it.
     pub(super) fn state(&self, arrived: &[bool]) -> Vec<u8> {
-        self.map.state(|id| self.unit_of.get(id).is_some_and(|&unit| arrived[unit]))
+        let have = self.map.repaired(|id| self.unit_of.get(id).is_some_and(|&unit| arrived[unit]));
+        self.map.state(|id| have[id])
     }
 
     /// The states of one update's worlds, as `variant` has them: `worlds` of them, the first `clean` complete
