@@ -87,6 +87,7 @@ pub(super) fn quantise_epoch(
     for (window, decided) in windows.iter_mut().zip(&decided.windows) {
         for (cell, motion) in window.cells.iter_mut().zip(&decided.motions) {
             cell.table_indices = parsed(&motion.table_indices)?;
+            follow_track(cell);
         }
     }
     Ok(EpochSymbols { first_frame: 0, frames: epoch.frames(), cells, windows, proxies, saturated })
@@ -104,6 +105,17 @@ fn parsed(digits: &[String; Level::COUNT]) -> Result<[Vec<u8>; Level::COUNT], En
         }
     }
     Ok(indices)
+}
+
+/// Fits the tables of a track, all of a motion cell's base, to the frequency bands that it has now: those of
+/// turns, then those of moves. A band that was not coded when tables were decided takes the first of its set.
+fn follow_track(cell: &mut CellSymbols) {
+    let mut bands = 0;
+    symbol_runs(cell, |level, _, _| bands += usize::from(level == Level::BASE));
+    let decided = &mut cell.table_indices[Level::BASE.index()];
+    let moves = decided.split_off(decided.len() / 2);
+    decided.resize(bands / 2, 0);
+    decided.extend(moves.into_iter().chain(std::iter::repeat(0)).take(bands / 2));
 }
 
 /// Whether every symbol run of `epochs` has a table of its stream's set, and no more.
@@ -173,4 +185,70 @@ pub(super) fn streams(epochs: &[EpochSymbols]) -> Streams<'_> {
         }
     }
     streams
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{
+        encode::{Decisions, EncodeOptions, encode, write},
+        import::{
+            Limits,
+            synth::{self, SynthKind, SynthOptions},
+        },
+        scene::{Attributes, Epoch, Scene, Track},
+    };
+
+    /// The first frame of every `period` frames, held until the next.
+    fn held(scene: &Scene, period: usize) -> Scene {
+        let hold = |epoch: &Epoch| {
+            let (n, a) = (epoch.count(), epoch.attributes().clone());
+            let frames = || (0..epoch.frames()).map(|t| t / period * period);
+            let positions = frames().flat_map(|t| a.positions.frame(t, n).to_vec()).collect();
+            let rotations = frames().flat_map(|t| a.rotations.frame(t, n).to_vec()).collect();
+            let attributes = Attributes {
+                positions: Track::PerFrame(positions),
+                rotations: Track::PerFrame(rotations),
+                ..a
+            };
+            Epoch::new(epoch.frames(), attributes).unwrap()
+        };
+        Scene::new(scene.epochs().iter().map(hold).collect(), scene.frames_per_second()).unwrap()
+    }
+
+    fn bases(decisions: &Decisions) -> usize {
+        let Decisions::Dgs1(decisions) = decisions else { return 0 };
+        let windows = decisions.epochs.iter().flat_map(|epoch| &epoch.windows);
+        windows.flat_map(|w| &w.motions).filter(|motion| !motion.table_indices[0].is_empty()).count()
+    }
+
+    #[test]
+    fn tracks_come_and_go_under_one_set_of_decisions() {
+        let options =
+            SynthOptions { gaussians: 1200, frames: 8, kind: SynthKind::Figure, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let options = EncodeOptions { pictures: 0, window_frames: Some(4), ..Default::default() };
+        let moving = encode(&scene, &options, &|_, _| {}).unwrap();
+        assert!(bases(&moving.decisions) > 0);
+        // Nothing moves: no track has anything to say.
+        let still = write(&held(&scene, 8), &moving.decisions, &|_, _| {}).unwrap();
+        assert!(still.stream.receive().unwrap().frame(7).is_ok());
+        // It jumps: tracks have more frequencies.
+        let jumping = write(&held(&scene, 2), &moving.decisions, &|_, _| {}).unwrap();
+        assert!(jumping.stream.receive().unwrap().frame(7).is_ok());
+        // Nothing moved when tables were decided, but tracks were.
+        let mut decisions = moving.decisions.clone();
+        if let Decisions::Dgs1(decisions) = &mut decisions {
+            let windows = decisions.epochs.iter_mut().flat_map(|epoch| &mut epoch.windows);
+            windows.flat_map(|w| &mut w.motions).for_each(|motion| motion.table_indices[0].clear());
+        }
+        let again = write(&scene, &decisions, &|_, _| {}).unwrap();
+        let (mut a, mut b) = (moving.stream.receive().unwrap(), again.stream.receive().unwrap());
+        assert_eq!(a.frame(5).unwrap().gaussians, b.frame(5).unwrap().gaussians);
+        // Of anything else a table is missed.
+        if let Decisions::Dgs1(decisions) = &mut decisions {
+            decisions.epochs[0].clusters[0].table_indices[0].clear();
+        }
+        let error = write(&scene, &decisions, &|_, _| {}).unwrap_err().to_string();
+        assert!(error.contains("epoch 0, cluster 0: table_indices is too few"), "{error}");
+    }
 }

@@ -155,7 +155,11 @@ pub(super) fn follow(
     };
     let motion = track_motion(track, decided.track_shift);
     let coefficients = transform(track, &fits(member), vectors);
-    let (coded, symbols) = quantise(&with_motion(still, motion), &coefficients, count)?;
+    let (coded, symbols) = match quantise(&with_motion(still, motion), &coefficients, count)? {
+        // What moved when tracks were decided moves no more: the format has no shorter track than this.
+        (0, _) => (1, vec![0; coefficients.len()]),
+        coded => coded,
+    };
     let motion = Motion { track: coded, ..motion };
     let shape = with_motion(still, motion);
     let pose_at = |t: usize| pose(&shape, &symbols, &cosine(count as u32, t as u32));
