@@ -24,6 +24,9 @@ use crate::{
 const POINTS: usize = 20_000;
 /// Most points drawn until there are so many.
 const MOST_DRAWS: usize = 4 * POINTS;
+/// Nothing nearer to a camera, in metres, is drawn: cameras hang in the walls of a dome, and what training puts
+/// between two of them nobody corrects. Source: Dynamic 3D Gaussians, train.py.
+const NEAR: f64 = 1.0;
 /// What is this near to a camera and before it, in all of the cameras' reach, would hide the scene from
 /// cameras between those that are trained on, where nothing tells that it is not there.
 const CLEAR_DISTANCE: f64 = 0.45;
@@ -92,6 +95,7 @@ fn split(folder: &Path, file: &str) -> Result<Vec<PosedPhotograph>, DatasetError
         let image = folder.join("ims").join(name);
         let (photograph, _) = read_photograph(&image)?;
         let camera = Camera::from_opencv(k, w2c, meta.w, meta.h)
+            .and_then(|camera| camera.with_near(NEAR))
             .map_err(|source| DatasetError::Cameras { path: image.clone(), source })?;
         let time = frame as f32 / frames.saturating_sub(1).max(1) as f32;
         Ok(PosedPhotograph { name: name.clone(), camera, time, photograph })
