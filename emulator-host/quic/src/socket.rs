@@ -29,7 +29,7 @@ pub use identity::{Identity, IdentityError, Pin, PinError, Trust};
 pub use impair::Impairment;
 pub use limits::ServerLimits;
 pub use locator::{DEFAULT_PORT, Locator, LocatorError, Scheme};
-pub use offer::{MAX_MEDIA_BYTES, Offer, OfferError};
+pub use offer::{LiveFeed, MAX_MEDIA_BYTES, Offer, OfferError};
 pub use playback::{FrameShown, Headless, PlayReport, Screen};
 pub use server::{Server, ServerConfig, ServerError, ServerReport};
 pub use settings::{ClientConfig, PlayError};
