@@ -2,7 +2,7 @@
 
 use std::{io, net::SocketAddr, path::Path, thread, time::Duration};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use dgs_quic::{
     http::{HttpConfig, HttpLimits, HttpReport, HttpServer, Site, SiteStream},
     socket::{
@@ -36,6 +36,9 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
             .with_context(|| format!("--host is {host}"))?,
     };
     let mut offers = Vec::new();
+    if args.inputs.iter().filter(|input| *input == LIVE_INPUT).count() > 1 {
+        bail!("{LIVE_INPUT} is given twice; standard input is one stream");
+    }
     for input in &args.inputs {
         if input == LIVE_INPUT {
             offers.push(live(quiet)?);
@@ -141,7 +144,7 @@ fn live(quiet: Quiet) -> Result<Offer> {
     let mut reader = LiveReader::new(io::stdin()).context("standard input")?;
     let (offer, feed) = Offer::live(LIVE_NAME, reader.stream(), reader.graph()?, reader.newest())?;
     // Reading blocks, for as long as the encoder wants; the end of the process ends it.
-    let read = move || -> Result<u64> {
+    let mut read = move || -> Result<u64> {
         while reader.advance()? {
             feed.renew(reader.stream(), reader.graph()?, reader.newest())?;
         }
