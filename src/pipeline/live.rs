@@ -231,7 +231,7 @@ mod tests {
 
     #[test]
     fn windows_come_one_after_the_other_and_all_arrives() {
-        let whole = stream("synth:cloth:600:40");
+        let whole = stream("synth:cloth:1000:40");
         let bytes = whole.to_bytes().unwrap();
         let mut reader = LiveReader::new(Drops(&bytes, 1)).unwrap();
         assert!(reader.graph().unwrap().packets().is_empty());
@@ -250,7 +250,7 @@ mod tests {
     #[test]
     fn what_is_over_is_forgotten_and_damage_is_counted() {
         // Longer than what is remembered.
-        let whole = stream("synth:cloth:100:400");
+        let whole = stream("synth:cloth:1000:400");
         let mut bytes = whole.to_bytes().unwrap();
         let at = bytes.len() / 2;
         bytes[at] ^= 1;

@@ -99,7 +99,7 @@ impl Stream {
         &self.packets
     }
 
-    /// Takes in a packet that is in order by itself; whether it is one of this stream and the first of its id.
+    /// Takes in a packet that is in order by itself; whether it is of this stream and the first of its id.
     pub fn insert(&mut self, packet: &Checked<'_>) -> bool {
         match self.packets.get_mut(packet.id().index()) {
             Some(slot) if slot.is_empty() => {

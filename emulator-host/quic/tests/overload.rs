@@ -55,3 +55,27 @@ fn print_everything() {
         }
     }
 }
+
+#[test]
+fn print_utilities() {
+    use emulator_host::{Trace, link::LossModel};
+    for (mbps, delay, loss) in [(3, 20, 0.0), (5, 20, 0.01), (8, 20, 0.0), (5, 60, 0.0), (8, 60, 0.01), (5, 5, 0.0)] {
+        let graph = Synthetic { frames: 450, rate: Rate::from_mbps(mbps), ..Synthetic::default() }.build(1).unwrap();
+        let (mut utility, mut base, mut late, mut n) = (0.0, 0.0, 0, 0.0);
+        for seed in 1..=30u64 {
+            let mut c = config(PolicyKind::DeadlineUtility, ControllerKind::NewReno);
+            c.seed = seed;
+            c.forward.capacity = Capacity::Trace(Trace::bursty(seed, Nanos::from_s(60)));
+            c.forward.delay = Nanos::from_ms(delay);
+            c.reverse.delay = Nanos::from_ms(delay);
+            c.handshake_rtt = Some(Nanos::from_ms(2 * delay));
+            c.forward.loss = LossModel::Iid(loss);
+            let report = simulate(&graph, &c).unwrap();
+            utility += report.utility;
+            base += report.base_miss_rate;
+            late += report.waste.late_bytes;
+            n += 1.0;
+        }
+        println!("{mbps} Mbit/s {delay} ms {loss}: utility {:.4} base miss {:.4} late {late}", utility / n, base / n);
+    }
+}

@@ -16,9 +16,10 @@ use super::{
     control::{Control, ControlError},
     identity::{Mismatch, Trust},
     limits::client_transport,
-    locator::{Locator, Scheme},
+    locator::Locator,
     message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
     playback::{PlayReport, Playback, Screen},
+    scheme::Scheme,
     settings::{ClientConfig, PlayError},
 };
 

@@ -3,28 +3,19 @@
 
 mod first_image;
 mod overload;
+mod serving;
 
-use std::{
-    net::Ipv4Addr,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Context, Result, ensure};
 use dgs::{
     args::{CodecArgs, ProfileName, SceneArgs},
     pipeline::{self, Quiet},
 };
-use dgs_quic::socket::{
-    ClientConfig, Headless, Identity, Impairment, Locator, Offer, PlayReport, Scheme, Server, ServerConfig,
-    ServerLimits, ServerReport, Trust, ViewerReport, message::StreamChoice, play,
-};
-use emulator_host::PolicyKind;
-use tokio::{
-    runtime::{Builder, Runtime},
-    sync::oneshot,
-    task::JoinHandle,
-};
+use dgs_quic::socket::{ClientConfig, Headless, Offer, PlayReport, ServerReport, ViewerReport, play};
+use tokio::runtime::{Builder, Runtime};
 
+use self::serving::Serving;
 use crate::{
     figures::{Bench, Figure, median},
     setup::{self, Setup},
@@ -158,55 +149,6 @@ fn measure(sizes: &Sizes, quiet: Quiet) -> Result<Measured> {
     let (server, viewers) = serving.stop(&server_side)?;
     let bytes = bytes.zip(before.0).map(|(after, before)| after - before);
     Ok(Measured { played, server, viewers, seconds, server_seconds, bytes })
-}
-
-/// A server on threads of its own, and what plays its stream.
-struct Serving {
-    client: ClientConfig,
-    stop: oneshot::Sender<()>,
-    task: JoinHandle<(ServerReport, Vec<ViewerReport>)>,
-}
-
-impl Serving {
-    fn start(
-        runtime: &Runtime,
-        offer: Offer,
-        max_viewers: usize,
-        max_rate_bps: Option<u64>,
-        impairment: Option<Impairment>,
-    ) -> Result<Self> {
-        let config = ServerConfig {
-            bind: (Ipv4Addr::LOCALHOST, 0).into(),
-            identity: Identity::self_signed(&["localhost".to_owned()])?,
-            limits: ServerLimits { max_viewers, max_rate_bps, ..ServerLimits::default() },
-            policy: PolicyKind::DeadlineUtility,
-            impairment,
-        };
-        let server = runtime.block_on(async { Server::bind(config, vec![offer]) })?;
-        let locator = Locator {
-            scheme: Scheme::Dgs,
-            host: "127.0.0.1".to_owned(),
-            port: server.local_addr()?.port(),
-            stream: StreamChoice::Index(0),
-            pin: None,
-        };
-        let client = ClientConfig::new(locator, Trust::Pin(server.pin()));
-        let (stop, stopped) = oneshot::channel::<()>();
-        let task = runtime.spawn(async move {
-            let mut viewers = Vec::new();
-            let on_end = |viewer: &ViewerReport| viewers.push(viewer.clone());
-            let report = server.run(async { drop(stopped.await) }, on_end).await;
-            (report, viewers)
-        });
-        Ok(Self { client, stop, task })
-    }
-
-    fn stop(self, runtime: &Runtime) -> Result<(ServerReport, Vec<ViewerReport>)> {
-        if self.stop.send(()).is_err() {
-            bail!("the server ended before its viewers");
-        }
-        runtime.block_on(self.task).context("the server failed")
-    }
 }
 
 /// All viewers play the clip; their reports, and the memory of the process while they do.

@@ -12,7 +12,7 @@ use emulator_host::{
 };
 use tokio::runtime::Runtime;
 
-use super::Serving;
+use super::serving::Serving;
 use crate::{
     figures::{Bench, Figure, median},
     setup,
