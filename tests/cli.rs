@@ -269,6 +269,67 @@ fn bench_runs_the_laboratory_beside_it() {
     assert_eq!(String::from_utf8_lossy(&bench(&["bench", "--list"]).stdout), "--list\n");
 }
 
+/// A stream is served while it is written: who is there from the start sees all of it, who comes late the
+/// newest window.
+#[cfg(unix)]
+#[test]
+fn standard_input_is_served_while_it_is_written() {
+    use std::io::{BufRead, BufReader, Write};
+
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["encode", "synth:figure:1000:12", "--out", "a.dgs", "--pictures", "2", "--window-frames", "4"]);
+    let bytes = std::fs::read(at.join("a.dgs")).unwrap();
+    let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
+        .current_dir(at)
+        .args(["serve", "-", "--listen", "127.0.0.1:0", "--no-http"])
+        .stdin(std::process::Stdio::piped())
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut input = server.stdin.take().unwrap();
+    let manifest = 8 + u32::from_le_bytes(bytes[4..8].try_into().unwrap()) as usize;
+    input.write_all(&bytes[..manifest]).unwrap();
+    let mut url = String::new();
+    BufReader::new(server.stdout.take().unwrap()).read_line(&mut url).unwrap();
+    let url = url.trim();
+    assert!(url.contains("/live#"), "{url}");
+    let shown = |json: &str| {
+        let json: serde_json::Value = serde_json::from_str(json).unwrap();
+        (json["report"]["shown_count"].as_u64().unwrap(), json["report"]["base_miss_rate"].as_f64().unwrap())
+    };
+    let early = std::thread::scope(|scope| {
+        let early = scope.spawn(|| ok(at, &["play", url, "--json"]));
+        std::thread::sleep(std::time::Duration::from_millis(500));
+        for part in bytes[manifest..].chunks(1000) {
+            input.write_all(part).unwrap();
+            std::thread::sleep(std::time::Duration::from_millis(2));
+        }
+        drop(input);
+        early.join().unwrap()
+    });
+    let (count, miss) = shown(&early);
+    assert!(count == 12 && miss < 0.5, "{early}");
+    assert_eq!(shown(&ok(at, &["play", url, "--json"])).0, 4);
+    server.kill().unwrap();
+    server.wait().unwrap();
+    let nothing = refused(at, &["serve", "-", "--listen", "127.0.0.1:0"]);
+    assert!(nothing.contains("standard input: the input is no .dgs stream"), "{nothing}");
+}
+
+/// What a server at `place` answers, head and body.
+#[cfg(unix)]
+fn get(place: &str, path: &str) -> Vec<u8> {
+    use std::io::{Read, Write};
+
+    let mut stream = std::net::TcpStream::connect(place).unwrap();
+    let request = format!("GET {path} HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n");
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    answer
+}
+
 /// A server and its viewer as typed: the URL is all that goes between them, and Ctrl-C ends the server with
 /// its counts.
 #[cfg(unix)]
@@ -290,11 +351,22 @@ fn what_is_served_is_played() {
     said.read_line(&mut url).unwrap();
     let url = url.trim();
     assert!(url.starts_with("dgs://127.0.0.1:") && url.contains("/a-b#"), "{url}");
+    let mut page = String::new();
+    said.read_line(&mut page).unwrap();
+    let place = page.trim().strip_prefix("http://").and_then(|page| page.strip_suffix('/')).unwrap();
+    assert!(url.contains(place), "{page}");
+    assert!(get(place, "/streams/a-b.dgs").ends_with(&std::fs::read(at.join("a b.dgs")).unwrap()));
+    let (_, pin) = url.split_once('#').unwrap();
+    assert!(get(place, "/certificate.sha256").ends_with(pin.as_bytes()));
+    assert!(get(place, "/").starts_with(b"HTTP/1.1 200"));
     let small = ["--width", "32", "--height", "32"];
     let text = ok(at, &[&["play", url, "-o", "frames", "--reference", "a b.dgs"][..], &small].concat());
     assert!(text.contains("12 frames shown of a clip of 12") && text.contains("PSNR"), "{text}");
     assert!(at.join("frames/00011.png").is_file());
     let json: serde_json::Value = serde_json::from_str(&ok(at, &["play", url, "--json"])).unwrap();
+    assert_eq!(json["report"]["shown_count"], 12);
+    let web = url.replace("dgs://", "https://");
+    let json: serde_json::Value = serde_json::from_str(&ok(at, &["play", &web, "--json"])).unwrap();
     assert_eq!(json["report"]["shown_count"], 12);
     let (bare, _) = url.split_once('#').unwrap();
     assert!(refused(at, &["play", bare]).contains("by what is the server known"));
@@ -307,7 +379,8 @@ fn what_is_served_is_played() {
     let mut rest = String::new();
     said.read_to_string(&mut rest).unwrap();
     assert!(server.wait().unwrap().success());
-    assert!(rest.contains("2 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
+    assert!(rest.contains("3 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
+    assert!(rest.contains("page: 3 requests on 3 connections"), "{rest}");
     let error = refused(at, &["serve", "a b.dgs", "a b.dgs", "--listen", "127.0.0.1:0"]);
     assert!(error.contains("two streams are called a-b"), "{error}");
     let error = refused(at, &["serve", "a b.dgs", "--impair", "loss=2"]);

@@ -18,12 +18,19 @@ fn here() -> SocketAddr {
 /// `dgs serve`.
 #[derive(Debug, Args)]
 pub struct Serve {
-    /// .dgs files or scenes (which are encoded first), each called by its file name without extension.
-    #[arg(required = true, value_name = "STREAM|SCENE")]
+    /// .dgs files or scenes (which are encoded first), each called by its file name without extension; `-` is
+    /// a stream from standard input, called `live`, served while it is written.
+    #[arg(required = true, value_name = "STREAM|SCENE|-")]
     pub inputs: Vec<String>,
     /// Address and UDP port to listen on; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS:PORT", default_value_t = here())]
     pub listen: SocketAddr,
+    /// Address and TCP port of the page over HTTP, with the streams as files [default: that of --listen].
+    #[arg(long, value_name = "ADDRESS:PORT", conflicts_with = "no_http")]
+    pub http: Option<SocketAddr>,
+    /// Serve no page.
+    #[arg(long)]
+    pub no_http: bool,
     /// Name or address that viewers use, for the URL and the certificate [default: the address listened on].
     #[arg(long, value_name = "NAME")]
     pub host: Option<String>,
@@ -63,7 +70,7 @@ pub struct Serve {
 /// `dgs play`.
 #[derive(Debug, Args)]
 pub struct Play {
-    /// `dgs://HOST[:PORT][/NAME][#PIN]`, as `dgs serve` prints it.
+    /// `dgs://HOST[:PORT][/NAME][#PIN]`, as `dgs serve` prints it; `https://…` plays over WebTransport.
     pub url: Locator,
     /// SHA-256 of the server's certificate, 64 hexadecimal digits.
     #[arg(long, value_name = "SHA256", conflicts_with = "ca")]

@@ -1,7 +1,10 @@
 //! Neither side can be hurt by the other: garbage, oversize, silence and floods end in a named refusal.
 
+mod browser;
 mod clients;
+mod live;
 mod servers;
+mod web;
 
 use std::{
     net::{Ipv4Addr, SocketAddr},
@@ -19,8 +22,9 @@ use quinn::{Connection, Endpoint};
 use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
 
 use super::{
-    ClientConfig, Headless, Identity, Locator, Offer, PlayError, PlayReport, Played, Server, ServerConfig,
-    ServerLimits, ServerReport, Trust, ViewerReport, limits::client_transport, message::StreamChoice, play,
+    ClientConfig, Headless, Identity, Locator, Offer, PlayError, PlayReport, Played, Scheme, Server,
+    ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport, limits::client_transport,
+    message::StreamChoice, play,
 };
 
 /// A small stream of a few frames.
@@ -77,10 +81,13 @@ struct Running {
 
 impl Running {
     fn start(limits: ServerLimits) -> Self {
+        Self::offering(limits, Offer::new("everything", &stream(), graph(&stream())).unwrap())
+    }
+
+    fn offering(limits: ServerLimits, offer: Offer) -> Self {
         let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
         let (bind, policy) = ((Ipv4Addr::LOCALHOST, 0).into(), PolicyKind::Layered);
         let config = ServerConfig { bind, identity, limits, policy, impairment: None };
-        let offer = Offer::new("everything", &stream(), graph(&stream())).unwrap();
         let server = Server::bind(config, vec![offer]).unwrap();
         let (address, trust) = (server.local_addr().unwrap(), Trust::Pin(server.pin()));
         let (stop, stopped) = oneshot::channel::<()>();
@@ -115,9 +122,13 @@ impl Running {
 
     /// A connection on which nothing has been said.
     async fn connect(&self) -> (Endpoint, Connection) {
-        let (crypto, _) = self.trust.client().unwrap();
+        self.connect_by(Scheme::Dgs).await
+    }
+
+    async fn connect_by(&self, scheme: Scheme) -> (Endpoint, Connection) {
+        let (crypto, _) = self.trust.client(scheme).unwrap();
         let mut config = quinn::ClientConfig::new(Arc::new(crypto));
-        config.transport_config(client_transport(Duration::from_secs(10)));
+        config.transport_config(client_transport(Duration::from_secs(10), scheme));
         let endpoint = Endpoint::client((Ipv4Addr::LOCALHOST, 0).into()).unwrap();
         let connecting = endpoint.connect_with(config, self.address, "localhost").unwrap();
         let connection = connecting.await.unwrap();
@@ -127,6 +138,7 @@ impl Running {
 
 fn client(address: SocketAddr, trust: &Trust) -> ClientConfig {
     let locator = Locator {
+        scheme: Scheme::Dgs,
         host: address.ip().to_string(),
         port: address.port(),
         stream: StreamChoice::Index(0),
