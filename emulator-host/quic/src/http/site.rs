@@ -1,0 +1,219 @@
+//! Holds what a page's server serves, by path: assets of the page, streams, the list of streams, the pin.
+
+use std::{collections::BTreeMap, fmt::Write as _};
+
+use bytes::Bytes;
+use serde::Serialize;
+
+use crate::socket::{Pin, message::is_name};
+
+/// The assets of a page: bytes and content type of a path such as `index.html` or `player/dgs.wasm`.
+pub type Assets = fn(&str) -> Option<(&'static [u8], &'static str)>;
+
+/// What is asked for when no path is given.
+const INDEX: &str = "index.html";
+
+/// A stream of the list.
+#[derive(Clone, Debug)]
+pub struct SiteStream {
+    /// Its name, as in its address.
+    pub name: String,
+    /// Its address for `dgs play`, if there is a session server.
+    pub address: Option<String>,
+    /// Its address for a browser's WebTransport, if there is a session server.
+    pub web_address: Option<String>,
+    /// The bytes of its `.dgs` file, if it has an end.
+    pub file: Option<Bytes>,
+}
+
+/// Why a site cannot be served.
+#[derive(Debug, thiserror::Error)]
+pub enum SiteError {
+    /// The name is no name of a stream.
+    #[error("{name:?} cannot name a stream: 1 to 64 letters, digits, '.', '_', '-' are allowed")]
+    Name {
+        /// The name.
+        name: String,
+    },
+    /// Two streams share a name.
+    #[error("two streams are called {name}")]
+    Twice {
+        /// The name.
+        name: String,
+    },
+    /// The list of streams cannot be written.
+    #[error("the list of streams: {0}")]
+    List(#[from] serde_json::Error),
+}
+
+/// Everything that is served.
+#[derive(Debug)]
+pub struct Site {
+    assets: Assets,
+    /// By path, with its leading slash.
+    made: BTreeMap<String, Resource>,
+}
+
+/// The bytes of one path.
+#[derive(Clone, Debug)]
+pub(super) struct Resource {
+    pub(super) bytes: Bytes,
+    pub(super) content_type: &'static str,
+    /// Strong validator (RFC 9110, section 8.8.3): SHA-256 of the bytes, in quotes.
+    pub(super) tag: String,
+}
+
+impl Resource {
+    fn new(bytes: Bytes, content_type: &'static str) -> Self {
+        let digest = ring::digest::digest(&ring::digest::SHA256, &bytes);
+        let mut tag = String::with_capacity(66);
+        tag.push('"');
+        for byte in digest.as_ref() {
+            // A String takes everything.
+            let _ = write!(tag, "{byte:02x}");
+        }
+        tag.push('"');
+        Self { bytes, content_type, tag }
+    }
+}
+
+/// A stream in `/streams.json`.
+#[derive(Serialize)]
+struct Listed<'s> {
+    name: &'s str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    file: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    bytes: Option<usize>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    address: Option<&'s str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    web_address: Option<&'s str>,
+}
+
+impl Site {
+    /// A page of `assets` over `streams`; with `pin`, its digits under `/certificate.sha256`. Paths:
+    /// `/` is the asset `index.html`, or a list of streams where there is none; `/streams.json` the same
+    /// list for programs; `/streams/NAME.dgs` a stream as a file.
+    ///
+    /// # Errors
+    /// [`SiteError`].
+    pub fn new(assets: Assets, streams: &[SiteStream], pin: Option<Pin>) -> Result<Self, SiteError> {
+        let mut made = BTreeMap::new();
+        for (at, stream) in streams.iter().enumerate() {
+            let name = || stream.name.clone();
+            if !is_name(&stream.name) {
+                return Err(SiteError::Name { name: name() });
+            }
+            if streams[..at].iter().any(|before| before.name == stream.name) {
+                return Err(SiteError::Twice { name: name() });
+            }
+            if let Some(file) = &stream.file {
+                let resource = Resource::new(file.clone(), "application/octet-stream");
+                made.insert(file_path(&stream.name), resource);
+            }
+        }
+        let listed: Vec<Listed<'_>> = streams.iter().map(listed).collect();
+        let json = serde_json::to_vec_pretty(&listed)?;
+        made.insert("/streams.json".to_owned(), Resource::new(json.into(), "application/json"));
+        let page = Resource::new(list_page(&listed).into(), "text/html; charset=utf-8");
+        made.insert(format!("/{INDEX}"), page);
+        if let Some(pin) = pin {
+            let resource = Resource::new(pin.to_string().into(), "text/plain; charset=utf-8");
+            made.insert("/certificate.sha256".to_owned(), resource);
+        }
+        Ok(Self { assets, made })
+    }
+
+    /// What is served under `path`, which begins with a slash. An asset goes before what is made here.
+    pub(super) fn resource(&self, path: &str) -> Option<Resource> {
+        let path = if path == "/" { &format!("/{INDEX}") } else { path };
+        let asset = (self.assets)(path.strip_prefix('/')?);
+        match asset {
+            Some((bytes, content_type)) => Some(Resource::new(Bytes::from_static(bytes), content_type)),
+            None => self.made.get(path).cloned(),
+        }
+    }
+}
+
+fn file_path(name: &str) -> String {
+    format!("/streams/{name}.dgs")
+}
+
+fn listed(stream: &SiteStream) -> Listed<'_> {
+    Listed {
+        name: &stream.name,
+        file: stream.file.as_ref().map(|_| file_path(&stream.name)),
+        bytes: stream.file.as_ref().map(Bytes::len),
+        address: stream.address.as_deref(),
+        web_address: stream.web_address.as_deref(),
+    }
+}
+
+/// The list for people, where no page is built in.
+fn list_page(streams: &[Listed<'_>]) -> String {
+    let mut page =
+        "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<title>dgs</title>\n<h1>Streams</h1>\n<ul>\n"
+            .to_owned();
+    for stream in streams {
+        page += &format!("<li>{}", escaped(stream.name));
+        if let Some((file, bytes)) = stream.file.as_ref().zip(stream.bytes) {
+            page += &format!(" <a href=\"{}\" download>{bytes} bytes</a>", escaped(file));
+        }
+        for address in stream.address.iter().chain(&stream.web_address) {
+            page += &format!("<br><code>{}</code>", escaped(address));
+        }
+        page += "\n";
+    }
+    page + "</ul>\n"
+}
+
+/// `text` as HTML shows it.
+fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            '\'' => out.push_str("&#39;"),
+            c => out.push(c),
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_asset_goes_before_what_is_made_and_a_missing_one_is_missing() {
+        let assets: Assets = |path| (path == "index.html").then_some((b"page".as_slice(), "text/html"));
+        let stream = SiteStream {
+            name: "fox".to_owned(),
+            address: Some("dgs://<host>".to_owned()),
+            web_address: None,
+            file: Some(Bytes::from_static(b"DGSM")),
+        };
+        let site = Site::new(assets, std::slice::from_ref(&stream), None).unwrap();
+        assert_eq!(site.resource("/").unwrap().bytes, "page");
+        assert_eq!(site.resource("/streams/fox.dgs").unwrap().bytes, "DGSM");
+        for missing in ["", "index.html", "//", "/certificate.sha256", "/streams/..%2ffox.dgs", "/../fox.dgs"]
+        {
+            assert!(site.resource(missing).is_none(), "{missing}");
+        }
+        let list = Site::new(|_| None, std::slice::from_ref(&stream), None).unwrap();
+        let page = list.resource("/").unwrap().bytes;
+        let page = std::str::from_utf8(&page).unwrap();
+        assert!(page.contains("dgs://&lt;host&gt;") && page.contains("4 bytes"), "{page}");
+        let json = list.resource("/streams.json").unwrap().bytes;
+        let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
+        assert_eq!(json[0]["file"], "/streams/fox.dgs");
+        let twice = [stream.clone(), stream.clone()];
+        assert!(matches!(Site::new(|_| None, &twice, None), Err(SiteError::Twice { .. })));
+        let bad = SiteStream { name: "a/b".to_owned(), ..stream };
+        assert!(matches!(Site::new(|_| None, &[bad], None), Err(SiteError::Name { .. })));
+    }
+}
