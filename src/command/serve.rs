@@ -75,7 +75,7 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
 }
 
 /// What a stream is called: its file's name without extension, other characters than a name has replaced.
-fn name(input: &str) -> String {
+pub(super) fn name(input: &str) -> String {
     let plain = input.strip_prefix("synth:").map_or(input, |kind| kind.split(':').next().unwrap_or(kind));
     let stem = Path::new(plain).file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into());
     let legal = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' };

@@ -60,5 +60,28 @@ if (readAddress() || parameters.has("paused")) player.removeAttribute("autoplay"
 if (parameters.has("src")) {
   welcome.hidden = true;
   player.src = parameters.get("src");
+} else {
+  playServed();
+}
+
+// What the server of this page offers, if it is one that does.
+async function playServed() {
+  const answer = await fetch("streams.json").catch(() => null);
+  if (!answer?.ok || !/json/.test(answer.headers.get("Content-Type") ?? "")) return;
+  const served = (await answer.json()).filter((stream) => stream.file);
+  if (served.length === 0 || player.src) return;
+  welcome.hidden = true;
+  player.src = served[0].file;
+  if (served.length < 2) return;
+  const list = document.getElementById("streams");
+  list.hidden = false;
+  list.replaceChildren(
+    ...served.map((stream, k) => {
+      const link = document.createElement("a");
+      [link.href, link.textContent] = [`?src=${encodeURIComponent(stream.file)}`, stream.name];
+      if (k === 0) link.setAttribute("aria-current", "page");
+      return link;
+    }),
+  );
 }
 if (!navigator.gpu) welcome.hidden = true;

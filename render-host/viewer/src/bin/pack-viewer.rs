@@ -60,17 +60,8 @@ fn compile(root: &Path, target: &Path) -> Result<(), String> {
     let status = Command::new(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
         .current_dir(root)
         .env("CARGO_ENCODED_RUSTFLAGS", flags.join("\u{1f}"))
-        .args([
-            "build",
-            "--package",
-            "dgs-viewer",
-            "--lib",
-            "--profile",
-            "web",
-            "--target",
-            TARGET,
-            "--locked",
-        ])
+        .args(["rustc", "--package", "dgs-viewer", "--lib", "--crate-type", "cdylib"])
+        .args(["--profile", "web", "--target", TARGET, "--locked"])
         .arg("--target-dir")
         .arg(target)
         .status()
