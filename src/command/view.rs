@@ -39,8 +39,8 @@ pub fn run(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     let (url, report) = runtime()?.block_on(async {
         // This machine alone: elsewhere a browser offers no WebGPU to a page without a certificate.
         let bind = (Ipv4Addr::LOCALHOST, args.port).into();
-        let server = HttpServer::bind(&HttpConfig { bind, limits: HttpLimits::default() }, site)
-            .context("--port")?;
+        let server =
+            HttpServer::bind(&HttpConfig { bind, limits: HttpLimits::default() }, site).context("--port")?;
         let url = format!("http://localhost:{}/", server.local_addr().context("--port")?.port());
         let stop = interruption();
         // At once: whoever started this waits for it. With --json standard output is for the end.
