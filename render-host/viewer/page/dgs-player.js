@@ -41,7 +41,7 @@ const TEMPLATE = `
   <input class="background wide" type="color" value="#000000" aria-label="Background" title="Background">
   <button class="paint" aria-label="Paint blocks by level" title="Paint blocks by level (O)" aria-pressed="false">◩</button>
   <button class="net" aria-label="Network" title="Network (N)" aria-pressed="false">⇅</button>
-  <button class="whole" aria-label="Full screen" title="Full screen (F)">⛶</button>
+  <button class="whole" aria-label="Full screen" title="Full screen (F)"><svg width="14" height="14" viewBox="0 0 14 14" fill="none" stroke="currentColor" stroke-width="2" aria-hidden="true"><path d="M1 5V1h4M9 1h4v4M13 9v4H9M5 13H1V9"/></svg></button>
   <button class="help" aria-label="Keys" title="Keys (?)">?</button>
 </div>
 <dialog aria-label="Keys"><dl></dl><form method="dialog"><button>Close</button></form></dialog>`;
@@ -56,6 +56,7 @@ export class DgsPlayer extends HTMLElement {
   #loaded = 0;
   #error = null;
   #view = null;
+  #firstFrameMs = null;
 
   /** Where the WebAssembly lies, when not beside this file: set it before the first player is made. */
   static set wasmUrl(url) {
@@ -120,7 +121,7 @@ export class DgsPlayer extends HTMLElement {
     }
   }
 
-  /** Plays the packets that `feed(session)` brings: a manifest first, by `Session.receive`. */
+  /** Plays a session that its maker goes on feeding: `Session.receive(manifest)`, then `push(packet)`. */
   receive(session) {
     this.#began(session, () => {});
   }
@@ -175,6 +176,7 @@ export class DgsPlayer extends HTMLElement {
     engine.addEventListener("firstframe", () => {
       // A scene whose base came after its manifest is looked at again, unless somebody looks already.
       if (!this.#part(".message").textContent.startsWith("Damaged")) this.#say("");
+      this.#firstFrameMs ??= performance.now();
       this.#emit("firstframe");
     });
     engine.addEventListener("frame", () => this.#showTime());
@@ -274,6 +276,11 @@ export class DgsPlayer extends HTMLElement {
   set src(url) {
     if (url === null) this.removeAttribute("src");
     else this.setAttribute("src", url);
+  }
+
+  /** When the first picture was drawn, milliseconds since the page began; null before. */
+  get firstFrameMs() {
+    return this.#firstFrameMs;
   }
 
   get duration() {
@@ -401,8 +408,8 @@ export class DgsPlayer extends HTMLElement {
   }
 
   /** Loses packets: share, mean run, bits per second (0: all at once), seed. */
-  impair({ loss = 0, burst = 1, rate = 0, seed = 1 }) {
-    this.#change("levelchange", (session) => session.impair(loss, burst, rate, seed));
+  impair(conditions) {
+    this.#change("levelchange", () => this.#panel.set(conditions));
   }
 
   toggleNetwork() {

@@ -54,14 +54,27 @@ export class NetworkPanel {
     if (this.#value("loss") > 0 || this.#value("rate") < NO_LIMIT) this.#impair();
   }
 
+  /** Sets the sliders, and the network to exactly this: share lost, mean run, bits per second (0: no limit), seed. */
+  set({ loss = 0, burst = 1, rate = 0, seed = 1 }) {
+    const slider = (name, value) => (this.#root.querySelector(`.${name}`).value = value);
+    slider("loss", 100 * loss);
+    slider("burst", burst);
+    slider("rate", rate > 0 ? Math.log10(rate * 1e-6) : NO_LIMIT);
+    slider("seed", seed);
+    this.#apply(loss, burst, rate, seed);
+  }
+
   #impair() {
     const [loss, burst, rate, seed] = ["loss", "burst", "rate", "seed"].map((name) => this.#value(name));
-    const bits = rate >= NO_LIMIT ? 0 : 10 ** rate * 1e6;
-    this.#say("loss", `${loss} %`);
+    this.#apply(loss / 100, burst, rate >= NO_LIMIT ? 0 : 10 ** rate * 1e6, seed);
+  }
+
+  #apply(loss, burst, bits, seed) {
+    this.#say("loss", `${Math.round(100 * loss)} %`);
     this.#say("burst", burst === 1 ? "1 packet" : `${burst} packets`);
     this.#say("rate", bits === 0 ? "no limit" : `${(bits * 1e-6).toPrecision(2)} Mbit/s`);
     this.#say("seed", `${seed}`);
-    this.#engine.session?.impair(loss / 100, burst, bits, seed);
+    this.#engine.session?.impair(loss, burst, bits, seed);
     this.#engine.request();
     this.#sample();
   }

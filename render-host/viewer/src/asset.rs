@@ -58,9 +58,12 @@ mod tests {
         assert_eq!(asset("/../Cargo.toml"), None);
         for (name, kind, bytes) in ASSETS.iter().filter(|(_, kind, _)| *kind == SCRIPT || *kind == HTML) {
             let text = std::str::from_utf8(bytes).unwrap();
-            for part in text.split("\"./").skip(1) {
-                let named = part.split('"').next().unwrap();
-                assert!(asset(named).is_some(), "{name} ({kind}) names {named}");
+            for wording in ["from \"./", "src=\"./", "href=\""] {
+                for part in text.split(wording).skip(1) {
+                    let named = part.split('"').next().unwrap();
+                    let found = asset(named).is_some() || named.starts_with("data:");
+                    assert!(found, "{name} ({kind}) names {named}");
+                }
             }
         }
         assert!(asset("dgs_viewer_bg.wasm").unwrap().bytes.starts_with(b"\0asm"));

@@ -340,3 +340,6 @@ impl Session {
         (self.packets.len(), counters.media as usize)
     }
 }
+
+#[cfg(test)]
+mod tests;
