@@ -269,6 +269,19 @@ fn bench_runs_the_laboratory_beside_it() {
     assert_eq!(String::from_utf8_lossy(&bench(&["bench", "--list"]).stdout), "--list\n");
 }
 
+/// What a server at `place` answers, head and body.
+#[cfg(unix)]
+fn get(place: &str, path: &str) -> Vec<u8> {
+    use std::io::{Read, Write};
+
+    let mut stream = std::net::TcpStream::connect(place).unwrap();
+    let request = format!("GET {path} HTTP/1.1\r\nHost: {place}\r\nConnection: close\r\n\r\n");
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = Vec::new();
+    stream.read_to_end(&mut answer).unwrap();
+    answer
+}
+
 /// A server and its viewer as typed: the URL is all that goes between them, and Ctrl-C ends the server with
 /// its counts.
 #[cfg(unix)]
@@ -290,6 +303,14 @@ fn what_is_served_is_played() {
     said.read_line(&mut url).unwrap();
     let url = url.trim();
     assert!(url.starts_with("dgs://127.0.0.1:") && url.contains("/a-b#"), "{url}");
+    let mut page = String::new();
+    said.read_line(&mut page).unwrap();
+    let place = page.trim().strip_prefix("http://").and_then(|page| page.strip_suffix('/')).unwrap();
+    assert!(url.contains(place), "{page}");
+    assert!(get(place, "/streams/a-b.dgs").ends_with(&std::fs::read(at.join("a b.dgs")).unwrap()));
+    let (_, pin) = url.split_once('#').unwrap();
+    assert!(get(place, "/certificate.sha256").ends_with(pin.as_bytes()));
+    assert!(get(place, "/").starts_with(b"HTTP/1.1 200"));
     let small = ["--width", "32", "--height", "32"];
     let text = ok(at, &[&["play", url, "-o", "frames", "--reference", "a b.dgs"][..], &small].concat());
     assert!(text.contains("12 frames shown of a clip of 12") && text.contains("PSNR"), "{text}");
@@ -308,6 +329,7 @@ fn what_is_served_is_played() {
     said.read_to_string(&mut rest).unwrap();
     assert!(server.wait().unwrap().success());
     assert!(rest.contains("2 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
+    assert!(rest.contains("page: 3 requests on 3 connections"), "{rest}");
     let error = refused(at, &["serve", "a b.dgs", "a b.dgs", "--listen", "127.0.0.1:0"]);
     assert!(error.contains("two streams are called a-b"), "{error}");
     let error = refused(at, &["serve", "a b.dgs", "--impair", "loss=2"]);

@@ -19,8 +19,8 @@ use dgs::{
 };
 use dgs_player::Player;
 use dgs_quic::socket::{
-    ClientConfig, Headless, Identity, Impairment, Locator, Offer, PlayError, PlayReport, Screen, Server,
-    ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport, message::StreamChoice, play,
+    ClientConfig, Headless, Identity, Impairment, Locator, Offer, PlayError, PlayReport, Scheme, Screen,
+    Server, ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport, message::StreamChoice, play,
 };
 use emulator_host::{
     Nanos, PolicyKind, Rate,
@@ -88,6 +88,7 @@ impl Running {
 
     fn client(&self) -> ClientConfig {
         let locator = Locator {
+            scheme: Scheme::Dgs,
             host: self.address.ip().to_string(),
             port: self.address.port(),
             stream: StreamChoice::Index(0),

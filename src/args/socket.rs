@@ -24,6 +24,12 @@ pub struct Serve {
     /// Address and UDP port to listen on; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS:PORT", default_value_t = here())]
     pub listen: SocketAddr,
+    /// Address and TCP port of the page over HTTP, with the streams as files [default: that of --listen].
+    #[arg(long, value_name = "ADDRESS:PORT", conflicts_with = "no_http")]
+    pub http: Option<SocketAddr>,
+    /// Serve no page.
+    #[arg(long)]
+    pub no_http: bool,
     /// Name or address that viewers use, for the URL and the certificate [default: the address listened on].
     #[arg(long, value_name = "NAME")]
     pub host: Option<String>,

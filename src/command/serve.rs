@@ -1,15 +1,22 @@
-//! Serves streams over QUIC until Ctrl-C: `dgs serve`.
+//! Serves streams over QUIC, and a page over HTTP, until Ctrl-C: `dgs serve`.
 
-use std::{path::Path, time::Duration};
+use std::{net::SocketAddr, path::Path, time::Duration};
 
 use anyhow::{Context, Result};
-use dgs_quic::socket::{
-    Identity, Locator, Offer, Server, ServerConfig, ServerLimits, ServerReport, ViewerReport,
-    message::{MAX_NAME_BYTES, StreamChoice},
+use dgs_quic::{
+    http::{HttpConfig, HttpLimits, HttpReport, HttpServer, Site, SiteStream},
+    socket::{
+        Identity, Locator, Offer, Scheme, Server, ServerConfig, ServerLimits, ServerReport, ViewerReport,
+        message::{MAX_NAME_BYTES, StreamChoice},
+    },
 };
 use serde_json::json;
+use tokio::sync::oneshot;
 
-use super::socket::{interruption, runtime};
+use super::{
+    socket::{interruption, runtime},
+    view::asset,
+};
 use crate::{
     args::Serve,
     output::{self, VerbOutput},
@@ -41,37 +48,106 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     let config = ServerConfig { bind: args.listen, identity, limits, policy, impairment };
     // At once: serving may take days.
     warnings.iter().for_each(|warning| output::complain(&format!("warning: {warning}")));
-    let mut viewers = Vec::new();
-    let (urls, report) = runtime()?.block_on(async {
-        let server = Server::bind(config, offers)?;
-        let port = server.local_addr().context("--listen")?.port();
-        let url = |name: &str| Locator {
-            host: host.clone(),
-            port,
-            stream: StreamChoice::Name(name.to_owned()),
+    let served = runtime()?.block_on(serve(args, &host, config, offers, quiet))?;
+    let Served { urls, page, report, viewers, http } = served;
+    let text = summary(&report, http.as_ref());
+    let json = json!({
+        "urls": urls, "page": page, "server": report, "http": http, "viewers": viewers, "warnings": warnings,
+    });
+    Ok(VerbOutput { text, json, ..VerbOutput::default() })
+}
+
+/// What was served, and to whom.
+struct Served {
+    urls: Vec<String>,
+    page: Option<String>,
+    report: ServerReport,
+    viewers: Vec<ViewerReport>,
+    http: Option<HttpReport>,
+}
+
+/// Serves until Ctrl-C.
+async fn serve(
+    args: &Serve,
+    host: &str,
+    config: ServerConfig,
+    offers: Vec<Offer>,
+    quiet: Quiet,
+) -> Result<Served> {
+    let mut streams: Vec<SiteStream> = offers.iter().map(site_stream).collect();
+    let server = Server::bind(config, offers)?;
+    let listen = server.local_addr().context("--listen")?;
+    let mut urls = Vec::new();
+    for stream in &mut streams {
+        let locator = Locator {
+            scheme: Scheme::Dgs,
+            host: host.to_owned(),
+            port: listen.port(),
+            stream: StreamChoice::Name(stream.name.clone()),
             pin: Some(server.pin()),
         };
-        let urls: Vec<String> = server.names().map(|name| url(name).to_string()).collect();
-        let stop = interruption();
-        // At once: whoever started this waits for it. With --json standard output is for the end.
-        for url in &urls {
-            if quiet.0 {
-                output::complain(&format!("serving {url}"))
-            } else {
-                output::print(&format!("{url}\n"))?
-            }
+        let url = locator.to_string();
+        stream.address = Some(url.clone());
+        // Browsers take no fragment there; a page knows the pin by itself.
+        let web = Locator { scheme: Scheme::Https, pin: None, ..locator };
+        stream.web_address = Some(web.to_string());
+        urls.push(url);
+    }
+    let site = Site::new(asset, &streams, Some(server.pin()))?;
+    let http = if args.no_http { None } else { Some(page(args.http.unwrap_or(listen), site)?) };
+    let page = match &http {
+        Some(http) => Some(page_url(host, http.local_addr().context("--http")?.port())),
+        None => None,
+    };
+    // At once: whoever started this waits for it. With --json standard output is for the end.
+    for url in urls.iter().chain(&page) {
+        if quiet.0 {
+            output::complain(&format!("serving {url}"))
+        } else {
+            output::print(&format!("{url}\n"))?
         }
-        let ended = |viewer: &ViewerReport| {
-            if !quiet.0 {
-                // Where nobody reads any more, serving goes on.
-                let _ = output::print(&line(viewer));
-            }
-            viewers.push(viewer.clone());
-        };
-        anyhow::Ok((urls, server.run(stop, ended).await))
-    })?;
-    let json = json!({ "urls": urls, "server": report, "viewers": viewers, "warnings": warnings });
-    Ok(VerbOutput { text: summary(&report), json, ..VerbOutput::default() })
+    }
+    let mut viewers = Vec::new();
+    let ended = |viewer: &ViewerReport| {
+        if !quiet.0 {
+            // Where nobody reads any more, serving goes on.
+            let _ = output::print(&line(viewer));
+        }
+        viewers.push(viewer.clone());
+    };
+    let (stop, stopped) = oneshot::channel::<()>();
+    let stopping = async {
+        interruption().await;
+        drop(stop);
+    };
+    let pages = async {
+        match http {
+            Some(http) => Some(http.run(async { drop(stopped.await) }).await),
+            None => None,
+        }
+    };
+    let (report, http) = tokio::join!(server.run(stopping, ended), pages);
+    Ok(Served { urls, page, report, viewers, http })
+}
+
+/// A stream as a page lists it.
+fn site_stream(offer: &Offer) -> SiteStream {
+    SiteStream {
+        name: offer.name().to_owned(),
+        address: None,
+        web_address: None,
+        file: Some(offer.file().clone()),
+    }
+}
+
+/// The server of the page.
+fn page(bind: SocketAddr, site: Site) -> Result<HttpServer> {
+    let config = HttpConfig { bind, limits: HttpLimits::default() };
+    HttpServer::bind(&config, site).context("--http takes another port, --no-http serves no page")
+}
+
+fn page_url(host: &str, port: u16) -> String {
+    if host.contains(':') { format!("http://[{host}]:{port}/") } else { format!("http://{host}:{port}/") }
 }
 
 /// What a stream is called: its file's name without extension, other characters than a name has replaced.
@@ -96,14 +172,21 @@ fn line(viewer: &ViewerReport) -> String {
 }
 
 /// The server's own counts for people.
-fn summary(report: &ServerReport) -> String {
+fn summary(report: &ServerReport, http: Option<&HttpReport>) -> String {
     let refused: Vec<String> = report.refused.iter().map(|(code, count)| format!("{code} {count}")).collect();
     let refused = if refused.is_empty() { "none".to_owned() } else { refused.join(", ") };
-    format!(
+    let mut text = format!(
         "{} viewers; {} handshakes failed, {} turned away, {} had to prove their address; \
          refused: {refused}\n",
         report.viewers, report.failed_handshakes, report.turned_away, report.retried
-    )
+    );
+    if let Some(http) = http {
+        text += &format!(
+            "page: {} requests on {} connections, {} turned away, {} slow, {} malformed\n",
+            http.requests, http.connections, http.turned_away, http.slow, http.malformed
+        );
+    }
+    text
 }
 
 #[cfg(test)]

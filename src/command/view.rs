@@ -33,7 +33,7 @@ pub fn run(args: &View, quiet: Quiet) -> Result<VerbOutput> {
         let name = name(&input.to_string_lossy());
         streams.push(SiteStream { name, address: None, web_address: None, file: Some(file.into()) });
     }
-    let site = Site::new(page, &streams, None)?;
+    let site = Site::new(asset, &streams, None)?;
     // At once: serving may take days.
     warnings.iter().for_each(|warning| output::complain(&format!("warning: {warning}")));
     let (url, report) = runtime()?.block_on(async {
@@ -57,6 +57,6 @@ pub fn run(args: &View, quiet: Quiet) -> Result<VerbOutput> {
 }
 
 /// The page's own files.
-fn page(path: &str) -> Option<(&'static [u8], &'static str)> {
+pub(super) fn asset(path: &str) -> Option<(&'static [u8], &'static str)> {
     dgs_viewer::asset(path).map(|asset| (asset.bytes, asset.content_type))
 }

@@ -1,10 +1,13 @@
-//! Serves and plays streams over UDP sockets: QUIC by `quinn`, the sender and receiver of `emulator-host`.
+//! Serves and plays streams over UDP sockets: QUIC by `quinn`, the sender and receiver of `emulator-host`,
+//! WebTransport for browsers on the same port.
 //!
 //! A server offers streams by name; a client opens one control stream, gets the manifest on it and media in
 //! datagrams, and answers with receipts. `SESSION.md` beside this crate's `Cargo.toml` defines every byte.
 
+mod channel;
 mod client;
 mod control;
+mod greeting;
 mod identity;
 mod impair;
 mod limits;
@@ -18,14 +21,17 @@ mod settings;
 #[cfg(test)]
 mod tests;
 mod viewer;
+mod web;
 
+pub use channel::Closed;
 pub use client::{Played, play};
 pub use identity::{Identity, IdentityError, Pin, PinError, Trust};
 pub use impair::Impairment;
 pub use limits::ServerLimits;
-pub use locator::{DEFAULT_PORT, Locator, LocatorError};
+pub use locator::{DEFAULT_PORT, Locator, LocatorError, Scheme};
 pub use offer::{MAX_MEDIA_BYTES, Offer, OfferError};
 pub use playback::{FrameShown, Headless, PlayReport, Screen};
 pub use server::{Server, ServerConfig, ServerError, ServerReport};
 pub use settings::{ClientConfig, PlayError};
 pub use viewer::ViewerReport;
+pub use web::WebError;

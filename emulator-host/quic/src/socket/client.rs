@@ -9,12 +9,14 @@ use std::{
 use dgs_player::Player;
 use quinn::{Connection, ConnectionError, Endpoint, SendStream, TransportErrorCode};
 use tokio::time::{sleep_until, timeout};
+use url::Url;
 
 use super::{
+    channel::{Channel, Closed, Ending, Opened},
     control::{Control, ControlError},
     identity::{Mismatch, Trust},
     limits::client_transport,
-    locator::Locator,
+    locator::{Locator, Scheme},
     message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
     playback::{PlayReport, Playback, Screen},
     settings::{ClientConfig, PlayError},
@@ -27,6 +29,9 @@ const RECEIPT_DELAY: Duration = Duration::from_millis(25);
 /// And at least so often: what was repeated enough and lost all the same is said again, and the server sees
 /// that somebody is there.
 const RECEIPT_INTERVAL: Duration = Duration::from_millis(100);
+
+/// What a session is held on.
+type Conversation<'c> = (&'c Channel, &'c mut Ending, &'c mut SendStream, Control<ServerMessage>);
 
 /// What came of playing.
 #[derive(Debug)]
@@ -98,10 +103,19 @@ async fn session(
     screen: &mut dyn Screen,
 ) -> Result<(), PlayError> {
     let (endpoint, connection) = connect(config).await?;
-    let result = converse(config, playback, screen, &connection).await;
+    let result = match open(config, &connection).await {
+        Ok((channel, mut ending, (mut send, receive))) => {
+            let control = Control::new(receive);
+            let result =
+                converse(config, playback, screen, (&channel, &mut ending, &mut send, control)).await;
+            ending.close(0, "bye").await;
+            result
+        }
+        Err(error) => Err(error),
+    };
     let result = result.map_err(|error| match closed(error, &connection) {
         // Both ends of the wait are the same: the transport's and the one for a manifest.
-        PlayError::Lost(ConnectionError::TimedOut) if !playback.has_manifest() => {
+        PlayError::Lost(Closed::Connection(ConnectionError::TimedOut)) if !playback.has_manifest() => {
             PlayError::Silence { ms: config.silence.as_millis() }
         }
         error => error,
@@ -112,21 +126,28 @@ async fn session(
     result
 }
 
+/// Opens the control stream.
+async fn open(config: &ClientConfig, connection: &Connection) -> Result<Opened, PlayError> {
+    let url = match config.locator.scheme {
+        Scheme::Dgs => None,
+        Scheme::Https => {
+            let url = Locator { pin: None, ..config.locator.clone() }.to_string();
+            Some(Url::parse(&url).map_err(|error| PlayError::Nonsense(format!("{url}: {error}")))?)
+        }
+    };
+    let silence = PlayError::Silence { ms: config.silence.as_millis() };
+    let opened = timeout(config.silence, Channel::open(connection, url)).await.map_err(|_| silence)?;
+    opened.map_err(PlayError::Lost)
+}
+
 /// The server may have closed with a reason that is better than what was seen first.
 fn closed(error: PlayError, connection: &Connection) -> PlayError {
     let reason = match &error {
         PlayError::Lost(reason) => Some(reason.clone()),
-        PlayError::Nonsense(_) => connection.close_reason(),
+        PlayError::Nonsense(_) => connection.close_reason().map(Closed::from),
         _ => None,
     };
-    let Some(ConnectionError::ApplicationClosed(close)) = reason else { return error };
-    match RefusalCode::of(close.error_code.into_inner()) {
-        Some(code) => {
-            let sentence = String::from_utf8_lossy(&close.reason).into_owned();
-            PlayError::Refused(Refusal { code, sentence })
-        }
-        None => error,
-    }
+    reason.and_then(|reason| reason.refusal()).map_or(error, PlayError::Refused)
 }
 
 async fn connect(config: &ClientConfig) -> Result<(Endpoint, Connection), PlayError> {
@@ -134,9 +155,9 @@ async fn connect(config: &ClientConfig) -> Result<(Endpoint, Connection), PlayEr
     let unknown = || PlayError::Host { host: host.clone() };
     let address = tokio::net::lookup_host((host.as_str(), *port)).await.map_err(|_| unknown())?.next();
     let address = address.ok_or_else(unknown)?;
-    let (crypto, mismatch) = config.trust.client()?;
+    let (crypto, mismatch) = config.trust.client(config.locator.scheme)?;
     let mut client = quinn::ClientConfig::new(Arc::new(crypto));
-    client.transport_config(client_transport(config.silence));
+    client.transport_config(client_transport(config.silence, config.locator.scheme));
     let any: SocketAddr = match address {
         SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
         SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
@@ -169,13 +190,11 @@ async fn converse(
     config: &ClientConfig,
     playback: &mut Playback,
     screen: &mut dyn Screen,
-    connection: &Connection,
+    (channel, ending, send, mut control): Conversation<'_>,
 ) -> Result<(), PlayError> {
-    let (mut send, receive) = connection.open_bi().await.map_err(PlayError::Lost)?;
-    let mut control = Control::<ServerMessage>::new(receive);
     let stream = config.locator.stream.clone();
     let hello = ClientMessage::Hello { stream, start_us: playback.start_us() };
-    say(&mut send, &hello).await?;
+    say(send, &hello).await?;
     let deadline = Instant::now() + config.silence;
     let mut history_at = Instant::now() + RECEIPT_INTERVAL;
     let mut answer_at = None;
@@ -186,15 +205,15 @@ async fn converse(
         playback.show_due(screen)?;
         if playback.is_over() {
             if !config.loops {
-                return say(&mut send, &ClientMessage::Bye).await;
+                return say(send, &ClientMessage::Bye).await;
             }
-            say(&mut send, &playback.next_round()).await?;
+            say(send, &playback.next_round()).await?;
             continue;
         }
         let (history, late) = (now >= history_at, answer_at.is_some_and(|at| now >= at));
         if had_manifest && (history || late || unanswered >= RECEIPT_EVERY || playback.wants_receipt()) {
             // A receipt that finds no room is as lost as one that is dropped on the way.
-            let _ = connection.send_datagram(playback.receipt(history).into());
+            let _ = channel.send(playback.receipt(history).into());
             (unanswered, answer_at, history_at) = (0, None, now + RECEIPT_INTERVAL);
         }
         let receipt_at = answer_at.map_or(history_at, |at| history_at.min(at));
@@ -215,13 +234,12 @@ async fn converse(
                         return Err(PlayError::Nonsense("a second manifest".to_owned()));
                     }
                     Ok(Some(ServerMessage::Refusal(refusal))) => return Err(PlayError::Refused(refusal)),
-                    Ok(None) => return Err(gone(connection).await),
-                    Err(ControlError::Lost(_)) => return Err(gone(connection).await),
+                    Ok(None) | Err(ControlError::Lost(_)) => return Err(gone(ending).await),
                     Err(error) => return Err(PlayError::Nonsense(error.to_string())),
                 }
             }
-            datagram = connection.read_datagram() => {
-                let datagram = datagram.map_err(PlayError::Lost)?;
+            datagram = channel.read() => {
+                let datagram = datagram.map_err(|error| PlayError::Lost(error.into()))?;
                 playback.media(&datagram)?;
                 unanswered += 1;
                 answer_at = answer_at.or(Some(now + RECEIPT_DELAY));
@@ -236,8 +254,8 @@ async fn converse(
 }
 
 /// The server has ended the stream: why, once the connection has ended too.
-async fn gone(connection: &Connection) -> PlayError {
-    match timeout(Duration::from_secs(1), connection.closed()).await {
+async fn gone(ending: &mut Ending) -> PlayError {
+    match timeout(Duration::from_secs(1), ending.closed()).await {
         Ok(error) => PlayError::Lost(error),
         Err(_) => PlayError::Nonsense("the control stream ended".to_owned()),
     }
@@ -246,7 +264,7 @@ async fn gone(connection: &Connection) -> PlayError {
 async fn say(send: &mut SendStream, message: &ClientMessage) -> Result<(), PlayError> {
     let written = send.write_all(&message.to_bytes()).await;
     written.map_err(|error| match error {
-        quinn::WriteError::ConnectionLost(error) => PlayError::Lost(error),
+        quinn::WriteError::ConnectionLost(error) => PlayError::Lost(error.into()),
         other => PlayError::Nonsense(other.to_string()),
     })
 }

@@ -8,6 +8,7 @@ use std::{
     path::{Path, PathBuf},
     str::FromStr,
     sync::{Arc, OnceLock},
+    time::{Duration, SystemTime},
 };
 
 use quinn::crypto::rustls::{QuicClientConfig, QuicServerConfig};
@@ -18,7 +19,12 @@ use rustls::{
     pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer, ServerName, UnixTime, pem::PemObject},
 };
 
-use super::message::ALPN;
+use super::{locator::Scheme, message::ALPN, web};
+
+/// How long before now a certificate begins: clocks differ.
+const BEFORE: Duration = Duration::from_secs(3600);
+/// How long after now it ends. Browsers take no more than 14 days from its begin to its end.
+const AFTER: Duration = Duration::from_secs(13 * 86_400);
 
 /// SHA-256 of a certificate in its binary form (DER), written as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -97,14 +103,20 @@ pub struct Identity {
 
 impl Identity {
     /// A new certificate for `names` (host names or addresses), signed by its own key. Viewers know it by
-    /// its pin.
+    /// its pin. It is as browsers want one that they know by its pin: of the curve P-256, valid for less than
+    /// 14 days; `dgs play` does not look at its dates.
     ///
     /// # Errors
     /// A name that cannot stand in a certificate.
     pub fn self_signed(names: &[String]) -> Result<Self, IdentityError> {
-        let made = rcgen::generate_simple_self_signed(names)?;
-        let key = PrivatePkcs8KeyDer::from(made.signing_key.serialize_der());
-        Ok(Self { chain: vec![made.cert.der().clone()], key: key.into() })
+        let key = rcgen::KeyPair::generate_for(&rcgen::PKCS_ECDSA_P256_SHA256)?;
+        let mut params = rcgen::CertificateParams::new(names)?;
+        let now = SystemTime::now();
+        params.not_before = (now - BEFORE).into();
+        params.not_after = (now + AFTER).into();
+        let certificate = params.self_signed(&key)?;
+        let key = PrivatePkcs8KeyDer::from(key.serialize_der());
+        Ok(Self { chain: vec![certificate.der().clone()], key: key.into() })
     }
 
     /// The certificate chain and the key in two files of PEM.
@@ -127,7 +139,7 @@ impl Identity {
         let builder = rustls::ServerConfig::builder_with_provider(Arc::new(ring::default_provider()));
         let builder = builder.with_protocol_versions(&[&rustls::version::TLS13])?;
         let mut config = builder.with_no_client_auth().with_single_cert(self.chain, self.key)?;
-        config.alpn_protocols = vec![ALPN.to_vec()];
+        config.alpn_protocols = vec![ALPN.to_vec(), web::ALPN.to_vec()];
         Ok(QuicServerConfig::try_from(config)?)
     }
 }
@@ -146,7 +158,7 @@ pub(super) type Mismatch = Arc<OnceLock<Pin>>;
 
 impl Trust {
     /// The client's side of the handshake, and where a wrong certificate is noted.
-    pub(super) fn client(&self) -> Result<(QuicClientConfig, Mismatch), IdentityError> {
+    pub(super) fn client(&self, scheme: Scheme) -> Result<(QuicClientConfig, Mismatch), IdentityError> {
         let provider = Arc::new(ring::default_provider());
         let mismatch = Mismatch::default();
         let builder = rustls::ClientConfig::builder_with_provider(provider.clone());
@@ -164,7 +176,11 @@ impl Trust {
                 builder.with_root_certificates(roots).with_no_client_auth()
             }
         };
-        config.alpn_protocols = vec![ALPN.to_vec()];
+        let protocol = match scheme {
+            Scheme::Dgs => ALPN,
+            Scheme::Https => web::ALPN,
+        };
+        config.alpn_protocols = vec![protocol.to_vec()];
         Ok((QuicClientConfig::try_from(config)?, mismatch))
     }
 }
@@ -252,7 +268,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let empty = folder.path().join("empty.pem");
         std::fs::write(&empty, "nothing").unwrap();
-        let error = Trust::Authority(empty.clone()).client().err().unwrap();
+        let error = Trust::Authority(empty.clone()).client(Scheme::Dgs).err().unwrap();
         assert!(error.to_string().contains("empty.pem: holds no certificate"), "{error}");
         let missing = folder.path().join("missing.pem");
         assert!(Identity::read(&empty, &missing).unwrap_err().to_string().contains("pem: "));

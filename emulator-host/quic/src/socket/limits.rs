@@ -4,6 +4,8 @@ use std::{sync::Arc, time::Duration};
 
 use quinn::{IdleTimeout, TransportConfig, VarInt};
 
+use super::locator::Scheme;
+
 /// Bytes of datagrams that wait in the transport: two, so that the next leaves as soon as congestion control
 /// and pacing let it, and nothing is queued ahead of the scheduler.
 const SEND_BUFFER_BYTES: usize = 2560;
@@ -13,6 +15,11 @@ const INITIAL_MTU: u16 = 1200;
 const RECEIVE_BUFFER_BYTES: usize = 1 << 20;
 /// Bytes of the control stream that wait to be read, at the server: many messages.
 const CONTROL_WINDOW: u32 = 4096;
+/// Streams that a client may open: the control stream, over WebTransport the CONNECT stream too. One that is
+/// opened out of turn is never read, and what it holds of the window is the client's own loss.
+const SESSION_STREAMS: u32 = 2;
+/// Unidirectional streams, of HTTP/3 alone: settings, and two of QPACK (RFC 9114, section 6.2 wants three).
+const WEB_STREAMS: u32 = 3;
 
 /// What a server grants.
 #[derive(Clone, Debug)]
@@ -46,8 +53,8 @@ impl ServerLimits {
     pub(super) fn transport(&self) -> Arc<TransportConfig> {
         let mut config = TransportConfig::default();
         config
-            .max_concurrent_bidi_streams(VarInt::from_u32(1))
-            .max_concurrent_uni_streams(VarInt::from_u32(0))
+            .max_concurrent_bidi_streams(VarInt::from_u32(SESSION_STREAMS))
+            .max_concurrent_uni_streams(VarInt::from_u32(WEB_STREAMS))
             .stream_receive_window(VarInt::from_u32(CONTROL_WINDOW))
             .receive_window(VarInt::from_u32(CONTROL_WINDOW))
             .send_window(self.viewer_bytes)
@@ -60,11 +67,15 @@ impl ServerLimits {
 }
 
 /// How a client waits. A quiet server is left after `silence`.
-pub(super) fn client_transport(silence: Duration) -> Arc<TransportConfig> {
+pub(super) fn client_transport(silence: Duration, scheme: Scheme) -> Arc<TransportConfig> {
     let mut config = TransportConfig::default();
+    let streams = match scheme {
+        Scheme::Dgs => 0,
+        Scheme::Https => WEB_STREAMS,
+    };
     config
         .max_concurrent_bidi_streams(VarInt::from_u32(0))
-        .max_concurrent_uni_streams(VarInt::from_u32(0))
+        .max_concurrent_uni_streams(VarInt::from_u32(streams))
         .initial_mtu(INITIAL_MTU)
         .datagram_receive_buffer_size(Some(RECEIVE_BUFFER_BYTES))
         .datagram_send_buffer_size(RECEIVE_BUFFER_BYTES / 16)

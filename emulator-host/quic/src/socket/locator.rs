@@ -10,9 +10,24 @@ use super::{
 /// The port when none is given.
 pub const DEFAULT_PORT: u16 = 4640;
 
+/// What a session is carried by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scheme {
+    /// QUIC itself: `dgs://`.
+    Dgs,
+    /// WebTransport, as in browsers: `https://`.
+    Https,
+}
+
+impl Scheme {
+    const ALL: [(Self, &'static str); 2] = [(Self::Dgs, "dgs"), (Self::Https, "https")];
+}
+
 /// Where a stream is served, and by whose certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Locator {
+    /// By what.
+    pub scheme: Scheme,
     /// Name or address of the server; IPv6 without its brackets.
     pub host: String,
     /// UDP port.
@@ -43,8 +58,9 @@ impl FromStr for Locator {
             found: found.to_owned(),
             allowed,
         };
-        let scheme = text.split_once("://").map_or("", |(scheme, _)| scheme);
-        let rest = text.strip_prefix("dgs://").ok_or_else(|| illegal("scheme", scheme, "dgs://"))?;
+        let (found, rest) = text.split_once("://").unwrap_or(("", text));
+        let scheme = Scheme::ALL.iter().find(|(_, name)| *name == found).map(|(scheme, _)| *scheme);
+        let scheme = scheme.ok_or_else(|| illegal("scheme", found, "dgs, https"))?;
         let (rest, pin) = match rest.split_once('#').or_else(|| rest.split_once("?pin=")) {
             Some((rest, pin)) => {
                 let parsed = pin.parse().map_err(|_| illegal("pin", pin, "64 hexadecimal digits"))?;
@@ -71,17 +87,18 @@ impl FromStr for Locator {
         if host.is_empty() || host.len() > 253 || !host.chars().all(legal) {
             return Err(illegal("host", host, "a name or an address"));
         }
-        Ok(Self { host: host.to_owned(), port, stream, pin })
+        Ok(Self { scheme, host: host.to_owned(), port, stream, pin })
     }
 }
 
 impl fmt::Display for Locator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { host, port, stream, pin } = self;
+        let Self { scheme, host, port, stream, pin } = self;
+        let scheme = Scheme::ALL.iter().find(|(one, _)| one == scheme).map_or("", |(_, name)| name);
         if host.contains(':') {
-            write!(f, "dgs://[{host}]:{port}")?;
+            write!(f, "{scheme}://[{host}]:{port}")?;
         } else {
-            write!(f, "dgs://{host}:{port}")?;
+            write!(f, "{scheme}://{host}:{port}")?;
         }
         if let StreamChoice::Name(name) = stream {
             write!(f, "/{name}")?;
@@ -101,6 +118,7 @@ mod tests {
             "dgs://127.0.0.1:4640".to_owned(),
             format!("dgs://example.org:9/fox#{pin}"),
             format!("dgs://[::1]:4640/a.b-c_d#{pin}"),
+            format!("https://[::1]:4640/a.b-c_d#{pin}"),
         ] {
             assert_eq!(text.parse::<Locator>().unwrap().to_string(), text);
         }
@@ -112,7 +130,7 @@ mod tests {
     #[test]
     fn what_is_wrong_is_named() {
         for (text, named) in [
-            ("http://host/fox", "scheme is \"http\", allowed dgs://"),
+            ("http://host/fox", "scheme is \"http\", allowed dgs, https"),
             ("dgs://host:0/fox", "port"),
             ("dgs://host:70000", "port"),
             ("dgs://[::1]x", "port"),

@@ -6,7 +6,7 @@ use std::{
 };
 
 use bytes::Bytes;
-use codec_core::internals::wire::manifest::Manifest;
+use codec_core::{file, internals::wire::manifest::Manifest};
 use dgs_player::Stream;
 use emulator_host::{
     GroupIndex, PacketGraph, PacketIndex,
@@ -23,7 +23,9 @@ pub const MAX_MEDIA_BYTES: usize = 1150;
 pub struct Offer {
     name: String,
     message: Vec<u8>,
-    /// By packet id.
+    /// The stream as a `.dgs` file.
+    file: Bytes,
+    /// By packet id: parts of the file.
     packets: Vec<Bytes>,
     /// First frames of windows, ascending, 0 among them.
     starts: Vec<u32>,
@@ -56,6 +58,14 @@ pub enum OfferError {
         id: usize,
         /// Its length.
         found: usize,
+    },
+    /// The bytes of a packet are none of a packet.
+    #[error("{name}: packet {id} is no DGSP packet")]
+    Illegal {
+        /// The stream.
+        name: String,
+        /// Which packet.
+        id: usize,
     },
     /// The manifest is too long for a session.
     #[error("{name}: the manifest has {found} bytes, allowed 1 to {MAX_MANIFEST_BYTES}")]
@@ -93,11 +103,21 @@ impl Offer {
                 return Err(OfferError::Packet { name: named(), id, found: packet.len() });
             }
         }
-        let manifest = stream.manifest().map_err(|error| OfferError::Format { name: named(), error })?;
+        let format = |error| OfferError::Format { name: named(), error };
+        let manifest = stream.manifest().map_err(format)?;
+        let file = Bytes::from(stream.to_bytes().map_err(format)?);
+        let (_, packets) = file::parts(&file).map_err(format)?;
+        let packets: Vec<Bytes> = packets.map(|packet| file.slice_ref(packet)).collect();
+        // What is no packet is not found in the file.
+        let differs = |id: &usize| packets.get(*id).is_none_or(|found| found != &stream.packets()[*id]);
+        if let Some(id) = (0..stream.packets().len()).find(differs) {
+            return Err(OfferError::Illegal { name: named(), id });
+        }
         Ok(Self {
             name: named(),
             message: stream.message().to_vec(),
-            packets: stream.packets().iter().map(|packet| Bytes::copy_from_slice(packet)).collect(),
+            packets,
+            file: file.clone(),
             starts: starts(&manifest),
             whole: Arc::new(graph),
             tails: Mutex::default(),
@@ -107,6 +127,11 @@ impl Offer {
     /// What it is called.
     pub fn name(&self) -> &str {
         &self.name
+    }
+
+    /// The stream as a `.dgs` file.
+    pub fn file(&self) -> &Bytes {
+        &self.file
     }
 
     /// The DGSM message.

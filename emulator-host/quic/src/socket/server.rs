@@ -12,20 +12,21 @@ use std::{
 };
 
 use emulator_host::{PolicyKind, link::PathError};
-use quinn::{Connection, Endpoint, EndpointConfig, Incoming, Runtime as _, SendStream, TokioRuntime, VarInt};
+use quinn::{Endpoint, EndpointConfig, Incoming, Runtime as _, TokioRuntime, VarInt};
 use serde::Serialize;
 use tokio::{
-    sync::{Semaphore, mpsc, watch},
+    sync::{OwnedSemaphorePermit, Semaphore, mpsc, watch},
     task::JoinSet,
     time::timeout,
 };
 
 use super::{
-    control::{Control, ControlError},
+    channel::close,
+    greeting::{Greeting, NoSession, greeting},
     identity::{Identity, IdentityError, Pin},
     impair::{ImpairedSocket, Impairment},
     limits::ServerLimits,
-    message::{ClientMessage, Refusal, RefusalCode, StreamChoice},
+    message::{Refusal, RefusalCode, StreamChoice},
     offer::{Offer, OfferError},
     viewer::{End, Session, ViewerReport, end_session},
 };
@@ -265,32 +266,27 @@ async fn serve(incoming: Incoming, shared: Arc<Shared>) {
         return;
     };
     let mut stopping = shared.stopping.clone();
-    let wait = shared.limits.hello_wait;
-    let hello = tokio::select! {
-        hello = timeout(wait, hello(&connection)) => hello.unwrap_or_else(|_| {
-            let sentence = format!("no hello within {} ms", wait.as_millis());
-            Err((None, End::Refused(Refusal { code: RefusalCode::Silence, sentence })))
-        }),
+    let greeted = tokio::select! {
+        greeted = greeting(&connection, shared.limits.hello_wait) => greeted,
         _ = stopping.changed() => {
             let sentence = "the server is closing".to_owned();
-            Err((None, End::Refused(Refusal { code: RefusalCode::Closing, sentence })))
+            Err(NoSession::before(Refusal { code: RefusalCode::Closing, sentence }))
         }
     };
-    let greeted = hello.and_then(|hello| shared.greet(hello));
-    let ended = match greeted {
-        Ok((hello, offer, slot)) => {
-            let Hello { send, control, start_us, .. } = hello;
+    let ended = match greeted.and_then(|greeting| shared.greet(greeting)) {
+        Ok((greeting, offer, slot)) => {
+            let Greeting { channel, ending, send, control, start_us, .. } = greeting;
             let (limits, policy) = (shared.limits.clone(), shared.policy);
-            let session = Session { connection, send, control, offer, limits, policy, stopping };
+            let session = Session { channel, ending, send, control, offer, limits, policy, stopping };
             let (viewer, end) = session.run(start_us).await;
             drop(slot);
             Ended { viewer: Some(viewer), refused: end.refused() }
         }
-        Err((send, end)) => {
-            match (send, &end) {
-                (Some(send), end) => end_session(&connection, send, end).await,
+        Err(NoSession { end, opened }) => {
+            match (opened, &end) {
+                (Some((ending, send)), end) => end_session(ending, send, end).await,
                 (None, End::Refused(refusal)) => {
-                    connection.close(code(refusal.code), refusal.sentence.as_bytes());
+                    close(&connection, refusal.code.number().into(), &refusal.sentence);
                 }
                 (None, End::Bye | End::Gone(_)) => {}
             }
@@ -300,56 +296,27 @@ async fn serve(incoming: Incoming, shared: Arc<Shared>) {
     // Nobody listens any more once the server has closed.
     let _ = shared.ended.send(ended);
 }
-
-/// A hello and the stream that it came on.
-struct Hello {
-    send: SendStream,
-    control: Control<ClientMessage>,
-    stream: StreamChoice,
-    start_us: u64,
-}
-
-/// Why there is no session, and the stream to say it on.
-type NoSession = (Option<SendStream>, End);
-
-/// Waits for the control stream and its first message.
-async fn hello(connection: &Connection) -> Result<Hello, NoSession> {
-    let refusal = |sentence: String| End::Refused(Refusal { code: RefusalCode::Message, sentence });
-    let (send, receive) = connection.accept_bi().await.map_err(|error| (None, End::Gone(error)))?;
-    let mut control = Control::new(receive);
-    match control.next().await {
-        Ok(Some(ClientMessage::Hello { stream, start_us })) => Ok(Hello { send, control, stream, start_us }),
-        Ok(_) => Err((Some(send), refusal("the first message is hello".to_owned()))),
-        Err(ControlError::Message(error)) => Err((Some(send), End::Refused(error.refusal()))),
-        Err(error) => Err((Some(send), refusal(error.to_string()))),
-    }
-}
-
 impl Shared {
     /// The stream that is wanted, and a place to watch it.
-    fn greet(
-        &self,
-        hello: Hello,
-    ) -> Result<(Hello, Arc<Offer>, tokio::sync::OwnedSemaphorePermit), NoSession> {
-        let offer = match &hello.stream {
+    fn greet(&self, greeting: Greeting) -> Result<(Greeting, Arc<Offer>, OwnedSemaphorePermit), NoSession> {
+        let offer = match &greeting.stream {
             StreamChoice::Name(name) => self.offers.iter().find(|offer| offer.name() == name),
             StreamChoice::Index(index) => self.offers.get(usize::from(*index)),
         };
         let Some(offer) = offer else {
             let names: Vec<&str> = self.offers.iter().map(|offer| offer.name()).collect();
-            let wanted = match &hello.stream {
+            let wanted = match &greeting.stream {
                 StreamChoice::Name(name) => format!("called {name}"),
                 StreamChoice::Index(index) => format!("of number {index}"),
             };
             let sentence = format!("there is no stream {wanted}; there are {}", names.join(", "));
-            let refusal = Refusal { code: RefusalCode::UnknownStream, sentence };
-            return Err((Some(hello.send), End::Refused(refusal)));
+            return Err(greeting.refused(RefusalCode::UnknownStream, sentence));
         };
         match self.slots.clone().try_acquire_owned() {
-            Ok(slot) => Ok((hello, offer.clone(), slot)),
+            Ok(slot) => Ok((greeting, offer.clone(), slot)),
             Err(_) => {
                 let sentence = format!("all {} places are taken", self.limits.max_viewers);
-                Err((Some(hello.send), End::Refused(Refusal { code: RefusalCode::Full, sentence })))
+                Err(greeting.refused(RefusalCode::Full, sentence))
             }
         }
     }

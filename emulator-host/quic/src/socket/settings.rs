@@ -7,9 +7,9 @@ use emulator_host::{
     Nanos,
     session::{Startup, StartupRule},
 };
-use quinn::ConnectionError;
 
 use super::{
+    channel::Closed,
     identity::{IdentityError, Pin, Trust},
     locator::Locator,
     message::Refusal,
@@ -98,5 +98,5 @@ pub enum PlayError {
     },
     /// The connection is gone.
     #[error("the connection is gone: {0}")]
-    Lost(ConnectionError),
+    Lost(Closed),
 }

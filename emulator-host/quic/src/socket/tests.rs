@@ -1,7 +1,9 @@
 //! Neither side can be hurt by the other: garbage, oversize, silence and floods end in a named refusal.
 
+mod browser;
 mod clients;
 mod servers;
+mod web;
 
 use std::{
     net::{Ipv4Addr, SocketAddr},
@@ -19,8 +21,9 @@ use quinn::{Connection, Endpoint};
 use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
 
 use super::{
-    ClientConfig, Headless, Identity, Locator, Offer, PlayError, PlayReport, Played, Server, ServerConfig,
-    ServerLimits, ServerReport, Trust, ViewerReport, limits::client_transport, message::StreamChoice, play,
+    ClientConfig, Headless, Identity, Locator, Offer, PlayError, PlayReport, Played, Scheme, Server,
+    ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport, limits::client_transport,
+    message::StreamChoice, play,
 };
 
 /// A small stream of a few frames.
@@ -115,9 +118,13 @@ impl Running {
 
     /// A connection on which nothing has been said.
     async fn connect(&self) -> (Endpoint, Connection) {
-        let (crypto, _) = self.trust.client().unwrap();
+        self.connect_by(Scheme::Dgs).await
+    }
+
+    async fn connect_by(&self, scheme: Scheme) -> (Endpoint, Connection) {
+        let (crypto, _) = self.trust.client(scheme).unwrap();
         let mut config = quinn::ClientConfig::new(Arc::new(crypto));
-        config.transport_config(client_transport(Duration::from_secs(10)));
+        config.transport_config(client_transport(Duration::from_secs(10), scheme));
         let endpoint = Endpoint::client((Ipv4Addr::LOCALHOST, 0).into()).unwrap();
         let connecting = endpoint.connect_with(config, self.address, "localhost").unwrap();
         let connection = connecting.await.unwrap();
@@ -127,6 +134,7 @@ impl Running {
 
 fn client(address: SocketAddr, trust: &Trust) -> ClientConfig {
     let locator = Locator {
+        scheme: Scheme::Dgs,
         host: address.ip().to_string(),
         port: address.port(),
         stream: StreamChoice::Index(0),

@@ -8,11 +8,12 @@ use std::{
 };
 
 use emulator_host::{Nanos, PacketIndex, PolicyKind};
-use quinn::{Connection, ConnectionError, SendDatagramError, SendStream};
+use quinn::{Connection, SendDatagramError, SendStream};
 use serde::Serialize;
 use tokio::{sync::watch, time::sleep_until};
 
 use super::{
+    channel::{Channel, Closed, Ending},
     control::{Control, ControlError},
     limits::{Allowance, ServerLimits},
     message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
@@ -73,7 +74,7 @@ pub(super) enum End {
     /// The server ends it and says why.
     Refused(Refusal),
     /// The connection is gone.
-    Gone(ConnectionError),
+    Gone(Closed),
 }
 
 impl End {
@@ -82,6 +83,15 @@ impl End {
         match self {
             Self::Refused(refusal) => Some(refusal.code),
             Self::Bye | Self::Gone(_) => None,
+        }
+    }
+}
+
+impl From<Closed> for End {
+    fn from(closed: Closed) -> Self {
+        match closed {
+            Closed::Session { code: 0, .. } => Self::Bye,
+            closed => Self::Gone(closed),
         }
     }
 }
@@ -98,7 +108,8 @@ impl std::fmt::Display for End {
 
 /// A session that a hello has begun.
 pub(super) struct Session {
-    pub(super) connection: Connection,
+    pub(super) channel: Channel,
+    pub(super) ending: Ending,
     pub(super) send: SendStream,
     pub(super) control: Control<ClientMessage>,
     pub(super) offer: Arc<Offer>,
@@ -122,6 +133,7 @@ struct Tally {
 
 /// The moving parts of a session.
 struct Viewer<'s> {
+    channel: &'s Channel,
     connection: &'s Connection,
     offer: &'s Offer,
     policy: PolicyKind,
@@ -157,20 +169,21 @@ async fn departure(sending: &mut Option<Sending<'_>>) -> Result<(), SendDatagram
 impl Session {
     /// Runs the session from `start_us` on.
     pub(super) async fn run(self, start_us: u64) -> (ViewerReport, End) {
-        let Self { connection, mut send, mut control, offer, limits, policy, mut stopping } = self;
+        let Self { channel, mut ending, mut send, mut control, offer, limits, policy, mut stopping } = self;
+        let connection = channel.connection();
         let began = Instant::now();
         let address = connection.remote_address();
         let mut tally = Tally::default();
-        let end = match Viewer::new(&connection, &offer, &limits, policy, start_us) {
+        let end = match Viewer::new(&channel, &offer, &limits, policy, start_us) {
             Ok(mut viewer) => {
-                let end = viewer.run(&mut send, &mut control, &limits, &mut stopping).await;
+                let end = viewer.run(&mut ending, &mut send, &mut control, &limits, &mut stopping).await;
                 viewer.close_round();
                 tally = viewer.tally;
                 end
             }
             Err(error) => End::Refused(Refusal { code: RefusalCode::Message, sentence: error.to_string() }),
         };
-        end_session(&connection, send, &end).await;
+        end_session(ending, send, &end).await;
         let report = ViewerReport {
             address,
             stream: offer.name().to_owned(),
@@ -191,7 +204,7 @@ impl Session {
 }
 
 /// Says why, and closes.
-pub(super) async fn end_session(connection: &Connection, mut send: SendStream, end: &End) {
+pub(super) async fn end_session(ending: Ending, mut send: SendStream, end: &End) {
     let code = match end {
         End::Bye | End::Gone(_) => 0,
         End::Refused(refusal) => {
@@ -207,17 +220,18 @@ pub(super) async fn end_session(connection: &Connection, mut send: SendStream, e
             u32::from(refusal.code.number())
         }
     };
-    connection.close(code.into(), end.to_string().as_bytes());
+    ending.close(code, &end.to_string()).await;
 }
 
 impl<'s> Viewer<'s> {
     fn new(
-        connection: &'s Connection,
+        channel: &'s Channel,
         offer: &'s Offer,
         limits: &ServerLimits,
         policy: PolicyKind,
         start_us: u64,
     ) -> Result<Self, emulator_host::graph::GraphError> {
+        let connection = channel.connection();
         let delivered = vec![false; offer.count()];
         let began = Instant::now();
         // A tenth of a second of media may leave at once.
@@ -226,6 +240,7 @@ impl<'s> Viewer<'s> {
             Allowance::new(bytes, (bytes / 10.0).max(2.0 * super::offer::MAX_MEDIA_BYTES as f64))
         });
         Ok(Self {
+            channel,
             connection,
             offer,
             policy,
@@ -243,6 +258,7 @@ impl<'s> Viewer<'s> {
 
     async fn run(
         &mut self,
+        ending: &mut Ending,
         send: &mut SendStream,
         control: &mut Control<ClientMessage>,
         limits: &ServerLimits,
@@ -264,7 +280,7 @@ impl<'s> Viewer<'s> {
             let wake = self.wake(chooses && sending.is_none(), limits);
             tokio::select! {
                 biased;
-                error = connection.closed() => return End::Gone(error),
+                closed = ending.closed() => return closed.into(),
                 _ = stopping.changed() => {
                     let sentence = "the server is closing".to_owned();
                     return End::Refused(Refusal { code: RefusalCode::Closing, sentence });
@@ -281,17 +297,17 @@ impl<'s> Viewer<'s> {
                 }
                 left = departure(&mut sending), if sending.is_some() => match left {
                     Ok(()) => self.on_left(&mut sending),
-                    Err(SendDatagramError::ConnectionLost(error)) => return End::Gone(error),
+                    Err(SendDatagramError::ConnectionLost(error)) => return End::Gone(error.into()),
                     Err(error) => {
                         let sentence = format!("media does not pass as datagrams: {error}");
                         return End::Refused(Refusal { code: RefusalCode::Message, sentence });
                     }
                 },
-                datagram = connection.read_datagram() => match datagram {
+                datagram = self.channel.read() => match datagram {
                     Ok(datagram) => if let Err(refusal) = self.on_datagram(&datagram) {
                         return End::Refused(refusal);
                     },
-                    Err(error) => return End::Gone(error),
+                    Err(error) => return End::Gone(error.into()),
                 },
                 () = sleep_until(wake.into()) => {
                     if self.heard_at.elapsed() >= limits.idle {
@@ -322,7 +338,7 @@ impl<'s> Viewer<'s> {
             rate.take(bytes.len() as f64, now);
         }
         let (round, len) = (self.round.number, bytes.len() as u64);
-        let departure = Box::pin(self.connection.send_datagram_wait(bytes));
+        let departure = Box::pin(self.channel.send_when_there_is_room(bytes));
         Some(Sending { round, packet, bytes: len, departure })
     }
 

@@ -11,7 +11,7 @@ use dgs::{
     pipeline::{self, Quiet},
 };
 use dgs_quic::socket::{
-    ClientConfig, Headless, Identity, Locator, Offer, PlayReport, Server, ServerConfig, ServerLimits,
+    ClientConfig, Headless, Identity, Locator, Offer, PlayReport, Scheme, Server, ServerConfig, ServerLimits,
     ServerReport, Trust, ViewerReport, message::StreamChoice, play,
 };
 use emulator_host::PolicyKind;
@@ -151,6 +151,7 @@ fn measure(sizes: &Sizes, quiet: Quiet) -> Result<Measured> {
     };
     let server = server_side.block_on(async { Server::bind(config, vec![offer]) })?;
     let locator = Locator {
+        scheme: Scheme::Dgs,
         host: "127.0.0.1".to_owned(),
         port: server.local_addr()?.port(),
         stream: StreamChoice::Index(0),

@@ -1,0 +1,179 @@
+//! Carries a session, its control stream and its datagrams, over QUIC itself or over WebTransport on it.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use quinn::{
+    Connection, ConnectionError, RecvStream, SendDatagram, SendDatagramError, SendStream, VarInt,
+    crypto::rustls::HandshakeData,
+};
+use tokio::time::timeout;
+use url::Url;
+use web_transport_proto::{error_from_http3, error_to_http3};
+
+use super::{
+    message::{Refusal, RefusalCode},
+    web::{self, Closing, WebClose, WebError, WebSession},
+};
+
+/// How long a peer may take to hear why a WebTransport session is closed.
+const FAREWELL: Duration = Duration::from_millis(500);
+
+/// Why a connection or the session on it is over.
+#[derive(Clone, Debug, thiserror::Error)]
+pub enum Closed {
+    /// The connection is gone.
+    #[error(transparent)]
+    Connection(#[from] ConnectionError),
+    /// The peer has closed the WebTransport session.
+    #[error("the session was closed with code {code}: {reason:?}")]
+    Session {
+        /// Its code.
+        code: u32,
+        /// Its reason.
+        reason: String,
+    },
+    /// What the peer speaks is not WebTransport.
+    #[error("no WebTransport: {0}")]
+    Web(WebError),
+}
+
+impl From<WebError> for Closed {
+    fn from(error: WebError) -> Self {
+        match error {
+            WebError::Gone(error) => Self::Connection(error),
+            error => Self::Web(error),
+        }
+    }
+}
+
+impl Closed {
+    /// The refusal that the peer has closed with.
+    pub(super) fn refusal(&self) -> Option<Refusal> {
+        let (code, sentence) = match self {
+            Self::Connection(ConnectionError::ApplicationClosed(close)) => {
+                let code = close.error_code.into_inner();
+                let code = error_from_http3(code).map_or(code, u64::from);
+                (code, String::from_utf8_lossy(&close.reason).into_owned())
+            }
+            Self::Session { code, reason } => (u64::from(*code), reason.clone()),
+            Self::Connection(_) | Self::Web(_) => return None,
+        };
+        RefusalCode::of(code).map(|code| Refusal { code, sentence })
+    }
+}
+
+/// A connection on which a session runs.
+#[derive(Debug)]
+pub(super) struct Channel {
+    connection: Connection,
+    /// What stands before each datagram: nothing, or the number of the WebTransport session.
+    head: Bytes,
+}
+
+/// How a session comes to its end, from either side.
+pub(super) struct Ending {
+    connection: Connection,
+    web: Option<Box<WebEnding>>,
+}
+
+/// The session to close, and what becomes of it when the peer does.
+struct WebEnding {
+    session: WebSession,
+    closing: Closing,
+}
+
+/// A channel, its end, and its control stream.
+pub(super) type Opened = (Channel, Ending, (SendStream, RecvStream));
+
+impl Channel {
+    /// Waits for the control stream of a client, by the protocol that it has chosen in the handshake.
+    pub(super) async fn accept(connection: &Connection) -> Result<Opened, Closed> {
+        if !is_web(connection) {
+            let control = connection.accept_bi().await?;
+            return Ok(Self::new(connection, None, control));
+        }
+        let (session, closing) = WebSession::accept(connection).await?;
+        let control = session.accept_stream(connection).await?;
+        Ok(Self::new(connection, Some((session, closing)), control))
+    }
+
+    /// Opens the control stream to a server; over WebTransport at `url` if there is one.
+    pub(super) async fn open(connection: &Connection, url: Option<Url>) -> Result<Opened, Closed> {
+        let Some(url) = url else {
+            let control = connection.open_bi().await?;
+            return Ok(Self::new(connection, None, control));
+        };
+        let (session, closing) = WebSession::open(connection, url).await?;
+        let control = session.open_stream(connection).await?;
+        Ok(Self::new(connection, Some((session, closing)), control))
+    }
+
+    fn new(
+        connection: &Connection,
+        web: Option<(WebSession, Closing)>,
+        control: (SendStream, RecvStream),
+    ) -> Opened {
+        let head = web.as_ref().map_or_else(Bytes::new, |(session, _)| session.datagram_head());
+        let channel = Self { connection: connection.clone(), head };
+        let web = web.map(|(session, closing)| Box::new(WebEnding { session, closing }));
+        (channel, Ending { connection: connection.clone(), web }, control)
+    }
+
+    /// The connection below, for what it knows of the path.
+    pub(super) fn connection(&self) -> &Connection {
+        &self.connection
+    }
+
+    /// Becomes ready once the transport has taken the datagram.
+    pub(super) fn send_when_there_is_room(&self, bytes: Bytes) -> SendDatagram<'_> {
+        self.connection.send_datagram_wait(self.framed(bytes))
+    }
+
+    /// Sends a datagram; an older one that waits is dropped for it.
+    pub(super) fn send(&self, bytes: Bytes) -> Result<(), SendDatagramError> {
+        self.connection.send_datagram(self.framed(bytes))
+    }
+
+    /// The next datagram; an empty one where something came that is not of this session.
+    pub(super) async fn read(&self) -> Result<Bytes, ConnectionError> {
+        let datagram = self.connection.read_datagram().await?;
+        Ok(web::without_head(datagram, &self.head))
+    }
+
+    fn framed(&self, bytes: Bytes) -> Bytes {
+        if self.head.is_empty() { bytes } else { web::with_head(&self.head, &bytes) }
+    }
+}
+
+impl Ending {
+    /// Waits until the peer has closed, or the connection is gone. Dropping the future loses nothing; after
+    /// its end it is not waited for again.
+    pub(super) async fn closed(&mut self) -> Closed {
+        let Some(web) = &mut self.web else { return self.connection.closed().await.into() };
+        tokio::select! {
+            error = self.connection.closed() => error.into(),
+            WebClose { code, reason } = &mut web.closing => Closed::Session { code, reason },
+        }
+    }
+
+    /// Closes with `code`, and says why.
+    pub(super) async fn close(self, code: u32, reason: &str) {
+        if let Some(web) = self.web {
+            let _ = timeout(FAREWELL, web.session.close(code, reason)).await;
+        }
+        close(&self.connection, code, reason);
+    }
+}
+
+/// Closes a connection on which there is no session yet, or no more.
+pub(super) fn close(connection: &Connection, code: u32, reason: &str) {
+    let number = if is_web(connection) { VarInt::from_u64(error_to_http3(code)) } else { Ok(code.into()) };
+    connection.close(number.unwrap_or(VarInt::MAX), reason.as_bytes());
+}
+
+/// Whether the handshake has agreed on HTTP/3.
+fn is_web(connection: &Connection) -> bool {
+    let data = connection.handshake_data().and_then(|data| data.downcast::<HandshakeData>().ok());
+    data.and_then(|data| data.protocol).is_some_and(|protocol| protocol == web::ALPN)
+}
