@@ -1,5 +1,5 @@
-//! Promises of the player in a browser: its pictures are the renderer's, loss thins them and never breaks them,
-//! and a lost device, a slow start or a page 390 pixels wide are no reason to stop.
+//! Promises of the player in a browser: its pictures are the renderer's, loss thins them and never breaks
+//! them, and a lost device, a slow start or a page 390 pixels wide are no reason to stop.
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
@@ -275,7 +275,7 @@ fn files_are_chosen_refused_and_removed() {
     page.browser.wait(10, "innerWidth === 390 && document.documentElement.scrollWidth <= 390").unwrap();
     let controls = "[...player.shadowRoot.querySelectorAll('.bar > *')]";
     let inside = format!(
-        "{controls}.every((c) => {{ const r = c.getBoundingClientRect(); return r.right <= 390 && r.left >= 0; }})"
+        "{controls}.map((c) => c.getBoundingClientRect()).every((r) => r.right <= 390 && r.left >= 0)"
     );
     assert_eq!(page.run(&inside), true);
     let nameless = "[...player.shadowRoot.querySelectorAll('button, input, select, canvas.picture')].filter((c) =>\
@@ -294,6 +294,7 @@ fn without_webgpu_there_is_a_sentence() {
         .unwrap();
     let url = format!("{}?src=streams/small.dgs", page.served.url());
     page.browser.go(&url).unwrap();
-    let said = "document.querySelector('dgs-player')?.shadowRoot.querySelector('.message').textContent.includes('WebGPU')";
+    let said = "document.querySelector('dgs-player')?.shadowRoot.querySelector('.message')\
+        .textContent.includes('WebGPU')";
     page.browser.wait(30, said).unwrap();
 }

@@ -12,6 +12,13 @@ export interface Conditions {
   seed?: number;
 }
 
+/** A stream as a server lists it. */
+export interface ServedStream {
+  name: string;
+  file?: string;
+  web_address?: string;
+}
+
 /** Azimuth, elevation (radians), distance, target x, y, z (scene units). */
 export type View = [number, number, number, number, number, number];
 
@@ -93,6 +100,8 @@ export class DgsPlayer extends HTMLElement {
   home(): void;
   open(file: Blob | Uint8Array): Promise<void>;
   receive(session: Session): void;
+  /** A stream of `streams.json` of `dgs serve`; `transport` allows one alone. */
+  playServed(stream: ServedStream, transport?: "live" | "file" | null): Promise<void>;
   impair(conditions: Conditions): void;
   toggleNetwork(): void;
   toggleFullscreen(): void;

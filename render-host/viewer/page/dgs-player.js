@@ -3,6 +3,7 @@
 import { Engine, load } from "./engine.js";
 import { NetworkPanel } from "./network.js";
 import { bindKeys, bindPointers } from "./input.js";
+import { canReceive, receive } from "./live.js";
 import { fetchStream, openBytes } from "./source.js";
 import { STYLE } from "./style.js";
 
@@ -126,9 +127,43 @@ export class DgsPlayer extends HTMLElement {
     this.#began(session, () => {});
   }
 
+  /**
+   * Plays a stream of a server's `streams.json`: live over WebTransport where both can, else its file by ranges.
+   * `transport`, "live" or "file", allows one of them alone.
+   */
+  async playServed(stream, transport = null) {
+    this.#load?.abort();
+    const current = (this.#load = new AbortController());
+    const { signal } = current;
+    if (transport === "file" || !canReceive(stream)) {
+      if (transport !== "live") this.src = stream.file;
+      else this.#fail(new Error("This browser or this server has no WebTransport"));
+      return;
+    }
+    this.#say("Connecting …");
+    this.#emit("loadstart");
+    let session = null;
+    const began = (made) => {
+      session = made;
+      this.dataset.transport = "live";
+      this.#began(made, () => {});
+    };
+    try {
+      await load();
+      await receive(stream, { began, came: () => this.#engine?.request(), player: this, signal });
+    } catch (error) {
+      if (signal.aborted) return;
+      if (transport === "live" && !session) return this.#fail(error);
+    }
+    if (signal.aborted || transport === "live") return;
+    // The next transport takes over where this one was.
+    if (session) this.setAttribute("time", session.time);
+    this.src = stream.file;
+  }
+
   async #start(url) {
     this.#load?.abort();
-    const load_ = (this.#load = new AbortController());
+    const { signal } = (this.#load = new AbortController());
     this.#say("Loading …");
     this.#emit("loadstart");
     try {
@@ -138,14 +173,14 @@ export class DgsPlayer extends HTMLElement {
         this.#engine?.request();
         this.#emit("progress");
       };
-      const began = (session) => (load_.signal.aborted ? session.free() : this.#began(session, came));
-      const transport = await fetchStream(new URL(url, document.baseURI).href, { began, came, signal: load_.signal });
-      if (load_.signal.aborted) return;
+      const began = (session) => (signal.aborted ? session.free() : this.#began(session, came));
+      const transport = await fetchStream(new URL(url, document.baseURI).href, { began, came, signal });
+      if (signal.aborted) return;
       this.#loaded = 1;
       this.setAttribute("data-transport", transport);
       this.#emit("load");
     } catch (error) {
-      if (!load_.signal.aborted) this.#fail(error);
+      if (!signal.aborted) this.#fail(error);
     }
   }
 

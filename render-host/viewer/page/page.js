@@ -68,18 +68,20 @@ if (parameters.has("src")) {
 async function playServed() {
   const answer = await fetch("streams.json").catch(() => null);
   if (!answer?.ok || !/json/.test(answer.headers.get("Content-Type") ?? "")) return;
-  const served = (await answer.json()).filter((stream) => stream.file);
+  const served = (await answer.json()).filter((stream) => stream.file || stream.web_address);
   if (served.length === 0 || player.src) return;
   welcome.hidden = true;
-  player.src = served[0].file;
+  const wish = parameters.get("stream");
+  const shown = served.find((stream) => stream.name === wish) ?? served[0];
+  player.playServed(shown, parameters.get("transport"));
   if (served.length < 2) return;
   const list = document.getElementById("streams");
   list.hidden = false;
   list.replaceChildren(
-    ...served.map((stream, k) => {
+    ...served.map((stream) => {
       const link = document.createElement("a");
-      [link.href, link.textContent] = [`?src=${encodeURIComponent(stream.file)}`, stream.name];
-      if (k === 0) link.setAttribute("aria-current", "page");
+      [link.href, link.textContent] = [`?stream=${encodeURIComponent(stream.name)}`, stream.name];
+      if (stream === shown) link.setAttribute("aria-current", "page");
       return link;
     }),
   );

@@ -28,6 +28,7 @@ assets! {
     "engine.js" SCRIPT, "../page/engine.js";
     "source.js" SCRIPT, "../page/source.js";
     "input.js" SCRIPT, "../page/input.js";
+    "live.js" SCRIPT, "../page/live.js";
     "network.js" SCRIPT, "../page/network.js";
     "style.js" SCRIPT, "../page/style.js";
     "dgs_viewer.js" SCRIPT, "../dist/dgs_viewer.js";

@@ -104,7 +104,8 @@ impl Playback {
         self.frame_at(self.time_s)
     }
 
-    fn frame_at(&self, time_s: f64) -> u32 {
+    /// The frame that is due at `time_s`.
+    pub fn frame_at(&self, time_s: f64) -> u32 {
         // A whisker more, so that the start of a frame is not rounded into the one before.
         ((time_s * self.frames_per_second + 1e-6) as u32).min(self.frames - 1)
     }

@@ -15,7 +15,7 @@ use codec_core::internals::{
         packet::{Head, KIND_CHUNK, KIND_SLICES},
     },
 };
-use dgs_player::{Error, ErrorKind, Result};
+use dgs_player::{ErrorKind, Result};
 
 /// Bytes to ask for first: the manifest of most streams, and their first packets.
 pub const FIRST_BYTES: u64 = 64 << 10;
@@ -223,11 +223,6 @@ fn place(content: &[u8], manifest: &Manifest<'_>) -> Option<Place> {
         }
         _ => None,
     }
-}
-
-/// The refusal of a file that is cut off inside its manifest.
-pub fn cut_off(len: u64, needed: u64) -> Error {
-    Error::short("file.manifest", 0, len as usize, needed as usize)
 }
 
 #[cfg(test)]

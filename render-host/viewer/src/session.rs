@@ -1,8 +1,11 @@
 //! A session holds one stream, its clock, its camera and its emulated network, and says what to draw.
 
-use codec_core::internals::{
-    ids::{ClusterId, Span},
-    layout::Shape,
+use codec_core::{
+    internals::{
+        ids::{ClusterId, Span},
+        layout::Shape,
+    },
+    player::MAX_RECEIPT_BYTES,
 };
 use dgs_player::{Caps, Damage, FrameDecoder, Player, Result, Stream, Usable};
 use render_host::{Gaussian, Splats};
@@ -18,12 +21,15 @@ use crate::{
 /// Levels there are, base included.
 pub const LEVELS: usize = 4;
 
-/// Colours of what a block is shown at: its proxy, its base, refinements 1 to 3. Told apart by people with any
-/// colour vision.
+/// Colours of what a block is shown at: its proxy, its base, refinements 1 to 3. People with any colour vision
+/// tell them apart.
 pub const LEVEL_COLOURS: [[f32; 3]; LEVELS + 1] =
     [[0.80, 0.27, 0.13], [0.95, 0.64, 0.16], [0.90, 0.88, 0.35], [0.25, 0.66, 0.70], [0.22, 0.38, 0.75]];
 /// Display colour per unit of band 0.
 const SH0: f32 = 0.282_094_79;
+
+/// How long the clock waits for a base that a server may still send, seconds.
+const PATIENCE_S: f64 = 0.5;
 
 /// How many blocks of the frame are shown at what: proxies, base, refinements 1 to 3.
 pub type BlocksByLevel = [u32; LEVELS + 1];
@@ -50,6 +56,9 @@ pub struct Session {
     sent: usize,
     sent_since_s: Option<f64>,
     plan: Option<RangePlan>,
+    /// Whether a server sends packets, and how long the clock has waited for it, seconds.
+    live: bool,
+    waited_s: f64,
     playback: Playback,
     orbit: Orbit,
     cap: usize,
@@ -80,6 +89,8 @@ impl Session {
             sent: 0,
             sent_since_s: None,
             plan: None,
+            live: false,
+            waited_s: 0.0,
             playback,
             orbit: Orbit::default(),
             cap: LEVELS - 1,
@@ -135,6 +146,33 @@ impl Session {
     /// Share of the file that is there, 0 to 1.
     pub fn loaded(&self) -> f64 {
         self.plan.as_ref().map_or(1.0, RangePlan::share)
+    }
+
+    /// A server sends packets from now on: the clock gives each base a moment to come.
+    pub fn set_live(&mut self) {
+        self.live = true;
+    }
+
+    /// A receipt for that server: what has arrived, and when the first frame of the round was shown,
+    /// microseconds since the round began (0 before).
+    ///
+    /// # Errors
+    /// None in practice.
+    pub fn receipt(&mut self, sequence: u32, playout_us: u64) -> Result<Vec<u8>> {
+        let mut receipt = vec![0; MAX_RECEIPT_BYTES];
+        let length = self.player.with_core(|core| core.receipt(sequence, playout_us, None, &mut receipt))?;
+        receipt.truncate(length);
+        Ok(receipt)
+    }
+
+    /// When the first frame of the round is due that a server sends for `time_s`: that of its window, or of
+    /// its epoch, seconds of the clip.
+    pub fn round_start_s(&self, time_s: f64) -> f64 {
+        let manifest = self.player.manifest();
+        let frame = self.playback.frame_at(time_s);
+        let window = manifest.window_at(frame).and_then(|id| manifest.window(id)).map(|w| w.first_frame);
+        let epoch = || manifest.epoch_at(frame).and_then(|id| manifest.epoch(id)).map(|e| e.first_frame);
+        f64::from(window.or_else(epoch).unwrap_or(0)) / manifest.frames_per_second()
     }
 
     /// Takes one packet from a network that is none of ours.
@@ -204,11 +242,18 @@ impl Session {
     /// Lets `dt_s` seconds pass.
     pub fn advance(&mut self, dt_s: f64) -> Step {
         let (player, plan) = (&self.player, &self.plan);
+        let waits = self.live && self.waited_s < PATIENCE_S;
         let ready = |frame| match plan {
             Some(plan) => player.manifest().epoch_at(frame).is_none_or(|epoch| plan.has_base(epoch.0)),
-            None => true,
+            None => !waits || has_base(player, frame),
         };
-        self.playback.advance(dt_s, ready)
+        let step = self.playback.advance(dt_s, ready);
+        if step.stalled {
+            self.waited_s += dt_s;
+        } else if self.waited_s > 0.0 && has_base(player, self.playback.frame()) {
+            self.waited_s = 0.0;
+        }
+        step
     }
 
     /// The clock.
@@ -339,6 +384,11 @@ impl Session {
         let counters = self.player.counters();
         (self.packets.len(), counters.media as usize)
     }
+}
+
+/// Whether every block of `frame` has its base.
+fn has_base(player: &Player, frame: u32) -> bool {
+    player.usable(frame).is_ok_and(|usable| usable.canonical[0] == usable.blocks)
 }
 
 #[cfg(test)]

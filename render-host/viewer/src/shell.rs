@@ -1,13 +1,15 @@
-//! The shell gives a page the session and the screen as JavaScript classes: arguments in, numbers out, no logic.
+//! The shell gives a page session and screen as JavaScript classes: arguments in, numbers out, no logic.
 
 use render_host::Settings;
 use wasm_bindgen::prelude::*;
 use web_sys::HtmlCanvasElement;
 
 use crate::{
-    Conditions, FIRST_BYTES, LEVEL_COLOURS, LEVELS, Orbit, Session, Up, Wanted,
-    ranges::{cut_off, message},
+    channel::Conditions,
+    orbit::{Orbit, Up},
+    ranges::{FIRST_BYTES, Wanted, message},
     screen::{Screen, ScreenError},
+    session::{LEVEL_COLOURS, LEVELS, Session},
 };
 
 /// A canvas with a device.
@@ -105,7 +107,12 @@ impl SessionShell {
     pub fn fetch(first: &[u8], length: f64) -> Result<SessionShell, JsError> {
         let message = match message(first)? {
             Ok(message) => message,
-            Err(needed) => return Err(cut_off(first.len() as u64, needed).into()),
+            Err(needed) => {
+                let there = first.len();
+                return Err(JsError::new(&format!(
+                    "file.manifest: {there} bytes are there, {needed} are needed"
+                )));
+            }
         };
         let mut session = Session::new(message)?;
         session.fetch(length as u64);
@@ -115,7 +122,21 @@ impl SessionShell {
 
     /// A stream that a server sends: its DGSM message.
     pub fn receive(message: &[u8]) -> Result<SessionShell, JsError> {
-        Ok(Self::of(Session::new(message)?, String::new()))
+        let mut session = Session::new(message)?;
+        session.set_live();
+        Ok(Self::of(session, String::new()))
+    }
+
+    /// A receipt for the server: its number, and when the first frame of the round was shown, microseconds
+    /// since the round began; 0 before.
+    pub fn receipt(&mut self, sequence: u32, playout_us: f64) -> Result<Vec<u8>, JsError> {
+        Ok(self.session.receipt(sequence, playout_us as u64)?)
+    }
+
+    /// When the first frame is due of the round that the server sends for `time`, seconds.
+    #[wasm_bindgen(js_name = roundStart)]
+    pub fn round_start(&self, time_s: f64) -> f64 {
+        self.session.round_start_s(time_s)
     }
 
     /// Takes a packet that a server sent.
@@ -265,8 +286,8 @@ impl SessionShell {
         self.drawn = None;
     }
 
-    /// Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all at
-    /// once), seed.
+    /// Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all
+    /// at once), seed.
     pub fn impair(&mut self, loss: f64, burst: f64, rate_bps: f64, seed: u32) -> Result<(), JsError> {
         let rate_bps = (rate_bps > 0.0).then_some(rate_bps);
         Ok(self.session.impair(Conditions { loss, burst, rate_bps, seed: seed.into() })?)

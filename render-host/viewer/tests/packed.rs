@@ -1,6 +1,6 @@
 //! What is committed in `dist/` was made from the sources that lie beside it.
 
-#[path = "sources/mod.rs"]
+#[path = "support/mod.rs"]
 mod sources;
 
 use std::{fs, path::Path};

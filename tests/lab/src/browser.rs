@@ -168,7 +168,8 @@ impl Browser {
         let (Some(&first), Some(&last)) = (path.first(), path.last()) else { return Ok(()) };
         let pressed = if button == "right" { 2 } else { 1 };
         let mut mouse = |kind: &str, [x, y]: [f64; 2], buttons: u32| {
-            let event = json!({ "type": kind, "x": x, "y": y, "button": button, "buttons": buttons, "clickCount": 1 });
+            let mut event = json!({ "type": kind, "x": x, "y": y, "button": button });
+            (event["buttons"], event["clickCount"]) = (json!(buttons), json!(1));
             self.order("Input.dispatchMouseEvent", event)
         };
         mouse("mousePressed", first, pressed)?;

@@ -2,8 +2,8 @@
 //!
 //!     cargo run -p dgs-viewer --features pack --bin pack-viewer
 //!
-//! It needs the target `wasm32-unknown-unknown` and no other tool. What it writes is committed, so that a build of
-//! `dgs` needs neither.
+//! It needs the target `wasm32-unknown-unknown` and no other tool. What it writes is committed, so that a build
+//! of `dgs` needs neither.
 
 use std::{
     env, fs,
@@ -13,7 +13,7 @@ use std::{
 
 use wasm_bindgen_cli_support::Bindgen;
 
-#[path = "../../tests/sources/mod.rs"]
+#[path = "../../tests/support/mod.rs"]
 mod sources;
 
 const TARGET: &str = "wasm32-unknown-unknown";

@@ -117,3 +117,23 @@ fn packets_of_strangers_change_nothing() {
     assert!(session.take_whole(b"no file").is_err());
     assert!(Session::open(&FILE[..20]).is_err());
 }
+
+#[test]
+fn a_server_is_told_what_came_and_its_bases_are_waited_for_a_moment() {
+    let stream = Stream::from_bytes(FILE).unwrap().0;
+    let mut session = Session::new(stream.message()).unwrap();
+    session.set_live();
+    session.playback_mut().set_playing(true);
+    let none = session.receipt(0, 0).unwrap();
+    assert!(session.advance(0.3).stalled && session.advance(0.3).stalled);
+    assert!(!session.advance(0.01).stalled, "what does not come is not waited for any longer");
+    stream.packets().iter().for_each(|packet| session.push(packet));
+    assert!(session.receipt(1, 7).unwrap() != none);
+    session.playback_mut().seek(0.0);
+    assert!(!session.advance(0.01).stalled);
+    let duration = session.playback().duration_s();
+    for share in [0.0, 0.3, 0.7, 1.0] {
+        let start = session.round_start_s(share * duration);
+        assert!(start >= 0.0 && start <= share * duration, "{share}: {start}");
+    }
+}

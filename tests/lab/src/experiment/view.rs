@@ -35,8 +35,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "view",
         format!(
             "page and file over HTTP on loopback, headless Chromium with a software adapter (SwiftShader), \
-             {}x{} pixels; synth figure of {sizes:?} Gaussians, {FRAMES} frames; frames counted for {COUNTED_S} s \
-             of playing; first picture from the start of navigation, {runs} runs",
+             {}x{} pixels; synth figure of {sizes:?} Gaussians, {FRAMES} frames; frames counted for \
+             {COUNTED_S} s of playing; first picture from the start of navigation, {runs} runs",
             SIZE[0], SIZE[1]
         ),
     );
