@@ -278,7 +278,8 @@ fn files_are_chosen_refused_and_removed() {
         "{controls}.map((c) => c.getBoundingClientRect()).every((r) => r.right <= 390 && r.left >= 0)"
     );
     assert_eq!(page.run(&inside), true);
-    let nameless = "[...player.shadowRoot.querySelectorAll('button, input, select, canvas.picture')].filter((c) =>\
+    let nameless = "[...player.shadowRoot.querySelectorAll('button, input, select, canvas.picture')].filter(\
+        (c) =>\
         !c.ariaLabel && !c.closest('label') && !c.textContent.trim()).length";
     assert_eq!(page.number(nameless), 0.0);
     page.run("player.remove(), 0");

@@ -76,8 +76,8 @@ export class Session {
      */
     home(aspect: number): void;
     /**
-     * Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all at
-     * once), seed.
+     * Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all
+     * at once), seed.
      */
     impair(loss: number, burst: number, rate_bps: number, seed: number): void;
     /**
@@ -113,9 +113,18 @@ export class Session {
      */
     push(packet: Uint8Array | number[]): void;
     /**
+     * A receipt for the server: its number, and when the first frame of the round was shown, microseconds
+     * since the round began; 0 before.
+     */
+    receipt(sequence: number, playout_us: number): Uint8Array;
+    /**
      * A stream that a server sends: its DGSM message.
      */
     static receive(message: Uint8Array | number[]): Session;
+    /**
+     * When the first frame is due of the round that the server sends for `time`, seconds.
+     */
+    roundStart(time_s: number): number;
     /**
      * Sets the colour behind everything, 0 to 1 each.
      */
@@ -271,7 +280,9 @@ export interface InitOutput {
     readonly session_playing: (a: number) => number;
     readonly session_push: (a: number, b: number, c: number) => void;
     readonly session_rate: (a: number) => number;
+    readonly session_receipt: (a: number, b: number, c: number) => [number, number, number, number];
     readonly session_receive: (a: number, b: number) => [number, number, number];
+    readonly session_roundStart: (a: number, b: number) => number;
     readonly session_setBackground: (a: number, b: number, c: number, d: number) => void;
     readonly session_setView: (a: number, b: number, c: number) => number;
     readonly session_set_cap: (a: number, b: number) => void;
@@ -289,13 +300,13 @@ export interface InitOutput {
     readonly session_view: (a: number) => [number, number];
     readonly session_wanted: (a: number) => [number, number];
     readonly session_zoom: (a: number, b: number) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h139aec9c2b40a0f6: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h408f1e0240671d96: (a: number, b: number, c: any, d: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h4c1380d63f57dab9: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h7af06d38255f967f: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h840df573a2631e5c: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h1e72cea1b52f8e49: (a: number, b: number, c: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__hb31ab110568b3301: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_60: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_63: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_64: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_62: (a: number, b: number, c: any) => void;
     readonly __wbindgen_malloc: (a: number, b: number) => number;
     readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
     readonly __wbindgen_free: (a: number, b: number, c: number) => void;

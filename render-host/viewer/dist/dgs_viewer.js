@@ -233,8 +233,8 @@ export class Session {
         wasm.session_home(this.__wbg_ptr, aspect);
     }
     /**
-     * Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all at
-     * once), seed.
+     * Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all
+     * at once), seed.
      * @param {number} loss
      * @param {number} burst
      * @param {number} rate_bps
@@ -382,6 +382,22 @@ export class Session {
         return ret;
     }
     /**
+     * A receipt for the server: its number, and when the first frame of the round was shown, microseconds
+     * since the round began; 0 before.
+     * @param {number} sequence
+     * @param {number} playout_us
+     * @returns {Uint8Array}
+     */
+    receipt(sequence, playout_us) {
+        const ret = wasm.session_receipt(this.__wbg_ptr, sequence, playout_us);
+        if (ret[3]) {
+            throw takeFromExternrefTable0(ret[2]);
+        }
+        var v1 = getArrayU8FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 1, 1);
+        return v1;
+    }
+    /**
      * A stream that a server sends: its DGSM message.
      * @param {Uint8Array | number[]} message
      * @returns {Session}
@@ -394,6 +410,15 @@ export class Session {
             throw takeFromExternrefTable0(ret[1]);
         }
         return Session.__wrap(ret[0]);
+    }
+    /**
+     * When the first frame is due of the round that the server sends for `time`, seconds.
+     * @param {number} time_s
+     * @returns {number}
+     */
+    roundStart(time_s) {
+        const ret = wasm.session_roundStart(this.__wbg_ptr, time_s);
+        return ret;
     }
     /**
      * Sets the colour behind everything, 0 to 1 each.
@@ -678,9 +703,6 @@ function __wbg_get_imports() {
             const ret = arg0.call(arg1, arg2);
             return ret;
         }, arguments); },
-        __wbg_clearBuffer_3d5a3057c3c8a9bf: function(arg0, arg1, arg2, arg3) {
-            arg0.clearBuffer(arg1, arg2, arg3);
-        },
         __wbg_clearBuffer_82ba999c294f42fb: function(arg0, arg1, arg2) {
             arg0.clearBuffer(arg1, arg2);
         },
@@ -689,9 +711,6 @@ function __wbg_get_imports() {
         }, arguments); },
         __wbg_copyBufferToBuffer_0c93ff5b22a585e9: function() { return handleError(function (arg0, arg1, arg2, arg3, arg4, arg5) {
             arg0.copyBufferToBuffer(arg1, arg2, arg3, arg4, arg5);
-        }, arguments); },
-        __wbg_copyBufferToBuffer_d04fe4341d6e0f6a: function() { return handleError(function (arg0, arg1, arg2, arg3, arg4) {
-            arg0.copyBufferToBuffer(arg1, arg2, arg3, arg4);
         }, arguments); },
         __wbg_createBindGroupLayout_5699617270d84042: function() { return handleError(function (arg0, arg1) {
             const ret = arg0.createBindGroupLayout(arg1);
@@ -744,10 +763,6 @@ function __wbg_get_imports() {
         },
         __wbg_dispatchWorkgroups_56b943172790add0: function(arg0, arg1, arg2, arg3) {
             arg0.dispatchWorkgroups(arg1 >>> 0, arg2 >>> 0, arg3 >>> 0);
-        },
-        __wbg_document_3b5c3071b43e97ee: function(arg0) {
-            const ret = arg0.document;
-            return isLikeNone(ret) ? 0 : addToExternrefTable0(ret);
         },
         __wbg_draw_086a9578fc9898c2: function(arg0, arg1, arg2, arg3, arg4) {
             arg0.draw(arg1 >>> 0, arg2 >>> 0, arg3 >>> 0, arg4 >>> 0);
@@ -802,10 +817,6 @@ function __wbg_get_imports() {
             const ret = arg0.getPreferredCanvasFormat();
             return (__wbindgen_enum_GpuTextureFormat.indexOf(ret) + 1 || 102) - 1;
         },
-        __wbg_get_0c55869fe53c7d14: function(arg0, arg1) {
-            const ret = arg0[arg1 >>> 0];
-            return isLikeNone(ret) ? 0 : addToExternrefTable0(ret);
-        },
         __wbg_gpu_514705c6dd1f0dab: function(arg0) {
             const ret = arg0.gpu;
             return ret;
@@ -832,16 +843,6 @@ function __wbg_get_imports() {
             let result;
             try {
                 result = arg0 instanceof GPUValidationError;
-            } catch (_) {
-                result = false;
-            }
-            const ret = result;
-            return ret;
-        },
-        __wbg_instanceof_Window_5cf453f5639aa1a2: function(arg0) {
-            let result;
-            try {
-                result = arg0 instanceof Window;
             } catch (_) {
                 result = false;
             }
@@ -1040,7 +1041,7 @@ function __wbg_get_imports() {
                     const a = state0.a;
                     state0.a = 0;
                     try {
-                        return wasm_bindgen__convert__closures_____invoke__h408f1e0240671d96(a, state0.b, arg0, arg1);
+                        return wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64(a, state0.b, arg0, arg1);
                     } finally {
                         state0.a = a;
                     }
@@ -1062,10 +1063,6 @@ function __wbg_get_imports() {
         __wbg_prototypesetcall_13162965d1fe7aa3: function(arg0, arg1, arg2) {
             Uint8Array.prototype.set.call(getArrayU8FromWasm0(arg0, arg1), arg2);
         },
-        __wbg_querySelectorAll_6c1bd81d448fb480: function() { return handleError(function (arg0, arg1, arg2) {
-            const ret = arg0.querySelectorAll(getStringFromWasm0(arg1, arg2));
-            return ret;
-        }, arguments); },
         __wbg_queueMicrotask_1e8503a8a690f0a3: function(arg0) {
             const ret = arg0.queueMicrotask;
             return ret;
@@ -1103,12 +1100,6 @@ function __wbg_get_imports() {
         __wbg_setBindGroup_418c3e0eb6943ce0: function(arg0, arg1, arg2) {
             arg0.setBindGroup(arg1 >>> 0, arg2);
         },
-        __wbg_setBindGroup_4aa88516c8ab99c4: function() { return handleError(function (arg0, arg1, arg2, arg3, arg4, arg5, arg6) {
-            arg0.setBindGroup(arg1 >>> 0, arg2, getArrayU32FromWasm0(arg3, arg4), arg5, arg6 >>> 0);
-        }, arguments); },
-        __wbg_setBindGroup_82d014e8f799f053: function() { return handleError(function (arg0, arg1, arg2, arg3, arg4, arg5, arg6) {
-            arg0.setBindGroup(arg1 >>> 0, arg2, getArrayU32FromWasm0(arg3, arg4), arg5, arg6 >>> 0);
-        }, arguments); },
         __wbg_setBindGroup_c83391351ce68826: function(arg0, arg1, arg2) {
             arg0.setBindGroup(arg1 >>> 0, arg2);
         },
@@ -1131,26 +1122,14 @@ function __wbg_get_imports() {
         __wbg_set_access_b0a6fbebfbe53242: function(arg0, arg1) {
             arg0.access = __wbindgen_enum_GpuStorageTextureAccess[arg1];
         },
-        __wbg_set_alpha_84214d12347c6647: function(arg0, arg1) {
-            arg0.alpha = arg1;
-        },
         __wbg_set_alpha_mode_278c6649365aff36: function(arg0, arg1) {
             arg0.alphaMode = __wbindgen_enum_GpuCanvasAlphaMode[arg1];
         },
         __wbg_set_alpha_to_coverage_enabled_1e879520cab4bb05: function(arg0, arg1) {
             arg0.alphaToCoverageEnabled = arg1 !== 0;
         },
-        __wbg_set_array_layer_count_bd7a074559a0abaa: function(arg0, arg1) {
-            arg0.arrayLayerCount = arg1 >>> 0;
-        },
-        __wbg_set_array_stride_f64_b132c6a79afeae43: function(arg0, arg1) {
-            arg0.arrayStride = arg1;
-        },
         __wbg_set_aspect_8c866a3891032753: function(arg0, arg1) {
             arg0.aspect = __wbindgen_enum_GpuTextureAspect[arg1];
-        },
-        __wbg_set_attributes_67bbc44b08e038d6: function(arg0, arg1, arg2) {
-            arg0.attributes = getArrayJsValueViewFromWasm0(arg1, arg2);
         },
         __wbg_set_b_a93bcfdd1c29a0bd: function(arg0, arg1) {
             arg0.b = arg1;
@@ -1160,9 +1139,6 @@ function __wbg_get_imports() {
         },
         __wbg_set_base_mip_level_fe08854fab09de85: function(arg0, arg1) {
             arg0.baseMipLevel = arg1 >>> 0;
-        },
-        __wbg_set_beginning_of_pass_write_index_a13b608f19d6a2f0: function(arg0, arg1) {
-            arg0.beginningOfPassWriteIndex = arg1 >>> 0;
         },
         __wbg_set_beginning_of_pass_write_index_c49071ff9c074e31: function(arg0, arg1) {
             arg0.beginningOfPassWriteIndex = arg1 >>> 0;
@@ -1175,9 +1151,6 @@ function __wbg_get_imports() {
         },
         __wbg_set_binding_dbed4a234264971a: function(arg0, arg1) {
             arg0.binding = arg1 >>> 0;
-        },
-        __wbg_set_blend_1f3e5b36f9c246cb: function(arg0, arg1) {
-            arg0.blend = arg1;
         },
         __wbg_set_buffer_76841cdbff393f1d: function(arg0, arg1) {
             arg0.buffer = arg1;
@@ -1194,14 +1167,8 @@ function __wbg_get_imports() {
         __wbg_set_code_130aebc49c4cadd3: function(arg0, arg1, arg2) {
             arg0.code = getStringFromWasm0(arg1, arg2);
         },
-        __wbg_set_color_6d2de56a2224ec57: function(arg0, arg1) {
-            arg0.color = arg1;
-        },
         __wbg_set_color_attachments_e83f79badceda8b4: function(arg0, arg1, arg2) {
             arg0.colorAttachments = getArrayJsValueViewFromWasm0(arg1, arg2);
-        },
-        __wbg_set_compare_159af15eb77dbcd2: function(arg0, arg1) {
-            arg0.compare = __wbindgen_enum_GpuCompareFunction[arg1];
         },
         __wbg_set_compute_800b1231f347606b: function(arg0, arg1) {
             arg0.compute = arg1;
@@ -1212,53 +1179,8 @@ function __wbg_get_imports() {
         __wbg_set_cull_mode_31293d13bc064271: function(arg0, arg1) {
             arg0.cullMode = __wbindgen_enum_GpuCullMode[arg1];
         },
-        __wbg_set_depth_bias_b30728f3ab3f643e: function(arg0, arg1) {
-            arg0.depthBias = arg1;
-        },
-        __wbg_set_depth_bias_clamp_5b58fd4819283038: function(arg0, arg1) {
-            arg0.depthBiasClamp = arg1;
-        },
-        __wbg_set_depth_bias_slope_scale_8b8b20db6b43c43b: function(arg0, arg1) {
-            arg0.depthBiasSlopeScale = arg1;
-        },
-        __wbg_set_depth_clear_value_1165941523836019: function(arg0, arg1) {
-            arg0.depthClearValue = arg1;
-        },
-        __wbg_set_depth_compare_81dd71de7e433cc2: function(arg0, arg1) {
-            arg0.depthCompare = __wbindgen_enum_GpuCompareFunction[arg1];
-        },
-        __wbg_set_depth_fail_op_ddf822c573cdf0c1: function(arg0, arg1) {
-            arg0.depthFailOp = __wbindgen_enum_GpuStencilOperation[arg1];
-        },
-        __wbg_set_depth_load_op_ca270acab0c1ca69: function(arg0, arg1) {
-            arg0.depthLoadOp = __wbindgen_enum_GpuLoadOp[arg1];
-        },
-        __wbg_set_depth_read_only_49ca399f98b97955: function(arg0, arg1) {
-            arg0.depthReadOnly = arg1 !== 0;
-        },
-        __wbg_set_depth_stencil_41e94739225cb2c3: function(arg0, arg1) {
-            arg0.depthStencil = arg1;
-        },
-        __wbg_set_depth_stencil_attachment_36ce3695dfcb6b85: function(arg0, arg1) {
-            arg0.depthStencilAttachment = arg1;
-        },
-        __wbg_set_depth_store_op_6cd6bdde49f9050d: function(arg0, arg1) {
-            arg0.depthStoreOp = __wbindgen_enum_GpuStoreOp[arg1];
-        },
-        __wbg_set_depth_write_enabled_4b5da11c77fbdab7: function(arg0, arg1) {
-            arg0.depthWriteEnabled = arg1 !== 0;
-        },
         __wbg_set_device_1940fd5f9e2a7fee: function(arg0, arg1) {
             arg0.device = arg1;
-        },
-        __wbg_set_dimension_bab9530fa3e311d8: function(arg0, arg1) {
-            arg0.dimension = __wbindgen_enum_GpuTextureViewDimension[arg1];
-        },
-        __wbg_set_dst_factor_80c13f29a3e117cb: function(arg0, arg1) {
-            arg0.dstFactor = __wbindgen_enum_GpuBlendFactor[arg1];
-        },
-        __wbg_set_end_of_pass_write_index_793fcfe3141dc357: function(arg0, arg1) {
-            arg0.endOfPassWriteIndex = arg1 >>> 0;
         },
         __wbg_set_end_of_pass_write_index_891ac71cf6a560c5: function(arg0, arg1) {
             arg0.endOfPassWriteIndex = arg1 >>> 0;
@@ -1281,22 +1203,10 @@ function __wbg_get_imports() {
         __wbg_set_external_texture_1bef5ba626275d0a: function(arg0, arg1) {
             arg0.externalTexture = arg1;
         },
-        __wbg_set_fail_op_739cc3815d38c95f: function(arg0, arg1) {
-            arg0.failOp = __wbindgen_enum_GpuStencilOperation[arg1];
-        },
         __wbg_set_format_443ea19e2d25a1e2: function(arg0, arg1) {
             arg0.format = __wbindgen_enum_GpuTextureFormat[arg1];
         },
-        __wbg_set_format_459792306baadae5: function(arg0, arg1) {
-            arg0.format = __wbindgen_enum_GpuTextureFormat[arg1];
-        },
         __wbg_set_format_46b1c6b3acc10b24: function(arg0, arg1) {
-            arg0.format = __wbindgen_enum_GpuTextureFormat[arg1];
-        },
-        __wbg_set_format_5a62f31a4690f935: function(arg0, arg1) {
-            arg0.format = __wbindgen_enum_GpuVertexFormat[arg1];
-        },
-        __wbg_set_format_efec4f7d9471ddbb: function(arg0, arg1) {
             arg0.format = __wbindgen_enum_GpuTextureFormat[arg1];
         },
         __wbg_set_format_fd579d96fa4e468c: function(arg0, arg1) {
@@ -1320,9 +1230,6 @@ function __wbg_get_imports() {
         __wbg_set_height_ae24c2f7d580ae0a: function(arg0, arg1) {
             arg0.height = arg1 >>> 0;
         },
-        __wbg_set_label_08745022b1ec7b66: function(arg0, arg1, arg2) {
-            arg0.label = getStringFromWasm0(arg1, arg2);
-        },
         __wbg_set_label_11c9eb57693a8459: function(arg0, arg1, arg2) {
             arg0.label = getStringFromWasm0(arg1, arg2);
         },
@@ -1339,9 +1246,6 @@ function __wbg_get_imports() {
             arg0.label = getStringFromWasm0(arg1, arg2);
         },
         __wbg_set_label_73c99dab6708c962: function(arg0, arg1, arg2) {
-            arg0.label = getStringFromWasm0(arg1, arg2);
-        },
-        __wbg_set_label_85a21b5fdd57fd91: function(arg0, arg1, arg2) {
             arg0.label = getStringFromWasm0(arg1, arg2);
         },
         __wbg_set_label_891876dd0e225368: function(arg0, arg1, arg2) {
@@ -1362,16 +1266,10 @@ function __wbg_get_imports() {
         __wbg_set_layout_200fc3b143da0a9e: function(arg0, arg1) {
             arg0.layout = arg1;
         },
-        __wbg_set_layout_3f0cb99635c33123: function(arg0, arg1) {
-            arg0.layout = arg1;
-        },
         __wbg_set_layout_599d761209e4b03f: function(arg0, arg1) {
             arg0.layout = arg1;
         },
         __wbg_set_layout_gpu_auto_layout_mode_2e8a53f8643b4f69: function(arg0, arg1) {
-            arg0.layout = __wbindgen_enum_GpuAutoLayoutMode[arg1];
-        },
-        __wbg_set_layout_gpu_auto_layout_mode_eb40dfd1eca5b9d3: function(arg0, arg1) {
             arg0.layout = __wbindgen_enum_GpuAutoLayoutMode[arg1];
         },
         __wbg_set_load_op_e8c33d4bdd2772aa: function(arg0, arg1) {
@@ -1385,9 +1283,6 @@ function __wbg_get_imports() {
         },
         __wbg_set_min_binding_size_f64_c6d68d773b7051d3: function(arg0, arg1) {
             arg0.minBindingSize = arg1;
-        },
-        __wbg_set_mip_level_count_c0ac46de264d83ec: function(arg0, arg1) {
-            arg0.mipLevelCount = arg1 >>> 0;
         },
         __wbg_set_mode_51d2c5a5ac0f7ac9: function(arg0, arg1) {
             arg0.mode = __wbindgen_enum_GpuCanvasToneMappingMode[arg1];
@@ -1407,20 +1302,11 @@ function __wbg_get_imports() {
         __wbg_set_multisampled_ae3f9f01a324f57c: function(arg0, arg1) {
             arg0.multisampled = arg1 !== 0;
         },
-        __wbg_set_offset_f64_52f728fc5c98a52c: function(arg0, arg1) {
-            arg0.offset = arg1;
-        },
         __wbg_set_offset_f64_9374d9e912985773: function(arg0, arg1) {
             arg0.offset = arg1;
         },
         __wbg_set_onuncapturederror_19ad0d0daa325d10: function(arg0, arg1) {
             arg0.onuncapturederror = arg1;
-        },
-        __wbg_set_operation_e103287df7ac9cf6: function(arg0, arg1) {
-            arg0.operation = __wbindgen_enum_GpuBlendOperation[arg1];
-        },
-        __wbg_set_pass_op_4d08c3105f64a17a: function(arg0, arg1) {
-            arg0.passOp = __wbindgen_enum_GpuStencilOperation[arg1];
         },
         __wbg_set_power_preference_6bc1d2697a0e7374: function(arg0, arg1) {
             arg0.powerPreference = __wbindgen_enum_GpuPowerPreference[arg1];
@@ -1431,9 +1317,6 @@ function __wbg_get_imports() {
         __wbg_set_query_set_6acda8912691b8d6: function(arg0, arg1) {
             arg0.querySet = arg1;
         },
-        __wbg_set_query_set_765c4c9ab99342cb: function(arg0, arg1) {
-            arg0.querySet = arg1;
-        },
         __wbg_set_r_1116d6a5f656263d: function(arg0, arg1) {
             arg0.r = arg1;
         },
@@ -1442,9 +1325,6 @@ function __wbg_get_imports() {
         },
         __wbg_set_required_limits_e78b923d73f9b596: function(arg0, arg1) {
             arg0.requiredLimits = arg1;
-        },
-        __wbg_set_resolve_target_gpu_texture_view_a7a97a7c04d84698: function(arg0, arg1) {
-            arg0.resolveTarget = arg1;
         },
         __wbg_set_resource_0f960a4279e7e400: function(arg0, arg1) {
             arg0.resource = arg1;
@@ -1461,44 +1341,11 @@ function __wbg_get_imports() {
         __wbg_set_sampler_ccdca76ef8e642ca: function(arg0, arg1) {
             arg0.sampler = arg1;
         },
-        __wbg_set_shader_location_31dc427c303a32aa: function(arg0, arg1) {
-            arg0.shaderLocation = arg1 >>> 0;
-        },
         __wbg_set_size_f64_3ff72c0d736c42a1: function(arg0, arg1) {
             arg0.size = arg1;
         },
         __wbg_set_size_f64_9b65e4916b2eb111: function(arg0, arg1) {
             arg0.size = arg1;
-        },
-        __wbg_set_src_factor_7e90d4b7d8227fc5: function(arg0, arg1) {
-            arg0.srcFactor = __wbindgen_enum_GpuBlendFactor[arg1];
-        },
-        __wbg_set_stencil_back_6b5aeefbb90ae3ae: function(arg0, arg1) {
-            arg0.stencilBack = arg1;
-        },
-        __wbg_set_stencil_clear_value_56fa848198a9b430: function(arg0, arg1) {
-            arg0.stencilClearValue = arg1 >>> 0;
-        },
-        __wbg_set_stencil_front_4ffeca9473bca095: function(arg0, arg1) {
-            arg0.stencilFront = arg1;
-        },
-        __wbg_set_stencil_load_op_b7a9fe3ad789b6c6: function(arg0, arg1) {
-            arg0.stencilLoadOp = __wbindgen_enum_GpuLoadOp[arg1];
-        },
-        __wbg_set_stencil_read_mask_7cfe0945679de134: function(arg0, arg1) {
-            arg0.stencilReadMask = arg1 >>> 0;
-        },
-        __wbg_set_stencil_read_only_0dde0c073192b5fa: function(arg0, arg1) {
-            arg0.stencilReadOnly = arg1 !== 0;
-        },
-        __wbg_set_stencil_store_op_d320bcbb72456a4c: function(arg0, arg1) {
-            arg0.stencilStoreOp = __wbindgen_enum_GpuStoreOp[arg1];
-        },
-        __wbg_set_stencil_write_mask_765017d5830ee98a: function(arg0, arg1) {
-            arg0.stencilWriteMask = arg1 >>> 0;
-        },
-        __wbg_set_step_mode_2b1318f00e2ddc02: function(arg0, arg1) {
-            arg0.stepMode = __wbindgen_enum_GpuVertexStepMode[arg1];
         },
         __wbg_set_storage_texture_b9e95e260c9d49a3: function(arg0, arg1) {
             arg0.storageTexture = arg1;
@@ -1506,17 +1353,11 @@ function __wbg_get_imports() {
         __wbg_set_store_op_e2b740eddfd2713f: function(arg0, arg1) {
             arg0.storeOp = __wbindgen_enum_GpuStoreOp[arg1];
         },
-        __wbg_set_strip_index_format_22ddab1b8f352c1d: function(arg0, arg1) {
-            arg0.stripIndexFormat = __wbindgen_enum_GpuIndexFormat[arg1];
-        },
         __wbg_set_targets_07e15f3cca640faf: function(arg0, arg1, arg2) {
             arg0.targets = getArrayJsValueViewFromWasm0(arg1, arg2);
         },
         __wbg_set_texture_84a5f84f0f451291: function(arg0, arg1) {
             arg0.texture = arg1;
-        },
-        __wbg_set_timestamp_writes_1d304b9eb09ff227: function(arg0, arg1) {
-            arg0.timestampWrites = arg1;
         },
         __wbg_set_timestamp_writes_78a9445dbac5c902: function(arg0, arg1) {
             arg0.timestampWrites = arg1;
@@ -1558,9 +1399,6 @@ function __wbg_get_imports() {
             arg0.viewFormats = getArrayJsValueViewFromWasm0(arg1, arg2);
         },
         __wbg_set_view_gpu_texture_view_9a3c34ba4d1969b8: function(arg0, arg1) {
-            arg0.view = arg1;
-        },
-        __wbg_set_view_gpu_texture_view_efa644c1ce3c4deb: function(arg0, arg1) {
             arg0.view = arg1;
         },
         __wbg_set_visibility_65413465e7b24eb6: function(arg0, arg1) {
@@ -1628,33 +1466,33 @@ function __wbg_get_imports() {
             arg0.writeBuffer(arg1, arg2, getArrayU8FromWasm0(arg3, arg4), arg5, arg6);
         }, arguments); },
         __wbindgen_generic_0000000000000001: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [Externref], shim_idx: 138, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h7af06d38255f967f);
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [Externref], shim_idx: 20, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b);
             return ret;
         },
         __wbindgen_generic_0000000000000002: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDevice")], shim_idx: 63, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h840df573a2631e5c);
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDevice")], shim_idx: 20, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_60);
             return ret;
         },
         __wbindgen_generic_0000000000000003: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDeviceLostInfo")], shim_idx: 69, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__hb31ab110568b3301);
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDeviceLostInfo")], shim_idx: 23, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043);
             return ret;
         },
         __wbindgen_generic_0000000000000004: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUUncapturedErrorEvent")], shim_idx: 67, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h1e72cea1b52f8e49);
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUUncapturedErrorEvent")], shim_idx: 23, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_62);
             return ret;
         },
         __wbindgen_generic_0000000000000005: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("any")], shim_idx: 61, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h139aec9c2b40a0f6);
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("any")], shim_idx: 20, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_63);
             return ret;
         },
         __wbindgen_generic_0000000000000006: function(arg0, arg1) {
-            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("undefined")], shim_idx: 62, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4c1380d63f57dab9);
+            // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("undefined")], shim_idx: 20, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_64);
             return ret;
         },
         __wbindgen_generic_0000000000000007: function(arg0) {
@@ -1687,54 +1525,48 @@ function __wbg_get_imports() {
     };
 }
 
-function wasm_bindgen__convert__closures_____invoke__hb31ab110568b3301(arg0, arg1, arg2) {
-    wasm.wasm_bindgen__convert__closures_____invoke__hb31ab110568b3301(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg1, arg2) {
+    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg1, arg2);
 }
 
-function wasm_bindgen__convert__closures_____invoke__h1e72cea1b52f8e49(arg0, arg1, arg2) {
-    wasm.wasm_bindgen__convert__closures_____invoke__h1e72cea1b52f8e49(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_62(arg0, arg1, arg2) {
+    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_62(arg0, arg1, arg2);
 }
 
-function wasm_bindgen__convert__closures_____invoke__h7af06d38255f967f(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h7af06d38255f967f(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h840df573a2631e5c(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h840df573a2631e5c(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_60(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_60(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h139aec9c2b40a0f6(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h139aec9c2b40a0f6(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_63(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_63(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4c1380d63f57dab9(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4c1380d63f57dab9(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_64(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_64(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h408f1e0240671d96(arg0, arg1, arg2, arg3) {
-    wasm.wasm_bindgen__convert__closures_____invoke__h408f1e0240671d96(arg0, arg1, arg2, arg3);
+function wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64(arg0, arg1, arg2, arg3) {
+    wasm.wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64(arg0, arg1, arg2, arg3);
 }
 
 
 const __wbindgen_enum_GpuAutoLayoutMode = ["auto"];
-
-
-const __wbindgen_enum_GpuBlendFactor = ["zero", "one", "src", "one-minus-src", "src-alpha", "one-minus-src-alpha", "dst", "one-minus-dst", "dst-alpha", "one-minus-dst-alpha", "src-alpha-saturated", "constant", "one-minus-constant", "src1", "one-minus-src1", "src1-alpha", "one-minus-src1-alpha"];
-
-
-const __wbindgen_enum_GpuBlendOperation = ["add", "subtract", "reverse-subtract", "min", "max"];
 
 
 const __wbindgen_enum_GpuBufferBindingType = ["uniform", "storage", "read-only-storage"];
@@ -1746,9 +1578,6 @@ const __wbindgen_enum_GpuCanvasAlphaMode = ["opaque", "premultiplied"];
 const __wbindgen_enum_GpuCanvasToneMappingMode = ["standard", "extended"];
 
 
-const __wbindgen_enum_GpuCompareFunction = ["never", "less", "equal", "less-equal", "greater", "not-equal", "greater-equal", "always"];
-
-
 const __wbindgen_enum_GpuCullMode = ["none", "front", "back"];
 
 
@@ -1756,9 +1585,6 @@ const __wbindgen_enum_GpuDeviceLostReason = ["unknown", "destroyed"];
 
 
 const __wbindgen_enum_GpuFrontFace = ["ccw", "cw"];
-
-
-const __wbindgen_enum_GpuIndexFormat = ["uint16", "uint32"];
 
 
 const __wbindgen_enum_GpuLoadOp = ["load", "clear"];
@@ -1771,9 +1597,6 @@ const __wbindgen_enum_GpuPrimitiveTopology = ["point-list", "line-list", "line-s
 
 
 const __wbindgen_enum_GpuSamplerBindingType = ["filtering", "non-filtering", "comparison"];
-
-
-const __wbindgen_enum_GpuStencilOperation = ["keep", "zero", "replace", "invert", "increment-clamp", "decrement-clamp", "increment-wrap", "decrement-wrap"];
 
 
 const __wbindgen_enum_GpuStorageTextureAccess = ["write-only", "read-only", "read-write"];
@@ -1792,12 +1615,6 @@ const __wbindgen_enum_GpuTextureSampleType = ["float", "unfilterable-float", "de
 
 
 const __wbindgen_enum_GpuTextureViewDimension = ["1d", "2d", "2d-array", "cube", "cube-array", "3d"];
-
-
-const __wbindgen_enum_GpuVertexFormat = ["uint8", "uint8x2", "uint8x4", "sint8", "sint8x2", "sint8x4", "unorm8", "unorm8x2", "unorm8x4", "snorm8", "snorm8x2", "snorm8x4", "uint16", "uint16x2", "uint16x4", "sint16", "sint16x2", "sint16x4", "unorm16", "unorm16x2", "unorm16x4", "snorm16", "snorm16x2", "snorm16x4", "float16", "float16x2", "float16x4", "float32", "float32x2", "float32x3", "float32x4", "uint32", "uint32x2", "uint32x3", "uint32x4", "sint32", "sint32x2", "sint32x3", "sint32x4", "unorm10-10-10-2", "unorm8x4-bgra"];
-
-
-const __wbindgen_enum_GpuVertexStepMode = ["vertex", "instance"];
 const ScreenFinalization = (typeof FinalizationRegistry === 'undefined')
     ? { register: () => {}, unregister: () => {} }
     : new FinalizationRegistry(ptr => wasm.__wbg_screen_free(ptr, 1));

@@ -7,6 +7,8 @@ import { canReceive, receive } from "./live.js";
 import { fetchStream, openBytes } from "./source.js";
 import { STYLE } from "./style.js";
 
+// Where a page remembers that live transport did not work here.
+const REMEMBERED = "dgs-transport";
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const QUALITIES = ["base", "level 1", "level 2", "all levels"];
 const KEYS = [
@@ -135,7 +137,8 @@ export class DgsPlayer extends HTMLElement {
     this.#load?.abort();
     const current = (this.#load = new AbortController());
     const { signal } = current;
-    if (transport === "file" || !canReceive(stream)) {
+    const byFile = transport === "file" || (transport === null && remembered() === "file");
+    if (byFile || !canReceive(stream)) {
       if (transport !== "live") this.src = stream.file;
       else this.#fail(new Error("This browser or this server has no WebTransport"));
       return;
@@ -158,6 +161,7 @@ export class DgsPlayer extends HTMLElement {
     if (signal.aborted || transport === "live") return;
     // The next transport takes over where this one was.
     if (session) this.setAttribute("time", session.time);
+    else remember("file");
     this.src = stream.file;
   }
 
@@ -461,6 +465,23 @@ export class DgsPlayer extends HTMLElement {
     const dialog = this.#part("dialog");
     if (dialog.open) dialog.close();
     else dialog.showModal();
+  }
+}
+
+// A page inside another may have no storage.
+function remembered() {
+  try {
+    return sessionStorage.getItem(REMEMBERED);
+  } catch {
+    return null;
+  }
+}
+
+function remember(transport) {
+  try {
+    sessionStorage.setItem(REMEMBERED, transport);
+  } catch {
+    // Then it is found out again.
   }
 }
 

@@ -24,6 +24,8 @@ const WATCH_MS = 250;
 const SLOW_S = 1 / 18;
 const SLOW_FRAMES = 20;
 const SMALLEST_SCALE = 0.5;
+// Frames that a device may be given before it has finished the first of them.
+const MOST_PENDING = 2;
 
 /**
  * Events: `firstframe`, `frame`, `step` (detail: looped, ended, waiting), `devicelost`, `devicerestored`, `error`.
@@ -37,6 +39,7 @@ export class Engine extends EventTarget {
   #last = 0;
   #drawn = "";
   #shown = false;
+  #framesBefore = 0;
   #waiting = false;
   #watch;
   #resizes;
@@ -45,8 +48,7 @@ export class Engine extends EventTarget {
   #closed = false;
   /** Device pixels per CSS pixel; `null` for the display's own, lowered where frames come slowly. */
   pixelRatio = null;
-  /** Frames drawn, and when the last of them was, milliseconds. */
-  frames = 0;
+  #finishedBefore = 0;
 
   constructor(canvas) {
     super();
@@ -61,12 +63,18 @@ export class Engine extends EventTarget {
     this.#session?.free();
     this.#session = session;
     this.#shown = false;
+    this.#framesBefore = this.frames + (this.#screen?.pending ?? 0);
     this.#drawn = "";
     this.request();
   }
 
   get session() {
     return this.#session;
+  }
+
+  /** Frames that were drawn and that a device has finished. */
+  get frames() {
+    return this.#finishedBefore + (this.#screen?.finished ?? 0);
   }
 
   get screen() {
@@ -136,9 +144,14 @@ export class Engine extends EventTarget {
     const step = session.advance(passed);
     const busy = session.deliver(now / 1000);
     this.#say(step);
-    this.#draw();
+    const pending = this.#screen?.pending ?? 0;
+    if (pending < MOST_PENDING) this.#draw();
     this.#keepUp(session.playing ? passed : 0);
-    if (session.playing || busy) this.request();
+    if (!this.#shown && this.frames > this.#framesBefore) {
+      this.#shown = true;
+      this.dispatchEvent(new Event("firstframe"));
+    }
+    if (session.playing || busy || pending > 0 || (!this.#shown && this.#screen)) this.request();
     else this.#last = 0;
   }
 
@@ -184,11 +197,6 @@ export class Engine extends EventTarget {
       return;
     }
     this.#drawn = state;
-    this.frames += 1;
-    if (!this.#shown) {
-      this.#shown = true;
-      this.dispatchEvent(new Event("firstframe"));
-    }
     this.dispatchEvent(new Event("frame"));
   }
 
@@ -205,6 +213,7 @@ export class Engine extends EventTarget {
       if (screen.stale) this.request();
       return;
     }
+    this.#finishedBefore = this.#framesBefore = this.frames;
     this.#screen = null;
     this.dispatchEvent(new Event("devicelost"));
     screen.free();

@@ -5,7 +5,7 @@ use std::{
     rc::Rc,
     sync::{
         Arc,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicU32, Ordering},
     },
 };
 
@@ -50,6 +50,9 @@ pub struct Screen {
     shape: wgpu::Buffer,
     bound: Option<(wgpu::Buffer, wgpu::BindGroup)>,
     lost: Arc<AtomicBool>,
+    /// Frames submitted, and those of them that the device has finished.
+    submitted: u32,
+    finished: Arc<AtomicU32>,
     counts: Counts,
 }
 
@@ -109,6 +112,8 @@ impl Screen {
             renderer,
             shape,
             lost,
+            submitted: 0,
+            finished: Arc::default(),
         })
     }
 
@@ -121,6 +126,16 @@ impl Screen {
     /// Whether the device is gone.
     pub fn is_lost(&self) -> bool {
         self.lost.load(Ordering::Relaxed)
+    }
+
+    /// Frames that the device has finished.
+    pub fn finished(&self) -> u32 {
+        self.finished.load(Ordering::Relaxed)
+    }
+
+    /// Frames that the device still draws.
+    pub fn pending(&self) -> u32 {
+        self.submitted.wrapping_sub(self.finished())
     }
 
     /// Gives the device up, as a browser may at any time.
@@ -157,6 +172,11 @@ impl Screen {
         self.renderer.reserve_entries(wanted);
         self.renderer.draw(scene, camera, settings)?;
         self.show(settings.background)?;
+        self.submitted = self.submitted.wrapping_add(1);
+        let finished = Arc::clone(&self.finished);
+        self.device.queue().on_submitted_work_done(move || {
+            finished.fetch_add(1, Ordering::Relaxed);
+        });
         self.counts.copy(&self.device, self.renderer.lists().counts());
         Ok(self.device.check()?)
     }

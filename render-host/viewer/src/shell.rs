@@ -35,6 +35,18 @@ impl ScreenShell {
         self.0.is_lost()
     }
 
+    /// Frames that the device has finished.
+    #[wasm_bindgen(getter)]
+    pub fn finished(&self) -> u32 {
+        self.0.finished()
+    }
+
+    /// Frames that it still draws.
+    #[wasm_bindgen(getter)]
+    pub fn pending(&self) -> u32 {
+        self.0.pending()
+    }
+
     /// Whether the last picture was not whole: draw again.
     #[wasm_bindgen(getter)]
     pub fn stale(&self) -> bool {
