@@ -317,6 +317,9 @@ fn what_is_served_is_played() {
     assert!(at.join("frames/00011.png").is_file());
     let json: serde_json::Value = serde_json::from_str(&ok(at, &["play", url, "--json"])).unwrap();
     assert_eq!(json["report"]["shown_count"], 12);
+    let web = url.replace("dgs://", "https://");
+    let json: serde_json::Value = serde_json::from_str(&ok(at, &["play", &web, "--json"])).unwrap();
+    assert_eq!(json["report"]["shown_count"], 12);
     let (bare, _) = url.split_once('#').unwrap();
     assert!(refused(at, &["play", bare]).contains("by what is the server known"));
     let wrong = format!("{bare}#{}", "0".repeat(64));
@@ -328,7 +331,7 @@ fn what_is_served_is_played() {
     let mut rest = String::new();
     said.read_to_string(&mut rest).unwrap();
     assert!(server.wait().unwrap().success());
-    assert!(rest.contains("2 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
+    assert!(rest.contains("3 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
     assert!(rest.contains("page: 3 requests on 3 connections"), "{rest}");
     let error = refused(at, &["serve", "a b.dgs", "a b.dgs", "--listen", "127.0.0.1:0"]);
     assert!(error.contains("two streams are called a-b"), "{error}");

@@ -69,7 +69,7 @@ pub struct Serve {
 /// `dgs play`.
 #[derive(Debug, Args)]
 pub struct Play {
-    /// `dgs://HOST[:PORT][/NAME][#PIN]`, as `dgs serve` prints it.
+    /// `dgs://HOST[:PORT][/NAME][#PIN]`, as `dgs serve` prints it; `https://…` plays over WebTransport.
     pub url: Locator,
     /// SHA-256 of the server's certificate, 64 hexadecimal digits.
     #[arg(long, value_name = "SHA256", conflicts_with = "ca")]

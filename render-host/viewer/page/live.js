@@ -30,7 +30,9 @@ export async function receive(stream, { began, came, player, signal }) {
   signal.addEventListener("abort", () => transport.close());
   try {
     await transport.ready;
+    // By default one packet waits.
     transport.datagrams.incomingHighWaterMark = WAITING_PACKETS;
+    transport.datagrams.incomingMaxBufferedDatagrams = WAITING_PACKETS;
     const control = await transport.createBidirectionalStream();
     const writer = control.writable.getWriter();
     const rounds = new Rounds(writer, transport, player);

@@ -80,7 +80,8 @@ pub(super) struct Ending {
 /// The session to close, and what becomes of it when the peer does.
 struct WebEnding {
     session: WebSession,
-    closing: Closing,
+    /// Nothing once the peer has.
+    closing: Option<Closing>,
 }
 
 /// A channel, its end, and its control stream.
@@ -116,7 +117,7 @@ impl Channel {
     ) -> Opened {
         let head = web.as_ref().map_or_else(Bytes::new, |(session, _)| session.datagram_head());
         let channel = Self { connection: connection.clone(), head };
-        let web = web.map(|(session, closing)| Box::new(WebEnding { session, closing }));
+        let web = web.map(|(session, closing)| Box::new(WebEnding { session, closing: Some(closing) }));
         (channel, Ending { connection: connection.clone(), web }, control)
     }
 
@@ -147,23 +148,39 @@ impl Channel {
 }
 
 impl Ending {
-    /// Waits until the peer has closed, or the connection is gone. Dropping the future loses nothing; after
-    /// its end it is not waited for again.
+    /// Waits until the peer has closed, or the connection is gone. Dropping the future loses nothing.
     pub(super) async fn closed(&mut self) -> Closed {
         let Some(web) = &mut self.web else { return self.connection.closed().await.into() };
         tokio::select! {
             error = self.connection.closed() => error.into(),
-            WebClose { code, reason } = &mut web.closing => Closed::Session { code, reason },
+            WebClose { code, reason } = peer_closes(&mut web.closing) => Closed::Session { code, reason },
         }
     }
 
     /// Closes with `code`, and says why.
     pub(super) async fn close(self, code: u32, reason: &str) {
-        if let Some(web) = self.web {
-            let _ = timeout(FAREWELL, web.session.close(code, reason)).await;
+        if let Some(WebEnding { mut session, closing }) = self.web.map(|web| *web) {
+            // A browser that hears of it closes the connection. If that ended before, it would hide the code
+            // from the page.
+            let is_first = closing.is_some();
+            let said = async {
+                session.close(code, reason).await;
+                if is_first {
+                    self.connection.closed().await;
+                }
+            };
+            let _ = timeout(FAREWELL, said).await;
         }
         close(&self.connection, code, reason);
     }
+}
+
+/// How the peer closes; never ready if it has closed before.
+async fn peer_closes(closing: &mut Option<Closing>) -> WebClose {
+    let Some(waiting) = closing else { return std::future::pending().await };
+    let closed = waiting.await;
+    *closing = None;
+    closed
 }
 
 /// Closes a connection on which there is no session yet, or no more.

