@@ -299,3 +299,35 @@ fn without_webgpu_there_is_a_sentence() {
         .textContent.includes('WebGPU')";
     page.browser.wait(30, said).unwrap();
 }
+
+/// A server as `dgs serve` is one, with an emulated link: the page receives live, and repeats the clip.
+#[test]
+fn packets_come_live_over_a_lossy_link() {
+    let Some(mut page) = Page::blank() else { return };
+    let live = served::Live::start("loss=5%,delay=10ms");
+    page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
+    let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
+    page.browser.wait(90, playing).unwrap();
+    assert_eq!(page.run("player.dataset.transport"), "live");
+    page.run("globalThis.loops = 0; player.addEventListener('loop', () => (loops += 1)); 0");
+    page.browser.wait(60, "loops >= 1 && player.session.packets()[1] > 10").unwrap();
+    // What was lost comes when the clip is repeated.
+    page.browser.wait(60, "player.session.levels()[0] === 0").unwrap();
+    page.close();
+    let report = live.stop();
+    assert!(report.contains("1 viewers;") && report.contains("(0 refused)"), "{report}");
+}
+
+/// Writes the picture of the crate's README.
+#[test]
+#[ignore = "writes a committed file"]
+fn the_picture_of_the_readme() {
+    let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1") else { return };
+    page.run("player.style.cssText = '', player.toggleNetwork(), player.quality = 3, 0");
+    page.run("player.impair({ loss: 0.1, burst: 4, seed: 3 }), player.overlay = true, player.home(), 0");
+    std::thread::sleep(std::time::Duration::from_secs(20));
+    let picture = page.browser.picture(80).unwrap();
+    assert!(picture.len() <= 150_000, "{} bytes", picture.len());
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/render-host/viewer/screenshot.jpg");
+    std::fs::write(path, picture).unwrap();
+}

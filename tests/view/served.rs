@@ -1,6 +1,12 @@
 //! Streams are encoded once and served with the player's page while a test runs.
 
-use std::{net::Ipv4Addr, sync::OnceLock, thread};
+use std::{
+    io::{BufRead, BufReader, Read},
+    net::Ipv4Addr,
+    process::{Child, ChildStdout, Command, Stdio},
+    sync::OnceLock,
+    thread,
+};
 
 use clap::Parser;
 use dgs::{
@@ -79,4 +85,49 @@ impl Drop for Served {
 fn page(path: &str) -> Option<(&'static [u8], &'static str)> {
     let path = path.strip_prefix("blank/").unwrap_or(path);
     dgs_viewer::asset(path).map(|asset| (asset.bytes, asset.content_type))
+}
+
+/// The program itself, serving a stream live on an emulated link.
+pub struct Live {
+    /// Address of its page.
+    pub page: String,
+    server: Child,
+    said: BufReader<ChildStdout>,
+    _folder: tempfile::TempDir,
+}
+
+impl Live {
+    pub fn start(impairment: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("small.dgs"), stream(SMALL).to_bytes().unwrap()).unwrap();
+        let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
+            .current_dir(folder.path())
+            .args(["serve", "small.dgs", "--listen", "127.0.0.1:0", "--impair", impairment])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut said = BufReader::new(server.stdout.take().unwrap());
+        let (mut address, mut page) = (String::new(), String::new());
+        said.read_line(&mut address).unwrap();
+        said.read_line(&mut page).unwrap();
+        Self { page: page.trim().to_owned(), server, said, _folder: folder }
+    }
+
+    /// What it says of its viewers at the end.
+    pub fn stop(mut self) -> String {
+        let id = self.server.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+        let mut rest = String::new();
+        self.said.read_to_string(&mut rest).unwrap();
+        assert!(self.server.wait().unwrap().success());
+        rest
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        // It has ended already, unless a test failed.
+        let _ = self.server.kill();
+        let _ = self.server.wait();
+    }
 }

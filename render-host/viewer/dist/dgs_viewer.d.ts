@@ -25,9 +25,17 @@ export class Screen {
      */
     readonly bytes: number;
     /**
+     * Frames that the device has finished.
+     */
+    readonly finished: number;
+    /**
      * Whether the device is gone: open another screen on the canvas.
      */
     readonly lost: boolean;
+    /**
+     * Frames that it still draws.
+     */
+    readonly pending: number;
     /**
      * Whether the last picture was not whole: draw again.
      */
@@ -250,8 +258,10 @@ export interface InitOutput {
     readonly screen_adapter: (a: number) => [number, number];
     readonly screen_bytes: (a: number) => number;
     readonly screen_destroy: (a: number) => void;
+    readonly screen_finished: (a: number) => number;
     readonly screen_lost: (a: number) => number;
     readonly screen_open: (a: any) => any;
+    readonly screen_pending: (a: number) => number;
     readonly screen_stale: (a: number) => number;
     readonly session_advance: (a: number, b: number) => number;
     readonly session_camera: (a: number, b: number, c: number) => [number, number, number, number];
@@ -302,11 +312,11 @@ export interface InitOutput {
     readonly session_zoom: (a: number, b: number) => void;
     readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_60: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_63: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_64: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_62: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_65: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_66: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_62: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_64: (a: number, b: number, c: any) => void;
     readonly __wbindgen_malloc: (a: number, b: number) => number;
     readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
     readonly __wbindgen_free: (a: number, b: number, c: number) => void;

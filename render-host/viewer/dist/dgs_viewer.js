@@ -51,6 +51,14 @@ export class Screen {
         wasm.screen_destroy(this.__wbg_ptr);
     }
     /**
+     * Frames that the device has finished.
+     * @returns {number}
+     */
+    get finished() {
+        const ret = wasm.screen_finished(this.__wbg_ptr);
+        return ret >>> 0;
+    }
+    /**
      * Whether the device is gone: open another screen on the canvas.
      * @returns {boolean}
      */
@@ -66,6 +74,14 @@ export class Screen {
     static open(canvas) {
         const ret = wasm.screen_open(canvas);
         return ret;
+    }
+    /**
+     * Frames that it still draws.
+     * @returns {number}
+     */
+    get pending() {
+        const ret = wasm.screen_pending(this.__wbg_ptr);
+        return ret >>> 0;
     }
     /**
      * Whether the last picture was not whole: draw again.
@@ -1472,7 +1488,7 @@ function __wbg_get_imports() {
         },
         __wbindgen_generic_0000000000000002: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDevice")], shim_idx: 20, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_60);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_62);
             return ret;
         },
         __wbindgen_generic_0000000000000003: function(arg0, arg1) {
@@ -1482,17 +1498,17 @@ function __wbg_get_imports() {
         },
         __wbindgen_generic_0000000000000004: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUUncapturedErrorEvent")], shim_idx: 23, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_62);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_64);
             return ret;
         },
         __wbindgen_generic_0000000000000005: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("any")], shim_idx: 20, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_63);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_65);
             return ret;
         },
         __wbindgen_generic_0000000000000006: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("undefined")], shim_idx: 20, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_64);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_66);
             return ret;
         },
         __wbindgen_generic_0000000000000007: function(arg0) {
@@ -1529,8 +1545,8 @@ function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg
     wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg1, arg2);
 }
 
-function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_62(arg0, arg1, arg2) {
-    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_62(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_64(arg0, arg1, arg2) {
+    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_64(arg0, arg1, arg2);
 }
 
 function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg1, arg2) {
@@ -1540,22 +1556,22 @@ function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_60(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_60(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_62(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_62(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_63(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_63(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_65(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_65(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_64(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_64(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_66(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_66(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
