@@ -21,6 +21,8 @@ use served::{LARGE, SMALL, Served, stream};
 const SIDE: u32 = 256;
 /// Least agreement with the renderer of this machine, dB: nearly all channels equal in 8 bits.
 const LEAST_DB: f64 = 50.0;
+/// Longest wait for a page, seconds: a software adapter on a busy machine takes many for a frame.
+const PATIENCE_S: u32 = 300;
 /// One browser at a time: each uses all of this machine.
 static TURN: Mutex<()> = Mutex::new(());
 
@@ -37,10 +39,13 @@ impl Page {
         let url = format!("{}?{query}", page.served.url());
         page.browser.go(&url).unwrap();
         page.browser
-            .wait(90, "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0")
+            .wait(
+                PATIENCE_S,
+                "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0",
+            )
             .unwrap();
         page.run("player.style.cssText = 'flex:none;width:256px;height:256px', 0");
-        page.browser.wait(30, "player.shadowRoot.querySelector('canvas').width === 256").unwrap();
+        page.browser.wait(PATIENCE_S, "player.shadowRoot.querySelector('canvas').width === 256").unwrap();
         Some(page)
     }
 
@@ -147,9 +152,9 @@ fn it_plays_scrubs_loops_and_ends() {
         player.addEventListener(name, () => heard.push(name)); 0",
     );
     page.run("player.play(), 0");
-    page.browser.wait(60, "heard.includes('loop')").unwrap();
+    page.browser.wait(PATIENCE_S, "heard.includes('loop')").unwrap();
     page.run("player.loop = false, player.currentTime = player.duration - 0.1, 0");
-    page.browser.wait(60, "heard.includes('ended') && player.paused && player.ended").unwrap();
+    page.browser.wait(PATIENCE_S, "heard.includes('ended') && player.paused && player.ended").unwrap();
     page.run("player.currentTime = 0.31, 0");
     assert_eq!(page.number("player.session.frame"), 9.0);
     page.run("player.step(1), player.step(1), 0");
@@ -181,15 +186,15 @@ fn pointers_move_the_camera_and_the_address_keeps_it() {
     page.browser.drag(&[[100.0, 100.0], [140.0, 110.0]], "right").unwrap();
     let panned = view(&mut page);
     assert!(panned[..3] == turned[..3] && panned[3..] != turned[3..], "{panned:?}");
-    page.browser.wait(10, "location.hash.includes('view=')").unwrap();
+    page.browser.wait(PATIENCE_S, "location.hash.includes('view=')").unwrap();
     page.run("player.currentTime = 0.4, 0");
-    page.browser.wait(10, "location.hash.includes('t=0.400')").unwrap();
+    page.browser.wait(PATIENCE_S, "location.hash.includes('t=0.400')").unwrap();
     let hash = page.run("location.hash");
     let url = format!("{}?src=streams/small.dgs{}", page.served.url(), hash.as_str().unwrap());
     page.browser.go("about:blank").unwrap();
     page.browser.go(&url).unwrap();
     page.browser
-        .wait(60, "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0")
+        .wait(PATIENCE_S, "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0")
         .unwrap();
     let again = view(&mut page);
     assert!(again.iter().zip(&panned).all(|(a, b)| (a - b).abs() < 1e-4 * b.abs().max(1.0)), "{again:?}");
@@ -201,7 +206,7 @@ fn pointers_move_the_camera_and_the_address_keeps_it() {
 #[test]
 fn ranges_bring_a_file_base_first_and_loss_thins_it() {
     let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1") else { return };
-    page.browser.wait(60, "player.dataset.transport === 'ranges' && player.buffered === 1").unwrap();
+    page.browser.wait(PATIENCE_S, "player.dataset.transport === 'ranges' && player.buffered === 1").unwrap();
     let whole = page.picture();
     let mut player = stream(LARGE).receive().unwrap();
     let db = page.agreement(&mut player, [0.0; 3]);
@@ -213,7 +218,7 @@ fn ranges_bring_a_file_base_first_and_loss_thins_it() {
     let mut before = f64::INFINITY;
     for (loss, least_db) in [(0.1, 20.0), (0.5, 12.0), (0.95, 8.0)] {
         page.run(&format!("player.impair({{ loss: {loss}, burst: 4, seed: 7 }}), 0"));
-        page.browser.wait(10, "player.session.packets()[1] > 0").unwrap();
+        page.browser.wait(PATIENCE_S, "player.session.packets()[1] > 0").unwrap();
         // The emulated network delivers when the display next takes a frame.
         page.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(0))))");
         let thinned = page.picture();
@@ -226,12 +231,14 @@ fn ranges_bring_a_file_base_first_and_loss_thins_it() {
     assert!(stand_ins(&mut page) > 0.3);
     // At a bounded rate everything comes in the end.
     page.run("player.impair({ rate: 4e6 }), 0");
-    page.browser.wait(60, "player.session.packets()[0] === player.session.packets()[1]").unwrap();
+    page.browser.wait(PATIENCE_S, "player.session.packets()[0] === player.session.packets()[1]").unwrap();
     page.run("player.impair({}), 0");
     assert!(psnr(&page.picture(), &whole).unwrap().is_infinite());
     // The panel has the same sliders and draws its plot.
     page.run("player.toggleNetwork(), 0");
-    page.browser.wait(10, "/decoded/.test(player.shadowRoot.querySelector('.numbers').textContent)").unwrap();
+    page.browser
+        .wait(PATIENCE_S, "/decoded/.test(player.shadowRoot.querySelector('.numbers').textContent)")
+        .unwrap();
     page.close();
 }
 
@@ -245,7 +252,7 @@ fn a_lost_device_is_another_device_a_moment_later() {
             "globalThis.restored = false; player.addEventListener('devicerestored', () => (restored = true));\
             player.engine.screen.destroy(), 0",
         );
-        page.browser.wait(30, "restored").unwrap();
+        page.browser.wait(PATIENCE_S, "restored").unwrap();
     }
     assert_eq!(page.number("player.currentTime"), 0.5);
     assert!(psnr(&page.picture(), &before).unwrap().is_infinite());
@@ -262,17 +269,19 @@ fn files_are_chosen_refused_and_removed() {
     let url = format!("{}blank/", page.served.url());
     page.browser.go(&url).unwrap();
     page.browser
-        .wait(60, "!!(globalThis.player = document.querySelector('dgs-player'))?.engine?.screen")
+        .wait(PATIENCE_S, "!!(globalThis.player = document.querySelector('dgs-player'))?.engine?.screen")
         .unwrap();
     page.browser.choose_file("#pick", &bad).unwrap();
     page.browser
-        .wait(10, "/file.magic/.test(player.shadowRoot.querySelector('.message').textContent)")
+        .wait(PATIENCE_S, "/file.magic/.test(player.shadowRoot.querySelector('.message').textContent)")
         .unwrap();
     page.browser.choose_file("#pick", &good).unwrap();
-    page.browser.wait(60, "player.engine.frames > 0 && player.error === null").unwrap();
+    page.browser.wait(PATIENCE_S, "player.engine.frames > 0 && player.error === null").unwrap();
     // On a telephone nothing hangs over the edge, and every control has a name.
     page.browser.resize(390, 844).unwrap();
-    page.browser.wait(10, "innerWidth === 390 && document.documentElement.scrollWidth <= 390").unwrap();
+    page.browser
+        .wait(PATIENCE_S, "innerWidth === 390 && document.documentElement.scrollWidth <= 390")
+        .unwrap();
     let controls = "[...player.shadowRoot.querySelectorAll('.bar > *')]";
     let inside = format!(
         "{controls}.map((c) => c.getBoundingClientRect()).every((r) => r.right <= 390 && r.left >= 0)"
@@ -297,7 +306,7 @@ fn without_webgpu_there_is_a_sentence() {
     page.browser.go(&url).unwrap();
     let said = "document.querySelector('dgs-player')?.shadowRoot.querySelector('.message')\
         .textContent.includes('WebGPU')";
-    page.browser.wait(30, said).unwrap();
+    page.browser.wait(PATIENCE_S, said).unwrap();
 }
 
 /// A server as `dgs serve` is one, with an emulated link: the page receives live, and repeats the clip.
@@ -307,12 +316,12 @@ fn packets_come_live_over_a_lossy_link() {
     let live = served::Live::start("loss=5%,delay=10ms");
     page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
     let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
-    page.browser.wait(90, playing).unwrap();
+    page.browser.wait(PATIENCE_S, playing).unwrap();
     assert_eq!(page.run("player.dataset.transport"), "live");
     page.run("globalThis.loops = 0; player.addEventListener('loop', () => (loops += 1)); 0");
-    page.browser.wait(60, "loops >= 1 && player.session.packets()[1] > 10").unwrap();
+    page.browser.wait(PATIENCE_S, "loops >= 1 && player.session.packets()[1] > 10").unwrap();
     // What was lost comes when the clip is repeated.
-    page.browser.wait(60, "player.session.levels()[0] === 0").unwrap();
+    page.browser.wait(PATIENCE_S, "player.session.levels()[0] === 0").unwrap();
     page.close();
     let report = live.stop();
     assert!(report.contains("1 viewers;") && report.contains("(0 refused)"), "{report}");

@@ -35,7 +35,7 @@ const FLAGS: [&str; 13] = [
     "--force-device-scale-factor=1",
 ];
 /// Longest wait for one answer.
-const PATIENCE: Duration = Duration::from_secs(120);
+const PATIENCE: Duration = Duration::from_secs(300);
 
 /// A browser with one page. It ends when this is dropped.
 pub struct Browser {

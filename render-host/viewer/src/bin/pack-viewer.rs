@@ -1,6 +1,6 @@
 //! Makes `dist/` from the sources: the player as WebAssembly and the script that loads it.
 //!
-//!     cargo run -p dgs-viewer --features pack --bin pack-viewer
+//!     cargo run -p dgs-viewer --features pack --bin pack-viewer [FOLDER]
 //!
 //! It needs the target `wasm32-unknown-unknown` and no other tool. What it writes is committed, so that a build
 //! of `dgs` needs neither.
@@ -19,9 +19,11 @@ mod sources;
 const TARGET: &str = "wasm32-unknown-unknown";
 
 fn main() -> ExitCode {
-    match pack(Path::new(env!("CARGO_MANIFEST_DIR"))) {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let dist = env::args_os().nth(1).map_or_else(|| folder.join("dist"), PathBuf::from);
+    match pack(folder, &dist) {
         Ok(bytes) => {
-            println!("dist/dgs_viewer_bg.wasm: {bytes} bytes");
+            println!("{}: {bytes} bytes of WebAssembly", dist.display());
             ExitCode::SUCCESS
         }
         Err(error) => {
@@ -32,18 +34,17 @@ fn main() -> ExitCode {
 }
 
 /// Compiles, writes the script, notes what it was made from.
-fn pack(folder: &Path) -> Result<u64, String> {
+fn pack(folder: &Path, dist: &Path) -> Result<u64, String> {
     let root = sources::root(folder);
     let target = root.join("target").join("viewer");
     let digest = sources::digest(&root)?;
     compile(&root, &target)?;
     let wasm = target.join(TARGET).join("web").join("dgs_viewer.wasm");
-    let dist = folder.join("dist");
     let failed = |error| format!("{}: {error:#}", wasm.display());
     let mut bindgen = Bindgen::new();
     bindgen.input_path(&wasm).out_name("dgs_viewer").typescript(true);
     bindgen.remove_name_section(true).remove_producers_section(true).omit_default_module_path(false);
-    bindgen.web(true).map_err(failed)?.generate(&dist).map_err(failed)?;
+    bindgen.web(true).map_err(failed)?.generate(dist).map_err(failed)?;
     fs::write(dist.join(sources::FILE), format!("{digest}\n")).map_err(|e| e.to_string())?;
     Ok(fs::metadata(dist.join("dgs_viewer_bg.wasm")).map_err(|e| e.to_string())?.len())
 }
