@@ -70,7 +70,8 @@ impl Page {
 
     /// What is on the canvas.
     fn picture(&mut self) -> Image {
-        let script = "(() => { player.engine.drawNow(); const from = player.shadowRoot.querySelector('canvas');\
+        let script = "(() => { player.engine.drawNow();\
+             const from = player.shadowRoot.querySelector('canvas');\
              const to = document.createElement('canvas'); [to.width, to.height] = [from.width, from.height];\
              const pen = to.getContext('2d', { willReadFrequently: true }); pen.drawImage(from, 0, 0);\
              return [...pen.getImageData(0, 0, to.width, to.height).data].filter((_, k) => k % 4 < 3); })()";

@@ -13,10 +13,7 @@ use dgs_quic::{
 use serde_json::json;
 use tokio::sync::oneshot;
 
-use super::{
-    socket::{interruption, runtime},
-    view::asset,
-};
+use super::socket::{asset, interruption, runtime};
 use crate::{
     args::Serve,
     output::{self, VerbOutput},

@@ -9,7 +9,7 @@ use serde_json::json;
 
 use super::{
     serve::name,
-    socket::{interruption, runtime},
+    socket::{asset, interruption, runtime},
 };
 use crate::{
     args::View,
@@ -54,9 +54,4 @@ pub fn run(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     let text = format!("{} connections, {} requests\n", report.connections, report.requests);
     let json = json!({ "url": url, "server": report, "warnings": warnings });
     Ok(VerbOutput { text, json, ..VerbOutput::default() })
-}
-
-/// The page's own files.
-pub(super) fn asset(path: &str) -> Option<(&'static [u8], &'static str)> {
-    dgs_viewer::asset(path).map(|asset| (asset.bytes, asset.content_type))
 }

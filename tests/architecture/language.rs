@@ -91,7 +91,7 @@ type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 13] = [
-    ("", [0, 1, 0, 7, 0, 0, 0, 0, 97]),
+    ("", [0, 1, 0, 7, 0, 0, 0, 0, 98]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
@@ -101,8 +101,8 @@ const CEILINGS: [(&str, Counts); 13] = [
     ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 21]),
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 31]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 234]),
-    ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 20]),
-    ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 48]),
+    ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 18]),
+    ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 50]),
     ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 255]),
 ];
 

@@ -1,4 +1,4 @@
-//! A screen draws Gaussians on a canvas: the stages of `render-host`, then one triangle that shows the result.
+//! A screen draws Gaussians on a canvas: the stages of `render-host`, then one triangle that shows them.
 
 use std::{
     cell::{Cell, RefCell},

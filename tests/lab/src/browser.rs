@@ -189,13 +189,13 @@ impl Browser {
         self.order("Input.dispatchKeyEvent", json!({ "type": "keyUp", "key": key })).map(|_| ())
     }
 
-    /// Chooses the file at `path` in the input that `selector` finds.
+    /// Chooses the file at `path` in the input that `css` finds.
     ///
     /// # Errors
     /// There is no such input.
-    pub fn choose_file(&mut self, selector: &str, path: &Path) -> Result<()> {
+    pub fn choose_file(&mut self, css: &str, path: &Path) -> Result<()> {
         let root = self.order("DOM.getDocument", json!({}))?;
-        let wish = json!({ "nodeId": root["root"]["nodeId"], "selector": selector });
+        let wish = json!({ "nodeId": root["root"]["nodeId"], "selector": css });
         let input = self.order("DOM.querySelector", wish)?;
         self.order("DOM.setFileInputFiles", json!({ "nodeId": input["nodeId"], "files": [path] })).map(|_| ())
     }

@@ -2,8 +2,8 @@
 //!
 //!     cargo run -p dgs-viewer --features pack --bin pack-viewer [FOLDER]
 //!
-//! It needs the target `wasm32-unknown-unknown` and no other tool. What it writes is committed, so that a build
-//! of `dgs` needs neither.
+//! It needs the target `wasm32-unknown-unknown` and no other tool. What it writes is committed, so that a
+//! build of `dgs` needs neither.
 
 use std::{
     env, fs,

@@ -98,7 +98,7 @@ fn pieces_of_a_file_are_the_file_and_its_base_lets_the_clock_run() {
 }
 
 #[test]
-fn only_what_moves_is_told_apart() {
+fn what_only_moves_is_known_to() {
     let mut session = session();
     assert!(!session.show().unwrap().only_moved, "the first picture is new");
     assert!(session.show().unwrap().only_moved);
@@ -119,7 +119,7 @@ fn packets_of_strangers_change_nothing() {
 }
 
 #[test]
-fn a_server_is_told_what_came_and_its_bases_are_waited_for_a_moment() {
+fn a_server_learns_what_came_and_its_bases_have_a_moment() {
     let stream = Stream::from_bytes(FILE).unwrap().0;
     let mut session = Session::new(stream.message()).unwrap();
     session.set_live();
