@@ -16,7 +16,7 @@ pub use self::{
     codec::{CodecArgs, ProfileName},
     device::DeviceName,
     scene::{SceneArgs, Up},
-    socket::{Play, Serve},
+    socket::{Play, Serve, View},
 };
 use self::{
     number::{background, not_negative, positive, real, whole},
@@ -57,6 +57,8 @@ pub enum Verb {
     Serve(Box<Serve>),
     /// Play a served stream: receive, decode and show frames on time.
     Play(Box<Play>),
+    /// Show .dgs files in a browser: a page with a player, on this machine alone.
+    View(View),
     /// The whole pipeline with a report: four schedulers side by side over one link.
     Demo(Demo),
     /// Measure: every figure this project quotes.

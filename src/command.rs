@@ -12,6 +12,7 @@ mod serve;
 mod socket;
 mod stream;
 mod train;
+mod view;
 
 use std::process::ExitCode;
 
@@ -36,6 +37,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Verb::Stream(args) => stream::run(&args, quiet),
         Verb::Serve(args) => serve::run(&args, quiet),
         Verb::Play(args) => play::run(&args),
+        Verb::View(args) => view::run(&args, quiet),
         Verb::Demo(args) => demo::run(&args, quiet),
         Verb::Bench(args) => match bench::run(&args, cli.json) {
             // It has printed for itself.

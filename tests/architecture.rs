@@ -21,7 +21,7 @@ use std::{collections::BTreeSet, path::Path};
 use source::{Tree, outside_tests};
 
 /// Package, folder, and the workspace crates it must depend on: no more, no fewer.
-const ARROWS: [(&str, &str, &[&str]); 11] = [
+const ARROWS: [(&str, &str, &[&str]); 12] = [
     (
         "dgs-lab",
         "tests/lab/",
@@ -31,6 +31,7 @@ const ARROWS: [(&str, &str, &[&str]); 11] = [
             "dgs",
             "dgs-player",
             "dgs-quic",
+            "dgs-viewer",
             "emulator-host",
             "render-host",
             "trainer-host",
@@ -44,6 +45,7 @@ const ARROWS: [(&str, &str, &[&str]); 11] = [
             "codec-simd",
             "dgs-player",
             "dgs-quic",
+            "dgs-viewer",
             "emulator-host",
             "render-host",
             "trainer-host",
@@ -51,6 +53,7 @@ const ARROWS: [(&str, &str, &[&str]); 11] = [
     ),
     ("trainer-host", "trainer-host/", &["codec-core", "codec-simd", "dgs-player", "render-host"]),
     ("render-host", "render-host/", &["codec-core"]),
+    ("dgs-viewer", "render-host/viewer/", &["codec-core", "dgs-player", "render-host"]),
     ("emulator-host", "emulator-host/", &["codec-core"]),
     ("dgs-quic", "emulator-host/quic/", &["codec-core", "dgs-player", "emulator-host"]),
     ("fuzz", "fuzz/", &["codec-core", "dgs-player", "dgs-quic", "emulator-host", "trainer-host"]),
@@ -85,8 +88,15 @@ const TOP: [(&str, bool); 17] = [
 ];
 
 /// Crates that must not ask a clock.
-const LIBRARIES: [&str; 6] =
-    ["codec-core", "codec-core/capi", "codec-core/player", "render-host", "trainer-host", "emulator-host"];
+const LIBRARIES: [&str; 7] = [
+    "codec-core",
+    "codec-core/capi",
+    "codec-core/player",
+    "render-host",
+    "render-host/viewer",
+    "trainer-host",
+    "emulator-host",
+];
 
 /// Files that may hold `unsafe`. The kernels of codec-simd have a safe twin that they are tested
 /// against, other SIMD goes through a safe crate; driver facts, pointers of a C program,

@@ -386,3 +386,38 @@ fn what_is_served_is_played() {
     let error = refused(at, &["serve", "a b.dgs", "--impair", "loss=2"]);
     assert!(error.contains("--impair: \"loss=2\" is not allowed"), "{error}");
 }
+
+/// The page and the files that `dgs view` shows, as a browser asks for them.
+#[cfg(unix)]
+#[test]
+fn what_is_viewed_is_a_page_and_its_files() {
+    use std::io::{BufRead, BufReader, Read};
+
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["encode", "synth:figure:1000:12", "--out", "a b.dgs", "--pictures", "2"]);
+    std::fs::write(at.join("no.dgs"), b"no stream").unwrap();
+    assert!(refused(at, &["view", "no.dgs", "--port", "0"]).contains("no.dgs: no .dgs file"));
+    assert!(refused(at, &["view", "none.dgs", "--port", "0"]).contains("none.dgs: cannot read"));
+    let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
+        .current_dir(at)
+        .args(["view", "a b.dgs", "--port", "0"])
+        .stdout(std::process::Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut said = BufReader::new(server.stdout.take().unwrap());
+    let mut url = String::new();
+    said.read_line(&mut url).unwrap();
+    let port = url.trim().strip_prefix("http://localhost:").and_then(|rest| rest.strip_suffix('/')).unwrap();
+    let place = format!("127.0.0.1:{port}");
+    let page = get(&place, "/");
+    assert!(page.windows(11).any(|part| part == b"<dgs-player"), "{}", String::from_utf8_lossy(&page));
+    assert!(get(&place, "/dgs_viewer_bg.wasm").windows(4).any(|part| part == b"\0asm"));
+    assert!(get(&place, "/streams/a-b.dgs").ends_with(&std::fs::read(at.join("a b.dgs")).unwrap()));
+    let id = i32::try_from(server.id()).unwrap().to_string();
+    assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+    let mut rest = String::new();
+    said.read_to_string(&mut rest).unwrap();
+    assert!(server.wait().unwrap().success());
+    assert_eq!(rest, "3 connections, 3 requests\n");
+}

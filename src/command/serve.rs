@@ -13,7 +13,7 @@ use dgs_quic::{
 use serde_json::json;
 use tokio::sync::oneshot;
 
-use super::socket::{interruption, runtime};
+use super::socket::{asset, interruption, runtime};
 use crate::{
     args::Serve,
     output::{self, VerbOutput},
@@ -102,7 +102,7 @@ async fn serve(
         stream.web_address = Some(web.to_string());
         urls.push(url);
     }
-    let site = Site::new(|_| None, &streams, Some(server.pin()))?;
+    let site = Site::new(asset, &streams, Some(server.pin()))?;
     let http = if args.no_http { None } else { Some(page(args.http.unwrap_or(listen), site)?) };
     let page = match &http {
         Some(http) => Some(page_url(host, http.local_addr().context("--http")?.port())),
@@ -180,7 +180,7 @@ fn page_url(host: &str, port: u16) -> String {
 }
 
 /// What a stream is called: its file's name without extension, other characters than a name has replaced.
-fn name(input: &str) -> String {
+pub(super) fn name(input: &str) -> String {
     let plain = input.strip_prefix("synth:").map_or(input, |kind| kind.split(':').next().unwrap_or(kind));
     let stem = Path::new(plain).file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into());
     let legal = |c: char| if c.is_ascii_alphanumeric() || "._-".contains(c) { c } else { '-' };

@@ -30,3 +30,8 @@ pub(super) fn interruption() -> impl Future<Output = ()> {
     });
     async move { heard.notified().await }
 }
+
+/// The files of the player's page, as an HTTP server asks for them.
+pub(super) fn asset(path: &str) -> Option<(&'static [u8], &'static str)> {
+    dgs_viewer::asset(path).map(|asset| (asset.bytes, asset.content_type))
+}

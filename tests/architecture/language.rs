@@ -93,7 +93,7 @@ const MODULES: [&str; 2] = ["Options", "Kind"];
 type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
-const CEILINGS: [(&str, Counts); 12] = [
+const CEILINGS: [(&str, Counts); 13] = [
     ("", [0, 1, 0, 7, 0, 0, 0, 0, 99]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
@@ -104,7 +104,8 @@ const CEILINGS: [(&str, Counts); 12] = [
     ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 22]),
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 31]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 234]),
-    ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 48]),
+    ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 18]),
+    ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 50]),
     ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 255]),
 ];
 

@@ -62,6 +62,7 @@ impl Device {
     ///
     /// # Errors
     /// [`GpuError::NoAdapter`] without a driver or a match, [`GpuError::Device`] when the driver refuses.
+    #[cfg(not(target_family = "wasm"))]
     pub fn open(options: &DeviceOptions) -> Result<Self, GpuError> {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
         descriptor.backends = wgpu::Backends::PRIMARY;
@@ -80,10 +81,23 @@ impl Device {
             .filter(|a| a.get_info().name.to_lowercase().contains(&wanted))
             .min_by_key(|a| rank(a.get_info().device_type))
             .ok_or_else(|| GpuError::NoAdapter { wanted: options.name.clone(), found })?;
-        Self::from_adapter(&adapter, options)
+        pollster::block_on(Self::request(&adapter, options))
     }
 
-    fn from_adapter(adapter: &wgpu::Adapter, options: &DeviceOptions) -> Result<Self, GpuError> {
+    /// Refuses: in a browser adapters come by themselves, and [`Device::request`] opens one.
+    ///
+    /// # Errors
+    /// [`GpuError::Waits`].
+    #[cfg(target_family = "wasm")]
+    pub fn open(_: &DeviceOptions) -> Result<Self, GpuError> {
+        Err(GpuError::Waits { what: "opening a device" })
+    }
+
+    /// Opens `adapter`, which the caller chose: in a browser the one that can show pictures on a canvas.
+    ///
+    /// # Errors
+    /// [`GpuError::Device`] when the driver refuses.
+    pub async fn request(adapter: &wgpu::Adapter, options: &DeviceOptions) -> Result<Self, GpuError> {
         let (info, most) = (adapter.get_info(), adapter.limits());
         let limits = wgpu::Limits {
             max_storage_buffer_binding_size: most.max_storage_buffer_binding_size,
@@ -98,8 +112,9 @@ impl Device {
             required_limits: limits,
             ..Default::default()
         };
-        let (raw, queue) = pollster::block_on(adapter.request_device(&descriptor))
-            .map_err(|e| GpuError::Device { adapter: info.name.clone(), message: e.to_string() })?;
+        let opened = adapter.request_device(&descriptor).await;
+        let (raw, queue) =
+            opened.map_err(|e| GpuError::Device { adapter: info.name.clone(), message: e.to_string() })?;
         let failed = Arc::new(Mutex::new(None));
         let first = Arc::clone(&failed);
         raw.on_uncaptured_error(Arc::new(move |error| {
@@ -146,10 +161,21 @@ impl Device {
         &self.queue
     }
 
+    /// Runs `make`, and returns what the device refused meanwhile as an error. In a browser such errors come
+    /// later: [`Device::check`] has them.
+    ///
+    /// # Errors
+    /// [`GpuError::OutOfMemory`] or [`GpuError::Refused`], named `what`.
+    #[cfg(target_family = "wasm")]
+    pub fn guarded<T>(&self, _: &'static str, make: impl FnOnce() -> T) -> Result<T, GpuError> {
+        Ok(make())
+    }
+
     /// Runs `make`, and returns what the device refused meanwhile as an error.
     ///
     /// # Errors
     /// [`GpuError::OutOfMemory`] or [`GpuError::Refused`], named `what`.
+    #[cfg(not(target_family = "wasm"))]
     pub fn guarded<T>(&self, what: &'static str, make: impl FnOnce() -> T) -> Result<T, GpuError> {
         use wgpu::ErrorFilter::{Internal, OutOfMemory, Validation};
         let scopes = [OutOfMemory, Internal, Validation].map(|filter| self.raw.push_error_scope(filter));
@@ -174,8 +200,11 @@ impl Device {
     /// Waits until the device has done all that was submitted.
     ///
     /// # Errors
-    /// The device was lost, or an error of a frame.
+    /// The device was lost, an error of a frame, or [`GpuError::Waits`] in a browser.
     pub fn wait(&self) -> Result<(), GpuError> {
+        if cfg!(target_family = "wasm") {
+            return Err(GpuError::Waits { what: "reading back" });
+        }
         self.raw
             .poll(wgpu::PollType::wait_indefinitely())
             .map_err(|e| GpuError::Refused { what: "wait", message: e.to_string() })?;
@@ -256,6 +285,8 @@ fn named(what: &'static str, error: &wgpu::Error) -> GpuError {
     }
 }
 
+/// Which kind of adapter is taken before which.
+#[cfg(not(target_family = "wasm"))]
 fn rank(kind: wgpu::DeviceType) -> u8 {
     match kind {
         wgpu::DeviceType::DiscreteGpu => 0,

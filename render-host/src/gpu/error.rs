@@ -55,6 +55,12 @@ pub enum GpuError {
         /// What the driver said.
         message: String,
     },
+    /// A browser lets nothing wait.
+    #[error("{what}: needs to wait, which a browser does not allow")]
+    Waits {
+        /// Which step.
+        what: &'static str,
+    },
     /// The tile lists of the last frame did not fit; its picture is not whole.
     #[error("tile entries: found {found}; there is room for {room}")]
     Entries {

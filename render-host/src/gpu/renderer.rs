@@ -84,6 +84,15 @@ impl Renderer {
         &self.lists
     }
 
+    /// The picture of the last frame on the device, row by row: r, g, b without background and transmittance,
+    /// f32 each. For kernels that show it.
+    ///
+    /// # Errors
+    /// No frame was drawn.
+    pub fn image(&self) -> Result<&wgpu::Buffer, GpuError> {
+        self.image.get()
+    }
+
     /// Times the stages of the frames that follow, or no longer. False where the device cannot.
     ///
     /// # Errors

@@ -49,23 +49,38 @@ impl Scene {
         if groups.len() != n {
             return Err(GpuError::Length { field: "groups", found: groups.len(), needed: n });
         }
-        let row_of = |values: &[f32], at: usize, out: &mut [f32]| {
-            values.iter().enumerate().for_each(|(row, &v)| out[row * n + at] = v);
-        };
-        let mut rows = vec![0.0f32; n * GAUSSIAN_ROWS as usize];
-        let each = splats.sh_degree().rest_len();
-        let mut rest = vec![0.0f32; n * each];
-        for (i, g) in splats.gaussians().iter().enumerate() {
-            row_of(bytemuck::cast_slice(std::slice::from_ref(g)), i, &mut rows);
-            row_of(splats.rest(i), i, &mut rest);
-        }
-        self.gaussians.write(device, bytemuck::cast_slice(&rows))?;
+        let mut rest = vec![0.0f32; n * splats.sh_degree().rest_len()];
+        (0..n).for_each(|i| spread(splats.rest(i), i, n, &mut rest));
+        self.write_gaussians(device, splats)?;
         self.harmonics.reserve(device, 16)?;
         self.harmonics.write(device, bytemuck::cast_slice(&rest))?;
         self.groups.write(device, bytemuck::cast_slice(groups))?;
         self.count = n as u32;
         self.degree = splats.sh_degree().get();
         self.group_count = groups.iter().max().map_or(0, |&g| g.saturating_add(1));
+        Ok(())
+    }
+
+    /// Uploads the same Gaussians moved: their harmonics and groups stay. Most of the bytes of a frame are
+    /// harmonics, which do not move.
+    ///
+    /// # Errors
+    /// The device has no room, or `splats` are another number of Gaussians.
+    pub fn update_moved(&mut self, device: &Device, splats: &Splats) -> Result<(), GpuError> {
+        let (found, needed) = (splats.len(), self.count as usize);
+        if found != needed {
+            return Err(GpuError::Length { field: "moved Gaussians", found, needed });
+        }
+        self.write_gaussians(device, splats)
+    }
+
+    fn write_gaussians(&mut self, device: &Device, splats: &Splats) -> Result<(), GpuError> {
+        let n = splats.len();
+        let mut rows = vec![0.0f32; n * GAUSSIAN_ROWS as usize];
+        for (i, g) in splats.gaussians().iter().enumerate() {
+            spread(bytemuck::cast_slice(std::slice::from_ref(g)), i, n, &mut rows);
+        }
+        self.gaussians.write(device, bytemuck::cast_slice(&rows))?;
         Ok(())
     }
 
@@ -98,4 +113,9 @@ impl Scene {
     pub(super) fn buffers(&self) -> Result<[&wgpu::Buffer; 3], GpuError> {
         Ok([self.gaussians.get()?, self.harmonics.get()?, self.groups.get()?])
     }
+}
+
+/// Writes the `values` of Gaussian `at` of `n` to `out`, a row of all Gaussians for each.
+fn spread(values: &[f32], at: usize, n: usize, out: &mut [f32]) {
+    values.iter().enumerate().for_each(|(row, &v)| out[row * n + at] = v);
 }

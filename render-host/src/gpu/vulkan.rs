@@ -5,14 +5,14 @@
               safe form"
 )]
 
-#[cfg(not(target_vendor = "apple"))]
+#[cfg(not(any(target_vendor = "apple", target_family = "wasm")))]
 use ash::vk;
-#[cfg(not(target_vendor = "apple"))]
+#[cfg(not(any(target_vendor = "apple", target_family = "wasm")))]
 use wgpu::hal::api::Vulkan;
 
 /// Device memory that is free for this process and that there is in all, bytes, summed over heaps on the
 /// device. From `VK_EXT_memory_budget` where the driver has it, else heap sizes alone.
-#[cfg(not(target_vendor = "apple"))]
+#[cfg(not(any(target_vendor = "apple", target_family = "wasm")))]
 pub(super) fn memory(device: &wgpu::Device) -> Option<Memory> {
     // SAFETY: the guard keeps the device alive, nothing raw outlives it, and no handle is destroyed.
     let hal = unsafe { device.as_hal::<Vulkan>() }?;
@@ -40,8 +40,8 @@ pub(super) fn memory(device: &wgpu::Device) -> Option<Memory> {
     Some(Memory { total, free, has_budget })
 }
 
-/// Metal does not say.
-#[cfg(target_vendor = "apple")]
+/// Neither Metal nor a browser says.
+#[cfg(any(target_vendor = "apple", target_family = "wasm"))]
 pub(super) fn memory(_: &wgpu::Device) -> Option<Memory> {
     None
 }

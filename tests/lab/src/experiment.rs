@@ -28,6 +28,7 @@ mod structure;
 mod train;
 mod transport;
 mod utility;
+mod view;
 mod worlds;
 
 use anyhow::Result;
@@ -167,6 +168,11 @@ pub const ALL: &[Experiment] = &[
         name: "serve",
         about: "viewers at once over loopback at 50 Mbit/s: goodput, loss, processor time, memory, startup",
         run: serve::run,
+    },
+    Experiment {
+        name: "view",
+        about: "the player in a browser: first picture, frames per second, bytes, memory",
+        run: view::run,
     },
     Experiment {
         name: "structure",

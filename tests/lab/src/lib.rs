@@ -4,6 +4,7 @@
 //! of one bench here ([`experiment::ALL`]), beside its error and, where there is one, a public peer
 //! that ran in the same process. Nothing of the product depends on it.
 
+pub mod browser;
 pub mod draw;
 pub mod experiment;
 pub mod figures;

@@ -1,0 +1,351 @@
+/* tslint:disable */
+/* eslint-disable */
+
+/**
+ * A canvas with a device.
+ */
+export class Screen {
+    private constructor();
+    free(): void;
+    [Symbol.dispose](): void;
+    /**
+     * Gives the device up, as a browser may at any time: for tests.
+     */
+    destroy(): void;
+    /**
+     * Opens a device that can draw on `canvas`.
+     */
+    static open(canvas: HTMLCanvasElement): Promise<Screen>;
+    /**
+     * Name of the adapter; empty where the browser keeps it to itself.
+     */
+    readonly adapter: string;
+    /**
+     * Bytes on the device.
+     */
+    readonly bytes: number;
+    /**
+     * Frames that the device has finished.
+     */
+    readonly finished: number;
+    /**
+     * Whether the device is gone: open another screen on the canvas.
+     */
+    readonly lost: boolean;
+    /**
+     * Frames that it still draws.
+     */
+    readonly pending: number;
+    /**
+     * Whether the last picture was not whole: draw again.
+     */
+    readonly stale: boolean;
+}
+
+/**
+ * One stream and how it is shown.
+ */
+export class Session {
+    private constructor();
+    free(): void;
+    [Symbol.dispose](): void;
+    /**
+     * Lets `dt` seconds pass: 1 the clip began again, 2 it ended, 4 it waits for a base level, or nothing of
+     * these.
+     */
+    advance(dt_s: number): number;
+    /**
+     * The camera of a picture: rotation (9, row by row), translation (3), focal lengths and principal point,
+     * near plane. For tests.
+     */
+    camera(width: number, height: number): Float64Array;
+    /**
+     * Lets the emulated network deliver; true while packets are on their way.
+     */
+    deliver(now_s: number): boolean;
+    /**
+     * Draws the frame that is due on `width` × `height` pixels.
+     */
+    draw(screen: Screen, width: number, height: number): void;
+    /**
+     * A file of `length` bytes that begins with `first`, which hold its manifest; the rest is `wanted`.
+     */
+    static fetch(first: Uint8Array | number[], length: number): Session;
+    /**
+     * Moves right, up, forward, in shares of the distance.
+     */
+    fly(right: number, up: number, forward: number): void;
+    /**
+     * What another screen must be given anew.
+     */
+    forget(): void;
+    /**
+     * Back to the view it began with.
+     */
+    home(aspect: number): void;
+    /**
+     * Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all
+     * at once), seed.
+     */
+    impair(loss: number, burst: number, rate_bps: number, seed: number): void;
+    /**
+     * Frames, frames per second, most Gaussians of a frame, packets of the stream.
+     */
+    info(): Float64Array;
+    /**
+     * Blocks of the frame by level: proxies, base, refinements 1 to 3.
+     */
+    levels(): Uint32Array;
+    /**
+     * Looks at all of the frame that is due; `up` is `y`, `minus-z` and so on.
+     */
+    lookAtAll(aspect: number, up: string): void;
+    /**
+     * Takes the next way up, and its name.
+     */
+    nextUp(): string;
+    /**
+     * The `.dgs` file of these bytes.
+     */
+    static open(file: Uint8Array | number[]): Session;
+    /**
+     * Packets that came, and those that were decoded.
+     */
+    packets(): Uint32Array;
+    /**
+     * Pans by a drag, pixels.
+     */
+    pan(dx: number, dy: number, height: number): void;
+    /**
+     * Takes a packet that a server sent.
+     */
+    push(packet: Uint8Array | number[]): void;
+    /**
+     * A receipt for the server: its number, and when the first frame of the round was shown, microseconds
+     * since the round began; 0 before.
+     */
+    receipt(sequence: number, playout_us: number): Uint8Array;
+    /**
+     * A stream that a server sends: its DGSM message.
+     */
+    static receive(message: Uint8Array | number[]): Session;
+    /**
+     * When the first frame is due of the round that the server sends for `time`, seconds.
+     */
+    roundStart(time_s: number): number;
+    /**
+     * Sets the colour behind everything, 0 to 1 each.
+     */
+    setBackground(red: number, green: number, blue: number): void;
+    /**
+     * Takes a view; false for numbers that are none.
+     */
+    setView(view: Float64Array | number[]): boolean;
+    /**
+     * Goes `frames` frames on and stands.
+     */
+    step(frames: number): void;
+    /**
+     * Takes the whole file after all.
+     */
+    takeWhole(file: Uint8Array | number[]): void;
+    /**
+     * Takes bytes of the file from offset `at` on.
+     */
+    take(at: number, bytes: Uint8Array | number[]): void;
+    /**
+     * Turns by a drag, pixels.
+     */
+    turn(dx: number, dy: number, height: number): void;
+    /**
+     * Which bytes to ask for next: first and past; one number for the whole file; none when all is there.
+     */
+    wanted(): Float64Array;
+    /**
+     * Comes so many times as near.
+     */
+    zoom(factor: number): void;
+    /**
+     * Highest level shown, 0 to 3.
+     */
+    cap: number;
+    /**
+     * A number that changes with what is shown, but for camera and frame.
+     */
+    readonly content: number;
+    /**
+     * What of the file could not be used; empty for a whole one.
+     */
+    readonly damage: string;
+    /**
+     * Length of the clip, seconds.
+     */
+    readonly duration: number;
+    /**
+     * The frame that is due.
+     */
+    readonly frame: number;
+    /**
+     * Share of the file that is there.
+     */
+    readonly loaded: number;
+    /**
+     * Whether the clip begins again at its end.
+     */
+    looping: boolean;
+    /**
+     * Whether blocks are painted by level.
+     */
+    overlay: boolean;
+    /**
+     * Whether the clock runs.
+     */
+    playing: boolean;
+    /**
+     * Seconds of the clip per second.
+     */
+    rate: number;
+    /**
+     * Where the clock is, seconds.
+     */
+    time: number;
+    /**
+     * Which way is up.
+     */
+    readonly up: string;
+    /**
+     * The view: azimuth, elevation, distance, target.
+     */
+    readonly view: Float64Array;
+}
+
+/**
+ * Bytes to ask for first when a file is fetched in pieces.
+ */
+export function firstBytes(): number;
+
+/**
+ * Colours of levels, r g b of 0 to 1 each: proxies, base, refinements.
+ */
+export function levelColours(): Float32Array;
+
+/**
+ * Number of levels, base included.
+ */
+export function levelCount(): number;
+
+/**
+ * How many bytes of a file are needed for its manifest, which begins with `first`; 0 when they are there.
+ */
+export function manifestBytes(first: Uint8Array | number[]): number;
+
+/**
+ * Bytes of WebAssembly memory.
+ */
+export function memoryBytes(): number;
+
+export type InitInput = RequestInfo | URL | Response | BufferSource | WebAssembly.Module;
+
+export interface InitOutput {
+    readonly memory: WebAssembly.Memory;
+    readonly __wbg_screen_free: (a: number, b: number) => void;
+    readonly __wbg_session_free: (a: number, b: number) => void;
+    readonly firstBytes: () => number;
+    readonly levelColours: () => [number, number];
+    readonly levelCount: () => number;
+    readonly manifestBytes: (a: number, b: number) => [number, number, number];
+    readonly memoryBytes: () => number;
+    readonly screen_adapter: (a: number) => [number, number];
+    readonly screen_bytes: (a: number) => number;
+    readonly screen_destroy: (a: number) => void;
+    readonly screen_finished: (a: number) => number;
+    readonly screen_lost: (a: number) => number;
+    readonly screen_open: (a: any) => any;
+    readonly screen_pending: (a: number) => number;
+    readonly screen_stale: (a: number) => number;
+    readonly session_advance: (a: number, b: number) => number;
+    readonly session_camera: (a: number, b: number, c: number) => [number, number, number, number];
+    readonly session_cap: (a: number) => number;
+    readonly session_content: (a: number) => number;
+    readonly session_damage: (a: number) => [number, number];
+    readonly session_deliver: (a: number, b: number) => number;
+    readonly session_draw: (a: number, b: number, c: number, d: number) => [number, number];
+    readonly session_duration: (a: number) => number;
+    readonly session_fetch: (a: number, b: number, c: number) => [number, number, number];
+    readonly session_fly: (a: number, b: number, c: number, d: number) => void;
+    readonly session_forget: (a: number) => void;
+    readonly session_frame: (a: number) => number;
+    readonly session_home: (a: number, b: number) => void;
+    readonly session_impair: (a: number, b: number, c: number, d: number, e: number) => [number, number];
+    readonly session_info: (a: number) => [number, number];
+    readonly session_levels: (a: number) => [number, number, number, number];
+    readonly session_loaded: (a: number) => number;
+    readonly session_lookAtAll: (a: number, b: number, c: number, d: number) => [number, number];
+    readonly session_looping: (a: number) => number;
+    readonly session_nextUp: (a: number) => [number, number];
+    readonly session_open: (a: number, b: number) => [number, number, number];
+    readonly session_overlay: (a: number) => number;
+    readonly session_packets: (a: number) => [number, number];
+    readonly session_pan: (a: number, b: number, c: number, d: number) => void;
+    readonly session_playing: (a: number) => number;
+    readonly session_push: (a: number, b: number, c: number) => void;
+    readonly session_rate: (a: number) => number;
+    readonly session_receipt: (a: number, b: number, c: number) => [number, number, number, number];
+    readonly session_receive: (a: number, b: number) => [number, number, number];
+    readonly session_roundStart: (a: number, b: number) => number;
+    readonly session_setBackground: (a: number, b: number, c: number, d: number) => void;
+    readonly session_setView: (a: number, b: number, c: number) => number;
+    readonly session_set_cap: (a: number, b: number) => void;
+    readonly session_set_looping: (a: number, b: number) => void;
+    readonly session_set_overlay: (a: number, b: number) => void;
+    readonly session_set_playing: (a: number, b: number) => void;
+    readonly session_set_rate: (a: number, b: number) => void;
+    readonly session_set_time: (a: number, b: number) => void;
+    readonly session_step: (a: number, b: number) => void;
+    readonly session_take: (a: number, b: number, c: number, d: number) => void;
+    readonly session_takeWhole: (a: number, b: number, c: number) => [number, number];
+    readonly session_time: (a: number) => number;
+    readonly session_turn: (a: number, b: number, c: number, d: number) => void;
+    readonly session_up: (a: number) => [number, number];
+    readonly session_view: (a: number) => [number, number];
+    readonly session_wanted: (a: number) => [number, number];
+    readonly session_zoom: (a: number, b: number) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_62: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_65: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_66: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_64: (a: number, b: number, c: any) => void;
+    readonly __wbindgen_malloc: (a: number, b: number) => number;
+    readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
+    readonly __wbindgen_free: (a: number, b: number, c: number) => void;
+    readonly __wbindgen_exn_store: (a: number) => void;
+    readonly __externref_table_alloc: () => number;
+    readonly __wbindgen_externrefs: WebAssembly.Table;
+    readonly __wbindgen_destroy_closure: (a: number, b: number) => void;
+    readonly __externref_table_dealloc: (a: number) => void;
+    readonly __wbindgen_start: () => void;
+}
+
+export type SyncInitInput = BufferSource | WebAssembly.Module;
+
+/**
+ * Instantiates the given `module`, which can either be bytes or
+ * a precompiled `WebAssembly.Module`.
+ *
+ * @param {{ module: SyncInitInput }} module - Passing `SyncInitInput` directly is deprecated.
+ *
+ * @returns {InitOutput}
+ */
+export function initSync(module: { module: SyncInitInput } | SyncInitInput): InitOutput;
+
+/**
+ * If `module_or_path` is {RequestInfo} or {URL}, makes a request and
+ * for everything else, calls `WebAssembly.instantiate` directly.
+ *
+ * @param {{ module_or_path: InitInput | Promise<InitInput> }} module_or_path - Passing `InitInput` directly is deprecated.
+ *
+ * @returns {Promise<InitOutput>}
+ */
+export default function __wbg_init (module_or_path?: { module_or_path: InitInput | Promise<InitInput> } | InitInput | Promise<InitInput>): Promise<InitOutput>;

@@ -1,0 +1,120 @@
+import type { Screen, Session } from "./dgs_viewer.js";
+
+/** What an emulated network does to packets. */
+export interface Conditions {
+  /** Share of packets lost, 0 to 0.95. */
+  loss?: number;
+  /** Mean number of packets lost in a row, 1 to 100. */
+  burst?: number;
+  /** Bits per second; 0 for all at once. */
+  rate?: number;
+  /** Which packets are lost. */
+  seed?: number;
+}
+
+/** A stream as a server lists it. */
+export interface ServedStream {
+  name: string;
+  file?: string;
+  web_address?: string;
+}
+
+/** Azimuth, elevation (radians), distance, target x, y, z (scene units). */
+export type View = [number, number, number, number, number, number];
+
+export interface DgsPlayerEventMap extends HTMLElementEventMap {
+  loadstart: Event;
+  progress: Event;
+  loadedmetadata: Event;
+  load: Event;
+  firstframe: Event;
+  timeupdate: Event;
+  play: Event;
+  pause: Event;
+  playing: Event;
+  waiting: Event;
+  seeked: Event;
+  ended: Event;
+  loop: Event;
+  ratechange: Event;
+  levelchange: Event;
+  camerachange: Event;
+  devicelost: Event;
+  devicerestored: Event;
+  error: ErrorEvent;
+}
+
+/** Draws a session on a canvas and survives the loss of its device. */
+export class Engine extends EventTarget {
+  constructor(canvas: HTMLCanvasElement);
+  session: Session | null;
+  readonly screen: Screen | null;
+  readonly adapter: string;
+  readonly aspect: number;
+  /** Bytes of WebAssembly and on the device. */
+  readonly memory: { wasm: number; device: number };
+  /** Device pixels per CSS pixel; `null` for the display's own. */
+  pixelRatio: number | null;
+  /** Frames drawn. */
+  readonly frames: number;
+  open(): Promise<void>;
+  request(): void;
+  drawNow(): void;
+  redraw(): void;
+  close(): void;
+}
+
+/** Loads the WebAssembly; `url` where it does not lie beside the script. */
+export function load(url?: string | URL): Promise<unknown>;
+
+/**
+ * `<dgs-player src time autoplay loop controls background quality up pixel-ratio>`: like `<video>`, with a camera.
+ */
+export class DgsPlayer extends HTMLElement {
+  static wasmUrl: string | URL;
+  src: string | null;
+  currentTime: number;
+  playbackRate: number;
+  loop: boolean;
+  /** Highest level shown, 0 to 3. */
+  quality: number;
+  /** Whether blocks are painted in the colour of their level. */
+  overlay: boolean;
+  /** `#rrggbb`. */
+  background: string;
+  view: View | null;
+  readonly duration: number;
+  /** When the first picture was drawn, milliseconds since the page began. */
+  readonly firstFrameMs: number | null;
+  readonly paused: boolean;
+  readonly ended: boolean;
+  /** Share of the stream that is there, 0 to 1. */
+  readonly buffered: number;
+  readonly error: Error | null;
+  readonly session: Session | null;
+  readonly engine: Engine | null;
+  play(): Promise<void>;
+  pause(): void;
+  toggle(): void;
+  step(frames: number): void;
+  home(): void;
+  open(file: Blob | Uint8Array): Promise<void>;
+  receive(session: Session): void;
+  /** A stream of `streams.json` of `dgs serve`; `transport` allows one alone. */
+  playServed(stream: ServedStream, transport?: "live" | "file" | null): Promise<void>;
+  impair(conditions: Conditions): void;
+  toggleNetwork(): void;
+  toggleFullscreen(): void;
+  showHelp(): void;
+  addEventListener<K extends keyof DgsPlayerEventMap>(
+    type: K,
+    listener: (this: DgsPlayer, event: DgsPlayerEventMap[K]) => unknown,
+    options?: boolean | AddEventListenerOptions,
+  ): void;
+}
+
+declare global {
+  interface HTMLElementTagNameMap {
+    "dgs-player": DgsPlayer;
+  }
+}

@@ -1,0 +1,488 @@
+// The element <dgs-player> plays a stream: like <video>, with a camera and a network to pull apart.
+
+import { Engine, load } from "./engine.js";
+import { NetworkPanel } from "./network.js";
+import { bindKeys, bindPointers } from "./input.js";
+import { canReceive, receive } from "./live.js";
+import { fetchStream, openBytes } from "./source.js";
+import { STYLE } from "./style.js";
+
+// Where a page remembers that live transport did not work here.
+const REMEMBERED = "dgs-transport";
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
+const QUALITIES = ["base", "level 1", "level 2", "all levels"];
+const KEYS = [
+  ["Space", "play or pause"],
+  [", .", "one frame back or on"],
+  ["Home End", "to the start or the end"],
+  ["drag, arrows", "turn around the scene"],
+  ["right drag, two fingers, Shift + arrows", "pan"],
+  ["wheel, pinch, + −", "nearer or farther"],
+  ["W A S D Q E", "fly"],
+  ["0", "first view"],
+  ["U", "another way up"],
+  ["1 2 3 4", "highest level shown"],
+  ["O", "paint blocks by level"],
+  ["N", "network"],
+  ["L", "loop"],
+  ["F", "full screen"],
+  ["?", "these keys"],
+];
+
+const TEMPLATE = `
+<style>${STYLE}</style>
+<canvas class="picture" part="picture" tabindex="0" role="img" aria-label="Moving scene; press ? for keys"></canvas>
+<p class="message" role="status" aria-live="polite"></p>
+<section class="network" aria-label="Network" hidden></section>
+<div class="bar" part="controls" role="group" aria-label="Player">
+  <button class="play" aria-label="Play" title="Play (Space)">▶</button>
+  <input class="time" type="range" min="0" max="1" step="any" value="0" aria-label="Time">
+  <span class="clock" aria-hidden="true">0.0 / 0.0</span>
+  <select class="speed" aria-label="Speed" title="Speed"></select>
+  <button class="loop" aria-label="Loop" title="Loop (L)" aria-pressed="true">↻</button>
+  <select class="quality" aria-label="Highest level shown" title="Highest level shown (1 to 4)"></select>
+  <input class="background wide" type="color" value="#000000" aria-label="Background" title="Background">
+  <button class="paint" aria-label="Paint blocks by level" title="Paint blocks by level (O)" aria-pressed="false">◩</button>
+  <button class="net" aria-label="Network" title="Network (N)" aria-pressed="false">⇅</button>
+  <button class="whole" aria-label="Full screen" title="Full screen (F)"><svg width="14" height="14" viewBox="0 0 14 14" fill="none" stroke="currentColor" stroke-width="2" aria-hidden="true"><path d="M1 5V1h4M9 1h4v4M13 9v4H9M5 13H1V9"/></svg></button>
+  <button class="help" aria-label="Keys" title="Keys (?)">?</button>
+</div>
+<dialog aria-label="Keys"><dl></dl><form method="dialog"><button>Close</button></form></dialog>`;
+
+export class DgsPlayer extends HTMLElement {
+  static observedAttributes = ["src", "time", "loop", "background", "quality", "pixel-ratio"];
+
+  #root = this.attachShadow({ mode: "open" });
+  #engine = null;
+  #panel = null;
+  #load = null;
+  #loaded = 0;
+  #error = null;
+  #view = null;
+  #firstFrameMs = null;
+
+  /** Where the WebAssembly lies, when not beside this file: set it before the first player is made. */
+  static set wasmUrl(url) {
+    load(url);
+  }
+
+  constructor() {
+    super();
+    this.#root.innerHTML = TEMPLATE;
+    const options = (select, values, labels, chosen) =>
+      this.#part(select).replaceChildren(
+        ...values.map((value, k) => new Option(labels[k], value, value === chosen, value === chosen)),
+      );
+    options(".speed", SPEEDS, SPEEDS.map((speed) => `${speed}×`), 1);
+    options(".quality", [0, 1, 2, 3], QUALITIES, 3);
+    this.#part("dialog dl").innerHTML = KEYS.map(([key, does]) => `<dt><kbd>${key}</kbd></dt><dd>${does}</dd>`).join("");
+    this.#bind();
+  }
+
+  connectedCallback() {
+    this.#engine = new Engine(this.#part("canvas.picture"));
+    this.#panel = new NetworkPanel(this.#part(".network"), this.#engine);
+    this.#listen();
+    const opened = this.#engine.open();
+    opened.catch((error) => this.#fail(error));
+    const ratio = Number(this.getAttribute("pixel-ratio"));
+    if (ratio > 0) this.#engine.pixelRatio = ratio;
+    if (this.hasAttribute("src")) this.#start(this.getAttribute("src"));
+  }
+
+  disconnectedCallback() {
+    this.#load?.abort();
+    this.#engine?.close();
+    this.#engine = this.#panel = null;
+  }
+
+  attributeChangedCallback(name, before, now) {
+    if (before === now || !this.#engine) return;
+    if (name === "src" && now !== null) this.#start(now);
+    if (name === "src" && now === null) this.#load?.abort();
+    if (name === "time") this.currentTime = Number(now);
+    if (name === "loop") this.loop = now !== null && now !== "false";
+    if (name === "background" && now) this.background = now;
+    if (name === "quality" && now) this.quality = Number(now);
+    if (name === "pixel-ratio") {
+      this.#engine.pixelRatio = Number(now) > 0 ? Number(now) : null;
+      this.#engine.request();
+    }
+  }
+
+  /** Plays a file, a Blob or bytes in place of what is played. */
+  async open(file) {
+    this.#load?.abort();
+    this.#load = new AbortController();
+    this.#emit("loadstart");
+    try {
+      const bytes = file instanceof Uint8Array ? file : new Uint8Array(await file.arrayBuffer());
+      await load();
+      this.#began(openBytes(bytes), () => {});
+    } catch (error) {
+      this.#fail(error);
+    }
+  }
+
+  /** Plays a session that its maker goes on feeding: `Session.receive(manifest)`, then `push(packet)`. */
+  receive(session) {
+    this.#began(session, () => {});
+  }
+
+  /**
+   * Plays a stream of a server's `streams.json`: live over WebTransport where both can, else its file by ranges.
+   * `transport`, "live" or "file", allows one of them alone.
+   */
+  async playServed(stream, transport = null) {
+    this.#load?.abort();
+    const current = (this.#load = new AbortController());
+    const { signal } = current;
+    const byFile = transport === "file" || (transport === null && remembered() === "file");
+    if (byFile || !canReceive(stream)) {
+      if (transport !== "live") this.src = stream.file;
+      else this.#fail(new Error("This browser or this server has no WebTransport"));
+      return;
+    }
+    this.#say("Connecting …");
+    this.#emit("loadstart");
+    let session = null;
+    const began = (made) => {
+      session = made;
+      this.dataset.transport = "live";
+      this.#began(made, () => {});
+    };
+    try {
+      await load();
+      await receive(stream, { began, came: () => this.#engine?.request(), player: this, signal });
+    } catch (error) {
+      if (signal.aborted) return;
+      if (transport === "live" && !session) return this.#fail(error);
+    }
+    if (signal.aborted || transport === "live") return;
+    // The next transport takes over where this one was.
+    if (session) this.setAttribute("time", session.time);
+    else remember("file");
+    this.src = stream.file;
+  }
+
+  async #start(url) {
+    this.#load?.abort();
+    const { signal } = (this.#load = new AbortController());
+    this.#say("Loading …");
+    this.#emit("loadstart");
+    try {
+      await load();
+      const came = () => {
+        this.#loaded = this.session?.loaded ?? 0;
+        this.#engine?.request();
+        this.#emit("progress");
+      };
+      const began = (session) => (signal.aborted ? session.free() : this.#began(session, came));
+      const transport = await fetchStream(new URL(url, document.baseURI).href, { began, came, signal });
+      if (signal.aborted) return;
+      this.#loaded = 1;
+      this.setAttribute("data-transport", transport);
+      this.#emit("load");
+    } catch (error) {
+      if (!signal.aborted) this.#fail(error);
+    }
+  }
+
+  #began(session, came) {
+    if (!this.#engine) return session.free();
+    this.#error = null;
+    this.#say(session.damage ? `Damaged, shown as far as it goes: ${session.damage}` : "");
+    const time = Number(this.getAttribute("time"));
+    if (time > 0) session.time = time;
+    session.looping = this.getAttribute("loop") !== "false";
+    session.rate = Number(this.#part(".speed").value);
+    session.cap = Number(this.getAttribute("quality") ?? 3);
+    session.lookAtAll(this.#engine.aspect, this.getAttribute("up") ?? "y");
+    if (this.#view) session.setView(this.#view);
+    this.#engine.session = session;
+    this.background = this.getAttribute("background") ?? "#000000";
+    this.#panel.began();
+    this.#loaded = session.loaded;
+    came();
+    this.#emit("loadedmetadata");
+    const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    if (this.hasAttribute("autoplay") && !still) this.play();
+    this.#showState();
+  }
+
+  #listen() {
+    const engine = this.#engine;
+    engine.addEventListener("firstframe", () => {
+      // A scene whose base came after its manifest is looked at again, unless somebody looks already.
+      if (!this.#part(".message").textContent.startsWith("Damaged")) this.#say("");
+      this.#firstFrameMs ??= performance.now();
+      this.#emit("firstframe");
+    });
+    engine.addEventListener("frame", () => this.#showTime());
+    engine.addEventListener("step", ({ detail }) => {
+      if (detail.looped) this.#emit("loop");
+      if (detail.ended) this.#emit("ended");
+      this.#emit(detail.waiting ? "waiting" : "playing");
+      this.#showState();
+    });
+    engine.addEventListener("devicelost", () => this.#emit("devicelost"));
+    engine.addEventListener("devicerestored", () => this.#emit("devicerestored"));
+    engine.addEventListener("error", ({ detail }) => this.#fail(detail));
+  }
+
+  #bind() {
+    const on = (part, event, act) => this.#part(part).addEventListener(event, act);
+    on(".play", "click", () => this.toggle());
+    on(".time", "input", ({ target }) => (this.currentTime = Number(target.value)));
+    on(".speed", "change", ({ target }) => (this.playbackRate = Number(target.value)));
+    on(".quality", "change", ({ target }) => (this.quality = Number(target.value)));
+    on(".loop", "click", () => (this.loop = !this.loop));
+    on(".background", "input", ({ target }) => (this.background = target.value));
+    on(".paint", "click", () => (this.overlay = !this.overlay));
+    on(".net", "click", () => this.toggleNetwork());
+    on(".whole", "click", () => this.toggleFullscreen());
+    on(".help", "click", () => this.showHelp());
+    const canvas = this.#part("canvas.picture");
+    bindPointers(canvas, () => this.session, () => this.#moved());
+    bindKeys(this, canvas, () => this.#moved());
+  }
+
+  #moved() {
+    this.#engine?.request();
+    this.#emit("camerachange");
+  }
+
+  #part(selector) {
+    return this.#root.querySelector(selector);
+  }
+
+  #emit(name) {
+    this.dispatchEvent(new Event(name));
+  }
+
+  #say(text) {
+    this.#part(".message").textContent = text;
+  }
+
+  #fail(error) {
+    this.#error = error instanceof Error ? error : new Error(String(error));
+    this.#say(this.#error.message);
+    this.dispatchEvent(new ErrorEvent("error", { error: this.#error, message: this.#error.message }));
+  }
+
+  #showTime() {
+    const { session } = this;
+    if (!session) return;
+    const time = this.#part(".time");
+    if (this.#root.activeElement !== time || session.playing) time.value = session.time;
+    time.setAttribute("aria-valuetext", `${session.time.toFixed(1)} of ${session.duration.toFixed(1)} seconds`);
+    this.#part(".clock").textContent = `${session.time.toFixed(1)} / ${session.duration.toFixed(1)}`;
+    this.#emit("timeupdate");
+  }
+
+  #showState() {
+    const { session } = this;
+    if (!session) return;
+    const playing = session.playing;
+    const play = this.#part(".play");
+    play.textContent = playing ? "❚❚" : "▶";
+    play.setAttribute("aria-label", playing ? "Pause" : "Play");
+    this.#part(".time").max = session.duration;
+    this.#part(".loop").setAttribute("aria-pressed", session.looping);
+    this.#part(".paint").setAttribute("aria-pressed", session.overlay);
+    this.#part(".quality").value = session.cap;
+    this.#part(".speed").value = session.rate;
+    this.#showTime();
+  }
+
+  /** The session that is shown, or null: see `dgs_viewer.d.ts`. */
+  get session() {
+    return this.#engine?.session ?? null;
+  }
+
+  get engine() {
+    return this.#engine;
+  }
+
+  get error() {
+    return this.#error;
+  }
+
+  get src() {
+    return this.getAttribute("src");
+  }
+
+  set src(url) {
+    if (url === null) this.removeAttribute("src");
+    else this.setAttribute("src", url);
+  }
+
+  /** When the first picture was drawn, milliseconds since the page began; null before. */
+  get firstFrameMs() {
+    return this.#firstFrameMs;
+  }
+
+  get duration() {
+    return this.session?.duration ?? NaN;
+  }
+
+  get currentTime() {
+    return this.session?.time ?? 0;
+  }
+
+  set currentTime(seconds) {
+    if (!this.session || !Number.isFinite(seconds)) return;
+    this.session.time = seconds;
+    this.#engine.request();
+    this.#showTime();
+    this.#emit("seeked");
+  }
+
+  get paused() {
+    return !this.session?.playing;
+  }
+
+  get ended() {
+    return this.paused && this.currentTime >= this.duration;
+  }
+
+  get playbackRate() {
+    return this.session?.rate ?? 1;
+  }
+
+  set playbackRate(rate) {
+    this.#change("ratechange", (session) => (session.rate = rate));
+  }
+
+  get loop() {
+    return this.session?.looping ?? true;
+  }
+
+  set loop(loop) {
+    this.#change("loopchange", (session) => (session.looping = loop));
+  }
+
+  /** Highest level shown, 0 to 3. */
+  get quality() {
+    return this.session?.cap ?? 3;
+  }
+
+  set quality(level) {
+    this.#change("levelchange", (session) => (session.cap = Math.max(0, Math.min(3, Math.round(level) || 0))));
+  }
+
+  /** Whether blocks are painted in the colour of their level. */
+  get overlay() {
+    return this.session?.overlay ?? false;
+  }
+
+  set overlay(overlay) {
+    this.#change("levelchange", (session) => (session.overlay = overlay));
+  }
+
+  /** Share of the stream that is there, 0 to 1. */
+  get buffered() {
+    return this.#loaded;
+  }
+
+  get background() {
+    return this.#part(".background").value;
+  }
+
+  set background(colour) {
+    const [, r, g, b] = /^#(..)(..)(..)$/.exec(colour) ?? [];
+    if (b === undefined) return;
+    this.#part(".background").value = colour;
+    this.#change("backgroundchange", (session) => session.setBackground(...[r, g, b].map((v) => parseInt(v, 16) / 255)));
+    this.#engine?.redraw();
+  }
+
+  /** Azimuth, elevation (radians), distance, target: six numbers. Kept for the next stream. */
+  get view() {
+    return this.session ? [...this.session.view] : this.#view;
+  }
+
+  set view(numbers) {
+    this.#view = Float64Array.from(numbers);
+    if (this.session?.setView(this.#view)) this.#moved();
+  }
+
+  #change(event, change) {
+    if (!this.session) return;
+    change(this.session);
+    this.#engine.request();
+    this.#showState();
+    this.#emit(event);
+  }
+
+  play() {
+    this.#change("play", (session) => (session.playing = true));
+    return Promise.resolve();
+  }
+
+  pause() {
+    this.#change("pause", (session) => (session.playing = false));
+  }
+
+  toggle() {
+    if (this.paused) this.play();
+    else this.pause();
+  }
+
+  /** Goes `frames` frames on, and stands. */
+  step(frames) {
+    this.#change("seeked", (session) => session.step(frames));
+  }
+
+  /** Back to the first view. */
+  home() {
+    this.session?.home(this.#engine.aspect);
+    this.#moved();
+  }
+
+  nextUp() {
+    if (!this.session) return;
+    this.setAttribute("up", this.session.nextUp());
+    this.#moved();
+  }
+
+  /** Loses packets: share, mean run, bits per second (0: all at once), seed. */
+  impair(conditions) {
+    this.#change("levelchange", () => this.#panel.set(conditions));
+  }
+
+  toggleNetwork() {
+    const shown = this.#panel?.toggle() ?? false;
+    this.#part(".net").setAttribute("aria-pressed", shown);
+  }
+
+  toggleFullscreen() {
+    if (document.fullscreenElement) document.exitFullscreen();
+    else this.requestFullscreen?.().catch(() => this.#say("This browser shows no part of a page full screen."));
+  }
+
+  showHelp() {
+    const dialog = this.#part("dialog");
+    if (dialog.open) dialog.close();
+    else dialog.showModal();
+  }
+}
+
+// A page inside another may have no storage.
+function remembered() {
+  try {
+    return sessionStorage.getItem(REMEMBERED);
+  } catch {
+    return null;
+  }
+}
+
+function remember(transport) {
+  try {
+    sessionStorage.setItem(REMEMBERED, transport);
+  } catch {
+    // Then it is found out again.
+  }
+}
+
+customElements.define("dgs-player", DgsPlayer);

@@ -1,0 +1,72 @@
+//! An asset is a file that a page needs: the page, its style, its scripts, the player as WebAssembly.
+
+/// The bytes of a file and what a browser is told that they are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Asset {
+    /// Its bytes.
+    pub bytes: &'static [u8],
+    /// Its media type.
+    pub content_type: &'static str,
+}
+
+const HTML: &str = "text/html; charset=utf-8";
+const CSS: &str = "text/css; charset=utf-8";
+const SCRIPT: &str = "text/javascript; charset=utf-8";
+
+macro_rules! assets {
+    ($($name:literal $kind:expr, $path:literal;)*) => {
+        /// Every asset: its name, its media type, its bytes.
+        const ASSETS: &[(&str, &str, &[u8])] = &[$(($name, $kind, include_bytes!($path))),*];
+    };
+}
+
+assets! {
+    "index.html" HTML, "../page/index.html";
+    "page.css" CSS, "../page/page.css";
+    "page.js" SCRIPT, "../page/page.js";
+    "dgs-player.js" SCRIPT, "../page/dgs-player.js";
+    "engine.js" SCRIPT, "../page/engine.js";
+    "source.js" SCRIPT, "../page/source.js";
+    "input.js" SCRIPT, "../page/input.js";
+    "live.js" SCRIPT, "../page/live.js";
+    "network.js" SCRIPT, "../page/network.js";
+    "style.js" SCRIPT, "../page/style.js";
+    "dgs_viewer.js" SCRIPT, "../dist/dgs_viewer.js";
+    "dgs_viewer_bg.wasm" "application/wasm", "../dist/dgs_viewer_bg.wasm";
+}
+
+/// The asset at `path` of an address, `/` being the page; `None` if there is none.
+///
+/// ```
+/// let page = dgs_viewer::asset("/").expect("the page");
+/// assert!(page.content_type.starts_with("text/html"));
+/// assert!(dgs_viewer::asset("/none").is_none());
+/// ```
+pub fn asset(path: &str) -> Option<Asset> {
+    let name = path.strip_prefix('/').unwrap_or(path);
+    let name = if name.is_empty() { "index.html" } else { name };
+    let (_, content_type, bytes) = ASSETS.iter().find(|(known, ..)| *known == name)?;
+    Some(Asset { bytes, content_type })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_page_finds_everything_that_it_names() {
+        assert_eq!(asset("/").unwrap(), asset("index.html").unwrap());
+        assert_eq!(asset("/../Cargo.toml"), None);
+        for (name, kind, bytes) in ASSETS.iter().filter(|(_, kind, _)| *kind == SCRIPT || *kind == HTML) {
+            let text = std::str::from_utf8(bytes).unwrap();
+            for wording in ["from \"./", "src=\"./", "href=\""] {
+                for part in text.split(wording).skip(1) {
+                    let named = part.split('"').next().unwrap();
+                    let found = asset(named).is_some() || named.starts_with("data:");
+                    assert!(found, "{name} ({kind}) names {named}");
+                }
+            }
+        }
+        assert!(asset("dgs_viewer_bg.wasm").unwrap().bytes.starts_with(b"\0asm"));
+    }
+}

@@ -1,0 +1,34 @@
+//! Shows streams of dynamic Gaussian splats in a browser.
+//!
+//! ```text
+//! .dgs file, ranges of one, packets ─▶ Session (decoder, clock, camera, emulated network)
+//!                                        └▶ Gaussians of the frame that is due ─▶ Screen (device, canvas)
+//! ```
+//!
+//! The decoder is `dgs-player`, the pixels are the stages of `render-host`, both compiled to WebAssembly.
+//! [`Session`] is the same on every machine and tested on this one; what a browser alone has, a canvas and a
+//! device, is compiled for browsers alone. [`asset`] gives the page to whoever serves it.
+//!
+//! Deliberately absent: sockets (the page's), time (an argument).
+
+#[cfg(all(not(target_family = "wasm"), not(feature = "pack")))]
+mod asset;
+mod bounds;
+mod channel;
+mod orbit;
+mod playback;
+mod ranges;
+#[cfg(target_family = "wasm")]
+mod screen;
+mod session;
+#[cfg(target_family = "wasm")]
+mod shell;
+
+#[cfg(all(not(target_family = "wasm"), not(feature = "pack")))]
+pub use asset::{Asset, asset};
+pub use bounds::bounds;
+pub use channel::{Channel, Conditions};
+pub use orbit::{Orbit, Up};
+pub use playback::{Playback, Step};
+pub use ranges::{FIRST_BYTES, RangePlan, Wanted, message};
+pub use session::{BlocksByLevel, LEVEL_COLOURS, LEVELS, Session, Shown};

@@ -1,0 +1,322 @@
+//! A range plan fetches a `.dgs` file piece by piece: manifest, index, then base levels before refinements.
+//!
+//! Sans-I/O: it says which bytes to ask a server for next and takes what came. Packets lie in a file epoch by
+//! epoch, in an epoch level by level; where an epoch's level begins is found by looking at heads of packets
+//! half-way between known ones. A file in another order still comes whole, only not base first.
+
+use std::ops::Range;
+
+use codec_core::internals::{
+    cursor::Reader,
+    ids::WindowId,
+    wire::{
+        file,
+        manifest::Manifest,
+        packet::{Head, KIND_CHUNK, KIND_SLICES},
+    },
+};
+use dgs_player::{ErrorKind, Result};
+
+/// Bytes to ask for first: the manifest of most streams, and their first packets.
+pub const FIRST_BYTES: u64 = 64 << 10;
+/// Bytes asked for at the end, where the index is.
+const TAIL_BYTES: u64 = 16 << 10;
+/// Enough of a packet to say whose it is.
+const HEAD_BYTES: u64 = 32;
+/// Most bytes asked for at once: of base levels, so that a picture comes soon, and of refinements.
+const BASE_BYTES: u64 = 64 << 10;
+const REFINEMENT_BYTES: u64 = 256 << 10;
+/// Bytes of a magic and a length before the manifest.
+const FRONT_BYTES: u64 = 8;
+
+/// What a packet is for, in the order in which files have them.
+type Place = (u16, u8);
+/// Parity, and what is no packet: after all others.
+const LAST: Place = (u16::MAX, u8::MAX);
+
+/// What to do next.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Wanted {
+    /// Ask for these bytes.
+    Range(Range<u64>),
+    /// The index is unusable: ask for the whole file.
+    Whole,
+    /// Everything is there.
+    Nothing,
+}
+
+/// The manifest of a file whose first bytes are `first`: its message, or how many bytes are needed.
+///
+/// # Errors
+/// No `.dgs` file.
+pub fn message(first: &[u8]) -> Result<std::result::Result<&[u8], u64>> {
+    match file::manifest(first) {
+        Ok((message, _)) => Ok(Ok(message)),
+        Err(error) if error.kind == ErrorKind::Short && first.len() as u64 >= FRONT_BYTES => {
+            let [_, _, _, _, a, b, c, d, ..] = *first else { return Err(error) };
+            Ok(Err(FRONT_BYTES + u64::from(u32::from_le_bytes([a, b, c, d]))))
+        }
+        Err(error) => Err(error),
+    }
+}
+
+/// See the module.
+#[derive(Debug)]
+pub struct RangePlan {
+    len: u64,
+    /// Where the packets' length fields are, and one past the last packet. Empty before the index came.
+    offsets: Vec<u64>,
+    fetched: Vec<bool>,
+    places: Vec<Option<Place>>,
+    epochs: u16,
+    /// Bytes at the end that the index needs.
+    tail: u64,
+    unusable: bool,
+}
+
+impl RangePlan {
+    /// A plan for a file of `len` bytes with `epochs` epochs, of which nothing but the manifest is known.
+    pub fn new(len: u64, epochs: u16) -> Self {
+        let (offsets, fetched, places) = Default::default();
+        Self { len, offsets, fetched, places, epochs, tail: TAIL_BYTES.min(len), unusable: false }
+    }
+
+    /// What to ask for, shown epoch first.
+    pub fn next(&self, epoch: u16) -> Wanted {
+        if self.unusable {
+            return Wanted::Whole;
+        }
+        if self.offsets.is_empty() {
+            return Wanted::Range(self.len - self.tail..self.len);
+        }
+        for level in 0..4u8 {
+            for e in (epoch..self.epochs).chain(0..epoch.min(self.epochs)) {
+                let most = if level == 0 { BASE_BYTES } else { REFINEMENT_BYTES };
+                match self.first_of((e, level)) {
+                    Err(probe) => {
+                        let at = self.offsets[probe];
+                        return Wanted::Range(at..(at + HEAD_BYTES).min(self.offsets[probe + 1]));
+                    }
+                    Ok(first) => {
+                        let past = self.known_end((e, level));
+                        if let Some(range) = self.unfetched(first..past, most) {
+                            return Wanted::Range(range);
+                        }
+                    }
+                }
+            }
+        }
+        self.unfetched(0..self.fetched.len(), REFINEMENT_BYTES).map_or(Wanted::Nothing, Wanted::Range)
+    }
+
+    /// Whether the base of `epoch` is there, or no more of it will come.
+    pub fn has_base(&self, epoch: u16) -> bool {
+        if self.unusable || self.offsets.is_empty() {
+            return false;
+        }
+        let Ok(first) = self.first_of((epoch, 0)) else { return false };
+        self.unfetched(first..self.known_end((epoch, 0)), u64::MAX).is_none()
+    }
+
+    /// Share of the packets that are there.
+    pub fn share(&self) -> f64 {
+        if self.fetched.is_empty() {
+            return 0.0;
+        }
+        self.fetched.iter().filter(|&&fetched| fetched).count() as f64 / self.fetched.len() as f64
+    }
+
+    /// Takes `bytes` of the file from offset `at` on, calls `packet` with each packet that is whole in them.
+    pub fn take(&mut self, at: u64, bytes: &[u8], manifest: &Manifest<'_>, mut packet: impl FnMut(&[u8])) {
+        let end = at.saturating_add(bytes.len() as u64);
+        if self.offsets.is_empty() && end >= self.len {
+            self.read_index(bytes);
+        }
+        // Offsets grow: the first packet at or after `at`.
+        let from = self.offsets.partition_point(|&offset| offset < at);
+        for k in from..self.fetched.len() {
+            let (start, past) = (self.offsets[k], self.offsets[k + 1]);
+            if start >= end {
+                break;
+            }
+            let Some(found) = bytes.get((start - at) as usize..) else { break };
+            let Some((length, content)) = found.split_first_chunk::<2>() else { break };
+            let length = usize::from(u16::from_le_bytes(*length));
+            let content = &content[..content.len().min(length)];
+            self.places[k] = self.places[k].or_else(|| Some(place(content, manifest).unwrap_or(LAST)));
+            if past <= end && !self.fetched[k] {
+                self.fetched[k] = true;
+                // A damaged length gives a damaged packet, which its CRC shows.
+                packet(content);
+            }
+        }
+    }
+
+    fn read_index(&mut self, tail: &[u8]) {
+        let Some((_, length)) = tail.split_last_chunk::<4>() else {
+            self.unusable = true;
+            return;
+        };
+        let needed = u64::from(u32::from_le_bytes(*length));
+        if needed > tail.len() as u64 && needed <= self.len && self.tail < needed {
+            self.tail = needed;
+            return;
+        }
+        let Ok(entries) = file::index(tail, codec_core::internals::wire::crc::crc32) else {
+            self.unusable = true;
+            return;
+        };
+        // Two bytes of the end mark lie between the last packet and the index.
+        let past = self.len.saturating_sub(needed + 2);
+        self.offsets = entries.map(u64::from).chain([past]).collect();
+        let legal = self.offsets.len() > 1 && self.offsets.windows(2).all(|pair| pair[0] + 2 < pair[1]);
+        if !legal || self.offsets[0] < FRONT_BYTES {
+            self.unusable = true;
+            return;
+        }
+        self.fetched = vec![false; self.offsets.len() - 1];
+        self.places = vec![None; self.offsets.len() - 1];
+    }
+
+    /// The first packet at or past `place`; or a packet whose head to look at.
+    fn first_of(&self, place: Place) -> std::result::Result<usize, usize> {
+        if place == (0, 0) {
+            return Ok(0);
+        }
+        let before = self.places.iter().rposition(|known| known.is_some_and(|known| known < place));
+        let low = before.map_or(0, |at| at + 1);
+        let later = self.places[low..].iter().position(|known| known.is_some());
+        let high = later.map_or(self.places.len(), |at| low + at);
+        if low == high { Ok(low) } else { Err(low + (high - low) / 2) }
+    }
+
+    /// The first packet that is known to be past `place`.
+    fn known_end(&self, place: Place) -> usize {
+        let past = self.places.iter().position(|known| known.is_some_and(|known| known > place));
+        past.unwrap_or(self.places.len())
+    }
+
+    /// The bytes of the first packets among `packets` that were not fetched: one at least, `most` at most.
+    fn unfetched(&self, packets: Range<usize>, most: u64) -> Option<Range<u64>> {
+        let first = packets.clone().find(|&k| !self.fetched[k])?;
+        let at = self.offsets[first];
+        let fits = |&k: &usize| !self.fetched[k] && self.offsets[k + 1] - at <= most;
+        let last = (first..packets.end).take_while(fits).last().unwrap_or(first);
+        Some(at..self.offsets[last + 1])
+    }
+}
+
+/// Whose the packet is whose first bytes are `content`.
+fn place(content: &[u8], manifest: &Manifest<'_>) -> Option<Place> {
+    let head = Head::parse(content).ok()?;
+    let level = head.flags & 3;
+    match head.kind {
+        KIND_SLICES => {
+            let mut reader = Reader::new(content.get(head.len..)?);
+            let span = reader.varint("slices.span", u32::from(u16::MAX)).ok()? as u16;
+            let epoch = if head.flags & 4 == 0 { span } else { manifest.window(WindowId(span))?.epoch };
+            Some((epoch, level))
+        }
+        KIND_CHUNK => {
+            let frame = u16::from_le_bytes([*content.get(6)?, *content.get(7)?]);
+            Some((manifest.epoch_at(frame.into())?.0, level))
+        }
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use dgs_player::{Caps, Player, Stream};
+
+    use super::*;
+
+    const FILE: &[u8] = include_bytes!("../../../codec-core/tests/conformance/everything.dgs");
+
+    /// What a player has after the plan has fetched everything, and the ranges in order.
+    fn fetched(file: &[u8]) -> (Player, Vec<Range<u64>>, Wanted) {
+        let message = message(file).unwrap().unwrap();
+        let mut player = Player::new(message, &Caps::HOST).unwrap();
+        let mut plan = RangePlan::new(file.len() as u64, player.manifest().head().epochs);
+        let mut ranges = Vec::new();
+        loop {
+            let Wanted::Range(range) = plan.next(0) else { return (player, ranges, plan.next(0)) };
+            let bytes = &file[range.start as usize..range.end as usize];
+            let mut packets = Vec::new();
+            plan.take(range.start, bytes, player.manifest(), |packet| packets.push(packet.to_vec()));
+            player.push_all(packets.iter().map(Vec::as_slice));
+            assert!(!ranges.contains(&range), "{range:?} twice");
+            ranges.push(range);
+        }
+    }
+
+    #[test]
+    fn a_file_that_came_in_pieces_is_the_file_that_came_whole() {
+        for name in ["everything", "made-paper", "made-extents", "xor", "one", "still"] {
+            let path =
+                format!("{}/../../codec-core/tests/conformance/{name}.dgs", env!("CARGO_MANIFEST_DIR"));
+            let file = std::fs::read(path).unwrap();
+            let (mut pieces, _, end) = fetched(&file);
+            assert_eq!(end, Wanted::Nothing, "{name}");
+            let (mut whole, _) = Player::open(&file).unwrap();
+            for frame in 0..whole.info().frames {
+                assert_eq!(
+                    pieces.frame(frame).unwrap().gaussians,
+                    whole.frame(frame).unwrap().gaussians,
+                    "{name}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn base_levels_of_all_epochs_come_before_refinements() {
+        let (stream, _) = Stream::from_bytes(FILE).unwrap();
+        let manifest = stream.manifest().unwrap();
+        let mut plan = RangePlan::new(FILE.len() as u64, manifest.head().epochs);
+        let mut seen = Vec::new();
+        while let Wanted::Range(range) = plan.next(0) {
+            let bytes = &FILE[range.start as usize..range.end as usize];
+            plan.take(range.start, bytes, &manifest, |packet| {
+                if let Some(place) = place(packet, &manifest) {
+                    seen.push(place);
+                }
+            });
+        }
+        assert!(!seen.is_empty());
+        assert!((0..manifest.head().epochs).all(|epoch| plan.has_base(epoch)));
+    }
+
+    /// A file of many packets with many epochs: what is asked for by bisection.
+    #[test]
+    fn where_a_level_begins_is_found_in_few_steps() {
+        let mut plan = RangePlan::new(1_000_000, 4);
+        plan.offsets = (0..=1000).map(|k| 100 + 900 * k).collect();
+        (plan.fetched, plan.places) = (vec![false; 1000], vec![None; 1000]);
+        let truth: Vec<Place> = (0..1000).map(|k| ((k / 250) as u16, (k % 250 / 63) as u8)).collect();
+        for (place, wanted) in [((1, 0), 250), ((3, 0), 750), ((2, 1), 563), ((0, 3), 189)] {
+            let mut steps = 0;
+            let found = loop {
+                match plan.first_of(place) {
+                    Ok(found) => break found,
+                    Err(probe) => plan.places[probe] = Some(truth[probe]),
+                }
+                steps += 1;
+            };
+            assert!(found == wanted && steps <= 11, "{place:?}: {found} after {steps}");
+        }
+    }
+
+    #[test]
+    fn damage_asks_for_the_whole_file_and_never_for_ever() {
+        for at in [FILE.len() - 1, FILE.len() - 9, FILE.len() - 30] {
+            let mut damaged = FILE.to_vec();
+            damaged[at] ^= 0x55;
+            assert_eq!(fetched(&damaged).2, Wanted::Whole, "{at}");
+        }
+        assert!(message(b"PLY and no stream").is_err());
+        assert!(message(&FILE[..6]).is_err());
+        let needed = message(&FILE[..40]).unwrap().unwrap_err();
+        assert!(message(&FILE[..needed as usize]).unwrap().is_ok());
+    }
+}

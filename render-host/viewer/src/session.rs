@@ -1,0 +1,395 @@
+//! A session holds one stream, its clock, its camera and its emulated network, and says what to draw.
+
+use codec_core::{
+    internals::{
+        ids::{ClusterId, Span},
+        layout::Shape,
+    },
+    player::MAX_RECEIPT_BYTES,
+};
+use dgs_player::{Caps, Damage, FrameDecoder, Player, Result, Stream, Usable};
+use render_host::{Gaussian, Splats};
+
+use crate::{
+    bounds::bounds,
+    channel::{Channel, Conditions},
+    orbit::{Orbit, Up},
+    playback::{Playback, Step},
+    ranges::{RangePlan, Wanted},
+};
+
+/// Levels there are, base included.
+pub const LEVELS: usize = 4;
+
+/// Colours of what a block is shown at: its proxy, its base, refinements 1 to 3. People with any colour
+/// vision tell them apart.
+pub const LEVEL_COLOURS: [[f32; 3]; LEVELS + 1] =
+    [[0.80, 0.27, 0.13], [0.95, 0.64, 0.16], [0.90, 0.88, 0.35], [0.25, 0.66, 0.70], [0.22, 0.38, 0.75]];
+/// Display colour per unit of band 0.
+const SH0: f32 = 0.282_094_79;
+
+/// How long the clock waits for a base that a server may still send, seconds.
+const PATIENCE_S: f64 = 0.5;
+
+/// How many blocks of the frame are shown at what: proxies, base, refinements 1 to 3.
+pub type BlocksByLevel = [u32; LEVELS + 1];
+
+/// Gaussians of the frame that is due.
+#[derive(Debug)]
+pub struct Shown<'s> {
+    /// What to draw.
+    pub splats: Splats<'s>,
+    /// Whether only what moves has changed since the last call: harmonics are as they were.
+    pub only_moved: bool,
+}
+
+/// See the module.
+#[derive(Debug)]
+pub struct Session {
+    message: Vec<u8>,
+    /// Every packet that came, in the order in which it came: what the emulated network is given.
+    packets: Vec<Vec<u8>>,
+    player: Player,
+    decoder: FrameDecoder,
+    channel: Channel,
+    /// Packets given to the network, and when it began, seconds.
+    sent: usize,
+    sent_since_s: Option<f64>,
+    plan: Option<RangePlan>,
+    /// Whether a server sends packets, and how long the clock has waited for it, seconds.
+    live: bool,
+    waited_s: f64,
+    playback: Playback,
+    orbit: Orbit,
+    cap: usize,
+    overlay: bool,
+    painted: Vec<Gaussian>,
+    state: Vec<u8>,
+    /// Changes with everything that changes harmonics: packets, cap, overlay.
+    content: u64,
+    /// `content` and epoch of the last frame shown.
+    last: Option<(u64, u16)>,
+}
+
+impl Session {
+    /// The stream of the DGSM message `message`; no packet has come.
+    ///
+    /// # Errors
+    /// A damaged message, or one beyond [`Caps::HOST`].
+    pub fn new(message: &[u8]) -> Result<Self> {
+        let player = Player::new(message, &Caps::HOST)?;
+        let decoder = FrameDecoder::new(player.manifest());
+        let playback = Playback::new(player.info().frames, player.manifest().frames_per_second());
+        Ok(Self {
+            message: message.to_vec(),
+            packets: Vec::new(),
+            player,
+            decoder,
+            channel: Channel::new(Conditions::default()),
+            sent: 0,
+            sent_since_s: None,
+            plan: None,
+            live: false,
+            waited_s: 0.0,
+            playback,
+            orbit: Orbit::default(),
+            cap: LEVELS - 1,
+            overlay: false,
+            painted: Vec::new(),
+            state: Vec::new(),
+            content: 0,
+            last: None,
+        })
+    }
+
+    /// The `.dgs` file `file`, as far as it is readable, and what was not.
+    ///
+    /// # Errors
+    /// Its manifest is unreadable.
+    pub fn open(file: &[u8]) -> Result<(Self, Damage)> {
+        let (stream, damage) = Stream::from_bytes(file)?;
+        let mut session = Self::new(stream.message())?;
+        session.push_all(stream.packets().iter().filter(|packet| !packet.is_empty()).cloned());
+        Ok((session, damage))
+    }
+
+    /// Fetches the rest of a file of `len` bytes piece by piece: see [`Session::wanted`].
+    pub fn fetch(&mut self, len: u64) {
+        self.plan = Some(RangePlan::new(len, self.player.manifest().head().epochs));
+    }
+
+    /// Which bytes of the file to ask for next.
+    pub fn wanted(&self) -> Wanted {
+        self.plan.as_ref().map_or(Wanted::Nothing, |plan| plan.next(self.epoch()))
+    }
+
+    /// Takes `bytes` of the file from offset `at` on.
+    pub fn take(&mut self, at: u64, bytes: &[u8]) {
+        let Some(mut plan) = self.plan.take() else { return };
+        let mut packets = Vec::new();
+        plan.take(at, bytes, self.player.manifest(), |packet| packets.push(packet.to_vec()));
+        self.plan = Some(plan);
+        self.push_all(packets);
+    }
+
+    /// Takes the whole file after all: what there was of the plan is over.
+    ///
+    /// # Errors
+    /// Its manifest is unreadable.
+    pub fn take_whole(&mut self, file: &[u8]) -> Result<()> {
+        let (stream, _) = Stream::from_bytes(file)?;
+        self.plan = None;
+        self.push_all(stream.packets().iter().filter(|packet| !packet.is_empty()).cloned());
+        Ok(())
+    }
+
+    /// Share of the file that is there, 0 to 1.
+    pub fn loaded(&self) -> f64 {
+        self.plan.as_ref().map_or(1.0, RangePlan::share)
+    }
+
+    /// A server sends packets from now on: the clock gives each base a moment to come.
+    pub fn set_live(&mut self) {
+        self.live = true;
+    }
+
+    /// A receipt for that server: what has arrived, and when the first frame of the round was shown,
+    /// microseconds since the round began (0 before).
+    ///
+    /// # Errors
+    /// None in practice.
+    pub fn receipt(&mut self, sequence: u32, playout_us: u64) -> Result<Vec<u8>> {
+        let mut receipt = vec![0; MAX_RECEIPT_BYTES];
+        let length = self.player.with_core(|core| core.receipt(sequence, playout_us, None, &mut receipt))?;
+        receipt.truncate(length);
+        Ok(receipt)
+    }
+
+    /// When the first frame of the round is due that a server sends for `time_s`: that of its window, or of
+    /// its epoch, seconds of the clip.
+    pub fn round_start_s(&self, time_s: f64) -> f64 {
+        let manifest = self.player.manifest();
+        let frame = self.playback.frame_at(time_s);
+        let window = manifest.window_at(frame).and_then(|id| manifest.window(id)).map(|w| w.first_frame);
+        let epoch = || manifest.epoch_at(frame).and_then(|id| manifest.epoch(id)).map(|e| e.first_frame);
+        f64::from(window.or_else(epoch).unwrap_or(0)) / manifest.frames_per_second()
+    }
+
+    /// Takes one packet from a network that is none of ours.
+    pub fn push(&mut self, packet: &[u8]) {
+        self.push_all([packet.to_vec()]);
+    }
+
+    fn push_all(&mut self, packets: impl IntoIterator<Item = Vec<u8>>) {
+        self.packets.extend(packets);
+        if self.channel.conditions().is_perfect() {
+            self.send_all();
+        }
+    }
+
+    /// Gives the player everything that came.
+    fn send_all(&mut self) {
+        let fresh = &self.packets[self.sent..];
+        if !fresh.is_empty() {
+            self.player.push_all(fresh.iter().map(Vec::as_slice));
+            self.sent = self.packets.len();
+            self.content += 1;
+        }
+    }
+
+    /// Puts a network between what came and the player, from the first packet on.
+    ///
+    /// # Errors
+    /// None in practice: the manifest was taken before.
+    pub fn impair(&mut self, conditions: Conditions) -> Result<()> {
+        self.player = Player::new(&self.message, &Caps::HOST)?;
+        self.channel = Channel::new(conditions);
+        (self.sent, self.sent_since_s) = (0, None);
+        self.content += 1;
+        if self.channel.conditions().is_perfect() {
+            self.send_all();
+        }
+        Ok(())
+    }
+
+    /// The network's conditions.
+    pub fn conditions(&self) -> Conditions {
+        self.channel.conditions()
+    }
+
+    /// Lets the network deliver what is through at `now_s`; true while more is on its way.
+    pub fn deliver(&mut self, now_s: f64) -> bool {
+        if self.channel.conditions().is_perfect() {
+            return false;
+        }
+        let since = *self.sent_since_s.get_or_insert(now_s);
+        let before = self.sent;
+        let mut arrived = Vec::new();
+        while let Some(packet) = self.packets.get(self.sent) {
+            if self.channel.due_s(packet.len()) > now_s - since {
+                break;
+            }
+            if self.channel.send(packet.len()) {
+                arrived.push(packet.as_slice());
+            }
+            self.sent += 1;
+        }
+        self.player.push_all(arrived);
+        self.content += u64::from(self.sent > before);
+        self.sent < self.packets.len()
+    }
+
+    /// Lets `dt_s` seconds pass.
+    pub fn advance(&mut self, dt_s: f64) -> Step {
+        let (player, plan) = (&self.player, &self.plan);
+        let waits = self.live && self.waited_s < PATIENCE_S;
+        let ready = |frame| match plan {
+            Some(plan) => player.manifest().epoch_at(frame).is_none_or(|epoch| plan.has_base(epoch.0)),
+            None => !waits || has_base(player, frame),
+        };
+        let step = self.playback.advance(dt_s, ready);
+        if step.stalled {
+            self.waited_s += dt_s;
+        } else if self.waited_s > 0.0 && has_base(player, self.playback.frame()) {
+            self.waited_s = 0.0;
+        }
+        step
+    }
+
+    /// The clock.
+    pub fn playback(&self) -> &Playback {
+        &self.playback
+    }
+
+    /// The clock, to set it.
+    pub fn playback_mut(&mut self) -> &mut Playback {
+        &mut self.playback
+    }
+
+    /// The camera.
+    pub fn orbit(&self) -> &Orbit {
+        &self.orbit
+    }
+
+    /// The camera, to move it.
+    pub fn orbit_mut(&mut self) -> &mut Orbit {
+        &mut self.orbit
+    }
+
+    /// What the stream is.
+    pub fn player(&self) -> &Player {
+        &self.player
+    }
+
+    /// Looks at all of the frame that is due, in a picture `aspect` times as wide as high.
+    ///
+    /// # Errors
+    /// None in practice.
+    pub fn look_at_all(&mut self, aspect: f64, up: Up) -> Result<()> {
+        let frame = self.decoder.frame(&self.player.content(), self.playback.frame())?;
+        let (middle, radius) = bounds(frame.gaussians);
+        self.orbit = Orbit::around(middle, radius, aspect, up);
+        self.last = None;
+        Ok(())
+    }
+
+    /// The highest level that is shown, 0 to 3.
+    pub fn cap(&self) -> usize {
+        self.cap
+    }
+
+    /// Shows no level above `cap`.
+    pub fn set_cap(&mut self, cap: usize) {
+        self.cap = cap.min(LEVELS - 1);
+        self.content += 1;
+    }
+
+    /// Whether blocks are painted in the colour of the level that they are shown at.
+    pub fn overlay(&self) -> bool {
+        self.overlay
+    }
+
+    /// Sets that.
+    pub fn set_overlay(&mut self, overlay: bool) {
+        self.overlay = overlay;
+        self.content += 1;
+    }
+
+    /// A number that changes with what [`Session::show`] gives, but for the frame.
+    pub fn content(&self) -> u64 {
+        self.content
+    }
+
+    fn epoch(&self) -> u16 {
+        self.player.manifest().epoch_at(self.playback.frame()).map_or(0, |epoch| epoch.0)
+    }
+
+    /// Gaussians of the frame that is due.
+    ///
+    /// # Errors
+    /// None in practice: the clock stays within the clip.
+    pub fn show(&mut self) -> Result<Shown<'_>> {
+        let key = (self.content, self.epoch());
+        let only_moved = self.last == Some(key);
+        self.last = Some(key);
+        let content = self.player.content();
+        let above = !((2u8 << self.cap) - 1);
+        if self.cap < LEVELS - 1 {
+            self.state.clear();
+            self.state.extend(content.blocks.iter().map(|mask| mask & !above));
+        }
+        let capped = if self.cap < LEVELS - 1 { content.with_state(&self.state) } else { content };
+        let frame = self.decoder.frame(&capped, self.playback.frame())?;
+        if !self.overlay {
+            // The decoder gives as many harmonics as Gaussians have.
+            let splats = Splats::new(frame.gaussians, frame.sh_rest, frame.sh_degree)
+                .unwrap_or_else(|_| Splats::plain(frame.gaussians));
+            return Ok(Shown { splats, only_moved });
+        }
+        self.painted.clear();
+        self.painted.extend_from_slice(frame.gaussians);
+        let span = Span::Canonical(frame.decoded.epoch);
+        let mut first = 0;
+        for cluster in (0..capped.manifest.clusters_of(span).unwrap_or(0)).map(|c| ClusterId(c as u16)) {
+            let shape = Shape::in_lattice(capped.manifest, span, cluster)?;
+            let cell = capped.cell_in_lattice(span, cluster)?;
+            for block in 0..shape.blocks() {
+                let colour = LEVEL_COLOURS[capped.arrived(cell, block)?.usable().min(LEVELS)];
+                let sh0 = colour.map(|c| (c - 0.5) / SH0);
+                let start = first + shape.first_of(block);
+                let many = shape.block_gaussians(block);
+                self.painted.iter_mut().skip(start).take(many).for_each(|gaussian| gaussian.sh0 = sh0);
+            }
+            first += shape.gaussians();
+        }
+        Ok(Shown { splats: Splats::plain(&self.painted), only_moved })
+    }
+
+    /// How many blocks of the frame that is due have come to which level, whatever the cap.
+    ///
+    /// # Errors
+    /// None in practice.
+    pub fn levels(&self) -> Result<BlocksByLevel> {
+        let Usable { blocks, canonical, .. } = self.player.usable(self.playback.frame())?;
+        let mut by_level = [blocks.saturating_sub(canonical[0]), 0, 0, 0, 0];
+        for level in 0..LEVELS {
+            let above = canonical.get(level + 1).copied().unwrap_or(0);
+            by_level[level + 1] = canonical[level].saturating_sub(above);
+        }
+        Ok(by_level)
+    }
+
+    /// Packets that came, and of them those that the emulated network delivered.
+    pub fn packets(&self) -> (usize, usize) {
+        let counters = self.player.counters();
+        (self.packets.len(), counters.media as usize)
+    }
+}
+
+/// Whether every block of `frame` has its base.
+fn has_base(player: &Player, frame: u32) -> bool {
+    player.usable(frame).is_ok_and(|usable| usable.canonical[0] == usable.blocks)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,139 @@
+//! A session shows what its packets allow, whatever the cap, the overlay and the network.
+
+use super::*;
+
+const FILE: &[u8] = include_bytes!("../../../../codec-core/tests/conformance/everything.dgs");
+
+fn session() -> Session {
+    let (session, damage) = Session::open(FILE).unwrap();
+    assert!(damage.is_none());
+    session
+}
+
+fn shown(session: &mut Session) -> Vec<Gaussian> {
+    session.show().unwrap().splats.gaussians().to_vec()
+}
+
+#[test]
+fn it_shows_what_a_player_decodes() {
+    let (mut session, (mut player, _)) = (session(), Player::open(FILE).unwrap());
+    let frames = player.info().frames;
+    for frame in 0..frames {
+        let time = (f64::from(frame) + 0.5) / f64::from(frames) * session.playback().duration_s();
+        session.playback_mut().seek(time);
+        assert_eq!(session.playback().frame(), frame);
+        assert_eq!(shown(&mut session), player.frame(frame).unwrap().gaussians, "frame {frame}");
+    }
+}
+
+#[test]
+fn a_cap_leaves_finer_levels_out_and_gives_them_back() {
+    let mut session = session();
+    let whole = shown(&mut session);
+    session.set_cap(0);
+    let base = shown(&mut session);
+    assert_eq!(base.len(), whole.len());
+    assert_ne!(base, whole);
+    session.set_cap(99);
+    assert_eq!(shown(&mut session), whole);
+    assert_eq!(session.cap(), 3);
+}
+
+#[test]
+fn the_overlay_paints_blocks_and_moves_nothing() {
+    let mut session = session();
+    let plain = shown(&mut session);
+    session.set_overlay(true);
+    let painted = shown(&mut session);
+    assert!(plain.iter().zip(&painted).all(|(a, b)| a.position == b.position && a.opacity == b.opacity));
+    let finest = LEVEL_COLOURS[LEVELS].map(|c| (c - 0.5) / SH0);
+    assert!(painted.iter().any(|gaussian| gaussian.sh0 == finest));
+    session.impair(Conditions { loss: 0.9, seed: 3, ..Conditions::default() }).unwrap();
+    session.deliver(0.0);
+    let proxy = LEVEL_COLOURS[0].map(|c| (c - 0.5) / SH0);
+    assert!(shown(&mut session).iter().any(|gaussian| gaussian.sh0 == proxy));
+}
+
+#[test]
+fn a_network_thins_and_its_end_gives_everything_back() {
+    let mut session = session();
+    let whole = shown(&mut session);
+    let all = session.levels().unwrap();
+    assert_eq!(all[0], 0, "{all:?}");
+    session.impair(Conditions { loss: 0.6, seed: 5, ..Conditions::default() }).unwrap();
+    assert!(!session.deliver(1.0), "without a rate everything is sent at once");
+    let thinned = session.levels().unwrap();
+    assert!(thinned[0] > 0 && thinned.iter().sum::<u32>() == all.iter().sum::<u32>(), "{thinned:?}");
+    assert_ne!(shown(&mut session), whole);
+    session.impair(Conditions::default()).unwrap();
+    assert_eq!(shown(&mut session), whole);
+}
+
+#[test]
+fn a_rate_delivers_over_time() {
+    let mut session = session();
+    let (came, _) = session.packets();
+    session.impair(Conditions { rate_bps: Some(8.0 * FILE.len() as f64), ..Conditions::default() }).unwrap();
+    assert!(session.deliver(10.0));
+    assert!(session.deliver(10.5));
+    let (_, decoded) = session.packets();
+    assert!(decoded > 0 && decoded < came, "{decoded} of {came}");
+    assert!(!session.deliver(11.5));
+}
+
+#[test]
+fn pieces_of_a_file_are_the_file_and_its_base_lets_the_clock_run() {
+    let message = crate::message(FILE).unwrap().unwrap();
+    let mut session = Session::new(message).unwrap();
+    session.fetch(FILE.len() as u64);
+    session.playback_mut().set_playing(true);
+    assert!(session.advance(0.01).stalled, "no base is there");
+    while let Wanted::Range(range) = session.wanted() {
+        session.take(range.start, &FILE[range.start as usize..range.end as usize]);
+    }
+    assert_eq!(session.loaded(), 1.0);
+    assert!(!session.advance(0.01).stalled);
+    session.playback_mut().seek(0.0);
+    assert_eq!(shown(&mut session), shown(&mut self::session()));
+}
+
+#[test]
+fn what_only_moves_is_known_to() {
+    let mut session = session();
+    assert!(!session.show().unwrap().only_moved, "the first picture is new");
+    assert!(session.show().unwrap().only_moved);
+    session.set_overlay(true);
+    assert!(!session.show().unwrap().only_moved);
+}
+
+#[test]
+fn packets_of_strangers_change_nothing() {
+    let mut session = session();
+    let whole = shown(&mut session);
+    session.push(b"no packet");
+    session.push(&[]);
+    session.take(0, &[1, 2, 3]);
+    assert_eq!(shown(&mut session), whole);
+    assert!(session.take_whole(b"no file").is_err());
+    assert!(Session::open(&FILE[..20]).is_err());
+}
+
+#[test]
+fn a_server_learns_what_came_and_its_bases_have_a_moment() {
+    let stream = Stream::from_bytes(FILE).unwrap().0;
+    let mut session = Session::new(stream.message()).unwrap();
+    session.set_live();
+    session.playback_mut().set_playing(true);
+    let none = session.receipt(0, 0).unwrap();
+    assert!(session.advance(0.3).stalled && session.advance(0.3).stalled);
+    assert!(!session.advance(0.01).stalled, "what does not come is not waited for any longer");
+    stream.packets().iter().for_each(|packet| session.push(packet));
+    assert!(session.receipt(1, 7).unwrap() != none);
+    session.playback_mut().seek(0.0);
+    assert!(!session.advance(0.01).stalled);
+    let duration = session.playback().duration_s();
+    for share in [0.0, 0.3, 0.7, 1.0] {
+        let start = session.round_start_s(share * duration);
+        assert!(start >= 0.0 && start <= share * duration, "{share}: {start}");
+    }
+}

@@ -1,0 +1,343 @@
+//! Promises of the player in a browser: its pictures are the renderer's, loss thins them and never breaks
+//! them, and a lost device, a slow start or a page 390 pixels wide are no reason to stop.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
+
+#[path = "lab/src/browser.rs"]
+#[allow(dead_code, reason = "bench `view` uses the rest")]
+mod browser;
+#[path = "view/served.rs"]
+mod served;
+
+use std::sync::Mutex;
+
+use browser::Browser;
+use dgs_player::Player;
+use render_host::{Camera, Image, Intrinsics, Settings, Splats, metric::psnr, render};
+use serde_json::Value;
+use served::{LARGE, SMALL, Served, stream};
+
+/// Side of the pictures that are compared, pixels.
+const SIDE: u32 = 256;
+/// Least agreement with the renderer of this machine, dB: nearly all channels equal in 8 bits.
+const LEAST_DB: f64 = 50.0;
+/// Longest wait for a page, seconds: a software adapter on a busy machine takes many for a frame.
+const PATIENCE_S: u32 = 300;
+/// One browser at a time: each uses all of this machine.
+static TURN: Mutex<()> = Mutex::new(());
+
+/// A page that plays, or `None` on a machine without a browser; in CI that is a failure.
+struct Page {
+    browser: Browser,
+    served: Served,
+    _turn: std::sync::MutexGuard<'static, ()>,
+}
+
+impl Page {
+    fn open(query: &str) -> Option<Self> {
+        let mut page = Self::blank()?;
+        let url = format!("{}?{query}", page.served.url());
+        page.browser.go(&url).unwrap();
+        page.browser
+            .wait(
+                PATIENCE_S,
+                "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0",
+            )
+            .unwrap();
+        page.run("player.style.cssText = 'flex:none;width:256px;height:256px', 0");
+        page.browser.wait(PATIENCE_S, "player.shadowRoot.querySelector('canvas').width === 256").unwrap();
+        Some(page)
+    }
+
+    fn blank() -> Option<Self> {
+        if Browser::program().is_none() {
+            assert!(std::env::var_os("CI").is_none_or(|ci| ci != "true"), "chromium is missing");
+            eprintln!("no chromium here: the player is not tested");
+            return None;
+        }
+        let turn = TURN.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let served = Served::start();
+        Some(Self { browser: Browser::open(800, 600).unwrap(), served, _turn: turn })
+    }
+
+    fn run(&mut self, script: &str) -> Value {
+        self.browser.run(script).unwrap()
+    }
+
+    fn number(&mut self, script: &str) -> f64 {
+        self.run(script).as_f64().unwrap_or_else(|| panic!("{script} is no number"))
+    }
+
+    /// What is on the canvas.
+    fn picture(&mut self) -> Image {
+        let script = "(() => { player.engine.drawNow();\
+             const from = player.shadowRoot.querySelector('canvas');\
+             const to = document.createElement('canvas'); [to.width, to.height] = [from.width, from.height];\
+             const pen = to.getContext('2d', { willReadFrequently: true }); pen.drawImage(from, 0, 0);\
+             return [...pen.getImageData(0, 0, to.width, to.height).data].filter((_, k) => k % 4 < 3); })()";
+        let values = self.run(script);
+        let rgb: Vec<f32> =
+            values.as_array().unwrap().iter().map(|v| v.as_f64().unwrap() as f32 / 255.0).collect();
+        Image::new(SIDE, SIDE, rgb).unwrap()
+    }
+
+    /// What the renderer of this machine draws of `player` where the page looks.
+    fn expected(&mut self, player: &mut Player, background: [f32; 3]) -> Image {
+        let numbers = self.run(&format!("[...player.session.camera({SIDE}, {SIDE})]"));
+        let n: Vec<f64> = numbers.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();
+        let rotation = [[n[0], n[1], n[2]], [n[3], n[4], n[5]], [n[6], n[7], n[8]]];
+        let intrinsics = Intrinsics { width: SIDE, height: SIDE, fx: n[12], fy: n[13], cx: n[14], cy: n[15] };
+        let camera =
+            Camera::new(intrinsics, rotation, [n[9], n[10], n[11]]).unwrap().with_near(n[16]).unwrap();
+        let frame = self.number("player.session.frame") as u32;
+        let shown = player.frame(frame).unwrap();
+        let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree).unwrap();
+        let image = render(&splats, &camera, &Settings::over(background)).unwrap().image;
+        let rgb = image.to_rgb8().iter().map(|&v| f32::from(v) / 255.0).collect();
+        Image::new(SIDE, SIDE, rgb).unwrap()
+    }
+
+    fn agreement(&mut self, player: &mut Player, background: [f32; 3]) -> f64 {
+        let (shown, expected) = (self.picture(), self.expected(player, background));
+        psnr(&shown, &expected).unwrap()
+    }
+
+    /// Ends the page, which must not have complained.
+    fn close(self) {
+        assert!(self.browser.complaints.is_empty(), "{:?}", self.browser.complaints);
+    }
+}
+
+#[test]
+fn its_pictures_are_those_of_the_renderer() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=1") else { return };
+    let mut player = stream(SMALL).receive().unwrap();
+    let black = [0.0; 3];
+    for time in ["0", "0.5", "0.98"] {
+        page.run(&format!("player.currentTime = {time}, 0"));
+        let db = page.agreement(&mut player, black);
+        assert!(db >= LEAST_DB, "time {time}: {db} dB");
+    }
+    page.run(
+        "player.session.turn(200, -60, 256), player.session.zoom(1.6), player.background = '#4080c0', 0",
+    );
+    let blue = [64.0, 128.0, 192.0].map(|v: f32| v / 255.0);
+    let db = page.agreement(&mut player, blue);
+    assert!(db >= LEAST_DB, "turned: {db} dB");
+    // The comparison can fail: another frame, another background.
+    let before = page.picture();
+    page.run("player.currentTime = 0.2, 0");
+    assert!(psnr(&before, &page.expected(&mut player, blue)).unwrap() < LEAST_DB);
+    assert!(page.agreement(&mut player, black) < LEAST_DB);
+    // The base alone.
+    let mut base = Player::new(stream(SMALL).message(), &dgs_player::Caps::HOST).unwrap();
+    let map = trainer_host::stream::PacketMap::of(&stream(SMALL)).unwrap();
+    let is_base = |id: usize| {
+        let placed = map.placements(id);
+        !placed.is_empty() && placed.iter().all(|placement| placement.group.level.get() == 0)
+    };
+    let all = stream(SMALL);
+    let packets = all.packets().iter().enumerate().filter(|&(id, _)| is_base(id)).map(|(_, p)| p.as_slice());
+    base.push_all(packets);
+    page.run("player.quality = 0, 0");
+    let db = page.agreement(&mut base, blue);
+    assert!(db >= LEAST_DB, "base alone: {db} dB");
+    page.close();
+}
+
+#[test]
+fn it_plays_scrubs_loops_and_ends() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25") else { return };
+    page.run(
+        "globalThis.heard = []; for (const name of ['loop', 'ended', 'timeupdate', 'play', 'pause'])\
+        player.addEventListener(name, () => heard.push(name)); 0",
+    );
+    page.run("player.play(), 0");
+    page.browser.wait(PATIENCE_S, "heard.includes('loop')").unwrap();
+    page.run("player.loop = false, player.currentTime = player.duration - 0.1, 0");
+    page.browser.wait(PATIENCE_S, "heard.includes('ended') && player.paused && player.ended").unwrap();
+    page.run("player.currentTime = 0.31, 0");
+    assert_eq!(page.number("player.session.frame"), 9.0);
+    page.run("player.step(1), player.step(1), 0");
+    assert_eq!(page.number("player.session.frame"), 11.0);
+    // The slider and the keys.
+    page.run(
+        "{ const slider = player.shadowRoot.querySelector('.time'); slider.value = 0.5;\
+        slider.dispatchEvent(new Event('input')); } 0",
+    );
+    assert_eq!(page.number("player.session.frame"), 15.0);
+    page.run("player.shadowRoot.querySelector('canvas').focus(), 0");
+    page.browser.press(",").unwrap();
+    assert_eq!(page.number("player.session.frame"), 14.0);
+    page.browser.press("o").unwrap();
+    assert_eq!(page.run("player.overlay"), true);
+    page.close();
+}
+
+#[test]
+fn pointers_move_the_camera_and_the_address_keeps_it() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused") else { return };
+    let view = |page: &mut Page| -> Vec<f64> {
+        page.run("player.view").as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
+    };
+    let start = view(&mut page);
+    page.browser.drag(&[[100.0, 100.0], [140.0, 110.0]], "left").unwrap();
+    let turned = view(&mut page);
+    assert!(turned[0] != start[0] && turned[1] != start[1] && turned[3..] == start[3..], "{turned:?}");
+    page.browser.drag(&[[100.0, 100.0], [140.0, 110.0]], "right").unwrap();
+    let panned = view(&mut page);
+    assert!(panned[..3] == turned[..3] && panned[3..] != turned[3..], "{panned:?}");
+    page.browser.wait(PATIENCE_S, "location.hash.includes('view=')").unwrap();
+    page.run("player.currentTime = 0.4, 0");
+    page.browser.wait(PATIENCE_S, "location.hash.includes('t=0.400')").unwrap();
+    let hash = page.run("location.hash");
+    let url = format!("{}?src=streams/small.dgs{}", page.served.url(), hash.as_str().unwrap());
+    page.browser.go("about:blank").unwrap();
+    page.browser.go(&url).unwrap();
+    page.browser
+        .wait(PATIENCE_S, "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0")
+        .unwrap();
+    let again = view(&mut page);
+    assert!(again.iter().zip(&panned).all(|(a, b)| (a - b).abs() < 1e-4 * b.abs().max(1.0)), "{again:?}");
+    assert_eq!(page.number("player.currentTime"), 0.4);
+    assert_eq!(page.run("player.paused"), true);
+    page.close();
+}
+
+#[test]
+fn ranges_bring_a_file_base_first_and_loss_thins_it() {
+    let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1") else { return };
+    page.browser.wait(PATIENCE_S, "player.dataset.transport === 'ranges' && player.buffered === 1").unwrap();
+    let whole = page.picture();
+    let mut player = stream(LARGE).receive().unwrap();
+    let db = page.agreement(&mut player, [0.0; 3]);
+    assert!(db >= LEAST_DB, "what came in pieces: {db} dB");
+    let stand_ins = |page: &mut Page| {
+        page.number("player.session.levels()[0] / player.session.levels().reduce((a, b) => a + b)")
+    };
+    assert_eq!(stand_ins(&mut page), 0.0);
+    let mut before = f64::INFINITY;
+    for (loss, least_db) in [(0.1, 20.0), (0.5, 12.0), (0.95, 8.0)] {
+        page.run(&format!("player.impair({{ loss: {loss}, burst: 4, seed: 7 }}), 0"));
+        page.browser.wait(PATIENCE_S, "player.session.packets()[1] > 0").unwrap();
+        // The emulated network delivers when the display next takes a frame.
+        page.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(0))))");
+        let thinned = page.picture();
+        let db = psnr(&thinned, &whole).unwrap();
+        let seen = thinned.rgb().iter().filter(|&&v| v > 0.05).count();
+        assert!(db > least_db && db < before, "{loss}: {db} dB after {before}");
+        assert!(seen > 1000, "{loss}: only {seen} values are seen");
+        before = db;
+    }
+    assert!(stand_ins(&mut page) > 0.3);
+    // At a bounded rate everything comes in the end.
+    page.run("player.impair({ rate: 4e6 }), 0");
+    page.browser.wait(PATIENCE_S, "player.session.packets()[0] === player.session.packets()[1]").unwrap();
+    page.run("player.impair({}), 0");
+    assert!(psnr(&page.picture(), &whole).unwrap().is_infinite());
+    // The panel has the same sliders and draws its plot.
+    page.run("player.toggleNetwork(), 0");
+    page.browser
+        .wait(PATIENCE_S, "/decoded/.test(player.shadowRoot.querySelector('.numbers').textContent)")
+        .unwrap();
+    page.close();
+}
+
+#[test]
+fn a_lost_device_is_another_device_a_moment_later() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=1") else { return };
+    page.run("player.currentTime = 0.5, 0");
+    let before = page.picture();
+    for _ in 0..2 {
+        page.run(
+            "globalThis.restored = false; player.addEventListener('devicerestored', () => (restored = true));\
+            player.engine.screen.destroy(), 0",
+        );
+        page.browser.wait(PATIENCE_S, "restored").unwrap();
+    }
+    assert_eq!(page.number("player.currentTime"), 0.5);
+    assert!(psnr(&page.picture(), &before).unwrap().is_infinite());
+    page.close();
+}
+
+#[test]
+fn files_are_chosen_refused_and_removed() {
+    let Some(mut page) = Page::blank() else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (good, bad) = (folder.path().join("good.dgs"), folder.path().join("bad.dgs"));
+    std::fs::write(&good, stream(SMALL).to_bytes().unwrap()).unwrap();
+    std::fs::write(&bad, b"no stream at all").unwrap();
+    let url = format!("{}blank/", page.served.url());
+    page.browser.go(&url).unwrap();
+    page.browser
+        .wait(PATIENCE_S, "!!(globalThis.player = document.querySelector('dgs-player'))?.engine?.screen")
+        .unwrap();
+    page.browser.choose_file("#pick", &bad).unwrap();
+    page.browser
+        .wait(PATIENCE_S, "/file.magic/.test(player.shadowRoot.querySelector('.message').textContent)")
+        .unwrap();
+    page.browser.choose_file("#pick", &good).unwrap();
+    page.browser.wait(PATIENCE_S, "player.engine.frames > 0 && player.error === null").unwrap();
+    // On a telephone nothing hangs over the edge, and every control has a name.
+    page.browser.resize(390, 844).unwrap();
+    page.browser
+        .wait(PATIENCE_S, "innerWidth === 390 && document.documentElement.scrollWidth <= 390")
+        .unwrap();
+    let controls = "[...player.shadowRoot.querySelectorAll('.bar > *')]";
+    let inside = format!(
+        "{controls}.map((c) => c.getBoundingClientRect()).every((r) => r.right <= 390 && r.left >= 0)"
+    );
+    assert_eq!(page.run(&inside), true);
+    let nameless = "[...player.shadowRoot.querySelectorAll('button, input, select, canvas.picture')].filter(\
+        (c) =>\
+        !c.ariaLabel && !c.closest('label') && !c.textContent.trim()).length";
+    assert_eq!(page.number(nameless), 0.0);
+    page.run("player.remove(), 0");
+    assert_eq!(page.run("player.session === null && player.engine === null"), true);
+    page.close();
+}
+
+#[test]
+fn without_webgpu_there_is_a_sentence() {
+    let Some(mut page) = Page::blank() else { return };
+    page.browser
+        .before_pages("Object.defineProperty(Navigator.prototype, 'gpu', { get: () => undefined })")
+        .unwrap();
+    let url = format!("{}?src=streams/small.dgs", page.served.url());
+    page.browser.go(&url).unwrap();
+    let said = "document.querySelector('dgs-player')?.shadowRoot.querySelector('.message')\
+        .textContent.includes('WebGPU')";
+    page.browser.wait(PATIENCE_S, said).unwrap();
+}
+
+/// A server as `dgs serve` is one, with an emulated link: the page receives live, and repeats the clip.
+#[test]
+fn packets_come_live_over_a_lossy_link() {
+    let Some(mut page) = Page::blank() else { return };
+    let live = served::Live::start("loss=5%,delay=10ms");
+    page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
+    let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
+    page.browser.wait(PATIENCE_S, playing).unwrap();
+    assert_eq!(page.run("player.dataset.transport"), "live");
+    page.run("globalThis.loops = 0; player.addEventListener('loop', () => (loops += 1)); 0");
+    page.browser.wait(PATIENCE_S, "loops >= 1 && player.session.packets()[1] > 10").unwrap();
+    // What was lost comes when the clip is repeated.
+    page.browser.wait(PATIENCE_S, "player.session.levels()[0] === 0").unwrap();
+    page.close();
+    let report = live.stop();
+    assert!(report.contains("1 viewers;") && report.contains("(0 refused)"), "{report}");
+}
+
+/// Writes the picture of the crate's README.
+#[test]
+#[ignore = "writes a committed file"]
+fn the_picture_of_the_readme() {
+    let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1") else { return };
+    page.run("player.style.cssText = '', player.toggleNetwork(), player.quality = 3, 0");
+    page.run("player.impair({ loss: 0.1, burst: 4, seed: 3 }), player.overlay = true, player.home(), 0");
+    std::thread::sleep(std::time::Duration::from_secs(20));
+    let picture = page.browser.picture(80).unwrap();
+    assert!(picture.len() <= 150_000, "{} bytes", picture.len());
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/render-host/viewer/screenshot.jpg");
+    std::fs::write(path, picture).unwrap();
+}

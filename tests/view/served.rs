@@ -1,0 +1,133 @@
+//! Streams are encoded once and served with the player's page while a test runs.
+
+use std::{
+    io::{BufRead, BufReader, Read},
+    net::Ipv4Addr,
+    process::{Child, ChildStdout, Command, Stdio},
+    sync::OnceLock,
+    thread,
+};
+
+use clap::Parser;
+use dgs::{
+    args::{Cli, Verb},
+    pipeline::{self, Quiet},
+};
+use dgs_player::Stream;
+use dgs_quic::http::{HttpConfig, HttpLimits, HttpServer, Site, SiteStream};
+use tokio::{runtime::Runtime, sync::oneshot};
+
+/// A stream whose pictures are compared, and one that comes in several ranges.
+pub const SMALL: (&str, usize) = ("small", 4000);
+pub const LARGE: (&str, usize) = ("large", 12_000);
+
+/// One second of a synthetic figure.
+pub fn stream((_, gaussians): (&str, usize)) -> Stream {
+    static STREAMS: [OnceLock<Stream>; 2] = [OnceLock::new(), OnceLock::new()];
+    let slot = &STREAMS[usize::from(gaussians == LARGE.1)];
+    slot.get_or_init(|| {
+        let flags = ["dgs", "demo", "--pictures", "2", "--coarseness", "0.5"];
+        let Ok(Cli { verb: Verb::Demo(args), .. }) = Cli::try_parse_from(flags) else { panic!("{flags:?}") };
+        let scene = pipeline::import(&format!("synth:figure:{gaussians}:30"), &args.source).unwrap().scene;
+        let options = pipeline::encode_options(&args.codec, trainer_host::encode::Protection::STANDARD);
+        pipeline::encode(&scene, &options, Quiet(true)).unwrap().stream
+    })
+    .clone()
+}
+
+/// A server of the page, as `dgs view` is one. It stops when this is dropped.
+pub struct Served {
+    port: u16,
+    stop: Option<oneshot::Sender<()>>,
+    thread: Option<thread::JoinHandle<()>>,
+}
+
+impl Served {
+    pub fn start() -> Self {
+        let streams = [SMALL, LARGE].map(|which| SiteStream {
+            name: which.0.to_owned(),
+            address: None,
+            web_address: None,
+            file: Some(stream(which).to_bytes().unwrap().into()),
+        });
+        let site = Site::new(page, &streams, None).unwrap();
+        let (stop, stopped) = oneshot::channel();
+        let (say, said) = std::sync::mpsc::channel();
+        let thread = thread::spawn(move || {
+            Runtime::new().unwrap().block_on(async {
+                let bind = (Ipv4Addr::LOCALHOST, 0).into();
+                let config = HttpConfig { bind, limits: HttpLimits::default() };
+                let server = HttpServer::bind(&config, site).unwrap();
+                say.send(server.local_addr().unwrap().port()).unwrap();
+                server.run(async { stopped.await.unwrap_or(()) }).await;
+            });
+        });
+        Self { port: said.recv().unwrap(), stop: Some(stop), thread: Some(thread) }
+    }
+
+    pub fn url(&self) -> String {
+        format!("http://localhost:{}/", self.port)
+    }
+}
+
+impl Drop for Served {
+    fn drop(&mut self) {
+        if let Some(stop) = self.stop.take() {
+            let _ = stop.send(());
+        }
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+    }
+}
+
+/// The page, and under `blank/` once more, where no streams are listed.
+fn page(path: &str) -> Option<(&'static [u8], &'static str)> {
+    let path = path.strip_prefix("blank/").unwrap_or(path);
+    dgs_viewer::asset(path).map(|asset| (asset.bytes, asset.content_type))
+}
+
+/// The program itself, serving a stream live on an emulated link.
+pub struct Live {
+    /// Address of its page.
+    pub page: String,
+    server: Child,
+    said: BufReader<ChildStdout>,
+    _folder: tempfile::TempDir,
+}
+
+impl Live {
+    pub fn start(impairment: &str) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("small.dgs"), stream(SMALL).to_bytes().unwrap()).unwrap();
+        let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
+            .current_dir(folder.path())
+            .args(["serve", "small.dgs", "--listen", "127.0.0.1:0", "--impair", impairment])
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut said = BufReader::new(server.stdout.take().unwrap());
+        let (mut address, mut page) = (String::new(), String::new());
+        said.read_line(&mut address).unwrap();
+        said.read_line(&mut page).unwrap();
+        Self { page: page.trim().to_owned(), server, said, _folder: folder }
+    }
+
+    /// What it says of its viewers at the end.
+    pub fn stop(mut self) -> String {
+        let id = self.server.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+        let mut rest = String::new();
+        self.said.read_to_string(&mut rest).unwrap();
+        assert!(self.server.wait().unwrap().success());
+        rest
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        // It has ended already, unless a test failed.
+        let _ = self.server.kill();
+        let _ = self.server.wait();
+    }
+}
