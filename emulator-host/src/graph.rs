@@ -283,7 +283,13 @@ impl PacketGraph {
 
     /// Packets whose wire ids lie in `first..=last`; cost follows what is found, not the width of the range.
     pub fn packets_in(&self, first: PacketId, last: PacketId) -> impl Iterator<Item = PacketIndex> + '_ {
-        let start = self.packet_by_id.partition_point(|(id, _)| *id < first);
+        // Ids mostly count up from 0, and then an id is its own place.
+        let guess = first.get() as usize;
+        let start = if self.packet_by_id.get(guess).is_some_and(|(id, _)| *id == first) {
+            guess
+        } else {
+            self.packet_by_id.partition_point(|(id, _)| *id < first)
+        };
         self.packet_by_id[start..].iter().take_while(move |(id, _)| *id <= last).map(|(_, index)| *index)
     }
 
