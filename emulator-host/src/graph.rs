@@ -238,6 +238,21 @@ pub enum GraphError {
     ClosureTooLarge,
 }
 
+/// A group's id in one number, in the order of ids: a search compares it in one step.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct GroupKey(u64);
+
+impl GroupKey {
+    fn of(id: GroupId) -> Self {
+        let (kind, span) = match id.span {
+            Span::Canonical(epoch) => (0, epoch.0),
+            Span::Motion(window) => (1, window.0),
+        };
+        let cluster = u64::from(id.cluster.0) << 8 | u64::from(id.level.get());
+        Self(kind << 40 | u64::from(span) << 24 | cluster)
+    }
+}
+
 /// A checked graph with what follows from it.
 #[derive(Clone, Debug)]
 pub struct PacketGraph {
@@ -251,7 +266,7 @@ pub struct PacketGraph {
     parity_of_set: Vec<Vec<PacketIndex>>,
     /// Packets and groups in order of what the wire calls them.
     packet_by_id: Vec<(PacketId, PacketIndex)>,
-    group_by_id: Vec<(GroupId, GroupIndex)>,
+    group_by_id: Vec<(GroupKey, GroupIndex)>,
     group_needed_from: Vec<u32>,
     group_useful_until: Vec<u32>,
     packet_needed_from: Vec<u32>,
@@ -295,7 +310,8 @@ impl PacketGraph {
 
     /// The group with this id, if the graph has it.
     pub fn group_of(&self, id: GroupId) -> Option<GroupIndex> {
-        let place = self.group_by_id.binary_search_by_key(&id, |(id, _)| *id).ok()?;
+        let key = GroupKey::of(id);
+        let place = self.group_by_id.binary_search_by_key(&key, |(key, _)| *key).ok()?;
         self.group_by_id.get(place).map(|(_, index)| *index)
     }
 
