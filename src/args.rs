@@ -5,6 +5,7 @@ mod device;
 mod number;
 mod scene;
 mod socket;
+mod sweep;
 pub mod train;
 
 use std::path::PathBuf;
@@ -17,6 +18,7 @@ pub use self::{
     device::DeviceName,
     scene::{SceneArgs, Up},
     socket::{Play, Serve},
+    sweep::{SweepAction, SweepArgs, SweepMerge},
 };
 use self::{
     number::{background, not_negative, positive, real, whole},
@@ -53,6 +55,8 @@ pub enum Verb {
     Render(Render),
     /// Send a scene or a .dgs file over an emulated link under one scheduler.
     Stream(StreamArgs),
+    /// Run a design of many simulations from a file: parallel, resumable, in shards; then summarise it.
+    Sweep(SweepArgs),
     /// Serve streams or scenes to viewers over QUIC.
     Serve(Box<Serve>),
     /// Play a served stream: receive, decode and show frames on time.

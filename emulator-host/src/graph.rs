@@ -20,7 +20,7 @@ use codec_core::internals::ids::{Group as GroupId, PacketId, Span};
 use self::csr::Csr;
 use crate::clock::Nanos;
 
-pub use synthetic::{Synthetic, Utilities};
+pub use synthetic::{Dependencies, Synthetic, Utilities};
 
 /// Index of a packet in [`PacketGraph::packets`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
