@@ -145,6 +145,8 @@ pub enum ControllerName {
     Cubic,
     /// The paper's BBR-inspired model.
     BbrModel,
+    /// SCReAMv2 (RFC 8298bis): bounds the delay of its own queue, made for media.
+    Scream,
 }
 
 /// A scheduler.

@@ -183,6 +183,7 @@ fn controller(name: ControllerName) -> ControllerKind {
         ControllerName::Newreno => ControllerKind::NewReno,
         ControllerName::Cubic => ControllerKind::Cubic,
         ControllerName::BbrModel => ControllerKind::BbrModel,
+        ControllerName::Scream => ControllerKind::Scream,
     }
 }
 

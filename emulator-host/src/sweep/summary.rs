@@ -11,10 +11,12 @@ use serde::Serialize;
 use super::Trial;
 use crate::rng::{Stream, stream};
 
+type Column = (&'static str, fn(&Trial) -> f64);
+
 /// Draws of an interval.
 const RESAMPLES: usize = 1000;
 /// What is summarised, by name.
-const COLUMNS: [(&str, fn(&Trial) -> f64); 6] = [
+const COLUMNS: [Column; 6] = [
     ("startup_ms", |trial| trial.startup_ms),
     ("miss", |trial| trial.miss),
     ("base_miss", |trial| trial.base_miss),
