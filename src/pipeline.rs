@@ -30,7 +30,7 @@ pub use self::{
     cameras::read_cameras,
     frames::{Frames, snapshot},
     impair::impairment,
-    link::{Link, capacity_bins, link, read_trace},
+    link::{Link, capacity_bins, link, read_delays, read_replay, read_trace},
     sendable::{Sendable, sendable},
 };
 use crate::{

@@ -15,6 +15,7 @@ mod queue;
 mod rate;
 mod reorder;
 mod serialiser;
+mod trace_loss;
 mod trace_rate;
 
 use serde::Serialize;
@@ -29,6 +30,7 @@ pub use path::{Capacity, LossModel, PathConfig, PathError, Reordering};
 pub use queue::QueueLimit;
 pub use rate::ConstantRate;
 pub use reorder::Reorder;
+pub use trace_loss::TraceLoss;
 pub use trace_rate::TraceRate;
 
 /// What travels: a size, and a tag that only its sender and receiver understand.

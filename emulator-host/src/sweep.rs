@@ -18,7 +18,7 @@ use crate::{
     report::{FrameRow, Report},
     rng::stream,
     session::{SessionConfig, SessionError, simulate},
-    trace::{Trace, TraceError},
+    trace::{Replay, TraceError},
 };
 
 pub use summary::{Comparison, Estimate, Summary, summary};
@@ -46,9 +46,9 @@ pub struct SweptTrace {
     pub name: String,
     /// Traces of one family resemble each other.
     pub family: String,
-    /// Capacity.
-    pub trace: Trace,
-    /// One-way delay over it.
+    /// Capacity, with delays and losses where they were recorded.
+    pub replay: Replay,
+    /// One-way delay, beside those of the recording.
     pub delay: Nanos,
 }
 
@@ -147,8 +147,8 @@ pub struct Sweep {
     design: Design,
     /// One per condition.
     graphs: Vec<PacketGraph>,
-    /// Capacity of each trace at the design's load.
-    capacities: Vec<Trace>,
+    /// Each trace at the design's load.
+    replays: Vec<Replay>,
 }
 
 impl Sweep {
@@ -163,15 +163,19 @@ impl Sweep {
         };
         let graphs: Vec<PacketGraph> = design.conditions.iter().map(graph).collect::<Result<_, _>>()?;
         let wanted = design.load.map(|load| (design.clip.rate.0 as f64 / load) as u64);
-        let capacity = |swept: &SweptTrace| match wanted {
-            None => Ok(swept.trace.clone()),
-            Some(wanted) => swept.trace.scaled(wanted, swept.trace.mean_rate().0),
+        let replay = |swept: &SweptTrace| {
+            let recorded = &swept.replay;
+            let capacity = match wanted {
+                None => recorded.capacity.clone(),
+                Some(wanted) => recorded.capacity.scaled(wanted, recorded.capacity.mean_rate().0)?,
+            };
+            Ok(Replay { capacity, ..recorded.clone() })
         };
         let named = |swept: &SweptTrace| {
-            capacity(swept).map_err(|error| SweepError::Trace { name: swept.name.clone(), error })
+            replay(swept).map_err(|error| SweepError::Trace { name: swept.name.clone(), error })
         };
-        let capacities = design.traces.iter().map(named).collect::<Result<_, _>>()?;
-        Ok(Self { design, graphs, capacities })
+        let replays = design.traces.iter().map(named).collect::<Result<_, _>>()?;
+        Ok(Self { design, graphs, replays })
     }
 
     /// What is run.
@@ -210,8 +214,7 @@ impl Sweep {
         let mut trials = Vec::new();
         for controller in &design.controllers {
             for scheduler in &design.schedulers {
-                let config =
-                    SessionConfig { controller: *controller, policy: *scheduler, ..session.clone() };
+                let config = SessionConfig { controller: *controller, policy: *scheduler, ..session.clone() };
                 let name = || design.conditions[condition].name.clone();
                 let report = simulate(&self.graphs[condition], &config)
                     .map_err(|error| SweepError::Session { name: name(), error })?;
@@ -230,10 +233,10 @@ impl Sweep {
     }
 
     fn session(&self, trace: usize, condition: usize, replicate: u32) -> Result<SessionConfig, SweepError> {
-        let (design, capacity) = (&self.design, &self.capacities[trace]);
+        let (design, replay) = (&self.design, &self.replays[trace]);
         let swept = &design.traces[trace];
-        let offset = capacity.period().0 / u64::from(design.replicates) * u64::from(replicate);
-        let capacity = capacity
+        let offset = replay.capacity.period().0 / u64::from(design.replicates) * u64::from(replicate);
+        let Replay { capacity, delay, loss } = replay
             .starting_at(Nanos(offset))
             .map_err(|error| SweepError::Trace { name: swept.name.clone(), error })?;
         let queue = capacity.mean_rate().bytes_in(design.queue).0.max(LEAST_QUEUE_BYTES);
@@ -241,12 +244,15 @@ impl Sweep {
             capacity: Capacity::Trace(capacity),
             queue: QueueLimit { bytes: queue, ..QueueLimit::default() },
             loss: design.conditions[condition].loss,
+            loss_trace: loss,
             delay: swept.delay,
+            delay_trace: delay.clone(),
             ..PathConfig::default()
         };
         let reverse = PathConfig {
             capacity: Capacity::Constant(design.uplink),
             delay: swept.delay,
+            delay_trace: delay,
             ..PathConfig::default()
         };
         let luck = format!("sweep/{}/{replicate}", swept.name);
@@ -286,12 +292,13 @@ fn trial(report: &Report) -> Trial {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::trace::Trace;
 
     fn design() -> Design {
         let swept = |seed: u64| SweptTrace {
             name: format!("bursty {seed}"),
             family: "made".into(),
-            trace: Trace::bursty(seed, Nanos::from_s(20)),
+            replay: Trace::bursty(seed, Nanos::from_s(20)).into(),
             delay: Nanos::from_ms(20),
         };
         let condition = |name: &str, dependencies, repair| Condition {

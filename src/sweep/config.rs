@@ -82,6 +82,7 @@ struct TraceTable {
     name: String,
     family: String,
     file: Option<String>,
+    delay_file: Option<String>,
     constant_mbps: Option<f64>,
     bursty: Option<u64>,
     delay_ms: Option<u64>,
@@ -232,21 +233,29 @@ fn trace(
 ) -> Result<SweptTrace> {
     let key = |field: &str| format!("traces[{at}].{field}");
     let minute = Nanos::from_s(60);
-    let trace = match (&table.file, table.constant_mbps, table.bursty) {
-        (Some(file), None, None) => pipeline::read_trace(&folder.join(file)).with_context(|| key("file"))?,
+    let mut replay = match (&table.file, table.constant_mbps, table.bursty) {
+        (Some(file), None, None) => pipeline::read_replay(&folder.join(file)).with_context(|| key("file"))?,
         (None, Some(rate), None) => {
             let step = Step { at: Nanos::ZERO, rate: mbps(&key("constant_mbps"), rate)? };
-            Trace::steps("constant", vec![step], minute).with_context(|| key("constant_mbps"))?
+            Trace::steps("constant", vec![step], minute).with_context(|| key("constant_mbps"))?.into()
         }
-        (None, None, Some(seed)) => Trace::bursty(seed, minute),
+        (None, None, Some(seed)) => Trace::bursty(seed, minute).into(),
         _ => bail!("traces[{at}] ({:?}) needs one of file, constant_mbps, bursty", table.name),
     };
-    warnings.extend(trace.warnings().iter().map(|warning| format!("trace {}: {warning}", table.name)));
+    if let Some(file) = &table.delay_file {
+        if replay.delay.is_some() {
+            bail!("traces[{at}] ({:?}) has delays; no delay_file is allowed beside them", table.name);
+        }
+        replay.delay = Some(pipeline::read_delays(&folder.join(file)).with_context(|| key("delay_file"))?);
+    }
+    let capacity = &replay.capacity;
+    warnings.extend(capacity.warnings().iter().map(|warning| format!("trace {}: {warning}", table.name)));
     let delay = match table.delay_ms {
         Some(ms) => Nanos::from_ms(within(&key("delay_ms"), ms, 0, 60_000)?),
-        None => trace.base_rtt().map_or(delay, |round_trip| Nanos(round_trip.0 / 2)),
+        None if replay.delay.is_some() => Nanos::ZERO,
+        None => capacity.base_rtt().map_or(delay, |round_trip| Nanos(round_trip.0 / 2)),
     };
-    Ok(SweptTrace { name: table.name.clone(), family: table.family.clone(), trace, delay })
+    Ok(SweptTrace { name: table.name.clone(), family: table.family.clone(), replay, delay })
 }
 
 #[cfg(test)]

@@ -41,9 +41,8 @@ impl Progressed {
         let factor = whole as f64 / run as f64;
         let bytes: u64 = self.costs.iter().map(|cost| cost.bytes).sum();
         let thread: Duration = self.costs.iter().map(|cost| cost.simulated).sum();
-        let memory = peak_memory_bytes().map_or("unknown".to_owned(), |bytes| {
-            format!("{:.0} MB", bytes as f64 / 1e6)
-        });
+        let memory =
+            peak_memory_bytes().map_or("unknown".to_owned(), |bytes| format!("{:.0} MB", bytes as f64 / 1e6));
         Some(format!(
             "{run} of {whole} simulations took {:.1} s, {:.1} ms of a thread each; all of them: {} on this \
              machine, {:.0} MB of results; peak memory {memory}",

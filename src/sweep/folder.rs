@@ -42,7 +42,9 @@ impl Folder {
         let config = path.join(CONFIG);
         match fs::read_to_string(&config) {
             Ok(found) if found == text => {}
-            Ok(_) => bail!("{}: results of another configuration; another folder is needed", config.display()),
+            Ok(_) => {
+                bail!("{}: results of another configuration; another folder is needed", config.display())
+            }
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 files::write(&config, text.as_bytes())?;
             }

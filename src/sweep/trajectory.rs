@@ -30,8 +30,7 @@ pub(super) fn parquet(trials: &[(Trial, Vec<FrameRow>)]) -> Result<Vec<u8>> {
     let whole = |of: &dyn Fn(&Trial, &FrameRow) -> u64| -> Vec<i64> {
         frames().map(|(trial, frame)| of(trial, frame).cast_signed()).collect()
     };
-    let real =
-        |of: &dyn Fn(&FrameRow) -> f64| -> Vec<f64> { frames().map(|(_, frame)| of(frame)).collect() };
+    let real = |of: &dyn Fn(&FrameRow) -> f64| -> Vec<f64> { frames().map(|(_, frame)| of(frame)).collect() };
     let schema = Arc::new(parse_message_type(SCHEMA)?);
     let properties = WriterProperties::builder().set_created_by("dgs".to_owned()).build();
     let mut bytes = Vec::new();
@@ -94,7 +93,7 @@ mod tests {
             traces: vec![SweptTrace {
                 name: "bursty".into(),
                 family: "made".into(),
-                trace: Trace::bursty(1, Nanos::from_s(20)),
+                replay: Trace::bursty(1, Nanos::from_s(20)).into(),
                 delay: Nanos::from_ms(20),
             }],
             replicates: 1,
@@ -108,7 +107,8 @@ mod tests {
         let bytes = parquet(&trials).unwrap();
         assert_eq!(bytes, parquet(&trials).unwrap());
         let reader = SerializedFileReader::new(Bytes::from(bytes)).unwrap();
-        let mut expected = trials.iter().flat_map(|(t, frames)| frames.iter().map(move |f| (t.simulation, f)));
+        let mut expected =
+            trials.iter().flat_map(|(t, frames)| frames.iter().map(move |f| (t.simulation, f)));
         for row in reader.get_row_iter(None).unwrap() {
             let (row, (simulation, frame)) = (row.unwrap(), expected.next().unwrap());
             assert_eq!(row.get_long(0).unwrap(), simulation.cast_signed());

@@ -126,8 +126,8 @@ impl Scream {
         self.reacted_at = now;
         self.on_congested(now);
         let whole = self.reference / 2 / PARTS * pressure;
-        let portion = u128::from(whole) * u128::from(VIRTUAL_RTT.0)
-            / u128::from(rtt.smoothed().max(VIRTUAL_RTT).0);
+        let portion =
+            u128::from(whole) * u128::from(VIRTUAL_RTT.0) / u128::from(rtt.smoothed().max(VIRTUAL_RTT).0);
         self.reduce_to(self.reference - u64::try_from(portion).unwrap_or(0));
     }
 

@@ -3,8 +3,8 @@
 use codec_core::internals::ids::PacketId;
 
 use super::{
-    GraphError, GraphParts, GroupIndex, GroupKey, MAX_CLOSURE_ENTRIES, MAX_PACKET_BYTES, PacketGraph, PacketIndex,
-    csr::Csr,
+    GraphError, GraphParts, GroupIndex, GroupKey, MAX_CLOSURE_ENTRIES, MAX_PACKET_BYTES, PacketGraph,
+    PacketIndex, csr::Csr,
 };
 impl PacketGraph {
     /// Checks `parts` and derives order, closures and deadlines. Cost is linear in the size of all closures.

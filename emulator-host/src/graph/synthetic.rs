@@ -265,7 +265,8 @@ mod tests {
         }
         for profile in [Profile::AllOrNothing, Profile::Sliced] {
             let dependencies = Dependencies::Independent;
-            let graph = Synthetic { frames: 90, profile, dependencies, ..Synthetic::default() }.build(1).unwrap();
+            let graph =
+                Synthetic { frames: 90, profile, dependencies, ..Synthetic::default() }.build(1).unwrap();
             assert!(graph.groups().iter().all(|group| group.needs.is_empty()));
             assert!(graph.packets().iter().all(|packet| packet.needs_packets.is_empty()));
         }

@@ -130,8 +130,12 @@ fn delivered(mbps: u64, controller: ControllerKind, forward: PathConfig) -> Repo
 /// Share of the link's bytes, and the 95th percentile of the smoothed round trip after the start.
 fn use_and_late(report: &Report, link: Rate) -> (f64, Nanos) {
     let moved = report.boxes[0].counts.delivered.bytes as f64;
-    let mut round_trips: Vec<Nanos> =
-        report.samples.iter().filter(|row| row.time_ns > Nanos::from_s(3)).map(|r| r.smoothed_rtt_ns).collect();
+    let mut round_trips: Vec<Nanos> = report
+        .samples
+        .iter()
+        .filter(|row| row.time_ns > Nanos::from_s(3))
+        .map(|r| r.smoothed_rtt_ns)
+        .collect();
     round_trips.sort_unstable();
     let share = moved / link.bytes_in(report.duration_ns).0 as f64;
     (share, round_trips[round_trips.len() * 95 / 100])
