@@ -17,4 +17,4 @@ pub mod output;
 pub mod pipeline;
 pub mod progress;
 pub mod report;
-pub mod sweep;
+mod sweep;

@@ -24,13 +24,16 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
-pub(crate) use self::cache::reference_photographs;
+pub(crate) use self::{
+    cache::reference_photographs,
+    link::{read_delays, read_replay},
+};
 pub use self::{
     cache::{stored_utilities, utilities, utility_path},
     cameras::read_cameras,
     frames::{Frames, snapshot},
     impair::impairment,
-    link::{Link, capacity_bins, link, read_delays, read_replay, read_trace},
+    link::{Link, capacity_bins, link, read_trace},
     sendable::{Sendable, sendable},
 };
 use crate::{

@@ -11,7 +11,7 @@ mod estimate;
 mod folder;
 mod trajectory;
 
-pub use self::{
+pub(crate) use self::{
     config::Config,
     estimate::{Cost, Progressed},
     folder::Folder,
@@ -35,13 +35,13 @@ pub struct Shard {
 
 impl Shard {
     /// All of it.
-    pub const WHOLE: Self = Self { index: 1, count: 1 };
+    pub(crate) const WHOLE: Self = Self { index: 1, count: 1 };
 
     /// Parses `i/n`.
     ///
     /// # Errors
     /// What is allowed, in words.
-    pub fn parse(text: &str) -> Result<Self, String> {
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let numbers = text.split_once('/').and_then(|(i, n)| i.parse().ok().zip(n.parse().ok()));
         match numbers {
             Some((index, count)) if (1..=count).contains(&index) && count <= 1_000_000 => {
@@ -60,7 +60,7 @@ impl Shard {
 ///
 /// # Errors
 /// A simulation that is refused, or a file that cannot be written; what was finished stays.
-pub fn run(sweep: &Sweep, folder: &Folder, shard: Shard, progress: &Progress) -> Result<Progressed> {
+pub(crate) fn run(sweep: &Sweep, folder: &Folder, shard: Shard, progress: &Progress) -> Result<Progressed> {
     let own: Vec<u64> = (0..folder.batches()).filter(|batch| shard.has(*batch)).collect();
     let missing: Vec<u64> = own.iter().copied().filter(|batch| !folder.has(*batch)).collect();
     let start = Instant::now();

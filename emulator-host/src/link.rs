@@ -30,7 +30,6 @@ pub use path::{Capacity, LossModel, PathConfig, PathError, Reordering};
 pub use queue::QueueLimit;
 pub use rate::ConstantRate;
 pub use reorder::Reorder;
-pub use trace_loss::TraceLoss;
 pub use trace_rate::TraceRate;
 
 /// What travels: a size, and a tag that only its sender and receiver understand.

@@ -32,7 +32,7 @@ pub fn read_trace(path: &Path) -> Result<Trace> {
 ///
 /// # Errors
 /// What the loader refuses, with the file's name.
-pub fn read_replay(path: &Path) -> Result<Replay> {
+pub(crate) fn read_replay(path: &Path) -> Result<Replay> {
     let limits = trace::Limits::default();
     let bytes = trace::read(path, &limits).with_context(|| path.display().to_string())?;
     let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
@@ -56,7 +56,7 @@ pub fn read_replay(path: &Path) -> Result<Replay> {
 ///
 /// # Errors
 /// What the loader refuses, with the file's name.
-pub fn read_delays(path: &Path) -> Result<DelayTrace> {
+pub(crate) fn read_delays(path: &Path) -> Result<DelayTrace> {
     let limits = trace::Limits::default();
     let bytes = trace::read(path, &limits).with_context(|| path.display().to_string())?;
     DelayTrace::load(&bytes, DELAY_INTERVAL, &limits)

@@ -21,15 +21,15 @@ const MOST_SIMULATIONS: u64 = 100_000_000;
 
 /// A configuration as it is written.
 #[derive(Clone, Debug)]
-pub struct Config {
+pub(crate) struct Config {
     /// Its text.
-    pub text: String,
+    pub(crate) text: String,
     /// What it asks for.
-    pub design: Design,
+    pub(crate) design: Design,
     /// Scheduler that the others are compared with.
-    pub baseline: PolicyKind,
+    pub(crate) baseline: PolicyKind,
     /// What whoever uses its traces should know.
-    pub warnings: Vec<String>,
+    pub(crate) warnings: Vec<String>,
 }
 
 #[derive(Deserialize)]
@@ -93,7 +93,7 @@ impl Config {
     ///
     /// # Errors
     /// The file, the key, what was found and what is allowed.
-    pub fn read(path: &Path, traces: &Path) -> Result<Self> {
+    pub(crate) fn read(path: &Path, traces: &Path) -> Result<Self> {
         let named = || path.display().to_string();
         let size = std::fs::metadata(path).with_context(named)?.len();
         if size > MOST_BYTES {

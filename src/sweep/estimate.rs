@@ -4,36 +4,36 @@ use std::time::Duration;
 
 /// What one batch took.
 #[derive(Clone, Copy, Debug)]
-pub struct Cost {
+pub(crate) struct Cost {
     /// Simulations of it.
-    pub simulations: u64,
+    pub(crate) simulations: u64,
     /// Bytes written.
-    pub bytes: u64,
+    pub(crate) bytes: u64,
     /// Time of one thread, writing aside.
-    pub simulated: Duration,
+    pub(crate) simulated: Duration,
 }
 
 /// What one process has done.
 #[derive(Clone, Debug)]
-pub struct Progressed {
+pub(crate) struct Progressed {
     /// The batches that it has run.
-    pub costs: Vec<Cost>,
+    pub(crate) costs: Vec<Cost>,
     /// Wall time of them all.
-    pub wall: Duration,
+    pub(crate) wall: Duration,
     /// Batches that were there before.
-    pub found: u64,
+    pub(crate) found: u64,
     /// Batches of the shard.
-    pub batches: u64,
+    pub(crate) batches: u64,
 }
 
 impl Progressed {
     /// Simulations run now.
-    pub fn simulations(&self) -> u64 {
+    pub(crate) fn simulations(&self) -> u64 {
         self.costs.iter().map(|cost| cost.simulations).sum()
     }
 
     /// What `whole` simulations would take on this machine, in words; `None` if nothing was run.
-    pub fn estimate(&self, whole: u64) -> Option<String> {
+    pub(crate) fn estimate(&self, whole: u64) -> Option<String> {
         let run = self.simulations();
         if run == 0 {
             return None;

@@ -23,7 +23,7 @@ const SUMMARY: &str = "summary.json";
 
 /// A folder of results of one configuration.
 #[derive(Clone, Debug)]
-pub struct Folder {
+pub(crate) struct Folder {
     path: PathBuf,
     blocks: u64,
     trajectories: bool,
@@ -34,7 +34,7 @@ impl Folder {
     ///
     /// # Errors
     /// A folder of another configuration, or one that cannot be made.
-    pub fn open(path: &Path, text: &str, blocks: u64, trajectories: bool) -> Result<Self> {
+    pub(crate) fn open(path: &Path, text: &str, blocks: u64, trajectories: bool) -> Result<Self> {
         for folder in [path.to_owned(), path.join("runs"), path.join("trajectories")] {
             let failed = || format!("{}: cannot make this folder", folder.display());
             fs::create_dir_all(&folder).with_context(failed)?;
@@ -57,14 +57,14 @@ impl Folder {
     ///
     /// # Errors
     /// A folder without one.
-    pub fn config(path: &Path) -> Result<String> {
+    pub(crate) fn config(path: &Path) -> Result<String> {
         let config = path.join(CONFIG);
         fs::read_to_string(&config)
             .with_context(|| format!("{}: no results of a sweep here", config.display()))
     }
 
     /// Batches of the whole design.
-    pub fn batches(&self) -> u64 {
+    pub(crate) fn batches(&self) -> u64 {
         self.blocks.div_ceil(BLOCKS)
     }
 
@@ -107,7 +107,7 @@ impl Folder {
     ///
     /// # Errors
     /// A batch that is in both and differs, or a file that cannot be copied.
-    pub fn take(&self, other: &Path) -> Result<u64> {
+    pub(crate) fn take(&self, other: &Path) -> Result<u64> {
         let other = Self { path: other.to_owned(), trajectories: false, ..self.clone() };
         let mut taken = 0;
         for batch in (0..self.batches()).filter(|batch| other.has(*batch)) {
@@ -120,7 +120,7 @@ impl Folder {
     }
 
     /// Batches that are not there.
-    pub fn missing(&self) -> Vec<u64> {
+    pub(crate) fn missing(&self) -> Vec<u64> {
         (0..self.batches()).filter(|batch| !self.has(*batch)).collect()
     }
 
@@ -129,7 +129,7 @@ impl Folder {
     ///
     /// # Errors
     /// A batch that cannot be read, with its name and line.
-    pub fn finish(&self, baseline: &str) -> Result<Option<Summary>> {
+    pub(crate) fn finish(&self, baseline: &str) -> Result<Option<Summary>> {
         if !self.missing().is_empty() {
             return Ok(None);
         }

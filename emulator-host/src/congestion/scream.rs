@@ -1,9 +1,9 @@
 //! Sets the window by SCReAMv2 (RFC 8298bis), for media that has only so much to send, in integers.
 //!
-//! The window follows the delay that the own queue adds. It shrinks while the average queue delay exceeds half
-//! of a target, the more the nearer it comes to the target (by half in a round trip there), and by three
-//! tenths at a loss; it grows by a datagram per round trip, faster the longer nothing was congested, and never
-//! far beyond what is really in flight: a source that sends little learns nothing of the path.
+//! The window follows the delay that the own queue adds. It shrinks while the average queue delay exceeds
+//! half of a target, the more the nearer it comes to the target (by half in a round trip there), and by three
+//! tenths at a loss; it grows by a datagram per round trip, faster the longer nothing was congested, and
+//! never far beyond what is really in flight: a source that sends little learns nothing of the path.
 //!
 //! Where it differs from the text: queue delay is that of the round trip less its smallest value in ten
 //! minutes, because receipts carry no times of arrival; it begins with the initial window of RFC 9002 and

@@ -5,7 +5,7 @@
 
 use super::{
     Chain, ConstantRate, Delay, GilbertElliott, GilbertElliottParams, IidLoss, LinkBox, QueueLimit, Reorder,
-    TraceLoss, TraceRate,
+    TraceRate, trace_loss::TraceLoss,
 };
 use crate::{
     clock::{Nanos, Rate},

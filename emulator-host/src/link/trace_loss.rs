@@ -9,7 +9,7 @@ use crate::{
 
 /// Loses each datagram with the chance that holds when it passes. Draws once per datagram.
 #[derive(Debug)]
-pub struct TraceLoss {
+pub(super) struct TraceLoss {
     label: String,
     trace: LossTrace,
     luck: Stream,
@@ -18,7 +18,7 @@ pub struct TraceLoss {
 
 impl TraceLoss {
     /// Loss as `trace` has it.
-    pub fn new(label: impl Into<String>, trace: LossTrace, seed: u64) -> Self {
+    pub(super) fn new(label: impl Into<String>, trace: LossTrace, seed: u64) -> Self {
         let label = label.into();
         let luck = stream(seed, &label);
         Self { label, trace, luck, counts: Counts::default() }

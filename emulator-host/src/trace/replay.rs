@@ -1,9 +1,9 @@
 //! Reads recordings of rate, delay and loss together: a line per step of time.
 //!
 //! `time_s rate_Mbps delay_ms [loss_percent]`, separated by white space or commas, as one makes them of
-//! CellReplay's recordings (rate of the saturated link, base delay) or of UCC's logs (with ping and its loss).
-//! All lines have as many columns as the first. A step holds until the next; the last for as long as the one
-//! before it.
+//! CellReplay's recordings (rate of the saturated link, base delay) or of UCC's logs (with ping and its
+//! loss). All lines have as many columns as the first. A step holds until the next; the last for as long as
+//! the one before it.
 
 use std::sync::Arc;
 

@@ -156,10 +156,10 @@ fn a_source_of_twice_the_link_fills_it_without_filling_the_queue() {
     assert!(of_loss > Nanos::from_ms(250), "a controller that waits for losses fills the queue: {of_loss}");
 }
 
-/// At three fifths of the link nothing is lost, as much shows as without a bound on the queue (up to its first
-/// seconds, in which it is still growing), and the window stays near what is in flight.
+/// At three fifths of the link nothing is lost, as much shows as without a bound on the queue once the window
+/// has grown, and the window stays near what is in flight.
 #[test]
-fn a_source_below_the_link_loses_nothing_and_is_hardly_held_back() {
+fn a_source_below_the_link_loses_nothing_and_hardly_waits() {
     let report = delivered(3, ControllerKind::Scream, PathConfig::default());
     assert_eq!(report.sender.lost, 0);
     let reno = delivered(3, ControllerKind::NewReno, PathConfig::default());

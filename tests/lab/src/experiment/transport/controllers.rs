@@ -1,4 +1,4 @@
-//! Compares congestion controllers under one scheduler: how full the link is, how long the queue, what is lost.
+//! Compares congestion controllers under one scheduler: how full the link is, how long the queue.
 
 use anyhow::Result;
 use emulator_host::{
@@ -26,11 +26,11 @@ struct Situation {
 
 /// How it is measured.
 pub(super) fn protocol(_setup: &Setup) -> String {
-    "rows of controllers: a made clip of 30 s under layered, 50 ms each way; 10 Mbit/s over 5 Mbit/s and 500 ms \
-     of queue (`overload`), 2.5 and 4.5 Mbit/s over the same link (`half`, `ninety`), 10 Mbit/s over 5 Mbit/s \
-     with 2 % of the datagrams lost independently (`lossy`), 5 Mbit/s over a bursty trace of mean 4 Mbit/s \
-     (`bursty`); used: share of what the link could carry; round_trip: 95th percentile of the smoothed round \
-     trip after 3 s; lost: share of the datagrams"
+    "rows of controllers: a made clip of 30 s under layered, 50 ms each way; 10 Mbit/s over 5 Mbit/s and \
+     500 ms of queue (`overload`), 2.5 and 4.5 Mbit/s over the same link (`half`, `ninety`), 10 Mbit/s over \
+     5 Mbit/s with 2 % of the datagrams lost independently (`lossy`), 5 Mbit/s over a bursty trace of mean \
+     4 Mbit/s (`bursty`); used: share of what the link could carry; round_trip: 95th percentile of the \
+     smoothed round trip after 3 s; lost: share of the datagrams"
         .to_owned()
 }
 
@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_controller_that_waits_for_losses_is_told_from_one_that_bounds_the_delay() {
+    fn a_controller_that_waits_for_losses_differs_from_one_that_bounds_the_delay() {
         let overload = &situations()[0];
         let of = |controller| {
             let report = report(overload, controller).unwrap();
