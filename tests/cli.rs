@@ -133,7 +133,6 @@ fn bad_input_is_refused_by_name_and_place() {
         (vec!["import", "synth:teapot"], vec!["teapot", "balls, figure, cloth, births"]),
         (vec!["import", "synth:balls:999"], vec!["999", "1000 to 1000000"]),
         (vec!["stream", "synth:balls:1000:3", "--trace", "trace"], vec!["trace", "line 1"]),
-        (vec!["stream", "synth:balls:1000:3", "--delay-trace", "trace"], vec!["trace of delays", "line 1"]),
     ] {
         let text = refused(at, &args);
         for part in wanted {
@@ -160,6 +159,8 @@ fn recorded_delays_and_losses_are_replayed() {
     assert!(text.contains("bursts of loss 2.0 %"), "{text}");
     let text = refused(at, &["stream", "a.dgs", "--trace", "phone.txt", "--delay-trace", "leo.txt"]);
     assert!(text.contains("phone.txt has delays, and so has leo.txt"), "{text}");
+    let text = refused(at, &["stream", "a.dgs", "--delay-trace", "phone.txt"]);
+    assert!(text.contains("phone.txt: not a usable trace of delays") && text.contains("line 1"), "{text}");
     let scream = stream(&["--trace", "rate.txt", "--controller", "scream"]);
     assert!(scream.contains("startup"), "{scream}");
 }
