@@ -5,6 +5,7 @@ mod device;
 mod number;
 mod scene;
 mod socket;
+mod sweep;
 pub mod train;
 
 use std::path::PathBuf;
@@ -17,6 +18,7 @@ pub use self::{
     device::DeviceName,
     scene::{SceneArgs, Up},
     socket::{Play, Serve, View},
+    sweep::{SweepAction, SweepArgs, SweepMerge},
 };
 use self::{
     number::{background, not_negative, positive, real, whole},
@@ -53,6 +55,8 @@ pub enum Verb {
     Render(Render),
     /// Send a scene or a .dgs file over an emulated link under one scheduler.
     Stream(StreamArgs),
+    /// Run a design of many simulations from a file: parallel, resumable, in shards; then summarise it.
+    Sweep(SweepArgs),
     /// Serve streams or scenes to viewers over QUIC.
     Serve(Box<Serve>),
     /// Play a served stream: receive, decode and show frames on time.
@@ -89,10 +93,14 @@ impl ViewArgs {
 /// The link.
 #[derive(Clone, Debug, Args)]
 pub struct LinkArgs {
-    /// Capacity trace: mahimahi, UCC 5G CSV, or two columns (seconds, Mbit/s) [default: built-in
-    /// bursty trace, scaled so that the stream is `load` times what fits].
+    /// Capacity trace: mahimahi, UCC 5G CSV, two columns (seconds, Mbit/s), or three or four (seconds,
+    /// Mbit/s, one-way delay in ms, loss in %) [default: built-in bursty trace, scaled so that the stream
+    /// is `load` times what fits].
     #[arg(long)]
     pub trace: Option<PathBuf>,
+    /// One-way delay over time, both ways: a number of milliseconds per line, each for 10 ms.
+    #[arg(long, value_name = "FILE")]
+    pub delay_trace: Option<PathBuf>,
     /// Start this many seconds into the trace: at least 0.
     #[arg(long, default_value_t = 0.0, value_parser = not_negative, allow_negative_numbers = true)]
     pub trace_offset: f64,
@@ -102,15 +110,14 @@ pub struct LinkArgs {
     /// For the built-in trace: stream bytes over what the link carries during the clip, above 0.
     #[arg(long, default_value_t = 1.2, value_parser = positive, allow_negative_numbers = true)]
     pub load: f64,
-    /// One-way delay, 0 to 60000 milliseconds [default: half the trace's own round trip, else 30].
+    /// One-way delay, 0 to 60000 milliseconds; delays of a trace come on top of it [default: 0 with such
+    /// a trace, else half the capacity trace's own round trip, else 30].
     #[arg(long, value_parser = whole::<u64>(0..=60_000, "milliseconds"))]
     pub delay_ms: Option<u64>,
-    /// Share of time lost in Gilbert–Elliott bursts (mean burst four packets), 0 to 0.3.
-    #[arg(
-        long, default_value_t = 0.02, value_parser = real(0.0..=0.3, "a share"),
-        allow_negative_numbers = true
-    )]
-    pub burst_loss: f64,
+    /// Share of time lost in Gilbert–Elliott bursts (mean burst four packets), 0 to 0.3 [default: 0 with a
+    /// trace that has losses, else 0.02].
+    #[arg(long, value_parser = real(0.0..=0.3, "a share"), allow_negative_numbers = true)]
+    pub burst_loss: Option<f64>,
     /// Queue, as 0 to 60000 milliseconds of the mean rate.
     #[arg(long, default_value_t = 250, value_parser = whole::<u64>(0..=60_000, "milliseconds"))]
     pub queue_ms: u64,
@@ -143,6 +150,8 @@ pub enum ControllerName {
     Cubic,
     /// The paper's BBR-inspired model.
     BbrModel,
+    /// SCReAMv2 (RFC 8298bis): bounds the delay of its own queue, made for media.
+    Scream,
 }
 
 /// A scheduler.

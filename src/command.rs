@@ -11,6 +11,7 @@ mod render;
 mod serve;
 mod socket;
 mod stream;
+mod sweep;
 mod train;
 mod view;
 
@@ -35,6 +36,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Verb::Decode(args) => decode::run(&args),
         Verb::Render(args) => render::run(&args),
         Verb::Stream(args) => stream::run(&args, quiet),
+        Verb::Sweep(args) => sweep::run(&args, quiet),
         Verb::Serve(args) => serve::run(&args, quiet),
         Verb::Play(args) => play::run(&args),
         Verb::View(args) => view::run(&args, quiet),

@@ -17,3 +17,4 @@ pub mod output;
 pub mod pipeline;
 pub mod progress;
 pub mod report;
+mod sweep;

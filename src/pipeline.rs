@@ -25,7 +25,10 @@ use trainer_host::{
     viewpoint::{Framing, Ring},
 };
 
-pub(crate) use self::cache::reference_photographs;
+pub(crate) use self::{
+    cache::reference_photographs,
+    link::{read_delays, read_replay},
+};
 pub use self::{
     cache::{stored_utilities, utilities, utility_path},
     cameras::read_cameras,

@@ -141,6 +141,30 @@ fn bad_input_is_refused_by_name_and_place() {
     }
 }
 
+/// Rate, delay and loss of one recording, and delays of another.
+#[test]
+fn recorded_delays_and_losses_are_replayed() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    std::fs::write(at.join("phone.txt"), "0 5 80 0\n0.5 4 120 2\n1 5 80 0\n").unwrap();
+    std::fs::write(at.join("rate.txt"), "0 5\n1 5\n").unwrap();
+    std::fs::write(at.join("leo.txt"), "12\n".repeat(50) + &"40\n".repeat(50)).unwrap();
+    ok(at, &["encode", "synth:balls:1000:3", "--out", "a.dgs"]);
+    let stream = |options: &[&str]| ok(at, &[&["stream", "a.dgs"], options].concat());
+    let text = stream(&["--trace", "phone.txt"]);
+    assert!(text.contains("0 ms one way and those of a trace, median 80 ms"), "{text}");
+    assert!(text.contains("bursts of loss 0.0 % and those of the trace"), "{text}");
+    let text = stream(&["--trace", "rate.txt", "--delay-trace", "leo.txt", "--delay-ms", "5"]);
+    assert!(text.contains("5 ms one way and those of a trace, median 40 ms"), "{text}");
+    assert!(text.contains("bursts of loss 2.0 %"), "{text}");
+    let text = refused(at, &["stream", "a.dgs", "--trace", "phone.txt", "--delay-trace", "leo.txt"]);
+    assert!(text.contains("phone.txt has delays, and so has leo.txt"), "{text}");
+    let text = refused(at, &["stream", "a.dgs", "--delay-trace", "phone.txt"]);
+    assert!(text.contains("phone.txt: not a usable trace of delays") && text.contains("line 1"), "{text}");
+    let scream = stream(&["--trace", "rate.txt", "--controller", "scream"]);
+    assert!(scream.contains("startup"), "{scream}");
+}
+
 /// What is not a command ends with 64; what is asked for about commands with 0.
 #[test]
 fn wrong_usage_and_refused_input_exit_differently() {

@@ -22,7 +22,7 @@ use codec_core::{
 };
 use emulator_host::{
     Nanos, Trace,
-    trace::{self, DelayTrace, Direction, Holds},
+    trace::{self, DelayTrace, Direction, Holds, Replay},
 };
 use trainer_host::{
     Scene, Stream,
@@ -152,6 +152,7 @@ fn damaged_traces() {
             "mahimahi" => Trace::mahimahi(file, bytes, &limits).err(),
             "columns" => Trace::two_column(file, bytes, Holds::Forward, &limits).err(),
             "csv" => Trace::ucc(file, bytes, Direction::Down, &limits).err(),
+            "replay" => Replay::load(file, bytes, &limits).err(),
             "delay" => DelayTrace::load(bytes, Nanos::from_ms(10), &limits).err(),
             _ => return None,
         })
@@ -163,7 +164,7 @@ fn damaged_traces() {
         assert_says(&case, &error.unwrap_or_else(|| panic!("{} loads", case.file)).to_string());
         checked += 1;
     }
-    assert!(checked >= 8);
+    assert!(checked >= 11);
 }
 
 /// A check that cannot fail proves nothing.

@@ -12,6 +12,7 @@ mod newreno;
 mod pacer;
 mod recovery;
 mod rtt;
+mod scream;
 
 use std::fmt::Debug;
 
@@ -25,6 +26,7 @@ pub use newreno::NewReno;
 pub use pacer::Pacer;
 pub use recovery::{AckOutcome, Recovery, Sent, TimerOutcome};
 pub use rtt::Rtt;
+pub use scream::Scream;
 
 /// Initial congestion window in bytes: ten datagrams, at most 14 720 bytes or two datagrams (RFC 9002, 7.2).
 pub fn initial_window(datagram_bytes: u64) -> u64 {

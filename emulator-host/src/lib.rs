@@ -42,6 +42,7 @@ pub mod report;
 pub mod rng;
 pub mod session;
 mod startup;
+pub mod sweep;
 pub mod trace;
 
 pub use clock::{Bytes, Nanos, Rate};

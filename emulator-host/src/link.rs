@@ -15,6 +15,7 @@ mod queue;
 mod rate;
 mod reorder;
 mod serialiser;
+mod trace_loss;
 mod trace_rate;
 
 use serde::Serialize;

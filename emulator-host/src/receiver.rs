@@ -93,6 +93,8 @@ pub struct GraphReceiver<'a> {
     packet_lacks: Vec<u32>,
     snapshot: Snapshot,
     work: Vec<PacketIndex>,
+    ready: Vec<PacketIndex>,
+    ready_groups: Vec<GroupIndex>,
 }
 
 impl<'a> GraphReceiver<'a> {
@@ -114,6 +116,8 @@ impl<'a> GraphReceiver<'a> {
             packet_lacks: packet_lacks.collect(),
             snapshot: Snapshot::empty(graph),
             work: Vec::new(),
+            ready: Vec::new(),
+            ready_groups: Vec::new(),
         }
     }
 
@@ -142,8 +146,8 @@ impl<'a> GraphReceiver<'a> {
     }
 
     fn packet_lacks_one_less(&mut self, packet: PacketIndex) {
-        let mut ready = vec![packet];
-        while let Some(packet) = ready.pop() {
+        self.ready.push(packet);
+        while let Some(packet) = self.ready.pop() {
             self.packet_lacks[packet.at()] -= 1;
             if self.packet_lacks[packet.at()] > 0 {
                 continue;
@@ -151,7 +155,7 @@ impl<'a> GraphReceiver<'a> {
             if self.graph.packets()[packet.at()].parity_of.is_none() {
                 self.snapshot.insert_packet(packet);
             }
-            ready.extend(self.graph.packet_dependents(packet));
+            self.ready.extend(self.graph.packet_dependents(packet));
         }
     }
 
@@ -168,8 +172,8 @@ impl<'a> GraphReceiver<'a> {
         if self.group_lacks[group.at()] > 0 {
             return;
         }
-        let mut ready = vec![group];
-        while let Some(group) = ready.pop() {
+        self.ready_groups.push(group);
+        while let Some(group) = self.ready_groups.pop() {
             self.snapshot.insert_group(group);
             if graph.profile() == Profile::AllOrNothing {
                 for packet in &graph.groups()[group.at()].packets {
@@ -179,7 +183,7 @@ impl<'a> GraphReceiver<'a> {
             for dependent in graph.dependents(group) {
                 self.group_lacks[dependent.at()] -= 1;
                 if self.group_lacks[dependent.at()] == 0 {
-                    ready.push(dependent);
+                    self.ready_groups.push(dependent);
                 }
             }
         }

@@ -11,6 +11,8 @@ mod bursty;
 mod delay;
 mod lines;
 mod mahimahi;
+mod replay;
+mod steps;
 mod two_column;
 mod ucc;
 
@@ -20,6 +22,7 @@ use crate::clock::{Bytes, Nanos, Rate};
 
 pub use delay::DelayTrace;
 pub use lines::read;
+pub use replay::{LossTrace, Replay};
 pub use two_column::Holds;
 pub use ucc::Direction;
 

@@ -5,7 +5,7 @@
 use emulator_host::{
     clock::{Nanos, Rate},
     link::{BoxOutput, Capacity, Chain, Datagram, LinkBox, LossModel, PathConfig, QueueLimit, Reordering},
-    trace::{DelayTrace, Limits, Trace},
+    trace::{DelayTrace, Limits, Replay, Trace},
 };
 use proptest::prelude::*;
 
@@ -36,6 +36,8 @@ fn path() -> impl Strategy<Value = PathConfig> {
         (0.0..1.0f64, 0u64..30_000)
             .prop_map(|(probability, us)| Reordering { probability, extra: Nanos::from_us(us) }),
     );
+    let recorded = Replay::load("t", b"0 1 0 0\n0.1 1 0 30\n", &Limits::default());
+    let fading = recorded.ok().and_then(|replay| replay.loss).unwrap();
     let varying = DelayTrace::load(b"12\n9\n43\n", Nanos::from_ms(10), &Limits::default()).unwrap();
     (capacity(), 0u64..20_000, 0u32..20, loss, reorder, 0u64..40, 0u64..5, any::<bool>()).prop_map(
         move |(capacity, bytes, datagrams, loss, reorder, delay, jitter, follow)| PathConfig {
@@ -44,6 +46,7 @@ fn path() -> impl Strategy<Value = PathConfig> {
             loss,
             delay: Nanos::from_ms(delay),
             delay_trace: follow.then(|| varying.clone()),
+            loss_trace: follow.then(|| fading.clone()),
             jitter: Nanos::from_ms(jitter),
             reorder,
         },

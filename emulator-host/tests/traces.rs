@@ -10,7 +10,7 @@ use emulator_host::{
     graph::Synthetic,
     link::{Capacity, PathConfig},
     simulate,
-    trace::{self, DelayTrace, Direction, Holds, Limits, Warning},
+    trace::{self, DelayTrace, Direction, Holds, Limits, Replay, Warning},
 };
 use proptest::prelude::*;
 
@@ -27,6 +27,9 @@ fn all_loaders(bytes: &[u8]) {
         let _ = trace.mean_rate();
     }
     let _ = DelayTrace::load(bytes, Nanos::from_ms(10), &limits);
+    if let Ok(replay) = Replay::load("t", bytes, &limits) {
+        let _ = replay.starting_at(Nanos(replay.capacity.period().0 / 3));
+    }
 }
 
 proptest! {

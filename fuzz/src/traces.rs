@@ -2,7 +2,7 @@
 
 use emulator_host::{
     Nanos, Trace,
-    trace::{DelayTrace, Direction, Holds, Limits, Shape},
+    trace::{DelayTrace, Direction, Holds, Limits, Replay, Shape},
 };
 
 /// All loaders over the same bytes.
@@ -27,6 +27,18 @@ pub fn trace(data: &[u8]) {
             }
             Err(error) => assert!(!error.to_string().is_empty()),
         }
+    }
+    match Replay::load("t", data, &limits) {
+        Ok(replay) => {
+            assert_ordered(&replay.capacity);
+            let Ok(moved) = replay.starting_at(Nanos(replay.capacity.period().0 / 3)) else { return };
+            assert_ordered(&moved.capacity);
+            for time in [Nanos::ZERO, Nanos::from_s(1), Nanos(u64::MAX)] {
+                assert!(moved.delay.as_ref().is_some_and(|delay| delay.at(time) <= Nanos::from_s(60)));
+                let _ = moved.loss.as_ref().map(|loss| loss.at(time));
+            }
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
     }
     match DelayTrace::load(data, Nanos::from_ms(10), &limits) {
         Ok(delays) => {

@@ -9,7 +9,7 @@ use emulator_host::{
     link::{Capacity, LossModel, PathConfig, QueueLimit},
 };
 
-use super::link::read_trace;
+use super::link::read_replay;
 
 /// What is allowed, for errors.
 const ALLOWED: &str = "a trace file, or a list of loss=5%, burst=4, rate=5mbit, delay=40ms, jitter=5ms, \
@@ -38,7 +38,11 @@ pub fn impairment(text: &str) -> Result<Impairment> {
             "jitter" => path.jitter = span(value).with_context(|| refusal(word))?,
             "queue" => queue = span(value).with_context(|| refusal(word))?,
             "seed" => seed = value.parse().with_context(|| refusal(word))?,
-            "trace" => path.capacity = Capacity::Trace(read_trace(Path::new(value))?),
+            "trace" => {
+                let replay = read_replay(Path::new(value))?;
+                path.capacity = Capacity::Trace(replay.capacity);
+                (path.delay_trace, path.loss_trace) = (replay.delay, replay.loss);
+            }
             _ => bail!(refusal(word)),
         }
     }

@@ -3,35 +3,64 @@
 
 use std::path::Path;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use emulator_host::{
     ControllerKind, Nanos, PacketGraph, Rate, SessionConfig, Trace,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
-    trace,
+    trace::{self, DelayTrace, Replay},
 };
 
 use crate::args::{ControllerName, LinkArgs, TransportName};
 
-/// Reads a capacity trace, by content: UCC CSV, mahimahi (one column) or two columns.
+/// How long each line of a delay trace holds (LeoCC's recordings of Starlink).
+const DELAY_INTERVAL: Nanos = Nanos::from_ms(10);
+
+/// Reads a trace of capacity alone, by content: UCC CSV, mahimahi (one column) or two columns.
+///
+/// # Errors
+/// What the loader refuses, with the file's name; a trace that has delays or losses too.
+pub fn read_trace(path: &Path) -> Result<Trace> {
+    let replay = read_replay(path)?;
+    if replay.delay.is_some() {
+        bail!("{}: has delays too; a trace of capacity alone is needed here", path.display());
+    }
+    Ok(replay.capacity)
+}
+
+/// Reads a trace, by content: UCC CSV, mahimahi (one column), two columns, or three or four with delay and
+/// loss.
 ///
 /// # Errors
 /// What the loader refuses, with the file's name.
-pub fn read_trace(path: &Path) -> Result<Trace> {
+pub(crate) fn read_replay(path: &Path) -> Result<Replay> {
     let limits = trace::Limits::default();
     let bytes = trace::read(path, &limits).with_context(|| path.display().to_string())?;
     let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
     let first = bytes.split(|b| *b == b'\n').find(|l| !l.trim_ascii().is_empty()).unwrap_or(&[]);
-    let columns = first.split(|b| b.is_ascii_whitespace()).filter(|c| !c.is_empty()).count();
-    let trace = if first.starts_with(b"Timestamp") || first.contains(&b',') {
-        Trace::ucc(&name, &bytes, trace::Direction::Down, &limits)
+    let columns = first.split(|b| b.is_ascii_whitespace() || *b == b',').filter(|c| !c.is_empty()).count();
+    let replay = if matches!(columns, 3 | 4) {
+        Replay::load(&name, &bytes, &limits)
+    } else if first.starts_with(b"Timestamp") || first.contains(&b',') {
+        Trace::ucc(&name, &bytes, trace::Direction::Down, &limits).map(Replay::from)
     } else if columns <= 1 {
-        Trace::mahimahi(&name, &bytes, &limits)
+        Trace::mahimahi(&name, &bytes, &limits).map(Replay::from)
     } else {
         // The two families differ in which end of its interval a row stands at.
         let holds = if name.contains("pitree") { trace::Holds::Backward } else { trace::Holds::Forward };
-        Trace::two_column(&name, &bytes, holds, &limits)
+        Trace::two_column(&name, &bytes, holds, &limits).map(Replay::from)
     };
-    trace.with_context(|| format!("{}: not a usable capacity trace", path.display()))
+    replay.with_context(|| format!("{}: not a usable trace", path.display()))
+}
+
+/// Reads one-way delays: a number of milliseconds per line, each for 10 ms.
+///
+/// # Errors
+/// What the loader refuses, with the file's name.
+pub(crate) fn read_delays(path: &Path) -> Result<DelayTrace> {
+    let limits = trace::Limits::default();
+    let bytes = trace::read(path, &limits).with_context(|| path.display().to_string())?;
+    DelayTrace::load(&bytes, DELAY_INTERVAL, &limits)
+        .with_context(|| format!("{}: not a usable trace of delays", path.display()))
 }
 
 /// A link ready to use, and what to say about it.
@@ -54,15 +83,22 @@ pub struct Link {
 pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
     let clip_s = f64::from(graph.frames()) * graph.frame_interval().as_s();
     let built_in = args.trace.is_none();
-    let trace = match &args.trace {
-        Some(path) => read_trace(path)?,
-        None => Trace::bursty(args.link_seed, Nanos::from_s(60)),
+    let mut replay = match &args.trace {
+        Some(path) => read_replay(path)?,
+        None => Trace::bursty(args.link_seed, Nanos::from_s(60)).into(),
     };
-    let warnings = trace.warnings().iter().map(ToString::to_string).collect();
-    let trace = match args.trace_offset {
-        0.0 => trace,
-        offset => trace.starting_at(Nanos((offset * 1e9) as u64))?,
+    if let Some(path) = &args.delay_trace {
+        if let (Some(_), Some(trace)) = (&replay.delay, &args.trace) {
+            bail!("{} has delays, and so has {}; one of them is needed", trace.display(), path.display());
+        }
+        replay.delay = Some(read_delays(path)?);
+    }
+    let warnings = replay.capacity.warnings().iter().map(ToString::to_string).collect();
+    let replay = match args.trace_offset {
+        0.0 => replay,
+        offset => replay.starting_at(Nanos((offset * 1e9) as u64))?,
     };
+    let Replay { capacity: trace, delay: delay_trace, loss: loss_trace } = replay;
     let scale = match args.scale {
         Some(scale) => scale,
         None if built_in => {
@@ -76,11 +112,13 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
     let delay = args
         .delay_ms
         .map(Nanos::from_ms)
+        .or_else(|| delay_trace.as_ref().map(|_| Nanos::ZERO))
         .or_else(|| trace.base_rtt().map(|rtt| Nanos(rtt.0 / 2)))
         .unwrap_or(Nanos::from_ms(30));
     // Bursts of four packets on average, all lost: stationary share p = enter / (enter + leave).
     let leave_bad = 0.25;
-    let loss = match args.burst_loss {
+    let burst_loss = args.burst_loss.unwrap_or(if loss_trace.is_some() { 0.0 } else { 0.02 });
+    let loss = match burst_loss {
         0.0 => LossModel::None,
         p => LossModel::GilbertElliott {
             enter_bad: p * leave_bad / (1.0 - p),
@@ -94,11 +132,17 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
         capacity: Capacity::Trace(trace.clone()),
         queue: QueueLimit { bytes: queue, ..QueueLimit::default() },
         loss,
+        loss_trace: loss_trace.clone(),
         delay,
+        delay_trace: delay_trace.clone(),
         ..PathConfig::default()
     };
-    let reverse =
-        PathConfig { capacity: Capacity::Constant(Rate::from_mbps(2)), delay, ..PathConfig::default() };
+    let reverse = PathConfig {
+        capacity: Capacity::Constant(Rate::from_mbps(2)),
+        delay,
+        delay_trace: delay_trace.clone(),
+        ..PathConfig::default()
+    };
     let config = SessionConfig {
         seed: args.link_seed,
         controller: controller(args.controller),
@@ -107,12 +151,16 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
         ..SessionConfig::default()
     };
     let description = format!(
-        "{} × {scale:.3}, mean {:.2} Mbit/s, {:.0} ms one way, queue {} kB, bursts of loss {:.1} %{}",
+        "{} × {scale:.3}, mean {:.2} Mbit/s, {:.0} ms one way{}, queue {} kB, bursts of loss {:.1} %{}{}",
         trace.name(),
         mean.0 as f64 / 1e6,
         delay.as_ms(),
+        delay_trace.map_or(String::new(), |delays| {
+            format!(" and those of a trace, median {:.0} ms", delays.median().as_ms())
+        }),
         queue / 1000,
-        100.0 * args.burst_loss,
+        100.0 * burst_loss,
+        if loss_trace.is_some() { " and those of the trace" } else { "" },
         match args.transport {
             TransportName::Model => "",
             TransportName::Quic => ", over quinn-proto",
@@ -183,6 +231,7 @@ fn controller(name: ControllerName) -> ControllerKind {
         ControllerName::Newreno => ControllerKind::NewReno,
         ControllerName::Cubic => ControllerKind::Cubic,
         ControllerName::BbrModel => ControllerKind::BbrModel,
+        ControllerName::Scream => ControllerKind::Scream,
     }
 }
 

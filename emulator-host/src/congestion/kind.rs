@@ -1,6 +1,6 @@
 //! Names the controllers, and builds the one that is named.
 
-use super::{BbrModel, Controller, Cubic, NewReno};
+use super::{BbrModel, Controller, Cubic, NewReno, Scream};
 
 /// The controllers by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -11,11 +11,13 @@ pub enum ControllerKind {
     Cubic,
     /// [`BbrModel`].
     BbrModel,
+    /// [`Scream`].
+    Scream,
 }
 
 impl ControllerKind {
     /// Every controller.
-    pub const ALL: [Self; 3] = [Self::NewReno, Self::Cubic, Self::BbrModel];
+    pub const ALL: [Self; 4] = [Self::NewReno, Self::Cubic, Self::BbrModel, Self::Scream];
 
     /// Name in reports.
     pub fn name(self) -> &'static str {
@@ -23,6 +25,7 @@ impl ControllerKind {
             Self::NewReno => "newreno",
             Self::Cubic => "cubic",
             Self::BbrModel => "bbr-model",
+            Self::Scream => "scream",
         }
     }
 
@@ -32,6 +35,7 @@ impl ControllerKind {
             Self::NewReno => Box::new(NewReno::new(datagram_bytes)),
             Self::Cubic => Box::new(Cubic::new(datagram_bytes)),
             Self::BbrModel => Box::new(BbrModel::new(datagram_bytes)),
+            Self::Scream => Box::new(Scream::new(datagram_bytes)),
         }
     }
 }

@@ -11,6 +11,7 @@ pub(super) const GRANULARITY: Nanos = Nanos::from_ms(1);
 #[derive(Clone, Debug)]
 pub struct Rtt {
     latest: Nanos,
+    without_ack_delay: Nanos,
     smoothed: Nanos,
     variation: Nanos,
     minimum: Nanos,
@@ -23,6 +24,7 @@ impl Rtt {
     pub fn new(max_ack_delay: Nanos) -> Self {
         Self {
             latest: Nanos::ZERO,
+            without_ack_delay: Nanos::ZERO,
             smoothed: INITIAL,
             variation: Nanos(INITIAL.0 / 2),
             minimum: Nanos::ZERO,
@@ -39,6 +41,7 @@ impl Rtt {
         if self.first_sample_at.is_none() {
             self.first_sample_at = Some(now);
             self.minimum = latest;
+            self.without_ack_delay = latest;
             self.smoothed = latest;
             self.variation = Nanos(latest.0 / 2);
             return;
@@ -46,6 +49,7 @@ impl Rtt {
         self.minimum = self.minimum.min(latest);
         let ack_delay = ack_delay.min(self.max_ack_delay);
         let adjusted = if latest >= self.minimum + ack_delay { latest - ack_delay } else { latest };
+        self.without_ack_delay = adjusted;
         let deviation = self.smoothed.abs_diff(adjusted);
         self.variation = Nanos((3 * self.variation.0 + deviation.0) / 4);
         self.smoothed = Nanos((7 * self.smoothed.0 + adjusted.0) / 8);
@@ -74,6 +78,12 @@ impl Rtt {
     /// Newest sample; zero before the first.
     pub fn latest(&self) -> Nanos {
         self.latest
+    }
+
+    /// Newest sample less what the peer held the acknowledgement back, where that does not make it smaller
+    /// than the smallest; zero before the first.
+    pub fn without_ack_delay(&self) -> Nanos {
+        self.without_ack_delay
     }
 
     /// When the first sample was taken.

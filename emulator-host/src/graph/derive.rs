@@ -1,10 +1,10 @@
 //! Checks the parts of a graph, and derives what follows from them: order, closures, deadlines.
 
-use codec_core::internals::ids::{Group as GroupId, PacketId};
+use codec_core::internals::ids::PacketId;
 
 use super::{
-    GraphError, GraphParts, GroupIndex, MAX_CLOSURE_ENTRIES, MAX_PACKET_BYTES, PacketGraph, PacketIndex,
-    csr::Csr,
+    GraphError, GraphParts, GroupIndex, GroupKey, MAX_CLOSURE_ENTRIES, MAX_PACKET_BYTES, PacketGraph,
+    PacketIndex, csr::Csr,
 };
 impl PacketGraph {
     /// Checks `parts` and derives order, closures and deadlines. Cost is linear in the size of all closures.
@@ -139,8 +139,9 @@ fn packets_by_id(parts: &GraphParts) -> Result<Vec<(PacketId, PacketIndex)>, Gra
 }
 
 /// Groups in order of their ids, which must be unique.
-fn groups_by_id(parts: &GraphParts) -> Result<Vec<(GroupId, GroupIndex)>, GraphError> {
-    let mut by_id: Vec<_> = (0..).map(GroupIndex).zip(&parts.groups).map(|(at, g)| (g.id, at)).collect();
+fn groups_by_id(parts: &GraphParts) -> Result<Vec<(GroupKey, GroupIndex)>, GraphError> {
+    let indices = (0..).map(GroupIndex).zip(&parts.groups);
+    let mut by_id: Vec<_> = indices.map(|(at, group)| (GroupKey::of(group.id), at)).collect();
     by_id.sort_unstable();
     match by_id.windows(2).find(|pair| pair[0].0 == pair[1].0) {
         Some(pair) => Err(GraphError::DuplicateGroup { first: pair[0].1.0, second: pair[1].1.0 }),
@@ -267,7 +268,7 @@ fn shares(parts: &GraphParts, closure: &[u32]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use codec_core::internals::ids::{ClusterId, Level, Span, WindowId};
+    use codec_core::internals::ids::{ClusterId, Group as GroupId, Level, Span, WindowId};
 
     use super::super::{Group, Packet, Profile, RepairSet};
     use super::*;

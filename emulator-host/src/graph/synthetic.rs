@@ -24,6 +24,15 @@ pub enum Utilities {
     Unequal,
 }
 
+/// What groups need.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Dependencies {
+    /// Every level needs the level below it, and motion the canonical group of its level.
+    Layered,
+    /// Nothing needs anything.
+    Independent,
+}
+
 /// Parameters of a synthetic graph. [`Synthetic::build`] turns them into a [`PacketGraph`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Synthetic {
@@ -53,6 +62,8 @@ pub struct Synthetic {
     pub parity: u32,
     /// Closure rule.
     pub profile: Profile,
+    /// What groups need.
+    pub dependencies: Dependencies,
 }
 
 impl Default for Synthetic {
@@ -72,6 +83,7 @@ impl Default for Synthetic {
             repair: None,
             parity: 1,
             profile: Profile::AllOrNothing,
+            dependencies: Dependencies::Layered,
         }
     }
 }
@@ -149,10 +161,11 @@ impl Draft<'_> {
         for level in 0..self.spec.levels.min(Level::COUNT as u8) {
             let at = self.groups.len();
             let mut needs = Vec::new();
-            if level > 0 {
+            let layered = self.spec.dependencies == Dependencies::Layered;
+            if layered && level > 0 {
                 needs.push(GroupIndex(at as u32 - 1));
             }
-            if matches!(span, Span::Motion(_)) {
+            if layered && matches!(span, Span::Motion(_)) {
                 needs.push(GroupIndex((cluster % clusters * levels + usize::from(level)) as u32));
             }
             let mean = base_bytes << level;
@@ -249,6 +262,13 @@ mod tests {
                     Synthetic { frames: 90, profile, repair, ..Synthetic::default() }.build(1).unwrap();
                 assert_eq!(repair.is_some(), !graph.repair_sets().is_empty());
             }
+        }
+        for profile in [Profile::AllOrNothing, Profile::Sliced] {
+            let dependencies = Dependencies::Independent;
+            let graph =
+                Synthetic { frames: 90, profile, dependencies, ..Synthetic::default() }.build(1).unwrap();
+            assert!(graph.groups().iter().all(|group| group.needs.is_empty()));
+            assert!(graph.packets().iter().all(|packet| packet.needs_packets.is_empty()));
         }
         assert!(Synthetic { frames: 0, ..Synthetic::default() }.build(1).is_err());
     }

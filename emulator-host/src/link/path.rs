@@ -5,12 +5,12 @@
 
 use super::{
     Chain, ConstantRate, Delay, GilbertElliott, GilbertElliottParams, IidLoss, LinkBox, QueueLimit, Reorder,
-    TraceRate,
+    TraceRate, trace_loss::TraceLoss,
 };
 use crate::{
     clock::{Nanos, Rate},
     rng::Chance,
-    trace::{DelayTrace, Trace},
+    trace::{DelayTrace, LossTrace, Trace},
 };
 
 /// How fast a path is.
@@ -83,6 +83,8 @@ pub struct PathConfig {
     pub queue: QueueLimit,
     /// Loss on the way.
     pub loss: LossModel,
+    /// Loss that varies, after that of `loss`.
+    pub loss_trace: Option<LossTrace>,
     /// One-way propagation.
     pub delay: Nanos,
     /// Varying delay, added to `delay`.
@@ -100,6 +102,7 @@ impl Default for PathConfig {
             capacity: Capacity::Constant(Rate::from_mbps(5)),
             queue: QueueLimit::default(),
             loss: LossModel::None,
+            loss_trace: None,
             delay: Nanos::from_ms(20),
             delay_trace: None,
             jitter: Nanos::ZERO,
@@ -148,6 +151,9 @@ impl PathConfig {
                 };
                 boxes.push(Box::new(GilbertElliott::new(format!("{label}/gilbert-elliott"), params, seed)));
             }
+        }
+        if let Some(trace) = &self.loss_trace {
+            boxes.push(Box::new(TraceLoss::new(format!("{label}/trace-loss"), trace.clone(), seed)));
         }
         if self.delay > Nanos::ZERO || self.jitter > Nanos::ZERO || self.delay_trace.is_some() {
             let mut delay = Delay::new(format!("{label}/delay"), self.delay, self.jitter, seed);

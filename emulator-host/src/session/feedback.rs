@@ -42,15 +42,17 @@ impl<T: Copy> News<T> {
         self.0.push_back((item, REPEATS));
     }
 
-    /// Up to `most` of the oldest; those that have been repeated enough are forgotten.
-    fn take(&mut self, most: usize) -> Vec<T> {
-        let mut taken = Vec::with_capacity(most.min(self.0.len()));
+    /// Puts up to `most` of the oldest into `taken`, which is emptied first; those that have been repeated
+    /// enough are forgotten. They stand at the front: what is older has never been repeated less.
+    fn take(&mut self, most: usize, taken: &mut Vec<T>) {
+        taken.clear();
         for (item, left) in self.0.iter_mut().take(most) {
             taken.push(*item);
             *left -= 1;
         }
-        self.0.retain(|(_, left)| *left > 0);
-        taken
+        while self.0.front().is_some_and(|(_, left)| *left == 0) {
+            self.0.pop_front();
+        }
     }
 }
 
@@ -61,11 +63,29 @@ pub(super) struct ReceiptWriter {
     arrived: News<PacketId>,
     recovered: News<PacketId>,
     completed: News<GroupId>,
+    lists: Lists,
+    bytes: Box<[u8; MAX_RECEIPT_BYTES]>,
+}
+
+/// The lists of the receipt that is being written; kept, so that a receipt costs no allocation.
+#[derive(Debug, Default)]
+struct Lists {
+    ids: Vec<PacketId>,
+    acknowledged: Vec<IdRange>,
+    recovered: Vec<PacketId>,
+    completed: Vec<GroupId>,
 }
 
 impl ReceiptWriter {
     pub(super) fn new() -> Self {
-        Self { sequence: 0, arrived: News::new(), recovered: News::new(), completed: News::new() }
+        Self {
+            sequence: 0,
+            arrived: News::new(),
+            recovered: News::new(),
+            completed: News::new(),
+            lists: Lists::default(),
+            bytes: Box::new([0; MAX_RECEIPT_BYTES]),
+        }
     }
 
     /// A packet arrived by itself.
@@ -85,39 +105,37 @@ impl ReceiptWriter {
 
     /// Appends the next receipt to `out`. `playout_start`: when frame 0 was shown.
     pub(super) fn write(&mut self, playout_start: Option<Nanos>, out: &mut Vec<u8>) {
-        let acknowledged = self.next_ranges();
-        let recovered = self.recovered.take(MOST_RECOVERED);
-        let completed = self.completed.take(MOST_COMPLETED);
+        let lists = &mut self.lists;
+        self.arrived.take(MOST_RANGES, &mut lists.ids);
+        join(&mut lists.ids, &mut lists.acknowledged);
+        self.recovered.take(MOST_RECOVERED, &mut lists.recovered);
+        self.completed.take(MOST_COMPLETED, &mut lists.completed);
         let value = Value {
             sequence: self.sequence,
             playout_us: playout_start.map_or(0, |start| start.0.div_ceil(1000).max(1)),
             pose: None,
-            acknowledged: &acknowledged,
-            recovered: &recovered,
-            completed: &completed,
+            acknowledged: &lists.acknowledged,
+            recovered: &lists.recovered,
+            completed: &lists.completed,
         };
         self.sequence = self.sequence.wrapping_add(1);
-        let start = out.len();
-        out.resize(start + MAX_RECEIPT_BYTES, 0);
         // Ranges ascend and the space is the largest receipt's, so writing cannot fail; an empty one would be
         // ignored.
-        let len = value.write(&mut out[start..]).unwrap_or(0);
-        out.truncate(start + len);
+        let len = value.write(&mut self.bytes[..]).unwrap_or(0);
+        out.extend_from_slice(&self.bytes[..len]);
     }
+}
 
-    /// Arrived ids as ascending ranges that do not touch, at most [`MOST_RANGES`].
-    fn next_ranges(&mut self) -> Vec<IdRange> {
-        let mut ids = self.arrived.take(MOST_RANGES);
-        ids.sort_unstable();
-        ids.dedup();
-        let mut ranges: Vec<IdRange> = Vec::new();
-        for id in ids {
-            match ranges.last_mut() {
-                Some((_, last)) if last.get() + 1 == id.get() => *last = id,
-                _ => ranges.push((id, id)),
-            }
+/// Writes `ids` to `ranges` as ascending ranges that do not touch.
+fn join(ids: &mut Vec<PacketId>, ranges: &mut Vec<IdRange>) {
+    ids.sort_unstable();
+    ids.dedup();
+    ranges.clear();
+    for id in ids {
+        match ranges.last_mut() {
+            Some((_, last)) if last.get() + 1 == id.get() => *last = *id,
+            _ => ranges.push((*id, *id)),
         }
-        ranges
     }
 }
 
@@ -130,16 +148,17 @@ pub(super) struct Feedback {
     pub(super) playout_start: Option<Nanos>,
 }
 
-/// Reads a receipt; ids that the graph does not have are ignored.
+/// Reads a receipt into `feedback`, which is emptied first; ids that the graph does not have are ignored.
 ///
 /// # Errors
 /// Bytes that are no receipt.
-pub(super) fn read(bytes: &[u8], graph: &PacketGraph) -> codec_core::Result<Feedback> {
+pub(super) fn read(bytes: &[u8], graph: &PacketGraph, feedback: &mut Feedback) -> codec_core::Result<()> {
+    let Feedback { received, playout_start } = feedback;
+    received.clear();
     let receipt = Receipt::parse(bytes, crc32)?;
-    let mut received = Vec::new();
     for range in receipt.acknowledged() {
         let (first, last) = range?;
-        received.extend(graph.packets_in(first, last));
+        graph.packets_in(first, last).for_each(|packet| received.push(packet));
     }
     for id in receipt.recovered() {
         let id = id?;
@@ -149,14 +168,20 @@ pub(super) fn read(bytes: &[u8], graph: &PacketGraph) -> codec_core::Result<Feed
         let group: Option<GroupIndex> = graph.group_of(id?);
         received.extend(group.into_iter().flat_map(|group| &graph.groups()[group.at()].packets));
     }
-    let playout_start = (receipt.playout_us > 0).then(|| Nanos::from_us(receipt.playout_us));
-    Ok(Feedback { received, playout_start })
+    *playout_start = (receipt.playout_us > 0).then(|| Nanos::from_us(receipt.playout_us));
+    Ok(())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::graph::Synthetic;
+
+    fn read(bytes: &[u8], graph: &PacketGraph) -> codec_core::Result<Feedback> {
+        // What an earlier receipt has left behind does not show.
+        let mut feedback = Feedback { received: vec![PacketIndex(1)], playout_start: Some(Nanos(7)) };
+        super::read(bytes, graph, &mut feedback).map(|()| feedback)
+    }
 
     fn graph() -> PacketGraph {
         Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap()

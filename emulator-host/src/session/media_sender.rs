@@ -8,7 +8,7 @@
 use std::{collections::VecDeque, ops::Deref};
 
 use super::{
-    feedback,
+    feedback::{self, Feedback},
     forecast::Forecasts,
     loss_share::LossShare,
     outlook::{Outlook, PathFacts},
@@ -90,6 +90,8 @@ pub struct MediaSender<G, S> {
     counts: SenderCounts,
     loss: LossShare,
     forecasts: Forecasts,
+    /// What the last receipt said; kept, so that reading one costs no allocation.
+    feedback: Feedback,
 }
 
 impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
@@ -120,6 +122,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             counts: SenderCounts::default(),
             loss: LossShare::new(),
             forecasts: Forecasts::default(),
+            feedback: Feedback::default(),
             graph,
         };
         sender.look(path, now);
@@ -282,12 +285,17 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// The bytes of a receipt have come; [`Self::look`] is to be called after it. A receipt that cannot be
     /// read is counted and ignored.
     pub fn on_receipt(&mut self, bytes: &[u8]) {
-        let Ok(feedback) = feedback::read(bytes, &self.graph) else {
-            self.counts.refused_receipts += 1;
-            return;
-        };
-        for packet in feedback.received {
-            self.set_status(packet, PacketStatus::Delivered);
+        let mut feedback = std::mem::take(&mut self.feedback);
+        match feedback::read(bytes, &self.graph, &mut feedback) {
+            Ok(()) => self.on_feedback(&feedback),
+            Err(_) => self.counts.refused_receipts += 1,
+        }
+        self.feedback = feedback;
+    }
+
+    fn on_feedback(&mut self, feedback: &Feedback) {
+        for packet in &feedback.received {
+            self.set_status(*packet, PacketStatus::Delivered);
         }
         // Until playout starts, what is worth sending follows from what is known to be there.
         self.starved &= self.known_start.is_some();

@@ -5,14 +5,18 @@ use std::sync::Arc;
 use super::{
     Limits, TraceError,
     lines::{check_points, check_text, decimal, field, lines},
+    steps,
 };
 use crate::clock::Nanos;
 
-/// One-way delays, one per interval, repeating at the end. Not empty.
+/// Longest delay of a trace, ms.
+pub(super) const MOST_MS: f64 = 60_000.0;
+
+/// One-way delays that hold from one time to the next, repeating at the end. Not empty.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DelayTrace {
-    delays: Arc<[Nanos]>,
-    interval: Nanos,
+    delays: Arc<[(Nanos, Nanos)]>,
+    period: Nanos,
 }
 
 impl DelayTrace {
@@ -28,22 +32,37 @@ impl DelayTrace {
         let mut delays = Vec::new();
         for line in lines(bytes, limits) {
             let (number, text) = line?;
-            let Some(ms) = decimal(text).filter(|ms| *ms <= 60_000.0) else {
+            let Some(ms) = decimal(text).filter(|ms| *ms <= MOST_MS) else {
                 return Err(field(number, "delay in ms", text, "a decimal number from 0 to 60000"));
             };
-            delays.push(Nanos((ms * 1e6).round() as u64));
+            delays.push((interval.times(delays.len() as u64), Nanos((ms * 1e6).round() as u64)));
             check_points(delays.len(), limits)?;
         }
-        if delays.is_empty() {
-            return Err(TraceError::NoCapacity);
-        }
-        Ok(Self { delays: delays.into(), interval })
+        let period = interval.times(delays.len() as u64);
+        if delays.is_empty() { Err(TraceError::NoCapacity) } else { Ok(Self::of(delays, period)) }
+    }
+
+    /// From (time, delay) in order of time, the first at zero, all before `period`.
+    pub(super) fn of(delays: Vec<(Nanos, Nanos)>, period: Nanos) -> Self {
+        Self { delays: delays.into(), period }
     }
 
     /// The delay that holds at `now`.
     pub fn at(&self, now: Nanos) -> Nanos {
-        let slot = now.0 / self.interval.0 % self.delays.len() as u64;
-        self.delays[slot as usize]
+        steps::at(&self.delays, self.period, now).unwrap_or(Nanos::ZERO)
+    }
+
+    /// The median over the points of the trace.
+    pub fn median(&self) -> Nanos {
+        let mut delays: Vec<Nanos> = self.delays.iter().map(|(_, delay)| *delay).collect();
+        delays.sort_unstable();
+        delays.get(delays.len() / 2).copied().unwrap_or(Nanos::ZERO)
+    }
+
+    /// The whole trace, entered at `offset`.
+    #[must_use]
+    pub fn starting_at(&self, offset: Nanos) -> Self {
+        Self::of(steps::starting_at(&self.delays, self.period, offset), self.period)
     }
 }
 

@@ -22,6 +22,7 @@ mod rate;
 mod render;
 mod repair;
 mod serve;
+mod sims;
 mod skips;
 mod stress;
 mod structure;
@@ -153,6 +154,11 @@ pub const ALL: &[Experiment] = &[
         name: "gpu",
         about: "wgpu backend: time per stage beside its error, world batches",
         run: gpu::run,
+    },
+    Experiment {
+        name: "sims",
+        about: "deliveries of 30 s at 5 Mbit/s per second and core, time per packet event",
+        run: sims::run,
     },
     Experiment {
         name: "quic-model",

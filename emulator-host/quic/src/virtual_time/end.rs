@@ -199,7 +199,7 @@ pub(super) fn controller(
             cubic.initial_window(window);
             Ok(Arc::new(cubic))
         }
-        ControllerKind::BbrModel => Err(VirtualError::Unsupported {
+        ControllerKind::BbrModel | ControllerKind::Scream => Err(VirtualError::Unsupported {
             field: "controller",
             found: kind.name().to_owned(),
             allowed: "newreno or cubic",

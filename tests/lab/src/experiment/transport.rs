@@ -1,6 +1,7 @@
 //! Prints what schedulers deliver: over measured traces, beside the best that was possible, and in pictures.
 
 pub(super) mod channels;
+mod controllers;
 mod optimum;
 mod paired;
 mod pictures;
@@ -12,8 +13,14 @@ use crate::{figures::Bench, setup::Setup};
 
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
-    let parts = [optimum::protocol(setup), pictures::protocol(setup), schedulers::protocol(setup)];
+    let parts = [
+        controllers::protocol(setup),
+        optimum::protocol(setup),
+        pictures::protocol(setup),
+        schedulers::protocol(setup),
+    ];
     let mut bench = Bench::new("transport", parts.join("; "));
+    controllers::run(&mut bench)?;
     let channels = channels::all(setup, &mut bench)?;
     optimum::run(&mut bench, setup, &channels)?;
     pictures::run(&mut bench, setup, &channels)?;

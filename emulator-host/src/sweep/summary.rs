@@ -1,0 +1,236 @@
+//! Summarises the simulations of a sweep: means, differences from a baseline, and intervals by trace.
+//!
+//! Differences are paired: a scheduler and the baseline in the same block under the same controller.
+//! Intervals are those of a cluster bootstrap: traces are drawn with replacement, then windows within them,
+//! because windows of one trace resemble each other.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::Trial;
+use crate::rng::{Stream, stream};
+
+type Column = (&'static str, fn(&Trial) -> f64);
+
+/// Draws of an interval.
+const RESAMPLES: usize = 1000;
+/// What is summarised, by name.
+const COLUMNS: [Column; 6] = [
+    ("startup_ms", |trial| trial.startup_ms),
+    ("miss", |trial| trial.miss),
+    ("base_miss", |trial| trial.base_miss),
+    ("utility", |trial| trial.utility),
+    ("usable_goodput_bps", |trial| trial.usable_goodput_bps),
+    ("waste_bytes", |trial| trial.waste_bytes as f64),
+];
+
+/// A mean and its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Over all simulations.
+    pub mean: f64,
+    /// 2.5 % of the draws lie below.
+    pub low: f64,
+    /// 2.5 % of the draws lie above.
+    pub high: f64,
+}
+
+/// One scheduler under one controller and one condition.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Comparison {
+    /// Name of the condition, or `all`.
+    pub condition: String,
+    /// Name of the controller.
+    pub controller: String,
+    /// Name of the scheduler.
+    pub scheduler: String,
+    /// Simulations.
+    pub simulations: u64,
+    /// Those in which playout started without what it waits for.
+    pub startup_not_reached: u64,
+    /// Means by column.
+    pub mean: BTreeMap<&'static str, Estimate>,
+    /// Means of the differences from the baseline, by column.
+    pub less_baseline: BTreeMap<&'static str, Estimate>,
+}
+
+/// All comparisons of a sweep.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// Scheduler that the others are compared with.
+    pub baseline: String,
+    /// Simulations.
+    pub simulations: u64,
+    /// All conditions together first, then each.
+    pub comparisons: Vec<Comparison>,
+}
+
+/// Summarises `trials`, in the order of their numbers, against the scheduler called `baseline`.
+pub fn summary(trials: &[Trial], baseline: &str) -> Summary {
+    let mut conditions: Vec<&str> = Vec::new();
+    for trial in trials {
+        if !conditions.contains(&trial.condition.as_str()) {
+            conditions.push(&trial.condition);
+        }
+    }
+    let mut comparisons = compare("all", trials.iter().collect(), baseline);
+    for condition in conditions {
+        let own = trials.iter().filter(|trial| trial.condition == condition).collect();
+        comparisons.extend(compare(condition, own, baseline));
+    }
+    Summary { baseline: baseline.to_owned(), simulations: trials.len() as u64, comparisons }
+}
+
+/// Controller and scheduler.
+type Arm<'a> = (&'a str, &'a str);
+/// What one window of one trace gave: for each arm and column a value.
+type Window = Vec<f64>;
+
+fn compare(condition: &str, trials: Vec<&Trial>, baseline: &str) -> Vec<Comparison> {
+    let mut arms: Vec<Arm<'_>> = Vec::new();
+    for trial in &trials {
+        let arm = (trial.controller.as_str(), trial.scheduler.as_str());
+        if !arms.contains(&arm) {
+            arms.push(arm);
+        }
+    }
+    let traces = windows(&trials, &arms);
+    let everything: Vec<&Window> = traces.iter().flatten().collect();
+    let means = mean_of(&everything);
+    let mut luck = stream(0, "sweep/summary");
+    let mut drawn: Vec<Window> = (0..RESAMPLES).map(|_| mean_of(&resample(&traces, &mut luck))).collect();
+    let mut comparisons = Vec::new();
+    for (at, (controller, scheduler)) in arms.iter().enumerate() {
+        let base = arms.iter().position(|arm| *arm == (*controller, baseline)).unwrap_or(at);
+        let own = || trials.iter().filter(|t| (t.controller.as_str(), t.scheduler.as_str()) == arms[at]);
+        let mut comparison = Comparison {
+            condition: condition.to_owned(),
+            controller: (*controller).to_owned(),
+            scheduler: (*scheduler).to_owned(),
+            simulations: own().count() as u64,
+            startup_not_reached: own().filter(|trial| !trial.startup_reached).count() as u64,
+            mean: BTreeMap::new(),
+            less_baseline: BTreeMap::new(),
+        };
+        for (column, (name, _)) in COLUMNS.iter().enumerate() {
+            let of = |arm: usize, window: &Window| window[arm * COLUMNS.len() + column];
+            let value = |window: &Window| of(at, window);
+            comparison.mean.insert(name, estimate(&means, &mut drawn, &value));
+            let difference = |window: &Window| of(at, window) - of(base, window);
+            comparison.less_baseline.insert(name, estimate(&means, &mut drawn, &difference));
+        }
+        comparisons.push(comparison);
+    }
+    comparisons
+}
+
+/// The windows of each trace. Simulations of one block follow each other, so a window is full when all arms
+/// have been entered.
+fn windows(trials: &[&Trial], arms: &[Arm<'_>]) -> Vec<Vec<Window>> {
+    let mut by_trace: BTreeMap<&str, Vec<Window>> = BTreeMap::new();
+    for block in trials.chunks(arms.len().max(1)) {
+        let window = block.iter().flat_map(|trial| COLUMNS.map(|(_, of)| of(trial))).collect();
+        by_trace.entry(block[0].trace.as_str()).or_default().push(window);
+    }
+    by_trace.into_values().collect()
+}
+
+fn resample<'a>(traces: &'a [Vec<Window>], luck: &mut Stream) -> Vec<&'a Window> {
+    let mut sample = Vec::new();
+    for _ in 0..traces.len() {
+        let trace = &traces[luck.up_to(traces.len() as u64 - 1) as usize];
+        sample.extend((0..trace.len()).map(|_| &trace[luck.up_to(trace.len() as u64 - 1) as usize]));
+    }
+    sample
+}
+
+/// Value by value.
+fn mean_of(windows: &[&Window]) -> Window {
+    let mut sum = vec![0.0; windows.first().map_or(0, |window| window.len())];
+    for window in windows {
+        sum.iter_mut().zip(*window).for_each(|(sum, value)| *sum += value);
+    }
+    sum.iter_mut().for_each(|sum| *sum /= windows.len() as f64);
+    sum
+}
+
+fn estimate(means: &Window, drawn: &mut [Window], value: &dyn Fn(&Window) -> f64) -> Estimate {
+    let mut values: Vec<f64> = drawn.iter().map(value).collect();
+    values.sort_by(f64::total_cmp);
+    let at = |share: f64| values[(share * values.len() as f64) as usize];
+    Estimate { mean: value(means), low: at(0.025), high: at(0.975) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two schedulers in blocks of (trace, miss of the first, miss of the second).
+    fn trials(blocks: &[(usize, f64, f64)]) -> Vec<Trial> {
+        let mut trials = Vec::new();
+        for (trace, one, other) in blocks {
+            for (scheduler, miss) in [("layered", one), ("dash", other)] {
+                trials.push(Trial {
+                    simulation: trials.len() as u64,
+                    trace: format!("trace {trace}"),
+                    family: "made".into(),
+                    condition: "clean".into(),
+                    replicate: 0,
+                    controller: "newreno".into(),
+                    scheduler: scheduler.into(),
+                    startup_ms: 100.0,
+                    startup_reached: true,
+                    miss: *miss,
+                    base_miss: 0.0,
+                    utility: 1.0,
+                    goodput_bps: 1e6,
+                    usable_goodput_bps: 1e6,
+                    waste_bytes: 0,
+                    lost: 0,
+                    digest: String::new(),
+                });
+            }
+        }
+        trials
+    }
+
+    fn difference(blocks: &[(usize, f64, f64)]) -> Estimate {
+        let summary = summary(&trials(blocks), "layered");
+        let row = summary.comparisons.iter().find(|row| row.scheduler == "dash").unwrap();
+        row.less_baseline["miss"]
+    }
+
+    #[test]
+    fn a_difference_in_every_pair_is_certain_however_much_windows_differ() {
+        let blocks: Vec<(usize, f64, f64)> =
+            (0..40).map(|at| (at / 10, at as f64 / 40.0, at as f64 / 40.0 + 0.01)).collect();
+        let found = difference(&blocks);
+        assert!((found.mean - 0.01).abs() < 1e-9, "{found:?}");
+        assert!(found.low > 0.0099 && found.high < 0.0101, "{found:?}");
+        // Without pairs the same difference would drown.
+        let summary = summary(&trials(&blocks), "layered");
+        let mean = summary.comparisons[0].mean["miss"];
+        assert!(mean.high - mean.low > 0.1, "{mean:?}");
+    }
+
+    #[test]
+    fn windows_of_one_trace_do_not_pass_for_independent() {
+        let alike: Vec<(usize, f64, f64)> = (0..40).map(|at| (at / 10, 0.0, (at / 10) as f64)).collect();
+        let apart: Vec<(usize, f64, f64)> = (0..40).map(|at| (at, 0.0, (at / 10) as f64)).collect();
+        let width = |blocks| {
+            let found: Estimate = difference(blocks);
+            assert!((found.mean - 1.5).abs() < 1e-12 && found.low <= 1.5 && found.high >= 1.5);
+            found.high - found.low
+        };
+        assert!(width(&alike) > 2.0 * width(&apart));
+    }
+
+    #[test]
+    fn a_difference_that_is_luck_is_not_certain() {
+        let blocks: Vec<(usize, f64, f64)> =
+            (0..40).map(|at| (at / 10, 0.5, if at % 2 == 0 { 0.4 } else { 0.61 })).collect();
+        let found = difference(&blocks);
+        assert!(found.low < 0.0 && found.high > 0.0, "{found:?}");
+    }
+}

@@ -1,0 +1,125 @@
+//! Runs the designs of configuration files, and joins their results: `dgs sweep`, `dgs sweep merge`.
+
+use std::path::Path;
+
+use anyhow::{Context, Result};
+use emulator_host::sweep::{Comparison, Summary, Sweep};
+use serde_json::json;
+
+use crate::{
+    args::{SweepAction, SweepArgs, SweepMerge},
+    output::VerbOutput,
+    pipeline::Quiet,
+    progress::Progress,
+    sweep::{self, Config, Folder, Shard},
+};
+
+/// Runs the verb.
+pub fn run(args: &SweepArgs, quiet: Quiet) -> Result<VerbOutput> {
+    if let Some(SweepAction::Merge(args)) = &args.action {
+        return merge(args);
+    }
+    // The parser demands both where no action is named.
+    let (config, out) = args.config.as_deref().zip(args.out.as_deref()).context("CONFIG and --out")?;
+    let beside = config.parent().unwrap_or(Path::new("."));
+    let config = Config::read(config, args.traces.as_deref().unwrap_or(beside))?;
+    let sweep = Sweep::new(config.design)?;
+    let folder = Folder::open(out, &config.text, sweep.blocks(), !args.no_trajectories)?;
+    let mut pool = rayon::ThreadPoolBuilder::new();
+    if let Some(threads) = args.threads {
+        pool = pool.num_threads(threads);
+    }
+    let whole = sweep.blocks() * sweep.simulations_per_block();
+    let progress = Progress::new(&format!("{whole} simulations"), quiet.0);
+    let shard = args.shard.unwrap_or(Shard::WHOLE);
+    let progressed = pool.build()?.install(|| sweep::run(&sweep, &folder, shard, &progress))?;
+    drop(progress);
+    let summary = folder.finish(config.baseline.name())?;
+    let missing = folder.missing().len();
+    let estimate = progressed.estimate(whole);
+    let mut text = format!(
+        "{whole} simulations of {} frames in {} batches; {} of {} batches of this share were there\n",
+        sweep.frames(),
+        folder.batches(),
+        progressed.found,
+        progressed.batches
+    );
+    if let Some(estimate) = &estimate {
+        text += &format!("  {estimate}\n");
+    }
+    text += &said(summary.as_ref(), missing);
+    let json = json!({
+        "simulations": whole,
+        "run": progressed.simulations(),
+        "wall_s": progressed.wall.as_secs_f64(),
+        "batches_missing": missing,
+        "estimate": estimate,
+        "summary": summary,
+    });
+    Ok(VerbOutput { text, json, warnings: config.warnings, damaged: false })
+}
+
+fn merge(args: &SweepMerge) -> Result<VerbOutput> {
+    let first = args.folders.first().context("a folder of results is needed")?;
+    let text = Folder::config(first)?;
+    let config = Config::read(&first.join("sweep.toml"), args.traces.as_deref().unwrap_or(first))?;
+    let baseline = config.baseline;
+    let sweep = Sweep::new(config.design)?;
+    let folder = Folder::open(&args.out, &text, sweep.blocks(), false)?;
+    let mut lines = String::new();
+    for other in &args.folders {
+        anyhow::ensure!(
+            Folder::config(other)? == text,
+            "{}: results of another configuration than {}",
+            other.display(),
+            first.display()
+        );
+        lines += &format!("{}: {} batches\n", other.display(), folder.take(other)?);
+    }
+    let summary = folder.finish(baseline.name())?;
+    let missing = folder.missing();
+    lines += &said(summary.as_ref(), missing.len());
+    let json = json!({ "batches_missing": missing, "summary": summary });
+    Ok(VerbOutput { text: lines, json, warnings: config.warnings, damaged: false })
+}
+
+/// The summary, or why there is none.
+fn said(summary: Option<&Summary>, missing: usize) -> String {
+    let Some(summary) = summary else {
+        return format!("  no summary yet: {missing} batches are missing\n");
+    };
+    let mut text = format!(
+        "  means; in brackets the paired difference from {} with its 95 % interval, by trace, then window\n",
+        summary.baseline
+    );
+    let mut condition = "";
+    for comparison in &summary.comparisons {
+        if comparison.condition != condition {
+            condition = &comparison.condition;
+            text += &format!("  {condition}\n");
+        }
+        text += &line(comparison, &summary.baseline);
+    }
+    text
+}
+
+fn line(comparison: &Comparison, baseline: &str) -> String {
+    let column = |name: &str, scale: f64, digits: usize| {
+        let mean = comparison.mean[name].mean * scale;
+        if comparison.scheduler == baseline {
+            return format!("{name} {mean:.digits$}");
+        }
+        let less = comparison.less_baseline[name];
+        let [difference, low, high] = [less.mean, less.low, less.high].map(|value| value * scale);
+        format!("{name} {mean:.digits$} [{difference:+.digits$}: {low:+.digits$} to {high:+.digits$}]")
+    };
+    format!(
+        "    {:10} {:22}  {} ms  {} %  {}  [{} runs]\n",
+        comparison.controller,
+        comparison.scheduler,
+        column("startup_ms", 1.0, 0),
+        column("miss", 100.0, 2),
+        column("utility", 1.0, 4),
+        comparison.simulations
+    )
+}

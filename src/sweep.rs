@@ -1,0 +1,108 @@
+//! Runs sweeps of the emulator: a configuration becomes blocks, blocks become files, files become a summary.
+//!
+//! A folder of results holds `sweep.toml` (the configuration), and per batch of blocks `runs/NNNNN.jsonl` (a
+//! line per simulation) and `trajectories/NNNNN.parquet` (a row per frame). A batch is written whole, so a
+//! process that is killed loses the batches that it was at and nothing else; whoever runs the same
+//! configuration into the same folder does what is missing. Shards take every n-th batch. Once all batches
+//! are there, `runs.jsonl` and `summary.json` follow from them, byte by byte the same however they were made.
+
+mod config;
+mod estimate;
+mod folder;
+mod trajectory;
+
+pub(crate) use self::{
+    config::Config,
+    estimate::{Cost, Progressed},
+    folder::Folder,
+};
+
+use std::time::Instant;
+
+use anyhow::{Context, Result};
+use emulator_host::sweep::Sweep;
+use rayon::prelude::*;
+
+use crate::progress::Progress;
+
+/// Which share of the batches a process runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shard {
+    /// From 1.
+    index: u64,
+    count: u64,
+}
+
+impl Shard {
+    /// All of it.
+    pub(crate) const WHOLE: Self = Self { index: 1, count: 1 };
+
+    /// Parses `i/n`.
+    ///
+    /// # Errors
+    /// What is allowed, in words.
+    pub(crate) fn parse(text: &str) -> Result<Self, String> {
+        let numbers = text.split_once('/').and_then(|(i, n)| i.parse().ok().zip(n.parse().ok()));
+        match numbers {
+            Some((index, count)) if (1..=count).contains(&index) && count <= 1_000_000 => {
+                Ok(Self { index, count })
+            }
+            _ => Err("i/n with i from 1 to n and n up to 1000000 is allowed, such as 3/8".to_owned()),
+        }
+    }
+
+    fn has(self, batch: u64) -> bool {
+        batch % self.count == self.index - 1
+    }
+}
+
+/// Runs what `shard` lacks in `folder`, batches in parallel on the threads of the caller's pool.
+///
+/// # Errors
+/// A simulation that is refused, or a file that cannot be written; what was finished stays.
+pub(crate) fn run(sweep: &Sweep, folder: &Folder, shard: Shard, progress: &Progress) -> Result<Progressed> {
+    let own: Vec<u64> = (0..folder.batches()).filter(|batch| shard.has(*batch)).collect();
+    let missing: Vec<u64> = own.iter().copied().filter(|batch| !folder.has(*batch)).collect();
+    let start = Instant::now();
+    let done = std::sync::atomic::AtomicUsize::new(0);
+    let cost: Result<Vec<Cost>> = missing
+        .par_iter()
+        .map(|batch| {
+            let start = Instant::now();
+            let mut trials = Vec::new();
+            for block in folder.blocks_of(*batch) {
+                trials.extend(sweep.run_block(block).with_context(|| format!("block {block}"))?);
+            }
+            let simulated = start.elapsed();
+            let bytes = folder.write(*batch, &trials)?;
+            let done = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+            progress.at(done as f64 / missing.len() as f64);
+            Ok(Cost { simulations: trials.len() as u64, bytes, simulated })
+        })
+        .collect();
+    Ok(Progressed {
+        costs: cost?,
+        wall: start.elapsed(),
+        found: (own.len() - missing.len()) as u64,
+        batches: own.len() as u64,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shards_take_every_batch_once() {
+        for count in 1..7 {
+            let shards: Vec<Shard> =
+                (1..=count).map(|index| Shard::parse(&format!("{index}/{count}")).unwrap()).collect();
+            for batch in 0..40 {
+                assert_eq!(shards.iter().filter(|shard| shard.has(batch)).count(), 1);
+            }
+        }
+        for text in ["", "3", "0/4", "5/4", "1/0", "-1/4", "1/1000001", "a/b"] {
+            assert!(Shard::parse(text).is_err(), "{text}");
+        }
+    }
+}

@@ -1,0 +1,303 @@
+//! Reads the configuration of a sweep, and says of what cannot be used: file, key, found, allowed.
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use emulator_host::{
+    ControllerKind, Nanos, PolicyKind, Rate, Trace,
+    graph::{Dependencies, Profile, Synthetic},
+    link::LossModel,
+    sweep::{Condition, Design, SweptTrace},
+    trace::Step,
+};
+use serde::Deserialize;
+
+use crate::pipeline;
+
+/// Bytes of the largest configuration.
+const MOST_BYTES: u64 = 1 << 20;
+/// Most simulations of a design.
+const MOST_SIMULATIONS: u64 = 100_000_000;
+
+/// A configuration as it is written.
+#[derive(Clone, Debug)]
+pub(crate) struct Config {
+    /// Its text.
+    pub(crate) text: String,
+    /// What it asks for.
+    pub(crate) design: Design,
+    /// Scheduler that the others are compared with.
+    pub(crate) baseline: PolicyKind,
+    /// What whoever uses its traces should know.
+    pub(crate) warnings: Vec<String>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Document {
+    controllers: Vec<String>,
+    schedulers: Vec<String>,
+    baseline: String,
+    replicates: u32,
+    seed: u64,
+    clip: ClipTable,
+    link: LinkTable,
+    conditions: Vec<ConditionTable>,
+    traces: Vec<TraceTable>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ClipTable {
+    frames: u32,
+    frames_per_second: u32,
+    mbps: f64,
+    clusters: u32,
+    levels: u8,
+    slices: bool,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LinkTable {
+    load: Option<f64>,
+    delay_ms: u64,
+    queue_ms: u64,
+    uplink_mbps: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ConditionTable {
+    name: String,
+    dependencies: String,
+    repair: u32,
+    loss_percent: f64,
+    burst: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TraceTable {
+    name: String,
+    family: String,
+    file: Option<String>,
+    delay_file: Option<String>,
+    constant_mbps: Option<f64>,
+    bursty: Option<u64>,
+    delay_ms: Option<u64>,
+}
+
+impl Config {
+    /// Reads the configuration `path`; files of traces lie in `traces`.
+    ///
+    /// # Errors
+    /// The file, the key, what was found and what is allowed.
+    pub(crate) fn read(path: &Path, traces: &Path) -> Result<Self> {
+        let named = || path.display().to_string();
+        let size = std::fs::metadata(path).with_context(named)?.len();
+        if size > MOST_BYTES {
+            bail!("{}: {size} bytes, allowed are {MOST_BYTES}", named());
+        }
+        let text = std::fs::read_to_string(path).with_context(named)?;
+        Self::parse(text, traces).with_context(named)
+    }
+
+    fn parse(text: String, traces: &Path) -> Result<Self> {
+        let document: Document = toml::from_str(&text)?;
+        let mut warnings = Vec::new();
+        let design = design(&document, traces, &mut warnings)?;
+        let baseline = scheduler("baseline", &document.baseline)?;
+        if !design.schedulers.contains(&baseline) {
+            bail!("baseline is {:?}, allowed is one of schedulers", document.baseline);
+        }
+        Ok(Self { text, design, baseline, warnings })
+    }
+}
+
+fn design(document: &Document, folder: &Path, warnings: &mut Vec<String>) -> Result<Design> {
+    let names = |key: &str, names: &[String]| -> Result<()> {
+        let repeated = names.iter().enumerate().find(|(at, name)| names[..*at].contains(name));
+        match repeated {
+            _ if names.is_empty() => bail!("{key} is empty, allowed is at least one"),
+            Some((at, name)) => bail!("{key}[{at}] is {name:?} again, allowed is each once"),
+            None => Ok(()),
+        }
+    };
+    names("controllers", &document.controllers)?;
+    names("schedulers", &document.schedulers)?;
+    let condition_names: Vec<String> = document.conditions.iter().map(|table| table.name.clone()).collect();
+    names("conditions.name", &condition_names)?;
+    let trace_names: Vec<String> = document.traces.iter().map(|table| table.name.clone()).collect();
+    names("traces.name", &trace_names)?;
+    let replicates = within("replicates", document.replicates, 1, 1_000_000)?;
+    let clip = clip(&document.clip)?;
+    let each = |key: &'static str| move |(at, name): (usize, &String)| (format!("{key}[{at}]"), name.clone());
+    let controllers = document.controllers.iter().enumerate().map(each("controllers"));
+    let schedulers = document.schedulers.iter().enumerate().map(each("schedulers"));
+    let link = &document.link;
+    let delay_ms = within("link.delay_ms", link.delay_ms, 0, 60_000)?;
+    let swept = |(at, table)| trace(at, table, folder, Nanos::from_ms(delay_ms), warnings);
+    let design = Design {
+        controllers: controllers.map(|(key, name)| controller(&key, &name)).collect::<Result<_>>()?,
+        schedulers: schedulers.map(|(key, name)| scheduler(&key, &name)).collect::<Result<_>>()?,
+        conditions: document.conditions.iter().enumerate().map(condition).collect::<Result<_>>()?,
+        traces: document.traces.iter().enumerate().map(swept).collect::<Result<_>>()?,
+        replicates,
+        seed: document.seed,
+        clip,
+        load: link.load.map(|load| within("link.load", load, 0.01, 100.0)).transpose()?,
+        queue: Nanos::from_ms(within("link.queue_ms", link.queue_ms, 0, 60_000)?),
+        uplink: mbps("link.uplink_mbps", link.uplink_mbps)?,
+    };
+    let simulations = [
+        design.controllers.len(),
+        design.schedulers.len(),
+        design.conditions.len(),
+        design.traces.len(),
+        replicates as usize,
+    ];
+    let simulations = simulations.iter().fold(1u64, |product, n| product.saturating_mul(*n as u64));
+    within("the number of simulations", simulations, 1, MOST_SIMULATIONS)?;
+    Ok(design)
+}
+
+/// `found`, if it is allowed.
+fn within<N: PartialOrd + std::fmt::Display>(key: &str, found: N, least: N, most: N) -> Result<N> {
+    // Not the other way round: NaN is in no range.
+    if found >= least && found <= most {
+        return Ok(found);
+    }
+    bail!("{key} is {found}, allowed {least} to {most}")
+}
+
+fn mbps(key: &str, found: f64) -> Result<Rate> {
+    Ok(Rate((within(key, found, 0.001, 10_000.0)? * 1e6).round() as u64))
+}
+
+fn clip(table: &ClipTable) -> Result<Synthetic> {
+    let per_second = within("clip.frames_per_second", table.frames_per_second, 1, 1000)?;
+    Ok(Synthetic {
+        frames: within("clip.frames", table.frames, 1, 1_000_000)?,
+        frame_interval: Nanos(1_000_000_000 / u64::from(per_second)),
+        window_frames: per_second,
+        clusters: within("clip.clusters", table.clusters, 1, 10_000)?,
+        levels: within("clip.levels", table.levels, 1, 4)?,
+        rate: mbps("clip.mbps", table.mbps)?,
+        profile: if table.slices { Profile::Sliced } else { Profile::AllOrNothing },
+        ..Synthetic::default()
+    })
+}
+
+fn controller(key: &str, name: &str) -> Result<ControllerKind> {
+    let names = ControllerKind::ALL.map(ControllerKind::name).join(", ");
+    let found = ControllerKind::ALL.into_iter().find(|kind| kind.name() == name);
+    found.with_context(|| format!("{key} is {name:?}, allowed {names}"))
+}
+
+fn scheduler(key: &str, name: &str) -> Result<PolicyKind> {
+    let names = PolicyKind::ALL.map(PolicyKind::name).join(", ");
+    let found = PolicyKind::ALL.into_iter().find(|kind| kind.name() == name);
+    found.with_context(|| format!("{key} is {name:?}, allowed {names}"))
+}
+
+fn condition((at, table): (usize, &ConditionTable)) -> Result<Condition> {
+    let key = |field: &str| format!("conditions[{at}].{field}");
+    let dependencies = match table.dependencies.as_str() {
+        "layered" => Dependencies::Layered,
+        "independent" => Dependencies::Independent,
+        other => bail!("{} is {other:?}, allowed layered, independent", key("dependencies")),
+    };
+    let share = within(&key("loss_percent"), table.loss_percent, 0.0, 50.0)? / 100.0;
+    let burst = within(&key("burst"), table.burst, 1.0, 1000.0)?;
+    let loss = if share == 0.0 {
+        LossModel::None
+    } else if burst == 1.0 {
+        LossModel::Iid(share)
+    } else {
+        // The share of time in the bad state is enter ÷ (enter + leave).
+        let leave_bad = 1.0 / burst;
+        let enter_bad = share * leave_bad / (1.0 - share);
+        LossModel::GilbertElliott { enter_bad, leave_bad, loss_good: 0.0, loss_bad: 1.0 }
+    };
+    let repair = within(&key("repair"), table.repair, 0, 64)?;
+    Ok(Condition { name: table.name.clone(), dependencies, repair: (repair > 0).then_some(repair), loss })
+}
+
+fn trace(
+    at: usize,
+    table: &TraceTable,
+    folder: &Path,
+    delay: Nanos,
+    warnings: &mut Vec<String>,
+) -> Result<SweptTrace> {
+    let key = |field: &str| format!("traces[{at}].{field}");
+    let minute = Nanos::from_s(60);
+    let mut replay = match (&table.file, table.constant_mbps, table.bursty) {
+        (Some(file), None, None) => pipeline::read_replay(&folder.join(file)).with_context(|| key("file"))?,
+        (None, Some(rate), None) => {
+            let step = Step { at: Nanos::ZERO, rate: mbps(&key("constant_mbps"), rate)? };
+            Trace::steps("constant", vec![step], minute).with_context(|| key("constant_mbps"))?.into()
+        }
+        (None, None, Some(seed)) => Trace::bursty(seed, minute).into(),
+        _ => bail!("traces[{at}] ({:?}) needs one of file, constant_mbps, bursty", table.name),
+    };
+    if let Some(file) = &table.delay_file {
+        if replay.delay.is_some() {
+            bail!("traces[{at}] ({:?}) has delays; no delay_file is allowed beside them", table.name);
+        }
+        replay.delay = Some(pipeline::read_delays(&folder.join(file)).with_context(|| key("delay_file"))?);
+    }
+    let capacity = &replay.capacity;
+    warnings.extend(capacity.warnings().iter().map(|warning| format!("trace {}: {warning}", table.name)));
+    let delay = match table.delay_ms {
+        Some(ms) => Nanos::from_ms(within(&key("delay_ms"), ms, 0, 60_000)?),
+        None if replay.delay.is_some() => Nanos::ZERO,
+        None => capacity.base_rtt().map_or(delay, |round_trip| Nanos(round_trip.0 / 2)),
+    };
+    Ok(SweptTrace { name: table.name.clone(), family: table.family.clone(), replay, delay })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const QUICK: &str = include_str!("../../tests/sweeps/quick.toml");
+
+    fn parsed(text: &str) -> Result<Config> {
+        Config::parse(text.to_owned(), Path::new("."))
+    }
+
+    #[test]
+    fn the_quick_design_is_read() {
+        let config = parsed(QUICK).unwrap();
+        assert_eq!(config.baseline, PolicyKind::Layered);
+        assert_eq!(config.design.replicates, 3);
+        assert!(config.warnings.is_empty());
+    }
+
+    #[test]
+    fn what_cannot_be_used_is_named_with_key_found_and_allowed() {
+        for (from, to, words) in [
+            ("\"layered\",", "\"lifo\",", "schedulers[0] is \"lifo\", allowed dash, deadline-utility"),
+            ("\"newreno\"", "\"reno\"", "controllers[0] is \"reno\", allowed newreno, cubic"),
+            ("\"newreno\"", "\"bbr-model\"", "controllers[1] is \"bbr-model\" again, allowed is each once"),
+            ("replicates = 3", "replicates = 0", "replicates is 0, allowed 1 to 1000000"),
+            ("replicates = 3", "repeats = 3", "unknown field `repeats`"),
+            ("replicates = 3", "replicates = -3", "expected u32"),
+            ("replicates = 3", "", "missing field `replicates`"),
+            ("frames = 60", "frames = 0", "clip.frames is 0, allowed 1 to 1000000"),
+            ("load = 1.2", "load = nan", "link.load is NaN, allowed 0.01 to 100"),
+            ("loss_percent = 2.0", "loss_percent = 60.0", "loss_percent is 60, allowed 0 to 50"),
+            ("dependencies = \"layered\"", "dependencies = \"some\"", "allowed layered, independent"),
+            ("constant_mbps = 5.0", "bursty = 1\nconstant_mbps = 5.0", "needs one of file, constant_mbps"),
+            ("constant_mbps = 5.0", "file = \"none.csv\"", "none.csv"),
+            ("baseline = \"layered\"", "baseline = \"cubic\"", "baseline is \"cubic\", allowed dash"),
+            ("baseline = \"layered\"", "baseline = \"dependency\"", "allowed is one of schedulers"),
+        ] {
+            assert!(QUICK.contains(from), "{from}");
+            let error = format!("{:#}", parsed(&QUICK.replacen(from, to, 1)).unwrap_err());
+            assert!(error.contains(words), "{to}: {error}");
+        }
+    }
+}

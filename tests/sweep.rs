@@ -1,0 +1,169 @@
+//! Sweeps from the command line: the same bytes on any number of threads and shards, and after a kill.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
+
+use std::{
+    collections::BTreeMap,
+    fs,
+    path::{Path, PathBuf},
+    process::{Command, Output, Stdio},
+    time::{Duration, Instant, SystemTime},
+};
+
+fn quick() -> String {
+    Path::new("tests/sweeps/quick.toml").canonicalize().unwrap().to_str().unwrap().to_owned()
+}
+
+fn command(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_dgs"));
+    command.args(args);
+    command
+}
+
+fn ok(args: &[&str]) -> String {
+    let Output { status, stdout, stderr } = command(args).output().unwrap();
+    assert!(status.success(), "dgs {args:?}: {}", String::from_utf8_lossy(&stderr));
+    String::from_utf8(stdout).unwrap()
+}
+
+fn refused(args: &[&str]) -> String {
+    let output = command(args).output().unwrap();
+    assert_eq!(output.status.code(), Some(1), "dgs {args:?}");
+    String::from_utf8(output.stderr).unwrap()
+}
+
+/// Every file of a folder of results by its name.
+fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let mut found = BTreeMap::new();
+    let mut open = vec![folder.to_owned()];
+    while let Some(at) = open.pop() {
+        for entry in fs::read_dir(at).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                open.push(path);
+            } else {
+                found.insert(path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap());
+            }
+        }
+    }
+    found
+}
+
+fn at(folder: &tempfile::TempDir, name: &str) -> String {
+    folder.path().join(name).to_str().unwrap().to_owned()
+}
+
+#[test]
+fn threads_and_shards_change_no_byte() {
+    let folder = tempfile::tempdir().unwrap();
+    let (quick, one) = (quick(), at(&folder, "one"));
+    let text = ok(&["sweep", &quick, "-o", &one, "--threads", "1"]);
+    assert!(text.contains("72 simulations of 60 frames in 3 batches"), "{text}");
+    assert!(text.contains("72 of 72 simulations took") && text.contains("deadline-utility"), "{text}");
+    let expected = contents(Path::new(&one));
+    assert_eq!(expected.len(), 1 + 2 * 3 + 2, "{:?}", expected.keys());
+    let runs = String::from_utf8(expected[Path::new("runs.jsonl")].clone()).unwrap();
+    assert_eq!(runs.lines().count(), 72);
+
+    let four = at(&folder, "four");
+    ok(&["sweep", &quick, "-o", &four, "--threads", "4"]);
+    assert!(contents(Path::new(&four)) == expected, "four threads give other bytes");
+
+    let shards: Vec<String> = (1..=3).map(|shard| at(&folder, &format!("shard{shard}"))).collect();
+    for (number, shard) in (1..).zip(&shards) {
+        let text = ok(&["sweep", &quick, "-o", shard, "--shard", &format!("{number}/3")]);
+        assert!(text.contains("24 of 72 simulations took") && text.contains("no summary yet"), "{text}");
+    }
+    let merged = at(&folder, "merged");
+    let text = ok(&["sweep", "merge", &shards[2], &shards[0], "-o", &merged]);
+    assert!(text.contains("no summary yet: 1 batches are missing"), "{text}");
+    ok(&["sweep", "merge", &shards[1], "-o", &merged]);
+    assert!(contents(Path::new(&merged)) == expected, "merged shards give other bytes");
+
+    // A batch that differs is named, not taken.
+    let batch = Path::new(&shards[0]).join("runs/00000.jsonl");
+    fs::write(&batch, fs::read_to_string(&batch).unwrap().replacen("layered", "Layered", 1)).unwrap();
+    let error = refused(&["sweep", "merge", &shards[0], "-o", &merged]);
+    assert!(error.contains("00000.jsonl") && error.contains("are the same batch and differ"), "{error}");
+}
+
+#[test]
+fn a_killed_sweep_loses_nothing_that_was_finished() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = at(&folder, "long.toml");
+    let text = fs::read_to_string(quick()).unwrap().replace("replicates = 3", "replicates = 40");
+    fs::write(&config, text).unwrap();
+    let (killed, whole) = (at(&folder, "killed"), at(&folder, "whole"));
+    let args = ["sweep", &config, "-o", &killed, "--threads", "1"];
+    let mut child = command(&args).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let runs = Path::new(&killed).join("runs");
+    let finished = || -> Vec<PathBuf> {
+        let Ok(entries) = fs::read_dir(&runs) else { return Vec::new() };
+        let paths = entries.map(|entry| entry.unwrap().path());
+        paths.filter(|path| path.extension().is_some_and(|extension| extension == "jsonl")).collect()
+    };
+    let start = Instant::now();
+    while finished().len() < 3 {
+        assert!(start.elapsed() < Duration::from_secs(120), "no batch was finished");
+        assert!(child.try_wait().unwrap().is_none(), "the sweep was over before it was killed");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let written: Vec<(PathBuf, SystemTime)> = finished()
+        .into_iter()
+        .map(|path| {
+            let time = fs::metadata(&path).unwrap().modified().unwrap();
+            (path, time)
+        })
+        .collect();
+    assert!((3..40).contains(&written.len()), "{}", written.len());
+    let said = ok(&["sweep", &config, "-o", &killed]);
+    assert!(said.contains(&format!("{} of 40 batches of this share were there", written.len())), "{said}");
+    for (path, time) in written {
+        assert_eq!(fs::metadata(&path).unwrap().modified().unwrap(), time, "{path:?} was made again");
+    }
+    ok(&["sweep", &config, "-o", &whole]);
+    let clean = |folder: &str| -> BTreeMap<PathBuf, Vec<u8>> {
+        contents(Path::new(folder)).into_iter().filter(|(name, _)| !is_hidden(name)).collect()
+    };
+    assert!(clean(&killed) == clean(&whole), "a resumed sweep gives other bytes");
+}
+
+/// What a killed process leaves under a temporary name.
+fn is_hidden(name: &Path) -> bool {
+    name.file_name().unwrap().to_str().unwrap().starts_with('.')
+}
+
+#[test]
+fn what_cannot_be_used_is_named_with_file_key_found_and_allowed() {
+    let folder = tempfile::tempdir().unwrap();
+    let (config, out) = (at(&folder, "bad.toml"), at(&folder, "out"));
+    let text = fs::read_to_string(quick()).unwrap();
+    fs::write(&config, text.replace("delay_ms = 20", "delay_ms = 90000")).unwrap();
+    let error = refused(&["sweep", &config, "-o", &out]);
+    assert!(error.contains("bad.toml: link.delay_ms is 90000, allowed 0 to 60000"), "{error}");
+    assert!(!Path::new(&out).exists(), "nothing is made of a refused configuration");
+    fs::write(&config, "controllers = [").unwrap();
+    let error = refused(&["sweep", &config, "-o", &out]);
+    assert!(error.contains("bad.toml") && error.contains("line 1"), "{error}");
+    let error = refused(&["sweep", &at(&folder, "none.toml"), "-o", &out]);
+    assert!(error.contains("none.toml"), "{error}");
+
+    ok(&["sweep", &quick(), "-o", &out, "--shard", "1/3", "--no-trajectories"]);
+    fs::write(&config, text.replace("seed = 1", "seed = 2")).unwrap();
+    let error = refused(&["sweep", &config, "-o", &out]);
+    assert!(error.contains("sweep.toml: results of another configuration"), "{error}");
+    let error = refused(&["sweep", "merge", folder.path().to_str().unwrap(), "-o", &out]);
+    assert!(error.contains("no results of a sweep here"), "{error}");
+}
+
+/// The committed design is the paper's.
+#[test]
+fn the_papers_design_has_as_many_simulations_as_the_paper() {
+    let text = fs::read_to_string("tests/sweeps/paper.toml").unwrap();
+    let tables = |name: &str| text.lines().filter(|line| *line == format!("[[{name}]]")).count();
+    assert_eq!((tables("conditions"), tables("traces")), (8, 7));
+    assert!(text.contains("replicates = 100") && text.contains("frames = 151"));
+    assert_eq!(2 * 4 * 8 * 7 * 100, 44_800);
+}
