@@ -1,5 +1,6 @@
 //! Parses the command line: one struct per verb, whose meaning is in `command`.
 
+mod camera;
 mod codec;
 mod device;
 mod number;
@@ -13,6 +14,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use render_host::camera::MAX_SIDE;
 
 pub use self::{
+    camera::CameraArgs,
     codec::{CodecArgs, ProfileName},
     device::DeviceName,
     scene::{SceneArgs, Up},
@@ -49,7 +51,7 @@ pub enum Verb {
     Inspect(Inspect),
     /// Decode a .dgs file to PLY or SPZ frames.
     Decode(Decode),
-    /// Render a scene or a .dgs file to PNG.
+    /// Render a scene or a .dgs file to pictures, an animation or a video.
     Render(Render),
     /// Send a scene or a .dgs file over an emulated link under one scheduler.
     Stream(StreamArgs),
@@ -63,7 +65,7 @@ pub enum Verb {
     Bench(Bench),
 }
 
-/// Where to look from.
+/// What pictures are.
 #[derive(Clone, Debug, Args)]
 pub struct ViewArgs {
     /// Image width, 1 to 16384 pixels [default: 512, or what a file of cameras says].
@@ -190,6 +192,13 @@ pub struct Encode {
     /// How to encode it.
     #[command(flatten)]
     pub codec: CodecArgs,
+    /// Where --target-psnr is measured from [default: three cameras around the scene, 28° above the horizon,
+    /// 256 × 256 pixels].
+    #[command(flatten)]
+    pub cameras: CameraArgs,
+    /// What the pictures of --target-psnr are.
+    #[command(flatten)]
+    pub view: ViewArgs,
     /// What draws the pictures by which steps, a target PSNR and --search choose; utilities are measured on
     /// the processor.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
@@ -270,24 +279,26 @@ pub struct Decode {
 pub struct Render {
     /// A .dgs file or a scene.
     pub input: String,
-    /// NAME.png for one image, or a folder: of all frames from one camera, or with --cameras of one image
-    /// per camera.
+    /// NAME.png, .jpg or .webp for one image; .apng or .gif for an animation; .mp4 (H.264) or .webm (AV1)
+    /// for a video, by an installed ffmpeg; or a folder of PNG. Several images are all frames from one camera,
+    /// or one per camera of --cameras or --turntable.
     #[arg(short, long)]
     pub out: PathBuf,
+    /// Frames per second of an animation or video, 0.001 to 10000 [default: the scene's].
+    #[arg(
+        long, value_name = "FPS", value_parser = real(0.001..=10_000.0, "frames per second"),
+        allow_negative_numbers = true
+    )]
+    pub rate: Option<f64>,
     /// The frame of a single image [default: 0, or the time of a camera that has one].
     #[arg(long)]
     pub frame: Option<u32>,
     /// Highest level to use of a stream, 0 to 3.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
     pub level: u8,
-    /// Cameras to look from: a Blender/NeRF transforms_*.json (times 0 to 1 choose frames), or COLMAP's
-    /// cameras and images (.bin or .txt): either file, or the folder with both. Lenses must be undistorted.
-    #[arg(long, value_name = "FILE")]
-    pub cameras: Option<PathBuf>,
-    /// Which camera: its number from 0, or its name in the file of --cameras [default: 0, or all of
-    /// --cameras].
-    #[arg(long, value_name = "NUMBER|NAME")]
-    pub camera: Option<String>,
+    /// Where to look from.
+    #[command(flatten)]
+    pub cameras: CameraArgs,
     /// Replace a folder of images that is there already.
     #[arg(long)]
     pub overwrite: bool,
@@ -297,7 +308,7 @@ pub struct Render {
     /// What renders the images; gpu is in builds with `--features gpu`.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
     pub device: DeviceName,
-    /// Where to look from.
+    /// What pictures are.
     #[command(flatten)]
     pub view: ViewArgs,
     /// How to read a scene.

@@ -32,7 +32,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Verb::Encode(args) => encode::run(&args, quiet),
         Verb::Inspect(args) => inspect::run(&args),
         Verb::Decode(args) => decode::run(&args),
-        Verb::Render(args) => render::run(&args),
+        Verb::Render(args) => render::run(&args, quiet),
         Verb::Stream(args) => stream::run(&args, quiet),
         Verb::Serve(args) => serve::run(&args, quiet),
         Verb::Play(args) => play::run(&args),

@@ -18,6 +18,7 @@ use trainer_host::{
     Scene, Stream,
     encode::{self, Decisions, Encoded, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
+    scene::Up,
     stream::PacketMap,
     train::Checkpoint,
     utility,
@@ -27,7 +28,7 @@ use trainer_host::{
 pub(crate) use self::cache::reference_photographs;
 pub use self::{
     cache::{stored_utilities, utilities, utility_path},
-    cameras::read_cameras,
+    cameras::{Surroundings, Viewpoints, frame_of, read_cameras, viewpoints},
     frames::{Frames, snapshot},
     impair::impairment,
     link::{Link, capacity_bins, link, read_trace},
@@ -66,7 +67,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         let options = synth_options(text, args)?;
         let name = format!("synth {}", options.kind.name());
         let mut scene = synth::make(&options, &limits).with_context(|| format!("cannot make {input}"))?;
-        scene.up = args.up.into();
+        scene.up = args.up.map_or(Up::default(), Into::into);
         return Ok(Loaded { name, scene });
     }
     let clip = match &args.clip {
@@ -93,7 +94,14 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         Some(scene) => scene,
         None => import::import(path, &options)?,
     };
-    scene.up = args.up.into();
+    scene.up = match (args.up, scene.usual_up) {
+        (Some(typed), _) => typed.into(),
+        (None, usual) => {
+            let up = usual.unwrap_or_default();
+            scene.notes.push(format!("up is taken to be {up}; --up says otherwise"));
+            up
+        }
+    };
     let name = path.file_name().map_or_else(|| input.to_owned(), |n| n.to_string_lossy().into_owned());
     Ok(Loaded { name, scene })
 }

@@ -24,6 +24,7 @@
 //! Deliberately absent: files of splats (trainer-host reads them), packets (codec-core), clocks.
 
 pub mod adjoint;
+pub mod animation;
 pub mod backend;
 pub mod camera;
 pub mod counterfactual;

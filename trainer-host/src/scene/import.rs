@@ -41,7 +41,7 @@ pub use limits::Limits;
 pub use sequence::{Identity, SEQUENCE_INDEX, SequenceIndex};
 pub use snapshot::Snapshot;
 
-use crate::scene::Scene;
+use crate::scene::{Scene, Up};
 
 /// How to import.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,8 +83,9 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
         return folder(path, options);
     }
     let bytes = read(path, options)?;
+    let format = sniff(&bytes, path);
     let in_file = |e: ImportError| e.in_file(path);
-    match sniff(&bytes, path) {
+    let scene = match format {
         Format::Gltf => {
             let beside = |name: &str| read_beside(path, name, options, Format::Gltf);
             gltf::parse(&bytes, beside, &options.gltf, &options.limits).map_err(in_file)
@@ -97,6 +98,17 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
             sequence::assemble(vec![(path.to_owned(), frame)], options.identity, options.frames_per_second)
                 .map_err(in_file)
         }
+    }?;
+    Ok(Scene { usual_up: usual_up(format), ..scene })
+}
+
+/// Which way is up in most files of a format. Captures keep the axes of COLMAP, whose y points down; SPZ and
+/// glTF have a y that points up.
+pub fn usual_up(format: Format) -> Option<Up> {
+    match format {
+        Format::Spz | Format::Gltf => Some(Up::Y),
+        Format::Ply | Format::CompressedPly | Format::Splat | Format::Sog | Format::Unity => Some(Up::MinusY),
+        Format::PointsNpz | Format::Sequence | Format::Unknown => None,
     }
 }
 
@@ -144,8 +156,10 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     let (files, notes) = sequence::files(path, &options.limits)?;
     let mut left = options.limits.max_bytes;
     let mut frames = Vec::with_capacity(files.len());
+    let mut up = None;
     for file in files {
         let bytes = read(&file, options)?;
+        up = usual_up(sniff(&bytes, &file));
         // What the frames become is bounded too: a compressed frame may hold far more than its bytes.
         let frame = snapshot_of(&bytes, &file, options)?;
         let per_gaussian = (14 + frame.epoch.attributes().sh_degree.rest_len()) * 4;
@@ -158,7 +172,7 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     }
     let mut scene = sequence::assemble(frames, options.identity, options.frames_per_second)?;
     scene.notes.extend(notes);
-    Ok(scene)
+    Ok(Scene { usual_up: up, ..scene })
 }
 
 /// Reads one still file of any format that is one.
