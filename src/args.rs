@@ -3,6 +3,7 @@
 mod camera;
 mod codec;
 mod device;
+mod frames;
 mod number;
 mod scene;
 mod socket;
@@ -17,6 +18,7 @@ pub use self::{
     camera::CameraArgs,
     codec::{CodecArgs, ProfileName},
     device::DeviceName,
+    frames::FrameRange,
     scene::{SceneArgs, Up},
     socket::{Play, Serve},
 };
@@ -53,6 +55,8 @@ pub enum Verb {
     Decode(Decode),
     /// Render a scene or a .dgs file to pictures, an animation or a video.
     Render(Render),
+    /// Compare two scenes, streams or sets of pictures: PSNR, SSIM, FLIP, LPIPS, attributes.
+    Compare(Compare),
     /// Send a scene or a .dgs file over an emulated link under one scheduler.
     Stream(StreamArgs),
     /// Serve streams or scenes to viewers over QUIC.
@@ -312,6 +316,46 @@ pub struct Render {
     #[command(flatten)]
     pub view: ViewArgs,
     /// How to read a scene.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+}
+
+/// `dgs compare`.
+///
+/// Scenes and streams are rendered from the same cameras, in the coordinates of B. Pictures are compared with
+/// pictures in the order of their names, or with renders from --cameras, by name where names say and else in
+/// order.
+#[derive(Debug, Args)]
+pub struct Compare {
+    /// What is looked at: a scene, a .dgs file, a picture, or a folder of pictures.
+    pub a: String,
+    /// What it is compared with: the reference.
+    pub b: String,
+    /// Write each picture of A, of B and their FLIP error map, side by side, to this folder.
+    #[arg(short, long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
+    /// Replace a folder of images that is there already.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Frames to compare, FIRST..LAST with LAST included, or one of them [default: all].
+    #[arg(long, value_name = "FIRST..LAST")]
+    pub frames: Option<FrameRange>,
+    /// Highest level to use of a stream, 0 to 3.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub level: u8,
+    /// Weights of LPIPS (AlexNet, safetensors), to measure it too.
+    #[arg(long, value_name = "FILE")]
+    pub lpips: Option<PathBuf>,
+    /// What renders pictures; gpu is in builds with `--features gpu`.
+    #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
+    pub device: DeviceName,
+    /// Where to look from.
+    #[command(flatten)]
+    pub cameras: CameraArgs,
+    /// What pictures are.
+    #[command(flatten)]
+    pub view: ViewArgs,
+    /// How to read scenes.
     #[command(flatten)]
     pub scene: SceneArgs,
 }

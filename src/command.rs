@@ -1,6 +1,7 @@
 //! Runs the verbs: one file each, from the command line to steps of the pipeline to a [`output::VerbOutput`].
 
 mod bench;
+mod compare;
 mod decode;
 mod demo;
 mod encode;
@@ -33,6 +34,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Verb::Inspect(args) => inspect::run(&args),
         Verb::Decode(args) => decode::run(&args),
         Verb::Render(args) => render::run(&args, quiet),
+        Verb::Compare(args) => compare::run(&args, quiet),
         Verb::Stream(args) => stream::run(&args, quiet),
         Verb::Serve(args) => serve::run(&args, quiet),
         Verb::Play(args) => play::run(&args),

@@ -28,7 +28,7 @@ use trainer_host::{
 pub(crate) use self::cache::reference_photographs;
 pub use self::{
     cache::{stored_utilities, utilities, utility_path},
-    cameras::{Surroundings, Viewpoints, frame_of, read_cameras, viewpoints},
+    cameras::{Showing, Surroundings, Viewpoints, read_cameras, viewpoints},
     frames::{Frames, snapshot},
     impair::impairment,
     link::{Link, capacity_bins, link, read_trace},

@@ -31,7 +31,7 @@ pub mod counterfactual;
 pub mod counters;
 #[cfg(feature = "gpu")]
 pub mod gpu;
-mod harmonics;
+pub mod harmonics;
 pub mod image;
 pub mod image_file;
 pub mod metric;

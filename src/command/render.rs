@@ -2,10 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
-use render_host::{
-    Backend, Settings, Splats,
-    camera::{Camera, View},
-};
+use render_host::{Backend, Camera, Settings, Splats};
 use serde_json::json;
 use trainer_host::viewpoint::Ring;
 
@@ -13,7 +10,7 @@ use crate::{
     args::Render,
     output::VerbOutput,
     pictures::{PictureOutput, PictureRun, PictureWriter},
-    pipeline::{self, Frames, Quiet, Surroundings},
+    pipeline::{self, Frames, Quiet, Showing, Surroundings, Viewpoints},
     progress::Progress,
 };
 
@@ -94,12 +91,13 @@ fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<(Vec<Pic
     )?;
     let count = frames.count();
     let views = &found.views;
-    let pictures = if single && found.is_list {
+    let is_list = found.showing != Showing::Clip;
+    let pictures = if single && is_list {
         bail!("there are {} cameras; choose one by --camera, or give --out a folder", views.len());
     } else if single {
-        vec![picture(args, &views[0], 0, count)?]
-    } else if found.is_list {
-        let each = views.iter().enumerate().map(|(i, view)| picture(args, view, i, count));
+        vec![picture(args, &found, 0, count)?]
+    } else if is_list {
+        let each = (0..views.len()).map(|i| picture(args, &found, i, count));
         each.collect::<Result<_>>()?
     } else {
         let camera = &views[0].camera;
@@ -111,10 +109,11 @@ fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<(Vec<Pic
 }
 
 /// The image of one camera: at the frame typed, else at its own.
-fn picture(args: &Render, view: &View, index: usize, count: u32) -> Result<Picture> {
+fn picture(args: &Render, found: &Viewpoints, index: usize, count: u32) -> Result<Picture> {
+    let view = &found.views[index];
     let frame = match args.frame {
         Some(frame) => frame,
-        None => pipeline::frame_of(view, index, count)?,
+        None => found.showing.frame_of(view, index, count)?,
     };
     let stem = view.name.rsplit(['/', '\\']).next().unwrap_or_default();
     let stem = stem.rsplit_once('.').map_or(stem, |(stem, _)| stem);

@@ -30,8 +30,34 @@ pub struct Viewpoints {
     pub views: Vec<View>,
     /// For people: what they are.
     pub description: String,
-    /// Whether each is one picture of its own frame; else any of them may show the whole clip.
-    pub is_list: bool,
+    /// Which frames they show.
+    pub showing: Showing,
+}
+
+/// Which frames a list of cameras shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Showing {
+    /// Each may show the whole clip.
+    Clip,
+    /// Each one frame: that of its own time, or the first.
+    OwnFrame,
+    /// Each the frame after that of the camera before, from the first again after the last.
+    PlayAlong,
+}
+
+impl Showing {
+    /// The frame, of `count`, that camera `index` shows first.
+    ///
+    /// # Errors
+    /// A time outside of 0 to 1.
+    pub fn frame_of(self, view: &View, index: usize, count: u32) -> Result<u32> {
+        match view.time {
+            None if self == Self::PlayAlong => Ok(index as u32 % count.max(1)),
+            None => Ok(0),
+            Some(time) if (0.0..=1.0).contains(&time) => Ok((time * f64::from(count - 1)).round() as u32),
+            Some(time) => bail!("{}: time is {time}; 0 to 1 is allowed, or --frame", view.name),
+        }
+    }
 }
 
 /// What cameras are placed around, where none are typed.
@@ -60,18 +86,21 @@ pub fn viewpoints(typed: &CameraArgs, view: &ViewArgs, around: &mut Surroundings
             Some(path) => {
                 let views = read_cameras(path, view.width.zip(view.height))?;
                 let description = format!("{} cameras of {}", views.len(), path.display());
-                Viewpoints { is_list: views.len() > 1, views, description }
+                {
+                    let showing = if views.len() > 1 { Showing::OwnFrame } else { Showing::Clip };
+                    Viewpoints { views, description, showing }
+                }
             }
             None if !around.own.is_empty() => {
                 let description = format!("{} cameras of the scene", around.own.len());
-                Viewpoints { views: unnamed(around.own.to_vec()), description, is_list: false }
+                Viewpoints { views: unnamed(around.own.to_vec()), description, showing: Showing::Clip }
             }
             None => {
                 let (ring, count) = around.ring;
                 let cameras = (around.framing)()?.ring(ring, count, size).context("--width, --height")?;
                 let plural = if count == 1 { "" } else { "s" };
                 let description = format!("{count} camera{plural} around the scene, up {}", around.up);
-                Viewpoints { views: unnamed(cameras), description, is_list: false }
+                Viewpoints { views: unnamed(cameras), description, showing: Showing::Clip }
             }
         },
     };
@@ -88,7 +117,7 @@ pub fn viewpoints(typed: &CameraArgs, view: &ViewArgs, around: &mut Surroundings
     if let Some(text) = &typed.camera {
         let view = choose(&found.views, text)?.clone();
         let description = format!("camera {text} of {}", found.description);
-        found = Viewpoints { views: vec![view], description, is_list: false };
+        found = Viewpoints { views: vec![view], description, showing: Showing::Clip };
     }
     Ok(found)
 }
@@ -102,14 +131,14 @@ fn placed(typed: &CameraArgs, size: (u32, u32), around: &mut Surroundings<'_>) -
         let camera = Camera::look_at(eye, target, framing.up, degrees.to_radians(), size.0, size.1);
         let camera = camera.context("--eye, --target, --up")?;
         let description = format!("1 camera at {eye:?}, up {}", around.up);
-        return Ok(Some(Viewpoints { views: unnamed(vec![camera]), description, is_list: false }));
+        return Ok(Some(Viewpoints { views: unnamed(vec![camera]), description, showing: Showing::Clip }));
     }
     if let Some(count) = typed.turntable {
         let framing = (around.framing)()?;
         let framing = Framing { target: typed.target.unwrap_or(framing.target), ..framing };
         let cameras = framing.turntable(count, size, degrees).context("--turntable")?;
         let description = format!("turntable of {count} cameras, up {}", around.up);
-        return Ok(Some(Viewpoints { views: unnamed(cameras), description, is_list: true }));
+        return Ok(Some(Viewpoints { views: unnamed(cameras), description, showing: Showing::PlayAlong }));
     }
     for (option, typed) in [("--target", typed.target.is_some()), ("--fov", typed.fov.is_some())] {
         if typed {
@@ -131,18 +160,6 @@ fn choose<'v>(views: &'v [View], text: &str) -> Result<&'v View> {
         let last = views.len() - 1;
         format!("--camera is {text}; a name in the file of --cameras, or 0 to {last} are allowed")
     })
-}
-
-/// The frame, of `count`, that camera `index` shows: at its own time, or its place on a turntable.
-///
-/// # Errors
-/// A time outside of 0 to 1.
-pub fn frame_of(view: &View, index: usize, count: u32) -> Result<u32> {
-    match view.time {
-        None => Ok(index as u32 % count.max(1)),
-        Some(time) if (0.0..=1.0).contains(&time) => Ok((time * f64::from(count - 1)).round() as u32),
-        Some(time) => bail!("{}: time is {time}; 0 to 1 is allowed, or --frame", view.name),
-    }
 }
 
 /// The cameras of `path`: a JSON file, one of COLMAP's two files, or the folder with both. `size` is the
@@ -231,7 +248,11 @@ mod tests {
 
         let turntable = CameraArgs { turntable: Some(4), ..CameraArgs::default() };
         let found = placed_by(&turntable).unwrap();
-        assert!(found.is_list && found.description.contains("minus-y"), "{}", found.description);
+        assert!(
+            found.showing == Showing::PlayAlong && found.description.contains("minus-y"),
+            "{}",
+            found.description
+        );
         let centres: Vec<_> = found.views.iter().map(|view| view.camera.centre()).collect();
         let opposite = |a: usize, b: usize| (centres[a][0] + centres[b][0] - 2.0).abs() < 1e-9;
         assert!(opposite(0, 2) && opposite(1, 3) && !opposite(0, 1));
@@ -245,8 +266,9 @@ mod tests {
 
     #[test]
     fn frames_follow_times_or_go_round() {
-        assert_eq!(frame_of(&view("a", Some(0.5)), 3, 11).unwrap(), 5);
-        assert_eq!(frame_of(&view("a", None), 13, 10).unwrap(), 3);
-        assert!(frame_of(&view("a", Some(1.5)), 0, 10).is_err());
+        assert_eq!(Showing::OwnFrame.frame_of(&view("a", Some(0.5)), 3, 11).unwrap(), 5);
+        assert_eq!(Showing::OwnFrame.frame_of(&view("a", None), 13, 10).unwrap(), 0);
+        assert_eq!(Showing::PlayAlong.frame_of(&view("a", None), 13, 10).unwrap(), 3);
+        assert!(Showing::Clip.frame_of(&view("a", Some(1.5)), 0, 10).is_err());
     }
 }

@@ -8,6 +8,7 @@
 //! Domains: positions in scene units, natural-log scales, unit wxyz quaternions, opacity as a
 //! logit, colour as spherical-harmonic coefficients. World: right-handed; importers convert.
 
+pub mod edit;
 pub mod export;
 pub mod import;
 pub mod viewpoint;
@@ -291,6 +292,9 @@ impl std::fmt::Display for Up {
 }
 
 impl Up {
+    /// Every axis.
+    pub const ALL: [Self; 6] = [Self::X, Self::Y, Self::Z, Self::MinusX, Self::MinusY, Self::MinusZ];
+
     /// The axis as a unit vector.
     pub const fn vector(self) -> [f64; 3] {
         match self {
