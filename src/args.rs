@@ -2,6 +2,7 @@
 
 mod camera;
 mod codec;
+mod convert;
 mod device;
 mod frames;
 mod number;
@@ -17,6 +18,7 @@ use render_host::camera::MAX_SIDE;
 pub use self::{
     camera::CameraArgs,
     codec::{CodecArgs, ProfileName},
+    convert::Convert,
     device::DeviceName,
     frames::FrameRange,
     scene::{SceneArgs, Up},
@@ -43,8 +45,10 @@ pub struct Cli {
 /// The verbs, in the order of the walk.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Read a scene in any supported format, say what it is, and optionally convert it.
+    /// Read a scene in any supported format and say what it is.
     Import(Import),
+    /// Write a scene in another format, cropped, thinned, moved or merged on the way.
+    Convert(Box<Convert>),
     /// Fit a moving scene to photographs, or to the renders of another scene.
     Train(Box<Train>),
     /// Encode a scene to a .dgs stream.
@@ -174,12 +178,6 @@ pub struct Import {
     /// How to read it.
     #[command(flatten)]
     pub scene: SceneArgs,
-    /// Convert: a folder for a PLY sequence, NAME.ply or NAME.spz for the first frame.
-    #[arg(long)]
-    pub out: Option<PathBuf>,
-    /// Replace a folder of frames that is there already.
-    #[arg(long)]
-    pub overwrite: bool,
 }
 
 /// `dgs encode`.
@@ -260,7 +258,7 @@ pub struct Inspect {
 pub struct Decode {
     /// A .dgs file.
     pub input: PathBuf,
-    /// A folder for a PLY sequence, or NAME.spz / NAME.ply for one frame.
+    /// A folder for a PLY sequence, or a file as convert writes it for one frame; axes are the stream's.
     #[arg(short, long, required_unless_present = "digest")]
     pub out: Option<PathBuf>,
     /// The frame for a single file.

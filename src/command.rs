@@ -2,6 +2,7 @@
 
 mod bench;
 mod compare;
+mod convert;
 mod decode;
 mod demo;
 mod encode;
@@ -29,6 +30,7 @@ pub fn run(cli: Cli) -> ExitCode {
     let quiet = Quiet(cli.json);
     let said = match cli.verb {
         Verb::Import(args) => import::run(&args),
+        Verb::Convert(args) => convert::run(&args, quiet),
         Verb::Train(args) => train::run(&args, quiet),
         Verb::Encode(args) => encode::run(&args, quiet),
         Verb::Inspect(args) => inspect::run(&args),

@@ -8,7 +8,7 @@ use codec_core::{
 use serde_json::json;
 use trainer_host::scene::Up;
 
-use super::import::{check, write};
+use super::convert::format::SceneOutput;
 use crate::{
     args::Decode,
     output::VerbOutput,
@@ -17,8 +17,10 @@ use crate::{
 
 /// Runs the verb.
 pub fn run(args: &Decode) -> Result<VerbOutput> {
-    if let Some(out) = &args.out {
-        check(out, args.overwrite)?;
+    let out =
+        args.out.as_deref().map(|out| Ok::<_, anyhow::Error>((out, SceneOutput::of(out)?))).transpose()?;
+    if let Some((out, output)) = out {
+        output.check(out, args.overwrite)?;
     }
     let mut warnings = Vec::new();
     let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
@@ -53,9 +55,9 @@ pub fn run(args: &Decode) -> Result<VerbOutput> {
         text += &format!("digest {digest}\n");
         json["digest"] = json!(digest);
     }
-    if let Some(out) = &args.out {
+    if let Some((out, output)) = out {
         let mut absent = AbsentGaussians::default();
-        text += &write(out, args.overwrite, args.frame, frames.count(), |frame| {
+        text += &output.write(out, args.overwrite, args.frame, frames.count(), |frame| {
             let instant = frames.instant(frame)?;
             let (epoch, missing) = pipeline::snapshot(&instant)?;
             absent.add(missing, instant.gaussians.len());

@@ -22,6 +22,7 @@ mod bytes;
 pub mod compressed_ply;
 mod error;
 pub mod gltf;
+pub mod gltf_splats;
 mod limits;
 pub mod nearest;
 pub mod ply;
@@ -106,9 +107,10 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
 /// glTF have a y that points up.
 pub fn usual_up(format: Format) -> Option<Up> {
     match format {
-        Format::Spz | Format::Gltf => Some(Up::Y),
+        Format::Spz | Format::Gltf | Format::GltfSplats => Some(Up::Y),
         Format::Ply | Format::CompressedPly | Format::Splat | Format::Sog | Format::Unity => Some(Up::MinusY),
-        Format::PointsNpz | Format::Sequence | Format::Unknown => None,
+        Format::Ksplat | Format::Splatv | Format::DynamicNpz => Some(Up::MinusY),
+        Format::PointsNpz | Format::FourDgs | Format::Sequence | Format::Unknown => None,
     }
 }
 
@@ -121,7 +123,7 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
     } else if bytes.starts_with(&spz::MAGIC) || bytes.starts_with(&[0x1f, 0x8b]) {
         Format::Spz
     } else if bytes.starts_with(b"glTF") {
-        Format::Gltf
+        if gltf_splats::is_splats(bytes) { Format::GltfSplats } else { Format::Gltf }
     } else if bytes.starts_with(b"PK") {
         let names = archive::Archive::new(bytes, &Limits::default(), Format::Unknown);
         match names {
@@ -133,6 +135,8 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
     } else if start.starts_with(b"{") {
         if sog::is_meta(bytes) || path.file_name().is_some_and(|n| n == "meta.json") {
             Format::Sog
+        } else if gltf_splats::is_splats(bytes) {
+            Format::GltfSplats
         } else {
             Format::Gltf
         }
@@ -188,6 +192,9 @@ fn snapshot_of(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Sna
         }
         Format::Sog => sog::parse(bytes, limits),
         Format::Unity => unity_frame(bytes, path, options),
+        Format::GltfSplats => {
+            gltf_splats::parse(bytes, |name| read_beside(path, name, options, Format::GltfSplats), limits)
+        }
         other => {
             let shown = &bytes[..bytes.len().min(8)];
             let found =
