@@ -3,6 +3,7 @@
 mod camera;
 mod codec;
 mod convert;
+mod cut;
 mod device;
 mod frames;
 mod number;
@@ -19,6 +20,7 @@ pub use self::{
     camera::CameraArgs,
     codec::{CodecArgs, ProfileName},
     convert::Convert,
+    cut::Cut,
     device::DeviceName,
     frames::FrameRange,
     scene::{SceneArgs, Up},
@@ -55,6 +57,8 @@ pub enum Verb {
     Encode(Encode),
     /// Say what a .dgs file holds: manifest, packets, damage.
     Inspect(Inspect),
+    /// Leave packets out of a .dgs file: levels, frames, bytes.
+    Cut(Cut),
     /// Decode a .dgs file to PLY or SPZ frames.
     Decode(Decode),
     /// Render a scene or a .dgs file to pictures, an animation or a video.
@@ -71,6 +75,25 @@ pub enum Verb {
     Demo(Demo),
     /// Measure: every figure this project quotes.
     Bench(Bench),
+    /// Print completions of commands for a shell.
+    Completions(Completions),
+    /// Write manual pages, one per verb.
+    Man(Man),
+}
+
+/// `dgs completions`.
+#[derive(Debug, Args)]
+pub struct Completions {
+    /// The shell.
+    #[arg(value_enum)]
+    pub shell: clap_complete::Shell,
+}
+
+/// `dgs man`.
+#[derive(Debug, Args)]
+pub struct Man {
+    /// Folder to write into, which is there already.
+    pub out: PathBuf,
 }
 
 /// What pictures are.
@@ -366,6 +389,9 @@ pub struct StreamArgs {
     /// Scheduler.
     #[arg(long, value_enum, default_value_t = PolicyName::DeadlineUtility)]
     pub policy: PolicyName,
+    /// Save what arrived as a .dgs file.
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
     /// The link.
     #[command(flatten)]
     pub link: LinkArgs,

@@ -3,11 +3,13 @@
 mod bench;
 mod compare;
 mod convert;
+mod cut;
 mod decode;
 mod demo;
 mod encode;
 mod import;
 mod inspect;
+mod manual;
 mod play;
 mod render;
 mod serve;
@@ -34,6 +36,9 @@ pub fn run(cli: Cli) -> ExitCode {
         Verb::Train(args) => train::run(&args, quiet),
         Verb::Encode(args) => encode::run(&args, quiet),
         Verb::Inspect(args) => inspect::run(&args),
+        Verb::Cut(args) => cut::run(&args),
+        Verb::Completions(args) => manual::completions(&args),
+        Verb::Man(args) => manual::pages(&args),
         Verb::Decode(args) => decode::run(&args),
         Verb::Render(args) => render::run(&args, quiet),
         Verb::Compare(args) => compare::run(&args, quiet),

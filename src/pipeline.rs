@@ -263,6 +263,17 @@ pub const fn policy(name: PolicyName) -> PolicyKind {
     }
 }
 
+/// What a delivery came to.
+#[derive(Debug)]
+pub struct Delivered {
+    /// Figures.
+    pub report: Report,
+    /// What was shown, frame by frame.
+    pub shown: Vec<ShownState>,
+    /// Whether each packet of the stream has arrived or was recovered.
+    pub arrived: Vec<bool>,
+}
+
 /// Steps 8 to 12: schedule, send, link, receive, repair, closure, with the real receiver.
 ///
 /// # Errors
@@ -275,6 +286,22 @@ pub fn deliver(
     policy: PolicyKind,
     transport: TransportName,
 ) -> Result<(Report, Vec<ShownState>)> {
+    let Delivered { report, shown, .. } = delivered(stream, map, graph, config, policy, transport)?;
+    Ok((report, shown))
+}
+
+/// As [`deliver`], with what has arrived.
+///
+/// # Errors
+/// As [`deliver`].
+pub fn delivered(
+    stream: &Stream,
+    map: &PacketMap,
+    graph: &PacketGraph,
+    config: &SessionConfig,
+    policy: PolicyKind,
+    transport: TransportName,
+) -> Result<Delivered> {
     let config = SessionConfig { policy, ..config.clone() };
     let early_bytes = config.buffer_limit * codec_core::internals::limits::MAX_PACKET_BYTES;
     let mut endpoint = WireEndpoint::new(early_bytes, stream, map, graph)?;
@@ -286,8 +313,8 @@ pub fn deliver(
             run.context("--transport quic")?
         }
     };
-    let shown = std::mem::take(&mut endpoint.shown);
-    Ok((report, shown))
+    let arrived = endpoint.arrived();
+    Ok(Delivered { report, shown: std::mem::take(&mut endpoint.shown), arrived })
 }
 
 /// The stream as a graph, with the utilities if there are any.
