@@ -63,7 +63,10 @@ fn endings_decide_what_pictures_become() {
         file.windows(4).filter(|window| *window == b"fcTL").count()
     };
     assert_eq!(frames("a.apng"), 6, "the whole clip");
-    ok(at, &[&["render", scene, "-o", "round.apng", "--turntable", "9", "--rate", "12"], &SMALL[..]].concat());
+    ok(
+        at,
+        &[&["render", scene, "-o", "round.apng", "--turntable", "9", "--rate", "12"], &SMALL[..]].concat(),
+    );
     assert_eq!(frames("round.apng"), 9, "a full circle");
     // Refused before the scene is looked for, and nothing is left behind.
     let before = names(at);
@@ -172,7 +175,8 @@ fn comparisons_name_mean_and_worst_and_what_differs() {
     assert!((25.0..80.0).contains(&psnr), "{psnr}");
     assert_eq!(said["pictures"].as_array().unwrap().len(), 6);
     assert_eq!(names(&at.join("maps")).len(), 7, "a map for each picture, and their index");
-    let worse = json(at, &[&["compare", "a.dgs", "synth:figure:1000:4", "--level", "0"], &SMALL[..]].concat());
+    let worse =
+        json(at, &[&["compare", "a.dgs", "synth:figure:1000:4", "--level", "0"], &SMALL[..]].concat());
     assert!(summary(&worse, "psnr_db") < psnr - 3.0, "one level is worse than four");
     let text = ok(at, &[&["compare", "a.dgs", "synth:figure:1000:4"], &SMALL[..]].concat());
     assert!(text.contains("psnr_db  mean") && text.contains("Gaussians are not compared"), "{text}");

@@ -307,7 +307,8 @@ fn ksplat(n: u32, level: u16) -> Vec<u8> {
 /// Splats that go along x.
 fn splatv(n: usize) -> Vec<u8> {
     let text = format!("[{{\"type\":\"splat\",\"size\":{}}}]", n * 64);
-    let mut out = [&0x674bu32.to_le_bytes()[..], &(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
+    let mut out =
+        [&0x674bu32.to_le_bytes()[..], &(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
     for i in 0..n {
         out.extend([i as f32, 0.0, 2.0].into_iter().flat_map(f32::to_le_bytes));
         // Half-precision wxyz and scales, colour, motion, turning, centre and width.

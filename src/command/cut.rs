@@ -68,7 +68,7 @@ fn shows(manifest: &Manifest<'_>, placement: &SlicePlacement, frames: &Range<u32
         Span::Motion(id) => manifest
             .windows()
             .nth(id.0.into())
-            .map_or((0, 0), |window| (window.first_frame, window.frames)),
+            .map_or((0, 0), |window| (window.first_frame, u32::from(window.frames))),
     };
     first < frames.end && frames.start < first.saturating_add(count)
 }
@@ -76,9 +76,8 @@ fn shows(manifest: &Manifest<'_>, placement: &SlicePlacement, frames: &Range<u32
 /// Leaves packets out until the file has at most `bytes`: the highest levels first, among those of a level the
 /// last.
 fn within(stream: &Stream, map: &PacketMap, stays: &mut [bool], bytes: u64) -> Result<()> {
-    let file = |stays: &[bool]| -> Result<u64> {
-        Ok(stream.with_packets(|id| stays[id]).to_bytes()?.len() as u64)
-    };
+    let file =
+        |stays: &[bool]| -> Result<u64> { Ok(stream.with_packets(|id| stays[id]).to_bytes()?.len() as u64) };
     if file(stays)? <= bytes {
         return Ok(());
     }

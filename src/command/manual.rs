@@ -28,8 +28,11 @@ pub fn pages(args: &Man) -> Result<VerbOutput> {
     let pages: Vec<_> = std::iter::once(("dgs".to_owned(), root.clone())).chain(verbs).collect();
     for (name, command) in pages {
         let mut page = Vec::new();
-        let command = command.name(name.clone()).version(env!("CARGO_PKG_VERSION"));
-        clap_mangen::Man::new(command).render(&mut page).with_context(|| format!("page {name}"))?;
+        let command = command.version(env!("CARGO_PKG_VERSION"));
+        clap_mangen::Man::new(command)
+            .title(&name)
+            .render(&mut page)
+            .with_context(|| format!("page {name}"))?;
         let path = args.out.join(format!("{name}.1"));
         files::write(&path, &page)?;
         written.push(path);

@@ -44,7 +44,8 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         report.recovered
     );
     let limit = link.limit(&report);
-    let mut json = json!({ "link": link.description, "limit": limit, "report": report, "warnings": warnings });
+    let mut json =
+        json!({ "link": link.description, "limit": limit, "report": report, "warnings": warnings });
     if let Some(out) = &args.out {
         let count = arrived.iter().filter(|arrived| **arrived).count();
         files::write(out, &stream.with_packets(|id| arrived[id]).to_bytes()?)?;
