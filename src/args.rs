@@ -305,8 +305,8 @@ pub struct Render {
     /// A .dgs file or a scene.
     pub input: String,
     /// NAME.png, .jpg or .webp for one image; .apng or .gif for an animation; .mp4 (H.264) or .webm (AV1)
-    /// for a video, by an installed ffmpeg; or a folder of PNG. Several images are all frames from one camera,
-    /// or one per camera of --cameras or --turntable.
+    /// for a video, by an installed ffmpeg; or a folder of PNG. Several images are all frames from one
+    /// camera, or one per camera of --cameras or --turntable.
     #[arg(short, long)]
     pub out: PathBuf,
     /// Frames per second of an animation or video, 0.001 to 10000 [default: the scene's].

@@ -39,7 +39,7 @@ pub fn run(cli: Cli) -> ExitCode {
         Verb::Cut(args) => cut::run(&args),
         Verb::Completions(args) => manual::completions(&args),
         Verb::Man(args) => manual::pages(&args),
-        Verb::Decode(args) => decode::run(&args),
+        Verb::Decode(args) => decode::run(&args, quiet),
         Verb::Render(args) => render::run(&args, quiet),
         Verb::Compare(args) => compare::run(&args, quiet),
         Verb::Stream(args) => stream::run(&args, quiet),

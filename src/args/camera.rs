@@ -30,7 +30,8 @@ pub struct CameraArgs {
     pub eye: Option<[f64; 3]>,
     /// What the camera of --eye looks at, or what --turntable goes around [default: the middle of the scene].
     #[arg(
-        long, value_name = "X,Y,Z", value_parser = point, conflicts_with = "cameras", allow_hyphen_values = true
+        long, value_name = "X,Y,Z", value_parser = point, conflicts_with = "cameras",
+        allow_hyphen_values = true
     )]
     pub target: Option<[f64; 3]>,
     /// Vertical field of view of --eye and --turntable, 1 to 170 degrees [default: 45].

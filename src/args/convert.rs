@@ -32,7 +32,9 @@ pub struct Convert {
     #[arg(long, value_name = "CONDITION")]
     pub filter: Vec<Condition>,
     /// Keep this share of the Gaussians, those that show most: above 0, at most 1.
-    #[arg(long, value_name = "SHARE", value_parser = real(1e-9..=1.0, "a share"), allow_negative_numbers = true)]
+    #[arg(
+        long, value_name = "SHARE", value_parser = real(1e-9..=1.0, "a share"), allow_negative_numbers = true
+    )]
     pub decimate: Option<f64>,
     /// Turn, scale and move: steps such as rotate=x:90;scale=2;translate=0,1,0, done in order.
     #[arg(long, value_name = "STEPS")]

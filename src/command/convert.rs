@@ -38,7 +38,7 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
         warnings.push(loss.to_owned());
     }
     let count = scene.frames() as u32;
-    let wrote = output.write(&args.out, args.overwrite, args.frame, count, |frame| {
+    let wrote = output.write(&args.out, args.overwrite, args.frame, count, &progress, |frame| {
         let found = scene.locate(frame as usize);
         let last = count - 1;
         let (epoch, t) = found.with_context(|| format!("--frame is {frame}; 0 to {last} are allowed"))?;

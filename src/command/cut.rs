@@ -73,8 +73,8 @@ fn shows(manifest: &Manifest<'_>, placement: &SlicePlacement, frames: &Range<u32
     first < frames.end && frames.start < first.saturating_add(count)
 }
 
-/// Leaves packets out until the file has at most `bytes`: the highest levels first, among those of a level the
-/// last.
+/// Leaves packets out until the file has at most `bytes`: the highest levels first, among those of a level
+/// the last.
 fn within(stream: &Stream, map: &PacketMap, stays: &mut [bool], bytes: u64) -> Result<()> {
     let file =
         |stays: &[bool]| -> Result<u64> { Ok(stream.with_packets(|id| stays[id]).to_bytes()?.len() as u64) };

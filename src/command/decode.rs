@@ -12,11 +12,12 @@ use super::convert::format::SceneOutput;
 use crate::{
     args::Decode,
     output::VerbOutput,
-    pipeline::{self, Frames},
+    pipeline::{self, Frames, Quiet},
+    progress::Progress,
 };
 
 /// Runs the verb.
-pub fn run(args: &Decode) -> Result<VerbOutput> {
+pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
     let out =
         args.out.as_deref().map(|out| Ok::<_, anyhow::Error>((out, SceneOutput::of(out)?))).transpose()?;
     if let Some((out, output)) = out {
@@ -57,7 +58,8 @@ pub fn run(args: &Decode) -> Result<VerbOutput> {
     }
     if let Some((out, output)) = out {
         let mut absent = AbsentGaussians::default();
-        text += &output.write(out, args.overwrite, args.frame, frames.count(), |frame| {
+        let progress = Progress::new("decode", quiet.0);
+        text += &output.write(out, args.overwrite, args.frame, frames.count(), &progress, |frame| {
             let instant = frames.instant(frame)?;
             let (epoch, missing) = pipeline::snapshot(&instant)?;
             absent.add(missing, instant.gaussians.len());

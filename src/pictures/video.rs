@@ -50,9 +50,9 @@ impl VideoFormat {
 pub(super) fn find(format: VideoFormat) -> Result<(&'static str, &'static [&'static str])> {
     let listed = Command::new("ffmpeg").args(["-hide_banner", "-encoders"]).stdin(Stdio::null()).output();
     let listed = match listed {
-        Err(error) if error.kind() == ErrorKind::NotFound => bail!(
-            "no ffmpeg is installed, which makes .mp4 and .webm; .apng, .gif or a folder of pictures need none"
-        ),
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            bail!("no ffmpeg is installed, which makes .mp4 and .webm; .apng, .gif or a folder need none")
+        }
         other => other.context("ffmpeg: cannot run")?,
     };
     let listed = String::from_utf8_lossy(&listed.stdout).into_owned();

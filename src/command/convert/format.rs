@@ -9,7 +9,10 @@ use trainer_host::{
     scene::Up,
 };
 
-use crate::files::{self, FrameFolder};
+use crate::{
+    files::{self, FrameFolder},
+    progress::Progress,
+};
 
 /// What a scene is written as.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -80,14 +83,15 @@ impl SceneOutput {
         .unwrap_or_default()
     }
 
-    /// Writes frames: a folder gets all of `count`, a file frame `only`. `frame` gives one as an epoch and the
-    /// frame in it.
+    /// Writes frames: a folder gets all of `count`, a file frame `only`. `frame` gives one as an epoch and
+    /// the frame in it; `progress` is told of each.
     pub(in crate::command) fn write<E: Borrow<Epoch>>(
         self,
         out: &Path,
         overwrite: bool,
         only: u32,
         count: u32,
+        progress: &Progress,
         mut frame: impl FnMut(u32) -> Result<(E, usize)>,
     ) -> Result<String> {
         let format = match self {
@@ -95,6 +99,7 @@ impl SceneOutput {
             Self::Folder => {
                 let mut folder = FrameFolder::create(out, overwrite)?;
                 for number in 0..count {
+                    progress.step("writing frame", number as usize, count as usize);
                     let (epoch, t) = frame(number)?;
                     let ply = SceneFormat::Ply.encode(epoch.borrow(), t)?;
                     folder.add(format!("frame_{number:05}.ply"), &ply)?;

@@ -3,6 +3,7 @@
 mod accounting;
 mod clock;
 mod cloud;
+mod convert;
 mod counterfactual;
 mod decode;
 mod delivery;
@@ -167,6 +168,11 @@ pub const ALL: &[Experiment] = &[
         name: "serve",
         about: "viewers at once over loopback at 50 Mbit/s: goodput, loss, processor time, memory, startup",
         run: serve::run,
+    },
+    Experiment {
+        name: "convert",
+        about: "a million Gaussians from PLY to other formats: time, size, memory, beside splat-transform",
+        run: convert::run,
     },
     Experiment {
         name: "structure",

@@ -1,7 +1,7 @@
 //! Writes GLB with `KHR_gaussian_splatting`: one primitive of points, an accessor per attribute.
 //!
-//! Lossless but for the domains: sizes and opacities are linear there, quaternions xyzw. `COLOR_0` shows points
-//! where the extension is not known.
+//! Lossless but for the domains: sizes and opacities are linear there, quaternions xyzw. `COLOR_0` shows
+//! points where the extension is not known.
 
 use serde_json::{Value, json};
 

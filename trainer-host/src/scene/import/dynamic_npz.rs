@@ -1,8 +1,8 @@
 //! Reads what Dynamic 3D Gaussians trains: `params.npz`, in which every Gaussian lives through the clip.
 //!
 //! Members: `means3D` (T×N×3), `unnorm_rotations` (T×N×4, wxyz), `rgb_colors` (T×N×3 or N×3, display colour),
-//! `logit_opacities` (N×1), `log_scales` (N×3 or N×1). Others are skipped. Axes are kept: those of the cameras
-//! it was trained with, y down.
+//! `logit_opacities` (N×1), `log_scales` (N×3 or N×1). Others are skipped. Axes are kept: those of the
+//! cameras it was trained with, y down.
 
 use codec_core::ShDegree;
 

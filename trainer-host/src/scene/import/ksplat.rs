@@ -1,8 +1,8 @@
 //! Reads `.ksplat`: a header of 4096 bytes, headers of 1024 bytes for sections, then splats in buckets.
 //!
 //! Compression level 0 holds floats; levels 1 and 2 hold 16-bit offsets from the centre of a bucket, half
-//! floats, and harmonics as half floats or bytes. Scales are linear, rotations wxyz, colours display bytes with
-//! linear opacity. Harmonics go band by band, in each channel by channel. Axes are kept.
+//! floats, and harmonics as half floats or bytes. Scales are linear, rotations wxyz, colours display bytes
+//! with linear opacity. Harmonics go band by band, in each channel by channel. Axes are kept.
 
 use codec_core::ShDegree;
 use half::f16;
@@ -45,8 +45,8 @@ struct Coding {
 /// Reads a `.ksplat` file.
 ///
 /// # Errors
-/// Another version or level, sections that contradict their lengths, values that are not numbers, or more than
-/// `limits` allow.
+/// Another version or level, sections that contradict their lengths, values that are not numbers, or more
+/// than `limits` allow.
 pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Snapshot, ImportError> {
     limits.bytes(FORMAT, "file", bytes.len() as u64)?;
     if bytes.len() < HEADER {

@@ -1,7 +1,7 @@
 //! Reads `.splatv` of splaTV: splats whose positions are cubic in time and that fade in and out.
 //!
 //! ```text
-//! u32 0x674b | u32 length of JSON | JSON: [{ type: "splat", size, texwidth, texheight, … }] | 64 bytes a splat
+//! u32 0x674b | u32 length of JSON | JSON: [{ type: "splat", size, texwidth, … }] | 64 bytes a splat
 //! f32 x y z | half wxyz | half scales (linear), one unused | u8 r g b a | half 9 of motion, one unused
 //! half 4 of turning | half centre, half width of the time that it shows
 //! ```

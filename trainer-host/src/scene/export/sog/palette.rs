@@ -64,8 +64,8 @@ impl Cell {
     }
 }
 
-/// Up to `most` rows of `columns` that stand for those of `values`, and the place among them for each row: the
-/// cell whose widest column varies most is split at that column's mean until there are enough.
+/// Up to `most` rows of `columns` that stand for those of `values`, and the place among them for each row:
+/// the cell whose widest column varies most is split at that column's mean until there are enough.
 pub(super) fn palette(values: &[f32], columns: usize, most: usize) -> (Vec<f32>, Vec<u32>) {
     let count = values.len() / columns;
     let mut cells = vec![Cell::new(values, columns, (0..count as u32).collect())];
