@@ -39,13 +39,14 @@ mod target;
 pub use analysis::Analysis;
 pub use decisions::Decisions;
 pub use error::EncodeError;
+pub use evaluator::MeasuredViews;
 pub use ledger::{Ledger, LedgerPart, Share};
 pub use options::{EncodeOptions, Target, TargetViews};
 pub use packet_report::PacketReport;
 pub use profile::{again, decide, with_levels, write};
 pub use progress::Progress;
 pub use protection::{Protection, ProtectionError, Strength};
-pub use report::{ClusteringReport, Encoded, MeasuredViews, Reached, Report, Searched};
+pub use report::{ClusteringReport, Encoded, Reached, Report, Searched};
 pub use steps::Quality;
 pub use target::{COARSENESS, again_to_size};
 

@@ -76,8 +76,8 @@ fn natural(name: &str) -> Vec<(usize, String)> {
     }
     for (length, text) in &mut parts {
         if text.bytes().all(|b| b.is_ascii_digit()) {
-            let number = text.trim_start_matches('0');
-            *length = number.len();
+            *text = text.trim_start_matches('0').to_owned();
+            *length = text.len();
         }
     }
     parts

@@ -7,7 +7,6 @@ use render_host::{
     SplatsError, adjoint::AdjointError, metric,
 };
 
-use super::MeasuredViews;
 use crate::{
     scene::{Instant, Scene},
     stream::{Player, Stream},
@@ -61,6 +60,22 @@ pub enum EvaluationError {
     /// Pictures that cannot be compared.
     #[error("cannot compare pictures: {0}")]
     Compare(#[from] ImageError),
+}
+
+/// The pictures that a PSNR is a mean over.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct MeasuredViews {
+    /// Cameras.
+    pub cameras: usize,
+    /// Frames, each seen from every camera.
+    pub frames: usize,
+    /// Width of the widest picture, pixels.
+    pub width: u32,
+    /// Height of the highest picture, pixels.
+    pub height: u32,
+    /// Share of the pictures that the scene covers, 0 to 1: what is left shows the background, and is equal
+    /// in any encoding.
+    pub covered: f64,
 }
 
 /// Frame `frame` of `scene`.

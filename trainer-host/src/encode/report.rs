@@ -1,6 +1,8 @@
 //! Reports an encoding: what was chosen, what it came to, and where every byte went.
 
-use super::{Decisions, Ledger, Quality, Target, cluster, decisions::QuantiserClass};
+use super::{
+    Decisions, Ledger, Quality, Target, cluster, decisions::QuantiserClass, evaluator::MeasuredViews,
+};
 use crate::stream::Stream;
 
 /// An encoded scene.
@@ -110,22 +112,6 @@ pub struct Reached {
     pub value: f64,
     /// What a PSNR is a mean over.
     pub views: Option<MeasuredViews>,
-}
-
-/// The pictures that a PSNR is a mean over.
-#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
-pub struct MeasuredViews {
-    /// Cameras.
-    pub cameras: usize,
-    /// Frames, each seen from every camera.
-    pub frames: usize,
-    /// Width of the widest picture, pixels.
-    pub width: u32,
-    /// Height of the highest picture, pixels.
-    pub height: u32,
-    /// Share of the pictures that the scene covers, 0 to 1: what is left shows the background, and is equal
-    /// in any encoding.
-    pub covered: f64,
 }
 
 /// What a search found.

@@ -2,7 +2,7 @@
 
 use std::{path::Path, process::Command, time::Instant};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, ensure};
 use trainer_host::{
     Epoch, export,
     import::{ImportOptions, import},
@@ -65,6 +65,9 @@ fn measure(folder: &Path, count: usize, bench: &mut Bench) -> Result<()> {
         let scene = import(&source, &ImportOptions::default())?;
         std::fs::write(&ours, encoded(format, &scene.epochs()[0])?)?;
         let seconds = start.elapsed().as_secs_f64();
+        // A quick writer of something else would be no figure.
+        let again = import(&ours, &ImportOptions::default())?.max_count();
+        ensure!(again == scene.max_count(), "{format}: {again} Gaussians of {} come back", scene.max_count());
         if peer_writes && turn % 2 == 0 {
             peer_s = timed_peer(&peer, &source, &theirs);
         }

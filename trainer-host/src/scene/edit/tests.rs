@@ -43,7 +43,7 @@ fn same(a: &[Gaussian], b: &[Gaussian]) -> bool {
 
 /// A scene and a camera that move together show the same picture.
 #[test]
-fn a_turned_scene_looks_the_same_from_a_turned_camera() {
+fn a_turned_scene_shows_the_same_to_a_turned_camera() {
     let scene = scene();
     let turns = [
         Similarity { rotation: turn_between(Up::MinusY, Up::Y), ..Similarity::default() },
