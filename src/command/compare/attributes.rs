@@ -89,13 +89,13 @@ fn distance(a: &[f32], b: &[f32]) -> f64 {
     a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>().sqrt()
 }
 
-/// The angle between two orientations, degrees.
-fn angle(a: &[f32; 4], b: &[f32; 4]) -> f64 {
-    let dot =
-        |sign: f64| a.iter().zip(b).map(|(a, b)| (f64::from(*a) - sign * f64::from(*b)).powi(2)).sum::<f64>();
-    // Of the two quaternions of an orientation the nearer one; by the chord, which is exact for small angles.
-    let chord = dot(1.0).min(dot(-1.0)).sqrt();
-    (4.0 * (0.5 * chord).min(1.0).asin()).to_degrees()
+/// The angle between two ellipsoids' orientations, degrees: half a turn about an axis of its own leaves an
+/// ellipsoid as it was.
+fn angle(a: &[f32; 4], &[w, x, y, z]: &[f32; 4]) -> f64 {
+    let same = [[w, x, y, z], [-x, w, z, -y], [-y, -z, w, x], [-z, y, -x, w]];
+    let chords = same.iter().flat_map(|b| [distance(a, b), distance(a, &b.map(|v| -v))]);
+    // By the chord, which is exact for small angles too.
+    (4.0 * (0.5 * chords.fold(2.0, f64::min)).min(1.0).asin()).to_degrees()
 }
 
 #[cfg(test)]
@@ -125,6 +125,10 @@ mod tests {
         assert!((largest("position") - 0.03).abs() < 1e-6 && (largest("opacity") - 0.25).abs() < 1e-6);
         assert!((largest("rotation") - 30.0).abs() < 1e-3, "{}", largest("rotation"));
         assert_eq!((largest("scale"), largest("colour"), found.gaussians), (0.0, 0.0, 4));
+        // Half a turn about an axis of its own.
+        b.gaussians[1].rotation = [0.0, 0.0, 1.0, 0.0];
+        let found = differences(7, &b, &a, 10.0).unwrap();
+        assert!(found.attributes.iter().find(|a| a.name == "rotation").unwrap().largest < 1e-3);
     }
 
     #[test]

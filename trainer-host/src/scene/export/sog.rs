@@ -9,7 +9,7 @@ mod palette;
 
 use std::io::{self, Cursor, Write};
 
-use image_webp::{ColorType, WebPEncoder};
+use image_webp::{ColorType, EncoderParams, WebPEncoder};
 use serde_json::json;
 use zip::{CompressionMethod, ZipWriter, write::SimpleFileOptions};
 
@@ -140,16 +140,22 @@ fn start(zip: &mut Archive, name: &str) -> io::Result<()> {
 fn add(zip: &mut Archive, name: &str, mut pixels: Vec<[u8; 4]>, width: usize) -> io::Result<()> {
     let height = pixels.len().div_ceil(width);
     pixels.resize(width * height, [0, 0, 0, 255]);
-    let mut file = Vec::new();
-    let encoded = WebPEncoder::new(&mut file).encode(
-        pixels.as_flattened(),
-        width as u32,
-        height as u32,
-        ColorType::Rgba8,
-    );
-    encoded.map_err(io::Error::other)?;
+    // Labels of neighbours have little to do with each other, other values much: the shorter file wins.
+    let mut shortest: Option<Vec<u8>> = None;
+    for predicts in [true, false] {
+        let mut file = Vec::new();
+        let mut encoder = WebPEncoder::new(&mut file);
+        let mut how = EncoderParams::default();
+        how.use_predictor_transform = predicts;
+        encoder.set_params(how);
+        let encoded = encoder.encode(pixels.as_flattened(), width as u32, height as u32, ColorType::Rgba8);
+        encoded.map_err(io::Error::other)?;
+        if shortest.as_ref().is_none_or(|shortest| file.len() < shortest.len()) {
+            shortest = Some(file);
+        }
+    }
     start(zip, name)?;
-    zip.write_all(&file)
+    zip.write_all(&shortest.unwrap_or_default())
 }
 
 #[cfg(test)]
