@@ -1,7 +1,11 @@
 //! Parses the command line: one struct per verb, whose meaning is in `command`.
 
+mod camera;
 mod codec;
+mod convert;
+mod cut;
 mod device;
+mod frames;
 mod number;
 mod scene;
 mod socket;
@@ -14,8 +18,12 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use render_host::camera::MAX_SIDE;
 
 pub use self::{
+    camera::CameraArgs,
     codec::{CodecArgs, ProfileName},
+    convert::Convert,
+    cut::Cut,
     device::DeviceName,
+    frames::FrameRange,
     scene::{SceneArgs, Up},
     socket::{Play, Serve, View},
     sweep::{SweepAction, SweepArgs, SweepMerge},
@@ -41,18 +49,24 @@ pub struct Cli {
 /// The verbs, in the order of the walk.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Read a scene in any supported format, say what it is, and optionally convert it.
+    /// Read a scene in any supported format and say what it is.
     Import(Import),
+    /// Write a scene in another format, cropped, thinned, moved or merged on the way.
+    Convert(Box<Convert>),
     /// Fit a moving scene to photographs, or to the renders of another scene.
     Train(Box<Train>),
     /// Encode a scene to a .dgs stream.
     Encode(Encode),
     /// Say what a .dgs file holds: manifest, packets, damage.
     Inspect(Inspect),
+    /// Leave packets out of a .dgs file: levels, frames, bytes.
+    Cut(Cut),
     /// Decode a .dgs file to PLY or SPZ frames.
     Decode(Decode),
-    /// Render a scene or a .dgs file to PNG.
+    /// Render a scene or a .dgs file to pictures, an animation or a video.
     Render(Render),
+    /// Compare two scenes, streams or sets of pictures: PSNR, SSIM, FLIP, LPIPS, attributes.
+    Compare(Compare),
     /// Send a scene or a .dgs file over an emulated link under one scheduler.
     Stream(StreamArgs),
     /// Run a design of many simulations from a file: parallel, resumable, in shards; then summarise it.
@@ -67,9 +81,28 @@ pub enum Verb {
     Demo(Demo),
     /// Measure: every figure this project quotes.
     Bench(Bench),
+    /// Print completions of commands for a shell.
+    Completions(Completions),
+    /// Write manual pages, one per verb.
+    Man(Man),
 }
 
-/// Where to look from.
+/// `dgs completions`.
+#[derive(Debug, Args)]
+pub struct Completions {
+    /// The shell.
+    #[arg(value_enum)]
+    pub shell: clap_complete::Shell,
+}
+
+/// `dgs man`.
+#[derive(Debug, Args)]
+pub struct Man {
+    /// Folder to write into, which is there already.
+    pub out: PathBuf,
+}
+
+/// What pictures are.
 #[derive(Clone, Debug, Args)]
 pub struct ViewArgs {
     /// Image width, 1 to 16384 pixels [default: 512, or what a file of cameras says].
@@ -179,12 +212,6 @@ pub struct Import {
     /// How to read it.
     #[command(flatten)]
     pub scene: SceneArgs,
-    /// Convert: a folder for a PLY sequence, NAME.ply or NAME.spz for the first frame.
-    #[arg(long)]
-    pub out: Option<PathBuf>,
-    /// Replace a folder of frames that is there already.
-    #[arg(long)]
-    pub overwrite: bool,
 }
 
 /// `dgs encode`.
@@ -201,6 +228,13 @@ pub struct Encode {
     /// How to encode it.
     #[command(flatten)]
     pub codec: CodecArgs,
+    /// Where --target-psnr is measured from [default: three cameras around the scene, 28° above the horizon,
+    /// 256 × 256 pixels].
+    #[command(flatten)]
+    pub cameras: CameraArgs,
+    /// What the pictures of --target-psnr are.
+    #[command(flatten)]
+    pub view: ViewArgs,
     /// What draws the pictures by which steps, a target PSNR and --search choose; utilities are measured on
     /// the processor.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
@@ -258,7 +292,7 @@ pub struct Inspect {
 pub struct Decode {
     /// A .dgs file.
     pub input: PathBuf,
-    /// A folder for a PLY sequence, or NAME.spz / NAME.ply for one frame.
+    /// A folder for a PLY sequence, or a file as convert writes it for one frame; axes are the stream's.
     #[arg(short, long, required_unless_present = "digest")]
     pub out: Option<PathBuf>,
     /// The frame for a single file.
@@ -281,24 +315,26 @@ pub struct Decode {
 pub struct Render {
     /// A .dgs file or a scene.
     pub input: String,
-    /// NAME.png for one image, or a folder: of all frames from one camera, or with --cameras of one image
-    /// per camera.
+    /// NAME.png, .jpg or .webp for one image; .apng or .gif for an animation; .mp4 (H.264) or .webm (AV1)
+    /// for a video, by an installed ffmpeg; or a folder of PNG. Several images are all frames from one
+    /// camera, or one per camera of --cameras or --turntable.
     #[arg(short, long)]
     pub out: PathBuf,
+    /// Frames per second of an animation or video, 0.001 to 10000 [default: the scene's].
+    #[arg(
+        long, value_name = "FPS", value_parser = real(0.001..=10_000.0, "frames per second"),
+        allow_negative_numbers = true
+    )]
+    pub rate: Option<f64>,
     /// The frame of a single image [default: 0, or the time of a camera that has one].
     #[arg(long)]
     pub frame: Option<u32>,
     /// Highest level to use of a stream, 0 to 3.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
     pub level: u8,
-    /// Cameras to look from: a Blender/NeRF transforms_*.json (times 0 to 1 choose frames), or COLMAP's
-    /// cameras and images (.bin or .txt): either file, or the folder with both. Lenses must be undistorted.
-    #[arg(long, value_name = "FILE")]
-    pub cameras: Option<PathBuf>,
-    /// Which camera: its number from 0, or its name in the file of --cameras [default: 0, or all of
-    /// --cameras].
-    #[arg(long, value_name = "NUMBER|NAME")]
-    pub camera: Option<String>,
+    /// Where to look from.
+    #[command(flatten)]
+    pub cameras: CameraArgs,
     /// Replace a folder of images that is there already.
     #[arg(long)]
     pub overwrite: bool,
@@ -308,10 +344,50 @@ pub struct Render {
     /// What renders the images; gpu is in builds with `--features gpu`.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
     pub device: DeviceName,
-    /// Where to look from.
+    /// What pictures are.
     #[command(flatten)]
     pub view: ViewArgs,
     /// How to read a scene.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+}
+
+/// `dgs compare`.
+///
+/// Scenes and streams are rendered from the same cameras, in the coordinates of B. Pictures are compared with
+/// pictures in the order of their names, or with renders from --cameras, by name where names say and else in
+/// order.
+#[derive(Debug, Args)]
+pub struct Compare {
+    /// What is looked at: a scene, a .dgs file, a picture, or a folder of pictures.
+    pub a: String,
+    /// What it is compared with: the reference.
+    pub b: String,
+    /// Write each picture of A, of B and their FLIP error map, side by side, to this folder.
+    #[arg(short, long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
+    /// Replace a folder of images that is there already.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// Frames to compare, FIRST..LAST with LAST included, or one of them [default: all].
+    #[arg(long, value_name = "FIRST..LAST")]
+    pub frames: Option<FrameRange>,
+    /// Highest level to use of a stream, 0 to 3.
+    #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub level: u8,
+    /// Weights of LPIPS (AlexNet, safetensors), to measure it too.
+    #[arg(long, value_name = "FILE")]
+    pub lpips: Option<PathBuf>,
+    /// What renders pictures; gpu is in builds with `--features gpu`.
+    #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
+    pub device: DeviceName,
+    /// Where to look from.
+    #[command(flatten)]
+    pub cameras: CameraArgs,
+    /// What pictures are.
+    #[command(flatten)]
+    pub view: ViewArgs,
+    /// How to read scenes.
     #[command(flatten)]
     pub scene: SceneArgs,
 }
@@ -324,6 +400,9 @@ pub struct StreamArgs {
     /// Scheduler.
     #[arg(long, value_enum, default_value_t = PolicyName::DeadlineUtility)]
     pub policy: PolicyName,
+    /// Save what arrived as a .dgs file.
+    #[arg(short, long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
     /// The link.
     #[command(flatten)]
     pub link: LinkArgs,

@@ -1,11 +1,15 @@
 //! Runs the verbs: one file each, from the command line to steps of the pipeline to a [`output::VerbOutput`].
 
 mod bench;
+mod compare;
+mod convert;
+mod cut;
 mod decode;
 mod demo;
 mod encode;
 mod import;
 mod inspect;
+mod manual;
 mod play;
 mod render;
 mod serve;
@@ -30,11 +34,16 @@ pub fn run(cli: Cli) -> ExitCode {
     let quiet = Quiet(cli.json);
     let said = match cli.verb {
         Verb::Import(args) => import::run(&args),
+        Verb::Convert(args) => convert::run(&args, quiet),
         Verb::Train(args) => train::run(&args, quiet),
         Verb::Encode(args) => encode::run(&args, quiet),
         Verb::Inspect(args) => inspect::run(&args),
-        Verb::Decode(args) => decode::run(&args),
-        Verb::Render(args) => render::run(&args),
+        Verb::Cut(args) => cut::run(&args),
+        Verb::Completions(args) => manual::completions(&args),
+        Verb::Man(args) => manual::pages(&args),
+        Verb::Decode(args) => decode::run(&args, quiet),
+        Verb::Render(args) => render::run(&args, quiet),
+        Verb::Compare(args) => compare::run(&args, quiet),
         Verb::Stream(args) => stream::run(&args, quiet),
         Verb::Sweep(args) => sweep::run(&args, quiet),
         Verb::Serve(args) => serve::run(&args, quiet),

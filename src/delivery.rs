@@ -223,6 +223,11 @@ impl<'e> WireEndpoint<'e> {
         })
     }
 
+    /// Whether each packet of the stream has arrived or was recovered.
+    pub fn arrived(&self) -> Vec<bool> {
+        (0..self.stream.packets().len() as u32).map(|id| self.has(PacketIndex(id))).collect()
+    }
+
     fn has(&self, packet: PacketIndex) -> bool {
         let player = self.player.as_ref();
         PacketId::new(packet.0).zip(player).is_some_and(|(id, player)| player.has(id))

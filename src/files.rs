@@ -37,20 +37,61 @@ pub fn check(path: &Path) -> Result<()> {
 /// What the system says, with the path.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
     let failed = || format!("{}: cannot write", path.display());
-    let existing = fs::metadata(path).ok();
-    if existing.as_ref().is_some_and(|found| !found.is_file()) {
+    if fs::metadata(path).is_ok_and(|found| !found.is_file() && !found.is_dir()) {
         return fs::write(path, bytes).with_context(failed);
     }
-    // A link stays a link: what it leads to is replaced.
-    let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-    let mut file = temporary(&target)?;
-    file.write_all(bytes).with_context(failed)?;
-    if let Some(existing) = existing {
-        file.as_file().set_permissions(existing.permissions()).with_context(failed)?;
+    let mut pending = PendingFile::begin(path)?;
+    pending.file().write_all(bytes).with_context(failed)?;
+    pending.finish()
+}
+
+/// A file on its way: under a temporary name beside its own until [`PendingFile::finish`], and removed if it
+/// is never finished.
+#[derive(Debug)]
+pub struct PendingFile {
+    file: NamedTempFile,
+    target: PathBuf,
+}
+
+impl PendingFile {
+    /// Begins a file that will be `path`.
+    ///
+    /// # Errors
+    /// As [`check`], or a `path` that is a device or a pipe.
+    pub fn begin(path: &Path) -> Result<Self> {
+        check(path)?;
+        if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+            bail!("{}: is no file; a file is needed", path.display());
+        }
+        // A link stays a link: what it leads to is replaced.
+        let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+        Ok(Self { file: temporary(&target)?, target })
     }
-    file.as_file().sync_all().with_context(failed)?;
-    file.persist(&target).map_err(|e| e.error).with_context(failed)?;
-    sync_folder(folder_of(&target)).with_context(failed)
+
+    /// The file under its temporary name, to write to.
+    pub fn file(&mut self) -> &mut fs::File {
+        self.file.as_file_mut()
+    }
+
+    /// The temporary name, for a program that writes to it.
+    pub fn path(&self) -> &Path {
+        self.file.path()
+    }
+
+    /// Gives the file its name.
+    ///
+    /// # Errors
+    /// What the system says, with the path; what was there before then stays.
+    pub fn finish(self) -> Result<()> {
+        let Self { file, target } = self;
+        let failed = || format!("{}: cannot write", target.display());
+        if let Ok(existing) = fs::metadata(&target) {
+            file.as_file().set_permissions(existing.permissions()).with_context(failed)?;
+        }
+        file.as_file().sync_all().with_context(failed)?;
+        file.persist(&target).map_err(|e| e.error).with_context(failed)?;
+        sync_folder(folder_of(&target)).with_context(failed)
+    }
 }
 
 /// A temporary file beside `path`.

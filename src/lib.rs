@@ -14,6 +14,7 @@ pub mod delivery;
 pub mod figures;
 pub mod files;
 pub mod output;
+pub mod pictures;
 pub mod pipeline;
 pub mod progress;
 pub mod report;

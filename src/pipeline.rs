@@ -19,6 +19,7 @@ use trainer_host::{
     Scene, Stream,
     encode::{self, Decisions, Encoded, Protection, Quality, Target},
     import::{self, gltf::Clip, synth},
+    scene::Up,
     stream::PacketMap,
     train::Checkpoint,
     utility,
@@ -31,7 +32,7 @@ pub(crate) use self::{
 };
 pub use self::{
     cache::{stored_utilities, utilities, utility_path},
-    cameras::read_cameras,
+    cameras::{Showing, Surroundings, Viewpoints, read_cameras, viewpoints},
     frames::{Frames, snapshot},
     impair::impairment,
     link::{Link, capacity_bins, link, read_trace},
@@ -71,7 +72,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         let options = synth_options(text, args)?;
         let name = format!("synth {}", options.kind.name());
         let mut scene = synth::make(&options, &limits).with_context(|| format!("cannot make {input}"))?;
-        scene.up = args.up.into();
+        scene.up = args.up.map_or(Up::default(), Into::into);
         return Ok(Loaded { name, scene });
     }
     let clip = match &args.clip {
@@ -98,7 +99,14 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         Some(scene) => scene,
         None => import::import(path, &options)?,
     };
-    scene.up = args.up.into();
+    scene.up = match (args.up, scene.usual_up) {
+        (Some(typed), _) => typed.into(),
+        (None, usual) => {
+            let up = usual.unwrap_or_default();
+            scene.notes.push(format!("up is taken to be {up}; --up says otherwise"));
+            up
+        }
+    };
     let name = path.file_name().map_or_else(|| input.to_owned(), |n| n.to_string_lossy().into_owned());
     Ok(Loaded { name, scene })
 }
@@ -260,6 +268,17 @@ pub const fn policy(name: PolicyName) -> PolicyKind {
     }
 }
 
+/// What a delivery came to.
+#[derive(Debug)]
+pub struct Delivered {
+    /// Figures.
+    pub report: Report,
+    /// What was shown, frame by frame.
+    pub shown: Vec<ShownState>,
+    /// Whether each packet of the stream has arrived or was recovered.
+    pub arrived: Vec<bool>,
+}
+
 /// Steps 8 to 12: schedule, send, link, receive, repair, closure, with the real receiver.
 ///
 /// # Errors
@@ -272,6 +291,22 @@ pub fn deliver(
     policy: PolicyKind,
     transport: TransportName,
 ) -> Result<(Report, Vec<ShownState>)> {
+    let Delivered { report, shown, .. } = delivered(stream, map, graph, config, policy, transport)?;
+    Ok((report, shown))
+}
+
+/// As [`deliver`], with what has arrived.
+///
+/// # Errors
+/// As [`deliver`].
+pub fn delivered(
+    stream: &Stream,
+    map: &PacketMap,
+    graph: &PacketGraph,
+    config: &SessionConfig,
+    policy: PolicyKind,
+    transport: TransportName,
+) -> Result<Delivered> {
     let config = SessionConfig { policy, ..config.clone() };
     let early_bytes = config.buffer_limit * codec_core::internals::limits::MAX_PACKET_BYTES;
     let mut endpoint = WireEndpoint::new(early_bytes, stream, map, graph)?;
@@ -283,8 +318,8 @@ pub fn deliver(
             run.context("--transport quic")?
         }
     };
-    let shown = std::mem::take(&mut endpoint.shown);
-    Ok((report, shown))
+    let arrived = endpoint.arrived();
+    Ok(Delivered { report, shown: std::mem::take(&mut endpoint.shown), arrived })
 }
 
 /// The stream as a graph, with the utilities if there are any.

@@ -36,6 +36,13 @@ impl Progress {
     }
 }
 
+impl Progress {
+    /// `done` of `total` pieces of work are done, and the next is at hand: "rendering 3 of 8".
+    pub fn step(&self, what: &str, done: usize, total: usize) {
+        self.stage(&format!("{what} {} of {total}", done + 1), done as f64 / total.max(1) as f64);
+    }
+}
+
 impl Drop for Progress {
     fn drop(&mut self) {
         self.0.finish_and_clear();

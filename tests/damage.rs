@@ -119,7 +119,7 @@ fn damaged_streams() {
 
 #[test]
 fn damaged_scenes() {
-    let scenes = ["ply", "splat", "spz", "sog", "glb", "npz", "asset"];
+    let scenes = ["ply", "splat", "ksplat", "splatv", "spz", "sog", "glb", "npz", "asset"];
     for case in cases().iter().filter(|c| scenes.iter().any(|e| c.file.ends_with(&format!(".{e}")))) {
         let path = folder().join(&case.file);
         let error = import(&path, &import::ImportOptions::default()).expect_err(&case.file);
@@ -299,6 +299,16 @@ fn write_damaged_files() {
     write("index.glb", &replaced(&good, "\"mesh\":0", "\"mesh\":7"));
     write("ring.glb", &replaced(&good, "\"children\":[2]", "\"children\":[1]"));
     write("count.glb", &replaced(&good, "\"count\":6", "\"count\":9"));
+
+    let good = corpus("gltf_splats/few.glb");
+    write("splats.glb", &replaced(&good, "\"count\":24", "\"count\":99"));
+    let good = corpus("ksplat/floats");
+    write("cut.ksplat", &cut(&good, 20));
+    write("section.ksplat", &put(&good, 4, &u32::MAX.to_le_bytes()));
+    let good = corpus("splatv/three");
+    write("cut.splatv", &cut(&good, 20));
+    let good = corpus("dynamic_npz/two");
+    write("shape.npz", &replaced(&good, "'shape': (2, 1)", "'shape': (7, 1)"));
 
     write("version.asset", b"%YAML 1.1\nMonoBehaviour:\n  m_FormatVersion: 20230101\n  m_SplatCount: 4\n");
 

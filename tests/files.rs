@@ -87,7 +87,7 @@ fn outputs_are_refused_before_the_work() {
         (vec!["decode", "none", "--out", "used"], "holds 1 files already"),
         (vec!["decode", "none", "--out", "used", "--overwrite"], "notes.txt"),
         (vec!["render", "none", "--out", "file"], "not a folder"),
-        (vec!["import", "none", "--out", "used"], "holds 1 files already"),
+        (vec!["convert", "none", "used"], "holds 1 files already"),
         (vec!["demo", "--scene", "none", "--out", "file/report"], "file/report"),
     ] {
         let text = refused(at, &args);
@@ -215,7 +215,7 @@ fn cameras_of_files_choose_views_and_frames() {
 fn gaussians_in_another_order_give_the_same_picture() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
-    ok(at, &["import", "synth:figure:12000:1", "--out", "a.ply"]);
+    ok(at, &["convert", "synth:figure:12000:1", "a.ply"]);
     let whole = fs::read(at.join("a.ply")).unwrap();
     let end = b"end_header\n";
     let start = whole.windows(end.len()).position(|w| w == end).unwrap() + end.len();

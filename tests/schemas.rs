@@ -69,6 +69,25 @@ fn a_session_is_as_its_schemas_say() {
     assert_eq!(said["report"]["frames"].as_array().unwrap().len(), 8);
 }
 
+#[test]
+fn a_comparison_is_as_its_schema_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    dgs(at, &["encode", "synth:figure:1000:3", "--out", "a.dgs", "--pictures", "0"]);
+    let comparisons = validator("compare");
+    let small = ["--width", "32", "--height", "32"];
+    let same = ["--json", "compare", "synth:figure:1000:3", "synth:figure:1000:3"];
+    let other = ["--json", "compare", "a.dgs", "synth:figure:1000:3"];
+    for args in [same, other] {
+        let said: Value = serde_json::from_str(&dgs(at, &[&args[..], &small].concat())).unwrap();
+        assert_eq!(complaints(&comparisons, &said), [""; 0]);
+        assert_eq!(said["gaussians"].is_null(), args == other);
+        let mut damaged = said;
+        damaged["pictures"][0]["flip"] = json!(1.5);
+        assert!(complaints(&comparisons, &damaged)[0].starts_with("/pictures/0/flip"));
+    }
+}
+
 /// What is wrong in one place is refused there.
 #[test]
 fn wrong_documents_are_refused() {

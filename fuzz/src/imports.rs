@@ -142,6 +142,31 @@ pub fn gltf(data: &[u8]) {
     moving(parsed);
 }
 
+/// glTF and GLB of Gaussians.
+pub fn gltf_splats(data: &[u8]) {
+    still(data, |data, limits| import::gltf_splats::parse(data, nothing_beside, limits));
+}
+
+/// Sections of splats.
+pub fn ksplat(data: &[u8]) {
+    still(data, import::ksplat::parse);
+}
+
+/// Splats that move by polynomials.
+pub fn splatv(data: &[u8]) {
+    moving(import::splatv::parse(data, 30.0, &limits(false)));
+    moving(import::splatv::parse(data, 30.0, &limits(true)));
+}
+
+/// A training of Dynamic 3D Gaussians.
+pub fn dynamic_npz(data: &[u8]) {
+    moving(import::dynamic_npz::parse(data, 30.0, &limits(false)));
+    let sealed = seal::zip(data);
+    if sealed != data {
+        moving(import::dynamic_npz::parse(&sealed, 30.0, &limits(false)));
+    }
+}
+
 /// A Unity asset of `n` splats: the description and its five planes.
 pub fn unity_planes(n: usize) -> (String, [Vec<u8>; 5]) {
     let description = format!(

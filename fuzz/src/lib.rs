@@ -31,7 +31,10 @@ mod wire;
 pub use coding::{bytes, lanes, pack, tables};
 pub use control::control;
 pub use forged::forged;
-pub use imports::{compressed_ply, gltf, ply, points_npz, sog, splat, spz, unity, unity_planes};
+pub use imports::{
+    compressed_ply, dynamic_npz, gltf, gltf_splats, ksplat, ply, points_npz, sog, splat, splatv, spz, unity,
+    unity_planes,
+};
 pub use parity::{cauchy, repair};
 pub use session::{closure, decode, receiver, sliced, slices};
 pub use streams::{fixture, small};
@@ -42,7 +45,7 @@ pub use wire::{file, manifest, packet, receipt};
 pub type Body = fn(&[u8]);
 
 /// All bodies by name: wire, control, coding, session, imports, traces.
-pub const TARGETS: [(&str, Body); 26] = [
+pub const TARGETS: [(&str, Body); 30] = [
     ("packet", packet),
     ("manifest", manifest),
     ("receipt", receipt),
@@ -67,6 +70,10 @@ pub const TARGETS: [(&str, Body); 26] = [
     ("sog", sog),
     ("points_npz", points_npz),
     ("gltf", gltf),
+    ("gltf_splats", gltf_splats),
+    ("ksplat", ksplat),
+    ("splatv", splatv),
+    ("dynamic_npz", dynamic_npz),
     ("unity", unity),
     ("trace", trace),
 ];

@@ -26,6 +26,8 @@ const MUTATIONS: &[(&str, usize)] = &[
     ("pack", 2000),
     ("bytes", 2000),
     ("gltf", 6000),
+    ("gltf_splats", 6000),
+    ("splatv", 2000),
 ];
 const MUTATIONS_OTHERS: usize = 12_000;
 

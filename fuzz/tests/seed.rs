@@ -25,7 +25,7 @@ use fuzz::{fixture, small, unity_planes};
 use serde_json::json;
 use trainer_host::{
     Epoch,
-    export::{ply as ply_writer, spz as spz_writer},
+    export::{self, ply as ply_writer, spz as spz_writer},
     import,
 };
 
@@ -250,6 +250,11 @@ fn imports() {
     put("sog", "description", description.as_bytes());
     put("points_npz", "four", &points_npz());
     put("gltf", "strip.glb", &glb());
+    put("gltf_splats", "few.glb", &export::gltf::encode(&epoch, 0).unwrap());
+    put("ksplat", "floats", &ksplat(4, 0));
+    put("ksplat", "bytes", &ksplat(4, 2));
+    put("splatv", "three", &splatv(3));
+    put("dynamic_npz", "two", &dynamic_npz());
     let (description, planes) = unity_planes(20);
     put("unity", "description", &[&[0u8][..], description.as_bytes()].concat());
     for (i, plane) in planes.iter().enumerate().filter(|(i, _)| *i != 3) {
@@ -266,6 +271,71 @@ fn splat(n: usize) -> Vec<u8> {
         out.extend([255, 128, i as u8, 204, 255, 128, 128, 128]);
     }
     out
+}
+
+/// One section of `n` splats with harmonics of degree 1, in one bucket.
+fn ksplat(n: u32, level: u16) -> Vec<u8> {
+    let mut out = vec![0u8; 4096 + 1024];
+    let mut put = |at: usize, bytes: &[u8]| out[at..at + bytes.len()].copy_from_slice(bytes);
+    put(0, &[0, 1]);
+    put(20, &level.to_le_bytes());
+    let words = [(4, 1), (8, 1), (16, n)];
+    let section = [(0, n), (4, n), (8, 256), (12, 1), (24, 32_767), (36, 1)].map(|(at, v)| (4096 + at, v));
+    words.into_iter().chain(section).for_each(|(at, v): (usize, u32)| put(at, &v.to_le_bytes()));
+    put(4096 + 16, &5f32.to_le_bytes());
+    put(4096 + 20, &[12]);
+    put(4096 + 40, &[1]);
+    out.extend(n.to_le_bytes());
+    out.extend([1f32, 2.0, 3.0].into_iter().flat_map(f32::to_le_bytes));
+    for i in 0..n {
+        if level == 0 {
+            let numbers = [i as f32, 2.0, 3.0, 0.125, 0.25, 0.5, 0.5, -0.5, 0.5, 0.5];
+            out.extend(numbers.into_iter().flat_map(f32::to_le_bytes));
+            out.extend([255, 128, 0, 204]);
+            out.extend([0.25f32; 9].into_iter().flat_map(f32::to_le_bytes));
+        } else {
+            // Half-precision 0.25, 0.25, 0.5, then 0.5, -0.5, 0.5, 0.5.
+            let halves = [0x3400u16, 0x3400, 0x3800, 0x3800, 0xb800, 0x3800, 0x3800];
+            let places = [32_767 + i as u16, 32_767, 32_767];
+            out.extend(places.into_iter().chain(halves).flat_map(u16::to_le_bytes));
+            out.extend([255, 128, 0, 204, 9, 8, 7, 6, 5, 4, 3, 2, 1]);
+        }
+    }
+    out
+}
+
+/// Splats that go along x.
+fn splatv(n: usize) -> Vec<u8> {
+    let text = format!("[{{\"type\":\"splat\",\"size\":{}}}]", n * 64);
+    let mut out =
+        [&0x674bu32.to_le_bytes()[..], &(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
+    for i in 0..n {
+        out.extend([i as f32, 0.0, 2.0].into_iter().flat_map(f32::to_le_bytes));
+        // Half-precision wxyz and scales, colour, motion, turning, centre and width.
+        let first = [0x3c00u16, 0, 0, 0, 0x3400, 0x3800, 0x3000, 0];
+        let motion = [0x3c00u16, 0, 0, 0x4000, 0, 0, 0x4400, 0, 0, 0, 0, 0x3c00, 0, 0, 0, 0x3800];
+        out.extend(first.into_iter().flat_map(u16::to_le_bytes));
+        out.extend([255, 0, 128, 204]);
+        out.extend(motion.into_iter().flat_map(u16::to_le_bytes));
+    }
+    out
+}
+
+/// Two frames of two Gaussians.
+fn dynamic_npz() -> Vec<u8> {
+    let npy = |shape: &str, count: usize| {
+        let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}\n");
+        let values: Vec<f32> = (0..count).map(|i| 0.25 * i as f32 - 0.5).collect();
+        let length = (header.len() as u16).to_le_bytes();
+        [b"\x93NUMPY\x01\x00", &length[..], header.as_bytes(), &floats(&values)].concat()
+    };
+    zipped(&[
+        ("means3D.npy", npy("2, 2, 3", 12)),
+        ("unnorm_rotations.npy", npy("2, 2, 4", 16)),
+        ("rgb_colors.npy", npy("2, 2, 3", 12)),
+        ("logit_opacities.npy", npy("2, 1", 2)),
+        ("log_scales.npy", npy("2, 3", 6)),
+    ])
 }
 
 fn ascii_ply(n: usize) -> Vec<u8> {

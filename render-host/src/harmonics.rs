@@ -19,7 +19,7 @@ pub(crate) const C3: [f64; 7] = [
 
 /// Values of bands 1..=`degree` towards the unit vector `[x, y, z]` (camera centre to Gaussian); entries
 /// of higher bands are 0.
-pub(crate) fn basis(degree: u8, [x, y, z]: [f64; 3]) -> [f64; 15] {
+pub fn basis(degree: u8, [x, y, z]: [f64; 3]) -> [f64; 15] {
     let mut b = [0.0; 15];
     if degree >= 1 {
         b[0] = -C1 * y;

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use crate::{
     camera::MAX_SIDE,
-    image_file::{Bounds, Rgba8, png_of_rgb8},
+    image_file::{Bounds, Rgba8, jpeg_of_rgb8, png_of_rgb8, webp_of_rgb8},
 };
 
 /// The most that a decoded file may take, bytes.
@@ -175,6 +175,24 @@ impl Image {
             return Err(ImageError::Empty("the image"));
         }
         png_of_rgb8(self.width, self.height, &self.to_rgb8()).map_err(|e| ImageError::Codec(e.to_string()))
+    }
+
+    /// The image as a JPEG file's bytes, at `quality` 1 to 100, colour at full resolution. Lossy.
+    ///
+    /// # Errors
+    /// An empty image.
+    pub fn to_jpeg(&self, quality: u8) -> Result<Vec<u8>, ImageError> {
+        let file = jpeg_of_rgb8(self.width, self.height, &self.to_rgb8(), quality);
+        file.map_err(|e| ImageError::Codec(e.to_string()))
+    }
+
+    /// The image as a lossless WebP file's bytes, 8 bits per channel.
+    ///
+    /// # Errors
+    /// An empty image.
+    pub fn to_webp(&self) -> Result<Vec<u8>, ImageError> {
+        let file = webp_of_rgb8(self.width, self.height, &self.to_rgb8());
+        file.map_err(|e| ImageError::Codec(e.to_string()))
     }
 
     /// Reads PNG, JPEG or WebP bytes. Transparent pixels are laid over `background`.

@@ -1,7 +1,9 @@
-//! This module reads PNG, JPEG and WebP files as 8-bit RGBA and writes 8-bit RGB as PNG.
+//! This module reads PNG, JPEG and WebP files as 8-bit RGBA and writes 8-bit RGB as any of them.
 //!
 //! The decoders stand alone: together with colour management, animation and a dozen other formats they would
 //! be a third of what has to be compiled.
+
+mod jpeg;
 
 use std::io::Cursor;
 
@@ -104,6 +106,38 @@ pub(crate) fn png_of_rgb8(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>
     let mut writer = encoder.write_header().map_err(codec)?;
     writer.write_image_data(rgb).map_err(codec)?;
     writer.finish().map_err(codec)?;
+    Ok(out)
+}
+
+/// The JPEG file of a picture of `width` × `height`, r g b per pixel, at `quality` 1 to 100; no colour is
+/// stored at a lower resolution.
+///
+/// # Errors
+/// [`FileError`]: a length that is not `3 · width · height`, a side above 65535.
+pub(crate) fn jpeg_of_rgb8(width: u32, height: u32, rgb: &[u8], quality: u8) -> Result<Vec<u8>, FileError> {
+    let side = |side: u32| {
+        let short = u16::try_from(side).ok().filter(|&side| side > 0);
+        short.ok_or_else(|| codec(format_args!("a side of {side} pixels; 1 to 65535 are allowed")))
+    };
+    let size = [side(width)?, side(height)?];
+    if rgb.len() as u64 != 3 * u64::from(width) * u64::from(height) {
+        return Err(codec(format_args!("{} bytes for {width} x {height} pixels", rgb.len())));
+    }
+    Ok(jpeg::encode(size, rgb, quality))
+}
+
+/// The lossless WebP file of a picture of `width` × `height`, r g b per pixel.
+///
+/// # Errors
+/// [`FileError`]: a length that is not `3 · width · height`, a side above 16384.
+pub(crate) fn webp_of_rgb8(width: u32, height: u32, rgb: &[u8]) -> Result<Vec<u8>, FileError> {
+    // The encoder panics on another length.
+    if rgb.len() as u64 != 3 * u64::from(width) * u64::from(height) {
+        return Err(codec(format_args!("{} bytes for {width} x {height} pixels", rgb.len())));
+    }
+    let mut out = Vec::new();
+    let encoder = image_webp::WebPEncoder::new(&mut out);
+    encoder.encode(rgb, width, height, image_webp::ColorType::Rgb8).map_err(codec)?;
     Ok(out)
 }
 

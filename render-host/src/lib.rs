@@ -24,13 +24,14 @@
 //! Deliberately absent: files of splats (trainer-host reads them), packets (codec-core), clocks.
 
 pub mod adjoint;
+pub mod animation;
 pub mod backend;
 pub mod camera;
 pub mod counterfactual;
 pub mod counters;
 #[cfg(feature = "gpu")]
 pub mod gpu;
-mod harmonics;
+pub mod harmonics;
 pub mod image;
 pub mod image_file;
 pub mod metric;

@@ -72,6 +72,15 @@ pub(super) fn background(text: &str) -> Result<[f32; 3], String> {
     }
 }
 
+/// Parses a point: x,y,z, each finite.
+pub(super) fn point(text: &str) -> Result<[f64; 3], String> {
+    let values: Option<Vec<f64>> = text.split(',').map(|v| v.trim().parse().ok()).collect();
+    let values = values.filter(|values| values.iter().all(|v: &f64| v.is_finite()));
+    values
+        .and_then(|values| values.try_into().ok())
+        .ok_or_else(|| "x,y,z, each finite, is allowed".to_owned())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -32,9 +32,10 @@ pub struct SceneArgs {
     #[arg(long, default_value_t = 5_000_000)]
     pub max_gaussians: usize,
     /// Which way is up: cameras placed around the scene stand upright by it, those that the encoder
-    /// chooses on too.
-    #[arg(long, value_enum, default_value_t = Up::Y)]
-    pub up: Up,
+    /// chooses on too [default: as usual in the format: -y in PLY, compressed PLY, .splat, SOG and Unity
+    /// assets, which keep the axes of captures; y in SPZ, glTF and everything else].
+    #[arg(long, value_enum)]
+    pub up: Option<Up>,
 }
 
 /// An axis that points up.

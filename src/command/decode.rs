@@ -8,17 +8,20 @@ use codec_core::{
 use serde_json::json;
 use trainer_host::scene::Up;
 
-use super::import::{check, write};
+use super::convert::format::SceneOutput;
 use crate::{
     args::Decode,
     output::VerbOutput,
-    pipeline::{self, Frames},
+    pipeline::{self, Frames, Quiet},
+    progress::Progress,
 };
 
 /// Runs the verb.
-pub fn run(args: &Decode) -> Result<VerbOutput> {
-    if let Some(out) = &args.out {
-        check(out, args.overwrite)?;
+pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
+    let out =
+        args.out.as_deref().map(|out| Ok::<_, anyhow::Error>((out, SceneOutput::of(out)?))).transpose()?;
+    if let Some((out, output)) = out {
+        output.check(out, args.overwrite)?;
     }
     let mut warnings = Vec::new();
     let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
@@ -53,9 +56,10 @@ pub fn run(args: &Decode) -> Result<VerbOutput> {
         text += &format!("digest {digest}\n");
         json["digest"] = json!(digest);
     }
-    if let Some(out) = &args.out {
+    if let Some((out, output)) = out {
         let mut absent = AbsentGaussians::default();
-        text += &write(out, args.overwrite, args.frame, frames.count(), |frame| {
+        let progress = Progress::new("decode", quiet.0);
+        text += &output.write(out, args.overwrite, args.frame, frames.count(), &progress, |frame| {
             let instant = frames.instant(frame)?;
             let (epoch, missing) = pipeline::snapshot(&instant)?;
             absent.add(missing, instant.gaussians.len());

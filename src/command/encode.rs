@@ -8,7 +8,7 @@ use render_host::Backend;
 use serde_json::json;
 use trainer_host::{
     Scene, Stream,
-    encode::{Decisions, EncodeOptions, PacketReport, Protection, Report},
+    encode::{Decisions, EncodeOptions, PacketReport, Protection, Report, TargetViews},
     evaluator::{self, Segment},
     stream::PacketMap,
     train::dataset,
@@ -21,8 +21,13 @@ use crate::{
     figures::{audit_lines, number},
     files,
     output::VerbOutput,
-    pipeline::{self, Quiet},
+    pipeline::{self, Quiet, Surroundings},
 };
+
+/// Cameras that a target PSNR is measured from, where none are typed.
+const TARGET_CAMERAS: usize = 3;
+/// Width and height of the pictures that a target PSNR is measured on, pixels.
+const TARGET_SIZE: (u32, u32) = (256, 256);
 
 /// Runs the verb.
 pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
@@ -37,7 +42,10 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let device = args.device.into();
     Backend::open(device).context("--device")?;
-    let options = EncodeOptions { device, ..pipeline::encode_options(&args.codec, Protection::NONE) };
+    let target_views = target_views(args, &loaded.scene)?;
+    let (target_views, cameras) = target_views.unzip();
+    let options =
+        EncodeOptions { device, target_views, ..pipeline::encode_options(&args.codec, Protection::NONE) };
     let start = Instant::now();
     let mut encoded = match &args.decisions {
         Some(path) => pipeline::write(&loaded.scene, &read_decisions(path)?, quiet)?,
@@ -79,6 +87,16 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
             t.wire_before
         );
     }
+    if let Some(views) = report.reached.and_then(|reached| reached.views) {
+        text += &format!(
+            "  measured on {} frames from {}, pictures of {} × {}, of which the scene covers {:.1} %\n",
+            views.frames,
+            cameras.unwrap_or_default(),
+            views.width,
+            views.height,
+            100.0 * views.covered
+        );
+    }
     for note in &loaded.scene.notes {
         text += &format!("note: {note}\n");
     }
@@ -114,6 +132,26 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         });
     }
     Ok(VerbOutput { text, json, warnings, damaged: false })
+}
+
+/// Where the target PSNR is measured, if there is one, and what that is for people.
+fn target_views(args: &Encode, scene: &Scene) -> Result<Option<(TargetViews, String)>> {
+    if args.codec.target_psnr.is_none() {
+        if args.cameras.is_typed() || args.view.width.is_some() || args.view.height.is_some() {
+            bail!("cameras and sizes of pictures are for --target-psnr, which is missing");
+        }
+        return Ok(None);
+    }
+    let mut around = Surroundings {
+        own: &[],
+        framing: &mut || Ok(Framing::of(scene)),
+        ring: (Ring::Measuring, TARGET_CAMERAS),
+        size: TARGET_SIZE,
+        up: scene.up,
+    };
+    let found = pipeline::viewpoints(&args.cameras, &args.view, &mut around)?;
+    let cameras = found.views.into_iter().map(|view| view.camera).collect();
+    Ok(Some((TargetViews { cameras, background: args.view.background }, found.description)))
 }
 
 /// The training photographs of a dataset, over the background that utilities are measured over.

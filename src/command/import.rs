@@ -1,18 +1,13 @@
-//! Imports a scene, says what it is, and converts it: `dgs import`.
+//! Imports a scene and says what it is: `dgs import`. What writes it is `dgs convert`.
 
-use std::{borrow::Borrow, path::Path};
-
-use anyhow::{Context, Result};
+use anyhow::Result;
 use serde_json::json;
-use trainer_host::{Epoch, export, viewpoint::Framing};
+use trainer_host::viewpoint::Framing;
 
-use crate::{args::Import, files, output::VerbOutput, pipeline};
+use crate::{args::Import, output::VerbOutput, pipeline};
 
 /// Runs the verb.
 pub fn run(args: &Import) -> Result<VerbOutput> {
-    if let Some(out) = &args.out {
-        check(out, args.overwrite)?;
-    }
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let scene = &loaded.scene;
     let mut text = format!(
@@ -54,77 +49,14 @@ pub fn run(args: &Import) -> Result<VerbOutput> {
         text += &format!("  … {} more epochs\n", scene.epochs().len() - 4);
     }
     let framing = Framing::of(scene);
-    text += &format!("  centre {:.3?}, radius {:.3}\n", framing.target, framing.radius);
+    text += &format!("  centre {:.3?}, radius {:.3}, up {}\n", framing.target, framing.radius, scene.up);
     for note in &scene.notes {
         text += &format!("  note: {note}\n");
-    }
-    if let Some(out) = &args.out {
-        text += &write(out, args.overwrite, 0, scene.frames() as u32, |frame| {
-            let found = scene.locate(frame as usize);
-            let (epoch, t) = found.with_context(|| format!("there is no frame {frame}"))?;
-            Ok((&scene.epochs()[epoch], t))
-        })?;
     }
     let json = json!({
         "name": loaded.name, "frames": scene.frames(), "fps": scene.frames_per_second(),
         "epochs": epochs, "centre": framing.target, "radius": framing.radius, "notes": scene.notes,
-        "cameras": scene.cameras.len(),
+        "cameras": scene.cameras.len(), "up": scene.up.to_string(),
     });
     Ok(VerbOutput { text, json, ..VerbOutput::default() })
-}
-
-/// Refuses an output of frames that could not be written: a file if its name ends in .ply or .spz, else a
-/// folder.
-pub(super) fn check(out: &Path, overwrite: bool) -> Result<()> {
-    match Format::of(out) {
-        Some(_) => files::check(out),
-        None => files::FrameFolder::create(out, overwrite).map(drop),
-    }
-}
-
-/// Writes frames as `out` says: a folder gets all of them as PLY, a file frame `only`. `frame` gives one as
-/// an epoch and the frame in it.
-pub(super) fn write<E: Borrow<Epoch>>(
-    out: &Path,
-    overwrite: bool,
-    only: u32,
-    count: u32,
-    mut frame: impl FnMut(u32) -> Result<(E, usize)>,
-) -> Result<String> {
-    if let Some(format) = Format::of(out) {
-        let (epoch, t) = frame(only)?;
-        files::write(out, &format.encode(epoch.borrow(), t)?)?;
-        return Ok(format!("wrote {}\n", out.display()));
-    }
-    let mut folder = files::FrameFolder::create(out, overwrite)?;
-    for number in 0..count {
-        let (epoch, t) = frame(number)?;
-        folder.add(format!("frame_{number:05}.ply"), &Format::Ply.encode(epoch.borrow(), t)?)?;
-    }
-    Ok(format!("wrote {} PLY files to {}\n", folder.finish(overwrite)?, out.display()))
-}
-
-/// What one frame is written as.
-#[derive(Clone, Copy)]
-enum Format {
-    Ply,
-    Spz,
-}
-
-impl Format {
-    /// By the ending of a name; `None` is a folder's.
-    fn of(out: &Path) -> Option<Self> {
-        match out.extension().and_then(|e| e.to_str()) {
-            Some("ply") => Some(Self::Ply),
-            Some("spz") => Some(Self::Spz),
-            _ => None,
-        }
-    }
-
-    fn encode(self, epoch: &Epoch, t: usize) -> Result<Vec<u8>> {
-        match self {
-            Self::Ply => Ok(export::ply::encode(epoch, t)),
-            Self::Spz => Ok(export::spz::encode(epoch, t, &export::spz::SpzOptions::default())?),
-        }
-    }
 }

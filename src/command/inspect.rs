@@ -7,17 +7,27 @@ use codec_core::internals::{
     ids::{Level, Span},
     wire::manifest::Manifest,
 };
+use serde::Serialize;
 use serde_json::{Value, json};
 use trainer_host::{
+    Stream,
     encode::{
         Decisions,
         decisions::{EpochDecisions, TrackForm},
     },
+    scene::Up,
     stream::PacketMap,
+    viewpoint::Framing,
 };
 
 use super::encode::read_decisions;
-use crate::{args::Inspect, figures::number, files, output::VerbOutput, pipeline};
+use crate::{
+    args::Inspect,
+    figures::number,
+    files,
+    output::VerbOutput,
+    pipeline::{self, Frames},
+};
 
 /// Runs the verb.
 pub fn run(args: &Inspect) -> Result<VerbOutput> {
@@ -66,7 +76,10 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
         }
     }
     text += &format!("  parity: {parity} packets; missing: {missing}\n");
+    let facts = StreamFacts::of(&stream, &manifest)?;
+    text += &facts.lines();
     let json = json!({
+        "stream": facts,
         "file": args.input, "profile": manifest.profile_name(),
         "manifest_bytes": stream.message().len(), "packets": packets, "parity_packets": parity,
         "missing_packets": missing, "damage": warnings, "manifest": manifest_json(&manifest),
@@ -77,6 +90,60 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     }
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// What a stream comes to as a whole.
+#[derive(Serialize)]
+struct StreamFacts {
+    duration_s: f64,
+    /// Over all epochs.
+    gaussians: u64,
+    wire_bytes: usize,
+    bits_per_gaussian: f64,
+    /// Least and greatest position of what has arrived, over sampled frames.
+    bounds: Option<[[f32; 3]; 2]>,
+}
+
+impl StreamFacts {
+    fn of(stream: &Stream, manifest: &Manifest<'_>) -> Result<Self> {
+        let head = manifest.head();
+        let gaussians: u64 = manifest.epochs().map(|epoch| u64::from(epoch.gaussians)).sum();
+        let wire_bytes = stream.wire_bytes();
+        let mut frames = Frames::of_stream(stream.receive()?, Level::from_bits(3), Up::default());
+        let mut bounds: Option<[[f32; 3]; 2]> = None;
+        for frame in Framing::sampled(frames.count() as usize) {
+            let instant = frames.instant(frame as u32)?;
+            for gaussian in instant.gaussians.iter().filter(|gaussian| !gaussian.is_absent()) {
+                let [low, high] = bounds.get_or_insert([gaussian.position; 2]);
+                for axis in 0..3 {
+                    low[axis] = low[axis].min(gaussian.position[axis]);
+                    high[axis] = high[axis].max(gaussian.position[axis]);
+                }
+            }
+        }
+        Ok(Self {
+            duration_s: f64::from(head.frames) / manifest.frames_per_second(),
+            gaussians,
+            wire_bytes,
+            bits_per_gaussian: 8.0 * wire_bytes as f64 / gaussians.max(1) as f64,
+            bounds,
+        })
+    }
+
+    fn lines(&self) -> String {
+        let bounds = match self.bounds {
+            Some([low, high]) => format!("{low:.3?} to {high:.3?}"),
+            None => "nothing has arrived".to_owned(),
+        };
+        format!(
+            "  {:.3} s, {} Gaussians over all epochs, {} bytes on the wire, {} bits per Gaussian\n  bounds \
+             {bounds}\n",
+            self.duration_s,
+            self.gaussians,
+            self.wire_bytes,
+            number(self.bits_per_gaussian)
+        )
+    }
 }
 
 /// What a file of decisions says, in short; as JSON, all of it.

@@ -1,19 +1,169 @@
-//! Reads files of cameras: Blender/NeRF `transforms_*.json`, or COLMAP's `cameras` and `images`.
+//! Chooses where pictures look from: one place for every verb.
+//!
+//! What is typed wins: a file of cameras, an eye, a turntable; else the scene's own cameras; else a ring
+//! around the scene, which depends on where its Gaussians lie and never on their order.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, bail};
-use render_host::camera::{
-    View, blender,
-    colmap::{self, Format},
+use render_host::{
+    Camera,
+    camera::{
+        View, blender,
+        colmap::{self, Format},
+    },
 };
+use trainer_host::{
+    scene::Up,
+    viewpoint::{FIELD_OF_VIEW, Framing, Ring},
+};
+
+use crate::args::{CameraArgs, ViewArgs};
 
 /// Most bytes of one file of cameras.
 const MAX_BYTES: u64 = 1 << 30;
 
+/// Cameras, and where they come from.
+#[derive(Clone, Debug)]
+pub struct Viewpoints {
+    /// At least one.
+    pub views: Vec<View>,
+    /// For people: what they are.
+    pub description: String,
+    /// Which frames they show.
+    pub showing: Showing,
+}
+
+/// Which frames a list of cameras shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Showing {
+    /// Each may show the whole clip.
+    Clip,
+    /// Each one frame: that of its own time, or the first.
+    OwnFrame,
+    /// Each the frame after that of the camera before, from the first again after the last.
+    PlayAlong,
+}
+
+impl Showing {
+    /// The frame, of `count`, that camera `index` shows first.
+    ///
+    /// # Errors
+    /// A time outside of 0 to 1.
+    pub fn frame_of(self, view: &View, index: usize, count: u32) -> Result<u32> {
+        match view.time {
+            None if self == Self::PlayAlong => Ok(index as u32 % count.max(1)),
+            None => Ok(0),
+            Some(time) if (0.0..=1.0).contains(&time) => Ok((time * f64::from(count - 1)).round() as u32),
+            Some(time) => bail!("{}: time is {time}; 0 to 1 is allowed, or --frame", view.name),
+        }
+    }
+}
+
+/// What cameras are placed around, where none are typed.
+pub struct Surroundings<'a> {
+    /// The scene's own cameras.
+    pub own: &'a [Camera],
+    /// Where the scene lies; asked for only where it matters.
+    pub framing: &'a mut dyn FnMut() -> Result<Framing>,
+    /// Cameras of the ring.
+    pub ring: (Ring, usize),
+    /// Width and height of pictures where nothing else says, pixels.
+    pub size: (u32, u32),
+    /// Which way is up, for what is said.
+    pub up: Up,
+}
+
+/// The cameras that `typed` asks for, at the size that `view` asks for.
+///
+/// # Errors
+/// A file that cannot be read, an image size or direction the camera refuses, a camera that is not there.
+pub fn viewpoints(typed: &CameraArgs, view: &ViewArgs, around: &mut Surroundings<'_>) -> Result<Viewpoints> {
+    let size = (view.width.unwrap_or(around.size.0), view.height.unwrap_or(around.size.1));
+    let mut found = match placed(typed, size, around)? {
+        Some(found) => found,
+        None => match &typed.cameras {
+            Some(path) => {
+                let views = read_cameras(path, view.width.zip(view.height))?;
+                let description = format!("{} cameras of {}", views.len(), path.display());
+                {
+                    let showing = if views.len() > 1 { Showing::OwnFrame } else { Showing::Clip };
+                    Viewpoints { views, description, showing }
+                }
+            }
+            None if !around.own.is_empty() => {
+                let description = format!("{} cameras of the scene", around.own.len());
+                Viewpoints { views: unnamed(around.own.to_vec()), description, showing: Showing::Clip }
+            }
+            None => {
+                let (ring, count) = around.ring;
+                let cameras = (around.framing)()?.ring(ring, count, size).context("--width, --height")?;
+                let plural = if count == 1 { "" } else { "s" };
+                let description = format!("{count} camera{plural} around the scene, up {}", around.up);
+                Viewpoints { views: unnamed(cameras), description, showing: Showing::Clip }
+            }
+        },
+    };
+    for found in &mut found.views {
+        let own = (found.camera.width(), found.camera.height());
+        let wanted = match typed.cameras {
+            Some(_) => (view.width.unwrap_or(own.0), view.height.unwrap_or(own.1)),
+            None => size,
+        };
+        if wanted != own {
+            found.camera = found.camera.resized(wanted.0, wanted.1).context("--width, --height")?;
+        }
+    }
+    if let Some(text) = &typed.camera {
+        let view = choose(&found.views, text)?.clone();
+        let description = format!("camera {text} of {}", found.description);
+        found = Viewpoints { views: vec![view], description, showing: Showing::Clip };
+    }
+    Ok(found)
+}
+
+/// The cameras of --eye or --turntable, if either is typed.
+fn placed(typed: &CameraArgs, size: (u32, u32), around: &mut Surroundings<'_>) -> Result<Option<Viewpoints>> {
+    let degrees = typed.fov.unwrap_or(FIELD_OF_VIEW);
+    if let Some(eye) = typed.eye {
+        let framing = (around.framing)()?;
+        let target = typed.target.unwrap_or(framing.target);
+        let camera = Camera::look_at(eye, target, framing.up, degrees.to_radians(), size.0, size.1);
+        let camera = camera.context("--eye, --target, --up")?;
+        let description = format!("1 camera at {eye:?}, up {}", around.up);
+        return Ok(Some(Viewpoints { views: unnamed(vec![camera]), description, showing: Showing::Clip }));
+    }
+    if let Some(count) = typed.turntable {
+        let framing = (around.framing)()?;
+        let framing = Framing { target: typed.target.unwrap_or(framing.target), ..framing };
+        let cameras = framing.turntable(count, size, degrees).context("--turntable")?;
+        let description = format!("turntable of {count} cameras, up {}", around.up);
+        return Ok(Some(Viewpoints { views: unnamed(cameras), description, showing: Showing::PlayAlong }));
+    }
+    for (option, typed) in [("--target", typed.target.is_some()), ("--fov", typed.fov.is_some())] {
+        if typed {
+            bail!("{option} is for --eye or --turntable; one of them is needed");
+        }
+    }
+    Ok(None)
+}
+
+fn unnamed(cameras: Vec<Camera>) -> Vec<View> {
+    cameras.into_iter().map(|camera| View { name: String::new(), time: None, camera }).collect()
+}
+
+/// The camera of this name or number.
+fn choose<'v>(views: &'v [View], text: &str) -> Result<&'v View> {
+    let named = views.iter().find(|view| view.name == text);
+    let numbered = || text.parse::<usize>().ok().and_then(|index| views.get(index));
+    named.or_else(numbered).with_context(|| {
+        let last = views.len() - 1;
+        format!("--camera is {text}; a name in the file of --cameras, or 0 to {last} are allowed")
+    })
+}
+
 /// The cameras of `path`: a JSON file, one of COLMAP's two files, or the folder with both. `size` is the
-/// width
-/// and height of images in pixels for files that do not say.
+/// width and height of images in pixels for files that do not say.
 ///
 /// # Errors
 /// A file that is not there, is none of these, or that its reader refuses.
@@ -54,4 +204,71 @@ fn read(path: &Path) -> Result<Vec<u8>> {
         bail!("{}: found {length} bytes; up to {MAX_BYTES} are allowed", path.display());
     }
     std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn view(name: &str, time: Option<f64>) -> View {
+        let camera = Camera::look_at([0.0, 0.0, -3.0], [0.0; 3], [0.0, 1.0, 0.0], 0.8, 8, 8).unwrap();
+        View { name: name.to_owned(), time, camera }
+    }
+
+    #[test]
+    fn cameras_are_chosen_by_name_before_number() {
+        let views = [view("1", None), view("b/c.png", None)];
+        assert_eq!(choose(&views, "1").unwrap().name, "1");
+        assert_eq!(choose(&views, "b/c.png").unwrap().name, "b/c.png");
+        assert_eq!(choose(&views, "0").unwrap().name, "1");
+        assert!(choose(&views, "2").unwrap_err().to_string().contains("0 to 1 are allowed"));
+    }
+
+    fn placed_by(typed: &CameraArgs) -> Result<Viewpoints> {
+        let framing = Framing { target: [1.0, 0.0, 0.0], radius: 2.0, up: [0.0, -1.0, 0.0] };
+        let view = ViewArgs { width: Some(40), height: None, background: [0.0; 3] };
+        let mut around = Surroundings {
+            own: &[],
+            framing: &mut || Ok(framing),
+            ring: (Ring::HeldOut, 8),
+            size: (64, 30),
+            up: Up::MinusY,
+        };
+        viewpoints(typed, &view, &mut around)
+    }
+
+    #[test]
+    fn an_eye_a_turntable_and_the_ring_look_at_the_scene() {
+        let eye = CameraArgs { eye: Some([1.0, 0.0, -9.0]), fov: Some(30.0), ..CameraArgs::default() };
+        let found = placed_by(&eye).unwrap();
+        let camera = &found.views[0].camera;
+        assert_eq!((camera.centre(), camera.width(), camera.height()), ([1.0, 0.0, -9.0], 40, 30));
+        assert_eq!(camera.to_camera([1.0, 0.0, 0.0]), [0.0, 0.0, 9.0], "the middle is ahead");
+        assert!(camera.to_camera([1.0, -1.0, 0.0])[1] < 0.0, "up is up in the picture");
+
+        let turntable = CameraArgs { turntable: Some(4), ..CameraArgs::default() };
+        let found = placed_by(&turntable).unwrap();
+        assert!(
+            found.showing == Showing::PlayAlong && found.description.contains("minus-y"),
+            "{}",
+            found.description
+        );
+        let centres: Vec<_> = found.views.iter().map(|view| view.camera.centre()).collect();
+        let opposite = |a: usize, b: usize| (centres[a][0] + centres[b][0] - 2.0).abs() < 1e-9;
+        assert!(opposite(0, 2) && opposite(1, 3) && !opposite(0, 1));
+
+        assert_eq!(placed_by(&CameraArgs::default()).unwrap().views.len(), 8);
+        let lone = CameraArgs { fov: Some(30.0), ..CameraArgs::default() };
+        assert!(placed_by(&lone).unwrap_err().to_string().contains("--eye or --turntable"));
+        let along = CameraArgs { eye: Some([1.0, 5.0, 0.0]), ..CameraArgs::default() };
+        assert!(format!("{:#}", placed_by(&along).unwrap_err()).contains("--up"));
+    }
+
+    #[test]
+    fn frames_follow_times_or_go_round() {
+        assert_eq!(Showing::OwnFrame.frame_of(&view("a", Some(0.5)), 3, 11).unwrap(), 5);
+        assert_eq!(Showing::OwnFrame.frame_of(&view("a", None), 13, 10).unwrap(), 0);
+        assert_eq!(Showing::PlayAlong.frame_of(&view("a", None), 13, 10).unwrap(), 3);
+        assert!(Showing::Clip.frame_of(&view("a", Some(1.5)), 0, 10).is_err());
+    }
 }

@@ -2,7 +2,11 @@
 
 use anyhow::{Context, Result};
 use codec_core::internals::{closure::Arrived, ids::Level};
+use render_host::Camera;
 use trainer_host::{Attributes, Epoch, Instant, Scene, Track, scene::Up, stream::Player, viewpoint::Framing};
+
+use super::{import, is_stream, read_stream};
+use crate::args::SceneArgs;
 
 /// Frames to look at: of a scene, or decoded one by one from a stream.
 pub enum Frames {
@@ -18,17 +22,71 @@ pub enum Frames {
         player: Box<Player>,
         /// Which way is up.
         up: Up,
+        /// What a person should know.
+        notes: Vec<String>,
     },
 }
 
 impl Frames {
+    /// The frames of `input`: of a `.dgs` stream, what has arrived up to `level`; else of a scene. Damage is
+    /// passed to `warn`.
+    ///
+    /// # Errors
+    /// An input that cannot be read.
+    pub fn open(input: &str, args: &SceneArgs, level: Level, warn: &mut dyn FnMut(String)) -> Result<Self> {
+        if !is_stream(input) {
+            return Ok(Frames::Scene(Box::new(import(input, args)?.scene)));
+        }
+        let stream = read_stream(input.as_ref(), warn)?;
+        let mut frames =
+            Self::of_stream(stream.receive()?, level, args.up.map(Into::into).unwrap_or_default());
+        if let Frames::Stream { notes, .. } = &mut frames
+            && args.up.is_none()
+        {
+            notes.push("a stream does not say which way is up: y is taken; --up says otherwise".to_owned());
+        }
+        Ok(frames)
+    }
+
     /// The frames of what has arrived of a stream, up to `level`.
     pub fn of_stream(received: dgs_player::Player, level: Level, up: Up) -> Self {
         let content = received.content();
         let below = (1u8 << (level.get() + 1)) - 1;
         let state = content.blocks.iter().map(|mask| Arrived(mask & below).0).collect();
         let player = Box::new(Player::new(content.manifest));
-        Frames::Stream { received: Box::new(received), state, player, up }
+        Frames::Stream { received: Box::new(received), state, player, up, notes: Vec::new() }
+    }
+
+    /// Which way is up.
+    pub fn up(&self) -> Up {
+        match self {
+            Frames::Scene(scene) => scene.up,
+            Frames::Stream { up, .. } => *up,
+        }
+    }
+
+    /// What a person should know.
+    pub fn notes(&self) -> &[String] {
+        match self {
+            Frames::Scene(scene) => &scene.notes,
+            Frames::Stream { notes, .. } => notes,
+        }
+    }
+
+    /// Frames per second.
+    pub fn frames_per_second(&self) -> f64 {
+        match self {
+            Frames::Scene(scene) => scene.frames_per_second(),
+            Frames::Stream { received, .. } => received.content().manifest.frames_per_second(),
+        }
+    }
+
+    /// The cameras that the scene came with.
+    pub fn cameras(&self) -> &[Camera] {
+        match self {
+            Frames::Scene(scene) => &scene.cameras,
+            Frames::Stream { .. } => &[],
+        }
     }
 
     /// Number of frames, at least one.

@@ -94,7 +94,7 @@ type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 13] = [
-    ("", [0, 1, 0, 7, 0, 0, 0, 0, 103]),
+    ("", [0, 1, 0, 7, 0, 0, 0, 0, 121]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
@@ -102,11 +102,11 @@ const CEILINGS: [(&str, Counts); 13] = [
     ("codec-core/simd/", [0, 0, 0, 0, 0, 0, 0, 0, 9]),
     ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 153]),
     ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 22]),
-    ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 31]),
-    ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 234]),
+    ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 35]),
+    ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 239]),
     ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 18]),
-    ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 50]),
-    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 255]),
+    ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 51]),
+    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 290]),
 ];
 
 /// The room of a file: the longest folder of [`CEILINGS`] that it lies in.

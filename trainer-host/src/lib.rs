@@ -29,5 +29,5 @@ pub mod train;
 pub mod utility;
 
 pub use encode::{cluster, evaluator, factorise, sensitivity};
-pub use scene::{Attributes, Epoch, Instant, Scene, SceneError, Track, export, import, viewpoint};
+pub use scene::{Attributes, Epoch, Instant, Scene, SceneError, Track, edit, export, import, viewpoint};
 pub use stream::Stream;

@@ -8,6 +8,7 @@
 //! Domains: positions in scene units, natural-log scales, unit wxyz quaternions, opacity as a
 //! logit, colour as spherical-harmonic coefficients. World: right-handed; importers convert.
 
+pub mod edit;
 pub mod export;
 pub mod import;
 pub mod viewpoint;
@@ -277,7 +278,23 @@ pub enum Up {
     MinusZ,
 }
 
+impl std::fmt::Display for Up {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Up::X => "x",
+            Up::Y => "y",
+            Up::Z => "z",
+            Up::MinusX => "minus-x",
+            Up::MinusY => "minus-y",
+            Up::MinusZ => "minus-z",
+        })
+    }
+}
+
 impl Up {
+    /// Every axis.
+    pub const ALL: [Self; 6] = [Self::X, Self::Y, Self::Z, Self::MinusX, Self::MinusY, Self::MinusZ];
+
     /// The axis as a unit vector.
     pub const fn vector(self) -> [f64; 3] {
         match self {
@@ -311,6 +328,8 @@ pub struct Scene {
     /// Which way is up. Files do not say: y unless the caller knows better. All cameras that are placed
     /// around the scene, by the encoder too, stand upright by it.
     pub up: Up,
+    /// Which way is up in most files of the format that the scene was read from, where there is a custom.
+    pub usual_up: Option<Up>,
     /// Where the scene was seen from, if the source says.
     pub cameras: Vec<Camera>,
     /// Things the importer wants a person to know (identity not stored, frame converted, …).
@@ -329,7 +348,8 @@ impl Scene {
         if !(frames_per_second.is_finite() && frames_per_second > 0.0) {
             return Err(SceneError::FrameRate(frames_per_second));
         }
-        Ok(Self { epochs, frames_per_second, up: Up::default(), cameras: Vec::new(), notes: Vec::new() })
+        let (up, usual_up) = (Up::default(), None);
+        Ok(Self { epochs, frames_per_second, up, usual_up, cameras: Vec::new(), notes: Vec::new() })
     }
 
     /// The epochs in display order; at least one.

@@ -117,6 +117,14 @@ impl Stream {
         }
     }
 
+    /// The same stream with the packets that `stays` says, by id; the others are missing.
+    #[must_use]
+    pub fn with_packets(&self, stays: impl Fn(usize) -> bool) -> Self {
+        let packet = |(id, packet): (usize, &Vec<u8>)| if stays(id) { packet.clone() } else { Vec::new() };
+        let packets = self.packets.iter().enumerate().map(packet).collect();
+        Self { message: self.message.clone(), raw: self.raw.clone(), packets }
+    }
+
     /// Bytes of the message and all packets.
     pub fn wire_bytes(&self) -> usize {
         self.message.len() + self.packets.iter().map(Vec::len).sum::<usize>()

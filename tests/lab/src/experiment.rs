@@ -3,6 +3,7 @@
 mod accounting;
 mod clock;
 mod cloud;
+mod convert;
 mod counterfactual;
 mod decode;
 mod delivery;
@@ -179,6 +180,11 @@ pub const ALL: &[Experiment] = &[
         name: "view",
         about: "the player in a browser: first picture, frames per second, bytes, memory",
         run: view::run,
+    },
+    Experiment {
+        name: "convert",
+        about: "a million Gaussians from PLY to other formats: time, size, memory, beside splat-transform",
+        run: convert::run,
     },
     Experiment {
         name: "structure",

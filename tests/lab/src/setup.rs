@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, Result, bail};
 use clap::Parser;
 use dgs::{
-    args::{CodecArgs, LinkArgs, ProfileName, SceneArgs},
+    args::{CodecArgs, LinkArgs, ProfileName, SceneArgs, Up},
     pipeline::{self, Quiet},
 };
 use trainer_host::Scene;
@@ -75,7 +75,8 @@ fn untyped() -> Untyped {
 
 /// How to read a scene: defaults, with `samples` Gaussians on a mesh.
 pub fn scene_args(samples: usize) -> SceneArgs {
-    SceneArgs { samples, ..untyped().scene }
+    // Figures are for pictures with y up, whatever the format.
+    SceneArgs { samples, up: Some(Up::Y), ..untyped().scene }
 }
 
 /// How to encode: defaults of `profile`.

@@ -3,7 +3,7 @@
 use codec_core::internals::receiver::Content;
 use rayon::prelude::*;
 use render_host::{
-    Backend, BackendError, Camera, CameraError, Image, ImageError, RenderError, Settings, Splats,
+    Backend, BackendError, Camera, CameraError, Image, ImageError, RenderError, Renderer, Settings, Splats,
     SplatsError, adjoint::AdjointError, metric,
 };
 
@@ -60,6 +60,22 @@ pub enum EvaluationError {
     /// Pictures that cannot be compared.
     #[error("cannot compare pictures: {0}")]
     Compare(#[from] ImageError),
+}
+
+/// The pictures that a PSNR is a mean over.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct MeasuredViews {
+    /// Cameras.
+    pub cameras: usize,
+    /// Frames, each seen from every camera.
+    pub frames: usize,
+    /// Width of the widest picture, pixels.
+    pub width: u32,
+    /// Height of the highest picture, pixels.
+    pub height: u32,
+    /// Share of the pictures that the scene covers, 0 to 1: what is left shows the background, and is equal
+    /// in any encoding.
+    pub covered: f64,
 }
 
 /// Frame `frame` of `scene`.
@@ -135,6 +151,31 @@ impl Evaluator {
         let framing = Framing::of(scene);
         let cameras = framing.ring(Ring::Measuring, CAMERAS, SIZE)?;
         Self::new(scene, cameras, frames, &Settings::default(), backend)
+    }
+
+    /// What its pictures of `scene` are.
+    ///
+    /// # Errors
+    /// A frame past the end, or what the renderer refuses.
+    pub(super) fn measured(&self, scene: &Scene) -> Result<MeasuredViews, EvaluationError> {
+        let (mut shown, mut pixels) = (0.0, 0usize);
+        let mut renderer = Renderer::new();
+        for &frame in &self.frames {
+            let instant = instant_at(scene, frame)?;
+            let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
+            for camera in &self.cameras {
+                let rendered = renderer.render(&splats, camera, &self.settings)?;
+                shown += rendered.transmittance.iter().map(|&t| f64::from(t)).sum::<f64>();
+                pixels += rendered.transmittance.len();
+            }
+        }
+        Ok(MeasuredViews {
+            cameras: self.cameras.len(),
+            frames: self.frames.len(),
+            width: self.cameras.iter().map(Camera::width).max().unwrap_or(0),
+            height: self.cameras.iter().map(Camera::height).max().unwrap_or(0),
+            covered: 1.0 - shown / pixels.max(1) as f64,
+        })
     }
 
     /// The frames it renders.

@@ -2,7 +2,7 @@
 
 use codec_core::internals::{limits, wire::manifest::Profile};
 
-use render_host::{Backend, DeviceChoice};
+use render_host::{Backend, Camera, DeviceChoice};
 
 use super::{
     EncodeError, Protection, Quality, cluster,
@@ -53,6 +53,15 @@ impl Target {
     }
 }
 
+/// Where a target PSNR is measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TargetViews {
+    /// At least one.
+    pub cameras: Vec<Camera>,
+    /// Behind the scene, 0 to 1 per channel.
+    pub background: [f32; 3],
+}
+
 /// What to encode, and how.
 ///
 /// # Examples
@@ -89,6 +98,8 @@ pub struct EncodeOptions {
     pub pictures: usize,
     /// Scale `quality` until the stream meets this.
     pub target: Option<Target>,
+    /// Where a target PSNR is measured; by default from measuring cameras, over black.
+    pub target_views: Option<TargetViews>,
     /// Most encodings spent on how attributes share the bits, 0 (none) to 500.
     pub search: usize,
     /// Most entropy tables that the symbol runs of one stream choose from, 1..=8 (`dgs1`): fewer take less
@@ -119,6 +130,7 @@ impl Default for EncodeOptions {
             quality: Quality::default(),
             pictures: 16,
             target: None,
+            target_views: None,
             search: 0,
             table_choices: limits::MAX_TABLE_SET,
             proxies: true,

@@ -1,6 +1,8 @@
 //! Reports an encoding: what was chosen, what it came to, and where every byte went.
 
-use super::{Decisions, Ledger, Quality, Target, cluster, decisions::QuantiserClass};
+use super::{
+    Decisions, Ledger, Quality, Target, cluster, decisions::QuantiserClass, evaluator::MeasuredViews,
+};
 use crate::stream::Stream;
 
 /// An encoded scene.
@@ -108,6 +110,8 @@ pub struct Reached {
     pub encodes: usize,
     /// Of the stream, in the target's unit: bits per Gaussian, bytes or dB.
     pub value: f64,
+    /// What a PSNR is a mean over.
+    pub views: Option<MeasuredViews>,
 }
 
 /// What a search found.

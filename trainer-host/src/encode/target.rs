@@ -4,8 +4,10 @@
 //! secant on the logarithm of the coarseness needs few encodings. What is returned has been
 //! encoded and measured, so a stream that is not quite monotone costs closeness, never the promise.
 
+use render_host::Settings;
+
 use super::{
-    Analysis, Decisions, EncodeError, EncodeOptions, Encoded, Progress, Reached, Target,
+    Analysis, Decisions, EncodeError, EncodeOptions, Encoded, Progress, Reached, Target, TargetViews,
     evaluator::{Evaluator, spread},
     profile::{again, decide_and_write},
 };
@@ -35,7 +37,14 @@ pub(super) fn encode(
     let evaluator = match target {
         Target::PsnrDb(_) => {
             let frames = spread(0, scene.frames() as u32, FRAMES);
-            Some(Evaluator::measuring_on(scene, frames, &options.backend()?)?)
+            let backend = options.backend()?;
+            Some(match &options.target_views {
+                None => Evaluator::measuring_on(scene, frames, &backend)?,
+                Some(TargetViews { cameras, background }) => {
+                    let settings = Settings { background: *background, ..Settings::default() };
+                    Evaluator::new(scene, cameras.clone(), frames, &settings, &backend)?
+                }
+            })
         }
         _ => None,
     };
@@ -67,7 +76,8 @@ pub(super) fn encode(
             coarseness,
         });
     }
-    encoded.report.reached = Some(Reached { target, coarseness, encodes: found.tries, value });
+    let views = evaluator.map(|evaluator| evaluator.measured(scene)).transpose()?;
+    encoded.report.reached = Some(Reached { target, coarseness, encodes: found.tries, value, views });
     Ok(encoded)
 }
 
@@ -100,7 +110,7 @@ pub fn again_to_size(
         let (option, wanted) = (target.name(), target.value());
         return Err(EncodeError::Unreachable { option, wanted, reached: value, coarseness });
     }
-    encoded.report.reached = Some(Reached { target, coarseness, encodes: found.tries, value });
+    encoded.report.reached = Some(Reached { target, coarseness, encodes: found.tries, value, views: None });
     Ok(encoded)
 }
 
@@ -236,6 +246,32 @@ mod tests {
         let found = evaluator.whole(&stream.stream).unwrap();
         assert_eq!(Some(found), stream.report.reached.map(|r| r.value));
         assert!((46.0..46.6).contains(&found), "{found}");
+        let views = stream.report.reached.and_then(|reached| reached.views).unwrap();
+        assert_eq!((views.cameras, views.frames, views.width, views.height), (3, 4, 256, 256));
+        assert!((0.05..0.95).contains(&views.covered), "{views:?}");
+    }
+
+    #[test]
+    fn a_psnr_from_other_views_is_reached_there() {
+        let scene = scene();
+        let near = crate::viewpoint::Framing { radius: 0.5, ..crate::viewpoint::Framing::of(&scene) };
+        let cameras = near.turntable(2, (96, 64), 45.0).unwrap();
+        let views = TargetViews { cameras: cameras.clone(), background: [1.0; 3] };
+        let options = EncodeOptions {
+            target: Some(Target::PsnrDb(44.0)),
+            target_views: Some(views),
+            ..EncodeOptions::default()
+        };
+        let encoded = super::super::encode(&scene, &options, &|_, _| {}).unwrap();
+        let reached = encoded.report.reached.unwrap();
+        let settings = Settings { background: [1.0; 3], ..Settings::default() };
+        let evaluator =
+            Evaluator::new(&scene, cameras, spread(0, 4, FRAMES), &settings, &render_host::Backend::Cpu)
+                .unwrap();
+        assert_eq!(evaluator.whole(&encoded.stream).unwrap(), reached.value);
+        let around = Evaluator::measuring(&scene, spread(0, 4, FRAMES)).unwrap();
+        assert_ne!(around.whole(&encoded.stream).unwrap(), reached.value);
+        assert_eq!(reached.views.map(|v| (v.cameras, v.width)), Some((2, 96)));
     }
 
     #[test]

@@ -20,8 +20,11 @@
 mod archive;
 mod bytes;
 pub mod compressed_ply;
+pub mod dynamic_npz;
 mod error;
 pub mod gltf;
+pub mod gltf_splats;
+pub mod ksplat;
 mod limits;
 pub mod nearest;
 pub mod ply;
@@ -30,6 +33,7 @@ mod sequence;
 pub(crate) mod snapshot;
 pub mod sog;
 pub mod splat;
+pub mod splatv;
 pub mod spz;
 pub mod synth;
 pub mod unity;
@@ -41,7 +45,7 @@ pub use limits::Limits;
 pub use sequence::{Identity, SEQUENCE_INDEX, SequenceIndex};
 pub use snapshot::Snapshot;
 
-use crate::scene::Scene;
+use crate::scene::{Scene, Up};
 
 /// How to import.
 #[derive(Clone, Debug, PartialEq)]
@@ -83,8 +87,14 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
         return folder(path, options);
     }
     let bytes = read(path, options)?;
+    if is_pickled(&bytes) {
+        return Err(Format::Unknown
+            .unsupported("content", "a pickled torch checkpoint", UNPICKLE)
+            .in_file(path));
+    }
+    let format = sniff(&bytes, path);
     let in_file = |e: ImportError| e.in_file(path);
-    match sniff(&bytes, path) {
+    let scene = match format {
         Format::Gltf => {
             let beside = |name: &str| read_beside(path, name, options, Format::Gltf);
             gltf::parse(&bytes, beside, &options.gltf, &options.limits).map_err(in_file)
@@ -92,11 +102,41 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
         Format::PointsNpz => {
             points_npz::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file)
         }
+        Format::DynamicNpz => {
+            dynamic_npz::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file)
+        }
+        Format::Splatv => splatv::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file),
         _ => {
             let frame = snapshot_of(&bytes, path, options)?;
             sequence::assemble(vec![(path.to_owned(), frame)], options.identity, options.frames_per_second)
                 .map_err(in_file)
         }
+    }?;
+    Ok(Scene { usual_up: usual_up(format), ..scene })
+}
+
+/// What to do about a checkpoint: to read it is to run it, which is left to the program that wrote it.
+const UNPICKLE: &str = "the PLY that its trainer exports, or an npz of its arrays:\n  \
+    import numpy, torch; params = torch.load(\"FILE\", map_location=\"cpu\")\n  \
+    numpy.savez(\"params.npz\", **{name: value.detach().numpy() for name, value in params.items()})\n";
+
+/// Whether `bytes` are a checkpoint of torch: pickled, alone or in a zip.
+fn is_pickled(bytes: &[u8]) -> bool {
+    let is_plain = matches!(bytes, [0x80, 2..=5, ..]);
+    is_plain
+        || bytes.starts_with(b"PK")
+            && archive::Archive::new(bytes, &Limits::default(), Format::Unknown)
+                .is_ok_and(|archive| archive.has_ending("/data.pkl"))
+}
+
+/// Which way is up in most files of a format. Captures keep the axes of COLMAP, whose y points down; SPZ and
+/// glTF have a y that points up.
+pub fn usual_up(format: Format) -> Option<Up> {
+    match format {
+        Format::Spz | Format::Gltf | Format::GltfSplats => Some(Up::Y),
+        Format::Ply | Format::CompressedPly | Format::Splat | Format::Sog | Format::Unity => Some(Up::MinusY),
+        Format::Ksplat | Format::Splatv | Format::DynamicNpz => Some(Up::MinusY),
+        Format::PointsNpz | Format::FourDgs | Format::Sequence | Format::Unknown => None,
     }
 }
 
@@ -109,11 +149,12 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
     } else if bytes.starts_with(&spz::MAGIC) || bytes.starts_with(&[0x1f, 0x8b]) {
         Format::Spz
     } else if bytes.starts_with(b"glTF") {
-        Format::Gltf
+        if gltf_splats::is_splats(bytes) { Format::GltfSplats } else { Format::Gltf }
     } else if bytes.starts_with(b"PK") {
         let names = archive::Archive::new(bytes, &Limits::default(), Format::Unknown);
         match names {
             Ok(a) if a.has("meta.json") => Format::Sog,
+            Ok(a) if a.has(dynamic_npz::MARK) => Format::DynamicNpz,
             Ok(a) if a.has("means3d.npy") => Format::PointsNpz,
             _ if extension == "npz" => Format::PointsNpz,
             _ => Format::Sog,
@@ -121,9 +162,13 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
     } else if start.starts_with(b"{") {
         if sog::is_meta(bytes) || path.file_name().is_some_and(|n| n == "meta.json") {
             Format::Sog
+        } else if gltf_splats::is_splats(bytes) {
+            Format::GltfSplats
         } else {
             Format::Gltf
         }
+    } else if bytes.starts_with(&splatv::MAGIC) {
+        Format::Splatv
     } else if bytes.starts_with(b"%YAML") {
         Format::Unity
     } else {
@@ -135,6 +180,8 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
             "glb" | "gltf" => Format::Gltf,
             "asset" => Format::Unity,
             "splat" => Format::Splat,
+            "ksplat" => Format::Ksplat,
+            "splatv" => Format::Splatv,
             _ => Format::Unknown,
         }
     }
@@ -144,8 +191,10 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     let (files, notes) = sequence::files(path, &options.limits)?;
     let mut left = options.limits.max_bytes;
     let mut frames = Vec::with_capacity(files.len());
+    let mut up = None;
     for file in files {
         let bytes = read(&file, options)?;
+        up = usual_up(sniff(&bytes, &file));
         // What the frames become is bounded too: a compressed frame may hold far more than its bytes.
         let frame = snapshot_of(&bytes, &file, options)?;
         let per_gaussian = (14 + frame.epoch.attributes().sh_degree.rest_len()) * 4;
@@ -158,7 +207,7 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     }
     let mut scene = sequence::assemble(frames, options.identity, options.frames_per_second)?;
     scene.notes.extend(notes);
-    Ok(scene)
+    Ok(Scene { usual_up: up, ..scene })
 }
 
 /// Reads one still file of any format that is one.
@@ -169,11 +218,15 @@ fn snapshot_of(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Sna
         Format::CompressedPly => compressed_ply::parse(bytes, limits),
         Format::Spz => spz::parse(bytes, limits),
         Format::Splat => splat::parse(bytes, limits),
+        Format::Ksplat => ksplat::parse(bytes, limits),
         Format::Sog if bytes.trim_ascii_start().starts_with(b"{") => {
             sog::parse_files(bytes, |name| read_beside(path, name, options, Format::Sog), limits)
         }
         Format::Sog => sog::parse(bytes, limits),
         Format::Unity => unity_frame(bytes, path, options),
+        Format::GltfSplats => {
+            gltf_splats::parse(bytes, |name| read_beside(path, name, options, Format::GltfSplats), limits)
+        }
         other => {
             let shown = &bytes[..bytes.len().min(8)];
             let found =
@@ -181,7 +234,7 @@ fn snapshot_of(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Sna
             Err(other.malformed(
                 "content",
                 found,
-                "PLY, SPZ, SOG, .splat, glTF, a Unity splat asset or NPZ points",
+                "PLY, SPZ, SOG, .splat, .ksplat, .splatv, glTF, a Unity splat asset or NPZ",
             ))
         }
     }
@@ -257,6 +310,15 @@ mod tests {
         assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 6);
         let (_folder, path) = file("a.splat", &splat::tests::sample(4));
         assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 4);
+        let (_folder, path) = file("a.ksplat", &ksplat::tests::sample(7, 1));
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 7);
+        let (_folder, path) = file("a.bin", &splatv::tests::sample(2));
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().frames(), splatv::FRAMES);
+        let (_folder, path) = file("params.npz", &dynamic_npz::tests::sample(|_, shape| shape.to_owned()));
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().frames(), 2);
+        let (_folder, path) = file("a.glb", &gltf_splats::tests::sample(8));
+        let scene = import(&path, &ImportOptions::default()).unwrap();
+        assert_eq!((scene.max_count(), scene.usual_up), (8, Some(Up::Y)));
         let (_folder, path) = file("a.ply", &compressed_ply::tests::sample(3));
         assert_eq!(import(&path, &ImportOptions::default()).unwrap().max_count(), 3);
     }
@@ -270,6 +332,19 @@ mod tests {
         assert_eq!(import(&path, &ImportOptions::default()).unwrap_err().kind, ErrorKind::Empty);
         let missing = import("no/such/file.ply".as_ref(), &ImportOptions::default()).unwrap_err();
         assert_eq!(missing.kind, ErrorKind::Io);
+    }
+
+    #[test]
+    fn checkpoints_of_torch_are_refused_with_what_converts_them() {
+        let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+        zip.start_file("archive/data.pkl", zip::write::SimpleFileOptions::default()).unwrap();
+        let packed = zip.finish().unwrap().into_inner();
+        for bytes in [&packed[..], b"\x80\x02}q\x00."] {
+            let (_folder, path) = file("chkpnt30000.pth", bytes);
+            let error = import(&path, &ImportOptions::default()).unwrap_err();
+            assert_eq!(error.kind, ErrorKind::Unsupported);
+            assert!(error.to_string().contains("numpy.savez"), "{error}");
+        }
     }
 
     #[test]

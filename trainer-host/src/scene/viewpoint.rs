@@ -20,8 +20,8 @@ const MEASURING: f64 = 28.0;
 const AROUND: [(f64, f64); 2] = [(-20.0, HELD_OUT - SEPARATION), (HELD_OUT + SEPARATION, 60.0)];
 /// Distance of a camera from the target, radii.
 const DISTANCE: f64 = 2.6;
-/// Vertical field of view, degrees.
-const FIELD_OF_VIEW: f64 = 45.0;
+/// Vertical field of view where nothing else is asked for, degrees.
+pub const FIELD_OF_VIEW: f64 = 45.0;
 /// Frames that a scene is measured at.
 const FRAMES: usize = 8;
 
@@ -121,8 +121,37 @@ impl Framing {
         (0..count).map(|i| self.camera(angle(i), elevation.to_radians().sin(), size)).collect()
     }
 
+    /// `count` cameras of `size` (width, height) in a full circle at 2.6 radii, 20° above the horizon, with a
+    /// vertical field of view of `degrees`.
+    ///
+    /// # Errors
+    /// A size or field of view the camera refuses.
+    pub fn turntable(
+        &self,
+        count: usize,
+        size: (u32, u32),
+        degrees: f64,
+    ) -> Result<Vec<Camera>, CameraError> {
+        let height = HELD_OUT.to_radians().sin();
+        let angle = |i: usize| std::f64::consts::TAU * i as f64 / count as f64;
+        let camera = |i| self.seen_from(angle(i), height, degrees, size);
+        (0..count).map(camera).collect()
+    }
+
     /// A camera at `angle` about `up`, radians, the sine of whose elevation is `height`.
     fn camera(&self, angle: f64, height: f64, size: (u32, u32)) -> Result<Camera, CameraError> {
+        self.seen_from(angle, height, FIELD_OF_VIEW, size)
+    }
+
+    /// A camera at `angle` about `up`, radians, the sine of whose elevation is `height`, with a vertical
+    /// field of view of `degrees`.
+    fn seen_from(
+        &self,
+        angle: f64,
+        height: f64,
+        degrees: f64,
+        size: (u32, u32),
+    ) -> Result<Camera, CameraError> {
         let [ux, uy, uz] = self.up;
         // Two axes across `up`.
         let least_aligned = if ux.abs() < 0.9 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
@@ -141,7 +170,7 @@ impl Framing {
             let across = front[d] * angle.cos() + side[d] * angle.sin();
             self.target[d] + distance * (flat * across + height * self.up[d])
         });
-        Camera::look_at(eye, self.target, self.up, FIELD_OF_VIEW.to_radians(), size.0, size.1)
+        Camera::look_at(eye, self.target, self.up, degrees.to_radians(), size.0, size.1)
     }
 }
 

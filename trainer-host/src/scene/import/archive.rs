@@ -29,6 +29,11 @@ impl<'a> Archive<'a> {
         self.zip.file_names_raw().any(|n| n == name.as_bytes())
     }
 
+    /// Whether there is a member whose name ends so.
+    pub fn has_ending(&self, ending: &str) -> bool {
+        self.zip.file_names_raw().any(|n| n.ends_with(ending.as_bytes()))
+    }
+
     /// The bytes of a member that may hold `most` of them.
     pub fn read(&mut self, name: &str, most: u64) -> Result<Vec<u8>, ImportError> {
         let mut member = self.member(name, most)?;

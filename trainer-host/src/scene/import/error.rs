@@ -23,6 +23,16 @@ pub enum Format {
     PointsNpz,
     /// glTF 2.0, text or binary.
     Gltf,
+    /// glTF 2.0 with `KHR_gaussian_splatting`.
+    GltfSplats,
+    /// mkkellogg's sections of splats.
+    Ksplat,
+    /// splaTV: splats with polynomial motion.
+    Splatv,
+    /// A training of Dynamic 3D Gaussians, a NumPy archive.
+    DynamicNpz,
+    /// The `.4dgs` container.
+    FourDgs,
     /// A folder of numbered files.
     Sequence,
     /// Not recognised yet, or not at all.
@@ -40,6 +50,11 @@ impl fmt::Display for Format {
             Format::Unity => "Unity splat asset",
             Format::PointsNpz => "NPZ points",
             Format::Gltf => "glTF",
+            Format::GltfSplats => "glTF of Gaussians",
+            Format::Ksplat => "ksplat",
+            Format::Splatv => "splatv",
+            Format::DynamicNpz => "NPZ of Dynamic 3D Gaussians",
+            Format::FourDgs => "4dgs",
             Format::Sequence => "numbered sequence",
             Format::Unknown => "scene file",
         })

@@ -16,6 +16,7 @@ mod pose;
 mod surface;
 mod texture;
 
+pub(super) use document::resource;
 pub use pose::Clip;
 
 use codec_core::ShDegree;

@@ -9,7 +9,7 @@
 //! Shapes are checked against the limits before any value is unpacked, and memory grows with the values
 //! that have been.
 
-mod npy;
+pub(super) mod npy;
 
 use codec_core::ShDegree;
 use rayon::prelude::*;

@@ -293,7 +293,7 @@ fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ImportError> {
 }
 
 /// What a uri holds: base64 data, or a file beside this one.
-fn resource(
+pub(in crate::scene::import) fn resource(
     uri: &str,
     beside: &mut impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
 ) -> Result<Vec<u8>, ImportError> {

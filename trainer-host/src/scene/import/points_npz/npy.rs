@@ -15,7 +15,7 @@ const PIECE: usize = 1 << 16;
 
 /// Type of an array's elements.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Element {
+pub(in crate::scene::import) enum Element {
     U8,
     I32,
     I64,
@@ -45,7 +45,7 @@ impl Element {
 }
 
 /// An array whose header has been read and whose values have not.
-pub(super) struct Array<'m, 'a> {
+pub(in crate::scene::import) struct Array<'m, 'a> {
     name: &'m str,
     element: Element,
     shape: Vec<usize>,

@@ -1,0 +1,57 @@
+//! Parses what `dgs convert` takes.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use trainer_host::edit::{Bounds, Condition, Similarity};
+
+use super::{FrameRange, SceneArgs, number::real};
+
+/// `dgs convert`.
+///
+/// Edits are done in the order of this list. A scene is then turned so that up is where it usually is in the
+/// format written: -y in PLY, compressed PLY, .splat and SOG, y in SPZ and glTF.
+#[derive(Debug, Args)]
+pub struct Convert {
+    /// Scene, as for import, or a .dgs file.
+    pub input: String,
+    /// NAME.ply, .compressed.ply, .spz, .splat, .sog or .glb (KHR_gaussian_splatting) for one frame, or a
+    /// folder for a PLY sequence of all.
+    pub out: PathBuf,
+    /// Keep these frames: FIRST..LAST with LAST included, FIRST.., or one.
+    #[arg(long, value_name = "FIRST..LAST")]
+    pub frames: Option<FrameRange>,
+    /// Add the Gaussians of another scene, of as many frames or of one; may be given again.
+    #[arg(long, value_name = "SCENE")]
+    pub merge: Vec<String>,
+    /// Keep what is inside of this box at any frame; - leaves a side open.
+    #[arg(long, value_name = "x,y,z,X,Y,Z", allow_hyphen_values = true)]
+    pub crop: Option<Bounds>,
+    /// Keep what meets this at any frame: opacity>0.05, scale<1 and the like, of x, y, z, opacity, scale (the
+    /// longest), red, green, blue; may be given again.
+    #[arg(long, value_name = "CONDITION")]
+    pub filter: Vec<Condition>,
+    /// Keep this share of the Gaussians, those that show most: above 0, at most 1.
+    #[arg(
+        long, value_name = "SHARE", value_parser = real(1e-9..=1.0, "a share"), allow_negative_numbers = true
+    )]
+    pub decimate: Option<f64>,
+    /// Turn, scale and move: steps such as rotate=x:90;scale=2;translate=0,1,0, done in order.
+    #[arg(long, value_name = "STEPS")]
+    pub transform: Option<Similarity>,
+    /// Keep harmonics up to this degree, 0 to 3.
+    #[arg(long, value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub sh_degree: Option<u8>,
+    /// Leave axes as they are.
+    #[arg(long)]
+    pub keep_axes: bool,
+    /// The frame for a single file.
+    #[arg(long, default_value_t = 0)]
+    pub frame: u32,
+    /// Replace a folder of frames that is there already.
+    #[arg(long)]
+    pub overwrite: bool,
+    /// How to read the scene.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+}

@@ -1,0 +1,29 @@
+//! Parses what `dgs cut` takes.
+
+use std::path::PathBuf;
+
+use clap::Args;
+
+use super::FrameRange;
+
+/// `dgs cut`.
+///
+/// Packets are left out, and nothing is decoded or coded again: the manifest still tells of all, and what
+/// reads the file says how many packets are missing. Packets of parity are left out with the first packet
+/// that is, since they repair nothing then.
+#[derive(Debug, Args)]
+pub struct Cut {
+    /// A .dgs file.
+    pub input: PathBuf,
+    /// The .dgs file to write.
+    pub out: PathBuf,
+    /// Keep levels up to this, 0 to 3; a packet that brings a lower one too stays.
+    #[arg(long, value_name = "LEVEL", value_parser = clap::value_parser!(u8).range(0..=3))]
+    pub levels: Option<u8>,
+    /// Keep what these frames need: FIRST..LAST with LAST included, FIRST.., or one.
+    #[arg(long, value_name = "FIRST..LAST")]
+    pub frames: Option<FrameRange>,
+    /// Keep at most this many bytes of file, lower levels first.
+    #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u64).range(1..))]
+    pub bytes: Option<u64>,
+}

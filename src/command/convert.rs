@@ -1,0 +1,160 @@
+//! Converts a scene to another format, edited on the way: `dgs convert`.
+
+pub(super) mod format;
+
+use anyhow::{Context, Result};
+use codec_core::{ShDegree, internals::ids::Level};
+use serde_json::json;
+use trainer_host::{
+    Attributes, Epoch, Scene, Track,
+    edit::{self, Similarity, turn_between},
+    scene::Up,
+};
+
+use self::format::SceneOutput;
+use crate::{
+    args::{Convert, SceneArgs},
+    output::VerbOutput,
+    pipeline::{self, Frames, Quiet},
+    progress::Progress,
+};
+
+/// Runs the verb.
+pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
+    let output = SceneOutput::of(&args.out)?;
+    output.check(&args.out, args.overwrite)?;
+    let progress = Progress::new("convert", quiet.0);
+    let mut warnings = Vec::new();
+    let scene = read(&args.input, &args.scene, &mut |w| warnings.push(w))?;
+    progress.stage("editing", 0.3);
+    let before = (scene.max_count(), scene.frames());
+    let scene = edited(args, scene, &mut warnings)?;
+    progress.stage("turning", 0.5);
+    let (scene, turned) = turned(args, scene, output.usual_up())?;
+    progress.stage("writing", 0.6);
+    if let SceneOutput::File(format) = output
+        && let Some(loss) = format.loss(&scene.epochs()[0])
+    {
+        warnings.push(loss.to_owned());
+    }
+    let count = scene.frames() as u32;
+    let wrote = output.write(&args.out, args.overwrite, args.frame, count, &progress, |frame| {
+        let found = scene.locate(frame as usize);
+        let last = count - 1;
+        let (epoch, t) = found.with_context(|| format!("--frame is {frame}; 0 to {last} are allowed"))?;
+        Ok((&scene.epochs()[epoch], t))
+    })?;
+    drop(progress);
+    let mut text = wrote;
+    if before != (scene.max_count(), scene.frames()) {
+        text += &format!(
+            "  of {} Gaussians in {} frames {} in {} are left\n",
+            before.0,
+            before.1,
+            scene.max_count(),
+            scene.frames()
+        );
+    }
+    text += &format!("  {turned}\n");
+    for note in &scene.notes {
+        text += &format!("  note: {note}\n");
+    }
+    let bytes = std::fs::metadata(&args.out).ok().filter(std::fs::Metadata::is_file).map(|found| found.len());
+    let json = json!({
+        "input": args.input, "out": args.out, "gaussians": scene.max_count(), "frames": scene.frames(),
+        "bytes": bytes, "axes": turned, "notes": scene.notes, "warnings": warnings,
+    });
+    let damaged = false;
+    Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// The scene of `input`; a stream is decoded.
+fn read(input: &str, args: &SceneArgs, warn: &mut dyn FnMut(String)) -> Result<Scene> {
+    let last = Level::from_bits(3);
+    let mut frames = match Frames::open(input, args, last, warn)? {
+        Frames::Scene(scene) => return Ok(*scene),
+        stream @ Frames::Stream { .. } => stream,
+    };
+    let mut epochs = Vec::new();
+    for frame in 0..frames.count() {
+        epochs.push(pipeline::snapshot(&frames.instant(frame)?)?.0);
+    }
+    // Inside of an epoch of the stream rows are the same Gaussians unless some are missing.
+    let mut scene = Scene::new(joined(epochs)?, frames.frames_per_second())?;
+    scene.up = frames.up();
+    scene.notes = frames.notes().to_vec();
+    Ok(scene)
+}
+
+/// Frames as one epoch if all have the same number of Gaussians, else as they are.
+fn joined(frames: Vec<Epoch>) -> Result<Vec<Epoch>> {
+    let same = |pair: &[Epoch]| {
+        let [a, b] = pair else { return true };
+        a.count() == b.count() && a.attributes().sh_rest == b.attributes().sh_rest
+    };
+    if frames.len() < 2 || !frames.windows(2).all(same) {
+        return Ok(frames);
+    }
+    fn track<T: Copy + PartialEq>(frames: &[Epoch], of: impl Fn(&Attributes) -> &Track<T>) -> Track<T> {
+        let frame = |epoch: &Epoch| of(epoch.attributes()).frame(0, epoch.count()).to_vec();
+        Track::PerFrame(frames.iter().flat_map(frame).collect())
+    }
+    let attributes = Attributes {
+        positions: track(&frames, |a| &a.positions),
+        rotations: track(&frames, |a| &a.rotations),
+        log_scales: track(&frames, |a| &a.log_scales),
+        opacity_logits: track(&frames, |a| &a.opacity_logits),
+        sh0: track(&frames, |a| &a.sh0),
+        sh_rest: frames[0].attributes().sh_rest.clone(),
+        sh_degree: frames[0].attributes().sh_degree,
+    };
+    Ok(vec![Epoch::new(frames.len(), attributes)?])
+}
+
+/// The scene with what is typed done to it, in the order of the help.
+fn edited(args: &Convert, mut scene: Scene, warnings: &mut Vec<String>) -> Result<Scene> {
+    if let Some(range) = args.frames {
+        let range = range.within(scene.frames() as u32)?;
+        scene = edit::frames(&scene, range.start as usize, range.end as usize - 1)?;
+    }
+    for other in &args.merge {
+        let other_scene = read(other, &args.scene, &mut |w| warnings.push(w)).context("--merge")?;
+        let turn = turn_between(other_scene.up, scene.up);
+        let other_scene =
+            edit::transform(&other_scene, &Similarity { rotation: turn, ..Similarity::default() })?;
+        scene = edit::merged(&scene, &other_scene).with_context(|| format!("--merge {other}"))?;
+    }
+    if let Some(bounds) = &args.crop {
+        scene = edit::crop(&scene, bounds)?;
+    }
+    for condition in &args.filter {
+        scene = edit::filter(&scene, condition)?;
+    }
+    if let Some(share) = args.decimate {
+        scene = edit::decimate(&scene, share)?;
+    }
+    if let Some(by) = &args.transform {
+        // What was up stays up in the numbers that follow: a turn is meant to be seen.
+        let up = scene.up;
+        scene = edit::transform(&scene, by)?;
+        scene.up = up;
+    }
+    if let Some(degree) = args.sh_degree.and_then(ShDegree::new) {
+        scene = edit::sh_degree(&scene, degree)?;
+    }
+    Ok(scene)
+}
+
+/// The scene with `up` up, and what was done for that.
+fn turned(args: &Convert, scene: Scene, up: Up) -> Result<(Scene, String)> {
+    let from = scene.up;
+    if args.keep_axes {
+        return Ok((scene, format!("axes are kept, with {from} up")));
+    }
+    if from == up {
+        return Ok((scene, format!("axes are kept: {from} is up, as usual in the format")));
+    }
+    let rotation = turn_between(from, up);
+    let scene = edit::transform(&scene, &Similarity { rotation, ..Similarity::default() })?;
+    Ok((scene, format!("turned: {from} was up, {up} is, as usual in the format")))
+}

@@ -1,0 +1,42 @@
+//! Writes what shells and `man` read: `dgs completions` and `dgs man`.
+
+use anyhow::{Context, Result};
+use clap::CommandFactory as _;
+use serde_json::json;
+
+use crate::{
+    args::{Cli, Completions, Man},
+    files,
+    output::VerbOutput,
+};
+
+/// Prints completions for a shell.
+pub fn completions(args: &Completions) -> Result<VerbOutput> {
+    let mut bytes = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "dgs", &mut bytes);
+    let text = String::from_utf8(bytes).context("completions")?;
+    let json = json!({ "shell": args.shell.to_string(), "completions": text });
+    Ok(VerbOutput { text, json, ..VerbOutput::default() })
+}
+
+/// Writes a page for the program and one for every verb.
+pub fn pages(args: &Man) -> Result<VerbOutput> {
+    let mut root = Cli::command().disable_help_subcommand(true);
+    root.build();
+    let mut written = Vec::new();
+    let verbs = root.get_subcommands().map(|verb| (format!("dgs-{}", verb.get_name()), verb.clone()));
+    let pages: Vec<_> = std::iter::once(("dgs".to_owned(), root.clone())).chain(verbs).collect();
+    for (name, command) in pages {
+        let mut page = Vec::new();
+        let command = command.version(env!("CARGO_PKG_VERSION"));
+        clap_mangen::Man::new(command)
+            .title(&name)
+            .render(&mut page)
+            .with_context(|| format!("page {name}"))?;
+        let path = args.out.join(format!("{name}.1"));
+        files::write(&path, &page)?;
+        written.push(path);
+    }
+    let text = format!("wrote {} pages to {}\n", written.len(), args.out.display());
+    Ok(VerbOutput { text, json: json!({ "pages": written }), ..VerbOutput::default() })
+}

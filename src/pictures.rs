@@ -1,0 +1,228 @@
+//! Writes pictures as the ending of a name says: still, animated, as video, or one by one into a folder.
+
+mod video;
+
+use std::path::Path;
+
+use anyhow::{Context, Result, bail};
+use render_host::{
+    Image,
+    animation::{Animation, AnimationFormat},
+};
+
+use self::video::{Video, VideoFormat};
+use crate::files::{self, FrameFolder, PendingFile};
+
+/// Quality of JPEG, 1 to 100.
+const JPEG_QUALITY: u8 = 92;
+
+/// What pictures become.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PictureOutput {
+    /// One picture.
+    Still(StillFormat),
+    /// Moving pictures that a browser shows as it shows a still one.
+    Animation(AnimationFormat),
+    /// Moving pictures by an installed ffmpeg.
+    Video(VideoFormat),
+    /// A folder of PNG files.
+    Folder,
+}
+
+/// A file of one picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StillFormat {
+    /// Lossless.
+    Png,
+    /// Lossy, quality 92.
+    Jpeg,
+    /// Lossless.
+    Webp,
+}
+
+impl StillFormat {
+    fn encode(self, picture: &Image) -> Result<Vec<u8>> {
+        Ok(match self {
+            Self::Png => picture.to_png()?,
+            Self::Jpeg => picture.to_jpeg(JPEG_QUALITY)?,
+            Self::Webp => picture.to_webp()?,
+        })
+    }
+}
+
+impl PictureOutput {
+    /// By the ending of a name; a name without one is a folder's.
+    ///
+    /// # Errors
+    /// Another ending.
+    pub fn of(path: &Path) -> Result<Self> {
+        let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
+        Ok(match ending.as_deref() {
+            None => Self::Folder,
+            // A folder that is there may be called anything.
+            Some(_) if path.is_dir() => Self::Folder,
+            Some("png") => Self::Still(StillFormat::Png),
+            Some("jpg" | "jpeg") => Self::Still(StillFormat::Jpeg),
+            Some("webp") => Self::Still(StillFormat::Webp),
+            Some("apng") => Self::Animation(AnimationFormat::Apng),
+            Some("gif") => Self::Animation(AnimationFormat::Gif),
+            Some("mp4") => Self::Video(VideoFormat::H264),
+            Some("webm") => Self::Video(VideoFormat::Av1),
+            Some(other) => bail!(
+                "{}: .{other} is no format of pictures; .png, .jpg, .webp, .apng, .gif, .mp4, .webm, or a \
+                 folder without an ending are allowed",
+                path.display()
+            ),
+        })
+    }
+
+    /// Whether it is of one picture.
+    pub fn is_still(self) -> bool {
+        matches!(self, Self::Still(_))
+    }
+
+    /// Refuses an output that could not be written: asked before the work that makes the pictures.
+    ///
+    /// # Errors
+    /// A name that cannot be written, or a video where there is no ffmpeg that can make it.
+    pub fn check(self, path: &Path, overwrite: bool) -> Result<()> {
+        match self {
+            Self::Folder => FrameFolder::create(path, overwrite).map(drop),
+            Self::Still(_) => files::check(path),
+            Self::Animation(_) => PendingFile::begin(path).map(drop),
+            Self::Video(format) => {
+                PendingFile::begin(path)?;
+                video::find(format).map(drop)
+            }
+        }
+    }
+}
+
+/// What the pictures of one run have in common.
+#[derive(Clone, Copy, Debug)]
+pub struct PictureRun {
+    /// How many there are.
+    pub pictures: usize,
+    /// Frames per second, where they move.
+    pub frames_per_second: f64,
+    /// Whether a folder may replace one of frames alone.
+    pub overwrite: bool,
+}
+
+/// Pictures on their way to a file or folder, which appears whole at the end or not at all.
+pub struct PictureWriter<'a> {
+    path: &'a Path,
+    run: PictureRun,
+    sink: Sink,
+}
+
+enum Sink {
+    Still(StillFormat),
+    Folder(FrameFolder),
+    /// Begins with the first picture, whose size counts.
+    Unbegun(PictureOutput),
+    Animation(PendingFile, Box<Animation<std::fs::File>>),
+    Video(Box<Video>),
+}
+
+impl<'a> PictureWriter<'a> {
+    /// Begins `path`.
+    ///
+    /// # Errors
+    /// A name that cannot be written.
+    pub fn begin(path: &'a Path, output: PictureOutput, run: PictureRun) -> Result<Self> {
+        let sink = match output {
+            PictureOutput::Still(format) => Sink::Still(format),
+            PictureOutput::Folder => Sink::Folder(FrameFolder::create(path, run.overwrite)?),
+            moving => Sink::Unbegun(moving),
+        };
+        Ok(Self { path, run, sink })
+    }
+
+    /// Adds the next picture; in a folder its file is called `name` and an ending.
+    ///
+    /// # Errors
+    /// A picture of another size than those before, where they move, or what the system says.
+    pub fn add(&mut self, name: &str, picture: &Image) -> Result<()> {
+        if let Sink::Unbegun(output) = self.sink {
+            self.sink = self.moving(output, picture.size())?;
+        }
+        let failed = || format!("{}: picture {name}", self.path.display());
+        match &mut self.sink {
+            Sink::Still(format) => files::write(self.path, &format.encode(picture)?),
+            Sink::Folder(folder) => folder.add(format!("{name}.png"), &picture.to_png()?),
+            Sink::Animation(_, animation) => animation.add(picture).with_context(failed),
+            Sink::Video(video) => video.add(picture).with_context(failed),
+            Sink::Unbegun(_) => Ok(()),
+        }
+    }
+
+    /// Begins moving pictures of `size`.
+    fn moving(&self, output: PictureOutput, size: (u32, u32)) -> Result<Sink> {
+        let rate = self.run.frames_per_second;
+        Ok(match output {
+            PictureOutput::Animation(format) => {
+                let mut pending = PendingFile::begin(self.path)?;
+                let file = pending.file().try_clone()?;
+                let pictures = u32::try_from(self.run.pictures)?;
+                Sink::Animation(pending, Box::new(Animation::begin(file, format, size, pictures, rate)?))
+            }
+            PictureOutput::Video(format) => {
+                Sink::Video(Box::new(Video::begin(self.path, format, size, rate)?))
+            }
+            other => Sink::Unbegun(other),
+        })
+    }
+
+    /// Gives the file or folder its name.
+    ///
+    /// # Errors
+    /// What the system says, with the path.
+    pub fn finish(self) -> Result<()> {
+        match self.sink {
+            Sink::Still(_) => Ok(()),
+            Sink::Folder(folder) => folder.finish(self.run.overwrite).map(drop),
+            Sink::Unbegun(_) => bail!("{}: no pictures", self.path.display()),
+            Sink::Animation(pending, animation) => {
+                animation.finish().with_context(|| self.path.display().to_string())?;
+                pending.finish()
+            }
+            Sink::Video(video) => video.finish(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn endings_decide_and_others_are_refused() {
+        let of = |name: &str| PictureOutput::of(Path::new(name));
+        assert_eq!(of("a.PNG").unwrap(), PictureOutput::Still(StillFormat::Png));
+        assert_eq!(of("a.jpeg").unwrap(), PictureOutput::Still(StillFormat::Jpeg));
+        assert_eq!(of("a.gif").unwrap(), PictureOutput::Animation(AnimationFormat::Gif));
+        assert_eq!(of("a.mp4").unwrap(), PictureOutput::Video(VideoFormat::H264));
+        assert_eq!(of("folder/frames").unwrap(), PictureOutput::Folder);
+        let error = of("x.bmp").unwrap_err().to_string();
+        assert!(error.contains("x.bmp") && error.contains(".webp"), "{error}");
+        let folder = tempfile::tempdir().unwrap();
+        let dotted = folder.path().join("frames.v2");
+        std::fs::create_dir(&dotted).unwrap();
+        assert_eq!(PictureOutput::of(&dotted).unwrap(), PictureOutput::Folder);
+    }
+
+    #[test]
+    fn pictures_of_two_sizes_do_not_move() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.gif");
+        let run = PictureRun { pictures: 2, frames_per_second: 10.0, overwrite: false };
+        let mut writer =
+            PictureWriter::begin(&path, PictureOutput::Animation(AnimationFormat::Gif), run).unwrap();
+        writer.add("one", &Image::filled(4, 4, [0.5; 3]).unwrap()).unwrap();
+        let error = writer.add("two", &Image::filled(5, 4, [0.5; 3]).unwrap()).unwrap_err();
+        assert!(format!("{error:#}").contains("two"), "{error:#}");
+        drop(writer);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0, "nothing is left");
+    }
+}

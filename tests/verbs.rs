@@ -1,0 +1,323 @@
+//! Tests what a person does with splats at hand: looks at them, compares, converts and cuts them.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
+
+use std::{
+    fs,
+    path::Path,
+    process::{Command, Output},
+};
+
+use serde_json::Value;
+
+fn dgs(folder: &Path, args: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_dgs")).current_dir(folder).args(args).output().unwrap()
+}
+
+fn ok(folder: &Path, args: &[&str]) -> String {
+    let output = dgs(folder, args);
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "dgs {args:?}: {stderr}");
+    String::from_utf8(output.stdout).unwrap()
+}
+
+fn json(folder: &Path, args: &[&str]) -> Value {
+    serde_json::from_str(&ok(folder, &[&["--json"], args].concat())).unwrap()
+}
+
+/// What `args` say on standard error when they end with exit status `code`.
+fn stopped(folder: &Path, args: &[&str], code: i32) -> String {
+    let output = dgs(folder, args);
+    let text = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(code), "dgs {args:?}: {text}");
+    text
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let mut names: Vec<String> =
+        fs::read_dir(folder).unwrap().map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+const SMALL: [&str; 4] = ["--width", "48", "--height", "40"];
+
+#[test]
+fn endings_decide_what_pictures_become() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:1000:6";
+    let starts: [(&str, &[u8]); 5] = [
+        ("a.png", b"\x89PNG"),
+        ("a.jpg", b"\xff\xd8\xff"),
+        ("a.webp", b"RIFF"),
+        ("a.apng", b"\x89PNG"),
+        ("a.gif", b"GIF89a"),
+    ];
+    for (name, start) in starts {
+        ok(at, &[&["render", scene, "-o", name], &SMALL[..]].concat());
+        assert!(fs::read(at.join(name)).unwrap().starts_with(start), "{name}");
+    }
+    let frames = |name: &str| {
+        let file = fs::read(at.join(name)).unwrap();
+        file.windows(4).filter(|window| *window == b"fcTL").count()
+    };
+    assert_eq!(frames("a.apng"), 6, "the whole clip");
+    ok(
+        at,
+        &[&["render", scene, "-o", "round.apng", "--turntable", "9", "--rate", "12"], &SMALL[..]].concat(),
+    );
+    assert_eq!(frames("round.apng"), 9, "a full circle");
+    // Refused before the scene is looked for, and nothing is left behind.
+    let before = names(at);
+    for (name, says) in [("x.bmp", ".bmp is no format of pictures"), ("nowhere/x.gif", "no such folder")] {
+        assert!(stopped(at, &["render", "none", "-o", name], 1).contains(says), "{name}");
+    }
+    assert_eq!(names(at), before);
+}
+
+/// With an ffmpeg there is a video of the size asked for; without one there is a sentence.
+#[test]
+fn videos_are_made_by_an_installed_ffmpeg() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let render = |path: Option<&str>, name: &str| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_dgs"));
+        command.current_dir(at).args(["render", "synth:figure:1000:4", "-o", name, "--width", "95"]);
+        command.args(["--height", "66"]);
+        if let Some(path) = path {
+            command.env("PATH", path);
+        }
+        command.output().unwrap()
+    };
+    let output = render(Some("/nonexistent"), "a.mp4");
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{text}");
+    assert!(text.contains("no ffmpeg is installed") && text.contains(".gif"), "{text}");
+    assert!(names(at).is_empty());
+    if Command::new("ffmpeg").arg("-version").output().is_err() {
+        eprintln!("no ffmpeg is installed: videos are not tested");
+        return;
+    }
+    for (name, marks) in [("a.mp4", b"avc1"), ("a.webm", b"AV01")] {
+        let output = render(None, name);
+        let text = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success() || text.contains("none of the encoders"), "{text}");
+        if output.status.success() {
+            let file = fs::read(at.join(name)).unwrap();
+            assert!(file.windows(4).any(|window| window == marks), "{name}");
+        }
+    }
+    assert!(names(at).iter().all(|name| !name.starts_with('.')), "no temporary name is left");
+}
+
+#[test]
+fn cameras_and_up_are_the_users() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["convert", "synth:figure:1000:1", "a.ply"]);
+    let text = ok(at, &["import", "a.ply"]);
+    assert!(text.contains("up minus-y") && text.contains("--up says otherwise"), "{text}");
+    // Upright by the guess as it was before it was a file.
+    let psnr = |args: &[&str]| {
+        let found = json(at, &[&["compare"], args, &SMALL[..]].concat());
+        found["summary"][0]["mean"].as_f64().unwrap()
+    };
+    ok(at, &[&["render", "synth:figure:1000:1", "-o", "plain"], &SMALL[..]].concat());
+    ok(at, &[&["render", "a.ply", "-o", "file"], &SMALL[..]].concat());
+    ok(at, &[&["render", "a.ply", "-o", "wrong", "--up", "y"], &SMALL[..]].concat());
+    let (file, wrong) = (psnr(&["file", "plain"]), psnr(&["wrong", "plain"]));
+    assert!(file > 35.0 && wrong < file - 5.0, "{file} {wrong}");
+    let eye = ["--eye", "0,0,-4", "--target", "0,0,0", "--fov", "60"];
+    let text = ok(at, &[&["render", "a.ply", "-o", "eye.png"], &eye[..], &SMALL[..]].concat());
+    assert!(text.contains("1 camera at [0.0, 0.0, -4.0]"), "{text}");
+    let text = stopped(at, &["render", "a.ply", "-o", "b.png", "--fov", "60"], 1);
+    assert!(text.contains("--eye or --turntable"), "{text}");
+    stopped(at, &["render", "a.ply", "-o", "b.png", "--eye", "1,2"], 64);
+    stopped(at, &["render", "a.ply", "-o", "b.png", "--eye", "1,2,3", "--turntable", "4"], 64);
+}
+
+#[test]
+fn a_target_psnr_says_what_it_measures() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let encode = ["encode", "synth:figure:1000:4", "-o", "a.dgs", "--target-psnr", "42"];
+    let text = ok(at, &encode);
+    assert!(text.contains("measured on 4 frames from 3 cameras around the scene, up y"), "{text}");
+    assert!(text.contains("pictures of 256 × 256") && text.contains("covers"), "{text}");
+    let near = ["--eye", "0,1,-2", "--width", "64", "--height", "64"];
+    let said = json(at, &[&encode[..], &near].concat());
+    let views = &said["report"]["reached"]["views"];
+    assert_eq!((views["cameras"].as_u64(), views["width"].as_u64()), (Some(1), Some(64)), "{said}");
+    assert!(views["covered"].as_f64().unwrap() > 0.05);
+    let text = stopped(at, &["encode", "synth:figure:1000:4", "-o", "a.dgs", "--eye", "1,2,3"], 1);
+    assert!(text.contains("--target-psnr, which is missing"), "{text}");
+}
+
+#[test]
+fn comparisons_name_mean_and_worst_and_what_differs() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["encode", "synth:figure:1000:4", "-o", "a.dgs"]);
+    ok(at, &["convert", "synth:figure:1000:4", "frames"]);
+    let same = json(at, &[&["compare", "frames", "frames", "--identity-stored"], &SMALL[..]].concat());
+    let summary = |said: &Value, metric: &str| -> f64 {
+        let all = said["summary"].as_array().unwrap();
+        all.iter().find(|s| s["metric"] == metric).unwrap()["mean"].as_f64().unwrap()
+    };
+    assert_eq!((summary(&same, "psnr_db"), summary(&same, "ssim"), summary(&same, "flip")), (99.0, 1.0, 0.0));
+    assert_eq!(same["pictures"].as_array().unwrap().len(), 12, "three cameras, four frames");
+    assert!(same["gaussians"]["attributes"].as_array().unwrap().iter().all(|a| a["largest"] == 0.0));
+
+    let args = ["compare", "a.dgs", "synth:figure:1000:4", "--frames", "1..2", "-o", "maps"];
+    let said = json(at, &[&args[..], &SMALL[..]].concat());
+    let psnr = summary(&said, "psnr_db");
+    assert!((25.0..80.0).contains(&psnr), "{psnr}");
+    assert_eq!(said["pictures"].as_array().unwrap().len(), 6);
+    assert_eq!(names(&at.join("maps")).len(), 7, "a map for each picture, and their index");
+    let worse =
+        json(at, &[&["compare", "a.dgs", "synth:figure:1000:4", "--level", "0"], &SMALL[..]].concat());
+    assert!(summary(&worse, "psnr_db") < psnr - 3.0, "one level is worse than four");
+    let text = ok(at, &[&["compare", "a.dgs", "synth:figure:1000:4"], &SMALL[..]].concat());
+    assert!(text.contains("psnr_db  mean") && text.contains("Gaussians are not compared"), "{text}");
+
+    // Renders against pictures, by name and by order.
+    ok(at, &[&["render", "a.dgs", "-o", "shots", "--turntable", "4"], &SMALL[..]].concat());
+    let said = json(at, &["compare", "shots", "a.dgs", "--turntable", "4"]);
+    assert_eq!(said["pictures"].as_array().unwrap().len(), 4);
+    assert!(summary(&said, "psnr_db") > 50.0, "8 bits a channel: {}", summary(&said, "psnr_db"));
+    assert!(said["cameras"].as_str().unwrap().contains("matched by name"), "{}", said["cameras"]);
+    let text = stopped(at, &["compare", "shots", "a.dgs", "--turntable", "5"], 1);
+    assert!(text.contains("4 pictures, and cameras and frames for 5"), "{text}");
+    let text = stopped(at, &["compare", "synth:figure:1000:3", "a.dgs"], 1);
+    assert!(text.contains("has 3 frames and a.dgs 4"), "{text}");
+}
+
+#[test]
+fn every_format_comes_back_as_the_same_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:4000:1";
+    for (name, least) in [
+        ("a.ply", 50.0),
+        ("a.glb", 50.0),
+        ("a.splat", 38.0),
+        ("a.compressed.ply", 38.0),
+        ("a.spz", 35.0),
+        ("a.sog", 33.0),
+    ] {
+        let text = ok(at, &["convert", scene, name]);
+        assert!(text.contains("4000 Gaussians"), "{text}");
+        // Axes are each format's own; the picture is upright in all.
+        ok(at, &[&["render", name, "-o", "p", "--overwrite"], &SMALL[..]].concat());
+        ok(at, &[&["render", scene, "-o", "q", "--overwrite"], &SMALL[..]].concat());
+        let said = json(at, &["compare", "p", "q"]);
+        let psnr = said["summary"][0]["mean"].as_f64().unwrap();
+        assert!(psnr > least, "{name}: {psnr} dB");
+    }
+    // SPZ has y up, so that a capture is turned on the way there, and back again.
+    assert!(ok(at, &["convert", "a.ply", "b.spz"]).contains("turned: minus-y was up, y is"));
+    ok(at, &["convert", "a.spz", "back.ply"]);
+    let said = json(at, &[&["compare", "back.ply", "a.ply"], &SMALL[..]].concat());
+    let attribute = |name: &str| {
+        let all = said["gaussians"]["attributes"].as_array().unwrap();
+        all.iter().find(|a| a["name"] == name).unwrap()["largest"].as_f64().unwrap()
+    };
+    assert!(attribute("position") < 0.001 && attribute("rotation") < 0.5, "{said}");
+    let text = ok(at, &["convert", "a.spz", "same.ply", "--keep-axes"]);
+    assert!(text.contains("axes are kept, with y up"), "{text}");
+    for (name, says) in [("x.obj", ".obj is no format that scenes"), ("x.dgs", "dgs encode")] {
+        assert!(stopped(at, &["convert", "none", name], 1).contains(says), "{name}");
+    }
+}
+
+#[test]
+fn scenes_are_edited_on_the_way() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:1000:6";
+    let said = json(at, &["convert", scene, "part", "--frames", "2..4", "--decimate", "0.25"]);
+    assert_eq!((said["gaussians"].as_u64(), said["frames"].as_u64()), (Some(250), Some(3)));
+    assert_eq!(names(&at.join("part")).len(), 4);
+    let said = json(at, &["convert", scene, "two.ply", "--merge", scene, "--transform", "translate=5,0,0"]);
+    assert_eq!(said["gaussians"], 2000);
+    let text = ok(at, &["import", "two.ply"]);
+    assert!(text.contains("centre [") && text.contains("2000 Gaussians"), "{text}");
+    let text = stopped(at, &["convert", scene, "none.ply", "--filter", "opacity>2"], 1);
+    assert!(text.contains("filter: no Gaussian is left"), "{text}");
+    for wrong in [["--filter", "size>2"], ["--crop", "1,2"], ["--transform", "turn=1"], ["--decimate", "0"]] {
+        stopped(at, &[&["convert", scene, "none.ply"], &wrong[..]].concat(), 64);
+    }
+    assert!(!at.join("none.ply").exists());
+    // A stream is a scene too.
+    ok(at, &["encode", scene, "-o", "a.dgs"]);
+    let said = json(at, &["convert", "a.dgs", "decoded", "--sh-degree", "0"]);
+    assert_eq!(said["frames"], 6);
+}
+
+#[test]
+fn a_stream_is_cut_and_saved_as_it_arrived() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["encode", "synth:figure:2000:12", "-o", "a.dgs", "--window-frames", "4", "--repair-set", "4"]);
+    let size = |name: &str| fs::metadata(at.join(name)).unwrap().len();
+    let text = ok(at, &["inspect", "a.dgs"]);
+    assert!(text.contains("0.400 s, 2000 Gaussians over all epochs") && text.contains("bounds ["), "{text}");
+
+    ok(at, &["cut", "a.dgs", "base.dgs", "--levels", "0"]);
+    assert!(size("base.dgs") < size("a.dgs"));
+    // Base levels decode to what the whole stream has at level 0.
+    let digest = |args: &[&str]| {
+        let output = dgs(at, &[&["--json", "decode", "--digest"], args].concat());
+        let said: Value = serde_json::from_slice(&output.stdout).unwrap();
+        said["digest"].as_str().unwrap().to_owned()
+    };
+    assert_eq!(digest(&["base.dgs", "--level", "0"]), digest(&["a.dgs", "--level", "0"]));
+
+    ok(at, &["cut", "a.dgs", "few.dgs", "--frames", "0..3"]);
+    let frame = |name: &str, frame: &str| {
+        let args = ["render", name, "-o", "p.png", "--frame", frame, "--eye", "0,1,-4", "--target", "0,0,0"];
+        let output = dgs(at, &[&args[..], &SMALL[..]].concat());
+        assert!(output.status.code().unwrap() % 2 == 0, "{}", String::from_utf8_lossy(&output.stderr));
+        fs::read(at.join("p.png")).unwrap()
+    };
+    assert!(size("few.dgs") < size("a.dgs"));
+    assert_eq!(frame("few.dgs", "2"), frame("a.dgs", "2"), "what frames need stays");
+    assert_ne!(frame("few.dgs", "11"), frame("a.dgs", "11"));
+
+    let most = size("a.dgs") / 2;
+    ok(at, &["cut", "a.dgs", "half.dgs", "--bytes", &most.to_string()]);
+    assert!(size("half.dgs") <= most && size("half.dgs") > most * 8 / 10, "{}", size("half.dgs"));
+    assert_eq!(dgs(at, &["inspect", "half.dgs"]).status.code(), Some(2), "what is missing is said");
+    let text = stopped(at, &["cut", "a.dgs", "x.dgs", "--bytes", "10"], 1);
+    assert!(text.contains("for the manifest alone"), "{text}");
+    assert!(stopped(at, &["cut", "a.dgs", "x.dgs"], 1).contains("nothing to leave out"));
+    assert_ne!(frame("half.dgs", "2"), frame("a.dgs", "2"), "levels are missing");
+
+    let lossy = ["--burst-loss", "0.2", "--policy", "layered", "--load", "2"];
+    let said = json(at, &[&["stream", "a.dgs", "--out", "arrived.dgs"], &lossy[..]].concat());
+    let arrived = said["arrived_packets"].as_u64().unwrap();
+    let output = dgs(at, &["--json", "inspect", "arrived.dgs"]);
+    let inspected: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let whole = json(at, &["inspect", "a.dgs"]);
+    let total = whole["manifest"]["packets"].as_u64().unwrap();
+    assert_eq!(arrived + inspected["missing_packets"].as_u64().unwrap(), total);
+    assert!(arrived < total, "something was lost");
+}
+
+#[test]
+fn shells_and_manuals_know_every_verb() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    for shell in ["bash", "zsh", "fish"] {
+        let text = ok(at, &["completions", shell]);
+        assert!(text.contains("convert") && text.contains("turntable"), "{shell}");
+    }
+    ok(at, &["man", "."]);
+    let pages = names(at);
+    for verb in ["dgs.1", "dgs-compare.1", "dgs-convert.1", "dgs-render.1"] {
+        assert!(pages.iter().any(|page| page == verb), "{pages:?}");
+    }
+    assert!(fs::read_to_string(at.join("dgs-render.1")).unwrap().contains("turntable"));
+    stopped(at, &["man", "nowhere"], 1);
+}

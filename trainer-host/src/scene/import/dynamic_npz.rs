@@ -1,0 +1,136 @@
+//! Reads what Dynamic 3D Gaussians trains: `params.npz`, in which every Gaussian lives through the clip.
+//!
+//! Members: `means3D` (T×N×3), `unnorm_rotations` (T×N×4, wxyz), `rgb_colors` (T×N×3 or N×3, display colour),
+//! `logit_opacities` (N×1), `log_scales` (N×3 or N×1). Others are skipped. Axes are kept: those of the
+//! cameras it was trained with, y down.
+
+use codec_core::ShDegree;
+
+use super::{
+    Limits,
+    archive::Archive,
+    error::{Format, ImportError},
+    points_npz::npy::Array,
+    snapshot::{scene_error, sh0_of_colour},
+};
+use crate::scene::{Attributes, Epoch, Scene, Track};
+
+const FORMAT: Format = Format::DynamicNpz;
+/// A member that only archives of this kind have.
+pub(super) const MARK: &str = "unnorm_rotations.npy";
+/// Bytes that a Gaussian takes in one frame: position, rotation, colour.
+const FRAME_BYTES: u64 = 12 + 16 + 12;
+
+/// Reads the archive as a scene of one epoch.
+///
+/// # Errors
+/// A damaged archive, a missing or misshapen array, values that are not numbers, or more than `limits` allow.
+pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Scene, ImportError> {
+    let mut archive = Archive::new(bytes, limits, FORMAT)?;
+    let means = Array::open(&mut archive, "means3D")?;
+    let &[frames, n, 3] = means.shape() else { return Err(means.misshapen("T x N x 3")) };
+    limits.gaussians(FORMAT, n as u64)?;
+    limits.gaussians(FORMAT, frames as u64)?;
+    limits.bytes(FORMAT, "frames", (frames as u64 * FRAME_BYTES).saturating_mul(n as u64))?;
+    let mut positions: Vec<[f32; 3]> = Vec::new();
+    means.rows(3, |v| positions.push(three(v)))?;
+
+    let array = Array::open(&mut archive, "unnorm_rotations")?;
+    if array.shape() != [frames, n, 4] {
+        return Err(array.misshapen(&format!("{frames} x {n} x 4")));
+    }
+    let mut rotations: Vec<[f32; 4]> = Vec::new();
+    array.rows(4, |v| rotations.push([0, 1, 2, 3].map(|i| v[i] as f32)))?;
+
+    let array = Array::open(&mut archive, "rgb_colors")?;
+    let is_still = array.shape() == [n, 3];
+    if !is_still && array.shape() != [frames, n, 3] {
+        return Err(array.misshapen(&format!("{frames} x {n} x 3 or {n} x 3")));
+    }
+    let mut sh0: Vec<[f32; 3]> = Vec::new();
+    array.rows(3, |v| sh0.push(three(v).map(sh0_of_colour)))?;
+
+    let array = Array::open(&mut archive, "logit_opacities")?;
+    if array.shape() != [n, 1] && array.shape() != [n] {
+        return Err(array.misshapen(&format!("{n} x 1")));
+    }
+    let mut opacity_logits: Vec<f32> = Vec::new();
+    array.rows(1, |v| opacity_logits.push(v[0] as f32))?;
+
+    let array = Array::open(&mut archive, "log_scales")?;
+    let mut log_scales: Vec<[f32; 3]> = Vec::new();
+    match *array.shape() {
+        [count, 3] if count == n => array.rows(3, |v| log_scales.push(three(v)))?,
+        [count, 1] if count == n => array.rows(1, |v| log_scales.push([v[0] as f32; 3]))?,
+        _ => return Err(array.misshapen(&format!("{n} x 3 or {n} x 1"))),
+    }
+    let attributes = Attributes {
+        positions: Track::PerFrame(positions),
+        rotations: Track::PerFrame(rotations),
+        log_scales: Track::Constant(log_scales),
+        opacity_logits: Track::Constant(opacity_logits),
+        sh0: if is_still { Track::Constant(sh0) } else { Track::PerFrame(sh0) },
+        sh_rest: Vec::new(),
+        sh_degree: ShDegree::ZERO,
+    };
+    let epoch = Epoch::new(frames, attributes).map_err(|e| scene_error(FORMAT, &e))?;
+    Scene::new(vec![epoch], frames_per_second).map_err(|e| scene_error(FORMAT, &e))
+}
+
+fn three(v: &[f64]) -> [f32; 3] {
+    [v[0] as f32, v[1] as f32, v[2] as f32]
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use std::io::{Cursor, Write};
+
+    use super::*;
+
+    /// Two frames of two Gaussians; `edit` may change a member's shape.
+    pub fn sample(edit: impl Fn(&str, &str) -> String) -> Vec<u8> {
+        let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+        let mut add = |name: &str, shape: &str, values: &[f32]| {
+            let shape = edit(name, shape);
+            let header = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({shape}), }}\n");
+            zip.start_file(format!("{name}.npy"), zip::write::SimpleFileOptions::default()).unwrap();
+            zip.write_all(b"\x93NUMPY\x01\x00").unwrap();
+            zip.write_all(&(header.len() as u16).to_le_bytes()).unwrap();
+            zip.write_all(header.as_bytes()).unwrap();
+            zip.write_all(&values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>()).unwrap();
+        };
+        add("means3D", "2, 2, 3", &[0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.5, 0.0, 0.0, 1.0, 2.0, 1.0]);
+        add("unnorm_rotations", "2, 2, 4", &[[2.0, 0.0, 0.0, 0.0]; 4].concat());
+        add("rgb_colors", "2, 2, 3", &[[0.25, 0.5, 0.75]; 4].concat());
+        add("logit_opacities", "2, 1", &[0.0, 1.0]);
+        add("log_scales", "2, 3", &[-3.0; 6]);
+        zip.finish().unwrap().into_inner()
+    }
+
+    #[test]
+    fn a_clip_keeps_identity() {
+        let scene = parse(&sample(|_, shape| shape.to_owned()), 30.0, &Limits::default()).unwrap();
+        assert_eq!((scene.epochs().len(), scene.frames(), scene.max_count()), (1, 2, 2));
+        let g = scene.instant(1).unwrap().gaussians;
+        assert_eq!((g[0].position, g[1].position), ([0.5, 0.0, 0.0], [1.0, 2.0, 1.0]));
+        assert_eq!((g[0].rotation, g[0].opacity), ([1.0, 0.0, 0.0, 0.0], 0.5));
+        assert!((0.5 + 0.282_094_8 * g[1].sh0[2] - 0.75).abs() < 1e-6);
+        assert!(scene.epochs()[0].attributes().sh0.is_constant());
+    }
+
+    #[test]
+    fn shapes_that_contradict_each_other_are_named() {
+        for (name, shape) in [
+            ("means3D", "4, 3"),
+            ("unnorm_rotations", "2, 3, 4"),
+            ("rgb_colors", "3, 2, 3"),
+            ("logit_opacities", "4, 1"),
+            ("log_scales", "2, 2"),
+            ("means3D", "99999999999, 99999999999, 3"),
+        ] {
+            let bytes = sample(|n, s| if n == name { shape.to_owned() } else { s.to_owned() });
+            let error = parse(&bytes, 30.0, &Limits::default()).unwrap_err().to_string();
+            assert!(error.contains(name) || error.contains("Gaussian count"), "{name}: {error}");
+        }
+    }
+}

@@ -1,0 +1,483 @@
+//! Reads glTF and GLB with `KHR_gaussian_splatting`: points whose attributes are those of Gaussians.
+//!
+//! Rotation is xyzw, scale and opacity are linear, harmonics one accessor a coefficient; integers may be
+//! normalised. Nodes turn, move and evenly scale what hangs on them; other transforms are refused. Axes are
+//! kept: y up. Absent: compressed primitives (SPZ or meshopt inside of glTF), which are refused by name.
+
+use std::collections::BTreeMap;
+
+use codec_core::ShDegree;
+use nalgebra::{Matrix3, Matrix4, Quaternion, Rotation3, UnitQuaternion, Vector3};
+use serde::Deserialize;
+
+use super::{
+    Limits,
+    bytes::{array, u32_at},
+    error::{ErrorKind, Format, ImportError},
+    gltf::resource,
+    snapshot::{Columns, Snapshot, logit, sh0_of_colour},
+};
+use crate::scene::{
+    Scene,
+    edit::{self, Similarity},
+    export::gltf::EXTENSION,
+};
+
+const FORMAT: Format = Format::GltfSplats;
+/// Deepest tree of nodes.
+const MOST_DEPTH: usize = 64;
+/// Most primitives, over all nodes.
+const MOST_PRIMITIVES: usize = 10_000;
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Document {
+    #[serde(default)]
+    extensions_required: Vec<String>,
+    #[serde(default)]
+    scene: usize,
+    #[serde(default)]
+    scenes: Vec<Nodes>,
+    #[serde(default)]
+    nodes: Vec<Node>,
+    #[serde(default)]
+    meshes: Vec<Mesh>,
+    #[serde(default)]
+    accessors: Vec<Accessor>,
+    #[serde(default)]
+    buffer_views: Vec<View>,
+    #[serde(default)]
+    buffers: Vec<Buffer>,
+}
+
+#[derive(Deserialize)]
+struct Nodes {
+    #[serde(default)]
+    nodes: Vec<usize>,
+}
+
+#[derive(Deserialize)]
+struct Node {
+    mesh: Option<usize>,
+    #[serde(default)]
+    children: Vec<usize>,
+    matrix: Option<[f64; 16]>,
+    translation: Option<[f64; 3]>,
+    rotation: Option<[f64; 4]>,
+    scale: Option<[f64; 3]>,
+}
+
+#[derive(Deserialize)]
+struct Mesh {
+    primitives: Vec<Primitive>,
+}
+
+#[derive(Deserialize)]
+struct Primitive {
+    attributes: BTreeMap<String, usize>,
+    #[serde(default)]
+    extensions: serde_json::Map<String, serde_json::Value>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Accessor {
+    buffer_view: Option<usize>,
+    #[serde(default)]
+    byte_offset: usize,
+    component_type: u32,
+    #[serde(default)]
+    normalized: bool,
+    count: usize,
+    #[serde(rename = "type")]
+    kind: String,
+    sparse: Option<serde_json::Value>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct View {
+    buffer: usize,
+    #[serde(default)]
+    byte_offset: usize,
+    byte_length: usize,
+    byte_stride: Option<usize>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Buffer {
+    uri: Option<String>,
+    byte_length: usize,
+}
+
+/// Whether a glTF file is of this kind.
+pub(super) fn is_splats(bytes: &[u8]) -> bool {
+    let text = if bytes.starts_with(b"glTF") { json_chunk(bytes).map(|c| c.0) } else { Ok(bytes) };
+    text.is_ok_and(|text| {
+        let name = EXTENSION.as_bytes();
+        text.windows(name.len()).any(|window| window == name)
+    })
+}
+
+/// Reads a glTF or GLB file of Gaussians. `beside` reads the files it names.
+///
+/// # Errors
+/// JSON or binary data that contradicts itself, no Gaussians, a transform that Gaussians cannot follow, or
+/// more than `limits` allow.
+pub fn parse(
+    bytes: &[u8],
+    mut beside: impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
+    limits: &Limits,
+) -> Result<Snapshot, ImportError> {
+    limits.bytes(FORMAT, "file", bytes.len() as u64)?;
+    let (text, blob) = if bytes.starts_with(b"glTF") { json_chunk(bytes)? } else { (bytes, None) };
+    let document: Document =
+        serde_json::from_slice(text).map_err(|e| FORMAT.malformed("JSON", e, "the JSON of glTF 2.0"))?;
+    if let Some(name) = document.extensions_required.iter().find(|name| *name != EXTENSION) {
+        return Err(FORMAT.unsupported("extensionsRequired", name, format_args!("{EXTENSION} alone")));
+    }
+    let mut left = limits.max_bytes;
+    let mut buffers = Vec::new();
+    for (i, buffer) in document.buffers.iter().enumerate() {
+        let field = format!("buffer {i}");
+        let data = match (&buffer.uri, blob) {
+            (Some(uri), _) => resource(uri, &mut beside)?,
+            (None, Some(blob)) => blob.to_vec(),
+            (None, None) => return Err(FORMAT.malformed(field, "no BIN chunk", "a BIN chunk or a uri")),
+        };
+        if data.len() < buffer.byte_length {
+            return Err(FORMAT.truncated(field, data.len() as u64, buffer.byte_length as u64));
+        }
+        left = left.checked_sub(data.len() as u64).ok_or_else(|| {
+            FORMAT.error(ErrorKind::TooLarge, field, "more", format_args!("{} bytes", limits.max_bytes))
+        })?;
+        buffers.push(data);
+    }
+    let mut reader =
+        Reader { document: &document, buffers, limits, primitives: 0, parts: Vec::new(), count: 0 };
+    let roots = match document.scenes.get(document.scene) {
+        Some(scene) => scene.nodes.clone(),
+        None => (0..document.nodes.len()).collect(),
+    };
+    for node in roots {
+        reader.node(node, &Similarity::default(), 0)?;
+    }
+    reader.snapshot()
+}
+
+/// The JSON of a GLB, and its binary chunk if there is one.
+fn json_chunk(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ImportError> {
+    let mut chunks = Vec::new();
+    let mut at = 12usize;
+    while chunks.len() < 2 && at < bytes.len() {
+        let length =
+            u32_at(bytes, at).ok_or_else(|| FORMAT.truncated("chunk", bytes.len() as u64, at as u64 + 8))?;
+        let start = at + 8;
+        let end = start.saturating_add(length as usize);
+        let content = bytes
+            .get(start..end)
+            .ok_or_else(|| FORMAT.truncated("GLB", bytes.len() as u64, end as u64).at(at))?;
+        chunks.push((array::<4>(bytes, at + 4).unwrap_or_default(), content));
+        at = end;
+    }
+    match chunks[..] {
+        [(kind, text)] if &kind == b"JSON" => Ok((text, None)),
+        [(kind, text), (_, binary)] if &kind == b"JSON" => Ok((text, Some(binary))),
+        _ => Err(FORMAT.malformed("GLB", "no JSON chunk first", "a JSON chunk, then a BIN chunk")),
+    }
+}
+
+struct Reader<'a> {
+    document: &'a Document,
+    buffers: Vec<Vec<u8>>,
+    limits: &'a Limits,
+    primitives: usize,
+    /// What each primitive holds, with the transform of its node.
+    parts: Vec<(Snapshot, Similarity)>,
+    /// Gaussians read.
+    count: usize,
+}
+
+impl Reader<'_> {
+    fn node(&mut self, index: usize, parent: &Similarity, depth: usize) -> Result<(), ImportError> {
+        let field = || format!("node {index}");
+        if depth > MOST_DEPTH {
+            return Err(FORMAT.malformed(field(), "a tree without end", format_args!("{MOST_DEPTH} levels")));
+        }
+        let document = self.document;
+        let node = document
+            .nodes
+            .get(index)
+            .ok_or_else(|| FORMAT.malformed(field(), "no such node", "a node of the file"))?;
+        let own = similarity(node).ok_or_else(|| {
+            let allowed = "turns, shifts and one scale for all axes";
+            FORMAT.unsupported(format!("transform of node {index}"), "another transform", allowed)
+        })?;
+        let whole = own.then(parent);
+        if let Some(mesh) = node.mesh {
+            let mesh = document.meshes.get(mesh);
+            let mesh = mesh.ok_or_else(|| FORMAT.malformed(field(), "no such mesh", "a mesh of the file"))?;
+            for primitive in mesh.primitives.iter().filter(|p| p.extensions.contains_key(EXTENSION)) {
+                self.primitive(primitive, whole)?;
+            }
+        }
+        for &child in &node.children {
+            self.primitives += 1;
+            if self.primitives > MOST_PRIMITIVES {
+                return Err(FORMAT.malformed("nodes", "more", format_args!("up to {MOST_PRIMITIVES}")));
+            }
+            self.node(child, &whole, depth + 1)?;
+        }
+        Ok(())
+    }
+
+    fn primitive(&mut self, primitive: &Primitive, place: Similarity) -> Result<(), ImportError> {
+        self.primitives += 1;
+        if self.primitives > MOST_PRIMITIVES {
+            return Err(FORMAT.malformed("primitives", "more", format_args!("up to {MOST_PRIMITIVES}")));
+        }
+        if let Some(name) =
+            primitive.extensions[EXTENSION].get("extensions").and_then(|e| e.as_object()?.keys().next())
+        {
+            return Err(FORMAT.unsupported("primitive", name, "Gaussians that are not compressed"));
+        }
+        let own = |name: &str| format!("{EXTENSION}:{name}");
+        let (positions, _) = self.attribute(primitive, "POSITION", &["VEC3"])?;
+        let count = positions.len() / 3;
+        self.count += count;
+        self.limits.gaussians(FORMAT, self.count as u64)?;
+        let (rotations, _) = self.attribute(primitive, &own("ROTATION"), &["VEC4"])?;
+        let (scales, _) = self.attribute(primitive, &own("SCALE"), &["VEC3"])?;
+        let mut degree = 0u8;
+        while degree < 3
+            && primitive.attributes.contains_key(&own(&format!("SH_DEGREE_{}_COEF_0", degree + 1)))
+        {
+            degree += 1;
+        }
+        let sh_degree = ShDegree::new(degree).unwrap_or(ShDegree::ZERO);
+        let mut columns = Columns::with_capacity(count, sh_degree);
+        let has_band0 = primitive.attributes.contains_key(&own("SH_DEGREE_0_COEF_0"));
+        let (band0, opacities) = if has_band0 {
+            let opacity = self.attribute(primitive, &own("OPACITY"), &["SCALAR"])?.0;
+            (self.attribute(primitive, &own("SH_DEGREE_0_COEF_0"), &["VEC3"])?.0, opacity)
+        } else {
+            // Drafts of the extension kept both in the colour of points.
+            let (colours, width) = self.attribute(primitive, "COLOR_0", &["VEC4"])?;
+            let band0 =
+                colours.chunks_exact(width).flat_map(|c| [c[0], c[1], c[2]].map(sh0_of_colour)).collect();
+            (band0, colours.chunks_exact(width).map(|c| c[3]).collect())
+        };
+        let mut bands = Vec::new();
+        for degree in 1..=usize::from(degree) {
+            for coefficient in 0..2 * degree + 1 {
+                let name = own(&format!("SH_DEGREE_{degree}_COEF_{coefficient}"));
+                bands.push(self.attribute(primitive, &name, &["VEC3"])?.0);
+            }
+        }
+        let lengths = [(rotations.len(), 4), (scales.len(), 3), (band0.len(), 3), (opacities.len(), 1)];
+        let bands_fit = bands.iter().all(|band| band.len() == 3 * count);
+        if lengths.iter().any(|&(length, width)| length != width * count) || !bands_fit {
+            return Err(FORMAT.malformed("attributes", "other counts", format_args!("{count} of each")));
+        }
+        let three = |values: &[f32], i: usize| [values[3 * i], values[3 * i + 1], values[3 * i + 2]];
+        for i in 0..count {
+            let scale = three(&scales, i);
+            if scale.iter().any(|&s| s < 0.0) && !self.limits.keep_readable {
+                let found = format_args!("{scale:?}").to_string();
+                let field = format!("scale of Gaussian {i}");
+                return Err(FORMAT.malformed(field, found, "standard deviations, not negative"));
+            }
+            let [x, y, z, w] = [0, 1, 2, 3].map(|c| rotations[4 * i + c]);
+            columns.positions.push(three(&positions, i));
+            columns.rotations.push([w, x, y, z]);
+            columns.log_scales.push(scale.map(f32::ln));
+            columns.opacity_logits.push(logit(opacities[i].clamp(0.0, 1.0)));
+            columns.sh0.push(three(&band0, i));
+            columns.sh_rest.extend(bands.iter().flat_map(|band| three(band, i)));
+        }
+        self.parts.push((columns.finish(FORMAT, self.limits, Vec::new())?, place));
+        Ok(())
+    }
+
+    /// The values of an attribute and how many there are per element.
+    fn attribute(
+        &self,
+        primitive: &Primitive,
+        name: &str,
+        kinds: &[&str],
+    ) -> Result<(Vec<f32>, usize), ImportError> {
+        let missing = || FORMAT.malformed(name, "nothing", "an accessor of the file");
+        let index = primitive.attributes.get(name).ok_or_else(missing)?;
+        let accessor = self.document.accessors.get(*index).ok_or_else(missing)?;
+        if !kinds.contains(&accessor.kind.as_str()) {
+            return Err(FORMAT.malformed(name, &accessor.kind, kinds.join(" or ")));
+        }
+        let width = match accessor.kind.as_str() {
+            "SCALAR" => 1,
+            "VEC3" => 3,
+            _ => 4,
+        };
+        if accessor.sparse.is_some() {
+            return Err(FORMAT.unsupported(name, "a sparse accessor", "plain values"));
+        }
+        self.limits.gaussians(FORMAT, accessor.count as u64)?;
+        let view = accessor.buffer_view.and_then(|view| self.document.buffer_views.get(view));
+        let view = view.ok_or_else(|| FORMAT.malformed(name, "no buffer view", "a buffer view"))?;
+        let buffer = self.buffers.get(view.buffer).map_or(&[][..], Vec::as_slice);
+        let end = view.byte_offset.checked_add(view.byte_length);
+        let bytes = end.and_then(|end| buffer.get(view.byte_offset..end));
+        let bytes =
+            bytes.ok_or_else(|| FORMAT.truncated(name, buffer.len() as u64, view.byte_length as u64))?;
+        let (size, full) = match (accessor.component_type, accessor.normalized) {
+            (5126, _) => (4, 1.0),
+            (5120, true) => (1, 127.0),
+            (5121, true) => (1, 255.0),
+            (5122, true) => (2, 32_767.0),
+            (5123, true) => (2, 65_535.0),
+            (5120 | 5121, false) => (1, 1.0),
+            (5122 | 5123, false) => (2, 1.0),
+            (other, _) => return Err(FORMAT.malformed(name, other, "component type 5120 to 5123 or 5126")),
+        };
+        let stride = view.byte_stride.unwrap_or(width * size);
+        let needed = (accessor.count - 1)
+            .checked_mul(stride)
+            .and_then(|bytes| bytes.checked_add(accessor.byte_offset)?.checked_add(width * size));
+        if needed.is_none_or(|needed| needed > bytes.len()) {
+            let needed = needed.unwrap_or(usize::MAX) as u64;
+            return Err(FORMAT.truncated(name, bytes.len() as u64, needed));
+        }
+        let scalar = |at: usize| -> f32 {
+            let value = match accessor.component_type {
+                5126 => return f32::from_le_bytes(array(bytes, at).unwrap_or_default()),
+                5120 => f32::from(i8::from_le_bytes(array(bytes, at).unwrap_or_default())),
+                5121 => f32::from(bytes[at]),
+                5122 => f32::from(i16::from_le_bytes(array(bytes, at).unwrap_or_default())),
+                _ => f32::from(u16::from_le_bytes(array(bytes, at).unwrap_or_default())),
+            };
+            (value / full).max(if accessor.normalized { -1.0 } else { f32::MIN })
+        };
+        let element = |i: usize| (0..width).map(move |c| accessor.byte_offset + i * stride + c * size);
+        Ok(((0..accessor.count).flat_map(element).map(scalar).collect(), width))
+    }
+
+    /// All primitives as one, each where its nodes put it.
+    fn snapshot(self) -> Result<Snapshot, ImportError> {
+        let failed = |e: &dyn std::fmt::Display| FORMAT.malformed("nodes", e, "Gaussians that stay finite");
+        let (mut scenes, mut notes) = (Vec::new(), Vec::new());
+        for (part, place) in self.parts {
+            notes.extend(part.notes);
+            let part = Scene::new(vec![part.epoch], 1.0).map_err(|e| failed(&e))?;
+            scenes.push(edit::transform(&part, &place).map_err(|e| failed(&e))?);
+        }
+        // Two by two, so that no Gaussian is moved often.
+        while scenes.len() > 1 {
+            let pairs = scenes.chunks(2).map(|pair| match pair {
+                [a, b] => edit::merged(a, b),
+                _ => Ok(pair[0].clone()),
+            });
+            scenes = pairs.collect::<Result<_, _>>().map_err(|e| failed(&e))?;
+        }
+        let scene = scenes.pop().ok_or_else(|| FORMAT.empty("primitives with Gaussians"))?;
+        Ok(Snapshot { epoch: scene.epochs()[0].clone(), notes })
+    }
+}
+
+/// The transform of a node, if it is a similarity.
+fn similarity(node: &Node) -> Option<Similarity> {
+    let matrix = match (node.matrix, node.translation, node.rotation, node.scale) {
+        (Some(columns), ..) => Matrix4::from_column_slice(&columns),
+        (None, translation, rotation, scale) => {
+            let [x, y, z, w] = rotation.unwrap_or([0.0, 0.0, 0.0, 1.0]);
+            let turn = UnitQuaternion::try_new(Quaternion::new(w, x, y, z), 1e-9)?;
+            let turn = turn.to_rotation_matrix().into_inner();
+            let linear = turn * Matrix3::from_diagonal(&Vector3::from(scale.unwrap_or([1.0; 3])));
+            let mut whole = linear.to_homogeneous();
+            whole.fixed_view_mut::<3, 1>(0, 3).copy_from(&Vector3::from(translation.unwrap_or_default()));
+            whole
+        }
+    };
+    let linear = matrix.fixed_view::<3, 3>(0, 0).into_owned();
+    let scale = linear.determinant().cbrt();
+    if !(scale > 1e-9 && scale.is_finite()) {
+        return None;
+    }
+    let turn = linear / scale;
+    let off = (turn.transpose() * turn - Matrix3::identity()).abs().max();
+    let last = matrix.row(3);
+    if off.is_nan() || off > 1e-4 || last[0] != 0.0 || last[1] != 0.0 || last[2] != 0.0 || last[3] != 1.0 {
+        return None;
+    }
+    let translation = [matrix[(0, 3)], matrix[(1, 3)], matrix[(2, 3)]];
+    let rotation = Rotation3::from_matrix_unchecked(turn);
+    translation.iter().all(|v| v.is_finite()).then_some(Similarity { rotation, scale, translation })
+}
+
+#[cfg(test)]
+pub(super) mod tests {
+    use super::*;
+    use crate::scene::{export, import::splat};
+
+    pub fn sample(n: usize) -> Vec<u8> {
+        let epoch = splat::parse(&splat::tests::sample(n), &Limits::default()).unwrap().epoch;
+        export::gltf::encode(&epoch, 0).unwrap()
+    }
+
+    fn nothing(name: &str) -> Result<Vec<u8>, ImportError> {
+        Err(FORMAT.malformed(name, "nothing", "a file"))
+    }
+
+    /// A GLB with another text.
+    fn edited(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
+        let (text, binary) = json_chunk(bytes).unwrap();
+        let text = std::str::from_utf8(text).unwrap();
+        assert!(text.contains(from), "{from}: {text}");
+        let text = text.replace(from, to);
+        let binary = binary.unwrap();
+        let mut out = b"glTF\x02\0\0\0\0\0\0\0".to_vec();
+        for (kind, chunk) in [(b"JSON", text.as_bytes()), (b"BIN\0", binary)] {
+            out.extend((chunk.len() as u32).to_le_bytes());
+            out.extend(kind);
+            out.extend(chunk);
+        }
+        out
+    }
+
+    #[test]
+    fn nodes_move_what_hangs_on_them() {
+        let bytes = sample(3);
+        let plain = parse(&bytes, nothing, &Limits::default()).unwrap().epoch;
+        let moved = edited(
+            &bytes,
+            r#"{"mesh":0}"#,
+            r#"{"mesh":0,"rotation":[1,0,0,0],"scale":[2,2,2],"translation":[1,0,0]}"#,
+        );
+        let moved = parse(&moved, nothing, &Limits::default()).unwrap().epoch;
+        let (a, b) = (plain.instant(0).gaussians[2], moved.instant(0).gaussians[2]);
+        let [x, y, z] = a.position;
+        assert_eq!(b.position, [2.0 * x + 1.0, -2.0 * y, -2.0 * z]);
+        assert!((b.scale[0] / a.scale[0] - 2.0).abs() < 1e-5);
+        let squeezed = edited(&bytes, r#"{"mesh":0}"#, r#"{"mesh":0,"scale":[1,2,1]}"#);
+        let error = parse(&squeezed, nothing, &Limits::default()).unwrap_err();
+        assert!(error.to_string().contains("transform of node 0"), "{error}");
+    }
+
+    #[test]
+    fn what_contradicts_itself_is_named() {
+        let bytes = sample(3);
+        for (from, to, says) in [
+            (r#""mesh":0"#, r#""mesh":5"#, "no such mesh"),
+            (r#""nodes":[0]"#, r#""nodes":[4]"#, "no such node"),
+            (r#""mesh":0"#, r#""mesh":0,"children":[0]"#, "a tree without end"),
+            (r#""VEC4""#, r#""VEC3""#, "ROTATION"),
+            (r#""count":3"#, r#""count":4"#, "POSITION"),
+            (r#""componentType":5126"#, r#""componentType":9"#, "component type"),
+            (r#""extensionsUsed""#, r#""extensionsRequired":["EXT_x"],"extensionsUsed""#, "EXT_x"),
+        ] {
+            let error = parse(&edited(&bytes, from, to), nothing, &Limits::default()).unwrap_err();
+            assert!(error.to_string().contains(says), "{to}: {error}");
+        }
+        let error = parse(&bytes[..bytes.len() - 9], nothing, &Limits::default()).unwrap_err();
+        assert_eq!(error.kind, ErrorKind::Truncated);
+    }
+}
