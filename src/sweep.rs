@@ -3,8 +3,9 @@
 //! A folder of results holds `sweep.toml` (the configuration), and per batch of blocks `runs/NNNNN.jsonl` (a
 //! line per simulation) and `trajectories/NNNNN.parquet` (a row per frame). A batch is written whole, so a
 //! process that is killed loses the batches that it was at and nothing else; whoever runs the same
-//! configuration into the same folder does what is missing. Shards take every n-th batch. Once all batches
-//! are there, `runs.jsonl` and `summary.json` follow from them, byte by byte the same however they were made.
+//! configuration into the same folder does what is missing. A shard takes one batch of every n. Once all
+//! batches are there, `runs.jsonl` and `summary.json` follow from them, byte by byte the same however they
+//! were made.
 
 mod config;
 mod estimate;
@@ -51,8 +52,12 @@ impl Shard {
         }
     }
 
+    /// Every round of `count` batches gives each shard one, each time at another place: a shard is to see all
+    /// conditions, which repeat from trace to trace.
     fn has(self, batch: u64) -> bool {
-        batch % self.count == self.index - 1
+        let step = self.count * 618 / 1000;
+        let (round, place) = (batch / self.count, batch % self.count);
+        (place + round * step) % self.count == self.index - 1
     }
 }
 
