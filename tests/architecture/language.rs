@@ -102,7 +102,7 @@ const CEILINGS: [(&str, Counts); 12] = [
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 35]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 239]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 48]),
-    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 290]),
+    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 291]),
 ];
 
 /// The room of a file: the longest folder of [`CEILINGS`] that it lies in.
