@@ -156,7 +156,7 @@ macro_rules! replays {
 replays! {
     packet manifest receipt control file tables lanes bytes pack slices sliced decode repair cauchy closure
     receiver forged
-    ply compressed_ply spz splat sog points_npz gltf unity trace
+    ply compressed_ply spz splat sog points_npz gltf gltf_splats ksplat splatv dynamic_npz unity trace
 }
 
 #[test]

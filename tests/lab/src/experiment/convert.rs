@@ -24,7 +24,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let count = if setup.quick { 100_000 } else { 1_000_000 };
     let mut bench = Bench::new(
         "convert",
-        &format!(
+        format!(
             "synth figure of {count} Gaussians, one frame, no harmonics above band 0: PLY read from a file, \
              written to a file in each format, wall time of both together, once; the peer is splat-transform \
              on the processor (-g cpu), a process of its own each time, its start included; order of ours \
