@@ -13,7 +13,7 @@ use codec_core::{
 use dgs_player::{Player, Waiting};
 use emulator_host::{
     Endpoint, GroupIndex, Nanos, PacketGraph, PacketIndex, Snapshot,
-    graph::{self, GraphError, GraphParts, RepairSet},
+    graph::{self, GraphError, GraphParts, RepairSet, Selection},
     receiver::Arrival,
 };
 use trainer_host::{
@@ -35,6 +35,30 @@ pub fn graph(
     map: &PacketMap,
     utilities: Option<&Table>,
 ) -> Result<PacketGraph, GraphError> {
+    PacketGraph::new(graph_parts(stream, manifest, map, utilities))
+}
+
+/// The same of a stream that lacks packets: those that are there, and the groups that mean something with
+/// them. Indices are the graph's own.
+///
+/// # Errors
+/// None in practice.
+pub fn graph_of_present(
+    stream: &Stream,
+    manifest: &Manifest<'_>,
+    map: &PacketMap,
+) -> Result<PacketGraph, GraphError> {
+    let parts = graph_parts(stream, manifest, map, None);
+    let has = |packet: PacketIndex| !stream.packets()[packet.at()].is_empty();
+    PacketGraph::new(Selection::with_packets(&parts, has).of(&parts))
+}
+
+fn graph_parts(
+    stream: &Stream,
+    manifest: &Manifest<'_>,
+    map: &PacketMap,
+    utilities: Option<&Table>,
+) -> GraphParts {
     let mut index = std::collections::BTreeMap::new();
     for (i, (group, _)) in map.groups().iter().enumerate() {
         index.insert(*group, GroupIndex(i as u32));
@@ -123,7 +147,7 @@ pub fn graph(
             utility: utilities.and_then(|t| t.groups.get(i)).map_or(1.0, |u| u.utility),
         }
     });
-    PacketGraph::new(GraphParts {
+    GraphParts {
         groups: groups.collect(),
         packets,
         repair_sets,
@@ -131,11 +155,11 @@ pub fn graph(
         frame_interval: Nanos((1e9 / manifest.frames_per_second()).round() as u64),
         manifest_bytes: stream.message().len() as u32,
         profile: if sliced { graph::Profile::Sliced } else { graph::Profile::AllOrNothing },
-    })
+    }
 }
 
 /// First frame and frames of a span.
-fn coverage(manifest: &Manifest<'_>, span: Span) -> (u32, u32) {
+pub(crate) fn coverage(manifest: &Manifest<'_>, span: Span) -> (u32, u32) {
     match span {
         Span::Canonical(id) => {
             let epoch = manifest.epoch(id).unwrap_or_default();

@@ -6,6 +6,7 @@ mod frames;
 mod impair;
 mod limit;
 mod link;
+mod live;
 mod sendable;
 
 use std::path::Path;
@@ -31,6 +32,7 @@ pub use self::{
     frames::{Frames, snapshot},
     impair::impairment,
     link::{Link, capacity_bins, link, read_trace},
+    live::LiveReader,
     sendable::{Sendable, sendable},
 };
 use crate::{

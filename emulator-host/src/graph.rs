@@ -13,6 +13,7 @@
 
 pub(crate) mod csr;
 mod derive;
+mod selection;
 mod synthetic;
 
 use codec_core::internals::ids::{Group as GroupId, PacketId, Span};
@@ -20,6 +21,7 @@ use codec_core::internals::ids::{Group as GroupId, PacketId, Span};
 use self::csr::Csr;
 use crate::clock::Nanos;
 
+pub use selection::Selection;
 pub use synthetic::{Synthetic, Utilities};
 
 /// Index of a packet in [`PacketGraph::packets`].
@@ -261,6 +263,11 @@ pub struct PacketGraph {
 }
 
 impl PacketGraph {
+    /// What it was made of.
+    pub fn parts(&self) -> &GraphParts {
+        &self.parts
+    }
+
     /// All packets.
     pub fn packets(&self) -> &[Packet] {
         &self.parts.packets

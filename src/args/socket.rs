@@ -18,8 +18,9 @@ fn here() -> SocketAddr {
 /// `dgs serve`.
 #[derive(Debug, Args)]
 pub struct Serve {
-    /// .dgs files or scenes (which are encoded first), each called by its file name without extension.
-    #[arg(required = true, value_name = "STREAM|SCENE")]
+    /// .dgs files or scenes (which are encoded first), each called by its file name without extension; `-` is
+    /// a stream from standard input, called `live`, served while it is written.
+    #[arg(required = true, value_name = "STREAM|SCENE|-")]
     pub inputs: Vec<String>,
     /// Address and UDP port to listen on; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS:PORT", default_value_t = here())]

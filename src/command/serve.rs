@@ -1,8 +1,8 @@
 //! Serves streams over QUIC, and a page over HTTP, until Ctrl-C: `dgs serve`.
 
-use std::{net::SocketAddr, path::Path, time::Duration};
+use std::{io, net::SocketAddr, path::Path, thread, time::Duration};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use dgs_quic::{
     http::{HttpConfig, HttpLimits, HttpReport, HttpServer, Site, SiteStream},
     socket::{
@@ -17,8 +17,13 @@ use super::socket::{asset, interruption, runtime};
 use crate::{
     args::Serve,
     output::{self, VerbOutput},
-    pipeline::{self, Quiet},
+    pipeline::{self, LiveReader, Quiet},
 };
+
+/// Standard input, as an input.
+const LIVE_INPUT: &str = "-";
+/// What the stream from standard input is called.
+const LIVE_NAME: &str = "live";
 
 /// Runs the verb.
 pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
@@ -31,7 +36,14 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
             .with_context(|| format!("--host is {host}"))?,
     };
     let mut offers = Vec::new();
+    if args.inputs.iter().filter(|input| *input == LIVE_INPUT).count() > 1 {
+        bail!("{LIVE_INPUT} is given twice; standard input is one stream");
+    }
     for input in &args.inputs {
+        if input == LIVE_INPUT {
+            offers.push(live(quiet)?);
+            continue;
+        }
         let ready = pipeline::sendable(input, &args.scene, &args.codec, quiet, &mut |w| warnings.push(w))?;
         offers.push(Offer::new(&name(input), &ready.stream, ready.graph)?);
     }
@@ -127,13 +139,33 @@ async fn serve(
     Ok(Served { urls, page, report, viewers, http })
 }
 
+/// A stream that is read from standard input while it is served.
+fn live(quiet: Quiet) -> Result<Offer> {
+    let mut reader = LiveReader::new(io::stdin()).context("standard input")?;
+    let (offer, feed) = Offer::live(LIVE_NAME, reader.stream(), reader.graph()?, reader.newest())?;
+    // Reading blocks, for as long as the encoder wants; the end of the process ends it.
+    let mut read = move || -> Result<u64> {
+        while reader.advance()? {
+            feed.renew(reader.stream(), reader.graph()?, reader.newest())?;
+        }
+        Ok(reader.damaged())
+    };
+    let until_the_end = move || match read() {
+        Ok(damaged) if quiet.0 && damaged == 0 => {}
+        Ok(damaged) => output::complain(&format!("standard input has ended; {damaged} parts were damaged")),
+        Err(error) => output::complain(&format!("standard input: {error:#}; what has come is served on")),
+    };
+    thread::Builder::new().name("dgs-live".to_owned()).spawn(until_the_end).context("cannot read beside")?;
+    Ok(offer)
+}
+
 /// A stream as a page lists it.
 fn site_stream(offer: &Offer) -> SiteStream {
     SiteStream {
         name: offer.name().to_owned(),
         address: None,
         web_address: None,
-        file: Some(offer.file().clone()),
+        file: offer.file().cloned(),
     }
 }
 

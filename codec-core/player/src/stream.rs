@@ -3,9 +3,11 @@
 use codec_core::{
     Caps, Error, Result,
     internals::{
+        ids::PacketId,
         pack::packed_bound,
         receiver::Requirements,
         wire::{
+            checked::Checked,
             file::{self, Record},
             manifest::{self, Manifest, Sealed},
         },
@@ -95,6 +97,24 @@ impl Stream {
     /// The packets, by id; one that is missing is empty.
     pub fn packets(&self) -> &[Vec<u8>] {
         &self.packets
+    }
+
+    /// Takes in a packet that is in order by itself; whether it is of this stream and the first of its id.
+    pub fn insert(&mut self, packet: &Checked<'_>) -> bool {
+        match self.packets.get_mut(packet.id().index()) {
+            Some(slot) if slot.is_empty() => {
+                *slot = packet.bytes().to_vec();
+                true
+            }
+            Some(_) | None => false,
+        }
+    }
+
+    /// Forgets a packet, as if it had never come.
+    pub fn remove(&mut self, packet: PacketId) {
+        if let Some(slot) = self.packets.get_mut(packet.index()) {
+            *slot = Vec::new();
+        }
     }
 
     /// Bytes of the message and all packets.

@@ -1,4 +1,4 @@
-//! Serves a page, streams as files, and the certificate's digest over HTTP/1.1: for browsers, beside `socket`.
+//! Serves a page, streams as files, and the certificate's digest over HTTP/1.1, for browsers.
 //!
 //! Files are served in byte ranges (RFC 9110, section 14), so that a page can play one without the session.
 //! What a client may cost is bounded: connections, bytes of a request's head, time for it, time without

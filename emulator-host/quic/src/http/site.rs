@@ -152,9 +152,8 @@ fn listed(stream: &SiteStream) -> Listed<'_> {
 
 /// The list for people, where no page is built in.
 fn list_page(streams: &[Listed<'_>]) -> String {
-    let mut page =
-        "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<title>dgs</title>\n<h1>Streams</h1>\n<ul>\n"
-            .to_owned();
+    let head = "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<title>dgs</title>\n";
+    let mut page = format!("{head}<h1>Streams</h1>\n<ul>\n");
     for stream in streams {
         page += &format!("<li>{}", escaped(stream.name));
         if let Some((file, bytes)) = stream.file.as_ref().zip(stream.bytes) {

@@ -16,9 +16,10 @@ use super::{
     control::{Control, ControlError},
     identity::{Mismatch, Trust},
     limits::client_transport,
-    locator::{Locator, Scheme},
+    locator::Locator,
     message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
     playback::{PlayReport, Playback, Screen},
+    scheme::Scheme,
     settings::{ClientConfig, PlayError},
 };
 
@@ -204,7 +205,8 @@ async fn converse(
         let now = Instant::now();
         playback.show_due(screen)?;
         if playback.is_over() {
-            if !config.loops {
+            // A stream that grows has no begin to go back to.
+            if !config.loops || playback.grows() {
                 return say(send, &ClientMessage::Bye).await;
             }
             say(send, &playback.next_round()).await?;
@@ -233,6 +235,7 @@ async fn converse(
                     Ok(Some(ServerMessage::Manifest(_))) => {
                         return Err(PlayError::Nonsense("a second manifest".to_owned()));
                     }
+                    Ok(Some(ServerMessage::Begin { round, start_us })) => playback.begin_at(round, start_us)?,
                     Ok(Some(ServerMessage::Refusal(refusal))) => return Err(PlayError::Refused(refusal)),
                     Ok(None) | Err(ControlError::Lost(_)) => return Err(gone(ending).await),
                     Err(error) => return Err(PlayError::Nonsense(error.to_string())),

@@ -19,7 +19,7 @@ use rustls::{
     pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer, ServerName, UnixTime, pem::PemObject},
 };
 
-use super::{locator::Scheme, message::ALPN, web};
+use super::{message::ALPN, scheme::Scheme, web};
 
 /// How long before now a certificate begins: clocks differ.
 const BEFORE: Duration = Duration::from_secs(3600);

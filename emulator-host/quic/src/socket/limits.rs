@@ -4,7 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use quinn::{IdleTimeout, TransportConfig, VarInt};
 
-use super::locator::Scheme;
+use super::scheme::Scheme;
 
 /// Bytes of datagrams that wait in the transport: two, so that the next leaves as soon as congestion control
 /// and pacing let it, and nothing is queued ahead of the scheduler.

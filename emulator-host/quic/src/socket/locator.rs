@@ -1,27 +1,15 @@
-//! Parses and writes the address of a stream: `dgs://HOST[:PORT][/NAME][#PIN]`.
+//! Parses and writes the address of a stream: `dgs://HOST[:PORT][/NAME][#PIN]`, or `https://…`.
 
 use std::{fmt, str::FromStr};
 
 use super::{
     identity::Pin,
     message::{StreamChoice, is_name},
+    scheme::Scheme,
 };
 
 /// The port when none is given.
 pub const DEFAULT_PORT: u16 = 4640;
-
-/// What a session is carried by.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Scheme {
-    /// QUIC itself: `dgs://`.
-    Dgs,
-    /// WebTransport, as in browsers: `https://`.
-    Https,
-}
-
-impl Scheme {
-    const ALL: [(Self, &'static str); 2] = [(Self::Dgs, "dgs"), (Self::Https, "https")];
-}
 
 /// Where a stream is served, and by whose certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -59,7 +47,7 @@ impl FromStr for Locator {
             allowed,
         };
         let (found, rest) = text.split_once("://").unwrap_or(("", text));
-        let scheme = Scheme::ALL.iter().find(|(_, name)| *name == found).map(|(scheme, _)| *scheme);
+        let scheme = Scheme::of(found);
         let scheme = scheme.ok_or_else(|| illegal("scheme", found, "dgs, https"))?;
         let (rest, pin) = match rest.split_once('#').or_else(|| rest.split_once("?pin=")) {
             Some((rest, pin)) => {
@@ -94,7 +82,7 @@ impl FromStr for Locator {
 impl fmt::Display for Locator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { scheme, host, port, stream, pin } = self;
-        let scheme = Scheme::ALL.iter().find(|(one, _)| one == scheme).map_or("", |(_, name)| name);
+        let scheme = scheme.name();
         if host.contains(':') {
             write!(f, "{scheme}://[{host}]:{port}")?;
         } else {

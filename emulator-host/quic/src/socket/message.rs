@@ -25,6 +25,7 @@ const SEEK: u8 = 0x02;
 const BYE: u8 = 0x03;
 const MANIFEST: u8 = 0x81;
 const REFUSAL: u8 = 0x82;
+const BEGIN: u8 = 0x83;
 
 /// Which stream a client wants.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -63,6 +64,13 @@ pub enum ServerMessage {
     Manifest(Vec<u8>),
     /// There is no session.
     Refusal(Refusal),
+    /// The stream grows: a round begins at the newest window, whatever was asked for.
+    Begin {
+        /// The round.
+        round: u32,
+        /// A time of that window's first frame, microseconds.
+        start_us: u64,
+    },
 }
 
 /// Why a server ends or refuses a session.
@@ -410,12 +418,13 @@ impl MessageError {
 }
 
 impl Message for ServerMessage {
-    const KINDS: &'static str = "0x81 manifest, 0x82 refusal";
+    const KINDS: &'static str = "0x81 manifest, 0x82 refusal, 0x83 begin";
 
     fn shape(kind: u8) -> Option<(&'static str, usize, usize)> {
         match kind {
             MANIFEST => Some(("manifest", MIN_MANIFEST_BYTES, MAX_MANIFEST_BYTES)),
             REFUSAL => Some(("refusal", 2, 1 + MAX_SENTENCE_BYTES)),
+            BEGIN => Some(("begin", 12, 12)),
             _ => None,
         }
     }
@@ -435,6 +444,12 @@ impl Message for ServerMessage {
                 let sentence = fields.text(body.len() - 1, "sentence")?.to_owned();
                 Ok(Self::Refusal(Refusal { code, sentence }))
             }
+            BEGIN => {
+                let mut fields = Fields::new("begin", body);
+                let (round, start_us) = (fields.word()?, fields.number(8)?);
+                fields.end()?;
+                Ok(Self::Begin { round, start_us })
+            }
             _ => Err(MessageError::Kind { found: kind, allowed: Self::KINDS }),
         }
     }
@@ -446,6 +461,10 @@ impl Message for ServerMessage {
                 out.push(refusal.code.number());
                 let most = refusal.sentence.floor_char_boundary(MAX_SENTENCE_BYTES);
                 out.extend_from_slice(&refusal.sentence.as_bytes()[..most]);
+            }),
+            Self::Begin { round, start_us } => framed(out, BEGIN, |out| {
+                out.extend_from_slice(&round.to_le_bytes());
+                out.extend_from_slice(&start_us.to_le_bytes());
             }),
         }
     }

@@ -10,8 +10,9 @@ use codec_core::{file, internals::wire::manifest::Manifest};
 use dgs_player::Stream;
 use emulator_host::{
     GroupIndex, PacketGraph, PacketIndex,
-    graph::{GraphError, GraphParts, Group, Packet, RepairSet},
+    graph::{GraphError, GraphParts, Packet, RepairSet, Selection},
 };
+use tokio::sync::watch;
 
 use super::message::{MAX_MANIFEST_BYTES, is_name};
 
@@ -23,15 +24,85 @@ pub const MAX_MEDIA_BYTES: usize = 1150;
 pub struct Offer {
     name: String,
     message: Vec<u8>,
-    /// The stream as a `.dgs` file.
-    file: Bytes,
-    /// By packet id: parts of the file.
-    packets: Vec<Bytes>,
+    /// The stream as a `.dgs` file, if it has an end.
+    file: Option<Bytes>,
     /// First frames of windows, ascending, 0 among them.
     starts: Vec<u32>,
+    content: watch::Receiver<Arc<Content>>,
+}
+
+/// What there is of a stream.
+#[derive(Debug)]
+pub(super) struct Content {
+    /// By packet id; parts of the file, if there is one. One that is not there is empty.
+    packets: Vec<Bytes>,
     whole: Arc<PacketGraph>,
+    /// First frame of the newest window that is there, of a stream that grows.
+    newest: Option<u32>,
     /// The graph from a start on, once somebody has begun there.
     tails: Mutex<BTreeMap<u32, Arc<PacketGraph>>>,
+}
+
+/// Where what comes of a stream that grows is entered.
+#[derive(Debug)]
+pub struct LiveFeed {
+    name: String,
+    content: watch::Sender<Arc<Content>>,
+}
+
+impl LiveFeed {
+    /// Offers what there is by now: the packets of `stream`, of which those in `graph` are sent; viewers who
+    /// come begin at the window of frame `newest`.
+    ///
+    /// # Errors
+    /// A packet that is too long.
+    pub fn renew(&self, stream: &Stream, graph: PacketGraph, newest: u32) -> Result<(), OfferError> {
+        let content = Content::growing(&self.name, stream, graph, newest)?;
+        self.content.send_replace(Arc::new(content));
+        Ok(())
+    }
+}
+
+impl Content {
+    fn new(packets: Vec<Bytes>, graph: PacketGraph, newest: Option<u32>) -> Self {
+        Self { packets, whole: Arc::new(graph), newest, tails: Mutex::default() }
+    }
+
+    fn growing(name: &str, stream: &Stream, graph: PacketGraph, newest: u32) -> Result<Self, OfferError> {
+        let long = |(_, packet): &(usize, &Vec<u8>)| packet.len() > MAX_MEDIA_BYTES;
+        if let Some((id, packet)) = stream.packets().iter().enumerate().find(long) {
+            return Err(OfferError::Packet { name: name.to_owned(), id, found: packet.len() });
+        }
+        let packets = stream.packets().iter().map(|packet| Bytes::copy_from_slice(packet)).collect();
+        Ok(Self::new(packets, graph, Some(newest)))
+    }
+
+    /// The bytes of a packet of any of its graphs.
+    pub(super) fn packet(&self, graph: &PacketGraph, packet: PacketIndex) -> Bytes {
+        self.packets.get(graph.wire_id(packet).index()).cloned().unwrap_or_default()
+    }
+
+    /// The packets there can be, present or not.
+    pub(super) fn count(&self) -> usize {
+        self.packets.len()
+    }
+
+    /// The graph from frame `first` on, as frame 0.
+    ///
+    /// # Errors
+    /// None in practice: part of a consistent graph is consistent.
+    pub(super) fn graph_from(&self, first: u32) -> Result<Arc<PacketGraph>, GraphError> {
+        if first == 0 {
+            return Ok(self.whole.clone());
+        }
+        let mut tails = self.tails.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(tail) = tails.get(&first) {
+            return Ok(tail.clone());
+        }
+        let tail = Arc::new(tail(&self.whole, first)?);
+        tails.insert(first, tail.clone());
+        Ok(tail)
+    }
 }
 
 /// Why a stream cannot be offered.
@@ -92,19 +163,12 @@ impl Offer {
     /// [`OfferError`]; a stream that lacks packets cannot be offered.
     pub fn new(name: &str, stream: &Stream, graph: PacketGraph) -> Result<Self, OfferError> {
         let named = || name.to_owned();
-        if !is_name(name) {
-            return Err(OfferError::Name { name: named() });
-        }
-        if stream.message().len() > MAX_MANIFEST_BYTES {
-            return Err(OfferError::Manifest { name: named(), found: stream.message().len() });
-        }
         for (id, packet) in stream.packets().iter().enumerate() {
             if !(1..=MAX_MEDIA_BYTES).contains(&packet.len()) {
                 return Err(OfferError::Packet { name: named(), id, found: packet.len() });
             }
         }
         let format = |error| OfferError::Format { name: named(), error };
-        let manifest = stream.manifest().map_err(format)?;
         let file = Bytes::from(stream.to_bytes().map_err(format)?);
         let (_, packets) = file::parts(&file).map_err(format)?;
         let packets: Vec<Bytes> = packets.map(|packet| file.slice_ref(packet)).collect();
@@ -113,15 +177,44 @@ impl Offer {
         if let Some(id) = (0..stream.packets().len()).find(differs) {
             return Err(OfferError::Illegal { name: named(), id });
         }
-        Ok(Self {
-            name: named(),
-            message: stream.message().to_vec(),
-            packets,
-            file: file.clone(),
-            starts: starts(&manifest),
-            whole: Arc::new(graph),
-            tails: Mutex::default(),
-        })
+        let file = Some(file.clone());
+        let (_, content) = watch::channel(Arc::new(Content::new(packets, graph, None)));
+        Self::with(name, stream, file, content)
+    }
+
+    /// Offers a stream that grows: of `stream` its manifest and the packets that are there, as
+    /// [`LiveFeed::renew`] takes them. Viewers begin at the newest window.
+    ///
+    /// # Errors
+    /// [`OfferError`].
+    pub fn live(
+        name: &str,
+        stream: &Stream,
+        graph: PacketGraph,
+        newest: u32,
+    ) -> Result<(Self, LiveFeed), OfferError> {
+        let content = Content::growing(name, stream, graph, newest)?;
+        let (sender, content) = watch::channel(Arc::new(content));
+        let offer = Self::with(name, stream, None, content)?;
+        Ok((offer, LiveFeed { name: name.to_owned(), content: sender }))
+    }
+
+    fn with(
+        name: &str,
+        stream: &Stream,
+        file: Option<Bytes>,
+        content: watch::Receiver<Arc<Content>>,
+    ) -> Result<Self, OfferError> {
+        let named = || name.to_owned();
+        if !is_name(name) {
+            return Err(OfferError::Name { name: named() });
+        }
+        let message = stream.message().to_vec();
+        if message.len() > MAX_MANIFEST_BYTES {
+            return Err(OfferError::Manifest { name: named(), found: message.len() });
+        }
+        let manifest = stream.manifest().map_err(|error| OfferError::Format { name: named(), error })?;
+        Ok(Self { name: named(), message, file, starts: starts(&manifest), content })
     }
 
     /// What it is called.
@@ -129,9 +222,9 @@ impl Offer {
         &self.name
     }
 
-    /// The stream as a `.dgs` file.
-    pub fn file(&self) -> &Bytes {
-        &self.file
+    /// The stream as a `.dgs` file, if it has an end.
+    pub fn file(&self) -> Option<&Bytes> {
+        self.file.as_ref()
     }
 
     /// The DGSM message.
@@ -139,34 +232,29 @@ impl Offer {
         &self.message
     }
 
-    /// The bytes of a packet of any of its graphs.
-    pub(super) fn packet(&self, graph: &PacketGraph, packet: PacketIndex) -> Bytes {
-        self.packets.get(graph.wire_id(packet).index()).cloned().unwrap_or_default()
+    /// What there is, now and later.
+    pub(super) fn content(&self) -> watch::Receiver<Arc<Content>> {
+        self.content.clone()
     }
 
-    /// The packets there are.
-    pub(super) fn count(&self) -> usize {
-        self.packets.len()
+    /// Where a round begins that asks for the time `start_us`: the frame, and whether that is for the server
+    /// to say, because the stream grows.
+    pub(super) fn start(&self, content: &Content, start_us: u64) -> (u32, bool) {
+        let interval_us = self.interval_us(content);
+        match content.newest {
+            Some(newest) => (start_before(&self.starts, newest.into()), true),
+            None => (start_before(&self.starts, start_us / interval_us), false),
+        }
     }
 
-    /// The graph from the window on that contains the time `start_us`. Frame 0 of it is the first frame of
-    /// that window.
-    ///
-    /// # Errors
-    /// None in practice: part of a consistent graph is consistent.
-    pub(super) fn graph_from(&self, start_us: u64) -> Result<Arc<PacketGraph>, GraphError> {
-        let interval_us = (self.whole.frame_interval().0 / 1000).max(1);
-        let first = start_before(&self.starts, start_us / interval_us);
-        if first == 0 {
-            return Ok(self.whole.clone());
-        }
-        let mut tails = self.tails.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(tail) = tails.get(&first) {
-            return Ok(tail.clone());
-        }
-        let tail = Arc::new(tail(&self.whole, first)?);
-        tails.insert(first, tail.clone());
-        Ok(tail)
+    /// The time of a frame as a client says it, microseconds: within the frame, however rounding goes.
+    pub(super) fn time_us(&self, content: &Content, frame: u32) -> u64 {
+        let interval_us = self.interval_us(content);
+        u64::from(frame) * interval_us + interval_us / 2
+    }
+
+    fn interval_us(&self, content: &Content) -> u64 {
+        (content.whole.frame_interval().0 / 1000).max(1)
     }
 }
 
@@ -192,78 +280,42 @@ pub(super) fn start_before(starts: &[u32], frame: u64) -> u32 {
 /// some members are left out could repair nothing and is left out too.
 fn tail(graph: &PacketGraph, first: u32) -> Result<PacketGraph, GraphError> {
     let stays: Vec<bool> = graph.groups().iter().map(|group| group.last_frame >= first).collect();
-    let mut needed = stays.clone();
+    let mut groups = stays.clone();
     for (at, _) in stays.iter().enumerate().filter(|(_, stays)| **stays) {
         for group in graph.closure(GroupIndex(at as u32)) {
-            needed[group.at()] = true;
+            groups[group.at()] = true;
         }
     }
-    let media = |packet: &Packet| packet.groups.iter().any(|group| needed[group.at()]);
-    let mut sent: Vec<bool> = graph.packets().iter().map(media).collect();
+    let media = |packet: &Packet| packet.groups.iter().any(|group| groups[group.at()]);
+    let mut packets: Vec<bool> = graph.packets().iter().map(media).collect();
     // What a packet of the tail needs to mean something is sent with it.
-    let mut open: Vec<usize> = (0..sent.len()).filter(|at| sent[*at]).collect();
+    let mut open: Vec<usize> = (0..packets.len()).filter(|at| packets[*at]).collect();
     while let Some(at) = open.pop() {
         for need in &graph.packets()[at].needs_packets {
-            if !std::mem::replace(&mut sent[need.at()], true) {
+            if !std::mem::replace(&mut packets[need.at()], true) {
                 open.push(need.at());
             }
         }
     }
     // A packet that only others need brings its groups along.
-    for (packet, _) in graph.packets().iter().zip(&sent).filter(|(_, sent)| **sent) {
-        if !packet.groups.iter().any(|group| needed[group.at()]) {
-            packet.groups.iter().for_each(|group| needed[group.at()] = true);
+    for (packet, _) in graph.packets().iter().zip(&packets).filter(|(_, sent)| **sent) {
+        if !packet.groups.iter().any(|group| groups[group.at()]) {
+            packet.groups.iter().for_each(|group| groups[group.at()] = true);
         }
     }
     // A group stays with those of its packets that are sent.
-    let whole = |set: &RepairSet| set.members.iter().all(|member| sent[member.at()]);
-    let sets: Vec<bool> = graph.repair_sets().iter().map(whole).collect();
+    let whole = |set: &RepairSet| set.members.iter().all(|member| packets[member.at()]);
+    let repair_sets: Vec<bool> = graph.repair_sets().iter().map(whole).collect();
     for (at, packet) in graph.packets().iter().enumerate() {
-        sent[at] |= packet.parity_of.is_some_and(|set| sets[set as usize]);
+        packets[at] |= packet.parity_of.is_some_and(|set| repair_sets[set as usize]);
     }
-    let (packets, groups, repairs) = (places(&sent), places(&needed), places(&sets));
-    let moved = |list: &[PacketIndex]| -> Vec<PacketIndex> {
-        list.iter().filter(|p| sent[p.at()]).map(|p| PacketIndex(packets[p.at()])).collect()
-    };
-    let moved_groups = |list: &[GroupIndex]| -> Vec<GroupIndex> {
-        list.iter().filter(|g| needed[g.at()]).map(|g| GroupIndex(groups[g.at()])).collect()
-    };
+    let mut parts = Selection { packets, groups, repair_sets }.of(graph.parts());
     let last = graph.frames() - 1;
-    PacketGraph::new(GraphParts {
-        packets: chosen(graph.packets(), &sent, |packet| Packet {
-            groups: moved_groups(&packet.groups),
-            needs_packets: moved(&packet.needs_packets),
-            parity_of: packet.parity_of.map(|set| repairs[set as usize]),
-            ..packet.clone()
-        }),
-        groups: chosen(graph.groups(), &needed, |group| Group {
-            first_frame: group.first_frame.clamp(first, last) - first,
-            last_frame: group.last_frame.clamp(first, last) - first,
-            needs: moved_groups(&group.needs),
-            packets: moved(&group.packets),
-            ..group.clone()
-        }),
-        repair_sets: chosen(graph.repair_sets(), &sets, |set| RepairSet { members: moved(&set.members) }),
-        frames: graph.frames() - first,
-        frame_interval: graph.frame_interval(),
-        manifest_bytes: graph.manifest_bytes(),
-        profile: graph.profile(),
-    })
-}
-
-/// Where each of those that stay comes to lie.
-fn places(stays: &[bool]) -> Vec<u32> {
-    let place = |next: &mut u32, stays: &bool| {
-        let place = *next;
-        *next += u32::from(*stays);
-        Some(place)
-    };
-    stays.iter().scan(0, place).collect()
-}
-
-/// Those of `all` that stay, changed.
-fn chosen<T>(all: &[T], stays: &[bool], change: impl Fn(&T) -> T) -> Vec<T> {
-    all.iter().zip(stays).filter(|(_, stays)| **stays).map(|(one, _)| change(one)).collect()
+    for group in &mut parts.groups {
+        group.first_frame = group.first_frame.clamp(first, last) - first;
+        group.last_frame = group.last_frame.clamp(first, last) - first;
+    }
+    PacketGraph::new(GraphParts { frames: graph.frames() - first, ..parts })
 }
 
 #[cfg(test)]

@@ -109,6 +109,8 @@ pub(super) struct Playback {
     /// First frame of the round, and the time that was wanted.
     first: u32,
     start_us: u64,
+    /// Whether the server says where a round begins.
+    grows: bool,
     receiver: MediaReceiver,
     sequence: u32,
     receipt: Vec<u8>,
@@ -133,6 +135,7 @@ impl Playback {
             round: 0,
             first: 0,
             start_us: config.start_us,
+            grows: false,
             receiver: MediaReceiver::new(config.startup),
             sequence: 0,
             receipt: Vec::new(),
@@ -150,6 +153,24 @@ impl Playback {
     pub(super) fn start_us(&mut self) -> u64 {
         self.round_began = Instant::now();
         self.start_us
+    }
+
+    /// The stream grows: `round` begins at the time `start_us`, whatever was asked for.
+    pub(super) fn begin_at(&mut self, round: u32, start_us: u64) -> Result<(), PlayError> {
+        if self.player.is_none() || self.receiver.playout_start().is_some() {
+            return Err(PlayError::Nonsense("begin before the manifest or after the first frame".to_owned()));
+        }
+        self.grows = true;
+        if round == self.round {
+            self.start_us = start_us;
+            self.set_clip();
+        }
+        Ok(())
+    }
+
+    /// Whether the stream grows.
+    pub(super) fn grows(&self) -> bool {
+        self.grows
     }
 
     /// The connection is gone and another is made: playout goes on from the frame that is due.

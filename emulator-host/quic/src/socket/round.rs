@@ -9,13 +9,14 @@ use bytes::Bytes;
 use emulator_host::{
     Bytes as Volume, Nanos, PacketGraph, PacketIndex, PolicyKind, Rate, Scheduler, SessionConfig,
     congestion::{DeliveryRate, DeliverySample},
+    graph::GraphError,
     policy::PacketStatus,
     report::SenderCounts,
     session::{MediaSender, Outstanding, PathFacts},
 };
 use quinn::Connection;
 
-use super::offer::Offer;
+use super::offer::Content;
 
 /// Shortest time over which arrivals are counted for the estimate of the path.
 const SAMPLE: Nanos = Nanos::from_ms(50);
@@ -32,10 +33,15 @@ pub(super) struct Round {
     /// Number by which the client calls it.
     pub(super) number: u32,
     began: Instant,
+    /// First frame, counted over the clip.
+    first: u32,
+    content: Arc<Content>,
     graph: Arc<PacketGraph>,
     sender: Sender,
     outstanding: Outstanding,
     arrivals: Arrivals,
+    /// The last receipt that said when playout began.
+    playout: Vec<u8>,
 }
 
 /// How fast what was sent arrives.
@@ -88,31 +94,60 @@ fn facts(connection: &Connection, in_flight: u64, estimate: Option<Rate>) -> Pat
     }
 }
 
+/// A sender of `graph` to a client that has `delivered` already.
+fn sender(
+    graph: &Arc<PacketGraph>,
+    policy: PolicyKind,
+    path: PathFacts,
+    now: Nanos,
+    delivered: &[bool],
+) -> Sender {
+    let rules = SessionConfig::default().sending();
+    let mut sender = Sender::new(graph.clone(), policy.build(graph), rules, path, now);
+    for at in 0..graph.packets().len() {
+        let packet = PacketIndex(at as u32);
+        if delivered.get(graph.wire_id(packet).index()).is_some_and(|delivered| *delivered) {
+            sender.on_acked(packet);
+        }
+    }
+    sender
+}
+
 impl Round {
-    /// Round `number` of `offer` from the window of `start_us` on, to a client that has `delivered` already.
-    /// The client began it half a round trip ago.
+    /// Round `number` of `content` from frame `first` on, to a client that has `delivered` already. The
+    /// client began it half a round trip ago.
     pub(super) fn new(
         number: u32,
         connection: &Connection,
-        offer: &Offer,
-        start_us: u64,
+        (content, first): (Arc<Content>, u32),
         policy: PolicyKind,
         delivered: &[bool],
-    ) -> Result<Self, emulator_host::graph::GraphError> {
-        let graph = offer.graph_from(start_us)?;
+    ) -> Result<Self, GraphError> {
         let began = Instant::now();
         let began = began.checked_sub(connection.rtt() / 2).unwrap_or(began);
+        let graph = content.graph_from(first)?;
         let path = facts(connection, 0, None);
-        let rules = SessionConfig::default().sending();
-        let mut sender = Sender::new(graph.clone(), policy.build(&graph), rules, path, Nanos::ZERO);
-        for at in 0..graph.packets().len() {
-            let packet = PacketIndex(at as u32);
-            if delivered.get(graph.wire_id(packet).index()).is_some_and(|delivered| *delivered) {
-                sender.on_acked(packet);
-            }
-        }
-        let (outstanding, arrivals) = (Outstanding::new(), Arrivals::default());
-        Ok(Self { number, began, graph, sender, outstanding, arrivals })
+        let sender = sender(&graph, policy, path, Nanos::ZERO, delivered);
+        let (outstanding, arrivals, playout) = (Outstanding::new(), Arrivals::default(), Vec::new());
+        Ok(Self { number, began, first, content, graph, sender, outstanding, arrivals, playout })
+    }
+
+    /// More of a stream that grows is there. What is on its way is not waited for: if it was not delivered it
+    /// competes again.
+    pub(super) fn renew(
+        &mut self,
+        connection: &Connection,
+        content: Arc<Content>,
+        policy: PolicyKind,
+        delivered: &[bool],
+    ) -> Result<(), GraphError> {
+        self.graph = content.graph_from(self.first)?;
+        self.content = content;
+        let path = facts(connection, 0, self.arrivals.estimate());
+        self.sender = sender(&self.graph, policy, path, self.now(), delivered);
+        self.sender.on_receipt(&self.playout);
+        self.outstanding = Outstanding::new();
+        Ok(())
     }
 
     /// Time since the client began the round.
@@ -138,6 +173,10 @@ impl Round {
     /// The client's receipt.
     pub(super) fn on_receipt(&mut self, receipt: &[u8], connection: &Connection) {
         self.sender.on_receipt(receipt);
+        if self.sender.playout_start().is_some() {
+            self.playout.clear();
+            self.playout.extend_from_slice(receipt);
+        }
         self.settle(connection);
     }
 
@@ -165,7 +204,7 @@ impl Round {
     }
 
     /// The next packet to send, if one is worth sending and the path is not full.
-    pub(super) fn next(&mut self, offer: &Offer) -> Option<(PacketIndex, Bytes)> {
+    pub(super) fn next(&mut self) -> Option<(PacketIndex, Bytes)> {
         let now = self.now();
         self.sender.advance(now);
         if self.sender.full_until(now).is_some() {
@@ -174,7 +213,7 @@ impl Round {
         let packet = self.sender.next(now);
         self.arrivals.idle |= packet.is_none();
         let packet = packet?;
-        Some((packet, offer.packet(&self.graph, packet)))
+        Some((packet, self.content.packet(&self.graph, packet)))
     }
 
     /// A packet has left.

@@ -2,6 +2,7 @@
 
 mod browser;
 mod clients;
+mod live;
 mod servers;
 mod web;
 
@@ -80,10 +81,13 @@ struct Running {
 
 impl Running {
     fn start(limits: ServerLimits) -> Self {
+        Self::offering(limits, Offer::new("everything", &stream(), graph(&stream())).unwrap())
+    }
+
+    fn offering(limits: ServerLimits, offer: Offer) -> Self {
         let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
         let (bind, policy) = ((Ipv4Addr::LOCALHOST, 0).into(), PolicyKind::Layered);
         let config = ServerConfig { bind, identity, limits, policy, impairment: None };
-        let offer = Offer::new("everything", &stream(), graph(&stream())).unwrap();
         let server = Server::bind(config, vec![offer]).unwrap();
         let (address, trust) = (server.local_addr().unwrap(), Trust::Pin(server.pin()));
         let (stop, stopped) = oneshot::channel::<()>();

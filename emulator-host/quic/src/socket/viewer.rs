@@ -1,13 +1,14 @@
 //! Serves one viewer: rounds of playout, a datagram whenever the transport takes one, until somebody ends it.
 
 use std::{
+    collections::VecDeque,
     net::SocketAddr,
     pin::Pin,
     sync::Arc,
     time::{Duration, Instant},
 };
 
-use emulator_host::{Nanos, PacketIndex, PolicyKind};
+use emulator_host::{Nanos, PacketIndex, PolicyKind, graph::GraphError};
 use quinn::{Connection, SendDatagramError, SendStream};
 use serde::Serialize;
 use tokio::{sync::watch, time::sleep_until};
@@ -17,7 +18,7 @@ use super::{
     control::{Control, ControlError},
     limits::{Allowance, ServerLimits},
     message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
-    offer::Offer,
+    offer::{Content, Offer},
     round::Round,
 };
 
@@ -30,6 +31,8 @@ const MANIFEST_POLL: Duration = Duration::from_millis(1);
 const SPARE_DATAGRAMS: (f64, f64) = (50.0, 2000.0);
 /// Receipts that cannot be read before the session ends.
 const MAX_REFUSED: u64 = 100;
+/// Most bytes of answers that wait on the control stream before another is asked for.
+const MAX_UNREAD: usize = 4096;
 /// Seeks per second, and at once.
 const SEEKS: (f64, f64) = (5.0, 20.0);
 /// Bytes before the receipt in a datagram of the client: the round.
@@ -139,6 +142,11 @@ struct Viewer<'s> {
     policy: PolicyKind,
     began: Instant,
     round: Round,
+    /// Times that the round was renewed.
+    renewals: u32,
+    content: watch::Receiver<Arc<Content>>,
+    /// What of the control stream is still to be written.
+    out: VecDeque<u8>,
     /// By packet id, over all rounds.
     delivered: Vec<bool>,
     tally: Tally,
@@ -152,7 +160,8 @@ struct Viewer<'s> {
 
 /// A packet that waits for room in the transport.
 struct Sending<'s> {
-    round: u32,
+    /// Number and renewals of its round.
+    round: (u32, u32),
     packet: PacketIndex,
     bytes: u64,
     departure: Pin<Box<dyn Future<Output = Result<(), SendDatagramError>> + Send + 's>>,
@@ -230,9 +239,16 @@ impl<'s> Viewer<'s> {
         limits: &ServerLimits,
         policy: PolicyKind,
         start_us: u64,
-    ) -> Result<Self, emulator_host::graph::GraphError> {
+    ) -> Result<Self, GraphError> {
         let connection = channel.connection();
-        let delivered = vec![false; offer.count()];
+        let mut content = offer.content();
+        let now = content.borrow_and_update().clone();
+        let (first, says) = offer.start(&now, start_us);
+        let mut out = VecDeque::from(ServerMessage::Manifest(offer.message().to_vec()).to_bytes());
+        if says {
+            out.extend(ServerMessage::Begin { round: 0, start_us: offer.time_us(&now, first) }.to_bytes());
+        }
+        let delivered = vec![false; now.count()];
         let began = Instant::now();
         // A tenth of a second of media may leave at once.
         let rate = limits.max_rate_bps.map(|bps| {
@@ -245,7 +261,10 @@ impl<'s> Viewer<'s> {
             offer,
             policy,
             began,
-            round: Round::new(0, connection, offer, start_us, policy, &delivered)?,
+            round: Round::new(0, connection, (now, first), policy, &delivered)?,
+            renewals: 0,
+            content,
+            out,
             delivered,
             tally: Tally { rounds: 1, ..Tally::default() },
             rate,
@@ -265,9 +284,8 @@ impl<'s> Viewer<'s> {
         stopping: &mut watch::Receiver<bool>,
     ) -> End {
         let connection = self.connection;
-        let message = ServerMessage::Manifest(self.offer.message().to_vec()).to_bytes();
-        self.manifest = (connection.stats().udp_tx.bytes, message.len() as u64);
-        let mut at = 0;
+        self.manifest = (connection.stats().udp_tx.bytes, self.out.len() as u64);
+        let mut grows = true;
         let mut sending: Option<Sending<'s>> = None;
         loop {
             if self.round.is_due() {
@@ -289,10 +307,15 @@ impl<'s> Viewer<'s> {
                     Ok(()) => {}
                     Err(end) => return end,
                 },
-                written = send.write(message.get(at..).unwrap_or(&[])), if at < message.len() => {
-                    match written {
-                        Ok(bytes) => at += bytes,
-                        Err(_) => return End::Bye,
+                written = send.write(self.out.as_slices().0), if !self.out.is_empty() => match written {
+                    Ok(bytes) => drop(self.out.drain(..bytes)),
+                    Err(_) => return End::Bye,
+                },
+                news = self.content.changed(), if grows => {
+                    grows = news.is_ok();
+                    if let Err(error) = self.renew() {
+                        let sentence = error.to_string();
+                        return End::Refused(Refusal { code: RefusalCode::Message, sentence });
                     }
                 }
                 left = departure(&mut sending), if sending.is_some() => match left {
@@ -332,12 +355,12 @@ impl<'s> Viewer<'s> {
 
     /// The packet that leaves as soon as there is room.
     fn pull(&mut self) -> Option<Sending<'s>> {
-        let (packet, bytes) = self.round.next(self.offer)?;
+        let (packet, bytes) = self.round.next()?;
         let now = self.began.elapsed();
         if let Some(rate) = &mut self.rate {
             rate.take(bytes.len() as f64, now);
         }
-        let (round, len) = (self.round.number, bytes.len() as u64);
+        let (round, len) = ((self.round.number, self.renewals), bytes.len() as u64);
         let departure = Box::pin(self.channel.send_when_there_is_room(bytes));
         Some(Sending { round, packet, bytes: len, departure })
     }
@@ -348,8 +371,8 @@ impl<'s> Viewer<'s> {
         self.tally.packets += 1;
         self.tally.media_bytes += left.bytes;
         self.datagrams.add(1.0);
-        // A seek may have begun another round meanwhile.
-        if left.round == self.round.number {
+        // A seek may have begun another round meanwhile, or the stream may have grown.
+        if left.round == (self.round.number, self.renewals) {
             self.round.on_sent(left.packet);
         }
     }
@@ -388,8 +411,17 @@ impl<'s> Viewer<'s> {
                     return Err(refused(RefusalCode::Flood, "too many seeks".to_owned()));
                 }
                 self.close_round();
-                let (connection, offer, policy) = (self.connection, self.offer, self.policy);
-                let next = Round::new(round, connection, offer, start_us, policy, &self.delivered);
+                let content = self.content.borrow_and_update().clone();
+                let (first, says) = self.offer.start(&content, start_us);
+                if says {
+                    if self.out.len() > MAX_UNREAD {
+                        return Err(refused(RefusalCode::Flood, "answers are not read".to_owned()));
+                    }
+                    let start_us = self.offer.time_us(&content, first);
+                    self.out.extend(ServerMessage::Begin { round, start_us }.to_bytes());
+                }
+                let (connection, policy) = (self.connection, self.policy);
+                let next = Round::new(round, connection, (content, first), policy, &self.delivered);
                 self.round = next.map_err(|error| refused(RefusalCode::Message, error.to_string()))?;
                 self.tally.rounds += 1;
                 Ok(())
@@ -427,6 +459,14 @@ impl<'s> Viewer<'s> {
             return Err(Refusal { code: RefusalCode::Flood, sentence });
         }
         Ok(())
+    }
+
+    /// More of the stream is there: the round goes on with it.
+    fn renew(&mut self) -> Result<(), GraphError> {
+        let content = self.content.borrow_and_update().clone();
+        self.close_round();
+        self.renewals += 1;
+        self.round.renew(self.connection, content, self.policy, &self.delivered)
     }
 
     /// Takes what the round has counted.

@@ -1,25 +1,21 @@
-//! Measures a server and its viewers over loopback: goodput, loss, processor time, memory, startup.
+//! Measures a server and its viewers over loopback: goodput, loss, processor time, memory, startup; then its
+//! first image over a slow link, and the sender under overload.
 
-use std::{
-    net::Ipv4Addr,
-    time::{Duration, Instant},
-};
+mod first_image;
+mod overload;
+mod serving;
 
-use anyhow::{Context, Result, bail, ensure};
+use std::time::{Duration, Instant};
+
+use anyhow::{Context, Result, ensure};
 use dgs::{
     args::{CodecArgs, ProfileName, SceneArgs},
     pipeline::{self, Quiet},
 };
-use dgs_quic::socket::{
-    ClientConfig, Headless, Identity, Locator, Offer, PlayReport, Scheme, Server, ServerConfig, ServerLimits,
-    ServerReport, Trust, ViewerReport, message::StreamChoice, play,
-};
-use emulator_host::PolicyKind;
-use tokio::{
-    runtime::{Builder, Runtime},
-    sync::oneshot,
-};
+use dgs_quic::socket::{ClientConfig, Headless, Offer, PlayReport, ServerReport, ViewerReport, play};
+use tokio::runtime::{Builder, Runtime};
 
+use self::serving::Serving;
 use crate::{
     figures::{Bench, Figure, median},
     setup::{self, Setup},
@@ -63,13 +59,19 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         format!(
             "{} viewers at once over loopback, each bounded to its part of 50 Mbit/s; synth cloth, {} \
              Gaussians, {FRAMES} frames at {} fps, coarseness {COARSENESS}, deadline-utility without \
-             measured utilities; clients in the same process, on threads of their own",
-            sizes.viewers, sizes.gaussians, sizes.frames_per_second
+             measured utilities; clients in the same process, on threads of their own. {}. {}",
+            sizes.viewers,
+            sizes.gaussians,
+            sizes.frames_per_second,
+            first_image::PROTOCOL,
+            overload::PROTOCOL
         ),
     );
     let measured = measure(&sizes, setup.quiet)?;
     check(&sizes, &measured)?;
     report(&mut bench, &sizes, &measured);
+    first_image::run(&mut bench, if setup.quick { 3 } else { 15 }, setup.quiet)?;
+    overload::run(&mut bench)?;
     Ok(bench)
 }
 
@@ -137,43 +139,14 @@ fn measure(sizes: &Sizes, quiet: Quiet) -> Result<Measured> {
     let offer = offer(sizes, quiet)?;
     let threads = |name: &str| Builder::new_multi_thread().enable_all().thread_name(name).build();
     let (server_side, client_side) = (threads(THREADS)?, threads("dgs-bench-play")?);
-    let limits = ServerLimits {
-        max_viewers: sizes.viewers,
-        max_rate_bps: Some((RATE_BPS / sizes.viewers as f64) as u64),
-        ..ServerLimits::default()
-    };
-    let config = ServerConfig {
-        bind: (Ipv4Addr::LOCALHOST, 0).into(),
-        identity: Identity::self_signed(&["localhost".to_owned()])?,
-        limits,
-        policy: PolicyKind::DeadlineUtility,
-        impairment: None,
-    };
-    let server = server_side.block_on(async { Server::bind(config, vec![offer]) })?;
-    let locator = Locator {
-        scheme: Scheme::Dgs,
-        host: "127.0.0.1".to_owned(),
-        port: server.local_addr()?.port(),
-        stream: StreamChoice::Index(0),
-        pin: None,
-    };
-    let config = ClientConfig::new(locator, Trust::Pin(server.pin()));
-    let (stop, stopped) = oneshot::channel::<()>();
-    let task = server_side.spawn(async move {
-        let mut viewers = Vec::new();
-        let on_end = |viewer: &ViewerReport| viewers.push(viewer.clone());
-        let report = server.run(async { drop(stopped.await) }, on_end).await;
-        (report, viewers)
-    });
+    let rate = Some((RATE_BPS / sizes.viewers as f64) as u64);
+    let serving = Serving::start(&server_side, offer, sizes.viewers, rate, None)?;
     let before = (resident_bytes(), thread_seconds(THREADS));
     let start = Instant::now();
-    let (played, bytes) = watch(&client_side, &config, sizes.viewers)?;
+    let (played, bytes) = watch(&client_side, &serving.client, sizes.viewers)?;
     let seconds = start.elapsed().as_secs_f64();
     let server_seconds = thread_seconds(THREADS).zip(before.1).map(|(after, before)| after - before);
-    if stop.send(()).is_err() {
-        bail!("the server ended before its viewers");
-    }
-    let (server, viewers) = server_side.block_on(task).context("the server failed")?;
+    let (server, viewers) = serving.stop(&server_side)?;
     let bytes = bytes.zip(before.0).map(|(after, before)| after - before);
     Ok(Measured { played, server, viewers, seconds, server_seconds, bytes })
 }

@@ -1,0 +1,95 @@
+//! Measures a source of twice the link's rate in virtual time: the link is to be full, its queue not.
+
+use anyhow::{Result, ensure};
+use dgs_quic::virtual_time;
+use emulator_host::{
+    ControllerKind, Nanos, PacketGraph, Rate, Report, SessionConfig,
+    graph::Synthetic,
+    link::{Capacity, PathConfig, QueueLimit},
+    simulate,
+};
+
+use crate::figures::{Bench, Figure};
+
+/// What the protocol says of it.
+pub const PROTOCOL: &str = "overload: 30 s of 10 Mbit/s (synthetic, deadline-utility) into 5 Mbit/s with \
+     100 ms of round trip and 500 ms of queue, over the model and over quinn-proto, both in virtual time; \
+     utilisation counts every byte that left the link over the whole run, the round trip is the smoothed one \
+     every 10 ms from 2 s on";
+const LINK: Rate = Rate::from_mbps(5);
+const SOURCE: Rate = Rate::from_mbps(10);
+const DELAY: Nanos = Nanos::from_ms(50);
+/// Half a second at the link's rate.
+const QUEUE_BYTES: u64 = 312_500;
+/// From here on the start is over.
+const BEGIN: Nanos = Nanos::from_s(2);
+
+/// Enters the rows of both transports under both controllers that both have.
+pub fn run(bench: &mut Bench) -> Result<()> {
+    let graph = Synthetic { rate: SOURCE, ..Synthetic::default() }.build(1)?;
+    for controller in [ControllerKind::NewReno, ControllerKind::Cubic] {
+        let config = config(controller);
+        enter(bench, &format!("overload.model.{}", controller.name()), &simulate(&graph, &config)?, &graph)?;
+        let real = virtual_time::simulate(&graph, &config)?;
+        enter(bench, &format!("overload.quic.{}", controller.name()), &real, &graph)?;
+    }
+    Ok(())
+}
+
+fn config(controller: ControllerKind) -> SessionConfig {
+    let base = SessionConfig::default();
+    SessionConfig {
+        controller,
+        forward: PathConfig {
+            capacity: Capacity::Constant(LINK),
+            queue: QueueLimit { bytes: QUEUE_BYTES, ..QueueLimit::default() },
+            delay: DELAY,
+            ..PathConfig::default()
+        },
+        reverse: PathConfig { delay: DELAY, ..base.reverse },
+        handshake_rtt: Some(DELAY + DELAY),
+        sample_interval: Nanos::from_ms(10),
+        ..base
+    }
+}
+
+fn enter(bench: &mut Bench, key: &str, report: &Report, graph: &PacketGraph) -> Result<()> {
+    ensure!(
+        report.frames.len() == graph.frames() as usize && report.sender.refused_choices == 0,
+        "{key}: {} frames of {}, {} choices refused",
+        report.frames.len(),
+        graph.frames(),
+        report.sender.refused_choices
+    );
+    let Some(link) = report.boxes.first() else { anyhow::bail!("{key}: a path has boxes") };
+    let delivered = link.counts.delivered.bytes as f64 * 8.0;
+    let share = delivered / (LINK.0 as f64 * report.duration_ns.as_ms() * 1e-3);
+    let after = report.samples.iter().filter(|row| row.time_ns >= BEGIN);
+    let mut trips: Vec<f64> = after.map(|row| row.smoothed_rtt_ns.as_ms()).collect();
+    trips.sort_by(f64::total_cmp);
+    let p95 = trips.get(trips.len() * 95 / 100).copied().unwrap_or(f64::NAN);
+    bench.push(Figure::new(format!("{key}.utilisation_percent"), 100.0 * share, "%").runs(1));
+    bench.push(Figure::new(format!("{key}.rtt_p95_ms"), p95, "ms"));
+    bench.push(Figure::new(format!("{key}.bytes_after_deadline"), report.waste.late_bytes as f64, "bytes"));
+    bench.push(Figure::new(format!("{key}.base_miss_percent"), 100.0 * report.base_miss_rate, "%"));
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_unfinished_run_is_found() {
+        let graph = Synthetic { frames: 30, rate: SOURCE, ..Synthetic::default() }.build(1).unwrap();
+        let good = simulate(&graph, &config(ControllerKind::NewReno)).unwrap();
+        let mut bench = Bench::new("serve", "");
+        enter(&mut bench, "x", &good, &graph).unwrap();
+        assert!(
+            bench.figures.iter().any(|figure| figure.key == "x.utilisation_percent" && figure.value > 50.0)
+        );
+        let mut bad = good;
+        bad.frames.pop();
+        assert!(enter(&mut bench, "x", &bad, &graph).is_err());
+    }
+}

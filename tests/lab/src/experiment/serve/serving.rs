@@ -1,0 +1,63 @@
+//! Runs a server of one stream in the background.
+
+use std::net::Ipv4Addr;
+
+use anyhow::{Context, Result, bail};
+use dgs_quic::socket::{
+    ClientConfig, Identity, Impairment, Locator, Offer, Scheme, Server, ServerConfig, ServerLimits,
+    ServerReport, Trust, ViewerReport, message::StreamChoice,
+};
+use emulator_host::PolicyKind;
+use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
+
+/// A server on threads of its own, and what plays its stream.
+pub struct Serving {
+    /// What plays its stream from the start.
+    pub client: ClientConfig,
+    stop: oneshot::Sender<()>,
+    task: JoinHandle<(ServerReport, Vec<ViewerReport>)>,
+}
+
+impl Serving {
+    /// Starts it on `runtime`.
+    pub fn start(
+        runtime: &Runtime,
+        offer: Offer,
+        max_viewers: usize,
+        max_rate_bps: Option<u64>,
+        impairment: Option<Impairment>,
+    ) -> Result<Self> {
+        let config = ServerConfig {
+            bind: (Ipv4Addr::LOCALHOST, 0).into(),
+            identity: Identity::self_signed(&["localhost".to_owned()])?,
+            limits: ServerLimits { max_viewers, max_rate_bps, ..ServerLimits::default() },
+            policy: PolicyKind::DeadlineUtility,
+            impairment,
+        };
+        let server = runtime.block_on(async { Server::bind(config, vec![offer]) })?;
+        let locator = Locator {
+            scheme: Scheme::Dgs,
+            host: "127.0.0.1".to_owned(),
+            port: server.local_addr()?.port(),
+            stream: StreamChoice::Index(0),
+            pin: None,
+        };
+        let client = ClientConfig::new(locator, Trust::Pin(server.pin()));
+        let (stop, stopped) = oneshot::channel::<()>();
+        let task = runtime.spawn(async move {
+            let mut viewers = Vec::new();
+            let on_end = |viewer: &ViewerReport| viewers.push(viewer.clone());
+            let report = server.run(async { drop(stopped.await) }, on_end).await;
+            (report, viewers)
+        });
+        Ok(Self { client, stop, task })
+    }
+
+    /// Ends it; what it has counted.
+    pub fn stop(self, runtime: &Runtime) -> Result<(ServerReport, Vec<ViewerReport>)> {
+        if self.stop.send(()).is_err() {
+            bail!("the server ended before its viewers");
+        }
+        runtime.block_on(self.task).context("the server failed")
+    }
+}
