@@ -119,7 +119,7 @@ fn its_pictures_are_those_of_the_renderer() {
         assert!(db >= LEAST_DB, "time {time}: {db} dB");
     }
     page.run(
-        "player.session.turn(200, -60, 256), player.session.zoom(1.6), player.background = '#4080c0', 0",
+        "player.session.turn(40, 8, 256), player.session.zoom(1.6), player.background = '#4080c0', 0",
     );
     let blue = [64.0, 128.0, 192.0].map(|v: f32| v / 255.0);
     let db = page.agreement(&mut player, blue);

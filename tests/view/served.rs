@@ -83,6 +83,9 @@ impl Drop for Served {
 
 /// The page, and under `blank/` once more, where no streams are listed.
 fn page(path: &str) -> Option<(&'static [u8], &'static str)> {
+    if path == "blank/streams.json" {
+        return Some((b"[]", "application/json"));
+    }
     let path = path.strip_prefix("blank/").unwrap_or(path);
     dgs_viewer::asset(path).map(|asset| (asset.bytes, asset.content_type))
 }

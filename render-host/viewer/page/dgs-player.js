@@ -59,6 +59,7 @@ export class DgsPlayer extends HTMLElement {
   #loaded = 0;
   #error = null;
   #view = null;
+  #hopeless = false;
   #firstFrameMs = null;
 
   /** Where the WebAssembly lies, when not beside this file: set it before the first player is made. */
@@ -84,7 +85,10 @@ export class DgsPlayer extends HTMLElement {
     this.#panel = new NetworkPanel(this.#part(".network"), this.#engine);
     this.#listen();
     const opened = this.#engine.open();
-    opened.catch((error) => this.#fail(error));
+    opened.catch((error) => {
+      this.#fail(error);
+      this.#hopeless = true;
+    });
     const ratio = Number(this.getAttribute("pixel-ratio"));
     if (ratio > 0) this.#engine.pixelRatio = ratio;
     if (this.hasAttribute("src")) this.#start(this.getAttribute("src"));
@@ -260,7 +264,9 @@ export class DgsPlayer extends HTMLElement {
     this.dispatchEvent(new Event(name));
   }
 
+  // Where nothing can be drawn, nothing else is said.
   #say(text) {
+    if (this.#hopeless) return;
     this.#part(".message").textContent = text;
   }
 
