@@ -34,7 +34,8 @@ struct Page {
 }
 
 impl Page {
-    fn open(query: &str) -> Option<Self> {
+    /// A page with a picture of `side` pixels.
+    fn open(query: &str, side: u32) -> Option<Self> {
         let mut page = Self::blank()?;
         let url = format!("{}?{query}", page.served.url());
         page.browser.go(&url).unwrap();
@@ -45,7 +46,8 @@ impl Page {
             )
             .unwrap();
         page.run("player.style.cssText = 'flex:none;width:256px;height:256px', 0");
-        page.browser.wait(PATIENCE_S, "player.shadowRoot.querySelector('canvas').width === 256").unwrap();
+        let is_sized = format!("player.shadowRoot.querySelector('canvas').width === {side}");
+        page.browser.wait(PATIENCE_S, &is_sized).unwrap();
         Some(page)
     }
 
@@ -110,7 +112,7 @@ impl Page {
 
 #[test]
 fn its_pictures_are_those_of_the_renderer() {
-    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=1") else { return };
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=1", SIDE) else { return };
     let mut player = stream(SMALL).receive().unwrap();
     let black = [0.0; 3];
     for time in ["0", "0.5", "0.98"] {
@@ -118,9 +120,7 @@ fn its_pictures_are_those_of_the_renderer() {
         let db = page.agreement(&mut player, black);
         assert!(db >= LEAST_DB, "time {time}: {db} dB");
     }
-    page.run(
-        "player.session.turn(40, 8, 256), player.session.zoom(1.6), player.background = '#4080c0', 0",
-    );
+    page.run("player.session.turn(40, 8, 256), player.session.zoom(1.6), player.background = '#4080c0', 0");
     let blue = [64.0, 128.0, 192.0].map(|v: f32| v / 255.0);
     let db = page.agreement(&mut player, blue);
     assert!(db >= LEAST_DB, "turned: {db} dB");
@@ -147,7 +147,9 @@ fn its_pictures_are_those_of_the_renderer() {
 
 #[test]
 fn it_plays_scrubs_loops_and_ends() {
-    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25") else { return };
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25", SIDE / 4) else {
+        return;
+    };
     page.run(
         "globalThis.heard = []; for (const name of ['loop', 'ended', 'timeupdate', 'play', 'pause'])\
         player.addEventListener(name, () => heard.push(name)); 0",
@@ -176,15 +178,17 @@ fn it_plays_scrubs_loops_and_ends() {
 
 #[test]
 fn pointers_move_the_camera_and_the_address_keeps_it() {
-    let Some(mut page) = Page::open("src=streams/small.dgs&paused") else { return };
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused", SIDE) else { return };
     let view = |page: &mut Page| -> Vec<f64> {
         page.run("player.view").as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
     };
     let start = view(&mut page);
-    page.browser.drag(&[[100.0, 100.0], [140.0, 110.0]], "left").unwrap();
+    // Above the bar, which so small a page has over half of its picture.
+    let path = [[100.0, 30.0], [140.0, 40.0]];
+    page.browser.drag(&path, "left").unwrap();
     let turned = view(&mut page);
     assert!(turned[0] != start[0] && turned[1] != start[1] && turned[3..] == start[3..], "{turned:?}");
-    page.browser.drag(&[[100.0, 100.0], [140.0, 110.0]], "right").unwrap();
+    page.browser.drag(&path, "right").unwrap();
     let panned = view(&mut page);
     assert!(panned[..3] == turned[..3] && panned[3..] != turned[3..], "{panned:?}");
     page.browser.wait(PATIENCE_S, "location.hash.includes('view=')").unwrap();
@@ -206,7 +210,7 @@ fn pointers_move_the_camera_and_the_address_keeps_it() {
 
 #[test]
 fn ranges_bring_a_file_base_first_and_loss_thins_it() {
-    let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1") else { return };
+    let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1", SIDE) else { return };
     page.browser.wait(PATIENCE_S, "player.dataset.transport === 'ranges' && player.buffered === 1").unwrap();
     let whole = page.picture();
     let mut player = stream(LARGE).receive().unwrap();
@@ -245,7 +249,7 @@ fn ranges_bring_a_file_base_first_and_loss_thins_it() {
 
 #[test]
 fn a_lost_device_is_another_device_a_moment_later() {
-    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=1") else { return };
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=1", SIDE) else { return };
     page.run("player.currentTime = 0.5, 0");
     let before = page.picture();
     for _ in 0..2 {
@@ -332,7 +336,7 @@ fn packets_come_live_over_a_lossy_link() {
 #[test]
 #[ignore = "writes a committed file"]
 fn the_picture_of_the_readme() {
-    let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1") else { return };
+    let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1", SIDE) else { return };
     page.run("player.style.cssText = '', player.toggleNetwork(), player.quality = 3, 0");
     page.run("player.impair({ loss: 0.1, burst: 4, seed: 3 }), player.overlay = true, player.home(), 0");
     std::thread::sleep(std::time::Duration::from_secs(20));

@@ -18,8 +18,8 @@ use dgs_quic::http::{HttpConfig, HttpLimits, HttpServer, Site, SiteStream};
 use tokio::{runtime::Runtime, sync::oneshot};
 
 /// A stream whose pictures are compared, and one that comes in several ranges.
-pub const SMALL: (&str, usize) = ("small", 4000);
-pub const LARGE: (&str, usize) = ("large", 12_000);
+pub const SMALL: (&str, usize) = ("small", 1000);
+pub const LARGE: (&str, usize) = ("large", 6000);
 
 /// One second of a synthetic figure.
 pub fn stream((_, gaussians): (&str, usize)) -> Stream {
