@@ -18,7 +18,7 @@ use codec_core::internals::{
 use dgs_player::{ErrorKind, Result};
 
 /// Bytes to ask for first: the manifest of most streams, and their first packets.
-pub const FIRST_BYTES: u64 = 64 << 10;
+pub const FIRST_BYTES: u64 = 16 << 10;
 /// Bytes asked for at the end, where the index is.
 const TAIL_BYTES: u64 = 16 << 10;
 /// Enough of a packet to say whose it is.

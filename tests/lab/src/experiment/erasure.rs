@@ -21,10 +21,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "erasure",
         "trained: variant mixed, the candidate that validation takes; untrained: variant reconstruction with \
-         as many complete pictures per update as mixed has worlds, taken by the same rule; the same states per \
-         loss for both; no retransmission, `repaired`: with the parity that streams have by default when they \
-         are sent; PSNR on held-out pictures, drop: below the own complete state, cliffs: states more than 3 dB \
-         below it; gain: mean over states of trained less untrained, paired bootstrap over states",
+         as many complete pictures per update as mixed has worlds, taken by the same rule; the same states \
+         per loss for both; no retransmission, `repaired`: with the parity that streams have by default when \
+         they are sent; PSNR on held-out pictures, drop: below the own complete state, cliffs: states more \
+         than 3 dB below it; gain: mean over states of trained less untrained, paired bootstrap over states",
     );
     let sheet = Study::make(size)?;
     let words = size.words();

@@ -199,7 +199,7 @@ mod tests {
     };
 
     /// The first frame of every `period` frames, held until the next.
-    fn held(scene: &Scene, period: usize) -> Scene {
+    fn jumpy(scene: &Scene, period: usize) -> Scene {
         let hold = |epoch: &Epoch| {
             let (n, a) = (epoch.count(), epoch.attributes().clone());
             let frames = || (0..epoch.frames()).map(|t| t / period * period);
@@ -230,10 +230,10 @@ mod tests {
         let moving = encode(&scene, &options, &|_, _| {}).unwrap();
         assert!(bases(&moving.decisions) > 0);
         // Nothing moves: no track has anything to say.
-        let still = write(&held(&scene, 8), &moving.decisions, &|_, _| {}).unwrap();
+        let still = write(&jumpy(&scene, 8), &moving.decisions, &|_, _| {}).unwrap();
         assert!(still.stream.receive().unwrap().frame(7).is_ok());
         // It jumps: tracks have more frequencies.
-        let jumping = write(&held(&scene, 2), &moving.decisions, &|_, _| {}).unwrap();
+        let jumping = write(&jumpy(&scene, 2), &moving.decisions, &|_, _| {}).unwrap();
         assert!(jumping.stream.receive().unwrap().frame(7).is_ok());
         // Nothing moved when tables were decided, but tracks were.
         let mut decisions = moving.decisions.clone();

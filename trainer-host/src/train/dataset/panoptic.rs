@@ -24,8 +24,8 @@ use crate::{
 const POINTS: usize = 20_000;
 /// Most points drawn until there are so many.
 const MOST_DRAWS: usize = 4 * POINTS;
-/// Nothing nearer to a camera, in metres, is drawn: cameras hang in the walls of a dome, and what training puts
-/// between two of them nobody corrects. Source: Dynamic 3D Gaussians, train.py.
+/// Nothing nearer to a camera, in metres, is drawn: cameras hang in the walls of a dome, and what training
+/// puts between two of them nobody corrects. Source: Dynamic 3D Gaussians, train.py.
 const NEAR: f64 = 1.0;
 /// What is this near to a camera and before it, in all of the cameras' reach, would hide the scene from
 /// cameras between those that are trained on, where nothing tells that it is not there.
