@@ -1,6 +1,8 @@
 //! Packets in lockstep, lane by lane, as kernels take them.
 
-use codec_core::internals::rans::{lanes::LANES, table::SLOTS};
+use codec_core::internals::rans::lanes::LANES;
+#[cfg(target_arch = "x86_64")]
+use codec_core::internals::rans::table::SLOTS;
 
 /// Most packets in lockstep.
 pub(crate) const MOST_PACKETS: usize = 16;

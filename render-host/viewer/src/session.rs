@@ -382,7 +382,7 @@ impl Session {
     /// Packets that came, and of them those that the emulated network delivered.
     pub fn packets(&self) -> (usize, usize) {
         let counters = self.player.counters();
-        (self.packets.len(), counters.media as usize)
+        (self.packets.len(), (counters.media + counters.parity) as usize)
     }
 }
 
