@@ -17,8 +17,8 @@ use dgs_player::Stream;
 use dgs_quic::http::{HttpConfig, HttpLimits, HttpServer, Site, SiteStream};
 use tokio::{runtime::Runtime, sync::oneshot};
 
-/// A stream whose pictures are compared, and one that comes in several ranges. Few Gaussians, since browsers in
-/// tests draw on the processor, and fine steps, so that they take many bytes.
+/// A stream whose pictures are compared, and one that comes in several ranges. Few Gaussians, since browsers
+/// in tests draw on the processor, and fine steps, so that they take many bytes.
 pub const SMALL: (&str, usize) = ("small", 1000);
 pub const LARGE: (&str, usize) = ("large", 2500);
 
