@@ -2,33 +2,13 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
-use std::{
-    path::Path,
-    process::{Command, Output},
-};
+#[path = "cli/run.rs"]
+#[allow(dead_code, reason = "other tests use the rest")]
+mod run;
 
-fn dgs(folder: &Path, args: &[&str]) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_dgs")).current_dir(folder).args(args).output().unwrap()
-}
+use std::{path::Path, process::Command};
 
-fn ok(folder: &Path, args: &[&str]) -> String {
-    let output = dgs(folder, args);
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "dgs {args:?}: {stderr}");
-    String::from_utf8(output.stdout).unwrap()
-}
-
-fn refused(folder: &Path, args: &[&str]) -> String {
-    stopped(folder, args, 1)
-}
-
-/// What `args` say on standard error when they end with exit status `code`.
-fn stopped(folder: &Path, args: &[&str], code: i32) -> String {
-    let output = dgs(folder, args);
-    let text = String::from_utf8(output.stderr).unwrap();
-    assert_eq!(output.status.code(), Some(code), "dgs {args:?}: {text}");
-    text
-}
+use run::{dgs, ok, refused, stopped};
 
 /// Decisions that were written out replay to the same bytes; a file of something else is named.
 #[test]

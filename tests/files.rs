@@ -3,6 +3,10 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
+#[path = "cli/run.rs"]
+#[allow(dead_code, reason = "other tests use the rest")]
+mod run;
+
 use std::{
     fs,
     io::Write,
@@ -10,37 +14,15 @@ use std::{
     process::{Command, Output},
 };
 
+use run::{dgs, names, ok, refused};
+
 const DGS: &str = env!("CARGO_BIN_EXE_dgs");
-
-fn dgs(folder: &Path, args: &[&str]) -> Output {
-    Command::new(DGS).current_dir(folder).args(args).output().unwrap()
-}
-
-fn ok(folder: &Path, args: &[&str]) -> String {
-    let output = dgs(folder, args);
-    let stderr = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "dgs {args:?}: {stderr}");
-    String::from_utf8(output.stdout).unwrap()
-}
-
-fn refused(folder: &Path, args: &[&str]) -> String {
-    let output = dgs(folder, args);
-    assert_eq!(output.status.code(), Some(1), "dgs {args:?} should be refused");
-    String::from_utf8(output.stderr).unwrap()
-}
 
 /// `dgs` with `args` after the shell has taken `limits` upon itself.
 #[cfg(unix)]
 fn limited(folder: &Path, limits: &str, args: &str) -> Output {
     let script = format!("{limits}; exec {DGS} {args}");
     Command::new("sh").current_dir(folder).args(["-c", &script]).output().unwrap()
-}
-
-fn names(folder: &Path) -> Vec<String> {
-    let entries = fs::read_dir(folder).unwrap();
-    let mut names: Vec<String> = entries.map(|e| e.unwrap().file_name().into_string().unwrap()).collect();
-    names.sort();
-    names
 }
 
 const SMALL: [&str; 4] = ["encode", "synth:balls:1000:2", "--pictures", "0"];

@@ -83,7 +83,7 @@ impl Page {
         Image::new(SIDE, SIDE, rgb).unwrap()
     }
 
-    /// What the renderer of this machine draws of `player` where the page looks.
+    /// What the renderer of this machine draws of `player` from the page's camera.
     fn expected(&mut self, player: &mut Player, background: [f32; 3]) -> Image {
         let numbers = self.run(&format!("[...player.session.camera({SIDE}, {SIDE})]"));
         let n: Vec<f64> = numbers.as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect();

@@ -15,7 +15,6 @@ mod queue;
 mod rate;
 mod reorder;
 mod serialiser;
-mod trace_loss;
 mod trace_rate;
 
 use serde::Serialize;
@@ -25,7 +24,7 @@ use crate::clock::Nanos;
 pub use chain::Chain;
 pub use delay::Delay;
 pub use gilbert_elliott::{GilbertElliott, GilbertElliottParams};
-pub use loss::IidLoss;
+pub use loss::{Losing, Loss};
 pub use path::{Capacity, LossModel, PathConfig, PathError, Reordering};
 pub use queue::QueueLimit;
 pub use rate::ConstantRate;

@@ -3,10 +3,10 @@
 //! The state changes once per datagram, before the loss is drawn. Mean burst length is 1 / `leave_bad`
 //! datagrams; the long-run share of time in the bad state is `enter_bad / (enter_bad + leave_bad)`.
 
-use super::{BoxOutput, Counts, Datagram, LinkBox};
+use super::loss::Losing;
 use crate::{
     clock::Nanos,
-    rng::{Chance, Stream, stream},
+    rng::{Chance, Stream},
 };
 
 /// Chances per datagram.
@@ -23,51 +23,33 @@ pub struct GilbertElliottParams {
 }
 
 /// Loses datagrams in bursts.
-#[derive(Debug)]
+#[derive(Clone, Copy, Debug)]
 pub struct GilbertElliott {
-    label: String,
     params: GilbertElliottParams,
     bad: bool,
-    luck: Stream,
-    counts: Counts,
 }
 
 impl GilbertElliott {
     /// Starts in the good state.
-    pub fn new(label: impl Into<String>, params: GilbertElliottParams, seed: u64) -> Self {
-        let label = label.into();
-        let luck = stream(seed, &label);
-        Self { label, params, bad: false, luck, counts: Counts::default() }
+    pub const fn new(params: GilbertElliottParams) -> Self {
+        Self { params, bad: false }
     }
 }
 
-impl LinkBox for GilbertElliott {
-    fn label(&self) -> &str {
-        &self.label
-    }
-
-    fn step(&mut self, input: Option<Datagram>, _now: Nanos) -> BoxOutput {
-        let Some(datagram) = input else { return BoxOutput::Idle };
-        self.counts.received.add(datagram);
+impl Losing for GilbertElliott {
+    fn loses(&mut self, luck: &mut Stream, _now: Nanos) -> bool {
         let change = if self.bad { self.params.leave_bad } else { self.params.enter_bad };
-        self.bad ^= self.luck.happens(change);
-        let loss = if self.bad { self.params.loss_bad } else { self.params.loss_good };
-        if self.luck.happens(loss) {
-            self.counts.dropped.add(datagram);
-            return BoxOutput::Idle;
-        }
-        self.counts.delivered.add(datagram);
-        BoxOutput::Datagram(datagram)
-    }
-
-    fn counts(&self) -> Counts {
-        self.counts
+        self.bad ^= luck.happens(change);
+        luck.happens(if self.bad { self.params.loss_bad } else { self.params.loss_good })
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{
+        super::{BoxOutput, Datagram, LinkBox, loss::Loss},
+        *,
+    };
 
     #[test]
     fn losses_come_in_bursts_of_the_given_length_and_share() {
@@ -78,7 +60,7 @@ mod tests {
             loss_good: chance(0.0),
             loss_bad: chance(1.0),
         };
-        let mut link = GilbertElliott::new("ge", params, 5);
+        let mut link = Loss::new("ge", GilbertElliott::new(params), 5);
         let lost: Vec<bool> = (0..200_000)
             .map(|tag| link.step(Some(Datagram { tag, bytes: 100 }), Nanos::ZERO) == BoxOutput::Idle)
             .collect();

@@ -1,39 +1,60 @@
-//! Loses datagrams independently of each other.
+//! Loses datagrams by chance; the models say by which.
 
 use super::{BoxOutput, Counts, Datagram, LinkBox};
 use crate::{
     clock::Nanos,
     rng::{Chance, Stream, stream},
+    trace::LossTrace,
 };
 
-/// Loses each datagram with the same chance. Draws once per datagram, so the n-th datagram meets the same
-/// luck whatever its size and time.
+/// A model of loss.
+pub trait Losing: Send {
+    /// Whether the datagram that passes at `now` is lost. Draws as often for every datagram, so
+    /// the n-th meets the same luck whatever its size.
+    fn loses(&mut self, luck: &mut Stream, now: Nanos) -> bool;
+}
+
+/// Each datagram with the same chance, independently of the others.
+impl Losing for Chance {
+    fn loses(&mut self, luck: &mut Stream, _now: Nanos) -> bool {
+        luck.happens(*self)
+    }
+}
+
+/// Each datagram with the chance that holds when it passes.
+impl Losing for LossTrace {
+    fn loses(&mut self, luck: &mut Stream, now: Nanos) -> bool {
+        luck.happens(self.at(now))
+    }
+}
+
+/// Loses the datagrams that a model says.
 #[derive(Debug)]
-pub struct IidLoss {
+pub struct Loss<L> {
     label: String,
-    chance: Chance,
+    model: L,
     luck: Stream,
     counts: Counts,
 }
 
-impl IidLoss {
-    /// Loss with `chance`.
-    pub fn new(label: impl Into<String>, chance: Chance, seed: u64) -> Self {
+impl<L: Losing> Loss<L> {
+    /// Loss by `model`.
+    pub fn new(label: impl Into<String>, model: L, seed: u64) -> Self {
         let label = label.into();
         let luck = stream(seed, &label);
-        Self { label, chance, luck, counts: Counts::default() }
+        Self { label, model, luck, counts: Counts::default() }
     }
 }
 
-impl LinkBox for IidLoss {
+impl<L: Losing> LinkBox for Loss<L> {
     fn label(&self) -> &str {
         &self.label
     }
 
-    fn step(&mut self, input: Option<Datagram>, _now: Nanos) -> BoxOutput {
+    fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
         let Some(datagram) = input else { return BoxOutput::Idle };
         self.counts.received.add(datagram);
-        if self.luck.happens(self.chance) {
+        if self.model.loses(&mut self.luck, now) {
             self.counts.dropped.add(datagram);
             return BoxOutput::Idle;
         }
@@ -43,5 +64,23 @@ impl LinkBox for IidLoss {
 
     fn counts(&self) -> Counts {
         self.counts
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::trace::{Limits, Replay};
+
+    #[test]
+    fn what_passes_in_a_lossy_step_is_lost_and_nothing_else() {
+        let replay = Replay::load("t", b"0 1 0 0\n1 1 0 100\n2 1 0 0\n", &Limits::default()).unwrap();
+        let mut link = Loss::new("loss", replay.loss.unwrap(), 1);
+        for tenth in 0..30 {
+            let output = link.step(Some(Datagram { tag: tenth, bytes: 1 }), Nanos::from_ms(100 * tenth));
+            assert_eq!(output == BoxOutput::Idle, (10..20).contains(&tenth));
+        }
+        assert!(link.counts().balanced());
+        assert_eq!(link.counts().dropped.datagrams, 10);
     }
 }

@@ -4,8 +4,8 @@
 //! datagram that is lost on the air has used the air.
 
 use super::{
-    Chain, ConstantRate, Delay, GilbertElliott, GilbertElliottParams, IidLoss, LinkBox, QueueLimit, Reorder,
-    TraceRate, trace_loss::TraceLoss,
+    Chain, ConstantRate, Delay, GilbertElliott, GilbertElliottParams, LinkBox, Loss, QueueLimit, Reorder,
+    TraceRate,
 };
 use crate::{
     clock::{Nanos, Rate},
@@ -140,7 +140,7 @@ impl PathConfig {
         match self.loss {
             LossModel::None => {}
             LossModel::Iid(p) => {
-                boxes.push(Box::new(IidLoss::new(format!("{label}/loss"), chance("loss", p)?, seed)));
+                boxes.push(Box::new(Loss::new(format!("{label}/loss"), chance("loss", p)?, seed)));
             }
             LossModel::GilbertElliott { enter_bad, leave_bad, loss_good, loss_bad } => {
                 let params = GilbertElliottParams {
@@ -149,11 +149,15 @@ impl PathConfig {
                     loss_good: chance("loss_good", loss_good)?,
                     loss_bad: chance("loss_bad", loss_bad)?,
                 };
-                boxes.push(Box::new(GilbertElliott::new(format!("{label}/gilbert-elliott"), params, seed)));
+                boxes.push(Box::new(Loss::new(
+                    format!("{label}/gilbert-elliott"),
+                    GilbertElliott::new(params),
+                    seed,
+                )));
             }
         }
         if let Some(trace) = &self.loss_trace {
-            boxes.push(Box::new(TraceLoss::new(format!("{label}/trace-loss"), trace.clone(), seed)));
+            boxes.push(Box::new(Loss::new(format!("{label}/trace-loss"), trace.clone(), seed)));
         }
         if self.delay > Nanos::ZERO || self.jitter > Nanos::ZERO || self.delay_trace.is_some() {
             let mut delay = Delay::new(format!("{label}/delay"), self.delay, self.jitter, seed);

@@ -36,7 +36,7 @@ impl LossTrace {
 
     /// The whole trace, entered at `offset`.
     #[must_use]
-    pub fn starting_at(&self, offset: Nanos) -> Self {
+    pub(super) fn starting_at(&self, offset: Nanos) -> Self {
         let chances = steps::starting_at(&self.chances, self.period, offset);
         Self { chances: chances.into(), period: self.period }
     }

@@ -1,4 +1,4 @@
-//! Looks up what holds at a time, in a list of (time, value) that repeats.
+//! Evaluates step functions of time that repeat: lists of (time, value).
 
 use crate::clock::Nanos;
 
@@ -9,7 +9,7 @@ pub(super) fn at<T: Copy>(steps: &[(Nanos, T)], period: Nanos, now: Nanos) -> Op
     steps.get(place).map(|(_, value)| *value)
 }
 
-/// The same list with its start at `offset`, going round at the end.
+/// The same function from `offset` on: steps before it come at the end.
 pub(super) fn starting_at<T: Copy>(steps: &[(Nanos, T)], period: Nanos, offset: Nanos) -> Vec<(Nanos, T)> {
     let offset = Nanos(offset.0 % period.0.max(1));
     let place = steps.partition_point(|(at, _)| *at <= offset);

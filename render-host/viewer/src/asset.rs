@@ -1,6 +1,6 @@
 //! An asset is a file that a page needs: the page, its style, its scripts, the player as WebAssembly.
 
-/// The bytes of a file and what a browser is told that they are.
+/// A file's bytes and media type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Asset {
     /// Its bytes.

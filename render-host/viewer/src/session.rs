@@ -281,7 +281,8 @@ impl Session {
         &self.player
     }
 
-    /// Looks at all of the frame that is due, in a picture `aspect` times as wide as high.
+    /// Moves the camera so that every Gaussian of the frame that is due is in a picture `aspect`
+    /// times as wide as high.
     ///
     /// # Errors
     /// None in practice.
@@ -379,7 +380,7 @@ impl Session {
         Ok(by_level)
     }
 
-    /// Packets that came, and of them those that the emulated network delivered.
+    /// Packets that came, and those that were decoded.
     pub fn packets(&self) -> (usize, usize) {
         let counters = self.player.counters();
         (self.packets.len(), (counters.media + counters.parity) as usize)

@@ -321,7 +321,7 @@ impl SessionShell {
         vec![came as u32, decoded as u32]
     }
 
-    /// Looks at all of the frame that is due; `up` is `y`, `minus-z` and so on.
+    /// Moves the camera so that every Gaussian is in the picture; `up` is `y`, `minus-z` and so on.
     #[wasm_bindgen(js_name = lookAtAll)]
     pub fn look_at_all(&mut self, aspect: f64, up: &str) -> Result<(), JsError> {
         let up = Up::named(up)

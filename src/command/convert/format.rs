@@ -84,7 +84,7 @@ impl SceneOutput {
     }
 
     /// Writes frames: a folder gets all of `count`, a file frame `only`. `frame` gives one as an epoch and
-    /// the frame in it; `progress` is told of each.
+    /// the frame in it; `progress` hears of each.
     pub(in crate::command) fn write<E: Borrow<Epoch>>(
         self,
         out: &Path,

@@ -1,4 +1,4 @@
-//! A browser opens pages without a window and is told what to do over a pipe (Chrome DevTools Protocol).
+//! Drives a headless browser over a pipe (Chrome DevTools Protocol).
 //!
 //! The adapter is a software one (SwiftShader), so that a machine without a graphics card does as well.
 

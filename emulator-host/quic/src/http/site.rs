@@ -93,8 +93,8 @@ struct Listed<'s> {
 
 impl Site {
     /// A page of `assets` over `streams`; with `pin`, its digits under `/certificate.sha256`. Paths:
-    /// `/` is the asset `index.html`, or a list of streams where there is none; `/streams.json` the same
-    /// list for programs; `/streams/NAME.dgs` a stream as a file.
+    /// `/` is the asset `index.html`; `/streams.json` the list of streams; `/streams/NAME.dgs` a stream as a
+    /// file.
     ///
     /// # Errors
     /// [`SiteError`].
@@ -116,8 +116,6 @@ impl Site {
         let listed: Vec<Listed<'_>> = streams.iter().map(listed).collect();
         let json = serde_json::to_vec_pretty(&listed)?;
         made.insert("/streams.json".to_owned(), Resource::new(json.into(), "application/json"));
-        let page = Resource::new(list_page(&listed).into(), "text/html; charset=utf-8");
-        made.insert(format!("/{INDEX}"), page);
         if let Some(pin) = pin {
             let resource = Resource::new(pin.to_string().into(), "text/plain; charset=utf-8");
             made.insert("/certificate.sha256".to_owned(), resource);
@@ -150,39 +148,6 @@ fn listed(stream: &SiteStream) -> Listed<'_> {
     }
 }
 
-/// The list for people, where no page is built in.
-fn list_page(streams: &[Listed<'_>]) -> String {
-    let head = "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n<title>dgs</title>\n";
-    let mut page = format!("{head}<h1>Streams</h1>\n<ul>\n");
-    for stream in streams {
-        page += &format!("<li>{}", escaped(stream.name));
-        if let Some((file, bytes)) = stream.file.as_ref().zip(stream.bytes) {
-            page += &format!(" <a href=\"{}\" download>{bytes} bytes</a>", escaped(file));
-        }
-        for address in stream.address.iter().chain(&stream.web_address) {
-            page += &format!("<br><code>{}</code>", escaped(address));
-        }
-        page += "\n";
-    }
-    page + "</ul>\n"
-}
-
-/// `text` as HTML shows it.
-fn escaped(text: &str) -> String {
-    let mut out = String::with_capacity(text.len());
-    for c in text.chars() {
-        match c {
-            '&' => out.push_str("&amp;"),
-            '<' => out.push_str("&lt;"),
-            '>' => out.push_str("&gt;"),
-            '"' => out.push_str("&quot;"),
-            '\'' => out.push_str("&#39;"),
-            c => out.push(c),
-        }
-    }
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -192,7 +157,7 @@ mod tests {
         let assets: Assets = |path| (path == "index.html").then_some((b"page".as_slice(), "text/html"));
         let stream = SiteStream {
             name: "fox".to_owned(),
-            address: Some("dgs://<host>".to_owned()),
+            address: Some("dgs://host".to_owned()),
             web_address: None,
             file: Some(Bytes::from_static(b"DGSM")),
         };
@@ -203,13 +168,12 @@ mod tests {
         {
             assert!(site.resource(missing).is_none(), "{missing}");
         }
-        let list = Site::new(|_| None, std::slice::from_ref(&stream), None).unwrap();
-        let page = list.resource("/").unwrap().bytes;
-        let page = std::str::from_utf8(&page).unwrap();
-        assert!(page.contains("dgs://&lt;host&gt;") && page.contains("4 bytes"), "{page}");
-        let json = list.resource("/streams.json").unwrap().bytes;
+        let bare = Site::new(|_| None, std::slice::from_ref(&stream), None).unwrap();
+        assert!(bare.resource("/").is_none());
+        let json = bare.resource("/streams.json").unwrap().bytes;
         let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
         assert_eq!(json[0]["file"], "/streams/fox.dgs");
+        assert_eq!((&json[0]["bytes"], &json[0]["address"]), (&4.into(), &"dgs://host".into()));
         let twice = [stream.clone(), stream.clone()];
         assert!(matches!(Site::new(|_| None, &twice, None), Err(SiteError::Twice { .. })));
         let bad = SiteStream { name: "a/b".to_owned(), ..stream };

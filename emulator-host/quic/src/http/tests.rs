@@ -92,7 +92,6 @@ fn files_ranges_and_absences_are_answered() {
     assert!(part.to_lowercase().contains("content-range: bytes 7-9/10"), "{part}");
     assert!(server.get("/streams/ten.dgs", "Range: bytes=11-\r\n").starts_with("HTTP/1.1 416"));
     assert!(server.get("/nothing", "").starts_with("HTTP/1.1 404"));
-    assert!(server.get("/", "").contains("<li>ten"));
     let head = server.talk(b"HEAD /streams/ten.dgs HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n");
     assert!(head.starts_with("HTTP/1.1 200") && head.ends_with("\r\n\r\n"), "{head}");
     assert!(head.to_lowercase().contains("content-length: 10"), "{head}");
@@ -103,7 +102,7 @@ fn files_ranges_and_absences_are_answered() {
     stream.shutdown(std::net::Shutdown::Write).unwrap();
     assert_eq!(rest(&mut stream).matches("0123456789").count(), 2);
     let report = server.stop();
-    assert_eq!((report.requests, report.slow, report.malformed), (8, 0, 0), "{report:?}");
+    assert_eq!((report.requests, report.slow, report.malformed), (7, 0, 0), "{report:?}");
 }
 
 #[test]

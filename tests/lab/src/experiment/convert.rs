@@ -3,9 +3,11 @@
 use std::{path::Path, process::Command, time::Instant};
 
 use anyhow::{Context, Result, ensure};
+use render_host::{Backend, Camera, Image, Settings, metric};
 use trainer_host::{
-    Epoch, export,
+    Epoch, Scene, evaluator, export,
     import::{ImportOptions, import},
+    viewpoint::{Framing, Ring},
 };
 
 use super::demo::peak_bytes;
@@ -16,6 +18,8 @@ use crate::{
 
 /// Formats by the ending of their files.
 const FORMATS: [&str; 6] = ["ply", "compressed.ply", "spz", "splat", "sog", "glb"];
+/// Side of the picture that is compared, pixels.
+const SIDE: u32 = 256;
 /// Names the peer's program where it is not on the path.
 const PEER: &str = "SPLAT_TRANSFORM";
 
@@ -26,9 +30,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         "convert",
         format!(
             "synth figure of {count} Gaussians, one frame, no harmonics above band 0: PLY read from a file, \
-             written to a file in each format, wall time of both together, once; the peer is splat-transform \
-             on the processor (-g cpu), a process of its own each time, its start included; order of ours \
-             and the peer alternates"
+             written to a file in each format, wall time of both together, once; error: mean squared error \
+             of a picture ({SIDE}x{SIDE}, black, one camera) of what is read back; the peer is \
+             splat-transform on the processor (-g cpu), a process of its own each time, its start included; \
+             order of ours and the peer alternates"
         ),
     );
     let folder = std::env::temp_dir().join(format!("dgs-bench-convert-{}", std::process::id()));
@@ -47,6 +52,8 @@ fn measure(folder: &Path, count: usize, bench: &mut Bench) -> Result<()> {
     let scene = synth("figure", count, 1)?;
     let source = folder.join("source.ply");
     std::fs::write(&source, export::ply::encode(&scene.epochs()[0], 0))?;
+    let camera = Framing::of(&scene).ring(Ring::HeldOut, 1, (SIDE, SIDE))?.remove(0);
+    let expected = picture(&scene, &camera)?;
     drop(scene);
     let peer = std::env::var(PEER).unwrap_or_else(|_| "splat-transform".to_owned());
     let has_peer = Command::new(&peer).arg("--version").output().is_ok_and(|output| output.status.success());
@@ -66,13 +73,17 @@ fn measure(folder: &Path, count: usize, bench: &mut Bench) -> Result<()> {
         std::fs::write(&ours, encoded(format, &scene.epochs()[0])?)?;
         let seconds = start.elapsed().as_secs_f64();
         // A quick writer of something else would be no figure.
-        let again = import(&ours, &ImportOptions::default())?.max_count();
-        ensure!(again == scene.max_count(), "{format}: {again} Gaussians of {} come back", scene.max_count());
+        let again = import(&ours, &ImportOptions::default())?;
+        let (found, wanted) = (again.max_count(), scene.max_count());
+        ensure!(found == wanted, "{format}: {found} Gaussians of {wanted} come back");
+        let error = metric::mse(&picture(&again, &camera)?, &expected)?;
         if peer_writes && turn % 2 == 0 {
             peer_s = timed_peer(&peer, &source, &theirs);
         }
         let size = |path: &Path| std::fs::metadata(path).map(|found| found.len() as f64);
-        let mut wall = Figure::new(format!("ply_to_{format}.wall_s"), seconds, "s").runs(1);
+        let mut wall = Figure::new(format!("ply_to_{format}.wall_s"), seconds, "s")
+            .runs(1)
+            .error(error, "mean squared error of a picture, of 1");
         let mut bytes = Figure::new(format!("ply_to_{format}.bytes"), size(&ours)?, "bytes");
         if let Some(peer_s) = peer_s {
             wall = wall.peer("splat-transform", peer_s, true);
@@ -82,6 +93,11 @@ fn measure(folder: &Path, count: usize, bench: &mut Bench) -> Result<()> {
         bench.push(bytes);
     }
     Ok(())
+}
+
+/// The first frame of `scene` as `camera` sees it.
+fn picture(scene: &Scene, camera: &Camera) -> Result<Image> {
+    Ok(evaluator::references(scene, &[0], camera, &Settings::default(), &Backend::Cpu)?.remove(0))
 }
 
 /// Seconds that the peer takes, if it can do it.

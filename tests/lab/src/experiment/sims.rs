@@ -35,27 +35,50 @@ pub fn run(setup: &Setup) -> Result<Bench> {
             let forward = PathConfig { capacity: capacity.clone(), ..PathConfig::default() };
             let config = SessionConfig { policy, forward, ..SessionConfig::default() };
             let key = format!("{link}.{}", policy.name());
-            enter(&mut bench, &format!("model.{key}"), runs, || Ok(simulate(&graph, &config)?))?;
-            let quic = || Ok(virtual_time::simulate(&graph, &config)?);
-            enter(&mut bench, &format!("quic.{key}"), runs.div_ceil(3), quic)?;
+            let model = timed(runs, || Ok(simulate(&graph, &config)?))?;
+            let quic = timed(runs.div_ceil(3), || Ok(virtual_time::simulate(&graph, &config)?))?;
+            let apart = (model.report.goodput_bps / quic.report.goodput_bps - 1.0).abs();
+            enter(&mut bench, &format!("model.{key}"), &model, Some(apart));
+            enter(&mut bench, &format!("quic.{key}"), &quic, None);
         }
     }
     Ok(bench)
 }
 
-fn enter(bench: &mut Bench, key: &str, runs: usize, work: impl Fn() -> Result<Report>) -> Result<()> {
-    let (mut seconds, mut events) = (Vec::new(), 0);
-    for _ in 0..runs {
+/// Deliveries that were timed; they are all alike.
+struct Timed {
+    report: Report,
+    runs: usize,
+    /// Median.
+    seconds: f64,
+}
+
+fn timed(runs: usize, work: impl Fn() -> Result<Report>) -> Result<Timed> {
+    let run = || {
         let start = clock::seconds();
         let report = work()?;
-        seconds.push(clock::seconds() - start);
-        events = packet_events(&report);
+        anyhow::Ok((clock::seconds() - start, report))
+    };
+    let (first, report) = run()?;
+    let mut seconds = vec![first];
+    for _ in 1..runs {
+        seconds.push(run()?.0);
     }
-    let time = median(&seconds);
-    bench.push(Figure::new(format!("sims_per_s.{key}"), 1.0 / time, "1/s and core").runs(runs));
-    let figure = Figure::new(format!("event.{key}"), 1e6 * time / events.max(1) as f64, "us");
-    bench.push(figure.error(events as f64, "packet events"));
-    Ok(())
+    Ok(Timed { report, runs, seconds: median(&seconds) })
+}
+
+/// The figures of `timed`; `apart` is how far its goodput is from that over quinn-proto.
+fn enter(bench: &mut Bench, key: &str, timed: &Timed, apart: Option<f64>) {
+    let with_error = |figure: Figure| match apart {
+        Some(apart) => figure.error(apart, "relative, goodput against quinn-proto"),
+        None => figure,
+    };
+    let events = packet_events(&timed.report);
+    let per_second = Figure::new(format!("sims_per_s.{key}"), 1.0 / timed.seconds, "1/s and core");
+    bench.push(with_error(per_second.runs(timed.runs)));
+    let event_us = 1e6 * timed.seconds / events.max(1) as f64;
+    bench.push(with_error(Figure::new(format!("event.{key}"), event_us, "us").runs(timed.runs)));
+    bench.push(Figure::new(format!("events.{key}"), events as f64, "packet events"));
 }
 
 /// Datagrams that entered the first box of a direction, and that left its last.

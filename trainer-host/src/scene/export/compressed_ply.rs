@@ -4,30 +4,12 @@
 //! are not those of the scene. What each number means is in `import::compressed_ply`.
 
 use super::{display_colour, morton_order, opacity};
-use crate::scene::{Attributes, Epoch};
+use crate::scene::{
+    Attributes, Epoch,
+    import::compressed_ply::{COLOURS, PLACES},
+};
 
 const CHUNK: usize = 256;
-/// Properties of a chunk, in file order: least and greatest x, y, z of positions, of log-scales, of colours.
-const RANGES: [&str; 18] = [
-    "min_x",
-    "min_y",
-    "min_z",
-    "max_x",
-    "max_y",
-    "max_z",
-    "min_scale_x",
-    "min_scale_y",
-    "min_scale_z",
-    "max_scale_x",
-    "max_scale_y",
-    "max_scale_z",
-    "min_r",
-    "min_g",
-    "min_b",
-    "max_r",
-    "max_g",
-    "max_b",
-];
 
 /// Frame `t` of `epoch` as a compressed PLY. `t` must be below the epoch's frame count.
 pub fn encode(epoch: &Epoch, t: usize) -> Vec<u8> {
@@ -36,7 +18,7 @@ pub fn encode(epoch: &Epoch, t: usize) -> Vec<u8> {
     let order = morton_order(a.positions.frame(t, n));
     let mut head = "ply\nformat binary_little_endian 1.0\n".to_owned();
     head += &format!("element chunk {}\n", n.div_ceil(CHUNK));
-    RANGES.iter().for_each(|name| head += &format!("property float {name}\n"));
+    PLACES.iter().chain(&COLOURS).for_each(|name| head += &format!("property float {name}\n"));
     head += &format!("element vertex {n}\n");
     for name in ["position", "rotation", "scale", "color"] {
         head += &format!("property uint packed_{name}\n");

@@ -17,6 +17,23 @@ use super::{
 };
 
 const CHUNK: usize = 256;
+/// Properties of a chunk, in file order: least and greatest x, y, z of positions, then of log-scales.
+pub(in crate::scene) const PLACES: [&str; 12] = [
+    "min_x",
+    "min_y",
+    "min_z",
+    "max_x",
+    "max_y",
+    "max_z",
+    "min_scale_x",
+    "min_scale_y",
+    "min_scale_z",
+    "max_scale_x",
+    "max_scale_y",
+    "max_scale_z",
+];
+/// Those of colours, which older files do not have.
+pub(in crate::scene) const COLOURS: [&str; 6] = ["min_r", "min_g", "min_b", "max_r", "max_g", "max_b"];
 const FORMAT: Format = Format::CompressedPly;
 
 /// Reads a compressed PLY.
@@ -38,23 +55,8 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Snapshot, ImportError> {
     let packed = vertices
         .columns(["packed_position", "packed_rotation", "packed_scale", "packed_color"])
         .map_err(missing)?;
-    let ranges = chunks
-        .columns([
-            "min_x",
-            "min_y",
-            "min_z",
-            "max_x",
-            "max_y",
-            "max_z",
-            "min_scale_x",
-            "min_scale_y",
-            "min_scale_z",
-            "max_scale_x",
-            "max_scale_y",
-            "max_scale_z",
-        ])
-        .map_err(missing)?;
-    let colours = chunks.columns(["min_r", "min_g", "min_b", "max_r", "max_g", "max_b"]).ok();
+    let ranges = chunks.columns(PLACES).map_err(missing)?;
+    let colours = chunks.columns(COLOURS).ok();
 
     let mut notes: Vec<String> = vertices.short(limits, FORMAT)?.into_iter().collect();
     let needed = vertices.declared.div_ceil(CHUNK as u64);
