@@ -12,6 +12,7 @@ mod checkpoint;
 pub mod dataset;
 pub mod delivery;
 mod density;
+pub mod epochs;
 mod error;
 pub mod evaluation;
 mod finish;

@@ -2,7 +2,7 @@
 
 use render_host::{BackendError, CameraError, SplatsError};
 
-use super::options::OptionsError;
+use super::{evaluation::EvaluationError, options::OptionsError};
 use crate::{encode::EncodeError, scene::SceneError};
 
 /// Training that cannot start or go on.
@@ -44,6 +44,9 @@ pub enum TrainError {
         /// What is wrong.
         source: CameraError,
     },
+    /// A trial that cannot be judged.
+    #[error("trial: {0}")]
+    Trial(#[from] EvaluationError),
     /// A scene that the encoder refuses.
     #[error("encoding for the end of the training: {0}")]
     Encode(EncodeError),

@@ -275,6 +275,10 @@ impl<'a> Trainer<'a> {
             state.pull = Pull::none(state.model.gaussians());
             state.lowest_loss = f64::INFINITY;
         }
+        // While views of other times are new, the loss rises with what they show.
+        if schedule::time_span(&self.options.schedule, progress) < 1.0 {
+            state.lowest_loss = f64::INFINITY;
+        }
         let stages = schedule::node_stages(&self.options);
         while let Some(&(from, count)) = stages.get(state.node_stages)
             && progress >= from

@@ -1,6 +1,6 @@
 //! Views hold what a scene is trained on and judged by: photographs with their cameras and times.
 
-use std::marker::PhantomData;
+use std::{marker::PhantomData, ops::Range};
 
 use codec_core::ShDegree;
 use render_host::{Camera, adjoint::loss::photograph::Photograph};
@@ -98,6 +98,20 @@ impl<Split> Views<Split> {
         let (all, count) = (self.photographs.len(), count.min(self.photographs.len()));
         let photographs = (0..count).map(|k| self.photographs[k * all / count].clone()).collect();
         Self { photographs, split: PhantomData }
+    }
+
+    /// Those of some frames of a clip of `count`, as views of a clip of only these.
+    pub(super) fn part(&self, count: usize, frames: &Range<usize>) -> Self {
+        let frame = |view: &PosedPhotograph| {
+            (f64::from(view.time) * count.saturating_sub(1) as f64).round() as usize
+        };
+        let inside = self.photographs.iter().filter(|view| frames.contains(&frame(view)));
+        let last = frames.len().saturating_sub(1).max(1) as f32;
+        let moved = |view: &PosedPhotograph| PosedPhotograph {
+            time: (frame(view) - frames.start) as f32 / last,
+            ..view.clone()
+        };
+        Self { photographs: inside.map(moved).collect(), split: PhantomData }
     }
 
     /// Number of different times.

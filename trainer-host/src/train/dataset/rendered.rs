@@ -3,6 +3,8 @@
 //! A sequence of splats whose identity is not stored costs an epoch per frame to send. Its own renders,
 //! without noise and from any camera, are photographs that a moving scene can be fitted to.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 use render_host::{
     Camera, RenderError, Renderer, Settings, Splats, adjoint::loss::photograph::Photograph,
@@ -69,6 +71,22 @@ pub fn rendered(scene: &Scene, name: &str, options: &RenderedOptions) -> Result<
         frames: scene.frames(),
         up: scene.up,
     })
+}
+
+/// `frames` of what was rendered of `scene`, as a clip of their own.
+pub fn part(dataset: &Dataset, scene: &Scene, frames: Range<usize>) -> Dataset {
+    let middle = scene.instant(frames.start + frames.len() / 2).unwrap_or_default();
+    let degree = middle.sh_degree;
+    Dataset {
+        name: dataset.name.clone(),
+        train: dataset.train.part(dataset.frames, &frames),
+        validation: dataset.validation.part(dataset.frames, &frames),
+        test: dataset.test.part(dataset.frames, &frames),
+        start: Start::Gaussians(middle, degree),
+        has_alpha: dataset.has_alpha,
+        frames: frames.len(),
+        up: dataset.up,
+    }
 }
 
 /// What every camera sees of every frame.
