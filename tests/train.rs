@@ -142,6 +142,52 @@ fn an_interrupted_training_goes_on_to_the_same_bytes() {
     assert_eq!(fs::read(at.join("parts/scene.dgs")).unwrap(), fs::read(at.join("whole/scene.dgs")).unwrap());
 }
 
+/// One ring becomes three balls: trained as two epochs that is seen better than as one.
+#[cfg(unix)]
+#[test]
+fn a_clip_that_becomes_another_is_trained_in_parts_and_goes_on_from_any() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let births = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_dgs"));
+        let named = SMALL.map(|arg| if arg == "500" { "1500" } else { arg });
+        command.current_dir(at).args(["train", "synth:births:1000:12", "--json"]).args(named).args(args);
+        command
+    };
+    let json = |mut command: Command| -> serde_json::Value {
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        serde_json::from_slice(&output.stdout).unwrap()
+    };
+    let decoded_db = |report: &serde_json::Value| report["figures"][1]["found"]["psnr_db"].as_f64().unwrap();
+    let parts = json(births(&["-o", "parts", "--overwrite"]));
+    let frames = &parts["epochs"]["frames"];
+    assert_eq!(*frames, serde_json::json!([{"start": 0, "end": 6}, {"start": 6, "end": 12}]));
+    assert_eq!(parts["steps"], 200, "steps are shared out");
+    let whole = json(births(&["-o", "whole", "--split", "0"]));
+    assert!(whole["epochs"].is_null());
+    assert!(decoded_db(&parts) > decoded_db(&whole) + 1.0, "{} {}", decoded_db(&parts), decoded_db(&whole));
+    let log = fs::read_to_string(at.join("parts/log.csv")).unwrap();
+    assert!(log.contains("\n100,") && log.contains("\n200,"), "{log}");
+
+    // Left in the first part or the second, it goes on to the same bytes.
+    let mut child = births(&["-o", "left"]).stdout(Stdio::null()).spawn().unwrap();
+    while !at.join("left/epoch-0/checkpoint.dgst").exists() && child.try_wait().unwrap().is_none() {
+        thread::sleep(Duration::from_millis(5));
+    }
+    let _ = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(child.wait().unwrap().success());
+    let again = ["-o", "left", "--resume"];
+    json(births(&again));
+    let stream = |folder: &str| fs::read(at.join(folder).join("scene.dgs")).unwrap();
+    assert_eq!(stream("left"), stream("parts"));
+    let plan = fs::read_to_string(at.join("left/epochs.json")).unwrap();
+    fs::write(at.join("left/epochs.json"), plan.replace("12", "13")).unwrap();
+    let refused = births(&again).output().unwrap();
+    let error = String::from_utf8_lossy(&refused.stderr);
+    assert!(error.contains("epochs.json: of 13 frames; the scene has 12"), "{error}");
+}
+
 #[test]
 fn fine_tuning_for_delivery_fixes_its_rules_before_it_starts() {
     let folder = tempfile::tempdir().unwrap();

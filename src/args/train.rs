@@ -14,8 +14,9 @@ use super::{
 /// `dgs train`.
 ///
 /// Writes into the folder of --out: scene.dgs (the encoded scene), checkpoint.dgst (to resume, and a scene
-/// for `dgs encode` and `dgs render`), log.csv, preview.png and report.html.
-#[derive(Debug, Args)]
+/// for `dgs encode` and `dgs render`), log.csv, preview.png and report.html. A clip in several epochs
+/// (--split) has epochs.json and a folder epoch-N with the checkpoint and log of each.
+#[derive(Clone, Debug, Args)]
 pub struct Train {
     /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), sparse/0 (COLMAP) or train_meta.json
     /// (Panoptic). Or any scene that import reads: its own renders are then the photographs, and a sequence
@@ -114,6 +115,13 @@ pub struct Train {
     /// Side of the renders of a scene, pixels.
     #[arg(long, default_value_t = 400, value_parser = whole::<u32>(16..=16_384, "pixels"))]
     pub side: u32,
+    /// Where the renders of a scene change at once, begin a new epoch, trained by itself, if that gains so
+    /// many dB in a trial at as many Gaussians and steps in all; 0: never. Not tried with --frames.
+    #[arg(
+        long, value_name = "DB", default_value_t = 0.5, value_parser = real(0.0..=100.0, "dB"),
+        allow_negative_numbers = true
+    )]
+    pub split: f64,
     /// How to read a scene; --fps and --seed also apply to the trained one.
     #[command(flatten)]
     pub scene: SceneArgs,

@@ -2,12 +2,14 @@
 
 mod delivery;
 mod encoding;
+mod epochs;
 mod figures;
 mod finishing;
 mod folder;
 mod interruption;
 mod log;
 mod page;
+mod trained;
 mod utility;
 
 use std::{path::Path, time::Instant as Clock};
@@ -27,12 +29,14 @@ use trainer_host::{
 
 use self::{
     encoding::{steps_are_typed, within_loss},
+    epochs::Plan,
     figures::{Figure, decoded, lpips},
     finishing::Finished,
     folder::Folder,
     interruption::Interruption,
     log::{Log, Sample},
     page::{Ended, Page},
+    trained::Trained,
 };
 use crate::{
     args::{
@@ -77,18 +81,51 @@ pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     if let (Some(scene), Some(options)) = (&scene, &delivery) {
         return delivery::run(args, &folder, scene, &dataset, options, &stop, quiet);
     }
-    let (trainer, begun) = begin(args, &folder, &dataset, &backend)?;
-    let mut trainer = trainer.encoded_by(Encoding {
+    let (delivery, network) = (delivery.as_ref(), network.as_ref());
+    let plan = match &scene {
+        Some(scene) => Plan::of(args, &folder, scene, &dataset, quiet)?,
+        None => None,
+    };
+    let parted = plan.as_ref().filter(|plan| plan.is_parted());
+    let mut output = if let (Some(plan), Some(scene)) = (parted, &scene) {
+        let Some((trained, log, ended)) = plan.train(args, scene, &dataset, &stop, quiet)? else {
+            return Ok(left(args, plan));
+        };
+        files::write(&folder.log, log.csv().as_bytes())?;
+        let mut output =
+            finish(args, &folder, &dataset, (&trained, &log, ended), None, network, &stop, quiet)?;
+        output.json["checkpoint"] = json!(plan.checkpoints(args));
+        output
+    } else {
+        let (trainer, begun) = begin(args, &folder, &dataset, &backend)?;
+        let mut trainer = trainer.encoded_by(encoding_of(args, &dataset));
+        let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
+        let ended = fit(args, &folder, &dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
+        let trained = Trained::of(&trainer, &dataset, args)?;
+        finish(args, &folder, &dataset, (&trained, &log, ended), delivery, network, &stop, quiet)?
+    };
+    if let Some(plan) = &plan {
+        output.text += &plan.text();
+    }
+    output.json["epochs"] = json!(plan.map(|plan| plan.parts));
+    output.json["device"] = json!(backend.name());
+    Ok(output)
+}
+
+/// What the verb says where a person left before every epoch was trained.
+fn left(args: &Train, plan: &Plan) -> VerbOutput {
+    let text = format!("{}: interrupted: --resume goes on\n{}", args.input, plan.text());
+    let json = json!({ "input": args.input, "interrupted": true, "epochs": plan.parts });
+    VerbOutput { text, json, ..VerbOutput::default() }
+}
+
+/// How the end of a training on `dataset` encodes.
+fn encoding_of(args: &Train, dataset: &Dataset) -> Encoding {
+    Encoding {
         options: pipeline::encode_options(&args.codec, Protection::NONE),
         frames: args.frames.unwrap_or(dataset.frames),
         frames_per_second: args.scene.fps,
-    });
-    let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
-    let ended = fit(args, &folder, &dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
-    let (delivery, network) = (delivery.as_ref(), network.as_ref());
-    let mut output = finish(args, &folder, &dataset, &trainer, &log, ended, delivery, network, &stop, quiet)?;
-    output.json["device"] = json!(backend.name());
-    Ok(output)
+    }
 }
 
 /// The dataset that was named; if it was a scene, with the scene.
@@ -245,30 +282,25 @@ fn finish(
     args: &Train,
     folder: &Folder,
     dataset: &Dataset,
-    trainer: &Trainer,
-    log: &Log,
-    ended: Ended,
+    (trained, log, ended): (&Trained, &Log, Ended),
     delivery: Option<&DeliveryOptions>,
     network: Option<&Lpips>,
     stop: &Interruption,
     quiet: Quiet,
 ) -> Result<VerbOutput> {
-    let frames = args.frames.unwrap_or(dataset.frames);
-    let mut scene = trainer.model().scene(frames, args.scene.fps)?;
-    scene.up = dataset.up;
     let written = match delivery.filter(|_| !ended.interrupted) {
         Some(options) => {
-            let references = (dataset, trainer.options().background);
-            delivery::fine_tuned(args, folder, &scene, references, options, stop, quiet)?.0
+            let references = (dataset, trained.options.background);
+            delivery::fine_tuned(args, folder, &trained.scene, references, options, stop, quiet)?.0
         }
-        None => within_loss(args, &scene, dataset, trainer, stop, TRAINED, quiet)?,
+        None => within_loss(args, dataset, trained, stop, TRAINED, quiet)?,
     };
     let bytes = written.stream.to_bytes()?;
     files::write(&folder.stream, &bytes)?;
 
     let decoded = decoded(&written, dataset)?;
-    let reduced = trainer.reduced();
-    let plain = trainer.options().background;
+    let reduced = trained.reduced;
+    let plain = trained.options.background;
     let other = plain.map(|v| 1.0 - v);
     let mut figures: Vec<Figure> = Vec::new();
     let mut measure = |what: &str, scene: &dyn Posable, background: [f32; 3]| -> Result<()> {
@@ -280,7 +312,7 @@ fn finish(
         }
         Ok(())
     };
-    let shown = trainer.shown();
+    let shown = trained.shown();
     measure("test views, as trained", &shown, plain)?;
     measure("test views, as decoded from scene.dgs", &decoded, plain)?;
     if dataset.has_alpha {
@@ -294,18 +326,17 @@ fn finish(
     });
 
     let audits = if args.utility {
-        let background = trainer.options().background;
-        utility::audits(&written.stream, dataset, background, &folder.utility, quiet)?
+        utility::audits(&written.stream, dataset, plain, &folder.utility, quiet)?
     } else {
         Vec::new()
     };
 
-    let page = Page { dataset, trainer, log, figures: &figures, bytes: bytes.len(), ended: &ended };
+    let page = Page { dataset, trained, log, figures: &figures, bytes: bytes.len(), ended: &ended };
     let preview = page.preview()?;
     files::write(&folder.preview, &preview.to_png()?)?;
     files::write(&folder.report, page.html()?.as_bytes())?;
-    let mut output = said(args, folder, trainer, log, &figures, bytes.len(), frames, &ended);
-    let finished = Finished::of(trainer, &written);
+    let mut output = said(args, folder, trained, log, &figures, bytes.len(), &ended);
+    let finished = Finished::of(trained, &written);
     output.text += &finished.text();
     output.json["finishing"] = json!(finished);
     for audit in &audits {
@@ -320,20 +351,20 @@ fn finish(
 fn said(
     args: &Train,
     folder: &Folder,
-    trainer: &Trainer,
+    trained: &Trained,
     log: &Log,
     figures: &[Figure],
     bytes: usize,
-    frames: usize,
     ended: &Ended,
 ) -> VerbOutput {
+    let frames = trained.scene.frames();
     let mut text = format!(
         "{}: {} steps, {:.1} min, {} Gaussians, {} nodes{}\n",
         args.input,
-        trainer.steps(),
+        trained.steps,
         ended.seconds / 60.0,
-        trainer.model().gaussians(),
-        trainer.model().nodes(),
+        trained.gaussians,
+        trained.nodes,
         if ended.interrupted { ", interrupted: --resume goes on" } else { "" },
     );
     for figure in figures {
@@ -349,12 +380,12 @@ fn said(
     );
     let json = json!({
         "input": args.input,
-        "steps": trainer.steps(),
+        "steps": trained.steps,
         "seconds": ended.seconds,
         "interrupted": ended.interrupted,
-        "gaussians": trainer.model().gaussians(),
-        "nodes": trainer.model().nodes(),
-        "options": trainer.options(),
+        "gaussians": trained.gaussians,
+        "nodes": trained.nodes,
+        "options": trained.options,
         "figures": figures,
         "stream": folder.stream,
         "bytes": bytes,

@@ -4,10 +4,10 @@ use anyhow::{Context, Result};
 use trainer_host::{
     Scene,
     encode::{self, EncodeOptions, Encoded, Protection, Quality, Target},
-    train::{self, Dataset, Posable, Trainer},
+    train::{self, Dataset, Posable},
 };
 
-use super::{figures::decoded, interruption::Interruption};
+use super::{figures::decoded, interruption::Interruption, trained::Trained};
 use crate::{
     args::{ProfileName, train::Train},
     pipeline::{self, Quiet},
@@ -77,27 +77,27 @@ pub(super) fn steps_are_typed(args: &Train) -> bool {
     by_goal || codec.coarseness != 1.0 || codec.profile != ProfileName::Dgs1
 }
 
-/// The stream of `scene`. Unless its size or steps were typed, steps are the coarsest of a few that take at
+/// The stream of what was trained. Unless its size or steps were typed, steps are the coarsest of a few that take at
 /// most `--encoding-loss` from the PSNR of validation views (of training views where there are none), or else
 /// the finest of them. Where the training has made the encoder's choices its own, steps of motion are.
 pub(super) fn within_loss(
     args: &Train,
-    scene: &Scene,
     dataset: &Dataset,
-    trainer: &Trainer,
+    trained: &Trained,
     stop: &Interruption,
     what_is_left: &str,
     quiet: Quiet,
 ) -> Result<Encoded> {
     let mut options = pipeline::encode_options(&args.codec, Protection::NONE);
-    let decisions = trainer.decisions()?.filter(|_| !steps_are_typed(args));
+    let decisions = trained.decisions.as_ref().filter(|_| !steps_are_typed(args));
     let bar = Progress::new("encode", quiet.0);
     let progress = |stage: &'static str, share: f64| {
         stop.leave(what_is_left);
         bar.stage(stage, share);
     };
-    if let Some(decisions) = &decisions {
-        let bytes = trainer.options().finish.target_bytes;
+    let scene = &trained.scene;
+    if let Some(decisions) = decisions {
+        let bytes = trained.options.finish.target_bytes;
         options.target = options.target.or((bytes > 0).then_some(Target::Bytes(bytes)));
         if options.target.is_some() {
             let encoded = encode::again_to_size(scene, decisions, &options, &progress);
@@ -107,7 +107,7 @@ pub(super) fn within_loss(
     if options.target.is_some() || steps_are_typed(args) {
         return encode::encode(scene, &options, &progress).context("cannot encode");
     }
-    let (reduced, background) = (trainer.reduced(), trainer.options().background);
+    let (reduced, background) = (trained.reduced, trained.options.background);
     let psnr_db = |shown: &dyn Posable| -> Result<f64> {
         let found = if dataset.validation.is_empty() {
             train::evaluate(shown, &dataset.train.sample(VIEWS), reduced, background)
@@ -116,9 +116,9 @@ pub(super) fn within_loss(
         };
         Ok(found?.psnr_db)
     };
-    let trained_db = psnr_db(&trainer.shown())?;
+    let trained_db = psnr_db(&trained.shown())?;
     let attempt = |coarseness: f64| -> Result<Attempt> {
-        let encoded = match &decisions {
+        let encoded = match decisions {
             Some(decisions) => encode::again(scene, decisions, coarseness as f32, &options, &progress),
             None => {
                 let quality = Quality::default().scaled(coarseness as f32);

@@ -3,8 +3,10 @@
 use serde::Serialize;
 use trainer_host::{
     encode::{Decisions, Encoded},
-    train::{Pruning, Trainer},
+    train::Pruning,
 };
+
+use super::trained::Trained;
 
 /// Attributes of the canonical values.
 const CANONICAL: [&str; 8] = ["position", "scale", "rotation", "opacity", "sh0", "sh1", "sh2", "sh3"];
@@ -30,8 +32,8 @@ pub(super) struct Finished {
 }
 
 impl Finished {
-    /// Of the stream that `trainer` led to.
-    pub(super) fn of(trainer: &Trainer, encoded: &Encoded) -> Self {
+    /// Of the stream that `trained` led to.
+    pub(super) fn of(trained: &Trained, encoded: &Encoded) -> Self {
         let ledger = &encoded.report.ledger;
         let bytes = |counts: &dyn Fn(&str) -> bool| -> f64 {
             ledger.shares.iter().filter(|share| counts(share.attribute)).map(|share| share.bits / 8.0).sum()
@@ -51,8 +53,8 @@ impl Finished {
             }
         }
         Self {
-            prunings: trainer.prunings().to_vec(),
-            estimated_bytes: trainer.estimated_bytes(),
+            prunings: trained.prunings.clone(),
+            estimated_bytes: trained.estimated_bytes,
             coded_bytes: canonical * (1.0 + ledger.table_indices / all),
             clusters_of_degree,
             harmonics_bytes: bytes(&|name| ["sh1", "sh2", "sh3"].contains(&name)),

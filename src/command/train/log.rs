@@ -88,6 +88,19 @@ impl Log {
         out
     }
 
+    /// The same, with `next` after it.
+    pub(super) fn followed_by(mut self, next: Self) -> Self {
+        let (steps, seconds) = self.samples.last().map_or((0, 0.0), |last| (last.step, last.seconds));
+        let later = |sample: Sample| Sample {
+            step: sample.step + steps,
+            seconds: sample.seconds + seconds,
+            ..sample
+        };
+        self.samples.extend(next.samples.into_iter().map(later));
+        self.notes.extend(next.notes);
+        self
+    }
+
     /// Seconds of training so far.
     pub(super) fn seconds(&self) -> f64 {
         self.samples.last().map_or(0.0, |sample| sample.seconds)

@@ -4,9 +4,9 @@ use std::fmt::Write as _;
 
 use anyhow::Result;
 use render_host::Image;
-use trainer_host::train::{self, Dataset, Trainer};
+use trainer_host::train::{self, Dataset};
 
-use super::{figures::Figure, log::Log};
+use super::{figures::Figure, log::Log, trained::Trained};
 use crate::report::{
     html::{STYLE, data_of_png},
     plot::{Hue, Panel, Plot, Series, Shape, escape},
@@ -28,7 +28,7 @@ pub(super) struct Ended {
 /// What the page shows.
 pub(super) struct Page<'a> {
     pub(super) dataset: &'a Dataset,
-    pub(super) trainer: &'a Trainer<'a>,
+    pub(super) trained: &'a Trained,
     pub(super) log: &'a Log,
     pub(super) figures: &'a [Figure],
     pub(super) bytes: usize,
@@ -39,18 +39,18 @@ impl Page<'_> {
     /// Photographs, pictures and errors of some views, row by row: of the test split, or of the training
     /// split where there is none.
     pub(super) fn preview(&self) -> Result<Image> {
-        let (trainer, dataset) = (self.trainer, self.dataset);
-        let reduced = trainer.reduced();
-        let background = trainer.options().background;
+        let (trained, dataset) = (self.trained, self.dataset);
+        let (reduced, background) = (trained.reduced, trained.options.background);
+        let exact = trained.exact();
         let count = |views: usize| (0..COLUMNS.min(views)).map(move |k| k * views / COLUMNS.min(views));
         let mut compared = Vec::new();
         if dataset.test.is_empty() {
             for index in count(dataset.train.photographs().len()) {
-                compared.push(train::compare(trainer.model(), &dataset.train, index, reduced, background)?);
+                compared.push(train::compare(&exact, &dataset.train, index, reduced, background)?);
             }
         } else {
             for index in count(dataset.test.photographs().len()) {
-                compared.push(train::compare(trainer.model(), &dataset.test, index, reduced, background)?);
+                compared.push(train::compare(&exact, &dataset.test, index, reduced, background)?);
             }
         }
         let mut rows: [Vec<Image>; 3] = Default::default();
@@ -78,10 +78,10 @@ impl Page<'_> {
              <p class=\"lead\">{} steps \
              in {:.1} minutes gave {} Gaussians moved by {} control nodes, {} bytes as scene.dgs.</p>\n\
              </header>\n",
-            self.trainer.steps(),
+            self.trained.steps,
             self.ended.seconds / 60.0,
-            self.trainer.model().gaussians(),
-            self.trainer.model().nodes(),
+            self.trained.gaussians,
+            self.trained.nodes,
             self.bytes
         );
         out += &self.curves();
@@ -115,7 +115,7 @@ impl Page<'_> {
         for note in &self.log.notes {
             let _ = writeln!(out, "<p class=\"note\">{}</p>", escape(note));
         }
-        let options = serde_json::to_string_pretty(self.trainer.options())?;
+        let options = serde_json::to_string_pretty(&self.trained.options)?;
         let _ = writeln!(out, "<h2>Options</h2>\n<pre>{}</pre>\n</main></body></html>", escape(&options));
         Ok(out)
     }

@@ -36,6 +36,16 @@ impl Decisions {
         }
     }
 
+    /// These epochs and then those of `next`, for [`again`](super::again) on a scene of both: it decides
+    /// tables anew, and what both share is as here. Nothing for profile `paper` or for two profiles.
+    #[must_use]
+    pub fn followed_by(self, next: Self) -> Option<Self> {
+        let (Self::Dgs1(mut decisions), Self::Dgs1(next)) = (self, next) else { return None };
+        decisions.made_from.quantiser_classes.extend(next.made_from.quantiser_classes);
+        decisions.epochs.extend(next.epochs);
+        Some(Self::Dgs1(decisions))
+    }
+
     /// Gaussians of each cluster, epoch after epoch.
     pub fn cluster_sizes(&self) -> Vec<usize> {
         match self {

@@ -82,7 +82,7 @@ pub fn part(
     };
     let changes = changes(dataset);
     let mut parts = Parts { frames: Vec::new(), trials: Vec::new() };
-    let mut open = vec![0..dataset.frames];
+    let mut open = Vec::from([Range { start: 0, end: dataset.frames }]);
     while let Some(frames) = open.pop() {
         let Some(at) = sudden(&changes, &frames) else {
             parts.frames.push(frames);

@@ -102,9 +102,8 @@ impl<Split> Views<Split> {
 
     /// Those of some frames of a clip of `count`, as views of a clip of only these.
     pub(super) fn part(&self, count: usize, frames: &Range<usize>) -> Self {
-        let frame = |view: &PosedPhotograph| {
-            (f64::from(view.time) * count.saturating_sub(1) as f64).round() as usize
-        };
+        let frame =
+            |view: &PosedPhotograph| (f64::from(view.time) * count.saturating_sub(1) as f64).round() as usize;
         let inside = self.photographs.iter().filter(|view| frames.contains(&frame(view)));
         let last = frames.len().saturating_sub(1).max(1) as f32;
         let moved = |view: &PosedPhotograph| PosedPhotograph {

@@ -1,0 +1,119 @@
+//! What a training led to: one model, or several that follow one another.
+
+use std::ops::Range;
+
+use anyhow::{Context, Result};
+use trainer_host::{
+    Instant, Scene,
+    encode::Decisions,
+    train::{Dataset, Model, Posable, Pruning, TrainOptions, Trainer},
+};
+
+use crate::args::train::Train;
+
+/// What a training led to.
+pub(super) struct Trained {
+    /// What is encoded.
+    pub(super) scene: Scene,
+    pub(super) steps: u32,
+    /// Gaussians and nodes of all epochs.
+    pub(super) gaussians: usize,
+    pub(super) nodes: usize,
+    pub(super) options: TrainOptions,
+    /// As [`Trainer::reduced`].
+    pub(super) reduced: u32,
+    /// Choices of the encoder that the training has made its own.
+    pub(super) decisions: Option<Decisions>,
+    pub(super) prunings: Vec<Pruning>,
+    pub(super) estimated_bytes: Option<f64>,
+    /// Per epoch, what the training went on with, and that as a receiver has it.
+    models: Vec<[Model; 2]>,
+}
+
+impl Trained {
+    /// What `trainer` led to on `dataset`, in as many frames as `args` say.
+    ///
+    /// # Errors
+    /// A Gaussian that is not finite.
+    pub(super) fn of(trainer: &Trainer, dataset: &Dataset, args: &Train) -> Result<Self> {
+        let frames = args.frames.unwrap_or(dataset.frames);
+        let mut scene = trainer.model().scene(frames, args.scene.fps)?;
+        scene.up = dataset.up;
+        Ok(Self {
+            scene,
+            steps: trainer.steps(),
+            gaussians: trainer.model().gaussians(),
+            nodes: trainer.model().nodes(),
+            options: trainer.options().clone(),
+            reduced: trainer.reduced(),
+            decisions: trainer.decisions()?,
+            prunings: trainer.prunings().to_vec(),
+            estimated_bytes: trainer.estimated_bytes(),
+            models: vec![[trainer.model().clone(), trainer.shown()]],
+        })
+    }
+
+    /// The same, with `next` after it.
+    ///
+    /// # Errors
+    /// A scene of another frame rate.
+    pub(super) fn followed_by(self, next: Self) -> Result<Self> {
+        let epochs = [self.scene.epochs(), next.scene.epochs()].concat();
+        let mut scene = Scene::new(epochs, self.scene.frames_per_second()).context("epochs")?;
+        scene.up = self.scene.up;
+        let decisions = match (self.decisions, next.decisions) {
+            (Some(before), Some(after)) => before.followed_by(after),
+            _ => None,
+        };
+        Ok(Self {
+            scene,
+            steps: self.steps + next.steps,
+            gaussians: self.gaussians + next.gaussians,
+            nodes: self.nodes + next.nodes,
+            options: self.options,
+            reduced: self.reduced,
+            decisions,
+            prunings: [self.prunings, next.prunings].concat(),
+            estimated_bytes: self.estimated_bytes.zip(next.estimated_bytes).map(|(a, b)| a + b),
+            models: [self.models, next.models].concat(),
+        })
+    }
+
+    /// The scene as the training went on with it.
+    pub(super) fn exact(&self) -> impl Posable {
+        self.one_after_another(0)
+    }
+
+    /// The scene as a receiver has it, but for what is lost of its motion.
+    pub(super) fn shown(&self) -> impl Posable {
+        self.one_after_another(1)
+    }
+
+    fn one_after_another(&self, form: usize) -> OneAfterAnother<'_> {
+        let mut start = 0;
+        let parts = self.scene.epochs().iter().zip(&self.models).map(|(epoch, models)| {
+            start += epoch.frames();
+            (start - epoch.frames()..start, &models[form])
+        });
+        OneAfterAnother(parts.collect())
+    }
+}
+
+/// Models and the frames that each is shown in.
+struct OneAfterAnother<'a>(Vec<(Range<usize>, &'a Model)>);
+
+impl Posable for OneAfterAnother<'_> {
+    fn pose(&self, time: f32, out: &mut Instant) {
+        if let [(_, model)] = self.0[..] {
+            return model.pose(time, out);
+        }
+        let frames = self.0.last().map_or(0, |(frames, _)| frames.end);
+        let at = f64::from(time) * frames.saturating_sub(1) as f64;
+        // Between the last frame of one and the first of the next the nearer of both is shown.
+        let Some((frames, model)) = self.0.iter().find(|(frames, _)| at < frames.end as f64 - 0.5) else {
+            return;
+        };
+        let last = frames.len().saturating_sub(1).max(1) as f64;
+        model.pose(((at - frames.start as f64) / last).clamp(0.0, 1.0) as f32, out);
+    }
+}
