@@ -24,31 +24,19 @@ use trainer_host::{
 
 /// A stream's packets and groups as the emulator sees them.
 ///
-/// Group `i` of the graph is group `i` of [`PacketMap::groups`]; packet `i` is packet `i` of the
-/// stream. Without `utilities` all groups are worth the same.
+/// It has the packets that are there, and the groups that mean something with them; of a stream that lacks
+/// nothing, packet `i` of the graph is packet `i` of the stream. Without `utilities` all groups are worth the
+/// same.
 ///
 /// # Errors
-/// A stream that lacks packets (a damaged file) cannot be sent.
+/// None in practice.
 pub fn graph(
     stream: &Stream,
     manifest: &Manifest<'_>,
     map: &PacketMap,
     utilities: Option<&Table>,
 ) -> Result<PacketGraph, GraphError> {
-    PacketGraph::new(graph_parts(stream, manifest, map, utilities))
-}
-
-/// The same of a stream that lacks packets: those that are there, and the groups that mean something with
-/// them. Indices are the graph's own.
-///
-/// # Errors
-/// None in practice.
-pub fn graph_of_present(
-    stream: &Stream,
-    manifest: &Manifest<'_>,
-    map: &PacketMap,
-) -> Result<PacketGraph, GraphError> {
-    let parts = graph_parts(stream, manifest, map, None);
+    let parts = graph_parts(stream, manifest, map, utilities);
     let has = |packet: PacketIndex| !stream.packets()[packet.at()].is_empty();
     PacketGraph::new(Selection::with_packets(&parts, has).of(&parts))
 }
@@ -225,12 +213,19 @@ impl<'e> WireEndpoint<'e> {
 
     /// Whether each packet of the stream has arrived or was recovered.
     pub fn arrived(&self) -> Vec<bool> {
-        (0..self.stream.packets().len() as u32).map(|id| self.has(PacketIndex(id))).collect()
+        (0..self.stream.packets().len() as u32)
+            .map(|id| PacketId::new(id).is_some_and(|id| self.has(id)))
+            .collect()
     }
 
-    fn has(&self, packet: PacketIndex) -> bool {
-        let player = self.player.as_ref();
-        PacketId::new(packet.0).zip(player).is_some_and(|(id, player)| player.has(id))
+    fn has(&self, id: PacketId) -> bool {
+        self.player.as_ref().is_some_and(|player| player.has(id))
+    }
+
+    /// The packets of the graph, and how the wire names them.
+    fn packets(&self) -> impl Iterator<Item = (PacketIndex, PacketId)> + use<'e> {
+        let graph = self.graph;
+        (0..graph.packets().len() as u32).map(PacketIndex).map(move |packet| (packet, graph.wire_id(packet)))
     }
 
     /// Whether all blocks of `placement` are usable up to its level, and for motion coefficients the
@@ -270,22 +265,20 @@ impl Endpoint for WireEndpoint<'_> {
                 self.player = Some(player);
                 let early = std::mem::take(&mut self.buffered);
                 // Everything known now that had not arrived by itself was recovered from parity.
-                for id in 0..self.stream.packets().len() as u32 {
-                    let packet = PacketIndex(id);
-                    if self.has(packet) && !early.contains(&packet) {
-                        recovered.push(packet);
-                    }
-                }
+                let came = self.packets().filter(|(packet, id)| self.has(*id) && !early.contains(packet));
+                recovered.extend(came.map(|(packet, _)| packet));
             }
         }
     }
 
     fn media(&mut self, packet: PacketIndex, _now: Nanos, recovered: &mut Vec<PacketIndex>) -> Arrival {
-        let bytes = &self.stream.packets()[packet.at()];
+        let bytes = &self.stream.packets()[self.graph.wire_id(packet).index()];
         if let Some(player) = &mut self.player {
             return match player.push(bytes) {
                 Ok(accepted) => {
-                    recovered.extend(accepted.recovered.iter().map(|id| PacketIndex(id.get())));
+                    let graph = self.graph;
+                    let here = |id: PacketId| graph.packets_in(id, id);
+                    recovered.extend(accepted.recovered.iter().flat_map(here));
                     Arrival::Fresh
                 }
                 Err(error) if error.kind == ErrorKind::Duplicate => Arrival::Duplicate,
@@ -305,25 +298,25 @@ impl Endpoint for WireEndpoint<'_> {
     fn snapshot(&mut self, frame: u32) -> &Snapshot {
         let mut snapshot = Snapshot::empty(self.graph);
         if let Some(content) = self.player.as_ref().map(Player::content) {
-            for (i, (group, symbols)) in self.map.groups().iter().enumerate() {
+            for (group, symbols) in self.map.groups() {
+                let Some(index) = self.graph.group_of(*group) else { continue };
                 let placement =
                     SlicePlacement { group: *group, first_block: 0, blocks: 0, symbols: *symbols };
-                let needs = &self.graph.groups()[i].needs;
+                let needs = &self.graph.groups()[index.at()].needs;
                 if needs.iter().all(|&n| snapshot.has_group(n)) && self.is_usable(&content, &placement, true)
                 {
-                    snapshot.insert_group(GroupIndex(i as u32));
+                    snapshot.insert_group(index);
                 }
             }
-            for id in 0..self.stream.packets().len() {
-                let packet = PacketIndex(id as u32);
-                let placements = self.map.placements(id);
-                if !placements.is_empty() && self.has(packet) {
+            for (packet, id) in self.packets() {
+                let placements = self.map.placements(id.index());
+                if !placements.is_empty() && self.has(id) {
                     let usable = match self.graph.profile() {
                         graph::Profile::Sliced => {
                             placements.iter().all(|m| self.is_usable(&content, m, false))
                         }
                         graph::Profile::AllOrNothing => {
-                            self.graph.packets()[id].groups.iter().any(|&g| snapshot.has_group(g))
+                            self.graph.packets()[packet.at()].groups.iter().any(|&g| snapshot.has_group(g))
                         }
                     };
                     if usable {

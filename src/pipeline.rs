@@ -222,8 +222,9 @@ pub fn truncate(
 /// If the file or its manifest cannot be read.
 pub fn read_stream(path: &Path, warn: &mut dyn FnMut(String)) -> Result<Stream> {
     let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
-    let (stream, damage) =
-        Stream::from_bytes(&bytes).with_context(|| format!("{}: not a usable .dgs file", path.display()))?;
+    let (stream, damage) = Stream::from_bytes(&bytes).with_context(|| {
+        format!("{}: no usable .dgs file (dgs encode makes one of a scene)", path.display())
+    })?;
     if !damage.is_none() {
         warn(format!("{}: {damage}; what is readable is kept", path.display()));
     }
@@ -325,7 +326,7 @@ pub fn delivered(
 /// The stream as a graph, with the utilities if there are any.
 ///
 /// # Errors
-/// A stream that lacks packets.
+/// A stream of which nothing is there that shows.
 pub fn graph(stream: &Stream, map: &PacketMap, table: Option<&utility::Table>) -> Result<PacketGraph> {
     let manifest = stream.manifest()?;
     delivery::graph(stream, &manifest, map, table).context("this stream cannot be sent")

@@ -99,6 +99,8 @@ fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<(Vec<Pic
     } else if is_list {
         let each = (0..views.len()).map(|i| picture(args, &found, i, count));
         each.collect::<Result<_>>()?
+    } else if let Some(frame) = args.frame {
+        bail!("--frame is {frame}; every frame is shown there: a single image (.png) shows one");
     } else {
         let camera = &views[0].camera;
         let all =

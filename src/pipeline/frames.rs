@@ -38,11 +38,14 @@ impl Frames {
             return Ok(Frames::Scene(Box::new(import(input, args)?.scene)));
         }
         let stream = read_stream(input.as_ref(), warn)?;
+        let absent = stream.packets().iter().filter(|packet| packet.is_empty()).count();
         let mut frames =
             Self::of_stream(stream.receive()?, level, args.up.map(Into::into).unwrap_or_default());
-        if let Frames::Stream { notes, .. } = &mut frames
-            && args.up.is_none()
-        {
+        let Frames::Stream { notes, .. } = &mut frames else { return Ok(frames) };
+        if absent > 0 {
+            notes.push(format!("{absent} of {} packets are not in {input}", stream.packets().len()));
+        }
+        if args.up.is_none() {
             notes.push("a stream does not say which way is up: y is taken; --up says otherwise".to_owned());
         }
         Ok(frames)

@@ -16,7 +16,7 @@ use codec_simd::crc32;
 use emulator_host::PacketGraph;
 use trainer_host::{Stream, stream::PacketMap};
 
-use crate::delivery::{coverage, graph_of_present};
+use crate::delivery::{coverage, graph};
 
 /// Magic and length before the manifest message.
 const HEAD_BYTES: usize = 8;
@@ -96,7 +96,7 @@ impl<R: Read> LiveReader<R> {
     /// None in practice.
     pub fn graph(&self) -> Result<PacketGraph> {
         let map = PacketMap::of(&self.stream)?;
-        Ok(graph_of_present(&self.stream, &self.stream.manifest()?, &map)?)
+        Ok(graph(&self.stream, &self.stream.manifest()?, &map, None)?)
     }
 
     /// Reads until another window is whole, or to the end; false if there was nothing more.

@@ -31,7 +31,7 @@ pub struct Stream {
     packets: Vec<Vec<u8>>,
 }
 
-/// What a damaged `.dgs` file had that could not be used.
+/// What a `.dgs` file had that could not be used, and what it lacks.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Damage {
     /// Byte ranges that are no packet: offset, length.
@@ -47,9 +47,10 @@ pub struct Damage {
 }
 
 impl Damage {
-    /// True when the file was whole.
+    /// Whether all bytes of the file could be used. Packets that it does not hold are no damage (SPEC.md,
+    /// section 12): somebody may have left them out; [`Damage::missing_packets`] counts them.
     pub fn is_none(&self) -> bool {
-        *self == Self::default()
+        *self == Self { missing_packets: self.missing_packets, ..Self::default() }
     }
 }
 

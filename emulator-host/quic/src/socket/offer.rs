@@ -157,21 +157,29 @@ pub enum OfferError {
 }
 
 impl Offer {
-    /// Offers `stream` as `name`; `graph` is its graph, packet by packet.
+    /// Offers `stream` as `name`; `graph` is of the packets that are there.
     ///
     /// # Errors
-    /// [`OfferError`]; a stream that lacks packets cannot be offered.
+    /// [`OfferError`]; a graph with packets that the stream lacks.
     pub fn new(name: &str, stream: &Stream, graph: PacketGraph) -> Result<Self, OfferError> {
         let named = || name.to_owned();
-        for (id, packet) in stream.packets().iter().enumerate() {
-            if !(1..=MAX_MEDIA_BYTES).contains(&packet.len()) {
-                return Err(OfferError::Packet { name: named(), id, found: packet.len() });
+        for (at, _) in graph.packets().iter().enumerate() {
+            let id = graph.wire_id(PacketIndex(at as u32)).index();
+            let found = stream.packets().get(id).map_or(0, Vec::len);
+            if !(1..=MAX_MEDIA_BYTES).contains(&found) {
+                return Err(OfferError::Packet { name: named(), id, found });
             }
         }
         let format = |error| OfferError::Format { name: named(), error };
         let file = Bytes::from(stream.to_bytes().map_err(format)?);
-        let (_, packets) = file::parts(&file).map_err(format)?;
-        let packets: Vec<Bytes> = packets.map(|packet| file.slice_ref(packet)).collect();
+        let (_, mut found) = file::parts(&file).map_err(format)?;
+        // The file has those that are there, in the order of their ids.
+        let mut next = || found.next().map(|packet| file.slice_ref(packet)).unwrap_or_default();
+        let packets: Vec<Bytes> = stream
+            .packets()
+            .iter()
+            .map(|packet| if packet.is_empty() { Bytes::new() } else { next() })
+            .collect();
         // What is no packet is not found in the file.
         let differs = |id: &usize| packets.get(*id).is_none_or(|found| found != &stream.packets()[*id]);
         if let Some(id) = (0..stream.packets().len()).find(differs) {
