@@ -77,9 +77,10 @@ pub(super) fn steps_are_typed(args: &Train) -> bool {
     by_goal || codec.coarseness != 1.0 || codec.profile != ProfileName::Dgs1
 }
 
-/// The stream of what was trained. Unless its size or steps were typed, steps are the coarsest of a few that take at
-/// most `--encoding-loss` from the PSNR of validation views (of training views where there are none), or else
-/// the finest of them. Where the training has made the encoder's choices its own, steps of motion are.
+/// The stream of what was trained. Unless its size or steps were typed, steps are the coarsest of a few that
+/// take at most `--encoding-loss` from the PSNR of validation views (of training views where there are none),
+/// or else the finest of them. Where the training has made the encoder's choices its own, steps of motion
+/// are.
 pub(super) fn within_loss(
     args: &Train,
     dataset: &Dataset,

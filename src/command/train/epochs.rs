@@ -17,8 +17,12 @@ use trainer_host::{
 };
 
 use super::{
-    DEFAULT_STEPS, begin, encoding_of, fit, folder::Folder, interruption::Interruption, log::Log, options,
-    page::Ended, trained::Trained,
+    folder::Folder,
+    interruption::Interruption,
+    log::Log,
+    page::Ended,
+    trained::Trained,
+    training::{DEFAULT_STEPS, begin, encoding_of, fit, options},
 };
 use crate::{args::train::Train, files, pipeline::Quiet, progress::Progress};
 
@@ -102,8 +106,8 @@ impl Plan {
         text
     }
 
-    /// Trains every part; of the whole, what it led to, its log and how it ended. Nothing where a person asked
-    /// to stop: `--resume` goes on.
+    /// Trains every part; of the whole, what it led to, its log and how it ended. Nothing where a person
+    /// asked to stop: `--resume` goes on.
     ///
     /// # Errors
     /// As those of each training.

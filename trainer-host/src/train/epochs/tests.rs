@@ -38,11 +38,11 @@ fn a_clip_is_parted_where_it_becomes_another() {
 #[test]
 fn what_does_not_change_at_once_is_not_tried_and_what_does_not_gain_is_not_parted() {
     let (parts, trials) = parted(epochs(SynthKind::Figure, 8, 1), PartOptions::default());
-    assert_eq!((parts.frames, trials), (vec![0..8], 0));
+    assert_eq!((parts.frames, trials), (Vec::from([Range { start: 0, end: 8 }]), 0));
     let options = PartOptions { steps: 60, gain_db: 1e3 };
     let figure = epochs(SynthKind::Figure, 5, 1);
     let (parts, trials) = parted([figure, epochs(SynthKind::Cloth, 6, 2)].concat(), options);
-    assert_eq!((parts.frames, trials), (vec![0..11], 1));
+    assert_eq!((parts.frames, trials), (Vec::from([Range { start: 0, end: 11 }]), 1));
 }
 
 #[test]

@@ -1,0 +1,170 @@
+//! Takes the steps of a training: from its start or its checkpoint until the budget is spent or a person asks
+//! to stop.
+
+use std::time::Instant as Clock;
+
+use anyhow::{Context, Result};
+use render_host::Backend;
+use trainer_host::{
+    encode::Protection,
+    train::{self, Checkpoint, Dataset, DensityControl, Encoding, Trainer},
+};
+
+use super::{
+    encoding::steps_are_typed,
+    folder::Folder,
+    interruption::Interruption,
+    log::{Log, Sample},
+    page::Ended,
+};
+use crate::{
+    args::train::{DensityName, Train},
+    files,
+    pipeline::{self, Quiet},
+    progress::Progress,
+};
+
+/// Steps between two lines of the log.
+const LOG_EVERY: u32 = 100;
+/// Steps of a training where nothing is said.
+pub(super) const DEFAULT_STEPS: u32 = 15_000;
+/// Views that quality during training is measured on, at most.
+pub(super) const GLANCE_VIEWS: usize = 8;
+
+/// A trainer on `backend`, at its start or at its checkpoint, and how far it had come.
+pub(super) fn begin<'d>(
+    args: &Train,
+    folder: &Folder,
+    dataset: &'d Dataset,
+    backend: &Backend,
+) -> Result<(Trainer<'d>, f64)> {
+    if args.resume {
+        let path = &folder.checkpoint;
+        let failed = || path.display().to_string();
+        let bytes = std::fs::read(path).with_context(failed)?;
+        let checkpoint = Checkpoint::from_bytes(&bytes).with_context(failed)?;
+        let progress = checkpoint.progress;
+        return Ok((checkpoint.resume(dataset).with_context(failed)?.on(backend)?, progress));
+    }
+    Ok((Trainer::new(dataset, &options(args)?)?.on(backend)?, 0.0))
+}
+
+/// The options of the file, if there is one, and what was typed besides.
+pub(super) fn options(args: &Train) -> Result<train::TrainOptions> {
+    let mut options = match &args.options {
+        None => train::TrainOptions::default(),
+        Some(path) => {
+            let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            serde_json::from_str(&text).with_context(|| path.display().to_string())?
+        }
+    };
+    options.seed = args.scene.seed;
+    let set = |to: &mut f32, typed: Option<f64>| *to = typed.map_or(*to, |v| v as f32);
+    set(&mut options.canonical_time, args.canonical_time);
+    set(&mut options.rigidity, args.rigidity);
+    options.max_gaussians = args.gaussians.unwrap_or(options.max_gaussians);
+    options.initial_gaussians = options.initial_gaussians.min(options.max_gaussians);
+    options.nodes = args.nodes.unwrap_or(options.nodes);
+    options.sh_degree = args.sh_degree.unwrap_or(options.sh_degree);
+    options.max_side = args.max_side.unwrap_or(options.max_side);
+    options.background = args.background.unwrap_or(options.background);
+    options.finish.target_bytes = args.codec.target_bytes.unwrap_or(options.finish.target_bytes);
+    if steps_are_typed(args) || args.delivery.is_some() {
+        options.finish.round_from = 1.0;
+    }
+    if let Some(density) = args.density {
+        options.density = match density {
+            DensityName::Split => DensityControl::Split,
+            DensityName::SplitBySum => DensityControl::SplitBySum,
+            DensityName::Relocate => DensityControl::Relocate,
+        };
+    }
+    Ok(options)
+}
+
+/// Takes steps until the budget is spent or a person asks to stop.
+#[allow(clippy::too_many_arguments, reason = "each is another thing that a step touches")]
+pub(super) fn fit(
+    args: &Train,
+    folder: &Folder,
+    dataset: &Dataset,
+    trainer: &mut Trainer,
+    begun: f64,
+    log: &mut Log,
+    stop: &Interruption,
+    quiet: Quiet,
+) -> Result<Ended> {
+    let bar = Progress::new("train", quiet.0);
+    let clock = Clock::now();
+    let before = log.seconds();
+    let mut progress = begun;
+    let mut next_glance = 0.0;
+    let steps = steps(args, trainer, begun);
+    let glances = f64::from(args.evaluations);
+    let mut interrupted = false;
+    while progress < 1.0 && !interrupted {
+        let report = trainer.step(progress)?;
+        let seconds = clock.elapsed().as_secs_f64();
+        progress = match args.minutes {
+            None => (f64::from(report.step) / steps).max(begun),
+            Some(minutes) => begun + (1.0 - begun) * (seconds / (60.0 * minutes * (1.0 - begun).max(1e-9))),
+        };
+        if let Some(what) = &report.retreat {
+            log.notes.push(format!("step {}: {what}; fell back, with half the rates", report.step));
+        }
+        let due = glances > 0.0 && progress >= next_glance;
+        if due {
+            next_glance = ((progress * glances).floor() + 1.0) / glances;
+        }
+        if due || report.step.is_multiple_of(LOG_EVERY) {
+            let psnr_db = if due { glance(trainer, dataset) } else { None };
+            log.samples.push(Sample::of(&report, before + seconds, psnr_db));
+            let left = seconds * (1.0 - progress) / (progress - begun).max(1e-9);
+            bar.stage(&log.line(left), progress);
+        }
+        interrupted = stop.take();
+        if interrupted || report.step.is_multiple_of(args.checkpoint_every) {
+            save(folder, dataset, trainer, progress)?;
+            files::write(&folder.log, log.csv().as_bytes())?;
+        }
+    }
+    if !interrupted {
+        save(folder, dataset, trainer, 1.0)?;
+    }
+    files::write(&folder.log, log.csv().as_bytes())?;
+    Ok(Ended { seconds: before + clock.elapsed().as_secs_f64(), interrupted })
+}
+
+/// Steps of the whole training: as typed, else as many as the checkpoint was part of.
+fn steps(args: &Train, trainer: &Trainer, begun: f64) -> f64 {
+    match args.steps {
+        Some(steps) => f64::from(steps),
+        None if begun > 0.0 => (f64::from(trainer.steps()) / begun).round(),
+        None => f64::from(DEFAULT_STEPS),
+    }
+}
+
+fn save(folder: &Folder, dataset: &Dataset, trainer: &Trainer, progress: f64) -> Result<()> {
+    let checkpoint = Checkpoint::of(trainer, dataset, progress.min(1.0));
+    files::write(&folder.checkpoint, &checkpoint.to_bytes()?)
+}
+
+/// PSNR (dB) on a few views that no gradient comes from, for the eye; nothing is chosen by it.
+fn glance(trainer: &Trainer, dataset: &Dataset) -> Option<f64> {
+    let (reduced, background) = (trainer.reduced(), trainer.options().background);
+    let found = if dataset.validation.is_empty() {
+        train::evaluate(trainer.model(), &dataset.test.sample(GLANCE_VIEWS), reduced, background)
+    } else {
+        train::evaluate(trainer.model(), &dataset.validation.sample(GLANCE_VIEWS), reduced, background)
+    };
+    found.ok().map(|found| found.psnr_db)
+}
+
+/// How the end of a training on `dataset` encodes.
+pub(super) fn encoding_of(args: &Train, dataset: &Dataset) -> Encoding {
+    Encoding {
+        options: pipeline::encode_options(&args.codec, Protection::NONE),
+        frames: args.frames.unwrap_or(dataset.frames),
+        frames_per_second: args.scene.fps,
+    }
+}
