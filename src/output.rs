@@ -46,6 +46,17 @@ pub fn parse<T: Parser>() -> Result<T, ExitCode> {
     })
 }
 
+/// An error and its causes in one line. Some errors say their cause themselves: it is not said again.
+fn sentence(error: &anyhow::Error) -> String {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1).map(ToString::to_string) {
+        if !text.ends_with(&cause) {
+            text += &format!(": {cause}");
+        }
+    }
+    text
+}
+
 /// Prints what a verb says and gives its exit status.
 pub fn finish(said: Result<VerbOutput>, json: bool) -> ExitCode {
     let print = |said: VerbOutput| {
@@ -80,11 +91,29 @@ fn written(result: io::Result<()>) -> Result<()> {
 
 /// The whole chain as one sentence: file, place, what was found, what is allowed.
 fn refuse(error: &anyhow::Error) -> ExitCode {
-    complain(&format!("{error:#}"));
+    complain(&sentence(error));
     ExitCode::from(REFUSED)
 }
 
 /// One line on standard error. Where nobody can be told, nobody is.
 pub(crate) fn complain(line: &str) {
     let _ = writeln!(io::stderr(), "dgs: {line}");
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("camera 3: {source}")]
+    struct SaysItsCause {
+        source: io::Error,
+    }
+
+    #[test]
+    fn causes_are_said_once() {
+        let error = SaysItsCause { source: io::Error::other("no lens") };
+        let error = anyhow::Error::new(error).context("cameras.json").context("--cameras");
+        assert_eq!(sentence(&error), "--cameras: cameras.json: camera 3: no lens");
+    }
 }

@@ -10,6 +10,7 @@ mod layer;
 mod nodes;
 mod rigidity;
 mod skinning;
+mod stillness;
 mod trajectory;
 
 pub use basis::TemporalBasis;

@@ -33,6 +33,8 @@ pub struct TrainOptions {
     pub structure_weight: f32,
     /// Weight of rigid motion of neighbouring nodes at the start; it falls to a twentieth.
     pub rigidity: f32,
+    /// Weight in the loss of how far the mean node moves and turns, extents and half radians.
+    pub stillness: f32,
     /// Weight of the mean opacity in the loss.
     pub opacity_weight: f32,
     /// Weight of the mean scale in the loss.
@@ -210,6 +212,7 @@ impl Default for TrainOptions {
             absolute_weight: 0.8,
             structure_weight: 0.2,
             rigidity: 1e-2,
+            stillness: 1e-2,
             opacity_weight: 0.0,
             scale_weight: 0.0,
             density: DensityControl::Split,
@@ -285,6 +288,7 @@ impl TrainOptions {
             ("absolute_weight", self.absolute_weight),
             ("structure_weight", self.structure_weight),
             ("rigidity", self.rigidity),
+            ("stillness", self.stillness),
             ("opacity_weight", self.opacity_weight),
             ("scale_weight", self.scale_weight),
         ];

@@ -397,6 +397,7 @@ impl<'a> Trainer<'a> {
         let unit = self.extent.half_side as f32;
         let rigidity = schedule::rigidity(&self.options, progress) / (unit * unit);
         nodes.keep_rigid(rigidity, &poses, &mut of_nodes);
+        nodes.keep_still(self.options.stillness, &poses, &mut of_nodes);
         nodes.backward(time, &poses, of_nodes);
         gaussians.regularise(self.options.opacity_weight, self.options.scale_weight);
         self.finisher.price(&self.options.finish, state.step, &mut state.model);

@@ -10,6 +10,7 @@ use super::{
     layer::{Layer, MovedPoint, NodeGradient, NodePose},
     rigidity,
     skinning::Skinned,
+    stillness,
     trajectory::{self, Trajectory},
 };
 use crate::train::parameter::AdamStep;
@@ -126,6 +127,11 @@ impl ControlNodes {
         if let Some(layer) = self.layers.last() {
             rigidity::add_gradient(layer, weight, poses.last(), gradients);
         }
+    }
+
+    /// What keeps nodes where they are: adds `weight` times its gradient to that of the poses.
+    pub(crate) fn keep_still(&self, weight: f32, poses: &NodePoses, gradients: &mut [NodeGradient]) {
+        stillness::add_gradient(weight, self.unit, poses.last(), gradients);
     }
 
     /// Whether what was read from a file can be used.
