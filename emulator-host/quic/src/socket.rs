@@ -37,3 +37,10 @@ pub use server::{Server, ServerConfig, ServerError, ServerReport};
 pub use settings::{ClientConfig, PlayError};
 pub use viewer::ViewerReport;
 pub use web::WebError;
+
+#[cfg(feature = "moq")]
+pub(crate) use {
+    client::{connect, play_over},
+    offer::starts,
+    playback::Playback,
+};
