@@ -18,7 +18,7 @@ use super::{
     track::Track,
 };
 use crate::socket::{
-    ClientConfig, PlayError, Played, Playback, Screen,
+    ClientConfig, PlayError, Playback, Played, Screen,
     message::{MAX_MANIFEST_BYTES, StreamChoice},
     play_over,
 };

@@ -26,7 +26,12 @@ impl Relay {
     pub(super) async fn connect(config: &ClientConfig, client: Client) -> Result<Self, PlayError> {
         let (endpoint, connection) = connect(config).await?;
         // The broadcast is named later; a relay takes a path here for the root of all names.
-        let root = Locator { scheme: Scheme::Https, stream: StreamChoice::Index(0), pin: None, ..config.locator.clone() };
+        let root = Locator {
+            scheme: Scheme::Https,
+            stream: StreamChoice::Index(0),
+            pin: None,
+            ..config.locator.clone()
+        };
         let url = root.to_string();
         let url = Url::parse(&url).map_err(|error| PlayError::Nonsense(format!("{url}: {error}")))?;
         let versions = ALPNS.iter().map(|version| (*version).to_owned());
