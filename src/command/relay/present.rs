@@ -22,8 +22,8 @@ pub(in crate::command) fn publish(
 ) -> Result<VerbOutput> {
     let urls: Vec<String> = offers.iter().map(|offer| address(relay, offer).to_string()).collect();
     let config = PublishConfig::new(relay.clone(), trust);
-    let mut news = |news: &News| tell(news, &urls, quiet);
-    let published = runtime()?.block_on(moq::publish(&config, offers, interruption(), &mut news));
+    let news = |news: &News| tell(news, &urls, quiet);
+    let published = runtime()?.block_on(moq::publish(&config, offers, interruption(), news));
     let report = published.with_context(|| relay.to_string())?;
     let json = json!({ "urls": urls, "relay": report });
     Ok(VerbOutput { text: summary(&report), json, ..VerbOutput::default() })

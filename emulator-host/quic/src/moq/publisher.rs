@@ -90,7 +90,7 @@ pub async fn publish(
     config: &PublishConfig,
     offers: &[Offer],
     stop: impl Future<Output = ()>,
-    news: &mut dyn FnMut(&News),
+    news: impl FnMut(&News),
 ) -> Result<PublishReport, PublishError> {
     let (origin, driver) = origin();
     let mut channels = Vec::new();
@@ -122,7 +122,7 @@ fn name(config: &PublishConfig, offer: &Offer, streams: usize) -> Result<String,
 async fn connections(
     config: &PublishConfig,
     origin: &origin::Producer,
-    news: &mut dyn FnMut(&News),
+    mut news: impl FnMut(&News),
     report: &mut PublishReport,
 ) -> Result<(), PublishError> {
     let silence = config.silence;
