@@ -5,7 +5,10 @@ mod absent;
 #[cfg(feature = "moq")]
 mod present;
 
+#[cfg(feature = "moq")]
+pub(super) use dgs_quic::moq::play;
+
 #[cfg(not(feature = "moq"))]
 pub(super) use absent::{play, publish};
 #[cfg(feature = "moq")]
-pub(super) use {dgs_quic::moq::play, present::publish};
+pub(super) use present::publish;

@@ -23,8 +23,8 @@ pub struct Program {
 }
 
 impl Program {
-    /// A relay on this machine that grants everything to everybody; `None` where none is installed, which in CI
-    /// is a failure.
+    /// A relay on this machine that grants everything to everybody; `None` where none is installed, which in
+    /// CI is a failure.
     pub async fn start() -> Option<Self> {
         let Some(program) = program() else {
             assert!(env::var_os("CI").is_none_or(|ci| ci != "true"), "moq-relay is missing");

@@ -52,7 +52,7 @@ pub(super) struct Channel {
     canonical: Vec<track::Producer>,
     motion: Vec<track::Producer>,
     /// What is dropped ends for subscribers too.
-    _kept: (track::Producer, broadcast::Producer),
+    _alive: (track::Producer, broadcast::Producer),
     report: BroadcastReport,
 }
 
@@ -93,7 +93,7 @@ impl Channel {
             epoch: None,
             canonical,
             motion,
-            _kept: (manifest, broadcast),
+            _alive: (manifest, broadcast),
             report: BroadcastReport { name: name.to_owned(), ..BroadcastReport::default() },
         })
     }

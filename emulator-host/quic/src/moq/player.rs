@@ -30,7 +30,7 @@ const MAX_AGE: Duration = Duration::from_secs(30);
 /// Groups of one track that are read at once; more wait in the relay.
 const MAX_GROUPS: usize = 16;
 
-/// Plays the broadcast that `config` names on `screen`, until the clip is over, its time is up or `stop` ends.
+/// Plays the broadcast that `config` names on `screen`, until the clip or its time is over or `stop` ends.
 /// It begins with what is shown there now, and ends with the clip unless that is to be repeated.
 pub async fn play(config: &ClientConfig, screen: &mut dyn Screen, stop: impl Future<Output = ()>) -> Played {
     play_over(config, screen, stop, session).await

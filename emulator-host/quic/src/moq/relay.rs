@@ -6,7 +6,8 @@ use moq_net::{ALPNS, Client, Driver, Session, cache, origin};
 use quinn::{Connection, Endpoint};
 use tokio::time::timeout;
 use url::Url;
-use web_transport_quinn::{Session as Transport, proto::ConnectRequest};
+use web_transport_proto::ConnectRequest;
+use web_transport_quinn::Session as Transport;
 
 use crate::socket::{ClientConfig, Locator, PlayError, Scheme, connect, message::StreamChoice};
 

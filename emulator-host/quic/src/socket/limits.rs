@@ -76,9 +76,9 @@ pub(super) fn client_transport(silence: Duration, scheme: Scheme) -> Arc<Transpo
         Scheme::Https => WEB_STREAMS,
         Scheme::Moq => MOQ_STREAMS,
     };
-    let asked = if scheme == Scheme::Moq { MOQ_STREAMS } else { 0 };
+    let requests = if scheme == Scheme::Moq { MOQ_STREAMS } else { 0 };
     config
-        .max_concurrent_bidi_streams(VarInt::from_u32(asked))
+        .max_concurrent_bidi_streams(VarInt::from_u32(requests))
         .max_concurrent_uni_streams(VarInt::from_u32(streams))
         .initial_mtu(INITIAL_MTU)
         .datagram_receive_buffer_size(Some(RECEIVE_BUFFER_BYTES))

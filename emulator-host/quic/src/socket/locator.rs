@@ -1,4 +1,4 @@
-//! Parses and writes the address of a stream: `dgs://HOST[:PORT][/NAME][#PIN]`, `https://…`, `moq+https://…`.
+//! Parses and writes the address of a stream: `dgs://HOST[:PORT][/NAME][#PIN]`, or by another scheme.
 
 use std::{fmt, str::FromStr};
 
