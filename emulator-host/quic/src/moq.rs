@@ -10,6 +10,8 @@ mod numbering;
 mod player;
 mod publisher;
 mod relay;
+#[cfg(test)]
+mod tests;
 mod track;
 mod units;
 

@@ -135,7 +135,7 @@ impl Identity {
     }
 
     /// The server's side of the handshake.
-    pub(super) fn server(self) -> Result<QuicServerConfig, IdentityError> {
+    pub(crate) fn server(self) -> Result<QuicServerConfig, IdentityError> {
         let builder = rustls::ServerConfig::builder_with_provider(Arc::new(ring::default_provider()));
         let builder = builder.with_protocol_versions(&[&rustls::version::TLS13])?;
         let mut config = builder.with_no_client_auth().with_single_cert(self.chain, self.key)?;

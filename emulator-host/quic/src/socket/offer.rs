@@ -259,7 +259,7 @@ impl Offer {
     }
 
     fn interval_us(&self, content: &Content) -> u64 {
-        (content.whole.frame_interval().0 / 1000).max(1)
+        (content.graph().frame_interval().0 / 1000).max(1)
     }
 }
 

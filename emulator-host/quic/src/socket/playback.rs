@@ -146,7 +146,7 @@ impl Playback {
     }
 
     pub(crate) fn has_manifest(&self) -> bool {
-        self.player.is_some()
+        self.player().is_some()
     }
 
     /// The time that the hello asks for, which begins a round now.
