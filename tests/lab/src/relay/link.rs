@@ -7,6 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use anyhow::Result;
 use emulator_host::{
     Nanos,
     link::{BoxOutput, Chain, Datagram, LinkBox, PathConfig},
@@ -19,19 +20,23 @@ const MAX_BYTES: usize = 2048;
 
 /// A link that is there until it is dropped.
 pub struct Link {
+    /// Where the subscriber finds the relay.
     pub port: u16,
     task: JoinHandle<()>,
 }
 
 impl Link {
     /// A way to the relay at `port`, for one subscriber.
-    pub async fn start(relay: u16, path: &PathConfig, seed: u64) -> Self {
-        let near = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
-        let far = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await.unwrap();
-        far.connect((Ipv4Addr::LOCALHOST, relay)).await.unwrap();
-        let port = near.local_addr().unwrap().port();
-        let inside = Inside { chain: path.build("relay", seed).unwrap(), next: 0, bytes: BTreeMap::new() };
-        Self { port, task: tokio::spawn(carry(near, far, inside)) }
+    ///
+    /// # Errors
+    /// A path that is illegal, and what sockets refuse.
+    pub async fn start(relay: u16, path: &PathConfig, seed: u64) -> Result<Self> {
+        let near = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await?;
+        let far = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).await?;
+        far.connect((Ipv4Addr::LOCALHOST, relay)).await?;
+        let port = near.local_addr()?.port();
+        let inside = Inside { chain: path.build("relay", seed)?, next: 0, bytes: BTreeMap::new() };
+        Ok(Self { port, task: tokio::spawn(carry(near, far, inside)) })
     }
 }
 
