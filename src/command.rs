@@ -11,6 +11,7 @@ mod import;
 mod inspect;
 mod manual;
 mod play;
+mod relay;
 mod render;
 mod serve;
 mod socket;

@@ -22,6 +22,23 @@ pub struct Serve {
     /// a stream from standard input, called `live`, served while it is written.
     #[arg(required = true, value_name = "STREAM|SCENE|-")]
     pub inputs: Vec<String>,
+    /// Publish at a relay of Media over QUIC instead, for all who play the same address, again and again:
+    /// `moq+https://HOST[:PORT][/NAME][#PIN]`; without a name each stream is called as here. In builds with
+    /// `--features moq`.
+    #[arg(
+        long, value_name = "URL",
+        conflicts_with_all = [
+            "listen", "http", "no_http", "host", "cert", "key", "policy", "max_viewers", "max_rate", "idle",
+            "impair",
+        ]
+    )]
+    pub moq: Option<Locator>,
+    /// With --moq, SHA-256 of the relay's certificate, 64 hexadecimal digits.
+    #[arg(long, value_name = "SHA256", requires = "moq", conflicts_with = "ca")]
+    pub pin: Option<Pin>,
+    /// With --moq, certificate authority of the relay (PEM).
+    #[arg(long, value_name = "FILE", requires = "moq")]
+    pub ca: Option<PathBuf>,
     /// Address and UDP port to listen on; port 0 takes a free one.
     #[arg(long, value_name = "ADDRESS:PORT", default_value_t = here())]
     pub listen: SocketAddr,
@@ -70,7 +87,8 @@ pub struct Serve {
 /// `dgs play`.
 #[derive(Debug, Args)]
 pub struct Play {
-    /// `dgs://HOST[:PORT][/NAME][#PIN]`, as `dgs serve` prints it; `https://…` plays over WebTransport.
+    /// `dgs://HOST[:PORT][/NAME][#PIN]`, as `dgs serve` prints it; `https://…` plays over WebTransport,
+    /// `moq+https://…` what `dgs serve --moq` publishes, from where it is now.
     pub url: Locator,
     /// SHA-256 of the server's certificate, 64 hexadecimal digits.
     #[arg(long, value_name = "SHA256", conflicts_with = "ca")]

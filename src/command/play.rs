@@ -4,7 +4,7 @@ use std::{collections::BTreeMap, time::Duration};
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
-use dgs_quic::socket::{ClientConfig, Headless, PlayReport, Screen, Trust, play};
+use dgs_quic::socket::{ClientConfig, Headless, PlayReport, Scheme, Screen, play};
 use render_host::{Backend, DeviceChoice, Image, metric};
 use serde::Serialize;
 use serde_json::json;
@@ -14,7 +14,10 @@ use trainer_host::{
     viewpoint::Ring,
 };
 
-use super::socket::{interruption, runtime};
+use super::{
+    relay,
+    socket::{interruption, runtime, trust},
+};
 use crate::{
     args::Play,
     figures::mean,
@@ -44,13 +47,7 @@ struct Quality {
 
 /// Runs the verb.
 pub fn run(args: &Play) -> Result<VerbOutput> {
-    let trust = match (args.pin.or(args.url.pin), &args.ca) {
-        (_, Some(file)) => Trust::Authority(file.clone()),
-        (Some(pin), None) => Trust::Pin(pin),
-        (None, None) => {
-            bail!("{}: by what is the server known? #PIN in the URL, --pin or --ca says", args.url)
-        }
-    };
+    let trust = trust(&args.url, args.pin, args.ca.as_ref())?;
     if let Some(folder) = &args.out {
         FrameFolder::create(folder, args.overwrite)?;
     }
@@ -69,7 +66,10 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
     let draws = args.out.is_some() || reference.is_some();
     let played = runtime()?.block_on(async {
         let screen: &mut dyn Screen = if draws { &mut states } else { &mut Headless };
-        play(&config, screen, interruption()).await
+        match args.url.scheme {
+            Scheme::Moq => relay::play(&config, screen, interruption()).await,
+            Scheme::Dgs | Scheme::Https => play(&config, screen, interruption()).await,
+        }
     });
     if let Some(error) = played.error {
         if played.report.shown_count == 0 {

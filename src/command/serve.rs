@@ -13,7 +13,10 @@ use dgs_quic::{
 use serde_json::json;
 use tokio::sync::oneshot;
 
-use super::socket::{asset, interruption, runtime};
+use super::{
+    relay,
+    socket::{asset, interruption, runtime, trust},
+};
 use crate::{
     args::Serve,
     output::{self, VerbOutput},
@@ -27,6 +30,9 @@ const LIVE_NAME: &str = "live";
 
 /// Runs the verb.
 pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
+    if let Some(relay) = &args.moq {
+        return publish(args, relay, quiet);
+    }
     let mut warnings = Vec::new();
     let impairment = args.impair.as_deref().map(pipeline::impairment).transpose()?;
     let host = args.host.clone().unwrap_or_else(|| args.listen.ip().to_string());
@@ -35,18 +41,7 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         None => Identity::self_signed(&[host.clone(), "localhost".to_owned()])
             .with_context(|| format!("--host is {host}"))?,
     };
-    let mut offers = Vec::new();
-    if args.inputs.iter().filter(|input| *input == LIVE_INPUT).count() > 1 {
-        bail!("{LIVE_INPUT} is given twice; standard input is one stream");
-    }
-    for input in &args.inputs {
-        if input == LIVE_INPUT {
-            offers.push(live(quiet)?);
-            continue;
-        }
-        let ready = pipeline::sendable(input, &args.scene, &args.codec, quiet, &mut |w| warnings.push(w))?;
-        offers.push(Offer::new(&name(input), &ready.stream, ready.graph)?);
-    }
+    let offers = offers(args, quiet, &mut warnings)?;
     let limits = ServerLimits {
         max_viewers: args.max_viewers,
         max_rate_bps: args.max_rate.map(|mbit| (mbit * 1e6) as u64),
@@ -64,6 +59,40 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         "urls": urls, "page": page, "server": report, "http": http, "viewers": viewers, "warnings": warnings,
     });
     Ok(VerbOutput { text, json, ..VerbOutput::default() })
+}
+
+/// Publishes at a relay instead.
+fn publish(args: &Serve, relay: &Locator, quiet: Quiet) -> Result<VerbOutput> {
+    if relay.scheme != Scheme::Moq {
+        bail!("--moq is {relay}; the address of a relay begins with moq+https://");
+    }
+    if args.inputs.iter().any(|input| input == LIVE_INPUT) {
+        bail!("{LIVE_INPUT} is not published while it is written; --moq takes streams that have an end");
+    }
+    let trust = trust(relay, args.pin, args.ca.as_ref())?;
+    let mut warnings = Vec::new();
+    let offers = offers(args, quiet, &mut warnings)?;
+    warnings.iter().for_each(|warning| output::complain(&format!("warning: {warning}")));
+    let mut output = relay::publish(relay, trust, &offers, quiet)?;
+    output.json["warnings"] = json!(warnings);
+    Ok(output)
+}
+
+/// The streams that are named, ready to be sent.
+fn offers(args: &Serve, quiet: Quiet, warnings: &mut Vec<String>) -> Result<Vec<Offer>> {
+    let mut offers = Vec::new();
+    if args.inputs.iter().filter(|input| *input == LIVE_INPUT).count() > 1 {
+        bail!("{LIVE_INPUT} is given twice; standard input is one stream");
+    }
+    for input in &args.inputs {
+        if input == LIVE_INPUT {
+            offers.push(live(quiet)?);
+            continue;
+        }
+        let ready = pipeline::sendable(input, &args.scene, &args.codec, quiet, &mut |w| warnings.push(w))?;
+        offers.push(Offer::new(&name(input), &ready.stream, ready.graph)?);
+    }
+    Ok(offers)
 }
 
 /// What was served, and to whom.

@@ -1,8 +1,9 @@
 //! Runs what serving and playing share: the runtime of sockets, and a person's wish to stop (Ctrl-C).
 
-use std::{process, sync::Arc};
+use std::{path::PathBuf, process, sync::Arc};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
+use dgs_quic::socket::{Locator, Pin, Trust};
 use tokio::{runtime::Runtime, sync::Notify};
 
 /// Exit status of a second Ctrl-C: 128 and the number of the signal, as shells have it.
@@ -14,6 +15,18 @@ const INTERRUPTED: i32 = 130;
 /// If the system refuses threads.
 pub(super) fn runtime() -> Result<Runtime> {
     Runtime::new().context("cannot start a runtime for sockets")
+}
+
+/// By what the server at `url` is known.
+///
+/// # Errors
+/// If nothing says so.
+pub(super) fn trust(url: &Locator, pin: Option<Pin>, authority: Option<&PathBuf>) -> Result<Trust> {
+    match (pin.or(url.pin), authority) {
+        (_, Some(file)) => Ok(Trust::Authority(file.clone())),
+        (Some(pin), None) => Ok(Trust::Pin(pin)),
+        (None, None) => bail!("{url}: by what is the server known? #PIN in the URL, --pin or --ca says"),
+    }
 }
 
 /// Ends at the first Ctrl-C; a second ends the process.

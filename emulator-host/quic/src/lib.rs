@@ -1,5 +1,7 @@
 //! Carries sessions of `emulator-host` over QUIC.
 
 pub mod http;
+#[cfg(feature = "moq")]
+pub mod moq;
 pub mod socket;
 pub mod virtual_time;

@@ -26,11 +26,17 @@ mod web;
 
 pub use channel::Closed;
 pub use client::{Played, play};
+#[cfg(feature = "moq")]
+pub(crate) use client::{connect, play_over};
 pub use identity::{Identity, IdentityError, Pin, PinError, Trust};
 pub use impair::Impairment;
 pub use limits::ServerLimits;
 pub use locator::{DEFAULT_PORT, Locator, LocatorError};
+#[cfg(feature = "moq")]
+pub(crate) use offer::starts;
 pub use offer::{LiveFeed, MAX_MEDIA_BYTES, Offer, OfferError};
+#[cfg(feature = "moq")]
+pub(crate) use playback::Playback;
 pub use playback::{FrameShown, Headless, PlayReport, Screen};
 pub use scheme::Scheme;
 pub use server::{Server, ServerConfig, ServerError, ServerReport};

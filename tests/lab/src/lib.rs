@@ -9,6 +9,7 @@ pub mod draw;
 pub mod experiment;
 pub mod figures;
 pub mod fixture;
+mod relay;
 pub mod setup;
 pub mod source;
 pub mod stress;

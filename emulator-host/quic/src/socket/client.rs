@@ -57,6 +57,16 @@ impl Played {
 
 /// Plays what `config` names on `screen`, until the clip is over, its time is up or `stop` ends.
 pub async fn play(config: &ClientConfig, screen: &mut dyn Screen, stop: impl Future<Output = ()>) -> Played {
+    play_over(config, screen, stop, session).await
+}
+
+/// Plays over connections that `session` makes, each from its handshake to the end of the clip.
+pub(crate) async fn play_over(
+    config: &ClientConfig,
+    screen: &mut dyn Screen,
+    stop: impl Future<Output = ()>,
+    session: impl AsyncFn(&ClientConfig, &mut Playback, &mut dyn Screen) -> Result<(), PlayError>,
+) -> Played {
     let began = Instant::now();
     let mut playback = match Playback::new(config, began) {
         Ok(playback) => playback,
@@ -70,7 +80,7 @@ pub async fn play(config: &ClientConfig, screen: &mut dyn Screen, stop: impl Fut
         }
     };
     let played = tokio::select! {
-        played = sessions(config, &mut playback, screen) => played,
+        played = sessions(config, &mut playback, screen, session) => played,
         () = up => Ok(()),
         () = stop => Ok(()),
     };
@@ -83,12 +93,14 @@ async fn sessions(
     config: &ClientConfig,
     playback: &mut Playback,
     screen: &mut dyn Screen,
+    session: impl AsyncFn(&ClientConfig, &mut Playback, &mut dyn Screen) -> Result<(), PlayError>,
 ) -> Result<(), PlayError> {
     let mut left = config.reconnects;
     loop {
         let Err(error) = session(config, playback, screen).await else { return Ok(()) };
         // Who was never let in is not let in the next time either.
-        let again = matches!(error, PlayError::Lost(_)) && playback.has_manifest() && left > 0;
+        let lost = matches!(error, PlayError::Lost(_) | PlayError::Ended(_));
+        let again = lost && playback.has_manifest() && left > 0;
         if !again {
             return Err(error);
         }
@@ -130,6 +142,7 @@ async fn session(
 /// Opens the control stream.
 async fn open(config: &ClientConfig, connection: &Connection) -> Result<Opened, PlayError> {
     let url = match config.locator.scheme {
+        Scheme::Moq => return Err(PlayError::Nonsense("a relay speaks Media over QUIC".to_owned())),
         Scheme::Dgs => None,
         Scheme::Https => {
             let url = Locator { pin: None, ..config.locator.clone() }.to_string();
@@ -151,7 +164,8 @@ fn closed(error: PlayError, connection: &Connection) -> PlayError {
     reason.and_then(|reason| reason.refusal()).map_or(error, PlayError::Refused)
 }
 
-async fn connect(config: &ClientConfig) -> Result<(Endpoint, Connection), PlayError> {
+/// Connects to the server that `config` names.
+pub(crate) async fn connect(config: &ClientConfig) -> Result<(Endpoint, Connection), PlayError> {
     let Locator { host, port, .. } = &config.locator;
     let unknown = || PlayError::Host { host: host.clone() };
     let address = tokio::net::lookup_host((host.as_str(), *port)).await.map_err(|_| unknown())?.next();

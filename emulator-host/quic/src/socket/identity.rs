@@ -135,7 +135,7 @@ impl Identity {
     }
 
     /// The server's side of the handshake.
-    pub(super) fn server(self) -> Result<QuicServerConfig, IdentityError> {
+    pub(crate) fn server(self) -> Result<QuicServerConfig, IdentityError> {
         let builder = rustls::ServerConfig::builder_with_provider(Arc::new(ring::default_provider()));
         let builder = builder.with_protocol_versions(&[&rustls::version::TLS13])?;
         let mut config = builder.with_no_client_auth().with_single_cert(self.chain, self.key)?;
@@ -158,7 +158,7 @@ pub(super) type Mismatch = Arc<OnceLock<Pin>>;
 
 impl Trust {
     /// The client's side of the handshake, and where a wrong certificate is noted.
-    pub(super) fn client(&self, scheme: Scheme) -> Result<(QuicClientConfig, Mismatch), IdentityError> {
+    pub(crate) fn client(&self, scheme: Scheme) -> Result<(QuicClientConfig, Mismatch), IdentityError> {
         let provider = Arc::new(ring::default_provider());
         let mismatch = Mismatch::default();
         let builder = rustls::ClientConfig::builder_with_provider(provider.clone());
@@ -178,7 +178,7 @@ impl Trust {
         };
         let protocol = match scheme {
             Scheme::Dgs => ALPN,
-            Scheme::Https => web::ALPN,
+            Scheme::Https | Scheme::Moq => web::ALPN,
         };
         config.alpn_protocols = vec![protocol.to_vec()];
         Ok((QuicClientConfig::try_from(config)?, mismatch))

@@ -20,6 +20,8 @@ const CONTROL_WINDOW: u32 = 4096;
 const SESSION_STREAMS: u32 = 2;
 /// Unidirectional streams, of HTTP/3 alone: settings, and two of QPACK (RFC 9114, section 6.2 wants three).
 const WEB_STREAMS: u32 = 3;
+/// Streams that a relay may have open towards its client: one per group on its way, and those of HTTP/3.
+const MOQ_STREAMS: u32 = 1024;
 
 /// What a server grants.
 #[derive(Clone, Debug)]
@@ -72,14 +74,20 @@ pub(super) fn client_transport(silence: Duration, scheme: Scheme) -> Arc<Transpo
     let streams = match scheme {
         Scheme::Dgs => 0,
         Scheme::Https => WEB_STREAMS,
+        Scheme::Moq => MOQ_STREAMS,
     };
+    let requests = if scheme == Scheme::Moq { MOQ_STREAMS } else { 0 };
     config
-        .max_concurrent_bidi_streams(VarInt::from_u32(0))
+        .max_concurrent_bidi_streams(VarInt::from_u32(requests))
         .max_concurrent_uni_streams(VarInt::from_u32(streams))
         .initial_mtu(INITIAL_MTU)
         .datagram_receive_buffer_size(Some(RECEIVE_BUFFER_BYTES))
         .datagram_send_buffer_size(RECEIVE_BUFFER_BYTES / 16)
         .max_idle_timeout(idle_timeout(silence));
+    if scheme == Scheme::Moq {
+        // Who publishes and has no subscriber has nothing to say.
+        config.keep_alive_interval(Some(silence / 3));
+    }
     Arc::new(config)
 }
 

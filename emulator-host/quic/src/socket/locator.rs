@@ -1,4 +1,4 @@
-//! Parses and writes the address of a stream: `dgs://HOST[:PORT][/NAME][#PIN]`, or `https://…`.
+//! Parses and writes the address of a stream: `dgs://HOST[:PORT][/NAME][#PIN]`, or by another scheme.
 
 use std::{fmt, str::FromStr};
 
@@ -10,6 +10,10 @@ use super::{
 
 /// The port when none is given.
 pub const DEFAULT_PORT: u16 = 4640;
+/// The port of a relay when none is given: that of HTTPS.
+const RELAY_PORT: u16 = 443;
+/// Longest name of a broadcast, its parts together.
+const MAX_PATH_BYTES: usize = 255;
 
 /// Where a stream is served, and by whose certificate.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -48,7 +52,7 @@ impl FromStr for Locator {
         };
         let (found, rest) = text.split_once("://").unwrap_or(("", text));
         let scheme = Scheme::of(found);
-        let scheme = scheme.ok_or_else(|| illegal("scheme", found, "dgs, https"))?;
+        let scheme = scheme.ok_or_else(|| illegal("scheme", found, "dgs, https, moq+https"))?;
         let (rest, pin) = match rest.split_once('#').or_else(|| rest.split_once("?pin=")) {
             Some((rest, pin)) => {
                 let parsed = pin.parse().map_err(|_| illegal("pin", pin, "64 hexadecimal digits"))?;
@@ -60,6 +64,8 @@ impl FromStr for Locator {
         let stream = match name {
             "" => StreamChoice::Index(0),
             name if is_name(name) => StreamChoice::Name(name.to_owned()),
+            // Relays grant names by their first parts.
+            path if scheme == Scheme::Moq && is_path(path) => StreamChoice::Name(path.to_owned()),
             name => return Err(illegal("name", name, "1 to 64 letters, digits, '.', '_', '-'")),
         };
         let (host, port) = match place.strip_prefix('[').and_then(|inside| inside.split_once(']')) {
@@ -67,6 +73,7 @@ impl FromStr for Locator {
             None => place.split_once(':').map_or((place, Some("")), |(host, port)| (host, Some(port))),
         };
         let port = match port {
+            Some("") if scheme == Scheme::Moq => Some(RELAY_PORT),
             Some("") => Some(DEFAULT_PORT),
             port => port.and_then(|port| port.parse().ok()).filter(|port| *port > 0),
         };
@@ -77,6 +84,11 @@ impl FromStr for Locator {
         }
         Ok(Self { scheme, host: host.to_owned(), port, stream, pin })
     }
+}
+
+/// Whether `text` is names with slashes between.
+fn is_path(text: &str) -> bool {
+    text.len() <= MAX_PATH_BYTES && text.split('/').all(is_name)
 }
 
 impl fmt::Display for Locator {
@@ -107,24 +119,27 @@ mod tests {
             format!("dgs://example.org:9/fox#{pin}"),
             format!("dgs://[::1]:4640/a.b-c_d#{pin}"),
             format!("https://[::1]:4640/a.b-c_d#{pin}"),
+            format!("moq+https://relay.example:443/live/fox#{pin}"),
         ] {
             assert_eq!(text.parse::<Locator>().unwrap().to_string(), text);
         }
         let short = format!("dgs://host/fox?pin={pin}").parse::<Locator>().unwrap();
         assert_eq!(short.to_string(), format!("dgs://host:{DEFAULT_PORT}/fox#{pin}"));
+        assert_eq!("moq+https://relay/fox".parse::<Locator>().unwrap().port, RELAY_PORT);
         assert_eq!("dgs://[::1]".parse::<Locator>().unwrap().port, DEFAULT_PORT);
     }
 
     #[test]
     fn what_is_wrong_is_named() {
         for (text, named) in [
-            ("http://host/fox", "scheme is \"http\", allowed dgs, https"),
+            ("http://host/fox", "scheme is \"http\", allowed dgs, https, moq+https"),
             ("dgs://host:0/fox", "port"),
             ("dgs://host:70000", "port"),
             ("dgs://[::1]x", "port"),
             ("dgs:///fox", "host"),
             ("dgs://ho st", "host"),
             ("dgs://host/a/b", "name is \"a/b\""),
+            ("moq+https://host/a//b", "name is \"a//b\""),
             ("dgs://host#12", "pin is \"12\""),
         ] {
             let error = text.parse::<Locator>().unwrap_err();

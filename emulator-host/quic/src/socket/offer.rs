@@ -33,7 +33,7 @@ pub struct Offer {
 
 /// What there is of a stream.
 #[derive(Debug)]
-pub(super) struct Content {
+pub(crate) struct Content {
     /// By packet id; parts of the file, if there is one. One that is not there is empty.
     packets: Vec<Bytes>,
     whole: Arc<PacketGraph>,
@@ -78,8 +78,13 @@ impl Content {
     }
 
     /// The bytes of a packet of any of its graphs.
-    pub(super) fn packet(&self, graph: &PacketGraph, packet: PacketIndex) -> Bytes {
+    pub(crate) fn packet(&self, graph: &PacketGraph, packet: PacketIndex) -> Bytes {
         self.packets.get(graph.wire_id(packet).index()).cloned().unwrap_or_default()
+    }
+
+    /// The graph of all that there is.
+    pub(crate) fn graph(&self) -> &PacketGraph {
+        &self.whole
     }
 
     /// The packets there can be, present or not.
@@ -236,12 +241,12 @@ impl Offer {
     }
 
     /// The DGSM message.
-    pub(super) fn message(&self) -> &[u8] {
+    pub(crate) fn message(&self) -> &[u8] {
         &self.message
     }
 
     /// What there is, now and later.
-    pub(super) fn content(&self) -> watch::Receiver<Arc<Content>> {
+    pub(crate) fn content(&self) -> watch::Receiver<Arc<Content>> {
         self.content.clone()
     }
 
@@ -262,12 +267,12 @@ impl Offer {
     }
 
     fn interval_us(&self, content: &Content) -> u64 {
-        (content.whole.frame_interval().0 / 1000).max(1)
+        (content.graph().frame_interval().0 / 1000).max(1)
     }
 }
 
 /// First frames of all windows, ascending; always with 0.
-pub(super) fn starts(manifest: &Manifest<'_>) -> Vec<u32> {
+pub(crate) fn starts(manifest: &Manifest<'_>) -> Vec<u32> {
     let frames = manifest.head().frames;
     let windows = manifest.windows().map(|window| window.first_frame);
     let epochs = manifest.epochs().map(|epoch| epoch.first_frame);

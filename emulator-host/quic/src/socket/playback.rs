@@ -95,7 +95,7 @@ pub struct PlayReport {
 const MAX_SHOWN: usize = 1 << 16;
 
 /// A stream while it plays.
-pub(super) struct Playback {
+pub(crate) struct Playback {
     caps: Caps,
     startup: Startup,
     waiting: Option<Waiting>,
@@ -145,12 +145,12 @@ impl Playback {
         })
     }
 
-    pub(super) fn has_manifest(&self) -> bool {
-        self.player.is_some()
+    pub(crate) fn has_manifest(&self) -> bool {
+        self.player().is_some()
     }
 
     /// The time that the hello asks for, which begins a round now.
-    pub(super) fn start_us(&mut self) -> u64 {
+    pub(crate) fn start_us(&mut self) -> u64 {
         self.round_began = Instant::now();
         self.start_us
     }
@@ -162,10 +162,22 @@ impl Playback {
         }
         self.grows = true;
         if round == self.round {
+            self.move_start(start_us);
+        }
+        Ok(())
+    }
+
+    /// The round begins at the time `start_us` instead, if none of it has been shown.
+    pub(crate) fn move_start(&mut self, start_us: u64) {
+        if self.receiver.playout_start().is_none() {
             self.start_us = start_us;
             self.set_clip();
         }
-        Ok(())
+    }
+
+    /// What plays, once the manifest is there.
+    pub(crate) fn player(&self) -> Option<&Player> {
+        self.player.as_ref()
     }
 
     /// Whether the stream grows.
@@ -181,7 +193,7 @@ impl Playback {
     }
 
     /// Begins the next round, at the start of the clip.
-    pub(super) fn next_round(&mut self) -> ClientMessage {
+    pub(crate) fn next_round(&mut self) -> ClientMessage {
         self.begin(self.round + 1, 0);
         self.round_began = Instant::now();
         ClientMessage::Seek { round: self.round, start_us: 0 }
@@ -204,7 +216,7 @@ impl Playback {
     }
 
     /// The manifest has come, for the first time or again.
-    pub(super) fn manifest(&mut self, message: &[u8]) -> Result<(), PlayError> {
+    pub(crate) fn manifest(&mut self, message: &[u8]) -> Result<(), PlayError> {
         if self.player.is_some() && self.message == message {
             return Ok(());
         }
@@ -227,7 +239,7 @@ impl Playback {
     }
 
     /// A datagram of media.
-    pub(super) fn media(&mut self, datagram: &[u8]) -> Result<(), PlayError> {
+    pub(crate) fn media(&mut self, datagram: &[u8]) -> Result<(), PlayError> {
         self.report.received_bytes += datagram.len() as u64;
         let result = match (&mut self.player, &mut self.waiting) {
             (Some(player), _) => player.push(datagram).map(|accepted| {
@@ -267,7 +279,7 @@ impl Playback {
     }
 
     /// Starts playout if enough is there, and shows what is due.
-    pub(super) fn show_due(&mut self, screen: &mut dyn Screen) -> Result<(), PlayError> {
+    pub(crate) fn show_due(&mut self, screen: &mut dyn Screen) -> Result<(), PlayError> {
         let now = self.now();
         let Some(player) = &mut self.player else { return Ok(()) };
         let (first, share) = (self.first, share(self.startup));
@@ -304,12 +316,12 @@ impl Playback {
         Ok(())
     }
 
-    pub(super) fn is_over(&self) -> bool {
+    pub(crate) fn is_over(&self) -> bool {
         self.receiver.is_over()
     }
 
     /// When there is something to show next.
-    pub(super) fn next_time(&self) -> Option<Instant> {
+    pub(crate) fn next_time(&self) -> Option<Instant> {
         match self.receiver.next_time() {
             Nanos::MAX => None,
             at => self.round_began.checked_add(Duration::from_nanos(at.0)),

@@ -96,6 +96,20 @@ pub enum PlayError {
         /// How long.
         ms: u128,
     },
+    /// A relay does not take the session, or ends it.
+    #[error("the relay: {0}")]
+    Relay(String),
+    /// Nobody publishes the stream at the relay.
+    #[error("nobody publishes {name} there; waited for {ms} ms")]
+    Unpublished {
+        /// The stream.
+        name: String,
+        /// How long.
+        ms: u128,
+    },
+    /// Who published the stream is gone.
+    #[error("the broadcast has ended: {0}")]
+    Ended(String),
     /// The connection is gone.
     #[error("the connection is gone: {0}")]
     Lost(Closed),

@@ -1,8 +1,9 @@
 //! Measures a server and its viewers over loopback: goodput, loss, processor time, memory, startup; then its
-//! first image over a slow link, and the sender under overload.
+//! first image over a slow link, the sender under overload, and subscribers of a relay.
 
 mod first_image;
 mod overload;
+mod relay;
 mod serving;
 
 use std::time::{Duration, Instant};
@@ -59,12 +60,13 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         format!(
             "{} viewers at once over loopback, each bounded to its part of 50 Mbit/s; synth cloth, {} \
              Gaussians, {FRAMES} frames at {} fps, coarseness {COARSENESS}, deadline-utility without \
-             measured utilities; clients in the same process, on threads of their own. {}. {}",
+             measured utilities; clients in the same process, on threads of their own. {}. {}. {}",
             sizes.viewers,
             sizes.gaussians,
             sizes.frames_per_second,
             first_image::PROTOCOL,
-            overload::PROTOCOL
+            overload::PROTOCOL,
+            relay::PROTOCOL
         ),
     );
     let measured = measure(&sizes, setup.quiet)?;
@@ -72,6 +74,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     report(&mut bench, &sizes, &measured);
     first_image::run(&mut bench, if setup.quick { 3 } else { 15 }, setup.quiet)?;
     overload::run(&mut bench)?;
+    relay::run(&mut bench, setup.quiet)?;
     Ok(bench)
 }
 

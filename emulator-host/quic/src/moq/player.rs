@@ -1,0 +1,189 @@
+//! Plays a broadcast of a relay: the same playback as over a server's own sockets, fed from groups.
+
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use codec_core::internals::limits::MAX_PACKET_BYTES;
+use dgs_player::Player;
+use moq_net::{Client, broadcast, group, origin, time, track};
+use tokio::{
+    sync::mpsc,
+    task::JoinSet,
+    time::{sleep_until, timeout},
+};
+
+use super::{
+    numbering::{LEAD, Spans},
+    relay::{Relay, close, origin},
+    track::Track,
+};
+use crate::socket::{
+    ClientConfig, PlayError, Playback, Played, Screen,
+    message::{MAX_MANIFEST_BYTES, StreamChoice},
+    play_over,
+};
+
+/// What has come and was not played yet, packets of all tracks.
+const MAX_WAITING: usize = 1024;
+/// Groups that are older than the newest by more than this are not wanted, whatever the publisher keeps.
+const MAX_AGE: Duration = Duration::from_secs(30);
+/// Groups of one track that are read at once; more wait in the relay.
+const MAX_GROUPS: usize = 16;
+
+/// Plays the broadcast that `config` names on `screen`, until the clip or its time is over or `stop` ends.
+/// It begins with what is shown there now, and ends with the clip unless that is to be repeated.
+pub async fn play(config: &ClientConfig, screen: &mut dyn Screen, stop: impl Future<Output = ()>) -> Played {
+    play_over(config, screen, stop, session).await
+}
+
+/// What comes from the tracks.
+enum Arrival {
+    Manifest(Bytes),
+    /// The motion of the window of this number begins to come.
+    Window(u64),
+    Packet(Bytes),
+    /// A track says no more.
+    Ended(String),
+}
+
+/// One connection, from the handshake to the end of the clip.
+async fn session(
+    config: &ClientConfig,
+    playback: &mut Playback,
+    screen: &mut dyn Screen,
+) -> Result<(), PlayError> {
+    let StreamChoice::Name(name) = &config.locator.stream else {
+        let sentence = "the address names no broadcast: moq+https://HOST:PORT/NAME";
+        return Err(PlayError::Relay(sentence.to_owned()));
+    };
+    let (origin, driver) = origin();
+    let consumer = origin.consume();
+    let relay = Relay::connect(config, Client::new().with_subscriber(origin)).await?;
+    let Relay { endpoint, connection, session: _session, driver: machine } = relay;
+    // Whoever reads runs beside; all of it ends with this.
+    let mut tasks = JoinSet::new();
+    tasks.spawn(async { drop(time::run(driver).await) });
+    let result = tokio::select! {
+        error = time::run(machine) => Err(match connection.close_reason() {
+            Some(reason) => PlayError::Lost(reason.into()),
+            None => PlayError::Relay(error.to_string()),
+        }),
+        result = watch(config, playback, screen, (&consumer, name, &mut tasks)) => result,
+    };
+    tasks.abort_all();
+    close(&endpoint, &connection).await;
+    result
+}
+
+/// Waits for the broadcast and plays it.
+async fn watch(
+    config: &ClientConfig,
+    playback: &mut Playback,
+    screen: &mut dyn Screen,
+    (consumer, name, tasks): (&origin::Consumer, &str, &mut JoinSet<()>),
+) -> Result<(), PlayError> {
+    let unpublished = || PlayError::Unpublished { name: name.to_owned(), ms: config.silence.as_millis() };
+    let found = timeout(config.silence, consumer.routed_broadcast(name)).await;
+    let broadcast = found.map_err(|_| unpublished())?.map_err(|error| PlayError::Relay(error.to_string()))?;
+    let (send, mut arrivals) = mpsc::channel(MAX_WAITING);
+    for track in Track::all() {
+        let (broadcast, send) = (broadcast.clone(), send.clone());
+        tasks.spawn(async move {
+            let why = follow(&broadcast, track, &send).await;
+            let what = why.map_or_else(|error| error.to_string(), |()| "its end".to_owned());
+            let _ = send.send(Arrival::Ended(what)).await;
+        });
+    }
+    drop(send);
+    playback.start_us();
+    let deadline = Instant::now() + config.silence;
+    let (mut has_manifest, mut newest, mut spans) = (false, None, None);
+    loop {
+        playback.show_due(screen)?;
+        if playback.is_over() {
+            if !config.loops {
+                return Ok(());
+            }
+            playback.next_round();
+            continue;
+        }
+        let wake = if has_manifest { playback.next_time().unwrap_or(deadline) } else { deadline };
+        tokio::select! {
+            arrival = arrivals.recv() => match arrival {
+                Some(Arrival::Manifest(message)) => {
+                    playback.manifest(&message)?;
+                    has_manifest = true;
+                    spans = playback.player().and_then(windows);
+                    begin(playback, spans.as_ref(), newest);
+                }
+                Some(Arrival::Window(number)) if newest.is_none_or(|newest| newest < number) => {
+                    newest = Some(number);
+                    begin(playback, spans.as_ref(), newest);
+                }
+                Some(Arrival::Window(_)) => {}
+                Some(Arrival::Packet(packet)) => playback.media(&packet)?,
+                Some(Arrival::Ended(why)) => return Err(PlayError::Ended(why)),
+                None => return Err(PlayError::Ended("all tracks".to_owned())),
+            },
+            () = sleep_until(wake.into()) => {
+                if !has_manifest && Instant::now() >= deadline {
+                    return Err(unpublished());
+                }
+            }
+        }
+    }
+}
+
+fn windows(player: &Player) -> Option<Spans> {
+    Spans::of(player.manifest()).map(|(windows, _)| windows)
+}
+
+/// Playout that has not begun begins in the window that is shown elsewhere, if what was published last is
+/// the window `newest`.
+fn begin(playback: &mut Playback, spans: Option<&Spans>, newest: Option<u64>) {
+    let (Some(spans), Some(newest)) = (spans, newest) else { return };
+    let now = spans.begins(newest) - LEAD;
+    playback.move_start(spans.time_us(spans.first(spans.at(now))));
+}
+
+/// Reads what comes on `track`, for ever.
+async fn follow(
+    broadcast: &broadcast::Consumer,
+    track: Track,
+    arrivals: &mpsc::Sender<Arrival>,
+) -> Result<(), moq_net::Error> {
+    // The publisher bounds the age: it knows how long its windows are.
+    let subscription = track::Subscription::default().with_priority(track.priority()).with_max_age(MAX_AGE);
+    let mut groups = broadcast.track(&track.name())?.subscribe(subscription).await?;
+    let mut readers = JoinSet::new();
+    while let Some(group) = groups.recv_group().await? {
+        if track == Track::Motion(0) && arrivals.send(Arrival::Window(group.sequence)).await.is_err() {
+            return Ok(());
+        }
+        while readers.len() >= MAX_GROUPS {
+            readers.join_next().await;
+        }
+        readers.spawn(read(group, track, arrivals.clone()));
+    }
+    while readers.join_next().await.is_some() {}
+    Ok(())
+}
+
+/// Reads one group to its end, or to where it is cut.
+async fn read(mut group: group::Consumer, track: Track, arrivals: mpsc::Sender<Arrival>) {
+    let most = if track == Track::Manifest { MAX_MANIFEST_BYTES } else { MAX_PACKET_BYTES };
+    while let Ok(Some(mut frame)) = group.next_frame().await {
+        // What is longer than any packet is none, and is not stored.
+        if frame.size > most as u64 {
+            return;
+        }
+        let Ok(bytes) = frame.read_all().await else { return };
+        let arrival = match track {
+            Track::Manifest => Arrival::Manifest(bytes),
+            Track::Canonical(_) | Track::Motion(_) => Arrival::Packet(bytes),
+        };
+        if arrivals.send(arrival).await.is_err() {
+            return;
+        }
+    }
+}

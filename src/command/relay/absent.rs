@@ -1,0 +1,29 @@
+//! Says that this build speaks to no relays.
+
+use anyhow::{Result, bail};
+use dgs_quic::socket::{ClientConfig, Locator, Offer, PlayError, PlayReport, Played, Screen, Trust};
+
+use crate::{output::VerbOutput, pipeline::Quiet};
+
+/// What is missing.
+const MISSING: &str = "Media over QUIC is in builds with `--features moq`; this is none";
+
+/// Refuses.
+pub(in crate::command) fn publish(
+    relay: &Locator,
+    _trust: Trust,
+    _offers: &[Offer],
+    _quiet: Quiet,
+) -> Result<VerbOutput> {
+    bail!("{relay}: {MISSING}")
+}
+
+/// Refuses.
+pub(in crate::command) async fn play(
+    _config: &ClientConfig,
+    _screen: &mut dyn Screen,
+    _stop: impl Future<Output = ()>,
+) -> Played {
+    let error = Some(PlayError::Relay(MISSING.to_owned()));
+    Played { report: PlayReport::default(), player: None, error }
+}

@@ -1,0 +1,75 @@
+//! Offers what is typed to a relay, and says what happens.
+
+use anyhow::{Context, Result};
+use dgs_quic::{
+    moq::{self, News, PublishConfig, PublishReport},
+    socket::{Locator, Offer, Trust, message::StreamChoice},
+};
+use serde_json::json;
+
+use crate::{
+    command::socket::{interruption, runtime},
+    output::{self, VerbOutput},
+    pipeline::Quiet,
+};
+
+/// Publishes `offers` at `relay` until Ctrl-C.
+pub(in crate::command) fn publish(
+    relay: &Locator,
+    trust: Trust,
+    offers: &[Offer],
+    quiet: Quiet,
+) -> Result<VerbOutput> {
+    let urls: Vec<String> = offers.iter().map(|offer| address(relay, offer).to_string()).collect();
+    let config = PublishConfig::new(relay.clone(), trust);
+    let news = |news: &News| tell(news, &urls, quiet);
+    let published = runtime()?.block_on(moq::publish(&config, offers, interruption(), news));
+    let report = published.with_context(|| relay.to_string())?;
+    let json = json!({ "urls": urls, "relay": report });
+    Ok(VerbOutput { text: summary(&report), json, ..VerbOutput::default() })
+}
+
+/// Where a stream is found.
+fn address(relay: &Locator, offer: &Offer) -> Locator {
+    let stream = match &relay.stream {
+        StreamChoice::Index(_) => StreamChoice::Name(offer.name().to_owned()),
+        named @ StreamChoice::Name(_) => named.clone(),
+    };
+    Locator { stream, ..relay.clone() }
+}
+
+/// Says what happens, at once: whoever started this waits for it.
+fn tell(news: &News, urls: &[String], quiet: Quiet) {
+    match news {
+        News::Connected { .. } => {
+            for url in urls {
+                if quiet.0 {
+                    output::complain(&format!("publishing {url}"));
+                } else {
+                    // Where nobody reads any more, publishing goes on.
+                    let _ = output::print(&format!("{url}\n"));
+                }
+            }
+        }
+        News::Lost { reason, pause } => {
+            output::complain(&format!("the relay is gone ({reason}); again in {} s", pause.as_secs()));
+        }
+    }
+}
+
+/// What was published, for people.
+fn summary(report: &PublishReport) -> String {
+    let version = report.version.as_deref().unwrap_or("no version");
+    let mut text = format!("{} connections to the relay, {version}\n", report.connections);
+    for broadcast in &report.broadcasts {
+        text += &format!(
+            "{}: {} windows, {} groups, {} packets, {:.1} KiB\n",
+            broadcast.name,
+            broadcast.windows,
+            broadcast.groups,
+            broadcast.packets,
+            broadcast.media_bytes as f64 / 1024.0
+        );
+    }
+    text
+}

@@ -1,0 +1,4 @@
+//! Starts a relay, and puts links between it and subscribers.
+
+pub mod link;
+pub mod program;

@@ -1,0 +1,253 @@
+//! Promises across a real relay of Media over QUIC: who subscribes over a narrow path sees fewer levels and
+//! no hole, who publishes may start again.
+
+#![cfg(feature = "moq")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
+
+#[path = "lab/src/relay/link.rs"]
+mod link;
+#[path = "lab/src/relay/program.rs"]
+mod program;
+
+use std::{env, path::Path, sync::OnceLock, time::Duration};
+
+use clap::Parser;
+use dgs::{
+    args::{Cli, Verb},
+    pipeline::{self, Quiet},
+};
+use dgs_player::Player;
+use dgs_quic::{
+    moq::{News, PublishConfig, PublishError, PublishReport, play, publish},
+    socket::{
+        ClientConfig, Headless, Identity, Locator, Offer, Played, Scheme, Screen, Trust,
+        message::StreamChoice,
+    },
+};
+use emulator_host::{
+    Bytes, Nanos, Rate,
+    link::{Capacity, LossModel, PathConfig, QueueLimit},
+};
+use link::Link;
+use program::Program;
+use tokio::{
+    runtime::Runtime,
+    sync::{mpsc, oneshot},
+    task::JoinHandle,
+    time::{sleep, timeout},
+};
+use trainer_host::{Stream, encode::Protection, stream::PacketMap};
+
+/// Seconds of the clip.
+const CLIP_S: u64 = 3;
+
+/// Three seconds of a scene in windows of one.
+fn stream() -> &'static Stream {
+    static STREAM: OnceLock<Stream> = OnceLock::new();
+    STREAM.get_or_init(|| {
+        let flags = ["dgs", "demo", "--window-frames", "30", "--pictures", "2", "--coarseness", "0.2"];
+        let Ok(Cli { verb: Verb::Demo(args), .. }) = Cli::try_parse_from(flags) else { panic!("{flags:?}") };
+        let scene = pipeline::import("synth:cloth:8000:90", &args.source).unwrap().scene;
+        let options = pipeline::encode_options(&args.codec, Protection::STANDARD);
+        pipeline::encode(&scene, &options, Quiet(true)).unwrap().stream
+    })
+}
+
+fn offer() -> Offer {
+    let map = PacketMap::of(stream()).unwrap();
+    let graph = pipeline::graph(stream(), &map, None).unwrap();
+    Offer::new("figure", stream(), graph).unwrap()
+}
+
+/// Bytes of all packets of level 0, and of all.
+fn base_and_all() -> (u64, u64) {
+    let map = PacketMap::of(stream()).unwrap();
+    let graph = pipeline::graph(stream(), &map, None).unwrap();
+    let media = graph.packets().iter().enumerate().filter(|(_, packet)| packet.parity_of.is_none());
+    media.fold((0, 0), |(base, all), (at, packet)| {
+        let bytes = u64::from(packet.wire_bytes);
+        let is_base = graph.level(emulator_host::PacketIndex(at as u32)) == 0;
+        (base + if is_base { bytes } else { 0 }, all + bytes)
+    })
+}
+
+/// Runs `test` against a relay, if there is one on this machine.
+fn with_relay(test: impl AsyncFnOnce(&Program)) {
+    Runtime::new().unwrap().block_on(async {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let Some(relay) = Program::start(root).await.unwrap() else {
+            assert!(env::var_os("CI").is_none_or(|ci| ci != "true"), "moq-relay is missing");
+            eprintln!("no moq-relay here (.ci/run installs it): nothing is tested across a relay");
+            return;
+        };
+        timeout(Duration::from_secs(120), test(&relay)).await.unwrap();
+    });
+}
+
+fn address(port: u16) -> Locator {
+    Locator {
+        scheme: Scheme::Moq,
+        host: "127.0.0.1".to_owned(),
+        port,
+        stream: StreamChoice::Name("figure".to_owned()),
+        pin: None,
+    }
+}
+
+/// A publisher in the background.
+struct Publisher {
+    stop: oneshot::Sender<()>,
+    task: JoinHandle<Result<PublishReport, PublishError>>,
+}
+
+impl Publisher {
+    /// Publishes, and is there once this is through.
+    async fn start(relay: &Program) -> Self {
+        let (stop, stopped) = oneshot::channel();
+        let (tell, mut heard) = mpsc::unbounded_channel();
+        let config = PublishConfig::new(address(relay.port), Trust::Pin(relay.pin));
+        let task = tokio::spawn(async move {
+            let offers = [offer()];
+            let news = move |news: &News| drop(tell.send(news.clone()));
+            publish(&config, &offers, async { drop(stopped.await) }, news).await
+        });
+        assert!(matches!(heard.recv().await, Some(News::Connected { .. })));
+        Self { stop, task }
+    }
+
+    async fn stop(self) -> PublishReport {
+        self.stop.send(()).unwrap();
+        self.task.await.unwrap().unwrap()
+    }
+
+    async fn kill(self) {
+        self.task.abort();
+        assert!(self.task.await.unwrap_err().is_cancelled());
+    }
+}
+
+fn subscriber(relay: &Program, port: u16) -> ClientConfig {
+    let duration = Some(Duration::from_secs(2 * CLIP_S));
+    ClientConfig { loops: true, duration, ..ClientConfig::new(address(port), Trust::Pin(relay.pin)) }
+}
+
+/// Decodes every frame in the state in which it is shown.
+#[derive(Default)]
+struct Decoding {
+    frames: Vec<u32>,
+}
+
+impl Screen for Decoding {
+    fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String> {
+        self.frames.push(frame);
+        player.frame(frame).map(drop).map_err(|error| error.to_string())
+    }
+}
+
+/// Frames follow each other, and the clip itself.
+fn is_in_order(frames: &[u32]) -> bool {
+    frames.windows(2).all(|pair| pair[1] == (pair[0] + 1) % stream().manifest().unwrap().head().frames)
+}
+
+#[test]
+fn two_subscribers_on_different_links_see_what_their_links_carry() {
+    with_relay(async |relay| {
+        let publisher = Publisher::start(relay).await;
+        let (base, all) = base_and_all();
+        // Twice what the base needs, and less than the whole.
+        assert!(2 * base < all, "base {base} of {all} bytes");
+        let rate = Rate::over(Bytes(2 * base), Nanos::from_s(CLIP_S));
+        let path = PathConfig {
+            capacity: Capacity::Constant(rate),
+            queue: QueueLimit { bytes: 30_000, ..QueueLimit::default() },
+            loss: LossModel::Iid(0.01),
+            delay: Nanos::from_ms(20),
+            ..PathConfig::default()
+        };
+        let link = Link::start(relay.port, &path, 7).await.unwrap();
+        let (near, far) = (subscriber(relay, relay.port), subscriber(relay, link.port));
+        let (mut at_near, mut at_far) = (Decoding::default(), Decoding::default());
+        let (near, far) = tokio::join!(
+            play(&near, &mut at_near, std::future::pending()),
+            play(&far, &mut at_far, std::future::pending())
+        );
+        let (near, far) = (near.whole().unwrap(), far.whole().unwrap());
+        for (which, report) in [("near", &near), ("far", &far)] {
+            let (frames, levels) = (report.shown_count, report.mean_levels);
+            eprintln!("{which}: {frames} frames, {levels:.2} levels, {} bytes", report.received_bytes);
+        }
+        for (report, screen) in [(&near, &at_near), (&far, &at_far)] {
+            assert!(report.shown_count > 0 && report.startup_reached, "{report:?}");
+            assert!(is_in_order(&screen.frames), "{:?}", screen.frames);
+            assert_eq!((report.refused, report.connections), (0, 1), "{report:?}");
+        }
+        // Playout starts with nearly all of the base.
+        assert!(near.shown_count >= 150 && near.base_miss_rate < 0.01, "{near:?}");
+        assert!(near.mean_levels > 3.5, "{}", near.mean_levels);
+        // Levels are cut from above: what the path does not carry thins the picture and breaks no frame.
+        assert!(far.shown_count >= 60 && far.base_miss_rate < 0.02, "{}", far.base_miss_rate);
+        assert!(far.mean_levels < near.mean_levels - 0.5, "{} {}", far.mean_levels, near.mean_levels);
+        let report = publisher.stop().await;
+        assert_eq!((report.connections, report.broadcasts.len()), (1, 1), "{report:?}");
+        assert!(report.broadcasts[0].windows >= 3, "{report:?}");
+    });
+}
+
+#[test]
+fn who_joins_late_gets_what_holds_for_ever_first() {
+    with_relay(async |relay| {
+        let publisher = Publisher::start(relay).await;
+        // The attributes were published once, before all this.
+        sleep(Duration::from_secs(2 * CLIP_S)).await;
+        let late = play(&subscriber(relay, relay.port), &mut Headless, std::future::pending()).await;
+        let late = late.whole().unwrap();
+        assert!(late.startup_reached && late.base_miss_rate < 0.01 && late.shown_count >= 150, "{late:?}");
+        publisher.stop().await;
+    });
+}
+
+#[test]
+fn a_publisher_that_starts_again_is_gone_on_with_and_one_that_does_not_is_missed() {
+    with_relay(async |relay| {
+        let publisher = Publisher::start(relay).await;
+        let config = subscriber(relay, relay.port);
+        let patient = ClientConfig { duration: Some(Duration::from_secs(3 * CLIP_S)), ..config.clone() };
+        let (mut screen, mut other) = (Decoding::default(), Decoding::default());
+        let again = async {
+            sleep(Duration::from_secs(CLIP_S)).await;
+            publisher.kill().await;
+            sleep(Duration::from_millis(500)).await;
+            Publisher::start(relay).await
+        };
+        let (played, publisher) = tokio::join!(play(&patient, &mut screen, std::future::pending()), again);
+        let report = played.whole().unwrap();
+        assert!(report.connections >= 2 && report.base_miss_rate < 0.02, "{report:?}");
+        assert!(screen.frames.len() >= 150, "{report:?}");
+
+        let short = ClientConfig { silence: Duration::from_secs(1), duration: None, ..config };
+        let gone = async {
+            sleep(Duration::from_secs(1)).await;
+            publisher.kill().await;
+        };
+        let (played, ()) = tokio::join!(play(&short, &mut other, std::future::pending()), gone);
+        let Played { report, error, .. } = played;
+        let said = error.unwrap().to_string();
+        assert!(report.shown_count > 0 && said.contains("nobody publishes figure there"), "{said}");
+    });
+}
+
+#[test]
+fn who_relays_is_checked() {
+    with_relay(async |relay| {
+        let wrong = Identity::self_signed(&["127.0.0.1".to_owned()]).unwrap().pin();
+        let config = ClientConfig::new(address(relay.port), Trust::Pin(wrong));
+        let played = play(&config, &mut Headless, std::future::pending()).await;
+        let said = played.error.unwrap().to_string();
+        assert!(said.contains(&relay.pin.to_string()) && said.contains(&wrong.to_string()), "{said}");
+        let config = PublishConfig::new(address(relay.port), Trust::Pin(wrong));
+        let error = publish(&config, &[offer()], std::future::pending(), |_| ()).await.unwrap_err();
+        assert!(error.to_string().contains(&wrong.to_string()), "{error}");
+        let named = publish(&config, &[offer(), offer()], std::future::pending(), |_| ()).await;
+        assert!(named.unwrap_err().to_string().contains("leave the name out"));
+    });
+}
