@@ -175,17 +175,18 @@ fn a_window_shows_what_the_renderer_draws_and_obeys() {
     let _window = Ending(command.env_remove("WAYLAND_DISPLAY").spawn().unwrap());
     let mut shown = Shown { display, session, size: SIZE };
     shown.settle("the first frame");
-    shown.display.act(&["mousemove", "100", "80"]);
+    let window = shown.display.act(&["search", "--name", "paused"]);
+    // Nobody manages windows here.
+    shown.display.act(&["windowfocus", &window, "mousemove", "100", "80"]);
     shown.press("period", |session| session.playback_mut().step(1));
     shown.press("comma", |session| session.playback_mut().step(-1));
     shown.press("w", |session| session.orbit_mut().fly(0.0, 0.0, 0.08));
     shown.press("shift+Left", |session| session.orbit_mut().pan(24.0, 0.0, 192.0));
-    shown.press("1", |session| session.set_cap(0));
     shown.press("o", |session| session.set_overlay(true));
+    shown.press("1", |session| session.set_cap(0));
     shown.display.act(&["mousedown", "1", "mousemove", "130", "90", "mouseup", "1"]);
     shown.session.orbit_mut().turn(30.0, 10.0, 192.0);
     shown.settle("a drag");
-    let window = shown.display.act(&["search", "--name", "paused"]);
     let title = shown.display.act(&["getwindowname", &window]);
     assert!(title.starts_with("a · 0.02 of 1.00 s · level 0.0 of 3"), "{title}");
     shown.display.act(&["windowsize", &window, "320", "240"]);

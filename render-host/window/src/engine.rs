@@ -103,6 +103,11 @@ impl Engine {
         (self.drawn, self.state) = (None, None);
     }
 
+    /// What was drawn is no longer on the window: it is drawn again.
+    pub fn redraw(&mut self) {
+        self.state = None;
+    }
+
     /// The title of the window.
     pub fn title(&self) -> String {
         match &self.session {

@@ -62,6 +62,7 @@ pub fn run(options: Options, feed: Feed, say: &mut dyn FnMut(&str)) -> Result<Re
         screen: None,
         tries: 0,
         retry_at: None,
+        requested: false,
         hidden: false,
         wake_at: None,
         drawn: 0,
@@ -97,6 +98,8 @@ struct Shell<'s> {
     /// Screens opened since a frame was drawn, and when to try the next.
     tries: u32,
     retry_at: Option<Instant>,
+    /// Whether this asked for the next turn.
+    requested: bool,
     /// Whether nothing of the window is seen.
     hidden: bool,
     wake_at: Option<Instant>,
@@ -140,13 +143,20 @@ impl ApplicationHandler for Shell<'_> {
     fn window_event(&mut self, events: &ActiveEventLoop, _: WindowId, event: WindowEvent) {
         let acts = match event {
             WindowEvent::CloseRequested => return events.exit(),
-            WindowEvent::RedrawRequested => return self.tick(events),
+            WindowEvent::RedrawRequested => {
+                // The system asks on its own where what was shown has gone.
+                if !std::mem::take(&mut self.requested) {
+                    self.engine.redraw();
+                }
+                return self.tick(events);
+            }
             WindowEvent::Resized(PhysicalSize { width, height }) => {
                 self.size = [width, height];
                 Vec::new()
             }
             WindowEvent::Occluded(hidden) => {
                 self.hidden = hidden;
+                self.engine.redraw();
                 Vec::new()
             }
             WindowEvent::ModifiersChanged(modifiers) => {
@@ -224,8 +234,9 @@ impl Shell<'_> {
         events.exit();
     }
 
-    fn request(&self) {
+    fn request(&mut self) {
         if let Some(window) = &self.window {
+            self.requested = true;
             window.request_redraw();
         }
     }
