@@ -40,5 +40,8 @@ dialog dd { margin: 0; }
 kbd { background: #333; border-radius: 4px; padding: 0 5px; font: inherit; }
 @media (prefers-contrast: more) { button, select, .network { background: #000; border-color: #fff; } }
 @media (max-width: 480px) { .wide { display: none; } }
-@container (max-width: 360px) { .bar :is(.clock, .speed, .quality, .background, .paint, .net, .help) { display: none; } }
+@container (max-width: 360px) {
+  .bar :is(.clock, .speed, .quality, .background, .paint, .net, .help) { display: none; }
+  .bar input.time { flex-basis: 60px; min-width: 48px; }
+}
 `;

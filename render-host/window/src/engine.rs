@@ -3,7 +3,7 @@
 use dgs_viewer::{Drawn, Look, Screen, Session, Wanted, message};
 
 use crate::{
-    Arrival, Feed, Options, WindowError, Wish,
+    Arrival, Feed, WindowError, WindowOptions, Wish,
     controls::{Act, next_background},
     title::title,
 };
@@ -32,7 +32,7 @@ type State = (u64, u32, [f64; 6], &'static str, Look);
 
 /// See the module.
 pub(crate) struct Engine {
-    options: Options,
+    options: WindowOptions,
     feed: Feed,
     session: Option<Session>,
     /// The last piece of a file that was wished for.
@@ -56,7 +56,7 @@ pub(crate) struct Engine {
 }
 
 impl Engine {
-    pub fn new(options: Options, feed: Feed) -> Self {
+    pub fn new(options: WindowOptions, feed: Feed) -> Self {
         Self {
             background: options.background,
             options,
@@ -314,8 +314,8 @@ mod tests {
         fs::read(path).unwrap()
     }
 
-    fn options() -> Options {
-        Options {
+    fn options() -> WindowOptions {
+        WindowOptions {
             name: "fox".into(),
             size: SIZE,
             background: [0.0; 3],
@@ -417,7 +417,7 @@ mod tests {
     #[test]
     fn another_device_shows_what_the_lost_one_did_and_what_has_not_changed_is_drawn_once() {
         let Some(mut first) = screen() else { return };
-        let mut engine = Engine::new(Options { playing: false, ..options() }, Feed::file(file()));
+        let mut engine = Engine::new(WindowOptions { playing: false, ..options() }, Feed::file(file()));
         let before = settled(&mut engine, &mut first);
         let frames = engine.frames();
         engine.tick(1.0, Some(&mut first), SIZE).unwrap();
@@ -437,7 +437,7 @@ mod tests {
     #[test]
     fn a_picture_of_fewer_pixels_fills_the_window() {
         let Some(mut screen) = screen() else { return };
-        let mut engine = Engine::new(Options { playing: false, ..options() }, Feed::file(file()));
+        let mut engine = Engine::new(WindowOptions { playing: false, ..options() }, Feed::file(file()));
         let whole = settled(&mut engine, &mut screen);
         engine.scale = SMALLEST_SCALE;
         let scaled = settled(&mut engine, &mut screen);

@@ -23,6 +23,6 @@ mod title;
 pub use controls::KEYS;
 pub use error::WindowError;
 pub use feed::{Arrival, Feed, Feeder, Wish, feed};
-pub use options::Options;
+pub use options::WindowOptions;
 pub use shell::{Report, run};
 pub use still::picture;

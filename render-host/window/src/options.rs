@@ -6,7 +6,7 @@ use crate::WindowError;
 
 /// How a window begins.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Options {
+pub struct WindowOptions {
     /// What the title calls the stream.
     pub name: String,
     /// Width and height of the window, pixels.
@@ -29,7 +29,7 @@ pub struct Options {
     pub closes: bool,
 }
 
-impl Options {
+impl WindowOptions {
     /// Sets `session` to them, seen on a picture of `size` pixels.
     pub(crate) fn apply(&self, session: &mut Session, size: [u32; 2]) -> Result<(), WindowError> {
         session.set_cap(self.cap);

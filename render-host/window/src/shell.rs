@@ -17,7 +17,7 @@ use winit::{
 };
 
 use crate::{
-    Feed, Options, WindowError,
+    Feed, WindowError, WindowOptions,
     controls::{Act, KEYS},
     engine::Engine,
 };
@@ -50,7 +50,7 @@ pub struct Report {
 ///
 /// # Errors
 /// No display, no device, or no stream.
-pub fn run(options: Options, feed: Feed, say: &mut dyn FnMut(&str)) -> Result<Report, WindowError> {
+pub fn run(options: WindowOptions, feed: Feed, say: &mut dyn FnMut(&str)) -> Result<Report, WindowError> {
     let events = EventLoop::new()?;
     let mut shell = Shell {
         size: options.size,

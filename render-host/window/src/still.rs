@@ -6,7 +6,7 @@ use render_host::{
     gpu::{Device, DeviceOptions},
 };
 
-use crate::{Options, WindowError};
+use crate::{WindowError, WindowOptions};
 
 /// A frame whose tile lists had no room is drawn again: each time there is room for what was wanted.
 const TRIES: u32 = 4;
@@ -15,7 +15,7 @@ const TRIES: u32 = 4;
 ///
 /// # Errors
 /// No device, or it refuses.
-pub fn picture(session: &mut Session, frame: u32, options: &Options) -> Result<Image, WindowError> {
+pub fn picture(session: &mut Session, frame: u32, options: &WindowOptions) -> Result<Image, WindowError> {
     let device = Device::open(&DeviceOptions::from_env()).map_err(ScreenError::from)?;
     let mut screen = Screen::in_memory(device)?;
     options.apply(session, options.size)?;

@@ -28,7 +28,7 @@ pub(crate) fn title(name: &str, session: &Session, rate: f64) -> String {
     text
 }
 
-/// The mean level at which blocks are shown; a block without its base, of which a stand-in is shown, counts 0.
+/// The mean level at which blocks are shown; a block without its base, by a stand-in, counts 0.
 fn mean_level(session: &Session) -> f64 {
     let Ok(blocks) = session.levels() else { return 0.0 };
     let shown = |at: usize| at.saturating_sub(1).min(session.cap()) as f64;

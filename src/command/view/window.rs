@@ -4,7 +4,7 @@ use std::{fs, path::Path};
 
 use anyhow::{Context, Result, bail};
 use dgs_viewer::Session;
-use dgs_window::{Feed, Options, picture, run};
+use dgs_window::{Feed, WindowOptions, picture, run};
 use serde_json::json;
 use trainer_host::scene::Up;
 
@@ -82,9 +82,9 @@ fn only(args: &View) -> Result<&str> {
     }
 }
 
-fn options(args: &View, input: &str, up: Up) -> Result<Options> {
+fn options(args: &View, input: &str, up: Up) -> Result<WindowOptions> {
     let look = &args.look;
-    Ok(Options {
+    Ok(WindowOptions {
         name: name(input),
         size: [look.width, look.height],
         background: look.background,
