@@ -6,8 +6,8 @@
 //! ```
 //!
 //! The decoder is `dgs-player`, the pixels are the stages of `render-host`, both compiled to WebAssembly.
-//! [`Session`] is the same on every machine and tested on this one; `Screen` is compiled for browsers and with
-//! feature `screen`; what a browser alone has, a canvas, for browsers alone. [`asset`] gives the page to
+//! [`Session`] is the same on every machine and tested on this one; `Screen` is compiled for browsers and
+//! with feature `screen`; what a browser alone has, a canvas, for browsers alone. [`asset`] gives the page to
 //! whoever serves it.
 //!
 //! Deliberately absent: sockets (the page's), time (an argument).
