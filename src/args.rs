@@ -11,6 +11,7 @@ mod scene;
 mod socket;
 mod sweep;
 pub mod train;
+mod view;
 
 use std::path::PathBuf;
 
@@ -25,8 +26,9 @@ pub use self::{
     device::DeviceName,
     frames::FrameRange,
     scene::{SceneArgs, Up},
-    socket::{Play, Serve, View},
+    socket::{Play, Serve},
     sweep::{SweepAction, SweepArgs, SweepMerge},
+    view::{View, WindowArgs},
 };
 use self::{
     number::{background, not_negative, positive, real, whole},
@@ -75,8 +77,8 @@ pub enum Verb {
     Serve(Box<Serve>),
     /// Play a served stream: receive, decode and show frames on time.
     Play(Box<Play>),
-    /// Show .dgs files in a browser: a page with a player, on this machine alone.
-    View(View),
+    /// Show streams or scenes: in a browser by a page on this machine alone, or in a window.
+    View(Box<View>),
     /// The whole pipeline with a report: four schedulers side by side over one link.
     Demo(Demo),
     /// Measure: every figure this project quotes.

@@ -21,7 +21,7 @@ use std::{collections::BTreeSet, path::Path};
 use source::{Tree, outside_tests};
 
 /// Package, folder, and the workspace crates it must depend on: no more, no fewer.
-const ARROWS: [(&str, &str, &[&str]); 12] = [
+const ARROWS: [(&str, &str, &[&str]); 13] = [
     (
         "dgs-lab",
         "tests/lab/",
@@ -46,6 +46,7 @@ const ARROWS: [(&str, &str, &[&str]); 12] = [
             "dgs-player",
             "dgs-quic",
             "dgs-viewer",
+            "dgs-window",
             "emulator-host",
             "render-host",
             "trainer-host",
@@ -54,6 +55,7 @@ const ARROWS: [(&str, &str, &[&str]); 12] = [
     ("trainer-host", "trainer-host/", &["codec-core", "codec-simd", "dgs-player", "render-host"]),
     ("render-host", "render-host/", &["codec-core"]),
     ("dgs-viewer", "render-host/viewer/", &["codec-core", "dgs-player", "render-host"]),
+    ("dgs-window", "render-host/window/", &["dgs-player", "dgs-viewer", "render-host"]),
     ("emulator-host", "emulator-host/", &["codec-core"]),
     ("dgs-quic", "emulator-host/quic/", &["codec-core", "dgs-player", "emulator-host"]),
     ("fuzz", "fuzz/", &["codec-core", "dgs-player", "dgs-quic", "emulator-host", "trainer-host"]),

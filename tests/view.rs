@@ -173,6 +173,13 @@ fn it_plays_scrubs_loops_and_ends() {
     assert_eq!(page.number("player.session.frame"), 14.0);
     page.browser.press("o").unwrap();
     assert_eq!(page.run("player.overlay"), true);
+    // On so small a picture the bar is one row, and it goes where nothing is moved while the clip plays.
+    let bar = "player.shadowRoot.querySelector('.bar')";
+    assert!(page.number(&format!("{bar}.getBoundingClientRect().height")) <= 72.0);
+    page.run("player.loop = true, player.play(), 0");
+    page.browser.wait(PATIENCE_S, &format!("getComputedStyle({bar}).opacity === '0'")).unwrap();
+    page.run("player.pause(), 0");
+    page.browser.wait(PATIENCE_S, &format!("getComputedStyle({bar}).opacity === '1'")).unwrap();
     page.close();
 }
 
@@ -183,7 +190,6 @@ fn pointers_move_the_camera_and_the_address_keeps_it() {
         page.run("player.view").as_array().unwrap().iter().map(|v| v.as_f64().unwrap()).collect()
     };
     let start = view(&mut page);
-    // Above the bar, which so small a page has over half of its picture.
     let path = [[100.0, 30.0], [140.0, 40.0]];
     page.browser.drag(&path, "left").unwrap();
     let turned = view(&mut page);
@@ -272,7 +278,7 @@ fn files_are_chosen_refused_and_removed() {
     let (good, bad) = (folder.path().join("good.dgs"), folder.path().join("bad.dgs"));
     std::fs::write(&good, stream(SMALL).to_bytes().unwrap()).unwrap();
     std::fs::write(&bad, b"no stream at all").unwrap();
-    let url = format!("{}blank/", page.served.url());
+    let url = format!("{}plain/", page.served.url());
     page.browser.go(&url).unwrap();
     page.browser
         .wait(PATIENCE_S, "!!(globalThis.player = document.querySelector('dgs-player'))?.engine?.screen")

@@ -124,14 +124,3 @@ pub struct Play {
     #[command(flatten)]
     pub view: ViewArgs,
 }
-
-/// `dgs view`.
-#[derive(Debug, Args)]
-pub struct View {
-    /// .dgs files, each called by its file name without extension.
-    #[arg(required = true, value_name = "STREAM")]
-    pub inputs: Vec<PathBuf>,
-    /// TCP port on this machine; 0 takes a free one.
-    #[arg(long, default_value_t = 4641)]
-    pub port: u16,
-}

@@ -1,12 +1,18 @@
-//! Shows `.dgs` files in a browser, from a page on this machine, until Ctrl-C: `dgs view`.
+//! Shows streams and scenes until Ctrl-C, from a page on this machine, or in a window: `dgs view`.
+
+#[cfg(feature = "window")]
+mod arriving;
+mod opened;
+#[cfg(feature = "window")]
+mod window;
 
 use std::net::Ipv4Addr;
 
 use anyhow::{Context, Result};
-use dgs_player::Stream;
 use dgs_quic::http::{HttpConfig, HttpLimits, HttpServer, Site, SiteStream};
 use serde_json::json;
 
+use self::opened::opened;
 use super::{
     serve::name,
     socket::{asset, interruption, runtime},
@@ -19,19 +25,36 @@ use crate::{
 
 /// Runs the verb.
 pub fn run(args: &View, quiet: Quiet) -> Result<VerbOutput> {
+    match &args.screenshot {
+        Some(out) => screenshot(args, out, quiet),
+        None if args.window => window(args, quiet),
+        None => page(args, quiet),
+    }
+}
+
+#[cfg(feature = "window")]
+use self::window::{screenshot, window};
+
+/// Refuses: this program has no window.
+#[cfg(not(feature = "window"))]
+fn window(_: &View, _: Quiet) -> Result<VerbOutput> {
+    anyhow::bail!("--window: this program was built without it; cargo build --release --features window")
+}
+
+/// Refuses: what a window would show needs what windows need.
+#[cfg(not(feature = "window"))]
+fn screenshot(_: &View, _: &std::path::Path, _: Quiet) -> Result<VerbOutput> {
+    anyhow::bail!("--screenshot: this program was built without it; cargo build --release --features window")
+}
+
+/// Serves a page until Ctrl-C.
+fn page(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let mut streams = Vec::new();
     for input in &args.inputs {
-        let shown = input.display();
-        let file = std::fs::read(input).with_context(|| format!("{shown}: cannot read"))?;
-        let (_, damage) = Stream::from_bytes(&file).with_context(|| {
-            format!("{shown}: no .dgs file that can be shown (dgs encode makes one of a scene)")
-        })?;
-        if !damage.is_none() {
-            warnings.push(format!("{shown}: {damage}"));
-        }
-        let name = name(&input.to_string_lossy());
-        streams.push(SiteStream { name, address: None, web_address: None, file: Some(file.into()) });
+        let file = opened(input, args, quiet, &mut |warning| warnings.push(warning))?;
+        let name = name(input);
+        streams.push(SiteStream { name, address: None, web_address: None, file: Some(file.bytes.into()) });
     }
     let site = Site::new(asset, &streams, None)?;
     // At once: serving may take days.

@@ -93,8 +93,8 @@ const MODULES: [&str; 2] = ["Options", "Kind"];
 type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
-const CEILINGS: [(&str, Counts); 13] = [
-    ("", [0, 1, 0, 7, 0, 0, 0, 0, 122]),
+const CEILINGS: [(&str, Counts); 14] = [
+    ("", [0, 1, 0, 7, 0, 0, 0, 0, 123]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
@@ -104,7 +104,8 @@ const CEILINGS: [(&str, Counts); 13] = [
     ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 23]),
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 35]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 239]),
-    ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 18]),
+    ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 22]),
+    ("render-host/window/", [0, 0, 0, 0, 0, 0, 0, 0, 11]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 50]),
     ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 297]),
 ];

@@ -82,13 +82,14 @@ impl Drop for Served {
     }
 }
 
-/// The page, and under `blank/` once more, where no streams are listed.
+/// The page, and under `plain/` once more, as a server of plain files has it: no streams are listed.
 fn page(path: &str) -> Option<(&'static [u8], &'static str)> {
-    if path == "blank/streams.json" {
-        return Some((b"[]", "application/json"));
+    let plain = path.strip_prefix("plain/");
+    if plain.is_some_and(|name| name.is_empty() || name == "index.html") {
+        let page = include_bytes!("../../render-host/viewer/page/index.html");
+        return Some((page, "text/html; charset=utf-8"));
     }
-    let path = path.strip_prefix("blank/").unwrap_or(path);
-    dgs_viewer::asset(path).map(|asset| (asset.bytes, asset.content_type))
+    dgs_viewer::asset(plain.unwrap_or(path)).map(|asset| (asset.bytes, asset.content_type))
 }
 
 /// The program itself, serving a stream live on an emulated link.

@@ -73,15 +73,29 @@ impl Device {
             wgpu::InstanceFlags::empty()
         };
         let instance = wgpu::Instance::new(descriptor);
-        let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+        let adapter = pollster::block_on(Self::adapter(&instance, None, options))?;
+        pollster::block_on(Self::request(&adapter, options))
+    }
+
+    /// The best adapter that `options` allow: of those that can show pictures on `surface`, if there is one.
+    ///
+    /// # Errors
+    /// [`GpuError::NoAdapter`] without a driver or a match.
+    #[cfg(not(target_family = "wasm"))]
+    pub async fn adapter(
+        instance: &wgpu::Instance,
+        surface: Option<&wgpu::Surface<'_>>,
+        options: &DeviceOptions,
+    ) -> Result<wgpu::Adapter, GpuError> {
+        let mut adapters = instance.enumerate_adapters(wgpu::Backends::PRIMARY).await;
+        adapters.retain(|adapter| surface.is_none_or(|surface| adapter.is_surface_supported(surface)));
         let found: Vec<String> = adapters.iter().map(|a| a.get_info().name).collect();
         let wanted = options.name.to_lowercase();
-        let adapter = adapters
+        adapters
             .into_iter()
             .filter(|a| a.get_info().name.to_lowercase().contains(&wanted))
             .min_by_key(|a| rank(a.get_info().device_type))
-            .ok_or_else(|| GpuError::NoAdapter { wanted: options.name.clone(), found })?;
-        pollster::block_on(Self::request(&adapter, options))
+            .ok_or_else(|| GpuError::NoAdapter { wanted: options.name.clone(), found })
     }
 
     /// Refuses: in a browser adapters come by themselves, and [`Device::request`] opens one.

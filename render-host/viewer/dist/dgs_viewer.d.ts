@@ -97,7 +97,7 @@ export class Session {
      */
     levels(): Uint32Array;
     /**
-     * Looks at all of the frame that is due; `up` is `y`, `minus-z` and so on.
+     * Moves the camera so that every Gaussian is in the picture; `up` is `y`, `minus-z` and so on.
      */
     lookAtAll(aspect: number, up: string): void;
     /**

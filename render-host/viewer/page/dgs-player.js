@@ -2,7 +2,7 @@
 
 import { Engine, load } from "./engine.js";
 import { NetworkPanel } from "./network.js";
-import { bindKeys, bindPointers } from "./input.js";
+import { bindIdle, bindKeys, bindPointers } from "./input.js";
 import { canReceive, receive } from "./live.js";
 import { fetchStream, openBytes } from "./source.js";
 import { STYLE } from "./style.js";
@@ -249,6 +249,7 @@ export class DgsPlayer extends HTMLElement {
     const canvas = this.#part("canvas.picture");
     bindPointers(canvas, () => this.session, () => this.#moved());
     bindKeys(this, canvas, () => this.#moved());
+    bindIdle(this, this.#part(".bar"));
   }
 
   #moved() {

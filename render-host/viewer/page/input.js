@@ -4,6 +4,8 @@
 const FLY = 0.08;
 const TURN = 24;
 const ZOOM = 1.15;
+// The bar goes so long after the last move, while the clip plays, milliseconds.
+const IDLE_MS = 3000;
 
 /** Drags turn, right drags and two fingers pan, wheel and pinch zoom. */
 export function bindPointers(canvas, session, moved) {
@@ -107,4 +109,21 @@ export function bindKeys(player, canvas, moved) {
     event.preventDefault();
     act();
   });
+}
+
+/** Nobody who only looks needs the bar; whoever moves, or has the focus on it, does. */
+export function bindIdle(player, bar) {
+  let timer = 0;
+  const sleep = () => {
+    if (player.paused || bar.matches(":hover") || bar.querySelector(":focus-visible")) return;
+    bar.classList.add("idle");
+  };
+  const wake = () => {
+    bar.classList.remove("idle");
+    clearTimeout(timer);
+    timer = setTimeout(sleep, IDLE_MS);
+  };
+  for (const event of ["pointermove", "pointerdown", "keydown", "focusin", "play", "pause"]) {
+    player.addEventListener(event, wake);
+  }
 }

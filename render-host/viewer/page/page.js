@@ -64,9 +64,10 @@ if (parameters.has("src")) {
   playServed();
 }
 
-// What the server of this page offers, if it is one that does.
+// What the server of this page offers, if it is one that does: it says so in the page.
 async function playServed() {
-  const answer = await fetch("streams.json").catch(() => null);
+  const address = document.querySelector("meta[name=dgs-streams]")?.content;
+  const answer = address ? await fetch(address).catch(() => null) : null;
   if (!answer?.ok || !/json/.test(answer.headers.get("Content-Type") ?? "")) return;
   const served = (await answer.json()).filter((stream) => stream.file || stream.web_address);
   if (served.length === 0 || player.src) return;

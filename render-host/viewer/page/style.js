@@ -2,13 +2,14 @@
 
 export const STYLE = `
 :host { display: block; position: relative; background: #000; color: #f2f2f2; min-height: 8rem; overflow: hidden;
-  font: 14px/1.4 system-ui, sans-serif; contain: content; }
+  font: 14px/1.4 system-ui, sans-serif; contain: content; container-type: inline-size; }
 :host([hidden]) { display: none; }
 canvas.picture { display: block; width: 100%; height: 100%; touch-action: none; outline: none; cursor: grab; }
 canvas.picture:active { cursor: grabbing; }
 canvas.picture:focus-visible { box-shadow: inset 0 0 0 2px #6db3ff; }
 .bar { position: absolute; inset: auto 0 0 0; display: flex; flex-wrap: wrap; gap: 4px; align-items: center;
-  padding: 20px 8px 8px; background: linear-gradient(transparent, #000c 40%); }
+  padding: 20px 8px 8px; background: linear-gradient(transparent, #000c 40%); transition: opacity 0.3s; }
+.bar.idle { opacity: 0; pointer-events: none; }
 :host(:not([controls])) .bar, :host(:not([controls])) .network { display: none; }
 button, select { min-width: 36px; min-height: 36px; border: 1px solid #fff4; border-radius: 6px; background: #222d;
   color: inherit; font: inherit; cursor: pointer; padding: 0 8px; }
@@ -39,4 +40,8 @@ dialog dd { margin: 0; }
 kbd { background: #333; border-radius: 4px; padding: 0 5px; font: inherit; }
 @media (prefers-contrast: more) { button, select, .network { background: #000; border-color: #fff; } }
 @media (max-width: 480px) { .wide { display: none; } }
+@container (max-width: 360px) {
+  .bar :is(.clock, .speed, .quality, .background, .paint, .net, .help) { display: none; }
+  .bar input.time { flex-basis: 60px; min-width: 48px; }
+}
 `;

@@ -13,26 +13,30 @@ const HTML: &str = "text/html; charset=utf-8";
 const CSS: &str = "text/css; charset=utf-8";
 const SCRIPT: &str = "text/javascript; charset=utf-8";
 
+/// The page, and where its server lists streams: on a server of plain files it asks for no list in vain.
+const PAGE: &str =
+    concat!(include_str!("../page/index.html"), "<meta name=\"dgs-streams\" content=\"streams.json\">\n");
+
 macro_rules! assets {
-    ($($name:literal $kind:expr, $path:literal;)*) => {
+    ($($name:literal $kind:expr, $bytes:expr;)*) => {
         /// Every asset: its name, its media type, its bytes.
-        const ASSETS: &[(&str, &str, &[u8])] = &[$(($name, $kind, include_bytes!($path))),*];
+        const ASSETS: &[(&str, &str, &[u8])] = &[$(($name, $kind, $bytes)),*];
     };
 }
 
 assets! {
-    "index.html" HTML, "../page/index.html";
-    "page.css" CSS, "../page/page.css";
-    "page.js" SCRIPT, "../page/page.js";
-    "dgs-player.js" SCRIPT, "../page/dgs-player.js";
-    "engine.js" SCRIPT, "../page/engine.js";
-    "source.js" SCRIPT, "../page/source.js";
-    "input.js" SCRIPT, "../page/input.js";
-    "live.js" SCRIPT, "../page/live.js";
-    "network.js" SCRIPT, "../page/network.js";
-    "style.js" SCRIPT, "../page/style.js";
-    "dgs_viewer.js" SCRIPT, "../dist/dgs_viewer.js";
-    "dgs_viewer_bg.wasm" "application/wasm", "../dist/dgs_viewer_bg.wasm";
+    "index.html" HTML, PAGE.as_bytes();
+    "page.css" CSS, include_bytes!("../page/page.css");
+    "page.js" SCRIPT, include_bytes!("../page/page.js");
+    "dgs-player.js" SCRIPT, include_bytes!("../page/dgs-player.js");
+    "engine.js" SCRIPT, include_bytes!("../page/engine.js");
+    "source.js" SCRIPT, include_bytes!("../page/source.js");
+    "input.js" SCRIPT, include_bytes!("../page/input.js");
+    "live.js" SCRIPT, include_bytes!("../page/live.js");
+    "network.js" SCRIPT, include_bytes!("../page/network.js");
+    "style.js" SCRIPT, include_bytes!("../page/style.js");
+    "dgs_viewer.js" SCRIPT, include_bytes!("../dist/dgs_viewer.js");
+    "dgs_viewer_bg.wasm" "application/wasm", include_bytes!("../dist/dgs_viewer_bg.wasm");
 }
 
 /// The asset at `path` of an address, `/` being the page; `None` if there is none.

@@ -1,4 +1,4 @@
-//! Shows streams of dynamic Gaussian splats in a browser.
+//! Shows streams of dynamic Gaussian splats in a browser, and is what `dgs-window` shows them with.
 //!
 //! ```text
 //! .dgs file, ranges of one, packets ─▶ Session (decoder, clock, camera, emulated network)
@@ -6,8 +6,9 @@
 //! ```
 //!
 //! The decoder is `dgs-player`, the pixels are the stages of `render-host`, both compiled to WebAssembly.
-//! [`Session`] is the same on every machine and tested on this one; what a browser alone has, a canvas and a
-//! device, is compiled for browsers alone. [`asset`] gives the page to whoever serves it.
+//! [`Session`] is the same on every machine and tested on this one; `Screen` is compiled for browsers and
+//! with feature `screen`; what a browser alone has, a canvas, for browsers alone. [`asset`] gives the page to
+//! whoever serves it.
 //!
 //! Deliberately absent: sockets (the page's), time (an argument).
 
@@ -17,8 +18,10 @@ mod bounds;
 mod channel;
 mod orbit;
 mod playback;
+#[cfg(any(target_family = "wasm", feature = "screen"))]
+mod present;
 mod ranges;
-#[cfg(target_family = "wasm")]
+#[cfg(any(target_family = "wasm", feature = "screen"))]
 mod screen;
 mod session;
 #[cfg(target_family = "wasm")]
@@ -31,4 +34,6 @@ pub use channel::{Channel, Conditions};
 pub use orbit::{Orbit, Up};
 pub use playback::{Playback, Step};
 pub use ranges::{FIRST_BYTES, RangePlan, Wanted, message};
+#[cfg(any(target_family = "wasm", feature = "screen"))]
+pub use screen::{Drawn, Look, Screen, ScreenError};
 pub use session::{BlocksByLevel, LEVEL_COLOURS, LEVELS, Session, Shown};

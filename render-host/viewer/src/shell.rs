@@ -1,6 +1,6 @@
 //! The shell gives a page session and screen as JavaScript classes: arguments in, numbers out, no logic.
 
-use render_host::Settings;
+use render_host::gpu::wgpu;
 use wasm_bindgen::prelude::*;
 use web_sys::HtmlCanvasElement;
 
@@ -8,7 +8,7 @@ use crate::{
     channel::Conditions,
     orbit::{Orbit, Up},
     ranges::{FIRST_BYTES, Wanted, message},
-    screen::{Screen, ScreenError},
+    screen::{Drawn, Look, Screen, ScreenError},
     session::{LEVEL_COLOURS, LEVELS, Session},
 };
 
@@ -20,7 +20,11 @@ pub struct ScreenShell(Screen);
 impl ScreenShell {
     /// Opens a device that can draw on `canvas`.
     pub async fn open(canvas: HtmlCanvasElement) -> Result<ScreenShell, JsError> {
-        Ok(Self(Screen::open(canvas).await?))
+        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+        descriptor.backends = wgpu::Backends::BROWSER_WEBGPU;
+        let instance = wgpu::Instance::new(descriptor);
+        let surface = instance.create_surface(wgpu::SurfaceTarget::Canvas(canvas))?;
+        Ok(Self(Screen::open(&instance, surface).await?))
     }
 
     /// Name of the adapter; empty where the browser keeps it to itself.
@@ -71,8 +75,8 @@ pub struct SessionShell {
     session: Session,
     damage: String,
     background: [f32; 3],
-    /// What is on the screen: content and frame.
-    drawn: Option<(u64, u32)>,
+    /// What is on the screen.
+    drawn: Drawn,
 }
 
 /// Bytes to ask for first when a file is fetched in pieces.
@@ -393,16 +397,9 @@ impl SessionShell {
 
     /// Draws the frame that is due on `width` × `height` pixels.
     pub fn draw(&mut self, screen: &mut ScreenShell, width: u32, height: u32) -> Result<(), JsError> {
-        let camera = self.session.orbit().camera(width, height)?;
-        let settings = Settings::over(self.background);
-        let fresh = (self.session.content(), self.session.playback().frame());
-        if self.drawn != Some(fresh) {
-            let anew = self.drawn.is_none();
-            let shown = self.session.show()?;
-            screen.0.upload(&shown.splats, shown.only_moved && !anew)?;
-            self.drawn = Some(fresh);
-        }
-        screen.0.draw(&camera, &settings).map_err(|error: ScreenError| JsError::from(error))
+        let size = [width, height];
+        let look = Look { size, shown: size, background: self.background };
+        screen.0.draw(&mut self.session, &mut self.drawn, &look).map_err(|error: ScreenError| error.into())
     }
 
     /// A number that changes with what is shown, but for camera and frame.

@@ -223,7 +223,15 @@ async fn converse(
             if !config.loops || playback.grows() {
                 return say(send, &ClientMessage::Bye).await;
             }
-            say(send, &playback.next_round()).await?;
+            say(send, &playback.next_round(0)).await?;
+            continue;
+        }
+        // A stream that grows is shown at its newest end.
+        if had_manifest
+            && !playback.grows()
+            && let Some(start_us) = screen.wanted_round_us()
+        {
+            say(send, &playback.next_round(start_us)).await?;
             continue;
         }
         let (history, late) = (now >= history_at, answer_at.is_some_and(|at| now >= at));
@@ -243,6 +251,7 @@ async fn converse(
                 match message {
                     Ok(Some(ServerMessage::Manifest(message))) if !had_manifest => {
                         playback.manifest(&message)?;
+                        screen.manifest(&message);
                         had_manifest = true;
                         history_at = now;
                     }
@@ -258,6 +267,7 @@ async fn converse(
             datagram = channel.read() => {
                 let datagram = datagram.map_err(|error| PlayError::Lost(error.into()))?;
                 playback.media(&datagram)?;
+                screen.media(&datagram);
                 unanswered += 1;
                 answer_at = answer_at.or(Some(now + RECEIPT_DELAY));
             }

@@ -29,6 +29,17 @@ pub trait Screen {
     /// # Errors
     /// What makes it pointless to go on.
     fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String>;
+
+    /// The manifest has come: a DGSM message, which was taken.
+    fn manifest(&mut self, _message: &[u8]) {}
+
+    /// A datagram of media has come, whatever became of it.
+    fn media(&mut self, _packet: &[u8]) {}
+
+    /// The time of the clip, microseconds, from which another round is wanted; asked often, answered once.
+    fn wanted_round_us(&mut self) -> Option<u64> {
+        None
+    }
 }
 
 /// Shows nothing: frames are only timed and counted.
@@ -192,11 +203,11 @@ impl Playback {
         self.begin(0, frame * self.interval.0 / 1000);
     }
 
-    /// Begins the next round, at the start of the clip.
-    pub(crate) fn next_round(&mut self) -> ClientMessage {
-        self.begin(self.round + 1, 0);
+    /// Begins the next round, at the time `start_us`.
+    pub(crate) fn next_round(&mut self, start_us: u64) -> ClientMessage {
+        self.begin(self.round + 1, start_us);
         self.round_began = Instant::now();
-        ClientMessage::Seek { round: self.round, start_us: 0 }
+        ClientMessage::Seek { round: self.round, start_us }
     }
 
     fn begin(&mut self, round: u32, start_us: u64) {

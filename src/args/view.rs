@@ -1,0 +1,82 @@
+//! Parses what showing takes: in a browser, in a window, as one picture.
+
+use std::path::PathBuf;
+
+use clap::{ArgGroup, Args};
+use render_host::camera::MAX_SIDE;
+
+use super::{
+    CodecArgs, SceneArgs,
+    number::{background, not_negative, whole},
+};
+
+/// `dgs view`.
+#[derive(Debug, Args)]
+#[command(group = ArgGroup::new("native").args(["window", "screenshot"]))]
+pub struct View {
+    /// .dgs files or scenes (which are encoded first), each called by its file name without extension; with
+    /// --window one of them, or http(s)://….dgs by byte ranges, or the dgs:// URL of a server.
+    #[arg(required = true, value_name = "STREAM|SCENE|URL")]
+    pub inputs: Vec<String>,
+    /// TCP port of the page on this machine; 0 takes a free one.
+    #[arg(long, default_value_t = 4641, conflicts_with = "native")]
+    pub port: u16,
+    /// Show it in a window of this machine, not in a browser; in builds with `--features window`.
+    #[arg(long)]
+    pub window: bool,
+    /// Write the picture that the window would show to this PNG file; no display is needed, and no window
+    /// opened.
+    #[arg(long, value_name = "FILE.png")]
+    pub screenshot: Option<PathBuf>,
+    /// Frame of that picture, from 0.
+    #[arg(long, value_name = "FRAME", default_value_t = 0, requires = "screenshot")]
+    pub at: u32,
+    /// How a window begins.
+    #[command(flatten)]
+    pub look: WindowArgs,
+    /// How to read a scene.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// How to encode a scene.
+    #[command(flatten)]
+    pub codec: CodecArgs,
+}
+
+/// How a window begins.
+#[derive(Debug, Args)]
+pub struct WindowArgs {
+    /// Width of the window, 1 to 16384 pixels.
+    #[arg(
+        long, default_value_t = 1280, value_parser = whole::<u32>(1..=MAX_SIDE, "pixels"), requires = "native"
+    )]
+    pub width: u32,
+    /// Height of the window, 1 to 16384 pixels.
+    #[arg(
+        long, default_value_t = 720, value_parser = whole::<u32>(1..=MAX_SIDE, "pixels"), requires = "native"
+    )]
+    pub height: u32,
+    /// Background of the window, 0 to 1 per channel: grey level or r,g,b.
+    #[arg(long, default_value = "0", value_parser = background, requires = "native")]
+    pub background: [f32; 3],
+    /// Highest level shown, 0 to 3.
+    #[arg(long, default_value_t = 3, value_parser = whole::<usize>(0..=3, "levels"), requires = "native")]
+    pub level: usize,
+    /// Paint blocks by the level that they are shown at.
+    #[arg(long, requires = "native")]
+    pub overlay: bool,
+    /// Begin at this time, at least 0 seconds.
+    #[arg(
+        long, value_name = "SECONDS", default_value_t = 0.0, value_parser = not_negative,
+        allow_negative_numbers = true, requires = "window"
+    )]
+    pub seek: f64,
+    /// Begin paused.
+    #[arg(long, requires = "window")]
+    pub paused: bool,
+    /// Play once and close.
+    #[arg(long, requires = "window", conflicts_with = "paused")]
+    pub once: bool,
+    /// Take the whole display.
+    #[arg(long, requires = "window")]
+    pub fullscreen: bool,
+}

@@ -1,0 +1,266 @@
+//! Brings a stream from a server to a window: packets of a session, or a file by byte ranges.
+
+use std::{
+    io::Read as _,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+        mpsc::{Receiver, SyncSender, TryRecvError},
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use anyhow::{Context, Result, bail};
+use dgs_quic::socket::{ClientConfig, Locator, Screen, Trust, play};
+use dgs_viewer::FIRST_BYTES;
+use dgs_window::{Arrival, Feed, Feeder, Wish, feed};
+use ureq::{Agent, Body, http::Response};
+
+use crate::command::socket::runtime;
+
+/// Largest file, bytes.
+const MAX_FILE_BYTES: u64 = 4 << 30;
+/// Longest wait for an answer.
+const PATIENCE: Duration = Duration::from_secs(30);
+/// Tries of one request, and what lies between two.
+const TRIES: u32 = 4;
+const PAUSE: Duration = Duration::from_millis(200);
+/// Rounds are this far apart at least: a server takes five seeks a second.
+const ROUND_EVERY: Duration = Duration::from_millis(250);
+/// Packets that wait for their manifest.
+const EARLY_PACKETS: usize = 128;
+/// How soon the end of the window is noticed.
+const NOTICE: Duration = Duration::from_millis(50);
+
+/// Whether `input` is an address and no path.
+pub(super) fn is_address(input: &str) -> bool {
+    ["dgs://", "https://", "http://"].iter().any(|scheme| input.starts_with(scheme))
+}
+
+/// What brings a stream, on a thread of its own.
+pub(super) struct Arriving {
+    thread: JoinHandle<()>,
+    stop: Arc<AtomicBool>,
+}
+
+impl Arriving {
+    /// Begins to bring what lies at `address`.
+    ///
+    /// # Errors
+    /// It is no address, or nothing says by what the server is known.
+    pub fn begin(address: &str) -> Result<(Self, Feed)> {
+        let (feeder, feed) = feed();
+        let stop = Arc::new(AtomicBool::new(false));
+        let heard = Arc::clone(&stop);
+        let path = address.split(['#', '?']).next().unwrap_or(address);
+        let is_file = address.starts_with("http://") || path.ends_with(".dgs");
+        let thread = if is_file && !address.starts_with("dgs://") {
+            let url = address.to_owned();
+            named("dgs-ranges", move || bring_file(&url, &feeder, &heard))?
+        } else {
+            let locator: Locator = address.parse()?;
+            let Some(pin) = locator.pin else { bail!("{address}: its #PIN is missing; dgs serve prints it") };
+            let config = ClientConfig { loops: true, ..ClientConfig::new(locator, Trust::Pin(pin)) };
+            named("dgs-session", move || bring_session(&config, feeder, &heard))?
+        };
+        Ok((Self { thread, stop }, feed))
+    }
+
+    /// Ends it.
+    pub fn end(self) {
+        self.stop.store(true, Ordering::Relaxed);
+        // What it had to say, it has said to the window.
+        let _ = self.thread.join();
+    }
+}
+
+fn named(name: &str, act: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>> {
+    thread::Builder::new().name(name.to_owned()).spawn(act).context("cannot receive beside the window")
+}
+
+/// The session's end: packets go to the window.
+struct Forwarding {
+    arrivals: SyncSender<Arrival>,
+    wishes: Receiver<Wish>,
+    /// Packets that came before the manifest; `None` after it.
+    early: Option<Vec<Vec<u8>>>,
+    /// The round that is wanted, and when the last was begun.
+    wanted_us: Option<u64>,
+    round_at: Option<Instant>,
+}
+
+impl Forwarding {
+    /// A window that is slow or hidden loses packets as a network does.
+    fn send(&self, arrival: Arrival) {
+        let _ = self.arrivals.try_send(arrival);
+    }
+}
+
+impl Screen for Forwarding {
+    fn show(&mut self, _: &mut dgs_player::Player, _: u32) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn manifest(&mut self, message: &[u8]) {
+        self.send(Arrival::Manifest(message.to_vec()));
+        for packet in self.early.take().into_iter().flatten() {
+            self.send(Arrival::Packet(packet));
+        }
+    }
+
+    fn media(&mut self, packet: &[u8]) {
+        match &mut self.early {
+            Some(early) if early.len() < EARLY_PACKETS => early.push(packet.to_vec()),
+            Some(_) => {}
+            None => self.send(Arrival::Packet(packet.to_vec())),
+        }
+    }
+
+    fn wanted_round_us(&mut self) -> Option<u64> {
+        for wish in self.wishes.try_iter() {
+            if let Wish::From(seconds) = wish {
+                self.wanted_us = Some((seconds * 1e6) as u64);
+            }
+        }
+        if self.round_at.is_some_and(|at| at.elapsed() < ROUND_EVERY) {
+            return None;
+        }
+        let wanted = self.wanted_us.take()?;
+        self.round_at = Some(Instant::now());
+        Some(wanted)
+    }
+}
+
+/// Receives until `stop`.
+fn bring_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
+    let Feeder { arrivals, wishes } = feeder;
+    let last = arrivals.clone();
+    let mut screen =
+        Forwarding { arrivals, wishes, early: Some(Vec::new()), wanted_us: None, round_at: None };
+    let stopped = async {
+        while !stop.load(Ordering::Relaxed) {
+            tokio::time::sleep(NOTICE).await;
+        }
+    };
+    let why = match runtime() {
+        Ok(runtime) => runtime.block_on(play(config, &mut screen, stopped)).error.map(|e| e.to_string()),
+        Err(error) => Some(format!("{error:#}")),
+    };
+    let _ = last.try_send(Arrival::End(why.map(|why| format!("{}: {why}", config.locator))));
+}
+
+/// Fetches a file, what is wished for first, until all of it is there or `stop`.
+fn bring_file(url: &str, feeder: &Feeder, stop: &AtomicBool) {
+    let agent = Agent::new_with_config(Agent::config_builder().timeout_global(Some(PATIENCE)).build());
+    let end = match fetch(&agent, url, feeder, stop) {
+        Ok(()) => None,
+        Err(error) => Some(format!("{url}: {error:#}")),
+    };
+    let _ = feeder.arrivals.try_send(Arrival::End(end));
+}
+
+fn fetch(agent: &Agent, url: &str, feeder: &Feeder, stop: &AtomicBool) -> Result<()> {
+    let front = match ask(agent, url, Some((0, FIRST_BYTES)))? {
+        Answer::Whole(bytes) => {
+            feeder.arrivals.send(Arrival::File(bytes))?;
+            return Ok(());
+        }
+        Answer::Part { bytes, length } => (bytes, length),
+    };
+    let (mut bytes, length) = front;
+    if let Err(needed) = dgs_viewer::message(&bytes)? {
+        match ask(agent, url, Some((0, needed.min(length))))? {
+            Answer::Whole(whole) => {
+                feeder.arrivals.send(Arrival::File(whole))?;
+                return Ok(());
+            }
+            Answer::Part { bytes: longer, .. } => bytes = longer,
+        }
+    }
+    feeder.arrivals.send(Arrival::Front { bytes, length })?;
+    while !stop.load(Ordering::Relaxed) {
+        let arrival = match feeder.wishes.try_recv() {
+            Ok(Wish::Bytes(range)) => match ask(agent, url, Some((range.start, range.end)))? {
+                Answer::Part { bytes, .. } => Arrival::Piece { at: range.start, bytes },
+                Answer::Whole(bytes) => Arrival::File(bytes),
+            },
+            Ok(Wish::Whole) => match ask(agent, url, None)? {
+                Answer::Whole(bytes) => Arrival::File(bytes),
+                Answer::Part { .. } => bail!("a part came where the whole was asked for"),
+            },
+            Ok(Wish::From(_)) => continue,
+            Err(TryRecvError::Empty) => {
+                thread::sleep(NOTICE / 10);
+                continue;
+            }
+            Err(TryRecvError::Disconnected) => return Ok(()),
+        };
+        let whole = matches!(arrival, Arrival::File(_));
+        feeder.arrivals.send(arrival)?;
+        if whole {
+            return Ok(());
+        }
+    }
+    Ok(())
+}
+
+/// What a server answers.
+enum Answer {
+    Part { bytes: Vec<u8>, length: u64 },
+    Whole(Vec<u8>),
+}
+
+/// Bytes `from` to `past` of `url`, or all of it; tried again while the server is to blame.
+fn ask(agent: &Agent, url: &str, part: Option<(u64, u64)>) -> Result<Answer> {
+    let mut tried = 1;
+    loop {
+        match ask_once(agent, url, part) {
+            Err(error) if tried < TRIES && may_pass(&error) => thread::sleep(PAUSE * 2u32.pow(tried)),
+            answer => return answer,
+        }
+        tried += 1;
+    }
+}
+
+/// Whether another try may do better: not when the server says that there is nothing.
+fn may_pass(error: &anyhow::Error) -> bool {
+    match error.downcast_ref::<ureq::Error>() {
+        Some(ureq::Error::StatusCode(status)) => *status >= 500,
+        Some(_) => true,
+        None => false,
+    }
+}
+
+fn ask_once(agent: &Agent, url: &str, part: Option<(u64, u64)>) -> Result<Answer> {
+    let mut request = agent.get(url);
+    if let Some((from, past)) = part {
+        request = request.header("Range", format!("bytes={from}-{}", past.saturating_sub(1)));
+    }
+    let response = request.call()?;
+    let Some((from, past)) = part.filter(|_| response.status() == 206) else {
+        return Ok(Answer::Whole(body(response, MAX_FILE_BYTES)?));
+    };
+    let field = response.headers().get("Content-Range").and_then(|field| field.to_str().ok()).unwrap_or("");
+    let length: u64 = field
+        .rsplit('/')
+        .next()
+        .and_then(|length| length.parse().ok())
+        .with_context(|| format!("Content-Range is {field:?}; a length is missing"))?;
+    let bytes = body(response, past - from)?;
+    let wanted = past.min(length).saturating_sub(from);
+    if (bytes.len() as u64) < wanted {
+        bail!("{} bytes of {wanted} came", bytes.len());
+    }
+    Ok(Answer::Part { bytes, length })
+}
+
+/// The bytes of an answer, `most` at most.
+fn body(response: Response<Body>, most: u64) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    response.into_body().into_reader().take(most + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > most {
+        bail!("more than {most} bytes came");
+    }
+    Ok(bytes)
+}

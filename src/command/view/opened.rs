@@ -1,0 +1,43 @@
+//! Opens what is to be shown: the bytes of a stream, from a file or by encoding a scene.
+
+use std::fs;
+
+use anyhow::{Context, Result, bail};
+use dgs_player::Stream;
+use trainer_host::{encode::Protection, scene::Up};
+
+use crate::{
+    args::View,
+    pipeline::{self, Quiet},
+};
+
+/// A stream, and which way is up in it.
+pub(super) struct Opened {
+    pub bytes: Vec<u8>,
+    #[cfg_attr(not(feature = "window"), allow(dead_code, reason = "a page is told by its address"))]
+    pub up: Up,
+}
+
+/// The stream `input`, or the scene `input` encoded.
+///
+/// # Errors
+/// It cannot be read, or is neither.
+pub(super) fn opened(input: &str, args: &View, quiet: Quiet, warn: &mut dyn FnMut(String)) -> Result<Opened> {
+    if input.contains("://") {
+        bail!("{input}: a page shows files and scenes; --window shows URLs");
+    }
+    if !pipeline::is_stream(input) {
+        let loaded = pipeline::import(input, &args.scene)?;
+        let options = pipeline::encode_options(&args.codec, Protection::NONE);
+        let stream = pipeline::encode(&loaded.scene, &options, quiet)?.stream;
+        return Ok(Opened { bytes: stream.to_bytes()?, up: loaded.scene.up });
+    }
+    let bytes = fs::read(input).with_context(|| format!("{input}: cannot read"))?;
+    let (_, damage) = Stream::from_bytes(&bytes).with_context(|| {
+        format!("{input}: no .dgs file that can be shown (dgs encode makes one of a scene)")
+    })?;
+    if !damage.is_none() {
+        warn(format!("{input}: {damage}"));
+    }
+    Ok(Opened { bytes, up: args.scene.up.map_or(Up::default(), Up::from) })
+}
