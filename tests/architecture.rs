@@ -21,7 +21,7 @@ use std::{collections::BTreeSet, path::Path};
 use source::{Tree, outside_tests};
 
 /// Package, folder, and the workspace crates it must depend on: no more, no fewer.
-const ARROWS: [(&str, &str, &[&str]); 12] = [
+const ARROWS: [(&str, &str, &[&str]); 13] = [
     (
         "dgs-lab",
         "tests/lab/",
@@ -52,6 +52,7 @@ const ARROWS: [(&str, &str, &[&str]); 12] = [
         ],
     ),
     ("trainer-host", "trainer-host/", &["codec-core", "codec-simd", "dgs-player", "render-host"]),
+    ("dgs-python", "trainer-host/python/", &["codec-core", "dgs-player", "render-host", "trainer-host"]),
     ("render-host", "render-host/", &["codec-core"]),
     ("dgs-viewer", "render-host/viewer/", &["codec-core", "dgs-player", "render-host"]),
     ("emulator-host", "emulator-host/", &["codec-core"]),
@@ -88,13 +89,14 @@ const TOP: [(&str, bool); 17] = [
 ];
 
 /// Crates that must not ask a clock.
-const LIBRARIES: [&str; 7] = [
+const LIBRARIES: [&str; 8] = [
     "codec-core",
     "codec-core/capi",
     "codec-core/player",
     "render-host",
     "render-host/viewer",
     "trainer-host",
+    "trainer-host/python",
     "emulator-host",
 ];
 

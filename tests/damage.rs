@@ -196,7 +196,7 @@ fn good_stream() -> Stream {
         repair: Protection::xor(4),
         ..EncodeOptions::default()
     };
-    encode(&scene, &options, &|_, _| {}).unwrap().stream
+    encode(&scene, &options, &trainer_host::encode::unheard).unwrap().stream
 }
 
 /// A file around `message` with the packets of `stream`.

@@ -6,7 +6,7 @@ use codec_core::{
     internals::{digest::Digest, ids::Level},
 };
 use serde_json::json;
-use trainer_host::scene::Up;
+use trainer_host::{scene::Up, stream::decoded};
 
 use super::convert::format::SceneOutput;
 use crate::{
@@ -61,7 +61,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         let progress = Progress::new("decode", quiet.0);
         text += &output.write(out, args.overwrite, args.frame, frames.count(), &progress, |frame| {
             let instant = frames.instant(frame)?;
-            let (epoch, missing) = pipeline::snapshot(&instant)?;
+            let (epoch, missing) = decoded::snapshot(&instant)?;
             absent.add(missing, instant.gaussians.len());
             Ok((epoch, 0))
         })?;

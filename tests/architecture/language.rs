@@ -93,7 +93,7 @@ const MODULES: [&str; 2] = ["Options", "Kind"];
 type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
-const CEILINGS: [(&str, Counts); 13] = [
+const CEILINGS: [(&str, Counts); 14] = [
     ("", [0, 1, 0, 7, 0, 0, 0, 0, 122]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
@@ -107,6 +107,7 @@ const CEILINGS: [(&str, Counts); 13] = [
     ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 18]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 50]),
     ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 291]),
+    ("trainer-host/python/", [0, 0, 0, 0, 0, 0, 0, 0, 0]),
 ];
 
 /// The room of a file: the longest folder of [`CEILINGS`] that it lies in.
