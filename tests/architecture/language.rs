@@ -106,7 +106,7 @@ const CEILINGS: [(&str, Counts); 14] = [
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 239]),
     ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 18]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 50]),
-    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 291]),
+    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 299]),
     ("trainer-host/python/", [0, 0, 0, 0, 0, 0, 0, 0, 0]),
 ];
 

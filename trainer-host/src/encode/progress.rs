@@ -4,8 +4,8 @@ use std::ops::ControlFlow;
 
 use super::EncodeError;
 
-/// Hears how far the encoder is, stage name and share done, 0..=1, and says whether it goes on. It is called on
-/// the thread that encodes.
+/// Hears how far the encoder is, stage name and share done, 0..=1, and says whether it goes on. It is called
+/// on the thread that encodes.
 pub type Progress<'p> = &'p (dyn Fn(&'static str, f64) -> ControlFlow<()> + Sync);
 
 /// For callers that want neither to hear nor to stop.

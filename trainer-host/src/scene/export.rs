@@ -6,6 +6,7 @@
 
 pub mod compressed_ply;
 mod file_format;
+pub mod fourdgs;
 pub mod gltf;
 pub mod ply;
 pub mod sog;

@@ -38,8 +38,9 @@ pub fn logit(opacity: f32) -> f32 {
     (opacity / (1.0 - opacity).max(1e-9)).max(1e-9).ln()
 }
 
-/// Frames, each an epoch of one frame, as a scene: one epoch if all have as many Gaussians of the same higher
-/// bands, else as they are. Inside of an epoch of a stream rows are the same Gaussians unless some are missing.
+/// Frames, each an epoch of one frame, as a scene: one epoch if all have as many Gaussians of the same
+/// higher bands, else as they are. Inside of an epoch of a stream rows are the same Gaussians unless some are
+/// missing.
 ///
 /// # Errors
 /// No frames, or a frame rate that is not positive and finite.
