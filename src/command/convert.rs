@@ -39,12 +39,16 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
         warnings.push(loss.to_owned());
     }
     let count = scene.frames() as u32;
-    let wrote = output.write(&args.out, args.overwrite, args.frame, count, &progress, |frame| {
-        let found = scene.locate(frame as usize);
+    let frame = |number: u32| {
+        let found = scene.locate(number as usize);
         let last = count - 1;
-        let (epoch, t) = found.with_context(|| format!("--frame is {frame}; 0 to {last} are allowed"))?;
+        let (epoch, t) = found.with_context(|| format!("--frame is {number}; 0 to {last} are allowed"))?;
         Ok((&scene.epochs()[epoch], t))
-    })?;
+    };
+    let wrote = match output {
+        SceneOutput::FourDgs => format::write_clip(&scene, &args.out)?,
+        _ => output.write(&args.out, args.overwrite, args.frame, count, &progress, frame)?,
+    };
     drop(progress);
     let mut text = wrote;
     if before != (scene.max_count(), scene.frames()) {

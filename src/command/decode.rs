@@ -1,6 +1,6 @@
 //! Decodes a `.dgs` file to frames that other programs read, or to the digest of what it holds.
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use codec_core::{
     ErrorKind,
     internals::{digest::Digest, ids::Level},
@@ -21,6 +21,9 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
     let out =
         args.out.as_deref().map(|out| Ok::<_, anyhow::Error>((out, SceneOutput::of(out)?))).transpose()?;
     if let Some((out, output)) = out {
+        if output == SceneOutput::FourDgs {
+            bail!("{}: .4dgs is written by dgs convert", out.display());
+        }
         output.check(out, args.overwrite)?;
     }
     let mut warnings = Vec::new();

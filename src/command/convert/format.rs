@@ -3,7 +3,11 @@
 use std::{borrow::Borrow, path::Path};
 
 use anyhow::{Result, bail};
-use trainer_host::{Epoch, export::FileFormat, scene::Up};
+use trainer_host::{
+    Epoch, Scene,
+    export::{self, FileFormat},
+    scene::Up,
+};
 
 use crate::{
     files::{self, FrameFolder},
@@ -17,6 +21,8 @@ pub(in crate::command) enum SceneOutput {
     File(FileFormat),
     /// All frames, a PLY each.
     Folder,
+    /// All frames in one `.4dgs` file.
+    FourDgs,
 }
 
 impl SceneOutput {
@@ -27,12 +33,15 @@ impl SceneOutput {
         if let Some(format) = FileFormat::of(path) {
             return Ok(Self::File(format));
         }
+        if ending.eq_ignore_ascii_case("4dgs") {
+            return Ok(Self::FourDgs);
+        }
         if ending.eq_ignore_ascii_case("dgs") {
             bail!("{}: a stream is written by dgs encode", path.display());
         }
         bail!(
-            "{}: .{} is no format that scenes are written in; {}, or a folder without an ending for a PLY \
-             sequence are allowed",
+            "{}: .{} is no format that scenes are written in; {}, .4dgs, or a folder without an ending for a \
+             PLY sequence are allowed",
             path.display(),
             ending.to_string_lossy(),
             FileFormat::ENDINGS
@@ -42,7 +51,7 @@ impl SceneOutput {
     /// Refuses an output that could not be written: asked before the work.
     pub(in crate::command) fn check(self, path: &Path, overwrite: bool) -> Result<()> {
         match self {
-            Self::File(_) => files::check(path),
+            Self::File(_) | Self::FourDgs => files::check(path),
             Self::Folder => FrameFolder::create(path, overwrite).map(drop),
         }
     }
@@ -52,11 +61,12 @@ impl SceneOutput {
         match self {
             Self::Folder => FileFormat::Ply,
             Self::File(format) => format,
+            Self::FourDgs => return Up::Y,
         }
         .usual_up()
     }
 
-    /// Writes frames: a folder gets all of `count`, a file frame `only`. `frame` gives one as an epoch and
+    /// Writes frames, except as `.4dgs`: a folder gets all of `count`, a file frame `only`. `frame` gives one as an epoch and
     /// the frame in it; `progress` hears of each.
     pub(in crate::command) fn write<E: Borrow<Epoch>>(
         self,
@@ -69,6 +79,7 @@ impl SceneOutput {
     ) -> Result<String> {
         let format = match self {
             Self::File(format) => format,
+            Self::FourDgs => bail!("{}: .4dgs is written by dgs convert", out.display()),
             Self::Folder => {
                 let mut folder = FrameFolder::create(out, overwrite)?;
                 for number in 0..count {
@@ -88,6 +99,19 @@ impl SceneOutput {
         let one = if count > 1 { format!(", frame {only} of {count}") } else { String::new() };
         Ok(format!("wrote {}: {gaussians} Gaussians, {} bytes{one}\n", out.display(), bytes.len()))
     }
+}
+
+/// Writes all frames of `scene` as `.4dgs`.
+pub(in crate::command) fn write_clip(scene: &Scene, out: &Path) -> Result<String> {
+    let bytes = export::fourdgs::encode(scene)?;
+    files::write(out, &bytes)?;
+    Ok(format!(
+        "wrote {}: {} Gaussians, {} bytes, {} frames\n",
+        out.display(),
+        scene.max_count(),
+        bytes.len(),
+        scene.frames()
+    ))
 }
 
 #[cfg(test)]

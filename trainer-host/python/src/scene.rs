@@ -7,7 +7,7 @@ use pyo3::{exceptions::PyUserWarning, prelude::*};
 use trainer_host::{
     edit::{self, Similarity, turn_between},
     encode::{self, EncodeOptions},
-    export::FileFormat,
+    export::{self, FileFormat},
     import::{self, ImportOptions, Limits, gltf, synth},
     scene::Up,
     stream::{Stream, decoded},
@@ -99,6 +99,10 @@ pub fn save(scene: &trainer_host::Scene, path: &Path, frame: i64, keep_axes: boo
         let bytes = encoded.stream.to_bytes().map_err(refused)?;
         return std::fs::write(path, bytes).map_err(|error| of_file(path, &error));
     }
+    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("4dgs")) {
+        let bytes = export::fourdgs::encode(scene).map_err(|error| of_file(path, &error))?;
+        return std::fs::write(path, bytes).map_err(|error| of_file(path, &error));
+    }
     let is_folder = path.is_dir() || path.extension().is_none();
     let format = if is_folder { FileFormat::Ply } else { format_of(path)? };
     let turned = if keep_axes { None } else { turned(scene, format)? };
@@ -111,7 +115,7 @@ fn format_of(path: &Path) -> PyResult<FileFormat> {
     FileFormat::of(path).ok_or_else(|| {
         let endings = FileFormat::ENDINGS;
         refused(format!(
-            "{}: no format that scenes are written in; {endings}, .dgs, or a folder without an ending are \
+            "{}: no format that scenes are written in; {endings}, .4dgs, .dgs, or a folder without an ending are \
              allowed",
             path.display()
         ))

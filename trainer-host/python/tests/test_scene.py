@@ -100,7 +100,7 @@ def test_other_mistakes_are_named_too() -> None:
         dgs.Scene.synth("teapot")
 
 
-@pytest.mark.parametrize("ending", ["ply", "compressed.ply", "spz", "sog", "glb", "dgs"])
+@pytest.mark.parametrize("ending", ["ply", "compressed.ply", "spz", "sog", "glb", "4dgs", "dgs"])
 def test_files_come_back(tmp_path: pathlib.Path, ending: str) -> None:
     given = arrays(frames=1)
     scene = dgs.Scene.from_arrays(**given)

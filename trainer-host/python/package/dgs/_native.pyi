@@ -128,7 +128,7 @@ class Scene:
         """Writes the scene as the ending says.
 
         .ply, .compressed.ply, .spz, .splat, .sog and .glb hold the one ``frame``, a folder without an ending
-        every frame as a PLY, .dgs all of it as :func:`encode` writes it by default. The scene is turned to
+        every frame as a PLY, .4dgs all of it, .dgs all of it as :func:`encode` writes it by default. The scene is turned to
         the axes that are usual in the format unless ``keep_axes``.
         """
     def __len__(self) -> int: ...
