@@ -36,7 +36,7 @@ mod tests {
 
     #[test]
     fn work_ends_at_the_stage_at_which_it_is_stopped() {
-        let options = synth::SynthOptions { gaussians: 200, frames: 2, ..synth::SynthOptions::default() };
+        let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..synth::SynthOptions::default() };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
         let stages = Mutex::new(Vec::new());

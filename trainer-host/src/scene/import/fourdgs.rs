@@ -133,27 +133,43 @@ impl Clip<'_> {
         if self.is_open(i, frame) && share >= self.decoded.header.cutoff { share } else { 0.0 }
     }
 
-    /// The clip in epochs: frames in which the same windows are open.
+    /// The first of `frames` frames that is not before `instant`, seconds.
+    fn first_at(&self, instant: f64, frames: usize) -> usize {
+        let (mut low, mut high) = (0, frames);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            let is_before = self.time(middle) + LATER / self.frames_per_second < instant;
+            (low, high) = if is_before { (middle + 1, high) } else { (low, middle) };
+        }
+        low
+    }
+
+    /// The clip in epochs: frames in which the same windows are open. Where none is, an epoch has a Gaussian
+    /// that does not show.
     fn epochs(&self, frames: usize, limits: &Limits) -> Result<Vec<Epoch>, ImportError> {
         let set = &self.decoded.gaussians;
         let (windows, _) = set.window_table();
-        let open = |frame: usize| -> Vec<bool> {
-            let at = self.time(frame) + LATER / self.frames_per_second;
-            windows.iter().map(|&(low, high)| low <= at && at < high).collect()
-        };
-        let mut epochs = Vec::new();
-        let (mut first, mut left) = (0, limits.max_bytes);
-        while first < frames {
-            let windows = open(first);
-            let end = (first + 1..frames).find(|&frame| open(frame) != windows).unwrap_or(frames);
-            let rows: Vec<usize> = (0..set.count()).filter(|&i| self.is_open(i, first)).collect();
+        let ends = windows.iter().flat_map(|&(low, high)| [low, high]);
+        let mut starts: Vec<usize> = ends.map(|instant| self.first_at(instant, frames)).collect();
+        starts.extend([0, frames]);
+        starts.sort_unstable();
+        starts.dedup();
+        let work = (starts.len() as u64).saturating_mul(set.count() as u64);
+        limits.bytes(FORMAT, "Gaussians in all windows", work)?;
+        let mut epochs = Vec::with_capacity(starts.len());
+        let mut left = limits.max_bytes;
+        for pair in starts.windows(2) {
+            let (first, end) = (pair[0], pair[1]);
+            let mut rows: Vec<usize> = (0..set.count()).filter(|&i| self.is_open(i, first)).collect();
+            if rows.is_empty() {
+                rows.push(0);
+            }
             let bytes = (rows.len() as u64).saturating_mul((end - first) as u64).saturating_mul(FRAME_BYTES);
             left = left.checked_sub(bytes).ok_or_else(|| {
                 let allowed = format!("up to {} bytes in all", limits.max_bytes);
                 FORMAT.error(ErrorKind::TooLarge, "frames", "more", allowed)
             })?;
             epochs.push(self.epoch(&rows, first, end)?);
-            first = end;
         }
         Ok(epochs)
     }

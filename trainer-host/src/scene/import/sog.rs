@@ -412,7 +412,7 @@ pub(super) mod tests {
         assert_eq!(a.positions, two.epoch.attributes().positions);
         assert_eq!(a.rotations, two.epoch.attributes().rotations);
         for (from, to, words) in [
-            ("\"shape\":[6,3],", "", "means.shape"),
+            ("[-1.0,-1.0,-1.0],\"shape\":[6,3]", "[-1.0,-1.0,-1.0]", "means.shape"),
             ("[-8.0,-4.0,0.0]", "[-8.0]", "scales.mins"),
             ("\"mins\":-2.0,", "", "shN.mins"),
         ] {
