@@ -15,8 +15,8 @@ use super::{FrameRange, SceneArgs, number::real};
 pub struct Convert {
     /// Scene, as for import, or a .dgs file.
     pub input: String,
-    /// NAME.ply, .compressed.ply, .spz, .splat, .sog or .glb (KHR_gaussian_splatting) for one frame, .4dgs or a
-    /// folder for a PLY sequence of all.
+    /// NAME.ply, .compressed.ply, .spz, .splat, .sog or .glb (KHR_gaussian_splatting) for one frame,
+    /// .4dgs or a folder for a PLY sequence of all.
     pub out: PathBuf,
     /// Keep these frames: FIRST..LAST with LAST included, FIRST.., or one.
     #[arg(long, value_name = "FIRST..LAST")]

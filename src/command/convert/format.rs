@@ -66,8 +66,8 @@ impl SceneOutput {
         .usual_up()
     }
 
-    /// Writes frames, except as `.4dgs`: a folder gets all of `count`, a file frame `only`. `frame` gives one as an epoch and
-    /// the frame in it; `progress` hears of each.
+    /// Writes frames, except as `.4dgs`: a folder gets all of `count`, a file frame `only`. `frame` gives
+    /// one as an epoch and the frame in it; `progress` hears of each.
     pub(in crate::command) fn write<E: Borrow<Epoch>>(
         self,
         out: &Path,

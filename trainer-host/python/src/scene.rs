@@ -115,8 +115,8 @@ fn format_of(path: &Path) -> PyResult<FileFormat> {
     FileFormat::of(path).ok_or_else(|| {
         let endings = FileFormat::ENDINGS;
         refused(format!(
-            "{}: no format that scenes are written in; {endings}, .4dgs, .dgs, or a folder without an ending are \
-             allowed",
+            "{}: no format that scenes are written in; {endings}, .4dgs, .dgs, or a folder without an \
+             ending are allowed",
             path.display()
         ))
     })

@@ -1,9 +1,9 @@
 //! Writes `.4dgs` through the crate `fourdgs`: the whole clip, as Gaussians that live for a run of frames.
 //!
-//! The format's Gaussians move in straight lines and do not turn, grow or change colour. A Gaussian of a scene
-//! becomes one for each run of frames over which that is true of it, to a tenth of its thinnest axis. What
-//! turns lives for a frame, so files of clips that turn are long. Higher bands are bytes of -4 to 4, colours
-//! are cut to 0 to 1, both by the format; its finest steps are used for the rest.
+//! The format's Gaussians move in straight lines and do not turn, grow or change colour. A Gaussian of a
+//! scene becomes one for each run of frames over which that is true of it, to a tenth of its thinnest
+//! axis. What turns lives for a frame, so files of clips that turn are long. Higher bands are bytes of -4
+//! to 4, colours are cut to 0 to 1, both by the format; its finest steps are used for the rest.
 
 use std::io;
 
@@ -62,8 +62,8 @@ pub fn encode(scene: &Scene) -> io::Result<Vec<u8>> {
     write_to_vec(&set, duration, &options, &extras).map_err(io::Error::other)
 }
 
-/// The frame after the run of frames from `t` on in which Gaussian `i` moves in a straight line and changes in
-/// no other way.
+/// The frame after the run of frames from `t` on in which Gaussian `i` moves in a straight line and
+/// changes in no other way.
 fn run(epoch: &Epoch, i: usize, t: usize) -> usize {
     let (n, a) = (epoch.count(), epoch.attributes());
     if a.is_constant() {

@@ -1,11 +1,11 @@
 //! Reads `.4dgs`: Gaussians that live for a while and move in straight lines, as the crate `fourdgs` decodes
 //! them.
 //!
-//! At time t a Gaussian is at `position + motion (t - mu)`, its opacity times `exp(-((t - mu) / sigma)² / 2)`,
-//! within its window and above the file's cutoff; it does not turn. The clip is sampled at the frame rate
-//! asked for. Frames in which the same windows are open become one epoch. Colours are of the screen, or linear
-//! where the file says so, and are then encoded. Absent, and refused by name: files of keyframes and deltas, and
-//! of objects that move.
+//! At time t a Gaussian is at `position + motion (t - mu)`, and its opacity is faded by
+//! `exp(-((t - mu) / sigma)² / 2)`, within its window and above the file's cutoff; it does not turn. The clip
+//! is sampled at the frame rate asked for. Frames in which the same windows are open become one epoch. Colours
+//! are of the screen, or linear where the file says so, and are then encoded. Absent, and refused by name: files
+//! of keyframes and deltas, and of objects that move.
 
 use ::fourdgs::{
     Error, ReadOptions,
@@ -28,8 +28,8 @@ const FORMAT: Format = Format::FourDgs;
 pub(super) const START: [u8; 8] = MAGIC;
 /// The motion that is read.
 const MODEL: &str = "gaussian-birth";
-/// Share of a frame by which the instant at which windows are looked at is later than the frame: they are stored
-/// in fewer digits than frames have.
+/// Share of a frame by which the instant at which windows are looked at is later than the frame: they are
+/// stored in fewer digits than frames have.
 const LATER: f64 = 0.01;
 /// Bytes that a Gaussian takes in one frame: its centre and its opacity.
 const FRAME_BYTES: u64 = 12 + 4;
@@ -308,8 +308,8 @@ pub(super) mod tests {
         assert!(parse(b"\x894DGS", 4.0, &Limits::default()).is_err());
     }
 
-    /// Written by the format's own encoder in Python (`fourdgs` 0.6.0 of PyPI): forty Gaussians at random, half
-    /// of which live in the second of two seconds.
+    /// Written by the format's own encoder in Python (`fourdgs` 0.6.0 of PyPI): forty Gaussians at
+    /// random, half of which live in the second of two seconds.
     const REFERENCE: &[u8] = include_bytes!("../../../tests/golden/reference.4dgs");
 
     #[test]
