@@ -3,9 +3,9 @@
 //!
 //! At time t a Gaussian is at `position + motion (t - mu)`, and its opacity is faded by
 //! `exp(-((t - mu) / sigma)² / 2)`, within its window and above the file's cutoff; it does not turn. The clip
-//! is sampled at the frame rate asked for. Frames in which the same windows are open become one epoch. Colours
-//! are of the screen, or linear where the file says so, and are then encoded. Absent, and refused by name: files
-//! of keyframes and deltas, and of objects that move.
+//! is sampled at the frame rate asked for. Frames in which the same windows are open become one epoch.
+//! Colours are of the screen, or linear where the file says so, and are then encoded. Absent, and refused by
+//! name: files of keyframes and deltas, and of objects that move.
 
 use ::fourdgs::{
     Error, ReadOptions,

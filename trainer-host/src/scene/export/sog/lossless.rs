@@ -107,7 +107,16 @@ mod tests {
 
     #[test]
     fn rows_that_change_slowly_are_short() {
-        let along: Vec<[u8; 4]> = (0..64 * 64).map(|i| [(i / 16) as u8, (i / 20) as u8, 9, 255]).collect();
+        // A walk of small steps, by a generator of low quality.
+        let (mut seed, mut value) = (1u32, [0u8; 3]);
+        let along: Vec<[u8; 4]> = (0..64 * 64)
+            .map(|_| {
+                seed = seed.wrapping_mul(747_796_405).wrapping_add(1);
+                let step = |channel: usize| (seed >> (20 + 3 * channel) & 3) as u8;
+                value = std::array::from_fn(|channel| value[channel].wrapping_add(step(channel)));
+                [value[0], value[1], value[2], 255]
+            })
+            .collect();
         let mut plain = Vec::new();
         WebPEncoder::new(&mut plain).encode(along.as_flattened(), 64, 64, ColorType::Rgba8).unwrap();
         assert!(encode(&along, 64).unwrap().len() < plain.len());
