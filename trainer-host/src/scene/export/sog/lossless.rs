@@ -55,7 +55,7 @@ fn differences(pixels: &[[u8; 4]], width: usize) -> Vec<[u8; 4]> {
         let from = match at {
             0 => [0, 0, 0, 255],
             // The first of a row is predicted from above.
-            _ if at % width == 0 => without_green(pixels[at - width]),
+            _ if at.is_multiple_of(width) => without_green(pixels[at - width]),
             _ => without_green(pixels[at - 1]),
         };
         let pixel = without_green(pixels[at]);
