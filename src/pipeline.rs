@@ -33,7 +33,7 @@ pub(crate) use self::{
 pub use self::{
     cache::{stored_utilities, utilities, utility_path},
     cameras::{Showing, Surroundings, Viewpoints, read_cameras, viewpoints},
-    frames::{Frames, snapshot},
+    frames::Frames,
     impair::impairment,
     link::{Link, capacity_bins, link, read_trace},
     live::LiveReader,
@@ -183,7 +183,7 @@ pub fn encode_options(args: &CodecArgs, repair: Protection) -> encode::EncodeOpt
 /// Options out of range, or a scene beyond the format's bounds.
 pub fn encode(scene: &Scene, options: &encode::EncodeOptions, quiet: Quiet) -> Result<Encoded> {
     let progress = Progress::new("encode", quiet.0);
-    encode::encode(scene, options, &|stage, share| progress.stage(stage, share)).context("cannot encode")
+    encode::encode(scene, options, &|stage, share| progress.heard(stage, share)).context("cannot encode")
 }
 
 /// The stream that `decisions` describe.
@@ -192,7 +192,7 @@ pub fn encode(scene: &Scene, options: &encode::EncodeOptions, quiet: Quiet) -> R
 /// Decisions that do not fit the scene.
 pub fn write(scene: &Scene, decisions: &Decisions, quiet: Quiet) -> Result<Encoded> {
     let progress = Progress::new("encode", quiet.0);
-    encode::write(scene, decisions, &|stage, share| progress.stage(stage, share)).context("cannot encode")
+    encode::write(scene, decisions, &|stage, share| progress.heard(stage, share)).context("cannot encode")
 }
 
 /// `whole` without the levels that gain less than `lambda` per byte from measuring cameras.
@@ -212,7 +212,7 @@ pub fn truncate(
         (utility::References::renders(scene, &cameras), utility::UtilityOptions::complete());
     let table = utilities(&references, &received.content(), &map, &how, None, quiet, &mut |_| ())?;
     let progress = Progress::new("encode", quiet.0);
-    let report = |stage, share| progress.stage(stage, share);
+    let report = |stage, share| progress.heard(stage, share);
     utility::truncate(scene, whole, &table, lambda, options.table_choices, &report).context("cannot encode")
 }
 

@@ -1,6 +1,6 @@
 //! Shows the progress of anything that takes over a second, on standard error, never in the way of `--json`.
 
-use std::time::Duration;
+use std::{ops::ControlFlow, time::Duration};
 
 use indicatif::{ProgressBar, ProgressStyle};
 
@@ -27,6 +27,12 @@ impl Progress {
     /// `share` of the work is done, 0..=1.
     pub fn at(&self, share: f64) {
         self.0.set_position((share.clamp(0.0, 1.0) * 1000.0) as u64);
+    }
+
+    /// As [`Progress::stage`], for work that asks whether to go on: it does.
+    pub fn heard(&self, stage: &str, share: f64) -> ControlFlow<()> {
+        self.stage(stage, share);
+        ControlFlow::Continue(())
     }
 
     /// The stage at hand, and the share of it that is done.

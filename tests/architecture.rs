@@ -53,6 +53,7 @@ const ARROWS: [(&str, &str, &[&str]); 13] = [
         ],
     ),
     ("trainer-host", "trainer-host/", &["codec-core", "codec-simd", "dgs-player", "render-host"]),
+    ("dgs-python", "trainer-host/python/", &["codec-core", "dgs-player", "render-host", "trainer-host"]),
     ("render-host", "render-host/", &["codec-core"]),
     ("dgs-viewer", "render-host/viewer/", &["codec-core", "dgs-player", "render-host"]),
     ("dgs-window", "render-host/window/", &["dgs-player", "dgs-viewer", "render-host"]),
@@ -90,13 +91,14 @@ const TOP: [(&str, bool); 17] = [
 ];
 
 /// Crates that must not ask a clock.
-const LIBRARIES: [&str; 7] = [
+const LIBRARIES: [&str; 8] = [
     "codec-core",
     "codec-core/capi",
     "codec-core/player",
     "render-host",
     "render-host/viewer",
     "trainer-host",
+    "trainer-host/python",
     "emulator-host",
 ];
 

@@ -119,7 +119,7 @@ fn damaged_streams() {
 
 #[test]
 fn damaged_scenes() {
-    let scenes = ["ply", "splat", "ksplat", "splatv", "spz", "sog", "glb", "npz", "asset"];
+    let scenes = ["ply", "splat", "ksplat", "splatv", "4dgs", "spz", "sog", "glb", "npz", "asset"];
     for case in cases().iter().filter(|c| scenes.iter().any(|e| c.file.ends_with(&format!(".{e}")))) {
         let path = folder().join(&case.file);
         let error = import(&path, &import::ImportOptions::default()).expect_err(&case.file);
@@ -196,7 +196,7 @@ fn good_stream() -> Stream {
         repair: Protection::xor(4),
         ..EncodeOptions::default()
     };
-    encode(&scene, &options, &|_, _| {}).unwrap().stream
+    encode(&scene, &options, &trainer_host::encode::unheard).unwrap().stream
 }
 
 /// A file around `message` with the packets of `stream`.
@@ -307,6 +307,8 @@ fn write_damaged_files() {
     write("section.ksplat", &put(&good, 4, &u32::MAX.to_le_bytes()));
     let good = corpus("splatv/three");
     write("cut.splatv", &cut(&good, 20));
+    let good = corpus("fourdgs/reached-reference");
+    write("cut.4dgs", &cut(&good, 300));
     let good = corpus("dynamic_npz/two");
     write("shape.npz", &replaced(&good, "'shape': (2, 1)", "'shape': (7, 1)"));
 

@@ -158,6 +158,12 @@ pub fn splatv(data: &[u8]) {
     moving(import::splatv::parse(data, 30.0, &limits(true)));
 }
 
+/// Gaussians that live and move, by the reader of their format.
+pub fn fourdgs(data: &[u8]) {
+    moving(import::fourdgs::parse(data, 30.0, &limits(false)));
+    moving(import::fourdgs::parse(data, 30.0, &limits(true)));
+}
+
 /// A training of Dynamic 3D Gaussians.
 pub fn dynamic_npz(data: &[u8]) {
     moving(import::dynamic_npz::parse(data, 30.0, &limits(false)));

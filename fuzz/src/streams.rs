@@ -46,8 +46,10 @@ pub fn fixture(paper: bool) -> &'static Stream {
     static STREAMS: OnceLock<Vec<Stream>> = OnceLock::new();
     let streams = STREAMS.get_or_init(|| {
         let all = [dgs1(400), EncodeOptions { repair: Protection::xor(4), ..EncodeOptions::paper() }];
-        let encoded =
-            |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}).map(|e| e.stream));
+        let encoded = |scene: Scene| {
+            all.clone()
+                .map(|options| encode(&scene, &options, &trainer_host::encode::unheard).map(|e| e.stream))
+        };
         scene().into_iter().flat_map(encoded).flatten().collect()
     });
     assert_eq!(streams.len(), 2, "both profiles encode");
@@ -59,7 +61,8 @@ pub fn cuts() -> &'static [(Stream, Player)] {
     static CUTS: OnceLock<Vec<(Stream, Player)>> = OnceLock::new();
     CUTS.get_or_init(|| {
         let encoded = |scene: Scene| {
-            [200, 1150].map(|bytes| encode(&scene, &dgs1(bytes), &|_, _| {}).map(|e| e.stream))
+            [200, 1150]
+                .map(|bytes| encode(&scene, &dgs1(bytes), &trainer_host::encode::unheard).map(|e| e.stream))
         };
         let streams = few().into_iter().flat_map(encoded).flatten();
         let received = |stream: Stream| {
@@ -75,8 +78,10 @@ pub fn small(paper: bool) -> &'static Stream {
     static STREAMS: OnceLock<Vec<Stream>> = OnceLock::new();
     let streams = STREAMS.get_or_init(|| {
         let all = [dgs1(200), EncodeOptions { repair: Protection::xor(4), ..EncodeOptions::paper() }];
-        let encoded =
-            |scene: Scene| all.clone().map(|options| encode(&scene, &options, &|_, _| {}).map(|e| e.stream));
+        let encoded = |scene: Scene| {
+            all.clone()
+                .map(|options| encode(&scene, &options, &trainer_host::encode::unheard).map(|e| e.stream))
+        };
         few().into_iter().flat_map(encoded).flatten().collect()
     });
     assert_eq!(streams.len(), 2, "both profiles encode");

@@ -28,6 +28,7 @@ const MUTATIONS: &[(&str, usize)] = &[
     ("gltf", 6000),
     ("gltf_splats", 6000),
     ("splatv", 2000),
+    ("fourdgs", 2000),
 ];
 const MUTATIONS_OTHERS: usize = 12_000;
 
@@ -156,7 +157,7 @@ macro_rules! replays {
 replays! {
     packet manifest receipt control file tables lanes bytes pack slices sliced decode repair cauchy closure
     receiver forged
-    ply compressed_ply spz splat sog points_npz gltf gltf_splats ksplat splatv dynamic_npz unity trace
+    ply compressed_ply spz splat sog points_npz gltf gltf_splats ksplat splatv fourdgs dynamic_npz unity trace
 }
 
 #[test]

@@ -10,13 +10,13 @@ use super::{FrameRange, SceneArgs, number::real};
 /// `dgs convert`.
 ///
 /// Edits are done in the order of this list. A scene is then turned so that up is where it usually is in the
-/// format written: -y in PLY, compressed PLY, .splat and SOG, y in SPZ and glTF.
+/// format written: -y in PLY, compressed PLY, .splat and SOG, y in SPZ, glTF and .4dgs.
 #[derive(Debug, Args)]
 pub struct Convert {
     /// Scene, as for import, or a .dgs file.
     pub input: String,
-    /// NAME.ply, .compressed.ply, .spz, .splat, .sog or .glb (KHR_gaussian_splatting) for one frame, or a
-    /// folder for a PLY sequence of all.
+    /// NAME.ply, .compressed.ply, .spz, .splat, .sog or .glb (KHR_gaussian_splatting) for one frame,
+    /// .4dgs or a folder for a PLY sequence of all.
     pub out: PathBuf,
     /// Keep these frames: FIRST..LAST with LAST included, FIRST.., or one.
     #[arg(long, value_name = "FIRST..LAST")]

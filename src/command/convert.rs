@@ -6,16 +6,17 @@ use anyhow::{Context, Result};
 use codec_core::{ShDegree, internals::ids::Level};
 use serde_json::json;
 use trainer_host::{
-    Attributes, Epoch, Scene, Track,
+    Scene,
     edit::{self, Similarity, turn_between},
     scene::Up,
+    stream::decoded,
 };
 
 use self::format::SceneOutput;
 use crate::{
     args::{Convert, SceneArgs},
     output::VerbOutput,
-    pipeline::{self, Frames, Quiet},
+    pipeline::{Frames, Quiet},
     progress::Progress,
 };
 
@@ -38,12 +39,16 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
         warnings.push(loss.to_owned());
     }
     let count = scene.frames() as u32;
-    let wrote = output.write(&args.out, args.overwrite, args.frame, count, &progress, |frame| {
-        let found = scene.locate(frame as usize);
+    let frame = |number: u32| {
+        let found = scene.locate(number as usize);
         let last = count - 1;
-        let (epoch, t) = found.with_context(|| format!("--frame is {frame}; 0 to {last} are allowed"))?;
+        let (epoch, t) = found.with_context(|| format!("--frame is {number}; 0 to {last} are allowed"))?;
         Ok((&scene.epochs()[epoch], t))
-    })?;
+    };
+    let wrote = match output {
+        SceneOutput::FourDgs => format::write_clip(&scene, &args.out)?,
+        _ => output.write(&args.out, args.overwrite, args.frame, count, &progress, frame)?,
+    };
     drop(progress);
     let mut text = wrote;
     if before != (scene.max_count(), scene.frames()) {
@@ -77,38 +82,12 @@ fn read(input: &str, args: &SceneArgs, warn: &mut dyn FnMut(String)) -> Result<S
     };
     let mut epochs = Vec::new();
     for frame in 0..frames.count() {
-        epochs.push(pipeline::snapshot(&frames.instant(frame)?)?.0);
+        epochs.push(decoded::snapshot(&frames.instant(frame)?)?.0);
     }
-    // Inside of an epoch of the stream rows are the same Gaussians unless some are missing.
-    let mut scene = Scene::new(joined(epochs)?, frames.frames_per_second())?;
+    let mut scene = decoded::joined(epochs, frames.frames_per_second())?;
     scene.up = frames.up();
     scene.notes = frames.notes().to_vec();
     Ok(scene)
-}
-
-/// Frames as one epoch if all have the same number of Gaussians, else as they are.
-fn joined(frames: Vec<Epoch>) -> Result<Vec<Epoch>> {
-    let same = |pair: &[Epoch]| {
-        let [a, b] = pair else { return true };
-        a.count() == b.count() && a.attributes().sh_rest == b.attributes().sh_rest
-    };
-    if frames.len() < 2 || !frames.windows(2).all(same) {
-        return Ok(frames);
-    }
-    fn track<T: Copy + PartialEq>(frames: &[Epoch], of: impl Fn(&Attributes) -> &Track<T>) -> Track<T> {
-        let frame = |epoch: &Epoch| of(epoch.attributes()).frame(0, epoch.count()).to_vec();
-        Track::PerFrame(frames.iter().flat_map(frame).collect())
-    }
-    let attributes = Attributes {
-        positions: track(&frames, |a| &a.positions),
-        rotations: track(&frames, |a| &a.rotations),
-        log_scales: track(&frames, |a| &a.log_scales),
-        opacity_logits: track(&frames, |a| &a.opacity_logits),
-        sh0: track(&frames, |a| &a.sh0),
-        sh_rest: frames[0].attributes().sh_rest.clone(),
-        sh_degree: frames[0].attributes().sh_degree,
-    };
-    Ok(vec![Epoch::new(frames.len(), attributes)?])
 }
 
 /// The scene with what is typed done to it, in the order of the help.

@@ -1,12 +1,12 @@
 //! Decodes a `.dgs` file to frames that other programs read, or to the digest of what it holds.
 
-use anyhow::Result;
+use anyhow::{Result, bail};
 use codec_core::{
     ErrorKind,
     internals::{digest::Digest, ids::Level},
 };
 use serde_json::json;
-use trainer_host::scene::Up;
+use trainer_host::{scene::Up, stream::decoded};
 
 use super::convert::format::SceneOutput;
 use crate::{
@@ -21,6 +21,9 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
     let out =
         args.out.as_deref().map(|out| Ok::<_, anyhow::Error>((out, SceneOutput::of(out)?))).transpose()?;
     if let Some((out, output)) = out {
+        if output == SceneOutput::FourDgs {
+            bail!("{}: .4dgs is written by dgs convert", out.display());
+        }
         output.check(out, args.overwrite)?;
     }
     let mut warnings = Vec::new();
@@ -61,7 +64,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         let progress = Progress::new("decode", quiet.0);
         text += &output.write(out, args.overwrite, args.frame, frames.count(), &progress, |frame| {
             let instant = frames.instant(frame)?;
-            let (epoch, missing) = pipeline::snapshot(&instant)?;
+            let (epoch, missing) = decoded::snapshot(&instant)?;
             absent.add(missing, instant.gaussians.len());
             Ok((epoch, 0))
         })?;

@@ -219,7 +219,10 @@ mod tests {
         let make = synth::SynthOptions { gaussians: 1000, frames: 2, ..synth::SynthOptions::default() };
         let scene = synth::make(&make, &Limits::default()).unwrap();
         let other = synth::make(&synth::SynthOptions { seed: 9, ..make }, &Limits::default()).unwrap();
-        let stream = encode::encode(&scene, &encode::EncodeOptions::default(), &|_, _| {}).unwrap().stream;
+        let stream =
+            encode::encode(&scene, &encode::EncodeOptions::default(), &trainer_host::encode::unheard)
+                .unwrap()
+                .stream;
         let (map, received) = (PacketMap::of(&stream).unwrap(), stream.receive().unwrap());
         let folder = tempfile::tempdir().unwrap();
         let cache = folder.path().join("a.utility.json");

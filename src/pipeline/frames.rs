@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use codec_core::internals::{closure::Arrived, ids::Level};
 use render_host::Camera;
-use trainer_host::{Attributes, Epoch, Instant, Scene, Track, scene::Up, stream::Player, viewpoint::Framing};
+use trainer_host::{Instant, Scene, scene::Up, stream::Player, viewpoint::Framing};
 
 use super::{import, is_stream, read_stream};
 use crate::args::SceneArgs;
@@ -133,68 +133,5 @@ impl Frames {
         }
         let positions: Vec<&[[f32; 3]]> = positions.iter().map(Vec::as_slice).collect();
         Ok(Framing::of_positions(&positions, up))
-    }
-}
-
-/// The Gaussians of a decoded frame that have arrived, in the domains that files hold, and how many have
-/// not.
-///
-/// # Errors
-/// Values that no scene may hold.
-pub fn snapshot(instant: &Instant) -> Result<(Epoch, usize)> {
-    let rest = instant.sh_degree.rest_len();
-    let mut attributes = Attributes {
-        positions: Track::Constant(Vec::new()),
-        rotations: Track::Constant(Vec::new()),
-        log_scales: Track::Constant(Vec::new()),
-        opacity_logits: Track::Constant(Vec::new()),
-        sh0: Track::Constant(Vec::new()),
-        sh_rest: Vec::new(),
-        sh_degree: instant.sh_degree,
-    };
-    let mut missing = 0;
-    for (i, gaussian) in instant.gaussians.iter().enumerate() {
-        if gaussian.is_absent() {
-            missing += 1;
-            continue;
-        }
-        let opacity = gaussian.opacity;
-        push(&mut attributes.positions, gaussian.position);
-        push(&mut attributes.rotations, gaussian.rotation);
-        push(&mut attributes.log_scales, gaussian.scale.map(f32::ln));
-        push(&mut attributes.opacity_logits, (opacity / (1.0 - opacity).max(1e-9)).max(1e-9).ln());
-        push(&mut attributes.sh0, gaussian.sh0);
-        attributes.sh_rest.extend_from_slice(&instant.sh_rest[i * rest..(i + 1) * rest]);
-    }
-    Ok((Epoch::new(1, attributes)?, missing))
-}
-
-fn push<T>(track: &mut Track<T>, value: T) {
-    match track {
-        Track::Constant(values) | Track::PerFrame(values) => values.push(value),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use codec_core::{Gaussian, ShDegree};
-
-    use super::*;
-
-    #[test]
-    fn what_has_not_arrived_is_left_out_with_its_harmonics() {
-        let shown = |x: f32| Gaussian { position: [x; 3], opacity: 0.5, ..Gaussian::ABSENT };
-        let moved = Gaussian { position: [7.0; 3], ..Gaussian::ABSENT };
-        let instant = Instant {
-            gaussians: vec![shown(1.0), moved, shown(2.0)],
-            sh_rest: (0..27).map(|i| i as f32).collect(),
-            sh_degree: ShDegree::new(1).unwrap(),
-        };
-        let (epoch, missing) = snapshot(&instant).unwrap();
-        assert_eq!((epoch.count(), missing), (2, 1));
-        let attributes = epoch.attributes();
-        assert_eq!(attributes.positions.frame(0, 2), [[1.0; 3], [2.0; 3]]);
-        assert_eq!(attributes.sh_rest[9], 18.0);
-        assert_eq!(attributes.opacity_logits.frame(0, 2), [0.0; 2]);
     }
 }

@@ -94,7 +94,7 @@ type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 14] = [
-    ("", [0, 1, 0, 7, 0, 0, 0, 0, 123]),
+    ("", [0, 1, 0, 7, 0, 0, 0, 0, 122]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
@@ -102,12 +102,13 @@ const CEILINGS: [(&str, Counts); 14] = [
     ("codec-core/simd/", [0, 0, 0, 0, 0, 0, 0, 0, 9]),
     ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 154]),
     ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 23]),
-    ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 35]),
+    ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 36]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 239]),
     ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 22]),
     ("render-host/window/", [0, 0, 0, 0, 0, 0, 0, 0, 11]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 50]),
-    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 297]),
+    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 307]),
+    ("trainer-host/python/", [0, 0, 0, 0, 0, 0, 0, 0, 0]),
 ];
 
 /// The room of a file: the longest folder of [`CEILINGS`] that it lies in.

@@ -44,7 +44,7 @@ pub use ledger::{Ledger, LedgerPart, Share};
 pub use options::{EncodeOptions, Target, TargetViews};
 pub use packet_report::PacketReport;
 pub use profile::{again, decide, with_levels, write};
-pub use progress::Progress;
+pub use progress::{Progress, unheard};
 pub use protection::{Protection, ProtectionError, Strength};
 pub use report::{ClusteringReport, Encoded, Reached, Report, Searched};
 pub use steps::Quality;

@@ -2,6 +2,7 @@
 //!
 //! The stream itself, bytes that a host receives and decodes, is `dgs-player`'s.
 
+pub mod decoded;
 mod map;
 mod player;
 

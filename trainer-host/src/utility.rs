@@ -102,7 +102,8 @@ pub struct GroupUtility {
 ///
 /// let options = synth::SynthOptions { gaussians: 1000, frames: 1, ..Default::default() };
 /// let scene = synth::make(&options, &Limits::default())?;
-/// let stream = encode(&scene, &EncodeOptions { pictures: 0, ..Default::default() }, &|_, _| {})?.stream;
+/// let options = EncodeOptions { pictures: 0, ..Default::default() };
+/// let stream = encode(&scene, &options, &trainer_host::encode::unheard)?.stream;
 /// let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
 /// let cameras = Framing::of(&scene).ring(Ring::Measuring, 1, (48, 48))?;
 /// let references = References::renders(&scene, &cameras);

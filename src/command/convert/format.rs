@@ -4,8 +4,8 @@ use std::{borrow::Borrow, path::Path};
 
 use anyhow::{Result, bail};
 use trainer_host::{
-    Epoch, export,
-    import::{self, usual_up},
+    Epoch, Scene,
+    export::{self, FileFormat},
     scene::Up,
 };
 
@@ -18,73 +18,56 @@ use crate::{
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::command) enum SceneOutput {
     /// One frame.
-    File(SceneFormat),
+    File(FileFormat),
     /// All frames, a PLY each.
     Folder,
-}
-
-/// What one frame is written as.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::command) enum SceneFormat {
-    Ply,
-    CompressedPly,
-    Spz,
-    Splat,
-    Sog,
-    Glb,
+    /// All frames in one `.4dgs` file.
+    FourDgs,
 }
 
 impl SceneOutput {
     /// By the ending of a name; a name without one is a folder's.
     pub(in crate::command) fn of(path: &Path) -> Result<Self> {
-        let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-        let ending = Path::new(&name).extension().map(|e| e.to_string_lossy().into_owned());
-        Ok(Self::File(match ending.as_deref() {
-            None => return Ok(Self::Folder),
-            // A folder that is there may be called anything.
-            Some(_) if path.is_dir() => return Ok(Self::Folder),
-            Some("ply") if name.ends_with(".compressed.ply") => SceneFormat::CompressedPly,
-            Some("ply") => SceneFormat::Ply,
-            Some("spz") => SceneFormat::Spz,
-            Some("splat") => SceneFormat::Splat,
-            Some("sog") => SceneFormat::Sog,
-            Some("glb") => SceneFormat::Glb,
-            Some("dgs") => bail!("{}: a stream is written by dgs encode", path.display()),
-            Some(other) => bail!(
-                "{}: .{other} is no format that scenes are written in; .ply, .compressed.ply, .spz, .splat, \
-                 .sog, .glb, or a folder without an ending for a PLY sequence are allowed",
-                path.display()
-            ),
-        }))
+        // A folder that is there may be called anything.
+        let Some(ending) = path.extension().filter(|_| !path.is_dir()) else { return Ok(Self::Folder) };
+        if let Some(format) = FileFormat::of(path) {
+            return Ok(Self::File(format));
+        }
+        if ending.eq_ignore_ascii_case("4dgs") {
+            return Ok(Self::FourDgs);
+        }
+        if ending.eq_ignore_ascii_case("dgs") {
+            bail!("{}: a stream is written by dgs encode", path.display());
+        }
+        bail!(
+            "{}: .{} is no format that scenes are written in; {}, .4dgs, or a folder without an ending for a \
+             PLY sequence are allowed",
+            path.display(),
+            ending.to_string_lossy(),
+            FileFormat::ENDINGS
+        )
     }
 
     /// Refuses an output that could not be written: asked before the work.
     pub(in crate::command) fn check(self, path: &Path, overwrite: bool) -> Result<()> {
         match self {
-            Self::File(_) => files::check(path),
+            Self::File(_) | Self::FourDgs => files::check(path),
             Self::Folder => FrameFolder::create(path, overwrite).map(drop),
         }
     }
 
     /// Which way is up in it.
     pub(in crate::command) fn usual_up(self) -> Up {
-        let format = match self {
-            Self::Folder => SceneFormat::Ply,
+        match self {
+            Self::Folder => FileFormat::Ply,
             Self::File(format) => format,
-        };
-        usual_up(match format {
-            SceneFormat::Ply => import::Format::Ply,
-            SceneFormat::CompressedPly => import::Format::CompressedPly,
-            SceneFormat::Spz => import::Format::Spz,
-            SceneFormat::Splat => import::Format::Splat,
-            SceneFormat::Sog => import::Format::Sog,
-            SceneFormat::Glb => import::Format::GltfSplats,
-        })
-        .unwrap_or_default()
+            Self::FourDgs => return Up::Y,
+        }
+        .usual_up()
     }
 
-    /// Writes frames: a folder gets all of `count`, a file frame `only`. `frame` gives one as an epoch and
-    /// the frame in it; `progress` hears of each.
+    /// Writes frames, except as `.4dgs`: a folder gets all of `count`, a file frame `only`. `frame` gives
+    /// one as an epoch and the frame in it; `progress` hears of each.
     pub(in crate::command) fn write<E: Borrow<Epoch>>(
         self,
         out: &Path,
@@ -96,12 +79,13 @@ impl SceneOutput {
     ) -> Result<String> {
         let format = match self {
             Self::File(format) => format,
+            Self::FourDgs => bail!("{}: .4dgs is written by dgs convert", out.display()),
             Self::Folder => {
                 let mut folder = FrameFolder::create(out, overwrite)?;
                 for number in 0..count {
                     progress.step("writing frame", number as usize, count as usize);
                     let (epoch, t) = frame(number)?;
-                    let ply = SceneFormat::Ply.encode(epoch.borrow(), t)?;
+                    let ply = FileFormat::Ply.encode(epoch.borrow(), t)?;
                     folder.add(format!("frame_{number:05}.ply"), &ply)?;
                 }
                 let written = folder.finish(overwrite)?;
@@ -117,24 +101,17 @@ impl SceneOutput {
     }
 }
 
-impl SceneFormat {
-    fn encode(self, epoch: &Epoch, t: usize) -> Result<Vec<u8>> {
-        Ok(match self {
-            Self::Ply => export::ply::encode(epoch, t),
-            Self::CompressedPly => export::compressed_ply::encode(epoch, t),
-            Self::Spz => export::spz::encode(epoch, t, &export::spz::SpzOptions::default())?,
-            Self::Splat => export::splat::encode(epoch, t),
-            Self::Sog => export::sog::encode(epoch, t)?,
-            Self::Glb => export::gltf::encode(epoch, t)?,
-        })
-    }
-
-    /// What it cannot hold of `epoch`, for people.
-    pub(in crate::command) fn loss(self, epoch: &Epoch) -> Option<&'static str> {
-        let has_harmonics = epoch.attributes().sh_degree.get() > 0;
-        (self == Self::Splat && has_harmonics)
-            .then_some("harmonics above band 0 are left out: .splat has none")
-    }
+/// Writes all frames of `scene` as `.4dgs`.
+pub(in crate::command) fn write_clip(scene: &Scene, out: &Path) -> Result<String> {
+    let bytes = export::fourdgs::encode(scene)?;
+    files::write(out, &bytes)?;
+    Ok(format!(
+        "wrote {}: {} Gaussians, {} bytes, {} frames\n",
+        out.display(),
+        scene.max_count(),
+        bytes.len(),
+        scene.frames()
+    ))
 }
 
 #[cfg(test)]
@@ -144,8 +121,8 @@ mod tests {
     #[test]
     fn endings_decide_and_others_are_refused() {
         let of = |name: &str| SceneOutput::of(Path::new(name));
-        assert_eq!(of("a.PLY").unwrap(), SceneOutput::File(SceneFormat::Ply));
-        assert_eq!(of("a.compressed.ply").unwrap(), SceneOutput::File(SceneFormat::CompressedPly));
+        assert_eq!(of("a.PLY").unwrap(), SceneOutput::File(FileFormat::Ply));
+        assert_eq!(of("a.compressed.ply").unwrap(), SceneOutput::File(FileFormat::CompressedPly));
         assert_eq!(of("frames").unwrap(), SceneOutput::Folder);
         assert_eq!(of("a.spz").unwrap().usual_up(), Up::Y);
         assert_eq!(of("a.sog").unwrap().usual_up(), Up::MinusY);

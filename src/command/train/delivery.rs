@@ -97,7 +97,10 @@ pub(super) fn fine_tuned(
     })?;
     drop(bar);
     files::write(&folder.delivery, serde_json::to_string_pretty(&tuned.record)?.as_bytes())?;
-    let progress = |_: &'static str, _: f64| stop.leave("delivery.json is whole; the stream is not there");
+    let progress = |_: &'static str, _: f64| {
+        stop.leave("delivery.json is whole; the stream is not there");
+        ControlFlow::Continue(())
+    };
     let stream = write(&tuned.scene, &tuned.decisions, &progress)?;
     Ok((stream, tuned.record.objective.len()))
 }

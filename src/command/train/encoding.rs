@@ -65,7 +65,7 @@ pub(super) fn encoded(
     let bar = Progress::new("encode", quiet.0);
     let progress = |stage: &'static str, share: f64| {
         stop.leave(what_is_left);
-        bar.stage(stage, share);
+        bar.heard(stage, share)
     };
     encode::encode(scene, &options, &progress).context("cannot encode")
 }
@@ -94,7 +94,7 @@ pub(super) fn within_loss(
     let bar = Progress::new("encode", quiet.0);
     let progress = |stage: &'static str, share: f64| {
         stop.leave(what_is_left);
-        bar.stage(stage, share);
+        bar.heard(stage, share)
     };
     let scene = &trained.scene;
     if let Some(decisions) = decisions {

@@ -119,7 +119,7 @@ impl Fixture {
             packet_bytes: 600,
             ..EncodeOptions::default()
         };
-        Self::of(encode::encode(&scene, &options, &|_, _| {})?.stream)
+        Self::of(encode::encode(&scene, &options, &trainer_host::encode::unheard)?.stream)
     }
 
     /// The fixture of `stream`.
@@ -370,7 +370,7 @@ mod tests {
         let stream = encode::encode(
             &scene,
             &EncodeOptions { repair: Protection::NONE, ..EncodeOptions::default() },
-            &|_, _| {},
+            &trainer_host::encode::unheard,
         )
         .unwrap()
         .stream;

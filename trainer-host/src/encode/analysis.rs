@@ -2,7 +2,7 @@
 
 use codec_core::internals::wire::manifest::Profile;
 
-use super::{EncodeError, EncodeOptions, Progress, quantiser_class::QuantiserClasses};
+use super::{EncodeError, EncodeOptions, Progress, progress::report, quantiser_class::QuantiserClasses};
 use crate::scene::Scene;
 
 /// A scene, its clusters, and which of them share steps because errors in them show alike.
@@ -21,7 +21,7 @@ impl<'s> Analysis<'s> {
         options: &EncodeOptions,
         progress: Progress<'_>,
     ) -> Result<Self, EncodeError> {
-        progress("analyse", 0.0);
+        report(progress, "analyse", 0.0)?;
         let classes = if options.profile == Profile::Paper {
             QuantiserClasses::none(scene, options)
         } else if options.pictures == 0 {

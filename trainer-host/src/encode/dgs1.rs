@@ -26,6 +26,7 @@ use super::{
     cluster,
     decisions::{CanonicalRotation, Dgs1Decisions, EpochDecisions, MadeFrom, Quantisers, digits},
     packetise::CellSymbols,
+    progress::report,
     quantiser_class::EpochClasses,
     statistics::{Model, Streams},
 };
@@ -43,7 +44,7 @@ pub(super) fn decide(
     let scene = analysis.scene;
     let mut epochs = Vec::new();
     for (e, epoch) in scene.epochs().iter().enumerate() {
-        progress("decide", e as f64 / scene.epochs().len() as f64);
+        report(progress, "decide", e as f64 / scene.epochs().len() as f64)?;
         let classes = &analysis.classes.of_epoch(e, &options.quality);
         let mut clusters = classes.sets.to_vec();
         if !options.keep_invisible {
@@ -67,7 +68,7 @@ pub(super) fn decide(
         tables: Vec::new(),
         table_sets: Vec::new(),
     };
-    progress("entropy-code", 0.0);
+    report(progress, "entropy-code", 0.0)?;
     decide_tables(scene, &mut decisions, options.table_choices)?;
     Ok(decisions)
 }

@@ -85,6 +85,12 @@ pub enum EncodeError {
         /// How much is allowed.
         most: usize,
     },
+    /// Whoever listened to progress stopped the work.
+    #[error("stopped at stage {stage}")]
+    Stopped {
+        /// The stage that was not begun.
+        stage: &'static str,
+    },
     /// The wire format refused what the encoder made of the scene.
     #[error("the encoder produced something the format refuses: {0}")]
     Format(#[from] codec_core::Error),

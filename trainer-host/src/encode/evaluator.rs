@@ -95,7 +95,8 @@ pub(super) fn instant_at(scene: &Scene, frame: u32) -> Result<Instant, Evaluatio
 ///
 /// let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..Default::default() };
 /// let scene = synth::make(&options, &Limits::default())?;
-/// let encoded = encode(&scene, &EncodeOptions { pictures: 0, ..Default::default() }, &|_, _| {})?;
+/// let options = EncodeOptions { pictures: 0, ..Default::default() };
+/// let encoded = encode(&scene, &options, &trainer_host::encode::unheard)?;
 /// let evaluator = Evaluator::measuring(&scene, spread(0, 2, 1))?;
 /// assert!(evaluator.whole(&encoded.stream)? > 30.0, "dB");
 /// # Ok::<(), Box<dyn std::error::Error>>(())
@@ -257,7 +258,7 @@ mod tests {
         let stream = |factor: f32| {
             let options =
                 EncodeOptions { quality: Quality::default().scaled(factor), ..EncodeOptions::default() };
-            encode(&scene, &options, &|_, _| {}).unwrap().stream
+            encode(&scene, &options, &crate::encode::unheard).unwrap().stream
         };
         let (fine, coarse) = (stream(1.0), stream(8.0));
         let found = evaluator.whole(&fine).unwrap();

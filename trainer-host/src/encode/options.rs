@@ -75,7 +75,7 @@ pub struct TargetViews {
 /// let scene = synth::make(&options, &Limits::default())?;
 /// let target = Some(Target::Bytes(20_000));
 /// let options = EncodeOptions { target, pictures: 0, ..EncodeOptions::default() };
-/// let encoded = encode(&scene, &options, &|_stage, _share| {})?;
+/// let encoded = encode(&scene, &options, &trainer_host::encode::unheard)?;
 /// assert!(encoded.report.ledger.wire() <= 20_000.0);
 /// # Ok::<(), Box<dyn std::error::Error>>(())
 /// ```

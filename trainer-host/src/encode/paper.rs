@@ -25,6 +25,7 @@ use super::{
     ledger::{Section, manifest_parts},
     packetise::packet_id,
     parity,
+    progress::report,
     steps::{self, Grid},
 };
 use crate::{scene::Scene, stream::Stream};
@@ -38,7 +39,7 @@ pub(super) fn decide(
     options: &EncodeOptions,
     progress: Progress<'_>,
 ) -> Result<PaperDecisions, EncodeError> {
-    progress("decide", 0.0);
+    report(progress, "decide", 0.0)?;
     let mut epochs = Vec::new();
     for (epoch, clusters) in analysis.scene.epochs().iter().zip(analysis.classes.clusters()) {
         let grid = Grid::of(epoch, 1.0);
@@ -67,7 +68,7 @@ pub(super) fn write(
     let mut plans = Vec::new();
     let mut first_frame = 0;
     for (e, (epoch, decided)) in scene.epochs().iter().zip(&decisions.epochs).enumerate() {
-        progress("factorise", e as f64 / scene.epochs().len() as f64);
+        report(progress, "factorise", e as f64 / scene.epochs().len() as f64)?;
         plans.push(plan(epoch, first_frame, decided)?);
         first_frame += epoch.frames();
     }
@@ -79,7 +80,7 @@ pub(super) fn write(
     if clusters > usize::from(u16::MAX) {
         return Err(EncodeError::Bound { what: "clusters in profile paper", found: clusters, most: 65_535 });
     }
-    progress("entropy-code", 0.0);
+    report(progress, "entropy-code", 0.0)?;
     let mut quants: Vec<Quant> = Vec::new();
     for plan in &plans {
         if !quants.contains(&plan.quant) {
@@ -95,7 +96,7 @@ pub(super) fn write(
         .collect();
     let groups = groups?;
 
-    progress("packetise", 0.0);
+    report(progress, "packetise", 0.0)?;
     let mut ledger = Ledger {
         gaussians: scene.epochs().iter().map(|e| e.count() as u64).sum(),
         frames: scene.frames() as u64,

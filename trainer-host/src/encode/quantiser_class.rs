@@ -475,9 +475,12 @@ mod tests {
         let evaluator = Evaluator::measuring(&scene, spread(0, 1, 1)).unwrap();
         let marks = |pictures: usize, coarseness: f32| {
             let quality = Quality::default().scaled(coarseness);
-            let encoded =
-                encode(&scene, &EncodeOptions { pictures, quality, ..EncodeOptions::default() }, &|_, _| {})
-                    .unwrap();
+            let encoded = encode(
+                &scene,
+                &EncodeOptions { pictures, quality, ..EncodeOptions::default() },
+                &crate::encode::unheard,
+            )
+            .unwrap();
             (encoded.report.ledger.wire(), evaluator.whole(&encoded.stream).unwrap())
         };
         let (even, psnr) = marks(0, 1.0);

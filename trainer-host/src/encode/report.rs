@@ -16,7 +16,8 @@ use crate::stream::Stream;
 ///
 /// let options = synth::SynthOptions { gaussians: 1000, frames: 2, ..Default::default() };
 /// let scene = synth::make(&options, &Limits::default())?;
-/// let encoded = encode(&scene, &EncodeOptions { pictures: 0, ..Default::default() }, &|_, _| {})?;
+/// let options = EncodeOptions { pictures: 0, ..Default::default() };
+/// let encoded = encode(&scene, &options, &trainer_host::encode::unheard)?;
 /// let file = encoded.stream.to_bytes()?;
 /// println!("{} bytes, {:.0} bits per Gaussian", file.len(), encoded.report.ledger.bits_per_gaussian());
 /// // Which of the scene's Gaussians the first decoded one is.

@@ -293,7 +293,7 @@ mod tests {
         let scene = scene();
         let quality = Quality::default().scaled(coarseness);
         let options = EncodeOptions { quality, pictures: 4, ..EncodeOptions::default() };
-        let encoded = encode(&scene, &options, &|_, _| {}).unwrap();
+        let encoded = encode(&scene, &options, &crate::encode::unheard).unwrap();
         let Decisions::Dgs1(decisions) = &encoded.decisions else { unreachable!("profile dgs1") };
         let epoch = &scene.epochs()[0];
         let rounding = Rounding::of(decisions, &decisions.epochs[0], epoch.count()).unwrap();
@@ -338,7 +338,7 @@ mod tests {
     #[test]
     fn coordinates_round_to_the_indices_that_are_sent() {
         let scene = scene();
-        let encoded = encode(&scene, &EncodeOptions::default(), &|_, _| {}).unwrap();
+        let encoded = encode(&scene, &EncodeOptions::default(), &crate::encode::unheard).unwrap();
         let Decisions::Dgs1(decisions) = &encoded.decisions else { unreachable!("profile dgs1") };
         let epoch = &scene.epochs()[0];
         let rounding = Rounding::of(decisions, &decisions.epochs[0], epoch.count()).unwrap();

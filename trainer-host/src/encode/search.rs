@@ -9,6 +9,7 @@ use super::{
     Analysis, EncodeError, EncodeOptions, Encoded, Progress, Quality, Report, Searched, Target,
     evaluator::{Evaluator, PSNR_CAP_DB, spread},
     profile::decide_and_write,
+    progress::report,
     target,
 };
 use crate::scene::{Epoch, Scene};
@@ -86,9 +87,13 @@ fn on_a_part(
     let evaluator = Evaluator::measuring_on(part, frames, &options.backend()?)?;
     let mut tries = 0;
     descend(quality, &Axis::of(part), options.search, |quality| {
-        progress("search", tries as f64 / options.search as f64);
+        report(progress, "search", tries as f64 / options.search as f64)?;
         tries += 1;
-        let encoded = decide_and_write(analysis, &EncodeOptions { quality, ..options.clone() }, &|_, _| {})?;
+        let encoded = decide_and_write(
+            analysis,
+            &EncodeOptions { quality, ..options.clone() },
+            &crate::encode::unheard,
+        )?;
         Ok(RateAndPsnr { bits: encoded.report.ledger.wire(), psnr: evaluator.whole(&encoded.stream)? })
     })
 }
@@ -263,9 +268,13 @@ mod tests {
         // Far from balance: positions much too fine.
         let quality = Quality { position: 0.002, ..Quality::default() };
         let plain = EncodeOptions { quality, pictures: 0, ..EncodeOptions::default() };
-        let first = super::super::encode(&scene, &plain, &|_, _| {}).unwrap();
-        let found =
-            super::super::encode(&scene, &EncodeOptions { search: 16, ..plain.clone() }, &|_, _| {}).unwrap();
+        let first = super::super::encode(&scene, &plain, &crate::encode::unheard).unwrap();
+        let found = super::super::encode(
+            &scene,
+            &EncodeOptions { search: 16, ..plain.clone() },
+            &crate::encode::unheard,
+        )
+        .unwrap();
         let searched = found.report.searched.unwrap();
         assert!(searched.is_better && searched.bits < 0.97, "{searched:?}");
         assert_eq!(searched.bits, found.report.ledger.wire() / first.report.ledger.wire());
@@ -274,7 +283,7 @@ mod tests {
         // A size that was asked for is kept.
         let target = Some(Target::Bytes(first.report.ledger.wire() as u64));
         let sized = EncodeOptions { search: 16, target, ..plain };
-        let found = super::super::encode(&scene, &sized, &|_, _| {}).unwrap();
+        let found = super::super::encode(&scene, &sized, &crate::encode::unheard).unwrap();
         assert!(found.report.ledger.wire() <= first.report.ledger.wire() && found.report.reached.is_some());
         assert!(found.report.searched.unwrap().psnr_db > 0.0);
     }

@@ -261,7 +261,7 @@ mod tests {
                 assert!(1000.0 / base < 32_767.0, "size {size}, coarseness {coarseness}: {base}");
                 let scene = Scene::new(vec![epoch.clone()], 30.0).unwrap();
                 let options = EncodeOptions { quality, pictures: 2, ..EncodeOptions::default() };
-                let stream = encode(&scene, &options, &|_, _| {}).unwrap();
+                let stream = encode(&scene, &options, &crate::encode::unheard).unwrap();
                 assert_eq!(stream.report.ledger.saturated, 0, "size {size}, coarseness {coarseness}");
             }
         }

@@ -220,13 +220,14 @@ mod tests {
 
     fn encoded(target: Target) -> Result<Encoded, EncodeError> {
         let options = EncodeOptions { target: Some(target), ..EncodeOptions::default() };
-        super::super::encode(&scene(), &options, &|_, _| {})
+        super::super::encode(&scene(), &options, &crate::encode::unheard)
     }
 
     #[test]
     fn sizes_are_met_closely_and_never_exceeded() {
         for factor in [0.5, 1.7] {
-            let free = super::super::encode(&scene(), &EncodeOptions::default(), &|_, _| {}).unwrap();
+            let free =
+                super::super::encode(&scene(), &EncodeOptions::default(), &crate::encode::unheard).unwrap();
             let wanted = (free.report.ledger.wire() * factor) as u64;
             let stream = encoded(Target::Bytes(wanted)).unwrap();
             let sent = stream.stream.wire_bytes();
@@ -262,7 +263,7 @@ mod tests {
             target_views: Some(views),
             ..EncodeOptions::default()
         };
-        let encoded = super::super::encode(&scene, &options, &|_, _| {}).unwrap();
+        let encoded = super::super::encode(&scene, &options, &crate::encode::unheard).unwrap();
         let reached = encoded.report.reached.unwrap();
         let settings = Settings { background: [1.0; 3], ..Settings::default() };
         let evaluator =
@@ -311,12 +312,12 @@ mod tests {
         };
         let scene = synth::make(&options, &Limits::default()).unwrap();
         let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
-        let first = crate::encode::encode(&scene, &options, &|_, _| {}).unwrap();
+        let first = crate::encode::encode(&scene, &options, &crate::encode::unheard).unwrap();
         let bytes = first.report.ledger.wire();
         for share in [0.95, 1.05] {
             let target = Some(Target::Bytes((share * bytes) as u64));
             let to_size = EncodeOptions { target, ..options.clone() };
-            let found = again_to_size(&scene, &first.decisions, &to_size, &|_, _| {}).unwrap();
+            let found = again_to_size(&scene, &first.decisions, &to_size, &crate::encode::unheard).unwrap();
             let ratio = found.report.ledger.wire() / (share * bytes);
             assert!((1.0 - CLOSE..=1.0).contains(&ratio), "{share}: {ratio}");
             assert_eq!(found.order, first.order);
@@ -327,10 +328,10 @@ mod tests {
             assert_eq!(canonical(&found), canonical(&first));
         }
         let few = EncodeOptions { target: Some(Target::Bytes(1000)), ..options.clone() };
-        let error = again_to_size(&scene, &first.decisions, &few, &|_, _| {}).unwrap_err();
+        let error = again_to_size(&scene, &first.decisions, &few, &crate::encode::unheard).unwrap_err();
         assert!(matches!(error, EncodeError::Unreachable { .. }), "{error}");
         // Without a size nothing is sought.
-        let again = again_to_size(&scene, &first.decisions, &options, &|_, _| {}).unwrap();
+        let again = again_to_size(&scene, &first.decisions, &options, &crate::encode::unheard).unwrap();
         assert_eq!(again.report.reached, None);
     }
 }

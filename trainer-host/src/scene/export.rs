@@ -5,11 +5,15 @@
 //! writes a scene turns it first to [`usual_up`](crate::import::usual_up) of the format.
 
 pub mod compressed_ply;
+mod file_format;
+pub mod fourdgs;
 pub mod gltf;
 pub mod ply;
 pub mod sog;
 pub mod splat;
 pub mod spz;
+
+pub use file_format::FileFormat;
 
 use super::import::snapshot::SH_C0;
 

@@ -22,6 +22,7 @@ mod bytes;
 pub mod compressed_ply;
 pub mod dynamic_npz;
 mod error;
+pub mod fourdgs;
 pub mod gltf;
 pub mod gltf_splats;
 pub mod ksplat;
@@ -105,6 +106,11 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
         Format::DynamicNpz => {
             dynamic_npz::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file)
         }
+        Format::FourDgs => {
+            let scene =
+                fourdgs::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file)?;
+            return Ok(Scene { usual_up: fourdgs::up(&bytes), ..scene });
+        }
         Format::Splatv => splatv::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file),
         _ => {
             let frame = snapshot_of(&bytes, path, options)?;
@@ -167,6 +173,8 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
         } else {
             Format::Gltf
         }
+    } else if bytes.starts_with(&fourdgs::START) {
+        Format::FourDgs
     } else if bytes.starts_with(&splatv::MAGIC) {
         Format::Splatv
     } else if bytes.starts_with(b"%YAML") {
@@ -182,6 +190,7 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
             "splat" => Format::Splat,
             "ksplat" => Format::Ksplat,
             "splatv" => Format::Splatv,
+            "4dgs" => Format::FourDgs,
             _ => Format::Unknown,
         }
     }
@@ -234,7 +243,7 @@ fn snapshot_of(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Sna
             Err(other.malformed(
                 "content",
                 found,
-                "PLY, SPZ, SOG, .splat, .ksplat, .splatv, glTF, a Unity splat asset or NPZ",
+                "PLY, SPZ, SOG, .splat, .ksplat, .splatv, .4dgs, glTF, a Unity splat asset or NPZ",
             ))
         }
     }

@@ -218,7 +218,7 @@ mod tests {
         let repair = Protection::parse("base=5+2,tracks=2+1,2=7+1").unwrap();
         let options =
             EncodeOptions { packet_bytes: 200, block_len: 16, pictures: 0, repair, ..Default::default() };
-        let stream = encode::encode(&scene, &options, &|_, _| {}).unwrap().stream;
+        let stream = encode::encode(&scene, &options, &crate::encode::unheard).unwrap().stream;
         let map = PacketMap::of(&stream).unwrap();
         let mut rng = Pcg64::new(1, 1);
         let (mut repaired, mut beyond) = (0, 0);

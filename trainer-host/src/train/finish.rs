@@ -167,7 +167,8 @@ impl Finisher {
         let room = if still { ROOM.1 } else { ROOM.0 };
         options.target = (finish.target_bytes > 0)
             .then(|| Target::Bytes(((finish.target_bytes as f64 * room) as u64).max(1)));
-        let encoded = encode::encode(&scene, &options, &|_, _| {}).map_err(TrainError::Encode)?;
+        let encoded =
+            encode::encode(&scene, &options, &crate::encode::unheard).map_err(TrainError::Encode)?;
         let text = serde_json::to_string(&encoded.decisions);
         state.decisions = Some(text.map_err(|error| TrainError::Checkpoint(error.to_string()))?);
         self.take_up(state, model.gaussians())

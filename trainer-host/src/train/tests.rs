@@ -177,14 +177,15 @@ fn a_finished_scene_beats_a_plain_one_of_the_same_size() {
     let scene = finished.model().scene(4, 30.0).unwrap();
     let decisions = finished.decisions().unwrap().unwrap();
     let options = encode::EncodeOptions::default();
-    let ours = encode::again(&scene, &decisions, 1.0, &options, &|_, _| {}).unwrap();
+    let ours = encode::again(&scene, &decisions, 1.0, &options, &crate::encode::unheard).unwrap();
 
     let never = Finish { prune: 0.0, round_from: 1.0, ..Finish::default() };
     let plain = trained(&dataset, &TrainOptions { finish: never, ..self::finished() }, 900);
     assert!(plain.decisions().unwrap().is_none() && plain.prunings().is_empty());
     let bytes = ours.report.ledger.wire() as u64;
     let options = encode::EncodeOptions { target: Some(encode::Target::Bytes(bytes)), ..options };
-    let theirs = encode::encode(&plain.model().scene(4, 30.0).unwrap(), &options, &|_, _| {}).unwrap();
+    let theirs =
+        encode::encode(&plain.model().scene(4, 30.0).unwrap(), &options, &crate::encode::unheard).unwrap();
     let (ours_db, theirs_db) = (decoded_db(&ours), decoded_db(&theirs));
     let shown_db = evaluate(&finished.shown(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db;
     let estimated = finished.estimated_bytes().unwrap();

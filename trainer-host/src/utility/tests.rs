@@ -33,7 +33,7 @@ fn quantiles_interpolate() {
 fn moving() -> (Scene, Stream) {
     let options = synth::SynthOptions { gaussians: 1000, frames: 40, ..synth::SynthOptions::default() };
     let scene = synth::make(&options, &import::Limits::default()).unwrap();
-    let stream = encode(&scene, &encode::EncodeOptions::default(), &|_, _| {}).unwrap().stream;
+    let stream = encode(&scene, &encode::EncodeOptions::default(), &crate::encode::unheard).unwrap().stream;
     (scene, stream)
 }
 

@@ -192,7 +192,7 @@ mod tests {
         // Equal steps for all: where steps follow what shows, the base of what is hidden is so coarse that it
         // may stick out of the shell, and finer levels put it back.
         let options = encode::EncodeOptions { pictures: 0, ..encode::EncodeOptions::default() };
-        let whole = encode::encode(&scene, &options, &|_, _| {}).unwrap();
+        let whole = encode::encode(&scene, &options, &crate::encode::unheard).unwrap();
         let map = PacketMap::of(&whole.stream).unwrap();
         let received = whole.stream.receive().unwrap();
         let cameras = truncation_cameras(&scene).unwrap();
@@ -200,7 +200,7 @@ mod tests {
         let how = UtilityOptions::complete();
         let table = measure(&references, &received.content(), &map, &how, &|_| {}).unwrap();
         let (cut, truncated) =
-            truncate(&scene, &whole, &table, 0.0, options.table_choices, &|_, _| {}).unwrap();
+            truncate(&scene, &whole, &table, 0.0, options.table_choices, &crate::encode::unheard).unwrap();
         assert!(truncated.dropped >= 3 && truncated.wire_after < truncated.wire_before, "{truncated:?}");
         let manifest = cut.stream.manifest().unwrap();
         // The core's clusters are the small ones.
@@ -222,14 +222,16 @@ mod tests {
             (evaluator.whole(&whole.stream).unwrap(), evaluator.whole(&cut.stream).unwrap());
         assert!(after > before - 0.1, "{after} dB after {before}");
         // A price that no level pays leaves base levels; one that is no price is refused.
-        let (base, _) = truncate(&scene, &whole, &table, 1e9, options.table_choices, &|_, _| {}).unwrap();
+        let (base, _) =
+            truncate(&scene, &whole, &table, 1e9, options.table_choices, &crate::encode::unheard).unwrap();
         codec_core::internals::receiver::for_each_cell(&base.stream.manifest().unwrap(), |_, _, shape| {
             assert_eq!(shape.top(), Level::BASE);
             Ok(())
         })
         .unwrap();
         for lambda in [-1.0, f64::NAN] {
-            let refused = truncate(&scene, &whole, &table, lambda, options.table_choices, &|_, _| {});
+            let refused =
+                truncate(&scene, &whole, &table, lambda, options.table_choices, &crate::encode::unheard);
             assert!(matches!(refused, Err(EncodeError::Lambda { .. })));
         }
     }

@@ -104,7 +104,7 @@ async fn watch(
             if !config.loops {
                 return Ok(());
             }
-            playback.next_round();
+            playback.next_round(0);
             continue;
         }
         let wake = if has_manifest { playback.next_time().unwrap_or(deadline) } else { deadline };

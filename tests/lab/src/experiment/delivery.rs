@@ -123,7 +123,7 @@ impl Study {
         let training = pictures(Ring::Measuring, size.cameras, &all)?;
         let test = pictures(Ring::HeldOut, 2, &[last / 3, last])?;
         let coding = coding();
-        let encoded = encode::encode(&scene, &coding, &|_, _| {})?;
+        let encoded = encode::encode(&scene, &coding, &trainer_host::encode::unheard)?;
         Ok(Self { scene, training, test, encoded, coding, size })
     }
 
@@ -133,7 +133,7 @@ impl Study {
     /// What the encoder refuses.
     pub(super) fn protected(self) -> Result<Self> {
         let coding = EncodeOptions { repair: Protection::STANDARD, ..self.coding };
-        let encoded = encode::encode(&self.scene, &coding, &|_, _| {})?;
+        let encoded = encode::encode(&self.scene, &coding, &trainer_host::encode::unheard)?;
         Ok(Self { encoded, coding, ..self })
     }
 

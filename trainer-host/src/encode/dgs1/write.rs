@@ -15,6 +15,7 @@ use super::{
         ledger::manifest_parts,
         packetise::{PacketDraft, SliceBatch, packet_id, packetise},
         parity,
+        progress::report,
         statistics::Model,
     },
     manifest_body::body,
@@ -31,12 +32,12 @@ pub(in crate::encode) fn write(
     decisions: &Dgs1Decisions,
     progress: Progress<'_>,
 ) -> Result<Encoded, EncodeError> {
-    progress("quantise", 0.0);
+    report(progress, "quantise", 0.0)?;
     let epochs = quantise(scene, decisions)?;
     let model = Model::of(decisions)?;
     check_table_indices(&epochs, &model)?;
 
-    progress("packetise", 0.0);
+    report(progress, "packetise", 0.0)?;
     let batches = slice_batches(&epochs);
     let strength = |batch: &SliceBatch<'_>| {
         let moving = matches!(batch.span, Span::Motion(_));

@@ -124,7 +124,7 @@ mod tests {
             let options = synth::SynthOptions { gaussians: 1000, frames: 40, kind, ..Default::default() };
             let scene = synth::make(&options, &Limits::default()).unwrap();
             let options = EncodeOptions { repair: Protection::xor(4), ..EncodeOptions::default() };
-            let encoded = encode(&scene, &options, &|_, _| {}).unwrap();
+            let encoded = encode(&scene, &options, &crate::encode::unheard).unwrap();
             let segments = segments(&scene, &encoded.stream, 1).unwrap();
             assert!(segments.len() >= windows);
             assert_eq!(segments.iter().map(|s| s.frames).sum::<u32>(), 40);

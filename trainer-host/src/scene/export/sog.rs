@@ -5,6 +5,7 @@
 //! palette of up to 65,536 entries. Gaussians are put in Morton order, so that planes compress: rows are not
 //! those of the scene.
 
+mod lossless;
 mod palette;
 
 use std::io::{self, Cursor, Write};
@@ -141,21 +142,16 @@ fn add(zip: &mut Archive, name: &str, mut pixels: Vec<[u8; 4]>, width: usize) ->
     let height = pixels.len().div_ceil(width);
     pixels.resize(width * height, [0, 0, 0, 255]);
     // Labels of neighbours have little to do with each other, other values much: the shorter file wins.
-    let mut shortest: Option<Vec<u8>> = None;
-    for predicts in [true, false] {
-        let mut file = Vec::new();
-        let mut encoder = WebPEncoder::new(&mut file);
-        let mut how = EncoderParams::default();
-        how.use_predictor_transform = predicts;
-        encoder.set_params(how);
-        let encoded = encoder.encode(pixels.as_flattened(), width as u32, height as u32, ColorType::Rgba8);
-        encoded.map_err(io::Error::other)?;
-        if shortest.as_ref().is_none_or(|shortest| file.len() < shortest.len()) {
-            shortest = Some(file);
-        }
-    }
+    let predicted = lossless::encode(&pixels, width)?;
+    let mut plain = Vec::new();
+    let mut encoder = WebPEncoder::new(&mut plain);
+    let mut how = EncoderParams::default();
+    how.use_predictor_transform = false;
+    encoder.set_params(how);
+    let encoded = encoder.encode(pixels.as_flattened(), width as u32, height as u32, ColorType::Rgba8);
+    encoded.map_err(io::Error::other)?;
     start(zip, name)?;
-    zip.write_all(&shortest.unwrap_or_default())
+    zip.write_all(if predicted.len() < plain.len() { &predicted } else { &plain })
 }
 
 #[cfg(test)]

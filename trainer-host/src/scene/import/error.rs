@@ -15,7 +15,7 @@ pub enum Format {
     Spz,
     /// Headerless 32-byte records.
     Splat,
-    /// SOG version 2: JSON and lossless WebP planes.
+    /// SOG, versions 1 and 2: JSON and lossless WebP planes.
     Sog,
     /// Unity Gaussian Splatting asset, version 20231020.
     Unity,

@@ -1,10 +1,11 @@
-//! Reads SOG version 2: `meta.json` and lossless WebP planes, in a folder or a zip.
+//! Reads SOG: `meta.json` and lossless WebP planes, in a folder or a zip.
 //!
 //! Gaussian `i` is pixel `i` of every plane, row by row. Positions are 16 bits in two planes, across
 //! a range, after `sign(v)·ln(1 + |v|)`; scales and colours are bytes into codebooks; rotations are
 //! the three smaller of wxyz; higher harmonics are labels into a palette of 64 entries a row. Planes
 //! must be lossless: a lossy one decodes to other labels, and is not told apart here. Axes are kept.
-//! Absent: version 1, and the streamed form (`lod-meta.json`), whose levels are SOG folders each.
+//! Version 1, which does not name itself, has ranges per channel where version 2 has codebooks, and logits
+//! as opacities. Absent: the streamed form (`lod-meta.json`), whose levels are SOG folders each.
 
 use std::io::Cursor;
 
@@ -22,6 +23,8 @@ use super::{
 
 const FORMAT: Format = Format::Sog;
 const PALETTE_ROW: usize = 64;
+/// Most entries of a palette.
+const MOST_ENTRIES: u64 = 65_536;
 /// Longest `meta.json`, bytes: three codebooks of 256 numbers and a few names are far below.
 const META_BYTES: u64 = 1 << 20;
 
@@ -42,11 +45,16 @@ struct Means {
     mins: [f32; 3],
     maxs: [f32; 3],
     files: Vec<String>,
+    /// Version 1: the count is first.
+    shape: Option<Vec<u64>>,
 }
 
 #[derive(Deserialize)]
 struct Coded {
-    codebook: Vec<f32>,
+    codebook: Option<Vec<f32>>,
+    /// Version 1: the range of each channel.
+    mins: Option<Vec<f32>>,
+    maxs: Option<Vec<f32>>,
     files: Vec<String>,
 }
 
@@ -57,10 +65,22 @@ struct Files {
 
 #[derive(Deserialize)]
 struct Palette {
-    count: u64,
-    bands: u8,
-    codebook: Vec<f32>,
+    count: Option<u64>,
+    bands: Option<u8>,
+    codebook: Option<Vec<f32>>,
+    /// Version 1: the range of all values.
+    mins: Option<f32>,
+    maxs: Option<f32>,
     files: Vec<String>,
+}
+
+/// What a byte of a channel stands for.
+type Codebook = [f32; 256];
+
+#[derive(Clone, Copy, PartialEq)]
+enum Version {
+    One,
+    Two,
 }
 
 /// Reads a zipped SOG.
@@ -76,7 +96,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Snapshot, ImportError> {
 /// Reads a SOG given its `meta.json` and a way to read the files it names.
 ///
 /// # Errors
-/// Metadata that is not version 2 or contradicts itself, planes that are missing, damaged or smaller
+/// Metadata that is not of version 1 or 2 or contradicts itself, planes that are missing, damaged or smaller
 /// than the count, or more than `limits` allow.
 pub fn parse_files(
     meta: &[u8],
@@ -87,52 +107,56 @@ pub fn parse_files(
         let (found, allowed) = (format!("{} bytes", meta.len()), format!("up to {META_BYTES} bytes"));
         return Err(FORMAT.error(ErrorKind::TooLarge, "meta.json", found, allowed));
     }
-    let meta: Meta = serde_json::from_slice(meta)
-        .map_err(|e| FORMAT.malformed("meta.json", e, "metadata of SOG version 2"))?;
-    match meta.version {
-        Some(2) => {}
-        Some(other) => return Err(FORMAT.unsupported("version", other, "2")),
-        None => return Err(FORMAT.unsupported("version", "none", "2")),
-    }
-    let count = limits.gaussians(FORMAT, meta.count.ok_or_else(|| missing("count"))?)?;
+    let meta: Meta =
+        serde_json::from_slice(meta).map_err(|e| FORMAT.malformed("meta.json", e, "metadata of SOG"))?;
     let means = meta.means.ok_or_else(|| missing("means"))?;
+    let (version, count) = match meta.version {
+        Some(2) => (Version::Two, meta.count.ok_or_else(|| missing("count"))?),
+        Some(other) => return Err(FORMAT.unsupported("version", other, "2, or none for version 1")),
+        None => (Version::One, *means.shape.iter().flatten().next().ok_or_else(|| missing("means.shape"))?),
+    };
+    let count = limits.gaussians(FORMAT, count)?;
     let scales = meta.scales.ok_or_else(|| missing("scales"))?;
     let quats = meta.quats.ok_or_else(|| missing("quats"))?;
     let sh0 = meta.sh0.ok_or_else(|| missing("sh0"))?;
 
     let mut plane = |what: &str, files: &[String], index: usize, pixels: usize| {
-        let name = files.get(index).ok_or_else(|| {
-            FORMAT.malformed(format!("{what}.files"), files.len(), format_args!("{} names", index + 1))
-        })?;
-        if name.contains(['/', '\\']) || name.starts_with('.') {
-            return Err(FORMAT.malformed(format!("{what}.files"), name, "a plain file name"));
-        }
-        Plane::decode(name, &file(name)?, pixels, limits)
+        plane_between(what, files, index, pixels, pixels, &mut file, limits)
     };
     let low = plane("means", &means.files, 0, count)?;
     let high = plane("means", &means.files, 1, count)?;
     let scale = plane("scales", &scales.files, 0, count)?;
     let quat = plane("quats", &quats.files, 0, count)?;
     let colour = plane("sh0", &sh0.files, 0, count)?;
-    let scale_book = codebook("scales", &scales.codebook)?;
-    let colour_book = codebook("sh0", &sh0.codebook)?;
+    let scale_books: [Codebook; 3] = scales.codebooks("scales", version)?;
+    let (colour_books, opacity_book) = match version {
+        Version::Two => {
+            let opacities = std::array::from_fn(|byte| logit(byte as f32 / 255.0));
+            (sh0.codebooks::<3>("sh0", version)?, opacities)
+        }
+        Version::One => {
+            let [red, green, blue, opacities] = sh0.codebooks::<4>("sh0", version)?;
+            ([red, green, blue], opacities)
+        }
+    };
     let palette = match &meta.harmonics {
         None => None,
         Some(p) => {
-            let (degree, coefficients) = p.shape()?;
-            let rows = usize::try_from(p.count).unwrap_or(usize::MAX).div_ceil(PALETTE_ROW);
-            let centroids = plane("shN", &p.files, 0, rows.saturating_mul(PALETTE_ROW * coefficients))?;
-            if centroids.width != PALETTE_ROW * coefficients {
-                let (found, allowed) = (centroids.width, PALETTE_ROW * coefficients);
-                return Err(FORMAT.malformed("width of shN centroids", found, allowed));
+            let stated = p.shape(version)?;
+            let pixels = stated.map_or(PALETTE_ROW, |(degree, entries)| {
+                let rows = usize::try_from(entries).unwrap_or(usize::MAX).div_ceil(PALETTE_ROW);
+                rows.saturating_mul(PALETTE_ROW * degree.rest_len() / 3)
+            });
+            // Version 1 states neither degree nor entries: the plane has as many as it has pixels.
+            let most = if version == Version::One { MOST_ENTRIES as usize * 15 } else { pixels };
+            let bytes_of = plane_between("shN", &p.files, 0, pixels, most, &mut file, limits)?;
+            let (degree, entries) = stated.map_or_else(|| bytes_of.entries(), Ok)?;
+            let width = PALETTE_ROW * degree.rest_len() / 3;
+            if bytes_of.width != width {
+                return Err(FORMAT.malformed("width of shN centroids", bytes_of.width, width));
             }
-            Some((
-                degree,
-                p.count,
-                codebook("shN", &p.codebook)?,
-                centroids,
-                plane("shN", &p.files, 1, count)?,
-            ))
+            let labels = plane_between("shN", &p.files, 1, count, count, &mut file, limits)?;
+            Some((degree, entries, p.values(version)?, bytes_of, labels))
         }
     };
 
@@ -145,14 +169,14 @@ pub fn parse_files(
             v.signum() * v.abs().exp_m1()
         }));
         let s = scale.pixel(i);
-        columns.log_scales.push([0, 1, 2].map(|axis| scale_book[usize::from(s[axis])]));
+        columns.log_scales.push([0, 1, 2].map(|axis| scale_books[axis][usize::from(s[axis])]));
         let Some(largest) = q[3].checked_sub(252) else {
             return Err(FORMAT.malformed(format!("rotation mode of Gaussian {i}"), q[3], "252 to 255"));
         };
         let three = [q[0], q[1], q[2]].map(|u| (f32::from(u) / 255.0 - 0.5) * std::f32::consts::SQRT_2);
         columns.rotations.push(smallest_three(three, usize::from(largest)));
-        columns.sh0.push([0, 1, 2].map(|channel| colour_book[usize::from(c[channel])]));
-        columns.opacity_logits.push(logit(f32::from(c[3]) / 255.0));
+        columns.sh0.push([0, 1, 2].map(|channel| colour_books[channel][usize::from(c[channel])]));
+        columns.opacity_logits.push(opacity_book[usize::from(c[3])]);
         if let Some((degree, entries, book, centroids, labels)) = &palette {
             let label = u16::from_le_bytes([labels.pixel(i)[0], labels.pixel(i)[1]]);
             if u64::from(label) >= *entries {
@@ -183,20 +207,76 @@ fn missing(field: &str) -> ImportError {
     FORMAT.malformed(field, "nothing", "a value in meta.json")
 }
 
-fn codebook(what: &str, values: &[f32]) -> Result<[f32; 256], ImportError> {
+fn codebook(what: &str, values: Option<&[f32]>) -> Result<Codebook, ImportError> {
+    let values = values.unwrap_or_default();
     values.try_into().map_err(|_| FORMAT.malformed(format!("{what}.codebook"), values.len(), "256 values"))
 }
 
-impl Palette {
-    fn shape(&self) -> Result<(ShDegree, usize), ImportError> {
-        let degree = ShDegree::new(self.bands)
-            .filter(|d| d.get() > 0)
-            .ok_or_else(|| FORMAT.malformed("shN.bands", self.bands, "1 to 3"))?;
-        if self.count == 0 || self.count > 65_536 {
-            return Err(FORMAT.malformed("shN.count", self.count, "1 to 65536"));
+/// The codebook of equal steps from `low` to `high`.
+fn even(low: f32, high: f32) -> Codebook {
+    std::array::from_fn(|byte| lerp(low, high, byte as f32 / 255.0))
+}
+
+impl Coded {
+    /// What the bytes of the first `N` channels stand for.
+    fn codebooks<const N: usize>(&self, what: &str, version: Version) -> Result<[Codebook; N], ImportError> {
+        if version == Version::Two {
+            return Ok([codebook(what, self.codebook.as_deref())?; N]);
         }
-        Ok((degree, degree.rest_len() / 3))
+        let range = |field: &str, values: &Option<Vec<f32>>| -> Result<[f32; N], ImportError> {
+            let values = values.as_deref().unwrap_or_default();
+            let allowed = format!("{N} values");
+            values.try_into().map_err(|_| FORMAT.malformed(format!("{what}.{field}"), values.len(), allowed))
+        };
+        let (low, high) = (range("mins", &self.mins)?, range("maxs", &self.maxs)?);
+        Ok(std::array::from_fn(|channel| even(low[channel], high[channel])))
     }
+}
+
+impl Palette {
+    /// Degree and entries, which version 1 does not state.
+    fn shape(&self, version: Version) -> Result<Option<(ShDegree, u64)>, ImportError> {
+        if version == Version::One {
+            return Ok(None);
+        }
+        let bands = self.bands.ok_or_else(|| missing("shN.bands"))?;
+        let degree = ShDegree::new(bands)
+            .filter(|d| d.get() > 0)
+            .ok_or_else(|| FORMAT.malformed("shN.bands", bands, "1 to 3"))?;
+        let count = self.count.ok_or_else(|| missing("shN.count"))?;
+        if count == 0 || count > MOST_ENTRIES {
+            return Err(FORMAT.malformed("shN.count", count, "1 to 65536"));
+        }
+        Ok(Some((degree, count)))
+    }
+
+    /// What the bytes of its entries stand for.
+    fn values(&self, version: Version) -> Result<Codebook, ImportError> {
+        if version == Version::Two {
+            return codebook("shN", self.codebook.as_deref());
+        }
+        let low = self.mins.ok_or_else(|| missing("shN.mins"))?;
+        Ok(even(low, self.maxs.ok_or_else(|| missing("shN.maxs"))?))
+    }
+}
+
+/// Plane `index` of `files`, of at least `pixels` pixels and about `most`.
+fn plane_between(
+    what: &str,
+    files: &[String],
+    index: usize,
+    pixels: usize,
+    most: usize,
+    file: &mut impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
+    limits: &Limits,
+) -> Result<Plane, ImportError> {
+    let name = files.get(index).ok_or_else(|| {
+        FORMAT.malformed(format!("{what}.files"), files.len(), format_args!("{} names", index + 1))
+    })?;
+    if name.contains(['/', '\\']) || name.starts_with('.') {
+        return Err(FORMAT.malformed(format!("{what}.files"), name, "a plain file name"));
+    }
+    Plane::decode(name, &file(name)?, pixels, most, limits)
 }
 
 /// A decoded plane: RGBA, `width` pixels a row.
@@ -206,7 +286,13 @@ struct Plane {
 }
 
 impl Plane {
-    fn decode(name: &str, bytes: &[u8], pixels: usize, limits: &Limits) -> Result<Self, ImportError> {
+    fn decode(
+        name: &str,
+        bytes: &[u8],
+        pixels: usize,
+        most: usize,
+        limits: &Limits,
+    ) -> Result<Self, ImportError> {
         let damaged = |e: image_webp::DecodingError| FORMAT.malformed(name, e, "an undamaged lossless WebP");
         let mut decoder = WebPDecoder::new(Cursor::new(bytes)).map_err(damaged)?;
         let (width, height) = decoder.dimensions();
@@ -220,14 +306,9 @@ impl Plane {
             ));
         }
         // Rows may be padded, by far less than this.
-        if area > 4 * pixels as u64 + 65_536 {
+        if area > 4 * most as u64 + 65_536 {
             let found = format_args!("{width}x{height} pixels").to_string();
-            return Err(FORMAT.error(
-                ErrorKind::TooLarge,
-                name,
-                found,
-                format_args!("about {pixels} pixels"),
-            ));
+            return Err(FORMAT.error(ErrorKind::TooLarge, name, found, format_args!("about {most} pixels")));
         }
         limits.bytes(FORMAT, name, area * 4)?;
         let rgb = !decoder.has_alpha();
@@ -236,6 +317,14 @@ impl Plane {
         let rgba =
             if rgb { raw.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect() } else { raw };
         Ok(Self { width: width as usize, rgba })
+    }
+
+    /// Degree and entries of a palette, by its size.
+    fn entries(&self) -> Result<(ShDegree, u64), ImportError> {
+        let degree = (1..=3).filter_map(ShDegree::new).find(|d| PALETTE_ROW * d.rest_len() / 3 == self.width);
+        let degree = degree
+            .ok_or_else(|| FORMAT.malformed("width of shN centroids", self.width, "192, 512 or 960"))?;
+        Ok((degree, (self.rgba.len() / 4 / self.width * PALETTE_ROW) as u64))
     }
 
     fn pixel(&self, index: usize) -> [u8; 4] {
@@ -279,6 +368,61 @@ pub(super) mod tests {
             ("p.webp", webp(192, 1, |i| [i as u8, 128, 0, 255])),
             ("n.webp", webp(3, 2, |i| [(i % 2) as u8, 0, 0, 255])),
         ]
+    }
+
+    /// The same scene as version 1 writes it, but for its scales and colours.
+    pub fn files_of_version_1() -> Vec<(&'static str, Vec<u8>)> {
+        let meta = serde_json::json!({
+            "means": {"shape": [6, 3], "mins": [-1.0, -1.0, -1.0], "maxs": [1.0, 1.0, 1.0],
+                "files": ["l.webp", "u.webp"]},
+            "scales": {"shape": [6, 3], "mins": [-8.0, -4.0, 0.0], "maxs": [0.0, 0.0, 0.0],
+                "files": ["s.webp"]},
+            "quats": {"shape": [6, 4], "encoding": "quaternion_packed", "files": ["q.webp"]},
+            "sh0": {"shape": [6, 1, 4], "mins": [-1.0, -1.0, -1.0, -6.0], "maxs": [1.0, 1.0, 1.0, 6.0],
+                "files": ["c.webp"]},
+            "shN": {"shape": [6, 9], "mins": -2.0, "maxs": 2.0, "quantization": 8,
+                "files": ["p.webp", "n.webp"]},
+        });
+        let mut files = files();
+        files[0].1 = meta.to_string().into_bytes();
+        files
+    }
+
+    #[test]
+    fn version_1_has_ranges_and_logits() {
+        let read = |files: &[(&str, Vec<u8>)]| {
+            let found = |name: &str| {
+                let file = files.iter().find(|file| file.0 == name);
+                Ok(file.ok_or_else(|| missing(name))?.1.clone())
+            };
+            parse_files(&files[0].1, found, &Limits::default())
+        };
+        let files = files_of_version_1();
+        let s = read(&files).unwrap();
+        let a = s.epoch.attributes();
+        let near = |a: f32, b: f32| assert!((a - b).abs() < 1e-4, "{a} and {b}");
+        near(a.log_scales.frame(0, 6)[5][0], -8.0 + 5.0 / 255.0 * 8.0);
+        near(a.log_scales.frame(0, 6)[5][1], -4.0);
+        near(a.sh0.frame(0, 6)[0][0], 128.0 / 127.5 - 1.0);
+        near(a.opacity_logits.frame(0, 6)[5], 250.0 / 255.0 * 12.0 - 6.0);
+        assert_eq!(a.sh_degree.get(), 1);
+        near(a.sh_rest[9], 3.0 / 255.0 * 4.0 - 2.0);
+        // The positions and turns are those of version 2.
+        let two = parse(&sample(), &Limits::default()).unwrap();
+        assert_eq!(a.positions, two.epoch.attributes().positions);
+        assert_eq!(a.rotations, two.epoch.attributes().rotations);
+        for (from, to, words) in [
+            ("[-1.0,-1.0,-1.0],\"shape\":[6,3]", "[-1.0,-1.0,-1.0]", "means.shape"),
+            ("[-8.0,-4.0,0.0]", "[-8.0]", "scales.mins"),
+            ("\"mins\":-2.0,", "", "shN.mins"),
+        ] {
+            let text = String::from_utf8(files[0].1.clone()).unwrap();
+            assert!(text.contains(from), "{text}");
+            let mut bent = files.clone();
+            bent[0].1 = text.replace(from, to).into_bytes();
+            let error = read(&bent).unwrap_err().to_string();
+            assert!(error.contains(words), "{error}");
+        }
     }
 
     /// The same, zipped.

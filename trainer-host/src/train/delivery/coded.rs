@@ -57,7 +57,7 @@ impl Coded {
     /// # Errors
     /// What the encoder refuses.
     pub(super) fn first(source: &Scene, options: &encode::EncodeOptions) -> Result<Self, DeliveryError> {
-        let encoded = encode::encode(source, options, &|_, _| {})?;
+        let encoded = encode::encode(source, options, &crate::encode::unheard)?;
         Self::new(source, encoded, no_change(source))
     }
 
@@ -72,7 +72,7 @@ impl Coded {
     ) -> Result<Self, DeliveryError> {
         let scene = parameters.applied(source)?;
         let decisions = with_proxies(decisions, parameters);
-        Self::new(source, encode::write(&scene, &decisions, &|_, _| {})?, parameters.clone())
+        Self::new(source, encode::write(&scene, &decisions, &crate::encode::unheard)?, parameters.clone())
     }
 
     /// Parameters of `source` and of the proxies of this encoding of it, all unchanged.

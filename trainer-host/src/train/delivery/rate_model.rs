@@ -159,7 +159,7 @@ mod tests {
         let (scene, _) = study(2, 1);
         let decided = |quality: encode::Quality| {
             let options = encode::EncodeOptions { pictures: 0, quality, ..Default::default() };
-            encode::encode(&scene, &options, &|_, _| {}).unwrap()
+            encode::encode(&scene, &options, &crate::encode::unheard).unwrap()
         };
         let (fine, coarse) =
             (decided(encode::Quality::default()), decided(encode::Quality::default().scaled(4.0)));

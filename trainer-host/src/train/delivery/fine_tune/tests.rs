@@ -132,7 +132,7 @@ fn recorded_states_are_trained_on_and_must_fit() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("states.json");
     let mut options = DeliveryOptions { updates: 2, warm_up: 0.0, ..options(Variant::Combined) };
-    let encoded = encode::encode(&scene, &options.encode, &|_, _| {}).unwrap();
+    let encoded = encode::encode(&scene, &options.encode, &crate::encode::unheard).unwrap();
     let masks = Masks::draw(
         &encoded.stream,
         LossModel::Iid { probability: 0.5 },

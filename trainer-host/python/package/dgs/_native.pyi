@@ -1,0 +1,317 @@
+"""What the native half of the package offers; see each docstring for shapes and units."""
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Literal, final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ._gaussians import Gaussians
+
+_Activation = Literal["log", "linear"]
+_Axis = Literal["x", "y", "z", "minus-x", "minus-y", "minus-z"]
+_Path = str | os.PathLike[str]
+_Arrays = Gaussians | Mapping[str, ArrayLike]
+
+__all__ = [
+    "Camera",
+    "DamagedError",
+    "Encoded",
+    "Player",
+    "Scene",
+    "Stream",
+    "convert",
+    "encode",
+    "render",
+    "render_backward",
+]
+
+class DamagedError(ValueError):
+    """Bytes that are not what they should be: a damaged or truncated file, stream or packet."""
+
+@final
+class Camera:
+    """A pinhole camera with OpenCV axes: x right, y down, z forward."""
+
+    def __new__(
+        cls, viewmat: ArrayLike, K: ArrayLike, width: int, height: int, near: float = 0.01
+    ) -> Camera:
+        """A camera of a world-to-camera matrix [4, 4] and intrinsics [3, 3] in pixels, as gsplat takes them.
+
+        The first pixel has its centre at (0.5, 0.5). What is nearer than ``near`` (scene units) is not drawn.
+        """
+    @staticmethod
+    def many(
+        viewmats: ArrayLike, Ks: ArrayLike, width: int, height: int, near: float = 0.01
+    ) -> list[Camera]:
+        """Cameras of viewmats [C, 4, 4] and Ks [C, 3, 3]."""
+    @staticmethod
+    def look_at(
+        eye: Sequence[float],
+        target: Sequence[float],
+        up: Sequence[float],
+        fov_y: float,
+        width: int,
+        height: int,
+        near: float = 0.01,
+    ) -> Camera:
+        """A camera at ``eye`` that looks at ``target``, ``fov_y`` degrees high, ``up`` upwards in the picture."""
+    @property
+    def viewmat(self) -> NDArray[np.float64]:
+        """World to camera, [4, 4]."""
+    @property
+    def K(self) -> NDArray[np.float64]:
+        """Intrinsics in pixels, [3, 3]."""
+    @property
+    def width(self) -> int:
+        """Width of the picture, pixels."""
+    @property
+    def height(self) -> int:
+        """Height of the picture, pixels."""
+    @property
+    def near(self) -> float:
+        """What is nearer than this is not drawn, scene units."""
+
+@final
+class Scene:
+    """Gaussians over frames, with cameras where the source has some."""
+
+    @staticmethod
+    def load(
+        path: _Path,
+        *,
+        fps: float = 30.0,
+        samples: int = 20000,
+        clip: str | None = None,
+        seed: int = 1,
+        identity_stored: bool = False,
+        keep_readable: bool = False,
+        max_gaussians: int = 5000000,
+        up: _Axis | None = None,
+    ) -> Scene:
+        """Reads whatever ``dgs import`` reads, or a .dgs file; content decides before the ending.
+
+        ``fps`` is for sources that do not say. ``samples``, ``clip`` and ``seed`` are for animated meshes.
+        ``identity_stored``: rows of a numbered sequence are the same Gaussians at every frame.
+        ``keep_readable`` keeps the readable part of a damaged source; of a .dgs file it is kept anyway, with a
+        UserWarning. ``up`` is which axis points up, by default the usual one of the format.
+
+        Raises FileNotFoundError, DamagedError for what is damaged, ValueError for what is refused.
+        """
+    @staticmethod
+    def from_arrays(
+        means: ArrayLike,
+        scales: ArrayLike,
+        quats: ArrayLike,
+        opacities: ArrayLike,
+        sh0: ArrayLike,
+        shN: ArrayLike | None = None,
+        *,
+        fps: float = 30.0,
+        activation: _Activation = "log",
+        up: _Axis = "minus-y",
+    ) -> Scene:
+        """A scene of arrays under gsplat's names: each [N, ...] for all frames or [T, N, ...].
+
+        means [.., N, 3], scales [.., N, 3], quats wxyz [.., N, 4], opacities [.., N], sh0 [.., N, 3] or
+        [.., N, 1, 3], shN [N, K, 3] with K 0, 3, 8 or 15. Values are copied, whatever the strides;
+        floating-point numbers of other widths are converted to float32, other types are refused.
+        Quaternions are normalised, logarithms of scales are clamped to -20..10, logits to -12..12.
+        """
+    @staticmethod
+    def synth(kind: str = "figure", *, gaussians: int = 2000, frames: int = 8, seed: int = 1) -> Scene:
+        """A scene of formulas, "balls", "figure", "cloth" or "births", of 1000 Gaussians or more."""
+    def at(self, frame: int, *, activation: _Activation = "log") -> Gaussians:
+        """The arrays of a frame, 0 to frames - 1."""
+    def save(self, path: _Path, *, frame: int = 0, keep_axes: bool = False) -> None:
+        """Writes the scene as the ending says.
+
+        .ply, .compressed.ply, .spz, .splat, .sog and .glb hold the one ``frame``, a folder without an ending
+        every frame as a PLY, .4dgs all of it, .dgs all of it as :func:`encode` writes it by default. The scene is turned to
+        the axes that are usual in the format unless ``keep_axes``.
+        """
+    def __len__(self) -> int: ...
+    @property
+    def frames(self) -> int:
+        """Number of frames, also ``len(scene)``."""
+    @property
+    def gaussians(self) -> int:
+        """Gaussians of the frame that has most."""
+    @property
+    def fps(self) -> float:
+        """Frames per second."""
+    @property
+    def up(self) -> str:
+        """Which axis points up."""
+    @property
+    def notes(self) -> list[str]:
+        """What a person should know of the source."""
+    @property
+    def cameras(self) -> list[Camera]:
+        """Cameras that the source came with."""
+    @property
+    def bounds(self) -> NDArray[np.float32]:
+        """The least and the greatest corner of all centres at all frames, scene units, [2, 3]."""
+    def ring(self, count: int, width: int, height: int, *, held_out: bool = True) -> list[Camera]:
+        """Cameras around the scene: held out, or those that the encoder measures from."""
+
+@final
+class Encoded:
+    """An encoded scene."""
+
+    @property
+    def stream(self) -> Stream:
+        """The manifest and the packets."""
+    @property
+    def report(self) -> dict[str, Any]:
+        """What was chosen and where every byte went, as ``dgs encode --json`` says it."""
+    def to_bytes(self) -> bytes:
+        """The bytes of a .dgs file, also ``bytes(encoded)``."""
+    def save(self, path: _Path) -> None:
+        """Writes a .dgs file."""
+    def __bytes__(self) -> bytes: ...
+
+@final
+class Stream:
+    """The bytes of a stream: a manifest and packets, each of which decodes alone given the manifest."""
+
+    def __new__(cls, source: bytes | _Path) -> Stream:
+        """Bytes of a .dgs file, or its path. Raises DamagedError if the manifest is unreadable."""
+    @property
+    def manifest(self) -> bytes:
+        """The message that makes every packet readable."""
+    @property
+    def packets(self) -> list[bytes]:
+        """The packets, by id; one that is missing is empty."""
+    @property
+    def damage(self) -> str | None:
+        """What is amiss with the bytes, if something is."""
+    @property
+    def info(self) -> dict[str, Any]:
+        """frames, fps, packets, gaussians, sh_degree."""
+    @property
+    def wire_bytes(self) -> int:
+        """Bytes of the manifest and all packets."""
+    def without(self, packets: Iterable[int]) -> Stream:
+        """The same stream without the packets of these ids."""
+    def to_bytes(self) -> bytes:
+        """The bytes of a .dgs file, also ``bytes(stream)``."""
+    def save(self, path: _Path) -> None:
+        """Writes a .dgs file."""
+    def __bytes__(self) -> bytes: ...
+    def __len__(self) -> int: ...
+
+@final
+class Player:
+    """What has arrived of a stream, decoded frame by frame. May be used from several threads."""
+
+    def __new__(cls, source: Stream | bytes | _Path) -> Player:
+        """A player all of whose packets have arrived. Raises DamagedError if the manifest is unreadable."""
+    @staticmethod
+    def from_manifest(manifest: bytes) -> Player:
+        """A player of the stream of this manifest, none of whose packets have arrived."""
+    def push(self, packet: bytes) -> list[int]:
+        """Takes one packet, in any order; gives the ids of the packets that are known by it.
+
+        More than one where parity repaired others, none if it has come before. Raises DamagedError if it is
+        refused; the player is then as it was.
+        """
+    def push_all(self, packets: Sequence[bytes]) -> None:
+        """Takes many packets, faster; those that are refused are counted, empty ones passed over."""
+    def frame(self, frame: int, *, activation: _Activation = "log") -> Gaussians:
+        """The arrays of a frame, 0 to frames - 1, as far as it has arrived.
+
+        Rows are the same Gaussians whatever has arrived. Of a block of which nothing has, a coarse stand-in from
+        the manifest is there and the other rows have opacity 0 (in "log" the logit -12): see :meth:`drawn`.
+        """
+    def drawn(self, frame: int) -> NDArray[np.bool_]:
+        """Which Gaussians of a frame are drawn, [N]: what has arrived, and stand-ins for what has not."""
+    def usable(self, frame: int) -> dict[str, Any]:
+        """How many blocks of a frame there are, and can be shown by level: blocks, canonical, motion."""
+    @property
+    def info(self) -> dict[str, Any]:
+        """frames, fps, packets, gaussians, sh_degree."""
+    @property
+    def counters(self) -> dict[str, Any]:
+        """Packets so far: media, parity, recovered, refused (by kind)."""
+    @property
+    def damage(self) -> str | None:
+        """What was amiss with the bytes, if something was."""
+
+def encode(
+    scene: Scene,
+    *,
+    profile: Literal["dgs1", "paper", "paper-context"] = "dgs1",
+    coarseness: float = 1.0,
+    target_bits_per_gaussian: float | None = None,
+    target_bytes: int | None = None,
+    target_psnr: float | None = None,
+    pictures: int = 16,
+    search: int = 0,
+    cluster_size: int = 512,
+    block_len: int = 64,
+    window_frames: int | None = None,
+    rank: int | None = None,
+    packet_bytes: int = 1150,
+    repair: str = "none",
+    progress: Callable[[str, float], object] | None = None,
+) -> Encoded:
+    """Encodes a scene, with the options of ``dgs encode`` under their names there.
+
+    Targets, of which one may be given: bits on the wire per Gaussian, bytes on the wire, or PSNR in dB from
+    measuring cameras; the coarseness is then chosen. ``repair``: parity, "none", "standard" or a list of
+    KIND=K+R. ``progress`` hears the stage and the share of it that is done, 0 to 1; an exception that it
+    raises, and Ctrl-C, end the encoding at that stage. Equal scenes and options give equal bytes.
+    """
+
+def render(
+    gaussians: Scene | _Arrays,
+    cameras: Camera | Iterable[Camera],
+    *,
+    frame: int = 0,
+    activation: _Activation = "log",
+    background: Sequence[float] | None = None,
+    alpha: bool = False,
+    antialiased: bool = False,
+    sh_degree: int = 3,
+    alpha_cutoff: float | None = None,
+) -> NDArray[np.float32]:
+    """Renders Gaussians from every camera on the processor: [C, H, W, 3], red, green and blue of 0 to 1.
+
+    ``gaussians`` are arrays in the domain ``activation``, or a scene, of which ``frame`` is drawn. Colours are
+    those of a screen, over ``background``, black by default. With ``alpha`` a fourth channel is 1 minus the share of the
+    background that shows. ``antialiased`` dims small Gaussians as Mip-Splatting does. Bands above
+    ``sh_degree`` are left out. A Gaussian adds nothing to a pixel where its alpha is below ``alpha_cutoff``, 0 to
+    0.5, 1/255 by default. The same input gives the same bits on any number of threads.
+    """
+
+def render_backward(
+    gaussians: _Arrays,
+    cameras: Camera | Iterable[Camera],
+    grad_images: ArrayLike,
+    *,
+    activation: _Activation = "log",
+    background: Sequence[float] | None = None,
+    antialiased: bool = False,
+    sh_degree: int = 3,
+    alpha_cutoff: float | None = None,
+) -> dict[str, NDArray[np.float32]]:
+    """Gradients of a number with respect to every array, given its gradient of what :func:`render` gives.
+
+    ``grad_images`` is [C, H, W, 3], or [C, H, W, 4] with that of alpha. The result has means, scales, quats,
+    opacities, sh0 and shN, each in the shape that came in and in the domain ``activation``, summed over
+    cameras, and background [3]. Options are those of :func:`render`. Where a value is clamped (a colour at 0,
+    alpha at 0.99) and across the jumps of the picture (at ``alpha_cutoff``) the gradient is 0.
+    """
+
+def convert(
+    source: _Path,
+    target: _Path,
+    *,
+    fps: float = 30.0,
+    frame: int = 0,
+    keep_axes: bool = False,
+    up: _Axis | None = None,
+) -> None:
+    """Reads a scene and writes it as the ending of ``target`` says: ``Scene.load(source).save(target)``."""

@@ -1,0 +1,314 @@
+//! Shows scenes to Python: files and arrays in, arrays and files out.
+
+use std::path::{Path, PathBuf};
+
+use numpy::PyArrayDyn;
+use pyo3::{exceptions::PyUserWarning, prelude::*};
+use trainer_host::{
+    edit::{self, Similarity, turn_between},
+    encode::{self, EncodeOptions},
+    export::{self, FileFormat},
+    import::{self, ImportOptions, Limits, gltf, synth},
+    scene::Up,
+    stream::{Stream, decoded},
+    viewpoint::{Framing, Ring},
+};
+
+use crate::{
+    activation::Activation,
+    array::array,
+    camera::Camera,
+    clip,
+    error::{checked_frame, damaged, of_file, refused, unreadable},
+    gaussians::Frame,
+};
+
+/// Gaussians over frames.
+#[pyclass(module = "dgs", frozen)]
+pub struct Scene(pub trainer_host::Scene);
+
+/// The axis of that name.
+pub fn up_of(name: &str) -> PyResult<Up> {
+    let found = Up::ALL.into_iter().find(|up| up.to_string() == name);
+    found.ok_or_else(|| {
+        let names = Up::ALL.map(|up| up.to_string()).join(", ");
+        refused(format!("up is {name:?}; {names} are allowed"))
+    })
+}
+
+/// Whether `path` is of a `.dgs` stream.
+fn is_stream(path: &Path) -> bool {
+    path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("dgs"))
+}
+
+/// The frames of a stream, as far as they have arrived, and what is amiss with it.
+fn decode(path: &Path) -> PyResult<(trainer_host::Scene, Option<String>)> {
+    let bytes = std::fs::read(path).map_err(|error| of_file(path, &error))?;
+    let (stream, damage) = Stream::from_bytes(&bytes).map_err(damaged)?;
+    let mut player = stream.receive().map_err(damaged)?;
+    let mut frames = Vec::new();
+    for number in 0..player.info().frames {
+        let shown = player.frame(number).map_err(damaged)?;
+        let instant = trainer_host::Instant {
+            gaussians: shown.gaussians.to_vec(),
+            sh_rest: shown.sh_rest.to_vec(),
+            sh_degree: shown.sh_degree,
+        };
+        frames.push(decoded::snapshot(&instant).map_err(refused)?.0);
+    }
+    let scene = decoded::joined(frames, player.manifest().frames_per_second()).map_err(refused)?;
+    let damage = (!damage.is_none()).then(|| format!("{}: {damage}; the rest is used", path.display()));
+    Ok((scene, damage))
+}
+
+/// `scene` turned so that up is where it usually is in `format`.
+fn turned(scene: &trainer_host::Scene, format: FileFormat) -> PyResult<Option<trainer_host::Scene>> {
+    let (from, to) = (scene.up, format.usual_up());
+    if from == to {
+        return Ok(None);
+    }
+    let turn = Similarity { rotation: turn_between(from, to), ..Similarity::default() };
+    edit::transform(scene, &turn).map(Some).map_err(refused)
+}
+
+/// Writes frame `frame` of `scene` in `format`.
+fn write_frame(scene: &trainer_host::Scene, format: FileFormat, path: &Path, frame: i64) -> PyResult<()> {
+    let frame = checked_frame(frame, scene.frames())?;
+    let Some((epoch, t)) = scene.locate(frame) else { return Ok(()) };
+    let bytes = format.encode(&scene.epochs()[epoch], t).map_err(|error| of_file(path, &error))?;
+    std::fs::write(path, bytes).map_err(|error| of_file(path, &error))
+}
+
+/// Writes every frame as a PLY into the folder `path`, which must be empty or not there.
+fn write_folder(scene: &trainer_host::Scene, path: &Path) -> PyResult<()> {
+    std::fs::create_dir_all(path).map_err(|error| of_file(path, &error))?;
+    let mut entries = std::fs::read_dir(path).map_err(|error| of_file(path, &error))?;
+    if entries.next().is_some() {
+        return Err(refused(format!("{}: the folder is not empty", path.display())));
+    }
+    for frame in 0..scene.frames() as i64 {
+        write_frame(scene, FileFormat::Ply, &path.join(format!("frame_{frame:05}.ply")), frame)?;
+    }
+    Ok(())
+}
+
+/// Writes `scene` as the ending of `path` says.
+pub fn save(scene: &trainer_host::Scene, path: &Path, frame: i64, keep_axes: bool) -> PyResult<()> {
+    if is_stream(path) {
+        let encoded = encode::encode(scene, &EncodeOptions::default(), &encode::unheard).map_err(refused)?;
+        let bytes = encoded.stream.to_bytes().map_err(refused)?;
+        return std::fs::write(path, bytes).map_err(|error| of_file(path, &error));
+    }
+    if path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("4dgs")) {
+        let bytes = export::fourdgs::encode(scene).map_err(|error| of_file(path, &error))?;
+        return std::fs::write(path, bytes).map_err(|error| of_file(path, &error));
+    }
+    let is_folder = path.is_dir() || path.extension().is_none();
+    let format = if is_folder { FileFormat::Ply } else { format_of(path)? };
+    let turned = if keep_axes { None } else { turned(scene, format)? };
+    let scene = turned.as_ref().unwrap_or(scene);
+    if is_folder { write_folder(scene, path) } else { write_frame(scene, format, path, frame) }
+}
+
+/// The format that the ending of `path` names.
+fn format_of(path: &Path) -> PyResult<FileFormat> {
+    FileFormat::of(path).ok_or_else(|| {
+        let endings = FileFormat::ENDINGS;
+        refused(format!(
+            "{}: no format that scenes are written in; {endings}, .4dgs, .dgs, or a folder without an \
+             ending are allowed",
+            path.display()
+        ))
+    })
+}
+
+#[pymethods]
+impl Scene {
+    /// Reads a file or a folder of numbered files.
+    #[staticmethod]
+    #[pyo3(signature = (
+        path, *, fps = 30.0, samples = 20_000, clip = None, seed = 1, identity_stored = false,
+        keep_readable = false, max_gaussians = 5_000_000, up = None
+    ))]
+    #[allow(clippy::too_many_arguments, reason = "keyword arguments of Python")]
+    pub fn load(
+        py: Python<'_>,
+        path: PathBuf,
+        fps: f64,
+        samples: usize,
+        clip: Option<String>,
+        seed: u64,
+        identity_stored: bool,
+        keep_readable: bool,
+        max_gaussians: usize,
+        up: Option<&str>,
+    ) -> PyResult<Self> {
+        let up = up.map(up_of).transpose()?;
+        if !path.exists() {
+            return Err(of_file(&path, &std::io::Error::from(std::io::ErrorKind::NotFound)));
+        }
+        if is_stream(&path) {
+            let (mut scene, damage) = py.detach(|| decode(&path))?;
+            if let Some(damage) = damage {
+                let message = std::ffi::CString::new(damage).map_err(refused)?;
+                PyErr::warn(py, &py.get_type::<PyUserWarning>(), &message, 1)?;
+            }
+            scene.up = up.unwrap_or_default();
+            return Ok(Self(scene));
+        }
+        let limits = Limits { max_gaussians, keep_readable, ..Limits::default() };
+        let identity = if identity_stored { import::Identity::Stored } else { import::Identity::PerFrame };
+        let clip = clip.map_or(gltf::Clip::First, gltf::Clip::Name);
+        let mesh = gltf::GltfOptions { clip, frames_per_second: fps, samples, seed, ..Default::default() };
+        let options = ImportOptions { limits, identity, frames_per_second: fps, gltf: mesh };
+        let mut scene = py.detach(|| import::import(&path, &options)).map_err(|error| unreadable(&error))?;
+        scene.up = up.or(scene.usual_up).unwrap_or_default();
+        Ok(Self(scene))
+    }
+
+    /// A scene of arrays.
+    #[staticmethod]
+    #[pyo3(signature = (
+        means, scales, quats, opacities, sh0, shN = None, *, fps = 30.0, activation = "log",
+        up = "minus-y"
+    ))]
+    #[allow(clippy::too_many_arguments, reason = "keyword arguments of Python")]
+    #[allow(non_snake_case, reason = "the name that higher bands have in gsplat")]
+    fn from_arrays(
+        means: &Bound<'_, PyAny>,
+        scales: &Bound<'_, PyAny>,
+        quats: &Bound<'_, PyAny>,
+        opacities: &Bound<'_, PyAny>,
+        sh0: &Bound<'_, PyAny>,
+        shN: Option<&Bound<'_, PyAny>>,
+        fps: f64,
+        activation: &str,
+        up: &str,
+    ) -> PyResult<Self> {
+        let up = up_of(up)?;
+        let source = pyo3::types::PyDict::new(means.py());
+        for (name, value) in
+            [("means", means), ("scales", scales), ("quats", quats), ("opacities", opacities), ("sh0", sh0)]
+        {
+            source.set_item(name, value)?;
+        }
+        source.set_item("shN", shN)?;
+        let mut scene = clip::scene(&source, fps, Activation::of(activation)?)?;
+        scene.up = up;
+        Ok(Self(scene))
+    }
+
+    /// A scene that needs no file.
+    #[staticmethod]
+    #[pyo3(signature = (kind = "figure", *, gaussians = 2000, frames = 8, seed = 1))]
+    fn synth(py: Python<'_>, kind: &str, gaussians: usize, frames: usize, seed: u64) -> PyResult<Self> {
+        let kind = synth::SynthKind::ALL.into_iter().find(|found| found.name() == kind).ok_or_else(|| {
+            let names = synth::SynthKind::ALL.map(synth::SynthKind::name).join(", ");
+            refused(format!("kind is {kind:?}; {names} are allowed"))
+        })?;
+        let options = synth::SynthOptions { kind, gaussians, frames, seed, ..Default::default() };
+        let scene = py.detach(|| synth::make(&options, &Limits::default()));
+        Ok(Self(scene.map_err(|error| unreadable(&error))?))
+    }
+
+    /// The arrays of a frame.
+    #[pyo3(signature = (frame, *, activation = "log"))]
+    pub fn at<'py>(&self, py: Python<'py>, frame: i64, activation: &str) -> PyResult<Bound<'py, PyAny>> {
+        let activation = Activation::of(activation)?;
+        let frame = checked_frame(frame, self.0.frames())?;
+        let (epoch, t) = self.0.locate(frame).unwrap_or_default();
+        Frame::of_epoch(&self.0.epochs()[epoch], t, activation).into_python(py)
+    }
+
+    /// Writes a frame, or all, as the ending of the path says.
+    #[pyo3(signature = (path, *, frame = 0, keep_axes = false))]
+    fn save(&self, py: Python<'_>, path: PathBuf, frame: i64, keep_axes: bool) -> PyResult<()> {
+        py.detach(|| save(&self.0, &path, frame, keep_axes))
+    }
+
+    fn __len__(&self) -> usize {
+        self.0.frames()
+    }
+
+    /// Number of frames.
+    #[getter]
+    fn frames(&self) -> usize {
+        self.0.frames()
+    }
+
+    /// Gaussians of the frame that has most.
+    #[getter]
+    fn gaussians(&self) -> usize {
+        self.0.max_count()
+    }
+
+    /// Frames per second.
+    #[getter]
+    fn fps(&self) -> f64 {
+        self.0.frames_per_second()
+    }
+
+    /// Which axis points up.
+    #[getter]
+    fn up(&self) -> String {
+        self.0.up.to_string()
+    }
+
+    /// What a person should know of the source.
+    #[getter]
+    fn notes(&self) -> Vec<String> {
+        self.0.notes.clone()
+    }
+
+    /// Cameras that the source came with.
+    #[getter]
+    fn cameras(&self) -> Vec<Camera> {
+        self.0.cameras.iter().cloned().map(Camera).collect()
+    }
+
+    /// The least and the greatest corner of all centres at all frames, [2, 3].
+    #[getter]
+    fn bounds<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f32>>> {
+        let (mut low, mut high) = ([f32::NAN; 3], [f32::NAN; 3]);
+        for epoch in self.0.epochs() {
+            let frames = if epoch.attributes().positions.is_constant() { 1 } else { epoch.frames() };
+            for position in (0..frames).flat_map(|t| epoch.attributes().positions.frame(t, epoch.count())) {
+                for axis in 0..3 {
+                    // The other operand of a value that is none.
+                    low[axis] = low[axis].min(position[axis]);
+                    high[axis] = high[axis].max(position[axis]);
+                }
+            }
+        }
+        array(py, [low, high].as_flattened().to_vec(), &[2, 3])
+    }
+
+    /// Cameras around the scene.
+    #[pyo3(signature = (count, width, height, *, held_out = true))]
+    fn ring(&self, count: usize, width: u32, height: u32, held_out: bool) -> PyResult<Vec<Camera>> {
+        let ring = if held_out { Ring::HeldOut } else { Ring::Measuring };
+        let cameras = Framing::of(&self.0).ring(ring, count, (width, height)).map_err(refused)?;
+        Ok(cameras.into_iter().map(Camera).collect())
+    }
+
+    fn __repr__(&self) -> String {
+        let (gaussians, frames) = (self.0.max_count(), self.0.frames());
+        format!("Scene({gaussians} Gaussians, {frames} frames, {} fps)", self.0.frames_per_second())
+    }
+}
+
+/// Reads a scene and writes it as the ending of the other path says.
+#[pyfunction]
+#[pyo3(signature = (source, target, *, fps = 30.0, frame = 0, keep_axes = false, up = None))]
+pub fn convert(
+    py: Python<'_>,
+    source: PathBuf,
+    target: PathBuf,
+    fps: f64,
+    frame: i64,
+    keep_axes: bool,
+    up: Option<&str>,
+) -> PyResult<()> {
+    let scene = Scene::load(py, source, fps, 20_000, None, 1, false, false, 5_000_000, up)?;
+    py.detach(|| save(&scene.0, &target, frame, keep_axes))
+}

@@ -1,0 +1,163 @@
+"""Pictures and their gradients; the gradients against differences of pictures."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import dgs
+
+HEIGHT, WIDTH = 40, 48
+ALLOWED = 0.002
+"""Distance of a gradient along a direction from differences, relative to the gradient."""
+
+
+def cameras() -> list[dgs.Camera]:
+    """Two cameras that look at the origin."""
+    up = [0.0, -1.0, 0.0]
+    places = ([0.0, 0.0, -4.0], [2.0, 0.5, -3.0])
+    return [dgs.Camera.look_at(eye, [0.0, 0.0, 0.0], up, 40.0, WIDTH, HEIGHT) for eye in places]
+
+
+def gaussians(activation: str) -> dgs.Gaussians:
+    """Wide Gaussians at different depths, whose pictures are smooth, with a first band."""
+    rng = np.random.default_rng(3)
+    count = 6
+    scales = rng.uniform(-1.2, -0.5, size=(count, 3))
+    logits = rng.uniform(-1.0, 1.0, size=count)
+    if activation == "linear":
+        scales, logits = np.exp(scales), 1.0 / (1.0 + np.exp(-logits))
+    means = rng.uniform(-0.5, 0.5, size=(count, 3))
+    means[:, 2] = np.linspace(-0.5, 0.5, count)
+    values = (
+        means,
+        scales,
+        rng.normal(size=(count, 4)),
+        logits,
+        rng.uniform(0.2, 1.0, size=(count, 1, 3)),
+        rng.uniform(-0.1, 0.1, size=(count, 3, 3)),
+    )
+    return dgs.Gaussians(*(value.astype(np.float32) for value in values))
+
+
+def test_a_ball_is_where_it_should_be() -> None:
+    camera = dgs.Camera.look_at([0, 0, -4], [0, 0, 0], [0, -1, 0], 40.0, WIDTH, HEIGHT)
+    ball: dict[str, Any] = {
+        "means": [[0.0, 0.0, 0.0]],
+        "scales": [[0.2, 0.2, 0.2]],
+        "quats": [[1.0, 0.0, 0.0, 0.0]],
+        "opacities": [0.95],
+        "sh0": [[[1.5, -1.0, 0.0]]],
+    }
+    picture = dgs.render(ball, camera, activation="linear", alpha=True)
+    assert picture.shape == (1, HEIGHT, WIDTH, 4) and picture.dtype == np.float32
+    red, green, blue, alpha = picture[0, HEIGHT // 2, WIDTH // 2]
+    assert alpha > 0.9 and red > blue > green
+    assert not picture[0, 0, 0].any()
+    white = dgs.render(ball, camera, activation="linear", background=(1, 1, 1))
+    assert np.allclose(white[..., :3], picture[..., :3] + 1 - picture[..., 3:], atol=1e-5)
+
+
+def test_matrices_and_places_are_the_same_camera() -> None:
+    camera = cameras()[1]
+    again = dgs.Camera(camera.viewmat, camera.K, camera.width, camera.height)
+    many = dgs.Camera.many(camera.viewmat[None], camera.K[None], WIDTH, HEIGHT)
+    source = gaussians("log")
+    pictures = dgs.render(source, [camera, again, *many])
+    assert np.array_equal(pictures[0], pictures[1]) and np.array_equal(pictures[0], pictures[2])
+    assert not np.array_equal(pictures[0], dgs.render(source, cameras()[0])[0])
+
+
+def test_a_scene_is_rendered_as_its_arrays() -> None:
+    scene = dgs.Scene.synth("balls", gaussians=1000, frames=3)
+    around = scene.ring(2, width=32, height=24)
+    assert np.array_equal(dgs.render(scene, around, frame=2), dgs.render(scene.at(2), around))
+    linear = dgs.render(scene.at(2, activation="linear"), around, activation="linear")
+    assert np.allclose(dgs.render(scene, around, frame=2), linear, atol=1e-4)
+
+
+def worst(
+    source: dgs.Gaussians, activation: str, channels: int, backward: Callable[..., dict[str, Any]]
+) -> float:
+    """Largest distance of gradients from finite differences along random directions, relative."""
+    rng = np.random.default_rng(5)
+    weights = rng.normal(size=(2, HEIGHT, WIDTH, channels)).astype(np.float32)
+    # Cut nothing: at a cut the picture jumps.
+    options: dict[str, Any] = {"activation": activation, "background": (0.2, 0.4, 0.6), "alpha_cutoff": 0.0}
+    found = backward(source, cameras(), weights, **options)
+    apart = 0.0
+    for name in dgs.Gaussians._fields:
+        values = getattr(source, name)
+        assert found[name].shape == values.shape and found[name].dtype == np.float32
+        step = 2e-3
+
+        def number(by: float, direction: NDArray[np.float64]) -> float:
+            moved = source._replace(**{name: (values + by * direction).astype(np.float32)})
+            picture = dgs.render(moved, cameras(), alpha=channels == 4, **options)
+            return float(np.sum(picture.astype(np.float64) * weights))
+
+        for _ in range(4):
+            direction = rng.normal(size=values.shape)
+            slope = (number(step, direction) - number(-step, direction)) / (2 * step)
+            expected = float(np.sum(found[name].astype(np.float64) * direction))
+            apart = max(apart, abs(slope - expected) / float(np.linalg.norm(found[name])))
+    return apart
+
+
+@pytest.mark.parametrize("activation", ["log", "linear"])
+@pytest.mark.parametrize("channels", [3, 4])
+def test_gradients_are_those_of_differences(activation: str, channels: int) -> None:
+    assert worst(gaussians(activation), activation, channels, dgs.render_backward) < ALLOWED
+
+
+@pytest.mark.parametrize("name", dgs.Gaussians._fields)
+def test_a_gradient_that_is_off_is_noticed(name: str) -> None:
+    def bent(*args: Any, **options: Any) -> dict[str, Any]:
+        found = dgs.render_backward(*args, **options)
+        bent = found[name].copy()
+        bent.flat[0] += 0.05 * np.linalg.norm(bent)
+        return found | {name: bent}
+
+    assert worst(gaussians("log"), "log", 3, bent) > ALLOWED
+
+
+def test_gradients_of_cameras_add_up() -> None:
+    source, (a, b) = gaussians("log"), cameras()
+    weights = np.random.default_rng(2).normal(size=(2, HEIGHT, WIDTH, 4)).astype(np.float32)
+    both = dgs.render_backward(source, [a, b], weights)
+    parts = [dgs.render_backward(source, c, weights[i : i + 1]) for i, c in enumerate((a, b))]
+    for name in dgs.Gaussians._fields:
+        assert np.allclose(both[name], parts[0][name] + parts[1][name], rtol=1e-5, atol=1e-5), name
+    assert both["background"].shape == (3,)
+
+
+def test_shapes_that_came_in_come_out() -> None:
+    source: dict[str, Any] = gaussians("log")._asdict()
+    source["sh0"] = source["sh0"][:, 0]
+    del source["shN"]
+    found = dgs.render_backward(source, cameras(), np.ones((2, HEIGHT, WIDTH, 3)))
+    assert found["sh0"].shape == (6, 3) and found["shN"].shape == (6, 0, 3)
+
+
+def test_what_is_wrong_is_named() -> None:
+    source = gaussians("log")
+    with pytest.raises(ValueError, match=r"grad_images: found shape \[2, 2\]; \[2, 40, 48, 3 or 4\]"):
+        dgs.render_backward(source, cameras(), np.zeros((2, 2)))
+    with pytest.raises(ValueError, match="cameras: found none"):
+        dgs.render(source, [])
+    with pytest.raises(ValueError, match="cameras: found sizes"):
+        dgs.render(source, [*cameras(), dgs.Camera.look_at([0, 0, -4], [0, 0, 0], [0, 1, 0], 40, 8, 8)])
+    with pytest.raises(ValueError, match="dgs.Camera is wanted"):
+        dgs.render(source, [1])  # type: ignore[list-item]
+    with pytest.raises(ValueError, match="has no quats"):
+        dgs.render({"means": np.zeros((1, 3)), "scales": np.zeros((1, 3))}, cameras())
+    with pytest.raises(ValueError, match="setting background"):
+        dgs.render(source, cameras(), background=(float("nan"), 0, 0))
+    with pytest.raises(ValueError, match="max_sh_degree"):
+        dgs.render(source, cameras(), sh_degree=9)
+    with pytest.raises(ValueError, match=r"viewmat: found shape \[3, 3\]"):
+        dgs.Camera(np.eye(3), np.eye(3), 8, 8)
+    with pytest.raises(ValueError, match="fx"):
+        dgs.Camera(np.eye(4), np.zeros((3, 3)) + np.diag([0, 0, 1]), 8, 8)

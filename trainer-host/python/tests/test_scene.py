@@ -1,0 +1,149 @@
+"""Scenes of arrays and files: what comes back, and what is refused in which words."""
+
+import pathlib
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dgs
+
+
+def arrays(count: int = 50, frames: int = 3) -> dict[str, Any]:
+    """Arrays of `count` Gaussians, means over `frames`."""
+    rng = np.random.default_rng(1)
+    return {
+        "means": rng.normal(size=(frames, count, 3)).astype(np.float32),
+        "scales": rng.uniform(-5, -2, size=(count, 3)).astype(np.float32),
+        "quats": np.tile(np.array([1, 0, 0, 0], np.float32), (count, 1)),
+        "opacities": rng.uniform(-3, 3, size=count).astype(np.float32),
+        "sh0": rng.normal(size=(count, 1, 3)).astype(np.float32),
+        "shN": rng.normal(size=(count, 8, 3)).astype(np.float32),
+    }
+
+
+def test_arrays_come_back_as_they_went_in() -> None:
+    given = arrays()
+    scene = dgs.Scene.from_arrays(**given, fps=24.0)
+    assert (len(scene), scene.frames, scene.gaussians, scene.fps, scene.up) == (3, 3, 50, 24.0, "minus-y")
+    for frame in range(3):
+        back = scene.at(frame)
+        assert np.array_equal(back.means, given["means"][frame])
+        for name in ("scales", "quats", "opacities", "sh0", "shN"):
+            assert np.array_equal(getattr(back, name), given[name]), name
+            assert getattr(back, name).dtype == np.float32
+    flat = given["means"].reshape(-1, 3)
+    assert np.array_equal(scene.bounds, np.stack([flat.min(0), flat.max(0)]))
+
+
+def test_linear_is_the_exponential_of_log() -> None:
+    scene = dgs.Scene.from_arrays(**arrays())
+    log, linear = scene.at(0), scene.at(0, activation="linear")
+    assert np.allclose(linear.scales, np.exp(log.scales), rtol=1e-6)
+    assert np.allclose(linear.opacities, 1 / (1 + np.exp(-log.opacities)), rtol=1e-6)
+    again = dgs.Scene.from_arrays(*linear, activation="linear").at(0)
+    assert np.allclose(again.scales, log.scales, atol=1e-5)
+    assert np.allclose(again.opacities, log.opacities, atol=1e-5)
+
+
+def test_strides_and_widths_do_not_matter() -> None:
+    given = arrays()
+    plain = dgs.Scene.from_arrays(**given)
+    wide = np.asfortranarray(given["means"].astype(np.float64))
+    strided = np.repeat(given["scales"], 2, axis=0)[::2]
+    assert not wide.flags.c_contiguous and not strided.flags.c_contiguous
+    given.update(means=wide, scales=strided, sh0=given["sh0"][:, 0].tolist())
+    other = dgs.Scene.from_arrays(**given)
+    for name in dgs.Gaussians._fields:
+        assert np.array_equal(getattr(plain.at(1), name), getattr(other.at(1), name)), name
+    # The comparison notices a difference.
+    given["means"] = wide[:, ::-1]
+    assert not np.array_equal(plain.at(1).means, dgs.Scene.from_arrays(**given).at(1).means)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("means", np.zeros((50, 2), np.float32), ["means", "[50, 2]", "[N, 3]"]),
+        ("scales", np.zeros((49, 3), np.float32), ["scales", "[49, 3]", "[50, 3]"]),
+        ("scales", np.zeros((4, 50, 3), np.float32), ["scales", "[4, 50, 3]", "means"]),
+        ("quats", np.ones((50, 4), np.int64), ["quats", "int64", "float32"]),
+        ("quats", np.ones((50, 4), ">i2"), ["quats", "i2", "float32"]),
+        ("opacities", np.full(50, np.nan), ["opacities", "nan", "[0]"]),
+        ("sh0", np.zeros((50, 2, 3)), ["sh0", "[50, 2, 3]"]),
+        ("shN", np.zeros((50, 4, 3)), ["shN", "[50, 4, 3]", "15"]),
+        ("means", np.float32("inf") * np.ones((50, 3)), ["means", "inf", "finite"]),
+    ],
+)
+def test_what_is_wrong_is_named(name: str, value: Any, words: list[str]) -> None:
+    given = arrays() | {name: value}
+    with pytest.raises(ValueError) as caught:
+        dgs.Scene.from_arrays(**given)
+    assert all(word in str(caught.value) for word in words), caught.value
+
+
+def test_other_mistakes_are_named_too() -> None:
+    scene = dgs.Scene.from_arrays(**arrays())
+    with pytest.raises(IndexError, match="frame is 3; 0 to 2 are allowed"):
+        scene.at(3)
+    with pytest.raises(IndexError, match="frame is -1"):
+        scene.at(-1)
+    with pytest.raises(ValueError, match="activation"):
+        scene.at(0, activation="square")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="opacities of 0 to 1"):
+        dgs.Scene.from_arrays(**arrays() | {"scales": np.ones((50, 3))}, activation="linear")
+    with pytest.raises(ValueError, match="up is"):
+        dgs.Scene.from_arrays(**arrays(), up="sideways")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="frame rate"):
+        dgs.Scene.from_arrays(**arrays(), fps=0.0)
+    with pytest.raises(ValueError, match="kind"):
+        dgs.Scene.synth("teapot")
+
+
+@pytest.mark.parametrize("ending", ["ply", "compressed.ply", "spz", "sog", "glb", "4dgs", "dgs"])
+def test_files_come_back(tmp_path: pathlib.Path, ending: str) -> None:
+    given = arrays(frames=1)
+    scene = dgs.Scene.from_arrays(**given)
+    path = tmp_path / f"scene.{ending}"
+    scene.save(path)
+    back = dgs.Scene.load(path, up="minus-y")
+    assert back.gaussians == 50 and len(back) == 1
+    # Some formats turn the scene, all may change the order: what is the same is the span of the centres.
+    span = np.sort(scene.bounds[1] - scene.bounds[0])
+    assert np.allclose(np.sort(back.bounds[1] - back.bounds[0]), span, rtol=2e-3)
+
+
+def test_a_folder_holds_every_frame_and_is_not_written_over(tmp_path: pathlib.Path) -> None:
+    scene = dgs.Scene.from_arrays(**arrays())
+    scene.save(tmp_path / "frames")
+    assert len(dgs.Scene.load(tmp_path / "frames", identity_stored=True)) == 3
+    with pytest.raises(ValueError, match="not empty"):
+        scene.save(tmp_path / "frames")
+
+
+def test_convert_is_load_and_save(tmp_path: pathlib.Path) -> None:
+    dgs.Scene.from_arrays(**arrays()).save(tmp_path / "a.ply", frame=2)
+    dgs.convert(tmp_path / "a.ply", tmp_path / "b.spz")
+    assert dgs.Scene.load(tmp_path / "b.spz").gaussians == 50
+
+
+def test_files_that_are_not_there_or_not_whole(tmp_path: pathlib.Path) -> None:
+    with pytest.raises(FileNotFoundError, match="nowhere.ply"):
+        dgs.Scene.load(tmp_path / "nowhere.ply")
+    (tmp_path / "short.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\nelement vertex 9\n")
+    with pytest.raises(dgs.DamagedError, match="short.ply"):
+        dgs.Scene.load(tmp_path / "short.ply")
+    with pytest.raises(ValueError, match=r"\.obj|obj"):
+        dgs.Scene.from_arrays(**arrays()).save(tmp_path / "a.obj")
+    with pytest.raises(FileNotFoundError):
+        dgs.Scene.from_arrays(**arrays()).save(tmp_path / "no" / "a.ply")
+
+
+def test_a_damaged_stream_is_used_with_a_warning(tmp_path: pathlib.Path) -> None:
+    encoded = dgs.encode(dgs.Scene.synth(gaussians=1000, frames=2), pictures=0)
+    data = bytearray(bytes(encoded))
+    data[len(data) // 2] ^= 255
+    (tmp_path / "a.dgs").write_bytes(data)
+    with pytest.warns(UserWarning, match="damaged"):
+        scene = dgs.Scene.load(tmp_path / "a.dgs")
+    assert len(scene) == 2

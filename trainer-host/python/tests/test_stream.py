@@ -1,0 +1,160 @@
+"""Encoding and playing: what arrives, what is refused, what can be interrupted."""
+
+import pathlib
+import threading
+from typing import Any
+
+import numpy as np
+import pytest
+
+import dgs
+
+
+@pytest.fixture(scope="module")
+def scene() -> dgs.Scene:
+    """A scene that moves."""
+    return dgs.Scene.synth("figure", gaussians=1000, frames=4)
+
+
+@pytest.fixture(scope="module")
+def encoded(scene: dgs.Scene) -> dgs.Encoded:
+    """The scene, encoded."""
+    return dgs.encode(scene, pictures=0)
+
+
+def test_the_report_says_where_bytes_went(encoded: dgs.Encoded) -> None:
+    report = encoded.report
+    assert report["wire_bytes"] == encoded.stream.wire_bytes
+    assert report["report"]["ledger"] and report["bits_per_gaussian"] > 0
+    assert encoded.stream.info["frames"] == 4 and encoded.stream.info["gaussians"] == 1000
+    assert bytes(encoded) == encoded.to_bytes() == bytes(encoded.stream)
+
+
+def test_the_same_options_give_the_same_bytes(scene: dgs.Scene, encoded: dgs.Encoded) -> None:
+    assert bytes(dgs.encode(scene, pictures=0)) == bytes(encoded)
+    assert bytes(dgs.encode(scene, pictures=0, coarseness=2.0)) != bytes(encoded)
+
+
+def test_a_target_is_met(scene: dgs.Scene) -> None:
+    assert dgs.encode(scene, pictures=0, target_bytes=15_000).stream.wire_bytes <= 15_000
+    with pytest.raises(ValueError, match="target_bytes and target_psnr"):
+        dgs.encode(scene, target_bytes=1000, target_psnr=30)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"profile": "other"}, "profile"),
+        ({"coarseness": float("nan")}, "coarseness"),
+        ({"block_len": 0}, "block_len"),
+        ({"repair": "base=1+"}, "repair"),
+        ({"target_psnr": 1e9}, "target_psnr"),
+    ],
+)
+def test_options_out_of_range_are_named(scene: dgs.Scene, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        dgs.encode(scene, **options)
+
+
+def test_packets_arrive_in_any_order(encoded: dgs.Encoded) -> None:
+    stream = encoded.stream
+    whole = dgs.Player(stream)
+    player = dgs.Player.from_manifest(stream.manifest)
+    assert 0 < player.drawn(0).sum() < 100, "stand-ins"
+    for packet in reversed(stream.packets):
+        assert len(player.push(packet)) == 1
+    assert player.push(stream.packets[0]) == []
+    assert player.counters["refused"]["duplicate"] == 1
+    for frame in range(4):
+        for a, b in zip(player.frame(frame), whole.frame(frame), strict=True):
+            assert np.array_equal(a, b)
+    assert whole.drawn(0).all() and whole.info == player.info
+    usable = whole.usable(0)
+    assert usable["canonical"] == [usable["blocks"]] * 4
+
+
+def test_what_is_lost_does_not_arrive(encoded: dgs.Encoded) -> None:
+    stream = encoded.stream
+    some = stream.without(range(0, len(stream), 2))
+    arrived = dgs.Player(some)
+    assert arrived.damage is None and arrived.counters["media"] == len(stream) // 2
+    frame = arrived.frame(1, activation="linear")
+    assert np.array_equal(frame.opacities > 0, arrived.drawn(1))
+    assert np.isfinite(np.concatenate([array.ravel() for array in arrived.frame(1)])).all()
+    reread = dgs.Player(some.to_bytes())
+    assert reread.damage is not None and "missing" in reread.damage
+    with pytest.raises(ValueError, match="packets"):
+        stream.without([len(stream)])
+
+
+def test_parity_repairs(scene: dgs.Scene) -> None:
+    stream = dgs.encode(scene, pictures=0, repair="base=4+1").stream
+    player = dgs.Player(stream.without([0]))
+    assert player.counters["recovered"] == 1
+
+
+def test_bytes_that_lie_are_refused(encoded: dgs.Encoded, tmp_path: pathlib.Path) -> None:
+    assert issubclass(dgs.DamagedError, ValueError)
+    for junk in (b"", b"DGS?", bytes(100)):
+        with pytest.raises(dgs.DamagedError):
+            dgs.Player(junk)
+    with pytest.raises(dgs.DamagedError):
+        dgs.Player.from_manifest(b"nothing")
+    player = dgs.Player(encoded.stream)
+    packet = bytearray(encoded.stream.packets[0])
+    packet[-1] ^= 1
+    with pytest.raises(dgs.DamagedError):
+        player.push(bytes(packet))
+    with pytest.raises(IndexError, match="frame is 4; 0 to 3"):
+        player.frame(4)
+    with pytest.raises(FileNotFoundError):
+        dgs.Stream(tmp_path / "none.dgs")
+    with pytest.raises(TypeError, match="bytes, a path or a Stream"):
+        dgs.Player(3)  # type: ignore[arg-type]
+
+
+def test_files_hold_streams(encoded: dgs.Encoded, tmp_path: pathlib.Path) -> None:
+    encoded.save(tmp_path / "a.dgs")
+    assert bytes(dgs.Stream(tmp_path / "a.dgs")) == bytes(encoded)
+    assert dgs.Player(str(tmp_path / "a.dgs")).info["frames"] == 4
+
+
+def test_progress_is_heard_and_may_stop_the_work(scene: dgs.Scene) -> None:
+    heard: list[tuple[str, float]] = []
+    dgs.encode(scene, pictures=0, progress=lambda stage, share: heard.append((stage, share)))
+    assert [stage for stage, _ in heard][0] == "analyse" and all(0 <= share <= 1 for _, share in heard)
+
+    def stop(stage: str, share: float) -> None:
+        if stage == "packetise":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        dgs.encode(scene, pictures=0, progress=stop)
+
+
+def test_ctrl_c_ends_an_encoding(scene: dgs.Scene) -> None:
+    import _thread
+
+    def interrupt(stage: str, share: float) -> None:
+        if stage == "decide":
+            _thread.interrupt_main()
+
+    with pytest.raises(KeyboardInterrupt):
+        dgs.encode(scene, pictures=0, progress=interrupt)
+
+
+def test_several_threads_play_one_stream(encoded: dgs.Encoded) -> None:
+    player = dgs.Player(encoded.stream)
+    expected = [player.frame(frame).means for frame in range(4)]
+    found: list[bool] = []
+
+    def play() -> None:
+        for frame in (3, 1, 0, 2) * 5:
+            found.append(np.array_equal(player.frame(frame).means, expected[frame]))
+
+    threads = [threading.Thread(target=play) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(found) == 80 and all(found)

@@ -1,0 +1,102 @@
+//! Names the formats that one frame is written in, by the endings of files.
+
+use std::{io, path::Path};
+
+use super::{compressed_ply, gltf, ply, sog, splat, spz};
+use crate::scene::{
+    Epoch, Up,
+    import::{Format, usual_up},
+};
+
+/// What one frame is written as.
+///
+/// ```
+/// use trainer_host::export::FileFormat;
+///
+/// assert_eq!(FileFormat::of("a.compressed.ply".as_ref()), Some(FileFormat::CompressedPly));
+/// assert_eq!(FileFormat::of("a.obj".as_ref()), None);
+/// ```
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FileFormat {
+    /// 3DGS PLY.
+    Ply,
+    /// PlayCanvas compressed PLY.
+    CompressedPly,
+    /// Niantic SPZ.
+    Spz,
+    /// Records of 32 bytes.
+    Splat,
+    /// SOG version 2, zipped.
+    Sog,
+    /// glTF with `KHR_gaussian_splatting`, binary.
+    Glb,
+}
+
+impl FileFormat {
+    /// The endings of names, for people.
+    pub const ENDINGS: &str = ".ply, .compressed.ply, .spz, .splat, .sog, .glb";
+
+    /// The format whose ending `path` has.
+    pub fn of(path: &Path) -> Option<Self> {
+        let name = path.file_name()?.to_string_lossy().to_ascii_lowercase();
+        Some(match Path::new(&name).extension()?.to_str()? {
+            "ply" if name.ends_with(".compressed.ply") => Self::CompressedPly,
+            "ply" => Self::Ply,
+            "spz" => Self::Spz,
+            "splat" => Self::Splat,
+            "sog" => Self::Sog,
+            "glb" => Self::Glb,
+            _ => return None,
+        })
+    }
+
+    /// Which way is up in it.
+    pub fn usual_up(self) -> Up {
+        usual_up(match self {
+            Self::Ply => Format::Ply,
+            Self::CompressedPly => Format::CompressedPly,
+            Self::Spz => Format::Spz,
+            Self::Splat => Format::Splat,
+            Self::Sog => Format::Sog,
+            Self::Glb => Format::GltfSplats,
+        })
+        .unwrap_or_default()
+    }
+
+    /// Frame `t` of `epoch`, which must be below its frame count, as a file.
+    ///
+    /// # Errors
+    /// More Gaussians, or values further apart, than the format holds.
+    pub fn encode(self, epoch: &Epoch, t: usize) -> io::Result<Vec<u8>> {
+        Ok(match self {
+            Self::Ply => ply::encode(epoch, t),
+            Self::CompressedPly => compressed_ply::encode(epoch, t),
+            Self::Spz => spz::encode(epoch, t, &spz::SpzOptions::default())?,
+            Self::Splat => splat::encode(epoch, t),
+            Self::Sog => sog::encode(epoch, t)?,
+            Self::Glb => gltf::encode(epoch, t)?,
+        })
+    }
+
+    /// What it cannot hold of `epoch`, for people.
+    pub fn loss(self, epoch: &Epoch) -> Option<&'static str> {
+        let has_harmonics = epoch.attributes().sh_degree.get() > 0;
+        (self == Self::Splat && has_harmonics)
+            .then_some("harmonics above band 0 are left out: .splat has none")
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn endings_decide() {
+        let of = |name: &str| FileFormat::of(Path::new(name));
+        assert_eq!(of("a.PLY"), Some(FileFormat::Ply));
+        assert_eq!(of("b/a.x.sog"), Some(FileFormat::Sog));
+        assert_eq!((of("frames"), of("a.dgs"), of(".ply")), (None, None, None));
+        assert_eq!(FileFormat::Spz.usual_up(), Up::Y);
+        assert_eq!(FileFormat::Sog.usual_up(), Up::MinusY);
+    }
+}

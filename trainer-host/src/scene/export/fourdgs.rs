@@ -1,0 +1,184 @@
+//! Writes `.4dgs` through the crate `fourdgs`: the whole clip, as Gaussians that live for a run of frames.
+//!
+//! The format's Gaussians move in straight lines and do not turn, grow or change colour. A Gaussian of a
+//! scene becomes one for each run of frames over which that is true of it, to a tenth of its thinnest
+//! axis. What turns lives for a frame, so files of clips that turn are long. Higher bands are bytes of -4
+//! to 4, colours are cut to 0 to 1, both by the format; its finest steps are used for the rest.
+
+use std::io;
+
+use ::fourdgs::{
+    GaussianSet, SceneExtras, WriteOptions,
+    quantization::{Profile, SH_QUANT_HI, SH_QUANT_LO},
+    records::Metadata,
+    write_to_vec,
+};
+
+use super::{display_colour, opacity};
+use crate::scene::{Epoch, Scene, Up};
+
+/// How far from a straight line a centre may be, in units of the thinnest axis.
+const OFF_LINE: f32 = 0.1;
+
+/// `scene` as a file.
+///
+/// # Errors
+/// What the format's own writer refuses.
+pub fn encode(scene: &Scene) -> io::Result<Vec<u8>> {
+    let degree = scene.epochs().iter().map(|epoch| epoch.attributes().sh_degree.get()).max().unwrap_or(0);
+    let coefficients = (usize::from(degree) + 1).pow(2) - 1;
+    let mut set = GaussianSet { sh_degree: degree, sh_coefficients: coefficients, ..GaussianSet::default() };
+    if coefficients > 0 {
+        set.sh = Some(Vec::new());
+    }
+    let mut first = 0;
+    for epoch in scene.epochs() {
+        for i in 0..epoch.count() {
+            let mut t = 0;
+            while t < epoch.frames() {
+                let end = run(epoch, i, t);
+                push(&mut set, epoch, i, t, end, first, scene.frames_per_second());
+                t = end;
+            }
+        }
+        first += epoch.frames();
+    }
+    let options = WriteOptions {
+        profile: Profile::Fine,
+        sh_bands: degree,
+        library: "dgs".into(),
+        ..Default::default()
+    };
+    let up = match scene.up {
+        Up::Y => Some("y-up-right-handed"),
+        Up::Z => Some("z-up-right-handed"),
+        _ => None,
+    };
+    let entries = [("color_space", Some("srgb-rec709-display")), ("coordinate_system", up)];
+    let entries = entries.into_iter().filter_map(|(key, value)| Some((key.to_owned(), value?.to_owned())));
+    let metadata = vec![Metadata { name: "scene".to_owned(), entries: entries.collect() }];
+    let extras = SceneExtras { metadata, ..SceneExtras::default() };
+    let duration = scene.frames() as f64 / scene.frames_per_second();
+    write_to_vec(&set, duration, &options, &extras).map_err(io::Error::other)
+}
+
+/// The frame after the run of frames from `t` on in which Gaussian `i` moves in a straight line and
+/// changes in no other way.
+fn run(epoch: &Epoch, i: usize, t: usize) -> usize {
+    let (n, a) = (epoch.count(), epoch.attributes());
+    if a.is_constant() {
+        return epoch.frames();
+    }
+    let is_same = |frame: usize| {
+        a.rotations.frame(frame, n)[i] == a.rotations.frame(t, n)[i]
+            && a.log_scales.frame(frame, n)[i] == a.log_scales.frame(t, n)[i]
+            && a.opacity_logits.frame(frame, n)[i] == a.opacity_logits.frame(t, n)[i]
+            && a.sh0.frame(frame, n)[i] == a.sh0.frame(t, n)[i]
+    };
+    let scales = a.log_scales.frame(t, n)[i];
+    let allowed = OFF_LINE * scales[0].min(scales[1]).min(scales[2]).exp();
+    let place = |frame: usize| a.positions.frame(frame, n)[i];
+    let is_straight = |last: usize| {
+        let (from, to, steps) = (place(t), place(last), (last - t) as f32);
+        (t + 1..last).all(|frame| {
+            let share = (frame - t) as f32 / steps;
+            (0..3).all(|d| (from[d] + share * (to[d] - from[d]) - place(frame)[d]).abs() <= allowed)
+        })
+    };
+    (t + 1..epoch.frames()).find(|&frame| !is_same(frame) || !is_straight(frame)).unwrap_or(epoch.frames())
+}
+
+/// Adds Gaussian `i` from frame `t` of `epoch`, whose first is frame `first` of the clip, up to `end`.
+fn push(set: &mut GaussianSet, epoch: &Epoch, i: usize, t: usize, end: usize, first: usize, fps: f64) {
+    let (n, a) = (epoch.count(), epoch.attributes());
+    let last = end - 1;
+    let (from, to) = (a.positions.frame(t, n)[i], a.positions.frame(last, n)[i]);
+    let seconds = ((last - t) as f64 / fps) as f32;
+    let speed = |d: usize| if last > t { (to[d] - from[d]) / seconds } else { 0.0 };
+    let [w, x, y, z] = a.rotations.frame(t, n)[i];
+    let start = ((first + t) as f64 / fps) as f32;
+    set.positions.extend(from);
+    set.scales.extend(a.log_scales.frame(t, n)[i].map(f32::exp));
+    set.rotations.extend([x, y, z, w]);
+    set.colors.extend(a.sh0.frame(t, n)[i].map(|c| display_colour(c).clamp(0.0, 1.0)));
+    set.colors.push(opacity(a.opacity_logits.frame(t, n)[i]));
+    set.motions.extend([0, 1, 2].map(speed));
+    set.mu_t.push(start);
+    set.sigma_t.push(f32::INFINITY);
+    set.win_lo.push(start);
+    set.win_hi.push(((first + end) as f64 / fps) as f32);
+    if let Some(sh) = &mut set.sh {
+        let rest = a.sh_degree.rest_len();
+        let bands = &a.sh_rest[i * rest..][..rest];
+        let byte = |k: usize, channel: usize| {
+            let value = f64::from(bands.get(3 * k + channel).copied().unwrap_or(0.0));
+            ((value - SH_QUANT_LO) / (SH_QUANT_HI - SH_QUANT_LO) * 255.0).round().clamp(0.0, 255.0) as u8
+        };
+        let coefficients = set.sh_coefficients;
+        sh.extend((0..3 * coefficients).map(|at| byte(at % coefficients, at / coefficients)));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{
+        import::{self, Limits, synth},
+        scene::{Track, export::tests::epoch},
+    };
+
+    /// Largest distance of a centre of `scene` from the nearest of `again` at `frame`, in scene units.
+    fn apart(scene: &Scene, again: &Scene, frame: usize) -> f32 {
+        let (a, b) = (scene.instant(frame).unwrap(), again.instant(frame).unwrap());
+        let distance = |p: [f32; 3], q: [f32; 3]| (0..3).map(|d| (p[d] - q[d]).powi(2)).sum::<f32>().sqrt();
+        let nearest =
+            |p: [f32; 3]| b.gaussians.iter().map(|g| distance(p, g.position)).fold(f32::INFINITY, f32::min);
+        a.gaussians.iter().map(|g| nearest(g.position)).fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn still_scenes_come_back_with_their_bands() {
+        let scene = Scene::new(vec![epoch(300, 2)], 30.0).unwrap();
+        let bytes = encode(&scene).unwrap();
+        let again = import::fourdgs::parse(&bytes, 30.0, &Limits::default()).unwrap();
+        assert_eq!((again.frames(), again.max_count()), (1, 300));
+        assert_eq!(again.epochs()[0].attributes().sh_degree.get(), 2);
+        assert!(apart(&scene, &again, 0) < 0.01);
+        let power =
+            |scene: &Scene| -> f32 { scene.epochs()[0].attributes().sh_rest.iter().map(|v| v * v).sum() };
+        let ratio = power(&again) / power(&scene);
+        assert!((0.97..1.03).contains(&ratio), "{ratio}");
+    }
+
+    #[test]
+    fn clips_come_back_frame_by_frame() {
+        let options = synth::SynthOptions { gaussians: 1000, frames: 4, ..Default::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let bytes = encode(&scene).unwrap();
+        let again = import::fourdgs::parse(&bytes, 30.0, &Limits::default()).unwrap();
+        assert_eq!(again.frames(), 4);
+        for frame in 0..4 {
+            assert_eq!(again.instant(frame).unwrap().gaussians.len(), 1000, "frame {frame}");
+            assert!(apart(&scene, &again, frame) < 0.02, "frame {frame}");
+        }
+        // The measure tells other frames apart.
+        let mut moved = scene.epochs()[0].attributes().clone();
+        let shifted = |p: &[f32; 3]| [p[0], p[1] + 0.3, p[2]];
+        let all = (0..4).flat_map(|t| moved.positions.frame(t, 1000).iter().map(shifted).collect::<Vec<_>>());
+        moved.positions = Track::PerFrame(all.collect());
+        let moved = Scene::new(vec![Epoch::new(4, moved).unwrap()], 30.0).unwrap();
+        assert!(apart(&moved, &again, 0) > 0.02);
+    }
+
+    #[test]
+    fn a_straight_line_is_one_gaussian() {
+        let mut attributes = epoch(1, 0).attributes().clone();
+        let line = |t: usize| [t as f32 * 0.5, 0.0, 1.0];
+        attributes.positions = Track::PerFrame((0..9).map(line).collect());
+        assert_eq!(run(&Epoch::new(9, attributes.clone()).unwrap(), 0, 0), 9);
+        let bent = |t: usize| [t as f32 * 0.5, if t < 5 { 0.0 } else { t as f32 }, 1.0];
+        attributes.positions = Track::PerFrame((0..9).map(bent).collect());
+        let bent = Epoch::new(9, attributes).unwrap();
+        assert_eq!((run(&bent, 0, 0), run(&bent, 0, 5)), (5, 9));
+    }
+}
