@@ -21,7 +21,7 @@ use std::{collections::BTreeSet, path::Path};
 use source::{Tree, outside_tests};
 
 /// Package, folder, and the workspace crates it must depend on: no more, no fewer.
-const ARROWS: [(&str, &str, &[&str]); 13] = [
+const ARROWS: [(&str, &str, &[&str]); 14] = [
     (
         "dgs-lab",
         "tests/lab/",

@@ -93,7 +93,7 @@ const MODULES: [&str; 2] = ["Options", "Kind"];
 type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
-const CEILINGS: [(&str, Counts); 14] = [
+const CEILINGS: [(&str, Counts); 15] = [
     ("", [0, 1, 0, 7, 0, 0, 0, 0, 122]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),

@@ -1,7 +1,8 @@
 //! Keeps nodes where they are where the pictures do not say otherwise.
 //!
 //! A view says little about motion along its own rays, and each instant has few views: what never moves
-//! would wander there. The weight on how far it moves, not on the square of that, leaves what does move alone.
+//! would wander there. The weight is on how far it moves and not on the square of that, which leaves what
+//! does move alone.
 
 use glam::Vec3;
 
