@@ -345,7 +345,7 @@ fn packets_come_live_over_a_lossy_link() {
 fn the_picture_of_the_readme() {
     let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1", SIDE) else { return };
     page.run("player.style.cssText = '', player.toggleNetwork(), player.quality = 3, 0");
-    page.run("player.impair({ loss: 0.1, burst: 4, seed: 3 }), player.overlay = true, player.home(), 0");
+    page.run("player.impair({ loss: 0.35, burst: 3, seed: 3 }), player.overlay = true, player.home(), 0");
     std::thread::sleep(std::time::Duration::from_secs(20));
     let picture = page.browser.picture(80).unwrap();
     assert!(picture.len() <= 150_000, "{} bytes", picture.len());
