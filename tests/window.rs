@@ -109,6 +109,8 @@ fn a_picture_without_a_display_is_the_renderers() {
     assert!(db >= LEAST_DB, "base alone: {db} dB");
     let error = refused(at, &[out.as_slice(), &["--at", "30"]].concat());
     assert!(error.contains("--at is 30; a.dgs has frames 0 to 29"), "{error}");
+    let error = refused(at, &["view", "a.dgs", "--screenshot", "a.jpg"]);
+    assert!(error.contains("a.jpg: .png is allowed") && !at.join("a.jpg").exists(), "{error}");
     let error = refused(at, &["view", "a.dgs", "a.dgs", "--screenshot", "a.png"]);
     assert!(error.contains("2 inputs; a window shows one"), "{error}");
 }

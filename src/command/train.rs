@@ -75,7 +75,7 @@ pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     }
     let (delivery, network) = (delivery.as_ref(), network.as_ref());
     let plan = match &scene {
-        Some(scene) => Plan::of(args, &folder, scene, &dataset, quiet)?,
+        Some(scene) => Plan::of(args, &folder, scene, &dataset, &stop, quiet)?,
         None => None,
     };
     let parted = plan.as_ref().filter(|plan| plan.is_parted());

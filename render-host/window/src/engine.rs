@@ -30,7 +30,7 @@ const MOST_ARRIVALS: usize = 1024;
 /// What a drawn picture depends on.
 type State = (u64, u32, [f64; 6], &'static str, Look);
 
-/// See the module.
+/// The session that is shown, where its stream comes from, and what of it is on the screen.
 pub(crate) struct Engine {
     options: WindowOptions,
     feed: Feed,
@@ -126,7 +126,7 @@ impl Engine {
         self.ended && self.options.closes
     }
 
-    /// What people should be told, once.
+    /// Takes the sentences for people that have come up since the last call.
     pub fn complaints(&mut self) -> Vec<String> {
         std::mem::take(&mut self.complaints)
     }
@@ -289,7 +289,7 @@ fn until_next_frame(session: &Session) -> f64 {
         clock.time_s() - frame / rate
     };
     let seconds = left / clock.rate().abs().max(1e-3);
-    // A whisker more, so that the frame is due then.
+    // A tenth of a millisecond more, so that the frame is due then.
     if seconds.is_finite() { (seconds + 1e-4).clamp(1e-3, LONGEST_S) } else { LONGEST_S }
 }
 

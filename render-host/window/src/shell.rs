@@ -44,7 +44,7 @@ pub struct Report {
     pub devices_lost: u32,
 }
 
-/// Shows what `feed` brings in a window until it is closed. `say` is told what people should know.
+/// Shows what `feed` brings in a window until it is closed. `say` gets sentences for people.
 ///
 /// Call it on the main thread: on some systems windows live on no other.
 ///

@@ -46,6 +46,7 @@ impl Plan {
         folder: &Folder,
         scene: &Scene,
         dataset: &Dataset,
+        stop: &Interruption,
         quiet: Quiet,
     ) -> Result<Option<Self>> {
         let path = &folder.epochs;
@@ -71,7 +72,10 @@ impl Plan {
             dataset,
             &options(args)?,
             PartOptions { gain_db: args.split, ..PartOptions::default() },
-            &mut |trial| bar.stage(&format!("trial {trial} of where the clip changes"), 0.0),
+            &mut |trial| {
+                stop.leave("nothing was written");
+                bar.stage(&format!("trial {trial} of where the clip changes"), 0.0);
+            },
         )?;
         drop(bar);
         if found.trials.is_empty() {

@@ -14,7 +14,7 @@ use crate::{
 /// A stream, and which way is up in it.
 pub(super) struct Opened {
     pub bytes: Vec<u8>,
-    #[cfg_attr(not(feature = "window"), allow(dead_code, reason = "a page is told by its address"))]
+    #[cfg_attr(not(feature = "window"), allow(dead_code, reason = "a page takes it from its address"))]
     pub up: Up,
 }
 

@@ -1,6 +1,6 @@
 //! Shows one stream in a window, or as the picture that the window would show.
 
-use std::{fs, path::Path};
+use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use dgs_viewer::Session;
@@ -15,6 +15,7 @@ use super::{
 use crate::{
     args::View,
     command::serve::name,
+    files,
     output::{self, VerbOutput},
     pipeline::Quiet,
 };
@@ -27,6 +28,7 @@ pub(super) fn window(args: &View, quiet: Quiet) -> Result<VerbOutput> {
         let (arriving, feed) = Arriving::begin(input)?;
         (feed, args.scene.up.map_or(Up::default(), Up::from), Some(arriving))
     } else {
+        // What is damaged, the window says.
         let opened = opened(input, args, quiet, &mut |_| {})?;
         (Feed::file(opened.bytes), opened.up, None)
     };
@@ -57,6 +59,10 @@ pub(super) fn screenshot(args: &View, out: &Path, quiet: Quiet) -> Result<VerbOu
     if is_address(input) {
         bail!("{input}: --screenshot takes a file or a scene");
     }
+    if out.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("png")) {
+        bail!("--screenshot: {}: .png is allowed", out.display());
+    }
+    files::check(out)?;
     let mut warnings = Vec::new();
     let opened = opened(input, args, quiet, &mut |warning| warnings.push(warning))?;
     let (mut session, _) = Session::open(&opened.bytes)?;
@@ -65,7 +71,7 @@ pub(super) fn screenshot(args: &View, out: &Path, quiet: Quiet) -> Result<VerbOu
         bail!("--at is {}; {input} has frames 0 to {}", args.at, frames.saturating_sub(1));
     }
     let image = picture(&mut session, args.at, &options(args, input, opened.up)?)?;
-    fs::write(out, image.to_png()?).with_context(|| format!("{}: cannot write", out.display()))?;
+    files::write(out, &image.to_png()?)?;
     let text = format!("{}: {} × {} pixels\n", out.display(), image.width(), image.height());
     let json = json!({
         "out": out, "frame": args.at, "width": image.width(), "height": image.height(), "warnings": warnings,
@@ -88,7 +94,7 @@ fn options(args: &View, input: &str, up: Up) -> Result<WindowOptions> {
         name: name(input),
         size: [look.width, look.height],
         background: look.background,
-        up: dgs_viewer::Up::named(axis(up)).context("--up")?,
+        up: dgs_viewer::Up::named(&up.to_string()).context("--up")?,
         cap: look.level,
         overlay: look.overlay,
         time_s: look.seek,
@@ -96,16 +102,4 @@ fn options(args: &View, input: &str, up: Up) -> Result<WindowOptions> {
         fullscreen: look.fullscreen,
         closes: look.once,
     })
-}
-
-/// What the player calls an axis.
-fn axis(up: Up) -> &'static str {
-    match up {
-        Up::X => "x",
-        Up::Y => "y",
-        Up::Z => "z",
-        Up::MinusX => "minus-x",
-        Up::MinusY => "minus-y",
-        Up::MinusZ => "minus-z",
-    }
 }

@@ -107,9 +107,8 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
             dynamic_npz::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file)
         }
         Format::FourDgs => {
-            let scene =
-                fourdgs::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file)?;
-            return Ok(Scene { usual_up: fourdgs::up(&bytes), ..scene });
+            // It says itself which way is up.
+            return fourdgs::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file);
         }
         Format::Splatv => splatv::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file),
         _ => {

@@ -64,6 +64,7 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
     let clip = Clip { decoded: &decoded, frames_per_second };
     let epochs = clip.epochs(frames as usize, limits)?;
     let mut scene = Scene::new(epochs, frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
+    scene.usual_up = up(&decoded);
     scene.notes.push(format!("{} s sampled at {frames_per_second} frames per second", decoded.duration_sec));
     if decoded.truncated {
         scene.notes.push("the file is cut off: what came before is kept".to_owned());
@@ -72,14 +73,13 @@ pub fn parse(bytes: &[u8], frames_per_second: f64, limits: &Limits) -> Result<Sc
 }
 
 /// Which way the file says is up, if it does.
-pub(super) fn up(bytes: &[u8]) -> Option<Up> {
-    let decoded = read_from(bytes, &ReadOptions::default()).ok()?;
+fn up(decoded: &Decoded) -> Option<Up> {
     if let Some(frame) = decoded.provenance.frame() {
         return [Up::X, Up::Y, Up::Z, Up::MinusX, Up::MinusY, Up::MinusZ]
             .get(usize::from(frame.up_axis))
             .copied();
     }
-    match entry(&decoded, "coordinate_system")? {
+    match entry(decoded, "coordinate_system")? {
         "y-up-right-handed" => Some(Up::Y),
         "z-up-right-handed" => Some(Up::Z),
         _ => None,
@@ -268,8 +268,8 @@ pub(super) mod tests {
     #[test]
     fn gaussians_live_move_and_fade() {
         let bytes = sample("srgb-rec709-display");
-        assert_eq!(up(&bytes), Some(Up::Z));
         let scene = parse(&bytes, 4.0, &Limits::default()).unwrap();
+        assert_eq!(scene.usual_up, Some(Up::Z));
         assert_eq!((scene.frames(), scene.epochs().len(), scene.max_count()), (8, 2, 2));
         assert_eq!([scene.epochs()[0].count(), scene.epochs()[0].frames()], [1, 4]);
         let near = |a: f32, b: f32, by: f32| assert!((a - b).abs() <= by, "{a} and {b}");

@@ -24,7 +24,7 @@ pub(super) fn add_gradient(layer: &Layer, weight: f32, poses: &[NodePose], gradi
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::train::motion::{MovedPoint, TemporalBasis};
 
@@ -41,8 +41,11 @@ mod tests {
         sum / layer.len() as f64
     }
 
-    #[test]
-    fn gradient_of_the_motion_is_the_difference_quotient() {
+    /// Compares a gradient of the motion with difference quotients of what it is the gradient of.
+    pub(in crate::train::motion) fn agrees_with_differences(
+        value: impl Fn(&Layer, &[NodePose]) -> f64,
+        add: impl Fn(&Layer, &[NodePose], &mut [NodeGradient]),
+    ) {
         let place = |i: f32| [i.sin(), (1.7 * i).cos(), (0.3 * i).sin()];
         let points: Vec<MovedPoint> = (0..9).map(|i| MovedPoint::at_rest(place(i as f32))).collect();
         let mut layer = Layer::new(&points, TemporalBasis::new(&[4]), 1.3, true);
@@ -52,7 +55,7 @@ mod tests {
         let time = 0.4;
         let poses = layer.poses(time, &[]);
         let mut gradients = vec![NodeGradient::ZERO; layer.len()];
-        add_gradient(&layer, 1.0, &poses, &mut gradients);
+        add(&layer, &poses, &mut gradients);
         layer.backward(time, &poses, &gradients, (&[], &mut []));
         let found = layer.motion_mut().gradient_mut().to_vec();
         let largest = found.iter().fold(0.0f32, |a, v| a.max(v.abs()));
@@ -60,11 +63,26 @@ mod tests {
             let at = |change: f32| {
                 let mut changed = layer.clone();
                 changed.motion_mut().values_mut()[index] += change;
-                energy(&changed, &changed.poses(time, &[]))
+                value(&changed, &changed.poses(time, &[]))
             };
             let expected = (8.0 * (at(1e-2) - at(-1e-2)) - (at(2e-2) - at(-2e-2))) / 0.12;
             let error = (f64::from(found[index]) - expected).abs() / f64::from(largest);
-            assert!(error < 2e-3, "{index}: {} {expected}", found[index]);
+            assert!(error < 2e-3, "component {index}: {} instead of {expected}", found[index]);
         }
+    }
+
+    #[test]
+    fn gradient_of_the_motion_is_the_difference_quotient() {
+        agrees_with_differences(energy, |layer, poses, gradients| {
+            add_gradient(layer, 1.0, poses, gradients);
+        });
+    }
+
+    #[test]
+    #[should_panic(expected = "instead of")]
+    fn another_gradient_is_noticed() {
+        agrees_with_differences(energy, |layer, poses, gradients| {
+            add_gradient(layer, 1.01, poses, gradients);
+        });
     }
 }

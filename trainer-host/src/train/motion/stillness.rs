@@ -28,7 +28,7 @@ pub(super) fn add_gradient(weight: f32, unit: f32, poses: &[NodePose], gradients
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::train::motion::{MovedPoint, TemporalBasis, layer::Layer};
+    use crate::train::motion::rigidity::tests::agrees_with_differences;
 
     const UNIT: f32 = 1.3;
 
@@ -43,28 +43,9 @@ mod tests {
 
     #[test]
     fn gradient_of_the_motion_is_the_difference_quotient() {
-        let place = |i: f32| [i.sin(), (1.7 * i).cos(), (0.3 * i).sin()];
-        let points: Vec<MovedPoint> = (0..9).map(|i| MovedPoint::at_rest(place(i as f32))).collect();
-        let mut layer = Layer::new(&points, TemporalBasis::new(&[4]), UNIT, true);
-        for (i, v) in layer.motion_mut().values_mut().iter_mut().enumerate() {
-            *v = 0.3 * (i as f32 * 1.3).sin();
-        }
-        let time = 0.4;
-        let poses = layer.poses(time, &[]);
-        let mut gradients = vec![NodeGradient::ZERO; layer.len()];
-        add_gradient(1.0, UNIT, &poses, &mut gradients);
-        layer.backward(time, &poses, &gradients, (&[], &mut []));
-        let found = layer.motion_mut().gradient_mut().to_vec();
-        let largest = found.iter().fold(0.0f32, |a, v| a.max(v.abs()));
-        for index in (0..found.len()).step_by(5) {
-            let at = |change: f32| {
-                let mut changed = layer.clone();
-                changed.motion_mut().values_mut()[index] += change;
-                moved(&changed.poses(time, &[]))
-            };
-            let expected = (8.0 * (at(1e-2) - at(-1e-2)) - (at(2e-2) - at(-2e-2))) / 0.12;
-            let error = (f64::from(found[index]) - expected).abs() / f64::from(largest);
-            assert!(error < 2e-3, "{index}: {} {expected}", found[index]);
-        }
+        agrees_with_differences(
+            |_, poses| moved(poses),
+            |_, poses, gradients| add_gradient(1.0, UNIT, poses, gradients),
+        );
     }
 }
