@@ -72,8 +72,8 @@ impl Camera {
         all(&viewmats, &ks, (width, height), near)
     }
 
-    /// A camera at `eye` that looks at `target`, with a vertical field of view of `fov_y` degrees; `up` points
-    /// to the top of the picture.
+    /// A camera at `eye` that looks at `target`, with a vertical field of view of `fov_y` degrees;
+    /// `up` points to the top of the picture.
     #[staticmethod]
     #[pyo3(signature = (eye, target, up, fov_y, width, height, near = 0.01))]
     fn look_at(
