@@ -10,6 +10,7 @@ mod layer;
 mod nodes;
 mod rigidity;
 mod skinning;
+mod smoothness;
 mod stillness;
 mod trajectory;
 

@@ -35,6 +35,8 @@ pub struct TrainOptions {
     pub rigidity: f32,
     /// Weight in the loss of how far the mean node moves and turns, extents and half radians.
     pub stillness: f32,
+    /// Weight in the loss of how unevenly nodes move over time.
+    pub smoothness: f32,
     /// Weight of the mean opacity in the loss.
     pub opacity_weight: f32,
     /// Weight of the mean scale in the loss.
@@ -213,6 +215,7 @@ impl Default for TrainOptions {
             structure_weight: 0.2,
             rigidity: 1e-2,
             stillness: 1e-2,
+            smoothness: 0.1,
             opacity_weight: 0.0,
             scale_weight: 0.0,
             density: DensityControl::Split,
@@ -289,6 +292,7 @@ impl TrainOptions {
             ("structure_weight", self.structure_weight),
             ("rigidity", self.rigidity),
             ("stillness", self.stillness),
+            ("smoothness", self.smoothness),
             ("opacity_weight", self.opacity_weight),
             ("scale_weight", self.scale_weight),
         ];

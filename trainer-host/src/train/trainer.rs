@@ -399,6 +399,7 @@ impl<'a> Trainer<'a> {
         nodes.keep_rigid(rigidity, &poses, &mut of_nodes);
         nodes.keep_still(self.options.stillness, &poses, &mut of_nodes);
         nodes.backward(time, &poses, of_nodes);
+        nodes.keep_even(self.options.smoothness, time);
         gaussians.regularise(self.options.opacity_weight, self.options.scale_weight);
         self.finisher.price(&self.options.finish, state.step, &mut state.model);
         let Model { gaussians, nodes, .. } = &mut state.model;

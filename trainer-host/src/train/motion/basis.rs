@@ -80,11 +80,41 @@ impl TemporalBasis {
         }
         values
     }
+
+    /// The second derivative over time of every function at `time`, which is clamped to 0..=1.
+    pub(super) fn accelerations_at(&self, time: f32) -> Vec<f32> {
+        let mut values = Vec::with_capacity(self.len());
+        for &count in &self.splines {
+            let knots = (count - 3) as f32;
+            let place = time.clamp(0.0, 1.0) * knots;
+            let first = (place as usize).min(count - 4);
+            let x = place - first as f32;
+            let start = values.len();
+            values.resize(start + count, 0.0);
+            let of_knots = [1.0 - x, 3.0 * x - 2.0, 1.0 - 3.0 * x, x];
+            values[start + first..][..4].copy_from_slice(&of_knots.map(|v| v * knots * knots));
+        }
+        values
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn accelerations_are_second_differences() {
+        let basis = TemporalBasis::new(&[4, 8, 16]);
+        let step = 1e-2;
+        // Inside one piece of every spline, where all are cubic: second differences are exact.
+        for time in [0.02f32, 0.22, 0.5 - 0.02, 0.98] {
+            let [before, at, after] = [time - step, time, time + step].map(|time| basis.at(time));
+            for (index, found) in basis.accelerations_at(time).into_iter().enumerate() {
+                let expected = (before[index] - 2.0 * at[index] + after[index]) / (step * step);
+                assert!((found - expected).abs() < 0.02, "{time}, {index}: {found} {expected}");
+            }
+        }
+    }
 
     #[test]
     fn times_outside_are_those_of_the_ends() {

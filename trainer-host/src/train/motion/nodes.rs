@@ -10,7 +10,7 @@ use super::{
     layer::{Layer, MovedPoint, NodeGradient, NodePose},
     rigidity,
     skinning::Skinned,
-    stillness,
+    smoothness, stillness,
     trajectory::{self, Trajectory},
 };
 use crate::train::parameter::AdamStep;
@@ -132,6 +132,11 @@ impl ControlNodes {
     /// What keeps nodes where they are: adds `weight` times its gradient to that of the poses.
     pub(crate) fn keep_still(&self, weight: f32, poses: &NodePoses, gradients: &mut [NodeGradient]) {
         stillness::add_gradient(weight, self.unit, poses.last(), gradients);
+    }
+
+    /// What keeps motion even over time: adds `weight` times its gradient at `time` to that of the motion.
+    pub(crate) fn keep_even(&mut self, weight: f32, time: f32) {
+        self.layers.iter_mut().for_each(|layer| smoothness::add_gradient(layer, weight, time));
     }
 
     /// Whether what was read from a file can be used.

@@ -41,10 +41,27 @@ pub(super) mod tests {
         sum / layer.len() as f64
     }
 
-    /// Compares a gradient of the motion with difference quotients of what it is the gradient of.
+    /// Compares a gradient of poses, taken back to the motion, with difference quotients of what it is the
+    /// gradient of.
     pub(in crate::train::motion) fn agrees_with_differences(
         value: impl Fn(&Layer, &[NodePose]) -> f64,
         add: impl Fn(&Layer, &[NodePose], &mut [NodeGradient]),
+    ) {
+        is_difference_quotient(
+            |layer, time| value(layer, &layer.poses(time, &[])),
+            |layer, time| {
+                let poses = layer.poses(time, &[]);
+                let mut gradients = vec![NodeGradient::ZERO; layer.len()];
+                add(layer, &poses, &mut gradients);
+                layer.backward(time, &poses, &gradients, (&[], &mut []));
+            },
+        );
+    }
+
+    /// Compares the gradient of the motion that `write` leaves in a layer with difference quotients of `value`.
+    pub(in crate::train::motion) fn is_difference_quotient(
+        value: impl Fn(&Layer, f32) -> f64,
+        write: impl Fn(&mut Layer, f32),
     ) {
         let place = |i: f32| [i.sin(), (1.7 * i).cos(), (0.3 * i).sin()];
         let points: Vec<MovedPoint> = (0..9).map(|i| MovedPoint::at_rest(place(i as f32))).collect();
@@ -53,17 +70,14 @@ pub(super) mod tests {
             *v = 0.3 * (i as f32 * 1.3).sin();
         }
         let time = 0.4;
-        let poses = layer.poses(time, &[]);
-        let mut gradients = vec![NodeGradient::ZERO; layer.len()];
-        add(&layer, &poses, &mut gradients);
-        layer.backward(time, &poses, &gradients, (&[], &mut []));
+        write(&mut layer, time);
         let found = layer.motion_mut().gradient_mut().to_vec();
         let largest = found.iter().fold(0.0f32, |a, v| a.max(v.abs()));
         for index in (0..found.len()).step_by(5) {
             let at = |change: f32| {
                 let mut changed = layer.clone();
                 changed.motion_mut().values_mut()[index] += change;
-                value(&changed, &changed.poses(time, &[]))
+                value(&changed, time)
             };
             let expected = (8.0 * (at(1e-2) - at(-1e-2)) - (at(2e-2) - at(-2e-2))) / 0.12;
             let error = (f64::from(found[index]) - expected).abs() / f64::from(largest);
