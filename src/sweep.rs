@@ -26,6 +26,14 @@ use rayon::prelude::*;
 
 use crate::progress::Progress;
 
+/// Variables in which launchers tell a process its number, from 0, and how many there are: Open MPI; MPICH
+/// and Intel MPI; Slurm.
+const LAUNCHERS: [[&str; 2]; 3] = [
+    ["OMPI_COMM_WORLD_RANK", "OMPI_COMM_WORLD_SIZE"],
+    ["PMI_RANK", "PMI_SIZE"],
+    ["SLURM_PROCID", "SLURM_NTASKS"],
+];
+
 /// Which share of the batches a process runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shard {
@@ -38,17 +46,33 @@ impl Shard {
     /// All of it.
     pub(crate) const WHOLE: Self = Self { index: 1, count: 1 };
 
-    /// Parses `i/n`.
+    /// Parses `i/n`, or `mpi` for the share of this process among those that `mpirun` or `srun` started.
     ///
     /// # Errors
     /// What is allowed, in words.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
+        if text == "mpi" {
+            return Self::launched(|name| std::env::var(name).ok());
+        }
         let numbers = text.split_once('/').and_then(|(i, n)| i.parse().ok().zip(n.parse().ok()));
         match numbers {
             Some((index, count)) if (1..=count).contains(&index) && count <= 1_000_000 => {
                 Ok(Self { index, count })
             }
-            _ => Err("i/n with i from 1 to n and n up to 1000000 is allowed, such as 3/8".to_owned()),
+            _ => Err("i/n with i from 1 to n and n up to 1000000 is allowed, such as 3/8; or mpi".to_owned()),
+        }
+    }
+
+    /// The share of a process with `variable`s of its environment.
+    fn launched(variable: impl Fn(&str) -> Option<String>) -> Result<Self, String> {
+        let found = LAUNCHERS.map(|[rank, size]| variable(rank).zip(variable(size)));
+        let Some((rank, size)) = found.into_iter().flatten().next() else {
+            let ranks = LAUNCHERS.map(|[rank, _]| rank).join(", ");
+            return Err(format!("mpirun or srun has to start the processes; none of {ranks} is set"));
+        };
+        match rank.parse::<u64>().ok().and_then(|rank| rank.checked_add(1)) {
+            Some(index) => Self::parse(&format!("{index}/{size}")),
+            None => Err(format!("the launcher says that this is process {rank} of {size}")),
         }
     }
 
@@ -109,5 +133,21 @@ mod tests {
         for text in ["", "3", "0/4", "5/4", "1/0", "-1/4", "1/1000001", "a/b"] {
             assert!(Shard::parse(text).is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn launched_processes_have_a_shard_each() {
+        let launched = |rank: &'static str, size: &'static str| {
+            move |name: &str| match name {
+                "PMI_RANK" => Some(rank.to_owned()),
+                "PMI_SIZE" => Some(size.to_owned()),
+                _ => None,
+            }
+        };
+        assert_eq!(Shard::launched(launched("2", "3")), Shard::parse("3/3"));
+        for (rank, size) in [("3", "3"), ("-1", "3"), ("18446744073709551615", "3"), ("a", "3"), ("0", "")] {
+            assert!(Shard::launched(launched(rank, size)).is_err(), "{rank} of {size}");
+        }
+        assert!(Shard::launched(|_| None).unwrap_err().contains("SLURM_PROCID"));
     }
 }

@@ -23,8 +23,9 @@ pub struct SweepArgs {
     /// Folder in which the files of traces lie [default: that of the configuration].
     #[arg(long, value_name = "FOLDER")]
     pub traces: Option<PathBuf>,
-    /// Run only the i-th of n equal shares, and estimate the whole from it.
-    #[arg(long, value_name = "i/n", value_parser = Shard::parse)]
+    /// Run only the i-th of n equal shares, and estimate the whole from it; mpi: the share of this process
+    /// among those that mpirun or srun started, which may all write into one folder.
+    #[arg(long, value_name = "i/n|mpi", value_parser = Shard::parse)]
     pub shard: Option<Shard>,
     /// Threads, 1 to 1024 [default: all cores]. Results do not depend on it.
     #[arg(long, value_parser = whole::<usize>(1..=1024, "threads"))]

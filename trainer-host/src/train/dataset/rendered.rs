@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 use render_host::{
-    Camera, RenderError, Renderer, Settings, Splats, adjoint::loss::photograph::Photograph,
+    Camera, RenderError, Renderer, Settings, Splats, SplatsError, adjoint::loss::photograph::Photograph,
     camera::CameraError,
 };
 
@@ -42,6 +42,14 @@ pub enum RenderedError {
     /// A side that the camera refuses.
     #[error("side: {0}")]
     Camera(#[from] CameraError),
+    /// A frame with values that no picture can show.
+    #[error("frame {frame}: {source}")]
+    Splats {
+        /// The frame.
+        frame: usize,
+        /// What is wrong.
+        source: SplatsError,
+    },
     /// A picture that cannot be made.
     #[error(transparent)]
     Render(#[from] RenderError),
@@ -53,7 +61,7 @@ pub enum RenderedError {
 /// Renders `scene`, called `name`. Cameras for testing stand at least 6 degrees from all others.
 ///
 /// # Errors
-/// A side that is out of range.
+/// A side that is out of range, or a frame that no picture can show.
 pub fn rendered(scene: &Scene, name: &str, options: &RenderedOptions) -> Result<Dataset, RenderedError> {
     let framing = Framing::of(scene);
     let size = (options.side, options.side);
@@ -95,9 +103,8 @@ fn photographs(scene: &Scene, cameras: &[Camera]) -> Result<Vec<PosedPhotograph>
     let settings = Settings { parallel: false, ..Settings::default() };
     let of_frame = |frame: usize| -> Result<Vec<PosedPhotograph>, RenderedError> {
         let instant = scene.instant(frame).unwrap_or_default();
-        let Ok(splats) = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree) else {
-            return Ok(Vec::new());
-        };
+        let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)
+            .map_err(|source| RenderedError::Splats { frame, source })?;
         let mut renderer = Renderer::new();
         let time = frame as f32 / frames.saturating_sub(1).max(1) as f32;
         let view = |(index, camera): (usize, &Camera)| {
