@@ -38,17 +38,18 @@ impl Page {
     fn open(query: &str, side: u32) -> Option<Self> {
         let mut page = Self::blank()?;
         let url = format!("{}?{query}", page.served.url());
-        page.browser.go(&url).unwrap();
-        page.browser
-            .wait(
-                PATIENCE_S,
-                "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0",
-            )
-            .unwrap();
-        page.run("player.style.cssText = 'flex:none;width:256px;height:256px', 0");
-        let is_sized = format!("player.shadowRoot.querySelector('canvas').width === {side}");
-        page.browser.wait(PATIENCE_S, &is_sized).unwrap();
+        page.play(&url, side);
         Some(page)
+    }
+
+    /// Opens `url` and waits for a picture of `side` pixels.
+    fn play(&mut self, url: &str, side: u32) {
+        self.browser.go(url).unwrap();
+        let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
+        self.browser.wait(PATIENCE_S, playing).unwrap();
+        self.run("player.style.cssText = 'flex:none;width:256px;height:256px', 0");
+        let is_sized = format!("player.shadowRoot.querySelector('canvas').width === {side}");
+        self.browser.wait(PATIENCE_S, &is_sized).unwrap();
     }
 
     fn blank() -> Option<Self> {
@@ -72,7 +73,7 @@ impl Page {
 
     /// What is on the canvas.
     fn picture(&mut self) -> Image {
-        let script = "(() => { player.engine.drawNow();\
+        let script = "(async () => { await player.engine.drawNow();\
              const from = player.shadowRoot.querySelector('canvas');\
              const to = document.createElement('canvas'); [to.width, to.height] = [from.width, from.height];\
              const pen = to.getContext('2d', { willReadFrequently: true }); pen.drawImage(from, 0, 0);\
@@ -268,6 +269,64 @@ fn a_lost_device_is_another_device_a_moment_later() {
     }
     assert_eq!(page.number("player.currentTime"), 0.5);
     assert!(psnr(&page.picture(), &before).unwrap().is_infinite());
+    page.close();
+}
+
+/// Where a page decodes is said on its element.
+fn decoding(page: &mut Page) -> String {
+    page.run("player.dataset.decoding").as_str().unwrap().to_owned()
+}
+
+#[test]
+fn a_worker_decodes_and_where_there_is_none_the_page() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=1", SIDE) else { return };
+    assert_eq!(decoding(&mut page), "worker");
+    let mut player = stream(SMALL).receive().unwrap();
+    page.run("player.currentTime = 0.5, 0");
+    let by_worker = page.picture();
+    let db = page.agreement(&mut player, [0.0; 3]);
+    assert!(db >= LEAST_DB, "{db} dB");
+    for (query, broken, said) in [
+        ("&worker=off", "0", "page: as was wished"),
+        ("", "globalThis.Worker = undefined", "page: no workers here"),
+        ("", "globalThis.Worker = class { constructor() { throw new Error('refused') } }", "page: refused"),
+    ] {
+        page.browser.go("about:blank").unwrap();
+        page.browser.before_pages(broken).unwrap();
+        let url = format!("{}?src=streams/small.dgs&paused&pixel-ratio=1{query}", page.served.url());
+        page.play(&url, SIDE);
+        assert_eq!(decoding(&mut page), said);
+        page.run("player.currentTime = 0.5, 0");
+        assert!(psnr(&page.picture(), &by_worker).unwrap().is_infinite(), "{said}");
+    }
+    page.close();
+}
+
+#[test]
+fn a_decoder_is_asked_for_the_newest_frame_and_of_the_newest_stream() {
+    let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1", SIDE) else { return };
+    page.browser.wait(PATIENCE_S, "player.buffered === 1").unwrap();
+    page.picture();
+    let uploads = page.number("player.session.uploads");
+    page.run("{ for (let k = 29; k > 10; k--) player.currentTime = (k + 0.5) / 30; } 0");
+    let mut player = stream(LARGE).receive().unwrap();
+    let db = page.agreement(&mut player, [0.0; 3]);
+    assert!(db >= LEAST_DB, "{db} dB");
+    let asked = page.number("player.session.uploads") - uploads;
+    assert!((1.0..=2.0).contains(&asked), "{asked} frames of 19 were decoded");
+    // A device is lost, and another stream is wanted, while frames are under way.
+    page.run(
+        "globalThis.restored = false; player.addEventListener('devicerestored', () => (restored = true));\
+        player.play(), player.engine.screen.destroy(), player.src = 'streams/small.dgs', 0",
+    );
+    page.browser.wait(PATIENCE_S, "restored && player.session.info()[2] < 2000").unwrap();
+    page.run("player.src = 'streams/large.dgs', player.src = 'streams/small.dgs', 0");
+    let shown = "player.buffered === 1 && player.session.info()[2] < 2000 && player.session.uploads > 0";
+    page.browser.wait(PATIENCE_S, shown).unwrap();
+    page.run("player.pause(), player.currentTime = 0.5, 0");
+    let db = page.agreement(&mut stream(SMALL).receive().unwrap(), [0.0; 3]);
+    assert!(db >= LEAST_DB, "after all that: {db} dB");
+    assert_eq!(page.run("player.error"), Value::Null);
     page.close();
 }
 

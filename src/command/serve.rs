@@ -132,7 +132,9 @@ async fn serve(
         urls.push(url);
     }
     let site = Site::new(asset, &streams, Some(server.pin()))?;
-    let http = if args.no_http { None } else { Some(page(args.http.unwrap_or(listen), site)?) };
+    let pages =
+        || Ok::<_, anyhow::Error>(page(args.http.unwrap_or(listen), site)?.with_sessions(server.entrance()));
+    let http = if args.no_http { None } else { Some(pages()?) };
     let page = match &http {
         Some(http) => Some(page_url(host, http.local_addr().context("--http")?.port())),
         None => None,
