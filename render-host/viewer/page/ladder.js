@@ -6,6 +6,8 @@ import { fetchStream } from "./source.js";
 
 // How long a transport is alone before the next is tried beside it, milliseconds.
 const HEAD_START_MS = 300;
+// As much before a file, which needs fewer round trips than a session and is the poorer: nobody weighs its packets.
+const BEFORE_FILE_MS = 2000;
 // Where a page remembers which transport was the first.
 const REMEMBERED = "dgs-transport";
 
@@ -32,7 +34,7 @@ export async function climb(rungs, { began, signal, ...given }) {
   const known = remembered();
   const order = [...rungs].sort((a, b) => (b.name === known) - (a.name === known));
   let winner = null;
-  const tries = order.map((rung, k) => ({ rung, k, control: new AbortController(), begun: false }));
+  const tries = order.map((rung) => ({ rung, control: new AbortController(), begun: false }));
   const end = () => tries.forEach(({ control }) => control.abort());
   signal.addEventListener("abort", end);
   return new Promise((resolve, reject) => {
@@ -42,8 +44,9 @@ export async function climb(rungs, { began, signal, ...given }) {
       clearTimeout(timer);
       const chosen = tries.find(({ begun }) => !begun);
       if (!chosen || winner || signal.aborted) return;
-      timer = setTimeout(next, HEAD_START_MS);
       chosen.begun = true;
+      const after = tries.find(({ begun }) => !begun)?.rung.name;
+      timer = setTimeout(next, after === "file" ? BEFORE_FILE_MS : HEAD_START_MS);
       const { rung, control } = chosen;
       const own = async (session) => {
         if (winner) return session.free();
