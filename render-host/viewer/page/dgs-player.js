@@ -230,7 +230,7 @@ export class DgsPlayer extends HTMLElement {
       this.#firstFrameMs ??= performance.now();
       this.#emit("firstframe");
     });
-    engine.addEventListener("frame", () => this.#showTime());
+    engine.addEventListener("time", () => this.#showTime());
     engine.addEventListener("step", ({ detail }) => {
       if (detail.looped) this.#emit("loop");
       if (detail.ended) this.#emit("ended");

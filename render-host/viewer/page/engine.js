@@ -21,7 +21,7 @@ const SMALLEST_SCALE = 0.5;
 const MOST_PENDING = 2;
 
 /**
- * Events: `firstframe`, `frame`, `step` (detail: looped, ended, waiting), `devicelost`, `devicerestored`, `error`.
+ * Events: `firstframe`, `frame`, `time` (the clock has moved), `step` (detail: looped, ended, waiting), `devicelost`, `devicerestored`, `error`.
  */
 export class Engine extends EventTarget {
   #canvas;
@@ -142,6 +142,8 @@ export class Engine extends EventTarget {
     this.#last = now;
     const step = session.advance(passed);
     this.#say(step);
+    // Whether or not a frame has come: the clock waits for base levels alone.
+    if (session.playing) this.dispatchEvent(new Event("time"));
     const pending = this.#screen?.pending ?? 0;
     if (pending < MOST_PENDING) this.#update(now);
     this.#keepUp(session.playing ? passed : 0);

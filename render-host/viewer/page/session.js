@@ -148,6 +148,7 @@ export class Session extends Controls {
 
   /** Takes a packet; the promise is kept once the decoder has it. */
   push(packet) {
+    if (this.#freed) return Promise.resolve();
     // A copy of a part takes all of its buffer along.
     this.#packets.push(packet.byteLength === packet.buffer.byteLength ? packet : packet.slice());
     this.#pushing ??= this.#flush();
@@ -230,17 +231,15 @@ export class Session extends Controls {
    */
   request(now, wished) {
     const wish = this.#wish();
-    if (this.#pending || this.#freed || (wish === this.#requested && !this.busy)) return;
+    const asked = `${wish} ${wished}`;
+    if (this.#pending || this.#freed || (asked === this.#requested && !this.busy)) return;
+    this.#requested = asked;
     const anew = this.#anew;
     const given = { frame: this.frame, cap: this.#cap, overlay: this.#overlay, now: now / 1000, anew, wished };
     const buffer = this.#buffer;
     this.#buffer = null;
-    if (wished) {
-      this.#requested = wish;
-      this.#anew = false;
-    }
-    const asked = this.#decoding.ask("show", { ...given, buffer }, buffer ? [buffer] : []);
-    this.#pending = asked.then(
+    if (wished) this.#anew = false;
+    this.#pending = this.#decoding.ask("show", { ...given, buffer }, buffer ? [buffer] : []).then(
       ({ picture, state }) => this.#take(wish, wished, picture, state),
       (error) => {
         this.#pending = null;
