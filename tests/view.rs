@@ -303,7 +303,7 @@ fn a_worker_decodes_and_where_there_is_none_the_page() {
 }
 
 #[test]
-fn a_decoder_is_asked_for_the_newest_frame_and_of_the_newest_stream() {
+fn a_decoder_decodes_the_newest_frame_of_the_newest_stream() {
     let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1", SIDE) else { return };
     page.browser.wait(PATIENCE_S, "player.buffered === 1").unwrap();
     page.picture();
@@ -312,8 +312,8 @@ fn a_decoder_is_asked_for_the_newest_frame_and_of_the_newest_stream() {
     let mut player = stream(LARGE).receive().unwrap();
     let db = page.agreement(&mut player, [0.0; 3]);
     assert!(db >= LEAST_DB, "{db} dB");
-    let asked = page.number("player.session.uploads") - uploads;
-    assert!((1.0..=2.0).contains(&asked), "{asked} frames of 19 were decoded");
+    let decoded = page.number("player.session.uploads") - uploads;
+    assert!((1.0..=2.0).contains(&decoded), "{decoded} frames of 19 were decoded");
     // A device is lost, and another stream is wanted, while frames are under way.
     page.run(
         "globalThis.restored = false; player.addEventListener('devicerestored', () => (restored = true));\
@@ -403,7 +403,7 @@ fn packets_come_live_over_a_lossy_link() {
 #[test]
 fn every_transport_brings_the_same_picture() {
     let Some(mut page) = Page::blank() else { return };
-    // A software adapter holds up the page at its first picture until servers think it gone: the file is first.
+    // A software adapter holds up the page at its first picture until servers think it gone: first the file.
     page.browser.resize(SIDE, SIDE).unwrap();
     let live = served::Live::start(&["--idle", "120"]);
     let mut player = stream(SMALL).receive().unwrap();

@@ -15,9 +15,8 @@ use crate::{
     ranges::{FIRST_BYTES, message},
     screen::{Look, Screen},
     session::{LEVEL_COLOURS, LEVELS},
+    shell::controls::Controls,
 };
-
-use controls::Controls;
 
 /// A canvas with a device.
 #[wasm_bindgen(js_name = Screen)]

@@ -1,4 +1,4 @@
-//! Turns a request into a WebSocket (RFC 6455) for the server of sessions, if it is one of a page of this site.
+//! Turns a request of a page of this site into a WebSocket (RFC 6455) for the server of sessions.
 
 use std::net::SocketAddr;
 
@@ -118,7 +118,7 @@ mod tests {
 
     use super::*;
 
-    const ASKED: [(HeaderName, &str); 6] = [
+    const REQUEST: [(HeaderName, &str); 6] = [
         (HOST, "localhost:4641"),
         (CONNECTION, "keep-alive, Upgrade"),
         (UPGRADE, "WebSocket"),
@@ -127,8 +127,8 @@ mod tests {
         (ORIGIN, "http://localhost:4641"),
     ];
 
-    fn asked(change: Option<(HeaderName, &str)>) -> HeaderMap {
-        let fields = ASKED.into_iter().chain(change);
+    fn fields_with(change: Option<(HeaderName, &str)>) -> HeaderMap {
+        let fields = REQUEST.into_iter().chain(change);
         fields.map(|(name, value)| (name, HeaderValue::from_str(value).unwrap())).collect()
     }
 
@@ -136,8 +136,8 @@ mod tests {
     fn a_page_of_this_site_is_let_in_and_nobody_else() {
         let status =
             |fields: &HeaderMap| key(&Method::GET, fields).err().map_or(101, |(code, _)| code.as_u16());
-        assert_eq!(key(&Method::GET, &asked(None)), Ok("dGhlIHNhbXBsZSBub25jZQ=="));
-        assert_eq!(key(&Method::HEAD, &asked(None)).unwrap_err().0, StatusCode::UPGRADE_REQUIRED);
+        assert_eq!(key(&Method::GET, &fields_with(None)), Ok("dGhlIHNhbXBsZSBub25jZQ=="));
+        assert_eq!(key(&Method::HEAD, &fields_with(None)).unwrap_err().0, StatusCode::UPGRADE_REQUIRED);
         for (name, value, expected) in [
             (ORIGIN, "http://elsewhere:4641", 403),
             (ORIGIN, "null", 403),
@@ -146,13 +146,13 @@ mod tests {
             (UPGRADE, "h2c", 426),
             (CONNECTION, "close", 426),
         ] {
-            let mut fields = asked(None);
+            let mut fields = fields_with(None);
             fields.insert(&name, HeaderValue::from_str(value).unwrap());
             assert_eq!(status(&fields), expected, "{name}: {value}");
         }
         // Twice is once too often; and who sends no origin is no browser.
-        assert_eq!(status(&asked(Some((ORIGIN, "http://localhost:4641")))), 403);
-        let mut program = asked(None);
+        assert_eq!(status(&fields_with(Some((ORIGIN, "http://localhost:4641")))), 403);
+        let mut program = fields_with(None);
         program.remove(ORIGIN);
         assert_eq!(status(&program), 101);
     }

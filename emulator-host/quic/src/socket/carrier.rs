@@ -44,21 +44,21 @@ pub(super) enum ControlWriter {
 }
 
 /// A carrier, its end, and both halves of its control stream.
-pub(super) type Carried = (Carrier, CarrierEnding, ControlWriter, Control<ClientMessage>);
+pub(super) type Opened = (Carrier, CarrierEnding, ControlWriter, Control<ClientMessage>);
 
 /// What QUIC carries.
-pub(super) fn by_quic((channel, ending, (send, receive)): channel::Opened) -> Carried {
+pub(super) fn by_quic((channel, ending, (send, receive)): channel::Opened) -> Opened {
     let control = Control::new(receive);
     (Carrier::Quic(channel), CarrierEnding::Quic(ending), ControlWriter::Quic(send), control)
 }
 
 /// What a WebSocket carries, as long as what comes beside it is polled.
-pub(super) fn by_socket(socket: Socket, address: SocketAddr) -> (Carried, impl Future<Output = ()> + Send) {
+pub(super) fn by_socket(socket: Socket, address: SocketAddr) -> (Opened, impl Future<Output = ()> + Send) {
     let (channel, ending, writer, control, carrying) = web_socket::open(socket, address);
     let control = Control::of(Source::Socket(control));
-    let carried =
+    let opened =
         (Carrier::Socket(channel), CarrierEnding::Socket(ending), ControlWriter::Socket(writer), control);
-    (carried, carrying)
+    (opened, carrying)
 }
 
 impl Carrier {
@@ -141,8 +141,8 @@ impl CarrierEnding {
 }
 
 impl ControlWriter {
-    /// Writes as much of `bytes` as there is room for; nothing once nobody reads any more. Dropping the future
-    /// loses nothing.
+    /// Writes as much of `bytes` as there is room for; nothing once nobody reads any more. Dropping the
+    /// future loses nothing.
     pub(super) async fn write(&mut self, bytes: &[u8]) -> Option<usize> {
         match self {
             Self::Quic(send) => send.write(bytes).await.ok(),

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use tokio::time::timeout_at;
 
 use super::{
-    carrier::{Carried, Carrier, CarrierEnding, ControlWriter},
+    carrier::{Carrier, CarrierEnding, ControlWriter, Opened},
     channel::Closed,
     control::{Control, ControlError},
     message::{ClientMessage, Refusal, RefusalCode, StreamChoice},
@@ -45,7 +45,7 @@ impl Greeting {
 
 /// Waits for a hello on what `opening` becomes, for `wait` in all.
 pub(super) async fn greeting(
-    opening: impl Future<Output = Result<Carried, Closed>>,
+    opening: impl Future<Output = Result<Opened, Closed>>,
     wait: Duration,
 ) -> Result<Greeting, NoSession> {
     let deadline = (Instant::now() + wait).into();

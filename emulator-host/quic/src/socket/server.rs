@@ -21,7 +21,7 @@ use tokio::{
 };
 
 use super::{
-    carrier::{Carried, by_quic, by_socket},
+    carrier::{Opened, by_quic, by_socket},
     channel::{Channel, Closed, close},
     entrance::{Entering, Entrance},
     greeting::{Greeting, NoSession, greeting},
@@ -287,14 +287,14 @@ async fn serve(incoming: Incoming, shared: Arc<Shared>) {
 /// One WebSocket from its first frame to its last.
 async fn serve_socket(entering: Entering, shared: Arc<Shared>) {
     let Entering { socket, address, place } = entering;
-    let (carried, carrying) = by_socket(socket, address);
-    let attending = attend(std::future::ready(Ok(carried)), &shared);
+    let (opened, carrying) = by_socket(socket, address);
+    let attending = attend(std::future::ready(Ok(opened)), &shared);
     tokio::join!(carrying, attending);
     drop(place);
 }
 
 /// One session on what `opening` becomes; a refusal where there is nothing to say it on.
-async fn attend(opening: impl Future<Output = Result<Carried, Closed>>, shared: &Shared) -> Option<Refusal> {
+async fn attend(opening: impl Future<Output = Result<Opened, Closed>>, shared: &Shared) -> Option<Refusal> {
     let mut stopping = shared.stopping.clone();
     let greeted = tokio::select! {
         greeted = greeting(opening, shared.limits.hello_wait) => greeted,

@@ -1,8 +1,8 @@
 //! Carries a session in the binary frames of a WebSocket, for browsers whose network lets no UDP through.
 //!
 //! The first byte of a frame says what follows: bytes of the control stream, or a datagram. TCP repeats what
-//! is lost and keeps the order, so that nothing may wait in it that could be sent too late: one datagram waits
-//! here, and the sender bounds by receipts what is on its way.
+//! is lost and keeps the order, so nothing may wait in it that could be sent too late: one datagram waits here,
+//! and the sender bounds by receipts what is on its way.
 
 use std::{
     net::SocketAddr,
@@ -98,7 +98,7 @@ struct Watched {
 }
 
 impl Watched {
-    /// What a question carries: when it was asked.
+    /// What a question carries: when it was sent_at.
     fn question(&self) -> Bytes {
         let nanos = u64::try_from(self.began.elapsed().as_nanos()).unwrap_or(u64::MAX);
         Bytes::copy_from_slice(&nanos.to_le_bytes())
@@ -106,9 +106,9 @@ impl Watched {
 
     /// The answer to a question; whatever else comes means nothing.
     fn answer(&self, question: &[u8]) {
-        let Ok(asked) = <[u8; 8]>::try_from(question) else { return };
-        let asked = Duration::from_nanos(u64::from_le_bytes(asked));
-        let Some(rtt) = self.began.elapsed().checked_sub(asked) else { return };
+        let Ok(sent_at) = <[u8; 8]>::try_from(question) else { return };
+        let sent_at = Duration::from_nanos(u64::from_le_bytes(sent_at));
+        let Some(rtt) = self.began.elapsed().checked_sub(sent_at) else { return };
         let mut known = self.rtt.lock().unwrap_or_else(PoisonError::into_inner);
         // As RFC 6298 smooths it.
         *known = Some(known.map_or((rtt, rtt), |(mean, least)| ((7 * mean + rtt) / 8, least.min(rtt))));
