@@ -29,8 +29,9 @@ const LIVE_INPUT: &str = "-";
 const LIVE_NAME: &str = "live";
 
 /// What an emulated link is not in front of.
-const UNIMPAIRED: &str = "--impair is in front of UDP; pages that come by WebSocket (TCP, which repeats what is lost \
-     before anybody sees it) or fetch the file have no such link; ?transport=live holds them to WebTransport";
+const UNIMPAIRED: &str = "--impair is in front of UDP; pages that come by WebSocket (TCP, which repeats \
+                          what is lost before anybody sees it) or fetch the file have no such link; \
+                          ?transport=live holds them to WebTransport";
 
 /// Runs the verb.
 pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {

@@ -1,8 +1,8 @@
 //! Carries a session in the binary frames of a WebSocket, for browsers whose network lets no UDP through.
 //!
 //! The first byte of a frame says what follows: bytes of the control stream, or a datagram. TCP repeats what
-//! is lost and keeps the order, so nothing may wait in it that could be sent too late: one datagram waits here,
-//! and the sender bounds by receipts what is on its way.
+//! is lost and keeps the order, so nothing may wait in it that could be sent too late: one datagram waits
+//! here, and the sender bounds by receipts what is on its way.
 
 use std::{
     net::SocketAddr,
