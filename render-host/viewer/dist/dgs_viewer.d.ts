@@ -141,6 +141,11 @@ export class Decoder {
      */
     levels(): Uint32Array;
     /**
+     * Looks from where the controls do, which receipts may tell: their view, and which way is up. What is no
+     * view changes nothing.
+     */
+    look(view: Float64Array | number[], up: string): void;
+    /**
      * Frames whose base a clock waits for: first and past of each range.
      */
     missing(): Uint32Array;
@@ -353,6 +358,7 @@ export interface InitOutput {
     readonly decoder_info: (a: number) => [number, number];
     readonly decoder_levels: (a: number) => [number, number, number, number];
     readonly decoder_loaded: (a: number) => number;
+    readonly decoder_look: (a: number, b: number, c: number, d: number, e: number) => void;
     readonly decoder_missing: (a: number) => [number, number];
     readonly decoder_open: (a: number, b: number) => [number, number, number];
     readonly decoder_pack: (a: number, b: number) => [number, number, number];
@@ -382,11 +388,11 @@ export interface InitOutput {
     readonly screen_upload: (a: number, b: number, c: number, d: number, e: number, f: number) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_70: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_73: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_71: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_74: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_72: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_73: (a: number, b: number, c: any) => void;
     readonly __wbindgen_malloc: (a: number, b: number) => number;
     readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
     readonly __wbindgen_free: (a: number, b: number, c: number) => void;

@@ -59,7 +59,8 @@ class Actions {
     this.#decoder.impair(loss, burst, rate, seed);
   }
 
-  receipt({ sequence, playout }) {
+  receipt({ sequence, playout, view, up }) {
+    this.#decoder.look(view, up);
     return this.#decoder.receipt(sequence, playout);
   }
 

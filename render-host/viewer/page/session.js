@@ -196,7 +196,7 @@ export class Session extends Controls {
 
   /** A receipt for the server: its number, and when the first frame of the round was shown, microseconds. */
   receipt(sequence, playout) {
-    return this.#decoding.ask("receipt", { sequence, playout });
+    return this.#decoding.ask("receipt", { sequence, playout, view: this.view, up: this.up });
   }
 
   /** When the first frame is due of the round that the server sends for `time`, seconds. */

@@ -7,6 +7,7 @@ use wasm_bindgen::prelude::*;
 
 use crate::{
     channel::Conditions,
+    orbit::{Orbit, Up},
     ranges::{Wanted, message},
     session::Session,
 };
@@ -82,6 +83,16 @@ impl Decoder {
     /// since the round began; 0 before.
     pub fn receipt(&mut self, sequence: u32, playout_us: f64) -> Result<Vec<u8>, JsError> {
         Ok(self.session.receipt(sequence, playout_us as u64)?)
+    }
+
+    /// Looks from where the controls do, which receipts may tell: their view, and which way is up. What is no
+    /// view changes nothing.
+    pub fn look(&mut self, view: &[f64], up: &str) {
+        let orbit = self.session.orbit_mut();
+        let view = <[f64; 6]>::try_from(view).ok().zip(Up::named(up));
+        if let Some(seen) = view.and_then(|(view, up)| orbit.with_up(up).at(view)) {
+            *orbit = seen;
+        }
     }
 
     /// When the first frame is due of the round that the server sends for `time`, seconds.
@@ -194,7 +205,9 @@ impl Decoder {
     /// Where the Gaussians of the frame are: their middle (3), and a radius.
     pub fn bounds(&mut self) -> Result<Vec<f64>, JsError> {
         self.packed = None;
-        let ([x, y, z], radius) = self.session.bounds()?;
+        let (middle, radius) = self.session.bounds()?;
+        *self.session.orbit_mut() = Orbit::around(middle, radius, 1.0, Up::default());
+        let [x, y, z] = middle;
         Ok(vec![x, y, z, radius])
     }
 
