@@ -102,7 +102,7 @@ export class DgsPlayer extends HTMLElement {
   /** Plays a session that its maker goes on feeding. */
   receive(session: Session): Promise<void>;
   /** A stream of `streams.json` of `dgs serve`; `transport` allows one alone. */
-  playServed(stream: ServedStream, transport?: "live" | "file" | null): Promise<void>;
+  playServed(stream: ServedStream, transport?: "live" | "websocket" | "file" | null): Promise<void>;
   impair(conditions: Conditions): void;
   toggleNetwork(): void;
   toggleFullscreen(): void;
