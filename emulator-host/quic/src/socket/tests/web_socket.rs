@@ -125,6 +125,8 @@ fn a_websocket_carries_manifest_media_and_receipts() {
             let usable = player.usable(frame).unwrap();
             assert_eq!(usable.canonical[0], usable.blocks, "frame {frame}");
         }
+        // What is said on the control stream may overtake a datagram, here as over QUIC.
+        tokio::time::sleep(Duration::from_millis(500)).await;
         socket.send(frame(0, &ClientMessage::Bye.to_bytes())).await.unwrap();
         assert_eq!(listen(&mut socket, usize::MAX).await.code, Some(1000));
         let (report, viewers) = server.stop().await;
