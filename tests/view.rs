@@ -38,17 +38,18 @@ impl Page {
     fn open(query: &str, side: u32) -> Option<Self> {
         let mut page = Self::blank()?;
         let url = format!("{}?{query}", page.served.url());
-        page.browser.go(&url).unwrap();
-        page.browser
-            .wait(
-                PATIENCE_S,
-                "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0",
-            )
-            .unwrap();
-        page.run("player.style.cssText = 'flex:none;width:256px;height:256px', 0");
-        let is_sized = format!("player.shadowRoot.querySelector('canvas').width === {side}");
-        page.browser.wait(PATIENCE_S, &is_sized).unwrap();
+        page.play(&url, side);
         Some(page)
+    }
+
+    /// Opens `url` and waits for a picture of `side` pixels.
+    fn play(&mut self, url: &str, side: u32) {
+        self.browser.go(url).unwrap();
+        let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
+        self.browser.wait(PATIENCE_S, playing).unwrap();
+        self.run("player.style.cssText = 'flex:none;width:256px;height:256px', 0");
+        let is_sized = format!("player.shadowRoot.querySelector('canvas').width === {side}");
+        self.browser.wait(PATIENCE_S, &is_sized).unwrap();
     }
 
     fn blank() -> Option<Self> {
@@ -72,7 +73,7 @@ impl Page {
 
     /// What is on the canvas.
     fn picture(&mut self) -> Image {
-        let script = "(() => { player.engine.drawNow();\
+        let script = "(async () => { await player.engine.drawNow();\
              const from = player.shadowRoot.querySelector('canvas');\
              const to = document.createElement('canvas'); [to.width, to.height] = [from.width, from.height];\
              const pen = to.getContext('2d', { willReadFrequently: true }); pen.drawImage(from, 0, 0);\
@@ -271,6 +272,66 @@ fn a_lost_device_is_another_device_a_moment_later() {
     page.close();
 }
 
+/// Where a page decodes is said on its element.
+fn decoding(page: &mut Page) -> String {
+    page.run("player.dataset.decoding").as_str().unwrap().to_owned()
+}
+
+#[test]
+fn a_worker_decodes_and_where_there_is_none_the_page() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=1", SIDE) else { return };
+    assert_eq!(decoding(&mut page), "worker");
+    let mut player = stream(SMALL).receive().unwrap();
+    page.run("player.currentTime = 0.5, 0");
+    let by_worker = page.picture();
+    let db = page.agreement(&mut player, [0.0; 3]);
+    assert!(db >= LEAST_DB, "{db} dB");
+    for (query, broken, said) in [
+        ("&worker=off", "0", "page: as was wished"),
+        ("", "globalThis.Worker = undefined", "page: no workers here"),
+        ("", "globalThis.Worker = class { constructor() { throw new Error('refused') } }", "page: refused"),
+    ] {
+        page.browser.go("about:blank").unwrap();
+        page.browser.before_pages(broken).unwrap();
+        let url = format!("{}?src=streams/small.dgs&paused&pixel-ratio=1{query}", page.served.url());
+        page.play(&url, SIDE);
+        assert_eq!(decoding(&mut page), said);
+        page.run("player.currentTime = 0.5, 0");
+        assert!(psnr(&page.picture(), &by_worker).unwrap().is_infinite(), "{said}");
+    }
+    page.close();
+}
+
+#[test]
+fn a_decoder_decodes_the_newest_frame_of_the_newest_stream() {
+    let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1", SIDE) else { return };
+    page.browser.wait(PATIENCE_S, "player.buffered === 1").unwrap();
+    page.picture();
+    let uploads = page.number("player.session.uploads");
+    page.run("{ for (let k = 29; k > 10; k--) player.currentTime = (k + 0.5) / 30; } 0");
+    let mut player = stream(LARGE).receive().unwrap();
+    let db = page.agreement(&mut player, [0.0; 3]);
+    assert!(db >= LEAST_DB, "{db} dB");
+    let decoded = page.number("player.session.uploads") - uploads;
+    assert!((1.0..=2.0).contains(&decoded), "{decoded} frames of 19 were decoded");
+    // A device is lost, and another stream is wanted, while frames are under way.
+    page.run(
+        "globalThis.restored = false; player.addEventListener('devicerestored', () => (restored = true));\
+        player.play(), player.engine.screen.destroy(), player.src = 'streams/small.dgs', 0",
+    );
+    page.browser.wait(PATIENCE_S, "restored && player.session.info()[2] < 2000").unwrap();
+    page.run("globalThis.old = player.session, player.src = 'streams/large.dgs', 0");
+    page.run("player.src = 'streams/small.dgs', 0");
+    let shown = "player.session !== old && player.buffered === 1 && player.session.info()[2] < 2000 &&\
+        player.session.uploads > 0";
+    page.browser.wait(PATIENCE_S, shown).unwrap();
+    page.run("player.pause(), player.currentTime = 0.5, 0");
+    let db = page.agreement(&mut stream(SMALL).receive().unwrap(), [0.0; 3]);
+    assert!(db >= LEAST_DB, "after all that: {db} dB");
+    assert_eq!(page.run("player.error"), Value::Null);
+    page.close();
+}
+
 #[test]
 fn files_are_chosen_refused_and_removed() {
     let Some(mut page) = Page::blank() else { return };
@@ -325,7 +386,7 @@ fn without_webgpu_there_is_a_sentence() {
 #[test]
 fn packets_come_live_over_a_lossy_link() {
     let Some(mut page) = Page::blank() else { return };
-    let live = served::Live::start("loss=5%,delay=10ms");
+    let live = served::Live::start(&["--impair", "loss=5%,delay=10ms"]);
     page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
     let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
     page.browser.wait(PATIENCE_S, playing).unwrap();
@@ -337,6 +398,50 @@ fn packets_come_live_over_a_lossy_link() {
     page.close();
     let report = live.stop();
     assert!(report.contains("1 viewers;") && report.contains("(0 refused)"), "{report}");
+}
+
+#[test]
+fn every_transport_brings_the_same_picture() {
+    let Some(mut page) = Page::blank() else { return };
+    // A software adapter holds up the page at its first picture until servers think it gone: first the file.
+    page.browser.resize(SIDE, SIDE).unwrap();
+    let live = served::Live::start(&["--idle", "120"]);
+    let mut player = stream(SMALL).receive().unwrap();
+    for transport in ["file", "live", "websocket"] {
+        page.browser.go("about:blank").unwrap();
+        page.play(&format!("{}?transport={transport}&pixel-ratio=1", live.page), SIDE);
+        let names = if transport == "file" { "whole ranges" } else { transport };
+        let is_known = format!("'{names}'.split(' ').includes(player.dataset.transport)");
+        page.browser.wait(PATIENCE_S, &is_known).unwrap();
+        page.run("player.play(), 0");
+        // What did not come in time comes when the clip is repeated.
+        let mut db = 0.0;
+        for _ in 0..60 {
+            page.browser.wait(PATIENCE_S, "player.session.levels()[0] === 0").unwrap();
+            page.run("player.pause(), player.currentTime = 0.5, 0");
+            db = page.agreement(&mut player, [0.0; 3]);
+            if db >= LEAST_DB {
+                break;
+            }
+            page.run("player.play(), 0");
+            std::thread::sleep(std::time::Duration::from_secs(1));
+        }
+        assert!(db >= LEAST_DB, "{transport}: {db} dB");
+        let error = page.run("player.error?.message ?? null");
+        if error != Value::Null {
+            panic!("{transport}: {error}; {}", live.stop());
+        }
+    }
+    // Without a wish the best that works plays, and a page remembers it.
+    page.browser.go("about:blank").unwrap();
+    page.browser.before_pages("delete globalThis.WebTransport").unwrap();
+    page.play(&format!("{}?pixel-ratio=1", live.page), SIDE);
+    let first = page.run("player.dataset.transport ?? 'file'");
+    assert!(["websocket", "whole", "ranges", "file"].iter().any(|name| first == *name), "{first}");
+    page.browser.go("about:blank").unwrap();
+    let report = live.stop();
+    assert!(report.contains("(0 refused)"), "{report}");
+    page.close();
 }
 
 /// Writes the picture of the crate's README.

@@ -52,7 +52,7 @@ pub use lists::Lists;
 pub use presence::Presence;
 pub use recording::{Recording, Workgroups};
 pub use renderer::Renderer;
-pub use scene::Scene;
+pub use scene::{Packed, Scene};
 pub use source::{Bind, Kernel, Source};
 pub use tiles::{Stages, Tiles};
 /// The graphics library whose types appear here.

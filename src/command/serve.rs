@@ -28,6 +28,11 @@ const LIVE_INPUT: &str = "-";
 /// What the stream from standard input is called.
 const LIVE_NAME: &str = "live";
 
+/// What an emulated link is not in front of.
+const UNIMPAIRED: &str = "--impair is in front of UDP; pages that come by WebSocket (TCP, which repeats \
+                          what is lost before anybody sees it) or fetch the file have no such link; \
+                          ?transport=live holds them to WebTransport";
+
 /// Runs the verb.
 pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     if let Some(relay) = &args.moq {
@@ -35,6 +40,9 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     }
     let mut warnings = Vec::new();
     let impairment = args.impair.as_deref().map(pipeline::impairment).transpose()?;
+    if impairment.is_some() && !args.no_http {
+        warnings.push(UNIMPAIRED.to_owned());
+    }
     let host = args.host.clone().unwrap_or_else(|| args.listen.ip().to_string());
     let identity = match args.cert.as_deref().zip(args.key.as_deref()) {
         Some((certificate, key)) => Identity::read(certificate, key)?,
@@ -132,7 +140,11 @@ async fn serve(
         urls.push(url);
     }
     let site = Site::new(asset, &streams, Some(server.pin()))?;
-    let http = if args.no_http { None } else { Some(page(args.http.unwrap_or(listen), site)?) };
+    let http = if args.no_http {
+        None
+    } else {
+        Some(page(args.http.unwrap_or(listen), site)?.with_sessions(server.entrance()))
+    };
     let page = match &http {
         Some(http) => Some(page_url(host, http.local_addr().context("--http")?.port())),
         None => None,

@@ -65,7 +65,8 @@ const NAMES: [&str; 38] = [
 ];
 
 /// Crates of others, whose names are not ours to choose.
-const CRATES: [&str; 4] = ["http_body_util", "hyper_util", "quinn_proto", "web_transport_proto"];
+const CRATES: [&str; 5] =
+    ["futures_util", "http_body_util", "hyper_util", "quinn_proto", "web_transport_proto"];
 
 /// Words that comments do not use either: plain English has none of them in this sense.
 const METAPHORS: [&str; 13] = [

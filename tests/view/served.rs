@@ -102,12 +102,14 @@ pub struct Live {
 }
 
 impl Live {
-    pub fn start(impairment: &str) -> Self {
+    /// With `flags` besides.
+    pub fn start(flags: &[&str]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("small.dgs"), stream(SMALL).to_bytes().unwrap()).unwrap();
         let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
             .current_dir(folder.path())
-            .args(["serve", "small.dgs", "--listen", "127.0.0.1:0", "--impair", impairment])
+            .args(["serve", "small.dgs", "--listen", "127.0.0.1:0"])
+            .args(flags)
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();

@@ -11,6 +11,7 @@ mod server;
 mod site;
 #[cfg(test)]
 mod tests;
+mod upgrade;
 
 pub use server::{HttpConfig, HttpError, HttpLimits, HttpReport, HttpServer};
 pub use site::{Assets, Site, SiteError, SiteStream};

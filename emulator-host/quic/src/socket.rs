@@ -1,12 +1,14 @@
 //! Serves and plays streams over UDP sockets: QUIC by `quinn`, the sender and receiver of `emulator-host`,
-//! WebTransport for browsers on the same port.
+//! WebTransport for browsers on the same port, WebSockets for those whose network lets no UDP through.
 //!
 //! A server offers streams by name; a client opens one control stream, gets the manifest on it and media in
 //! datagrams, and answers with receipts. `SESSION.md` beside this crate's `Cargo.toml` defines every byte.
 
+mod carrier;
 mod channel;
 mod client;
 mod control;
+mod entrance;
 mod greeting;
 mod identity;
 mod impair;
@@ -23,11 +25,13 @@ mod settings;
 mod tests;
 mod viewer;
 mod web;
+mod web_socket;
 
 pub use channel::Closed;
 pub use client::{Played, play};
 #[cfg(feature = "moq")]
 pub(crate) use client::{connect, play_over};
+pub use entrance::Entrance;
 pub use identity::{Identity, IdentityError, Pin, PinError, Trust};
 pub use impair::Impairment;
 pub use limits::ServerLimits;
@@ -43,3 +47,4 @@ pub use server::{Server, ServerConfig, ServerError, ServerReport};
 pub use settings::{ClientConfig, PlayError};
 pub use viewer::ViewerReport;
 pub use web::WebError;
+pub(crate) use web_socket::config as socket_config;

@@ -2,6 +2,239 @@
 /* eslint-disable */
 
 /**
+ * See the module.
+ */
+export class Controls {
+    free(): void;
+    [Symbol.dispose](): void;
+    /**
+     * Lets `dt` seconds pass: 1 the clip began again, 2 it ended, 4 it waits for a base level, or nothing of
+     * these. It waits up to `patience` seconds for frames of `missing`: first and past of each range.
+     */
+    advance(dt_s: number, patience_s: number, missing: Uint32Array | number[]): number;
+    /**
+     * The camera of a picture: rotation (9, row by row), translation (3), focal lengths and principal point,
+     * near plane. For tests.
+     */
+    camera(width: number, height: number): Float64Array;
+    /**
+     * Moves right, up, forward, in shares of the distance.
+     */
+    fly(right: number, up: number, forward: number): void;
+    /**
+     * Back to the view it began with.
+     */
+    home(aspect: number): void;
+    /**
+     * Moves the camera so that what lies within `radius` of a middle is in a picture `aspect` times as wide
+     * as high; `up` is `y`, `minus-z` and so on.
+     */
+    lookAround(middle: Float64Array | number[], radius: number, aspect: number, up: string): void;
+    /**
+     * For a clip of `frames` frames at `rate` of them a second, standing at its beginning.
+     */
+    constructor(frames: number, rate: number);
+    /**
+     * Takes the next way up, and its name.
+     */
+    nextUp(): string;
+    /**
+     * Pans by a drag, pixels.
+     */
+    pan(dx: number, dy: number, height: number): void;
+    /**
+     * Sets the colour behind everything, 0 to 1 each.
+     */
+    setBackground(red: number, green: number, blue: number): void;
+    /**
+     * Takes a view; false for numbers that are none.
+     */
+    setView(view: Float64Array | number[]): boolean;
+    /**
+     * Goes `frames` frames on and stands.
+     */
+    step(frames: number): void;
+    /**
+     * Turns by a drag, pixels.
+     */
+    turn(dx: number, dy: number, height: number): void;
+    /**
+     * Comes so many times as near.
+     */
+    zoom(factor: number): void;
+    /**
+     * Length of the clip, seconds.
+     */
+    readonly duration: number;
+    /**
+     * The frame that is due.
+     */
+    readonly frame: number;
+    /**
+     * Whether the clip begins again at its end.
+     */
+    looping: boolean;
+    /**
+     * Whether the clock runs.
+     */
+    playing: boolean;
+    /**
+     * Seconds of the clip per second.
+     */
+    rate: number;
+    /**
+     * Where the clock is, seconds.
+     */
+    time: number;
+    /**
+     * Which way is up.
+     */
+    readonly up: string;
+    /**
+     * The view: azimuth, elevation, distance, target.
+     */
+    readonly view: Float64Array;
+}
+
+/**
+ * One stream; its clock and camera are [`Controls`](super::Controls).
+ */
+export class Decoder {
+    private constructor();
+    free(): void;
+    [Symbol.dispose](): void;
+    /**
+     * Where the Gaussians of the frame are: their middle (3), and a radius.
+     */
+    bounds(): Float64Array;
+    /**
+     * Sets the highest level shown, 0 to 3, and whether blocks are painted by level.
+     */
+    choose(cap: number, overlay: boolean): void;
+    /**
+     * Copies what was packed to `into`, which is as long.
+     */
+    copyPacked(into: Float32Array): void;
+    /**
+     * Lets the emulated network deliver; true while packets are on their way.
+     */
+    deliver(now_s: number): boolean;
+    /**
+     * A file of `length` bytes that begins with `first`, which hold its manifest; the rest is `wanted`.
+     */
+    static fetch(first: Uint8Array | number[], length: number): Decoder;
+    /**
+     * Goes to frame `frame`.
+     */
+    goTo(frame: number): void;
+    /**
+     * Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all
+     * at once), seed.
+     */
+    impair(loss: number, burst: number, rate_bps: number, seed: number): void;
+    /**
+     * Frames, frames per second, most Gaussians of a frame, packets of the stream.
+     */
+    info(): Float64Array;
+    /**
+     * Blocks of the frame by level: proxies, base, refinements 1 to 3.
+     */
+    levels(): Uint32Array;
+    /**
+     * Looks from where the controls do, which receipts may tell: their view, and which way is up. What is no
+     * view changes nothing.
+     */
+    look(view: Float64Array | number[], up: string): void;
+    /**
+     * Frames whose base a clock waits for: first and past of each range.
+     */
+    missing(): Uint32Array;
+    /**
+     * The `.dgs` file of these bytes.
+     */
+    static open(file: Uint8Array | number[]): Decoder;
+    /**
+     * Decodes and packs the Gaussians of the frame; nothing where they are those that were packed last, and
+     * not wanted `anew`.
+     */
+    pack(anew: boolean): Picture | undefined;
+    /**
+     * Packets that came, and those that were decoded.
+     */
+    packets(): Uint32Array;
+    /**
+     * Takes a packet that a server sent.
+     */
+    push(packet: Uint8Array | number[]): void;
+    /**
+     * A receipt for the server: its number, and when the first frame of the round was shown, microseconds
+     * since the round began; 0 before.
+     */
+    receipt(sequence: number, playout_us: number): Uint8Array;
+    /**
+     * A stream that a server sends: its DGSM message.
+     */
+    static receive(message: Uint8Array | number[]): Decoder;
+    /**
+     * When the first frame is due of the round that the server sends for `time`, seconds.
+     */
+    roundStart(time_s: number): number;
+    /**
+     * Takes the whole file after all.
+     */
+    takeWhole(file: Uint8Array | number[]): void;
+    /**
+     * Takes bytes of the file from offset `at` on.
+     */
+    take(at: number, bytes: Uint8Array | number[]): void;
+    /**
+     * Which bytes to ask for next: first and past; one number for the whole file; none when all is there.
+     */
+    wanted(): Float64Array;
+    /**
+     * A number that changes with what is shown, but for the frame.
+     */
+    readonly content: number;
+    /**
+     * What of the file could not be used; empty for a whole one.
+     */
+    readonly damage: string;
+    /**
+     * Share of the file that is there.
+     */
+    readonly loaded: number;
+    /**
+     * How long a clock waits for a base level, seconds.
+     */
+    readonly patience: number;
+}
+
+/**
+ * Gaussians of a frame, packed.
+ */
+export class Picture {
+    private constructor();
+    free(): void;
+    [Symbol.dispose](): void;
+    /**
+     * Bytes of all.
+     */
+    readonly bytes: number;
+    /**
+     * Number of Gaussians.
+     */
+    readonly count: number;
+    /**
+     * Degree of their harmonics.
+     */
+    readonly degree: number;
+    /**
+     * Whether harmonics are left out, being those of the picture before.
+     */
+    readonly onlyMoved: boolean;
+}
+
+/**
  * A canvas with a device.
  */
 export class Screen {
@@ -13,9 +246,18 @@ export class Screen {
      */
     destroy(): void;
     /**
+     * Draws what was uploaded on `width` × `height` pixels.
+     */
+    draw(controls: Controls, width: number, height: number): void;
+    /**
      * Opens a device that can draw on `canvas`.
      */
     static open(canvas: HTMLCanvasElement): Promise<Screen>;
+    /**
+     * Uploads a picture that a decoder has packed: number of Gaussians, degree of their harmonics, whether
+     * these are left out, the bytes.
+     */
+    upload(count: number, degree: number, only_moved: boolean, bytes: Uint8Array | number[]): void;
     /**
      * Name of the adapter; empty where the browser keeps it to itself.
      */
@@ -40,183 +282,6 @@ export class Screen {
      * Whether the last picture was not whole: draw again.
      */
     readonly stale: boolean;
-}
-
-/**
- * One stream and how it is shown.
- */
-export class Session {
-    private constructor();
-    free(): void;
-    [Symbol.dispose](): void;
-    /**
-     * Lets `dt` seconds pass: 1 the clip began again, 2 it ended, 4 it waits for a base level, or nothing of
-     * these.
-     */
-    advance(dt_s: number): number;
-    /**
-     * The camera of a picture: rotation (9, row by row), translation (3), focal lengths and principal point,
-     * near plane. For tests.
-     */
-    camera(width: number, height: number): Float64Array;
-    /**
-     * Lets the emulated network deliver; true while packets are on their way.
-     */
-    deliver(now_s: number): boolean;
-    /**
-     * Draws the frame that is due on `width` × `height` pixels.
-     */
-    draw(screen: Screen, width: number, height: number): void;
-    /**
-     * A file of `length` bytes that begins with `first`, which hold its manifest; the rest is `wanted`.
-     */
-    static fetch(first: Uint8Array | number[], length: number): Session;
-    /**
-     * Moves right, up, forward, in shares of the distance.
-     */
-    fly(right: number, up: number, forward: number): void;
-    /**
-     * What another screen must be given anew.
-     */
-    forget(): void;
-    /**
-     * Back to the view it began with.
-     */
-    home(aspect: number): void;
-    /**
-     * Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all
-     * at once), seed.
-     */
-    impair(loss: number, burst: number, rate_bps: number, seed: number): void;
-    /**
-     * Frames, frames per second, most Gaussians of a frame, packets of the stream.
-     */
-    info(): Float64Array;
-    /**
-     * Blocks of the frame by level: proxies, base, refinements 1 to 3.
-     */
-    levels(): Uint32Array;
-    /**
-     * Moves the camera so that every Gaussian is in the picture; `up` is `y`, `minus-z` and so on.
-     */
-    lookAtAll(aspect: number, up: string): void;
-    /**
-     * Takes the next way up, and its name.
-     */
-    nextUp(): string;
-    /**
-     * The `.dgs` file of these bytes.
-     */
-    static open(file: Uint8Array | number[]): Session;
-    /**
-     * Packets that came, and those that were decoded.
-     */
-    packets(): Uint32Array;
-    /**
-     * Pans by a drag, pixels.
-     */
-    pan(dx: number, dy: number, height: number): void;
-    /**
-     * Takes a packet that a server sent.
-     */
-    push(packet: Uint8Array | number[]): void;
-    /**
-     * A receipt for the server: its number, and when the first frame of the round was shown, microseconds
-     * since the round began; 0 before.
-     */
-    receipt(sequence: number, playout_us: number): Uint8Array;
-    /**
-     * A stream that a server sends: its DGSM message.
-     */
-    static receive(message: Uint8Array | number[]): Session;
-    /**
-     * When the first frame is due of the round that the server sends for `time`, seconds.
-     */
-    roundStart(time_s: number): number;
-    /**
-     * Sets the colour behind everything, 0 to 1 each.
-     */
-    setBackground(red: number, green: number, blue: number): void;
-    /**
-     * Takes a view; false for numbers that are none.
-     */
-    setView(view: Float64Array | number[]): boolean;
-    /**
-     * Goes `frames` frames on and stands.
-     */
-    step(frames: number): void;
-    /**
-     * Takes the whole file after all.
-     */
-    takeWhole(file: Uint8Array | number[]): void;
-    /**
-     * Takes bytes of the file from offset `at` on.
-     */
-    take(at: number, bytes: Uint8Array | number[]): void;
-    /**
-     * Turns by a drag, pixels.
-     */
-    turn(dx: number, dy: number, height: number): void;
-    /**
-     * Which bytes to ask for next: first and past; one number for the whole file; none when all is there.
-     */
-    wanted(): Float64Array;
-    /**
-     * Comes so many times as near.
-     */
-    zoom(factor: number): void;
-    /**
-     * Highest level shown, 0 to 3.
-     */
-    cap: number;
-    /**
-     * A number that changes with what is shown, but for camera and frame.
-     */
-    readonly content: number;
-    /**
-     * What of the file could not be used; empty for a whole one.
-     */
-    readonly damage: string;
-    /**
-     * Length of the clip, seconds.
-     */
-    readonly duration: number;
-    /**
-     * The frame that is due.
-     */
-    readonly frame: number;
-    /**
-     * Share of the file that is there.
-     */
-    readonly loaded: number;
-    /**
-     * Whether the clip begins again at its end.
-     */
-    looping: boolean;
-    /**
-     * Whether blocks are painted by level.
-     */
-    overlay: boolean;
-    /**
-     * Whether the clock runs.
-     */
-    playing: boolean;
-    /**
-     * Seconds of the clip per second.
-     */
-    rate: number;
-    /**
-     * Where the clock is, seconds.
-     */
-    time: number;
-    /**
-     * Which way is up.
-     */
-    readonly up: string;
-    /**
-     * The view: azimuth, elevation, distance, target.
-     */
-    readonly view: Float64Array;
 }
 
 /**
@@ -248,8 +313,64 @@ export type InitInput = RequestInfo | URL | Response | BufferSource | WebAssembl
 
 export interface InitOutput {
     readonly memory: WebAssembly.Memory;
+    readonly __wbg_controls_free: (a: number, b: number) => void;
+    readonly __wbg_decoder_free: (a: number, b: number) => void;
+    readonly __wbg_get_picture_bytes: (a: number) => number;
+    readonly __wbg_get_picture_count: (a: number) => number;
+    readonly __wbg_get_picture_degree: (a: number) => number;
+    readonly __wbg_get_picture_onlyMoved: (a: number) => number;
+    readonly __wbg_picture_free: (a: number, b: number) => void;
     readonly __wbg_screen_free: (a: number, b: number) => void;
-    readonly __wbg_session_free: (a: number, b: number) => void;
+    readonly controls_advance: (a: number, b: number, c: number, d: number, e: number) => number;
+    readonly controls_camera: (a: number, b: number, c: number) => [number, number, number, number];
+    readonly controls_duration: (a: number) => number;
+    readonly controls_fly: (a: number, b: number, c: number, d: number) => void;
+    readonly controls_frame: (a: number) => number;
+    readonly controls_home: (a: number, b: number) => void;
+    readonly controls_lookAround: (a: number, b: number, c: number, d: number, e: number, f: number, g: number) => [number, number];
+    readonly controls_looping: (a: number) => number;
+    readonly controls_new: (a: number, b: number) => number;
+    readonly controls_nextUp: (a: number) => [number, number];
+    readonly controls_pan: (a: number, b: number, c: number, d: number) => void;
+    readonly controls_playing: (a: number) => number;
+    readonly controls_rate: (a: number) => number;
+    readonly controls_setBackground: (a: number, b: number, c: number, d: number) => void;
+    readonly controls_setView: (a: number, b: number, c: number) => number;
+    readonly controls_set_looping: (a: number, b: number) => void;
+    readonly controls_set_playing: (a: number, b: number) => void;
+    readonly controls_set_rate: (a: number, b: number) => void;
+    readonly controls_set_time: (a: number, b: number) => void;
+    readonly controls_step: (a: number, b: number) => void;
+    readonly controls_time: (a: number) => number;
+    readonly controls_turn: (a: number, b: number, c: number, d: number) => void;
+    readonly controls_up: (a: number) => [number, number];
+    readonly controls_view: (a: number) => [number, number];
+    readonly controls_zoom: (a: number, b: number) => void;
+    readonly decoder_bounds: (a: number) => [number, number, number, number];
+    readonly decoder_choose: (a: number, b: number, c: number) => void;
+    readonly decoder_content: (a: number) => number;
+    readonly decoder_copyPacked: (a: number, b: any) => [number, number];
+    readonly decoder_damage: (a: number) => [number, number];
+    readonly decoder_deliver: (a: number, b: number) => number;
+    readonly decoder_fetch: (a: number, b: number, c: number) => [number, number, number];
+    readonly decoder_goTo: (a: number, b: number) => void;
+    readonly decoder_impair: (a: number, b: number, c: number, d: number, e: number) => [number, number];
+    readonly decoder_info: (a: number) => [number, number];
+    readonly decoder_levels: (a: number) => [number, number, number, number];
+    readonly decoder_loaded: (a: number) => number;
+    readonly decoder_look: (a: number, b: number, c: number, d: number, e: number) => void;
+    readonly decoder_missing: (a: number) => [number, number];
+    readonly decoder_open: (a: number, b: number) => [number, number, number];
+    readonly decoder_pack: (a: number, b: number) => [number, number, number];
+    readonly decoder_packets: (a: number) => [number, number];
+    readonly decoder_patience: (a: number) => number;
+    readonly decoder_push: (a: number, b: number, c: number) => void;
+    readonly decoder_receipt: (a: number, b: number, c: number) => [number, number, number, number];
+    readonly decoder_receive: (a: number, b: number) => [number, number, number];
+    readonly decoder_roundStart: (a: number, b: number) => number;
+    readonly decoder_take: (a: number, b: number, c: number, d: number) => void;
+    readonly decoder_takeWhole: (a: number, b: number, c: number) => [number, number];
+    readonly decoder_wanted: (a: number) => [number, number];
     readonly firstBytes: () => number;
     readonly levelColours: () => [number, number];
     readonly levelCount: () => number;
@@ -258,65 +379,20 @@ export interface InitOutput {
     readonly screen_adapter: (a: number) => [number, number];
     readonly screen_bytes: (a: number) => number;
     readonly screen_destroy: (a: number) => void;
+    readonly screen_draw: (a: number, b: number, c: number, d: number) => [number, number];
     readonly screen_finished: (a: number) => number;
     readonly screen_lost: (a: number) => number;
     readonly screen_open: (a: any) => any;
     readonly screen_pending: (a: number) => number;
     readonly screen_stale: (a: number) => number;
-    readonly session_advance: (a: number, b: number) => number;
-    readonly session_camera: (a: number, b: number, c: number) => [number, number, number, number];
-    readonly session_cap: (a: number) => number;
-    readonly session_content: (a: number) => number;
-    readonly session_damage: (a: number) => [number, number];
-    readonly session_deliver: (a: number, b: number) => number;
-    readonly session_draw: (a: number, b: number, c: number, d: number) => [number, number];
-    readonly session_duration: (a: number) => number;
-    readonly session_fetch: (a: number, b: number, c: number) => [number, number, number];
-    readonly session_fly: (a: number, b: number, c: number, d: number) => void;
-    readonly session_forget: (a: number) => void;
-    readonly session_frame: (a: number) => number;
-    readonly session_home: (a: number, b: number) => void;
-    readonly session_impair: (a: number, b: number, c: number, d: number, e: number) => [number, number];
-    readonly session_info: (a: number) => [number, number];
-    readonly session_levels: (a: number) => [number, number, number, number];
-    readonly session_loaded: (a: number) => number;
-    readonly session_lookAtAll: (a: number, b: number, c: number, d: number) => [number, number];
-    readonly session_looping: (a: number) => number;
-    readonly session_nextUp: (a: number) => [number, number];
-    readonly session_open: (a: number, b: number) => [number, number, number];
-    readonly session_overlay: (a: number) => number;
-    readonly session_packets: (a: number) => [number, number];
-    readonly session_pan: (a: number, b: number, c: number, d: number) => void;
-    readonly session_playing: (a: number) => number;
-    readonly session_push: (a: number, b: number, c: number) => void;
-    readonly session_rate: (a: number) => number;
-    readonly session_receipt: (a: number, b: number, c: number) => [number, number, number, number];
-    readonly session_receive: (a: number, b: number) => [number, number, number];
-    readonly session_roundStart: (a: number, b: number) => number;
-    readonly session_setBackground: (a: number, b: number, c: number, d: number) => void;
-    readonly session_setView: (a: number, b: number, c: number) => number;
-    readonly session_set_cap: (a: number, b: number) => void;
-    readonly session_set_looping: (a: number, b: number) => void;
-    readonly session_set_overlay: (a: number, b: number) => void;
-    readonly session_set_playing: (a: number, b: number) => void;
-    readonly session_set_rate: (a: number, b: number) => void;
-    readonly session_set_time: (a: number, b: number) => void;
-    readonly session_step: (a: number, b: number) => void;
-    readonly session_take: (a: number, b: number, c: number, d: number) => void;
-    readonly session_takeWhole: (a: number, b: number, c: number) => [number, number];
-    readonly session_time: (a: number) => number;
-    readonly session_turn: (a: number, b: number, c: number, d: number) => void;
-    readonly session_up: (a: number) => [number, number];
-    readonly session_view: (a: number) => [number, number];
-    readonly session_wanted: (a: number) => [number, number];
-    readonly session_zoom: (a: number, b: number) => void;
+    readonly screen_upload: (a: number, b: number, c: number, d: number, e: number, f: number) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_62: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_65: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_66: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_71: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_74: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_64: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_73: (a: number, b: number, c: any) => void;
     readonly __wbindgen_malloc: (a: number, b: number) => number;
     readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
     readonly __wbindgen_free: (a: number, b: number, c: number) => void;

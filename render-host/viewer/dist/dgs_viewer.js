@@ -1,6 +1,645 @@
 /* @ts-self-types="./dgs_viewer.d.ts" */
 
 /**
+ * See the module.
+ */
+export class Controls {
+    __destroy_into_raw() {
+        const ptr = this.__wbg_ptr;
+        this.__wbg_ptr = 0;
+        ControlsFinalization.unregister(this);
+        return ptr;
+    }
+    free() {
+        const ptr = this.__destroy_into_raw();
+        wasm.__wbg_controls_free(ptr, 0);
+    }
+    /**
+     * Lets `dt` seconds pass: 1 the clip began again, 2 it ended, 4 it waits for a base level, or nothing of
+     * these. It waits up to `patience` seconds for frames of `missing`: first and past of each range.
+     * @param {number} dt_s
+     * @param {number} patience_s
+     * @param {Uint32Array | number[]} missing
+     * @returns {number}
+     */
+    advance(dt_s, patience_s, missing) {
+        const val2 = +dt_s;
+        const val3 = +patience_s;
+        const ptr0 = passArray32ToWasm0(missing, wasm.__wbindgen_malloc);
+        const len0 = WASM_VECTOR_LEN;
+        const ret = wasm.controls_advance(this.__wbg_ptr, val2, val3, ptr0, len0);
+        return ret >>> 0;
+    }
+    /**
+     * The camera of a picture: rotation (9, row by row), translation (3), focal lengths and principal point,
+     * near plane. For tests.
+     * @param {number} width
+     * @param {number} height
+     * @returns {Float64Array}
+     */
+    camera(width, height) {
+        const ret = wasm.controls_camera(this.__wbg_ptr, width, height);
+        if (ret[3]) {
+            throw takeFromExternrefTable0(ret[2]);
+        }
+        var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
+        return v1;
+    }
+    /**
+     * Length of the clip, seconds.
+     * @returns {number}
+     */
+    get duration() {
+        const ret = wasm.controls_duration(this.__wbg_ptr);
+        return ret;
+    }
+    /**
+     * Moves right, up, forward, in shares of the distance.
+     * @param {number} right
+     * @param {number} up
+     * @param {number} forward
+     */
+    fly(right, up, forward) {
+        wasm.controls_fly(this.__wbg_ptr, right, up, forward);
+    }
+    /**
+     * The frame that is due.
+     * @returns {number}
+     */
+    get frame() {
+        const ret = wasm.controls_frame(this.__wbg_ptr);
+        return ret >>> 0;
+    }
+    /**
+     * Back to the view it began with.
+     * @param {number} aspect
+     */
+    home(aspect) {
+        wasm.controls_home(this.__wbg_ptr, aspect);
+    }
+    /**
+     * Moves the camera so that what lies within `radius` of a middle is in a picture `aspect` times as wide
+     * as high; `up` is `y`, `minus-z` and so on.
+     * @param {Float64Array | number[]} middle
+     * @param {number} radius
+     * @param {number} aspect
+     * @param {string} up
+     */
+    lookAround(middle, radius, aspect, up) {
+        const val3 = +radius;
+        const val4 = +aspect;
+        let ptr0, len0, ptr1, len1;
+        try {
+            ptr0 = passArrayF64ToWasm0(middle, wasm.__wbindgen_malloc);
+            len0 = WASM_VECTOR_LEN;
+            ptr1 = passStringToWasm0(up, wasm.__wbindgen_malloc, wasm.__wbindgen_realloc);
+            len1 = WASM_VECTOR_LEN;
+        } catch (e) {
+            if (ptr1) { wasm.__wbindgen_free(ptr1, len1 * 1, 1); }
+            if (ptr0) { wasm.__wbindgen_free(ptr0, len0 * 8, 8); }
+            throw e;
+        }
+        const ret = wasm.controls_lookAround(this.__wbg_ptr, ptr0, len0, val3, val4, ptr1, len1);
+        if (ret[1]) {
+            throw takeFromExternrefTable0(ret[0]);
+        }
+    }
+    /**
+     * Whether the clip begins again at its end.
+     * @returns {boolean}
+     */
+    get looping() {
+        const ret = wasm.controls_looping(this.__wbg_ptr);
+        return ret !== 0;
+    }
+    /**
+     * For a clip of `frames` frames at `rate` of them a second, standing at its beginning.
+     * @param {number} frames
+     * @param {number} rate
+     */
+    constructor(frames, rate) {
+        const ret = wasm.controls_new(frames, rate);
+        this.__wbg_ptr = ret;
+        ControlsFinalization.register(this, this.__wbg_ptr, this);
+        return this;
+    }
+    /**
+     * Takes the next way up, and its name.
+     * @returns {string}
+     */
+    nextUp() {
+        let deferred1_0;
+        let deferred1_1;
+        try {
+            const ret = wasm.controls_nextUp(this.__wbg_ptr);
+            deferred1_0 = ret[0];
+            deferred1_1 = ret[1];
+            return getStringFromWasm0(ret[0], ret[1]);
+        } finally {
+            wasm.__wbindgen_free(deferred1_0, deferred1_1, 1);
+        }
+    }
+    /**
+     * Pans by a drag, pixels.
+     * @param {number} dx
+     * @param {number} dy
+     * @param {number} height
+     */
+    pan(dx, dy, height) {
+        wasm.controls_pan(this.__wbg_ptr, dx, dy, height);
+    }
+    /**
+     * Whether the clock runs.
+     * @returns {boolean}
+     */
+    get playing() {
+        const ret = wasm.controls_playing(this.__wbg_ptr);
+        return ret !== 0;
+    }
+    /**
+     * Seconds of the clip per second.
+     * @returns {number}
+     */
+    get rate() {
+        const ret = wasm.controls_rate(this.__wbg_ptr);
+        return ret;
+    }
+    /**
+     * Sets the colour behind everything, 0 to 1 each.
+     * @param {number} red
+     * @param {number} green
+     * @param {number} blue
+     */
+    setBackground(red, green, blue) {
+        wasm.controls_setBackground(this.__wbg_ptr, red, green, blue);
+    }
+    /**
+     * Takes a view; false for numbers that are none.
+     * @param {Float64Array | number[]} view
+     * @returns {boolean}
+     */
+    setView(view) {
+        const ptr0 = passArrayF64ToWasm0(view, wasm.__wbindgen_malloc);
+        const len0 = WASM_VECTOR_LEN;
+        const ret = wasm.controls_setView(this.__wbg_ptr, ptr0, len0);
+        return ret !== 0;
+    }
+    /**
+     * Sets that.
+     * @param {boolean} looping
+     */
+    set looping(looping) {
+        wasm.controls_set_looping(this.__wbg_ptr, looping);
+    }
+    /**
+     * Lets it run or stand.
+     * @param {boolean} playing
+     */
+    set playing(playing) {
+        wasm.controls_set_playing(this.__wbg_ptr, playing);
+    }
+    /**
+     * Sets that.
+     * @param {number} rate
+     */
+    set rate(rate) {
+        wasm.controls_set_rate(this.__wbg_ptr, rate);
+    }
+    /**
+     * Goes there.
+     * @param {number} time_s
+     */
+    set time(time_s) {
+        wasm.controls_set_time(this.__wbg_ptr, time_s);
+    }
+    /**
+     * Goes `frames` frames on and stands.
+     * @param {number} frames
+     */
+    step(frames) {
+        wasm.controls_step(this.__wbg_ptr, frames);
+    }
+    /**
+     * Where the clock is, seconds.
+     * @returns {number}
+     */
+    get time() {
+        const ret = wasm.controls_time(this.__wbg_ptr);
+        return ret;
+    }
+    /**
+     * Turns by a drag, pixels.
+     * @param {number} dx
+     * @param {number} dy
+     * @param {number} height
+     */
+    turn(dx, dy, height) {
+        wasm.controls_turn(this.__wbg_ptr, dx, dy, height);
+    }
+    /**
+     * Which way is up.
+     * @returns {string}
+     */
+    get up() {
+        let deferred1_0;
+        let deferred1_1;
+        try {
+            const ret = wasm.controls_up(this.__wbg_ptr);
+            deferred1_0 = ret[0];
+            deferred1_1 = ret[1];
+            return getStringFromWasm0(ret[0], ret[1]);
+        } finally {
+            wasm.__wbindgen_free(deferred1_0, deferred1_1, 1);
+        }
+    }
+    /**
+     * The view: azimuth, elevation, distance, target.
+     * @returns {Float64Array}
+     */
+    get view() {
+        const ret = wasm.controls_view(this.__wbg_ptr);
+        var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
+        return v1;
+    }
+    /**
+     * Comes so many times as near.
+     * @param {number} factor
+     */
+    zoom(factor) {
+        wasm.controls_zoom(this.__wbg_ptr, factor);
+    }
+}
+if (Symbol.dispose) Controls.prototype[Symbol.dispose] = Controls.prototype.free;
+
+/**
+ * One stream; its clock and camera are [`Controls`](super::Controls).
+ */
+export class Decoder {
+    static __wrap(ptr) {
+        const obj = Object.create(Decoder.prototype);
+        obj.__wbg_ptr = ptr;
+        DecoderFinalization.register(obj, obj.__wbg_ptr, obj);
+        return obj;
+    }
+    __destroy_into_raw() {
+        const ptr = this.__wbg_ptr;
+        this.__wbg_ptr = 0;
+        DecoderFinalization.unregister(this);
+        return ptr;
+    }
+    free() {
+        const ptr = this.__destroy_into_raw();
+        wasm.__wbg_decoder_free(ptr, 0);
+    }
+    /**
+     * Where the Gaussians of the frame are: their middle (3), and a radius.
+     * @returns {Float64Array}
+     */
+    bounds() {
+        const ret = wasm.decoder_bounds(this.__wbg_ptr);
+        if (ret[3]) {
+            throw takeFromExternrefTable0(ret[2]);
+        }
+        var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
+        return v1;
+    }
+    /**
+     * Sets the highest level shown, 0 to 3, and whether blocks are painted by level.
+     * @param {number} cap
+     * @param {boolean} overlay
+     */
+    choose(cap, overlay) {
+        wasm.decoder_choose(this.__wbg_ptr, cap, overlay);
+    }
+    /**
+     * A number that changes with what is shown, but for the frame.
+     * @returns {number}
+     */
+    get content() {
+        const ret = wasm.decoder_content(this.__wbg_ptr);
+        return ret;
+    }
+    /**
+     * Copies what was packed to `into`, which is as long.
+     * @param {Float32Array} into
+     */
+    copyPacked(into) {
+        const ret = wasm.decoder_copyPacked(this.__wbg_ptr, into);
+        if (ret[1]) {
+            throw takeFromExternrefTable0(ret[0]);
+        }
+    }
+    /**
+     * What of the file could not be used; empty for a whole one.
+     * @returns {string}
+     */
+    get damage() {
+        let deferred1_0;
+        let deferred1_1;
+        try {
+            const ret = wasm.decoder_damage(this.__wbg_ptr);
+            deferred1_0 = ret[0];
+            deferred1_1 = ret[1];
+            return getStringFromWasm0(ret[0], ret[1]);
+        } finally {
+            wasm.__wbindgen_free(deferred1_0, deferred1_1, 1);
+        }
+    }
+    /**
+     * Lets the emulated network deliver; true while packets are on their way.
+     * @param {number} now_s
+     * @returns {boolean}
+     */
+    deliver(now_s) {
+        const ret = wasm.decoder_deliver(this.__wbg_ptr, now_s);
+        return ret !== 0;
+    }
+    /**
+     * A file of `length` bytes that begins with `first`, which hold its manifest; the rest is `wanted`.
+     * @param {Uint8Array | number[]} first
+     * @param {number} length
+     * @returns {Decoder}
+     */
+    static fetch(first, length) {
+        const val2 = +length;
+        const ptr0 = passArray8ToWasm0(first, wasm.__wbindgen_malloc);
+        const len0 = WASM_VECTOR_LEN;
+        const ret = wasm.decoder_fetch(ptr0, len0, val2);
+        if (ret[2]) {
+            throw takeFromExternrefTable0(ret[1]);
+        }
+        return Decoder.__wrap(ret[0]);
+    }
+    /**
+     * Goes to frame `frame`.
+     * @param {number} frame
+     */
+    goTo(frame) {
+        wasm.decoder_goTo(this.__wbg_ptr, frame);
+    }
+    /**
+     * Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all
+     * at once), seed.
+     * @param {number} loss
+     * @param {number} burst
+     * @param {number} rate_bps
+     * @param {number} seed
+     */
+    impair(loss, burst, rate_bps, seed) {
+        const ret = wasm.decoder_impair(this.__wbg_ptr, loss, burst, rate_bps, seed);
+        if (ret[1]) {
+            throw takeFromExternrefTable0(ret[0]);
+        }
+    }
+    /**
+     * Frames, frames per second, most Gaussians of a frame, packets of the stream.
+     * @returns {Float64Array}
+     */
+    info() {
+        const ret = wasm.decoder_info(this.__wbg_ptr);
+        var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
+        return v1;
+    }
+    /**
+     * Blocks of the frame by level: proxies, base, refinements 1 to 3.
+     * @returns {Uint32Array}
+     */
+    levels() {
+        const ret = wasm.decoder_levels(this.__wbg_ptr);
+        if (ret[3]) {
+            throw takeFromExternrefTable0(ret[2]);
+        }
+        var v1 = getArrayU32FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 4, 4);
+        return v1;
+    }
+    /**
+     * Share of the file that is there.
+     * @returns {number}
+     */
+    get loaded() {
+        const ret = wasm.decoder_loaded(this.__wbg_ptr);
+        return ret;
+    }
+    /**
+     * Looks from where the controls do, which receipts may tell: their view, and which way is up. What is no
+     * view changes nothing.
+     * @param {Float64Array | number[]} view
+     * @param {string} up
+     */
+    look(view, up) {
+        let ptr0, len0, ptr1, len1;
+        try {
+            ptr0 = passArrayF64ToWasm0(view, wasm.__wbindgen_malloc);
+            len0 = WASM_VECTOR_LEN;
+            ptr1 = passStringToWasm0(up, wasm.__wbindgen_malloc, wasm.__wbindgen_realloc);
+            len1 = WASM_VECTOR_LEN;
+        } catch (e) {
+            if (ptr1) { wasm.__wbindgen_free(ptr1, len1 * 1, 1); }
+            if (ptr0) { wasm.__wbindgen_free(ptr0, len0 * 8, 8); }
+            throw e;
+        }
+        wasm.decoder_look(this.__wbg_ptr, ptr0, len0, ptr1, len1);
+    }
+    /**
+     * Frames whose base a clock waits for: first and past of each range.
+     * @returns {Uint32Array}
+     */
+    missing() {
+        const ret = wasm.decoder_missing(this.__wbg_ptr);
+        var v1 = getArrayU32FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 4, 4);
+        return v1;
+    }
+    /**
+     * The `.dgs` file of these bytes.
+     * @param {Uint8Array | number[]} file
+     * @returns {Decoder}
+     */
+    static open(file) {
+        const ptr0 = passArray8ToWasm0(file, wasm.__wbindgen_malloc);
+        const len0 = WASM_VECTOR_LEN;
+        const ret = wasm.decoder_open(ptr0, len0);
+        if (ret[2]) {
+            throw takeFromExternrefTable0(ret[1]);
+        }
+        return Decoder.__wrap(ret[0]);
+    }
+    /**
+     * Decodes and packs the Gaussians of the frame; nothing where they are those that were packed last, and
+     * not wanted `anew`.
+     * @param {boolean} anew
+     * @returns {Picture | undefined}
+     */
+    pack(anew) {
+        const ret = wasm.decoder_pack(this.__wbg_ptr, anew);
+        if (ret[2]) {
+            throw takeFromExternrefTable0(ret[1]);
+        }
+        return ret[0] === 0 ? undefined : Picture.__wrap(ret[0]);
+    }
+    /**
+     * Packets that came, and those that were decoded.
+     * @returns {Uint32Array}
+     */
+    packets() {
+        const ret = wasm.decoder_packets(this.__wbg_ptr);
+        var v1 = getArrayU32FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 4, 4);
+        return v1;
+    }
+    /**
+     * How long a clock waits for a base level, seconds.
+     * @returns {number}
+     */
+    get patience() {
+        const ret = wasm.decoder_patience(this.__wbg_ptr);
+        return ret;
+    }
+    /**
+     * Takes a packet that a server sent.
+     * @param {Uint8Array | number[]} packet
+     */
+    push(packet) {
+        const ptr0 = passArray8ToWasm0(packet, wasm.__wbindgen_malloc);
+        const len0 = WASM_VECTOR_LEN;
+        wasm.decoder_push(this.__wbg_ptr, ptr0, len0);
+    }
+    /**
+     * A receipt for the server: its number, and when the first frame of the round was shown, microseconds
+     * since the round began; 0 before.
+     * @param {number} sequence
+     * @param {number} playout_us
+     * @returns {Uint8Array}
+     */
+    receipt(sequence, playout_us) {
+        const ret = wasm.decoder_receipt(this.__wbg_ptr, sequence, playout_us);
+        if (ret[3]) {
+            throw takeFromExternrefTable0(ret[2]);
+        }
+        var v1 = getArrayU8FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 1, 1);
+        return v1;
+    }
+    /**
+     * A stream that a server sends: its DGSM message.
+     * @param {Uint8Array | number[]} message
+     * @returns {Decoder}
+     */
+    static receive(message) {
+        const ptr0 = passArray8ToWasm0(message, wasm.__wbindgen_malloc);
+        const len0 = WASM_VECTOR_LEN;
+        const ret = wasm.decoder_receive(ptr0, len0);
+        if (ret[2]) {
+            throw takeFromExternrefTable0(ret[1]);
+        }
+        return Decoder.__wrap(ret[0]);
+    }
+    /**
+     * When the first frame is due of the round that the server sends for `time`, seconds.
+     * @param {number} time_s
+     * @returns {number}
+     */
+    roundStart(time_s) {
+        const ret = wasm.decoder_roundStart(this.__wbg_ptr, time_s);
+        return ret;
+    }
+    /**
+     * Takes the whole file after all.
+     * @param {Uint8Array | number[]} file
+     */
+    takeWhole(file) {
+        const ptr0 = passArray8ToWasm0(file, wasm.__wbindgen_malloc);
+        const len0 = WASM_VECTOR_LEN;
+        const ret = wasm.decoder_takeWhole(this.__wbg_ptr, ptr0, len0);
+        if (ret[1]) {
+            throw takeFromExternrefTable0(ret[0]);
+        }
+    }
+    /**
+     * Takes bytes of the file from offset `at` on.
+     * @param {number} at
+     * @param {Uint8Array | number[]} bytes
+     */
+    take(at, bytes) {
+        const val2 = +at;
+        const ptr0 = passArray8ToWasm0(bytes, wasm.__wbindgen_malloc);
+        const len0 = WASM_VECTOR_LEN;
+        wasm.decoder_take(this.__wbg_ptr, val2, ptr0, len0);
+    }
+    /**
+     * Which bytes to ask for next: first and past; one number for the whole file; none when all is there.
+     * @returns {Float64Array}
+     */
+    wanted() {
+        const ret = wasm.decoder_wanted(this.__wbg_ptr);
+        var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
+        return v1;
+    }
+}
+if (Symbol.dispose) Decoder.prototype[Symbol.dispose] = Decoder.prototype.free;
+
+/**
+ * Gaussians of a frame, packed.
+ */
+export class Picture {
+    static __wrap(ptr) {
+        const obj = Object.create(Picture.prototype);
+        obj.__wbg_ptr = ptr;
+        PictureFinalization.register(obj, obj.__wbg_ptr, obj);
+        return obj;
+    }
+    __destroy_into_raw() {
+        const ptr = this.__wbg_ptr;
+        this.__wbg_ptr = 0;
+        PictureFinalization.unregister(this);
+        return ptr;
+    }
+    free() {
+        const ptr = this.__destroy_into_raw();
+        wasm.__wbg_picture_free(ptr, 0);
+    }
+    /**
+     * Bytes of all.
+     * @returns {number}
+     */
+    get bytes() {
+        const ret = wasm.__wbg_get_picture_bytes(this.__wbg_ptr);
+        return ret >>> 0;
+    }
+    /**
+     * Number of Gaussians.
+     * @returns {number}
+     */
+    get count() {
+        const ret = wasm.__wbg_get_picture_count(this.__wbg_ptr);
+        return ret >>> 0;
+    }
+    /**
+     * Degree of their harmonics.
+     * @returns {number}
+     */
+    get degree() {
+        const ret = wasm.__wbg_get_picture_degree(this.__wbg_ptr);
+        return ret;
+    }
+    /**
+     * Whether harmonics are left out, being those of the picture before.
+     * @returns {boolean}
+     */
+    get onlyMoved() {
+        const ret = wasm.__wbg_get_picture_onlyMoved(this.__wbg_ptr);
+        return ret !== 0;
+    }
+}
+if (Symbol.dispose) Picture.prototype[Symbol.dispose] = Picture.prototype.free;
+
+/**
  * A canvas with a device.
  */
 export class Screen {
@@ -51,6 +690,19 @@ export class Screen {
         wasm.screen_destroy(this.__wbg_ptr);
     }
     /**
+     * Draws what was uploaded on `width` × `height` pixels.
+     * @param {Controls} controls
+     * @param {number} width
+     * @param {number} height
+     */
+    draw(controls, width, height) {
+        _assertClass(controls, Controls);
+        const ret = wasm.screen_draw(this.__wbg_ptr, controls.__wbg_ptr, width, height);
+        if (ret[1]) {
+            throw takeFromExternrefTable0(ret[0]);
+        }
+    }
+    /**
      * Frames that the device has finished.
      * @returns {number}
      */
@@ -91,505 +743,27 @@ export class Screen {
         const ret = wasm.screen_stale(this.__wbg_ptr);
         return ret !== 0;
     }
-}
-if (Symbol.dispose) Screen.prototype[Symbol.dispose] = Screen.prototype.free;
-
-/**
- * One stream and how it is shown.
- */
-export class Session {
-    static __wrap(ptr) {
-        const obj = Object.create(Session.prototype);
-        obj.__wbg_ptr = ptr;
-        SessionFinalization.register(obj, obj.__wbg_ptr, obj);
-        return obj;
-    }
-    __destroy_into_raw() {
-        const ptr = this.__wbg_ptr;
-        this.__wbg_ptr = 0;
-        SessionFinalization.unregister(this);
-        return ptr;
-    }
-    free() {
-        const ptr = this.__destroy_into_raw();
-        wasm.__wbg_session_free(ptr, 0);
-    }
     /**
-     * Lets `dt` seconds pass: 1 the clip began again, 2 it ended, 4 it waits for a base level, or nothing of
-     * these.
-     * @param {number} dt_s
-     * @returns {number}
-     */
-    advance(dt_s) {
-        const ret = wasm.session_advance(this.__wbg_ptr, dt_s);
-        return ret >>> 0;
-    }
-    /**
-     * The camera of a picture: rotation (9, row by row), translation (3), focal lengths and principal point,
-     * near plane. For tests.
-     * @param {number} width
-     * @param {number} height
-     * @returns {Float64Array}
-     */
-    camera(width, height) {
-        const ret = wasm.session_camera(this.__wbg_ptr, width, height);
-        if (ret[3]) {
-            throw takeFromExternrefTable0(ret[2]);
-        }
-        var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
-        wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
-        return v1;
-    }
-    /**
-     * Highest level shown, 0 to 3.
-     * @returns {number}
-     */
-    get cap() {
-        const ret = wasm.session_cap(this.__wbg_ptr);
-        return ret >>> 0;
-    }
-    /**
-     * A number that changes with what is shown, but for camera and frame.
-     * @returns {number}
-     */
-    get content() {
-        const ret = wasm.session_content(this.__wbg_ptr);
-        return ret;
-    }
-    /**
-     * What of the file could not be used; empty for a whole one.
-     * @returns {string}
-     */
-    get damage() {
-        let deferred1_0;
-        let deferred1_1;
-        try {
-            const ret = wasm.session_damage(this.__wbg_ptr);
-            deferred1_0 = ret[0];
-            deferred1_1 = ret[1];
-            return getStringFromWasm0(ret[0], ret[1]);
-        } finally {
-            wasm.__wbindgen_free(deferred1_0, deferred1_1, 1);
-        }
-    }
-    /**
-     * Lets the emulated network deliver; true while packets are on their way.
-     * @param {number} now_s
-     * @returns {boolean}
-     */
-    deliver(now_s) {
-        const ret = wasm.session_deliver(this.__wbg_ptr, now_s);
-        return ret !== 0;
-    }
-    /**
-     * Draws the frame that is due on `width` × `height` pixels.
-     * @param {Screen} screen
-     * @param {number} width
-     * @param {number} height
-     */
-    draw(screen, width, height) {
-        _assertClass(screen, Screen);
-        const ret = wasm.session_draw(this.__wbg_ptr, screen.__wbg_ptr, width, height);
-        if (ret[1]) {
-            throw takeFromExternrefTable0(ret[0]);
-        }
-    }
-    /**
-     * Length of the clip, seconds.
-     * @returns {number}
-     */
-    get duration() {
-        const ret = wasm.session_duration(this.__wbg_ptr);
-        return ret;
-    }
-    /**
-     * A file of `length` bytes that begins with `first`, which hold its manifest; the rest is `wanted`.
-     * @param {Uint8Array | number[]} first
-     * @param {number} length
-     * @returns {Session}
-     */
-    static fetch(first, length) {
-        const val2 = +length;
-        const ptr0 = passArray8ToWasm0(first, wasm.__wbindgen_malloc);
-        const len0 = WASM_VECTOR_LEN;
-        const ret = wasm.session_fetch(ptr0, len0, val2);
-        if (ret[2]) {
-            throw takeFromExternrefTable0(ret[1]);
-        }
-        return Session.__wrap(ret[0]);
-    }
-    /**
-     * Moves right, up, forward, in shares of the distance.
-     * @param {number} right
-     * @param {number} up
-     * @param {number} forward
-     */
-    fly(right, up, forward) {
-        wasm.session_fly(this.__wbg_ptr, right, up, forward);
-    }
-    /**
-     * What another screen must be given anew.
-     */
-    forget() {
-        wasm.session_forget(this.__wbg_ptr);
-    }
-    /**
-     * The frame that is due.
-     * @returns {number}
-     */
-    get frame() {
-        const ret = wasm.session_frame(this.__wbg_ptr);
-        return ret >>> 0;
-    }
-    /**
-     * Back to the view it began with.
-     * @param {number} aspect
-     */
-    home(aspect) {
-        wasm.session_home(this.__wbg_ptr, aspect);
-    }
-    /**
-     * Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all
-     * at once), seed.
-     * @param {number} loss
-     * @param {number} burst
-     * @param {number} rate_bps
-     * @param {number} seed
-     */
-    impair(loss, burst, rate_bps, seed) {
-        const ret = wasm.session_impair(this.__wbg_ptr, loss, burst, rate_bps, seed);
-        if (ret[1]) {
-            throw takeFromExternrefTable0(ret[0]);
-        }
-    }
-    /**
-     * Frames, frames per second, most Gaussians of a frame, packets of the stream.
-     * @returns {Float64Array}
-     */
-    info() {
-        const ret = wasm.session_info(this.__wbg_ptr);
-        var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
-        wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
-        return v1;
-    }
-    /**
-     * Blocks of the frame by level: proxies, base, refinements 1 to 3.
-     * @returns {Uint32Array}
-     */
-    levels() {
-        const ret = wasm.session_levels(this.__wbg_ptr);
-        if (ret[3]) {
-            throw takeFromExternrefTable0(ret[2]);
-        }
-        var v1 = getArrayU32FromWasm0(ret[0], ret[1]).slice();
-        wasm.__wbindgen_free(ret[0], ret[1] * 4, 4);
-        return v1;
-    }
-    /**
-     * Share of the file that is there.
-     * @returns {number}
-     */
-    get loaded() {
-        const ret = wasm.session_loaded(this.__wbg_ptr);
-        return ret;
-    }
-    /**
-     * Moves the camera so that every Gaussian is in the picture; `up` is `y`, `minus-z` and so on.
-     * @param {number} aspect
-     * @param {string} up
-     */
-    lookAtAll(aspect, up) {
-        const val2 = +aspect;
-        const ptr0 = passStringToWasm0(up, wasm.__wbindgen_malloc, wasm.__wbindgen_realloc);
-        const len0 = WASM_VECTOR_LEN;
-        const ret = wasm.session_lookAtAll(this.__wbg_ptr, val2, ptr0, len0);
-        if (ret[1]) {
-            throw takeFromExternrefTable0(ret[0]);
-        }
-    }
-    /**
-     * Whether the clip begins again at its end.
-     * @returns {boolean}
-     */
-    get looping() {
-        const ret = wasm.session_looping(this.__wbg_ptr);
-        return ret !== 0;
-    }
-    /**
-     * Takes the next way up, and its name.
-     * @returns {string}
-     */
-    nextUp() {
-        let deferred1_0;
-        let deferred1_1;
-        try {
-            const ret = wasm.session_nextUp(this.__wbg_ptr);
-            deferred1_0 = ret[0];
-            deferred1_1 = ret[1];
-            return getStringFromWasm0(ret[0], ret[1]);
-        } finally {
-            wasm.__wbindgen_free(deferred1_0, deferred1_1, 1);
-        }
-    }
-    /**
-     * The `.dgs` file of these bytes.
-     * @param {Uint8Array | number[]} file
-     * @returns {Session}
-     */
-    static open(file) {
-        const ptr0 = passArray8ToWasm0(file, wasm.__wbindgen_malloc);
-        const len0 = WASM_VECTOR_LEN;
-        const ret = wasm.session_open(ptr0, len0);
-        if (ret[2]) {
-            throw takeFromExternrefTable0(ret[1]);
-        }
-        return Session.__wrap(ret[0]);
-    }
-    /**
-     * Whether blocks are painted by level.
-     * @returns {boolean}
-     */
-    get overlay() {
-        const ret = wasm.session_overlay(this.__wbg_ptr);
-        return ret !== 0;
-    }
-    /**
-     * Packets that came, and those that were decoded.
-     * @returns {Uint32Array}
-     */
-    packets() {
-        const ret = wasm.session_packets(this.__wbg_ptr);
-        var v1 = getArrayU32FromWasm0(ret[0], ret[1]).slice();
-        wasm.__wbindgen_free(ret[0], ret[1] * 4, 4);
-        return v1;
-    }
-    /**
-     * Pans by a drag, pixels.
-     * @param {number} dx
-     * @param {number} dy
-     * @param {number} height
-     */
-    pan(dx, dy, height) {
-        wasm.session_pan(this.__wbg_ptr, dx, dy, height);
-    }
-    /**
-     * Whether the clock runs.
-     * @returns {boolean}
-     */
-    get playing() {
-        const ret = wasm.session_playing(this.__wbg_ptr);
-        return ret !== 0;
-    }
-    /**
-     * Takes a packet that a server sent.
-     * @param {Uint8Array | number[]} packet
-     */
-    push(packet) {
-        const ptr0 = passArray8ToWasm0(packet, wasm.__wbindgen_malloc);
-        const len0 = WASM_VECTOR_LEN;
-        wasm.session_push(this.__wbg_ptr, ptr0, len0);
-    }
-    /**
-     * Seconds of the clip per second.
-     * @returns {number}
-     */
-    get rate() {
-        const ret = wasm.session_rate(this.__wbg_ptr);
-        return ret;
-    }
-    /**
-     * A receipt for the server: its number, and when the first frame of the round was shown, microseconds
-     * since the round began; 0 before.
-     * @param {number} sequence
-     * @param {number} playout_us
-     * @returns {Uint8Array}
-     */
-    receipt(sequence, playout_us) {
-        const ret = wasm.session_receipt(this.__wbg_ptr, sequence, playout_us);
-        if (ret[3]) {
-            throw takeFromExternrefTable0(ret[2]);
-        }
-        var v1 = getArrayU8FromWasm0(ret[0], ret[1]).slice();
-        wasm.__wbindgen_free(ret[0], ret[1] * 1, 1);
-        return v1;
-    }
-    /**
-     * A stream that a server sends: its DGSM message.
-     * @param {Uint8Array | number[]} message
-     * @returns {Session}
-     */
-    static receive(message) {
-        const ptr0 = passArray8ToWasm0(message, wasm.__wbindgen_malloc);
-        const len0 = WASM_VECTOR_LEN;
-        const ret = wasm.session_receive(ptr0, len0);
-        if (ret[2]) {
-            throw takeFromExternrefTable0(ret[1]);
-        }
-        return Session.__wrap(ret[0]);
-    }
-    /**
-     * When the first frame is due of the round that the server sends for `time`, seconds.
-     * @param {number} time_s
-     * @returns {number}
-     */
-    roundStart(time_s) {
-        const ret = wasm.session_roundStart(this.__wbg_ptr, time_s);
-        return ret;
-    }
-    /**
-     * Sets the colour behind everything, 0 to 1 each.
-     * @param {number} red
-     * @param {number} green
-     * @param {number} blue
-     */
-    setBackground(red, green, blue) {
-        wasm.session_setBackground(this.__wbg_ptr, red, green, blue);
-    }
-    /**
-     * Takes a view; false for numbers that are none.
-     * @param {Float64Array | number[]} view
-     * @returns {boolean}
-     */
-    setView(view) {
-        const ptr0 = passArrayF64ToWasm0(view, wasm.__wbindgen_malloc);
-        const len0 = WASM_VECTOR_LEN;
-        const ret = wasm.session_setView(this.__wbg_ptr, ptr0, len0);
-        return ret !== 0;
-    }
-    /**
-     * Sets that.
-     * @param {number} cap
-     */
-    set cap(cap) {
-        wasm.session_set_cap(this.__wbg_ptr, cap);
-    }
-    /**
-     * Sets that.
-     * @param {boolean} looping
-     */
-    set looping(looping) {
-        wasm.session_set_looping(this.__wbg_ptr, looping);
-    }
-    /**
-     * Sets that.
-     * @param {boolean} overlay
-     */
-    set overlay(overlay) {
-        wasm.session_set_overlay(this.__wbg_ptr, overlay);
-    }
-    /**
-     * Lets it run or stand.
-     * @param {boolean} playing
-     */
-    set playing(playing) {
-        wasm.session_set_playing(this.__wbg_ptr, playing);
-    }
-    /**
-     * Sets that.
-     * @param {number} rate
-     */
-    set rate(rate) {
-        wasm.session_set_rate(this.__wbg_ptr, rate);
-    }
-    /**
-     * Goes there.
-     * @param {number} time_s
-     */
-    set time(time_s) {
-        wasm.session_set_time(this.__wbg_ptr, time_s);
-    }
-    /**
-     * Goes `frames` frames on and stands.
-     * @param {number} frames
-     */
-    step(frames) {
-        wasm.session_step(this.__wbg_ptr, frames);
-    }
-    /**
-     * Takes the whole file after all.
-     * @param {Uint8Array | number[]} file
-     */
-    takeWhole(file) {
-        const ptr0 = passArray8ToWasm0(file, wasm.__wbindgen_malloc);
-        const len0 = WASM_VECTOR_LEN;
-        const ret = wasm.session_takeWhole(this.__wbg_ptr, ptr0, len0);
-        if (ret[1]) {
-            throw takeFromExternrefTable0(ret[0]);
-        }
-    }
-    /**
-     * Takes bytes of the file from offset `at` on.
-     * @param {number} at
+     * Uploads a picture that a decoder has packed: number of Gaussians, degree of their harmonics, whether
+     * these are left out, the bytes.
+     * @param {number} count
+     * @param {number} degree
+     * @param {boolean} only_moved
      * @param {Uint8Array | number[]} bytes
      */
-    take(at, bytes) {
-        const val2 = +at;
+    upload(count, degree, only_moved, bytes) {
+        const val2 = +count;
+        const val3 = +degree;
+        const val4 = +only_moved;
         const ptr0 = passArray8ToWasm0(bytes, wasm.__wbindgen_malloc);
         const len0 = WASM_VECTOR_LEN;
-        wasm.session_take(this.__wbg_ptr, val2, ptr0, len0);
-    }
-    /**
-     * Where the clock is, seconds.
-     * @returns {number}
-     */
-    get time() {
-        const ret = wasm.session_time(this.__wbg_ptr);
-        return ret;
-    }
-    /**
-     * Turns by a drag, pixels.
-     * @param {number} dx
-     * @param {number} dy
-     * @param {number} height
-     */
-    turn(dx, dy, height) {
-        wasm.session_turn(this.__wbg_ptr, dx, dy, height);
-    }
-    /**
-     * Which way is up.
-     * @returns {string}
-     */
-    get up() {
-        let deferred1_0;
-        let deferred1_1;
-        try {
-            const ret = wasm.session_up(this.__wbg_ptr);
-            deferred1_0 = ret[0];
-            deferred1_1 = ret[1];
-            return getStringFromWasm0(ret[0], ret[1]);
-        } finally {
-            wasm.__wbindgen_free(deferred1_0, deferred1_1, 1);
+        const ret = wasm.screen_upload(this.__wbg_ptr, val2, val3, val4, ptr0, len0);
+        if (ret[1]) {
+            throw takeFromExternrefTable0(ret[0]);
         }
     }
-    /**
-     * The view: azimuth, elevation, distance, target.
-     * @returns {Float64Array}
-     */
-    get view() {
-        const ret = wasm.session_view(this.__wbg_ptr);
-        var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
-        wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
-        return v1;
-    }
-    /**
-     * Which bytes to ask for next: first and past; one number for the whole file; none when all is there.
-     * @returns {Float64Array}
-     */
-    wanted() {
-        const ret = wasm.session_wanted(this.__wbg_ptr);
-        var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
-        wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
-        return v1;
-    }
-    /**
-     * Comes so many times as near.
-     * @param {number} factor
-     */
-    zoom(factor) {
-        wasm.session_zoom(this.__wbg_ptr, factor);
-    }
 }
-if (Symbol.dispose) Session.prototype[Symbol.dispose] = Session.prototype.free;
+if (Symbol.dispose) Screen.prototype[Symbol.dispose] = Screen.prototype.free;
 
 /**
  * Bytes to ask for first when a file is fetched in pieces.
@@ -880,6 +1054,10 @@ function __wbg_get_imports() {
             const ret = arg0.length;
             return ret;
         },
+        __wbg_length_6e9d2869242cabf3: function(arg0) {
+            const ret = arg0.length;
+            return ret;
+        },
         __wbg_limits_4e444eb8c2e61c45: function(arg0) {
             const ret = arg0.limits;
             return ret;
@@ -1147,9 +1325,6 @@ function __wbg_get_imports() {
         __wbg_set_alpha_to_coverage_enabled_1e879520cab4bb05: function(arg0, arg1) {
             arg0.alphaToCoverageEnabled = arg1 !== 0;
         },
-        __wbg_set_array_layer_count_bd7a074559a0abaa: function(arg0, arg1) {
-            arg0.arrayLayerCount = arg1 >>> 0;
-        },
         __wbg_set_array_stride_f64_b132c6a79afeae43: function(arg0, arg1) {
             arg0.arrayStride = arg1;
         },
@@ -1167,9 +1342,6 @@ function __wbg_get_imports() {
         },
         __wbg_set_base_mip_level_fe08854fab09de85: function(arg0, arg1) {
             arg0.baseMipLevel = arg1 >>> 0;
-        },
-        __wbg_set_beginning_of_pass_write_index_a13b608f19d6a2f0: function(arg0, arg1) {
-            arg0.beginningOfPassWriteIndex = arg1 >>> 0;
         },
         __wbg_set_beginning_of_pass_write_index_c49071ff9c074e31: function(arg0, arg1) {
             arg0.beginningOfPassWriteIndex = arg1 >>> 0;
@@ -1219,6 +1391,9 @@ function __wbg_get_imports() {
         __wbg_set_cull_mode_31293d13bc064271: function(arg0, arg1) {
             arg0.cullMode = __wbindgen_enum_GpuCullMode[arg1];
         },
+        __wbg_set_d0e2abd6ed08e04c: function(arg0, arg1, arg2) {
+            arg0.set(getArrayF32FromWasm0(arg1, arg2));
+        },
         __wbg_set_depth_bias_b30728f3ab3f643e: function(arg0, arg1) {
             arg0.depthBias = arg1;
         },
@@ -1228,29 +1403,14 @@ function __wbg_get_imports() {
         __wbg_set_depth_bias_slope_scale_8b8b20db6b43c43b: function(arg0, arg1) {
             arg0.depthBiasSlopeScale = arg1;
         },
-        __wbg_set_depth_clear_value_1165941523836019: function(arg0, arg1) {
-            arg0.depthClearValue = arg1;
-        },
         __wbg_set_depth_compare_81dd71de7e433cc2: function(arg0, arg1) {
             arg0.depthCompare = __wbindgen_enum_GpuCompareFunction[arg1];
         },
         __wbg_set_depth_fail_op_ddf822c573cdf0c1: function(arg0, arg1) {
             arg0.depthFailOp = __wbindgen_enum_GpuStencilOperation[arg1];
         },
-        __wbg_set_depth_load_op_ca270acab0c1ca69: function(arg0, arg1) {
-            arg0.depthLoadOp = __wbindgen_enum_GpuLoadOp[arg1];
-        },
-        __wbg_set_depth_read_only_49ca399f98b97955: function(arg0, arg1) {
-            arg0.depthReadOnly = arg1 !== 0;
-        },
         __wbg_set_depth_stencil_41e94739225cb2c3: function(arg0, arg1) {
             arg0.depthStencil = arg1;
-        },
-        __wbg_set_depth_stencil_attachment_36ce3695dfcb6b85: function(arg0, arg1) {
-            arg0.depthStencilAttachment = arg1;
-        },
-        __wbg_set_depth_store_op_6cd6bdde49f9050d: function(arg0, arg1) {
-            arg0.depthStoreOp = __wbindgen_enum_GpuStoreOp[arg1];
         },
         __wbg_set_depth_write_enabled_4b5da11c77fbdab7: function(arg0, arg1) {
             arg0.depthWriteEnabled = arg1 !== 0;
@@ -1258,14 +1418,8 @@ function __wbg_get_imports() {
         __wbg_set_device_1940fd5f9e2a7fee: function(arg0, arg1) {
             arg0.device = arg1;
         },
-        __wbg_set_dimension_bab9530fa3e311d8: function(arg0, arg1) {
-            arg0.dimension = __wbindgen_enum_GpuTextureViewDimension[arg1];
-        },
         __wbg_set_dst_factor_80c13f29a3e117cb: function(arg0, arg1) {
             arg0.dstFactor = __wbindgen_enum_GpuBlendFactor[arg1];
-        },
-        __wbg_set_end_of_pass_write_index_793fcfe3141dc357: function(arg0, arg1) {
-            arg0.endOfPassWriteIndex = arg1 >>> 0;
         },
         __wbg_set_end_of_pass_write_index_891ac71cf6a560c5: function(arg0, arg1) {
             arg0.endOfPassWriteIndex = arg1 >>> 0;
@@ -1302,9 +1456,6 @@ function __wbg_get_imports() {
         },
         __wbg_set_format_5a62f31a4690f935: function(arg0, arg1) {
             arg0.format = __wbindgen_enum_GpuVertexFormat[arg1];
-        },
-        __wbg_set_format_efec4f7d9471ddbb: function(arg0, arg1) {
-            arg0.format = __wbindgen_enum_GpuTextureFormat[arg1];
         },
         __wbg_set_format_fd579d96fa4e468c: function(arg0, arg1) {
             arg0.format = __wbindgen_enum_GpuTextureFormat[arg1];
@@ -1345,9 +1496,6 @@ function __wbg_get_imports() {
         __wbg_set_label_73c99dab6708c962: function(arg0, arg1, arg2) {
             arg0.label = getStringFromWasm0(arg1, arg2);
         },
-        __wbg_set_label_85a21b5fdd57fd91: function(arg0, arg1, arg2) {
-            arg0.label = getStringFromWasm0(arg1, arg2);
-        },
         __wbg_set_label_891876dd0e225368: function(arg0, arg1, arg2) {
             arg0.label = getStringFromWasm0(arg1, arg2);
         },
@@ -1386,9 +1534,6 @@ function __wbg_get_imports() {
         },
         __wbg_set_min_binding_size_f64_c6d68d773b7051d3: function(arg0, arg1) {
             arg0.minBindingSize = arg1;
-        },
-        __wbg_set_mip_level_count_c0ac46de264d83ec: function(arg0, arg1) {
-            arg0.mipLevelCount = arg1 >>> 0;
         },
         __wbg_set_mode_51d2c5a5ac0f7ac9: function(arg0, arg1) {
             arg0.mode = __wbindgen_enum_GpuCanvasToneMappingMode[arg1];
@@ -1432,9 +1577,6 @@ function __wbg_get_imports() {
         __wbg_set_query_set_6acda8912691b8d6: function(arg0, arg1) {
             arg0.querySet = arg1;
         },
-        __wbg_set_query_set_765c4c9ab99342cb: function(arg0, arg1) {
-            arg0.querySet = arg1;
-        },
         __wbg_set_r_1116d6a5f656263d: function(arg0, arg1) {
             arg0.r = arg1;
         },
@@ -1443,9 +1585,6 @@ function __wbg_get_imports() {
         },
         __wbg_set_required_limits_e78b923d73f9b596: function(arg0, arg1) {
             arg0.requiredLimits = arg1;
-        },
-        __wbg_set_resolve_target_gpu_texture_view_a7a97a7c04d84698: function(arg0, arg1) {
-            arg0.resolveTarget = arg1;
         },
         __wbg_set_resource_0f960a4279e7e400: function(arg0, arg1) {
             arg0.resource = arg1;
@@ -1477,23 +1616,11 @@ function __wbg_get_imports() {
         __wbg_set_stencil_back_6b5aeefbb90ae3ae: function(arg0, arg1) {
             arg0.stencilBack = arg1;
         },
-        __wbg_set_stencil_clear_value_56fa848198a9b430: function(arg0, arg1) {
-            arg0.stencilClearValue = arg1 >>> 0;
-        },
         __wbg_set_stencil_front_4ffeca9473bca095: function(arg0, arg1) {
             arg0.stencilFront = arg1;
         },
-        __wbg_set_stencil_load_op_b7a9fe3ad789b6c6: function(arg0, arg1) {
-            arg0.stencilLoadOp = __wbindgen_enum_GpuLoadOp[arg1];
-        },
         __wbg_set_stencil_read_mask_7cfe0945679de134: function(arg0, arg1) {
             arg0.stencilReadMask = arg1 >>> 0;
-        },
-        __wbg_set_stencil_read_only_0dde0c073192b5fa: function(arg0, arg1) {
-            arg0.stencilReadOnly = arg1 !== 0;
-        },
-        __wbg_set_stencil_store_op_d320bcbb72456a4c: function(arg0, arg1) {
-            arg0.stencilStoreOp = __wbindgen_enum_GpuStoreOp[arg1];
         },
         __wbg_set_stencil_write_mask_765017d5830ee98a: function(arg0, arg1) {
             arg0.stencilWriteMask = arg1 >>> 0;
@@ -1515,9 +1642,6 @@ function __wbg_get_imports() {
         },
         __wbg_set_texture_84a5f84f0f451291: function(arg0, arg1) {
             arg0.texture = arg1;
-        },
-        __wbg_set_timestamp_writes_1d304b9eb09ff227: function(arg0, arg1) {
-            arg0.timestampWrites = arg1;
         },
         __wbg_set_timestamp_writes_78a9445dbac5c902: function(arg0, arg1) {
             arg0.timestampWrites = arg1;
@@ -1559,9 +1683,6 @@ function __wbg_get_imports() {
             arg0.viewFormats = getArrayJsValueViewFromWasm0(arg1, arg2);
         },
         __wbg_set_view_gpu_texture_view_9a3c34ba4d1969b8: function(arg0, arg1) {
-            arg0.view = arg1;
-        },
-        __wbg_set_view_gpu_texture_view_efa644c1ce3c4deb: function(arg0, arg1) {
             arg0.view = arg1;
         },
         __wbg_set_visibility_65413465e7b24eb6: function(arg0, arg1) {
@@ -1635,7 +1756,7 @@ function __wbg_get_imports() {
         },
         __wbindgen_generic_0000000000000002: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDevice")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_62);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_71);
             return ret;
         },
         __wbindgen_generic_0000000000000003: function(arg0, arg1) {
@@ -1645,17 +1766,17 @@ function __wbg_get_imports() {
         },
         __wbindgen_generic_0000000000000004: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUUncapturedErrorEvent")], shim_idx: 21, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_64);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_73);
             return ret;
         },
         __wbindgen_generic_0000000000000005: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("any")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_65);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_74);
             return ret;
         },
         __wbindgen_generic_0000000000000006: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("undefined")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_66);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75);
             return ret;
         },
         __wbindgen_generic_0000000000000007: function(arg0) {
@@ -1692,8 +1813,8 @@ function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg
     wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg1, arg2);
 }
 
-function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_64(arg0, arg1, arg2) {
-    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_64(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_73(arg0, arg1, arg2) {
+    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_73(arg0, arg1, arg2);
 }
 
 function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg1, arg2) {
@@ -1703,22 +1824,22 @@ function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_62(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_62(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_71(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_71(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_65(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_65(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_74(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_74(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_66(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_66(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
@@ -1799,12 +1920,18 @@ const __wbindgen_enum_GpuVertexFormat = ["uint8", "uint8x2", "uint8x4", "sint8",
 
 
 const __wbindgen_enum_GpuVertexStepMode = ["vertex", "instance"];
+const ControlsFinalization = (typeof FinalizationRegistry === 'undefined')
+    ? { register: () => {}, unregister: () => {} }
+    : new FinalizationRegistry(ptr => wasm.__wbg_controls_free(ptr, 1));
+const DecoderFinalization = (typeof FinalizationRegistry === 'undefined')
+    ? { register: () => {}, unregister: () => {} }
+    : new FinalizationRegistry(ptr => wasm.__wbg_decoder_free(ptr, 1));
+const PictureFinalization = (typeof FinalizationRegistry === 'undefined')
+    ? { register: () => {}, unregister: () => {} }
+    : new FinalizationRegistry(ptr => wasm.__wbg_picture_free(ptr, 1));
 const ScreenFinalization = (typeof FinalizationRegistry === 'undefined')
     ? { register: () => {}, unregister: () => {} }
     : new FinalizationRegistry(ptr => wasm.__wbg_screen_free(ptr, 1));
-const SessionFinalization = (typeof FinalizationRegistry === 'undefined')
-    ? { register: () => {}, unregister: () => {} }
-    : new FinalizationRegistry(ptr => wasm.__wbg_session_free(ptr, 1));
 
 function addToExternrefTable0(obj) {
     const idx = wasm.__externref_table_alloc();
@@ -1994,6 +2121,13 @@ function makeMutClosure(arg0, arg1, f) {
     };
     CLOSURE_DTORS.register(real, state, state);
     return real;
+}
+
+function passArray32ToWasm0(arg, malloc) {
+    const ptr = malloc(arg.length * 4, 4) >>> 0;
+    getUint32ArrayMemory0().set(arg, ptr / 4);
+    WASM_VECTOR_LEN = arg.length;
+    return ptr;
 }
 
 function passArray8ToWasm0(arg, malloc) {

@@ -1,4 +1,5 @@
-import type { Screen, Session } from "./dgs_viewer.js";
+import type { Screen } from "./dgs_viewer.js";
+import type { Session } from "./session.js";
 
 /** What an emulated network does to packets. */
 export interface Conditions {
@@ -59,16 +60,15 @@ export class Engine extends EventTarget {
   readonly frames: number;
   open(): Promise<void>;
   request(): void;
-  drawNow(): void;
+  /** Draws what is wished as soon as it is decoded. */
+  drawNow(): Promise<void>;
   redraw(): void;
   close(): void;
 }
 
-/** Loads the WebAssembly; `url` where it does not lie beside the script. */
-export function load(url?: string | URL): Promise<unknown>;
-
 /**
- * `<dgs-player src time autoplay loop controls background quality up pixel-ratio>`: like `<video>`, with a camera.
+ * `<dgs-player src time autoplay loop controls background quality up pixel-ratio worker>`: like `<video>`, with a
+ * camera. `worker="off"` decodes on the page's thread; `data-decoding` says where it is done, and why.
  */
 export class DgsPlayer extends HTMLElement {
   static wasmUrl: string | URL;
@@ -99,9 +99,10 @@ export class DgsPlayer extends HTMLElement {
   step(frames: number): void;
   home(): void;
   open(file: Blob | Uint8Array): Promise<void>;
-  receive(session: Session): void;
+  /** Plays a session that its maker goes on feeding. */
+  receive(session: Session): Promise<void>;
   /** A stream of `streams.json` of `dgs serve`; `transport` allows one alone. */
-  playServed(stream: ServedStream, transport?: "live" | "file" | null): Promise<void>;
+  playServed(stream: ServedStream, transport?: "live" | "websocket" | "file" | null): Promise<void>;
   impair(conditions: Conditions): void;
   toggleNetwork(): void;
   toggleFullscreen(): void;

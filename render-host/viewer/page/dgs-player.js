@@ -1,14 +1,14 @@
 // The element <dgs-player> plays a stream: like <video>, with a camera and a network to pull apart.
 
-import { Engine, load } from "./engine.js";
+import { prepare } from "./decoding.js";
+import { Engine } from "./engine.js";
+import { load } from "./load.js";
 import { NetworkPanel } from "./network.js";
 import { bindIdle, bindKeys, bindPointers } from "./input.js";
-import { canReceive, receive } from "./live.js";
-import { fetchStream, openBytes } from "./source.js";
+import { climb, fileRung, rungsOf } from "./ladder.js";
+import { Session } from "./session.js";
 import { STYLE } from "./style.js";
 
-// Where a page remembers that live transport did not work here.
-const REMEMBERED = "dgs-transport";
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const QUALITIES = ["base", "level 1", "level 2", "all levels"];
 const KEYS = [
@@ -116,92 +116,101 @@ export class DgsPlayer extends HTMLElement {
 
   /** Plays a file, a Blob or bytes in place of what is played. */
   async open(file) {
-    this.#load?.abort();
-    this.#load = new AbortController();
-    this.#emit("loadstart");
+    const signal = this.#loads();
     try {
-      const bytes = file instanceof Uint8Array ? file : new Uint8Array(await file.arrayBuffer());
-      await load();
-      this.#began(openBytes(bytes), () => {});
-    } catch (error) {
-      this.#fail(error);
-    }
-  }
-
-  /** Plays a session that its maker goes on feeding: `Session.receive(manifest)`, then `push(packet)`. */
-  receive(session) {
-    this.#began(session, () => {});
-  }
-
-  /**
-   * Plays a stream of a server's `streams.json`: live over WebTransport where both can, else its file by ranges.
-   * `transport`, "live" or "file", allows one of them alone.
-   */
-  async playServed(stream, transport = null) {
-    this.#load?.abort();
-    const current = (this.#load = new AbortController());
-    const { signal } = current;
-    const byFile = transport === "file" || (transport === null && remembered() === "file");
-    if (byFile || !canReceive(stream)) {
-      if (transport !== "live") this.src = stream.file;
-      else this.#fail(new Error("This browser or this server has no WebTransport"));
-      return;
-    }
-    this.#say("Connecting …");
-    this.#emit("loadstart");
-    let session = null;
-    const began = (made) => {
-      session = made;
-      this.dataset.transport = "live";
-      this.#began(made, () => {});
-    };
-    try {
-      await load();
-      await receive(stream, { began, came: () => this.#engine?.request(), player: this, signal });
-    } catch (error) {
-      if (signal.aborted) return;
-      if (transport === "live" && !session) return this.#fail(error);
-    }
-    if (signal.aborted || transport === "live") return;
-    // The next transport takes over where this one was.
-    if (session) this.setAttribute("time", session.time);
-    else remember("file");
-    this.src = stream.file;
-  }
-
-  async #start(url) {
-    this.#load?.abort();
-    const { signal } = (this.#load = new AbortController());
-    this.#say("Loading …");
-    this.#emit("loadstart");
-    try {
-      await load();
-      const came = () => {
-        this.#loaded = this.session?.loaded ?? 0;
-        this.#engine?.request();
-        this.#emit("progress");
-      };
-      const began = (session) => (signal.aborted ? session.free() : this.#began(session, came));
-      const transport = await fetchStream(new URL(url, document.baseURI).href, { began, came, signal });
-      if (signal.aborted) return;
-      this.#loaded = 1;
-      this.setAttribute("data-transport", transport);
-      this.#emit("load");
+      // What somebody else holds is not given away.
+      const bytes = file instanceof Uint8Array ? file.slice() : new Uint8Array(await file.arrayBuffer());
+      await this.#began(await Session.open(bytes, { worker: this.#worker }), () => {}, signal);
     } catch (error) {
       if (!signal.aborted) this.#fail(error);
     }
   }
 
-  #began(session, came) {
-    if (!this.#engine) return session.free();
-    this.#error = null;
-    this.#say(session.damage ? `Damaged, shown as far as it goes: ${session.damage}` : "");
+  // Ends what is loading for something else.
+  #loads() {
+    this.#load?.abort();
+    this.#load = new AbortController();
+    if (this.#worker) prepare();
+    this.#emit("loadstart");
+    return this.#load.signal;
+  }
+
+  // Whether to decode in a worker.
+  get #worker() {
+    return this.getAttribute("worker") !== "off";
+  }
+
+  /** Plays a session that its maker goes on feeding: `await Session.receive(manifest)`, then `push(packet)`. */
+  async receive(session) {
+    const signal = this.#loads();
+    try {
+      await this.#began(session, () => {}, signal);
+    } catch (error) {
+      if (!signal.aborted) this.#fail(error);
+    }
+  }
+
+  /**
+   * Plays a stream of a server's `streams.json`: live over WebTransport, live over a WebSocket, its file by ranges,
+   * whatever comes first. `transport`, "live", "websocket" or "file", allows one of them alone.
+   */
+  async playServed(stream, transport = null) {
+    await this.#climb(rungsOf(stream, transport), "Connecting …");
+  }
+
+  #start(url) {
+    return this.#climb([fileRung(url)], "Loading …");
+  }
+
+  // Plays what the first of `rungs` brings; when it is cut off, the next takes over where it was.
+  async #climb(rungs, sentence) {
+    const signal = this.#loads();
+    this.#say(sentence);
+    const came = () => {
+      this.#loaded = this.session?.loaded ?? 0;
+      this.#engine?.request();
+      this.#emit("progress");
+    };
+    const began = async (session, name) => {
+      if (name !== "file") this.dataset.transport = name;
+      await this.#began(session, came, signal);
+    };
+    try {
+      await load();
+      for (;;) {
+        const { name, result, failure } = await climb(rungs, { began, came, signal, player: this, worker: this.#worker });
+        if (signal.aborted) return;
+        if (name === "file") {
+          if (failure) throw failure;
+          this.#loaded = 1;
+          this.dataset.transport = result;
+          return this.#emit("load");
+        }
+        rungs = rungs.slice(1 + rungs.findIndex((rung) => rung.name === name));
+        if (rungs.length === 0) throw failure ?? new Error("The server has ended the session");
+        this.setAttribute("time", this.currentTime);
+      }
+    } catch (error) {
+      if (!signal.aborted) this.#fail(error);
+    }
+  }
+
+  // Shows a session, unless something else is loaded by now.
+  async #began(session, came, signal) {
     const time = Number(this.getAttribute("time"));
     if (time > 0) session.time = time;
+    try {
+      await session.lookAtAll(this.#engine?.aspect ?? 1, this.getAttribute("up") ?? "y");
+    } finally {
+      if (signal.aborted) session.free();
+    }
+    if (signal.aborted) return;
+    this.#error = null;
+    this.#say(session.damage ? `Damaged, shown as far as it goes: ${session.damage}` : "");
     session.looping = this.getAttribute("loop") !== "false";
     session.rate = Number(this.#part(".speed").value);
     session.cap = Number(this.getAttribute("quality") ?? 3);
-    session.lookAtAll(this.#engine.aspect, this.getAttribute("up") ?? "y");
+    this.dataset.decoding = session.decoding;
     if (this.#view) session.setView(this.#view);
     this.#engine.session = session;
     this.background = this.getAttribute("background") ?? "#000000";
@@ -217,12 +226,11 @@ export class DgsPlayer extends HTMLElement {
   #listen() {
     const engine = this.#engine;
     engine.addEventListener("firstframe", () => {
-      // A scene whose base came after its manifest is looked at again, unless somebody looks already.
       if (!this.#part(".message").textContent.startsWith("Damaged")) this.#say("");
       this.#firstFrameMs ??= performance.now();
       this.#emit("firstframe");
     });
-    engine.addEventListener("frame", () => this.#showTime());
+    engine.addEventListener("time", () => this.#showTime());
     engine.addEventListener("step", ({ detail }) => {
       if (detail.looped) this.#emit("loop");
       if (detail.ended) this.#emit("ended");
@@ -302,7 +310,7 @@ export class DgsPlayer extends HTMLElement {
     this.#showTime();
   }
 
-  /** The session that is shown, or null: see `dgs_viewer.d.ts`. */
+  /** The session that is shown, or null: see `session.d.ts`. */
   get session() {
     return this.#engine?.session ?? null;
   }
@@ -472,23 +480,6 @@ export class DgsPlayer extends HTMLElement {
     const dialog = this.#part("dialog");
     if (dialog.open) dialog.close();
     else dialog.showModal();
-  }
-}
-
-// A page inside another may have no storage.
-function remembered() {
-  try {
-    return sessionStorage.getItem(REMEMBERED);
-  } catch {
-    return null;
-  }
-}
-
-function remember(transport) {
-  try {
-    sessionStorage.setItem(REMEMBERED, transport);
-  } catch {
-    // Then it is found out again.
   }
 }
 

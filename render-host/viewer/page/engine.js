@@ -1,14 +1,7 @@
 // The engine draws a session on a canvas when something has changed, and survives the loss of its device.
 
-import init, { Screen, memoryBytes } from "./dgs_viewer.js";
-
-let loading;
-
-/** Loads the WebAssembly once for all players of a page; `url` where it does not lie beside this file. */
-export function load(url) {
-  loading ??= init(url ? { module_or_path: url } : undefined);
-  return loading;
-}
+import { Screen, memoryBytes } from "./dgs_viewer.js";
+import { load } from "./load.js";
 
 /** What a browser that cannot draw is told. */
 export const NO_WEBGPU =
@@ -28,7 +21,7 @@ const SMALLEST_SCALE = 0.5;
 const MOST_PENDING = 2;
 
 /**
- * Events: `firstframe`, `frame`, `step` (detail: looped, ended, waiting), `devicelost`, `devicerestored`, `error`.
+ * Events: `firstframe`, `frame`, `time` (the clock has moved), `step` (detail: looped, ended, waiting), `devicelost`, `devicerestored`, `error`.
  */
 export class Engine extends EventTarget {
   #canvas;
@@ -62,6 +55,8 @@ export class Engine extends EventTarget {
   set session(session) {
     this.#session?.free();
     this.#session = session;
+    session.answered = () => this.request();
+    session.failed = (error) => this.dispatchEvent(new CustomEvent("error", { detail: error }));
     this.#shown = false;
     this.#framesBefore = this.frames + (this.#screen?.pending ?? 0);
     this.#drawn = "";
@@ -93,7 +88,7 @@ export class Engine extends EventTarget {
 
   /** Bytes of WebAssembly and on the device. */
   get memory() {
-    return { wasm: memoryBytes(), device: this.#screen?.bytes ?? 0 };
+    return { wasm: memoryBytes() + (this.#session?.memory ?? 0), device: this.#screen?.bytes ?? 0 };
   }
 
   /** Opens a device; rejects with a sentence for people where there is none. */
@@ -129,8 +124,12 @@ export class Engine extends EventTarget {
     this.#request = requestAnimationFrame((now) => this.#tick(now));
   }
 
-  /** Draws now: what is on the canvas can be copied until control returns to the browser. */
-  drawNow() {
+  /**
+   * Draws what is wished as soon as it is decoded: once the promise is kept, what is on the canvas can be copied
+   * until control returns to the browser.
+   */
+  async drawNow() {
+    if (this.#screen) await this.#session?.settle(this.#screen);
     this.#drawn = "";
     this.#draw();
   }
@@ -142,16 +141,17 @@ export class Engine extends EventTarget {
     const passed = this.#last ? (now - this.#last) / 1000 : 0;
     this.#last = now;
     const step = session.advance(passed);
-    const busy = session.deliver(now / 1000);
     this.#say(step);
+    // Whether or not a frame has come: the clock waits for base levels alone.
+    if (session.playing) this.dispatchEvent(new Event("time"));
     const pending = this.#screen?.pending ?? 0;
-    if (pending < MOST_PENDING) this.#draw();
+    if (pending < MOST_PENDING) this.#update(now);
     this.#keepUp(session.playing ? passed : 0);
     if (!this.#shown && this.frames > this.#framesBefore) {
       this.#shown = true;
       this.dispatchEvent(new Event("firstframe"));
     }
-    if (session.playing || busy || pending > 0 || (!this.#shown && this.#screen)) this.request();
+    if (session.playing || session.busy || pending > 0 || (!this.#shown && this.#screen)) this.request();
     else this.#last = 0;
   }
 
@@ -182,20 +182,26 @@ export class Engine extends EventTarget {
     return [side(clientWidth), side(clientHeight)];
   }
 
+  // Asks for the frame that is due, and draws what has come.
+  #update(now) {
+    try {
+      const screen = this.#screen?.lost ? null : this.#screen;
+      this.#session.update(now, screen);
+      this.#draw();
+    } catch (error) {
+      if (!this.#screen?.lost) this.dispatchEvent(new CustomEvent("error", { detail: error }));
+    }
+  }
+
   #draw() {
     const [session, screen] = [this.#session, this.#screen];
-    if (!session || !screen || screen.lost) return;
+    if (!session || !screen || screen.lost || session.uploads === 0) return;
     const [width, height] = this.#size();
-    const state = `${session.content} ${session.frame} ${session.view} ${session.up} ${width} ${height}`;
+    const state = `${session.uploads} ${session.view} ${session.up} ${width} ${height}`;
     if (state === this.#drawn && !screen.stale) return;
     if (this.#canvas.width !== width) this.#canvas.width = width;
     if (this.#canvas.height !== height) this.#canvas.height = height;
-    try {
-      session.draw(screen, width, height);
-    } catch (error) {
-      if (!screen.lost) this.dispatchEvent(new CustomEvent("error", { detail: error }));
-      return;
-    }
+    screen.draw(session, width, height);
     this.#drawn = state;
     this.dispatchEvent(new Event("frame"));
   }

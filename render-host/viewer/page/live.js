@@ -1,6 +1,6 @@
-// A live source receives packets from `dgs serve` over WebTransport: SESSION.md has every message.
+// A live source receives packets from `dgs serve` on a link: SESSION.md has every message.
 
-import { Session } from "./dgs_viewer.js";
+import { MOST_WAITING, Session } from "./session.js";
 
 // Kinds of messages on the control stream.
 const [HELLO, SEEK, BYE, MANIFEST, REFUSAL] = [0x01, 0x02, 0x03, 0x81, 0x82];
@@ -12,48 +12,35 @@ const RECEIPT_EVERY = 2;
 const RECEIPT_INTERVAL_MS = 100;
 // Seeks are this far apart at least, milliseconds: a server takes five a second.
 const SEEK_INTERVAL_MS = 250;
-// The window for packets that wait for this page.
-const WAITING_PACKETS = 4096;
 
-/** Whether this browser can, and the server does. */
-export function canReceive(stream) {
-  return "WebTransport" in globalThis && Boolean(stream.web_address);
-}
-
-/** Receives `stream` (of `/streams.json`) for `player`; `began(session)` once its manifest is there. */
-export async function receive(stream, { began, came, player, signal }) {
-  const digits = await (await fetch("certificate.sha256", { signal })).text();
-  const value = Uint8Array.from(digits.trim().match(/../g) ?? [], (pair) => parseInt(pair, 16));
-  const serverCertificateHashes = [{ algorithm: "sha-256", value }];
-  const transport = new WebTransport(stream.web_address, { serverCertificateHashes });
-  const late = setTimeout(() => transport.close(), PATIENCE_MS);
-  signal.addEventListener("abort", () => transport.close());
+/** Receives `stream` (of `/streams.json`) on the link that `open` opens; `began(session)` once its manifest is there. */
+export async function receive(stream, open, { began, came, player, signal, worker }) {
+  let link = null;
+  const patience = new AbortController();
+  const end = () => patience.abort();
+  const late = setTimeout(end, PATIENCE_MS);
+  signal.addEventListener("abort", end);
   try {
-    await transport.ready;
-    // By default one packet waits.
-    transport.datagrams.incomingHighWaterMark = WAITING_PACKETS;
-    transport.datagrams.incomingMaxBufferedDatagrams = WAITING_PACKETS;
-    const control = await transport.createBidirectionalStream();
-    const writer = control.writable.getWriter();
-    const rounds = new Rounds(writer, transport, player);
-    await writer.write(hello(stream.name, player.currentTime));
-    const { kind, body } = await message(control.readable.getReader());
+    link = await open(patience.signal);
+    const rounds = new Rounds(link, player);
+    await link.write(hello(stream.name, player.currentTime));
+    const { kind, body } = await message(link.control);
     clearTimeout(late);
     if (kind === REFUSAL) throw new Error(`The server refuses: ${new TextDecoder().decode(body.subarray(1))}`);
     if (kind !== MANIFEST) throw new Error(`The server sends a message of kind ${kind} in place of a manifest`);
-    const session = Session.receive(body);
-    began(session);
-    await rounds.receive(session, came, signal);
+    const session = await Session.receive(body, { worker });
+    await began(session);
+    if (player.session === session) await rounds.receive(session, came, signal);
   } finally {
     clearTimeout(late);
-    transport.close();
+    signal.removeEventListener("abort", end);
+    link?.close();
   }
 }
 
 // Rounds of playout: where each began, what was received in it, and what the server is told.
 class Rounds {
-  #writer;
-  #transport;
+  #link;
   #player;
   #round = 0;
   #began = performance.now();
@@ -61,28 +48,27 @@ class Rounds {
   #playout = 0;
   #receipts = 0;
   #seek = 0;
+  // One receipt is made at a time, where the packets are.
+  #saying = false;
 
-  constructor(writer, transport, player) {
-    this.#writer = writer;
-    this.#transport = transport;
+  constructor(link, player) {
+    this.#link = link;
     this.#player = player;
   }
 
   async receive(session, came, signal) {
     const player = this.#player;
-    this.#start = session.roundStart(player.currentTime);
-    const datagrams = this.#transport.datagrams;
-    const receipts = (datagrams.createWritable?.() ?? datagrams.writable).getWriter();
-    const say = () => this.#receipt(session, receipts);
+    this.#start = await session.roundStart(player.currentTime);
+    const say = () => this.#receipt(session).catch(() => {});
     const timer = setInterval(say, RECEIPT_INTERVAL_MS);
     const seek = () => this.#seekSoon(session);
     for (const event of ["loop", "seeked", "play"]) player.addEventListener(event, seek);
-    const media = datagrams.readable.getReader();
     try {
       for (let count = 1; ; count++) {
-        const { value, done } = await media.read();
+        const { value, done } = await this.#link.media.read();
         if (done || signal.aborted || player.session !== session) return;
-        session.push(value);
+        const taken = session.push(value);
+        if (session.waiting >= MOST_WAITING) await taken;
         came();
         if (count % RECEIPT_EVERY === 0) say();
       }
@@ -90,41 +76,46 @@ class Rounds {
       clearInterval(timer);
       clearTimeout(this.#seek);
       for (const event of ["loop", "seeked", "play"]) player.removeEventListener(event, seek);
-      if (player.session === session) await this.#writer.write(new Uint8Array([BYE, 0, 0, 0, 0])).catch(() => {});
+      if (player.session === session) await this.#link.write(new Uint8Array([BYE, 0, 0, 0, 0])).catch(() => {});
     }
   }
 
-  #receipt(session, receipts) {
-    if (this.#player.session !== session) return;
+  async #receipt(session) {
+    if (this.#player.session !== session || this.#saying) return;
     // When the first frame of the round was, or would have been, shown.
     if (this.#playout === 0 && session.playing && session.time >= this.#start) {
       const shown = performance.now() - (1000 * (session.time - this.#start)) / Math.max(0.1, session.rate);
       this.#playout = Math.max(1, Math.round(1000 * (shown - this.#began)));
     }
-    const receipt = session.receipt(this.#receipts++, this.#playout);
+    const round = this.#round;
+    this.#saying = true;
+    const receipt = await session.receipt(this.#receipts++, this.#playout).finally(() => (this.#saying = false));
     const datagram = new Uint8Array(4 + receipt.length);
-    new DataView(datagram.buffer).setUint32(0, this.#round, true);
+    new DataView(datagram.buffer).setUint32(0, round, true);
     datagram.set(receipt, 4);
-    receipts.write(datagram).catch(() => {});
+    await this.#link.send(datagram);
   }
 
   #seekSoon(session) {
     clearTimeout(this.#seek);
     const passed = performance.now() - this.#began;
-    this.#seek = setTimeout(() => this.#seekNow(session), Math.max(0, SEEK_INTERVAL_MS - passed));
+    // A connection that is gone is found by who reads it.
+    const now = () => this.#seekNow(session).catch(() => {});
+    this.#seek = setTimeout(now, Math.max(0, SEEK_INTERVAL_MS - passed));
   }
 
-  #seekNow(session) {
+  async #seekNow(session) {
     if (this.#player.session !== session) return;
+    const { time } = session;
+    const start = await session.roundStart(time);
     this.#round += 1;
-    [this.#began, this.#playout, this.#receipts] = [performance.now(), 0, 0];
-    this.#start = session.roundStart(session.time);
+    [this.#began, this.#playout, this.#receipts, this.#start] = [performance.now(), 0, 0, start];
     const bytes = new DataView(new ArrayBuffer(17));
     bytes.setUint8(0, SEEK);
     bytes.setUint32(1, 12, true);
     bytes.setUint32(5, this.#round, true);
-    bytes.setBigUint64(9, BigInt(Math.round(session.time * MICROSECONDS)), true);
-    this.#writer.write(new Uint8Array(bytes.buffer)).catch(() => {});
+    bytes.setBigUint64(9, BigInt(Math.round(time * MICROSECONDS)), true);
+    await this.#link.write(new Uint8Array(bytes.buffer));
   }
 }
 

@@ -52,7 +52,7 @@ addEventListener("drop", (event) => {
   if (file) play(file);
 });
 
-for (const name of ["up", "quality", "background", "pixel-ratio"]) {
+for (const name of ["up", "quality", "background", "pixel-ratio", "worker"]) {
   if (parameters.has(name)) player.setAttribute(name, parameters.get(name));
 }
 // A link to an instant shows that instant.

@@ -1,42 +1,39 @@
 // A source brings the bytes of a stream: from a file, from byte ranges of one, from all of it.
 
-import { Session, firstBytes, manifestBytes } from "./dgs_viewer.js";
+import { firstBytes, manifestBytes } from "./dgs_viewer.js";
+import { Session } from "./session.js";
 
 // Tries of one request, and what lies between two, milliseconds.
 const TRIES = 4;
 const PAUSE_MS = 200;
 
-/** Opens bytes that are there. */
-export function openBytes(bytes) {
-  return Session.open(bytes);
-}
-
 /**
  * Fetches `url` and calls `began(session)` as soon as its manifest is there, `came()` with every piece after.
  * Base levels come first; a server without byte ranges sends the whole. Resolves when all is there.
  */
-export async function fetchStream(url, { began, came, signal }) {
+export async function fetchStream(url, { began, came, signal, worker }) {
   const first = await ask(url, 0, firstBytes(), signal);
   const front = await first.bytes;
   if (first.length === null || front.length >= first.length) {
-    began(Session.open(front));
+    await began(await Session.open(front, { worker }));
     return "whole";
   }
   const needed = manifestBytes(front);
   const enough = needed === 0 ? front : await (await ask(url, 0, needed, signal)).bytes;
-  const session = Session.fetch(enough, first.length);
-  began(session);
+  const session = await Session.fetch(enough, first.length, { worker });
+  await began(session);
   for (;;) {
-    const wanted = session.wanted();
+    if (signal.aborted) return "aborted";
+    const wanted = await session.wanted();
     if (wanted.length === 0) return "ranges";
     const [from, past] = wanted.length === 2 ? wanted : [0, first.length];
     const answer = await ask(url, from, past, signal);
     const bytes = await answer.bytes;
     if (signal.aborted) return "aborted";
     const whole = wanted.length === 1 || answer.length === null;
-    if (whole) session.takeWhole(bytes);
+    if (whole) await session.takeWhole(bytes);
     else if (bytes.length < past - from) throw new Error(`${url}: ${bytes.length} bytes of ${past - from} came`);
-    else session.take(from, bytes);
+    else await session.take(from, bytes);
     came();
     if (whole) return "whole";
   }

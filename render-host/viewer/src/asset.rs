@@ -29,12 +29,19 @@ assets! {
     "page.css" CSS, include_bytes!("../page/page.css");
     "page.js" SCRIPT, include_bytes!("../page/page.js");
     "dgs-player.js" SCRIPT, include_bytes!("../page/dgs-player.js");
+    "decoder.js" SCRIPT, include_bytes!("../page/decoder.js");
+    "decoding.js" SCRIPT, include_bytes!("../page/decoding.js");
     "engine.js" SCRIPT, include_bytes!("../page/engine.js");
     "source.js" SCRIPT, include_bytes!("../page/source.js");
     "input.js" SCRIPT, include_bytes!("../page/input.js");
+    "ladder.js" SCRIPT, include_bytes!("../page/ladder.js");
+    "links.js" SCRIPT, include_bytes!("../page/links.js");
     "live.js" SCRIPT, include_bytes!("../page/live.js");
+    "load.js" SCRIPT, include_bytes!("../page/load.js");
     "network.js" SCRIPT, include_bytes!("../page/network.js");
+    "session.js" SCRIPT, include_bytes!("../page/session.js");
     "style.js" SCRIPT, include_bytes!("../page/style.js");
+    "worker.js" SCRIPT, include_bytes!("../page/worker.js");
     "dgs_viewer.js" SCRIPT, include_bytes!("../dist/dgs_viewer.js");
     "dgs_viewer_bg.wasm" "application/wasm", include_bytes!("../dist/dgs_viewer_bg.wasm");
 }
@@ -63,7 +70,7 @@ mod tests {
         assert_eq!(asset("/../Cargo.toml"), None);
         for (name, kind, bytes) in ASSETS.iter().filter(|(_, kind, _)| *kind == SCRIPT || *kind == HTML) {
             let text = std::str::from_utf8(bytes).unwrap();
-            for wording in ["from \"./", "src=\"./", "href=\""] {
+            for wording in ["from \"./", "new URL(\"./", "src=\"./", "href=\""] {
                 for part in text.split(wording).skip(1) {
                     let named = part.split('"').next().unwrap();
                     let found = asset(named).is_some() || named.starts_with("data:");

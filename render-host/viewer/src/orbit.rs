@@ -18,10 +18,17 @@ const NEAREST: f64 = 1e-3;
 const FARTHEST: f64 = 1e3;
 
 /// Which way is up in the scene.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Up {
     axis: usize,
     minus: bool,
+}
+
+/// y, as most scenes have it.
+impl Default for Up {
+    fn default() -> Self {
+        Self { axis: 1, minus: false }
+    }
 }
 
 impl Up {
@@ -75,7 +82,7 @@ pub struct Orbit {
 
 impl Default for Orbit {
     fn default() -> Self {
-        Self::around([0.0; 3], 1.0, 1.0, Up { axis: 1, minus: false })
+        Self::around([0.0; 3], 1.0, 1.0, Up::default())
     }
 }
 
@@ -208,7 +215,7 @@ mod tests {
             let ([x, y], [x0, y0]) = (pixel(&orbit, above), pixel(&orbit, [1.0, 2.0, 3.0]));
             assert!(y < y0 - 10.0 && (x - x0).abs() < 1e-3, "{name}: {x} {y}");
         }
-        assert_eq!(Up::named("up"), None);
+        assert_eq!((Up::named("up"), Up::default().name()), (None, "y"));
         let mut up = Up::default();
         (0..6).for_each(|_| up = up.next());
         assert_eq!(up, Up::default());

@@ -23,6 +23,8 @@ pub struct Playback {
     rate: f64,
     playing: bool,
     looping: bool,
+    /// How long it has waited for a base level, seconds.
+    waited_s: f64,
 }
 
 impl Playback {
@@ -37,6 +39,7 @@ impl Playback {
             rate: 1.0,
             playing: false,
             looping: true,
+            waited_s: 0.0,
         }
     }
 
@@ -110,30 +113,33 @@ impl Playback {
         ((time_s * self.frames_per_second + 1e-6) as u32).min(self.frames - 1)
     }
 
-    /// `dt_s` seconds have passed. `ready` says whether the base of a frame is there, or never will be.
-    pub fn advance(&mut self, dt_s: f64, ready: impl Fn(u32) -> bool) -> Step {
-        let mut step = Step::default();
+    /// `dt_s` seconds have passed. `ready` says whether the base of a frame is there; the clock waits for it
+    /// up to `patience_s`.
+    pub fn advance(&mut self, dt_s: f64, patience_s: f64, ready: impl Fn(u32) -> bool) -> Step {
         if !self.playing || !dt_s.is_finite() || dt_s <= 0.0 || self.rate == 0.0 {
-            return step;
+            return Step::default();
         }
         let duration = self.duration_s();
         let mut to = self.time_s + dt_s.min(LONGEST_STEP_S) * self.rate;
+        let mut looped = false;
         if !(0.0..duration).contains(&to) {
-            if self.looping {
-                to = to.rem_euclid(duration);
-                step.looped = true;
-            } else {
+            if !self.looping {
                 (self.time_s, self.playing) = (to.clamp(0.0, duration), false);
-                step.ended = true;
-                return step;
+                return Step { ended: true, ..Step::default() };
             }
+            to = to.rem_euclid(duration);
+            looped = true;
         }
-        if ready(self.frame_at(to)) {
-            self.time_s = to;
-        } else {
-            step = Step { stalled: true, ..Step::default() };
+        let is_ready = patience_s == 0.0 || ready(self.frame_at(to));
+        if !is_ready && self.waited_s < patience_s {
+            self.waited_s += dt_s;
+            return Step { stalled: true, ..Step::default() };
         }
-        step
+        if is_ready {
+            self.waited_s = 0.0;
+        }
+        self.time_s = to;
+        Step { looped, ..Step::default() }
     }
 }
 
@@ -151,13 +157,13 @@ mod tests {
     fn frames_follow_time() {
         let mut playback = playing();
         assert_eq!(playback.duration_s(), 3.0);
-        assert_eq!(playback.advance(0.25, |_| true), Step::default());
+        assert_eq!(playback.advance(0.25, 0.0, |_| false), Step::default());
         assert_eq!(playback.frame(), 2);
         playback.set_rate(2.0);
-        playback.advance(0.25, |_| true);
+        playback.advance(0.25, 0.0, |_| false);
         assert_eq!(playback.frame(), 7);
         playback.set_rate(-1.0);
-        playback.advance(0.5, |_| true);
+        playback.advance(0.5, 0.0, |_| false);
         assert_eq!(playback.frame(), 2);
         playback.set_rate(f64::NAN);
         assert_eq!(playback.rate(), -1.0);
@@ -167,11 +173,11 @@ mod tests {
     fn a_clip_begins_again_or_ends() {
         let mut playback = playing();
         playback.seek(2.9);
-        assert!(playback.advance(0.2, |_| true).looped);
+        assert!(playback.advance(0.2, 0.0, |_| false).looped);
         assert!((playback.time_s() - 0.1).abs() < 1e-9);
         playback.set_looping(false);
         playback.seek(2.9);
-        assert!(playback.advance(0.2, |_| true).ended);
+        assert!(playback.advance(0.2, 0.0, |_| false).ended);
         assert_eq!((playback.playing(), playback.frame()), (false, 29));
         playback.set_playing(true);
         assert_eq!(playback.frame(), 0, "an ended clip begins again");
@@ -180,16 +186,24 @@ mod tests {
     #[test]
     fn only_a_missing_base_holds_the_clock() {
         let mut playback = playing();
-        assert!(playback.advance(0.3, |frame| frame < 3).stalled);
+        assert!(playback.advance(0.3, f64::INFINITY, |frame| frame < 3).stalled);
         assert_eq!(playback.time_s(), 0.0);
-        assert!(!playback.advance(0.3, |frame| frame <= 3).stalled);
+        assert!(!playback.advance(0.3, f64::INFINITY, |frame| frame <= 3).stalled);
         assert_eq!(playback.frame(), 3);
+        // And no longer than it has patience, until one comes again.
+        assert!(
+            playback.advance(0.3, 0.5, |_| false).stalled && playback.advance(0.3, 0.5, |_| false).stalled
+        );
+        assert_eq!(playback.advance(0.3, 0.5, |_| false), Step::default());
+        assert_eq!(playback.advance(0.3, 0.5, |_| false), Step::default());
+        assert!(!playback.advance(0.1, 0.5, |_| true).stalled);
+        assert!(playback.advance(0.3, 0.5, |_| false).stalled);
     }
 
     #[test]
     fn what_was_slept_through_is_not_caught_up_with() {
         let mut playback = playing();
-        playback.advance(1e9, |_| true);
+        playback.advance(1e9, 0.0, |_| false);
         assert_eq!(playback.time_s(), LONGEST_STEP_S);
     }
 

@@ -9,15 +9,18 @@ use std::sync::{
 #[cfg(not(target_family = "wasm"))]
 use render_host::Image;
 use render_host::{
-    Camera, CameraError, Settings,
+    CameraError, Settings,
     gpu::{
         Device, DeviceOptions, Executor, GpuError, Renderer, Scene,
         layout::{COUNT_ENTRIES, COUNT_WANTED, COUNTS},
         wgpu,
     },
 };
+#[cfg(target_family = "wasm")]
+use render_host::{Splats, gpu::Packed};
 
 use crate::{
+    orbit::Orbit,
     present::{Presenter, Shape},
     session::{Session, Shown},
 };
@@ -199,14 +202,26 @@ impl Screen {
     /// # Errors
     /// A size that no picture has, or the device refuses.
     pub fn draw(&mut self, session: &mut Session, drawn: &mut Drawn, look: &Look) -> Result<(), ScreenError> {
-        let camera = session.orbit().camera(look.size[0], look.size[1])?;
         let fresh = (session.content(), session.playback().frame());
         if *drawn != Some(fresh) {
             let anew = drawn.is_none();
             self.upload(&session.show()?, anew)?;
             *drawn = Some(fresh);
         }
-        self.draw_uploaded(&camera, look)
+        self.draw_uploaded(session.orbit(), look)
+    }
+
+    /// Uploads what another thread has packed.
+    ///
+    /// # Errors
+    /// It does not fit what was uploaded before, or the device refuses.
+    #[cfg(target_family = "wasm")]
+    pub(crate) fn upload_packed(&mut self, packed: &Packed<'_>) -> Result<(), ScreenError> {
+        let scene = match &mut self.scene {
+            Some(scene) => scene,
+            None => self.scene.insert(Scene::new(&self.device, &Splats::plain(&[]))?),
+        };
+        Ok(scene.update_packed(&self.device, packed)?)
     }
 
     /// Uploads what is to be drawn: with `anew` all of it, else what has changed.
@@ -224,10 +239,11 @@ impl Screen {
     }
 
     /// Draws what was uploaded, with room for all that earlier frames had no room for.
-    fn draw_uploaded(&mut self, camera: &Camera, look: &Look) -> Result<(), ScreenError> {
+    pub(crate) fn draw_uploaded(&mut self, orbit: &Orbit, look: &Look) -> Result<(), ScreenError> {
         let Some(scene) = &self.scene else { return Ok(()) };
+        let camera = orbit.camera(look.size[0], look.size[1])?;
         self.renderer.reserve_entries(self.counts.wanted.swap(0, Ordering::Relaxed));
-        self.renderer.draw(scene, camera, &Settings::over(look.background))?;
+        self.renderer.draw(scene, &camera, &Settings::over(look.background))?;
         self.show(look)?;
         self.submitted = self.submitted.wrapping_add(1);
         let finished = Arc::clone(&self.finished);

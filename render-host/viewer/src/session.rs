@@ -1,5 +1,7 @@
 //! A session holds one stream, its clock, its camera and its emulated network, and says what to draw.
 
+use std::ops::Range;
+
 use codec_core::{
     internals::{
         ids::{ClusterId, Span},
@@ -56,9 +58,8 @@ pub struct Session {
     sent: usize,
     sent_since_s: Option<f64>,
     plan: Option<RangePlan>,
-    /// Whether a server sends packets, and how long the clock has waited for it, seconds.
+    /// Whether a server sends packets.
     live: bool,
-    waited_s: f64,
     playback: Playback,
     orbit: Orbit,
     cap: usize,
@@ -90,7 +91,6 @@ impl Session {
             sent_since_s: None,
             plan: None,
             live: false,
-            waited_s: 0.0,
             playback,
             orbit: Orbit::default(),
             cap: LEVELS - 1,
@@ -242,18 +242,22 @@ impl Session {
     /// Lets `dt_s` seconds pass.
     pub fn advance(&mut self, dt_s: f64) -> Step {
         let (player, plan) = (&self.player, &self.plan);
-        let waits = self.live && self.waited_s < PATIENCE_S;
-        let ready = |frame| match plan {
-            Some(plan) => player.manifest().epoch_at(frame).is_none_or(|epoch| plan.has_base(epoch.0)),
-            None => !waits || has_base(player, frame),
-        };
-        let step = self.playback.advance(dt_s, ready);
-        if step.stalled {
-            self.waited_s += dt_s;
-        } else if self.waited_s > 0.0 && has_base(player, self.playback.frame()) {
-            self.waited_s = 0.0;
+        self.playback.advance(dt_s, patience_s(plan, self.live), |frame| has_base(player, plan, frame))
+    }
+
+    /// How long the clock waits for a base level, seconds: for ever where it is on its way.
+    pub fn patience_s(&self) -> f64 {
+        patience_s(&self.plan, self.live)
+    }
+
+    /// Frames whose base the clock waits for.
+    pub fn missing(&self) -> Vec<Range<u32>> {
+        if self.patience_s() == 0.0 {
+            return Vec::new();
         }
-        step
+        let epochs = self.player.manifest().epochs();
+        let frames = epochs.map(|epoch| epoch.first_frame..epoch.first_frame + epoch.frames);
+        frames.filter(|frames| !has_base(&self.player, &self.plan, frames.start)).collect()
     }
 
     /// The clock.
@@ -287,11 +291,18 @@ impl Session {
     /// # Errors
     /// None in practice.
     pub fn look_at_all(&mut self, aspect: f64, up: Up) -> Result<()> {
-        let frame = self.decoder.frame(&self.player.content(), self.playback.frame())?;
-        let (middle, radius) = bounds(frame.gaussians);
+        let (middle, radius) = self.bounds()?;
         self.orbit = Orbit::around(middle, radius, aspect, up);
-        self.last = None;
         Ok(())
+    }
+
+    /// Where the Gaussians of the frame that is due are: see [`bounds`].
+    ///
+    /// # Errors
+    /// None in practice.
+    pub fn bounds(&mut self) -> Result<([f64; 3], f64)> {
+        self.last = None;
+        Ok(bounds(self.decoder.frame(&self.player.content(), self.playback.frame())?.gaussians))
     }
 
     /// The highest level that is shown, 0 to 3.
@@ -387,8 +398,20 @@ impl Session {
     }
 }
 
-/// Whether every block of `frame` has its base.
-fn has_base(player: &Player, frame: u32) -> bool {
+/// How long a clock waits for a base level, seconds.
+fn patience_s(plan: &Option<RangePlan>, live: bool) -> f64 {
+    match plan {
+        Some(_) => f64::INFINITY,
+        None if live => PATIENCE_S,
+        None => 0.0,
+    }
+}
+
+/// Whether the base of `frame` is there: as far as a file came, else every block of it.
+fn has_base(player: &Player, plan: &Option<RangePlan>, frame: u32) -> bool {
+    if let Some(plan) = plan {
+        return player.manifest().epoch_at(frame).is_none_or(|epoch| plan.has_base(epoch.0));
+    }
     player.usable(frame).is_ok_and(|usable| usable.canonical[0] == usable.blocks)
 }
 

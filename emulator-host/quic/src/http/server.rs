@@ -10,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-use hyper::{Request, body::Incoming, server::conn::http1, service::service_fn};
+use hyper::{Request, body::Incoming, http, server::conn::http1, service::service_fn};
 use hyper_util::rt::{TokioIo, TokioTimer};
 use serde::Serialize;
 use tokio::{
@@ -20,7 +20,13 @@ use tokio::{
     time::{sleep, timeout},
 };
 
-use super::{answer::answer, progress::Progress, site::Site};
+use super::{
+    answer::{Answer, answer},
+    progress::Progress,
+    site::Site,
+    upgrade,
+};
+use crate::socket::Entrance;
 
 /// How long answers may take to end when the server closes.
 const FAREWELL: Duration = Duration::from_secs(2);
@@ -92,6 +98,7 @@ struct Counts {
 pub struct HttpServer {
     listener: TcpListener,
     site: Arc<Site>,
+    entrance: Option<Entrance>,
     limits: HttpLimits,
     counts: Arc<Counts>,
 }
@@ -108,7 +115,14 @@ impl HttpServer {
             TcpListener::from_std(listener)
         };
         let listener = listen().map_err(|error| HttpError { address: config.bind, error })?;
-        Ok(Self { listener, site: Arc::new(site), limits: config.limits, counts: Arc::default() })
+        let (site, limits) = (Arc::new(site), config.limits);
+        Ok(Self { listener, site, entrance: None, limits, counts: Arc::default() })
+    }
+
+    /// Lets WebSockets under `/session` in through `entrance`.
+    #[must_use]
+    pub fn with_sessions(self, entrance: Entrance) -> Self {
+        Self { entrance: Some(entrance), ..self }
     }
 
     /// Where it listens.
@@ -129,10 +143,11 @@ impl HttpServer {
             tokio::select! {
                 accepted = self.listener.accept() => match accepted {
                     Ok(_) if tasks.len() >= self.limits.max_connections => report.turned_away += 1,
-                    Ok((stream, _)) => {
+                    Ok((stream, address)) => {
                         report.connections += 1;
-                        let (site, counts) = (self.site.clone(), self.counts.clone());
-                        tasks.spawn(serve(stream, site, self.limits, counts, closes.clone()));
+                        let (site, entrance) = (self.site.clone(), self.entrance.clone());
+                        let answering = Answering { site, entrance, address, counts: self.counts.clone() };
+                        tasks.spawn(serve(stream, answering, self.limits, closes.clone()));
                     }
                     // No memory or no file handle is free, or the client is gone already.
                     Err(_) => sleep(EXHAUSTED).await,
@@ -153,25 +168,40 @@ impl HttpServer {
     }
 }
 
+/// What a connection's requests are answered from.
+struct Answering {
+    site: Arc<Site>,
+    entrance: Option<Entrance>,
+    address: SocketAddr,
+    counts: Arc<Counts>,
+}
+
+impl Answering {
+    fn answer(&self, mut request: Request<Incoming>) -> Result<Answer, http::Error> {
+        self.counts.requests.fetch_add(1, Ordering::Relaxed);
+        match &self.entrance {
+            Some(entrance) if request.uri().path() == upgrade::PATH => {
+                upgrade::upgrade(&mut request, entrance, self.address)
+            }
+            _ => answer(&self.site, request.method(), request.uri().path(), request.headers()),
+        }
+    }
+}
+
 /// One connection from its first request to its last.
 async fn serve(
     stream: TcpStream,
-    site: Arc<Site>,
+    answering: Answering,
     limits: HttpLimits,
-    counts: Arc<Counts>,
     mut closes: watch::Receiver<bool>,
 ) {
     // What is written is whole answers; nothing is gained by waiting for more.
     let _ = stream.set_nodelay(true);
-    let service = service_fn(|request: Request<Incoming>| {
-        counts.requests.fetch_add(1, Ordering::Relaxed);
-        let answer = answer(&site, request.method(), request.uri().path(), request.headers());
-        std::future::ready(answer)
-    });
+    let service = service_fn(|request| std::future::ready(answering.answer(request)));
     let mut builder = http1::Builder::new();
     builder.timer(TokioTimer::new()).header_read_timeout(limits.head_wait).max_buf_size(limits.head_bytes);
     let io = TokioIo::new(Progress::new(stream, limits.progress));
-    let mut connection = std::pin::pin!(builder.serve_connection(io, service));
+    let mut connection = std::pin::pin!(builder.serve_connection(io, service).with_upgrades());
     let served = tokio::select! {
         served = &mut connection => served,
         _ = closes.changed() => {
@@ -181,9 +211,9 @@ async fn serve(
     };
     let Err(error) = served else { return };
     if error.is_timeout() || is_stall(&error) {
-        counts.slow.fetch_add(1, Ordering::Relaxed);
+        answering.counts.slow.fetch_add(1, Ordering::Relaxed);
     } else if error.is_parse() {
-        counts.malformed.fetch_add(1, Ordering::Relaxed);
+        answering.counts.malformed.fetch_add(1, Ordering::Relaxed);
     }
 }
 

@@ -36,6 +36,21 @@ pub enum Closed {
     /// What the peer speaks is not WebTransport.
     #[error("no WebTransport: {0}")]
     Web(WebError),
+    /// The WebSocket has ended.
+    #[error("the WebSocket has ended")]
+    Socket,
+}
+
+/// What is known of the path to a peer.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Path {
+    /// Round trip: its smoothed mean, and the least.
+    pub(super) rtt: Duration,
+    pub(super) least_rtt: Duration,
+    /// Most bytes on their way, as far as congestion control says.
+    pub(super) window_bytes: u64,
+    /// Bytes of the largest datagram.
+    pub(super) datagram_bytes: u64,
 }
 
 impl From<WebError> for Closed {
@@ -57,7 +72,7 @@ impl Closed {
                 (code, String::from_utf8_lossy(&close.reason).into_owned())
             }
             Self::Session { code, reason } => (u64::from(*code), reason.clone()),
-            Self::Connection(_) | Self::Web(_) => return None,
+            Self::Connection(_) | Self::Web(_) | Self::Socket => return None,
         };
         RefusalCode::of(code).map(|code| Refusal { code, sentence })
     }
@@ -124,6 +139,17 @@ impl Channel {
     /// The connection below, for what it knows of the path.
     pub(super) fn connection(&self) -> &Connection {
         &self.connection
+    }
+
+    /// What QUIC knows of the path.
+    pub(super) fn path(&self) -> Path {
+        let path = self.connection.stats().path;
+        Path {
+            rtt: path.rtt,
+            least_rtt: path.min_rtt,
+            window_bytes: path.cwnd,
+            datagram_bytes: u64::from(path.current_mtu),
+        }
     }
 
     /// Becomes ready once the transport has taken the datagram.

@@ -2,6 +2,7 @@
 
 use bytes::{Buf, Bytes};
 use quinn::{ReadError, RecvStream};
+use tokio::sync::mpsc;
 
 use super::message::{Message, MessageError, MessageReader};
 
@@ -11,9 +12,16 @@ const CHUNK_BYTES: usize = 4096;
 /// The reading half of a control stream.
 #[derive(Debug)]
 pub(super) struct Control<M> {
-    stream: RecvStream,
+    source: Source,
     reader: MessageReader<M>,
     rest: Bytes,
+}
+
+/// Where the bytes come from.
+#[derive(Debug)]
+pub(super) enum Source {
+    Quic(RecvStream),
+    Socket(mpsc::Receiver<Bytes>),
 }
 
 /// Why there is no further message.
@@ -32,7 +40,11 @@ pub(super) enum ControlError {
 
 impl<M: Message> Control<M> {
     pub(super) fn new(stream: RecvStream) -> Self {
-        Self { stream, reader: MessageReader::default(), rest: Bytes::new() }
+        Self::of(Source::Quic(stream))
+    }
+
+    pub(super) fn of(source: Source) -> Self {
+        Self { source, reader: MessageReader::default(), rest: Bytes::new() }
     }
 
     /// The next message; `None` at the end of the stream. Dropping the future loses nothing.
@@ -45,8 +57,12 @@ impl<M: Message> Control<M> {
             if message.is_some() {
                 return Ok(message);
             }
-            match self.stream.read_chunk(CHUNK_BYTES, true).await? {
-                Some(chunk) => self.rest = chunk.bytes,
+            let chunk = match &mut self.source {
+                Source::Quic(stream) => stream.read_chunk(CHUNK_BYTES, true).await?.map(|chunk| chunk.bytes),
+                Source::Socket(frames) => frames.recv().await,
+            };
+            match chunk {
+                Some(bytes) => self.rest = bytes,
                 None if self.reader.is_inside() => return Err(ControlError::Cut),
                 None => return Ok(None),
             }

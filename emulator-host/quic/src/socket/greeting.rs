@@ -2,11 +2,11 @@
 
 use std::time::{Duration, Instant};
 
-use quinn::{Connection, SendStream};
 use tokio::time::timeout_at;
 
 use super::{
-    channel::{Channel, Closed, Ending},
+    carrier::{Carrier, CarrierEnding, ControlWriter, Opened},
+    channel::Closed,
     control::{Control, ControlError},
     message::{ClientMessage, Refusal, RefusalCode, StreamChoice},
     viewer::End,
@@ -14,9 +14,9 @@ use super::{
 
 /// A hello, and what it came on.
 pub(super) struct Greeting {
-    pub(super) channel: Channel,
-    pub(super) ending: Ending,
-    pub(super) send: SendStream,
+    pub(super) carrier: Carrier,
+    pub(super) ending: CarrierEnding,
+    pub(super) send: ControlWriter,
     pub(super) control: Control<ClientMessage>,
     pub(super) stream: StreamChoice,
     pub(super) start_us: u64,
@@ -25,7 +25,7 @@ pub(super) struct Greeting {
 /// Why there is no session, and what it can be said on.
 pub(super) struct NoSession {
     pub(super) end: End,
-    pub(super) opened: Option<(Ending, SendStream)>,
+    pub(super) opened: Option<(CarrierEnding, ControlWriter)>,
 }
 
 impl NoSession {
@@ -43,17 +43,19 @@ impl Greeting {
     }
 }
 
-/// Waits for a hello, for `wait` in all.
-pub(super) async fn greeting(connection: &Connection, wait: Duration) -> Result<Greeting, NoSession> {
+/// Waits for a hello on what `opening` becomes, for `wait` in all.
+pub(super) async fn greeting(
+    opening: impl Future<Output = Result<Opened, Closed>>,
+    wait: Duration,
+) -> Result<Greeting, NoSession> {
     let deadline = (Instant::now() + wait).into();
     let late = || {
         let sentence = format!("no hello within {} ms", wait.as_millis());
         Refusal { code: RefusalCode::Silence, sentence }
     };
-    let opened = timeout_at(deadline, Channel::accept(connection)).await;
+    let opened = timeout_at(deadline, opening).await;
     let opened = opened.map_err(|_| NoSession::before(late()))?;
-    let (channel, mut ending, (send, receive)) = opened.map_err(unopened)?;
-    let mut control = Control::new(receive);
+    let (carrier, mut ending, send, mut control) = opened.map_err(unopened)?;
     let first = tokio::select! {
         first = timeout_at(deadline, control.next()) => first,
         closed = ending.closed() => return Err(NoSession { end: closed.into(), opened: None }),
@@ -61,7 +63,7 @@ pub(super) async fn greeting(connection: &Connection, wait: Duration) -> Result<
     let refusal = |sentence: String| Refusal { code: RefusalCode::Message, sentence };
     let refusal = match first {
         Ok(Ok(Some(ClientMessage::Hello { stream, start_us }))) => {
-            return Ok(Greeting { channel, ending, send, control, stream, start_us });
+            return Ok(Greeting { carrier, ending, send, control, stream, start_us });
         }
         Ok(Ok(_)) => refusal("the first message is hello".to_owned()),
         Ok(Err(ControlError::Message(error))) => error.refusal(),

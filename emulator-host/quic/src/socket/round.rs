@@ -1,4 +1,4 @@
-//! Sends one round of playout to one viewer: the sender of `emulator-host` over what QUIC knows of the path.
+//! Sends one round of playout to one viewer: the sender of `emulator-host` over what is known of the path.
 
 use std::{
     sync::Arc,
@@ -14,9 +14,8 @@ use emulator_host::{
     report::SenderCounts,
     session::{MediaSender, Outstanding, PathFacts},
 };
-use quinn::Connection;
 
-use super::offer::Content;
+use super::{carrier::Carrier, offer::Content};
 
 /// Shortest time over which arrivals are counted for the estimate of the path.
 const SAMPLE: Nanos = Nanos::from_ms(50);
@@ -76,12 +75,12 @@ impl Arrivals {
     }
 }
 
-/// What QUIC knows of the path, with `in_flight` bytes of media out.
-fn facts(connection: &Connection, in_flight: u64, estimate: Option<Rate>) -> PathFacts {
-    let path = connection.stats().path;
+/// What is known of the path, with `in_flight` bytes of media out and `arrived` known to have arrived.
+fn facts(carrier: &Carrier, arrived: u64, in_flight: u64, estimate: Option<Rate>) -> PathFacts {
+    let path = carrier.path(arrived);
     let nanos = |span: Duration| Nanos(u64::try_from(span.as_nanos()).unwrap_or(u64::MAX));
-    let (smoothed_rtt, minimum_rtt) = (nanos(path.rtt), nanos(path.min_rtt));
-    let window = Rate::over(Volume(path.cwnd), smoothed_rtt.max(Nanos::from_us(100)));
+    let (smoothed_rtt, minimum_rtt) = (nanos(path.rtt), nanos(path.least_rtt));
+    let window = Rate::over(Volume(path.window_bytes), smoothed_rtt.max(Nanos::from_us(100)));
     PathFacts {
         rate: estimate.map_or(window, |estimate| estimate.min(window)),
         smoothed_rtt,
@@ -90,7 +89,7 @@ fn facts(connection: &Connection, in_flight: u64, estimate: Option<Rate>) -> Pat
         rtt_variation: Nanos((smoothed_rtt - minimum_rtt).0 / 2).max(Nanos::from_ms(1)),
         minimum_rtt,
         in_flight,
-        datagram_bytes: u64::from(path.current_mtu),
+        datagram_bytes: path.datagram_bytes,
     }
 }
 
@@ -118,15 +117,15 @@ impl Round {
     /// client began it half a round trip ago.
     pub(super) fn new(
         number: u32,
-        connection: &Connection,
+        carrier: &Carrier,
         (content, first): (Arc<Content>, u32),
         policy: PolicyKind,
         delivered: &[bool],
     ) -> Result<Self, GraphError> {
         let began = Instant::now();
-        let began = began.checked_sub(connection.rtt() / 2).unwrap_or(began);
+        let began = began.checked_sub(carrier.rtt() / 2).unwrap_or(began);
         let graph = content.graph_from(first)?;
-        let path = facts(connection, 0, None);
+        let path = facts(carrier, 0, 0, None);
         let sender = sender(&graph, policy, path, Nanos::ZERO, delivered);
         let (outstanding, arrivals, playout) = (Outstanding::new(), Arrivals::default(), Vec::new());
         Ok(Self { number, began, first, content, graph, sender, outstanding, arrivals, playout })
@@ -136,14 +135,14 @@ impl Round {
     /// competes again.
     pub(super) fn renew(
         &mut self,
-        connection: &Connection,
+        carrier: &Carrier,
         content: Arc<Content>,
         policy: PolicyKind,
         delivered: &[bool],
     ) -> Result<(), GraphError> {
         self.graph = content.graph_from(self.first)?;
         self.content = content;
-        let path = facts(connection, 0, self.arrivals.estimate());
+        let path = facts(carrier, 0, 0, self.arrivals.estimate());
         self.sender = sender(&self.graph, policy, path, self.now(), delivered);
         self.sender.on_receipt(&self.playout);
         self.outstanding = Outstanding::new();
@@ -171,25 +170,25 @@ impl Round {
     }
 
     /// The client's receipt.
-    pub(super) fn on_receipt(&mut self, receipt: &[u8], connection: &Connection) {
+    pub(super) fn on_receipt(&mut self, receipt: &[u8], carrier: &Carrier) {
         self.sender.on_receipt(receipt);
         if self.sender.playout_start().is_some() {
             self.playout.clear();
             self.playout.extend_from_slice(receipt);
         }
-        self.settle(connection);
+        self.settle(carrier);
     }
 
     /// Settles what news or time has shown, and renews what the scheduler sees.
-    pub(super) fn settle(&mut self, connection: &Connection) {
+    pub(super) fn settle(&mut self, carrier: &Carrier) {
         let now = self.now();
         let before = self.outstanding.arrived_bytes();
         self.outstanding.settle(&mut self.sender, now);
         let silence = self.silence();
         self.outstanding.expire(&mut self.sender, silence, now);
-        let arrived = self.outstanding.arrived_bytes() - before;
-        let path = facts(connection, self.outstanding.bytes(), self.arrivals.estimate());
-        self.arrivals.enter(arrived, &path, now);
+        let arrived = self.outstanding.arrived_bytes();
+        let path = facts(carrier, arrived, self.outstanding.bytes(), self.arrivals.estimate());
+        self.arrivals.enter(arrived - before, &path, now);
         self.sender.look(path, now);
     }
 

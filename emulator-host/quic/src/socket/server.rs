@@ -21,7 +21,9 @@ use tokio::{
 };
 
 use super::{
-    channel::close,
+    carrier::{Opened, by_quic, by_socket},
+    channel::{Channel, Closed, close},
+    entrance::{Entering, Entrance},
     greeting::{Greeting, NoSession, greeting},
     identity::{Identity, IdentityError, Pin},
     impair::{ImpairedSocket, Impairment},
@@ -99,6 +101,8 @@ pub struct Server {
     endpoint: Endpoint,
     shared: Arc<Shared>,
     pin: Pin,
+    entrance: Entrance,
+    entering: mpsc::Receiver<Entering>,
     ended: mpsc::UnboundedReceiver<Ended>,
     stop: watch::Sender<bool>,
 }
@@ -165,7 +169,8 @@ impl Server {
             ended: ended_sender,
             stopping,
         });
-        Ok(Self { endpoint, shared, pin, ended, stop })
+        let (entrance, entering) = Entrance::new(shared.limits.max_viewers + SPARE_CONNECTIONS);
+        Ok(Self { endpoint, shared, pin, entrance, entering, ended, stop })
     }
 
     /// Where it listens.
@@ -179,6 +184,11 @@ impl Server {
     /// By what clients know it.
     pub fn pin(&self) -> Pin {
         self.pin
+    }
+
+    /// Where a page's server lets WebSockets in.
+    pub fn entrance(&self) -> Entrance {
+        self.entrance.clone()
     }
 
     /// Names of the streams.
@@ -202,6 +212,9 @@ impl Server {
                     Some(incoming) => self.admit(incoming, &mut tasks, &mut report),
                     None => break,
                 },
+                Some(entering) = self.entering.recv() => {
+                    tasks.spawn(serve_socket(entering, self.shared.clone()));
+                }
                 Some(ended) = self.ended.recv() => report.enter(&ended, &mut on_end),
                 Some(_) = tasks.join_next() => {}
                 () = &mut stop => break,
@@ -265,37 +278,58 @@ async fn serve(incoming: Incoming, shared: Arc<Shared>) {
         shared.failed_handshakes.fetch_add(1, Ordering::Relaxed);
         return;
     };
+    let opening = async { Channel::accept(&connection).await.map(by_quic) };
+    if let Some(refusal) = attend(opening, &shared).await {
+        close(&connection, refusal.code.number().into(), &refusal.sentence);
+    }
+}
+
+/// One WebSocket from its first frame to its last.
+async fn serve_socket(entering: Entering, shared: Arc<Shared>) {
+    let Entering { socket, address, place } = entering;
+    let (opened, carrying) = by_socket(socket, address);
+    let attending = attend(std::future::ready(Ok(opened)), &shared);
+    tokio::join!(carrying, attending);
+    drop(place);
+}
+
+/// One session on what `opening` becomes; a refusal where there is nothing to say it on.
+async fn attend(opening: impl Future<Output = Result<Opened, Closed>>, shared: &Shared) -> Option<Refusal> {
     let mut stopping = shared.stopping.clone();
     let greeted = tokio::select! {
-        greeted = greeting(&connection, shared.limits.hello_wait) => greeted,
+        greeted = greeting(opening, shared.limits.hello_wait) => greeted,
         _ = stopping.changed() => {
             let sentence = "the server is closing".to_owned();
             Err(NoSession::before(Refusal { code: RefusalCode::Closing, sentence }))
         }
     };
-    let ended = match greeted.and_then(|greeting| shared.greet(greeting)) {
+    let (viewer, end) = match greeted.and_then(|greeting| shared.greet(greeting)) {
         Ok((greeting, offer, slot)) => {
-            let Greeting { channel, ending, send, control, start_us, .. } = greeting;
+            let Greeting { carrier, ending, send, control, start_us, .. } = greeting;
             let (limits, policy) = (shared.limits.clone(), shared.policy);
-            let session = Session { channel, ending, send, control, offer, limits, policy, stopping };
+            let session = Session { carrier, ending, send, control, offer, limits, policy, stopping };
             let (viewer, end) = session.run(start_us).await;
             drop(slot);
-            Ended { viewer: Some(viewer), refused: end.refused() }
+            (Some(viewer), end)
         }
-        Err(NoSession { end, opened }) => {
-            match (opened, &end) {
-                (Some((ending, send)), end) => end_session(ending, send, end).await,
-                (None, End::Refused(refusal)) => {
-                    close(&connection, refusal.code.number().into(), &refusal.sentence);
-                }
-                (None, End::Bye | End::Gone(_)) => {}
-            }
-            Ended { viewer: None, refused: end.refused() }
+        Err(NoSession { end, opened: Some((ending, send)) }) => {
+            end_session(ending, send, &end).await;
+            (None, end)
+        }
+        Err(NoSession { end, opened: None }) => {
+            let refused = end.refused();
+            // Nobody listens any more once the server has closed.
+            let _ = shared.ended.send(Ended { viewer: None, refused });
+            return match end {
+                End::Refused(refusal) => Some(refusal),
+                End::Bye | End::Gone(_) => None,
+            };
         }
     };
-    // Nobody listens any more once the server has closed.
-    let _ = shared.ended.send(ended);
+    let _ = shared.ended.send(Ended { viewer, refused: end.refused() });
+    None
 }
+
 impl Shared {
     /// The stream that is wanted, and a place to watch it.
     fn greet(&self, greeting: Greeting) -> Result<(Greeting, Arc<Offer>, OwnedSemaphorePermit), NoSession> {

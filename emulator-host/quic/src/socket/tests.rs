@@ -5,6 +5,7 @@ mod clients;
 mod live;
 mod servers;
 mod web;
+mod web_socket;
 
 use std::{
     net::{Ipv4Addr, SocketAddr},
@@ -22,8 +23,8 @@ use quinn::{Connection, Endpoint};
 use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
 
 use super::{
-    ClientConfig, Headless, Identity, Locator, Offer, PlayError, PlayReport, Played, Scheme, Server,
-    ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport, limits::client_transport,
+    ClientConfig, Entrance, Headless, Identity, Locator, Offer, PlayError, PlayReport, Played, Scheme,
+    Server, ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport, limits::client_transport,
     message::StreamChoice, play,
 };
 
@@ -75,6 +76,7 @@ fn within<T>(test: impl Future<Output = T>) -> T {
 struct Running {
     address: SocketAddr,
     trust: Trust,
+    entrance: Entrance,
     stop: oneshot::Sender<()>,
     task: JoinHandle<(ServerReport, Vec<ViewerReport>)>,
 }
@@ -89,6 +91,7 @@ impl Running {
         let (bind, policy) = ((Ipv4Addr::LOCALHOST, 0).into(), PolicyKind::Layered);
         let config = ServerConfig { bind, identity, limits, policy, impairment: None };
         let server = Server::bind(config, vec![offer]).unwrap();
+        let entrance = server.entrance();
         let (address, trust) = (server.local_addr().unwrap(), Trust::Pin(server.pin()));
         let (stop, stopped) = oneshot::channel::<()>();
         let task = tokio::spawn(async move {
@@ -97,7 +100,7 @@ impl Running {
             let report = server.run(async { drop(stopped.await) }, on_end).await;
             (report, viewers)
         });
-        Self { address, trust, stop, task }
+        Self { address, trust, entrance, stop, task }
     }
 
     async fn stop(self) -> (ServerReport, Vec<ViewerReport>) {

@@ -3,18 +3,17 @@
 use std::{
     collections::VecDeque,
     net::SocketAddr,
-    pin::Pin,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use emulator_host::{Nanos, PacketIndex, PolicyKind, graph::GraphError};
-use quinn::{Connection, SendDatagramError, SendStream};
 use serde::Serialize;
 use tokio::{sync::watch, time::sleep_until};
 
 use super::{
-    channel::{Channel, Closed, Ending},
+    carrier::{Carrier, CarrierEnding, ControlWriter, Departure, NotSent},
+    channel::Closed,
     control::{Control, ControlError},
     limits::{Allowance, ServerLimits},
     message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
@@ -111,9 +110,9 @@ impl std::fmt::Display for End {
 
 /// A session that a hello has begun.
 pub(super) struct Session {
-    pub(super) channel: Channel,
-    pub(super) ending: Ending,
-    pub(super) send: SendStream,
+    pub(super) carrier: Carrier,
+    pub(super) ending: CarrierEnding,
+    pub(super) send: ControlWriter,
     pub(super) control: Control<ClientMessage>,
     pub(super) offer: Arc<Offer>,
     pub(super) limits: ServerLimits,
@@ -136,8 +135,7 @@ struct Tally {
 
 /// The moving parts of a session.
 struct Viewer<'s> {
-    channel: &'s Channel,
-    connection: &'s Connection,
+    carrier: &'s Carrier,
     offer: &'s Offer,
     policy: PolicyKind,
     began: Instant,
@@ -164,11 +162,11 @@ struct Sending<'s> {
     round: (u32, u32),
     packet: PacketIndex,
     bytes: u64,
-    departure: Pin<Box<dyn Future<Output = Result<(), SendDatagramError>> + Send + 's>>,
+    departure: Departure<'s>,
 }
 
 /// Ends when the packet that waits, if there is one, has left.
-async fn departure(sending: &mut Option<Sending<'_>>) -> Result<(), SendDatagramError> {
+async fn departure(sending: &mut Option<Sending<'_>>) -> Result<(), NotSent> {
     match sending {
         Some(sending) => sending.departure.as_mut().await,
         None => std::future::pending().await,
@@ -178,12 +176,11 @@ async fn departure(sending: &mut Option<Sending<'_>>) -> Result<(), SendDatagram
 impl Session {
     /// Runs the session from `start_us` on.
     pub(super) async fn run(self, start_us: u64) -> (ViewerReport, End) {
-        let Self { channel, mut ending, mut send, mut control, offer, limits, policy, mut stopping } = self;
-        let connection = channel.connection();
+        let Self { carrier, mut ending, mut send, mut control, offer, limits, policy, mut stopping } = self;
         let began = Instant::now();
-        let address = connection.remote_address();
+        let address = carrier.address();
         let mut tally = Tally::default();
-        let end = match Viewer::new(&channel, &offer, &limits, policy, start_us) {
+        let end = match Viewer::new(&carrier, &offer, &limits, policy, start_us) {
             Ok(mut viewer) => {
                 let end = viewer.run(&mut ending, &mut send, &mut control, &limits, &mut stopping).await;
                 viewer.close_round();
@@ -205,7 +202,7 @@ impl Session {
             lost: tally.lost,
             receipts: tally.receipts,
             refused_receipts: tally.refused,
-            rtt_ms: connection.rtt().as_secs_f64() * 1e3,
+            rtt_ms: carrier.rtt().as_secs_f64() * 1e3,
             end: end.to_string(),
         };
         (report, end)
@@ -213,19 +210,14 @@ impl Session {
 }
 
 /// Says why, and closes.
-pub(super) async fn end_session(ending: Ending, mut send: SendStream, end: &End) {
+pub(super) async fn end_session(ending: CarrierEnding, send: ControlWriter, end: &End) {
     let code = match end {
         End::Bye | End::Gone(_) => 0,
         End::Refused(refusal) => {
             // On the stream it is repeated until it has arrived; but a peer that does not read is not waited
             // for.
             let message = ServerMessage::Refusal(refusal.clone()).to_bytes();
-            let said = async {
-                if send.write_all(&message).await.is_ok() && send.finish().is_ok() {
-                    let _ = send.stopped().await;
-                }
-            };
-            let _ = tokio::time::timeout(Duration::from_millis(500), said).await;
+            let _ = tokio::time::timeout(Duration::from_millis(500), send.finish(&message)).await;
             u32::from(refusal.code.number())
         }
     };
@@ -234,13 +226,12 @@ pub(super) async fn end_session(ending: Ending, mut send: SendStream, end: &End)
 
 impl<'s> Viewer<'s> {
     fn new(
-        channel: &'s Channel,
+        carrier: &'s Carrier,
         offer: &'s Offer,
         limits: &ServerLimits,
         policy: PolicyKind,
         start_us: u64,
     ) -> Result<Self, GraphError> {
-        let connection = channel.connection();
         let mut content = offer.content();
         let now = content.borrow_and_update().clone();
         let (first, says) = offer.start(&now, start_us);
@@ -256,12 +247,11 @@ impl<'s> Viewer<'s> {
             Allowance::new(bytes, (bytes / 10.0).max(2.0 * super::offer::MAX_MEDIA_BYTES as f64))
         });
         Ok(Self {
-            channel,
-            connection,
+            carrier,
             offer,
             policy,
             began,
-            round: Round::new(0, connection, (now, first), policy, &delivered)?,
+            round: Round::new(0, carrier, (now, first), policy, &delivered)?,
             renewals: 0,
             content,
             out,
@@ -277,19 +267,19 @@ impl<'s> Viewer<'s> {
 
     async fn run(
         &mut self,
-        ending: &mut Ending,
-        send: &mut SendStream,
+        ending: &mut CarrierEnding,
+        send: &mut ControlWriter,
         control: &mut Control<ClientMessage>,
         limits: &ServerLimits,
         stopping: &mut watch::Receiver<bool>,
     ) -> End {
-        let connection = self.connection;
-        self.manifest = (connection.stats().udp_tx.bytes, self.out.len() as u64);
+        let carrier = self.carrier;
+        self.manifest = (carrier.sent_bytes(), self.out.len() as u64);
         let mut grows = true;
         let mut sending: Option<Sending<'s>> = None;
         loop {
             if self.round.is_due() {
-                self.round.settle(connection);
+                self.round.settle(carrier);
             }
             let chooses = sending.is_none() && self.may_send();
             if chooses {
@@ -308,8 +298,8 @@ impl<'s> Viewer<'s> {
                     Err(end) => return end,
                 },
                 written = send.write(self.out.as_slices().0), if !self.out.is_empty() => match written {
-                    Ok(bytes) => drop(self.out.drain(..bytes)),
-                    Err(_) => return End::Bye,
+                    Some(bytes) => drop(self.out.drain(..bytes)),
+                    None => return End::Bye,
                 },
                 news = self.content.changed(), if grows => {
                     grows = news.is_ok();
@@ -320,17 +310,17 @@ impl<'s> Viewer<'s> {
                 }
                 left = departure(&mut sending), if sending.is_some() => match left {
                     Ok(()) => self.on_left(&mut sending),
-                    Err(SendDatagramError::ConnectionLost(error)) => return End::Gone(error.into()),
-                    Err(error) => {
+                    Err(NotSent::Closed(closed)) => return End::Gone(closed),
+                    Err(NotSent::Refused(error)) => {
                         let sentence = format!("media does not pass as datagrams: {error}");
                         return End::Refused(Refusal { code: RefusalCode::Message, sentence });
                     }
                 },
-                datagram = self.channel.read() => match datagram {
+                datagram = carrier.read() => match datagram {
                     Ok(datagram) => if let Err(refusal) = self.on_datagram(&datagram) {
                         return End::Refused(refusal);
                     },
-                    Err(error) => return End::Gone(error.into()),
+                    Err(closed) => return End::Gone(closed),
                 },
                 () = sleep_until(wake.into()) => {
                     if self.heard_at.elapsed() >= limits.idle {
@@ -345,7 +335,7 @@ impl<'s> Viewer<'s> {
     /// Whether the manifest is on its way and the early packets are not used up.
     fn may_send(&mut self) -> bool {
         let (before, bytes) = self.manifest;
-        let left = self.connection.stats().udp_tx.bytes - before >= bytes;
+        let left = self.carrier.sent_bytes() - before >= bytes;
         let early = self.tally.receipts > 0 || self.tally.packets < EARLY_PACKETS;
         let now = self.began.elapsed();
         let widest = super::offer::MAX_MEDIA_BYTES as f64;
@@ -361,7 +351,7 @@ impl<'s> Viewer<'s> {
             rate.take(bytes.len() as f64, now);
         }
         let (round, len) = ((self.round.number, self.renewals), bytes.len() as u64);
-        let departure = Box::pin(self.channel.send_when_there_is_room(bytes));
+        let departure = self.carrier.send_when_there_is_room(bytes);
         Some(Sending { round, packet, bytes: len, departure })
     }
 
@@ -385,7 +375,7 @@ impl<'s> Viewer<'s> {
         let due = if due == Nanos::MAX { None } else { self.round.instant(due) };
         let mut wake = due.map_or(idle, |due| due.min(idle));
         let now = Instant::now();
-        if self.connection.stats().udp_tx.bytes - self.manifest.0 < self.manifest.1 {
+        if self.carrier.sent_bytes() - self.manifest.0 < self.manifest.1 {
             wake = wake.min(now + MANIFEST_POLL);
         }
         if let Some(rate) = &mut self.rate {
@@ -420,8 +410,7 @@ impl<'s> Viewer<'s> {
                     let start_us = self.offer.time_us(&content, first);
                     self.out.extend(ServerMessage::Begin { round, start_us }.to_bytes());
                 }
-                let (connection, policy) = (self.connection, self.policy);
-                let next = Round::new(round, connection, (content, first), policy, &self.delivered);
+                let next = Round::new(round, self.carrier, (content, first), self.policy, &self.delivered);
                 self.round = next.map_err(|error| refused(RefusalCode::Message, error.to_string()))?;
                 self.tally.rounds += 1;
                 Ok(())
@@ -447,7 +436,7 @@ impl<'s> Viewer<'s> {
         let round = <[u8; ROUND_BYTES]>::try_from(round).ok().map(u32::from_le_bytes);
         if round == Some(self.round.number) {
             let before = self.round.counts().refused_receipts;
-            self.round.on_receipt(receipt, self.connection);
+            self.round.on_receipt(receipt, self.carrier);
             let refused = self.round.counts().refused_receipts - before;
             self.tally.refused += refused;
             self.tally.receipts += 1 - refused;
@@ -466,7 +455,7 @@ impl<'s> Viewer<'s> {
         let content = self.content.borrow_and_update().clone();
         self.close_round();
         self.renewals += 1;
-        self.round.renew(self.connection, content, self.policy, &self.delivered)
+        self.round.renew(self.carrier, content, self.policy, &self.delivered)
     }
 
     /// Takes what the round has counted.

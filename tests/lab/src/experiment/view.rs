@@ -27,6 +27,23 @@ const MOST_BYTES: f64 = 1.5e6;
 /// How long frames are counted, seconds.
 const COUNTED_S: f64 = 5.0;
 
+/// Plays and counts for `MS` milliseconds: frames and steps of the clock per second; the longest task of the
+/// page's thread that the browser reports, which are those of 50 ms and more; the longest time between two
+/// turns of a timer of that thread.
+const COUNT: &str = "(async () => { const { engine } = player; player.play();\
+    const begin = engine.frames, start = performance.now();\
+    let [task, wait, steps, going] = [0, 0, 0, true];\
+    const seen = new PerformanceObserver((list) =>\
+        list.getEntries().forEach((entry) => (task = Math.max(task, entry.duration))));\
+    seen.observe({ type: 'longtask' });\
+    let last = performance.now();\
+    const turn = () => { const now = performance.now(); wait = Math.max(wait, now - last); last = now;\
+        if (going) setTimeout(turn, 1); }; turn();\
+    const step = () => { steps += 1; if (going) requestAnimationFrame(step); }; step();\
+    await new Promise((done) => setTimeout(done, MS)); going = false;\
+    const seconds = (performance.now() - start) / 1000; player.pause();\
+    return [(engine.frames - begin) / seconds, steps / seconds, task, wait]; })()";
+
 /// Runs the bench.
 pub fn run(setup: &Setup) -> Result<Bench> {
     let sizes: &[usize] = if setup.quick { &[30_000] } else { &[30_000, 150_000] };
@@ -92,15 +109,23 @@ fn play(bench: &mut Bench, gaussians: usize, runs: usize, quiet: Quiet) -> Resul
         firsts.push(own.as_f64().unwrap_or_else(|| 1e3 * began.elapsed().as_secs_f64()));
     }
     bench.push(Figure::new(format!("{gaussians}.first_picture_ms"), median(&firsts), "ms").runs(runs));
-    browser.wait(120, "(globalThis.player = document.querySelector('dgs-player')).buffered === 1")?;
-    let counted = "(async () => { const { engine } = player; player.play();\
-         const begin = engine.frames, start = performance.now();\
-         await new Promise((done) => setTimeout(done, MS));\
-         return 1000 * (engine.frames - begin) / (performance.now() - start); })()";
-    let rate = browser.run(&counted.replace("MS", &format!("{}", 1e3 * COUNTED_S)))?;
-    let rate = rate.as_f64().context("no rate came")?;
-    ensure!(rate > 0.0, "{gaussians} Gaussians: nothing was drawn in {COUNTED_S} s");
-    bench.push(Figure::new(format!("{gaussians}.frames_per_s"), rate, "1/s"));
+    for (query, key) in [("&worker=off", ".page"), ("", "")] {
+        browser.go("about:blank")?;
+        browser.go(&format!("{address}{query}"))?;
+        browser.wait(120, "document.querySelector('dgs-player')?.engine?.frames > 0")?;
+        browser.wait(120, "(globalThis.player = document.querySelector('dgs-player')).buffered === 1")?;
+        let counted = browser.run(&COUNT.replace("MS", &format!("{}", 1e3 * COUNTED_S)))?;
+        let figure = |at: usize| counted[at].as_f64().context("no figure came");
+        ensure!(figure(0)? > 0.0, "{gaussians} Gaussians: nothing was drawn in {COUNTED_S} s");
+        for (at, name, unit) in [
+            (0, "frames_per_s", "1/s"),
+            (1, "clock_steps_per_s", "1/s"),
+            (2, "longest_task_ms", "ms"),
+            (3, "longest_wait_ms", "ms"),
+        ] {
+            bench.push(Figure::new(format!("{gaussians}{key}.{name}"), figure(at)?, unit));
+        }
+    }
     for kind in ["wasm", "device"] {
         let bytes = browser.run(&format!("player.engine.memory.{kind}"))?;
         let bytes = bytes.as_f64().context("no bytes came")?;

@@ -1,0 +1,44 @@
+//! An entrance takes the WebSockets that a page's server has granted to the server of sessions.
+
+use std::{net::SocketAddr, sync::Arc};
+
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+
+use super::web_socket::Socket;
+
+/// WebSockets that wait to be taken on.
+const WAITING: usize = 16;
+
+/// See the module. Clones lead to the same server.
+#[derive(Clone, Debug)]
+pub struct Entrance {
+    granted: mpsc::Sender<Entering>,
+    places: Arc<Semaphore>,
+}
+
+/// A WebSocket on its way in.
+#[derive(Debug)]
+pub(super) struct Entering {
+    pub(super) socket: Socket,
+    pub(super) address: SocketAddr,
+    /// Given back when the WebSocket has ended.
+    pub(super) place: OwnedSemaphorePermit,
+}
+
+impl Entrance {
+    /// For so many WebSockets at once, and where they come out.
+    pub(super) fn new(places: usize) -> (Self, mpsc::Receiver<Entering>) {
+        let (granted, entering) = mpsc::channel(WAITING);
+        (Self { granted, places: Arc::new(Semaphore::new(places)) }, entering)
+    }
+
+    /// A place for one more, if there is one.
+    pub(crate) fn place(&self) -> Option<OwnedSemaphorePermit> {
+        self.places.clone().try_acquire_owned().ok()
+    }
+
+    /// Lets a WebSocket in. Where the server has closed, it is closed with it.
+    pub(crate) async fn enter(&self, socket: Socket, address: SocketAddr, place: OwnedSemaphorePermit) {
+        let _ = self.granted.send(Entering { socket, address, place }).await;
+    }
+}

@@ -1,0 +1,57 @@
+import { Controls } from "./dgs_viewer.js";
+
+/** Where to decode: `worker: false` for the thread of the page. */
+export interface DecodingOptions {
+  worker?: boolean;
+}
+
+/** A stream that is shown: clock and camera on the page's thread, packets and Gaussians with its decoder. */
+export class Session extends Controls {
+  private constructor();
+  /** The `.dgs` file of these bytes, which are given away. */
+  static open(bytes: Uint8Array, options?: DecodingOptions): Promise<Session>;
+  /** A file of `length` bytes that begins with `first`, which hold its manifest; the rest is `wanted`. */
+  static fetch(first: Uint8Array, length: number, options?: DecodingOptions): Promise<Session>;
+  /** A stream that a server sends: its DGSM message. */
+  static receive(message: Uint8Array, options?: DecodingOptions): Promise<Session>;
+  /** Where it is decoded: `worker`, or `page` and the reason. */
+  readonly decoding: string;
+  /** What of the file could not be used; empty for a whole one. */
+  readonly damage: string;
+  /** Share of the file that is there. */
+  readonly loaded: number;
+  /** Highest level shown, 0 to 3. */
+  cap: number;
+  /** Whether blocks are painted by level. */
+  overlay: boolean;
+  /** Whether packets are on their way through the emulated network. */
+  readonly busy: boolean;
+  /** Whether the screen has the picture of what is wished. */
+  readonly settled: boolean;
+  /** Packets that wait for the decoder. */
+  readonly waiting: number;
+  /** Pictures uploaded to the screen that there is. */
+  readonly uploads: number;
+  /** Frames, frames per second, most Gaussians of a frame, packets of the stream. */
+  info(): [number, number, number, number];
+  /** Blocks of the frame by level, as last answered: proxies, base, refinements 1 to 3. */
+  levels(): Uint32Array;
+  /** Packets that came, and those that were decoded, as last answered. */
+  packets(): Uint32Array;
+  /** Takes a packet; the promise is kept once the decoder has it. */
+  push(packet: Uint8Array): Promise<void>;
+  /** Which bytes to ask for next: first and past; one number for the whole file; none when all is there. */
+  wanted(): Promise<number[]>;
+  /** Takes bytes of the file from offset `at` on; they are given away. */
+  take(at: number, bytes: Uint8Array): Promise<void>;
+  /** Takes the whole file after all; its bytes are given away. */
+  takeWhole(bytes: Uint8Array): Promise<void>;
+  /** A receipt for the server: its number, and when the first frame of the round was shown, microseconds. */
+  receipt(sequence: number, playout: number): Promise<Uint8Array>;
+  /** When the first frame is due of the round that the server sends for `time`, seconds. */
+  roundStart(time: number): Promise<number>;
+  /** Puts an emulated network before the decoder: share lost, mean run, bits per second (0: no limit), seed. */
+  impair(loss: number, burst: number, rate: number, seed: number): void;
+  /** Moves the camera so that every Gaussian of the frame is in the picture. */
+  lookAtAll(aspect: number, up: string): Promise<void>;
+}

@@ -1,0 +1,89 @@
+// A ladder tries transports one after the other, each with a head start, and takes the first that has a manifest.
+
+import { hasWebTransport, openWebSocket, openWebTransport } from "./links.js";
+import { receive } from "./live.js";
+import { fetchStream } from "./source.js";
+
+// How long a transport is alone before the next is tried beside it, milliseconds.
+const HEAD_START_MS = 300;
+// As much before a file, which needs fewer round trips than a session and is the poorer: nobody weighs its packets.
+const BEFORE_FILE_MS = 2000;
+// Where a page remembers which transport was the first.
+const REMEMBERED = "dgs-transport";
+
+/** The rung that plays the file at `url`. */
+export function fileRung(url) {
+  return { name: "file", run: (given) => fetchStream(new URL(url, document.baseURI).href, given) };
+}
+
+/** The rungs of a stream of `streams.json`, best first; `wish` allows one alone. */
+export function rungsOf(stream, wish) {
+  const rungs = [];
+  const live = (name, open) => rungs.push({ name, run: (given) => receive(stream, open, given) });
+  if (hasWebTransport(stream)) live("live", (signal) => openWebTransport(stream, signal));
+  if (stream.web_address) live("websocket", openWebSocket);
+  if (stream.file) rungs.push(fileRung(stream.file));
+  return rungs.filter(({ name }) => !wish || name === wish);
+}
+
+/**
+ * Runs the rungs, that one first which was the first before; `began(session, name)` for the first that has a manifest,
+ * which ends the others. Resolves with the winner's name and what its run gave once that has ended, or `failure`.
+ */
+export async function climb(rungs, { began, signal, ...given }) {
+  const known = remembered();
+  const order = [...rungs].sort((a, b) => (b.name === known) - (a.name === known));
+  let winner = null;
+  const tries = order.map((rung) => ({ rung, control: new AbortController(), begun: false }));
+  const end = () => tries.forEach(({ control }) => control.abort());
+  signal.addEventListener("abort", end);
+  return new Promise((resolve, reject) => {
+    let left = tries.length;
+    let timer = 0;
+    const next = () => {
+      clearTimeout(timer);
+      const chosen = tries.find(({ begun }) => !begun);
+      if (!chosen || winner || signal.aborted) return;
+      chosen.begun = true;
+      const after = tries.find(({ begun }) => !begun)?.rung.name;
+      timer = setTimeout(next, after === "file" ? BEFORE_FILE_MS : HEAD_START_MS);
+      const { rung, control } = chosen;
+      const own = async (session) => {
+        if (winner) return session.free();
+        winner = chosen;
+        tries.filter((other) => other !== chosen).forEach((other) => other.control.abort());
+        if (rungs.length > 1) remember(rung.name);
+        await began(session, rung.name);
+      };
+      const ended = (outcome) => {
+        if (winner === chosen) return resolve({ name: rung.name, ...outcome });
+        left -= 1;
+        if (left === 0) reject(outcome.failure ?? new Error("No transport brings this stream"));
+        else next();
+      };
+      rung.run({ ...given, began: own, signal: control.signal }).then(
+        (result) => ended({ result }),
+        (failure) => ended({ failure }),
+      );
+    };
+    if (left === 0) reject(new Error("This browser or this server has no such transport"));
+    next();
+  });
+}
+
+// A page inside another may have no storage.
+function remembered() {
+  try {
+    return sessionStorage.getItem(REMEMBERED);
+  } catch {
+    return null;
+  }
+}
+
+function remember(name) {
+  try {
+    sessionStorage.setItem(REMEMBERED, name);
+  } catch {
+    // Then it is found out again.
+  }
+}

@@ -1,0 +1,124 @@
+// A link carries a session's control stream and datagrams: over WebTransport, or in frames of a WebSocket.
+//
+// Every link has `control` and `media`, readers of `{ value, done }`; `write(bytes)` to the control stream;
+// `send(datagram)`; `close()`. SESSION.md has every byte.
+
+// Datagrams that wait for this page; of more the oldest are lost.
+const WAITING_PACKETS = 4096;
+// First bytes of frames.
+const [CONTROL, DATAGRAM] = [0, 1];
+// Bytes towards the server that may wait before datagrams are lost.
+const MOST_BUFFERED = 4096;
+
+/** Whether this browser has WebTransport, and the server of `stream`. */
+export function hasWebTransport(stream) {
+  return "WebTransport" in globalThis && Boolean(stream.web_address);
+}
+
+/** A link over WebTransport to the server of `stream`, known by its pin. */
+export async function openWebTransport(stream, signal) {
+  const digits = await (await fetch("certificate.sha256", { signal })).text();
+  const value = Uint8Array.from(digits.trim().match(/../g) ?? [], (pair) => parseInt(pair, 16));
+  const serverCertificateHashes = [{ algorithm: "sha-256", value }];
+  const transport = new WebTransport(stream.web_address, { serverCertificateHashes });
+  transport.closed.catch(() => {});
+  const close = () => transport.close();
+  signal.addEventListener("abort", close);
+  await transport.ready;
+  const { datagrams } = transport;
+  // By default one packet waits.
+  datagrams.incomingHighWaterMark = WAITING_PACKETS;
+  datagrams.incomingMaxBufferedDatagrams = WAITING_PACKETS;
+  const control = await transport.createBidirectionalStream();
+  const [writer, receipts] = [control.writable, datagrams.createWritable?.() ?? datagrams.writable].map((to) =>
+    to.getWriter(),
+  );
+  return {
+    control: control.readable.getReader(),
+    media: datagrams.readable.getReader(),
+    write: (bytes) => writer.write(bytes),
+    send: (datagram) => receipts.write(datagram),
+    close,
+  };
+}
+
+/** A link over a WebSocket to the server of this page. */
+export async function openWebSocket(signal) {
+  const url = new URL("session", document.baseURI);
+  url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+  const socket = new WebSocket(url);
+  socket.binaryType = "arraybuffer";
+  // A socket that is closed before it is open complains to people.
+  const close = () => (socket.readyState === WebSocket.CONNECTING ? (socket.onopen = close) : socket.close());
+  signal.addEventListener("abort", close);
+  const [control, media] = [new Queue(Infinity), new Queue(WAITING_PACKETS)];
+  socket.onmessage = ({ data }) => {
+    const frame = new Uint8Array(data);
+    // A packet of its own, so that it can be given away.
+    if (frame[0] === CONTROL) control.put(frame.subarray(1));
+    else if (frame[0] === DATAGRAM) media.put(frame.slice(1));
+  };
+  const opened = new Promise((resolve, reject) => {
+    signal.addEventListener("abort", () => reject(new Error("The WebSocket is not wanted any more")));
+    socket.onopen = resolve;
+    socket.onclose = ({ reason }) => {
+      for (const queue of [control, media]) queue.end();
+      reject(new Error(reason || "The WebSocket is closed"));
+    };
+  });
+  await opened;
+  const framed = (kind, bytes) => {
+    const frame = new Uint8Array(1 + bytes.length);
+    frame[0] = kind;
+    frame.set(bytes, 1);
+    return frame;
+  };
+  return {
+    control,
+    media,
+    write: async (bytes) => socket.send(framed(CONTROL, bytes)),
+    send: async (datagram) => {
+      if (socket.bufferedAmount < MOST_BUFFERED) socket.send(framed(DATAGRAM, datagram));
+    },
+    close,
+  };
+}
+
+// What has come and was not read yet; of more than `most` the oldest is lost.
+class Queue {
+  #most;
+  #values = [];
+  #reader = null;
+  #ended = false;
+
+  constructor(most) {
+    this.#most = most;
+  }
+
+  put(value) {
+    this.#values.push(value);
+    if (this.#values.length > this.#most) this.#values.shift();
+    this.#serve();
+  }
+
+  end() {
+    this.#ended = true;
+    this.#serve();
+  }
+
+  /** As a reader of a stream reads. */
+  read() {
+    return new Promise((resolve) => {
+      this.#reader = resolve;
+      this.#serve();
+    });
+  }
+
+  #serve() {
+    if (!this.#reader || (this.#values.length === 0 && !this.#ended)) return;
+    const reader = this.#reader;
+    this.#reader = null;
+    const done = this.#values.length === 0;
+    reader({ value: this.#values.shift(), done });
+  }
+}

@@ -1,0 +1,294 @@
+// A session is a stream that is shown: clock and camera here, packets and Gaussians with its decoder.
+
+import { Controls } from "./dgs_viewer.js";
+import { Decoding } from "./decoding.js";
+
+const LEVELS = 4;
+/** Packets that may wait for the decoder before whoever brings them should wait, too. */
+export const MOST_WAITING = 1024;
+// Requests that a picture of what is wished may take.
+const MOST_ROUNDS = 8;
+
+export class Session extends Controls {
+  #decoding;
+  #facts;
+  #cap = LEVELS - 1;
+  #overlay = false;
+  #loaded;
+  // What the decoder said last, besides pictures.
+  #state;
+  // Counts what changes pictures besides frame, cap and overlay.
+  #changes = 0;
+  // What the last request asked for, and what the last picture on the screen answers.
+  #requested = "";
+  #shown = "";
+  #uploads = 0;
+  #anew = true;
+  // One request is under way at most, and one answer waits to be uploaded.
+  #pending = null;
+  #answer = null;
+  #buffer = null;
+  #packets = [];
+  #pushing = null;
+  #freed = false;
+  /** Called when an answer has come, and when the decoder fails. */
+  answered = () => {};
+  failed = () => {};
+
+  /** The `.dgs` file of these bytes, which are given away. `worker: false` decodes on the page's thread. */
+  static open(bytes, options) {
+    return Session.#make({ how: "open", bytes }, options);
+  }
+
+  /** A file of `length` bytes that begins with `first`, which hold its manifest; the rest is `wanted`. */
+  static fetch(first, length, options) {
+    return Session.#make({ how: "fetch", bytes: first, length }, options);
+  }
+
+  /** A stream that a server sends: its DGSM message. */
+  static receive(message, options) {
+    return Session.#make({ how: "receive", bytes: message.slice() }, options);
+  }
+
+  static async #make(given, { worker = true } = {}) {
+    const decoding = await Decoding.open(worker);
+    try {
+      return new Session(decoding, await decoding.ask("make", given, [given.bytes.buffer]));
+    } catch (error) {
+      decoding.close();
+      throw error;
+    }
+  }
+
+  constructor(decoding, facts) {
+    super(facts.frames, facts.rate);
+    this.#decoding = decoding;
+    this.#facts = facts;
+    this.#loaded = facts.loaded;
+    this.#state = facts.state;
+  }
+
+  /** Where it is decoded: `worker`, or `page` and the reason. */
+  get decoding() {
+    return this.#decoding.where;
+  }
+
+  /** Frames, frames per second, most Gaussians of a frame, packets of the stream. */
+  info() {
+    const { frames, rate, gaussians, packets } = this.#facts;
+    return [frames, rate, gaussians, packets];
+  }
+
+  /** What of the file could not be used; empty for a whole one. */
+  get damage() {
+    return this.#facts.damage;
+  }
+
+  /** Share of the file that is there. */
+  get loaded() {
+    return this.#loaded;
+  }
+
+  /** Highest level shown, 0 to 3. */
+  get cap() {
+    return this.#cap;
+  }
+
+  set cap(level) {
+    this.#cap = Math.max(0, Math.min(LEVELS - 1, Math.round(level) || 0));
+  }
+
+  /** Whether blocks are painted by level. */
+  get overlay() {
+    return this.#overlay;
+  }
+
+  set overlay(overlay) {
+    this.#overlay = Boolean(overlay);
+  }
+
+  /** Whether packets are on their way through the emulated network. */
+  get busy() {
+    return this.#state.busy;
+  }
+
+  /** Blocks of the frame by level, as last answered: proxies, base, refinements 1 to 3. */
+  levels() {
+    return this.#state.levels;
+  }
+
+  /** Packets that came, and those that were decoded, as last answered. */
+  packets() {
+    return this.#state.packets;
+  }
+
+  /** Bytes of WebAssembly in a worker; 0 where it shares the page's. */
+  get memory() {
+    return this.decoding === "worker" ? this.#state.memory : 0;
+  }
+
+  /** Pictures uploaded to the screen that there is. */
+  get uploads() {
+    return this.#uploads;
+  }
+
+  /** Whether the screen has the picture of what is wished. */
+  get settled() {
+    return this.#shown === this.#wish() && this.#packets.length === 0;
+  }
+
+  #wish() {
+    return `${this.frame} ${this.#cap} ${this.#overlay} ${this.#changes}`;
+  }
+
+  /** Lets `dt` seconds pass: see `Controls`. */
+  advance(dt) {
+    return super.advance(dt, this.#state.patience, this.#state.missing);
+  }
+
+  /** Takes a packet; the promise is kept once the decoder has it. */
+  push(packet) {
+    if (this.#freed) return Promise.resolve();
+    // A copy of a part takes all of its buffer along.
+    this.#packets.push(packet.byteLength === packet.buffer.byteLength ? packet : packet.slice());
+    this.#pushing ??= this.#flush();
+    return this.#pushing;
+  }
+
+  /** Packets that wait for the decoder. */
+  get waiting() {
+    return this.#packets.length;
+  }
+
+  // Packets that come while others are on their way to the decoder go together.
+  async #flush() {
+    try {
+      while (this.#packets.length > 0 && !this.#freed) {
+        const packets = this.#packets;
+        this.#packets = [];
+        this.#changes += 1;
+        await this.#decoding.ask("push", packets);
+        this.answered();
+      }
+    } catch (error) {
+      this.#fail(error);
+    } finally {
+      this.#pushing = null;
+    }
+  }
+
+  /** Which bytes to ask for next: first and past; one number for the whole file; none when all is there. */
+  wanted() {
+    return this.#decoding.ask("wanted");
+  }
+
+  /** Takes bytes of the file from offset `at` on; they are given away. */
+  async take(at, bytes) {
+    this.#changes += 1;
+    this.#loaded = await this.#decoding.ask("take", { at, bytes }, [bytes.buffer]);
+  }
+
+  /** Takes the whole file after all; its bytes are given away. */
+  async takeWhole(bytes) {
+    this.#changes += 1;
+    this.#loaded = await this.#decoding.ask("takeWhole", bytes, [bytes.buffer]);
+  }
+
+  /** A receipt for the server: its number, and when the first frame of the round was shown, microseconds. */
+  receipt(sequence, playout) {
+    return this.#decoding.ask("receipt", { sequence, playout, view: this.view, up: this.up });
+  }
+
+  /** When the first frame is due of the round that the server sends for `time`, seconds. */
+  roundStart(time) {
+    return this.#decoding.ask("roundStart", time);
+  }
+
+  /** Puts an emulated network before the decoder: share lost, mean run, bits per second (0: no limit), seed. */
+  impair(loss, burst, rate, seed) {
+    this.#changes += 1;
+    this.#decoding.ask("impair", { loss, burst, rate, seed }).catch((error) => this.#fail(error));
+  }
+
+  /** Moves the camera so that every Gaussian of the frame is in the picture; `up` is `y`, `minus-z` and so on. */
+  async lookAtAll(aspect, up) {
+    const [x, y, z, radius] = await this.#decoding.ask("bounds", this.frame);
+    if (!this.#freed) this.lookAround([x, y, z], radius, aspect, up);
+  }
+
+  /** A screen that has nothing of this session must be given all of it. */
+  forget() {
+    this.#anew = true;
+    this.#requested = this.#shown = "";
+    this.#uploads = 0;
+    // What was made for another screen may lack what only that one has.
+    this.#answer = null;
+  }
+
+  /**
+   * Asks the decoder for what is wished at `now`, milliseconds, unless it is asked already: of frames that are
+   * wished while it is at work, the newest is the next. `wished` says whether there is a screen for a picture.
+   */
+  request(now, wished) {
+    const wish = this.#wish();
+    const asked = `${wish} ${wished}`;
+    if (this.#pending || this.#freed || (asked === this.#requested && !this.busy)) return;
+    this.#requested = asked;
+    const anew = this.#anew;
+    const given = { frame: this.frame, cap: this.#cap, overlay: this.#overlay, now: now / 1000, anew, wished };
+    const buffer = this.#buffer;
+    this.#buffer = null;
+    if (wished) this.#anew = false;
+    this.#pending = this.#decoding.ask("show", { ...given, buffer }, buffer ? [buffer] : []).then(
+      ({ picture, state }) => this.#take(wish, wished, picture, state),
+      (error) => {
+        this.#pending = null;
+        this.#fail(error);
+      },
+    );
+  }
+
+  #take(wish, wished, picture, state) {
+    this.#pending = null;
+    if (this.#freed) return;
+    this.#state = state;
+    // A screen was forgotten while this was made.
+    if (wished && !this.#anew) this.#answer = { wish, picture };
+    this.answered();
+  }
+
+  #fail(error) {
+    if (!this.#freed) this.failed(error);
+  }
+
+  /** Asks for what is wished and uploads what was answered. */
+  update(now, screen) {
+    const answer = this.#answer;
+    this.#answer = null;
+    this.request(now, screen !== null);
+    if (!answer || !screen) return;
+    const { wish, picture } = answer;
+    if (picture) {
+      const { count, degree, onlyMoved, bytes, buffer } = picture;
+      screen.upload(count, degree, onlyMoved, new Uint8Array(buffer, 0, bytes));
+      this.#buffer = buffer;
+      this.#uploads += 1;
+    }
+    this.#shown = wish;
+  }
+
+  /** Asks, waits and uploads until the screen has what is wished. */
+  async settle(screen) {
+    // A clip that plays wishes for another frame each time.
+    for (let round = 0; round < MOST_ROUNDS && !this.settled && !this.#freed && !screen.lost; round++) {
+      this.update(performance.now(), screen);
+      await (this.#pending ?? this.#pushing);
+    }
+  }
+
+  free() {
+    this.#freed = true;
+    this.#decoding.close();
+    super.free();
+  }
+}

@@ -1,0 +1,195 @@
+//! Controls are what a viewer holds in hand: the clock, the camera, the background. No stream is behind them.
+
+use wasm_bindgen::prelude::*;
+
+use crate::{
+    orbit::{Orbit, Up},
+    playback::Playback,
+};
+
+/// See the module.
+#[wasm_bindgen]
+#[derive(Debug)]
+pub struct Controls {
+    playback: Playback,
+    orbit: Orbit,
+    background: [f32; 3],
+}
+
+impl Controls {
+    /// The camera.
+    pub(super) fn orbit(&self) -> &Orbit {
+        &self.orbit
+    }
+
+    /// The colour behind everything.
+    pub(super) fn background(&self) -> [f32; 3] {
+        self.background
+    }
+}
+
+#[wasm_bindgen]
+impl Controls {
+    /// For a clip of `frames` frames at `rate` of them a second, standing at its beginning.
+    #[wasm_bindgen(constructor)]
+    pub fn new(frames: u32, rate: f64) -> Self {
+        Self { playback: Playback::new(frames, rate), orbit: Orbit::default(), background: [0.0; 3] }
+    }
+
+    /// Length of the clip, seconds.
+    #[wasm_bindgen(getter)]
+    pub fn duration(&self) -> f64 {
+        self.playback.duration_s()
+    }
+
+    /// Where the clock is, seconds.
+    #[wasm_bindgen(getter)]
+    pub fn time(&self) -> f64 {
+        self.playback.time_s()
+    }
+
+    /// Goes there.
+    #[wasm_bindgen(setter)]
+    pub fn set_time(&mut self, time_s: f64) {
+        self.playback.seek(time_s);
+    }
+
+    /// The frame that is due.
+    #[wasm_bindgen(getter)]
+    pub fn frame(&self) -> u32 {
+        self.playback.frame()
+    }
+
+    /// Goes `frames` frames on and stands.
+    pub fn step(&mut self, frames: i32) {
+        self.playback.step(frames);
+    }
+
+    /// Whether the clock runs.
+    #[wasm_bindgen(getter)]
+    pub fn playing(&self) -> bool {
+        self.playback.playing()
+    }
+
+    /// Lets it run or stand.
+    #[wasm_bindgen(setter)]
+    pub fn set_playing(&mut self, playing: bool) {
+        self.playback.set_playing(playing);
+    }
+
+    /// Seconds of the clip per second.
+    #[wasm_bindgen(getter)]
+    pub fn rate(&self) -> f64 {
+        self.playback.rate()
+    }
+
+    /// Sets that.
+    #[wasm_bindgen(setter)]
+    pub fn set_rate(&mut self, rate: f64) {
+        self.playback.set_rate(rate);
+    }
+
+    /// Whether the clip begins again at its end.
+    #[wasm_bindgen(getter)]
+    pub fn looping(&self) -> bool {
+        self.playback.looping()
+    }
+
+    /// Sets that.
+    #[wasm_bindgen(setter)]
+    pub fn set_looping(&mut self, looping: bool) {
+        self.playback.set_looping(looping);
+    }
+
+    /// Lets `dt` seconds pass: 1 the clip began again, 2 it ended, 4 it waits for a base level, or nothing of
+    /// these. It waits up to `patience` seconds for frames of `missing`: first and past of each range.
+    pub fn advance(&mut self, dt_s: f64, patience_s: f64, missing: &[u32]) -> u32 {
+        let is_missing = |frame| missing.chunks_exact(2).any(|range| (range[0]..range[1]).contains(&frame));
+        let step = self.playback.advance(dt_s, patience_s, |frame| !is_missing(frame));
+        u32::from(step.looped) | u32::from(step.ended) << 1 | u32::from(step.stalled) << 2
+    }
+
+    /// Sets the colour behind everything, 0 to 1 each.
+    #[wasm_bindgen(js_name = setBackground)]
+    pub fn set_background(&mut self, red: f32, green: f32, blue: f32) {
+        self.background = [red, green, blue].map(|v| if v.is_finite() { v.clamp(0.0, 1.0) } else { 0.0 });
+    }
+
+    /// Moves the camera so that what lies within `radius` of a middle is in a picture `aspect` times as wide
+    /// as high; `up` is `y`, `minus-z` and so on.
+    #[wasm_bindgen(js_name = lookAround)]
+    pub fn look_around(&mut self, middle: &[f64], radius: f64, aspect: f64, up: &str) -> Result<(), JsError> {
+        let up = Up::named(up)
+            .ok_or_else(|| JsError::new(&format!("up is {up:?}; y, minus-z and so on are allowed")))?;
+        let middle = <[f64; 3]>::try_from(middle)
+            .map_err(|_| JsError::new(&format!("middle has {} numbers, allowed: 3", middle.len())))?;
+        self.orbit = Orbit::around(middle, radius, aspect, up);
+        Ok(())
+    }
+
+    /// Which way is up.
+    #[wasm_bindgen(getter)]
+    pub fn up(&self) -> String {
+        self.orbit.up().name().to_owned()
+    }
+
+    /// Takes the next way up, and its name.
+    #[wasm_bindgen(js_name = nextUp)]
+    pub fn next_up(&mut self) -> String {
+        self.orbit = self.orbit.with_up(self.orbit.up().next());
+        self.up()
+    }
+
+    /// Back to the view it began with.
+    pub fn home(&mut self, aspect: f64) {
+        self.orbit = self.orbit.home(aspect);
+    }
+
+    /// Turns by a drag, pixels.
+    pub fn turn(&mut self, dx: f64, dy: f64, height: f64) {
+        self.orbit.turn(dx, dy, height);
+    }
+
+    /// Pans by a drag, pixels.
+    pub fn pan(&mut self, dx: f64, dy: f64, height: f64) {
+        self.orbit.pan(dx, dy, height);
+    }
+
+    /// Comes so many times as near.
+    pub fn zoom(&mut self, factor: f64) {
+        self.orbit.zoom(factor);
+    }
+
+    /// Moves right, up, forward, in shares of the distance.
+    pub fn fly(&mut self, right: f64, up: f64, forward: f64) {
+        self.orbit.fly(right, up, forward);
+    }
+
+    /// The view: azimuth, elevation, distance, target.
+    #[wasm_bindgen(getter)]
+    pub fn view(&self) -> Vec<f64> {
+        self.orbit.numbers().to_vec()
+    }
+
+    /// Takes a view; false for numbers that are none.
+    #[wasm_bindgen(js_name = setView)]
+    pub fn set_view(&mut self, view: &[f64]) -> bool {
+        let numbers = <[f64; 6]>::try_from(view).ok();
+        let orbit = numbers.and_then(|numbers| self.orbit.at(numbers));
+        if let Some(orbit) = orbit {
+            self.orbit = orbit;
+        }
+        orbit.is_some()
+    }
+
+    /// The camera of a picture: rotation (9, row by row), translation (3), focal lengths and principal point,
+    /// near plane. For tests.
+    pub fn camera(&self, width: u32, height: u32) -> Result<Vec<f64>, JsError> {
+        let camera = self.orbit.camera(width, height)?;
+        let i = camera.intrinsics();
+        let (rotation, translation) = (camera.rotation(), camera.translation());
+        let rest = [i.fx, i.fy, i.cx, i.cy, camera.near()];
+        let numbers = rotation.as_flattened().iter().chain(&translation).chain(&rest);
+        Ok(numbers.copied().collect())
+    }
+}
