@@ -22,6 +22,7 @@ mod loss_share;
 mod media_receiver;
 mod media_sender;
 mod metrics;
+mod news;
 mod outlook;
 mod outstanding;
 mod run;

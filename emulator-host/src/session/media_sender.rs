@@ -287,21 +287,20 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     pub fn on_receipt(&mut self, bytes: &[u8]) {
         let mut feedback = std::mem::take(&mut self.feedback);
         match feedback::read(bytes, &self.graph, &mut feedback) {
-            Ok(()) => self.on_feedback(&feedback),
+            Ok(()) => {
+                feedback.received.iter().for_each(|packet| self.on_acked(*packet));
+                self.on_playout(feedback.playout_start);
+            }
             Err(_) => self.counts.refused_receipts += 1,
         }
         self.feedback = feedback;
     }
 
-    fn on_feedback(&mut self, feedback: &Feedback) {
-        for packet in &feedback.received {
-            self.set_status(*packet, PacketStatus::Delivered);
-        }
+    /// A receipt has said when frame 0 was shown, or that it was not.
+    pub(super) fn on_playout(&mut self, start: Option<Nanos>) {
         // Until playout starts, what is worth sending follows from what is known to be there.
         self.starved &= self.known_start.is_some();
-        if self.known_start.is_none() && feedback.playout_start.is_some() {
-            self.known_start = feedback.playout_start;
-        }
+        self.known_start = self.known_start.or(start);
     }
 
     fn is_parity(&self, packet: PacketIndex) -> bool {

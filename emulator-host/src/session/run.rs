@@ -124,8 +124,8 @@ impl Walk<'_> {
         }
         while let BoxOutput::Datagram(datagram) = self.reverse.step(input.take(), now) {
             self.note(datagram, UP_DELIVERED, now);
-            let (acknowledgement, receipt) = self.client.feedback(datagram.tag);
-            self.sender.on_feedback(acknowledgement, receipt, now);
+            let (acknowledgement, told) = self.client.feedback(datagram.tag);
+            self.sender.on_feedback(acknowledgement, told, self.client.news(), now);
         }
     }
 
