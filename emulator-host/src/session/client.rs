@@ -22,7 +22,7 @@ const ACK_BYTES: u32 = 35 + 3;
 /// A datagram of feedback under way; its ranges lie in a shared table.
 #[derive(Clone, Copy, Debug)]
 struct Sent {
-    ranges: (usize, usize),
+    ranges: (u32, u32),
     told: Told,
     ack_delay: Nanos,
 }
@@ -110,13 +110,13 @@ impl<'a> Client<'a> {
         }
         self.ack_at = Nanos::MAX;
         self.unacked = 0;
-        let first_range = self.sent_ranges.len();
+        let first_range = self.sent_ranges.len() as u32;
         let oldest = self.ranges.last().map_or(0, |(_, last)| last.saturating_sub(REACH));
         let recent = self.ranges.iter().rev().take_while(|(_, last)| *last >= oldest);
         self.sent_ranges.extend(recent.take(RANGES / 2));
         let (receipt_bytes, told) = self.viewer.receipt_told();
-        let ranges = (first_range, self.sent_ranges.len());
-        let range_bytes = 4 * (ranges.1 - ranges.0) as u32;
+        let ranges = (first_range, self.sent_ranges.len() as u32);
+        let range_bytes = 4 * (ranges.1 - ranges.0);
         self.sent.push(Sent { ranges, told, ack_delay: now - self.largest_at });
         Some(Datagram {
             tag: self.sent.len() as u64 - 1,
@@ -127,7 +127,7 @@ impl<'a> Client<'a> {
     /// What the datagram `tag` carries: the transport's acknowledgement, and what its receipt tells.
     pub(super) fn feedback(&self, tag: u64) -> (Acknowledgement<'_>, Told) {
         let sent = self.sent[tag as usize];
-        let ranges = &self.sent_ranges[sent.ranges.0..sent.ranges.1];
+        let ranges = &self.sent_ranges[sent.ranges.0 as usize..sent.ranges.1 as usize];
         (Acknowledgement { ranges, ack_delay: sent.ack_delay }, sent.told)
     }
 

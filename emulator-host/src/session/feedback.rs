@@ -5,7 +5,7 @@
 //! Each piece of news is repeated in a few receipts, so that losing one does no harm, and lists are cut so
 //! that a receipt always fits one datagram.
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, ops::Range};
 
 use codec_core::internals::{
     ids::{Group as GroupId, PacketId},
@@ -32,8 +32,15 @@ const MOST_COMPLETED: usize = 48;
 /// Some news of one kind: those from the `from`-th until before the `to`-th of the session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Stretch {
-    pub(super) from: usize,
-    pub(super) to: usize,
+    pub(super) from: u32,
+    pub(super) to: u32,
+}
+
+impl Stretch {
+    /// As places in the list of all news of the kind.
+    pub(super) fn places(self) -> Range<usize> {
+        self.from as usize..self.to as usize
+    }
 }
 
 /// Which news a receipt tells.
@@ -42,15 +49,22 @@ pub(super) struct Told {
     pub(super) arrived: Stretch,
     pub(super) recovered: Stretch,
     pub(super) completed: Stretch,
+    /// When frame 0 was shown, as the receipt has it: whole microseconds, zero for not yet.
+    pub(super) playout_us: u64,
+}
+
+impl Told {
     /// When frame 0 was shown.
-    pub(super) playout_start: Option<Nanos>,
+    pub(super) fn playout_start(&self) -> Option<Nanos> {
+        playout_start(self.playout_us)
+    }
 }
 
 /// News that waits to be reported, oldest first, each with the receipts it is still to appear in.
 #[derive(Debug)]
 struct News<T> {
     waiting: VecDeque<(T, u8)>,
-    forgotten: usize,
+    forgotten: u32,
 }
 
 impl<T: Copy> News<T> {
@@ -71,7 +85,7 @@ impl<T: Copy> News<T> {
             taken.push(*item);
             *left -= 1;
         }
-        let stretch = Stretch { from: self.forgotten, to: self.forgotten + taken.len() };
+        let stretch = Stretch { from: self.forgotten, to: self.forgotten + taken.len() as u32 };
         while self.waiting.front().is_some_and(|(_, left)| *left == 0) {
             self.waiting.pop_front();
             self.forgotten += 1;
@@ -148,12 +162,12 @@ impl ReceiptWriter {
         // Ranges ascend and the space is the largest receipt's, so writing cannot fail; an empty one would be
         // ignored.
         let len = value.write(&mut self.bytes[..]).unwrap_or(0);
-        (&self.bytes[..len], Told { arrived, recovered, completed, playout_start: playout_time(playout_us) })
+        (&self.bytes[..len], Told { arrived, recovered, completed, playout_us })
     }
 }
 
 /// When frame 0 was shown, as a receipt has it: whole microseconds, zero for not yet.
-fn playout_time(playout_us: u64) -> Option<Nanos> {
+fn playout_start(playout_us: u64) -> Option<Nanos> {
     (playout_us > 0).then(|| Nanos::from_us(playout_us))
 }
 
@@ -199,7 +213,7 @@ pub(super) fn read(bytes: &[u8], graph: &PacketGraph, feedback: &mut Feedback) -
         let group: Option<GroupIndex> = graph.group_of(id?);
         received.extend(group.into_iter().flat_map(|group| &graph.groups()[group.at()].packets));
     }
-    *playout_start = playout_time(receipt.playout_us);
+    *playout_start = self::playout_start(receipt.playout_us);
     Ok(())
 }
 

@@ -85,6 +85,8 @@ pub struct MediaSender<G, S> {
     first_base_bytes: u64,
     outlook: Outlook,
     known_start: Option<Nanos>,
+    /// Before this time the horizon stands.
+    horizon_moves_at: Nanos,
     last_sent_at: Nanos,
     starved: bool,
     counts: SenderCounts,
@@ -117,6 +119,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             first_base_bytes,
             outlook: Outlook::new(path, rules.retransmissions, rules.startup.rule),
             known_start: None,
+            horizon_moves_at: Nanos::ZERO,
             last_sent_at: Nanos::ZERO,
             starved: false,
             counts: SenderCounts::default(),
@@ -188,13 +191,16 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
                 _ => (now + path.smoothed_rtt + base).min(latest),
             }
         });
-        self.outlook.horizon_frame = self.horizon(now);
+        self.move_horizon(now);
     }
 
     /// Time has come to `now`: more of the clip may be within the horizon.
     pub fn advance(&mut self, now: Nanos) {
+        if now < self.horizon_moves_at {
+            return;
+        }
         let before = self.outlook.horizon_frame;
-        self.outlook.horizon_frame = self.horizon(now);
+        self.move_horizon(now);
         self.starved &= self.outlook.horizon_frame == before;
     }
 
@@ -324,6 +330,9 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
 
     /// Parity of a set whose last member has been sent.
     fn next_parity(&mut self, now: Nanos) -> Option<PacketIndex> {
+        if self.parity.is_empty() {
+            return None;
+        }
         let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
         while let Some(parity) = self.parity.pop_front() {
             if view.is_expired(parity, now) {
@@ -397,10 +406,14 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         }
     }
 
-    fn horizon(&self, now: Nanos) -> u32 {
+    /// Sets the horizon as it is at `now`, and when it moves next; before playout it stands.
+    fn move_horizon(&mut self, now: Nanos) {
+        let interval = self.graph.frame_interval();
         let played = self.known_start.map_or(Nanos::ZERO, |start| now - start);
-        let frames = (played + self.rules.lookahead).0 / self.graph.frame_interval().0 + 1;
-        u32::try_from(frames).unwrap_or(u32::MAX)
+        let frames = (played + self.rules.lookahead).0 / interval.0 + 1;
+        self.outlook.horizon_frame = u32::try_from(frames).unwrap_or(u32::MAX);
+        let reach = interval.times(frames) - self.rules.lookahead;
+        self.horizon_moves_at = self.known_start.map_or(Nanos::MAX, |start| start + reach);
     }
 }
 

@@ -19,7 +19,7 @@ impl NewsLog {
     /// Whether the bytes of a receipt say to the sender what `told` does.
     pub(super) fn reads_like(&self, bytes: &[u8], told: Told, graph: &PacketGraph) -> bool {
         let mut read = Feedback::default();
-        if feedback::read(bytes, graph, &mut read).is_err() || read.playout_start != told.playout_start {
+        if feedback::read(bytes, graph, &mut read).is_err() || read.playout_start != told.playout_start() {
             return false;
         }
         let mut heard = Vec::new();
@@ -65,16 +65,16 @@ impl HeardStretch {
     fn hear<T: Copy>(&mut self, told: Stretch, log: &[T], on_news: impl FnMut(T)) {
         let Stretch { from, to } = self.0;
         if (from..=to).contains(&told.from) {
-            let fresh = to.max(told.from)..to.max(told.to);
-            self.0.to = fresh.end;
-            log[fresh].iter().copied().for_each(on_news);
+            let fresh = Stretch { from: to, to: to.max(told.to) };
+            self.0.to = fresh.to;
+            log[fresh.places()].iter().copied().for_each(on_news);
             return;
         }
         // Behind a gap of lost receipts, or a receipt that was overtaken.
         if told.from > to {
             self.0 = told;
         }
-        log[told.from..told.to].iter().copied().for_each(on_news);
+        log[told.places()].iter().copied().for_each(on_news);
     }
 }
 
@@ -86,7 +86,7 @@ mod tests {
     #[test]
     fn everything_that_is_told_is_heard_and_in_order_only_once() {
         let log: Vec<usize> = (0..20).collect();
-        let hear = |stretches: &[(usize, usize)]| {
+        let hear = |stretches: &[(u32, u32)]| {
             let (mut heard, mut news) = (HeardStretch::default(), Vec::new());
             for (from, to) in stretches {
                 heard.hear(Stretch { from: *from, to: *to }, &log, |item| news.push(item));
@@ -108,7 +108,7 @@ mod tests {
         let mut log = NewsLog { arrived: packets.to_vec(), completed: vec![group], ..NewsLog::default() };
         let (bytes, told) = writer.write(Some(Nanos::from_ms(1)));
         assert!(log.reads_like(bytes, told, &graph));
-        assert!(!log.reads_like(bytes, Told { playout_start: None, ..told }, &graph));
+        assert!(!log.reads_like(bytes, Told { playout_us: 0, ..told }, &graph));
         assert!(!log.reads_like(bytes, Told { completed: Stretch::default(), ..told }, &graph));
         assert!(!log.reads_like(&bytes[1..], told, &graph));
         log.arrived[1] = PacketIndex(7);

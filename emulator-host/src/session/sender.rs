@@ -112,7 +112,7 @@ impl<'a> Sender<'a> {
         self.outcome = outcome;
         let media = &mut self.media;
         self.heard.hear(told, news, self.graph, |packet| media.on_acked(packet));
-        media.on_playout(told.playout_start);
+        media.on_playout(told.playout_start());
         self.media.look(facts(&self.recovery, self.datagram_bytes), now);
         self.dirty = true;
     }

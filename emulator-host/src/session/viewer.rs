@@ -11,7 +11,7 @@ use crate::{
     graph::{GroupIndex, PacketGraph, PacketIndex},
     link::Chain,
     policy::Scheduler,
-    receiver::{Arrival, Endpoint},
+    receiver::{Arrival, Endpoint, take_fresh},
     report::{Report, SenderRow},
 };
 
@@ -103,16 +103,11 @@ impl<'a> Viewer<'a> {
     pub fn show_due(&mut self, now: Nanos) {
         while let Some(frame) = self.receiver.frame_due(now) {
             let snapshot = self.endpoint.snapshot(frame);
-            for (word, (now, before)) in snapshot.groups.iter().zip(&mut self.reported_groups).enumerate() {
-                let mut fresh = now & !*before;
-                *before |= now;
-                while fresh != 0 {
-                    let index = word * 64 + fresh.trailing_zeros() as usize;
-                    self.receiver.on_complete(self.graph.groups()[index].id);
-                    self.news.completed.push(GroupIndex(index as u32));
-                    fresh &= fresh - 1;
-                }
-            }
+            take_fresh(&mut self.reported_groups, &snapshot.groups, |index| {
+                let group = GroupIndex(index);
+                self.receiver.on_complete(self.graph.groups()[group.at()].id);
+                self.news.completed.push(group);
+            });
             self.metrics.show(frame, now, snapshot);
         }
     }
