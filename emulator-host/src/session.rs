@@ -18,6 +18,7 @@ mod control;
 mod datagram;
 mod feedback;
 mod forecast;
+mod ideal;
 mod loss_share;
 mod media_receiver;
 mod media_sender;
@@ -38,6 +39,7 @@ use crate::{
 };
 
 pub use crate::startup::{Startup, StartupRule};
+pub use ideal::run_ideal;
 pub use media_receiver::MediaReceiver;
 pub use media_sender::{MediaSender, SendingRules};
 pub use outlook::PathFacts;

@@ -49,8 +49,8 @@ impl Heard {
         graph: &PacketGraph,
         mut on_received: impl FnMut(PacketIndex),
     ) {
-        self.arrived.hear(told.arrived, &log.arrived, |packet| on_received(packet));
-        self.recovered.hear(told.recovered, &log.recovered, |packet| on_received(packet));
+        self.arrived.hear(told.arrived, &log.arrived, &mut on_received);
+        self.recovered.hear(told.recovered, &log.recovered, &mut on_received);
         self.completed.hear(told.completed, &log.completed, |group| {
             graph.groups()[group.at()].packets.iter().for_each(|packet| on_received(*packet));
         });

@@ -5,7 +5,7 @@ use dgs::{
     args::{ProfileName, TransportName},
     pipeline,
 };
-use emulator_host::{PacketGraph, PolicyKind, bound::upper_bound};
+use emulator_host::{PacketGraph, PolicyKind, bound::upper_bound, session::run_ideal};
 use rayon::prelude::*;
 use render_host::{Backend, Camera, Image, Settings, metric};
 use trainer_host::{
@@ -130,15 +130,20 @@ impl Study {
     }
 }
 
-/// A window and its bound.
-type Bounded = (Window<Seen>, f64);
+/// What limits one window: the most that any schedule shows, and what our plan shows over a transport that
+/// fills the link and loses nothing.
+#[derive(Clone, Copy, Debug)]
+struct Limits {
+    bound: f64,
+    ideal: f64,
+}
 
 fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, scene: &Scene) -> Result<()> {
     let study = Study::make(scene, setup)?;
     let windows = size(setup).windows;
     let jobs: Vec<(usize, usize)> =
         (0..channels.len()).flat_map(|trace| (0..windows).map(move |w| (trace, w))).collect();
-    let results: Result<Vec<Option<Bounded>>> = jobs
+    let results: Result<Vec<Option<(Window<Seen>, Limits)>>> = jobs
         .par_iter()
         .map(|(trace, window)| {
             let seed = 77_000 + 1000 * *trace as u64 + *window as u64;
@@ -150,17 +155,21 @@ fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, s
             if bound < LEAST_BOUND {
                 return Ok(None);
             }
+            let mut plan = POLICIES[OURS].build(&study.graph);
+            let ideal = run_ideal(&study.graph, &session, &mut *plan)?.utility;
             let runs: Result<Vec<Seen>> =
                 POLICIES.iter().map(|policy| study.see(&session, *policy)).collect();
-            Ok(Some((Window { family: channel.family, trace: *trace, runs: runs? }, bound)))
+            let window = Window { family: channel.family, trace: *trace, runs: runs? };
+            Ok(Some((window, Limits { bound, ideal })))
         })
         .collect();
-    let (results, bounds): (Vec<Window<Seen>>, Vec<f64>) = results?.into_iter().flatten().unzip();
-    push_rows(bench, name, &results, &bounds);
+    let (results, limits): (Vec<Window<Seen>>, Vec<Limits>) = results?.into_iter().flatten().unzip();
+    push_rows(bench, name, &results);
+    push_limits(bench, name, &results, &limits);
     Ok(())
 }
 
-fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>], bounds: &[f64]) {
+fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>]) {
     let mut push = |key: String, (value, ci): (f64, [f64; 2]), unit: &str| {
         let mut figure = Figure::new(format!("pictures.{stream}.{key}"), value, unit).runs(windows.len());
         figure.ci95 = Some(ci);
@@ -187,15 +196,6 @@ fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>], bounds: 
         let psnr = |w: &Window<Seen>| w.runs[OURS].psnr_db - w.runs[at].psnr_db;
         push(format!("deadline-utility.less_{name}.psnr"), mean(&psnr), "dB, paired");
     }
-    let layered: f64 = windows.iter().map(|w| w.runs[LAYERED].utility).sum();
-    let ours: f64 = windows.iter().map(|w| w.runs[OURS].utility).sum();
-    let distance = bounds.iter().sum::<f64>() - layered;
-    let share = Figure::new(
-        format!("pictures.{stream}.deadline-utility.share"),
-        100.0 * (ours - layered) / distance,
-        "% of the distance",
-    );
-    bench.push(share.error(distance / windows.len() as f64, "distance"));
     for (at, policy) in POLICIES.iter().enumerate().filter(|(at, _)| *at != OURS) {
         let gain = |w: &Window<Seen>| w.runs[at].distortion - w.runs[OURS].distortion;
         let [better, surely, worse, of] = families(windows, &gain);
@@ -209,4 +209,28 @@ fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>], bounds: 
     let correlation = rank_correlation(&utility, &negative);
     let figure = Figure::new(format!("pictures.{stream}.rank_correlation"), correlation, "Spearman");
     bench.push(figure.runs(utility.len()));
+}
+
+/// From the bound down to `layered`: where the distance goes. Each line's utility, and the share of the
+/// distance that is left above it.
+fn push_limits(bench: &mut Bench, stream: &str, windows: &[Window<Seen>], limits: &[Limits]) {
+    let count = windows.len() as f64;
+    let bound = limits.iter().map(|limits| limits.bound).sum::<f64>() / count;
+    let ideal = limits.iter().map(|limits| limits.ideal).sum::<f64>() / count;
+    let of = |at: usize| windows.iter().map(|window| window.runs[at].utility).sum::<f64>() / count;
+    let (ours, layered) = (of(OURS), of(LAYERED));
+    let distance = bound - layered;
+    let mut push = |key: &str, value: f64, unit: &str| {
+        bench.push(Figure::new(format!("pictures.{stream}.{key}"), value, unit).runs(windows.len()));
+    };
+    push("bound.utility", bound, "at most");
+    push("deadline-utility.ideal_transport.utility", ideal, "link filled, nothing lost, its rate known");
+    push("deadline-utility.lost_to_plan", 100.0 * (bound - ideal) / distance, "% of the distance, at most");
+    push("deadline-utility.lost_to_transport", 100.0 * (ideal - ours) / distance, "% of the distance");
+    let share = Figure::new(
+        format!("pictures.{stream}.deadline-utility.share"),
+        100.0 * (ours - layered) / distance,
+        "% of the distance",
+    );
+    bench.push(share.error(distance, "distance"));
 }
