@@ -1,7 +1,7 @@
 //! Bounds from above what any schedule could show over the same channel.
 //!
-//! The question is a linear programme. Frames are taken in slots of three, and also one by one where that makes
-//! no large programme; y(i, s) in 0..=1 says how much of piece i is there by slot s:
+//! The question is a linear programme. Frames are taken in slots of three, and also one by one where that
+//! makes no large programme; y(i, s) in 0..=1 says how much of piece i is there by slot s:
 //!
 //! - maximise Σ v(i, s) y(i, s);
 //! - y(i, s) ≤ y(j, s) where i needs j; y(i, s) ≤ y(i, s + 1);
@@ -9,14 +9,14 @@
 //!   until the last frame of slot s, less the manifest.
 //!
 //! What a piece takes from the picture counts against it: a packet that carries groups of positive and of
-//! negative utility brings both. Net gains of a frame are credited from the slot in which a piece arrives, net
-//! losses from the one after it.
+//! negative utility brings both. Net gains of a frame are credited from the slot in which a piece arrives,
+//! net losses from the one after it.
 //!
 //! Every run is a feasible point: losses and repetitions only use more of the link, and slots credit gains
 //! early and losses late. Whole packets, causality and the sender's look-ahead are not asked for. So the
-//! optimum is at least what any scheduler can show; and for any multipliers μ, π, ν ≥ 0 so is Σ μ(s) C(s) +
-//! Σ max(0, reduced v(i, s)), because no y exceeds 1. The solver may therefore be stopped whenever: the number
-//! holds.
+//! optimum is at least what any scheduler can show; and for any multipliers μ, π, ν ≥ 0 so is
+//! Σ μ(s) C(s) + Σ max(0, reduced v(i, s)), because no y exceeds 1. The solver may therefore be stopped
+//! whenever: the number holds.
 
 mod programme;
 

@@ -61,7 +61,7 @@ impl Snapshot {
     }
 }
 
-/// Enters the bits of `now` into `before`, and calls `on_fresh` with the index of each that is new, ascending.
+/// Enters the bits of `now` into `before`, and calls `on_fresh` with the index of each new one, ascending.
 pub(crate) fn take_fresh(before: &mut [u64], now: &[u64], mut on_fresh: impl FnMut(u32)) {
     // From one frame to the next few words change, and they lie together.
     const SPAN: usize = 16;

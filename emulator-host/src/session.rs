@@ -2,7 +2,8 @@
 //!
 //! What is the same over any transport lies in cores that know time and packets and no transport:
 //! [`MediaSender`] decides what leaves next, [`MediaReceiver`] plays and writes receipts, [`Outstanding`]
-//! infers losses where a transport does not tell them, [`Viewer`] measures. Around them lies a model of QUIC.
+//! infers losses where a transport does not tell them, [`Viewer`] measures. Around them lies a model of QUIC,
+//! and beside it a transport that could not be better ([`run_ideal`]): it says what the transport costs.
 //!
 //! Order within one instant: arrivals at the receiver, arrivals at the sender, timers, playout, sending,
 //! receipts. So what arrives at the very time of a snapshot is in it.

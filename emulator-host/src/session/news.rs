@@ -1,8 +1,8 @@
 //! Hands the sender of the model what receipts tell, without reading their bytes.
 //!
-//! In the model both ends lie in one memory. A receipt is written, so that its length is the true one; what it
-//! tells are stretches of one log, and the sender looks only at the part of them that no earlier receipt has
-//! told. In debug builds every receipt is also read, and has to tell the same ([`NewsLog::reads_like`]).
+//! In the model both ends lie in one memory. A receipt is written, so that its length is the true one; what
+//! it tells are stretches of one log, and the sender looks only at the part of them that no earlier receipt
+//! has told. In debug builds every receipt is also read, and has to tell the same ([`NewsLog::reads_like`]).
 
 use super::feedback::{self, Feedback, Stretch, Told};
 use crate::graph::{GroupIndex, PacketGraph, PacketIndex};
@@ -57,7 +57,7 @@ impl Heard {
     }
 }
 
-/// The newest unbroken stretch that was heard. What lies outside of it may be heard twice, which does no harm.
+/// The newest unbroken stretch that was heard. What lies outside of it may be heard twice; that does no harm.
 #[derive(Debug, Default)]
 struct HeardStretch(Stretch);
 

@@ -18,6 +18,7 @@ use trainer_host::{
 
 use super::{
     channels::{Channel, LEAST_BOUND, start},
+    optimum::LIVE,
     paired::{Window, clustered, families, rank_correlation},
     schedulers,
 };
@@ -65,7 +66,8 @@ pub(super) fn protocol(setup: &Setup) -> String {
         "rows of pictures: encoded streams of {gaussians} Gaussians (figure, {frames} frames; fox) through \
          the real receiver over {windows} windows of every trace, links as for the bound with 1 % loss; D = \
          MSE + 0.20 (1 - SSIM) and PSNR of {pictures} frames at {SIDE}x{SIDE} from a held-out camera against \
-         the source's own render; rank correlation over all runs of utility with -D"
+         the source's own render; rank correlation over all runs of utility with -D; ideal transport: the \
+         same plan where the link is always filled, nothing is lost and its rate is known"
     )
 }
 
@@ -211,26 +213,52 @@ fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>]) {
     bench.push(figure.runs(utility.len()));
 }
 
-/// From the bound down to `layered`: where the distance goes. Each line's utility, and the share of the
-/// distance that is left above it.
+/// From the bound down to `layered`: where the distance goes.
 fn push_limits(bench: &mut Bench, stream: &str, windows: &[Window<Seen>], limits: &[Limits]) {
-    let count = windows.len() as f64;
-    let bound = limits.iter().map(|limits| limits.bound).sum::<f64>() / count;
-    let ideal = limits.iter().map(|limits| limits.ideal).sum::<f64>() / count;
-    let of = |at: usize| windows.iter().map(|window| window.runs[at].utility).sum::<f64>() / count;
-    let (ours, layered) = (of(OURS), of(LAYERED));
-    let distance = bound - layered;
+    let all: Vec<(&Window<Seen>, Limits)> = windows.iter().zip(limits.iter().copied()).collect();
+    let live: Vec<_> = all.iter().copied().filter(|(_, limits)| limits.bound >= LIVE).collect();
+    let steps = Steps::of(&all);
     let mut push = |key: &str, value: f64, unit: &str| {
         bench.push(Figure::new(format!("pictures.{stream}.{key}"), value, unit).runs(windows.len()));
     };
-    push("bound.utility", bound, "at most");
-    push("deadline-utility.ideal_transport.utility", ideal, "link filled, nothing lost, its rate known");
-    push("deadline-utility.lost_to_plan", 100.0 * (bound - ideal) / distance, "% of the distance, at most");
-    push("deadline-utility.lost_to_transport", 100.0 * (ideal - ours) / distance, "% of the distance");
-    let share = Figure::new(
-        format!("pictures.{stream}.deadline-utility.share"),
-        100.0 * (ours - layered) / distance,
-        "% of the distance",
+    push("bound.utility", steps.bound, "at most");
+    push(
+        "deadline-utility.ideal_transport.utility",
+        steps.ideal,
+        "link filled, nothing lost, its rate known",
     );
-    bench.push(share.error(distance, "distance"));
+    let distance = steps.bound - steps.layered;
+    let of_it = |part: f64| 100.0 * part / distance;
+    push("deadline-utility.lost_to_plan", of_it(steps.bound - steps.ideal), "% of the distance, at most");
+    push("deadline-utility.lost_to_transport", of_it(steps.ideal - steps.ours), "% of the distance");
+    let words = format!("% of the distance, in the {} windows whose bound is above {LIVE}", live.len());
+    push("deadline-utility.share_live", Steps::of(&live).share(), &words);
+    let key = format!("pictures.{stream}.deadline-utility.share");
+    bench.push(Figure::new(key, steps.share(), "% of the distance").error(distance, "distance"));
+}
+
+/// Mean utilities from the bound downwards.
+struct Steps {
+    bound: f64,
+    ideal: f64,
+    ours: f64,
+    layered: f64,
+}
+
+impl Steps {
+    fn of(windows: &[(&Window<Seen>, Limits)]) -> Self {
+        let mean = |of: &dyn Fn(&(&Window<Seen>, Limits)) -> f64| {
+            windows.iter().map(of).sum::<f64>() / windows.len() as f64
+        };
+        Self {
+            bound: mean(&|(_, limits)| limits.bound),
+            ideal: mean(&|(_, limits)| limits.ideal),
+            ours: mean(&|(window, _)| window.runs[OURS].utility),
+            layered: mean(&|(window, _)| window.runs[LAYERED].utility),
+        }
+    }
+
+    fn share(&self) -> f64 {
+        100.0 * (self.ours - self.layered) / (self.bound - self.layered)
+    }
 }
