@@ -140,12 +140,15 @@ struct Limits {
     ideal: f64,
 }
 
+/// A window and what limits it.
+type Limited = (Window<Seen>, Limits);
+
 fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, scene: &Scene) -> Result<()> {
     let study = Study::make(scene, setup)?;
     let windows = size(setup).windows;
     let jobs: Vec<(usize, usize)> =
         (0..channels.len()).flat_map(|trace| (0..windows).map(move |w| (trace, w))).collect();
-    let results: Result<Vec<Option<(Window<Seen>, Limits)>>> = jobs
+    let results: Result<Vec<Option<Limited>>> = jobs
         .par_iter()
         .map(|(trace, window)| {
             let seed = 77_000 + 1000 * *trace as u64 + *window as u64;
@@ -165,9 +168,10 @@ fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, s
             Ok(Some((window, Limits { bound, ideal })))
         })
         .collect();
-    let (results, limits): (Vec<Window<Seen>>, Vec<Limits>) = results?.into_iter().flatten().unzip();
-    push_rows(bench, name, &results);
-    push_limits(bench, name, &results, &limits);
+    let results: Vec<Limited> = results?.into_iter().flatten().collect();
+    let windows: Vec<Window<Seen>> = results.iter().map(|(window, _)| window.clone()).collect();
+    push_rows(bench, name, &windows);
+    push_limits(bench, name, &results);
     Ok(())
 }
 
@@ -214,10 +218,9 @@ fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>]) {
 }
 
 /// From the bound down to `layered`: where the distance goes.
-fn push_limits(bench: &mut Bench, stream: &str, windows: &[Window<Seen>], limits: &[Limits]) {
-    let all: Vec<(&Window<Seen>, Limits)> = windows.iter().zip(limits.iter().copied()).collect();
-    let live: Vec<_> = all.iter().copied().filter(|(_, limits)| limits.bound >= LIVE).collect();
-    let steps = Steps::of(&all);
+fn push_limits(bench: &mut Bench, stream: &str, windows: &[Limited]) {
+    let live: Vec<&Limited> = windows.iter().filter(|(_, limits)| limits.bound >= LIVE).collect();
+    let steps = Steps::of(&windows.iter().collect::<Vec<_>>());
     let mut push = |key: &str, value: f64, unit: &str| {
         bench.push(Figure::new(format!("pictures.{stream}.{key}"), value, unit).runs(windows.len()));
     };
@@ -246,9 +249,9 @@ struct Steps {
 }
 
 impl Steps {
-    fn of(windows: &[(&Window<Seen>, Limits)]) -> Self {
-        let mean = |of: &dyn Fn(&(&Window<Seen>, Limits)) -> f64| {
-            windows.iter().map(of).sum::<f64>() / windows.len() as f64
+    fn of(windows: &[&Limited]) -> Self {
+        let mean = |of: &dyn Fn(&Limited) -> f64| {
+            windows.iter().map(|window| of(window)).sum::<f64>() / windows.len() as f64
         };
         Self {
             bound: mean(&|(_, limits)| limits.bound),
