@@ -323,21 +323,21 @@ mod tests {
     }
 
     #[test]
-    fn fresh_bits_are_told_once_in_order_and_what_is_gone_stays() {
+    fn fresh_bits_are_passed_on_once_in_order_and_what_is_gone_stays() {
         let (mut before, mut now) = (vec![0u64; 40], vec![0u64; 40]);
-        let mut told = |now: &[u64]| {
+        let mut fresh_of = |now: &[u64]| {
             let mut fresh = Vec::new();
             take_fresh(&mut before, now, |index| fresh.push(index));
             fresh
         };
         now[39] = 1 << 63;
         now[0] = 0b101;
-        assert_eq!(told(&now), [0, 2, 2559]);
-        assert!(told(&now).is_empty());
+        assert_eq!(fresh_of(&now), [0, 2, 2559]);
+        assert!(fresh_of(&now).is_empty());
         now[0] = 0b110;
-        assert_eq!(told(&now), [1]);
+        assert_eq!(fresh_of(&now), [1]);
         now[0] = 0b111;
-        assert!(told(&now).is_empty());
+        assert!(fresh_of(&now).is_empty());
     }
 
     #[test]

@@ -4,7 +4,7 @@ use super::{
     IP_UDP_BYTES, SessionConfig,
     control::ControlReceiver,
     datagram::{Acknowledgement, Content},
-    feedback::Told,
+    feedback::Reported,
     news::NewsLog,
     viewer::Viewer,
 };
@@ -23,7 +23,7 @@ const ACK_BYTES: u32 = 35 + 3;
 #[derive(Clone, Copy, Debug)]
 struct Sent {
     ranges: (u32, u32),
-    told: Told,
+    reported: Reported,
     ack_delay: Nanos,
 }
 
@@ -114,10 +114,10 @@ impl<'a> Client<'a> {
         let oldest = self.ranges.last().map_or(0, |(_, last)| last.saturating_sub(REACH));
         let recent = self.ranges.iter().rev().take_while(|(_, last)| *last >= oldest);
         self.sent_ranges.extend(recent.take(RANGES / 2));
-        let (receipt_bytes, told) = self.viewer.receipt_told();
+        let (receipt_bytes, reported) = self.viewer.receipt_and_news();
         let ranges = (first_range, self.sent_ranges.len() as u32);
         let range_bytes = 4 * (ranges.1 - ranges.0);
-        self.sent.push(Sent { ranges, told, ack_delay: now - self.largest_at });
+        self.sent.push(Sent { ranges, reported, ack_delay: now - self.largest_at });
         Some(Datagram {
             tag: self.sent.len() as u64 - 1,
             bytes: ACK_BYTES + range_bytes + receipt_bytes + IP_UDP_BYTES,
@@ -125,10 +125,10 @@ impl<'a> Client<'a> {
     }
 
     /// What the datagram `tag` carries: the transport's acknowledgement, and what its receipt tells.
-    pub(super) fn feedback(&self, tag: u64) -> (Acknowledgement<'_>, Told) {
+    pub(super) fn feedback(&self, tag: u64) -> (Acknowledgement<'_>, Reported) {
         let sent = self.sent[tag as usize];
         let ranges = &self.sent_ranges[sent.ranges.0 as usize..sent.ranges.1 as usize];
-        (Acknowledgement { ranges, ack_delay: sent.ack_delay }, sent.told)
+        (Acknowledgement { ranges, ack_delay: sent.ack_delay }, sent.reported)
     }
 
     /// What the news of receipts are.

@@ -31,12 +31,12 @@ const MOST_COMPLETED: usize = 48;
 
 /// Some news of one kind: those from the `from`-th until before the `to`-th of the session.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Stretch {
+pub(super) struct NewsRange {
     pub(super) from: u32,
     pub(super) to: u32,
 }
 
-impl Stretch {
+impl NewsRange {
     /// As places in the list of all news of the kind.
     pub(super) fn places(self) -> Range<usize> {
         self.from as usize..self.to as usize
@@ -45,15 +45,15 @@ impl Stretch {
 
 /// Which news a receipt tells.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Told {
-    pub(super) arrived: Stretch,
-    pub(super) recovered: Stretch,
-    pub(super) completed: Stretch,
+pub(super) struct Reported {
+    pub(super) arrived: NewsRange,
+    pub(super) recovered: NewsRange,
+    pub(super) completed: NewsRange,
     /// When frame 0 was shown, as the receipt has it: whole microseconds, zero for not yet.
     pub(super) playout_us: u64,
 }
 
-impl Told {
+impl Reported {
     /// When frame 0 was shown.
     pub(super) fn playout_start(&self) -> Option<Nanos> {
         playout_start(self.playout_us)
@@ -79,18 +79,18 @@ impl<T: Copy> News<T> {
     /// Puts up to `most` of the oldest into `taken`, which is emptied first, and says which they are; those
     /// that have been repeated enough are forgotten. They stand at the front: what is older has never been
     /// repeated less.
-    fn take(&mut self, most: usize, taken: &mut Vec<T>) -> Stretch {
+    fn take(&mut self, most: usize, taken: &mut Vec<T>) -> NewsRange {
         taken.clear();
         for (item, left) in self.waiting.iter_mut().take(most) {
             taken.push(*item);
             *left -= 1;
         }
-        let stretch = Stretch { from: self.forgotten, to: self.forgotten + taken.len() as u32 };
+        let range = NewsRange { from: self.forgotten, to: self.forgotten + taken.len() as u32 };
         while self.waiting.front().is_some_and(|(_, left)| *left == 0) {
             self.waiting.pop_front();
             self.forgotten += 1;
         }
-        stretch
+        range
     }
 }
 
@@ -143,7 +143,7 @@ impl ReceiptWriter {
 
     /// The next receipt: its bytes, until the next is written, and what it tells. `playout_start`: when frame
     /// 0 was shown.
-    pub(super) fn write(&mut self, playout_start: Option<Nanos>) -> (&[u8], Told) {
+    pub(super) fn write(&mut self, playout_start: Option<Nanos>) -> (&[u8], Reported) {
         let lists = &mut self.lists;
         let arrived = self.arrived.take(MOST_RANGES, &mut lists.ids);
         join(&mut lists.ids, &mut lists.acknowledged);
@@ -162,7 +162,7 @@ impl ReceiptWriter {
         // Ranges ascend and the space is the largest receipt's, so writing cannot fail; an empty one would be
         // ignored.
         let len = value.write(&mut self.bytes[..]).unwrap_or(0);
-        (&self.bytes[..len], Told { arrived, recovered, completed, playout_us })
+        (&self.bytes[..len], Reported { arrived, recovered, completed, playout_us })
     }
 }
 

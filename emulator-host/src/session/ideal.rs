@@ -206,9 +206,9 @@ mod tests {
         let (graph, config) = narrow();
         let report = run_ideal(&graph, &config, &mut *PolicyKind::Layered.build(&graph)).unwrap();
         let link = report.boxes[0].counts;
-        let carried = config.forward.capacity.bytes_until(report.duration_ns);
+        let moved = config.forward.capacity.bytes_until(report.duration_ns);
         assert_eq!(link.dropped.datagrams, 0);
         assert!(link.inside.datagrams <= 1);
-        assert!(link.delivered.bytes + 1500 > carried.0 || link.delivered.bytes > graph.total_bytes());
+        assert!(link.delivered.bytes + 1500 > moved.0 || link.delivered.bytes > graph.total_bytes());
     }
 }

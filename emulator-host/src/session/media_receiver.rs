@@ -5,7 +5,7 @@
 
 use codec_core::internals::ids::{Group as GroupId, PacketId};
 
-use super::feedback::{ReceiptWriter, Told};
+use super::feedback::{ReceiptWriter, Reported};
 use crate::{clock::Nanos, startup::Startup};
 
 /// How long a clip is.
@@ -151,7 +151,7 @@ impl MediaReceiver {
     }
 
     /// The bytes of the next receipt, and which news they tell.
-    pub(super) fn receipt_and_news(&mut self) -> (&[u8], Told) {
+    pub(super) fn receipt_and_news(&mut self) -> (&[u8], Reported) {
         self.receipts.write(self.start)
     }
 }

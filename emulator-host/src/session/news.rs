@@ -1,10 +1,10 @@
 //! Hands the sender of the model what receipts tell, without reading their bytes.
 //!
 //! In the model both ends lie in one memory. A receipt is written, so that its length is the true one; what
-//! it tells are stretches of one log, and the sender looks only at the part of them that no earlier receipt
-//! has told. In debug builds every receipt is also read, and has to tell the same ([`NewsLog::reads_like`]).
+//! it reports are ranges of one log, and the sender looks only at the part of them that no earlier receipt has
+//! reported. In debug builds every receipt is also read, and has to say the same ([`NewsLog::reads_like`]).
 
-use super::feedback::{self, Feedback, Stretch, Told};
+use super::feedback::{self, Feedback, NewsRange, Reported};
 use crate::graph::{GroupIndex, PacketGraph, PacketIndex};
 
 /// All news of a session, oldest first.
@@ -16,14 +16,15 @@ pub(super) struct NewsLog {
 }
 
 impl NewsLog {
-    /// Whether the bytes of a receipt say to the sender what `told` does.
-    pub(super) fn reads_like(&self, bytes: &[u8], told: Told, graph: &PacketGraph) -> bool {
+    /// Whether the bytes of a receipt say to the sender what `reported` does.
+    pub(super) fn reads_like(&self, bytes: &[u8], reported: Reported, graph: &PacketGraph) -> bool {
         let mut read = Feedback::default();
-        if feedback::read(bytes, graph, &mut read).is_err() || read.playout_start != told.playout_start() {
+        if feedback::read(bytes, graph, &mut read).is_err() || read.playout_start != reported.playout_start()
+        {
             return false;
         }
         let mut heard = Vec::new();
-        Heard::default().hear(told, self, graph, |packet| heard.push(packet));
+        Heard::default().hear(reported, self, graph, |packet| heard.push(packet));
         for packets in [&mut heard, &mut read.received] {
             packets.sort_unstable();
             packets.dedup();
@@ -35,46 +36,46 @@ impl NewsLog {
 /// What a sender has heard of each kind of news.
 #[derive(Debug, Default)]
 pub(super) struct Heard {
-    arrived: HeardStretch,
-    recovered: HeardStretch,
-    completed: HeardStretch,
+    arrived: HeardRange,
+    recovered: HeardRange,
+    completed: HeardRange,
 }
 
 impl Heard {
-    /// Calls `on_received` with the packets that the receiver has by what is told for the first time.
+    /// Calls `on_received` with the packets that the receiver has by what is reported for the first time.
     pub(super) fn hear(
         &mut self,
-        told: Told,
+        reported: Reported,
         log: &NewsLog,
         graph: &PacketGraph,
         mut on_received: impl FnMut(PacketIndex),
     ) {
-        self.arrived.hear(told.arrived, &log.arrived, &mut on_received);
-        self.recovered.hear(told.recovered, &log.recovered, &mut on_received);
-        self.completed.hear(told.completed, &log.completed, |group| {
+        self.arrived.hear(reported.arrived, &log.arrived, &mut on_received);
+        self.recovered.hear(reported.recovered, &log.recovered, &mut on_received);
+        self.completed.hear(reported.completed, &log.completed, |group| {
             graph.groups()[group.at()].packets.iter().for_each(|packet| on_received(*packet));
         });
     }
 }
 
-/// The newest unbroken stretch that was heard. What lies outside of it may be heard twice; that does no harm.
+/// The newest unbroken range that was heard. What lies outside of it may be heard twice; that does no harm.
 #[derive(Debug, Default)]
-struct HeardStretch(Stretch);
+struct HeardRange(NewsRange);
 
-impl HeardStretch {
-    fn hear<T: Copy>(&mut self, told: Stretch, log: &[T], on_news: impl FnMut(T)) {
-        let Stretch { from, to } = self.0;
-        if (from..=to).contains(&told.from) {
-            let fresh = Stretch { from: to, to: to.max(told.to) };
+impl HeardRange {
+    fn hear<T: Copy>(&mut self, reported: NewsRange, log: &[T], on_news: impl FnMut(T)) {
+        let NewsRange { from, to } = self.0;
+        if (from..=to).contains(&reported.from) {
+            let fresh = NewsRange { from: to, to: to.max(reported.to) };
             self.0.to = fresh.to;
             log[fresh.places()].iter().copied().for_each(on_news);
             return;
         }
         // Behind a gap of lost receipts, or a receipt that was overtaken.
-        if told.from > to {
-            self.0 = told;
+        if reported.from > to {
+            self.0 = reported;
         }
-        log[told.places()].iter().copied().for_each(on_news);
+        log[reported.places()].iter().copied().for_each(on_news);
     }
 }
 
@@ -84,12 +85,12 @@ mod tests {
     use crate::{clock::Nanos, graph::Synthetic, session::feedback::ReceiptWriter};
 
     #[test]
-    fn everything_that_is_told_is_heard_and_in_order_only_once() {
+    fn everything_that_is_reported_is_heard_and_in_order_only_once() {
         let log: Vec<usize> = (0..20).collect();
-        let hear = |stretches: &[(u32, u32)]| {
-            let (mut heard, mut news) = (HeardStretch::default(), Vec::new());
-            for (from, to) in stretches {
-                heard.hear(Stretch { from: *from, to: *to }, &log, |item| news.push(item));
+        let hear = |ranges: &[(u32, u32)]| {
+            let (mut heard, mut news) = (HeardRange::default(), Vec::new());
+            for (from, to) in ranges {
+                heard.hear(NewsRange { from: *from, to: *to }, &log, |item| news.push(item));
             }
             news
         };
@@ -106,12 +107,12 @@ mod tests {
         packets.iter().for_each(|packet| writer.on_arrived(graph.wire_id(*packet)));
         writer.on_complete(graph.groups()[group.at()].id);
         let mut log = NewsLog { arrived: packets.to_vec(), completed: vec![group], ..NewsLog::default() };
-        let (bytes, told) = writer.write(Some(Nanos::from_ms(1)));
-        assert!(log.reads_like(bytes, told, &graph));
-        assert!(!log.reads_like(bytes, Told { playout_us: 0, ..told }, &graph));
-        assert!(!log.reads_like(bytes, Told { completed: Stretch::default(), ..told }, &graph));
-        assert!(!log.reads_like(&bytes[1..], told, &graph));
+        let (bytes, reported) = writer.write(Some(Nanos::from_ms(1)));
+        assert!(log.reads_like(bytes, reported, &graph));
+        assert!(!log.reads_like(bytes, Reported { playout_us: 0, ..reported }, &graph));
+        assert!(!log.reads_like(bytes, Reported { completed: NewsRange::default(), ..reported }, &graph));
+        assert!(!log.reads_like(&bytes[1..], reported, &graph));
         log.arrived[1] = PacketIndex(7);
-        assert!(!log.reads_like(bytes, told, &graph));
+        assert!(!log.reads_like(bytes, reported, &graph));
     }
 }

@@ -120,8 +120,8 @@ impl Walk<'_> {
         while input.is_some() || self.reverse.next_wake() <= now {
             let BoxOutput::Datagram(datagram) = self.reverse.step(input.take(), now) else { return };
             self.note(datagram, UP_DELIVERED, now);
-            let (acknowledgement, told) = self.client.feedback(datagram.tag);
-            self.sender.on_feedback(acknowledgement, told, self.client.news(), now);
+            let (acknowledgement, reported) = self.client.feedback(datagram.tag);
+            self.sender.on_feedback(acknowledgement, reported, self.client.news(), now);
         }
     }
 

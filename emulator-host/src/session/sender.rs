@@ -4,7 +4,7 @@ use super::{
     IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig,
     control::ControlSender,
     datagram::{Acknowledgement, Content},
-    feedback::Told,
+    feedback::Reported,
     media_sender::MediaSender,
     news::{Heard, NewsLog},
     outlook::PathFacts,
@@ -104,15 +104,21 @@ impl<'a> Sender<'a> {
 
     /// A datagram of feedback has arrived: the transport's acknowledgement, and a receipt that tells some of
     /// `news`.
-    pub(super) fn on_feedback(&mut self, ack: Acknowledgement<'_>, told: Told, news: &NewsLog, now: Nanos) {
+    pub(super) fn on_feedback(
+        &mut self,
+        ack: Acknowledgement<'_>,
+        reported: Reported,
+        news: &NewsLog,
+        now: Nanos,
+    ) {
         let mut outcome = std::mem::take(&mut self.outcome);
         outcome.clear();
         self.recovery.on_ack(ack.ranges, ack.ack_delay, now, &mut outcome);
         self.settle(&outcome, now);
         self.outcome = outcome;
         let media = &mut self.media;
-        self.heard.hear(told, news, self.graph, |packet| media.on_acked(packet));
-        media.on_playout(told.playout_start());
+        self.heard.hear(reported, news, self.graph, |packet| media.on_acked(packet));
+        media.on_playout(reported.playout_start());
         self.media.look(facts(&self.recovery, self.datagram_bytes), now);
         self.dirty = true;
     }

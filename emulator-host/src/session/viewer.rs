@@ -3,7 +3,7 @@
 //! It serves every transport in virtual time; sizes of media come from the graph.
 
 use super::{
-    SessionConfig, feedback::Told, media_receiver::MediaReceiver, media_sender::MediaSender,
+    SessionConfig, feedback::Reported, media_receiver::MediaReceiver, media_sender::MediaSender,
     metrics::Metrics, news::NewsLog,
 };
 use crate::{
@@ -118,13 +118,13 @@ impl<'a> Viewer<'a> {
     }
 
     /// Length of the next receipt, and what it tells: for a transport that moves no bytes.
-    pub(super) fn receipt_told(&mut self) -> (u32, Told) {
-        let (bytes, told) = self.receiver.receipt_and_news();
+    pub(super) fn receipt_and_news(&mut self) -> (u32, Reported) {
+        let (bytes, reported) = self.receiver.receipt_and_news();
         debug_assert!(
-            self.news.reads_like(bytes, told, self.graph),
+            self.news.reads_like(bytes, reported, self.graph),
             "a receipt tells other news than its bytes"
         );
-        (bytes.len() as u32, told)
+        (bytes.len() as u32, reported)
     }
 
     /// All news so far.
