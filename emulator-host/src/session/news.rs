@@ -1,8 +1,9 @@
 //! Hands the sender of the model what receipts tell, without reading their bytes.
 //!
 //! In the model both ends lie in one memory. A receipt is written, so that its length is the true one; what
-//! it reports are ranges of one log, and the sender looks only at the part of them that no earlier receipt has
-//! reported. In debug builds every receipt is also read, and has to say the same ([`NewsLog::reads_like`]).
+//! it reports are ranges of one log, and the sender looks only at the part of them that no earlier receipt
+//! has reported. In debug builds every receipt is also read, and has to say the same
+//! ([`NewsLog::reads_like`]).
 
 use super::feedback::{self, Feedback, NewsRange, Reported};
 use crate::graph::{GroupIndex, PacketGraph, PacketIndex};
