@@ -6,7 +6,8 @@
 //!
 //! A piece counts once everything that it needs counts. What a schedule adds is then the sum over its pieces,
 //! exactly as [`crate::report::FrameRow::utility`] has it: per frame, over the positive utility of the groups
-//! that show. Groups of no or negative utility add nothing here.
+//! that show. What groups of negative utility take from a picture is kept apart: no piece is sent for it, but
+//! a packet may carry some of them beside others.
 
 use crate::graph::{GroupIndex, PacketGraph, PacketIndex, Profile, csr::Csr};
 
@@ -31,6 +32,7 @@ pub(crate) struct Pieces {
     needs: Csr,
     dependents: Csr,
     parts: Vec<Vec<Addition>>,
+    harms: Vec<Vec<Addition>>,
     order: Vec<u32>,
     place: Vec<u32>,
     needed_from: Vec<u32>,
@@ -72,6 +74,11 @@ impl FrameSums {
         Self { utility, base }
     }
 
+    /// Frames in which no group of positive utility shows.
+    pub(crate) fn frames_without_utility(&self) -> usize {
+        self.utility.windows(2).filter(|pair| pair[0] == pair[1]).count()
+    }
+
     /// What `part` adds to its frames from `from` on: utility, and share of the level-0 groups.
     pub(crate) fn gain(&self, part: &Addition, from: u32) -> (f64, f64) {
         let (first, after) = (part.first.max(from) as usize, part.last as usize + 1);
@@ -103,6 +110,7 @@ impl Pieces {
             needed_from: vec![u32::MAX; count],
             useful_until: vec![0; count],
             parts: draft.parts,
+            harms: draft.harms,
         };
         pieces.sort();
         for at in (0..count).rev().map(|place| pieces.order[place] as usize) {
@@ -167,6 +175,11 @@ impl Pieces {
         &self.parts[piece]
     }
 
+    /// What a piece takes from some frames: additions of negative utility.
+    pub(crate) fn harms(&self, piece: usize) -> &[Addition] {
+        &self.harms[piece]
+    }
+
     /// All pieces, needed ones first.
     pub(crate) fn order(&self) -> &[u32] {
         &self.order
@@ -194,6 +207,7 @@ struct Draft {
     packets: Vec<(u32, u32)>,
     needs: Vec<(u32, u32)>,
     parts: Vec<Vec<Addition>>,
+    harms: Vec<Vec<Addition>>,
 }
 
 fn part(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Addition> {
@@ -201,6 +215,12 @@ fn part(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Addition> 
     let (utility, base) = (facts.utility.max(0.0) * share, if facts.level() == 0 { share } else { 0.0 });
     let (first, last) = (facts.first_frame, facts.last_frame);
     (utility > 0.0 || (base > 0.0 && facts.utility >= 0.0)).then_some(Addition { first, last, utility, base })
+}
+
+fn harm(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Addition> {
+    let facts = &graph.groups()[group.at()];
+    let (first, last, utility) = (facts.first_frame, facts.last_frame, facts.utility * share);
+    (utility < 0.0).then_some(Addition { first, last, utility, base: 0.0 })
 }
 
 fn sliced(graph: &PacketGraph) -> Draft {
@@ -216,6 +236,8 @@ fn sliced(graph: &PacketGraph) -> Draft {
         let share = |group: &GroupIndex| f64::from(packet.wire_bytes) / whole[group.at()];
         let parts = packet.groups.iter().filter_map(|group| part(graph, *group, share(group)));
         draft.parts.push(parts.collect());
+        let harms = packet.groups.iter().filter_map(|group| harm(graph, *group, share(group)));
+        draft.harms.push(harms.collect());
     }
     draft
 }
@@ -224,6 +246,7 @@ fn whole_groups(graph: &PacketGraph) -> Draft {
     let mut draft = Draft::default();
     for (at, group) in (0u32..).zip(graph.groups()) {
         draft.parts.push(part(graph, GroupIndex(at), 1.0).into_iter().collect());
+        draft.harms.push(harm(graph, GroupIndex(at), 1.0).into_iter().collect());
         draft.needs.extend(group.needs.iter().map(|need| (at, need.0)));
     }
     for (at, packet) in (0u32..).zip(graph.packets()) {
@@ -233,6 +256,7 @@ fn whole_groups(graph: &PacketGraph) -> Draft {
             shared => {
                 let piece = draft.parts.len() as u32;
                 draft.parts.push(Vec::new());
+                draft.harms.push(Vec::new());
                 draft.packets.push((piece, at));
                 draft.needs.extend(shared.iter().map(|group| (group.0, piece)));
             }

@@ -61,6 +61,25 @@ impl Snapshot {
     }
 }
 
+/// Enters the bits of `now` into `before`, and calls `on_fresh` with the index of each new one, ascending.
+pub(crate) fn take_fresh(before: &mut [u64], now: &[u64], mut on_fresh: impl FnMut(u32)) {
+    // From one frame to the next few words change, and they lie together.
+    const SPAN: usize = 16;
+    for (span, (before, now)) in before.chunks_mut(SPAN).zip(now.chunks(SPAN)).enumerate() {
+        if before == now {
+            continue;
+        }
+        for (word, (before, now)) in before.iter_mut().zip(now).enumerate() {
+            let mut fresh = now & !*before;
+            *before |= now;
+            while fresh != 0 {
+                on_fresh((span * SPAN + word) as u32 * 64 + fresh.trailing_zeros());
+                fresh &= fresh - 1;
+            }
+        }
+    }
+}
+
 /// A receiver, as a session sees it. Packets are indices; whoever implements this may own their bytes.
 pub trait Endpoint {
     /// `bytes_received` distinct bytes of the control stream have arrived so far; `complete` once all have,
@@ -301,6 +320,24 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn fresh_bits_are_passed_on_once_in_order_and_what_is_gone_stays() {
+        let (mut before, mut now) = (vec![0u64; 40], vec![0u64; 40]);
+        let mut fresh_of = |now: &[u64]| {
+            let mut fresh = Vec::new();
+            take_fresh(&mut before, now, |index| fresh.push(index));
+            fresh
+        };
+        now[39] = 1 << 63;
+        now[0] = 0b101;
+        assert_eq!(fresh_of(&now), [0, 2, 2559]);
+        assert!(fresh_of(&now).is_empty());
+        now[0] = 0b110;
+        assert_eq!(fresh_of(&now), [1]);
+        now[0] = 0b111;
+        assert!(fresh_of(&now).is_empty());
     }
 
     #[test]

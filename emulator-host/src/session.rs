@@ -2,7 +2,8 @@
 //!
 //! What is the same over any transport lies in cores that know time and packets and no transport:
 //! [`MediaSender`] decides what leaves next, [`MediaReceiver`] plays and writes receipts, [`Outstanding`]
-//! infers losses where a transport does not tell them, [`Viewer`] measures. Around them lies a model of QUIC.
+//! infers losses where a transport does not tell them, [`Viewer`] measures. Around them lies a model of QUIC,
+//! and beside it a transport that could not be better ([`run_ideal`]): it says what the transport costs.
 //!
 //! Order within one instant: arrivals at the receiver, arrivals at the sender, timers, playout, sending,
 //! receipts. So what arrives at the very time of a snapshot is in it.
@@ -18,10 +19,12 @@ mod control;
 mod datagram;
 mod feedback;
 mod forecast;
+mod ideal;
 mod loss_share;
 mod media_receiver;
 mod media_sender;
 mod metrics;
+mod news;
 mod outlook;
 mod outstanding;
 mod run;
@@ -37,6 +40,7 @@ use crate::{
 };
 
 pub use crate::startup::{Startup, StartupRule};
+pub use ideal::run_ideal;
 pub use media_receiver::MediaReceiver;
 pub use media_sender::{MediaSender, SendingRules};
 pub use outlook::PathFacts;

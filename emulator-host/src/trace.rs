@@ -27,7 +27,7 @@ pub use two_column::Holds;
 pub use ucc::Direction;
 
 /// Bytes that one delivery opportunity moves (mahimahi's MTU).
-pub const OPPORTUNITY_BYTES: u32 = 1500;
+pub(crate) const OPPORTUNITY_BYTES: u32 = 1500;
 /// Highest rate that a trace may state, bits/s.
 pub const MAX_RATE: Rate = Rate(1_000_000_000_000);
 /// Longest trace.

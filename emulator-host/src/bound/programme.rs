@@ -9,8 +9,6 @@ use crate::{
     pieces::{Addition, FrameSums, Pieces},
 };
 
-/// Frames per slot.
-pub(super) const SLOT_FRAMES: u32 = 3;
 /// Bytes that the link spends on every datagram beside the packet.
 pub(super) const DATAGRAM_OVERHEAD: u64 =
     crate::session::QUIC_OVERHEAD_BYTES as u64 + crate::session::IP_UDP_BYTES as u64;
@@ -58,6 +56,8 @@ pub(super) struct Programme {
     value: Vec<f64>,
     capacity: Vec<f64>,
     frames: f64,
+    /// Frames of no positive utility count as shown whatever arrives.
+    given: f64,
 }
 
 /// Multipliers: of capacity, of needs, of order in time.
@@ -100,10 +100,13 @@ impl Multipliers {
 }
 
 impl Programme {
-    /// `capacity`: bytes by the end of each slot.
-    pub(super) fn new(graph: &PacketGraph, mut capacity: Vec<f64>) -> Self {
+    /// Frames in slots of `slot_frames`. `capacity`: bytes that can be there when a frame is shown.
+    pub(super) fn new(graph: &PacketGraph, slot_frames: u32, capacity: &dyn Fn(u32) -> f64) -> Self {
         let (pieces, sums) = (Pieces::new(graph), FrameSums::new(graph));
-        let of_frame = |frame: u32| (frame / SLOT_FRAMES) as usize;
+        let slots = graph.frames().div_ceil(slot_frames);
+        let mut capacity: Vec<f64> =
+            (1..=slots).map(|slot| capacity((slot * slot_frames).min(graph.frames()) - 1)).collect();
+        let of_frame = |frame: u32| (frame / slot_frames) as usize;
         let (mut spans, mut value) = (vec![None; pieces.len()], Vec::new());
         for (piece, span) in spans.iter_mut().enumerate() {
             if pieces.needed_from(piece) >= graph.frames() {
@@ -115,10 +118,20 @@ impl Programme {
                 .packets(piece)
                 .map(|packet| u64::from(graph.packets()[packet.at()].wire_bytes) + DATAGRAM_OVERHEAD)
                 .sum();
-            *span = Some(Span { at: value.len(), first, slots, bytes: bytes as f64 });
-            for slot in first..first + slots {
-                let frames = (slot as u32 * SLOT_FRAMES, (slot as u32 + 1) * SLOT_FRAMES - 1);
-                value.push(pieces.parts(piece).iter().map(|part| within(&sums, part, frames)).sum());
+            let at = value.len();
+            *span = Some(Span { at, first, slots, bytes: bytes as f64 });
+            value.resize(at + slots, 0.0);
+            for slot in 0..slots {
+                let start = (first + slot) as u32 * slot_frames;
+                for frame in start..(start + slot_frames).min(graph.frames()) {
+                    let net = net_gain(&pieces, &sums, piece, frame);
+                    if net > 0.0 {
+                        value[at + slot] += net;
+                    } else if slot > 0 {
+                        // Whoever has it by the end of the slot before has it in the whole of this one.
+                        value[at + slot - 1] += net;
+                    }
+                }
             }
         }
         let (mut needs, mut need_count) = (Vec::new(), 0);
@@ -136,7 +149,8 @@ impl Programme {
         let largest = spans.iter().map(|span| span.bytes).fold(1.0, f64::max);
         spans.iter_mut().for_each(|span| span.bytes /= largest);
         capacity.iter_mut().for_each(|bytes| *bytes /= largest);
-        Self { spans, needs, need_count, value, capacity, frames: f64::from(graph.frames()) }
+        let (frames, given) = (f64::from(graph.frames()), sums.frames_without_utility() as f64);
+        Self { spans, needs, need_count, value, capacity, frames, given }
     }
 
     /// Solves.
@@ -185,7 +199,8 @@ impl Programme {
                 mean_y = vec![0.0; y.len()];
             }
         }
-        UpperBound { utility: best / self.frames, estimate: shown / self.frames }
+        let share = |gain: f64| (self.given + gain) / self.frames;
+        UpperBound { utility: share(best), estimate: share(shown) }
     }
 
     /// Σ multiplier × capacity + Σ max(0, reduced value): at least the optimum, whatever the multipliers.
@@ -288,8 +303,16 @@ fn distance(one: &[f64], other: &[f64]) -> f64 {
     one.iter().zip(other).map(|(a, b)| (a - b) * (a - b)).sum::<f64>().sqrt()
 }
 
-/// What `part` adds to the frames from `frames.0` to `frames.1`.
-fn within(sums: &FrameSums, part: &Addition, frames: (u32, u32)) -> f64 {
-    let cut = Addition { last: part.last.min(frames.1), ..*part };
-    if cut.last < cut.first { 0.0 } else { sums.gain(&cut, frames.0).0 }
+/// Variables of a programme with a slot for every frame.
+pub(super) fn fine_variables(graph: &PacketGraph) -> usize {
+    let pieces = Pieces::new(graph);
+    let needed = (0..pieces.len()).filter(|piece| pieces.needed_from(*piece) < graph.frames());
+    needed.map(|piece| (pieces.useful_until(piece) + 1 - pieces.needed_from(piece)) as usize).sum()
+}
+
+/// What `piece` adds to `frame`; less than nothing if it takes more from it than it brings.
+fn net_gain(pieces: &Pieces, sums: &FrameSums, piece: usize, frame: u32) -> f64 {
+    let parts = pieces.parts(piece).iter().chain(pieces.harms(piece));
+    let shown = parts.filter(|part| (part.first..=part.last).contains(&frame));
+    shown.map(|part| sums.gain(&Addition { last: frame, ..*part }, frame).0).sum()
 }

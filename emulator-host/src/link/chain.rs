@@ -74,7 +74,8 @@ impl LinkBox for Chain {
     }
 
     fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
-        if self.wake <= now {
+        let is_due = self.wake <= now;
+        if is_due {
             for at in (0..self.boxes.len()).rev() {
                 if self.boxes[at].wake <= now {
                     self.feed(at, None, now);
@@ -85,7 +86,9 @@ impl LinkBox for Chain {
             self.received.add(datagram);
             self.feed(0, Some(datagram), now);
         }
-        self.wake = self.boxes.iter().map(|slot| slot.wake).min().unwrap_or(Nanos::MAX);
+        if is_due || input.is_some() {
+            self.wake = self.boxes.iter().map(|slot| slot.wake).min().unwrap_or(Nanos::MAX);
+        }
         if let Some(datagram) = self.ready.pop_front() {
             self.delivered.add(datagram);
             return BoxOutput::Datagram(datagram);

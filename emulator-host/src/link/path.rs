@@ -8,7 +8,7 @@ use super::{
     TraceRate,
 };
 use crate::{
-    clock::{Nanos, Rate},
+    clock::{Bytes, Nanos, Rate},
     rng::Chance,
     trace::{DelayTrace, LossTrace, Trace},
 };
@@ -22,6 +22,17 @@ pub enum Capacity {
     Constant(Rate),
     /// A trace, looping.
     Trace(Trace),
+}
+
+impl Capacity {
+    /// Bytes that it moves from the start until `time`.
+    pub fn bytes_until(&self, time: Nanos) -> Bytes {
+        match self {
+            Self::Unlimited => Bytes(u64::MAX / 4),
+            Self::Constant(rate) => rate.bytes_in(time),
+            Self::Trace(trace) => trace.bytes_until(time),
+        }
+    }
 }
 
 /// How a path loses datagrams besides its full queue. All numbers are probabilities per datagram, 0..=1.

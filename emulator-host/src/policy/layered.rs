@@ -22,24 +22,33 @@ pub struct Layered {
 impl Layered {
     /// For `graph`.
     pub fn new(graph: &PacketGraph) -> Self {
-        // One integer per packet: level, frame needed from, cluster, index. Sorting it is a good part of a
-        // short run.
-        let mut keyed: Vec<u128> = Vec::with_capacity(graph.packets().len());
-        for (at, packet) in graph.packets().iter().enumerate() {
-            let index = PacketIndex(at as u32);
-            let clusters = packet.groups.iter().map(|group| graph.groups()[group.at()].id.cluster);
-            if let Some(cluster) = clusters.min() {
-                let time = u128::from(graph.level(index)) << 32 | u128::from(graph.needed_from(index));
-                keyed.push(time << 64 | u128::from(cluster.0) << 32 | u128::from(index.0));
+        // One integer per packet of a level, frame needed from and index; only packets of one frame are then
+        // put in order of cluster. Sorting is a good part of a short run.
+        let mut keyed: Vec<Vec<u64>> = Vec::new();
+        for (at, packet) in (0u32..).zip(graph.packets()) {
+            if packet.groups.is_empty() {
+                continue;
+            }
+            let (index, level) = (PacketIndex(at), usize::from(graph.level(PacketIndex(at))));
+            if keyed.len() <= level {
+                keyed.resize(level + 1, Vec::new());
+            }
+            keyed[level].push(u64::from(graph.needed_from(index)) << 32 | u64::from(at));
+        }
+        let cluster = |key: &u64| {
+            let groups = &graph.packets()[*key as u32 as usize].groups;
+            groups.iter().map(|group| graph.groups()[group.at()].id.cluster).min()
+        };
+        for level in &mut keyed {
+            level.sort_unstable();
+            for of_one_frame in level.chunk_by_mut(|one, other| one >> 32 == other >> 32) {
+                of_one_frame.sort_by_cached_key(cluster);
             }
         }
-        keyed.sort_unstable();
-        let count = keyed.last().map_or(0, |key| (key >> 96) as usize + 1);
-        let mut levels = vec![Vec::new(); count];
-        for key in keyed {
-            levels[(key >> 96) as usize].push(PacketIndex(key as u32));
-        }
-        Self { levels, cursors: vec![0; count] }
+        let packets = |level: Vec<u64>| level.into_iter().map(|key| PacketIndex(key as u32)).collect();
+        let levels: Vec<Vec<PacketIndex>> = keyed.into_iter().map(packets).collect();
+        let cursors = vec![0; levels.len()];
+        Self { levels, cursors }
     }
 }
 

@@ -4,6 +4,8 @@ use super::{
     IP_UDP_BYTES, SessionConfig,
     control::ControlReceiver,
     datagram::{Acknowledgement, Content},
+    feedback::Reported,
+    news::NewsLog,
     viewer::Viewer,
 };
 use crate::{clock::Nanos, graph::PacketGraph, link::Datagram, receiver::Endpoint};
@@ -17,11 +19,11 @@ const REACH: u64 = 256;
 /// Short header, tag and fixed part of an acknowledgement, and the frame header of the receipt behind it.
 const ACK_BYTES: u32 = 35 + 3;
 
-/// A datagram of feedback under way; its lists and bytes lie in shared tables.
+/// A datagram of feedback under way; its ranges lie in a shared table.
 #[derive(Clone, Copy, Debug)]
 struct Sent {
-    ranges: (usize, usize),
-    receipt: (usize, usize),
+    ranges: (u32, u32),
+    reported: Reported,
     ack_delay: Nanos,
 }
 
@@ -36,7 +38,6 @@ pub(super) struct Client<'a> {
     ack_at: Nanos,
     sent: Vec<Sent>,
     sent_ranges: Vec<(u64, u64)>,
-    sent_receipts: Vec<u8>,
 }
 
 impl<'a> Client<'a> {
@@ -55,7 +56,6 @@ impl<'a> Client<'a> {
             ack_at: Nanos::MAX,
             sent: Vec::new(),
             sent_ranges: Vec::new(),
-            sent_receipts: Vec::new(),
         }
     }
 
@@ -110,32 +110,30 @@ impl<'a> Client<'a> {
         }
         self.ack_at = Nanos::MAX;
         self.unacked = 0;
-        let first_range = self.sent_ranges.len();
+        let first_range = self.sent_ranges.len() as u32;
         let oldest = self.ranges.last().map_or(0, |(_, last)| last.saturating_sub(REACH));
         let recent = self.ranges.iter().rev().take_while(|(_, last)| *last >= oldest);
         self.sent_ranges.extend(recent.take(RANGES / 2));
-        let first_byte = self.sent_receipts.len();
-        self.viewer.receipt(&mut self.sent_receipts);
-        let sent = Sent {
-            ranges: (first_range, self.sent_ranges.len()),
-            receipt: (first_byte, self.sent_receipts.len()),
-            ack_delay: now - self.largest_at,
-        };
-        let range_bytes = 4 * (sent.ranges.1 - sent.ranges.0) as u32;
-        let receipt_bytes = (sent.receipt.1 - sent.receipt.0) as u32;
-        self.sent.push(sent);
+        let (receipt_bytes, reported) = self.viewer.receipt_and_news();
+        let ranges = (first_range, self.sent_ranges.len() as u32);
+        let range_bytes = 4 * (ranges.1 - ranges.0);
+        self.sent.push(Sent { ranges, reported, ack_delay: now - self.largest_at });
         Some(Datagram {
             tag: self.sent.len() as u64 - 1,
             bytes: ACK_BYTES + range_bytes + receipt_bytes + IP_UDP_BYTES,
         })
     }
 
-    /// What the datagram `tag` carries: the transport's acknowledgement and a receipt.
-    pub(super) fn feedback(&self, tag: u64) -> (Acknowledgement<'_>, &[u8]) {
+    /// What the datagram `tag` carries: the transport's acknowledgement, and what its receipt tells.
+    pub(super) fn feedback(&self, tag: u64) -> (Acknowledgement<'_>, Reported) {
         let sent = self.sent[tag as usize];
-        let ranges = &self.sent_ranges[sent.ranges.0..sent.ranges.1];
-        let receipt = &self.sent_receipts[sent.receipt.0..sent.receipt.1];
-        (Acknowledgement { ranges, ack_delay: sent.ack_delay }, receipt)
+        let ranges = &self.sent_ranges[sent.ranges.0 as usize..sent.ranges.1 as usize];
+        (Acknowledgement { ranges, ack_delay: sent.ack_delay }, sent.reported)
+    }
+
+    /// What the news of receipts are.
+    pub(super) fn news(&self) -> &NewsLog {
+        self.viewer.news()
     }
 
     /// Enters a number; whether it is the next after the largest.

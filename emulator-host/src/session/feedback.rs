@@ -5,7 +5,7 @@
 //! Each piece of news is repeated in a few receipts, so that losing one does no harm, and lists are cut so
 //! that a receipt always fits one datagram.
 
-use std::collections::VecDeque;
+use std::{collections::VecDeque, ops::Range};
 
 use codec_core::internals::{
     ids::{Group as GroupId, PacketId},
@@ -29,30 +29,68 @@ const MOST_RANGES: usize = 64;
 const MOST_RECOVERED: usize = 64;
 const MOST_COMPLETED: usize = 48;
 
+/// Some news of one kind: those from the `from`-th until before the `to`-th of the session.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct NewsRange {
+    pub(super) from: u32,
+    pub(super) to: u32,
+}
+
+impl NewsRange {
+    /// As places in the list of all news of the kind.
+    pub(super) fn places(self) -> Range<usize> {
+        self.from as usize..self.to as usize
+    }
+}
+
+/// Which news a receipt tells.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Reported {
+    pub(super) arrived: NewsRange,
+    pub(super) recovered: NewsRange,
+    pub(super) completed: NewsRange,
+    /// When frame 0 was shown, as the receipt has it: whole microseconds, zero for not yet.
+    pub(super) playout_us: u64,
+}
+
+impl Reported {
+    /// When frame 0 was shown.
+    pub(super) fn playout_start(&self) -> Option<Nanos> {
+        playout_start(self.playout_us)
+    }
+}
+
 /// News that waits to be reported, oldest first, each with the receipts it is still to appear in.
 #[derive(Debug)]
-struct News<T>(VecDeque<(T, u8)>);
+struct News<T> {
+    waiting: VecDeque<(T, u8)>,
+    forgotten: u32,
+}
 
 impl<T: Copy> News<T> {
     const fn new() -> Self {
-        Self(VecDeque::new())
+        Self { waiting: VecDeque::new(), forgotten: 0 }
     }
 
     fn push(&mut self, item: T) {
-        self.0.push_back((item, REPEATS));
+        self.waiting.push_back((item, REPEATS));
     }
 
-    /// Puts up to `most` of the oldest into `taken`, which is emptied first; those that have been repeated
-    /// enough are forgotten. They stand at the front: what is older has never been repeated less.
-    fn take(&mut self, most: usize, taken: &mut Vec<T>) {
+    /// Puts up to `most` of the oldest into `taken`, which is emptied first, and says which they are; those
+    /// that have been repeated enough are forgotten. They stand at the front: what is older has never been
+    /// repeated less.
+    fn take(&mut self, most: usize, taken: &mut Vec<T>) -> NewsRange {
         taken.clear();
-        for (item, left) in self.0.iter_mut().take(most) {
+        for (item, left) in self.waiting.iter_mut().take(most) {
             taken.push(*item);
             *left -= 1;
         }
-        while self.0.front().is_some_and(|(_, left)| *left == 0) {
-            self.0.pop_front();
+        let range = NewsRange { from: self.forgotten, to: self.forgotten + taken.len() as u32 };
+        while self.waiting.front().is_some_and(|(_, left)| *left == 0) {
+            self.waiting.pop_front();
+            self.forgotten += 1;
         }
+        range
     }
 }
 
@@ -103,16 +141,18 @@ impl ReceiptWriter {
         self.completed.push(group);
     }
 
-    /// Appends the next receipt to `out`. `playout_start`: when frame 0 was shown.
-    pub(super) fn write(&mut self, playout_start: Option<Nanos>, out: &mut Vec<u8>) {
+    /// The next receipt: its bytes, until the next is written, and what it tells. `playout_start`: when frame
+    /// 0 was shown.
+    pub(super) fn write(&mut self, playout_start: Option<Nanos>) -> (&[u8], Reported) {
         let lists = &mut self.lists;
-        self.arrived.take(MOST_RANGES, &mut lists.ids);
+        let arrived = self.arrived.take(MOST_RANGES, &mut lists.ids);
         join(&mut lists.ids, &mut lists.acknowledged);
-        self.recovered.take(MOST_RECOVERED, &mut lists.recovered);
-        self.completed.take(MOST_COMPLETED, &mut lists.completed);
+        let recovered = self.recovered.take(MOST_RECOVERED, &mut lists.recovered);
+        let completed = self.completed.take(MOST_COMPLETED, &mut lists.completed);
+        let playout_us = playout_start.map_or(0, |start| start.0.div_ceil(1000).max(1));
         let value = Value {
             sequence: self.sequence,
-            playout_us: playout_start.map_or(0, |start| start.0.div_ceil(1000).max(1)),
+            playout_us,
             pose: None,
             acknowledged: &lists.acknowledged,
             recovered: &lists.recovered,
@@ -122,8 +162,13 @@ impl ReceiptWriter {
         // Ranges ascend and the space is the largest receipt's, so writing cannot fail; an empty one would be
         // ignored.
         let len = value.write(&mut self.bytes[..]).unwrap_or(0);
-        out.extend_from_slice(&self.bytes[..len]);
+        (&self.bytes[..len], Reported { arrived, recovered, completed, playout_us })
     }
+}
+
+/// When frame 0 was shown, as a receipt has it: whole microseconds, zero for not yet.
+fn playout_start(playout_us: u64) -> Option<Nanos> {
+    (playout_us > 0).then(|| Nanos::from_us(playout_us))
 }
 
 /// Writes `ids` to `ranges` as ascending ranges that do not touch.
@@ -168,7 +213,7 @@ pub(super) fn read(bytes: &[u8], graph: &PacketGraph, feedback: &mut Feedback) -
         let group: Option<GroupIndex> = graph.group_of(id?);
         received.extend(group.into_iter().flat_map(|group| &graph.groups()[group.at()].packets));
     }
-    *playout_start = (receipt.playout_us > 0).then(|| Nanos::from_us(receipt.playout_us));
+    *playout_start = self::playout_start(receipt.playout_us);
     Ok(())
 }
 
@@ -195,9 +240,7 @@ mod tests {
         packets[..3].iter().for_each(|packet| writer.on_arrived(graph.wire_id(*packet)));
         writer.on_recovered(graph.wire_id(packets[3]));
         for repeat in 0..=REPEATS {
-            let mut bytes = Vec::new();
-            writer.write(Some(Nanos(1)), &mut bytes);
-            let feedback = read(&bytes, &graph).unwrap();
+            let feedback = read(writer.write(Some(Nanos(1))).0, &graph).unwrap();
             let expected = if repeat < REPEATS { packets.to_vec() } else { Vec::new() };
             assert_eq!(feedback, Feedback { received: expected, playout_start: Some(Nanos::from_us(1)) });
         }
@@ -208,9 +251,7 @@ mod tests {
         let graph = graph();
         let mut writer = ReceiptWriter::new();
         writer.on_complete(graph.groups()[5].id);
-        let mut bytes = Vec::new();
-        writer.write(None, &mut bytes);
-        let feedback = read(&bytes, &graph).unwrap();
+        let feedback = read(writer.write(None).0, &graph).unwrap();
         assert_eq!(feedback, Feedback { received: graph.groups()[5].packets.clone(), playout_start: None });
     }
 
@@ -226,10 +267,9 @@ mod tests {
         graph.groups().iter().take(63).for_each(|group| writer.on_complete(group.id));
         let mut known = std::collections::BTreeSet::new();
         for _ in 0..40 {
-            let mut bytes = Vec::new();
-            writer.write(None, &mut bytes);
+            let (bytes, _) = writer.write(None);
             assert!((1..=MAX_RECEIPT_BYTES).contains(&bytes.len()), "{}", bytes.len());
-            known.extend(read(&bytes, &graph).unwrap().received);
+            known.extend(read(bytes, &graph).unwrap().received);
         }
         assert!(packets.iter().all(|packet| known.contains(packet)));
     }
@@ -237,8 +277,7 @@ mod tests {
     #[test]
     fn damaged_bytes_are_refused() {
         let graph = graph();
-        let mut bytes = Vec::new();
-        ReceiptWriter::new().write(None, &mut bytes);
+        let mut bytes = ReceiptWriter::new().write(None).0.to_vec();
         bytes[1] ^= 1;
         assert!(read(&bytes, &graph).is_err());
     }

@@ -5,7 +5,7 @@
 
 use codec_core::internals::ids::{Group as GroupId, PacketId};
 
-use super::feedback::ReceiptWriter;
+use super::feedback::{ReceiptWriter, Reported};
 use crate::{clock::Nanos, startup::Startup};
 
 /// How long a clip is.
@@ -147,6 +147,11 @@ impl MediaReceiver {
     /// Appends the bytes of the next receipt to `out`. One is due with every second media datagram, and when
     /// playout starts.
     pub fn receipt(&mut self, out: &mut Vec<u8>) {
-        self.receipts.write(self.start, out);
+        out.extend_from_slice(self.receipt_and_news().0);
+    }
+
+    /// The bytes of the next receipt, and which news they tell.
+    pub(super) fn receipt_and_news(&mut self) -> (&[u8], Reported) {
+        self.receipts.write(self.start)
     }
 }

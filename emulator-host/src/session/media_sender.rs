@@ -85,6 +85,8 @@ pub struct MediaSender<G, S> {
     first_base_bytes: u64,
     outlook: Outlook,
     known_start: Option<Nanos>,
+    /// Before this time the horizon stands.
+    horizon_moves_at: Nanos,
     last_sent_at: Nanos,
     starved: bool,
     counts: SenderCounts,
@@ -117,6 +119,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             first_base_bytes,
             outlook: Outlook::new(path, rules.retransmissions, rules.startup.rule),
             known_start: None,
+            horizon_moves_at: Nanos::ZERO,
             last_sent_at: Nanos::ZERO,
             starved: false,
             counts: SenderCounts::default(),
@@ -188,13 +191,16 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
                 _ => (now + path.smoothed_rtt + base).min(latest),
             }
         });
-        self.outlook.horizon_frame = self.horizon(now);
+        self.move_horizon(now);
     }
 
     /// Time has come to `now`: more of the clip may be within the horizon.
     pub fn advance(&mut self, now: Nanos) {
+        if now < self.horizon_moves_at {
+            return;
+        }
         let before = self.outlook.horizon_frame;
-        self.outlook.horizon_frame = self.horizon(now);
+        self.move_horizon(now);
         self.starved &= self.outlook.horizon_frame == before;
     }
 
@@ -287,21 +293,20 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     pub fn on_receipt(&mut self, bytes: &[u8]) {
         let mut feedback = std::mem::take(&mut self.feedback);
         match feedback::read(bytes, &self.graph, &mut feedback) {
-            Ok(()) => self.on_feedback(&feedback),
+            Ok(()) => {
+                feedback.received.iter().for_each(|packet| self.on_acked(*packet));
+                self.on_playout(feedback.playout_start);
+            }
             Err(_) => self.counts.refused_receipts += 1,
         }
         self.feedback = feedback;
     }
 
-    fn on_feedback(&mut self, feedback: &Feedback) {
-        for packet in &feedback.received {
-            self.set_status(*packet, PacketStatus::Delivered);
-        }
+    /// A receipt has said when frame 0 was shown, or that it was not.
+    pub(super) fn on_playout(&mut self, start: Option<Nanos>) {
         // Until playout starts, what is worth sending follows from what is known to be there.
         self.starved &= self.known_start.is_some();
-        if self.known_start.is_none() && feedback.playout_start.is_some() {
-            self.known_start = feedback.playout_start;
-        }
+        self.known_start = self.known_start.or(start);
     }
 
     fn is_parity(&self, packet: PacketIndex) -> bool {
@@ -325,6 +330,9 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
 
     /// Parity of a set whose last member has been sent.
     fn next_parity(&mut self, now: Nanos) -> Option<PacketIndex> {
+        if self.parity.is_empty() {
+            return None;
+        }
         let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
         while let Some(parity) = self.parity.pop_front() {
             if view.is_expired(parity, now) {
@@ -398,10 +406,14 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         }
     }
 
-    fn horizon(&self, now: Nanos) -> u32 {
+    /// Sets the horizon as it is at `now`, and when it moves next; before playout it stands.
+    fn move_horizon(&mut self, now: Nanos) {
+        let interval = self.graph.frame_interval();
         let played = self.known_start.map_or(Nanos::ZERO, |start| now - start);
-        let frames = (played + self.rules.lookahead).0 / self.graph.frame_interval().0 + 1;
-        u32::try_from(frames).unwrap_or(u32::MAX)
+        let frames = (played + self.rules.lookahead).0 / interval.0 + 1;
+        self.outlook.horizon_frame = u32::try_from(frames).unwrap_or(u32::MAX);
+        let reach = interval.times(frames) - self.rules.lookahead;
+        self.horizon_moves_at = self.known_start.map_or(Nanos::MAX, |start| start + reach);
     }
 }
 

@@ -5,7 +5,7 @@ use crate::{
     clock::{Bytes, Nanos, Rate},
     graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
     link::Counts,
-    receiver::{Arrival, Snapshot},
+    receiver::{Arrival, Snapshot, take_fresh},
     report::{BoxRow, FrameRow, Report, SenderCounts, SenderRow, Waste},
 };
 
@@ -33,6 +33,8 @@ pub(super) struct Metrics<'a> {
     by_first: Vec<GroupIndex>,
     entered: usize,
     active: Vec<Active>,
+    /// Smallest last frame of the active groups.
+    first_to_leave: u32,
     sums: Sums,
     /// Those of the active groups that were not usable at the last snapshot.
     missing: Vec<Active>,
@@ -68,6 +70,7 @@ impl<'a> Metrics<'a> {
             by_first,
             entered: 0,
             active: Vec::new(),
+            first_to_leave: NEVER,
             sums: Sums::default(),
             missing: Vec::new(),
             shown: Snapshot::empty(graph),
@@ -152,10 +155,13 @@ impl<'a> Metrics<'a> {
             self.active.push(Active { group, last_frame: facts.last_frame, base, utility: facts.utility });
             self.entered += 1;
         }
-        self.active.retain(|active| active.last_frame >= frame);
+        if frame > self.first_to_leave {
+            self.active.retain(|active| active.last_frame >= frame);
+        }
         if before == (self.entered, self.active.len()) {
             return;
         }
+        self.first_to_leave = self.active.iter().map(|active| active.last_frame).min().unwrap_or(NEVER);
         self.missing.clone_from(&self.active);
         self.sums = Sums::default();
         for active in &self.active {
@@ -167,23 +173,16 @@ impl<'a> Metrics<'a> {
 
     /// Notes the packets that have become usable since the last snapshot.
     fn enter_packets(&mut self, frame: u32, snapshot: &Snapshot) {
-        for (at, (old, new)) in self.shown.packets.iter_mut().zip(&snapshot.packets).enumerate() {
-            let mut fresh = *new & !*old;
-            *old |= *new;
-            while fresh != 0 {
-                let packet = PacketIndex(at as u32 * 64 + fresh.trailing_zeros());
-                fresh &= fresh - 1;
-                let facts = &self.graph.packets()[packet.at()];
-                self.used[packet.at()] = frame;
-                self.usable_bytes += u64::from(facts.wire_bytes);
-                if !self.group_bytes.is_empty() {
-                    facts
-                        .groups
-                        .iter()
-                        .for_each(|g| self.group_bytes[g.at()].0 += u32::from(facts.wire_bytes));
-                }
+        take_fresh(&mut self.shown.packets, &snapshot.packets, |index| {
+            let packet = PacketIndex(index);
+            let facts = &self.graph.packets()[packet.at()];
+            let bytes = u32::from(facts.wire_bytes);
+            self.used[packet.at()] = frame;
+            self.usable_bytes += u64::from(bytes);
+            if !self.group_bytes.is_empty() {
+                facts.groups.iter().for_each(|group| self.group_bytes[group.at()].0 += bytes);
             }
-        }
+        });
     }
 
     /// Sorts what arrived into used and wasted, and takes the means.

@@ -108,10 +108,8 @@ impl Walk<'_> {
     }
 
     fn carry_down(&mut self, mut input: Option<Datagram>, now: Nanos) {
-        if input.is_none() && self.forward.next_wake() > now {
-            return;
-        }
-        while let BoxOutput::Datagram(datagram) = self.forward.step(input.take(), now) {
+        while input.is_some() || self.forward.next_wake() <= now {
+            let BoxOutput::Datagram(datagram) = self.forward.step(input.take(), now) else { return };
             self.note(datagram, DOWN_DELIVERED, now);
             let content = self.sender.content(datagram.tag);
             self.client.receive(datagram.tag, content, now);
@@ -119,13 +117,11 @@ impl Walk<'_> {
     }
 
     fn carry_up(&mut self, mut input: Option<Datagram>, now: Nanos) {
-        if input.is_none() && self.reverse.next_wake() > now {
-            return;
-        }
-        while let BoxOutput::Datagram(datagram) = self.reverse.step(input.take(), now) {
+        while input.is_some() || self.reverse.next_wake() <= now {
+            let BoxOutput::Datagram(datagram) = self.reverse.step(input.take(), now) else { return };
             self.note(datagram, UP_DELIVERED, now);
-            let (acknowledgement, receipt) = self.client.feedback(datagram.tag);
-            self.sender.on_feedback(acknowledgement, receipt, now);
+            let (acknowledgement, reported) = self.client.feedback(datagram.tag);
+            self.sender.on_feedback(acknowledgement, reported, self.client.news(), now);
         }
     }
 

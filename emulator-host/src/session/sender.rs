@@ -4,7 +4,9 @@ use super::{
     IP_UDP_BYTES, QUIC_OVERHEAD_BYTES, SessionConfig,
     control::ControlSender,
     datagram::{Acknowledgement, Content},
+    feedback::Reported,
     media_sender::MediaSender,
+    news::{Heard, NewsLog},
     outlook::PathFacts,
 };
 use crate::{
@@ -18,6 +20,8 @@ use crate::{
 
 pub(super) struct Sender<'a> {
     config: &'a SessionConfig,
+    graph: &'a PacketGraph,
+    heard: Heard,
     media: MediaSender<&'a PacketGraph, &'a mut dyn Scheduler>,
     recovery: Recovery,
     control: ControlSender,
@@ -45,6 +49,8 @@ impl<'a> Sender<'a> {
         let path = facts(&recovery, datagram_bytes);
         Self {
             config,
+            graph,
+            heard: Heard::default(),
             media: MediaSender::new(graph, scheduler, config.sending(), path, Nanos::ZERO),
             control: ControlSender::new(graph.manifest_bytes()),
             contents: Vec::with_capacity(graph.packets().len()),
@@ -96,14 +102,23 @@ impl<'a> Sender<'a> {
         self.recovery.timer().min(self.pace_at).min(serialised)
     }
 
-    /// A datagram of feedback has arrived: the transport's acknowledgement and the bytes of a receipt.
-    pub(super) fn on_feedback(&mut self, ack: Acknowledgement<'_>, receipt: &[u8], now: Nanos) {
+    /// A datagram of feedback has arrived: the transport's acknowledgement, and a receipt that tells some of
+    /// `news`.
+    pub(super) fn on_feedback(
+        &mut self,
+        ack: Acknowledgement<'_>,
+        reported: Reported,
+        news: &NewsLog,
+        now: Nanos,
+    ) {
         let mut outcome = std::mem::take(&mut self.outcome);
         outcome.clear();
         self.recovery.on_ack(ack.ranges, ack.ack_delay, now, &mut outcome);
         self.settle(&outcome, now);
         self.outcome = outcome;
-        self.media.on_receipt(receipt);
+        let media = &mut self.media;
+        self.heard.hear(reported, news, self.graph, |packet| media.on_acked(packet));
+        media.on_playout(reported.playout_start());
         self.media.look(facts(&self.recovery, self.datagram_bytes), now);
         self.dirty = true;
     }

@@ -2,13 +2,16 @@
 //!
 //! It serves every transport in virtual time; sizes of media come from the graph.
 
-use super::{SessionConfig, media_receiver::MediaReceiver, media_sender::MediaSender, metrics::Metrics};
+use super::{
+    SessionConfig, feedback::Reported, media_receiver::MediaReceiver, media_sender::MediaSender,
+    metrics::Metrics, news::NewsLog,
+};
 use crate::{
     clock::Nanos,
     graph::{GroupIndex, PacketGraph, PacketIndex},
     link::Chain,
     policy::Scheduler,
-    receiver::{Arrival, Endpoint},
+    receiver::{Arrival, Endpoint, take_fresh},
     report::{Report, SenderRow},
 };
 
@@ -25,6 +28,7 @@ pub struct Viewer<'a> {
     /// Bit `i % 64` of word `i / 64`: group `i` has been reported.
     reported_groups: Vec<u64>,
     recovered: Vec<PacketIndex>,
+    news: NewsLog,
 }
 
 impl<'a> Viewer<'a> {
@@ -42,6 +46,7 @@ impl<'a> Viewer<'a> {
             share: config.startup.rule.share(),
             reported_groups: vec![0; graph.groups().len().div_ceil(64)],
             recovered: Vec::new(),
+            news: NewsLog::default(),
         };
         if graph.manifest_bytes() == 0 {
             viewer.control(0, true);
@@ -60,6 +65,7 @@ impl<'a> Viewer<'a> {
         self.metrics.arrive(packet, arrival, self.receiver.next_frame());
         if arrival != Arrival::Refused {
             self.receiver.on_arrived(self.graph.wire_id(packet));
+            self.news.arrived.push(packet);
         }
         self.take_recovered();
     }
@@ -75,6 +81,7 @@ impl<'a> Viewer<'a> {
         for packet in self.recovered.drain(..) {
             self.metrics.recover(packet);
             self.receiver.on_recovered(self.graph.wire_id(packet));
+            self.news.recovered.push(packet);
         }
         self.receiver.on_change();
     }
@@ -96,15 +103,11 @@ impl<'a> Viewer<'a> {
     pub fn show_due(&mut self, now: Nanos) {
         while let Some(frame) = self.receiver.frame_due(now) {
             let snapshot = self.endpoint.snapshot(frame);
-            for (word, (now, before)) in snapshot.groups.iter().zip(&mut self.reported_groups).enumerate() {
-                let mut fresh = now & !*before;
-                *before |= now;
-                while fresh != 0 {
-                    let index = word * 64 + fresh.trailing_zeros() as usize;
-                    self.receiver.on_complete(self.graph.groups()[index].id);
-                    fresh &= fresh - 1;
-                }
-            }
+            take_fresh(&mut self.reported_groups, &snapshot.groups, |index| {
+                let group = GroupIndex(index);
+                self.receiver.on_complete(self.graph.groups()[group.at()].id);
+                self.news.completed.push(group);
+            });
             self.metrics.show(frame, now, snapshot);
         }
     }
@@ -112,6 +115,21 @@ impl<'a> Viewer<'a> {
     /// Appends the bytes of the next receipt to `out`.
     pub fn receipt(&mut self, out: &mut Vec<u8>) {
         self.receiver.receipt(out);
+    }
+
+    /// Length of the next receipt, and what it tells: for a transport that moves no bytes.
+    pub(super) fn receipt_and_news(&mut self) -> (u32, Reported) {
+        let (bytes, reported) = self.receiver.receipt_and_news();
+        debug_assert!(
+            self.news.reads_like(bytes, reported, self.graph),
+            "a receipt tells other news than its bytes"
+        );
+        (bytes.len() as u32, reported)
+    }
+
+    /// All news so far.
+    pub(super) fn news(&self) -> &NewsLog {
+        &self.news
     }
 
     /// Enters the sender's state into the report.

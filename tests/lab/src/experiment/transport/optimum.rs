@@ -23,7 +23,7 @@ const PEERS: [&str; 4] = ["layered", "dash", "dependency", "deadline-utility-pap
 
 /// A window whose bound is lower begins with a dead link or has long outages: there the transport, which is
 /// the same for all, is most of the distance.
-const LIVE: f64 = 0.9;
+pub(super) const LIVE: f64 = 0.9;
 
 /// A run's utility, level-0 misses, and forecast.
 #[derive(Clone, Debug, Default)]

@@ -5,7 +5,7 @@ use dgs::{
     args::{ProfileName, TransportName},
     pipeline,
 };
-use emulator_host::{PacketGraph, PolicyKind, bound::upper_bound};
+use emulator_host::{PacketGraph, PolicyKind, bound::upper_bound, session::run_ideal};
 use rayon::prelude::*;
 use render_host::{Backend, Camera, Image, Settings, metric};
 use trainer_host::{
@@ -18,6 +18,7 @@ use trainer_host::{
 
 use super::{
     channels::{Channel, LEAST_BOUND, start},
+    optimum::LIVE,
     paired::{Window, clustered, families, rank_correlation},
     schedulers,
 };
@@ -65,7 +66,8 @@ pub(super) fn protocol(setup: &Setup) -> String {
         "rows of pictures: encoded streams of {gaussians} Gaussians (figure, {frames} frames; fox) through \
          the real receiver over {windows} windows of every trace, links as for the bound with 1 % loss; D = \
          MSE + 0.20 (1 - SSIM) and PSNR of {pictures} frames at {SIDE}x{SIDE} from a held-out camera against \
-         the source's own render; rank correlation over all runs of utility with -D"
+         the source's own render; rank correlation over all runs of utility with -D; ideal transport: the \
+         same plan where the link is always filled, nothing is lost and its rate is known"
     )
 }
 
@@ -130,15 +132,23 @@ impl Study {
     }
 }
 
-/// A window and its bound.
-type Bounded = (Window<Seen>, f64);
+/// What limits one window: the most that any schedule shows, and what our plan shows over a transport that
+/// fills the link and loses nothing.
+#[derive(Clone, Copy, Debug)]
+struct Limits {
+    bound: f64,
+    ideal: f64,
+}
+
+/// A window and what limits it.
+type Limited = (Window<Seen>, Limits);
 
 fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, scene: &Scene) -> Result<()> {
     let study = Study::make(scene, setup)?;
     let windows = size(setup).windows;
     let jobs: Vec<(usize, usize)> =
         (0..channels.len()).flat_map(|trace| (0..windows).map(move |w| (trace, w))).collect();
-    let results: Result<Vec<Option<Bounded>>> = jobs
+    let results: Result<Vec<Option<Limited>>> = jobs
         .par_iter()
         .map(|(trace, window)| {
             let seed = 77_000 + 1000 * *trace as u64 + *window as u64;
@@ -150,17 +160,22 @@ fn measure(bench: &mut Bench, setup: &Setup, channels: &[Channel], name: &str, s
             if bound < LEAST_BOUND {
                 return Ok(None);
             }
+            let mut plan = POLICIES[OURS].build(&study.graph);
+            let ideal = run_ideal(&study.graph, &session, &mut *plan)?.utility;
             let runs: Result<Vec<Seen>> =
                 POLICIES.iter().map(|policy| study.see(&session, *policy)).collect();
-            Ok(Some((Window { family: channel.family, trace: *trace, runs: runs? }, bound)))
+            let window = Window { family: channel.family, trace: *trace, runs: runs? };
+            Ok(Some((window, Limits { bound, ideal })))
         })
         .collect();
-    let (results, bounds): (Vec<Window<Seen>>, Vec<f64>) = results?.into_iter().flatten().unzip();
-    push_rows(bench, name, &results, &bounds);
+    let results: Vec<Limited> = results?.into_iter().flatten().collect();
+    let windows: Vec<Window<Seen>> = results.iter().map(|(window, _)| window.clone()).collect();
+    push_rows(bench, name, &windows);
+    push_limits(bench, name, &results);
     Ok(())
 }
 
-fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>], bounds: &[f64]) {
+fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>]) {
     let mut push = |key: String, (value, ci): (f64, [f64; 2]), unit: &str| {
         let mut figure = Figure::new(format!("pictures.{stream}.{key}"), value, unit).runs(windows.len());
         figure.ci95 = Some(ci);
@@ -187,15 +202,6 @@ fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>], bounds: 
         let psnr = |w: &Window<Seen>| w.runs[OURS].psnr_db - w.runs[at].psnr_db;
         push(format!("deadline-utility.less_{name}.psnr"), mean(&psnr), "dB, paired");
     }
-    let layered: f64 = windows.iter().map(|w| w.runs[LAYERED].utility).sum();
-    let ours: f64 = windows.iter().map(|w| w.runs[OURS].utility).sum();
-    let distance = bounds.iter().sum::<f64>() - layered;
-    let share = Figure::new(
-        format!("pictures.{stream}.deadline-utility.share"),
-        100.0 * (ours - layered) / distance,
-        "% of the distance",
-    );
-    bench.push(share.error(distance / windows.len() as f64, "distance"));
     for (at, policy) in POLICIES.iter().enumerate().filter(|(at, _)| *at != OURS) {
         let gain = |w: &Window<Seen>| w.runs[at].distortion - w.runs[OURS].distortion;
         let [better, surely, worse, of] = families(windows, &gain);
@@ -209,4 +215,53 @@ fn push_rows(bench: &mut Bench, stream: &str, windows: &[Window<Seen>], bounds: 
     let correlation = rank_correlation(&utility, &negative);
     let figure = Figure::new(format!("pictures.{stream}.rank_correlation"), correlation, "Spearman");
     bench.push(figure.runs(utility.len()));
+}
+
+/// From the bound down to `layered`: where the distance goes.
+fn push_limits(bench: &mut Bench, stream: &str, windows: &[Limited]) {
+    let live: Vec<&Limited> = windows.iter().filter(|(_, limits)| limits.bound >= LIVE).collect();
+    let steps = Steps::of(&windows.iter().collect::<Vec<_>>());
+    let mut push = |key: &str, value: f64, unit: &str| {
+        bench.push(Figure::new(format!("pictures.{stream}.{key}"), value, unit).runs(windows.len()));
+    };
+    push("bound.utility", steps.bound, "at most");
+    push(
+        "deadline-utility.ideal_transport.utility",
+        steps.ideal,
+        "link filled, nothing lost, its rate known",
+    );
+    let distance = steps.bound - steps.layered;
+    let of_it = |part: f64| 100.0 * part / distance;
+    push("deadline-utility.lost_to_plan", of_it(steps.bound - steps.ideal), "% of the distance, at most");
+    push("deadline-utility.lost_to_transport", of_it(steps.ideal - steps.ours), "% of the distance");
+    let words = format!("% of the distance, in the {} windows whose bound is above {LIVE}", live.len());
+    push("deadline-utility.share_live", Steps::of(&live).share(), &words);
+    let key = format!("pictures.{stream}.deadline-utility.share");
+    bench.push(Figure::new(key, steps.share(), "% of the distance").error(distance, "distance"));
+}
+
+/// Mean utilities from the bound downwards.
+struct Steps {
+    bound: f64,
+    ideal: f64,
+    ours: f64,
+    layered: f64,
+}
+
+impl Steps {
+    fn of(windows: &[&Limited]) -> Self {
+        let mean = |of: &dyn Fn(&Limited) -> f64| {
+            windows.iter().map(|window| of(window)).sum::<f64>() / windows.len() as f64
+        };
+        Self {
+            bound: mean(&|(_, limits)| limits.bound),
+            ideal: mean(&|(_, limits)| limits.ideal),
+            ours: mean(&|(window, _)| window.runs[OURS].utility),
+            layered: mean(&|(window, _)| window.runs[LAYERED].utility),
+        }
+    }
+
+    fn share(&self) -> f64 {
+        100.0 * (self.ours - self.layered) / (self.bound - self.layered)
+    }
 }
