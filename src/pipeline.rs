@@ -41,7 +41,7 @@ pub use self::{
 };
 use crate::{
     args::{CodecArgs, PolicyName, ProfileName, SceneArgs, TransportName, ViewArgs},
-    delivery::{self, ShownState, WireEndpoint},
+    delivery::{self, Places, ShownState, WireEndpoint},
     progress::Progress,
 };
 
@@ -329,7 +329,8 @@ pub fn delivered(
 /// A stream of which nothing is there that shows.
 pub fn graph(stream: &Stream, map: &PacketMap, table: Option<&utility::Table>) -> Result<PacketGraph> {
     let manifest = stream.manifest()?;
-    delivery::graph(stream, &manifest, map, table).context("this stream cannot be sent")
+    let places = Places::of(&stream.receive()?.content(), 0..manifest.head().frames)?;
+    delivery::graph(stream, &manifest, map, table, &places).context("this stream cannot be sent")
 }
 
 /// Name of a profile.

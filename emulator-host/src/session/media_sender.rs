@@ -12,6 +12,7 @@ use super::{
     forecast::Forecasts,
     loss_share::LossShare,
     outlook::{Outlook, PathFacts},
+    watched::Watched,
 };
 use crate::{
     clock::{Bytes, Nanos},
@@ -85,6 +86,7 @@ pub struct MediaSender<G, S> {
     first_base_bytes: u64,
     outlook: Outlook,
     known_start: Option<Nanos>,
+    watched: Watched,
     last_sent_at: Nanos,
     starved: bool,
     counts: SenderCounts,
@@ -117,6 +119,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             first_base_bytes,
             outlook: Outlook::new(path, rules.retransmissions, rules.startup.rule),
             known_start: None,
+            watched: Watched::default(),
             last_sent_at: Nanos::ZERO,
             starved: false,
             counts: SenderCounts::default(),
@@ -161,6 +164,17 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// When playout started, once a receipt has said so.
     pub fn playout_start(&self) -> Option<Nanos> {
         self.known_start
+    }
+
+    /// Where the viewer is, as far as receipts have told.
+    pub fn watched(&self) -> Watched {
+        self.watched
+    }
+
+    /// The viewer is the one that `watched` tells of.
+    pub fn set_watched(&mut self, watched: Watched) {
+        self.watched = watched;
+        self.outlook.viewpoint = watched.viewpoint();
     }
 
     /// When more of the clip comes within the horizon, so that [`Self::next`] may have something again.
@@ -299,6 +313,10 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         }
         // Until playout starts, what is worth sending follows from what is known to be there.
         self.starved &= self.known_start.is_some();
+        if let Some((sequence, pose)) = &feedback.pose {
+            self.watched.take(*sequence, pose);
+            self.outlook.viewpoint = self.watched.viewpoint();
+        }
         if self.known_start.is_none() && feedback.playout_start.is_some() {
             self.known_start = feedback.playout_start;
         }

@@ -2,7 +2,10 @@
 //!
 //! It serves every transport in virtual time; sizes of media come from the graph.
 
-use super::{SessionConfig, media_receiver::MediaReceiver, media_sender::MediaSender, metrics::Metrics};
+use super::{
+    SessionConfig, media_receiver::MediaReceiver, media_sender::MediaSender, metrics::Metrics,
+    viewer_path::ViewerPath,
+};
 use crate::{
     clock::Nanos,
     graph::{GroupIndex, PacketGraph, PacketIndex},
@@ -25,6 +28,7 @@ pub struct Viewer<'a> {
     /// Bit `i % 64` of word `i / 64`: group `i` has been reported.
     reported_groups: Vec<u64>,
     recovered: Vec<PacketIndex>,
+    path: Option<ViewerPath>,
 }
 
 impl<'a> Viewer<'a> {
@@ -42,7 +46,9 @@ impl<'a> Viewer<'a> {
             share: config.startup.rule.share(),
             reported_groups: vec![0; graph.groups().len().div_ceil(64)],
             recovered: Vec::new(),
+            path: config.viewer.clone(),
         };
+        viewer.look();
         if graph.manifest_bytes() == 0 {
             viewer.control(0, true);
         }
@@ -106,6 +112,14 @@ impl<'a> Viewer<'a> {
                 }
             }
             self.metrics.show(frame, now, snapshot);
+            self.look();
+        }
+    }
+
+    /// The viewer is where it sees the next frame from.
+    fn look(&mut self) {
+        if let Some(path) = &self.path {
+            self.receiver.on_pose(path.pose(self.receiver.next_frame()));
         }
     }
 
