@@ -8,6 +8,7 @@ mod limit;
 mod link;
 mod live;
 mod sendable;
+mod watching;
 
 use std::path::Path;
 
@@ -38,6 +39,7 @@ pub use self::{
     link::{Link, capacity_bins, link, read_trace},
     live::LiveReader,
     sendable::{Sendable, sendable},
+    watching::Watching,
 };
 use crate::{
     args::{CodecArgs, PolicyName, ProfileName, SceneArgs, TransportName, ViewArgs},

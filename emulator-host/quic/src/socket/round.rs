@@ -144,8 +144,10 @@ impl Round {
         self.graph = content.graph_from(self.first)?;
         self.content = content;
         let path = facts(connection, 0, self.arrivals.estimate());
+        let watched = self.sender.watched();
         self.sender = sender(&self.graph, policy, path, self.now(), delivered);
         self.sender.on_receipt(&self.playout);
+        self.sender.set_watched(watched);
         self.outstanding = Outstanding::new();
         Ok(())
     }
