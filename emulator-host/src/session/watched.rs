@@ -25,7 +25,7 @@ impl Watched {
     }
 
     /// Where it is.
-    pub(super) fn viewpoint(&self) -> Option<Viewpoint> {
+    pub fn viewpoint(&self) -> Option<Viewpoint> {
         self.viewpoint
     }
 }

@@ -236,6 +236,11 @@ impl Round {
         self.sender.path().smoothed_rtt.times(3) + RECEIPTS
     }
 
+    /// Whether the viewer has said where it is.
+    pub(super) fn is_located(&self) -> bool {
+        self.sender.watched().viewpoint().is_some()
+    }
+
     /// What the sender has counted.
     pub(super) fn counts(&self) -> SenderCounts {
         self.sender.counts()

@@ -10,9 +10,9 @@
 //! size     = clamp((usual ÷ max(d, r))², 1 ÷ most, most)
 //! ```
 //!
-//! - `in_view`: a receipt does not say how wide the viewer's picture is. `reach` is half the diagonal of the
-//!   usual picture, so that nothing in it counts as outside; `margin` is what a viewer may turn before its
-//!   next receipt is here. 1 wholly inside `reach`, 0 wholly beyond `reach + margin`, and 1 around the viewer (d ≤ r).
+//! - `in_view`: a receipt does not say how wide the viewer's picture is. `reach` is half the width of the usual
+//!   picture; `margin` has its corners, and what a viewer may turn before its next receipt is here. 1 wholly
+//!   inside `reach`, 0 wholly beyond `reach + margin`, and 1 around the viewer (d ≤ r).
 //! - `size`: the picture that a group fills goes with distance⁻²; `usual` is the distance from which the
 //!   utility was measured. A viewer where those cameras stood has size 1.
 //! - `floor`: viewers turn, and then the base must be there. Nothing is ever worth 0.
@@ -41,9 +41,9 @@ pub struct ViewportConfig {
 }
 
 impl Default for ViewportConfig {
-    /// The diagonal of a picture of 16 : 9 that is 45° high is 80° long.
+    /// A picture of 16 : 9 that is 45° high is 73° wide; its corners lie in the margin.
     fn default() -> Self {
-        Self { reach_degrees: 40.0, margin_degrees: 15.0, floor: [0.3, 0.1, 0.05, 0.02], most: 4.0 }
+        Self { reach_degrees: 36.0, margin_degrees: 12.0, floor: [0.2, 0.05, 0.02, 0.01], most: 8.0 }
     }
 }
 
@@ -131,7 +131,7 @@ mod tests {
             let shown = points.iter().filter(|point| is_in_picture(**point)).count() as f64;
             let share = shown / points.len() as f64;
             let in_view = config.in_view(&ahead(), &ball);
-            prop_assert!(share < 1.0 || in_view == 1.0, "all is shown, in view {in_view}");
+            prop_assert!(share < 1.0 || in_view >= 0.5, "all is shown, in view {in_view}");
             prop_assert!(share == 0.0 || in_view > 0.0, "{share} is shown, in view {in_view}");
             // The lattice misses the point nearest to the picture, so a little may be left.
             let beyond = |point: &[f64; 3]| ahead().distance_and_angle(*point).1.to_degrees() > 60.0;
@@ -175,7 +175,7 @@ mod tests {
             .map(|degrees| f64::from(degrees).to_radians())
             .map(|angle| weight_at([5.0 * angle.sin(), 0.0, 5.0 * angle.cos()], 2))
             .collect();
-        assert!(turning.is_sorted_by(|before, after| *before >= after - 1e-9) && turning[34] > 0.99);
+        assert!(turning.is_sorted_by(|before, after| *before >= after - 1e-9) && turning[30] > 0.99);
         assert!(turning[90] < 0.06, "{}", turning[90]);
     }
 
