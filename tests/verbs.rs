@@ -297,10 +297,10 @@ fn a_viewer_who_is_close_sees_more_where_the_sender_knows_it() {
     let close = ["--eye", "0.3,1.6,0.9", "--target", "0,1.6,0"];
     let seen =
         |options: &[&str]| json(at, &[&["stream", "a.dgs"], &tight[..], options].concat())["seen"].clone();
-    let (told, kept) = (seen(&close), seen(&[&close[..], &["--no-pose"]].concat()));
-    assert!(told["told"] == true && kept["told"] == false);
+    let (heard, silent) = (seen(&close), seen(&[&close[..], &["--no-pose"]].concat()));
+    assert!(heard["located"] == true && silent["located"] == false);
     let mean = |seen: &Value| seen["mean_psnr_db"].as_f64().unwrap();
-    assert!(mean(&told) > mean(&kept), "{told} {kept}");
+    assert!(mean(&heard) > mean(&silent), "{heard} {silent}");
     assert!(seen(&["--turntable", "90"])["worst_tenth_psnr_db"].as_f64().unwrap() > 10.0);
     // Without a viewer nothing is looked at.
     assert!(seen(&[]).is_null());

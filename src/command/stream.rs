@@ -61,10 +61,11 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         let psnr_db = seen(args, watching, &stream, &shown)?;
         let (mean, worst_tenth) = (mean(&psnr_db), evaluator::worst_tenth(&psnr_db));
         text += &format!(
-            "  seen from there: PSNR against complete frames: mean {mean:.2} dB, worst tenth {worst_tenth:.2} dB\n"
+            "  seen from there: PSNR against complete frames: mean {mean:.2} dB, worst tenth \
+             {worst_tenth:.2} dB\n"
         );
         json["seen"] =
-            json!({ "mean_psnr_db": mean, "worst_tenth_psnr_db": worst_tenth, "told": !args.no_pose });
+            json!({ "mean_psnr_db": mean, "worst_tenth_psnr_db": worst_tenth, "located": !args.no_pose });
     }
     if let Some(out) = &args.out {
         let count = arrived.iter().filter(|arrived| **arrived).count();

@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_asked_for_lies_nowhere() {
+    fn what_lies_outside_the_frames_has_no_place() {
         let received = received();
         let places = Places::of(&received.content(), 10..21).unwrap();
         let level = codec_core::internals::ids::Level::BASE;

@@ -9,8 +9,8 @@ use codec_core::internals::wire::receipt::ViewerPose;
 pub struct ViewerPath(Arc<[ViewerPose]>);
 
 impl ViewerPath {
-    /// A viewer who sees frame 0 from the first of `poses`, the next frame from the next, and goes on from the
-    /// first after the last; who has one stays there. `None` without any.
+    /// A viewer who sees frame 0 from the first of `poses`, the next frame from the next, and goes on from
+    /// the first after the last; who has one stays there. `None` without any.
     pub fn new(poses: &[ViewerPose]) -> Option<Self> {
         (!poses.is_empty()).then(|| Self(poses.into()))
     }

@@ -158,8 +158,8 @@ impl Session {
         self.live
     }
 
-    /// A receipt for that server: what has arrived, where the camera is, and when the first frame of the round
-    /// was shown, microseconds since the round began (0 before).
+    /// A receipt for that server: what has arrived, where the camera is, and when the first frame of the
+    /// round was shown, microseconds since the round began (0 before).
     ///
     /// # Errors
     /// None in practice.

@@ -38,8 +38,8 @@ pub(crate) struct Engine {
     session: Option<Session>,
     /// The last piece of a file that was wished for.
     wished: Option<Wish>,
-    /// Where the server was told that the camera is.
-    told: Option<ViewerPose>,
+    /// Where the camera was when the server last heard of it.
+    said: Option<ViewerPose>,
     drawn: Drawn,
     state: Option<State>,
     background: [f32; 3],
@@ -66,7 +66,7 @@ impl Engine {
             feed,
             session: None,
             wished: None,
-            told: None,
+            said: None,
             drawn: None,
             state: None,
             last_s: None,
@@ -98,7 +98,7 @@ impl Engine {
     /// Plays the stream of `feed` in place of what is played.
     pub fn play(&mut self, name: String, feed: Feed) {
         self.options.name = name;
-        (self.feed, self.session, self.wished, self.told) = (feed, None, None, None);
+        (self.feed, self.session, self.wished, self.said) = (feed, None, None, None);
         (self.drawn, self.state, self.last_s) = (None, None, None);
     }
 
@@ -161,10 +161,10 @@ impl Engine {
         }
         self.ended |= step.ended;
         // A server sends first what is seen.
-        let pose = session.orbit().pose().filter(|pose| session.is_live() && self.told != Some(*pose));
+        let pose = session.orbit().pose().filter(|pose| session.is_live() && self.said != Some(*pose));
         if let Some(pose) = pose {
             self.feed.wish(Wish::Sight(pose));
-            self.told = Some(pose);
+            self.said = Some(pose);
         }
         let busy = session.deliver(now_s);
         let playing = session.playback().playing();
@@ -408,15 +408,15 @@ mod tests {
         let (session, _) = Session::open(&file()).unwrap();
         let stream = dgs_player::Stream::from_bytes(&file()).unwrap().0;
         feeder.arrivals.send(Arrival::Manifest(stream.message().to_vec())).unwrap();
-        let told = |engine: &mut Engine, at: f64| -> Vec<ViewerPose> {
+        let said = |engine: &mut Engine, at: f64| -> Vec<ViewerPose> {
             engine.tick(at, None, SIZE).unwrap();
             let wishes = feeder.wishes.try_iter();
             wishes.filter_map(|wish| if let Wish::Sight(pose) = wish { Some(pose) } else { None }).collect()
         };
-        let first = told(&mut engine, 0.0);
-        assert_eq!((first.len(), told(&mut engine, 0.1).len()), (1, 0));
+        let first = said(&mut engine, 0.0);
+        assert_eq!((first.len(), said(&mut engine, 0.1).len()), (1, 0));
         engine.act(Act::Turn(30.0, 0.0), SIZE).unwrap();
-        let second = told(&mut engine, 0.2);
+        let second = said(&mut engine, 0.2);
         assert!(second.len() == 1 && second != first);
         // A file has no sender.
         assert!(!session.is_live());

@@ -34,8 +34,8 @@ pub struct DeadlineUtilityConfig {
     pub refresh: Nanos,
     /// A loss renews the plan, but not sooner than this after the last.
     pub refresh_after_loss: Nanos,
-    /// A viewer that has moved renews the plan, but not sooner than this after the last, however often it says
-    /// so.
+    /// A viewer that has moved renews the plan, but not sooner than this after the last, however often it
+    /// says so.
     pub refresh_after_move: Nanos,
 }
 

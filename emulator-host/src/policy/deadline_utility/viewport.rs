@@ -1,8 +1,8 @@
 //! Weighs what a piece adds by how much of it the viewer sees: the *viewport weight*.
 //!
 //! Utilities are means over cameras around the scene; a viewer is one camera, and may be close to one side of
-//! it. Of a group that lies in a ball of radius r, at distance d from the viewer and at angle θ from where it
-//! looks, with a = arcsin(r ÷ d) half the angle that the ball covers:
+//! it. Of a group that lies in a ball of radius r, at distance d from the viewer and at angle θ from where
+//! it looks, with a = arcsin(r ÷ d) half the angle that the ball covers:
 //!
 //! ```text
 //! weight   = floor + (1 − floor) · in_view · size        floor by level
@@ -10,8 +10,8 @@
 //! size     = clamp((usual ÷ max(d, r))², 1 ÷ most, most)
 //! ```
 //!
-//! - `in_view`: a receipt does not say how wide the viewer's picture is. `reach` is half the width of the usual
-//!   picture; `margin` has its corners, and what a viewer may turn before its next receipt is here. 1 wholly
+//! - `in_view`: a receipt does not say how wide the viewer's picture is. `reach` is half the width of the
+//!   usual picture; `margin` has its corners, and what a viewer may turn before its next receipt is here. 1 wholly
 //!   inside `reach`, 0 wholly beyond `reach + margin`, and 1 around the viewer (d ≤ r).
 //! - `size`: the picture that a group fills goes with distance⁻²; `usual` is the distance from which the
 //!   utility was measured. A viewer where those cameras stood has size 1.
@@ -159,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn nearer_is_worth_more_and_behind_is_worth_the_floor() {
+    fn nearer_weighs_more_and_behind_weighs_the_floor() {
         let config = ViewportConfig::default();
         assert!((weight_at([0.0, 0.0, 5.0], 1) - 1.0).abs() < 1e-12, "as measured");
         assert!(weight_at([0.0, 0.0, 3.0], 1) > 1.5 && weight_at([0.0, 0.0, 9.0], 1) < 0.5);
