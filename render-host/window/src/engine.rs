@@ -402,7 +402,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_is_told_where_the_camera_is_once_and_again_when_it_moves() {
+    fn a_server_hears_where_the_camera_is_once_and_again_when_it_moves() {
         let (feeder, feed) = feed();
         let mut engine = Engine::new(options(), feed);
         let (session, _) = Session::open(&file()).unwrap();

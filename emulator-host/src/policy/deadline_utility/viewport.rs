@@ -11,8 +11,8 @@
 //! ```
 //!
 //! - `in_view`: a receipt does not say how wide the viewer's picture is. `reach` is half the width of the
-//!   usual picture; `margin` has its corners, and what a viewer may turn before its next receipt is here. 1 wholly
-//!   inside `reach`, 0 wholly beyond `reach + margin`, and 1 around the viewer (d ≤ r).
+//!   usual picture; `margin` has its corners, and what a viewer may turn before its next receipt is here. 1
+//!   wholly inside `reach`, 0 wholly beyond `reach + margin`, and 1 around the viewer (d ≤ r).
 //! - `size`: the picture that a group fills goes with distance⁻²; `usual` is the distance from which the
 //!   utility was measured. A viewer where those cameras stood has size 1.
 //! - `floor`: viewers turn, and then the base must be there. Nothing is ever worth 0.
