@@ -106,11 +106,11 @@ pub(super) fn protocol(setup: &Setup) -> String {
     let Size { windows, gaussians, frames, pictures } = size(setup);
     format!(
         "rows of viewport: encoded streams of {gaussians} Gaussians (figure, cloth, {frames} frames; fox) \
-         through the real receiver over {windows} windows of the measured traces of {} families, links as \
-         for the bound with 1 % loss; viewers: close at {CLOSE} radii, looking at the upper part; walking \
-         around at that distance, {ORBIT} degrees a second; whole, a held-out camera; each tells its pose in its \
-         receipts, which the sender takes (with) or not (without), all else alike; PSNR of {pictures} frames \
-         at {SIDE}x{SIDE} as that viewer saw them against the source's own render",
+         through the real receiver over {windows} windows of the measured traces of {} families, links \
+         as for the bound with 1 % loss; viewers: close at {CLOSE} radii, looking at the upper part; \
+         walking around at that distance, {ORBIT} degrees a second; whole, a held-out camera; each says \
+         its pose in its receipts, which the sender takes (with) or not (without), all else alike; PSNR \
+         of {pictures} frames at {SIDE}x{SIDE} as that viewer saw them against the source's own render",
         FAMILIES.len()
     )
 }
