@@ -294,7 +294,7 @@ fn a_viewer_who_is_close_sees_more_where_the_sender_knows_it() {
     let at = folder.path();
     ok(at, &["encode", "synth:figure:6000:30", "-o", "a.dgs", "--utility", "--pictures", "2"]);
     let tight = ["--load", "2.5", "--width", "64", "--height", "64"];
-    let close = ["--eye", "0.3,1.6,0.9", "--target", "0,1.6,0"];
+    let close = ["--eye", "0.2,0.8,1.0", "--target", "0,0.8,0"];
     let seen =
         |options: &[&str]| json(at, &[&["stream", "a.dgs"], &tight[..], options].concat())["seen"].clone();
     let (heard, silent) = (seen(&close), seen(&[&close[..], &["--no-pose"]].concat()));
