@@ -408,6 +408,15 @@ pub struct StreamArgs {
     /// The link.
     #[command(flatten)]
     pub link: LinkArgs,
+    /// A viewer, who tells the sender where it is; what it sees is compared with complete frames (PSNR).
+    #[command(flatten)]
+    pub cameras: CameraArgs,
+    /// The viewer keeps to itself where it is: for comparison.
+    #[arg(long)]
+    pub no_pose: bool,
+    /// What the viewer's pictures are like.
+    #[command(flatten)]
+    pub view: ViewArgs,
     /// How to read a scene.
     #[command(flatten)]
     pub scene: SceneArgs,

@@ -1,5 +1,7 @@
 //! Connects streams to the emulator: a stream as a packet graph, and the real receiver as an endpoint.
 
+mod places;
+
 use codec_core::{
     Caps, ErrorKind,
     internals::{
@@ -22,11 +24,13 @@ use trainer_host::{
     utility::Table,
 };
 
+pub use self::places::Places;
+
 /// A stream's packets and groups as the emulator sees them.
 ///
 /// It has the packets that are there, and the groups that mean something with them; of a stream that lacks
 /// nothing, packet `i` of the graph is packet `i` of the stream. Without `utilities` all groups are worth the
-/// same.
+/// same. `places` says where they lie.
 ///
 /// # Errors
 /// None in practice.
@@ -35,8 +39,9 @@ pub fn graph(
     manifest: &Manifest<'_>,
     map: &PacketMap,
     utilities: Option<&Table>,
+    places: &Places,
 ) -> Result<PacketGraph, GraphError> {
-    let parts = graph_parts(stream, manifest, map, utilities);
+    let parts = graph_parts(stream, manifest, map, utilities, places);
     let has = |packet: PacketIndex| !stream.packets()[packet.at()].is_empty();
     PacketGraph::new(Selection::with_packets(&parts, has).of(&parts))
 }
@@ -46,6 +51,7 @@ fn graph_parts(
     manifest: &Manifest<'_>,
     map: &PacketMap,
     utilities: Option<&Table>,
+    places: &Places,
 ) -> GraphParts {
     let mut index = std::collections::BTreeMap::new();
     for (i, (group, _)) in map.groups().iter().enumerate() {
@@ -133,6 +139,7 @@ fn graph_parts(
             needs: needs(group),
             packets,
             utility: utilities.and_then(|t| t.groups.get(i)).map_or(1.0, |u| u.utility),
+            place: places.get(group),
         }
     });
     GraphParts {

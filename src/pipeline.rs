@@ -8,6 +8,7 @@ mod limit;
 mod link;
 mod live;
 mod sendable;
+mod watching;
 
 use std::path::Path;
 
@@ -38,10 +39,11 @@ pub use self::{
     link::{Link, capacity_bins, link, read_trace},
     live::LiveReader,
     sendable::{Sendable, sendable},
+    watching::Watching,
 };
 use crate::{
     args::{CodecArgs, PolicyName, ProfileName, SceneArgs, TransportName, ViewArgs},
-    delivery::{self, ShownState, WireEndpoint},
+    delivery::{self, Places, ShownState, WireEndpoint},
     progress::Progress,
 };
 
@@ -329,7 +331,8 @@ pub fn delivered(
 /// A stream of which nothing is there that shows.
 pub fn graph(stream: &Stream, map: &PacketMap, table: Option<&utility::Table>) -> Result<PacketGraph> {
     let manifest = stream.manifest()?;
-    delivery::graph(stream, &manifest, map, table).context("this stream cannot be sent")
+    let places = Places::of(&stream.receive()?.content(), 0..manifest.head().frames)?;
+    delivery::graph(stream, &manifest, map, table, &places).context("this stream cannot be sent")
 }
 
 /// Name of a profile.

@@ -56,7 +56,7 @@ const ARROWS: [(&str, &str, &[&str]); 14] = [
     ("dgs-python", "trainer-host/python/", &["codec-core", "dgs-player", "render-host", "trainer-host"]),
     ("render-host", "render-host/", &["codec-core"]),
     ("dgs-viewer", "render-host/viewer/", &["codec-core", "dgs-player", "render-host"]),
-    ("dgs-window", "render-host/window/", &["dgs-player", "dgs-viewer", "render-host"]),
+    ("dgs-window", "render-host/window/", &["codec-core", "dgs-player", "dgs-viewer", "render-host"]),
     ("emulator-host", "emulator-host/", &["codec-core"]),
     ("dgs-quic", "emulator-host/quic/", &["codec-core", "dgs-player", "emulator-host"]),
     ("fuzz", "fuzz/", &["codec-core", "dgs-player", "dgs-quic", "emulator-host", "trainer-host"]),

@@ -13,6 +13,7 @@ use std::{
 };
 
 use clap::Parser;
+use codec_core::internals::wire::receipt::ViewerPose;
 use dgs::{
     args::{Cli, Verb},
     pipeline::{self, Quiet},

@@ -289,6 +289,26 @@ fn a_stream_is_cut_and_saved_as_it_arrived() {
 }
 
 #[test]
+fn a_viewer_who_is_close_sees_more_where_the_sender_knows_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["encode", "synth:figure:6000:30", "-o", "a.dgs", "--utility", "--pictures", "2"]);
+    let tight = ["--load", "2.5", "--width", "64", "--height", "64"];
+    let close = ["--eye", "0.2,0.8,1.0", "--target", "0,0.8,0"];
+    let seen =
+        |options: &[&str]| json(at, &[&["stream", "a.dgs"], &tight[..], options].concat())["seen"].clone();
+    let (heard, silent) = (seen(&close), seen(&[&close[..], &["--no-pose"]].concat()));
+    assert!(heard["located"] == true && silent["located"] == false);
+    let mean = |seen: &Value| seen["mean_psnr_db"].as_f64().unwrap();
+    assert!(mean(&heard) > mean(&silent), "{heard} {silent}");
+    assert!(seen(&["--turntable", "90"])["worst_tenth_psnr_db"].as_f64().unwrap() > 10.0);
+    // Without a viewer nothing is looked at.
+    assert!(seen(&[]).is_null());
+    let text = stopped(at, &["stream", "a.dgs", "--no-pose"], 1);
+    assert!(text.contains("--no-pose") && text.contains("--eye"), "{text}");
+}
+
+#[test]
 fn shells_and_manuals_know_every_verb() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();

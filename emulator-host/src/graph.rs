@@ -13,6 +13,7 @@
 
 pub(crate) mod csr;
 mod derive;
+mod place;
 mod selection;
 mod synthetic;
 
@@ -21,6 +22,7 @@ use codec_core::internals::ids::{Group as GroupId, PacketId, Span};
 use self::csr::Csr;
 use crate::clock::Nanos;
 
+pub use place::{Ball, Place};
 pub use selection::Selection;
 pub use synthetic::{Dependencies, Synthetic, Utilities};
 
@@ -86,6 +88,8 @@ pub struct Group {
     /// Risk-adjusted counterfactual gain per frame shown (paper, "Counterfactual Render Utility"); finite,
     /// may be negative.
     pub utility: f64,
+    /// Where it lies in the scene; `None` where nobody has looked.
+    pub place: Option<Place>,
 }
 
 impl Group {

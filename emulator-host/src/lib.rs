@@ -44,6 +44,7 @@ pub mod session;
 mod startup;
 pub mod sweep;
 pub mod trace;
+mod viewpoint;
 
 pub use clock::{Bytes, Nanos, Rate};
 pub use congestion::{Controller, ControllerKind};
@@ -53,3 +54,4 @@ pub use receiver::{Endpoint, GraphReceiver, Snapshot};
 pub use report::Report;
 pub use session::{SessionConfig, SessionError, run, simulate};
 pub use trace::Trace;
+pub use viewpoint::Viewpoint;

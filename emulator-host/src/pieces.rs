@@ -14,6 +14,8 @@ use crate::graph::{GroupIndex, PacketGraph, PacketIndex, Profile, csr::Csr};
 /// What a piece adds to each of some frames.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Addition {
+    /// The group that it is part of.
+    pub group: GroupIndex,
     /// First frame.
     pub first: u32,
     /// Last frame, inclusive.
@@ -214,13 +216,19 @@ fn part(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Addition> 
     let facts = &graph.groups()[group.at()];
     let (utility, base) = (facts.utility.max(0.0) * share, if facts.level() == 0 { share } else { 0.0 });
     let (first, last) = (facts.first_frame, facts.last_frame);
-    (utility > 0.0 || (base > 0.0 && facts.utility >= 0.0)).then_some(Addition { first, last, utility, base })
+    (utility > 0.0 || (base > 0.0 && facts.utility >= 0.0)).then_some(Addition {
+        group,
+        first,
+        last,
+        utility,
+        base,
+    })
 }
 
 fn harm(graph: &PacketGraph, group: GroupIndex, share: f64) -> Option<Addition> {
     let facts = &graph.groups()[group.at()];
     let (first, last, utility) = (facts.first_frame, facts.last_frame, facts.utility * share);
-    (utility < 0.0).then_some(Addition { first, last, utility, base: 0.0 })
+    (utility < 0.0).then_some(Addition { group, first, last, utility, base: 0.0 })
 }
 
 fn sliced(graph: &PacketGraph) -> Draft {

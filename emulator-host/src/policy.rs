@@ -18,10 +18,11 @@ use crate::{
     clock::{Bytes, Nanos, Rate},
     graph::{GroupIndex, PacketGraph, PacketIndex, Profile},
     startup::StartupRule,
+    viewpoint::Viewpoint,
 };
 
 pub use dash::Dash;
-pub use deadline_utility::{DeadlineUtility, DeadlineUtilityConfig};
+pub use deadline_utility::{DeadlineUtility, DeadlineUtilityConfig, ViewportConfig};
 pub use dependency::Dependency;
 pub use kind::PolicyKind;
 pub use layered::Layered;
@@ -71,6 +72,8 @@ pub struct SenderView<'a> {
     pub startup: StartupRule,
     /// Times that a lost base packet may be sent again.
     pub retransmissions: u32,
+    /// Where the viewer is, if it says so.
+    pub viewpoint: Option<Viewpoint>,
 }
 
 impl SenderView<'_> {

@@ -30,6 +30,8 @@ mod outstanding;
 mod run;
 mod sender;
 mod viewer;
+mod viewer_path;
+mod watched;
 
 use crate::{
     clock::{Nanos, Rate},
@@ -47,6 +49,8 @@ pub use outlook::PathFacts;
 pub use outstanding::Outstanding;
 pub use run::{run, simulate};
 pub use viewer::Viewer;
+pub use viewer_path::ViewerPath;
+pub use watched::Watched;
 
 /// Bytes around a DGSP packet inside the UDP payload: QUIC short header 11, DATAGRAM frame 3, authentication
 /// tag 16.
@@ -101,6 +105,8 @@ pub struct SessionConfig {
     pub ack_every: u32,
     /// Longest time that a receipt is held back.
     pub max_ack_delay: Nanos,
+    /// Where the viewer is, which its receipts tell the sender; `None`: they do not say.
+    pub viewer: Option<ViewerPath>,
     /// Media packets that the receiver of [`simulate`] keeps before the manifest is complete.
     pub buffer_limit: usize,
     /// Time between [`crate::report::SenderRow`]s; zero for none.
@@ -131,6 +137,7 @@ impl Default for SessionConfig {
             retransmit_canonical: false,
             ack_every: 2,
             max_ack_delay: Nanos::from_ms(25),
+            viewer: None,
             buffer_limit: GraphReceiver::BUFFER_LIMIT,
             sample_interval: Nanos::from_ms(100),
             cap: Nanos::from_s(3600),

@@ -14,6 +14,7 @@ pub mod blender;
 pub mod colmap;
 mod error;
 
+use codec_core::internals::wire::receipt::ViewerPose;
 pub use error::CameraError;
 use serde::{Deserialize, Serialize};
 
@@ -310,6 +311,27 @@ impl Camera {
     /// Where the camera is in the world, scene units.
     pub fn centre(&self) -> [f64; 3] {
         std::array::from_fn(|j| -(0..3).map(|i| self.rotation[i][j] * self.translation[i]).sum::<f64>())
+    }
+
+    /// The same as a receipt tells it: centre, and the quaternion of camera to world.
+    pub fn pose(&self) -> ViewerPose {
+        let r = &self.rotation;
+        // Of the four ways to read a quaternion off a matrix the one without cancellation: the square of a
+        // component is a sum of the diagonal. World to camera is read, its conjugate is camera to world.
+        let [a, b, c] = [r[0][0], r[1][1], r[2][2]];
+        let squares = [1.0 + a + b + c, 1.0 + a - b - c, 1.0 - a + b - c, 1.0 - a - b + c];
+        let largest = (1..4).fold(0, |best, at| if squares[at] > squares[best] { at } else { best });
+        let (x, y, z) = (r[2][1] - r[1][2], r[0][2] - r[2][0], r[1][0] - r[0][1]);
+        let (xy, xz, yz) = (r[0][1] + r[1][0], r[0][2] + r[2][0], r[1][2] + r[2][1]);
+        let read = match largest {
+            0 => [squares[0], x, y, z],
+            1 => [x, squares[1], xy, xz],
+            2 => [y, xy, squares[2], yz],
+            _ => [z, xz, yz, squares[3]],
+        };
+        let scale = 0.5 / squares[largest].sqrt();
+        let [w, x, y, z] = read.map(|v| (v * scale) as f32);
+        ViewerPose { position: self.centre().map(|v| v as f32), rotation: [w, -x, -y, -z] }
     }
 
     /// `point` in camera axes, scene units. Both renderers call this one function, so their depth keys

@@ -6,7 +6,7 @@ use clap::Args;
 use dgs_quic::socket::{DEFAULT_PORT, Locator, Pin};
 
 use super::{
-    CodecArgs, PolicyName, SceneArgs, ViewArgs,
+    CameraArgs, CodecArgs, PolicyName, SceneArgs, ViewArgs,
     number::{not_negative, positive, whole},
 };
 
@@ -120,7 +120,10 @@ pub struct Play {
     /// Which way is up in the pictures.
     #[arg(long, value_enum, default_value_t = super::Up::Y)]
     pub up: super::Up,
-    /// Where to look from.
+    /// Where to look from; where that is typed, the server is told and sends first what is seen from there.
+    #[command(flatten)]
+    pub cameras: CameraArgs,
+    /// How large.
     #[command(flatten)]
     pub view: ViewArgs,
 }

@@ -3,15 +3,17 @@
 use std::{collections::BTreeMap, time::Duration};
 
 use anyhow::{Context, Result, bail};
-use codec_core::internals::ids::Level;
-use dgs_quic::socket::{ClientConfig, Headless, PlayReport, Scheme, Screen, play};
-use render_host::{Backend, DeviceChoice, Image, metric};
+use codec_core::{
+    Caps,
+    internals::{ids::Level, wire::receipt::ViewerPose},
+};
+use dgs_quic::socket::{ClientConfig, PlayReport, Scheme, Screen, play};
+use render_host::{Image, metric};
 use serde::Serialize;
 use serde_json::json;
 use trainer_host::{
     Stream,
     evaluator::{self, PSNR_CAP_DB},
-    viewpoint::Ring,
 };
 
 use super::{
@@ -23,18 +25,55 @@ use crate::{
     figures::mean,
     files::FrameFolder,
     output::VerbOutput,
-    pipeline::{self, Frames},
+    pipeline::{self, Frames, Watching},
 };
 
 /// Remembers the state in which each frame was shown; pictures are drawn once nothing has to be on time.
-#[derive(Default)]
-struct States(BTreeMap<u32, Vec<u8>>);
+struct States<'a> {
+    args: &'a Play,
+    draws: bool,
+    shown: BTreeMap<u32, Vec<u8>>,
+    /// The viewer that is typed, once the manifest is there, and the frame that it sees next.
+    watching: Option<Result<Watching>>,
+    next: u32,
+}
 
-impl Screen for States {
-    fn show(&mut self, player: &mut dgs_player::Player, frame: u32) -> Result<(), String> {
-        self.0.insert(frame, player.content().blocks.to_vec());
-        Ok(())
+impl Screen for States<'_> {
+    fn manifest(&mut self, message: &[u8]) {
+        if self.args.cameras.is_typed() && self.watching.is_none() {
+            self.watching = Some(watching(self.args, message));
+        }
     }
+
+    fn show(&mut self, player: &mut dgs_player::Player, frame: u32) -> Result<(), String> {
+        self.next = frame + 1;
+        if self.draws {
+            self.shown.insert(frame, player.content().blocks.to_vec());
+        }
+        match &self.watching {
+            Some(Err(error)) => Err(format!("{error:#}")),
+            _ => Ok(()),
+        }
+    }
+
+    fn pose(&mut self) -> Option<ViewerPose> {
+        match &self.watching {
+            Some(Ok(watching)) => Some(watching.camera(self.next).pose()),
+            _ => None,
+        }
+    }
+}
+
+/// The viewer that is typed, before a stream of which the manifest alone is there: its proxies say where the
+/// scene lies.
+fn watching(args: &Play, message: &[u8]) -> Result<Watching> {
+    let player = dgs_player::Player::new(message, &Caps::HOST)?;
+    Watching::of(&args.cameras, &args.view, &mut frames(args, player))
+}
+
+/// All that `player` has.
+fn frames(args: &Play, player: dgs_player::Player) -> Frames {
+    Frames::of_stream(player, Level::ALL[Level::COUNT - 1], args.up.into())
 }
 
 /// What was shown against the complete frames of a file.
@@ -62,15 +101,15 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
         duration: args.duration.map(Duration::from_secs_f64),
         ..ClientConfig::new(args.url.clone(), trust)
     };
-    let mut states = States::default();
     let draws = args.out.is_some() || reference.is_some();
+    let mut states = States { args, draws, shown: BTreeMap::new(), watching: None, next: 0 };
     let played = runtime()?.block_on(async {
-        let screen: &mut dyn Screen = if draws { &mut states } else { &mut Headless };
         match args.url.scheme {
-            Scheme::Moq => relay::play(&config, screen, interruption()).await,
-            Scheme::Dgs | Scheme::Https => play(&config, screen, interruption()).await,
+            Scheme::Moq => relay::play(&config, &mut states, interruption()).await,
+            Scheme::Dgs | Scheme::Https => play(&config, &mut states, interruption()).await,
         }
     });
+    let watching = states.watching.take().transpose()?;
     if let Some(error) = played.error {
         if played.report.shown_count == 0 {
             return Err(error).with_context(|| args.url.to_string());
@@ -78,7 +117,7 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
         warnings.push(format!("{}: {error}; what was shown counts", args.url));
     }
     let quality = match (played.player, draws) {
-        (Some(player), true) => draw(args, player, &states, reference.as_ref())?,
+        (Some(player), true) => draw(args, player, watching, &states.shown, reference.as_ref())?,
         _ => None,
     };
     let text = summary(args, &played.report, quality.as_ref());
@@ -91,20 +130,21 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
 fn draw(
     args: &Play,
     player: dgs_player::Player,
-    states: &States,
+    watching: Option<Watching>,
+    states: &BTreeMap<u32, Vec<u8>>,
     reference: Option<&Stream>,
 ) -> Result<Option<Quality>> {
-    let level = Level::ALL[Level::COUNT - 1];
-    let mut frames = Frames::of_stream(player, level, args.up.into());
-    let camera = frames.framing()?.ring(Ring::HeldOut, 1, args.view.size()).context("--width, --height")?;
-    let Some(camera) = camera.first() else { bail!("--width, --height: no camera") };
+    let mut frames = frames(args, player);
+    let watching = match watching {
+        Some(watching) => watching,
+        None => Watching::of(&args.cameras, &args.view, &mut frames)?,
+    };
     let settings = pipeline::settings(&args.view);
-    let backend = Backend::open(DeviceChoice::Cpu)?;
     let Frames::Stream { received, .. } = &frames else { bail!("a stream has frames of a stream") };
     let content = received.content();
     let shown: Vec<(u32, Option<&[u8]>)> =
-        states.0.iter().map(|(frame, state)| (*frame, Some(state.as_slice()))).collect();
-    let images = evaluator::renders(&content, &shown, camera, &settings, &backend)?;
+        states.iter().map(|(frame, state)| (*frame, Some(state.as_slice()))).collect();
+    let images = watching.pictures(&content, &shown, &settings)?;
     if let Some(folder) = &args.out {
         let mut folder = FrameFolder::create(folder, args.overwrite)?;
         for ((frame, _), image) in shown.iter().zip(&images) {
@@ -121,7 +161,7 @@ fn draw(
     }
     let all: Vec<(u32, Option<&[u8]>)> =
         shown.iter().map(|(frame, _)| (*frame, Some(complete.blocks))).collect();
-    let references = evaluator::renders(&complete, &all, camera, &settings, &backend)?;
+    let references = watching.pictures(&complete, &all, &settings)?;
     quality(&shown, &images, &references).map(Some)
 }
 

@@ -95,13 +95,13 @@ type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 15] = [
-    ("", [0, 1, 0, 7, 0, 0, 0, 0, 122]),
+    ("", [0, 1, 0, 7, 0, 0, 0, 0, 123]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 0, 19]),
     ("codec-core/simd/", [0, 0, 0, 0, 0, 0, 0, 0, 9]),
-    ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 154]),
+    ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 160]),
     ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 23]),
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 36]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 239]),

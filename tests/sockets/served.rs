@@ -41,6 +41,40 @@ fn over_a_clean_path_every_frame_is_shown_and_decodes_as_the_file_does() {
     });
 }
 
+/// Looks from somewhere, and says so.
+struct Located(ViewerPose);
+
+impl Screen for Located {
+    fn show(&mut self, _: &mut Player, _: u32) -> Result<(), String> {
+        Ok(())
+    }
+
+    fn pose(&mut self) -> Option<ViewerPose> {
+        Some(self.0)
+    }
+}
+
+#[test]
+fn a_server_knows_where_a_viewer_is_who_says_so_and_shows_it_all_the_same() {
+    within(async {
+        let server = Running::start(ServerLimits::default(), Some(lossy(0.02)));
+        let aside = ViewerPose { position: [0.0, 0.0, 9.0], rotation: [1.0, 0.0, 0.0, 0.0] };
+        let nowhere = ViewerPose { rotation: [0.0; 4], ..aside };
+        for (pose, located) in [(aside, true), (nowhere, false)] {
+            let mut screen = Located(pose);
+            let report = play(&server.client(), &mut screen, std::future::pending()).await.whole().unwrap();
+            assert_eq!(report.shown_count, 30);
+            assert!(report.base_miss_rate < 0.1, "{located}: {report:?}");
+        }
+        let silent = server.play(&server.client()).await.unwrap();
+        assert_eq!(silent.shown_count, 30);
+        let (_, viewers) = server.stop().await;
+        let located: Vec<bool> = viewers.iter().map(|viewer| viewer.located).collect();
+        assert_eq!(located, [true, false, false]);
+        assert!(viewers.iter().all(|viewer| viewer.refused_receipts == 0), "{viewers:?}");
+    });
+}
+
 #[test]
 fn a_tenth_lost_still_shows_every_frame_with_nearly_all_bases() {
     within(async {

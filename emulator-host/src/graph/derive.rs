@@ -297,6 +297,7 @@ mod tests {
             needs: needs.iter().map(|need| GroupIndex(*need)).collect(),
             packets: packets.iter().map(|packet| PacketIndex(*packet)).collect(),
             utility: 1.0,
+            place: None,
         }
     }
 

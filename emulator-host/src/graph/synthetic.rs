@@ -186,6 +186,7 @@ impl Draft<'_> {
                 needs,
                 packets,
                 utility,
+                place: None,
             });
         }
     }

@@ -11,7 +11,8 @@
 //! - *lost compete*: a lost packet waits again and is worth the whole rest of its group;
 //! - *credit*, *arrival from queue*, *base weight*, *delay weight*: how a piece is scored;
 //! - *opening*: before playout, what the startup rule counts, by count per byte;
-//! - *parity competes*: parity is one more candidate, worth what repetition would come too late for.
+//! - *parity competes*: parity is one more candidate, worth what repetition would come too late for;
+//! - *viewport*: what is out of the viewer's sight, or far away, waits (the viewport's text has the formula).
 //!
 //! The forecast orders and never refuses: its error has a heavy tail, so everything that can still be shown
 //! keeps some value, and a policy that is wrong about the path goes on to learn.
@@ -23,15 +24,18 @@ mod config;
 mod opening;
 mod outlook;
 mod plan;
+mod viewport;
 
 use self::{opening::Opening, outlook::Outlook, plan::Plan};
 use super::{PacketStatus, Scheduler, SenderView, Service};
 use crate::{
     clock::Nanos,
     graph::{PacketGraph, PacketIndex},
+    viewpoint::Viewpoint,
 };
 
 pub use config::DeadlineUtilityConfig;
+pub use viewport::ViewportConfig;
 
 /// Of so many packets one is forecast: enough for a score, and no cost to speak of.
 const FORECAST_EVERY: u32 = 8;
@@ -43,6 +47,8 @@ pub struct DeadlineUtility {
     plan: Plan,
     opening: Opening,
     planned_at: Option<Nanos>,
+    /// Where the viewer was then.
+    planned_for: Option<Viewpoint>,
     lost_since: bool,
 }
 
@@ -54,19 +60,24 @@ impl DeadlineUtility {
             plan: Plan::new(graph),
             opening: Opening::default(),
             planned_at: None,
+            planned_for: None,
             lost_since: false,
         }
     }
 
-    fn is_due(&self, now: Nanos) -> bool {
+    fn is_due(&self, view: &SenderView<'_>, now: Nanos) -> bool {
         let Some(planned_at) = self.planned_at else { return true };
         let age = now - planned_at;
-        age >= self.config.refresh || (self.lost_since && age >= self.config.refresh_after_loss)
+        let has_moved = self.config.viewport.is_some() && view.viewpoint != self.planned_for;
+        age >= self.config.refresh
+            || (self.lost_since && age >= self.config.refresh_after_loss)
+            || (has_moved && age >= self.config.refresh_after_move)
     }
 
     fn renew(&mut self, view: &SenderView<'_>, now: Nanos) {
         self.plan.renew(view, &self.config, now);
         self.planned_at = Some(now);
+        self.planned_for = view.viewpoint;
         self.lost_since = false;
     }
 }
@@ -83,7 +94,7 @@ impl Scheduler for DeadlineUtility {
         {
             return Some(packet);
         }
-        if self.is_due(now) {
+        if self.is_due(view, now) {
             self.renew(view, now);
         }
         self.plan.next(view, now).or_else(|| {
@@ -104,7 +115,7 @@ impl Scheduler for DeadlineUtility {
             return true;
         }
         let outlook = Outlook::new(view, &self.config, now);
-        self.plan.parity_rank(view, &outlook, parity) > self.plan.best_rank()
+        self.plan.parity_rank(view, &self.config, &outlook, parity) > self.plan.best_rank()
     }
 
     fn forecast(&self, view: &SenderView<'_>, packet: PacketIndex, now: Nanos) -> Option<(f64, u32)> {
@@ -122,5 +133,52 @@ impl Scheduler for DeadlineUtility {
         let after = view.status[packet.at()];
         self.plan.on_status(packet, view.graph.packets()[packet.at()].wire_bytes, before, after);
         self.lost_since |= after == PacketStatus::Waiting;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use codec_core::internals::wire::receipt::ViewerPose;
+
+    use super::*;
+    use crate::{clock::Rate, graph::Synthetic, startup::StartupRule};
+
+    /// Poses may change with every receipt: plans are made at their own pace.
+    #[test]
+    fn a_viewer_that_moves_all_the_time_renews_the_plan_twenty_times_a_second_at_most() {
+        let graph = Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap();
+        let status = vec![PacketStatus::Waiting; graph.packets().len()];
+        let sent_at = vec![Nanos::ZERO; graph.packets().len()];
+        let config = DeadlineUtilityConfig::default();
+        let plans = |config: DeadlineUtilityConfig| {
+            let mut policy = DeadlineUtility::new(&graph, config);
+            let mut plans = 0;
+            for ms in 0..1000u32 {
+                let pose = ViewerPose { position: [ms as f32, 0.0, 0.0], rotation: [1.0, 0.0, 0.0, 0.0] };
+                let view = SenderView {
+                    graph: &graph,
+                    status: &status,
+                    playout_start: Nanos::from_s(2),
+                    playing: true,
+                    horizon_frame: 30,
+                    rate: Rate::from_mbps(5),
+                    smoothed_rtt: Nanos::from_ms(50),
+                    rtt_variation: Nanos::from_ms(5),
+                    minimum_rtt: Nanos::from_ms(40),
+                    in_flight: 0,
+                    sent_at: &sent_at,
+                    loss: 0.0,
+                    startup: StartupRule::AfterWait,
+                    retransmissions: 2,
+                    viewpoint: Viewpoint::of(&pose),
+                };
+                let now = Nanos::from_ms(u64::from(ms));
+                plans += u32::from(policy.is_due(&view, now));
+                assert!(policy.next(&view, now).is_some());
+            }
+            plans
+        };
+        assert_eq!(plans(config), 20);
+        assert_eq!(plans(DeadlineUtilityConfig { viewport: None, ..config }), 5);
     }
 }

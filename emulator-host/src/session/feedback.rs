@@ -1,7 +1,8 @@
 //! Writes receipts at the receiver and reads them at the sender: real DGSF bytes (SPEC.md, receipts).
 //!
 //! A transport acknowledges datagrams; a receipt says what the application knows beyond that: which packets
-//! have arrived by id, which were recovered by repair, which groups are complete, and when playout began.
+//! have arrived by id, which were recovered by repair, which groups are complete, when playout began, and
+//! where the viewer is.
 //! Each piece of news is repeated in a few receipts, so that losing one does no harm, and lists are cut so
 //! that a receipt always fits one datagram.
 
@@ -12,7 +13,7 @@ use codec_core::internals::{
     limits::MAX_RECEIPT_BYTES,
     wire::{
         crc::crc32,
-        receipt::{IdRange, Receipt, Value},
+        receipt::{IdRange, Receipt, Value, ViewerPose},
     },
 };
 
@@ -44,13 +45,15 @@ impl NewsRange {
 }
 
 /// Which news a receipt tells.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Reported {
     pub(super) arrived: NewsRange,
     pub(super) recovered: NewsRange,
     pub(super) completed: NewsRange,
     /// When frame 0 was shown, as the receipt has it: whole microseconds, zero for not yet.
     pub(super) playout_us: u64,
+    /// Where the viewer was, and the number of the receipt that says so.
+    pub(super) pose: Option<(u32, ViewerPose)>,
 }
 
 impl Reported {
@@ -101,6 +104,9 @@ pub(super) struct ReceiptWriter {
     arrived: News<PacketId>,
     recovered: News<PacketId>,
     completed: News<GroupId>,
+    pose: Option<ViewerPose>,
+    /// Receipts that are still to say the pose.
+    pose_left: u8,
     lists: Lists,
     bytes: Box<[u8; MAX_RECEIPT_BYTES]>,
 }
@@ -121,6 +127,8 @@ impl ReceiptWriter {
             arrived: News::new(),
             recovered: News::new(),
             completed: News::new(),
+            pose: None,
+            pose_left: 0,
             lists: Lists::default(),
             bytes: Box::new([0; MAX_RECEIPT_BYTES]),
         }
@@ -141,9 +149,31 @@ impl ReceiptWriter {
         self.completed.push(group);
     }
 
+    /// The viewer looks from `pose`; it is news if it has moved.
+    pub(super) fn on_pose(&mut self, pose: ViewerPose) {
+        if self.pose != Some(pose) {
+            (self.pose, self.pose_left) = (Some(pose), REPEATS);
+        }
+    }
+
+    /// Where the viewer is, if it has been said.
+    pub(super) fn pose(&self) -> Option<ViewerPose> {
+        self.pose
+    }
+
+    /// Number of a receipt that somebody else writes.
+    pub(super) fn next_sequence(&mut self) -> u32 {
+        let sequence = self.sequence;
+        self.sequence = sequence.wrapping_add(1);
+        sequence
+    }
+
     /// The next receipt: its bytes, until the next is written, and what it tells. `playout_start`: when frame
     /// 0 was shown.
     pub(super) fn write(&mut self, playout_start: Option<Nanos>) -> (&[u8], Reported) {
+        let sequence = self.next_sequence();
+        let pose = self.pose.filter(|_| self.pose_left > 0);
+        self.pose_left = self.pose_left.saturating_sub(1);
         let lists = &mut self.lists;
         let arrived = self.arrived.take(MOST_RANGES, &mut lists.ids);
         join(&mut lists.ids, &mut lists.acknowledged);
@@ -151,18 +181,18 @@ impl ReceiptWriter {
         let completed = self.completed.take(MOST_COMPLETED, &mut lists.completed);
         let playout_us = playout_start.map_or(0, |start| start.0.div_ceil(1000).max(1));
         let value = Value {
-            sequence: self.sequence,
+            sequence,
             playout_us,
-            pose: None,
+            pose,
             acknowledged: &lists.acknowledged,
             recovered: &lists.recovered,
             completed: &lists.completed,
         };
-        self.sequence = self.sequence.wrapping_add(1);
         // Ranges ascend and the space is the largest receipt's, so writing cannot fail; an empty one would be
         // ignored.
         let len = value.write(&mut self.bytes[..]).unwrap_or(0);
-        (&self.bytes[..len], Reported { arrived, recovered, completed, playout_us })
+        let pose = pose.map(|pose| (sequence, pose));
+        (&self.bytes[..len], Reported { arrived, recovered, completed, playout_us, pose })
     }
 }
 
@@ -185,12 +215,14 @@ fn join(ids: &mut Vec<PacketId>, ranges: &mut Vec<IdRange>) {
 }
 
 /// What a sender learns from one receipt.
-#[derive(Debug, Default, PartialEq, Eq)]
+#[derive(Debug, Default, PartialEq)]
 pub(super) struct Feedback {
     /// Packets that the receiver has, by arrival, repair, or as part of a complete group.
     pub(super) received: Vec<PacketIndex>,
     /// When frame 0 was shown.
     pub(super) playout_start: Option<Nanos>,
+    /// Where the viewer was, and the number of the receipt that says so.
+    pub(super) pose: Option<(u32, ViewerPose)>,
 }
 
 /// Reads a receipt into `feedback`, which is emptied first; ids that the graph does not have are ignored.
@@ -198,7 +230,7 @@ pub(super) struct Feedback {
 /// # Errors
 /// Bytes that are no receipt.
 pub(super) fn read(bytes: &[u8], graph: &PacketGraph, feedback: &mut Feedback) -> codec_core::Result<()> {
-    let Feedback { received, playout_start } = feedback;
+    let Feedback { received, playout_start, pose } = feedback;
     received.clear();
     let receipt = Receipt::parse(bytes, crc32)?;
     for range in receipt.acknowledged() {
@@ -214,6 +246,7 @@ pub(super) fn read(bytes: &[u8], graph: &PacketGraph, feedback: &mut Feedback) -
         received.extend(group.into_iter().flat_map(|group| &graph.groups()[group.at()].packets));
     }
     *playout_start = self::playout_start(receipt.playout_us);
+    *pose = receipt.pose.map(|pose| (receipt.sequence, pose));
     Ok(())
 }
 
@@ -224,7 +257,8 @@ mod tests {
 
     fn read(bytes: &[u8], graph: &PacketGraph) -> codec_core::Result<Feedback> {
         // What an earlier receipt has left behind does not show.
-        let mut feedback = Feedback { received: vec![PacketIndex(1)], playout_start: Some(Nanos(7)) };
+        let mut feedback =
+            Feedback { received: vec![PacketIndex(1)], playout_start: Some(Nanos(7)), pose: None };
         super::read(bytes, graph, &mut feedback).map(|()| feedback)
     }
 
@@ -242,7 +276,10 @@ mod tests {
         for repeat in 0..=REPEATS {
             let feedback = read(writer.write(Some(Nanos(1))).0, &graph).unwrap();
             let expected = if repeat < REPEATS { packets.to_vec() } else { Vec::new() };
-            assert_eq!(feedback, Feedback { received: expected, playout_start: Some(Nanos::from_us(1)) });
+            assert_eq!(
+                feedback,
+                Feedback { received: expected, playout_start: Some(Nanos::from_us(1)), pose: None }
+            );
         }
     }
 
@@ -252,7 +289,10 @@ mod tests {
         let mut writer = ReceiptWriter::new();
         writer.on_complete(graph.groups()[5].id);
         let feedback = read(writer.write(None).0, &graph).unwrap();
-        assert_eq!(feedback, Feedback { received: graph.groups()[5].packets.clone(), playout_start: None });
+        assert_eq!(
+            feedback,
+            Feedback { received: graph.groups()[5].packets.clone(), playout_start: None, pose: None }
+        );
     }
 
     #[test]
@@ -272,6 +312,24 @@ mod tests {
             known.extend(read(bytes, &graph).unwrap().received);
         }
         assert!(packets.iter().all(|packet| known.contains(packet)));
+    }
+
+    #[test]
+    fn a_pose_is_said_in_a_few_receipts_and_again_when_the_viewer_moves() {
+        let graph = graph();
+        let mut writer = ReceiptWriter::new();
+        let pose = |x| ViewerPose { position: [x, 0.0, 0.0], rotation: [1.0, 0.0, 0.0, 0.0] };
+        let said = |writer: &mut ReceiptWriter, x| {
+            writer.on_pose(pose(x));
+            read(writer.write(None).0, &graph).unwrap().pose
+        };
+        for sequence in 0..u32::from(REPEATS) {
+            assert_eq!(said(&mut writer, 1.0), Some((sequence, pose(1.0))));
+        }
+        assert_eq!(said(&mut writer, 1.0), None);
+        assert_eq!(writer.next_sequence(), u32::from(REPEATS) + 1);
+        assert_eq!(said(&mut writer, 2.0), Some((u32::from(REPEATS) + 2, pose(2.0))));
+        assert_eq!(writer.pose(), Some(pose(2.0)));
     }
 
     #[test]

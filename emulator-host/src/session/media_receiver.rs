@@ -3,7 +3,10 @@
 //! Whoever owns the bytes (a decoder, or a model of one) tells this core what has arrived in the wire's own
 //! ids. It knows time and ids, asks no clock and moves no bytes.
 
-use codec_core::internals::ids::{Group as GroupId, PacketId};
+use codec_core::internals::{
+    ids::{Group as GroupId, PacketId},
+    wire::receipt::ViewerPose,
+};
 
 use super::feedback::{ReceiptWriter, Reported};
 use crate::{clock::Nanos, startup::Startup};
@@ -89,6 +92,21 @@ impl MediaReceiver {
     /// A group is complete; to be said once per group.
     pub fn on_complete(&mut self, group: GroupId) {
         self.receipts.on_complete(group);
+    }
+
+    /// The viewer looks from `pose`, which receipts say for a while if it has moved.
+    pub fn on_pose(&mut self, pose: ViewerPose) {
+        self.receipts.on_pose(pose);
+    }
+
+    /// Where the viewer is, if it has been said.
+    pub fn pose(&self) -> Option<ViewerPose> {
+        self.receipts.pose()
+    }
+
+    /// Number of a receipt that the caller writes: all receipts of a round count together.
+    pub fn next_sequence(&mut self) -> u32 {
+        self.receipts.next_sequence()
     }
 
     /// Starts playout if `is_usable` says that what the rule waits for is there, or the wait is over; whether

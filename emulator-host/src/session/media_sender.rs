@@ -7,11 +7,14 @@
 
 use std::{collections::VecDeque, ops::Deref};
 
+use codec_core::internals::wire::receipt::ViewerPose;
+
 use super::{
     feedback::{self, Feedback},
     forecast::Forecasts,
     loss_share::LossShare,
     outlook::{Outlook, PathFacts},
+    watched::Watched,
 };
 use crate::{
     clock::{Bytes, Nanos},
@@ -87,6 +90,7 @@ pub struct MediaSender<G, S> {
     known_start: Option<Nanos>,
     /// Before this time the horizon stands.
     horizon_moves_at: Nanos,
+    watched: Watched,
     last_sent_at: Nanos,
     starved: bool,
     counts: SenderCounts,
@@ -120,6 +124,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             outlook: Outlook::new(path, rules.retransmissions, rules.startup.rule),
             known_start: None,
             horizon_moves_at: Nanos::ZERO,
+            watched: Watched::default(),
             last_sent_at: Nanos::ZERO,
             starved: false,
             counts: SenderCounts::default(),
@@ -164,6 +169,17 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// When playout started, once a receipt has said so.
     pub fn playout_start(&self) -> Option<Nanos> {
         self.known_start
+    }
+
+    /// Where the viewer is, as far as receipts have told.
+    pub fn watched(&self) -> Watched {
+        self.watched
+    }
+
+    /// The viewer is the one that `watched` tells of.
+    pub fn set_watched(&mut self, watched: Watched) {
+        self.watched = watched;
+        self.outlook.viewpoint = watched.viewpoint();
     }
 
     /// When more of the clip comes within the horizon, so that [`Self::next`] may have something again.
@@ -296,6 +312,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             Ok(()) => {
                 feedback.received.iter().for_each(|packet| self.on_acked(*packet));
                 self.on_playout(feedback.playout_start);
+                feedback.pose.into_iter().for_each(|said| self.on_pose(said));
             }
             Err(_) => self.counts.refused_receipts += 1,
         }
@@ -307,6 +324,12 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         // Until playout starts, what is worth sending follows from what is known to be there.
         self.starved &= self.known_start.is_some();
         self.known_start = self.known_start.or(start);
+    }
+
+    /// A receipt has said where the viewer was: its number, and the pose.
+    pub(super) fn on_pose(&mut self, (sequence, pose): (u32, ViewerPose)) {
+        self.watched.take(sequence, &pose);
+        self.outlook.viewpoint = self.watched.viewpoint();
     }
 
     fn is_parity(&self, packet: PacketIndex) -> bool {

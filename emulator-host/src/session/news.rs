@@ -20,8 +20,10 @@ impl NewsLog {
     /// Whether the bytes of a receipt say to the sender what `reported` does.
     pub(super) fn reads_like(&self, bytes: &[u8], reported: Reported, graph: &PacketGraph) -> bool {
         let mut read = Feedback::default();
-        if feedback::read(bytes, graph, &mut read).is_err() || read.playout_start != reported.playout_start()
-        {
+        if feedback::read(bytes, graph, &mut read).is_err() {
+            return false;
+        }
+        if (read.playout_start, read.pose) != (reported.playout_start(), reported.pose) {
             return false;
         }
         let mut heard = Vec::new();

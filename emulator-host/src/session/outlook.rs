@@ -5,6 +5,7 @@ use crate::{
     graph::PacketGraph,
     policy::{PacketStatus, SenderView},
     startup::StartupRule,
+    viewpoint::Viewpoint,
 };
 
 /// What a transport knows of its path.
@@ -51,6 +52,7 @@ pub(super) struct Outlook {
     pub(super) loss: f64,
     pub(super) retransmissions: u32,
     pub(super) startup: StartupRule,
+    pub(super) viewpoint: Option<Viewpoint>,
 }
 
 impl Outlook {
@@ -63,6 +65,7 @@ impl Outlook {
             loss: 0.0,
             retransmissions,
             startup,
+            viewpoint: None,
         }
     }
 
@@ -87,6 +90,7 @@ impl Outlook {
             minimum_rtt: self.path.minimum_rtt,
             loss: self.loss,
             retransmissions: self.retransmissions,
+            viewpoint: self.viewpoint,
         }
     }
 }

@@ -119,6 +119,7 @@ impl<'a> Sender<'a> {
         let media = &mut self.media;
         self.heard.hear(reported, news, self.graph, |packet| media.on_acked(packet));
         media.on_playout(reported.playout_start());
+        reported.pose.into_iter().for_each(|said| media.on_pose(said));
         self.media.look(facts(&self.recovery, self.datagram_bytes), now);
         self.dirty = true;
     }

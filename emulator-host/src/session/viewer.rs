@@ -4,7 +4,7 @@
 
 use super::{
     SessionConfig, feedback::Reported, media_receiver::MediaReceiver, media_sender::MediaSender,
-    metrics::Metrics, news::NewsLog,
+    metrics::Metrics, news::NewsLog, viewer_path::ViewerPath,
 };
 use crate::{
     clock::Nanos,
@@ -29,6 +29,7 @@ pub struct Viewer<'a> {
     reported_groups: Vec<u64>,
     recovered: Vec<PacketIndex>,
     news: NewsLog,
+    path: Option<ViewerPath>,
 }
 
 impl<'a> Viewer<'a> {
@@ -47,7 +48,9 @@ impl<'a> Viewer<'a> {
             reported_groups: vec![0; graph.groups().len().div_ceil(64)],
             recovered: Vec::new(),
             news: NewsLog::default(),
+            path: config.viewer.clone(),
         };
+        viewer.look();
         if graph.manifest_bytes() == 0 {
             viewer.control(0, true);
         }
@@ -109,6 +112,14 @@ impl<'a> Viewer<'a> {
                 self.news.completed.push(group);
             });
             self.metrics.show(frame, now, snapshot);
+            self.look();
+        }
+    }
+
+    /// The viewer is where it sees the next frame from.
+    fn look(&mut self) {
+        if let Some(path) = &self.path {
+            self.receiver.on_pose(path.pose(self.receiver.next_frame()));
         }
     }
 

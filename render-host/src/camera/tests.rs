@@ -137,3 +137,28 @@ fn a_crop_has_the_rays_of_its_pixels() {
         assert!(error.contains(field), "{error}");
     }
 }
+
+#[test]
+fn a_pose_says_the_same_as_the_camera() {
+    // Quaternions of COLMAP turn world to camera: the conjugates of a pose's. Half turns are the hard ones.
+    for q in [
+        [1.0, 0.0, 0.0, 0.0],
+        [0.0, 1.0, 0.0, 0.0],
+        [0.0, 0.0, 1.0, 0.0],
+        [0.0, 0.0, 0.0, 1.0],
+        [0.5, -0.5, 0.5, 0.5],
+        [0.1, 0.7, -0.7, 0.1],
+        [0.0, 0.6, 0.0, -0.8],
+        [-0.3, 0.2, 0.9, 0.25],
+    ] {
+        let length = q.iter().map(|v: &f64| v * v).sum::<f64>().sqrt();
+        let [w, x, y, z] = q.map(|v| v / length);
+        let intrinsics = Intrinsics::from_fov_y(0.8, 64, 48).unwrap();
+        let camera = Camera::from_colmap([w, x, y, z], [1.0, -2.0, 3.0], intrinsics).unwrap();
+        let pose = camera.pose();
+        let found = pose.rotation.map(f64::from);
+        let product: f64 = found.iter().zip([w, -x, -y, -z]).map(|(a, b)| a * b).sum();
+        assert!((product.abs() - 1.0).abs() < 1e-6, "{q:?} became {found:?}");
+        assert!(camera.to_camera(pose.position).iter().all(|v| v.abs() < 1e-5));
+    }
+}

@@ -2,6 +2,7 @@
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
+use codec_core::internals::wire::receipt::ViewerPose;
 use render_host::{Camera, CameraError};
 
 /// Vertical field of view, radians.
@@ -167,6 +168,12 @@ impl Orbit {
         let eye = std::array::from_fn(|k| self.target[k] - forward[k] * self.distance);
         let near = (1e-3 * self.distance).min(1e-2 * self.radius).clamp(1e-9, 1e9);
         Camera::look_at(eye, self.target, above, FOV_Y, width, height)?.with_near(near)
+    }
+
+    /// Where the camera is, as a receipt tells it; none for a view that no camera has.
+    pub fn pose(&self) -> Option<ViewerPose> {
+        // A pose says nothing of the picture's size.
+        self.camera(1, 1).ok().map(|camera| camera.pose())
     }
 
     /// The view as numbers for an address: azimuth, elevation, distance, target.

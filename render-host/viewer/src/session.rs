@@ -153,14 +153,20 @@ impl Session {
         self.live = true;
     }
 
-    /// A receipt for that server: what has arrived, and when the first frame of the round was shown,
-    /// microseconds since the round began (0 before).
+    /// Whether a server sends packets.
+    pub fn is_live(&self) -> bool {
+        self.live
+    }
+
+    /// A receipt for that server: what has arrived, where the camera is, and when the first frame of the
+    /// round was shown, microseconds since the round began (0 before).
     ///
     /// # Errors
     /// None in practice.
     pub fn receipt(&mut self, sequence: u32, playout_us: u64) -> Result<Vec<u8>> {
         let mut receipt = vec![0; MAX_RECEIPT_BYTES];
-        let length = self.player.with_core(|core| core.receipt(sequence, playout_us, None, &mut receipt))?;
+        let pose = self.orbit.pose();
+        let length = self.player.with_core(|core| core.receipt(sequence, playout_us, pose, &mut receipt))?;
         receipt.truncate(length);
         Ok(receipt)
     }

@@ -1,5 +1,6 @@
 //! An engine draws a session when something has changed: the loop of a window without the window.
 
+use codec_core::internals::wire::receipt::ViewerPose;
 use dgs_viewer::{Drawn, Look, Screen, Session, Wanted, message};
 
 use crate::{
@@ -37,6 +38,8 @@ pub(crate) struct Engine {
     session: Option<Session>,
     /// The last piece of a file that was wished for.
     wished: Option<Wish>,
+    /// Where the camera was when the server last heard of it.
+    said: Option<ViewerPose>,
     drawn: Drawn,
     state: Option<State>,
     background: [f32; 3],
@@ -63,6 +66,7 @@ impl Engine {
             feed,
             session: None,
             wished: None,
+            said: None,
             drawn: None,
             state: None,
             last_s: None,
@@ -94,7 +98,7 @@ impl Engine {
     /// Plays the stream of `feed` in place of what is played.
     pub fn play(&mut self, name: String, feed: Feed) {
         self.options.name = name;
-        (self.feed, self.session, self.wished) = (feed, None, None);
+        (self.feed, self.session, self.wished, self.said) = (feed, None, None, None);
         (self.drawn, self.state, self.last_s) = (None, None, None);
     }
 
@@ -156,6 +160,12 @@ impl Engine {
             self.feed.wish(Wish::From(session.playback().time_s()));
         }
         self.ended |= step.ended;
+        // A server sends first what is seen.
+        let pose = session.orbit().pose().filter(|pose| session.is_live() && self.said != Some(*pose));
+        if let Some(pose) = pose {
+            self.feed.wish(Wish::Sight(pose));
+            self.said = Some(pose);
+        }
         let busy = session.deliver(now_s);
         let playing = session.playback().playing();
         let next = if playing { Some(until_next_frame(session)) } else { None };
@@ -389,6 +399,27 @@ mod tests {
         assert_eq!(engine.scale, 0.75);
         (0..10 * SLOW_FRAMES).for_each(|_| engine.keep_up(0.1));
         assert_eq!(engine.scale, SMALLEST_SCALE);
+    }
+
+    #[test]
+    fn a_server_hears_where_the_camera_is_once_and_again_when_it_moves() {
+        let (feeder, feed) = feed();
+        let mut engine = Engine::new(options(), feed);
+        let (session, _) = Session::open(&file()).unwrap();
+        let stream = dgs_player::Stream::from_bytes(&file()).unwrap().0;
+        feeder.arrivals.send(Arrival::Manifest(stream.message().to_vec())).unwrap();
+        let said = |engine: &mut Engine, at: f64| -> Vec<ViewerPose> {
+            engine.tick(at, None, SIZE).unwrap();
+            let wishes = feeder.wishes.try_iter();
+            wishes.filter_map(|wish| if let Wish::Sight(pose) = wish { Some(pose) } else { None }).collect()
+        };
+        let first = said(&mut engine, 0.0);
+        assert_eq!((first.len(), said(&mut engine, 0.1).len()), (1, 0));
+        engine.act(Act::Turn(30.0, 0.0), SIZE).unwrap();
+        let second = said(&mut engine, 0.2);
+        assert!(second.len() == 1 && second != first);
+        // A file has no sender.
+        assert!(!session.is_live());
     }
 
     /// A screen in memory; `None` on a machine without any driver, which in CI is a failure.

@@ -5,6 +5,8 @@ use std::{
     sync::mpsc::{Receiver, Sender, SyncSender, TryRecvError, channel, sync_channel},
 };
 
+use codec_core::internals::wire::receipt::ViewerPose;
+
 /// Arrivals that wait for the window: beyond that the feeder waits, or loses packets.
 const WAITING: usize = 4096;
 
@@ -44,6 +46,8 @@ pub enum Wish {
     Whole,
     /// The stream from this time on, seconds.
     From(f64),
+    /// First of all what is seen from here.
+    Sight(ViewerPose),
 }
 
 /// The window's end.

@@ -12,6 +12,7 @@ use std::{
 };
 
 use anyhow::{Context, Result, bail};
+use codec_core::internals::wire::receipt::ViewerPose;
 use dgs_quic::socket::{ClientConfig, Locator, Screen, Trust, play};
 use dgs_viewer::FIRST_BYTES;
 use dgs_window::{Arrival, Feed, Feeder, Wish, feed};
@@ -88,6 +89,7 @@ struct Forwarding {
     /// The round that is wanted, and when the last was begun.
     wanted_us: Option<u64>,
     round_at: Option<Instant>,
+    pose: Option<ViewerPose>,
 }
 
 impl Forwarding {
@@ -119,8 +121,10 @@ impl Screen for Forwarding {
 
     fn wanted_round_us(&mut self) -> Option<u64> {
         for wish in self.wishes.try_iter() {
-            if let Wish::From(seconds) = wish {
-                self.wanted_us = Some((seconds * 1e6) as u64);
+            match wish {
+                Wish::From(seconds) => self.wanted_us = Some((seconds * 1e6) as u64),
+                Wish::Sight(pose) => self.pose = Some(pose),
+                Wish::Bytes(_) | Wish::Whole => {}
             }
         }
         if self.round_at.is_some_and(|at| at.elapsed() < ROUND_EVERY) {
@@ -130,6 +134,10 @@ impl Screen for Forwarding {
         self.round_at = Some(Instant::now());
         Some(wanted)
     }
+
+    fn pose(&mut self) -> Option<ViewerPose> {
+        self.pose
+    }
 }
 
 /// Receives until `stop`.
@@ -137,7 +145,7 @@ fn bring_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
     let Feeder { arrivals, wishes } = feeder;
     let last = arrivals.clone();
     let mut screen =
-        Forwarding { arrivals, wishes, early: Some(Vec::new()), wanted_us: None, round_at: None };
+        Forwarding { arrivals, wishes, early: Some(Vec::new()), wanted_us: None, round_at: None, pose: None };
     let stopped = async {
         while !stop.load(Ordering::Relaxed) {
             tokio::time::sleep(NOTICE).await;
@@ -189,7 +197,8 @@ fn fetch(agent: &Agent, url: &str, feeder: &Feeder, stop: &AtomicBool) -> Result
                 Answer::Whole(bytes) => Arrival::File(bytes),
                 Answer::Part { .. } => bail!("a part came where the whole was asked for"),
             },
-            Ok(Wish::From(_)) => continue,
+            // A file is fetched in its own order.
+            Ok(Wish::From(_) | Wish::Sight(_)) => continue,
             Err(TryRecvError::Empty) => {
                 thread::sleep(NOTICE / 10);
                 continue;

@@ -2,7 +2,10 @@
 
 use std::time::{Duration, Instant};
 
-use codec_core::{Caps, ErrorKind, internals::limits::MAX_RECEIPT_BYTES};
+use codec_core::{
+    Caps, ErrorKind,
+    internals::{limits::MAX_RECEIPT_BYTES, wire::receipt::ViewerPose},
+};
 use dgs_player::{Player, Waiting};
 use emulator_host::{
     Nanos,
@@ -38,6 +41,11 @@ pub trait Screen {
 
     /// The time of the clip, microseconds, from which another round is wanted; asked often, answered once.
     fn wanted_round_us(&mut self) -> Option<u64> {
+        None
+    }
+
+    /// Where the viewer is, which the server is told so that what it sees comes first; asked often.
+    fn pose(&mut self) -> Option<ViewerPose> {
         None
     }
 }
@@ -123,7 +131,6 @@ pub(crate) struct Playback {
     /// Whether the server says where a round begins.
     grows: bool,
     receiver: MediaReceiver,
-    sequence: u32,
     receipt: Vec<u8>,
     wants_receipt: bool,
     report: PlayReport,
@@ -148,7 +155,6 @@ impl Playback {
             start_us: config.start_us,
             grows: false,
             receiver: MediaReceiver::new(config.startup),
-            sequence: 0,
             receipt: Vec::new(),
             wants_receipt: false,
             report: PlayReport { rounds: 1, connections: 1, ..PlayReport::default() },
@@ -293,6 +299,9 @@ impl Playback {
     pub(crate) fn show_due(&mut self, screen: &mut dyn Screen) -> Result<(), PlayError> {
         let now = self.now();
         let Some(player) = &mut self.player else { return Ok(()) };
+        if let Some(pose) = screen.pose() {
+            self.receiver.on_pose(pose);
+        }
         let (first, share) = (self.first, share(self.startup));
         let is_usable = || share.is_some_and(|share| base(player, first) >= share);
         if self.receiver.start_if_ready(now, is_usable) {
@@ -352,11 +361,10 @@ impl Playback {
             Some(player) => {
                 let start = self.receiver.playout_start();
                 let playout_us = start.map_or(0, |start| start.0.div_ceil(1000).max(1));
-                self.sequence = self.sequence.wrapping_add(1);
-                let sequence = self.sequence;
+                let (sequence, pose) = (self.receiver.next_sequence(), self.receiver.pose());
                 self.receipt.resize(MAX_RECEIPT_BYTES, 0);
                 let room = &mut self.receipt;
-                let len = player.with_core(|core| core.receipt(sequence, playout_us, None, room));
+                let len = player.with_core(|core| core.receipt(sequence, playout_us, pose, room));
                 // There is room for the longest, so that nothing is left out.
                 out.extend_from_slice(&self.receipt[..len.unwrap_or(0)]);
             }

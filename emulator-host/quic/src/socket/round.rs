@@ -143,8 +143,10 @@ impl Round {
         self.graph = content.graph_from(self.first)?;
         self.content = content;
         let path = facts(carrier, 0, 0, self.arrivals.estimate());
+        let watched = self.sender.watched();
         self.sender = sender(&self.graph, policy, path, self.now(), delivered);
         self.sender.on_receipt(&self.playout);
+        self.sender.set_watched(watched);
         self.outstanding = Outstanding::new();
         Ok(())
     }
@@ -231,6 +233,11 @@ impl Round {
     /// A packet of which nothing is heard for so long is lost.
     fn silence(&self) -> Nanos {
         self.sender.path().smoothed_rtt.times(3) + RECEIPTS
+    }
+
+    /// Whether the viewer has said where it is.
+    pub(super) fn is_located(&self) -> bool {
+        self.sender.watched().viewpoint().is_some()
     }
 
     /// What the sender has counted.

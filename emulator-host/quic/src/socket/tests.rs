@@ -46,6 +46,7 @@ fn graph(stream: &Stream) -> PacketGraph {
         needs: Vec::new(),
         packets: vec![PacketIndex(at)],
         utility: 1.0,
+        place: None,
     };
     let packet = |at: u32| Packet {
         id: PacketId::new(at).unwrap(),

@@ -60,6 +60,8 @@ pub struct ViewerReport {
     pub lost: u64,
     /// Receipts taken.
     pub receipts: u64,
+    /// Whether it said where it is.
+    pub located: bool,
     /// Datagrams from the client that are no receipt of a known round.
     pub refused_receipts: u64,
     /// Smoothed round trip at the end, milliseconds.
@@ -131,6 +133,7 @@ struct Tally {
     lost: u64,
     receipts: u64,
     refused: u64,
+    located: bool,
 }
 
 /// The moving parts of a session.
@@ -201,6 +204,7 @@ impl Session {
             parity: tally.parity,
             lost: tally.lost,
             receipts: tally.receipts,
+            located: tally.located,
             refused_receipts: tally.refused,
             rtt_ms: carrier.rtt().as_secs_f64() * 1e3,
             end: end.to_string(),
@@ -465,5 +469,6 @@ impl<'s> Viewer<'s> {
         self.tally.retransmitted += counts.retransmitted;
         self.tally.parity += counts.parity;
         self.tally.lost += self.round.lost();
+        self.tally.located |= self.round.is_located();
     }
 }

@@ -1,6 +1,7 @@
 //! Names what the default scheduler does beyond the paper's score; each can be switched off by itself.
 
-use crate::clock::Nanos;
+use super::viewport::ViewportConfig;
+use crate::{clock::Nanos, pieces::Addition, policy::SenderView};
 
 /// Settings. [`Default`] is what measured best on windows that were not used to report.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,10 +27,26 @@ pub struct DeadlineUtilityConfig {
     pub opening: bool,
     /// Parity is sent where it saves more than the same bytes of something else; otherwise always.
     pub parity_competes: bool,
+    /// What the viewer sees of a piece, once it has said where it is, weighs what the piece adds; `None`: as
+    /// if nobody had said.
+    pub viewport: Option<ViewportConfig>,
     /// Longest time that a plan is used.
     pub refresh: Nanos,
     /// A loss renews the plan, but not sooner than this after the last.
     pub refresh_after_loss: Nanos,
+    /// A viewer that has moved renews the plan, but not sooner than this after the last, however often it
+    /// says so.
+    pub refresh_after_move: Nanos,
+}
+
+impl DeadlineUtilityConfig {
+    /// The viewport weight of a piece that adds `parts`: 1 without a viewer's word.
+    pub(super) fn viewport_weight(&self, view: &SenderView<'_>, parts: &[Addition]) -> f64 {
+        match (&self.viewport, &view.viewpoint) {
+            (Some(config), Some(viewpoint)) => config.weight(viewpoint, view.graph, parts),
+            _ => 1.0,
+        }
+    }
 }
 
 impl Default for DeadlineUtilityConfig {
@@ -44,8 +61,10 @@ impl Default for DeadlineUtilityConfig {
             delay: Nanos::from_s(1),
             opening: true,
             parity_competes: true,
+            viewport: Some(ViewportConfig::default()),
             refresh: Nanos::from_ms(200),
             refresh_after_loss: Nanos::from_ms(20),
+            refresh_after_move: Nanos::from_ms(50),
         }
     }
 }

@@ -163,7 +163,7 @@ impl Plan {
         self.enter(view);
         let outlook = Outlook::new(view, config, now);
         self.look_down(view, &outlook, now);
-        self.look_up(&outlook, config);
+        self.look_up(view, &outlook, config);
     }
 
     /// Takes in the pieces that have come near.
@@ -221,7 +221,7 @@ impl Plan {
     }
 
     /// From what needs to what is needed: ranks.
-    fn look_up(&mut self, outlook: &Outlook, config: &DeadlineUtilityConfig) {
+    fn look_up(&mut self, view: &SenderView<'_>, outlook: &Outlook, config: &DeadlineUtilityConfig) {
         for at in (0..self.open.len()).rev() {
             let place = self.open[at];
             let piece = self.piece_at(place);
@@ -229,7 +229,9 @@ impl Plan {
                 continue;
             }
             let rest = self.rest[piece];
-            let value = outlook.value(self.pieces.parts(piece), &self.sums, rest.waiting_bytes);
+            let parts = self.pieces.parts(piece);
+            let value =
+                outlook.value(parts, &self.sums, rest.waiting_bytes) * config.viewport_weight(view, parts);
             let mut block = Block { value: value * self.chance[piece], bytes: f64::from(rest.waiting_bytes) };
             if config.credit {
                 self.add_dependents(piece, &mut block);
@@ -329,7 +331,13 @@ impl Plan {
 
     /// What is lost, per byte of `parity`, if one of the members of its set is lost and comes only after a
     /// repetition.
-    pub(super) fn parity_rank(&self, view: &SenderView<'_>, outlook: &Outlook, parity: PacketIndex) -> f64 {
+    pub(super) fn parity_rank(
+        &self,
+        view: &SenderView<'_>,
+        config: &DeadlineUtilityConfig,
+        outlook: &Outlook,
+        parity: PacketIndex,
+    ) -> f64 {
         let facts = &view.graph.packets()[parity.at()];
         let Some(set) = facts.parity_of else { return 0.0 };
         let members = &view.graph.repair_sets()[set as usize].members;
@@ -341,8 +349,9 @@ impl Plan {
             let (parts, bytes) =
                 (self.pieces.parts(piece), u32::from(view.graph.packets()[member.at()].wire_bytes));
             let (soon, late) = outlook.soon_and_late(parts, &self.sums, bytes, repetition);
-            saved += outlook.loss * (soon - late);
-            value += outlook.loss * soon;
+            let weight = config.viewport_weight(view, parts);
+            saved += outlook.loss * (soon - late) * weight;
+            value += outlook.loss * soon * weight;
         }
         // Repetition is cheaper: it costs bytes only where something was lost.
         if saved < LEAST_SAVED * value {
@@ -393,6 +402,7 @@ mod tests {
             needs: needs.iter().map(|need| GroupIndex(*need)).collect(),
             packets: vec![PacketIndex(at as u32)],
             utility,
+            place: None,
         };
         let rows = || groups.iter().enumerate();
         PacketGraph::new(GraphParts {
@@ -423,6 +433,7 @@ mod tests {
             loss: 0.01,
             startup: StartupRule::AfterWait,
             retransmissions: 2,
+            viewpoint: None,
         }
     }
 

@@ -1,5 +1,7 @@
 //! A session shows what its packets allow, whatever the cap, the overlay and the network.
 
+use codec_core::internals::wire::{crc::crc32, receipt::Receipt};
+
 use super::*;
 
 const FILE: &[u8] = include_bytes!("../../../../codec-core/tests/conformance/everything.dgs");
@@ -129,6 +131,10 @@ fn a_server_learns_what_came_and_its_bases_have_a_moment() {
     assert!(!session.advance(0.01).stalled, "what does not come is not waited for any longer");
     stream.packets().iter().for_each(|packet| session.push(packet));
     assert!(session.receipt(1, 7).unwrap() != none);
+    session.orbit_mut().turn(40.0, 0.0, 600.0);
+    let bytes = session.receipt(2, 7).unwrap();
+    let receipt = Receipt::parse(&bytes, crc32).unwrap();
+    assert!(receipt.pose.is_some() && receipt.pose == session.orbit().pose());
     session.playback_mut().seek(0.0);
     assert!(!session.advance(0.01).stalled);
     let duration = session.playback().duration_s();

@@ -240,6 +240,7 @@ mod tests {
             parity: 0,
             lost: 10,
             receipts: 50,
+            located: false,
             refused_receipts: 0,
             rtt_ms: 1.0,
             end: String::new(),

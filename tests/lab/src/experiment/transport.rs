@@ -6,6 +6,7 @@ mod optimum;
 mod paired;
 mod pictures;
 mod schedulers;
+mod viewport;
 
 use anyhow::Result;
 
@@ -18,6 +19,7 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         optimum::protocol(setup),
         pictures::protocol(setup),
         schedulers::protocol(setup),
+        viewport::protocol(setup),
     ];
     let mut bench = Bench::new("transport", parts.join("; "));
     controllers::run(&mut bench)?;
@@ -25,5 +27,6 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     optimum::run(&mut bench, setup, &channels)?;
     pictures::run(&mut bench, setup, &channels)?;
     schedulers::run(&mut bench, setup)?;
+    viewport::run(&mut bench, setup, &channels)?;
     Ok(bench)
 }

@@ -1,0 +1,72 @@
+//! Watches a stream as one viewer does: a camera for each frame, what it tells the sender, what it sees.
+
+use anyhow::{Result, bail};
+use codec_core::internals::{receiver::Content, wire::receipt::ViewerPose};
+use emulator_host::session::ViewerPath;
+use render_host::{Backend, Camera, Image, Settings};
+use trainer_host::{evaluator, viewpoint::Ring};
+
+use super::{Frames, Showing, Surroundings, viewpoints};
+use crate::args::{CameraArgs, ViewArgs};
+
+/// One viewer.
+#[derive(Clone, Debug)]
+pub struct Watching {
+    /// At least one; the camera of a frame is that of its number, again from the first after the last.
+    cameras: Vec<Camera>,
+}
+
+impl Watching {
+    /// The viewer that is typed, else a held-out camera, before `frames`.
+    ///
+    /// # Errors
+    /// Cameras that cannot be read or placed, or several that do not follow the frames.
+    pub fn of(typed: &CameraArgs, view: &ViewArgs, frames: &mut Frames) -> Result<Self> {
+        let up = frames.up();
+        let mut around = Surroundings {
+            own: &[],
+            framing: &mut || frames.framing(),
+            ring: (Ring::HeldOut, 1),
+            size: view.size(),
+            up,
+        };
+        let found = viewpoints(typed, view, &mut around)?;
+        if found.views.len() > 1 && found.showing != Showing::PlayAlong {
+            bail!("a viewer has one camera; found {}: --camera chooses one", found.description);
+        }
+        Ok(Self { cameras: found.views.into_iter().map(|view| view.camera).collect() })
+    }
+
+    /// Its camera at `frame`.
+    pub fn camera(&self, frame: u32) -> &Camera {
+        &self.cameras[frame as usize % self.cameras.len()]
+    }
+
+    /// What its receipts tell.
+    pub fn path(&self) -> Option<ViewerPath> {
+        let poses: Vec<ViewerPose> = self.cameras.iter().map(Camera::pose).collect();
+        ViewerPath::new(&poses)
+    }
+
+    /// What it sees of `shown`, frames of `content` each in its state; without one, nothing.
+    ///
+    /// # Errors
+    /// A frame past the end.
+    pub fn pictures(
+        &self,
+        content: &Content<'_>,
+        shown: &[(u32, Option<&[u8]>)],
+        settings: &Settings,
+    ) -> Result<Vec<Image>> {
+        let backend = Backend::Cpu;
+        if let [camera] = self.cameras.as_slice() {
+            return Ok(evaluator::renders(content, shown, camera, settings, &backend)?);
+        }
+        let mut images = Vec::new();
+        for one in shown {
+            let camera = self.camera(one.0);
+            images.append(&mut evaluator::renders(content, &[*one], camera, settings, &backend)?);
+        }
+        Ok(images)
+    }
+}
