@@ -165,7 +165,8 @@ impl Layer {
         &self.basis
     }
 
-    /// What the layer adds to the motion of its nodes: per node and function of the basis, [`MOTION`] numbers.
+    /// What the layer adds to the motion of its nodes: per node and function of the basis, [`MOTION`]
+    /// numbers.
     pub(super) fn motion_mut(&mut self) -> &mut Parameter {
         &mut self.motion
     }

@@ -58,7 +58,8 @@ pub(super) mod tests {
         );
     }
 
-    /// Compares the gradient of the motion that `write` leaves in a layer with difference quotients of `value`.
+    /// Compares the gradient of the motion that `write` leaves in a layer with difference quotients of
+    /// `value`.
     pub(in crate::train::motion) fn is_difference_quotient(
         value: impl Fn(&Layer, f32) -> f64,
         write: impl Fn(&mut Layer, f32),

@@ -1,21 +1,21 @@
 //! Keeps the motion of nodes even over time where the pictures do not say otherwise.
 //!
 //! Each instant has few views. Where motion cannot change from one instant to the next at will, those of the
-//! instants around count too. The penalty grows as a logarithm: nodes that only tremble are held firmly, a ball
-//! that bounces is hardly held.
+//! instants around count too. The penalty grows as a logarithm: it stops nodes that only tremble, and hardly
+//! hinders a ball that bounces.
 
 use super::layer::{Layer, MOTION};
 
-/// Acceleration from which on holding becomes weaker: extents, and half radians, per square of a tenth of the
-/// clip.
+/// Acceleration from which on the penalty rises more slowly: extents, and half radians, per square of a
+/// tenth of the clip.
 const LARGE: f32 = 0.1;
 /// Accelerations below this count as their squares do.
 const SOFT: f32 = 1e-3;
 /// Tenths of a clip per clip, squared: accelerations over the clip divided by it are those above.
 const TENTHS_SQUARED: f32 = 100.0;
 
-/// Adds to the gradient of the motion that of `weight / nodes · Σ L ln(1 + √(|a_i|² + ε²) / L)` over nodes `i`,
-/// which `layer` gives the acceleration `a_i` (shift and quaternion) at `time`.
+/// Adds to the gradient of the motion that of `weight / nodes · Σ L ln(1 + √(|a_i|² + ε²) / L)` over nodes
+/// `i`, which `layer` gives the acceleration `a_i` (shift and quaternion) at `time`.
 pub(super) fn add_gradient(layer: &mut Layer, weight: f32, time: f32) {
     let scale = weight / layer.len().max(1) as f32;
     let functions: Vec<f32> =
