@@ -9,7 +9,12 @@ mod link;
 #[path = "lab/src/relay/program.rs"]
 mod program;
 
-use std::{env, path::Path, sync::OnceLock, time::Duration};
+use std::{
+    env,
+    path::Path,
+    sync::{Mutex, OnceLock, PoisonError},
+    time::Duration,
+};
 
 use clap::Parser;
 use dgs::{
@@ -71,8 +76,11 @@ fn base_and_all() -> (u64, u64) {
     })
 }
 
-/// Runs `test` against a relay, if there is one on this machine.
+/// Runs `test` against a relay, if there is one on this machine; one at a time, because what is shown in time
+/// depends on the processor.
 fn with_relay(test: impl AsyncFnOnce(&Program)) {
+    static ALONE: Mutex<()> = Mutex::new(());
+    let _alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     Runtime::new().unwrap().block_on(async {
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
         let Some(relay) = Program::start(root).await.unwrap() else {

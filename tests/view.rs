@@ -397,7 +397,7 @@ fn packets_come_live_over_a_lossy_link() {
     page.browser.wait(PATIENCE_S, "player.session.levels()[0] === 0").unwrap();
     page.close();
     let report = live.stop();
-    assert!(report.contains("1 viewers;") && report.contains("(0 refused)"), "{report}");
+    assert!(report.contains("1 viewers;") && report.contains("(0 refused), camera reported"), "{report}");
 }
 
 #[test]

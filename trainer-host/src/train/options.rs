@@ -215,7 +215,7 @@ impl Default for TrainOptions {
             structure_weight: 0.2,
             rigidity: 1e-2,
             stillness: 1e-2,
-            smoothness: 0.1,
+            smoothness: 0.03,
             opacity_weight: 0.0,
             scale_weight: 0.0,
             density: DensityControl::Split,

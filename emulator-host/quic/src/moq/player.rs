@@ -85,8 +85,12 @@ async fn watch(
     let unpublished = || PlayError::Unpublished { name: name.to_owned(), ms: config.silence.as_millis() };
     let found = timeout(config.silence, consumer.routed_broadcast(name)).await;
     let broadcast = found.map_err(|_| unpublished())?.map_err(|error| PlayError::Relay(error.to_string()))?;
-    let (send, mut arrivals) = mpsc::channel(MAX_WAITING);
+    // Packets that are not read hold back who sends them. So they wait for the manifest: attributes are
+    // published once, and none may be lost for coming early.
+    let (send_manifest, mut manifests) = mpsc::channel(1);
+    let (send_media, mut media) = mpsc::channel(MAX_WAITING);
     for track in Track::all() {
+        let send = if track == Track::Manifest { &send_manifest } else { &send_media };
         let (broadcast, send) = (broadcast.clone(), send.clone());
         tasks.spawn(async move {
             let why = follow(&broadcast, track, &send).await;
@@ -94,7 +98,7 @@ async fn watch(
             let _ = send.send(Arrival::Ended(what)).await;
         });
     }
-    drop(send);
+    drop((send_manifest, send_media));
     playback.start_us();
     let deadline = Instant::now() + config.silence;
     let (mut has_manifest, mut newest, mut spans) = (false, None, None);
@@ -108,8 +112,14 @@ async fn watch(
             continue;
         }
         let wake = if has_manifest { playback.next_time().unwrap_or(deadline) } else { deadline };
+        let arrival = async {
+            tokio::select! {
+                arrival = manifests.recv() => arrival,
+                arrival = media.recv(), if has_manifest => arrival,
+            }
+        };
         tokio::select! {
-            arrival = arrivals.recv() => match arrival {
+            arrival = arrival => match arrival {
                 Some(Arrival::Manifest(message)) => {
                     playback.manifest(&message)?;
                     has_manifest = true;

@@ -14,7 +14,10 @@ use emulator_host::{
 };
 use moq_net::{Server, Timestamp, broadcast, group, origin, time, track};
 use quinn::Endpoint;
-use tokio::{runtime::Runtime, time::timeout};
+use tokio::{
+    runtime::Runtime,
+    time::{sleep, timeout},
+};
 use web_transport_proto::ConnectResponse;
 use web_transport_quinn::Request;
 
@@ -38,7 +41,17 @@ struct Hostile {
     trust: Trust,
     // What is dropped ends for subscribers.
     _broadcast: broadcast::Producer,
-    _tracks: Vec<track::Producer>,
+    /// In the order of [`Track::all`].
+    tracks: Vec<track::Producer>,
+}
+
+/// Writes a whole group.
+fn give(track: &track::Producer, sequence: u64, frames: &[Vec<u8>]) {
+    let mut group = track.create_group(group::Info { sequence }).unwrap();
+    for frame in frames {
+        group.write_frame(Timestamp::ZERO, Bytes::copy_from_slice(frame)).unwrap();
+    }
+    group.finish().unwrap();
 }
 
 impl Hostile {
@@ -55,11 +68,7 @@ impl Hostile {
         for track in Track::all() {
             let producer = broadcast.create_track(track.name(), None).unwrap();
             for (_, sequence, frames) in given.iter().filter(|(of, ..)| *of == track) {
-                let mut group = producer.create_group(group::Info { sequence: *sequence }).unwrap();
-                for frame in frames {
-                    group.write_frame(Timestamp::ZERO, Bytes::copy_from_slice(frame)).unwrap();
-                }
-                group.finish().unwrap();
+                give(&producer, *sequence, frames);
             }
             tracks.push(producer);
         }
@@ -69,7 +78,7 @@ impl Hostile {
                 tokio::spawn(relay(incoming, origin.clone()));
             }
         });
-        Self { address, trust, _broadcast: broadcast, _tracks: tracks }
+        Self { address, trust, _broadcast: broadcast, tracks }
     }
 
     fn client(&self) -> ClientConfig {
@@ -117,6 +126,30 @@ fn what_a_relay_gives_is_played() {
     let report = played(&[manifest(), (Track::Motion(0), 0, packets)]).whole().unwrap();
     assert_eq!((report.refused, report.packets), (0, count), "{report:?}");
     assert!(report.shown_count > 0 && report.startup_reached && report.base_miss_rate == 0.0, "{report:?}");
+}
+
+/// Attributes are published once: none is lost for coming before the manifest, however many they are.
+#[test]
+fn packets_that_come_before_the_manifest_wait_for_it() {
+    let packets: Vec<Vec<u8>> = stream().packets().to_vec();
+    let count = packets.len() as u64;
+    // As much as four times what a receiver of datagrams keeps that early.
+    let filler = vec![packets[0].clone(); (1 << 19) / packets[0].len()];
+    let frames = [filler, packets].concat();
+    let repeated = frames.len() as u64 - count;
+    let report = Runtime::new().unwrap().block_on(async {
+        let relay = Hostile::start(&[(Track::Canonical(0), 0, frames)]);
+        let config = relay.client();
+        let late = async {
+            sleep(Duration::from_millis(300)).await;
+            give(&relay.tracks[0], 0, &[stream().message().to_vec()]);
+        };
+        let (limit, mut screen) = (Duration::from_secs(60), Headless);
+        let playing = timeout(limit, play(&config, &mut screen, std::future::pending()));
+        tokio::join!(playing, late).0.unwrap().whole().unwrap()
+    });
+    assert_eq!((report.refused, report.packets, report.duplicates), (0, count, repeated), "{report:?}");
+    assert!(report.startup_reached && report.base_miss_rate == 0.0, "{report:?}");
 }
 
 #[test]
