@@ -7,7 +7,7 @@ use pyo3::{
     types::{PyBytes, PyDict},
 };
 use serde_json::json;
-use trainer_host::encode::{EncodeError, EncodeOptions, Protection, Quality, Target};
+use trainer_host::encode::{EncodeOptions, Protection, Quality, Target};
 
 use crate::{
     error::{of_file, refused},
@@ -124,7 +124,7 @@ pub fn encode(
         repair: Protection::parse(repair).map_err(|error| refused(format!("repair: {error}")))?,
         ..base
     };
-    // What a signal or the listener raised, which is raised again once the encoder has stopped.
+    // What a signal or the listener raised, which is raised again once the encoder has stopped or ended.
     let raised: Mutex<Option<PyErr>> = Mutex::new(None);
     let listen = |stage: &'static str, share: f64| {
         let heard = Python::attach(|py| {
@@ -139,10 +139,10 @@ pub fn encode(
     };
     let scene = &scene.get().0;
     let encoded = py.detach(|| trainer_host::encode::encode(scene, &options, &listen));
-    let encoded = match (encoded, raised.into_inner().ok().flatten()) {
-        (Err(EncodeError::Stopped { .. }), Some(error)) => return Err(error),
-        (encoded, _) => encoded.map_err(refused)?,
-    };
+    if let Some(error) = raised.into_inner().ok().flatten() {
+        return Err(error);
+    }
+    let encoded = encoded.map_err(refused)?;
     let packets = encoded.packet_report().map_err(refused)?;
     let report = json!({
         "report": encoded.report, "packets": packets, "wire_bytes": encoded.stream.wire_bytes(),
