@@ -174,7 +174,7 @@ pub struct Step {
 /// The two ways to write capacity down.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Shape {
-    /// Instants at which [`OPPORTUNITY_BYTES`] may move, not decreasing.
+    /// Instants at which 1500 bytes may move, not decreasing.
     Opportunities(Arc<[Nanos]>),
     /// Rates; the first step is at zero, times increase.
     Steps(Arc<[Step]>),
