@@ -21,7 +21,7 @@
 mod programme;
 
 use self::programme::{DATAGRAM_OVERHEAD, Programme, fine_variables};
-use crate::{clock::Nanos, graph::PacketGraph, link::PathConfig};
+use crate::{clock::Nanos, graph::PacketGraph, link::PathConfig, pieces::Pieces};
 
 pub use self::programme::UpperBound;
 
@@ -54,12 +54,13 @@ pub fn upper_bound(graph: &PacketGraph, path: &PathConfig, start: Nanos, steps: 
         // What is shown must have left the link one delay earlier.
         path.capacity.bytes_until(shown - path.delay).0.saturating_sub(control) as f64
     };
-    let coarse = Programme::new(graph, COARSE_SLOT, &capacity).solve(steps);
-    if fine_variables(graph) > MOST_FINE {
+    let pieces = Pieces::new(graph);
+    let coarse = Programme::new(graph, &pieces, COARSE_SLOT, &capacity).solve(steps);
+    if fine_variables(graph, &pieces) > MOST_FINE {
         return coarse;
     }
     // Tighter, but slower to solve: after few steps the coarse one may be ahead.
-    let fine = Programme::new(graph, 1, &capacity).solve(steps);
+    let fine = Programme::new(graph, &pieces, 1, &capacity).solve(steps);
     if fine.utility < coarse.utility { fine } else { coarse }
 }
 

@@ -27,11 +27,11 @@ mod metrics;
 mod news;
 mod outlook;
 mod outstanding;
+mod reported_pose;
 mod run;
 mod sender;
 mod viewer;
 mod viewer_path;
-mod watched;
 
 use crate::{
     clock::{Nanos, Rate},
@@ -47,10 +47,10 @@ pub use media_receiver::MediaReceiver;
 pub use media_sender::{MediaSender, SendingRules};
 pub use outlook::PathFacts;
 pub use outstanding::Outstanding;
+pub use reported_pose::ReportedPose;
 pub use run::{run, simulate};
 pub use viewer::Viewer;
 pub use viewer_path::ViewerPath;
-pub use watched::Watched;
 
 /// Bytes around a DGSP packet inside the UDP payload: QUIC short header 11, DATAGRAM frame 3, authentication
 /// tag 16.

@@ -1,4 +1,4 @@
-//! Watches a stream as one viewer does: a camera for each frame, what it tells the sender, what it sees.
+//! Watches a stream as one viewer does: a camera for each frame, where it says that it is, what it sees.
 
 use anyhow::{Result, bail};
 use codec_core::internals::{receiver::Content, wire::receipt::ViewerPose};
@@ -42,7 +42,7 @@ impl Watching {
         &self.cameras[frame as usize % self.cameras.len()]
     }
 
-    /// What its receipts tell.
+    /// What its receipts say.
     pub fn path(&self) -> Option<ViewerPath> {
         let poses: Vec<ViewerPose> = self.cameras.iter().map(Camera::pose).collect();
         ViewerPath::new(&poses)

@@ -100,9 +100,15 @@ impl Multipliers {
 }
 
 impl Programme {
-    /// Frames in slots of `slot_frames`. `capacity`: bytes that can be there when a frame is shown.
-    pub(super) fn new(graph: &PacketGraph, slot_frames: u32, capacity: &dyn Fn(u32) -> f64) -> Self {
-        let (pieces, sums) = (Pieces::new(graph), FrameSums::new(graph));
+    /// Frames of `graph`, which consists of `pieces`, in slots of `slot_frames`. `capacity`: bytes that can
+    /// be there when a frame is shown.
+    pub(super) fn new(
+        graph: &PacketGraph,
+        pieces: &Pieces,
+        slot_frames: u32,
+        capacity: &dyn Fn(u32) -> f64,
+    ) -> Self {
+        let sums = FrameSums::new(graph);
         let slots = graph.frames().div_ceil(slot_frames);
         let mut capacity: Vec<f64> =
             (1..=slots).map(|slot| capacity((slot * slot_frames).min(graph.frames()) - 1)).collect();
@@ -124,7 +130,7 @@ impl Programme {
             for slot in 0..slots {
                 let start = (first + slot) as u32 * slot_frames;
                 for frame in start..(start + slot_frames).min(graph.frames()) {
-                    let net = net_gain(&pieces, &sums, piece, frame);
+                    let net = net_gain(pieces, &sums, piece, frame);
                     if net > 0.0 {
                         value[at + slot] += net;
                     } else if slot > 0 {
@@ -304,8 +310,7 @@ fn distance(one: &[f64], other: &[f64]) -> f64 {
 }
 
 /// Variables of a programme with a slot for every frame.
-pub(super) fn fine_variables(graph: &PacketGraph) -> usize {
-    let pieces = Pieces::new(graph);
+pub(super) fn fine_variables(graph: &PacketGraph, pieces: &Pieces) -> usize {
     let needed = (0..pieces.len()).filter(|piece| pieces.needed_from(*piece) < graph.frames());
     needed.map(|piece| (pieces.useful_until(piece) + 1 - pieces.needed_from(piece)) as usize).sum()
 }

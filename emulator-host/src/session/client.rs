@@ -124,7 +124,7 @@ impl<'a> Client<'a> {
         })
     }
 
-    /// What the datagram `tag` carries: the transport's acknowledgement, and what its receipt tells.
+    /// What the datagram `tag` carries: the transport's acknowledgement, and what its receipt reports.
     pub(super) fn feedback(&self, tag: u64) -> (Acknowledgement<'_>, Reported) {
         let sent = self.sent[tag as usize];
         let ranges = &self.sent_ranges[sent.ranges.0 as usize..sent.ranges.1 as usize];

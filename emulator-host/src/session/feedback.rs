@@ -44,7 +44,7 @@ impl NewsRange {
     }
 }
 
-/// Which news a receipt tells.
+/// Which news a receipt reports.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Reported {
     pub(super) arrived: NewsRange,
@@ -168,8 +168,8 @@ impl ReceiptWriter {
         sequence
     }
 
-    /// The next receipt: its bytes, until the next is written, and what it tells. `playout_start`: when frame
-    /// 0 was shown.
+    /// The next receipt: its bytes, until the next is written, and what it reports. `playout_start`: when
+    /// frame 0 was shown.
     pub(super) fn write(&mut self, playout_start: Option<Nanos>) -> (&[u8], Reported) {
         let sequence = self.next_sequence();
         let pose = self.pose.filter(|_| self.pose_left > 0);

@@ -3,8 +3,8 @@
 //! What a scheduler shows this way is what its choices are worth by themselves. What the same scheduler shows
 //! less in a real run is the price of the transport: losses and their repetition, receipts, congestion
 //! control, and not knowing what the link will carry. A datagram leaves when the one before it is through the
-//! link, so nothing waits in its queue; the sender hears at once that it arrives; the rate that it is told is
-//! what the link will carry.
+//! link, so nothing waits in its queue; the sender learns at once that it arrives; the rate that it expects
+//! is what the link will carry.
 
 use std::collections::VecDeque;
 
@@ -71,7 +71,7 @@ pub fn run_ideal(
     Ok(report)
 }
 
-/// What the sender is told of the path at `now`.
+/// What the sender knows of the path at `now`: the truth.
 fn facts(config: &SessionConfig, now: Nanos) -> PathFacts {
     let capacity = &config.forward.capacity;
     let ahead = capacity.bytes_until(now + AHEAD).0 - capacity.bytes_until(now).0;

@@ -14,7 +14,7 @@ use super::{
     forecast::Forecasts,
     loss_share::LossShare,
     outlook::{Outlook, PathFacts},
-    watched::Watched,
+    reported_pose::ReportedPose,
 };
 use crate::{
     clock::{Bytes, Nanos},
@@ -90,7 +90,7 @@ pub struct MediaSender<G, S> {
     known_start: Option<Nanos>,
     /// Before this time the horizon stands.
     horizon_moves_at: Nanos,
-    watched: Watched,
+    reported_pose: ReportedPose,
     last_sent_at: Nanos,
     starved: bool,
     counts: SenderCounts,
@@ -124,7 +124,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             outlook: Outlook::new(path, rules.retransmissions, rules.startup.rule),
             known_start: None,
             horizon_moves_at: Nanos::ZERO,
-            watched: Watched::default(),
+            reported_pose: ReportedPose::default(),
             last_sent_at: Nanos::ZERO,
             starved: false,
             counts: SenderCounts::default(),
@@ -171,15 +171,15 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         self.known_start
     }
 
-    /// Where the viewer is, as far as receipts have told.
-    pub fn watched(&self) -> Watched {
-        self.watched
+    /// Where the viewer is, by the newest receipt that says so.
+    pub fn reported_pose(&self) -> ReportedPose {
+        self.reported_pose
     }
 
-    /// The viewer is the one that `watched` tells of.
-    pub fn set_watched(&mut self, watched: Watched) {
-        self.watched = watched;
-        self.outlook.viewpoint = watched.viewpoint();
+    /// The viewer is where another sender to it was last informed that it is.
+    pub fn set_reported_pose(&mut self, reported_pose: ReportedPose) {
+        self.reported_pose = reported_pose;
+        self.outlook.viewpoint = reported_pose.viewpoint();
     }
 
     /// When more of the clip comes within the horizon, so that [`Self::next`] may have something again.
@@ -328,8 +328,8 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
 
     /// A receipt has said where the viewer was: its number, and the pose.
     pub(super) fn on_pose(&mut self, (sequence, pose): (u32, ViewerPose)) {
-        self.watched.take(sequence, &pose);
-        self.outlook.viewpoint = self.watched.viewpoint();
+        self.reported_pose.take(sequence, &pose);
+        self.outlook.viewpoint = self.reported_pose.viewpoint();
     }
 
     fn is_parity(&self, packet: PacketIndex) -> bool {

@@ -1,4 +1,4 @@
-//! Hands the sender of the model what receipts tell, without reading their bytes.
+//! Hands the sender of the model what receipts report, without reading their bytes.
 //!
 //! In the model both ends lie in one memory. A receipt is written, so that its length is the true one; what
 //! it reports are ranges of one log, and the sender looks only at the part of them that no earlier receipt
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn a_receipt_that_tells_anything_else_than_its_bytes_is_noticed() {
+    fn a_receipt_that_reports_anything_else_than_its_bytes_is_noticed() {
         let graph = Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap();
         let (group, packets) = (GroupIndex(5), [3, 4, 9].map(PacketIndex));
         let mut writer = ReceiptWriter::new();

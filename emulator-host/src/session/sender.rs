@@ -102,8 +102,8 @@ impl<'a> Sender<'a> {
         self.recovery.timer().min(self.pace_at).min(serialised)
     }
 
-    /// A datagram of feedback has arrived: the transport's acknowledgement, and a receipt that tells some of
-    /// `news`.
+    /// A datagram of feedback has arrived: the transport's acknowledgement, and a receipt that reports some
+    /// of `news`.
     pub(super) fn on_feedback(
         &mut self,
         ack: Acknowledgement<'_>,

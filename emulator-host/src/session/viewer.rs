@@ -128,12 +128,12 @@ impl<'a> Viewer<'a> {
         self.receiver.receipt(out);
     }
 
-    /// Length of the next receipt, and what it tells: for a transport that moves no bytes.
+    /// Length of the next receipt, and what it reports: for a transport that moves no bytes.
     pub(super) fn receipt_and_news(&mut self) -> (u32, Reported) {
         let (bytes, reported) = self.receiver.receipt_and_news();
         debug_assert!(
             self.news.reads_like(bytes, reported, self.graph),
-            "a receipt tells other news than its bytes"
+            "a receipt reports other news than its bytes"
         );
         (bytes.len() as u32, reported)
     }

@@ -112,7 +112,7 @@ impl Carrier {
         }
     }
 
-    /// The next datagram; an empty one where something came that is not of this session.
+    /// The next datagram; an empty one where something came that belongs to no session here.
     pub(super) async fn read(&self) -> Result<Bytes, Closed> {
         match self {
             Self::Quic(channel) => Ok(channel.read().await?),

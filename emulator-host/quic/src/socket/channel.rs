@@ -162,7 +162,7 @@ impl Channel {
         self.connection.send_datagram(self.framed(bytes))
     }
 
-    /// The next datagram; an empty one where something came that is not of this session.
+    /// The next datagram; an empty one where something came that belongs to no session here.
     pub(super) async fn read(&self) -> Result<Bytes, ConnectionError> {
         let datagram = self.connection.read_datagram().await?;
         Ok(web::without_head(datagram, &self.head))

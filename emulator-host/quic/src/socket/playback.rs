@@ -44,7 +44,7 @@ pub trait Screen {
         None
     }
 
-    /// Where the viewer is, which the server is told so that what it sees comes first; asked often.
+    /// Where the viewer is, for receipts: what it sees is then sent first. Asked often.
     fn pose(&mut self) -> Option<ViewerPose> {
         None
     }

@@ -143,10 +143,10 @@ impl Round {
         self.graph = content.graph_from(self.first)?;
         self.content = content;
         let path = facts(carrier, 0, 0, self.arrivals.estimate());
-        let watched = self.sender.watched();
+        let reported_pose = self.sender.reported_pose();
         self.sender = sender(&self.graph, policy, path, self.now(), delivered);
         self.sender.on_receipt(&self.playout);
-        self.sender.set_watched(watched);
+        self.sender.set_reported_pose(reported_pose);
         self.outstanding = Outstanding::new();
         Ok(())
     }
@@ -237,7 +237,7 @@ impl Round {
 
     /// Whether the viewer has said where it is.
     pub(super) fn is_located(&self) -> bool {
-        self.sender.watched().viewpoint().is_some()
+        self.sender.reported_pose().viewpoint().is_some()
     }
 
     /// What the sender has counted.

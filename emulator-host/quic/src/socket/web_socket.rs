@@ -74,7 +74,7 @@ pub(super) struct SocketChannel {
     address: SocketAddr,
     out: mpsc::Sender<Bytes>,
     heard: Mutex<mpsc::Receiver<Bytes>>,
-    watched: Arc<Watched>,
+    measured: Arc<Measured>,
 }
 
 /// How a session on a WebSocket comes to its end.
@@ -90,15 +90,15 @@ pub(super) struct SocketWriter(mpsc::Sender<Bytes>);
 
 /// What the frames show of the path.
 #[derive(Debug)]
-struct Watched {
+struct Measured {
     began: Instant,
     sent: AtomicU64,
     /// Round trip: its smoothed mean, and the least.
     rtt: StdMutex<Option<(Duration, Duration)>>,
 }
 
-impl Watched {
-    /// What a question carries: when it was sent_at.
+impl Measured {
+    /// What a question carries: when it left.
     fn question(&self) -> Bytes {
         let nanos = u64::try_from(self.began.elapsed().as_nanos()).unwrap_or(u64::MAX);
         Bytes::copy_from_slice(&nanos.to_le_bytes())
@@ -121,12 +121,12 @@ impl SocketChannel {
     }
 
     pub(super) fn sent_bytes(&self) -> u64 {
-        self.watched.sent.load(Ordering::Relaxed)
+        self.measured.sent.load(Ordering::Relaxed)
     }
 
     /// What is known of the path once `arrived` bytes of media are known to have arrived.
     pub(super) fn path(&self, arrived: u64) -> Path {
-        let known = *self.watched.rtt.lock().unwrap_or_else(PoisonError::into_inner);
+        let known = *self.measured.rtt.lock().unwrap_or_else(PoisonError::into_inner);
         let (rtt, least_rtt) = known.unwrap_or((FIRST_RTT, FIRST_RTT));
         let window_bytes = FIRST_WINDOW.saturating_add(arrived);
         Path { rtt, least_rtt, window_bytes, datagram_bytes: DATAGRAM_BYTES }
@@ -175,8 +175,8 @@ pub(super) fn open(
     socket: Socket,
     address: SocketAddr,
 ) -> (SocketChannel, SocketEnding, SocketWriter, mpsc::Receiver<Bytes>, impl Future<Output = ()> + Send) {
-    let watched =
-        Arc::new(Watched { began: Instant::now(), sent: AtomicU64::new(0), rtt: StdMutex::new(None) });
+    let measured =
+        Arc::new(Measured { began: Instant::now(), sent: AtomicU64::new(0), rtt: StdMutex::new(None) });
     let (media, media_out) = mpsc::channel(1);
     let (messages, control_out) = mpsc::channel(1);
     let (heard_sender, heard) = mpsc::channel(WAITING);
@@ -184,8 +184,8 @@ pub(super) fn open(
     let (close, closing) = oneshot::channel();
     let (ended, gone) = oneshot::channel();
     let (sink, mut stream) = socket.split();
-    let mut writing = Writing { sink, watched: watched.clone(), control: control_out, media: media_out };
-    let noted = watched.clone();
+    let mut writing = Writing { sink, measured: measured.clone(), control: control_out, media: media_out };
+    let noted = measured.clone();
     let carrying = async move {
         let mut reading = Box::pin(async move {
             while let Some(Ok(message)) = stream.next().await {
@@ -217,7 +217,7 @@ pub(super) fn open(
         // Whether anybody waits for that does not matter.
         let _ = ended.send(());
     };
-    let channel = SocketChannel { address, out: media, heard: Mutex::new(heard), watched };
+    let channel = SocketChannel { address, out: media, heard: Mutex::new(heard), measured };
     (channel, SocketEnding { close, gone }, SocketWriter(messages), control, carrying)
 }
 
@@ -236,7 +236,7 @@ async fn take(frame: &Bytes, control: &mpsc::Sender<Bytes>, heard: &mpsc::Sender
 /// What is written, in the order in which it must leave.
 struct Writing {
     sink: SplitSink<Socket, Message>,
-    watched: Arc<Watched>,
+    measured: Arc<Measured>,
     control: mpsc::Receiver<Bytes>,
     media: mpsc::Receiver<Bytes>,
 }
@@ -252,14 +252,14 @@ impl Writing {
                 Some(message) = self.control.recv() => (CONTROL, message),
                 frame = &mut closing => return frame.ok(),
                 _ = pings.tick() => {
-                    self.sink.send(Message::Ping(self.watched.question())).await.ok()?;
+                    self.sink.send(Message::Ping(self.measured.question())).await.ok()?;
                     continue;
                 }
                 Some(datagram) = self.media.recv() => (DATAGRAM, datagram),
             };
             let frame = [&[kind], &content[..]].concat();
             self.sink.send(Message::Binary(frame.into())).await.ok()?;
-            self.watched.sent.fetch_add(content.len() as u64, Ordering::Relaxed);
+            self.measured.sent.fetch_add(content.len() as u64, Ordering::Relaxed);
         }
     }
 }

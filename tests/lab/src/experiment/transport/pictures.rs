@@ -44,14 +44,15 @@ struct Seen {
     worst_tenth_db: f64,
 }
 
-struct Size {
-    windows: usize,
-    gaussians: usize,
-    frames: usize,
-    pictures: usize,
+/// How much is measured of encoded streams.
+pub(super) struct Size {
+    pub(super) windows: usize,
+    pub(super) gaussians: usize,
+    pub(super) frames: usize,
+    pub(super) pictures: usize,
 }
 
-fn size(setup: &Setup) -> Size {
+pub(super) fn size(setup: &Setup) -> Size {
     if setup.quick {
         Size { windows: 1, gaussians: 12_000, frames: 60, pictures: 8 }
     } else {

@@ -1,4 +1,4 @@
-//! Renders what viewers saw who told the sender where they are, beside the same viewers unheard.
+//! Renders what viewers saw who reported where they are, beside the same viewers unheard.
 
 use anyhow::{Context, Result};
 use dgs::{
@@ -24,6 +24,7 @@ use trainer_host::{
 use super::{
     channels::Channel,
     paired::{Window, clustered},
+    pictures::{Size, size},
     schedulers,
 };
 use crate::{
@@ -83,21 +84,6 @@ impl Viewer {
                 near.turntable(turn, size, FIELD_OF_VIEW)?
             }
         })
-    }
-}
-
-struct Size {
-    windows: usize,
-    gaussians: usize,
-    frames: usize,
-    pictures: usize,
-}
-
-fn size(setup: &Setup) -> Size {
-    if setup.quick {
-        Size { windows: 1, gaussians: 12_000, frames: 60, pictures: 8 }
-    } else {
-        Size { windows: 4, gaussians: 40_000, frames: 150, pictures: 20 }
     }
 }
 

@@ -4,14 +4,14 @@ use codec_core::internals::wire::receipt::ViewerPose;
 
 use crate::viewpoint::Viewpoint;
 
-/// Where the viewer is, as far as receipts have told.
+/// Where the viewer is, by the newest receipt that says so.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Watched {
+pub struct ReportedPose {
     newest: Option<u32>,
     viewpoint: Option<Viewpoint>,
 }
 
-impl Watched {
+impl ReportedPose {
     /// Receipt `sequence` says `pose`. Receipts that overtook each other and poses without a direction
     /// change nothing.
     pub(super) fn take(&mut self, sequence: u32, pose: &ViewerPose) {
@@ -37,15 +37,15 @@ mod tests {
     #[test]
     fn the_newest_receipt_counts_in_whatever_order_they_come() {
         let pose = |x| ViewerPose { position: [x, 0.0, 0.0], rotation: [1.0, 0.0, 0.0, 0.0] };
-        let mut watched = Watched::default();
-        assert_eq!(watched.viewpoint(), None);
+        let mut reported_pose = ReportedPose::default();
+        assert_eq!(reported_pose.viewpoint(), None);
         for (sequence, x, expected) in
             [(u32::MAX - 1, 1.0, 1.0), (1, 2.0, 2.0), (u32::MAX, 3.0, 2.0), (1, 4.0, 2.0), (2, 5.0, 5.0)]
         {
-            watched.take(sequence, &pose(x));
-            assert_eq!(watched.viewpoint().unwrap().position()[0], expected);
+            reported_pose.take(sequence, &pose(x));
+            assert_eq!(reported_pose.viewpoint().unwrap().position()[0], expected);
         }
-        watched.take(3, &ViewerPose { rotation: [0.0; 4], ..pose(6.0) });
-        assert_eq!(watched.viewpoint().unwrap().position()[0], 5.0, "no direction, no view");
+        reported_pose.take(3, &ViewerPose { rotation: [0.0; 4], ..pose(6.0) });
+        assert_eq!(reported_pose.viewpoint().unwrap().position()[0], 5.0, "no direction, no view");
     }
 }
