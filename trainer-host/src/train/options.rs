@@ -29,6 +29,8 @@ pub struct TrainOptions {
     pub background: [f32; 3],
     /// Weight of the mean absolute error in the loss.
     pub absolute_weight: f32,
+    /// Weight of the mean squared error in the loss.
+    pub squared_weight: f32,
     /// Weight of `1 - SSIM` in the loss.
     pub structure_weight: f32,
     /// Weight of rigid motion of neighbouring nodes at the start; it falls to a twentieth.
@@ -212,6 +214,7 @@ impl Default for TrainOptions {
             max_side: 800,
             background: [1.0; 3],
             absolute_weight: 0.8,
+            squared_weight: 0.0,
             structure_weight: 0.2,
             rigidity: 1e-2,
             stillness: 1e-2,
@@ -289,6 +292,7 @@ impl TrainOptions {
         ];
         let weights = [
             ("absolute_weight", self.absolute_weight),
+            ("squared_weight", self.squared_weight),
             ("structure_weight", self.structure_weight),
             ("rigidity", self.rigidity),
             ("stillness", self.stillness),
@@ -333,7 +337,11 @@ impl TrainOptions {
 
     /// Weights of the loss.
     pub(super) fn weights(&self) -> Weights {
-        Weights { absolute: self.absolute_weight, squared: 0.0, structure: self.structure_weight }
+        Weights {
+            absolute: self.absolute_weight,
+            squared: self.squared_weight,
+            structure: self.structure_weight,
+        }
     }
 
     pub(super) fn degree(&self) -> ShDegree {
