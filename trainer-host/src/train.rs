@@ -8,6 +8,7 @@
 //! Deliberately absent: clocks and files (`dgs train` has them); how far the training has come is an argument
 //! of every step.
 
+mod average;
 mod checkpoint;
 pub mod dataset;
 pub mod delivery;

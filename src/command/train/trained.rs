@@ -49,7 +49,7 @@ impl Trained {
             decisions: trainer.decisions()?,
             prunings: trainer.prunings().to_vec(),
             estimated_bytes: trainer.estimated_bytes(),
-            models: vec![[trainer.model().clone(), trainer.shown()]],
+            models: vec![[trainer.model().into_owned(), trainer.shown()]],
         })
     }
 

@@ -153,9 +153,9 @@ fn save(folder: &Folder, dataset: &Dataset, trainer: &Trainer, progress: f64) ->
 fn glance(trainer: &Trainer, dataset: &Dataset) -> Option<f64> {
     let (reduced, background) = (trainer.reduced(), trainer.options().background);
     let found = if dataset.validation.is_empty() {
-        train::evaluate(trainer.model(), &dataset.test.sample(GLANCE_VIEWS), reduced, background)
+        train::evaluate(&*trainer.model(), &dataset.test.sample(GLANCE_VIEWS), reduced, background)
     } else {
-        train::evaluate(trainer.model(), &dataset.validation.sample(GLANCE_VIEWS), reduced, background)
+        train::evaluate(&*trainer.model(), &dataset.validation.sample(GLANCE_VIEWS), reduced, background)
     };
     found.ok().map(|found| found.psnr_db)
 }

@@ -3,6 +3,8 @@
 //! Layout, little-endian: `DGSTRAIN`, u16 version, u32 CRC-32 of what follows, then the numbers in the
 //! postcard format. Also a scene: `dgs encode` and `dgs render` read it at any number of frames.
 
+use std::borrow::Cow;
+
 use codec_core::internals::digest::Digest;
 use serde::{Deserialize, Serialize};
 
@@ -16,7 +18,7 @@ use super::{
 };
 
 const MAGIC: &[u8; 8] = b"DGSTRAIN";
-const VERSION: u16 = 4;
+const VERSION: u16 = 5;
 const HEADER: usize = 14;
 /// Most Gaussians over all frames of the scene in a checkpoint: about 3 GB.
 const MOST_POSED: usize = 50_000_000;
@@ -71,9 +73,9 @@ impl Checkpoint {
         &self.options
     }
 
-    /// The scene.
-    pub fn model(&self) -> &Model {
-        &self.state.model
+    /// The scene; of a training near its end, the mean of what the last steps led to.
+    pub fn model(&self) -> Cow<'_, Model> {
+        self.state.scene()
     }
 
     /// Steps taken.

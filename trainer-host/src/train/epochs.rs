@@ -167,7 +167,7 @@ fn shown_db(dataset: &Dataset, train: &TrainOptions, steps: f64) -> Result<f64, 
         trainer.step(f64::from(trainer.steps()) / steps)?;
     }
     let views = dataset.train.sample(TRIAL_VIEWS);
-    Ok(evaluate(trainer.model(), &views, trainer.reduced(), train.background)?.psnr_db)
+    Ok(evaluate(&*trainer.model(), &views, trainer.reduced(), train.background)?.psnr_db)
 }
 
 #[cfg(test)]

@@ -225,7 +225,14 @@ impl TrainedGaussians {
         }
     }
 
-    fn parameters_mut(&mut self) -> [&mut Parameter; 7] {
+    /// Every attribute.
+    pub(super) fn parameters(&self) -> [&Parameter; 7] {
+        let Self { position, log_scale, rotation, opacity, sh0, sh_rest, skin, .. } = self;
+        [position, log_scale, rotation, opacity, sh0, sh_rest, skin]
+    }
+
+    /// Every attribute, to be changed from outside a step.
+    pub(super) fn parameters_mut(&mut self) -> [&mut Parameter; 7] {
         let Self { position, log_scale, rotation, opacity, sh0, sh_rest, skin, .. } = self;
         [position, log_scale, rotation, opacity, sh0, sh_rest, skin]
     }
@@ -235,9 +242,7 @@ impl TrainedGaussians {
         let count = self.len();
         let Some(degree) = ShDegree::new(self.degree) else { return false };
         let widths = [3, 3, 4, 1, 3, degree.rest_len(), FOLLOWED];
-        let Self { position, log_scale, rotation, opacity, sh0, sh_rest, skin, .. } = self;
-        let parts = [position, log_scale, rotation, opacity, sh0, sh_rest, skin];
-        parts.iter().zip(widths).all(|(part, width)| part.is_sound(width, count))
+        self.parameters().iter().zip(widths).all(|(part, width)| part.is_sound(width, count))
     }
 }
 

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::{
     gaussians::TrainedGaussians,
     motion::{ControlNodes, FOLLOWED, MovedPoint, Trajectory, trajectory_times},
+    parameter::Parameter,
 };
 use crate::scene::{Attributes, Epoch, Instant, Scene, SceneError, Track};
 
@@ -66,6 +67,16 @@ impl Model {
             sh_degree: codec_core::ShDegree::new(values.degree).unwrap_or_default(),
         };
         Scene::new(vec![Epoch::new(frames, attributes)?], frames_per_second)
+    }
+
+    /// All that is trained: the attributes of the Gaussians, then the motion of each layer of nodes.
+    pub(super) fn parameters(&self) -> impl Iterator<Item = &Parameter> {
+        self.gaussians.parameters().into_iter().chain(self.nodes.motions())
+    }
+
+    /// As [`Model::parameters`], to be changed from outside a step.
+    pub(super) fn parameters_mut(&mut self) -> impl Iterator<Item = &mut Parameter> {
+        self.gaussians.parameters_mut().into_iter().chain(self.nodes.motions_mut())
     }
 
     /// Keeps the Gaussians of these indices, in this order.

@@ -29,8 +29,6 @@ pub struct TrainOptions {
     pub background: [f32; 3],
     /// Weight of the mean absolute error in the loss.
     pub absolute_weight: f32,
-    /// Weight of the mean squared error in the loss.
-    pub squared_weight: f32,
     /// Weight of `1 - SSIM` in the loss.
     pub structure_weight: f32,
     /// Weight of rigid motion of neighbouring nodes at the start; it falls to a twentieth.
@@ -115,6 +113,8 @@ pub struct Schedule {
     pub decay: f64,
     /// Weight of rigidity at the end, of that at the start.
     pub rigidity_decay: f64,
+    /// From here the scene is the mean of what the last hundred steps led to; 1: what the last step did.
+    pub average_from: f64,
 }
 
 impl Default for Schedule {
@@ -128,8 +128,9 @@ impl Default for Schedule {
             density_end: 0.6,
             sizes: [0.12, 0.35, 0.6],
             motion_decay: 0.02,
-            decay: 0.1,
+            decay: 1.0,
             rigidity_decay: 0.05,
+            average_from: 0.9,
         }
     }
 }
@@ -214,7 +215,6 @@ impl Default for TrainOptions {
             max_side: 800,
             background: [1.0; 3],
             absolute_weight: 0.8,
-            squared_weight: 0.0,
             structure_weight: 0.2,
             rigidity: 1e-2,
             stillness: 1e-2,
@@ -233,8 +233,8 @@ impl Default for Rates {
     fn default() -> Self {
         Self {
             position: 4.6e-4,
-            log_scale: 6e-3,
-            rotation: 3e-3,
+            log_scale: 1.2e-2,
+            rotation: 6e-3,
             opacity: 4e-2,
             sh0: 8e-3,
             sh_rest: 3e-3,
@@ -292,7 +292,6 @@ impl TrainOptions {
         ];
         let weights = [
             ("absolute_weight", self.absolute_weight),
-            ("squared_weight", self.squared_weight),
             ("structure_weight", self.structure_weight),
             ("rigidity", self.rigidity),
             ("stillness", self.stillness),
@@ -314,6 +313,7 @@ impl TrainOptions {
             motion_decay,
             decay,
             rigidity_decay,
+            average_from,
         } = self.schedule;
         let shares = [
             ("schedule.still", still),
@@ -328,6 +328,7 @@ impl TrainOptions {
             ("schedule.motion_decay", motion_decay),
             ("schedule.decay", decay),
             ("schedule.rigidity_decay", rigidity_decay),
+            ("schedule.average_from", average_from),
         ];
         for (field, value) in shares {
             real(field, value as f32, 1.0, "0 to 1")?;
@@ -337,11 +338,7 @@ impl TrainOptions {
 
     /// Weights of the loss.
     pub(super) fn weights(&self) -> Weights {
-        Weights {
-            absolute: self.absolute_weight,
-            squared: self.squared_weight,
-            structure: self.structure_weight,
-        }
+        Weights { absolute: self.absolute_weight, squared: 0.0, structure: self.structure_weight }
     }
 
     pub(super) fn degree(&self) -> ShDegree {

@@ -1,8 +1,10 @@
 //! Holds all that a training knows between two steps.
 
+use std::borrow::Cow;
+
 use serde::{Deserialize, Serialize};
 
-use super::{density::Pull, finish::Finishing, model::Model};
+use super::{average::Average, density::Pull, finish::Finishing, model::Model};
 
 /// Times that training may fall back before it gives up.
 pub(super) const MOST_RETREATS: u32 = 3;
@@ -13,6 +15,8 @@ const MOST_STEPS: u32 = 1 << 30;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
     pub(super) model: Model,
+    /// Of what the last steps led to, once that is the scene.
+    pub(super) average: Option<Average>,
     pub(super) step: u32,
     /// Stages of nodes entered.
     pub(super) node_stages: usize,
@@ -30,11 +34,20 @@ pub(super) struct State {
 }
 
 impl State {
+    /// The scene: the mean of what the last steps led to, where there is one.
+    pub(super) fn scene(&self) -> Cow<'_, Model> {
+        match &self.average {
+            Some(average) => Cow::Owned(average.of(&self.model)),
+            None => Cow::Borrowed(&self.model),
+        }
+    }
+
     /// Whether what was read from a file can be used: numbers that do not fit together would be out of bounds
     /// somewhere later.
     pub(super) fn is_sound(&self) -> bool {
         let counts = [self.step, self.last_density];
         self.model.is_sound()
+            && self.average.as_ref().is_none_or(|average| average.fits(&self.model))
             && self.pull.is_sound(self.model.gaussians())
             && counts.iter().all(|&count| count <= MOST_STEPS)
             && self.finishing.is_sound(self.model.gaussians())

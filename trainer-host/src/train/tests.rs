@@ -42,7 +42,7 @@ fn trained<'a>(dataset: &'a Dataset, options: &TrainOptions, steps: u32) -> Trai
 #[test]
 fn training_finds_the_scene_and_its_motion() {
     let dataset = dataset(synth::SynthKind::Balls, 4, 24);
-    let psnr = |trainer: &Trainer| evaluate(trainer.model(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db;
+    let psnr = |trainer: &Trainer| evaluate(&*trainer.model(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db;
     let start = psnr(&Trainer::new(&dataset, &options()).unwrap());
     let with = |nodes: usize| psnr(&trained(&dataset, &TrainOptions { nodes, ..options() }, 900));
     let (moving, still) = (with(16), with(0));
@@ -73,7 +73,7 @@ fn another_device_trains_to_the_same_quality() {
         let step = |step: u32| trainer.step(f64::from(step) / f64::from(STEPS)).unwrap().loss;
         (from..to).map(step).collect::<Vec<f64>>()
     };
-    let psnr = |trainer: &Trainer| evaluate(trainer.model(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db;
+    let psnr = |trainer: &Trainer| evaluate(&*trainer.model(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db;
     // So few steps are none to spare for an ending.
     let finish = Finish { prune: 0.0, round_from: 1.0, ..Finish::default() };
     let options = TrainOptions { finish, ..options() };
@@ -107,7 +107,7 @@ fn the_same_seed_gives_the_same_scene_on_any_number_of_threads() {
     let dataset = dataset(synth::SynthKind::Balls, 3, 6);
     let on = |threads: usize, seed: u64| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| trained(&dataset, &TrainOptions { seed, ..options() }, 150).model().clone())
+        pool.install(|| trained(&dataset, &TrainOptions { seed, ..options() }, 150).model().into_owned())
     };
     let one = on(1, 1);
     assert_eq!(one, on(3, 1));
@@ -140,13 +140,14 @@ fn finished() -> TrainOptions {
 #[test]
 fn a_finished_training_goes_on_from_a_checkpoint_bit_for_bit() {
     let dataset = dataset(synth::SynthKind::Balls, 3, 6);
-    let (most, all) = (180u32, 200u32);
+    // The average has begun by then.
+    let (most, all) = (190u32, 200u32);
     let whole = trained(&dataset, &finished(), all);
     let mut first = Trainer::new(&dataset, &finished()).unwrap();
     for step in 0..most {
         first.step(f64::from(step) / f64::from(all)).unwrap();
     }
-    let bytes = Checkpoint::of(&first, &dataset, 0.9).to_bytes().unwrap();
+    let bytes = Checkpoint::of(&first, &dataset, 0.95).to_bytes().unwrap();
     let mut second = Checkpoint::from_bytes(&bytes).unwrap().resume(&dataset).unwrap();
     assert!(second.decisions().unwrap().is_some());
     let shown = |model: &Model| {
@@ -155,7 +156,7 @@ fn a_finished_training_goes_on_from_a_checkpoint_bit_for_bit() {
         instant
     };
     assert!(shown(&second.shown()) == shown(&first.shown()));
-    assert!(shown(&second.shown()) != shown(second.model()));
+    assert!(shown(&second.shown()) != shown(&second.model()));
     for step in most..all {
         second.step(f64::from(step) / f64::from(all)).unwrap();
     }

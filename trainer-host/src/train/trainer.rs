@@ -4,6 +4,8 @@
 //! time: more pixels, more nodes, more Gaussians ([`super::schedule`] says when, as shares of the training).
 //! The same views, options and shares give the same scene bit for bit, on any number of threads.
 
+use std::borrow::Cow;
+
 use rand::{RngExt, seq::SliceRandom};
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use render_host::{
@@ -15,6 +17,7 @@ use render_host::{
 };
 
 use super::{
+    average::Average,
     density::{self, Pull},
     error::TrainError,
     finish::{Encoding, Finisher, Finishing, Pruning},
@@ -98,6 +101,7 @@ impl<'a> Trainer<'a> {
         let model = Model { gaussians, nodes, followed: vec![[0; FOLLOWED]; count] };
         let state = State {
             model,
+            average: None,
             step: 0,
             node_stages: 0,
             size: 0,
@@ -167,15 +171,15 @@ impl<'a> Trainer<'a> {
         &self.options
     }
 
-    /// The scene as it is now.
-    pub fn model(&self) -> &Model {
-        &self.state.model
+    /// The scene as it is now; near the end of a training, the mean of what the last steps led to.
+    pub fn model(&self) -> Cow<'_, Model> {
+        self.state.scene()
     }
 
     /// The scene as a receiver has it, but for what is lost of its motion: the same as
     /// [`Trainer::model`] until values are rounded.
     pub fn shown(&self) -> Model {
-        self.finisher.shown(&self.state.model)
+        self.finisher.shown(&self.state.scene())
     }
 
     /// The choices of the encoder that the training has made its own, once values are rounded.
@@ -193,7 +197,7 @@ impl<'a> Trainer<'a> {
 
     /// Bytes that the canonical values of the stream are estimated to take, once they are rounded.
     pub fn estimated_bytes(&self) -> Option<f64> {
-        self.finisher.estimated_bytes(&self.state.model)
+        self.finisher.estimated_bytes(&self.state.scene())
     }
 
     /// The same, for an encoding by `encoding`.
@@ -242,6 +246,7 @@ impl<'a> Trainer<'a> {
             observe(Stage::Density);
             self.control_density(progress, &mut rng);
             self.state.step += 1;
+            self.average(progress);
             retreat = self.keep_or_find_trouble();
         }
         if let Some(what) = &retreat {
@@ -434,6 +439,17 @@ impl<'a> Trainer<'a> {
         let from = density::control(gaussians, &state.pull, target, options.density, &self.extent, rng);
         *followed = from.iter().map(|&index| followed[index]).collect();
         state.pull = Pull::none(gaussians.len());
+    }
+
+    /// Takes what the step led to into the average, where the schedule says so.
+    fn average(&mut self, progress: f64) {
+        let from = self.options.schedule.average_from;
+        let State { average, model, .. } = &mut self.state;
+        if from < 1.0 && progress >= from {
+            Average::follow(average, model);
+        } else {
+            *average = None;
+        }
     }
 
     /// What is wrong with the loss of a step, if anything is. Follows its mean.

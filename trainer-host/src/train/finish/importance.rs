@@ -96,7 +96,7 @@ mod tests {
         let trainer = Trainer::new(&dataset, &few).unwrap();
         let model = trainer.model();
         let found =
-            removal_errors(model, &dataset.train, |_| (32, 32), &mut Differentiator::default()).unwrap();
+            removal_errors(&model, &dataset.train, |_| (32, 32), &mut Differentiator::default()).unwrap();
         assert_eq!(found.len(), model.gaussians());
 
         let error_without = |index: usize| -> f64 {

@@ -167,6 +167,10 @@ impl Layer {
 
     /// What the layer adds to the motion of its nodes: per node and function of the basis, [`MOTION`]
     /// numbers.
+    pub(super) fn motion(&self) -> &Parameter {
+        &self.motion
+    }
+
     pub(super) fn motion_mut(&mut self) -> &mut Parameter {
         &mut self.motion
     }

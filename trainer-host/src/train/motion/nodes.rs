@@ -13,7 +13,7 @@ use super::{
     smoothness, stillness,
     trajectory::{self, Trajectory},
 };
-use crate::train::parameter::AdamStep;
+use crate::train::parameter::{AdamStep, Parameter};
 
 /// Learning rate of a layer, of that of the next finer one.
 const COARSER_RATE: f32 = 0.3;
@@ -146,6 +146,16 @@ impl ControlNodes {
             && self.basis.is_sound()
             && self.layers.len() <= MOST_LAYERS
             && self.layers.iter().all(|layer| layer.is_sound(before.replace(layer.len())))
+    }
+
+    /// The motion of each layer.
+    pub(crate) fn motions(&self) -> impl Iterator<Item = &Parameter> {
+        self.layers.iter().map(Layer::motion)
+    }
+
+    /// As [`ControlNodes::motions`], to be changed from outside a step.
+    pub(crate) fn motions_mut(&mut self) -> impl Iterator<Item = &mut Parameter> {
+        self.layers.iter_mut().map(Layer::motion_mut)
     }
 
     /// Takes a step of the motion; each layer numbers its own. Layers add up, and so does the noise of their

@@ -1,0 +1,110 @@
+//! An average is the mean of what the last steps of a training led to.
+//!
+//! Steps of one view each tremble around what all views agree on; while rates stay high, each view has a say
+//! and the mean of the steps is nearer to it than any of them (Polyak and Juditsky, "Acceleration of Stochastic
+//! Approximation by Averaging", 1992).
+
+use serde::{Deserialize, Serialize};
+
+use super::model::Model;
+
+/// Steps that an average looks back over, once it has had so many.
+const STEPS: u32 = 100;
+
+/// Values of all parameters of a model, in the order of [`Model::parameters`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Average {
+    steps: u32,
+    values: Vec<Vec<f32>>,
+}
+
+impl Average {
+    /// Takes in `model` after a step, or begins anew with it: after other steps, or where it has gained or
+    /// lost Gaussians or nodes.
+    pub(super) fn follow(average: &mut Option<Self>, model: &Model) {
+        if let Some(average) = average.as_mut().filter(|average| average.fits(model)) {
+            average.steps = average.steps.saturating_add(1).min(STEPS);
+            let share = 1.0 / average.steps as f32;
+            for (average, parameter) in average.values.iter_mut().zip(model.parameters()) {
+                let pairs = average.iter_mut().zip(parameter.values());
+                pairs.for_each(|(average, value)| *average += share * (value - *average));
+            }
+        } else {
+            let values = model.parameters().map(|parameter| parameter.values().to_vec()).collect();
+            *average = Some(Self { steps: 1, values });
+        }
+    }
+
+    /// `model` with the average's values in place of its own.
+    pub(super) fn of(&self, model: &Model) -> Model {
+        let mut model = model.clone();
+        for (parameter, values) in model.parameters_mut().zip(&self.values) {
+            parameter.values_mut().copy_from_slice(values);
+        }
+        model
+    }
+
+    /// Whether it is one of a model like `model`: what was read from a file may not be.
+    pub(super) fn fits(&self, model: &Model) -> bool {
+        (1..=STEPS).contains(&self.steps)
+            && self.values.len() == model.parameters().count()
+            && self.values.iter().zip(model.parameters()).all(|(values, parameter)| {
+                values.len() == parameter.values().len() && values.iter().all(|value| value.is_finite())
+            })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use codec_core::{Gaussian, ShDegree};
+
+    use super::*;
+    use crate::{
+        scene::Instant,
+        train::{
+            gaussians::TrainedGaussians,
+            motion::{ControlNodes, FOLLOWED, TemporalBasis},
+        },
+    };
+
+    /// A model of `count` Gaussians, none of which moves.
+    fn model(count: usize) -> Model {
+        let instant = Instant { gaussians: vec![Gaussian::ABSENT; count], ..Instant::default() };
+        Model {
+            gaussians: TrainedGaussians::new(&instant, ShDegree::default()),
+            nodes: ControlNodes::none(TemporalBasis::default(), 1.0),
+            followed: vec![[0; FOLLOWED]; count],
+        }
+    }
+
+    /// The average of the opacity logits `logits`, of one step each.
+    fn averaged(average: &mut Option<Average>, model: &mut Model, logits: impl Iterator<Item = f32>) -> f32 {
+        for logit in logits {
+            model.gaussians.opacity.values_mut().fill(logit);
+            Average::follow(average, model);
+        }
+        average.as_ref().unwrap().of(model).gaussians.opacity.values()[0]
+    }
+
+    #[test]
+    fn a_young_average_is_the_mean_of_all_steps_and_an_old_one_forgets() {
+        let (mut average, mut model) = (None, model(2));
+        let mean = averaged(&mut average, &mut model, (0..STEPS).map(|step| step as f32));
+        assert!((mean - (STEPS - 1) as f32 / 2.0).abs() < 1e-3, "{mean}");
+        let first = averaged(&mut average, &mut model, [0.0].into_iter());
+        assert!((first / mean - (1.0 - 1.0 / STEPS as f32)).abs() < 1e-5, "{first} after {mean}");
+        let later = averaged(&mut average, &mut model, std::iter::repeat_n(7.0, 10 * STEPS as usize));
+        assert!((later - 7.0).abs() < 0.01, "{later}");
+    }
+
+    #[test]
+    fn it_begins_anew_where_gaussians_went() {
+        let mut average = None;
+        averaged(&mut average, &mut model(3), [5.0, 6.0].into_iter());
+        assert!(!average.as_ref().unwrap().fits(&model(2)));
+        assert_eq!(averaged(&mut average, &mut model(2), [9.0].into_iter()), 9.0);
+        assert!(average.as_ref().unwrap().fits(&model(2)));
+        average.as_mut().unwrap().values[0][0] = f32::NAN;
+        assert!(!average.unwrap().fits(&model(2)));
+    }
+}
