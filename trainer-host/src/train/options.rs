@@ -233,8 +233,8 @@ impl Default for Rates {
     fn default() -> Self {
         Self {
             position: 4.6e-4,
-            log_scale: 1.2e-2,
-            rotation: 6e-3,
+            log_scale: 2.4e-2,
+            rotation: 1.2e-2,
             opacity: 4e-2,
             sh0: 8e-3,
             sh_rest: 3e-3,
