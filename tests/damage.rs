@@ -302,6 +302,10 @@ fn write_damaged_files() {
 
     let good = corpus("gltf_splats/few.glb");
     write("splats.glb", &replaced(&good, "\"count\":24", "\"count\":99"));
+    // The first stream starts the binary chunk.
+    let good = corpus("gltf_splats/packed-splats.glb");
+    let first = good.windows(4).position(|w| w == b"BIN\0").unwrap() + 4;
+    write("stream.glb", &put(&good, first, &[0xa9]));
     let good = corpus("ksplat/floats");
     write("cut.ksplat", &cut(&good, 20));
     write("section.ksplat", &put(&good, 4, &u32::MAX.to_le_bytes()));

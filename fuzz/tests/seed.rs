@@ -251,6 +251,10 @@ fn imports() {
     put("points_npz", "four", &points_npz());
     put("gltf", "strip.glb", &glb());
     put("gltf_splats", "few.glb", &export::gltf::encode(&epoch, 0).unwrap());
+    let compressed = Path::new(env!("CARGO_MANIFEST_DIR")).join("../trainer-host/tests/compressed");
+    for (target, file) in [("gltf", "packed-strip.glb"), ("gltf_splats", "packed-splats.glb")] {
+        put(target, file, &std::fs::read(compressed.join(file)).unwrap());
+    }
     put("ksplat", "floats", &ksplat(4, 0));
     put("ksplat", "bytes", &ksplat(4, 2));
     put("splatv", "three", &splatv(3));

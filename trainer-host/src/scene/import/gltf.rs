@@ -6,8 +6,8 @@
 //! base-colour texture × factor × vertex colour, multiplied in linear light, kept as display colour.
 //!
 //! World: glTF's own, right-handed, y up, front along +z; nothing is scaled or moved, and bounds are
-//! noted. Masked texels are not sampled, blended ones lower opacity. Absent: materials beyond base
-//! colour, texture transforms, Draco and meshopt (refused by name), cameras and lights.
+//! noted. Masked texels are not sampled, blended ones lower opacity. Views compressed by meshopt are unfolded.
+//! Absent: materials beyond base colour, Draco (refused by name), cameras and lights.
 
 mod document;
 mod mesh;
@@ -16,7 +16,6 @@ mod pose;
 mod surface;
 mod texture;
 
-pub(super) use document::resource;
 pub use pose::Clip;
 
 use codec_core::ShDegree;

@@ -229,3 +229,27 @@ fn zeros_that_no_byte_backs_are_refused() {
     assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
     assert!(error.to_string().contains("9000000 values without a buffer view"), "{error}");
 }
+
+#[test]
+fn a_mesh_that_was_compressed_moves_as_before() {
+    const PLAIN: &[u8] = include_bytes!("../../../../../fuzz/corpus/gltf/strip.glb");
+    const PACKED: &[u8] = include_bytes!("../../../../tests/compressed/packed-strip.glb");
+    let read = |bytes| parse(bytes, nothing_beside, &options(Clip::First), &Limits::default()).unwrap();
+    let (plain, packed) = (read(PLAIN), read(PACKED));
+    let points = |scene: &Scene, frame| -> Vec<[f32; 3]> {
+        scene.instant(frame).unwrap().gaussians.iter().map(|g| g.position).collect()
+    };
+    // How far a sample of one is from all samples of the other, at most.
+    let apart = |scene: &Scene, frame: usize, other: &[[f32; 3]]| {
+        let tree = crate::scene::import::nearest::Tree::new(other);
+        let far = points(scene, frame).into_iter().map(|point| tree.nearest(point, 1, |_| true)[0].0.sqrt());
+        far.fold(0.0, f64::max)
+    };
+    assert_eq!(plain.frames(), packed.frames());
+    for frame in 0..plain.frames() {
+        // Samples are 0.05 apart on a square that grows to three times its height.
+        let far = apart(&packed, frame, &points(&plain, frame));
+        assert!(far < 0.15, "frame {frame}: a sample is {far} from the surface");
+    }
+    assert!(apart(&packed, packed.frames() - 1, &points(&plain, 0)) > 1.0, "it moves");
+}
