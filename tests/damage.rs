@@ -119,7 +119,8 @@ fn damaged_streams() {
 
 #[test]
 fn damaged_scenes() {
-    let scenes = ["ply", "splat", "ksplat", "splatv", "4dgs", "spz", "sog", "glb", "npz", "asset"];
+    let scenes =
+        ["ply", "splat", "ksplat", "splatv", "4dgs", "spz", "sog", "glb", "npz", "safetensors", "asset"];
     for case in cases().iter().filter(|c| scenes.iter().any(|e| c.file.ends_with(&format!(".{e}")))) {
         let path = folder().join(&case.file);
         let error = import(&path, &import::ImportOptions::default()).expect_err(&case.file);
@@ -315,6 +316,9 @@ fn write_damaged_files() {
     write("cut.4dgs", &cut(&good, 300));
     let good = corpus("dynamic_npz/two");
     write("shape.npz", &replaced(&good, "'shape': (2, 1)", "'shape': (7, 1)"));
+
+    let good = corpus("deformation/all");
+    write("shape.safetensors", &replaced(&good, "\"shape\":[2,3]", "\"shape\":[3,2]"));
 
     write("version.asset", b"%YAML 1.1\nMonoBehaviour:\n  m_FormatVersion: 20230101\n  m_SplatCount: 4\n");
 

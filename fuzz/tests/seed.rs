@@ -251,9 +251,16 @@ fn imports() {
     put("points_npz", "four", &points_npz());
     put("gltf", "strip.glb", &glb());
     put("gltf_splats", "few.glb", &export::gltf::encode(&epoch, 0).unwrap());
-    let compressed = Path::new(env!("CARGO_MANIFEST_DIR")).join("../trainer-host/tests/compressed");
-    for (target, file) in [("gltf", "packed-strip.glb"), ("gltf_splats", "packed-splats.glb")] {
-        put(target, file, &std::fs::read(compressed.join(file)).unwrap());
+    let of_others = Path::new(env!("CARGO_MANIFEST_DIR")).join("../trainer-host/tests");
+    for (target, name, file) in [
+        ("gltf", "packed-strip.glb", "compressed/packed-strip.glb"),
+        ("gltf_splats", "packed-splats.glb", "compressed/packed-splats.glb"),
+        ("deformation", "planes", "deformation/planes.npz"),
+        ("deformation", "all", "deformation/planes-all.safetensors"),
+        ("deformation", "screw", "deformation/warp-screw.npz"),
+        ("deformation", "options", "deformation/planes-all-cfg_args"),
+    ] {
+        put(target, name, &std::fs::read(of_others.join(file)).unwrap());
     }
     put("ksplat", "floats", &ksplat(4, 0));
     put("ksplat", "bytes", &ksplat(4, 2));

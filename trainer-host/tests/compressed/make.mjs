@@ -1,14 +1,13 @@
 // Makes the files of this folder with the tools that others compress glTF with:
 //
-//   npm install meshoptimizer@1.3.0 gltfpack@1.3.0 && node make.mjs
+//   npm install meshoptimizer@1.3.0 gltfpack@1.3.0 @gltf-transform/cli@4.5.1 && node make.mjs
 //
 // `streams.json` has buffer views as meshoptimizer's encoder writes them, and what its decoder makes of them.
 // `splats.glb` and `packed-splats.glb` are the same Gaussians, plain and with every view compressed.
-// `packed-strip.glb` is the mesh of the fuzz corpus through gltfpack.
+// `packed-strip.glb` is the mesh of the fuzz corpus through gltfpack, `draco-*.glb` through glTF-Transform.
 
 import { execFileSync } from "node:child_process";
 import { readFileSync, writeFileSync } from "node:fs";
-import { createRequire } from "node:module";
 import { MeshoptDecoder, MeshoptEncoder } from "meshoptimizer";
 
 await MeshoptEncoder.ready;
@@ -161,6 +160,9 @@ writeFileSync("packed-splats.glb", glb([
         filter: "EXPONENTIAL", version: 1, accessor: float("VEC3") })),
 ], count, true));
 
-const gltfpack = createRequire(import.meta.url).resolve("gltfpack/cli.js");
 const mesh = "../../../fuzz/corpus/gltf/strip.glb";
-execFileSync("node", [gltfpack, "-i", mesh, "-o", "packed-strip.glb", "-cz", "-ce", "khr", "-kn"]);
+const run = (program, ...args) => execFileSync(`${process.cwd()}/node_modules/.bin/${program}`, args);
+run("gltfpack", "-i", mesh, "-o", "packed-strip.glb", "-cz", "-ce", "khr", "-kn");
+for (const method of ["edgebreaker", "sequential"]) {
+    run("gltf-transform", "draco", mesh, `draco-${method}.glb`, "--method", method);
+}

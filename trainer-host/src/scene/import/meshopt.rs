@@ -222,7 +222,8 @@ mod tests {
             compressed.unfolded_bytes(FORMAT, "buffer view 3", 48)
         };
         assert_eq!(with(&|_| {}).unwrap(), 48);
-        let edits: [(&dyn Fn(&mut Compressed), &str); 6] = [
+        type Edit<'a> = &'a dyn Fn(&mut Compressed);
+        let edits: [(Edit<'_>, &str); 6] = [
             (&|c| c.byte_stride = 6, "byteStride of buffer view 3: found 6"),
             (&|c| c.count = 7, "byteLength of buffer view 3: found 48; allowed: 7 elements of 8 bytes"),
             (&|c| c.count = usize::MAX, "byteLength"),

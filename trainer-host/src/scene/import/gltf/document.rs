@@ -1,13 +1,14 @@
 //! Loads the file as data: JSON validated by the `gltf` crate, buffers at hand, accessors read with every
 //! index checked. The crate's own accessor readers slice without checking and are not used.
 
-use std::fmt::Display;
+use std::{collections::BTreeMap, fmt::Display};
 
 use gltf::{
     accessor::{DataType, Dimensions},
     json,
 };
 
+use super::draco;
 use crate::scene::import::{
     Limits,
     bytes::{array, u32_at},
@@ -17,7 +18,8 @@ use crate::scene::import::{
 
 /// Extensions that a file may need: what is compressed is unfolded when it is loaded, whole numbers are read
 /// as any others, and textures are moved when they are sampled.
-const EXTENSIONS: [&str; 2] = ["KHR_mesh_quantization", "KHR_texture_transform"];
+const EXTENSIONS: [&str; 5] =
+    ["KHR_mesh_quantization", "KHR_texture_transform", draco::EXTENSION, COMPRESSIONS[0], COMPRESSIONS[1]];
 
 /// The format that errors of every file below name.
 pub(super) const FORMAT: Format = Format::Gltf;
@@ -31,6 +33,8 @@ pub(super) fn too_large(field: &str, found: impl Display, allowed: impl Display)
 pub(super) struct Document {
     pub gltf: ::gltf::Document,
     buffers: Buffers,
+    /// The elements of accessors that Draco has compressed, without gaps.
+    unfolded: BTreeMap<usize, Vec<u8>>,
     /// The files of images, in their order; none where an image lies in a view.
     images: Vec<Vec<u8>>,
     max_values: usize,
@@ -60,9 +64,8 @@ impl Document {
             .map_err(|e| FORMAT.malformed("JSON", e, "the JSON of glTF 2.0"))?;
         // The crate knows fewer of them.
         for name in std::mem::take(&mut root.extensions_required) {
-            if !EXTENSIONS.iter().chain(&COMPRESSIONS).any(|known| name == *known) {
-                let allowed = EXTENSIONS.into_iter().chain(COMPRESSIONS).collect::<Vec<_>>().join(", ");
-                return Err(FORMAT.unsupported("extensionsRequired", name, allowed));
+            if !EXTENSIONS.contains(&name.as_str()) {
+                return Err(FORMAT.unsupported("extensionsRequired", name, EXTENSIONS.join(", ")));
             }
         }
         check_indices(&root)?;
@@ -70,7 +73,8 @@ impl Document {
             .map_err(|e| FORMAT.malformed("JSON", e, "a consistent document"))?;
         let buffers = Buffers::load(FORMAT, text, blob, &mut beside, limits)?;
         let max_values = limits.max_gaussians.saturating_mul(16);
-        let mut document = Self { gltf, buffers, images: Vec::new(), max_values };
+        let unfolded = draco::unfolded(text, &buffers, limits)?;
+        let mut document = Self { gltf, buffers, unfolded, images: Vec::new(), max_values };
         document.embed_images(beside)?;
         Ok(document)
     }
@@ -146,7 +150,15 @@ impl Document {
         })?;
         let size = accessor.data_type().size();
         let mut out = Vec::new();
-        match accessor.view() {
+        let elements = match (self.unfolded.get(&accessor.index()), accessor.view()) {
+            (Some(bytes), _) => Some((&bytes[..], components * size, 0)),
+            (None, Some(view)) => {
+                let stride = view.stride().unwrap_or(components * size);
+                Some((self.buffers.view(view.index())?, stride, accessor.offset()))
+            }
+            (None, None) => None,
+        };
+        match elements {
             None => {
                 // Zeros for sparse values to replace. The mesh they belong to has its other attributes in
                 // buffers, so there are never more of them than bytes.
@@ -157,14 +169,12 @@ impl Document {
                 }
                 out.resize(total, 0.0);
             }
-            Some(view) => {
-                let bytes = self.buffers.view(view.index())?;
-                let stride = view.stride().unwrap_or(components * size);
+            Some((bytes, stride, offset)) => {
                 let needed = match accessor.count().checked_sub(1) {
                     None => Some(0),
                     Some(last) => last
                         .checked_mul(stride)
-                        .and_then(|o| o.checked_add(accessor.offset()))
+                        .and_then(|o| o.checked_add(offset))
                         .and_then(|o| o.checked_add(components * size)),
                 };
                 if needed.is_none_or(|n| n > bytes.len()) {
@@ -173,7 +183,7 @@ impl Document {
                 }
                 out.reserve_exact(total);
                 for element in 0..accessor.count() {
-                    let at = accessor.offset() + element * stride;
+                    let at = offset + element * stride;
                     out.extend((0..components).map(|c| scalar(bytes, at + c * size, accessor.data_type())));
                 }
             }
@@ -246,7 +256,7 @@ fn check_indices(root: &json::Root) -> Result<(), ImportError> {
 }
 
 /// The JSON and BIN chunks of a GLB.
-fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ImportError> {
+pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ImportError> {
     let word = |at: usize| {
         u32_at(bytes, at)
             .ok_or_else(|| FORMAT.truncated("GLB header", bytes.len() as u64, at as u64 + 4).at(at))
