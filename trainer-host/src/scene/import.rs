@@ -304,7 +304,7 @@ fn snapshot_of(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Sna
             Err(other.malformed(
                 "content",
                 found,
-                "PLY, SPZ, SOG, .splat, .ksplat, .splatv, .4dgs, glTF, a Unity splat asset, NPZ or safetensors",
+                "PLY, SPZ, SOG, .splat, .ksplat, .splatv, .4dgs, glTF, a Unity asset, NPZ or safetensors",
             ))
         }
     }

@@ -3,9 +3,9 @@
 //!
 //! The network is an npz or safetensors file of the arrays that `state_dict()` names. The Gaussians are in
 //! `point_cloud.ply`, where the trainers write it, or in the same file under the names of the model (`_xyz`,
-//! `_features_dc`, `_features_rest`, `_scaling`, `_rotation`, `_opacity`). Sizes of networks and planes follow
-//! from the arrays; what moves at all is in `cfg_args`. Times go from 0 to 1, both included. Axes are kept:
-//! those of the cameras it was trained with.
+//! `_features_dc`, `_features_rest`, `_scaling`, `_rotation`, `_opacity`). Sizes of networks and planes
+//! follow from the arrays; what moves at all is in `cfg_args`. Times go from 0 to 1, both included. Axes are
+//! kept: those of the cameras it was trained with.
 //!
 //! Higher harmonics cannot change over an epoch: where the network moves them their mean is kept, and a note.
 
@@ -20,7 +20,7 @@ use rayon::prelude::*;
 
 use self::{
     deformed::{Canonical, Deformed},
-    options::Options,
+    options::FieldOptions,
     planes::Planes,
     warp::Warp,
 };
@@ -89,7 +89,9 @@ pub fn parse(
         None => own_gaussians(&mut tensors, limits)?,
     };
     let n = limits.gaussians(FORMAT, columns.positions.len() as u64)?;
-    limits.gaussians(FORMAT, frames as u64)?;
+    if frames == 0 {
+        return Err(FORMAT.empty("frames"));
+    }
     limits.bytes(FORMAT, "frames", (frames as u64 * FRAME_BYTES).saturating_mul(n as u64))?;
     let field = read_field(&mut tensors, beside.options, &columns, &mut notes)?;
     let (epoch, spread) = deformed_epoch(&field, columns, frames, limits)?;
@@ -114,13 +116,13 @@ fn read_field(
         return Warp::read(tensors).map(|warp| Field::Warp(Box::new(warp)));
     }
     let options = match options {
-        Some(text) => Options::parse(text)?,
+        Some(text) => FieldOptions::parse(text)?,
         None => {
             notes.push(
                 "no cfg_args: position, size and rotation are taken to move, opacity and colour to stay"
                     .to_owned(),
             );
-            Options::default()
+            FieldOptions::default()
         }
     };
     let planes = Planes::read(tensors, &options)?;

@@ -3,6 +3,8 @@
 //! A buffer that compressed views would fall back to, and nothing else reads, is not loaded: in most files
 //! it is not there.
 
+use std::collections::BTreeSet;
+
 use serde::Deserialize;
 
 use super::{
@@ -93,9 +95,10 @@ impl Buffers {
             left = rest.ok_or_else(|| format.error(ErrorKind::TooLarge, field, "more", allowed))?;
             Ok(())
         };
+        let fallbacks = layout.fallbacks();
         let mut buffers = Vec::new();
         for (i, buffer) in layout.buffers.iter().enumerate() {
-            if layout.only_falls_back_to(i) {
+            if fallbacks.contains(&i) {
                 buffers.push(Vec::new());
                 continue;
             }
@@ -159,17 +162,16 @@ impl Buffers {
 }
 
 impl Layout {
-    /// Whether compressed views are all that names buffer `index`, and those as what to fall back to.
-    fn only_falls_back_to(&self, index: usize) -> bool {
-        let mut falls_back = false;
-        for view in &self.buffer_views {
-            match view.extensions.compressed() {
-                Some(compressed) if compressed.buffer == index => return false,
-                None if view.buffer == index => return false,
-                compressed => falls_back |= compressed.is_some() && view.buffer == index,
-            }
-        }
-        falls_back
+    /// The buffers that compressed views would fall back to, and that nothing reads.
+    fn fallbacks(&self) -> BTreeSet<usize> {
+        let compressed = |view: &&ViewLayout| view.extensions.compressed().is_some();
+        let fallbacks = self.buffer_views.iter().filter(compressed).map(|view| view.buffer);
+        let read: BTreeSet<usize> = self
+            .buffer_views
+            .iter()
+            .map(|view| view.extensions.compressed().map_or(view.buffer, |compressed| compressed.buffer))
+            .collect();
+        fallbacks.filter(|buffer| !read.contains(buffer)).collect()
     }
 }
 
@@ -239,5 +241,17 @@ mod tests {
         assert_eq!(base64(b"TWE=").unwrap(), b"Ma");
         assert_eq!(base64(b"TQ==").unwrap(), b"M");
         assert_eq!(base64(b"T*=="), None);
+    }
+
+    #[test]
+    fn only_what_nothing_reads_is_a_fallback() {
+        let packed = |to: usize, from: usize| {
+            serde_json::json!({"buffer": to, "byteLength": 8, "extensions": {"EXT_meshopt_compression":
+                {"buffer": from, "byteLength": 9, "byteStride": 4, "count": 2, "mode": "INDICES"}}})
+        };
+        let plain = serde_json::json!({"buffer": 2, "byteLength": 8});
+        let views = [packed(1, 0), packed(2, 0), plain, packed(3, 4), packed(4, 0)];
+        let layout: Layout = serde_json::from_value(serde_json::json!({"bufferViews": views})).unwrap();
+        assert_eq!(layout.fallbacks(), BTreeSet::from([1, 3]));
     }
 }

@@ -9,7 +9,7 @@ const FORMAT: Format = Format::Deformation;
 /// What moves, and how. The default is that of the trainer.
 #[derive(Clone, Copy, Debug, Deserialize, PartialEq)]
 #[serde(default)]
-pub struct Options {
+pub struct FieldOptions {
     /// Positions stay.
     pub no_dx: bool,
     /// Sizes stay.
@@ -28,7 +28,7 @@ pub struct Options {
     pub grid_pe: u32,
 }
 
-impl Default for Options {
+impl Default for FieldOptions {
     fn default() -> Self {
         Self {
             no_dx: false,
@@ -43,7 +43,7 @@ impl Default for Options {
     }
 }
 
-impl Options {
+impl FieldOptions {
     /// From JSON, or from the `Namespace(NAME=VALUE, …)` that the trainer writes. Other names are skipped.
     ///
     /// # Errors
@@ -118,10 +118,10 @@ mod tests {
     fn the_text_of_the_trainer_is_read() {
         let text = r"Namespace(bounds=1.6, source_path='it\'s, no_dx=True', multires=[1, 2], no_do=False,
             kplanes_config={'resolution': [64, 64], 'no_ds=True,': 1}, grid_pe=2, no_dshs=True)";
-        let options = Options::parse(text.as_bytes()).unwrap();
-        assert_eq!(options, Options { no_do: false, grid_pe: 2, ..Options::default() });
-        let options = Options::parse(br#" {"no_dr": true, "bounds": 1.6} "#).unwrap();
-        assert_eq!(options, Options { no_dr: true, ..Options::default() });
+        let options = FieldOptions::parse(text.as_bytes()).unwrap();
+        assert_eq!(options, FieldOptions { no_do: false, grid_pe: 2, ..FieldOptions::default() });
+        let options = FieldOptions::parse(br#" {"no_dr": true, "bounds": 1.6} "#).unwrap();
+        assert_eq!(options, FieldOptions { no_dr: true, ..FieldOptions::default() });
         for (text, says) in [
             (&b"Namespace(no_dx=1)"[..], "no_dx: found 1"),
             (b"Namespace(grid_pe=x)", "grid_pe"),
@@ -129,7 +129,7 @@ mod tests {
             (br#"{"no_dx": 3}"#, "options"),
             (b"\xff", "options"),
         ] {
-            let error = Options::parse(text).unwrap_err().to_string();
+            let error = FieldOptions::parse(text).unwrap_err().to_string();
             assert!(error.contains(says), "{error}");
         }
     }

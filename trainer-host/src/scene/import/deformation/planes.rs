@@ -1,5 +1,5 @@
-//! Evaluates the field of 4D Gaussian Splatting: features on planes through space and time, a network on them,
-//! and a small network for each attribute that moves.
+//! Evaluates the field of 4D Gaussian Splatting: features on planes through space and time, a network on
+//! them, and a small network for each attribute that moves.
 //!
 //! Features are the product of six planes (xy, xz, xt, yz, yt, zt), sampled bilinearly; those of several
 //! resolutions follow each other. Three of the planes do not depend on time: their product is kept.
@@ -7,7 +7,7 @@
 use super::{
     deformed::{Canonical, Deformed},
     layers::{Stack, rectify},
-    options::Options,
+    options::FieldOptions,
 };
 use crate::scene::import::{
     error::{Format, ImportError},
@@ -69,7 +69,7 @@ impl Planes {
     ///
     /// # Errors
     /// Arrays that are missing or do not fit together, or options that are not read here.
-    pub fn read(tensors: &mut Tensors<'_>, options: &Options) -> Result<Self, ImportError> {
+    pub fn read(tensors: &mut Tensors<'_>, options: &FieldOptions) -> Result<Self, ImportError> {
         let format = tensors.format();
         if tensors.has("deformation_net.empty_voxel.grid") {
             return Err(format.unsupported("empty_voxel", "a grid of voxels", "trainings without it"));
@@ -212,7 +212,7 @@ impl Planes {
 }
 
 /// What a trunk of `inputs` sees where there are `features`.
-fn seen(format: Format, options: &Options, inputs: usize, features: usize) -> Result<Seen, ImportError> {
+fn seen(format: Format, options: &FieldOptions, inputs: usize, features: usize) -> Result<Seen, ImportError> {
     if options.no_grid {
         return Err(format.unsupported("no_grid", "a network without planes", "trainings with planes"));
     }

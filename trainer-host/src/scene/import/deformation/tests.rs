@@ -102,11 +102,11 @@ fn notes_say_what_is_taken_for_granted() {
 /// The file with each tensor's shape as `edit` gives it, or without it.
 fn edited(edit: impl Fn(&str, &[usize]) -> Option<Vec<usize>>) -> Vec<u8> {
     let file = SafeTensors::deserialize(ALL).unwrap();
-    let kept = file.iter().filter_map(|(name, view)| {
+    let remaining = file.iter().filter_map(|(name, view)| {
         let shape = edit(name, view.shape())?;
         Some((name.to_owned(), TensorView::new(view.dtype(), shape, view.data()).unwrap()))
     });
-    safetensors::serialize(kept.collect::<Vec<_>>(), None).unwrap()
+    safetensors::serialize(remaining.collect::<Vec<_>>(), None).unwrap()
 }
 
 #[test]

@@ -69,9 +69,16 @@ impl Document {
             }
         }
         check_indices(&root)?;
+        let buffers = Buffers::load(FORMAT, text, blob, &mut beside, limits)?;
+        let unfolded = draco::unfolded(text, &buffers, limits)?;
+        for (index, accessor) in root.accessors.iter_mut().enumerate() {
+            // The crate wants a view of each, which nobody reads where there are unfolded elements.
+            if unfolded.contains_key(&index) && !root.buffer_views.is_empty() {
+                accessor.buffer_view = Some(json::Index::new(0));
+            }
+        }
         let gltf = ::gltf::Document::from_json(root)
             .map_err(|e| FORMAT.malformed("JSON", e, "a consistent document"))?;
-        let buffers = Buffers::load(FORMAT, text, blob, &mut beside, limits)?;
         let max_values = limits.max_gaussians.saturating_mul(16);
         let unfolded = draco::unfolded(text, &buffers, limits)?;
         let mut document = Self { gltf, buffers, unfolded, images: Vec::new(), max_values };

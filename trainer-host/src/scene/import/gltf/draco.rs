@@ -88,6 +88,16 @@ pub(super) fn unfolded(
         serde_json::from_slice(text).map_err(|e| FORMAT.malformed("JSON", e, "the JSON of glTF 2.0"))?;
     let mut unfolding = Unfolding { buffers, limits, left: limits.max_bytes, meshes: BTreeMap::new() };
     let mut out = BTreeMap::new();
+    // Which attribute of which view an accessor describes; triangles have no number.
+    let mut described: BTreeMap<usize, (usize, Option<u32>)> = BTreeMap::new();
+    let mut is_new = |index: usize, source: (usize, Option<u32>)| match described.insert(index, source) {
+        None => Ok(true),
+        Some(earlier) if earlier == source => Ok(false),
+        Some(_) => {
+            let (field, found) = (format!("accessor {index}"), "two compressed attributes");
+            Err(FORMAT.malformed(field, found, "one"))
+        }
+    };
     let accessor = |index: usize| {
         let found = layout.accessors.get(index);
         found.ok_or_else(|| {
@@ -102,13 +112,18 @@ pub(super) fn unfolded(
         }
         let view = compressed.buffer_view;
         unfolding.decode(view)?;
-        if let Some(index) = primitive.indices {
+        if let Some(index) = primitive.indices
+            && is_new(index, (view, None))?
+        {
             let field = format!("indices of compressed buffer view {view}");
             let bytes = unfolding.indices(view, accessor(index)?, &field)?;
             out.insert(index, bytes);
         }
         for (name, &number) in &compressed.attributes {
             let Some(&index) = primitive.attributes.get(name) else { continue };
+            if !is_new(index, (view, Some(number)))? {
+                continue;
+            }
             let field = format!("{name} of compressed buffer view {view}");
             let bytes = unfolding.attribute(view, number, accessor(index)?, &field)?;
             out.insert(index, bytes);
