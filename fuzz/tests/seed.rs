@@ -259,6 +259,8 @@ fn imports() {
     let of_others = Path::new(env!("CARGO_MANIFEST_DIR")).join("../trainer-host/tests");
     for (target, name, file) in [
         ("gltf", "packed-strip.glb", "compressed/packed-strip.glb"),
+        ("gltf", "draco-edgebreaker.glb", "compressed/draco-edgebreaker.glb"),
+        ("gltf", "draco-sequential.glb", "compressed/draco-sequential.glb"),
         ("gltf_splats", "packed-splats.glb", "compressed/packed-splats.glb"),
         ("deformation", "planes", "deformation/planes.npz"),
         ("deformation", "all", "deformation/planes-all.safetensors"),
