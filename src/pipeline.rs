@@ -92,6 +92,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
             seed: args.seed,
             ..import::gltf::GltfOptions::default()
         },
+        deformation_frames: args.deformation_frames,
     };
     let path = Path::new(input);
     if !path.exists() {

@@ -119,7 +119,8 @@ fn damaged_streams() {
 
 #[test]
 fn damaged_scenes() {
-    let scenes = ["ply", "splat", "ksplat", "splatv", "4dgs", "spz", "sog", "glb", "npz", "asset"];
+    let scenes =
+        ["ply", "splat", "ksplat", "splatv", "4dgs", "spz", "sog", "glb", "npz", "safetensors", "asset"];
     for case in cases().iter().filter(|c| scenes.iter().any(|e| c.file.ends_with(&format!(".{e}")))) {
         let path = folder().join(&case.file);
         let error = import(&path, &import::ImportOptions::default()).expect_err(&case.file);
@@ -302,6 +303,10 @@ fn write_damaged_files() {
 
     let good = corpus("gltf_splats/few.glb");
     write("splats.glb", &replaced(&good, "\"count\":24", "\"count\":99"));
+    // The first stream starts the binary chunk.
+    let good = corpus("gltf_splats/packed-splats.glb");
+    let first = good.windows(4).position(|w| w == b"BIN\0").unwrap() + 4;
+    write("stream.glb", &put(&good, first, &[0xa9]));
     let good = corpus("ksplat/floats");
     write("cut.ksplat", &cut(&good, 20));
     write("section.ksplat", &put(&good, 4, &u32::MAX.to_le_bytes()));
@@ -311,6 +316,9 @@ fn write_damaged_files() {
     write("cut.4dgs", &cut(&good, 300));
     let good = corpus("dynamic_npz/two");
     write("shape.npz", &replaced(&good, "'shape': (2, 1)", "'shape': (7, 1)"));
+
+    let good = corpus("deformation/all");
+    write("shape.safetensors", &replaced(&good, "\"shape\":[2,3]", "\"shape\":[3,2]"));
 
     write("version.asset", b"%YAML 1.1\nMonoBehaviour:\n  m_FormatVersion: 20230101\n  m_SplatCount: 4\n");
 

@@ -324,3 +324,27 @@ fn shells_and_manuals_know_every_verb() {
     assert!(fs::read_to_string(at.join("dgs-render.1")).unwrap().contains("turntable"));
     stopped(at, &["man", "nowhere"], 1);
 }
+
+/// What others trained or compressed is a scene like any other.
+#[test]
+fn files_of_other_trainers_and_compressors_convert() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let of_others = |name: &str| {
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("trainer-host/tests").join(name).display().to_string()
+    };
+    let field = of_others("deformation/planes.npz");
+    let said = json(at, &["convert", &field, "clip", "--deformation-frames", "4"]);
+    assert_eq!((&said["frames"], &said["gaussians"]), (&Value::from(4), &Value::from(6)));
+    let frames: Vec<Vec<u8>> =
+        (0..4).map(|frame| fs::read(at.join(format!("clip/frame_{frame:05}.ply"))).unwrap()).collect();
+    assert!(frames.windows(2).all(|pair| pair[0] != pair[1]), "it moves");
+    let said = json(at, &["convert", &of_others("compressed/packed-splats.glb"), "splats.ply"]);
+    assert_eq!(said["gaussians"], 90);
+    let said =
+        json(at, &["convert", &of_others("compressed/draco-sequential.glb"), "mesh.ply", "--samples", "70"]);
+    assert_eq!(said["gaussians"], 70);
+    fs::write(at.join("deformation.pth"), b"\x80\x02}q\x00.").unwrap();
+    let error = stopped(at, &["convert", ".", "x.ply"], 1);
+    assert!(error.contains("deformation.pth") && error.contains("numpy.savez"), "{error}");
+}

@@ -173,6 +173,27 @@ pub fn dynamic_npz(data: &[u8]) {
     }
 }
 
+/// A network that moves Gaussians, or the options of one.
+pub fn deformation(data: &[u8]) {
+    const GOOD: &[u8] = include_bytes!("../corpus/deformation/planes");
+    let parse = |file: &[u8], options: Option<&[u8]>| {
+        let beside = import::deformation::Beside { gaussians: None, options };
+        import::deformation::parse(file, beside, 3, 30.0, &limits(false))
+    };
+    if data.starts_with(b"Namespace") || data.starts_with(b"{") {
+        moving(parse(GOOD, Some(data)));
+        return;
+    }
+    let everything = br#"{"no_do": false, "no_dshs": false, "apply_rotation": true, "grid_pe": 2}"#;
+    for options in [None, Some(&everything[..])] {
+        moving(parse(data, options));
+        let sealed = seal::zip(data);
+        if sealed != data {
+            moving(parse(&sealed, options));
+        }
+    }
+}
+
 /// A Unity asset of `n` splats: the description and its five planes.
 pub fn unity_planes(n: usize) -> (String, [Vec<u8>; 5]) {
     let description = format!(

@@ -32,8 +32,8 @@ pub use coding::{bytes, lanes, pack, tables};
 pub use control::control;
 pub use forged::forged;
 pub use imports::{
-    compressed_ply, dynamic_npz, fourdgs, gltf, gltf_splats, ksplat, ply, points_npz, sog, splat, splatv,
-    spz, unity, unity_planes,
+    compressed_ply, deformation, dynamic_npz, fourdgs, gltf, gltf_splats, ksplat, ply, points_npz, sog,
+    splat, splatv, spz, unity, unity_planes,
 };
 pub use parity::{cauchy, repair};
 pub use session::{closure, decode, receiver, sliced, slices};
@@ -45,7 +45,7 @@ pub use wire::{file, manifest, packet, receipt};
 pub type Body = fn(&[u8]);
 
 /// All bodies by name: wire, control, coding, session, imports, traces.
-pub const TARGETS: [(&str, Body); 31] = [
+pub const TARGETS: [(&str, Body); 32] = [
     ("packet", packet),
     ("manifest", manifest),
     ("receipt", receipt),
@@ -75,6 +75,7 @@ pub const TARGETS: [(&str, Body); 31] = [
     ("splatv", splatv),
     ("fourdgs", fourdgs),
     ("dynamic_npz", dynamic_npz),
+    ("deformation", deformation),
     ("unity", unity),
     ("trace", trace),
 ];

@@ -29,6 +29,7 @@ const MUTATIONS: &[(&str, usize)] = &[
     ("gltf_splats", 6000),
     ("splatv", 2000),
     ("fourdgs", 2000),
+    ("deformation", 2000),
 ];
 const MUTATIONS_OTHERS: usize = 12_000;
 
@@ -157,7 +158,8 @@ macro_rules! replays {
 replays! {
     packet manifest receipt control file tables lanes bytes pack slices sliced decode repair cauchy closure
     receiver forged
-    ply compressed_ply spz splat sog points_npz gltf gltf_splats ksplat splatv fourdgs dynamic_npz unity trace
+    ply compressed_ply spz splat sog points_npz gltf gltf_splats ksplat splatv fourdgs dynamic_npz deformation
+    unity trace
 }
 
 #[test]

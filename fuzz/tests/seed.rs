@@ -11,6 +11,9 @@
     reason = "a test's helpers fail like tests"
 )]
 
+#[path = "seed/compressed_ply.rs"]
+mod compressed_ply;
+
 use std::{
     io::{Cursor, Write},
     path::Path,
@@ -28,6 +31,8 @@ use trainer_host::{
     export::{self, ply as ply_writer, spz as spz_writer},
     import,
 };
+
+use self::compressed_ply::compressed_ply;
 
 fn corpus() -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus")
@@ -251,6 +256,19 @@ fn imports() {
     put("points_npz", "four", &points_npz());
     put("gltf", "strip.glb", &glb());
     put("gltf_splats", "few.glb", &export::gltf::encode(&epoch, 0).unwrap());
+    let of_others = Path::new(env!("CARGO_MANIFEST_DIR")).join("../trainer-host/tests");
+    for (target, name, file) in [
+        ("gltf", "packed-strip.glb", "compressed/packed-strip.glb"),
+        ("gltf", "draco-edgebreaker.glb", "compressed/draco-edgebreaker.glb"),
+        ("gltf", "draco-sequential.glb", "compressed/draco-sequential.glb"),
+        ("gltf_splats", "packed-splats.glb", "compressed/packed-splats.glb"),
+        ("deformation", "planes", "deformation/planes.npz"),
+        ("deformation", "all", "deformation/planes-all.safetensors"),
+        ("deformation", "screw", "deformation/warp-screw.npz"),
+        ("deformation", "options", "deformation/planes-all-cfg_args"),
+    ] {
+        put(target, name, &std::fs::read(of_others.join(file)).unwrap());
+    }
     put("ksplat", "floats", &ksplat(4, 0));
     put("ksplat", "bytes", &ksplat(4, 2));
     put("splatv", "three", &splatv(3));
@@ -345,35 +363,6 @@ fn ascii_ply(n: usize) -> Vec<u8> {
     out += "end_header\n";
     (0..n).for_each(|i| out += &format!("{i} 0.5 -1e-3 0.1 0.2 0.3 2 -4 -4 -5 1 0 0 0.{i}\n"));
     out.into_bytes()
-}
-
-fn compressed_ply(n: usize) -> Vec<u8> {
-    let chunks = n.div_ceil(256);
-    let mut out = format!("ply\nformat binary_little_endian 1.0\nelement chunk {chunks}\n");
-    for kind in ["", "scale_"] {
-        for end in ["min", "max"] {
-            for axis in ["x", "y", "z"] {
-                out += &format!("property float {end}_{kind}{axis}\n");
-            }
-        }
-    }
-    out += &format!("element vertex {n}\n");
-    for name in ["position", "rotation", "scale", "color"] {
-        out += &format!("property uint packed_{name}\n");
-    }
-    let mut out = (out + "end_header\n").into_bytes();
-    for _ in 0..chunks {
-        for v in [-1.0f32, -2.0, -3.0, 1.0, 2.0, 3.0, -8.0, -8.0, -8.0, -2.0, -2.0, -2.0] {
-            out.extend(v.to_le_bytes());
-        }
-    }
-    for i in 0..n as u32 {
-        let position = (i * 37 % 2048) << 21 | (i * 11 % 1024) << 11 | (i * 5 % 2048);
-        for word in [position, (i % 4) << 30 | 512 << 20 | 600 << 10 | 400, u32::MAX, 0xff00_80ff] {
-            out.extend(word.to_le_bytes());
-        }
-    }
-    out
 }
 
 fn webp(width: u32, height: u32, pixel: impl Fn(u32) -> [u8; 4]) -> Vec<u8> {

@@ -19,6 +19,13 @@ pub struct SceneArgs {
     /// Clip of an animated mesh: name or number from 0 [default: the first].
     #[arg(long)]
     pub clip: Option<String>,
+    /// Frames at which a deformation field (4D Gaussian Splatting, Deformable 3D Gaussians) is evaluated, at
+    /// times from 0 to 1, both included.
+    #[arg(
+        long, value_name = "FRAMES", default_value_t = trainer_host::import::deformation::DEFAULT_FRAMES,
+        value_parser = whole::<usize>(1..=100_000, "frames")
+    )]
+    pub deformation_frames: usize,
     /// Seed of everything random in the scene.
     #[arg(long, default_value_t = 1)]
     pub seed: u64,

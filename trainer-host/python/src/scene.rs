@@ -160,7 +160,13 @@ impl Scene {
         let identity = if identity_stored { import::Identity::Stored } else { import::Identity::PerFrame };
         let clip = clip.map_or(gltf::Clip::First, gltf::Clip::Name);
         let mesh = gltf::GltfOptions { clip, frames_per_second: fps, samples, seed, ..Default::default() };
-        let options = ImportOptions { limits, identity, frames_per_second: fps, gltf: mesh };
+        let options = ImportOptions {
+            limits,
+            identity,
+            frames_per_second: fps,
+            gltf: mesh,
+            ..ImportOptions::default()
+        };
         let mut scene = py.detach(|| import::import(&path, &options)).map_err(|error| unreadable(&error))?;
         scene.up = up.or(scene.usual_up).unwrap_or_default();
         Ok(Self(scene))

@@ -20,13 +20,16 @@
 mod archive;
 mod bytes;
 pub mod compressed_ply;
+pub mod deformation;
 pub mod dynamic_npz;
 mod error;
 pub mod fourdgs;
 pub mod gltf;
+mod gltf_buffers;
 pub mod gltf_splats;
 pub mod ksplat;
 mod limits;
+mod meshopt;
 pub mod nearest;
 pub mod ply;
 pub mod points_npz;
@@ -37,9 +40,10 @@ pub mod splat;
 pub mod splatv;
 pub mod spz;
 pub mod synth;
+mod tensors;
 pub mod unity;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 pub use error::{ErrorKind, Format, ImportError};
 pub use limits::Limits;
@@ -59,6 +63,8 @@ pub struct ImportOptions {
     pub frames_per_second: f64,
     /// How animated meshes are sampled.
     pub gltf: gltf::GltfOptions,
+    /// Times from 0 to 1 at which a deformation field is evaluated.
+    pub deformation_frames: usize,
 }
 
 impl Default for ImportOptions {
@@ -68,11 +74,13 @@ impl Default for ImportOptions {
             identity: Identity::default(),
             frames_per_second: 30.0,
             gltf: gltf::GltfOptions::default(),
+            deformation_frames: deformation::DEFAULT_FRAMES,
         }
     }
 }
 
-/// Reads a scene from a file, or from a folder that is a SOG or holds numbered frames.
+/// Reads a scene from a file, or from a folder that is a SOG, a training with a deformation field, or holds
+/// numbered frames.
 ///
 /// # Errors
 /// The file cannot be read, is no format known here, or is refused by its reader.
@@ -84,6 +92,9 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
         if path.join("lod-meta.json").is_file() {
             let (found, allowed) = ("levels of detail", "the folder of one level, which holds a meta.json");
             return Err(Format::Sog.unsupported("lod-meta.json", found, allowed).in_file(path));
+        }
+        if let Some(file) = field_in(path) {
+            return import(&file, options);
         }
         return folder(path, options);
     }
@@ -106,6 +117,7 @@ pub fn import(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError
         Format::DynamicNpz => {
             dynamic_npz::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file)
         }
+        Format::Deformation => field(&bytes, path, options).map_err(in_file),
         Format::FourDgs => {
             // It says itself which way is up.
             return fourdgs::parse(&bytes, options.frames_per_second, &options.limits).map_err(in_file);
@@ -140,7 +152,7 @@ pub fn usual_up(format: Format) -> Option<Up> {
     match format {
         Format::Spz | Format::Gltf | Format::GltfSplats => Some(Up::Y),
         Format::Ply | Format::CompressedPly | Format::Splat | Format::Sog | Format::Unity => Some(Up::MinusY),
-        Format::Ksplat | Format::Splatv | Format::DynamicNpz => Some(Up::MinusY),
+        Format::Ksplat | Format::Splatv | Format::DynamicNpz | Format::Deformation => Some(Up::MinusY),
         Format::PointsNpz | Format::FourDgs | Format::Sequence | Format::Unknown => None,
     }
 }
@@ -161,6 +173,7 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
             Ok(a) if a.has("meta.json") => Format::Sog,
             Ok(a) if a.has(dynamic_npz::MARK) => Format::DynamicNpz,
             Ok(a) if a.has("means3d.npy") => Format::PointsNpz,
+            Ok(_) if deformation::is_field(bytes) => Format::Deformation,
             _ if extension == "npz" => Format::PointsNpz,
             _ => Format::Sog,
         }
@@ -178,6 +191,8 @@ pub fn sniff(bytes: &[u8], path: &Path) -> Format {
         Format::Splatv
     } else if bytes.starts_with(b"%YAML") {
         Format::Unity
+    } else if tensors::is_safetensors(bytes) && deformation::is_field(bytes) {
+        Format::Deformation
     } else {
         match extension.as_str() {
             "ply" => Format::Ply,
@@ -218,6 +233,53 @@ fn folder(path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
     Ok(Scene { usual_up: up, ..scene })
 }
 
+/// The file of a deformation field that a folder holds: one iteration of a training, or a whole training, of
+/// which it is the last. One that is pickled is found too, so that it can be refused by name.
+fn field_in(folder: &Path) -> Option<PathBuf> {
+    field_file(folder).or_else(|| field_file(&last_iteration(folder)?))
+}
+
+fn field_file(folder: &Path) -> Option<PathBuf> {
+    let endings = ["npz", "safetensors", "pth"];
+    let files = endings.iter().flat_map(|ending| ["deformation", "deform"].map(|name| (name, ending)));
+    files.map(|(name, ending)| folder.join(name).with_extension(ending)).find(|file| file.is_file())
+}
+
+/// The folder of a training's last iteration.
+fn last_iteration(training: &Path) -> Option<PathBuf> {
+    let iterations = ["deform", "point_cloud"].iter().find_map(|name| training.join(name).read_dir().ok())?;
+    let numbered = |entry: std::io::Result<std::fs::DirEntry>| {
+        let path = entry.ok()?.path();
+        let number: u64 = path.file_name()?.to_str()?.strip_prefix(ITERATION)?.parse().ok()?;
+        Some((number, path))
+    };
+    iterations.filter_map(numbered).max().map(|(_, path)| path)
+}
+
+/// What trainers call the folder of an iteration, before its number.
+const ITERATION: &str = "iteration_";
+
+/// A deformation field, with what its trainer writes beside it.
+fn field(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Scene, ImportError> {
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let mut gaussians = vec![folder.join("point_cloud.ply")];
+    let mut arguments = vec![folder.join("cfg_args")];
+    if let Some(name) =
+        folder.file_name().filter(|name| name.as_encoded_bytes().starts_with(ITERATION.as_bytes()))
+    {
+        let training = folder.join("../..");
+        gaussians.push(training.join("point_cloud").join(name).join("point_cloud.ply"));
+        arguments.push(training.join("cfg_args"));
+    }
+    let first_of = |files: &[PathBuf]| {
+        files.iter().find(|file| file.is_file()).map(|file| read(file, options)).transpose()
+    };
+    let (gaussians, arguments) = (first_of(&gaussians)?, first_of(&arguments)?);
+    let beside = deformation::Beside { gaussians: gaussians.as_deref(), options: arguments.as_deref() };
+    let frames = options.deformation_frames;
+    deformation::parse(bytes, beside, frames, options.frames_per_second, &options.limits)
+}
+
 /// Reads one still file of any format that is one.
 fn snapshot_of(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Snapshot, ImportError> {
     let limits = &options.limits;
@@ -242,7 +304,7 @@ fn snapshot_of(bytes: &[u8], path: &Path, options: &ImportOptions) -> Result<Sna
             Err(other.malformed(
                 "content",
                 found,
-                "PLY, SPZ, SOG, .splat, .ksplat, .splatv, .4dgs, glTF, a Unity splat asset or NPZ",
+                "PLY, SPZ, SOG, .splat, .ksplat, .splatv, .4dgs, glTF, a Unity asset, NPZ or safetensors",
             ))
         }
     }
@@ -324,6 +386,8 @@ mod tests {
         assert_eq!(import(&path, &ImportOptions::default()).unwrap().frames(), splatv::FRAMES);
         let (_folder, path) = file("params.npz", &dynamic_npz::tests::sample(|_, shape| shape.to_owned()));
         assert_eq!(import(&path, &ImportOptions::default()).unwrap().frames(), 2);
+        let (_folder, path) = file("a.bin", deformation::tests::PLANES);
+        assert_eq!(import(&path, &ImportOptions::default()).unwrap().frames(), deformation::DEFAULT_FRAMES);
         let (_folder, path) = file("a.glb", &gltf_splats::tests::sample(8));
         let scene = import(&path, &ImportOptions::default()).unwrap();
         assert_eq!((scene.max_count(), scene.usual_up), (8, Some(Up::Y)));

@@ -29,6 +29,11 @@ impl<'a> Archive<'a> {
         self.zip.file_names_raw().any(|n| n == name.as_bytes())
     }
 
+    /// The names that are text.
+    pub fn names(&self) -> impl Iterator<Item = &str> {
+        self.zip.file_names_raw().filter_map(|name| str::from_utf8(name).ok())
+    }
+
     /// Whether there is a member whose name ends so.
     pub fn has_ending(&self, ending: &str) -> bool {
         self.zip.file_names_raw().any(|n| n.ends_with(ending.as_bytes()))
@@ -63,6 +68,11 @@ pub(super) struct Member<'m, 'a> {
 }
 
 impl Member<'_, '_> {
+    /// The format on whose behalf it is read.
+    pub fn format(&self) -> Format {
+        self.format
+    }
+
     /// Fills `buffer` as far as there are bytes, and says how far.
     pub fn fill(&mut self, buffer: &mut [u8]) -> Result<usize, ImportError> {
         let mut filled = 0;

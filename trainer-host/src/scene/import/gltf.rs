@@ -6,17 +6,17 @@
 //! base-colour texture × factor × vertex colour, multiplied in linear light, kept as display colour.
 //!
 //! World: glTF's own, right-handed, y up, front along +z; nothing is scaled or moved, and bounds are
-//! noted. Masked texels are not sampled, blended ones lower opacity. Absent: materials beyond base
-//! colour, texture transforms, Draco and meshopt (refused by name), cameras and lights.
+//! noted. Masked texels are not sampled, blended ones lower opacity. Views compressed by meshopt and
+//! primitives compressed by Draco are unfolded. Absent: materials beyond base colour, cameras and lights.
 
 mod document;
+mod draco;
 mod mesh;
 mod placement;
 mod pose;
 mod surface;
 mod texture;
 
-pub(super) use document::resource;
 pub use pose::Clip;
 
 use codec_core::ShDegree;

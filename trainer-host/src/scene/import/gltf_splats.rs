@@ -2,7 +2,8 @@
 //!
 //! Rotation is xyzw, scale and opacity are linear, harmonics one accessor a coefficient; integers may be
 //! normalised. Nodes turn, move and evenly scale what hangs on them; other transforms are refused. Axes are
-//! kept: y up. Absent: compressed primitives (SPZ or meshopt inside of glTF), which are refused by name.
+//! kept: y up. Views compressed by meshopt are unfolded. Absent: primitives compressed as SPZ, which are
+//! refused by name.
 
 use std::collections::BTreeMap;
 
@@ -13,8 +14,8 @@ use serde::Deserialize;
 use super::{
     Limits,
     bytes::{array, u32_at},
-    error::{ErrorKind, Format, ImportError},
-    gltf::resource,
+    error::{Format, ImportError},
+    gltf_buffers::{Buffers, COMPRESSIONS},
     snapshot::{Columns, Snapshot, logit, sh0_of_colour},
 };
 use crate::scene::{
@@ -24,6 +25,8 @@ use crate::scene::{
 };
 
 const FORMAT: Format = Format::GltfSplats;
+/// Extensions that a file may need: whole numbers are read as any others, what is compressed is unfolded.
+const EXTENSIONS: [&str; 4] = [EXTENSION, "KHR_mesh_quantization", COMPRESSIONS[0], COMPRESSIONS[1]];
 /// Deepest tree of nodes.
 const MOST_DEPTH: usize = 64;
 /// Most primitives, over all nodes.
@@ -46,8 +49,6 @@ struct Document {
     accessors: Vec<Accessor>,
     #[serde(default)]
     buffer_views: Vec<View>,
-    #[serde(default)]
-    buffers: Vec<Buffer>,
 }
 
 #[derive(Deserialize)]
@@ -97,18 +98,7 @@ struct Accessor {
 #[derive(Deserialize)]
 #[serde(rename_all = "camelCase")]
 struct View {
-    buffer: usize,
-    #[serde(default)]
-    byte_offset: usize,
-    byte_length: usize,
     byte_stride: Option<usize>,
-}
-
-#[derive(Deserialize)]
-#[serde(rename_all = "camelCase")]
-struct Buffer {
-    uri: Option<String>,
-    byte_length: usize,
 }
 
 /// Whether a glTF file is of this kind.
@@ -127,33 +117,18 @@ pub(super) fn is_splats(bytes: &[u8]) -> bool {
 /// more than `limits` allow.
 pub fn parse(
     bytes: &[u8],
-    mut beside: impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
+    beside: impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
     limits: &Limits,
 ) -> Result<Snapshot, ImportError> {
     limits.bytes(FORMAT, "file", bytes.len() as u64)?;
     let (text, blob) = if bytes.starts_with(b"glTF") { json_chunk(bytes)? } else { (bytes, None) };
     let document: Document =
         serde_json::from_slice(text).map_err(|e| FORMAT.malformed("JSON", e, "the JSON of glTF 2.0"))?;
-    if let Some(name) = document.extensions_required.iter().find(|name| *name != EXTENSION) {
-        return Err(FORMAT.unsupported("extensionsRequired", name, format_args!("{EXTENSION} alone")));
+    if let Some(name) = document.extensions_required.iter().find(|name| !EXTENSIONS.contains(&name.as_str()))
+    {
+        return Err(FORMAT.unsupported("extensionsRequired", name, EXTENSIONS.join(", ")));
     }
-    let mut left = limits.max_bytes;
-    let mut buffers = Vec::new();
-    for (i, buffer) in document.buffers.iter().enumerate() {
-        let field = format!("buffer {i}");
-        let data = match (&buffer.uri, blob) {
-            (Some(uri), _) => resource(uri, &mut beside)?,
-            (None, Some(blob)) => blob.to_vec(),
-            (None, None) => return Err(FORMAT.malformed(field, "no BIN chunk", "a BIN chunk or a uri")),
-        };
-        if data.len() < buffer.byte_length {
-            return Err(FORMAT.truncated(field, data.len() as u64, buffer.byte_length as u64));
-        }
-        left = left.checked_sub(data.len() as u64).ok_or_else(|| {
-            FORMAT.error(ErrorKind::TooLarge, field, "more", format_args!("{} bytes", limits.max_bytes))
-        })?;
-        buffers.push(data);
-    }
+    let buffers = Buffers::load(FORMAT, text, blob, beside, limits)?;
     let mut reader =
         Reader { document: &document, buffers, limits, primitives: 0, parts: Vec::new(), count: 0 };
     let roots = match document.scenes.get(document.scene) {
@@ -190,7 +165,7 @@ fn json_chunk(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ImportError> {
 
 struct Reader<'a> {
     document: &'a Document,
-    buffers: Vec<Vec<u8>>,
+    buffers: Buffers,
     limits: &'a Limits,
     primitives: usize,
     /// What each primitive holds, with the transform of its node.
@@ -322,13 +297,10 @@ impl Reader<'_> {
             return Err(FORMAT.unsupported(name, "a sparse accessor", "plain values"));
         }
         self.limits.gaussians(FORMAT, accessor.count as u64)?;
-        let view = accessor.buffer_view.and_then(|view| self.document.buffer_views.get(view));
-        let view = view.ok_or_else(|| FORMAT.malformed(name, "no buffer view", "a buffer view"))?;
-        let buffer = self.buffers.get(view.buffer).map_or(&[][..], Vec::as_slice);
-        let end = view.byte_offset.checked_add(view.byte_length);
-        let bytes = end.and_then(|end| buffer.get(view.byte_offset..end));
-        let bytes =
-            bytes.ok_or_else(|| FORMAT.truncated(name, buffer.len() as u64, view.byte_length as u64))?;
+        let view =
+            accessor.buffer_view.ok_or_else(|| FORMAT.malformed(name, "no buffer view", "a buffer view"))?;
+        let bytes = self.buffers.view(view).map_err(|e| ImportError { field: name.into(), ..e })?;
+        let stride = self.document.buffer_views.get(view).and_then(|view| view.byte_stride);
         let (size, full) = match (accessor.component_type, accessor.normalized) {
             (5126, _) => (4, 1.0),
             (5120, true) => (1, 127.0),
@@ -339,7 +311,7 @@ impl Reader<'_> {
             (5122 | 5123, false) => (2, 1.0),
             (other, _) => return Err(FORMAT.malformed(name, other, "component type 5120 to 5123 or 5126")),
         };
-        let stride = view.byte_stride.unwrap_or(width * size);
+        let stride = stride.unwrap_or(width * size);
         let needed = (accessor.count - 1)
             .checked_mul(stride)
             .and_then(|bytes| bytes.checked_add(accessor.byte_offset)?.checked_add(width * size));
@@ -416,7 +388,10 @@ fn similarity(node: &Node) -> Option<Similarity> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::scene::{export, import::splat};
+    use crate::scene::{
+        export,
+        import::{ErrorKind, splat},
+    };
 
     pub fn sample(n: usize) -> Vec<u8> {
         let epoch = splat::parse(&splat::tests::sample(n), &Limits::default()).unwrap().epoch;
@@ -479,5 +454,44 @@ pub(super) mod tests {
         }
         let error = parse(&bytes[..bytes.len() - 9], nothing, &Limits::default()).unwrap_err();
         assert_eq!(error.kind, ErrorKind::Truncated);
+    }
+    const PLAIN: &[u8] = include_bytes!("../../../tests/compressed/splats.glb");
+    const PACKED: &[u8] = include_bytes!("../../../tests/compressed/packed-splats.glb");
+
+    #[test]
+    fn compressed_gaussians_are_those_that_were_compressed() {
+        let read = |bytes| parse(bytes, nothing, &Limits::default()).unwrap().epoch;
+        let (plain, packed) = (read(PLAIN).instant(0), read(PACKED).instant(0));
+        assert_eq!(plain.gaussians.len(), packed.gaussians.len());
+        for (a, b) in plain.gaussians.iter().zip(&packed.gaussians) {
+            assert_eq!(a.position, b.position);
+            let turn: f32 = a.rotation.iter().zip(b.rotation).map(|(a, b)| a * b).sum();
+            assert!(turn.abs() > 0.999_999, "{:?} {:?}", a.rotation, b.rotation);
+            assert!((a.opacity - b.opacity).abs() < 0.5 / 254.0);
+            for c in 0..3 {
+                assert!((a.scale[c] / b.scale[c] - 1.0).abs() < 1e-3, "{:?} {:?}", a.scale, b.scale);
+                assert!((a.sh0[c] - b.sh0[c]).abs() < 1e-4);
+            }
+        }
+        let rest = plain.sh_rest.iter().zip(&packed.sh_rest);
+        assert!(plain.sh_rest.len() == 9 * 90 && rest.into_iter().all(|(a, b)| (a - b).abs() < 1e-4));
+    }
+
+    #[test]
+    fn what_is_compressed_is_bounded_and_checked() {
+        for (from, to, says) in [
+            ("\"mode\":\"ATTRIBUTES\"", "\"mode\":\"TRIANGLES\"", "byteStride of buffer view 0"),
+            ("\"mode\":\"ATTRIBUTES\"", "\"mode\":\"OTHER\"", "OTHER"),
+            ("\"filter\":\"QUATERNION\"", "\"filter\":\"CUBIC\"", "CUBIC"),
+            ("\"byteLength\":1080,", "\"byteLength\":9,", "byteLength of buffer view 0"),
+            ("\"KHR_mesh_quantization\"", "\"KHR_draco\"", "KHR_draco"),
+        ] {
+            let error = parse(&edited(PACKED, from, to), nothing, &Limits::default()).unwrap_err();
+            assert!(error.to_string().contains(says), "{to}: {error}");
+        }
+        let limits = Limits { max_bytes: PACKED.len() as u64, ..Limits::default() };
+        let error = parse(PACKED, nothing, &limits).unwrap_err();
+        assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
+        assert!(error.to_string().contains("buffer view"), "{error}");
     }
 }

@@ -26,6 +26,12 @@ use super::{
 /// A header that is not PLY, missing or contradictory properties, fewer rows than declared (unless
 /// `keep_readable`), more than `limits` allow, or values that are not numbers.
 pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Snapshot, ImportError> {
+    let (columns, notes) = columns(bytes, limits)?;
+    columns.finish(Format::Ply, limits, notes)
+}
+
+/// The columns as they are in the file, quaternions of any length, and notes on them.
+pub(super) fn columns(bytes: &[u8], limits: &Limits) -> Result<(Columns, Vec<String>), ImportError> {
     limits.bytes(Format::Ply, "file", bytes.len() as u64)?;
     let header = Header::parse(bytes, Format::Ply)?;
     let rows = header
@@ -58,7 +64,7 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Snapshot, ImportError> {
         harmonics.append(&mut columns.sh_rest, |column| rows.value(row, column) as f32);
     }
     notes.extend(activation_notes(&columns));
-    columns.finish(Format::Ply, limits, notes)
+    Ok((columns, notes))
 }
 
 /// The columns of the higher bands: channel-major as PLY has them.

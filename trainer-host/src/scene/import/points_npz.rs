@@ -15,16 +15,17 @@ use codec_core::ShDegree;
 use rayon::prelude::*;
 use render_host::Camera;
 
-use self::npy::{Array, Element, FORMAT};
+use self::npy::{Array, Element};
 use super::{
     Limits,
     archive::Archive,
-    error::ImportError,
+    error::{Format, ImportError},
     nearest::Tree,
     snapshot::{Columns, logit, scene_error, sh0_of_colour},
 };
 use crate::scene::Scene;
 
+const FORMAT: Format = Format::PointsNpz;
 const MAX_CAMERAS: usize = 100_000;
 /// Neighbours that decide the size of a Gaussian.
 const NEIGHBOURS: usize = 3;

@@ -1,18 +1,25 @@
 //! Loads the file as data: JSON validated by the `gltf` crate, buffers at hand, accessors read with every
 //! index checked. The crate's own accessor readers slice without checking and are not used.
 
-use std::fmt::Display;
+use std::{collections::BTreeMap, fmt::Display};
 
 use gltf::{
     accessor::{DataType, Dimensions},
     json,
 };
 
+use super::draco;
 use crate::scene::import::{
     Limits,
     bytes::{array, u32_at},
     error::{ErrorKind, Format, ImportError},
+    gltf_buffers::{Buffers, COMPRESSIONS, resource},
 };
+
+/// Extensions that a file may need: what is compressed is unfolded when it is loaded, whole numbers are read
+/// as any others, and textures are moved when they are sampled.
+const EXTENSIONS: [&str; 5] =
+    ["KHR_mesh_quantization", "KHR_texture_transform", draco::EXTENSION, COMPRESSIONS[0], COMPRESSIONS[1]];
 
 /// The format that errors of every file below name.
 pub(super) const FORMAT: Format = Format::Gltf;
@@ -25,7 +32,11 @@ pub(super) fn too_large(field: &str, found: impl Display, allowed: impl Display)
 /// A loaded file.
 pub(super) struct Document {
     pub gltf: ::gltf::Document,
-    buffers: Vec<Vec<u8>>,
+    buffers: Buffers,
+    /// The elements of accessors that Draco has compressed, without gaps.
+    unfolded: BTreeMap<usize, Vec<u8>>,
+    /// The files of images, in their order; none where an image lies in a view.
+    images: Vec<Vec<u8>>,
     max_values: usize,
 }
 
@@ -49,34 +60,28 @@ impl Document {
         limits: &Limits,
     ) -> Result<Self, ImportError> {
         let (text, blob) = if bytes.starts_with(b"glTF") { chunks(bytes)? } else { (bytes, None) };
-        let root: json::Root = json::deserialize::from_slice(text)
+        let mut root: json::Root = json::deserialize::from_slice(text)
             .map_err(|e| FORMAT.malformed("JSON", e, "the JSON of glTF 2.0"))?;
-        if let Some(name) = root.extensions_required.first() {
-            return Err(FORMAT.unsupported("extensionsRequired", name, "files that need no extension"));
+        // The crate knows fewer of them.
+        for name in std::mem::take(&mut root.extensions_required) {
+            if !EXTENSIONS.contains(&name.as_str()) {
+                return Err(FORMAT.unsupported("extensionsRequired", name, EXTENSIONS.join(", ")));
+            }
         }
         check_indices(&root)?;
+        let buffers = Buffers::load(FORMAT, text, blob, &mut beside, limits)?;
+        let unfolded = draco::unfolded(text, &buffers, limits)?;
+        for (index, accessor) in root.accessors.iter_mut().enumerate() {
+            // The crate wants a view of each, which nobody reads where there are unfolded elements.
+            if unfolded.contains_key(&index) && !root.buffer_views.is_empty() {
+                accessor.buffer_view = Some(json::Index::new(0));
+            }
+        }
         let gltf = ::gltf::Document::from_json(root)
             .map_err(|e| FORMAT.malformed("JSON", e, "a consistent document"))?;
-        let mut buffers = Vec::new();
-        let mut left = limits.max_bytes;
-        for buffer in gltf.buffers() {
-            let field = format!("buffer {}", buffer.index());
-            let data = match buffer.source() {
-                ::gltf::buffer::Source::Bin => blob
-                    .ok_or_else(|| FORMAT.malformed(field.as_str(), "no BIN chunk", "a BIN chunk or a uri"))?
-                    .to_vec(),
-                ::gltf::buffer::Source::Uri(uri) => resource(uri, &mut beside)?,
-            };
-            if data.len() < buffer.length() {
-                return Err(FORMAT.truncated(field, data.len() as u64, buffer.length() as u64));
-            }
-            left = left
-                .checked_sub(data.len() as u64)
-                .ok_or_else(|| too_large(&field, "more", format!("{} bytes", limits.max_bytes)))?;
-            buffers.push(data);
-        }
         let max_values = limits.max_gaussians.saturating_mul(16);
-        let mut document = Self { gltf, buffers, max_values };
+        let unfolded = draco::unfolded(text, &buffers, limits)?;
+        let mut document = Self { gltf, buffers, unfolded, images: Vec::new(), max_values };
         document.embed_images(beside)?;
         Ok(document)
     }
@@ -90,9 +95,9 @@ impl Document {
         for image in &self.gltf.as_json().images {
             let data = match &image.uri {
                 None => Vec::new(),
-                Some(uri) => resource(uri, &mut beside)?,
+                Some(uri) => resource(FORMAT, uri, &mut beside)?,
             };
-            self.buffers.push(data);
+            self.images.push(data);
         }
         Ok(())
     }
@@ -100,22 +105,10 @@ impl Document {
     /// The encoded bytes of an image.
     pub fn image_bytes(&self, image: &::gltf::Image<'_>) -> Result<&[u8], ImportError> {
         let view = self.gltf.as_json().images.get(image.index()).and_then(|i| i.buffer_view);
-        match view.and_then(|v| self.gltf.views().nth(v.value())) {
-            Some(view) => self.view(&view),
-            None => {
-                let index = self.gltf.buffers().len() + image.index();
-                Ok(self.buffers.get(index).map_or(&[][..], Vec::as_slice))
-            }
+        match view {
+            Some(view) => self.buffers.view(view.value()),
+            None => Ok(self.images.get(image.index()).map_or(&[][..], Vec::as_slice)),
         }
-    }
-
-    fn view(&self, view: &::gltf::buffer::View<'_>) -> Result<&[u8], ImportError> {
-        let buffer = self.buffers.get(view.buffer().index()).map_or(&[][..], Vec::as_slice);
-        let end = view.offset().checked_add(view.length());
-        end.and_then(|end| buffer.get(view.offset()..end)).ok_or_else(|| {
-            let needed = (view.offset() as u64).saturating_add(view.length() as u64);
-            FORMAT.truncated(format!("buffer view {}", view.index()), buffer.len() as u64, needed)
-        })
     }
 
     /// An accessor's values as f32, `components` of them per element (normalised integers become
@@ -164,25 +157,31 @@ impl Document {
         })?;
         let size = accessor.data_type().size();
         let mut out = Vec::new();
-        match accessor.view() {
+        let elements = match (self.unfolded.get(&accessor.index()), accessor.view()) {
+            (Some(bytes), _) => Some((&bytes[..], components * size, 0)),
+            (None, Some(view)) => {
+                let stride = view.stride().unwrap_or(components * size);
+                Some((self.buffers.view(view.index())?, stride, accessor.offset()))
+            }
+            (None, None) => None,
+        };
+        match elements {
             None => {
                 // Zeros for sparse values to replace. The mesh they belong to has its other attributes in
                 // buffers, so there are never more of them than bytes.
-                let bytes: usize = self.buffers.iter().map(Vec::len).sum();
+                let bytes = self.buffers.bytes();
                 if total > bytes {
                     let found = format!("{total} values without a buffer view");
                     return Err(too_large(&field, found, format!("{bytes}, as many as bytes")));
                 }
                 out.resize(total, 0.0);
             }
-            Some(view) => {
-                let bytes = self.view(&view)?;
-                let stride = view.stride().unwrap_or(components * size);
+            Some((bytes, stride, offset)) => {
                 let needed = match accessor.count().checked_sub(1) {
                     None => Some(0),
                     Some(last) => last
                         .checked_mul(stride)
-                        .and_then(|o| o.checked_add(accessor.offset()))
+                        .and_then(|o| o.checked_add(offset))
                         .and_then(|o| o.checked_add(components * size)),
                 };
                 if needed.is_none_or(|n| n > bytes.len()) {
@@ -191,14 +190,15 @@ impl Document {
                 }
                 out.reserve_exact(total);
                 for element in 0..accessor.count() {
-                    let at = accessor.offset() + element * stride;
+                    let at = offset + element * stride;
                     out.extend((0..components).map(|c| scalar(bytes, at + c * size, accessor.data_type())));
                 }
             }
         }
         if let Some(sparse) = accessor.sparse() {
             let (indices, values) = (sparse.indices(), sparse.values());
-            let (index_bytes, value_bytes) = (self.view(&indices.view())?, self.view(&values.view())?);
+            let index_bytes = self.buffers.view(indices.view().index())?;
+            let value_bytes = self.buffers.view(values.view().index())?;
             let kind = match indices.index_type() {
                 ::gltf::accessor::sparse::IndexType::U8 => DataType::U8,
                 ::gltf::accessor::sparse::IndexType::U16 => DataType::U16,
@@ -263,7 +263,7 @@ fn check_indices(root: &json::Root) -> Result<(), ImportError> {
 }
 
 /// The JSON and BIN chunks of a GLB.
-fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ImportError> {
+pub(super) fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ImportError> {
     let word = |at: usize| {
         u32_at(bytes, at)
             .ok_or_else(|| FORMAT.truncated("GLB header", bytes.len() as u64, at as u64 + 4).at(at))
@@ -292,56 +292,9 @@ fn chunks(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), ImportError> {
     Ok((json, blob))
 }
 
-/// What a uri holds: base64 data, or a file beside this one.
-pub(in crate::scene::import) fn resource(
-    uri: &str,
-    beside: &mut impl FnMut(&str) -> Result<Vec<u8>, ImportError>,
-) -> Result<Vec<u8>, ImportError> {
-    match uri.strip_prefix("data:") {
-        None => beside(uri),
-        Some(data) => data
-            .split_once(";base64,")
-            .and_then(|(_, text)| base64(text.as_bytes()))
-            .ok_or_else(|| FORMAT.malformed("data uri", "other text", "base64 data")),
-    }
-}
-
-fn base64(text: &[u8]) -> Option<Vec<u8>> {
-    let text = text.strip_suffix(b"==").or(text.strip_suffix(b"=")).unwrap_or(text);
-    let mut out = Vec::with_capacity(text.len() / 4 * 3 + 3);
-    for group in text.chunks(4) {
-        let mut word = 0u32;
-        for &byte in group {
-            let digit = match byte {
-                b'A'..=b'Z' => byte - b'A',
-                b'a'..=b'z' => byte - b'a' + 26,
-                b'0'..=b'9' => byte - b'0' + 52,
-                b'+' | b'-' => 62,
-                b'/' | b'_' => 63,
-                _ => return None,
-            };
-            word = word << 6 | u32::from(digit);
-        }
-        if group.len() == 1 {
-            return None;
-        }
-        word <<= 6 * (4 - group.len());
-        out.extend(&word.to_be_bytes()[1..group.len()]);
-    }
-    Some(out)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn base64_reads_with_and_without_padding() {
-        assert_eq!(base64(b"TWFu").unwrap(), b"Man");
-        assert_eq!(base64(b"TWE=").unwrap(), b"Ma");
-        assert_eq!(base64(b"TQ==").unwrap(), b"M");
-        assert_eq!(base64(b"T*=="), None);
-    }
 
     #[test]
     fn a_chunk_longer_than_the_file_is_refused() {

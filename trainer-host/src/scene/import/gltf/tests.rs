@@ -229,3 +229,82 @@ fn zeros_that_no_byte_backs_are_refused() {
     assert_eq!(error.kind, ErrorKind::TooLarge, "{error}");
     assert!(error.to_string().contains("9000000 values without a buffer view"), "{error}");
 }
+
+macro_rules! compressed {
+    ($name:literal) => {
+        include_bytes!(concat!("../../../../tests/compressed/", $name)).as_slice()
+    };
+}
+
+/// The same mesh by different tools.
+const PACKED: &[u8] = compressed!("packed-strip.glb");
+const DRACO: [&[u8]; 2] = [compressed!("draco-edgebreaker.glb"), compressed!("draco-sequential.glb")];
+
+#[test]
+fn a_mesh_that_was_compressed_moves_as_before() {
+    const PLAIN: &[u8] = include_bytes!("../../../../../fuzz/corpus/gltf/strip.glb");
+    let read = |bytes| parse(bytes, nothing_beside, &options(Clip::First), &Limits::default()).unwrap();
+    let points = |scene: &Scene, frame| -> Vec<[f32; 3]> {
+        scene.instant(frame).unwrap().gaussians.iter().map(|g| g.position).collect()
+    };
+    // How far a sample of one is from all samples of the other, at most.
+    let apart = |scene: &Scene, frame: usize, other: &[[f32; 3]]| {
+        let tree = crate::scene::import::nearest::Tree::new(other);
+        let far = points(scene, frame).into_iter().map(|point| tree.nearest(point, 1, |_| true)[0].0.sqrt());
+        far.fold(0.0, f64::max)
+    };
+    let plain = read(PLAIN);
+    for bytes in [PACKED, DRACO[0], DRACO[1]] {
+        let packed = read(bytes);
+        assert_eq!(plain.frames(), packed.frames());
+        for frame in 0..plain.frames() {
+            // Samples are 0.05 apart on a square that grows to three times its height.
+            let far = apart(&packed, frame, &points(&plain, frame));
+            assert!(far < 0.15, "frame {frame}: a sample is {far} from the surface");
+        }
+        assert!(apart(&packed, packed.frames() - 1, &points(&plain, 0)) > 1.0, "it moves");
+    }
+}
+
+/// A GLB with another text; the numbers of the file follow.
+fn edited(bytes: &[u8], from: &str, to: &str) -> Vec<u8> {
+    let (text, blob) = document::chunks(bytes).unwrap();
+    let text = str::from_utf8(text).unwrap();
+    assert!(text.contains(from), "{from}: {text}");
+    glb(&serde_json::from_str(&text.replacen(from, to, 1)).unwrap(), blob.unwrap())
+}
+
+#[test]
+fn draco_that_contradicts_its_accessors_is_named() {
+    for (from, to, says) in [
+        ("\"mode\":4", "\"mode\":5", "KHR_draco_mesh_compression of mode 5"),
+        ("\"count\":6", "\"count\":9", "indices of compressed buffer view 1: found 9 of type SCALAR"),
+        ("\"count\":4", "\"count\":5", "JOINTS_0 of compressed buffer view 1: found 5 elements; allowed: 4"),
+        ("\"componentType\":5121", "\"componentType\":5123", "JOINTS_0 of compressed buffer view 1"),
+        ("\"JOINTS_0\":0", "\"JOINTS_0\":7", "JOINTS_0 of compressed buffer view 1: found 7"),
+        ("\"bufferView\":1,\"attributes\"", "\"bufferView\":9,\"attributes\"", "buffer view: found 9"),
+    ] {
+        let bytes = edited(DRACO[0], from, to);
+        let error = parse(&bytes, nothing_beside, &options(Clip::First), &Limits::default()).unwrap_err();
+        assert!(error.to_string().contains(says), "{to}: {error}");
+    }
+    let limits = Limits { max_gaussians: 3, ..Limits::default() };
+    let options = GltfOptions { samples: 3, ..options(Clip::First) };
+    assert!(parse(DRACO[0], nothing_beside, &options, &limits).is_err(), "more vertices than allowed");
+}
+
+#[test]
+fn damaged_draco_does_no_harm() {
+    let options = GltfOptions { samples: 20, ..options(Clip::First) };
+    for bytes in DRACO {
+        let blob = bytes.windows(4).position(|w| w == b"BIN\0").unwrap() + 4;
+        for place in blob..bytes.len() {
+            for bit in [0, 3, 7] {
+                let mut damaged = bytes.to_vec();
+                damaged[place] ^= 1 << bit;
+                // Whatever comes of it, it is an answer.
+                let _ = parse(&damaged, nothing_beside, &options, &Limits::default());
+            }
+        }
+    }
+}

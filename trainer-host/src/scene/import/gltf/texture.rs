@@ -21,6 +21,31 @@ pub(super) struct Material {
 struct Texture {
     image: Arc<Rgba8>,
     wrap: [WrappingMode; 2],
+    place: Place,
+}
+
+/// Where a texture lies: coordinates are scaled, turned, then moved.
+#[derive(Clone, Copy)]
+struct Place {
+    scale: [f32; 2],
+    /// Sine and cosine of the turn.
+    turn: (f32, f32),
+    offset: [f32; 2],
+}
+
+impl Place {
+    fn new(info: &::gltf::texture::Info<'_>) -> Self {
+        match info.texture_transform() {
+            None => Self { scale: [1.0; 2], turn: (0.0, 1.0), offset: [0.0; 2] },
+            Some(t) => Self { scale: t.scale(), turn: t.rotation().sin_cos(), offset: t.offset() },
+        }
+    }
+
+    fn apply(self, uv: [f32; 2]) -> [f32; 2] {
+        let [u, v] = [0, 1].map(|i| uv[i] * self.scale[i]);
+        let (sin, cos) = self.turn;
+        [cos * u - sin * v + self.offset[0], sin * u + cos * v + self.offset[1]]
+    }
 }
 
 impl Material {
@@ -37,7 +62,8 @@ impl Material {
             Some(info) => {
                 let texture = info.texture();
                 let image = textures.image(document, &texture.source())?;
-                Some(Texture { image, wrap: [texture.sampler().wrap_s(), texture.sampler().wrap_t()] })
+                let wrap = [texture.sampler().wrap_s(), texture.sampler().wrap_t()];
+                Some(Texture { image, wrap, place: Place::new(info) })
             }
         };
         Ok(Self {
@@ -45,7 +71,10 @@ impl Material {
             texture,
             alpha: material.alpha_mode(),
             cutoff: material.alpha_cutoff().unwrap_or(0.5),
-            uv_set: info.map_or(0, |i| i.tex_coord()),
+            uv_set: info.map_or(0, |info| {
+                let moved = info.texture_transform().and_then(|transform| transform.tex_coord());
+                moved.unwrap_or_else(|| info.tex_coord())
+            }),
         })
     }
 
@@ -97,6 +126,7 @@ impl Texture {
     /// Bilinear sample: linear rgb, alpha as stored.
     fn sample(&self, uv: [f32; 2]) -> [f32; 4] {
         let size: [u32; 2] = self.image.size().into();
+        let uv = self.place.apply(uv);
         let at = [0, 1].map(|i| uv[i] * size[i] as f32 - 0.5);
         let low = at.map(f32::floor);
         let (fx, fy) = (at[0] - low[0], at[1] - low[1]);
@@ -159,6 +189,12 @@ mod tests {
         assert_eq!(at(WrappingMode::Repeat), [3, 0, 3, 0, 1]);
         assert_eq!(at(WrappingMode::ClampToEdge), [0, 0, 3, 3, 3]);
         assert_eq!(at(WrappingMode::MirroredRepeat), [0, 0, 3, 3, 2]);
+    }
+
+    #[test]
+    fn textures_are_scaled_then_turned_then_moved() {
+        let place = Place { scale: [0.5, 2.0], turn: (1.0, 0.0), offset: [0.25, 0.0] };
+        assert_eq!(place.apply([1.0, 0.125]), [0.0, 0.5]);
     }
 
     #[test]

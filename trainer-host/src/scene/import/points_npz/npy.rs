@@ -1,13 +1,13 @@
 //! Reads one `.npy` array of an archive: its header first, its values when their number is accepted.
 
+use half::f16;
+
 use crate::scene::import::{
     archive::{Archive, Member},
     bytes::array,
-    error::{Format, ImportError},
+    error::ImportError,
 };
 
-/// The format that errors of the archive name.
-pub(super) const FORMAT: Format = Format::PointsNpz;
 /// Longest header, bytes: that of version 1 counts them in 16 bits.
 const MAX_HEADER: usize = u16::MAX as usize;
 /// Bytes unpacked at a time, about.
@@ -19,6 +19,7 @@ pub(in crate::scene::import) enum Element {
     U8,
     I32,
     I64,
+    F16,
     F32,
     F64,
 }
@@ -27,6 +28,7 @@ impl Element {
     fn bytes(self) -> usize {
         match self {
             Element::U8 => 1,
+            Element::F16 => 2,
             Element::I32 | Element::F32 => 4,
             Element::I64 | Element::F64 => 8,
         }
@@ -38,6 +40,7 @@ impl Element {
             Element::U8 => f64::from(at.first().copied().unwrap_or_default()),
             Element::I32 => f64::from(i32::from_le_bytes(array(at, 0).unwrap_or_default())),
             Element::I64 => i64::from_le_bytes(array(at, 0).unwrap_or_default()) as f64,
+            Element::F16 => f16::from_le_bytes(array(at, 0).unwrap_or_default()).to_f64(),
             Element::F32 => f64::from(f32::from_le_bytes(array(at, 0).unwrap_or_default())),
             Element::F64 => f64::from_le_bytes(array(at, 0).unwrap_or_default()),
         }
@@ -59,7 +62,8 @@ impl<'m, 'a> Array<'m, 'a> {
     /// No such member, or a header of another format, element type or order.
     pub fn open(archive: &'m mut Archive<'a>, name: &'m str) -> Result<Self, ImportError> {
         let mut values = archive.member(&format!("{name}.npy"), u64::MAX)?;
-        let bad = |found: &str, allowed: &str| FORMAT.malformed(format!("{name}.npy"), found, allowed);
+        let format = values.format();
+        let bad = |found: &str, allowed: &str| format.malformed(format!("{name}.npy"), found, allowed);
         let header = header(&mut values, &bad)?;
         let field = |key: &str| header.split_once(&format!("'{key}':")).map(|(_, rest)| rest.trim_start());
         let descr = field("descr").and_then(|f| f.strip_prefix('\'')).and_then(|f| f.split_once('\''));
@@ -67,9 +71,10 @@ impl<'m, 'a> Array<'m, 'a> {
             Some("|u1") => Element::U8,
             Some("<i4") => Element::I32,
             Some("<i8") => Element::I64,
+            Some("<f2") => Element::F16,
             Some("<f4") => Element::F32,
             Some("<f8") => Element::F64,
-            other => return Err(bad(other.unwrap_or("no descr"), "|u1, <i4, <i8, <f4 or <f8")),
+            other => return Err(bad(other.unwrap_or("no descr"), "|u1, <i4, <i8, <f2, <f4 or <f8")),
         };
         if !field("fortran_order").is_some_and(|f| f.starts_with("False")) {
             return Err(bad("Fortran order", "C order"));
@@ -96,8 +101,13 @@ impl<'m, 'a> Array<'m, 'a> {
     /// # Errors
     /// Fewer values than the shape says, or a damaged member.
     pub fn rows(mut self, width: usize, mut take: impl FnMut(&[f64])) -> Result<(), ImportError> {
-        let too_large =
-            || FORMAT.malformed(format!("shape of {}", self.name), format!("{:?}", self.shape), "less");
+        let too_large = || {
+            self.values.format().malformed(
+                format!("shape of {}", self.name),
+                format!("{:?}", self.shape),
+                "less",
+            )
+        };
         let count = self.shape.iter().try_fold(1usize, |n, length| n.checked_mul(*length));
         let needed = count.and_then(|n| n.checked_mul(self.element.bytes())).ok_or_else(too_large)?;
         let row = width * self.element.bytes();
@@ -109,7 +119,11 @@ impl<'m, 'a> Array<'m, 'a> {
             let filled = self.values.fill(&mut piece[..wanted])?;
             read += filled;
             if filled < wanted {
-                return Err(FORMAT.truncated(format!("{}.npy", self.name), read as u64, needed as u64));
+                return Err(self.values.format().truncated(
+                    format!("{}.npy", self.name),
+                    read as u64,
+                    needed as u64,
+                ));
             }
             for bytes in piece[..filled].chunks_exact(row) {
                 values.clear();
@@ -134,7 +148,11 @@ impl<'m, 'a> Array<'m, 'a> {
 
     /// The error of a shape that is not `allowed`.
     pub fn misshapen(&self, allowed: &str) -> ImportError {
-        FORMAT.malformed(format!("shape of {}", self.name), format!("{:?}", self.shape), allowed)
+        self.values.format().malformed(
+            format!("shape of {}", self.name),
+            format!("{:?}", self.shape),
+            allowed,
+        )
     }
 }
 
