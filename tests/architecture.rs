@@ -31,6 +31,7 @@ const ARROWS: [(&str, &str, &[&str]); 15] = [
             "dgs",
             "dgs-player",
             "dgs-quic",
+            "dgs-video",
             "dgs-viewer",
             "emulator-host",
             "render-host",

@@ -95,7 +95,7 @@ type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 16] = [
-    ("", [0, 1, 0, 7, 0, 0, 0, 0, 123]),
+    ("", [0, 1, 0, 7, 0, 0, 0, 0, 124]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),

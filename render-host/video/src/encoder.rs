@@ -20,7 +20,7 @@ const QUANTIZER: usize = 60;
 const SPEED: u8 = 8;
 /// The longest time without a key picture, seconds: players seek to one.
 const SECONDS_PER_KEY: f64 = 2.0;
-/// The fewest pictures from one key picture to the next where the clip changes at once, and the most in any clip.
+/// Pictures from one key picture to the next: the fewest where the clip changes at once, and the most.
 const PICTURES_PER_KEY: (u64, f64) = (12, 240.0);
 /// Pixels of a tile; tiles are encoded beside each other.
 const TILE_PIXELS: usize = 256 * 256;

@@ -21,7 +21,7 @@ pub enum VideoError {
     #[error("frames per second: found {0}; 0.001 to 10000 are allowed")]
     Rate(f64),
     /// A picture of another size than the first.
-    #[error("found {} × {} pixels; {} × {}, as of the first, are allowed", found.0, found.1, first.0, first.1)]
+    #[error("found {} pixels; {}, as of the first, are allowed", sides(found), sides(first))]
     Mismatch {
         /// Its width and height.
         found: (u32, u32),
@@ -40,4 +40,9 @@ pub enum VideoError {
     /// What the file says.
     #[error(transparent)]
     File(#[from] io::Error),
+}
+
+/// Width and height for people.
+fn sides((width, height): &(u32, u32)) -> String {
+    format!("{width} × {height}")
 }

@@ -53,7 +53,7 @@ impl Av1Configuration {
 
     /// `AV1CodecConfigurationRecord`: four bytes and the sequence header.
     pub fn record(&self) -> Vec<u8> {
-        // Marker and version; profile and level; tier, 8 bits, 4:2:0 with chroma on the left; no initial delay.
+        // Marker, version; profile, level; tier, 8 bits, 4:2:0 with chroma on the left; no initial delay.
         let head = [0x81, self.level, self.tier << 7 | 0b1101, 0];
         [&head, self.sequence_header.as_slice()].concat()
     }

@@ -1,7 +1,7 @@
 //! Writes AV1 as WebM: clusters that begin with a key picture, and where each of them is.
 //!
-//! RFC 8794 (EBML), RFC 9559 (Matroska) and "AV1 in Matroska and WebM". What stands before the clusters is written
-//! twice, with the same length: first without what is known only at the end.
+//! RFC 8794 (EBML), RFC 9559 (Matroska) and "AV1 in Matroska and WebM". What stands before the clusters is
+//! written twice, with the same length: first without what is known only at the end.
 
 use std::io::{Seek, SeekFrom, Write};
 
