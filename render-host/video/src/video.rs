@@ -43,8 +43,8 @@ enum Stage<W: Write + Seek> {
 }
 
 impl<W: Write + Seek> Video<W> {
-    /// Begins a video of `size` (width, height) into `file`, which is empty. About `pictures` are expected: room
-    /// is left for their times where a player looks first. Odd sides are padded by a row or column.
+    /// Begins a video of `size` (width, height) into `file`, which is empty. About `pictures` are expected:
+    /// room is left for their times where a player looks first. Odd sides are padded by a row or column.
     ///
     /// # Errors
     /// A size or rate out of range.

@@ -184,7 +184,7 @@ pub const ALL: &[Experiment] = &[
     },
     Experiment {
         name: "video",
-        about: "pictures to AV1 without any tool: pictures per second, bytes, error, beside ffmpeg's encoders",
+        about: "pictures to AV1 without any tool: speed, bytes, error, beside encoders of ffmpeg",
         run: video::run,
     },
     Experiment {

@@ -38,10 +38,10 @@ pub fn run(setup: &Setup) -> Result<Bench> {
     let mut bench = Bench::new(
         "video",
         format!(
-            "the first {frames} frames of a scene, {} × {}, held-out ring camera, black background, 30 frames \
-             per second; time of encoding alone, in memory for dgs-video, through a pipe for ffmpeg; PSNR of \
-             the red, green and blue that an installed ffmpeg decodes; all processors; one run each, one \
-             after the other",
+            "the first {frames} frames of a scene, {} × {}, held-out ring camera, black background, 30 \
+             frames per second; time of encoding alone, in memory for dgs-video, through a pipe for \
+             ffmpeg; PSNR of the red, green and blue that an installed ffmpeg decodes; all processors; one \
+             run each, one after the other",
             size.0, size.1
         ),
     );
