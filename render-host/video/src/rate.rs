@@ -68,7 +68,7 @@ mod tests {
             let found = FrameRate::of(rate).unwrap();
             assert_eq!((found.numerator, found.denominator), fraction, "{rate}");
         }
-        for rate in [0.7, std::f64::consts::PI, 59.123_456_789, 9999.999_9, 0.001_234_567_8] {
+        for rate in [0.7, std::f64::consts::PI, 59.123_456_789, 9_999.999_9, 0.001_234_567_8] {
             let found = FrameRate::of(rate).unwrap();
             let error = (f64::from(found.numerator) / f64::from(found.denominator) / rate - 1.0).abs();
             assert!(error < 1e-9, "{rate}: {found:?}");

@@ -36,7 +36,7 @@ pub struct Video<W: Write + Seek> {
 /// A file begins with the first coded picture, which says what stands in its head.
 enum Stage<W: Write + Seek> {
     Unbegun(W, Container),
-    Mp4(Mp4<W>),
+    Mp4(Box<Mp4<W>>),
     WebM(WebM<W>),
     /// The head could not be written.
     Failed,
@@ -112,7 +112,7 @@ impl<W: Write + Seek> Stage<W> {
         let (width, height) = planes::even(size);
         let track = Track { size: (width as u16, height as u16), rate, pictures, configuration };
         *self = match std::mem::replace(self, Self::Failed) {
-            Self::Unbegun(file, Container::Mp4) => Self::Mp4(Mp4::begin(file, &track)?),
+            Self::Unbegun(file, Container::Mp4) => Self::Mp4(Box::new(Mp4::begin(file, &track)?)),
             Self::Unbegun(file, Container::WebM) => Self::WebM(WebM::begin(file, &track)?),
             begun => begun,
         };

@@ -152,8 +152,8 @@ export class DgsPlayer extends HTMLElement {
 
   /**
    * Plays a stream of a server's `streams.json`: live over WebTransport, live over a WebSocket, its file by ranges,
-   * whatever comes first. `transport`, "live", "streams" (of WebTransport, without datagrams), "websocket" or "file", allows
-   * one of them alone.
+   * whatever comes first. `transport`, "live", "streams" (live without datagrams), "websocket" or "file", allows one of
+   * them alone.
    */
   async playServed(stream, transport = null) {
     await this.#climb(rungsOf(stream, transport), "Connecting …");

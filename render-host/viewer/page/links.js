@@ -1,8 +1,8 @@
 // A link carries a session's control stream and datagrams: over WebTransport, or in frames of a WebSocket.
 //
 // Every link has `control` and `media`, readers of `{ value, done }`; `write(bytes)` to the control stream;
-// `send(datagram)`; `close()`. One that can do without datagrams has `useStreams()`, to be kept after hello, and says by
-// `inStreams` whether that is wished from the start. SESSION.md has every byte.
+// `send(datagram)`; `close()`. One that can do without datagrams has `useStreams()`, to be called after hello, and says
+// by `inStreams` whether that is wished from the start. SESSION.md has every byte.
 
 // Datagrams that wait for this page; of more the oldest are lost.
 const WAITING_PACKETS = 4096;
@@ -20,7 +20,7 @@ export function hasWebTransport(stream) {
   return "WebTransport" in globalThis && Boolean(stream.web_address);
 }
 
-/** A link over WebTransport to the server of `stream`, known by its pin; from the start without datagrams if `streams`. */
+/** A link over WebTransport to the server of `stream`, known by its pin; without datagrams from the start if `streams`. */
 export async function openWebTransport(stream, signal, streams = false) {
   const digits = await (await fetch("certificate.sha256", { signal })).text();
   const value = Uint8Array.from(digits.trim().match(/../g) ?? [], (pair) => parseInt(pair, 16));
