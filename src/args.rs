@@ -34,6 +34,7 @@ use self::{
     number::{background, not_negative, positive, real, whole},
     train::Train,
 };
+use crate::pictures::VideoCodec;
 
 /// Dynamic Gaussian splats that stay renderable when delivery is incomplete: encode, send over a
 /// lossy link, decode what arrived, render, measure.
@@ -317,11 +318,14 @@ pub struct Decode {
 pub struct Render {
     /// A .dgs file or a scene.
     pub input: String,
-    /// NAME.png, .jpg or .webp for one image; .apng or .gif for an animation; .mp4 (H.264) or .webm (AV1)
-    /// for a video, by an installed ffmpeg; or a folder of PNG. Several images are all frames from one
-    /// camera, or one per camera of --cameras or --turntable.
+    /// NAME.png, .jpg or .webp for one image; .apng or .gif for an animation; .mp4 or .webm for a video; or a
+    /// folder of PNG. Several images are all frames from one camera, or one per camera of --cameras or
+    /// --turntable.
     #[arg(short, long)]
     pub out: PathBuf,
+    /// How a video is coded [default: av1].
+    #[arg(long, value_enum, value_name = "CODEC")]
+    pub video_codec: Option<VideoCodec>,
     /// Frames per second of an animation or video, 0.001 to 10000 [default: the scene's].
     #[arg(
         long, value_name = "FPS", value_parser = real(0.001..=10_000.0, "frames per second"),

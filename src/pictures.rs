@@ -10,7 +10,8 @@ use render_host::{
     animation::{Animation, AnimationFormat},
 };
 
-use self::video::{Video, VideoFormat};
+pub use self::video::VideoCodec;
+use self::video::{Container, Video, VideoFormat};
 use crate::files::{self, FrameFolder, PendingFile};
 
 /// Quality of JPEG, 1 to 100.
@@ -23,7 +24,7 @@ pub enum PictureOutput {
     Still(StillFormat),
     /// Moving pictures that a browser shows as it shows a still one.
     Animation(AnimationFormat),
-    /// Moving pictures by an installed ffmpeg.
+    /// A video.
     Video(VideoFormat),
     /// A folder of PNG files.
     Folder,
@@ -51,11 +52,21 @@ impl StillFormat {
 }
 
 impl PictureOutput {
-    /// By the ending of a name; a name without one is a folder's.
+    /// By the ending of a name; a name without one is a folder's. `codec` is of a video.
     ///
     /// # Errors
-    /// Another ending.
-    pub fn of(path: &Path) -> Result<Self> {
+    /// Another ending, or a codec that does not go with it.
+    pub fn of(path: &Path, codec: Option<VideoCodec>) -> Result<Self> {
+        let output = Self::of_name(path, codec)?;
+        match codec {
+            Some(_) if !matches!(output, Self::Video(_)) => {
+                bail!("--video-codec: {} is no video; .mp4 and .webm are", path.display())
+            }
+            _ => Ok(output),
+        }
+    }
+
+    fn of_name(path: &Path, codec: Option<VideoCodec>) -> Result<Self> {
         let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase());
         Ok(match ending.as_deref() {
             None => Self::Folder,
@@ -66,8 +77,8 @@ impl PictureOutput {
             Some("webp") => Self::Still(StillFormat::Webp),
             Some("apng") => Self::Animation(AnimationFormat::Apng),
             Some("gif") => Self::Animation(AnimationFormat::Gif),
-            Some("mp4") => Self::Video(VideoFormat::H264),
-            Some("webm") => Self::Video(VideoFormat::Av1),
+            Some("mp4") => Self::Video(VideoFormat::of(Container::Mp4, codec)?),
+            Some("webm") => Self::Video(VideoFormat::of(Container::WebM, codec)?),
             Some(other) => bail!(
                 "{}: .{other} is no format of pictures; .png, .jpg, .webp, .apng, .gif, .mp4, .webm, or a \
                  folder without an ending are allowed",
@@ -84,7 +95,7 @@ impl PictureOutput {
     /// Refuses an output that could not be written: asked before the work that makes the pictures.
     ///
     /// # Errors
-    /// A name that cannot be written, or a video where there is no ffmpeg that can make it.
+    /// A name that cannot be written, or a video that cannot be made here.
     pub fn check(self, path: &Path, overwrite: bool) -> Result<()> {
         match self {
             Self::Folder => FrameFolder::create(path, overwrite).map(drop),
@@ -92,7 +103,7 @@ impl PictureOutput {
             Self::Animation(_) => PendingFile::begin(path).map(drop),
             Self::Video(format) => {
                 PendingFile::begin(path)?;
-                video::find(format).map(drop)
+                format.check()
             }
         }
     }
@@ -168,7 +179,8 @@ impl<'a> PictureWriter<'a> {
                 Sink::Animation(pending, Box::new(Animation::begin(file, format, size, pictures, rate)?))
             }
             PictureOutput::Video(format) => {
-                Sink::Video(Box::new(Video::begin(self.path, format, size, rate)?))
+                let pictures = self.run.pictures;
+                Sink::Video(Box::new(Video::begin(self.path, format, size, rate, pictures)?))
             }
             other => Sink::Unbegun(other),
         })
@@ -187,7 +199,7 @@ impl<'a> PictureWriter<'a> {
                 animation.finish().with_context(|| self.path.display().to_string())?;
                 pending.finish()
             }
-            Sink::Video(video) => video.finish(),
+            Sink::Video(video) => video.finish().with_context(|| self.path.display().to_string()),
         }
     }
 }
@@ -198,18 +210,32 @@ mod tests {
 
     #[test]
     fn endings_decide_and_others_are_refused() {
-        let of = |name: &str| PictureOutput::of(Path::new(name));
+        let of = |name: &str| PictureOutput::of(Path::new(name), None);
         assert_eq!(of("a.PNG").unwrap(), PictureOutput::Still(StillFormat::Png));
         assert_eq!(of("a.jpeg").unwrap(), PictureOutput::Still(StillFormat::Jpeg));
         assert_eq!(of("a.gif").unwrap(), PictureOutput::Animation(AnimationFormat::Gif));
-        assert_eq!(of("a.mp4").unwrap(), PictureOutput::Video(VideoFormat::H264));
+        assert_eq!(of("a.mp4").unwrap(), PictureOutput::Video(VideoFormat::Av1(Container::Mp4)));
+        assert_eq!(of("a.webm").unwrap(), PictureOutput::Video(VideoFormat::Av1(Container::WebM)));
         assert_eq!(of("folder/frames").unwrap(), PictureOutput::Folder);
         let error = of("x.bmp").unwrap_err().to_string();
         assert!(error.contains("x.bmp") && error.contains(".webp"), "{error}");
         let folder = tempfile::tempdir().unwrap();
         let dotted = folder.path().join("frames.v2");
         std::fs::create_dir(&dotted).unwrap();
-        assert_eq!(PictureOutput::of(&dotted).unwrap(), PictureOutput::Folder);
+        assert_eq!(PictureOutput::of(&dotted, None).unwrap(), PictureOutput::Folder);
+    }
+
+    #[test]
+    fn a_codec_is_of_a_video_that_holds_it() {
+        let of = |name: &str, codec| PictureOutput::of(Path::new(name), Some(codec));
+        assert_eq!(of("a.mp4", VideoCodec::H264).unwrap(), PictureOutput::Video(VideoFormat::H264));
+        let av1 = of("a.mp4", VideoCodec::Av1).unwrap();
+        assert_eq!(av1, PictureOutput::Video(VideoFormat::Av1(Container::Mp4)));
+        for (name, says) in [("a.webm", ".mp4 does"), ("a.gif", "a.gif is no video"), ("frames", "no video")]
+        {
+            let error = of(name, VideoCodec::H264).unwrap_err().to_string();
+            assert!(error.contains(says), "{error}");
+        }
     }
 
     #[test]

@@ -21,7 +21,7 @@ use std::{collections::BTreeSet, path::Path};
 use source::{Tree, outside_tests};
 
 /// Package, folder, and the workspace crates it must depend on: no more, no fewer.
-const ARROWS: [(&str, &str, &[&str]); 14] = [
+const ARROWS: [(&str, &str, &[&str]); 15] = [
     (
         "dgs-lab",
         "tests/lab/",
@@ -31,6 +31,7 @@ const ARROWS: [(&str, &str, &[&str]); 14] = [
             "dgs",
             "dgs-player",
             "dgs-quic",
+            "dgs-video",
             "dgs-viewer",
             "emulator-host",
             "render-host",
@@ -45,6 +46,7 @@ const ARROWS: [(&str, &str, &[&str]); 14] = [
             "codec-simd",
             "dgs-player",
             "dgs-quic",
+            "dgs-video",
             "dgs-viewer",
             "dgs-window",
             "emulator-host",
@@ -55,6 +57,7 @@ const ARROWS: [(&str, &str, &[&str]); 14] = [
     ("trainer-host", "trainer-host/", &["codec-core", "codec-simd", "dgs-player", "render-host"]),
     ("dgs-python", "trainer-host/python/", &["codec-core", "dgs-player", "render-host", "trainer-host"]),
     ("render-host", "render-host/", &["codec-core"]),
+    ("dgs-video", "render-host/video/", &["render-host"]),
     ("dgs-viewer", "render-host/viewer/", &["codec-core", "dgs-player", "render-host"]),
     ("dgs-window", "render-host/window/", &["codec-core", "dgs-player", "dgs-viewer", "render-host"]),
     ("emulator-host", "emulator-host/", &["codec-core"]),
@@ -91,11 +94,12 @@ const TOP: [(&str, bool); 17] = [
 ];
 
 /// Crates that must not ask a clock.
-const LIBRARIES: [&str; 8] = [
+const LIBRARIES: [&str; 9] = [
     "codec-core",
     "codec-core/capi",
     "codec-core/player",
     "render-host",
+    "render-host/video",
     "render-host/viewer",
     "trainer-host",
     "trainer-host/python",

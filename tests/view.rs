@@ -23,6 +23,12 @@ const SIDE: u32 = 256;
 const LEAST_DB: f64 = 50.0;
 /// Longest wait for a page, seconds: a software adapter on a busy machine takes many for a frame.
 const PATIENCE_S: u32 = 300;
+/// A path that carries sessions of WebTransport and none of their datagrams.
+const SWALLOWS_DATAGRAMS: &str = "if (globalThis.WebTransport) {\
+    const real = Object.getOwnPropertyDescriptor(WebTransport.prototype, 'datagrams').get;\
+    const get = function () { return { readable: new ReadableStream(), writable: new WritableStream(),\
+        maxDatagramSize: real.call(this).maxDatagramSize }; };\
+    Object.defineProperty(WebTransport.prototype, 'datagrams', { get }); }";
 /// One browser at a time: each uses all of this machine.
 static TURN: Mutex<()> = Mutex::new(());
 
@@ -407,7 +413,7 @@ fn every_transport_brings_the_same_picture() {
     page.browser.resize(SIDE, SIDE).unwrap();
     let live = served::Live::start(&["--idle", "120"]);
     let mut player = stream(SMALL).receive().unwrap();
-    for transport in ["file", "live", "websocket"] {
+    for transport in ["file", "live", "streams", "websocket"] {
         page.browser.go("about:blank").unwrap();
         page.play(&format!("{}?transport={transport}&pixel-ratio=1", live.page), SIDE);
         let names = if transport == "file" { "whole ranges" } else { transport };
@@ -432,6 +438,15 @@ fn every_transport_brings_the_same_picture() {
             panic!("{transport}: {error}; {}", live.stop());
         }
     }
+    // Where datagrams never arrive the same session goes on in streams, and a page remembers that.
+    page.browser.go("about:blank").unwrap();
+    page.browser.before_pages(SWALLOWS_DATAGRAMS).unwrap();
+    page.play(&format!("{}?pixel-ratio=1&switch", live.page), SIDE);
+    page.browser.wait(PATIENCE_S, "player.dataset.transport === 'streams'").unwrap();
+    page.run("player.play(), 0");
+    page.browser.wait(PATIENCE_S, "player.session.packets()[1] > 10").unwrap();
+    assert_eq!(page.run("sessionStorage.getItem('dgs-transport')"), "streams");
+    page.run("sessionStorage.clear(), 0");
     // Without a wish the best that works plays, and a page remembers it.
     page.browser.go("about:blank").unwrap();
     page.browser.before_pages("delete globalThis.WebTransport").unwrap();

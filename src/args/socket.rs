@@ -111,6 +111,10 @@ pub struct Play {
         allow_negative_numbers = true
     )]
     pub seek: f64,
+    /// Receive media in streams of QUIC in place of datagrams from the start; otherwise that begins once none
+    /// have come for a second.
+    #[arg(long)]
+    pub streams: bool,
     /// Begin again when the clip is over.
     #[arg(long = "loop")]
     pub repeat: bool,

@@ -98,6 +98,7 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
     let config = ClientConfig {
         start_us: (args.seek * 1e6) as u64,
         loops: args.repeat,
+        streams: args.streams,
         duration: args.duration.map(Duration::from_secs_f64),
         ..ClientConfig::new(args.url.clone(), trust)
     };

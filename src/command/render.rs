@@ -29,7 +29,7 @@ struct Picture {
 
 /// Runs the verb.
 pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
-    let output = PictureOutput::of(&args.out)?;
+    let output = PictureOutput::of(&args.out, args.video_codec)?;
     output.check(&args.out, args.overwrite)?;
     let backend = Backend::open(args.device.into()).context("--device")?;
     let mut warnings = Vec::new();
@@ -52,6 +52,8 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
         writer.add(&picture.name, &rendered.image)?;
         counters = Some(rendered.counters);
     }
+    // Of a video, the last pictures are still to be coded.
+    progress.stage("finishing", 1.0);
     writer.finish()?;
     drop(progress);
     let count = pictures.len();

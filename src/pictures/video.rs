@@ -1,140 +1,140 @@
-//! Pipes pictures to an installed ffmpeg, which makes a video of them.
+//! Makes a video of pictures: AV1 by crates alone, H.264 through an installed ffmpeg.
 
-use std::{
-    fs::File,
-    io::{ErrorKind, Read as _, Seek as _, Write as _},
-    path::{Path, PathBuf},
-    process::{Child, Command, Stdio},
-};
+mod ffmpeg;
 
-use anyhow::{Context, Result, bail};
+#[cfg(feature = "video")]
+use std::fs::File;
+use std::path::Path;
+
+use anyhow::{Result, bail};
+#[cfg(feature = "video")]
+use dgs_video::Video as Av1Video;
 use render_host::Image;
 
+use self::ffmpeg::FfmpegVideo;
+#[cfg(feature = "video")]
 use crate::files::PendingFile;
+
+/// How pictures of a video are coded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum VideoCodec {
+    /// In .mp4 or .webm, without any tool.
+    Av1,
+    /// In .mp4, by an installed ffmpeg.
+    H264,
+}
+
+/// What a video is written as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Container {
+    /// ISO base media, `.mp4`.
+    Mp4,
+    /// The part of Matroska that browsers play, `.webm`.
+    WebM,
+}
 
 /// A video and its container.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VideoFormat {
+    /// AV1.
+    Av1(Container),
     /// H.264 in MP4.
     H264,
-    /// AV1 in WebM.
-    Av1,
 }
 
 impl VideoFormat {
-    /// Encoders of ffmpeg that make it, best first, each with its options of quality.
-    fn encoders(self) -> &'static [(&'static str, &'static [&'static str])] {
-        match self {
-            Self::H264 => {
-                &[("libx264", &["-crf", "17", "-preset", "medium"]), ("libopenh264", &["-b:v", "8M"])]
+    /// The one of `codec` in `container`; AV1 where none is chosen.
+    ///
+    /// # Errors
+    /// H.264 in WebM.
+    pub(super) fn of(container: Container, codec: Option<VideoCodec>) -> Result<Self> {
+        match (codec.unwrap_or(VideoCodec::Av1), container) {
+            (VideoCodec::Av1, container) => Ok(Self::Av1(container)),
+            (VideoCodec::H264, Container::Mp4) => Ok(Self::H264),
+            (VideoCodec::H264, Container::WebM) => {
+                bail!("--video-codec h264: .webm does not hold H.264; .mp4 does")
             }
-            Self::Av1 => &[
-                ("libsvtav1", &["-crf", "26", "-preset", "6"]),
-                ("libaom-av1", &["-crf", "26", "-b:v", "0", "-cpu-used", "6"]),
-            ],
         }
     }
 
-    fn container(self) -> &'static str {
+    /// Refuses a video that cannot be made here.
+    ///
+    /// # Errors
+    /// H.264 without an ffmpeg that can make it; AV1 in a build without feature `video`.
+    pub(super) fn check(self) -> Result<()> {
         match self {
-            Self::H264 => "mp4",
-            Self::Av1 => "webm",
+            Self::H264 => ffmpeg::find().map(drop),
+            Self::Av1(_) if cfg!(feature = "video") => Ok(()),
+            Self::Av1(_) => bail!(
+                "this build makes no AV1 (feature `video` of dgs is off); --video-codec h264 in an .mp4, \
+                 .apng, .gif or a folder are allowed"
+            ),
         }
     }
 }
 
-/// The encoder of the installed ffmpeg for `format`, with its options.
-///
-/// # Errors
-/// No ffmpeg, or one without such an encoder.
-pub(super) fn find(format: VideoFormat) -> Result<(&'static str, &'static [&'static str])> {
-    let listed = Command::new("ffmpeg").args(["-hide_banner", "-encoders"]).stdin(Stdio::null()).output();
-    let listed = match listed {
-        Err(error) if error.kind() == ErrorKind::NotFound => {
-            bail!("no ffmpeg is installed, which makes .mp4 and .webm; .apng, .gif or a folder need none")
-        }
-        other => other.context("ffmpeg: cannot run")?,
-    };
-    let listed = String::from_utf8_lossy(&listed.stdout).into_owned();
-    let has = |name: &str| listed.split_whitespace().any(|word| word == name);
-    let encoders = format.encoders();
-    encoders.iter().copied().find(|(name, _)| has(name)).with_context(|| {
-        let names: Vec<&str> = encoders.iter().map(|encoder| encoder.0).collect();
-        format!("the installed ffmpeg has none of the encoders {}", names.join(", "))
-    })
-}
-
-/// A video on its way.
-pub(super) struct Video {
-    child: Child,
-    pending: PendingFile,
-    target: PathBuf,
-    size: (u32, u32),
-    /// What ffmpeg says.
-    log: File,
+/// A video on its way to a file, which has its name at the end or not at all.
+pub(super) enum Video {
+    #[cfg(feature = "video")]
+    Av1 {
+        pending: PendingFile,
+        video: Box<Av1Video<File>>,
+    },
+    H264(Box<FfmpegVideo>),
 }
 
 impl Video {
-    /// Begins a video of pictures of `size` (width, height). Odd sides are padded by a row or column.
+    /// Begins a video of about `pictures` of `size` (width, height).
     pub(super) fn begin(
         target: &Path,
         format: VideoFormat,
         size: (u32, u32),
         frames_per_second: f64,
+        pictures: usize,
     ) -> Result<Self> {
-        let (encoder, quality) = find(format)?;
-        let pending = PendingFile::begin(target)?;
-        let log = tempfile::tempfile().context("ffmpeg: cannot keep what it says")?;
-        let child = Command::new("ffmpeg")
-            .args(["-hide_banner", "-loglevel", "error", "-y"])
-            .args(["-f", "rawvideo", "-pix_fmt", "rgb24"])
-            .args(["-video_size", &format!("{}x{}", size.0, size.1)])
-            .args(["-framerate", &frames_per_second.to_string(), "-i", "-"])
-            // Players need even sides and say which colours they take bytes for.
-            .args(["-vf", "pad=ceil(iw/2)*2:ceil(ih/2)*2,scale=out_color_matrix=bt709:out_range=tv"])
-            .args(["-pix_fmt", "yuv420p", "-colorspace", "bt709", "-color_primaries", "bt709"])
-            .args(["-color_trc", "bt709", "-c:v", encoder])
-            .args(quality)
-            .args(["-f", format.container()])
-            .arg(pending.path())
-            .stdin(Stdio::piped())
-            .stdout(Stdio::null())
-            .stderr(log.try_clone().context("ffmpeg: cannot keep what it says")?)
-            .spawn()
-            .context("ffmpeg: cannot run")?;
-        Ok(Self { child, pending, target: target.to_owned(), size, log })
+        match format {
+            VideoFormat::H264 => {
+                Ok(Self::H264(Box::new(FfmpegVideo::begin(target, size, frames_per_second)?)))
+            }
+            #[cfg(feature = "video")]
+            VideoFormat::Av1(container) => {
+                let container = match container {
+                    Container::Mp4 => dgs_video::Container::Mp4,
+                    Container::WebM => dgs_video::Container::WebM,
+                };
+                let mut pending = PendingFile::begin(target)?;
+                let file = pending.file().try_clone()?;
+                let video = Av1Video::begin(file, container, size, frames_per_second, pictures)?;
+                Ok(Self::Av1 { pending, video: Box::new(video) })
+            }
+            #[cfg(not(feature = "video"))]
+            VideoFormat::Av1(_) => {
+                // Only pictures of a known number leave room for their times.
+                let _ = pictures;
+                format.check()?;
+                bail!("this build makes no AV1")
+            }
+        }
     }
 
     /// Adds the next picture.
     pub(super) fn add(&mut self, picture: &Image) -> Result<()> {
-        if picture.size() != self.size {
-            let ((w, h), (width, height)) = (picture.size(), self.size);
-            bail!("found {w} × {h} pixels; {width} × {height}, as of the first, are allowed");
-        }
-        let Some(pipe) = &mut self.child.stdin else { bail!("ffmpeg takes no more pictures") };
-        match pipe.write_all(&picture.to_rgb8()) {
-            Ok(()) => Ok(()),
-            // It has ended, and says why.
-            Err(_) => bail!("ffmpeg: {}", self.said()),
+        match self {
+            #[cfg(feature = "video")]
+            Self::Av1 { video, .. } => Ok(video.add(picture)?),
+            Self::H264(video) => video.add(picture),
         }
     }
 
     /// Ends the video and gives it its name.
-    pub(super) fn finish(mut self) -> Result<()> {
-        drop(self.child.stdin.take());
-        let status = self.child.wait().context("ffmpeg: cannot wait for its end")?;
-        if !status.success() {
-            let said = self.said();
-            bail!("{}: ffmpeg ended with {status}: {said}", self.target.display());
+    pub(super) fn finish(self) -> Result<()> {
+        match self {
+            #[cfg(feature = "video")]
+            Self::Av1 { pending, video } => {
+                video.finish()?;
+                pending.finish()
+            }
+            Self::H264(video) => video.finish(),
         }
-        self.pending.finish()
-    }
-
-    fn said(&mut self) -> String {
-        let mut text = String::new();
-        // What cannot be read is not said.
-        let _ = self.log.rewind().and_then(|()| self.log.read_to_string(&mut text));
-        let last = text.lines().map(str::trim).rfind(|line| !line.is_empty());
-        last.unwrap_or("it says nothing").to_owned()
     }
 }

@@ -94,8 +94,8 @@ const MODULES: [&str; 2] = ["Options", "Kind"];
 type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
-const CEILINGS: [(&str, Counts); 15] = [
-    ("", [0, 1, 0, 7, 0, 0, 0, 0, 123]),
+const CEILINGS: [(&str, Counts); 16] = [
+    ("", [0, 1, 0, 7, 0, 0, 0, 0, 124]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
@@ -105,6 +105,7 @@ const CEILINGS: [(&str, Counts); 15] = [
     ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 23]),
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 37]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 239]),
+    ("render-host/video/", [0, 0, 0, 0, 0, 0, 0, 0, 3]),
     ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 22]),
     ("render-host/window/", [0, 0, 0, 0, 0, 0, 0, 0, 11]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 50]),

@@ -14,6 +14,7 @@ mod identity;
 mod impair;
 mod limits;
 mod locator;
+mod media_streams;
 pub mod message;
 mod offer;
 mod playback;

@@ -152,7 +152,8 @@ export class DgsPlayer extends HTMLElement {
 
   /**
    * Plays a stream of a server's `streams.json`: live over WebTransport, live over a WebSocket, its file by ranges,
-   * whatever comes first. `transport`, "live", "websocket" or "file", allows one of them alone.
+   * whatever comes first. `transport`, "live", "streams" (live without datagrams), "websocket" or "file", allows one of
+   * them alone.
    */
   async playServed(stream, transport = null) {
     await this.#climb(rungsOf(stream, transport), "Connecting …");
@@ -175,10 +176,12 @@ export class DgsPlayer extends HTMLElement {
       if (name !== "file") this.dataset.transport = name;
       await this.#began(session, came, signal);
     };
+    const switched = (name) => (this.dataset.transport = name);
+    const given = { began, came, signal, switched, player: this, worker: this.#worker };
     try {
       await load();
       for (;;) {
-        const { name, result, failure } = await climb(rungs, { began, came, signal, player: this, worker: this.#worker });
+        const { name, result, failure } = await climb(rungs, given);
         if (signal.aborted) return;
         if (name === "file") {
           if (failure) throw failure;

@@ -20,7 +20,11 @@ export function fileRung(url) {
 export function rungsOf(stream, wish) {
   const rungs = [];
   const live = (name, open) => rungs.push({ name, run: (given) => receive(stream, open, given) });
-  if (hasWebTransport(stream)) live("live", (signal) => openWebTransport(stream, signal));
+  if (hasWebTransport(stream)) {
+    // Streams are the same session: live changes to them where no datagrams pass, and they come first once they did.
+    if ([wish, remembered()].includes("streams")) live("streams", (signal) => openWebTransport(stream, signal, true));
+    live("live", (signal) => openWebTransport(stream, signal));
+  }
   if (stream.web_address) live("websocket", openWebSocket);
   if (stream.file) rungs.push(fileRung(stream.file));
   return rungs.filter(({ name }) => !wish || name === wish);
@@ -30,7 +34,7 @@ export function rungsOf(stream, wish) {
  * Runs the rungs, that one first which was the first before; `began(session, name)` for the first that has a manifest,
  * which ends the others. Resolves with the winner's name and what its run gave once that has ended, or `failure`.
  */
-export async function climb(rungs, { began, signal, ...given }) {
+export async function climb(rungs, { began, signal, switched, ...given }) {
   const known = remembered();
   const order = [...rungs].sort((a, b) => (b.name === known) - (a.name === known));
   let winner = null;
@@ -61,7 +65,11 @@ export async function climb(rungs, { began, signal, ...given }) {
         if (left === 0) reject(outcome.failure ?? new Error("No transport brings this stream"));
         else next();
       };
-      rung.run({ ...given, began: own, signal: control.signal }).then(
+      const changed = (name) => {
+        if (rungs.length > 1) remember(name);
+        switched(name);
+      };
+      rung.run({ ...given, began: own, signal: control.signal, switched: changed }).then(
         (result) => ended({ result }),
         (failure) => ended({ failure }),
       );

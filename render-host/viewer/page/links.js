@@ -1,7 +1,8 @@
 // A link carries a session's control stream and datagrams: over WebTransport, or in frames of a WebSocket.
 //
 // Every link has `control` and `media`, readers of `{ value, done }`; `write(bytes)` to the control stream;
-// `send(datagram)`; `close()`. SESSION.md has every byte.
+// `send(datagram)`; `close()`. One that can do without datagrams has `useStreams()`, to be called after hello, and says
+// by `inStreams` whether that is wished from the start. SESSION.md has every byte.
 
 // Datagrams that wait for this page; of more the oldest are lost.
 const WAITING_PACKETS = 4096;
@@ -9,14 +10,18 @@ const WAITING_PACKETS = 4096;
 const [CONTROL, DATAGRAM] = [0, 1];
 // Bytes towards the server that may wait before datagrams are lost.
 const MOST_BUFFERED = 4096;
+// Bytes of a packet in a stream of its own.
+const MOST_PACKET = 1150;
+// Kinds of messages on the control stream that stand for datagrams.
+const [STREAMS, RECEIPT] = [0x04, 0x05];
 
 /** Whether this browser has WebTransport, and the server of `stream`. */
 export function hasWebTransport(stream) {
   return "WebTransport" in globalThis && Boolean(stream.web_address);
 }
 
-/** A link over WebTransport to the server of `stream`, known by its pin. */
-export async function openWebTransport(stream, signal) {
+/** A link over WebTransport to the server of `stream`, known by its pin; without datagrams from the start if `streams`. */
+export async function openWebTransport(stream, signal, streams = false) {
   const digits = await (await fetch("certificate.sha256", { signal })).text();
   const value = Uint8Array.from(digits.trim().match(/../g) ?? [], (pair) => parseInt(pair, 16));
   const serverCertificateHashes = [{ algorithm: "sha-256", value }];
@@ -33,13 +38,65 @@ export async function openWebTransport(stream, signal) {
   const [writer, receipts] = [control.writable, datagrams.createWritable?.() ?? datagrams.writable].map((to) =>
     to.getWriter(),
   );
+  const media = new Queue(WAITING_PACKETS);
+  const end = () => media.end();
+  transport.closed.then(end, end);
+  each(datagrams.readable, (packet) => media.put(packet)).catch(() => {});
+  const take = (from) => packetOf(from).then((packet) => packet && media.put(packet), () => {});
+  each(transport.incomingUnidirectionalStreams, take).catch(() => {});
+  let inStreams = false;
+  // One receipt is on its way at a time: of those that find no room, the next says all.
+  let saying = false;
+  const say = async (datagram) => {
+    if (saying) return;
+    saying = true;
+    await writer.write(message(RECEIPT, datagram)).finally(() => (saying = false));
+  };
   return {
     control: control.readable.getReader(),
-    media: datagrams.readable.getReader(),
+    media,
     write: (bytes) => writer.write(bytes),
-    send: (datagram) => receipts.write(datagram),
+    send: (datagram) => (inStreams ? say(datagram) : receipts.write(datagram)),
+    inStreams: streams || !datagrams.maxDatagramSize,
+    useStreams: () => {
+      inStreams = true;
+      return writer.write(message(STREAMS, new Uint8Array(0)));
+    },
     close,
   };
+}
+
+// Gives everything that comes from `stream` to `take`.
+async function each(stream, take) {
+  const reader = stream.getReader();
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return;
+    take(value);
+  }
+}
+
+// The packet that a stream holds; nothing of one that holds more.
+async function packetOf(stream) {
+  const packet = new Uint8Array(MOST_PACKET);
+  let length = 0;
+  const reader = stream.getReader();
+  for (;;) {
+    const { value, done } = await reader.read();
+    if (done) return packet.slice(0, length);
+    if (length + value.length > MOST_PACKET) return reader.cancel();
+    packet.set(value, length);
+    length += value.length;
+  }
+}
+
+// A message of the control stream.
+function message(kind, body) {
+  const bytes = new Uint8Array(5 + body.length);
+  bytes[0] = kind;
+  new DataView(bytes.buffer).setUint32(1, body.length, true);
+  bytes.set(body, 5);
+  return bytes;
 }
 
 /** A link over a WebSocket to the server of this page. */

@@ -12,9 +12,14 @@ const RECEIPT_EVERY = 2;
 const RECEIPT_INTERVAL_MS = 100;
 // Seeks are this far apart at least, milliseconds: a server takes five a second.
 const SEEK_INTERVAL_MS = 250;
+// Without any media for this long after the manifest, it is wished for in streams, milliseconds.
+const NO_DATAGRAMS_MS = 1000;
 
-/** Receives `stream` (of `/streams.json`) on the link that `open` opens; `began(session)` once its manifest is there. */
-export async function receive(stream, open, { began, came, player, signal, worker }) {
+/**
+ * Receives `stream` (of `/streams.json`) on the link that `open` opens; `began(session)` once its manifest is there,
+ * `switched("streams")` once media is wished for in streams because no datagrams pass.
+ */
+export async function receive(stream, open, { began, came, player, signal, switched, worker }) {
   let link = null;
   const patience = new AbortController();
   const end = () => patience.abort();
@@ -24,13 +29,14 @@ export async function receive(stream, open, { began, came, player, signal, worke
     link = await open(patience.signal);
     const rounds = new Rounds(link, player);
     await link.write(hello(stream.name, player.currentTime));
+    if (link.inStreams) await link.useStreams();
     const { kind, body } = await message(link.control);
     clearTimeout(late);
     if (kind === REFUSAL) throw new Error(`The server refuses: ${new TextDecoder().decode(body.subarray(1))}`);
     if (kind !== MANIFEST) throw new Error(`The server sends a message of kind ${kind} in place of a manifest`);
     const session = await Session.receive(body, { worker });
     await began(session);
-    if (player.session === session) await rounds.receive(session, came, signal);
+    if (player.session === session) await rounds.receive(session, came, signal, switched);
   } finally {
     clearTimeout(late);
     signal.removeEventListener("abort", end);
@@ -56,17 +62,21 @@ class Rounds {
     this.#player = player;
   }
 
-  async receive(session, came, signal) {
+  async receive(session, came, signal, switched) {
     const player = this.#player;
     this.#start = await session.roundStart(player.currentTime);
     const say = () => this.#receipt(session).catch(() => {});
     const timer = setInterval(say, RECEIPT_INTERVAL_MS);
     const seek = () => this.#seekSoon(session);
+    const link = this.#link;
+    const quiet = () => link.useStreams().then(() => switched("streams"), () => {});
+    const waiting = link.inStreams === false ? setTimeout(quiet, NO_DATAGRAMS_MS) : 0;
     for (const event of ["loop", "seeked", "play"]) player.addEventListener(event, seek);
     try {
       for (let count = 1; ; count++) {
         const { value, done } = await this.#link.media.read();
         if (done || signal.aborted || player.session !== session) return;
+        clearTimeout(waiting);
         const taken = session.push(value);
         if (session.waiting >= MOST_WAITING) await taken;
         came();
@@ -74,6 +84,7 @@ class Rounds {
       }
     } finally {
       clearInterval(timer);
+      clearTimeout(waiting);
       clearTimeout(this.#seek);
       for (const event of ["loop", "seeked", "play"]) player.removeEventListener(event, seek);
       if (player.session === session) await this.#link.write(new Uint8Array([BYE, 0, 0, 0, 0])).catch(() => {});

@@ -30,6 +30,7 @@ mod structure;
 mod train;
 mod transport;
 mod utility;
+mod video;
 mod view;
 mod worlds;
 
@@ -180,6 +181,11 @@ pub const ALL: &[Experiment] = &[
         name: "view",
         about: "the player in a browser: first picture, frames per second, bytes, memory",
         run: view::run,
+    },
+    Experiment {
+        name: "video",
+        about: "pictures to AV1 without any tool: speed, bytes, error, beside encoders of ffmpeg",
+        run: video::run,
     },
     Experiment {
         name: "convert",

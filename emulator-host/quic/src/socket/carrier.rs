@@ -94,9 +94,19 @@ impl Carrier {
         }
     }
 
+    /// Sends media in streams from here on. A WebSocket has none, and repeats what is lost by itself.
+    pub(super) fn send_in_streams(&self) {
+        if let Self::Quic(channel) = self {
+            channel.send_in_streams();
+        }
+    }
+
     /// Becomes ready once the transport has taken the datagram.
     pub(super) fn send_when_there_is_room(&self, bytes: Bytes) -> Departure<'_> {
         match self {
+            Self::Quic(channel) if channel.sends_in_streams() => {
+                Box::pin(async move { channel.send_as_stream(bytes).await.map_err(NotSent::Closed) })
+            }
             Self::Quic(channel) => {
                 let departure = channel.send_when_there_is_room(bytes);
                 Box::pin(async move {

@@ -1,6 +1,9 @@
 //! Carries a session, its control stream and its datagrams, over QUIC itself or over WebTransport on it.
 
-use std::time::Duration;
+use std::{
+    sync::atomic::{AtomicBool, Ordering},
+    time::Duration,
+};
 
 use bytes::Bytes;
 use quinn::{
@@ -12,6 +15,7 @@ use url::Url;
 use web_transport_proto::{error_from_http3, error_to_http3};
 
 use super::{
+    media_streams::{IncomingMedia, OutgoingMedia},
     message::{Refusal, RefusalCode},
     web::{self, Closing, WebClose, WebError, WebSession},
 };
@@ -84,6 +88,11 @@ pub(super) struct Channel {
     connection: Connection,
     /// What stands before each datagram: nothing, or the number of the WebTransport session.
     head: Bytes,
+    /// Whether media leaves in streams although datagrams could be sent.
+    in_streams: AtomicBool,
+    outgoing: OutgoingMedia,
+    /// Media that a server sends in streams.
+    incoming: Option<IncomingMedia>,
 }
 
 /// How a session comes to its end, from either side.
@@ -116,13 +125,16 @@ impl Channel {
 
     /// Opens the control stream to a server; over WebTransport at `url` if there is one.
     pub(super) async fn open(connection: &Connection, url: Option<Url>) -> Result<Opened, Closed> {
-        let Some(url) = url else {
-            let control = connection.open_bi().await?;
-            return Ok(Self::new(connection, None, control));
+        let (mut channel, ending, control) = match url {
+            None => Self::new(connection, None, connection.open_bi().await?),
+            Some(url) => {
+                let (session, closing) = WebSession::open(connection, url).await?;
+                let control = session.open_stream(connection).await?;
+                Self::new(connection, Some((session, closing)), control)
+            }
         };
-        let (session, closing) = WebSession::open(connection, url).await?;
-        let control = session.open_stream(connection).await?;
-        Ok(Self::new(connection, Some((session, closing)), control))
+        channel.incoming = Some(IncomingMedia::of(connection, channel.outgoing.head()));
+        Ok((channel, ending, control))
     }
 
     fn new(
@@ -131,7 +143,14 @@ impl Channel {
         control: (SendStream, RecvStream),
     ) -> Opened {
         let head = web.as_ref().map_or_else(Bytes::new, |(session, _)| session.datagram_head());
-        let channel = Self { connection: connection.clone(), head };
+        let stream_head = web.as_ref().map_or_else(Bytes::new, |(session, _)| session.media_head());
+        let channel = Self {
+            connection: connection.clone(),
+            head,
+            in_streams: AtomicBool::new(false),
+            outgoing: OutgoingMedia::new(connection, stream_head),
+            incoming: None,
+        };
         let web = web.map(|(session, closing)| Box::new(WebEnding { session, closing: Some(closing) }));
         (channel, Ending { connection: connection.clone(), web }, control)
     }
@@ -162,10 +181,33 @@ impl Channel {
         self.connection.send_datagram(self.framed(bytes))
     }
 
-    /// The next datagram; an empty one where something came that belongs to no session here.
+    /// Media leaves in streams from here on.
+    pub(super) fn send_in_streams(&self) {
+        self.in_streams.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether media leaves in streams: it was wished, or the peer takes no datagrams.
+    pub(super) fn sends_in_streams(&self) -> bool {
+        self.in_streams.load(Ordering::Relaxed) || self.connection.max_datagram_size().is_none()
+    }
+
+    /// Becomes ready once the transport has taken the datagram in a stream of its own.
+    pub(super) async fn send_as_stream(&self, bytes: Bytes) -> Result<(), Closed> {
+        Ok(self.outgoing.send(&bytes).await?)
+    }
+
+    /// The next datagram, or what came in its place in a stream; an empty one where something came that
+    /// belongs to no session here.
     pub(super) async fn read(&self) -> Result<Bytes, ConnectionError> {
-        let datagram = self.connection.read_datagram().await?;
-        Ok(web::without_head(datagram, &self.head))
+        let datagram = async {
+            let datagram = self.connection.read_datagram().await?;
+            Ok::<_, ConnectionError>(web::without_head(datagram, &self.head))
+        };
+        let Some(incoming) = &self.incoming else { return datagram.await };
+        tokio::select! {
+            datagram = datagram => datagram,
+            media = incoming.next() => Ok(media),
+        }
     }
 
     fn framed(&self, bytes: Bytes) -> Bytes {

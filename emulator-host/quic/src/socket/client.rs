@@ -31,6 +31,9 @@ const RECEIPT_DELAY: Duration = Duration::from_millis(25);
 /// that somebody is there.
 const RECEIPT_INTERVAL: Duration = Duration::from_millis(100);
 
+/// Without any media for so long after the manifest, it is wished for in streams.
+const NO_DATAGRAMS: Duration = Duration::from_secs(1);
+
 /// What a session is held on.
 type Conversation<'c> = (&'c Channel, &'c mut Ending, &'c mut SendStream, Control<ServerMessage>);
 
@@ -172,7 +175,7 @@ pub(crate) async fn connect(config: &ClientConfig) -> Result<(Endpoint, Connecti
     let address = address.ok_or_else(unknown)?;
     let (crypto, mismatch) = config.trust.client(config.locator.scheme)?;
     let mut client = quinn::ClientConfig::new(Arc::new(crypto));
-    client.transport_config(client_transport(config.silence, config.locator.scheme));
+    client.transport_config(client_transport(config.silence, config.locator.scheme, !config.streams));
     let any: SocketAddr = match address {
         SocketAddr::V4(_) => (Ipv4Addr::UNSPECIFIED, 0).into(),
         SocketAddr::V6(_) => (Ipv6Addr::UNSPECIFIED, 0).into(),
@@ -210,6 +213,12 @@ async fn converse(
     let stream = config.locator.stream.clone();
     let hello = ClientMessage::Hello { stream, start_us: playback.start_us() };
     say(send, &hello).await?;
+    let mut in_streams = config.streams;
+    if in_streams {
+        say(send, &ClientMessage::Streams).await?;
+    }
+    // Until a packet has come: when it is taken that no datagrams pass.
+    let mut streams_at = None;
     let deadline = Instant::now() + config.silence;
     let mut history_at = Instant::now() + RECEIPT_INTERVAL;
     let mut answer_at = None;
@@ -236,9 +245,18 @@ async fn converse(
         }
         let (history, late) = (now >= history_at, answer_at.is_some_and(|at| now >= at));
         if had_manifest && (history || late || unanswered >= RECEIPT_EVERY || playback.wants_receipt()) {
-            // A receipt that finds no room is as lost as one that is dropped on the way.
-            let _ = channel.send(playback.receipt(history).into());
+            let receipt = playback.receipt(history);
+            if in_streams {
+                say(send, &ClientMessage::Receipt(receipt)).await?;
+            } else {
+                // A receipt that finds no room is as lost as one that is dropped on the way.
+                let _ = channel.send(receipt.into());
+            }
             (unanswered, answer_at, history_at) = (0, None, now + RECEIPT_INTERVAL);
+        }
+        if streams_at.is_some_and(|at| now >= at) {
+            (in_streams, streams_at) = (true, None);
+            say(send, &ClientMessage::Streams).await?;
         }
         let receipt_at = answer_at.map_or(history_at, |at| history_at.min(at));
         let wake = if had_manifest {
@@ -253,6 +271,7 @@ async fn converse(
                         playback.manifest(&message)?;
                         screen.manifest(&message);
                         had_manifest = true;
+                        streams_at = (!in_streams).then_some(now + NO_DATAGRAMS);
                         history_at = now;
                     }
                     Ok(Some(ServerMessage::Manifest(_))) => {
@@ -266,6 +285,7 @@ async fn converse(
             }
             datagram = channel.read() => {
                 let datagram = datagram.map_err(|error| PlayError::Lost(error.into()))?;
+                streams_at = None;
                 playback.media(&datagram)?;
                 screen.media(&datagram);
                 unanswered += 1;

@@ -4,7 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use quinn::{IdleTimeout, TransportConfig, VarInt};
 
-use super::scheme::Scheme;
+use super::{media_streams::MEDIA_STREAMS, scheme::Scheme};
 
 /// Bytes of datagrams that wait in the transport: two, so that the next leaves as soon as congestion control
 /// and pacing let it, and nothing is queued ahead of the scheduler.
@@ -15,6 +15,8 @@ const INITIAL_MTU: u16 = 1200;
 const RECEIVE_BUFFER_BYTES: usize = 1 << 20;
 /// Bytes of the control stream that wait to be read, at the server: many messages.
 const CONTROL_WINDOW: u32 = 4096;
+/// Bytes of a stream that wait to be read, at the client; of all its streams four times as many.
+const CLIENT_WINDOW: u32 = 1 << 20;
 /// Streams that a client may open: the control stream, over WebTransport the CONNECT stream too. One that is
 /// opened out of turn is never read, and what it holds of the window is the client's own loss.
 const SESSION_STREAMS: u32 = 2;
@@ -68,12 +70,13 @@ impl ServerLimits {
     }
 }
 
-/// How a client waits. A quiet server is left after `silence`.
-pub(super) fn client_transport(silence: Duration, scheme: Scheme) -> Arc<TransportConfig> {
+/// How a client waits. A quiet server is left after `silence`; without `datagrams` it is told that none are
+/// taken.
+pub(super) fn client_transport(silence: Duration, scheme: Scheme, datagrams: bool) -> Arc<TransportConfig> {
     let mut config = TransportConfig::default();
     let streams = match scheme {
-        Scheme::Dgs => 0,
-        Scheme::Https => WEB_STREAMS,
+        Scheme::Dgs => MEDIA_STREAMS,
+        Scheme::Https => WEB_STREAMS + MEDIA_STREAMS,
         Scheme::Moq => MOQ_STREAMS,
     };
     let requests = if scheme == Scheme::Moq { MOQ_STREAMS } else { 0 };
@@ -81,12 +84,16 @@ pub(super) fn client_transport(silence: Duration, scheme: Scheme) -> Arc<Transpo
         .max_concurrent_bidi_streams(VarInt::from_u32(requests))
         .max_concurrent_uni_streams(VarInt::from_u32(streams))
         .initial_mtu(INITIAL_MTU)
-        .datagram_receive_buffer_size(Some(RECEIVE_BUFFER_BYTES))
+        .datagram_receive_buffer_size(datagrams.then_some(RECEIVE_BUFFER_BYTES))
         .datagram_send_buffer_size(RECEIVE_BUFFER_BYTES / 16)
         .max_idle_timeout(idle_timeout(silence));
     if scheme == Scheme::Moq {
         // Who publishes and has no subscriber has nothing to say.
         config.keep_alive_interval(Some(silence / 3));
+    } else {
+        config
+            .stream_receive_window(VarInt::from_u32(CLIENT_WINDOW))
+            .receive_window(VarInt::from_u32(4 * CLIENT_WINDOW));
     }
     Arc::new(config)
 }

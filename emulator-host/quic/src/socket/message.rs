@@ -5,6 +5,8 @@
 
 use std::marker::PhantomData;
 
+use codec_core::internals::limits::MAX_RECEIPT_BYTES;
+
 /// Name of the protocol in the handshake (ALPN).
 pub const ALPN: &[u8] = b"dgs/0";
 /// Version of the session messages.
@@ -15,6 +17,8 @@ pub const MAX_NAME_BYTES: usize = 64;
 pub const MAX_SENTENCE_BYTES: usize = 1000;
 /// Longest manifest message that a session carries, bytes.
 pub const MAX_MANIFEST_BYTES: usize = 1 << 24;
+/// Longest receipt with its round, bytes.
+const MAX_ROUND_RECEIPT_BYTES: usize = 4 + MAX_RECEIPT_BYTES;
 /// Kind and length.
 const HEAD_BYTES: usize = 5;
 /// Shortest DGSM message.
@@ -23,6 +27,8 @@ const MIN_MANIFEST_BYTES: usize = 21;
 const HELLO: u8 = 0x01;
 const SEEK: u8 = 0x02;
 const BYE: u8 = 0x03;
+const STREAMS: u8 = 0x04;
+const RECEIPT: u8 = 0x05;
 const MANIFEST: u8 = 0x81;
 const REFUSAL: u8 = 0x82;
 const BEGIN: u8 = 0x83;
@@ -55,6 +61,10 @@ pub enum ClientMessage {
     },
     /// The client has seen enough.
     Bye,
+    /// Media comes in streams from here on: no datagrams pass.
+    Streams,
+    /// What a datagram of the client would hold: a round and a receipt.
+    Receipt(Vec<u8>),
 }
 
 /// What a server says.
@@ -326,13 +336,15 @@ fn framed(out: &mut Vec<u8>, kind: u8, write: impl FnOnce(&mut Vec<u8>)) {
 }
 
 impl Message for ClientMessage {
-    const KINDS: &'static str = "0x01 hello, 0x02 seek, 0x03 bye";
+    const KINDS: &'static str = "0x01 hello, 0x02 seek, 0x03 bye, 0x04 streams, 0x05 receipt";
 
     fn shape(kind: u8) -> Option<(&'static str, usize, usize)> {
         match kind {
             HELLO => Some(("hello", 12, 11 + MAX_NAME_BYTES)),
             SEEK => Some(("seek", 12, 12)),
             BYE => Some(("bye", 0, 0)),
+            STREAMS => Some(("streams", 0, 0)),
+            RECEIPT => Some(("receipt", 4, MAX_ROUND_RECEIPT_BYTES)),
             _ => None,
         }
     }
@@ -350,6 +362,11 @@ impl Message for ClientMessage {
                 Fields::new("bye", body).end()?;
                 Ok(Self::Bye)
             }
+            STREAMS => {
+                Fields::new("streams", body).end()?;
+                Ok(Self::Streams)
+            }
+            RECEIPT => Ok(Self::Receipt(body.to_vec())),
             _ => Err(MessageError::Kind { found: kind, allowed: Self::KINDS }),
         }
     }
@@ -376,6 +393,8 @@ impl Message for ClientMessage {
                 out.extend_from_slice(&start_us.to_le_bytes());
             }),
             Self::Bye => framed(out, BYE, |_| ()),
+            Self::Streams => framed(out, STREAMS, |_| ()),
+            Self::Receipt(datagram) => framed(out, RECEIPT, |out| out.extend_from_slice(datagram)),
         }
     }
 }

@@ -34,6 +34,9 @@ pub struct ClientConfig {
     pub startup: Startup,
     /// For how long the server may say nothing: not answer, not send a manifest, be gone.
     pub silence: Duration,
+    /// Whether media is to come in streams from the beginning, for networks that drop datagrams. Otherwise it
+    /// does once none have come.
+    pub streams: bool,
     /// Times that a lost connection is made again; playout goes on from where it is then.
     pub reconnects: u32,
 }
@@ -50,6 +53,7 @@ impl ClientConfig {
             caps: Caps::HOST,
             startup: Startup { rule: StartupRule::BaseGroups(0.95), max_wait: Nanos::from_s(5) },
             silence: Duration::from_secs(10),
+            streams: false,
             reconnects: 3,
         }
     }

@@ -4,6 +4,7 @@ mod browser;
 mod clients;
 mod live;
 mod servers;
+mod streams;
 mod web;
 mod web_socket;
 
@@ -132,7 +133,7 @@ impl Running {
     async fn connect_by(&self, scheme: Scheme) -> (Endpoint, Connection) {
         let (crypto, _) = self.trust.client(scheme).unwrap();
         let mut config = quinn::ClientConfig::new(Arc::new(crypto));
-        config.transport_config(client_transport(Duration::from_secs(10), scheme));
+        config.transport_config(client_transport(Duration::from_secs(10), scheme, true));
         let endpoint = Endpoint::client((Ipv4Addr::LOCALHOST, 0).into()).unwrap();
         let connecting = endpoint.connect_with(config, self.address, "localhost").unwrap();
         let connection = connecting.await.unwrap();

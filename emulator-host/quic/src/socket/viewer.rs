@@ -420,6 +420,11 @@ impl<'s> Viewer<'s> {
                 Ok(())
             }
             Ok(Some(ClientMessage::Bye) | None) | Err(ControlError::Lost(_)) => Err(End::Bye),
+            Ok(Some(ClientMessage::Streams)) => {
+                self.carrier.send_in_streams();
+                Ok(())
+            }
+            Ok(Some(ClientMessage::Receipt(datagram))) => self.on_datagram(&datagram).map_err(End::Refused),
             Ok(Some(ClientMessage::Hello { .. })) => {
                 Err(refused(RefusalCode::Message, "a session has one hello".to_owned()))
             }

@@ -1,7 +1,7 @@
 //! Opens a WebTransport session on a QUIC connection: HTTP/3's settings, the CONNECT stream, its capsules.
 //!
 //! A browser speaks this instead of ALPN `dgs/0`. One session to a connection; what HTTP/3 has besides (other
-//! requests, QPACK's streams, unidirectional streams of the session) is neither read nor answered.
+//! requests, QPACK's streams, unidirectional streams of a client) is neither read nor answered.
 
 use std::{future::Future, pin::Pin};
 
@@ -10,7 +10,7 @@ use quinn::{Connection, ConnectionError, RecvStream, SendStream};
 use url::Url;
 use web_transport_proto::{
     Capsule, CapsuleError, ConnectError, ConnectRequest, ConnectResponse, Frame, Http3CapsuleReader,
-    Settings, SettingsError, VarInt,
+    Settings, SettingsError, StreamUni, VarInt,
 };
 
 /// Name of HTTP/3 in the handshake (ALPN).
@@ -101,6 +101,14 @@ impl WebSession {
     pub(super) fn datagram_head(&self) -> Bytes {
         let mut head = BytesMut::new();
         VarInt::from_u64(self.id.into_inner() / 4).unwrap_or(VarInt::MAX).encode(&mut head);
+        head.freeze()
+    }
+
+    /// What stands before the bytes of a unidirectional stream of the session.
+    pub(super) fn media_head(&self) -> Bytes {
+        let mut head = BytesMut::new();
+        StreamUni::WEBTRANSPORT.encode(&mut head);
+        self.id.encode(&mut head);
         head.freeze()
     }
 

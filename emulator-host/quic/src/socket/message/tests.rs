@@ -17,6 +17,8 @@ fn client() -> Vec<ClientMessage> {
         ClientMessage::Hello { stream: StreamChoice::Index(513), start_us: u64::MAX },
         ClientMessage::Seek { round: 7, start_us: 12 },
         ClientMessage::Bye,
+        ClientMessage::Streams,
+        ClientMessage::Receipt(vec![1, 0, 0, 0, 7]),
     ]
 }
 

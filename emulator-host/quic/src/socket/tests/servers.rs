@@ -8,10 +8,10 @@ use quinn::{RecvStream, SendStream};
 use super::*;
 use crate::socket::message::{Message as _, Refusal, RefusalCode, ServerMessage};
 
-type Talk = Pin<Box<dyn Future<Output = ()> + Send>>;
+pub(super) type Talk = Pin<Box<dyn Future<Output = ()> + Send>>;
 
 /// What the client makes of a server that answers a hello with `talk`.
-async fn played<F>(talk: F, change: impl FnOnce(&mut ClientConfig)) -> Played
+pub(super) async fn played<F>(talk: F, change: impl FnOnce(&mut ClientConfig)) -> Played
 where
     F: Fn(Connection, SendStream, RecvStream) -> Talk + Send + 'static,
 {

@@ -1,0 +1,173 @@
+//! Where no datagrams pass, media comes in streams, receipts on the control stream, within the same bounds.
+
+use quinn::SendStream;
+
+use super::{servers::played, *};
+use crate::socket::{
+    media_streams::MEDIA_STREAMS,
+    message::{ClientMessage, Message as _, MessageReader, RefusalCode, ServerMessage},
+};
+
+fn hello() -> Vec<u8> {
+    ClientMessage::Hello { stream: StreamChoice::Index(0), start_us: 0 }.to_bytes()
+}
+
+fn packets() -> Vec<Vec<u8>> {
+    stream().packets().iter().filter(|packet| !packet.is_empty()).cloned().collect()
+}
+
+/// A client that has said hello and `more`.
+async fn greeted(server: &Running, more: &[u8]) -> (Endpoint, Connection, SendStream) {
+    let (endpoint, connection) = server.connect().await;
+    let (mut send, mut receive) = connection.open_bi().await.unwrap();
+    send.write_all(&[&hello(), more].concat()).await.unwrap();
+    // The manifest is read, so that media may leave.
+    tokio::spawn(
+        async move { while receive.read_chunk(4096, true).await.is_ok_and(|chunk| chunk.is_some()) {} },
+    );
+    (endpoint, connection, send)
+}
+
+#[test]
+fn a_client_without_datagrams_sees_the_same() {
+    within(async {
+        let server = Running::start(ServerLimits::default());
+        let plain = server.play().await.unwrap();
+        for scheme in [Scheme::Dgs, Scheme::Https] {
+            let mut config = ClientConfig { streams: true, ..server.client() };
+            config.locator.scheme = scheme;
+            let report = play(&config, &mut Headless, std::future::pending()).await.whole().unwrap();
+            assert_eq!(
+                (report.shown_count, report.packets),
+                (plain.shown_count, plain.packets),
+                "{scheme:?}"
+            );
+            assert!(report.refused == 0 && report.shown_count == u64::from(report.frames), "{report:?}");
+        }
+        let (report, viewers) = server.stop().await;
+        assert!(report.refused.is_empty() && viewers.iter().all(|viewer| viewer.receipts > 0), "{viewers:?}");
+    });
+}
+
+#[test]
+fn who_wishes_for_streams_gets_each_packet_in_one() {
+    within(async {
+        let server = Running::start(ServerLimits::default());
+        let expected = packets();
+        let (_endpoint, connection, _send) = greeted(&server, &ClientMessage::Streams.to_bytes()).await;
+        let most = expected.len().min(32);
+        let mut found = Vec::new();
+        while found.len() < most {
+            let mut stream = connection.accept_uni().await.unwrap();
+            found.push(stream.read_to_end(2000).await.unwrap());
+        }
+        assert!(found.iter().all(|packet| expected.contains(packet)), "each is one of the stream's");
+        let mut once = found.clone();
+        once.sort();
+        once.dedup();
+        assert_eq!(once.len(), found.len(), "none came twice");
+        let datagram = tokio::time::timeout(Duration::from_millis(100), connection.read_datagram()).await;
+        assert!(datagram.is_err(), "{datagram:?}");
+        // The comparison can fail: who does not wish for them gets no stream.
+        let (_endpoint, plain, _send) = greeted(&server, &[]).await;
+        let datagram = plain.read_datagram().await.unwrap();
+        assert!(expected.contains(&datagram.to_vec()));
+        let opened = tokio::time::timeout(Duration::from_millis(100), plain.accept_uni()).await;
+        assert!(opened.is_err(), "{opened:?}");
+        server.stop().await;
+    });
+}
+
+/// A viewer that reads no stream holds up itself alone, and what is on its way to it is bounded.
+#[test]
+fn streams_that_are_not_read_hold_up_nobody_else() {
+    within(async {
+        let server = Running::start(ServerLimits::default());
+        let (_endpoint, connection, _send) = greeted(&server, &ClientMessage::Streams.to_bytes()).await;
+        server.shows_every_frame().await;
+        // The first is still there, or was given up.
+        let mut first = connection.accept_uni().await.unwrap();
+        let _ = first.read_to_end(2000).await;
+        server.stop().await;
+    });
+}
+
+#[test]
+fn floods_of_receipts_end_the_session_as_those_of_datagrams_do() {
+    within(async {
+        let server = Running::start(ServerLimits::default());
+        let close = |connection: Connection| async move {
+            match connection.closed().await {
+                quinn::ConnectionError::ApplicationClosed(close) => {
+                    RefusalCode::of(close.error_code.into_inner())
+                }
+                other => panic!("{other:?}"),
+            }
+        };
+        let junk = ClientMessage::Receipt(vec![0; 40]).to_bytes();
+        let (_endpoint, connection, mut send) = greeted(&server, &ClientMessage::Streams.to_bytes()).await;
+        while send.write_all(&junk).await.is_ok() {}
+        assert_eq!(close(connection).await, Some(RefusalCode::Flood));
+        // One that is too long, one without a round, and a wish with a body.
+        let long = [&[5u8][..], &5000u32.to_le_bytes()].concat();
+        let short = [&[5u8][..], &3u32.to_le_bytes(), &[0; 3]].concat();
+        let wish = [&[4u8][..], &1u32.to_le_bytes(), &[0]].concat();
+        for bytes in [long, short, wish] {
+            let (_endpoint, connection, _send) = greeted(&server, &bytes).await;
+            assert_eq!(close(connection).await, Some(RefusalCode::Message), "{bytes:?}");
+        }
+        server.shows_every_frame().await;
+        let (report, _) = server.stop().await;
+        assert_eq!(report.refused.get("flood"), Some(&1), "{report:?}");
+    });
+}
+
+/// A path that swallows datagrams: the client wishes for streams once none has come, and hostile ones among
+/// them change nothing.
+#[test]
+fn datagrams_that_never_come_are_replaced_by_streams() {
+    within(async {
+        let talk =
+            |connection: Connection, mut send: SendStream, mut receive: quinn::RecvStream| -> servers::Talk {
+                Box::pin(async move {
+                    let manifest = ServerMessage::Manifest(stream().message().to_vec()).to_bytes();
+                    send.write_all(&manifest).await.unwrap();
+                    let mut reader = MessageReader::<ClientMessage>::default();
+                    'wish: loop {
+                        let chunk = receive.read_chunk(4096, true).await.unwrap().unwrap();
+                        let mut input = &chunk.bytes[..];
+                        while let Some(message) = reader.take(&mut input).unwrap() {
+                            if message == ClientMessage::Streams {
+                                break 'wish;
+                            }
+                        }
+                    }
+                    // More than a packet, none at all, and some that never end.
+                    let mut open = Vec::new();
+                    for bytes in [vec![0x55; 5000], Vec::new(), vec![0x55; 3]] {
+                        let mut stream = connection.open_uni().await.unwrap();
+                        let _ = stream.write_all(&bytes).await;
+                        let _ = stream.finish();
+                    }
+                    for _ in 0..MEDIA_STREAMS / 2 {
+                        let mut stream = connection.open_uni().await.unwrap();
+                        let _ = stream.write_all(b"never ends").await;
+                        open.push(stream);
+                    }
+                    for packet in packets() {
+                        let mut stream = connection.open_uni().await.unwrap();
+                        let _ = stream.write_all(&packet).await;
+                        let _ = stream.finish();
+                    }
+                    let _ = connection.closed().await;
+                })
+            };
+        let patient = |config: &mut ClientConfig| {
+            config.silence = Duration::from_secs(5);
+            config.startup.max_wait = Nanos::from_s(20);
+        };
+        let report = played(talk, patient).await.whole().unwrap();
+        assert_eq!(report.packets, packets().len() as u64, "{report:?}");
+        assert!(report.base_miss_rate == 0.0 && report.refused <= 2, "{report:?}");
+    });
+}
