@@ -1,8 +1,8 @@
 //! An average is the mean of what the last steps of a training led to.
 //!
 //! Steps of one view each tremble around what all views agree on; while rates stay high, each view has a say
-//! and the mean of the steps is nearer to it than any of them (Polyak and Juditsky, "Acceleration of Stochastic
-//! Approximation by Averaging", 1992).
+//! and the mean of the steps is nearer to it than any of them (Polyak and Juditsky, "Acceleration of
+//! Stochastic Approximation by Averaging", 1992).
 
 use serde::{Deserialize, Serialize};
 
