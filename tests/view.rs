@@ -179,7 +179,14 @@ fn it_plays_scrubs_loops_and_ends() {
     page.browser.press(",").unwrap();
     assert_eq!(page.number("player.session.frame"), 14.0);
     page.browser.press("o").unwrap();
-    assert_eq!(page.run("player.overlay"), true);
+    assert_eq!(page.run("player.overlay"), "levels");
+    page.browser.press("o").unwrap();
+    page.browser.press("o").unwrap();
+    assert_eq!(page.run("player.overlay"), "weights");
+    let title = "player.shadowRoot.querySelector('.paint').title";
+    assert_eq!(page.run(title), "Paint blocks: weights (O)");
+    page.browser.press("o").unwrap();
+    assert_eq!(page.run("player.overlay"), "none");
     // On so small a picture the bar is one row, and it goes where nothing is moved while the clip plays.
     let bar = "player.shadowRoot.querySelector('.bar')";
     assert!(page.number(&format!("{bar}.getBoundingClientRect().height")) <= 72.0);
@@ -465,7 +472,7 @@ fn every_transport_brings_the_same_picture() {
 fn the_picture_of_the_readme() {
     let Some(mut page) = Page::open("src=streams/large.dgs&paused&pixel-ratio=1", SIDE) else { return };
     page.run("player.style.cssText = '', player.toggleNetwork(), player.quality = 3, 0");
-    page.run("player.impair({ loss: 0.35, burst: 3, seed: 3 }), player.overlay = true, player.home(), 0");
+    page.run("player.impair({ loss: 0.35, burst: 3, seed: 3 }), player.overlay = 'levels', player.home(), 0");
     std::thread::sleep(std::time::Duration::from_secs(20));
     let picture = page.browser.picture(80).unwrap();
     assert!(picture.len() <= 150_000, "{} bytes", picture.len());

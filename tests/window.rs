@@ -18,7 +18,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use dgs_viewer::{Session, Up};
+use dgs_viewer::{Overlay, Session, Up};
 use display::Display;
 use render_host::{Backend, Image, Settings, metric::psnr, render};
 use run::{ok, refused};
@@ -103,7 +103,7 @@ fn a_picture_without_a_display_is_the_renderers() {
     let more = ["--background", BACKGROUND.0, "--at", "8", "--level", "0", "--overlay"];
     ok(at, &[out.as_slice(), &more].concat());
     session.set_cap(0);
-    session.set_overlay(true);
+    session.set_overlay(Overlay::Levels);
     let shown = Image::read(&at.join("a.png"), [0.0; 3]).unwrap();
     let db = psnr(&shown, &expected(&mut session, SIZE)).unwrap();
     assert!(db >= LEAST_DB, "base alone: {db} dB");
@@ -184,7 +184,7 @@ fn a_window_shows_what_the_renderer_draws_and_obeys() {
     shown.press("comma", |session| session.playback_mut().step(-1));
     shown.press("w", |session| session.orbit_mut().fly(0.0, 0.0, 0.08));
     shown.press("shift+Left", |session| session.orbit_mut().pan(24.0, 0.0, 192.0));
-    shown.press("o", |session| session.set_overlay(true));
+    shown.press("o", |session| session.set_overlay(Overlay::Levels));
     shown.press("1", |session| session.set_cap(0));
     shown.display.act(&["mousedown", "1", "mousemove", "130", "90", "mouseup", "1"]);
     shown.session.orbit_mut().turn(30.0, 10.0, 192.0);

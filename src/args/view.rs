@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{ArgGroup, Args};
+use dgs_viewer::Overlay;
 use render_host::camera::MAX_SIDE;
 
 use super::{
@@ -61,9 +62,13 @@ pub struct WindowArgs {
     /// Highest level shown, 0 to 3.
     #[arg(long, default_value_t = 3, value_parser = whole::<usize>(0..=3, "levels"), requires = "native")]
     pub level: usize,
-    /// Paint blocks by the level that they are shown at.
-    #[arg(long, requires = "native")]
-    pub overlay: bool,
+    /// Paint blocks by the level that they are shown at, by how long ago they gained one, or by how much of a
+    /// picture they can cover: levels (without a name), arrivals, weights or none.
+    #[arg(
+        long, value_name = "WHAT", num_args = 0..=1, require_equals = true, default_value = "none",
+        default_missing_value = "levels", value_parser = overlay, requires = "native"
+    )]
+    pub overlay: Overlay,
     /// Begin at this time, at least 0 seconds.
     #[arg(
         long, value_name = "SECONDS", default_value_t = 0.0, value_parser = not_negative,
@@ -79,4 +84,8 @@ pub struct WindowArgs {
     /// Take the whole display.
     #[arg(long, requires = "window")]
     pub fullscreen: bool,
+}
+
+fn overlay(text: &str) -> Result<Overlay, String> {
+    Overlay::named(text).ok_or_else(|| "none, levels, arrivals and weights are allowed".to_owned())
 }

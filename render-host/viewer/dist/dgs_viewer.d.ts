@@ -108,9 +108,10 @@ export class Decoder {
      */
     bounds(): Float64Array;
     /**
-     * Sets the highest level shown, 0 to 3, and whether blocks are painted by level.
+     * Sets the highest level shown, 0 to 3, and what blocks are painted by: the place of an [`Overlay`]
+     * among all of them.
      */
-    choose(cap: number, overlay: boolean): void;
+    choose(cap: number, overlay: number): void;
     /**
      * Copies what was packed to `into`, which is as long.
      */
@@ -159,9 +160,9 @@ export class Decoder {
      */
     pack(anew: boolean): Picture | undefined;
     /**
-     * Packets that came, and those that were decoded.
+     * Packets that came, those that were decoded, and bytes that the emulated network has delivered.
      */
-    packets(): Uint32Array;
+    packets(): Float64Array;
     /**
      * Takes a packet that a server sent.
      */

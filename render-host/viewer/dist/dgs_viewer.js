@@ -307,9 +307,10 @@ export class Decoder {
         return v1;
     }
     /**
-     * Sets the highest level shown, 0 to 3, and whether blocks are painted by level.
+     * Sets the highest level shown, 0 to 3, and what blocks are painted by: the place of an [`Overlay`]
+     * among all of them.
      * @param {number} cap
-     * @param {boolean} overlay
+     * @param {number} overlay
      */
     choose(cap, overlay) {
         wasm.decoder_choose(this.__wbg_ptr, cap, overlay);
@@ -483,13 +484,13 @@ export class Decoder {
         return ret[0] === 0 ? undefined : Picture.__wrap(ret[0]);
     }
     /**
-     * Packets that came, and those that were decoded.
-     * @returns {Uint32Array}
+     * Packets that came, those that were decoded, and bytes that the emulated network has delivered.
+     * @returns {Float64Array}
      */
     packets() {
         const ret = wasm.decoder_packets(this.__wbg_ptr);
-        var v1 = getArrayU32FromWasm0(ret[0], ret[1]).slice();
-        wasm.__wbindgen_free(ret[0], ret[1] * 4, 4);
+        var v1 = getArrayF64FromWasm0(ret[0], ret[1]).slice();
+        wasm.__wbindgen_free(ret[0], ret[1] * 8, 8);
         return v1;
     }
     /**

@@ -1,5 +1,5 @@
 import type { Screen } from "./dgs_viewer.js";
-import type { Session } from "./session.js";
+import type { Overlay, Session } from "./session.js";
 
 /** What an emulated network does to packets. */
 export interface Conditions {
@@ -78,8 +78,10 @@ export class DgsPlayer extends HTMLElement {
   loop: boolean;
   /** Highest level shown, 0 to 3. */
   quality: number;
-  /** Whether blocks are painted in the colour of their level. */
-  overlay: boolean;
+  /** What blocks are painted by; see `session.d.ts`. */
+  overlay: Overlay;
+  /** Paints blocks by the next overlay. */
+  nextOverlay(): void;
   /** `#rrggbb`. */
   background: string;
   view: View | null;

@@ -1,5 +1,14 @@
 import { Controls } from "./dgs_viewer.js";
 
+/**
+ * What blocks are painted by: nothing, the level that they are shown at, how long ago a level came (bright to dark
+ * over a second), or how much of a picture they can cover.
+ */
+export type Overlay = "none" | "levels" | "arrivals" | "weights";
+
+/** All of them, in the order in which the key O goes through them. */
+export const OVERLAYS: readonly Overlay[];
+
 /** Where to decode: `worker: false` for the thread of the page. */
 export interface DecodingOptions {
   worker?: boolean;
@@ -22,8 +31,8 @@ export class Session extends Controls {
   readonly loaded: number;
   /** Highest level shown, 0 to 3. */
   cap: number;
-  /** Whether blocks are painted by level. */
-  overlay: boolean;
+  /** What blocks are painted by. Anything else is a RangeError. */
+  overlay: Overlay;
   /** Whether packets are on their way through the emulated network. */
   readonly busy: boolean;
   /** Whether the screen has the picture of what is wished. */
@@ -36,8 +45,8 @@ export class Session extends Controls {
   info(): [number, number, number, number];
   /** Blocks of the frame by level, as last answered: proxies, base, refinements 1 to 3. */
   levels(): Uint32Array;
-  /** Packets that came, and those that were decoded, as last answered. */
-  packets(): Uint32Array;
+  /** Packets that came, those that were decoded, and bytes that the emulated network has delivered, as last answered. */
+  packets(): Float64Array;
   /** Takes a packet; the promise is kept once the decoder has it. */
   push(packet: Uint8Array): Promise<void>;
   /** Which bytes to ask for next: first and past; one number for the whole file; none when all is there. */

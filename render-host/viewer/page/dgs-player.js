@@ -6,7 +6,7 @@ import { load } from "./load.js";
 import { NetworkPanel } from "./network.js";
 import { bindIdle, bindKeys, bindPointers } from "./input.js";
 import { climb, fileRung, rungsOf } from "./ladder.js";
-import { Session } from "./session.js";
+import { OVERLAYS, Session } from "./session.js";
 import { STYLE } from "./style.js";
 
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
@@ -22,7 +22,7 @@ const KEYS = [
   ["0", "first view"],
   ["U", "another way up"],
   ["1 2 3 4", "highest level shown"],
-  ["O", "paint blocks by level"],
+  ["O", "paint blocks by level, by what just came, by weight"],
   ["N", "network"],
   ["L", "loop"],
   ["F", "full screen"],
@@ -42,7 +42,7 @@ const TEMPLATE = `
   <button class="loop" aria-label="Loop" title="Loop (L)" aria-pressed="true">↻</button>
   <select class="quality" aria-label="Highest level shown" title="Highest level shown (1 to 4)"></select>
   <input class="background wide" type="color" value="#000000" aria-label="Background" title="Background">
-  <button class="paint" aria-label="Paint blocks by level" title="Paint blocks by level (O)" aria-pressed="false">◩</button>
+  <button class="paint" aria-label="Paint blocks" title="Paint blocks: none (O)" aria-pressed="false">◩</button>
   <button class="net" aria-label="Network" title="Network (N)" aria-pressed="false">⇅</button>
   <button class="whole" aria-label="Full screen" title="Full screen (F)"><svg width="14" height="14" viewBox="0 0 14 14" fill="none" stroke="currentColor" stroke-width="2" aria-hidden="true"><path d="M1 5V1h4M9 1h4v4M13 9v4H9M5 13H1V9"/></svg></button>
   <button class="help" aria-label="Keys" title="Keys (?)">?</button>
@@ -253,7 +253,7 @@ export class DgsPlayer extends HTMLElement {
     on(".quality", "change", ({ target }) => (this.quality = Number(target.value)));
     on(".loop", "click", () => (this.loop = !this.loop));
     on(".background", "input", ({ target }) => (this.background = target.value));
-    on(".paint", "click", () => (this.overlay = !this.overlay));
+    on(".paint", "click", () => this.nextOverlay());
     on(".net", "click", () => this.toggleNetwork());
     on(".whole", "click", () => this.toggleFullscreen());
     on(".help", "click", () => this.showHelp());
@@ -307,7 +307,9 @@ export class DgsPlayer extends HTMLElement {
     play.setAttribute("aria-label", playing ? "Pause" : "Play");
     this.#part(".time").max = session.duration;
     this.#part(".loop").setAttribute("aria-pressed", session.looping);
-    this.#part(".paint").setAttribute("aria-pressed", session.overlay);
+    const paint = this.#part(".paint");
+    paint.setAttribute("aria-pressed", session.overlay !== OVERLAYS[0]);
+    paint.title = `Paint blocks: ${session.overlay} (O)`;
     this.#part(".quality").value = session.cap;
     this.#part(".speed").value = session.rate;
     this.#showTime();
@@ -389,13 +391,18 @@ export class DgsPlayer extends HTMLElement {
     this.#change("levelchange", (session) => (session.cap = Math.max(0, Math.min(3, Math.round(level) || 0))));
   }
 
-  /** Whether blocks are painted in the colour of their level. */
+  /** What blocks are painted by: none, levels (that they are shown at), arrivals (of the last second), weights. */
   get overlay() {
-    return this.session?.overlay ?? false;
+    return this.session?.overlay ?? OVERLAYS[0];
   }
 
   set overlay(overlay) {
     this.#change("levelchange", (session) => (session.overlay = overlay));
+  }
+
+  /** Paints blocks by the next of these. */
+  nextOverlay() {
+    this.overlay = OVERLAYS[(OVERLAYS.indexOf(this.overlay) + 1) % OVERLAYS.length];
   }
 
   /** Share of the stream that is there, 0 to 1. */

@@ -85,7 +85,7 @@ export function bindKeys(player, canvas, moved) {
     2: () => (player.quality = 1),
     3: () => (player.quality = 2),
     4: () => (player.quality = 3),
-    o: () => (player.overlay = !player.overlay),
+    o: () => player.nextOverlay(),
     n: () => player.toggleNetwork(),
     l: () => (player.loop = !player.loop),
     f: () => player.toggleFullscreen(),

@@ -1,4 +1,4 @@
-// The network panel loses packets on purpose and shows what is left: sliders, a plot of usable levels, numbers.
+// The network panel loses packets on purpose and shows what is left: sliders, plots, numbers.
 
 import { levelColours } from "./dgs_viewer.js";
 
@@ -14,7 +14,8 @@ const PARTS = `
 <label>Bursts <input class="burst" type="range" min="1" max="20" step="1" value="1"><output>1 packet</output></label>
 <label>Rate <input class="rate" type="range" min="-1" max="${NO_LIMIT}" step="0.05" value="${NO_LIMIT}"><output>no limit</output></label>
 <label>Seed <input class="seed" type="range" min="1" max="50" step="1" value="1"><output>1</output></label>
-<canvas role="img" aria-label="Share of blocks by level over time"></canvas>
+<canvas class="levels" role="img" aria-label="Share of blocks by level over time"></canvas>
+<canvas class="bits" role="img" aria-label="Bits that arrived per second over time"></canvas>
 <ul class="legend"></ul>
 <p class="numbers" role="status"></p>`;
 
@@ -22,6 +23,9 @@ export class NetworkPanel {
   #root;
   #engine;
   #history = [];
+  // Bits per second of each sample, and bytes until the last one and its time.
+  #bits = [];
+  #until = null;
   #timer = 0;
   #colours = null;
 
@@ -50,7 +54,7 @@ export class NetworkPanel {
 
   /** Another stream begins under the conditions that are set. */
   began() {
-    this.#history = [];
+    [this.#history, this.#bits, this.#until] = [[], [], null];
     if (this.#value("loss") > 0 || this.#value("rate") < NO_LIMIT) this.#impair();
   }
 
@@ -86,14 +90,54 @@ export class NetworkPanel {
     const blocks = Math.max(1, levels.reduce((sum, count) => sum + count, 0));
     this.#history.push([...levels].map((count) => count / blocks));
     if (this.#history.length > SAMPLES) this.#history.shift();
-    const [came, decoded] = session.packets();
+    const [came, decoded, bytes] = session.packets();
+    const bits = this.#rateOf(bytes, performance.now());
+    // The mean number of levels, of as many as there are.
+    const quality = levels.reduce((sum, count, level) => sum + level * count, 0) / (blocks * (levels.length - 1));
     const share = ((100 * levels[0]) / blocks).toFixed(1);
     this.#root.querySelector(".numbers").textContent =
-      `${decoded} of ${came} packets decoded; ${share} % of ${blocks} blocks by stand-ins`;
+      `${decoded} of ${came} packets decoded; ${share} % of ${blocks} blocks by stand-ins; ` +
+      `${(bits * 1e-6).toPrecision(2)} Mbit/s; ${Math.round(100 * quality)} % of all levels`;
     this.#plot();
   }
 
+  // Bits per second since the last sample; less than before where packets came anew.
+  #rateOf(bytes, now) {
+    const [before, then] = this.#until ?? [bytes, now];
+    this.#until = [bytes, now];
+    const bits = now > then ? (8000 * Math.max(0, bytes - before)) / (now - then) : 0;
+    this.#bits.push(bits);
+    if (this.#bits.length > SAMPLES) this.#bits.shift();
+    return bits;
+  }
+
   #plot() {
+    this.#plotLevels();
+    this.#plotBits();
+  }
+
+  // A canvas of its size on the page, empty.
+  #pen(selector) {
+    const canvas = this.#root.querySelector(selector);
+    const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+    if (canvas.width !== width) canvas.width = width;
+    if (canvas.height !== height) canvas.height = height;
+    const pen = canvas.getContext("2d");
+    pen.clearRect(0, 0, width, height);
+    return { pen, width, height, step: width / SAMPLES };
+  }
+
+  #plotBits() {
+    const { pen, height, step } = this.#pen("canvas.bits");
+    const most = Math.max(1, ...this.#bits);
+    pen.fillStyle = "#8ab4d8";
+    this.#bits.forEach((bits, k) => {
+      const top = (height * bits) / most;
+      pen.fillRect(k * step, height - top, Math.ceil(step), top);
+    });
+  }
+
+  #plotLevels() {
     if (!this.#colours) {
       const all = [...levelColours()].map((v) => Math.round(255 * v));
       this.#colours = NAMES.map((_, k) => `rgb(${all.slice(3 * k, 3 * k + 3)})`);
@@ -101,13 +145,7 @@ export class NetworkPanel {
         (name, k) => `<li><i style="background:${this.#colours[k]}"></i>${name}</li>`,
       ).join("");
     }
-    const canvas = this.#root.querySelector("canvas");
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight];
-    if (canvas.width !== width) canvas.width = width;
-    if (canvas.height !== height) canvas.height = height;
-    const pen = canvas.getContext("2d");
-    pen.clearRect(0, 0, width, height);
-    const step = width / SAMPLES;
+    const { pen, height, step } = this.#pen("canvas.levels");
     this.#history.forEach((shares, k) => {
       let y = height;
       shares.forEach((share, level) => {

@@ -9,11 +9,14 @@ export const MOST_WAITING = 1024;
 // Requests that a picture of what is wished may take.
 const MOST_ROUNDS = 8;
 
+// What blocks can be painted by, in the decoder's order.
+export const OVERLAYS = ["none", "levels", "arrivals", "weights"];
+
 export class Session extends Controls {
   #decoding;
   #facts;
   #cap = LEVELS - 1;
-  #overlay = false;
+  #overlay = OVERLAYS[0];
   #loaded;
   // What the decoder said last, besides pictures.
   #state;
@@ -98,13 +101,14 @@ export class Session extends Controls {
     this.#cap = Math.max(0, Math.min(LEVELS - 1, Math.round(level) || 0));
   }
 
-  /** Whether blocks are painted by level. */
+  /** What blocks are painted by: one of OVERLAYS. */
   get overlay() {
     return this.#overlay;
   }
 
   set overlay(overlay) {
-    this.#overlay = Boolean(overlay);
+    if (!OVERLAYS.includes(overlay)) throw new RangeError(`overlay: ${overlay}; ${OVERLAYS.join(", ")} are allowed`);
+    this.#overlay = overlay;
   }
 
   /** Whether packets are on their way through the emulated network. */
@@ -235,11 +239,11 @@ export class Session extends Controls {
     if (this.#pending || this.#freed || (asked === this.#requested && !this.busy)) return;
     this.#requested = asked;
     const anew = this.#anew;
-    const given = { frame: this.frame, cap: this.#cap, overlay: this.#overlay, now: now / 1000, anew, wished };
+    const given = { frame: this.frame, cap: this.#cap, overlay: OVERLAYS.indexOf(this.#overlay), now: now / 1000 };
     const buffer = this.#buffer;
     this.#buffer = null;
     if (wished) this.#anew = false;
-    this.#pending = this.#decoding.ask("show", { ...given, buffer }, buffer ? [buffer] : []).then(
+    this.#pending = this.#decoding.ask("show", { ...given, anew, wished, buffer }, buffer ? [buffer] : []).then(
       ({ picture, state }) => this.#take(wish, wished, picture, state),
       (error) => {
         this.#pending = null;

@@ -36,4 +36,4 @@ pub use playback::{Playback, Step};
 pub use ranges::{FIRST_BYTES, RangePlan, Wanted, message};
 #[cfg(any(target_family = "wasm", feature = "screen"))]
 pub use screen::{Drawn, Look, Screen, ScreenError};
-pub use session::{BlocksByLevel, LEVEL_COLOURS, LEVELS, Session, Shown};
+pub use session::{BlocksByLevel, LEVEL_COLOURS, LEVELS, Overlay, Session, Shown};

@@ -1,17 +1,16 @@
 //! A session holds one stream, its clock, its camera and its emulated network, and says what to draw.
 
+mod overlay;
+
 use std::ops::Range;
 
-use codec_core::{
-    internals::{
-        ids::{ClusterId, Span},
-        layout::Shape,
-    },
-    player::MAX_RECEIPT_BYTES,
-};
+use codec_core::{internals::ids::Span, player::MAX_RECEIPT_BYTES};
 use dgs_player::{Caps, Damage, FrameDecoder, Player, Result, Stream, Usable};
-use render_host::{Gaussian, Splats};
+use render_host::Splats;
 
+pub use self::overlay::Overlay;
+
+use self::overlay::Painter;
 use crate::{
     bounds::bounds,
     channel::{Channel, Conditions},
@@ -27,8 +26,6 @@ pub const LEVELS: usize = 4;
 /// vision tell them apart.
 pub const LEVEL_COLOURS: [[f32; 3]; LEVELS + 1] =
     [[0.80, 0.27, 0.13], [0.95, 0.64, 0.16], [0.90, 0.88, 0.35], [0.25, 0.66, 0.70], [0.22, 0.38, 0.75]];
-/// Display colour per unit of band 0.
-const SH0: f32 = 0.282_094_79;
 
 /// How long the clock waits for a base that a server may still send, seconds.
 const PATIENCE_S: f64 = 0.5;
@@ -56,6 +53,8 @@ pub struct Session {
     channel: Channel,
     /// Packets given to the network, and when it began, seconds.
     sent: usize,
+    /// Bytes that it delivered.
+    delivered: u64,
     sent_since_s: Option<f64>,
     plan: Option<RangePlan>,
     /// Whether a server sends packets.
@@ -63,8 +62,7 @@ pub struct Session {
     playback: Playback,
     orbit: Orbit,
     cap: usize,
-    overlay: bool,
-    painted: Vec<Gaussian>,
+    painter: Painter,
     state: Vec<u8>,
     /// Changes with everything that changes harmonics: packets, cap, overlay.
     content: u64,
@@ -88,14 +86,14 @@ impl Session {
             decoder,
             channel: Channel::new(Conditions::default()),
             sent: 0,
+            delivered: 0,
             sent_since_s: None,
             plan: None,
             live: false,
             playback,
             orbit: Orbit::default(),
             cap: LEVELS - 1,
-            overlay: false,
-            painted: Vec::new(),
+            painter: Painter::default(),
             state: Vec::new(),
             content: 0,
             last: None,
@@ -198,6 +196,7 @@ impl Session {
         let fresh = &self.packets[self.sent..];
         if !fresh.is_empty() {
             self.player.push_all(fresh.iter().map(Vec::as_slice));
+            self.delivered += fresh.iter().map(|packet| packet.len() as u64).sum::<u64>();
             self.sent = self.packets.len();
             self.content += 1;
         }
@@ -210,7 +209,8 @@ impl Session {
     pub fn impair(&mut self, conditions: Conditions) -> Result<()> {
         self.player = Player::new(&self.message, &Caps::HOST)?;
         self.channel = Channel::new(conditions);
-        (self.sent, self.sent_since_s) = (0, None);
+        (self.sent, self.delivered, self.sent_since_s) = (0, 0, None);
+        self.painter.forget();
         self.content += 1;
         if self.channel.conditions().is_perfect() {
             self.send_all();
@@ -223,8 +223,15 @@ impl Session {
         self.channel.conditions()
     }
 
-    /// Lets the network deliver what is through at `now_s`; true while more is on its way.
+    /// Lets the network deliver what is through at `now_s`; true while more is on its way, or what has come
+    /// is still painted as new.
     pub fn deliver(&mut self, now_s: f64) -> bool {
+        let fading = self.painter.pass_to(now_s);
+        self.content += u64::from(fading);
+        fading | self.deliver_packets(now_s)
+    }
+
+    fn deliver_packets(&mut self, now_s: f64) -> bool {
         if self.channel.conditions().is_perfect() {
             return false;
         }
@@ -240,6 +247,7 @@ impl Session {
             }
             self.sent += 1;
         }
+        self.delivered += arrived.iter().map(|packet| packet.len() as u64).sum::<u64>();
         self.player.push_all(arrived);
         self.content += u64::from(self.sent > before);
         self.sent < self.packets.len()
@@ -322,14 +330,14 @@ impl Session {
         self.content += 1;
     }
 
-    /// Whether blocks are painted in the colour of the level that they are shown at.
-    pub fn overlay(&self) -> bool {
-        self.overlay
+    /// What blocks are painted by.
+    pub fn overlay(&self) -> Overlay {
+        self.painter.overlay()
     }
 
-    /// Sets that.
-    pub fn set_overlay(&mut self, overlay: bool) {
-        self.overlay = overlay;
+    /// Paints blocks by `overlay`.
+    pub fn set_overlay(&mut self, overlay: Overlay) {
+        self.painter.set_overlay(overlay);
         self.content += 1;
     }
 
@@ -358,29 +366,19 @@ impl Session {
         }
         let capped = if self.cap < LEVELS - 1 { content.with_state(&self.state) } else { content };
         let frame = self.decoder.frame(&capped, self.playback.frame())?;
-        if !self.overlay {
+        let overlay = self.painter.overlay();
+        if overlay == Overlay::None {
             // The decoder gives as many harmonics as Gaussians have.
             let splats = Splats::new(frame.gaussians, frame.sh_rest, frame.sh_degree)
                 .unwrap_or_else(|_| Splats::plain(frame.gaussians));
             return Ok(Shown { splats, only_moved });
         }
-        self.painted.clear();
-        self.painted.extend_from_slice(frame.gaussians);
-        let span = Span::Canonical(frame.decoded.epoch);
-        let mut first = 0;
-        for cluster in (0..capped.manifest.clusters_of(span).unwrap_or(0)).map(|c| ClusterId(c as u16)) {
-            let shape = Shape::in_lattice(capped.manifest, span, cluster)?;
-            let cell = capped.cell_in_lattice(span, cluster)?;
-            for block in 0..shape.blocks() {
-                let colour = LEVEL_COLOURS[capped.arrived(cell, block)?.usable().min(LEVELS)];
-                let sh0 = colour.map(|c| (c - 0.5) / SH0);
-                let start = first + shape.first_of(block);
-                let many = shape.block_gaussians(block);
-                self.painted.iter_mut().skip(start).take(many).for_each(|gaussian| gaussian.sh0 = sh0);
-            }
-            first += shape.gaussians();
-        }
-        Ok(Shown { splats: Splats::plain(&self.painted), only_moved })
+        let epoch = frame.decoded.epoch;
+        let shown = if overlay == Overlay::Arrivals { &content } else { &capped };
+        let painted = self.painter.paint(frame.gaussians, epoch.0, Span::Canonical(epoch), shown)?;
+        // Weights are of the frame.
+        let only_moved = only_moved && overlay != Overlay::Weights;
+        Ok(Shown { splats: Splats::plain(painted), only_moved })
     }
 
     /// How many blocks of the frame that is due have come to which level, whatever the cap.
@@ -401,6 +399,11 @@ impl Session {
     pub fn packets(&self) -> (usize, usize) {
         let counters = self.player.counters();
         (self.packets.len(), (counters.media + counters.parity) as usize)
+    }
+
+    /// Bytes of packets that the emulated network has delivered.
+    pub fn delivered_bytes(&self) -> u64 {
+        self.delivered
     }
 }
 

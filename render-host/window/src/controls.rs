@@ -19,7 +19,7 @@ pub const KEYS: [(&str, &str); 18] = [
     ("0", "first view"),
     ("U", "another way up"),
     ("1 2 3 4", "highest level shown"),
-    ("O", "paint blocks by level"),
+    ("O", "paint blocks by level, by what just came, by weight"),
     ("[ ]", "lose fewer or more packets"),
     ("N", "lose others"),
     ("B", "another background"),
@@ -157,7 +157,7 @@ impl Act {
             Self::Home => *session.orbit_mut() = session.orbit().home(aspect(size)),
             Self::NextUp => *session.orbit_mut() = session.orbit().with_up(session.orbit().up().next()),
             Self::Cap(cap) => session.set_cap(cap),
-            Self::Overlay => session.set_overlay(!session.overlay()),
+            Self::Overlay => session.set_overlay(session.overlay().next()),
             Self::Loss(more) => {
                 let before = session.conditions();
                 // Steps add up to whole percents.
@@ -188,6 +188,8 @@ pub(crate) fn next_background(now: [f32; 3]) -> [f32; 3] {
 #[cfg(test)]
 mod tests {
     use std::fs;
+
+    use dgs_viewer::Overlay;
 
     use super::*;
 
@@ -221,7 +223,7 @@ mod tests {
         assert!(!session.playback().looping());
         press(&mut session, "2");
         press(&mut session, "o");
-        assert_eq!((session.cap(), session.overlay()), (1, true));
+        assert_eq!((session.cap(), session.overlay()), (1, Overlay::Levels));
         let before = session.orbit().numbers();
         for key in ["w", "e", "a", "+"] {
             press(&mut session, key);

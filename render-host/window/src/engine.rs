@@ -307,7 +307,7 @@ fn until_next_frame(session: &Session) -> f64 {
 mod tests {
     use std::fs;
 
-    use dgs_viewer::{FIRST_BYTES, Up};
+    use dgs_viewer::{FIRST_BYTES, Overlay, Up};
     use render_host::{
         Image,
         gpu::{Device, DeviceOptions},
@@ -331,7 +331,7 @@ mod tests {
             background: [0.0; 3],
             up: Up::default(),
             cap: 3,
-            overlay: false,
+            overlay: Overlay::None,
             time_s: 0.0,
             playing: true,
             fullscreen: false,

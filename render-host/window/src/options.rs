@@ -1,6 +1,6 @@
 //! Options say how a window begins.
 
-use dgs_viewer::{Session, Up};
+use dgs_viewer::{Overlay, Session, Up};
 
 use crate::WindowError;
 
@@ -17,8 +17,8 @@ pub struct WindowOptions {
     pub up: Up,
     /// Highest level shown, 0 to 3.
     pub cap: usize,
-    /// Whether blocks are painted by level.
-    pub overlay: bool,
+    /// What blocks are painted by.
+    pub overlay: Overlay,
     /// Where the clock begins, seconds.
     pub time_s: f64,
     /// Whether it runs.

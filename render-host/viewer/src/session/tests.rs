@@ -2,7 +2,9 @@
 
 use codec_core::internals::wire::{crc::crc32, receipt::Receipt};
 
-use super::*;
+use render_host::Gaussian;
+
+use super::{overlay::SH0, *};
 
 const FILE: &[u8] = include_bytes!("../../../../codec-core/tests/conformance/everything.dgs");
 
@@ -45,7 +47,7 @@ fn a_cap_leaves_finer_levels_out_and_gives_them_back() {
 fn the_overlay_paints_blocks_and_moves_nothing() {
     let mut session = session();
     let plain = shown(&mut session);
-    session.set_overlay(true);
+    session.set_overlay(Overlay::Levels);
     let painted = shown(&mut session);
     assert!(plain.iter().zip(&painted).all(|(a, b)| a.position == b.position && a.opacity == b.opacity));
     let finest = LEVEL_COLOURS[LEVELS].map(|c| (c - 0.5) / SH0);
@@ -54,6 +56,66 @@ fn the_overlay_paints_blocks_and_moves_nothing() {
     session.deliver(0.0);
     let proxy = LEVEL_COLOURS[0].map(|c| (c - 0.5) / SH0);
     assert!(shown(&mut session).iter().any(|gaussian| gaussian.sh0 == proxy));
+}
+
+fn painted(session: &mut Session, overlay: Overlay) -> Vec<[f32; 3]> {
+    session.set_overlay(overlay);
+    shown(session).iter().map(|gaussian| gaussian.sh0.map(|c| 0.5 + SH0 * c)).collect()
+}
+
+#[test]
+fn what_has_just_come_is_bright_for_a_second() {
+    let mut session = session();
+    let is_bright = |colour: &&[f32; 3]| colour[0] > 0.9;
+    let bright = |session: &mut Session| {
+        let colours: Vec<_> = shown(session).iter().map(|g| g.sh0.map(|c| 0.5 + SH0 * c)).collect();
+        colours.iter().filter(is_bright).count()
+    };
+    assert_eq!(painted(&mut session, Overlay::Arrivals).iter().filter(is_bright).count(), 0, "of old");
+    assert!(!session.deliver(0.0));
+    // Bases first, all else half a second later.
+    let rate_bps = Some(8.0 * FILE.len() as f64);
+    session.impair(Conditions { rate_bps, ..Conditions::default() }).unwrap();
+    session.deliver(1.0);
+    assert_eq!(bright(&mut session), 0, "what is there at first is no news");
+    session.deliver(1.4);
+    let grown = bright(&mut session);
+    assert!(grown > 0);
+    assert!(session.deliver(1.5), "colours change with time");
+    let before = session.content();
+    session.deliver(9.0);
+    shown(&mut session);
+    assert!(session.content() > before);
+    session.deliver(11.0);
+    assert_eq!(bright(&mut session), 0);
+    assert!(!session.deliver(12.0));
+}
+
+#[test]
+fn weights_are_of_the_block_that_covers_most_and_move_nothing() {
+    let mut session = session();
+    let plain = shown(&mut session);
+    let colours = painted(&mut session, Overlay::Weights);
+    let brightness = |colour: &[f32; 3]| colour.iter().sum::<f32>();
+    let brightest = colours.iter().map(brightness).fold(0.0, f32::max);
+    assert!((brightest - 2.53).abs() < 1e-3, "{brightest}: the heaviest block is at the end of the colours");
+    assert!(colours.iter().any(|colour| brightness(colour) < 0.9 * brightest));
+    let after = shown(&mut session);
+    assert!(plain.iter().zip(&after).all(|(a, b)| a.position == b.position && a.scale == b.scale));
+    assert_eq!(painted(&mut session, Overlay::None).len(), plain.len());
+    assert_eq!(shown(&mut session), plain);
+    assert_eq!(Overlay::ALL.map(Overlay::next)[3], Overlay::None);
+}
+
+#[test]
+fn bytes_are_counted_where_the_network_lets_them_through() {
+    let mut session = session();
+    let all = session.delivered_bytes();
+    assert!(all > 0);
+    session.impair(Conditions { loss: 0.5, seed: 2, ..Conditions::default() }).unwrap();
+    assert_eq!(session.delivered_bytes(), 0);
+    session.deliver(0.0);
+    assert!((1..all).contains(&session.delivered_bytes()));
 }
 
 #[test]
@@ -104,7 +166,7 @@ fn what_only_moves_is_known_to() {
     let mut session = session();
     assert!(!session.show().unwrap().only_moved, "the first picture is new");
     assert!(session.show().unwrap().only_moved);
-    session.set_overlay(true);
+    session.set_overlay(Overlay::Levels);
     assert!(!session.show().unwrap().only_moved);
 }
 

@@ -9,7 +9,7 @@ use crate::{
     channel::Conditions,
     orbit::{Orbit, Up},
     ranges::{Wanted, message},
-    session::Session,
+    session::{Overlay, Session},
 };
 
 /// One stream; its clock and camera are [`Controls`](super::Controls).
@@ -169,11 +169,13 @@ impl Decoder {
         self.session.playback_mut().seek((f64::from(frame) + 0.5) / rate);
     }
 
-    /// Sets the highest level shown, 0 to 3, and whether blocks are painted by level.
-    pub fn choose(&mut self, cap: u32, overlay: bool) {
+    /// Sets the highest level shown, 0 to 3, and what blocks are painted by: the place of an [`Overlay`]
+    /// among all of them.
+    pub fn choose(&mut self, cap: u32, overlay: u32) {
         if self.session.cap() != cap as usize {
             self.session.set_cap(cap as usize);
         }
+        let overlay = Overlay::ALL.get(overlay as usize).copied().unwrap_or_default();
         if self.session.overlay() != overlay {
             self.session.set_overlay(overlay);
         }
@@ -196,10 +198,10 @@ impl Decoder {
         Ok(self.session.levels()?.to_vec())
     }
 
-    /// Packets that came, and those that were decoded.
-    pub fn packets(&self) -> Vec<u32> {
+    /// Packets that came, those that were decoded, and bytes that the emulated network has delivered.
+    pub fn packets(&self) -> Vec<f64> {
         let (came, decoded) = self.session.packets();
-        vec![came as u32, decoded as u32]
+        vec![came as f64, decoded as f64, self.session.delivered_bytes() as f64]
     }
 
     /// Where the Gaussians of the frame are: their middle (3), and a radius.

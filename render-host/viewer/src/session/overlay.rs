@@ -1,0 +1,173 @@
+//! An overlay paints blocks of Gaussians by what is known of them, and moves nothing.
+
+use std::collections::BTreeMap;
+
+use codec_core::internals::{
+    ids::{ClusterId, Span},
+    layout::Shape,
+    receiver::Content,
+};
+use dgs_player::Result;
+use render_host::Gaussian;
+
+use super::{LEVEL_COLOURS, LEVELS};
+
+/// Display colour per unit of band 0.
+pub(super) const SH0: f32 = 0.282_094_79;
+/// How long a block stays bright after a level has come, seconds.
+const BRIGHT_S: f64 = 1.0;
+/// Colours of a block that has just gained a level, and of one that has not for long.
+const ARRIVALS: [[f32; 3]; 2] = [[1.0, 0.92, 0.35], [0.14, 0.15, 0.20]];
+/// From the least to the most weight; brightness rises with it.
+const WEIGHTS: [[f32; 3]; 5] =
+    [[0.10, 0.05, 0.30], [0.40, 0.10, 0.45], [0.75, 0.25, 0.35], [0.95, 0.55, 0.20], [0.98, 0.95, 0.60]];
+
+/// What blocks are painted by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Overlay {
+    /// Nothing: they have their own colours.
+    #[default]
+    None,
+    /// The level that they are shown at: see [`LEVEL_COLOURS`].
+    Levels,
+    /// How long ago they gained a level: bright at once, dark after a second.
+    Arrivals,
+    /// How much of a picture they can cover, opacity times area, as a share of the heaviest block. Receivers
+    /// have no utilities; a sender without any would begin with this.
+    Weights,
+}
+
+impl Overlay {
+    /// All of them, in the order in which a key goes through them.
+    pub const ALL: [Self; 4] = [Self::None, Self::Levels, Self::Arrivals, Self::Weights];
+
+    /// The one of this name; `None` where there is none.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().zip(NAMES).find(|(_, known)| *known == name).map(|(overlay, _)| overlay)
+    }
+
+    /// The one after this.
+    #[must_use]
+    pub fn next(self) -> Self {
+        let at = Self::ALL.iter().position(|overlay| *overlay == self).unwrap_or(0);
+        Self::ALL[(at + 1) % Self::ALL.len()]
+    }
+}
+
+/// Names of all overlays.
+const NAMES: [&str; 4] = ["none", "levels", "arrivals", "weights"];
+
+/// An epoch, a cluster of it and a block of that.
+type BlockPlace = (u16, u16, usize);
+
+/// Paints Gaussians.
+#[derive(Debug, Default)]
+pub(super) struct Painter {
+    overlay: Overlay,
+    painted: Vec<Gaussian>,
+    /// The time, seconds.
+    now_s: f64,
+    /// Of each block that was painted by arrivals, its usable levels and when they grew last.
+    grown: BTreeMap<BlockPlace, (usize, f64)>,
+    /// When any did.
+    last_grown_s: f64,
+}
+
+impl Painter {
+    pub(super) fn overlay(&self) -> Overlay {
+        self.overlay
+    }
+
+    pub(super) fn set_overlay(&mut self, overlay: Overlay) {
+        *self = Self { overlay, now_s: self.now_s, last_grown_s: f64::NEG_INFINITY, ..Self::default() };
+    }
+
+    /// Forgets what came: everything comes again.
+    pub(super) fn forget(&mut self) {
+        self.set_overlay(self.overlay);
+    }
+
+    /// Lets time come to `now_s`; true while colours change with it.
+    pub(super) fn pass_to(&mut self, now_s: f64) -> bool {
+        self.now_s = now_s;
+        self.overlay == Overlay::Arrivals && now_s < self.last_grown_s + BRIGHT_S
+    }
+
+    /// `gaussians` of a frame of `epoch`, painted by what of `content` has come; without higher harmonics.
+    ///
+    /// # Errors
+    /// None in practice: content is as its manifest says.
+    pub(super) fn paint(
+        &mut self,
+        gaussians: &[Gaussian],
+        epoch: u16,
+        span: Span,
+        content: &Content,
+    ) -> Result<&[Gaussian]> {
+        self.painted.clear();
+        self.painted.extend_from_slice(gaussians);
+        let is_first = self.grown.range((epoch, 0, 0)..=(epoch, u16::MAX, usize::MAX)).next().is_none();
+        let mut blocks = Vec::new();
+        let mut first = 0;
+        for cluster in 0..content.manifest.clusters_of(span).unwrap_or(0) {
+            let cluster = ClusterId(cluster as u16);
+            let shape = Shape::in_lattice(content.manifest, span, cluster)?;
+            let cell = content.cell_in_lattice(span, cluster)?;
+            for block in 0..shape.blocks() {
+                let usable = content.arrived(cell, block)?.usable().min(LEVELS);
+                let start = (first + shape.first_of(block)).min(gaussians.len());
+                let past = (start + shape.block_gaussians(block)).min(gaussians.len());
+                blocks.push(((epoch, cluster.0, block), usable, start..past));
+            }
+            first += shape.gaussians();
+        }
+        let of_block =
+            |range: &std::ops::Range<usize>| gaussians[range.clone()].iter().map(weight).sum::<f32>();
+        let weights: Vec<f32> = match self.overlay {
+            Overlay::Weights => blocks.iter().map(|(_, _, range)| of_block(range)).collect(),
+            _ => vec![0.0; blocks.len()],
+        };
+        let heaviest = weights.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
+        for ((place, usable, range), weight) in blocks.into_iter().zip(weights) {
+            let colour = match self.overlay {
+                Overlay::None | Overlay::Levels => LEVEL_COLOURS[usable],
+                Overlay::Arrivals => self.arrival_colour(place, usable, is_first),
+                Overlay::Weights => ramp(&WEIGHTS, (weight / heaviest).sqrt()),
+            };
+            let sh0 = colour.map(|c| (c - 0.5) / SH0);
+            self.painted[range].iter_mut().for_each(|gaussian| gaussian.sh0 = sh0);
+        }
+        Ok(&self.painted)
+    }
+
+    /// The colour of a block that has `usable` levels now; what is there when an epoch is painted for the
+    /// first time has been there for long.
+    fn arrival_colour(&mut self, place: BlockPlace, usable: usize, is_first: bool) -> [f32; 3] {
+        let begun = if is_first { (usable, f64::NEG_INFINITY) } else { (0, f64::NEG_INFINITY) };
+        let (had, grown_s) = self.grown.entry(place).or_insert(begun);
+        if usable > *had {
+            (*had, *grown_s) = (usable, self.now_s);
+            self.last_grown_s = self.now_s;
+        }
+        let age = ((self.now_s - *grown_s) / BRIGHT_S).clamp(0.0, 1.0);
+        ramp(&ARRIVALS, age as f32)
+    }
+}
+
+/// How much a Gaussian can cover: its opacity times the area of its largest cross-section.
+fn weight(gaussian: &Gaussian) -> f32 {
+    let [x, y, z] = gaussian.scale;
+    let area = (x * y).max(y * z).max(z * x);
+    if area.is_finite() { gaussian.opacity * area } else { 0.0 }
+}
+
+/// The colour at `share` of the way along `colours`, 0 to 1.
+fn ramp(colours: &[[f32; 3]], share: f32) -> [f32; 3] {
+    let last = colours.len() - 1;
+    let at = share.clamp(0.0, 1.0) * last as f32;
+    let before = (at as usize).min(last.saturating_sub(1));
+    let part = at - before as f32;
+    std::array::from_fn(|c| {
+        colours[before][c] + part * (colours[(before + 1).min(last)][c] - colours[before][c])
+    })
+}
