@@ -23,7 +23,7 @@ export interface ServedStream {
 /** Azimuth, elevation (radians), distance, target x, y, z (scene units). */
 export type View = [number, number, number, number, number, number];
 
-export interface DgsPlayerEventMap extends HTMLElementEventMap {
+export interface DgsPlayerEventMap extends Omit<HTMLElementEventMap, "progress"> {
   loadstart: Event;
   progress: Event;
   loadedmetadata: Event;
