@@ -8,9 +8,8 @@ use codec_core::{internals::ids::Span, player::MAX_RECEIPT_BYTES};
 use dgs_player::{Caps, Damage, FrameDecoder, Player, Result, Stream, Usable};
 use render_host::Splats;
 
-pub use self::overlay::Overlay;
-
 use self::overlay::Painter;
+pub use self::overlay::{LEVEL_COLOURS, LEVELS, Overlay};
 use crate::{
     bounds::bounds,
     channel::{Channel, Conditions},
@@ -18,14 +17,6 @@ use crate::{
     playback::{Playback, Step},
     ranges::{RangePlan, Wanted},
 };
-
-/// Levels there are, base included.
-pub const LEVELS: usize = 4;
-
-/// Colours of what a block is shown at: its proxy, its base, refinements 1 to 3. People with any colour
-/// vision tell them apart.
-pub const LEVEL_COLOURS: [[f32; 3]; LEVELS + 1] =
-    [[0.80, 0.27, 0.13], [0.95, 0.64, 0.16], [0.90, 0.88, 0.35], [0.25, 0.66, 0.70], [0.22, 0.38, 0.75]];
 
 /// How long the clock waits for a base that a server may still send, seconds.
 const PATIENCE_S: f64 = 0.5;

@@ -10,7 +10,13 @@ use codec_core::internals::{
 use dgs_player::Result;
 use render_host::Gaussian;
 
-use super::{LEVEL_COLOURS, LEVELS};
+/// Levels there are, base included.
+pub const LEVELS: usize = 4;
+
+/// Colours of what a block is shown at: its proxy, its base, refinements 1 to 3. People with any colour
+/// vision tell them apart.
+pub const LEVEL_COLOURS: [[f32; 3]; LEVELS + 1] =
+    [[0.80, 0.27, 0.13], [0.95, 0.64, 0.16], [0.90, 0.88, 0.35], [0.25, 0.66, 0.70], [0.22, 0.38, 0.75]];
 
 /// Display colour per unit of band 0.
 pub(super) const SH0: f32 = 0.282_094_79;
