@@ -182,9 +182,9 @@ fn it_plays_scrubs_loops_and_ends() {
     assert_eq!(page.run("player.overlay"), "levels");
     page.browser.press("o").unwrap();
     page.browser.press("o").unwrap();
-    assert_eq!(page.run("player.overlay"), "weights");
+    assert_eq!(page.run("player.overlay"), "coverage");
     let title = "player.shadowRoot.querySelector('.paint').title";
-    assert_eq!(page.run(title), "Paint blocks: weights (O)");
+    assert_eq!(page.run(title), "Paint blocks: coverage (O)");
     page.browser.press("o").unwrap();
     assert_eq!(page.run("player.overlay"), "none");
     // On so small a picture the bar is one row, and it goes where nothing is moved while the clip plays.

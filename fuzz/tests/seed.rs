@@ -11,9 +11,6 @@
     reason = "a test's helpers fail like tests"
 )]
 
-#[path = "seed/compressed_ply.rs"]
-mod compressed_ply;
-
 use std::{
     io::{Cursor, Write},
     path::Path,
@@ -31,8 +28,6 @@ use trainer_host::{
     export::{self, ply as ply_writer, spz as spz_writer},
     import,
 };
-
-use self::compressed_ply::compressed_ply;
 
 fn corpus() -> std::path::PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpus")
@@ -235,11 +230,13 @@ fn session() {
 }
 
 fn imports() {
-    let epoch: Epoch = import::splat::parse(&splat(24), &import::Limits::default()).unwrap().epoch;
+    let of =
+        |n: usize| -> Epoch { import::splat::parse(&splat(n), &import::Limits::default()).unwrap().epoch };
+    let epoch = of(24);
     put("ply", "binary", &ply_writer::encode(&epoch, 0));
     put("ply", "ascii", &ascii_ply(3));
-    put("compressed_ply", "two-chunks", &compressed_ply(260));
-    put("compressed_ply", "few", &compressed_ply(5));
+    put("compressed_ply", "two-chunks", &export::compressed_ply::encode(&of(260), 0));
+    put("compressed_ply", "few", &export::compressed_ply::encode(&of(5), 0));
     put("splat", "few", &splat(5));
     put(
         "spz",

@@ -29,7 +29,7 @@ pub struct Serve {
         long, value_name = "URL",
         conflicts_with_all = [
             "listen", "http", "no_http", "host", "cert", "key", "policy", "max_viewers", "max_rate", "idle",
-            "impair",
+            "impair", "fixed_conditions",
         ]
     )]
     pub moq: Option<Locator>,
@@ -76,6 +76,10 @@ pub struct Serve {
     /// rate=5mbit, delay=40ms, jitter=5ms, queue=250ms, trace=FILE, seed=1. What viewers send is left alone.
     #[arg(long, value_name = "LINK")]
     pub impair: Option<String>,
+    /// Refuse viewers another scheduler and another emulated link. Otherwise each may ask for them in its own
+    /// session, as the page's network panel does.
+    #[arg(long)]
+    pub fixed_conditions: bool,
     /// How to read a scene.
     #[command(flatten)]
     pub scene: SceneArgs,

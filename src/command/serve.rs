@@ -57,7 +57,14 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         ..ServerLimits::default()
     };
     let policy = pipeline::policy(args.policy);
-    let config = ServerConfig { bind: args.listen, identity, limits, policy, impairment };
+    let config = ServerConfig {
+        bind: args.listen,
+        identity,
+        limits,
+        policy,
+        impairment,
+        viewer_conditions: !args.fixed_conditions,
+    };
     // At once: serving may take days.
     warnings.iter().for_each(|warning| output::complain(&format!("warning: {warning}")));
     let served = runtime()?.block_on(serve(args, &host, config, offers, quiet))?;

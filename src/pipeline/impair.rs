@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::{Context, Result, bail};
 use dgs_quic::socket::Impairment;
 use emulator_host::{
-    Bytes, Nanos, Rate,
+    Nanos, Rate,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
 };
 
@@ -14,8 +14,6 @@ use super::link::read_replay;
 /// What is allowed, for errors.
 const ALLOWED: &str = "a trace file, or a list of loss=5%, burst=4, rate=5mbit, delay=40ms, jitter=5ms, \
                        queue=250ms, trace=FILE, seed=1";
-/// Shortest queue: two whole datagrams.
-const LEAST_QUEUE: u64 = 3000;
 /// The queue of a link without a rate of its own has nothing to wait for; one with a rate has this.
 const QUEUE: Nanos = Nanos::from_ms(250);
 
@@ -24,15 +22,15 @@ const QUEUE: Nanos = Nanos::from_ms(250);
 /// # Errors
 /// A word that is not allowed, a number out of range, an unreadable trace.
 pub fn impairment(text: &str) -> Result<Impairment> {
-    let mut path = PathConfig { capacity: Capacity::Unlimited, delay: Nanos::ZERO, ..PathConfig::default() };
-    let (mut loss, mut burst, mut queue, mut seed) = (0.0, None, QUEUE, 1);
+    let mut path = PathConfig::unimpaired();
+    let (mut loss, mut burst, mut queue, mut seed) = (0.0, 1.0, QUEUE, 1);
     let whole_trace = format!("trace={text}");
     let words = if text.contains('=') { text } else { whole_trace.as_str() };
     for word in words.split(',') {
         let (key, value) = word.split_once('=').with_context(|| refusal(word))?;
         match key {
             "loss" => loss = share(value).with_context(|| refusal(word))?,
-            "burst" => burst = Some(mean_burst(value).with_context(|| refusal(word))?),
+            "burst" => burst = mean_burst(value).with_context(|| refusal(word))?,
             "rate" => path.capacity = Capacity::Constant(rate(value).with_context(|| refusal(word))?),
             "delay" => path.delay = span(value).with_context(|| refusal(word))?,
             "jitter" => path.jitter = span(value).with_context(|| refusal(word))?,
@@ -46,25 +44,14 @@ pub fn impairment(text: &str) -> Result<Impairment> {
             _ => bail!(refusal(word)),
         }
     }
-    path.loss = match (loss, burst) {
-        (0.0, _) => LossModel::None,
-        (loss, None) => LossModel::Iid(loss),
-        // Stationary share of the bad state: enter / (enter + leave).
-        (loss, Some(burst)) => LossModel::GilbertElliott {
-            enter_bad: (loss / (burst * (1.0 - loss))).min(1.0),
-            leave_bad: 1.0 / burst,
-            loss_good: 0.0,
-            loss_bad: 1.0,
-        },
-    };
+    path.loss = LossModel::in_bursts(loss, burst);
     let mean = match &path.capacity {
         Capacity::Unlimited => None,
         Capacity::Constant(rate) => Some(*rate),
         Capacity::Trace(trace) => Some(trace.mean_rate()),
     };
     if let Some(mean) = mean {
-        let Bytes(bytes) = mean.bytes_in(queue);
-        path.queue = QueueLimit { bytes: bytes.max(LEAST_QUEUE), ..QueueLimit::default() };
+        path.queue = QueueLimit::lasting(queue, mean);
     }
     Ok(Impairment { path, seed })
 }

@@ -55,6 +55,34 @@ pub enum LossModel {
     },
 }
 
+impl LossModel {
+    /// Loses the share `loss` of datagrams, 0 to 0.9, `burst` in a row on average; independently where `burst`
+    /// is 1. Bursts are those of a Gilbert model, which loses every datagram of its bad state.
+    ///
+    /// # Examples
+    /// ```
+    /// use emulator_host::link::LossModel;
+    ///
+    /// assert_eq!(LossModel::in_bursts(0.05, 1.0), LossModel::Iid(0.05));
+    /// let LossModel::GilbertElliott { enter_bad, leave_bad, .. } = LossModel::in_bursts(0.05, 4.0) else {
+    ///     panic!()
+    /// };
+    /// assert!((enter_bad / (enter_bad + leave_bad) - 0.05).abs() < 1e-12);
+    /// assert_eq!(leave_bad, 0.25);
+    /// ```
+    pub fn in_bursts(loss: f64, burst: f64) -> Self {
+        if loss == 0.0 {
+            return Self::None;
+        }
+        if burst == 1.0 {
+            return Self::Iid(loss);
+        }
+        // Stationary share of the bad state: enter / (enter + leave).
+        let enter_bad = (loss / (burst * (1.0 - loss))).min(1.0);
+        Self::GilbertElliott { enter_bad, leave_bad: 1.0 / burst, loss_good: 0.0, loss_bad: 1.0 }
+    }
+}
+
 /// How a path reorders.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Reordering {
@@ -133,6 +161,11 @@ pub struct PathError {
 }
 
 impl PathConfig {
+    /// A path without rate, loss and delay.
+    pub fn unimpaired() -> Self {
+        Self { capacity: Capacity::Unlimited, delay: Nanos::ZERO, ..Self::default() }
+    }
+
     /// Fresh boxes with labels under `label`, each with its own stream of `seed`.
     ///
     /// # Errors

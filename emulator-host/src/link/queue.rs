@@ -6,6 +6,7 @@
 use std::collections::VecDeque;
 
 use super::{Datagram, Tally};
+use crate::clock::{Bytes, Nanos, Rate};
 
 /// Most that may wait. Both bounds hold; use `u64::MAX` and `u32::MAX` for none.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -14,6 +15,24 @@ pub struct QueueLimit {
     pub bytes: u64,
     /// Datagrams.
     pub datagrams: u32,
+}
+
+/// Two whole datagrams: a shorter queue would let no packet wait behind another.
+const LEAST_BYTES: u64 = 3000;
+
+impl QueueLimit {
+    /// As many bytes as a link of `rate` sends in `time`, two whole datagrams at least.
+    ///
+    /// # Examples
+    /// ```
+    /// use emulator_host::{Nanos, Rate, link::QueueLimit};
+    ///
+    /// assert_eq!(QueueLimit::lasting(Nanos::from_ms(250), Rate::from_mbps(5)).bytes, 156_250);
+    /// ```
+    pub fn lasting(time: Nanos, rate: Rate) -> Self {
+        let Bytes(bytes) = rate.bytes_in(time);
+        Self { bytes: bytes.max(LEAST_BYTES), ..Self::default() }
+    }
 }
 
 impl Default for QueueLimit {

@@ -11,7 +11,7 @@ pub struct Track {
     /// Width and height, both even.
     pub size: (u16, u16),
     pub rate: FrameRate,
-    /// How many pictures are expected: room for their times is left where a player looks first.
+    /// Expected number of pictures: it sizes the space that is reserved before them for the sample table.
     pub pictures: usize,
     pub configuration: Av1Configuration,
 }

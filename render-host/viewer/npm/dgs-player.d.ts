@@ -1,7 +1,7 @@
 import type { Screen } from "./dgs_viewer.js";
 import type { Overlay, Session } from "./session.js";
 
-/** What an emulated network does to packets. */
+/** What an emulated network does to packets, and a server to a session. */
 export interface Conditions {
   /** Share of packets lost, 0 to 0.95. */
   loss?: number;
@@ -9,8 +9,14 @@ export interface Conditions {
   burst?: number;
   /** Bits per second; 0 for all at once. */
   rate?: number;
+  /** Seconds on the way. */
+  delay?: number;
   /** Which packets are lost. */
   seed?: number;
+  /** What chooses packets, of a server's session; "" is the server's own. */
+  scheduler?: "" | "layered" | "dash" | "dependency" | "deadline-utility" | "deadline-utility-paper";
+  /** Whether each round of a server's session begins as if nothing had arrived; true unless told otherwise. */
+  anew?: boolean;
 }
 
 /** A stream as a server lists it. */
@@ -104,8 +110,9 @@ export class DgsPlayer extends HTMLElement {
   /** Plays a session that its maker goes on feeding. */
   receive(session: Session): Promise<void>;
   /** A stream of `streams.json` of `dgs serve`; `transport` allows one alone. */
-  playServed(stream: ServedStream, transport?: "live" | "websocket" | "file" | null): Promise<void>;
-  impair(conditions: Conditions): void;
+  playServed(stream: ServedStream, transport?: "live" | "streams" | "websocket" | "file" | null): Promise<void>;
+  /** Sets the network; a server that grants it changes its own link and scheduler for this session. */
+  impair(conditions: Conditions): Promise<void>;
   toggleNetwork(): void;
   toggleFullscreen(): void;
   showHelp(): void;

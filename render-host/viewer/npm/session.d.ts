@@ -1,10 +1,17 @@
+import type { Conditions } from "./dgs-player.js";
 import { Controls } from "./dgs_viewer.js";
+
+/** What of conditions holds: the link at the server, and its scheduler. */
+export interface Granted {
+  link: boolean;
+  scheduler: boolean;
+}
 
 /**
  * What blocks are painted by: nothing, the level that they are shown at, how long ago a level came (bright to dark
  * over a second), or how much of a picture they can cover.
  */
-export type Overlay = "none" | "levels" | "arrivals" | "weights";
+export type Overlay = "none" | "levels" | "arrivals" | "coverage";
 
 /** All of them, in the order in which the key O goes through them. */
 export const OVERLAYS: readonly Overlay[];
@@ -59,8 +66,19 @@ export class Session extends Controls {
   receipt(sequence: number, playout: number): Promise<Uint8Array>;
   /** When the first frame is due of the round that the server sends for `time`, seconds. */
   roundStart(time: number): Promise<number>;
-  /** Puts an emulated network before the decoder: share lost, mean run, bits per second (0: no limit), seed. */
-  impair(loss: number, burst: number, rate: number, seed: number): void;
+  /** An estimate of how good the frame is, whatever the cap, from what of it has come: 0 to 1, as last answered. */
+  readonly estimatedQuality: number;
+  /**
+   * Asks whoever sends for other conditions: resolves with what is granted, or with null where a later wish took its
+   * place. Null where nobody does.
+   */
+  server: ((conditions: Conditions) => Promise<Granted | null>) | null;
+  /** Puts an emulated network before the decoder. */
+  impair(conditions?: Pick<Conditions, "loss" | "burst" | "rate" | "delay" | "seed">): void;
+  /** Asks whoever sends for `conditions`; what is not granted of the network is emulated here. */
+  setConditions(conditions: Conditions): Promise<Granted | null>;
+  /** Forgets every packet: the server begins as if nothing had arrived. */
+  restart(): Promise<void>;
   /** Moves the camera so that every Gaussian of the frame is in the picture. */
   lookAtAll(aspect: number, up: string): Promise<void>;
 }

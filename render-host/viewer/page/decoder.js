@@ -34,7 +34,8 @@ class Actions {
   #state(busy) {
     const { patience } = this.#decoder;
     const [missing, levels, packets] = [this.#decoder.missing(), this.#decoder.levels(), this.#decoder.packets()];
-    return { busy, patience, missing, levels, packets, memory: memoryBytes() };
+    const quality = this.#decoder.quality();
+    return { busy, patience, missing, levels, packets, quality, memory: memoryBytes() };
   }
 
   push(packets) {
@@ -55,8 +56,12 @@ class Actions {
     return [...this.#decoder.wanted()];
   }
 
-  impair({ loss, burst, rate, seed }) {
-    this.#decoder.impair(loss, burst, rate, seed);
+  impair({ loss, burst, rate, delay, seed }) {
+    this.#decoder.impair(loss, burst, rate, delay, seed);
+  }
+
+  restart() {
+    this.#decoder.restart();
   }
 
   receipt({ sequence, playout, view, up }) {

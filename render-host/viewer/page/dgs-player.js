@@ -22,7 +22,7 @@ const KEYS = [
   ["0", "first view"],
   ["U", "another way up"],
   ["1 2 3 4", "highest level shown"],
-  ["O", "paint blocks by level, by what just came, by weight"],
+  ["O", "paint blocks by level, by what just came, by coverage"],
   ["N", "network"],
   ["L", "loop"],
   ["F", "full screen"],
@@ -391,7 +391,7 @@ export class DgsPlayer extends HTMLElement {
     this.#change("levelchange", (session) => (session.cap = Math.max(0, Math.min(3, Math.round(level) || 0))));
   }
 
-  /** What blocks are painted by: none, levels (that they are shown at), arrivals (of the last second), weights. */
+  /** What blocks are painted by: none, levels (that they are shown at), arrivals (of the last second), coverage. */
   get overlay() {
     return this.session?.overlay ?? OVERLAYS[0];
   }
@@ -471,9 +471,14 @@ export class DgsPlayer extends HTMLElement {
     this.#moved();
   }
 
-  /** Loses packets: share, mean run, bits per second (0: all at once), seed. */
-  impair(conditions) {
-    this.#change("levelchange", () => this.#panel.set(conditions));
+  /**
+   * Sets the network: share lost, mean run, bits per second (0: all at once), seconds of delay, seed; of a server's session
+   * also its scheduler, and whether each round begins anew. The promise is kept once it holds.
+   */
+  async impair(conditions) {
+    let set;
+    this.#change("levelchange", () => (set = this.#panel.set(conditions)));
+    await set;
   }
 
   toggleNetwork() {

@@ -32,7 +32,8 @@ export function rungsOf(stream, wish) {
 
 /**
  * Runs the rungs, that one first which was the first before; `began(session, name)` for the first that has a manifest,
- * which ends the others. Resolves with the winner's name and what its run gave once that has ended, or `failure`.
+ * which ends the others; `switched("streams")` once it asks for media in streams. Resolves with the winner's name and what
+ * its run gave once that has ended, or `failure`.
  */
 export async function climb(rungs, { began, signal, switched, ...given }) {
   const known = remembered();

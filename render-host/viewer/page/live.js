@@ -1,9 +1,10 @@
 // A live source receives packets from `dgs serve` on a link: SESSION.md has every message.
 
+import { CONDITIONS, GRANTED, conditionsBody, granted } from "./conditions.js";
 import { MOST_WAITING, Session } from "./session.js";
 
 // Kinds of messages on the control stream.
-const [HELLO, SEEK, BYE, MANIFEST, REFUSAL] = [0x01, 0x02, 0x03, 0x81, 0x82];
+const [HELLO, SEEK, BYE, MANIFEST, REFUSAL, BEGIN] = [0x01, 0x02, 0x03, 0x81, 0x82, 0x83];
 const MICROSECONDS = 1e6;
 // No manifest within this, milliseconds, and the next transport is tried.
 const PATIENCE_MS = 4000;
@@ -27,12 +28,13 @@ export async function receive(stream, open, { began, came, player, signal, switc
   signal.addEventListener("abort", end);
   try {
     link = await open(patience.signal);
-    const rounds = new Rounds(link, player);
+    const messages = new Messages(link.control);
+    const rounds = new Rounds(link, messages, player);
     await link.write(hello(stream.name, player.currentTime));
     if (link.inStreams) await link.useStreams();
-    const { kind, body } = await message(link.control);
+    const { kind, body } = await messages.next();
     clearTimeout(late);
-    if (kind === REFUSAL) throw new Error(`The server refuses: ${new TextDecoder().decode(body.subarray(1))}`);
+    if (kind === REFUSAL) throw refused(body);
     if (kind !== MANIFEST) throw new Error(`The server sends a message of kind ${kind} in place of a manifest`);
     const session = await Session.receive(body, { worker });
     await began(session);
@@ -47,6 +49,7 @@ export async function receive(stream, open, { began, came, player, signal, switc
 // Rounds of playout: where each began, what was received in it, and what the server is told.
 class Rounds {
   #link;
+  #messages;
   #player;
   #round = 0;
   #began = performance.now();
@@ -56,9 +59,17 @@ class Rounds {
   #seek = 0;
   // One receipt is made at a time, where the packets are.
   #saying = false;
+  // Conditions that the next round is to begin under, and whom to tell what came of those of a round.
+  #wish = null;
+  #asked = null;
+  // Whether every round begins with nothing.
+  #anew = false;
+  // Why the server has ended the session.
+  #refusal = null;
 
-  constructor(link, player) {
+  constructor(link, messages, player) {
     this.#link = link;
+    this.#messages = messages;
     this.#player = player;
   }
 
@@ -72,9 +83,13 @@ class Rounds {
     const quiet = () => link.useStreams().then(() => switched("streams"), () => {});
     const waiting = link.inStreams === false ? setTimeout(quiet, NO_DATAGRAMS_MS) : 0;
     for (const event of ["loop", "seeked", "play"]) player.addEventListener(event, seek);
+    session.server = (conditions) => this.#ask(session, conditions);
+    // What ends the control stream ends the session, too.
+    this.#listen(session).catch(() => {});
     try {
       for (let count = 1; ; count++) {
         const { value, done } = await this.#link.media.read();
+        if (done && this.#refusal) throw this.#refusal;
         if (done || signal.aborted || player.session !== session) return;
         clearTimeout(waiting);
         const taken = session.push(value);
@@ -83,12 +98,44 @@ class Rounds {
         if (count % RECEIPT_EVERY === 0) say();
       }
     } finally {
+      session.server = null;
+      this.#wish?.tell(null);
+      this.#asked?.tell(null);
       clearInterval(timer);
       clearTimeout(waiting);
       clearTimeout(this.#seek);
       for (const event of ["loop", "seeked", "play"]) player.removeEventListener(event, seek);
       if (player.session === session) await this.#link.write(new Uint8Array([BYE, 0, 0, 0, 0])).catch(() => {});
     }
+  }
+
+  // Hears what the server says after the manifest.
+  async #listen(session) {
+    for (;;) {
+      const { kind, body } = await this.#messages.next();
+      const fields = new DataView(body.buffer, body.byteOffset, body.byteLength);
+      if (kind === REFUSAL) this.#refusal = refused(body);
+      if (kind !== BEGIN && kind !== GRANTED) continue;
+      const round = fields.getUint32(0, true);
+      if (kind === GRANTED && round === this.#asked?.round) {
+        this.#asked.tell(granted(fields.getUint8(4)));
+        this.#asked = null;
+      }
+      // A stream that grows: the round begins at its newest window, whatever was asked for.
+      if (kind === BEGIN && round === this.#round && this.#player.session === session) {
+        session.time = Number(fields.getBigUint64(4, true)) / MICROSECONDS;
+        this.#start = session.time;
+      }
+    }
+  }
+
+  // Begins a round under `conditions`; resolves with what is granted, null where later ones came first.
+  #ask(session, conditions) {
+    return new Promise((tell) => {
+      this.#wish?.tell(null);
+      this.#wish = { conditions, tell };
+      this.#seekSoon(session);
+    });
   }
 
   async #receipt(session) {
@@ -121,39 +168,71 @@ class Rounds {
     const start = await session.roundStart(time);
     this.#round += 1;
     [this.#began, this.#playout, this.#receipts, this.#start] = [performance.now(), 0, 0, start];
-    const bytes = new DataView(new ArrayBuffer(17));
-    bytes.setUint8(0, SEEK);
-    bytes.setUint32(1, 12, true);
-    bytes.setUint32(5, this.#round, true);
-    bytes.setBigUint64(9, BigInt(Math.round(time * MICROSECONDS)), true);
-    await this.#link.write(new Uint8Array(bytes.buffer));
+    const body = new DataView(new ArrayBuffer(12));
+    body.setUint32(0, this.#round, true);
+    body.setBigUint64(4, BigInt(Math.round(time * MICROSECONDS)), true);
+    const seek = new Uint8Array(body.buffer);
+    const wish = this.#wish;
+    if (wish) {
+      this.#asked?.tell(null);
+      [this.#wish, this.#asked] = [null, { round: this.#round, tell: wish.tell }];
+      this.#anew = wish.conditions.anew ?? false;
+    }
+    if (this.#anew) await session.restart();
+    const message = wish ? framed(CONDITIONS, seek, conditionsBody(wish.conditions)) : framed(SEEK, seek);
+    await this.#link.write(message);
   }
 }
 
+function refused(body) {
+  return new Error(`The server refuses: ${new TextDecoder().decode(body.subarray(1))}`);
+}
+
+// A message of the control stream.
+function framed(kind, ...parts) {
+  const length = parts.reduce((sum, part) => sum + part.length, 0);
+  const bytes = new Uint8Array(5 + length);
+  bytes[0] = kind;
+  new DataView(bytes.buffer).setUint32(1, length, true);
+  let at = 5;
+  for (const part of parts) {
+    bytes.set(part, at);
+    at += part.length;
+  }
+  return bytes;
+}
+
+// Version 0; then a name, with its length before it.
 function hello(name, time) {
   const called = new TextEncoder().encode(name);
-  const bytes = new DataView(new ArrayBuffer(16 + called.length));
-  bytes.setUint8(0, HELLO);
-  bytes.setUint32(1, 11 + called.length, true);
-  // Version 0; then a name, with its length before it.
-  bytes.setBigUint64(6, BigInt(Math.round(time * MICROSECONDS)), true);
-  bytes.setUint8(15, called.length);
-  const all = new Uint8Array(bytes.buffer);
-  all.set(called, 16);
-  return all;
+  const fields = new DataView(new ArrayBuffer(11));
+  fields.setBigUint64(1, BigInt(Math.round(time * MICROSECONDS)), true);
+  fields.setUint8(10, called.length);
+  return framed(HELLO, new Uint8Array(fields.buffer), called);
 }
 
-// One message of the control stream: its kind and its body.
-async function message(reader) {
-  let bytes = new Uint8Array(0);
-  const wanted = () => (bytes.length < 5 ? 5 : 5 + new DataView(bytes.buffer).getUint32(1, true));
-  while (bytes.length < wanted()) {
-    const { value, done } = await reader.read();
-    if (done) throw new Error("The server ends the control stream inside a message");
-    const longer = new Uint8Array(bytes.length + value.length);
-    longer.set(bytes);
-    longer.set(value, bytes.length);
-    bytes = longer;
+// Messages of a control stream, one after the other.
+class Messages {
+  #reader;
+  #bytes = new Uint8Array(0);
+
+  constructor(reader) {
+    this.#reader = reader;
   }
-  return { kind: bytes[0], body: bytes.subarray(5) };
+
+  /** The next one: its kind and its body. */
+  async next() {
+    const wanted = () => (this.#bytes.length < 5 ? 5 : 5 + new DataView(this.#bytes.buffer).getUint32(1, true));
+    while (this.#bytes.length < wanted()) {
+      const { value, done } = await this.#reader.read();
+      if (done) throw new Error("The server ends the control stream inside a message");
+      const longer = new Uint8Array(this.#bytes.length + value.length);
+      longer.set(this.#bytes);
+      longer.set(value, this.#bytes.length);
+      this.#bytes = longer;
+    }
+    const message = this.#bytes.slice(0, wanted());
+    this.#bytes = this.#bytes.slice(wanted());
+    return { kind: message[0], body: message.subarray(5) };
+  }
 }

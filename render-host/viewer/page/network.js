@@ -1,5 +1,7 @@
-// The network panel loses packets on purpose and shows what is left: sliders, plots, numbers.
+// The network panel loses packets on purpose and shows what is left: sliders, plots, numbers. Of a server that grants it
+// the server's scheduler and link change; of files, and over TCP, a network is emulated before the decoder.
 
+import { SCHEDULERS } from "./conditions.js";
 import { levelColours } from "./dgs_viewer.js";
 
 const NAMES = ["stand-ins", "base", "level 1", "level 2", "level 3"];
@@ -8,12 +10,18 @@ const SAMPLES = 140;
 const SAMPLE_MS = 100;
 // The rate slider is a logarithm, of Mbit/s; at its end there is no limit.
 const NO_LIMIT = 2;
+// Where the network is, by whether the server grants a link.
+const WHERE = ["emulated in this page", "emulated at the server"];
 
 const PARTS = `
 <label>Loss <input class="loss" type="range" min="0" max="60" step="1" value="0"><output>0 %</output></label>
 <label>Bursts <input class="burst" type="range" min="1" max="20" step="1" value="1"><output>1 packet</output></label>
 <label>Rate <input class="rate" type="range" min="-1" max="${NO_LIMIT}" step="0.05" value="${NO_LIMIT}"><output>no limit</output></label>
+<label>Delay <input class="delay" type="range" min="0" max="500" step="5" value="0"><output>0 ms</output></label>
 <label>Seed <input class="seed" type="range" min="1" max="50" step="1" value="1"><output>1</output></label>
+<label class="of-server">Scheduler <select class="scheduler"></select></label>
+<label class="of-server">Anew <span><input class="anew" type="checkbox" checked> each loop begins with nothing</span></label>
+<p class="where" role="status"></p>
 <canvas class="levels" role="img" aria-label="Share of blocks by level over time"></canvas>
 <canvas class="bits" role="img" aria-label="Bits that arrived per second over time"></canvas>
 <ul class="legend"></ul>
@@ -28,16 +36,20 @@ export class NetworkPanel {
   #until = null;
   #timer = 0;
   #colours = null;
+  // Whether anything is asked for.
+  #isSet = false;
 
   constructor(root, engine) {
     this.#root = root;
     this.#engine = engine;
     root.innerHTML = PARTS;
-    root.addEventListener("input", () => this.#impair());
+    const options = SCHEDULERS.map((name) => new Option(name || "the server's", name));
+    root.querySelector(".scheduler").replaceChildren(...options);
+    root.addEventListener("input", () => this.#ask());
   }
 
-  #value(name) {
-    return Number(this.#root.querySelector(`.${name}`).value);
+  #control(name) {
+    return this.#root.querySelector(`.${name}`);
   }
 
   #say(name, text) {
@@ -55,30 +67,51 @@ export class NetworkPanel {
   /** Another stream begins under the conditions that are set. */
   began() {
     [this.#history, this.#bits, this.#until] = [[], [], null];
-    if (this.#value("loss") > 0 || this.#value("rate") < NO_LIMIT) this.#impair();
+    this.#control("where").textContent = "";
+    if (this.#isSet) this.#ask();
   }
 
-  /** Sets the sliders, and the network to exactly this: share lost, mean run, bits per second (0: no limit), seed. */
-  set({ loss = 0, burst = 1, rate = 0, seed = 1 }) {
-    const slider = (name, value) => (this.#root.querySelector(`.${name}`).value = value);
+  /**
+   * Sets the sliders, and the network to exactly this: share lost, mean run, bits per second (0: no limit), seconds of
+   * delay, seed, scheduler, whether each round begins anew. The promise is kept once it holds.
+   */
+  set({ loss = 0, burst = 1, rate = 0, delay = 0, seed = 1, scheduler = "", anew = true }) {
+    const slider = (name, value) => (this.#control(name).value = value);
     slider("loss", 100 * loss);
     slider("burst", burst);
     slider("rate", rate > 0 ? Math.log10(rate * 1e-6) : NO_LIMIT);
+    slider("delay", 1000 * delay);
     slider("seed", seed);
-    this.#apply(loss, burst, rate, seed);
+    slider("scheduler", scheduler);
+    this.#control("anew").checked = anew;
+    return this.#apply({ loss, burst, rate, delay, seed, scheduler, anew });
   }
 
-  #impair() {
-    const [loss, burst, rate, seed] = ["loss", "burst", "rate", "seed"].map((name) => this.#value(name));
-    this.#apply(loss / 100, burst, rate >= NO_LIMIT ? 0 : 10 ** rate * 1e6, seed);
+  #ask() {
+    const [loss, burst, rate, delay, seed] = ["loss", "burst", "rate", "delay", "seed"].map((name) =>
+      Number(this.#control(name).value),
+    );
+    const bits = rate >= NO_LIMIT ? 0 : 10 ** rate * 1e6;
+    const { value: scheduler } = this.#control("scheduler");
+    const { checked: anew } = this.#control("anew");
+    return this.#apply({ loss: loss / 100, burst, rate: bits, delay: delay / 1000, seed, scheduler, anew });
   }
 
-  #apply(loss, burst, bits, seed) {
+  async #apply(conditions) {
+    const { loss, burst, rate, delay, seed, scheduler } = conditions;
     this.#say("loss", `${Math.round(100 * loss)} %`);
     this.#say("burst", burst === 1 ? "1 packet" : `${burst} packets`);
-    this.#say("rate", bits === 0 ? "no limit" : `${(bits * 1e-6).toPrecision(2)} Mbit/s`);
+    this.#say("rate", rate === 0 ? "no limit" : `${(rate * 1e-6).toPrecision(2)} Mbit/s`);
+    this.#say("delay", `${Math.round(1000 * delay)} ms`);
     this.#say("seed", `${seed}`);
-    this.#engine.session?.impair(loss, burst, bits, seed);
+    this.#isSet = loss > 0 || rate > 0 || delay > 0 || scheduler !== "";
+    // Without any of them, a clip that repeats keeps what it has.
+    const anew = conditions.anew && this.#isSet;
+    const asked = this.#engine.session?.setConditions({ ...conditions, anew });
+    this.#engine.request();
+    const granted = await asked;
+    if (!granted) return;
+    this.#control("where").textContent = this.#isSet ? WHERE[Number(granted.link)] : "";
     this.#engine.request();
     this.#sample();
   }
@@ -90,14 +123,14 @@ export class NetworkPanel {
     const blocks = Math.max(1, levels.reduce((sum, count) => sum + count, 0));
     this.#history.push([...levels].map((count) => count / blocks));
     if (this.#history.length > SAMPLES) this.#history.shift();
+    const ofServer = Boolean(session.server);
+    this.#root.querySelectorAll(".of-server").forEach((row) => (row.hidden = !ofServer));
     const [came, decoded, bytes] = session.packets();
     const bits = this.#rateOf(bytes, performance.now());
-    // The mean number of levels, of as many as there are.
-    const quality = levels.reduce((sum, count, level) => sum + level * count, 0) / (blocks * (levels.length - 1));
     const share = ((100 * levels[0]) / blocks).toFixed(1);
     this.#root.querySelector(".numbers").textContent =
       `${decoded} of ${came} packets decoded; ${share} % of ${blocks} blocks by stand-ins; ` +
-      `${(bits * 1e-6).toPrecision(2)} Mbit/s; ${Math.round(100 * quality)} % of all levels`;
+      `${(bits * 1e-6).toPrecision(2)} Mbit/s; quality about ${(100 * session.estimatedQuality).toFixed(1)} %`;
     this.#plot();
   }
 

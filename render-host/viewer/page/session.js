@@ -10,7 +10,10 @@ export const MOST_WAITING = 1024;
 const MOST_ROUNDS = 8;
 
 // What blocks can be painted by, in the decoder's order.
-export const OVERLAYS = ["none", "levels", "arrivals", "weights"];
+export const OVERLAYS = ["none", "levels", "arrivals", "coverage"];
+
+// A network that does nothing.
+const PERFECT = { loss: 0, burst: 1, rate: 0, delay: 0, seed: 1 };
 
 export class Session extends Controls {
   #decoding;
@@ -34,6 +37,13 @@ export class Session extends Controls {
   #packets = [];
   #pushing = null;
   #freed = false;
+  // The emulated network before the decoder, as text.
+  #network = JSON.stringify(PERFECT);
+  /**
+   * Asks whoever sends for other conditions, if one does that takes wishes: resolves with what is granted, `{ link,
+   * scheduler }`, or with null where a later wish took its place.
+   */
+  server = null;
   /** Called when an answer has come, and when the decoder fails. */
   answered = () => {};
   failed = () => {};
@@ -119,6 +129,11 @@ export class Session extends Controls {
   /** Blocks of the frame by level, as last answered: proxies, base, refinements 1 to 3. */
   levels() {
     return this.#state.levels;
+  }
+
+  /** An estimate of how good the frame is, whatever the cap, from what of it has come: 0 to 1, as last answered. */
+  get estimatedQuality() {
+    return this.#state.quality;
   }
 
   /** Packets that came, and those that were decoded, as last answered. */
@@ -208,10 +223,36 @@ export class Session extends Controls {
     return this.#decoding.ask("roundStart", time);
   }
 
-  /** Puts an emulated network before the decoder: share lost, mean run, bits per second (0: no limit), seed. */
-  impair(loss, burst, rate, seed) {
+  /**
+   * Puts an emulated network before the decoder: share lost, mean run, bits per second (0: no limit), seconds of delay,
+   * seed.
+   */
+  impair({ loss = 0, burst = 1, rate = 0, delay = 0, seed = 1 } = {}) {
+    const network = { loss, burst, rate, delay, seed };
+    this.#network = JSON.stringify(network);
     this.#changes += 1;
-    this.#decoding.ask("impair", { loss, burst, rate, seed }).catch((error) => this.#fail(error));
+    this.#decoding.ask("impair", network).catch((error) => this.#fail(error));
+  }
+
+  /**
+   * Asks whoever sends for `conditions`: what `impair` takes, `scheduler` by name and `anew`. What is not granted of
+   * the network is emulated here. Resolves with what is granted, `{ link, scheduler }`; null for a wish that a later
+   * one replaced.
+   */
+  async setConditions(conditions) {
+    const granted = this.server ? await this.server(conditions) : { link: false, scheduler: false };
+    if (!granted || this.#freed) return null;
+    const { loss, burst, rate, delay, seed } = granted.link ? PERFECT : { ...PERFECT, ...conditions };
+    if (JSON.stringify({ loss, burst, rate, delay, seed }) !== this.#network) {
+      this.impair({ loss, burst, rate, delay, seed });
+    }
+    return granted;
+  }
+
+  /** Forgets every packet: the server begins as if nothing had arrived. */
+  async restart() {
+    this.#changes += 1;
+    await this.#decoding.ask("restart");
   }
 
   /** Moves the camera so that every Gaussian of the frame is in the picture; `up` is `y`, `minus-z` and so on. */

@@ -27,8 +27,12 @@ input[type=color] { width: 36px; height: 36px; padding: 2px; background: #222d; 
   border-radius: 8px; padding: 8px; max-height: calc(100% - 84px); overflow: auto; }
 .network[hidden] { display: none; }
 .network label { display: grid; grid-template-columns: 5em 1fr 5.2em; gap: 6px; align-items: center; }
+.network label[hidden] { display: none; }
+.network label.of-server { grid-template-columns: 5em 1fr; }
+.network .where { margin: 2px 0; }
+.network .where:empty { display: none; }
 .network output { text-align: right; font-variant-numeric: tabular-nums; }
-.network input { min-height: 28px; width: 100%; accent-color: #6db3ff; }
+.network input[type=range] { min-height: 28px; width: 100%; accent-color: #6db3ff; }
 .network canvas.bits { height: 36px; }
 .network canvas { display: block; width: 100%; height: 72px; margin-top: 6px; background: #000; border-radius: 4px; }
 .legend { display: flex; flex-wrap: wrap; gap: 2px 10px; margin: 6px 0 0; padding: 0; list-style: none; font-size: 12px; }

@@ -9,13 +9,15 @@ pub struct Conditions {
     pub burst: f64,
     /// Bits per second; `None` for all at once.
     pub rate_bps: Option<f64>,
+    /// Seconds from the end of sending to arrival, 0 to 10.
+    pub delay_s: f64,
     /// Which packets are lost.
     pub seed: u64,
 }
 
 impl Default for Conditions {
     fn default() -> Self {
-        Self { loss: 0.0, burst: 1.0, rate_bps: None, seed: 1 }
+        Self { loss: 0.0, burst: 1.0, rate_bps: None, delay_s: 0.0, seed: 1 }
     }
 }
 
@@ -28,13 +30,14 @@ impl Conditions {
             loss: or(self.loss, 0.0).clamp(0.0, 0.95),
             burst: or(self.burst, 1.0).clamp(1.0, 100.0),
             rate_bps: self.rate_bps.filter(|rate| rate.is_finite()).map(|rate| rate.max(1e3)),
+            delay_s: or(self.delay_s, 0.0).clamp(0.0, 10.0),
             seed: self.seed,
         }
     }
 
     /// Whether every packet arrives at once.
     pub fn is_perfect(&self) -> bool {
-        self.loss == 0.0 && self.rate_bps.is_none()
+        self.loss == 0.0 && self.rate_bps.is_none() && self.delay_s == 0.0
     }
 }
 
@@ -78,7 +81,8 @@ impl Channel {
 
     /// When the next packet, of `bytes` bytes, is through: seconds since the first was sent.
     pub fn due_s(&self, bytes: usize) -> f64 {
-        self.conditions.rate_bps.map_or(0.0, |rate| (self.bits + 8.0 * bytes as f64) / rate)
+        let sent_s = self.conditions.rate_bps.map_or(0.0, |rate| (self.bits + 8.0 * bytes as f64) / rate);
+        sent_s + self.conditions.delay_s
     }
 
     /// The next number of SplitMix64, in 0..1.
@@ -128,12 +132,16 @@ mod tests {
         channel.send(1000);
         assert!((channel.due_s(1000) - 0.2).abs() < 1e-12);
         assert_eq!(Channel::new(Conditions::default()).due_s(1000), 0.0);
+        let late = Conditions { delay_s: 0.25, ..Conditions::default() };
+        assert!(!late.is_perfect());
+        assert_eq!(Channel::new(late).due_s(1000), 0.25);
     }
 
     #[test]
     fn conditions_stay_within_bounds() {
-        let wild = Conditions { loss: f64::NAN, burst: 1e9, rate_bps: Some(-1.0), seed: 0 }.bounded();
-        assert_eq!((wild.loss, wild.burst, wild.rate_bps), (0.0, 100.0, Some(1e3)));
+        let wild = Conditions { loss: f64::NAN, burst: 1e9, rate_bps: Some(-1.0), delay_s: -1.0, seed: 0 };
+        let wild = wild.bounded();
+        assert_eq!((wild.loss, wild.burst, wild.rate_bps, wild.delay_s), (0.0, 100.0, Some(1e3), 0.0));
         assert_eq!(Conditions { loss: 2.0, ..wild }.bounded().loss, 0.95);
         assert_eq!(Conditions { rate_bps: Some(f64::INFINITY), ..wild }.bounded().rate_bps, None);
     }

@@ -1,6 +1,7 @@
 //! A session holds one stream, its clock, its camera and its emulated network, and says what to draw.
 
 mod overlay;
+mod quality;
 
 use std::ops::Range;
 
@@ -8,7 +9,10 @@ use codec_core::{internals::ids::Span, player::MAX_RECEIPT_BYTES};
 use dgs_player::{Caps, Damage, FrameDecoder, Player, Result, Stream, Usable};
 use render_host::Splats;
 
-use self::overlay::Painter;
+use self::{
+    overlay::Painter,
+    quality::{blocks_of, quality},
+};
 pub use self::overlay::{LEVEL_COLOURS, LEVELS, Overlay};
 use crate::{
     bounds::bounds,
@@ -59,6 +63,8 @@ pub struct Session {
     content: u64,
     /// `content` and epoch of the last frame shown.
     last: Option<(u64, u16)>,
+    /// Of the last frame shown.
+    quality: f32,
 }
 
 impl Session {
@@ -88,6 +94,7 @@ impl Session {
             state: Vec::new(),
             content: 0,
             last: None,
+            quality: 0.0,
         })
     }
 
@@ -193,6 +200,15 @@ impl Session {
         }
     }
 
+    /// Forgets every packet: the server begins as if nothing had arrived.
+    ///
+    /// # Errors
+    /// None in practice: the manifest was taken before.
+    pub fn restart(&mut self) -> Result<()> {
+        self.packets.clear();
+        self.impair(self.conditions())
+    }
+
     /// Puts a network between what came and the player, from the first packet on.
     ///
     /// # Errors
@@ -201,7 +217,7 @@ impl Session {
         self.player = Player::new(&self.message, &Caps::HOST)?;
         self.channel = Channel::new(conditions);
         (self.sent, self.delivered, self.sent_since_s) = (0, 0, None);
-        self.painter.forget();
+        self.painter.forget_arrivals();
         self.content += 1;
         if self.channel.conditions().is_perfect() {
             self.send_all();
@@ -217,7 +233,7 @@ impl Session {
     /// Lets the network deliver what is through at `now_s`; true while more is on its way, or what has come
     /// is still painted as new.
     pub fn deliver(&mut self, now_s: f64) -> bool {
-        let fading = self.painter.pass_to(now_s);
+        let fading = self.painter.set_time(now_s);
         self.content += u64::from(fading);
         fading | self.deliver_packets(now_s)
     }
@@ -358,17 +374,21 @@ impl Session {
         let capped = if self.cap < LEVELS - 1 { content.with_state(&self.state) } else { content };
         let frame = self.decoder.frame(&capped, self.playback.frame())?;
         let overlay = self.painter.overlay();
+        let epoch = frame.decoded.epoch;
+        if !only_moved {
+            let blocks = blocks_of(&content, Span::Canonical(epoch), frame.gaussians.len())?;
+            self.quality = quality(&blocks, frame.gaussians);
+        }
         if overlay == Overlay::None {
             // The decoder gives as many harmonics as Gaussians have.
             let splats = Splats::new(frame.gaussians, frame.sh_rest, frame.sh_degree)
                 .unwrap_or_else(|_| Splats::plain(frame.gaussians));
             return Ok(Shown { splats, only_moved });
         }
-        let epoch = frame.decoded.epoch;
         let shown = if overlay == Overlay::Arrivals { &content } else { &capped };
         let painted = self.painter.paint(frame.gaussians, epoch.0, Span::Canonical(epoch), shown)?;
-        // Weights are of the frame.
-        let only_moved = only_moved && overlay != Overlay::Weights;
+        // Coverage is of the frame.
+        let only_moved = only_moved && overlay != Overlay::Coverage;
         Ok(Shown { splats: Splats::plain(painted), only_moved })
     }
 
@@ -384,6 +404,12 @@ impl Session {
             by_level[level + 1] = canonical[level].saturating_sub(above);
         }
         Ok(by_level)
+    }
+
+    /// An estimate of how good the frame last shown is, whatever the cap, from what of it has come: 0, nothing
+    /// but stand-ins, to 1, everything there.
+    pub fn quality(&self) -> f32 {
+        self.quality
     }
 
     /// Packets that came, and those that were decoded.

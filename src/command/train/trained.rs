@@ -37,19 +37,20 @@ impl Trained {
     /// A Gaussian that is not finite.
     pub(super) fn of(trainer: &Trainer, dataset: &Dataset, args: &Train) -> Result<Self> {
         let frames = args.frames.unwrap_or(dataset.frames);
-        let mut scene = trainer.model().scene(frames, args.scene.fps)?;
+        let model = trainer.model().into_owned();
+        let mut scene = model.scene(frames, args.scene.fps)?;
         scene.up = dataset.up;
         Ok(Self {
             scene,
             steps: trainer.steps(),
-            gaussians: trainer.model().gaussians(),
-            nodes: trainer.model().nodes(),
+            gaussians: model.gaussians(),
+            nodes: model.nodes(),
             options: trainer.options().clone(),
             reduced: trainer.reduced(),
             decisions: trainer.decisions()?,
             prunings: trainer.prunings().to_vec(),
             estimated_bytes: trainer.estimated_bytes(),
-            models: vec![[trainer.model().into_owned(), trainer.shown()]],
+            models: vec![[model, trainer.shown()]],
         })
     }
 

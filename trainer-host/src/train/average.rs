@@ -1,15 +1,15 @@
-//! An average is the mean of what the last steps of a training led to.
+//! An average is the moving average of a model's parameters over the steps of a training.
 //!
-//! Steps of one view each tremble around what all views agree on; while rates stay high, each view has a say
-//! and the mean of the steps is nearer to it than any of them (Polyak and Juditsky, "Acceleration of
+//! Each step follows the gradient of one view, so parameters fluctuate around the optimum of all views, more
+//! so while learning rates stay high; their average is nearer to it (Polyak and Juditsky, "Acceleration of
 //! Stochastic Approximation by Averaging", 1992).
 
 use serde::{Deserialize, Serialize};
 
 use super::model::Model;
 
-/// Steps that an average looks back over, once it has had so many.
-const STEPS: u32 = 100;
+/// Window of the average, steps: it is the plain mean of as many at first, then exponential.
+const WINDOW: u32 = 100;
 
 /// Values of all parameters of a model, in the order of [`Model::parameters`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -23,7 +23,7 @@ impl Average {
     /// lost Gaussians or nodes.
     pub(super) fn follow(average: &mut Option<Self>, model: &Model) {
         if let Some(average) = average.as_mut().filter(|average| average.fits(model)) {
-            average.steps = average.steps.saturating_add(1).min(STEPS);
+            average.steps = average.steps.saturating_add(1).min(WINDOW);
             let share = 1.0 / average.steps as f32;
             for (average, parameter) in average.values.iter_mut().zip(model.parameters()) {
                 let pairs = average.iter_mut().zip(parameter.values());
@@ -46,7 +46,7 @@ impl Average {
 
     /// Whether it is one of a model like `model`: what was read from a file may not be.
     pub(super) fn fits(&self, model: &Model) -> bool {
-        (1..=STEPS).contains(&self.steps)
+        (1..=WINDOW).contains(&self.steps)
             && self.values.len() == model.parameters().count()
             && self.values.iter().zip(model.parameters()).all(|(values, parameter)| {
                 values.len() == parameter.values().len() && values.iter().all(|value| value.is_finite())
@@ -89,11 +89,11 @@ mod tests {
     #[test]
     fn a_young_average_is_the_mean_of_all_steps_and_an_old_one_forgets() {
         let (mut average, mut model) = (None, model(2));
-        let mean = averaged(&mut average, &mut model, (0..STEPS).map(|step| step as f32));
-        assert!((mean - (STEPS - 1) as f32 / 2.0).abs() < 1e-3, "{mean}");
+        let mean = averaged(&mut average, &mut model, (0..WINDOW).map(|step| step as f32));
+        assert!((mean - (WINDOW - 1) as f32 / 2.0).abs() < 1e-3, "{mean}");
         let first = averaged(&mut average, &mut model, [0.0].into_iter());
-        assert!((first / mean - (1.0 - 1.0 / STEPS as f32)).abs() < 1e-5, "{first} after {mean}");
-        let later = averaged(&mut average, &mut model, std::iter::repeat_n(7.0, 10 * STEPS as usize));
+        assert!((first / mean - (1.0 - 1.0 / WINDOW as f32)).abs() < 1e-5, "{first} after {mean}");
+        let later = averaged(&mut average, &mut model, std::iter::repeat_n(7.0, 10 * WINDOW as usize));
         assert!((later - 7.0).abs() < 0.01, "{later}");
     }
 

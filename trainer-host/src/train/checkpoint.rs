@@ -73,7 +73,7 @@ impl Checkpoint {
         &self.options
     }
 
-    /// The scene; of a training near its end, the mean of what the last steps led to.
+    /// The scene; of a training near its end, the moving average of its parameters.
     pub fn model(&self) -> Cow<'_, Model> {
         self.state.scene()
     }

@@ -113,7 +113,8 @@ pub struct Schedule {
     pub decay: f64,
     /// Weight of rigidity at the end, of that at the start.
     pub rigidity_decay: f64,
-    /// From here the scene is the mean of what the last hundred steps led to; 1: what the last step did.
+    /// From here the scene is the moving average of the parameters over a hundred steps; 1: never, the scene
+    /// is what the last step led to.
     pub average_from: f64,
 }
 

@@ -15,7 +15,7 @@ const MOST_STEPS: u32 = 1 << 30;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
     pub(super) model: Model,
-    /// Of what the last steps led to, once that is the scene.
+    /// Of the parameters over the last steps, once that is the scene.
     pub(super) average: Option<Average>,
     pub(super) step: u32,
     /// Stages of nodes entered.
@@ -34,7 +34,7 @@ pub(super) struct State {
 }
 
 impl State {
-    /// The scene: the mean of what the last steps led to, where there is one.
+    /// The scene: the moving average of the parameters, where there is one.
     pub(super) fn scene(&self) -> Cow<'_, Model> {
         match &self.average {
             Some(average) => Cow::Owned(average.of(&self.model)),

@@ -171,7 +171,7 @@ impl<'a> Trainer<'a> {
         &self.options
     }
 
-    /// The scene as it is now; near the end of a training, the mean of what the last steps led to.
+    /// The scene as it is now; near the end of a training, the moving average of its parameters.
     pub fn model(&self) -> Cow<'_, Model> {
         self.state.scene()
     }
@@ -441,7 +441,7 @@ impl<'a> Trainer<'a> {
         state.pull = Pull::none(gaussians.len());
     }
 
-    /// Takes what the step led to into the average, where the schedule says so.
+    /// Averages the parameters over steps, where the schedule says so.
     fn average(&mut self, progress: f64) {
         let from = self.options.schedule.average_from;
         let State { average, model, .. } = &mut self.state;

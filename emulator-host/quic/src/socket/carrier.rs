@@ -70,6 +70,11 @@ impl Carrier {
         }
     }
 
+    /// Whether what it sends goes through links of the server's socket.
+    pub(super) fn is_impaired_by_links(&self) -> bool {
+        matches!(self, Self::Quic(_))
+    }
+
     /// What is known of the path once `arrived` bytes of media are known to have arrived.
     pub(super) fn path(&self, arrived: u64) -> Path {
         match self {

@@ -31,7 +31,7 @@ const RECEIPT_DELAY: Duration = Duration::from_millis(25);
 /// that somebody is there.
 const RECEIPT_INTERVAL: Duration = Duration::from_millis(100);
 
-/// Without any media for so long after the manifest, it is wished for in streams.
+/// Without any media for so long after the manifest, the client asks for it in streams.
 const NO_DATAGRAMS: Duration = Duration::from_secs(1);
 
 /// What a session is held on.
@@ -217,7 +217,7 @@ async fn converse(
     if in_streams {
         say(send, &ClientMessage::Streams).await?;
     }
-    // Until a packet has come: when it is taken that no datagrams pass.
+    // When to conclude that the path drops datagrams; none once a packet has come.
     let mut streams_at = None;
     let deadline = Instant::now() + config.silence;
     let mut history_at = Instant::now() + RECEIPT_INTERVAL;
@@ -278,6 +278,10 @@ async fn converse(
                         return Err(PlayError::Nonsense("a second manifest".to_owned()));
                     }
                     Ok(Some(ServerMessage::Begin { round, start_us })) => playback.begin_at(round, start_us)?,
+                    // It has asked for none.
+                    Ok(Some(ServerMessage::Granted { .. })) => {
+                        return Err(PlayError::Nonsense("conditions that nobody asked for".to_owned()));
+                    }
                     Ok(Some(ServerMessage::Refusal(refusal))) => return Err(PlayError::Refused(refusal)),
                     Ok(None) | Err(ControlError::Lost(_)) => return Err(gone(ending).await),
                     Err(error) => return Err(PlayError::Nonsense(error.to_string())),

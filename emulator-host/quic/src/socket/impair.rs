@@ -1,5 +1,5 @@
-//! Puts an emulated link between an endpoint and its socket: what the server sends passes the boxes of
-//! `emulator-host` in real time, a link of its own for every destination.
+//! Puts emulated links between an endpoint and its socket: what the server sends to a destination that has one
+//! passes the boxes of `emulator-host` in real time.
 //!
 //! It wraps the socket, and is no proxy in front of it: the endpoint goes on seeing real addresses, so that
 //! address validation, amplification limits and migration mean what they mean without it.
@@ -9,7 +9,10 @@ use std::{
     fmt, io,
     net::SocketAddr,
     pin::Pin,
-    sync::{Arc, Mutex, MutexGuard, PoisonError, Weak},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError, Weak,
+        atomic::{AtomicUsize, Ordering},
+    },
     task::{Context, Poll},
     time::{Duration, Instant},
 };
@@ -25,10 +28,12 @@ use quinn::{
 };
 use tokio::sync::Notify;
 
-/// Most destinations with a link of their own; what goes to others is lost.
+/// Most destinations with a link of their own. Where every viewer has one, what goes to others is lost.
 const MAX_LINKS: usize = 1024;
+/// Most bytes inside a link that a viewer has asked for; more are lost.
+const MAX_VIEWER_BYTES: u64 = 1 << 20;
 
-/// The link that every viewer gets.
+/// A link before a viewer.
 #[derive(Clone, Debug)]
 pub struct Impairment {
     /// From the server to the viewer. What viewers send back is left alone. Without reordering.
@@ -37,23 +42,27 @@ pub struct Impairment {
     pub seed: u64,
 }
 
-/// A socket with a link behind it.
+/// A socket with links behind it.
 pub(super) struct ImpairedSocket {
     inner: Arc<dyn AsyncUdpSocket>,
     links: Arc<Links>,
 }
 
 /// All links, and who wakes up for them.
-struct Links {
-    impairment: Impairment,
+pub(super) struct Links {
+    /// The link that every destination has until it gets another; without one, none has.
+    of_all: Option<Impairment>,
     began: Instant,
     by_destination: Mutex<BTreeMap<SocketAddr, Link>>,
+    /// Links there are: while there are none, sending looks no further.
+    count: AtomicUsize,
     changed: Notify,
 }
 
 /// One destination's link and the bytes of what is inside.
 struct Link {
     chain: Chain,
+    most_bytes: u64,
     next: u64,
     inside: BTreeMap<u64, Payload>,
 }
@@ -66,20 +75,32 @@ struct Payload {
 }
 
 impl ImpairedSocket {
-    /// Wraps `inner`. Must be called inside a tokio runtime: a task sends what is due.
+    /// Wraps `inner`; `of_all` is the link that every destination has. Must be called inside a tokio runtime: a
+    /// task sends what is due.
     ///
     /// # Errors
     /// A path that is illegal.
-    pub(super) fn new(inner: Arc<dyn AsyncUdpSocket>, impairment: Impairment) -> Result<Self, PathError> {
-        impairment.path.build("impair", impairment.seed)?;
+    pub(super) fn new(
+        inner: Arc<dyn AsyncUdpSocket>,
+        of_all: Option<Impairment>,
+    ) -> Result<Self, PathError> {
+        if let Some(impairment) = &of_all {
+            impairment.path.build("impair", impairment.seed)?;
+        }
         let links = Arc::new(Links {
-            impairment,
+            of_all,
             began: Instant::now(),
             by_destination: Mutex::default(),
+            count: AtomicUsize::new(0),
             changed: Notify::new(),
         });
         tokio::spawn(send_what_is_due(Arc::downgrade(&links), inner.clone()));
         Ok(Self { inner, links })
+    }
+
+    /// Its links, to change them.
+    pub(super) fn links(&self) -> Arc<Links> {
+        self.links.clone()
     }
 }
 
@@ -106,32 +127,61 @@ impl Links {
         self.by_destination.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a datagram into the link of its destination.
+    /// Puts a link of its own before `destination`; `None` is none. What was inside the one before is lost.
+    /// False if there are too many links.
+    pub(super) fn set(&self, destination: SocketAddr, impairment: Option<&Impairment>) -> bool {
+        // Where every viewer has a link, having none is a link, too.
+        let chain = match (impairment, &self.of_all) {
+            (None, None) => {
+                self.clear(destination);
+                return true;
+            }
+            (Some(impairment), _) => impairment.path.build("viewer", impairment.seed),
+            (None, Some(_)) => PathConfig::unimpaired().build("viewer", 0),
+        };
+        let mut links = self.lock();
+        let has_room = links.len() < MAX_LINKS || links.contains_key(&destination);
+        let Some(chain) = chain.ok().filter(|_| has_room) else { return false };
+        links.insert(destination, Link::new(chain, MAX_VIEWER_BYTES));
+        self.count.store(links.len(), Ordering::Relaxed);
+        true
+    }
+
+    /// A viewer at `destination` has left.
+    pub(super) fn clear(&self, destination: SocketAddr) {
+        let mut links = self.lock();
+        links.remove(&destination);
+        self.count.store(links.len(), Ordering::Relaxed);
+    }
+
+    /// Whether `destination` has a link, or gets one as soon as something goes there.
+    fn has(&self, destination: &SocketAddr) -> bool {
+        let some = self.of_all.is_some();
+        some || (self.count.load(Ordering::Relaxed) > 0 && self.lock().contains_key(destination))
+    }
+
+    /// Takes datagrams into the link of their destination, each with its own luck.
     fn enter(&self, transmit: &Transmit<'_>, socket: &dyn AsyncUdpSocket) {
         let mut links = self.lock();
         let now = self.now();
-        if links.len() >= MAX_LINKS && !links.contains_key(&transmit.destination) {
-            links.retain(|_, link| !link.inside.is_empty());
+        let destination = transmit.destination;
+        if !links.contains_key(&destination) {
             if links.len() >= MAX_LINKS {
-                return;
+                links.retain(|_, link| !link.inside.is_empty());
             }
+            let Some(impairment) = self.of_all.as_ref().filter(|_| links.len() < MAX_LINKS) else { return };
+            // It was built once before, so it is legal.
+            let seed = impairment.seed.wrapping_add(links.len() as u64);
+            let Ok(chain) = impairment.path.build("impair", seed) else { return };
+            links.insert(destination, Link::new(chain, u64::MAX));
+            self.count.store(links.len(), Ordering::Relaxed);
         }
-        let seed = self.impairment.seed.wrapping_add(links.len() as u64);
-        let link = match links.entry(transmit.destination) {
-            std::collections::btree_map::Entry::Occupied(entry) => entry.into_mut(),
-            std::collections::btree_map::Entry::Vacant(entry) => {
-                // It was built once before, so it is legal.
-                let Ok(chain) = self.impairment.path.build("impair", seed) else { return };
-                entry.insert(Link { chain, next: 0, inside: BTreeMap::new() })
-            }
-        };
-        let payload =
-            Payload { bytes: transmit.contents.to_vec(), ecn: transmit.ecn, source: transmit.src_ip };
-        let bytes = (payload.bytes.len() as u32).saturating_add(IP_UDP_BYTES);
-        let datagram = Datagram { tag: link.next, bytes };
-        link.inside.insert(link.next, payload);
-        link.next += 1;
-        link.pass(Some(datagram), now, transmit.destination, socket);
+        let Some(link) = links.get_mut(&destination) else { return };
+        let segment = transmit.segment_size.unwrap_or(transmit.contents.len()).max(1);
+        for contents in transmit.contents.chunks(segment) {
+            let payload = Payload { bytes: contents.to_vec(), ecn: transmit.ecn, source: transmit.src_ip };
+            link.enter(payload, now, destination, socket);
+        }
         drop(links);
         self.changed.notify_one();
     }
@@ -151,6 +201,21 @@ impl Links {
 }
 
 impl Link {
+    fn new(chain: Chain, most_bytes: u64) -> Self {
+        Self { chain, most_bytes, next: 0, inside: BTreeMap::new() }
+    }
+
+    fn enter(&mut self, payload: Payload, now: Nanos, destination: SocketAddr, socket: &dyn AsyncUdpSocket) {
+        let bytes = (payload.bytes.len() as u32).saturating_add(IP_UDP_BYTES);
+        if self.chain.counts().inside.bytes.saturating_add(bytes.into()) > self.most_bytes {
+            return;
+        }
+        let datagram = Datagram { tag: self.next, bytes };
+        self.inside.insert(self.next, payload);
+        self.next += 1;
+        self.pass(Some(datagram), now, destination, socket);
+    }
+
     fn pass(
         &mut self,
         mut input: Option<Datagram>,
@@ -192,6 +257,9 @@ impl AsyncUdpSocket for ImpairedSocket {
     }
 
     fn try_send(&self, transmit: &Transmit<'_>) -> io::Result<()> {
+        if !self.links.has(&transmit.destination) {
+            return self.inner.try_send(transmit);
+        }
         self.links.enter(transmit, &*self.inner);
         Ok(())
     }
@@ -209,9 +277,8 @@ impl AsyncUdpSocket for ImpairedSocket {
         self.inner.local_addr()
     }
 
-    /// One: every datagram has its own luck.
     fn max_transmit_segments(&self) -> usize {
-        1
+        self.inner.max_transmit_segments()
     }
 
     fn max_receive_segments(&self) -> usize {

@@ -70,8 +70,8 @@ impl ServerLimits {
     }
 }
 
-/// How a client waits. A quiet server is left after `silence`; without `datagrams` it is told that none are
-/// taken.
+/// The transport of a client. Its idle timeout is `silence`; without `datagrams` it advertises that it takes
+/// none (RFC 9221, section 3).
 pub(super) fn client_transport(silence: Duration, scheme: Scheme, datagrams: bool) -> Arc<TransportConfig> {
     let mut config = TransportConfig::default();
     let streams = match scheme {

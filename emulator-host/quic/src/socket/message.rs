@@ -3,9 +3,17 @@
 //! A message is a kind, a length and a body. Its kind bounds its length, so that nothing is stored for a
 //! length that is only claimed: memory follows the bytes that came.
 
+mod conditions;
+mod refusal;
+
 use std::marker::PhantomData;
 
 use codec_core::internals::limits::MAX_RECEIPT_BYTES;
+
+pub use self::{
+    conditions::{Conditions, Granted},
+    refusal::{Refusal, RefusalCode},
+};
 
 /// Name of the protocol in the handshake (ALPN).
 pub const ALPN: &[u8] = b"dgs/0";
@@ -29,9 +37,11 @@ const SEEK: u8 = 0x02;
 const BYE: u8 = 0x03;
 const STREAMS: u8 = 0x04;
 const RECEIPT: u8 = 0x05;
+const CONDITIONS: u8 = 0x06;
 const MANIFEST: u8 = 0x81;
 const REFUSAL: u8 = 0x82;
 const BEGIN: u8 = 0x83;
+const GRANTED: u8 = 0x84;
 
 /// Which stream a client wants.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -65,6 +75,15 @@ pub enum ClientMessage {
     Streams,
     /// What a datagram of the client would hold: a round and a receipt.
     Receipt(Vec<u8>),
+    /// Begins another round, under other conditions.
+    Conditions {
+        /// Number of the round, above that of the round before.
+        round: u32,
+        /// Time in the clip, microseconds.
+        start_us: u64,
+        /// They hold for this and all later rounds.
+        conditions: Conditions,
+    },
 }
 
 /// What a server says.
@@ -81,63 +100,13 @@ pub enum ServerMessage {
         /// A time of that window's first frame, microseconds.
         start_us: u64,
     },
-}
-
-/// Why a server ends or refuses a session.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{sentence} ({code})")]
-pub struct Refusal {
-    /// For programs.
-    pub code: RefusalCode,
-    /// For people.
-    pub sentence: String,
-}
-
-/// Kinds of refusal. The same numbers are the application error codes with which a connection is closed.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RefusalCode {
-    /// The version of the session messages is not known here.
-    Version,
-    /// There is no such stream.
-    UnknownStream,
-    /// As many viewers as allowed are there.
-    Full,
-    /// A message that is none, or one out of turn.
-    Message,
-    /// Nothing came for too long.
-    Silence,
-    /// More came than allowed.
-    Flood,
-    /// The server is closing.
-    Closing,
-}
-
-impl RefusalCode {
-    const ALL: [(Self, u8, &'static str); 7] = [
-        (Self::Version, 1, "version"),
-        (Self::UnknownStream, 2, "unknown stream"),
-        (Self::Full, 3, "full"),
-        (Self::Message, 4, "message"),
-        (Self::Silence, 5, "silence"),
-        (Self::Flood, 6, "flood"),
-        (Self::Closing, 7, "closing"),
-    ];
-
-    /// The number on the wire.
-    pub fn number(self) -> u8 {
-        Self::ALL.iter().find(|entry| entry.0 == self).map_or(0, |entry| entry.1)
-    }
-
-    /// The code of this number.
-    pub fn of(number: u64) -> Option<Self> {
-        Self::ALL.iter().find(|entry| u64::from(entry.1) == number).map(|entry| entry.0)
-    }
-}
-
-impl std::fmt::Display for RefusalCode {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(Self::ALL.iter().find(|entry| entry.0 == *self).map_or("", |entry| entry.2))
-    }
+    /// What of the conditions of a round holds.
+    Granted {
+        /// The round.
+        round: u32,
+        /// What holds.
+        granted: Granted,
+    },
 }
 
 /// Why bytes are no message.
@@ -336,7 +305,7 @@ fn framed(out: &mut Vec<u8>, kind: u8, write: impl FnOnce(&mut Vec<u8>)) {
 }
 
 impl Message for ClientMessage {
-    const KINDS: &'static str = "0x01 hello, 0x02 seek, 0x03 bye, 0x04 streams, 0x05 receipt";
+    const KINDS: &'static str = "0x01 hello, 0x02 seek, 0x03 bye, 0x04 streams, 0x05 receipt, 0x06 conditions";
 
     fn shape(kind: u8) -> Option<(&'static str, usize, usize)> {
         match kind {
@@ -345,6 +314,7 @@ impl Message for ClientMessage {
             BYE => Some(("bye", 0, 0)),
             STREAMS => Some(("streams", 0, 0)),
             RECEIPT => Some(("receipt", 4, MAX_ROUND_RECEIPT_BYTES)),
+            CONDITIONS => Some(("conditions", 12 + conditions::BYTES, 12 + conditions::BYTES)),
             _ => None,
         }
     }
@@ -367,6 +337,13 @@ impl Message for ClientMessage {
                 Ok(Self::Streams)
             }
             RECEIPT => Ok(Self::Receipt(body.to_vec())),
+            CONDITIONS => {
+                let mut fields = Fields::new("conditions", body);
+                let (round, start_us) = (fields.word()?, fields.number(8)?);
+                let conditions = Conditions::parse(&mut fields)?;
+                fields.end()?;
+                Ok(Self::Conditions { round, start_us, conditions })
+            }
             _ => Err(MessageError::Kind { found: kind, allowed: Self::KINDS }),
         }
     }
@@ -395,6 +372,11 @@ impl Message for ClientMessage {
             Self::Bye => framed(out, BYE, |_| ()),
             Self::Streams => framed(out, STREAMS, |_| ()),
             Self::Receipt(datagram) => framed(out, RECEIPT, |out| out.extend_from_slice(datagram)),
+            Self::Conditions { round, start_us, conditions } => framed(out, CONDITIONS, |out| {
+                out.extend_from_slice(&round.to_le_bytes());
+                out.extend_from_slice(&start_us.to_le_bytes());
+                conditions.write(out);
+            }),
         }
     }
 }
@@ -437,13 +419,14 @@ impl MessageError {
 }
 
 impl Message for ServerMessage {
-    const KINDS: &'static str = "0x81 manifest, 0x82 refusal, 0x83 begin";
+    const KINDS: &'static str = "0x81 manifest, 0x82 refusal, 0x83 begin, 0x84 granted";
 
     fn shape(kind: u8) -> Option<(&'static str, usize, usize)> {
         match kind {
             MANIFEST => Some(("manifest", MIN_MANIFEST_BYTES, MAX_MANIFEST_BYTES)),
             REFUSAL => Some(("refusal", 2, 1 + MAX_SENTENCE_BYTES)),
             BEGIN => Some(("begin", 12, 12)),
+            GRANTED => Some(("granted", 5, 5)),
             _ => None,
         }
     }
@@ -469,6 +452,12 @@ impl Message for ServerMessage {
                 fields.end()?;
                 Ok(Self::Begin { round, start_us })
             }
+            GRANTED => {
+                let mut fields = Fields::new("granted", body);
+                let (round, granted) = (fields.word()?, Granted::parse(&mut fields)?);
+                fields.end()?;
+                Ok(Self::Granted { round, granted })
+            }
             _ => Err(MessageError::Kind { found: kind, allowed: Self::KINDS }),
         }
     }
@@ -484,6 +473,10 @@ impl Message for ServerMessage {
             Self::Begin { round, start_us } => framed(out, BEGIN, |out| {
                 out.extend_from_slice(&round.to_le_bytes());
                 out.extend_from_slice(&start_us.to_le_bytes());
+            }),
+            Self::Granted { round, granted } => framed(out, GRANTED, |out| {
+                out.extend_from_slice(&round.to_le_bytes());
+                out.push(granted.flags());
             }),
         }
     }

@@ -26,7 +26,7 @@ use super::{
     entrance::{Entering, Entrance},
     greeting::{Greeting, NoSession, greeting},
     identity::{Identity, IdentityError, Pin},
-    impair::{ImpairedSocket, Impairment},
+    impair::{ImpairedSocket, Impairment, Links},
     limits::ServerLimits,
     message::{Refusal, RefusalCode, StreamChoice},
     offer::{Offer, OfferError},
@@ -53,6 +53,8 @@ pub struct ServerConfig {
     pub policy: PolicyKind,
     /// A link to put before every viewer.
     pub impairment: Option<Impairment>,
+    /// Whether viewers may change the scheduler and the link of their own sessions.
+    pub viewer_conditions: bool,
 }
 
 /// Why nothing can be served.
@@ -113,6 +115,8 @@ struct Shared {
     offers: Vec<Arc<Offer>>,
     limits: ServerLimits,
     policy: PolicyKind,
+    /// Where viewers' own links are; `None` where they may not change any.
+    links: Option<Arc<Links>>,
     slots: Arc<Semaphore>,
     failed_handshakes: AtomicU64,
     ended: mpsc::UnboundedSender<Ended>,
@@ -140,7 +144,7 @@ impl Server {
                 return Err(OfferError::Twice { name: offer.name().to_owned() }.into());
             }
         }
-        let ServerConfig { bind, identity, limits, policy, impairment } = config;
+        let ServerConfig { bind, identity, limits, policy, impairment, viewer_conditions } = config;
         let pin = identity.pin();
         let mut server = quinn::ServerConfig::with_crypto(Arc::new(identity.server()?));
         server
@@ -152,8 +156,11 @@ impl Server {
         let socket = UdpSocket::bind(bind).map_err(failed)?;
         let runtime = Arc::new(TokioRuntime);
         let mut socket = runtime.wrap_udp_socket(socket).map_err(failed)?;
-        if let Some(impairment) = impairment {
-            socket = Arc::new(ImpairedSocket::new(socket, impairment)?);
+        let mut links = None;
+        if impairment.is_some() || viewer_conditions {
+            let impaired = ImpairedSocket::new(socket, impairment)?;
+            links = viewer_conditions.then(|| impaired.links());
+            socket = Arc::new(impaired);
         }
         let endpoint =
             Endpoint::new_with_abstract_socket(EndpointConfig::default(), Some(server), socket, runtime)
@@ -165,6 +172,7 @@ impl Server {
             slots: Arc::new(Semaphore::new(limits.max_viewers)),
             limits,
             policy,
+            links,
             failed_handshakes: AtomicU64::new(0),
             ended: ended_sender,
             stopping,
@@ -306,8 +314,8 @@ async fn attend(opening: impl Future<Output = Result<Opened, Closed>>, shared: &
     let (viewer, end) = match greeted.and_then(|greeting| shared.greet(greeting)) {
         Ok((greeting, offer, slot)) => {
             let Greeting { carrier, ending, send, control, start_us, .. } = greeting;
-            let (limits, policy) = (shared.limits.clone(), shared.policy);
-            let session = Session { carrier, ending, send, control, offer, limits, policy, stopping };
+            let (limits, policy, links) = (shared.limits.clone(), shared.policy, shared.links.clone());
+            let session = Session { carrier, ending, send, control, offer, limits, policy, links, stopping };
             let (viewer, end) = session.run(start_us).await;
             drop(slot);
             (Some(viewer), end)

@@ -2,6 +2,7 @@
 
 mod browser;
 mod clients;
+mod conditions;
 mod live;
 mod servers;
 mod streams;
@@ -89,9 +90,14 @@ impl Running {
     }
 
     fn offering(limits: ServerLimits, offer: Offer) -> Self {
+        Self::letting(true, limits, offer)
+    }
+
+    /// A server that lets viewers change the conditions of their sessions, or does not.
+    fn letting(viewer_conditions: bool, limits: ServerLimits, offer: Offer) -> Self {
         let identity = Identity::self_signed(&["localhost".to_owned()]).unwrap();
         let (bind, policy) = ((Ipv4Addr::LOCALHOST, 0).into(), PolicyKind::Layered);
-        let config = ServerConfig { bind, identity, limits, policy, impairment: None };
+        let config = ServerConfig { bind, identity, limits, policy, impairment: None, viewer_conditions };
         let server = Server::bind(config, vec![offer]).unwrap();
         let entrance = server.entrance();
         let (address, trust) = (server.local_addr().unwrap(), Trust::Pin(server.pin()));

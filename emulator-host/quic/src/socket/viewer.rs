@@ -1,22 +1,24 @@
 //! Serves one viewer: rounds of playout, a datagram whenever the transport takes one, until somebody ends it.
 
+mod end;
+
 use std::{
     collections::VecDeque,
-    net::SocketAddr,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use emulator_host::{Nanos, PacketIndex, PolicyKind, graph::GraphError};
-use serde::Serialize;
 use tokio::{sync::watch, time::sleep_until};
 
+pub use self::end::ViewerReport;
+pub(super) use self::end::{End, end_session};
 use super::{
     carrier::{Carrier, CarrierEnding, ControlWriter, Departure, NotSent},
-    channel::Closed,
     control::{Control, ControlError},
+    impair::Links,
     limits::{Allowance, ServerLimits},
-    message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
+    message::{ClientMessage, Conditions, Granted, Message as _, Refusal, RefusalCode, ServerMessage},
     offer::{Content, Offer},
     round::Round,
 };
@@ -37,79 +39,6 @@ const SEEKS: (f64, f64) = (5.0, 20.0);
 /// Bytes before the receipt in a datagram of the client: the round.
 const ROUND_BYTES: usize = 4;
 
-/// What one viewer got and said.
-#[derive(Clone, Debug, Serialize)]
-pub struct ViewerReport {
-    /// Where it was.
-    pub address: SocketAddr,
-    /// Name of the stream.
-    pub stream: String,
-    /// Seconds from hello to end.
-    pub seconds: f64,
-    /// Rounds begun: the first, seeks and repeats.
-    pub rounds: u32,
-    /// Packets sent, repeats and parity included.
-    pub packets: u64,
-    /// Their bytes.
-    pub media_bytes: u64,
-    /// Packets sent again.
-    pub retransmitted: u64,
-    /// Parity sent.
-    pub parity: u64,
-    /// Packets that were lost, as far as receipts tell.
-    pub lost: u64,
-    /// Receipts taken.
-    pub receipts: u64,
-    /// Whether it said where it is.
-    pub located: bool,
-    /// Datagrams from the client that are no receipt of a known round.
-    pub refused_receipts: u64,
-    /// Smoothed round trip at the end, milliseconds.
-    pub rtt_ms: f64,
-    /// Why it ended.
-    pub end: String,
-}
-
-/// How a session ended.
-#[derive(Debug)]
-pub(super) enum End {
-    /// The client is through.
-    Bye,
-    /// The server ends it and says why.
-    Refused(Refusal),
-    /// The connection is gone.
-    Gone(Closed),
-}
-
-impl End {
-    /// The code of a refusal.
-    pub(super) fn refused(&self) -> Option<RefusalCode> {
-        match self {
-            Self::Refused(refusal) => Some(refusal.code),
-            Self::Bye | Self::Gone(_) => None,
-        }
-    }
-}
-
-impl From<Closed> for End {
-    fn from(closed: Closed) -> Self {
-        match closed {
-            Closed::Session { code: 0, .. } => Self::Bye,
-            closed => Self::Gone(closed),
-        }
-    }
-}
-
-impl std::fmt::Display for End {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Bye => f.write_str("the viewer is through"),
-            Self::Refused(refusal) => refusal.fmt(f),
-            Self::Gone(error) => error.fmt(f),
-        }
-    }
-}
-
 /// A session that a hello has begun.
 pub(super) struct Session {
     pub(super) carrier: Carrier,
@@ -119,6 +48,8 @@ pub(super) struct Session {
     pub(super) offer: Arc<Offer>,
     pub(super) limits: ServerLimits,
     pub(super) policy: PolicyKind,
+    /// Where the viewer's own link is; `None` where it may not change conditions.
+    pub(super) links: Option<Arc<Links>>,
     pub(super) stopping: watch::Receiver<bool>,
 }
 
@@ -136,11 +67,19 @@ struct Tally {
     located: bool,
 }
 
+fn refused(code: RefusalCode, sentence: String) -> End {
+    End::Refused(Refusal { code, sentence })
+}
+
 /// The moving parts of a session.
 struct Viewer<'s> {
     carrier: &'s Carrier,
     offer: &'s Offer,
+    /// The server's scheduler, and the one that chooses.
+    own_policy: PolicyKind,
     policy: PolicyKind,
+    links: Option<Arc<Links>>,
+    conditions: Conditions,
     began: Instant,
     round: Round,
     /// Times that the round was renewed.
@@ -179,23 +118,30 @@ async fn departure(sending: &mut Option<Sending<'_>>) -> Result<(), NotSent> {
 impl Session {
     /// Runs the session from `start_us` on.
     pub(super) async fn run(self, start_us: u64) -> (ViewerReport, End) {
-        let Self { carrier, mut ending, mut send, mut control, offer, limits, policy, mut stopping } = self;
+        let Self { carrier, mut ending, mut send, mut control, offer, limits, policy, links, mut stopping } =
+            self;
         let began = Instant::now();
         let address = carrier.address();
         let mut tally = Tally::default();
+        let mut scheduler = policy;
         let end = match Viewer::new(&carrier, &offer, &limits, policy, start_us) {
             Ok(mut viewer) => {
+                viewer.links.clone_from(&links);
                 let end = viewer.run(&mut ending, &mut send, &mut control, &limits, &mut stopping).await;
                 viewer.close_round();
-                tally = viewer.tally;
+                (tally, scheduler) = (viewer.tally, viewer.policy);
                 end
             }
             Err(error) => End::Refused(Refusal { code: RefusalCode::Message, sentence: error.to_string() }),
         };
         end_session(ending, send, &end).await;
+        if let Some(links) = links {
+            links.clear(address);
+        }
         let report = ViewerReport {
             address,
             stream: offer.name().to_owned(),
+            scheduler: scheduler.name(),
             seconds: began.elapsed().as_secs_f64(),
             rounds: tally.rounds,
             packets: tally.packets,
@@ -211,21 +157,6 @@ impl Session {
         };
         (report, end)
     }
-}
-
-/// Says why, and closes.
-pub(super) async fn end_session(ending: CarrierEnding, send: ControlWriter, end: &End) {
-    let code = match end {
-        End::Bye | End::Gone(_) => 0,
-        End::Refused(refusal) => {
-            // On the stream it is repeated until it has arrived; but a peer that does not read is not waited
-            // for.
-            let message = ServerMessage::Refusal(refusal.clone()).to_bytes();
-            let _ = tokio::time::timeout(Duration::from_millis(500), send.finish(&message)).await;
-            u32::from(refusal.code.number())
-        }
-    };
-    ending.close(code, &end.to_string()).await;
 }
 
 impl<'s> Viewer<'s> {
@@ -253,7 +184,10 @@ impl<'s> Viewer<'s> {
         Ok(Self {
             carrier,
             offer,
+            own_policy: policy,
             policy,
+            links: None,
+            conditions: Conditions::NONE,
             began,
             round: Round::new(0, carrier, (now, first), policy, &delivered)?,
             renewals: 0,
@@ -394,30 +328,12 @@ impl<'s> Viewer<'s> {
 
     fn on_message(&mut self, message: Result<Option<ClientMessage>, ControlError>) -> Result<(), End> {
         self.heard_at = Instant::now();
-        let refused = |code, sentence: String| End::Refused(Refusal { code, sentence });
         match message {
-            Ok(Some(ClientMessage::Seek { round, start_us })) => {
-                if round <= self.round.number {
-                    let sentence = format!("seek.round is {round}, allowed above {}", self.round.number);
-                    return Err(refused(RefusalCode::Message, sentence));
-                }
-                if !self.seeks.take(1.0, self.began.elapsed()) {
-                    return Err(refused(RefusalCode::Flood, "too many seeks".to_owned()));
-                }
-                self.close_round();
-                let content = self.content.borrow_and_update().clone();
-                let (first, says) = self.offer.start(&content, start_us);
-                if says {
-                    if self.out.len() > MAX_UNREAD {
-                        return Err(refused(RefusalCode::Flood, "answers are not read".to_owned()));
-                    }
-                    let start_us = self.offer.time_us(&content, first);
-                    self.out.extend(ServerMessage::Begin { round, start_us }.to_bytes());
-                }
-                let next = Round::new(round, self.carrier, (content, first), self.policy, &self.delivered);
-                self.round = next.map_err(|error| refused(RefusalCode::Message, error.to_string()))?;
-                self.tally.rounds += 1;
-                Ok(())
+            Ok(Some(ClientMessage::Seek { round, start_us })) => self.begin_round(round, start_us),
+            Ok(Some(ClientMessage::Conditions { round, start_us, conditions })) => {
+                let granted = self.grant(conditions);
+                self.answer(&ServerMessage::Granted { round, granted })?;
+                self.begin_round(round, start_us)
             }
             Ok(Some(ClientMessage::Bye) | None) | Err(ControlError::Lost(_)) => Err(End::Bye),
             Ok(Some(ClientMessage::Streams)) => {
@@ -431,6 +347,51 @@ impl<'s> Viewer<'s> {
             Err(ControlError::Message(error)) => Err(End::Refused(error.refusal())),
             Err(error @ ControlError::Cut) => Err(refused(RefusalCode::Message, error.to_string())),
         }
+    }
+
+    /// Goes on from `start_us` as round `round`.
+    fn begin_round(&mut self, round: u32, start_us: u64) -> Result<(), End> {
+        if round <= self.round.number {
+            let sentence = format!("round is {round}, allowed above {}", self.round.number);
+            return Err(refused(RefusalCode::Message, sentence));
+        }
+        if !self.seeks.take(1.0, self.began.elapsed()) {
+            return Err(refused(RefusalCode::Flood, "too many seeks".to_owned()));
+        }
+        self.close_round();
+        if self.conditions.anew {
+            self.delivered.fill(false);
+        }
+        let content = self.content.borrow_and_update().clone();
+        let (first, says) = self.offer.start(&content, start_us);
+        if says {
+            let start_us = self.offer.time_us(&content, first);
+            self.answer(&ServerMessage::Begin { round, start_us })?;
+        }
+        let next = Round::new(round, self.carrier, (content, first), self.policy, &self.delivered);
+        self.round = next.map_err(|error| refused(RefusalCode::Message, error.to_string()))?;
+        self.tally.rounds += 1;
+        Ok(())
+    }
+
+    /// Puts the session under `conditions`, as far as the server lets it.
+    fn grant(&mut self, conditions: Conditions) -> Granted {
+        let Some(links) = &self.links else { return Granted { link: false, scheduler: false } };
+        self.conditions = conditions;
+        self.policy = conditions.scheduler.unwrap_or(self.own_policy);
+        let impairment = conditions.impairment();
+        let link = self.carrier.is_impaired_by_links()
+            && links.set(self.carrier.address(), impairment.as_ref());
+        Granted { link, scheduler: true }
+    }
+
+    /// Writes `message` as soon as the client takes it.
+    fn answer(&mut self, message: &ServerMessage) -> Result<(), End> {
+        if self.out.len() > MAX_UNREAD {
+            return Err(refused(RefusalCode::Flood, "answers are not read".to_owned()));
+        }
+        self.out.extend(message.to_bytes());
+        Ok(())
     }
 
     fn on_datagram(&mut self, datagram: &[u8]) -> Result<(), Refusal> {

@@ -2,13 +2,11 @@
 
 use std::collections::BTreeMap;
 
-use codec_core::internals::{
-    ids::{ClusterId, Span},
-    layout::Shape,
-    receiver::Content,
-};
+use codec_core::internals::{ids::Span, receiver::Content};
 use dgs_player::Result;
 use render_host::Gaussian;
+
+use super::quality::{BlockOfFrame, blocks_of, coverage};
 
 /// Levels there are, base included.
 pub const LEVELS: usize = 4;
@@ -24,8 +22,8 @@ pub(super) const SH0: f32 = 0.282_094_79;
 const BRIGHT_S: f64 = 1.0;
 /// Colours of a block that has just gained a level, and of one that has not for long.
 const ARRIVALS: [[f32; 3]; 2] = [[1.0, 0.92, 0.35], [0.14, 0.15, 0.20]];
-/// From the least to the most weight; brightness rises with it.
-const WEIGHTS: [[f32; 3]; 5] =
+/// From the least to the most coverage; brightness rises with it.
+const COVERAGE: [[f32; 3]; 5] =
     [[0.10, 0.05, 0.30], [0.40, 0.10, 0.45], [0.75, 0.25, 0.35], [0.95, 0.55, 0.20], [0.98, 0.95, 0.60]];
 
 /// What blocks are painted by.
@@ -36,16 +34,16 @@ pub enum Overlay {
     None,
     /// The level that they are shown at: see [`LEVEL_COLOURS`].
     Levels,
-    /// How long ago they gained a level: bright at once, dark after a second.
+    /// How long ago they gained a level: bright at first, dark after a second.
     Arrivals,
-    /// How much of a picture they can cover, opacity times area, as a share of the heaviest block. Receivers
-    /// have no utilities; a sender without any would begin with this.
-    Weights,
+    /// How much of a picture they can cover, opacity times area of the largest cross-section, as a share of
+    /// the block that covers most: a stand-in for utility, of which receivers have no table.
+    Coverage,
 }
 
 impl Overlay {
     /// All of them, in the order in which a key goes through them.
-    pub const ALL: [Self; 4] = [Self::None, Self::Levels, Self::Arrivals, Self::Weights];
+    pub const ALL: [Self; 4] = [Self::None, Self::Levels, Self::Arrivals, Self::Coverage];
 
     /// The one of this name; `None` where there is none.
     pub fn named(name: &str) -> Option<Self> {
@@ -61,7 +59,7 @@ impl Overlay {
 }
 
 /// Names of all overlays.
-const NAMES: [&str; 4] = ["none", "levels", "arrivals", "weights"];
+const NAMES: [&str; 4] = ["none", "levels", "arrivals", "coverage"];
 
 /// An epoch, a cluster of it and a block of that.
 type BlockPlace = (u16, u16, usize);
@@ -88,13 +86,13 @@ impl Painter {
         *self = Self { overlay, now_s: self.now_s, last_grown_s: f64::NEG_INFINITY, ..Self::default() };
     }
 
-    /// Forgets what came: everything comes again.
-    pub(super) fn forget(&mut self) {
+    /// Forgets when levels came: all packets come again.
+    pub(super) fn forget_arrivals(&mut self) {
         self.set_overlay(self.overlay);
     }
 
-    /// Lets time come to `now_s`; true while colours change with it.
-    pub(super) fn pass_to(&mut self, now_s: f64) -> bool {
+    /// Sets the time; true while colours change with it.
+    pub(super) fn set_time(&mut self, now_s: f64) -> bool {
         self.now_s = now_s;
         self.overlay == Overlay::Arrivals && now_s < self.last_grown_s + BRIGHT_S
     }
@@ -113,35 +111,22 @@ impl Painter {
         self.painted.clear();
         self.painted.extend_from_slice(gaussians);
         let is_first = self.grown.range((epoch, 0, 0)..=(epoch, u16::MAX, usize::MAX)).next().is_none();
-        let mut blocks = Vec::new();
-        let mut first = 0;
-        for cluster in 0..content.manifest.clusters_of(span).unwrap_or(0) {
-            let cluster = ClusterId(cluster as u16);
-            let shape = Shape::in_lattice(content.manifest, span, cluster)?;
-            let cell = content.cell_in_lattice(span, cluster)?;
-            for block in 0..shape.blocks() {
-                let usable = content.arrived(cell, block)?.usable().min(LEVELS);
-                let start = (first + shape.first_of(block)).min(gaussians.len());
-                let past = (start + shape.block_gaussians(block)).min(gaussians.len());
-                blocks.push(((epoch, cluster.0, block), usable, start..past));
-            }
-            first += shape.gaussians();
-        }
-        let of_block =
-            |range: &std::ops::Range<usize>| gaussians[range.clone()].iter().map(weight).sum::<f32>();
-        let weights: Vec<f32> = match self.overlay {
-            Overlay::Weights => blocks.iter().map(|(_, _, range)| of_block(range)).collect(),
+        let blocks = blocks_of(content, span, gaussians.len())?;
+        let coverages: Vec<f32> = match self.overlay {
+            Overlay::Coverage => blocks.iter().map(|b| coverage(&gaussians[b.gaussians.clone()])).collect(),
             _ => vec![0.0; blocks.len()],
         };
-        let heaviest = weights.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
-        for ((place, usable, range), weight) in blocks.into_iter().zip(weights) {
+        let most = coverages.iter().copied().fold(f32::MIN_POSITIVE, f32::max);
+        for (block, coverage) in blocks.into_iter().zip(coverages) {
+            let BlockOfFrame { cluster, block, usable, gaussians } = block;
+            let place = (epoch, cluster.0, block);
             let colour = match self.overlay {
                 Overlay::None | Overlay::Levels => LEVEL_COLOURS[usable],
                 Overlay::Arrivals => self.arrival_colour(place, usable, is_first),
-                Overlay::Weights => ramp(&WEIGHTS, (weight / heaviest).sqrt()),
+                Overlay::Coverage => ramp(&COVERAGE, (coverage / most).sqrt()),
             };
             let sh0 = colour.map(|c| (c - 0.5) / SH0);
-            self.painted[range].iter_mut().for_each(|gaussian| gaussian.sh0 = sh0);
+            self.painted[gaussians].iter_mut().for_each(|gaussian| gaussian.sh0 = sh0);
         }
         Ok(&self.painted)
     }
@@ -158,13 +143,6 @@ impl Painter {
         let age = ((self.now_s - *grown_s) / BRIGHT_S).clamp(0.0, 1.0);
         ramp(&ARRIVALS, age as f32)
     }
-}
-
-/// How much a Gaussian can cover: its opacity times the area of its largest cross-section.
-fn weight(gaussian: &Gaussian) -> f32 {
-    let [x, y, z] = gaussian.scale;
-    let area = (x * y).max(y * z).max(z * x);
-    if area.is_finite() { gaussian.opacity * area } else { 0.0 }
 }
 
 /// The colour at `share` of the way along `colours`, 0 to 1.

@@ -92,13 +92,16 @@ fn what_has_just_come_is_bright_for_a_second() {
 }
 
 #[test]
-fn weights_are_of_the_block_that_covers_most_and_move_nothing() {
+fn coverage_is_of_the_block_that_covers_most_and_moves_nothing() {
     let mut session = session();
     let plain = shown(&mut session);
-    let colours = painted(&mut session, Overlay::Weights);
+    let colours = painted(&mut session, Overlay::Coverage);
     let brightness = |colour: &[f32; 3]| colour.iter().sum::<f32>();
     let brightest = colours.iter().map(brightness).fold(0.0, f32::max);
-    assert!((brightest - 2.53).abs() < 1e-3, "{brightest}: the heaviest block is at the end of the colours");
+    assert!(
+        (brightest - 2.53).abs() < 1e-3,
+        "{brightest}: the block that covers most is at the end of the colours"
+    );
     assert!(colours.iter().any(|colour| brightness(colour) < 0.9 * brightest));
     let after = shown(&mut session);
     assert!(plain.iter().zip(&after).all(|(a, b)| a.position == b.position && a.scale == b.scale));

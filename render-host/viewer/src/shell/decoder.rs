@@ -182,10 +182,27 @@ impl Decoder {
     }
 
     /// Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all
-    /// at once), seed.
-    pub fn impair(&mut self, loss: f64, burst: f64, rate_bps: f64, seed: u32) -> Result<(), JsError> {
+    /// at once), seconds of delay, seed.
+    pub fn impair(
+        &mut self,
+        loss: f64,
+        burst: f64,
+        rate_bps: f64,
+        delay_s: f64,
+        seed: u32,
+    ) -> Result<(), JsError> {
         let rate_bps = (rate_bps > 0.0).then_some(rate_bps);
-        Ok(self.session.impair(Conditions { loss, burst, rate_bps, seed: seed.into() })?)
+        Ok(self.session.impair(Conditions { loss, burst, rate_bps, delay_s, seed: seed.into() })?)
+    }
+
+    /// Forgets every packet: the server begins as if nothing had arrived.
+    pub fn restart(&mut self) -> Result<(), JsError> {
+        Ok(self.session.restart()?)
+    }
+
+    /// An estimate of how good the frame last packed is, from what of it has come: 0 to 1.
+    pub fn quality(&self) -> f32 {
+        self.session.quality()
     }
 
     /// Lets the emulated network deliver; true while packets are on their way.

@@ -14,11 +14,12 @@ use render_host::{Image, Renderer, Settings, Splats, metric};
 use trainer_host::viewpoint::{Framing, Ring};
 
 use crate::{
-    figures::{Bench, Figure},
+    figures::{Bench, Figure, median},
     setup::{Setup, load, synth},
 };
 
 const FRAMES_PER_SECOND: f64 = 30.0;
+const RUNS: usize = 3;
 /// Names, encoders and options of ffmpeg, as near in error as their steps of quality allow.
 const PEERS: [(&str, &[&str]); 2] =
     [("libsvtav1", &["-crf", "26", "-preset", "6"]), ("libx264", &["-crf", "17", "-preset", "medium"])];
@@ -40,8 +41,8 @@ pub fn run(setup: &Setup) -> Result<Bench> {
         format!(
             "the first {frames} frames of a scene, {} × {}, held-out ring camera, black background, 30 \
              frames per second; time of encoding alone, in memory for dgs-video, through a pipe for \
-             ffmpeg; PSNR of the red, green and blue that an installed ffmpeg decodes; all processors; one \
-             run each, one after the other",
+             ffmpeg; PSNR of the red, green and blue that an installed ffmpeg decodes; all processors; \
+             medians of {RUNS} interleaved runs",
             size.0, size.1
         ),
     );
@@ -66,21 +67,39 @@ pub fn run(setup: &Setup) -> Result<Bench> {
 }
 
 fn compare(bench: &mut Bench, clip: &Clip, folder: &Path) -> Result<()> {
-    let start = Instant::now();
-    let own = encode(clip)?;
-    report(bench, clip, ("dgs-video", start.elapsed().as_secs_f64()), own, folder)?;
-    for (encoder, options) in PEERS {
-        let target = folder.join(format!("{encoder}.mp4"));
-        let start = Instant::now();
-        match encode_by_ffmpeg(clip, encoder, options, &target) {
-            Ok(()) => {
-                let seconds = start.elapsed().as_secs_f64();
-                report(bench, clip, (encoder, seconds), fs::read(&target)?, folder)?;
+    let target = folder.join("peer.mp4");
+    let mut own = Vec::new();
+    let mut peers = PEERS.map(|_| Ok((Vec::new(), Vec::new())));
+    for _ in 0..RUNS {
+        own.push(timed(|| encode(clip))?);
+        for (peer, (encoder, options)) in peers.iter_mut().zip(PEERS) {
+            let Ok((seconds, file)) = peer else { continue };
+            match timed(|| encode_by_ffmpeg(clip, encoder, options, &target)) {
+                Ok((took, ())) => {
+                    seconds.push(took);
+                    *file = fs::read(&target)?;
+                }
+                Err(error) => *peer = Err(error),
             }
+        }
+    }
+    let (seconds, mut files): (Vec<f64>, Vec<Vec<u8>>) = own.into_iter().unzip();
+    ensure!(files.windows(2).all(|pair| pair[0] == pair[1]), "the same pictures gave other bytes");
+    report(bench, clip, ("dgs-video", median(&seconds)), files.swap_remove(0), folder)?;
+    for ((encoder, _), peer) in PEERS.iter().zip(peers) {
+        match peer {
+            Ok((seconds, file)) => report(bench, clip, (encoder, median(&seconds)), file, folder)?,
             Err(error) => bench.skipped.push(format!("{encoder}: {error:#}")),
         }
     }
     Ok(())
+}
+
+/// What `work` gives, after the seconds that it took.
+fn timed<T>(work: impl FnOnce() -> Result<T>) -> Result<(f64, T)> {
+    let start = Instant::now();
+    let done = work()?;
+    Ok((start.elapsed().as_secs_f64(), done))
 }
 
 /// Figures of a video that took `seconds` to encode.
@@ -93,7 +112,7 @@ fn report(
 ) -> Result<()> {
     let key = |what: &str| format!("{}.{encoder}.{what}", clip.name);
     let count = clip.pictures.len() as f64;
-    let speed = Figure::new(key("pictures_per_s"), count / seconds, "1/s");
+    let speed = Figure::new(key("pictures_per_s"), count / seconds, "1/s").runs(RUNS);
     let path = folder.join("decoded.mp4");
     fs::write(&path, &file)?;
     match decode(&path, clip.size) {

@@ -191,12 +191,12 @@ fn deformed_epoch(
         sh0: columns.sh0[i],
         sh_rest: &columns.sh_rest[i * rest_len..(i + 1) * rest_len],
     };
-    let anchors: Vec<Vec<f32>> = match field {
+    let static_features: Vec<Vec<f32>> = match field {
         Field::Warp(_) => Vec::new(),
         Field::Planes(planes) => {
-            let bytes = (n as u64).saturating_mul(4 * planes.anchor_len() as u64);
+            let bytes = (n as u64).saturating_mul(4 * planes.static_feature_count() as u64);
             limits.bytes(FORMAT, "features", bytes)?;
-            (0..n).into_par_iter().map(|i| planes.anchor(columns.positions[i])).collect()
+            (0..n).into_par_iter().map(|i| planes.static_features(columns.positions[i])).collect()
         }
     };
     let mut attributes = Attributes {
@@ -213,10 +213,10 @@ fn deformed_epoch(
         let time = if frames == 1 { 0.0 } else { frame as f32 / (frames - 1) as f32 };
         let gaussians: Vec<Deformed> = match field {
             Field::Planes(planes) => {
-                (0..n).into_par_iter().map(|i| planes.at(&canonical(i), &anchors[i], time)).collect()
+                (0..n).into_par_iter().map(|i| planes.at(&canonical(i), &static_features[i], time)).collect()
             }
             Field::Warp(warp) => {
-                let of_time = warp.waves_of(time);
+                let of_time = warp.encode_time(time);
                 (0..n).into_par_iter().map(|i| warp.at(&canonical(i), &of_time)).collect()
             }
         };

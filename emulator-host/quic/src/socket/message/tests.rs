@@ -19,6 +19,7 @@ fn client() -> Vec<ClientMessage> {
         ClientMessage::Bye,
         ClientMessage::Streams,
         ClientMessage::Receipt(vec![1, 0, 0, 0, 7]),
+        ClientMessage::Conditions { round: 8, start_us: 40_000, conditions: Conditions::NONE },
     ]
 }
 
@@ -37,10 +38,12 @@ fn messages_come_back_whole_however_they_are_cut() {
         assert!(!reader.is_inside());
     }
     let refusal = Refusal { code: RefusalCode::Full, sentence: "é".repeat(600) };
-    let server = [ServerMessage::Manifest(vec![9; 300]), ServerMessage::Refusal(refusal)];
+    let granted = Granted { link: true, scheduler: false };
+    let granted = ServerMessage::Granted { round: 9, granted };
+    let server = [ServerMessage::Manifest(vec![9; 300]), ServerMessage::Refusal(refusal), granted];
     let bytes: Vec<u8> = server.iter().flat_map(Message::to_bytes).collect();
     let back = read::<ServerMessage>(&bytes).unwrap();
-    assert_eq!(back[0], server[0]);
+    assert_eq!((&back[0], &back[2]), (&server[0], &server[2]));
     let ServerMessage::Refusal(cut) = &back[1] else { panic!("{back:?}") };
     assert_eq!((cut.code, cut.sentence.len()), (RefusalCode::Full, 1000));
 }
@@ -85,4 +88,42 @@ fn what_is_wrong_is_named() {
         refusal.sentence.clear();
     }
     assert!(read::<ServerMessage>(&refusal.to_bytes()).is_err());
+}
+
+#[test]
+fn conditions_hold_what_is_asked_for_and_nothing_out_of_bounds() {
+    // Anew, `layered`, 2 Mbit/s, 40 ms, 5 % in runs of 4, seed 7.
+    let mut body = vec![8, 0, 0, 0, 64, 156, 0, 0, 0, 0, 0, 0, 1, 1];
+    body.extend(2_000_000u64.to_le_bytes());
+    body.extend(40_000u32.to_le_bytes());
+    body.extend([244, 1, 4, 0, 7, 0, 0, 0]);
+    let message = |body: &[u8]| {
+        let mut bytes = vec![CONDITIONS];
+        bytes.extend((body.len() as u32).to_le_bytes());
+        bytes.extend(body);
+        read::<ClientMessage>(&bytes)
+    };
+    let [ClientMessage::Conditions { round: 8, start_us: 40_000, conditions }] = message(&body).unwrap()[..]
+    else {
+        panic!()
+    };
+    assert!(conditions.anew && conditions.scheduler == Some(emulator_host::PolicyKind::Layered));
+    let impairment = conditions.impairment().unwrap();
+    assert_eq!((impairment.path.delay.0, impairment.path.queue.bytes, impairment.seed), (40_000_000, 62_500, 7));
+    assert_eq!(impairment.path.loss, emulator_host::link::LossModel::in_bursts(0.05, 4.0));
+    assert!(Conditions::NONE.impairment().is_none());
+    for (at, value, named) in [
+        (12, 2, "conditions.anew is 2"),
+        (13, 6, "conditions.scheduler is 6"),
+        (19, 1, "conditions.rate"),
+        (25, 1, "conditions.delay"),
+        (27, 200, "conditions.loss"),
+        (28, 0, "conditions.burst is 0"),
+    ] {
+        let mut body = body.clone();
+        body[at] = value;
+        let error = message(&body).unwrap_err();
+        assert!(error.to_string().contains(named), "{at}: {error}");
+    }
+    assert!(message(&body[1..]).is_err());
 }

@@ -33,6 +33,7 @@ impl Serving {
             limits: ServerLimits { max_viewers, max_rate_bps, ..ServerLimits::default() },
             policy: PolicyKind::DeadlineUtility,
             impairment,
+            viewer_conditions: false,
         };
         let server = runtime.block_on(async { Server::bind(config, vec![offer]) })?;
         let locator = Locator {

@@ -1,4 +1,4 @@
-//! Evaluates small networks: linear layers with rectifiers between them.
+//! Evaluates small networks: linear layers with ReLU between them.
 
 use crate::scene::import::{
     error::{ErrorKind, ImportError},
@@ -53,11 +53,11 @@ impl Linear {
     }
 }
 
-/// Layers with a rectifier between each two.
-pub struct Stack(Vec<Linear>);
+/// A multilayer perceptron: linear layers with ReLU between each two.
+pub struct Mlp(Vec<Linear>);
 
-impl Stack {
-    /// Reads `NAME.FIRST`, `NAME.FIRST + 2` and so on: the rectifiers between have numbers and no weights.
+impl Mlp {
+    /// Reads `NAME.FIRST`, `NAME.FIRST + 2` and so on: the ReLU between have numbers and no weights.
     pub fn read(tensors: &mut Tensors<'_>, name: &str, first: usize) -> Result<Self, ImportError> {
         let mut layers: Vec<Linear> = Vec::new();
         for number in (first..tensors.numbered(name)?.max(first + 1)).step_by(2) {
@@ -86,7 +86,7 @@ impl Stack {
         let mut values = input.to_vec();
         for (number, layer) in self.0.iter().enumerate() {
             if number > 0 {
-                rectify(&mut values);
+                relu(&mut values);
             }
             values = layer.apply(&values);
         }
@@ -95,7 +95,7 @@ impl Stack {
 }
 
 /// Sets what is negative to zero.
-pub fn rectify(values: &mut [f32]) {
+pub fn relu(values: &mut [f32]) {
     values.iter_mut().for_each(|value| *value = value.max(0.0));
 }
 

@@ -6,7 +6,7 @@
 
 use super::{
     deformed::{Canonical, Deformed},
-    layers::{Stack, rectify},
+    layers::{Mlp, relu},
     options::FieldOptions,
 };
 use crate::scene::import::{
@@ -38,12 +38,12 @@ struct Scale {
     features: usize,
 }
 
-/// What the network sees.
+/// What the trunk takes.
 #[derive(Clone, Copy)]
-enum Seen {
+enum Input {
     Features,
     /// Features, their sines and their cosines at a frequency.
-    Waves(f32),
+    Encoded(f32),
 }
 
 /// A field of 4D Gaussian Splatting.
@@ -51,17 +51,17 @@ pub struct Planes {
     /// Corner of the box at -1 on the planes, and the one at +1.
     corners: [[f32; 3]; 2],
     scales: Vec<Scale>,
-    seen: Seen,
-    trunk: Stack,
-    position: Option<Stack>,
-    log_scale: Option<Stack>,
-    rotation: Option<Stack>,
+    input: Input,
+    trunk: Mlp,
+    position: Option<Mlp>,
+    log_scale: Option<Mlp>,
+    rotation: Option<Mlp>,
     /// Rotations are multiplied, not added.
     multiplies: bool,
-    opacity: Option<Stack>,
-    harmonics: Option<Stack>,
+    opacity: Option<Mlp>,
+    harmonics: Option<Mlp>,
     /// How much of the canonical attributes is left.
-    share: Option<Stack>,
+    share: Option<Mlp>,
 }
 
 impl Planes {
@@ -79,21 +79,21 @@ impl Planes {
         let scales = (0..tensors.numbered("deformation_net.grid.grids")?)
             .map(|number| Scale::read(tensors, number))
             .collect::<Result<Vec<_>, _>>()?;
-        let trunk = Stack::read(tensors, "deformation_net.feature_out", 0)?;
+        let trunk = Mlp::read(tensors, "deformation_net.feature_out", 0)?;
         let features: usize = scales.iter().map(|scale| scale.features).sum();
-        let seen = seen(format, options, trunk.inputs(), features)?;
+        let input = input(format, options, trunk.inputs(), features)?;
         let width = trunk.outputs();
         let mut head = |name: &str, stays: bool, outputs: usize| {
             if stays {
                 return Ok(None);
             }
             let name = format!("deformation_net.{name}");
-            let stack = Stack::read(tensors, &name, 1)?;
-            if (stack.inputs(), stack.outputs()) != (width, outputs) {
-                let found = format!("{} to {} values", stack.inputs(), stack.outputs());
+            let mlp = Mlp::read(tensors, &name, 1)?;
+            if (mlp.inputs(), mlp.outputs()) != (width, outputs) {
+                let found = format!("{} to {} values", mlp.inputs(), mlp.outputs());
                 return Err(format.malformed(name, found, format_args!("{width} to {outputs}")));
             }
-            Ok(Some(stack))
+            Ok(Some(mlp))
         };
         let position = head("pos_deform", options.no_dx, 3)?;
         let log_scale = head("scales_deform", options.no_ds, 3)?;
@@ -101,8 +101,7 @@ impl Planes {
         let opacity = head("opacity_deform", options.no_do, 1)?;
         let harmonics = head("shs_deform", options.no_dshs, HARMONICS)?;
         let has_share = tensors.numbered("deformation_net.static_mlp")? > 0;
-        let share =
-            if has_share { Some(Stack::read(tensors, "deformation_net.static_mlp", 1)?) } else { None };
+        let share = if has_share { Some(Mlp::read(tensors, "deformation_net.static_mlp", 1)?) } else { None };
         if let Some(share) = share.as_ref().filter(|share| (share.inputs(), share.outputs()) != (width, 1)) {
             let found = format!("{} to {} values", share.inputs(), share.outputs());
             return Err(format.malformed("static_mlp", found, format_args!("{width} to 1")));
@@ -111,7 +110,7 @@ impl Planes {
         Ok(Self {
             corners,
             scales,
-            seen,
+            input,
             trunk,
             position,
             log_scale,
@@ -128,34 +127,34 @@ impl Planes {
         self.harmonics.is_some()
     }
 
-    /// Values that [`Planes::anchor`] gives.
-    pub fn anchor_len(&self) -> usize {
+    /// Values that [`Planes::static_features`] gives.
+    pub fn static_feature_count(&self) -> usize {
         self.scales.iter().map(|scale| scale.features).sum()
     }
 
     /// What does not depend on time of the features at a position.
-    pub fn anchor(&self, position: [f32; 3]) -> Vec<f32> {
-        let mut out = vec![1.0; self.anchor_len()];
+    pub fn static_features(&self, position: [f32; 3]) -> Vec<f32> {
+        let mut out = vec![1.0; self.static_feature_count()];
         self.multiply(&mut out, self.on_planes(position), |axes| !axes.contains(&TIME));
         out
     }
 
-    /// A Gaussian at `time`; `anchor` is that of its position.
-    pub fn at(&self, canonical: &Canonical<'_>, anchor: &[f32], time: f32) -> Deformed {
+    /// A Gaussian at `time`; `static_features` is that of its position.
+    pub fn at(&self, canonical: &Canonical<'_>, static_features: &[f32], time: f32) -> Deformed {
         let position = canonical.position;
-        let mut features = anchor.to_vec();
+        let mut features = static_features.to_vec();
         let mut place = self.on_planes(position);
         place[TIME] = time;
         self.multiply(&mut features, place, |axes| axes.contains(&TIME));
-        if let Seen::Waves(frequency) = self.seen {
+        if let Input::Encoded(frequency) = self.input {
             let sines: Vec<f32> = features.iter().map(|f| (f * frequency).sin()).collect();
             let cosines: Vec<f32> = features.iter().map(|f| (f * frequency).cos()).collect();
             features.extend(sines.into_iter().chain(cosines));
         }
         let mut hidden = self.trunk.apply(&features);
-        rectify(&mut hidden);
+        relu(&mut hidden);
         let share = self.share.as_ref().map_or(1.0, |share| share.apply(&hidden)[0]);
-        let moved = |head: &Option<Stack>, values: &mut [f32]| {
+        let moved = |head: &Option<Mlp>, values: &mut [f32]| {
             if let Some(head) = head {
                 for (value, change) in values.iter_mut().zip(head.apply(&hidden)) {
                     *value = *value * share + change;
@@ -211,23 +210,28 @@ impl Planes {
     }
 }
 
-/// What a trunk of `inputs` sees where there are `features`.
-fn seen(format: Format, options: &FieldOptions, inputs: usize, features: usize) -> Result<Seen, ImportError> {
+/// What a trunk of `inputs` takes where there are `features`.
+fn input(
+    format: Format,
+    options: &FieldOptions,
+    inputs: usize,
+    features: usize,
+) -> Result<Input, ImportError> {
     if options.no_grid {
         return Err(format.unsupported("no_grid", "a network without planes", "trainings with planes"));
     }
     if inputs == features {
-        return Ok(Seen::Features);
+        return Ok(Input::Features);
     }
     if inputs != 3 * features {
         let allowed = format!("{features} features, or three values for each");
         return Err(format.malformed("inputs of deformation_net.feature_out.0", inputs, allowed));
     }
     if options.grid_pe < 2 {
-        let allowed = "2 or more in cfg_args: the network takes waves of features";
+        let allowed = "2 or more in cfg_args: the network takes sines and cosines of features";
         return Err(format.malformed("grid_pe", options.grid_pe, allowed));
     }
-    Ok(Seen::Waves(options.grid_pe as f32))
+    Ok(Input::Encoded(options.grid_pe as f32))
 }
 
 impl Scale {

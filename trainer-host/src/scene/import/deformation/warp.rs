@@ -1,17 +1,17 @@
-//! Evaluates the network of Deformable 3D Gaussians: waves of position and time through linear layers, then
-//! what is added to position, rotation and size.
+//! Evaluates the network of Deformable 3D Gaussians: positional encodings of position and time through linear
+//! layers, then what is added to position, rotation and size.
 
 use super::{
     deformed::{Canonical, Deformed},
-    layers::{Linear, Stack, follows, rectify},
+    layers::{Linear, Mlp, follows, relu},
 };
 use crate::scene::import::{error::ImportError, tensors::Tensors};
 
 /// Names of which every such network has one.
 pub const MARKS: [&str; 2] = ["gaussian_warp.weight", "branch_w.weight"];
-/// Frequencies of the waves of position where the weights do not tell.
+/// Frequencies of the encoding of position where the weights do not tell.
 const FREQUENCIES: usize = 10;
-/// Most frequencies: beyond, single precision holds no waves.
+/// Most frequencies: beyond, single precision holds no sines.
 const MOST_FREQUENCIES: usize = 24;
 /// What the trainer adds to an axis that it has brought to unit length.
 const OFFSET: f32 = 1e-5;
@@ -28,8 +28,8 @@ enum Movement {
 pub struct Warp {
     position_frequencies: usize,
     time_frequencies: usize,
-    /// What waves of time go through first.
-    of_time: Option<Stack>,
+    /// What the encoding of time goes through first.
+    of_time: Option<Mlp>,
     layers: Vec<Linear>,
     movement: Movement,
     rotation: Linear,
@@ -48,24 +48,24 @@ impl Warp {
             .collect::<Result<Vec<_>, _>>()?;
         let first = layers.first().ok_or_else(|| format.empty("linear.0.weight"))?.inputs;
         let has_timenet = tensors.has("timenet.0.weight");
-        let of_time = if has_timenet { Some(Stack::read(tensors, "timenet", 0)?) } else { None };
+        let of_time = if has_timenet { Some(Mlp::read(tensors, "timenet", 0)?) } else { None };
         let malformed = |found: usize| {
-            let allowed = "values of waves: 1 and 2 per frequency, of position for each axis";
+            let allowed = "values of positional encodings: 1 and 2 per frequency, of position for each axis";
             format.malformed("inputs of the first layer", found, allowed)
         };
-        let (of_position, time_waves) = match &of_time {
-            Some(stack) => (first.checked_sub(stack.outputs()), Some(stack.inputs())),
+        let (of_position, time_values) = match &of_time {
+            Some(mlp) => (first.checked_sub(mlp.outputs()), Some(mlp.inputs())),
             None => {
                 let of_position = 3 * (1 + 2 * FREQUENCIES);
                 (Some(of_position), first.checked_sub(of_position))
             }
         };
         let of_position = of_position.and_then(|values| frequencies(values, 3));
-        let time_waves = time_waves.and_then(|values| frequencies(values, 1));
+        let time_values = time_values.and_then(|values| frequencies(values, 1));
         let position_frequencies = of_position.ok_or_else(|| malformed(first))?;
-        let time_frequencies = time_waves.ok_or_else(|| malformed(first))?;
+        let time_frequencies = time_values.ok_or_else(|| malformed(first))?;
         for (number, pair) in layers.windows(2).enumerate() {
-            // A layer may see the waves again.
+            // A layer may take the encodings again.
             let given = pair[0].outputs;
             let allowed = if pair[1].inputs == given + first { given + first } else { given };
             follows(tensors, &format!("linear.{}", number + 1), pair[1].inputs, allowed)?;
@@ -90,25 +90,25 @@ impl Warp {
         Ok(Self { position_frequencies, time_frequencies, of_time, layers, movement, rotation, scale })
     }
 
-    /// What the network sees of `time`.
-    pub fn waves_of(&self, time: f32) -> Vec<f32> {
-        let waves = waves(&[time], self.time_frequencies);
-        self.of_time.as_ref().map_or(waves.clone(), |stack| stack.apply(&waves))
+    /// The encoding of `time`.
+    pub fn encode_time(&self, time: f32) -> Vec<f32> {
+        let encoded = positional_encoding(&[time], self.time_frequencies);
+        self.of_time.as_ref().map_or(encoded.clone(), |mlp| mlp.apply(&encoded))
     }
 
-    /// A Gaussian at the time whose waves are `of_time`.
+    /// A Gaussian at the time whose encoding is `of_time`.
     pub fn at(&self, canonical: &Canonical<'_>, of_time: &[f32]) -> Deformed {
-        let mut seen = waves(&canonical.position, self.position_frequencies);
-        seen.extend(of_time);
+        let mut input = positional_encoding(&canonical.position, self.position_frequencies);
+        input.extend(of_time);
         let mut hidden = Vec::new();
         for (number, layer) in self.layers.iter().enumerate() {
             if number == 0 {
-                hidden.clone_from(&seen);
+                hidden.clone_from(&input);
             } else if layer.inputs > hidden.len() {
-                hidden = [&seen[..], &hidden].concat();
+                hidden = [&input[..], &hidden].concat();
             }
             hidden = layer.apply(&hidden);
-            rectify(&mut hidden);
+            relu(&mut hidden);
         }
         let turn = self.rotation.apply(&hidden);
         let growth = self.scale.apply(&hidden);
@@ -162,7 +162,7 @@ fn cross(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 }
 
-/// How many frequencies `values` are the waves of, on so many axes.
+/// How many frequencies `values` encode, on so many axes.
 fn frequencies(values: usize, axes: usize) -> Option<usize> {
     let doubled = (values / axes).checked_sub(1)?;
     let fits = values.is_multiple_of(axes) && doubled.is_multiple_of(2) && doubled / 2 <= MOST_FREQUENCIES;
@@ -170,7 +170,7 @@ fn frequencies(values: usize, axes: usize) -> Option<usize> {
 }
 
 /// Values, then the sines and cosines of all of them at each power of two.
-fn waves(values: &[f32], frequencies: usize) -> Vec<f32> {
+fn positional_encoding(values: &[f32], frequencies: usize) -> Vec<f32> {
     let mut out = values.to_vec();
     for power in 0..frequencies {
         let frequency = (1u32 << power) as f32;

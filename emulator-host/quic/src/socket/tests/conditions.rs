@@ -1,0 +1,110 @@
+//! A viewer changes the link and the scheduler of its own session, where the server lets it, and of no other.
+
+use std::time::Instant;
+
+use quinn::{RecvStream, SendStream};
+
+use super::*;
+use crate::socket::message::{ClientMessage, Conditions, Granted, Message as _, MessageReader, ServerMessage};
+
+const DELAY: Duration = Duration::from_millis(300);
+
+/// A session that speaks for itself.
+struct Viewer {
+    _endpoint: Endpoint,
+    connection: Connection,
+    send: SendStream,
+    receive: RecvStream,
+    reader: MessageReader<ServerMessage>,
+    /// Bytes that were read and are of the next message.
+    rest: Vec<u8>,
+}
+
+impl Viewer {
+    async fn begin(server: &Running) -> Self {
+        let (endpoint, connection) = server.connect().await;
+        let (send, receive) = connection.open_bi().await.unwrap();
+        let reader = MessageReader::default();
+        let mut viewer = Self { _endpoint: endpoint, connection, send, receive, reader, rest: Vec::new() };
+        viewer.say(&ClientMessage::Hello { stream: StreamChoice::Index(0), start_us: 0 }).await;
+        assert!(matches!(viewer.hear().await, ServerMessage::Manifest(_)));
+        viewer
+    }
+
+    async fn say(&mut self, message: &ClientMessage) {
+        self.send.write_all(&message.to_bytes()).await.unwrap();
+    }
+
+    async fn hear(&mut self) -> ServerMessage {
+        loop {
+            let mut bytes = self.rest.as_slice();
+            let message = self.reader.take(&mut bytes).unwrap();
+            self.rest = bytes.to_vec();
+            if let Some(message) = message {
+                return message;
+            }
+            let chunk = self.receive.read_chunk(4096, true).await.unwrap().unwrap();
+            self.rest.extend(&chunk.bytes);
+        }
+    }
+
+    /// What the server grants in round `round`, and how long that took.
+    async fn ask(&mut self, round: u32, conditions: Conditions) -> (Granted, Duration) {
+        let asked = Instant::now();
+        self.say(&ClientMessage::Conditions { round, start_us: 0, conditions }).await;
+        match self.hear().await {
+            ServerMessage::Granted { round: heard, granted } if heard == round => (granted, asked.elapsed()),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    async fn leave(mut self) {
+        self.say(&ClientMessage::Bye).await;
+        self.connection.closed().await;
+    }
+}
+
+fn late_by_dash() -> Conditions {
+    Conditions { anew: true, scheduler: Some(PolicyKind::Dash), ..Conditions::NONE }.delayed(DELAY)
+}
+
+#[test]
+fn a_viewer_gets_the_link_and_the_scheduler_that_it_asks_for_and_nobody_else_does() {
+    within(async {
+        let server = Running::start(ServerLimits::default());
+        let (mut viewer, mut other) = (Viewer::begin(&server).await, Viewer::begin(&server).await);
+        let all = Granted { link: true, scheduler: true };
+        let (granted, took) = viewer.ask(1, late_by_dash()).await;
+        assert!(granted == all && took >= DELAY, "{granted:?} after {took:?}");
+        let (granted, took) = other.ask(1, Conditions::NONE).await;
+        assert!(granted == all && took < DELAY, "another viewer waits {took:?}");
+        let (granted, took) = viewer.ask(2, Conditions::NONE).await;
+        assert!(granted == all && took < DELAY, "{granted:?} after {took:?}");
+        other.leave().await;
+        viewer.ask(3, late_by_dash()).await;
+        viewer.leave().await;
+        server.shows_every_frame().await;
+        let (_, viewers) = server.stop().await;
+        let schedulers: Vec<_> = viewers.iter().map(|viewer| viewer.scheduler).collect();
+        assert_eq!(schedulers, ["layered", "dash", "layered"]);
+        assert_eq!((viewers[0].rounds, viewers[1].rounds), (2, 4));
+    });
+}
+
+#[test]
+fn a_server_that_lets_nobody_change_anything_says_so_and_goes_on() {
+    within(async {
+        let offer = Offer::new("everything", &stream(), graph(&stream())).unwrap();
+        let server = Running::letting(false, ServerLimits::default(), offer);
+        let mut viewer = Viewer::begin(&server).await;
+        let (granted, took) = viewer.ask(1, late_by_dash()).await;
+        assert!(granted == Granted { link: false, scheduler: false } && took < DELAY, "{granted:?}");
+        // The same round cannot begin twice.
+        viewer.say(&ClientMessage::Conditions { round: 1, start_us: 0, conditions: late_by_dash() }).await;
+        assert!(matches!(viewer.hear().await, ServerMessage::Granted { round: 1, .. }));
+        let ServerMessage::Refusal(refusal) = viewer.hear().await else { panic!() };
+        assert!(refusal.sentence.contains("allowed above 1"), "{refusal}");
+        let (_, viewers) = server.stop().await;
+        assert_eq!((viewers[0].scheduler, viewers[0].rounds), ("layered", 2));
+    });
+}

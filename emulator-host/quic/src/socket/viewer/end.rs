@@ -1,0 +1,101 @@
+//! Says how sessions end, and what their viewers got.
+
+use std::{net::SocketAddr, time::Duration};
+
+use serde::Serialize;
+
+use crate::socket::{
+    carrier::{CarrierEnding, ControlWriter},
+    channel::Closed,
+    message::{Message as _, Refusal, RefusalCode, ServerMessage},
+};
+
+/// What one viewer got and said.
+#[derive(Clone, Debug, Serialize)]
+pub struct ViewerReport {
+    /// Where it was.
+    pub address: SocketAddr,
+    /// Name of the stream.
+    pub stream: String,
+    /// What chose its packets at the end.
+    pub scheduler: &'static str,
+    /// Seconds from hello to end.
+    pub seconds: f64,
+    /// Rounds begun: the first, seeks and repeats.
+    pub rounds: u32,
+    /// Packets sent, repeats and parity included.
+    pub packets: u64,
+    /// Their bytes.
+    pub media_bytes: u64,
+    /// Packets sent again.
+    pub retransmitted: u64,
+    /// Parity sent.
+    pub parity: u64,
+    /// Packets that were lost, as far as receipts tell.
+    pub lost: u64,
+    /// Receipts taken.
+    pub receipts: u64,
+    /// Whether it said where it is.
+    pub located: bool,
+    /// Datagrams from the client that are no receipt of a known round.
+    pub refused_receipts: u64,
+    /// Smoothed round trip at the end, milliseconds.
+    pub rtt_ms: f64,
+    /// Why it ended.
+    pub end: String,
+}
+
+/// How a session ended.
+#[derive(Debug)]
+pub(in crate::socket) enum End {
+    /// The client is through.
+    Bye,
+    /// The server ends it and says why.
+    Refused(Refusal),
+    /// The connection is gone.
+    Gone(Closed),
+}
+
+impl End {
+    /// The code of a refusal.
+    pub(in crate::socket) fn refused(&self) -> Option<RefusalCode> {
+        match self {
+            Self::Refused(refusal) => Some(refusal.code),
+            Self::Bye | Self::Gone(_) => None,
+        }
+    }
+}
+
+impl From<Closed> for End {
+    fn from(closed: Closed) -> Self {
+        match closed {
+            Closed::Session { code: 0, .. } => Self::Bye,
+            closed => Self::Gone(closed),
+        }
+    }
+}
+
+impl std::fmt::Display for End {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Bye => f.write_str("the viewer is through"),
+            Self::Refused(refusal) => refusal.fmt(f),
+            Self::Gone(error) => error.fmt(f),
+        }
+    }
+}
+
+/// Says why, and closes.
+pub(in crate::socket) async fn end_session(ending: CarrierEnding, send: ControlWriter, end: &End) {
+    let code = match end {
+        End::Bye | End::Gone(_) => 0,
+        End::Refused(refusal) => {
+            // On the stream it is repeated until it has arrived; but a peer that does not read is not waited
+            // for.
+            let message = ServerMessage::Refusal(refusal.clone()).to_bytes();
+            let _ = tokio::time::timeout(Duration::from_millis(500), send.finish(&message)).await;
+            u32::from(refusal.code.number())
+        }
+    };
+    ending.close(code, &end.to_string()).await;
+}
