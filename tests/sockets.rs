@@ -74,8 +74,7 @@ impl Running {
     fn with(identity: Identity, limits: ServerLimits, impairment: Option<Impairment>) -> Self {
         let bind = (Ipv4Addr::LOCALHOST, 0).into();
         let policy = PolicyKind::DeadlineUtility;
-        let config =
-            ServerConfig { bind, identity, limits, policy, impairment, viewer_conditions: false };
+        let config = ServerConfig { bind, identity, limits, policy, impairment, viewer_conditions: false };
         let server = Server::bind(config, vec![offer("figure"), offer("again")]).unwrap();
         let (address, trust) = (server.local_addr().unwrap(), Trust::Pin(server.pin()));
         let (stop, stopped) = oneshot::channel();

@@ -130,9 +130,9 @@ export class Decoder {
     goTo(frame: number): void;
     /**
      * Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all
-     * at once), seed.
+     * at once), seconds of delay, seed.
      */
-    impair(loss: number, burst: number, rate_bps: number, seed: number): void;
+    impair(loss: number, burst: number, rate_bps: number, delay_s: number, seed: number): void;
     /**
      * Frames, frames per second, most Gaussians of a frame, packets of the stream.
      */
@@ -168,6 +168,10 @@ export class Decoder {
      */
     push(packet: Uint8Array | number[]): void;
     /**
+     * An estimate of how good the frame last packed is, from what of it has come: 0 to 1.
+     */
+    quality(): number;
+    /**
      * A receipt for the server: its number, and when the first frame of the round was shown, microseconds
      * since the round began; 0 before.
      */
@@ -176,6 +180,10 @@ export class Decoder {
      * A stream that a server sends: its DGSM message.
      */
     static receive(message: Uint8Array | number[]): Decoder;
+    /**
+     * Forgets every packet: the server begins as if nothing had arrived.
+     */
+    restart(): void;
     /**
      * When the first frame is due of the round that the server sends for `time`, seconds.
      */
@@ -355,7 +363,7 @@ export interface InitOutput {
     readonly decoder_deliver: (a: number, b: number) => number;
     readonly decoder_fetch: (a: number, b: number, c: number) => [number, number, number];
     readonly decoder_goTo: (a: number, b: number) => void;
-    readonly decoder_impair: (a: number, b: number, c: number, d: number, e: number) => [number, number];
+    readonly decoder_impair: (a: number, b: number, c: number, d: number, e: number, f: number) => [number, number];
     readonly decoder_info: (a: number) => [number, number];
     readonly decoder_levels: (a: number) => [number, number, number, number];
     readonly decoder_loaded: (a: number) => number;
@@ -366,8 +374,10 @@ export interface InitOutput {
     readonly decoder_packets: (a: number) => [number, number];
     readonly decoder_patience: (a: number) => number;
     readonly decoder_push: (a: number, b: number, c: number) => void;
+    readonly decoder_quality: (a: number) => number;
     readonly decoder_receipt: (a: number, b: number, c: number) => [number, number, number, number];
     readonly decoder_receive: (a: number, b: number) => [number, number, number];
+    readonly decoder_restart: (a: number) => [number, number];
     readonly decoder_roundStart: (a: number, b: number) => number;
     readonly decoder_take: (a: number, b: number, c: number, d: number) => void;
     readonly decoder_takeWhole: (a: number, b: number, c: number) => [number, number];
@@ -389,11 +399,11 @@ export interface InitOutput {
     readonly screen_upload: (a: number, b: number, c: number, d: number, e: number, f: number) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_71: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_74: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_73: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_77: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_73: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_75: (a: number, b: number, c: any) => void;
     readonly __wbindgen_malloc: (a: number, b: number) => number;
     readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
     readonly __wbindgen_free: (a: number, b: number, c: number) => void;

@@ -383,14 +383,15 @@ export class Decoder {
     }
     /**
      * Puts an emulated network before the player: share lost, mean run of losses, bits per second (0 for all
-     * at once), seed.
+     * at once), seconds of delay, seed.
      * @param {number} loss
      * @param {number} burst
      * @param {number} rate_bps
+     * @param {number} delay_s
      * @param {number} seed
      */
-    impair(loss, burst, rate_bps, seed) {
-        const ret = wasm.decoder_impair(this.__wbg_ptr, loss, burst, rate_bps, seed);
+    impair(loss, burst, rate_bps, delay_s, seed) {
+        const ret = wasm.decoder_impair(this.__wbg_ptr, loss, burst, rate_bps, delay_s, seed);
         if (ret[1]) {
             throw takeFromExternrefTable0(ret[0]);
         }
@@ -511,6 +512,14 @@ export class Decoder {
         wasm.decoder_push(this.__wbg_ptr, ptr0, len0);
     }
     /**
+     * An estimate of how good the frame last packed is, from what of it has come: 0 to 1.
+     * @returns {number}
+     */
+    quality() {
+        const ret = wasm.decoder_quality(this.__wbg_ptr);
+        return ret;
+    }
+    /**
      * A receipt for the server: its number, and when the first frame of the round was shown, microseconds
      * since the round began; 0 before.
      * @param {number} sequence
@@ -539,6 +548,15 @@ export class Decoder {
             throw takeFromExternrefTable0(ret[1]);
         }
         return Decoder.__wrap(ret[0]);
+    }
+    /**
+     * Forgets every packet: the server begins as if nothing had arrived.
+     */
+    restart() {
+        const ret = wasm.decoder_restart(this.__wbg_ptr);
+        if (ret[1]) {
+            throw takeFromExternrefTable0(ret[0]);
+        }
     }
     /**
      * When the first frame is due of the round that the server sends for `time`, seconds.
@@ -1757,7 +1775,7 @@ function __wbg_get_imports() {
         },
         __wbindgen_generic_0000000000000002: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUDevice")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_71);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_73);
             return ret;
         },
         __wbindgen_generic_0000000000000003: function(arg0, arg1) {
@@ -1767,17 +1785,17 @@ function __wbg_get_imports() {
         },
         __wbindgen_generic_0000000000000004: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("GPUUncapturedErrorEvent")], shim_idx: 21, ret: Unit, inner_ret: Some(Unit) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_73);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_75);
             return ret;
         },
         __wbindgen_generic_0000000000000005: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("any")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_74);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76);
             return ret;
         },
         __wbindgen_generic_0000000000000006: function(arg0, arg1) {
             // Cast intrinsic for `Closure(Closure { owned: true, function: Function { arguments: [NamedExternref("undefined")], shim_idx: 18, ret: Result(Unit), inner_ret: Some(Result(Unit)) }, mutable: true }) -> Externref`.
-            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75);
+            const ret = makeMutClosure(arg0, arg1, wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_77);
             return ret;
         },
         __wbindgen_generic_0000000000000007: function(arg0) {
@@ -1814,8 +1832,8 @@ function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg
     wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043(arg0, arg1, arg2);
 }
 
-function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_73(arg0, arg1, arg2) {
-    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_73(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_75(arg0, arg1, arg2) {
+    wasm.wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_75(arg0, arg1, arg2);
 }
 
 function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg1, arg2) {
@@ -1825,22 +1843,22 @@ function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b(arg0, arg
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_71(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_71(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_73(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_73(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_74(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_74(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }
 }
 
-function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75(arg0, arg1, arg2) {
-    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75(arg0, arg1, arg2);
+function wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_77(arg0, arg1, arg2) {
+    const ret = wasm.wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_77(arg0, arg1, arg2);
     if (ret[1]) {
         throw takeFromExternrefTable0(ret[0]);
     }

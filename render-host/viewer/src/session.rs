@@ -9,11 +9,11 @@ use codec_core::{internals::ids::Span, player::MAX_RECEIPT_BYTES};
 use dgs_player::{Caps, Damage, FrameDecoder, Player, Result, Stream, Usable};
 use render_host::Splats;
 
+pub use self::overlay::{LEVEL_COLOURS, LEVELS, Overlay};
 use self::{
     overlay::Painter,
     quality::{blocks_of, quality},
 };
-pub use self::overlay::{LEVEL_COLOURS, LEVELS, Overlay};
 use crate::{
     bounds::bounds,
     channel::{Channel, Conditions},

@@ -80,10 +80,7 @@ impl ImpairedSocket {
     ///
     /// # Errors
     /// A path that is illegal.
-    pub(super) fn new(
-        inner: Arc<dyn AsyncUdpSocket>,
-        of_all: Option<Impairment>,
-    ) -> Result<Self, PathError> {
+    pub(super) fn new(inner: Arc<dyn AsyncUdpSocket>, of_all: Option<Impairment>) -> Result<Self, PathError> {
         if let Some(impairment) = &of_all {
             impairment.path.build("impair", impairment.seed)?;
         }
@@ -242,6 +239,15 @@ impl Link {
         if self.chain.counts().inside.datagrams == 0 {
             self.inside.clear();
         }
+    }
+}
+
+impl fmt::Debug for Links {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Links")
+            .field("of_all", &self.of_all)
+            .field("count", &self.count)
+            .finish_non_exhaustive()
     }
 }
 

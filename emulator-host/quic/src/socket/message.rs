@@ -305,7 +305,8 @@ fn framed(out: &mut Vec<u8>, kind: u8, write: impl FnOnce(&mut Vec<u8>)) {
 }
 
 impl Message for ClientMessage {
-    const KINDS: &'static str = "0x01 hello, 0x02 seek, 0x03 bye, 0x04 streams, 0x05 receipt, 0x06 conditions";
+    const KINDS: &'static str =
+        "0x01 hello, 0x02 seek, 0x03 bye, 0x04 streams, 0x05 receipt, 0x06 conditions";
 
     fn shape(kind: u8) -> Option<(&'static str, usize, usize)> {
         match kind {

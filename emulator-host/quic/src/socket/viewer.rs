@@ -329,11 +329,9 @@ impl<'s> Viewer<'s> {
     fn on_message(&mut self, message: Result<Option<ClientMessage>, ControlError>) -> Result<(), End> {
         self.heard_at = Instant::now();
         match message {
-            Ok(Some(ClientMessage::Seek { round, start_us })) => self.begin_round(round, start_us),
+            Ok(Some(ClientMessage::Seek { round, start_us })) => self.begin_round(round, start_us, None),
             Ok(Some(ClientMessage::Conditions { round, start_us, conditions })) => {
-                let granted = self.grant(conditions);
-                self.answer(&ServerMessage::Granted { round, granted })?;
-                self.begin_round(round, start_us)
+                self.begin_round(round, start_us, Some(conditions))
             }
             Ok(Some(ClientMessage::Bye) | None) | Err(ControlError::Lost(_)) => Err(End::Bye),
             Ok(Some(ClientMessage::Streams)) => {
@@ -349,8 +347,8 @@ impl<'s> Viewer<'s> {
         }
     }
 
-    /// Goes on from `start_us` as round `round`.
-    fn begin_round(&mut self, round: u32, start_us: u64) -> Result<(), End> {
+    /// Goes on from `start_us` as round `round`, under other conditions if they are asked for.
+    fn begin_round(&mut self, round: u32, start_us: u64, wish: Option<Conditions>) -> Result<(), End> {
         if round <= self.round.number {
             let sentence = format!("round is {round}, allowed above {}", self.round.number);
             return Err(refused(RefusalCode::Message, sentence));
@@ -359,6 +357,10 @@ impl<'s> Viewer<'s> {
             return Err(refused(RefusalCode::Flood, "too many seeks".to_owned()));
         }
         self.close_round();
+        if let Some(wish) = wish {
+            let granted = self.grant(wish);
+            self.answer(&ServerMessage::Granted { round, granted })?;
+        }
         if self.conditions.anew {
             self.delivered.fill(false);
         }
@@ -380,8 +382,8 @@ impl<'s> Viewer<'s> {
         self.conditions = conditions;
         self.policy = conditions.scheduler.unwrap_or(self.own_policy);
         let impairment = conditions.impairment();
-        let link = self.carrier.is_impaired_by_links()
-            && links.set(self.carrier.address(), impairment.as_ref());
+        let link =
+            self.carrier.is_impaired_by_links() && links.set(self.carrier.address(), impairment.as_ref());
         Granted { link, scheduler: true }
     }
 

@@ -2,7 +2,7 @@
 
 use codec_core::internals::wire::{crc::crc32, receipt::Receipt};
 
-use render_host::Gaussian;
+use render_host::{Gaussian, Settings, render};
 
 use super::{overlay::SH0, *};
 
@@ -207,4 +207,43 @@ fn a_server_learns_what_came_and_its_bases_have_a_moment() {
         let start = session.round_start_s(share * duration);
         assert!(start >= 0.0 && start <= share * duration, "{share}: {start}");
     }
+}
+
+/// Ranks of values; those of equals are the mean of theirs.
+fn ranks(values: &[f64]) -> Vec<f64> {
+    let below = |value: f64| values.iter().filter(|v| **v < value).count() as f64;
+    let equal = |value: f64| values.iter().filter(|v| **v == value).count() as f64;
+    values.iter().map(|v| below(*v) + 0.5 * equal(*v)).collect()
+}
+
+/// Spearman's rank correlation.
+fn rank_correlation(one: &[f64], other: &[f64]) -> f64 {
+    let (one, other) = (ranks(one), ranks(other));
+    let mean = (one.len() - 1) as f64 / 2.0 + 0.5;
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| (a - mean) * (b - mean)).sum::<f64>();
+    product(&one, &other) / (product(&one, &one) * product(&other, &other)).sqrt()
+}
+
+#[test]
+fn estimated_quality_follows_pictures() {
+    let mut session = session();
+    session.look_at_all(1.0, Up::default()).unwrap();
+    let camera = session.orbit().camera(64, 64).unwrap();
+    let picture = |session: &mut Session| {
+        let shown = session.show().unwrap();
+        render(&shown.splats, &camera, &Settings::default()).unwrap().image
+    };
+    let whole = picture(&mut session);
+    assert_eq!(session.quality(), 1.0);
+    let (mut estimates, mut errors) = (Vec::new(), Vec::new());
+    for (seed, loss) in (0..60).zip([0.1, 0.2, 0.35, 0.5, 0.7].into_iter().cycle()) {
+        session.impair(Conditions { loss, seed, ..Conditions::default() }).unwrap();
+        session.deliver(0.0);
+        let thinned = picture(&mut session);
+        let error = thinned.rgb().iter().zip(whole.rgb()).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>();
+        estimates.push(f64::from(session.quality()));
+        errors.push(-error);
+    }
+    let correlation = rank_correlation(&estimates, &errors);
+    assert!(correlation > 0.8, "{correlation}");
 }

@@ -51,20 +51,13 @@ pub struct Conditions {
 
 impl Conditions {
     /// No emulated link, the server's scheduler.
-    pub const NONE: Self = Self {
-        anew: false,
-        scheduler: None,
-        rate: None,
-        delay: Duration::ZERO,
-        loss: 0,
-        burst: 1,
-        seed: 1,
-    };
+    pub const NONE: Self =
+        Self { anew: false, scheduler: None, rate: None, delay: Duration::ZERO, loss: 0, burst: 1, seed: 1 };
 
-    /// The same with a delay, at most a second.
+    /// A scheduler behind a link of this delay, at most a second, each round anew.
     #[cfg(test)]
-    pub(in crate::socket) fn delayed(self, delay: Duration) -> Self {
-        Self { delay: delay.min(MOST_DELAY), ..self }
+    pub(in crate::socket) fn late(scheduler: PolicyKind, delay: Duration) -> Self {
+        Self { anew: true, scheduler: Some(scheduler), delay: delay.min(MOST_DELAY), ..Self::NONE }
     }
 
     /// The link; `None` is a perfect one.

@@ -109,7 +109,10 @@ fn conditions_hold_what_is_asked_for_and_nothing_out_of_bounds() {
     };
     assert!(conditions.anew && conditions.scheduler == Some(emulator_host::PolicyKind::Layered));
     let impairment = conditions.impairment().unwrap();
-    assert_eq!((impairment.path.delay.0, impairment.path.queue.bytes, impairment.seed), (40_000_000, 62_500, 7));
+    assert_eq!(
+        (impairment.path.delay.0, impairment.path.queue.bytes, impairment.seed),
+        (40_000_000, 62_500, 7)
+    );
     assert_eq!(impairment.path.loss, emulator_host::link::LossModel::in_bursts(0.05, 4.0));
     assert!(Conditions::NONE.impairment().is_none());
     for (at, value, named) in [
