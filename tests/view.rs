@@ -6,6 +6,8 @@
 #[path = "lab/src/browser.rs"]
 #[allow(dead_code, reason = "bench `view` uses the rest")]
 mod browser;
+#[path = "view/live.rs"]
+mod live;
 #[path = "view/served.rs"]
 mod served;
 
@@ -23,12 +25,6 @@ const SIDE: u32 = 256;
 const LEAST_DB: f64 = 50.0;
 /// Longest wait for a page, seconds: a software adapter on a busy machine takes many for a frame.
 const PATIENCE_S: u32 = 300;
-/// A path that carries sessions of WebTransport and none of their datagrams.
-const SWALLOWS_DATAGRAMS: &str = "if (globalThis.WebTransport) {\
-    const real = Object.getOwnPropertyDescriptor(WebTransport.prototype, 'datagrams').get;\
-    const get = function () { return { readable: new ReadableStream(), writable: new WritableStream(),\
-        maxDatagramSize: real.call(this).maxDatagramSize }; };\
-    Object.defineProperty(WebTransport.prototype, 'datagrams', { get }); }";
 /// One browser at a time: each uses all of this machine.
 static TURN: Mutex<()> = Mutex::new(());
 
@@ -393,77 +389,6 @@ fn without_webgpu_there_is_a_sentence() {
     let said = "document.querySelector('dgs-player')?.shadowRoot.querySelector('.message')\
         .textContent.includes('WebGPU')";
     page.browser.wait(PATIENCE_S, said).unwrap();
-}
-
-/// A server as `dgs serve` is one, with an emulated link: the page receives live, and repeats the clip.
-#[test]
-fn packets_come_live_over_a_lossy_link() {
-    let Some(mut page) = Page::blank() else { return };
-    let live = served::Live::start(&["--impair", "loss=5%,delay=10ms"]);
-    page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
-    let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
-    page.browser.wait(PATIENCE_S, playing).unwrap();
-    assert_eq!(page.run("player.dataset.transport"), "live");
-    page.run("globalThis.loops = 0; player.addEventListener('loop', () => (loops += 1)); 0");
-    page.browser.wait(PATIENCE_S, "loops >= 1 && player.session.packets()[1] > 10").unwrap();
-    // What was lost comes when the clip is repeated.
-    page.browser.wait(PATIENCE_S, "player.session.levels()[0] === 0").unwrap();
-    page.close();
-    let report = live.stop();
-    assert!(report.contains("1 viewers;") && report.contains("(0 refused), camera reported"), "{report}");
-}
-
-#[test]
-fn every_transport_brings_the_same_picture() {
-    let Some(mut page) = Page::blank() else { return };
-    // A software adapter holds up the page at its first picture until servers think it gone: first the file.
-    page.browser.resize(SIDE, SIDE).unwrap();
-    let live = served::Live::start(&["--idle", "120"]);
-    let mut player = stream(SMALL).receive().unwrap();
-    for transport in ["file", "live", "streams", "websocket"] {
-        page.browser.go("about:blank").unwrap();
-        page.play(&format!("{}?transport={transport}&pixel-ratio=1", live.page), SIDE);
-        let names = if transport == "file" { "whole ranges" } else { transport };
-        let is_known = format!("'{names}'.split(' ').includes(player.dataset.transport)");
-        page.browser.wait(PATIENCE_S, &is_known).unwrap();
-        page.run("player.play(), 0");
-        // What did not come in time comes when the clip is repeated.
-        let mut db = 0.0;
-        for _ in 0..60 {
-            page.browser.wait(PATIENCE_S, "player.session.levels()[0] === 0").unwrap();
-            page.run("player.pause(), player.currentTime = 0.5, 0");
-            db = page.agreement(&mut player, [0.0; 3]);
-            if db >= LEAST_DB {
-                break;
-            }
-            page.run("player.play(), 0");
-            std::thread::sleep(std::time::Duration::from_secs(1));
-        }
-        assert!(db >= LEAST_DB, "{transport}: {db} dB");
-        let error = page.run("player.error?.message ?? null");
-        if error != Value::Null {
-            panic!("{transport}: {error}; {}", live.stop());
-        }
-    }
-    // Where datagrams never arrive the same session goes on in streams, and a page remembers that.
-    page.browser.go("about:blank").unwrap();
-    page.browser.before_pages(SWALLOWS_DATAGRAMS).unwrap();
-    page.play(&format!("{}?pixel-ratio=1&switch", live.page), SIDE);
-    page.browser.wait(PATIENCE_S, "player.dataset.transport === 'streams'").unwrap();
-    page.run("player.play(), 0");
-    page.browser.wait(PATIENCE_S, "player.session.packets()[1] > 10").unwrap();
-    assert_eq!(page.run("sessionStorage.getItem('dgs-transport')"), "streams");
-    page.run("sessionStorage.clear(), 0");
-    // Without a wish the best that works plays, and a page remembers it.
-    page.browser.go("about:blank").unwrap();
-    page.browser.before_pages("delete globalThis.WebTransport").unwrap();
-    page.play(&format!("{}?pixel-ratio=1", live.page), SIDE);
-    let first = page.run("player.dataset.transport ?? 'file'");
-    assert!(["websocket", "whole", "ranges", "file"].iter().any(|name| first == *name), "{first}");
-    page.browser.go("about:blank").unwrap();
-    let report = live.stop();
-    assert!(report.contains("(0 refused)"), "{report}");
-    page.close();
 }
 
 /// Writes the picture of the crate's README.

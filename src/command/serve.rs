@@ -238,12 +238,12 @@ pub(super) fn name(input: &str) -> String {
 
 /// One viewer for people.
 fn line(viewer: &ViewerReport) -> String {
-    let ViewerReport { address, stream, seconds, rounds, packets, .. } = viewer;
+    let ViewerReport { address, stream, scheduler, seconds, rounds, packets, .. } = viewer;
     let share = 100.0 * viewer.lost as f64 / (*packets).max(1) as f64;
     let rate = viewer.media_bytes as f64 * 8e-6 / seconds.max(1e-3);
     let camera = if viewer.located { ", camera reported" } else { "" };
     format!(
-        "{address} {stream}: {seconds:.1} s, {rounds} rounds, {packets} packets ({rate:.2} Mbit/s), lost \
+        "{address} {stream} by {scheduler}: {seconds:.1} s, {rounds} rounds, {packets} packets ({rate:.2} Mbit/s), lost \
          {share:.1} %, {} sent again, {} receipts ({} refused){camera}, round trip {:.1} ms; {}\n",
         viewer.retransmitted, viewer.receipts, viewer.refused_receipts, viewer.rtt_ms, viewer.end
     )

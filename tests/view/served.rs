@@ -1,9 +1,9 @@
 //! Streams are encoded once and served with the player's page while a test runs.
 
 use std::{
-    io::{BufRead, BufReader, Read},
+    io::{BufRead, BufReader, Read, Write},
     net::Ipv4Addr,
-    process::{Child, ChildStdout, Command, Stdio},
+    process::{Child, ChildStdin, ChildStdout, Command, Stdio},
     sync::OnceLock,
     thread,
 };
@@ -98,26 +98,51 @@ pub struct Live {
     pub page: String,
     server: Child,
     said: BufReader<ChildStdout>,
+    /// Open for as long as it serves.
+    _input: ChildStdin,
     _folder: tempfile::TempDir,
+}
+
+/// A scene as `dgs encode` encodes it with `flags`.
+pub fn encoded(scene: &str, flags: &[&str]) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a.dgs");
+    let mut encode = Command::new(env!("CARGO_BIN_EXE_dgs"));
+    let status =
+        encode.args(["encode", scene, "--out"]).stdout(Stdio::null()).arg(&file).args(flags).status();
+    assert!(status.unwrap().success());
+    std::fs::read(file).unwrap()
 }
 
 impl Live {
     /// With `flags` besides.
     pub fn start(flags: &[&str]) -> Self {
+        Self::serving("small.dgs", flags, &[])
+    }
+
+    /// Of a stream that is still being written: `bytes` so far.
+    pub fn growing(bytes: &[u8]) -> Self {
+        Self::serving("-", &[], bytes)
+    }
+
+    fn serving(input: &str, flags: &[&str], written: &[u8]) -> Self {
         let folder = tempfile::tempdir().unwrap();
         std::fs::write(folder.path().join("small.dgs"), stream(SMALL).to_bytes().unwrap()).unwrap();
         let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
             .current_dir(folder.path())
-            .args(["serve", "small.dgs", "--listen", "127.0.0.1:0"])
+            .args(["serve", input, "--listen", "127.0.0.1:0"])
             .args(flags)
+            .stdin(Stdio::piped())
             .stdout(Stdio::piped())
             .spawn()
             .unwrap();
+        let mut stdin = server.stdin.take().unwrap();
+        stdin.write_all(written).unwrap();
         let mut said = BufReader::new(server.stdout.take().unwrap());
         let (mut address, mut page) = (String::new(), String::new());
         said.read_line(&mut address).unwrap();
         said.read_line(&mut page).unwrap();
-        Self { page: page.trim().to_owned(), server, said, _folder: folder }
+        Self { page: page.trim().to_owned(), server, said, _input: stdin, _folder: folder }
     }
 
     /// What it says of its viewers at the end.

@@ -124,7 +124,7 @@ class Rounds {
       // A stream that grows: the round begins at its newest window, whatever was asked for.
       if (kind === BEGIN && round === this.#round && this.#player.session === session) {
         session.time = Number(fields.getBigUint64(4, true)) / MICROSECONDS;
-        this.#start = session.time;
+        this.#start = await session.roundStart(session.time);
       }
     }
   }

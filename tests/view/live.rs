@@ -1,0 +1,132 @@
+//! The page plays what `dgs serve` sends while it sends it, over every transport, and changes the conditions of its
+//! session there.
+
+use serde_json::Value;
+
+use super::{
+    LEAST_DB, PATIENCE_S, Page, SIDE,
+    served::{self, SMALL, stream},
+};
+
+/// A path that carries sessions of WebTransport and none of their datagrams.
+const SWALLOWS_DATAGRAMS: &str = "if (globalThis.WebTransport) {\
+    const real = Object.getOwnPropertyDescriptor(WebTransport.prototype, 'datagrams').get;\
+    const get = function () { return { readable: new ReadableStream(), writable: new WritableStream(),\
+        maxDatagramSize: real.call(this).maxDatagramSize }; };\
+    Object.defineProperty(WebTransport.prototype, 'datagrams', { get }); }";
+
+/// Share of blocks that are shown by stand-ins.
+const STAND_INS: &str = "(player.session.levels()[0] / player.session.levels().reduce((a, b) => a + b, 0))";
+
+/// A server as `dgs serve` is one, with an emulated link: the page receives live, and repeats the clip.
+#[test]
+fn packets_come_live_over_a_lossy_link() {
+    let Some(mut page) = Page::blank() else { return };
+    let live = served::Live::start(&["--impair", "loss=5%,delay=10ms"]);
+    page.browser.go(&format!("{}?transport=live&pixel-ratio=0.25", live.page)).unwrap();
+    let playing = "(globalThis.player = document.querySelector('dgs-player'))?.engine?.frames > 0";
+    page.browser.wait(PATIENCE_S, playing).unwrap();
+    assert_eq!(page.run("player.dataset.transport"), "live");
+    page.run("globalThis.loops = 0; player.addEventListener('loop', () => (loops += 1)); 0");
+    page.browser.wait(PATIENCE_S, "loops >= 1 && player.session.packets()[1] > 10").unwrap();
+    // What was lost comes when the clip is repeated.
+    page.browser.wait(PATIENCE_S, "player.session.levels()[0] === 0").unwrap();
+    page.close();
+    let report = live.stop();
+    assert!(report.contains("1 viewers;") && report.contains("(0 refused), camera reported"), "{report}");
+}
+
+#[test]
+fn every_transport_brings_the_same_picture() {
+    let Some(mut page) = Page::blank() else { return };
+    // A software adapter holds up the page at its first picture until servers think it gone: first the file.
+    page.browser.resize(SIDE, SIDE).unwrap();
+    let live = served::Live::start(&["--idle", "120"]);
+    let mut player = stream(SMALL).receive().unwrap();
+    for transport in ["file", "live", "streams", "websocket"] {
+        page.browser.go("about:blank").unwrap();
+        page.play(&format!("{}?transport={transport}&pixel-ratio=1", live.page), SIDE);
+        let names = if transport == "file" { "whole ranges" } else { transport };
+        let is_known = format!("'{names}'.split(' ').includes(player.dataset.transport)");
+        page.browser.wait(PATIENCE_S, &is_known).unwrap();
+        page.run("player.play(), 0");
+        // What did not come in time comes when the clip is repeated.
+        let mut db = 0.0;
+        for _ in 0..60 {
+            page.browser.wait(PATIENCE_S, "player.session.levels()[0] === 0").unwrap();
+            page.run("player.pause(), player.currentTime = 0.5, 0");
+            db = page.agreement(&mut player, [0.0; 3]);
+            if db >= LEAST_DB {
+                break;
+            }
+            page.run("player.play(), 0");
+            std::thread::sleep(std::time::Duration::from_secs(1));
+        }
+        assert!(db >= LEAST_DB, "{transport}: {db} dB");
+        let error = page.run("player.error?.message ?? null");
+        if error != Value::Null {
+            panic!("{transport}: {error}; {}", live.stop());
+        }
+    }
+    // Where datagrams never arrive the same session goes on in streams, and a page remembers that.
+    page.browser.go("about:blank").unwrap();
+    page.browser.before_pages(SWALLOWS_DATAGRAMS).unwrap();
+    page.play(&format!("{}?pixel-ratio=1&switch", live.page), SIDE);
+    page.browser.wait(PATIENCE_S, "player.dataset.transport === 'streams'").unwrap();
+    page.run("player.play(), 0");
+    page.browser.wait(PATIENCE_S, "player.session.packets()[1] > 10").unwrap();
+    assert_eq!(page.run("sessionStorage.getItem('dgs-transport')"), "streams");
+    page.run("sessionStorage.clear(), 0");
+    // Without a wish the best that works plays, and a page remembers it.
+    page.browser.go("about:blank").unwrap();
+    page.browser.before_pages("delete globalThis.WebTransport").unwrap();
+    page.play(&format!("{}?pixel-ratio=1", live.page), SIDE);
+    let first = page.run("player.dataset.transport ?? 'file'");
+    assert!(["websocket", "whole", "ranges", "file"].iter().any(|name| first == *name), "{first}");
+    page.browser.go("about:blank").unwrap();
+    let report = live.stop();
+    assert!(report.contains("(0 refused)"), "{report}");
+    page.close();
+}
+
+#[test]
+fn a_page_changes_the_link_and_the_scheduler_of_its_session() {
+    let Some(mut page) = Page::blank() else { return };
+    let live = served::Live::start(&["--idle", "120"]);
+    let is_whole = format!("{STAND_INS} === 0 && player.session.estimatedQuality > 0.99");
+    for (transport, place) in [("live", "at the server"), ("websocket", "in this page")] {
+        page.browser.go("about:blank").unwrap();
+        page.play(&format!("{}?transport={transport}&pixel-ratio=0.25", live.page), SIDE / 4);
+        page.run("player.toggleNetwork(), player.play(), 0");
+        page.browser.wait(PATIENCE_S, &is_whole).unwrap();
+        page.run("player.impair({ loss: 0.7, burst: 4, rate: 1e6, scheduler: 'layered' }).then(() => 0)");
+        let said = page.run("player.shadowRoot.querySelector('.where').textContent");
+        assert_eq!(said, format!("emulated {place}"));
+        page.browser.wait(PATIENCE_S, &format!("{STAND_INS} > 0")).unwrap();
+        assert!(page.number("player.session.estimatedQuality") < 0.99);
+        page.run("player.impair({}).then(() => 0)");
+        page.browser.wait(PATIENCE_S, &is_whole).unwrap();
+    }
+    page.browser.go("about:blank").unwrap();
+    page.close();
+    let report = live.stop();
+    assert!(report.contains("2 viewers;") && report.contains("(0 refused)"), "{report}");
+}
+
+/// Who comes while a stream is written begins at its newest window.
+#[test]
+fn the_page_plays_what_is_still_being_written() {
+    let Some(mut page) = Page::blank() else { return };
+    let bytes = served::encoded("synth:figure:1000:30", &["--window-frames", "10", "--pictures", "2"]);
+    let live = served::Live::growing(&bytes);
+    // Time for the server to read it.
+    std::thread::sleep(std::time::Duration::from_secs(2));
+    page.play(&format!("{}?transport=live&pixel-ratio=0.25&paused", live.page), SIDE / 4);
+    // The third window of ten frames.
+    page.browser.wait(PATIENCE_S, "player.session.frame === 20").unwrap();
+    page.browser.wait(PATIENCE_S, &format!("{STAND_INS} === 0")).unwrap();
+    page.browser.go("about:blank").unwrap();
+    page.close();
+    let report = live.stop();
+    assert!(report.contains("1 viewers;"), "{report}");
+}
