@@ -20,7 +20,9 @@ use codec_core::internals::{
     ids::{ClusterId, EpochId, Group, Level, PacketId, Span, WindowId},
     wire::receipt::{Value, ViewerPose},
 };
-use dgs_quic::socket::message::{ClientMessage, Message, Refusal, RefusalCode, ServerMessage, StreamChoice};
+use dgs_quic::socket::message::{
+    ClientMessage, Conditions, Granted, Message, Refusal, RefusalCode, ServerMessage, StreamChoice,
+};
 use fuzz::{fixture, small, unity_planes};
 use serde_json::json;
 use trainer_host::{
@@ -113,11 +115,14 @@ fn control() {
     let client = [
         ClientMessage::Hello { stream: named, start_us: 1_500_000 },
         ClientMessage::Seek { round: 1, start_us: 0 },
+        ClientMessage::Conditions { round: 2, start_us: 40_000, conditions: Conditions::NONE },
         ClientMessage::Bye,
     ];
     let indexed = ClientMessage::Hello { stream: StreamChoice::Index(1), start_us: 0 };
     let refusal = Refusal { code: RefusalCode::Full, sentence: "all 2 places are taken".to_owned() };
-    let server = [ServerMessage::Manifest(small(false).message().to_vec()), ServerMessage::Refusal(refusal)];
+    let granted = ServerMessage::Granted { round: 2, granted: Granted { link: true, scheduler: true } };
+    let manifest = ServerMessage::Manifest(small(false).message().to_vec());
+    let server = [manifest, granted, ServerMessage::Refusal(refusal)];
     let client: Vec<u8> = client.iter().flat_map(Message::to_bytes).collect();
     let server: Vec<u8> = server.iter().flat_map(Message::to_bytes).collect();
     for (name, step, bytes) in

@@ -232,6 +232,7 @@ mod tests {
         let viewer = ViewerReport {
             address: ([127, 0, 0, 1], 1).into(),
             stream: "cloth".to_owned(),
+            scheduler: "deadline-utility",
             seconds: 2.0,
             rounds: 1,
             packets: 100,
