@@ -45,7 +45,7 @@ impl Repair {
         mut recovered: impl FnMut(PacketIndex),
     ) {
         self.known[packet.at()] = true;
-        let is_parity = graph.packets()[packet.at()].parity_of.is_some();
+        let is_parity = graph.is_parity(packet);
         for set in graph.sets_of(packet) {
             let lack = &mut self.sets[*set as usize];
             if is_parity {
