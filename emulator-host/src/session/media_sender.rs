@@ -24,6 +24,10 @@ use crate::{
     startup::{Startup, StartupRule},
 };
 
+/// Below this share of lost datagrams the window is as large as the path and its queue, and a shorter queue
+/// costs nothing. Where losses keep the window small, it grows only while it is filled.
+const FEW_LOSSES: f64 = 0.005;
+
 /// What a sender of media may do, whatever the transport.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SendingRules {
@@ -236,7 +240,9 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
             return None;
         }
         // A path of many milliseconds needs as many more to be probed for its rate.
-        let longest = path.minimum_rtt + own_queue.max(path.minimum_rtt);
+        let widest = own_queue.max(path.minimum_rtt);
+        let queue = if self.outlook.loss < FEW_LOSSES { Nanos(widest.0 / 20 * 9) } else { widest };
+        let longest = path.minimum_rtt + queue;
         if path.rate.moves_within(Bytes(path.in_flight), longest) {
             return None;
         }
