@@ -151,6 +151,12 @@ impl Rate {
         }
     }
 
+    /// Whether [`Self::time_for`] `bytes` is at most `span`, which is some time and not never; without its
+    /// division.
+    pub fn moves_within(self, bytes: Bytes, span: Nanos) -> bool {
+        self.0 > 0 && u128::from(bytes.0) * 8_000_000_000 <= u128::from(self.0) * u128::from(span.0)
+    }
+
     /// Whole bytes moved in `span`, rounded down.
     pub fn bytes_in(self, span: Nanos) -> Bytes {
         match self.0.checked_mul(span.0) {
@@ -178,6 +184,8 @@ fn saturate(value: u128) -> u64 {
 
 #[cfg(test)]
 mod tests {
+    use proptest::prelude::*;
+
     use super::*;
 
     #[test]
@@ -188,6 +196,22 @@ mod tests {
         assert_eq!(Rate(3).time_for(Bytes(1)), Nanos(2_666_666_667));
         assert_eq!(Rate(0).time_for(Bytes(1)), Nanos::MAX);
         assert_eq!(Rate::over(Bytes(1500), Nanos::from_ms(1)), rate);
+    }
+
+    proptest! {
+        #[test]
+        fn a_comparison_without_division_is_the_same(
+            rate in prop_oneof![0u64..20, any::<u64>(), 1_000u64..1 << 30],
+            bytes in prop_oneof![0u64..9, any::<u64>(), 0u64..1 << 24],
+            span in 0..u64::MAX,
+            off in -2i64..3,
+        ) {
+            let (rate, bytes) = (Rate(rate), Bytes(bytes));
+            let near = rate.time_for(bytes).0.saturating_add_signed(off).min(u64::MAX - 1);
+            for span in [Nanos(span), Nanos(near)] {
+                prop_assert_eq!(rate.moves_within(bytes, span), rate.time_for(bytes) <= span);
+            }
+        }
     }
 
     #[test]

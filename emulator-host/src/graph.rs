@@ -17,10 +17,12 @@ mod place;
 mod selection;
 mod synthetic;
 
+use std::sync::{Arc, OnceLock};
+
 use codec_core::internals::ids::{Group as GroupId, PacketId, Span};
 
 use self::csr::Csr;
-use crate::clock::Nanos;
+use crate::{clock::Nanos, pieces::Division};
 
 pub use place::{Ball, Place};
 pub use selection::Selection;
@@ -265,6 +267,12 @@ pub struct PacketGraph {
     parts: GraphParts,
     /// Groups, every one after all that it needs.
     order: Vec<GroupIndex>,
+    /// What runs ask of single packets and groups lies in tables of its own: the records are large, and a run
+    /// touches them in no order.
+    packet_ids: Vec<PacketId>,
+    packet_bytes: Vec<u16>,
+    packet_groups: Csr,
+    group_packets: Csr,
     closure: Csr,
     dependents: Csr,
     packet_dependents: Csr,
@@ -279,6 +287,8 @@ pub struct PacketGraph {
     packet_useful_until: Vec<u32>,
     packet_level: Vec<u8>,
     shares_packets: Vec<bool>,
+    /// Made by the first run that asks for it; nothing that it follows from changes afterwards.
+    division: OnceLock<Arc<Division>>,
 }
 
 impl PacketGraph {
@@ -304,7 +314,30 @@ impl PacketGraph {
 
     /// A packet's id on the wire.
     pub fn wire_id(&self, packet: PacketIndex) -> PacketId {
-        self.parts.packets[packet.at()].id
+        self.packet_ids[packet.at()]
+    }
+
+    /// [`Packet::wire_bytes`].
+    pub(crate) fn wire_bytes(&self, packet: PacketIndex) -> u16 {
+        self.packet_bytes[packet.at()]
+    }
+
+    /// [`Packet::groups`].
+    pub(crate) fn groups_of(&self, packet: PacketIndex) -> impl ExactSizeIterator<Item = GroupIndex> + '_ {
+        self.packet_groups.row(packet.at()).iter().map(|index| GroupIndex(*index))
+    }
+
+    /// [`Group::packets`].
+    pub(crate) fn packets_of(
+        &self,
+        group: GroupIndex,
+    ) -> impl ExactSizeIterator<Item = PacketIndex> + Clone + '_ {
+        self.group_packets.row(group.at()).iter().map(|index| PacketIndex(*index))
+    }
+
+    /// Whether a packet is parity: it carries no group.
+    pub(crate) fn is_parity(&self, packet: PacketIndex) -> bool {
+        self.packet_groups.row(packet.at()).is_empty()
     }
 
     /// Packets whose wire ids lie in `first..=last`; cost follows what is found, not the width of the range.
@@ -405,6 +438,11 @@ impl PacketGraph {
     /// twice.
     pub fn closure_shares_packets(&self, group: GroupIndex) -> bool {
         self.shares_packets[group.at()]
+    }
+
+    /// The pieces of the graph, shared by all runs of it.
+    pub(crate) fn division(&self) -> Arc<Division> {
+        Arc::clone(self.division.get_or_init(|| Arc::new(Division::new(self))))
     }
 
     /// Bytes of all packets, parity included.

@@ -59,6 +59,19 @@ pub trait LinkBox: Send {
     /// Takes a datagram or nothing at `now`; see the module's text for the protocol.
     fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput;
 
+    /// Takes a datagram or nothing at `now`, hands all that leaves to `leave`, and returns when to ask again;
+    /// [`Nanos::MAX`]: not before a datagram comes in. The same as [`Self::step`] until nothing comes out, in
+    /// one call.
+    fn carry(&mut self, mut input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) -> Nanos {
+        loop {
+            match self.step(input.take(), now) {
+                BoxOutput::Datagram(datagram) => leave(datagram),
+                BoxOutput::Wake(at) => return at,
+                BoxOutput::Idle => return Nanos::MAX,
+            }
+        }
+    }
+
     /// The books.
     fn counts(&self) -> Counts;
 }

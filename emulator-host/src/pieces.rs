@@ -26,11 +26,36 @@ pub(crate) struct Addition {
     pub base: f64,
 }
 
+const NO_PIECE: u32 = u32::MAX;
+
+/// The pieces of a graph, and what a ranking of them by time and utility begins with. It follows from the graph
+/// alone, and every run of it uses the same.
+#[derive(Debug)]
+pub(crate) struct Division {
+    pub pieces: Pieces,
+    pub sums: FrameSums,
+    /// Places in [`Pieces::order`] by the frame from which they are needed; those of no use are left out.
+    pub by_time: Vec<u32>,
+}
+
+impl Division {
+    pub(crate) fn new(graph: &PacketGraph) -> Self {
+        let pieces = Pieces::new(graph);
+        let needed = |place: &u32| pieces.needed_from(pieces.order()[*place as usize] as usize);
+        let mut by_time: Vec<u32> =
+            (0..pieces.len() as u32).filter(|place| needed(place) < graph.frames()).collect();
+        by_time.sort_by_key(|place| (needed(place), *place));
+        Self { sums: FrameSums::new(graph), by_time, pieces }
+    }
+}
+
 /// The pieces of a graph.
 #[derive(Clone, Debug)]
 pub(crate) struct Pieces {
     packets: Csr,
-    of_packet: Csr,
+    /// The piece of each packet; [`NO_PIECE`] for parity.
+    of_packet: Vec<u32>,
+    wire_bytes: Vec<u32>,
     needs: Csr,
     dependents: Csr,
     parts: Vec<Vec<Addition>>,
@@ -104,7 +129,8 @@ impl Pieces {
             |pairs: &[(u32, u32)]| -> Vec<(u32, u32)> { pairs.iter().map(|(a, b)| (*b, *a)).collect() };
         let mut pieces = Self {
             packets: rows(&draft.packets),
-            of_packet: Csr::from_pairs(graph.packets().len(), &turned(&draft.packets)),
+            of_packet: vec![NO_PIECE; graph.packets().len()],
+            wire_bytes: vec![0; count],
             needs: rows(&draft.needs),
             dependents: rows(&turned(&draft.needs)),
             order: Vec::with_capacity(count),
@@ -114,6 +140,10 @@ impl Pieces {
             parts: draft.parts,
             harms: draft.harms,
         };
+        for (piece, packet) in &draft.packets {
+            pieces.of_packet[*packet as usize] = *piece;
+            pieces.wire_bytes[*piece as usize] += u32::from(graph.packets()[*packet as usize].wire_bytes);
+        }
         pieces.sort();
         for at in (0..count).rev().map(|place| pieces.order[place] as usize) {
             let own = pieces.parts[at].iter();
@@ -153,13 +183,19 @@ impl Pieces {
     }
 
     /// Packets that a piece consists of.
-    pub(crate) fn packets(&self, piece: usize) -> impl Iterator<Item = PacketIndex> + '_ {
+    pub(crate) fn packets(&self, piece: usize) -> impl ExactSizeIterator<Item = PacketIndex> + '_ {
         self.packets.row(piece).iter().map(|packet| PacketIndex(*packet))
+    }
+
+    /// Bytes of the packets of `piece`.
+    pub(crate) fn wire_bytes(&self, piece: usize) -> u32 {
+        self.wire_bytes[piece]
     }
 
     /// The piece that `packet` belongs to; none for parity.
     pub(crate) fn of_packet(&self, packet: PacketIndex) -> Option<usize> {
-        self.of_packet.row(packet.at()).first().map(|piece| *piece as usize)
+        let piece = self.of_packet[packet.at()];
+        (piece != NO_PIECE).then_some(piece as usize)
     }
 
     /// Pieces that `piece` needs directly.

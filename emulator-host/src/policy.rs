@@ -108,9 +108,9 @@ impl SenderView<'_> {
     /// Whether `group` can never be complete because a packet of it was abandoned. Slices stay useful one by
     /// one.
     pub fn is_dead(&self, group: GroupIndex) -> bool {
-        let packets = &self.graph.groups()[group.at()].packets;
+        let mut packets = self.graph.packets_of(group);
         self.graph.profile() == Profile::AllOrNothing
-            && packets.iter().any(|packet| self.status[packet.at()] == PacketStatus::Abandoned)
+            && packets.any(|packet| self.status[packet.at()] == PacketStatus::Abandoned)
     }
 }
 
@@ -197,8 +197,6 @@ impl<S: Scheduler + ?Sized> Scheduler for Box<S> {
 
 /// The first sendable packet of `group`'s closure, needed groups first.
 fn first_of_closure(view: &SenderView<'_>, group: GroupIndex, now: Nanos) -> Option<PacketIndex> {
-    let groups = view.graph.groups();
-    let mut packets =
-        view.graph.closure(group).flat_map(|member| groups[member.at()].packets.iter().copied());
+    let mut packets = view.graph.closure(group).flat_map(|member| view.graph.packets_of(member));
     packets.find(|packet| view.is_sendable(*packet, now))
 }

@@ -171,7 +171,7 @@ impl<'a> GraphReceiver<'a> {
             if self.packet_lacks[packet.at()] > 0 {
                 continue;
             }
-            if self.graph.packets()[packet.at()].parity_of.is_none() {
+            if !self.graph.is_parity(packet) {
                 self.snapshot.insert_packet(packet);
             }
             self.ready.extend(self.graph.packet_dependents(packet));
@@ -180,8 +180,8 @@ impl<'a> GraphReceiver<'a> {
 
     fn packet_counts_for_groups(&mut self, packet: PacketIndex) {
         let graph = self.graph;
-        for group in &graph.packets()[packet.at()].groups {
-            self.group_lacks_one_less(*group);
+        for group in graph.groups_of(packet) {
+            self.group_lacks_one_less(group);
         }
     }
 
@@ -195,8 +195,8 @@ impl<'a> GraphReceiver<'a> {
         while let Some(group) = self.ready_groups.pop() {
             self.snapshot.insert_group(group);
             if graph.profile() == Profile::AllOrNothing {
-                for packet in &graph.groups()[group.at()].packets {
-                    self.snapshot.insert_packet(*packet);
+                for packet in graph.packets_of(group) {
+                    self.snapshot.insert_packet(packet);
                 }
             }
             for dependent in graph.dependents(group) {

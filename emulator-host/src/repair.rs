@@ -44,9 +44,13 @@ impl Repair {
         packet: PacketIndex,
         mut recovered: impl FnMut(PacketIndex),
     ) {
+        let sets = graph.sets_of(packet);
+        if sets.is_empty() {
+            return;
+        }
         self.known[packet.at()] = true;
-        let is_parity = graph.packets()[packet.at()].parity_of.is_some();
-        for set in graph.sets_of(packet) {
+        let is_parity = graph.is_parity(packet);
+        for set in sets {
             let lack = &mut self.sets[*set as usize];
             if is_parity {
                 lack.parity += 1;

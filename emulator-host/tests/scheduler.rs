@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests fail like tests")]
 
 use emulator_host::{
-    GraphReceiver, PacketGraph, PacketIndex, PolicyKind, Report, SessionConfig, Trace, bound,
+    ControllerKind, GraphReceiver, PacketGraph, PacketIndex, PolicyKind, Report, SessionConfig, Trace, bound,
     clock::{Nanos, Rate},
     graph::{Profile, Synthetic, Utilities},
     link::{Capacity, LossModel, PathConfig, QueueLimit},
@@ -153,6 +153,26 @@ fn the_sender_bounds_the_queue_that_it_causes() {
     let (bounded, free) = (longest(Some(Nanos::from_ms(100))), longest(None));
     assert!(bounded < Nanos::from_ms(40 + 100 + 40), "{bounded}");
     assert!(free > Nanos::from_ms(500), "{free}");
+}
+
+/// Twice what the link carries, 100 ms of round trip, room for half a second: full, and hardly a queue.
+#[test]
+fn a_path_that_loses_nothing_is_filled_with_a_short_queue() {
+    let graph = graph(Synthetic { rate: Rate::from_mbps(10), ..Synthetic::default() }, 1);
+    let link = Rate::from_mbps(5);
+    let (delay, capacity) = (Nanos::from_ms(50), Capacity::Constant(link));
+    let queue = QueueLimit { bytes: link.bytes_in(Nanos::from_ms(500)).0, ..QueueLimit::default() };
+    let forward = PathConfig { capacity, queue, delay, ..PathConfig::default() };
+    let reverse = PathConfig { delay, ..PathConfig::default() };
+    for controller in [ControllerKind::NewReno, ControllerKind::Cubic, ControllerKind::Scream] {
+        let config =
+            SessionConfig { controller, reverse: reverse.clone(), ..after_a_second(forward.clone(), 1) };
+        let report = with(&graph, &config, DeadlineUtilityConfig::default());
+        let settled = report.samples.iter().filter(|row| row.time_ns >= Nanos::from_s(2));
+        let longest = settled.map(|row| row.smoothed_rtt_ns).max().unwrap();
+        let used = report.boxes[0].counts.delivered.bytes as f64 / link.bytes_in(report.duration_ns).0 as f64;
+        assert!(longest < Nanos::from_ms(150) && used > 0.9, "{controller:?}: {longest}, {used}");
+    }
 }
 
 /// Delegates, and notes what is chosen.

@@ -59,14 +59,14 @@ impl Pacer {
         if gained == 0 {
             return;
         }
-        // Advance by exactly the time that the whole bytes took, so that fractions are not lost.
-        let used = self.rate.time_for(Bytes(gained));
         let burst = initial_window(self.datagram);
         let full = self.tokens.saturating_add(gained);
         if full >= burst {
             self.tokens = burst;
             self.at = now;
         } else {
+            // Advance by exactly the time that the whole bytes took, so that fractions are not lost.
+            let used = self.rate.time_for(Bytes(gained));
             self.tokens = full;
             self.at = now.min(self.at + used);
         }

@@ -30,8 +30,8 @@ impl Csr {
     }
 
     /// Rows one by one, in order.
-    pub(crate) fn push_row(&mut self, row: &[u32]) {
-        self.items.extend_from_slice(row);
+    pub(crate) fn push_row(&mut self, row: impl IntoIterator<Item = u32>) {
+        self.items.extend(row);
         self.ends.push(self.items.len() as u32);
     }
 
@@ -55,8 +55,8 @@ mod tests {
         let csr = Csr::from_pairs(3, &[(2, 7), (0, 1), (2, 5)]);
         assert_eq!([csr.row(0), csr.row(1), csr.row(2)], [&[1u32][..], &[], &[7, 5]]);
         let mut pushed = Csr::default();
-        pushed.push_row(&[1]);
-        pushed.push_row(&[]);
+        pushed.push_row([1]);
+        pushed.push_row([]);
         assert_eq!([pushed.row(0), pushed.row(1)], [&[1u32][..], &[]]);
     }
 }

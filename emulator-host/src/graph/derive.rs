@@ -1,5 +1,7 @@
 //! Checks the parts of a graph, and derives what follows from them: order, closures, deadlines.
 
+use std::sync::OnceLock;
+
 use codec_core::internals::ids::PacketId;
 
 use super::{
@@ -44,6 +46,13 @@ fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
         }
     }
 
+    let (mut packet_groups, mut group_packets) = (Csr::default(), Csr::default());
+    for packet in &parts.packets {
+        packet_groups.push_row(packet.groups.iter().map(|group| group.0));
+    }
+    for group in &parts.groups {
+        group_packets.push_row(group.packets.iter().map(|packet| packet.0));
+    }
     let mut set_pairs = Vec::new();
     for (set, members) in parts.repair_sets.iter().enumerate() {
         set_pairs.extend(members.members.iter().map(|member| (member.0, set as u32)));
@@ -67,6 +76,10 @@ fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
     }
     Ok(PacketGraph {
         order: order.into_iter().map(GroupIndex).collect(),
+        packet_ids: parts.packets.iter().map(|packet| packet.id).collect(),
+        packet_bytes: parts.packets.iter().map(|packet| packet.wire_bytes).collect(),
+        packet_groups,
+        group_packets,
         closure,
         dependents,
         packet_dependents,
@@ -80,6 +93,7 @@ fn graph(parts: GraphParts) -> Result<PacketGraph, GraphError> {
         packet_useful_until: until,
         packet_level: level,
         shares_packets,
+        division: OnceLock::new(),
         parts,
     })
 }
@@ -250,7 +264,7 @@ fn closures(order: &[u32], needs: &[Vec<u32>]) -> Result<Csr, GraphError> {
     }
     let mut closure = Csr::default();
     for row in &rows {
-        closure.push_row(row);
+        closure.push_row(row.iter().copied());
     }
     debug_assert_eq!(closure.len(), total);
     Ok(closure)

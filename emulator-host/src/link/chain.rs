@@ -13,8 +13,8 @@ pub struct Chain {
     label: String,
     boxes: Vec<Slot>,
     ready: VecDeque<Datagram>,
-    received: Tally,
-    delivered: Tally,
+    /// What has come to a chain without boxes.
+    passed: Tally,
     wake: Nanos,
 }
 
@@ -30,8 +30,7 @@ impl Chain {
             label: label.into(),
             boxes: boxes.into_iter().map(|inner| Slot { inner, wake: Nanos::MAX }).collect(),
             ready: VecDeque::new(),
-            received: Tally::default(),
-            delivered: Tally::default(),
+            passed: Tally::default(),
             wake: Nanos::MAX,
         }
     }
@@ -46,24 +45,34 @@ impl Chain {
         self.boxes.iter().map(|slot| (slot.inner.label(), slot.inner.counts()))
     }
 
-    /// Puts `input` into box `at` and carries on whatever comes out, down to the exit.
-    fn feed(&mut self, at: usize, mut input: Option<Datagram>, now: Nanos) {
-        if at == self.boxes.len() {
-            self.ready.extend(input);
-            return;
-        }
-        loop {
-            match self.boxes[at].inner.step(input.take(), now) {
-                BoxOutput::Datagram(datagram) => self.feed(at + 1, Some(datagram), now),
-                BoxOutput::Wake(wake) => {
-                    self.boxes[at].wake = wake;
-                    return;
-                }
-                BoxOutput::Idle => {
-                    self.boxes[at].wake = Nanos::MAX;
-                    return;
+    /// Moves what is due at `now`, then takes `input`; what comes out of the last box goes to `leave`.
+    fn advance(&mut self, input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) {
+        let is_due = self.wake <= now;
+        if is_due {
+            for at in (0..self.boxes.len()).rev() {
+                if self.boxes[at].wake <= now {
+                    feed(&mut self.boxes[at..], None, now, leave);
                 }
             }
+        }
+        if let Some(datagram) = input {
+            if self.boxes.is_empty() {
+                self.passed.add(datagram);
+            }
+            feed(&mut self.boxes, input, now, leave);
+        }
+        if is_due || input.is_some() {
+            self.wake = self.boxes.iter().map(|slot| slot.wake).min().unwrap_or(Nanos::MAX);
+        }
+    }
+}
+
+/// Puts `input` into the first of `boxes` and carries on whatever comes out, down to the exit.
+fn feed(boxes: &mut [Slot], input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) {
+    match boxes.split_first_mut() {
+        None => input.into_iter().for_each(leave),
+        Some((first, rest)) => {
+            first.wake = first.inner.carry(input, now, &mut |out| feed(rest, Some(out), now, leave));
         }
     }
 }
@@ -74,37 +83,38 @@ impl LinkBox for Chain {
     }
 
     fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
-        let is_due = self.wake <= now;
-        if is_due {
-            for at in (0..self.boxes.len()).rev() {
-                if self.boxes[at].wake <= now {
-                    self.feed(at, None, now);
-                }
-            }
-        }
-        if let Some(datagram) = input {
-            self.received.add(datagram);
-            self.feed(0, Some(datagram), now);
-        }
-        if is_due || input.is_some() {
-            self.wake = self.boxes.iter().map(|slot| slot.wake).min().unwrap_or(Nanos::MAX);
-        }
+        let mut ready = std::mem::take(&mut self.ready);
+        self.advance(input, now, &mut |datagram| ready.push_back(datagram));
+        self.ready = ready;
         if let Some(datagram) = self.ready.pop_front() {
-            self.delivered.add(datagram);
             return BoxOutput::Datagram(datagram);
         }
         if self.wake == Nanos::MAX { BoxOutput::Idle } else { BoxOutput::Wake(self.wake) }
     }
 
+    fn carry(&mut self, input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) -> Nanos {
+        while let Some(datagram) = self.ready.pop_front() {
+            leave(datagram);
+        }
+        self.advance(input, now, leave);
+        self.wake
+    }
+
     fn counts(&self) -> Counts {
-        let mut counts = Counts { received: self.received, delivered: self.delivered, ..Counts::default() };
+        let counts_of = |slot: &Slot| slot.inner.counts();
+        let received = self.boxes.first().map_or(self.passed, |slot| counts_of(slot).received);
+        let left = self.boxes.last().map_or(self.passed, |slot| counts_of(slot).delivered);
+        let mut inside = Tally::default();
+        self.ready.iter().for_each(|datagram| inside.add(*datagram));
+        let delivered =
+            Tally { datagrams: left.datagrams - inside.datagrams, bytes: left.bytes - inside.bytes };
+        let mut counts = Counts { received, delivered, inside, ..Counts::default() };
         for (_, inner) in self.box_counts() {
             for (sum, part) in [(&mut counts.dropped, inner.dropped), (&mut counts.inside, inner.inside)] {
                 sum.datagrams += part.datagrams;
                 sum.bytes += part.bytes;
             }
         }
-        self.ready.iter().for_each(|datagram| counts.inside.add(*datagram));
         counts
     }
 }

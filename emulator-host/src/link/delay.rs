@@ -51,6 +51,32 @@ impl Delay {
     }
 }
 
+impl Delay {
+    fn enter(&mut self, datagram: Datagram, now: Nanos) {
+        self.counts.received.add(datagram);
+        let mut span = self.base;
+        if let Some(trace) = &self.trace {
+            span += trace.at(now);
+        }
+        if self.jitter > Nanos::ZERO {
+            span += Nanos(self.luck.up_to(self.jitter.0));
+        }
+        self.last = self.last.max(now + span);
+        self.delayed.push_back((self.last, datagram));
+    }
+
+    fn take_due(&mut self, now: Nanos) -> Option<Datagram> {
+        let (_, datagram) = self.delayed.pop_front_if(|(at, _)| *at <= now)?;
+        self.counts.delivered.add(datagram);
+        Some(datagram)
+    }
+
+    /// When the next datagram leaves; [`Nanos::MAX`] if there is none.
+    fn next_at(&self) -> Nanos {
+        self.delayed.front().map_or(Nanos::MAX, |(at, _)| *at)
+    }
+}
+
 impl LinkBox for Delay {
     fn label(&self) -> &str {
         &self.label
@@ -58,36 +84,28 @@ impl LinkBox for Delay {
 
     fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
         if let Some(datagram) = input {
-            self.counts.received.add(datagram);
-            self.counts.inside.add(datagram);
-            let mut span = self.base;
-            if let Some(trace) = &self.trace {
-                span += trace.at(now);
-            }
-            if self.jitter > Nanos::ZERO {
-                span += Nanos(self.luck.up_to(self.jitter.0));
-            }
-            self.last = self.last.max(now + span);
-            self.delayed.push_back((self.last, datagram));
+            self.enter(datagram, now);
         }
-        match self.delayed.front() {
-            None => BoxOutput::Idle,
-            Some((at, _)) if *at > now => BoxOutput::Wake(*at),
-            Some((_, datagram)) => {
-                let datagram = *datagram;
-                self.delayed.pop_front();
-                self.counts.delivered.add(datagram);
-                let inside = self.counts.inside;
-                self.counts.inside = Tally {
-                    datagrams: inside.datagrams - 1,
-                    bytes: inside.bytes - u64::from(datagram.bytes),
-                };
-                BoxOutput::Datagram(datagram)
-            }
+        match self.take_due(now) {
+            Some(datagram) => BoxOutput::Datagram(datagram),
+            None if self.delayed.is_empty() => BoxOutput::Idle,
+            None => BoxOutput::Wake(self.next_at()),
         }
     }
 
+    fn carry(&mut self, input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) -> Nanos {
+        if let Some(datagram) = input {
+            self.enter(datagram, now);
+        }
+        while let Some(datagram) = self.take_due(now) {
+            leave(datagram);
+        }
+        self.next_at()
+    }
+
     fn counts(&self) -> Counts {
-        self.counts
+        let mut inside = Tally::default();
+        self.delayed.iter().for_each(|(_, datagram)| inside.add(*datagram));
+        Counts { inside, ..self.counts }
     }
 }

@@ -29,6 +29,10 @@ impl LinkBox for ConstantRate {
         self.inner.step(input, now)
     }
 
+    fn carry(&mut self, input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) -> Nanos {
+        self.inner.carry(input, now, leave)
+    }
+
     fn counts(&self) -> Counts {
         self.inner.counts()
     }

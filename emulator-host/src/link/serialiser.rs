@@ -27,28 +27,56 @@ impl<S: Service> Serialiser<S> {
 
     /// Departures due at `now` come before arrivals at `now`: capacity that passed unused is lost.
     pub(super) fn step(&mut self, input: Option<Datagram>, now: Nanos) -> BoxOutput {
-        let mut leaving = None;
-        if let Some((datagram, at)) = self.in_service
-            && at <= now
-        {
-            leaving = Some(datagram);
-            self.counts.delivered.add(datagram);
-            self.in_service = self.queue.take().map(|next| (next, self.service.finish(next.bytes)));
-        }
+        let leaving = self.take_due(now);
         if let Some(datagram) = input {
-            self.counts.received.add(datagram);
-            if self.in_service.is_none() {
-                self.service.start(now);
-                self.in_service = Some((datagram, self.service.finish(datagram.bytes)));
-            } else if !self.queue.offer(datagram) {
-                self.counts.dropped.add(datagram);
-            }
+            self.enter(datagram, now);
         }
-        match (leaving, self.in_service) {
+        match (leaving, self.next_at()) {
             (Some(datagram), _) => BoxOutput::Datagram(datagram),
-            (None, Some((_, Nanos::MAX))) | (None, None) => BoxOutput::Idle,
-            (None, Some((_, at))) => BoxOutput::Wake(at),
+            (None, Nanos::MAX) => BoxOutput::Idle,
+            (None, at) => BoxOutput::Wake(at),
         }
+    }
+
+    /// [`super::LinkBox::carry`].
+    pub(super) fn carry(
+        &mut self,
+        input: Option<Datagram>,
+        now: Nanos,
+        leave: &mut dyn FnMut(Datagram),
+    ) -> Nanos {
+        let mut leaving = self.take_due(now);
+        if let Some(datagram) = input {
+            self.enter(datagram, now);
+        }
+        while let Some(datagram) = leaving {
+            leave(datagram);
+            leaving = self.take_due(now);
+        }
+        self.next_at()
+    }
+
+    /// What is through at `now`; the next comes into service.
+    fn take_due(&mut self, now: Nanos) -> Option<Datagram> {
+        let (datagram, _) = self.in_service.filter(|(_, at)| *at <= now)?;
+        self.counts.delivered.add(datagram);
+        self.in_service = self.queue.take().map(|next| (next, self.service.finish(next.bytes)));
+        Some(datagram)
+    }
+
+    fn enter(&mut self, datagram: Datagram, now: Nanos) {
+        self.counts.received.add(datagram);
+        if self.in_service.is_none() {
+            self.service.start(now);
+            self.in_service = Some((datagram, self.service.finish(datagram.bytes)));
+        } else if !self.queue.offer(datagram) {
+            self.counts.dropped.add(datagram);
+        }
+    }
+
+    /// When what is in service is through; [`Nanos::MAX`] for never.
+    fn next_at(&self) -> Nanos {
+        self.in_service.map_or(Nanos::MAX, |(_, at)| at)
     }
 
     pub(super) fn counts(&self) -> Counts {

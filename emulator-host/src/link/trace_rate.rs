@@ -65,6 +65,13 @@ impl LinkBox for TraceRate {
         }
     }
 
+    fn carry(&mut self, input: Option<Datagram>, now: Nanos, leave: &mut dyn FnMut(Datagram)) -> Nanos {
+        match &mut self.inner {
+            Inner::Opportunities(serialiser) => serialiser.carry(input, now, leave),
+            Inner::Steps(serialiser) => serialiser.carry(input, now, leave),
+        }
+    }
+
     fn counts(&self) -> Counts {
         match &self.inner {
             Inner::Opportunities(serialiser) => serialiser.counts(),

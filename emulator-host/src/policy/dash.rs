@@ -67,15 +67,16 @@ impl Dash {
         let mut skipped_level = u8::MAX;
         for index in candidates {
             let group = &view.graph.groups()[index.at()];
-            let waiting =
-                group.packets.iter().filter(|packet| view.status[packet.at()] == PacketStatus::Waiting);
-            let bytes: u64 =
-                waiting.clone().map(|packet| u64::from(view.graph.packets()[packet.at()].wire_bytes)).sum();
+            let waiting = view
+                .graph
+                .packets_of(index)
+                .filter(|packet| view.status[packet.at()] == PacketStatus::Waiting);
+            let bytes: u64 = waiting.clone().map(|packet| u64::from(view.graph.wire_bytes(packet))).sum();
             // A tile that does not fit does not stop its neighbours of the same level, only all levels above.
             let fits = group.level() == 0 || (group.level() <= skipped_level && spent + bytes <= budget);
             if fits && !view.is_past(group.last_frame, now) {
                 spent += bytes;
-                self.chosen.extend(waiting.copied());
+                self.chosen.extend(waiting);
             } else {
                 skipped_level = skipped_level.min(group.level());
                 if group.last_frame >= next_start {

@@ -123,7 +123,7 @@ impl Scheduler for DeadlineUtility {
             return None;
         }
         let outlook = Outlook::new(view, &self.config, now);
-        let bytes = u32::from(view.graph.packets()[packet.at()].wire_bytes) + outlook::OVERHEAD_BYTES;
+        let bytes = u32::from(view.graph.wire_bytes(packet)) + outlook::OVERHEAD_BYTES;
         let needed = view.graph.needed_from(packet);
         let frame = if needed > outlook.next_frame() { needed } else { view.graph.useful_until(packet) };
         Some((outlook.chance(bytes, frame, view.smoothed_rtt.as_s()), frame))
@@ -131,7 +131,7 @@ impl Scheduler for DeadlineUtility {
 
     fn on_status(&mut self, view: &SenderView<'_>, packet: PacketIndex, before: PacketStatus) {
         let after = view.status[packet.at()];
-        self.plan.on_status(packet, view.graph.packets()[packet.at()].wire_bytes, before, after);
+        self.plan.on_status(packet, view.graph.wire_bytes(packet), before, after);
         self.lost_since |= after == PacketStatus::Waiting;
     }
 }

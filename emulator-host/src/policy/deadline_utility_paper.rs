@@ -183,7 +183,7 @@ impl DeadlineUtilityPaper {
         packets.dedup();
         let mut need = Need::default();
         for packet in packets {
-            let bytes = u64::from(view.graph.packets()[packet.at()].wire_bytes);
+            let bytes = u64::from(view.graph.wire_bytes(packet));
             match view.status[packet.at()] {
                 PacketStatus::Delivered => {}
                 PacketStatus::Abandoned if mortal => return None,
@@ -281,12 +281,12 @@ impl Scheduler for DeadlineUtilityPaper {
     }
 
     fn on_status(&mut self, view: &SenderView<'_>, packet: PacketIndex, before: PacketStatus) {
-        let facts = &view.graph.packets()[packet.at()];
+        let bytes = u32::from(view.graph.wire_bytes(packet));
         let after = view.status[packet.at()];
-        for group in &facts.groups {
+        for group in view.graph.groups_of(packet) {
             let tally = &mut self.tallies[group.at()];
-            tally.count(before, u32::from(facts.wire_bytes), u32::wrapping_sub);
-            tally.count(after, u32::from(facts.wire_bytes), u32::wrapping_add);
+            tally.count(before, bytes, u32::wrapping_sub);
+            tally.count(after, bytes, u32::wrapping_add);
         }
         if after == PacketStatus::Abandoned {
             self.ranking.clear();

@@ -107,13 +107,16 @@ pub(super) struct ReceiptWriter {
     pose: Option<ViewerPose>,
     /// Receipts that are still to say the pose.
     pose_left: u8,
-    lists: Lists,
+    content: Content,
     bytes: Box<[u8; MAX_RECEIPT_BYTES]>,
 }
 
-/// The lists of the receipt that is being written; kept, so that a receipt costs no allocation.
+/// What the receipt composed last says; kept, so that a receipt costs no allocation.
 #[derive(Debug, Default)]
-struct Lists {
+struct Content {
+    sequence: u32,
+    playout_us: u64,
+    pose: Option<ViewerPose>,
     ids: Vec<PacketId>,
     acknowledged: Vec<IdRange>,
     recovered: Vec<PacketId>,
@@ -129,7 +132,7 @@ impl ReceiptWriter {
             completed: News::new(),
             pose: None,
             pose_left: 0,
-            lists: Lists::default(),
+            content: Content::default(),
             bytes: Box::new([0; MAX_RECEIPT_BYTES]),
         }
     }
@@ -168,31 +171,46 @@ impl ReceiptWriter {
         sequence
     }
 
-    /// The next receipt: its bytes, until the next is written, and what it reports. `playout_start`: when
-    /// frame 0 was shown.
-    pub(super) fn write(&mut self, playout_start: Option<Nanos>) -> (&[u8], Reported) {
+    /// Composes the next receipt; what it reports. `playout_start`: when frame 0 was shown.
+    pub(super) fn compose(&mut self, playout_start: Option<Nanos>) -> Reported {
         let sequence = self.next_sequence();
         let pose = self.pose.filter(|_| self.pose_left > 0);
         self.pose_left = self.pose_left.saturating_sub(1);
-        let lists = &mut self.lists;
-        let arrived = self.arrived.take(MOST_RANGES, &mut lists.ids);
-        join(&mut lists.ids, &mut lists.acknowledged);
-        let recovered = self.recovered.take(MOST_RECOVERED, &mut lists.recovered);
-        let completed = self.completed.take(MOST_COMPLETED, &mut lists.completed);
-        let playout_us = playout_start.map_or(0, |start| start.0.div_ceil(1000).max(1));
-        let value = Value {
-            sequence,
-            playout_us,
-            pose,
-            acknowledged: &lists.acknowledged,
-            recovered: &lists.recovered,
-            completed: &lists.completed,
-        };
+        let content = &mut self.content;
+        (content.sequence, content.pose) = (sequence, pose);
+        content.playout_us = playout_start.map_or(0, |start| start.0.div_ceil(1000).max(1));
+        let arrived = self.arrived.take(MOST_RANGES, &mut content.ids);
+        join(&mut content.ids, &mut content.acknowledged);
+        let recovered = self.recovered.take(MOST_RECOVERED, &mut content.recovered);
+        let completed = self.completed.take(MOST_COMPLETED, &mut content.completed);
+        let pose = pose.map(|pose| (sequence, pose));
+        Reported { arrived, recovered, completed, playout_us: content.playout_us, pose }
+    }
+
+    /// Length of the receipt composed last.
+    pub(super) fn wire_len(&self) -> usize {
+        self.content.value().wire_len()
+    }
+
+    /// Bytes of the receipt composed last.
+    pub(super) fn bytes(&mut self) -> &[u8] {
         // Ranges ascend and the space is the largest receipt's, so writing cannot fail; an empty one would be
         // ignored.
-        let len = value.write(&mut self.bytes[..]).unwrap_or(0);
-        let pose = pose.map(|pose| (sequence, pose));
-        (&self.bytes[..len], Reported { arrived, recovered, completed, playout_us, pose })
+        let len = self.content.value().write(&mut self.bytes[..]).unwrap_or(0);
+        &self.bytes[..len]
+    }
+}
+
+impl Content {
+    fn value(&self) -> Value<'_> {
+        Value {
+            sequence: self.sequence,
+            playout_us: self.playout_us,
+            pose: self.pose,
+            acknowledged: &self.acknowledged,
+            recovered: &self.recovered,
+            completed: &self.completed,
+        }
     }
 }
 
@@ -262,6 +280,14 @@ mod tests {
         super::read(bytes, graph, &mut feedback).map(|()| feedback)
     }
 
+    fn written(writer: &mut ReceiptWriter, playout_start: Option<Nanos>) -> &[u8] {
+        writer.compose(playout_start);
+        let len = writer.wire_len();
+        let bytes = writer.bytes();
+        assert_eq!(bytes.len(), len);
+        bytes
+    }
+
     fn graph() -> PacketGraph {
         Synthetic { frames: 30, ..Synthetic::default() }.build(1).unwrap()
     }
@@ -274,7 +300,7 @@ mod tests {
         packets[..3].iter().for_each(|packet| writer.on_arrived(graph.wire_id(*packet)));
         writer.on_recovered(graph.wire_id(packets[3]));
         for repeat in 0..=REPEATS {
-            let feedback = read(writer.write(Some(Nanos(1))).0, &graph).unwrap();
+            let feedback = read(written(&mut writer, Some(Nanos(1))), &graph).unwrap();
             let expected = if repeat < REPEATS { packets.to_vec() } else { Vec::new() };
             assert_eq!(
                 feedback,
@@ -288,7 +314,7 @@ mod tests {
         let graph = graph();
         let mut writer = ReceiptWriter::new();
         writer.on_complete(graph.groups()[5].id);
-        let feedback = read(writer.write(None).0, &graph).unwrap();
+        let feedback = read(written(&mut writer, None), &graph).unwrap();
         assert_eq!(
             feedback,
             Feedback { received: graph.groups()[5].packets.clone(), playout_start: None, pose: None }
@@ -307,7 +333,7 @@ mod tests {
         graph.groups().iter().take(63).for_each(|group| writer.on_complete(group.id));
         let mut known = std::collections::BTreeSet::new();
         for _ in 0..40 {
-            let (bytes, _) = writer.write(None);
+            let bytes = written(&mut writer, None);
             assert!((1..=MAX_RECEIPT_BYTES).contains(&bytes.len()), "{}", bytes.len());
             known.extend(read(bytes, &graph).unwrap().received);
         }
@@ -321,7 +347,7 @@ mod tests {
         let pose = |x| ViewerPose { position: [x, 0.0, 0.0], rotation: [1.0, 0.0, 0.0, 0.0] };
         let said = |writer: &mut ReceiptWriter, x| {
             writer.on_pose(pose(x));
-            read(writer.write(None).0, &graph).unwrap().pose
+            read(written(writer, None), &graph).unwrap().pose
         };
         for sequence in 0..u32::from(REPEATS) {
             assert_eq!(said(&mut writer, 1.0), Some((sequence, pose(1.0))));
@@ -335,7 +361,7 @@ mod tests {
     #[test]
     fn damaged_bytes_are_refused() {
         let graph = graph();
-        let mut bytes = ReceiptWriter::new().write(None).0.to_vec();
+        let mut bytes = written(&mut ReceiptWriter::new(), None).to_vec();
         bytes[1] ^= 1;
         assert!(read(&bytes, &graph).is_err());
     }

@@ -143,7 +143,7 @@ impl Ideal<'_> {
         self.media.on_sent(packet, self.sent, now);
         self.media.on_settled(1, 0, now);
         self.media.on_acked(packet);
-        let bytes = self.media.graph().packets()[packet.at()].wire_bytes;
+        let bytes = self.media.graph().wire_bytes(packet);
         Some((Content::Media(packet), u32::from(bytes)))
     }
 

@@ -165,11 +165,18 @@ impl MediaReceiver {
     /// Appends the bytes of the next receipt to `out`. One is due with every second media datagram, and when
     /// playout starts.
     pub fn receipt(&mut self, out: &mut Vec<u8>) {
-        out.extend_from_slice(self.receipt_and_news().0);
+        self.receipts.compose(self.start);
+        out.extend_from_slice(self.receipts.bytes());
     }
 
-    /// The bytes of the next receipt, and which news they tell.
-    pub(super) fn receipt_and_news(&mut self) -> (&[u8], Reported) {
-        self.receipts.write(self.start)
+    /// The next receipt, for a transport that moves no bytes: its length, and which news it tells.
+    pub(super) fn measured_receipt(&mut self) -> (usize, Reported) {
+        let reported = self.receipts.compose(self.start);
+        (self.receipts.wire_len(), reported)
+    }
+
+    /// The bytes of the receipt composed last.
+    pub(super) fn receipt_bytes(&mut self) -> &[u8] {
+        self.receipts.bytes()
     }
 }

@@ -18,11 +18,15 @@ use super::{
 };
 use crate::{
     clock::{Bytes, Nanos},
-    graph::{PacketGraph, PacketIndex},
+    graph::{GroupIndex, PacketGraph, PacketIndex},
     policy::{PacketStatus, Scheduler, Service},
     report::SenderCounts,
     startup::{Startup, StartupRule},
 };
+
+/// Below this share of lost datagrams the window is as large as the path and its queue, and a shorter queue
+/// costs nothing. Where losses keep the window small, it grows only while it is filled.
+const FEW_LOSSES: f64 = 0.005;
 
 /// What a sender of media may do, whatever the transport.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -193,6 +197,11 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         }
     }
 
+    /// When [`Self::advance`] next moves the horizon; never before playout.
+    pub(super) fn horizon_moves_at(&self) -> Nanos {
+        self.horizon_moves_at
+    }
+
     /// Renews what the scheduler sees of path and playout; to be called after news of the path. Before
     /// playout has started, the sender expects it to start when the rest of the first base could be there.
     pub fn look(&mut self, path: PathFacts, now: Nanos) {
@@ -230,9 +239,11 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         if path.in_flight < 2 * path.datagram_bytes {
             return None;
         }
-        let drain = path.rate.time_for(Bytes(path.in_flight));
         // A path of many milliseconds needs as many more to be probed for its rate.
-        if drain <= path.minimum_rtt + own_queue.max(path.minimum_rtt) {
+        let widest = own_queue.max(path.minimum_rtt);
+        let queue = if self.outlook.loss < FEW_LOSSES { Nanos(widest.0 / 20 * 9) } else { widest };
+        let longest = path.minimum_rtt + queue;
+        if path.rate.moves_within(Bytes(path.in_flight), longest) {
             return None;
         }
         let silence_ends = self.last_sent_at + own_queue.times(2);
@@ -242,7 +253,15 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     /// The packet to send now, which counts as in flight from here on: first what was lost, then parity, then
     /// what the scheduler says. `None`: nothing is worth sending until something is learnt, or time brings
     /// more of the clip near.
+    #[inline]
     pub fn next(&mut self, now: Nanos) -> Option<PacketIndex> {
+        if self.starved && self.again.is_empty() && self.parity.is_empty() {
+            return None;
+        }
+        self.next_of_any(now)
+    }
+
+    fn next_of_any(&mut self, now: Nanos) -> Option<PacketIndex> {
         let packet = self.next_lost(now).or_else(|| self.next_parity(now));
         let packet = if packet.is_none() && !self.starved { self.next_choice(now) } else { packet }?;
         let is_parity = self.is_parity(packet);
@@ -333,7 +352,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     }
 
     fn is_parity(&self, packet: PacketIndex) -> bool {
-        self.graph.packets()[packet.at()].parity_of.is_some()
+        self.graph.is_parity(packet)
     }
 
     /// What was lost and is to be sent again before all else.
@@ -374,8 +393,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     fn next_choice(&mut self, now: Nanos) -> Option<PacketIndex> {
         let view = self.outlook.view(&self.graph, &self.status, &self.sent_at);
         let mut packet = self.scheduler.next(&view, now);
-        let is_parity = |packet: PacketIndex| view.graph.packets()[packet.at()].parity_of.is_some();
-        if packet.is_some_and(|packet| !view.is_sendable(packet, now) || is_parity(packet)) {
+        if packet.is_some_and(|packet| !view.is_sendable(packet, now) || view.graph.is_parity(packet)) {
             self.counts.refused_choices += 1;
             packet = None;
         }
@@ -395,7 +413,7 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
         let packet = packet?;
         if self.sent_times[packet.at()] > 0 {
             self.counts.retransmitted += 1;
-        } else if !is_parity(packet) {
+        } else if !view.graph.is_parity(packet) {
             self.counts.media += 1;
             if let Some((chance, frame)) = self.scheduler.forecast(&view, packet, now) {
                 self.forecasts.note(packet, chance, frame);
@@ -405,12 +423,17 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
     }
 
     fn first_send(&mut self, packet: PacketIndex) {
-        let facts = &self.graph.packets()[packet.at()];
-        let groups = self.graph.groups();
-        if facts.groups.iter().any(|g| groups[g.at()].level() == 0 && groups[g.at()].first_frame == 0) {
-            self.first_base_bytes = self.first_base_bytes.saturating_sub(u64::from(facts.wire_bytes));
+        // Few packets can be of the first base, and only for them is it worth to look at their groups.
+        let may_be_first_base = self.graph.level(packet) == 0 && self.graph.needed_from(packet) == 0;
+        let is_first_base = |group: GroupIndex| {
+            let group = &self.graph.groups()[group.at()];
+            group.level() == 0 && group.first_frame == 0
+        };
+        if may_be_first_base && self.graph.groups_of(packet).any(is_first_base) {
+            let bytes = u64::from(self.graph.wire_bytes(packet));
+            self.first_base_bytes = self.first_base_bytes.saturating_sub(bytes);
         }
-        if facts.parity_of.is_some() {
+        if self.graph.is_parity(packet) {
             return;
         }
         for set in self.graph.sets_of(packet) {

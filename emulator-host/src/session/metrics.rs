@@ -93,7 +93,7 @@ impl<'a> Metrics<'a> {
     }
 
     pub(super) fn arrive(&mut self, packet: PacketIndex, arrival: Arrival, next_frame: u32) {
-        let bytes = u64::from(self.graph.packets()[packet.at()].wire_bytes);
+        let bytes = u64::from(self.graph.wire_bytes(packet));
         self.media_bytes += bytes;
         match arrival {
             Arrival::Duplicate => self.waste.duplicate_bytes += bytes,
@@ -175,12 +175,11 @@ impl<'a> Metrics<'a> {
     fn enter_packets(&mut self, frame: u32, snapshot: &Snapshot) {
         take_fresh(&mut self.shown.packets, &snapshot.packets, |index| {
             let packet = PacketIndex(index);
-            let facts = &self.graph.packets()[packet.at()];
-            let bytes = u32::from(facts.wire_bytes);
+            let bytes = u32::from(self.graph.wire_bytes(packet));
             self.used[packet.at()] = frame;
             self.usable_bytes += u64::from(bytes);
             if !self.group_bytes.is_empty() {
-                facts.groups.iter().for_each(|group| self.group_bytes[group.at()].0 += bytes);
+                self.graph.groups_of(packet).for_each(|group| self.group_bytes[group.at()].0 += bytes);
             }
         });
     }
@@ -194,13 +193,16 @@ impl<'a> Metrics<'a> {
     ) -> Report {
         let forecast = forecasts.score(&self.arrived, self.frames.len() as u32);
         let mut used_bytes = 0;
-        for (at, packet) in self.graph.packets().iter().enumerate() {
-            let (index, bytes) = (PacketIndex(at as u32), u64::from(packet.wire_bytes));
+        for at in 0..self.arrived.len() {
+            let index = PacketIndex(at as u32);
             if self.arrived[at] == NEVER {
                 continue;
             }
+            let bytes = u64::from(self.graph.wire_bytes(index));
             let until = self.graph.useful_until(index);
-            if let Some(set) = packet.parity_of {
+            let parity_of =
+                if self.graph.is_parity(index) { self.graph.packets()[at].parity_of } else { None };
+            if let Some(set) = parity_of {
                 if let Some(left) = self.set_used[set as usize].checked_sub(1) {
                     self.set_used[set as usize] = left;
                     used_bytes += bytes;

@@ -1,9 +1,9 @@
 //! Hands the sender of the model what receipts report, without reading their bytes.
 //!
-//! In the model both ends lie in one memory. A receipt is written, so that its length is the true one; what
-//! it reports are ranges of one log, and the sender looks only at the part of them that no earlier receipt
-//! has reported. In debug builds every receipt is also read, and has to say the same
-//! ([`NewsLog::reads_like`]).
+//! In the model both ends lie in one memory. A receipt is composed and measured, so that its length is the
+//! true one; what it reports are ranges of one log, and the sender looks only at the part of them that no
+//! earlier receipt has reported. In debug builds every receipt is also written and read, and has to say the
+//! same ([`NewsLog::reads_like`]).
 
 use super::feedback::{self, Feedback, NewsRange, Reported};
 use crate::graph::{GroupIndex, PacketGraph, PacketIndex};
@@ -56,7 +56,7 @@ impl Heard {
         self.arrived.hear(reported.arrived, &log.arrived, &mut on_received);
         self.recovered.hear(reported.recovered, &log.recovered, &mut on_received);
         self.completed.hear(reported.completed, &log.completed, |group| {
-            graph.groups()[group.at()].packets.iter().for_each(|packet| on_received(*packet));
+            graph.packets_of(group).for_each(&mut on_received);
         });
     }
 }
@@ -110,7 +110,8 @@ mod tests {
         packets.iter().for_each(|packet| writer.on_arrived(graph.wire_id(*packet)));
         writer.on_complete(graph.groups()[group.at()].id);
         let mut log = NewsLog { arrived: packets.to_vec(), completed: vec![group], ..NewsLog::default() };
-        let (bytes, reported) = writer.write(Some(Nanos::from_ms(1)));
+        let reported = writer.compose(Some(Nanos::from_ms(1)));
+        let bytes = writer.bytes();
         assert!(log.reads_like(bytes, reported, &graph));
         assert!(!log.reads_like(bytes, Reported { playout_us: 0, ..reported }, &graph));
         assert!(!log.reads_like(bytes, Reported { completed: NewsRange::default(), ..reported }, &graph));

@@ -51,7 +51,7 @@ impl Outstanding {
         S: Scheduler,
     {
         sender.on_sent(packet, self.next_number, now);
-        let bytes = u64::from(sender.graph().packets()[packet.at()].wire_bytes);
+        let bytes = u64::from(sender.graph().wire_bytes(packet));
         self.sendings.push_back(Sending { number: self.next_number, packet, bytes, sent_at: now });
         self.bytes += bytes;
         self.next_number += 1;

@@ -94,12 +94,20 @@ impl<'a> Sender<'a> {
         self.dirty
     }
 
-    pub(super) fn next_time(&self, now: Nanos) -> Nanos {
-        if self.dirty {
-            return now;
-        }
-        let serialised = self.serialising.map_or(Nanos::MAX, |(_, _, at)| at);
-        self.recovery.timer().min(self.pace_at).min(serialised)
+    /// When the pacer, or the own serialiser, lets the next datagram out; [`Nanos::MAX`]: not before something
+    /// is learnt.
+    pub(super) fn next_send(&self) -> Nanos {
+        self.pace_at.min(self.serialising.map_or(Nanos::MAX, |(_, _, at)| at))
+    }
+
+    /// When [`Self::on_timer`] is due.
+    pub(super) fn timer(&self) -> Nanos {
+        self.recovery.timer()
+    }
+
+    /// When [`Self::advance`] brings more of the clip within the horizon.
+    pub(super) fn horizon_moves_at(&self) -> Nanos {
+        self.media.horizon_moves_at()
     }
 
     /// A datagram of feedback has arrived: the transport's acknowledgement, and a receipt that reports some
@@ -220,7 +228,7 @@ impl<'a> Sender<'a> {
             return Some((Content::Control(chunk), self.control.bytes(chunk)));
         }
         if let Some(packet) = self.media.next(now) {
-            let bytes = self.media.graph().packets()[packet.at()].wire_bytes;
+            let bytes = self.media.graph().wire_bytes(packet);
             return Some((Content::Media(packet), u32::from(bytes)));
         }
         self.counts.pings += u64::from(probe);

@@ -139,16 +139,7 @@ impl Value<'_> {
     /// [`crate::ErrorKind::Capacity`] if `out` is smaller than the receipt,
     /// [`crate::ErrorKind::Illegal`] if ranges are not ascending.
     pub fn write(&self, out: &mut [u8]) -> Result<usize> {
-        let mut room = limits::MAX_RECEIPT_BYTES - 4 - 9 - 5 - 28 - 6;
-        let mut keep = |len: usize| {
-            let fits = len <= room;
-            room -= if fits { len } else { room };
-            fits
-        };
-        // A range costs at most 4 + 4 bytes whatever came before it.
-        let ranges = self.acknowledged.iter().rev().take_while(|_| keep(8)).count();
-        let recovered = self.recovered.iter().take_while(|id| keep(varint_len(id.get()))).count();
-        let completed = self.completed.iter().take_while(|_| keep(7)).count();
+        let (ranges, recovered, completed) = self.kept();
         let older = self.acknowledged.len().saturating_sub(ranges);
         let mut writer = Writer::new(out);
         writer.bytes(&[KIND_RECEIPT << 5 | u8::from(self.pose.is_some())])?;
@@ -187,6 +178,41 @@ impl Value<'_> {
         let crc = crc32(writer.written());
         writer.bytes(&crc.to_le_bytes())?;
         Ok(writer.len())
+    }
+
+    /// Bytes that [`Self::write`] writes, if the ranges ascend.
+    pub fn wire_len(&self) -> usize {
+        let (ranges, recovered, completed) = self.kept();
+        let counts = [ranges, recovered, completed].map(|count| varint_len(count as u32));
+        let mut len = 1 + varint_len(self.sequence) + 8 + 4 + counts.iter().sum::<usize>();
+        len += if self.pose.is_some() { 28 } else { 0 };
+        let mut least = 0;
+        for (first, last) in self.acknowledged.iter().skip(self.acknowledged.len().saturating_sub(ranges)) {
+            len += varint_len(first.get().saturating_sub(least));
+            len += varint_len(last.get().saturating_sub(first.get()));
+            least = last.get() + 2;
+        }
+        len += self.recovered.iter().take(recovered).map(|id| varint_len(id.get())).sum::<usize>();
+        for group in self.completed.iter().take(completed) {
+            let (Span::Canonical(EpochId(span)) | Span::Motion(WindowId(span))) = group.span;
+            len += 1 + varint_len(span.into()) + varint_len(group.cluster.0.into());
+        }
+        len
+    }
+
+    /// How many of each list fit: newest ranges, recovered ids, groups.
+    fn kept(&self) -> (usize, usize, usize) {
+        let mut room = limits::MAX_RECEIPT_BYTES - 4 - 9 - 5 - 28 - 6;
+        let mut keep = |len: usize| {
+            let fits = len <= room;
+            room -= if fits { len } else { room };
+            fits
+        };
+        // A range costs at most 4 + 4 bytes whatever came before it.
+        let ranges = self.acknowledged.iter().rev().take_while(|_| keep(8)).count();
+        let recovered = self.recovered.iter().take_while(|id| keep(varint_len(id.get()))).count();
+        let completed = self.completed.iter().take_while(|_| keep(7)).count();
+        (ranges, recovered, completed)
     }
 }
 
@@ -252,6 +278,7 @@ mod tests {
             };
             let mut out = vec![0u8; 1200];
             let len = value.write(&mut out).unwrap();
+            prop_assert_eq!(value.wire_len(), len);
             let receipt = Receipt::parse(&out[..len], crc32).unwrap();
             let head = (receipt.sequence, receipt.playout_us, receipt.pose);
             prop_assert_eq!(head, (sequence, playout_us, pose));

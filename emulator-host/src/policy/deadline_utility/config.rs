@@ -6,7 +6,8 @@ use crate::{clock::Nanos, pieces::Addition, policy::SenderView};
 /// Settings. [`Default`] is what measured best on windows that were not used to report.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DeadlineUtilityConfig {
-    /// Longest queue that media may cause on the path; `None`: as the congestion window allows.
+    /// Longest queue that media may cause on the path ([`super::super::Service::own_queue`]); `None`: as the
+    /// congestion window allows.
     pub own_queue: Option<Nanos>,
     /// Every lost packet competes again for as long as it can show; otherwise lost base packets are repeated
     /// within a budget and nothing else is.

@@ -70,10 +70,8 @@ impl Opening {
 
 /// Packets of the closure of `group` that wait, and their bytes.
 fn left(view: &SenderView<'_>, group: GroupIndex) -> (u32, u32) {
-    let groups = view.graph.groups();
-    let closure = view.graph.closure(group).flat_map(|member| &groups[member.at()].packets);
+    let closure = view.graph.closure(group).flat_map(|member| view.graph.packets_of(member));
     let waiting = closure.filter(|packet| view.status[packet.at()] == PacketStatus::Waiting);
-    waiting.fold((0, 0), |(count, bytes), packet| {
-        (count + 1, bytes + u32::from(view.graph.packets()[packet.at()].wire_bytes))
-    })
+    waiting
+        .fold((0, 0), |(count, bytes), packet| (count + 1, bytes + u32::from(view.graph.wire_bytes(packet))))
 }

@@ -5,7 +5,7 @@
 //! the ratio. On trees this is Horn's rule, whose order is the best one; where something needs several pieces
 //! that are not sent yet, each of them is credited with an equal share of its value and of its bytes.
 
-use std::{cmp::Ordering, collections::BinaryHeap};
+use std::{cmp::Ordering, collections::BinaryHeap, sync::Arc};
 
 use super::{
     config::DeadlineUtilityConfig,
@@ -14,7 +14,7 @@ use super::{
 use crate::{
     clock::Nanos,
     graph::{PacketGraph, PacketIndex},
-    pieces::{FrameSums, Pieces},
+    pieces::Division,
     policy::{PacketStatus, SenderView, probability::distribution},
 };
 
@@ -75,11 +75,9 @@ const LEAST_SAVED: f64 = 0.1;
 /// The ranking, and what it is made from.
 #[derive(Debug)]
 pub(super) struct Plan {
-    pieces: Pieces,
-    sums: FrameSums,
+    division: Arc<Division>,
     rest: Vec<Rest>,
-    /// Places in [`Pieces::order`] by the frame from which they are needed, and how many have come near.
-    by_time: Vec<u32>,
+    /// How many of [`Division::by_time`] have come near.
     entered: usize,
     /// Places of the pieces that are near and not done, ascending: needed pieces first.
     open: Vec<u32>,
@@ -91,29 +89,26 @@ pub(super) struct Plan {
     missing: Vec<u32>,
     blocks: Vec<Block>,
     ready: BinaryHeap<Ready>,
+    /// Kept, so that plans cost no allocation.
     children: Vec<(f64, Block)>,
+    finished: Vec<usize>,
     target: Option<u32>,
+    /// Packets at the front of the target of which none waits.
+    done: usize,
 }
 
 impl Plan {
     pub(super) fn new(graph: &PacketGraph) -> Self {
-        let pieces = Pieces::new(graph);
+        let division = graph.division();
+        let pieces = &division.pieces;
         let count = pieces.len();
-        let mut rest = vec![Rest::default(); count];
-        for (at, packet) in (0u32..).zip(graph.packets()) {
-            if let Some(piece) = pieces.of_packet(PacketIndex(at)) {
-                rest[piece].waiting += 1;
-                rest[piece].waiting_bytes += u32::from(packet.wire_bytes) + OVERHEAD_BYTES;
-            }
-        }
-        let needed = |place: &u32| pieces.needed_from(pieces.order()[*place as usize] as usize);
-        let mut by_time: Vec<u32> =
-            (0..count as u32).filter(|place| needed(place) < graph.frames()).collect();
-        by_time.sort_by_key(|place| (needed(place), *place));
+        let rest = |piece| {
+            let waiting = pieces.packets(piece).len() as u32;
+            let waiting_bytes = pieces.wire_bytes(piece) + waiting * OVERHEAD_BYTES;
+            Rest { waiting, waiting_bytes, in_flight: 0 }
+        };
         Self {
-            sums: FrameSums::new(graph),
-            rest,
-            by_time,
+            rest: (0..count).map(rest).collect(),
             entered: 0,
             open: Vec::new(),
             sent: vec![true; count],
@@ -122,8 +117,10 @@ impl Plan {
             blocks: vec![Block::default(); count],
             ready: BinaryHeap::new(),
             children: Vec::new(),
+            finished: Vec::new(),
             target: None,
-            pieces,
+            done: 0,
+            division,
         }
     }
 
@@ -135,7 +132,7 @@ impl Plan {
         before: PacketStatus,
         after: PacketStatus,
     ) {
-        let Some(piece) = self.pieces.of_packet(packet) else { return };
+        let Some(piece) = self.division.pieces.of_packet(packet) else { return };
         let rest = &mut self.rest[piece];
         let bytes = u32::from(bytes) + OVERHEAD_BYTES;
         match before {
@@ -150,6 +147,7 @@ impl Plan {
             PacketStatus::Waiting => {
                 rest.waiting += 1;
                 rest.waiting_bytes += bytes;
+                self.done = 0;
             }
             PacketStatus::InFlight => rest.in_flight += 1,
             PacketStatus::Delivered | PacketStatus::Abandoned => {}
@@ -169,8 +167,8 @@ impl Plan {
     /// Takes in the pieces that have come near.
     fn enter(&mut self, view: &SenderView<'_>) {
         let before = self.entered;
-        while let Some(place) = self.by_time.get(self.entered).copied() {
-            if self.pieces.needed_from(self.piece_at(place)) >= view.horizon_frame {
+        while let Some(place) = self.division.by_time.get(self.entered).copied() {
+            if self.division.pieces.needed_from(self.piece_at(place)) >= view.horizon_frame {
                 break;
             }
             self.open.push(place);
@@ -182,7 +180,7 @@ impl Plan {
     }
 
     fn piece_at(&self, place: u32) -> usize {
-        self.pieces.order()[place as usize] as usize
+        self.division.pieces.order()[place as usize] as usize
     }
 
     /// From what is needed to what needs it: what is sent, what is missing, what may be lost. Drops what is
@@ -193,11 +191,11 @@ impl Plan {
             let piece = self.piece_at(*place);
             let rest = self.rest[piece];
             let (mut missing, mut chance) = (0, 1.0);
-            for need in self.pieces.needs(piece) {
+            for need in self.division.pieces.needs(piece) {
                 missing += u32::from(!self.sent[*need as usize]);
                 chance *= self.chance[*need as usize];
             }
-            let past = self.pieces.useful_until(piece) < outlook.next_frame();
+            let past = self.division.pieces.useful_until(piece) < outlook.next_frame();
             let done = rest.waiting == 0 && rest.in_flight == 0 && missing == 0;
             // Needs in flight keep a piece open: they may be lost.
             if past || (done && chance >= 1.0) {
@@ -206,7 +204,7 @@ impl Plan {
                 return false;
             }
             if rest.in_flight > 0 {
-                for packet in self.pieces.packets(piece) {
+                for packet in self.division.pieces.packets(piece) {
                     if view.status[packet.at()] == PacketStatus::InFlight {
                         chance *= survival(view, packet, outlook.loss, now);
                     }
@@ -229,9 +227,9 @@ impl Plan {
                 continue;
             }
             let rest = self.rest[piece];
-            let parts = self.pieces.parts(piece);
-            let value =
-                outlook.value(parts, &self.sums, rest.waiting_bytes) * config.viewport_weight(view, parts);
+            let parts = self.division.pieces.parts(piece);
+            let value = outlook.value(parts, &self.division.sums, rest.waiting_bytes)
+                * config.viewport_weight(view, parts);
             let mut block = Block { value: value * self.chance[piece], bytes: f64::from(rest.waiting_bytes) };
             if config.credit {
                 self.add_dependents(piece, &mut block);
@@ -245,7 +243,7 @@ impl Plan {
 
     fn add_dependents(&mut self, piece: usize, block: &mut Block) {
         self.children.clear();
-        for dependent in self.pieces.dependents(piece) {
+        for dependent in self.division.pieces.dependents(piece) {
             let dependent = *dependent as usize;
             if !self.sent[dependent] {
                 let whole = self.blocks[dependent];
@@ -270,7 +268,7 @@ impl Plan {
         let piece = self.piece_at(place);
         let rank = self.blocks[piece].rank();
         if self.rest[piece].waiting > 0 && rank > 0.0 {
-            self.ready.push(Ready { rank, needed_from: self.pieces.needed_from(piece), place });
+            self.ready.push(Ready { rank, needed_from: self.division.pieces.needed_from(piece), place });
         }
     }
 
@@ -279,7 +277,7 @@ impl Plan {
         loop {
             if let Some(place) = self.target {
                 let piece = self.piece_at(place);
-                let found = self.pieces.packets(piece).find(|packet| view.is_sendable(*packet, now));
+                let found = self.next_of(piece, view, now);
                 if found.is_some() {
                     return found;
                 }
@@ -289,16 +287,36 @@ impl Plan {
                 }
             }
             self.target = Some(self.ready.pop()?.place);
+            self.done = 0;
         }
+    }
+
+    /// The next packet of the target, `piece`.
+    fn next_of(&mut self, piece: usize, view: &SenderView<'_>, now: Nanos) -> Option<PacketIndex> {
+        let packets = self.division.pieces.packets(piece);
+        let mut waiting = packets
+            .enumerate()
+            .skip(self.done)
+            .skip_while(|(_, packet)| view.status[packet.at()] != PacketStatus::Waiting);
+        let (at, first) = waiting.next()?;
+        self.done = at;
+        let mut candidates = std::iter::once(first).chain(waiting.map(|(_, packet)| packet));
+        let found = candidates.find(|packet| view.is_sendable(*packet, now));
+        debug_assert_eq!(
+            found,
+            self.division.pieces.packets(piece).find(|packet| view.is_sendable(*packet, now)),
+            "a packet at the front of the target waits"
+        );
+        found
     }
 
     /// All of `piece` is on its way: what needs it may be sent.
     fn finish(&mut self, piece: usize) {
-        let mut finished = vec![piece];
-        while let Some(piece) = finished.pop() {
+        self.finished.push(piece);
+        while let Some(piece) = self.finished.pop() {
             self.sent[piece] = true;
-            for at in 0..self.pieces.dependents(piece).len() {
-                let dependent = self.pieces.dependents(piece)[at] as usize;
+            for at in 0..self.division.pieces.dependents(piece).len() {
+                let dependent = self.division.pieces.dependents(piece)[at] as usize;
                 if self.sent[dependent] {
                     continue;
                 }
@@ -307,12 +325,12 @@ impl Plan {
                     continue;
                 }
                 if self.rest[dependent].waiting == 0 {
-                    finished.push(dependent);
+                    self.finished.push(dependent);
                 } else {
                     let rank = self.blocks[dependent].rank();
                     let place = self.place_of(dependent);
                     if rank > 0.0 {
-                        let needed_from = self.pieces.needed_from(dependent);
+                        let needed_from = self.division.pieces.needed_from(dependent);
                         self.ready.push(Ready { rank, needed_from, place });
                     }
                 }
@@ -321,7 +339,7 @@ impl Plan {
     }
 
     fn place_of(&self, piece: usize) -> u32 {
-        self.pieces.place(piece)
+        self.division.pieces.place(piece)
     }
 
     /// The highest rank that waits; 0 if nothing does.
@@ -345,10 +363,10 @@ impl Plan {
         let repetition = 1.125 * view.smoothed_rtt.as_s() + view.minimum_rtt.as_s() / 2.0;
         let (mut saved, mut value) = (0.0, 0.0);
         for member in members.iter().filter(|member| view.status[member.at()] == PacketStatus::InFlight) {
-            let Some(piece) = self.pieces.of_packet(*member) else { continue };
+            let Some(piece) = self.division.pieces.of_packet(*member) else { continue };
             let (parts, bytes) =
-                (self.pieces.parts(piece), u32::from(view.graph.packets()[member.at()].wire_bytes));
-            let (soon, late) = outlook.soon_and_late(parts, &self.sums, bytes, repetition);
+                (self.division.pieces.parts(piece), u32::from(view.graph.wire_bytes(*member)));
+            let (soon, late) = outlook.soon_and_late(parts, &self.division.sums, bytes, repetition);
             let weight = config.viewport_weight(view, parts);
             saved += outlook.loss * (soon - late) * weight;
             value += outlook.loss * soon * weight;
