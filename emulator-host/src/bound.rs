@@ -21,7 +21,11 @@
 mod programme;
 
 use self::programme::{DATAGRAM_OVERHEAD, Programme, fine_variables};
-use crate::{clock::Nanos, graph::PacketGraph, link::PathConfig, pieces::Pieces};
+use crate::{
+    clock::Nanos,
+    graph::{PacketGraph, pieces::Pieces},
+    link::PathConfig,
+};
 
 pub use self::programme::UpperBound;
 

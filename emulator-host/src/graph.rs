@@ -13,6 +13,9 @@
 
 pub(crate) mod csr;
 mod derive;
+mod division;
+mod index;
+pub(crate) mod pieces;
 mod place;
 mod selection;
 mod synthetic;
@@ -21,34 +24,13 @@ use std::sync::{Arc, OnceLock};
 
 use codec_core::internals::ids::{Group as GroupId, PacketId, Span};
 
-use self::csr::Csr;
-use crate::{clock::Nanos, pieces::Division};
+use self::{csr::Csr, pieces::Division};
+use crate::clock::Nanos;
 
+pub use index::{GroupIndex, PacketIndex};
 pub use place::{Ball, Place};
 pub use selection::Selection;
 pub use synthetic::{Dependencies, Synthetic, Utilities};
-
-/// Index of a packet in [`PacketGraph::packets`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct PacketIndex(pub u32);
-
-/// Index of a group in [`PacketGraph::groups`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct GroupIndex(pub u32);
-
-impl PacketIndex {
-    /// As a slice index.
-    pub fn at(self) -> usize {
-        self.0 as usize
-    }
-}
-
-impl GroupIndex {
-    /// As a slice index.
-    pub fn at(self) -> usize {
-        self.0 as usize
-    }
-}
 
 /// Which closure rule holds. See the module's text.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -438,11 +420,6 @@ impl PacketGraph {
     /// twice.
     pub fn closure_shares_packets(&self, group: GroupIndex) -> bool {
         self.shares_packets[group.at()]
-    }
-
-    /// The pieces of the graph, shared by all runs of it.
-    pub(crate) fn division(&self) -> Arc<Division> {
-        Arc::clone(self.division.get_or_init(|| Arc::new(Division::new(self))))
     }
 
     /// Bytes of all packets, parity included.

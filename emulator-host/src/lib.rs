@@ -34,7 +34,6 @@ pub mod congestion;
 mod event;
 pub mod graph;
 pub mod link;
-mod pieces;
 pub mod policy;
 pub mod receiver;
 mod repair;

@@ -243,8 +243,9 @@ fn line(viewer: &ViewerReport) -> String {
     let rate = viewer.media_bytes as f64 * 8e-6 / seconds.max(1e-3);
     let camera = if viewer.located { ", camera reported" } else { "" };
     format!(
-        "{address} {stream} by {scheduler}: {seconds:.1} s, {rounds} rounds, {packets} packets ({rate:.2} Mbit/s), lost \
-         {share:.1} %, {} sent again, {} receipts ({} refused){camera}, round trip {:.1} ms; {}\n",
+        "{address} {stream} by {scheduler}: {seconds:.1} s, {rounds} rounds, {packets} packets \
+         ({rate:.2} Mbit/s), lost {share:.1} %, {} sent again, \
+         {} receipts ({} refused){camera}, round trip {:.1} ms; {}\n",
         viewer.retransmitted, viewer.receipts, viewer.refused_receipts, viewer.rtt_ms, viewer.end
     )
 }

@@ -1,5 +1,5 @@
-//! The page plays what `dgs serve` sends while it sends it, over every transport, and changes the conditions of its
-//! session there.
+//! The page plays what `dgs serve` sends while it sends it, over every transport, and changes the conditions
+//! of its session there.
 
 use serde_json::Value;
 

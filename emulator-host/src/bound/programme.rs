@@ -4,8 +4,8 @@
 //! method starts again from the better of the current and the mean multipliers. A step is linear in the size
 //! of the programme.
 
-use crate::{
-    graph::PacketGraph,
+use crate::graph::{
+    PacketGraph,
     pieces::{Addition, FrameSums, Pieces},
 };
 

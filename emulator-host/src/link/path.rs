@@ -56,8 +56,8 @@ pub enum LossModel {
 }
 
 impl LossModel {
-    /// Loses the share `loss` of datagrams, 0 to 0.9, `burst` in a row on average; independently where `burst`
-    /// is 1. Bursts are those of a Gilbert model, which loses every datagram of its bad state.
+    /// Loses the share `loss` of datagrams, 0 to 0.9, `burst` in a row on average; independently where
+    /// `burst` is 1. Bursts are those of a Gilbert model, which loses every datagram of its bad state.
     ///
     /// # Examples
     /// ```

@@ -7,7 +7,8 @@ use crate::clock::Nanos;
 pub struct Service {
     /// Longest queue that media may cause on the path: nothing but control is sent while what is in flight
     /// takes longer to arrive than the smallest round trip and this together. At least the smallest round
-    /// trip counts; on a path that loses hardly anything, 9/20 of it. `None`: as the congestion window allows.
+    /// trip counts as such a queue; on a path that loses hardly anything, 9/20 of the longer of both.
+    /// `None`: as the congestion window allows.
     pub own_queue: Option<Nanos>,
     /// Whether a lost packet waits again and the scheduler decides on it like on any other. Otherwise the
     /// sender repeats it before all else, if its level and the budget say so.

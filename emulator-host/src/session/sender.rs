@@ -94,8 +94,8 @@ impl<'a> Sender<'a> {
         self.dirty
     }
 
-    /// When the pacer, or the own serialiser, lets the next datagram out; [`Nanos::MAX`]: not before something
-    /// is learnt.
+    /// When the pacer, or the own serialiser, lets the next datagram out; [`Nanos::MAX`]: not before
+    /// something is learnt.
     pub(super) fn next_send(&self) -> Nanos {
         self.pace_at.min(self.serialising.map_or(Nanos::MAX, |(_, _, at)| at))
     }

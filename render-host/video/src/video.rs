@@ -43,9 +43,9 @@ enum Stage<W: Write + Seek> {
 }
 
 impl<W: Write + Seek> Video<W> {
-    /// Begins a video of `size` (width, height, pixels) into `file`, which is empty. Odd sides are padded by a
-    /// row or column. `pictures` is how many are expected: it sizes the space that MP4 reserves before them
-    /// for its sample table.
+    /// Begins a video of `size` (width, height, pixels) into `file`, which is empty. Odd sides are padded by
+    /// a row or column. `pictures` is how many are expected: it sizes the space that MP4 reserves before
+    /// them for its sample table.
     ///
     /// # Errors
     /// A size or rate out of range.

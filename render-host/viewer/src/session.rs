@@ -9,10 +9,13 @@ use codec_core::{internals::ids::Span, player::MAX_RECEIPT_BYTES};
 use dgs_player::{Caps, Damage, FrameDecoder, Player, Result, Stream, Usable};
 use render_host::Splats;
 
-pub use self::overlay::{LEVEL_COLOURS, LEVELS, Overlay};
 use self::{
     overlay::Painter,
     quality::{blocks_of, quality},
+};
+pub use self::{
+    overlay::{LEVEL_COLOURS, Overlay},
+    quality::LEVELS,
 };
 use crate::{
     bounds::bounds,
@@ -406,8 +409,8 @@ impl Session {
         Ok(by_level)
     }
 
-    /// An estimate of how good the frame last shown is, whatever the cap, from what of it has come: 0, nothing
-    /// but stand-ins, to 1, everything there.
+    /// An estimate of how good the frame last shown is, whatever the cap, from what of it has come: 0,
+    /// nothing but stand-ins, to 1, everything there.
     pub fn quality(&self) -> f32 {
         self.quality
     }

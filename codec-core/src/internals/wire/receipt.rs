@@ -139,7 +139,7 @@ impl Value<'_> {
     /// [`crate::ErrorKind::Capacity`] if `out` is smaller than the receipt,
     /// [`crate::ErrorKind::Illegal`] if ranges are not ascending.
     pub fn write(&self, out: &mut [u8]) -> Result<usize> {
-        let (ranges, recovered, completed) = self.kept();
+        let (ranges, recovered, completed) = self.fitting();
         let older = self.acknowledged.len().saturating_sub(ranges);
         let mut writer = Writer::new(out);
         writer.bytes(&[KIND_RECEIPT << 5 | u8::from(self.pose.is_some())])?;
@@ -182,7 +182,7 @@ impl Value<'_> {
 
     /// Bytes that [`Self::write`] writes, if the ranges ascend.
     pub fn wire_len(&self) -> usize {
-        let (ranges, recovered, completed) = self.kept();
+        let (ranges, recovered, completed) = self.fitting();
         let counts = [ranges, recovered, completed].map(|count| varint_len(count as u32));
         let mut len = 1 + varint_len(self.sequence) + 8 + 4 + counts.iter().sum::<usize>();
         len += if self.pose.is_some() { 28 } else { 0 };
@@ -201,7 +201,7 @@ impl Value<'_> {
     }
 
     /// How many of each list fit: newest ranges, recovered ids, groups.
-    fn kept(&self) -> (usize, usize, usize) {
+    fn fitting(&self) -> (usize, usize, usize) {
         let mut room = limits::MAX_RECEIPT_BYTES - 4 - 9 - 5 - 28 - 6;
         let mut keep = |len: usize| {
             let fits = len <= room;

@@ -1,5 +1,5 @@
-//! Puts emulated links between an endpoint and its socket: what the server sends to a destination that has one
-//! passes the boxes of `emulator-host` in real time.
+//! Puts emulated links between an endpoint and its socket: what the server sends to a destination that has
+//! one passes the boxes of `emulator-host` in real time.
 //!
 //! It wraps the socket, and is no proxy in front of it: the endpoint goes on seeing real addresses, so that
 //! address validation, amplification limits and migration mean what they mean without it.
@@ -75,8 +75,8 @@ struct Payload {
 }
 
 impl ImpairedSocket {
-    /// Wraps `inner`; `of_all` is the link that every destination has. Must be called inside a tokio runtime: a
-    /// task sends what is due.
+    /// Wraps `inner`; `of_all` is the link that every destination has. Must be called inside a tokio runtime:
+    /// a task sends what is due.
     ///
     /// # Errors
     /// A path that is illegal.

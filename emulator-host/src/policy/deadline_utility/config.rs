@@ -1,7 +1,7 @@
 //! Names what the default scheduler does beyond the paper's score; each can be switched off by itself.
 
 use super::viewport::ViewportConfig;
-use crate::{clock::Nanos, pieces::Addition, policy::SenderView};
+use crate::{clock::Nanos, graph::pieces::Addition, policy::SenderView};
 
 /// Settings. [`Default`] is what measured best on windows that were not used to report.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -3,7 +3,7 @@
 use super::config::DeadlineUtilityConfig;
 use crate::{
     clock::Nanos,
-    pieces::{Addition, FrameSums},
+    graph::pieces::{Addition, FrameSums},
     policy::{SenderView, probability::mean_arrival},
 };
 

@@ -13,8 +13,7 @@ use super::{
 };
 use crate::{
     clock::Nanos,
-    graph::{PacketGraph, PacketIndex},
-    pieces::Division,
+    graph::{PacketGraph, PacketIndex, pieces::Division},
     policy::{PacketStatus, SenderView, probability::distribution},
 };
 

@@ -6,10 +6,7 @@ use codec_core::internals::{ids::Span, receiver::Content};
 use dgs_player::Result;
 use render_host::Gaussian;
 
-use super::quality::{BlockOfFrame, blocks_of, coverage};
-
-/// Levels there are, base included.
-pub const LEVELS: usize = 4;
+use super::quality::{BlockOfFrame, LEVELS, blocks_of, coverage};
 
 /// Colours of what a block is shown at: its proxy, its base, refinements 1 to 3. People with any colour
 /// vision tell them apart.

@@ -1,5 +1,5 @@
-//! Estimates how good a picture is from what of its blocks has come: a receiver has no complete picture to compare
-//! with.
+//! Estimates how good a picture is from what of its blocks has come: a receiver has no complete picture to
+//! compare with.
 
 use std::ops::Range;
 
@@ -11,10 +11,11 @@ use codec_core::internals::{
 use dgs_player::Result;
 use render_host::Gaussian;
 
-use super::LEVELS;
+/// Levels there are, base included.
+pub const LEVELS: usize = 4;
 
-/// Share of a block's error that is gone at each level: three quarters with the base; refinements divide steps
-/// by three unless told otherwise, and what is left by nine.
+/// Share of a block's error that is gone at each level: three quarters with the base; refinements divide
+/// steps by three unless told otherwise, and what is left by nine.
 const GONE: [f32; LEVELS + 1] = [0.0, 0.75, 0.972, 0.997, 1.0];
 
 /// A block of a frame.
@@ -59,8 +60,8 @@ pub(super) fn coverage(gaussians: &[Gaussian]) -> f32 {
     gaussians.iter().map(of_one).sum()
 }
 
-/// An estimate between 0, nothing but stand-ins, and 1, everything there: the share of the error that is gone,
-/// blocks counted by what they can cover.
+/// An estimate between 0, nothing but stand-ins, and 1, everything there: the share of the error that is
+/// gone, blocks counted by what they can cover.
 pub(super) fn quality(blocks: &[BlockOfFrame], gaussians: &[Gaussian]) -> f32 {
     let (mut gone, mut all) = (0.0, 0.0);
     for block in blocks {

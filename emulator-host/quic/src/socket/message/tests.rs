@@ -91,7 +91,7 @@ fn what_is_wrong_is_named() {
 }
 
 #[test]
-fn conditions_hold_what_is_asked_for_and_nothing_out_of_bounds() {
+fn conditions_come_back_as_written_and_never_out_of_bounds() {
     // Anew, `layered`, 2 Mbit/s, 40 ms, 5 % in runs of 4, seed 7.
     let mut body = vec![8, 0, 0, 0, 64, 156, 0, 0, 0, 0, 0, 0, 1, 1];
     body.extend(2_000_000u64.to_le_bytes());

@@ -52,10 +52,10 @@ impl Viewer {
 
     /// What the server grants in round `round`, and how long that took.
     async fn ask(&mut self, round: u32, conditions: Conditions) -> (Granted, Duration) {
-        let asked = Instant::now();
+        let start = Instant::now();
         self.say(&ClientMessage::Conditions { round, start_us: 0, conditions }).await;
         match self.hear().await {
-            ServerMessage::Granted { round: heard, granted } if heard == round => (granted, asked.elapsed()),
+            ServerMessage::Granted { round: heard, granted } if heard == round => (granted, start.elapsed()),
             other => panic!("{other:?}"),
         }
     }

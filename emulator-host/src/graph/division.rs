@@ -1,45 +1,22 @@
-//! Divides a graph into pieces that each add to the picture at once, and says what, to which frames.
-//!
-//! - [`Profile::Sliced`]: a packet is a piece. It adds to every group that it carries the share of its bytes.
-//! - [`Profile::AllOrNothing`]: a group is a piece, with the packets that it alone has. A packet that several
-//!   groups share is a piece of its own that adds nothing by itself and that each of them needs.
-//!
-//! A piece counts once everything that it needs counts. What a schedule adds is then the sum over its pieces,
-//! exactly as [`crate::report::FrameRow::utility`] has it: per frame, over the positive utility of the groups
-//! that show. What groups of negative utility take from a picture is kept apart: no piece is sent for it, but
-//! a packet may carry some of them beside others.
+//! Divides a graph into its [`pieces`](super::pieces).
 
-use crate::graph::{GroupIndex, PacketGraph, PacketIndex, Profile, csr::Csr};
+use std::sync::Arc;
 
-/// What a piece adds to each of some frames.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Addition {
-    /// The group that it is part of.
-    pub group: GroupIndex,
-    /// First frame.
-    pub first: u32,
-    /// Last frame, inclusive.
-    pub last: u32,
-    /// Utility per frame, before division by that of all groups that show.
-    pub utility: f64,
-    /// Share of a level-0 group that it brings.
-    pub base: f64,
-}
+use super::{
+    GroupIndex, PacketGraph, PacketIndex, Profile,
+    csr::Csr,
+    pieces::{Addition, Division, FrameSums, NO_PIECE, Pieces},
+};
 
-const NO_PIECE: u32 = u32::MAX;
-
-/// The pieces of a graph, and what a ranking of them by time and utility begins with. It follows from the graph
-/// alone, and every run of it uses the same.
-#[derive(Debug)]
-pub(crate) struct Division {
-    pub pieces: Pieces,
-    pub sums: FrameSums,
-    /// Places in [`Pieces::order`] by the frame from which they are needed; those of no use are left out.
-    pub by_time: Vec<u32>,
+impl PacketGraph {
+    /// The pieces of the graph, shared by all runs of it.
+    pub(crate) fn division(&self) -> Arc<Division> {
+        Arc::clone(self.division.get_or_init(|| Arc::new(Division::new(self))))
+    }
 }
 
 impl Division {
-    pub(crate) fn new(graph: &PacketGraph) -> Self {
+    fn new(graph: &PacketGraph) -> Self {
         let pieces = Pieces::new(graph);
         let needed = |place: &u32| pieces.needed_from(pieces.order()[*place as usize] as usize);
         let mut by_time: Vec<u32> =
@@ -47,32 +24,6 @@ impl Division {
         by_time.sort_by_key(|place| (needed(place), *place));
         Self { sums: FrameSums::new(graph), by_time, pieces }
     }
-}
-
-/// The pieces of a graph.
-#[derive(Clone, Debug)]
-pub(crate) struct Pieces {
-    packets: Csr,
-    /// The piece of each packet; [`NO_PIECE`] for parity.
-    of_packet: Vec<u32>,
-    wire_bytes: Vec<u32>,
-    needs: Csr,
-    dependents: Csr,
-    parts: Vec<Vec<Addition>>,
-    harms: Vec<Vec<Addition>>,
-    order: Vec<u32>,
-    place: Vec<u32>,
-    needed_from: Vec<u32>,
-    useful_until: Vec<u32>,
-}
-
-/// Running sums over frames, so that the gain of a span of frames is one subtraction.
-#[derive(Clone, Debug)]
-pub(crate) struct FrameSums {
-    /// Σ over the frames before f of 1 ÷ positive utility showing.
-    utility: Vec<f64>,
-    /// Σ over the frames before f of 1 ÷ level-0 groups showing.
-    base: Vec<f64>,
 }
 
 impl FrameSums {
@@ -99,21 +50,6 @@ impl FrameSums {
             base.push(base[base.len() - 1] + if bases > 0 { 1.0 / bases as f64 } else { 0.0 });
         }
         Self { utility, base }
-    }
-
-    /// Frames in which no group of positive utility shows.
-    pub(crate) fn frames_without_utility(&self) -> usize {
-        self.utility.windows(2).filter(|pair| pair[0] == pair[1]).count()
-    }
-
-    /// What `part` adds to its frames from `from` on: utility, and share of the level-0 groups.
-    pub(crate) fn gain(&self, part: &Addition, from: u32) -> (f64, f64) {
-        let (first, after) = (part.first.max(from) as usize, part.last as usize + 1);
-        if first >= after {
-            return (0.0, 0.0);
-        }
-        let span = |sums: &[f64]| sums[after] - sums[first];
-        (part.utility * span(&self.utility), part.base * span(&self.base))
     }
 }
 
@@ -176,66 +112,6 @@ impl Pieces {
         for (place, at) in (0u32..).zip(&self.order) {
             self.place[*at as usize] = place;
         }
-    }
-
-    pub(crate) fn len(&self) -> usize {
-        self.parts.len()
-    }
-
-    /// Packets that a piece consists of.
-    pub(crate) fn packets(&self, piece: usize) -> impl ExactSizeIterator<Item = PacketIndex> + '_ {
-        self.packets.row(piece).iter().map(|packet| PacketIndex(*packet))
-    }
-
-    /// Bytes of the packets of `piece`.
-    pub(crate) fn wire_bytes(&self, piece: usize) -> u32 {
-        self.wire_bytes[piece]
-    }
-
-    /// The piece that `packet` belongs to; none for parity.
-    pub(crate) fn of_packet(&self, packet: PacketIndex) -> Option<usize> {
-        let piece = self.of_packet[packet.at()];
-        (piece != NO_PIECE).then_some(piece as usize)
-    }
-
-    /// Pieces that `piece` needs directly.
-    pub(crate) fn needs(&self, piece: usize) -> &[u32] {
-        self.needs.row(piece)
-    }
-
-    /// Pieces that need `piece` directly.
-    pub(crate) fn dependents(&self, piece: usize) -> &[u32] {
-        self.dependents.row(piece)
-    }
-
-    /// What a piece adds.
-    pub(crate) fn parts(&self, piece: usize) -> &[Addition] {
-        &self.parts[piece]
-    }
-
-    /// What a piece takes from some frames: additions of negative utility.
-    pub(crate) fn harms(&self, piece: usize) -> &[Addition] {
-        &self.harms[piece]
-    }
-
-    /// All pieces, needed ones first.
-    pub(crate) fn order(&self) -> &[u32] {
-        &self.order
-    }
-
-    /// Where `piece` stands in [`Self::order`].
-    pub(crate) fn place(&self, piece: usize) -> u32 {
-        self.place[piece]
-    }
-
-    /// First frame to which the piece or what needs it adds anything; `u32::MAX` if none.
-    pub(crate) fn needed_from(&self, piece: usize) -> u32 {
-        self.needed_from[piece]
-    }
-
-    /// Last frame to which the piece or what needs it adds anything.
-    pub(crate) fn useful_until(&self, piece: usize) -> u32 {
-        self.useful_until[piece]
     }
 }
 
