@@ -35,7 +35,7 @@ pub use self::{
     cache::{stored_utilities, utilities, utility_path},
     cameras::{Showing, Surroundings, Viewpoints, read_cameras, viewpoints},
     frames::Frames,
-    impair::impairment,
+    impair::{impairment, viewer_link},
     link::{Link, capacity_bins, link, read_trace},
     live::LiveReader,
     sendable::{Sendable, sendable},

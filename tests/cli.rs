@@ -372,6 +372,15 @@ fn what_is_served_is_played() {
     let web = url.replace("dgs://", "https://");
     let json: serde_json::Value = serde_json::from_str(&ok(at, &["play", &web, "--json"])).unwrap();
     assert_eq!(json["report"]["shown_count"], 12);
+    let wish = ["--policy", "dash", "--impair", "delay=300ms,loss=1%"];
+    let text = ok(at, &[&["play", url, "--json"][..], &wish].concat());
+    let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+    assert!(json["report"]["startup_ms"].as_f64().unwrap() >= 300.0, "{json}");
+    let all = serde_json::json!({ "link": true, "scheduler": true });
+    assert_eq!((&json["report"]["granted"], &json["warnings"]), (&all, &serde_json::json!([])));
+    let error = refused(at, &["play", url, "--impair", "jitter=5ms"]);
+    assert!(error.contains("--impair: \"jitter=5ms\" is not allowed"), "{error}");
+    assert!(refused(at, &["play", url, "--impair", "delay=2000ms"]).contains("allowed 0 to 1000000 us"));
     let (bare, _) = url.split_once('#').unwrap();
     assert!(refused(at, &["play", bare]).contains("by what is the server known"));
     let wrong = format!("{bare}#{}", "0".repeat(64));
@@ -383,7 +392,7 @@ fn what_is_served_is_played() {
     let mut rest = String::new();
     said.read_to_string(&mut rest).unwrap();
     assert!(server.wait().unwrap().success());
-    assert!(rest.contains("3 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
+    assert!(rest.contains("4 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
     assert!(rest.contains("page: 3 requests on 3 connections"), "{rest}");
     let error = refused(at, &["serve", "a b.dgs", "a b.dgs", "--listen", "127.0.0.1:0"]);
     assert!(error.contains("two streams are called a-b"), "{error}");

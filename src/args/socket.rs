@@ -119,6 +119,13 @@ pub struct Play {
     /// have come for a second.
     #[arg(long)]
     pub streams: bool,
+    /// Ask the server for another scheduler in this session [default: its own].
+    #[arg(long, value_enum)]
+    pub policy: Option<PolicyName>,
+    /// Ask the server for an emulated link before this session: a list of loss=5%, burst=PACKETS, rate=5mbit,
+    /// delay=40ms, seed=1; delay to 1000ms, rate to 1000mbit. What the server grants, the report says.
+    #[arg(long, value_name = "LINK")]
+    pub impair: Option<String>,
     /// Begin again when the clip is over.
     #[arg(long = "loop")]
     pub repeat: bool,

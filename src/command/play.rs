@@ -7,7 +7,7 @@ use codec_core::{
     Caps,
     internals::{ids::Level, wire::receipt::ViewerPose},
 };
-use dgs_quic::socket::{ClientConfig, PlayReport, Scheme, Screen, play};
+use dgs_quic::socket::{ClientConfig, Conditions, Granted, PlayReport, Scheme, Screen, play};
 use render_host::{Image, metric};
 use serde::Serialize;
 use serde_json::json;
@@ -87,6 +87,7 @@ struct Quality {
 /// Runs the verb.
 pub fn run(args: &Play) -> Result<VerbOutput> {
     let trust = trust(&args.url, args.pin, args.ca.as_ref())?;
+    let conditions = conditions(args)?;
     if let Some(folder) = &args.out {
         FrameFolder::create(folder, args.overwrite)?;
     }
@@ -99,6 +100,7 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
         start_us: (args.seek * 1e6) as u64,
         loops: args.repeat,
         streams: args.streams,
+        conditions,
         duration: args.duration.map(Duration::from_secs_f64),
         ..ClientConfig::new(args.url.clone(), trust)
     };
@@ -117,6 +119,7 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
         }
         warnings.push(format!("{}: {error}; what was shown counts", args.url));
     }
+    warnings.extend(ungranted(args, played.report.granted));
     let quality = match (played.player, draws) {
         (Some(player), true) => draw(args, player, watching, &states.shown, reference.as_ref())?,
         _ => None,
@@ -125,6 +128,37 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
     let damaged = !warnings.is_empty();
     let json = json!({ "report": played.report, "quality": quality, "out": args.out, "warnings": warnings });
     Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// What the server is to change in this session, if anything.
+fn conditions(args: &Play) -> Result<Option<Conditions>> {
+    if args.policy.is_none() && args.impair.is_none() {
+        return Ok(None);
+    }
+    if args.url.scheme == Scheme::Moq {
+        bail!("{}: --policy and --impair are for a server of ours; a relay takes no such wishes", args.url);
+    }
+    let mut conditions = Conditions::NONE;
+    if let Some(policy) = args.policy {
+        conditions = conditions.with_scheduler(pipeline::policy(policy));
+    }
+    if let Some(text) = &args.impair {
+        let link = pipeline::viewer_link(text)?;
+        conditions = conditions.behind(&link).with_context(|| format!("--impair {text}"))?;
+    }
+    Ok(Some(conditions))
+}
+
+/// What the server did not grant of what was asked for.
+fn ungranted(args: &Play, granted: Option<Granted>) -> Option<String> {
+    let Granted { link, scheduler } = granted?;
+    let missing = match (args.impair.is_some() && !link, args.policy.is_some() && !scheduler) {
+        (false, false) => return None,
+        (true, true) => "--impair and --policy",
+        (true, false) => "--impair",
+        (false, true) => "--policy",
+    };
+    Some(format!("{}: the server does not grant {missing}; the session was under its own", args.url))
 }
 
 /// Draws every frame in the state in which it was shown.

@@ -1,9 +1,9 @@
-//! Builds the link that `dgs serve --impair` puts before every viewer.
+//! Builds the links of `--impair`: one that a server puts before every viewer, one that a viewer asks for.
 
-use std::path::Path;
+use std::{path::Path, time::Duration};
 
 use anyhow::{Context, Result, bail};
-use dgs_quic::socket::Impairment;
+use dgs_quic::socket::{Impairment, ViewerLink};
 use emulator_host::{
     Nanos, Rate,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
@@ -14,10 +14,12 @@ use super::link::read_replay;
 /// What is allowed, for errors.
 const ALLOWED: &str = "a trace file, or a list of loss=5%, burst=4, rate=5mbit, delay=40ms, jitter=5ms, \
                        queue=250ms, trace=FILE, seed=1";
+/// The same of a link that a viewer asks for.
+const ALLOWED_TO_VIEWERS: &str = "a list of loss=5%, burst=4, rate=5mbit, delay=40ms, seed=1";
 /// The queue of a link without a rate of its own has nothing to wait for; one with a rate has this.
 const QUEUE: Nanos = Nanos::from_ms(250);
 
-/// The link that `text` describes.
+/// The link that `text` describes, for `dgs serve`.
 ///
 /// # Errors
 /// A word that is not allowed, a number out of range, an unreadable trace.
@@ -26,6 +28,7 @@ pub fn impairment(text: &str) -> Result<Impairment> {
     let (mut loss, mut burst, mut queue, mut seed) = (0.0, 1.0, QUEUE, 1);
     let whole_trace = format!("trace={text}");
     let words = if text.contains('=') { text } else { whole_trace.as_str() };
+    let refusal = |word| refusal(word, ALLOWED);
     for word in words.split(',') {
         let (key, value) = word.split_once('=').with_context(|| refusal(word))?;
         match key {
@@ -56,8 +59,32 @@ pub fn impairment(text: &str) -> Result<Impairment> {
     Ok(Impairment { path, seed })
 }
 
-fn refusal(word: &str) -> String {
-    format!("--impair: {word:?} is not allowed; {ALLOWED} are")
+/// The link that `text` describes, for a viewer who asks its server for it.
+///
+/// # Errors
+/// A word that is not allowed, a number out of range.
+pub fn viewer_link(text: &str) -> Result<ViewerLink> {
+    let mut link = ViewerLink::default();
+    let refusal = |word| refusal(word, ALLOWED_TO_VIEWERS);
+    for word in text.split(',') {
+        let (key, value) = word.split_once('=').with_context(|| refusal(word))?;
+        match key {
+            "loss" => link.loss = share(value).with_context(|| refusal(word))?,
+            "burst" => link.burst = mean_burst(value).with_context(|| refusal(word))?,
+            "rate" => link.rate = Some(rate(value).with_context(|| refusal(word))?),
+            "delay" => {
+                let delay = span(value).with_context(|| refusal(word))?;
+                link.delay = Duration::from_nanos(delay.0);
+            }
+            "seed" => link.seed = value.parse().with_context(|| refusal(word))?,
+            _ => bail!(refusal(word)),
+        }
+    }
+    Ok(link)
+}
+
+fn refusal(word: &str, allowed: &str) -> String {
+    format!("--impair: {word:?} is not allowed; {allowed} are")
 }
 
 /// A share of datagrams below all of them: `5%` or `0.05`.
@@ -103,6 +130,23 @@ mod tests {
         assert!((enter_bad / (enter_bad + leave_bad) - 0.05).abs() < 1e-12 && leave_bad == 0.25);
         let path = impairment("loss=0.1").unwrap().path;
         assert!(matches!((path.capacity, path.loss), (Capacity::Unlimited, LossModel::Iid(0.1))));
+    }
+
+    #[test]
+    fn a_viewer_asks_for_fewer_things() {
+        let link = viewer_link("loss=5%,burst=4,rate=500kbit,delay=40ms,seed=7").unwrap();
+        let whole = ViewerLink {
+            rate: Some(Rate(500_000)),
+            delay: Duration::from_millis(40),
+            loss: 0.05,
+            burst: 4.0,
+            seed: 7,
+        };
+        assert_eq!(link, whole);
+        for text in ["jitter=5ms", "queue=1ms", "trace=x", "x.csv", "", "loss=2", "rate=5"] {
+            let error = format!("{:#}", viewer_link(text).unwrap_err());
+            assert!(error.contains("--impair: ") && !error.contains("jitter=5ms,"), "{text}: {error}");
+        }
     }
 
     #[test]

@@ -95,14 +95,14 @@ type Counts = [usize; RULES.len()];
 
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 16] = [
-    ("", [0, 1, 0, 7, 0, 0, 0, 0, 124]),
+    ("", [0, 1, 0, 7, 0, 0, 0, 0, 125]),
     ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 0, 19]),
     ("codec-core/simd/", [0, 0, 0, 0, 0, 0, 0, 0, 9]),
     ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 160]),
-    ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 25]),
+    ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 26]),
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 37]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 239]),
     ("render-host/video/", [0, 0, 0, 0, 0, 0, 0, 0, 3]),

@@ -37,12 +37,13 @@ pub use identity::{Identity, IdentityError, Pin, PinError, Trust};
 pub use impair::Impairment;
 pub use limits::ServerLimits;
 pub use locator::{DEFAULT_PORT, Locator, LocatorError};
+pub use message::{Conditions, Granted, ViewerLink};
 #[cfg(feature = "moq")]
 pub(crate) use offer::starts;
 pub use offer::{LiveFeed, MAX_MEDIA_BYTES, Offer, OfferError};
 #[cfg(feature = "moq")]
 pub(crate) use playback::Playback;
-pub use playback::{FrameShown, Headless, PlayReport, Screen};
+pub use playback::{FrameShown, Headless, PlayReport, RoundWish, Screen};
 pub use scheme::Scheme;
 pub use server::{Server, ServerConfig, ServerError, ServerReport};
 pub use settings::{ClientConfig, PlayError};

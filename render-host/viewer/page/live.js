@@ -118,8 +118,12 @@ class Rounds {
       if (kind !== BEGIN && kind !== GRANTED) continue;
       const round = fields.getUint32(0, true);
       if (kind === GRANTED && round === this.#asked?.round) {
-        this.#asked.tell(granted(fields.getUint8(4)));
+        const [asked, holds] = [this.#asked, granted(fields.getUint8(4))];
         this.#asked = null;
+        // A server that grants nothing sends nothing again either.
+        this.#anew = asked.anew && holds.scheduler;
+        if (this.#anew) await session.restart();
+        asked.tell(holds);
       }
       // A stream that grows: the round begins at its newest window, whatever was asked for.
       if (kind === BEGIN && round === this.#round && this.#player.session === session) {
@@ -175,10 +179,8 @@ class Rounds {
     const wish = this.#wish;
     if (wish) {
       this.#asked?.tell(null);
-      [this.#wish, this.#asked] = [null, { round: this.#round, tell: wish.tell }];
-      this.#anew = wish.conditions.anew ?? false;
-    }
-    if (this.#anew) await session.restart();
+      [this.#wish, this.#asked] = [null, { round: this.#round, tell: wish.tell, anew: wish.conditions.anew ?? false }];
+    } else if (this.#anew) await session.restart();
     const message = wish ? framed(CONDITIONS, seek, conditionsBody(wish.conditions)) : framed(SEEK, seek);
     await this.#link.write(message);
   }

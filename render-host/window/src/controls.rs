@@ -158,19 +158,27 @@ impl Act {
             Self::NextUp => *session.orbit_mut() = session.orbit().with_up(session.orbit().up().next()),
             Self::Cap(cap) => session.set_cap(cap),
             Self::Overlay => session.set_overlay(session.overlay().next()),
-            Self::Loss(more) => {
-                let before = session.conditions();
-                // Steps add up to whole percents.
-                let loss = (100.0 * (before.loss + more)).round().max(0.0) / 100.0;
-                session.impair(Conditions { loss, burst: BURST, ..before })?;
-            }
-            Self::Reseed => {
-                let before = session.conditions();
-                session.impair(Conditions { seed: before.seed.wrapping_add(1), ..before })?;
+            Self::Loss(_) | Self::Reseed => {
+                if let Some(conditions) = self.network(session.conditions()) {
+                    session.impair(conditions)?;
+                }
             }
             Self::Background | Self::Fullscreen | Self::Leave | Self::Help => {}
         }
         Ok(())
+    }
+
+    /// The network that it asks for in place of `before`.
+    pub fn network(self, before: Conditions) -> Option<Conditions> {
+        match self {
+            Self::Loss(more) => {
+                // Steps add up to whole percents.
+                let loss = (100.0 * (before.loss + more)).round().clamp(0.0, 90.0) / 100.0;
+                Some(Conditions { loss, burst: BURST, ..before })
+            }
+            Self::Reseed => Some(Conditions { seed: before.seed.wrapping_add(1), ..before }),
+            _ => None,
+        }
     }
 
     /// Whether it moves the clock elsewhere, so that a server should send from there.

@@ -1,7 +1,10 @@
 //! An engine draws a session when something has changed: the loop of a window without the window.
 
+#[cfg(test)]
+mod tests;
+
 use codec_core::internals::wire::receipt::ViewerPose;
-use dgs_viewer::{Drawn, Look, Screen, Session, Wanted, message};
+use dgs_viewer::{Conditions, Drawn, Look, Screen, Session, Wanted, message};
 
 use crate::{
     Arrival, Feed, WindowError, WindowOptions, Wish,
@@ -38,6 +41,8 @@ pub(crate) struct Engine {
     session: Option<Session>,
     /// The last piece of a file that was wished for.
     wished: Option<Wish>,
+    /// The network that the server was last asked for.
+    network: Option<Conditions>,
     /// Where the camera was when the server last heard of it.
     said: Option<ViewerPose>,
     drawn: Drawn,
@@ -66,6 +71,7 @@ impl Engine {
             feed,
             session: None,
             wished: None,
+            network: None,
             said: None,
             drawn: None,
             state: None,
@@ -88,8 +94,16 @@ impl Engine {
             self.background = next_background(self.background);
         }
         let Some(session) = &mut self.session else { return Ok(()) };
-        act.apply(session, size)?;
-        if act.seeks() {
+        let before = self.network.unwrap_or(session.conditions());
+        // A server, if it grants that, chooses packets for the network that is wished for.
+        let wished = act.network(before).filter(|_| session.is_live());
+        if let Some(conditions) = wished {
+            self.network = wished;
+            self.feed.wish(Wish::Network(conditions));
+        } else {
+            act.apply(session, size)?;
+        }
+        if act.seeks() || wished.is_some() {
             self.feed.wish(Wish::From(session.playback().time_s()));
         }
         Ok(())
@@ -99,6 +113,7 @@ impl Engine {
     pub fn play(&mut self, name: String, feed: Feed) {
         self.options.name = name;
         (self.feed, self.session, self.wished, self.said) = (feed, None, None, None);
+        self.network = None;
         (self.drawn, self.state, self.last_s) = (None, None, None);
     }
 
@@ -115,7 +130,10 @@ impl Engine {
     /// The title of the window.
     pub fn title(&self) -> String {
         match &self.session {
-            Some(session) => title(&self.options.name, session, self.rate),
+            Some(session) => {
+                let network = self.network.unwrap_or(session.conditions());
+                title(&self.options.name, session, self.rate, network.loss)
+            }
             None => format!("{} · loading", self.options.name),
         }
     }
@@ -273,10 +291,18 @@ impl Engine {
             }
             (Arrival::Piece { at, bytes }, Some(session)) => session.take(at, &bytes),
             (Arrival::Packet(packet), Some(session)) => session.push(&packet),
+            (Arrival::Network { by_server }, Some(session)) => {
+                let here = self.network.filter(|_| !by_server).unwrap_or_default();
+                if here != session.conditions() {
+                    session.impair(here)?;
+                }
+            }
+            (Arrival::Anew, Some(session)) => session.restart()?,
             (Arrival::End(Some(why)), None) => return Err(WindowError::Feed(why)),
             (Arrival::End(Some(why)), Some(_)) => self.complaints.push(why),
             // A manifest that is repeated says nothing new; what belongs to no stream is nobody's.
-            (Arrival::Manifest(_) | Arrival::Piece { .. } | Arrival::Packet(_) | Arrival::End(None), _) => {}
+            (Arrival::Manifest(_) | Arrival::Piece { .. } | Arrival::Packet(_), _)
+            | (Arrival::Network { .. } | Arrival::Anew | Arrival::End(None), _) => {}
         }
         Ok(())
     }
@@ -301,179 +327,4 @@ fn until_next_frame(session: &Session) -> f64 {
     let seconds = left / clock.rate().abs().max(1e-3);
     // A tenth of a millisecond more, so that the frame is due then.
     if seconds.is_finite() { (seconds + 1e-4).clamp(1e-3, LONGEST_S) } else { LONGEST_S }
-}
-
-#[cfg(test)]
-mod tests {
-    use std::fs;
-
-    use dgs_viewer::{FIRST_BYTES, Overlay, Up};
-    use render_host::{
-        Image,
-        gpu::{Device, DeviceOptions},
-    };
-
-    use super::*;
-    use crate::feed;
-
-    const SIZE: [u32; 2] = [64, 48];
-
-    fn file() -> Vec<u8> {
-        let path =
-            format!("{}/../../codec-core/tests/conformance/everything.dgs", env!("CARGO_MANIFEST_DIR"));
-        fs::read(path).unwrap()
-    }
-
-    fn options() -> WindowOptions {
-        WindowOptions {
-            name: "fox".into(),
-            size: SIZE,
-            background: [0.0; 3],
-            up: Up::default(),
-            cap: 3,
-            overlay: Overlay::None,
-            time_s: 0.0,
-            playing: true,
-            fullscreen: false,
-            closes: false,
-        }
-    }
-
-    #[test]
-    fn the_clock_follows_time_and_stands_while_nothing_is_seen() {
-        let mut engine = Engine::new(options(), Feed::file(file()));
-        assert!(engine.tick(0.0, None, SIZE).unwrap().is_some());
-        let interval = 1.0 / engine.session.as_ref().unwrap().player().manifest().frames_per_second();
-        engine.tick(0.5 * interval, None, SIZE).unwrap();
-        let time = |engine: &Engine| engine.session.as_ref().unwrap().playback().time_s();
-        assert!((time(&engine) - 0.5 * interval).abs() < 1e-9);
-        engine.hide(SIZE).unwrap();
-        engine.tick(100.0, None, SIZE).unwrap();
-        assert!((time(&engine) - 0.5 * interval).abs() < 1e-9);
-        engine.act(Act::Toggle, SIZE).unwrap();
-        assert_eq!(engine.tick(101.0, None, SIZE).unwrap(), None, "a paused window sleeps");
-    }
-
-    #[test]
-    fn a_file_comes_in_pieces_as_it_is_wished_for() {
-        let file = file();
-        let (feeder, feed) = feed();
-        let mut engine = Engine::new(options(), feed);
-        let first = file[..file.len().min(FIRST_BYTES as usize) / 2].to_vec();
-        let length = file.len() as u64;
-        feeder.arrivals.send(Arrival::Front { bytes: first, length }).unwrap();
-        engine.tick(0.0, None, SIZE).unwrap();
-        let mut wishes = 0;
-        while let Ok(Wish::Bytes(range)) = feeder.wishes.try_recv() {
-            let bytes = file[range.start as usize..range.end as usize].to_vec();
-            feeder.arrivals.send(Arrival::Piece { at: range.start, bytes }).unwrap();
-            engine.tick(0.0, None, SIZE).unwrap();
-            wishes += 1;
-        }
-        let session = engine.session.as_ref().unwrap();
-        assert!(wishes > 0 && session.loaded() == 1.0, "{wishes} wishes");
-        assert_eq!(session.packets().0, Session::open(&file).unwrap().0.packets().0);
-    }
-
-    #[test]
-    fn a_feed_that_ends_before_anything_came_says_why_and_later_only_complains() {
-        let (feeder, feed) = feed();
-        let mut engine = Engine::new(options(), feed);
-        feeder.arrivals.send(Arrival::End(Some("the server is gone".into()))).unwrap();
-        let error = engine.tick(0.0, None, SIZE).unwrap_err();
-        assert_eq!(error.to_string(), "the server is gone");
-        feeder.arrivals.send(Arrival::File(file())).unwrap();
-        feeder.arrivals.send(Arrival::End(Some("the server is gone".into()))).unwrap();
-        engine.tick(0.0, None, SIZE).unwrap();
-        assert_eq!(engine.complaints(), ["the server is gone"]);
-        assert!(Engine::new(options(), Feed::file(b"no stream".to_vec())).tick(0.0, None, SIZE).is_err());
-    }
-
-    #[test]
-    fn frames_that_come_slowly_draw_fewer_pixels_and_never_too_few() {
-        let mut engine = Engine::new(options(), Feed::file(file()));
-        (0..SLOW_FRAMES - 1).for_each(|_| engine.keep_up(1.0));
-        engine.keep_up(0.01);
-        assert_eq!(engine.scale, 1.0);
-        (0..SLOW_FRAMES).for_each(|_| engine.keep_up(0.1));
-        assert_eq!(engine.scale, 0.75);
-        (0..10 * SLOW_FRAMES).for_each(|_| engine.keep_up(0.1));
-        assert_eq!(engine.scale, SMALLEST_SCALE);
-    }
-
-    #[test]
-    fn a_server_hears_where_the_camera_is_once_and_again_when_it_moves() {
-        let (feeder, feed) = feed();
-        let mut engine = Engine::new(options(), feed);
-        let (session, _) = Session::open(&file()).unwrap();
-        let stream = dgs_player::Stream::from_bytes(&file()).unwrap().0;
-        feeder.arrivals.send(Arrival::Manifest(stream.message().to_vec())).unwrap();
-        let said = |engine: &mut Engine, at: f64| -> Vec<ViewerPose> {
-            engine.tick(at, None, SIZE).unwrap();
-            let wishes = feeder.wishes.try_iter();
-            wishes.filter_map(|wish| if let Wish::Sight(pose) = wish { Some(pose) } else { None }).collect()
-        };
-        let first = said(&mut engine, 0.0);
-        assert_eq!((first.len(), said(&mut engine, 0.1).len()), (1, 0));
-        engine.act(Act::Turn(30.0, 0.0), SIZE).unwrap();
-        let second = said(&mut engine, 0.2);
-        assert!(second.len() == 1 && second != first);
-        // A file has no sender.
-        assert!(!session.is_live());
-    }
-
-    /// A screen in memory; `None` on a machine without any driver, which in CI is a failure.
-    fn screen() -> Option<Screen> {
-        match Device::open(&DeviceOptions::from_env()) {
-            Ok(device) => Some(Screen::in_memory(device).unwrap()),
-            Err(error) => {
-                assert!(std::env::var_os("CI").is_none_or(|ci| ci != "true"), "{error}");
-                eprintln!("SKIPPED: {error}");
-                None
-            }
-        }
-    }
-
-    /// What is on `screen` once `engine` has nothing more to draw.
-    fn settled(engine: &mut Engine, screen: &mut Screen) -> Image {
-        for _ in 0..4 {
-            engine.tick(0.0, Some(screen), SIZE).unwrap();
-            if let Some(image) = screen.read().unwrap() {
-                return image;
-            }
-        }
-        panic!("nothing was drawn")
-    }
-
-    #[test]
-    fn another_device_shows_what_the_lost_one_did_and_what_has_not_changed_is_drawn_once() {
-        let Some(mut first) = screen() else { return };
-        let mut engine = Engine::new(WindowOptions { playing: false, ..options() }, Feed::file(file()));
-        let before = settled(&mut engine, &mut first);
-        let frames = engine.frames();
-        engine.tick(1.0, Some(&mut first), SIZE).unwrap();
-        assert_eq!(engine.frames(), frames);
-        first.destroy();
-        let _ = first.pending();
-        assert!(first.is_lost());
-        let Some(mut second) = screen() else { return };
-        engine.forget();
-        assert_eq!(settled(&mut engine, &mut second).rgb(), before.rgb());
-        // The comparison can fail: another background.
-        engine.act(Act::Background, SIZE).unwrap();
-        assert_ne!(settled(&mut engine, &mut second).rgb(), before.rgb());
-    }
-
-    /// Fewer pixels, scaled up, are the same picture but for what is between them.
-    #[test]
-    fn a_picture_of_fewer_pixels_fills_the_window() {
-        let Some(mut screen) = screen() else { return };
-        let mut engine = Engine::new(WindowOptions { playing: false, ..options() }, Feed::file(file()));
-        let whole = settled(&mut engine, &mut screen);
-        engine.scale = SMALLEST_SCALE;
-        let scaled = settled(&mut engine, &mut screen);
-        assert_eq!([scaled.width(), scaled.height()], SIZE);
-        let db = render_host::metric::psnr(&whole, &scaled).unwrap();
-        assert!((20.0..60.0).contains(&db), "{db} dB");
-    }
 }

@@ -6,6 +6,7 @@ use std::{
 };
 
 use codec_core::internals::wire::receipt::ViewerPose;
+use dgs_viewer::Conditions;
 
 /// Arrivals that wait for the window: beyond that the feeder waits, or loses packets.
 const WAITING: usize = 4096;
@@ -33,6 +34,14 @@ pub enum Arrival {
     Manifest(Vec<u8>),
     /// A packet of it.
     Packet(Vec<u8>),
+    /// What the server makes of the network that was wished for: whether it emulates it. If not, the window
+    /// does.
+    Network {
+        /// Whether it does.
+        by_server: bool,
+    },
+    /// The server begins as if nothing had come.
+    Anew,
     /// Nothing more comes, and why, if that is not as it should be.
     End(Option<String>),
 }
@@ -46,6 +55,8 @@ pub enum Wish {
     Whole,
     /// The stream from this time on, seconds.
     From(f64),
+    /// The stream through a network of these conditions, from the time of a [`Wish::From`] on.
+    Network(Conditions),
     /// First of all what is seen from here.
     Sight(ViewerPose),
 }

@@ -2,8 +2,9 @@
 
 use dgs_viewer::{LEVELS, Session};
 
-/// The title of a window that shows `session` at `rate` frames per second.
-pub(crate) fn title(name: &str, session: &Session, rate: f64) -> String {
+/// The title of a window that shows `session` at `rate` frames per second, where a share `loss` of packets is
+/// lost on purpose.
+pub(crate) fn title(name: &str, session: &Session, rate: f64, loss: f64) -> String {
     let clock = session.playback();
     let mut text = format!(
         "{name} · {:.2} of {:.2} s · level {:.1} of {} · {rate:.0} frames/s",
@@ -18,7 +19,6 @@ pub(crate) fn title(name: &str, session: &Session, rate: f64) -> String {
     if clock.rate() != 1.0 {
         text += &format!(" · speed {}", clock.rate());
     }
-    let loss = session.conditions().loss;
     if loss > 0.0 {
         text += &format!(" · {:.0} % of packets lost", 100.0 * loss);
     }
@@ -40,8 +40,6 @@ fn mean_level(session: &Session) -> f64 {
 mod tests {
     use std::fs;
 
-    use dgs_viewer::Conditions;
-
     use super::*;
 
     #[test]
@@ -50,14 +48,13 @@ mod tests {
             format!("{}/../../codec-core/tests/conformance/everything.dgs", env!("CARGO_MANIFEST_DIR"));
         let (mut session, _) = Session::open(&fs::read(path).unwrap()).unwrap();
         session.playback_mut().set_playing(true);
-        let plain = title("fox", &session, 59.7);
+        let plain = title("fox", &session, 59.7, 0.0);
         assert!(plain.starts_with("fox · 0.00 of ") && plain.ends_with(" of 3 · 60 frames/s"), "{plain}");
         session.set_cap(0);
-        assert!(title("fox", &session, 60.0).contains("level 0.0 of 3"));
+        assert!(title("fox", &session, 60.0, 0.0).contains("level 0.0 of 3"));
         session.playback_mut().set_playing(false);
         session.playback_mut().set_rate(0.5);
-        session.impair(Conditions { loss: 0.1, ..Conditions::default() }).unwrap();
-        let unusual = title("fox", &session, 0.0);
+        let unusual = title("fox", &session, 0.0, 0.1);
         assert!(unusual.ends_with("· paused · speed 0.5 · 10 % of packets lost"), "{unusual}");
     }
 }

@@ -13,9 +13,12 @@ use std::{
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::wire::receipt::ViewerPose;
-use dgs_quic::socket::{ClientConfig, Locator, Screen, Trust, play};
-use dgs_viewer::FIRST_BYTES;
+use dgs_quic::socket::{
+    ClientConfig, Conditions, Granted, Locator, RoundWish, Screen, Trust, ViewerLink, play,
+};
+use dgs_viewer::{Conditions as Network, FIRST_BYTES};
 use dgs_window::{Arrival, Feed, Feeder, Wish, feed};
+use emulator_host::Rate;
 use ureq::{Agent, Body, http::Response};
 
 use crate::command::socket::runtime;
@@ -88,6 +91,8 @@ struct Forwarding {
     early: Option<Vec<Vec<u8>>>,
     /// The round that is wanted, and when the last was begun.
     wanted_us: Option<u64>,
+    /// Conditions that it is to begin under.
+    conditions: Option<Conditions>,
     round_at: Option<Instant>,
     pose: Option<ViewerPose>,
 }
@@ -119,10 +124,11 @@ impl Screen for Forwarding {
         }
     }
 
-    fn wanted_round_us(&mut self) -> Option<u64> {
+    fn wanted_round(&mut self) -> Option<RoundWish> {
         for wish in self.wishes.try_iter() {
             match wish {
                 Wish::From(seconds) => self.wanted_us = Some((seconds * 1e6) as u64),
+                Wish::Network(network) => self.conditions = Some(conditions(&network)),
                 Wish::Sight(pose) => self.pose = Some(pose),
                 Wish::Bytes(_) | Wish::Whole => {}
             }
@@ -130,9 +136,17 @@ impl Screen for Forwarding {
         if self.round_at.is_some_and(|at| at.elapsed() < ROUND_EVERY) {
             return None;
         }
-        let wanted = self.wanted_us.take()?;
+        let start_us = self.wanted_us.take()?;
         self.round_at = Some(Instant::now());
-        Some(wanted)
+        Some(RoundWish { start_us, conditions: self.conditions.take() })
+    }
+
+    fn granted(&mut self, granted: Granted) {
+        self.send(Arrival::Network { by_server: granted.link });
+    }
+
+    fn forget(&mut self) {
+        self.send(Arrival::Anew);
     }
 
     fn pose(&mut self) -> Option<ViewerPose> {
@@ -140,12 +154,30 @@ impl Screen for Forwarding {
     }
 }
 
+/// What a window wishes for, as a server is asked for it: from then on each round begins with nothing, since
+/// of a scene that is all there no packet is lost.
+fn conditions(network: &Network) -> Conditions {
+    let Network { loss, burst, rate_bps, delay_s, seed } = *network;
+    let rate = rate_bps.map(|bps| Rate(bps.round() as u64));
+    let delay = Duration::from_secs_f64(delay_s.clamp(0.0, 1.0));
+    let link = ViewerLink { rate, delay, loss, burst, seed: seed as u32 };
+    // What keys ask for is in range.
+    Conditions::NONE.with_rounds_anew().behind(&link).unwrap_or(Conditions::NONE)
+}
+
 /// Receives until `stop`.
 fn bring_session(config: &ClientConfig, feeder: Feeder, stop: &AtomicBool) {
     let Feeder { arrivals, wishes } = feeder;
     let last = arrivals.clone();
-    let mut screen =
-        Forwarding { arrivals, wishes, early: Some(Vec::new()), wanted_us: None, round_at: None, pose: None };
+    let mut screen = Forwarding {
+        arrivals,
+        wishes,
+        early: Some(Vec::new()),
+        wanted_us: None,
+        conditions: None,
+        round_at: None,
+        pose: None,
+    };
     let stopped = async {
         while !stop.load(Ordering::Relaxed) {
             tokio::time::sleep(NOTICE).await;
@@ -198,7 +230,7 @@ fn fetch(agent: &Agent, url: &str, feeder: &Feeder, stop: &AtomicBool) -> Result
                 Answer::Part { .. } => bail!("a part came where the whole was asked for"),
             },
             // A file is fetched in its own order.
-            Ok(Wish::From(_) | Wish::Sight(_)) => continue,
+            Ok(Wish::From(_) | Wish::Network(_) | Wish::Sight(_)) => continue,
             Err(TryRecvError::Empty) => {
                 thread::sleep(NOTICE / 10);
                 continue;

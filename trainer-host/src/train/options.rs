@@ -113,6 +113,10 @@ pub struct Schedule {
     pub decay: f64,
     /// Weight of rigidity at the end, of that at the start.
     pub rigidity_decay: f64,
+    /// Until here every other step judges a photograph with transparency over the opposite background, so that
+    /// nothing but an outline explains it. Scenes of 1 stand before any background; less gives more on
+    /// [`TrainOptions::background`] alone.
+    pub opposite_end: f64,
     /// From here the scene is the moving average of the parameters over a hundred steps; 1: never, the scene
     /// is what the last step led to.
     pub average_from: f64,
@@ -131,6 +135,7 @@ impl Default for Schedule {
             motion_decay: 0.02,
             decay: 1.0,
             rigidity_decay: 0.05,
+            opposite_end: 1.0,
             average_from: 0.9,
         }
     }
@@ -314,6 +319,7 @@ impl TrainOptions {
             motion_decay,
             decay,
             rigidity_decay,
+            opposite_end,
             average_from,
         } = self.schedule;
         let shares = [
@@ -329,6 +335,7 @@ impl TrainOptions {
             ("schedule.motion_decay", motion_decay),
             ("schedule.decay", decay),
             ("schedule.rigidity_decay", rigidity_decay),
+            ("schedule.opposite_end", opposite_end),
             ("schedule.average_from", average_from),
         ];
         for (field, value) in shares {

@@ -18,7 +18,7 @@ use super::{
     track::Track,
 };
 use crate::socket::{
-    ClientConfig, PlayError, Playback, Played, Screen,
+    ClientConfig, PlayError, Playback, Played, RoundWish, Screen,
     message::{MAX_MANIFEST_BYTES, StreamChoice},
     play_over,
 };
@@ -108,7 +108,7 @@ async fn watch(
             if !config.loops {
                 return Ok(());
             }
-            playback.next_round(0);
+            playback.next_round(RoundWish::default());
             continue;
         }
         let wake = if has_manifest { playback.next_time().unwrap_or(deadline) } else { deadline };

@@ -18,7 +18,7 @@ use super::{
     limits::client_transport,
     locator::Locator,
     message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
-    playback::{PlayReport, Playback, Screen},
+    playback::{PlayReport, Playback, RoundWish, Screen},
     scheme::Scheme,
     settings::{ClientConfig, PlayError},
 };
@@ -213,13 +213,16 @@ async fn converse(
     let stream = config.locator.stream.clone();
     let hello = ClientMessage::Hello { stream, start_us: playback.start_us() };
     say(send, &hello).await?;
+    if let Some(conditions) = config.conditions {
+        say(send, &playback.begin_under(conditions)).await?;
+    }
     let mut in_streams = config.streams;
     if in_streams {
         say(send, &ClientMessage::Streams).await?;
     }
     // When to conclude that the path drops datagrams; none once a packet has come.
     let mut streams_at = None;
-    let deadline = Instant::now() + config.silence;
+    let mut deadline = Instant::now() + config.silence;
     let mut history_at = Instant::now() + RECEIPT_INTERVAL;
     let mut answer_at = None;
     let mut unanswered = 0;
@@ -232,15 +235,22 @@ async fn converse(
             if !config.loops || playback.grows() {
                 return say(send, &ClientMessage::Bye).await;
             }
-            say(send, &playback.next_round(0)).await?;
+            say(send, &playback.next_round(RoundWish::default())).await?;
+            if playback.begins_anew() {
+                screen.forget();
+            }
             continue;
         }
         // A stream that grows is shown at its newest end.
         if had_manifest
-            && !playback.grows()
-            && let Some(start_us) = screen.wanted_round_us()
+            && let Some(wish) = screen.wanted_round()
+            && (wish.conditions.is_some() || !playback.grows())
         {
-            say(send, &playback.next_round(start_us)).await?;
+            say(send, &playback.next_round(wish)).await?;
+            deadline = Instant::now() + config.silence;
+            if playback.begins_anew() {
+                screen.forget();
+            }
             continue;
         }
         let (history, late) = (now >= history_at, answer_at.is_some_and(|at| now >= at));
@@ -259,6 +269,10 @@ async fn converse(
             say(send, &ClientMessage::Streams).await?;
         }
         let receipt_at = answer_at.map_or(history_at, |at| history_at.min(at));
+        let is_silent = !had_manifest || playback.awaits_grant();
+        if is_silent && now >= deadline {
+            return Err(PlayError::Silence { ms: config.silence.as_millis() });
+        }
         let wake = if had_manifest {
             playback.next_time().map_or(receipt_at, |due| due.min(receipt_at))
         } else {
@@ -278,9 +292,12 @@ async fn converse(
                         return Err(PlayError::Nonsense("a second manifest".to_owned()));
                     }
                     Ok(Some(ServerMessage::Begin { round, start_us })) => playback.begin_at(round, start_us)?,
-                    // It has asked for none.
-                    Ok(Some(ServerMessage::Granted { .. })) => {
-                        return Err(PlayError::Nonsense("conditions that nobody asked for".to_owned()));
+                    Ok(Some(ServerMessage::Granted { round, granted })) => {
+                        playback.granted(round, granted)?;
+                        screen.granted(granted);
+                        if playback.begins_anew() {
+                            screen.forget();
+                        }
                     }
                     Ok(Some(ServerMessage::Refusal(refusal))) => return Err(PlayError::Refused(refusal)),
                     Ok(None) | Err(ControlError::Lost(_)) => return Err(gone(ending).await),
@@ -290,16 +307,15 @@ async fn converse(
             datagram = channel.read() => {
                 let datagram = datagram.map_err(|error| PlayError::Lost(error.into()))?;
                 streams_at = None;
+                if playback.awaits_grant() {
+                    continue;
+                }
                 playback.media(&datagram)?;
                 screen.media(&datagram);
                 unanswered += 1;
                 answer_at = answer_at.or(Some(now + RECEIPT_DELAY));
             }
-            () = sleep_until(wake.into()) => {
-                if !had_manifest && Instant::now() >= deadline {
-                    return Err(PlayError::Silence { ms: config.silence.as_millis() });
-                }
-            }
+            () = sleep_until(wake.into()) => {}
         }
     }
 }

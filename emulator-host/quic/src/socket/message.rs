@@ -4,14 +4,17 @@
 //! length that is only claimed: memory follows the bytes that came.
 
 mod conditions;
+mod fields;
 mod refusal;
 
 use std::marker::PhantomData;
 
 use codec_core::internals::limits::MAX_RECEIPT_BYTES;
 
+use self::fields::Fields;
 pub use self::{
-    conditions::{Conditions, Granted},
+    conditions::{Conditions, Granted, ViewerLink},
+    fields::MessageError,
     refusal::{Refusal, RefusalCode},
 };
 
@@ -109,53 +112,6 @@ pub enum ServerMessage {
     },
 }
 
-/// Why bytes are no message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum MessageError {
-    /// No message of this kind comes from that side.
-    #[error("message kind is {found:#04x}, allowed {allowed}")]
-    Kind {
-        /// The kind.
-        found: u8,
-        /// Kinds from that side.
-        allowed: &'static str,
-    },
-    /// A body of impossible length.
-    #[error("{message}: length is {found}, allowed {least} to {most}")]
-    Length {
-        /// Name of the message.
-        message: &'static str,
-        /// What it claims.
-        found: u32,
-        /// Least.
-        least: usize,
-        /// Most.
-        most: usize,
-    },
-    /// A field with an impossible value.
-    #[error("{message}.{field} is {found}, allowed {allowed}")]
-    Field {
-        /// Name of the message.
-        message: &'static str,
-        /// Name of the field.
-        field: &'static str,
-        /// What it says.
-        found: u64,
-        /// What it may say.
-        allowed: &'static str,
-    },
-    /// A body that ends before its fields do, or goes on after them.
-    #[error("{message}: the body has {found} bytes, its fields take {needed}")]
-    Body {
-        /// Name of the message.
-        message: &'static str,
-        /// Bytes there are.
-        found: usize,
-        /// Bytes needed.
-        needed: usize,
-    },
-}
-
 /// Whether `text` can name a stream: 1 to [`MAX_NAME_BYTES`] letters, digits, `.`, `_` and `-` of ASCII.
 pub fn is_name(text: &str) -> bool {
     let legal = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
@@ -210,7 +166,7 @@ impl<M: Message> MessageReader<M> {
         if !self.fill(HEAD_BYTES, input) {
             return Ok(None);
         }
-        let mut head = Fields { message: "message", body: &self.bytes, needed: HEAD_BYTES };
+        let mut head = Fields::new("message", &self.bytes);
         let (kind, found) = (head.byte()?, head.word()?);
         let (message, least, most) =
             M::shape(kind).ok_or(MessageError::Kind { found: kind, allowed: M::KINDS })?;
@@ -237,60 +193,6 @@ impl<M: Message> MessageReader<M> {
         self.bytes.extend_from_slice(taken);
         *input = rest;
         self.bytes.len() >= wanted
-    }
-}
-
-/// Reads the fields of a body in order.
-struct Fields<'b> {
-    message: &'static str,
-    body: &'b [u8],
-    needed: usize,
-}
-
-impl<'b> Fields<'b> {
-    const fn new(message: &'static str, body: &'b [u8]) -> Self {
-        Self { message, body, needed: 0 }
-    }
-
-    fn bytes(&mut self, len: usize) -> Result<&'b [u8], MessageError> {
-        let short = MessageError::Body {
-            message: self.message,
-            found: self.needed + self.body.len(),
-            needed: self.needed + len,
-        };
-        let (taken, rest) = self.body.split_at_checked(len).ok_or(short)?;
-        self.body = rest;
-        self.needed += len;
-        Ok(taken)
-    }
-
-    fn number(&mut self, len: usize) -> Result<u64, MessageError> {
-        let bytes = self.bytes(len)?.iter().rev();
-        Ok(bytes.fold(0, |number, byte| number << 8 | u64::from(*byte)))
-    }
-
-    fn byte(&mut self) -> Result<u8, MessageError> {
-        Ok(self.number(1)? as u8)
-    }
-
-    fn word(&mut self) -> Result<u32, MessageError> {
-        Ok(self.number(4)? as u32)
-    }
-
-    fn text(&mut self, len: usize, field: &'static str) -> Result<&'b str, MessageError> {
-        let bytes = self.bytes(len)?;
-        std::str::from_utf8(bytes).map_err(|error| {
-            let found = bytes.get(error.valid_up_to()).copied().unwrap_or(0).into();
-            MessageError::Field { message: self.message, field, found, allowed: "UTF-8" }
-        })
-    }
-
-    fn end(self) -> Result<(), MessageError> {
-        if self.body.is_empty() {
-            return Ok(());
-        }
-        let found = self.needed + self.body.len();
-        Err(MessageError::Body { message: self.message, found, needed: self.needed })
     }
 }
 

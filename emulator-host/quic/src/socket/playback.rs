@@ -14,7 +14,7 @@ use emulator_host::{
 use serde::Serialize;
 
 use super::{
-    message::ClientMessage,
+    message::{ClientMessage, Conditions, Granted},
     offer::{start_before, starts},
     settings::{ClientConfig, PlayError},
 };
@@ -39,15 +39,30 @@ pub trait Screen {
     /// A datagram of media has come, whatever became of it.
     fn media(&mut self, _packet: &[u8]) {}
 
-    /// The time of the clip, microseconds, from which another round is wanted; asked often, answered once.
-    fn wanted_round_us(&mut self) -> Option<u64> {
+    /// Another round that is wanted; asked often, answered once.
+    fn wanted_round(&mut self) -> Option<RoundWish> {
         None
     }
+
+    /// What the server grants of conditions that a round began with.
+    fn granted(&mut self, _granted: Granted) {}
+
+    /// A round begins as if no media had come before.
+    fn forget(&mut self) {}
 
     /// Where the viewer is, for receipts: what it sees is then sent first. Asked often.
     fn pose(&mut self) -> Option<ViewerPose> {
         None
     }
+}
+
+/// Another round of playout, as a viewer wants it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RoundWish {
+    /// From which time of the clip on, microseconds.
+    pub start_us: u64,
+    /// Under which conditions from then on; `None` is those that hold.
+    pub conditions: Option<Conditions>,
 }
 
 /// Shows nothing: frames are only timed and counted.
@@ -88,6 +103,9 @@ pub struct PlayReport {
     pub startup_reached: bool,
     /// Rounds begun.
     pub rounds: u32,
+    /// What the server granted of the conditions that were asked for last; `None` where none were, or it has
+    /// not answered.
+    pub granted: Option<Granted>,
     /// Connections made.
     pub connections: u32,
     /// Every frame shown, in order; of a clip that repeats, those of the last rounds.
@@ -133,6 +151,10 @@ pub(crate) struct Playback {
     receiver: MediaReceiver,
     receipt: Vec<u8>,
     wants_receipt: bool,
+    /// Whether each round begins with nothing.
+    anew: bool,
+    /// Whether conditions were asked for and not answered yet.
+    unanswered: bool,
     report: PlayReport,
     sums: (f64, f64),
 }
@@ -157,6 +179,8 @@ impl Playback {
             receiver: MediaReceiver::new(config.startup),
             receipt: Vec::new(),
             wants_receipt: false,
+            anew: false,
+            unanswered: false,
             report: PlayReport { rounds: 1, connections: 1, ..PlayReport::default() },
             sums: (0.0, 0.0),
         })
@@ -205,20 +229,74 @@ impl Playback {
     /// The connection is gone and another is made: playout goes on from the frame that is due.
     pub(super) fn reconnect(&mut self) {
         self.report.connections += 1;
+        self.report.rounds += 1;
         let frame = u64::from(self.first) + u64::from(self.receiver.next_frame());
+        self.anew = false;
         self.begin(0, frame * self.interval.0 / 1000);
     }
 
-    /// Begins the next round, at the time `start_us`.
-    pub(crate) fn next_round(&mut self, start_us: u64) -> ClientMessage {
-        self.begin(self.round + 1, start_us);
+    /// Begins round 0 again under `conditions`, as another round: nothing of it has been shown.
+    pub(super) fn begin_under(&mut self, conditions: Conditions) -> ClientMessage {
+        self.begin(self.round + 1, self.start_us);
+        self.request(conditions)
+    }
+
+    /// Begins the next round as it is wished for.
+    pub(crate) fn next_round(&mut self, wish: RoundWish) -> ClientMessage {
+        self.report.rounds += 1;
+        self.begin(self.round + 1, wish.start_us);
         self.round_began = Instant::now();
-        ClientMessage::Seek { round: self.round, start_us }
+        match wish.conditions {
+            Some(conditions) => self.request(conditions),
+            None => {
+                if self.anew {
+                    self.forget();
+                }
+                ClientMessage::Seek { round: self.round, start_us: wish.start_us }
+            }
+        }
+    }
+
+    /// Whether what comes now is of the round before, or of none of the conditions that were asked for.
+    pub(super) fn awaits_grant(&self) -> bool {
+        self.unanswered
+    }
+
+    /// Whether each round begins with nothing.
+    pub(super) fn begins_anew(&self) -> bool {
+        self.anew && !self.unanswered
+    }
+
+    fn request(&mut self, conditions: Conditions) -> ClientMessage {
+        (self.anew, self.unanswered, self.report.granted) = (conditions.anew, true, None);
+        ClientMessage::Conditions { round: self.round, start_us: self.start_us, conditions }
+    }
+
+    /// The server says what of the conditions of `round` holds.
+    pub(super) fn granted(&mut self, round: u32, granted: Granted) -> Result<(), PlayError> {
+        if !self.unanswered || round > self.round {
+            return Err(PlayError::Nonsense("conditions that nobody asked for".to_owned()));
+        }
+        // Answers to earlier rounds are late.
+        if round == self.round {
+            (self.unanswered, self.report.granted) = (false, Some(granted));
+            self.anew &= granted.scheduler;
+            if self.anew {
+                self.forget();
+            }
+        }
+        Ok(())
+    }
+
+    /// Forgets every packet.
+    fn forget(&mut self) {
+        let Ok(waiting) = Waiting::new(self.caps) else { return };
+        // It was taken before.
+        self.player = self.player.take().and_then(|_| waiting.manifest(&self.message).ok());
     }
 
     fn begin(&mut self, round: u32, start_us: u64) {
         (self.round, self.start_us) = (round, start_us);
-        self.report.rounds += 1;
         self.receiver = MediaReceiver::new(self.startup);
         self.set_clip();
     }
@@ -298,7 +376,7 @@ impl Playback {
     /// Starts playout if enough is there, and shows what is due.
     pub(crate) fn show_due(&mut self, screen: &mut dyn Screen) -> Result<(), PlayError> {
         let now = self.now();
-        let Some(player) = &mut self.player else { return Ok(()) };
+        let Some(player) = self.player.as_mut().filter(|_| !self.unanswered) else { return Ok(()) };
         if let Some(pose) = screen.pose() {
             self.receiver.on_pose(pose);
         }
@@ -343,6 +421,7 @@ impl Playback {
     /// When there is something to show next.
     pub(crate) fn next_time(&self) -> Option<Instant> {
         match self.receiver.next_time() {
+            _ if self.unanswered => None,
             Nanos::MAX => None,
             at => self.round_began.checked_add(Duration::from_nanos(at.0)),
         }

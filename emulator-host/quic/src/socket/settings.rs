@@ -12,7 +12,7 @@ use super::{
     channel::Closed,
     identity::{IdentityError, Pin, Trust},
     locator::Locator,
-    message::Refusal,
+    message::{Conditions, Refusal},
 };
 
 /// What to play, and how.
@@ -37,6 +37,9 @@ pub struct ClientConfig {
     /// Whether media is to come in streams from the beginning, for networks that drop datagrams. Otherwise it
     /// does once none have come.
     pub streams: bool,
+    /// What the server is to change in this session: its scheduler, an emulated link. What it grants of that,
+    /// the report says; media that comes before it has answered is not used.
+    pub conditions: Option<Conditions>,
     /// Times that a lost connection is made again; playout goes on from where it is then.
     pub reconnects: u32,
 }
@@ -54,6 +57,7 @@ impl ClientConfig {
             startup: Startup { rule: StartupRule::BaseGroups(0.95), max_wait: Nanos::from_s(5) },
             silence: Duration::from_secs(10),
             streams: false,
+            conditions: None,
             reconnects: 3,
         }
     }

@@ -25,9 +25,9 @@ use quinn::{Connection, Endpoint};
 use tokio::{runtime::Runtime, sync::oneshot, task::JoinHandle};
 
 use super::{
-    ClientConfig, Entrance, Headless, Identity, Locator, Offer, PlayError, PlayReport, Played, Scheme,
-    Server, ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport, limits::client_transport,
-    message::StreamChoice, play,
+    ClientConfig, Entrance, Headless, Identity, Locator, Offer, PlayError, PlayReport, Played, RoundWish,
+    Scheme, Screen, Server, ServerConfig, ServerLimits, ServerReport, Trust, ViewerReport,
+    limits::client_transport, message::StreamChoice, play,
 };
 
 /// A small stream of a few frames.

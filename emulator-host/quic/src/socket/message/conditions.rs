@@ -6,8 +6,9 @@ use emulator_host::{
     Nanos, PolicyKind, Rate,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
 };
+use serde::Serialize;
 
-use super::{Fields, MessageError};
+use super::fields::{Fields, MessageError};
 use crate::socket::impair::Impairment;
 
 /// Bytes of conditions on the wire.
@@ -28,6 +29,28 @@ const MOST_DELAY: Duration = Duration::from_secs(1);
 const RATES: std::ops::RangeInclusive<u64> = 1_000..=1_000_000_000;
 /// What the queue of a link with a rate holds.
 const QUEUE: Nanos = Nanos::from_ms(250);
+
+/// An emulated link that a viewer asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ViewerLink {
+    /// 1 kbit/s to 1 Gbit/s; `None` is without limit. With a rate comes a queue of 250 ms.
+    pub rate: Option<Rate>,
+    /// One way, towards the viewer, at most a second.
+    pub delay: Duration,
+    /// Share of datagrams lost, 0 to 0.9, counted in ten-thousandths.
+    pub loss: f64,
+    /// Mean number of datagrams lost in a row, 1 to 1000; at 1 losses are independent.
+    pub burst: f64,
+    /// Of the losses.
+    pub seed: u32,
+}
+
+impl Default for ViewerLink {
+    /// A perfect one.
+    fn default() -> Self {
+        Self { rate: None, delay: Duration::ZERO, loss: 0.0, burst: 1.0, seed: 1 }
+    }
+}
 
 /// What a viewer asks for in its own session: how the server shall choose packets, and through which emulated
 /// link they shall come.
@@ -54,10 +77,58 @@ impl Conditions {
     pub const NONE: Self =
         Self { anew: false, scheduler: None, rate: None, delay: Duration::ZERO, loss: 0, burst: 1, seed: 1 };
 
-    /// A scheduler behind a link of this delay, at most a second, each round anew.
-    #[cfg(test)]
-    pub(in crate::socket) fn late(scheduler: PolicyKind, delay: Duration) -> Self {
-        Self { anew: true, scheduler: Some(scheduler), delay: delay.min(MOST_DELAY), ..Self::NONE }
+    /// The same with the scheduler `kind`.
+    pub fn with_scheduler(self, kind: PolicyKind) -> Self {
+        Self { scheduler: Some(kind), ..self }
+    }
+
+    /// The same behind `link`.
+    ///
+    /// # Errors
+    /// The first field of the link that is out of range.
+    ///
+    /// # Examples
+    /// ```
+    /// use dgs_quic::socket::{Conditions, ViewerLink};
+    ///
+    /// let bad = ViewerLink { loss: 0.05, burst: 4.0, ..ViewerLink::default() };
+    /// assert!(Conditions::NONE.behind(&bad).is_ok());
+    /// assert!(Conditions::NONE.behind(&ViewerLink { loss: 0.95, ..bad }).is_err());
+    /// ```
+    pub fn behind(self, link: &ViewerLink) -> Result<Self, MessageError> {
+        let rate = link.rate.map_or(0, |rate| rate.0);
+        // A rate of 0 is refused: on the wire it would be none.
+        let rate = if link.rate.is_some() { rate.max(1) } else { 0 };
+        let delay_us = u32::try_from(link.delay.as_micros()).unwrap_or(u32::MAX);
+        let count = |number: f64| if number >= 0.0 { number.round() as u64 } else { u64::MAX };
+        self.checked(rate, delay_us, [count(link.loss * LOSS_PARTS), count(link.burst)], link.seed)
+    }
+
+    /// The same, with each round as if nothing had arrived before, so that a short clip that repeats shows
+    /// what a long one would.
+    pub fn with_rounds_anew(self) -> Self {
+        Self { anew: true, ..self }
+    }
+
+    /// With the numbers of a link as they are on the wire, `parts` loss and burst; every one is checked.
+    fn checked(self, rate: u64, delay_us: u32, parts: [u64; 2], seed: u32) -> Result<Self, MessageError> {
+        let rate = match rate {
+            0 => None,
+            rate if RATES.contains(&rate) => Some(rate),
+            other => return Err(illegal("rate", other, "0, or 1000 to 1000000000 bit/s")),
+        };
+        let delay = Duration::from_micros(delay_us.into());
+        if delay > MOST_DELAY {
+            return Err(illegal("delay", delay_us.into(), "0 to 1000000 us"));
+        }
+        let [loss, burst] = parts;
+        if loss > MOST_LOSS.into() {
+            return Err(illegal("loss", loss, "0 to 9000 ten-thousandths"));
+        }
+        if !(1..=MOST_BURST.into()).contains(&burst) {
+            return Err(illegal("burst", burst, "1 to 1000 datagrams"));
+        }
+        Ok(Self { rate, delay, loss: loss as u16, burst: burst as u16, seed, ..self })
     }
 
     /// The link; `None` is a perfect one.
@@ -78,8 +149,6 @@ impl Conditions {
 
     /// Reads them; every field is checked.
     pub(super) fn parse(fields: &mut Fields<'_>) -> Result<Self, MessageError> {
-        let illegal =
-            |field, found: u64, allowed| MessageError::Field { message: "conditions", field, found, allowed };
         let anew = match fields.byte()? {
             flag @ (0 | 1) => flag == 1,
             other => return Err(illegal("anew", other.into(), "0 or 1")),
@@ -91,24 +160,9 @@ impl Conditions {
                 Some(known.ok_or(illegal("scheduler", number.into(), "0 to 5"))?.1)
             }
         };
-        let rate = match fields.number(8)? {
-            0 => None,
-            rate if RATES.contains(&rate) => Some(rate),
-            other => return Err(illegal("rate", other, "0, or 1000 to 1000000000 bit/s")),
-        };
-        let delay_us = fields.word()?;
-        let delay = Duration::from_micros(delay_us.into());
-        if delay > MOST_DELAY {
-            return Err(illegal("delay", delay_us.into(), "0 to 1000000 us"));
-        }
-        let (loss, burst) = (fields.number(2)? as u16, fields.number(2)? as u16);
-        if loss > MOST_LOSS {
-            return Err(illegal("loss", loss.into(), "0 to 9000 ten-thousandths"));
-        }
-        if !(1..=MOST_BURST).contains(&burst) {
-            return Err(illegal("burst", burst.into(), "1 to 1000 datagrams"));
-        }
-        Ok(Self { anew, scheduler, rate, delay, loss, burst, seed: fields.word()? })
+        let (rate, delay_us) = (fields.number(8)?, fields.word()?);
+        let parts = [fields.number(2)?, fields.number(2)?];
+        Self { anew, scheduler, ..Self::NONE }.checked(rate, delay_us, parts, fields.word()?)
     }
 
     /// Appends them to `out`.
@@ -123,8 +177,12 @@ impl Conditions {
     }
 }
 
+fn illegal(field: &'static str, found: u64, allowed: &'static str) -> MessageError {
+    MessageError::Field { message: "conditions", field, found, allowed }
+}
+
 /// What a server grants of conditions.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Granted {
     /// Whether media goes through the link. A WebSocket has none: it repeats what is lost by itself.
     pub link: bool,

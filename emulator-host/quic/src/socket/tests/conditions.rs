@@ -6,7 +6,7 @@ use quinn::{RecvStream, SendStream};
 
 use super::*;
 use crate::socket::message::{
-    ClientMessage, Conditions, Granted, Message as _, MessageReader, ServerMessage,
+    ClientMessage, Conditions, Granted, Message as _, MessageReader, ServerMessage, ViewerLink,
 };
 
 const DELAY: Duration = Duration::from_millis(300);
@@ -67,7 +67,8 @@ impl Viewer {
 }
 
 fn late_by_dash() -> Conditions {
-    Conditions::late(PolicyKind::Dash, DELAY)
+    let link = ViewerLink { delay: DELAY, ..ViewerLink::default() };
+    Conditions::NONE.with_scheduler(PolicyKind::Dash).with_rounds_anew().behind(&link).unwrap()
 }
 
 #[test]
@@ -107,5 +108,76 @@ fn a_server_that_lets_nobody_change_anything_says_so_and_goes_on() {
         assert!(refusal.sentence.contains("allowed above 1"), "{refusal}");
         let (_, viewers) = server.stop().await;
         assert_eq!((viewers[0].scheduler, viewers[0].rounds), ("layered", 2));
+    });
+}
+
+/// Of a client that asks from the start, what was played and what the server says of the viewer.
+async fn played_late(may_change: bool) -> (PlayReport, ViewerReport) {
+    let offer = Offer::new("everything", &stream(), graph(&stream())).unwrap();
+    let server = Running::letting(may_change, ServerLimits::default(), offer);
+    let config = ClientConfig { conditions: Some(late_by_dash()), ..server.client() };
+    let report = play(&config, &mut Headless, std::future::pending()).await.whole().unwrap();
+    let (_, mut viewers) = server.stop().await;
+    (report, viewers.remove(0))
+}
+
+#[test]
+fn a_client_plays_under_the_conditions_that_it_asks_for_from_the_start() {
+    within(async {
+        let (report, viewer) = played_late(true).await;
+        assert_eq!(report.granted, Some(Granted { link: true, scheduler: true }));
+        assert_eq!((viewer.scheduler, report.rounds, report.shown_count), ("dash", 1, report.frames.into()));
+        let startup = report.startup_ms.unwrap();
+        assert!(startup >= DELAY.as_secs_f64() * 1e3, "{startup} ms, of which the link is {DELAY:?}");
+        let (report, viewer) = played_late(false).await;
+        assert_eq!(report.granted, Some(Granted { link: false, scheduler: false }));
+        assert_eq!((viewer.scheduler, report.base_miss_rate), ("layered", 0.0));
+    });
+}
+
+/// Wishes for other conditions in the middle of a clip, and counts how often all that came is forgotten.
+#[derive(Default)]
+struct Changing {
+    shown: u32,
+    wished: bool,
+    granted: Vec<Granted>,
+    forgotten: u32,
+}
+
+impl Screen for Changing {
+    fn show(&mut self, player: &mut dgs_player::Player, frame: u32) -> Result<(), String> {
+        self.shown += 1;
+        let usable = player.usable(frame).unwrap_or_default();
+        if usable.canonical[0] == 0 { Err("a frame without a base".into()) } else { Ok(()) }
+    }
+
+    fn wanted_round(&mut self) -> Option<RoundWish> {
+        let due = self.shown >= 2 && !std::mem::replace(&mut self.wished, self.shown >= 2);
+        due.then(|| RoundWish { start_us: 0, conditions: Some(late_by_dash()) })
+    }
+
+    fn granted(&mut self, granted: Granted) {
+        self.granted.push(granted);
+    }
+
+    fn forget(&mut self) {
+        self.forgotten += 1;
+    }
+}
+
+#[test]
+fn a_round_under_other_conditions_begins_with_nothing_if_the_server_grants_them() {
+    within(async {
+        for may_change in [true, false] {
+            let offer = Offer::new("everything", &stream(), graph(&stream())).unwrap();
+            let server = Running::letting(may_change, ServerLimits::default(), offer);
+            let mut screen = Changing::default();
+            let played = play(&server.client(), &mut screen, std::future::pending()).await;
+            let report = played.whole().unwrap();
+            assert_eq!(screen.granted, [Granted { link: may_change, scheduler: may_change }]);
+            assert_eq!((screen.forgotten, report.rounds), (u32::from(may_change), 2));
+            assert!(report.mean_levels > 0.0 && report.shown_count > report.frames.into());
+            server.stop().await;
+        }
     });
 }
