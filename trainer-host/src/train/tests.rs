@@ -51,6 +51,20 @@ fn training_finds_the_scene_and_its_motion() {
     assert!(moving > still + 2.0, "{still} {moving}");
 }
 
+/// Half of the steps over the opposite background: an outline is found, and not only colours that explain one
+/// of the two.
+#[test]
+fn a_scene_stands_before_a_background_that_it_was_trained_over() {
+    let dataset = dataset(synth::SynthKind::Balls, 2, 12);
+    let over_white = |opposite_end: f64| {
+        let schedule = super::options::Schedule { opposite_end, ..Default::default() };
+        let trained = trained(&dataset, &TrainOptions { schedule, ..options() }, 600);
+        evaluate(&*trained.model(), &dataset.test, 1, [1.0; 3]).unwrap().psnr_db
+    };
+    let (both, one) = (over_white(1.0), over_white(0.0));
+    assert!(both > one + 1.0, "{both} {one}");
+}
+
 /// A graphics device follows the processor's training, and takes its checkpoints.
 #[test]
 fn another_device_trains_to_the_same_quality() {

@@ -361,8 +361,7 @@ impl<'a> Trainer<'a> {
             .map_err(|source| TrainError::Camera { view: posed.name.clone(), source })?;
         // Over two backgrounds nothing but an outline explains the photograph.
         let plain = self.options.background;
-        let drawn = rng.random::<bool>();
-        let other = self.has_alpha && drawn && progress <= self.options.schedule.opposite_end;
+        let other = self.has_alpha && rng.random::<bool>() && progress <= self.options.schedule.opposite_end;
         let background = if other { plain.map(|v| 1.0 - v) } else { plain };
 
         observe(Stage::Pose);
