@@ -9,6 +9,7 @@ mod demo;
 mod encode;
 mod import;
 mod inspect;
+mod interruption;
 mod manual;
 mod play;
 mod relay;
@@ -33,6 +34,10 @@ use crate::{
 /// Runs what was typed and prints what it says.
 pub fn run(cli: Cli) -> ExitCode {
     let quiet = Quiet(cli.json);
+    // The others have something to finish first.
+    if !matches!(cli.verb, Verb::Train(_) | Verb::Serve(_) | Verb::Play(_) | Verb::View(_)) {
+        interruption::leave_when_interrupted();
+    }
     let said = match cli.verb {
         Verb::Import(args) => import::run(&args),
         Verb::Convert(args) => convert::run(&args, quiet),

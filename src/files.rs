@@ -3,7 +3,8 @@
 //! A file is written under a temporary name in the folder that it will be in, synced, and then given its
 //! name: whoever opens it finds what was there before or all of what is new, also after a full disk or a
 //! killed process. A folder of frames is treated likewise, and says in its `sequence.json` that it is whole.
-//! What a killed process left under a temporary name, whoever next writes there removes.
+//! What a killed process left under a temporary name, whoever next writes there removes; a process that a
+//! person interrupts removes it itself.
 
 mod leftovers;
 
@@ -16,6 +17,9 @@ use std::{
 use anyhow::{Context, Result, bail};
 use tempfile::{NamedTempFile, TempDir};
 use trainer_host::import::{SEQUENCE_INDEX, SequenceIndex};
+
+use self::leftovers::Unfinished;
+pub(crate) use self::leftovers::remove_unfinished;
 
 /// Refuses a name that [`write()`] could not write: asked before the work that makes the bytes.
 ///
@@ -50,6 +54,7 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<()> {
 #[derive(Debug)]
 pub struct PendingFile {
     file: NamedTempFile,
+    unfinished: Unfinished,
     target: PathBuf,
 }
 
@@ -65,7 +70,9 @@ impl PendingFile {
         }
         // A link stays a link: what it leads to is replaced.
         let target = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
-        Ok(Self { file: temporary(&target)?, target })
+        let file = temporary(&target)?;
+        let unfinished = Unfinished::at(file.path());
+        Ok(Self { file, unfinished, target })
     }
 
     /// The file under its temporary name, to write to.
@@ -83,13 +90,14 @@ impl PendingFile {
     /// # Errors
     /// What the system says, with the path; what was there before then stays.
     pub fn finish(self) -> Result<()> {
-        let Self { file, target } = self;
+        let Self { file, unfinished, target } = self;
         let failed = || format!("{}: cannot write", target.display());
         if let Ok(existing) = fs::metadata(&target) {
             file.as_file().set_permissions(existing.permissions()).with_context(failed)?;
         }
         file.as_file().sync_all().with_context(failed)?;
         file.persist(&target).map_err(|e| e.error).with_context(failed)?;
+        drop(unfinished);
         sync_folder(folder_of(&target)).with_context(failed)
     }
 }
@@ -147,6 +155,7 @@ pub struct FrameFolder {
     target: PathBuf,
     /// Removed if it is never finished.
     temporary: TempDir,
+    _unfinished: Unfinished,
     /// Says that somebody is at work on it.
     _hold: Option<fs::File>,
     index: SequenceIndex,
@@ -174,7 +183,8 @@ impl FrameFolder {
             temporary.with_context(|| format!("{}: cannot write in this folder", folder.display()))?;
         let hold = leftovers::hold_folder(temporary.path());
         let index = SequenceIndex::default();
-        let frames = Self { target: target.to_owned(), temporary, _hold: hold, index };
+        let _unfinished = Unfinished::at(temporary.path());
+        let frames = Self { target: target.to_owned(), temporary, _unfinished, _hold: hold, index };
         // Whoever finds the folder half made is told so.
         frames.write_index()?;
         Ok(frames)

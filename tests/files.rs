@@ -114,6 +114,34 @@ fn a_folder_of_frames_is_whole_or_not_there() {
     assert!(refused(at, &["import", "frames"]).contains("frame_00001.ply"));
 }
 
+/// What is under a temporary name is gone with whoever is interrupted; what was there before stays.
+#[cfg(unix)]
+#[test]
+fn an_interruption_leaves_what_was_there_before_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["encode", "synth:figure:2000:60", "--out", "a.dgs", "--pictures", "2"]);
+    fs::write(at.join("a.gif"), b"before").unwrap();
+    for out in ["a.gif", "frames"] {
+        let mut running = Command::new(DGS)
+            .current_dir(at)
+            .args(["render", "a.dgs", "-o", out, "--width", "1000", "--height", "1000", "--json"])
+            .stdout(std::process::Stdio::null())
+            .spawn()
+            .unwrap();
+        let is_pending = || names(at).iter().any(|name| name.ends_with(".part"));
+        while !is_pending() {
+            assert!(running.try_wait().unwrap().is_none(), "{out} was finished before it was interrupted");
+            std::thread::sleep(std::time::Duration::from_millis(5));
+        }
+        let id = running.id().to_string();
+        assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
+        assert_eq!(running.wait().unwrap().code(), Some(130), "{out}");
+        assert_eq!(names(at), ["a.dgs", "a.gif"], "{out}");
+    }
+    assert_eq!(fs::read(at.join("a.gif")).unwrap(), b"before");
+}
+
 #[test]
 fn the_digest_is_that_of_the_conformance_streams() {
     let streams = Path::new(env!("CARGO_MANIFEST_DIR")).join("codec-core/tests/conformance");

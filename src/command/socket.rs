@@ -1,13 +1,12 @@
 //! Runs what serving and playing share: the runtime of sockets, and a person's wish to stop (Ctrl-C).
 
-use std::{path::PathBuf, process, sync::Arc};
+use std::{path::PathBuf, sync::Arc};
 
 use anyhow::{Context, Result, bail};
 use dgs_quic::socket::{Locator, Pin, Trust};
 use tokio::{runtime::Runtime, sync::Notify};
 
-/// Exit status of a second Ctrl-C: 128 and the number of the signal, as shells have it.
-const INTERRUPTED: i32 = 130;
+use super::interruption::leave;
 
 /// What sockets run on.
 ///
@@ -37,7 +36,7 @@ pub(super) fn interruption() -> impl Future<Output = ()> {
     // Where no handler can be set, an interruption ends the process as it does any other.
     let _ = ctrlc::set_handler(move || {
         if std::mem::replace(&mut second, true) {
-            process::exit(INTERRUPTED);
+            leave();
         }
         wish.notify_one();
     });

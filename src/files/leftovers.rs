@@ -2,11 +2,14 @@
 //!
 //! Who writes under a temporary name locks it, and the system unlocks what a killed process had locked: what
 //! has such a name, is not locked and is not brand-new is nobody's. Where locks or folders that can be opened
-//! are missing, leftovers stay.
+//! are missing, leftovers stay. A process that a person interrupts leaves none: it knows what it has not
+//! finished.
 
 use std::{
+    collections::BTreeSet,
     fs::{self, File},
-    path::Path,
+    path::{Path, PathBuf},
+    sync::{Mutex, MutexGuard, PoisonError},
     time::Duration,
 };
 
@@ -14,6 +17,45 @@ use std::{
 const SETTLED: Duration = Duration::from_secs(2);
 /// Random letters and digits between the ends of a temporary name.
 const RANDOM: usize = 6;
+
+/// What this process has under temporary names now.
+static UNFINISHED: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
+
+fn unfinished() -> MutexGuard<'static, BTreeSet<PathBuf>> {
+    // Names go in and out whole, whoever panics.
+    UNFINISHED.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A temporary name that is in use as long as this lives.
+#[derive(Debug)]
+pub(super) struct Unfinished(PathBuf);
+
+impl Unfinished {
+    pub(super) fn at(path: &Path) -> Self {
+        unfinished().insert(path.to_owned());
+        Self(path.to_owned())
+    }
+}
+
+impl Drop for Unfinished {
+    fn drop(&mut self) {
+        unfinished().remove(&self.0);
+    }
+}
+
+/// Removes what this process has under temporary names. For the last moment of a process: what is being
+/// written then fails.
+pub(crate) fn remove_unfinished() {
+    for path in unfinished().iter() {
+        // Another thread may add to a folder while it is removed.
+        for _ in 0..3 {
+            let removed = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
+            if removed.is_ok() || !path.exists() {
+                break;
+            }
+        }
+    }
+}
 
 /// Says that this process is at work on `file`, until it is closed.
 pub(super) fn hold(file: &File) {

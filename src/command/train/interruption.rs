@@ -1,16 +1,11 @@
 //! An interruption is a person's wish to stop (Ctrl-C): work leaves at its next step; asked twice, at once.
 
-use std::{
-    process,
-    sync::{
-        Arc,
-        atomic::{AtomicBool, Ordering},
-    },
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
 };
 
-/// Exit status after an interruption that ends the process: 128 and the number of the signal, as shells have
-/// it.
-const INTERRUPTED: i32 = 130;
+use crate::command::interruption::leave;
 
 /// Whether a person has asked to stop.
 #[derive(Clone, Debug, Default)]
@@ -24,7 +19,7 @@ impl Interruption {
         // Where no handler can be set, an interruption ends the process as it does any other.
         let _ = ctrlc::set_handler(move || {
             if requested.swap(true, Ordering::Relaxed) {
-                process::exit(INTERRUPTED);
+                leave();
             }
         });
         interruption
@@ -40,7 +35,7 @@ impl Interruption {
     pub(super) fn leave(&self, what_is_left: &str) {
         if self.take() {
             eprintln!("interrupted: {what_is_left}");
-            process::exit(INTERRUPTED);
+            leave();
         }
     }
 }

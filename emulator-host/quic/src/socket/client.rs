@@ -213,8 +213,8 @@ async fn converse(
     let stream = config.locator.stream.clone();
     let hello = ClientMessage::Hello { stream, start_us: playback.start_us() };
     say(send, &hello).await?;
-    if let Some(conditions) = config.conditions {
-        say(send, &playback.begin_under(conditions)).await?;
+    if let Some(conditions) = playback.begin_under_conditions() {
+        say(send, &conditions).await?;
     }
     let mut in_streams = config.streams;
     if in_streams {

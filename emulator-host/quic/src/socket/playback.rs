@@ -151,6 +151,8 @@ pub(crate) struct Playback {
     receiver: MediaReceiver,
     receipt: Vec<u8>,
     wants_receipt: bool,
+    /// What was asked of the server last, for another connection too.
+    conditions: Option<Conditions>,
     /// Whether each round begins with nothing.
     anew: bool,
     /// Whether conditions were asked for and not answered yet.
@@ -179,6 +181,7 @@ impl Playback {
             receiver: MediaReceiver::new(config.startup),
             receipt: Vec::new(),
             wants_receipt: false,
+            conditions: config.conditions,
             anew: false,
             unanswered: false,
             report: PlayReport { rounds: 1, connections: 1, ..PlayReport::default() },
@@ -235,10 +238,12 @@ impl Playback {
         self.begin(0, frame * self.interval.0 / 1000);
     }
 
-    /// Begins round 0 again under `conditions`, as another round: nothing of it has been shown.
-    pub(super) fn begin_under(&mut self, conditions: Conditions) -> ClientMessage {
+    /// Begins round 0 again under the conditions that are to hold, if any are, as another round: nothing of
+    /// it has been shown.
+    pub(super) fn begin_under_conditions(&mut self) -> Option<ClientMessage> {
+        let conditions = self.conditions?;
         self.begin(self.round + 1, self.start_us);
-        self.request(conditions)
+        Some(self.request(conditions))
     }
 
     /// Begins the next round as it is wished for.
@@ -269,6 +274,7 @@ impl Playback {
 
     fn request(&mut self, conditions: Conditions) -> ClientMessage {
         (self.anew, self.unanswered, self.report.granted) = (conditions.anew, true, None);
+        self.conditions = Some(conditions);
         ClientMessage::Conditions { round: self.round, start_us: self.start_us, conditions }
     }
 

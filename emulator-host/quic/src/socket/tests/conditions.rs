@@ -1,10 +1,16 @@
 //! A viewer changes the link and the scheduler of its own session, where the server lets it, and of no other.
 
-use std::time::Instant;
+use std::{
+    sync::atomic::{AtomicU32, Ordering},
+    time::Instant,
+};
 
 use quinn::{RecvStream, SendStream};
 
-use super::*;
+use super::{
+    servers::{Talk, played},
+    *,
+};
 use crate::socket::message::{
     ClientMessage, Conditions, Granted, Message as _, MessageReader, ServerMessage, ViewerLink,
 };
@@ -142,13 +148,17 @@ struct Changing {
     wished: bool,
     granted: Vec<Granted>,
     forgotten: u32,
+    /// Whether nothing was shown since.
+    is_first: bool,
 }
 
 impl Screen for Changing {
     fn show(&mut self, player: &mut dgs_player::Player, frame: u32) -> Result<(), String> {
         self.shown += 1;
-        let usable = player.usable(frame).unwrap_or_default();
-        if usable.canonical[0] == 0 { Err("a frame without a base".into()) } else { Ok(()) }
+        let has_base = player.usable(frame).unwrap_or_default().canonical[0] > 0;
+        // Playout waits for the base of its first frame, whatever was there before.
+        let is_early = std::mem::take(&mut self.is_first) && !has_base;
+        if is_early { Err("shown before its base".to_owned()) } else { Ok(()) }
     }
 
     fn wanted_round(&mut self) -> Option<RoundWish> {
@@ -161,7 +171,7 @@ impl Screen for Changing {
     }
 
     fn forget(&mut self) {
-        self.forgotten += 1;
+        (self.forgotten, self.is_first) = (self.forgotten + 1, true);
     }
 }
 
@@ -172,12 +182,64 @@ fn a_round_under_other_conditions_begins_with_nothing_if_the_server_grants_them(
             let offer = Offer::new("everything", &stream(), graph(&stream())).unwrap();
             let server = Running::letting(may_change, ServerLimits::default(), offer);
             let mut screen = Changing::default();
-            let played = play(&server.client(), &mut screen, std::future::pending()).await;
-            let report = played.whole().unwrap();
+            let mut config = server.client();
+            config.startup.max_wait = Nanos::from_s(20);
+            let report = play(&config, &mut screen, std::future::pending()).await.whole().unwrap();
             assert_eq!(screen.granted, [Granted { link: may_change, scheduler: may_change }]);
             assert_eq!((screen.forgotten, report.rounds), (u32::from(may_change), 2));
             assert!(report.mean_levels > 0.0 && report.shown_count > report.frames.into());
             server.stop().await;
         }
+    });
+}
+
+/// A server that counts and, if `answers`, grants all conditions, and closes 100 ms after the first.
+fn counting(count: Arc<AtomicU32>, answers: bool) -> impl Fn(Connection, SendStream, RecvStream) -> Talk {
+    move |connection, mut send, mut receive| {
+        let count = Arc::clone(&count);
+        Box::pin(async move {
+            let mut reader = MessageReader::<ClientMessage>::default();
+            while let Ok(Some(chunk)) = receive.read_chunk(4096, true).await {
+                let mut bytes = &chunk.bytes[..];
+                while let Ok(Some(message)) = reader.take(&mut bytes) {
+                    let answer = match message {
+                        ClientMessage::Hello { .. } => ServerMessage::Manifest(stream().message().to_vec()),
+                        ClientMessage::Conditions { round, .. } if answers => {
+                            count.fetch_add(1, Ordering::Relaxed);
+                            let granted = Granted { link: true, scheduler: true };
+                            ServerMessage::Granted { round, granted }
+                        }
+                        _ => continue,
+                    };
+                    let _ = send.write_all(&answer.to_bytes()).await;
+                }
+                if count.load(Ordering::Relaxed) > 0 {
+                    tokio::time::sleep(Duration::from_millis(100)).await;
+                    connection.close(0u32.into(), b"moved");
+                }
+            }
+        })
+    }
+}
+
+#[test]
+fn another_connection_begins_under_the_same_conditions() {
+    within(async {
+        let count = Arc::new(AtomicU32::new(0));
+        let wishing = |config: &mut ClientConfig| {
+            (config.conditions, config.reconnects) = (Some(late_by_dash()), 2);
+        };
+        let played = played(counting(Arc::clone(&count), true), wishing).await;
+        assert_eq!((played.report.connections, count.load(Ordering::Relaxed)), (3, 3));
+        assert_eq!(played.report.granted, Some(Granted { link: true, scheduler: true }));
+    });
+}
+
+#[test]
+fn a_server_that_never_answers_is_left() {
+    within(async {
+        let wishing = |config: &mut ClientConfig| config.conditions = Some(late_by_dash());
+        let played = played(counting(Arc::default(), false), wishing).await;
+        assert!(matches!(played.error, Some(PlayError::Silence { ms: 400 })), "{:?}", played.error);
     });
 }
