@@ -142,6 +142,8 @@ pub fn encode(
     if let Some(error) = raised.into_inner().ok().flatten() {
         return Err(error);
     }
+    // One that came since the last report, or while a thread reported that hears no signals.
+    py.check_signals()?;
     let encoded = encoded.map_err(refused)?;
     let packets = encoded.packet_report().map_err(refused)?;
     let report = json!({
