@@ -94,8 +94,8 @@ fn a_page_changes_the_link_and_the_scheduler_of_its_session() {
     let Some(mut page) = Page::blank() else { return };
     let is_whole = format!("{STAND_INS} === 0 && player.session.estimatedQuality > 0.99");
     let free = ["--idle", "120"];
-    // A server that grants nothing sends nothing again either: a page that forgot its packets would never have
-    // them again.
+    // A server that grants nothing sends nothing again either: a page that forgot its packets would never
+    // have them again.
     let fixed = ["--idle", "120", "--fixed-conditions"];
     let cases = [
         (&free[..], "live", "at the server"),
