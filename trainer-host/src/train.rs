@@ -25,6 +25,7 @@ mod parameter;
 mod photographs;
 mod rotation;
 mod schedule;
+mod standstill;
 mod start;
 mod state;
 mod step_report;

@@ -63,7 +63,7 @@ mod tests {
         scene::Instant,
         train::{
             gaussians::TrainedGaussians,
-            motion::{ControlNodes, FOLLOWED, TemporalBasis},
+            motion::{ControlNodes, TemporalBasis},
         },
     };
 
@@ -73,7 +73,7 @@ mod tests {
         Model {
             gaussians: TrainedGaussians::new(&instant, ShDegree::default()),
             nodes: ControlNodes::none(TemporalBasis::default(), 1.0),
-            followed: vec![[0; FOLLOWED]; count],
+            followed: vec![None; count],
         }
     }
 

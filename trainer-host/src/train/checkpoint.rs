@@ -18,7 +18,7 @@ use super::{
 };
 
 const MAGIC: &[u8; 8] = b"DGSTRAIN";
-const VERSION: u16 = 5;
+const VERSION: u16 = 6;
 const HEADER: usize = 14;
 /// Most Gaussians over all frames of the scene in a checkpoint: about 3 GB.
 const MOST_POSED: usize = 50_000_000;

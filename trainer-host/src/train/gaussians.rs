@@ -112,12 +112,12 @@ impl TrainedGaussians {
     pub(super) fn rest<'a>(
         &'a self,
         index: usize,
-        followed: &'a [[u32; FOLLOWED]],
+        followed: &'a [Option<[u32; FOLLOWED]>],
     ) -> super::motion::Rest<'a> {
         super::motion::Rest {
             position: Vec3::from_array(self.positions()[index]),
             rotation: self.rotations()[index],
-            followed: &followed[index],
+            followed: followed[index].as_ref(),
             logits: &self.skin_logits()[index],
         }
     }
@@ -127,14 +127,19 @@ impl TrainedGaussians {
         &self,
         index: usize,
         skinned: &Skinned,
-        followed: &[[u32; FOLLOWED]],
+        followed: &[Option<[u32; FOLLOWED]>],
     ) -> super::motion::Followed {
         let weights = skinned.weights(&self.rest(index, followed));
-        super::motion::Followed { nodes: followed[index], weights }
+        super::motion::Followed { nodes: followed[index].unwrap_or_default(), weights }
     }
 
     /// All Gaussians as `skinned` moves them, into `out`.
-    pub(super) fn pose_into(&self, skinned: &Skinned, followed: &[[u32; FOLLOWED]], out: &mut Instant) {
+    pub(super) fn pose_into(
+        &self,
+        skinned: &Skinned,
+        followed: &[Option<[u32; FOLLOWED]>],
+        out: &mut Instant,
+    ) {
         out.gaussians.resize(self.len(), Gaussian::ABSENT);
         out.gaussians.par_iter_mut().with_min_len(CHUNK).enumerate().for_each(|(index, out)| {
             let posed = skinned.pose(&self.rest(index, followed));
@@ -156,7 +161,7 @@ impl TrainedGaussians {
     pub(super) fn backward(
         &mut self,
         skinned: &Skinned,
-        followed: &[[u32; FOLLOWED]],
+        followed: &[Option<[u32; FOLLOWED]>],
         splats: &[render_host::adjoint::SplatGradient],
         sh_rest: &[f32],
     ) -> Vec<super::motion::NodeGradient> {

@@ -15,8 +15,8 @@ use crate::scene::{Attributes, Epoch, Instant, Scene, SceneError, Track};
 pub struct Model {
     pub(super) gaussians: TrainedGaussians,
     pub(super) nodes: ControlNodes,
-    /// Nodes that each Gaussian follows.
-    pub(super) followed: Vec<[u32; FOLLOWED]>,
+    /// Nodes that each Gaussian follows; none of those that stand still.
+    pub(super) followed: Vec<Option<[u32; FOLLOWED]>>,
 }
 
 impl Model {
@@ -97,14 +97,21 @@ impl Model {
             trajectory: trajectories[index],
         };
         let opacity = self.gaussians.opacity.values();
-        let visible = (0..self.gaussians.len()).filter(|&index| opacity[index] > VISIBLE);
+        // Those that stand still need none.
+        let moves = |index: &usize| self.nodes.is_empty() || self.followed[*index].is_some();
+        let moving: Vec<usize> = (0..self.gaussians.len()).filter(moves).collect();
+        let visible = moving.iter().copied().filter(|&index| opacity[index] > VISIBLE);
         let mut points: Vec<MovedPoint> = visible.map(point).collect();
         if points.is_empty() {
-            points = (0..self.gaussians.len()).map(point).collect();
+            points = moving.iter().copied().map(point).collect();
+        }
+        if points.is_empty() {
+            return;
         }
         self.nodes = std::mem::take(&mut self.nodes).spread(&points, count);
         if !self.nodes.is_empty() {
-            self.followed = self.nodes.followed(&trajectories);
+            let nearest = self.nodes.followed(&trajectories);
+            moving.into_iter().for_each(|index| self.followed[index] = Some(nearest[index]));
         }
         self.gaussians.skin.values_mut().fill(0.0);
     }
@@ -126,11 +133,11 @@ impl Model {
 
     /// Whether what was read from a file can be used.
     pub(super) fn is_sound(&self) -> bool {
-        let nodes = self.nodes.len().max(1);
+        let nodes = self.nodes.len();
         self.gaussians.is_sound()
             && self.nodes.is_sound()
             && self.followed.len() == self.gaussians.len()
-            && self.followed.iter().flatten().all(|&node| (node as usize) < nodes)
+            && self.followed.iter().flatten().flatten().all(|&node| (node as usize) < nodes)
     }
 }
 

@@ -17,7 +17,7 @@ mod trajectory;
 pub use basis::TemporalBasis;
 pub(super) use layer::{Followed, MovedPoint, NodeGradient};
 pub(super) use nodes::ControlNodes;
-pub(super) use skinning::{PosedGradient, Rest, Skinned, SkinnedGradient};
+pub(super) use skinning::{Posed, PosedGradient, Rest, Skinned, SkinnedGradient};
 pub(super) use trajectory::{Trajectory, times as trajectory_times};
 
 /// Nodes that a Gaussian follows.

@@ -62,6 +62,11 @@ impl<'a> Pyramid<'a> {
         self.base
     }
 
+    /// How many times smaller than the originals photographs of this size are.
+    pub(super) fn divisor(&self, size: usize) -> u32 {
+        self.base * self.sizes.divisors().get(size).copied().unwrap_or(1)
+    }
+
     pub(super) fn photograph(&self, view: usize, size: usize) -> &Photograph {
         self.reduced[view].get(size).unwrap_or(&self.originals[view].photograph)
     }

@@ -53,6 +53,13 @@ pub(super) fn node_stages(options: &TrainOptions) -> Vec<(f64, usize)> {
     stages.map(|(from, count)| (from, count.min(nodes))).into()
 }
 
+/// Shares of the training at which Gaussians that hardly move are stood still.
+pub(super) fn stands(options: &TrainOptions) -> Vec<f64> {
+    let (from, to) = (options.schedule.stand_still, options.finish.round_from);
+    let shares = [0.0, 0.25, 0.5, 0.75].map(|share| from + share * (to - from));
+    if options.standstill > 0.0 && from < to { shares.into() } else { Vec::new() }
+}
+
 /// Number of Gaussians to have.
 pub(super) fn gaussians(options: &TrainOptions, progress: f64) -> usize {
     let (from, to) = (options.initial_gaussians as f64, options.max_gaussians as f64);

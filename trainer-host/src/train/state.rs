@@ -20,6 +20,8 @@ pub(super) struct State {
     pub(super) step: u32,
     /// Stages of nodes entered.
     pub(super) node_stages: usize,
+    /// Times that what hardly moves was stood still.
+    pub(super) stands: usize,
     /// Index of the size of photographs.
     pub(super) size: usize,
     /// Views drawn, those passed over included.

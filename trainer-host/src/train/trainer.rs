@@ -23,11 +23,12 @@ use super::{
     finish::{Encoding, Finisher, Finishing, Pruning},
     gaussians::TrainedGaussians,
     model::Model,
-    motion::{ControlNodes, FOLLOWED, TemporalBasis},
+    motion::{ControlNodes, TemporalBasis},
     options::{DensityControl, TrainOptions},
     parameter::AdamStep,
     photographs::Pyramid,
     schedule,
+    standstill::{self, Trial},
     start::{self, Extent},
     state::{MOST_RETREATS, State},
     step_report::{Stage, StepReport},
@@ -44,6 +45,8 @@ const DENSITY_EVERY: u32 = 100;
 const CHECK_EVERY: u32 = 100;
 /// Checks between two states to fall back to.
 const KEEP_EVERY: u32 = 5;
+/// Steps before which what hardly moves may not have learnt to.
+const STAND_STILL_FROM: u32 = 1000;
 /// Functions over time of the finest spline that nodes move by.
 const FINEST_TIME: usize = 32;
 /// One step in this many shows the whole photograph and not only what its outline needs.
@@ -98,12 +101,13 @@ impl<'a> Trainer<'a> {
         let gaussians = TrainedGaussians::new(&begun, options.degree());
         let count = gaussians.len();
         let nodes = ControlNodes::none(TemporalBasis::default(), extent.half_side as f32);
-        let model = Model { gaussians, nodes, followed: vec![[0; FOLLOWED]; count] };
+        let model = Model { gaussians, nodes, followed: vec![None; count] };
         let state = State {
             model,
             average: None,
             step: 0,
             node_stages: 0,
+            stands: 0,
             size: 0,
             drawn: 0,
             pull: Pull::none(count),
@@ -246,6 +250,7 @@ impl<'a> Trainer<'a> {
             observe(Stage::Density);
             self.control_density(progress, &mut rng);
             self.state.step += 1;
+            self.stand_still(progress)?;
             self.average(progress);
             retreat = self.keep_or_find_trouble();
         }
@@ -439,6 +444,21 @@ impl<'a> Trainer<'a> {
         let from = density::control(gaussians, &state.pull, target, options.density, &self.extent, rng);
         *followed = from.iter().map(|&index| followed[index]).collect();
         state.pull = Pull::none(gaussians.len());
+    }
+
+    /// Stands Gaussians still that hardly move, if it is time and pictures of training views bear it.
+    fn stand_still(&mut self, progress: f64) -> Result<(), TrainError> {
+        let stages = schedule::stands(&self.options);
+        let due = stages.get(self.state.stands).is_some_and(|&at| progress >= at);
+        if !due || self.state.step < STAND_STILL_FROM {
+            return Ok(());
+        }
+        self.state.stands += 1;
+        let reduced = self.pyramid.divisor(self.state.size);
+        let trial = Trial { views: self.views, reduced, background: self.options.background };
+        let most = self.options.standstill * self.extent.half_side as f32;
+        standstill::stand_still(&mut self.state.model, most, &trial)?;
+        Ok(())
     }
 
     /// Averages the parameters over steps, where the schedule says so.

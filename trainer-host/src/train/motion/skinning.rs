@@ -30,8 +30,8 @@ pub(crate) struct Rest<'a> {
     pub(crate) position: Vec3,
     /// Raw quaternion at the canonical instant.
     pub(crate) rotation: Quaternion,
-    /// The nodes it follows.
-    pub(crate) followed: &'a [u32; FOLLOWED],
+    /// The nodes it follows; none if it stands still.
+    pub(crate) followed: Option<&'a [u32; FOLLOWED]>,
     /// Added to the logarithms of their weights.
     pub(crate) logits: &'a [f32; FOLLOWED],
 }
@@ -60,13 +60,11 @@ pub(crate) struct SkinnedGradient {
 }
 
 impl Skinned<'_> {
-    /// Weights of the nodes that a Gaussian follows; they sum to 1, or are 0 where there are no nodes.
+    /// Weights of the nodes that a Gaussian follows; they sum to 1, or are 0 where it follows none.
     pub(crate) fn weights(&self, rest: &Rest) -> [f32; FOLLOWED] {
-        if self.poses.is_empty() {
-            return [0.0; FOLLOWED];
-        }
+        let Some(followed) = rest.followed else { return [0.0; FOLLOWED] };
         let scores: [f32; FOLLOWED] = std::array::from_fn(|k| {
-            let node = rest.followed[k] as usize;
+            let node = followed[k] as usize;
             let distance = rest.position.distance_squared(self.poses[node].place);
             rest.logits[k] - 0.5 * distance * self.falloff[node]
         });
@@ -78,14 +76,14 @@ impl Skinned<'_> {
 
     /// The Gaussian at the instant.
     pub(crate) fn pose(&self, rest: &Rest) -> Posed {
-        if self.poses.is_empty() {
+        let Some(followed) = rest.followed else {
             return Posed { position: rest.position, rotation: rest.rotation };
-        }
+        };
         let weights = self.weights(rest);
-        let signs = signs(rest.followed, self.poses);
+        let signs = signs(followed, self.poses);
         let (mut position, mut turn) = (Vec3::ZERO, [0.0; 4]);
         for k in 0..FOLLOWED {
-            let pose = &self.poses[rest.followed[k] as usize];
+            let pose = &self.poses[followed[k] as usize];
             position += weights[k] * pose.carry(rest.position);
             (0..4).for_each(|j| turn[j] += signs[k] * weights[k] * pose.turn[j]);
         }
@@ -99,18 +97,18 @@ impl Skinned<'_> {
         gradient: &PosedGradient,
         nodes: &mut [NodeGradient],
     ) -> SkinnedGradient {
-        if self.poses.is_empty() {
+        let Some(followed) = rest.followed else {
             let PosedGradient { position, rotation } = *gradient;
             return SkinnedGradient { position, rotation, logits: [0.0; FOLLOWED] };
-        }
+        };
         let point = rest.position;
         let weights = self.weights(rest);
-        let signs = signs(rest.followed, self.poses);
+        let signs = signs(followed, self.poses);
         let of_turn = product(gradient.rotation, conjugate(rest.rotation));
         let (mut turn, mut position) = ([0.0; 4], Vec3::ZERO);
         let (mut of_weight, mut mean) = ([0.0; FOLLOWED], 0.0);
         for k in 0..FOLLOWED {
-            let node = rest.followed[k] as usize;
+            let node = followed[k] as usize;
             let (pose, sum) = (&self.poses[node], &mut nodes[node]);
             let arrow = point - pose.place;
             let weighted = weights[k] * gradient.position;
@@ -126,7 +124,7 @@ impl Skinned<'_> {
         }
         // Softmax, and the distances in it, which move with the Gaussian.
         let logits: [f32; FOLLOWED] = std::array::from_fn(|k| weights[k] * (of_weight[k] - mean));
-        for (slope, &node) in logits.iter().zip(rest.followed) {
+        for (slope, &node) in logits.iter().zip(followed) {
             let node = node as usize;
             position -= *slope * self.falloff[node] * (point - self.poses[node].place);
         }
@@ -191,8 +189,12 @@ mod tests {
     fn value(nodes: &Layer, time: f32, numbers: &Numbers) -> f64 {
         let poses = nodes.poses(time, &[]);
         let (position, rotation, logits) = rest(numbers);
-        let posed =
-            skinned(nodes, &poses).pose(&Rest { position, rotation, followed: &FOLLOWS, logits: &logits });
+        let posed = skinned(nodes, &poses).pose(&Rest {
+            position,
+            rotation,
+            followed: Some(&FOLLOWS),
+            logits: &logits,
+        });
         let values = posed.position.to_array().into_iter().chain(posed.rotation);
         values.zip(WEIGHTS).map(|(v, w)| f64::from(v * w)).sum()
     }
@@ -208,7 +210,7 @@ mod tests {
             rotation: [WEIGHTS[3], WEIGHTS[4], WEIGHTS[5], WEIGHTS[6]],
         };
         let (position, rotation, logits) = rest(&numbers);
-        let rest = Rest { position, rotation, followed: &FOLLOWS, logits: &logits };
+        let rest = Rest { position, rotation, followed: Some(&FOLLOWS), logits: &logits };
         let found = skinned(&nodes, &poses).backward(&rest, &gradient, &mut sums);
         let found: Vec<f32> =
             found.position.to_array().into_iter().chain(found.rotation).chain(found.logits).collect();
@@ -243,7 +245,7 @@ mod tests {
         let nodes = ControlNodes::none(TemporalBasis::default(), 1.3);
         let numbers: Numbers = [0.1, 0.4, -0.2, 0.8, -0.1, 0.3, 0.5, 0.0, 0.0, 0.0, 0.0];
         let (position, rotation, logits) = rest(&numbers);
-        let rest = Rest { position, rotation, followed: &[0; FOLLOWED], logits: &logits };
+        let rest = Rest { position, rotation, followed: None, logits: &logits };
         assert_eq!(nodes.skin(&nodes.poses(0.5)).pose(&rest), Posed { position, rotation });
     }
 }
