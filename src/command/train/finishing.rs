@@ -16,6 +16,8 @@ const CANONICAL: [&str; 8] = ["position", "scale", "rotation", "opacity", "sh0",
 pub(super) struct Finished {
     /// Gaussians that were removed.
     prunings: Vec<Pruning>,
+    /// Gaussians that stand still while the others follow nodes.
+    standing_gaussians: usize,
     /// Of canonical values: bytes that the training estimated, where it rounded, and that they take, with
     /// their part of the code words of tables.
     estimated_bytes: Option<f64>,
@@ -54,6 +56,7 @@ impl Finished {
         }
         Self {
             prunings: trained.prunings.clone(),
+            standing_gaussians: trained.standing,
             estimated_bytes: trained.estimated_bytes,
             coded_bytes: canonical * (1.0 + ledger.table_indices / all),
             clusters_of_degree,
@@ -84,8 +87,8 @@ impl Finished {
             self.harmonics_bytes
         );
         text += &format!(
-            "  motion: {} cells move, {} do not; {:.0} bytes\n",
-            self.moving_cells, self.still_cells, self.motion_bytes
+            "  motion: {} cells move, {} do not; {:.0} bytes; {} Gaussians stand still\n",
+            self.moving_cells, self.still_cells, self.motion_bytes, self.standing_gaussians
         );
         text
     }

@@ -16,8 +16,9 @@ pub(super) struct Trained {
     /// What is encoded.
     pub(super) scene: Scene,
     pub(super) steps: u32,
-    /// Gaussians and nodes of all epochs.
+    /// Gaussians of all epochs, those of them that stand still, and nodes.
     pub(super) gaussians: usize,
+    pub(super) standing: usize,
     pub(super) nodes: usize,
     pub(super) options: TrainOptions,
     /// As [`Trainer::reduced`].
@@ -44,6 +45,7 @@ impl Trained {
             scene,
             steps: trainer.steps(),
             gaussians: model.gaussians(),
+            standing: model.standing(),
             nodes: model.nodes(),
             options: trainer.options().clone(),
             reduced: trainer.reduced(),
@@ -70,6 +72,7 @@ impl Trained {
             scene,
             steps: self.steps + next.steps,
             gaussians: self.gaussians + next.gaussians,
+            standing: self.standing + next.standing,
             nodes: self.nodes + next.nodes,
             options: self.options,
             reduced: self.reduced,

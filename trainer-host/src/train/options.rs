@@ -119,9 +119,9 @@ pub struct Schedule {
     pub decay: f64,
     /// Weight of rigidity at the end, of that at the start.
     pub rigidity_decay: f64,
-    /// Until here every other step judges a photograph with transparency over the opposite background, so
-    /// that nothing but an outline explains it. At 1 the scene stands before any background; less gives more
-    /// on [`TrainOptions::background`] alone.
+    /// Until here every step judges each channel of a photograph with transparency over the background or
+    /// the opposite one, at random, so that nothing but an outline explains it. At 1 the scene stands before
+    /// any background; less gives more on [`TrainOptions::background`] alone.
     pub opposite_end: f64,
     /// From here the scene is the moving average of the parameters over a hundred steps; 1: never, the scene
     /// is what the last step led to.

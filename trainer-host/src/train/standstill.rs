@@ -80,8 +80,8 @@ pub(super) fn stand_still(model: &mut Model, most: f32, trial: &Trial) -> Result
 }
 
 impl Model {
-    /// Stands Gaussians still, in the middle of where they have been, whose centre never is farther from there
-    /// than `most` scene units, and whose turning never moves a standard deviation of theirs farther than that.
+    /// Stands Gaussians still, in the middle of where they have been, whose centre never is farther than
+    /// `most` scene units from there, and whose turning never moves a standard deviation of theirs farther.
     /// Returns how many.
     pub(super) fn stand_still(&mut self, most: f32) -> usize {
         if self.nodes.is_empty() {

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use serde::{Deserialize, Serialize};
 
 use super::{average::Average, density::Pull, finish::Finishing, model::Model};
@@ -42,6 +43,26 @@ impl State {
             Some(average) => Cow::Owned(average.of(&self.model)),
             None => Cow::Borrowed(&self.model),
         }
+    }
+
+    /// Random numbers of this step and no other.
+    pub(super) fn luck(&self, seed: u64) -> Pcg64Mcg {
+        let attempt = u64::from(self.step) | u64::from(self.retreats) << 40;
+        Pcg64Mcg::seed_from_u64(seed ^ attempt.wrapping_mul(0x9E37_79B9_7F4A_7C15))
+    }
+
+    /// What is wrong with the loss of a step, if anything is. Follows its mean.
+    pub(super) fn trouble(&mut self, loss: f64) -> Option<String> {
+        if !loss.is_finite() {
+            return Some("the loss is not a number".to_owned());
+        }
+        self.mean_loss = if self.step == 0 { loss } else { 0.99 * self.mean_loss + 0.01 * loss };
+        let limit = 10.0 * self.lowest_loss + 0.1;
+        if self.mean_loss > limit {
+            return Some(format!("the mean loss rose from {:.4} to {:.4}", self.lowest_loss, self.mean_loss));
+        }
+        self.lowest_loss = self.lowest_loss.min(self.mean_loss);
+        None
     }
 
     /// Whether what was read from a file can be used: numbers that do not fit together would be out of bounds

@@ -75,8 +75,8 @@ fn what_does_not_move_is_stood_still() {
     assert_eq!(model.stand_still(1e3), model.gaussians());
 }
 
-/// Half of the steps over the opposite background: an outline is found, and not only colours that explain one
-/// of the two.
+/// Half of the time each channel is over the opposite background: an outline is found, and not only colours
+/// that explain one of the two.
 #[test]
 fn a_scene_stands_before_a_background_that_it_was_trained_over() {
     let dataset = dataset(synth::SynthKind::Balls, 2, 12);

@@ -241,10 +241,10 @@ impl<'a> Trainer<'a> {
         observe(Stage::Prepare);
         self.enter_stages(progress);
         self.finish(progress)?;
-        let mut rng = self.luck();
+        let mut rng = self.state.luck(self.options.seed);
         let view = self.next_view(progress);
         let loss = self.differentiate(view, progress, &mut rng, observe)?;
-        let mut retreat = self.trouble(loss);
+        let mut retreat = self.state.trouble(loss);
         if retreat.is_none() {
             self.update(view, progress, observe);
             observe(Stage::Density);
@@ -268,12 +268,6 @@ impl<'a> Trainer<'a> {
             nodes: state.model.nodes(),
             retreat,
         })
-    }
-
-    /// Random numbers of this step and no other.
-    fn luck(&self) -> Pcg64Mcg {
-        let attempt = u64::from(self.state.step) | u64::from(self.state.retreats) << 40;
-        Pcg64Mcg::seed_from_u64(self.options.seed ^ attempt.wrapping_mul(0x9E37_79B9_7F4A_7C15))
     }
 
     /// Goes on to more pixels and more nodes where the schedule says so.
@@ -364,10 +358,11 @@ impl<'a> Trainer<'a> {
             .resized(photograph.width(), photograph.height())
             .and_then(|camera| camera.cropped(left, top, width, height))
             .map_err(|source| TrainError::Camera { view: posed.name.clone(), source })?;
-        // Over two backgrounds nothing but an outline explains the photograph.
-        let plain = self.options.background;
-        let other = self.has_alpha && rng.random::<bool>() && progress <= self.options.schedule.opposite_end;
-        let background = if other { plain.map(|v| 1.0 - v) } else { plain };
+        // Where channels are over one of two values, nothing but an outline explains the photograph, and every
+        // step asks for it.
+        let varies = self.has_alpha && progress <= self.options.schedule.opposite_end;
+        let vary = |v: f32| if varies && rng.random::<bool>() { 1.0 - v } else { v };
+        let background = self.options.background.map(vary);
 
         observe(Stage::Pose);
         let Memory { differentiator, gradients, statistics, instant } = &mut self.memory;
@@ -470,24 +465,6 @@ impl<'a> Trainer<'a> {
         } else {
             *average = None;
         }
-    }
-
-    /// What is wrong with the loss of a step, if anything is. Follows its mean.
-    fn trouble(&mut self, loss: f64) -> Option<String> {
-        if !loss.is_finite() {
-            return Some("the loss is not a number".to_owned());
-        }
-        let state = &mut self.state;
-        state.mean_loss = if state.step == 0 { loss } else { 0.99 * state.mean_loss + 0.01 * loss };
-        let limit = 10.0 * state.lowest_loss + 0.1;
-        if state.mean_loss > limit {
-            return Some(format!(
-                "the mean loss rose from {:.4} to {:.4}",
-                state.lowest_loss, state.mean_loss
-            ));
-        }
-        state.lowest_loss = state.lowest_loss.min(state.mean_loss);
-        None
     }
 
     /// From time to time checks that every number is finite, and remembers the state to fall back to.
