@@ -358,8 +358,8 @@ impl<'a> Trainer<'a> {
             .resized(photograph.width(), photograph.height())
             .and_then(|camera| camera.cropped(left, top, width, height))
             .map_err(|source| TrainError::Camera { view: posed.name.clone(), source })?;
-        // Where channels are over one of two values, nothing but an outline explains the photograph, and every
-        // step asks for it.
+        // Where channels are over one of two values, nothing but an outline explains the photograph, and
+        // every step asks for it.
         let varies = self.has_alpha && progress <= self.options.schedule.opposite_end;
         let vary = |v: f32| if varies && rng.random::<bool>() { 1.0 - v } else { v };
         let background = self.options.background.map(vary);
