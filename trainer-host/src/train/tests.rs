@@ -201,7 +201,8 @@ fn a_finished_training_goes_on_from_a_checkpoint_bit_for_bit() {
     assert!(second.model() == whole.model() && second.prunings() == whole.prunings());
 }
 
-/// What was trained as it is rounded loses less than what was rounded afterwards, at the same bytes.
+/// What was trained as it is rounded loses less than what was rounded afterwards, at the same bytes: in the mean
+/// over seeds, which differ by more than that.
 #[test]
 fn a_finished_scene_beats_a_plain_one_of_the_same_size() {
     let dataset = dataset(synth::SynthKind::Balls, 4, 24);
@@ -212,34 +213,39 @@ fn a_finished_scene_beats_a_plain_one_of_the_same_size() {
         let frames: Vec<crate::Instant> = (0..4).map(|t| player.instant(&content, t).unwrap()).collect();
         evaluate(&frames, &dataset.test, 1, [0.0; 3]).unwrap().psnr_db
     };
-    let finished = trained(&dataset, &finished(), 900);
-    let scene = finished.model().scene(4, 30.0).unwrap();
-    let decisions = finished.decisions().unwrap().unwrap();
-    let options = encode::EncodeOptions::default();
-    let ours = encode::again(&scene, &decisions, 1.0, &options, &crate::encode::unheard).unwrap();
+    let compared = |seed: u64| {
+        let finished = trained(&dataset, &TrainOptions { seed, ..finished() }, 900);
+        let scene = finished.model().scene(4, 30.0).unwrap();
+        let decisions = finished.decisions().unwrap().unwrap();
+        let options = encode::EncodeOptions::default();
+        let ours = encode::again(&scene, &decisions, 1.0, &options, &crate::encode::unheard).unwrap();
 
-    let never = Finish { prune: 0.0, round_from: 1.0, ..Finish::default() };
-    let plain = trained(&dataset, &TrainOptions { finish: never, ..self::finished() }, 900);
-    assert!(plain.decisions().unwrap().is_none() && plain.prunings().is_empty());
-    let bytes = ours.report.ledger.wire() as u64;
-    let options = encode::EncodeOptions { target: Some(encode::Target::Bytes(bytes)), ..options };
-    let theirs =
-        encode::encode(&plain.model().scene(4, 30.0).unwrap(), &options, &crate::encode::unheard).unwrap();
-    let (ours_db, theirs_db) = (decoded_db(&ours), decoded_db(&theirs));
-    let shown_db = evaluate(&finished.shown(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db;
-    let estimated = finished.estimated_bytes().unwrap();
-    let ledger = &ours.report.ledger;
-    let is_canonical = |name: &str| !name.contains("motion") && name != "track";
-    let canonical = ledger.shares.iter().filter(|share| is_canonical(share.attribute));
-    let coded = canonical.map(|share| share.bits / 8.0).sum::<f64>() + ledger.table_indices;
-    assert!((0.85..1.15).contains(&(estimated / coded)), "{estimated} {coded}");
-    assert!(ours_db > theirs_db, "{ours_db} {theirs_db}");
-    // What is shown in training is what is received, but for motion.
-    assert!((shown_db - ours_db).abs() < 1.0, "{shown_db} {ours_db}");
-    assert_eq!(finished.prunings().len(), 2);
-    assert_eq!(finished.model().gaussians(), finished.prunings()[1].after);
-    assert!(finished.model().gaussians() < plain.model().gaussians());
-    assert!(finished.prunings().iter().all(|pruning| pruning.error_share < 0.05));
+        let never = Finish { prune: 0.0, round_from: 1.0, ..Finish::default() };
+        let plain = trained(&dataset, &TrainOptions { finish: never, seed, ..self::finished() }, 900);
+        assert!(plain.decisions().unwrap().is_none() && plain.prunings().is_empty());
+        let bytes = ours.report.ledger.wire() as u64;
+        let options = encode::EncodeOptions { target: Some(encode::Target::Bytes(bytes)), ..options };
+        let theirs =
+            encode::encode(&plain.model().scene(4, 30.0).unwrap(), &options, &crate::encode::unheard)
+                .unwrap();
+        let (ours_db, theirs_db) = (decoded_db(&ours), decoded_db(&theirs));
+        let shown_db = evaluate(&finished.shown(), &dataset.test, 1, [0.0; 3]).unwrap().psnr_db;
+        let estimated = finished.estimated_bytes().unwrap();
+        let ledger = &ours.report.ledger;
+        let is_canonical = |name: &str| !name.contains("motion") && name != "track";
+        let canonical = ledger.shares.iter().filter(|share| is_canonical(share.attribute));
+        let coded = canonical.map(|share| share.bits / 8.0).sum::<f64>() + ledger.table_indices;
+        assert!((0.85..1.15).contains(&(estimated / coded)), "{estimated} {coded}");
+        // What is shown in training is what is received, but for motion.
+        assert!((shown_db - ours_db).abs() < 1.0, "{shown_db} {ours_db}");
+        assert_eq!(finished.prunings().len(), 2);
+        assert_eq!(finished.model().gaussians(), finished.prunings()[1].after);
+        assert!(finished.model().gaussians() < plain.model().gaussians());
+        assert!(finished.prunings().iter().all(|pruning| pruning.error_share < 0.05));
+        ours_db - theirs_db
+    };
+    let gains = [1, 2, 3].map(compared);
+    assert!(gains.iter().sum::<f64>() > 0.0, "{gains:?}");
 }
 
 #[test]
