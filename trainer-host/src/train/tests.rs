@@ -201,8 +201,8 @@ fn a_finished_training_goes_on_from_a_checkpoint_bit_for_bit() {
     assert!(second.model() == whole.model() && second.prunings() == whole.prunings());
 }
 
-/// What was trained as it is rounded loses less than what was rounded afterwards, at the same bytes: in the mean
-/// over seeds, which differ by more than that.
+/// What was trained as it is rounded loses less than what was rounded afterwards, at the same bytes: in the
+/// mean over seeds, which differ by more than that.
 #[test]
 fn a_finished_scene_beats_a_plain_one_of_the_same_size() {
     let dataset = dataset(synth::SynthKind::Balls, 4, 24);
@@ -245,6 +245,7 @@ fn a_finished_scene_beats_a_plain_one_of_the_same_size() {
         ours_db - theirs_db
     };
     let gains = [1, 2, 3].map(compared);
+    println!("gains {gains:?} dB");
     assert!(gains.iter().sum::<f64>() > 0.0, "{gains:?}");
 }
 
