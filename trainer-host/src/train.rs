@@ -25,7 +25,7 @@ mod parameter;
 mod photographs;
 mod rotation;
 mod schedule;
-mod standstill;
+mod stand_still;
 mod start;
 mod state;
 mod step_report;

@@ -1,5 +1,8 @@
 //! Clusters Gaussians that lie and move together (paper section 3).
 //!
+//! Gaussians that stand still over the epoch are clustered apart from those that move, if both are enough for
+//! a cluster: a cluster of which nothing moves sends no motion.
+//!
 //! Features, each family normalised to unit variance over the epoch and then weighted: canonical
 //! position (3), displacement over the epoch (mean and standard deviation per axis: 6), velocity
 //! (mean speed and its standard deviation: 2), visibility history (share of frames visible, mean
@@ -51,7 +54,25 @@ pub fn cluster(epoch: &Epoch, options: &ClusterOptions) -> Vec<Vec<u32>> {
     if epoch.count() == 0 {
         return Vec::new();
     }
-    cluster_within(epoch, vec![(0..epoch.count() as u32).collect()], options)
+    let (still, moving): (Vec<u32>, Vec<u32>) =
+        (0..epoch.count() as u32).partition(|&i| stands_still(epoch, i as usize));
+    let least = options.min_gaussians.max(1);
+    let parts = if still.len().min(moving.len()) < least {
+        vec![(0..epoch.count() as u32).collect()]
+    } else {
+        vec![still, moving]
+    };
+    cluster_within(epoch, parts, options)
+}
+
+/// Whether Gaussian `i` has the same place and rotation in every frame.
+fn stands_still(epoch: &Epoch, i: usize) -> bool {
+    let (attributes, n) = (epoch.attributes(), epoch.count());
+    let (positions, rotations) = (&attributes.positions, &attributes.rotations);
+    (1..epoch.frames()).all(|t| {
+        positions.frame(t, n)[i] == positions.frame(0, n)[i]
+            && rotations.frame(t, n)[i] == rotations.frame(0, n)[i]
+    })
 }
 
 /// Clusters of `epoch` as [`cluster`] makes them, none with Gaussians of two of `parts`: disjoint lists
@@ -272,6 +293,21 @@ mod tests {
             let moving = members.iter().filter(|&&i| i % 2 == 1).count();
             assert!(moving == 0 || moving == members.len(), "{moving} of {} move", members.len());
         }
+    }
+
+    #[test]
+    fn what_stands_still_is_clustered_apart_where_it_is_enough_for_a_cluster() {
+        // Moves less than clusters are split for, and only in the last frame.
+        let positions = |still: usize, moving: usize| -> Vec<[f32; 3]> {
+            let of = |t: usize, i: usize| if i >= still && t == 3 { 1e-3 } else { 0.0 };
+            let at = |t: usize, i: usize| [scatter(i) + of(t, i), scatter(i + 5), scatter(2 * i)];
+            (0..4).flat_map(|t| (0..still + moving).map(move |i| at(t, i))).collect()
+        };
+        let options = ClusterOptions { max_variance: 1e9, ..ClusterOptions::default() };
+        let of = |still, moving| cluster(&epoch(positions(still, moving), 4), &options);
+        assert_eq!(of(200, 250), [(0..200).collect::<Vec<u32>>(), (200..450).collect()]);
+        assert_eq!(of(100, 250), [(0..350).collect::<Vec<u32>>()]);
+        assert_eq!(of(250, 100), [(0..350).collect::<Vec<u32>>()]);
     }
 
     #[test]

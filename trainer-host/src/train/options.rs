@@ -37,7 +37,7 @@ pub struct TrainOptions {
     pub stillness: f32,
     /// Gaussians that never are farther than this from the middle of their path are stood still, extents, or
     /// half of that and so on where pictures of training views lose by it; 0: none.
-    pub standstill: f32,
+    pub stand_still_within: f32,
     /// Weight in the loss of how unevenly nodes move over time.
     pub smoothness: f32,
     /// Weight of the mean opacity in the loss.
@@ -107,7 +107,7 @@ pub struct Schedule {
     pub fine_time: f64,
     /// From here on, four times until values are rounded and not before a thousand steps, Gaussians that
     /// hardly move are stood still.
-    pub stand_still: f64,
+    pub stand_still_from: f64,
     /// From here Gaussians are neither added nor removed.
     pub density_end: f64,
     /// Until here photographs have their smallest, second and third size (an eighth, a quarter and a half of
@@ -136,7 +136,7 @@ impl Default for Schedule {
             quarter_of_nodes: 0.1,
             all_nodes: 0.22,
             fine_time: 0.3,
-            stand_still: 0.35,
+            stand_still_from: 0.35,
             density_end: 0.6,
             sizes: [0.12, 0.35, 0.6],
             motion_decay: 0.02,
@@ -231,7 +231,7 @@ impl Default for TrainOptions {
             structure_weight: 0.2,
             rigidity: 1e-2,
             stillness: 1e-2,
-            standstill: 0.04,
+            stand_still_within: 0.04,
             smoothness: 0.03,
             opacity_weight: 0.0,
             scale_weight: 0.0,
@@ -309,7 +309,7 @@ impl TrainOptions {
             ("structure_weight", self.structure_weight),
             ("rigidity", self.rigidity),
             ("stillness", self.stillness),
-            ("standstill", self.standstill),
+            ("stand_still_within", self.stand_still_within),
             ("smoothness", self.smoothness),
             ("opacity_weight", self.opacity_weight),
             ("scale_weight", self.scale_weight),
@@ -323,7 +323,7 @@ impl TrainOptions {
             quarter_of_nodes,
             all_nodes,
             fine_time,
-            stand_still,
+            stand_still_from,
             density_end,
             sizes: [first, second, third],
             motion_decay,
@@ -338,7 +338,7 @@ impl TrainOptions {
             ("schedule.quarter_of_nodes", quarter_of_nodes),
             ("schedule.all_nodes", all_nodes),
             ("schedule.fine_time", fine_time),
-            ("schedule.stand_still", stand_still),
+            ("schedule.stand_still_from", stand_still_from),
             ("schedule.density_end", density_end),
             ("schedule.sizes[0]", first),
             ("schedule.sizes[1]", second),

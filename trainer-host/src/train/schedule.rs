@@ -55,9 +55,9 @@ pub(super) fn node_stages(options: &TrainOptions) -> Vec<(f64, usize)> {
 
 /// Shares of the training at which Gaussians that hardly move are stood still.
 pub(super) fn stands(options: &TrainOptions) -> Vec<f64> {
-    let (from, to) = (options.schedule.stand_still, options.finish.round_from);
+    let (from, to) = (options.schedule.stand_still_from, options.finish.round_from);
     let shares = [0.0, 0.25, 0.5, 0.75].map(|share| from + share * (to - from));
-    if options.standstill > 0.0 && from < to { shares.into() } else { Vec::new() }
+    if options.stand_still_within > 0.0 && from < to { shares.into() } else { Vec::new() }
 }
 
 /// Number of Gaussians to have.

@@ -55,7 +55,8 @@ fn training_finds_the_scene_and_its_motion() {
 #[test]
 fn what_does_not_move_is_stood_still() {
     let dataset = dataset(synth::SynthKind::Balls, 8, 12);
-    let with = |standstill: f32| trained(&dataset, &TrainOptions { standstill, ..options() }, 1500);
+    let with =
+        |stand_still_within: f32| trained(&dataset, &TrainOptions { stand_still_within, ..options() }, 1500);
     let (standing, moving) = (with(0.04), with(0.0));
     let model = standing.model();
     let still = model.standing();
@@ -65,11 +66,11 @@ fn what_does_not_move_is_stood_still() {
     let (standing_db, moving_db) = (psnr(&standing), psnr(&moving));
     assert!(standing_db > moving_db - 0.3, "{standing_db} {moving_db}");
 
-    let trial = standstill::Trial { views: &dataset.train, reduced: 1, background: [0.0; 3] };
+    let trial = stand_still::Trial { views: &dataset.train, reduced: 1, background: [0.0; 3] };
     // Nothing bears that the balls hang in the air.
     let mut model = moving.model().into_owned();
     let before = model.clone();
-    assert_eq!(standstill::stand_still(&mut model, 1e3, &trial).unwrap(), 0);
+    assert_eq!(stand_still::stand_still(&mut model, 1e3, &trial).unwrap(), 0);
     assert_eq!(model, before);
     // Without a look at pictures everything would.
     assert_eq!(model.stand_still(1e3), model.gaussians());

@@ -28,7 +28,7 @@ use super::{
     parameter::AdamStep,
     photographs::Pyramid,
     schedule,
-    standstill::{self, Trial},
+    stand_still::{self, Trial},
     start::{self, Extent},
     state::{MOST_RETREATS, State},
     step_report::{Stage, StepReport},
@@ -445,14 +445,14 @@ impl<'a> Trainer<'a> {
     fn stand_still(&mut self, progress: f64) -> Result<(), TrainError> {
         let stages = schedule::stands(&self.options);
         let due = stages.get(self.state.stands).is_some_and(|&at| progress >= at);
-        if !due || self.state.step < STAND_STILL_FROM {
+        if !due || self.state.step < STAND_STILL_FROM || !self.state.model.is_sound() {
             return Ok(());
         }
         self.state.stands += 1;
         let reduced = self.pyramid.divisor(self.state.size);
         let trial = Trial { views: self.views, reduced, background: self.options.background };
-        let most = self.options.standstill * self.extent.half_side as f32;
-        standstill::stand_still(&mut self.state.model, most, &trial)?;
+        let most = self.options.stand_still_within * self.extent.half_side as f32;
+        stand_still::stand_still(&mut self.state.model, most, &trial)?;
         Ok(())
     }
 
