@@ -143,7 +143,8 @@ class Rounds {
   }
 
   async #receipt(session) {
-    if (this.#player.session !== session || this.#saying) return;
+    // Until conditions are granted, what is there may be forgotten: the server would never send it again.
+    if (this.#player.session !== session || this.#saying || this.#asked) return;
     // When the first frame of the round was, or would have been, shown.
     if (this.#playout === 0 && session.playing && session.time >= this.#start) {
       const shown = performance.now() - (1000 * (session.time - this.#start)) / Math.max(0.1, session.rate);

@@ -254,7 +254,9 @@ async fn converse(
             continue;
         }
         let (history, late) = (now >= history_at, answer_at.is_some_and(|at| now >= at));
-        if had_manifest && (history || late || unanswered >= RECEIPT_EVERY || playback.wants_receipt()) {
+        // Until conditions are granted it is not known whether what is there still counts.
+        let is_due = history || late || unanswered >= RECEIPT_EVERY || playback.wants_receipt();
+        if had_manifest && !playback.awaits_grant() && is_due {
             let receipt = playback.receipt(history);
             if in_streams {
                 say(send, &ClientMessage::Receipt(receipt)).await?;
@@ -273,7 +275,7 @@ async fn converse(
         if is_silent && now >= deadline {
             return Err(PlayError::Silence { ms: config.silence.as_millis() });
         }
-        let wake = if had_manifest {
+        let wake = if !is_silent {
             playback.next_time().map_or(receipt_at, |due| due.min(receipt_at))
         } else {
             deadline

@@ -235,6 +235,61 @@ fn another_connection_begins_under_the_same_conditions() {
     });
 }
 
+/// A server that grants conditions only after 150 ms, counts receipts of their round until then, and closes
+/// after the first that comes later.
+fn slow(early: Arc<AtomicU32>, later: Arc<AtomicU32>) -> impl Fn(Connection, SendStream, RecvStream) -> Talk {
+    move |connection, mut send, mut receive| {
+        let (early, later) = (Arc::clone(&early), Arc::clone(&later));
+        Box::pin(async move {
+            let mut reader = MessageReader::<ClientMessage>::default();
+            while let Ok(Some(chunk)) = receive.read_chunk(4096, true).await {
+                let mut bytes = &chunk.bytes[..];
+                while let Ok(Some(message)) = reader.take(&mut bytes) {
+                    let round = match message {
+                        ClientMessage::Hello { .. } => {
+                            let manifest = ServerMessage::Manifest(stream().message().to_vec());
+                            let _ = send.write_all(&manifest.to_bytes()).await;
+                            continue;
+                        }
+                        ClientMessage::Conditions { round, .. } => round,
+                        _ => continue,
+                    };
+                    let is_of_round = |datagram: &[u8]| datagram.starts_with(&round.to_le_bytes());
+                    let waited = tokio::time::sleep(Duration::from_millis(150));
+                    tokio::pin!(waited);
+                    loop {
+                        tokio::select! {
+                            () = &mut waited => break,
+                            Ok(datagram) = connection.read_datagram() => {
+                                early.fetch_add(u32::from(is_of_round(&datagram)), Ordering::Relaxed);
+                            }
+                        }
+                    }
+                    let granted = Granted { link: true, scheduler: true };
+                    let _ = send.write_all(&ServerMessage::Granted { round, granted }.to_bytes()).await;
+                    while let Ok(datagram) = connection.read_datagram().await {
+                        if is_of_round(&datagram) {
+                            later.fetch_add(1, Ordering::Relaxed);
+                            break;
+                        }
+                    }
+                    connection.close(0u32.into(), b"seen");
+                }
+            }
+        })
+    }
+}
+
+#[test]
+fn what_may_be_forgotten_is_not_acknowledged() {
+    within(async {
+        let (early, later) = (Arc::new(AtomicU32::new(0)), Arc::new(AtomicU32::new(0)));
+        let wishing = |config: &mut ClientConfig| config.conditions = Some(late_by_dash());
+        played(slow(Arc::clone(&early), Arc::clone(&later)), wishing).await;
+        assert_eq!((early.load(Ordering::Relaxed), later.load(Ordering::Relaxed)), (0, 1));
+    });
+}
+
 #[test]
 fn a_server_that_never_answers_is_left() {
     within(async {
