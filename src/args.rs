@@ -344,9 +344,6 @@ pub struct Render {
     /// Replace a folder of images that is there already.
     #[arg(long)]
     pub overwrite: bool,
-    /// Mip-Splatting-style opacity compensation.
-    #[arg(long)]
-    pub antialiased: bool,
     /// What renders the images; gpu is in builds with `--features gpu`.
     #[arg(long, value_enum, default_value_t = DeviceName::Cpu)]
     pub device: DeviceName,

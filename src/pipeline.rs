@@ -75,6 +75,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
         let name = format!("synth {}", options.kind.name());
         let mut scene = synth::make(&options, &limits).with_context(|| format!("cannot make {input}"))?;
         scene.up = args.up.map_or(Up::default(), Into::into);
+        scene.footprint = args.footprint.map_or(scene.footprint, Into::into);
         return Ok(Loaded { name, scene });
     }
     let clip = match &args.clip {
@@ -110,6 +111,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
             up
         }
     };
+    scene.footprint = args.footprint.map_or(scene.footprint, Into::into);
     let name = path.file_name().map_or_else(|| input.to_owned(), |n| n.to_string_lossy().into_owned());
     Ok(Loaded { name, scene })
 }

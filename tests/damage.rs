@@ -278,7 +278,8 @@ fn write_damaged_files() {
     write("infinite.splat", &put(&good, 64, &f32::INFINITY.to_le_bytes()));
     write("empty.splat", &[]);
 
-    let options = spz_writer::SpzOptions { version: spz_writer::Version::V3, fraction_bits: 12 };
+    let options =
+        spz_writer::SpzOptions { version: spz_writer::Version::V3, fraction_bits: 12, antialiased: false };
     let good = spz_writer::encode(&epoch, 0, &options).unwrap();
     write("cut.spz", &cut(&good, 12));
     write("checksum.spz", &put(&good, good.len() - 8, &[0; 4]));

@@ -17,6 +17,7 @@ pub mod cursor;
 pub mod decode;
 pub mod digest;
 pub mod error;
+pub mod footprint;
 pub mod gaussian;
 pub mod ids;
 pub mod layout;

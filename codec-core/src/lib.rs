@@ -20,6 +20,7 @@ pub mod player;
 pub use caps::Caps;
 pub use internals::{
     error::{Error, ErrorKind, Result},
+    footprint::Footprint,
     gaussian::{Gaussian, ShDegree},
     ids::PacketId,
 };
@@ -31,6 +32,6 @@ pub mod file {
 
 // So that paths inside the crate stay short.
 use internals::{
-    arena, closure, cursor, decode, error, gaussian, ids, layout, limits, math, pack, quant, rans, receiver,
-    repair, wire,
+    arena, closure, cursor, decode, error, footprint, gaussian, ids, layout, limits, math, pack, quant, rans,
+    receiver, repair, wire,
 };

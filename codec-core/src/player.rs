@@ -22,6 +22,7 @@ use crate::{
     caps::Caps,
     decode::Decoder,
     error::{Error, Result},
+    footprint::Footprint,
     gaussian::{Gaussian, ShDegree},
     ids::{ClusterId, Level, PacketId, Span},
     layout::Shape,
@@ -286,6 +287,8 @@ pub struct StreamInfo {
     pub gaussians: u32,
     /// Harmonic degree of the frames.
     pub sh_degree: ShDegree,
+    /// How Gaussians are drawn.
+    pub footprint: Footprint,
 }
 
 impl<'a> Player<'a> {
@@ -385,6 +388,7 @@ impl Player<'_> {
             packets: head.packets,
             gaussians: manifest.largest_epoch(),
             sh_degree: manifest.sh_degree(),
+            footprint: manifest.footprint(),
         }
     }
 

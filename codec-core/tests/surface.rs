@@ -8,7 +8,14 @@ use std::path::Path;
 const MOST: usize = 80;
 
 /// Files whose items are in reach without `internals`; of other files single names are re-exported.
-const FRONT: [&str; 5] = ["lib.rs", "caps.rs", "player.rs", "internals/error.rs", "internals/gaussian.rs"];
+const FRONT: [&str; 6] = [
+    "lib.rs",
+    "caps.rs",
+    "player.rs",
+    "internals/error.rs",
+    "internals/footprint.rs",
+    "internals/gaussian.rs",
+];
 
 fn source(name: &str) -> String {
     std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("src").join(name)).unwrap()

@@ -249,7 +249,7 @@ fn imports() {
         &[&b"NGSP\x02\0\0\0\x02\0\0\0\x01\x0c\0\0"[..], &noise(2 * (9 + 1 + 3 + 3 + 3 + 9), 3)].concat(),
     );
     for version in [spz_writer::Version::V3, spz_writer::Version::V4] {
-        let options = spz_writer::SpzOptions { version, fraction_bits: 12 };
+        let options = spz_writer::SpzOptions { version, fraction_bits: 12, antialiased: false };
         put("spz", &format!("{version:?}"), &spz_writer::encode(&epoch, 0, &options).unwrap());
     }
     let (archive, description) = sog();

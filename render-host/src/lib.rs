@@ -43,7 +43,7 @@ pub mod settings;
 pub mod splats;
 pub mod stage;
 
-pub use codec_core::{Gaussian, ShDegree};
+pub use codec_core::{Footprint, Gaussian, ShDegree};
 
 pub use adjoint::{Gradients, Loss, Workspace, render_and_gradients};
 pub use backend::{Backend, BackendError, DeviceChoice, Differentiator, FrameRenderer};

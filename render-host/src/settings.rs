@@ -6,7 +6,7 @@
 //! `half_attributes`) says how many bits a value is kept in; it changes the picture by an error that the
 //! reference, which keeps every bit, makes visible.
 
-use codec_core::ShDegree;
+use codec_core::{Footprint, ShDegree};
 use serde::{Deserialize, Serialize};
 
 use crate::stage::TileSide;
@@ -27,7 +27,8 @@ use crate::stage::TileSide;
 pub struct Settings {
     /// Colour behind everything, r g b; finite, ±1e6.
     pub background: [f32; 3],
-    /// Variance added to both axes of a projected splat, pixels², 0..=100. Source: 0.3 in 3DGS.
+    /// Variance added to both axes of a projected splat, pixels², 0..=100. Source: 0.3 in 3DGS. What a scene
+    /// was made for is its [`Footprint`] ([`Settings::with_footprint`]).
     pub low_pass: f64,
     /// Dims a splat by √(det / det dilated), at least 0.005, so that `low_pass` adds no energy
     /// (Mip-Splatting).
@@ -129,6 +130,12 @@ impl Settings {
     /// The defaults over `background`.
     pub fn over(background: [f32; 3]) -> Self {
         Self { background, ..Self::default() }
+    }
+
+    /// The same for Gaussians that are made to be drawn with `footprint`: its `low_pass` and `antialiased`.
+    #[must_use]
+    pub fn with_footprint(self, footprint: Footprint) -> Self {
+        Self { low_pass: footprint.low_pass(), antialiased: footprint.is_dimmed(), ..self }
     }
 
     /// Every skip that leaves the picture as it is switched off; tolerances stay.

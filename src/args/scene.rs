@@ -43,6 +43,31 @@ pub struct SceneArgs {
     /// assets, which keep the axes of captures; y in SPZ, glTF and everything else].
     #[arg(long, value_enum)]
     pub up: Option<Up>,
+    /// How Gaussians are drawn, if not as the file says [default: dilated, where it says nothing]; a .dgs
+    /// stream says it itself.
+    #[arg(long, value_enum)]
+    pub footprint: Option<Footprint>,
+}
+
+/// How Gaussians are widened where they are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Footprint {
+    /// By 0.3 pixels², and as opaque as before (3DGS).
+    Dilated,
+    /// By 0.3 pixels², and dimmed as much (gsplat's antialiased mode).
+    Compensated,
+    /// By 0.1 pixels², and dimmed as much (Mip-Splatting).
+    Pixel,
+}
+
+impl From<Footprint> for codec_core::Footprint {
+    fn from(footprint: Footprint) -> Self {
+        match footprint {
+            Footprint::Dilated => Self::Dilated,
+            Footprint::Compensated => Self::Compensated,
+            Footprint::Pixel => Self::Pixel,
+        }
+    }
 }
 
 /// An axis that points up.

@@ -293,8 +293,9 @@ fn picture(
     match (source, side) {
         (Source::Render(camera), Side::Frames(frames)) => {
             let instant = frames.instant(frame)?;
+            let settings = settings.clone().with_footprint(frames.footprint());
             let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
-            Ok(renderer.render(&splats, camera, settings)?.image.clone())
+            Ok(renderer.render(&splats, camera, &settings)?.image.clone())
         }
         (Source::File(path), _) => side::read(path, settings.background),
         (Source::Render(_), Side::Pictures(_)) => bail!("pictures are not rendered"),

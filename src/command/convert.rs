@@ -12,7 +12,7 @@ use trainer_host::{
     stream::decoded,
 };
 
-use self::format::SceneOutput;
+use self::format::{FrameRun, SceneOutput};
 use crate::{
     args::{Convert, SceneArgs},
     output::VerbOutput,
@@ -33,11 +33,7 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     progress.stage("turning", 0.5);
     let (scene, turned) = turned(args, scene, output.usual_up())?;
     progress.stage("writing", 0.6);
-    if let SceneOutput::File(format) = output
-        && let Some(loss) = format.loss(&scene.epochs()[0])
-    {
-        warnings.push(loss.to_owned());
-    }
+    warnings.extend(output.losses(&scene));
     let count = scene.frames() as u32;
     let frame = |number: u32| {
         let found = scene.locate(number as usize);
@@ -47,7 +43,11 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     };
     let wrote = match output {
         SceneOutput::FourDgs => format::write_clip(&scene, &args.out)?,
-        _ => output.write(&args.out, args.overwrite, args.frame, count, &progress, frame)?,
+        _ => {
+            let Scene { footprint, .. } = scene;
+            let run = FrameRun { overwrite: args.overwrite, only: args.frame, count, footprint };
+            output.write(&args.out, run, &progress, frame)?
+        }
     };
     drop(progress);
     let mut text = wrote;
@@ -86,6 +86,7 @@ fn read(input: &str, args: &SceneArgs, warn: &mut dyn FnMut(String)) -> Result<S
     }
     let mut scene = decoded::joined(epochs, frames.frames_per_second())?;
     scene.up = frames.up();
+    scene.footprint = frames.footprint();
     scene.notes = frames.notes().to_vec();
     Ok(scene)
 }

@@ -8,7 +8,7 @@ use codec_core::{
 use serde_json::json;
 use trainer_host::{scene::Up, stream::decoded};
 
-use super::convert::format::SceneOutput;
+use super::convert::format::{FrameRun, SceneOutput};
 use crate::{
     args::Decode,
     output::VerbOutput,
@@ -62,7 +62,13 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
     if let Some((out, output)) = out {
         let mut absent = AbsentGaussians::default();
         let progress = Progress::new("decode", quiet.0);
-        text += &output.write(out, args.overwrite, args.frame, frames.count(), &progress, |frame| {
+        let run = FrameRun {
+            overwrite: args.overwrite,
+            only: args.frame,
+            count: frames.count(),
+            footprint: frames.footprint(),
+        };
+        text += &output.write(out, run, &progress, |frame| {
             let instant = frames.instant(frame)?;
             let (epoch, missing) = decoded::snapshot(&instant)?;
             absent.add(missing, instant.gaussians.len());

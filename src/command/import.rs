@@ -49,7 +49,8 @@ pub fn run(args: &Import) -> Result<VerbOutput> {
         text += &format!("  … {} more epochs\n", scene.epochs().len() - 4);
     }
     let framing = Framing::of(scene);
-    text += &format!("  centre {:.3?}, radius {:.3}, up {}\n", framing.target, framing.radius, scene.up);
+    let (Framing { target, radius, .. }, footprint) = (&framing, scene.footprint.name());
+    text += &format!("  centre {target:.3?}, radius {radius:.3}, up {}, footprint {footprint}\n", scene.up);
     for note in &scene.notes {
         text += &format!("  note: {note}\n");
     }
@@ -57,6 +58,7 @@ pub fn run(args: &Import) -> Result<VerbOutput> {
         "name": loaded.name, "frames": scene.frames(), "fps": scene.frames_per_second(),
         "epochs": epochs, "centre": framing.target, "radius": framing.radius, "notes": scene.notes,
         "cameras": scene.cameras.len(), "up": scene.up.to_string(),
+        "footprint": footprint,
     });
     Ok(VerbOutput { text, json, ..VerbOutput::default() })
 }

@@ -53,7 +53,8 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     }
     let head = manifest.head();
     let mut text = format!(
-        "{}: profile {}, {} epochs, {} windows, {} clusters, {} frames at {} fps, harmonic degree {}\n\
+        "{}: profile {}, {} epochs, {} windows, {} clusters, {} frames at {} fps, harmonic degree {}, \
+         footprint {}\n\
          manifest {} bytes on the wire, {} unpacked, {} entropy tables, {} repair ranges\n",
         args.input.display(),
         manifest.profile_name(),
@@ -63,6 +64,7 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
         head.frames,
         manifest.frames_per_second(),
         head.sh_degree,
+        manifest.footprint().name(),
         stream.message().len(),
         manifest.raw().len(),
         head.tables,
@@ -220,7 +222,7 @@ fn manifest_json(manifest: &Manifest<'_>) -> Value {
         .collect();
     json!({
         "frames": head.frames, "fps": manifest.frames_per_second(), "sh_degree": head.sh_degree,
-        "block_len": manifest.block_len().get(), "packets": head.packets, "clusters": head.clusters,
+        "footprint": manifest.footprint().name(), "block_len": manifest.block_len().get(), "packets": head.packets, "clusters": head.clusters,
         "epochs": epochs, "windows": windows, "tables": head.tables,
         "repair": manifest.repairs().map(|r| json!({
             "first_packet": r.first_packet, "packets": r.packets, "set_len": r.set_len, "sets": r.sets(),

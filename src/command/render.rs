@@ -2,7 +2,7 @@
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::ids::Level;
-use render_host::{Backend, Camera, Settings, Splats};
+use render_host::{Backend, Camera, Splats};
 use serde_json::json;
 use trainer_host::viewpoint::Ring;
 
@@ -36,7 +36,7 @@ pub fn run(args: &Render, quiet: Quiet) -> Result<VerbOutput> {
     let level = Level::from_bits(args.level);
     let mut frames = Frames::open(&args.input, &args.scene, level, &mut |w| warnings.push(w))?;
     let (pictures, cameras) = pictures(args, &mut frames, output.is_still())?;
-    let settings = Settings { antialiased: args.antialiased, ..pipeline::settings(&args.view) };
+    let settings = pipeline::settings(&args.view).with_footprint(frames.footprint());
 
     let frames_per_second = args.rate.unwrap_or_else(|| frames.frames_per_second());
     let run = PictureRun { pictures: pictures.len(), frames_per_second, overwrite: args.overwrite };

@@ -1,7 +1,10 @@
 //! Gives the frames of a scene or a stream, one at a time: memory is that of one frame.
 
 use anyhow::{Context, Result};
-use codec_core::internals::{closure::Arrived, ids::Level};
+use codec_core::{
+    Footprint,
+    internals::{closure::Arrived, ids::Level},
+};
 use render_host::Camera;
 use trainer_host::{Instant, Scene, scene::Up, stream::Player, viewpoint::Framing};
 
@@ -65,6 +68,14 @@ impl Frames {
         match self {
             Frames::Scene(scene) => scene.up,
             Frames::Stream { up, .. } => *up,
+        }
+    }
+
+    /// How Gaussians are drawn.
+    pub fn footprint(&self) -> Footprint {
+        match self {
+            Frames::Scene(scene) => scene.footprint,
+            Frames::Stream { received, .. } => received.info().footprint,
         }
     }
 

@@ -10,10 +10,11 @@
 
 pub mod edit;
 pub mod export;
+pub mod footprint_name;
 pub mod import;
 pub mod viewpoint;
 
-use codec_core::{Gaussian, ShDegree};
+use codec_core::{Footprint, Gaussian, ShDegree};
 use render_host::Camera;
 
 /// An attribute of N Gaussians over T frames.
@@ -330,6 +331,8 @@ pub struct Scene {
     pub up: Up,
     /// Which way is up in most files of the format that the scene was read from, where there is a custom.
     pub usual_up: Option<Up>,
+    /// How its Gaussians are drawn: as they were when the scene was fitted.
+    pub footprint: Footprint,
     /// Where the scene was seen from, if the source says.
     pub cameras: Vec<Camera>,
     /// Things the importer wants a person to know (identity not stored, frame converted, …).
@@ -349,7 +352,8 @@ impl Scene {
             return Err(SceneError::FrameRate(frames_per_second));
         }
         let (up, usual_up) = (Up::default(), None);
-        Ok(Self { epochs, frames_per_second, up, usual_up, cameras: Vec::new(), notes: Vec::new() })
+        let (footprint, cameras, notes) = (Footprint::default(), Vec::new(), Vec::new());
+        Ok(Self { epochs, frames_per_second, up, usual_up, footprint, cameras, notes })
     }
 
     /// The epochs in display order; at least one.

@@ -34,7 +34,7 @@ mod views;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use error::TrainError;
-pub use evaluation::{Evaluation, EvaluationError, Perceptual, Posable, compare, evaluate, perceptual};
+pub use evaluation::{Clip, Evaluation, EvaluationError, Perceptual, Posable, compare, evaluate, perceptual};
 pub use finish::{Encoding, Pruning};
 pub use model::Model;
 pub use options::{DensityControl, Finish, OptionsError, Rates, Schedule, TrainOptions};

@@ -48,7 +48,7 @@ pub struct UtilityOptions {
     pub complete: bool,
     /// Seed of the contexts and of the frames rendered.
     pub seed: u64,
-    /// Render settings.
+    /// Render settings; the footprint is the stream's.
     pub settings: Settings,
 }
 
@@ -63,6 +63,12 @@ impl UtilityOptions {
             seed: 1,
             settings: Settings::default(),
         }
+    }
+
+    /// The same for pictures of `content`.
+    fn of_content(&self, content: &Content<'_>) -> Self {
+        let settings = self.settings.clone().with_footprint(content.manifest.footprint());
+        Self { settings, ..self.clone() }
     }
 
     /// States rendered per span.
@@ -143,6 +149,7 @@ pub fn measure(
     options: &UtilityOptions,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Result<Table, UtilityError> {
+    let options = &options.of_content(content);
     let spans = spans(map);
     let mut jobs: Vec<Job> = Vec::new();
     for span in &spans {

@@ -189,6 +189,9 @@ pub struct DgsStream {
     pub gaussians: u32,
     /// Higher harmonic coefficients per Gaussian, all channels: 0, 9, 24 or 45.
     pub sh_rest: u32,
+    /// How Gaussians are drawn: 0 variance 0.3 pixels² is added; 1 the same, and dimmed as much; 2 0.1
+    /// pixels², and dimmed as much.
+    pub footprint: u32,
 }
 
 /// One Gaussian of one frame.
@@ -296,8 +299,10 @@ impl From<StreamInfo> for DgsStream {
             packets,
             gaussians,
             sh_degree,
+            footprint,
         } = info;
-        Self { frames, rate_frames, rate_seconds, packets, gaussians, sh_rest: sh_degree.rest_len() as u32 }
+        let (sh_rest, footprint) = (sh_degree.rest_len() as u32, footprint as u32);
+        Self { frames, rate_frames, rate_seconds, packets, gaussians, sh_rest, footprint }
     }
 }
 

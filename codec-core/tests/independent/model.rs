@@ -18,6 +18,7 @@ pub struct Model {
     pub transforms: Vec<u8>,
     /// Planes of bytes, all blocks of the canonical cells in each.
     pub proxies: Option<Vec<u8>>,
+    pub footprint: u8,
     pub tables: Vec<Table>,
 }
 
@@ -82,10 +83,10 @@ impl Model {
         out.extend((self.epochs.len() as u16).to_le_bytes());
         out.extend((windows.len() as u16).to_le_bytes());
         out.extend((clusters as u32).to_le_bytes());
-        let proxies = usize::from(self.proxies.is_some());
-        for count in [self.quants.len(), self.tables.len(), self.repairs.len(), proxies] {
+        for count in [self.quants.len(), self.tables.len(), self.repairs.len()] {
             out.extend((count as u16).to_le_bytes());
         }
+        out.extend([u8::from(self.proxies.is_some()), self.footprint]);
         out.extend((basis.len() as u32).to_le_bytes());
         out.extend((self.transforms.len() as u32 / 4).to_le_bytes());
         self.epoch_records(&mut out);
@@ -164,7 +165,9 @@ impl Model {
         model.rate = (r.u32(), r.u32());
         model.packets = r.u32();
         let (epochs, windows, clusters) = (r.u16(), r.u16(), r.u32());
-        let [quants, tables, repairs, proxies] = [r.u16(), r.u16(), r.u16(), r.u16()];
+        let [quants, tables, repairs] = [r.u16(), r.u16(), r.u16()];
+        let proxies = r.u8();
+        model.footprint = r.u8();
         let (basis_values, transform_values) = (r.u32(), r.u32());
         let mut shares = Vec::new();
         for _ in 0..epochs {

@@ -315,7 +315,7 @@ export class Session extends Controls {
     const { wish, picture } = answer;
     if (picture) {
       const { count, degree, onlyMoved, bytes, buffer } = picture;
-      screen.upload(count, degree, onlyMoved, new Uint8Array(buffer, 0, bytes));
+      screen.upload(count, degree, onlyMoved, this.#facts.footprint, new Uint8Array(buffer, 0, bytes));
       this.#buffer = buffer;
       this.#uploads += 1;
     }

@@ -9,7 +9,7 @@ use std::sync::{
 #[cfg(not(target_family = "wasm"))]
 use render_host::Image;
 use render_host::{
-    CameraError, Settings,
+    CameraError, Footprint, Settings,
     gpu::{
         Device, DeviceOptions, Executor, GpuError, Renderer, Scene,
         layout::{COUNT_ENTRIES, COUNT_WANTED, COUNTS},
@@ -83,6 +83,8 @@ pub struct Screen {
     target: Target,
     renderer: Renderer,
     scene: Option<Scene>,
+    /// How what was uploaded is drawn.
+    footprint: Footprint,
     presenter: Presenter,
     lost: Arc<AtomicBool>,
     /// Frames submitted, and those of them that the device has finished.
@@ -149,6 +151,7 @@ impl Screen {
             presenter: Presenter::new(&device, format)?,
             counts: Counts { landing, busy: Arc::default(), wanted: Arc::default() },
             scene: None,
+            footprint: Footprint::default(),
             device,
             target,
             lost,
@@ -205,18 +208,24 @@ impl Screen {
         let fresh = (session.content(), session.playback().frame());
         if *drawn != Some(fresh) {
             let anew = drawn.is_none();
+            self.footprint = session.player().info().footprint;
             self.upload(&session.show()?, anew)?;
             *drawn = Some(fresh);
         }
         self.draw_uploaded(session.orbit(), look)
     }
 
-    /// Uploads what another thread has packed.
+    /// Uploads what another thread has packed, of a stream whose Gaussians are drawn with `footprint`.
     ///
     /// # Errors
     /// It does not fit what was uploaded before, or the device refuses.
     #[cfg(target_family = "wasm")]
-    pub(crate) fn upload_packed(&mut self, packed: &Packed<'_>) -> Result<(), ScreenError> {
+    pub(crate) fn upload_packed(
+        &mut self,
+        packed: &Packed<'_>,
+        footprint: Footprint,
+    ) -> Result<(), ScreenError> {
+        self.footprint = footprint;
         let scene = match &mut self.scene {
             Some(scene) => scene,
             None => self.scene.insert(Scene::new(&self.device, &Splats::plain(&[]))?),
@@ -243,7 +252,8 @@ impl Screen {
         let Some(scene) = &self.scene else { return Ok(()) };
         let camera = orbit.camera(look.size[0], look.size[1])?;
         self.renderer.reserve_entries(self.counts.wanted.swap(0, Ordering::Relaxed));
-        self.renderer.draw(scene, &camera, &Settings::over(look.background))?;
+        let settings = Settings::over(look.background).with_footprint(self.footprint);
+        self.renderer.draw(scene, &camera, &settings)?;
         self.show(look)?;
         self.submitted = self.submitted.wrapping_add(1);
         let finished = Arc::clone(&self.finished);

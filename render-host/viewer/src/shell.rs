@@ -5,7 +5,7 @@ mod controls;
 mod decoder;
 
 use render_host::{
-    ShDegree,
+    Footprint, ShDegree,
     gpu::{Packed, wgpu},
 };
 use wasm_bindgen::prelude::*;
@@ -70,11 +70,20 @@ impl ScreenShell {
     }
 
     /// Uploads a picture that a decoder has packed: number of Gaussians, degree of their harmonics, whether
-    /// these are left out, the bytes.
-    pub fn upload(&mut self, count: u32, degree: u8, only_moved: bool, bytes: &[u8]) -> Result<(), JsError> {
+    /// these are left out, the bytes; and the number of the footprint that its Gaussians are drawn with.
+    pub fn upload(
+        &mut self,
+        count: u32,
+        degree: u8,
+        only_moved: bool,
+        footprint: u8,
+        bytes: &[u8],
+    ) -> Result<(), JsError> {
         let degree = ShDegree::new(degree)
             .ok_or_else(|| JsError::new(&format!("degree of harmonics: {degree}, allowed: 0 to 3")))?;
-        Ok(self.0.upload_packed(&Packed { count, degree, only_moved, bytes })?)
+        let footprint = Footprint::numbered(footprint)
+            .ok_or_else(|| JsError::new(&format!("footprint: {footprint}, allowed: 0 to 2")))?;
+        Ok(self.0.upload_packed(&Packed { count, degree, only_moved, bytes }, footprint)?)
     }
 
     /// Draws what was uploaded on `width` × `height` pixels.

@@ -3,6 +3,7 @@
 use std::{borrow::Borrow, path::Path};
 
 use anyhow::{Result, bail};
+use codec_core::Footprint;
 use trainer_host::{
     Epoch, Scene,
     export::{self, FileFormat},
@@ -23,6 +24,18 @@ pub(in crate::command) enum SceneOutput {
     Folder,
     /// All frames in one `.4dgs` file.
     FourDgs,
+}
+
+/// Which frames are written, and how they are drawn.
+#[derive(Clone, Copy, Debug)]
+pub(in crate::command) struct FrameRun {
+    /// Replaces a folder that is there.
+    pub(in crate::command) overwrite: bool,
+    /// The frame that a file gets.
+    pub(in crate::command) only: u32,
+    /// Frames that a folder gets.
+    pub(in crate::command) count: u32,
+    pub(in crate::command) footprint: Footprint,
 }
 
 impl SceneOutput {
@@ -66,17 +79,25 @@ impl SceneOutput {
         .usual_up()
     }
 
-    /// Writes frames, except as `.4dgs`: a folder gets all of `count`, a file frame `only`. `frame` gives
-    /// one as an epoch and the frame in it; `progress` hears of each.
+    /// What it cannot hold of `scene`, for people.
+    pub(in crate::command) fn losses(self, scene: &Scene) -> Vec<String> {
+        match self {
+            Self::File(format) => format.losses(scene),
+            Self::Folder => FileFormat::Ply.losses(scene),
+            Self::FourDgs => Vec::new(),
+        }
+    }
+
+    /// Writes frames, except as `.4dgs`. `frame` gives one as an epoch and the frame in it; `progress` hears
+    /// of each.
     pub(in crate::command) fn write<E: Borrow<Epoch>>(
         self,
         out: &Path,
-        overwrite: bool,
-        only: u32,
-        count: u32,
+        run: FrameRun,
         progress: &Progress,
         mut frame: impl FnMut(u32) -> Result<(E, usize)>,
     ) -> Result<String> {
+        let FrameRun { overwrite, only, count, footprint } = run;
         let format = match self {
             Self::File(format) => format,
             Self::FourDgs => bail!("{}: .4dgs is written by dgs convert", out.display()),
@@ -85,7 +106,7 @@ impl SceneOutput {
                 for number in 0..count {
                     progress.step("writing frame", number as usize, count as usize);
                     let (epoch, t) = frame(number)?;
-                    let ply = FileFormat::Ply.encode(epoch.borrow(), t)?;
+                    let ply = FileFormat::Ply.encode(epoch.borrow(), t, footprint)?;
                     folder.add(format!("frame_{number:05}.ply"), &ply)?;
                 }
                 let written = folder.finish(overwrite)?;
@@ -93,7 +114,7 @@ impl SceneOutput {
             }
         };
         let (epoch, t) = frame(only)?;
-        let bytes = format.encode(epoch.borrow(), t)?;
+        let bytes = format.encode(epoch.borrow(), t, footprint)?;
         files::write(out, &bytes)?;
         let gaussians = epoch.borrow().count();
         let one = if count > 1 { format!(", frame {only} of {count}") } else { String::new() };

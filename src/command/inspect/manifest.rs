@@ -35,6 +35,7 @@ pub fn document(content: &Stream, map: &PacketMap) -> codec_core::internals::err
         "sh_degree": head.sh_degree,
         "block_len": head.block_len,
         "proxies": head.proxies == 1,
+        "footprint": manifest.footprint().name(),
         "sealed_bytes": content.message().len(),
         "unpacked_bytes": manifest.raw().len(),
         "epochs": epochs(&manifest),

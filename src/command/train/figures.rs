@@ -7,17 +7,17 @@ use codec_core::internals::ids::Level;
 use render_host::metric::Lpips;
 use serde::Serialize;
 use trainer_host::{
-    Instant,
     encode::Encoded,
-    train::{Dataset, Evaluation, Perceptual},
+    train::{Clip, Dataset, Evaluation, Perceptual},
 };
 
 use crate::pipeline::Frames;
 
 /// The frames that a receiver of the whole stream shows.
-pub(super) fn decoded(encoded: &Encoded, dataset: &Dataset) -> Result<Vec<Instant>> {
+pub(super) fn decoded(encoded: &Encoded, dataset: &Dataset) -> Result<Clip> {
     let mut frames = Frames::of_stream(encoded.stream.receive()?, Level::from_bits(3), dataset.up);
-    (0..frames.count()).map(|frame| frames.instant(frame)).collect()
+    let instants: Result<_> = (0..frames.count()).map(|frame| frames.instant(frame)).collect();
+    Ok(Clip { instants: instants?, footprint: frames.footprint() })
 }
 
 /// How well a scene agrees with some views.

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use anyhow::{Context, Result};
+use codec_core::Footprint;
 use trainer_host::{
     Instant, Scene,
     encode::Decisions,
@@ -63,7 +64,7 @@ impl Trained {
     pub(super) fn followed_by(self, next: Self) -> Result<Self> {
         let epochs = [self.scene.epochs(), next.scene.epochs()].concat();
         let mut scene = Scene::new(epochs, self.scene.frames_per_second()).context("epochs")?;
-        scene.up = self.scene.up;
+        (scene.up, scene.footprint) = (self.scene.up, self.scene.footprint);
         let decisions = match (self.decisions, next.decisions) {
             (Some(before), Some(after)) => before.followed_by(after),
             _ => None,
@@ -119,5 +120,9 @@ impl Posable for OneAfterAnother<'_> {
         };
         let last = frames.len().saturating_sub(1).max(1) as f64;
         model.pose(((at - frames.start as f64) / last).clamp(0.0, 1.0) as f32, out);
+    }
+
+    fn footprint(&self) -> Footprint {
+        self.0.first().map_or(Footprint::default(), |(_, model)| model.footprint())
     }
 }

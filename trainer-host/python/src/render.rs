@@ -4,7 +4,9 @@
 //! Gaussians, all black, over a background of 1: the picture is the transmittance.
 
 use pyo3::{prelude::*, types::PyDict};
-use render_host::{Camera as Pinhole, Image, ImageError, Loss, Renderer, Settings, Workspace, adjoint};
+use render_host::{
+    Camera as Pinhole, Footprint, Image, ImageError, Loss, Renderer, Settings, Workspace, adjoint,
+};
 use trainer_host::scene::LOG_SCALE_RANGE;
 
 use crate::{
@@ -46,15 +48,31 @@ fn cameras(value: &Bound<'_, PyAny>) -> PyResult<Vec<Pinhole>> {
 /// How to render.
 fn settings(
     background: Option<[f32; 3]>,
-    antialiased: bool,
+    footprint: Footprint,
     sh_degree: u8,
     alpha_cutoff: Option<f32>,
 ) -> PyResult<Settings> {
     let usual = Settings::over(background.unwrap_or_default());
     let alpha_cutoff = alpha_cutoff.unwrap_or(usual.alpha_cutoff);
-    let settings = Settings { antialiased, max_sh_degree: sh_degree, alpha_cutoff, ..usual };
+    let settings = Settings { max_sh_degree: sh_degree, alpha_cutoff, ..usual }.with_footprint(footprint);
     settings.validate().map_err(refused)?;
     Ok(settings)
+}
+
+/// The footprint of this name.
+pub fn footprint_of(name: &str) -> PyResult<Footprint> {
+    let allowed = || Footprint::ALL.map(Footprint::name).join(", ");
+    Footprint::named(name)
+        .ok_or_else(|| refused(format!("footprint: found {name:?}; {} are wanted", allowed())))
+}
+
+/// The footprint that is named, else that of the scene.
+fn drawn(source: &Bound<'_, PyAny>, named: Option<&str>) -> PyResult<Footprint> {
+    match (named, source.cast::<Scene>()) {
+        (Some(name), _) => footprint_of(name),
+        (None, Ok(scene)) => Ok(scene.get().0.footprint),
+        (None, Err(_)) => Ok(Footprint::default()),
+    }
 }
 
 /// The Gaussians of arrays, or of a frame of a scene.
@@ -69,7 +87,7 @@ fn splatting(source: &Bound<'_, PyAny>, frame: i64, activation: Activation) -> P
 #[pyfunction]
 #[pyo3(signature = (
     gaussians, cameras, *, frame = 0, activation = "log", background = None, alpha = false,
-    antialiased = false, sh_degree = 3, alpha_cutoff = None
+    footprint = None, sh_degree = 3, alpha_cutoff = None
 ))]
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of Python")]
 pub fn render<'py>(
@@ -80,13 +98,13 @@ pub fn render<'py>(
     activation: &str,
     background: Option<[f32; 3]>,
     alpha: bool,
-    antialiased: bool,
+    footprint: Option<&str>,
     sh_degree: u8,
     alpha_cutoff: Option<f32>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let activation = Activation::of(activation)?;
     let cameras = self::cameras(cameras)?;
-    let settings = settings(background, antialiased, sh_degree, alpha_cutoff)?;
+    let settings = settings(background, drawn(gaussians, footprint)?, sh_degree, alpha_cutoff)?;
     let splatting = splatting(gaussians, frame, activation)?;
     let channels = if alpha { 4 } else { 3 };
     let (width, height) = (cameras[0].width() as usize, cameras[0].height() as usize);
@@ -194,7 +212,7 @@ fn add(sums: &mut [f64], values: &[f32]) {
 #[pyfunction]
 #[pyo3(signature = (
     gaussians, cameras, grad_images, *, activation = "log", background = None,
-    antialiased = false, sh_degree = 3, alpha_cutoff = None
+    footprint = None, sh_degree = 3, alpha_cutoff = None
 ))]
 #[allow(clippy::too_many_arguments, reason = "keyword arguments of Python")]
 pub fn render_backward<'py>(
@@ -204,13 +222,13 @@ pub fn render_backward<'py>(
     grad_images: &Bound<'py, PyAny>,
     activation: &str,
     background: Option<[f32; 3]>,
-    antialiased: bool,
+    footprint: Option<&str>,
     sh_degree: u8,
     alpha_cutoff: Option<f32>,
 ) -> PyResult<Bound<'py, PyDict>> {
     let activation = Activation::of(activation)?;
     let cameras = self::cameras(cameras)?;
-    let settings = settings(background, antialiased, sh_degree, alpha_cutoff)?;
+    let settings = settings(background, drawn(gaussians, footprint)?, sh_degree, alpha_cutoff)?;
     let splatting = splatting(gaussians, 0, activation)?;
     let given = Numbers::<f32>::read("grad_images", grad_images)?;
     let (width, height) = (cameras[0].width() as usize, cameras[0].height() as usize);

@@ -21,6 +21,7 @@ use crate::{
     clip,
     error::{checked_frame, damaged, of_file, refused, unreadable},
     gaussians::Frame,
+    render::footprint_of,
 };
 
 /// Gaussians over frames.
@@ -56,7 +57,8 @@ fn decode(path: &Path) -> PyResult<(trainer_host::Scene, Option<String>)> {
         };
         frames.push(decoded::snapshot(&instant).map_err(refused)?.0);
     }
-    let scene = decoded::joined(frames, player.manifest().frames_per_second()).map_err(refused)?;
+    let mut scene = decoded::joined(frames, player.manifest().frames_per_second()).map_err(refused)?;
+    scene.footprint = player.info().footprint;
     let damage = (!damage.is_none()).then(|| format!("{}: {damage}; the rest is used", path.display()));
     Ok((scene, damage))
 }
@@ -75,7 +77,8 @@ fn turned(scene: &trainer_host::Scene, format: FileFormat) -> PyResult<Option<tr
 fn write_frame(scene: &trainer_host::Scene, format: FileFormat, path: &Path, frame: i64) -> PyResult<()> {
     let frame = checked_frame(frame, scene.frames())?;
     let Some((epoch, t)) = scene.locate(frame) else { return Ok(()) };
-    let bytes = format.encode(&scene.epochs()[epoch], t).map_err(|error| of_file(path, &error))?;
+    let bytes =
+        format.encode(&scene.epochs()[epoch], t, scene.footprint).map_err(|error| of_file(path, &error))?;
     std::fs::write(path, bytes).map_err(|error| of_file(path, &error))
 }
 
@@ -176,7 +179,7 @@ impl Scene {
     #[staticmethod]
     #[pyo3(signature = (
         means, scales, quats, opacities, sh0, shN = None, *, fps = 30.0, activation = "log",
-        up = "minus-y"
+        up = "minus-y", footprint = "dilated"
     ))]
     #[allow(clippy::too_many_arguments, reason = "keyword arguments of Python")]
     #[allow(non_snake_case, reason = "the name that higher bands have in gsplat")]
@@ -190,8 +193,9 @@ impl Scene {
         fps: f64,
         activation: &str,
         up: &str,
+        footprint: &str,
     ) -> PyResult<Self> {
-        let up = up_of(up)?;
+        let (up, footprint) = (up_of(up)?, footprint_of(footprint)?);
         let source = pyo3::types::PyDict::new(means.py());
         for (name, value) in
             [("means", means), ("scales", scales), ("quats", quats), ("opacities", opacities), ("sh0", sh0)]
@@ -200,7 +204,7 @@ impl Scene {
         }
         source.set_item("shN", shN)?;
         let mut scene = clip::scene(&source, fps, Activation::of(activation)?)?;
-        scene.up = up;
+        (scene.up, scene.footprint) = (up, footprint);
         Ok(Self(scene))
     }
 
@@ -234,6 +238,12 @@ impl Scene {
 
     fn __len__(&self) -> usize {
         self.0.frames()
+    }
+
+    /// How its Gaussians are drawn.
+    #[getter]
+    fn footprint(&self) -> &'static str {
+        self.0.footprint.name()
     }
 
     /// Number of frames.

@@ -51,6 +51,7 @@ pub fn info<'py>(py: Python<'py>, info: &dgs_player::StreamInfo) -> PyResult<Bou
     out.set_item("packets", info.packets)?;
     out.set_item("gaussians", info.gaussians)?;
     out.set_item("sh_degree", info.sh_degree.get())?;
+    out.set_item("footprint", info.footprint.name())?;
     Ok(out)
 }
 

@@ -112,7 +112,7 @@ pub struct Evaluator {
 }
 
 impl Evaluator {
-    /// Renders `frames` of `scene` from `cameras` on `backend`.
+    /// Renders `frames` of `scene` from `cameras` on `backend`, with its footprint.
     ///
     /// # Errors
     /// A frame past the end, or what the renderer refuses.
@@ -124,7 +124,7 @@ impl Evaluator {
         backend: &Backend,
     ) -> Result<Self, EvaluationError> {
         // One picture is one task.
-        let settings = Settings { parallel: false, ..settings.clone() };
+        let settings = Settings { parallel: false, ..settings.clone() }.with_footprint(scene.footprint);
         let reference = |renderer: &mut drawing::Drawing, &(frame, camera): &(u32, usize)| {
             let instant = instant_at(scene, frame)?;
             let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;

@@ -79,7 +79,8 @@ fn on_a_part(
     let scene = analysis.scene;
     let middle = scene.epochs().len() / 2;
     let part = scene.epochs().get(middle).filter(|_| scene.epochs().len() > 1);
-    let part = part.and_then(|epoch| Scene::new(vec![epoch.clone()], scene.frames_per_second()).ok());
+    let mut part = part.and_then(|epoch| Scene::new(vec![epoch.clone()], scene.frames_per_second()).ok());
+    part.iter_mut().for_each(|part| part.footprint = scene.footprint);
     let of_part = part.as_ref().map(|part| analysis.of_epoch(part, middle));
     let analysis = of_part.as_ref().unwrap_or(analysis);
     let part = analysis.scene;

@@ -50,7 +50,7 @@ pub fn measure(
 ) -> Result<Vec<Vec<Weights>>, EvaluationError> {
     let pictures = pictures.max(1);
     let cameras = Framing::of(scene).around(pictures, SIZE)?;
-    let settings = Settings { alpha_cutoff: CUTOFF, ..Settings::default() };
+    let settings = Settings { alpha_cutoff: CUTOFF, ..Settings::default() }.with_footprint(scene.footprint);
     let (mut differentiator, mut gradients) = (backend.differentiator()?, Gradients::default());
     let (mut out, mut first) = (Vec::new(), 0);
     for epoch in scene.epochs() {

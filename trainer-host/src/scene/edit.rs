@@ -11,7 +11,7 @@ pub use self::{
     transform::{Similarity, transform, turn_between},
 };
 
-use codec_core::ShDegree;
+use codec_core::{Footprint, ShDegree};
 
 use crate::scene::{Attributes, Epoch, Scene, SceneError, Track};
 
@@ -38,6 +38,14 @@ pub enum EditError {
         a: usize,
         /// Frames of the other.
         b: usize,
+    },
+    /// Scenes whose Gaussians are drawn differently.
+    #[error("merge: Gaussians are drawn with footprints {} and {}; the same is needed", .a.name(), .b.name())]
+    Footprints {
+        /// Of the first.
+        a: Footprint,
+        /// Of the other.
+        b: Footprint,
     },
     /// A number out of range.
     #[error("{field} is {found}; {allowed} is allowed")]
@@ -67,7 +75,8 @@ fn edited(
 fn with_epochs(scene: &Scene, epochs: Vec<Epoch>) -> Result<Scene, SceneError> {
     let made = Scene::new(epochs, scene.frames_per_second())?;
     let (cameras, notes) = (scene.cameras.clone(), scene.notes.clone());
-    Ok(Scene { up: scene.up, usual_up: scene.usual_up, cameras, notes, ..made })
+    let Scene { up, usual_up, footprint, .. } = *scene;
+    Ok(Scene { up, usual_up, footprint, cameras, notes, ..made })
 }
 
 /// The frames from `first` to `last`, both included.
@@ -147,6 +156,9 @@ pub fn merged(scene: &Scene, other: &Scene) -> Result<Scene, EditError> {
     let (a, b) = (scene.frames(), other.frames());
     if a != b && a != 1 && b != 1 {
         return Err(EditError::Lengths { a, b });
+    }
+    if scene.footprint != other.footprint {
+        return Err(EditError::Footprints { a: scene.footprint, b: other.footprint });
     }
     let count = a.max(b);
     // Identity is fixed where it is in both.

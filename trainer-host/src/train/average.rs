@@ -56,7 +56,7 @@ impl Average {
 
 #[cfg(test)]
 mod tests {
-    use codec_core::{Gaussian, ShDegree};
+    use codec_core::{Footprint, Gaussian, ShDegree};
 
     use super::*;
     use crate::{
@@ -74,6 +74,7 @@ mod tests {
             gaussians: TrainedGaussians::new(&instant, ShDegree::default()),
             nodes: ControlNodes::none(TemporalBasis::default(), 1.0),
             followed: vec![None; count],
+            footprint: Footprint::default(),
         }
     }
 

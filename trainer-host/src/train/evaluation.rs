@@ -1,5 +1,6 @@
 //! Evaluation renders a trained scene as held-out cameras saw it and compares.
 
+use codec_core::Footprint;
 use render_host::{
     Image, ImageError, RenderError, Renderer, Settings, Splats,
     metric::{self, Lpips},
@@ -64,20 +65,39 @@ pub struct Compared {
 pub trait Posable {
     /// The Gaussians at `time`, into memory that is used again.
     fn pose(&self, time: f32, out: &mut Instant);
+
+    /// How they are drawn.
+    fn footprint(&self) -> Footprint;
 }
 
 impl Posable for Model {
     fn pose(&self, time: f32, out: &mut Instant) {
         self.instant_into(time, out);
     }
+
+    fn footprint(&self) -> Footprint {
+        self.footprint
+    }
 }
 
 /// Frames spread evenly from time 0 to 1: the nearest one is shown.
-impl Posable for Vec<Instant> {
+#[derive(Clone, Debug, Default)]
+pub struct Clip {
+    /// The frames.
+    pub instants: Vec<Instant>,
+    /// How they are drawn.
+    pub footprint: Footprint,
+}
+
+impl Posable for Clip {
     fn pose(&self, time: f32, out: &mut Instant) {
-        let last = self.len().saturating_sub(1);
+        let last = self.instants.len().saturating_sub(1);
         let frame = (f64::from(time) * last as f64).round() as usize;
-        out.clone_from(self.get(frame.min(last)).unwrap_or(&Instant::default()));
+        out.clone_from(self.instants.get(frame.min(last)).unwrap_or(&Instant::default()));
+    }
+
+    fn footprint(&self) -> Footprint {
+        self.footprint
     }
 }
 
@@ -95,7 +115,7 @@ pub fn compare<S>(
     let view = views.photographs().get(index).ok_or(EvaluationError::Empty)?;
     let (width, height) = (view.camera.width() / reduced, view.camera.height() / reduced);
     let camera = view.camera.resized(width, height).map_err(|_| ImageError::Size { width, height })?;
-    let settings = Settings { background, ..Settings::default() };
+    let settings = Settings::over(background).with_footprint(scene.footprint());
     let mut instant = Instant::default();
     scene.pose(view.time, &mut instant);
     let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)

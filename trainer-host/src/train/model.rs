@@ -1,5 +1,6 @@
 //! A model is a scene under training: Gaussians at the canonical instant and the nodes that move them.
 
+use codec_core::Footprint;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -8,7 +9,7 @@ use super::{
     motion::{ControlNodes, FOLLOWED, MovedPoint, Trajectory, trajectory_times},
     parameter::Parameter,
 };
-use crate::scene::{Attributes, Epoch, Instant, Scene, SceneError, Track};
+use crate::scene::{Attributes, Epoch, Instant, Scene, SceneError, Track, footprint_name};
 
 /// A scene that can be posed at any time from 0 to 1.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -17,6 +18,9 @@ pub struct Model {
     pub(super) nodes: ControlNodes,
     /// Nodes that each Gaussian follows; none of those that stand still.
     pub(super) followed: Vec<Option<[u32; FOLLOWED]>>,
+    /// How the Gaussians are drawn.
+    #[serde(with = "footprint_name")]
+    pub(super) footprint: Footprint,
 }
 
 impl Model {
@@ -66,7 +70,9 @@ impl Model {
             sh_rest: values.sh_rest.values().to_vec(),
             sh_degree: codec_core::ShDegree::new(values.degree).unwrap_or_default(),
         };
-        Scene::new(vec![Epoch::new(frames, attributes)?], frames_per_second)
+        let mut scene = Scene::new(vec![Epoch::new(frames, attributes)?], frames_per_second)?;
+        scene.footprint = self.footprint;
+        Ok(scene)
     }
 
     /// All that is trained: the attributes of the Gaussians, then the motion of each layer of nodes.

@@ -1,8 +1,10 @@
 //! Options of a reconstruction: how much, how fast, how rigid. Plain data with defaults that work.
 
-use codec_core::ShDegree;
+use codec_core::{Footprint, ShDegree};
 use render_host::adjoint::loss::photograph::Weights;
 use serde::{Deserialize, Serialize};
+
+use crate::scene::footprint_name;
 
 /// How a scene is reconstructed.
 ///
@@ -25,6 +27,10 @@ pub struct TrainOptions {
     pub canonical_time: f32,
     /// Longest side of the photographs that are trained on, pixels: larger ones are reduced.
     pub max_side: u32,
+    /// How Gaussians are drawn, by name: "pixel" looks alike at any size of pixels, "dilated" as most viewers
+    /// of splat files draw.
+    #[serde(with = "footprint_name")]
+    pub footprint: Footprint,
     /// Background that the result is judged over.
     pub background: [f32; 3],
     /// Weight of the mean absolute error in the loss.
@@ -226,6 +232,7 @@ impl Default for TrainOptions {
             sh_degree: 2,
             canonical_time: 0.5,
             max_side: 800,
+            footprint: Footprint::Pixel,
             background: [1.0; 3],
             absolute_weight: 0.8,
             structure_weight: 0.2,

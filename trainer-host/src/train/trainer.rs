@@ -101,7 +101,8 @@ impl<'a> Trainer<'a> {
         let gaussians = TrainedGaussians::new(&begun, options.degree());
         let count = gaussians.len();
         let nodes = ControlNodes::none(TemporalBasis::default(), extent.half_side as f32);
-        let model = Model { gaussians, nodes, followed: vec![None; count] };
+        let footprint = options.footprint;
+        let model = Model { gaussians, nodes, followed: vec![None; count], footprint };
         let state = State {
             model,
             average: None,
@@ -371,7 +372,7 @@ impl<'a> Trainer<'a> {
             None => self.state.model.instant_into(posed.time, instant),
         }
         observe(Stage::Render);
-        let settings = Settings { background, ..Settings::default() };
+        let settings = Settings::over(background).with_footprint(self.options.footprint);
         let failed = |source: BackendError| TrainError::View { view: posed.name.clone(), source };
         let loss = PhotographLoss::new(photograph, background, self.options.weights())
             .cropped(left, top, width, height)
@@ -394,7 +395,7 @@ impl<'a> Trainer<'a> {
         let time = self.views.photographs()[view].time;
         let gradients = &self.memory.gradients;
         let state = &mut self.state;
-        let Model { gaussians, nodes, followed } = &mut state.model;
+        let Model { gaussians, nodes, followed, .. } = &mut state.model;
         let poses = nodes.poses(time);
         let mut of_nodes =
             gaussians.backward(&nodes.skin(&poses), followed, &gradients.splats, &gradients.sh_rest);

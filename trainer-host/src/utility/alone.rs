@@ -27,6 +27,7 @@ pub fn measure_alone(
     options: &UtilityOptions,
     every: usize,
 ) -> Result<Vec<(usize, f64)>, UtilityError> {
+    let options = &options.of_content(content);
     let mut sums = std::collections::BTreeMap::new();
     for span in spans(map) {
         let views = references.views_of(content, span.span, options.seed)?;

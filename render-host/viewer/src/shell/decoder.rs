@@ -138,6 +138,12 @@ impl Decoder {
         self.damage.clone()
     }
 
+    /// The number of the footprint that Gaussians are drawn with.
+    #[wasm_bindgen(getter)]
+    pub fn footprint(&self) -> u8 {
+        self.session.player().info().footprint as u8
+    }
+
     /// Frames, frames per second, most Gaussians of a frame, packets of the stream.
     pub fn info(&self) -> Vec<f64> {
         let (player, info) = (self.session.player(), self.session.player().info());

@@ -113,7 +113,7 @@ fn encoded(format: &str, epoch: &Epoch) -> Result<Vec<u8>> {
         "compressed.ply" => export::compressed_ply::encode(epoch, 0),
         "spz" => export::spz::encode(epoch, 0, &export::spz::SpzOptions::default()).with_context(failed)?,
         "splat" => export::splat::encode(epoch, 0),
-        "sog" => export::sog::encode(epoch, 0).with_context(failed)?,
+        "sog" => export::sog::encode(epoch, 0, false).with_context(failed)?,
         "glb" => export::gltf::encode(epoch, 0).with_context(failed)?,
         _ => export::ply::encode(epoch, 0),
     })

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ._gaussians import Gaussians
 
 _Activation = Literal["log", "linear"]
+_Footprint = Literal["dilated", "compensated", "pixel"]
 _Axis = Literal["x", "y", "z", "minus-x", "minus-y", "minus-z"]
 _Path = str | os.PathLike[str]
 _Arrays = Gaussians | Mapping[str, ArrayLike]
@@ -111,13 +112,15 @@ class Scene:
         fps: float = 30.0,
         activation: _Activation = "log",
         up: _Axis = "minus-y",
+        footprint: _Footprint = "dilated",
     ) -> Scene:
         """A scene of arrays under gsplat's names: each [N, ...] for all frames or [T, N, ...].
 
         means [.., N, 3], scales [.., N, 3], quats wxyz [.., N, 4], opacities [.., N], sh0 [.., N, 3] or
         [.., N, 1, 3], shN [N, K, 3] with K 0, 3, 8 or 15. Values are copied, whatever the strides;
         floating-point numbers of other widths are converted to float32, other types are refused.
-        Quaternions are normalised, logarithms of scales are clamped to -20..10, logits to -12..12.
+        Quaternions are normalised, logarithms of scales are clamped to -20..10, logits to -12..12. ``footprint`` is
+        how the Gaussians were drawn when they were fitted: gsplat's "antialiased" mode is "compensated".
         """
     @staticmethod
     def synth(kind: str = "figure", *, gaussians: int = 2000, frames: int = 8, seed: int = 1) -> Scene:
@@ -132,6 +135,9 @@ class Scene:
         the axes that are usual in the format unless ``keep_axes``.
         """
     def __len__(self) -> int: ...
+    @property
+    def footprint(self) -> _Footprint:
+        """How its Gaussians are drawn."""
     @property
     def frames(self) -> int:
         """Number of frames, also ``len(scene)``."""
@@ -189,7 +195,7 @@ class Stream:
         """What is amiss with the bytes, if something is."""
     @property
     def info(self) -> dict[str, Any]:
-        """frames, fps, packets, gaussians, sh_degree."""
+        """frames, fps, packets, gaussians, sh_degree, footprint."""
     @property
     def wire_bytes(self) -> int:
         """Bytes of the manifest and all packets."""
@@ -231,7 +237,7 @@ class Player:
         """How many blocks of a frame there are, and can be shown by level: blocks, canonical, motion."""
     @property
     def info(self) -> dict[str, Any]:
-        """frames, fps, packets, gaussians, sh_degree."""
+        """frames, fps, packets, gaussians, sh_degree, footprint."""
     @property
     def counters(self) -> dict[str, Any]:
         """Packets so far: media, parity, recovered, refused (by kind)."""
@@ -273,7 +279,7 @@ def render(
     activation: _Activation = "log",
     background: Sequence[float] | None = None,
     alpha: bool = False,
-    antialiased: bool = False,
+    footprint: _Footprint | None = None,
     sh_degree: int = 3,
     alpha_cutoff: float | None = None,
 ) -> NDArray[np.float32]:
@@ -281,8 +287,9 @@ def render(
 
     ``gaussians`` are arrays in the domain ``activation``, or a scene, of which ``frame`` is drawn. Colours are
     those of a screen, over ``background``, black by default. With ``alpha`` a fourth channel is 1 minus the share of the
-    background that shows. ``antialiased`` dims small Gaussians as Mip-Splatting does. Bands above
-    ``sh_degree`` are left out. A Gaussian adds nothing to a pixel where its alpha is below ``alpha_cutoff``, 0 to
+    background that shows. ``footprint`` is how Gaussians are widened, by default that of the scene, of
+    arrays "dilated": by 0.3 pixels²; "compensated" by as much and dimmed for it; "pixel" by 0.1 and dimmed (Mip-Splatting).
+    Bands above ``sh_degree`` are left out. A Gaussian adds nothing to a pixel where its alpha is below ``alpha_cutoff``, 0 to
     0.5, 1/255 by default. The same input gives the same bits on any number of threads.
     """
 
@@ -293,7 +300,7 @@ def render_backward(
     *,
     activation: _Activation = "log",
     background: Sequence[float] | None = None,
-    antialiased: bool = False,
+    footprint: _Footprint | None = None,
     sh_degree: int = 3,
     alpha_cutoff: float | None = None,
 ) -> dict[str, NDArray[np.float32]]:

@@ -20,7 +20,7 @@ pub fn render(instant: &Instant, camera: &Camera, settings: &Settings) -> Result
     Ok(rendered.image)
 }
 
-/// The source's own renders of `frames` on `backend`, in order, in parallel over frames.
+/// The source's own renders of `frames` on `backend`, in order, in parallel over frames, with its footprint.
 ///
 /// # Errors
 /// As [`render`]; a frame past the end.
@@ -31,7 +31,7 @@ pub fn references(
     settings: &Settings,
     backend: &Backend,
 ) -> Result<Vec<Image>, EvaluationError> {
-    let serial = Settings { parallel: false, ..settings.clone() };
+    let serial = Settings { parallel: false, ..settings.clone() }.with_footprint(scene.footprint);
     frames
         .par_iter()
         .with_min_len(run_length(frames.len()))
@@ -52,8 +52,8 @@ fn run_length(frames: usize) -> usize {
     (frames / (2 * rayon::current_num_threads())).clamp(1, 16)
 }
 
-/// Renders `content` on `backend` in each (frame, state), in order, in parallel; no state gives the
-/// background.
+/// Renders `content` on `backend` in each (frame, state), in order, in parallel, with its footprint; no state
+/// gives the background.
 ///
 /// # Errors
 /// As [`render`]; a frame past the end.
@@ -64,7 +64,8 @@ pub fn renders(
     settings: &Settings,
     backend: &Backend,
 ) -> Result<Vec<Image>, EvaluationError> {
-    let settings = Settings { parallel: false, ..settings.clone() };
+    let footprint = content.manifest.footprint();
+    let settings = Settings { parallel: false, ..settings.clone() }.with_footprint(footprint);
     shown
         .par_iter()
         .with_min_len(run_length(shown.len()))

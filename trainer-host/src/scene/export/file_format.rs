@@ -2,9 +2,11 @@
 
 use std::{io, path::Path};
 
+use codec_core::Footprint;
+
 use super::{compressed_ply, gltf, ply, sog, splat, spz};
 use crate::scene::{
-    Epoch, Up,
+    Epoch, Scene, Up,
     import::{Format, usual_up},
 };
 
@@ -63,26 +65,40 @@ impl FileFormat {
         .unwrap_or_default()
     }
 
-    /// Frame `t` of `epoch`, which must be below its frame count, as a file.
+    /// Frame `t` of `epoch`, which must be below its frame count, as a file of Gaussians that are drawn with
+    /// `footprint`, as far as the format can say.
     ///
     /// # Errors
     /// More Gaussians, or values further apart, than the format holds.
-    pub fn encode(self, epoch: &Epoch, t: usize) -> io::Result<Vec<u8>> {
+    pub fn encode(self, epoch: &Epoch, t: usize, footprint: Footprint) -> io::Result<Vec<u8>> {
+        let antialiased = footprint.is_dimmed();
         Ok(match self {
             Self::Ply => ply::encode(epoch, t),
             Self::CompressedPly => compressed_ply::encode(epoch, t),
-            Self::Spz => spz::encode(epoch, t, &spz::SpzOptions::default())?,
+            Self::Spz => {
+                spz::encode(epoch, t, &spz::SpzOptions { antialiased, ..spz::SpzOptions::default() })?
+            }
             Self::Splat => splat::encode(epoch, t),
-            Self::Sog => sog::encode(epoch, t)?,
+            Self::Sog => sog::encode(epoch, t, antialiased)?,
             Self::Glb => gltf::encode(epoch, t)?,
         })
     }
 
-    /// What it cannot hold of `epoch`, for people.
-    pub fn loss(self, epoch: &Epoch) -> Option<&'static str> {
-        let has_harmonics = epoch.attributes().sh_degree.get() > 0;
-        (self == Self::Splat && has_harmonics)
-            .then_some("harmonics above band 0 are left out: .splat has none")
+    /// What it cannot hold of `scene`, for people.
+    pub fn losses(self, scene: &Scene) -> Vec<String> {
+        let mut losses = Vec::new();
+        let has_harmonics = scene.epochs().iter().any(|epoch| epoch.attributes().sh_degree.get() > 0);
+        if self == Self::Splat && has_harmonics {
+            losses.push("harmonics above band 0 are left out: .splat has none".to_owned());
+        }
+        let drawn = match (self, scene.footprint) {
+            (_, Footprint::Dilated) | (Self::Spz | Self::Sog, Footprint::Compensated) => return losses,
+            (Self::Spz | Self::Sog, _) => "antialiased, which is wider",
+            _ => "most viewers draw by default",
+        };
+        let name = scene.footprint.name();
+        losses.push(format!("Gaussians are made for footprint {name}; the file has them drawn as {drawn}"));
+        losses
     }
 }
 

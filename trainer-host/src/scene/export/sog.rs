@@ -23,11 +23,12 @@ const PALETTE_ROW: usize = 64;
 /// Most entries of a palette: labels have 16 bits.
 const MOST_ENTRIES: usize = 65_536;
 
-/// Frame `t` of `epoch` as a zipped SOG. `t` must be below the epoch's frame count.
+/// Frame `t` of `epoch` as a zipped SOG, which says whether its Gaussians are dimmed as much as they are
+/// widened. `t` must be below the epoch's frame count.
 ///
 /// # Errors
 /// No Gaussians, more than planes of 16384 × 16384 hold, or a compressor's refusal.
-pub fn encode(epoch: &Epoch, t: usize) -> io::Result<Vec<u8>> {
+pub fn encode(epoch: &Epoch, t: usize, antialiased: bool) -> io::Result<Vec<u8>> {
     let (n, a) = (epoch.count(), epoch.attributes());
     if n == 0 || n > 16_384 * 16_384 {
         let why = format!("{n} Gaussians; 1 to {} are allowed in SOG", 16_384 * 16_384);
@@ -90,7 +91,7 @@ pub fn encode(epoch: &Epoch, t: usize) -> io::Result<Vec<u8>> {
     plane("sh0.webp", order.iter().map(pixel).collect(), width)?;
 
     let mut meta = json!({
-        "version": 2, "count": n, "antialias": false,
+        "version": 2, "count": n, "antialias": antialiased,
         "means": { "mins": mins, "maxs": maxs, "files": ["means_l.webp", "means_u.webp"] },
         "scales": { "codebook": scales.to_vec(), "files": ["scales.webp"] },
         "quats": { "files": ["quats.webp"] },

@@ -32,11 +32,13 @@ pub struct SpzOptions {
     pub version: Version,
     /// Fraction bits of positions, at most 23; fewer are used where positions would not fit.
     pub fraction_bits: u8,
+    /// Whether Gaussians are dimmed as much as they are widened.
+    pub antialiased: bool,
 }
 
 impl Default for SpzOptions {
     fn default() -> Self {
-        Self { version: Version::V3, fraction_bits: 12 }
+        Self { version: Version::V3, fraction_bits: 12, antialiased: false }
     }
 }
 
@@ -49,13 +51,13 @@ pub fn encode(epoch: &Epoch, t: usize, options: &SpzOptions) -> io::Result<Vec<u
     let fraction_bits = fraction_bits(epoch, t, options.fraction_bits)?;
     let planes = planes(epoch, t, fraction_bits);
     let degree = epoch.attributes().sh_degree.get();
-    let mut header = MAGIC.to_vec();
+    let (mut header, flags) = (MAGIC.to_vec(), u8::from(options.antialiased));
     let version: u32 = if options.version == Version::V3 { 3 } else { 4 };
     header.extend(version.to_le_bytes());
     header.extend(count.to_le_bytes());
     match options.version {
         Version::V3 => {
-            header.extend([degree, fraction_bits, 0, 0]);
+            header.extend([degree, fraction_bits, flags, 0]);
             let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
             gzip.write_all(&header)?;
             for plane in &planes {
@@ -65,7 +67,7 @@ pub fn encode(epoch: &Epoch, t: usize, options: &SpzOptions) -> io::Result<Vec<u
         }
         Version::V4 => {
             let streams = planes.iter().filter(|p| !p.is_empty()).count().max(5);
-            header.extend([degree, fraction_bits, 0, streams as u8]);
+            header.extend([degree, fraction_bits, flags, streams as u8]);
             header.extend(32u32.to_le_bytes());
             header.extend([0; 12]);
             let packed = planes[..streams]

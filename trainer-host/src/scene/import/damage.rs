@@ -78,6 +78,7 @@ fn spz_4() -> Vec<u8> {
     let options = crate::scene::export::spz::SpzOptions {
         version: crate::scene::export::spz::Version::V4,
         fraction_bits: 12,
+        antialiased: false,
     };
     crate::scene::export::spz::encode(&epoch, 0, &options).unwrap()
 }

@@ -351,7 +351,7 @@ impl Reader<'_> {
             scenes = pairs.collect::<Result<_, _>>().map_err(|e| failed(&e))?;
         }
         let scene = scenes.pop().ok_or_else(|| FORMAT.empty("primitives with Gaussians"))?;
-        Ok(Snapshot { epoch: scene.epochs()[0].clone(), notes })
+        Ok(Snapshot { epoch: scene.epochs()[0].clone(), footprint: None, notes })
     }
 }
 

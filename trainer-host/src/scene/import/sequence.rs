@@ -132,6 +132,13 @@ pub(super) fn assemble(
     frames_per_second: f64,
 ) -> Result<Scene, ImportError> {
     let mut notes = gathered(&frames);
+    let footprint = frames.first().and_then(|(_, frame)| frame.footprint).unwrap_or_default();
+    if frames.iter().any(|(_, frame)| frame.footprint.unwrap_or_default() != footprint) {
+        notes.push(format!(
+            "frames say different footprints; all are drawn as the first, {}",
+            footprint.name()
+        ));
+    }
     let epochs = match identity {
         Identity::PerFrame => {
             if frames.len() > 1 {
@@ -142,7 +149,7 @@ pub(super) fn assemble(
         Identity::Stored => vec![joined(&frames, &mut notes)?],
     };
     let mut scene = Scene::new(epochs, frames_per_second).map_err(|e| scene_error(FORMAT, &e))?;
-    scene.notes = notes;
+    (scene.footprint, scene.notes) = (footprint, notes);
     Ok(scene)
 }
 

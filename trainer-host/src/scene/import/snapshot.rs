@@ -4,7 +4,7 @@
 //! wxyz, band-0 coefficients. [`Columns::finish`] is the only way out, so what every reader returns
 //! has passed [`Epoch::new`]. Nothing here knows a file format.
 
-use codec_core::ShDegree;
+use codec_core::{Footprint, ShDegree};
 
 use super::{
     Limits,
@@ -20,6 +20,8 @@ pub(crate) const SH_C0: f32 = 0.282_094_8;
 pub struct Snapshot {
     /// The Gaussians, as one frame.
     pub epoch: Epoch,
+    /// How Gaussians are drawn, if the file says.
+    pub footprint: Option<Footprint>,
     /// Things worth telling a person.
     pub notes: Vec<String>,
 }
@@ -101,7 +103,7 @@ impl Columns {
             },
         )
         .map_err(|error| scene_error(format, &error))?;
-        Ok(Snapshot { epoch, notes })
+        Ok(Snapshot { epoch, footprint: None, notes })
     }
 
     fn drop_unreadable(&mut self) -> usize {

@@ -9,7 +9,7 @@
 
 use std::io::Cursor;
 
-use codec_core::ShDegree;
+use codec_core::{Footprint, ShDegree};
 use image_webp::WebPDecoder;
 use serde::Deserialize;
 
@@ -32,6 +32,7 @@ const META_BYTES: u64 = 1 << 20;
 struct Meta {
     version: Option<u32>,
     count: Option<u64>,
+    antialias: Option<bool>,
     means: Option<Means>,
     scales: Option<Coded>,
     quats: Option<Files>,
@@ -116,6 +117,7 @@ pub fn parse_files(
         None => (Version::One, *means.shape.iter().flatten().next().ok_or_else(|| missing("means.shape"))?),
     };
     let count = limits.gaussians(FORMAT, count)?;
+    let footprint = (meta.antialias == Some(true)).then_some(Footprint::Compensated);
     let scales = meta.scales.ok_or_else(|| missing("scales"))?;
     let quats = meta.quats.ok_or_else(|| missing("quats"))?;
     let sh0 = meta.sh0.ok_or_else(|| missing("sh0"))?;
@@ -194,7 +196,7 @@ pub fn parse_files(
             }
         }
     }
-    columns.finish(FORMAT, limits, Vec::new())
+    Ok(Snapshot { footprint, ..columns.finish(FORMAT, limits, Vec::new())? })
 }
 
 /// Whether JSON bytes look like the metadata of this format.

@@ -15,7 +15,7 @@
 
 use std::io::Read;
 
-use codec_core::ShDegree;
+use codec_core::{Footprint, ShDegree};
 use flate2::read::GzDecoder;
 use half::f16;
 
@@ -70,12 +70,14 @@ pub fn parse(bytes: &[u8], limits: &Limits) -> Result<Snapshot, ImportError> {
     };
     notes.push(AXES.to_owned());
     if header.flags & 1 != 0 {
-        notes.push("trained with antialiasing: thin Gaussians look too strong without it".to_owned());
+        notes.push("trained with antialiasing: drawn with footprint compensated".to_owned());
     }
     if header.degree > 3 {
         notes.push("harmonics of degree 4 are cut to degree 3".to_owned());
     }
-    read(&header, &planes).finish(FORMAT, limits, notes)
+    let footprint = (header.flags & 1 != 0).then_some(Footprint::Compensated);
+    let snapshot = read(&header, &planes).finish(FORMAT, limits, notes)?;
+    Ok(Snapshot { footprint, ..snapshot })
 }
 
 impl Header {

@@ -100,7 +100,7 @@ pub fn part(dataset: &Dataset, scene: &Scene, frames: Range<usize>) -> Dataset {
 /// What every camera sees of every frame.
 fn photographs(scene: &Scene, cameras: &[Camera]) -> Result<Vec<PosedPhotograph>, RenderedError> {
     let frames = scene.frames();
-    let settings = Settings { parallel: false, ..Settings::default() };
+    let settings = Settings { parallel: false, ..Settings::default() }.with_footprint(scene.footprint);
     let of_frame = |frame: usize| -> Result<Vec<PosedPhotograph>, RenderedError> {
         let instant = scene.instant(frame).unwrap_or_default();
         let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)

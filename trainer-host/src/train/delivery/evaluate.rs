@@ -99,7 +99,8 @@ pub(super) fn evaluate_coded(
         return Err(DeliveryError::NoReference { found: 0, purpose: "evaluation" });
     }
     let prefixes: Vec<Vec<u8>> = (0..PREFIXES).map(|level| sampler.prefix(level)).collect();
-    let plain = Settings { parallel: true, ..Settings::default() };
+    let footprint = encoded.stream.manifest()?.footprint();
+    let plain = Settings { parallel: true, ..Settings::default() }.with_footprint(footprint);
     let share = 1.0 / references.len() as f64;
     let mut worlds_db = vec![0.0; masks.states.len()];
     let (mut clean_db, mut of_prefixes) = (0.0, [0.0; PREFIXES]);

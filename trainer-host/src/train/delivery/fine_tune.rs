@@ -68,7 +68,7 @@ pub fn fine_tune(
 ) -> Result<FineTuned, DeliveryError> {
     options.check()?;
     let (training, validation) = split(references, options)?;
-    let settings = Settings::default();
+    let settings = Settings::default().with_footprint(scene.footprint);
     let views = views(scene, &training, &settings)?;
     let coded = Coded::first(scene, &options.encode)?;
     let sampler = Sampler::new(&coded.encoded.stream, options.unit)?;

@@ -96,7 +96,7 @@ impl Parameters {
         let epochs: Result<Vec<Epoch>, SceneError> =
             epochs.map(|(epoch, values)| moved_epoch(epoch, values)).collect();
         let mut scene = Scene::new(epochs?, source.frames_per_second())?;
-        scene.up = source.up;
+        (scene.up, scene.footprint) = (source.up, source.footprint);
         scene.cameras.clone_from(&source.cameras);
         scene.notes.clone_from(&source.notes);
         Ok(scene)

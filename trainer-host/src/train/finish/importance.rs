@@ -32,6 +32,7 @@ pub(super) fn removal_errors(
     let all = views.photographs().len();
     let count = all.min(MOST_VIEWS);
     let mut errors = vec![0.0; model.gaussians()];
+    let settings = Settings::default().with_footprint(model.footprint);
     let (mut instant, mut gradients) = (Instant::default(), Gradients::default());
     for k in 0..count {
         let index = k * all / count;
@@ -48,7 +49,7 @@ pub(super) fn removal_errors(
             .map_err(|source| TrainError::Splats { view: named(), source })?;
         let signs = Signs { seed: k as u64 };
         differentiator
-            .differentiate(&splats, &camera, &Settings::default(), &signs, &mut gradients, None)
+            .differentiate(&splats, &camera, &settings, &signs, &mut gradients, None)
             .map_err(|source| TrainError::View { view: named(), source })?;
         for ((error, gaussian), splat) in errors.iter_mut().zip(&instant.gaussians).zip(&gradients.splats) {
             // Of the logit, ∂I is opacity · (1 - opacity) times that of the opacity.

@@ -95,7 +95,9 @@ record! {
         /// Number of repair ranges.
         repairs: u16,
         /// 1 if there is a proxy for every canonical block (`dgs1`), else 0.
-        proxies: u16,
+        proxies: u8,
+        /// How Gaussians are drawn: a number of [`Footprint`](crate::Footprint).
+        footprint: u8,
         /// i16 values of window bases (`dgs1`) or f32 values of epoch bases (`paper`).
         basis_values: u32,
         /// f32 values of cluster transforms (`paper`), else 0.

@@ -13,6 +13,7 @@ use super::{
 use crate::{
     cursor::Reader,
     error::{Error, ErrorKind, Result},
+    footprint::Footprint,
     gaussian::ShDegree,
     ids::{CellId, ClusterId, EpochId, Level, Span, WindowId},
     limits,
@@ -35,6 +36,7 @@ pub(crate) struct Outline {
     head: Head,
     profile: Profile,
     sh_degree: ShDegree,
+    footprint: Footprint,
     block_len: NonZero<u32>,
     size: LatticeSize,
 }
@@ -72,7 +74,7 @@ impl<'a> Manifest<'a> {
                 return Err(unknown.kind(ErrorKind::Unknown));
             }
         };
-        let (sh_degree, block_len) = check_head(&head)?;
+        let (sh_degree, block_len, footprint) = check_head(&head)?;
         // In `paper` a whole cluster is one block.
         let block_len = match profile {
             Profile::Paper => const { NonZero::new(limits::MAX_CLUSTER_LEN as u32).unwrap() },
@@ -82,7 +84,7 @@ impl<'a> Manifest<'a> {
         let size = check_lattice(&lattice, &head, profile, block_len)?;
         let sections = lattice.with_others(reader, &head, &size)?;
         check_records(&sections, &head, profile, raw.len())?;
-        Ok(Self { raw, sections, outline: Outline { head, profile, sh_degree, block_len, size } })
+        Ok(Self { raw, sections, outline: Outline { head, profile, sh_degree, footprint, block_len, size } })
     }
 
     /// What is known of this manifest without its bytes.
@@ -131,6 +133,11 @@ impl<'a> Manifest<'a> {
     /// Highest harmonic degree of any cluster.
     pub const fn sh_degree(&self) -> ShDegree {
         self.outline.sh_degree
+    }
+
+    /// How Gaussians are drawn.
+    pub const fn footprint(&self) -> Footprint {
+        self.outline.footprint
     }
 
     /// Frames per second.

@@ -21,7 +21,11 @@ pub fn code_frames(scene: &Scene, coarseness: f32, _: i32, shown: &[u32]) -> Res
     let timer = Timer::start();
     let mut files = Vec::new();
     for epoch in scene.epochs() {
-        let options = SpzOptions { version: Version::V3, fraction_bits: fraction_bits(epoch, coarseness) };
+        let options = SpzOptions {
+            version: Version::V3,
+            fraction_bits: fraction_bits(epoch, coarseness),
+            antialiased: false,
+        };
         for t in 0..epoch.frames() {
             files.push(encode(epoch, t, &options).context("SPZ")?);
         }
@@ -71,7 +75,7 @@ const HEADER: usize = 32;
 
 impl Unpacked {
     fn of(epoch: &Epoch, t: usize, fraction_bits: u8) -> Result<Self> {
-        let options = SpzOptions { version: Version::V4, fraction_bits };
+        let options = SpzOptions { version: Version::V4, fraction_bits, antialiased: false };
         let (fraction_bits, planes) = unpacked(epoch, t, &options)?;
         let present = planes.iter().filter(|p| !p.is_empty()).count().max(5);
         let mut header = b"NGSP".to_vec();

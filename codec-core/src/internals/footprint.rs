@@ -1,0 +1,63 @@
+//! Says how Gaussians become splats on pixels, which a scene is made for and looks wrong otherwise.
+
+/// How a projected Gaussian is widened so that it is not lost between pixels, and what that does to its
+/// opacity. A scene that was fitted to photographs was fitted under one of these.
+///
+/// # Examples
+/// ```
+/// use codec_core::Footprint;
+///
+/// assert_eq!(Footprint::named("pixel"), Some(Footprint::Pixel));
+/// assert_eq!(Footprint::Pixel.low_pass(), 0.1);
+/// assert!(Footprint::Pixel.is_dimmed() && !Footprint::default().is_dimmed());
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "defmt", derive(defmt::Format))]
+pub enum Footprint {
+    /// Wider by 0.3 pixels² and as opaque as before (3DGS): grows where pixels are larger than those that the
+    /// scene was fitted to, and shrinks where they are smaller.
+    #[default]
+    Dilated = 0,
+    /// Wider by 0.3 pixels², and dimmed as much (gsplat's *antialiased*, the flag of SPZ and SOG).
+    Compensated = 1,
+    /// Wider by 0.1 pixels², about what a pixel averages over, and dimmed as much (Mip-Splatting): the same
+    /// at any size of pixels.
+    Pixel = 2,
+}
+
+impl Footprint {
+    /// Each of them; the place is the number on the wire.
+    pub const ALL: [Self; 3] = [Self::Dilated, Self::Compensated, Self::Pixel];
+
+    /// The footprint of `number` on the wire.
+    pub fn numbered(number: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(number)).copied()
+    }
+
+    /// The footprint of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|footprint| footprint.name() == name)
+    }
+
+    /// Its name.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Dilated => "dilated",
+            Self::Compensated => "compensated",
+            Self::Pixel => "pixel",
+        }
+    }
+
+    /// Variance that is added along both axes of a projected Gaussian, pixels².
+    pub const fn low_pass(self) -> f64 {
+        match self {
+            Self::Dilated | Self::Compensated => 0.3,
+            Self::Pixel => 0.1,
+        }
+    }
+
+    /// Whether opacity is multiplied by the root of the ratio of determinants before and after.
+    pub const fn is_dimmed(self) -> bool {
+        !matches!(self, Self::Dilated)
+    }
+}
