@@ -219,6 +219,34 @@ fn every_format_comes_back_as_the_same_picture() {
     }
 }
 
+/// How Gaussians are drawn goes with them, as far as formats can say.
+#[test]
+fn a_footprint_goes_with_its_scene() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let scene = "synth:figure:4000:1";
+    let picture = |from: &[&str], name: &str| {
+        ok(at, &[&["render"], from, &["-o", name, "--overwrite"], &SMALL[..]].concat());
+    };
+    let psnr = |a: &str, b: &str| json(at, &["compare", a, b])["summary"][0]["mean"].as_f64().unwrap();
+    picture(&[scene], "dilated");
+    for (footprint, file) in [("compensated", "a.spz"), ("compensated", "a.sog"), ("pixel", "a.dgs")] {
+        picture(&[scene, "--footprint", footprint], footprint);
+        let verb = if file == "a.dgs" { "encode" } else { "convert" };
+        let out: &[&str] = if file == "a.dgs" { &["-o", file, "--coarseness", "0.1"] } else { &[file] };
+        ok(at, &[&[verb, scene, "--footprint", footprint], out].concat());
+        picture(&[file], "read");
+        let (same, other) = (psnr("read", footprint), psnr("read", "dilated"));
+        assert!(same > 33.0 && other < same - 3.0, "{file}: {same} and {other} dB");
+    }
+    assert_eq!(json(at, &["inspect", "a.dgs"])["manifest"]["footprint"], "pixel");
+    assert_eq!(json(at, &["import", "a.spz"])["footprint"], "compensated");
+    let said = json(at, &["convert", "a.dgs", "b.ply"]);
+    assert!(said["warnings"][0].as_str().unwrap().contains("footprint pixel"), "{said}");
+    let refused = stopped(at, &["convert", "a.spz", "c.ply", "--merge", "b.ply"], 1);
+    assert!(refused.contains("footprints compensated and dilated"), "{refused}");
+}
+
 #[test]
 fn scenes_are_edited_on_the_way() {
     let folder = tempfile::tempdir().unwrap();

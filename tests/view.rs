@@ -95,9 +95,11 @@ impl Page {
         let camera =
             Camera::new(intrinsics, rotation, [n[9], n[10], n[11]]).unwrap().with_near(n[16]).unwrap();
         let frame = self.number("player.session.frame") as u32;
+        let footprint = player.info().footprint;
         let shown = player.frame(frame).unwrap();
         let splats = Splats::new(shown.gaussians, shown.sh_rest, shown.sh_degree).unwrap();
-        let image = render(&splats, &camera, &Settings::over(background)).unwrap().image;
+        let settings = Settings::over(background).with_footprint(footprint);
+        let image = render(&splats, &camera, &settings).unwrap().image;
         let rgb = image.to_rgb8().iter().map(|&v| f32::from(v) / 255.0).collect();
         Image::new(SIDE, SIDE, rgb).unwrap()
     }

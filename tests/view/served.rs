@@ -9,6 +9,7 @@ use std::{
 };
 
 use clap::Parser;
+use codec_core::Footprint;
 use dgs::{
     args::{Cli, Verb},
     pipeline::{self, Quiet},
@@ -22,14 +23,18 @@ use tokio::{runtime::Runtime, sync::oneshot};
 pub const SMALL: (&str, usize) = ("small", 1000);
 pub const LARGE: (&str, usize) = ("large", 2500);
 
-/// One second of a synthetic figure.
+/// One second of a synthetic figure; the small one is drawn with footprint pixel, as trained scenes are.
 pub fn stream((_, gaussians): (&str, usize)) -> Stream {
     static STREAMS: [OnceLock<Stream>; 2] = [OnceLock::new(), OnceLock::new()];
     let slot = &STREAMS[usize::from(gaussians == LARGE.1)];
     slot.get_or_init(|| {
         let flags = ["dgs", "demo", "--pictures", "2", "--coarseness", "0.02"];
         let Ok(Cli { verb: Verb::Demo(args), .. }) = Cli::try_parse_from(flags) else { panic!("{flags:?}") };
-        let scene = pipeline::import(&format!("synth:figure:{gaussians}:30"), &args.source).unwrap().scene;
+        let mut scene =
+            pipeline::import(&format!("synth:figure:{gaussians}:30"), &args.source).unwrap().scene;
+        if gaussians == SMALL.1 {
+            scene.footprint = Footprint::Pixel;
+        }
         let options = pipeline::encode_options(&args.codec, trainer_host::encode::Protection::STANDARD);
         pipeline::encode(&scene, &options, Quiet(true)).unwrap().stream
     })

@@ -146,6 +146,9 @@ typedef struct dgs_stream {
     uint32_t gaussians;
     /* Higher harmonic coefficients per Gaussian, all channels: 0, 9, 24 or 45. */
     uint32_t sh_rest;
+    /* How Gaussians are drawn: 0 variance 0.3 pixels² is added; 1 the same, and dimmed as much; 2 0.1
+     * pixels², and dimmed as much. */
+    uint32_t footprint;
 } dgs_stream;
 
 /* One Gaussian of one frame. */

@@ -209,6 +209,10 @@ export class Decoder {
      */
     readonly damage: string;
     /**
+     * The number of the footprint that Gaussians are drawn with.
+     */
+    readonly footprint: number;
+    /**
      * Share of the file that is there.
      */
     readonly loaded: number;
@@ -264,9 +268,9 @@ export class Screen {
     static open(canvas: HTMLCanvasElement): Promise<Screen>;
     /**
      * Uploads a picture that a decoder has packed: number of Gaussians, degree of their harmonics, whether
-     * these are left out, the bytes.
+     * these are left out, the bytes; and the number of the footprint that its Gaussians are drawn with.
      */
-    upload(count: number, degree: number, only_moved: boolean, bytes: Uint8Array | number[]): void;
+    upload(count: number, degree: number, only_moved: boolean, footprint: number, bytes: Uint8Array | number[]): void;
     /**
      * Name of the adapter; empty where the browser keeps it to itself.
      */
@@ -362,6 +366,7 @@ export interface InitOutput {
     readonly decoder_damage: (a: number) => [number, number];
     readonly decoder_deliver: (a: number, b: number) => number;
     readonly decoder_fetch: (a: number, b: number, c: number) => [number, number, number];
+    readonly decoder_footprint: (a: number) => number;
     readonly decoder_goTo: (a: number, b: number) => void;
     readonly decoder_impair: (a: number, b: number, c: number, d: number, e: number, f: number) => [number, number];
     readonly decoder_info: (a: number) => [number, number];
@@ -396,14 +401,14 @@ export interface InitOutput {
     readonly screen_open: (a: any) => any;
     readonly screen_pending: (a: number) => number;
     readonly screen_stale: (a: number) => number;
-    readonly screen_upload: (a: number, b: number, c: number, d: number, e: number, f: number) => [number, number];
+    readonly screen_upload: (a: number, b: number, c: number, d: number, e: number, f: number, g: number) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_73: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_76: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_74: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_77: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_78: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_75: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_76: (a: number, b: number, c: any) => void;
     readonly __wbindgen_malloc: (a: number, b: number) => number;
     readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
     readonly __wbindgen_free: (a: number, b: number, c: number) => void;

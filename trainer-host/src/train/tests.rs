@@ -2,6 +2,8 @@
 
 use render_host::{Backend, DeviceChoice};
 
+use codec_core::Footprint;
+
 use super::{dataset::rendered, *};
 use crate::{
     encode,
@@ -12,9 +14,19 @@ use crate::{
 const TRAINED_TOLERANCE_DB: f64 = 0.1;
 
 fn dataset(kind: synth::SynthKind, frames: usize, cameras: usize) -> Dataset {
+    sized(kind, frames, cameras, 64)
+}
+
+/// Photographs of `side` pixels that average over pixels as cameras do, of balls.
+fn dataset_of(side: u32) -> Dataset {
+    sized(synth::SynthKind::Balls, 2, 12, side)
+}
+
+fn sized(kind: synth::SynthKind, frames: usize, cameras: usize, side: u32) -> Dataset {
     let options = synth::SynthOptions { kind, gaussians: 1000, frames, ..synth::SynthOptions::default() };
-    let scene = synth::make(&options, &Limits::default()).unwrap();
-    let views = rendered::RenderedOptions { cameras, test_cameras: 2, side: 64 };
+    let mut scene = synth::make(&options, &Limits::default()).unwrap();
+    scene.footprint = Footprint::Pixel;
+    let views = rendered::RenderedOptions { cameras, test_cameras: 2, side };
     let mut dataset = rendered::rendered(&scene, "balls", &views).unwrap();
     dataset.start = Start::VisualHull;
     dataset
@@ -49,6 +61,28 @@ fn training_finds_the_scene_and_its_motion() {
     assert!(moving > start + 8.0, "{start} {moving}");
     // Without nodes nothing can follow the motion.
     assert!(moving > still + 2.0, "{still} {moving}");
+}
+
+/// What is fitted to one size of pixels looks right at half and at twice the size only if Gaussians are drawn as
+/// what a pixel averages over.
+#[test]
+fn a_scene_for_pixels_looks_right_at_other_sizes() {
+    let (small, large) = (dataset_of(48), dataset_of(96));
+    let psnr = |footprint: Footprint| {
+        let trained = trained(&small, &TrainOptions { footprint, ..options() }, 900);
+        let at = |dataset: &Dataset, reduced: u32| {
+            evaluate(&*trained.model(), &dataset.test, reduced, [0.0; 3]).unwrap().psnr_db
+        };
+        [at(&small, 1), at(&small, 2), at(&large, 1)]
+    };
+    let ([dilated, half, twice], [pixel, pixel_half, pixel_twice]) =
+        (psnr(Footprint::Dilated), psnr(Footprint::Pixel));
+    println!(
+        "dilated {dilated:.2}, {half:.2}, {twice:.2} dB; pixel {pixel:.2}, {pixel_half:.2}, {pixel_twice:.2} dB"
+    );
+    assert!(pixel > dilated - 0.5, "{pixel} and {dilated} dB");
+    assert!(pixel_half > half + 1.0, "at half the size {pixel_half} and {half} dB");
+    assert!(pixel_twice > twice + 0.5, "at twice the size {pixel_twice} and {twice} dB");
 }
 
 /// Of balls over a floor the floor stands still and the balls do not: pictures of training views decide.
