@@ -1,4 +1,5 @@
-//! Reads and writes a footprint by its name: `#[serde(with = "footprint_name")]`.
+//! Reads and writes footprints by their names: `#[serde(with = "footprint_name")]`, and of those that may be
+//! missing `#[serde(with = "footprint_name::option")]`.
 
 use codec_core::Footprint;
 use serde::{Deserialize, Deserializer, Serializer, de::Error};
@@ -16,8 +17,35 @@ pub fn serialize<S: Serializer>(footprint: &Footprint, serializer: S) -> Result<
 /// # Errors
 /// A name that is none.
 pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Footprint, D::Error> {
-    let name = String::deserialize(deserializer)?;
+    named(&String::deserialize(deserializer)?)
+}
+
+fn named<E: Error>(name: &str) -> Result<Footprint, E> {
     let allowed = || Footprint::ALL.map(Footprint::name).join(", ");
-    Footprint::named(&name)
-        .ok_or_else(|| D::Error::custom(format!("footprint is {name:?}; {} are allowed", allowed())))
+    Footprint::named(name)
+        .ok_or_else(|| E::custom(format!("footprint is {name:?}; {} are allowed", allowed())))
+}
+
+pub mod option {
+    //! The same where there may be none.
+    use super::*;
+
+    /// Writes the name of `footprint`, if there is one.
+    ///
+    /// # Errors
+    /// What the format refuses.
+    pub fn serialize<S: Serializer>(footprint: &Option<Footprint>, serializer: S) -> Result<S::Ok, S::Error> {
+        match footprint {
+            Some(footprint) => serializer.serialize_some(footprint.name()),
+            None => serializer.serialize_none(),
+        }
+    }
+
+    /// Reads a footprint, if there is one.
+    ///
+    /// # Errors
+    /// A name that is none.
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Footprint>, D::Error> {
+        Option::<String>::deserialize(deserializer)?.map(|name| named(&name)).transpose()
+    }
 }

@@ -27,10 +27,10 @@ pub struct TrainOptions {
     pub canonical_time: f32,
     /// Longest side of the photographs that are trained on, pixels: larger ones are reduced.
     pub max_side: u32,
-    /// How Gaussians are drawn, by name: "pixel" looks alike at any size of pixels, "dilated" as most viewers
-    /// of splat files draw.
-    #[serde(with = "footprint_name")]
-    pub footprint: Footprint,
+    /// How Gaussians are drawn, by name: "pixel" looks alike at any size of pixels, "dilated" is what most
+    /// viewers of splat files draw; without it, that of the dataset.
+    #[serde(with = "footprint_name::option")]
+    pub footprint: Option<Footprint>,
     /// Background that the result is judged over.
     pub background: [f32; 3],
     /// Weight of the mean absolute error in the loss.
@@ -232,7 +232,7 @@ impl Default for TrainOptions {
             sh_degree: 2,
             canonical_time: 0.5,
             max_side: 800,
-            footprint: Footprint::Pixel,
+            footprint: None,
             background: [1.0; 3],
             absolute_weight: 0.8,
             structure_weight: 0.2,

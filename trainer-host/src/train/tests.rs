@@ -69,7 +69,7 @@ fn training_finds_the_scene_and_its_motion() {
 fn a_scene_for_pixels_looks_right_at_other_sizes() {
     let (small, large) = (dataset_of(48), dataset_of(96));
     let psnr = |footprint: Footprint| {
-        let trained = trained(&small, &TrainOptions { footprint, ..options() }, 900);
+        let trained = trained(&small, &TrainOptions { footprint: Some(footprint), ..options() }, 900);
         let at = |dataset: &Dataset, reduced: u32| {
             evaluate(&*trained.model(), &dataset.test, reduced, [0.0; 3]).unwrap().psnr_db
         };
@@ -245,8 +245,9 @@ fn a_finished_scene_beats_a_plain_one_of_the_same_size() {
         let received = encoded.stream.receive().unwrap();
         let content = received.content();
         let mut player = crate::stream::Player::new(content.manifest);
-        let frames: Vec<crate::Instant> = (0..4).map(|t| player.instant(&content, t).unwrap()).collect();
-        evaluate(&frames, &dataset.test, 1, [0.0; 3]).unwrap().psnr_db
+        let instants = (0..4).map(|t| player.instant(&content, t).unwrap()).collect();
+        let clip = Clip { instants, footprint: content.manifest.footprint() };
+        evaluate(&clip, &dataset.test, 1, [0.0; 3]).unwrap().psnr_db
     };
     let compared = |seed: u64| {
         let finished = trained(&dataset, &TrainOptions { seed, ..finished() }, 900);

@@ -101,7 +101,7 @@ impl<'a> Trainer<'a> {
         let gaussians = TrainedGaussians::new(&begun, options.degree());
         let count = gaussians.len();
         let nodes = ControlNodes::none(TemporalBasis::default(), extent.half_side as f32);
-        let footprint = options.footprint;
+        let footprint = *options.footprint.get_or_insert(dataset.footprint);
         let model = Model { gaussians, nodes, followed: vec![None; count], footprint };
         let state = State {
             model,
@@ -372,7 +372,7 @@ impl<'a> Trainer<'a> {
             None => self.state.model.instant_into(posed.time, instant),
         }
         observe(Stage::Render);
-        let settings = Settings::over(background).with_footprint(self.options.footprint);
+        let settings = Settings::over(background).with_footprint(self.state.model.footprint);
         let failed = |source: BackendError| TrainError::View { view: posed.name.clone(), source };
         let loss = PhotographLoss::new(photograph, background, self.options.weights())
             .cropped(left, top, width, height)

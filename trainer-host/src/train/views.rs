@@ -2,7 +2,7 @@
 
 use std::{marker::PhantomData, ops::Range};
 
-use codec_core::ShDegree;
+use codec_core::{Footprint, ShDegree};
 use render_host::{Camera, adjoint::loss::photograph::Photograph};
 
 use crate::scene::{Instant, Up};
@@ -161,4 +161,7 @@ pub struct Dataset {
     pub frames: usize,
     /// Which way is up.
     pub up: Up,
+    /// How Gaussians are best drawn: what a pixel of a photograph averages over, or as the scene is drawn that
+    /// the photographs are renders of.
+    pub footprint: Footprint,
 }

@@ -176,8 +176,8 @@ mod tests {
     fn archives_read_back_close_to_what_they_were() {
         for degree in [0, 3] {
             let epoch = patterned(&epoch(3000, degree));
-            let bytes = encode(&epoch, 0).unwrap();
-            assert_eq!(bytes, encode(&epoch, 0).unwrap(), "the same bytes every time");
+            let bytes = encode(&epoch, 0, false).unwrap();
+            assert_eq!(bytes, encode(&epoch, 0, false).unwrap(), "the same bytes every time");
             let again = import::sog::parse(&bytes, &Limits::default()).unwrap().epoch;
             let sorted = in_order(&epoch, &morton_order(epoch.attributes().positions.frame(0, 3000)));
             assert_close("position", &sorted, &again, 0.002, |a, n, i| a.positions.frame(0, n)[i].to_vec());
@@ -193,6 +193,6 @@ mod tests {
                 assert!(squares < 0.02 * power, "{squares} of {power}");
             }
         }
-        assert!(encode(&epoch(0, 0), 0).is_err());
+        assert!(encode(&epoch(0, 0), 0, false).is_err());
     }
 }

@@ -317,6 +317,7 @@ pub(super) mod tests {
             let expected = if version == 3 { std::f32::consts::FRAC_1_SQRT_2 } else { 1.0 };
             assert!((q[1] - expected).abs() < 1e-2, "version {version}: {q:?}");
             assert!(s.notes[1].contains("antialiasing"), "{:?}", s.notes);
+            assert_eq!(s.footprint, Some(Footprint::Compensated));
         }
     }
 

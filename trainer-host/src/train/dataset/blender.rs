@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
+use codec_core::Footprint;
 use rayon::prelude::*;
 use render_host::camera::blender;
 
@@ -31,6 +32,7 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
         has_alpha,
         frames,
         up: Up::Z,
+        footprint: Footprint::Pixel,
     })
 }
 

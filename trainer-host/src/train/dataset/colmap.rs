@@ -5,6 +5,7 @@
 
 use std::path::{Path, PathBuf};
 
+use codec_core::Footprint;
 use rayon::prelude::*;
 use render_host::camera::colmap::{self, Format};
 
@@ -59,6 +60,7 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
         has_alpha: false,
         frames: 1,
         up: Up::MinusY,
+        footprint: Footprint::Pixel,
     })
 }
 

@@ -5,6 +5,7 @@
 
 use std::{collections::BTreeSet, path::Path};
 
+use codec_core::Footprint;
 use rand::RngExt;
 use rand_pcg::{Pcg64Mcg, rand_core::SeedableRng};
 use rayon::prelude::*;
@@ -60,6 +61,7 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
         has_alpha: false,
         frames,
         up: Up::MinusY,
+        footprint: Footprint::Pixel,
     })
 }
 

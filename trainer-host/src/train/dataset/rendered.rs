@@ -78,6 +78,7 @@ pub fn rendered(scene: &Scene, name: &str, options: &RenderedOptions) -> Result<
         has_alpha: true,
         frames: scene.frames(),
         up: scene.up,
+        footprint: scene.footprint,
     })
 }
 
@@ -94,6 +95,7 @@ pub fn part(dataset: &Dataset, scene: &Scene, frames: Range<usize>) -> Dataset {
         has_alpha: dataset.has_alpha,
         frames: frames.len(),
         up: dataset.up,
+        footprint: dataset.footprint,
     }
 }
 
