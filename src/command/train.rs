@@ -21,7 +21,7 @@ use serde_json::json;
 use trainer_host::{
     Scene,
     train::{
-        self, Dataset, Posable,
+        self, Dataset, Posable, Test, Views,
         dataset::{self, rendered},
         delivery::DeliveryOptions,
     },
@@ -50,6 +50,9 @@ use crate::{
 /// What is left where a person leaves before the scene is encoded, and after.
 const TRAINED: &str = "the checkpoint is whole; --resume encodes it";
 const ENCODED: &str = "checkpoint and stream are whole; the report is not there";
+
+/// Shortest side of pictures that are still worth a figure, pixels.
+const LEAST_SIDE: u32 = 32;
 
 /// Runs the verb.
 pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
@@ -172,6 +175,15 @@ fn finish(
     if dataset.has_alpha {
         measure("test views, as trained, opposite background", &shown, other)?;
     }
+    // A window has the size that a person gives it.
+    for (what, reduced) in [("at half the size", 2 * reduced), ("at twice the size", reduced / 2)] {
+        if is_size(&dataset.test, reduced) {
+            stop.leave(ENCODED);
+            let what = format!("test views, as decoded, {what}");
+            let found = train::evaluate(&decoded, &dataset.test, reduced, plain)?;
+            figures.push(Figure { what, found, seen: None });
+        }
+    }
     let seen = dataset.train.sample(dataset.test.photographs().len().max(GLANCE_VIEWS));
     figures.push(Figure {
         what: "training views, as trained".to_owned(),
@@ -198,6 +210,15 @@ fn finish(
     }
     output.json["utility"] = json!(audits);
     Ok(output)
+}
+
+/// Whether there are views, and pictures of all of them can be `reduced` times smaller.
+fn is_size(views: &Views<Test>, reduced: u32) -> bool {
+    let fits = |side: u32| side.is_multiple_of(reduced) && side / reduced >= LEAST_SIDE;
+    let photographs = views.photographs();
+    reduced > 0
+        && !photographs.is_empty()
+        && photographs.iter().all(|view| fits(view.camera.width()) && fits(view.camera.height()))
 }
 
 /// What the verb says.

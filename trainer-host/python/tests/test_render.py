@@ -161,3 +161,17 @@ def test_what_is_wrong_is_named() -> None:
         dgs.Camera(np.eye(3), np.eye(3), 8, 8)
     with pytest.raises(ValueError, match="fx"):
         dgs.Camera(np.eye(4), np.zeros((3, 3)) + np.diag([0, 0, 1]), 8, 8)
+
+
+def test_a_footprint_goes_with_its_scene():
+    made = dgs.Scene.synth("balls", gaussians=1000, frames=1)
+    cameras, arrays = made.ring(1, width=32, height=32), made.at(0)
+    scene = dgs.Scene.from_arrays(*arrays, footprint="pixel")
+    assert (made.footprint, scene.footprint) == ("dilated", "pixel")
+    drawn = dgs.render(scene, cameras)
+    assert np.array_equal(drawn, dgs.render(arrays, cameras, footprint="pixel"))
+    assert not np.array_equal(drawn, dgs.render(arrays, cameras))
+    stream = dgs.encode(scene, pictures=0).stream
+    assert dgs.Player(stream).info["footprint"] == "pixel"
+    with pytest.raises(ValueError, match="dilated, compensated, pixel are wanted"):
+        dgs.render(arrays, cameras, footprint="wide")
