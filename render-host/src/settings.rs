@@ -135,7 +135,7 @@ impl Settings {
     /// The same for Gaussians that are made to be drawn with `footprint`: its `low_pass` and `antialiased`.
     #[must_use]
     pub fn with_footprint(self, footprint: Footprint) -> Self {
-        Self { low_pass: footprint.low_pass(), antialiased: footprint.is_dimmed(), ..self }
+        Self { low_pass: footprint.low_pass(), antialiased: footprint.compensates_opacity(), ..self }
     }
 
     /// Every skip that leaves the picture as it is switched off; tolerances stay.

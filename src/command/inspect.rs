@@ -222,7 +222,8 @@ fn manifest_json(manifest: &Manifest<'_>) -> Value {
         .collect();
     json!({
         "frames": head.frames, "fps": manifest.frames_per_second(), "sh_degree": head.sh_degree,
-        "footprint": manifest.footprint().name(), "block_len": manifest.block_len().get(), "packets": head.packets, "clusters": head.clusters,
+        "footprint": manifest.footprint().name(), "block_len": manifest.block_len().get(),
+        "packets": head.packets, "clusters": head.clusters,
         "epochs": epochs, "windows": windows, "tables": head.tables,
         "repair": manifest.repairs().map(|r| json!({
             "first_packet": r.first_packet, "packets": r.packets, "set_len": r.set_len, "sets": r.sets(),

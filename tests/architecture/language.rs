@@ -96,7 +96,7 @@ type Counts = [usize; RULES.len()];
 /// Each room and the most it may count.
 const CEILINGS: [(&str, Counts); 16] = [
     ("", [0, 1, 0, 7, 0, 0, 0, 0, 125]),
-    ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 24]),
+    ("codec-core/", [0, 0, 0, 0, 0, 0, 0, 0, 25]),
     ("codec-core/capi/", [0, 0, 0, 0, 0, 0, 0, 0, 46]),
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 0, 19]),
@@ -104,12 +104,12 @@ const CEILINGS: [(&str, Counts); 16] = [
     ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 160]),
     ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 26]),
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 37]),
-    ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 239]),
+    ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 240]),
     ("render-host/video/", [0, 0, 0, 0, 0, 0, 0, 0, 3]),
     ("render-host/viewer/", [0, 0, 0, 0, 0, 0, 0, 0, 23]),
     ("render-host/window/", [0, 0, 0, 0, 0, 0, 0, 0, 11]),
     ("tests/lab/", [0, 0, 0, 13, 0, 0, 0, 0, 50]),
-    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 312]),
+    ("trainer-host/", [0, 0, 0, 0, 0, 0, 0, 0, 313]),
     ("trainer-host/python/", [0, 0, 0, 0, 0, 0, 0, 0, 0]),
 ];
 

@@ -10,7 +10,7 @@
 
 pub mod edit;
 pub mod export;
-pub mod footprint_name;
+pub(crate) mod footprint_name;
 pub mod import;
 pub mod viewpoint;
 

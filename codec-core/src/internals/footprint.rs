@@ -9,7 +9,7 @@
 ///
 /// assert_eq!(Footprint::named("pixel"), Some(Footprint::Pixel));
 /// assert_eq!(Footprint::Pixel.low_pass(), 0.1);
-/// assert!(Footprint::Pixel.is_dimmed() && !Footprint::default().is_dimmed());
+/// assert!(Footprint::Pixel.compensates_opacity() && !Footprint::default().compensates_opacity());
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
@@ -57,7 +57,7 @@ impl Footprint {
     }
 
     /// Whether opacity is multiplied by the root of the ratio of determinants before and after.
-    pub const fn is_dimmed(self) -> bool {
+    pub const fn compensates_opacity(self) -> bool {
         !matches!(self, Self::Dilated)
     }
 }

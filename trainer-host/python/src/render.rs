@@ -15,7 +15,7 @@ use crate::{
     camera::Camera,
     error::refused,
     gaussians::{Splatting, needed},
-    scene::Scene,
+    scene::{Scene, footprint_of},
 };
 
 /// Cameras, which must agree on the size of their pictures.
@@ -57,13 +57,6 @@ fn settings(
     let settings = Settings { max_sh_degree: sh_degree, alpha_cutoff, ..usual }.with_footprint(footprint);
     settings.validate().map_err(refused)?;
     Ok(settings)
-}
-
-/// The footprint of this name.
-pub fn footprint_of(name: &str) -> PyResult<Footprint> {
-    let allowed = || Footprint::ALL.map(Footprint::name).join(", ");
-    Footprint::named(name)
-        .ok_or_else(|| refused(format!("footprint: found {name:?}; {} are wanted", allowed())))
 }
 
 /// The footprint that is named, else that of the scene.

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use codec_core::Footprint;
 use numpy::PyArrayDyn;
 use pyo3::{exceptions::PyUserWarning, prelude::*};
 use trainer_host::{
@@ -21,12 +22,18 @@ use crate::{
     clip,
     error::{checked_frame, damaged, of_file, refused, unreadable},
     gaussians::Frame,
-    render::footprint_of,
 };
 
 /// Gaussians over frames.
 #[pyclass(module = "dgs", frozen)]
 pub struct Scene(pub trainer_host::Scene);
+
+/// The footprint of this name.
+pub fn footprint_of(name: &str) -> PyResult<Footprint> {
+    let allowed = || Footprint::ALL.map(Footprint::name).join(", ");
+    Footprint::named(name)
+        .ok_or_else(|| refused(format!("footprint: found {name:?}; {} are wanted", allowed())))
+}
 
 /// The axis of that name.
 pub fn up_of(name: &str) -> PyResult<Up> {

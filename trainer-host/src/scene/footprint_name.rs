@@ -8,7 +8,7 @@ use serde::{Deserialize, Deserializer, Serializer, de::Error};
 ///
 /// # Errors
 /// What the format refuses.
-pub fn serialize<S: Serializer>(footprint: &Footprint, serializer: S) -> Result<S::Ok, S::Error> {
+pub(crate) fn serialize<S: Serializer>(footprint: &Footprint, serializer: S) -> Result<S::Ok, S::Error> {
     serializer.serialize_str(footprint.name())
 }
 
@@ -16,7 +16,7 @@ pub fn serialize<S: Serializer>(footprint: &Footprint, serializer: S) -> Result<
 ///
 /// # Errors
 /// A name that is none.
-pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Footprint, D::Error> {
+pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Footprint, D::Error> {
     named(&String::deserialize(deserializer)?)
 }
 
@@ -26,7 +26,7 @@ fn named<E: Error>(name: &str) -> Result<Footprint, E> {
         .ok_or_else(|| E::custom(format!("footprint is {name:?}; {} are allowed", allowed())))
 }
 
-pub mod option {
+pub(crate) mod option {
     //! The same where there may be none.
     use super::*;
 
@@ -34,7 +34,10 @@ pub mod option {
     ///
     /// # Errors
     /// What the format refuses.
-    pub fn serialize<S: Serializer>(footprint: &Option<Footprint>, serializer: S) -> Result<S::Ok, S::Error> {
+    pub(crate) fn serialize<S: Serializer>(
+        footprint: &Option<Footprint>,
+        serializer: S,
+    ) -> Result<S::Ok, S::Error> {
         match footprint {
             Some(footprint) => serializer.serialize_some(footprint.name()),
             None => serializer.serialize_none(),
@@ -45,7 +48,9 @@ pub mod option {
     ///
     /// # Errors
     /// A name that is none.
-    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<Footprint>, D::Error> {
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(
+        deserializer: D,
+    ) -> Result<Option<Footprint>, D::Error> {
         Option::<String>::deserialize(deserializer)?.map(|name| named(&name)).transpose()
     }
 }

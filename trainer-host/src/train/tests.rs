@@ -63,10 +63,10 @@ fn training_finds_the_scene_and_its_motion() {
     assert!(moving > still + 2.0, "{still} {moving}");
 }
 
-/// What is fitted to one size of pixels looks right at half and at twice the size only if Gaussians are drawn as
-/// what a pixel averages over.
+/// What is fitted to one size of pixels looks right at half and at twice the size only if Gaussians are drawn
+/// as what a pixel averages over.
 #[test]
-fn a_scene_for_pixels_looks_right_at_other_sizes() {
+fn a_scene_for_pixels_is_right_at_other_sizes() {
     let (small, large) = (dataset_of(48), dataset_of(96));
     let psnr = |footprint: Footprint| {
         let trained = trained(&small, &TrainOptions { footprint: Some(footprint), ..options() }, 900);
@@ -77,9 +77,8 @@ fn a_scene_for_pixels_looks_right_at_other_sizes() {
     };
     let ([dilated, half, twice], [pixel, pixel_half, pixel_twice]) =
         (psnr(Footprint::Dilated), psnr(Footprint::Pixel));
-    println!(
-        "dilated {dilated:.2}, {half:.2}, {twice:.2} dB; pixel {pixel:.2}, {pixel_half:.2}, {pixel_twice:.2} dB"
-    );
+    println!("dilated {dilated:.2}, {half:.2}, {twice:.2} dB");
+    println!("pixel {pixel:.2}, {pixel_half:.2}, {pixel_twice:.2} dB");
     assert!(pixel > dilated - 0.5, "{pixel} and {dilated} dB");
     assert!(pixel_half > half + 1.0, "at half the size {pixel_half} and {half} dB");
     assert!(pixel_twice > twice + 0.5, "at twice the size {pixel_twice} and {twice} dB");

@@ -161,7 +161,7 @@ pub struct Dataset {
     pub frames: usize,
     /// Which way is up.
     pub up: Up,
-    /// How Gaussians are best drawn: what a pixel of a photograph averages over, or as the scene is drawn that
-    /// the photographs are renders of.
+    /// How Gaussians are best drawn: as what a pixel of a photograph averages over, or as the scene is whose
+    /// renders the photographs are.
     pub footprint: Footprint,
 }

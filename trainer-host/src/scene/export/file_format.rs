@@ -71,7 +71,7 @@ impl FileFormat {
     /// # Errors
     /// More Gaussians, or values further apart, than the format holds.
     pub fn encode(self, epoch: &Epoch, t: usize, footprint: Footprint) -> io::Result<Vec<u8>> {
-        let antialiased = footprint.is_dimmed();
+        let antialiased = footprint.compensates_opacity();
         Ok(match self {
             Self::Ply => ply::encode(epoch, t),
             Self::CompressedPly => compressed_ply::encode(epoch, t),
