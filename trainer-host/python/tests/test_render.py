@@ -163,10 +163,11 @@ def test_what_is_wrong_is_named() -> None:
         dgs.Camera(np.eye(4), np.zeros((3, 3)) + np.diag([0, 0, 1]), 8, 8)
 
 
-def test_a_footprint_goes_with_its_scene():
+def test_a_footprint_goes_with_its_scene() -> None:
     made = dgs.Scene.synth("balls", gaussians=1000, frames=1)
-    cameras, arrays = made.ring(1, width=32, height=32), made.at(0)
-    scene = dgs.Scene.from_arrays(*arrays, footprint="pixel")
+    cameras = made.ring(1, width=32, height=32)
+    scene = dgs.Scene.from_arrays(*made.at(0), footprint="pixel")
+    arrays = scene.at(0)
     assert (made.footprint, scene.footprint) == ("dilated", "pixel")
     drawn = dgs.render(scene, cameras)
     assert np.array_equal(drawn, dgs.render(arrays, cameras, footprint="pixel"))
@@ -174,4 +175,4 @@ def test_a_footprint_goes_with_its_scene():
     stream = dgs.encode(scene, pictures=0).stream
     assert dgs.Player(stream).info["footprint"] == "pixel"
     with pytest.raises(ValueError, match="dilated, compensated, pixel are wanted"):
-        dgs.render(arrays, cameras, footprint="wide")
+        dgs.render(arrays, cameras, footprint="wide")  # type: ignore[arg-type]
