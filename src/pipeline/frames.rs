@@ -44,9 +44,14 @@ impl Frames {
         let absent = stream.packets().iter().filter(|packet| packet.is_empty()).count();
         let mut frames =
             Self::of_stream(stream.receive()?, level, args.up.map(Into::into).unwrap_or_default());
+        let said = frames.footprint();
         let Frames::Stream { notes, .. } = &mut frames else { return Ok(frames) };
         if absent > 0 {
             notes.push(format!("{absent} of {} packets are not in {input}", stream.packets().len()));
+        }
+        let typed = args.footprint.map(Footprint::from);
+        if typed.is_some_and(|typed| typed != said) {
+            notes.push(format!("{input} is drawn with its own footprint, {}, not --footprint", said.name()));
         }
         if args.up.is_none() {
             notes.push("a stream does not say which way is up: y is taken; --up says otherwise".to_owned());

@@ -1,7 +1,8 @@
-//! Says how Gaussians become splats on pixels, which a scene is made for and looks wrong otherwise.
+//! Names the low-pass filters on the screen that scenes are fitted with and must be drawn with.
 
-/// How a projected Gaussian is widened so that it is not lost between pixels, and what that does to its
-/// opacity. A scene that was fitted to photographs was fitted under one of these.
+/// The low-pass filter of projected Gaussians (EWA splatting): a variance that is added along both axes of
+/// the screen, and whether opacity is lowered for it. A scene must be drawn with the one that it was fitted
+/// with.
 ///
 /// # Examples
 /// ```
@@ -14,14 +15,14 @@
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 #[cfg_attr(feature = "defmt", derive(defmt::Format))]
 pub enum Footprint {
-    /// Wider by 0.3 pixels² and as opaque as before (3DGS): grows where pixels are larger than those that the
-    /// scene was fitted to, and shrinks where they are smaller.
+    /// 0.3 pixels², opacity is kept (the dilation of 3DGS): a scene grows where pixels are larger than those
+    /// that it was fitted to, and shrinks where they are smaller.
     #[default]
     Dilated = 0,
-    /// Wider by 0.3 pixels², and dimmed as much (gsplat's *antialiased*, the flag of SPZ and SOG).
+    /// 0.3 pixels², opacity is lowered (gsplat's *antialiased*, the flag of SPZ and SOG).
     Compensated = 1,
-    /// Wider by 0.1 pixels², about what a pixel averages over, and dimmed as much (Mip-Splatting): the same
-    /// at any size of pixels.
+    /// 0.1 pixels², about the box of a pixel, opacity is lowered (the 2D Mip filter of Mip-Splatting): the
+    /// same at any size of pixels.
     Pixel = 2,
 }
 

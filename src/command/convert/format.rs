@@ -83,8 +83,8 @@ impl SceneOutput {
     pub(in crate::command) fn losses(self, scene: &Scene) -> Vec<String> {
         match self {
             Self::File(format) => format.losses(scene),
-            Self::Folder => FileFormat::Ply.losses(scene),
-            Self::FourDgs => Vec::new(),
+            // A .4dgs holds what a PLY does.
+            Self::Folder | Self::FourDgs => FileFormat::Ply.losses(scene),
         }
     }
 

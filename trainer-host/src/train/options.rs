@@ -27,7 +27,7 @@ pub struct TrainOptions {
     pub canonical_time: f32,
     /// Longest side of the photographs that are trained on, pixels: larger ones are reduced.
     pub max_side: u32,
-    /// How Gaussians are drawn, by name: "pixel" looks alike at any size of pixels, "dilated" is what most
+    /// How Gaussians are drawn, by name: "pixel" is right at any size of pixels, "dilated" is what most
     /// viewers of splat files draw; without it, that of the dataset.
     #[serde(with = "footprint_name::option")]
     pub footprint: Option<Footprint>,

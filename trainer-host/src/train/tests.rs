@@ -63,7 +63,7 @@ fn training_finds_the_scene_and_its_motion() {
     assert!(moving > still + 2.0, "{still} {moving}");
 }
 
-/// What is fitted to one size of pixels looks right at half and at twice the size only if Gaussians are drawn
+/// What is fitted to one size of pixels is right at half and at twice the size only if Gaussians are drawn
 /// as what a pixel averages over.
 #[test]
 fn a_scene_for_pixels_is_right_at_other_sizes() {

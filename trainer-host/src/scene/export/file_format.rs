@@ -93,11 +93,11 @@ impl FileFormat {
         }
         let drawn = match (self, scene.footprint) {
             (_, Footprint::Dilated) | (Self::Spz | Self::Sog, Footprint::Compensated) => return losses,
-            (Self::Spz | Self::Sog, _) => "antialiased, which is wider",
-            _ => "most viewers draw by default",
+            (Self::Spz | Self::Sog, _) => Footprint::Compensated,
+            _ => Footprint::Dilated,
         };
-        let name = scene.footprint.name();
-        losses.push(format!("Gaussians are made for footprint {name}; the file has them drawn as {drawn}"));
+        let (name, drawn) = (scene.footprint.name(), drawn.name());
+        losses.push(format!("the format cannot say footprint {name}: viewers will draw as {drawn}"));
         losses
     }
 }
