@@ -129,9 +129,10 @@ async fn session(
         }
         Err(error) => Err(error),
     };
+    // The transport's idle timeout and the wait for an answer end at the same time: either may come first.
+    let awaited_answer = !playback.has_manifest() || playback.awaits_grant();
     let result = result.map_err(|error| match closed(error, &connection) {
-        // Both ends of the wait are the same: the transport's and the one for a manifest.
-        PlayError::Lost(Closed::Connection(ConnectionError::TimedOut)) if !playback.has_manifest() => {
+        PlayError::Lost(Closed::Connection(ConnectionError::TimedOut)) if awaited_answer => {
             PlayError::Silence { ms: config.silence.as_millis() }
         }
         error => error,
