@@ -14,7 +14,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, bail};
 use codec_core::internals::wire::manifest::Profile;
-use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig};
+use emulator_host::{PacketGraph, PolicyKind, Report, SessionConfig, policy};
 use render_host::{Camera, Settings};
 use trainer_host::{
     Scene, Stream,
@@ -336,6 +336,17 @@ pub fn graph(stream: &Stream, map: &PacketMap, table: Option<&utility::Table>) -
     let manifest = stream.manifest()?;
     let places = Places::of(&stream.receive()?.content(), 0..manifest.head().frames)?;
     delivery::graph(stream, &manifest, map, table, &places).context("this stream cannot be sent")
+}
+
+/// The `.dgs` file of `stream` in the order in which it is best fetched: base levels first, then what adds
+/// most to the picture per byte by `table`.
+///
+/// # Errors
+/// None in practice: the stream was read or made.
+pub fn file_by_worth(stream: &Stream, table: &utility::Table) -> Result<Vec<u8>> {
+    let graph = graph(stream, &PacketMap::of(stream)?, Some(table))?;
+    let order = policy::file_order(&graph).into_iter().map(|packet| graph.wire_id(packet));
+    Ok(stream.to_bytes_in_order(order)?)
 }
 
 /// Name of a profile.

@@ -243,6 +243,8 @@ fn a_footprint_goes_with_its_scene() {
     assert_eq!(json(at, &["import", "a.spz"])["footprint"], "compensated");
     let said = json(at, &["convert", "a.dgs", "b.ply"]);
     assert!(said["warnings"][0].as_str().unwrap().contains("footprint pixel"), "{said}");
+    let said = json(at, &["decode", "a.dgs", "-o", "d.ply"]);
+    assert!(said["warnings"][0].as_str().unwrap().contains("footprint pixel"), "{said}");
     let refused = stopped(at, &["convert", "a.spz", "c.ply", "--merge", "b.ply"], 1);
     assert!(refused.contains("footprints compensated and dilated"), "{refused}");
 }
@@ -269,6 +271,30 @@ fn scenes_are_edited_on_the_way() {
     ok(at, &["encode", scene, "-o", "a.dgs"]);
     let said = json(at, &["convert", "a.dgs", "decoded", "--sh-degree", "0"]);
     assert_eq!(said["frames"], 6);
+}
+
+#[test]
+fn a_stream_with_utilities_is_cut_to_the_better_picture() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let coded = ["--window-frames", "4", "--utility"];
+    ok(at, &[&["encode", "synth:figure:2000:12", "-o", "a.dgs"], &coded[..]].concat());
+    fs::copy(at.join("a.dgs"), at.join("bare.dgs")).unwrap();
+    let most = (fs::metadata(at.join("a.dgs")).unwrap().len() / 3).to_string();
+    for (input, out, ranking) in [("a.dgs", "worth.dgs", "utility"), ("bare.dgs", "levels.dgs", "level")] {
+        let said = json(at, &["cut", input, out, "--bytes", &most]);
+        assert_eq!(said["ranking"], ranking);
+        let bytes = said["bytes"].as_u64().unwrap();
+        assert!(bytes <= most.parse().unwrap() && bytes + 2000 > most.parse().unwrap(), "{said}");
+    }
+    let psnr = |name: &str| {
+        let said = json(at, &["compare", "a.dgs", name, "--width", "96", "--height", "96"]);
+        said["summary"][0]["mean"].as_f64().unwrap()
+    };
+    let (worth, levels) = (psnr("worth.dgs"), psnr("levels.dgs"));
+    println!("a third of the bytes: by utility {worth:.2} dB, by level {levels:.2} dB");
+    assert!(worth > levels, "{worth} against {levels}");
+    assert!(at.join("worth.utility.json").exists() && !at.join("levels.utility.json").exists());
 }
 
 #[test]

@@ -22,7 +22,9 @@ use crate::{
 };
 
 pub use dash::Dash;
-pub use deadline_utility::{DeadlineUtility, DeadlineUtilityConfig, ViewportConfig};
+pub use deadline_utility::{
+    DeadlineUtility, DeadlineUtilityConfig, ViewportConfig, file_order, order_by_worth,
+};
 pub use dependency::Dependency;
 pub use kind::PolicyKind;
 pub use layered::Layered;

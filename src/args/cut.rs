@@ -10,7 +10,7 @@ use super::FrameRange;
 ///
 /// Packets are left out, and nothing is decoded or coded again: the manifest still tells of all, and what
 /// reads the file says how many packets are missing. Packets of parity are left out with the first packet
-/// that is, since they repair nothing then.
+/// that is, since they repair nothing then. Utilities beside the input are copied beside the output.
 #[derive(Debug, Args)]
 pub struct Cut {
     /// A .dgs file.
@@ -23,7 +23,8 @@ pub struct Cut {
     /// Keep what these frames need: FIRST..LAST with LAST included, FIRST.., or one.
     #[arg(long, value_name = "FIRST..LAST")]
     pub frames: Option<FrameRange>,
-    /// Keep at most this many bytes of file, lower levels first.
+    /// Keep at most this many bytes of file: what adds most to the picture per byte, by the utilities beside
+    /// INPUT (`dgs encode --utility` writes them); lower levels first where there are none.
     #[arg(long, value_name = "BYTES", value_parser = clap::value_parser!(u64).range(1..))]
     pub bytes: Option<u64>,
 }

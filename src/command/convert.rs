@@ -33,7 +33,8 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     progress.stage("turning", 0.5);
     let (scene, turned) = turned(args, scene, output.usual_up())?;
     progress.stage("writing", 0.6);
-    warnings.extend(output.losses(&scene));
+    let degree = scene.epochs().iter().map(|epoch| epoch.attributes().sh_degree).max().unwrap_or_default();
+    warnings.extend(output.losses(degree, scene.footprint));
     let count = scene.frames() as u32;
     let frame = |number: u32| {
         let found = scene.locate(number as usize);

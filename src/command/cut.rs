@@ -4,13 +4,20 @@ use std::ops::Range;
 
 use anyhow::{Result, bail};
 use codec_core::internals::{ids::Span, wire::manifest::Manifest};
+use emulator_host::policy;
 use serde_json::json;
 use trainer_host::{
     Stream,
     stream::{PacketMap, SlicePlacement},
+    utility::Table,
 };
 
-use crate::{args::Cut, files, output::VerbOutput, pipeline};
+use crate::{
+    args::Cut,
+    files,
+    output::VerbOutput,
+    pipeline::{self, stored_utilities, utility_path},
+};
 
 /// Runs the verb.
 pub fn run(args: &Cut) -> Result<VerbOutput> {
@@ -32,8 +39,15 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
             !stream.packets()[id].is_empty() && (map.is_parity(id) || map.placements(id).iter().any(wanted))
         })
         .collect();
+    let table = stored_utilities(&utility_path(&args.input), manifest.raw()).ok();
+    let mut ranking = None;
     if let Some(bytes) = args.bytes {
-        within(&stream, &map, &mut stays, bytes)?;
+        let (order, by) = match &table {
+            Some(table) => (order_by_worth(&stream, &map, table)?, Ranking::Worth),
+            None => (order_by_level(&stream, &map), Ranking::Level),
+        };
+        within(&stream, &order, &mut stays, bytes)?;
+        ranking = Some(by);
     }
     let there = stream.packets().iter().filter(|packet| !packet.is_empty()).count();
     if stays.iter().filter(|stays| **stays).count() < there {
@@ -41,19 +55,28 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         (0..stays.len()).filter(|&id| map.is_parity(id)).for_each(|id| stays[id] = false);
     }
     let cut = stream.with_packets(|id| stays[id]);
-    let bytes = cut.to_bytes()?;
-    files::write(&args.out, &bytes)?;
     let left = stays.iter().filter(|stays| **stays).count();
+    let bytes = match &table {
+        Some(table) if left > 0 => pipeline::file_by_worth(&cut, table)?,
+        _ => cut.to_bytes()?,
+    };
+    files::write(&args.out, &bytes)?;
+    if table.is_some() {
+        // They are of the groups that the manifest tells of, whatever packets are there.
+        files::write(&utility_path(&args.out), &std::fs::read(utility_path(&args.input))?)?;
+    }
     let before = stream.to_bytes()?.len();
     let text = format!(
-        "{} → {}: {left} of {there} packets, {} of {before} bytes\n",
+        "{} → {}: {left} of {there} packets, {} of {before} bytes{}\n",
         args.input.display(),
         args.out.display(),
-        bytes.len()
+        bytes.len(),
+        ranking.map_or("", Ranking::sentence)
     );
     let json = json!({
         "input": args.input, "out": args.out, "packets": left, "packets_before": there,
-        "bytes": bytes.len(), "bytes_before": before, "warnings": warnings,
+        "bytes": bytes.len(), "bytes_before": before, "ranking": ranking.map(Ranking::name),
+        "warnings": warnings,
     });
     let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
@@ -73,27 +96,63 @@ fn shows(manifest: &Manifest<'_>, placement: &SlicePlacement, frames: &Range<u32
     first < frames.end && frames.start < first.saturating_add(count)
 }
 
-/// Leaves packets out until the file has at most `bytes`: the highest levels first, among those of a level
-/// the last.
-fn within(stream: &Stream, map: &PacketMap, stays: &mut [bool], bytes: u64) -> Result<()> {
+/// What decides which packets of too many stay.
+#[derive(Clone, Copy, Debug)]
+enum Ranking {
+    Worth,
+    Level,
+}
+
+impl Ranking {
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Worth => "utility",
+            Self::Level => "level",
+        }
+    }
+
+    const fn sentence(self) -> &'static str {
+        match self {
+            Self::Worth => ", by the utilities beside it",
+            Self::Level => ", lower levels first: no utilities beside it (encode with --utility)",
+        }
+    }
+}
+
+/// Packets that are there by utility per byte, what each needs before it; those that add nothing last.
+fn order_by_worth(stream: &Stream, map: &PacketMap, table: &Table) -> Result<Vec<usize>> {
+    let graph = pipeline::graph(stream, map, Some(table))?;
+    let ranked =
+        policy::order_by_worth(&graph).into_iter().map(|packet| graph.wire_id(packet).get() as usize);
+    let mut order: Vec<usize> = ranked.collect();
+    let mut is_ranked = vec![false; stream.packets().len()];
+    order.iter().for_each(|&id| is_ranked[id] = true);
+    order.extend(order_by_level(stream, map).into_iter().filter(|&id| !is_ranked[id]));
+    Ok(order)
+}
+
+/// Packets that are there by level, those of one level as they lie in the stream.
+fn order_by_level(stream: &Stream, map: &PacketMap) -> Vec<usize> {
+    let is_media = |&id: &usize| !stream.packets()[id].is_empty() && !map.is_parity(id);
+    let mut order: Vec<usize> = (0..stream.packets().len()).filter(is_media).collect();
+    let lowest = |id: usize| map.placements(id).iter().map(|placement| placement.group.level).min();
+    order.sort_by_key(|&id| lowest(id).map_or(u8::MAX, |level| level.get()));
+    order
+}
+
+/// Leaves packets out until the file has at most `bytes`: the last of `order` first. Parity goes with the
+/// first that does.
+fn within(stream: &Stream, order: &[usize], stays: &mut [bool], bytes: u64) -> Result<()> {
     let file =
         |stays: &[bool]| -> Result<u64> { Ok(stream.with_packets(|id| stays[id]).to_bytes()?.len() as u64) };
     if file(stays)? <= bytes {
         return Ok(());
     }
-    (0..stays.len()).filter(|&id| map.is_parity(id)).for_each(|id| stays[id] = false);
-    let mut order: Vec<(u8, usize)> = (0..stays.len())
-        .filter(|&id| stays[id])
-        .map(|id| {
-            let lowest = map.placements(id).iter().map(|placement| placement.group.level.get()).min();
-            (lowest.unwrap_or(u8::MAX), id)
-        })
-        .collect();
-    order.sort_unstable();
+    let order: Vec<usize> = order.iter().copied().filter(|&id| stays[id]).collect();
     // Files are never larger with fewer packets: halving finds how many fit.
     let first = |count: usize| {
         let mut some = vec![false; stays.len()];
-        order[..count].iter().for_each(|&(_, id)| some[id] = true);
+        order[..count].iter().for_each(|&id| some[id] = true);
         some
     };
     let least = file(&first(0))?;

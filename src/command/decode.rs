@@ -49,6 +49,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         counters.media,
         counters.recovered
     );
+    let degree = stream.manifest()?.sh_degree();
     let mut frames = Frames::of_stream(received, Level::from_bits(args.level), Up::default());
     let mut json = json!({
         "file": args.input, "out": args.out, "packets": counters.media,
@@ -76,8 +77,11 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         })?;
         warnings.extend(absent.warning());
     }
-    json["warnings"] = json!(warnings);
     let damaged = !warnings.is_empty();
+    if let Some((_, output)) = out {
+        warnings.extend(output.losses(degree, frames.footprint()));
+    }
+    json["warnings"] = json!(warnings);
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 

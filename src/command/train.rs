@@ -192,7 +192,9 @@ fn finish(
     });
 
     let audits = if args.utility {
-        utility::audits(&written.stream, dataset, plain, &folder.utility, quiet)?
+        let (audits, table) = utility::audits(&written.stream, dataset, plain, &folder.utility, quiet)?;
+        files::write(&folder.stream, &pipeline::file_by_worth(&written.stream, &table)?)?;
+        audits
     } else {
         Vec::new()
     };

@@ -144,10 +144,43 @@ impl Stream {
     /// # Errors
     /// A packet of impossible length.
     pub fn to_bytes(&self) -> Result<Vec<u8>> {
+        self.file(self.packets.iter())
+    }
+
+    /// The bytes of a `.dgs` file whose packets lie in the order `ids`: what comes first is there first when
+    /// the file is fetched. Packets that are not named follow in the order of their ids.
+    ///
+    /// ```
+    /// # let file = include_bytes!("../../tests/conformance/still.dgs");
+    /// # use codec_core::PacketId;
+    /// let (stream, _) = dgs_player::Stream::from_bytes(file)?;
+    /// let last = PacketId::new(stream.packets().len() as u32 - 1).unwrap();
+    /// let other = stream.to_bytes_in_order([last])?;
+    /// assert!(other != file && other.len() == file.len());
+    /// assert_eq!(dgs_player::Stream::from_bytes(&other)?.0, stream);
+    /// # Ok::<(), codec_core::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// A packet of impossible length.
+    pub fn to_bytes_in_order(&self, ids: impl IntoIterator<Item = PacketId>) -> Result<Vec<u8>> {
+        let mut follows = vec![true; self.packets.len()];
+        let mut order = Vec::with_capacity(self.packets.len());
+        for at in ids.into_iter().map(PacketId::index) {
+            if follows.get(at).is_some_and(|&not_yet| not_yet) {
+                follows[at] = false;
+                order.push(at);
+            }
+        }
+        order.extend((0..self.packets.len()).filter(|&at| follows[at]));
+        self.file(order.into_iter().map(|at| &self.packets[at]))
+    }
+
+    fn file<'a>(&'a self, packets: impl Iterator<Item = &'a Vec<u8>>) -> Result<Vec<u8>> {
         let mut out = Vec::new();
         let mut index = file::Index::begin(&self.message, |b| out.extend_from_slice(b));
         let mut entries = Vec::with_capacity(self.packets.len());
-        for packet in self.packets.iter().filter(|p| !p.is_empty()) {
+        for packet in packets.filter(|packet| !packet.is_empty()) {
             entries.push(index.packet(packet, |b| out.extend_from_slice(b))?);
         }
         index.end(&entries, |b| out.extend_from_slice(b));

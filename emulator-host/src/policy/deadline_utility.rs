@@ -24,6 +24,7 @@ mod config;
 mod opening;
 mod outlook;
 mod plan;
+mod untimed;
 mod viewport;
 
 use self::{opening::Opening, outlook::Outlook, plan::Plan};
@@ -35,6 +36,7 @@ use crate::{
 };
 
 pub use config::DeadlineUtilityConfig;
+pub use untimed::{file_order, order_by_worth};
 pub use viewport::ViewportConfig;
 
 /// Of so many packets one is forecast: enough for a score, and no cost to speak of.

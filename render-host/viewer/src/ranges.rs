@@ -1,8 +1,9 @@
 //! A range plan fetches a `.dgs` file piece by piece: manifest, index, then base levels before refinements.
 //!
 //! Sans-I/O: it says which bytes to ask a server for next and takes what came. Packets lie in a file epoch by
-//! epoch, in an epoch level by level; where an epoch's level begins is found by looking at heads of packets
-//! half-way between known ones. A file in another order still comes whole, only not base first.
+//! epoch, in an epoch first those of the base level, then the others by what they are worth; where an epoch's
+//! base and refinements begin is found by looking at heads of packets half-way between known ones. A file in
+//! another order still comes whole, only not base first.
 
 use std::ops::Range;
 
@@ -29,10 +30,14 @@ const REFINEMENT_BYTES: u64 = 256 << 10;
 /// Bytes of a magic and a length before the manifest.
 const FRONT_BYTES: u64 = 8;
 
-/// What a packet is for, in the order in which files have them.
-type Place = (u16, u8);
+/// Refinements of an epoch come in so many parts, a part of every epoch before the next: those worth most of
+/// all epochs before the rest of one.
+const PARTS: usize = 3;
+
+/// What a packet is for, in the order in which files have them: its epoch, and whether it refines.
+type Place = (u16, bool);
 /// Parity, and what is no packet: after all others.
-const LAST: Place = (u16::MAX, u8::MAX);
+const LAST: Place = (u16::MAX, true);
 
 /// What to do next.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -89,19 +94,19 @@ impl RangePlan {
         if self.offsets.is_empty() {
             return Wanted::Range(self.len - self.tail..self.len);
         }
-        for level in 0..4u8 {
-            for e in (epoch..self.epochs).chain(0..epoch.min(self.epochs)) {
-                let most = if level == 0 { BASE_BYTES } else { REFINEMENT_BYTES };
-                match self.first_of((e, level)) {
-                    Err(probe) => {
-                        let at = self.offsets[probe];
-                        return Wanted::Range(at..(at + HEAD_BYTES).min(self.offsets[probe + 1]));
-                    }
-                    Ok(first) => {
-                        let past = self.known_end((e, level));
-                        if let Some(range) = self.unfetched(first..past, most) {
-                            return Wanted::Range(range);
-                        }
+        let epochs = || (epoch..self.epochs).chain(0..epoch.min(self.epochs));
+        let bases = epochs().map(|e| (e, None));
+        let refinements = (0..PARTS).flat_map(|part| epochs().map(move |e| (e, Some(part))));
+        for (e, part) in bases.chain(refinements) {
+            match self.bounds(e, part) {
+                Err(probe) => {
+                    let at = self.offsets[probe];
+                    return Wanted::Range(at..(at + HEAD_BYTES).min(self.offsets[probe + 1]));
+                }
+                Ok(packets) => {
+                    let most = if part.is_none() { BASE_BYTES } else { REFINEMENT_BYTES };
+                    if let Some(range) = self.unfetched(packets, most) {
+                        return Wanted::Range(range);
                     }
                 }
             }
@@ -114,8 +119,8 @@ impl RangePlan {
         if self.unusable || self.offsets.is_empty() {
             return false;
         }
-        let Ok(first) = self.first_of((epoch, 0)) else { return false };
-        self.unfetched(first..self.known_end((epoch, 0)), u64::MAX).is_none()
+        let Ok(first) = self.first_of((epoch, false)) else { return false };
+        self.unfetched(first..self.known_end((epoch, false)), u64::MAX).is_none()
     }
 
     /// Share of the packets that are there.
@@ -178,9 +183,20 @@ impl RangePlan {
         self.places = vec![None; self.offsets.len() - 1];
     }
 
+    /// The packets of the base of epoch `e`, or of a part of its refinements; or a packet whose head to look at.
+    fn bounds(&self, e: u16, part: Option<usize>) -> std::result::Result<Range<usize>, usize> {
+        let Some(part) = part else {
+            return Ok(self.first_of((e, false))?..self.known_end((e, false)));
+        };
+        let first = self.first_of((e, true))?;
+        let past = self.first_of((e.saturating_add(1), false))?.max(first);
+        let cut = |part: usize| first + (past - first) * part / PARTS;
+        Ok(cut(part)..cut(part + 1))
+    }
+
     /// The first packet at or past `place`; or a packet whose head to look at.
     fn first_of(&self, place: Place) -> std::result::Result<usize, usize> {
-        if place == (0, 0) {
+        if place == (0, false) {
             return Ok(0);
         }
         let before = self.places.iter().rposition(|known| known.is_some_and(|known| known < place));
@@ -209,17 +225,17 @@ impl RangePlan {
 /// Whose the packet is whose first bytes are `content`.
 fn place(content: &[u8], manifest: &Manifest<'_>) -> Option<Place> {
     let head = Head::parse(content).ok()?;
-    let level = head.flags & 3;
+    let refines = head.flags & 3 > 0;
     match head.kind {
         KIND_SLICES => {
             let mut reader = Reader::new(content.get(head.len..)?);
             let span = reader.varint("slices.span", u32::from(u16::MAX)).ok()? as u16;
             let epoch = if head.flags & 4 == 0 { span } else { manifest.window(WindowId(span))?.epoch };
-            Some((epoch, level))
+            Some((epoch, refines))
         }
         KIND_CHUNK => {
             let frame = u16::from_le_bytes([*content.get(6)?, *content.get(7)?]);
-            Some((manifest.epoch_at(frame.into())?.0, level))
+            Some((manifest.epoch_at(frame.into())?.0, refines))
         }
         _ => None,
     }
@@ -227,7 +243,7 @@ fn place(content: &[u8], manifest: &Manifest<'_>) -> Option<Place> {
 
 #[cfg(test)]
 mod tests {
-    use dgs_player::{Caps, Player, Stream};
+    use dgs_player::{Caps, Player};
 
     use super::*;
 
@@ -269,32 +285,52 @@ mod tests {
         }
     }
 
+    /// A file of 4 epochs of 250 packets of 898 bytes, of which 63 are base, and 20 of parity after them.
+    fn long_file() -> (RangePlan, Vec<Place>) {
+        let mut plan = RangePlan::new(1_000_000, 4);
+        plan.offsets = (0..=1020).map(|k| 100 + 900 * k).collect();
+        (plan.fetched, plan.places) = (vec![false; 1020], vec![None; 1020]);
+        let of = |k: u16| if k < 1000 { (k / 250, k % 250 >= 63) } else { LAST };
+        (plan, (0..1020).map(of).collect())
+    }
+
     #[test]
-    fn base_levels_of_all_epochs_come_before_refinements() {
-        let (stream, _) = Stream::from_bytes(FILE).unwrap();
-        let manifest = stream.manifest().unwrap();
-        let mut plan = RangePlan::new(FILE.len() as u64, manifest.head().epochs);
-        let mut seen = Vec::new();
-        while let Wanted::Range(range) = plan.next(0) {
-            let bytes = &FILE[range.start as usize..range.end as usize];
-            plan.take(range.start, bytes, &manifest, |packet| {
-                if let Some(place) = place(packet, &manifest) {
-                    seen.push(place);
+    fn base_levels_of_all_epochs_come_before_refinements_and_these_a_part_of_every_epoch_at_a_time() {
+        let (mut plan, truth) = long_file();
+        let mut came = Vec::new();
+        while let Wanted::Range(range) = plan.next(2) {
+            for (k, place) in truth.iter().enumerate() {
+                if range.contains(&plan.offsets[k]) {
+                    plan.places[k] = Some(*place);
+                    if plan.offsets[k + 1] <= range.end && !plan.fetched[k] {
+                        plan.fetched[k] = true;
+                        came.push(k);
+                    }
                 }
-            });
+            }
         }
-        assert!(!seen.is_empty());
-        assert!((0..manifest.head().epochs).all(|epoch| plan.has_base(epoch)));
+        assert_eq!(came.len(), 1020);
+        let epochs = |packets: &[usize]| {
+            let mut epochs: Vec<u16> = packets.iter().map(|&k| truth[k].0).collect();
+            epochs.dedup();
+            epochs
+        };
+        assert!(came[..4 * 63].iter().all(|&k| !truth[k].1), "bases first");
+        assert_eq!(epochs(&came[..4 * 63]), [2, 3, 0, 1], "the shown epoch first");
+        let refinements = &came[4 * 63..1000];
+        assert_eq!(epochs(refinements), [2, 3, 0, 1].repeat(PARTS));
+        assert!(came[1000..].iter().all(|&k| truth[k] == LAST));
+        let of_one: Vec<usize> = refinements.iter().copied().filter(|&k| truth[k].0 == 2).collect();
+        assert!(of_one.is_sorted(), "in the order of the file");
     }
 
     /// A file of many packets with many epochs: what is asked for by bisection.
     #[test]
     fn where_a_level_begins_is_found_in_few_steps() {
-        let mut plan = RangePlan::new(1_000_000, 4);
-        plan.offsets = (0..=1000).map(|k| 100 + 900 * k).collect();
-        (plan.fetched, plan.places) = (vec![false; 1000], vec![None; 1000]);
-        let truth: Vec<Place> = (0..1000).map(|k| ((k / 250) as u16, (k % 250 / 63) as u8)).collect();
-        for (place, wanted) in [((1, 0), 250), ((3, 0), 750), ((2, 1), 563), ((0, 3), 189)] {
+        let (mut plan, truth) = long_file();
+        for (place, wanted) in
+            [((1, false), 250), ((3, false), 750), ((2, true), 563), ((0, true), 63), ((4, false), 1000)]
+        {
             let mut steps = 0;
             let found = loop {
                 match plan.first_of(place) {

@@ -3,7 +3,7 @@
 use std::{borrow::Borrow, path::Path};
 
 use anyhow::{Result, bail};
-use codec_core::Footprint;
+use codec_core::{Footprint, ShDegree};
 use trainer_host::{
     Epoch, Scene,
     export::{self, FileFormat},
@@ -79,13 +79,14 @@ impl SceneOutput {
         .usual_up()
     }
 
-    /// What it cannot hold of `scene`, for people.
-    pub(in crate::command) fn losses(self, scene: &Scene) -> Vec<String> {
-        match self {
-            Self::File(format) => format.losses(scene),
+    /// What it cannot hold of Gaussians of degree `degree` that are drawn with `footprint`, for people.
+    pub(in crate::command) fn losses(self, degree: ShDegree, footprint: Footprint) -> Vec<String> {
+        let format = match self {
+            Self::File(format) => format,
             // A .4dgs holds what a PLY does.
-            Self::Folder | Self::FourDgs => FileFormat::Ply.losses(scene),
-        }
+            Self::Folder | Self::FourDgs => FileFormat::Ply,
+        };
+        format.losses(degree, footprint)
     }
 
     /// Writes frames, except as `.4dgs`. `frame` gives one as an epoch and the frame in it; `progress` hears

@@ -43,7 +43,7 @@ impl Audit {
 }
 
 /// Measures utilities of `stream` against the training photographs of `dataset` into the file `path`, and, as
-/// a check that no sender uses, against the test photographs.
+/// a check that no sender uses, against the test photographs. Gives the table of the first, too.
 ///
 /// # Errors
 /// A window that no training photograph shows, or a file that cannot be written.
@@ -53,7 +53,7 @@ pub(super) fn audits(
     background: [f32; 3],
     path: &Path,
     quiet: Quiet,
-) -> Result<Vec<Audit>> {
+) -> Result<(Vec<Audit>, Table)> {
     let training = measured(stream, &dataset.train, background, Some(path), quiet).context("--utility")?;
     let mut audits = vec![Audit::of("training photographs", &training)];
     let against = "test photographs";
@@ -69,7 +69,7 @@ pub(super) fn audits(
             audits.push(Audit { against, protocol: String::new(), levels: Vec::new(), missing });
         }
     }
-    Ok(audits)
+    Ok((audits, training))
 }
 
 fn measured<S: Sync>(

@@ -6,11 +6,15 @@ use std::{
 };
 
 use bytes::Bytes;
-use codec_core::{file, internals::wire::manifest::Manifest};
+use codec_core::{
+    file,
+    internals::wire::{manifest::Manifest, packet::Head},
+};
 use dgs_player::Stream;
 use emulator_host::{
     GroupIndex, PacketGraph, PacketIndex,
     graph::{GraphError, GraphParts, Packet, RepairSet, Selection},
+    policy,
 };
 use tokio::sync::watch;
 
@@ -176,15 +180,16 @@ impl Offer {
             }
         }
         let format = |error| OfferError::Format { name: named(), error };
-        let file = Bytes::from(stream.to_bytes().map_err(format)?);
-        let (_, mut found) = file::parts(&file).map_err(format)?;
-        // The file has those that are there, in the order of their ids.
-        let mut next = || found.next().map(|packet| file.slice_ref(packet)).unwrap_or_default();
-        let packets: Vec<Bytes> = stream
-            .packets()
-            .iter()
-            .map(|packet| if packet.is_empty() { Bytes::new() } else { next() })
-            .collect();
+        let order = policy::file_order(&graph).into_iter().map(|packet| graph.wire_id(packet));
+        let file = Bytes::from(stream.to_bytes_in_order(order).map_err(format)?);
+        let (_, found) = file::parts(&file).map_err(format)?;
+        let mut packets = vec![Bytes::new(); stream.packets().len()];
+        for packet in found {
+            let place = Head::parse(packet).ok().and_then(|head| packets.get_mut(head.id.index()));
+            if let Some(place) = place {
+                *place = file.slice_ref(packet);
+            }
+        }
         // What is no packet is not found in the file.
         let differs = |id: &usize| packets.get(*id).is_none_or(|found| found != &stream.packets()[*id]);
         if let Some(id) = (0..stream.packets().len()).find(differs) {

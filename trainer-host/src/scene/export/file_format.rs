@@ -2,11 +2,11 @@
 
 use std::{io, path::Path};
 
-use codec_core::Footprint;
+use codec_core::{Footprint, ShDegree};
 
 use super::{compressed_ply, gltf, ply, sog, splat, spz};
 use crate::scene::{
-    Epoch, Scene, Up,
+    Epoch, Up,
     import::{Format, usual_up},
 };
 
@@ -84,19 +84,18 @@ impl FileFormat {
         })
     }
 
-    /// What it cannot hold of `scene`, for people.
-    pub fn losses(self, scene: &Scene) -> Vec<String> {
+    /// What it cannot hold of Gaussians of degree `degree` that are drawn with `footprint`, for people.
+    pub fn losses(self, degree: ShDegree, footprint: Footprint) -> Vec<String> {
         let mut losses = Vec::new();
-        let has_harmonics = scene.epochs().iter().any(|epoch| epoch.attributes().sh_degree.get() > 0);
-        if self == Self::Splat && has_harmonics {
+        if self == Self::Splat && degree.get() > 0 {
             losses.push("harmonics above band 0 are left out: .splat has none".to_owned());
         }
-        let drawn = match (self, scene.footprint) {
+        let drawn = match (self, footprint) {
             (_, Footprint::Dilated) | (Self::Spz | Self::Sog, Footprint::Compensated) => return losses,
             (Self::Spz | Self::Sog, _) => Footprint::Compensated,
             _ => Footprint::Dilated,
         };
-        let (name, drawn) = (scene.footprint.name(), drawn.name());
+        let (name, drawn) = (footprint.name(), drawn.name());
         losses.push(format!("the format cannot say footprint {name}: viewers will draw as {drawn}"));
         losses
     }
