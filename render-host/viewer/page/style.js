@@ -43,6 +43,7 @@ dialog::backdrop { background: #0008; }
 dialog dl { display: grid; grid-template-columns: max-content 1fr; gap: 4px 16px; margin: 0 0 1em; }
 dialog dd { margin: 0; }
 kbd { background: #333; border-radius: 4px; padding: 0 5px; font: inherit; }
+@media (prefers-reduced-motion: reduce) { .bar { transition: none; } }
 @media (prefers-contrast: more) { button, select, .network { background: #000; border-color: #fff; } }
 @media (max-width: 480px) { .wide { display: none; } }
 @container (max-width: 360px) {
