@@ -343,7 +343,7 @@ pub fn graph(stream: &Stream, map: &PacketMap, table: Option<&utility::Table>) -
 ///
 /// # Errors
 /// None in practice: the stream was read or made.
-pub fn file_by_worth(stream: &Stream, table: &utility::Table) -> Result<Vec<u8>> {
+pub(crate) fn file_by_utility(stream: &Stream, table: &utility::Table) -> Result<Vec<u8>> {
     let graph = graph(stream, &PacketMap::of(stream)?, Some(table))?;
     let order = policy::file_order(&graph).into_iter().map(|packet| graph.wire_id(packet));
     Ok(stream.to_bytes_in_order(order)?)

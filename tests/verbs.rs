@@ -281,7 +281,9 @@ fn a_stream_with_utilities_is_cut_to_the_better_picture() {
     ok(at, &[&["encode", "synth:figure:2000:12", "-o", "a.dgs"], &coded[..]].concat());
     fs::copy(at.join("a.dgs"), at.join("bare.dgs")).unwrap();
     let most = (fs::metadata(at.join("a.dgs")).unwrap().len() / 3).to_string();
-    for (input, out, ranking) in [("a.dgs", "worth.dgs", "utility"), ("bare.dgs", "levels.dgs", "level")] {
+    for (input, out, ranking) in
+        [("a.dgs", "by-utility.dgs", "utility"), ("bare.dgs", "by-level.dgs", "level")]
+    {
         let said = json(at, &["cut", input, out, "--bytes", &most]);
         assert_eq!(said["ranking"], ranking);
         let bytes = said["bytes"].as_u64().unwrap();
@@ -291,10 +293,10 @@ fn a_stream_with_utilities_is_cut_to_the_better_picture() {
         let said = json(at, &["compare", "a.dgs", name, "--width", "96", "--height", "96"]);
         said["summary"][0]["mean"].as_f64().unwrap()
     };
-    let (worth, levels) = (psnr("worth.dgs"), psnr("levels.dgs"));
-    println!("a third of the bytes: by utility {worth:.2} dB, by level {levels:.2} dB");
-    assert!(worth > levels, "{worth} against {levels}");
-    assert!(at.join("worth.utility.json").exists() && !at.join("levels.utility.json").exists());
+    let (utility, level) = (psnr("by-utility.dgs"), psnr("by-level.dgs"));
+    println!("a third of the bytes: by utility {utility:.2} dB, by level {level:.2} dB");
+    assert!(utility > level, "{utility} against {level}");
+    assert!(at.join("by-utility.utility.json").exists() && !at.join("by-level.utility.json").exists());
 }
 
 #[test]

@@ -372,11 +372,14 @@ fn files_are_chosen_refused_and_removed() {
     );
     assert_eq!(page.run(&inside), true);
     page.run("player.shadowRoot.querySelector('.net').click(), 0");
-    let panel = "[...player.shadowRoot.querySelectorAll('.network :is(label, input, select, output, canvas)')]\
-        .filter((c) => c.checkVisibility())";
+    let parts = ".network :is(label, input, select, output, canvas)";
+    let panel = format!(
+        "[...player.shadowRoot.querySelectorAll('{parts}')].filter((c) => c.checkVisibility())\
+            .map((c) => c.getBoundingClientRect())"
+    );
     page.browser.wait(PATIENCE_S, &format!("{panel}.length > 5")).unwrap();
-    let over = format!("{panel}.map((c) => c.getBoundingClientRect()).filter((r) => r.right > 390 || r.left < 0)");
-    assert_eq!(page.number(&format!("{over}.length")), 0.0);
+    let over = format!("{panel}.filter((r) => r.right > 390 || r.left < 0).length");
+    assert_eq!(page.number(&over), 0.0);
     let nameless = "[...player.shadowRoot.querySelectorAll('button, input, select, canvas.picture')].filter(\
         (c) =>\
         !c.ariaLabel && !c.closest('label') && !c.textContent.trim()).length";

@@ -23,7 +23,7 @@ use crate::{
 
 pub use dash::Dash;
 pub use deadline_utility::{
-    DeadlineUtility, DeadlineUtilityConfig, ViewportConfig, file_order, order_by_worth,
+    DeadlineUtility, DeadlineUtilityConfig, ViewportConfig, file_order, order_by_utility,
 };
 pub use dependency::Dependency;
 pub use kind::PolicyKind;

@@ -43,7 +43,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
     let mut ranking = None;
     if let Some(bytes) = args.bytes {
         let (order, by) = match &table {
-            Some(table) => (order_by_worth(&stream, &map, table)?, Ranking::Worth),
+            Some(table) => (order_by_utility(&stream, &map, table)?, Ranking::Utility),
             None => (order_by_level(&stream, &map), Ranking::Level),
         };
         within(&stream, &order, &mut stays, bytes)?;
@@ -57,7 +57,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
     let cut = stream.with_packets(|id| stays[id]);
     let left = stays.iter().filter(|stays| **stays).count();
     let bytes = match &table {
-        Some(table) if left > 0 => pipeline::file_by_worth(&cut, table)?,
+        Some(table) if left > 0 => pipeline::file_by_utility(&cut, table)?,
         _ => cut.to_bytes()?,
     };
     files::write(&args.out, &bytes)?;
@@ -99,31 +99,31 @@ fn shows(manifest: &Manifest<'_>, placement: &SlicePlacement, frames: &Range<u32
 /// What decides which packets of too many stay.
 #[derive(Clone, Copy, Debug)]
 enum Ranking {
-    Worth,
+    Utility,
     Level,
 }
 
 impl Ranking {
     const fn name(self) -> &'static str {
         match self {
-            Self::Worth => "utility",
+            Self::Utility => "utility",
             Self::Level => "level",
         }
     }
 
     const fn sentence(self) -> &'static str {
         match self {
-            Self::Worth => ", by the utilities beside it",
+            Self::Utility => ", by the utilities beside it",
             Self::Level => ", lower levels first: no utilities beside it (encode with --utility)",
         }
     }
 }
 
 /// Packets that are there by utility per byte, what each needs before it; those that add nothing last.
-fn order_by_worth(stream: &Stream, map: &PacketMap, table: &Table) -> Result<Vec<usize>> {
+fn order_by_utility(stream: &Stream, map: &PacketMap, table: &Table) -> Result<Vec<usize>> {
     let graph = pipeline::graph(stream, map, Some(table))?;
     let ranked =
-        policy::order_by_worth(&graph).into_iter().map(|packet| graph.wire_id(packet).get() as usize);
+        policy::order_by_utility(&graph).into_iter().map(|packet| graph.wire_id(packet).get() as usize);
     let mut order: Vec<usize> = ranked.collect();
     let mut is_ranked = vec![false; stream.packets().len()];
     order.iter().for_each(|&id| is_ranked[id] = true);

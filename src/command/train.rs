@@ -193,7 +193,7 @@ fn finish(
 
     let audits = if args.utility {
         let (audits, table) = utility::audits(&written.stream, dataset, plain, &folder.utility, quiet)?;
-        files::write(&folder.stream, &pipeline::file_by_worth(&written.stream, &table)?)?;
+        files::write(&folder.stream, &pipeline::file_by_utility(&written.stream, &table)?)?;
         audits
     } else {
         Vec::new()

@@ -101,7 +101,7 @@ const CEILINGS: [(&str, Counts); 16] = [
     ("codec-core/embedded/", [0, 0, 0, 0, 0, 0, 0, 0, 12]),
     ("codec-core/player/", [0, 0, 0, 0, 0, 0, 0, 0, 19]),
     ("codec-core/simd/", [0, 0, 0, 0, 0, 0, 0, 0, 9]),
-    ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 160]),
+    ("emulator-host/", [0, 0, 0, 0, 0, 0, 0, 0, 162]),
     ("emulator-host/quic/", [0, 0, 0, 0, 0, 0, 0, 0, 26]),
     ("fuzz/", [0, 0, 0, 0, 0, 0, 0, 0, 37]),
     ("render-host/", [0, 0, 0, 0, 0, 0, 0, 0, 240]),

@@ -36,7 +36,7 @@ use crate::{
 };
 
 pub use config::DeadlineUtilityConfig;
-pub use untimed::{file_order, order_by_worth};
+pub use untimed::{file_order, order_by_utility};
 pub use viewport::ViewportConfig;
 
 /// Of so many packets one is forecast: enough for a score, and no cost to speak of.

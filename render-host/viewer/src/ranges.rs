@@ -183,7 +183,8 @@ impl RangePlan {
         self.places = vec![None; self.offsets.len() - 1];
     }
 
-    /// The packets of the base of epoch `e`, or of a part of its refinements; or a packet whose head to look at.
+    /// The packets of the base of epoch `e`, or of a part of its refinements; or a packet whose head to look
+    /// at.
     fn bounds(&self, e: u16, part: Option<usize>) -> std::result::Result<Range<usize>, usize> {
         let Some(part) = part else {
             return Ok(self.first_of((e, false))?..self.known_end((e, false)));

@@ -21,15 +21,15 @@ const PLANS: usize = 500;
 /// Packets that add nothing by their groups' utilities, and parity, are left out.
 ///
 /// ```
-/// use emulator_host::{graph::Synthetic, policy::order_by_worth};
+/// use emulator_host::{graph::Synthetic, policy::order_by_utility};
 ///
 /// let graph = Synthetic { frames: 30, ..Synthetic::default() }.build(1)?;
-/// let order = order_by_worth(&graph);
+/// let order = order_by_utility(&graph);
 /// let first = &graph.packets()[order[0].at()];
 /// assert!(first.groups.iter().any(|group| graph.groups()[group.at()].level() == 0));
 /// # Ok::<(), emulator_host::graph::GraphError>(())
 /// ```
-pub fn order_by_worth(graph: &PacketGraph) -> Vec<PacketIndex> {
+pub fn order_by_utility(graph: &PacketGraph) -> Vec<PacketIndex> {
     let config = DeadlineUtilityConfig { delay_weight: 0.0, ..DeadlineUtilityConfig::default() };
     let count = graph.packets().len();
     let mut status = vec![PacketStatus::Waiting; count];
@@ -70,10 +70,10 @@ pub fn order_by_worth(graph: &PacketGraph) -> Vec<PacketIndex> {
 
 /// All packets of `graph` in the order for a file that is fetched from its beginning: epoch after epoch, the
 /// base level as it lies in the stream, so that a picture comes soon, then refinements by
-/// [`order_by_worth`], those that add nothing last; after everything else parity.
+/// [`order_by_utility`], those that add nothing last; after everything else parity.
 pub fn file_order(graph: &PacketGraph) -> Vec<PacketIndex> {
     let mut ranks = vec![usize::MAX; graph.packets().len()];
-    for (rank, packet) in order_by_worth(graph).into_iter().enumerate() {
+    for (rank, packet) in order_by_utility(graph).into_iter().enumerate() {
         ranks[packet.at()] = rank;
     }
     let groups = graph.groups();
@@ -135,7 +135,7 @@ mod tests {
         for profile in [Profile::AllOrNothing, Profile::Sliced] {
             for seed in 0..4 {
                 let graph = Synthetic { frames: 48, profile, ..Synthetic::default() }.build(seed).unwrap();
-                let order = order_by_worth(&graph);
+                let order = order_by_utility(&graph);
                 let mut have = BTreeSet::new();
                 for packet in &order {
                     let needs = &graph.packets()[packet.at()].needs_packets;
@@ -148,8 +148,8 @@ mod tests {
                     groups.map(|group| graph.groups()[group.at()].level()).min()
                 };
                 levels.sort_by_key(level);
-                let (by_worth, by_level) = (area(&graph, &order), area(&graph, &levels));
-                assert!(by_worth > by_level, "{profile:?}, seed {seed}: {by_worth} against {by_level}");
+                let (by_utility, by_level) = (area(&graph, &order), area(&graph, &levels));
+                assert!(by_utility > by_level, "{profile:?}, seed {seed}: {by_utility} against {by_level}");
                 let mut backwards = order.clone();
                 backwards.reverse();
                 assert!(area(&graph, &backwards) < by_level, "the area tells a bad order");
