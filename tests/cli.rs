@@ -284,18 +284,20 @@ fn standard_input_is_served_while_it_is_written() {
     let at = folder.path();
     ok(at, &["encode", "synth:figure:1000:12", "--out", "a.dgs", "--pictures", "2", "--window-frames", "4"]);
     let bytes = std::fs::read(at.join("a.dgs")).unwrap();
-    let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
-        .current_dir(at)
-        .args(["serve", "-", "--listen", "127.0.0.1:0", "--no-http"])
-        .stdin(std::process::Stdio::piped())
-        .stdout(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut input = server.stdin.take().unwrap();
+    let mut server = Running(
+        Command::new(env!("CARGO_BIN_EXE_dgs"))
+            .current_dir(at)
+            .args(["serve", "-", "--listen", "127.0.0.1:0", "--no-http"])
+            .stdin(std::process::Stdio::piped())
+            .stdout(std::process::Stdio::piped())
+            .spawn()
+            .unwrap(),
+    );
+    let mut input = server.0.stdin.take().unwrap();
     let manifest = 8 + u32::from_le_bytes(bytes[4..8].try_into().unwrap()) as usize;
     input.write_all(&bytes[..manifest]).unwrap();
     let mut url = String::new();
-    BufReader::new(server.stdout.take().unwrap()).read_line(&mut url).unwrap();
+    BufReader::new(server.0.stdout.take().unwrap()).read_line(&mut url).unwrap();
     let url = url.trim();
     assert!(url.contains("/live#"), "{url}");
     let shown = |json: &str| {
@@ -315,8 +317,7 @@ fn standard_input_is_served_while_it_is_written() {
     let (count, miss) = shown(&early);
     assert!(count == 12 && miss < 0.5, "{early}");
     assert_eq!(shown(&ok(at, &["play", url, "--json"])).0, 4);
-    server.kill().unwrap();
-    server.wait().unwrap();
+    drop(server);
     let nothing = refused(at, &["serve", "-", "--listen", "127.0.0.1:0"]);
     assert!(nothing.contains("standard input: the input is no .dgs stream"), "{nothing}");
 }
@@ -334,6 +335,16 @@ fn get(place: &str, path: &str) -> Vec<u8> {
     answer
 }
 
+/// A program that does not outlive a test that fails: it would hold the output of all tests open.
+struct Running(std::process::Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
 /// A server and its viewer as typed: the URL is all that goes between them, and Ctrl-C ends the server with
 /// its counts.
 #[cfg(unix)]
@@ -344,13 +355,15 @@ fn what_is_served_is_played() {
     let folder = tempfile::tempdir().unwrap();
     let at = folder.path();
     ok(at, &["encode", "synth:figure:1000:12", "--out", "a b.dgs", "--pictures", "2"]);
-    let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
-        .current_dir(at)
-        .args(["serve", "a b.dgs", "--listen", "127.0.0.1:0", "--impair", "delay=5ms"])
-        .stdout(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut said = BufReader::new(server.stdout.take().unwrap());
+    let mut server = Running(
+        Command::new(env!("CARGO_BIN_EXE_dgs"))
+            .current_dir(at)
+            .args(["serve", "a b.dgs", "--listen", "127.0.0.1:0", "--impair", "delay=5ms"])
+            .stdout(std::process::Stdio::piped())
+            .spawn()
+            .unwrap(),
+    );
+    let mut said = BufReader::new(server.0.stdout.take().unwrap());
     let mut url = String::new();
     said.read_line(&mut url).unwrap();
     let url = url.trim();
@@ -387,11 +400,11 @@ fn what_is_served_is_played() {
     assert!(refused(at, &["play", &wrong]).contains("the server's certificate is "));
     let unknown = url.replace("a-b", "other");
     assert!(refused(at, &["play", &unknown]).contains("no stream called other; there are a-b"));
-    let id = i32::try_from(server.id()).unwrap().to_string();
+    let id = i32::try_from(server.0.id()).unwrap().to_string();
     assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
     let mut rest = String::new();
     said.read_to_string(&mut rest).unwrap();
-    assert!(server.wait().unwrap().success());
+    assert!(server.0.wait().unwrap().success());
     assert!(rest.contains("4 viewers; 1 handshakes failed") && rest.contains("unknown stream 1"), "{rest}");
     assert!(rest.contains("page: 3 requests on 3 connections"), "{rest}");
     let error = refused(at, &["serve", "a b.dgs", "a b.dgs", "--listen", "127.0.0.1:0"]);
@@ -412,13 +425,15 @@ fn what_is_viewed_is_a_page_and_its_files() {
     std::fs::write(at.join("no.dgs"), b"no stream").unwrap();
     assert!(refused(at, &["view", "no.dgs", "--port", "0"]).contains("no.dgs: no .dgs file"));
     assert!(refused(at, &["view", "none.dgs", "--port", "0"]).contains("none.dgs: cannot read"));
-    let mut server = Command::new(env!("CARGO_BIN_EXE_dgs"))
-        .current_dir(at)
-        .args(["view", "a b.dgs", "--port", "0"])
-        .stdout(std::process::Stdio::piped())
-        .spawn()
-        .unwrap();
-    let mut said = BufReader::new(server.stdout.take().unwrap());
+    let mut server = Running(
+        Command::new(env!("CARGO_BIN_EXE_dgs"))
+            .current_dir(at)
+            .args(["view", "a b.dgs", "--port", "0"])
+            .stdout(std::process::Stdio::piped())
+            .spawn()
+            .unwrap(),
+    );
+    let mut said = BufReader::new(server.0.stdout.take().unwrap());
     let mut url = String::new();
     said.read_line(&mut url).unwrap();
     let port = url.trim().strip_prefix("http://localhost:").and_then(|rest| rest.strip_suffix('/')).unwrap();
@@ -427,10 +442,10 @@ fn what_is_viewed_is_a_page_and_its_files() {
     assert!(page.windows(11).any(|part| part == b"<dgs-player"), "{}", String::from_utf8_lossy(&page));
     assert!(get(&place, "/dgs_viewer_bg.wasm").windows(4).any(|part| part == b"\0asm"));
     assert!(get(&place, "/streams/a-b.dgs").ends_with(&std::fs::read(at.join("a b.dgs")).unwrap()));
-    let id = i32::try_from(server.id()).unwrap().to_string();
+    let id = i32::try_from(server.0.id()).unwrap().to_string();
     assert!(Command::new("kill").args(["-INT", &id]).status().unwrap().success());
     let mut rest = String::new();
     said.read_to_string(&mut rest).unwrap();
-    assert!(server.wait().unwrap().success());
+    assert!(server.0.wait().unwrap().success());
     assert_eq!(rest, "3 connections, 3 requests\n");
 }

@@ -70,13 +70,19 @@ pub fn order_by_utility(graph: &PacketGraph) -> Vec<PacketIndex> {
 
 /// All packets of `graph` in the order for a file that is fetched from its beginning: epoch after epoch, the
 /// base level as it lies in the stream, so that a picture comes soon, then refinements by
-/// [`order_by_utility`], those that add nothing last; after everything else parity.
+/// [`order_by_utility`], those that add nothing last; after everything else parity. Where all groups have one
+/// utility nobody has measured any, and packets lie as they are numbered.
 pub fn file_order(graph: &PacketGraph) -> Vec<PacketIndex> {
+    let groups = graph.groups();
+    if groups.windows(2).all(|pair| pair[0].utility == pair[1].utility) {
+        let mut order: Vec<PacketIndex> = (0..graph.packets().len() as u32).map(PacketIndex).collect();
+        order.sort_by_key(|packet| graph.wire_id(*packet));
+        return order;
+    }
     let mut ranks = vec![usize::MAX; graph.packets().len()];
     for (rank, packet) in order_by_utility(graph).into_iter().enumerate() {
         ranks[packet.at()] = rank;
     }
-    let groups = graph.groups();
     let mut epochs: Vec<u32> =
         groups.iter().filter(|group| group.is_canonical()).map(|group| group.first_frame).collect();
     epochs.sort_unstable();
@@ -96,8 +102,10 @@ pub fn file_order(graph: &PacketGraph) -> Vec<PacketIndex> {
 mod tests {
     use std::collections::BTreeSet;
 
+    use codec_core::internals::ids::PacketId;
+
     use super::*;
-    use crate::graph::{Profile, Synthetic};
+    use crate::graph::{Profile, Synthetic, Utilities};
 
     /// Σ over frames of the utility of the groups that show, of those whose packets are in `have`, by the
     /// definition.
@@ -159,7 +167,13 @@ mod tests {
                 let is_base = |packet: &PacketIndex| level(packet) == Some(0);
                 let bases = file.iter().filter(|packet| is_base(packet)).count();
                 assert!(file[..bases].iter().all(is_base), "one epoch: its base before everything else");
-                assert!(area(&graph, &file) > by_level, "refinements by worth");
+                assert!(area(&graph, &file) > by_level, "refinements by utility");
+                let flat =
+                    Synthetic { utilities: Utilities::Flat, frames: 48, profile, ..Synthetic::default() };
+                let graph = flat.build(seed).unwrap();
+                let ids: Vec<PacketId> =
+                    file_order(&graph).iter().map(|packet| graph.wire_id(*packet)).collect();
+                assert!(ids.is_sorted(), "nothing measured: as they are numbered");
             }
         }
     }
