@@ -167,7 +167,11 @@ mod tests {
                 let is_base = |packet: &PacketIndex| level(packet) == Some(0);
                 let bases = file.iter().filter(|packet| is_base(packet)).count();
                 assert!(file[..bases].iter().all(is_base), "one epoch: its base before everything else");
-                assert!(area(&graph, &file) > by_level, "refinements by utility");
+                let ranked: Vec<PacketIndex> =
+                    file.into_iter().filter(|packet| have.contains(packet)).collect();
+                let mut numbered = ranked.clone();
+                numbered.sort_by_key(|packet| (level(packet), graph.wire_id(*packet)));
+                assert!(area(&graph, &ranked) > area(&graph, &numbered), "refinements by utility");
                 let flat =
                     Synthetic { utilities: Utilities::Flat, frames: 48, profile, ..Synthetic::default() };
                 let graph = flat.build(seed).unwrap();

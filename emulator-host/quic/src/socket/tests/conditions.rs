@@ -193,12 +193,13 @@ fn a_round_under_other_conditions_begins_with_nothing_if_the_server_grants_them(
     });
 }
 
-/// A server that counts and, if `answers`, grants all conditions, and closes 100 ms after the first.
+/// A server that counts and, if `answers`, grants all conditions, and closes once the client has heard of that.
 fn counting(count: Arc<AtomicU32>, answers: bool) -> impl Fn(Connection, SendStream, RecvStream) -> Talk {
     move |connection, mut send, mut receive| {
         let count = Arc::clone(&count);
         Box::pin(async move {
             let mut reader = MessageReader::<ClientMessage>::default();
+            let mut has_granted = false;
             while let Ok(Some(chunk)) = receive.read_chunk(4096, true).await {
                 let mut bytes = &chunk.bytes[..];
                 while let Ok(Some(message)) = reader.take(&mut bytes) {
@@ -206,6 +207,7 @@ fn counting(count: Arc<AtomicU32>, answers: bool) -> impl Fn(Connection, SendStr
                         ClientMessage::Hello { .. } => ServerMessage::Manifest(stream().message().to_vec()),
                         ClientMessage::Conditions { round, .. } if answers => {
                             count.fetch_add(1, Ordering::Relaxed);
+                            has_granted = true;
                             let granted = Granted { link: true, scheduler: true };
                             ServerMessage::Granted { round, granted }
                         }
@@ -213,8 +215,9 @@ fn counting(count: Arc<AtomicU32>, answers: bool) -> impl Fn(Connection, SendStr
                     };
                     let _ = send.write_all(&answer.to_bytes()).await;
                 }
-                if count.load(Ordering::Relaxed) > 0 {
-                    tokio::time::sleep(Duration::from_millis(100)).await;
+                if has_granted {
+                    // A receipt says that the client has heard of the grant.
+                    let _ = connection.read_datagram().await;
                     connection.close(0u32.into(), b"moved");
                 }
             }
