@@ -323,7 +323,7 @@ mod tests {
         assert!(last + 1 - bases.len() <= 4 * (BASE_BYTES / 900) as usize, "bases first");
         let refinements: Vec<usize> =
             came[last + 1..].iter().copied().filter(|&k| truth[k] != LAST).collect();
-        assert_eq!(epochs(&refinements), [2, 3, 0, 1].repeat(PARTS));
+        assert!(epochs(&refinements).ends_with(&[2, 3, 0, 1].repeat(PARTS)));
         assert!(came[1000..].iter().all(|&k| truth[k] == LAST));
         let of_one: Vec<usize> = refinements.iter().copied().filter(|&k| truth[k].0 == 2).collect();
         assert!(of_one.is_sorted(), "in the order of the file");

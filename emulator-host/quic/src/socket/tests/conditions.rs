@@ -193,7 +193,8 @@ fn a_round_under_other_conditions_begins_with_nothing_if_the_server_grants_them(
     });
 }
 
-/// A server that counts and, if `answers`, grants all conditions, and closes once the client has heard of that.
+/// A server that counts and, if `answers`, grants all conditions, and closes once the client has heard of
+/// that.
 fn counting(count: Arc<AtomicU32>, answers: bool) -> impl Fn(Connection, SendStream, RecvStream) -> Talk {
     move |connection, mut send, mut receive| {
         let count = Arc::clone(&count);

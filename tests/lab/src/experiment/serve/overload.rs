@@ -15,8 +15,8 @@ use crate::figures::{Bench, Figure};
 pub const PROTOCOL: &str = "overload: 30 s of 10 Mbit/s (synthetic, deadline-utility) into 5 Mbit/s with \
      100 ms of round trip and 500 ms of queue, over the model and over quinn-proto, both in virtual time; \
      utilisation counts every byte that left the link over the whole run, the round trip is the smoothed one \
-     every 10 ms from 2 s on; a control message leaves before all media that waits, so with its answer it takes \
-     that long";
+     every 10 ms from 2 s on; a control message leaves before all media that waits, so with its answer it \
+     takes that long";
 const LINK: Rate = Rate::from_mbps(5);
 const SOURCE: Rate = Rate::from_mbps(10);
 const DELAY: Nanos = Nanos::from_ms(50);
