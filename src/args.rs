@@ -219,6 +219,18 @@ pub struct Import {
 
 /// `dgs encode`.
 #[derive(Debug, Args)]
+#[command(
+    mut_arg("cameras", |arg| arg.help("Cameras that --target-psnr is measured from: a Blender/NeRF \
+        transforms_*.json, or COLMAP's cameras and images [default: three around the scene, 28° above the \
+        horizon]")),
+    mut_arg("width", |arg| arg.help("Width of the pictures of --target-psnr, 1 to 16384 pixels [default: \
+        256, \
+        or what a file of cameras says]")),
+    mut_arg("height", |arg| arg.help("Height of the pictures of --target-psnr, 1 to 16384 pixels [default: \
+        256, or what a file of cameras says]")),
+    mut_arg("background", |arg| arg.help("Background of the pictures of --target-psnr, 0 to 1 per channel: \
+        grey level or r,g,b")),
+)]
 pub struct Encode {
     /// Scene, as for import.
     pub input: String,
@@ -298,9 +310,9 @@ pub struct Decode {
     /// A folder for a PLY sequence, or a file as convert writes it for one frame; axes are the stream's.
     #[arg(short, long, required_unless_present = "digest")]
     pub out: Option<PathBuf>,
-    /// The frame for a single file.
-    #[arg(long, default_value_t = 0)]
-    pub frame: u32,
+    /// The frame for a single file [default: 0].
+    #[arg(long)]
+    pub frame: Option<u32>,
     /// Highest level to use, 0 to 3.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u8).range(0..=3))]
     pub level: u8,
@@ -397,6 +409,14 @@ pub struct Compare {
 
 /// `dgs stream`.
 #[derive(Debug, Args)]
+#[command(
+    mut_arg("cameras", |arg| arg.help("A viewer who looks from cameras of a file, a Blender/NeRF \
+        transforms_*.json or COLMAP's cameras and images, one after the other [default: no viewer]")),
+    mut_arg("width", |arg| arg.help("Width of what the viewer sees, 1 to 16384 pixels")),
+    mut_arg("height", |arg| arg.help("Height of what the viewer sees, 1 to 16384 pixels")),
+    mut_arg("background", |arg| arg.help("Background of what the viewer sees, 0 to 1 per channel: grey level \
+        or r,g,b")),
+)]
 pub struct StreamArgs {
     /// A .dgs file or a scene.
     pub input: String,
@@ -456,6 +476,9 @@ pub struct Demo {
 }
 
 /// `dgs bench`.
+///
+/// In the source tree cargo builds the laboratory first (profile dist), which takes minutes once; elsewhere
+/// the dgs-lab beside this program runs.
 #[derive(Debug, Args)]
 pub struct Bench {
     /// Which figures, or `all`; see --list.

@@ -35,6 +35,37 @@ pub fn check(path: &Path) -> Result<()> {
     temporary(path).map(drop)
 }
 
+/// As [`check`], for a stream: its name ends in `.dgs`, and it is none of `others`, which are read or written
+/// besides.
+///
+/// # Errors
+/// As [`check`]; another ending; a file that is one of `others`.
+pub(crate) fn check_stream(path: &Path, others: &[&Path]) -> Result<()> {
+    check(path)?;
+    // A device or a pipe is called what it is called.
+    let is_device = fs::metadata(path).is_ok_and(|found| !found.is_file());
+    if !is_device && path.extension().is_none_or(|ending| !ending.eq_ignore_ascii_case("dgs")) {
+        bail!("{}: a stream is written here; the ending .dgs is allowed", path.display());
+    }
+    check_apart(path, others)
+}
+
+/// Refuses to write a file that is one of `others`, which are read or written besides.
+///
+/// # Errors
+/// That `path` is one of them.
+pub(crate) fn check_apart(path: &Path, others: &[&Path]) -> Result<()> {
+    let resolved = fs::canonicalize(path).unwrap_or_else(|_| path.to_owned());
+    let is_path = |other: &&&Path| fs::canonicalize(other).map_or(**other == path, |other| other == resolved);
+    if fs::metadata(path).is_ok_and(|found| !found.is_file()) {
+        return Ok(());
+    }
+    match others.iter().find(is_path) {
+        Some(_) => bail!("{}: is read or written besides; name another file", path.display()),
+        None => Ok(()),
+    }
+}
+
 /// Writes `bytes` as `path`: all of them, or what was there before stays.
 ///
 /// # Errors

@@ -28,11 +28,11 @@ use trainer_host::{
 };
 
 pub(crate) use self::{
-    cache::reference_photographs,
+    cache::{reference_photographs, stored_utilities},
     link::{read_delays, read_replay},
 };
 pub use self::{
-    cache::{stored_utilities, utilities, utility_path},
+    cache::{utilities, utility_path},
     cameras::{Showing, Surroundings, Viewpoints, read_cameras, viewpoints},
     frames::Frames,
     impair::{impairment, viewer_link},
@@ -58,6 +58,8 @@ pub struct Loaded {
     pub name: String,
     /// The scene.
     pub scene: Scene,
+    /// Why only a part of the file was read, with its name, where that was allowed.
+    pub damage: Option<String>,
 }
 
 /// Step 1: import. `input` is a file, a folder, or `synth:KIND[:GAUSSIANS[:FRAMES]]`.
@@ -65,29 +67,25 @@ pub struct Loaded {
 /// # Errors
 /// What the importer refuses, with the file's name.
 pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
-    let limits = import::Limits {
-        max_gaussians: args.max_gaussians,
-        keep_readable: args.keep_readable,
-        ..import::Limits::default()
-    };
+    let limits = import::Limits { max_gaussians: args.max_gaussians, ..import::Limits::default() };
     if let Some(text) = input.strip_prefix("synth:") {
         let options = synth_options(text, args)?;
         let name = format!("synth {}", options.kind.name());
         let mut scene = synth::make(&options, &limits).with_context(|| format!("cannot make {input}"))?;
         scene.up = args.up.map_or(Up::default(), Into::into);
         scene.footprint = args.footprint.map_or(scene.footprint, Into::into);
-        return Ok(Loaded { name, scene });
+        return Ok(Loaded { name, scene, damage: None });
     }
-    let clip = match &args.clip {
+    let clip = || match &args.clip {
         None => Clip::First,
         Some(text) => text.parse().map_or_else(|_| Clip::Name(text.clone()), Clip::Index),
     };
-    let options = import::ImportOptions {
-        limits,
+    let options = |keep_readable: bool| import::ImportOptions {
+        limits: import::Limits { keep_readable, ..limits },
         identity: if args.identity_stored { import::Identity::Stored } else { import::Identity::PerFrame },
         frames_per_second: args.fps,
         gltf: import::gltf::GltfOptions {
-            clip,
+            clip: clip(),
             frames_per_second: args.fps,
             samples: args.samples,
             seed: args.seed,
@@ -99,9 +97,22 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
     if !path.exists() {
         bail!("{input}: no such file or folder (built-in scenes are named synth:figure and the like)");
     }
+    if is_stream(input) {
+        bail!(
+            "{input}: is a stream, no scene: dgs inspect says what it holds, dgs convert makes a scene of it"
+        );
+    }
+    let mut damage = None;
     let mut scene = match trained(path, args.fps)? {
         Some(scene) => scene,
-        None => import::import(path, &options)?,
+        None => match import::import(path, &options(false)) {
+            Err(error) if args.keep_readable => {
+                let scene = import::import(path, &options(true))?;
+                damage = Some(format!("{error:#}; what is readable is kept"));
+                scene
+            }
+            read => read?,
+        },
     };
     scene.up = match (args.up, scene.usual_up) {
         (Some(typed), _) => typed.into(),
@@ -113,7 +124,7 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
     };
     scene.footprint = args.footprint.map_or(scene.footprint, Into::into);
     let name = path.file_name().map_or_else(|| input.to_owned(), |n| n.to_string_lossy().into_owned());
-    Ok(Loaded { name, scene })
+    Ok(Loaded { name, scene, damage })
 }
 
 /// The scene in a checkpoint of a training, if the file is one.

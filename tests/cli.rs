@@ -176,7 +176,7 @@ fn options_out_of_range_are_refused_by_name_with_their_range() {
         (&encode[..], "--coarseness", &["nan", "inf", "-inf", "0", "-1", "1e30"][..], factor),
         (&encode, "--fps", &["nan", "inf", "0", "-30"], "frames per second from 0.001 to 10000 is allowed"),
         (&encode, "--truncate", &["nan", "inf", "-1"], least),
-        (&encode, "--target-psnr", &["nan", "inf", "0", "-40"], above),
+        (&encode, "--target-psnr", &["nan", "inf", "0", "-40", "100"], "dB from 0.001 to 99"),
         (&encode, "--target-bits-per-gaussian", &["nan", "inf", "0"], above),
         (&encode, "--packet-bytes", &["199", "1227", "nan"], "bytes from 200 to 1226 is allowed"),
         (&encode, "--block-len", &["0", "257"], "Gaussians from 1 to 256 is allowed"),

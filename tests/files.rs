@@ -286,3 +286,94 @@ fn archives_that_unpack_to_more_than_is_accepted_take_little_memory() {
     fs::write(at.join("large.splat"), vec![0; 256 << 20]).unwrap();
     assert_ne!(limited(at, limit, "import large.splat").status.code(), Some(0));
 }
+
+#[test]
+fn no_input_is_written_over_and_streams_are_called_dgs() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let good = encode(at, "x.dgs");
+    ok(at, &["convert", "x.dgs", "x.ply", "--frame", "0"]);
+    let besides = "is read or written besides; name another file";
+    for args in [
+        &["cut", "x.dgs", "x.dgs", "--levels", "0"][..],
+        &["cut", "x.dgs", "./x.dgs", "--levels", "0"],
+        &["stream", "x.dgs", "-o", "x.dgs"],
+        &["encode", "synth:balls:1000:2", "-o", "d.dgs", "--decisions-out", "d.dgs"],
+    ] {
+        assert!(refused(at, args).contains(besides), "{args:?}");
+    }
+    let ending = "a stream is written here; the ending .dgs is allowed";
+    for args in [
+        &["encode", "x.ply", "-o", "x.ply"][..],
+        &["stream", "x.dgs", "-o", "y.ply"],
+        &["cut", "x.dgs", "y", "--levels", "0"],
+    ] {
+        assert!(refused(at, args).contains(ending), "{args:?}");
+    }
+    assert_eq!(fs::read(at.join("x.dgs")).unwrap(), good);
+    assert_eq!(names(at), ["x.dgs", "x.ply"]);
+}
+
+/// Whatever a verb does with it, damage is told by the exit status.
+#[test]
+fn damage_decides_the_exit_status() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    let whole = encode(at, "x.dgs");
+    fs::write(at.join("part.dgs"), &whole[..whole.len() * 2 / 3]).unwrap();
+    ok(at, &["convert", "x.dgs", "x.ply"]);
+    let whole = fs::read(at.join("x.ply")).unwrap();
+    fs::write(at.join("part.ply"), &whole[..whole.len() / 2]).unwrap();
+    let small = ["--width", "32", "--height", "32"];
+    let stream: [&[&str]; 5] = [
+        &["convert", "part.dgs", "y.ply"],
+        &["stream", "part.dgs"],
+        &["cut", "part.dgs", "y.dgs", "--levels", "0"],
+        &["decode", "part.dgs", "-o", "z.ply"],
+        &["render", "part.dgs", "-o", "y.png"],
+    ];
+    let scene: [&[&str]; 5] = [
+        &["import", "part.ply", "--keep-readable"],
+        &["convert", "part.ply", "w.ply", "--keep-readable"],
+        &["encode", "part.ply", "-o", "w.dgs", "--keep-readable", "--pictures", "0"],
+        &["stream", "part.ply", "--keep-readable", "--pictures", "0"],
+        &["render", "part.ply", "-o", "w.png", "--keep-readable"],
+    ];
+    for args in stream.into_iter().chain(scene) {
+        let args = if args[0] == "render" { [args, &small].concat() } else { args.to_vec() };
+        let output = dgs(at, &args);
+        let errors = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{args:?}: {errors}");
+        assert!(errors.contains("what is readable is kept") || args[0] == "decode", "{args:?}: {errors}");
+    }
+    assert!(refused(at, &["import", "part.ply"]).contains("part.ply"), "not asked for");
+}
+
+#[test]
+fn what_would_be_ignored_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    encode(at, "x.dgs");
+    assert!(refused(at, &["decode", "x.dgs", "-o", "f", "--frame", "1"]).contains("every frame is written"));
+    assert!(refused(at, &["convert", "x.dgs", "f", "--frame", "1"]).contains("every frame is written"));
+    assert!(refused(at, &["view", "x.dgs", "--port", "0", "--seek", "3"]).contains("--window"));
+    assert!(refused(at, &["import", "x.dgs"]).contains("is a stream, no scene"));
+    let pictures = ["encode", "synth:balls:1000:2", "-o", "y.dgs", "--background", "1"];
+    assert!(refused(at, &pictures).contains("--target-psnr"));
+    fs::write(at.join("trace.csv"), "0,2\n1,1\n").unwrap();
+    assert!(ok(at, &["stream", "x.dgs", "--trace", "trace.csv"]).contains("limited by"));
+}
+
+#[test]
+fn one_frame_is_compared_with_that_of_a_clip() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    encode(at, "x.dgs");
+    ok(at, &["convert", "x.dgs", "one.ply", "--frame", "1"]);
+    let small = ["--width", "32", "--height", "32", "--up", "y"];
+    let compared = |more: &[&'static str]| [&["compare", "one.ply", "x.dgs"][..], &small[..], more].concat();
+    assert!(refused(at, &compared(&[])).contains("have 1 and 2 frames"));
+    let text = ok(at, &compared(&["--frames", "1"]));
+    assert!(text.contains("3 pictures"), "{text}");
+    assert!(refused(at, &compared(&["--frames", "0..1"])).contains("have 1 and 2 frames"));
+}

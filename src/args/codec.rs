@@ -4,7 +4,10 @@ use clap::{Args, ValueEnum};
 use codec_core::internals::limits;
 use trainer_host::encode::Protection;
 
-use super::number::{coarseness, positive, repair_set, whole};
+use super::number::{coarseness, positive, real, repair_set, whole};
+
+/// Least target PSNR, dB: above 0.
+const MIN_PSNR_DB: f64 = 1e-3;
 
 /// How to encode.
 #[derive(Clone, Debug, Args)]
@@ -27,9 +30,10 @@ pub struct CodecArgs {
     /// Choose the coarseness: at most this many bytes on the wire (manifest, packets and parity).
     #[arg(long, value_name = "BYTES", group = "fineness", value_parser = clap::value_parser!(u64).range(1..))]
     pub target_bytes: Option<u64>,
-    /// Choose the coarseness: at least this PSNR in dB from measuring (never held-out) cameras.
+    /// Choose the coarseness: at least this PSNR in dB, above 0 and at most 99, from measuring (never
+    /// held-out) cameras.
     #[arg(
-        long, value_name = "DB", group = "fineness", value_parser = positive,
+        long, value_name = "DB", group = "fineness", value_parser = real(MIN_PSNR_DB..=99.0, "dB"),
         allow_negative_numbers = true
     )]
     pub target_psnr: Option<f64>,
@@ -60,8 +64,8 @@ pub struct CodecArgs {
     #[arg(long, conflicts_with = "repair", value_parser = repair_set)]
     pub repair_set: Option<u8>,
     /// Parity per kind of packets: none, standard, or a list of KIND=K+R (any R losses of K packets
-    /// are repaired) with KIND base, tracks, 1, 2 or 3 [default: none in encode, standard in stream
-    /// and demo].
+    /// are repaired) with KIND base, tracks, 1, 2 or 3 [default: standard in stream, demo
+    /// and serve, where it is sent; none elsewhere].
     #[arg(long, value_parser = Protection::parse)]
     pub repair: Option<Protection>,
 }

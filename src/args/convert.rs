@@ -45,9 +45,9 @@ pub struct Convert {
     /// Leave axes as they are.
     #[arg(long)]
     pub keep_axes: bool,
-    /// The frame for a single file.
-    #[arg(long, default_value_t = 0)]
-    pub frame: u32,
+    /// The frame for a single file [default: 0].
+    #[arg(long)]
+    pub frame: Option<u32>,
     /// Replace a folder of frames that is there already.
     #[arg(long)]
     pub overwrite: bool,

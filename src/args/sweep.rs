@@ -23,7 +23,7 @@ pub struct SweepArgs {
     /// Folder in which the files of traces lie [default: that of the configuration].
     #[arg(long, value_name = "FOLDER")]
     pub traces: Option<PathBuf>,
-    /// Run only the i-th of n equal shares, and estimate the whole from it; mpi: the share of this process
+    /// Run only the i-th of n shares of whole batches, and estimate the whole from it; mpi: that of this process
     /// among those that mpirun or srun started, which may all write into one folder.
     #[arg(long, value_name = "i/n|mpi", value_parser = Shard::parse)]
     pub shard: Option<Shard>,

@@ -29,7 +29,7 @@ pub struct View {
     /// opened.
     #[arg(long, value_name = "FILE.png")]
     pub screenshot: Option<PathBuf>,
-    /// Frame of that picture, from 0.
+    /// Frame of the picture of --screenshot, from 0.
     #[arg(long, value_name = "FRAME", default_value_t = 0, requires = "screenshot")]
     pub at: u32,
     /// How a window begins.
@@ -46,42 +46,43 @@ pub struct View {
 /// How a window begins.
 #[derive(Debug, Args)]
 pub struct WindowArgs {
-    /// Width of the window, 1 to 16384 pixels.
+    /// Width of the window or the screenshot, 1 to 16384 pixels.
     #[arg(
         long, default_value_t = 1280, value_parser = whole::<u32>(1..=MAX_SIDE, "pixels"), requires = "native"
     )]
     pub width: u32,
-    /// Height of the window, 1 to 16384 pixels.
+    /// Height of the window or the screenshot, 1 to 16384 pixels.
     #[arg(
         long, default_value_t = 720, value_parser = whole::<u32>(1..=MAX_SIDE, "pixels"), requires = "native"
     )]
     pub height: u32,
-    /// Background of the window, 0 to 1 per channel: grey level or r,g,b.
+    /// Background of the window or the screenshot, 0 to 1 per channel: grey level or r,g,b.
     #[arg(long, default_value = "0", value_parser = background, requires = "native")]
     pub background: [f32; 3],
-    /// Highest level shown, 0 to 3.
+    /// With --window or --screenshot: highest level shown, 0 to 3.
     #[arg(long, default_value_t = 3, value_parser = whole::<usize>(0..=3, "levels"), requires = "native")]
     pub level: usize,
-    /// Paint blocks by the level that they are shown at, by how long ago they gained one, or by how much of a
-    /// picture they can cover: levels (without a name), arrivals, coverage or none.
+    /// With --window or --screenshot: paint blocks by the level that they are shown at, by how long ago they
+    /// gained one, or by how much of a picture they can cover: levels (without a name), arrivals, coverage or
+    /// none.
     #[arg(
         long, value_name = "WHAT", num_args = 0..=1, require_equals = true, default_value = "none",
         default_missing_value = "levels", value_parser = overlay, requires = "native"
     )]
     pub overlay: Overlay,
-    /// Begin at this time, at least 0 seconds.
+    /// With --window: begin at this time, at least 0 seconds.
     #[arg(
         long, value_name = "SECONDS", default_value_t = 0.0, value_parser = not_negative,
         allow_negative_numbers = true, requires = "window"
     )]
     pub seek: f64,
-    /// Begin paused.
+    /// With --window: begin paused.
     #[arg(long, requires = "window")]
     pub paused: bool,
-    /// Play once and close.
+    /// With --window: play once and close.
     #[arg(long, requires = "window", conflicts_with = "paused")]
     pub once: bool,
-    /// Take the whole display.
+    /// With --window: take the whole display.
     #[arg(long, requires = "window")]
     pub fullscreen: bool,
 }

@@ -168,10 +168,8 @@ fn pairs(args: &Compare, a: &mut Side, b: &mut Side) -> Result<(Vec<Pair>, Strin
             Ok((unique(pairs.map(pair).collect()), "as they are".to_owned()))
         }
         (Side::Frames(a), Side::Frames(b)) => {
-            if a.count() != b.count() {
-                bail!("{} has {} frames and {} {}; as many are needed", args.a, a.count(), args.b, b.count());
-            }
-            let (list, cameras) = views(args, b, None)?;
+            let count = matched_frames(args, a.count(), b.count())?;
+            let (list, cameras) = views(args, b, count, None)?;
             let pair = |Shown { name, frame, camera, from }: Shown| {
                 let render = Source::Render(Box::new(from));
                 let twin = match &render {
@@ -212,13 +210,18 @@ fn photographed(
 ) -> Result<(Vec<Pair>, String)> {
     let first = paths.first().context("no pictures")?;
     let size = side::read(first, args.view.background)?.size();
-    let (list, cameras) = views(args, frames, Some(size))?;
+    let count = frames.count();
+    let (list, cameras) = views(args, frames, count, Some(size))?;
     let names: Vec<&str> = list.iter().map(|shown| shown.name.as_str()).collect();
     let (paths, how) = match side::by_name(paths, &names) {
         Some(paths) => (paths, "matched by name"),
         None if paths.len() == list.len() => (paths.to_vec(), "matched by order"),
         None => {
-            bail!("{} pictures, and cameras and frames for {}; as many are needed", paths.len(), list.len())
+            bail!(
+                "{} pictures, and cameras and frames for {}; as many are needed: --camera and --frames choose",
+                paths.len(),
+                list.len()
+            )
         }
     };
     let pairs = list.into_iter().zip(paths).map(|(shown, path)| {
@@ -236,9 +239,34 @@ struct Shown {
     from: Camera,
 }
 
-/// The pictures to render, and from where, for people.
-fn views(args: &Compare, frames: &mut Frames, size: Option<(u32, u32)>) -> Result<(Vec<Shown>, String)> {
-    let (own, up, count) = (frames.cameras().to_vec(), frames.up(), frames.count());
+/// Of how many frames some are compared: both sides have as many, or those that were chosen. A side of one
+/// frame stands for any one frame.
+fn matched_frames(args: &Compare, a: u32, b: u32) -> Result<u32> {
+    let most = a.max(b);
+    let chosen = args.frames.map(|range| range.within(most)).transpose()?;
+    let has = |count: u32| {
+        chosen.as_ref().is_some_and(|chosen| chosen.end <= count || (count == 1 && chosen.len() == 1))
+    };
+    if a != b && !(has(a) && has(b)) {
+        let (first, second) = (&args.a, &args.b);
+        bail!("{first} and {second} have {a} and {b} frames; as many are needed, or --frames that both have");
+    }
+    Ok(most)
+}
+
+/// The frame of `side` that stands for `frame`.
+fn frame_of(side: &Frames, frame: u32) -> u32 {
+    if side.count() == 1 { 0 } else { frame }
+}
+
+/// The pictures to render, of a clip of `count` frames, and from where, for people.
+fn views(
+    args: &Compare,
+    frames: &mut Frames,
+    count: u32,
+    size: Option<(u32, u32)>,
+) -> Result<(Vec<Shown>, String)> {
+    let (own, up) = (frames.cameras().to_vec(), frames.up());
     let mut around = Surroundings {
         own: &own,
         framing: &mut || frames.framing(),
@@ -292,7 +320,7 @@ fn picture(
 ) -> Result<Image> {
     match (source, side) {
         (Source::Render(camera), Side::Frames(frames)) => {
-            let instant = frames.instant(frame)?;
+            let instant = frames.instant(frame_of(frames, frame))?;
             let settings = settings.clone().with_footprint(frames.footprint());
             let splats = Splats::new(&instant.gaussians, &instant.sh_rest, instant.sh_degree)?;
             Ok(renderer.render(&splats, camera, &settings)?.image.clone())
@@ -333,7 +361,9 @@ fn gaussians(
 ) -> Result<Option<Result<AttributeDifferences, String>>> {
     let (Side::Frames(a), Side::Frames(b), Some(first)) = (a, b, pairs.first()) else { return Ok(None) };
     let radius = b.framing()?.radius;
-    let (frame, of_a, of_b) = (first.frame, a.instant(first.frame)?, b.instant(first.frame)?);
+    let frame = first.frame;
+    let instant = |side: &mut Frames| side.instant(frame_of(side, frame));
+    let (of_a, of_b) = (instant(a)?, instant(b)?);
     Ok(Some(differences(frame, &of_a, &of_b, radius)))
 }
 

@@ -24,9 +24,11 @@ use crate::{
 pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let output = SceneOutput::of(&args.out)?;
     output.check(&args.out, args.overwrite)?;
+    let only = output.only(args.frame)?;
     let progress = Progress::new("convert", quiet.0);
     let mut warnings = Vec::new();
     let scene = read(&args.input, &args.scene, &mut |w| warnings.push(w))?;
+    let damaged = !warnings.is_empty();
     progress.stage("editing", 0.3);
     let before = (scene.max_count(), scene.frames());
     let scene = edited(args, scene, &mut warnings)?;
@@ -46,7 +48,7 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
         SceneOutput::FourDgs => format::write_clip(&scene, &args.out)?,
         _ => {
             let Scene { footprint, .. } = scene;
-            let run = FrameRun { overwrite: args.overwrite, only: args.frame, count, footprint };
+            let run = FrameRun { overwrite: args.overwrite, only, count, footprint };
             output.write(&args.out, run, &progress, frame)?
         }
     };
@@ -54,7 +56,7 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let mut text = wrote;
     if before != (scene.max_count(), scene.frames()) {
         text += &format!(
-            "  of {} Gaussians in {} frames {} in {} are left\n",
+            "  {} Gaussians in {} frames became {} in {}\n",
             before.0,
             before.1,
             scene.max_count(),
@@ -70,7 +72,6 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
         "input": args.input, "out": args.out, "gaussians": scene.max_count(), "frames": scene.frames(),
         "bytes": bytes, "axes": turned, "notes": scene.notes, "warnings": warnings,
     });
-    let damaged = false;
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 

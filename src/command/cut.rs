@@ -21,7 +21,7 @@ use crate::{
 
 /// Runs the verb.
 pub fn run(args: &Cut) -> Result<VerbOutput> {
-    files::check(&args.out)?;
+    files::check_stream(&args.out, &[&args.input])?;
     if args.levels.is_none() && args.frames.is_none() && args.bytes.is_none() {
         bail!("nothing to leave out: --levels, --frames or --bytes is needed");
     }
@@ -39,7 +39,17 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
             !stream.packets()[id].is_empty() && (map.is_parity(id) || map.placements(id).iter().any(wanted))
         })
         .collect();
-    let table = stored_utilities(&utility_path(&args.input), manifest.raw()).ok();
+    let beside = utility_path(&args.input);
+    let damaged = !warnings.is_empty();
+    let table = match stored_utilities(&beside, manifest.raw()) {
+        Ok(table) => Some(table),
+        Err(error) => {
+            if beside.exists() {
+                warnings.push(format!("{error:#}; they are not used"));
+            }
+            None
+        }
+    };
     let mut ranking = None;
     if let Some(bytes) = args.bytes {
         let (order, by) = match &table {
@@ -63,7 +73,7 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
     files::write(&args.out, &bytes)?;
     if table.is_some() {
         // They are of the groups that the manifest tells of, whatever packets are there.
-        files::write(&utility_path(&args.out), &std::fs::read(utility_path(&args.input))?)?;
+        files::write(&utility_path(&args.out), &std::fs::read(&beside)?)?;
     }
     let before = stream.to_bytes()?.len();
     let text = format!(
@@ -78,7 +88,6 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         "bytes": bytes.len(), "bytes_before": before, "ranking": ranking.map(Ranking::name),
         "warnings": warnings,
     });
-    let damaged = !warnings.is_empty();
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 

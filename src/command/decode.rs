@@ -25,6 +25,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
             bail!("{}: .4dgs is written by dgs convert", out.display());
         }
         output.check(out, args.overwrite)?;
+        output.only(args.frame)?;
     }
     let mut warnings = Vec::new();
     let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
@@ -65,7 +66,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         let progress = Progress::new("decode", quiet.0);
         let run = FrameRun {
             overwrite: args.overwrite,
-            only: args.frame,
+            only: output.only(args.frame)?,
             count: frames.count(),
             footprint: frames.footprint(),
         };
@@ -75,6 +76,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
             absent.add(missing, instant.gaussians.len());
             Ok((epoch, 0))
         })?;
+        text += "  axes are the stream's, which does not say which way is up: dgs convert turns them\n";
         warnings.extend(absent.warning());
     }
     let damaged = !warnings.is_empty();

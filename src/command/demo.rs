@@ -80,7 +80,7 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
 pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let backend = Backend::open(args.device.into()).context("--device")?;
     let input = args.scene.as_deref().unwrap_or(DEFAULT_SCENE);
-    let Loaded { name, scene } = pipeline::import(input, &args.source)?;
+    let Loaded { name, scene, damage } = pipeline::import(input, &args.source)?;
     let encoded =
         pipeline::encode(&scene, &pipeline::encode_options(&args.codec, Protection::STANDARD), quiet)?;
     let (stream, ledger) = (encoded.stream, encoded.report.ledger);
@@ -96,6 +96,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let cache = args.out.join(UTILITIES);
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot create", args.out.display()))?;
     let mut notes = scene.notes.clone();
+    notes.extend(damage);
     let table =
         pipeline::utilities(&sources, &content, &map, &options, Some(&cache), quiet, &mut |w| notes.push(w))?;
 

@@ -31,7 +31,12 @@ const TARGET_SIZE: (u32, u32) = (256, 256);
 
 /// Runs the verb.
 pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
-    files::check(&args.out)?;
+    let others: Vec<&Path> =
+        [Some(args.input.as_ref()), args.decisions.as_deref(), args.decisions_out.as_deref()]
+            .into_iter()
+            .flatten()
+            .collect();
+    files::check_stream(&args.out, &others)?;
     if args.utility {
         files::check(&pipeline::utility_path(&args.out))?;
     }
@@ -39,7 +44,9 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         files::check(path)?;
     }
     let photographs = args.photographs.as_deref().map(photographs).transpose().context("--photographs")?;
-    let loaded = pipeline::import(&args.input, &args.scene)?;
+    let mut loaded = pipeline::import(&args.input, &args.scene)?;
+    let mut warnings: Vec<String> = loaded.damage.take().into_iter().collect();
+    let damaged = !warnings.is_empty();
     let device = args.device.into();
     Backend::open(device).context("--device")?;
     let target_views = target_views(args, &loaded.scene)?;
@@ -114,7 +121,6 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
         text += &segment_table(&segments);
         json["segments"] = json!(segments);
     }
-    let mut warnings = Vec::new();
     if args.utility {
         let path = pipeline::utility_path(&args.out);
         let table = utilities(photographs.as_ref(), &loaded.scene, stream, &path, quiet, &mut warnings)?;
@@ -132,14 +138,16 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
             "negative_mean": audit.iter().map(|level| level.negative_mean).sum::<usize>(),
         });
     }
-    Ok(VerbOutput { text, json, warnings, damaged: false })
+    json["warnings"] = json!(warnings);
+    Ok(VerbOutput { text, json, warnings, damaged })
 }
 
 /// Where the target PSNR is measured, if there is one, and what that is for people.
 fn target_views(args: &Encode, scene: &Scene) -> Result<Option<(TargetViews, String)>> {
     if args.codec.target_psnr.is_none() {
-        if args.cameras.is_typed() || args.view.width.is_some() || args.view.height.is_some() {
-            bail!("cameras and sizes of pictures are for --target-psnr, which is missing");
+        let is_typed = args.view.width.is_some() || args.view.height.is_some();
+        if args.cameras.is_typed() || is_typed || args.view.background != [0.0; 3] {
+            bail!("cameras and pictures are what --target-psnr is measured on, and it is missing");
         }
         return Ok(None);
     }

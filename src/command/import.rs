@@ -58,7 +58,8 @@ pub fn run(args: &Import) -> Result<VerbOutput> {
         "name": loaded.name, "frames": scene.frames(), "fps": scene.frames_per_second(),
         "epochs": epochs, "centre": framing.target, "radius": framing.radius, "notes": scene.notes,
         "cameras": scene.cameras.len(), "up": scene.up.to_string(),
-        "footprint": footprint,
+        "footprint": footprint, "warnings": loaded.damage.as_slice(),
     });
-    Ok(VerbOutput { text, json, ..VerbOutput::default() })
+    let damaged = loaded.damage.is_some();
+    Ok(VerbOutput { text, json, warnings: loaded.damage.into_iter().collect(), damaged })
 }

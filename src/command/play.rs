@@ -230,6 +230,10 @@ fn summary(args: &Play, report: &PlayReport, quality: Option<&Quality>) -> Strin
         report.refused,
         report.connections,
     );
+    if let Some(Granted { link, scheduler }) = report.granted {
+        let said = |granted: bool| if granted { "granted" } else { "refused" };
+        text += &format!("  asked of the server: link {}, scheduler {}\n", said(link), said(scheduler));
+    }
     if let Some(quality) = quality {
         text += &format!(
             "  PSNR against complete frames: mean {:.2} dB, worst tenth {:.2} dB\n",

@@ -109,7 +109,9 @@ fn pictures(args: &Render, frames: &mut Frames, single: bool) -> Result<(Vec<Pic
             (0..count).map(|frame| Picture { frame, camera: camera.clone(), name: format!("{frame:05}") });
         all.collect()
     };
-    Ok((pictures, found.description))
+    let is_one_of_many = single && args.cameras.camera.is_none() && views.len() > 1;
+    let from = if is_one_of_many { "the first of " } else { "" };
+    Ok((pictures, format!("{from}{}", found.description)))
 }
 
 /// The image of one camera: at the frame typed, else at its own.

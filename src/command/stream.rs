@@ -19,13 +19,13 @@ use crate::{
 /// Runs the verb.
 pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     if let Some(out) = &args.out {
-        files::check(out)?;
+        files::check_stream(out, &[args.input.as_ref()])?;
     }
     if args.no_pose && !args.cameras.is_typed() {
         bail!("--no-pose is for a viewer; --eye, --turntable or --cameras gives one");
     }
     let mut warnings = Vec::new();
-    let Sendable { stream, map, graph } =
+    let Sendable { stream, map, graph, damaged } =
         pipeline::sendable(&args.input, &args.scene, &args.codec, quiet, &mut |w| warnings.push(w))?;
     let link = pipeline::link(&args.link, &graph)?;
     warnings.extend(link.warnings.iter().cloned());
@@ -74,7 +74,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
         json["out"] = json!(out);
         json["arrived_packets"] = json!(count);
     }
-    Ok(VerbOutput { text, json, warnings, damaged: false })
+    Ok(VerbOutput { text, json, warnings, damaged })
 }
 
 /// The viewer that is typed.

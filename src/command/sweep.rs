@@ -79,7 +79,7 @@ fn merge(args: &SweepMerge) -> Result<VerbOutput> {
     let summary = folder.finish(baseline.name())?;
     let missing = folder.missing();
     lines += &said(summary.as_ref(), missing.len());
-    let json = json!({ "batches_missing": missing, "summary": summary });
+    let json = json!({ "batches_missing": missing.len(), "summary": summary });
     Ok(VerbOutput { text: lines, json, warnings: config.warnings, damaged: false })
 }
 

@@ -42,7 +42,7 @@ use self::{
 use crate::{
     args::{DeviceName, train::Train},
     files,
-    output::VerbOutput,
+    output::{self, VerbOutput},
     pipeline::{self, Quiet},
     progress::Progress,
 };
@@ -124,6 +124,9 @@ fn load(args: &Train) -> Result<(Option<Scene>, Dataset)> {
         }
     }
     let loaded = pipeline::import(&args.input, &args.scene)?;
+    if let Some(damage) = &loaded.damage {
+        output::complain(&format!("warning: {damage}"));
+    }
     let options = rendered::RenderedOptions {
         cameras: args.cameras,
         side: args.side,

@@ -8,7 +8,7 @@ mod window;
 
 use std::net::Ipv4Addr;
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use dgs_quic::http::{HttpConfig, HttpLimits, HttpServer, Site, SiteStream};
 use serde_json::json;
 
@@ -18,7 +18,7 @@ use super::{
     socket::{asset, interruption, runtime},
 };
 use crate::{
-    args::View,
+    args::{View, WindowArgs},
     output::{self, VerbOutput},
     pipeline::Quiet,
 };
@@ -49,6 +49,10 @@ fn screenshot(_: &View, _: &std::path::Path, _: Quiet) -> Result<VerbOutput> {
 
 /// Serves a page until Ctrl-C.
 fn page(args: &View, quiet: Quiet) -> Result<VerbOutput> {
+    let WindowArgs { seek, paused, once, fullscreen, .. } = args.look;
+    if seek > 0.0 || paused || once || fullscreen {
+        bail!("--seek, --paused, --once and --fullscreen are for --window, which is missing");
+    }
     let mut warnings = Vec::new();
     let mut streams = Vec::new();
     for input in &args.inputs {

@@ -10,7 +10,7 @@ use codec_core::internals::{digest::Digest, receiver::Content, wire::crc::crc32}
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use trainer_host::{
-    Scene, Track,
+    Scene, Stream, Track,
     stream::PacketMap,
     train::Views,
     utility::{self, ReferencePhotographs, References, SourceRenders, UtilityError, UtilityOptions},
@@ -89,7 +89,7 @@ pub fn utility_path(stream: &Path) -> PathBuf {
 ///
 /// # Errors
 /// No file, or one that holds something else.
-pub fn stored_utilities(path: &Path, manifest: &[u8]) -> Result<utility::Table> {
+pub(crate) fn stored_utilities(path: &Path, manifest: &[u8]) -> Result<utility::Table> {
     let bytes = std::fs::read(path).with_context(|| format!("{}: cannot read", path.display()))?;
     let stored: StoredUtilities = serde_json::from_slice(&bytes)
         .with_context(|| format!("{}: not the utilities of a stream", path.display()))?;
@@ -99,6 +99,30 @@ pub fn stored_utilities(path: &Path, manifest: &[u8]) -> Result<utility::Table> 
         path.display()
     );
     Ok(stored.table)
+}
+
+/// The utilities beside the file of `stream`, if they are of it; `warn` hears why there are none.
+///
+/// # Errors
+/// None in practice: the stream was read.
+pub(crate) fn utilities_beside(
+    path: &Path,
+    stream: &Stream,
+    warn: &mut dyn FnMut(String),
+) -> Result<Option<utility::Table>> {
+    let beside = utility_path(path);
+    if !beside.exists() {
+        let name = path.display();
+        warn(format!("{name}: no utilities beside it (encode with --utility); all groups count the same"));
+        return Ok(None);
+    }
+    match stored_utilities(&beside, stream.manifest()?.raw()) {
+        Ok(table) => Ok(Some(table)),
+        Err(error) => {
+            warn(format!("{error:#}; all groups count the same (encode with --utility measures them anew)"));
+            Ok(None)
+        }
+    }
 }
 
 /// Everything that decides what is measured, by name.

@@ -1,6 +1,6 @@
 //! Gives the frames of a scene or a stream, one at a time: memory is that of one frame.
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use codec_core::{
     Footprint,
     internals::{closure::Arrived, ids::Level},
@@ -38,7 +38,9 @@ impl Frames {
     /// An input that cannot be read.
     pub fn open(input: &str, args: &SceneArgs, level: Level, warn: &mut dyn FnMut(String)) -> Result<Self> {
         if !is_stream(input) {
-            return Ok(Frames::Scene(Box::new(import(input, args)?.scene)));
+            let loaded = import(input, args)?;
+            loaded.damage.into_iter().for_each(&mut *warn);
+            return Ok(Frames::Scene(Box::new(loaded.scene)));
         }
         let stream = read_stream(input.as_ref(), warn)?;
         let absent = stream.packets().iter().filter(|packet| packet.is_empty()).count();
@@ -122,12 +124,15 @@ impl Frames {
     /// A frame past the end.
     pub fn instant(&mut self, frame: u32) -> Result<Instant> {
         let last = self.count().saturating_sub(1);
-        let beyond = || format!("--frame is {frame}; 0 to {last} are allowed");
+        if frame > last {
+            bail!("--frame is {frame}; 0 to {last} are allowed");
+        }
+        let failed = || format!("frame {frame}");
         match self {
-            Frames::Scene(scene) => scene.instant(frame as usize).with_context(beyond),
+            Frames::Scene(scene) => scene.instant(frame as usize).with_context(failed),
             Frames::Stream { received, state, player, .. } => {
                 let content = received.content().with_state(state);
-                player.instant(&content, frame).with_context(beyond)
+                player.instant(&content, frame).with_context(failed)
             }
         }
     }

@@ -40,7 +40,7 @@ pub(crate) fn read_replay(path: &Path) -> Result<Replay> {
     let columns = first.split(|b| b.is_ascii_whitespace() || *b == b',').filter(|c| !c.is_empty()).count();
     let replay = if matches!(columns, 3 | 4) {
         Replay::load(&name, &bytes, &limits)
-    } else if first.starts_with(b"Timestamp") || first.contains(&b',') {
+    } else if first.starts_with(b"Timestamp") || (columns > 4 && first.contains(&b',')) {
         Trace::ucc(&name, &bytes, trace::Direction::Down, &limits).map(Replay::from)
     } else if columns <= 1 {
         Trace::mahimahi(&name, &bytes, &limits).map(Replay::from)

@@ -14,7 +14,7 @@ use trainer_host::{
 
 use super::{
     Quiet,
-    cache::{stored_utilities, utilities, utility_path},
+    cache::{utilities, utilities_beside},
 };
 use crate::args::{CodecArgs, SceneArgs};
 
@@ -27,6 +27,8 @@ pub struct Sendable {
     pub map: PacketMap,
     /// The same as schedulers see it.
     pub graph: PacketGraph,
+    /// Whether what was read was damaged, and used as far as it goes.
+    pub damaged: bool,
 }
 
 /// Reads the stream `input` with the utilities beside it, or encodes the scene `input` and measures them.
@@ -40,18 +42,19 @@ pub fn sendable(
     quiet: Quiet,
     warn: &mut dyn FnMut(String),
 ) -> Result<Sendable> {
+    let mut damaged = false;
     let (stream, table) = if super::is_stream(input) {
         let path = Path::new(input);
-        let stream = super::read_stream(path, warn)?;
-        let table = stored_utilities(&utility_path(path), stream.manifest()?.raw()).ok();
-        if table.is_none() {
-            warn(format!(
-                "{input}: no utilities beside it (encode with --utility); all groups count the same"
-            ));
-        }
+        let stream = super::read_stream(path, &mut |warning| {
+            damaged = true;
+            warn(warning);
+        })?;
+        let table = utilities_beside(path, &stream, warn)?;
         (stream, table)
     } else {
         let loaded = super::import(input, scene)?;
+        damaged = loaded.damage.is_some();
+        loaded.damage.into_iter().for_each(&mut *warn);
         let options = super::encode_options(codec, Protection::STANDARD);
         let stream = super::encode(&loaded.scene, &options, quiet)?.stream;
         let (map, received) = (PacketMap::of(&stream)?, stream.receive()?);
@@ -63,5 +66,5 @@ pub fn sendable(
     };
     let map = PacketMap::of(&stream)?;
     let graph = super::graph(&stream, &map, table.as_ref())?;
-    Ok(Sendable { stream, map, graph })
+    Ok(Sendable { stream, map, graph, damaged })
 }

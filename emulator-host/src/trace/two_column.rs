@@ -36,7 +36,9 @@ fn load(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Trace
     let mut first_s = None;
     for line in lines(bytes, limits) {
         let (number, text) = line?;
-        let mut columns = text.split(u8::is_ascii_whitespace).filter(|column| !column.is_empty());
+        let mut columns = text
+            .split(|byte| byte.is_ascii_whitespace() || *byte == b',')
+            .filter(|column| !column.is_empty());
         let (time, rate) = (columns.next().unwrap_or_default(), columns.next().unwrap_or_default());
         if let Some(extra) = columns.next() {
             return Err(field(number, "third column", extra, "two columns"));

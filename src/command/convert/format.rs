@@ -69,6 +69,19 @@ impl SceneOutput {
         }
     }
 
+    /// The frame that a single file holds: the one typed, else the first.
+    ///
+    /// # Errors
+    /// A frame typed for what holds all of them.
+    pub(in crate::command) fn only(self, typed: Option<u32>) -> Result<u32> {
+        match (self, typed) {
+            (Self::Folder | Self::FourDgs, Some(frame)) => {
+                bail!("--frame is {frame}; every frame is written there: a single file holds one")
+            }
+            (_, typed) => Ok(typed.unwrap_or(0)),
+        }
+    }
+
     /// Which way is up in it.
     pub(in crate::command) fn usual_up(self) -> Up {
         match self {

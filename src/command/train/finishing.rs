@@ -84,11 +84,14 @@ impl Finished {
         let [none, first, second, third] = self.clusters_of_degree;
         text += &format!(
             "  harmonics: clusters of degree 0 to 3: {none}, {first}, {second}, {third}; {:.0} bytes\n",
-            self.harmonics_bytes
+            self.harmonics_bytes.max(0.0) + 0.0
         );
         text += &format!(
             "  motion: {} cells move, {} do not; {:.0} bytes; {} Gaussians stand still\n",
-            self.moving_cells, self.still_cells, self.motion_bytes, self.standing_gaussians
+            self.moving_cells,
+            self.still_cells,
+            self.motion_bytes.max(0.0) + 0.0,
+            self.standing_gaussians
         );
         text
     }

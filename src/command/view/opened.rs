@@ -28,6 +28,7 @@ pub(super) fn opened(input: &str, args: &View, quiet: Quiet, warn: &mut dyn FnMu
     }
     if !pipeline::is_stream(input) {
         let loaded = pipeline::import(input, &args.scene)?;
+        loaded.damage.into_iter().for_each(&mut *warn);
         let options = pipeline::encode_options(&args.codec, Protection::NONE);
         let stream = pipeline::encode(&loaded.scene, &options, quiet)?.stream;
         return Ok(Opened { bytes: stream.to_bytes()?, up: loaded.scene.up });

@@ -34,7 +34,7 @@ pub enum EncodeError {
         found: f64,
     },
     /// No coarseness meets the target.
-    #[error("{option} is {wanted}; coarseness {coarseness}, the furthest allowed, reaches {reached}")]
+    #[error("{option} is {wanted}; coarseness {coarseness}, the furthest that is tried, reaches {reached}")]
     Unreachable {
         /// Which target.
         option: &'static str,

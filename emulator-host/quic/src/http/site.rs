@@ -36,7 +36,7 @@ pub enum SiteError {
         name: String,
     },
     /// Two streams share a name.
-    #[error("two streams are called {name}")]
+    #[error("two streams are called {name}; rename one of the files")]
     Twice {
         /// The name.
         name: String,

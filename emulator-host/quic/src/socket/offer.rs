@@ -124,7 +124,7 @@ pub enum OfferError {
         name: String,
     },
     /// Two streams share a name.
-    #[error("two streams are called {name}")]
+    #[error("two streams are called {name}; rename one of the files")]
     Twice {
         /// The name.
         name: String,

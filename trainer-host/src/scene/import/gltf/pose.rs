@@ -113,7 +113,10 @@ impl Rig {
         let Some(animation) = chosen else {
             return match clip {
                 Clip::First => Ok(()),
-                other => Err(FORMAT.malformed("clip", format_args!("{other:?}"), document.clip_list())),
+                Clip::Index(index) => Err(FORMAT.malformed("clip", index, document.clip_list())),
+                Clip::Name(name) => {
+                    Err(FORMAT.malformed("clip", format_args!("{name:?}"), document.clip_list()))
+                }
             };
         };
         self.name = animation.name().map_or_else(|| animation.index().to_string(), str::to_owned);
