@@ -178,7 +178,7 @@ fn comparisons_name_mean_and_worst_and_what_differs() {
     let text = stopped(at, &["compare", "shots", "a.dgs", "--turntable", "5"], 1);
     assert!(text.contains("4 pictures, and cameras and frames for 5"), "{text}");
     let text = stopped(at, &["compare", "synth:figure:1000:3", "a.dgs"], 1);
-    assert!(text.contains("has 3 frames and a.dgs 4"), "{text}");
+    assert!(text.contains("have 3 and 4 frames"), "{text}");
 }
 
 #[test]

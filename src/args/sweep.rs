@@ -23,8 +23,8 @@ pub struct SweepArgs {
     /// Folder in which the files of traces lie [default: that of the configuration].
     #[arg(long, value_name = "FOLDER")]
     pub traces: Option<PathBuf>,
-    /// Run only the i-th of n shares of whole batches, and estimate the whole from it; mpi: that of this process
-    /// among those that mpirun or srun started, which may all write into one folder.
+    /// Run only the i-th of n shares of whole batches, and estimate the whole from it; mpi: that of this
+    /// process among those that mpirun or srun started, which may all write into one folder.
     #[arg(long, value_name = "i/n|mpi", value_parser = Shard::parse)]
     pub shard: Option<Shard>,
     /// Threads, 1 to 1024 [default: all cores]. Results do not depend on it.

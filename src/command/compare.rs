@@ -218,7 +218,7 @@ fn photographed(
         None if paths.len() == list.len() => (paths.to_vec(), "matched by order"),
         None => {
             bail!(
-                "{} pictures, and cameras and frames for {}; as many are needed: --camera and --frames choose",
+                "{} pictures, and cameras and frames for {}; as many are needed: --camera, --frames",
                 paths.len(),
                 list.len()
             )

@@ -147,7 +147,7 @@ fn target_views(args: &Encode, scene: &Scene) -> Result<Option<(TargetViews, Str
     if args.codec.target_psnr.is_none() {
         let is_typed = args.view.width.is_some() || args.view.height.is_some();
         if args.cameras.is_typed() || is_typed || args.view.background != [0.0; 3] {
-            bail!("cameras and pictures are what --target-psnr is measured on, and it is missing");
+            bail!("cameras and pictures are for --target-psnr, which is missing");
         }
         return Ok(None);
     }
