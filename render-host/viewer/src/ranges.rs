@@ -190,7 +190,8 @@ impl RangePlan {
             return Ok(self.first_of((e, false))?..self.known_end((e, false)));
         };
         let first = self.first_of((e, true))?;
-        let past = self.first_of((e.saturating_add(1), false))?.max(first);
+        // The base of the next epoch is there by now.
+        let past = self.known_end((e, true)).max(first);
         let cut = |part: usize| first + (past - first) * part / PARTS;
         Ok(cut(part)..cut(part + 1))
     }

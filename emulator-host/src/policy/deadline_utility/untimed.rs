@@ -10,8 +10,8 @@ use crate::{
 
 /// Long before the first frame: whatever is sent arrives in time.
 const LEAD: Nanos = Nanos::from_s(1 << 30);
-/// The plan is renewed so often in a graph: enough for its ranks, and the time stays within a second.
-const PLANS: usize = 500;
+/// The plan is renewed so often in a graph: enough for its ranks, and the time stays linear in its size.
+const PLANS: usize = 128;
 
 /// The packets of `graph` that add to its clip, by what each byte of them adds with all that stands on them;
 /// nothing comes before what it needs, so that every beginning of the order is closed. It is the order of
