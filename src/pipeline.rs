@@ -350,14 +350,29 @@ pub fn graph(stream: &Stream, map: &PacketMap, table: Option<&utility::Table>) -
 }
 
 /// The `.dgs` file of `stream` in the order in which it is best fetched: base levels first, then what adds
-/// most to the picture per byte by `table`.
+/// most to the picture per byte by `table`. A stream with packets that mean nothing without others, which are
+/// not there, stays as it is numbered.
 ///
 /// # Errors
 /// None in practice: the stream was read or made.
 pub(crate) fn file_by_utility(stream: &Stream, table: &utility::Table) -> Result<Vec<u8>> {
-    let graph = graph(stream, &PacketMap::of(stream)?, Some(table))?;
+    let there = stream.packets().iter().filter(|packet| !packet.is_empty()).count();
+    let graph = ranked_graph(stream, &PacketMap::of(stream)?, table).ok();
+    let Some(graph) = graph.filter(|graph| graph.packets().len() == there) else {
+        return Ok(stream.to_bytes()?);
+    };
     let order = policy::file_order(&graph).into_iter().map(|packet| graph.wire_id(packet));
     Ok(stream.to_bytes_in_order(order)?)
+}
+
+/// The stream as a graph to rank packets by, wherever they lie.
+///
+/// # Errors
+/// As [`graph`].
+pub(crate) fn ranked_graph(stream: &Stream, map: &PacketMap, table: &utility::Table) -> Result<PacketGraph> {
+    let manifest = stream.manifest()?;
+    let graph = delivery::graph(stream, &manifest, map, Some(table), &Places::default());
+    graph.context("the packets of this stream cannot be ranked")
 }
 
 /// Name of a profile.

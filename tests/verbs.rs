@@ -289,6 +289,9 @@ fn a_stream_with_utilities_is_cut_to_the_better_picture() {
         let bytes = said["bytes"].as_u64().unwrap();
         assert!(bytes <= most.parse().unwrap() && bytes + 2000 > most.parse().unwrap(), "{said}");
     }
+    // Where fewer frames are asked for, their packets take the bytes of the others.
+    let part = ["cut", "a.dgs", "part.dgs", "--frames", "8..11", "--bytes", &most];
+    assert!(json(at, &part)["bytes"].as_u64() <= most.parse().ok());
     let psnr = |name: &str| {
         let said = json(at, &["compare", "a.dgs", name, "--width", "96", "--height", "96"]);
         said["summary"][0]["mean"].as_f64().unwrap()

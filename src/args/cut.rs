@@ -10,7 +10,8 @@ use super::FrameRange;
 ///
 /// Packets are left out, and nothing is decoded or coded again: the manifest still tells of all, and what
 /// reads the file says how many packets are missing. Packets of parity are left out with the first packet
-/// that is, since they repair nothing then. Utilities beside the input are copied beside the output.
+/// that is, since they repair nothing then. Utilities beside the input are
+/// copied beside the output, unless others are there.
 #[derive(Debug, Args)]
 pub struct Cut {
     /// A .dgs file.

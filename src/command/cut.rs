@@ -1,10 +1,13 @@
 //! Leaves packets out of a stream, without decoding it: `dgs cut`.
 
-use std::ops::Range;
+use std::{
+    ops::Range,
+    path::{Path, PathBuf},
+};
 
-use anyhow::{Result, bail};
+use anyhow::{Context, Result, bail};
 use codec_core::internals::{ids::Span, wire::manifest::Manifest};
-use emulator_host::policy;
+use emulator_host::{PacketGraph, policy};
 use serde_json::json;
 use trainer_host::{
     Stream,
@@ -50,14 +53,24 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
             None
         }
     };
+    let measured = table.as_ref().map(|_| std::fs::read(&beside)).transpose();
+    let measured = measured.with_context(|| format!("{}: cannot read", beside.display()))?;
+    let target = measured.as_ref().and_then(|bytes| beside_output(&args.out, bytes, &mut warnings));
+    if let Some(target) = &target {
+        files::check(target)?;
+    }
     let mut ranking = None;
     if let Some(bytes) = args.bytes {
         let (order, by) = match &table {
-            Some(table) => (order_by_utility(&stream, &map, table)?, Ranking::Utility),
+            Some(table) => {
+                let wanted = stream.with_packets(|id| stays[id]);
+                (order_by_utility(&wanted, &map, table, frames.as_ref()), Ranking::Utility)
+            }
             None => (order_by_level(&stream, &map), Ranking::Level),
         };
-        within(&stream, &order, &mut stays, bytes)?;
-        ranking = Some(by);
+        if within(&stream, &order, &mut stays, bytes)? {
+            ranking = Some(by);
+        }
     }
     let there = stream.packets().iter().filter(|packet| !packet.is_empty()).count();
     if stays.iter().filter(|stays| **stays).count() < there {
@@ -71,9 +84,9 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         _ => cut.to_bytes()?,
     };
     files::write(&args.out, &bytes)?;
-    if table.is_some() {
+    if let (Some(target), Some(bytes)) = (&target, &measured) {
         // They are of the groups that the manifest tells of, whatever packets are there.
-        files::write(&utility_path(&args.out), &std::fs::read(&beside)?)?;
+        files::write(target, bytes)?;
     }
     let before = stream.to_bytes()?.len();
     let text = format!(
@@ -89,6 +102,23 @@ pub fn run(args: &Cut) -> Result<VerbOutput> {
         "warnings": warnings,
     });
     Ok(VerbOutput { text, json, warnings, damaged })
+}
+
+/// Where utilities are written beside `out`: nowhere beside a device, and never over others.
+fn beside_output(out: &Path, bytes: &[u8], warnings: &mut Vec<String>) -> Option<PathBuf> {
+    if std::fs::metadata(out).is_ok_and(|found| !found.is_file()) {
+        return None;
+    }
+    let target = utility_path(out);
+    match std::fs::read(&target) {
+        Ok(there) if there == bytes => None,
+        Ok(_) => {
+            let name = target.display();
+            warnings.push(format!("{name}: utilities of something else are there, and stay"));
+            None
+        }
+        Err(_) => Some(target),
+    }
 }
 
 /// Whether what a slice brings shows in any of `frames`.
@@ -122,22 +152,47 @@ impl Ranking {
 
     const fn sentence(self) -> &'static str {
         match self {
-            Self::Utility => ", by the utilities beside it",
-            Self::Level => ", lower levels first: no utilities beside it (encode with --utility)",
+            Self::Utility => ", by the utilities beside the input",
+            Self::Level => ", lower levels first: no utilities beside the input (encode with --utility)",
         }
     }
 }
 
-/// Packets that are there by utility per byte, what each needs before it; those that add nothing last.
-fn order_by_utility(stream: &Stream, map: &PacketMap, table: &Table) -> Result<Vec<usize>> {
-    let graph = pipeline::graph(stream, map, Some(table))?;
-    let ranked =
-        policy::order_by_utility(&graph).into_iter().map(|packet| graph.wire_id(packet).get() as usize);
-    let mut order: Vec<usize> = ranked.collect();
+/// Packets that are there by what each byte of them adds to `frames`, what each needs before it; those that
+/// add nothing last.
+fn order_by_utility(
+    stream: &Stream,
+    map: &PacketMap,
+    table: &Table,
+    frames: Option<&Range<u32>>,
+) -> Vec<usize> {
+    let graph = pipeline::ranked_graph(stream, map, table).and_then(|graph| shown_in(graph, frames));
+    // Of a stream of which nothing shows, nothing is ranked.
+    let mut order: Vec<usize> = graph.map_or_else(
+        |_| Vec::new(),
+        |graph| {
+            policy::order_by_utility(&graph).iter().map(|packet| graph.wire_id(*packet).index()).collect()
+        },
+    );
     let mut is_ranked = vec![false; stream.packets().len()];
     order.iter().for_each(|&id| is_ranked[id] = true);
     order.extend(order_by_level(stream, map).into_iter().filter(|&id| !is_ranked[id]));
-    Ok(order)
+    order
+}
+
+/// The graph of which nothing but `frames` is shown.
+fn shown_in(graph: PacketGraph, frames: Option<&Range<u32>>) -> Result<PacketGraph> {
+    let Some(frames) = frames else { return Ok(graph) };
+    let mut parts = graph.parts().clone();
+    for group in &mut parts.groups {
+        let (first, past) = (group.first_frame.max(frames.start), (group.last_frame + 1).min(frames.end));
+        if first < past {
+            (group.first_frame, group.last_frame) = (first, past - 1);
+        } else {
+            group.utility = 0.0;
+        }
+    }
+    Ok(PacketGraph::new(parts)?)
 }
 
 /// Packets that are there by level, those of one level as they lie in the stream.
@@ -150,12 +205,12 @@ fn order_by_level(stream: &Stream, map: &PacketMap) -> Vec<usize> {
 }
 
 /// Leaves packets out until the file has at most `bytes`: the last of `order` first. Parity goes with the
-/// first that does.
-fn within(stream: &Stream, order: &[usize], stays: &mut [bool], bytes: u64) -> Result<()> {
+/// first that does. Whether any had to.
+fn within(stream: &Stream, order: &[usize], stays: &mut [bool], bytes: u64) -> Result<bool> {
     let file =
         |stays: &[bool]| -> Result<u64> { Ok(stream.with_packets(|id| stays[id]).to_bytes()?.len() as u64) };
     if file(stays)? <= bytes {
-        return Ok(());
+        return Ok(false);
     }
     let order: Vec<usize> = order.iter().copied().filter(|&id| stays[id]).collect();
     // Files are never larger with fewer packets: halving finds how many fit.
@@ -175,5 +230,5 @@ fn within(stream: &Stream, order: &[usize], stays: &mut [bool], bytes: u64) -> R
     }
     let some = first(fits);
     stays.copy_from_slice(&some);
-    Ok(())
+    Ok(true)
 }

@@ -124,7 +124,10 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     if args.utility {
         let path = pipeline::utility_path(&args.out);
         let table = utilities(photographs.as_ref(), &loaded.scene, stream, &path, quiet, &mut warnings)?;
-        files::write(&args.out, &pipeline::file_by_utility(stream, &table)?)?;
+        // What was written to a pipe is gone.
+        if args.out.is_file() {
+            files::write(&args.out, &pipeline::file_by_utility(stream, &table)?)?;
+        }
         let audit = table.audit();
         text += &format!("utilities of {} groups → {}\n", table.groups.len(), path.display());
         text += &audit_lines(&audit);

@@ -119,8 +119,16 @@ impl RangePlan {
         if self.unusable || self.offsets.is_empty() {
             return false;
         }
-        let Ok(first) = self.first_of((epoch, false)) else { return false };
-        self.unfetched(first..self.known_end((epoch, false)), u64::MAX).is_none()
+        let packets = match self.first_of((epoch, false)) {
+            Ok(first) => first..self.known_end((epoch, false)),
+            Err(_) => return false,
+        };
+        let known = self.places.iter().flatten().filter(|known| **known != LAST);
+        if packets.is_empty() || !known.is_sorted() {
+            // In another order than files have, a base may lie anywhere.
+            return self.fetched.iter().all(|&fetched| fetched);
+        }
+        self.unfetched(packets, u64::MAX).is_none()
     }
 
     /// Share of the packets that are there.
@@ -328,6 +336,19 @@ mod tests {
         assert!(came[..=last].iter().all(|&k| truth[k] != LAST), "parity is no base");
         let of_one: Vec<usize> = refinements.iter().copied().filter(|&k| truth[k].0 == 2).collect();
         assert!(of_one.is_sorted(), "in the order of the file");
+    }
+
+    /// A packet of epoch 0 at the end: bisection would take every base for found.
+    #[test]
+    fn of_a_file_in_another_order_no_base_is_there_before_everything_is() {
+        let (mut plan, truth) = long_file();
+        (plan.places[0], plan.fetched[0]) = (Some(truth[0]), true);
+        (plan.places[1019], plan.fetched[1019]) = (Some((0, false)), true);
+        assert!((0..4).all(|epoch| !plan.has_base(epoch)));
+        (plan.places[500], plan.fetched[500]) = (Some(truth[500]), true);
+        assert!((0..4).all(|epoch| !plan.has_base(epoch)));
+        plan.fetched.fill(true);
+        assert!((0..4).all(|epoch| plan.has_base(epoch)));
     }
 
     /// A file of many packets with many epochs: what is asked for by bisection.

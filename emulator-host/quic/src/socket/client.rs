@@ -129,10 +129,9 @@ async fn session(
         }
         Err(error) => Err(error),
     };
-    // The transport's idle timeout and the wait for an answer end at the same time: either may come first.
-    let awaited_answer = !playback.has_manifest() || playback.awaits_grant();
     let result = result.map_err(|error| match closed(error, &connection) {
-        PlayError::Lost(Closed::Connection(ConnectionError::TimedOut)) if awaited_answer => {
+        // Both ends of the wait are the same: the transport's and the one for a manifest.
+        PlayError::Lost(Closed::Connection(ConnectionError::TimedOut)) if !playback.has_manifest() => {
             PlayError::Silence { ms: config.silence.as_millis() }
         }
         error => error,

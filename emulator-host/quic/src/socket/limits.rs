@@ -86,11 +86,11 @@ pub(super) fn client_transport(silence: Duration, scheme: Scheme, datagrams: boo
         .initial_mtu(INITIAL_MTU)
         .datagram_receive_buffer_size(datagrams.then_some(RECEIVE_BUFFER_BYTES))
         .datagram_send_buffer_size(RECEIVE_BUFFER_BYTES / 16)
-        .max_idle_timeout(idle_timeout(silence));
-    if scheme == Scheme::Moq {
-        // Who publishes and has no subscriber has nothing to say.
-        config.keep_alive_interval(Some(silence / 3));
-    } else {
+        .max_idle_timeout(idle_timeout(silence))
+        // Who publishes and has no subscriber has nothing to say, nor has a viewer that waits for an answer:
+        // only a path that is gone is silent.
+        .keep_alive_interval(Some(silence / 3));
+    if scheme != Scheme::Moq {
         config
             .stream_receive_window(VarInt::from_u32(CLIENT_WINDOW))
             .receive_window(VarInt::from_u32(4 * CLIENT_WINDOW));

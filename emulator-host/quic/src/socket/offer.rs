@@ -180,8 +180,15 @@ impl Offer {
             }
         }
         let format = |error| OfferError::Format { name: named(), error };
-        let order = policy::file_order(&graph).into_iter().map(|packet| graph.wire_id(packet));
-        let file = Bytes::from(stream.to_bytes_in_order(order).map_err(format)?);
+        // Packets that the graph does not have mean nothing: their stream stays as it is numbered.
+        let there = stream.packets().iter().filter(|packet| !packet.is_empty()).count();
+        let file = if graph.packets().len() == there {
+            let order = policy::file_order(&graph).into_iter().map(|packet| graph.wire_id(packet));
+            stream.to_bytes_in_order(order)
+        } else {
+            stream.to_bytes()
+        };
+        let file = Bytes::from(file.map_err(format)?);
         let (_, found) = file::parts(&file).map_err(format)?;
         let mut packets = vec![Bytes::new(); stream.packets().len()];
         for packet in found {
