@@ -15,8 +15,8 @@ const PLANS: usize = 128;
 
 /// The packets of `graph` that add to its clip, by what each byte of them adds with all that stands on them;
 /// nothing comes before what it needs of what the graph has, so that every beginning of the order is closed.
-/// It is the order of [`super::DeadlineUtility`] for a clip of which everything comes in time: the best picture
-/// of a file cut to a size, or of one that is fetched from its beginning.
+/// It is the order of [`super::DeadlineUtility`] for a clip of which everything comes in time: the best
+/// picture of a file cut to a size, or of one that is fetched from its beginning.
 ///
 /// Packets that add nothing by their groups' utilities, and parity, are left out.
 ///
