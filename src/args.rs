@@ -410,7 +410,7 @@ pub struct Compare {
 /// `dgs stream`.
 #[derive(Debug, Args)]
 #[command(
-    mut_arg("cameras", |arg| arg.help("A viewer who looks from cameras of a file, a Blender/NeRF \
+    mut_arg("cameras", |arg| arg.help("A viewer at cameras of a file, a Blender/NeRF \
         transforms_*.json or COLMAP's cameras and images, one after the other [default: no viewer]")),
     mut_arg("width", |arg| arg.help("Width of what the viewer sees, 1 to 16384 pixels")),
     mut_arg("height", |arg| arg.help("Height of what the viewer sees, 1 to 16384 pixels")),

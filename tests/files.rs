@@ -299,6 +299,8 @@ fn no_input_is_written_over_and_streams_are_called_dgs() {
         &["cut", "x.dgs", "./x.dgs", "--levels", "0"],
         &["stream", "x.dgs", "-o", "x.dgs"],
         &["encode", "synth:balls:1000:2", "-o", "d.dgs", "--decisions-out", "d.dgs"],
+        &["encode", "x.ply", "-o", "d.dgs", "--decisions-out", "x.ply"],
+        &["inspect", "x.dgs", "--manifest", "x.dgs"],
     ] {
         assert!(refused(at, args).contains(besides), "{args:?}");
     }
@@ -314,7 +316,7 @@ fn no_input_is_written_over_and_streams_are_called_dgs() {
     assert_eq!(names(at), ["x.dgs", "x.ply"]);
 }
 
-/// Whatever a verb does with it, damage is told by the exit status.
+/// A verb that goes on with damaged input ends with exit status 2.
 #[test]
 fn damage_decides_the_exit_status() {
     let folder = tempfile::tempdir().unwrap();

@@ -31,17 +31,16 @@ const TARGET_SIZE: (u32, u32) = (256, 256);
 
 /// Runs the verb.
 pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
-    let others: Vec<&Path> =
-        [Some(args.input.as_ref()), args.decisions.as_deref(), args.decisions_out.as_deref()]
-            .into_iter()
-            .flatten()
-            .collect();
+    let mut others: Vec<&Path> = vec![args.input.as_ref()];
+    others.extend(args.decisions.as_deref());
     files::check_stream(&args.out, &others)?;
+    others.push(&args.out);
     if args.utility {
         files::check(&pipeline::utility_path(&args.out))?;
     }
     if let Some(path) = &args.decisions_out {
         files::check(path)?;
+        files::check_apart(path, &others)?;
     }
     let photographs = args.photographs.as_deref().map(photographs).transpose().context("--photographs")?;
     let mut loaded = pipeline::import(&args.input, &args.scene)?;

@@ -34,6 +34,9 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     if args.decisions {
         return decisions(args);
     }
+    if let Some(out) = &args.manifest {
+        files::check_apart(out, &[&args.input])?;
+    }
     let mut warnings = Vec::new();
     let stream = pipeline::read_stream(&args.input, &mut |w| warnings.push(w))?;
     let manifest = stream.manifest()?;

@@ -1,7 +1,7 @@
 //! A range plan fetches a `.dgs` file piece by piece: manifest, index, then base levels before refinements.
 //!
 //! Sans-I/O: it says which bytes to ask a server for next and takes what came. Packets lie in a file epoch by
-//! epoch, in an epoch first those of the base level, then the others by what they are worth; where an epoch's
+//! epoch, in an epoch first those of the base level, then the others by utility per byte; where an epoch's
 //! base and refinements begin is found by looking at heads of packets half-way between known ones. A file in
 //! another order still comes whole, only not base first.
 
@@ -30,8 +30,8 @@ const REFINEMENT_BYTES: u64 = 256 << 10;
 /// Bytes of a magic and a length before the manifest.
 const FRONT_BYTES: u64 = 8;
 
-/// Refinements of an epoch come in so many parts, a part of every epoch before the next: those worth most of
-/// all epochs before the rest of one.
+/// Refinements of an epoch come in so many parts, a part of every epoch before the next: those that add most
+/// to pictures of all epochs before the rest of one.
 const PARTS: usize = 3;
 
 /// What a packet is for, in the order in which files have them: its epoch, and whether it refines.
