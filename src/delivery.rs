@@ -2,11 +2,13 @@
 
 mod places;
 
+use std::collections::BTreeMap;
+
 use codec_core::{
     Caps, ErrorKind,
     internals::{
         closure::{Arrived, Needs},
-        ids::{EpochId, Group, Level, PacketId, Span},
+        ids::{Group, Level, PacketId, Span},
         layout::Shape,
         receiver::Content,
         wire::manifest::{Manifest, Profile},
@@ -28,8 +30,8 @@ pub use self::places::Places;
 
 /// A stream's packets and groups as the emulator sees them.
 ///
-/// It has the packets that are there, and the groups that mean something with them; of a stream that lacks
-/// nothing, packet `i` of the graph is packet `i` of the stream. Without `utilities` all groups are worth the
+/// It has the packets that are there and show anything, and the groups that mean something with them; of a
+/// stream that lacks nothing, packet `i` of the graph is packet `i` of the stream. Without `utilities` all groups are worth the
 /// same. `places` says where they lie.
 ///
 /// # Errors
@@ -41,8 +43,12 @@ pub fn graph(
     utilities: Option<&Table>,
     places: &Places,
 ) -> Result<PacketGraph, GraphError> {
-    let parts = graph_parts(stream, manifest, map, utilities, places);
-    let has = |packet: PacketIndex| !stream.packets()[packet.at()].is_empty();
+    let brought = Brought::of(stream, manifest, map);
+    let parts = graph_parts(stream, manifest, map, utilities, places, &brought);
+    let has = |packet: PacketIndex| {
+        !stream.packets()[packet.at()].is_empty()
+            && (map.is_parity(packet.at()) || brought.shows[packet.at()])
+    };
     PacketGraph::new(Selection::with_packets(&parts, has).of(&parts))
 }
 
@@ -52,8 +58,9 @@ fn graph_parts(
     map: &PacketMap,
     utilities: Option<&Table>,
     places: &Places,
+    brought: &Brought,
 ) -> GraphParts {
-    let mut index = std::collections::BTreeMap::new();
+    let mut index = BTreeMap::new();
     for (i, (group, _)) in map.groups().iter().enumerate() {
         index.insert(*group, GroupIndex(i as u32));
     }
@@ -66,23 +73,6 @@ fn graph_parts(
         let needed = below.or(needs.seen_with.map(base));
         needed.and_then(|needed| index.get(&needed).copied()).into_iter().collect()
     };
-    // Which packet brings which block of which cell at which level.
-    let mut bringer = std::collections::BTreeMap::new();
-    for id in 0..stream.packets().len() {
-        for placement in map.placements(id) {
-            for block in placement.first_block..placement.first_block + placement.blocks {
-                bringer.insert((block, placement.group.level), PacketIndex(id as u32));
-            }
-        }
-    }
-    let cells = map.first_blocks();
-    let canonical_block = |placement: &SlicePlacement, block: usize| -> Option<usize> {
-        let Span::Motion(window) = placement.group.span else { return None };
-        let epoch = EpochId(manifest.window(window)?.epoch);
-        let own = cells[manifest.cell(placement.group.span, placement.group.cluster)?.index()];
-        let base = cells[manifest.cell(Span::Canonical(epoch), placement.group.cluster)?.index()];
-        Some(base + block - own)
-    };
     let sliced = manifest.profile() == Profile::Dgs1;
     let mut packets = Vec::new();
     for (id, bytes) in stream.packets().iter().enumerate() {
@@ -92,13 +82,10 @@ fn graph_parts(
         let mut needs_packets = Vec::new();
         if sliced {
             for placement in map.placements(id) {
-                let Some(needs) = rule(&placement.group) else { continue };
                 for block in placement.first_block..placement.first_block + placement.blocks {
-                    needs_packets.extend(needs.below.and_then(|level| bringer.get(&(block, level))));
-                    if needs.base.is_some()
-                        && let Some(base) = canonical_block(placement, block)
-                    {
-                        needs_packets.extend(bringer.get(&(base, Level::BASE)));
+                    if brought.by.contains_key(&(block, placement.group.level)) {
+                        let needed = needed_blocks(manifest, map, placement, block);
+                        needs_packets.extend(needed.iter().filter_map(|needed| brought.by.get(needed)));
                     }
                 }
             }
@@ -151,6 +138,62 @@ fn graph_parts(
         manifest_bytes: stream.message().len() as u32,
         profile: if sliced { graph::Profile::Sliced } else { graph::Profile::AllOrNothing },
     }
+}
+
+/// A block of Gaussians of one cell, numbered through the stream, at one level.
+type BlockLevel = (usize, Level);
+
+/// Which packet brings what, of that which shows with what the stream has.
+struct Brought {
+    by: BTreeMap<BlockLevel, PacketIndex>,
+    /// Per packet, whether it brings anything that shows.
+    shows: Vec<bool>,
+}
+
+impl Brought {
+    /// Nothing says what a packet that is not there would have brought: what stands on it is found here by
+    /// what it needs.
+    fn of(stream: &Stream, manifest: &Manifest<'_>, map: &PacketMap) -> Self {
+        let count = stream.packets().len();
+        if manifest.profile() != Profile::Dgs1 {
+            return Self { by: BTreeMap::new(), shows: vec![true; count] };
+        }
+        let mut slices: Vec<(usize, &SlicePlacement)> = (0..count)
+            .flat_map(|id| map.placements(id).iter().map(move |placement| (id, placement)))
+            .collect();
+        // What is needed comes before what needs it.
+        slices.sort_by_key(|(_, placement)| {
+            (matches!(placement.group.span, Span::Motion(_)), placement.group.level)
+        });
+        let (mut by, mut shows) = (BTreeMap::new(), vec![false; count]);
+        for (id, placement) in slices {
+            for block in placement.first_block..placement.first_block + placement.blocks {
+                let needed = needed_blocks(manifest, map, placement, block);
+                if needed.iter().all(|needed| by.contains_key(needed)) {
+                    by.insert((block, placement.group.level), PacketIndex(id as u32));
+                    shows[id] = true;
+                }
+            }
+        }
+        Self { by, shows }
+    }
+}
+
+/// What `block` of `placement` needs besides itself, to be decoded.
+fn needed_blocks(
+    manifest: &Manifest<'_>,
+    map: &PacketMap,
+    placement: &SlicePlacement,
+    block: usize,
+) -> Vec<BlockLevel> {
+    let Group { span, cluster, level } = placement.group;
+    let Some(needs) = Needs::in_manifest(manifest, span, cluster, level) else { return Vec::new() };
+    let first_block = |span| Some(map.first_blocks()[manifest.cell(span, cluster)?.index()]);
+    let base = needs.base.and_then(|epoch| {
+        let own = first_block(span)?;
+        Some((first_block(Span::Canonical(epoch))? + block - own, Level::BASE))
+    });
+    needs.below.map(|level| (block, level)).into_iter().chain(base).collect()
 }
 
 /// First frame and frames of a span.
@@ -339,5 +382,59 @@ impl Endpoint for WireEndpoint<'_> {
         }
         self.snapshot = snapshot;
         &self.snapshot
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use trainer_host::{
+        encode::{self, EncodeOptions},
+        import::{
+            Limits,
+            synth::{self, SynthKind, SynthOptions},
+        },
+    };
+
+    use super::*;
+
+    /// Packets of which the receiver, which has all that `stream` has, shows anything.
+    fn shown_by_a_receiver(stream: &Stream, map: &PacketMap) -> BTreeSet<usize> {
+        let received = stream.receive().unwrap();
+        let content = received.content();
+        let usable = |block: usize| Arrived(content.blocks[block]).usable();
+        let shows = |placement: &SlicePlacement| {
+            let Group { span, cluster, level } = placement.group;
+            let base = Needs::in_manifest(content.manifest, span, cluster, level).unwrap().base;
+            let first = |span| map.first_blocks()[content.manifest.cell(span, cluster).unwrap().index()];
+            (placement.first_block..placement.first_block + placement.blocks).any(|block| {
+                let bends = base.map(|epoch| first(Span::Canonical(epoch)) + block - first(span));
+                usable(block) > level.index() && bends.is_none_or(|base| usable(base) > 0)
+            })
+        };
+        let shown = (0..stream.packets().len()).filter(|&id| map.placements(id).iter().any(shows));
+        shown.collect()
+    }
+
+    #[test]
+    fn a_graph_has_what_a_receiver_would_show() {
+        let kind = SynthKind::from_name("figure").unwrap();
+        let options = SynthOptions { kind, gaussians: 3000, frames: 20, ..SynthOptions::default() };
+        let scene = synth::make(&options, &Limits::default()).unwrap();
+        let coding = EncodeOptions { window_frames: Some(10), pictures: 0, ..EncodeOptions::default() };
+        let whole = encode::encode(&scene, &coding, &encode::unheard).unwrap().stream;
+        let map = PacketMap::of(&whole).unwrap();
+        let mut useless = 0;
+        for missing in 0..whole.packets().len() {
+            let stream = whole.with_packets(|id| id != missing);
+            let map = PacketMap::of(&stream).unwrap();
+            let graph = graph(&stream, &stream.manifest().unwrap(), &map, None, &Places::default()).unwrap();
+            let found: BTreeSet<usize> =
+                (0..graph.packets().len() as u32).map(|at| graph.wire_id(PacketIndex(at)).index()).collect();
+            assert_eq!(found, shown_by_a_receiver(&stream, &map), "without packet {missing}");
+            useless += whole.packets().len() - 1 - found.len();
+        }
+        assert!(useless > 0, "some packets stand on one other alone: {} packets", map.first_blocks().len());
     }
 }

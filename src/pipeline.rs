@@ -247,6 +247,13 @@ pub fn read_stream(path: &Path, warn: &mut dyn FnMut(String)) -> Result<Stream> 
     Ok(stream)
 }
 
+/// What a person should know who typed options of scenes with the stream `input`.
+pub(crate) fn unheeded(input: &str, args: &SceneArgs) -> Option<String> {
+    let options = args.without_meaning_for_streams();
+    let names = options.join(", ");
+    (!options.is_empty()).then(|| format!("{input}: is a stream; not used, being for scenes: {names}"))
+}
+
 /// Whether `input` names a `.dgs` stream rather than a scene.
 pub fn is_stream(input: &str) -> bool {
     let magic = codec_core::internals::wire::file::MAGIC;

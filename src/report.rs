@@ -35,6 +35,9 @@ pub struct Page {
     pub strips: Vec<Strip>,
     /// Things a reader should know (identity not stored, losses, warnings).
     pub notes: Vec<String>,
+    /// Whether only a part of the source was read; the notes say which.
+    #[serde(skip)]
+    pub damaged: bool,
 }
 
 /// One scheduler over the link.

@@ -203,6 +203,7 @@ fn sample() -> Page {
         runs: (0..4).map(run).collect(),
         strips: [11, 33, 56, 78].map(strip).into(),
         notes: vec!["Gaussian identity is not stored; it was recovered by order.".into()],
+        damaged: false,
     }
 }
 
@@ -338,6 +339,7 @@ fn gaps_print_as_dashes_and_stop_nothing() {
         runs: Vec::new(),
         strips: Vec::new(),
         notes: Vec::new(),
+        damaged: false,
     };
     balanced(&html::page(&empty));
 

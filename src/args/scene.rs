@@ -1,20 +1,25 @@
 //! What every verb takes that reads a scene.
 
 use clap::{Args, ValueEnum};
+use trainer_host::import::deformation::DEFAULT_FRAMES;
 
 use super::number::{real, whole};
+
+const FRAMES_PER_SECOND: f64 = 30.0;
+const SAMPLES: usize = 20_000;
+const SEED: u64 = 1;
 
 /// A scene and how to read it.
 #[derive(Clone, Debug, Args)]
 pub struct SceneArgs {
     /// Frames per second for sources that do not say: 0.001 to 10000.
     #[arg(
-        long, default_value_t = 30.0, value_parser = real(0.001..=10_000.0, "frames per second"),
+        long, default_value_t = FRAMES_PER_SECOND, value_parser = real(0.001..=10_000.0, "frames per second"),
         allow_negative_numbers = true
     )]
     pub fps: f64,
     /// Gaussians to place on an animated mesh: at least 1.
-    #[arg(long, default_value_t = 20_000, value_parser = whole::<usize>(1..=5_000_000, "Gaussians"))]
+    #[arg(long, default_value_t = SAMPLES, value_parser = whole::<usize>(1..=5_000_000, "Gaussians"))]
     pub samples: usize,
     /// Clip of an animated mesh: name or number from 0 [default: the first].
     #[arg(long)]
@@ -22,12 +27,12 @@ pub struct SceneArgs {
     /// Frames at which a deformation field (4D Gaussian Splatting, Deformable 3D Gaussians) is evaluated, at
     /// times from 0 to 1, both included.
     #[arg(
-        long, value_name = "FRAMES", default_value_t = trainer_host::import::deformation::DEFAULT_FRAMES,
+        long, value_name = "FRAMES", default_value_t = DEFAULT_FRAMES,
         value_parser = whole::<usize>(1..=100_000, "frames")
     )]
     pub deformation_frames: usize,
     /// Seed of everything random in the scene.
-    #[arg(long, default_value_t = 1)]
+    #[arg(long, default_value_t = SEED)]
     pub seed: u64,
     /// Rows of a numbered PLY sequence are the same Gaussians in every frame.
     #[arg(long)]
@@ -47,6 +52,21 @@ pub struct SceneArgs {
     /// stream says it itself.
     #[arg(long, value_enum)]
     pub footprint: Option<Footprint>,
+}
+
+impl SceneArgs {
+    /// The typed options that say nothing about a stream.
+    pub fn without_meaning_for_streams(&self) -> Vec<&'static str> {
+        let options = [
+            ("--fps", self.fps != FRAMES_PER_SECOND),
+            ("--samples", self.samples != SAMPLES),
+            ("--clip", self.clip.is_some()),
+            ("--deformation-frames", self.deformation_frames != DEFAULT_FRAMES),
+            ("--seed", self.seed != SEED),
+            ("--identity-stored", self.identity_stored),
+        ];
+        options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
+    }
 }
 
 /// How Gaussians are widened where they are drawn.

@@ -2,6 +2,8 @@
 
 pub(super) mod format;
 
+use std::path::Path;
+
 use anyhow::{Context, Result};
 use codec_core::{ShDegree, internals::ids::Level};
 use serde_json::json;
@@ -15,6 +17,7 @@ use trainer_host::{
 use self::format::{FrameRun, SceneOutput};
 use crate::{
     args::{Convert, SceneArgs},
+    files,
     output::VerbOutput,
     pipeline::{Frames, Quiet},
     progress::Progress,
@@ -24,6 +27,8 @@ use crate::{
 pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let output = SceneOutput::of(&args.out)?;
     output.check(&args.out, args.overwrite)?;
+    let inputs: Vec<&Path> = std::iter::once(&args.input).chain(&args.merge).map(Path::new).collect();
+    files::check_apart(&args.out, &inputs)?;
     let only = output.only(args.frame)?;
     let progress = Progress::new("convert", quiet.0);
     let mut warnings = Vec::new();

@@ -70,7 +70,7 @@ pub fn run(args: &Demo, quiet: Quiet) -> Result<VerbOutput> {
     }
     text += &format!("{}\n{}\n", figures.display(), report.display());
     let json = json!({ "report": report, "figures": figures, "page": json });
-    Ok(VerbOutput { text, json, ..VerbOutput::default() })
+    Ok(VerbOutput { text, json, damaged: page.damaged, ..VerbOutput::default() })
 }
 
 /// Runs the pipeline and gathers the page.
@@ -96,6 +96,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
     let cache = args.out.join(UTILITIES);
     std::fs::create_dir_all(&args.out).with_context(|| format!("{}: cannot create", args.out.display()))?;
     let mut notes = scene.notes.clone();
+    let damaged = damage.is_some();
     notes.extend(damage);
     let table =
         pipeline::utilities(&sources, &content, &map, &options, Some(&cache), quiet, &mut |w| notes.push(w))?;
@@ -194,6 +195,7 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
         runs,
         strips,
         notes,
+        damaged,
     })
 }
 

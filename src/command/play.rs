@@ -7,6 +7,7 @@ use codec_core::{
     Caps,
     internals::{ids::Level, wire::receipt::ViewerPose},
 };
+use dgs_player::StreamInfo;
 use dgs_quic::socket::{ClientConfig, Conditions, Granted, PlayReport, Scheme, Screen, play};
 use render_host::{Image, metric};
 use serde::Serialize;
@@ -120,6 +121,7 @@ pub fn run(args: &Play) -> Result<VerbOutput> {
         warnings.push(format!("{}: {error}; what was shown counts", args.url));
     }
     warnings.extend(ungranted(args, played.report.granted));
+    warnings.extend(played.player.as_ref().and_then(|player| past_the_end(args, &player.info())));
     let quality = match (played.player, draws) {
         (Some(player), true) => draw(args, player, watching, &states.shown, reference.as_ref())?,
         _ => None,
@@ -159,6 +161,15 @@ fn ungranted(args: &Play, granted: Option<Granted>) -> Option<String> {
         (false, true) => "--policy",
     };
     Some(format!("{}: the server does not grant {missing}; the session was under its own", args.url))
+}
+
+/// That the clip is over where it was to begin.
+fn past_the_end(args: &Play, info: &StreamInfo) -> Option<String> {
+    let (frames, seconds) = info.frames_per_seconds;
+    let seconds = f64::from(info.frames) * f64::from(seconds) / f64::from(frames.max(1));
+    let url = &args.url;
+    (args.seek >= seconds)
+        .then(|| format!("{url}: --seek is {}; the clip lasts {seconds:.2} s: its end is shown", args.seek))
 }
 
 /// Draws every frame in the state in which it was shown.

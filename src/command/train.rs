@@ -54,14 +54,35 @@ const ENCODED: &str = "checkpoint and stream are whole; the report is not there"
 /// Shortest side of pictures that are still worth a figure, pixels.
 const LEAST_SIDE: u32 = 32;
 
+/// What a training learns from.
+struct Input {
+    /// Where it was a scene.
+    scene: Option<Scene>,
+    dataset: Dataset,
+    /// Whether only a part of the file was read.
+    damaged: bool,
+}
+
 /// Runs the verb.
 pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
-    let folder = Folder::of(&args.out);
     let delivery = args.delivery.as_deref().map(DeliveryOptions::read).transpose().context("--delivery")?;
     let backend = Backend::open(args.device.into()).context("--device")?;
     let loading = Progress::new("read the dataset", quiet.0);
-    let (scene, dataset) = load(args)?;
+    let input = load(args)?;
     drop(loading);
+    let output = train(args, &input, delivery.as_ref(), &backend, quiet)?;
+    Ok(VerbOutput { damaged: input.damaged, ..output })
+}
+
+fn train(
+    args: &Train,
+    input: &Input,
+    delivery: Option<&DeliveryOptions>,
+    backend: &Backend,
+    quiet: Quiet,
+) -> Result<VerbOutput> {
+    let Input { scene, dataset, .. } = input;
+    let folder = Folder::of(&args.out);
     if scene.is_some() && delivery.is_some() && args.device == DeviceName::Gpu {
         bail!("--device is gpu; fine-tuning a scene for delivery runs on the processor: cpu is allowed");
     }
@@ -73,31 +94,31 @@ pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
     let network = args.lpips.as_deref().map(lpips).transpose()?;
     folder.open(args)?;
     let stop = Interruption::watch();
-    if let (Some(scene), Some(options)) = (&scene, &delivery) {
-        return delivery::run(args, &folder, scene, &dataset, options, &stop, quiet);
+    if let (Some(scene), Some(options)) = (scene, delivery) {
+        return delivery::run(args, &folder, scene, dataset, options, &stop, quiet);
     }
-    let (delivery, network) = (delivery.as_ref(), network.as_ref());
-    let plan = match &scene {
-        Some(scene) => Plan::of(args, &folder, scene, &dataset, &stop, quiet)?,
+    let network = network.as_ref();
+    let plan = match scene {
+        Some(scene) => Plan::of(args, &folder, scene, dataset, &stop, quiet)?,
         None => None,
     };
     let parted = plan.as_ref().filter(|plan| plan.is_parted());
-    let mut output = if let (Some(plan), Some(scene)) = (parted, &scene) {
-        let Some((trained, log, ended)) = plan.train(args, scene, &dataset, &stop, quiet)? else {
+    let mut output = if let (Some(plan), Some(scene)) = (parted, scene) {
+        let Some((trained, log, ended)) = plan.train(args, scene, dataset, &stop, quiet)? else {
             return Ok(left(args, plan));
         };
         files::write(&folder.log, log.csv().as_bytes())?;
         let mut output =
-            finish(args, &folder, &dataset, (&trained, &log, ended), None, network, &stop, quiet)?;
+            finish(args, &folder, dataset, (&trained, &log, ended), None, network, &stop, quiet)?;
         output.json["checkpoint"] = json!(plan.checkpoints(args));
         output
     } else {
-        let (trainer, begun) = begin(args, &folder, &dataset, &backend)?;
-        let mut trainer = trainer.encoded_by(encoding_of(args, &dataset));
+        let (trainer, begun) = begin(args, &folder, dataset, backend)?;
+        let mut trainer = trainer.encoded_by(encoding_of(args, dataset));
         let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
-        let ended = fit(args, &folder, &dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
-        let trained = Trained::of(&trainer, &dataset, args)?;
-        finish(args, &folder, &dataset, (&trained, &log, ended), delivery, network, &stop, quiet)?
+        let ended = fit(args, &folder, dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
+        let trained = Trained::of(&trainer, dataset, args)?;
+        finish(args, &folder, dataset, (&trained, &log, ended), delivery, network, &stop, quiet)?
     };
     if let Some(plan) = &plan {
         output.text += &plan.text();
@@ -115,12 +136,12 @@ fn left(args: &Train, plan: &Plan) -> VerbOutput {
 }
 
 /// The dataset that was named; if it was a scene, with the scene.
-fn load(args: &Train) -> Result<(Option<Scene>, Dataset)> {
+fn load(args: &Train) -> Result<Input> {
     let path = Path::new(&args.input);
     if path.is_dir() && !args.input.starts_with("synth:") {
         match dataset::read(path) {
             Err(dataset::DatasetError::Unknown { .. }) => {}
-            found => return Ok((None, found?)),
+            found => return Ok(Input { scene: None, dataset: found?, damaged: false }),
         }
     }
     let loaded = pipeline::import(&args.input, &args.scene)?;
@@ -133,7 +154,7 @@ fn load(args: &Train) -> Result<(Option<Scene>, Dataset)> {
         ..rendered::RenderedOptions::default()
     };
     let dataset = rendered::rendered(&loaded.scene, &loaded.name, &options)?;
-    Ok((Some(loaded.scene), dataset))
+    Ok(Input { scene: Some(loaded.scene), dataset, damaged: loaded.damage.is_some() })
 }
 
 /// Encodes the scene, measures it, and writes the pages.

@@ -53,10 +53,11 @@ fn page(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     if seek > 0.0 || paused || once || fullscreen {
         bail!("--seek, --paused, --once and --fullscreen are for --window, which is missing");
     }
-    let mut warnings = Vec::new();
+    let (mut warnings, mut damaged) = (Vec::new(), false);
     let mut streams = Vec::new();
     for input in &args.inputs {
         let file = opened(input, args, quiet, &mut |warning| warnings.push(warning))?;
+        damaged |= file.damaged;
         let name = name(input);
         streams.push(SiteStream { name, address: None, web_address: None, file: Some(file.bytes.into()) });
     }
@@ -80,5 +81,6 @@ fn page(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     })?;
     let text = format!("{} connections, {} requests\n", report.connections, report.requests);
     let json = json!({ "url": url, "server": report, "warnings": warnings });
-    Ok(VerbOutput { text, json, ..VerbOutput::default() })
+    // They were said when serving began.
+    Ok(VerbOutput { text, json, warnings: Vec::new(), damaged })
 }

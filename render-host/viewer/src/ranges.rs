@@ -73,6 +73,10 @@ pub struct RangePlan {
     offsets: Vec<u64>,
     fetched: Vec<bool>,
     places: Vec<Option<Place>>,
+    /// The packets whose places are known, ascending.
+    known: Vec<usize>,
+    /// Whether the known places are in the order that files have.
+    ordered: bool,
     epochs: u16,
     /// Bytes at the end that the index needs.
     tail: u64,
@@ -82,8 +86,9 @@ pub struct RangePlan {
 impl RangePlan {
     /// A plan for a file of `len` bytes with `epochs` epochs, of which nothing but the manifest is known.
     pub fn new(len: u64, epochs: u16) -> Self {
-        let (offsets, fetched, places) = Default::default();
-        Self { len, offsets, fetched, places, epochs, tail: TAIL_BYTES.min(len), unusable: false }
+        let (offsets, fetched, places, known) = Default::default();
+        let tail = TAIL_BYTES.min(len);
+        Self { len, offsets, fetched, places, known, ordered: true, epochs, tail, unusable: false }
     }
 
     /// What to ask for, shown epoch first.
@@ -123,8 +128,8 @@ impl RangePlan {
             Ok(first) => first..self.known_end((epoch, false)),
             Err(_) => return false,
         };
-        let known = self.places.iter().flatten().filter(|known| **known != LAST);
-        if packets.is_empty() || !known.is_sorted() {
+        let known = self.known.iter().map(|&known| self.place_of(known)).filter(|known| *known != LAST);
+        if packets.is_empty() || !(self.ordered || known.is_sorted()) {
             // In another order than files have, a base may lie anywhere.
             return self.fetched.iter().all(|&fetched| fetched);
         }
@@ -156,7 +161,9 @@ impl RangePlan {
             let Some((length, content)) = found.split_first_chunk::<2>() else { break };
             let length = usize::from(u16::from_le_bytes(*length));
             let content = &content[..content.len().min(length)];
-            self.places[k] = self.places[k].or_else(|| Some(place(content, manifest).unwrap_or(LAST)));
+            if self.places[k].is_none() {
+                self.learn(k, place(content, manifest).unwrap_or(LAST));
+            }
             if past <= end && !self.fetched[k] {
                 self.fetched[k] = true;
                 // A damaged length gives a damaged packet, which its CRC shows.
@@ -204,22 +211,46 @@ impl RangePlan {
         Ok(cut(part)..cut(part + 1))
     }
 
+    /// Notes the place of packet `k`, which was not known.
+    fn learn(&mut self, k: usize, place: Place) {
+        let at = self.known.partition_point(|&known| known < k);
+        let follows = at == 0 || self.place_of(self.known[at - 1]) <= place;
+        let precedes = self.known.get(at).is_none_or(|&next| place <= self.place_of(next));
+        self.ordered &= follows && precedes;
+        self.places[k] = Some(place);
+        self.known.insert(at, k);
+    }
+
+    fn place_of(&self, known: usize) -> Place {
+        self.places[known].unwrap_or(LAST)
+    }
+
     /// The first packet at or past `place`; or a packet whose head to look at.
     fn first_of(&self, place: Place) -> std::result::Result<usize, usize> {
         if place == (0, false) {
             return Ok(0);
         }
-        let before = self.places.iter().rposition(|known| known.is_some_and(|known| known < place));
-        let low = before.map_or(0, |at| at + 1);
-        let later = self.places[low..].iter().position(|known| known.is_some());
-        let high = later.map_or(self.places.len(), |at| low + at);
+        let (low, high) = if self.ordered {
+            let at = self.known.partition_point(|&known| self.place_of(known) < place);
+            let low = at.checked_sub(1).map_or(0, |before| self.known[before] + 1);
+            (low, self.known.get(at).copied())
+        } else {
+            let before = self.known.iter().rev().find(|&&known| self.place_of(known) < place);
+            let low = before.map_or(0, |known| known + 1);
+            (low, self.known.iter().copied().find(|&known| known >= low))
+        };
+        let high = high.unwrap_or(self.places.len());
         if low == high { Ok(low) } else { Err(low + (high - low) / 2) }
     }
 
     /// The first packet that is known to be past `place`.
     fn known_end(&self, place: Place) -> usize {
-        let past = self.places.iter().position(|known| known.is_some_and(|known| known > place));
-        past.unwrap_or(self.places.len())
+        let past = if self.ordered {
+            self.known.get(self.known.partition_point(|&known| self.place_of(known) <= place))
+        } else {
+            self.known.iter().find(|&&known| self.place_of(known) > place)
+        };
+        past.copied().unwrap_or(self.places.len())
     }
 
     /// The bytes of the first packets among `packets` that were not fetched: one at least, `most` at most.
@@ -311,7 +342,9 @@ mod tests {
         while let Wanted::Range(range) = plan.next(2) {
             for (k, place) in truth.iter().enumerate() {
                 if range.contains(&plan.offsets[k]) {
-                    plan.places[k] = Some(*place);
+                    if plan.places[k].is_none() {
+                        plan.learn(k, *place);
+                    }
                     if plan.offsets[k + 1] <= range.end && !plan.fetched[k] {
                         plan.fetched[k] = true;
                         came.push(k);
@@ -342,10 +375,12 @@ mod tests {
     #[test]
     fn of_a_file_in_another_order_no_base_is_there_before_everything_is() {
         let (mut plan, truth) = long_file();
-        (plan.places[0], plan.fetched[0]) = (Some(truth[0]), true);
-        (plan.places[1019], plan.fetched[1019]) = (Some((0, false)), true);
+        plan.learn(0, truth[0]);
+        plan.learn(1019, (0, false));
+        (plan.fetched[0], plan.fetched[1019]) = (true, true);
         assert!((0..4).all(|epoch| !plan.has_base(epoch)));
-        (plan.places[500], plan.fetched[500]) = (Some(truth[500]), true);
+        plan.learn(500, truth[500]);
+        plan.fetched[500] = true;
         assert!((0..4).all(|epoch| !plan.has_base(epoch)));
         plan.fetched.fill(true);
         assert!((0..4).all(|epoch| plan.has_base(epoch)));
@@ -362,12 +397,35 @@ mod tests {
             let found = loop {
                 match plan.first_of(place) {
                     Ok(found) => break found,
-                    Err(probe) => plan.places[probe] = Some(truth[probe]),
+                    Err(probe) => plan.learn(probe, truth[probe]),
                 }
                 steps += 1;
             };
             assert!(found == wanted && steps <= 11, "{place:?}: {found} after {steps}");
         }
+    }
+
+    /// What is searched by halves against what looks at every packet.
+    #[test]
+    fn of_known_places_in_order_a_search_finds_what_a_look_at_all_finds() {
+        let mut differs = false;
+        for stride in [3, 7, 53, 241] {
+            for of in [(0, false), (1, true), (2, false), (3, true), (4, false), LAST] {
+                let (mut plan, truth) = long_file();
+                (0..1020).step_by(stride).for_each(|k| plan.learn(k * 7 % 1020, truth[k * 7 % 1020]));
+                assert!(plan.ordered);
+                let quick = (plan.first_of(of), plan.known_end(of));
+                plan.ordered = false;
+                assert_eq!(quick, (plan.first_of(of), plan.known_end(of)), "{of:?}, every {stride}");
+                // With one packet out of order a search would be wrong.
+                let astray = plan.places.iter().rposition(Option::is_none).unwrap();
+                plan.learn(astray, (0, false));
+                let all = (plan.first_of(of), plan.known_end(of));
+                plan.ordered = true;
+                differs |= all != (plan.first_of(of), plan.known_end(of));
+            }
+        }
+        assert!(differs);
     }
 
     #[test]

@@ -16,6 +16,8 @@ pub(super) struct Opened {
     pub bytes: Vec<u8>,
     #[cfg_attr(not(feature = "window"), allow(dead_code, reason = "a page takes it from its address"))]
     pub up: Up,
+    /// Whether only a part of the input was read.
+    pub damaged: bool,
 }
 
 /// The stream `input`, or the scene `input` encoded.
@@ -28,11 +30,13 @@ pub(super) fn opened(input: &str, args: &View, quiet: Quiet, warn: &mut dyn FnMu
     }
     if !pipeline::is_stream(input) {
         let loaded = pipeline::import(input, &args.scene)?;
+        let damaged = loaded.damage.is_some();
         loaded.damage.into_iter().for_each(&mut *warn);
         let options = pipeline::encode_options(&args.codec, Protection::NONE);
         let stream = pipeline::encode(&loaded.scene, &options, quiet)?.stream;
-        return Ok(Opened { bytes: stream.to_bytes()?, up: loaded.scene.up });
+        return Ok(Opened { bytes: stream.to_bytes()?, up: loaded.scene.up, damaged });
     }
+    pipeline::unheeded(input, &args.scene).into_iter().for_each(&mut *warn);
     let bytes = fs::read(input).with_context(|| format!("{input}: cannot read"))?;
     let (_, damage) = Stream::from_bytes(&bytes).with_context(|| {
         format!("{input}: no .dgs file that can be shown (dgs encode makes one of a scene)")
@@ -40,5 +44,5 @@ pub(super) fn opened(input: &str, args: &View, quiet: Quiet, warn: &mut dyn FnMu
     if !damage.is_none() {
         warn(format!("{input}: {damage}"));
     }
-    Ok(Opened { bytes, up: args.scene.up.map_or(Up::default(), Up::from) })
+    Ok(Opened { bytes, up: args.scene.up.map_or(Up::default(), Up::from), damaged: !damage.is_none() })
 }

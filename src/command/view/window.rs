@@ -24,12 +24,14 @@ use crate::{
 pub(super) fn window(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     let input = only(args)?;
     let mut warnings = Vec::new();
+    let mut damaged = false;
     let (feed, up, arriving) = if is_address(input) {
         let (arriving, feed) = Arriving::begin(input)?;
         (feed, args.scene.up.map_or(Up::default(), Up::from), Some(arriving))
     } else {
-        // What is damaged, the window says.
-        let opened = opened(input, args, quiet, &mut |_| {})?;
+        let mut say = |warning: String| output::complain(&format!("warning: {warning}"));
+        let opened = opened(input, args, quiet, &mut say)?;
+        damaged = opened.damaged;
         (Feed::file(opened.bytes), opened.up, None)
     };
     if !quiet.0 {
@@ -50,7 +52,7 @@ pub(super) fn window(args: &View, quiet: Quiet) -> Result<VerbOutput> {
         "frames": report.frames, "seconds": report.seconds, "frames_per_second": rate,
         "adapter": report.adapter, "devices_lost": report.devices_lost, "said": warnings,
     });
-    Ok(VerbOutput { text, json, ..VerbOutput::default() })
+    Ok(VerbOutput { text, json, warnings: Vec::new(), damaged })
 }
 
 /// Writes the picture of frame `--at`.
@@ -76,7 +78,7 @@ pub(super) fn screenshot(args: &View, out: &Path, quiet: Quiet) -> Result<VerbOu
     let json = json!({
         "out": out, "frame": args.at, "width": image.width(), "height": image.height(), "warnings": warnings,
     });
-    let damaged = !warnings.is_empty();
+    let damaged = opened.damaged;
     Ok(VerbOutput { text, json, warnings, damaged })
 }
 

@@ -1,6 +1,6 @@
 //! Holds the arrays of one frame, under the names that gsplat gives them, and turns them into Gaussians.
 
-use codec_core::{Gaussian, ShDegree};
+use codec_core::{Footprint, Gaussian, ShDegree};
 use pyo3::{
     prelude::*,
     types::{PyDict, PyMapping},
@@ -16,6 +16,9 @@ use crate::{
 
 /// Names of the arrays, in the order of the named tuple.
 pub const NAMES: [&str; 6] = ["means", "scales", "quats", "opacities", "sh0", "shN"];
+
+/// What says how a frame is drawn.
+const FOOTPRINT: &str = "footprint";
 
 /// The harmonic degree that has `each` coefficients above band 0 per channel.
 pub fn degree_of(each: usize) -> Option<ShDegree> {
@@ -69,8 +72,8 @@ impl Frame {
         }
     }
 
-    /// The named tuple `dgs.Gaussians`.
-    pub fn into_python(self, py: Python<'_>) -> PyResult<Bound<'_, PyAny>> {
+    /// The named tuple `dgs.Gaussians`, which are drawn with `footprint`.
+    pub fn into_python(self, py: Python<'_>, footprint: Footprint) -> PyResult<Bound<'_, PyAny>> {
         let n = self.opacities.len();
         let arrays = (
             array(py, self.means, &[n, 3])?,
@@ -80,7 +83,9 @@ impl Frame {
             array(py, self.sh0, &[n, 1, 3])?,
             array(py, self.sh_rest, &[n, self.each, 3])?,
         );
-        py.import("dgs._gaussians")?.getattr("Gaussians")?.call1(arrays)
+        let gaussians = py.import("dgs._gaussians")?.getattr("Gaussians")?.call1(arrays)?;
+        gaussians.setattr(FOOTPRINT, footprint.name())?;
+        Ok(gaussians)
     }
 }
 
@@ -92,6 +97,11 @@ fn field<'py>(source: &Bound<'py, PyAny>, name: &str) -> PyResult<Option<Bound<'
         Err(_) => source.getattr_opt(name)?,
     };
     Ok(found.filter(|value| !value.is_none()))
+}
+
+/// What `source` says of how it is drawn, if it does.
+pub fn footprint(source: &Bound<'_, PyAny>) -> PyResult<Option<String>> {
+    field(source, FOOTPRINT)?.map(|name| name.extract()).transpose()
 }
 
 /// The array called `name`, which must be there.

@@ -98,12 +98,14 @@ impl Player {
     #[pyo3(signature = (frame, *, activation = "log"))]
     fn frame<'py>(&self, py: Python<'py>, frame: i64, activation: &str) -> PyResult<Bound<'py, PyAny>> {
         let activation = Activation::of(activation)?;
-        let frame = py.detach(|| {
+        let (frame, footprint) = py.detach(|| {
             let (mut receiver, frame) = self.at(frame)?;
+            let footprint = receiver.info().footprint;
             let shown = receiver.frame(frame).map_err(damaged)?;
-            Ok::<_, PyErr>(Frame::decoded(shown.gaussians, shown.sh_rest, shown.sh_degree, activation))
+            let frame = Frame::decoded(shown.gaussians, shown.sh_rest, shown.sh_degree, activation);
+            Ok::<_, PyErr>((frame, footprint))
         })?;
-        frame.into_python(py)
+        frame.into_python(py, footprint)
     }
 
     /// Which Gaussians of a frame are drawn, [N]: what has arrived, and stand-ins for what has not.

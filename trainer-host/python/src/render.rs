@@ -14,7 +14,7 @@ use crate::{
     array::{Numbers, array},
     camera::Camera,
     error::refused,
-    gaussians::{Splatting, needed},
+    gaussians::{Splatting, footprint, needed},
     scene::{Scene, footprint_of},
 };
 
@@ -59,12 +59,15 @@ fn settings(
     Ok(settings)
 }
 
-/// The footprint that is named, else that of the scene.
+/// The footprint that is named, else that of the scene or of the arrays.
 fn drawn(source: &Bound<'_, PyAny>, named: Option<&str>) -> PyResult<Footprint> {
     match (named, source.cast::<Scene>()) {
         (Some(name), _) => footprint_of(name),
         (None, Ok(scene)) => Ok(scene.get().0.footprint),
-        (None, Err(_)) => Ok(Footprint::default()),
+        (None, Err(_)) => match footprint(source)? {
+            Some(name) => footprint_of(&name),
+            None => Ok(Footprint::default()),
+        },
     }
 }
 

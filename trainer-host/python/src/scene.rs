@@ -234,7 +234,7 @@ impl Scene {
         let activation = Activation::of(activation)?;
         let frame = checked_frame(frame, self.0.frames())?;
         let (epoch, t) = self.0.locate(frame).unwrap_or_default();
-        Frame::of_epoch(&self.0.epochs()[epoch], t, activation).into_python(py)
+        Frame::of_epoch(&self.0.epochs()[epoch], t, activation).into_python(py, self.0.footprint)
     }
 
     /// Writes a frame, or all, as the ending of the path says.

@@ -1,5 +1,7 @@
 """Pictures and their gradients; the gradients against differences of pictures."""
 
+import copy
+import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -171,8 +173,18 @@ def test_a_footprint_goes_with_its_scene() -> None:
     assert (made.footprint, scene.footprint) == ("dilated", "pixel")
     drawn = dgs.render(scene, cameras)
     assert np.array_equal(drawn, dgs.render(arrays, cameras, footprint="pixel"))
-    assert not np.array_equal(drawn, dgs.render(arrays, cameras))
-    stream = dgs.encode(scene, pictures=0).stream
-    assert dgs.Player(stream).info["footprint"] == "pixel"
+    for same in (arrays, arrays._replace(sh0=arrays.sh0), copy.copy(arrays), pickle.loads(pickle.dumps(arrays))):
+        assert same.footprint == "pixel"
+        assert np.array_equal(drawn, dgs.render(same, cameras))
+    bare = arrays._asdict()
+    assert not np.array_equal(drawn, dgs.render(bare, cameras))
+    assert np.array_equal(drawn, dgs.render({**bare, "footprint": "pixel"}, cameras))
+    with pytest.raises(ValueError, match="dilated, compensated, pixel are wanted"):
+        dgs.render({**bare, "footprint": "wide"}, cameras)
+    grad = np.ones((1, 32, 32, 3), np.float32)
+    by_name = dgs.render_backward(arrays, cameras, grad, footprint="pixel")
+    assert np.array_equal(dgs.render_backward(arrays, cameras, grad)["opacities"], by_name["opacities"])
+    player = dgs.Player(dgs.encode(scene, pictures=0).stream)
+    assert player.info["footprint"] == player.frame(0).footprint == "pixel"
     with pytest.raises(ValueError, match="dilated, compensated, pixel are wanted"):
         dgs.render(arrays, cameras, footprint="wide")  # type: ignore[arg-type]

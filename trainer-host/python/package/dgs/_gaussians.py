@@ -1,19 +1,15 @@
 """Names the arrays of one frame as gsplat does."""
 
-from typing import NamedTuple
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 
-class Gaussians(NamedTuple):
-    """The arrays of N Gaussians at one frame, float32, under the names that gsplat gives them.
+_G = TypeVar("_G", bound="Gaussians")
 
-    In the domain "log", which is what files and optimisers hold, ``scales`` are natural logarithms and
-    ``opacities`` are logits; in the domain "linear" they are standard deviations in scene units and numbers
-    from 0 to 1. Every function that takes or gives them has the argument ``activation``, "log" by default.
-    """
 
+class _Arrays(NamedTuple):
     means: NDArray[np.float32]
     """Centres, scene units, [N, 3]."""
     scales: NDArray[np.float32]
@@ -26,3 +22,21 @@ class Gaussians(NamedTuple):
     """Band 0 of the spherical harmonics, colour = 0.5 + 0.28209479 * sh0, [N, 1, 3]."""
     shN: NDArray[np.float32]
     """The higher bands, coefficient by coefficient, [N, K, 3] with K 0, 3, 8 or 15."""
+
+
+class Gaussians(_Arrays):
+    """The arrays of N Gaussians at one frame, float32, under the names that gsplat gives them.
+
+    In the domain "log", which is what files and optimisers hold, ``scales`` are natural logarithms and
+    ``opacities`` are logits; in the domain "linear" they are standard deviations in scene units and numbers
+    from 0 to 1. Every function that takes or gives them has the argument ``activation``, "log" by default.
+    """
+
+    footprint: Literal["dilated", "compensated", "pixel"] = "dilated"
+    """How they are widened where they are drawn, as the scene or stream says that they come from; no member of
+    the tuple."""
+
+    def _replace(self: _G, **arrays: Any) -> _G:
+        replaced = super()._replace(**arrays)
+        replaced.footprint = self.footprint
+        return replaced

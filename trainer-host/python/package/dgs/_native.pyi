@@ -287,8 +287,8 @@ def render(
 
     ``gaussians`` are arrays in the domain ``activation``, or a scene, of which ``frame`` is drawn. Colours are
     those of a screen, over ``background``, black by default. With ``alpha`` a fourth channel is 1 minus the share of the
-    background that shows. ``footprint`` is how Gaussians are widened, by default that of the scene, of
-    arrays "dilated": by 0.3 pixels²; "compensated" by as much and dimmed for it; "pixel" by 0.1 and dimmed (Mip-Splatting).
+    background that shows. ``footprint`` is how Gaussians are widened, by default that of the scene or the
+    :class:`Gaussians`, of other arrays "dilated": by 0.3 pixels²; "compensated" by as much and dimmed for it; "pixel" by 0.1 and dimmed (Mip-Splatting).
     Bands above ``sh_degree`` are left out. A Gaussian adds nothing to a pixel where its alpha is below ``alpha_cutoff``, 0 to
     0.5, 1/255 by default. The same input gives the same bits on any number of threads.
     """
