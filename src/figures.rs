@@ -37,6 +37,11 @@ pub fn number(value: f64) -> String {
     }
 }
 
+/// So many of a `thing`, for people: "1 frame", "2 frames".
+pub(crate) fn counted(count: usize, thing: &str) -> String {
+    format!("{count} {thing}{}", if count == 1 { "" } else { "s" })
+}
+
 /// The mean of `values`; NaN if there are none.
 pub fn mean(values: &[f64]) -> f64 {
     values.iter().sum::<f64>() / values.len() as f64

@@ -52,7 +52,7 @@ fn the_walk_verb_by_verb() {
     ok(at, &["decode", "a.dgs", "--out", "frames"]);
     assert_eq!(std::fs::read_dir(at.join("frames")).unwrap().count(), 13, "and their index");
     let text = ok(at, &["import", "frames", "--identity-stored"]);
-    assert!(text.contains("1 epochs, 12 frames"), "{text}");
+    assert!(text.contains("1 epoch, 12 frames"), "{text}");
 
     ok(at, &["render", "a.dgs", "--out", "a.png", "--frame", "5", "--width", "64", "--height", "48"]);
     let png = std::fs::read(at.join("a.png")).unwrap();

@@ -297,6 +297,8 @@ fn no_input_is_written_over_and_streams_are_called_dgs() {
     for args in [
         &["cut", "x.dgs", "x.dgs", "--levels", "0"][..],
         &["cut", "x.dgs", "./x.dgs", "--levels", "0"],
+        &["convert", "x.ply", "./x.ply"],
+        &["convert", "x.dgs", "x.ply", "--merge", "x.ply"],
         &["stream", "x.dgs", "-o", "x.dgs"],
         &["encode", "synth:balls:1000:2", "-o", "d.dgs", "--decisions-out", "d.dgs"],
         &["encode", "x.ply", "-o", "d.dgs", "--decisions-out", "x.ply"],
@@ -334,19 +336,34 @@ fn damage_decides_the_exit_status() {
         &["decode", "part.dgs", "-o", "z.ply"],
         &["render", "part.dgs", "-o", "y.png"],
     ];
-    let scene: [&[&str]; 5] = [
+    let scene: [&[&str]; 7] = [
         &["import", "part.ply", "--keep-readable"],
         &["convert", "part.ply", "w.ply", "--keep-readable"],
         &["encode", "part.ply", "-o", "w.dgs", "--keep-readable", "--pictures", "0"],
         &["stream", "part.ply", "--keep-readable", "--pictures", "0"],
         &["render", "part.ply", "-o", "w.png", "--keep-readable"],
+        &["demo", "--scene", "part.ply", "--out", "report", "--keep-readable", "--contexts", "1"],
+        &[
+            "train",
+            "part.ply",
+            "-o",
+            "t",
+            "--keep-readable",
+            "--steps",
+            "4",
+            "--side",
+            "32",
+            "--cameras",
+            "2",
+        ],
     ];
     for args in stream.into_iter().chain(scene) {
         let args = if args[0] == "render" { [args, &small].concat() } else { args.to_vec() };
         let output = dgs(at, &args);
         let errors = String::from_utf8_lossy(&output.stderr).into_owned();
         assert_eq!(output.status.code(), Some(2), "{args:?}: {errors}");
-        assert!(errors.contains("what is readable is kept") || args[0] == "decode", "{args:?}: {errors}");
+        let says_it = !["decode", "demo"].contains(&args[0]);
+        assert!(errors.contains("what is readable is kept") || !says_it, "{args:?}: {errors}");
     }
     assert!(refused(at, &["import", "part.ply"]).contains("part.ply"), "not asked for");
 }
@@ -364,6 +381,9 @@ fn what_would_be_ignored_is_refused() {
     assert!(refused(at, &pictures).contains("--target-psnr"));
     fs::write(at.join("trace.csv"), "0,2\n1,1\n").unwrap();
     assert!(ok(at, &["stream", "x.dgs", "--trace", "trace.csv"]).contains("limited by"));
+    let noted =
+        ["render", "x.dgs", "-o", "x.png", "--width", "32", "--height", "32", "--fps", "60", "--clip", "1"];
+    assert!(ok(at, &noted).contains("x.dgs: is a stream; not used, being for scenes: --fps, --clip"));
 }
 
 #[test]

@@ -17,6 +17,7 @@ use trainer_host::{
 use self::format::{FrameRun, SceneOutput};
 use crate::{
     args::{Convert, SceneArgs},
+    figures::counted,
     files,
     output::VerbOutput,
     pipeline::{Frames, Quiet},
@@ -61,9 +62,9 @@ pub fn run(args: &Convert, quiet: Quiet) -> Result<VerbOutput> {
     let mut text = wrote;
     if before != (scene.max_count(), scene.frames()) {
         text += &format!(
-            "  {} Gaussians in {} frames became {} in {}\n",
-            before.0,
-            before.1,
+            "  {} in {} became {} in {}\n",
+            counted(before.0, "Gaussian"),
+            counted(before.1, "frame"),
             scene.max_count(),
             scene.frames()
         );

@@ -18,7 +18,7 @@ use trainer_host::{
 
 use crate::{
     args::Encode,
-    figures::{audit_lines, number},
+    figures::{audit_lines, counted, number},
     files,
     output::VerbOutput,
     pipeline::{self, Quiet, Surroundings},
@@ -75,11 +75,11 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     files::write(&args.out, &bytes)?;
     let ledger = &report.ledger;
     let mut text = format!(
-        "{} → {} ({} bytes at rest, {} frames, {:.2} s)\n{}",
+        "{} → {} ({} bytes at rest, {}, {:.2} s)\n{}",
         loaded.name,
         args.out.display(),
         bytes.len(),
-        loaded.scene.frames(),
+        counted(loaded.scene.frames(), "frame"),
         seconds,
         report_table(report, &packets)
     );
@@ -95,8 +95,8 @@ pub fn run(args: &Encode, quiet: Quiet) -> Result<VerbOutput> {
     }
     if let Some(views) = report.reached.and_then(|reached| reached.views) {
         text += &format!(
-            "  measured on {} frames from {}, pictures of {} × {}, of which the scene covers {:.1} %\n",
-            views.frames,
+            "  measured on {} from {}, pictures of {} × {}, of which the scene covers {:.1} %\n",
+            counted(views.frames, "frame"),
             cameras.unwrap_or_default(),
             views.width,
             views.height,

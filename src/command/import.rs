@@ -4,19 +4,19 @@ use anyhow::Result;
 use serde_json::json;
 use trainer_host::viewpoint::Framing;
 
-use crate::{args::Import, output::VerbOutput, pipeline};
+use crate::{args::Import, figures::counted, output::VerbOutput, pipeline};
 
 /// Runs the verb.
 pub fn run(args: &Import) -> Result<VerbOutput> {
     let loaded = pipeline::import(&args.input, &args.scene)?;
     let scene = &loaded.scene;
     let mut text = format!(
-        "{}: {} epochs, {} frames at {} fps, {} Gaussians (at most, per epoch)\n",
+        "{}: {}, {} at {} fps, {} (at most, per epoch)\n",
         loaded.name,
-        scene.epochs().len(),
-        scene.frames(),
+        counted(scene.epochs().len(), "epoch"),
+        counted(scene.frames(), "frame"),
         scene.frames_per_second(),
-        scene.max_count()
+        counted(scene.max_count(), "Gaussian")
     );
     let mut epochs = Vec::new();
     for (i, epoch) in scene.epochs().iter().enumerate() {
@@ -34,9 +34,9 @@ pub fn run(args: &Import) -> Result<VerbOutput> {
         let still = if moving.is_empty() { "nothing".to_owned() } else { moving.join(", ") };
         if i < 4 {
             text += &format!(
-                "  epoch {i}: {} Gaussians, {} frames, harmonic degree {}, moving: {still}\n",
-                epoch.count(),
-                epoch.frames(),
+                "  epoch {i}: {}, {}, harmonic degree {}, moving: {still}\n",
+                counted(epoch.count(), "Gaussian"),
+                counted(epoch.frames(), "frame"),
                 a.sh_degree.get()
             );
         }

@@ -23,7 +23,7 @@ use trainer_host::{
 use super::encode::read_decisions;
 use crate::{
     args::Inspect,
-    figures::number,
+    figures::{counted, number},
     files,
     output::VerbOutput,
     pipeline::{self, Frames},
@@ -56,22 +56,22 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     }
     let head = manifest.head();
     let mut text = format!(
-        "{}: profile {}, {} epochs, {} windows, {} clusters, {} frames at {} fps, harmonic degree {}, \
+        "{}: profile {}, {}, {}, {}, {} at {} fps, harmonic degree {}, \
          footprint {}\n\
-         manifest {} bytes on the wire, {} unpacked, {} entropy tables, {} repair ranges\n",
+         manifest {} bytes on the wire, {} unpacked, {}, {}\n",
         args.input.display(),
         manifest.profile_name(),
-        head.epochs,
-        head.windows,
-        head.clusters,
-        head.frames,
+        counted(head.epochs.into(), "epoch"),
+        counted(head.windows.into(), "window"),
+        counted(head.clusters as usize, "cluster"),
+        counted(head.frames as usize, "frame"),
         manifest.frames_per_second(),
         head.sh_degree,
         manifest.footprint().name(),
         stream.message().len(),
         manifest.raw().len(),
-        head.tables,
-        head.repairs
+        counted(head.tables.into(), "entropy table"),
+        counted(head.repairs.into(), "repair range")
     );
     let mut packets = Vec::new();
     for (kind, name) in ["canonical", "motion"].into_iter().enumerate() {

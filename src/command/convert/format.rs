@@ -11,6 +11,7 @@ use trainer_host::{
 };
 
 use crate::{
+    figures::counted,
     files::{self, FrameFolder},
     progress::Progress,
 };
@@ -141,11 +142,11 @@ pub(in crate::command) fn write_clip(scene: &Scene, out: &Path) -> Result<String
     let bytes = export::fourdgs::encode(scene)?;
     files::write(out, &bytes)?;
     Ok(format!(
-        "wrote {}: {} Gaussians, {} bytes, {} frames\n",
+        "wrote {}: {}, {} bytes, {}\n",
         out.display(),
-        scene.max_count(),
+        counted(scene.max_count(), "Gaussian"),
         bytes.len(),
-        scene.frames()
+        counted(scene.frames(), "frame")
     ))
 }
 
