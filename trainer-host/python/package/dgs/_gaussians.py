@@ -1,9 +1,17 @@
 """Names the arrays of one frame as gsplat does."""
 
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+if TYPE_CHECKING:
+    from typing_extensions import disjoint_base
+else:
+
+    def disjoint_base(cls):
+        return cls
 
 
 _G = TypeVar("_G", bound="Gaussians")
@@ -24,6 +32,7 @@ class _Arrays(NamedTuple):
     """The higher bands, coefficient by coefficient, [N, K, 3] with K 0, 3, 8 or 15."""
 
 
+@disjoint_base
 class Gaussians(_Arrays):
     """The arrays of N Gaussians at one frame, float32, under the names that gsplat gives them.
 
