@@ -10,6 +10,10 @@ mod browser;
 mod live;
 #[path = "view/served.rs"]
 mod served;
+#[path = "view/sources.rs"]
+mod sources;
+#[path = "view/wishes.rs"]
+mod wishes;
 
 use std::sync::Mutex;
 

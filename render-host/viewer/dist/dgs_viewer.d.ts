@@ -47,6 +47,10 @@ export class Controls {
      */
     setBackground(red: number, green: number, blue: number): void;
     /**
+     * Takes the way up of this name; false for what is none.
+     */
+    setUp(up: string): boolean;
+    /**
      * Takes a view; false for numbers that are none.
      */
     setView(view: Float64Array | number[]): boolean;
@@ -205,7 +209,7 @@ export class Decoder {
      */
     readonly content: number;
     /**
-     * What of the file could not be used; empty for a whole one.
+     * What of the file, as far as it is there, could not be used; empty for a whole one.
      */
     readonly damage: string;
     /**
@@ -348,6 +352,7 @@ export interface InitOutput {
     readonly controls_playing: (a: number) => number;
     readonly controls_rate: (a: number) => number;
     readonly controls_setBackground: (a: number, b: number, c: number, d: number) => void;
+    readonly controls_setUp: (a: number, b: number, c: number) => number;
     readonly controls_setView: (a: number, b: number, c: number) => number;
     readonly controls_set_looping: (a: number, b: number) => void;
     readonly controls_set_playing: (a: number, b: number) => void;
@@ -404,11 +409,11 @@ export interface InitOutput {
     readonly screen_upload: (a: number, b: number, c: number, d: number, e: number, f: number, g: number) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h3a3cc99aafc18d64: (a: number, b: number, c: any, d: any) => void;
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_74: (a: number, b: number, c: any) => [number, number];
-    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_77: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_75: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_78: (a: number, b: number, c: any) => [number, number];
+    readonly wasm_bindgen__convert__closures_____invoke__h4b3a6ba54fdd672b_79: (a: number, b: number, c: any) => [number, number];
     readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043: (a: number, b: number, c: any) => void;
-    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_76: (a: number, b: number, c: any) => void;
+    readonly wasm_bindgen__convert__closures_____invoke__h0ae33fcf43171043_77: (a: number, b: number, c: any) => void;
     readonly __wbindgen_malloc: (a: number, b: number) => number;
     readonly __wbindgen_realloc: (a: number, b: number, c: number, d: number) => number;
     readonly __wbindgen_free: (a: number, b: number, c: number) => void;

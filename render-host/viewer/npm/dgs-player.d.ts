@@ -44,6 +44,8 @@ export interface DgsPlayerEventMap extends Omit<HTMLElementEventMap, "progress">
   ended: Event;
   loop: Event;
   ratechange: Event;
+  loopchange: Event;
+  backgroundchange: Event;
   levelchange: Event;
   camerachange: Event;
   devicelost: Event;
@@ -58,6 +60,8 @@ export class Engine extends EventTarget {
   readonly screen: Screen | null;
   readonly adapter: string;
   readonly aspect: number;
+  /** Whether the clock waits for a base level. */
+  readonly waiting: boolean;
   /** Bytes of WebAssembly and on the device. */
   readonly memory: { wasm: number; device: number };
   /** Device pixels per CSS pixel; `null` for the display's own. */
@@ -80,7 +84,9 @@ export class DgsPlayer extends HTMLElement {
   static wasmUrl: string | URL;
   src: string | null;
   currentTime: number;
+  /** Seconds of the clip per second, -4 to 4. This and what follows hold for what is played next, too. */
   playbackRate: number;
+  /** True but for `loop="false"`. */
   loop: boolean;
   /** Highest level shown, 0 to 3. */
   quality: number;
@@ -120,6 +126,21 @@ export class DgsPlayer extends HTMLElement {
     type: K,
     listener: (this: DgsPlayer, event: DgsPlayerEventMap[K]) => unknown,
     options?: boolean | AddEventListenerOptions,
+  ): void;
+  addEventListener(
+    type: string,
+    listener: EventListenerOrEventListenerObject,
+    options?: boolean | AddEventListenerOptions,
+  ): void;
+  removeEventListener<K extends keyof DgsPlayerEventMap>(
+    type: K,
+    listener: (this: DgsPlayer, event: DgsPlayerEventMap[K]) => unknown,
+    options?: boolean | EventListenerOptions,
+  ): void;
+  removeEventListener(
+    type: string,
+    listener: EventListenerOrEventListenerObject,
+    options?: boolean | EventListenerOptions,
   ): void;
 }
 

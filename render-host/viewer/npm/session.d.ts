@@ -32,7 +32,7 @@ export class Session extends Controls {
   static receive(message: Uint8Array, options?: DecodingOptions): Promise<Session>;
   /** Where it is decoded: `worker`, or `page` and the reason. */
   readonly decoding: string;
-  /** What of the file could not be used; empty for a whole one. */
+  /** What of the file, as far as it is there, could not be used; empty for a whole one. */
   readonly damage: string;
   /** Share of the file that is there. */
   readonly loaded: number;

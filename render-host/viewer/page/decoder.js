@@ -44,12 +44,17 @@ class Actions {
 
   take({ at, bytes }) {
     this.#decoder.take(at, bytes);
-    return this.#decoder.loaded;
+    return this.#taken();
   }
 
   takeWhole(bytes) {
     this.#decoder.takeWhole(bytes);
-    return this.#decoder.loaded;
+    return this.#taken();
+  }
+
+  #taken() {
+    const { damage, loaded } = this.#decoder;
+    return { damage, loaded };
   }
 
   wanted() {

@@ -1,63 +1,28 @@
 // The element <dgs-player> plays a stream: like <video>, with a camera and a network to pull apart.
 
+import { build, showState, showTime } from "./bar.js";
 import { prepare } from "./decoding.js";
 import { Engine } from "./engine.js";
 import { load } from "./load.js";
 import { NetworkPanel } from "./network.js";
 import { bindIdle, bindKeys, bindPointers } from "./input.js";
 import { climb, fileRung, rungsOf } from "./ladder.js";
-import { OVERLAYS, Session } from "./session.js";
-import { STYLE } from "./style.js";
-
-const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
-const QUALITIES = ["base", "level 1", "level 2", "all levels"];
-const KEYS = [
-  ["Space", "play or pause"],
-  [", .", "one frame back or on"],
-  ["Home End", "to the start or the end"],
-  ["drag, arrows", "turn around the scene"],
-  ["right drag, two fingers, Shift + arrows", "pan"],
-  ["wheel, pinch, + −", "nearer or farther"],
-  ["W A S D Q E", "fly"],
-  ["0", "first view"],
-  ["U", "another way up"],
-  ["1 2 3 4", "highest level shown"],
-  ["O", "paint blocks by level, by what just came, by coverage"],
-  ["N", "network"],
-  ["L", "loop"],
-  ["F", "full screen"],
-  ["?", "these keys"],
-];
-
-const TEMPLATE = `
-<style>${STYLE}</style>
-<canvas class="picture" part="picture" tabindex="0" role="img" aria-label="Moving scene; press ? for keys"></canvas>
-<p class="message" role="status" aria-live="polite"></p>
-<section class="network" aria-label="Network" hidden></section>
-<div class="bar" part="controls" role="group" aria-label="Player">
-  <button class="play" aria-label="Play" title="Play (Space)">▶</button>
-  <input class="time" type="range" min="0" max="1" step="any" value="0" aria-label="Time">
-  <span class="clock" aria-hidden="true">0.0 / 0.0</span>
-  <select class="speed" aria-label="Speed" title="Speed"></select>
-  <button class="loop" aria-label="Loop" title="Loop (L)" aria-pressed="true">↻</button>
-  <select class="quality" aria-label="Highest level shown" title="Highest level shown (1 to 4)"></select>
-  <input class="background wide" type="color" value="#000000" aria-label="Background" title="Background">
-  <button class="paint" aria-label="Paint blocks" title="Paint blocks: none (O)" aria-pressed="false">◩</button>
-  <button class="net" aria-label="Network" title="Network (N)" aria-pressed="false">⇅</button>
-  <button class="whole" aria-label="Full screen" title="Full screen (F)"><svg width="14" height="14" viewBox="0 0 14 14" fill="none" stroke="currentColor" stroke-width="2" aria-hidden="true"><path d="M1 5V1h4M9 1h4v4M13 9v4H9M5 13H1V9"/></svg></button>
-  <button class="help" aria-label="Keys" title="Keys (?)">?</button>
-</div>
-<dialog aria-label="Keys"><dl></dl><form method="dialog"><button>Close</button></form></dialog>`;
+import { OVERLAYS, Session, checkedOverlay } from "./session.js";
 
 export class DgsPlayer extends HTMLElement {
-  static observedAttributes = ["src", "time", "loop", "background", "quality", "pixel-ratio"];
+  static observedAttributes = ["src", "time", "loop", "background", "quality", "pixel-ratio", "up"];
 
   #root = this.attachShadow({ mode: "open" });
   #engine = null;
-  #panel = null;
+  #panel;
   #load = null;
   #loaded = 0;
+  #damage = "";
   #error = null;
+  // What is wished of every stream, whether or not one has begun: as a session calls it.
+  #wishes = { looping: true, rate: 1, cap: 3, overlay: OVERLAYS[0] };
+  // What is wished of the next stream alone: whether it plays, and from when; null where nobody has said.
+  #next = { playing: null, time: null };
   #view = null;
   #hopeless = false;
   #firstFrameMs = null;
@@ -69,20 +34,16 @@ export class DgsPlayer extends HTMLElement {
 
   constructor() {
     super();
-    this.#root.innerHTML = TEMPLATE;
-    const options = (select, values, labels, chosen) =>
-      this.#part(select).replaceChildren(
-        ...values.map((value, k) => new Option(labels[k], value, value === chosen, value === chosen)),
-      );
-    options(".speed", SPEEDS, SPEEDS.map((speed) => `${speed}×`), 1);
-    options(".quality", [0, 1, 2, 3], QUALITIES, 3);
-    this.#part("dialog dl").innerHTML = KEYS.map(([key, does]) => `<dt><kbd>${key}</kbd></dt><dd>${does}</dd>`).join("");
+    build(this.#root);
+    this.#panel = new NetworkPanel(this.#part(".network"), () => this.#engine);
     this.#bind();
   }
 
   connectedCallback() {
+    // It was only moved within the page.
+    if (this.#engine) return;
+    this.#hopeless = false;
     this.#engine = new Engine(this.#part("canvas.picture"));
-    this.#panel = new NetworkPanel(this.#part(".network"), this.#engine);
     this.#listen();
     const opened = this.#engine.open();
     opened.catch((error) => {
@@ -95,23 +56,35 @@ export class DgsPlayer extends HTMLElement {
   }
 
   disconnectedCallback() {
-    this.#load?.abort();
-    this.#engine?.close();
-    this.#engine = this.#panel = null;
+    queueMicrotask(() => {
+      if (this.isConnected) return;
+      this.#load?.abort();
+      this.#panel.close();
+      this.#engine?.close();
+      this.#engine = null;
+    });
   }
 
   attributeChangedCallback(name, before, now) {
-    if (before === now || !this.#engine) return;
-    if (name === "src" && now !== null) this.#start(now);
+    if (before === now) return;
     if (name === "src" && now === null) this.#load?.abort();
-    if (name === "time") this.currentTime = Number(now);
-    if (name === "loop") this.loop = now !== null && now !== "false";
+    else if (name === "src" && this.#engine) this.#start(now);
+    if (name === "time" && this.session) this.currentTime = Number(now);
+    if (name === "loop") this.loop = now !== "false";
     if (name === "background" && now) this.background = now;
     if (name === "quality" && now) this.quality = Number(now);
-    if (name === "pixel-ratio") {
+    if (name === "up") this.#turnUp(now ?? "y");
+    if (name === "pixel-ratio" && this.#engine) {
       this.#engine.pixelRatio = Number(now) > 0 ? Number(now) : null;
       this.#engine.request();
     }
+  }
+
+  #turnUp(up) {
+    const { session } = this;
+    if (!session || session.up === up) return;
+    if (session.setUp(up)) this.#moved();
+    else this.#fail(new RangeError(`up is "${up}"; y, minus-z and so on are allowed`));
   }
 
   /** Plays a file, a Blob or bytes in place of what is played. */
@@ -128,6 +101,8 @@ export class DgsPlayer extends HTMLElement {
 
   // Ends what is loading for something else.
   #loads() {
+    // What was wished before anything was loaded was wished of this.
+    if (this.#load) this.#next = { playing: null, time: null };
     this.#load?.abort();
     this.#load = new AbortController();
     if (this.#worker) prepare();
@@ -167,17 +142,22 @@ export class DgsPlayer extends HTMLElement {
   async #climb(rungs, sentence) {
     const signal = this.#loads();
     this.#say(sentence);
+    let shown = null;
     const came = () => {
       this.#loaded = this.session?.loaded ?? 0;
+      this.#sayDamage();
       this.#engine?.request();
       this.#emit("progress");
     };
     const began = async (session, name) => {
       if (name !== "file") this.dataset.transport = name;
-      await this.#began(session, came, signal);
+      const view = shown?.view ?? this.#view;
+      await this.#began(session, came, signal, view);
+      shown = session;
     };
     const switched = (name) => (this.dataset.transport = name);
-    const given = { began, came, signal, switched, player: this, worker: this.#worker };
+    const start = () => this.#startTime;
+    const given = { began, came, signal, switched, start, player: this, worker: this.#worker };
     try {
       await load();
       for (;;) {
@@ -191,39 +171,54 @@ export class DgsPlayer extends HTMLElement {
         }
         rungs = rungs.slice(1 + rungs.findIndex((rung) => rung.name === name));
         if (rungs.length === 0) throw failure ?? new Error("The server has ended the session");
-        this.setAttribute("time", this.currentTime);
+        if (shown === this.session) this.#next = { playing: !this.paused, time: this.currentTime };
       }
     } catch (error) {
       if (!signal.aborted) this.#fail(error);
     }
   }
 
-  // Shows a session, unless something else is loaded by now.
-  async #began(session, came, signal) {
-    const time = Number(this.getAttribute("time"));
-    if (time > 0) session.time = time;
+  // When the next stream begins, seconds.
+  get #startTime() {
+    return this.#next.time ?? (Number(this.getAttribute("time")) || 0);
+  }
+
+  // Shows a session from `view`, if there is one, unless something else is loaded by now.
+  async #began(session, came, signal, view = this.#view) {
     try {
       await session.lookAtAll(this.#engine?.aspect ?? 1, this.getAttribute("up") ?? "y");
-    } finally {
-      if (signal.aborted) session.free();
+      if (!signal.aborted && !this.#engine) throw new Error("The player is in no page");
+    } catch (error) {
+      session.free();
+      throw error;
     }
-    if (signal.aborted) return;
-    this.#error = null;
-    this.#say(session.damage ? `Damaged, shown as far as it goes: ${session.damage}` : "");
-    session.looping = this.getAttribute("loop") !== "false";
-    session.rate = Number(this.#part(".speed").value);
-    session.cap = Number(this.getAttribute("quality") ?? 3);
+    if (signal.aborted) return session.free();
+    session.time = this.#startTime;
+    Object.assign(session, this.#wishes);
     this.dataset.decoding = session.decoding;
-    if (this.#view) session.setView(this.#view);
+    if (view) session.setView(view);
+    this.#error = null;
+    this.#damage = "";
+    this.#say("");
     this.#engine.session = session;
-    this.background = this.getAttribute("background") ?? "#000000";
+    this.background = this.background;
     this.#panel.began();
     this.#loaded = session.loaded;
     came();
+    this.#sayDamage();
     this.#emit("loadedmetadata");
     const still = matchMedia("(prefers-reduced-motion: reduce)").matches;
-    if (this.hasAttribute("autoplay") && !still) this.play();
+    if (this.#next.playing ?? (this.hasAttribute("autoplay") && !still)) this.play();
+    this.#next = { playing: null, time: null };
     this.#showState();
+  }
+
+  // More of it may be found as more of a file comes.
+  #sayDamage() {
+    const damage = this.session?.damage ?? "";
+    if (damage === this.#damage) return;
+    this.#damage = damage;
+    this.#say(damage ? `Damaged, shown as far as it goes: ${damage}` : "");
   }
 
   #listen() {
@@ -236,12 +231,11 @@ export class DgsPlayer extends HTMLElement {
     engine.addEventListener("time", () => this.#showTime());
     engine.addEventListener("step", ({ detail }) => {
       if (detail.looped) this.#emit("loop");
-      if (detail.ended) this.#emit("ended");
-      this.#emit(detail.waiting ? "waiting" : "playing");
+      if (detail.turned && !this.paused) this.#emit(detail.waiting ? "waiting" : "playing");
+      if (detail.ended) ["pause", "ended"].forEach((name) => this.#emit(name));
       this.#showState();
     });
-    engine.addEventListener("devicelost", () => this.#emit("devicelost"));
-    engine.addEventListener("devicerestored", () => this.#emit("devicerestored"));
+    for (const name of ["devicelost", "devicerestored"]) engine.addEventListener(name, () => this.#emit(name));
     engine.addEventListener("error", ({ detail }) => this.#fail(detail));
   }
 
@@ -257,6 +251,7 @@ export class DgsPlayer extends HTMLElement {
     on(".net", "click", () => this.toggleNetwork());
     on(".whole", "click", () => this.toggleFullscreen());
     on(".help", "click", () => this.showHelp());
+    on(".network", "toggle", ({ target }) => this.#part(".net").setAttribute("aria-pressed", !target.hidden));
     const canvas = this.#part("canvas.picture");
     bindPointers(canvas, () => this.session, () => this.#moved());
     bindKeys(this, canvas, () => this.#moved());
@@ -289,29 +284,13 @@ export class DgsPlayer extends HTMLElement {
   }
 
   #showTime() {
-    const { session } = this;
-    if (!session) return;
-    const time = this.#part(".time");
-    if (this.#root.activeElement !== time || session.playing) time.value = session.time;
-    time.setAttribute("aria-valuetext", `${session.time.toFixed(1)} of ${session.duration.toFixed(1)} seconds`);
-    this.#part(".clock").textContent = `${session.time.toFixed(1)} / ${session.duration.toFixed(1)}`;
+    if (!this.session) return;
+    showTime(this.#root, this);
     this.#emit("timeupdate");
   }
 
   #showState() {
-    const { session } = this;
-    if (!session) return;
-    const playing = session.playing;
-    const play = this.#part(".play");
-    play.textContent = playing ? "❚❚" : "▶";
-    play.setAttribute("aria-label", playing ? "Pause" : "Play");
-    this.#part(".time").max = session.duration;
-    this.#part(".loop").setAttribute("aria-pressed", session.looping);
-    const paint = this.#part(".paint");
-    paint.setAttribute("aria-pressed", session.overlay !== OVERLAYS[0]);
-    paint.title = `Paint blocks: ${session.overlay} (O)`;
-    this.#part(".quality").value = session.cap;
-    this.#part(".speed").value = session.rate;
+    showState(this.#root, this);
     this.#showTime();
   }
 
@@ -347,11 +326,12 @@ export class DgsPlayer extends HTMLElement {
   }
 
   get currentTime() {
-    return this.session?.time ?? 0;
+    return this.session?.time ?? this.#startTime;
   }
 
   set currentTime(seconds) {
-    if (!this.session || !Number.isFinite(seconds)) return;
+    if (!Number.isFinite(seconds)) return;
+    if (!this.session) return void (this.#next.time = seconds);
     this.session.time = seconds;
     this.#engine.request();
     this.#showTime();
@@ -359,7 +339,7 @@ export class DgsPlayer extends HTMLElement {
   }
 
   get paused() {
-    return !this.session?.playing;
+    return !(this.session?.playing ?? this.#next.playing);
   }
 
   get ended() {
@@ -367,37 +347,38 @@ export class DgsPlayer extends HTMLElement {
   }
 
   get playbackRate() {
-    return this.session?.rate ?? 1;
+    return this.session?.rate ?? this.#wishes.rate;
   }
 
+  /** Seconds of the clip per second, -4 to 4. */
   set playbackRate(rate) {
-    this.#change("ratechange", (session) => (session.rate = rate));
+    if (Number.isFinite(rate)) this.#wish("ratechange", { rate: Math.max(-4, Math.min(4, rate)) });
   }
 
   get loop() {
-    return this.session?.looping ?? true;
+    return this.#wishes.looping;
   }
 
   set loop(loop) {
-    this.#change("loopchange", (session) => (session.looping = loop));
+    this.#wish("loopchange", { looping: Boolean(loop) });
   }
 
   /** Highest level shown, 0 to 3. */
   get quality() {
-    return this.session?.cap ?? 3;
+    return this.#wishes.cap;
   }
 
   set quality(level) {
-    this.#change("levelchange", (session) => (session.cap = Math.max(0, Math.min(3, Math.round(level) || 0))));
+    this.#wish("levelchange", { cap: Math.max(0, Math.min(3, Math.round(level) || 0)) });
   }
 
   /** What blocks are painted by: none, levels (that they are shown at), arrivals (of the last second), coverage. */
   get overlay() {
-    return this.session?.overlay ?? OVERLAYS[0];
+    return this.#wishes.overlay;
   }
 
   set overlay(overlay) {
-    this.#change("levelchange", (session) => (session.overlay = overlay));
+    this.#wish("levelchange", { overlay: checkedOverlay(overlay) });
   }
 
   /** Paints blocks by the next of these. */
@@ -440,13 +421,28 @@ export class DgsPlayer extends HTMLElement {
     this.#emit(event);
   }
 
+  // Of what is played and of whatever comes next.
+  #wish(event, wish) {
+    Object.assign(this.#wishes, wish);
+    if (this.session) return this.#change(event, (session) => Object.assign(session, wish));
+    this.#showState();
+    this.#emit(event);
+  }
+
   play() {
-    this.#change("play", (session) => (session.playing = true));
+    this.#run("play", true);
+    if (this.session && !this.#engine.waiting) this.#emit("playing");
     return Promise.resolve();
   }
 
   pause() {
-    this.#change("pause", (session) => (session.playing = false));
+    this.#run("pause", false);
+  }
+
+  #run(event, playing) {
+    if (this.session) return this.#change(event, (session) => (session.playing = playing));
+    this.#next.playing = playing;
+    this.#showState();
   }
 
   toggle() {
@@ -473,22 +469,24 @@ export class DgsPlayer extends HTMLElement {
 
   /**
    * Sets the network: share lost, mean run, bits per second (0: all at once), seconds of delay, seed; of a server's session
-   * also its scheduler, and whether each round begins anew. The promise is kept once it holds.
+   * also its scheduler, and whether each round begins anew. The promise is kept once it holds; without a session at once:
+   * it then holds from the beginning of the next.
    */
   async impair(conditions) {
-    let set;
-    this.#change("levelchange", () => (set = this.#panel.set(conditions)));
+    const set = this.#panel.set(conditions);
+    this.#change("levelchange", () => {});
     await set;
   }
 
   toggleNetwork() {
-    const shown = this.#panel?.toggle() ?? false;
-    this.#part(".net").setAttribute("aria-pressed", shown);
+    this.#panel.toggle();
   }
 
   toggleFullscreen() {
+    const refused = () => this.#say("This browser shows no part of a page full screen.");
     if (document.fullscreenElement) document.exitFullscreen();
-    else this.requestFullscreen?.().catch(() => this.#say("This browser shows no part of a page full screen."));
+    else if (this.requestFullscreen) this.requestFullscreen().catch(refused);
+    else refused();
   }
 
   showHelp() {

@@ -21,7 +21,8 @@ const SMALLEST_SCALE = 0.5;
 const MOST_PENDING = 2;
 
 /**
- * Events: `firstframe`, `frame`, `time` (the clock has moved), `step` (detail: looped, ended, waiting), `devicelost`, `devicerestored`, `error`.
+ * Events: `firstframe`, `frame`, `time` (the clock has moved), `step` (detail: looped, ended, waiting, whether that has
+ * turned), `devicelost`, `devicerestored`, `error`.
  */
 export class Engine extends EventTarget {
   #canvas;
@@ -51,10 +52,11 @@ export class Engine extends EventTarget {
     this.#watch = setInterval(() => this.#look(), WATCH_MS);
   }
 
-  /** The session that is shown; it becomes this engine's, which frees the one before. */
+  /** The session that is shown; it becomes this engine's, which frees the one before. Null shows the last picture on. */
   set session(session) {
     this.#session?.free();
     this.#session = session;
+    if (!session) return;
     session.answered = () => this.request();
     session.failed = (error) => this.dispatchEvent(new CustomEvent("error", { detail: error }));
     this.#shown = false;
@@ -65,6 +67,11 @@ export class Engine extends EventTarget {
 
   get session() {
     return this.#session;
+  }
+
+  /** Whether the clock waits for a base level. */
+  get waiting() {
+    return this.#waiting;
   }
 
   /** Frames that were drawn and that a device has finished. */
@@ -160,7 +167,7 @@ export class Engine extends EventTarget {
     const turned = waiting !== this.#waiting;
     this.#waiting = waiting;
     if ((step & 3) !== 0 || turned) {
-      const detail = { looped: (step & 1) !== 0, ended: (step & 2) !== 0, waiting };
+      const detail = { looped: (step & 1) !== 0, ended: (step & 2) !== 0, turned, waiting };
       this.dispatchEvent(new CustomEvent("step", { detail }));
     }
   }

@@ -7,6 +7,25 @@ const ZOOM = 1.15;
 // The bar goes so long after the last move, while the clip plays, milliseconds.
 const IDLE_MS = 3000;
 
+/** Every key, and what it does. */
+export const KEYS = [
+  ["Space", "play or pause"],
+  [", .", "one frame back or on"],
+  ["Home End", "to the start or the end"],
+  ["drag, arrows", "turn around the scene"],
+  ["right drag, two fingers, Shift + arrows", "pan"],
+  ["wheel, pinch, + −", "nearer or farther"],
+  ["W A S D Q E", "fly"],
+  ["0", "first view"],
+  ["U", "another way up"],
+  ["1 2 3 4", "highest level shown"],
+  ["O", "paint blocks by level, by what just came, by coverage"],
+  ["N", "network"],
+  ["L", "loop"],
+  ["F", "full screen"],
+  ["?", "these keys"],
+];
+
 /** Drags turn, right drags and two fingers pan, wheel and pinch zoom. */
 export function bindPointers(canvas, session, moved) {
   const down = new Map();
@@ -101,6 +120,7 @@ export function bindKeys(player, canvas, moved) {
     if (event.ctrlKey || event.metaKey || event.altKey || !player.session) return;
     // A control that has the focus keeps its own keys; a button is pressed by the space bar.
     const focus = event.composedPath()[0];
+    if (focus.closest?.("dialog") && event.key !== "?") return;
     const own = ["INPUT", "SELECT"].includes(focus.tagName) && event.key !== "?";
     if (own || (focus.tagName === "BUTTON" && event.key === " ")) return;
     const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;

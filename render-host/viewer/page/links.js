@@ -20,16 +20,19 @@ export function hasWebTransport(stream) {
   return "WebTransport" in globalThis && Boolean(stream.web_address);
 }
 
-/** A link over WebTransport to the server of `stream`, known by its pin; without datagrams from the start if `streams`. */
+/**
+ * A link over WebTransport to the server of `stream`, known by its pin, or, as browsers take a pin for certificates of two
+ * weeks alone, by who signed it; without datagrams from the start if `streams`.
+ */
 export async function openWebTransport(stream, signal, streams = false) {
   const digits = await (await fetch("certificate.sha256", { signal })).text();
   const value = Uint8Array.from(digits.trim().match(/../g) ?? [], (pair) => parseInt(pair, 16));
-  const serverCertificateHashes = [{ algorithm: "sha-256", value }];
-  const transport = new WebTransport(stream.web_address, { serverCertificateHashes });
-  transport.closed.catch(() => {});
+  const pinned = { serverCertificateHashes: [{ algorithm: "sha-256", value }] };
+  const transport = await readyTransport(stream.web_address, pinned, signal).catch((error) => {
+    if (signal.aborted) throw error;
+    return readyTransport(stream.web_address, {}, signal);
+  });
   const close = () => transport.close();
-  signal.addEventListener("abort", close);
-  await transport.ready;
   const { datagrams } = transport;
   // By default one packet waits.
   datagrams.incomingHighWaterMark = WAITING_PACKETS;
@@ -64,6 +67,14 @@ export async function openWebTransport(stream, signal, streams = false) {
     },
     close,
   };
+}
+
+async function readyTransport(address, options, signal) {
+  const transport = new WebTransport(address, options);
+  transport.closed.catch(() => {});
+  signal.addEventListener("abort", () => transport.close());
+  await transport.ready;
+  return transport;
 }
 
 // Gives everything that comes from `stream` to `take`.

@@ -13,6 +13,8 @@ const RECEIPT_EVERY = 2;
 const RECEIPT_INTERVAL_MS = 100;
 // Seeks are this far apart at least, milliseconds: a server takes five a second.
 const SEEK_INTERVAL_MS = 250;
+// A clip shorter than this, seconds, that repeats is not sent again.
+const SHORTEST_ROUND_S = 1;
 // Without any media for this long after the manifest, it is wished for in streams, milliseconds.
 const NO_DATAGRAMS_MS = 1000;
 
@@ -20,7 +22,7 @@ const NO_DATAGRAMS_MS = 1000;
  * Receives `stream` (of `/streams.json`) on the link that `open` opens; `began(session)` once its manifest is there,
  * `switched("streams")` once media is wished for in streams because no datagrams pass.
  */
-export async function receive(stream, open, { began, came, player, signal, switched, worker }) {
+export async function receive(stream, open, { began, came, player, signal, start, switched, worker }) {
   let link = null;
   const patience = new AbortController();
   const end = () => patience.abort();
@@ -30,13 +32,15 @@ export async function receive(stream, open, { began, came, player, signal, switc
     link = await open(patience.signal);
     const messages = new Messages(link.control);
     const rounds = new Rounds(link, messages, player);
-    await link.write(hello(stream.name, player.currentTime));
+    await link.write(hello(stream.name, start()));
     if (link.inStreams) await link.useStreams();
     const { kind, body } = await messages.next();
     clearTimeout(late);
     if (kind === REFUSAL) throw refused(body);
     if (kind !== MANIFEST) throw new Error(`The server sends a message of kind ${kind} in place of a manifest`);
     const session = await Session.receive(body, { worker });
+    // From its first moment on: what is wished before is asked of the server, too.
+    rounds.serve(session);
     await began(session);
     if (player.session === session) await rounds.receive(session, came, signal, switched);
   } finally {
@@ -73,17 +77,26 @@ class Rounds {
     this.#player = player;
   }
 
+  /** Takes wishes for other conditions. */
+  serve(session) {
+    session.server = (conditions) => this.#ask(session, conditions);
+  }
+
   async receive(session, came, signal, switched) {
     const player = this.#player;
-    this.#start = await session.roundStart(player.currentTime);
+    const start = await session.roundStart(player.currentTime);
+    // A wish may have begun another round meanwhile.
+    if (this.#round === 0) this.#start = start;
     const say = () => this.#receipt(session).catch(() => {});
     const timer = setInterval(say, RECEIPT_INTERVAL_MS);
-    const seek = () => this.#seekSoon(session);
+    const seek = ({ type }) => {
+      // A short clip is there: the server need not begin again several times a second.
+      if (type !== "loop" || session.duration >= SHORTEST_ROUND_S) this.#seekSoon(session);
+    };
     const link = this.#link;
     const quiet = () => link.useStreams().then(() => switched("streams"), () => {});
     const waiting = link.inStreams === false ? setTimeout(quiet, NO_DATAGRAMS_MS) : 0;
     for (const event of ["loop", "seeked", "play"]) player.addEventListener(event, seek);
-    session.server = (conditions) => this.#ask(session, conditions);
     // What ends the control stream ends the session, too.
     this.#listen(session).catch(() => {});
     try {

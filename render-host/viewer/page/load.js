@@ -3,13 +3,22 @@
 import init from "./dgs_viewer.js";
 
 let loading;
+let from = new URL("./dgs_viewer_bg.wasm", import.meta.url);
 
 /** Loads the WebAssembly once for all players of a page; `url` where it does not lie beside this file. */
 export function load(url) {
-  loading ??= compile(url ?? new URL("./dgs_viewer_bg.wasm", import.meta.url)).then(async (module) => {
-    await init({ module_or_path: module });
-    return module;
-  });
+  from = url ?? from;
+  loading ??= compile(from).then(
+    async (module) => {
+      await init({ module_or_path: module });
+      return module;
+    },
+    (error) => {
+      // Whoever asks next tries again.
+      loading = undefined;
+      throw error;
+    },
+  );
   return loading;
 }
 

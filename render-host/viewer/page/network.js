@@ -36,9 +36,11 @@ export class NetworkPanel {
   #until = null;
   #timer = 0;
   #colours = null;
-  // Whether anything is asked for.
+  // What is asked for, and whether that is anything.
+  #conditions = null;
   #isSet = false;
 
+  /** `engine()` is the engine of the player, or null. */
   constructor(root, engine) {
     this.#root = root;
     this.#engine = engine;
@@ -56,19 +58,28 @@ export class NetworkPanel {
     this.#root.querySelector(`.${name} + output`).textContent = text;
   }
 
-  /** Shows or hides; true when it is shown. */
+  get #session() {
+    return this.#engine()?.session ?? null;
+  }
+
+  /** Shows or hides; its part says so by an event `toggle`. */
   toggle() {
     this.#root.hidden = !this.#root.hidden;
     clearInterval(this.#timer);
     if (!this.#root.hidden) this.#timer = setInterval(() => this.#sample(), SAMPLE_MS);
-    return !this.#root.hidden;
+    this.#root.dispatchEvent(new Event("toggle"));
+  }
+
+  /** Hides. */
+  close() {
+    if (!this.#root.hidden) this.toggle();
   }
 
   /** Another stream begins under the conditions that are set. */
   began() {
     [this.#history, this.#bits, this.#until] = [[], [], null];
     this.#control("where").textContent = "";
-    if (this.#isSet) this.#ask();
+    if (this.#isSet) this.#apply(this.#conditions);
   }
 
   /**
@@ -98,6 +109,7 @@ export class NetworkPanel {
   }
 
   async #apply(conditions) {
+    this.#conditions = conditions;
     const { loss, burst, rate, delay, seed, scheduler } = conditions;
     this.#say("loss", `${Math.round(100 * loss)} %`);
     this.#say("burst", burst === 1 ? "1 packet" : `${burst} packets`);
@@ -107,17 +119,17 @@ export class NetworkPanel {
     this.#isSet = loss > 0 || rate > 0 || delay > 0 || scheduler !== "";
     // Without any of them, a clip that repeats keeps what it has.
     const anew = conditions.anew && this.#isSet;
-    const asked = this.#engine.session?.setConditions({ ...conditions, anew });
-    this.#engine.request();
+    const asked = this.#session?.setConditions({ ...conditions, anew });
+    this.#engine()?.request();
     const granted = await asked;
     if (!granted) return;
     this.#control("where").textContent = this.#isSet ? WHERE[Number(granted.link)] : "";
-    this.#engine.request();
+    this.#engine()?.request();
     this.#sample();
   }
 
   #sample() {
-    const session = this.#engine.session;
+    const session = this.#session;
     if (!session || this.#root.hidden) return;
     const levels = session.levels();
     const blocks = Math.max(1, levels.reduce((sum, count) => sum + count, 0));

@@ -12,6 +12,12 @@ const MOST_ROUNDS = 8;
 // What blocks can be painted by, in the decoder's order.
 export const OVERLAYS = ["none", "levels", "arrivals", "coverage"];
 
+/** `overlay`, if it is one. */
+export function checkedOverlay(overlay) {
+  if (OVERLAYS.includes(overlay)) return overlay;
+  throw new RangeError(`overlay: ${overlay}; ${OVERLAYS.join(", ")} are allowed`);
+}
+
 // A network that does nothing.
 const PERFECT = { loss: 0, burst: 1, rate: 0, delay: 0, seed: 1 };
 
@@ -21,6 +27,7 @@ export class Session extends Controls {
   #cap = LEVELS - 1;
   #overlay = OVERLAYS[0];
   #loaded;
+  #damage;
   // What the decoder said last, besides pictures.
   #state;
   // Counts what changes pictures besides frame, cap and overlay.
@@ -77,7 +84,7 @@ export class Session extends Controls {
     super(facts.frames, facts.rate);
     this.#decoding = decoding;
     this.#facts = facts;
-    this.#loaded = facts.loaded;
+    this.#take(facts);
     this.#state = facts.state;
   }
 
@@ -92,9 +99,9 @@ export class Session extends Controls {
     return [frames, rate, gaussians, packets];
   }
 
-  /** What of the file could not be used; empty for a whole one. */
+  /** What of the file, as far as it is there, could not be used; empty for a whole one. */
   get damage() {
-    return this.#facts.damage;
+    return this.#damage;
   }
 
   /** Share of the file that is there. */
@@ -117,8 +124,7 @@ export class Session extends Controls {
   }
 
   set overlay(overlay) {
-    if (!OVERLAYS.includes(overlay)) throw new RangeError(`overlay: ${overlay}; ${OVERLAYS.join(", ")} are allowed`);
-    this.#overlay = overlay;
+    this.#overlay = checkedOverlay(overlay);
   }
 
   /** Whether packets are on their way through the emulated network. */
@@ -204,13 +210,17 @@ export class Session extends Controls {
   /** Takes bytes of the file from offset `at` on; they are given away. */
   async take(at, bytes) {
     this.#changes += 1;
-    this.#loaded = await this.#decoding.ask("take", { at, bytes }, [bytes.buffer]);
+    this.#take(await this.#decoding.ask("take", { at, bytes }, [bytes.buffer]));
   }
 
   /** Takes the whole file after all; its bytes are given away. */
   async takeWhole(bytes) {
     this.#changes += 1;
-    this.#loaded = await this.#decoding.ask("takeWhole", bytes, [bytes.buffer]);
+    this.#take(await this.#decoding.ask("takeWhole", bytes, [bytes.buffer]));
+  }
+
+  #take({ loaded, damage }) {
+    [this.#loaded, this.#damage] = [loaded, damage];
   }
 
   /** A receipt for the server: its number, and when the first frame of the round was shown, microseconds. */
@@ -285,7 +295,7 @@ export class Session extends Controls {
     this.#buffer = null;
     if (wished) this.#anew = false;
     this.#pending = this.#decoding.ask("show", { ...given, anew, wished, buffer }, buffer ? [buffer] : []).then(
-      ({ picture, state }) => this.#take(wish, wished, picture, state),
+      ({ picture, state }) => this.#hear(wish, wished, picture, state),
       (error) => {
         this.#pending = null;
         this.#fail(error);
@@ -293,7 +303,7 @@ export class Session extends Controls {
     );
   }
 
-  #take(wish, wished, picture, state) {
+  #hear(wish, wished, picture, state) {
     this.#pending = null;
     if (this.#freed) return;
     this.#state = state;

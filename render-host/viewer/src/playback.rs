@@ -128,7 +128,8 @@ impl Playback {
                 return Step { ended: true, ..Step::default() };
             }
             to = to.rem_euclid(duration);
-            looped = true;
+            // Nothing of a still picture begins again.
+            looped = self.frames > 1;
         }
         let is_ready = patience_s == 0.0 || ready(self.frame_at(to));
         if !is_ready && self.waited_s < patience_s {
@@ -181,6 +182,10 @@ mod tests {
         assert_eq!((playback.playing(), playback.frame()), (false, 29));
         playback.set_playing(true);
         assert_eq!(playback.frame(), 0, "an ended clip begins again");
+        let mut still = Playback::new(1, 10.0);
+        still.set_playing(true);
+        assert_eq!(still.advance(0.3, 0.0, |_| true), Step::default());
+        assert!(still.playing());
     }
 
     #[test]

@@ -2,8 +2,9 @@
 //!
 //! Sans-I/O: it says which bytes to ask a server for next and takes what came. Packets lie in a file epoch by
 //! epoch, in an epoch first those of the base level, then the others by utility per byte; where an epoch's
-//! base and refinements begin is found by looking at heads of packets half-way between known ones. A file in
-//! another order still comes whole, only not base first.
+//! base and refinements begin is found by looking at heads of packets half-way between known ones, until so
+//! little lies between that it is fetched at once. A file in another order still comes whole, only not base
+//! first.
 
 use std::ops::Range;
 
@@ -27,6 +28,9 @@ const HEAD_BYTES: u64 = 32;
 /// Most bytes asked for at once: of base levels, so that a picture comes soon, and of refinements.
 const BASE_BYTES: u64 = 64 << 10;
 const REFINEMENT_BYTES: u64 = 256 << 10;
+/// What lies between two known packets is fetched without looking further if it is no more than this: about
+/// what a slow link carries in the time of the requests that are saved.
+const GAP_BYTES: u64 = 32 << 10;
 /// Bytes of a magic and a length before the manifest.
 const FRONT_BYTES: u64 = 8;
 
@@ -104,10 +108,7 @@ impl RangePlan {
         let refinements = (0..PARTS).flat_map(|part| epochs().map(move |e| (e, Some(part))));
         for (e, part) in bases.chain(refinements) {
             match self.bounds(e, part) {
-                Err(probe) => {
-                    let at = self.offsets[probe];
-                    return Wanted::Range(at..(at + HEAD_BYTES).min(self.offsets[probe + 1]));
-                }
+                Err(gap) => return Wanted::Range(self.look_into(gap)),
                 Ok(packets) => {
                     let most = if part.is_none() { BASE_BYTES } else { REFINEMENT_BYTES };
                     if let Some(range) = self.unfetched(packets, most) {
@@ -198,9 +199,22 @@ impl RangePlan {
         self.places = vec![None; self.offsets.len() - 1];
     }
 
-    /// The packets of the base of epoch `e`, or of a part of its refinements; or a packet whose head to look
-    /// at.
-    fn bounds(&self, e: u16, part: Option<usize>) -> std::result::Result<Range<usize>, usize> {
+    /// What to ask for to learn more of the packets `gap`, of which nothing is known: all of them, or the head
+    /// of the middle one. Of epochs that are small, more comes at once: there is little to put off.
+    fn look_into(&self, gap: Range<usize>) -> Range<u64> {
+        let all = self.offsets[gap.start]..self.offsets[gap.end];
+        let is_small = self.len / u64::from(self.epochs.max(1)) < BASE_BYTES;
+        if all.end - all.start <= if is_small { REFINEMENT_BYTES } else { GAP_BYTES } {
+            return all;
+        }
+        let middle = middle(&gap);
+        let at = self.offsets[middle];
+        at..(at + HEAD_BYTES).min(self.offsets[middle + 1])
+    }
+
+    /// The packets of the base of epoch `e`, or of a part of its refinements; or those among which the border
+    /// is to be found.
+    fn bounds(&self, e: u16, part: Option<usize>) -> std::result::Result<Range<usize>, Range<usize>> {
         let Some(part) = part else {
             return Ok(self.first_of((e, false))?..self.known_end((e, false)));
         };
@@ -225,8 +239,8 @@ impl RangePlan {
         self.places[known].unwrap_or(LAST)
     }
 
-    /// The first packet at or past `place`; or a packet whose head to look at.
-    fn first_of(&self, place: Place) -> std::result::Result<usize, usize> {
+    /// The first packet at or past `place`; or those of which nothing is known that it is among, or after.
+    fn first_of(&self, place: Place) -> std::result::Result<usize, Range<usize>> {
         if place == (0, false) {
             return Ok(0);
         }
@@ -240,7 +254,7 @@ impl RangePlan {
             (low, self.known.iter().copied().find(|&known| known >= low))
         };
         let high = high.unwrap_or(self.places.len());
-        if low == high { Ok(low) } else { Err(low + (high - low) / 2) }
+        if low == high { Ok(low) } else { Err(low..high) }
     }
 
     /// The first packet that is known to be past `place`.
@@ -261,6 +275,11 @@ impl RangePlan {
         let last = (first..packets.end).take_while(fits).last().unwrap_or(first);
         Some(at..self.offsets[last + 1])
     }
+}
+
+/// The packet half-way through `gap`.
+fn middle(gap: &Range<usize>) -> usize {
+    gap.start + (gap.end - gap.start) / 2
 }
 
 /// Whose the packet is whose first bytes are `content`.
@@ -397,7 +416,7 @@ mod tests {
             let found = loop {
                 match plan.first_of(place) {
                     Ok(found) => break found,
-                    Err(probe) => plan.learn(probe, truth[probe]),
+                    Err(gap) => plan.learn(middle(&gap), truth[middle(&gap)]),
                 }
                 steps += 1;
             };

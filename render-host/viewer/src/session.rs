@@ -6,7 +6,7 @@ mod quality;
 use std::ops::Range;
 
 use codec_core::{internals::ids::Span, player::MAX_RECEIPT_BYTES};
-use dgs_player::{Caps, Damage, FrameDecoder, Player, Result, Stream, Usable};
+use dgs_player::{Caps, Damage, ErrorKind, FrameDecoder, Player, Result, Stream, Usable};
 use render_host::Splats;
 
 use self::{
@@ -135,11 +135,18 @@ impl Session {
     ///
     /// # Errors
     /// Its manifest is unreadable.
-    pub fn take_whole(&mut self, file: &[u8]) -> Result<()> {
-        let (stream, _) = Stream::from_bytes(file)?;
+    pub fn take_whole(&mut self, file: &[u8]) -> Result<Damage> {
+        let (stream, damage) = Stream::from_bytes(file)?;
         self.plan = None;
         self.push_all(stream.packets().iter().filter(|packet| !packet.is_empty()).cloned());
-        Ok(())
+        Ok(damage)
+    }
+
+    /// Packets of the file that came by pieces and were refused.
+    pub fn damaged_packets(&self) -> u32 {
+        let refused = self.player.counters().refused;
+        let damaged = refused.iter().sum::<u32>() - refused[ErrorKind::Duplicate.index()];
+        if self.plan.is_some() { damaged } else { 0 }
     }
 
     /// Share of the file that is there, 0 to 1.

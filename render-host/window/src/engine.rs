@@ -4,6 +4,7 @@
 mod tests;
 
 use codec_core::internals::wire::receipt::ViewerPose;
+use dgs_player::Damage;
 use dgs_viewer::{Conditions, Drawn, Look, Screen, Session, Wanted, message};
 
 use crate::{
@@ -265,14 +266,21 @@ impl Engine {
         Ok(())
     }
 
+    fn complain_of(&mut self, damage: &Damage) {
+        if !damage.is_none() {
+            self.complaints.push(format!("{}: {damage}", self.options.name));
+        }
+    }
+
     fn take(&mut self, arrival: Arrival, size: [u32; 2]) -> Result<(), WindowError> {
         match (arrival, &mut self.session) {
-            (Arrival::File(bytes), Some(session)) => session.take_whole(&bytes)?,
+            (Arrival::File(bytes), Some(session)) => {
+                let damage = session.take_whole(&bytes)?;
+                self.complain_of(&damage);
+            }
             (Arrival::File(bytes), None) => {
                 let (session, damage) = Session::open(&bytes)?;
-                if !damage.is_none() {
-                    self.complaints.push(format!("{}: {damage}", self.options.name));
-                }
+                self.complain_of(&damage);
                 self.begin(session, size)?;
             }
             (Arrival::Front { bytes, length }, _) => {

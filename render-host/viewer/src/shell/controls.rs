@@ -133,6 +133,16 @@ impl Controls {
         self.orbit.up().name().to_owned()
     }
 
+    /// Takes the way up of this name; false for what is none.
+    #[wasm_bindgen(js_name = setUp)]
+    pub fn set_up(&mut self, up: &str) -> bool {
+        let up = Up::named(up);
+        if let Some(up) = up {
+            self.orbit = self.orbit.with_up(up);
+        }
+        up.is_some()
+    }
+
     /// Takes the next way up, and its name.
     #[wasm_bindgen(js_name = nextUp)]
     pub fn next_up(&mut self) -> String {

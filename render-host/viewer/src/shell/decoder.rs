@@ -123,7 +123,8 @@ impl Decoder {
     /// Takes the whole file after all.
     #[wasm_bindgen(js_name = takeWhole)]
     pub fn take_whole(&mut self, file: &[u8]) -> Result<(), JsError> {
-        Ok(self.session.take_whole(file)?)
+        self.damage = self.session.take_whole(file)?.to_string();
+        Ok(())
     }
 
     /// Share of the file that is there.
@@ -132,10 +133,14 @@ impl Decoder {
         self.session.loaded()
     }
 
-    /// What of the file could not be used; empty for a whole one.
+    /// What of the file, as far as it is there, could not be used; empty for a whole one.
     #[wasm_bindgen(getter)]
     pub fn damage(&self) -> String {
-        self.damage.clone()
+        match self.session.damaged_packets() {
+            0 => self.damage.clone(),
+            1 => "1 packet is damaged".to_owned(),
+            count => format!("{count} packets are damaged"),
+        }
     }
 
     /// The number of the footprint that Gaussians are drawn with.

@@ -1,0 +1,62 @@
+// The bar shows how a player stands, and lets a person change that; it is built here, with everything around it.
+
+import { KEYS } from "./input.js";
+import { OVERLAYS } from "./session.js";
+import { STYLE } from "./style.js";
+
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
+const QUALITIES = ["base", "level 1", "level 2", "all levels"];
+const TEMPLATE = `
+<style>${STYLE}</style>
+<canvas class="picture" part="picture" tabindex="0" role="img" aria-label="Moving scene; press ? for keys"></canvas>
+<p class="message" role="status" aria-live="polite"></p>
+<section class="network" aria-label="Network" hidden></section>
+<div class="bar" part="controls" role="group" aria-label="Player">
+  <button class="play" aria-label="Play" title="Play (Space)">▶</button>
+  <input class="time" type="range" min="0" max="1" step="any" value="0" aria-label="Time">
+  <span class="clock" aria-hidden="true">0.0 / 0.0</span>
+  <select class="speed" aria-label="Speed" title="Speed"></select>
+  <button class="loop" aria-label="Loop" title="Loop (L)" aria-pressed="true">↻</button>
+  <select class="quality" aria-label="Highest level shown" title="Highest level shown (1 to 4)"></select>
+  <input class="background wide" type="color" value="#000000" aria-label="Background" title="Background">
+  <button class="paint" aria-label="Paint blocks" title="Paint blocks: none (O)" aria-pressed="false">◩</button>
+  <button class="net" aria-label="Network" title="Network (N)" aria-pressed="false">⇅</button>
+  <button class="whole" aria-label="Full screen" title="Full screen (F)"><svg width="14" height="14" viewBox="0 0 14 14" fill="none" stroke="currentColor" stroke-width="2" aria-hidden="true"><path d="M1 5V1h4M9 1h4v4M13 9v4H9M5 13H1V9"/></svg></button>
+  <button class="help" aria-label="Keys" title="Keys (?)">?</button>
+</div>
+<dialog aria-label="Keys"><dl></dl><form method="dialog"><button>Close</button></form></dialog>`;
+
+/** Puts the parts of a player into its shadow tree. */
+export function build(root) {
+  root.innerHTML = TEMPLATE;
+  const options = (select, values, labels, chosen) =>
+    root
+      .querySelector(select)
+      .replaceChildren(...values.map((value, k) => new Option(labels[k], value, value === chosen, value === chosen)));
+  options(".speed", SPEEDS, SPEEDS.map((speed) => `${speed}×`), 1);
+  options(".quality", [0, 1, 2, 3], QUALITIES, 3);
+  const rows = KEYS.map(([key, does]) => `<dt><kbd>${key}</kbd></dt><dd>${does}</dd>`);
+  root.querySelector("dialog dl").innerHTML = rows.join("");
+}
+
+/** Shows where the clock of `player` is. */
+export function showTime(root, { currentTime, duration, paused }) {
+  const time = root.querySelector(".time");
+  if (root.activeElement !== time || !paused) time.value = currentTime;
+  time.setAttribute("aria-valuetext", `${currentTime.toFixed(1)} of ${duration.toFixed(1)} seconds`);
+  root.querySelector(".clock").textContent = `${currentTime.toFixed(1)} / ${duration.toFixed(1)}`;
+}
+
+/** Shows everything else of `player`. */
+export function showState(root, player) {
+  const { duration, loop, overlay, paused, playbackRate, quality } = player;
+  const part = (name) => root.querySelector(`.${name}`);
+  part("play").textContent = paused ? "▶" : "❚❚";
+  part("play").setAttribute("aria-label", paused ? "Play" : "Pause");
+  part("time").max = Number.isFinite(duration) ? duration : 1;
+  part("loop").setAttribute("aria-pressed", loop);
+  part("paint").setAttribute("aria-pressed", overlay !== OVERLAYS[0]);
+  part("paint").title = `Paint blocks: ${overlay} (O)`;
+  part("quality").value = quality;
+  part("speed").value = playbackRate;
+}

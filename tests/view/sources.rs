@@ -1,0 +1,63 @@
+//! A file comes from every kind of server: with byte ranges, without, with faults.
+
+use super::{PATIENCE_S, Page, served};
+
+/// Makes a server of another `kind` of this page's server, by what its scripts see of it.
+const SERVERS: &str = "const real = globalThis.fetch; globalThis.kind = ''; globalThis.requests = 0;\
+    globalThis.fetch = async (url, options) => {\
+        if (!/large/.test(String(url))) return real(url, options);\
+        requests += 1;\
+        const range = options?.headers?.Range;\
+        if (kind === 'refuses ranges' && range) throw new TypeError('refused');\
+        const answer = await real(url, options);\
+        if (answer.status !== 206) return answer;\
+        const bytes = new Uint8Array(await answer.arrayBuffer());\
+        const headers = { 'Content-Range': answer.headers.get('Content-Range') };\
+        const from = Number(/=(\\d+)/.exec(range)[1]);\
+        if (kind === 'damages' && from <= 60000 && from + bytes.length > 60000) bytes[60000 - from] ^= 1;\
+        if (kind === 'hides lengths') return new Response(bytes, { status: 206 });\
+        if (kind === 'cuts one short' && requests === 4) {\
+            const cut = new ReadableStream({ pull: (to) => to.error(new TypeError('cut')) });\
+            return new Response(cut, { status: 206, headers });\
+        }\
+        const length = kind === 'sends less' && bytes.length > 4000 ? bytes.length >> 1 : bytes.length;\
+        return new Response(bytes.subarray(0, length), { status: 206, headers });\
+    };";
+
+#[test]
+fn a_file_comes_from_servers_of_every_kind() {
+    let Some(mut page) = Page::blank() else { return };
+    page.browser.before_pages(SERVERS).unwrap();
+    let url = format!("{}?src=streams/large.dgs&paused&pixel-ratio=0.25", page.served.url());
+    page.browser.go(&url).unwrap();
+    page.browser
+        .wait(PATIENCE_S, "!!(globalThis.player = document.querySelector('dgs-player'))?.session")
+        .unwrap();
+    let packets = served::stream(served::LARGE).packets().len();
+    let came = "player.buffered === 1 && player.session !== old && player.session.settled";
+    for (kind, transport, damage) in [
+        ("hides lengths", "whole", ""),
+        ("cuts one short", "ranges", ""),
+        ("sends less", "ranges", ""),
+        ("refuses ranges", "whole", ""),
+        ("damages", "ranges", "1 packet is damaged"),
+        ("", "ranges", ""),
+    ] {
+        page.run(&format!(
+            "globalThis.old = player.session; [kind, requests] = ['{kind}', 0]; player.dataset.transport = '';\
+             player.src = null; player.src = 'streams/large.dgs', 0"
+        ));
+        page.browser
+            .wait(PATIENCE_S, &format!("player.dataset.transport === '{transport}' && {came}"))
+            .unwrap();
+        assert_eq!(page.run("player.session.damage"), damage, "{kind}");
+        let said = "player.shadowRoot.querySelector('.message').textContent";
+        let expected =
+            if damage.is_empty() { "" } else { "Damaged, shown as far as it goes: 1 packet is damaged" };
+        assert_eq!(page.run(said), expected, "{kind}");
+        let decoded = page.number("player.session.packets()[1]");
+        assert_eq!(decoded as usize, packets - usize::from(!damage.is_empty()), "{kind}");
+        eprintln!("{kind}: {} requests", page.number("requests"));
+    }
+    page.close();
+}

@@ -1,0 +1,60 @@
+//! What is wished of a player holds, whenever it is wished, whatever becomes of the element.
+
+use super::{PATIENCE_S, Page, SIDE};
+
+#[test]
+fn what_is_wished_before_a_stream_begins_holds_from_its_beginning() {
+    let Some(mut page) = Page::open("src=streams/small.dgs&paused&pixel-ratio=0.25", SIDE / 4) else {
+        return;
+    };
+    let state =
+        "[player.loop, player.playbackRate, player.quality, player.overlay, player.background].join()";
+    assert_eq!(page.run(state), "true,1,3,none,#000000");
+    // A new player, of which nothing has begun.
+    page.run(
+        "player.remove(); globalThis.heard = []; globalThis.player = document.createElement('dgs-player');\
+         for (const name of ['loadedmetadata', 'play', 'playing', 'pause', 'ended'])\
+             player.addEventListener(name, () => heard.push(name));\
+         player.setAttribute('pixel-ratio', '0.25'); player.style.cssText = 'width:256px;height:256px';\
+         document.body.append(player); player.src = 'streams/small.dgs'; player.play();\
+         [player.loop, player.playbackRate, player.quality] = [false, 1.5, 1];\
+         [player.overlay, player.background, player.currentTime] = ['levels', '#102030', 0.4];\
+         player.impair({ loss: 0.3, seed: 5 }), 0",
+    );
+    page.browser.wait(PATIENCE_S, "heard.includes('ended')").unwrap();
+    assert_eq!(page.run(state), "false,1.5,1,levels,#102030");
+    assert_eq!(
+        page.run("[player.session.rate, player.session.cap, player.session.looping].join()"),
+        "1.5,1,false"
+    );
+    assert_eq!(page.run("[...new Set(heard)].join()"), "loadedmetadata,play,playing,pause,ended");
+    let lost = "player.session.packets()[0] > player.session.packets()[1]";
+    assert_eq!(page.run(lost), true, "the network is there from the beginning");
+    // Of the next stream, too, but whether it plays and from when; and no wish is none.
+    page.run(
+        "globalThis.old = player.session; player.playbackRate = NaN; player.src = 'streams/large.dgs', 0",
+    );
+    page.browser.wait(PATIENCE_S, "player.session !== old && heard.at(-1) === 'loadedmetadata'").unwrap();
+    assert_eq!(page.run(state), "false,1.5,1,levels,#102030");
+    assert_eq!(page.run("player.paused && player.currentTime === 0 && player.session.rate === 1.5"), true);
+    // Moved within the page it plays on; an attribute that goes is as if it had never been there.
+    page.run("globalThis.old = player.session; document.body.prepend(player), 0");
+    assert_eq!(page.run("player.session === old"), true);
+    page.run("player.setAttribute('loop', 'false'); player.removeAttribute('loop'), 0");
+    assert_eq!(page.run("player.loop && player.session.looping"), true);
+    page.run("player.setAttribute('up', 'minus-z'), 0");
+    assert_eq!(page.run("player.session.up"), "minus-z");
+    // Keys of the open help are its own.
+    page.run("globalThis.view = String(player.view); player.showHelp(), 0");
+    page.browser.press("ArrowDown").unwrap();
+    assert_eq!(page.run("view === String(player.view)"), true);
+    page.run("player.showHelp(); player.shadowRoot.querySelector('canvas').focus(), 0");
+    page.browser.press("ArrowDown").unwrap();
+    assert_eq!(page.run("view === String(player.view)"), false);
+    // Elsewhere than in a page there is nothing to play on.
+    page.run("player.remove(), 0");
+    let open = "(async () => { const file = await (await fetch('streams/small.dgs')).blob();\
+        await player.open(file); return player.error.message; })()";
+    assert_eq!(page.run(open), "The player is in no page");
+    page.close();
+}
