@@ -3,6 +3,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has failed")]
 
+#[path = "sockets/growing.rs"]
+mod growing;
 #[path = "sockets/served.rs"]
 mod served;
 
@@ -72,10 +74,24 @@ impl Running {
     }
 
     fn with(identity: Identity, limits: ServerLimits, impairment: Option<Impairment>) -> Self {
+        Self::serving(identity, limits, impairment, vec![offer("figure"), offer("again")])
+    }
+
+    fn offering(offer: Offer) -> Self {
+        let identity = Identity::self_signed(&["127.0.0.1".to_owned()]).unwrap();
+        Self::serving(identity, ServerLimits::default(), None, vec![offer])
+    }
+
+    fn serving(
+        identity: Identity,
+        limits: ServerLimits,
+        impairment: Option<Impairment>,
+        offers: Vec<Offer>,
+    ) -> Self {
         let bind = (Ipv4Addr::LOCALHOST, 0).into();
         let policy = PolicyKind::DeadlineUtility;
         let config = ServerConfig { bind, identity, limits, policy, impairment, viewer_conditions: false };
-        let server = Server::bind(config, vec![offer("figure"), offer("again")]).unwrap();
+        let server = Server::bind(config, offers).unwrap();
         let (address, trust) = (server.local_addr().unwrap(), Trust::Pin(server.pin()));
         let (stop, stopped) = oneshot::channel();
         let task = tokio::spawn(async move {

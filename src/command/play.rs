@@ -146,9 +146,9 @@ fn conditions(args: &Play) -> Result<Option<Conditions>> {
     }
     if let Some(text) = &args.impair {
         let link = pipeline::viewer_link(text)?;
-        conditions = conditions.behind(&link).with_context(|| format!("--impair {text}"))?;
+        return Ok(Some(conditions.behind(&link).with_context(|| format!("--impair {text}"))?));
     }
-    Ok(Some(conditions))
+    Ok(Some(conditions.with_link_as_it_is()))
 }
 
 /// What the server did not grant of what was asked for.
@@ -243,7 +243,11 @@ fn summary(args: &Play, report: &PlayReport, quality: Option<&Quality>) -> Strin
     );
     if let Some(Granted { link, scheduler }) = report.granted {
         let said = |granted: bool| if granted { "granted" } else { "refused" };
-        text += &format!("  asked of the server: link {}, scheduler {}\n", said(link), said(scheduler));
+        let asked = [("link", args.impair.is_some(), link), ("scheduler", args.policy.is_some(), scheduler)];
+        let asked = asked.iter().filter(|(_, asked, _)| *asked);
+        let answers: Vec<String> =
+            asked.map(|(name, _, granted)| format!("{name} {}", said(*granted))).collect();
+        text += &format!("  asked of the server: {}\n", answers.join(", "));
     }
     if let Some(quality) = quality {
         text += &format!(
@@ -251,7 +255,7 @@ fn summary(args: &Play, report: &PlayReport, quality: Option<&Quality>) -> Strin
             quality.mean_psnr_db, quality.worst_tenth_psnr_db
         );
     }
-    if let Some(folder) = &args.out {
+    if let Some(folder) = args.out.as_ref().filter(|_| report.shown_count > 0) {
         text += &format!("  frames as shown: {}\n", folder.display());
     }
     text

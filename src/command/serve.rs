@@ -1,6 +1,12 @@
 //! Serves streams over QUIC, and a page over HTTP, until Ctrl-C: `dgs serve`.
 
-use std::{io, net::SocketAddr, path::Path, thread, time::Duration};
+use std::{
+    io,
+    net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr},
+    path::Path,
+    thread,
+    time::Duration,
+};
 
 use anyhow::{Context, Result, bail};
 use dgs_quic::{
@@ -19,6 +25,7 @@ use super::{
 };
 use crate::{
     args::Serve,
+    figures::counted,
     output::{self, VerbOutput},
     pipeline::{self, LiveReader, Quiet},
 };
@@ -33,6 +40,15 @@ const UNIMPAIRED: &str = "--impair is in front of UDP; pages that come by WebSoc
                           what is lost before anybody sees it) or fetch the file have no such link; \
                           ?transport=live holds them to WebTransport";
 
+/// A file lies by level.
+const NOT_BY_WINDOW: &str = "warning: packets of windows that were over came on standard input: viewers are \
+                             shown a stream that grows from its newest window on; a file as dgs encode writes \
+                             it is served by its name";
+
+/// What a server listens on says nothing of where viewers find it.
+const EVERYWHERE: &str = "--listen is every address of this machine; the URLs below are for this machine \
+                          alone: --host NAME names it for viewers elsewhere";
+
 /// Runs the verb.
 pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     if let Some(relay) = &args.moq {
@@ -43,7 +59,14 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
     if impairment.is_some() && !args.no_http {
         warnings.push(UNIMPAIRED.to_owned());
     }
-    let host = args.host.clone().unwrap_or_else(|| args.listen.ip().to_string());
+    let host = args.host.clone().unwrap_or_else(|| match args.listen.ip() {
+        IpAddr::V4(ip) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.to_string(),
+        IpAddr::V6(ip) if ip.is_unspecified() => Ipv6Addr::LOCALHOST.to_string(),
+        ip => ip.to_string(),
+    });
+    if args.host.is_none() && args.listen.ip().is_unspecified() {
+        warnings.push(EVERYWHERE.to_owned());
+    }
     let identity = match args.cert.as_deref().zip(args.key.as_deref()) {
         Some((certificate, key)) => Identity::read(certificate, key)?,
         None => Identity::self_signed(&[host.clone(), "localhost".to_owned()])
@@ -192,15 +215,20 @@ fn live(quiet: Quiet) -> Result<Offer> {
     let mut reader = LiveReader::new(io::stdin()).context("standard input")?;
     let (offer, feed) = Offer::live(LIVE_NAME, reader.stream(), reader.graph()?, reader.newest())?;
     // Reading blocks, for as long as the encoder wants; the end of the process ends it.
-    let mut read = move || -> Result<u64> {
+    let mut read = move || -> Result<(usize, bool)> {
         while reader.advance()? {
             feed.renew(reader.stream(), reader.graph()?, reader.newest())?;
         }
-        Ok(reader.damaged())
+        Ok((reader.damaged(), reader.is_by_window()))
     };
     let until_the_end = move || match read() {
-        Ok(damaged) if quiet.0 && damaged == 0 => {}
-        Ok(damaged) => output::complain(&format!("standard input has ended; {damaged} parts were damaged")),
+        Ok((0, true)) if quiet.0 => {}
+        Ok((damaged, by_window)) => {
+            output::complain(&format!("standard input has ended; {} damaged", counted(damaged, "part")));
+            if !by_window {
+                output::complain(NOT_BY_WINDOW);
+            }
+        }
         Err(error) => output::complain(&format!("standard input: {error:#}; what has come is served on")),
     };
     thread::Builder::new().name("dgs-live".to_owned()).spawn(until_the_end).context("cannot read beside")?;

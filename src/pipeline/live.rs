@@ -42,7 +42,9 @@ pub struct LiveReader<R> {
     whole: u64,
     memory_frames: u32,
     ended: bool,
-    damaged: u64,
+    damaged: usize,
+    /// Whether no packet has come of a window before the one of which packets were coming.
+    by_window: bool,
 }
 
 impl<R: Read> LiveReader<R> {
@@ -72,6 +74,7 @@ impl<R: Read> LiveReader<R> {
             memory_frames,
             ended: false,
             damaged: 0,
+            by_window: true,
         })
     }
 
@@ -86,8 +89,13 @@ impl<R: Read> LiveReader<R> {
     }
 
     /// Runs of bytes that are no packets, and packets that are not of this stream or came twice.
-    pub fn damaged(&self) -> u64 {
+    pub fn damaged(&self) -> usize {
         self.damaged
+    }
+
+    /// Whether packets come window by window, as viewers of a stream that grows need them.
+    pub fn is_by_window(&self) -> bool {
+        self.by_window
     }
 
     /// What has come, as schedulers see it.
@@ -115,6 +123,8 @@ impl<R: Read> LiveReader<R> {
             self.ended = len == 0;
             self.parse()?;
             if self.ended {
+                // The input ends inside a packet.
+                self.damaged += usize::from(!self.rest.is_empty());
                 // Nothing can be added to the last window.
                 self.newest = self.coming;
                 self.forget();
@@ -144,7 +154,7 @@ impl<R: Read> LiveReader<R> {
                 }
                 // It may be the begin of a packet; what is too long for one is none.
                 Record::Damaged(from, len) if from + len == rest.len() => {
-                    self.damaged += u64::from(len > PACKET_BYTES);
+                    self.damaged += usize::from(len > PACKET_BYTES);
                     done = from.max(rest.len().saturating_sub(PACKET_BYTES));
                 }
                 Record::Damaged(from, len) => {
@@ -179,6 +189,9 @@ impl<R: Read> LiveReader<R> {
         // What has no span of its own may be of use to the end.
         let until = if spans.is_empty() { manifest.head().frames } else { until };
         self.until.push((packet.id(), until));
+        // Attributes of an epoch may come at any time in it.
+        let is_motion = spans.iter().all(|span| matches!(span, Span::Motion(_))) && !spans.is_empty();
+        self.by_window &= !is_motion || first >= self.coming;
         if first > self.coming {
             (self.newest, self.coming) = (self.coming, first);
             self.whole += 1;

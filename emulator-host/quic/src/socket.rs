@@ -20,6 +20,7 @@ mod offer;
 mod playback;
 mod round;
 mod scheme;
+mod screen;
 mod server;
 mod settings;
 #[cfg(test)]
@@ -43,8 +44,8 @@ pub(crate) use offer::starts;
 pub use offer::{LiveFeed, MAX_MEDIA_BYTES, Offer, OfferError};
 #[cfg(feature = "moq")]
 pub(crate) use playback::Playback;
-pub use playback::{FrameShown, Headless, PlayReport, RoundWish, Screen};
 pub use scheme::Scheme;
+pub use screen::{FrameShown, Headless, PlayReport, RoundWish, Screen};
 pub use server::{Server, ServerConfig, ServerError, ServerReport};
 pub use settings::{ClientConfig, PlayError};
 pub use viewer::ViewerReport;

@@ -216,14 +216,18 @@ impl<G: Deref<Target = PacketGraph>, S: Scheduler> MediaSender<G, S> {
                 _ => (now + path.smoothed_rtt + base).min(latest),
             }
         });
-        self.move_horizon(now);
+        self.widen(now);
     }
 
     /// Time has come to `now`: more of the clip may be within the horizon.
     pub fn advance(&mut self, now: Nanos) {
-        if now < self.horizon_moves_at {
-            return;
+        if now >= self.horizon_moves_at {
+            self.widen(now);
         }
+    }
+
+    /// Moves the horizon; with more of the clip within it there may be something to send again.
+    fn widen(&mut self, now: Nanos) {
         let before = self.outlook.horizon_frame;
         self.move_horizon(now);
         self.starved &= self.outlook.horizon_frame == before;

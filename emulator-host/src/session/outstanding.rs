@@ -36,12 +36,25 @@ pub struct Outstanding {
     bytes: u64,
     arrived_bytes: u64,
     loss_at: Option<Nanos>,
+    /// Whether the transport repeats what is lost by itself.
+    is_repeated: bool,
 }
 
 impl Outstanding {
     /// Nothing was sent.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// The transport repeats what is lost by itself from here on: what something later has overtaken is on its
+    /// way.
+    pub fn set_repeated(&mut self) {
+        self.is_repeated = true;
+    }
+
+    /// Whether it does.
+    pub fn is_repeated(&self) -> bool {
+        self.is_repeated
     }
 
     /// `packet` has left; enters it here and in `sender`.
@@ -103,9 +116,9 @@ impl Outstanding {
         self.bytes -= arrived_bytes;
         let mut lost = Vec::new();
         self.loss_at = None;
-        let loss_at = &mut self.loss_at;
+        let (loss_at, is_repeated) = (&mut self.loss_at, self.is_repeated);
         self.sendings.retain(|sending| {
-            if sending.number >= arrived_below {
+            if is_repeated || sending.number >= arrived_below {
                 return true;
             }
             let due = sending.sent_at + delay;

@@ -106,6 +106,14 @@ impl Carrier {
         }
     }
 
+    /// Whether what is lost comes again without anybody's doing.
+    pub(super) fn repeats_what_is_lost(&self) -> bool {
+        match self {
+            Self::Quic(channel) => channel.sends_in_streams(),
+            Self::Socket(_) => true,
+        }
+    }
+
     /// Becomes ready once the transport has taken the datagram.
     pub(super) fn send_when_there_is_room(&self, bytes: Bytes) -> Departure<'_> {
         match self {

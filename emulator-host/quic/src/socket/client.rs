@@ -2,13 +2,14 @@
 
 use std::{
     net::{Ipv4Addr, Ipv6Addr, SocketAddr},
+    pin::pin,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use dgs_player::Player;
 use quinn::{Connection, ConnectionError, Endpoint, SendStream, TransportErrorCode};
-use tokio::time::{sleep_until, timeout};
+use tokio::time::{sleep, sleep_until, timeout};
 use url::Url;
 
 use super::{
@@ -18,11 +19,14 @@ use super::{
     limits::client_transport,
     locator::Locator,
     message::{ClientMessage, Message as _, Refusal, RefusalCode, ServerMessage},
-    playback::{PlayReport, Playback, RoundWish, Screen},
+    playback::Playback,
     scheme::Scheme,
+    screen::{PlayReport, RoundWish, Screen},
     settings::{ClientConfig, PlayError},
 };
 
+/// Addresses of a name that are tried.
+const MOST_ADDRESSES: usize = 4;
 /// A receipt leaves with every so many datagrams.
 const RECEIPT_EVERY: u32 = 2;
 /// And so long after any datagram at the latest.
@@ -30,6 +34,15 @@ const RECEIPT_DELAY: Duration = Duration::from_millis(25);
 /// And at least so often: what was repeated enough and lost all the same is said again, and the server sees
 /// that somebody is there.
 const RECEIPT_INTERVAL: Duration = Duration::from_millis(100);
+
+/// A viewer that leaves says so; no longer than this is waited for it.
+const FAREWELL: Duration = Duration::from_millis(500);
+/// Rounds of a clip that repeats are this far apart at least: a server takes five seeks a second.
+const ROUND_INTERVAL: Duration = Duration::from_millis(200);
+/// A viewer who is ahead of a stream that grows asks so often whether there is more.
+const NEWEST_INTERVAL: Duration = Duration::from_millis(500);
+/// Between a connection that was lost or not made and the next.
+const BEFORE_RECONNECTING: Duration = Duration::from_millis(200);
 
 /// Without any media for so long after the manifest, the client asks for it in streams.
 const NO_DATAGRAMS: Duration = Duration::from_secs(1);
@@ -82,11 +95,26 @@ pub(crate) async fn play_over(
             None => std::future::pending().await,
         }
     };
-    let played = tokio::select! {
-        played = sessions(config, &mut playback, screen, session) => played,
-        () = up => Ok(()),
-        () = stop => Ok(()),
+    let leave = playback.leave();
+    let (played, is_up) = {
+        let mut playing = pin!(sessions(config, &mut playback, screen, session));
+        let is_up = tokio::select! {
+            played = &mut playing => Err(played),
+            () = up => Ok(true),
+            () = stop => Ok(false),
+        };
+        match is_up {
+            Err(played) => (played, false),
+            Ok(is_up) => {
+                leave.send_replace(true);
+                // Whatever comes of that, nothing has ended it early.
+                let _ = timeout(FAREWELL, playing).await;
+                (Ok(()), is_up)
+            }
+        }
     };
+    let silence = || PlayError::Silence { ms: began.elapsed().as_millis() };
+    let played = if is_up && !playback.has_manifest() { Err(silence()) } else { played };
     let (report, player) = playback.end();
     Played { report, player, error: played.err() }
 }
@@ -101,13 +129,18 @@ async fn sessions(
     let mut left = config.reconnects;
     loop {
         let Err(error) = session(config, playback, screen).await else { return Ok(()) };
-        // Who was never let in is not let in the next time either.
-        let lost = matches!(error, PlayError::Lost(_) | PlayError::Ended(_));
+        // Who was never let in is not let in the next time either; a server that was there may be on its way
+        // back.
+        let lost = matches!(
+            error,
+            PlayError::Lost(_) | PlayError::Ended(_) | PlayError::Silence { .. } | PlayError::Handshake(_)
+        );
         let again = lost && playback.has_manifest() && left > 0;
         if !again {
             return Err(error);
         }
         left -= 1;
+        sleep(BEFORE_RECONNECTING).await;
         playback.reconnect();
     }
 }
@@ -171,8 +204,31 @@ fn closed(error: PlayError, connection: &Connection) -> PlayError {
 pub(crate) async fn connect(config: &ClientConfig) -> Result<(Endpoint, Connection), PlayError> {
     let Locator { host, port, .. } = &config.locator;
     let unknown = || PlayError::Host { host: host.clone() };
-    let address = tokio::net::lookup_host((host.as_str(), *port)).await.map_err(|_| unknown())?.next();
-    let address = address.ok_or_else(unknown)?;
+    let found = tokio::net::lookup_host((host.as_str(), *port)).await.map_err(|_| unknown())?;
+    let addresses: Vec<SocketAddr> = found.take(MOST_ADDRESSES).collect();
+    // A name may stand for addresses at which nobody listens: each has its share of the patience.
+    let share = config.silence / addresses.len().max(1) as u32;
+    let mut result = Err(unknown());
+    for address in addresses {
+        result = connect_to(config, address, share).await;
+        let silent = matches!(result, Err(PlayError::Silence { .. } | PlayError::Socket(_)));
+        if !silent {
+            break;
+        }
+    }
+    result.map_err(|error| match error {
+        PlayError::Silence { .. } => PlayError::Silence { ms: config.silence.as_millis() },
+        error => error,
+    })
+}
+
+/// Connects to one address, within `patience`.
+async fn connect_to(
+    config: &ClientConfig,
+    address: SocketAddr,
+    patience: Duration,
+) -> Result<(Endpoint, Connection), PlayError> {
+    let Locator { host, .. } = &config.locator;
     let (crypto, mismatch) = config.trust.client(config.locator.scheme)?;
     let mut client = quinn::ClientConfig::new(Arc::new(crypto));
     client.transport_config(client_transport(config.silence, config.locator.scheme, !config.streams));
@@ -183,8 +239,8 @@ pub(crate) async fn connect(config: &ClientConfig) -> Result<(Endpoint, Connecti
     let endpoint = Endpoint::client(any).map_err(PlayError::Socket)?;
     let connecting = endpoint.connect_with(client, address, host);
     let connecting = connecting.map_err(|error| PlayError::Handshake(error.to_string()))?;
-    let silence = PlayError::Silence { ms: config.silence.as_millis() };
-    let connected = timeout(config.silence, connecting).await.map_err(|_| silence)?;
+    let silence = PlayError::Silence { ms: patience.as_millis() };
+    let connected = timeout(patience, connecting).await.map_err(|_| silence)?;
     Ok((endpoint, connected.map_err(|error| handshake(config, &mismatch, error))?))
 }
 
@@ -227,18 +283,31 @@ async fn converse(
     let mut answer_at = None;
     let mut unanswered = 0;
     let mut had_manifest = false;
+    let mut leave = playback.leaving();
+    let (mut round_at, mut newest_at) = (Instant::now(), Instant::now());
     loop {
         let now = Instant::now();
         playback.show_due(screen)?;
-        if playback.is_over() {
-            // A stream that grows has no begin to go back to.
-            if !config.loops || playback.grows() {
-                return say(send, &ClientMessage::Bye).await;
-            }
+        let is_over = playback.is_over();
+        // A stream that grows has no begin to go back to.
+        if is_over && (!config.loops || playback.grows()) {
+            return say(send, &ClientMessage::Bye).await;
+        }
+        // Its last frame is shown as long as the others.
+        let over_at = playback.next_time().map_or(now, |ends| ends.max(round_at + ROUND_INTERVAL));
+        if is_over && now >= over_at {
+            round_at = now;
             say(send, &playback.next_round(RoundWish::default())).await?;
             if playback.begins_anew() {
                 screen.forget();
             }
+            continue;
+        }
+        if now >= newest_at
+            && let Some(wish) = playback.newest_wish()?
+        {
+            newest_at = now + NEWEST_INTERVAL;
+            say(send, &playback.next_round(wish)).await?;
             continue;
         }
         // A stream that grows is shown at its newest end.
@@ -275,12 +344,15 @@ async fn converse(
         if is_silent && now >= deadline {
             return Err(PlayError::Silence { ms: config.silence.as_millis() });
         }
-        let wake = if !is_silent {
-            playback.next_time().map_or(receipt_at, |due| due.min(receipt_at))
-        } else {
+        let wake = if is_silent {
             deadline
+        } else if is_over {
+            over_at.min(receipt_at)
+        } else {
+            playback.next_time().map_or(receipt_at, |due| due.min(receipt_at))
         };
         tokio::select! {
+            _ = leave.wait_for(|leaves| *leaves) => return say(send, &ClientMessage::Bye).await,
             message = control.next() => {
                 match message {
                     Ok(Some(ServerMessage::Manifest(message))) if !had_manifest => {

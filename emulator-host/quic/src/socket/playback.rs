@@ -2,131 +2,30 @@
 
 use std::time::{Duration, Instant};
 
-use codec_core::{
-    Caps, ErrorKind,
-    internals::{limits::MAX_RECEIPT_BYTES, wire::receipt::ViewerPose},
-};
+use codec_core::{Caps, ErrorKind, internals::limits::MAX_RECEIPT_BYTES};
 use dgs_player::{Player, Waiting};
 use emulator_host::{
     Nanos,
     session::{MediaReceiver, Startup, StartupRule},
 };
-use serde::Serialize;
+use tokio::sync::watch;
 
 use super::{
     message::{ClientMessage, Conditions, Granted},
     offer::{start_before, starts},
+    screen::{FrameShown, PlayReport, RoundWish, Screen},
     settings::{ClientConfig, PlayError},
 };
 
 /// Bytes of media that are stored until the manifest comes.
 const EARLY_BYTES: u32 = 1 << 17;
+/// A viewer of a stream that grows, to whom nothing of it was there for so long, has run ahead of who makes it:
+/// it goes back to the newest window that there is.
+const AHEAD: Nanos = Nanos::from_s(1);
+/// If there is none that it has not seen for so long, nobody makes the stream any more.
+const STALLED: Duration = Duration::from_secs(10);
 /// Refused datagrams, besides one for each that was taken, before the server is left.
 const SPARE_REFUSALS: u64 = 5000;
-
-/// What shows frames.
-pub trait Screen {
-    /// Frame `frame` is due now and `player` has what has arrived. This must return soon: nothing is received
-    /// meanwhile.
-    ///
-    /// # Errors
-    /// What makes it pointless to go on.
-    fn show(&mut self, player: &mut Player, frame: u32) -> Result<(), String>;
-
-    /// The manifest has come: a DGSM message, which was taken.
-    fn manifest(&mut self, _message: &[u8]) {}
-
-    /// A datagram of media has come, whatever became of it.
-    fn media(&mut self, _packet: &[u8]) {}
-
-    /// Another round that is wanted; asked often, answered once.
-    fn wanted_round(&mut self) -> Option<RoundWish> {
-        None
-    }
-
-    /// What the server grants of conditions that a round began with.
-    fn granted(&mut self, _granted: Granted) {}
-
-    /// A round begins as if no media had come before.
-    fn forget(&mut self) {}
-
-    /// Where the viewer is, for receipts: what it sees is then sent first. Asked often.
-    fn pose(&mut self) -> Option<ViewerPose> {
-        None
-    }
-}
-
-/// Another round of playout, as a viewer wants it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct RoundWish {
-    /// From which time of the clip on, microseconds.
-    pub start_us: u64,
-    /// Under which conditions from then on; `None` is those that hold.
-    pub conditions: Option<Conditions>,
-}
-
-/// Shows nothing: frames are only timed and counted.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Headless;
-
-impl Screen for Headless {
-    fn show(&mut self, _player: &mut Player, _frame: u32) -> Result<(), String> {
-        Ok(())
-    }
-}
-
-/// One frame as it was shown.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct FrameShown {
-    /// Round of playout.
-    pub round: u32,
-    /// The frame.
-    pub frame: u32,
-    /// When it was shown after its time, milliseconds.
-    pub late_ms: f64,
-    /// Share of its blocks that lacked their base.
-    pub base_miss: f64,
-    /// Levels of attributes that were usable, 0 to 4, mean over its blocks.
-    pub levels: f64,
-    /// Levels of motion that were usable, 0 to 4, mean over its blocks; 0 where nothing moves.
-    pub motion_levels: f64,
-}
-
-/// What a viewer saw.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct PlayReport {
-    /// Frames of the clip.
-    pub frames: u32,
-    /// From the first hello to the first frame, milliseconds.
-    pub startup_ms: Option<f64>,
-    /// Whether playout started for enough was there, and not because the wait was over.
-    pub startup_reached: bool,
-    /// Rounds begun.
-    pub rounds: u32,
-    /// What the server granted of the conditions that were asked for last; `None` where none were, or it has
-    /// not answered.
-    pub granted: Option<Granted>,
-    /// Connections made.
-    pub connections: u32,
-    /// Every frame shown, in order; of a clip that repeats, those of the last rounds.
-    pub shown: Vec<FrameShown>,
-    /// Frames shown in all.
-    pub shown_count: u64,
-    /// Mean of [`FrameShown::base_miss`] over all frames shown.
-    pub base_miss_rate: f64,
-    /// Mean of [`FrameShown::levels`] over all frames shown.
-    pub mean_levels: f64,
-    /// Packets accepted, parity included.
-    pub packets: u64,
-    /// Bytes of datagrams received.
-    pub received_bytes: u64,
-    /// Packets recovered from parity.
-    pub recovered: u64,
-    /// Packets that had arrived before.
-    pub duplicates: u64,
-    /// Other datagrams that were refused.
-    pub refused: u64,
-}
 
 /// Frames remembered one by one.
 const MAX_SHOWN: usize = 1 << 16;
@@ -159,6 +58,13 @@ pub(crate) struct Playback {
     unanswered: bool,
     report: PlayReport,
     sums: (f64, f64),
+    /// Of a stream that grows: when the last frame ends of which anything was there, microseconds; how long
+    /// nothing was; since when a newer window is waited for.
+    seen_us: u64,
+    missing: Nanos,
+    ahead_since: Option<Instant>,
+    /// Becomes true once the viewer leaves.
+    leaves: watch::Sender<bool>,
 }
 
 impl Playback {
@@ -186,7 +92,21 @@ impl Playback {
             unanswered: false,
             report: PlayReport { rounds: 1, connections: 1, ..PlayReport::default() },
             sums: (0.0, 0.0),
+            seen_us: 0,
+            missing: Nanos::ZERO,
+            ahead_since: None,
+            leaves: watch::channel(false).0,
         })
+    }
+
+    /// Where to say that the viewer leaves.
+    pub(super) fn leave(&self) -> watch::Sender<bool> {
+        self.leaves.clone()
+    }
+
+    /// Where to hear that it does.
+    pub(super) fn leaving(&self) -> watch::Receiver<bool> {
+        self.leaves.subscribe()
     }
 
     pub(crate) fn has_manifest(&self) -> bool {
@@ -207,8 +127,23 @@ impl Playback {
         self.grows = true;
         if round == self.round {
             self.move_start(start_us);
+            // The middle of a frame is meant.
+            let is_new = start_us + self.interval.0 / 1000 >= self.seen_us;
+            self.ahead_since = self.ahead_since.filter(|_| !is_new);
         }
         Ok(())
+    }
+
+    /// The round to ask for if playout has run ahead of a stream that grows: of what has not been seen.
+    ///
+    /// # Errors
+    /// That nobody makes the stream any more.
+    pub(super) fn newest_wish(&self) -> Result<Option<RoundWish>, PlayError> {
+        let Some(since) = self.ahead_since else { return Ok(None) };
+        if since.elapsed() >= STALLED {
+            return Err(PlayError::Stalled { ms: STALLED.as_millis() });
+        }
+        Ok(Some(RoundWish { start_us: self.seen_us, conditions: None }))
     }
 
     /// The round begins at the time `start_us` instead, if none of it has been shown.
@@ -382,20 +317,25 @@ impl Playback {
     /// Starts playout if enough is there, and shows what is due.
     pub(crate) fn show_due(&mut self, screen: &mut dyn Screen) -> Result<(), PlayError> {
         let now = self.now();
-        let Some(player) = self.player.as_mut().filter(|_| !self.unanswered) else { return Ok(()) };
+        let holds = self.unanswered || self.ahead_since.is_some();
+        let Some(player) = self.player.as_mut().filter(|_| !holds) else { return Ok(()) };
         if let Some(pose) = screen.pose() {
             self.receiver.on_pose(pose);
         }
         let (first, share) = (self.first, share(self.startup));
         let is_usable = || share.is_some_and(|share| base(player, first) >= share);
-        if self.receiver.start_if_ready(now, is_usable) {
+        // Of a stream that grows, nothing at all may have come yet: its time begins with the first base.
+        let waits = self.grows && self.receiver.playout_start().is_none() && base(player, first) == 0.0;
+        if !waits && self.receiver.start_if_ready(now, is_usable) {
             self.wants_receipt = true;
             if self.report.startup_ms.is_none() {
                 self.report.startup_ms = Some(self.began.elapsed().as_secs_f64() * 1e3);
                 self.report.startup_reached = self.receiver.threshold_reached();
             }
         }
-        while let Some(at) = self.receiver.frame_due(self.now()) {
+        while self.ahead_since.is_none()
+            && let Some(at) = self.receiver.frame_due(self.now())
+        {
             let frame = self.first + at;
             let due = self.receiver.playout_start().unwrap_or(now) + self.interval.times(u64::from(at));
             let late_ms = (self.now() - due).as_ms();
@@ -416,6 +356,9 @@ impl Playback {
             }
             self.report.shown.push(shown);
             screen.show(player, frame).map_err(PlayError::Nonsense)?;
+            if self.grows {
+                self.note_missing(&shown);
+            }
         }
         Ok(())
     }
@@ -424,11 +367,26 @@ impl Playback {
         self.receiver.is_over()
     }
 
+    /// Finds that a stream that grows is not there yet where it is shown.
+    fn note_missing(&mut self, shown: &FrameShown) {
+        if shown.base_miss < 1.0 {
+            self.seen_us = (u64::from(shown.frame) + 1) * self.interval.0 / 1000;
+            self.missing = Nanos::ZERO;
+            return;
+        }
+        self.missing += self.interval;
+        if self.missing >= AHEAD {
+            (self.missing, self.ahead_since) = (Nanos::ZERO, Some(Instant::now()));
+        }
+    }
+
     /// When there is something to show next.
     pub(crate) fn next_time(&self) -> Option<Instant> {
         match self.receiver.next_time() {
             _ if self.unanswered => None,
             Nanos::MAX => None,
+            // What is waited for is media.
+            _ if self.grows && self.receiver.playout_start().is_none() => None,
             at => self.round_began.checked_add(Duration::from_nanos(at.0)),
         }
     }

@@ -24,6 +24,8 @@ const MEMORY: Nanos = Nanos::from_s(2);
 
 /// Receipts come at least so often while media arrives, twice over.
 const RECEIPTS: Nanos = Nanos::from_ms(100);
+/// A transport that repeats what is lost may take so long for it.
+const REPEATED: Nanos = Nanos::from_s(1);
 
 type Sender = MediaSender<Arc<PacketGraph>, Box<dyn Scheduler + Send>>;
 
@@ -146,6 +148,7 @@ impl Round {
         let reported_pose = self.sender.reported_pose();
         self.sender = sender(&self.graph, policy, path, self.now(), delivered);
         self.sender.on_receipt(&self.playout);
+        self.sender.look(path, self.now());
         self.sender.set_reported_pose(reported_pose);
         self.outstanding = Outstanding::new();
         Ok(())
@@ -185,6 +188,9 @@ impl Round {
     pub(super) fn settle(&mut self, carrier: &Carrier) {
         let now = self.now();
         let before = self.outstanding.arrived_bytes();
+        if carrier.repeats_what_is_lost() {
+            self.outstanding.set_repeated();
+        }
         self.outstanding.settle(&mut self.sender, now);
         let silence = self.silence();
         self.outstanding.expire(&mut self.sender, silence, now);
@@ -232,7 +238,8 @@ impl Round {
 
     /// A packet of which nothing is heard for so long is lost.
     fn silence(&self) -> Nanos {
-        self.sender.path().smoothed_rtt.times(3) + RECEIPTS
+        let silence = self.sender.path().smoothed_rtt.times(3) + RECEIPTS;
+        if self.outstanding.is_repeated() { silence.max(REPEATED) } else { silence }
     }
 
     /// Whether the viewer has said where it is.

@@ -104,6 +104,12 @@ pub enum PlayError {
         /// How long.
         ms: u128,
     },
+    /// Nothing more has come of a stream that grows.
+    #[error("nothing more of the stream came for {ms} ms")]
+    Stalled {
+        /// How long.
+        ms: u128,
+    },
     /// A relay does not take the session, or ends it.
     #[error("the relay: {0}")]
     Relay(String),

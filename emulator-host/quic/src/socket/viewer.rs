@@ -87,6 +87,8 @@ struct Viewer<'s> {
     content: watch::Receiver<Arc<Content>>,
     /// What of the control stream is still to be written.
     out: VecDeque<u8>,
+    /// How much of that is the manifest and what goes with it, which nobody has asked for more than once.
+    greeting: usize,
     /// By packet id, over all rounds.
     delivered: Vec<bool>,
     tally: Tally,
@@ -174,6 +176,7 @@ impl<'s> Viewer<'s> {
         if says {
             out.extend(ServerMessage::Begin { round: 0, start_us: offer.time_us(&now, first) }.to_bytes());
         }
+        let greeting = out.len();
         let delivered = vec![false; now.count()];
         let began = Instant::now();
         // A tenth of a second of media may leave at once.
@@ -193,6 +196,7 @@ impl<'s> Viewer<'s> {
             renewals: 0,
             content,
             out,
+            greeting,
             delivered,
             tally: Tally { rounds: 1, ..Tally::default() },
             rate,
@@ -236,7 +240,10 @@ impl<'s> Viewer<'s> {
                     Err(end) => return end,
                 },
                 written = send.write(self.out.as_slices().0), if !self.out.is_empty() => match written {
-                    Some(bytes) => drop(self.out.drain(..bytes)),
+                    Some(bytes) => {
+                        self.out.drain(..bytes);
+                        self.greeting = self.greeting.saturating_sub(bytes);
+                    }
                     None => return End::Bye,
                 },
                 news = self.content.changed(), if grows => {
@@ -382,14 +389,15 @@ impl<'s> Viewer<'s> {
         self.conditions = conditions;
         self.policy = conditions.scheduler.unwrap_or(self.own_policy);
         let impairment = conditions.impairment();
-        let link =
-            self.carrier.is_impaired_by_links() && links.set(self.carrier.address(), impairment.as_ref());
+        let link = !conditions.keeps_link
+            && self.carrier.is_impaired_by_links()
+            && links.set(self.carrier.address(), impairment.as_ref());
         Granted { link, scheduler: true }
     }
 
     /// Writes `message` as soon as the client takes it.
     fn answer(&mut self, message: &ServerMessage) -> Result<(), End> {
-        if self.out.len() > MAX_UNREAD {
+        if self.out.len() - self.greeting > MAX_UNREAD {
             return Err(refused(RefusalCode::Flood, "answers are not read".to_owned()));
         }
         self.out.extend(message.to_bytes());
@@ -412,9 +420,10 @@ impl<'s> Viewer<'s> {
             let refused = self.round.counts().refused_receipts - before;
             self.tally.refused += refused;
             self.tally.receipts += 1 - refused;
-        } else if round.is_none_or(|round| round > self.round.number) {
+        } else if round.is_none() {
             self.tally.refused += 1;
         }
+        // One of a later round has overtaken the message that begins it; what it says will be said again.
         if self.tally.refused > MAX_REFUSED {
             let sentence = format!("more than {MAX_REFUSED} datagrams are no receipts");
             return Err(Refusal { code: RefusalCode::Flood, sentence });

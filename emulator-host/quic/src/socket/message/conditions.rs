@@ -61,6 +61,8 @@ pub struct Conditions {
     pub(in crate::socket) anew: bool,
     /// The scheduler; `None` is the server's own.
     pub(in crate::socket) scheduler: Option<PolicyKind>,
+    /// Whether the link stays as it is, whatever the fields below say.
+    pub(in crate::socket) keeps_link: bool,
     /// Bits per second; `None` is without limit.
     rate: Option<u64>,
     /// One way, towards the viewer.
@@ -74,12 +76,25 @@ pub struct Conditions {
 
 impl Conditions {
     /// No emulated link, the server's scheduler.
-    pub const NONE: Self =
-        Self { anew: false, scheduler: None, rate: None, delay: Duration::ZERO, loss: 0, burst: 1, seed: 1 };
+    pub const NONE: Self = Self {
+        anew: false,
+        scheduler: None,
+        keeps_link: false,
+        rate: None,
+        delay: Duration::ZERO,
+        loss: 0,
+        burst: 1,
+        seed: 1,
+    };
 
     /// The same with the scheduler `kind`.
     pub fn with_scheduler(self, kind: PolicyKind) -> Self {
         Self { scheduler: Some(kind), ..self }
+    }
+
+    /// The same behind whatever link the session is behind: that of the server, if it has one.
+    pub fn with_link_as_it_is(self) -> Self {
+        Self { keeps_link: true, ..self }
     }
 
     /// The same behind `link`.
@@ -101,7 +116,8 @@ impl Conditions {
         let rate = if link.rate.is_some() { rate.max(1) } else { 0 };
         let delay_us = u32::try_from(link.delay.as_micros()).unwrap_or(u32::MAX);
         let count = |number: f64| if number >= 0.0 { number.round() as u64 } else { u64::MAX };
-        self.checked(rate, delay_us, [count(link.loss * LOSS_PARTS), count(link.burst)], link.seed)
+        let behind = Self { keeps_link: false, ..self };
+        behind.checked(rate, delay_us, [count(link.loss * LOSS_PARTS), count(link.burst)], link.seed)
     }
 
     /// The same, with each round as if nothing had arrived before, so that a short clip that repeats shows
@@ -149,9 +165,9 @@ impl Conditions {
 
     /// Reads them; every field is checked.
     pub(super) fn parse(fields: &mut Fields<'_>) -> Result<Self, MessageError> {
-        let anew = match fields.byte()? {
-            flag @ (0 | 1) => flag == 1,
-            other => return Err(illegal("anew", other.into(), "0 or 1")),
+        let (anew, keeps_link) = match fields.byte()? {
+            flags @ 0..=3 => (flags & 1 != 0, flags & 2 != 0),
+            other => return Err(illegal("flags", other.into(), "0 to 3")),
         };
         let scheduler = match fields.byte()? {
             0 => None,
@@ -162,13 +178,14 @@ impl Conditions {
         };
         let (rate, delay_us) = (fields.number(8)?, fields.word()?);
         let parts = [fields.number(2)?, fields.number(2)?];
-        Self { anew, scheduler, ..Self::NONE }.checked(rate, delay_us, parts, fields.word()?)
+        Self { anew, scheduler, keeps_link, ..Self::NONE }.checked(rate, delay_us, parts, fields.word()?)
     }
 
     /// Appends them to `out`.
     pub(super) fn write(&self, out: &mut Vec<u8>) {
         let number = |kind| SCHEDULERS.iter().find(|entry| entry.1 == kind).map_or(0, |entry| entry.0);
-        out.extend([u8::from(self.anew), self.scheduler.map_or(0, number)]);
+        let flags = u8::from(self.anew) | u8::from(self.keeps_link) << 1;
+        out.extend([flags, self.scheduler.map_or(0, number)]);
         out.extend(self.rate.unwrap_or(0).to_le_bytes());
         out.extend((self.delay.as_micros() as u32).to_le_bytes());
         out.extend(self.loss.to_le_bytes());

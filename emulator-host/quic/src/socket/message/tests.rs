@@ -115,8 +115,12 @@ fn conditions_come_back_as_written_and_never_out_of_bounds() {
     );
     assert_eq!(impairment.path.loss, emulator_host::link::LossModel::in_bursts(0.05, 4.0));
     assert!(Conditions::NONE.impairment().is_none());
+    let mut kept = body.clone();
+    kept[12] = 2;
+    let [ClientMessage::Conditions { conditions, .. }] = message(&kept).unwrap()[..] else { panic!() };
+    assert!(conditions.keeps_link && !conditions.anew);
     for (at, value, named) in [
-        (12, 2, "conditions.anew is 2"),
+        (12, 4, "conditions.flags is 4"),
         (13, 6, "conditions.scheduler is 6"),
         (19, 1, "conditions.rate"),
         (25, 1, "conditions.delay"),

@@ -97,5 +97,10 @@ pub(in crate::socket) async fn end_session(ending: CarrierEnding, send: ControlW
             u32::from(refusal.code.number())
         }
     };
-    ending.close(code, &end.to_string()).await;
+    let sentence = match end {
+        // The code says the rest.
+        End::Refused(refusal) => refusal.sentence.clone(),
+        End::Bye | End::Gone(_) => end.to_string(),
+    };
+    ending.close(code, &sentence).await;
 }

@@ -1,0 +1,112 @@
+//! A stream that is read while it is made, by somebody who is late, pauses, and goes on.
+
+use std::{
+    io::{self, Read},
+    sync::mpsc::{Receiver, Sender, channel},
+    thread,
+};
+
+use codec_core::internals::{ids::Span, wire::file};
+use dgs::pipeline::LiveReader;
+
+use super::*;
+
+/// Frames of a window.
+const WINDOW: u32 = 15;
+/// How long a window is shown.
+const HALF_A_SECOND: Duration = Duration::from_millis(500);
+
+/// Reads what is sent, and waits for more.
+struct Pipe(Receiver<Vec<u8>>, Vec<u8>);
+
+impl Read for Pipe {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        if self.1.is_empty() {
+            self.1 = self.0.recv().unwrap_or_default();
+        }
+        let len = self.1.len().min(out.len());
+        out[..len].copy_from_slice(&self.1[..len]);
+        self.1.drain(..len);
+        Ok(len)
+    }
+}
+
+/// Manifest and bytes of every window of five seconds, as who makes a stream in real time writes them.
+fn windows() -> (Vec<u8>, Vec<Vec<u8>>) {
+    let flags = ["dgs", "demo", "--window-frames", "15", "--pictures", "2", "--coarseness", "0.5"];
+    let Ok(Cli { verb: Verb::Demo(args), .. }) = Cli::try_parse_from(flags) else { panic!("{flags:?}") };
+    let scene = pipeline::import("synth:cloth:1000:150", &args.source).unwrap().scene;
+    let options = pipeline::encode_options(&args.codec, Protection::NONE);
+    let stream = pipeline::encode(&scene, &options, Quiet(true)).unwrap().stream;
+    let (map, manifest) = (PacketMap::of(&stream).unwrap(), stream.manifest().unwrap());
+    let window_of = |span: Span| match span {
+        Span::Canonical(_) => 0,
+        Span::Motion(id) => (manifest.window(id).unwrap().first_frame / WINDOW) as usize,
+    };
+    let mut windows = vec![Vec::new(); 10];
+    for (id, packet) in stream.packets().iter().enumerate() {
+        let window = map.placements(id).iter().map(|placement| window_of(placement.group.span)).max();
+        let bytes = &mut windows[window.unwrap()];
+        bytes.extend((packet.len() as u16).to_le_bytes());
+        bytes.extend(packet);
+    }
+    let mut head = file::MAGIC.to_vec();
+    head.extend((stream.message().len() as u32).to_le_bytes());
+    head.extend(stream.message());
+    (head, windows)
+}
+
+/// Reads what comes as `dgs serve -` does.
+fn growing(input: Receiver<Vec<u8>>) -> Offer {
+    let mut reader = LiveReader::new(Pipe(input, Vec::new())).unwrap();
+    let graph = reader.graph().unwrap();
+    let (offer, feed) = Offer::live("live", reader.stream(), graph, reader.newest()).unwrap();
+    thread::spawn(move || {
+        while reader.advance().unwrap() {
+            feed.renew(reader.stream(), reader.graph().unwrap(), reader.newest()).unwrap();
+        }
+        assert!(reader.is_by_window() && reader.damaged() == 0);
+    });
+    offer
+}
+
+async fn produce(windows: &[Vec<u8>], to: &Sender<Vec<u8>>) {
+    for window in windows {
+        to.send(window.clone()).unwrap();
+        tokio::time::sleep(HALF_A_SECOND).await;
+    }
+}
+
+#[test]
+fn a_viewer_ahead_of_a_stream_that_grows_waits_for_it() {
+    let (head, windows) = windows();
+    within(async {
+        let (to, from) = channel();
+        to.send(head).unwrap();
+        let server = Running::offering(growing(from));
+        let mut config = server.client();
+        // Long over when the first packet comes.
+        config.startup.max_wait = Nanos::from_ms(100);
+        let viewer = async { play(&config, &mut Headless, std::future::pending()).await.whole().unwrap() };
+        let producer = async {
+            tokio::time::sleep(HALF_A_SECOND).await;
+            produce(&windows[..4], &to).await;
+            tokio::time::sleep(HALF_A_SECOND * 5).await;
+            produce(&windows[4..], &to).await;
+            drop(to);
+        };
+        let (report, ()) = tokio::join!(viewer, producer);
+        let missed = report.shown.iter().filter(|shown| shown.base_miss == 1.0).count();
+        // A second of frames shows that nothing comes.
+        assert!(missed <= 35, "{missed} frames of {} were empty", report.shown.len());
+        let end: Vec<f64> =
+            report.shown.iter().filter(|shown| shown.frame >= 90).map(|shown| shown.base_miss).collect();
+        let mean = end.iter().sum::<f64>() / end.len() as f64;
+        assert!(end.len() >= 60 && mean < 0.1, "{} frames, {mean} missed after the pause", end.len());
+        let (_, viewers) = server.stop().await;
+        assert_eq!(viewers.len(), 1);
+        // What is there when the stream ends is sent to its end.
+        let last = report.shown.last().unwrap();
+        assert!(last.frame == 149 && last.levels > 3.9, "{last:?}");
+    });
+}
