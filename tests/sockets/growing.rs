@@ -97,12 +97,13 @@ fn a_viewer_ahead_of_a_stream_that_grows_waits_for_it() {
         };
         let (report, ()) = tokio::join!(viewer, producer);
         let missed = report.shown.iter().filter(|shown| shown.base_miss == 1.0).count();
-        // A second of frames shows that nothing comes.
-        assert!(missed <= 35, "{missed} frames of {} were empty", report.shown.len());
-        let end: Vec<f64> =
-            report.shown.iter().filter(|shown| shown.frame >= 90).map(|shown| shown.base_miss).collect();
-        let mean = end.iter().sum::<f64>() / end.len() as f64;
-        assert!(end.len() >= 60 && mean < 0.1, "{} frames, {mean} missed after the pause", end.len());
+        // A second of frames, all of them empty, shows that nothing comes; of one window little moves.
+        assert!(missed <= 50, "{missed} frames of {} were empty", report.shown.len());
+        // It has asked for what is new since.
+        let after = report.shown.iter().filter(|shown| shown.round > 0);
+        let after: Vec<f64> = after.map(|shown| shown.base_miss).collect();
+        let mean = after.iter().sum::<f64>() / after.len() as f64;
+        assert!(after.len() >= 60 && mean < 0.1, "{} frames, {mean} missed after the pause", after.len());
         let (_, viewers) = server.stop().await;
         assert_eq!(viewers.len(), 1);
         // What is there when the stream ends is sent to its end.
