@@ -31,8 +31,8 @@ pub use self::places::Places;
 /// A stream's packets and groups as the emulator sees them.
 ///
 /// It has the packets that are there and show anything, and the groups that mean something with them; of a
-/// stream that lacks nothing, packet `i` of the graph is packet `i` of the stream. Without `utilities` all groups are worth the
-/// same. `places` says where they lie.
+/// stream that lacks nothing, packet `i` of the graph is packet `i` of the stream. Without `utilities` all
+/// groups are worth the same. `places` says where they lie.
 ///
 /// # Errors
 /// None in practice.

@@ -243,10 +243,10 @@ fn summary(args: &Play, report: &PlayReport, quality: Option<&Quality>) -> Strin
     );
     if let Some(Granted { link, scheduler }) = report.granted {
         let said = |granted: bool| if granted { "granted" } else { "refused" };
-        let asked = [("link", args.impair.is_some(), link), ("scheduler", args.policy.is_some(), scheduler)];
-        let asked = asked.iter().filter(|(_, asked, _)| *asked);
+        let wishes = [("link", args.impair.is_some(), link), ("scheduler", args.policy.is_some(), scheduler)];
+        let wishes = wishes.iter().filter(|(_, is_wished, _)| *is_wished);
         let answers: Vec<String> =
-            asked.map(|(name, _, granted)| format!("{name} {}", said(*granted))).collect();
+            wishes.map(|(name, _, granted)| format!("{name} {}", said(*granted))).collect();
         text += &format!("  asked of the server: {}\n", answers.join(", "));
     }
     if let Some(quality) = quality {

@@ -44,8 +44,8 @@ fn a_file_comes_from_servers_of_every_kind() {
         ("", "ranges", ""),
     ] {
         page.run(&format!(
-            "globalThis.old = player.session; [kind, requests] = ['{kind}', 0]; player.dataset.transport = '';\
-             player.src = null; player.src = 'streams/large.dgs', 0"
+            "globalThis.old = player.session; [kind, requests] = ['{kind}', 0];\
+             player.dataset.transport = ''; player.src = null; player.src = 'streams/large.dgs', 0"
         ));
         page.browser
             .wait(PATIENCE_S, &format!("player.dataset.transport === '{transport}' && {came}"))

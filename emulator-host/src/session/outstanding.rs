@@ -46,8 +46,8 @@ impl Outstanding {
         Self::default()
     }
 
-    /// The transport repeats what is lost by itself from here on: what something later has overtaken is on its
-    /// way.
+    /// The transport repeats what is lost by itself from here on: what something later has overtaken is on
+    /// its way.
     pub fn set_repeated(&mut self) {
         self.is_repeated = true;
     }
