@@ -199,8 +199,8 @@ impl RangePlan {
         self.places = vec![None; self.offsets.len() - 1];
     }
 
-    /// What to ask for to learn more of the packets `gap`, of which nothing is known: all of them, or the head
-    /// of the middle one. Of epochs that are small, more comes at once: there is little to put off.
+    /// What to ask for to learn more of the packets `gap`, of which nothing is known: all of them, or the
+    /// head of the middle one. Of epochs that are small, more comes at once: there is little to put off.
     fn look_into(&self, gap: Range<usize>) -> Range<u64> {
         let all = self.offsets[gap.start]..self.offsets[gap.end];
         let is_small = self.len / u64::from(self.epochs.max(1)) < BASE_BYTES;

@@ -19,8 +19,8 @@ use super::{
 
 /// Bytes of media that are stored until the manifest comes.
 const EARLY_BYTES: u32 = 1 << 17;
-/// A viewer of a stream that grows, to whom nothing of it was there for so long, has run ahead of who makes it:
-/// it goes back to the newest window that there is.
+/// A viewer of a stream that grows, to whom nothing of it was there for so long, has run ahead of who makes
+/// it: it goes back to the newest window that there is.
 const AHEAD: Nanos = Nanos::from_s(1);
 /// If there is none that it has not seen for so long, nobody makes the stream any more.
 const STALLED: Duration = Duration::from_secs(10);

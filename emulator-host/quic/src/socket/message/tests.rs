@@ -115,9 +115,9 @@ fn conditions_come_back_as_written_and_never_out_of_bounds() {
     );
     assert_eq!(impairment.path.loss, emulator_host::link::LossModel::in_bursts(0.05, 4.0));
     assert!(Conditions::NONE.impairment().is_none());
-    let mut kept = body.clone();
-    kept[12] = 2;
-    let [ClientMessage::Conditions { conditions, .. }] = message(&kept).unwrap()[..] else { panic!() };
+    let mut unchanged = body.clone();
+    unchanged[12] = 2;
+    let [ClientMessage::Conditions { conditions, .. }] = message(&unchanged).unwrap()[..] else { panic!() };
     assert!(conditions.keeps_link && !conditions.anew);
     for (at, value, named) in [
         (12, 4, "conditions.flags is 4"),
