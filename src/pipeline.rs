@@ -248,8 +248,8 @@ pub fn read_stream(path: &Path, warn: &mut dyn FnMut(String)) -> Result<Stream> 
 }
 
 /// What a person should know who typed options of scenes with the stream `input`.
-pub(crate) fn unheeded(input: &str, args: &SceneArgs) -> Option<String> {
-    let options = args.without_meaning_for_streams();
+pub(crate) fn unused_options(input: &str, args: &SceneArgs) -> Option<String> {
+    let options = args.scene_only();
     let names = options.join(", ");
     (!options.is_empty()).then(|| format!("{input}: is a stream; not used, being for scenes: {names}"))
 }

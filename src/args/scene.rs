@@ -55,8 +55,8 @@ pub struct SceneArgs {
 }
 
 impl SceneArgs {
-    /// The typed options that say nothing about a stream.
-    pub fn without_meaning_for_streams(&self) -> Vec<&'static str> {
+    /// The options that were given and are for scenes alone: a stream has no use for them.
+    pub fn scene_only(&self) -> Vec<&'static str> {
         let options = [
             ("--fps", self.fps != FRAMES_PER_SECOND),
             ("--samples", self.samples != SAMPLES),

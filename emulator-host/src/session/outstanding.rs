@@ -52,7 +52,7 @@ impl Outstanding {
         self.is_repeated = true;
     }
 
-    /// Whether it does.
+    /// Whether [`Self::set_repeated`] has been called.
     pub fn is_repeated(&self) -> bool {
         self.is_repeated
     }

@@ -151,13 +151,11 @@ export class DgsPlayer extends HTMLElement {
     };
     const began = async (session, name) => {
       if (name !== "file") this.dataset.transport = name;
-      const view = shown?.view ?? this.#view;
-      await this.#began(session, came, signal, view);
+      await this.#began(session, came, signal, shown?.view);
       shown = session;
     };
     const switched = (name) => (this.dataset.transport = name);
-    const start = () => this.#startTime;
-    const given = { began, came, signal, switched, start, player: this, worker: this.#worker };
+    const given = { began, came, signal, switched, start: () => this.#startTime, player: this, worker: this.#worker };
     try {
       await load();
       for (;;) {
@@ -201,7 +199,7 @@ export class DgsPlayer extends HTMLElement {
     this.#damage = "";
     this.#say("");
     this.#engine.session = session;
-    this.background = this.background;
+    this.#paint(session);
     this.#panel.began();
     this.#loaded = session.loaded;
     came();
@@ -396,11 +394,15 @@ export class DgsPlayer extends HTMLElement {
   }
 
   set background(colour) {
-    const [, r, g, b] = /^#(..)(..)(..)$/.exec(colour) ?? [];
-    if (b === undefined) return;
+    if (!/^#[0-9a-f]{6}$/i.test(colour)) return;
     this.#part(".background").value = colour;
-    this.#change("backgroundchange", (session) => session.setBackground(...[r, g, b].map((v) => parseInt(v, 16) / 255)));
+    this.#change("backgroundchange", (session) => this.#paint(session));
     this.#engine?.redraw();
+  }
+
+  // Gives a session the background that is chosen.
+  #paint(session) {
+    session.setBackground(...[1, 3, 5].map((at) => parseInt(this.background.slice(at, at + 2), 16) / 255));
   }
 
   /** Azimuth, elevation (radians), distance, target: six numbers. Kept for the next stream. */
@@ -446,8 +448,7 @@ export class DgsPlayer extends HTMLElement {
   }
 
   toggle() {
-    if (this.paused) this.play();
-    else this.pause();
+    this.paused ? this.play() : this.pause();
   }
 
   /** Goes `frames` frames on, and stands. */

@@ -295,7 +295,7 @@ export class Session extends Controls {
     this.#buffer = null;
     if (wished) this.#anew = false;
     this.#pending = this.#decoding.ask("show", { ...given, anew, wished, buffer }, buffer ? [buffer] : []).then(
-      ({ picture, state }) => this.#hear(wish, wished, picture, state),
+      ({ picture, state }) => this.#takeAnswer(wish, wished, picture, state),
       (error) => {
         this.#pending = null;
         this.#fail(error);
@@ -303,7 +303,7 @@ export class Session extends Controls {
     );
   }
 
-  #hear(wish, wished, picture, state) {
+  #takeAnswer(wish, wished, picture, state) {
     this.#pending = null;
     if (this.#freed) return;
     this.#state = state;

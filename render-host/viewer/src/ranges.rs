@@ -424,7 +424,7 @@ mod tests {
         }
     }
 
-    /// What is searched by halves against what looks at every packet.
+    /// Binary search against linear search.
     #[test]
     fn of_known_places_in_order_a_search_finds_what_a_look_at_all_finds() {
         let mut differs = false;

@@ -35,11 +35,11 @@ const RECEIPT_DELAY: Duration = Duration::from_millis(25);
 /// that somebody is there.
 const RECEIPT_INTERVAL: Duration = Duration::from_millis(100);
 
-/// A viewer that leaves says so; no longer than this is waited for it.
+/// Time that a session has to say bye.
 const FAREWELL: Duration = Duration::from_millis(500);
 /// Rounds of a clip that repeats are this far apart at least: a server takes five seeks a second.
 const ROUND_INTERVAL: Duration = Duration::from_millis(200);
-/// A viewer who is ahead of a stream that grows asks so often whether there is more.
+/// How often a viewer who is ahead of a stream that grows asks for its newest window.
 const NEWEST_INTERVAL: Duration = Duration::from_millis(500);
 /// Between a connection that was lost or not made and the next.
 const BEFORE_RECONNECTING: Duration = Duration::from_millis(200);
@@ -303,7 +303,8 @@ async fn converse(
             }
             continue;
         }
-        if now >= newest_at
+        if had_manifest
+            && now >= newest_at
             && let Some(wish) = playback.newest_wish()?
         {
             newest_at = now + NEWEST_INTERVAL;

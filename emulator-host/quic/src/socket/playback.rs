@@ -58,10 +58,11 @@ pub(crate) struct Playback {
     unanswered: bool,
     report: PlayReport,
     sums: (f64, f64),
-    /// Of a stream that grows: when the last frame ends of which anything was there, microseconds; how long
-    /// nothing was; since when a newer window is waited for.
+    /// Of a stream that grows: where in the clip the last frame ends that had any base, microseconds.
     seen_us: u64,
+    /// For how long frames without any have been shown since.
     missing: Nanos,
+    /// Since when playout stands and a newer window is asked for.
     ahead_since: Option<Instant>,
     /// Becomes true once the viewer leaves.
     leaves: watch::Sender<bool>,
@@ -127,7 +128,7 @@ impl Playback {
         self.grows = true;
         if round == self.round {
             self.move_start(start_us);
-            // The middle of a frame is meant.
+            // A server names the middle of a frame.
             let is_new = start_us + self.interval.0 / 1000 >= self.seen_us;
             self.ahead_since = self.ahead_since.filter(|_| !is_new);
         }

@@ -87,7 +87,8 @@ struct Viewer<'s> {
     content: watch::Receiver<Arc<Content>>,
     /// What of the control stream is still to be written.
     out: VecDeque<u8>,
-    /// How much of that is the manifest and what goes with it, which nobody has asked for more than once.
+    /// How many bytes of that are the manifest and the first begin, which are no answers: a client that does
+    /// not read is judged by the rest.
     greeting: usize,
     /// By packet id, over all rounds.
     delivered: Vec<bool>,
