@@ -7,8 +7,8 @@
 //! `alpha_max`, `transmittance_stop`, …); skips have nothing to skip here.
 //!
 //! A pixel is *close to a threshold* when some alpha is within a relative 1e-5 of the cut-off, or its
-//! transmittance within 1e-3 of the stop. There, rounding decides, and renderers may rightly differ by a
-//! whole contribution: up to cut-off × colour for an alpha, stop × colour for a stop. Everywhere else
+//! transmittance as near to the stop as f32 may have rounded it on the way there, 1e-3 at most. There,
+//! rounding decides, and renderers may rightly differ by a whole contribution: up to cut-off × colour for an alpha, stop × colour for a stop. Everywhere else
 //! they differ by rounding alone. [`Reference::close`] counts these, so that a comparison can hold each
 //! kind to its own bound.
 
@@ -22,8 +22,10 @@ use crate::{
 
 /// Relative distance from the alpha cut-off that counts as close.
 pub const CLOSE_ALPHA: f64 = 1e-5;
-/// Relative distance from the transmittance stop that counts as close.
+/// Largest relative distance from the transmittance stop that counts as close.
 pub const CLOSE_STOP: f64 = 1e-3;
+/// Relative error of an f32 product of two numbers, one of them `1 - alpha`.
+const PRODUCT_ROUNDING: f64 = 2.0 * 5.97e-8;
 
 /// Splats between two looks at whether a row is finished.
 const LOOK_EVERY: usize = 256;
@@ -103,16 +105,19 @@ pub fn render(splats: &Splats, camera: &Camera, settings: &Settings) -> Result<R
 struct Pixel {
     colour: [f64; 3],
     transmittance: f64,
+    /// Relative error that `transmittance` may have in f32, to first order.
+    rounding: f64,
     close: u32,
 }
 
 impl Pixel {
-    const EMPTY: Self = Self { colour: [0.0; 3], transmittance: 1.0, close: 0 };
+    const EMPTY: Self = Self { colour: [0.0; 3], transmittance: 1.0, rounding: 0.0, close: 0 };
 
     fn take(&mut self, e: &Ellipse, dx: f64, dy: f64, settings: &Settings) {
         let stop = f64::from(settings.transmittance_stop);
         if settings.early_stop && stop > 0.0 {
-            self.close += u32::from((self.transmittance / stop - 1.0).abs() < CLOSE_STOP);
+            let close = self.rounding.min(CLOSE_STOP);
+            self.close += u32::from((self.transmittance / stop - 1.0).abs() < close);
             if self.transmittance < stop {
                 return;
             }
@@ -131,6 +136,7 @@ impl Pixel {
             *sum += self.transmittance * alpha * colour;
         }
         self.transmittance *= 1.0 - alpha;
+        self.rounding += PRODUCT_ROUNDING + CLOSE_ALPHA * alpha / (1.0 - alpha);
     }
 }
 

@@ -70,6 +70,16 @@ proptest! {
     }
 }
 
+/// Their transmittance falls slowly: it stays near the stop over many splats.
+#[test]
+fn wide_and_faint_splats_are_excused_by_their_rounding_only() {
+    let settings = Settings { alpha_cutoff: 0.0, transmittance_stop: 1e-6, ..Settings::default() };
+    let scene = Scene::random(1898, 0, 0.003, 0.469, 5_709_610_191_663_662_802);
+    let d = check(&scene.splats(), 111, 42, &settings);
+    // 46 were, if a thousandth of the stop counted everywhere.
+    assert!(d.close_pixels <= 25, "{d:?}");
+}
+
 #[test]
 fn a_dense_scene_meets_the_promise() {
     let scene = Scene::random(40_000, 1, 0.004, 0.02, 7);

@@ -41,7 +41,7 @@ pub use options::{DensityControl, Finish, OptionsError, Rates, Schedule, TrainOp
 pub use step_report::{Stage, StepReport};
 pub use trainer::Trainer;
 pub use views::{
-    ColouredPoint, Dataset, PosedPhotograph, Start, Test, Training, Validation, Views, ViewsError,
+    ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start, Test, Training, Validation, Views, ViewsError,
 };
 
 #[cfg(test)]

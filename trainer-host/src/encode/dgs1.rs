@@ -196,8 +196,8 @@ fn in_sending_order(
         .into_par_iter()
         .map(|set| cluster::block_order(&set, positions, options.block_len))
         .collect();
-    let (quants, origin) = canonical::plain(epoch, &in_blocks, classes, options)?;
-    Ok(order::arrange(epoch, in_blocks, |set| &quants[classes.of(set)], origin, options.block_len))
+    let (quants, grid) = canonical::plain(epoch, &in_blocks, classes, options)?;
+    Ok(order::arrange(epoch, in_blocks, |set| &quants[classes.of(set)], grid.origin, options.block_len))
 }
 
 /// Decides entropy tables, table sets of at most `most` tables, and the table of every symbol run.

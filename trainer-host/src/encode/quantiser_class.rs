@@ -18,7 +18,7 @@ use super::{
     EncodeError, EncodeOptions, Quality, cluster,
     decisions::QuantiserClass,
     sensitivity::{self, CLASSES, Weights},
-    steps::{DGS1_BASE_RATIO, Factors, Grid},
+    steps::{DGS1_MOST_RATIO, Factors, Grid},
 };
 use crate::scene::Scene;
 
@@ -80,7 +80,7 @@ impl QuantiserClasses {
         let mut costs = sensitivity::measure(scene, options.pictures, &options.backend()?)?;
         for (epoch, costs) in scene.epochs().iter().zip(&mut costs) {
             let mut quality = options.quality;
-            quality.position = Grid::of(epoch, DGS1_BASE_RATIO).step(&quality);
+            quality.position = Grid::of(epoch, DGS1_MOST_RATIO).step(&quality);
             let steps = quality.steps().map(|step| f64::from(*step));
             for cost in costs.iter_mut() {
                 (0..CLASSES).for_each(|c| cost[c] *= steps[c] * steps[c]);

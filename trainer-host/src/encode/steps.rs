@@ -104,6 +104,8 @@ pub(super) struct Grid {
     usual: f32,
     /// Least step.
     least: f32,
+    /// Least step at the base level.
+    least_base: f32,
 }
 
 /// An axis counts as no shorter than the longest over 20, a difference of log-scales: flat Gaussians are
@@ -114,8 +116,8 @@ const FLATTEST: f32 = 2.995_732_3;
 const BASE_INDEX_SPAN: f32 = 30_000.0;
 
 impl Grid {
-    /// The grid of `epoch`, with steps coarse enough for i16 at a base step of `base_ratio` fine ones.
-    pub fn of(epoch: &Epoch, base_ratio: f32) -> Self {
+    /// The grid of `epoch`, with steps coarse enough for i16 at a base step of `most_ratio` fine ones.
+    pub fn of(epoch: &Epoch, most_ratio: f32) -> Self {
         let n = epoch.count();
         let a = epoch.attributes();
         let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
@@ -126,7 +128,7 @@ impl Grid {
             }
         }
         if n == 0 {
-            return Self { origin: [0.0; 3], usual: 1.0, least: 1.0 };
+            return Self { origin: [0.0; 3], usual: 1.0, least: 1.0, least_base: 1.0 };
         }
         let mean = |s: &[f32; 3]| {
             let least = s[0].max(s[1]).max(s[2]) - FLATTEST;
@@ -136,10 +138,10 @@ impl Grid {
         sizes.sort_unstable_by(f32::total_cmp);
         let size = sizes[n / 2].exp();
         let extent = (0..3).map(|d| high[d] - low[d]).fold(0.0f32, f32::max);
-        let least = (extent / (BASE_INDEX_SPAN * base_ratio)).max(1e-7);
+        let least_base = extent / BASE_INDEX_SPAN;
         let origin = [0, 1, 2].map(|d| low[d] + (high[d] - low[d]) * 0.5);
-        let least = ladder(least * 1.2);
-        Self { origin, usual: ladder(Quality::default().position * size).max(least), least }
+        let least = ladder((least_base / most_ratio).max(1e-7) * 1.2);
+        Self { origin, usual: ladder(Quality::default().position * size).max(least), least, least_base }
     }
 
     /// Finest position step for `quality`, scene units.
@@ -147,6 +149,15 @@ impl Grid {
         // The ladder is for what differs between epochs; the caller's coarseness moves all rungs alike,
         // so that rate control finds no stairs.
         (self.usual * (quality.position / Quality::default().position)).max(self.least)
+    }
+
+    /// `usual`, or wider ratios where base indices of a last step of `step` would not fit: a few Gaussians
+    /// far from all others make the base coarse, not the whole scene.
+    fn ratios(&self, step: f32, usual: [u8; 3]) -> [u8; 3] {
+        let needed = self.least_base / step;
+        let wide = usual.iter().map(|&ratio| f32::from(ratio)).product::<f32>() >= needed;
+        let each = 2 * (0.5 * (needed.cbrt() - 1.0)).ceil().clamp(1.0, 127.0) as u8 + 1;
+        if wide { usual } else { [each; 3] }
     }
 }
 
@@ -164,26 +175,28 @@ fn thirds(coarser: f32, most: u8) -> [u8; 3] {
     [0, 1, 2].map(|l| if (first..first + count).contains(&l) { 3 } else { 1 })
 }
 
-/// Least base position step over the usual last one: [`thirds`] lead to 27 or, rounded, to 27 / √3.
-pub(super) const DGS1_BASE_RATIO: f32 = 15.588;
+/// Most steps of a position of `dgs1` in one of its base: with indices of the base in i16, those of the last
+/// level fit i32.
+pub(super) const DGS1_MOST_RATIO: f32 = 60_000.0;
 
-/// The `dgs1` quantisation profile for `quality` on a grid of `position_step`. `frames` are those of the
-/// epoch; `predicted` says per canonical class, then per moving class, whether differences are coded,
+/// The `dgs1` quantisation profile for `quality` on `grid`. `frames` are those of the epoch; `predicted` says per canonical class, then per moving class, whether differences are coded,
 /// `decorrelated` per canonical class whether triples are coded as their mean and differences.
 pub(super) fn dgs1(
     quality: &Quality,
-    position_step: f32,
+    grid: &Grid,
     frames: usize,
     predicted: &[bool; Class::COUNT + Class::MOVING],
     decorrelated: &[bool; Class::COUNT],
 ) -> Result<Quant, EncodeError> {
+    let position_step = grid.step(quality);
     let step = |class: Class| if class == Class::Position { position_step } else { quality.of(class) };
     let usual = Quality::default();
     let coarser = |class: Class| quality.of(class) / usual.of(class);
     let first = Quantiser::new(position_step, [3; 3], false)?;
     let mut quant = Quant { canonical: [first; Class::COUNT], motion: [first; Class::MOVING] };
     for (class, target) in Class::ALL.into_iter().zip(&mut quant.canonical) {
-        let ratio = thirds(coarser(class), 3);
+        let thirds = thirds(coarser(class), 3);
+        let ratio = if class == Class::Position { grid.ratios(position_step, thirds) } else { thirds };
         let quantiser = Quantiser::new(step(class), ratio, predicted[class.index()])?;
         *target = quantiser.with_decorrelated(decorrelated[class.index()]);
     }
@@ -252,11 +265,11 @@ mod tests {
     fn positions_of_tiny_gaussians_in_wide_scenes_fit() {
         for size in [1e-8, 1e-3, 0.02, 1.0] {
             let epoch = wide(130, size);
-            let grid = Grid::of(&epoch, DGS1_BASE_RATIO);
+            let grid = Grid::of(&epoch, DGS1_MOST_RATIO);
             for coarseness in [0.06, 0.3, 1.0, 1.7, 1.8, 5.1, 5.3, 15.0, 16.0, 64.0] {
                 let quality = Quality::default().scaled(coarseness);
                 let none = [false; Class::COUNT + Class::MOVING];
-                let quant = dgs1(&quality, grid.step(&quality), 1, &none, &[false; Class::COUNT]).unwrap();
+                let quant = dgs1(&quality, &grid, 1, &none, &[false; Class::COUNT]).unwrap();
                 let base = quant.canonical[Class::Position.index()].step(Level::BASE);
                 assert!(1000.0 / base < 32_767.0, "size {size}, coarseness {coarseness}: {base}");
                 let scene = Scene::new(vec![epoch.clone()], 30.0).unwrap();
@@ -264,6 +277,31 @@ mod tests {
                 let stream = encode(&scene, &options, &crate::encode::unheard).unwrap();
                 assert_eq!(stream.report.ledger.saturated, 0, "size {size}, coarseness {coarseness}");
             }
+        }
+    }
+
+    /// One Gaussian far away makes the base coarse, and no other position worse at the last level.
+    #[test]
+    fn a_few_far_gaussians_do_not_make_steps_coarse() {
+        let with_one_at = |far: f32| {
+            let place = |i: usize| [(i as f32).sin(), (i as f32).cos(), 0.0];
+            let positions = (0..300).map(|i| if i == 7 { [far, 0.0, 0.0] } else { place(i) });
+            let attributes = Attributes {
+                positions: Track::Constant(positions.collect()),
+                ..wide(300, 0.02).attributes().clone()
+            };
+            Epoch::new(1, attributes).unwrap()
+        };
+        let near = Grid::of(&with_one_at(1.0), DGS1_MOST_RATIO);
+        let quality = Quality::default();
+        for far in [1e2, 1e3, 1e4] {
+            let epoch = with_one_at(far);
+            let grid = Grid::of(&epoch, DGS1_MOST_RATIO);
+            assert_eq!(grid.step(&quality), near.step(&quality), "{far}");
+            let scene = Scene::new(vec![epoch], 30.0).unwrap();
+            let options = EncodeOptions { pictures: 0, ..EncodeOptions::default() };
+            let stream = encode(&scene, &options, &crate::encode::unheard).unwrap();
+            assert_eq!(stream.report.ledger.saturated, 0, "{far}");
         }
     }
 

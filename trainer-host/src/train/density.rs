@@ -11,6 +11,7 @@ use super::{
     options::DensityControl,
     rotation::{dot, matrix},
     start::Extent,
+    views::FreeSpace,
 };
 
 /// Gaussians fainter than this logit (1.5 %) are removed.
@@ -65,6 +66,15 @@ impl Pull {
     }
 }
 
+/// Where Gaussians may be.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Region<'a> {
+    /// Near it.
+    pub(super) extent: Extent,
+    /// Not in it.
+    pub(super) free_space: &'a FreeSpace,
+}
+
 /// Removes what does nothing and adds up to `target` Gaussians, at most a quarter more than there are.
 /// Returns for each Gaussian now there the index it had, or its parent had, before.
 pub(super) fn control(
@@ -72,11 +82,11 @@ pub(super) fn control(
     pull: &Pull,
     target: usize,
     kind: DensityControl,
-    extent: &Extent,
+    region: Region,
     rng: &mut Pcg64Mcg,
 ) -> Vec<usize> {
     let mut indices: Vec<usize> =
-        (0..gaussians.len()).filter(|&i| !is_useless(gaussians, i, extent)).collect();
+        (0..gaussians.len()).filter(|&i| !is_useless(gaussians, i, region)).collect();
     let remaining = indices.len();
     let room = target.saturating_sub(remaining).min(remaining / 4);
     let weight = |&index: &usize| match kind {
@@ -96,14 +106,15 @@ pub(super) fn control(
     indices
 }
 
-fn is_useless(gaussians: &TrainedGaussians, index: usize, extent: &Extent) -> bool {
+fn is_useless(gaussians: &TrainedGaussians, index: usize, region: Region) -> bool {
+    let Region { extent, free_space } = region;
     let unit = extent.half_side as f32;
     let faint = gaussians.opacity.item(index)[0] < FAINT;
     let long = gaussians.log_scale.item(index).iter().any(|&s| s > (LONGEST * unit).ln());
     let place = gaussians.positions()[index];
     let near = |(&p, c): (&f32, f64)| (f64::from(p) - c).abs() <= FARTHEST * extent.half_side;
     let far = !place.iter().zip(extent.centre).all(near);
-    faint || long || far
+    faint || long || far || free_space.contains(place)
 }
 
 /// Up to `count` different places of `weights`, heavier ones the more likely.
@@ -214,6 +225,23 @@ mod tests {
         )
     }
 
+    /// Everything near the extent.
+    fn anywhere(free_space: &FreeSpace) -> Region<'_> {
+        Region { extent: EXTENT, free_space }
+    }
+
+    #[test]
+    fn what_stands_in_free_space_goes() {
+        let camera =
+            render_host::Camera::look_at([0.2, 0.0, -1.0], [0.2, 0.0, 1.0], [0.0, 1.0, 0.0], 0.5, 8, 8);
+        let free_space = FreeSpace::before(vec![camera.unwrap()], 1.01, 0.95);
+        let mut gaussians = row(&[0.5; 4]);
+        let mut rng = Pcg64Mcg::seed_from_u64(1);
+        let pull = Pull::none(4);
+        let from = control(&mut gaussians, &pull, 4, DensityControl::Split, anywhere(&free_space), &mut rng);
+        assert_eq!(from, [0]);
+    }
+
     #[test]
     fn the_pulled_one_is_split_along_its_longest_axis_and_the_faint_one_goes() {
         let mut gaussians = row(&[0.5, 0.001, 0.5, 0.5, 0.5, 0.5]);
@@ -221,7 +249,14 @@ mod tests {
         let splat = |x: f32| SplatGradient { image_mean: [x, 0.0], ..SplatGradient::default() };
         pull.add(&[splat(0.0), splat(9.0), splat(0.0), splat(1.0), splat(0.0), splat(0.0)], &[]);
         let mut rng = Pcg64Mcg::seed_from_u64(1);
-        let from = control(&mut gaussians, &pull, 100, DensityControl::Split, &EXTENT, &mut rng);
+        let from = control(
+            &mut gaussians,
+            &pull,
+            100,
+            DensityControl::Split,
+            anywhere(&FreeSpace::default()),
+            &mut rng,
+        );
         assert_eq!(from, [0, 2, 3, 4, 5, 3]);
         let (a, b) = (gaussians.positions()[2], gaussians.positions()[5]);
         assert!((a[1] - b[1] - 2.0 * APART * 0.05).abs() < 1e-6 && a[0] == b[0], "{a:?} {b:?}");

@@ -18,7 +18,7 @@ use render_host::{
 
 use super::{
     average::Average,
-    density::{self, Pull},
+    density::{self, Pull, Region},
     error::TrainError,
     finish::{Encoding, Finisher, Finishing, Pruning},
     gaussians::TrainedGaussians,
@@ -58,7 +58,7 @@ pub struct Trainer<'a> {
     views: &'a Views<Training>,
     has_alpha: bool,
     options: TrainOptions,
-    extent: Extent,
+    region: Region<'a>,
     pyramid: Pyramid<'a>,
     state: State,
     /// What to fall back to.
@@ -125,7 +125,7 @@ impl<'a> Trainer<'a> {
             has_alpha: dataset.has_alpha,
             pyramid: Pyramid::new(photographs, options.max_side),
             options,
-            extent,
+            region: Region { extent, free_space: &dataset.free_space },
             fallback: state.clone(),
             finisher: Finisher::new(encoding, &state.model.gaussians),
             state,
@@ -400,7 +400,7 @@ impl<'a> Trainer<'a> {
         let mut of_nodes =
             gaussians.backward(&nodes.skin(&poses), followed, &gradients.splats, &gradients.sh_rest);
         // Rigidity is a sum of squared lengths: measured in extents it means the same in every scene.
-        let unit = self.extent.half_side as f32;
+        let unit = self.region.extent.half_side as f32;
         let rigidity = schedule::rigidity(&self.options, progress) / (unit * unit);
         nodes.keep_rigid(rigidity, &poses, &mut of_nodes);
         nodes.keep_still(self.options.stillness, &poses, &mut of_nodes);
@@ -425,7 +425,7 @@ impl<'a> Trainer<'a> {
     /// Adds and removes Gaussians if it is time.
     fn control_density(&mut self, progress: f64, rng: &mut Pcg64Mcg) {
         let (options, state) = (&self.options, &mut self.state);
-        let unit = self.extent.half_side as f32;
+        let unit = self.region.extent.half_side as f32;
         if options.density == DensityControl::Relocate && progress < 0.85 {
             let rate = schedule::attribute_rates(options, progress, unit).position;
             density::jitter(&mut state.model.gaussians, rate, rng);
@@ -437,7 +437,7 @@ impl<'a> Trainer<'a> {
         state.last_density = state.step;
         let target = schedule::gaussians(options, progress);
         let Model { gaussians, followed, .. } = &mut state.model;
-        let from = density::control(gaussians, &state.pull, target, options.density, &self.extent, rng);
+        let from = density::control(gaussians, &state.pull, target, options.density, self.region, rng);
         *followed = from.iter().map(|&index| followed[index]).collect();
         state.pull = Pull::none(gaussians.len());
     }
@@ -452,7 +452,7 @@ impl<'a> Trainer<'a> {
         self.state.stands += 1;
         let reduced = self.pyramid.divisor(self.state.size);
         let trial = Trial { views: self.views, reduced, background: self.options.background };
-        let most = self.options.stand_still_within * self.extent.half_side as f32;
+        let most = self.options.stand_still_within * self.region.extent.half_side as f32;
         stand_still::stand_still(&mut self.state.model, most, &trial)?;
         Ok(())
     }

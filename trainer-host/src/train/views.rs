@@ -131,6 +131,32 @@ pub struct ColouredPoint {
     pub colour: [f32; 3],
 }
 
+/// Space before cameras in which nothing is: what stood there would hide the scene from views between those
+/// that are trained on, where no photograph tells that it is not there.
+#[derive(Clone, Debug, Default)]
+pub struct FreeSpace {
+    cameras: Vec<Camera>,
+    distance: f64,
+    cosine: f64,
+}
+
+impl FreeSpace {
+    /// What is nearer than `distance`, in scene units, to one of `cameras`, in directions whose angle to its
+    /// optical axis has at least this `cosine`.
+    pub fn before(cameras: Vec<Camera>, distance: f64, cosine: f64) -> Self {
+        Self { cameras, distance, cosine }
+    }
+
+    /// Whether `place` is in it.
+    pub fn contains(&self, place: [f32; 3]) -> bool {
+        self.cameras.iter().any(|camera| {
+            let [x, y, z] = camera.to_camera(place);
+            let distance = (x * x + y * y + z * z).sqrt();
+            distance < self.distance && z > self.cosine * distance
+        })
+    }
+}
+
 /// What training begins with.
 #[derive(Clone, Debug)]
 pub enum Start {
@@ -155,6 +181,8 @@ pub struct Dataset {
     pub test: Views<Test>,
     /// What training begins with.
     pub start: Start,
+    /// Where nothing can be.
+    pub free_space: FreeSpace,
     /// Whether photographs have an outline: what lies outside it is empty space, not background.
     pub has_alpha: bool,
     /// Frames that the clip has, one at least.

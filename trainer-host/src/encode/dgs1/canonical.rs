@@ -31,18 +31,18 @@ pub(super) struct Canonical {
 }
 
 /// The quantisers of each quantiser class of an epoch with nothing predicted, its Gaussians in `sets` of
-/// blocks, and its origin.
+/// blocks, and its grid.
 pub(super) fn plain(
     epoch: &Epoch,
     sets: &[Vec<u32>],
     classes: &EpochClasses<'_>,
     options: &EncodeOptions,
-) -> Result<(Vec<Quant>, [f32; 3]), EncodeError> {
-    let grid = Grid::of(epoch, steps::DGS1_BASE_RATIO);
+) -> Result<(Vec<Quant>, Grid), EncodeError> {
+    let grid = Grid::of(epoch, steps::DGS1_MOST_RATIO);
     let of_class = |(class_index, quality): (usize, &Quality)| {
         let quant = |decorrelated: [bool; Class::COUNT]| {
             let predicted = [false; Class::COUNT + Class::MOVING];
-            steps::dgs1(quality, grid.step(quality), epoch.frames(), &predicted, &decorrelated)
+            steps::dgs1(quality, &grid, epoch.frames(), &predicted, &decorrelated)
         };
         let sets: Vec<&Vec<u32>> = sets.iter().filter(|set| classes.of(set) == class_index).collect();
         // What the spread of the indices within their blocks costs, per class.
@@ -65,7 +65,7 @@ pub(super) fn plain(
     };
     let quants: Result<Vec<Quant>, EncodeError> =
         classes.qualities.iter().enumerate().map(of_class).collect();
-    Ok((quants?, grid.origin))
+    Ok((quants?, grid))
 }
 
 /// Bits per value that decorrelating must save: sums of independent values are closer to their mean than the
@@ -83,22 +83,21 @@ pub(super) fn decide(
     classes: &EpochClasses<'_>,
     options: &EncodeOptions,
 ) -> Result<Decided, EncodeError> {
-    let (unpredicted, origin) = plain(epoch, &members, classes, options)?;
+    let (unpredicted, grid) = plain(epoch, &members, classes, options)?;
     let mut quants = Vec::new();
     let mut degrees = vec![0u8; members.len()];
     for (class_index, (plain, quality)) in unpredicted.iter().zip(&classes.qualities).enumerate() {
         let places: Vec<usize> =
             (0..members.len()).filter(|&k| classes.of(&members[k]) == class_index).collect();
         let indices: Vec<Indices> =
-            places.par_iter().map(|&k| indices(epoch, &members[k], plain, origin)).collect();
+            places.par_iter().map(|&k| indices(epoch, &members[k], plain, grid.origin)).collect();
         let mut predicted = [false; Class::COUNT + Class::MOVING];
         predicted[Class::COUNT..].fill(true);
         for class in Class::ALL {
             predicted[class.index()] = prediction_pays(&indices, class, plain, options.block_len);
         }
         let decorrelated = plain.canonical.map(|quantiser| quantiser.decorrelated());
-        let step = plain.canonical[Class::Position.index()].step(Level::ALL[3]);
-        quants.push(steps::dgs1(quality, step, epoch.frames(), &predicted, &decorrelated)?);
+        quants.push(steps::dgs1(quality, &grid, epoch.frames(), &predicted, &decorrelated)?);
         let found = pruning::degrees(&indices, epoch.attributes().sh_degree.get());
         for (&k, degree) in places.iter().zip(found) {
             degrees[k] = degree;
@@ -111,7 +110,7 @@ pub(super) fn decide(
         gaussians,
         table_indices: Default::default(),
     };
-    Ok((quants, members.into_iter().zip(degrees).map(decide).collect(), origin))
+    Ok((quants, members.into_iter().zip(degrees).map(decide).collect(), grid.origin))
 }
 
 /// Quantises frame 0 of `epoch` as `decisions` say; `quants` are their quantisers. Every level is there.

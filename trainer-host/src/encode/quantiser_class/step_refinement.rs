@@ -17,7 +17,7 @@ use crate::{
             rate_estimate::PER_D,
         },
         sensitivity::CLASSES,
-        steps::{self, DGS1_BASE_RATIO, Factors, Grid},
+        steps::{self, DGS1_MOST_RATIO, Factors, Grid},
     },
     scene::Epoch,
 };
@@ -43,13 +43,13 @@ pub(super) fn finer(
     options: &EncodeOptions,
 ) -> Result<Vec<Factors>, EncodeError> {
     let positions = epoch.attributes().positions.frame(0, epoch.count());
-    let grid = Grid::of(epoch, DGS1_BASE_RATIO);
+    let grid = Grid::of(epoch, DGS1_MOST_RATIO);
     let thirds = 3f32.powi(FINER as i32);
     let of_class = |(class_index, quality): (usize, &Quality)| {
         let own: Vec<&Vec<u32>> = classes.sets.iter().filter(|set| classes.of(set) == class_index).collect();
         let quality = quality.scaled(1.0 / thirds);
         let plain = [false; Class::COUNT + Class::MOVING];
-        let quant = steps::dgs1(&quality, grid.step(&quality), 1, &plain, &[false; Class::COUNT])?;
+        let quant = steps::dgs1(&quality, &grid, 1, &plain, &[false; Class::COUNT])?;
         // Values by class and component, blocks one after the other.
         let mut values: Vec<Vec<Vec<i32>>> =
             Class::ALL.map(|class| vec![Vec::new(); class.components()]).to_vec();

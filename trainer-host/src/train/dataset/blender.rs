@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     scene::Up,
-    train::views::{Dataset, PosedPhotograph, Start, Views},
+    train::views::{Dataset, FreeSpace, PosedPhotograph, Start, Views},
 };
 
 pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
@@ -29,6 +29,7 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
         validation,
         test,
         start: Start::VisualHull,
+        free_space: FreeSpace::default(),
         has_alpha,
         frames,
         up: Up::Z,

@@ -15,7 +15,7 @@ use super::{
 };
 use crate::{
     scene::Up,
-    train::views::{ColouredPoint, Dataset, PosedPhotograph, Start, Views},
+    train::views::{ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start, Views},
 };
 
 /// One image in this many is for testing.
@@ -57,6 +57,7 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
         validation: Views::new(Vec::new()).map_err(of_views)?,
         test: Views::new(test).map_err(of_views)?,
         start: Start::Points(points),
+        free_space: FreeSpace::default(),
         has_alpha: false,
         frames: 1,
         up: Up::MinusY,

@@ -18,7 +18,7 @@ use super::{
 };
 use crate::{
     scene::Up,
-    train::views::{ColouredPoint, Dataset, PosedPhotograph, Start, Views},
+    train::views::{ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start, Views},
 };
 
 /// Points that training starts with, since the layout has none that we may rely on.
@@ -27,7 +27,7 @@ const POINTS: usize = 20_000;
 const MOST_DRAWS: usize = 4 * POINTS;
 /// Nothing nearer to a camera, in metres, is drawn: cameras hang in the walls of a dome, and what training
 /// puts between two of them nobody corrects. Source: Dynamic 3D Gaussians, train.py.
-const NEAR: f64 = 1.0;
+const NEAR: f64 = 0.2;
 /// What is this near to a camera and before it, in all of the cameras' reach, would hide the scene from
 /// cameras between those that are trained on, where nothing tells that it is not there.
 const CLEAR_DISTANCE: f64 = 0.45;
@@ -49,7 +49,8 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
     let test =
         if folder.join("test_meta.json").is_file() { split(folder, "test_meta.json")? } else { Vec::new() };
     let of_views = |source| DatasetError::Views { path: folder.to_owned(), source };
-    let start = Start::Points(points_inside(&train));
+    let free_space = free_space(&train);
+    let start = Start::Points(points_inside(&train, &free_space));
     let train = Views::new(train).map_err(of_views)?;
     let frames = train.instants();
     Ok(Dataset {
@@ -58,6 +59,7 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
         validation: Views::new(Vec::new()).map_err(of_views)?,
         test: Views::new(test).map_err(of_views)?,
         start,
+        free_space,
         has_alpha: false,
         frames,
         up: Up::MinusY,
@@ -105,31 +107,39 @@ fn split(folder: &Path, file: &str) -> Result<Vec<PosedPhotograph>, DatasetError
     wanted.into_par_iter().map(view).collect()
 }
 
-/// Grey points all over the place that the cameras stand around, and beyond it, but not in front of cameras.
-fn points_inside(views: &[PosedPhotograph]) -> Vec<ColouredPoint> {
+/// The box that the cameras stand in.
+fn bounds(views: &[PosedPhotograph]) -> [(f64, f64); 3] {
     let centres: Vec<[f64; 3]> = views.iter().map(|view| view.camera.centre()).collect();
     let bound = |k: usize| {
         let values = || centres.iter().map(|c| c[k]);
         (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
     };
-    let bounds = [bound(0), bound(1), bound(2)];
-    let reach = bounds.iter().map(|(low, high)| 0.5 * (high - low)).fold(0.0, f64::max);
-    let cameras = one_per_place(views);
-    let is_in_the_way = |place: [f32; 3]| {
-        cameras.iter().any(|camera| {
-            let [x, y, z] = camera.to_camera(place);
-            let distance = (x * x + y * y + z * z).sqrt();
-            distance < CLEAR_DISTANCE * reach && z > CLEAR_COSINE * distance
-        })
-    };
+    [bound(0), bound(1), bound(2)]
+}
+
+/// Half the longest side of a box.
+fn reach(bounds: [(f64, f64); 3]) -> f64 {
+    bounds.iter().map(|(low, high)| 0.5 * (high - low)).fold(0.0, f64::max)
+}
+
+/// What cameras have before them: they hang in the walls, and people stay away from those.
+fn free_space(views: &[PosedPhotograph]) -> FreeSpace {
+    let cameras = one_per_place(views).into_iter().cloned().collect();
+    FreeSpace::before(cameras, CLEAR_DISTANCE * reach(bounds(views)), CLEAR_COSINE)
+}
+
+/// Grey points all over the place that the cameras stand around, and beyond it, but not in free space.
+fn points_inside(views: &[PosedPhotograph], free_space: &FreeSpace) -> Vec<ColouredPoint> {
+    let bounds = bounds(views);
+    let reach = reach(bounds);
     let mut rng = Pcg64Mcg::seed_from_u64(1);
     let mut points = Vec::new();
-    for _ in 0..MOST_DRAWS {
+    for _ in 0..if views.is_empty() { 0 } else { MOST_DRAWS } {
         let place = bounds.map(|(low, high)| {
             let middle = 0.5 * (low + high);
             (middle + 1.3 * reach * (2.0 * rng.random::<f64>() - 1.0)) as f32
         });
-        if points.len() < POINTS && !cameras.is_empty() && !is_in_the_way(place) {
+        if points.len() < POINTS && !free_space.contains(place) {
             points.push(ColouredPoint { position: place, colour: [0.5; 3] });
         }
     }

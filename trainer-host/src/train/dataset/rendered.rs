@@ -16,7 +16,7 @@ use crate::{
         Scene,
         viewpoint::{Framing, Ring},
     },
-    train::views::{Dataset, PosedPhotograph, Start, Views, ViewsError},
+    train::views::{Dataset, FreeSpace, PosedPhotograph, Start, Views, ViewsError},
 };
 
 /// How a scene is looked at.
@@ -75,6 +75,7 @@ pub fn rendered(scene: &Scene, name: &str, options: &RenderedOptions) -> Result<
         validation: Views::new(Vec::new())?,
         test: Views::new(test)?,
         start: Start::Gaussians(middle, degree),
+        free_space: FreeSpace::default(),
         has_alpha: true,
         frames: scene.frames(),
         up: scene.up,
@@ -92,6 +93,7 @@ pub fn part(dataset: &Dataset, scene: &Scene, frames: Range<usize>) -> Dataset {
         validation: dataset.validation.part(dataset.frames, &frames),
         test: dataset.test.part(dataset.frames, &frames),
         start: Start::Gaussians(middle, degree),
+        free_space: dataset.free_space.clone(),
         has_alpha: dataset.has_alpha,
         frames: frames.len(),
         up: dataset.up,
