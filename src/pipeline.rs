@@ -83,12 +83,12 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
     let options = |keep_readable: bool| import::ImportOptions {
         limits: import::Limits { keep_readable, ..limits },
         identity: if args.identity_stored { import::Identity::Stored } else { import::Identity::PerFrame },
-        frames_per_second: args.fps,
+        frames_per_second: args.frames_per_second(),
         gltf: import::gltf::GltfOptions {
             clip: clip(),
-            frames_per_second: args.fps,
+            frames_per_second: args.frames_per_second(),
             samples: args.samples,
-            seed: args.seed,
+            seed: args.seed(),
             ..import::gltf::GltfOptions::default()
         },
         deformation_frames: args.deformation_frames,
@@ -128,14 +128,17 @@ pub fn import(input: &str, args: &SceneArgs) -> Result<Loaded> {
 }
 
 /// The scene in a checkpoint of a training, if the file is one.
-fn trained(path: &Path, frames_per_second: f64) -> Result<Option<Scene>> {
+fn trained(path: &Path, frames_per_second: Option<f64>) -> Result<Option<Scene>> {
     if path.extension().is_none_or(|extension| extension != "dgst") {
         return Ok(None);
     }
     let failed = || path.display().to_string();
     let checkpoint =
         Checkpoint::from_bytes(&std::fs::read(path).with_context(failed)?).with_context(failed)?;
-    Ok(Some(checkpoint.model().scene(checkpoint.frames, frames_per_second)?))
+    let rate = frames_per_second.unwrap_or(checkpoint.frames_per_second);
+    let mut scene = checkpoint.model().scene(checkpoint.frames, rate)?;
+    scene.usual_up = Some(checkpoint.up());
+    Ok(Some(scene))
 }
 
 fn synth_options(text: &str, args: &SceneArgs) -> Result<synth::SynthOptions> {
@@ -157,7 +160,13 @@ fn synth_options(text: &str, args: &SceneArgs) -> Result<synth::SynthOptions> {
     if let Some(extra) = parts.next() {
         bail!("synth: {extra:?} is one part too many; synth:KIND[:GAUSSIANS[:FRAMES]] is allowed");
     }
-    Ok(synth::SynthOptions { kind, gaussians, frames, frames_per_second: args.fps, seed: args.seed })
+    Ok(synth::SynthOptions {
+        kind,
+        gaussians,
+        frames,
+        frames_per_second: args.frames_per_second(),
+        seed: args.seed(),
+    })
 }
 
 /// The encoder's options as typed, with `repair` if nothing is said about parity.

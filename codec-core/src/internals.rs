@@ -28,6 +28,7 @@ pub mod quant;
 pub mod rans;
 pub mod receiver;
 pub mod repair;
+pub mod up;
 pub mod wire {
     //! Everything that travels, byte by byte.
     pub mod bits;

@@ -23,6 +23,7 @@ pub use internals::{
     footprint::Footprint,
     gaussian::{Gaussian, ShDegree},
     ids::PacketId,
+    up::Up,
 };
 
 pub mod file {
@@ -33,5 +34,5 @@ pub mod file {
 // So that paths inside the crate stay short.
 use internals::{
     arena, closure, cursor, decode, error, footprint, gaussian, ids, layout, limits, math, pack, quant, rans,
-    receiver, repair, wire,
+    receiver, repair, up, wire,
 };

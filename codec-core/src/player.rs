@@ -28,6 +28,7 @@ use crate::{
     layout::Shape,
     receiver::{Content, Receiver},
     repair::{Combine, combine},
+    up::Up,
     wire::{
         checked::Checked,
         crc::{Crc32, crc32},
@@ -289,6 +290,8 @@ pub struct StreamInfo {
     pub sh_degree: ShDegree,
     /// How Gaussians are drawn.
     pub footprint: Footprint,
+    /// Which way is up.
+    pub up: Up,
 }
 
 impl<'a> Player<'a> {
@@ -389,6 +392,7 @@ impl Player<'_> {
             gaussians: manifest.largest_epoch(),
             sh_degree: manifest.sh_degree(),
             footprint: manifest.footprint(),
+            up: manifest.up(),
         }
     }
 

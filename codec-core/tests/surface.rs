@@ -8,13 +8,14 @@ use std::path::Path;
 const MOST: usize = 80;
 
 /// Files whose items are in reach without `internals`; of other files single names are re-exported.
-const FRONT: [&str; 6] = [
+const FRONT: [&str; 7] = [
     "lib.rs",
     "caps.rs",
     "player.rs",
     "internals/error.rs",
     "internals/footprint.rs",
     "internals/gaussian.rs",
+    "internals/up.rs",
 ];
 
 fn source(name: &str) -> String {

@@ -12,12 +12,9 @@ const SEED: u64 = 1;
 /// A scene and how to read it.
 #[derive(Clone, Debug, Args)]
 pub struct SceneArgs {
-    /// Frames per second for sources that do not say: 0.001 to 10000.
-    #[arg(
-        long, default_value_t = FRAMES_PER_SECOND, value_parser = real(0.001..=10_000.0, "frames per second"),
-        allow_negative_numbers = true
-    )]
-    pub fps: f64,
+    /// Frames per second for sources that do not say: 0.001 to 10000 [default: 30].
+    #[arg(long, value_parser = real(0.001..=10_000.0, "frames per second"), allow_negative_numbers = true)]
+    pub fps: Option<f64>,
     /// Gaussians to place on an animated mesh: at least 1.
     #[arg(long, default_value_t = SAMPLES, value_parser = whole::<usize>(1..=5_000_000, "Gaussians"))]
     pub samples: usize,
@@ -31,9 +28,9 @@ pub struct SceneArgs {
         value_parser = whole::<usize>(1..=100_000, "frames")
     )]
     pub deformation_frames: usize,
-    /// Seed of everything random in the scene.
-    #[arg(long, default_value_t = SEED)]
-    pub seed: u64,
+    /// Seed of everything random in the scene [default: 1].
+    #[arg(long)]
+    pub seed: Option<u64>,
     /// Rows of a numbered PLY sequence are the same Gaussians in every frame.
     #[arg(long)]
     pub identity_stored: bool,
@@ -45,7 +42,8 @@ pub struct SceneArgs {
     pub max_gaussians: usize,
     /// Which way is up: cameras placed around the scene stand upright by it, those that the encoder
     /// chooses on too [default: as usual in the format: -y in PLY, compressed PLY, .splat, SOG and Unity
-    /// assets, which keep the axes of captures; y in SPZ, glTF and everything else].
+    /// assets, which keep the axes of captures; y in SPZ, glTF and everything else; a .dgs stream says it
+    /// itself].
     #[arg(long, value_enum)]
     pub up: Option<Up>,
     /// How Gaussians are drawn, if not as the file says [default: dilated, where it says nothing]; a .dgs
@@ -55,14 +53,24 @@ pub struct SceneArgs {
 }
 
 impl SceneArgs {
+    /// Frames per second for sources that do not say.
+    pub fn frames_per_second(&self) -> f64 {
+        self.fps.unwrap_or(FRAMES_PER_SECOND)
+    }
+
+    /// Seed of everything random in the scene.
+    pub fn seed(&self) -> u64 {
+        self.seed.unwrap_or(SEED)
+    }
+
     /// The options that were given and are for scenes alone: a stream has no use for them.
     pub fn scene_only(&self) -> Vec<&'static str> {
         let options = [
-            ("--fps", self.fps != FRAMES_PER_SECOND),
+            ("--fps", self.fps.is_some()),
             ("--samples", self.samples != SAMPLES),
             ("--clip", self.clip.is_some()),
             ("--deformation-frames", self.deformation_frames != DEFAULT_FRAMES),
-            ("--seed", self.seed != SEED),
+            ("--seed", self.seed.is_some()),
             ("--identity-stored", self.identity_stored),
         ];
         options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()

@@ -132,9 +132,9 @@ pub struct Play {
     /// Stop after so many seconds, above 0.
     #[arg(long, value_name = "SECONDS", value_parser = positive, allow_negative_numbers = true)]
     pub duration: Option<f64>,
-    /// Which way is up in the pictures.
-    #[arg(long, value_enum, default_value_t = super::Up::Y)]
-    pub up: super::Up,
+    /// Which way is up in the pictures [default: as the stream says].
+    #[arg(long, value_enum)]
+    pub up: Option<super::Up>,
     /// Where to look from; where that is typed, the server is told and sends first what is seen from there.
     #[command(flatten)]
     pub cameras: CameraArgs,

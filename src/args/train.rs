@@ -18,8 +18,8 @@ use super::{
 /// (--split) has epochs.json and a folder epoch-N with the checkpoint and log of each.
 #[derive(Clone, Debug, Args)]
 pub struct Train {
-    /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), sparse/0 (COLMAP) or train_meta.json
-    /// (Panoptic). Or any scene that import reads: its own renders are then the photographs, and a sequence
+    /// A dataset: a folder with transforms_train.json (Blender, D-NeRF), transforms.json (Nerfstudio), sparse/0
+    /// (COLMAP) or train_meta.json (Panoptic). Or any scene that import reads: its own renders are then the photographs, and a sequence
     /// without identity becomes one moving scene.
     pub input: String,
     /// Folder to write into.
@@ -35,10 +35,11 @@ pub struct Train {
         allow_negative_numbers = true
     )]
     pub minutes: Option<f64>,
-    /// Go on from the checkpoint in --out; options are those it was made with.
+    /// Go on from the checkpoint in --out; options of the training are those it was made with: others are refused.
+    /// Those of the encoder and of a scene's renders (--cameras, --side) are typed as before.
     #[arg(long)]
     pub resume: bool,
-    /// Replace what is in --out.
+    /// Replace the training in --out: what it has written is removed.
     #[arg(long, conflicts_with = "resume")]
     pub overwrite: bool,
     /// Options of the training as JSON: any of those that report.html lists. What is typed besides wins.
@@ -53,8 +54,8 @@ pub struct Train {
     /// Degree of the spherical harmonics, 0 to 3 [default: 2].
     #[arg(long, value_parser = clap::value_parser!(u8).range(0..=3))]
     pub sh_degree: Option<u8>,
-    /// Longest side of the photographs that are trained on, pixels: larger ones are halved, or more
-    /// [default: 800].
+    /// Longest side of the photographs that are trained on, pixels: larger ones are halved, or more, and cut
+    /// by a few pixels where that does not divide them [default: 800].
     #[arg(long, value_parser = whole::<u32>(16..=16_384, "pixels"))]
     pub max_side: Option<u32>,
     /// Background that figures are for, 0 to 1 per channel: grey level or r,g,b [default: 1; of --delivery on
@@ -103,8 +104,8 @@ pub struct Train {
     /// it beside the stream (scene.utility.json); the test photographs are a check on it.
     #[arg(long)]
     pub utility: bool,
-    /// Pictures that fine-tuning compares with, at most.
-    #[arg(long, default_value_t = 64, value_parser = whole::<usize>(2..=10_000, "pictures"))]
+    /// Pictures that fine-tuning compares with, at most; one in five of them is for validation.
+    #[arg(long, default_value_t = 64, value_parser = whole::<usize>(5..=10_000, "pictures"))]
     pub references: usize,
     /// Frames of the encoded scene [default: as many as the training photographs have instants].
     #[arg(long, value_parser = whole::<usize>(1..=100_000, "frames"))]
@@ -122,7 +123,7 @@ pub struct Train {
         allow_negative_numbers = true
     )]
     pub split: f64,
-    /// How to read a scene; --fps and --seed also apply to the trained one.
+    /// How to read a scene; --fps, --seed, --up and --footprint also apply to the trained one.
     #[command(flatten)]
     pub scene: SceneArgs,
     /// How to encode the result.

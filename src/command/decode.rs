@@ -6,7 +6,7 @@ use codec_core::{
     internals::{digest::Digest, ids::Level},
 };
 use serde_json::json;
-use trainer_host::{scene::Up, stream::decoded};
+use trainer_host::stream::decoded;
 
 use super::convert::format::{FrameRun, SceneOutput};
 use crate::{
@@ -51,7 +51,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
         counters.recovered
     );
     let degree = stream.manifest()?.sh_degree();
-    let mut frames = Frames::of_stream(received, Level::from_bits(args.level), Up::default());
+    let mut frames = Frames::of_stream(received, Level::from_bits(args.level), None);
     let mut json = json!({
         "file": args.input, "out": args.out, "packets": counters.media,
         "recovered": counters.recovered, "frames": frames.count(),
@@ -76,7 +76,7 @@ pub fn run(args: &Decode, quiet: Quiet) -> Result<VerbOutput> {
             absent.add(missing, instant.gaussians.len());
             Ok((epoch, 0))
         })?;
-        text += "  axes are the stream's, which does not say which way is up: dgs convert turns them\n";
+        text += &format!("  axes are the stream's, with {} up: dgs convert turns them\n", frames.up());
         warnings.extend(absent.warning());
     }
     let damaged = !warnings.is_empty();

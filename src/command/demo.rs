@@ -237,7 +237,7 @@ fn protocol(
              a frame not shown counts as background"
                 .to_owned(),
         ),
-        ("seeds", format!("scene {}, link {}", args.source.seed, args.link.link_seed)),
+        ("seeds", format!("scene {}, link {}", args.source.seed(), args.link.link_seed)),
     ];
     Ok(pairs.map(|(what, value)| (what.to_owned(), value)).into())
 }

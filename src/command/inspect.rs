@@ -15,7 +15,6 @@ use trainer_host::{
         Decisions,
         decisions::{EpochDecisions, TrackForm},
     },
-    scene::Up,
     stream::PacketMap,
     viewpoint::Framing,
 };
@@ -57,7 +56,7 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
     let head = manifest.head();
     let mut text = format!(
         "{}: profile {}, {}, {}, {}, {} at {} fps, harmonic degree {}, \
-         footprint {}\n\
+         footprint {}, {} up\n\
          manifest {} bytes on the wire, {} unpacked, {}, {}\n",
         args.input.display(),
         manifest.profile_name(),
@@ -68,6 +67,7 @@ pub fn run(args: &Inspect) -> Result<VerbOutput> {
         manifest.frames_per_second(),
         head.sh_degree,
         manifest.footprint().name(),
+        manifest.up(),
         stream.message().len(),
         manifest.raw().len(),
         counted(head.tables.into(), "entropy table"),
@@ -114,7 +114,7 @@ impl StreamFacts {
         let head = manifest.head();
         let gaussians: u64 = manifest.epochs().map(|epoch| u64::from(epoch.gaussians)).sum();
         let wire_bytes = stream.wire_bytes();
-        let mut frames = Frames::of_stream(stream.receive()?, Level::from_bits(3), Up::default());
+        let mut frames = Frames::of_stream(stream.receive()?, Level::from_bits(3), None);
         let mut bounds: Option<[[f32; 3]; 2]> = None;
         for frame in Framing::sampled(frames.count() as usize) {
             let instant = frames.instant(frame as u32)?;
@@ -225,7 +225,7 @@ fn manifest_json(manifest: &Manifest<'_>) -> Value {
         .collect();
     json!({
         "frames": head.frames, "fps": manifest.frames_per_second(), "sh_degree": head.sh_degree,
-        "footprint": manifest.footprint().name(), "block_len": manifest.block_len().get(),
+        "footprint": manifest.footprint().name(), "up": manifest.up().name(), "block_len": manifest.block_len().get(),
         "packets": head.packets, "clusters": head.clusters,
         "epochs": epochs, "windows": windows, "tables": head.tables,
         "repair": manifest.repairs().map(|r| json!({

@@ -74,7 +74,7 @@ fn watching(args: &Play, message: &[u8]) -> Result<Watching> {
 
 /// All that `player` has.
 fn frames(args: &Play, player: dgs_player::Player) -> Frames {
-    Frames::of_stream(player, Level::ALL[Level::COUNT - 1], args.up.into())
+    Frames::of_stream(player, Level::ALL[Level::COUNT - 1], args.up.map(Into::into))
 }
 
 /// What was shown against the complete frames of a file.

@@ -79,7 +79,7 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
 
 /// The viewer that is typed.
 fn watching(args: &StreamArgs, stream: &Stream) -> Result<Watching> {
-    let up = args.scene.up.map(Into::into).unwrap_or_default();
+    let up = args.scene.up.map(Into::into);
     let mut frames = Frames::of_stream(stream.receive()?, Level::ALL[Level::COUNT - 1], up);
     Watching::of(&args.cameras, &args.view, &mut frames)
 }

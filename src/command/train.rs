@@ -28,7 +28,7 @@ use trainer_host::{
 };
 
 use self::{
-    encoding::within_loss,
+    encoding::{Written, within_loss},
     epochs::Plan,
     figures::{Figure, decoded, lpips},
     finishing::Finished,
@@ -37,7 +37,7 @@ use self::{
     log::Log,
     page::{Ended, Page},
     trained::Trained,
-    training::{GLANCE_VIEWS, begin, encoding_of, fit},
+    training::{GLANCE_VIEWS, begin, check_length, fit, max_side, options},
 };
 use crate::{
     args::{DeviceName, train::Train},
@@ -61,17 +61,22 @@ struct Input {
     dataset: Dataset,
     /// Whether only a part of the file was read.
     damaged: bool,
+    /// What a person should know.
+    notes: Vec<String>,
 }
 
 /// Runs the verb.
 pub fn run(args: &Train, quiet: Quiet) -> Result<VerbOutput> {
-    let delivery = args.delivery.as_deref().map(DeliveryOptions::read).transpose().context("--delivery")?;
+    let delivery = args.delivery.as_deref().map(DeliveryOptions::read).transpose();
+    let delivery =
+        delivery.context("--delivery: reconstruction, iid, burst-cvar, mixed, or a JSON file is allowed")?;
+    options(args)?.validate()?;
     let backend = Backend::open(args.device.into()).context("--device")?;
     let loading = Progress::new("read the dataset", quiet.0);
     let input = load(args)?;
     drop(loading);
     let output = train(args, &input, delivery.as_ref(), &backend, quiet)?;
-    Ok(VerbOutput { damaged: input.damaged, ..output })
+    Ok(VerbOutput { damaged: input.damaged || output.damaged, ..output })
 }
 
 fn train(
@@ -113,9 +118,10 @@ fn train(
         output.json["checkpoint"] = json!(plan.checkpoints(args));
         output
     } else {
-        let (trainer, begun) = begin(args, &folder, dataset, backend)?;
-        let mut trainer = trainer.encoded_by(encoding_of(args, dataset));
+        let (mut trainer, begun) = begin(args, &folder, dataset, backend)?;
+        check_length(args, &trainer, begun)?;
         let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
+        log.notes.extend_from_slice(&input.notes);
         let ended = fit(args, &folder, dataset, &mut trainer, begun, &mut log, &stop, quiet)?;
         let trained = Trained::of(&trainer, dataset, args)?;
         finish(args, &folder, dataset, (&trained, &log, ended), delivery, network, &stop, quiet)?
@@ -132,19 +138,23 @@ fn train(
 fn left(args: &Train, plan: &Plan) -> VerbOutput {
     let text = format!("{}: interrupted: --resume goes on\n{}", args.input, plan.text());
     let json = json!({ "input": args.input, "interrupted": true, "epochs": plan.parts });
-    VerbOutput { text, json, ..VerbOutput::default() }
+    VerbOutput { text, json, damaged: true, ..VerbOutput::default() }
 }
 
 /// The dataset that was named; if it was a scene, with the scene.
 fn load(args: &Train) -> Result<Input> {
     let path = Path::new(&args.input);
+    let mut unknown = None;
     if path.is_dir() && !args.input.starts_with("synth:") {
         match dataset::read(path) {
-            Err(dataset::DatasetError::Unknown { .. }) => {}
-            found => return Ok(Input { scene: None, dataset: found?, damaged: false }),
+            Err(error @ dataset::DatasetError::Unknown { .. }) => unknown = Some(error),
+            found => return photographs(args, found?),
         }
     }
-    let loaded = pipeline::import(&args.input, &args.scene)?;
+    let loaded = match (pipeline::import(&args.input, &args.scene), unknown) {
+        (Err(error), Some(unknown)) => bail!("{unknown}; nor is it a scene: {error:#}"),
+        (loaded, _) => loaded?,
+    };
     if let Some(damage) = &loaded.damage {
         output::complain(&format!("warning: {damage}"));
     }
@@ -154,7 +164,32 @@ fn load(args: &Train) -> Result<Input> {
         ..rendered::RenderedOptions::default()
     };
     let dataset = rendered::rendered(&loaded.scene, &loaded.name, &options)?;
-    Ok(Input { scene: Some(loaded.scene), dataset, damaged: loaded.damage.is_some() })
+    Ok(Input { scene: Some(loaded.scene), dataset, damaged: loaded.damage.is_some(), notes: Vec::new() })
+}
+
+/// Photographs as they are trained on.
+fn photographs(args: &Train, mut dataset: Dataset) -> Result<Input> {
+    let mut notes = Vec::new();
+    dataset.up = args.scene.up.map_or(dataset.up, Into::into);
+    let applies = ["--fps", "--seed"];
+    let unused: Vec<_> = args.scene.scene_only().into_iter().filter(|name| !applies.contains(name)).collect();
+    if !unused.is_empty() {
+        notes.push(format!(
+            "{}: are photographs; not used, being for scenes: {}",
+            args.input,
+            unused.join(", ")
+        ));
+    }
+    let (dataset, trimmed) = dataset.trimmed(max_side(args, &Folder::of(&args.out))?);
+    notes.extend(trimmed.map(|trimmed| {
+        let ((width, height), (to_width, to_height)) = (trimmed.before, trimmed.after);
+        format!(
+            "photographs of {width} x {height} pixels, {} of them, are cut to {to_width} x {to_height}, which can be \
+             halved",
+            trimmed.photographs
+        )
+    }));
+    Ok(Input { scene: None, dataset, damaged: false, notes })
 }
 
 /// Encodes the scene, measures it, and writes the pages.
@@ -163,29 +198,37 @@ fn finish(
     args: &Train,
     folder: &Folder,
     dataset: &Dataset,
-    (trained, log, ended): (&Trained, &Log, Ended),
+    (trained, log, mut ended): (&Trained, &Log, Ended),
     delivery: Option<&DeliveryOptions>,
     network: Option<&Lpips>,
     stop: &Interruption,
     quiet: Quiet,
 ) -> Result<VerbOutput> {
+    let mut tuning = None;
     let written = match delivery.filter(|_| !ended.interrupted) {
         Some(options) => {
             let references = (dataset, trained.options.background);
-            delivery::fine_tuned(args, folder, &trained.scene, references, options, stop, quiet)?.0
+            let (encoded, updates) =
+                delivery::fine_tuned(args, folder, &trained.scene, references, options, stop, quiet)?;
+            ended.interrupted |= updates < options.updates;
+            tuning = Some((options, updates));
+            Written::plainly(encoded)
         }
         None => within_loss(args, dataset, trained, stop, TRAINED, quiet)?,
     };
+    let Written { encoded: written, lost_db, notes } = written;
     let bytes = written.stream.to_bytes()?;
     files::write(&folder.stream, &bytes)?;
 
-    let decoded = decoded(&written, dataset)?;
+    let decoded = decoded(&written)?;
     let reduced = trained.reduced;
     let plain = trained.options.background;
     let other = plain.map(|v| 1.0 - v);
     let mut figures: Vec<Figure> = Vec::new();
+    let measuring = Progress::new("measure the result", quiet.0);
     let mut measure = |what: &str, scene: &dyn Posable, background: [f32; 3]| -> Result<()> {
         stop.leave(ENCODED);
+        measuring.stage(&format!("measure {what}"), 0.1 + 0.2 * figures.len() as f64);
         if !dataset.test.is_empty() {
             let found = train::evaluate(scene, &dataset.test, reduced, background)?;
             let seen = train::perceptual(scene, &dataset.test, reduced, background, network)?;
@@ -204,17 +247,19 @@ fn finish(
         if is_size(&dataset.test, reduced) {
             stop.leave(ENCODED);
             let what = format!("test views, as decoded, {what}");
+            measuring.stage(&format!("measure {what}"), 0.8);
             let found = train::evaluate(&decoded, &dataset.test, reduced, plain)?;
             figures.push(Figure { what, found, seen: None });
         }
     }
     let seen = dataset.train.sample(dataset.test.photographs().len().max(GLANCE_VIEWS));
     figures.push(Figure {
-        what: "training views, as trained".to_owned(),
+        what: some_of("training views", seen.photographs().len(), dataset.train.photographs().len()),
         found: train::evaluate(&shown, &seen, reduced, plain)?,
         seen: None,
     });
 
+    drop(measuring);
     let audits = if args.utility {
         let (audits, table) = utility::audits(&written.stream, dataset, plain, &folder.utility, quiet)?;
         files::write(&folder.stream, &pipeline::file_by_utility(&written.stream, &table)?)?;
@@ -231,11 +276,29 @@ fn finish(
     let finished = Finished::of(trained, &written);
     output.text += &finished.text();
     output.json["finishing"] = json!(finished);
+    output.json["encoding_loss_db"] = json!(lost_db);
+    output.warnings.extend(notes);
+    if let Some((options, updates)) = tuning {
+        output.text += &format!(
+            "  fine-tuned by {updates} of {} updates, {}\n",
+            options.updates,
+            options.variant.name()
+        );
+        output.json["updates"] = json!(updates);
+        output.json["registration"] = json!(folder.registration);
+        output.json["delivery"] = json!(folder.delivery);
+    }
     for audit in &audits {
         output.text += &audit.text();
     }
     output.json["utility"] = json!(audits);
     Ok(output)
+}
+
+/// What figures of trained views are of: all of `all`, or `count` of them.
+fn some_of(what: &str, count: usize, all: usize) -> String {
+    let of = if count < all { format!(" ({count} of {all})") } else { String::new() };
+    format!("{what}{of}, as trained")
 }
 
 /// Whether there are views, and pictures of all of them can be `reduced` times smaller.
@@ -296,5 +359,5 @@ fn said(
         "report": folder.report,
         "notes": log.notes,
     });
-    VerbOutput { text, json, warnings: log.notes.clone(), damaged: false }
+    VerbOutput { text, json, warnings: log.notes.clone(), damaged: ended.interrupted }
 }

@@ -44,8 +44,7 @@ impl Frames {
         }
         let stream = read_stream(input.as_ref(), warn)?;
         let absent = stream.packets().iter().filter(|packet| packet.is_empty()).count();
-        let mut frames =
-            Self::of_stream(stream.receive()?, level, args.up.map(Into::into).unwrap_or_default());
+        let mut frames = Self::of_stream(stream.receive()?, level, args.up.map(Into::into));
         let said = frames.footprint();
         let Frames::Stream { notes, .. } = &mut frames else { return Ok(frames) };
         if absent > 0 {
@@ -56,14 +55,12 @@ impl Frames {
             notes.push(format!("{input} is drawn with its own footprint, {}, not --footprint", said.name()));
         }
         notes.extend(super::unused_options(input, args));
-        if args.up.is_none() {
-            notes.push("a stream does not say which way is up: y is taken; --up says otherwise".to_owned());
-        }
         Ok(frames)
     }
 
-    /// The frames of what has arrived of a stream, up to `level`.
-    pub fn of_stream(received: dgs_player::Player, level: Level, up: Up) -> Self {
+    /// The frames of what has arrived of a stream, up to `level`; `up` instead of what the stream says.
+    pub fn of_stream(received: dgs_player::Player, level: Level, up: Option<Up>) -> Self {
+        let up = up.unwrap_or(received.info().up);
         let content = received.content();
         let below = (1u8 << (level.get() + 1)) - 1;
         let state = content.blocks.iter().map(|mask| Arrived(mask & below).0).collect();

@@ -14,6 +14,7 @@ pub(crate) mod footprint_name;
 pub mod import;
 pub mod viewpoint;
 
+pub use codec_core::Up;
 use codec_core::{Footprint, Gaussian, ShDegree};
 use render_host::Camera;
 
@@ -259,54 +260,6 @@ pub struct Instant {
     pub sh_rest: Vec<f32>,
     /// Degree of `sh_rest`.
     pub sh_degree: ShDegree,
-}
-
-/// The axis of the world that points up.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Up {
-    /// +x.
-    X,
-    /// +y, as in glTF.
-    #[default]
-    Y,
-    /// +z.
-    Z,
-    /// −x.
-    MinusX,
-    /// −y, as in many captures.
-    MinusY,
-    /// −z.
-    MinusZ,
-}
-
-impl std::fmt::Display for Up {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Up::X => "x",
-            Up::Y => "y",
-            Up::Z => "z",
-            Up::MinusX => "minus-x",
-            Up::MinusY => "minus-y",
-            Up::MinusZ => "minus-z",
-        })
-    }
-}
-
-impl Up {
-    /// Every axis.
-    pub const ALL: [Self; 6] = [Self::X, Self::Y, Self::Z, Self::MinusX, Self::MinusY, Self::MinusZ];
-
-    /// The axis as a unit vector.
-    pub const fn vector(self) -> [f64; 3] {
-        match self {
-            Up::X => [1.0, 0.0, 0.0],
-            Up::Y => [0.0, 1.0, 0.0],
-            Up::Z => [0.0, 0.0, 1.0],
-            Up::MinusX => [-1.0, 0.0, 0.0],
-            Up::MinusY => [0.0, -1.0, 0.0],
-            Up::MinusZ => [0.0, 0.0, -1.0],
-        }
-    }
 }
 
 /// A dynamic scene: epochs in order at one frame rate, with its cameras where known.

@@ -9,6 +9,7 @@
 //! of every step.
 
 mod average;
+mod changing;
 mod checkpoint;
 pub mod dataset;
 pub mod delivery;
@@ -30,6 +31,7 @@ mod start;
 mod state;
 mod step_report;
 mod trainer;
+mod trim;
 mod views;
 
 pub use checkpoint::{Checkpoint, CheckpointError};
@@ -40,6 +42,7 @@ pub use model::Model;
 pub use options::{DensityControl, Finish, OptionsError, Rates, Schedule, TrainOptions};
 pub use step_report::{Stage, StepReport};
 pub use trainer::Trainer;
+pub use trim::Trimmed;
 pub use views::{
     ColouredPoint, Dataset, FreeSpace, PosedPhotograph, Start, Test, Training, Validation, Views, ViewsError,
 };

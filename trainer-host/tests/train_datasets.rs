@@ -58,7 +58,7 @@ fn faults_are_named_by_file_and_field() {
     let fresh = folder();
     fs::remove_file(fresh.path().join("train/r_1.png")).unwrap();
     let text = refusal(fresh.path());
-    assert!(text.contains("r_1.png") && text.contains("No such file"), "{text}");
+    assert!(text.contains("file_path is ./train/r_1") && text.contains(".jpeg"), "{text}");
 
     fs::write(fresh.path().join("train/r_1.png"), b"not an image").unwrap();
     assert!(refusal(fresh.path()).contains("r_1.png: image codec"));
@@ -86,6 +86,31 @@ fn faults_are_named_by_file_and_field() {
     let empty = tempfile::tempdir().unwrap();
     let text = refusal(empty.path());
     assert!(text.contains("transforms_train.json") && text.contains("sparse/0"), "{text}");
+}
+
+/// What Nerfstudio writes: one file, a mark at its start, JPEG images, here twice as large as the cameras say.
+#[test]
+fn one_file_of_transforms_is_parted_and_images_are_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let frames: Vec<String> = (0..9).map(|k| frame(&format!("r_{k}"), f64::from(k) / 8.0, MATRIX)).collect();
+    for k in 0..9 {
+        image::RgbImage::new(32, 24).save(folder.path().join(format!("r_{k}.jpg"))).unwrap();
+    }
+    let path = folder.path().join("transforms.json");
+    let text = |frames: &[String]| {
+        format!("\u{feff}{{\"fl_x\": 20, \"w\": 16, \"h\": 12, \"frames\": [{}]}}", frames.join(","))
+    };
+    fs::write(&path, text(&frames)).unwrap();
+    let read = dataset::read(folder.path()).unwrap();
+    assert_eq!((read.train.photographs().len(), read.test.photographs().len()), (8, 1));
+    assert_eq!(read.test.photographs()[0].name, "r_7");
+    let lens = read.train.photographs()[0].camera.intrinsics();
+    assert_eq!((lens.width, lens.height, lens.fx), (32, 24, 40.0));
+    let untimed = format!("{{\"file_path\": \"r_0\", \"transform_matrix\": {MATRIX}}}");
+    fs::write(&path, text(&[frames[1].clone(), untimed])).unwrap();
+    assert!(refusal(folder.path()).contains("time is given of 1 frames of 2"), "{}", refusal(folder.path()));
+    fs::write(&path, text(&frames).replace("\"fl_x\": 20,", "")).unwrap();
+    assert!(refusal(folder.path()).contains("no focal length"), "{}", refusal(folder.path()));
 }
 
 #[test]

@@ -149,6 +149,8 @@ typedef struct dgs_stream {
     /* How Gaussians are drawn: 0 variance 0.3 pixels² is added; 1 the same, and dimmed as much; 2 0.1
      * pixels², and dimmed as much. */
     uint32_t footprint;
+    /* Which axis of the scene points up: 0 +y, 1 +x, 2 +z, 3 −x, 4 −y, 5 −z. */
+    uint32_t up;
 } dgs_stream;
 
 /* One Gaussian of one frame. */

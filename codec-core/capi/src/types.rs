@@ -192,6 +192,8 @@ pub struct DgsStream {
     /// How Gaussians are drawn: 0 variance 0.3 pixels² is added; 1 the same, and dimmed as much; 2 0.1
     /// pixels², and dimmed as much.
     pub footprint: u32,
+    /// Which axis of the scene points up: 0 +y, 1 +x, 2 +z, 3 −x, 4 −y, 5 −z.
+    pub up: u32,
 }
 
 /// One Gaussian of one frame.
@@ -300,9 +302,10 @@ impl From<StreamInfo> for DgsStream {
             gaussians,
             sh_degree,
             footprint,
+            up,
         } = info;
         let (sh_rest, footprint) = (sh_degree.rest_len() as u32, footprint as u32);
-        Self { frames, rate_frames, rate_seconds, packets, gaussians, sh_rest, footprint }
+        Self { frames, rate_frames, rate_seconds, packets, gaussians, sh_rest, footprint, up: up as u32 }
     }
 }
 

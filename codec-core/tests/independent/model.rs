@@ -18,7 +18,7 @@ pub struct Model {
     pub transforms: Vec<u8>,
     /// Planes of bytes, all blocks of the canonical cells in each.
     pub proxies: Option<Vec<u8>>,
-    pub footprint: u8,
+    pub drawing: u8,
     pub tables: Vec<Table>,
 }
 
@@ -86,7 +86,7 @@ impl Model {
         for count in [self.quants.len(), self.tables.len(), self.repairs.len()] {
             out.extend((count as u16).to_le_bytes());
         }
-        out.extend([u8::from(self.proxies.is_some()), self.footprint]);
+        out.extend([u8::from(self.proxies.is_some()), self.drawing]);
         out.extend((basis.len() as u32).to_le_bytes());
         out.extend((self.transforms.len() as u32 / 4).to_le_bytes());
         self.epoch_records(&mut out);
@@ -167,7 +167,7 @@ impl Model {
         let (epochs, windows, clusters) = (r.u16(), r.u16(), r.u32());
         let [quants, tables, repairs] = [r.u16(), r.u16(), r.u16()];
         let proxies = r.u8();
-        model.footprint = r.u8();
+        model.drawing = r.u8();
         let (basis_values, transform_values) = (r.u32(), r.u32());
         let mut shares = Vec::new();
         for _ in 0..epochs {

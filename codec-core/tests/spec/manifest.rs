@@ -101,7 +101,7 @@ pub fn records(tables: &Tables, found: &mut Vec<String>) {
             probes!(Head {
                 profile = A, sh_degree = A, block_len = B, frames = C, rate_frames = C, rate_seconds = C,
                 packets = C, epochs = B, windows = B, clusters = C, quants = B, tables = B, repairs = B,
-                proxies = A, footprint = A, basis_values = C, transform_values = C,
+                proxies = A, drawing = A, basis_values = C, transform_values = C,
             }),
         ),
         (

@@ -126,8 +126,10 @@ impl Optics {
         let from_angle = |side: u32, angle: f64| 0.5 * f64::from(side) / (0.5 * angle).tan();
         let fx = self.fl_x.or(self.camera_angle_x.map(|a| from_angle(width, a)));
         let fy = self.fl_y.or(self.camera_angle_y.map(|a| from_angle(height, a)));
-        // Pixels are square unless the file says otherwise; without any angle both become NaN, refused.
-        let (fx, fy) = (fx.or(fy).unwrap_or(f64::NAN), fy.or(fx).unwrap_or(f64::NAN));
+        // Pixels are square unless the file says otherwise.
+        let (Some(fx), Some(fy)) = (fx.or(fy), fy.or(fx)) else {
+            return Err(CameraError::FocalLengthUnknown);
+        };
         let cx = self.cx.unwrap_or(0.5 * f64::from(width));
         let cy = self.cy.unwrap_or(0.5 * f64::from(height));
         Ok(Intrinsics { width, height, fx, fy, cx, cy })

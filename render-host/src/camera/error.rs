@@ -101,6 +101,9 @@ pub enum CameraError {
     /// Neither the file nor the caller says how large the images are.
     #[error("the file has no w and h; pass the size of its images")]
     SizeUnknown,
+    /// Nothing says how long the lens is.
+    #[error("no focal length: camera_angle_x, camera_angle_y, fl_x or fl_y is needed")]
+    FocalLengthUnknown,
     /// An error about one camera of many.
     #[error("{name}: {source}")]
     Of {

@@ -79,6 +79,8 @@ export class Session extends Controls {
   setConditions(conditions: Conditions): Promise<Granted | null>;
   /** Forgets every packet: the server begins as if nothing had arrived. */
   restart(): Promise<void>;
+  /** Which way is up, as the stream says: `y`, `minus-z` and so on. */
+  readonly upOfStream: string;
   /** Moves the camera so that every Gaussian of the frame is in the picture. */
   lookAtAll(aspect: number, up: string): Promise<void>;
 }

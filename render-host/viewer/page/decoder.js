@@ -27,8 +27,8 @@ class Actions {
   make({ how, bytes, length }) {
     this.#decoder = Decoder[how](bytes, length);
     const [frames, rate, gaussians, packets] = this.#decoder.info();
-    const { damage, footprint, loaded } = this.#decoder;
-    return { frames, rate, gaussians, packets, damage, footprint, loaded, state: this.#state(false) };
+    const { damage, footprint, up, loaded } = this.#decoder;
+    return { frames, rate, gaussians, packets, damage, footprint, up, loaded, state: this.#state(false) };
   }
 
   #state(busy) {

@@ -73,7 +73,7 @@ export class DgsPlayer extends HTMLElement {
     if (name === "loop") this.loop = now !== "false";
     if (name === "background" && now) this.background = now;
     if (name === "quality" && now) this.quality = Number(now);
-    if (name === "up") this.#turnUp(now ?? "y");
+    if (name === "up") this.#turnUp(now ?? this.session?.upOfStream);
     if (name === "pixel-ratio" && this.#engine) {
       this.#engine.pixelRatio = Number(now) > 0 ? Number(now) : null;
       this.#engine.request();
@@ -184,7 +184,7 @@ export class DgsPlayer extends HTMLElement {
   // Shows a session from `view`, if there is one, unless something else is loaded by now.
   async #began(session, came, signal, view = this.#view) {
     try {
-      await session.lookAtAll(this.#engine?.aspect ?? 1, this.getAttribute("up") ?? "y");
+      await session.lookAtAll(this.#engine?.aspect ?? 1, this.getAttribute("up") ?? session.upOfStream);
       if (!signal.aborted && !this.#engine) throw new Error("The player is in no page");
     } catch (error) {
       session.free();

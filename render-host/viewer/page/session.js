@@ -99,6 +99,11 @@ export class Session extends Controls {
     return [frames, rate, gaussians, packets];
   }
 
+  /** Which way is up, as the stream says: `y`, `minus-z` and so on. */
+  get upOfStream() {
+    return this.#facts.up;
+  }
+
   /** What of the file, as far as it is there, could not be used; empty for a whole one. */
   get damage() {
     return this.#damage;

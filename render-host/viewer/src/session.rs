@@ -316,6 +316,11 @@ impl Session {
         &self.player
     }
 
+    /// Which way is up, as the stream says.
+    pub fn up_of_stream(&self) -> Up {
+        Up::named(self.player.info().up.name()).unwrap_or_default()
+    }
+
     /// Moves the camera so that every Gaussian of the frame that is due is in a picture `aspect`
     /// times as wide as high.
     ///

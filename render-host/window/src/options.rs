@@ -13,8 +13,8 @@ pub struct WindowOptions {
     pub size: [u32; 2],
     /// Behind everything, 0 to 1 each.
     pub background: [f32; 3],
-    /// Which way is up.
-    pub up: Up,
+    /// Which way is up, if not as the stream says.
+    pub up: Option<Up>,
     /// Highest level shown, 0 to 3.
     pub cap: usize,
     /// What blocks are painted by.
@@ -36,7 +36,8 @@ impl WindowOptions {
         session.set_overlay(self.overlay);
         session.playback_mut().set_looping(!self.closes);
         session.playback_mut().seek(self.time_s);
-        session.look_at_all(aspect(size), self.up)?;
+        let up = self.up.unwrap_or_else(|| session.up_of_stream());
+        session.look_at_all(aspect(size), up)?;
         session.playback_mut().set_playing(self.playing);
         Ok(())
     }

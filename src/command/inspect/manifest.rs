@@ -36,6 +36,7 @@ pub fn document(content: &Stream, map: &PacketMap) -> codec_core::internals::err
         "block_len": head.block_len,
         "proxies": head.proxies == 1,
         "footprint": manifest.footprint().name(),
+        "up": manifest.up().name(),
         "sealed_bytes": content.message().len(),
         "unpacked_bytes": manifest.raw().len(),
         "epochs": epochs(&manifest),

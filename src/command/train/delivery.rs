@@ -46,8 +46,8 @@ pub(super) fn run(
     let interrupted = updates < options.updates;
     let bytes = tuned.stream.to_bytes()?;
     files::write(&folder.stream, &bytes)?;
-    let before = train::evaluate(&decoded(&plain, dataset)?, &dataset.test, 1, background)?;
-    let after = train::evaluate(&decoded(&tuned, dataset)?, &dataset.test, 1, background)?;
+    let before = train::evaluate(&decoded(&plain)?, &dataset.test, 1, background)?;
+    let after = train::evaluate(&decoded(&tuned)?, &dataset.test, 1, background)?;
     let text = format!(
         "{}: fine-tuned by {updates} updates, {}{}\n{}{}  {} bytes, in {}\n",
         args.input,
@@ -69,7 +69,7 @@ pub(super) fn run(
         "registration": folder.registration,
         "delivery": folder.delivery,
     });
-    Ok(VerbOutput { text, json, ..VerbOutput::default() })
+    Ok(VerbOutput { text, json, damaged: interrupted, ..VerbOutput::default() })
 }
 
 /// The stream of `scene`, fine-tuned towards training views over a background until a person asks to stop;
@@ -84,7 +84,7 @@ pub(super) fn fine_tuned(
     quiet: Quiet,
 ) -> Result<(Encoded, usize)> {
     let options = DeliveryOptions {
-        seed: args.scene.seed,
+        seed: args.scene.seed(),
         registration: Some(folder.registration.clone()),
         encode: pipeline::encode_options(&args.codec, Protection::NONE),
         ..options.clone()

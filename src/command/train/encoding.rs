@@ -3,7 +3,7 @@
 use anyhow::{Context, Result};
 use trainer_host::{
     Scene,
-    encode::{self, EncodeOptions, Encoded, Protection, Quality, Target},
+    encode::{self, Decisions, EncodeError, EncodeOptions, Encoded, Protection, Quality, Target},
     train::{self, Dataset, Posable},
 };
 
@@ -24,6 +24,21 @@ const COARSENESS: (f64, f64) = (0.05, 4.0);
 const NEAR: f64 = 0.6;
 /// The share of what is allowed that the next attempt is meant to take.
 const AIM: f64 = 0.85;
+
+/// A stream of what was trained.
+pub(super) struct Written {
+    pub(super) encoded: Encoded,
+    /// What encoding took from the PSNR of the views that it was chosen by, dB, where it was chosen so.
+    pub(super) lost_db: Option<f64>,
+    /// What a person should know.
+    pub(super) notes: Vec<String>,
+}
+
+impl Written {
+    pub(super) fn plainly(encoded: Encoded) -> Self {
+        Self { encoded, lost_db: None, notes: Vec::new() }
+    }
+}
 
 /// A stream, and how it was made.
 struct Attempt {
@@ -88,7 +103,7 @@ pub(super) fn within_loss(
     stop: &Interruption,
     what_is_left: &str,
     quiet: Quiet,
-) -> Result<Encoded> {
+) -> Result<Written> {
     let mut options = pipeline::encode_options(&args.codec, Protection::NONE);
     let decisions = trained.decisions.as_ref().filter(|_| !steps_are_typed(args));
     let bar = Progress::new("encode", quiet.0);
@@ -101,12 +116,11 @@ pub(super) fn within_loss(
         let bytes = trained.options.finish.target_bytes;
         options.target = options.target.or((bytes > 0).then_some(Target::Bytes(bytes)));
         if options.target.is_some() {
-            let encoded = encode::again_to_size(scene, decisions, &options, &progress);
-            return encoded.context("cannot encode");
+            return to_size(scene, decisions, &options, &progress);
         }
     }
     if options.target.is_some() || steps_are_typed(args) {
-        return encode::encode(scene, &options, &progress).context("cannot encode");
+        return Ok(Written::plainly(encode::encode(scene, &options, &progress).context("cannot encode")?));
     }
     let (reduced, background) = (trained.reduced, trained.options.background);
     let psnr_db = |shown: &dyn Posable| -> Result<f64> {
@@ -127,7 +141,7 @@ pub(super) fn within_loss(
             }
         };
         let encoded = encoded.context("cannot encode")?;
-        let shown_db = psnr_db(&decoded(&encoded, dataset)?)?;
+        let shown_db = psnr_db(&decoded(&encoded)?)?;
         Ok(Attempt { encoded, coarseness, lost_db: trained_db - shown_db })
     };
     let allowed = args.encoding_loss;
@@ -143,5 +157,37 @@ pub(super) fn within_loss(
             best = found;
         }
     }
-    Ok(best.encoded)
+    let Attempt { encoded, lost_db, .. } = best;
+    let over = (lost_db > allowed).then(|| {
+        format!("encoding takes {lost_db:.3} dB from the PSNR of the views it is judged by; --encoding-loss is {allowed}")
+    });
+    Ok(Written { encoded, lost_db: Some(lost_db), notes: over.into_iter().collect() })
+}
+
+/// The stream of the size that `options` name: with the choices that the training has made its own, or where
+/// steps of motion alone do not lead there, with others.
+fn to_size(
+    scene: &Scene,
+    decisions: &Decisions,
+    options: &EncodeOptions,
+    progress: encode::Progress<'_>,
+) -> Result<Written> {
+    let error = match encode::again_to_size(scene, decisions, options, progress) {
+        Ok(encoded) => return Ok(Written::plainly(encoded)),
+        Err(error) => error,
+    };
+    let free = EncodeOptions { target: None, ..options.clone() };
+    let (what, fits) = match (&error, options.target) {
+        // The choices of the training fit as they are.
+        (EncodeError::BlockTooLarge { .. }, Some(Target::Bytes(most))) => {
+            let plain = encode::again(scene, decisions, 1.0, &free, progress);
+            ("the usual steps of motion are", plain.ok().filter(|e| e.stream.wire_bytes() as u64 <= most))
+        }
+        _ => ("the encoder's own choices of steps are", None),
+    };
+    let encoded = match fits {
+        Some(encoded) => encoded,
+        None => encode::encode(scene, options, progress).context("cannot encode")?,
+    };
+    Ok(Written { notes: vec![format!("{error}; {what} taken instead")], ..Written::plainly(encoded) })
 }

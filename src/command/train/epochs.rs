@@ -17,12 +17,12 @@ use trainer_host::{
 };
 
 use super::{
-    folder::Folder,
+    folder::{Folder, epoch_folder},
     interruption::Interruption,
     log::Log,
     page::Ended,
     trained::Trained,
-    training::{DEFAULT_STEPS, begin, encoding_of, fit, options},
+    training::{DEFAULT_STEPS, begin, fit, options},
 };
 use crate::{args::train::Train, files, pipeline::Quiet, progress::Progress};
 
@@ -126,12 +126,11 @@ impl Plan {
         let backend = render_host::Backend::open(args.device.into()).context("--device")?;
         let mut whole: Option<(Trained, Log)> = None;
         for (index, frames) in self.parts.frames.iter().enumerate() {
-            let out = folder_of(args, index);
+            let out = epoch_folder(&args.out, index);
             let (args, folder) = (self.args_of(args, &out, frames.len(), dataset.frames), Folder::of(&out));
             folder.open(&args)?;
             let part = rendered::part(dataset, scene, frames.clone());
-            let (trainer, begun) = begin(&args, &folder, &part, &backend)?;
-            let mut trainer = trainer.encoded_by(encoding_of(&args, &part));
+            let (mut trainer, begun) = begin(&args, &folder, &part, &backend)?;
             let mut log = if args.resume { Log::read(&folder.log)? } else { Log::default() };
             let ended = fit(&args, &folder, &part, &mut trainer, begun, &mut log, stop, quiet)?;
             if ended.interrupted {
@@ -150,7 +149,9 @@ impl Plan {
 
     /// The checkpoint of each part.
     pub(super) fn checkpoints(&self, args: &Train) -> Vec<PathBuf> {
-        (0..self.parts.frames.len()).map(|index| Folder::of(&folder_of(args, index)).checkpoint).collect()
+        (0..self.parts.frames.len())
+            .map(|index| Folder::of(&epoch_folder(&args.out, index)).checkpoint)
+            .collect()
     }
 
     /// What the training of a part of `frames` frames is asked for.
@@ -165,9 +166,4 @@ impl Plan {
         out.clone_into(&mut args.out);
         args
     }
-}
-
-/// Where part `index` is trained.
-fn folder_of(args: &Train, index: usize) -> PathBuf {
-    args.out.join(format!("epoch-{index}"))
 }

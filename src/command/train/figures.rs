@@ -8,14 +8,14 @@ use render_host::metric::Lpips;
 use serde::Serialize;
 use trainer_host::{
     encode::Encoded,
-    train::{Clip, Dataset, Evaluation, Perceptual},
+    train::{Clip, Evaluation, Perceptual},
 };
 
 use crate::pipeline::Frames;
 
 /// The frames that a receiver of the whole stream shows.
-pub(super) fn decoded(encoded: &Encoded, dataset: &Dataset) -> Result<Clip> {
-    let mut frames = Frames::of_stream(encoded.stream.receive()?, Level::from_bits(3), dataset.up);
+pub(super) fn decoded(encoded: &Encoded) -> Result<Clip> {
+    let mut frames = Frames::of_stream(encoded.stream.receive()?, Level::from_bits(3), None);
     let instants: Result<_> = (0..frames.count()).map(|frame| frames.instant(frame)).collect();
     Ok(Clip { instants: instants?, footprint: frames.footprint() })
 }

@@ -23,6 +23,11 @@ pub(super) struct Folder {
     pub(super) delivery: PathBuf,
 }
 
+/// Where epoch `number` of the training in `out` is trained.
+pub(super) fn epoch_folder(out: &Path, number: usize) -> PathBuf {
+    out.join(format!("epoch-{number}"))
+}
+
 impl Folder {
     pub(super) fn of(out: &Path) -> Self {
         let file = |name: &str| out.join(name);
@@ -42,8 +47,6 @@ impl Folder {
     /// Makes the folder, or refuses one that is in use.
     pub(super) fn open(&self, args: &Train) -> Result<()> {
         let out = &args.out;
-        std::fs::create_dir_all(out)
-            .with_context(|| format!("{}: cannot make this folder", out.display()))?;
         if args.resume && !self.checkpoint.is_file() && !self.epochs.is_file() {
             bail!("{}: no such checkpoint; train without --resume first", self.checkpoint.display());
         }
@@ -51,13 +54,38 @@ impl Folder {
         if !args.resume && !args.overwrite && used {
             bail!("{}: holds a training; --resume goes on with it, --overwrite replaces it", out.display());
         }
-        let Self { checkpoint, stream, utility, epochs, log, preview, report, registration, delivery } = self;
-        for path in [checkpoint, stream, utility, epochs, log, preview, report, registration, delivery] {
-            files::check(path)?;
+        std::fs::create_dir_all(out)
+            .with_context(|| format!("{}: cannot make this folder", out.display()))?;
+        self.files().into_iter().try_for_each(files::check)?;
+        if !args.resume {
+            // What is left of another training would be taken for a part of this one.
+            self.clear(out)?;
         }
-        if !args.resume && epochs.exists() {
-            // Another training would go on with them.
-            std::fs::remove_file(epochs).with_context(|| epochs.display().to_string())?;
+        Ok(())
+    }
+
+    fn files(&self) -> [&Path; 9] {
+        let Self { checkpoint, stream, utility, epochs, log, preview, report, registration, delivery } = self;
+        [checkpoint, stream, utility, epochs, log, preview, report, registration, delivery]
+            .map(PathBuf::as_path)
+    }
+
+    /// Removes the files of a training, those of its epochs too.
+    fn clear(&self, out: &Path) -> Result<()> {
+        let remove = |path: &Path| -> Result<()> {
+            let found = path.is_file();
+            if found {
+                std::fs::remove_file(path).with_context(|| path.display().to_string())
+            } else {
+                Ok(())
+            }
+        };
+        self.files().into_iter().try_for_each(remove)?;
+        for epoch in (0..).map(|number| epoch_folder(out, number)).take_while(|folder| folder.is_dir()) {
+            let of_epoch = Self::of(&epoch);
+            of_epoch.files().into_iter().try_for_each(remove)?;
+            // A folder in which somebody has put more stays.
+            let _ = std::fs::remove_dir(&epoch);
         }
         Ok(())
     }

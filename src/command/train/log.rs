@@ -66,8 +66,11 @@ pub(super) struct Log {
 }
 
 impl Log {
-    /// Reads what [`Log::csv`] wrote.
+    /// Reads what [`Log::csv`] wrote; without a file, nothing was.
     pub(super) fn read(path: &Path) -> Result<Self> {
+        if !path.exists() {
+            return Ok(Self::default());
+        }
         let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
         let mut lines = text.lines();
         if lines.next() != Some(HEADER) {

@@ -40,7 +40,7 @@ impl Trained {
     pub(super) fn of(trainer: &Trainer, dataset: &Dataset, args: &Train) -> Result<Self> {
         let frames = args.frames.unwrap_or(dataset.frames);
         let model = trainer.model().into_owned();
-        let mut scene = model.scene(frames, args.scene.fps)?;
+        let mut scene = model.scene(frames, trainer.frames_per_second())?;
         scene.up = dataset.up;
         Ok(Self {
             scene,

@@ -1,9 +1,9 @@
 //! Takes the steps of a training: from its start or its checkpoint until the budget is spent or a person asks
 //! to stop.
 
-use std::time::Instant as Clock;
+use std::{io::IsTerminal, time::Instant as Clock};
 
-use anyhow::{Context, Result};
+use anyhow::{Context, Result, bail};
 use render_host::Backend;
 use trainer_host::{
     encode::Protection,
@@ -19,7 +19,7 @@ use super::{
 };
 use crate::{
     args::train::{DensityName, Train},
-    files,
+    files, output,
     pipeline::{self, Quiet},
     progress::Progress,
 };
@@ -44,9 +44,76 @@ pub(super) fn begin<'d>(
         let bytes = std::fs::read(path).with_context(failed)?;
         let checkpoint = Checkpoint::from_bytes(&bytes).with_context(failed)?;
         let progress = checkpoint.progress;
-        return Ok((checkpoint.resume(dataset).with_context(failed)?.on(backend)?, progress));
+        check_options(args, checkpoint.options())?;
+        let rate = args.scene.fps.unwrap_or(checkpoint.frames_per_second);
+        let trainer = checkpoint.resume(dataset).with_context(failed)?.on(backend)?;
+        return Ok((trainer.encoded_by(encoding_of(args, dataset, rate)), progress));
     }
-    Ok((Trainer::new(dataset, &options(args)?)?.on(backend)?, 0.0))
+    let trainer = Trainer::new(dataset, &options(args)?)?.on(backend)?;
+    Ok((trainer.encoded_by(encoding_of(args, dataset, args.scene.frames_per_second())), 0.0))
+}
+
+/// Longest side of photographs: that of the checkpoint where one is resumed.
+pub(super) fn max_side(args: &Train, folder: &Folder) -> Result<u32> {
+    let resumed = args.resume.then(|| std::fs::read(&folder.checkpoint).ok()).flatten();
+    match resumed.and_then(|bytes| Checkpoint::from_bytes(&bytes).ok()) {
+        Some(checkpoint) => Ok(checkpoint.options().max_side),
+        None => Ok(options(args)?.max_side),
+    }
+}
+
+/// Refuses options that are others than those that the checkpoint goes on with.
+fn check_options(args: &Train, resumed: &train::TrainOptions) -> Result<()> {
+    let typed = options(args)?;
+    let number = |typed: Option<f64>, resumed: f32| typed.is_some_and(|typed| typed as f32 != resumed);
+    // What the trainer fills in, and what follows from how the result is encoded.
+    let filled = train::TrainOptions {
+        initial_gaussians: resumed.initial_gaussians,
+        nodes: if resumed.nodes == 0 { 0 } else { typed.nodes },
+        footprint: typed.footprint.or(resumed.footprint),
+        finish: train::Finish {
+            target_bytes: resumed.finish.target_bytes,
+            round_from: resumed.finish.round_from,
+            ..typed.finish
+        },
+        ..typed.clone()
+    };
+    let others = [
+        ("--gaussians", args.gaussians.is_some_and(|typed| typed != resumed.max_gaussians)),
+        ("--nodes", args.nodes.is_some() && filled.nodes != resumed.nodes),
+        ("--sh-degree", args.sh_degree.is_some_and(|typed| typed != resumed.sh_degree)),
+        ("--max-side", args.max_side.is_some_and(|typed| typed != resumed.max_side)),
+        ("--background", args.background.is_some_and(|typed| typed != resumed.background)),
+        ("--canonical-time", number(args.canonical_time, resumed.canonical_time)),
+        ("--rigidity", number(args.rigidity, resumed.rigidity)),
+        ("--density", args.density.is_some() && typed.density != resumed.density),
+        ("--seed", args.scene.seed.is_some_and(|typed| typed != resumed.seed)),
+        ("--footprint", args.scene.footprint.is_some() && filled.footprint != resumed.footprint),
+    ];
+    let mut others: Vec<&str> =
+        others.into_iter().filter(|(_, other)| *other).map(|(name, _)| name).collect();
+    if others.is_empty() && args.options.is_some() && filled != *resumed {
+        others.push("--options");
+    }
+    if !others.is_empty() {
+        bail!("{}: --resume goes on with the checkpoint's, which are others", others.join(", "));
+    }
+    Ok(())
+}
+
+/// Refuses a length that a training at `progress` of its own cannot take.
+pub(super) fn check_length(args: &Train, trainer: &Trainer, progress: f64) -> Result<()> {
+    let taken = trainer.steps();
+    if progress >= 1.0 && (args.minutes.is_some() || args.steps.is_some_and(|steps| steps > taken)) {
+        bail!(
+            "--resume: the training is complete, after {taken} steps; rates and stages follow the length that it \
+             was begun with, so --steps and --minutes cannot prolong it"
+        );
+    }
+    if progress < 1.0 && args.steps.is_some_and(|steps| steps <= taken) {
+        bail!("--steps is {}; the checkpoint has taken {taken}: more are needed", args.steps.unwrap_or(0));
+    }
+    Ok(())
 }
 
 /// The options of the file, if there is one, and what was typed besides.
@@ -55,10 +122,14 @@ pub(super) fn options(args: &Train) -> Result<train::TrainOptions> {
         None => train::TrainOptions::default(),
         Some(path) => {
             let text = std::fs::read_to_string(path).with_context(|| path.display().to_string())?;
+            if !text.trim_start().starts_with('{') {
+                bail!("{}: an object, {{\"gaussians\": …}}, is needed", path.display());
+            }
             serde_json::from_str(&text).with_context(|| path.display().to_string())?
         }
     };
-    options.seed = args.scene.seed;
+    options.seed = args.scene.seed.unwrap_or(options.seed);
+    options.footprint = args.scene.footprint.map(Into::into).or(options.footprint);
     let set = |to: &mut f32, typed: Option<f64>| *to = typed.map_or(*to, |v| v as f32);
     set(&mut options.canonical_time, args.canonical_time);
     set(&mut options.rigidity, args.rigidity);
@@ -98,9 +169,10 @@ pub(super) fn fit(
     let clock = Clock::now();
     let before = log.seconds();
     let mut progress = begun;
-    let mut next_glance = 0.0;
     let steps = steps(args, trainer, begun);
     let glances = f64::from(args.evaluations);
+    let after = |progress: f64| ((progress * glances).floor() + 1.0) / glances;
+    let mut next_glance = if begun > 0.0 { after(begun) } else { 0.0 };
     let mut interrupted = false;
     while progress < 1.0 && !interrupted {
         let report = trainer.step(progress)?;
@@ -114,13 +186,16 @@ pub(super) fn fit(
         }
         let due = glances > 0.0 && progress >= next_glance;
         if due {
-            next_glance = ((progress * glances).floor() + 1.0) / glances;
+            next_glance = after(progress);
         }
         if due || report.step.is_multiple_of(LOG_EVERY) {
             let psnr_db = if due { glance(trainer, dataset) } else { None };
             log.samples.push(Sample::of(&report, before + seconds, psnr_db));
             let left = seconds * (1.0 - progress) / (progress - begun).max(1e-9);
             bar.stage(&log.line(left), progress);
+            if due && !quiet.0 && !std::io::stderr().is_terminal() {
+                output::complain(&format!("step {}: {}", report.step, log.line(left)));
+            }
         }
         interrupted = stop.take();
         if interrupted || report.step.is_multiple_of(args.checkpoint_every) {
@@ -160,11 +235,11 @@ fn glance(trainer: &Trainer, dataset: &Dataset) -> Option<f64> {
     found.ok().map(|found| found.psnr_db)
 }
 
-/// How the end of a training on `dataset` encodes.
-pub(super) fn encoding_of(args: &Train, dataset: &Dataset) -> Encoding {
+/// How the end of a training on `dataset` encodes, at so many frames per second.
+fn encoding_of(args: &Train, dataset: &Dataset, frames_per_second: f64) -> Encoding {
     Encoding {
         options: pipeline::encode_options(&args.codec, Protection::NONE),
         frames: args.frames.unwrap_or(dataset.frames),
-        frames_per_second: args.scene.fps,
+        frames_per_second,
     }
 }

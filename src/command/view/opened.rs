@@ -11,11 +11,11 @@ use crate::{
     pipeline::{self, Quiet},
 };
 
-/// A stream, and which way is up in it.
+/// A stream, and which way is up in it, if not as it says.
 pub(super) struct Opened {
     pub bytes: Vec<u8>,
     #[cfg_attr(not(feature = "window"), allow(dead_code, reason = "a page takes it from its address"))]
-    pub up: Up,
+    pub up: Option<Up>,
     /// Whether only a part of the input was read.
     pub damaged: bool,
 }
@@ -34,7 +34,7 @@ pub(super) fn opened(input: &str, args: &View, quiet: Quiet, warn: &mut dyn FnMu
         loaded.damage.into_iter().for_each(&mut *warn);
         let options = pipeline::encode_options(&args.codec, Protection::NONE);
         let stream = pipeline::encode(&loaded.scene, &options, quiet)?.stream;
-        return Ok(Opened { bytes: stream.to_bytes()?, up: loaded.scene.up, damaged });
+        return Ok(Opened { bytes: stream.to_bytes()?, up: None, damaged });
     }
     pipeline::unused_options(input, &args.scene).into_iter().for_each(&mut *warn);
     let bytes = fs::read(input).with_context(|| format!("{input}: cannot read"))?;
@@ -44,5 +44,5 @@ pub(super) fn opened(input: &str, args: &View, quiet: Quiet, warn: &mut dyn FnMu
     if !damage.is_none() {
         warn(format!("{input}: {damage}"));
     }
-    Ok(Opened { bytes, up: args.scene.up.map_or(Up::default(), Up::from), damaged: !damage.is_none() })
+    Ok(Opened { bytes, up: args.scene.up.map(Up::from), damaged: !damage.is_none() })
 }

@@ -27,7 +27,7 @@ pub(super) fn window(args: &View, quiet: Quiet) -> Result<VerbOutput> {
     let mut damaged = false;
     let (feed, up, arriving) = if is_address(input) {
         let (arriving, feed) = Arriving::begin(input)?;
-        (feed, args.scene.up.map_or(Up::default(), Up::from), Some(arriving))
+        (feed, args.scene.up.map(Up::from), Some(arriving))
     } else {
         let mut say = |warning: String| output::complain(&format!("warning: {warning}"));
         let opened = opened(input, args, quiet, &mut say)?;
@@ -90,13 +90,13 @@ fn only(args: &View) -> Result<&str> {
     }
 }
 
-fn options(args: &View, input: &str, up: Up) -> Result<WindowOptions> {
+fn options(args: &View, input: &str, up: Option<Up>) -> Result<WindowOptions> {
     let look = &args.look;
     Ok(WindowOptions {
         name: name(input),
         size: [look.width, look.height],
         background: look.background,
-        up: dgs_viewer::Up::named(&up.to_string()).context("--up")?,
+        up: up.and_then(|up| dgs_viewer::Up::named(up.name())),
         cap: look.level,
         overlay: look.overlay,
         time_s: look.seek,

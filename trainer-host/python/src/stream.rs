@@ -52,6 +52,7 @@ pub fn info<'py>(py: Python<'py>, info: &dgs_player::StreamInfo) -> PyResult<Bou
     out.set_item("gaussians", info.gaussians)?;
     out.set_item("sh_degree", info.sh_degree.get())?;
     out.set_item("footprint", info.footprint.name())?;
+    out.set_item("up", info.up.name())?;
     Ok(out)
 }
 

@@ -45,6 +45,21 @@ pub enum EncodeError {
         /// Its coarseness.
         coarseness: f32,
     },
+    /// Steps of motion alone, the others being decided, do not meet the target.
+    #[error(
+        "{option} is {wanted}; {motion} times the usual steps of motion, the furthest that is tried, reach \
+         {reached}"
+    )]
+    UnreachableByMotion {
+        /// Which target.
+        option: &'static str,
+        /// Value wanted.
+        wanted: f64,
+        /// The closest value, in the target's unit.
+        reached: f64,
+        /// Its factor on steps of motion.
+        motion: f32,
+    },
     /// A picture of the stream could not be compared with the scene's.
     #[error(transparent)]
     Evaluation(#[from] EvaluationError),

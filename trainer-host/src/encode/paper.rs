@@ -172,7 +172,7 @@ fn body(
         tables: 0,
         repairs: repairs.len() as u16,
         proxies: 0,
-        footprint: scene.footprint as u8,
+        drawing: scene.footprint as u8 | (scene.up as u8) << 4,
         basis_values: plans.iter().map(|p| p.basis.len() as u32).sum(),
         transform_values: plans.iter().flat_map(|p| &p.cells).map(|c| c.transforms.len() as u32).sum(),
     };

@@ -81,6 +81,9 @@ pub(super) fn encode(
     Ok(encoded)
 }
 
+/// Excess where there is no stream: that of one 20 times too large.
+const NO_STREAM: f64 = 3.0;
+
 /// As [`again`], with steps of motion such that the stream comes close to the size that `options` name, if
 /// they do.
 ///
@@ -101,15 +104,26 @@ pub fn again_to_size(
     let search = Search { low: finest.ln(), high: coarsest.ln(), slope: 0.2, close: CLOSE };
     let found = search.run(|at| {
         let motion = at.exp() as f32;
-        let encoded = again(scene, decisions, motion, options, progress)?;
-        let value = size(target, &encoded);
-        Ok::<_, EncodeError>((excess(target, value), (encoded, motion, value)))
+        match again(scene, decisions, motion, options, progress) {
+            // Motion as fine as this does not fit its packets: that, too, is more than there may be.
+            Err(error @ EncodeError::BlockTooLarge { .. }) => Ok((NO_STREAM, Err(error))),
+            encoded => {
+                let encoded = encoded?;
+                let value = size(target, &encoded);
+                Ok::<_, EncodeError>((excess(target, value), Ok((encoded, motion, value))))
+            }
+        }
     })?;
-    let (mut encoded, coarseness, value) = found.what;
+    let (mut encoded, motion, value) = found.what?;
     if found.excess > 0.0 {
-        let (option, wanted) = (target.name(), target.value());
-        return Err(EncodeError::Unreachable { option, wanted, reached: value, coarseness });
+        return Err(EncodeError::UnreachableByMotion {
+            option: target.name(),
+            wanted: target.value(),
+            reached: value,
+            motion,
+        });
     }
+    let coarseness = motion;
     encoded.report.reached = Some(Reached { target, coarseness, encodes: found.tries, value, views: None });
     Ok(encoded)
 }

@@ -5,7 +5,8 @@
 
 use std::borrow::Cow;
 
-use codec_core::internals::digest::Digest;
+use codec_core::{Up, internals::digest::Digest};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
@@ -18,7 +19,7 @@ use super::{
 };
 
 const MAGIC: &[u8; 8] = b"DGSTRAIN";
-const VERSION: u16 = 6;
+const VERSION: u16 = 7;
 const HEADER: usize = 14;
 /// Most Gaussians over all frames of the scene in a checkpoint: about 3 GB.
 const MOST_POSED: usize = 50_000_000;
@@ -30,10 +31,14 @@ pub struct Checkpoint {
     pub dataset: String,
     /// Frames of the clip.
     pub frames: usize,
+    /// Frames per second that the scene is encoded at.
+    pub frames_per_second: f64,
     /// How far the training had come, 0 to 1.
     pub progress: f64,
+    /// Number of the axis that points up.
+    up: u8,
     options: TrainOptions,
-    /// FNV-1a over names, times and sizes of the training views.
+    /// FNV-1a over names, times, cameras and pixels of the training views.
     views: u64,
     state: State,
 }
@@ -61,7 +66,9 @@ impl Checkpoint {
         Self {
             dataset: dataset.name.clone(),
             frames: dataset.frames,
+            frames_per_second: trainer.frames_per_second(),
             progress,
+            up: dataset.up as u8,
             options: trainer.options().clone(),
             views: fingerprint(dataset),
             state: trainer.state().clone(),
@@ -78,6 +85,11 @@ impl Checkpoint {
         self.state.scene()
     }
 
+    /// Which way is up.
+    pub fn up(&self) -> Up {
+        Up::numbered(self.up).unwrap_or_default()
+    }
+
     /// Steps taken.
     pub fn steps(&self) -> u32 {
         self.state.step
@@ -90,7 +102,8 @@ impl Checkpoint {
     pub fn resume(self, dataset: &Dataset) -> Result<Trainer<'_>, TrainError> {
         if self.views != fingerprint(dataset) {
             return Err(TrainError::Checkpoint(format!(
-                "made from {:?}, whose training images have other names, times or sizes than those of {:?}",
+                "made from {:?}, whose training images have other names, times, sizes, cameras or pixels than those \
+                 of {:?}; of a scene, --cameras and --side must be the same",
                 self.dataset, dataset.name
             )));
         }
@@ -133,6 +146,9 @@ impl Checkpoint {
         let sound = read.state.is_sound()
             && read.options.validate().is_ok()
             && (0.0..=1.0).contains(&read.progress)
+            && read.frames_per_second.is_finite()
+            && read.frames_per_second > 0.0
+            && Up::numbered(read.up).is_some()
             && (1..=MOST_POSED).contains(&posed);
         if sound { Ok(read) } else { Err(CheckpointError::Damaged("its numbers do not fit together")) }
     }
@@ -141,8 +157,16 @@ impl Checkpoint {
 /// FNV-1a, 64 bits, over what tells the training views of one dataset from those of another.
 fn fingerprint(dataset: &Dataset) -> u64 {
     let mut digest = Digest::new();
-    for PosedPhotograph { name, camera, time, .. } in dataset.train.photographs() {
-        digest = digest.bytes(name.as_bytes()).bytes(&time.to_le_bytes());
+    let photographs = dataset.train.photographs();
+    // The checksum of a processor's instruction, since there may be a gigabyte.
+    let sum = |view: &PosedPhotograph| crc32fast::hash(view.photograph.rgba());
+    let sums: Vec<u32> = photographs.par_iter().map(sum).collect();
+    for (PosedPhotograph { name, camera, time, .. }, sum) in photographs.iter().zip(sums) {
+        digest = digest.bytes(name.as_bytes()).bytes(&time.to_le_bytes()).bytes(&sum.to_le_bytes());
+        let lens = camera.intrinsics();
+        for value in [lens.fx, lens.fy, lens.cx, lens.cy] {
+            digest = digest.bytes(&value.to_le_bytes());
+        }
         digest = digest.bytes(&camera.width().to_le_bytes()).bytes(&camera.height().to_le_bytes());
         for value in camera.rotation().iter().flatten().chain(&camera.translation()) {
             digest = digest.bytes(&value.to_le_bytes());

@@ -1,8 +1,9 @@
 //! Reads datasets: photographs with cameras and times, from the layouts that the field uses.
 //!
-//! A folder with `transforms_train.json` is a Blender or D-NeRF one, with `sparse/0` a COLMAP one, with
-//! `train_meta.json` a Panoptic one (Dynamic 3D Gaussians). Anything an importer reads becomes a dataset by
-//! rendering it: see [`rendered`].
+//! A folder with `transforms_train.json` is a Blender or D-NeRF one, with `transforms.json` one of Nerfstudio,
+//! with a reconstruction in `sparse/0`, `sparse` or `colmap/sparse/0` a COLMAP one, with `train_meta.json` a
+//! Panoptic one (Dynamic 3D Gaussians). Anything an importer reads becomes a dataset by rendering it: see
+//! [`rendered`].
 
 mod blender;
 mod colmap;
@@ -22,9 +23,9 @@ use super::views::Dataset;
 /// # Errors
 /// A folder of no known layout; or a file, image, camera or time that is refused, by name.
 pub fn read(path: &Path) -> Result<Dataset, DatasetError> {
-    if path.join("transforms_train.json").is_file() {
+    if ["transforms_train.json", "transforms.json"].iter().any(|name| path.join(name).is_file()) {
         blender::read(path)
-    } else if path.join("sparse/0").is_dir() {
+    } else if colmap::model(path).is_some() || path.join("sparse/0").is_dir() {
         colmap::read(path)
     } else if path.join("train_meta.json").is_file() {
         panoptic::read(path)

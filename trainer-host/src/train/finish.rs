@@ -25,7 +25,7 @@ use super::{
     views::{Training, Views},
 };
 use crate::{
-    encode::{self, Decisions, EncodeOptions, Target},
+    encode::{self, Decisions, EncodeError, EncodeOptions, Target},
     scene::SceneError,
 };
 
@@ -130,6 +130,10 @@ impl Finisher {
         Self { encoding, coding: None, rounded: gaussians.clone() }
     }
 
+    pub(super) fn frames_per_second(&self) -> f64 {
+        self.encoding.frames_per_second
+    }
+
     pub(super) fn set_encoding(&mut self, encoding: Encoding) {
         self.encoding = encoding;
     }
@@ -167,8 +171,13 @@ impl Finisher {
         let room = if still { ROOM.1 } else { ROOM.0 };
         options.target = (finish.target_bytes > 0)
             .then(|| Target::Bytes(((finish.target_bytes as f64 * room) as u64).max(1)));
-        let encoded =
-            encode::encode(&scene, &options, &crate::encode::unheard).map_err(TrainError::Encode)?;
+        let plain = EncodeOptions { target: None, ..options.clone() };
+        let encoded = match encode::encode(&scene, &options, &crate::encode::unheard) {
+            // Whether the size can be met is decided where the scene is encoded at last.
+            Err(EncodeError::Unreachable { .. }) => encode::encode(&scene, &plain, &crate::encode::unheard),
+            encoded => encoded,
+        };
+        let encoded = encoded.map_err(TrainError::Encode)?;
         let text = serde_json::to_string(&encoded.decisions);
         state.decisions = Some(text.map_err(|error| TrainError::Checkpoint(error.to_string()))?);
         self.take_up(state, model.gaussians())

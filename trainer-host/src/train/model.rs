@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::{
+    changing::Changing,
     gaussians::TrainedGaussians,
     motion::{ControlNodes, FOLLOWED, MovedPoint, Trajectory, trajectory_times},
     parameter::Parameter,
@@ -92,8 +93,12 @@ impl Model {
     }
 
     /// Adds a layer of `count` nodes that move as the Gaussians do that they stand at; Gaussians follow those
-    /// nearest to them over the clip.
-    pub(super) fn spread_nodes(&mut self, count: usize) {
+    /// nearest to them over the clip. Where it is known in which space something moves, Gaussians outside of it
+    /// stand still.
+    pub(super) fn spread_nodes(&mut self, count: usize, changing: Option<&Changing>) {
+        if let Some(changing) = changing {
+            self.follow_where(changing);
+        }
         let trajectories = self.trajectories();
         let poses = self.nodes.poses(0.0);
         let skin = self.nodes.skin(&poses);
@@ -104,7 +109,11 @@ impl Model {
         };
         let opacity = self.gaussians.opacity.values();
         // Those that stand still need none.
-        let moves = |index: &usize| self.nodes.is_empty() || self.followed[*index].is_some();
+        let moves = |index: &usize| {
+            let may_move =
+                || changing.is_none_or(|changing| changing.contains(self.gaussians.positions()[*index]));
+            if self.nodes.is_empty() { may_move() } else { self.followed[*index].is_some() }
+        };
         let moving: Vec<usize> = (0..self.gaussians.len()).filter(moves).collect();
         let visible = moving.iter().copied().filter(|&index| opacity[index] > VISIBLE);
         let mut points: Vec<MovedPoint> = visible.map(point).collect();
@@ -120,6 +129,18 @@ impl Model {
             moving.into_iter().for_each(|index| self.followed[index] = Some(nearest[index]));
         }
         self.gaussians.skin.values_mut().fill(0.0);
+    }
+
+    /// Lets those Gaussians follow nodes that are where something moves, and no others.
+    fn follow_where(&mut self, changing: &Changing) {
+        if self.nodes.is_empty() {
+            return;
+        }
+        let nearest = self.nodes.followed(&self.trajectories());
+        for (index, followed) in self.followed.iter_mut().enumerate() {
+            let moves = changing.contains(self.gaussians.positions()[index]);
+            *followed = if moves { followed.or(Some(nearest[index])) } else { None };
+        }
     }
 
     /// Where each Gaussian is over the clip.

@@ -37,6 +37,26 @@ pub(super) struct State {
 }
 
 impl State {
+    /// Before the first step, with `model`.
+    pub(super) fn begun(model: Model) -> Self {
+        let pull = Pull::none(model.gaussians());
+        Self {
+            model,
+            average: None,
+            step: 0,
+            node_stages: 0,
+            stands: 0,
+            size: 0,
+            drawn: 0,
+            pull,
+            mean_loss: 0.0,
+            lowest_loss: f64::INFINITY,
+            last_density: 0,
+            retreats: 0,
+            finishing: Finishing::default(),
+        }
+    }
+
     /// The scene: the moving average of the parameters, where there is one.
     pub(super) fn scene(&self) -> Cow<'_, Model> {
         match &self.average {

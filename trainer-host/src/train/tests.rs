@@ -1,6 +1,6 @@
 //! Tests of training as a whole, on a small scene whose photographs are its own renders.
 
-use render_host::{Backend, DeviceChoice};
+use render_host::{Backend, DeviceChoice, adjoint::loss::photograph::Photograph};
 
 use codec_core::Footprint;
 
@@ -297,7 +297,17 @@ fn foreign_and_damaged_checkpoints_are_refused() {
     }
     let other = self::dataset(synth::SynthKind::Cloth, 3, 6);
     let refused = Checkpoint::from_bytes(&bytes).unwrap().resume(&other).unwrap_err().to_string();
-    assert!(refused.contains("other names, times or sizes"), "{refused}");
+    assert!(refused.contains("other names, times, sizes, cameras or pixels"), "{refused}");
+    // Other pixels under the same names.
+    let mut changed = dataset.clone();
+    let mut views = dataset.train.photographs().to_vec();
+    let photograph = &views[0].photograph;
+    let mut rgba = photograph.rgba().to_vec();
+    rgba[0] ^= 1;
+    views[0].photograph = Photograph::new(photograph.width(), photograph.height(), rgba).unwrap();
+    changed.train = Views::new(views).unwrap();
+    assert!(Checkpoint::from_bytes(&bytes).unwrap().resume(&changed).is_err());
+    assert!(Checkpoint::from_bytes(&bytes).unwrap().resume(&dataset).is_ok());
 }
 
 /// Files whose checksum is right and whose numbers are not are refused, or harmless.

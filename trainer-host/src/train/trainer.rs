@@ -18,9 +18,10 @@ use render_host::{
 
 use super::{
     average::Average,
+    changing::Changing,
     density::{self, Pull, Region},
     error::TrainError,
-    finish::{Encoding, Finisher, Finishing, Pruning},
+    finish::{Encoding, Finisher, Pruning},
     gaussians::TrainedGaussians,
     model::Model,
     motion::{ControlNodes, TemporalBasis},
@@ -59,6 +60,8 @@ pub struct Trainer<'a> {
     has_alpha: bool,
     options: TrainOptions,
     region: Region<'a>,
+    /// Where something moves, if photographs tell.
+    changing: Option<Changing>,
     pyramid: Pyramid<'a>,
     state: State,
     /// What to fall back to.
@@ -103,21 +106,7 @@ impl<'a> Trainer<'a> {
         let nodes = ControlNodes::none(TemporalBasis::default(), extent.half_side as f32);
         let footprint = *options.footprint.get_or_insert(dataset.footprint);
         let model = Model { gaussians, nodes, followed: vec![None; count], footprint };
-        let state = State {
-            model,
-            average: None,
-            step: 0,
-            node_stages: 0,
-            stands: 0,
-            size: 0,
-            drawn: 0,
-            pull: Pull::none(count),
-            mean_loss: 0.0,
-            lowest_loss: f64::INFINITY,
-            last_density: 0,
-            retreats: 0,
-            finishing: Finishing::default(),
-        };
+        let state = State::begun(model);
         let encoding =
             Encoding { options: EncodeOptions::default(), frames: dataset.frames, frames_per_second: 30.0 };
         Ok(Self {
@@ -125,6 +114,7 @@ impl<'a> Trainer<'a> {
             has_alpha: dataset.has_alpha,
             pyramid: Pyramid::new(photographs, options.max_side),
             options,
+            changing: (!dataset.has_alpha).then(|| Changing::of(photographs)).flatten(),
             region: Region { extent, free_space: &dataset.free_space },
             fallback: state.clone(),
             finisher: Finisher::new(encoding, &state.model.gaussians),
@@ -211,6 +201,11 @@ impl<'a> Trainer<'a> {
         self
     }
 
+    /// Frames per second that the scene is encoded at.
+    pub fn frames_per_second(&self) -> f64 {
+        self.finisher.frames_per_second()
+    }
+
     /// Steps taken.
     pub fn steps(&self) -> u32 {
         self.state.step
@@ -288,7 +283,7 @@ impl<'a> Trainer<'a> {
         while let Some(&(from, count)) = stages.get(state.node_stages)
             && progress >= from
         {
-            state.model.spread_nodes(count);
+            state.model.spread_nodes(count, self.changing.as_ref());
             state.node_stages += 1;
         }
         let nodes = &mut state.model.nodes;

@@ -3,6 +3,7 @@
 use std::{marker::PhantomData, ops::Range};
 
 use codec_core::{Footprint, ShDegree};
+use rayon::prelude::*;
 use render_host::{Camera, adjoint::loss::photograph::Photograph};
 
 use crate::scene::{Instant, Up};
@@ -98,6 +99,11 @@ impl<Split> Views<Split> {
         let (all, count) = (self.photographs.len(), count.min(self.photographs.len()));
         let photographs = (0..count).map(|k| self.photographs[k * all / count].clone()).collect();
         Self { photographs, split: PhantomData }
+    }
+
+    /// Each as `change` makes it, of a size with its camera and at a time of the clip still.
+    pub(super) fn map(&self, change: impl Fn(&PosedPhotograph) -> PosedPhotograph + Sync + Send) -> Self {
+        Self { photographs: self.photographs.par_iter().map(change).collect(), split: PhantomData }
     }
 
     /// Those of some frames of a clip of `count`, as views of a clip of only these.

@@ -143,6 +143,12 @@ impl Decoder {
         }
     }
 
+    /// Which way is up: `y`, `minus-z` and so on.
+    #[wasm_bindgen(getter)]
+    pub fn up(&self) -> String {
+        self.session.up_of_stream().name().to_owned()
+    }
+
     /// The number of the footprint that Gaussians are drawn with.
     #[wasm_bindgen(getter)]
     pub fn footprint(&self) -> u8 {

@@ -195,7 +195,7 @@ class Stream:
         """What is amiss with the bytes, if something is."""
     @property
     def info(self) -> dict[str, Any]:
-        """frames, fps, packets, gaussians, sh_degree, footprint."""
+        """frames, fps, packets, gaussians, sh_degree, footprint, up (``"y"``, ``"minus-z"`` and so on)."""
     @property
     def wire_bytes(self) -> int:
         """Bytes of the manifest and all packets."""
@@ -237,7 +237,7 @@ class Player:
         """How many blocks of a frame there are, and can be shown by level: blocks, canonical, motion."""
     @property
     def info(self) -> dict[str, Any]:
-        """frames, fps, packets, gaussians, sh_degree, footprint."""
+        """frames, fps, packets, gaussians, sh_degree, footprint, up (``"y"``, ``"minus-z"`` and so on)."""
     @property
     def counters(self) -> dict[str, Any]:
         """Packets so far: media, parity, recovered, refused (by kind)."""

@@ -42,7 +42,7 @@ pub(super) fn body(
         tables: model.tables.len() as u16,
         repairs: repairs.len() as u16,
         proxies: decisions.proxies.into(),
-        footprint: scene.footprint as u8,
+        drawing: scene.footprint as u8 | (scene.up as u8) << 4,
         basis_values: basis_values as u32,
         transform_values: 0,
     };

@@ -1,13 +1,14 @@
-//! Reads Blender and D-NeRF datasets: `transforms_{train,val,test}.json` and PNG images.
+//! Reads Blender and D-NeRF datasets, `transforms_{train,val,test}.json`, and those of Nerfstudio with one
+//! `transforms.json`, whose every eighth frame is for testing.
 //!
-//! Images are the `file_path` of each frame, with `.png` where it has no extension. `time` of a frame is 0 to
-//! 1; without it nothing moves. Images with alpha have outlines.
+//! Images are the `file_path` of each frame, as PNG, JPEG or WebP where it has no extension. `time` of a frame
+//! is 0 to 1; without it nothing moves. Images with alpha have outlines.
 
 use std::path::{Path, PathBuf};
 
 use codec_core::Footprint;
 use rayon::prelude::*;
-use render_host::camera::blender;
+use render_host::{Camera, camera::blender};
 
 use super::{
     error::DatasetError,
@@ -18,16 +19,39 @@ use crate::{
     train::views::{Dataset, FreeSpace, PosedPhotograph, Start, Views},
 };
 
+/// One frame of this many is for testing where a file has all of them.
+const TEST_EVERY: usize = 8;
+/// Endings of images, in the order in which they are looked for.
+const ENDINGS: [&str; 4] = ["png", "jpg", "jpeg", "webp"];
+/// How much the ratios of an image's sides to those of its camera may differ.
+const ASPECT: f64 = 0.01;
+
 pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
-    let (train, has_alpha) = split(folder, "train", true)?;
-    let (validation, _) = split(folder, "val", false)?;
-    let (test, _) = split(folder, "test", false)?;
+    let none = || (Vec::new(), false);
+    let own = |name: &str| -> Result<(Vec<PosedPhotograph>, bool), DatasetError> {
+        let path = folder.join(format!("transforms_{name}.json"));
+        if path.is_file() { photographs(folder, &path) } else { Ok(none()) }
+    };
+    let whole = folder.join("transforms.json");
+    let in_splits = folder.join("transforms_train.json").is_file();
+    let ((train, has_alpha), (validation, _), (test, _)) = if in_splits {
+        (own("train")?, own("val")?, own("test")?)
+    } else {
+        let (all, has_alpha) = photographs(folder, &whole)?;
+        let (mut train, mut test) = (Vec::new(), Vec::new());
+        for (index, view) in all.into_iter().enumerate() {
+            if index % TEST_EVERY == TEST_EVERY - 1 { test.push(view) } else { train.push(view) }
+        }
+        ((train, has_alpha), none(), (test, has_alpha))
+    };
+    let of_views = |source| DatasetError::Views { path: folder.to_owned(), source };
+    let train = Views::new(train).map_err(of_views)?;
     let frames = Views::instants(&train);
     Ok(Dataset {
         name: name_of(folder),
         train,
-        validation,
-        test,
+        validation: Views::new(validation).map_err(of_views)?,
+        test: Views::new(test).map_err(of_views)?,
         start: Start::VisualHull,
         free_space: FreeSpace::default(),
         has_alpha,
@@ -37,40 +61,64 @@ pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
     })
 }
 
-/// The views of one split; none where it is not `needed` and its file is not there.
-fn split<S>(folder: &Path, split: &str, needed: bool) -> Result<(Views<S>, bool), DatasetError> {
-    let path = folder.join(format!("transforms_{split}.json"));
-    let of_views = |source| DatasetError::Views { path: path.clone(), source };
-    if !needed && !path.is_file() {
-        return Ok((Views::new(Vec::new()).map_err(of_views)?, false));
-    }
-    let bytes = read_bytes(&path)?;
+/// The photographs of the frames of a file, and whether some of them have an outline.
+fn photographs(folder: &Path, path: &Path) -> Result<(Vec<PosedPhotograph>, bool), DatasetError> {
+    let bytes = read_bytes(path)?;
+    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
     let cameras = |size| {
-        blender::read(&bytes, size).map_err(|source| DatasetError::Cameras { path: path.clone(), source })
+        blender::read(text, size).map_err(|source| DatasetError::Cameras { path: path.to_owned(), source })
     };
     // Names first: the file need not say how large images are, and cameras depend on it.
     let named = cameras(Some((1, 1)))?;
-    let paths: Vec<PathBuf> = named.iter().map(|view| image_path(folder, &view.name)).collect();
+    let timed = named.iter().filter(|view| view.time.is_some()).count();
+    if timed > 0 && timed < named.len() {
+        return Err(DatasetError::Field {
+            path: path.to_owned(),
+            field: "time".to_owned(),
+            found: format!("given of {timed} frames of {}", named.len()),
+            allowed: "of all frames or of none is allowed",
+        });
+    }
+    let paths = named.iter().map(|view| image_path(folder, &view.name)).collect::<Result<Vec<_>, _>>()?;
     let images = paths.par_iter().map(|path| read_photograph(path)).collect::<Result<Vec<_>, _>>()?;
     // An image that is opaque all over may be stored without alpha.
     let has_alpha = images.iter().any(|(_, has_alpha)| *has_alpha);
     let size = images.first().map(|(photograph, _)| (photograph.width(), photograph.height()));
     let views = cameras(size)?.into_iter().zip(images).map(|(view, (photograph, _))| {
+        let camera = of_size(&view.camera, photograph.width(), photograph.height());
         let time = view.time.unwrap_or(0.0) as f32;
-        PosedPhotograph { name: view.name, camera: view.camera, time, photograph }
+        PosedPhotograph { name: view.name, camera, time, photograph }
     });
-    Ok((Views::new(views.collect()).map_err(of_views)?, has_alpha))
+    Ok((views.collect(), has_alpha))
 }
 
-fn image_path(folder: &Path, name: &str) -> PathBuf {
+/// The camera of a larger or smaller copy of its image; unchanged where that has another shape.
+fn of_size(camera: &Camera, width: u32, height: u32) -> Camera {
+    let across = f64::from(width) / f64::from(camera.width());
+    let down = f64::from(height) / f64::from(camera.height());
+    let is_copy = (across / down - 1.0).abs() <= ASPECT;
+    camera.resized(width, height).ok().filter(|_| is_copy).unwrap_or_else(|| camera.clone())
+}
+
+fn image_path(folder: &Path, name: &str) -> Result<PathBuf, DatasetError> {
     let path = folder.join(name);
-    if path
-        .extension()
-        .is_some_and(|e| ["png", "jpg", "jpeg", "webp"].contains(&&*e.to_string_lossy().to_lowercase()))
-    {
-        return path;
+    let ending = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+    if ending.as_ref().is_some_and(|ending| ENDINGS.contains(&ending.as_str())) {
+        return Ok(path);
     }
-    let mut with_extension = path.into_os_string();
-    with_extension.push(".png");
-    with_extension.into()
+    let with = |ending: &str| {
+        let mut whole = path.clone().into_os_string();
+        whole.push(".");
+        whole.push(ending);
+        PathBuf::from(whole)
+    };
+    if let Some(found) = ENDINGS.map(with).into_iter().find(|path| path.is_file()) {
+        return Ok(found);
+    }
+    Err(DatasetError::Field {
+        path: folder.to_owned(),
+        field: "file_path".to_owned(),
+        found: name.to_owned(),
+        allowed: "no such image; .png, .jpg, .jpeg and .webp are allowed, and looked for where it has no ending",
+    })
 }

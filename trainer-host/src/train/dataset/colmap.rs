@@ -25,8 +25,19 @@ const POINT_BYTES: usize = 8 + 24 + 3 + 8 + 8;
 /// Bytes of each entry of a track.
 const TRACK_BYTES: usize = 8;
 
+/// Where a reconstruction is looked for.
+const MODELS: [&str; 3] = ["sparse/0", "sparse", "colmap/sparse/0"];
+
+/// The folder with the reconstruction of the dataset in `folder`, if it has one.
+pub(super) fn model(folder: &Path) -> Option<PathBuf> {
+    let has_cameras = |model: &PathBuf| {
+        ["bin", "txt"].iter().any(|ending| model.join(format!("cameras.{ending}")).is_file())
+    };
+    MODELS.map(|model| folder.join(model)).into_iter().find(has_cameras)
+}
+
 pub(super) fn read(folder: &Path) -> Result<Dataset, DatasetError> {
-    let model = folder.join("sparse/0");
+    let model = model(folder).unwrap_or_else(|| folder.join(MODELS[0]));
     let (extension, format) =
         if model.join("cameras.bin").is_file() { ("bin", Format::Binary) } else { ("txt", Format::Text) };
     let file = |name: &str| model.join(format!("{name}.{extension}"));

@@ -17,6 +17,7 @@ use crate::{
     limits,
     quant::{Class, Quantiser},
     rans::{bytes::ByteTable, table::Table},
+    up::Up,
 };
 
 /// Records of a section with their offsets, the first of which is `start`.
@@ -261,8 +262,9 @@ fn check_part(
     in_range(fields.0, place, u64::from(first), 0, last).map(|_| ())
 }
 
-/// Checks the head's numbers on their own; gives the harmonic degree, the block length and the footprint.
-pub(super) fn check_head(head: &Head) -> Result<(ShDegree, NonZero<u32>, Footprint)> {
+/// Checks the head's numbers on their own; gives the harmonic degree, the block length, the footprint and which
+/// way is up.
+pub(super) fn check_head(head: &Head) -> Result<(ShDegree, NonZero<u32>, Footprint, Up)> {
     let in32 = |field, at, value: u32, low, high| in_range(field, at, value, low, high).map(|_| ());
     let degrees = (0, ShDegree::MAX.get().into());
     let illegal = Error::illegal("manifest.sh_degree", 1, head.sh_degree.into(), degrees);
@@ -278,12 +280,13 @@ pub(super) fn check_head(head: &Head) -> Result<(ShDegree, NonZero<u32>, Footpri
     in32("manifest.quants", 28, head.quants.into(), 1, limits::MAX_QUANT_PROFILES as u32)?;
     in32("manifest.tables", 30, head.tables.into(), 0, limits::MAX_TABLES as u32)?;
     in32("manifest.proxies", 34, head.proxies.into(), 0, u32::from(head.profile == Profile::Dgs1 as u8))?;
-    let footprints = (0, Footprint::ALL.len() as u64 - 1);
-    let illegal = Error::illegal("manifest.footprint", 35, head.footprint.into(), footprints);
-    let footprint = Footprint::numbered(head.footprint).ok_or(illegal)?;
+    let most = (Up::ALL.len() as u64 - 1) << 4 | (Footprint::ALL.len() as u64 - 1);
+    let illegal = Error::illegal("manifest.drawing", 35, head.drawing.into(), (0, most));
+    let footprint = Footprint::numbered(head.drawing & 15).ok_or(illegal)?;
+    let up = Up::numbered(head.drawing >> 4).ok_or(illegal)?;
     in32("manifest.basis_values", 36, head.basis_values, 0, limits::MAX_MANIFEST_BYTES as u32 / 4)?;
     in32("manifest.transform_values", 40, head.transform_values, 0, limits::MAX_MANIFEST_BYTES as u32 / 4)?;
-    Ok((sh_degree, block_len, footprint))
+    Ok((sh_degree, block_len, footprint, up))
 }
 
 fn finite(field: &'static str, place: usize, value: f32) -> Result<()> {

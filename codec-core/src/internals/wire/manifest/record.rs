@@ -96,8 +96,9 @@ record! {
         repairs: u16,
         /// 1 if there is a proxy for every canonical block (`dgs1`), else 0.
         proxies: u8,
-        /// How Gaussians are drawn: a number of [`Footprint`](crate::Footprint).
-        footprint: u8,
+        /// How a scene is drawn: bits 0 to 3 the number of a [`Footprint`](crate::Footprint), bits 4 to 7
+        /// that of an [`Up`](crate::Up).
+        drawing: u8,
         /// i16 values of window bases (`dgs1`) or f32 values of epoch bases (`paper`).
         basis_values: u32,
         /// f32 values of cluster transforms (`paper`), else 0.

@@ -18,6 +18,7 @@ use crate::{
     ids::{CellId, ClusterId, EpochId, Level, Span, WindowId},
     limits,
     rans::{bytes::ByteTable, table::Table},
+    up::Up,
     wire::packet::Extent,
 };
 
@@ -37,6 +38,7 @@ pub(crate) struct Outline {
     profile: Profile,
     sh_degree: ShDegree,
     footprint: Footprint,
+    up: Up,
     block_len: NonZero<u32>,
     size: LatticeSize,
 }
@@ -74,7 +76,7 @@ impl<'a> Manifest<'a> {
                 return Err(unknown.kind(ErrorKind::Unknown));
             }
         };
-        let (sh_degree, block_len, footprint) = check_head(&head)?;
+        let (sh_degree, block_len, footprint, up) = check_head(&head)?;
         // In `paper` a whole cluster is one block.
         let block_len = match profile {
             Profile::Paper => const { NonZero::new(limits::MAX_CLUSTER_LEN as u32).unwrap() },
@@ -84,7 +86,11 @@ impl<'a> Manifest<'a> {
         let size = check_lattice(&lattice, &head, profile, block_len)?;
         let sections = lattice.with_others(reader, &head, &size)?;
         check_records(&sections, &head, profile, raw.len())?;
-        Ok(Self { raw, sections, outline: Outline { head, profile, sh_degree, footprint, block_len, size } })
+        Ok(Self {
+            raw,
+            sections,
+            outline: Outline { head, profile, sh_degree, footprint, up, block_len, size },
+        })
     }
 
     /// What is known of this manifest without its bytes.
@@ -138,6 +144,11 @@ impl<'a> Manifest<'a> {
     /// How Gaussians are drawn.
     pub const fn footprint(&self) -> Footprint {
         self.outline.footprint
+    }
+
+    /// Which way is up.
+    pub const fn up(&self) -> Up {
+        self.outline.up
     }
 
     /// Frames per second.
