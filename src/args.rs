@@ -120,18 +120,29 @@ pub struct ViewArgs {
 }
 
 impl ViewArgs {
+    /// The options that were given another value than where nothing is said.
+    pub fn typed(&self) -> Vec<&'static str> {
+        let options = [
+            ("--width", self.width.is_some()),
+            ("--height", self.height.is_some()),
+            ("--background", self.background != [0.0; 3]),
+        ];
+        options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
+    }
+
     /// Width and height, pixels, where nothing else says.
     pub fn size(&self) -> (u32, u32) {
         (self.width.unwrap_or(512), self.height.unwrap_or(512))
     }
 }
 
-/// The link.
+/// The link. What the receiver sends comes over 2 Mbit/s with the same delay.
 #[derive(Clone, Debug, Args)]
 pub struct LinkArgs {
     /// Capacity trace: mahimahi, UCC 5G CSV, two columns (seconds, Mbit/s), or three or four (seconds,
-    /// Mbit/s, one-way delay in ms, loss in %) [default: built-in bursty trace, scaled so that the stream
-    /// is `load` times what fits].
+    /// Mbit/s, one-way delay in ms, loss in %); lines that begin with # are comments. A row's rate holds
+    /// until the next row; in files of two columns with pitree in their name it holds until the row's own
+    /// time [default: built-in bursty trace, scaled so that the stream is `load` times what fits].
     #[arg(long)]
     pub trace: Option<PathBuf>,
     /// One-way delay over time, both ways: a number of milliseconds per line, each for 10 ms.
@@ -143,9 +154,10 @@ pub struct LinkArgs {
     /// Multiply the trace's capacity by this, above 0.
     #[arg(long, value_parser = positive, allow_negative_numbers = true)]
     pub scale: Option<f64>,
-    /// For the built-in trace: stream bytes over what the link carries during the clip, above 0.
-    #[arg(long, default_value_t = 1.2, value_parser = positive, allow_negative_numbers = true)]
-    pub load: f64,
+    /// For the built-in trace: bytes of manifest and packets over what the link carries while the clip
+    /// plays, above 0 [default: 1.2].
+    #[arg(long, value_parser = positive, allow_negative_numbers = true)]
+    pub load: Option<f64>,
     /// One-way delay, 0 to 60000 milliseconds; delays of a trace come on top of it [default: 0 with such
     /// a trace, else half the capacity trace's own round trip, else 30].
     #[arg(long, value_parser = whole::<u64>(0..=60_000, "milliseconds"))]
@@ -154,7 +166,7 @@ pub struct LinkArgs {
     /// trace that has losses, else 0.02].
     #[arg(long, value_parser = real(0.0..=0.3, "a share"), allow_negative_numbers = true)]
     pub burst_loss: Option<f64>,
-    /// Queue, as 0 to 60000 milliseconds of the mean rate.
+    /// Queue, as 0 to 60000 milliseconds of the mean rate, and 3 kB (two whole datagrams) at least.
     #[arg(long, default_value_t = 250, value_parser = whole::<u64>(0..=60_000, "milliseconds"))]
     pub queue_ms: u64,
     /// Congestion controller.
@@ -166,6 +178,21 @@ pub struct LinkArgs {
     /// Seed of the link's luck. The default does not begin in a fade.
     #[arg(long, default_value_t = 2)]
     pub link_seed: u64,
+}
+
+impl LinkArgs {
+    /// Load where nothing is said.
+    pub const LOAD: f64 = 1.2;
+
+    /// What a person should know who typed a load that changes nothing.
+    pub fn unused(&self) -> Option<String> {
+        let beside = match (&self.trace, self.scale) {
+            (Some(_), _) => "--trace",
+            (None, Some(_)) => "--scale",
+            (None, None) => return None,
+        };
+        self.load.map(|_| format!("--load is not used beside {beside}: it scales the built-in trace"))
+    }
 }
 
 /// A transport of an emulated delivery.
@@ -423,7 +450,18 @@ pub struct StreamArgs {
     /// Scheduler.
     #[arg(long, value_enum, default_value_t = PolicyName::DeadlineUtility)]
     pub policy: PolicyName,
-    /// Save what arrived as a .dgs file.
+    /// An emulated link in the words of `dgs serve --impair`, in place of the options below: a capacity
+    /// trace, or a list of loss=5%, burst=PACKETS, rate=5mbit, delay=40ms (both ways), jitter=5ms,
+    /// queue=250ms, trace=FILE, seed=1. What the receiver sends comes over 2 Mbit/s.
+    #[arg(
+        long, value_name = "LINK",
+        conflicts_with_all = [
+            "trace", "delay_trace", "trace_offset", "scale", "load", "delay_ms", "burst_loss", "queue_ms",
+            "link_seed",
+        ]
+    )]
+    pub impair: Option<String>,
+    /// Save what arrived as a .dgs file. Without its manifest, complete, nothing is written.
     #[arg(short, long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// The link.

@@ -55,7 +55,7 @@ impl Frames {
         if typed.is_some_and(|typed| typed != said) {
             notes.push(format!("{input} is drawn with its own footprint, {}, not --footprint", said.name()));
         }
-        notes.extend(super::unused_options(input, args));
+        notes.extend(super::unused_options(input, args, None));
         if args.up.is_none() {
             notes.push("a stream does not say which way is up: y is taken; --up says otherwise".to_owned());
         }

@@ -276,7 +276,11 @@ fn trace(
     let key = |field: &str| format!("traces[{at}].{field}");
     let minute = Nanos::from_s(60);
     let mut replay = match (&table.file, table.constant_mbps, table.bursty) {
-        (Some(file), None, None) => pipeline::read_replay(&folder.join(file)).with_context(|| key("file"))?,
+        (Some(file), None, None) => {
+            let recording = pipeline::read_recording(&folder.join(file)).with_context(|| key("file"))?;
+            warnings.extend(recording.notes.iter().map(|note| format!("trace {}: {note}", table.name)));
+            recording.replay
+        }
         (None, Some(rate), None) => {
             let step = Step { at: Nanos::ZERO, rate: mbps(&key("constant_mbps"), rate)? };
             Trace::steps("constant", vec![step], minute).with_context(|| key("constant_mbps"))?.into()
@@ -288,10 +292,11 @@ fn trace(
         if replay.delay.is_some() {
             bail!("traces[{at}] ({:?}) has delays; no delay_file is allowed beside them", table.name);
         }
-        replay.delay = Some(pipeline::read_delays(&folder.join(file)).with_context(|| key("delay_file"))?);
+        let delays = pipeline::read_delays(&folder.join(file)).with_context(|| key("delay_file"))?;
+        warnings.extend(delays.doubt().map(|doubt| format!("trace {}: {doubt}", table.name)));
+        replay.delay = Some(delays);
     }
     let capacity = &replay.capacity;
-    warnings.extend(capacity.warnings().iter().map(|warning| format!("trace {}: {warning}", table.name)));
     let delay = match table.delay_ms {
         Some(ms) => Nanos::from_ms(within(&key("delay_ms"), ms, 0, 60_000)?),
         None if replay.delay.is_some() => Nanos::ZERO,

@@ -63,11 +63,12 @@ impl LossModel {
     /// ```
     /// use emulator_host::link::LossModel;
     ///
-    /// assert!((LossModel::least_burst(0.9) - 9.0).abs() < 1e-9);
+    /// assert_eq!(LossModel::least_burst(0.9), 9.0);
     /// assert_eq!(LossModel::least_burst(0.2), 1.0);
     /// ```
     pub fn least_burst(loss: f64) -> f64 {
-        (loss / (1.0 - loss)).max(1.0)
+        // Rounded, so that 0.9 gives 9 and not the least bit more.
+        ((loss / (1.0 - loss)).max(1.0) * 1e9).round() / 1e9
     }
 
     /// Loses the share `loss` of datagrams, 0 to 0.9, `burst` in a row on average, at least
