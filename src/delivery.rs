@@ -261,7 +261,8 @@ impl<'e> WireEndpoint<'e> {
         })
     }
 
-    /// Whether each packet of the stream has arrived or was recovered; `None` before the manifest is complete.
+    /// Whether each packet of the stream has arrived or was recovered; `None` before the manifest is
+    /// complete.
     pub fn arrived(&self) -> Option<Vec<bool>> {
         let player = self.player.as_ref()?;
         let ids = (0..self.stream.packets().len() as u32).map(PacketId::new);

@@ -7,6 +7,7 @@ mod impair;
 mod limit;
 mod link;
 mod live;
+mod recording;
 mod sendable;
 mod watching;
 
@@ -29,16 +30,19 @@ use trainer_host::{
 
 pub(crate) use self::{
     cache::{reference_photographs, stored_utilities},
-    link::{rate_words, read_delays, read_recording},
+    impair::impairment,
+    limit::Lost,
+    link::{impaired_link, rate_words},
+    recording::{read_delays, read_recording},
 };
 pub use self::{
     cache::{utilities, utility_path},
     cameras::{Showing, Surroundings, Viewpoints, read_cameras, viewpoints},
     frames::Frames,
-    impair::{Impaired, impairment, viewer_link},
-    limit::Lost,
-    link::{Link, capacity_bins, impaired_link, link, read_trace},
+    impair::viewer_link,
+    link::{Link, capacity_bins, link},
     live::LiveReader,
+    recording::read_trace,
     sendable::{Sendable, sendable},
     watching::Watching,
 };

@@ -22,7 +22,7 @@ use crate::{
     trace::{Replay, TraceError},
 };
 
-pub use summary::{Comparison, EVERY_CONDITION, Estimate, Summary, summary};
+pub use summary::{Comparison, Estimate, Summary, summary};
 
 /// No queue is shorter: two whole datagrams.
 const LEAST_QUEUE_BYTES: u64 = 3_000;

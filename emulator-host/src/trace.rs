@@ -22,7 +22,7 @@ use std::sync::Arc;
 use crate::clock::{Bytes, Nanos, Rate};
 
 pub use delay::DelayTrace;
-pub use lines::{first_line, read};
+pub use lines::read;
 pub use replay::{LossTrace, Replay};
 pub use two_column::Holds;
 pub use ucc::Direction;

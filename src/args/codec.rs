@@ -51,7 +51,9 @@ pub struct CodecArgs {
     #[arg(long, value_name = "ENCODINGS", default_value_t = 0)]
     pub search: usize,
     /// Most Gaussians in a cluster: 1 to 32768.
-    #[arg(long, default_value_t = CLUSTER_SIZE, value_parser = whole(1..=limits::MAX_CLUSTER_LEN, "Gaussians"))]
+    #[arg(
+        long, default_value_t = CLUSTER_SIZE, value_parser = whole(1..=limits::MAX_CLUSTER_LEN, "Gaussians")
+    )]
     pub cluster_size: usize,
     /// Gaussians per block, the unit of loss: 1 to 256.
     #[arg(long, default_value_t = BLOCK_LEN, value_parser = whole(1..=limits::MAX_BLOCK_LEN, "Gaussians"))]

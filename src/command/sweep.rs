@@ -24,7 +24,8 @@ pub fn run(args: &SweepArgs, quiet: Quiet) -> Result<VerbOutput> {
     let beside = config.parent().unwrap_or(Path::new("."));
     let config = Config::read(config, args.traces.as_deref().unwrap_or(beside))?;
     let sweep = Sweep::new(config.design)?;
-    let folder = Folder::open(out, &config.origin, !args.no_trajectories)?;
+    let (text, outline, digests) = (config.text, config.outline, config.digests);
+    let folder = Folder::open(out, &Origin { text, outline, digests }, !args.no_trajectories)?;
     let mut pool = rayon::ThreadPoolBuilder::new();
     if let Some(threads) = args.threads {
         pool = pool.num_threads(threads);

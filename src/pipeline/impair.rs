@@ -11,7 +11,7 @@ use emulator_host::{
     trace::Replay,
 };
 
-use super::link::{Recording, read_recording};
+use super::recording::{Recording, read_recording};
 
 /// What is allowed, for errors.
 const ALLOWED: &str = "a trace file, or a list of loss=5%, burst=4, rate=5mbit, delay=40ms, jitter=5ms, \
@@ -25,11 +25,11 @@ const TIMES: &str = "0ms to 60000ms";
 
 /// A link as it was described, and what to say about it.
 #[derive(Clone, Debug)]
-pub struct Impaired {
+pub(crate) struct Impaired {
     /// The link.
-    pub impairment: Impairment,
+    pub(crate) impairment: Impairment,
     /// What whoever uses its trace should know.
-    pub notes: Vec<String>,
+    pub(crate) notes: Vec<String>,
 }
 
 /// The link that `text` describes, for `dgs serve` and `dgs stream`.
@@ -37,7 +37,7 @@ pub struct Impaired {
 /// # Errors
 /// A word that is not allowed or is given twice, a number out of range, words that contradict each other or
 /// have no meaning without another, an unreadable trace.
-pub fn impairment(text: &str) -> Result<Impaired> {
+pub(crate) fn impairment(text: &str) -> Result<Impaired> {
     let mut path = PathConfig::unimpaired();
     let mut notes = Vec::new();
     let whole_trace = format!("trace={text}");

@@ -17,7 +17,7 @@ const NOTABLE: f64 = 0.01;
 
 /// Datagrams that the link lost on the way to the receiver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Lost {
+pub(crate) struct Lost {
     /// They found no room in the queue.
     pub queue: u64,
     /// By chance, behind the queue.

@@ -1,90 +1,27 @@
 //! Builds the link of the command line: a capacity trace, scaled to the stream, with its delay, loss and
 //! queue.
 
-use std::path::Path;
-
 use anyhow::{Context, Result, bail};
 use dgs_quic::socket::Impairment;
 use emulator_host::{
     Bytes, ControllerKind, Nanos, PacketGraph, Rate, SessionConfig, Trace,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
-    trace::{self, DelayTrace, Replay},
+    trace::{self, Replay},
 };
 
-use super::impair::{Impaired, impairment};
+use super::{
+    impair::{Impaired, impairment},
+    recording::{Recording, read_delays, read_recording},
+};
 use crate::{
     args::{ControllerName, LinkArgs, TransportName},
     figures::number,
 };
 
-/// How long each line of a delay trace holds (LeoCC's recordings of Starlink).
-const DELAY_INTERVAL: Nanos = Nanos::from_ms(10);
 /// From receiver to sender.
 const UPLINK: Rate = Rate::from_mbps(2);
 /// Mean number of datagrams lost in a row.
 const BURST: f64 = 4.0;
-
-/// Reads a trace of capacity alone, by content: UCC CSV, mahimahi (one column) or two columns.
-///
-/// # Errors
-/// What the loader refuses, with the file's name; a trace that has delays or losses too.
-pub fn read_trace(path: &Path) -> Result<Trace> {
-    let replay = read_recording(path)?.replay;
-    if replay.delay.is_some() {
-        bail!("{}: has delays too; a trace of capacity alone is needed here", path.display());
-    }
-    Ok(replay.capacity)
-}
-
-/// What a trace file holds.
-#[derive(Clone, Debug)]
-pub(crate) struct Recording {
-    /// Capacity, with delays and losses where they were recorded.
-    pub(crate) replay: Replay,
-    /// What whoever uses it should know.
-    pub(crate) notes: Vec<String>,
-}
-
-/// Reads a trace, by content: UCC CSV, mahimahi (one column), two columns, or three or four with delay and
-/// loss.
-///
-/// # Errors
-/// What the loader refuses, with the file's name.
-pub(crate) fn read_recording(path: &Path) -> Result<Recording> {
-    let limits = trace::Limits::default();
-    let bytes = trace::read(path, &limits).with_context(|| path.display().to_string())?;
-    let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    let first = trace::first_line(&bytes);
-    let columns = first.split(|b| b.is_ascii_whitespace() || *b == b',').filter(|c| !c.is_empty()).count();
-    let mut notes = Vec::new();
-    let replay = if matches!(columns, 3 | 4) && !first.starts_with(b"Timestamp") {
-        Replay::load(&name, &bytes, &limits)
-    } else if first.starts_with(b"Timestamp") || (columns > 4 && first.contains(&b',')) {
-        Trace::ucc(&name, &bytes, trace::Direction::Down, &limits).map(Replay::from)
-    } else if columns <= 1 {
-        Trace::mahimahi(&name, &bytes, &limits).map(Replay::from)
-    } else if name.contains("pitree") {
-        // The two families differ in which end of its interval a row stands at.
-        notes.push("its name has pitree in it, so each rate holds until the time of its row".to_owned());
-        Trace::two_column(&name, &bytes, trace::Holds::Backward, &limits).map(Replay::from)
-    } else {
-        Trace::two_column(&name, &bytes, trace::Holds::Forward, &limits).map(Replay::from)
-    };
-    let replay = replay.with_context(|| format!("{}: not a usable trace", path.display()))?;
-    notes.extend(replay.capacity.warnings().iter().map(ToString::to_string));
-    Ok(Recording { replay, notes })
-}
-
-/// Reads one-way delays: a number of milliseconds per line, each for 10 ms.
-///
-/// # Errors
-/// What the loader refuses, with the file's name.
-pub(crate) fn read_delays(path: &Path) -> Result<DelayTrace> {
-    let limits = trace::Limits::default();
-    let bytes = trace::read(path, &limits).with_context(|| path.display().to_string())?;
-    DelayTrace::load(&bytes, DELAY_INTERVAL, &limits)
-        .with_context(|| format!("{}: not a usable trace of delays", path.display()))
-}
 
 /// A link ready to use, and what to say about it.
 #[derive(Clone, Debug)]
@@ -158,7 +95,7 @@ pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
 ///
 /// # Errors
 /// As [`impairment`].
-pub fn impaired_link(text: &str, args: &LinkArgs) -> Result<Link> {
+pub(crate) fn impaired_link(text: &str, args: &LinkArgs) -> Result<Link> {
     let Impaired { impairment: Impairment { path, seed }, notes } = impairment(text)?;
     let name = match &path.capacity {
         Capacity::Unlimited => "a link without a limit of rate".to_owned(),
@@ -177,7 +114,7 @@ pub fn impaired_link(text: &str, args: &LinkArgs) -> Result<Link> {
     Ok(Link { config: session(args, seed, path), description, warnings: notes })
 }
 
-/// What is recorded of the link as typed, or the built-in trace, from its offset on; and what to say about it.
+/// What is recorded of the link as typed, or the built-in trace, from its offset on; and notes on it.
 fn recorded(args: &LinkArgs) -> Result<(Replay, Vec<String>)> {
     let Recording { mut replay, mut notes } = match &args.trace {
         Some(path) => read_recording(path)?,
@@ -206,8 +143,8 @@ fn scale_for(trace: &Trace, graph: &PacketGraph, load: f64) -> Result<f64> {
     let wanted = (graph.total_bytes() + u64::from(graph.manifest_bytes())) as f64 / load;
     let mut scale = 1.0;
     for round in 0..20 {
-        let Bytes(carried) = carried_in_playout(&scaled(trace, scale).context("--load")?, graph);
-        let ratio = wanted / (carried.max(1) as f64);
+        let Bytes(passed) = playout_capacity(&scaled(trace, scale).context("--load")?, graph);
+        let ratio = wanted / (passed.max(1) as f64);
         // On a faster link playout starts earlier, over another part of the trace: steps that go too far and
         // back again are halved.
         scale *= if round < 4 { ratio } else { ratio.sqrt() };
@@ -217,7 +154,7 @@ fn scale_for(trace: &Trace, graph: &PacketGraph, load: f64) -> Result<f64> {
 
 /// What a link that follows `trace` carries while the clip of `graph` plays, which starts once the manifest
 /// and the base of its first frame have passed, or after the wait of a session.
-fn carried_in_playout(trace: &Trace, graph: &PacketGraph) -> Bytes {
+fn playout_capacity(trace: &Trace, graph: &PacketGraph) -> Bytes {
     let first = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
     let packets = first.flat_map(|group| &group.packets).map(|packet| &graph.packets()[packet.at()]);
     let base: u64 = packets.map(|packet| u64::from(packet.wire_bytes)).sum();
@@ -410,9 +347,9 @@ mod tests {
         for (frames, load, seed) in [(30, "1.2", "2"), (30, "2.5", "3"), (90, "0.5", "4"), (1000, "3", "5")] {
             let graph = graph(frames);
             let link = link(&typed(&["--load", load, "--link-seed", seed]), &graph).unwrap();
-            let carried = carried_in_playout(link.trace().unwrap(), &graph).0 as f64;
+            let passed = playout_capacity(link.trace().unwrap(), &graph).0 as f64;
             let bytes = (graph.total_bytes() + u64::from(graph.manifest_bytes())) as f64;
-            let found = bytes / carried / load.parse::<f64>().unwrap();
+            let found = bytes / passed / load.parse::<f64>().unwrap();
             assert!((found - 1.0).abs() < 0.01, "{frames} frames, seed {seed}: {found}");
         }
     }

@@ -7,12 +7,12 @@ use emulator_host::{
     ControllerKind, Nanos, PolicyKind, Rate, Trace,
     graph::{Dependencies, Profile, Synthetic},
     link::LossModel,
-    sweep::{Condition, Design, EVERY_CONDITION, SweptTrace},
+    sweep::{Condition, Design, Summary, SweptTrace},
     trace::Step,
 };
 use serde::Deserialize;
 
-use super::{Digests, Origin};
+use super::Digests;
 use crate::pipeline;
 
 /// Bytes of the largest configuration.
@@ -23,8 +23,12 @@ const MOST_SIMULATIONS: u64 = 100_000_000;
 /// A configuration as it is written.
 #[derive(Clone, Debug)]
 pub(crate) struct Config {
-    /// Its text, its size, its trace files.
-    pub(crate) origin: Origin,
+    /// Its text.
+    pub(crate) text: String,
+    /// Its size.
+    pub(crate) outline: Outline,
+    /// Digests of the trace files that it names.
+    pub(crate) digests: Digests,
     /// What it asks for.
     pub(crate) design: Design,
     /// Scheduler that the others are compared with.
@@ -159,7 +163,7 @@ impl Config {
         if !design.schedulers.contains(&baseline) {
             bail!("baseline is {:?}, allowed is one of schedulers", document.baseline);
         }
-        Ok(Self { origin: Origin { text, outline, digests }, design, baseline, warnings })
+        Ok(Self { text, outline, digests, design, baseline, warnings })
     }
 }
 
@@ -176,8 +180,9 @@ fn design(document: &Document, folder: &Path, warnings: &mut Vec<String>) -> Res
     names("schedulers", &document.schedulers)?;
     let condition_names: Vec<String> = document.conditions.iter().map(|table| table.name.clone()).collect();
     names("conditions.name", &condition_names)?;
-    if let Some(at) = condition_names.iter().position(|name| name == EVERY_CONDITION) {
-        bail!("conditions[{at}].name is {EVERY_CONDITION:?}, which is the row over all; allowed is another");
+    if let Some(at) = condition_names.iter().position(|name| name == Summary::EVERY_CONDITION) {
+        let name = Summary::EVERY_CONDITION;
+        bail!("conditions[{at}].name is {name:?}, which is the row over all; allowed is another");
     }
     let trace_names: Vec<String> = document.traces.iter().map(|table| table.name.clone()).collect();
     names("traces.name", &trace_names)?;

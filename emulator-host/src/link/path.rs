@@ -93,8 +93,8 @@ impl LossModel {
         if burst == 1.0 {
             return Self::Iid(loss);
         }
-        // Stationary share of the bad state: enter / (enter + leave). Shorter bursts than the least would need
-        // to begin more often than always.
+        // Stationary share of the bad state: enter / (enter + leave). Shorter bursts than the least would
+        // need to begin more often than always.
         let enter_bad = (loss / (burst * (1.0 - loss))).min(1.0);
         Self::GilbertElliott { enter_bad, leave_bad: 1.0 / burst, loss_good: 0.0, loss_bad: 1.0 }
     }

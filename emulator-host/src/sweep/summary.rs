@@ -26,9 +26,6 @@ const COLUMNS: [Column; 6] = [
     ("waste_bytes", |trial| trial.waste_bytes as f64),
 ];
 
-/// Name of the rows over all conditions.
-pub const EVERY_CONDITION: &str = "all";
-
 /// A mean and its 95 % interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
@@ -43,7 +40,7 @@ pub struct Estimate {
 /// One scheduler under one controller and one condition.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Name of the condition, or [`EVERY_CONDITION`].
+    /// Name of the condition, or [`Summary::EVERY_CONDITION`].
     pub condition: String,
     /// Name of the controller.
     pub controller: String,
@@ -70,6 +67,11 @@ pub struct Summary {
     pub comparisons: Vec<Comparison>,
 }
 
+impl Summary {
+    /// Name of the rows over all conditions.
+    pub const EVERY_CONDITION: &str = "all";
+}
+
 /// Summarises `trials`, in the order of their numbers, against the scheduler called `baseline`.
 pub fn summary(trials: &[Trial], baseline: &str) -> Summary {
     let mut conditions: Vec<&str> = Vec::new();
@@ -78,7 +80,7 @@ pub fn summary(trials: &[Trial], baseline: &str) -> Summary {
             conditions.push(&trial.condition);
         }
     }
-    let mut comparisons = compare(EVERY_CONDITION, trials.iter().collect(), baseline);
+    let mut comparisons = compare(Summary::EVERY_CONDITION, trials.iter().collect(), baseline);
     for condition in conditions {
         let own = trials.iter().filter(|trial| trial.condition == condition).collect();
         comparisons.extend(compare(condition, own, baseline));

@@ -20,7 +20,8 @@ pub fn read(path: &Path, limits: &Limits) -> Result<Vec<u8>, TraceError> {
 /// How files of gzip begin.
 const GZIP: &[u8] = &[0x1f, 0x8b];
 
-/// Refuses what is too large, packed, and JSON: Pantheon's own logs are JSON, and their traces are mahimahi's.
+/// Refuses what is too large or packed, and JSON: Pantheon's own logs are JSON, and their traces are
+/// mahimahi's.
 pub(super) fn check_text(bytes: &[u8], limits: &Limits) -> Result<(), TraceError> {
     check_size(bytes, limits)?;
     if bytes.starts_with(GZIP) {
@@ -45,8 +46,8 @@ fn unmarked(bytes: &[u8]) -> &[u8] {
     bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes)
 }
 
-/// The first line that is neither empty nor a comment, trimmed: it says what kind of trace `bytes` are.
-pub fn first_line(bytes: &[u8]) -> &[u8] {
+/// The first line that is neither empty nor a comment, trimmed.
+pub(super) fn first_line(bytes: &[u8]) -> &[u8] {
     let mut lines = unmarked(bytes).split(|byte| *byte == b'\n').map(<[u8]>::trim_ascii);
     lines.find(|line| is_content(line)).unwrap_or_default()
 }
@@ -66,8 +67,7 @@ pub(super) fn rows<'a>(
 
 /// Whether a line has commas and no cell that is a number.
 fn is_header(line: &[u8]) -> bool {
-    let is_number =
-        |cell: &[u8]| std::str::from_utf8(cell.trim_ascii()).is_ok_and(|t| t.parse::<f64>().is_ok());
+    let is_number = |cell: &[u8]| number(cell.trim_ascii()).is_some();
     line.contains(&b',') && !line.split(|byte| *byte == b',').any(is_number)
 }
 
@@ -97,9 +97,14 @@ pub(super) fn integer(bytes: &[u8]) -> Option<u64> {
     if digits { std::str::from_utf8(bytes).ok()?.parse().ok() } else { None }
 }
 
+/// A number in Rust's notation, infinities and NaN included.
+fn number(bytes: &[u8]) -> Option<f64> {
+    std::str::from_utf8(bytes).ok()?.parse().ok()
+}
+
 /// A finite decimal number that is not negative.
 pub(super) fn decimal(bytes: &[u8]) -> Option<f64> {
-    let value: f64 = std::str::from_utf8(bytes).ok()?.parse().ok()?;
+    let value = number(bytes)?;
     (value.is_finite() && value >= 0.0).then_some(value)
 }
 

@@ -11,7 +11,7 @@ use super::{
     DelayTrace, Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError,
     delay::MOST_MS,
     doubts::doubts,
-    lines::{check_points, check_text, decimal, field, rows},
+    lines::{check_points, check_text, decimal, field, first_line, rows},
     steps,
 };
 use crate::{
@@ -76,6 +76,12 @@ impl From<Trace> for Replay {
 }
 
 impl Replay {
+    /// The first line of a trace that is neither empty nor a comment, trimmed: it says of what kind the file
+    /// is.
+    pub fn first_line(bytes: &[u8]) -> &[u8] {
+        first_line(bytes)
+    }
+
     /// Loads lines of three or four columns.
     ///
     /// # Errors
