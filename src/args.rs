@@ -6,6 +6,7 @@ mod convert;
 mod cut;
 mod device;
 mod frames;
+mod link;
 mod number;
 mod scene;
 mod socket;
@@ -25,13 +26,14 @@ pub use self::{
     cut::Cut,
     device::DeviceName,
     frames::FrameRange,
+    link::{ControllerName, LinkArgs, TransportName},
     scene::{SceneArgs, Up},
     socket::{Play, Serve},
     sweep::{SweepAction, SweepArgs, SweepMerge},
     view::{View, WindowArgs},
 };
 use self::{
-    number::{background, not_negative, positive, real, whole},
+    number::{background, not_negative, real, whole},
     train::Train,
 };
 use crate::pictures::VideoCodec;
@@ -120,74 +122,20 @@ pub struct ViewArgs {
 }
 
 impl ViewArgs {
+    /// The options that were given another value than where nothing is said.
+    pub fn typed(&self) -> Vec<&'static str> {
+        let options = [
+            ("--width", self.width.is_some()),
+            ("--height", self.height.is_some()),
+            ("--background", self.background != [0.0; 3]),
+        ];
+        options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
+    }
+
     /// Width and height, pixels, where nothing else says.
     pub fn size(&self) -> (u32, u32) {
         (self.width.unwrap_or(512), self.height.unwrap_or(512))
     }
-}
-
-/// The link.
-#[derive(Clone, Debug, Args)]
-pub struct LinkArgs {
-    /// Capacity trace: mahimahi, UCC 5G CSV, two columns (seconds, Mbit/s), or three or four (seconds,
-    /// Mbit/s, one-way delay in ms, loss in %) [default: built-in bursty trace, scaled so that the stream
-    /// is `load` times what fits].
-    #[arg(long)]
-    pub trace: Option<PathBuf>,
-    /// One-way delay over time, both ways: a number of milliseconds per line, each for 10 ms.
-    #[arg(long, value_name = "FILE")]
-    pub delay_trace: Option<PathBuf>,
-    /// Start this many seconds into the trace: at least 0.
-    #[arg(long, default_value_t = 0.0, value_parser = not_negative, allow_negative_numbers = true)]
-    pub trace_offset: f64,
-    /// Multiply the trace's capacity by this, above 0.
-    #[arg(long, value_parser = positive, allow_negative_numbers = true)]
-    pub scale: Option<f64>,
-    /// For the built-in trace: stream bytes over what the link carries during the clip, above 0.
-    #[arg(long, default_value_t = 1.2, value_parser = positive, allow_negative_numbers = true)]
-    pub load: f64,
-    /// One-way delay, 0 to 60000 milliseconds; delays of a trace come on top of it [default: 0 with such
-    /// a trace, else half the capacity trace's own round trip, else 30].
-    #[arg(long, value_parser = whole::<u64>(0..=60_000, "milliseconds"))]
-    pub delay_ms: Option<u64>,
-    /// Share of time lost in Gilbert–Elliott bursts (mean burst four packets), 0 to 0.3 [default: 0 with a
-    /// trace that has losses, else 0.02].
-    #[arg(long, value_parser = real(0.0..=0.3, "a share"), allow_negative_numbers = true)]
-    pub burst_loss: Option<f64>,
-    /// Queue, as 0 to 60000 milliseconds of the mean rate.
-    #[arg(long, default_value_t = 250, value_parser = whole::<u64>(0..=60_000, "milliseconds"))]
-    pub queue_ms: u64,
-    /// Congestion controller.
-    #[arg(long, value_enum, default_value_t = ControllerName::Newreno)]
-    pub controller: ControllerName,
-    /// What carries packets over the link.
-    #[arg(long, value_enum, default_value_t = TransportName::Model)]
-    pub transport: TransportName,
-    /// Seed of the link's luck. The default does not begin in a fade.
-    #[arg(long, default_value_t = 2)]
-    pub link_seed: u64,
-}
-
-/// A transport of an emulated delivery.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum TransportName {
-    /// The emulator's model of QUIC.
-    Model,
-    /// QUIC itself (`quinn-proto`) in virtual time, its handshake done before; with newreno or cubic.
-    Quic,
-}
-
-/// A congestion controller.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum ControllerName {
-    /// RFC 9002 NewReno.
-    Newreno,
-    /// RFC 9438 CUBIC.
-    Cubic,
-    /// The paper's BBR-inspired model.
-    BbrModel,
-    /// SCReAMv2 (RFC 8298bis): bounds the delay of its own queue, made for media.
-    Scream,
 }
 
 /// A scheduler.
@@ -423,7 +371,18 @@ pub struct StreamArgs {
     /// Scheduler.
     #[arg(long, value_enum, default_value_t = PolicyName::DeadlineUtility)]
     pub policy: PolicyName,
-    /// Save what arrived as a .dgs file.
+    /// An emulated link in the words of `dgs serve --impair`, in place of the options below: a capacity
+    /// trace, or a list of loss=5%, burst=PACKETS, rate=5mbit, delay=40ms (both ways), jitter=5ms,
+    /// queue=250ms, trace=FILE, seed=1. What the receiver sends comes over 2 Mbit/s.
+    #[arg(
+        long, value_name = "LINK",
+        conflicts_with_all = [
+            "trace", "delay_trace", "trace_offset", "scale", "load", "delay_ms", "burst_loss", "queue_ms",
+            "link_seed",
+        ]
+    )]
+    pub impair: Option<String>,
+    /// Save what arrived as a .dgs file. Without its manifest, complete, nothing is written.
     #[arg(short, long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// The link.

@@ -261,11 +261,12 @@ impl<'e> WireEndpoint<'e> {
         })
     }
 
-    /// Whether each packet of the stream has arrived or was recovered.
-    pub fn arrived(&self) -> Vec<bool> {
-        (0..self.stream.packets().len() as u32)
-            .map(|id| PacketId::new(id).is_some_and(|id| self.has(id)))
-            .collect()
+    /// Whether each packet of the stream has arrived or was recovered; `None` before the manifest is
+    /// complete.
+    pub fn arrived(&self) -> Option<Vec<bool>> {
+        let player = self.player.as_ref()?;
+        let ids = (0..self.stream.packets().len() as u32).map(PacketId::new);
+        Some(ids.map(|id| id.is_some_and(|id| player.has(id))).collect())
     }
 
     fn has(&self, id: PacketId) -> bool {

@@ -7,6 +7,7 @@ mod impair;
 mod limit;
 mod link;
 mod live;
+mod recording;
 mod sendable;
 mod watching;
 
@@ -29,15 +30,19 @@ use trainer_host::{
 
 pub(crate) use self::{
     cache::{reference_photographs, stored_utilities},
-    link::{read_delays, read_replay},
+    impair::impairment,
+    limit::Lost,
+    link::{impaired_link, rate_words},
+    recording::{read_delays, read_recording},
 };
 pub use self::{
     cache::{utilities, utility_path},
     cameras::{Showing, Surroundings, Viewpoints, read_cameras, viewpoints},
     frames::Frames,
-    impair::{impairment, viewer_link},
-    link::{Link, capacity_bins, link, read_trace},
+    impair::viewer_link,
+    link::{Link, capacity_bins, link},
     live::LiveReader,
+    recording::read_trace,
     sendable::{Sendable, sendable},
     watching::Watching,
 };
@@ -256,9 +261,10 @@ pub fn read_stream(path: &Path, warn: &mut dyn FnMut(String)) -> Result<Stream> 
     Ok(stream)
 }
 
-/// What a person should know who typed options of scenes with the stream `input`.
-pub(crate) fn unused_options(input: &str, args: &SceneArgs) -> Option<String> {
-    let options = args.scene_only();
+/// What a person should know who typed options of scenes, or of how to encode them, with the stream `input`.
+pub(crate) fn unused_options(input: &str, args: &SceneArgs, codec: Option<&CodecArgs>) -> Option<String> {
+    let mut options = args.scene_only();
+    options.extend(codec.into_iter().flat_map(CodecArgs::typed));
     let names = options.join(", ");
     (!options.is_empty()).then(|| format!("{input}: is a stream; not used, being for scenes: {names}"))
 }
@@ -308,8 +314,9 @@ pub struct Delivered {
     pub report: Report,
     /// What was shown, frame by frame.
     pub shown: Vec<ShownState>,
-    /// Whether each packet of the stream has arrived or was recovered.
-    pub arrived: Vec<bool>,
+    /// Whether each packet of the stream has arrived or was recovered; `None`: its manifest did not arrive
+    /// complete, without which no packet can be read.
+    pub arrived: Option<Vec<bool>>,
 }
 
 /// Steps 8 to 12: schedule, send, link, receive, repair, closure, with the real receiver.

@@ -1,6 +1,7 @@
 //! Runs sweeps of the emulator: a configuration becomes blocks, blocks become files, files become a summary.
 //!
-//! A folder of results holds `sweep.toml` (the configuration), and per batch of blocks `runs/NNNNN.jsonl` (a
+//! A folder of results holds `sweep.toml` (the configuration), `traces.txt` (a digest of each trace file
+//! that it names), and per batch of blocks `runs/NNNNN.jsonl` (a
 //! line per simulation) and `trajectories/NNNNN.parquet` (a row per frame). A batch is written whole, so a
 //! process that is killed loses the batches that it was at and nothing else; whoever runs the same
 //! configuration into the same folder does what is missing. A shard takes one batch of every n. Once all
@@ -8,14 +9,16 @@
 //! were made.
 
 mod config;
+mod digests;
 mod estimate;
 mod folder;
 mod trajectory;
 
 pub(crate) use self::{
-    config::Config,
+    config::{Config, Outline},
+    digests::Digests,
     estimate::{Cost, Progressed},
-    folder::Folder,
+    folder::{Folder, Origin},
 };
 
 use std::time::Instant;

@@ -399,3 +399,17 @@ fn one_frame_is_compared_with_that_of_a_clip() {
     assert!(text.contains("3 pictures"), "{text}");
     assert!(refused(at, &compared(&["--frames", "0..1"])).contains("have 1 and 2 frames"));
 }
+
+#[test]
+fn a_manifest_without_packets_says_that_nothing_can_be_sent() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = folder.path();
+    ok(at, &["encode", "synth:balls:1000:2", "--out", "x.dgs"]);
+    let whole = std::fs::read(at.join("x.dgs")).unwrap();
+    let manifest = u32::from_le_bytes(whole[4..8].try_into().unwrap()) as usize;
+    std::fs::write(at.join("bare.dgs"), &whole[..8 + manifest]).unwrap();
+    let output = dgs(at, &["stream", "bare.dgs"]);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("bare.dgs: nothing of this stream can be sent"), "{said}");
+}

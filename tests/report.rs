@@ -105,6 +105,7 @@ fn delivery(i: usize) -> Report {
         frames,
         samples: Vec::new(),
         boxes: Vec::new(),
+        one_way_delay: None,
         digest: 0xfeed_face_0000_0000 + i as u64,
     }
 }

@@ -32,6 +32,13 @@ fn refused(args: &[&str]) -> String {
     String::from_utf8(output.stderr).unwrap()
 }
 
+/// What was said, and on standard error, by a command that did not do all of it.
+fn incomplete(args: &[&str]) -> (String, String) {
+    let output = command(args).output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "dgs {args:?}");
+    (String::from_utf8(output.stdout).unwrap(), String::from_utf8(output.stderr).unwrap())
+}
+
 /// Every file of a folder of results by its name.
 fn contents(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
@@ -75,7 +82,7 @@ fn threads_and_shards_change_no_byte() {
         assert!(text.contains("24 of 72 simulations took") && text.contains("no summary yet"), "{text}");
     }
     let merged = at(&folder, "merged");
-    let text = ok(&["sweep", "merge", &shards[2], &shards[0], "-o", &merged]);
+    let text = incomplete(&["sweep", "merge", &shards[2], &shards[0], "-o", &merged]).0;
     assert!(text.contains("no summary yet: 1 batches are missing"), "{text}");
     ok(&["sweep", "merge", &shards[1], "-o", &merged]);
     assert!(contents(Path::new(&merged)) == expected, "merged shards give other bytes");
@@ -85,6 +92,59 @@ fn threads_and_shards_change_no_byte() {
     fs::write(&batch, fs::read_to_string(&batch).unwrap().replacen("layered", "Layered", 1)).unwrap();
     let error = refused(&["sweep", "merge", &shards[0], "-o", &merged]);
     assert!(error.contains("00000.jsonl") && error.contains("are the same batch and differ"), "{error}");
+}
+
+/// The quick design with one replicate over the trace `file`, as `name` in `folder`.
+fn over_file(folder: &tempfile::TempDir, name: &str, file: &str) -> String {
+    let config = at(folder, name);
+    let text = fs::read_to_string(quick()).unwrap().replace("replicates = 3", "replicates = 2");
+    fs::write(&config, text.replace("constant_mbps = 5.0", &format!("file = {file:?}"))).unwrap();
+    config
+}
+
+#[test]
+fn results_over_a_trace_that_has_changed_are_refused_by_its_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = over_file(&folder, "a.toml", "phone.columns");
+    let trace = folder.path().join("phone.columns");
+    let [one, two, merged] = ["one", "two", "merged"].map(|name| at(&folder, name));
+    fs::write(&trace, "0 4\n1 6\n").unwrap();
+    ok(&["sweep", &config, "-o", &one, "--shard", "1/2", "--no-trajectories"]);
+    ok(&["sweep", &config, "-o", &one, "--shard", "1/2", "--no-trajectories"]);
+    fs::write(&trace, "0 4\n1 8\n").unwrap();
+    let error = refused(&["sweep", &config, "-o", &one]);
+    assert!(error.contains("traces.txt: results over another phone.columns"), "{error}");
+    ok(&["sweep", &config, "-o", &two, "--shard", "2/2"]);
+    let error = refused(&["sweep", "merge", &one, &two, "-o", &merged]);
+    assert!(error.contains("two: results over another phone.columns than"), "{error}");
+    assert!(!Path::new(&merged).exists(), "nothing is made of refused results");
+
+    // The right shards are merged without the trace; those without trajectories are said.
+    fs::write(&trace, "0 4\n1 6\n").unwrap();
+    fs::remove_dir_all(&two).unwrap();
+    ok(&["sweep", &config, "-o", &two, "--shard", "2/2"]);
+    fs::remove_file(&trace).unwrap();
+    let output = command(&["sweep", "merge", &one, &two, "-o", &merged]).output().unwrap();
+    let said = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{said}");
+    assert!(said.contains("1 of 2 batches have no trajectories"), "{said}");
+
+    // A batch that is cut short is named by its own name.
+    let batch = Path::new(&merged).join("runs/00000.jsonl");
+    let lines = fs::read_to_string(&batch).unwrap();
+    for (bytes, count) in [("", 0), (&lines[..=lines.find('\n').unwrap()], 1)] {
+        fs::write(&batch, bytes).unwrap();
+        let error = refused(&["sweep", "merge", &merged, "-o", &at(&folder, "again")]);
+        assert!(error.contains(&format!("runs/00000.jsonl: {count} simulations, allowed are 24")), "{error}");
+    }
+
+    // Results without digests, as older ones are.
+    fs::remove_file(Path::new(&one).join("traces.txt")).unwrap();
+    let error = refused(&["sweep", "merge", &one, "-o", &at(&folder, "older")]);
+    assert!(error.contains("traces.txt: is not there"), "{error}");
+    fs::write(&trace, "0 4\n1 6\n").unwrap();
+    let error = refused(&["sweep", &config, "-o", &one]);
+    assert!(error.contains("traces.txt: is not there"), "{error}");
 }
 
 #[test]

@@ -202,6 +202,10 @@ pub struct Report {
     pub samples: Vec<SenderRow>,
     /// Counts of every box, downlink first.
     pub boxes: Vec<BoxRow>,
+    /// Median and 95th percentile of how long datagrams took from the sender's socket to the receiver, queues
+    /// included; `None` where the transport does not record it, or nothing arrived.
+    #[serde(skip)]
+    pub one_way_delay: Option<[Nanos; 2]>,
     /// FNV-1a over (time, length, direction) of every datagram sent and delivered: equal digests, equal runs.
     pub digest: u64,
 }

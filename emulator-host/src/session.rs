@@ -36,6 +36,7 @@ mod viewer_path;
 use crate::{
     clock::{Nanos, Rate},
     congestion::ControllerKind,
+    graph::PacketGraph,
     link::{Chain, PathConfig, PathError},
     policy::PolicyKind,
     receiver::GraphReceiver,
@@ -111,8 +112,9 @@ pub struct SessionConfig {
     pub buffer_limit: usize,
     /// Time between [`crate::report::SenderRow`]s; zero for none.
     pub sample_interval: Nanos,
-    /// The run ends here if playout has not ended before.
-    pub cap: Nanos,
+    /// The run ends here if playout has not ended before; `None`: after an hour, or a minute after the latest
+    /// end of playout if that is later.
+    pub cap: Option<Nanos>,
 }
 
 impl Default for SessionConfig {
@@ -140,7 +142,7 @@ impl Default for SessionConfig {
             viewer: None,
             buffer_limit: GraphReceiver::BUFFER_LIMIT,
             sample_interval: Nanos::from_ms(100),
-            cap: Nanos::from_s(3600),
+            cap: None,
         }
     }
 }
@@ -158,6 +160,13 @@ impl SessionConfig {
             return Err(SessionError::Config { field: "ack_every", found: 0.0, allowed: "at least 1" });
         }
         Ok(())
+    }
+
+    /// When a run of `graph` ends at the latest.
+    pub fn end(&self, graph: &PacketGraph) -> Nanos {
+        let clip = graph.frame_interval().times(u64::from(graph.frames()));
+        let playout = self.startup.max_wait + clip + Nanos::from_s(60);
+        self.cap.unwrap_or_else(|| playout.max(Nanos::from_s(3600)))
     }
 
     /// Fresh boxes of both directions, forward first.

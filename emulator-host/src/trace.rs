@@ -9,6 +9,7 @@
 
 mod bursty;
 mod delay;
+mod doubts;
 mod lines;
 mod mahimahi;
 mod replay;
@@ -79,6 +80,11 @@ pub enum Warning {
         /// Typical rate, read as Mbit/s.
         mbps: u32,
     },
+    /// The one-way delay is so short that it may be in seconds.
+    LikelySeconds {
+        /// Typical delay, read as milliseconds.
+        ms: f64,
+    },
     /// A long hole in the log was filled by holding the last rate.
     LongGap {
         /// Longest hole.
@@ -109,6 +115,9 @@ impl std::fmt::Display for Warning {
                 f,
                 "the rate is {mbps} Mbit/s: the second column is read as Mbit/s and looks like kbit/s"
             ),
+            Self::LikelySeconds { ms } => {
+                write!(f, "the delay is {ms:.3} ms: it is read as milliseconds and looks like seconds")
+            }
             Self::LongGap { seconds } => write!(f, "a hole of {seconds} s was filled with the last rate"),
         }
     }
@@ -145,6 +154,9 @@ pub enum TraceError {
          this kind), two columns (s, Mbit/s) and UCC CSV"
     )]
     Json,
+    /// A file packed by gzip.
+    #[error("gzip: unpack it first")]
+    Gzip,
     /// Nothing is ever delivered.
     #[error("the trace has no capacity")]
     NoCapacity,

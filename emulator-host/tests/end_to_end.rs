@@ -220,7 +220,7 @@ fn a_dead_path_still_ends_with_a_report() {
     let dead = PathConfig { capacity: Capacity::Constant(Rate(0)), ..PathConfig::default() };
     let report = simulate(&graph, &down(dead)).unwrap();
     assert_eq!((report.miss_rate, report.utility, report.startup_reached), (1.0, 0.0, false));
-    let capped = SessionConfig { cap: Nanos::from_ms(50), ..SessionConfig::default() };
+    let capped = SessionConfig { cap: Some(Nanos::from_ms(50)), ..SessionConfig::default() };
     let report = simulate(&graph, &capped).unwrap();
     assert_eq!((report.startup_ms, report.miss_rate), (None, 1.0));
 }
@@ -279,4 +279,32 @@ fn a_full_session_takes_well_under_a_second() {
     assert!(graph.packets().len() > 18_000);
     let report = simulate(&graph, &down(bursty(1))).unwrap();
     assert!(report.sender.datagrams > 5000);
+}
+
+#[test]
+fn a_clip_longer_than_an_hour_is_played_to_its_end() {
+    let second = Nanos::from_s(1);
+    let long = Synthetic {
+        frames: 3_700,
+        frame_interval: second,
+        window_frames: 100,
+        clusters: 1,
+        levels: 1,
+        rate: Rate::from_kbps(10),
+        ..Synthetic::default()
+    };
+    let graph = long.build(1).unwrap();
+    let config = SessionConfig { sample_interval: Nanos::ZERO, ..SessionConfig::default() };
+    assert!(config.end(&graph) > second.times(3_700));
+    assert_eq!(simulate(&graph, &config).unwrap().frames.len(), 3_700);
+}
+
+#[test]
+fn one_way_delays_are_those_of_the_path_and_its_queue() {
+    let graph = Synthetic { frames: 60, rate: Rate::from_mbps(1), ..Synthetic::default() }.build(1).unwrap();
+    let forward = PathConfig { capacity: Capacity::Unlimited, ..PathConfig::default() };
+    let config = SessionConfig { forward, ..SessionConfig::default() };
+    assert_eq!(simulate(&graph, &config).unwrap().one_way_delay, Some([Nanos::from_ms(20); 2]));
+    let [median, tail] = simulate(&graph, &SessionConfig::default()).unwrap().one_way_delay.unwrap();
+    assert!(Nanos::from_ms(20) < median && median < tail && tail < Nanos::from_ms(300), "{median} {tail}");
 }

@@ -6,6 +6,11 @@ use trainer_host::encode::Protection;
 
 use super::number::{coarseness, positive, real, repair_set, whole};
 
+const COARSENESS: f32 = 1.0;
+const PICTURES: usize = 16;
+const CLUSTER_SIZE: usize = 512;
+const BLOCK_LEN: usize = 64;
+const PACKET_BYTES: usize = 1150;
 /// Least target PSNR, dB: above 0.
 const MIN_PSNR_DB: f64 = 1e-3;
 
@@ -17,7 +22,7 @@ pub struct CodecArgs {
     pub profile: ProfileName,
     /// Quantiser steps relative to the visually lossless default, 0.001 to 1000: 2 is twice as coarse.
     #[arg(
-        long, default_value_t = 1.0, group = "fineness", value_parser = coarseness,
+        long, default_value_t = COARSENESS, group = "fineness", value_parser = coarseness,
         allow_negative_numbers = true
     )]
     pub coarseness: f32,
@@ -39,17 +44,19 @@ pub struct CodecArgs {
     pub target_psnr: Option<f64>,
     /// Pictures per epoch that tell how much an error in each Gaussian shows: steps follow (dgs1). 1 to
     /// 1024; 0: the same steps for all.
-    #[arg(long, default_value_t = 16, value_parser = whole::<usize>(0..=1024, "pictures"))]
+    #[arg(long, default_value_t = PICTURES, value_parser = whole::<usize>(0..=1024, "pictures"))]
     pub pictures: usize,
     /// Spend up to this many trial encodings on how attributes share the bits: fewer bytes at the same PSNR
     /// from measuring cameras, or a higher one at a target size. 24 are a good start; 0 is no search.
     #[arg(long, value_name = "ENCODINGS", default_value_t = 0)]
     pub search: usize,
     /// Most Gaussians in a cluster: 1 to 32768.
-    #[arg(long, default_value_t = 512, value_parser = whole(1..=limits::MAX_CLUSTER_LEN, "Gaussians"))]
+    #[arg(
+        long, default_value_t = CLUSTER_SIZE, value_parser = whole(1..=limits::MAX_CLUSTER_LEN, "Gaussians")
+    )]
     pub cluster_size: usize,
     /// Gaussians per block, the unit of loss: 1 to 256.
-    #[arg(long, default_value_t = 64, value_parser = whole(1..=limits::MAX_BLOCK_LEN, "Gaussians"))]
+    #[arg(long, default_value_t = BLOCK_LEN, value_parser = whole(1..=limits::MAX_BLOCK_LEN, "Gaussians"))]
     pub block_len: usize,
     /// Most frames in a motion window, 1 to 64 [default: one second].
     #[arg(long, value_parser = whole(1..=limits::MAX_WINDOW_FRAMES, "frames"))]
@@ -58,7 +65,7 @@ pub struct CodecArgs {
     #[arg(long, value_parser = whole(0..=limits::MAX_RANK, "vectors"))]
     pub rank: Option<usize>,
     /// Largest packet, 200 to 1226 bytes, header and CRC included (dgs1).
-    #[arg(long, default_value_t = 1150, value_parser = whole::<usize>(200..=1226, "bytes"))]
+    #[arg(long, default_value_t = PACKET_BYTES, value_parser = whole::<usize>(200..=1226, "bytes"))]
     pub packet_bytes: usize,
     /// Base packets per XOR repair set, 2 to 64; 0 sends no parity.
     #[arg(long, conflicts_with = "repair", value_parser = repair_set)]
@@ -68,6 +75,29 @@ pub struct CodecArgs {
     /// and serve, where it is sent; none elsewhere].
     #[arg(long, value_parser = Protection::parse)]
     pub repair: Option<Protection>,
+}
+
+impl CodecArgs {
+    /// The options that were given another value than where nothing is said.
+    pub fn typed(&self) -> Vec<&'static str> {
+        let options = [
+            ("--profile", self.profile != ProfileName::Dgs1),
+            ("--coarseness", self.coarseness != COARSENESS),
+            ("--target-bits-per-gaussian", self.target_bits_per_gaussian.is_some()),
+            ("--target-bytes", self.target_bytes.is_some()),
+            ("--target-psnr", self.target_psnr.is_some()),
+            ("--pictures", self.pictures != PICTURES),
+            ("--search", self.search != 0),
+            ("--cluster-size", self.cluster_size != CLUSTER_SIZE),
+            ("--block-len", self.block_len != BLOCK_LEN),
+            ("--window-frames", self.window_frames.is_some()),
+            ("--rank", self.rank.is_some()),
+            ("--packet-bytes", self.packet_bytes != PACKET_BYTES),
+            ("--repair-set", self.repair_set.is_some()),
+            ("--repair", self.repair.is_some()),
+        ];
+        options.into_iter().filter(|(_, typed)| *typed).map(|(name, _)| name).collect()
+    }
 }
 
 /// A named set of format choices.

@@ -17,7 +17,8 @@ pub struct SweepArgs {
     /// Configuration (TOML): controllers, schedulers, conditions, traces, replicates.
     #[arg(required = true, value_name = "CONFIG.toml")]
     pub config: Option<PathBuf>,
-    /// Folder for the results. Run again with the same configuration, it does what is missing there.
+    /// Folder for the results. Run again with the same configuration and the same traces, it does what is
+    /// missing there.
     #[arg(short, long, required = true, value_name = "FOLDER")]
     pub out: Option<PathBuf>,
     /// Folder in which the files of traces lie [default: that of the configuration].
@@ -38,20 +39,18 @@ pub struct SweepArgs {
 /// What to do with results.
 #[derive(Debug, Subcommand)]
 pub enum SweepAction {
-    /// Put the results of shards into one folder; once all are there, summarise them.
+    /// Put the results of shards into one folder; once all are there, summarise them. Trace files are not
+    /// needed; shards made with other ones are refused. Exit status 2: batches are missing.
     Merge(SweepMerge),
 }
 
 /// `dgs sweep merge`.
 #[derive(Debug, Args)]
 pub struct SweepMerge {
-    /// Folders of results of one configuration.
+    /// Folders of results of one configuration over the same traces.
     #[arg(required = true, value_name = "FOLDER")]
     pub folders: Vec<PathBuf>,
     /// Folder for all of them.
     #[arg(short, long, value_name = "FOLDER")]
     pub out: PathBuf,
-    /// Folder in which the files of traces lie [default: the folder of the first results].
-    #[arg(long, value_name = "FOLDER")]
-    pub traces: Option<PathBuf>,
 }

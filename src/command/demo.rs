@@ -175,18 +175,19 @@ pub fn page(args: &Demo, quiet: Quiet) -> Result<Page> {
             mean_ssim: mean(&ssim),
             flicker: metric::flicker(&images, &references)?,
             frames: rows,
-            limit: link.limit(&report),
+            limit: link.limit(&report, &graph),
             delivery: report,
         });
     }
     let end_s = runs.iter().map(|r| r.delivery.duration_ns.as_s()).fold(0.0, f64::max);
     let width = emulator_host::Nanos::from_ms(100);
-    let capacity = pipeline::capacity_bins(&link.trace, width, (end_s * 10.0).ceil().max(1.0) as usize);
+    let trace = link.trace().context("a link that follows a trace")?;
+    let capacity = pipeline::capacity_bins(trace, width, (end_s * 10.0).ceil().max(1.0) as usize);
     notes.extend(link.warnings.iter().cloned());
     let mut protocol = protocol(args, &name, &scene, &stream, &ledger, &link, &table)?;
     protocol.push(("pictures".to_owned(), format!("rendered by {}", backend.name())));
     Ok(Page {
-        title: format!("{name} over {}", link.trace.name()),
+        title: format!("{name} over {}", trace.name()),
         machine: Machine::this(),
         protocol,
         ledger,

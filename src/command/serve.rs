@@ -55,7 +55,10 @@ pub fn run(args: &Serve, quiet: Quiet) -> Result<VerbOutput> {
         return publish(args, relay, quiet);
     }
     let mut warnings = Vec::new();
-    let impairment = args.impair.as_deref().map(pipeline::impairment).transpose()?;
+    let impairment = args.impair.as_deref().map(pipeline::impairment).transpose()?.map(|impaired| {
+        warnings.extend(impaired.notes);
+        impaired.impairment
+    });
     if impairment.is_some() && !args.no_http {
         warnings.push(UNIMPAIRED.to_owned());
     }

@@ -1,10 +1,12 @@
 //! Streams a scene by one scheduler over one link: `dgs stream`.
 
+use std::path::Path;
+
 use anyhow::{Result, bail};
 use codec_core::internals::ids::Level;
-use emulator_host::SessionConfig;
+use emulator_host::{Report, SessionConfig};
 use render_host::metric;
-use serde_json::json;
+use serde_json::{Value, json};
 use trainer_host::{Stream, evaluator};
 
 use crate::{
@@ -13,7 +15,7 @@ use crate::{
     figures::{mean, number},
     files,
     output::VerbOutput,
-    pipeline::{self, Delivered, Frames, Quiet, Sendable, Watching},
+    pipeline::{self, Delivered, Frames, Lost, Quiet, Sendable, Watching},
 };
 
 /// Runs the verb.
@@ -27,36 +29,62 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
     let mut warnings = Vec::new();
     let Sendable { stream, map, graph, damaged } =
         pipeline::sendable(&args.input, &args.scene, &args.codec, quiet, &mut |w| warnings.push(w))?;
-    let link = pipeline::link(&args.link, &graph)?;
+    if graph.packets().is_empty() {
+        bail!("{}: nothing of this stream can be sent", args.input);
+    }
+    let link = match &args.impair {
+        Some(text) => pipeline::impaired_link(text, &args.link)?,
+        None => pipeline::link(&args.link, &graph)?,
+    };
     warnings.extend(link.warnings.iter().cloned());
     let policy = pipeline::policy(args.policy);
     let watching = if args.cameras.is_typed() { Some(watching(args, &stream)?) } else { None };
+    let unused = args.view.typed();
+    if watching.is_none() && !unused.is_empty() {
+        let names = unused.join(", ");
+        warnings.push(format!("not used without a viewer (--eye, --turntable or --cameras): {names}"));
+    }
     let viewer = watching.as_ref().filter(|_| !args.no_pose).and_then(Watching::path);
     let config = SessionConfig { viewer, ..link.config.clone() };
     let Delivered { report, shown, arrived } =
         pipeline::delivered(&stream, &map, &graph, &config, policy, args.link.transport)?;
-    let startup = report.startup_ms.map_or("never".to_owned(), |ms| format!("{ms:.0} ms"));
+    let (lost, limit) = (Lost::of(&report), link.limit(&report, &graph));
+    let mean_rate = link.mean_until(report.duration_ns);
     let mut text = format!(
-        "{} over {}\n  startup {startup}, miss {:.1} % (base {:.1} %), utility {:.3}\n  \
-         limited by {}\n  \
+        "{} over {}\n  startup {}, miss {:.1} % (base {:.1} %), utility {:.3}\n  \
+         limited by {limit}\n  \
          goodput {} kbit/s, usable {} kbit/s, wasted {:.1} KiB, {} of {} frames shown, {} recovered by \
-         repair\n",
+         repair\n  lost {lost}{}{}\n",
         report.policy,
         link.description,
+        startup(&report),
         100.0 * report.miss_rate,
         100.0 * report.base_miss_rate,
         report.utility,
-        link.limit(&report),
         number(report.goodput_bps / 1000.0),
         number(report.usable_goodput_bps / 1000.0),
         report.waste.total_bytes() as f64 / 1024.0,
         shown.len(),
         graph.frames(),
-        report.recovered
+        report.recovered,
+        report.one_way_delay.map_or(String::new(), |[median, tail]| {
+            format!("; one way {:.0} ms, 95 % within {:.0} ms", median.as_ms(), tail.as_ms())
+        }),
+        mean_rate.map_or(String::new(), |rate| {
+            format!("; the link carried up to {} on average", pipeline::rate_words(rate))
+        }),
     );
-    let limit = link.limit(&report);
-    let mut json =
-        json!({ "link": link.description, "limit": limit, "report": report, "warnings": warnings });
+    let mut json = json!({
+        "link": link.description,
+        "link_mean_bps": mean_rate.map(|rate| rate.0),
+        "limit": limit,
+        "lost_packets": { "queue": lost.queue, "way": lost.way },
+        "one_way_delay_ms": report.one_way_delay.map(|[median, tail]| {
+            json!({ "median": median.as_ms(), "p95": tail.as_ms() })
+        }),
+        "report": report,
+        "warnings": warnings,
+    });
     if let Some(watching) = &watching {
         let psnr_db = seen(args, watching, &stream, &shown)?;
         let (mean, worst_tenth) = (mean(&psnr_db), evaluator::worst_tenth(&psnr_db));
@@ -68,13 +96,33 @@ pub fn run(args: &StreamArgs, quiet: Quiet) -> Result<VerbOutput> {
             json!({ "mean_psnr_db": mean, "worst_tenth_psnr_db": worst_tenth, "located": !args.no_pose });
     }
     if let Some(out) = &args.out {
-        let count = arrived.iter().filter(|arrived| **arrived).count();
-        files::write(out, &stream.with_packets(|id| arrived[id]).to_bytes()?)?;
-        text += &format!("what arrived, {count} of {} packets → {}\n", arrived.len(), out.display());
-        json["out"] = json!(out);
-        json["arrived_packets"] = json!(count);
+        text += &saved(out, &stream, arrived.as_deref(), &mut json)?;
     }
-    Ok(VerbOutput { text, json, warnings, damaged })
+    let is_partial = damaged || (args.out.is_some() && arrived.is_none());
+    Ok(VerbOutput { text, json, warnings, damaged: is_partial })
+}
+
+/// When playout started, in words.
+fn startup(report: &Report) -> String {
+    match report.startup_ms {
+        None => "never".to_owned(),
+        Some(ms) if report.startup_reached => format!("{ms:.0} ms"),
+        Some(ms) => format!("not reached in {ms:.0} ms"),
+    }
+}
+
+/// Writes what arrived as `out`, if it can be read; says so.
+fn saved(out: &Path, stream: &Stream, arrived: Option<&[bool]>, json: &mut Value) -> Result<String> {
+    let Some(arrived) = arrived else {
+        json["out"] = Value::Null;
+        json["arrived_packets"] = json!(0);
+        return Ok(format!("the manifest did not arrive complete: {} is not written\n", out.display()));
+    };
+    let count = arrived.iter().filter(|arrived| **arrived).count();
+    files::write(out, &stream.with_packets(|id| arrived[id]).to_bytes()?)?;
+    json["out"] = json!(out);
+    json["arrived_packets"] = json!(count);
+    Ok(format!("what arrived, {count} of {} packets → {}\n", arrived.len(), out.display()))
 }
 
 /// The viewer that is typed.

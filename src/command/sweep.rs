@@ -11,7 +11,7 @@ use crate::{
     output::VerbOutput,
     pipeline::Quiet,
     progress::Progress,
-    sweep::{self, Config, Folder, Shard},
+    sweep::{self, Config, Folder, Origin, Shard},
 };
 
 /// Runs the verb.
@@ -24,7 +24,8 @@ pub fn run(args: &SweepArgs, quiet: Quiet) -> Result<VerbOutput> {
     let beside = config.parent().unwrap_or(Path::new("."));
     let config = Config::read(config, args.traces.as_deref().unwrap_or(beside))?;
     let sweep = Sweep::new(config.design)?;
-    let folder = Folder::open(out, &config.text, sweep.blocks(), !args.no_trajectories)?;
+    let (text, outline, digests) = (config.text, config.outline, config.digests);
+    let folder = Folder::open(out, &Origin { text, outline, digests }, !args.no_trajectories)?;
     let mut pool = rayon::ThreadPoolBuilder::new();
     if let Some(threads) = args.threads {
         pool = pool.num_threads(threads);
@@ -61,26 +62,26 @@ pub fn run(args: &SweepArgs, quiet: Quiet) -> Result<VerbOutput> {
 
 fn merge(args: &SweepMerge) -> Result<VerbOutput> {
     let first = args.folders.first().context("a folder of results is needed")?;
-    let text = Folder::config(first)?;
-    let config = Config::read(&first.join("sweep.toml"), args.traces.as_deref().unwrap_or(first))?;
-    let baseline = config.baseline;
-    let sweep = Sweep::new(config.design)?;
-    let folder = Folder::open(&args.out, &text, sweep.blocks(), false)?;
+    let origin = Origin::of(first)?;
+    for other in &args.folders {
+        origin.check(first, other)?;
+    }
+    let folder = Folder::open(&args.out, &origin, false)?;
     let mut lines = String::new();
     for other in &args.folders {
-        anyhow::ensure!(
-            Folder::config(other)? == text,
-            "{}: results of another configuration than {}",
-            other.display(),
-            first.display()
-        );
         lines += &format!("{}: {} batches\n", other.display(), folder.take(other)?);
     }
-    let summary = folder.finish(baseline.name())?;
-    let missing = folder.missing();
-    lines += &said(summary.as_ref(), missing.len());
-    let json = json!({ "batches_missing": missing.len(), "summary": summary });
-    Ok(VerbOutput { text: lines, json, warnings: config.warnings, damaged: false })
+    let summary = folder.finish(origin.outline.baseline.name())?;
+    let missing = folder.missing().len();
+    lines += &said(summary.as_ref(), missing);
+    let (without, there) = folder.without_trajectories();
+    let warnings = match without {
+        0 => Vec::new(),
+        without if without == there => Vec::new(),
+        without => vec![format!("{}: {without} of {there} batches have no trajectories", args.out.display())],
+    };
+    let json = json!({ "batches_missing": missing, "summary": summary });
+    Ok(VerbOutput { text: lines, json, warnings, damaged: missing > 0 })
 }
 
 /// The summary, or why there is none.
@@ -89,8 +90,13 @@ fn said(summary: Option<&Summary>, missing: usize) -> String {
         return format!("  no summary yet: {missing} batches are missing\n");
     };
     let mut text = format!(
-        "  means; in brackets the paired difference from {} with its 95 % interval, by trace, then window\n",
-        summary.baseline
+        "  means; in brackets the paired difference from {}{}\n",
+        summary.baseline,
+        if summary.comparisons.iter().any(has_interval) {
+            " with its 95 % interval, by trace, then window"
+        } else {
+            "; a single window gives no interval"
+        }
     );
     let mut condition = "";
     for comparison in &summary.comparisons {
@@ -103,6 +109,10 @@ fn said(summary: Option<&Summary>, missing: usize) -> String {
     text
 }
 
+fn has_interval(comparison: &Comparison) -> bool {
+    comparison.mean.values().any(|estimate| estimate.low.is_some())
+}
+
 fn line(comparison: &Comparison, baseline: &str) -> String {
     let column = |name: &str, scale: f64, digits: usize| {
         let mean = comparison.mean[name].mean * scale;
@@ -110,11 +120,18 @@ fn line(comparison: &Comparison, baseline: &str) -> String {
             return format!("{name} {mean:.digits$}");
         }
         let less = comparison.less_baseline[name];
-        let [difference, low, high] = [less.mean, less.low, less.high].map(|value| value * scale);
-        format!("{name} {mean:.digits$} [{difference:+.digits$}: {low:+.digits$} to {high:+.digits$}]")
+        let difference = less.mean * scale;
+        let interval = less.low.zip(less.high).map_or(String::new(), |(low, high)| {
+            format!(": {:+.digits$} to {:+.digits$}", low * scale, high * scale)
+        });
+        format!("{name} {mean:.digits$} [{difference:+.digits$}{interval}]")
+    };
+    let not_reached = match comparison.startup_not_reached {
+        0 => String::new(),
+        count => format!(", startup not reached in {count}"),
     };
     format!(
-        "    {:10} {:22}  {} ms  {} %  {}  [{} runs]\n",
+        "    {:10} {:22}  {} ms  {} %  {}  [{} runs{not_reached}]\n",
         comparison.controller,
         comparison.scheduler,
         column("startup_ms", 1.0, 0),

@@ -54,7 +54,7 @@ impl Frames {
         if typed.is_some_and(|typed| typed != said) {
             notes.push(format!("{input} is drawn with its own footprint, {}, not --footprint", said.name()));
         }
-        notes.extend(super::unused_options(input, args));
+        notes.extend(super::unused_options(input, args, None));
         Ok(frames)
     }
 

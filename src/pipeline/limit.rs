@@ -1,6 +1,6 @@
-//! Says what kept a run from showing more: the link, congestion control, or the deadline.
+//! Says what kept a run from showing more: the link, losses, congestion control, or the deadline.
 
-use emulator_host::{Report, Trace};
+use emulator_host::{PacketGraph, Report, link::Capacity};
 
 use super::link::Link;
 
@@ -10,63 +10,149 @@ const LINK_FULL: f64 = 0.85;
 const WINDOW_FULL: f64 = 0.4;
 /// A window with less room than this is full.
 const DATAGRAM_BYTES: u64 = 1200;
+/// A link that can carry less than this carries nothing.
+const WHOLE_DATAGRAM: u64 = 1500;
+/// Share of lost datagrams, or of packets that were never sent or came late, from which on they matter.
+const NOTABLE: f64 = 0.01;
 
-impl Link {
-    /// What kept the run that `report` tells of from showing more, in words.
-    pub fn limit(&self, report: &Report) -> String {
-        limit(report, &self.trace)
+/// Datagrams that the link lost on the way to the receiver.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Lost {
+    /// They found no room in the queue.
+    pub queue: u64,
+    /// By chance, behind the queue.
+    pub way: u64,
+}
+
+impl Lost {
+    /// What the run that `report` tells of lost.
+    pub fn of(report: &Report) -> Self {
+        let mut lost = Self { queue: 0, way: 0 };
+        for row in report.boxes.iter().filter(|row| row.label.starts_with(DOWN)) {
+            let count = if is_queue(&row.label) { &mut lost.queue } else { &mut lost.way };
+            *count += row.counts.dropped.datagrams;
+        }
+        lost
+    }
+
+    /// All of them.
+    pub fn all(self) -> u64 {
+        self.queue + self.way
     }
 }
 
-/// The limit over a link with the capacity of `trace`.
-fn limit(report: &Report, trace: &Trace) -> String {
-    // The first box of the downlink is its capacity.
-    let moved = report.boxes.first().map_or(0, |link| link.counts.delivered.bytes);
-    let could = trace.bytes_until(report.duration_ns).0;
-    let used = moved as f64 / could.max(1) as f64;
+impl std::fmt::Display for Lost {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{} packets: {} in the queue, {} on the way", self.all(), self.queue, self.way)
+    }
+}
+
+/// How labels of the boxes towards the receiver begin.
+const DOWN: &str = "forward/";
+
+/// Whether a box is the capacity of the link, with its queue.
+fn is_queue(label: &str) -> bool {
+    label == "forward/rate" || label == "forward/trace-rate"
+}
+
+impl Link {
+    /// What kept the run of `graph` that `report` tells of from showing more, in words.
+    pub fn limit(&self, report: &Report, graph: &PacketGraph) -> String {
+        limit(report, graph, &self.config.forward.capacity)
+    }
+}
+
+/// The limit over a link of `capacity`. A cause is named where the run shows it: that it was there, and that
+/// something is missing which it explains.
+fn limit(report: &Report, graph: &PacketGraph, capacity: &Capacity) -> String {
+    let could = capacity.bytes_until(report.duration_ns).0;
+    if could < WHOLE_DATAGRAM {
+        return "link (it carried nothing)".to_owned();
+    }
+    let capacity_box = report.boxes.iter().find(|row| is_queue(&row.label));
+    let used = capacity_box.map_or(0.0, |row| row.counts.delivered.bytes as f64 / could as f64);
+    let used_words = match capacity {
+        Capacity::Unlimited => "which has no limit of rate".to_owned(),
+        _ => format!("{:.0} % of the link used", 100.0 * used),
+    };
+    if used >= LINK_FULL {
+        return format!("link ({used_words})");
+    }
+    let (lost, unsent) = (Lost::of(report), unsent(report, graph));
+    let packets = graph.packets().len().max(1) as f64;
+    let matters = |count: u64| count as f64 >= NOTABLE * packets;
+    let lost_share = lost.all() as f64 / report.sender.datagrams.max(1) as f64;
+    if report.miss_rate > 0.0 && lost_share >= NOTABLE && lost.all() > unsent {
+        return format!("loss ({lost})");
+    }
     let full = report.samples.iter().filter(|row| row.in_flight_bytes + DATAGRAM_BYTES > row.window_bytes);
     let full = full.count() as f64 / report.samples.len().max(1) as f64;
-    let used_words = format!("{:.0} % of the link used", 100.0 * used);
-    if used >= LINK_FULL {
-        format!("link ({used_words})")
-    } else if full >= WINDOW_FULL {
-        format!("congestion control ({used_words}, window full {:.0} % of the time)", 100.0 * full)
-    } else {
-        format!("deadline ({used_words}: nothing else could still be shown in time)")
+    if full >= WINDOW_FULL && matters(unsent) {
+        return format!("congestion control ({used_words}, window full {:.0} % of the time)", 100.0 * full);
     }
+    let late = report.waste.late_bytes * graph.packets().len() as u64 / graph.total_bytes().max(1);
+    if report.miss_rate > 0.0 && matters(unsent + late) {
+        let late_bytes = crate::figures::number(report.waste.late_bytes as f64 / 1024.0);
+        return format!(
+            "deadline ({used_words}; {unsent} packets were not sent in time, {late_bytes} KiB came late)"
+        );
+    }
+    match capacity {
+        Capacity::Unlimited => format!("not the link ({used_words})"),
+        _ => format!("not the link ({:.0} % used)", 100.0 * used),
+    }
+}
+
+/// Packets that could have shown something and were never sent: at the end of a run all have expired. Parity
+/// and what makes pictures worse do not count.
+fn unsent(report: &Report, graph: &PacketGraph) -> u64 {
+    let is_wanted = |group: &emulator_host::GroupIndex| graph.groups()[group.at()].utility > 0.0;
+    let wanted = graph
+        .packets()
+        .iter()
+        .filter(|packet| packet.parity_of.is_none() && packet.groups.iter().any(is_wanted));
+    (wanted.count() as u64).saturating_sub(report.sender.media)
 }
 
 #[cfg(test)]
 mod tests {
     use emulator_host::{
-        PolicyKind, Rate, SessionConfig,
+        Nanos, PolicyKind, Rate, SessionConfig,
         graph::Synthetic,
-        link::{Capacity, LossModel, PathConfig},
+        link::{LossModel, PathConfig, QueueLimit},
         simulate,
-        trace::Step,
     };
 
     use super::*;
 
-    fn limit_of(stream_kbps: u64, link_mbps: u64, loss: f64) -> String {
+    /// The limit of ten seconds at `stream_kbps` over `link_kbps`.
+    fn limit_of(stream_kbps: u64, link_kbps: u64, path: &dyn Fn(&mut PathConfig)) -> String {
         let spec = Synthetic { frames: 300, rate: Rate::from_kbps(stream_kbps), ..Synthetic::default() };
-        let step = Step { at: emulator_host::Nanos::ZERO, rate: Rate::from_mbps(link_mbps) };
-        let trace = Trace::steps("constant", vec![step], emulator_host::Nanos::from_s(1)).unwrap();
-        let forward = PathConfig {
-            capacity: Capacity::Trace(trace.clone()),
-            loss: if loss > 0.0 { LossModel::Iid(loss) } else { LossModel::None },
-            ..PathConfig::default()
-        };
-        let config = SessionConfig { forward, policy: PolicyKind::Layered, ..SessionConfig::default() };
-        limit(&simulate(&spec.build(1).unwrap(), &config).unwrap(), &trace)
+        let capacity = Capacity::Constant(Rate::from_kbps(link_kbps));
+        let mut forward = PathConfig { capacity: capacity.clone(), ..PathConfig::default() };
+        path(&mut forward);
+        let mut config = SessionConfig { forward, policy: PolicyKind::Layered, ..SessionConfig::default() };
+        config.reverse.delay = config.forward.delay;
+        let graph = spec.build(1).unwrap();
+        limit(&simulate(&graph, &config).unwrap(), &graph, &capacity)
     }
 
     #[test]
     fn each_limit_is_named_where_it_is_known() {
-        let (link, control, deadline) =
-            (limit_of(6000, 2, 0.0), limit_of(20_000, 15, 0.04), limit_of(300, 15, 0.0));
-        assert!(link.starts_with("link"), "{link}");
-        assert!(control.starts_with("congestion control"), "{control}");
-        assert!(deadline.starts_with("deadline"), "{deadline}");
+        let lossy = |share: f64| move |path: &mut PathConfig| path.loss = LossModel::Iid(share);
+        let link = limit_of(6000, 2000, &|_| ());
+        assert!(link.starts_with("link (") && link.ends_with(" of the link used)"), "{link}");
+        assert_eq!(limit_of(1000, 0, &|_| ()), "link (it carried nothing)");
+        let control = limit_of(20_000, 15_000, &lossy(0.04));
+        assert!(control.starts_with("congestion control") && control.contains("window full"), "{control}");
+        let loss = limit_of(300, 15_000, &lossy(0.1));
+        assert!(loss.starts_with("loss (") && loss.contains(": 0 in the queue, "), "{loss}");
+        let idle = limit_of(300, 15_000, &|_| ());
+        assert!(idle.starts_with("not the link (") && idle.ends_with(" % used)"), "{idle}");
+        // Media of a second is sent two seconds ahead, and takes longer than that.
+        let far = limit_of(3000, 15_000, &|path| path.delay = Nanos::from_ms(900));
+        assert!(far.starts_with("deadline (") && far.contains("packets were not sent in time"), "{far}");
+        let short = limit_of(4000, 5000, &|path| path.queue = QueueLimit { bytes: 3000, datagrams: 2 });
+        assert!(!short.starts_with("deadline"), "{short}");
     }
 }

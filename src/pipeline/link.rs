@@ -1,79 +1,55 @@
 //! Builds the link of the command line: a capacity trace, scaled to the stream, with its delay, loss and
 //! queue.
 
-use std::path::Path;
-
 use anyhow::{Context, Result, bail};
+use dgs_quic::socket::Impairment;
 use emulator_host::{
-    ControllerKind, Nanos, PacketGraph, Rate, SessionConfig, Trace,
+    Bytes, ControllerKind, Nanos, PacketGraph, Rate, SessionConfig, Trace,
     link::{Capacity, LossModel, PathConfig, QueueLimit},
-    trace::{self, DelayTrace, Replay},
+    trace::{self, Replay},
 };
 
-use crate::args::{ControllerName, LinkArgs, TransportName};
+use super::{
+    impair::{Impaired, impairment},
+    recording::{Recording, read_delays, read_recording},
+};
+use crate::{
+    args::{ControllerName, LinkArgs, TransportName},
+    figures::number,
+};
 
-/// How long each line of a delay trace holds (LeoCC's recordings of Starlink).
-const DELAY_INTERVAL: Nanos = Nanos::from_ms(10);
-
-/// Reads a trace of capacity alone, by content: UCC CSV, mahimahi (one column) or two columns.
-///
-/// # Errors
-/// What the loader refuses, with the file's name; a trace that has delays or losses too.
-pub fn read_trace(path: &Path) -> Result<Trace> {
-    let replay = read_replay(path)?;
-    if replay.delay.is_some() {
-        bail!("{}: has delays too; a trace of capacity alone is needed here", path.display());
-    }
-    Ok(replay.capacity)
-}
-
-/// Reads a trace, by content: UCC CSV, mahimahi (one column), two columns, or three or four with delay and
-/// loss.
-///
-/// # Errors
-/// What the loader refuses, with the file's name.
-pub(crate) fn read_replay(path: &Path) -> Result<Replay> {
-    let limits = trace::Limits::default();
-    let bytes = trace::read(path, &limits).with_context(|| path.display().to_string())?;
-    let name = path.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    let first = bytes.split(|b| *b == b'\n').find(|l| !l.trim_ascii().is_empty()).unwrap_or(&[]);
-    let columns = first.split(|b| b.is_ascii_whitespace() || *b == b',').filter(|c| !c.is_empty()).count();
-    let replay = if matches!(columns, 3 | 4) {
-        Replay::load(&name, &bytes, &limits)
-    } else if first.starts_with(b"Timestamp") || (columns > 4 && first.contains(&b',')) {
-        Trace::ucc(&name, &bytes, trace::Direction::Down, &limits).map(Replay::from)
-    } else if columns <= 1 {
-        Trace::mahimahi(&name, &bytes, &limits).map(Replay::from)
-    } else {
-        // The two families differ in which end of its interval a row stands at.
-        let holds = if name.contains("pitree") { trace::Holds::Backward } else { trace::Holds::Forward };
-        Trace::two_column(&name, &bytes, holds, &limits).map(Replay::from)
-    };
-    replay.with_context(|| format!("{}: not a usable trace", path.display()))
-}
-
-/// Reads one-way delays: a number of milliseconds per line, each for 10 ms.
-///
-/// # Errors
-/// What the loader refuses, with the file's name.
-pub(crate) fn read_delays(path: &Path) -> Result<DelayTrace> {
-    let limits = trace::Limits::default();
-    let bytes = trace::read(path, &limits).with_context(|| path.display().to_string())?;
-    DelayTrace::load(&bytes, DELAY_INTERVAL, &limits)
-        .with_context(|| format!("{}: not a usable trace of delays", path.display()))
-}
+/// From receiver to sender.
+const UPLINK: Rate = Rate::from_mbps(2);
+/// Mean number of datagrams lost in a row.
+const BURST: f64 = 4.0;
 
 /// A link ready to use, and what to say about it.
 #[derive(Clone, Debug)]
 pub struct Link {
     /// The session without its scheduler.
     pub config: SessionConfig,
-    /// Capacity over time.
-    pub trace: Trace,
-    /// Name, mean rate, delay, loss, for people.
+    /// Name, mean rate, delay, queue, loss, for people.
     pub description: String,
     /// Warnings of the trace loader.
     pub warnings: Vec<String>,
+}
+
+impl Link {
+    /// Capacity over time, where it follows a trace.
+    pub fn trace(&self) -> Option<&Trace> {
+        match &self.config.forward.capacity {
+            Capacity::Trace(trace) => Some(trace),
+            _ => None,
+        }
+    }
+
+    /// Mean rate from the start until `time`; `None` without a limit.
+    pub fn mean_until(&self, time: Nanos) -> Option<Rate> {
+        match &self.config.forward.capacity {
+            Capacity::Unlimited => None,
+            capacity => Some(Rate::over(capacity.bytes_until(time), time)),
+        }
+    }
 }
 
 /// The link as typed, for a stream of `graph`'s size.
@@ -81,118 +57,189 @@ pub struct Link {
 /// # Errors
 /// An unreadable trace, or numbers out of range.
 pub fn link(args: &LinkArgs, graph: &PacketGraph) -> Result<Link> {
-    let clip_s = f64::from(graph.frames()) * graph.frame_interval().as_s();
-    let built_in = args.trace.is_none();
-    let mut replay = match &args.trace {
-        Some(path) => read_replay(path)?,
-        None => Trace::bursty(args.link_seed, Nanos::from_s(60)).into(),
-    };
-    if let Some(path) = &args.delay_trace {
-        if let (Some(_), Some(trace)) = (&replay.delay, &args.trace) {
-            bail!("{} has delays, and so has {}; one of them is needed", trace.display(), path.display());
-        }
-        replay.delay = Some(read_delays(path)?);
-    }
-    let warnings = replay.capacity.warnings().iter().map(ToString::to_string).collect();
-    let replay = match args.trace_offset {
-        0.0 => replay,
-        offset => replay.starting_at(Nanos((offset * 1e9) as u64))?,
-    };
+    let (replay, mut warnings) = recorded(args)?;
     let Replay { capacity: trace, delay: delay_trace, loss: loss_trace } = replay;
     let scale = match args.scale {
         Some(scale) => scale,
-        None if built_in => {
-            let wanted = graph.total_bytes() as f64 * 8.0 / clip_s.max(0.1) / args.load;
-            wanted / trace.mean_rate().0 as f64
-        }
+        None if args.trace.is_none() => scale_for(&trace, graph, args.load.unwrap_or(LinkArgs::LOAD))?,
         None => 1.0,
     };
-    let trace = scaled(&trace, scale)?;
-    let mean = trace.mean_rate();
+    warnings.extend(args.unused());
+    let trace = scaled(&trace, scale).context("--scale")?;
     let delay = args
         .delay_ms
         .map(Nanos::from_ms)
         .or_else(|| delay_trace.as_ref().map(|_| Nanos::ZERO))
         .or_else(|| trace.base_rtt().map(|rtt| Nanos(rtt.0 / 2)))
         .unwrap_or(Nanos::from_ms(30));
-    // Bursts of four packets on average, all lost: stationary share p = enter / (enter + leave).
-    let leave_bad = 0.25;
     let burst_loss = args.burst_loss.unwrap_or(if loss_trace.is_some() { 0.0 } else { 0.02 });
-    let loss = match burst_loss {
-        0.0 => LossModel::None,
-        p => LossModel::GilbertElliott {
-            enter_bad: p * leave_bad / (1.0 - p),
-            leave_bad,
-            loss_good: 0.0,
-            loss_bad: 1.0,
-        },
+    let name = match scale {
+        1.0 => trace.name().to_owned(),
+        scale => format!("{} × {}", trace.name(), number(scale)),
     };
-    let queue = queue_bytes(mean, args.queue_ms);
     let forward = PathConfig {
-        capacity: Capacity::Trace(trace.clone()),
-        queue: QueueLimit { bytes: queue, ..QueueLimit::default() },
-        loss,
-        loss_trace: loss_trace.clone(),
+        queue: QueueLimit::lasting(Nanos::from_ms(args.queue_ms), trace.mean_rate()),
+        capacity: Capacity::Trace(trace),
+        loss: LossModel::in_bursts(burst_loss, BURST),
+        loss_trace,
         delay,
-        delay_trace: delay_trace.clone(),
+        delay_trace,
         ..PathConfig::default()
     };
-    let reverse = PathConfig {
-        capacity: Capacity::Constant(Rate::from_mbps(2)),
-        delay,
-        delay_trace: delay_trace.clone(),
-        ..PathConfig::default()
-    };
-    let config = SessionConfig {
-        seed: args.link_seed,
-        controller: controller(args.controller),
-        forward,
-        reverse,
-        ..SessionConfig::default()
-    };
-    let description = format!(
-        "{} × {scale:.3}, mean {:.2} Mbit/s, {:.0} ms one way{}, queue {} kB, bursts of loss {:.1} %{}{}",
-        trace.name(),
-        mean.0 as f64 / 1e6,
-        delay.as_ms(),
-        delay_trace.map_or(String::new(), |delays| {
-            format!(" and those of a trace, median {:.0} ms", delays.median().as_ms())
-        }),
-        queue / 1000,
-        100.0 * burst_loss,
-        if loss_trace.is_some() { " and those of the trace" } else { "" },
-        match args.transport {
-            TransportName::Model => "",
-            TransportName::Quic => ", over quinn-proto",
-        }
-    );
-    Ok(Link { config, trace, description, warnings })
+    let loss = format!("bursts of loss {} %", percent(burst_loss));
+    let description = description(&name, &forward, &loss, args.transport);
+    Ok(Link { config: session(args, args.link_seed, forward), description, warnings })
 }
 
-/// Bytes of `ms` milliseconds at `rate`. The floor is two whole datagrams, without which nothing that comes
-/// in pairs would pass: on a slow link a larger one would be seconds.
-fn queue_bytes(rate: Rate, ms: u64) -> u64 {
-    const TWO_DATAGRAMS: u64 = 3_000;
-    rate.bytes_in(Nanos::from_ms(ms)).0.max(TWO_DATAGRAMS)
+/// The link that `text` describes in the words of `--impair`, with the controller and transport of `args`.
+///
+/// # Errors
+/// As [`impairment`].
+pub(crate) fn impaired_link(text: &str, args: &LinkArgs) -> Result<Link> {
+    let Impaired { impairment: Impairment { path, seed }, notes } = impairment(text)?;
+    let name = match &path.capacity {
+        Capacity::Unlimited => "a link without a limit of rate".to_owned(),
+        Capacity::Constant(_) => "a constant rate".to_owned(),
+        Capacity::Trace(trace) => trace.name().to_owned(),
+    };
+    let loss = match path.loss {
+        LossModel::None => "no loss".to_owned(),
+        LossModel::Iid(share) => format!("loss {} %", percent(share)),
+        LossModel::GilbertElliott { enter_bad, leave_bad, .. } => {
+            let share = enter_bad / (enter_bad + leave_bad);
+            format!("loss {} % in bursts of {:.1}", percent(share), 1.0 / leave_bad)
+        }
+    };
+    let description = description(&name, &path, &loss, args.transport);
+    Ok(Link { config: session(args, seed, path), description, warnings: notes })
+}
+
+/// What is recorded of the link as typed, or the built-in trace, from its offset on; and notes on it.
+fn recorded(args: &LinkArgs) -> Result<(Replay, Vec<String>)> {
+    let Recording { mut replay, mut notes } = match &args.trace {
+        Some(path) => read_recording(path)?,
+        None => {
+            Recording { replay: Trace::bursty(args.link_seed, Nanos::from_s(60)).into(), notes: Vec::new() }
+        }
+    };
+    if let Some(path) = &args.delay_trace {
+        if let (Some(_), Some(trace)) = (&replay.delay, &args.trace) {
+            bail!("{} has delays, and so has {}; one of them is needed", trace.display(), path.display());
+        }
+        let delays = read_delays(path)?;
+        notes.extend(delays.doubt().map(|doubt| format!("{}: {doubt}", path.display())));
+        replay.delay = Some(delays);
+    }
+    let replay = match args.trace_offset {
+        0.0 => replay,
+        offset => replay.starting_at(Nanos((offset * 1e9) as u64))?,
+    };
+    Ok((replay, notes))
+}
+
+/// The factor on `trace` by which the manifest and the packets of `graph` are `load` times what it carries
+/// while the clip plays.
+fn scale_for(trace: &Trace, graph: &PacketGraph, load: f64) -> Result<f64> {
+    let wanted = (graph.total_bytes() + u64::from(graph.manifest_bytes())) as f64 / load;
+    let mut scale = 1.0;
+    for round in 0..20 {
+        let Bytes(passed) = playout_capacity(&scaled(trace, scale).context("--load")?, graph);
+        let ratio = wanted / (passed.max(1) as f64);
+        // On a faster link playout starts earlier, over another part of the trace: steps that go too far and
+        // back again are halved.
+        scale *= if round < 4 { ratio } else { ratio.sqrt() };
+    }
+    Ok(scale)
+}
+
+/// What a link that follows `trace` carries while the clip of `graph` plays, which starts once the manifest
+/// and the base of its first frame have passed, or after the wait of a session.
+fn playout_capacity(trace: &Trace, graph: &PacketGraph) -> Bytes {
+    let first = graph.groups().iter().filter(|group| group.level() == 0 && group.first_frame == 0);
+    let packets = first.flat_map(|group| &group.packets).map(|packet| &graph.packets()[packet.at()]);
+    let base: u64 = packets.map(|packet| u64::from(packet.wire_bytes)).sum();
+    let opening = Bytes(base + u64::from(graph.manifest_bytes()));
+    let (mut early, mut late) = (Nanos::ZERO, SessionConfig::default().startup.max_wait);
+    while late - early > Nanos::from_ms(1) {
+        let middle = Nanos((early.0 + late.0) / 2);
+        match trace.bytes_until(middle) < opening {
+            true => early = middle,
+            false => late = middle,
+        }
+    }
+    let clip = graph.frame_interval().times(u64::from(graph.frames()));
+    trace.bytes_until(late + clip) - trace.bytes_until(late)
 }
 
 /// `trace` with `factor` times the capacity.
 fn scaled(trace: &Trace, factor: f64) -> Result<Trace> {
+    const PARTS: u64 = 1_000_000_000;
     if factor == 1.0 {
         return Ok(trace.clone());
     }
-    // Capacity as rates over 20 ms bins, so that opportunities scale too.
-    let period = trace.period();
-    let bins = (period.0 / 20_000_000).clamp(1, 2_000_000);
-    let steps = capacity_bins(trace, Nanos(20_000_000), bins as usize)
-        .into_iter()
-        .enumerate()
-        .map(|(i, bits_per_s)| trace::Step {
-            at: Nanos(i as u64 * 20_000_000),
-            rate: Rate((bits_per_s * factor) as u64),
-        })
-        .collect();
-    Ok(Trace::steps(trace.name(), steps, Nanos(bins * 20_000_000))?)
+    Ok(trace.scaled((factor * PARTS as f64).round() as u64, PARTS)?)
+}
+
+/// A session over `forward`.
+fn session(args: &LinkArgs, seed: u64, forward: PathConfig) -> SessionConfig {
+    let reverse = PathConfig {
+        capacity: Capacity::Constant(UPLINK),
+        delay: forward.delay,
+        delay_trace: forward.delay_trace.clone(),
+        ..PathConfig::default()
+    };
+    let controller = controller(args.controller);
+    SessionConfig { seed, controller, forward, reverse, ..SessionConfig::default() }
+}
+
+/// Name, mean rate, delay, queue and loss of a path, for people.
+fn description(name: &str, path: &PathConfig, loss: &str, transport: TransportName) -> String {
+    let mean = match &path.capacity {
+        Capacity::Unlimited => None,
+        Capacity::Constant(rate) => Some(*rate),
+        Capacity::Trace(trace) => Some(trace.mean_rate()),
+    };
+    let rate = mean.map_or(String::new(), |mean| format!(", mean {}", rate_words(mean)));
+    let queue = mean.map_or(String::new(), |mean| format!(", {}", queue_words(path.queue, mean)));
+    let delays = path.delay_trace.as_ref().map_or(String::new(), |delays| {
+        format!(" and those of a trace, median {:.0} ms", delays.median().as_ms())
+    });
+    let jitter = match path.jitter {
+        Nanos::ZERO => String::new(),
+        jitter => format!(" and up to {} ms of jitter", number(jitter.as_ms())),
+    };
+    let losses = if path.loss_trace.is_some() { " and those of the trace" } else { "" };
+    let carrier = match transport {
+        TransportName::Model => "",
+        TransportName::Quic => ", over quinn-proto",
+    };
+    let delay = path.delay.as_ms();
+    format!("{name}{rate}, {delay:.0} ms one way{delays}{jitter}{queue}, {loss}{losses}{carrier}")
+}
+
+/// A share in percent.
+fn percent(share: f64) -> String {
+    match 100.0 * share {
+        small if small > 0.0 && small < 0.1 => number(small),
+        percent => format!("{percent:.1}"),
+    }
+}
+
+/// A rate with three digits at least, however small.
+pub(crate) fn rate_words(rate: Rate) -> String {
+    match rate.0 {
+        bits if bits >= 100_000 => format!("{:.2} Mbit/s", bits as f64 / 1e6),
+        bits if bits >= 1_000 => format!("{:.2} kbit/s", bits as f64 / 1e3),
+        bits => format!("{bits} bit/s"),
+    }
+}
+
+/// A queue as time at `rate`, and its bytes.
+fn queue_words(queue: QueueLimit, rate: Rate) -> String {
+    let ms = rate.time_for(Bytes(queue.bytes)).as_ms();
+    let kilobytes = (queue.bytes as f64 / 1e3).round();
+    let is_least = queue.bytes == QueueLimit::lasting(Nanos::ZERO, rate).bytes;
+    format!("queue {ms:.0} ms ({kilobytes} kB{})", if is_least { ", the least" } else { "" })
 }
 
 /// Mean capacity of the first `bins` bins of `width`, bits/s, the trace repeating.
@@ -239,13 +286,78 @@ fn controller(name: ControllerName) -> ControllerKind {
 mod tests {
     use super::*;
 
+    fn typed(args: &[&str]) -> LinkArgs {
+        #[derive(clap::Parser)]
+        struct Typed {
+            #[command(flatten)]
+            link: LinkArgs,
+        }
+        <Typed as clap::Parser>::parse_from([&["dgs"], args].concat()).link
+    }
+
+    fn graph(frames: u32) -> PacketGraph {
+        let spec = emulator_host::graph::Synthetic { frames, ..emulator_host::graph::Synthetic::default() };
+        spec.build(1).unwrap()
+    }
+
     #[test]
     fn a_queue_is_as_long_in_time_on_a_slow_link_as_on_a_fast_one() {
         for kbps in [125, 1_000, 20_000] {
-            let bytes = queue_bytes(Rate::from_kbps(kbps), 250);
-            let span = Rate::from_kbps(kbps).time_for(emulator_host::Bytes(bytes));
-            assert!(span.as_ms() > 249.0 && span.as_ms() <= 251.0, "{kbps} kbit/s: {span}");
+            let rate = Rate::from_kbps(kbps);
+            let queue = queue_words(QueueLimit::lasting(Nanos::from_ms(250), rate), rate);
+            assert!(
+                queue.starts_with("queue 250 ms (") && !queue.contains("least"),
+                "{kbps} kbit/s: {queue}"
+            );
         }
-        assert_eq!(queue_bytes(Rate::from_kbps(42), 250), 3_000);
+        let slow = Rate::from_kbps(42);
+        let queue = queue_words(QueueLimit::lasting(Nanos::from_ms(250), slow), slow);
+        assert_eq!(queue, "queue 571 ms (3 kB, the least)");
+    }
+
+    #[test]
+    fn small_rates_have_digits() {
+        let said = [5_000_000, 123_456, 4_210, 70].map(|bits| rate_words(Rate(bits)));
+        assert_eq!(said, ["5.00 Mbit/s", "0.12 Mbit/s", "4.21 kbit/s", "70 bit/s"]);
+    }
+
+    #[test]
+    fn a_scaled_trace_has_its_round_trip_and_no_opportunity_less() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = |name: &str, text: &str| {
+            let path = folder.path().join(name);
+            std::fs::write(&path, text).unwrap();
+            path.to_str().unwrap().to_owned()
+        };
+        let steady = file("steady", "1\n");
+        let halved = link(&typed(&["--trace", &steady, "--scale", "0.5"]), &graph(30)).unwrap();
+        assert_eq!(halved.trace().unwrap().mean_rate(), Rate::from_mbps(6));
+        let rows = "Timestamp,DL_bitrate,UL_bitrate,State,PINGAVG\n2020.02.14_09.38.00,10,1,I,80\n\
+                    2020.02.14_09.38.01,900,1,I,-\n";
+        let logged = file("phone.csv", rows);
+        let doubled = link(&typed(&["--trace", &logged, "--scale", "2"]), &graph(30)).unwrap();
+        assert_eq!(doubled.config.forward.delay, Nanos::from_ms(40));
+        assert!(doubled.warnings.iter().any(|warning| warning.contains("idle")), "{:?}", doubled.warnings);
+        let backward = link(&typed(&["--trace", &file("pitree-1", "0 1\n1 2\n")]), &graph(30)).unwrap();
+        assert!(backward.warnings[0].contains("pitree"), "{:?}", backward.warnings);
+    }
+
+    #[test]
+    fn a_load_is_of_what_the_link_carries_while_the_clip_plays() {
+        for (frames, load, seed) in [(30, "1.2", "2"), (30, "2.5", "3"), (90, "0.5", "4"), (1000, "3", "5")] {
+            let graph = graph(frames);
+            let link = link(&typed(&["--load", load, "--link-seed", seed]), &graph).unwrap();
+            let passed = playout_capacity(link.trace().unwrap(), &graph).0 as f64;
+            let bytes = (graph.total_bytes() + u64::from(graph.manifest_bytes())) as f64;
+            let found = bytes / passed / load.parse::<f64>().unwrap();
+            assert!((found - 1.0).abs() < 0.01, "{frames} frames, seed {seed}: {found}");
+        }
+    }
+
+    #[test]
+    fn options_that_change_nothing_are_named() {
+        let warned = |args: &[&str]| link(&typed(args), &graph(30)).unwrap().warnings.join("; ");
+        assert!(warned(&["--scale", "2", "--load", "2"]).contains("--load is not used beside --scale"));
+        assert_eq!(warned(&["--load", "2"]), "");
     }
 }

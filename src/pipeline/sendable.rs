@@ -44,7 +44,7 @@ pub fn sendable(
 ) -> Result<Sendable> {
     let mut damaged = false;
     let (stream, table) = if super::is_stream(input) {
-        super::unused_options(input, scene).into_iter().for_each(&mut *warn);
+        super::unused_options(input, scene, Some(codec)).into_iter().for_each(&mut *warn);
         let path = Path::new(input);
         let stream = super::read_stream(path, &mut |warning| {
             damaged = true;

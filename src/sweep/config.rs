@@ -7,11 +7,12 @@ use emulator_host::{
     ControllerKind, Nanos, PolicyKind, Rate, Trace,
     graph::{Dependencies, Profile, Synthetic},
     link::LossModel,
-    sweep::{Condition, Design, SweptTrace},
+    sweep::{Condition, Design, Summary, SweptTrace},
     trace::Step,
 };
 use serde::Deserialize;
 
+use super::Digests;
 use crate::pipeline;
 
 /// Bytes of the largest configuration.
@@ -24,12 +25,51 @@ const MOST_SIMULATIONS: u64 = 100_000_000;
 pub(crate) struct Config {
     /// Its text.
     pub(crate) text: String,
+    /// Its size.
+    pub(crate) outline: Outline,
+    /// Digests of the trace files that it names.
+    pub(crate) digests: Digests,
     /// What it asks for.
     pub(crate) design: Design,
     /// Scheduler that the others are compared with.
     pub(crate) baseline: PolicyKind,
     /// What whoever uses its traces should know.
     pub(crate) warnings: Vec<String>,
+}
+
+/// Size of a design, which its configuration says without the trace files.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Outline {
+    /// Blocks, each a condition over a window of a trace.
+    pub(crate) blocks: u64,
+    /// Controllers times schedulers.
+    pub(crate) simulations_per_block: u64,
+    /// Scheduler that the others are compared with.
+    pub(crate) baseline: PolicyKind,
+    /// Whether it names trace files.
+    pub(crate) has_files: bool,
+}
+
+impl Outline {
+    /// Reads the configuration `text`.
+    ///
+    /// # Errors
+    /// The place or the key, what was found and what is allowed.
+    pub(crate) fn parse(text: &str) -> Result<Self> {
+        Self::of(&toml::from_str(text)?)
+    }
+
+    fn of(document: &Document) -> Result<Self> {
+        let replicates = within("replicates", document.replicates, 1, 1_000_000)?;
+        let product = |sizes: &[usize]| sizes.iter().fold(1u64, |all, size| all.saturating_mul(*size as u64));
+        let blocks = product(&[document.conditions.len(), document.traces.len(), replicates as usize]);
+        let simulations_per_block = product(&[document.controllers.len(), document.schedulers.len()]);
+        let simulations = blocks.saturating_mul(simulations_per_block);
+        within("the number of simulations", simulations, 1, MOST_SIMULATIONS)?;
+        let baseline = scheduler("baseline", &document.baseline)?;
+        let has_files = document.traces.iter().any(|table| table.files().next().is_some());
+        Ok(Self { blocks, simulations_per_block, baseline, has_files })
+    }
 }
 
 #[derive(Deserialize)]
@@ -88,6 +128,13 @@ struct TraceTable {
     delay_ms: Option<u64>,
 }
 
+impl TraceTable {
+    /// The files that it names.
+    fn files(&self) -> impl Iterator<Item = &String> {
+        self.file.iter().chain(&self.delay_file)
+    }
+}
+
 impl Config {
     /// Reads the configuration `path`; files of traces lie in `traces`.
     ///
@@ -107,11 +154,16 @@ impl Config {
         let document: Document = toml::from_str(&text)?;
         let mut warnings = Vec::new();
         let design = design(&document, traces, &mut warnings)?;
-        let baseline = scheduler("baseline", &document.baseline)?;
+        let outline = Outline::of(&document)?;
+        let baseline = outline.baseline;
+        let mut digests = Digests::default();
+        for name in document.traces.iter().flat_map(TraceTable::files) {
+            digests.enter(name, &traces.join(name))?;
+        }
         if !design.schedulers.contains(&baseline) {
             bail!("baseline is {:?}, allowed is one of schedulers", document.baseline);
         }
-        Ok(Self { text, design, baseline, warnings })
+        Ok(Self { text, outline, digests, design, baseline, warnings })
     }
 }
 
@@ -128,6 +180,10 @@ fn design(document: &Document, folder: &Path, warnings: &mut Vec<String>) -> Res
     names("schedulers", &document.schedulers)?;
     let condition_names: Vec<String> = document.conditions.iter().map(|table| table.name.clone()).collect();
     names("conditions.name", &condition_names)?;
+    if let Some(at) = condition_names.iter().position(|name| name == Summary::EVERY_CONDITION) {
+        let name = Summary::EVERY_CONDITION;
+        bail!("conditions[{at}].name is {name:?}, which is the row over all; allowed is another");
+    }
     let trace_names: Vec<String> = document.traces.iter().map(|table| table.name.clone()).collect();
     names("traces.name", &trace_names)?;
     let replicates = within("replicates", document.replicates, 1, 1_000_000)?;
@@ -150,15 +206,6 @@ fn design(document: &Document, folder: &Path, warnings: &mut Vec<String>) -> Res
         queue: Nanos::from_ms(within("link.queue_ms", link.queue_ms, 0, 60_000)?),
         uplink: mbps("link.uplink_mbps", link.uplink_mbps)?,
     };
-    let simulations = [
-        design.controllers.len(),
-        design.schedulers.len(),
-        design.conditions.len(),
-        design.traces.len(),
-        replicates as usize,
-    ];
-    let simulations = simulations.iter().fold(1u64, |product, n| product.saturating_mul(*n as u64));
-    within("the number of simulations", simulations, 1, MOST_SIMULATIONS)?;
     Ok(design)
 }
 
@@ -234,7 +281,11 @@ fn trace(
     let key = |field: &str| format!("traces[{at}].{field}");
     let minute = Nanos::from_s(60);
     let mut replay = match (&table.file, table.constant_mbps, table.bursty) {
-        (Some(file), None, None) => pipeline::read_replay(&folder.join(file)).with_context(|| key("file"))?,
+        (Some(file), None, None) => {
+            let recording = pipeline::read_recording(&folder.join(file)).with_context(|| key("file"))?;
+            warnings.extend(recording.notes.iter().map(|note| format!("trace {}: {note}", table.name)));
+            recording.replay
+        }
         (None, Some(rate), None) => {
             let step = Step { at: Nanos::ZERO, rate: mbps(&key("constant_mbps"), rate)? };
             Trace::steps("constant", vec![step], minute).with_context(|| key("constant_mbps"))?.into()
@@ -246,10 +297,11 @@ fn trace(
         if replay.delay.is_some() {
             bail!("traces[{at}] ({:?}) has delays; no delay_file is allowed beside them", table.name);
         }
-        replay.delay = Some(pipeline::read_delays(&folder.join(file)).with_context(|| key("delay_file"))?);
+        let delays = pipeline::read_delays(&folder.join(file)).with_context(|| key("delay_file"))?;
+        warnings.extend(delays.doubt().map(|doubt| format!("trace {}: {doubt}", table.name)));
+        replay.delay = Some(delays);
     }
     let capacity = &replay.capacity;
-    warnings.extend(capacity.warnings().iter().map(|warning| format!("trace {}: {warning}", table.name)));
     let delay = match table.delay_ms {
         Some(ms) => Nanos::from_ms(within(&key("delay_ms"), ms, 0, 60_000)?),
         None if replay.delay.is_some() => Nanos::ZERO,
@@ -282,6 +334,11 @@ mod tests {
             ("\"layered\",", "\"lifo\",", "schedulers[0] is \"lifo\", allowed dash, deadline-utility"),
             ("\"newreno\"", "\"reno\"", "controllers[0] is \"reno\", allowed newreno, cubic"),
             ("\"newreno\"", "\"bbr-model\"", "controllers[1] is \"bbr-model\" again, allowed is each once"),
+            (
+                "name = \"layered\"",
+                "name = \"all\"",
+                "conditions[0].name is \"all\", which is the row over all",
+            ),
             ("replicates = 3", "replicates = 0", "replicates is 0, allowed 1 to 1000000"),
             ("replicates = 3", "repeats = 3", "unknown field `repeats`"),
             ("replicates = 3", "replicates = -3", "expected u32"),

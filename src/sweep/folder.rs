@@ -6,13 +6,13 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 use emulator_host::{
     report::FrameRow,
     sweep::{Summary, Trial, summary},
 };
 
-use super::trajectory;
+use super::{Digests, Outline, trajectory};
 use crate::files;
 
 /// Blocks of one batch: few, so that little is lost with a killed process and shards are of equal size.
@@ -20,57 +20,121 @@ const BLOCKS: u64 = 4;
 const CONFIG: &str = "sweep.toml";
 const RUNS: &str = "runs.jsonl";
 const SUMMARY: &str = "summary.json";
+/// First and last bytes of a Parquet file.
+const PARQUET: &[u8] = b"PAR1";
+
+/// What results were made of.
+#[derive(Clone, Debug)]
+pub(crate) struct Origin {
+    /// Text of the configuration.
+    pub(crate) text: String,
+    /// Size of the design.
+    pub(crate) outline: Outline,
+    /// Digests of the trace files that it names.
+    pub(crate) digests: Digests,
+}
+
+impl Origin {
+    /// What the results in `folder` were made of.
+    ///
+    /// # Errors
+    /// A folder without results, or without digests of the traces that its configuration names.
+    pub(crate) fn of(folder: &Path) -> Result<Self> {
+        let config = folder.join(CONFIG);
+        let text = fs::read_to_string(&config)
+            .with_context(|| format!("{}: no results of a sweep here", config.display()))?;
+        let outline = Outline::parse(&text).with_context(|| config.display().to_string())?;
+        let digests = match Digests::read(folder)? {
+            Some(digests) => digests,
+            None if outline.has_files => bail!(undigested(folder)),
+            None => Digests::default(),
+        };
+        Ok(Self { text, outline, digests })
+    }
+
+    /// Refuses the results in `folder` if they were made of something else than those in `first`.
+    ///
+    /// # Errors
+    /// What differs: the configuration, or a trace by name.
+    pub(crate) fn check(&self, first: &Path, folder: &Path) -> Result<()> {
+        let other = Self::of(folder)?;
+        let [first, folder] = [first, folder].map(Path::display);
+        ensure!(self.text == other.text, "{folder}: results of another configuration than {first}");
+        match self.digests.difference(&other.digests) {
+            Some(name) => bail!("{folder}: results over another {name} than {first}"),
+            None => Ok(()),
+        }
+    }
+}
+
+/// Why results without digests are refused.
+fn undigested(folder: &Path) -> String {
+    format!(
+        "{}: is not there, so nothing says which traces these results are of; another folder is needed",
+        Digests::path(folder).display()
+    )
+}
 
 /// A folder of results of one configuration.
 #[derive(Clone, Debug)]
 pub(crate) struct Folder {
     path: PathBuf,
-    blocks: u64,
+    outline: Outline,
     trajectories: bool,
 }
 
 impl Folder {
-    /// Opens or makes `path` for the configuration `text` of `blocks` blocks.
+    /// Opens or makes `path` for results of `origin`.
     ///
     /// # Errors
-    /// A folder of another configuration, or one that cannot be made.
-    pub(crate) fn open(path: &Path, text: &str, blocks: u64, trajectories: bool) -> Result<Self> {
+    /// A folder of another configuration or of other traces, or one that cannot be made.
+    pub(crate) fn open(path: &Path, origin: &Origin, trajectories: bool) -> Result<Self> {
         for folder in [path.to_owned(), path.join("runs"), path.join("trajectories")] {
             let failed = || format!("{}: cannot make this folder", folder.display());
             fs::create_dir_all(&folder).with_context(failed)?;
         }
         let config = path.join(CONFIG);
         match fs::read_to_string(&config) {
-            Ok(found) if found == text => {}
+            Ok(found) if found == origin.text => {}
             Ok(_) => {
                 bail!("{}: results of another configuration; another folder is needed", config.display())
             }
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                files::write(&config, text.as_bytes())?;
+                files::write(&config, origin.text.as_bytes())?;
             }
             Err(error) => return Err(error).with_context(|| config.display().to_string()),
         }
-        Ok(Self { path: path.to_owned(), blocks, trajectories })
+        let folder = Self { path: path.to_owned(), outline: origin.outline, trajectories };
+        folder.check_digests(&origin.digests)?;
+        Ok(folder)
     }
 
-    /// The configuration of the results in `path`.
-    ///
-    /// # Errors
-    /// A folder without one.
-    pub(crate) fn config(path: &Path) -> Result<String> {
-        let config = path.join(CONFIG);
-        fs::read_to_string(&config)
-            .with_context(|| format!("{}: no results of a sweep here", config.display()))
+    /// Refuses results of other traces than those of `digests`; writes the digests if there are no results.
+    fn check_digests(&self, digests: &Digests) -> Result<()> {
+        // Processes that share the folder write digests before batches: batches are counted first.
+        let has_batches = (0..self.batches()).any(|batch| self.runs(batch).exists());
+        match Digests::read(&self.path)? {
+            Some(found) => match digests.difference(&found) {
+                Some(name) => bail!(
+                    "{}: results over another {name}, which has changed; another folder is needed",
+                    Digests::path(&self.path).display()
+                ),
+                None => Ok(()),
+            },
+            None if digests.is_empty() => Ok(()),
+            None if has_batches => bail!(undigested(&self.path)),
+            None => digests.write(&self.path),
+        }
     }
 
     /// Batches of the whole design.
     pub(crate) fn batches(&self) -> u64 {
-        self.blocks.div_ceil(BLOCKS)
+        self.outline.blocks.div_ceil(BLOCKS)
     }
 
     /// Blocks of `batch`.
     pub(super) fn blocks_of(&self, batch: u64) -> Range<u64> {
-        batch * BLOCKS..((batch + 1) * BLOCKS).min(self.blocks)
+        batch * BLOCKS..((batch + 1) * BLOCKS).min(self.outline.blocks)
     }
 
     fn runs(&self, batch: u64) -> PathBuf {
@@ -106,12 +170,14 @@ impl Folder {
     /// Copies the batches of `other` that this folder lacks; how many.
     ///
     /// # Errors
-    /// A batch that is in both and differs, or a file that cannot be copied.
+    /// A batch that is in both and differs or is cut short, or a file that cannot be copied.
     pub(crate) fn take(&self, other: &Path) -> Result<u64> {
         let other = Self { path: other.to_owned(), trajectories: false, ..self.clone() };
         let mut taken = 0;
         for batch in (0..self.batches()).filter(|batch| other.has(*batch)) {
             let fresh = !self.runs(batch).is_file();
+            other.read(batch)?;
+            check_parquet(&other.trajectories(batch))?;
             copy(&other.trajectories(batch), &self.trajectories(batch))?;
             copy(&other.runs(batch), &self.runs(batch))?;
             taken += u64::from(fresh);
@@ -122,6 +188,41 @@ impl Folder {
     /// Batches that are not there.
     pub(crate) fn missing(&self) -> Vec<u64> {
         (0..self.batches()).filter(|batch| !self.has(*batch)).collect()
+    }
+
+    /// Batches that are there without trajectories, and all that are there.
+    pub(crate) fn without_trajectories(&self) -> (usize, usize) {
+        let there: Vec<u64> = (0..self.batches()).filter(|batch| self.runs(*batch).is_file()).collect();
+        let without = there.iter().filter(|batch| !self.trajectories(**batch).is_file()).count();
+        (without, there.len())
+    }
+
+    /// The lines of `batch` and its simulations, all of them in order.
+    ///
+    /// # Errors
+    /// The file, and the line that is no simulation or not the one that belongs there.
+    fn read(&self, batch: u64) -> Result<(String, Vec<Trial>)> {
+        let path = self.runs(batch);
+        let named = || path.display();
+        let text = fs::read_to_string(&path).with_context(|| named().to_string())?;
+        let (blocks, each) = (self.blocks_of(batch), self.outline.simulations_per_block);
+        let (first, count) = (blocks.start * each, (blocks.end - blocks.start) * each);
+        let mut trials = Vec::new();
+        for (line, allowed) in text.lines().zip(first..) {
+            let number = trials.len() + 1;
+            let trial: Trial = serde_json::from_str(line)
+                .with_context(|| format!("{}: line {number}: not a simulation", named()))?;
+            let found = trial.simulation;
+            ensure!(found == allowed, "{}: line {number}: simulation is {found}, allowed {allowed}", named());
+            trials.push(trial);
+        }
+        let found = trials.len();
+        ensure!(
+            found as u64 == count,
+            "{}: {found} simulations, allowed are {count}; without this file the sweep makes it again",
+            named()
+        );
+        Ok((text, trials))
     }
 
     /// Writes what follows from all batches: every simulation in order, and the summary against `baseline`.
@@ -135,17 +236,8 @@ impl Folder {
         }
         let (mut text, mut trials) = (String::new(), Vec::<Trial>::new());
         for batch in 0..self.batches() {
-            let path = self.runs(batch);
-            let lines = fs::read_to_string(&path).with_context(|| path.display().to_string())?;
-            for (number, line) in (1..).zip(lines.lines()) {
-                let trial: Trial = serde_json::from_str(line)
-                    .with_context(|| format!("{}: line {number}: not a simulation", path.display()))?;
-                if trial.simulation != trials.len() as u64 {
-                    let (found, allowed) = (trial.simulation, trials.len());
-                    bail!("{}: line {number}: simulation is {found}, allowed {allowed}", path.display());
-                }
-                trials.push(trial);
-            }
+            let (lines, read) = self.read(batch)?;
+            trials.extend(read);
             text += &lines;
         }
         let summary = summary(&trials, baseline);
@@ -155,6 +247,16 @@ impl Folder {
         files::write(&self.path.join(SUMMARY), &json)?;
         Ok(Some(summary))
     }
+}
+
+/// Refuses a Parquet file, if it is there, that does not end as one.
+fn check_parquet(path: &Path) -> Result<()> {
+    if path.is_file() {
+        let bytes = fs::read(path).with_context(|| path.display().to_string())?;
+        let is_whole = bytes.len() > 2 * PARQUET.len() && bytes.ends_with(PARQUET);
+        ensure!(is_whole, "{}: {} bytes, which end inside a table", path.display(), bytes.len());
+    }
+    Ok(())
 }
 
 /// Copies `from`, if it is there, to `to`; if `to` is there too, they must be the same.

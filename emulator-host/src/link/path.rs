@@ -56,8 +56,24 @@ pub enum LossModel {
 }
 
 impl LossModel {
-    /// Loses the share `loss` of datagrams, 0 to 0.9, `burst` in a row on average; independently where
-    /// `burst` is 1. Bursts are those of a Gilbert model, which loses every datagram of its bad state.
+    /// The shortest bursts, in datagrams on average, in which the share `loss` of datagrams, below 1, can be
+    /// lost: one datagram arrives between two of them.
+    ///
+    /// # Examples
+    /// ```
+    /// use emulator_host::link::LossModel;
+    ///
+    /// assert_eq!(LossModel::least_burst(0.9), 9.0);
+    /// assert_eq!(LossModel::least_burst(0.2), 1.0);
+    /// ```
+    pub fn least_burst(loss: f64) -> f64 {
+        // Rounded, so that 0.9 gives 9 and not the least bit more.
+        ((loss / (1.0 - loss)).max(1.0) * 1e9).round() / 1e9
+    }
+
+    /// Loses the share `loss` of datagrams, 0 to 0.9, `burst` in a row on average, at least
+    /// [`Self::least_burst`]: shorter ones lose a smaller share. Where `burst` is 1, losses are independent.
+    /// Bursts are those of a Gilbert model, which loses every datagram of its bad state.
     ///
     /// # Examples
     /// ```
@@ -77,7 +93,8 @@ impl LossModel {
         if burst == 1.0 {
             return Self::Iid(loss);
         }
-        // Stationary share of the bad state: enter / (enter + leave).
+        // Stationary share of the bad state: enter / (enter + leave). Shorter bursts than the least would
+        // need to begin more often than always.
         let enter_bad = (loss / (burst * (1.0 - loss))).min(1.0);
         Self::GilbertElliott { enter_bad, leave_bad: 1.0 / burst, loss_good: 0.0, loss_bad: 1.0 }
     }

@@ -61,11 +61,12 @@ pub fn run_ideal(
         sent: 0,
     };
     let mut now = Nanos::ZERO;
-    while now <= config.cap && !ideal.step(now) {
+    let end = config.end(graph);
+    while now <= end && !ideal.step(now) {
         now = ideal.next_time().max(now + Nanos(1));
     }
     let Ideal { link, media, viewer, .. } = ideal;
-    let mut report = viewer.report(&media, [&link, &reverse], now.min(config.cap));
+    let mut report = viewer.report(&media, [&link, &reverse], now.min(end));
     "ideal".clone_into(&mut report.controller);
     report.seed = config.seed;
     Ok(report)

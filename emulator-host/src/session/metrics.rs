@@ -243,6 +243,7 @@ impl<'a> Metrics<'a> {
             frames: self.frames,
             samples: self.samples,
             boxes: boxes.into_iter().map(|(label, counts)| BoxRow { label, counts }).collect(),
+            one_way_delay: None,
             digest: 0,
         }
     }

@@ -50,6 +50,8 @@ fn walk(
         sender: Sender::new(graph, config, scheduler),
         client: Client::new(graph, config, endpoint),
         digest: 0xcbf2_9ce4_8422_2325,
+        sent_at: Vec::new(),
+        delays: Vec::new(),
         sample_at: Nanos::ZERO,
         due_at: Nanos::ZERO,
         arrived: serves_always,
@@ -57,10 +59,11 @@ fn walk(
         config,
     };
     let mut now = Nanos::ZERO;
-    while now <= config.cap && !walk.step(now) {
+    let end = config.end(graph);
+    while now <= end && !walk.step(now) {
         now = walk.next_time(now);
     }
-    Ok(walk.report(now.min(config.cap)))
+    Ok(walk.report(now.min(end)))
 }
 
 /// One run: both ends, the path between them, and what is measured.
@@ -71,6 +74,9 @@ struct Walk<'a> {
     sender: Sender<'a>,
     client: Client<'a>,
     digest: u64,
+    /// When each datagram left the sender, by its tag, and how long those took that have arrived.
+    sent_at: Vec<Nanos>,
+    delays: Vec<Nanos>,
     sample_at: Nanos,
     /// When an end, or the sampling, has something to do without an arrival.
     due_at: Nanos,
@@ -98,6 +104,7 @@ impl Walk<'_> {
         let mut has_moved = is_served;
         while let Some(datagram) = self.sender.poll(now) {
             note(&mut self.digest, datagram, DOWN_SENT, now);
+            self.sent_at.push(now);
             self.carry_down(Some(datagram), now);
             has_moved = true;
         }
@@ -147,9 +154,10 @@ impl Walk<'_> {
         if input.is_none() && self.forward.next_wake() > now {
             return;
         }
-        let Self { forward, sender, client, digest, arrived, .. } = self;
+        let Self { forward, sender, client, digest, sent_at, delays, arrived, .. } = self;
         forward.carry(input, now, &mut |datagram| {
             note(digest, datagram, DOWN_DELIVERED, now);
+            delays.extend(sent_at.get(datagram.tag as usize).map(|sent| now - *sent));
             client.receive(datagram.tag, sender.content(datagram.tag), now);
             *arrived = true;
         });
@@ -168,13 +176,17 @@ impl Walk<'_> {
         });
     }
 
-    fn report(self, now: Nanos) -> Report {
+    fn report(mut self, now: Nanos) -> Report {
+        self.delays.sort_unstable();
+        let share = |part: usize| self.delays.get(self.delays.len() * part / 100).copied();
+        let one_way_delay = share(50).zip(share(95)).map(|(median, tail)| [median, tail]);
         let viewer = self.client.into_viewer();
         let mut report = viewer.report(self.sender.media(), [&self.forward, &self.reverse], now);
         report.controller = self.sender.controller().to_owned();
         report.seed = self.config.seed;
         report.sender = self.sender.counts();
         report.digest = self.digest;
+        report.one_way_delay = one_way_delay;
         report
     }
 }

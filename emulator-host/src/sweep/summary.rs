@@ -2,7 +2,8 @@
 //!
 //! Differences are paired: a scheduler and the baseline in the same block under the same controller.
 //! Intervals are those of a cluster bootstrap: traces are drawn with replacement, then windows within them,
-//! because windows of one trace resemble each other.
+//! because windows of one trace resemble each other. All conditions of a replicate share the window and its
+//! luck, so where several are summarised together their mean over the window is drawn, not each.
 
 use std::collections::BTreeMap;
 
@@ -30,16 +31,16 @@ const COLUMNS: [Column; 6] = [
 pub struct Estimate {
     /// Over all simulations.
     pub mean: f64,
-    /// 2.5 % of the draws lie below.
-    pub low: f64,
-    /// 2.5 % of the draws lie above.
-    pub high: f64,
+    /// 2.5 % of the draws lie below; `None` of a single window, which says nothing of others.
+    pub low: Option<f64>,
+    /// 2.5 % of the draws lie above; `None` of a single window.
+    pub high: Option<f64>,
 }
 
 /// One scheduler under one controller and one condition.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
-    /// Name of the condition, or `all`.
+    /// Name of the condition, or [`Summary::EVERY_CONDITION`].
     pub condition: String,
     /// Name of the controller.
     pub controller: String,
@@ -66,6 +67,11 @@ pub struct Summary {
     pub comparisons: Vec<Comparison>,
 }
 
+impl Summary {
+    /// Name of the rows over all conditions.
+    pub const EVERY_CONDITION: &str = "all";
+}
+
 /// Summarises `trials`, in the order of their numbers, against the scheduler called `baseline`.
 pub fn summary(trials: &[Trial], baseline: &str) -> Summary {
     let mut conditions: Vec<&str> = Vec::new();
@@ -74,7 +80,7 @@ pub fn summary(trials: &[Trial], baseline: &str) -> Summary {
             conditions.push(&trial.condition);
         }
     }
-    let mut comparisons = compare("all", trials.iter().collect(), baseline);
+    let mut comparisons = compare(Summary::EVERY_CONDITION, trials.iter().collect(), baseline);
     for condition in conditions {
         let own = trials.iter().filter(|trial| trial.condition == condition).collect();
         comparisons.extend(compare(condition, own, baseline));
@@ -99,7 +105,9 @@ fn compare(condition: &str, trials: Vec<&Trial>, baseline: &str) -> Vec<Comparis
     let everything: Vec<&Window> = traces.iter().flatten().collect();
     let means = mean_of(&everything);
     let mut luck = stream(0, "sweep/summary");
-    let mut drawn: Vec<Window> = (0..RESAMPLES).map(|_| mean_of(&resample(&traces, &mut luck))).collect();
+    // Drawing from a single window gives that window again.
+    let draws = if everything.len() > 1 { RESAMPLES } else { 0 };
+    let drawn: Vec<Window> = (0..draws).map(|_| mean_of(&resample(&traces, &mut luck))).collect();
     let mut comparisons = Vec::new();
     for (at, (controller, scheduler)) in arms.iter().enumerate() {
         let base = arms.iter().position(|arm| *arm == (*controller, baseline)).unwrap_or(at);
@@ -116,24 +124,26 @@ fn compare(condition: &str, trials: Vec<&Trial>, baseline: &str) -> Vec<Comparis
         for (column, (name, _)) in COLUMNS.iter().enumerate() {
             let of = |arm: usize, window: &Window| window[arm * COLUMNS.len() + column];
             let value = |window: &Window| of(at, window);
-            comparison.mean.insert(name, estimate(&means, &mut drawn, &value));
+            comparison.mean.insert(name, estimate(&means, &drawn, &value));
             let difference = |window: &Window| of(at, window) - of(base, window);
-            comparison.less_baseline.insert(name, estimate(&means, &mut drawn, &difference));
+            comparison.less_baseline.insert(name, estimate(&means, &drawn, &difference));
         }
         comparisons.push(comparison);
     }
     comparisons
 }
 
-/// The windows of each trace. Simulations of one block follow each other, so a window is full when all arms
-/// have been entered.
+/// The windows of each trace, each the mean over its conditions. Simulations of one block follow each other,
+/// so a block is full when all arms have been entered.
 fn windows(trials: &[&Trial], arms: &[Arm<'_>]) -> Vec<Vec<Window>> {
-    let mut by_trace: BTreeMap<&str, Vec<Window>> = BTreeMap::new();
+    let mut by_trace: BTreeMap<&str, BTreeMap<u32, Vec<Window>>> = BTreeMap::new();
     for block in trials.chunks(arms.len().max(1)) {
         let window = block.iter().flat_map(|trial| COLUMNS.map(|(_, of)| of(trial))).collect();
-        by_trace.entry(block[0].trace.as_str()).or_default().push(window);
+        let trace = by_trace.entry(block[0].trace.as_str()).or_default();
+        trace.entry(block[0].replicate).or_default().push(window);
     }
-    by_trace.into_values().collect()
+    let over_conditions = |conditions: &Vec<Window>| mean_of(&conditions.iter().collect::<Vec<_>>());
+    by_trace.values().map(|windows| windows.values().map(over_conditions).collect()).collect()
 }
 
 fn resample<'a>(traces: &'a [Vec<Window>], luck: &mut Stream) -> Vec<&'a Window> {
@@ -155,10 +165,10 @@ fn mean_of(windows: &[&Window]) -> Window {
     sum
 }
 
-fn estimate(means: &Window, drawn: &mut [Window], value: &dyn Fn(&Window) -> f64) -> Estimate {
+fn estimate(means: &Window, drawn: &[Window], value: &dyn Fn(&Window) -> f64) -> Estimate {
     let mut values: Vec<f64> = drawn.iter().map(value).collect();
     values.sort_by(f64::total_cmp);
-    let at = |share: f64| values[(share * values.len() as f64) as usize];
+    let at = |share: f64| values.get((share * values.len() as f64) as usize).copied();
     Estimate { mean: value(means), low: at(0.025), high: at(0.975) }
 }
 
@@ -169,14 +179,14 @@ mod tests {
     /// Two schedulers in blocks of (trace, miss of the first, miss of the second).
     fn trials(blocks: &[(usize, f64, f64)]) -> Vec<Trial> {
         let mut trials = Vec::new();
-        for (trace, one, other) in blocks {
+        for (replicate, (trace, one, other)) in (0..).zip(blocks) {
             for (scheduler, miss) in [("layered", one), ("dash", other)] {
                 trials.push(Trial {
                     simulation: trials.len() as u64,
                     trace: format!("trace {trace}"),
                     family: "made".into(),
                     condition: "clean".into(),
-                    replicate: 0,
+                    replicate,
                     controller: "newreno".into(),
                     scheduler: scheduler.into(),
                     startup_ms: 100.0,
@@ -207,11 +217,11 @@ mod tests {
             (0..40).map(|at| (at / 10, at as f64 / 40.0, at as f64 / 40.0 + 0.01)).collect();
         let found = difference(&blocks);
         assert!((found.mean - 0.01).abs() < 1e-9, "{found:?}");
-        assert!(found.low > 0.0099 && found.high < 0.0101, "{found:?}");
+        assert!(found.low.unwrap() > 0.0099 && found.high.unwrap() < 0.0101, "{found:?}");
         // Without pairs the same difference would drown.
         let summary = summary(&trials(&blocks), "layered");
         let mean = summary.comparisons[0].mean["miss"];
-        assert!(mean.high - mean.low > 0.1, "{mean:?}");
+        assert!(mean.high.unwrap() - mean.low.unwrap() > 0.1, "{mean:?}");
     }
 
     #[test]
@@ -220,8 +230,8 @@ mod tests {
         let apart: Vec<(usize, f64, f64)> = (0..40).map(|at| (at, 0.0, (at / 10) as f64)).collect();
         let width = |blocks| {
             let found: Estimate = difference(blocks);
-            assert!((found.mean - 1.5).abs() < 1e-12 && found.low <= 1.5 && found.high >= 1.5);
-            found.high - found.low
+            assert!((found.mean - 1.5).abs() < 1e-12 && found.low <= Some(1.5) && found.high >= Some(1.5));
+            found.high.unwrap() - found.low.unwrap()
         };
         assert!(width(&alike) > 2.0 * width(&apart));
     }
@@ -231,6 +241,28 @@ mod tests {
         let blocks: Vec<(usize, f64, f64)> =
             (0..40).map(|at| (at / 10, 0.5, if at % 2 == 0 { 0.4 } else { 0.61 })).collect();
         let found = difference(&blocks);
-        assert!(found.low < 0.0 && found.high > 0.0, "{found:?}");
+        assert!(found.low < Some(0.0) && found.high > Some(0.0), "{found:?}");
+    }
+    #[test]
+    fn conditions_of_one_window_do_not_pass_for_windows() {
+        // Each window under eight conditions that resemble each other says no more than under one.
+        let once = trials(&(0..12).map(|at| (at / 3, 0.5, 0.4 + at as f64 * 0.02)).collect::<Vec<_>>());
+        let mut eight = Vec::new();
+        for condition in 0..8 {
+            let renamed = once.iter().cloned();
+            eight.extend(renamed.map(|trial| Trial { condition: format!("{condition}"), ..trial }));
+        }
+        let all = |trials: &[Trial]| summary(trials, "layered").comparisons[1].less_baseline["miss"];
+        assert_eq!(summary(&eight, "layered").comparisons[1].simulations, 96);
+        let (one, together) = (all(&once), all(&eight));
+        assert!((one.mean - together.mean).abs() < 1e-12);
+        let width = |estimate: Estimate| estimate.high.unwrap() - estimate.low.unwrap();
+        assert!((width(one) - width(together)).abs() < 1e-12, "{one:?} {together:?}");
+    }
+
+    #[test]
+    fn a_single_window_has_no_interval() {
+        let found = difference(&[(0, 0.5, 0.4)]);
+        assert!((found.mean + 0.1).abs() < 1e-12 && (found.low, found.high) == (None, None), "{found:?}");
     }
 }

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use super::{
-    Limits, TraceError,
+    Limits, TraceError, Warning,
+    doubts::doubtful_delay,
     lines::{check_points, check_text, decimal, field, lines},
     steps,
 };
@@ -57,6 +58,11 @@ impl DelayTrace {
         let mut delays: Vec<Nanos> = self.delays.iter().map(|(_, delay)| *delay).collect();
         delays.sort_unstable();
         delays.get(delays.len() / 2).copied().unwrap_or(Nanos::ZERO)
+    }
+
+    /// What makes its unit doubtful, by the median.
+    pub fn doubt(&self) -> Option<Warning> {
+        doubtful_delay(self.median())
     }
 
     /// The whole trace, entered at `offset`.

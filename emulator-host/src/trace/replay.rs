@@ -10,7 +10,8 @@ use std::sync::Arc;
 use super::{
     DelayTrace, Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError,
     delay::MOST_MS,
-    lines::{check_points, check_text, decimal, field, lines},
+    doubts::doubts,
+    lines::{check_points, check_text, decimal, field, first_line, rows},
     steps,
 };
 use crate::{
@@ -75,6 +76,12 @@ impl From<Trace> for Replay {
 }
 
 impl Replay {
+    /// The first line of a trace that is neither empty nor a comment, trimmed: it says of what kind the file
+    /// is.
+    pub fn first_line(bytes: &[u8]) -> &[u8] {
+        first_line(bytes)
+    }
+
     /// Loads lines of three or four columns.
     ///
     /// # Errors
@@ -82,7 +89,7 @@ impl Replay {
     pub fn load(name: &str, bytes: &[u8], limits: &Limits) -> Result<Self, TraceError> {
         check_text(bytes, limits)?;
         let mut recorded = Recorded::default();
-        for line in lines(bytes, limits) {
+        for line in rows(bytes, limits) {
             let (number, text) = line?;
             recorded.enter(number, text)?;
             check_points(recorded.rates.len(), limits)?;
@@ -156,9 +163,12 @@ impl Recorded {
         let Some(last) = self.rates.last().map(|row| row.at) else { return Err(TraceError::NoCapacity) };
         let tail = self.rates.windows(2).last().map_or(LONE, |pair| pair[1].at - pair[0].at);
         let period = last + tail;
-        let capacity = Trace::steps(name, self.rates, period)?;
+        let delay = DelayTrace::of(self.delays, period);
+        let mut warnings = doubts(&self.rates);
+        warnings.extend(delay.doubt());
+        let capacity = Trace { warnings, ..Trace::steps(name, self.rates, period)? };
         let loss = (!self.chances.is_empty()).then(|| LossTrace { chances: self.chances.into(), period });
-        Ok(Replay { capacity, delay: Some(DelayTrace::of(self.delays, period)), loss })
+        Ok(Replay { capacity, delay: Some(delay), loss })
     }
 }
 
@@ -183,6 +193,20 @@ mod tests {
         let moved = replay.starting_at(Nanos::from_ms(700)).unwrap();
         assert_eq!(moved.delay.unwrap().at(Nanos::ZERO), Nanos(40_500_000));
         assert!(load("0 1 20\n").unwrap().loss.is_none());
+    }
+
+    #[test]
+    fn units_are_doubted_as_those_of_two_columns_are() {
+        let warnings = |text: &str| {
+            let trace = load(text).unwrap().capacity;
+            trace.warnings().iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
+        };
+        assert_eq!(warnings("time,rate,delay\n0,3,25\n1,4,0.5\n2,3,31\n"), "");
+        assert_eq!(warnings("0 3 0\n1 4 0\n"), "");
+        assert!(warnings("0 3 20\n1000 4 20\n2000 3 20\n").contains("looks like milliseconds"));
+        assert!(warnings("0 3000 20 0\n1 4000 20 0\n").contains("looks like kbit/s"));
+        let seconds = warnings("0 3 0.025\n1 4 0.031\n");
+        assert!(seconds.contains("the delay is 0.031 ms") && seconds.contains("seconds"), "{seconds}");
     }
 
     #[test]

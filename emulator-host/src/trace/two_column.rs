@@ -1,15 +1,11 @@
 //! Reads throughput traces of two columns: time in seconds, rate in Mbit/s.
 
 use super::{
-    Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError, Warning,
-    lines::{check_points, check_text, decimal, field, lines},
+    Limits, MAX_PERIOD, MAX_RATE, Step, Trace, TraceError,
+    doubts::doubts,
+    lines::{check_points, check_text, decimal, field, rows as lines_of},
 };
 use crate::clock::{Nanos, Rate};
-
-/// Rows that are typically further apart look like milliseconds: measured traces step by 0.1 to 5 s.
-const COARSEST: Nanos = Nanos::from_s(60);
-/// Rates that are typically higher than this look like kbit/s: measured traces stay below it but for seconds.
-const FASTEST: Rate = Rate::from_mbps(500);
 
 /// Which way the rate of a row holds. The two families of public traces differ; the difference is one step.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,7 +30,7 @@ fn load(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Trace
     check_text(bytes, limits)?;
     let mut rows: Vec<Step> = Vec::new();
     let mut first_s = None;
-    for line in lines(bytes, limits) {
+    for line in lines_of(bytes, limits) {
         let (number, text) = line?;
         let mut columns = text
             .split(|byte| byte.is_ascii_whitespace() || *byte == b',')
@@ -87,22 +83,6 @@ fn load(name: &str, bytes: &[u8], holds: Holds, limits: &Limits) -> Result<Trace
     trace.map(|trace| Trace { warnings, ..trace })
 }
 
-/// What makes the units doubtful, by the median row.
-fn doubts(rows: &[Step]) -> Vec<Warning> {
-    let mut warnings = Vec::new();
-    let mut gaps: Vec<Nanos> = rows.windows(2).map(|pair| pair[1].at - pair[0].at).collect();
-    gaps.sort_unstable();
-    if let Some(gap) = gaps.get(gaps.len() / 2).filter(|gap| **gap > COARSEST) {
-        warnings.push(Warning::LikelyMilliseconds { seconds: gap.as_s() as u32 });
-    }
-    let mut rates: Vec<Rate> = rows.iter().map(|row| row.rate).collect();
-    rates.sort_unstable();
-    if let Some(rate) = rates.get(rates.len() / 2).filter(|rate| **rate > FASTEST) {
-        warnings.push(Warning::LikelyKilobits { mbps: (rate.0 / 1_000_000) as u32 });
-    }
-    warnings
-}
-
 #[cfg(test)]
 mod tests {
     use super::super::Shape;
@@ -135,6 +115,24 @@ mod tests {
             both.starts_with("rows are 1000 s apart") && both.contains("the rate is 3000 Mbit/s"),
             "{both}"
         );
+    }
+
+    #[test]
+    fn marks_comments_and_names_of_columns_are_passed_over() {
+        let whole = load("t", b"0,1\n1,2\n", Holds::Forward, &Limits::default()).unwrap();
+        for text in [
+            "\u{feff}0,1\n1,2\n",
+            "# a phone\n0,1\n# indoors\n1,2\n",
+            "time_s,mbps\n0,1\n1,2\n",
+            "\u{feff}# a phone\n\"time\", \"rate\"\n0,1\n1,2\n",
+        ] {
+            let found = load("t", text.as_bytes(), Holds::Forward, &Limits::default()).unwrap();
+            assert_eq!(found.shape(), whole.shape(), "{text}");
+        }
+        let twice = load("t", b"a,b\nc,d\n0,1\n", Holds::Forward, &Limits::default()).unwrap_err();
+        assert!(twice.to_string().starts_with("line 2, time in s: found \"c\""), "{twice}");
+        let packed = load("t", &[0x1f, 0x8b, 8, 0], Holds::Forward, &Limits::default()).unwrap_err();
+        assert_eq!(packed.to_string(), "gzip: unpack it first");
     }
 
     #[test]

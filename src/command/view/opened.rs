@@ -36,7 +36,7 @@ pub(super) fn opened(input: &str, args: &View, quiet: Quiet, warn: &mut dyn FnMu
         let stream = pipeline::encode(&loaded.scene, &options, quiet)?.stream;
         return Ok(Opened { bytes: stream.to_bytes()?, up: None, damaged });
     }
-    pipeline::unused_options(input, &args.scene).into_iter().for_each(&mut *warn);
+    pipeline::unused_options(input, &args.scene, Some(&args.codec)).into_iter().for_each(&mut *warn);
     let bytes = fs::read(input).with_context(|| format!("{input}: cannot read"))?;
     let (_, damage) = Stream::from_bytes(&bytes).with_context(|| {
         format!("{input}: no .dgs file that can be shown (dgs encode makes one of a scene)")

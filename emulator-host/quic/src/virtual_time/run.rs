@@ -77,10 +77,11 @@ pub fn run(
         config,
     };
     let mut now = Nanos::ZERO;
-    while now <= config.cap && !walk.step(now)? {
+    let end = config.end(graph);
+    while now <= end && !walk.step(now)? {
         now = walk.next_time().max(now + Nanos(1));
     }
-    Ok(walk.report(now.min(config.cap)))
+    Ok(walk.report(now.min(end)))
 }
 
 /// How long the two ends take to come to terms over the path of `config`, losses and queues included.

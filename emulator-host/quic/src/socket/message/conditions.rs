@@ -39,7 +39,8 @@ pub struct ViewerLink {
     pub delay: Duration,
     /// Share of datagrams lost, 0 to 0.9, counted in ten-thousandths.
     pub loss: f64,
-    /// Mean number of datagrams lost in a row, 1 to 1000; at 1 losses are independent.
+    /// Mean number of datagrams lost in a row, 1 to 1000, at least loss / (1 - loss); at 1 losses are
+    /// independent.
     pub burst: f64,
     /// Seed of the losses.
     pub seed: u32,
@@ -135,7 +136,7 @@ impl Conditions {
         };
         let delay = Duration::from_micros(delay_us.into());
         if delay > MOST_DELAY {
-            return Err(illegal("delay", delay_us.into(), "0 to 1000000 us"));
+            return Err(illegal("delay", u64::from(delay_us).div_ceil(1000), "0 to 1000 ms"));
         }
         let [loss, burst] = parts;
         if loss > MOST_LOSS.into() {
@@ -143,6 +144,9 @@ impl Conditions {
         }
         if !(1..=MOST_BURST.into()).contains(&burst) {
             return Err(illegal("burst", burst, "1 to 1000 datagrams"));
+        }
+        if burst > 1 && (burst as f64) < LossModel::least_burst(loss as f64 / LOSS_PARTS) {
+            return Err(illegal("burst", burst, "1, or at least loss / (1 - loss) datagrams"));
         }
         Ok(Self { rate, delay, loss: loss as u16, burst: burst as u16, seed, ..self })
     }

@@ -113,6 +113,9 @@ fn conditions_come_back_as_written_and_never_out_of_bounds() {
         (impairment.path.delay.0, impairment.path.queue.bytes, impairment.seed),
         (40_000_000, 62_500, 7)
     );
+    let short = ViewerLink { loss: 0.9, burst: 2.0, ..ViewerLink::default() };
+    assert!(Conditions::NONE.behind(&short).unwrap_err().to_string().contains("burst is 2"));
+    assert!(Conditions::NONE.behind(&ViewerLink { burst: 9.0, ..short }).is_ok());
     assert_eq!(impairment.path.loss, emulator_host::link::LossModel::in_bursts(0.05, 4.0));
     assert!(Conditions::NONE.impairment().is_none());
     let mut unchanged = body.clone();

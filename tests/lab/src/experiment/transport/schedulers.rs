@@ -1,8 +1,8 @@
 //! Measures what the schedulers make of an encoded stream: two controllers, measured traces, paired windows.
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use dgs::{
-    args::{ControllerName, ProfileName},
+    args::{ControllerName, LinkArgs, ProfileName},
     pipeline,
 };
 use emulator_host::PolicyKind;
@@ -74,11 +74,12 @@ pub(super) fn run(bench: &mut Bench, setup: &Setup) -> Result<()> {
                 let mut args = link_args(path.clone());
                 args.controller = controller;
                 let whole = pipeline::link(&args, &graph)?;
+                let trace = whole.trace().context("a link that follows a trace")?;
                 if scaled && path.is_some() {
-                    let wanted = graph.total_bytes() as f64 * 8.0 / clip_s / args.load;
-                    args.scale = Some(wanted / whole.trace.mean_rate().0 as f64);
+                    let wanted = graph.total_bytes() as f64 * 8.0 / clip_s / LinkArgs::LOAD;
+                    args.scale = Some(wanted / trace.mean_rate().0 as f64);
                 }
-                let period = whole.trace.period().as_s();
+                let period = trace.period().as_s();
                 let jobs: Vec<(usize, PolicyKind)> =
                     (0..windows).flat_map(|w| POLICIES.map(|p| (w, p))).collect();
                 let results: Result<Vec<_>> = jobs

@@ -1,0 +1,34 @@
+//! Doubts the units of a trace whose numbers are far from those that paths have.
+
+use super::{Step, Warning};
+use crate::clock::{Nanos, Rate};
+
+/// Rows that are typically further apart look like milliseconds: measured traces step by 0.1 to 5 s.
+const COARSEST: Nanos = Nanos::from_s(60);
+/// Rates that are typically higher than this look like kbit/s: measured traces stay below it but for seconds.
+const FASTEST: Rate = Rate::from_mbps(500);
+
+/// One-way delays that are typically shorter than this look like seconds: measured paths have milliseconds.
+const SHORTEST: Nanos = Nanos::from_ms(1);
+
+/// What makes the units doubtful, by the median row.
+pub(super) fn doubts(rows: &[Step]) -> Vec<Warning> {
+    let mut warnings = Vec::new();
+    let mut gaps: Vec<Nanos> = rows.windows(2).map(|pair| pair[1].at - pair[0].at).collect();
+    gaps.sort_unstable();
+    if let Some(gap) = gaps.get(gaps.len() / 2).filter(|gap| **gap > COARSEST) {
+        warnings.push(Warning::LikelyMilliseconds { seconds: gap.as_s() as u32 });
+    }
+    let mut rates: Vec<Rate> = rows.iter().map(|row| row.rate).collect();
+    rates.sort_unstable();
+    if let Some(rate) = rates.get(rates.len() / 2).filter(|rate| **rate > FASTEST) {
+        warnings.push(Warning::LikelyKilobits { mbps: (rate.0 / 1_000_000) as u32 });
+    }
+    warnings
+}
+
+/// What makes the unit of delays with this median doubtful.
+pub(super) fn doubtful_delay(median: Nanos) -> Option<Warning> {
+    let is_short = median > Nanos::ZERO && median < SHORTEST;
+    is_short.then(|| Warning::LikelySeconds { ms: median.as_ms() })
+}
