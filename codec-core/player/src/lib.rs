@@ -28,3 +28,8 @@ pub use codec_core::{
 pub use frames::FrameDecoder;
 pub use player::{OpenError, Player, Waiting, arena};
 pub use stream::{Damage, Stream, sealed};
+
+/// Compiles the examples of the README.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

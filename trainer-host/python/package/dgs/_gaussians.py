@@ -1,5 +1,7 @@
 """Names the arrays of one frame as gsplat does."""
 
+from __future__ import annotations
+
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
@@ -14,6 +16,7 @@ else:
         return cls
 
 
+_Footprint = Literal["dilated", "compensated", "pixel"]
 _G = TypeVar("_G", bound="Gaussians")
 
 
@@ -41,11 +44,31 @@ class Gaussians(_Arrays):
     from 0 to 1. Every function that takes or gives them has the argument ``activation``, "log" by default.
     """
 
-    footprint: Literal["dilated", "compensated", "pixel"] = "dilated"
-    """How they are widened where they are drawn, as the scene or stream says that they come from; no member of
-    the tuple."""
+    footprint: _Footprint = "dilated"
+    """How they are widened where they are drawn, as the scene or stream says that they come from. It is no member
+    of the tuple: ``dgs.Gaussians(*arrays, footprint=arrays.footprint)`` passes it on."""
 
-    def _replace(self: _G, **arrays: Any) -> _G:
+    def __new__(
+        cls: type[_G],
+        means: NDArray[np.float32],
+        scales: NDArray[np.float32],
+        quats: NDArray[np.float32],
+        opacities: NDArray[np.float32],
+        sh0: NDArray[np.float32],
+        shN: NDArray[np.float32],
+        *,
+        footprint: _Footprint = "dilated",
+    ) -> _G:
+        made = super().__new__(cls, means, scales, quats, opacities, sh0, shN)
+        made.footprint = footprint
+        return made
+
+    def _asdict(self) -> dict[str, Any]:
+        return {**super()._asdict(), "footprint": self.footprint}
+
+    def _replace(self: _G, *, footprint: _Footprint | None = None, **arrays: Any) -> _G:
         replaced = super()._replace(**arrays)
-        replaced.footprint = self.footprint
+        replaced.footprint = self.footprint if footprint is None else footprint
         return replaced
+
+    __replace__ = _replace
