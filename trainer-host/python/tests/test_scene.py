@@ -97,13 +97,13 @@ def test_other_mistakes_are_named_too() -> None:
     with pytest.raises(ValueError, match="opacities of 0 to 1"):
         dgs.Scene.from_arrays(**arrays() | {"scales": np.ones((50, 3))}, activation="linear")
     with pytest.raises(ValueError, match="up is"):
-        dgs.Scene.from_arrays(**arrays(), up="sideways")  # type: ignore[arg-type]
+        dgs.Scene.from_arrays(**arrays(), up="sideways")  # type: ignore[call-overload]
     with pytest.raises(ValueError, match="frame rate"):
         dgs.Scene.from_arrays(**arrays(), fps=0.0)
     with pytest.raises(ValueError, match="kind"):
         dgs.Scene.synth("teapot")
     with pytest.raises(ValueError, match="has no quats"):
-        dgs.Scene.from_arrays(arrays()["means"], arrays()["scales"])  # type: ignore[call-overload]
+        dgs.Scene.from_arrays(arrays()["means"], arrays()["scales"])
     with pytest.raises(ValueError, match="has no means"):
         dgs.Scene.from_arrays(arrays()["means"])
 
@@ -116,7 +116,7 @@ def test_mistakes_of_a_caller_are_no_damage(tmp_path: pathlib.Path) -> None:
         ("gaussians is -1", lambda: dgs.Scene.synth(gaussians=-1)),
         ("seed is -1", lambda: dgs.Scene.synth(gaussians=1000, seed=-1)),
         ("fps is 0", lambda: dgs.Scene.load(tmp_path / "a.ply", fps=0)),
-        ("fps is nan", lambda: dgs.convert(tmp_path / "a.ply", tmp_path / "b.ply", fps=float("nan"))),
+        ("fps is NaN", lambda: dgs.convert(tmp_path / "a.ply", tmp_path / "b.ply", fps=float("nan"))),
         ("max_gaussians is -1", lambda: dgs.Scene.load(tmp_path / "a.ply", max_gaussians=-1)),
         ("count is 1099511627776; 1 to 100000", lambda: scene.ring(2**40, 8, 8)),
         ("count is 0", lambda: scene.ring(0, 8, 8)),

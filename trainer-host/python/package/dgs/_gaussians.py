@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from typing_extensions import disjoint_base
+
+    _Footprint = Literal["dilated", "compensated", "pixel"]
 else:
 
     def disjoint_base(cls):
         return cls
 
 
-_Footprint = Literal["dilated", "compensated", "pixel"]
 _G = TypeVar("_G", bound="Gaussians")
 
 
@@ -66,9 +67,10 @@ class Gaussians(_Arrays):
     def _asdict(self) -> dict[str, Any]:
         return {**super()._asdict(), "footprint": self.footprint}
 
-    def _replace(self: _G, *, footprint: _Footprint | None = None, **arrays: Any) -> _G:
-        replaced = super()._replace(**arrays)
-        replaced.footprint = self.footprint if footprint is None else footprint
+    def _replace(self: _G, **changes: Any) -> _G:
+        footprint = changes.pop("footprint", self.footprint)
+        replaced = super()._replace(**changes)
+        replaced.footprint = footprint
         return replaced
 
     __replace__ = _replace

@@ -128,6 +128,11 @@ class Scene:
     @staticmethod
     def from_arrays(
         means: _Arrays,
+        scales: None = None,
+        quats: None = None,
+        opacities: None = None,
+        sh0: None = None,
+        shN: None = None,
         *,
         fps: float = 30.0,
         activation: _Activation = "log",
@@ -163,6 +168,8 @@ class Scene:
     @staticmethod
     def synth(kind: str = "figure", *, gaussians: int = 2000, frames: int = 8, seed: int = 1) -> Scene:
         """A scene of formulas, "balls", "figure", "cloth" or "births", of 1000 Gaussians or more."""
+    def __copy__(self) -> Scene: ...
+    def __deepcopy__(self, _memo: object, /) -> Scene: ...
     def at(self, frame: int, *, activation: _Activation = "log") -> Gaussians:
         """The arrays of a frame, 0 to frames - 1."""
     def save(self, path: _Path, *, frame: int = 0, keep_axes: bool = False) -> None:
