@@ -179,7 +179,8 @@ pub extern "C" fn dgs_version() -> u32 {
     manifest::VERSION.into()
 }
 
-/// Fills `caps` with bounds for computers and telephones; a null pointer is left alone.
+/// Fills `caps` with bounds for computers and telephones; a null pointer is left alone. A block that holds
+/// every stream within them is under 3 GiB.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_caps_host(caps: *mut DgsCaps) {
     if usable(caps, "caps").is_ok() {
@@ -188,7 +189,8 @@ pub unsafe extern "C" fn dgs_caps_host(caps: *mut DgsCaps) {
     }
 }
 
-/// Fills `caps` with bounds for microcontrollers; a null pointer is left alone.
+/// Fills `caps` with bounds for microcontrollers; a null pointer is left alone. A block that holds every
+/// stream within them is under 2.25 MiB.
 #[unsafe(no_mangle)]
 pub unsafe extern "C" fn dgs_caps_small(caps: *mut DgsCaps) {
     if usable(caps, "caps").is_ok() {

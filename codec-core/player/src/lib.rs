@@ -21,8 +21,8 @@ mod player;
 mod stream;
 
 pub use codec_core::{
-    Caps, Error, ErrorKind, Gaussian, Result,
-    internals::gaussian::ShDegree,
+    Caps, Error, ErrorKind, Footprint, Gaussian, PacketId, Result,
+    internals::{gaussian::ShDegree, wire::receipt::ViewerPose},
     player::{Accepted, Counters, Frame, StreamInfo, Usable},
 };
 pub use frames::FrameDecoder;
