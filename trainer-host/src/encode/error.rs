@@ -29,6 +29,16 @@ pub enum EncodeError {
         /// Largest allowed.
         high: f64,
     },
+    /// A frame rate that a manifest does not hold: it would be written as another.
+    #[error("the scene's frame rate is {found}; {low} to {high} frames per second are allowed")]
+    FrameRate {
+        /// Value found.
+        found: f64,
+        /// Smallest allowed.
+        low: f64,
+        /// Largest allowed.
+        high: f64,
+    },
     /// There is nothing to encode, or nowhere to measure from.
     #[error("{what} is empty; at least one is needed")]
     Empty {

@@ -91,6 +91,8 @@ pub fn again(
     write(scene, &Decisions::Dgs1(decided), progress)
 }
 
+/// What a manifest holds of frame rates, which are frames per thousand seconds where they are no whole numbers.
+const FRAME_RATE: (f64, f64) = (0.001, 1e6);
 /// Largest magnitude of a coordinate that a manifest holds, scene units.
 const MOST_AWAY: f32 = 1e9;
 
@@ -102,6 +104,10 @@ pub(super) fn check_scene(scene: &Scene) -> Result<(), EncodeError> {
     within("epochs", scene.epochs().len(), limits::MAX_EPOCHS)?;
     within("frames", scene.frames(), limits::MAX_FRAMES as usize)?;
     within("Gaussians in an epoch", scene.max_count(), limits::MAX_EPOCH_GAUSSIANS as usize)?;
+    let (found, (low, high)) = (scene.frames_per_second(), FRAME_RATE);
+    if !(low..=high).contains(&found) {
+        return Err(EncodeError::FrameRate { found, low, high });
+    }
     if scene.max_count() == 0 {
         return Err(EncodeError::Empty { what: "the scene's list of Gaussians" });
     }
@@ -167,6 +173,12 @@ mod tests {
             "{error}"
         );
         assert!(error.contains("-1e9 to 1e9 scene units"), "{error}");
+        for rate in [4e-4, 2e6] {
+            let epochs = scene(1, vec![[0.0; 3]; 3]).epochs().to_vec();
+            let error = said(Scene::new(epochs, rate).unwrap());
+            let words = "0.001 to 1000000 frames per second are allowed";
+            assert_eq!(error, format!("the scene's frame rate is {rate}; {words}"));
+        }
         encode(&scene(1, vec![[1e9, -1e9, 0.0]; 3]), &options, &unheard).unwrap();
     }
 }

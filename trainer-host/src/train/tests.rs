@@ -394,6 +394,18 @@ fn datasets_that_no_training_finishes_with_are_refused_by_name() {
 }
 
 #[test]
+fn views_that_are_not_there_and_pictures_of_no_size_are_named() {
+    let views = dataset(synth::SynthKind::Balls, 2, 6).test;
+    let clip = Clip { instants: vec![Instant::default()], footprint: Footprint::Pixel };
+    let said = |index, reduced| compare(&clip, &views, index, reduced, [0.0; 3]).unwrap_err().to_string();
+    let count = views.photographs().len();
+    assert_eq!(said(count, 1), format!("view {count} is asked for; the split has {count}"));
+    assert_eq!(said(0, 0), "pictures reduced 0 times are asked for; at least 1 is allowed");
+    assert!(said(0, 1000).contains('0'), "a size of 0 x 0 pixels");
+    assert!(compare(&clip, &views, 0, 2, [0.0; 3]).is_ok());
+}
+
+#[test]
 fn a_trained_scene_has_as_many_frames_as_requested() {
     let dataset = dataset(synth::SynthKind::Balls, 3, 6);
     let trainer = trained(&dataset, &options(), 60);
