@@ -72,7 +72,8 @@ impl Caps {
     };
 
     /// For microcontrollers: under 1 MiB of receiver memory ([`Caps::memory_bytes`]), all fields together. An
-    /// arena of [`Caps::arena_words`] also has a place for the decoder and for the frame shown: under 2.25 MiB.
+    /// arena of [`Caps::arena_words`] also has a place for the decoder and for the frame shown: under 2.25
+    /// MiB.
     pub const SMALL: Self = Self {
         gaussians_per_epoch: 4096,
         frames: 16_384,

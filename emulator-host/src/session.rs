@@ -88,8 +88,8 @@ pub struct SessionConfig {
     pub reverse: PathConfig,
     /// Rate of the sender's own serialiser; loss timers start when it is through. `None`: instantly.
     pub access_rate: Option<Rate>,
-    /// Round trip that the handshake has measured, before the session's time begins, at most an hour; `None` if
-    /// there was no handshake.
+    /// Round trip that the handshake has measured, before the session's time begins, at most an hour; `None`
+    /// if there was no handshake.
     pub handshake_rtt: Option<Nanos>,
     /// How far ahead of playout media may be sent.
     pub lookahead: Nanos,

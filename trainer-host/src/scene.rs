@@ -232,7 +232,7 @@ impl Epoch {
         &self.attributes
     }
 
-    /// The splats of frame `t` (counted in this epoch), ready to render; past the end, those of the last frame.
+    /// The splats of frame `t` (counted in this epoch), ready to render; past the end, of the last one.
     pub fn instant(&self, t: usize) -> Instant {
         let t = t.min(self.frames - 1);
         let (n, a) = (self.count, &self.attributes);

@@ -51,7 +51,7 @@ pub fn of_file(path: &std::path::Path, error: &std::io::Error) -> PyErr {
         }
         _ => return PyOSError::new_err(format!("{}: {message}", path.display())),
     };
-    // Of these arguments Python makes a FileNotFoundError, PermissionError and the like with their fields set.
+    // Of these arguments Python makes a FileNotFoundError, PermissionError and the like, their fields set.
     let message = message.split(" (os error").next().unwrap_or_default().to_owned();
     PyOSError::new_err((number, message, path.to_owned()))
 }

@@ -172,8 +172,8 @@ impl Sums {
         }
     }
 
-    /// Takes gradients of logarithms and logits to the domain that the arrays are in. Linear values are inside
-    /// their range, so that nothing is divided by 0.
+    /// Takes gradients of logarithms and logits to the domain that the arrays are in. Linear values are
+    /// inside their range, so that nothing is divided by 0.
     fn in_domain(mut self, splatting: &Splatting, scales: &[f32], activation: Activation) -> Self {
         for (i, gaussian) in splatting.gaussians.iter().enumerate() {
             for axis in 0..3 {

@@ -70,7 +70,7 @@ fn begins_as_stream(path: &Path) -> PyResult<bool> {
     }
 }
 
-/// Whether `path` is read as a stream: its content is one, or its name says so and its content says nothing else.
+/// Whether `path` is read as a stream: its content is one, or its name says so and its content nothing else.
 fn is_read_as_stream(path: &Path) -> PyResult<bool> {
     if begins_as_stream(path)? {
         return Ok(true);

@@ -47,8 +47,8 @@ pub enum EncodeError {
     },
     /// A Gaussian is further from the origin than the format holds.
     #[error(
-        "Gaussian {gaussian} of epoch {epoch} is at {position:?} at frame {frame} of the scene; coordinates of \
-         -{most:e} to {most:e} scene units are allowed"
+        "Gaussian {gaussian} of epoch {epoch} is at {position:?} at frame {frame} of the scene; coordinates \
+         of -{most:e} to {most:e} scene units are allowed"
     )]
     Position {
         /// Index of the epoch in the scene.

@@ -91,7 +91,7 @@ pub fn again(
     write(scene, &Decisions::Dgs1(decided), progress)
 }
 
-/// What a manifest holds of frame rates, which are frames per thousand seconds where they are no whole numbers.
+/// What a manifest holds of frame rates, which are frames per 1000 seconds where they are no whole numbers.
 const FRAME_RATE: (f64, f64) = (0.001, 1e6);
 /// Largest magnitude of a coordinate that a manifest holds, scene units.
 const MOST_AWAY: f32 = 1e9;

@@ -82,8 +82,8 @@ impl FromStr for Similarity {
 }
 
 impl Similarity {
-    /// A turn by the quaternion `rotation`, wxyz and of any length but zero, about the origin, then a scale by
-    /// `scale`, then a shift by `translation`, scene units.
+    /// A turn by the quaternion `rotation`, wxyz and of any length but zero, about the origin, then a scale
+    /// by `scale`, then a shift by `translation`, scene units.
     ///
     /// ```
     /// use trainer_host::edit::Similarity;
