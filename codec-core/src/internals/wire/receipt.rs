@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     cursor::{Reader, Writer, in_range, varint_len},
-    error::{Error, ErrorKind, Result},
+    error::{Error, Result},
     ids::{ClusterId, EpochId, Group, Level, PacketId, Span, WindowId},
     limits,
 };
@@ -136,13 +136,9 @@ impl Value<'_> {
     /// not fit 1200 bytes are cut: newest ranges are kept, then recovered ids, then groups.
     ///
     /// # Errors
-    /// [`ErrorKind::Capacity`], which says the bytes there are and those needed, if `out` is smaller than the
-    /// receipt, [`ErrorKind::Illegal`] if ranges are not ascending or a number of the pose is not finite.
+    /// [`crate::ErrorKind::Capacity`] if `out` is smaller than the receipt,
+    /// [`crate::ErrorKind::Illegal`] if ranges are not ascending or a number of the pose is not finite.
     pub fn write(&self, out: &mut [u8]) -> Result<usize> {
-        let needed = self.wire_len();
-        if out.len() < needed {
-            return Err(Error::short("receipt", 0, out.len(), needed).kind(ErrorKind::Capacity));
-        }
         let (ranges, recovered, completed) = self.fitting();
         let older = self.acknowledged.len().saturating_sub(ranges);
         let mut writer = Writer::new(out);
@@ -323,7 +319,7 @@ mod tests {
                     completed: &[],
                 };
                 let error = value.write(&mut [0; 100]).unwrap_err();
-                assert_eq!((error.kind, error.field), (ErrorKind::Illegal, "receipt.pose"));
+                assert_eq!((error.kind, error.field), (crate::ErrorKind::Illegal, "receipt.pose"));
             }
         }
     }
